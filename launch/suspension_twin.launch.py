@@ -1,0 +1,52 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The four nodes, each in a process of its own: ``ros2 launch suspension_twin suspension_twin.launch.py twin:=...``.
+
+``suspension-twin run`` starts the same nodes in one process, which costs less.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from ament_index_python.packages import get_package_share_directory
+from launch import LaunchDescription
+from launch.actions import DeclareLaunchArgument
+from launch.substitutions import LaunchConfiguration
+from launch_ros.actions import Node
+from launch_ros.parameter_descriptions import ParameterValue
+
+NODES = ("imu_ingest", "pose_injector", "suspension_model", "calibrator")
+
+
+def generate_launch_description() -> LaunchDescription:
+    """The arguments, and a node of each kind that follows them."""
+    config = Path(get_package_share_directory("suspension_twin")) / "config"
+    arguments = [
+        DeclareLaunchArgument("twin", description="Path of the twin file."),
+        DeclareLaunchArgument(
+            "params", default_value=str(config / "nodes.yaml"), description="Path of the nodes' parameter file."
+        ),
+        DeclareLaunchArgument(
+            "use_sim_time", default_value="false", description="Follow /clock, for a replayed recording."
+        ),
+        DeclareLaunchArgument("namespace", default_value="", description="A namespace that holds the whole twin."),
+    ]
+    parameters = [
+        LaunchConfiguration("params"),
+        {
+            "twin": ParameterValue(LaunchConfiguration("twin"), value_type=str),
+            "use_sim_time": ParameterValue(LaunchConfiguration("use_sim_time"), value_type=bool),
+        },
+    ]
+    nodes = [
+        Node(
+            package="suspension_twin",
+            executable=name,
+            name=name,
+            namespace=LaunchConfiguration("namespace"),
+            parameters=parameters,
+            output="screen",
+        )
+        for name in NODES
+    ]
+    return LaunchDescription([*arguments, *nodes])

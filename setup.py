@@ -1,0 +1,94 @@
+# SPDX-License-Identifier: Apache-2.0
+"""How the package is installed, by pip (bootstrap.py) and by colcon alike.
+
+All of it stands here and not in pyproject.toml, which ``colcon build --symlink-install`` does not read. Name, version
+and the like come from package.xml.
+"""
+
+from __future__ import annotations
+
+import xml.etree.ElementTree as ElementTree
+from pathlib import Path
+
+from setuptools import find_packages, setup
+
+HERE = Path(__file__).resolve().parent
+SHARE = Path("share/suspension_twin")
+NODES = ("imu_ingest", "pose_injector", "suspension_model", "calibrator")
+
+REQUIRED = [
+    "suspension-twin-interfaces",  # brings rclpy and the ROS messages, see suspension_twin_interfaces/setup.py
+    "numpy>=1.26",
+    "scipy>=1.11",
+    "llvmlite>=0.41",
+    "numba>=0.58",
+    "pydantic>=2.7",
+    "pyyaml>=6",
+    "rosbags>=0.11,<0.12",
+    "mcap>=1.2",
+    "lz4>=4",
+    "zstandard>=0.20",
+    "pycrg>=2.2",
+    "pymap3d>=3.1",
+    "pymoo>=0.6.1",
+    "matplotlib>=3.6",
+    "cycler>=0.11",
+    "jinja2>=3.1",
+    "markupsafe>=2.1",
+    "typer>=0.24",
+    "rich>=13",
+]
+TEST = [
+    "pytest>=8",
+    "pytest-xdist>=3.6",
+    "hypothesis>=6.100",
+    "mujoco>=3.3",
+    # Later ones refuse Python 3.10, and an old pip that finds out late tries all of numpy's releases for a way out.
+    "etils<1.14; python_version < '3.11'",
+    "objective-rating-metrics>=1.3",
+    "colcon-ros>=0.4",
+    "colcon-package-information>=0.3",
+    "ruff>=0.9",
+    "mypy>=1.14",
+    "scipy-stubs",
+    "types-PyYAML",
+]
+
+
+def data_files() -> list[tuple[str, list[str]]]:
+    """The package's mark and manifest for ament, and launch, config and bags as they lie here."""
+    files = {
+        Path("share/ament_index/resource_index/packages"): [Path("resource/suspension_twin")],
+        SHARE: [Path("package.xml")],
+    }
+    bundled = [*(HERE / "launch").glob("*.launch.py")]
+    for folder in ("config", "bags"):  # without the programs that made the bags
+        bundled += [p for p in (HERE / folder).rglob("*") if p.is_file() and p.suffix not in (".py", ".pyc")]
+    for path in sorted(p.relative_to(HERE) for p in bundled):
+        files.setdefault(SHARE / path.parent, []).append(path)
+    return [(str(target), [str(f) for f in sources]) for target, sources in files.items()]
+
+
+manifest = ElementTree.parse(HERE / "package.xml").getroot()
+maintainer = manifest.find("maintainer")
+assert maintainer is not None
+setup(
+    name=manifest.findtext("name"),
+    version=manifest.findtext("version"),
+    description=manifest.findtext("description"),
+    license=manifest.findtext("license"),
+    maintainer=maintainer.text,
+    maintainer_email=maintainer.get("email"),
+    python_requires=">=3.10,<3.14",
+    install_requires=REQUIRED,
+    extras_require={"test": TEST},
+    packages=find_packages(include=["suspension_twin", "suspension_twin.*"]),
+    package_data={"": ["py.typed", "*.html", "*.j2", "*.css", "*.js", "*.yaml"]},
+    data_files=data_files(),
+    entry_points={
+        "console_scripts": [
+            "suspension-twin = suspension_twin.cli.main:main",
+            *(f"{node} = suspension_twin.nodes.{node}:main" for node in NODES),
+        ]
+    },
+)

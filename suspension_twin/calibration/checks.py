@@ -1,0 +1,82 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Drives that cannot tell what is asked of them: each gets a reason and a way out, not a calibration."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from suspension_twin.calibration.stretches import TrimSettings
+from suspension_twin.errors import InputError, WorkError
+from suspension_twin.gap.prepare import Prepared
+
+__all__ = ["check_agreement", "check_drive", "check_parts"]
+
+#: Seconds of excited driving below which nothing is fitted.
+SHORTEST = 1.5
+#: Correlation of the fitted twin's vertical acceleration with the measured one, below which the road is
+#: taken for another: a seven-degree model on the right road reaches 0.9 and more, on a wrong one 0.3.
+LEAST_CORRELATION = 0.5
+
+
+def check_drive(drive: Prepared) -> None:
+    """Refuse a drive that stands still, or is not on the road of the twin file."""
+    fastest = float(np.max(np.abs(drive.speed)))
+    if fastest < 1.0:
+        raise InputError(
+            drive.name,
+            f"the car is parked (never above {fastest:.1f} m/s): record a drive over the road of the twin file",
+        )
+    moving = np.abs(drive.speed) > 0.8
+    on_road = float(drive.inside[moving].mean())
+    if on_road < 0.02:
+        away = _distance(drive)
+        raise InputError(
+            drive.name,
+            f"never drives on the road {drive.road.name} ({away:.0f} m away at the nearest): is it the road of "
+            "this drive, and is the twin file's datum the origin of its x and y?",
+        )
+
+
+def _distance(drive: Prepared) -> float:
+    """Least distance in m of the drive from the road's reference line."""
+    x, y = drive.trajectory.x, drive.trajectory.y
+    u, _ = drive.road.xy_to_uv(x, y)
+    u = np.clip(u, drive.road.u_first, drive.road.u_last)
+    line_x, line_y = drive.road.uv_to_xy(u, np.zeros_like(u))
+    return float(np.min(np.hypot(x - line_x, y - line_y)))
+
+
+def check_parts(drive: Prepared, samples: int, settings: TrimSettings) -> None:
+    """Refuse a drive that the road hardly shakes, or that is on the road for too short a time."""
+    seconds = samples / drive.rate
+    if seconds >= SHORTEST:
+        return
+    on_road = float(np.count_nonzero(drive.mask & (np.abs(drive.speed) > settings.slowest))) / drive.rate
+    if on_road < 2 * SHORTEST:
+        raise InputError(
+            drive.name,
+            f"only {on_road:.1f} s are driven on the road with a pose and a whole signal: at least "
+            f"{2 * SHORTEST:.0f} s are needed",
+        )
+    moving = drive.mask & (np.abs(drive.speed) > settings.slowest)
+    vertical = drive.measured["vertical_acceleration"][moving]
+    rms = float(np.std(vertical))
+    floor = drive.noise_rms["vertical_acceleration"]
+    raise InputError(
+        drive.name,
+        f"the road does not excite the car: {rms:.3f} m/s² rms at a noise of {floor:.3f}, {seconds:.1f} s above "
+        f"{settings.threshold:g} times that: drive over a bump or a rough road",
+    )
+
+
+def check_agreement(names: Sequence[str], correlations: Sequence[float], road: str) -> None:
+    """Refuse the result where the fitted twin has nothing in common with a drive."""
+    for name, correlation in zip(names, correlations, strict=True):
+        if not correlation >= LEAST_CORRELATION:
+            raise WorkError(
+                f"{name}: measured and simulated vertical acceleration have little in common even at the best fit "
+                f"(correlation {correlation:.2f}): was it another road than {road}, is the map or a clock off by "
+                "more than a second, or does the IMU sit elsewhere than the twin file says?"
+            )

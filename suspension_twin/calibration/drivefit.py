@@ -1,0 +1,107 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Each drive before and after a calibration: gaps over the whole of it, and what the nuisances leave."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from suspension_twin.calibration.problem import Interrupted, Problem
+from suspension_twin.calibration.recorder import Outcome
+from suspension_twin.calibration.request import DriveFit
+from suspension_twin.calibration.setup import Setup
+from suspension_twin.drive.types import Floats
+from suspension_twin.gap.measure import CHANNELS
+from suspension_twin.gap.prepare import Prepared
+from suspension_twin.models.parameters import pack
+from suspension_twin.models.simulate import simulate_lanes
+from suspension_twin.models.types import LaneResponse
+from suspension_twin.vehicle.twin import Twin
+
+__all__ = ["drive_fits"]
+
+
+def drive_fits(setup: Setup, outcome: Outcome, after: Twin, values: Floats) -> tuple[DriveFit, ...]:
+    """Compare every drive of a calibration with the twin as it was and as it is ``after``."""
+    found = []
+    base = pack(setup.original)
+    same = base.size == pack(after).size
+    for number, drive in enumerate(setup.drives):
+        if setup.problem.interrupt():
+            raise Interrupted
+        if same:
+            pair = simulate_lanes(setup.original, np.stack([base, pack(after)], axis=1), drive.excitation)
+            sides = [_conditioned(drive, pair, lane) for lane in (0, 1)]
+        else:
+            sides = [
+                _conditioned(drive, simulate_lanes(t, pack(t)[:, None], drive.excitation), 0)
+                for t in (setup.original, after)
+            ]
+        left, correlation = _left_over(outcome, number, values)
+        found.append(
+            DriveFit(
+                name=drive.name,
+                gap_before=drive.gap(sides[0]),
+                gap_after=drive.gap(sides[1]),
+                nuisance_free=left,
+                correlation=correlation,
+                rate=drive.rate,
+                t=drive.t,
+                position=drive.position,
+                profile=_profile(drive),
+                measured=drive.measured,
+                before=sides[0],
+                after=sides[1],
+                compared=_compared_mask(setup.problem, drive, number),
+            )
+        )
+    return tuple(found)
+
+
+def _profile(drive: Prepared) -> tuple[Floats, Floats]:
+    """Distances along the road and the heights of both tracks where the drive went."""
+    road, path = drive.road, drive.trajectory
+    u, v = road.xy_to_uv(path.x, path.y)
+    half = 0.5 * drive.twin.vehicle.front_track
+    along = np.arange(max(u.min(), road.u_first), min(u.max() + drive.twin.vehicle.wheelbase, road.u_last), road.u_step)
+    lane = float(np.median(v))
+    return along, np.column_stack([road.heights_uv(along, np.full(along.size, lane + side)) for side in (half, -half)])
+
+
+def _conditioned(drive: Prepared, response: LaneResponse, lane: int) -> dict[str, Floats]:
+    stacked = np.stack(
+        [
+            response.vertical_acceleration[:, lane],
+            *(response.rate[:, a, lane] for a in (0, 1)),
+            *(response.force[:, a, lane] for a in (0, 1)),
+            response.rate[:, 2, lane],
+        ],
+        axis=1,
+    )
+    filtered = drive.conditioner.apply(stacked)
+    return {name: filtered[:, i] for i, name in enumerate(CHANNELS)}
+
+
+def _left_over(outcome: Outcome, number: int, values: Floats) -> tuple[float, float]:
+    """Rms of the vertical acceleration that physics and nuisances leave of one drive, and the correlation."""
+    problem = outcome.problem
+    signals, _ = problem.simulate(values[:, None])
+    nuisance = (outcome.nuisance - outcome.placed)[:, None]
+    simulated = problem.compared(signals, nuisance)[:, :, 0]
+    column = problem.channels.index("vertical_acceleration") if "vertical_acceleration" in problem.channels else 0
+    own = np.concatenate(
+        [
+            np.full(rows.size, drive == number)
+            for rows, drive in zip(problem.rows, problem.drive_of, strict=True)
+        ]
+    )
+    a, b = problem.measured.values[own, column], simulated[own, column]
+    return float(np.sqrt(np.mean((a - b) ** 2))), float(np.corrcoef(a, b)[0, 1])
+
+
+def _compared_mask(problem: Problem, drive: Prepared, number: int) -> NDArray[np.bool_]:
+    mask = np.zeros(drive.t.size, dtype=bool)
+    for part, rows, owner in zip(problem.parts, problem.rows, problem.drive_of, strict=True):
+        if owner == number:
+            mask[np.clip(np.searchsorted(drive.t, part.t[rows] - 0.5 / drive.rate), 0, mask.size - 1)] = True
+    return mask

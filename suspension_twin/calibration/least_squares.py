@@ -1,0 +1,144 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Levenberg-Marquardt in batches: the Jacobian is one batch, a ladder of damped steps another.
+
+A batched simulator prices an iteration by batches, not by lanes, so every iteration tries several
+dampings at once and takes the best. The prior enters as a quadratic penalty. Reductions run in a
+fixed order in plain loops: the result does not depend on how many threads a BLAS would use.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from typing import Any, Protocol
+
+import numpy as np
+
+from suspension_twin.drive.types import Floats
+
+__all__ = ["LeastSquares", "LeastSquaresProblem", "LmSettings", "gram", "solve_positive"]
+
+
+class LeastSquaresProblem(Protocol):
+    """What the solver needs of a problem with ``d`` unknowns and R residuals."""
+
+    def linearise(self, x: Floats) -> tuple[Floats, Floats, int]:
+        """Residuals (R,), Jacobian (R, d) and the number of simulations spent at ``x`` (d,)."""
+
+    def sums_of_squares(self, x: Floats) -> tuple[Floats, int]:
+        """Sum of squared residuals (L,) of candidates (d, L) and the simulations spent."""
+
+
+@dataclass(frozen=True)
+class LmSettings:
+    """``ladder``: dampings tried at once, as factors of the current one. An iteration is calm that lowers
+    the cost by less than the share ``tolerance`` or by less than ``absolute``; ``patience`` of them in
+    a row end the search."""
+
+    iterations: int = 30
+    tolerance: float = 1e-5
+    absolute: float = 0.0
+    patience: int = 2
+    damping: float = 1e-2
+    ladder: tuple[float, ...] = (1e-3, 1e-2, 1e-1, 1.0, 10.0, 1e3)
+    largest_damping: float = 1e9
+    largest_step: float = 2.0
+
+
+def gram(a: Floats, b: Floats) -> Floats:
+    """a.T @ b for tall arrays (R, p) and (R, q), summed in one fixed order."""
+    return np.asarray(np.einsum("ri,rj->ij", a, b, optimize=False))
+
+
+def solve_positive(matrix: Floats, right: Floats) -> Floats:
+    """Solve a symmetric, at least positive semidefinite system, scaled to a unit diagonal."""
+    scale = 1.0 / np.sqrt(np.maximum(np.diag(matrix), np.finfo(float).tiny))
+    scaled = matrix * scale[:, None] * scale[None, :]
+    scaled[np.diag_indices_from(scaled)] += 1e-13
+    right = right * (scale[:, None] if right.ndim == 2 else scale)
+    solution = np.linalg.solve(scaled, right)
+    return np.asarray(solution * (scale[:, None] if right.ndim == 2 else scale))
+
+
+@dataclass
+class LeastSquares:
+    """One minimisation of ``sum(r**2) + (x - centre).T @ precision @ (x - centre)``."""
+
+    problem: LeastSquaresProblem
+    x: Floats
+    precision: Floats
+    centre: Floats
+    settings: LmSettings = field(default_factory=LmSettings)
+    damping: float = 0.0
+    cost: float = np.inf
+    fit: float = np.inf
+    iteration: int = 0
+    evaluations: int = 0
+    calm: int = 0
+    finished: bool = False
+
+    def __post_init__(self) -> None:
+        if self.damping == 0.0:
+            self.damping = self.settings.damping
+
+    def penalty(self, x: Floats) -> Floats:
+        """The prior's share of the cost, (L,) for candidates (d, L)."""
+        away = x - self.centre[:, None]
+        return np.asarray(np.einsum("il,ij,jl->l", away, self.precision, away, optimize=False))
+
+    def step(self) -> None:
+        """One iteration: linearise, try the ladder, take the best step or raise the damping."""
+        s = self.settings
+        residual, jacobian, spent = self.problem.linearise(self.x)
+        self.evaluations += spent
+        self.fit = float(np.einsum("r,r->", residual, residual, optimize=False))
+        self.cost = self.fit + float(self.penalty(self.x[:, None])[0])
+        hessian = gram(jacobian, jacobian) + self.precision
+        away = self.x - self.centre
+        gradient = gram(jacobian, residual[:, None])[:, 0]
+        gradient = gradient + np.einsum("ij,j->i", self.precision, away, optimize=False)
+        self.iteration += 1
+        while True:
+            dampings = self.damping * np.array(s.ladder)
+            candidates = np.stack([self.x + self._direction(hessian, gradient, d) for d in dampings], axis=1)
+            fits, spent = self.problem.sums_of_squares(candidates)
+            self.evaluations += spent
+            costs = np.where(np.isfinite(fits), fits, np.inf) + self.penalty(candidates)
+            best = int(np.argmin(costs))
+            if costs[best] < self.cost:
+                gain = self.cost - float(costs[best])
+                calm = gain < max(s.tolerance * self.cost, s.absolute)
+                self.x, self.cost, self.fit = candidates[:, best].copy(), float(costs[best]), float(fits[best])
+                self.damping = max(float(dampings[best]), 1e-12)
+                self.calm = self.calm + 1 if calm else 0
+                break
+            self.damping = float(dampings[-1]) * 10.0
+            if self.damping > s.largest_damping:
+                self.damping = s.damping
+                self.calm = s.patience
+                break
+        self.finished = self.calm >= s.patience or self.iteration >= s.iterations
+
+    def _direction(self, hessian: Floats, gradient: Floats, damping: float) -> Floats:
+        damped = hessian + damping * np.diag(np.diag(hessian))
+        step = -solve_positive(damped, gradient)
+        return step * min(1.0, self.settings.largest_step / max(float(np.abs(step).max()), 1e-300))
+
+    def run(self, stop: Callable[[], bool], each: Callable[[LeastSquares], None] | None = None) -> None:
+        """Iterate until converged, out of iterations or told to stop."""
+        while not self.finished and not stop():
+            self.step()
+            if each is not None:
+                each(self)
+
+    def state(self) -> tuple[dict[str, Floats], dict[str, Any]]:
+        """Arrays and plain values for ``restore``."""
+        names = ("damping", "cost", "fit", "iteration", "evaluations", "calm", "finished")
+        return {"x": self.x, "centre": self.centre}, {name: getattr(self, name) for name in names}
+
+    def restore(self, arrays: Mapping[str, Floats], plain: Mapping[str, Any]) -> None:
+        """Continue where ``state`` was taken."""
+        self.x = np.array(arrays["x"])
+        self.centre = np.array(arrays["centre"])
+        for name, value in plain.items():
+            setattr(self, name, value)

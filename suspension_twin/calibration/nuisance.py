@@ -1,0 +1,234 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What a sensor and a map add to a drive that is no physics of the vehicle.
+
+The offset between the clocks of IMU and GPS, the position of the map along the road, the IMU's
+gain, tilt and biases. They are fitted with the physics and reported apart from it. A shift in
+time is applied to the simulated, band-limited signal by interpolation: no simulation is spent on
+it. A shift of the map by ``d`` metres is one in time by ``d`` over the speed along the road.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from suspension_twin.drive.types import Floats
+from suspension_twin.gap.prepare import Prepared
+
+__all__ = ["NuisancePriors", "Nuisances"]
+
+_SLOWEST = 0.5  # m/s: below this a place on the road says nothing of a time
+
+
+@dataclass(frozen=True)
+class NuisancePriors:
+    """Standard deviations of what a nuisance may be; 0 leaves it out.
+
+    ``clock`` s, ``map_position`` m, ``wander`` m (the GNSS position's own error, one value for every
+    pass and ``wander_seconds``; None takes it from the fixes' covariance), ``gain`` of the
+    accelerometer, ``tilt`` rad, ``force_bias`` m/s², ``rate_bias`` rad/s.
+    """
+
+    clock: float = 0.1
+    map_position: float = 0.5
+    wander: float | None = None
+    wander_seconds: float = 8.0
+    gain: float = 0.01
+    tilt: float = 0.02
+    force_bias: float = 0.05
+    rate_bias: float = 0.01
+
+
+# A windowed sinc over eight samples, tabled by phase: to 0.07 % at up to a quarter of the sampling rate, where
+# a cubic through four would be off by a tenth.
+_TAPS, _PHASES = 8, 512
+
+
+def _phase_table() -> Floats:
+    """(phases + 1, taps) weights of the samples around a place between two of them."""
+    phase = np.arange(_PHASES + 1)[:, None] / _PHASES
+    distance = np.arange(_TAPS)[None, :] - (_TAPS // 2 - 1) - phase
+    window = np.i0(6.0 * np.sqrt(np.maximum(0.0, 1.0 - (distance / (_TAPS / 2)) ** 2)))
+    weights = np.sinc(distance) * window
+    return np.asarray(weights / weights.sum(axis=1, keepdims=True))
+
+
+_TABLE = _phase_table()
+
+
+@njit(cache=True)
+def _apply(
+    simulated: Floats,
+    rows: NDArray[np.intp],
+    shift: Floats,
+    gain: Floats,
+    added: Floats,
+    table: Floats,
+    out: Floats,
+) -> None:  # pragma: no cover - compiled
+    """out[i, c, l] = gain[c, l] * simulated(rows[i] + shift[i, l]) + added[i, c, l], held at both ends."""
+    m, channels, given = simulated.shape
+    phases, taps = table.shape[0] - 1, table.shape[1]
+    weight = np.empty(taps)
+    for i in range(out.shape[0]):
+        for lane in range(out.shape[2]):
+            source = lane if given > 1 else 0
+            place = rows[i] + shift[i, lane]
+            j = int(np.floor(place))
+            fine = (place - j) * phases
+            p = min(int(fine), phases - 1)
+            fine -= p
+            for k in range(taps):
+                weight[k] = (1.0 - fine) * table[p, k] + fine * table[p + 1, k]
+            first = j - (taps // 2 - 1)
+            for c in range(channels):
+                value = 0.0
+                for k in range(taps):
+                    value += weight[k] * simulated[min(max(first + k, 0), m - 1), c, source]
+                out[i, c, lane] = gain[c, lane] * value + added[i, c, lane]
+
+
+class Nuisances:
+    """The nuisances of a set of parts of drives; ``drive_of`` says which drive a part belongs to.
+
+    Values are in SI units, (q,) or (q, L), in the order of ``names``; ``spread`` (q,) are their
+    priors' standard deviations around zero.
+    """
+
+    def __init__(
+        self,
+        parts: Sequence[Prepared],
+        drive_of: Sequence[int],
+        channels: Sequence[str],
+        priors: NuisancePriors,
+        wander: Sequence[float],
+    ) -> None:
+        self.channels = tuple(channels)
+        self._force = np.array([c.endswith("acceleration") for c in channels])
+        names: list[str] = []
+        spread: list[float] = []
+
+        def add(name: str, sigma: float) -> None:
+            if sigma > 0:
+                names.append(name)
+                spread.append(sigma)
+
+        add("map_position", priors.map_position)
+        if self._force.any():
+            add("gain", priors.gain)
+        add("tilt_roll", priors.tilt)
+        add("tilt_pitch", priors.tilt)
+        drives: dict[int, str] = {}
+        for part, drive in zip(parts, drive_of, strict=True):
+            if drive not in drives:
+                drives[drive] = part.name
+                add(f"{part.name}.clock_offset", priors.clock)
+                for channel, force in zip(self.channels, self._force, strict=True):
+                    add(f"{part.name}.bias.{channel}", priors.force_bias if force else priors.rate_bias)
+        self._knots: list[Floats] = []
+        for number, (part, drive) in enumerate(zip(parts, drive_of, strict=True)):
+            knots = _knots(part, priors.wander_seconds) if wander[drive] > 0 else np.empty(0)
+            self._knots.append(knots)
+            for k in range(knots.size):
+                add(f"{part.name}.wander.{number}.{k}", wander[drive])
+        self.names = tuple(names)
+        self.spread = np.array(spread)
+        self._row = {name: i for i, name in enumerate(names)}
+        self._parts = tuple(parts)
+        self._drive_names = tuple(drives[d] for d in drive_of)
+        self._regressors = [self._tilt(part) for part in parts]
+
+    def __len__(self) -> int:
+        return len(self.names)
+
+    @property
+    def clocks(self) -> list[tuple[int, list[int]]]:
+        """For each drive the row of its clock offset and the numbers of its parts."""
+        found: dict[int, list[int]] = {}
+        for number, drive in enumerate(self._drive_names):
+            row = self._row.get(f"{drive}.clock_offset")
+            if row is not None:
+                found.setdefault(row, []).append(number)
+        return list(found.items())
+
+    @property
+    def steps(self) -> Floats:
+        """(q,) finite-difference steps: small against the priors, large against rounding."""
+        return 1e-3 * self.spread
+
+    def _tilt(self, part: Prepared) -> tuple[Floats, Floats]:
+        """(m, C) what a small tilt about x and about y adds, from the measured signals."""
+        m = part.measured
+        g = part.signals.gravity
+        zero = np.zeros_like(m["yaw_rate"])
+        fz = m["vertical_acceleration"] + g
+        about_x = {
+            "vertical_acceleration": m["lateral_acceleration"],
+            "lateral_acceleration": -fz,
+            "pitch_rate": -m["yaw_rate"],
+            "yaw_rate": m["pitch_rate"],
+        }
+        about_y = {
+            "vertical_acceleration": -m["longitudinal_acceleration"],
+            "longitudinal_acceleration": fz,
+            "roll_rate": m["yaw_rate"],
+            "yaw_rate": -m["roll_rate"],
+        }
+        return (
+            np.stack([about_x.get(c, zero) for c in self.channels], axis=1),
+            np.stack([about_y.get(c, zero) for c in self.channels], axis=1),
+        )
+
+    def apply(self, number: int, simulated: Floats, rows: NDArray[np.intp], values: Floats) -> Floats:
+        """What the sensor would have delivered for part ``number`` at grid samples ``rows`` (r,).
+
+        ``simulated`` (m, C, L) conditioned, or one lane for all; ``values`` (q, L). Returns (r, C, L).
+        """
+        part = self._parts[number]
+        lanes = values.shape[1]
+
+        def value(name: str) -> Floats:
+            row = self._row.get(name)
+            return np.zeros(lanes) if row is None else values[row]
+
+        drive = self._drive_names[number]
+        along = part.along[rows]
+        along = np.where(np.abs(along) < _SLOWEST, np.where(along < 0, -_SLOWEST, _SLOWEST), along)
+        metres = np.broadcast_to(value("map_position"), (rows.size, lanes))
+        # the map's shift follows the road's direction, the wander the vehicle's
+        sense = np.sign(along)[:, None]
+        knots = self._knots[number]
+        if knots.size:
+            hats = _hats(part.t[rows], knots)
+            wander = np.stack([value(f"{drive}.wander.{number}.{k}") for k in range(knots.size)])
+            metres = metres + sense * np.einsum("rk,kl->rl", hats, wander, optimize=False)
+        shift = (value(f"{drive}.clock_offset")[None, :] + metres / along[:, None]) * part.rate
+        gain = np.ones((len(self.channels), lanes))
+        gain[self._force] += value("gain")
+        bias = np.stack([value(f"{drive}.bias.{c}") for c in self.channels])
+        about_x, about_y = self._regressors[number]
+        added = bias[None, :, :] + np.zeros((rows.size, 1, 1))
+        if "tilt_roll" in self._row:
+            added += about_x[rows][:, :, None] * value("tilt_roll")
+            added += about_y[rows][:, :, None] * value("tilt_pitch")
+        out = np.empty((rows.size, len(self.channels), lanes))
+        _apply(np.ascontiguousarray(simulated), rows, np.ascontiguousarray(shift), gain, added, _TABLE, out)
+        return out
+
+
+def _knots(part: Prepared, seconds: float) -> Floats:
+    """Times between which the position's error is taken as linear: one knot for a short pass."""
+    t = part.t
+    count = int((t[-1] - t[0]) // seconds) + 1
+    return np.linspace(t[0], t[-1], count) if count > 1 else np.array([0.5 * (t[0] + t[-1])])
+
+
+def _hats(t: Floats, knots: Floats) -> Floats:
+    """(r, k) weights of linear interpolation between the knots, constant beyond them."""
+    if knots.size == 1:
+        return np.ones((t.size, 1))
+    return np.stack([np.interp(t, knots, unit) for unit in np.eye(knots.size)], axis=1)

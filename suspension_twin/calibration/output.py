@@ -1,0 +1,115 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The files of a calibration: the twin, and beside it what was found and how sure it is."""
+
+from __future__ import annotations
+
+import math
+import os
+from pathlib import Path
+from typing import Any
+
+import yaml
+
+from suspension_twin import __version__
+from suspension_twin.calibration.request import CalibrationResult
+from suspension_twin.errors import InputError
+from suspension_twin.vehicle.twin import save_twin
+
+__all__ = ["describe", "details_path", "write_result"]
+
+
+def details_path(path: Path) -> Path:
+    """``calibrated.yaml`` has its details in ``calibrated.calibration.yaml``."""
+    return path.with_name(f"{path.stem}.calibration.yaml")
+
+
+def write_result(result: CalibrationResult, path: Path) -> tuple[Path, Path]:
+    """Write the calibrated twin and its details; returns both paths. Each file is whole or not there.
+
+    Neither holds a time of day or a duration: the same question gives the same files.
+    """
+    details = details_path(path)
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        part = path.with_name(f".{path.name}.part")
+        save_twin(result.twin, part)
+        text = part.read_text(encoding="utf-8")
+        part.write_text(_heading(result, details) + text, encoding="utf-8")
+        os.replace(part, path)
+        part = path.with_name(f".{details.name}.part")
+        body = yaml.safe_dump(describe(result), sort_keys=False, default_flow_style=None, width=110, allow_unicode=True)
+        part.write_text(body, encoding="utf-8")
+        os.replace(part, details)
+    except OSError as error:
+        raise InputError(path, f"cannot be written: {error.strerror}") from None
+    return path, details
+
+
+def _heading(result: CalibrationResult, details: Path) -> str:
+    drives = ", ".join(d.name for d in result.drives) or "no drive to the end"
+    lines = [
+        f"suspension-twin {__version__}: calibrated on {drives}",
+        f"preset {result.preset}, seed {result.seed}; intervals and what was not excited: {details.name}",
+    ]
+    return "".join(f"# {line}\n" for line in lines)
+
+
+def describe(result: CalibrationResult) -> dict[str, Any]:
+    """The result as plain values. A number that could not be had is null."""
+    return {
+        "preset": result.preset,
+        "objective": result.objective,
+        "seed": result.seed,
+        "stopped": result.stopped,
+        "cost": _number(result.cost),
+        "initial_cost": _number(result.initial_cost),
+        "evaluations": result.evaluations,
+        "generations": result.generations,
+        "drives": [
+            {
+                "name": d.name,
+                "gap_before": _plain(d.gap_before.as_dict()),
+                "gap_after": _plain(d.gap_after.as_dict()),
+                "left_without_nuisances": _number(d.nuisance_free),
+                "correlation": _number(d.correlation),
+            }
+            for d in result.drives
+        ],
+        "parameters": [
+            {
+                "key": e.key,
+                "start": _number(e.start),
+                "value": _number(e.value),
+                "interval_90": [_number(e.low), _number(e.high)],
+                "bounds": [_number(e.lower), _number(e.upper)],
+                "on_bound": e.on_bound or None,
+                "excited": e.excited,
+                "determined": e.determined,
+            }
+            for e in result.estimates
+        ],
+        "excited_ranges": [
+            {"curve": c.key, "from": _number(c.span[0]), "to": _number(c.span[1]), "unit": c.unit}
+            for c in result.curves
+        ],
+        "nuisances": [
+            {
+                "name": n.name,
+                "value": _number(n.value),
+                "standard_deviation": _number(n.sigma),
+                "prior": _number(n.prior),
+                "unit": n.unit,
+            }
+            for n in result.nuisances
+        ],
+        "warnings": list(result.warnings),
+    }
+
+
+def _number(value: float) -> float | None:
+    """Seven digits, as in the twin file: enough, and the same on every machine."""
+    return float(f"{value:.7g}") if math.isfinite(value) else None
+
+
+def _plain(value: dict[str, Any]) -> dict[str, Any]:
+    return {k: _plain(v) if isinstance(v, dict) else _number(v) for k, v in value.items()}

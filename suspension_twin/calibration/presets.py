@@ -1,0 +1,209 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Ready ways to calibrate, and what each searches."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Literal
+
+import numpy as np
+
+from suspension_twin.calibration.genetic import GaSettings
+from suspension_twin.calibration.least_squares import LmSettings
+from suspension_twin.calibration.pattern import PatternSettings
+from suspension_twin.calibration.space import CURVES, Parameter, Space, bounds_of, curve_keys, twin_value
+from suspension_twin.effects.registry import effect
+from suspension_twin.errors import InputError
+from suspension_twin.vehicle.twin import EffectSpec, Twin
+
+__all__ = ["PRESETS", "TABLE_2", "Preset", "build_space", "preset_named", "with_effects", "with_table_2"]
+
+_SPRING = ((500.0, 5000.0), (5000.0, 9000.0), (9000.0, 15000.0), (15000.0, 50000.0))
+_PUSH = ((40.0, 1000.0), (1000.0, 3000.0), (3000.0, 5000.0), (5000.0, 8000.0))
+_PULL = ((500.0, 2000.0), (2000.0, 3000.0), (3000.0, 5000.0), (5000.0, 6000.0))
+_COMPRESSION = (0.1, 0.3, 0.5, 1.0)
+_VELOCITY = (0.125, 0.25, 0.35, 0.4)
+
+#: The car paper's Table 2: for each characteristic its abscissae (m, m/s) and the bounds (N) of each point.
+TABLE_2: Mapping[str, tuple[tuple[float, ...], tuple[tuple[float, float], ...]]] = {
+    "vehicle.front.spring": (_COMPRESSION, _SPRING),
+    "vehicle.rear.spring": (_COMPRESSION, _SPRING),
+    "vehicle.front.damper_push": (_VELOCITY, _PUSH),
+    "vehicle.front.damper_pull": (_VELOCITY, _PULL),
+    "vehicle.rear.damper_push": (_VELOCITY, _PUSH),
+    "vehicle.rear.damper_pull": (_VELOCITY, _PULL),
+}
+
+# How far a parameter may go and is expected to go: factor or distance of the bounds, standard deviation of
+# the logarithm or of the value. What is on a weighbridge's slip moves less than what nobody measures.
+_KNOWLEDGE: Mapping[str, tuple[bool, float, float]] = {
+    "vehicle.mass": (True, 1.4, 0.05),
+    "vehicle.cog.0": (False, 0.6, 0.10),
+    "vehicle.cog.1": (False, 0.2, 0.02),
+    "vehicle.cog.2": (True, 1.6, 0.10),
+    "vehicle.sprung_inertia.roll": (True, 2.5, 0.15),
+    "vehicle.sprung_inertia.pitch": (True, 2.5, 0.15),
+    "vehicle.tyre.vertical_stiffness": (True, 3.0, 0.10),
+    "vehicle.front.unsprung_mass": (True, 2.5, 0.10),
+    "vehicle.rear.unsprung_mass": (True, 2.5, 0.10),
+    "imu.position.0": (False, 0.5, 0.05),
+    "imu.position.1": (False, 0.5, 0.05),
+    "imu.position.2": (False, 0.5, 0.05),
+}
+_POINT_FACTOR, _POINT_SPREAD = 20.0, 0.5
+
+
+@dataclass(frozen=True)
+class Preset:
+    """``search`` "genetic" (GA, then pattern search) or "squares" (Gauss-Newton, CMA-ES where the objective
+    is no sum of squares). ``synchronise``: each candidate is aligned in time on its own before it is
+    judged, as the car paper does; otherwise offsets are unknowns like others. ``also``: what is free beside
+    the points of the characteristics."""
+
+    name: str
+    about: str
+    search: Literal["genetic", "squares"]
+    objective: str
+    channels: Mapping[str, float]
+    synchronise: bool
+    table_2: bool
+    genetic: GaSettings = field(default_factory=GaSettings)
+    pattern: PatternSettings = field(default_factory=PatternSettings)
+    squares: LmSettings = field(default_factory=lambda: LmSettings(tolerance=1e-4))
+    also: tuple[str, ...] = ()
+
+
+#: Weight 0 stands for "by the channels' floors": each counts in units of its own noise.
+_ALL_MOTION = {"vertical_acceleration": 0.0, "roll_rate": 0.0, "pitch_rate": 0.0}
+
+PRESETS: Mapping[str, Preset] = {
+    "fast": Preset(
+        name="fast",
+        about="Gauss-Newton in batches on vertical acceleration, roll and pitch rate; the moments of inertia too",
+        search="squares",
+        objective="likelihood",
+        channels=_ALL_MOTION,
+        synchronise=False,
+        table_2=False,
+        also=("vehicle.sprung_inertia.roll", "vehicle.sprung_inertia.pitch"),
+    ),
+    "paper": Preset(
+        name="paper",
+        about="the car paper's section 4.3: 24 points of Table 2, GA of 100 by 100, then a pattern search",
+        search="genetic",
+        objective="euclidean",
+        channels={"vertical_acceleration": 1.0},
+        synchronise=True,
+        table_2=True,
+    ),
+}
+
+
+def preset_named(name: str) -> Preset:
+    """The preset of that name; raises InputError that lists them."""
+    if name not in PRESETS:
+        raise InputError("preset", name or "(empty)", f"one of {', '.join(PRESETS)} is expected")
+    return PRESETS[name]
+
+
+def with_table_2(twin: Twin) -> Twin:
+    """The twin with its characteristics on Table 2's abscissae, through the points they had there."""
+    changes: dict[str, object] = {}
+    for key, (abscissae, _) in TABLE_2.items():
+        _, axle, part = key.split(".")
+        x, force = getattr(getattr(twin.vehicle, axle), part).points
+        slope = (force[-1] - (force[-2] if x.size > 1 else 0.0)) / (x[-1] - (x[-2] if x.size > 1 else 0.0))
+        at = np.array(abscissae)
+        inside = np.interp(at, np.concatenate([[0.0], x]), np.concatenate([[0.0], force]))
+        values = np.where(at > x[-1], force[-1] + slope * (at - x[-1]), inside)
+        name = "compression" if part == "spring" else "velocity"
+        changes[f"{key}.{name}"] = tuple(abscissae)
+        changes[f"{key}.force"] = tuple(float(v) for v in values)
+    return twin.with_changes(changes)
+
+
+def build_space(
+    twin: Twin,
+    preset: Preset,
+    free: Sequence[str] = (),
+    also: Sequence[str] = (),
+    freeze: Sequence[str] = (),
+    bounds: Mapping[str, tuple[float, float]] | None = None,
+    known: Sequence[Parameter] = (),
+) -> Space:
+    """The free parameters of a calibration of ``twin``; raises InputError that names a wrong key.
+
+    ``known`` parameters, where nothing else is known of them, stay as they are.
+    """
+    bounds = bounds or {}
+    own = [*curve_keys(twin), *preset.also]
+    wanted = [*(_expanded(twin, free) if free else own), *_expanded(twin, also)]
+    frozen = set(_expanded(twin, freeze))
+    keys = [k for k in dict.fromkeys(wanted) if k not in frozen]
+    for key in bounds:
+        if key not in keys and not any(k.startswith(f"{key}.") for k in keys):
+            raise InputError("bounds", key, "is not free")
+    have = {p.key: p for p in known if p.key not in _KNOWLEDGE and p.key.rpartition(".force.")[0] not in CURVES}
+    return Space(twin, [have.get(key) or _parameter(twin, key, preset, bounds) for key in keys])
+
+
+def _expanded(twin: Twin, keys: Sequence[str]) -> list[str]:
+    found: list[str] = []
+    for key in keys:
+        base = key.removesuffix(".force")
+        if base in CURVES:
+            found += curve_keys(twin, [base])
+        elif key.startswith("effects.") and key.count(".") == 1:
+            found += [f"{key}.{p.name}" for p in effect(key.split(".")[1]).parameters if not p.choices]
+        else:
+            found.append(key)
+    return found
+
+
+def _parameter(
+    twin: Twin, key: str, preset: Preset, bounds: Mapping[str, tuple[float, float]]
+) -> Parameter:
+    value = twin_value(twin, key)
+    if isinstance(value, bool) or not isinstance(value, int | float):
+        raise InputError("free parameters", key, "is not a number")
+    nominal, given = float(value), bounds_of(bounds, key)
+    curve, _, index = key.rpartition(".force.")
+    if curve in CURVES:
+        if given is None and preset.table_2:
+            given = TABLE_2[curve][1][int(index)]
+        low, high = given or (nominal / _POINT_FACTOR, max(nominal * _POINT_FACTOR, 1.0))
+        return Parameter(key, nominal, low, high, log=True, spread=_POINT_SPREAD)
+    if key.startswith("effects."):
+        return _effect_parameter(key, nominal, given)
+    if key not in _KNOWLEDGE:
+        if given is None:
+            raise InputError("free parameters", key, "needs bounds: nothing is known of how far it may go")
+        log, spread = given[0] > 0 and nominal > 0, 0.25 * (given[1] - given[0])
+        return Parameter(key, nominal, *given, log=log, spread=0.3 if log else spread)
+    log, reach, spread = _KNOWLEDGE[key]
+    low, high = given or ((nominal / reach, nominal * reach) if log else (nominal - reach, nominal + reach))
+    return Parameter(key, nominal, low, high, log=log, spread=spread)
+
+
+def _effect_parameter(key: str, nominal: float, given: tuple[float, float] | None) -> Parameter:
+    """As the effect describes it; one that has to be above zero starts from what is typical."""
+    _, name, parameter = key.split(".")
+    known = effect(name).parameter(parameter)
+    low, high = given or (known.low, known.high)
+    if known.log and low > 0:
+        start = nominal if nominal > 0 else known.typical
+        return Parameter(key, min(max(start, low), high), low, high, log=True, spread=float(np.log(known.spread)))
+    start = min(max(nominal, low), high)
+    return Parameter(key, start, low, high, log=False, spread=known.spread)
+
+
+def with_effects(twin: Twin, keys: Sequence[str]) -> Twin:
+    """The twin with every effect that a free key names and that it has not yet, still neutral."""
+    have = {spec.id for spec in twin.effects}
+    wanted = dict.fromkeys(k.split(".")[1] for k in keys if k.startswith("effects.") and k.count("."))
+    missing = [name for name in wanted if name not in have]
+    if not missing:
+        return twin
+    added = tuple(EffectSpec(id=effect(name).id) for name in missing)
+    return twin.model_copy(update={"effects": (*twin.effects, *added)})

@@ -1,0 +1,123 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What every search shares: reporting, stopping, saving its state and taking it up again."""
+
+from __future__ import annotations
+
+import hashlib
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import numpy as np
+
+from suspension_twin import __version__
+from suspension_twin.calibration.checkpoint import Checkpoint, State
+from suspension_twin.calibration.likelihood import Likelihood
+from suspension_twin.calibration.problem import Interrupted, Problem
+from suspension_twin.calibration.request import CalibrationRequest, Progress
+from suspension_twin.calibration.setup import Setup
+from suspension_twin.drive.types import Floats
+
+__all__ = ["Outcome", "Recorder", "fingerprint"]
+
+_SAVE_EVERY = 5  # generations
+
+
+@dataclass
+class Outcome:
+    """Where a search ended: the ``values`` (d,), the nuisances (q,) with the share of them that is
+    ``placed`` (simulated, not interpolated), and for least squares the solver's coordinates ``x``."""
+
+    values: Floats
+    nuisance: Floats
+    cost: float
+    problem: Problem
+    placed: Floats
+    x: Floats | None = None
+    likelihood: Likelihood | None = None
+    stopped: bool = False
+
+
+def fingerprint(request: CalibrationRequest, setup: Setup) -> str:
+    """What a state has to have been saved for: the same question about the same data."""
+    digest = hashlib.sha256(__version__.encode())
+    digest.update(repr(replace(request, state="", bags=(), twin="")).encode())
+    digest.update(setup.twin.model_dump_json(exclude={"road"}).encode())
+    digest.update(setup.problem.measured.values.tobytes())
+    for part in setup.problem.parts:
+        digest.update(part.excitation.road.tobytes())
+    return digest.hexdigest()
+
+
+@dataclass
+class Recorder:
+    """One calibration under way. ``history`` rows: evaluations, best cost, mean cost, 0 search or 1 refine.
+
+    ``resumed`` is the state found on disk, until the stage that it is of takes it.
+    """
+
+    request: CalibrationRequest
+    setup: Setup
+    tell: Callable[[Progress], None]
+    should_stop: Callable[[], bool]
+    store: Checkpoint | None
+    history: list[tuple[float, float, float, float]] = field(default_factory=list)
+    generations: int = 0
+    evaluations: int = 0
+    resumed: State | None = None
+    _started: float = field(default_factory=time.monotonic)
+    _begun: int = 0
+    _saved: int = 0
+
+    def __post_init__(self) -> None:
+        if self.store is not None:
+            self.resumed = self.store.load()
+        if self.resumed is not None:
+            rows = self.resumed.arrays["history"]
+            self.history = [(float(a), float(b), float(c), float(d)) for a, b, c, d in rows]
+            self.evaluations = self._begun = int(self.resumed.plain["all_evaluations"])
+            self.generations = self._saved = int(self.resumed.plain["all_generations"])
+
+    @property
+    def objective(self) -> str:
+        return self.request.objective or self.setup.preset.objective
+
+    @property
+    def out_of_generations(self) -> bool:
+        """Whether the request's limit of generations, if any, is reached."""
+        return 0 < self.request.max_generations <= self.generations
+
+    def check(self) -> None:
+        """End the search here if it was told to stop."""
+        if self.should_stop():
+            raise Interrupted
+
+    def report(self, refine: bool, best: float, mean: float, expected: float) -> None:
+        """A generation is over; ``expected`` evaluations in all."""
+        self.generations += 1
+        self.history.append((float(self.evaluations), best, mean, float(refine)))
+        done = max(self.evaluations - self._begun, 1)
+        left = (time.monotonic() - self._started) / done * max(expected - self.evaluations, 0.0)
+        stage = "refine" if refine else "search"
+        self.tell(Progress(stage, self.generations, self.evaluations, best, mean, left))
+
+    def save(self, stage: str, arrays: dict[str, Floats], plain: dict[str, Any], now: bool = False) -> None:
+        """Write the state every few generations, or ``now``."""
+        if self.store is None or not (now or self.generations - self._saved >= _SAVE_EVERY):
+            return
+        self._saved = self.generations
+        arrays = {**arrays, "history": np.array(self.history).reshape(-1, 4)}
+        plain = {**plain, "all_evaluations": self.evaluations, "all_generations": self.generations}
+        self.store.save(State(stage, arrays, plain))
+
+    def resume(self, stage: str) -> State | None:
+        """The saved state if it is of this stage; handed out once."""
+        if self.resumed is not None and self.resumed.stage == stage:
+            state, self.resumed = self.resumed, None
+            return state
+        return None
+
+    def waits_for(self, *stages: str) -> bool:
+        """Whether a saved state is of one of these later stages, so that earlier ones are over."""
+        return self.resumed is not None and self.resumed.stage in stages

@@ -1,0 +1,95 @@
+# SPDX-License-Identifier: Apache-2.0
+"""``calibrate``: from a request to a result. A pure function of picklable arguments.
+
+It may run in a spawned process: whatever it reads is named in the request, and nothing is written
+but the checkpoints of ``request.state``. It asks ``should_stop`` between pieces of work that take a
+fraction of a second, and then hands back the best so far.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+
+from suspension_twin.calibration.checkpoint import Checkpoint
+from suspension_twin.calibration.outcome import conclude, unfinished
+from suspension_twin.calibration.problem import Interrupted
+from suspension_twin.calibration.recorder import Outcome, Recorder, fingerprint
+from suspension_twin.calibration.request import CalibrationRequest, CalibrationResult, Progress
+from suspension_twin.calibration.searches import run_evolution, run_genetic
+from suspension_twin.calibration.setup import Setup, set_up
+from suspension_twin.calibration.squares import run_squares
+from suspension_twin.errors import WorkError
+from suspension_twin.vehicle.twin import load_twin
+
+__all__ = ["calibrate"]
+
+
+def calibrate(
+    request: CalibrationRequest,
+    on_progress: Callable[[Progress], None] | None = None,
+    should_stop: Callable[[], bool] | None = None,
+) -> CalibrationResult:
+    """Calibrate a twin on recorded drives.
+
+    Raises InputError for what cannot be used (naming file, drive or key, and what to do) and
+    WorkError where the fit fails. A stopped calibration returns with ``stopped`` set.
+    """
+    began = time.monotonic()
+    tell = on_progress or _quiet
+    stop = should_stop or _never
+    tell(Progress("reading", note="twin and road"))
+    try:
+        setup = set_up(request, lambda note: tell(Progress("reading", note=note)), stop)
+    except Interrupted:
+        return unfinished(request, load_twin(request.twin), time.monotonic() - began)
+    return solve(request, setup, tell, stop, began)
+
+
+def solve(
+    request: CalibrationRequest,
+    setup: Setup,
+    tell: Callable[[Progress], None],
+    stop: Callable[[], bool],
+    began: float,
+) -> CalibrationResult:
+    """Search and conclude on a problem that is set up."""
+    store = Checkpoint(Path(request.state), fingerprint(request, setup)) if request.state else None
+    recorder = Recorder(request, setup, tell, stop, store)
+    problem = setup.problem
+    start = float(problem.costs(problem.space.nominal[:, None], np.zeros(len(problem.nuisances)))[0])
+    outcome = _search(recorder)
+    if not np.isfinite(outcome.cost) and not outcome.stopped:
+        raise WorkError(
+            "no candidate could be simulated: are the twin's masses and the road's heights right?"
+        )
+    tell(
+        Progress(
+            "writing",
+            recorder.generations,
+            recorder.evaluations,
+            outcome.cost,
+            outcome.cost,
+            note="what the drives tell",
+        )
+    )
+    return conclude(recorder, outcome, start, began)
+
+
+def _search(recorder: Recorder) -> Outcome:
+    if recorder.setup.preset.search == "genetic":
+        return run_genetic(recorder)
+    if not recorder.setup.problem.objective.is_least_squares:
+        return run_evolution(recorder)
+    return run_squares(recorder)
+
+
+def _quiet(progress: Progress) -> None:
+    """Nobody listens."""
+
+
+def _never() -> bool:
+    return False

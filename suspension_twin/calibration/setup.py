@@ -1,0 +1,156 @@
+# SPDX-License-Identifier: Apache-2.0
+"""From a request to a problem: reading, checking, trimming, aligning."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from suspension_twin.calibration.align import coarse_lag
+from suspension_twin.calibration.checks import check_drive, check_parts
+from suspension_twin.calibration.nuisance import NuisancePriors
+from suspension_twin.calibration.objectives import parse_objective
+from suspension_twin.calibration.presets import Preset, build_space, preset_named, with_effects, with_table_2
+from suspension_twin.calibration.problem import Interrupted, Problem
+from suspension_twin.calibration.request import CalibrationRequest
+from suspension_twin.calibration.space import Space
+from suspension_twin.calibration.stretches import TrimSettings, fit_rows, trim
+from suspension_twin.drive.read import read_drive
+from suspension_twin.drive.types import Drive, Floats
+from suspension_twin.errors import InputError
+from suspension_twin.gap.prepare import Prepared, PrepareSettings, prepare, road_of
+from suspension_twin.models.simulate import simulate_twin
+from suspension_twin.road import Road
+from suspension_twin.vehicle.twin import Twin, load_twin
+
+__all__ = ["Setup", "set_up"]
+
+_LONGEST_LAG = 1.0  # s
+_SURE = 0.02  # how much better the correlation has to become before a drive is moved in time
+
+
+@dataclass(frozen=True, eq=False)
+class Setup:
+    """A problem ready to search. ``drives`` are whole, ``problem.parts`` what is simulated of them;
+    ``lags`` s by which each drive's pose was moved before the search."""
+
+    twin: Twin
+    original: Twin
+    preset: Preset
+    space: Space
+    problem: Problem
+    drives: tuple[Prepared, ...]
+    lags: tuple[float, ...]
+    warnings: tuple[str, ...]
+
+
+def set_up(
+    request: CalibrationRequest, note: Callable[[str], None], should_stop: Callable[[], bool]
+) -> Setup:
+    """Read, check and align everything; raises InputError that names the file or the drive."""
+    preset = preset_named(request.preset)
+    original = with_effects(load_twin(request.twin), [*request.free, *request.also])
+    if not request.bags:
+        raise InputError("drives", "none are given: name at least one recorded drive")
+    twin = with_table_2(original) if preset.table_2 else original
+    bounds = {key: (low, high) for key, low, high in request.bounds}
+    space = build_space(twin, preset, request.free, request.also, request.freeze, bounds)
+    road = road_of(twin)
+    drives = []
+    for bag in request.bags:
+        if should_stop():
+            raise Interrupted
+        note(f"reading {Path(bag).name}")
+        drives.append(prepare_checked(read_drive(bag, topics=request.topics), twin, road))
+    drives = _renamed(drives)
+    problem, lags, warnings = assemble(twin, space, preset, request, drives)
+    problem.interrupt = should_stop
+    return Setup(twin, original, preset, space, problem, tuple(drives), lags, warnings)
+
+
+def prepare_checked(drive: Drive, twin: Twin, road: Road, settings: PrepareSettings | None = None) -> Prepared:
+    """Prepare a drive for calibration, or refuse it with the reason and what to do."""
+    if not len(drive.fix):
+        raise InputError(
+            drive.name,
+            "fix",
+            "holds no GNSS fix: without positions the twin cannot be put on the road; record /fix and /vel too",
+        )
+    prepared = prepare(drive, twin, road, settings, strict=True)
+    check_drive(prepared)
+    return prepared
+
+
+def _renamed(drives: list[Prepared]) -> list[Prepared]:
+    """Drives of one name get a number, so that each nuisance has a name of its own."""
+    names: list[str] = []
+    for drive in drives:
+        name, k = drive.name, 2
+        while name in names:
+            name, k = f"{drive.name}_{k}", k + 1
+        names.append(name)
+    return [d if d.name == n else replace(d, name=n) for d, n in zip(drives, names, strict=True)]
+
+
+def assemble(
+    twin: Twin,
+    space: Space,
+    preset: Preset,
+    request: CalibrationRequest,
+    drives: list[Prepared],
+    priors: NuisancePriors | None = None,
+    settings: TrimSettings | None = None,
+) -> tuple[Problem, tuple[float, ...], tuple[str, ...]]:
+    """The problem over prepared drives, each trimmed and moved in time to where it roughly fits."""
+    priors = priors or NuisancePriors()
+    settings = settings or TrimSettings()
+    rates = {round(d.rate, 3) for d in drives}
+    channels = dict(request.channels) or dict(preset.channels)
+    floors = {c: float(np.mean([d.noise_rms[c] for d in drives])) for c in channels if c in drives[0].noise_rms}
+    unit = floors.get("vertical_acceleration", 1.0)
+    weighted = {c: w if w > 0 else unit / max(floors.get(c, unit), 1e-12) for c, w in channels.items()}
+    objective = request.objective or preset.objective
+    terms = parse_objective("euclidean" if objective == "likelihood" else objective, weighted)
+    parts: list[Prepared] = []
+    drive_of: list[int] = []
+    lags: list[float] = []
+    for number, drive in enumerate(drives):
+        pieces = [p for p in trim(drive, settings) if fit_rows(p, settings).size >= 0.5 * p.rate]
+        check_parts(drive, sum(fit_rows(p, settings).size for p in pieces), settings)
+        lag = _lag(twin, pieces, settings)
+        lags.append(lag)
+        parts += [p.moved(lag, 0.0) if lag else p for p in pieces]
+        drive_of += [number] * len(pieces)
+    warnings = [w for d in drives for w in (f"{d.name}: {text}" for text in d.warnings)]
+    if len(rates) > 1 and any(t.kind in ("spectral", "iso18571") for t in terms):
+        raise InputError("drives", f"come at different rates ({sorted(rates)} Hz): calibrate on them one by one")
+    warnings += [
+        f"{d.name}: the pose was read {lag:+.3f} s off the IMU's clock before the fit"
+        for d, lag in zip(drives, lags, strict=True)
+        if lag
+    ]
+    wander = [_wander(d, priors) for d in drives]
+    problem = Problem(twin, space, parts, drive_of, terms, priors, wander, settings)
+    return problem, tuple(lags), tuple(warnings)
+
+
+def _lag(twin: Twin, pieces: list[Prepared], settings: TrimSettings) -> float:
+    """Seconds to move a drive's pose by, 0 where the twin as it stands does not clearly ask for it."""
+    pairs: list[tuple[Floats, Floats]] = []
+    for part in pieces:
+        simulated = part.condition(simulate_twin(twin, part.excitation))
+        rows = fit_rows(part, settings)
+        cut = slice(int(rows[0]), int(rows[-1]) + 1)
+        pairs += [(part.measured[c][cut], simulated[c][cut]) for c in ("vertical_acceleration", "pitch_rate")]
+    lag, there, here = coarse_lag(pairs, pieces[0].rate, _LONGEST_LAG)
+    return lag if abs(lag) * pieces[0].rate > 1.5 and there > here + _SURE and there > 0.3 else 0.0
+
+
+def _wander(drive: Prepared, priors: NuisancePriors) -> float:
+    """Standard deviation in m of the slow error of a drive's smoothed positions."""
+    if priors.wander is not None:
+        return priors.wander
+    return 0.5 * drive.position_sigma if drive.position_sigma >= 0.1 else 0.0

@@ -1,0 +1,258 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The fast way: Levenberg-Marquardt on the objective, from a start and by hops that physics suggests.
+
+Where a vehicle stands on its springs' curves is what such a fit goes wrong by: a corner of the
+curve at the place it stands at, or far from it, are two valleys of the cost, and no slope leads
+from one to the other. So after the first descent every corner near enough is tried as that place.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from suspension_twin.calibration.checkpoint import State
+from suspension_twin.calibration.identify import CORRELATION, travel
+from suspension_twin.calibration.least_squares import LeastSquares, LmSettings
+from suspension_twin.calibration.likelihood import Likelihood
+from suspension_twin.calibration.problem import FitProblem, Interrupted, Problem
+from suspension_twin.calibration.recorder import Outcome, Recorder
+from suspension_twin.calibration.springs import standing_at
+from suspension_twin.drive.types import Floats
+
+__all__ = ["full_precision", "run_squares"]
+
+_EXPECTED = 700.0  # evaluations, for the time left
+_STARTS = 24
+#: Weight of the prior beside an objective that was asked for by name.
+_FAINT = 1e-3
+#: Residuals in floors (the median of the channels) up to which there is nothing to hop for, and up to which
+#: what is left is taken for noise.
+_AT_FLOOR, _NEAR_FLOOR = 1.3, 3.0
+#: Offsets that are simulated from here on instead of interpolated: s and m.
+_PLACE_CLOCK, _PLACE_MAP = 2e-3, 2e-2
+#: Share of Nyquist's band that the default filter passes: samples count for half as many independent ones.
+_INDEPENDENT = 0.5
+_FARTHEST_CORNER, _NEAREST_CORNER = 0.15, 0.003  # m
+
+
+@dataclass(frozen=True)
+class _Round:
+    """One minimisation. ``faint``: the prior only settles what the objective does not see, unless the
+    fit is meant to be a balance of both; ``hop``: the corner to stand at (spring, corner), or None."""
+
+    stage: str
+    number: int
+    settings: LmSettings
+    faint: bool = True
+    hop: tuple[int, int] | None = None
+
+
+_DESCENT = LmSettings(iterations=3, tolerance=1e-3)
+_SEARCH = LmSettings(iterations=4, tolerance=1e-2)
+#: A likelihood's minimum is found where -2 log likelihood falls by less than a tenth.
+_LIKELIHOOD = LmSettings(iterations=15, tolerance=0.0, absolute=0.1, patience=1)
+
+
+def full_precision(problem: Problem) -> Floats:
+    """(d + q, d + q) inverse prior covariance of slope coordinates and nuisances."""
+    d, q = len(problem.space), len(problem.nuisances)
+    precision = np.zeros((d + q, d + q))
+    precision[:d, :d] = problem.space.prior_precision(CORRELATION)
+    precision[np.arange(d, d + q), np.arange(d, d + q)] = 1.0 / problem.nuisances.spread**2
+    return precision
+
+
+def run_squares(recorder: Recorder) -> Outcome:
+    """Levenberg-Marquardt on the objective, then, unless one was asked for by name, on the likelihood.
+
+    The likelihood makes the most of drives whose residual is noise. Where much more is left than
+    noise, the model lacks something, and explaining that as coloured noise would give up on it:
+    then the least squares fit stands.
+    """
+    fit = _Fit(recorder)
+    stopped = False
+    try:
+        if recorder.resumed is None:
+            fit.explore()
+        for planned in fit.plan():
+            if recorder.out_of_generations:
+                break
+            fit.round(planned)
+        fit.cost = fit.costs_at(fit.x)
+    except Interrupted:
+        stopped = True
+    values = fit.base.space.from_slopes(fit.x[: fit.d])
+    nuisance = fit.x[fit.d :] + fit.placed
+    return Outcome(values, nuisance, fit.cost, fit.problem, fit.placed, fit.x, fit.likelihood, stopped)
+
+
+class _Fit:
+    """Where the fit is: the best coordinates ``x``, and how far its offsets are already simulated."""
+
+    def __init__(self, recorder: Recorder) -> None:
+        self.recorder = recorder
+        self.base = self.problem = recorder.setup.problem
+        self.d, q = len(self.base.space), len(self.base.nuisances)
+        self.precision = full_precision(self.base)
+        self.x = np.concatenate([self.base.space.z0, np.zeros(q)])
+        self.placed = np.zeros(q)
+        self.likelihood: Likelihood | None = None
+        self.cost = np.inf
+        self.balanced = recorder.objective == "likelihood"
+        self.springs = [c for c in self.base.space.curves if c.key.endswith("spring") and min(c.rows) >= 0]
+
+    # -- the plan ------------------------------------------------------------------------------
+
+    def plan(self) -> Iterator[_Round]:
+        """The rounds; which of them are worth it is decided on the way."""
+        yield _Round("squares", 0, _DESCENT, faint=False)
+        yield _Round("squares", 1, _DESCENT)
+        corners = [(s, j) for s, c in enumerate(self.springs) for j in range(c.x.size - 1)]
+        for number, corner in enumerate(corners):
+            if self.balanced and self.recorder.resumed is None and self.floors() < _AT_FLOOR:
+                break
+            yield _Round("hop", 2 * number, replace(_SEARCH, iterations=2), faint=False, hop=corner)
+            yield _Round("hop", 2 * number + 1, _SEARCH)
+        yield _Round("squares", 2, self.recorder.setup.preset.squares)
+        if self.balanced and (self.recorder.waits_for("likelihood") or self.floors() < _NEAR_FLOOR):
+            yield _Round("likelihood", 0, _LIKELIHOOD)
+            yield _Round("likelihood", 1, _LIKELIHOOD)
+
+    def explore(self) -> None:
+        """Start from the best of two dozen stiffer, softer, harder and weaker versions of the preset."""
+        space = self.base.space
+        rng = np.random.default_rng(self.recorder.request.seed)
+        starts = np.repeat(space.z0[:, None], _STARTS, axis=1)
+        for curve in space.curves:
+            rows = [r for r in curve.rows if r >= 0]
+            starts[rows] += 0.4 * rng.standard_normal(_STARTS)
+        starts[:, 0] = space.z0
+        costs = self.base.costs(space.from_slopes(starts), self.x[self.d :])
+        self.recorder.evaluations += _STARTS
+        best = int(np.argmin(costs))
+        if costs[best] < 0.8 * costs[0]:
+            self.x[: self.d] = starts[:, best]
+        self.cost = float(costs[best])
+        finite = costs[np.isfinite(costs)]
+        self.recorder.report(False, self.cost, float(finite.mean()) if finite.size else np.inf, _EXPECTED)
+
+    # -- one round -----------------------------------------------------------------------------
+
+    def round(self, planned: _Round) -> None:
+        """One minimisation from where the fit is, or from the corner to hop to; kept if it is better."""
+        recorder = self.recorder
+        waiting = recorder.resumed
+        if waiting is not None and (waiting.stage, waiting.plain["round"]) != (planned.stage, planned.number):
+            return
+        state = recorder.resume(planned.stage)
+        start = self._take_up(state) if state else self._start(planned)
+        if start is None:
+            return
+        whitened = planned.stage == "likelihood"
+        if whitened and state is None:
+            self.likelihood = Likelihood.fitted(self.problem.measured, self.compared(start))
+        fit = FitProblem(self.problem, self.likelihood.residuals if whitened and self.likelihood else None)
+        scale = float(state.plain["scale"]) if state else self._scale(fit, planned, start)
+        centre = np.concatenate([self.base.space.z0, -self.placed])
+        solver = LeastSquares(fit, start, scale * self.precision, centre, planned.settings)
+        if state is not None:
+            solver.restore({"x": start, "centre": centre}, state.plain["solver"])
+        while not solver.finished and not recorder.out_of_generations:
+            recorder.check()
+            before = solver.evaluations
+            solver.step()
+            recorder.evaluations += solver.evaluations - before
+            self._note(solver, planned, scale)
+        self._pending = solver.x if planned.stage == "hop" else None
+
+    _pending: Floats | None = None
+
+    def _start(self, planned: _Round) -> Floats | None:
+        """Where a round starts from; None where it has nothing to do."""
+        if planned.stage == "hop":
+            if planned.hop is not None:
+                return self._at_corner(*planned.hop)
+            # the second half of a hop goes on from the first, if that was made at all
+            return self._pending
+        self._place()
+        return self.x
+
+    def _note(self, solver: LeastSquares, planned: _Round, scale: float) -> None:
+        """Keep what is better, report, save."""
+        recorder = self.recorder
+        whitened = planned.stage == "likelihood"
+        # The squares of the objective order candidates as its costs do; those of the likelihood do not.
+        cost = self.costs_at(solver.x) if whitened else self.problem.objective.cost_of_squares(solver.fit)
+        if cost < self.cost or (self.balanced and planned.stage != "hop"):
+            self.x, self.cost = solver.x, cost
+        recorder.report(whitened, self.cost, cost, _EXPECTED)
+        arrays = {"solver": solver.x, "x": self.x, "placed": self.placed}
+        if self.likelihood is not None:
+            arrays |= {"filters": self.likelihood.filters, "sigmas": self.likelihood.sigmas}
+        plain = {"round": planned.number, "scale": scale, "cost": self.cost, "solver": solver.state()[1]}
+        recorder.save(planned.stage, arrays, plain, now=True)
+
+    def _take_up(self, state: State) -> Floats:
+        self.x, self.placed = state.arrays["x"], state.arrays["placed"]
+        self.cost = float(state.plain["cost"])
+        self.problem = self.base.moved(self.placed) if self.placed.any() else self.base
+        if "filters" in state.arrays:
+            fresh = Likelihood.fitted(self.base.measured, self.base.measured.values)
+            self.likelihood = replace(fresh, filters=state.arrays["filters"], sigmas=state.arrays["sigmas"])
+        return state.arrays["solver"]
+
+    def _at_corner(self, spring: int, corner: int) -> Floats | None:
+        """The fit with one spring's curve bent so that the vehicle stands at one of its corners."""
+        curve = self.springs[spring]
+        rows = list(curve.rows)
+        values = self.base.space.from_slopes(self.x[: self.d])
+        where = travel(self.base.space.applied(self.recorder.setup.twin, values), self.problem)
+        static = where.static[curve.key.split(".")[1]]
+        if not _NEAREST_CORNER < abs(curve.x[corner] - static) < _FARTHEST_CORNER:
+            return None
+        moved = self.x.copy()
+        moved[rows] = standing_at(curve.x, self.x[rows], static, corner)
+        return moved
+
+    def _scale(self, fit: FitProblem, planned: _Round, start: Floats) -> float:
+        """How the prior weighs against the sum of squares: by the variance of an independent residual."""
+        if planned.stage == "likelihood":
+            return 1.0
+        residual = fit.residuals(self.compared(start)[:, :, None])
+        variance = max(float(np.mean(residual**2)) / _INDEPENDENT, 1e-30)
+        return variance * (_FAINT if planned.faint and not self.balanced else 1.0)
+
+    def _place(self) -> None:
+        """Simulate the offsets found so far where they are too large to interpolate."""
+        names = self.base.nuisances.names
+        offset = np.array([n == "map_position" or n.endswith(".clock_offset") for n in names], dtype=bool)
+        small = np.array([_PLACE_MAP if n == "map_position" else _PLACE_CLOCK for n in names])
+        found = np.where(offset, self.x[self.d :], 0.0)
+        if np.any(np.abs(found) > small):
+            self.placed = self.placed + found
+            self.x = self.x.copy()
+            self.x[self.d :][offset] = 0.0
+            self.problem = self.base.moved(self.placed)
+
+    # -- looking -------------------------------------------------------------------------------
+
+    def compared(self, x: Floats) -> Floats:
+        """(M, C) signals at coordinates ``x``, nuisances included."""
+        signals, _ = self.problem.simulate(self.base.space.from_slopes(x[: self.d, None]))
+        self.recorder.evaluations += 1
+        return np.asarray(self.problem.compared(signals, x[self.d :, None])[:, :, 0])
+
+    def costs_at(self, x: Floats) -> float:
+        """The objective's cost at coordinates ``x``."""
+        self.recorder.evaluations += 1
+        return float(self.problem.costs(self.base.space.from_slopes(x[: self.d, None]), x[self.d :])[0])
+
+    def floors(self) -> float:
+        """What is left of the channels in units of their floors; the median of the channels."""
+        left = np.sqrt(np.mean((self.compared(self.x) - self.problem.measured.values) ** 2, axis=0))
+        drives = self.recorder.setup.drives
+        floors = [float(np.mean([d.noise_rms[c] for d in drives])) for c in self.problem.channels]
+        return float(np.median(left / np.array(floors)))

@@ -1,0 +1,98 @@
+# SPDX-License-Identifier: Apache-2.0
+"""How a running twin fares, in a line on the terminal."""
+
+from __future__ import annotations
+
+import math
+import time
+from types import TracebackType
+from typing import TYPE_CHECKING, final
+
+from rich.console import Console
+from rich.live import Live
+from rich.text import Text
+
+if TYPE_CHECKING:
+    from suspension_twin.nodes.composed import Composed, Condition
+
+__all__ = ["Status", "line", "say"]
+
+#: Seconds between lines on a terminal, and in a log.
+_PERIOD, _LOG_PERIOD = 1.0, 10.0
+
+
+def say(text: str) -> None:
+    """One line for the user that is not a result."""
+    Console(stderr=True, highlight=False, soft_wrap=True).print(Text(text))
+
+
+def line(condition: Condition) -> Text:
+    """``condition`` in one line; what is wrong comes last and in colour."""
+    parts = []
+    if condition.position is not None:
+        again = f", round {condition.rounds + 1}" if condition.rounds else ""
+        parts.append(f"{condition.position:.1f} of {condition.duration:.1f} s{again}")
+    parts.append("  ".join(f"{n} {'-' if math.isnan(r) else f'{r:.0f}'} Hz" for n, r in condition.rates.items()))
+    if condition.gap is None:
+        parts.append("gap -")
+    else:
+        times = "" if condition.normalised is None else f" ({condition.normalised:.1f} × floor)"
+        parts.append(f"gap {condition.gap:.2f} m/s²{times}")
+    text = Text(" | ".join(parts))
+    if condition.complaints:
+        more = f" (+{len(condition.complaints) - 1})" if len(condition.complaints) > 1 else ""
+        text.append(" | ")
+        text.append(condition.complaints[0] + more, style="bold red" if condition.failing else "yellow")
+    return text
+
+
+@final
+class Status:
+    """Shows the condition once a second on a terminal, every ten seconds in a log."""
+
+    def __init__(self, composed: Composed, console: Console | None = None) -> None:
+        self._composed = composed
+        self._console = console or Console(stderr=True, highlight=False, soft_wrap=True)
+        self._live: Live | None = None
+        if self._console.is_terminal:
+            self._live = Live(console=self._console, auto_refresh=False, redirect_stdout=False, redirect_stderr=False)
+        self._began = time.monotonic()
+        self._due = self._began + _PERIOD
+
+    def __enter__(self) -> Status:
+        if self._live is not None:
+            self._live.start()
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        if self._live is not None:
+            self._live.stop()
+
+    def show(self) -> None:
+        """Bring the line up to date, if it is time to."""
+        now = time.monotonic()
+        if now < self._due:
+            return
+        text = line(self._composed.condition())
+        if self._live is not None:
+            text.no_wrap, text.overflow = True, "ellipsis"
+            self._live.update(text, refresh=True)
+            self._due = now + _PERIOD
+        else:
+            self._console.print(text)
+            self._due = now + _LOG_PERIOD
+
+    def conclude(self) -> None:
+        """The last line, in place of the one that lived."""
+        if self._live is not None:
+            self._live.update(Text(""), refresh=True)
+            self._live.stop()
+            self._live = None
+        condition = self._composed.condition()
+        seconds = time.monotonic() - self._began
+        gap = "" if condition.gap is None else f", gap {condition.gap:.3f} m/s²"
+        self._console.print(
+            Text(f"{condition.answers} answers to {condition.samples} IMU samples in {seconds:.1f} s{gap}")
+        )

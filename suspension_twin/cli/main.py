@@ -1,0 +1,189 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The command ``suspension-twin``: finds the subcommand, and turns every failure into one line.
+
+A subcommand is one row of :data:`SUBCOMMANDS` and one file ``cli/<module>.py`` that defines either
+``command(...)``, a function with typer annotations, or ``app``, a :class:`typer.Typer` of
+subcommands of its own. Only the file of the subcommand asked for is imported, so that ``--help``
+and a mistyped option answer at once.
+
+Exit status: 0 done, 1 the work failed, 2 unusable arguments or input; 130 after Ctrl-C, except for
+a command that Ctrl-C is the normal end of.
+"""
+
+from __future__ import annotations
+
+import errno
+import os
+import signal
+import sys
+import traceback
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from importlib import import_module
+from typing import Annotated, Any
+
+import typer
+
+from suspension_twin import __version__
+from suspension_twin.errors import SuspensionTwinError
+
+__all__ = ["SUBCOMMANDS", "Subcommand", "main"]
+
+PROGRAM = "suspension-twin"
+DONE, FAILED, UNUSABLE, INTERRUPTED = 0, 1, 2, 130
+
+
+@dataclass(frozen=True)
+class Subcommand:
+    """One row of the table: the name on the command line, its module and its line in ``--help``."""
+
+    name: str
+    module: str
+    help: str
+    endless: bool = False  # runs until it is interrupted, so an interrupt is success
+
+
+SUBCOMMANDS = (
+    Subcommand("demo", "demo", "The whole way, live to calibrated, on the bundled drive."),
+    Subcommand("run", "run", "The four nodes, live or replaying a bag.", endless=True),
+    Subcommand("calibrate", "calibrate", "Find a twin's characteristics from recorded drives."),
+    Subcommand("diagnose", "diagnose", "Where twin and car disagree, why, and what closes the gap."),
+    Subcommand("simulate", "simulate", "The twin over a recorded drive, without ROS."),
+    Subcommand("import", "import_", "A phone's or logger's recording into a bag."),
+    Subcommand("road", "road", "A picture or a mesh of a road, or what is wrong with it."),
+)
+
+# What the operating system refuses because of a path that the user named.
+_PATH_ERRORS = (FileNotFoundError, PermissionError, IsADirectoryError, NotADirectoryError, FileExistsError)
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run one command line (``sys.argv`` by default) and return its exit status.
+
+    Never raises, and writes at most one line of its own to standard error unless ``--debug`` asks
+    for the traceback.
+    """
+    args, debug = _take_debug(sys.argv[1:] if arguments is None else arguments)
+    chosen = _chosen(args)
+    endless = chosen is not None and chosen.endless
+    endings = (signal.SIGINT, signal.SIGTERM)
+    previous = {number: signal.getsignal(number) for number in endings}
+    try:
+        if endless:  # SIGTERM is a service manager's way of saying Ctrl-C, which a shell's background job would ignore
+            for number in endings:
+                signal.signal(number, signal.default_int_handler)
+        status = _invoke(args, chosen)
+        sys.stdout.flush()
+    except BrokenPipeError:
+        # The reader has gone (| head): nobody is left to tell. The interpreter's own flush at exit would complain.
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        status = FAILED
+    except KeyboardInterrupt:
+        status = DONE if endless else INTERRUPTED
+    except SystemExit as error:
+        status = error.code if isinstance(error.code, int) else FAILED if error.code else DONE
+    except Exception as error:
+        if debug:
+            traceback.print_exc()
+        status, text = _explain(error)
+        print(" ".join(text.split()), file=sys.stderr)
+    finally:
+        if endless:
+            for number, handler in previous.items():
+                signal.signal(number, handler)
+    return status
+
+
+def _take_debug(arguments: Sequence[str]) -> tuple[list[str], bool]:
+    """Take ``--debug`` out, wherever it stands before a ``--``: it belongs to no subcommand."""
+    args = list(arguments)
+    end = args.index("--") if "--" in args else len(args)
+    own = [a for a in args[:end] if a != "--debug"]
+    return own + args[end:], len(own) < end
+
+
+def _chosen(args: Sequence[str]) -> Subcommand | None:
+    """The subcommand that ``args`` begins with, if it is one (the program itself has only flags)."""
+    name = next((a for a in args if not a.startswith("-")), None)
+    return next((s for s in SUBCOMMANDS if s.name == name), None)
+
+
+def _invoke(args: list[str], chosen: Subcommand | None) -> int:
+    command = typer.main.get_command(_application(chosen))
+    try:
+        with command.make_context(PROGRAM, args) as context:
+            command.invoke(context)
+    except typer.Exit as end:
+        return end.exit_code
+    return DONE
+
+
+def _application(chosen: Subcommand | None) -> typer.Typer:
+    """Every subcommand by name and help, the chosen one in full."""
+    app = typer.Typer(
+        add_completion=False,
+        no_args_is_help=True,
+        context_settings={"help_option_names": ["-h", "--help"]},
+        help="A live digital twin of a vehicle's suspension: follow a real car, calibrate, and find why they differ.",
+        epilog="Each command tells more about itself: suspension-twin COMMAND --help",
+    )
+    app.callback()(_root)
+    for row in SUBCOMMANDS:
+        if row is not chosen:
+            app.command(row.name, help=row.help)(_not_imported)
+            continue
+        module = import_module(f"{__package__}.{row.module}")
+        if hasattr(module, "app"):
+            app.add_typer(module.app, name=row.name, help=row.help)
+        else:
+            app.command(row.name, help=_paragraphs(module.command.__doc__ or row.help))(module.command)
+    return app
+
+
+def _paragraphs(docstring: str) -> str:
+    """The text without the line breaks of the source, which would show among those of the terminal."""
+    return "\n\n".join(" ".join(part.split()) for part in docstring.split("\n\n"))
+
+
+def _show_version(wanted: bool) -> None:
+    if wanted:
+        print(f"{PROGRAM} {__version__}")
+        raise typer.Exit()
+
+
+def _root(
+    version: Annotated[
+        bool, typer.Option("--version", help="Show the version and exit.", callback=_show_version, is_eager=True)
+    ] = False,
+    debug: Annotated[bool, typer.Option("--debug", help="Show the traceback of an error.")] = False,
+) -> None:
+    """What the program takes before a subcommand; ``--debug`` is taken out of the arguments by :func:`main`."""
+
+
+def _not_imported() -> None:
+    raise AssertionError("a subcommand ran that was not chosen")
+
+
+def _explain(error: Exception) -> tuple[int, str]:
+    """Exit status and one line for an error that ended a subcommand."""
+    format_message: Callable[[], str] | None = getattr(error, "format_message", None)
+    if format_message is not None:  # typer's own errors, all about the arguments
+        where: Any = getattr(error, "ctx", None)
+        path = where.command_path if where is not None else PROGRAM
+        message = format_message().rstrip(". ") or "Missing command"  # empty where the help was shown instead
+        return UNUSABLE, f"{path}: {message} (see {path} --help)"
+    if isinstance(error, SuspensionTwinError):
+        return error.exit_status, f"{PROGRAM}: {error}"
+    if isinstance(error, OSError) and error.filename is not None:
+        status = UNUSABLE if isinstance(error, _PATH_ERRORS) else FAILED
+        return status, f"{PROGRAM}: {os.fsdecode(error.filename)}: {error.strerror}"
+    if isinstance(error, OSError) and error.errno == errno.ENOSPC:
+        return FAILED, f"{PROGRAM}: no space left to write the results"
+    if isinstance(error, MemoryError):
+        return FAILED, f"{PROGRAM}: out of memory"
+    what = f"{type(error).__name__}: {error}".rstrip(": ")
+    return FAILED, f"{PROGRAM}: unexpected error, {what} (--debug shows where)"
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,133 @@
+# SPDX-License-Identifier: Apache-2.0
+"""``suspension-twin road``: a picture, a mesh, or what is wrong with an OpenCRG road."""
+
+from __future__ import annotations
+
+import json
+import sys
+from enum import Enum
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from suspension_twin.errors import InputError
+
+__all__ = ["app"]
+
+app = typer.Typer(no_args_is_help=True, context_settings={"help_option_names": ["-h", "--help"]})
+
+RoadFile = Annotated[Path, typer.Argument(help="An OpenCRG road.", metavar="ROAD", show_default=False)]
+
+
+class Up(str, Enum):
+    """Which axis of a mesh points up."""
+
+    z = "z"
+    y = "y"
+
+
+class Origin(str, Enum):
+    """What a mesh's places count from."""
+
+    map = "map"
+    start = "start"
+
+
+@app.command()
+def show(
+    road: RoadFile,
+    out: Annotated[
+        Path | None,
+        typer.Option(help="The picture: .png, .svg or .pdf.  [default: ROAD.png]", show_default=False),
+    ] = None,
+    track: Annotated[float, typer.Option(help="Distance of the two wheel tracks, m.", min=0.1)] = 1.5,
+) -> None:
+    """Draw a road: height map, wheel tracks, spectrum beside the ISO 8608 classes, place in map."""
+    from suspension_twin.road.check import check_file
+    from suspension_twin.road.plots import save_road_picture
+
+    checked = check_file(road)
+    path = _beside(road, ".png") if out is None else out
+    save_road_picture(checked, path, track)
+    print(path)
+
+
+@app.command()
+def mesh(
+    road: RoadFile,
+    out: Annotated[
+        Path | None, typer.Option(help="The mesh: .stl or .obj.  [default: ROAD.obj]", show_default=False)
+    ] = None,
+    spacing: Annotated[
+        float, typer.Option(help="Leave out points closer than this, m; 0 keeps every one.", min=0.0)
+    ] = 0.0,
+    up: Annotated[
+        Up,
+        typer.Option(help="z: x east, y north, z up. y: x west, y up, z north, which Unity reads as x east."),
+    ] = Up.z,
+    origin: Annotated[
+        Origin,
+        typer.Option(help="Count places from the map's origin, or from the road's start (far-off roads)."),
+    ] = Origin.map,
+) -> None:
+    """Write a road as triangles for a game engine: binary STL, or OBJ with normals and tiles."""
+    from suspension_twin.road.crg import load_road
+    from suspension_twin.road.mesh import write_mesh
+
+    surface = load_road(road)
+    shift = (0.0, 0.0, 0.0)
+    if origin is Origin.start:
+        shift = float(surface.x[0]), float(surface.y[0]), float(surface.ref_z[0])
+    path = _beside(road, ".obj") if out is None else out
+    count = write_mesh(surface, path, spacing=spacing, up=up.value, shift=shift)
+    place = (
+        "" if origin is Origin.map else ", start of the road at {:.3f} {:.3f} {:.3f} in map".format(*shift)
+    )
+    print(f"{path}: {count} triangles{place}")
+
+
+@app.command()
+def check(
+    road: RoadFile,
+    out: Annotated[
+        Path | None, typer.Option(help="Write the figures and findings there as JSON.", show_default=False)
+    ] = None,
+) -> None:
+    """Say what a road is like and what is wrong with it.
+
+    Exit status 0: nothing is wrong. 1: it can be driven, but something would spoil a simulation.
+    2: it cannot be read.
+    """
+    from suspension_twin.road.check import check_file
+    from suspension_twin.road.files import replacing
+
+    checked = check_file(road)
+    if out is not None:
+        record = {
+            "road": checked.road.name,
+            "sound": checked.sound,
+            "facts": checked.facts,
+            "findings": [{"text": f.text, "fault": f.fault} for f in checked.findings],
+            "spikes": [vars(s) for s in checked.spikes.found],
+        }
+        with replacing(out) as temporary:
+            temporary.write_text(json.dumps(record, indent=2) + "\n", encoding="utf-8")
+    width = max(len(name) for name in checked.facts)
+    for name, fact in checked.facts.items():
+        print(f"{name:<{width}}  {fact}")
+    print()
+    for finding in checked.findings:
+        print(f"{'wrong' if finding.fault else 'note':<6} {finding.text}")
+    print("sound" if checked.sound else "not sound: see the lines that begin with 'wrong'")
+    sys.stdout.flush()
+    if not checked.sound:
+        raise typer.Exit(1)
+
+
+def _beside(road: Path, suffix: str) -> Path:
+    """A result's name where none was given: in the current folder, after the road."""
+    path = Path(road.with_suffix(suffix).name)
+    if path.resolve() == road.resolve():
+        raise InputError(road, "give another name with --out; the default would overwrite the road")
+    return path

@@ -1,0 +1,111 @@
+# SPDX-License-Identifier: Apache-2.0
+"""``suspension-twin run``: the four nodes in one process, live or replaying a recording."""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from suspension_twin.cli.common import TwinFile
+from suspension_twin.errors import InputError
+
+if TYPE_CHECKING:
+    from suspension_twin.nodes.composed import Composed, Playback
+
+__all__ = ["command"]
+
+#: Seconds before a recording begins, in which subscribers find the topics.
+_DISCOVERY = 0.5
+
+
+def command(
+    twin: TwinFile,
+    bag: Annotated[
+        Path | None,
+        typer.Option("--bag", help="Replay this recorded drive instead of listening to sensors.", metavar="BAG"),
+    ] = None,
+    rate: Annotated[
+        str, typer.Option("--rate", help="Times real time; 'max' or 0: as fast as nothing gets lost.", metavar="X")
+    ] = "1",
+    loop: Annotated[bool, typer.Option("--loop", help="Begin the recording again at its end.")] = False,
+    namespace: Annotated[str, typer.Option("--namespace", help="Put everything below this name.", metavar="NS")] = "",
+    params: Annotated[
+        Path | None, typer.Option("--params", help="Parameters of the nodes, a ROS 2 YAML file.", metavar="FILE")
+    ] = None,
+    ros_args: Annotated[
+        list[str] | None,
+        typer.Argument(
+            help="After '--': arguments for ROS, as in -- --ros-args -r imu/data_raw:=/phone/imu",
+            metavar="[-- ROS_ARGS]",
+        ),
+    ] = None,
+) -> None:
+    """The four nodes in one process, live or replaying a bag. Ctrl-C ends them."""
+    speed = _speed(rate)
+    if bag is None and (loop or rate != "1"):
+        raise InputError("--loop" if loop else "--rate", "needs --bag: only a recording can be replayed")
+    # What is wrong with a file is to be said before ROS is started, which takes a second.
+    from suspension_twin.vehicle.twin import load_twin
+
+    load_twin(twin)
+    from suspension_twin.nodes._main import ros_context, stopping
+    from suspension_twin.nodes._param_file import check_names, read_param_file
+    from suspension_twin.nodes.composed import Composed, check_namespace
+
+    check_namespace(namespace)
+    wanted = {} if params is None else read_param_file(params)
+    arguments = list(ros_args or [])
+    if params is not None:
+        arguments += ["--ros-args", "--params-file", str(params)]
+    with stopping() as stop:
+        playback = None if bag is None else _playback(bag, speed, loop)
+        with ros_context(arguments) as context:
+            composed = Composed(context, twin, namespace, playback)
+            try:
+                if params is not None:
+                    check_names(params, wanted, composed.parameter_names())
+                composed.settle_memory()
+                _run(composed, lambda: stop.asked or not context.ok())
+            finally:
+                composed.close()
+
+
+def _speed(rate: str) -> float:
+    if rate == "max":
+        return math.inf
+    try:
+        number = float(rate)
+    except ValueError:
+        number = math.nan
+    if not (math.isfinite(number) and number >= 0):
+        raise InputError("--rate", f"must be a number above 0, or 'max', is '{rate}'")
+    return number or math.inf
+
+
+def _playback(bag: Path, speed: float, loop: bool) -> Playback:
+    from suspension_twin.cli._status import say
+    from suspension_twin.drive.read import read_drive
+    from suspension_twin.nodes.composed import Playback
+
+    drive = read_drive(bag)
+    for warning in drive.warnings:
+        say(f"{bag}: {warning}")
+    return Playback(drive, speed, loop, _DISCOVERY)
+
+
+def _run(composed: Composed, stop_asked: Callable[[], bool]) -> None:
+    from suspension_twin.cli._status import Status
+
+    with Status(composed) as status:
+        while not (stop_asked() or composed.finished):
+            composed.step()
+            status.show()
+        until = time.monotonic() + 0.2
+        while composed.finished and not stop_asked() and time.monotonic() < until:
+            composed.step()
+        status.conclude()

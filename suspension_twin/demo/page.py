@@ -1,0 +1,306 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The page that the demo leaves."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from matplotlib.figure import Figure
+from scipy.ndimage import uniform_filter1d
+
+from suspension_twin.demo.steps import DRIVES, LEARNT, UNSEEN, DemoResult, Outcome
+from suspension_twin.drive.types import Floats
+from suspension_twin.pose.local_map import LocalMap
+from suspension_twin.report import Cell, Page, Section, Table, plots
+from suspension_twin.report.characteristics import AxleEvidence, characteristics, force
+from suspension_twin.report.page import short
+from suspension_twin.signals.spectra import power_density
+
+__all__ = ["demo_page", "figures"]
+
+_CUTOFF = 20.0  # Hz, the nodes' default low-pass
+_WAVE = 4.0  # m, what is longer moves the car and not its struts
+_EXCITED = Cell("yes", "good")
+_NOT_EXCITED = Cell("no", "warn", "the drive says nothing about this point")
+
+
+def demo_page(result: DemoResult) -> Page:
+    """Everything on one page; :func:`figures` has the figures alone."""
+    drawn = figures(result)
+    page = Page(
+        "A car and its twin",
+        "Two simulated drives, replayed through the four nodes; the suspension found from the first, checked on the "
+        "second.",
+    )
+    for name, title in DRIVES.items():
+        before, after = result.before[name], result.after[name]
+        note = f"was {before.rms:.2f} m/s² before calibration"
+        label = f"Gap on the {title}" + (", not seen in calibration" if name == UNSEEN else "")
+        page.card(label, f"{after.rms:.2f} m/s²", note, "good" if after.rms < 0.6 * before.rms else "warn")
+    page.card("Whole demo", f"{result.seconds:.0f} s", "replays, calibration and validation")
+    page.add(Section("The gap in numbers", _explain(), _table(result)))
+    page.add(
+        Section(
+            "The speed bump, in time",
+            "Vertical acceleration at the phone's place: what the phone measured, and what the twin felt when it was "
+            "pulled over the same road, its x, y and yaw locked to the car. Both went through the same low-pass; both "
+            "are what the nodes published while the drive was played.",
+            drawn["bump_time"],
+            captions=["Three passes at 15 km/h. Below, what is left between car and twin."],
+        )
+    )
+    page.add(
+        Section(
+            "The road it has not seen, in time",
+            "The same calibrated twin on another road, 90 m with potholes and a ramp. Nothing was fitted here.",
+            drawn["road_time"],
+            captions=["The whole drive, from the moment the heading is known."],
+        )
+    )
+    page.add(
+        Section(
+            "In frequency",
+            "Where the gap lies. The body heaves at 1 to 3 Hz, the wheels hop at about 10 Hz.",
+            drawn["bump_frequency"],
+            drawn["road_frequency"],
+            captions=[f"On the {DRIVES[LEARNT]}.", f"On the {DRIVES[UNSEEN]}, not seen in calibration."],
+        )
+    )
+    page.add(
+        Section(
+            "Where the car was",
+            "The twin follows the real car's x, y and yaw; the line is what the pose injector made of the fixes "
+            "and the gyroscope. The fixes are the antenna's, which sits beside and ahead of the point that is locked.",
+            drawn["bump_map"],
+            drawn["road_map"],
+            captions=[
+                "Out over the bump, round, back, round and over it again.",
+                "Along the road that the file holds.",
+            ],
+        )
+    )
+    page.add(
+        Section(
+            "Where on the road the gap lies",
+            "",
+            drawn["road_residual"],
+            captions=["Rms of the gap in each metre of the unseen road; below, what the wheels met there."],
+        )
+    )
+    page.add(
+        Section(
+            "Springs and dampers",
+            "What the calibration found from the bump alone. Springs are drawn over the travel from standstill: where "
+            "their free length lies no drive can tell. Outside the shaded range the drive did not move the struts, and "
+            "what is drawn there only goes on from within. The truth is known because the drive is simulated; the "
+            "calibration did not see it.",
+            drawn["characteristics"],
+        )
+    )
+    page.add(_calibration(result, drawn.get("convergence")))
+    return page
+
+
+def figures(result: DemoResult) -> dict[str, Figure]:
+    """Every figure of the page by name."""
+    bump, road = (result.before[n] for n in (LEARNT, UNSEEN))
+    drawn = {
+        "bump_time": _in_time(result, LEARNT, _passes(bump)),
+        "road_time": _in_time(result, UNSEEN, [_whole(road)]),
+        "bump_frequency": _in_frequency(result, LEARNT),
+        "road_frequency": _in_frequency(result, UNSEEN),
+        "bump_map": _map(result, LEARNT),
+        "road_map": _map(result, UNSEEN),
+        "road_residual": _by_road(result, UNSEEN),
+        "characteristics": _characteristics(result),
+    }
+    searched = [f for f in result.history if f.evaluations > 0 and math.isfinite(f.best_cost)]
+    if len(searched) > 1:
+        drawn["convergence"] = plots.convergence(
+            np.array([float(f.evaluations) for f in searched]), np.array([f.best_cost for f in searched])
+        )
+    return drawn
+
+
+def _passes(outcome: Outcome) -> list[plots.Window]:
+    """The three strongest seconds, each a pass over the bump, in their order."""
+    t, y = outcome.replay.t, np.where(outcome.compared, outcome.replay.measured, 0.0)
+    middles: list[float] = []
+    left = np.abs(y)
+    for _ in range(3):
+        middle = float(t[np.argmax(left)])
+        middles.append(middle)
+        left = np.where(np.abs(t - middle) < 5.0, 0.0, left)
+    return [plots.Window(m - 0.6, m + 1.6, f"pass {i}") for i, m in enumerate(sorted(middles), start=1)]
+
+
+def _whole(outcome: Outcome) -> plots.Window:
+    t = outcome.replay.t[outcome.compared]
+    return plots.Window(float(t[0]), float(t[-1]))
+
+
+def _in_time(result: DemoResult, name: str, windows: list[plots.Window]) -> Figure:
+    before, after = result.before[name].replay, result.after[name].replay
+    return plots.in_time(
+        after.t, after.measured, after.simulated, before=_at(before.t, before.simulated, after.t), windows=windows,
+        origin=float(after.t[0]), names={"simulated": "twin, calibrated", "before": "twin as it started"},
+    )  # fmt: skip
+
+
+def _at(t: Floats, y: Floats, stamps: Floats) -> Floats:
+    """Values at exactly those stamps, NaN where there is none."""
+    place = np.clip(np.searchsorted(t, stamps), 0, t.size - 1)
+    return np.where(t[place] == stamps, y[place], np.nan)
+
+
+def _uniform(outcome: Outcome) -> tuple[Floats, Floats, float]:
+    """Measured and simulated on an even grid over what is compared, and its rate."""
+    t = outcome.replay.t
+    inside = t[outcome.compared]
+    rate = 1.0 / float(np.median(np.diff(t)))
+    grid = np.arange(inside[0], inside[-1], 1.0 / rate)
+    return np.interp(grid, t, outcome.replay.measured), np.interp(grid, t, outcome.replay.simulated), rate
+
+
+def _in_frequency(result: DemoResult, name: str) -> Figure:
+    measured, simulated, rate = _uniform(result.after[name])
+    _, before, _ = _uniform(result.before[name])
+    frequency, density = power_density(
+        np.column_stack([measured, simulated, before, measured - simulated]), rate, 4.0
+    )
+    roles = ("measured", "simulated", "before", "residual")
+    order = ("residual", "before", "measured", "simulated")
+    columns = dict(zip(roles, density.T, strict=True))
+    names = {
+        "simulated": "twin, calibrated",
+        "before": "twin as it started",
+        "residual": "measured − calibrated",
+    }
+    return plots.in_frequency(frequency, {r: columns[r] for r in order}, cutoff=_CUTOFF, names=names)
+
+
+def _map(result: DemoResult, name: str) -> Figure:
+    path = result.after[name].replay.path
+    path = path[np.isfinite(path[:, 5])]
+    road, fix = result.roads[name], result.drives[name].fix
+    outline = np.column_stack(road.uv_to_xy(*_border(road.u, road.v)))
+    fixes = LocalMap(result.datums[name]).to_map(fix.latitude, fix.longitude, fix.altitude)[:, :2]
+    middle = road.x.size // 2
+    heading = float(np.arctan2(road.y[middle + 1] - road.y[middle], road.x[middle + 1] - road.x[middle]))
+    return plots.path_map(
+        path[:, 1],
+        path[:, 2],
+        outline=outline,
+        fixes=fixes,
+        value=3.6 * path[:, 4],
+        turn=-heading,
+    )
+
+
+def _border(u: Floats, v: Floats) -> tuple[Floats, Floats]:
+    """Road coordinates once around the road's border."""
+    ones_u, ones_v = np.ones_like(u), np.ones_like(v)
+    along = np.concatenate([u, u[-1] * ones_v, u[::-1], u[0] * ones_v])
+    across = np.concatenate([v[0] * ones_u, v, v[-1] * ones_u, v[::-1]])
+    return along, across
+
+
+def _by_road(result: DemoResult, name: str) -> Figure:
+    before, after = result.before[name], result.after[name]
+    road = result.roads[name]
+    difference = (after.replay.measured - after.replay.simulated)[after.compared]
+    early = before.replay.measured - before.replay.simulated
+    station = after.station[after.compared]
+    lane = float(np.median(road.xy_to_uv(after.replay.path[:, 1], after.replay.path[:, 2])[1]))
+    half = result.twins["before"].vehicle.front_track / 2
+    u = np.arange(station.min(), station.max() + 3.0, road.u_step)
+    tracks = np.column_stack([road.heights_uv(u, np.full(u.size, lane + side)) for side in (half, -half)])
+    tracks -= uniform_filter1d(tracks, round(_WAVE / road.u_step), axis=0, mode="nearest")
+    return plots.residual_by_road(
+        station,
+        difference,
+        before=_at(before.replay.t, early, after.replay.t)[after.compared],
+        profile=(u, tracks),
+        profile_label=f"waves below\n{_WAVE:g} m [cm]",
+        names={"residual": "calibrated", "before": "twin as it started"},
+    )
+
+
+def _characteristics(result: DemoResult) -> Figure:
+    spans = {axle: AxleEvidence(compression=c, velocity=v) for axle, (c, v) in result.excited.items()}
+    vehicles = {role: result.twins[role].vehicle for role in ("before", "simulated", "truth")}
+    return characteristics(vehicles, evidence=spans, names={"before": "as it started"}, from_rest=True)
+
+
+def _calibration(result: DemoResult, convergence: Figure | None) -> Section:
+    answer = result.calibration
+    assert answer is not None
+    rows: list[list[object]] = []
+    for key, value in answer.values.items():
+        _, axle, curve, name, index = (*key.split("."), "", "", "", "")[:5]
+        if name != "force":
+            continue
+        mine, true = (getattr(getattr(result.twins[who].vehicle, axle), curve) for who in ("before", "truth"))
+        x, started = (points[int(index)] for points in mine.points)
+        truth = float(force(true.points, np.array([x]))[0])
+        unit = "m" if curve == "spring" else "m/s"
+        mark = _EXCITED if answer.excited.get(key, True) else _NOT_EXCITED
+        label = f"{axle} {curve.replace('_', ', ')}, {x:g} {unit}"
+        rows.append(
+            [
+                label,
+                float(started),
+                value,
+                truth,
+                f"{100 * (value / truth - 1):+.0f} %".replace("-", "−"),
+                mark,
+            ]
+        )
+    columns = ["point", "started as [N]", "found [N]", "truth [N]", "off by", "excited by the drive"]
+    idle = sum(not answer.excited.get(key, True) for key in answer.values)
+    text = (
+        f"The action `calibrate` brought the cost from {short(answer.initial_cost)} to {short(answer.cost)} with "
+        f"{answer.evaluations} simulated candidates in {answer.wall:.0f} s. {idle} of {len(answer.values)} "
+        "parameters were not excited by the drive."
+    )
+    return Section(
+        "The calibration", text, convergence, Table(columns, rows, "Forces at the wheel, for one wheel.")
+    )
+
+
+def _explain() -> str:
+    return (
+        "Root mean square of measured minus simulated vertical acceleration while the car moves, as the nodes "
+        "published it; in brackets the mean square that the car paper counts. The true parameters leave a gap too: "
+        "the reality behind these drives has friction, tyre damping and a phone's noise that no twin knows of. "
+        "The paper's own figures on its road, 2.42 (IPG CarMaker) and 2.12 (Unity 3D), are of another car, road and "
+        "recording, and cannot be compared with these."
+    )
+
+
+def _table(result: DemoResult) -> Table:
+    rows = []
+    for name, title in DRIVES.items():
+        before, after, truth = (part[name] for part in (result.before, result.after, result.truth))
+        seen = "calibrated on" if name == LEARNT else "not seen"
+        shrink = 1.0 - after.rms / before.rms
+        rows.append(
+            [
+                f"{title} ({seen})",
+                f"{after.measured_rms:.3f}",
+                f"{before.rms:.3f} ({before.mse:.4f})",
+                Cell(f"{after.rms:.3f} ({after.mse:.4f})", "good" if shrink > 0.4 else "warn"),
+                f"{truth.rms:.3f} ({truth.mse:.4f})",
+                f"{100 * shrink:.0f} %",
+            ]
+        )
+    columns = [
+        "drive",
+        "measured, rms m/s²",
+        "gap as it started",
+        "gap calibrated",
+        "gap of the true parameters",
+        "closed",
+    ]
+    return Table(columns, rows)

@@ -1,0 +1,183 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Where hypotheses are tried: drives with the gap, drives from before it, one vehicle under both.
+
+The unknowns of a hypothesis are the vehicle's characteristics (slope coordinates, d), the nuisances
+(q) and the effects' coordinates (k), in this order. Characteristics and nuisances hold for all drives,
+the effects for those that show the gap alone: what changed is the evidence.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from suspension_twin.calibration.nuisance import NuisancePriors
+from suspension_twin.calibration.problem import Interrupted, Problem, _stack
+from suspension_twin.diagnosis.hypotheses import Hypothesis
+from suspension_twin.diagnosis.noise import INDEPENDENT, Whitener
+from suspension_twin.drive.types import Floats
+from suspension_twin.gap.prepare import Prepared
+from suspension_twin.models.parameters import lanes
+from suspension_twin.models.simulate import simulate_lanes
+from suspension_twin.vehicle.twin import Twin
+
+__all__ = ["NORMAL", "Bench", "Linearised", "gram"]
+
+#: What is normal of clocks, maps and mounts: more than that is a finding, not a nuisance.
+#: A gain is none: a phone's is within half a per cent, and a free one takes the blame for any model's error.
+NORMAL = NuisancePriors(clock=0.005, map_position=0.05, gain=0.0, tilt=0.009, force_bias=0.05, rate_bias=0.005)
+_STEP = 1e-3
+_STEP_EFFECT = 1e-2
+
+
+def gram(a: Floats, b: Floats) -> Floats:
+    """a.T @ b for tall arrays (R, p) and (R, q)."""
+    return np.asarray(a.T @ b)
+
+
+@dataclass(frozen=True, eq=False)
+class Linearised:
+    """Residuals (R,) and Jacobian (R, d + q + k) at ``x``."""
+
+    x: Floats
+    residual: Floats
+    jacobian: Floats
+
+
+@dataclass(eq=False)
+class Bench:
+    """A problem over all drives; ``active`` (drives,) True where the gap is. ``precision`` (d + q, d + q)
+    and ``centre`` (d + q,) are the prior of characteristics and nuisances.
+    ``heard`` limits the residuals to some drives."""
+
+    problem: Problem
+    active: tuple[bool, ...]
+    whitener: Whitener
+    precision: Floats
+    centre: Floats
+    stop: Callable[[], bool] = lambda: False
+    heard: tuple[int, ...] | None = None
+    simulations: int = 0
+
+    @property
+    def d(self) -> int:
+        return len(self.problem.space)
+
+    @property
+    def q(self) -> int:
+        return len(self.problem.nuisances)
+
+    def prior(self, hypothesis: Hypothesis) -> tuple[Floats, Floats]:
+        """Precision and centre with the hypothesis' own coordinates, whose prior is standard normal."""
+        p, k = self.d + self.q, len(hypothesis)
+        precision = np.eye(p + k)
+        precision[:p, :p] = self.precision
+        return precision, np.concatenate([self.centre, np.zeros(k)])
+
+    def clipped(self, hypothesis: Hypothesis, x: Floats) -> Floats:
+        """Coordinates (p + k, L) with the effects' inside their bounds."""
+        low, high = hypothesis.bounds()
+        out = x.copy()
+        p = self.d + self.q
+        out[p:] = np.clip(x[p:], low[:, None], high[:, None])
+        return out
+
+    # -- simulation ----------------------------------------------------------------------------
+
+    def signals(self, hypothesis: Hypothesis, z: Floats, u: Floats) -> tuple[list[Floats], np.ndarray]:
+        """Conditioned signals (m, C, L) of every drive for slope coordinates (d, L) and effects (k, L).
+
+        A drive without the effects, on which all lanes are alike, comes back with one lane.
+        """
+        problem = self.problem
+        values = problem.space.from_slopes(z)
+        twin = hypothesis.twin(problem.twin)
+        plain_keys, keys = problem.space.keys, (*problem.space.keys, *hypothesis.keys)
+        count = values.shape[1]
+        with_effects = lanes(twin, keys, np.concatenate([values, hypothesis.values(u)]).T)
+        alike = bool((values == values[:, :1]).all())
+        plain = lanes(problem.twin, plain_keys, (values[:, :1] if alike else values).T)
+        failed = np.zeros(count, dtype=bool)
+        out = []
+        for part, drive in zip(problem.parts, problem.drive_of, strict=True):
+            if self.stop():
+                raise Interrupted
+            shown = self.active[drive] and bool(hypothesis.effects)
+            given = (twin, with_effects) if shown else (problem.twin, plain)
+            stacked, bad = self._simulated(*given, part)
+            failed |= bad
+            out.append(part.conditioner.apply(stacked))
+        return out, failed
+
+    def _simulated(self, twin: Twin, candidates: Floats, part: Prepared) -> tuple[Floats, np.ndarray]:
+        """Channels (n, C, L) and failed lanes (L,); a batch that breaks off is taken lane by lane."""
+        channels = self.problem.channels
+        self.simulations += candidates.shape[1]
+        try:
+            response = simulate_lanes(twin, candidates, part.excitation)
+            return _stack(response, channels), response.failed
+        except np.linalg.LinAlgError:
+            if candidates.shape[1] == 1:
+                return np.zeros((len(part.excitation), len(channels), 1)), np.ones(1, dtype=bool)
+            middle = candidates.shape[1] // 2
+            halves = [self._simulated(twin, c, part) for c in (candidates[:, :middle], candidates[:, middle:])]
+            return np.concatenate([h[0] for h in halves], axis=2), np.concatenate([h[1] for h in halves])
+
+    def compared(self, signals: Sequence[Floats], nuisance: Floats) -> Floats:
+        """(M, C, L) what the sensors would have delivered."""
+        return self.problem.compared(signals, nuisance)
+
+    def white(self, signals: Sequence[Floats], nuisance: Floats) -> Floats:
+        """(R, L) whitened residuals; their squares' sum is -2 log likelihood of independent samples."""
+        white = self.whitener.residuals(self.compared(signals, nuisance)) * np.sqrt(INDEPENDENT)
+        if self.heard is not None:
+            white[~np.isin(self.whitener.drive, self.heard)] = 0.0
+        return np.asarray(white)
+
+    def residuals(self, hypothesis: Hypothesis, x: Floats) -> tuple[Floats, np.ndarray]:
+        """(R, L) whitened residuals of unknowns (d + q + k, L), and which lanes failed."""
+        d, q = self.d, self.q
+        found, failed = [], []
+        for cut in self.problem.batches(x.shape[1]):
+            signals, bad = self.signals(hypothesis, x[:d, cut], x[d + q :, cut])
+            found.append(self.white(signals, x[d : d + q, cut]))
+            failed.append(bad)
+        return np.concatenate(found, axis=1), np.concatenate(failed)
+
+    def costs(self, hypothesis: Hypothesis, x: Floats) -> Floats:
+        """(L,) -2 log posterior, infinite where a lane failed."""
+        residual, failed = self.residuals(hypothesis, x)
+        precision, centre = self.prior(hypothesis)
+        away = x - centre[:, None]
+        penalty = np.einsum("il,ij,jl->l", away, precision, away, optimize=False)
+        total = np.einsum("rl,rl->l", residual, residual, optimize=False) + penalty
+        return np.asarray(np.where(failed | ~np.isfinite(total), np.inf, total))
+
+    def linearise(self, hypothesis: Hypothesis, x: Floats, known: Floats | None = None) -> Linearised:
+        """Residuals and Jacobian at ``x``; ``known`` (R, d + q) columns are taken over instead of simulated."""
+        d, q, k = self.d, self.q, len(hypothesis)
+        _, high = hypothesis.bounds()
+        u = x[d + q :]
+        # away from the nearer bound, so that every difference is one
+        steps = np.where(u + _STEP_EFFECT > high, -_STEP_EFFECT, _STEP_EFFECT)
+        physics = 0 if known is not None else d
+        z = np.repeat(x[:d, None], 1 + physics + k, axis=1)
+        us = np.repeat(u[:, None], 1 + physics + k, axis=1)
+        if physics:
+            z[np.arange(d), 1 + np.arange(d)] += _STEP
+        us[np.arange(k), 1 + physics + np.arange(k)] += steps
+        signals, failed = self.signals(hypothesis, z, us)
+        held = np.repeat(x[d : d + q, None], z.shape[1], axis=1)
+        white = self.white(signals, held)
+        base = white[:, 0].copy()
+        moved = (white[:, 1:] - base[:, None]) / np.concatenate([np.full(physics, _STEP), steps])
+        moved = np.where(failed[None, 1:], 0.0, moved)
+        if known is not None:
+            return Linearised(x, base, np.concatenate([known, moved], axis=1))
+        small = self.problem.nuisances.steps
+        shifted = np.repeat(x[d : d + q, None], q, axis=1)
+        shifted[np.diag_indices(q)] += small
+        nuisance = (self.white([s[:, :, :1] for s in signals], shifted) - base[:, None]) / small
+        return Linearised(x, base, np.concatenate([moved[:, :d], nuisance, moved[:, d:]], axis=1))

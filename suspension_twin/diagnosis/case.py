@@ -1,0 +1,187 @@
+# SPDX-License-Identifier: Apache-2.0
+"""From a request to a bench: reading, checking, and calibrating the vehicle without any effect."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from suspension_twin.calibration.checks import check_drive, check_parts
+from suspension_twin.calibration.identify import CORRELATION
+from suspension_twin.calibration.objectives import parse_objective
+from suspension_twin.calibration.presets import build_space, preset_named
+from suspension_twin.calibration.problem import Interrupted, Problem
+from suspension_twin.calibration.stretches import TrimSettings, fit_rows
+from suspension_twin.diagnosis.bench import NORMAL, Bench
+from suspension_twin.diagnosis.fit import Fit, finished, refit
+from suspension_twin.diagnosis.hypotheses import BASELINE
+from suspension_twin.diagnosis.noise import USUAL_SHARE, Whitener, shares
+from suspension_twin.diagnosis.request import DiagnosisRequest
+from suspension_twin.drive.read import read_drive
+from suspension_twin.drive.types import Floats
+from suspension_twin.errors import InputError
+from suspension_twin.gap.measure import CHANNELS
+from suspension_twin.gap.prepare import Prepared, prepare, road_of
+from suspension_twin.road import flat_road
+from suspension_twin.vehicle.twin import Twin, load_twin
+
+__all__ = ["PLANAR", "VERTICAL", "Case", "baseline", "build", "read_case"]
+
+VERTICAL = ("vertical_acceleration", "roll_rate", "pitch_rate")
+PLANAR = ("longitudinal_acceleration", "lateral_acceleration", "yaw_rate")
+#: Seconds of compared driving below which nothing can be held back from the fit.
+SHORTEST = 8.0
+#: Free beside the characteristics: what no weighbridge tells.
+_ALSO = (
+    "vehicle.sprung_inertia.roll",
+    "vehicle.sprung_inertia.pitch",
+    "vehicle.tyre.vertical_stiffness",
+    "vehicle.front.unsprung_mass",
+    "vehicle.rear.unsprung_mass",
+)
+
+
+@dataclass(frozen=True, eq=False)
+class Case:
+    """Drives ready to compare; ``active`` True where the gap is shown, ``road`` False without a road file."""
+
+    twin: Twin
+    drives: tuple[Prepared, ...]
+    active: tuple[bool, ...]
+    road: bool
+    warnings: tuple[str, ...]
+
+    @property
+    def channels(self) -> tuple[str, ...]:
+        return CHANNELS if self.road else PLANAR
+
+
+def read_case(request: DiagnosisRequest, note: Callable[[str], None], stop: Callable[[], bool]) -> Case:
+    """Read and check everything; raises InputError that names the file or the drive."""
+    twin = load_twin(request.twin)
+    if not request.bags:
+        raise InputError("drives", "none are given: name at least one recorded drive that shows the gap")
+    same = {Path(b).resolve() for b in request.bags} & {Path(b).resolve() for b in request.reference}
+    if same:
+        raise InputError(min(same).name, "is given as a drive with the gap and as one from before it")
+    on_road = twin.road is not None
+    road = road_of(twin) if on_road else flat_road()
+    drives: list[Prepared] = []
+    for bag in (*request.bags, *request.reference):
+        if stop():
+            raise Interrupted
+        note(f"reading {Path(bag).name}")
+        recorded = read_drive(bag, topics=request.topics)
+        if not len(recorded.fix):
+            raise InputError(recorded.name, "fix", "holds no GNSS fix: without positions nothing can be compared")
+        prepared = prepare(recorded, twin, road)
+        if on_road:
+            check_drive(prepared)
+        drives.append(prepared)
+    names: list[str] = []
+    for i, drive in enumerate(drives):
+        name = drive.name if drive.name not in names else f"{drive.name}_{i + 1}"
+        names.append(name)
+        drives[i] = replace(drive, name=name)
+    active = tuple(i < len(request.bags) for i in range(len(drives)))
+    rates = {round(d.rate) for d in drives}
+    if len(rates) > 1:
+        raise InputError("drives", f"come at different rates ({sorted(rates)} Hz): diagnose them one by one")
+    warnings = [f"{d.name}: {text}" for d in drives for text in d.warnings]
+    if not on_road:
+        warnings.append(
+            "the twin file names no road: only the planar channels are compared, and only effects of clock, sensor "
+            "and mount can be judged"
+        )
+    return Case(twin, tuple(drives), active, on_road, tuple(warnings))
+
+
+def build(case: Case, stop: Callable[[], bool]) -> Bench:
+    """The bench of a case with the noise model for a share of the motion that nobody knows yet."""
+    settings = TrimSettings() if case.road else TrimSettings(threshold=0.0)
+    for drive in case.drives:
+        samples = fit_rows(drive, settings).size
+        if case.road:
+            check_parts(drive, samples, settings)
+    for wanted, what in ((True, "drives that show the gap"), (False, "reference drives")):
+        own = [d for d, a in zip(case.drives, case.active, strict=True) if a == wanted]
+        seconds = sum(fit_rows(d, settings).size / d.rate for d in own)
+        if own and seconds < SHORTEST:
+            raise InputError(
+                own[0].name,
+                f"{seconds:.1f} s of excited driving in the {what} cannot be split into stretches to fit and stretches "
+                f"to judge on: at least {SHORTEST:.0f} s are needed",
+            )
+    preset = preset_named("fast")
+    twin = case.twin
+    space = build_space(twin, replace(preset, also=_ALSO))
+    terms = parse_objective("euclidean", dict.fromkeys(case.channels, 1.0))
+    wander = [0.5 * d.position_sigma if d.position_sigma >= 0.1 else 0.0 for d in case.drives]
+    numbers = list(range(len(case.drives)))
+    problem = Problem(twin, space, case.drives, numbers, terms, NORMAL, wander, settings)
+    problem.interrupt = stop
+    d, q = len(space), len(problem.nuisances)
+    precision = np.zeros((d + q, d + q))
+    precision[:d, :d] = space.prior_precision(CORRELATION)
+    precision[np.arange(d, d + q), np.arange(d, d + q)] = 1.0 / problem.nuisances.spread**2
+    centre = np.concatenate([space.z0, np.zeros(q)])
+    share = np.full((len(case.channels), 129), USUAL_SHARE)
+    floors = [dict(p.noise_rms) for p in case.drives]
+    whitener = Whitener.designed(problem, share, floors)
+    return Bench(problem, case.active, whitener, precision, centre, stop)
+
+
+def baseline(case: Case, bench: Bench) -> tuple[Fit, Fit]:
+    """The vehicle without any effect: on all drives, and where searches for effects start from.
+
+    With a reference, what the calibrated model leaves there, band by band, is what it leaves of the same
+    car anyway, and searches start from the vehicle that the reference shows. Planar accelerations come
+    from GNSS and not from the model: their noise is what they leave.
+    """
+    d, q = bench.d, bench.q
+    everything = list(range(len(bench.active)))
+    quiet = [i for i, a in enumerate(bench.active) if not a] or everything
+    referenced = len(quiet) < len(everything)
+    floors = [dict(p.noise_rms) for p in case.drives]
+    x = bench.centre.copy()
+    for number in range(2):
+        trial = replace(bench, heard=tuple(quiet))
+        x, _ = refit(trial, BASELINE, [x] if number else _many(bench, x), None, 8 if number == 0 else 5)
+        signals, _ = bench.signals(BASELINE, x[:d, None], np.zeros((0, 1)))
+        simulated = bench.compared(signals, x[d : d + q, None])[:, :, 0]
+        left = shares(bench.problem, simulated - bench.problem.measured.values, quiet)
+        if not referenced:
+            for c, channel in enumerate(bench.problem.channels):
+                if channel in VERTICAL:
+                    left[c] = USUAL_SHARE
+        whitener = Whitener.designed(bench.problem, left, floors)
+        white = whitener.residuals(simulated[:, :, None])[:, 0]
+        bench.whitener = _scaled(whitener, white, np.isin(whitener.drive, quiet))
+    anchor = finished(bench, BASELINE, x)
+    if referenced:
+        x, _ = refit(bench, BASELINE, [x], None, 6)
+    return finished(bench, BASELINE, x), anchor
+
+
+def _scaled(whitener: Whitener, white: Floats, rows: np.ndarray) -> Whitener:
+    scale = whitener.scale.copy()
+    for c in range(scale.size):
+        own = white[rows & (whitener.channel == c)]
+        scale[c] *= float(np.clip(np.sqrt(np.mean(own**2)), 1e-2, 1e3)) if own.size else 1.0
+    return replace(whitener, scale=scale)
+
+
+def _many(bench: Bench, x: Floats) -> Sequence[Floats]:
+    """The twin as it stands and stiffer, softer, harder and weaker versions of it."""
+    found = [x]
+    for springs in (-0.7, 0.0, 0.7, 1.4):
+        for dampers in (-0.7, 0.0, 0.7):
+            y = x.copy()
+            for curve in bench.problem.space.curves:
+                rows = [r for r in curve.rows if r >= 0]
+                y[rows] += springs if curve.key.endswith("spring") else dampers
+            found.append(y)
+    return found

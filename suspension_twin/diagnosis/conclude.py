@@ -1,0 +1,239 @@
+# SPDX-License-Identifier: Apache-2.0
+"""From findings to the document, and the twin that goes with it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from suspension_twin.diagnosis import gaps, verdict
+from suspension_twin.diagnosis.bench import Bench
+from suspension_twin.diagnosis.case import Case
+from suspension_twin.diagnosis.experiment import next_experiment
+from suspension_twin.diagnosis.fit import Fit
+from suspension_twin.diagnosis.judge import Blocks, Evidence
+from suspension_twin.diagnosis.request import DiagnosisRequest, DiagnosisResult, DriveView
+from suspension_twin.diagnosis.search import Single
+from suspension_twin.diagnosis.where import localise, signature
+from suspension_twin.drive.types import Floats
+from suspension_twin.models.simulate import simulate_twin
+from suspension_twin.vehicle.twin import Twin
+
+__all__ = ["Findings", "conclude", "twin_of"]
+
+_WORTH_ASKING = 0.01  # probability of a runner-up that a further drive could still turn to
+_TIED = 0.05  # how often the second has to win for the two not to be told apart
+
+
+@dataclass(frozen=True, eq=False)
+class Findings:
+    """``left``, ``weights`` and ``gates`` count the baseline first, then ``singles``; ``chosen`` is what
+    the written twin has, ``chosen_left`` and ``chosen_gate`` belong to it."""
+
+    blocks: Blocks
+    noise: dict[str, float]
+    standing: gaps.Remainder
+    base: Evidence
+    singles: list[Single]
+    left: list[gaps.Remainder]
+    weights: Floats
+    beats: Floats
+    gates: list[verdict.Gates]
+    chosen: Evidence
+    chosen_left: gaps.Remainder
+    chosen_gate: verdict.Gates
+    reference: float | None
+    temper: float
+
+
+def twin_of(case: Case, bench: Bench, fit: Fit) -> Twin:
+    """The twin with a fit's characteristics and effects, checked like any twin file."""
+    values = bench.problem.space.from_slopes(fit.x[: bench.d])
+    changes = {k: float(v) for k, v in zip(bench.problem.space.keys, values, strict=True)}
+    twin = case.twin.with_changes(changes)
+    specs = fit.hypothesis.spec(fit.effects(bench)) if fit.hypothesis.effects else ()
+    return twin.model_copy(update={"effects": (*case.twin.effects, *specs), "road": case.twin.road})
+
+
+def conclude(
+    request: DiagnosisRequest, case: Case, bench: Bench, found: Findings, seconds: float
+) -> DiagnosisResult:
+    """The document of diagnosis.json, the twin with what was found, and what the report shows."""
+    channel = bench.problem.channels[0]
+    base_shrink = _shrink(bench, found, found.left[0], request.seed)
+    beyond = np.array(
+        [gaps.shrink_of(bench, found.left[0], r, found.blocks, found.noise[channel], 0, request.seed).shrink
+         for r in found.left[1:]]
+    )  # fmt: skip
+    effects, no_gap, unknown = verdict.masses(found.weights, found.gates, beyond)
+    chosen = found.chosen.fit.hypothesis.effects
+    if len(chosen) > 1:
+        effects, unknown = _shared(found, effects, unknown, chosen)
+    groups = _groups(found, effects)
+    left = 1.0 - _shrink(bench, found, found.chosen_left, request.seed).shrink
+    adequate = found.chosen_gate.adequate
+    answer = verdict.verdict_of(effects, no_gap, unknown, adequate, left, [*groups, list(_places(found, chosen))])
+    kept = found.chosen if answer in ("effect", "partly") else found.base
+    kept_left = found.chosen_left if kept is found.chosen else found.left[0]
+    twin = twin_of(case, bench, kept.fit)
+    shrink = _shrink(bench, found, kept_left, request.seed)
+    causes = _causes(bench, found, effects, beyond, groups, request.seed)
+    document: dict[str, Any] = {
+        "verdict": answer,
+        "gap": _gap(bench, found),
+        "where": localise(bench, found.left[0].difference, found.noise, twin_of(case, bench, found.base.fit)),
+        "causes": causes,
+        "no_gap_probability": round(float(no_gap), 6),
+        "unknown_probability": round(float(unknown), 6),
+        "combination": list(kept.fit.hypothesis.effects),
+        "unexplained": _round(1.0 - shrink.shrink),
+        "recalibration": {
+            "gap_before": _round(base_shrink.before), "gap_after": _round(base_shrink.after),
+            "shrink": _round(base_shrink.shrink), "shrink_interval": [_round(v) for v in base_shrink.interval],
+        },
+        "background": {
+            "share_of_motion_left": _round(verdict.level_of(bench, kept_left, found.noise, shown=True)),
+            "share_left_on_reference": None if found.reference is None else _round(found.reference),
+            "noise_share_of_the_rest": _round(found.temper),
+        },
+        "cannot_be_judged": [s.effect for s in found.singles if not s.judged],
+        "warnings": list(case.warnings),
+    }  # fmt: skip
+    if answer in ("unknown", "partly"):
+        document["signature"] = signature(bench, kept_left.difference, twin)
+    tied = [found.singles[i] for i in (groups[0] if groups else [])]
+    if len(tied) < 2:
+        named = [c["effect"] for c in causes[:2] if c["probability"] > _WORTH_ASKING]
+        tied = [s for name in named for s in found.singles if s.effect == name]
+    document["next_experiment"] = next_experiment(case, bench, tied, answer, found)
+    document["seed"] = request.seed
+    document["message"] = _message(answer, document, shrink)
+    views = _views(case, bench, twin, twin_of(case, bench, found.base.fit))
+    return DiagnosisResult(document, twin, views, seconds, case.warnings)
+
+
+def _shrink(bench: Bench, found: Findings, after: gaps.Remainder, seed: int) -> gaps.Shrink:
+    channel = bench.problem.channels[0]
+    return gaps.shrink_of(bench, found.standing, after, found.blocks, found.noise[channel], 0, seed)
+
+
+def _gap(bench: Bench, found: Findings) -> dict[str, Any]:
+    rows = gaps.shown_rows(bench)
+    rms = {
+        name: _round(float(np.sqrt(np.mean(found.standing.difference[rows, c] ** 2))))
+        for c, name in enumerate(bench.problem.channels)
+    }
+    first = bench.problem.channels[0]
+    return {
+        "rms": rms[first], "mse": _round(rms[first] ** 2), "noise_rms": _round(found.noise[first]),
+        "channel": first, "channels": rms,
+    }  # fmt: skip
+
+
+def _causes(
+    bench: Bench, found: Findings, effects: Floats, beyond: Floats, groups: list[list[int]], seed: int
+) -> list[dict[str, Any]]:
+    names = [s.effect for s in found.singles]
+    together = dict(zip(found.chosen.fit.hypothesis.keys, found.chosen.fit.effects(bench), strict=True))
+    causes = []
+    for i in sorted(range(len(names)), key=lambda i: (-round(float(effects[i]), 9), -float(found.weights[1 + i]), i)):
+        single = found.singles[i]
+        shrink = _shrink(bench, found, found.left[1 + i], seed)
+        held = dict(single.fit.hypothesis.fixed)
+        values = {
+            **held, **dict(zip(single.fit.hypothesis.keys, single.fit.effects(bench), strict=True)),
+            **{k: v for k, v in together.items() if k.split(".")[1] == names[i]},
+        }  # fmt: skip
+        gate = found.gates[1 + i]
+        causes.append(
+            {
+                "effect": names[i],
+                "probability": round(float(effects[i]), 6),
+                "parameters": {k.split(".")[2]: float(f"{float(v):.6g}") for k, v in values.items()},
+                "gap_before": _round(shrink.before),
+                "gap_after": _round(shrink.after),
+                "shrink": _round(shrink.shrink),
+                "shrink_interval": [_round(v) for v in shrink.interval],
+                "shrink_beyond_recalibration": _round(float(beyond[i])),
+                "indistinguishable_from": [names[j] for g in groups if i in g for j in g if j != i],
+                "gates": {
+                    "material": _round(gate.material), "adequate": _round(gate.adequate),
+                    "plausible": _round(gate.plausible),
+                },
+                "judged": single.judged,
+                "log_evidence": round(
+                    float(single.evidence.score.sum() - found.base.score.sum())
+                    - 0.5 * (single.evidence.occam - found.base.occam), 2,
+                ),
+            }
+        )  # fmt: skip
+    return causes
+
+
+def _groups(found: Findings, effects: Floats) -> list[list[int]]:
+    """Sets of effects whose evidence cannot be told apart from the leader's."""
+    if not effects.size:
+        return []
+    lead = int(np.argmax(found.weights[1:]))
+    tied = [
+        i
+        for i, s in enumerate(found.singles)
+        if i == lead or (s.judged and found.beats[1 + i, 1 + lead] > _TIED and found.gates[1 + i].material > 0.3)
+    ]
+    return [tied] if len(tied) > 1 and found.gates[1 + lead].material > 0.3 else []
+
+
+def _places(found: Findings, chosen: tuple[str, ...]) -> list[int]:
+    return [i for i, s in enumerate(found.singles) if s.effect in chosen]
+
+
+def _shared(
+    found: Findings, effects: Floats, unknown: float, chosen: tuple[str, ...]
+) -> tuple[Floats, float]:
+    """With a combination its members carry what all effects carry, in equal parts, and the part of unknown
+    that the combination has explained."""
+    gate = found.chosen_gate
+    explained = float(effects.sum()) + unknown * gate.adequate
+    out = np.zeros_like(effects)
+    places = _places(found, chosen)
+    out[places] = explained / len(places)
+    return out, unknown * (1.0 - gate.adequate)
+
+
+def _views(case: Case, bench: Bench, after: Twin, recalibrated: Twin) -> tuple[DriveView, ...]:
+    views = []
+    channel = bench.problem.channels[0]
+    for part, rows, active in zip(bench.problem.parts, bench.problem.rows, bench.active, strict=True):
+        if not active:
+            continue
+        before, middle, found = (
+            part.condition(simulate_twin(twin, part.excitation))[channel] for twin in (case.twin, recalibrated, after)
+        )
+        compared = np.zeros(part.t.size, dtype=bool)
+        compared[rows] = True
+        measured = part.measured[channel]
+        views.append(
+            DriveView(part.name, part.t, part.position, part.rate, measured, before, middle, found, compared)
+        )
+    return tuple(views)
+
+
+def _message(answer: str, document: dict[str, Any], shrink: gaps.Shrink) -> str:
+    gap = document["gap"]["rms"]
+    if answer == "no_gap":
+        return f"no gap: recalibrated, the twin leaves nothing material of {gap:.3g} m/s² that a sound model would not"
+    if answer == "unknown":
+        return f"unknown: a gap remains ({shrink.after:.3g} m/s²) that nothing in the library explains"
+    names = " and ".join(e.replace("_", " ") for e in document["combination"])
+    word = "partly " if answer == "partly" else ""
+    low, high = shrink.interval
+    return (
+        f"{word}{names}: the gap shrinks by {100 * shrink.shrink:.0f} % ({100 * low:.0f} to {100 * high:.0f} %) "
+        "on road that the fit has not seen"
+    )
+
+
+def _round(value: float) -> float:
+    return float(f"{float(value):.6g}")

@@ -1,0 +1,128 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What to drive next: the manoeuvre in which the candidates differ most, simulated."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from suspension_twin.diagnosis.bench import Bench
+from suspension_twin.diagnosis.case import Case
+from suspension_twin.diagnosis.search import Single
+from suspension_twin.errors import SuspensionTwinError
+from suspension_twin.gap.synthetic import path_along
+from suspension_twin.models.excitation import excitation
+from suspension_twin.models.simulate import simulate_twin
+from suspension_twin.road import Road, add_bump, bump_road, half_sine
+from suspension_twin.signals.conditioner import Conditioner
+from suspension_twin.signals.filters import FilterSpec
+from suspension_twin.vehicle.twin import Twin
+
+if TYPE_CHECKING:
+    from suspension_twin.diagnosis.conclude import Findings
+
+__all__ = ["Manoeuvre", "menu", "next_experiment", "separation"]
+
+_RATE = 100.0
+_CHANNELS = ("vertical_acceleration", "roll_rate", "pitch_rate", "longitudinal_acceleration")
+
+
+@dataclass(frozen=True, eq=False)
+class Manoeuvre:
+    """Something to drive: a road and knots (s, m/s) of the speed, starting ``u`` m on the road."""
+
+    name: str
+    road: Road
+    knots: tuple[tuple[float, float], ...]
+
+
+def menu() -> list[Manoeuvre]:
+    """The manoeuvres there are to choose from; each is short and needs no test track."""
+    bump = bump_road(half_sine(0.9, 0.07), at=30.0, length=140.0)
+    sharp = bump_road(half_sine(0.25, 0.03), at=30.0, length=140.0)
+    wave = bump_road(half_sine(6.0, 0.08), at=30.0, length=140.0)
+    pothole = bump_road(half_sine(0.7, -0.06), at=30.0, length=140.0)
+    ripple = bump_road(half_sine(2.0, 0.004), at=[20.0 + 6.0 * i for i in range(10)], length=140.0)
+    wide = bump_road(half_sine(0.9, 1e-6), at=30.0, length=140.0)
+    left = add_bump(wide, half_sine(0.9, 0.06), 40.0, v_low=0.1)
+    found = [Manoeuvre("standing still for ten seconds", bump, ((0.0, 0.0), (10.0, 0.0)))]
+    for kmh in (10, 20, 40):
+        v = kmh / 3.6
+        found.append(Manoeuvre(f"a speed bump (7 cm high, 0.9 m long) at {kmh} km/h", bump, ((0.0, v), (60.0 / v, v))))
+    for name, road, kmh in (
+        ("a low sharp edge (3 cm high, 0.25 m long) at 30 km/h", sharp, 30),
+        ("a long wave (8 cm high, 6 m long) at 40 km/h", wave, 40),
+        ("a pothole (6 cm deep, 0.7 m long) at 30 km/h", pothole, 30),
+        ("a bump under the left wheels only at 20 km/h", left, 20),
+        ("a smooth road (ripples of 4 mm) at 40 km/h", ripple, 40),
+    ):
+        v = kmh / 3.6
+        found.append(Manoeuvre(name, road, ((0.0, v), (min(60.0 / v, 12.0), v))))
+    found.append(
+        Manoeuvre(
+            "braking from 40 km/h over a speed bump", bump, ((0.0, 11.1), (2.0, 11.1), (4.5, 3.0), (8.0, 1.0))
+        )
+    )
+    return found
+
+
+def separation(first: Twin, second: Twin, what: Manoeuvre, noise: dict[str, float], share: float) -> float:
+    """Expected gain in nats: half the squared difference of what the two predict, over noise and the share
+    of its motion that a sound model misses."""
+    t = np.arange(what.knots[0][0], what.knots[-1][0], 1.0 / _RATE)
+    trajectory = path_along(what.road, t, what.knots, 5.0)
+    conditioner = Conditioner.for_stamps(t, FilterSpec(), zero_phase=True)
+    seen = []
+    for twin in (first, second):
+        r = simulate_twin(twin, excitation(trajectory, twin.vehicle, what.road))
+        stacked = np.column_stack([r.vertical_acceleration, r.rate[:, 0], r.rate[:, 1], r.force[:, 0]])
+        seen.append(conditioner.apply(stacked))
+    total = 0.0
+    for c, name in enumerate(_CHANNELS):
+        motion = float(np.std(seen[0][:, c]))
+        sigma2 = noise.get(name, 0.03 if name.endswith("acceleration") else 2e-3) ** 2 + (share * motion) ** 2
+        total += 0.5 * 0.4 * float(np.sum((seen[0][:, c] - seen[1][:, c]) ** 2)) / sigma2
+    return total
+
+
+def next_experiment(case: Case, bench: Bench, tied: Sequence[Single], answer: str, found: Findings) -> str:
+    """One sentence: what to drive, which candidates it separates and how well."""
+    from suspension_twin.diagnosis.conclude import twin_of
+
+    weak = [s.effect.replace("_", " ") for s in found.singles if not s.judged]
+    tail = f" Not excited so far: {', '.join(weak)}." if weak else ""
+    if len(tied) < 2:
+        return f"None is needed to tell candidates apart.{tail}"
+    twins = [replace_road(twin_of(case, bench, s.fit)) for s in tied[:2]]
+    names = [s.effect.replace("_", " ") for s in tied[:2]]
+    share = max(found.reference or 0.15, 0.05)
+    gains = []
+    for manoeuvre in menu():
+        try:
+            gains.append((separation(twins[0], twins[1], manoeuvre, found.noise, share), manoeuvre.name))
+        except SuspensionTwinError:
+            continue
+    if {"mount_resonance"} & {s.effect for s in tied[:2]}:
+        tail = f" A tap on the phone's holder at standstill shows whether it is the holder that rings.{tail}"
+    if not gains:
+        return f"None of the menu can be simulated with {names[0]} and {names[1]}.{tail}"
+    gain, name = max(gains)
+    if gain < 1.0:
+        return f"No manoeuvre of the menu separates {names[0]} from {names[1]} (best: {name}, {gain:.2g} nats).{tail}"
+    why = "if there is a gap at all and " if answer == "no_gap" else ""
+    return (
+        f"Drive {name}: it separates {names[0]} from {names[1]} best ({why}with an expected gain of {gain:.3g} nats "
+        f"a pass, odds of {_odds(gain)}).{tail}"
+    )
+
+
+def replace_road(twin: Twin) -> Twin:
+    """The twin for a road of the menu."""
+    return twin.model_copy(update={"road": None})
+
+
+def _odds(nats: float) -> str:
+    return f"{np.exp(nats):.0f} to 1" if nats < 9.0 else "more than 10000 to 1"

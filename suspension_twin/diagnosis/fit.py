@@ -1,0 +1,144 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The joint refit of characteristics, nuisances and effects.
+
+A hypothesis is screened first: its effects are simulated all over their prior with the vehicle as
+the baseline has it, and what the characteristics and nuisances can take back is taken back by linear
+algebra. From the best of these, Gauss-Newton runs on everything jointly.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy import linalg
+
+from suspension_twin.calibration.least_squares import solve_positive
+from suspension_twin.diagnosis.bench import Bench, Linearised, gram
+from suspension_twin.diagnosis.hypotheses import Hypothesis
+from suspension_twin.drive.types import Floats
+
+__all__ = ["Fit", "Screening", "finished", "refit", "screened"]
+
+_LADDER = (0.0, 1e-2, 1e-1, 1.0, 10.0)
+_LARGEST_STEP = 2.0
+
+
+@dataclass(frozen=True, eq=False)
+class Fit:
+    """A hypothesis at its best: unknowns ``x`` (d + q + k,), ``cost`` -2 log posterior, and the
+    linearisation there."""
+
+    hypothesis: Hypothesis
+    x: Floats
+    cost: float
+    at: Linearised
+
+    def effects(self, bench: Bench) -> Floats:
+        """(k,) values of the effects' parameters."""
+        return self.hypothesis.values(self.x[bench.d + bench.q :, None])[:, 0]
+
+
+@dataclass(frozen=True, eq=False)
+class Screening:
+    """Linearised joint ``cost`` and unknowns ``x`` of starts, the best first, and the largest ``power``:
+    half the squared change of the whitened signals that characteristics and nuisances cannot imitate, in nats."""
+
+    cost: list[float]
+    x: list[Floats]
+    power: float
+
+
+def screened(bench: Bench, base: Fit, hypothesis: Hypothesis, starts: Floats) -> Screening:
+    """Try every start (k, S) of a hypothesis' last effects with the vehicle of ``base``.
+
+    ``base`` may be a hypothesis of fewer effects: its coordinates are the first of those of ``hypothesis``.
+    """
+    p = bench.d + bench.q
+    kept = base.x.size - p
+    u = np.concatenate([np.repeat(base.x[p:, None], starts.shape[1], axis=1), starts])
+    x = np.concatenate([np.repeat(base.x[:p, None], u.shape[1], axis=1), u])
+    residual, failed = bench.residuals(hypothesis, x)
+    precision, centre = bench.prior(base.hypothesis)
+    jacobian = base.at.jacobian
+    hessian = gram(jacobian, jacobian) + precision
+    factor = linalg.cho_factor(hessian + 1e-10 * np.diag(np.diag(hessian)))
+    away = base.x - centre
+    gradient = gram(jacobian, residual) + np.einsum("ij,j->i", precision, away, optimize=False)[:, None]
+    step = -linalg.cho_solve(factor, gradient)
+    costs = np.einsum("rl,rl->l", residual, residual, optimize=False) + float(away @ precision @ away)
+    costs = costs + np.einsum("il,il->l", gradient, step, optimize=False)
+    costs = costs + np.sum(starts**2, axis=0)
+    costs = np.where(failed | ~np.isfinite(costs), np.inf, costs)
+    change = residual - base.at.residual[:, None]
+    seen = gram(jacobian, change)
+    lost = np.einsum("il,il->l", seen, linalg.cho_solve(factor, seen), optimize=False)
+    power = 0.5 * (np.einsum("rl,rl->l", change, change, optimize=False) - lost)
+    order = np.argsort(costs, kind="stable")
+    unknowns = []
+    for i in order:
+        moved = x[:, i].copy()
+        moved[: p + kept] += np.clip(step[:, i], -_LARGEST_STEP, _LARGEST_STEP)
+        unknowns.append(moved)
+    return Screening(costs[order].tolist(), unknowns, float(np.max(np.where(failed, 0.0, power))))
+
+
+def refit(
+    bench: Bench,
+    hypothesis: Hypothesis,
+    starts: Sequence[Floats],
+    known: Floats | None,
+    iterations: int,
+) -> tuple[Floats, float]:
+    """Gauss-Newton from the best of ``starts``; ``known`` columns of the Jacobian are kept as they are."""
+    candidates = bench.clipped(hypothesis, np.stack(list(starts), axis=1))
+    costs = bench.costs(hypothesis, candidates)
+    best = int(np.argmin(costs))
+    x, cost = candidates[:, best], float(costs[best])
+    precision, centre = bench.prior(hypothesis)
+    low, high = hypothesis.bounds()
+    p = bench.d + bench.q
+    damping = 1e-2
+    for _ in range(iterations):
+        at = bench.linearise(hypothesis, x, known)
+        hessian = gram(at.jacobian, at.jacobian) + precision
+        gradient = gram(at.jacobian, at.residual[:, None])[:, 0]
+        gradient = gradient + np.einsum("ij,j->i", precision, x - centre, optimize=False)
+        # a coordinate on its bound that wants out stays there
+        u = x[p:]
+        stuck = np.concatenate(
+            [np.zeros(p, dtype=bool), ((u <= low) & (gradient[p:] > 0)) | ((u >= high) & (gradient[p:] < 0))]
+        )
+        free = np.flatnonzero(~stuck)
+        trials = []
+        for factor in _LADDER:
+            damped = hessian[np.ix_(free, free)].copy()
+            damped[np.diag_indices(free.size)] *= 1.0 + damping * factor
+            step = np.zeros(x.size)
+            step[free] = -solve_positive(damped, gradient[free])
+            step *= min(1.0, _LARGEST_STEP / max(float(np.abs(step).max()), 1e-300))
+            trials.append(x + step)
+            if factor == 1.0:
+                trials.append(x + 0.3 * step)
+        tried = bench.clipped(hypothesis, np.stack(trials, axis=1))
+        costs = bench.costs(hypothesis, tried)
+        best = int(np.argmin(costs))
+        gain = cost - float(costs[best])
+        if gain <= 0:
+            damping *= 100.0
+            if damping > 1e4:
+                break
+            continue
+        x, cost = tried[:, best].copy(), float(costs[best])
+        damping = max(damping * 0.3, 1e-4)
+        if gain < 0.05:
+            break
+    return x, cost
+
+
+def finished(bench: Bench, hypothesis: Hypothesis, x: Floats, known: Floats | None = None) -> Fit:
+    """The fit at ``x`` with its linearisation."""
+    at = bench.linearise(hypothesis, x, known)
+    cost = float(bench.costs(hypothesis, x[:, None])[0])
+    return Fit(hypothesis, x, cost, at)

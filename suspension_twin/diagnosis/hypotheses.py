@@ -1,0 +1,161 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Effects as hypotheses: search coordinates of their parameters, and where a search starts.
+
+A coordinate is the parameter's distance from its typical value in spreads of its prior, so that the
+prior is a standard normal in each. A parameter that counts (``choices``) is no coordinate: every value
+of it is a hypothesis of its own, a variant, and the best speaks for the effect.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import product
+
+import numpy as np
+from scipy.special import ndtri
+from scipy.stats import qmc
+
+from suspension_twin.drive.types import Floats
+from suspension_twin.effects.base import Effect, Parameter
+from suspension_twin.effects.registry import EFFECTS
+from suspension_twin.vehicle.twin import EffectSpec, Twin
+
+__all__ = ["BASELINE", "Hypothesis", "combined", "library"]
+
+_WIDTH = 1.4  # of the starting points, in spreads of the prior
+#: Effects that sensors, clocks and mounts have without any road under the wheels.
+WITHOUT_ROAD = ("time_offset", "clock_drift", "sensor_tilt", "sensor_scale", "sensor_bandwidth", "sensor_clipping")
+
+
+@dataclass(frozen=True)
+class Hypothesis:
+    """Some effects, possibly none, with the parameters that are searched and those that are fixed.
+
+    ``fixed`` (key, value) holds choices; ``keys`` the dotted keys of the searched ones.
+    """
+
+    effects: tuple[str, ...] = ()
+    fixed: tuple[tuple[str, float], ...] = ()
+
+    @property
+    def name(self) -> str:
+        return " + ".join(self.effects) or "none"
+
+    @property
+    def searched(self) -> tuple[tuple[str, Parameter], ...]:
+        """Dotted key and description of every searched parameter."""
+        held = dict(self.fixed)
+        return tuple(
+            (f"effects.{e}.{p.name}", p)
+            for e in self.effects
+            for p in EFFECTS[e].parameters
+            if f"effects.{e}.{p.name}" not in held
+        )
+
+    @property
+    def keys(self) -> tuple[str, ...]:
+        return tuple(key for key, _ in self.searched)
+
+    def __len__(self) -> int:
+        return len(self.searched)
+
+    def bounds(self) -> tuple[Floats, Floats]:
+        """(k,) lowest and highest coordinates."""
+        low, high = [], []
+        for _, p in self.searched:
+            if p.log:
+                ends = [np.log(v / p.typical) / np.log(p.spread) for v in (p.low, p.high)]
+            else:
+                ends = [(v - p.typical) / p.spread for v in (p.low, p.high)]
+            low.append(ends[0])
+            high.append(ends[1])
+        return np.array(low), np.array(high)
+
+    def values(self, u: Floats) -> Floats:
+        """(k, L) parameters for coordinates (k, L), inside their bounds."""
+        out = np.empty_like(u, dtype=float)
+        for i, (_, p) in enumerate(self.searched):
+            plain = p.typical * p.spread ** u[i] if p.log else p.typical + p.spread * u[i]
+            out[i] = np.clip(plain, p.low, p.high)
+        return out
+
+    def neutral(self) -> Floats:
+        """(k,) coordinates of a severity of zero; others at their typical value."""
+        low, high = self.bounds()
+        at = np.zeros(len(self))
+        for i, (_, p) in enumerate(self.searched):
+            if p.name in EFFECTS[self._owner(i)].severity and not p.log:
+                at[i] = (p.neutral - p.typical) / p.spread
+        return np.clip(at, low, high)
+
+    def _owner(self, index: int) -> str:
+        return self.keys[index].split(".")[1]
+
+    def spec(self, values: Floats) -> tuple[EffectSpec, ...]:
+        """The effects as a twin file has them, for values (k,)."""
+        known = {**dict(self.fixed), **dict(zip(self.keys, (float(v) for v in values), strict=True))}
+        return tuple(
+            EffectSpec(
+                id=e,
+                parameters={p.name: known[f"effects.{e}.{p.name}"] for p in EFFECTS[e].parameters},
+            )
+            for e in self.effects
+        )
+
+    def twin(self, base: Twin) -> Twin:
+        """``base`` with the effects in its file, so that candidates can differ in them."""
+        if not self.effects:
+            return base
+        specs = self.spec(self.values(self.neutral()[:, None])[:, 0])
+        return base.model_copy(update={"effects": (*base.effects, *specs)})
+
+    def starts(self, count: int, seed: int) -> Floats:
+        """(k, count) coordinates spread over the prior, severities away from zero and from small to large."""
+        if not len(self):
+            return np.zeros((0, 1))
+        low, high = self.bounds()
+        cube = qmc.Sobol(len(self), scramble=True, seed=seed).random(count).T
+        normal = _WIDTH * ndtri(np.clip(cube, 1e-3, 1 - 1e-3))
+        at = self.neutral()
+        out = normal.copy()
+        for i, (_, p) in enumerate(self.searched):
+            if p.name in EFFECTS[self._owner(i)].severity and not p.log and low[i] >= at[i] - 1e-12:
+                out[i] = at[i] + np.abs(normal[i])
+        return np.clip(out, low[:, None], high[:, None])
+
+
+BASELINE = Hypothesis()
+
+
+def variants(effect: Effect) -> list[Hypothesis]:
+    """The hypotheses that an effect stands for: one, or one for each combination of its choices."""
+    counting = [p for p in effect.parameters if p.choices]
+    keys = [f"effects.{effect.id}.{p.name}" for p in counting]
+    return [
+        Hypothesis((effect.id,), tuple(zip(keys, chosen, strict=True)))
+        for chosen in product(*(p.choices for p in counting))
+    ]
+
+
+def library(twin: Twin, road: bool, only: Sequence[str] = ()) -> dict[str, list[Hypothesis]]:
+    """The hypotheses of every effect that this twin can be given, by id.
+
+    An effect that the twin already has is its own: it is not offered twice.
+    """
+    own = {e.id for e in twin.effects}
+    return {
+        name: variants(effect)
+        for name, effect in EFFECTS.items()
+        if twin.model in effect.hook.models
+        and name not in own
+        and (road or name in WITHOUT_ROAD)
+        and (not only or name in only)
+    }
+
+
+def combined(*parts: Hypothesis) -> Hypothesis:
+    """Several effects at once."""
+    return Hypothesis(
+        tuple(e for p in parts for e in p.effects), tuple(pair for p in parts for pair in p.fixed)
+    )

@@ -1,0 +1,156 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Evidence on stretches that a fit has not seen, and the probabilities that follow.
+
+Blocks are pieces of road, the same in all drives, so that a model's own error, which comes again on
+every pass, is not counted as confirming itself; without a road they are pieces of time. Every fifth
+block is held back in turn. Each hypothesis predicts the held-back blocks with the noise level it left
+elsewhere; how sure a difference is comes from weighing the blocks anew many times (pseudo-BMA with the
+Bayesian bootstrap: Yao, Vehtari, Simpson, Gelman 2018, section 3.4), so correlated blocks temper themselves.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy import linalg
+from scipy.special import logsumexp
+
+from suspension_twin.diagnosis.bench import Bench, gram
+from suspension_twin.diagnosis.fit import Fit
+from suspension_twin.diagnosis.noise import INDEPENDENT
+from suspension_twin.drive.types import Floats
+
+__all__ = ["Blocks", "Evidence", "blocks_of", "evidence", "held_out", "weights"]
+
+FOLDS = 5
+_SHARES = (1.0, 0.5, 0.25, 0.0)
+_DRAWS = 4000
+_METRES, _SECONDS = 8.0, 4.0
+
+
+@dataclass(frozen=True, eq=False)
+class Blocks:
+    """``sample`` (M,) the block of every compared sample, ``row`` (R,) that of every whitened residual."""
+
+    sample: np.ndarray
+    row: np.ndarray
+    count: int
+
+    def fold(self, which: np.ndarray) -> np.ndarray:
+        """The fold of each of these blocks."""
+        return np.asarray(which % FOLDS)
+
+
+def blocks_of(bench: Bench, road: bool) -> Blocks:
+    """Blocks of road or time over all drives."""
+    problem = bench.problem
+    keys = []
+    for part, rows, drive in zip(problem.parts, problem.rows, problem.drive_of, strict=True):
+        if road:
+            keys.append(np.floor(part.position[rows] / _METRES).astype(int))
+        else:
+            keys.append(np.floor((part.t[rows] - part.t[0]) / _SECONDS).astype(int) + 100_000 * drive)
+    _, sample = np.unique(np.concatenate(keys), return_inverse=True)
+    return Blocks(sample, sample[bench.whitener.row], int(sample.max()) + 1)
+
+
+def held_out(bench: Bench, fit: Fit, blocks: Blocks) -> tuple[Floats, Floats]:
+    """Unknowns (d + q + k, FOLDS) without each fold, and the residuals (R,) that they leave in it.
+
+    A Gauss-Newton step from the fit to all undoes what a fold pulled on it; of its lengths the one that suits
+    the other folds best is taken, simulated.
+    """
+    precision, centre = bench.prior(fit.hypothesis)
+    jacobian, residual = fit.at.jacobian, fit.at.residual
+    total = gram(jacobian, jacobian) + precision
+    slope = gram(jacobian, residual[:, None])[:, 0] + precision @ (fit.x - centre)
+    fold = blocks.fold(blocks.row)
+    # a severity on its bound, usually at nothing, stays there: the step knows no bounds
+    low, high = fit.hypothesis.bounds()
+    u = fit.x[bench.d + bench.q :]
+    free = np.flatnonzero(np.concatenate([np.ones(fit.x.size - u.size, dtype=bool), (u > low) & (u < high)]))
+    candidates = []
+    for f in range(FOLDS):
+        own = fold == f
+        j = jacobian[own][:, free]
+        rest = total[np.ix_(free, free)] - gram(j, j)
+        rest[np.diag_indices_from(rest)] *= 1 + 1e-9
+        step = np.zeros(fit.x.size)
+        step[free] = -linalg.solve(rest, slope[free] - gram(j, residual[own, None])[:, 0], assume_a="sym")
+        step *= min(1.0, 1.0 / max(float(np.abs(step).max()), 1e-300))
+        candidates += [fit.x + share * step for share in _SHARES]
+    tried = bench.clipped(fit.hypothesis, np.stack(candidates, axis=1))
+    left, failed = bench.residuals(fit.hypothesis, tried)
+    away = tried - centre[:, None]
+    penalty = np.einsum("il,ij,jl->l", away, precision, away, optimize=False)
+    unknowns = np.repeat(fit.x[:, None], FOLDS, axis=1)
+    out = residual.copy()
+    for f in range(FOLDS):
+        own = fold == f
+        lanes = slice(f * len(_SHARES), (f + 1) * len(_SHARES))
+        costs = np.sum(left[~own, lanes] ** 2, axis=0) + penalty[lanes]
+        best = f * len(_SHARES) + int(np.argmin(np.where(failed[lanes], np.inf, costs)))
+        unknowns[:, f] = tried[:, best]
+        out[own] = left[own, best]
+    return unknowns, out
+
+
+@dataclass(frozen=True, eq=False)
+class Evidence:
+    """One hypothesis: ``score`` (B,) log predictive density of each block, ``occam`` nats that its freedom
+    costs, ``level`` (groups,) mean square of what it leaves (1 where the noise model holds), ``left`` (R,)
+    held-out residuals, ``unknowns`` (d + q + k, FOLDS)."""
+
+    fit: Fit
+    score: Floats
+    occam: float
+    level: dict[tuple[int, bool], float]
+    left: Floats
+    unknowns: Floats
+
+
+def evidence(bench: Bench, fit: Fit, blocks: Blocks) -> Evidence:
+    """Held-out evidence of a fit."""
+    unknowns, left = held_out(bench, fit, blocks)
+    whitener = bench.whitener
+    active = np.array(bench.active)[whitener.drive]
+    score = np.zeros(blocks.count)
+    level: dict[tuple[int, bool], float] = {}
+    scale = np.ones(left.size)
+    for c in range(len(bench.problem.channels)):
+        for shown in (True, False):
+            rows = (whitener.channel == c) & (active == shown)
+            if not rows.any():
+                continue
+            squares = np.bincount(blocks.row[rows], left[rows] ** 2, blocks.count)
+            counts = INDEPENDENT * np.bincount(blocks.row[rows], minlength=blocks.count)
+            variance = max(float(squares.sum() / counts.sum()), 1e-6)
+            level[c, shown] = variance
+            scale[rows] = np.sqrt(variance)
+            score -= 0.5 * (counts * np.log(variance) + squares / variance)
+    precision, centre = bench.prior(fit.hypothesis)
+    jacobian = fit.at.jacobian / scale[:, None]
+    hessian = gram(jacobian, jacobian) + precision
+    away = fit.x - centre
+    occam = 0.5 * (np.linalg.slogdet(hessian)[1] - np.linalg.slogdet(precision)[1])
+    occam += 0.5 * float(away @ precision @ away) / max(float(np.mean(scale**2)), 1.0)
+    return Evidence(fit, score, float(occam), level, left, unknowns)
+
+
+def weights(found: list[Evidence], prior: Floats, temper: float, seed: int) -> tuple[Floats, Floats]:
+    """(K,) probabilities of the hypotheses, and (K, K) how often one beats another.
+
+    Half of the freedom's cost counts: held-out scores have paid for it once already, in what freedom
+    spoils on unseen road, and the evidence of the whole prior would have it in full. ``temper`` is the
+    share of what is left that is noise: a model's own error is no new evidence at every sample.
+    """
+    scores = np.stack([e.score for e in found])
+    occam = np.array([e.occam for e in found])
+    count = scores.shape[1]
+    draws = np.random.default_rng(seed).dirichlet(np.ones(count), _DRAWS) * count
+    total = np.einsum("db,kb->dk", draws, scores, optimize=False) - 0.5 * (occam - occam.min())[None, :]
+    total = temper * total + np.log(prior)[None, :]
+    probabilities = np.exp(total - logsumexp(total, axis=1)[:, None]).mean(axis=0)
+    beats = (total[:, :, None] > total[:, None, :]).mean(axis=0)
+    return probabilities, beats

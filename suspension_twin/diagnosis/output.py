@@ -1,0 +1,24 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What a diagnosis leaves in its folder."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+from suspension_twin.diagnosis.request import DiagnosisResult
+from suspension_twin.errors import WorkError
+from suspension_twin.vehicle.twin import save_twin
+
+__all__ = ["write"]
+
+
+def write(result: DiagnosisResult, folder: Path) -> None:
+    """``diagnosis.json`` and ``twin.yaml`` in ``folder``, which is made."""
+    text = json.dumps(result.document, indent=2, ensure_ascii=False, allow_nan=False)
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        (folder / "diagnosis.json").write_text(text + "\n", encoding="utf-8")
+        save_twin(result.twin, folder / "twin.yaml")
+    except OSError as error:
+        raise WorkError(f"{folder}: {error.strerror or 'cannot be written'}") from None

@@ -1,0 +1,70 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What is asked of a diagnosis and what it says on the way: plain, picklable data."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Any
+
+from suspension_twin.drive.read import Topics
+from suspension_twin.drive.types import Floats
+from suspension_twin.vehicle.twin import Twin
+
+__all__ = ["DiagnosisRequest", "DiagnosisResult", "DriveView", "Progress"]
+
+
+@dataclass(frozen=True)
+class DiagnosisRequest:
+    """Paths of a twin file, of the drives that show the gap and of drives from before it.
+
+    ``effects`` limits the library to some ids, for tests and quick looks; empty for all of it.
+    """
+
+    twin: str
+    bags: tuple[str, ...]
+    reference: tuple[str, ...] = ()
+    seed: int = 0
+    effects: tuple[str, ...] = ()
+    topics: Topics = Topics()
+
+
+@dataclass(frozen=True)
+class Progress:
+    """Where a diagnosis stands: ``stage`` "reading", "calibrating", "effects", "refining",
+    "combinations", "judging"; ``done`` 0 to 1 of the whole."""
+
+    stage: str
+    done: float
+    note: str = ""
+
+
+@dataclass(frozen=True, eq=False)
+class DriveView:
+    """One drive for the report: channels (m,) on its grid, ``before`` by the twin as it stands, ``after``
+    by the twin with what was found."""
+
+    name: str
+    t: Floats
+    position: Floats
+    rate: float
+    measured: Floats
+    before: Floats
+    recalibrated: Floats
+    after: Floats
+    compared: Any
+
+
+@dataclass(frozen=True, eq=False)
+class DiagnosisResult:
+    """``document`` is what diagnosis.json holds, ``twin`` the twin with what was found added."""
+
+    document: dict[str, Any]
+    twin: Twin
+    drives: tuple[DriveView, ...]
+    seconds: float
+    warnings: tuple[str, ...] = field(default_factory=tuple)
+
+    @property
+    def message(self) -> str:
+        """One line: what came out."""
+        return str(self.document["message"])

@@ -1,0 +1,168 @@
+# SPDX-License-Identifier: Apache-2.0
+"""``diagnose``: from a request to a result. A pure function of picklable arguments.
+
+It may run in a spawned process: whatever it reads is named in the request, and nothing is written.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from suspension_twin.diagnosis import gaps, verdict
+from suspension_twin.diagnosis.bench import Bench
+from suspension_twin.diagnosis.case import Case, baseline, build, read_case
+from suspension_twin.diagnosis.conclude import Findings, conclude
+from suspension_twin.diagnosis.hypotheses import library
+from suspension_twin.diagnosis.judge import Evidence, blocks_of, evidence, weights
+from suspension_twin.diagnosis.request import DiagnosisRequest, DiagnosisResult, Progress
+from suspension_twin.diagnosis.search import pairs, singles
+from suspension_twin.errors import InputError
+
+__all__ = ["diagnose"]
+
+_EFFECT_PRIOR = 0.65
+#: How surely one more effect has to beat the smaller set, and by which share of the gap, to join it.
+_SURE, _WORTH = 0.95, verdict.MATERIAL
+_MOST_EFFECTS = 3
+_STRANGER = 0.6  # share of its motion that a reference leaves at the best fit, above which it is another car's
+
+
+def diagnose(
+    request: DiagnosisRequest,
+    on_progress: Callable[[Progress], None] | None = None,
+    should_stop: Callable[[], bool] | None = None,
+) -> DiagnosisResult:
+    """Say where, why and how far: raises InputError for what cannot be used, WorkError where the work
+    fails and ``calibration.problem.Interrupted`` where it was told to stop."""
+    began = time.monotonic()
+    tell = on_progress or (lambda progress: None)
+    stop = should_stop or (lambda: False)
+    tell(Progress("reading", 0.0))
+    case = read_case(request, lambda note: tell(Progress("reading", 0.02, note)), stop)
+    bench = build(case, stop)
+    tell(Progress("calibrating", 0.08, "the vehicle without any effect"))
+    base, anchor = baseline(case, bench)
+    found = _Search(request, case, bench, tell)
+    found.judge(base, anchor)
+    return conclude(request, case, bench, found.findings(), time.monotonic() - began)
+
+
+@dataclass(eq=False)
+class _Search:
+    """One diagnosis on the way from a baseline to its findings."""
+
+    request: DiagnosisRequest
+    case: Case
+    bench: Bench
+    tell: Callable[[Progress], None]
+
+    def judge(self, base: Any, anchor: Any) -> None:
+        bench, seed = self.bench, self.request.seed
+        self.blocks = blocks_of(bench, self.case.road)
+        shown = [d for d, a in zip(self.case.drives, bench.active, strict=True) if a]
+        self.noise = {
+            c: float(np.sqrt(np.mean([d.noise_rms[c] ** 2 for d in shown]))) for c in bench.problem.channels
+        }
+        self.standing = gaps.standing(bench)
+        self.base = evidence(bench, base, self.blocks)
+        self.reference = self._reference(evidence(bench, anchor, self.blocks))
+        effects = library(self.case.twin, self.case.road, self.request.effects)
+        if not effects:
+            raise InputError("effects", "none of the library is left to try on this twin")
+        self.singles = singles(
+            bench, base, anchor, effects, self.blocks, seed,
+            lambda done, note: self.tell(Progress("effects", 0.15 + 0.6 * done, note)),
+        )  # fmt: skip
+        everything = [self.base, *(s.evidence for s in self.singles)]
+        self.left = [gaps.remainder(bench, e.fit.hypothesis, e.unknowns, self.blocks) for e in everything]
+        best = min(self.left, key=lambda r: float(np.mean(r.difference[gaps.shown_rows(bench), 0] ** 2)))
+        self.temper = verdict.temper_of(bench, best, self.noise)
+        prior = np.array([1.0 - _EFFECT_PRIOR, *([_EFFECT_PRIOR / len(self.singles)] * len(self.singles))])
+        self.weights, self.beats = weights(everything, prior, self.temper, seed)
+        for i, s in enumerate(self.singles):
+            if not s.judged:
+                self.weights[1 + i] = 0.0
+        self.weights /= self.weights.sum()
+        self.gates = [self._gates(e, r) for e, r in zip(everything, self.left, strict=True)]
+        self.chosen, self.chosen_left = self._combine(everything)
+
+    def _reference(self, anchor: Evidence) -> float | None:
+        """What the calibrated vehicle leaves of its motion on the reference drives; refuses a stranger's."""
+        if all(self.bench.active):
+            return None
+        left = gaps.remainder(self.bench, anchor.fit.hypothesis, anchor.unknowns, self.blocks)
+        level = verdict.level_of(self.bench, left, self.noise, shown=False)
+        if level > _STRANGER:
+            names = ", ".join(d.name for d, a in zip(self.case.drives, self.bench.active, strict=True) if not a)
+            raise InputError(
+                names,
+                f"calibrated on it alone, the twin still misses {100 * level:.0f} % of its motion: it is of another "
+                "vehicle, another road or another mounting than the twin file says; leave it out or give the right one",
+            )
+        return level
+
+    def _gates(self, found: Evidence, left: gaps.Remainder) -> verdict.Gates:
+        bench = self.bench
+        level = verdict.level_of(bench, left, self.noise, shown=True)
+        share = self._noise_share()
+        adequate = verdict.background(level, self.reference, share)
+        if found is self.base:
+            return verdict.Gates(1.0, adequate, 1.0)
+        beyond = self._shrink(self.left[0], left)
+        # probability that the shrink beyond recalibration is material, from its interval
+        low, high = beyond.interval
+        spread = max((high - low) / 3.29, 1e-3)
+        material = float(0.5 * (1 + np.tanh(0.8 * (beyond.shrink - verdict.MATERIAL) / spread)))
+        return verdict.Gates(material, adequate, verdict.plausible(bench, found))
+
+    def _noise_share(self) -> float:
+        """Level at which nothing but the sensor's noise is left."""
+        column = 0
+        rows = gaps.shown_rows(self.bench)
+        motion = float(np.std(self.bench.problem.measured.values[rows, column]))
+        return 0.7 * self.noise[self.bench.problem.channels[column]] / max(motion, 1e-12)
+
+    def _shrink(self, before: gaps.Remainder, after: gaps.Remainder) -> gaps.Shrink:
+        channel = self.bench.problem.channels[0]
+        return gaps.shrink_of(self.bench, before, after, self.blocks, self.noise[channel], 0, self.request.seed)
+
+    def _combine(self, everything: list[Evidence]) -> tuple[Evidence, gaps.Remainder]:
+        """The smallest set that closes the gap: greedily, one effect at a time, as long as it pays."""
+        order = np.argsort(-self.weights[1:], kind="stable")
+        lead = int(order[0]) + 1
+        chosen, left, gates = everything[lead], self.left[lead], self.gates[lead]
+        if self.weights[lead] < 0.2 or gates.material < 0.5:
+            return self.base, self.left[0]
+        effects = library(self.case.twin, self.case.road, self.request.effects)
+        weak = [s.effect for s in self.singles if not s.judged]
+        while len(chosen.fit.hypothesis.effects) < _MOST_EFFECTS and gates.adequate < 0.5 and len(effects) > 1:
+            tried = pairs(
+                self.bench, chosen, effects, self.blocks, self.request.seed,
+                lambda done, note: self.tell(Progress("combinations", 0.76 + 0.18 * done, note)), weak,
+            )  # fmt: skip
+            if not tried:
+                break
+            more = tried[0]
+            rest = gaps.remainder(self.bench, more.fit.hypothesis, more.unknowns, self.blocks)
+            _, beats = weights([chosen, more], np.array([0.5, 0.5]), self.temper, self.request.seed)
+            total = self._shrink(self.left[0], left).after
+            gained = total - self._shrink(self.left[0], rest).after
+            before = self._shrink(self.left[0], left).before
+            if beats[1, 0] < _SURE or gained < _WORTH * before:
+                break
+            chosen, left, gates = more, rest, self._gates(more, rest)
+        return chosen, left
+
+    def findings(self) -> Findings:
+        """Everything that the answer is made of."""
+        self.tell(Progress("judging", 0.95))
+        return Findings(
+            self.blocks, self.noise, self.standing, self.base, self.singles, self.left, self.weights, self.beats,
+            self.gates, self.chosen, self.chosen_left, self._gates(self.chosen, self.chosen_left), self.reference,
+            self.temper,
+        )  # fmt: skip

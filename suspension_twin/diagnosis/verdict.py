@@ -1,0 +1,132 @@
+# SPDX-License-Identifier: Apache-2.0
+"""From evidence to an answer: the three gates, the masses on no gap and unknown, and the verdict."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.stats import norm
+
+from suspension_twin.diagnosis.bench import Bench
+from suspension_twin.diagnosis.gaps import Remainder, shown_rows
+from suspension_twin.diagnosis.judge import Evidence
+from suspension_twin.drive.types import Floats
+
+__all__ = ["Gates", "background", "level_of", "masses", "temper_of", "verdict_of"]
+
+#: Share of the gap that a cause has to explain.
+MATERIAL = 0.1
+#: What a calibrated model of seven degrees leaves of a car's motion that it knows, as a share of its rms:
+#: median and factor of one standard deviation; and what is left where something is missing.
+_USUAL, _USUAL_SPREAD = 0.2, 1.5
+_AMISS, _AMISS_SPREAD = 0.5, 1.8
+#: Factor by which what is left may differ between drives of the same car at other speeds.
+_BETWEEN_DRIVES = 1.35
+_LEAST_TEMPER = 0.03
+
+
+@dataclass(frozen=True)
+class Gates:
+    """Probabilities that a hypothesis passes each gate: ``material``, ``adequate``, ``plausible``."""
+
+    material: float
+    adequate: float
+    plausible: float
+
+
+def level_of(bench: Bench, left: Remainder, noise: dict[str, float], shown: bool) -> float:
+    """What is left above the noise as a share of the motion's rms, over the channels that the road drives."""
+    rows = shown_rows(bench) == shown
+    measured = bench.problem.measured
+    shares, counts = [], []
+    for c, name in enumerate(measured.channels):
+        if name in ("vertical_acceleration", "pitch_rate", "roll_rate") or len(measured.channels) == 3:
+            motion = float(np.var(measured.values[rows, c]))
+            rest = max(float(np.var(left.difference[rows, c])) - noise[name] ** 2, 0.0)
+            shares.append(rest)
+            counts.append(max(motion - noise[name] ** 2, 1e-12))
+    # the loudest channel in units of its own noise speaks for the vehicle
+    weight = np.array(counts) / np.array([noise[n] ** 2 for n in measured.channels[: len(counts)]])
+    ratio = np.array(shares) / np.array(counts)
+    return float(np.sqrt(np.sum(weight * ratio) / weight.sum()))
+
+
+def background(level: float, reference: float | None, noise_share: float) -> float:
+    """Probability that a remaining level is what a sound model leaves, not something missing.
+
+    With a reference: as much as there, within what drives differ. Without one: by what such models leave.
+    """
+    level = max(level, 1e-3)
+    if level < noise_share:
+        return 1.0
+    if reference is not None:
+        excess = np.log(level / max(reference, noise_share)) / np.log(_BETWEEN_DRIVES)
+        return float(np.clip(2.0 * norm.sf(excess - 0.5), 0.0, 1.0))
+    usual = norm.pdf(max(np.log(level / _USUAL), 0.0) / np.log(_USUAL_SPREAD)) / np.log(_USUAL_SPREAD)
+    amiss = norm.pdf(min(np.log(level / _AMISS), 0.0) / np.log(_AMISS_SPREAD)) / np.log(_AMISS_SPREAD)
+    return float(usual / (usual + amiss))
+
+
+def temper_of(bench: Bench, best: Remainder, noise: dict[str, float]) -> float:
+    """Share of what the best hypothesis leaves that is the sensor's noise."""
+    rows = shown_rows(bench)
+    c = 0
+    left = float(np.mean(best.difference[rows, c] ** 2))
+    return float(np.clip(noise[bench.problem.channels[c]] ** 2 / max(left, 1e-12), _LEAST_TEMPER, 1.0))
+
+
+def plausible(bench: Bench, found: Evidence) -> float:
+    """Within its prior, and the same whichever stretch of road is left out."""
+    hypothesis = found.fit.hypothesis
+    p = bench.d + bench.q
+    u = found.fit.x[p:]
+    if not u.size:
+        return 1.0
+    low, high = hypothesis.bounds()
+    worst = 1.0
+    for i, (_, parameter) in enumerate(hypothesis.searched):
+        far = abs(u[i])
+        worst *= float(np.clip(np.exp(-0.5 * max(far - 4.0, 0.0) ** 2 / 16.0), 0.02, 1.0))
+        two_sided = not parameter.log and parameter.neutral not in (parameter.low, parameter.high)
+        if two_sided and not low[i] + 1e-9 < u[i] < high[i] - 1e-9:
+            worst *= 0.3
+    held = found.unknowns[p:]
+    main = int(np.argmax(np.abs(u)))
+    if np.mean(np.sign(held[main]) == np.sign(u[main])) < 0.8:
+        worst *= 0.3
+    return worst
+
+
+def masses(
+    weights: Floats, gates: Sequence[Gates], explained: Floats
+) -> tuple[Floats, float, float]:
+    """Probabilities of the effects (E,), of no gap and of unknown, from weights (1 + E,), baseline first.
+
+    An effect that is not material is no finding: its weight goes to the answers without one. What an
+    effect that is not adequate leaves is unexplained: its weight is shared with unknown by how much it explains.
+    """
+    effects = np.zeros(len(gates) - 1)
+    rest, unknown = float(weights[0]), 0.0
+    for i, gate in enumerate(gates[1:]):
+        w = float(weights[i + 1])
+        named = w * gate.material * gate.plausible
+        rest += w - named
+        good = gate.adequate + (1.0 - gate.adequate) * float(np.clip(explained[i], 0.0, 1.0)) ** 2
+        effects[i] = named * good
+        unknown += named * (1.0 - good)
+    no_gap = rest * gates[0].adequate
+    return effects, no_gap, unknown + rest - no_gap
+
+
+def verdict_of(
+    effects: Floats, no_gap: float, unknown: float, adequate: float, left: float, groups: Sequence[Sequence[int]]
+) -> str:
+    """effect, partly, no_gap or unknown: whichever answer carries the most; effects that cannot be told
+    apart (``groups``) carry theirs together."""
+    together = max((float(sum(effects[i] for i in g)) for g in groups), default=0.0)
+    named = max(together, 0.0)
+    if max(no_gap, unknown) > named:
+        return "no_gap" if no_gap >= unknown else "unknown"
+    return "effect" if adequate >= 0.3 or left < MATERIAL else "partly"

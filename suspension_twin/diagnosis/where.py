@@ -1,0 +1,294 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Where the gap lies: in time, on the road, in frequency, by channel, corner and operating point.
+
+A place is reported that holds significantly more of the gap than its length asks for: its mean square
+is compared with the spread of blocks of a second over the whole drives, and of all places tried, false
+discoveries are held to a tenth (Benjamini and Hochberg 1995). Shares are of the gap's energy above the noise.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from scipy import signal
+from scipy.stats import false_discovery_control, norm
+
+from suspension_twin.diagnosis.bench import Bench
+from suspension_twin.drive.types import Floats
+from suspension_twin.models.simulate import simulate_twin
+from suspension_twin.vehicle.corners import CORNERS
+from suspension_twin.vehicle.twin import Twin
+
+__all__ = ["localise", "repeatable", "signature"]
+
+_WINDOW = 0.5  # s
+_METRES = 1.0
+_FALSE = 0.1
+_BAND = 2 ** (1 / 6)
+
+
+def localise(bench: Bench, difference: Floats, noise: dict[str, float], twin: Twin) -> dict[str, Any]:
+    """The object ``where`` of diagnosis.json for differences (M, C) of the drives with the gap.
+
+    ``twin`` tells how the suspension moved, for corners and operating points.
+    """
+    names = bench.problem.channels
+    main = names.index("vertical_acceleration") if "vertical_acceleration" in names else 0
+    floor = noise[names[main]]
+    excess = [np.maximum(d[:, main] ** 2 - floor**2, 0.0) for d in _parts(bench, difference)]
+    total = max(float(sum(e.sum() for e in excess)), 1e-30)
+    where: dict[str, Any] = {
+        "time": _time(bench, excess, total),
+        "road": _road(bench, excess, total),
+        "frequency": _frequency(bench, [d[:, main] for d in _parts(bench, difference)], floor),
+        "channel": _channels(bench, difference, noise),
+    }
+    where.update(_suspension(bench, _parts(bench, difference), excess, total, twin))
+    return where
+
+
+def _parts(bench: Bench, values: Floats) -> list[Floats]:
+    """Samples (r, C) of every drive with the gap."""
+    out, start = [], 0
+    for rows, drive in zip(bench.problem.rows, bench.problem.drive_of, strict=True):
+        if bench.active[drive]:
+            out.append(values[start : start + rows.size])
+        start += rows.size
+    return out
+
+
+def _shown(bench: Bench) -> list[Any]:
+    """Prepared drive and its compared samples, for every drive with the gap."""
+    return [
+        (part, rows)
+        for part, rows, drive in zip(bench.problem.parts, bench.problem.rows, bench.problem.drive_of, strict=True)
+        if bench.active[drive]
+    ]
+
+
+def _significant(means: Floats, all_means: Floats) -> np.ndarray:
+    """Which windows' mean squares stand out of their drive's, false discoveries held."""
+    logs = np.log(np.maximum(means, 1e-12))
+    usual = np.log(np.maximum(all_means, 1e-12))
+    centre = np.median(usual)
+    spread = max(1.4826 * float(np.median(np.abs(usual - centre))), 0.1)
+    p = norm.sf((logs - centre) / spread)
+    return np.asarray(false_discovery_control(np.clip(p, 1e-12, 1.0)) < _FALSE) if p.size else np.zeros(0, dtype=bool)
+
+
+def _runs(flags: np.ndarray) -> list[tuple[int, int]]:
+    edges = np.flatnonzero(np.diff(np.concatenate([[0], flags.astype(int), [0]])))
+    return list(zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True))
+
+
+def _ranked(items: list[dict[str, Any]], most: int = 8) -> list[dict[str, Any]]:
+    return sorted((i for i in items if i["share"] >= 0.02), key=lambda i: -i["share"])[:most]
+
+
+def _time(bench: Bench, excess: Sequence[Floats], total: float) -> list[dict[str, Any]]:
+    items = []
+    for (part, rows), energy in zip(_shown(bench), excess, strict=True):
+        size = max(4, int(_WINDOW * part.rate))
+        count = energy.size // size
+        if count < 4:
+            continue
+        means = energy[: count * size].reshape(count, size).mean(axis=1)
+        for a, b in _runs(_significant(means, means)):
+            cut = slice(a * size, b * size)
+            items.append(
+                {
+                    "bag": part.name,
+                    "start": round(float(part.t[rows[cut.start]]), 3),
+                    "end": round(float(part.t[rows[min(cut.stop, rows.size) - 1]]), 3),
+                    "share": round(float(energy[cut].sum()) / total, 4),
+                }
+            )
+    return _ranked(items)
+
+
+def _road(bench: Bench, excess: Sequence[Floats], total: float) -> list[dict[str, Any]]:
+    place = np.concatenate([part.position[rows] for part, rows in _shown(bench)])
+    energy = np.concatenate(list(excess))
+    bins = np.floor(place / _METRES).astype(int)
+    first = bins.min()
+    sums = np.bincount(bins - first, energy)
+    counts = np.bincount(bins - first)
+    used = counts > 0
+    means = np.where(used, sums / np.maximum(counts, 1), 0.0)
+    flags = np.zeros(means.size, dtype=bool)
+    flags[used] = _significant(means[used], means[used])
+    return _ranked(
+        [
+            {
+                "start_m": round(float((first + a) * _METRES), 2),
+                "end_m": round(float((first + b) * _METRES), 2),
+                "share": round(float(sums[a:b].sum()) / total, 4),
+            }
+            for a, b in _runs(flags)
+        ]
+    )
+
+
+def _spectrum(bench: Bench, series: Sequence[Floats]) -> tuple[Floats, Floats]:
+    """Frequencies and the pooled power density of the drives' differences."""
+    rate = bench.problem.measured.rate
+    size = min(512, min(s.size for s in series))
+    total, weight = 0.0, 0.0
+    f = np.zeros(1)
+    for s in series:
+        f, power = signal.welch(s, fs=rate, nperseg=size, detrend="linear")  # type: ignore[call-overload]
+        total, weight = total + power * s.size, weight + s.size
+    return f, np.asarray(total / weight)
+
+
+def _frequency(bench: Bench, series: Sequence[Floats], floor: float) -> list[dict[str, Any]]:
+    f, power = _spectrum(bench, series)
+    edges = [0.5]
+    while edges[-1] < min(30.0, f[-1]):
+        edges.append(edges[-1] * _BAND)
+    white = floor**2 / 20.0
+    above = np.maximum(power - white, 0.0)
+    width = f[1] - f[0]
+    energy = np.array([above[(f >= a) & (f < b)].sum() * width for a, b in zip(edges, edges[1:], strict=False)])
+    span = np.diff(np.log(edges))
+    if energy.sum() <= 0:
+        return []
+    flags = energy / span > 1.0 * energy.sum() / span.sum()
+    flags &= energy > 0.02 * energy.sum()
+    return _ranked(
+        [
+            {
+                "low_hz": round(float(edges[a]), 2),
+                "high_hz": round(float(edges[b]), 2),
+                "share": round(float(energy[a:b].sum() / energy.sum()), 4),
+            }
+            for a, b in _runs(flags)
+        ]
+    )
+
+
+def _channels(bench: Bench, difference: Floats, noise: dict[str, float]) -> list[dict[str, Any]]:
+    """Each channel's share of the gap counted in floors, so that rates and accelerations compare."""
+    parts = np.concatenate(_parts(bench, difference))
+    energy = [
+        max(float(np.mean(parts[:, c] ** 2)) / max(noise[name], 1e-9) ** 2 - 1.0, 0.0)
+        for c, name in enumerate(bench.problem.channels)
+    ]
+    total = max(sum(energy), 1e-30)
+    items = [
+        {"name": name, "share": round(e / total, 4)} for name, e in zip(bench.problem.channels, energy, strict=True)
+    ]
+    return sorted(items, key=lambda i: -float(str(i["share"])))
+
+
+def _suspension(
+    bench: Bench, parts: Sequence[Floats], excess: Sequence[Floats], total: float, twin: Twin
+) -> dict[str, list[dict[str, Any]]]:
+    """By corner and by operating point, from how the twin's suspension moved."""
+    if "vertical_acceleration" not in bench.problem.channels:
+        return {"corner": [], "operating_point": []}
+    travel, speed, energy = [], [], []
+    for (part, rows), e in zip(_shown(bench), excess, strict=True):
+        response = simulate_twin(twin, part.excitation)
+        at = np.clip(np.searchsorted(response.t, part.t[rows]), 0, response.t.size - 1)
+        travel.append(response.deflection[at] - response.deflection[0])
+        speed.append(response.deflection_rate[at])
+        energy.append(e)
+    deflection, velocity, amount = np.concatenate(travel), np.concatenate(speed), np.concatenate(energy)
+    # how much of the gap goes with each corner's motion: a regression of its envelope on theirs
+    drive = np.abs(velocity) / np.maximum(np.std(velocity, axis=0), 1e-9)
+    weight = np.linalg.lstsq(drive.T @ drive, drive.T @ np.sqrt(amount), rcond=None)[0]
+    weight = np.maximum(weight, 0.0)
+    weight = weight / max(float(weight.sum()), 1e-12)
+    corner = sorted(
+        ({"name": n, "share": round(float(w), 4)} for n, w in zip(CORNERS, weight, strict=True)),
+        key=lambda i: -float(str(i["share"])),
+    )
+    points: list[dict[str, Any]] = []
+    for axle, wheels in (("front", slice(0, 2)), ("rear", slice(2, 4))):
+        for quantity, values, unit in (
+            ("damper velocity", velocity[:, wheels], "m/s"), ("spring travel", deflection[:, wheels], "m"),
+        ):  # fmt: skip
+            both = values[np.arange(values.shape[0]), np.argmax(np.abs(values), axis=1)]
+            edges = np.unique(np.quantile(both, np.linspace(0, 1, 11)))
+            index = np.clip(np.digitize(both, edges[1:-1]), 0, edges.size - 2)
+            sums = np.bincount(index, amount, edges.size - 1)
+            counts = np.bincount(index, minlength=edges.size - 1)
+            usual = amount.mean()
+            for a, b in _runs(sums / np.maximum(counts, 1) > 1.5 * usual):
+                points.append(
+                    {
+                        "quantity": f"{axle} {quantity}", "low": round(float(edges[a]), 4),
+                        "high": round(float(edges[b]), 4), "unit": unit,
+                        "share": round(float(sums[a:b].sum()) / total, 4),
+                    }
+                )  # fmt: skip
+    return {"corner": corner, "operating_point": _ranked(points)}
+
+
+def repeatable(bench: Bench, difference: Floats, column: int) -> dict[str, float]:
+    """Correlation of two drives' gaps by place on the road: near 1 for road and tyre, near 0 for clock and noise.
+
+    Speeds differ, so envelopes over a metre are compared, not wave forms. Empty for a single drive.
+    """
+    profiles = []
+    for (part, rows), d in zip(_shown(bench), _parts(bench, difference), strict=True):
+        bins = np.floor(part.position[rows] / _METRES).astype(int)
+        profiles.append((bins, d[:, column] ** 2))
+    if len(profiles) < 2:
+        return {}
+    low = max(b.min() for b, _ in profiles)
+    high = min(b.max() for b, _ in profiles)
+    if high - low < 20:
+        return {}
+    rows = []
+    for bins, energy in profiles:
+        own = (bins >= low) & (bins <= high)
+        sums = np.bincount(bins[own] - low, energy[own], high - low + 1)
+        counts = np.bincount(bins[own] - low, minlength=high - low + 1)
+        rows.append(np.log(sums / np.maximum(counts, 1) + 1e-9))
+    return {"in_space": round(float(np.corrcoef(rows[0], rows[1])[0, 1]), 3)}
+
+
+def signature(bench: Bench, difference: Floats, twin: Twin) -> dict[str, Any]:
+    """What a gap that nothing explains looks like: its band, whether it goes with motion or its square,
+    whether it has a loop over travel, and from which velocity and travel on it appears."""
+    names = bench.problem.channels
+    column = names.index("vertical_acceleration") if "vertical_acceleration" in names else 0
+    series = [d[:, column] for d in _parts(bench, difference)]
+    f, power = _spectrum(bench, series)
+    cumulative = np.cumsum(power) / power.sum()
+    low, high = (float(f[np.searchsorted(cumulative, q)]) for q in (0.1, 0.9))
+    out: dict[str, Any] = {
+        "channel": names[column],
+        "low_hz": round(low, 2), "high_hz": round(high, 2), "peak_hz": round(float(f[1 + np.argmax(power[1:])]), 2),
+        **repeatable(bench, difference, column),
+    }  # fmt: skip
+    if column or "vertical_acceleration" not in names:
+        return out
+    linear: list[Floats] = []
+    for part, rows in _shown(bench):
+        response = simulate_twin(twin, part.excitation)
+        at = np.clip(np.searchsorted(response.t, part.t[rows]), 0, response.t.size - 1)
+        x = response.deflection[at] - response.deflection[0]
+        v = response.deflection_rate[at]
+        linear.append(np.column_stack([x.mean(axis=1), v.mean(axis=1)]))
+    motion = np.concatenate(linear)
+    residual = np.concatenate(series)
+    x, v = (motion[:, i] / max(float(np.std(motion[:, i])), 1e-9) for i in range(2))
+    basis = {"travel": x, "velocity": v, "travel squared": x * x, "velocity squared": v * np.abs(v),
+             "travel cubed": x**3, "sign of velocity": np.sign(v)}  # fmt: skip
+    correlation = {k: abs(float(np.corrcoef(b, residual)[0, 1])) for k, b in basis.items()}
+    best = max(correlation, key=lambda k: correlation[k])
+    out["goes_with"] = {"what": best, "correlation": round(correlation[best], 3)}
+    out["hysteresis"] = round(correlation["sign of velocity"], 3)
+    for label, values, unit in (("velocity", motion[:, 1], "m/s"), ("travel", motion[:, 0], "m")):
+        edges = np.quantile(np.abs(values), np.linspace(0, 1, 9))
+        index = np.clip(np.digitize(np.abs(values), edges[1:-1]), 0, 7)
+        means = np.bincount(index, residual**2, 8) / np.maximum(np.bincount(index, minlength=8), 1)
+        over = np.flatnonzero(means > 2.0 * np.median(means))
+        if over.size:
+            out[f"triggers_above_{label}"] = {"value": round(float(edges[over[0]]), 4), "unit": unit}
+    return out

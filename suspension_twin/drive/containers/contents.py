@@ -1,0 +1,73 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What a recording holds, as raw messages."""
+
+from __future__ import annotations
+
+from collections.abc import Collection
+from dataclasses import dataclass, field
+
+from suspension_twin.drive.cdr import Encoding
+
+__all__ = ["Contents", "RawTopic", "topic_name", "type_name"]
+
+
+def topic_name(name: str) -> str:
+    """Absolute name of a topic: ``imu/data_raw`` and ``/imu/data_raw`` are one."""
+    return "/" + "/".join(part for part in name.split("/") if part)
+
+
+def type_name(name: str) -> str:
+    """Full name of a type: ``sensor_msgs/Imu`` and ``sensor_msgs/msg/Imu`` are one."""
+    parts = name.split("/")
+    return "/".join((parts[0], "msg", parts[1])) if len(parts) == 2 else name
+
+
+def _printable(text: str) -> str:
+    return text if text.isprintable() else "".join(c if c.isprintable() else "?" for c in text)
+
+
+@dataclass
+class RawTopic:
+    """Messages of one topic in file order: record stamps in ns and their bytes."""
+
+    msgtype: str
+    stamps: list[int] = field(default_factory=list)
+    data: list[bytes] = field(default_factory=list)
+
+
+@dataclass
+class Contents:
+    """Messages of the topics wanted, and the names and types of all.
+
+    ``types`` maps every topic of the recording to its type, ``definitions`` a type to its text
+    where the file embeds it as ROS 2 ``.msg`` text, ``warnings`` says what was lost.
+    """
+
+    encoding: Encoding
+    wanted: Collection[str] | None
+    topics: dict[str, RawTopic] = field(default_factory=dict)
+    types: dict[str, str] = field(default_factory=dict)
+    definitions: dict[str, str] = field(default_factory=dict)
+    warnings: list[str] = field(default_factory=list)
+
+    def open_topic(self, name: str, msgtype: str) -> RawTopic | None:
+        """Announce a topic; where to put its messages, or None if they are not wanted.
+
+        Two types on one topic are kept as the first one: messages of the other are not wanted.
+        """
+        # the names of a damaged file may hold anything, and are told to a user
+        name, msgtype = topic_name(_printable(name)), type_name(_printable(msgtype))
+        if self.types.setdefault(name, msgtype) != msgtype:
+            self.warnings.append(f"{name} carries a second type, {msgtype}: left out")
+            return None
+        if self.wanted is not None and name not in self.wanted:
+            return None
+        return self.topics.setdefault(name, RawTopic(msgtype))
+
+    def sort(self) -> None:
+        """Put every topic in the order it was recorded (files may interleave)."""
+        for topic in self.topics.values():
+            if any(b < a for a, b in zip(topic.stamps, topic.stamps[1:], strict=False)):
+                order = sorted(range(len(topic.stamps)), key=topic.stamps.__getitem__)
+                topic.stamps = [topic.stamps[i] for i in order]
+                topic.data = [topic.data[i] for i in order]

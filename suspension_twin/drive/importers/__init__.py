@@ -1,0 +1,54 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Importers of recordings, one file each, registered here by the name of the file.
+
+An importer is a module with ``TITLE`` (what a user calls the format), ``recognises(source)`` and
+``read(source)``; to add one, put its file here and its name into :data:`IMPORTERS`.
+"""
+
+from __future__ import annotations
+
+from importlib import import_module
+from typing import Protocol, cast
+
+from suspension_twin.drive.intake.source import Source
+from suspension_twin.drive.intake.streams import Streams
+from suspension_twin.errors import InputError
+
+__all__ = ["IMPORTERS", "Importer", "importer_of", "load_importer"]
+
+#: Asked in this order; the first that recognises a source reads it.
+IMPORTERS = ("sensor_logger", "phyphox", "matlab_mobile", "rtklib", "comma2k19")
+
+
+class Importer(Protocol):
+    """What a module of this folder holds."""
+
+    TITLE: str
+
+    def recognises(self, source: Source) -> bool:
+        """Whether the source is in this format (it may still be damaged)."""
+        ...
+
+    def read(self, source: Source) -> Streams:
+        """Every stream the source holds; InputError where it cannot be read."""
+        ...
+
+
+def load_importer(name: str) -> Importer:
+    """The importer of a registered name; InputError for another."""
+    if name not in IMPORTERS:
+        raise InputError("importer", name, f"is not known; there are {', '.join(IMPORTERS)}")
+    return cast(Importer, import_module(f"{__name__}.{name}"))
+
+
+def importer_of(source: Source) -> Importer:
+    """The importer that recognises the source; InputError if none does."""
+    for name in IMPORTERS:
+        importer = load_importer(name)
+        if importer.recognises(source):
+            return importer
+    titles = ", ".join(load_importer(name).TITLE for name in IMPORTERS)
+    raise InputError(
+        source.path,
+        f"format not recognised (known: {titles}; bags); describe its columns in a file and give it as --mapping",
+    )

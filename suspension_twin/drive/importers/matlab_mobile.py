@@ -1,0 +1,235 @@
+# SPDX-License-Identifier: Apache-2.0
+"""MATLAB Mobile: sensor logs as ``.mat`` files or as CSV files written from them.
+
+Source: MathWorks documentation of ``mobiledev``, ``accellog``, ``angvellog``, ``poslog`` and "Logging
+Accelerometer Data". The app logs the timetables ``Acceleration`` (X, Y, Z in m/s², gravity included),
+``AngularVelocity`` (X, Y, Z in rad/s) and ``Position`` (latitude, longitude, altitude, speed, course,
+hacc) with row times ``Timestamp``. Read are ``.mat`` files up to version 7 with these timetables, with
+structs of those fields, or with arrays (n, 3) that have a time vector beside them or (n, 4) with the
+time first; and ``writetimetable``'s CSV files.
+"""
+
+from __future__ import annotations
+
+import re
+import warnings
+from collections.abc import Iterable
+from io import BytesIO
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import scipy.io
+from scipy.io.matlab import MatReadError
+
+from suspension_twin.drive.intake.clocks import text_to_posix
+from suspension_twin.drive.intake.matlab_objects import UnreadableObject, timetables
+from suspension_twin.drive.intake.source import Source
+from suspension_twin.drive.intake.streams import Series, Streams
+from suspension_twin.drive.intake.table import read_table
+from suspension_twin.drive.intake.velocity import velocities_from_course
+from suspension_twin.drive.types import FixData, Floats
+from suspension_twin.errors import InputError
+
+__all__ = ["TITLE", "read", "recognises"]
+
+TITLE = "MATLAB Mobile"
+
+#: What a log is called, in the app and in the scripts that save its arrays.
+_LOGS = {
+    "acceleration": ("acceleration", "accel", "acc"),
+    "angularvelocity": ("angularvelocity", "angvel", "gyro"),
+    "position": ("position", "pos"),
+}
+_TIMES = ("timestamp", "timestamps", "time", "t")
+_XYZ = ("x", "y", "z")
+_POSITION = ("latitude", "longitude", "altitude", "speed", "course", "hacc")
+
+_INSTEAD = (
+    "in MATLAB, writetimetable(Acceleration,'Acceleration.csv'), the same for AngularVelocity and Position, "
+    "and import the folder"
+)
+
+Columns = dict[str, Any]
+
+
+def recognises(source: Source) -> bool:
+    """A ``.mat`` file, or a CSV file of one of the logs with a time column."""
+    if _mat(source) is not None:
+        return True
+    return any(_is_csv(source, log) for log in ("acceleration", "angularvelocity"))
+
+
+def _mat(source: Source) -> str | None:
+    return next((name for name in source.names if name.lower().endswith(".mat")), None)
+
+
+def _is_csv(source: Source, log: str) -> str | None:
+    for name in source.names:
+        if log in Path(name).stem.lower() and name.lower().endswith((".csv", ".txt")):
+            head = source.head(name, 512).split(b"\n", 1)[0].lower()
+            if re.search(rb"\btime(stamp)?\b", head) and re.search(rb"\bx\b|_x\b", head):
+                return name
+    return None
+
+
+def read(source: Source) -> Streams:
+    """Acceleration, angular velocity and position."""
+    streams = Streams(origin=TITLE)
+    mat = _mat(source)
+    if mat is not None:
+        logs = _logs_of_mat(source.read(mat), source.label(mat))
+    else:
+        logs = _logs_of_csv(source, streams)
+    if "acceleration" in logs:
+        streams.force = _series(logs["acceleration"], source.label("Acceleration"))
+    if "angularvelocity" in logs:
+        streams.rate = _series(logs["angularvelocity"], source.label("AngularVelocity"))
+    if "position" in logs:
+        _position(logs["position"], streams, source.label("Position"))
+    streams.notes.append("time: MATLAB Mobile logs local time without its zone, taken as UTC")
+    return streams
+
+
+def _logs_of_csv(source: Source, streams: Streams) -> dict[str, Columns]:
+    logs = {}
+    for log in _LOGS:
+        name = _is_csv(source, log)
+        if log == "position":
+            name = next(
+                (n for n in source.names if "position" in n.lower() and n.lower().endswith(".csv")), None
+            )
+        if name is None:
+            continue
+        table = read_table(source.read(name), source.label(name), header=True)
+        streams.warnings += table.warnings
+        columns: Columns = {}
+        for i, full in enumerate(table.names):
+            short = full.lower().rsplit("_", 1)[-1]
+            numbers = table.numbers(i)
+            columns[short] = numbers if np.isfinite(numbers).any() else list(table.text(i))
+        logs[log] = columns
+    return logs
+
+
+def _logs_of_mat(data: bytes, label: str) -> dict[str, Columns]:
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # several timetables in one file have the same name to SciPy
+            variables = scipy.io.loadmat(BytesIO(data), squeeze_me=True, struct_as_record=False)  # type: ignore[arg-type]
+    except NotImplementedError:
+        raise InputError(label, f"saved as version 7.3: {_INSTEAD}") from None
+    except (MatReadError, ValueError, TypeError, KeyError, IndexError, OSError, EOFError):
+        raise InputError(label, "not a .mat file, or cut off") from None
+    except Exception as error:  # zlib's and NumPy's own, for bytes that are damaged
+        raise InputError(label, f"damaged ({type(error).__name__})") from None
+    if any(type(value).__name__ == "MatlabOpaque" for value in variables.values()):
+        try:
+            variables |= timetables(data, variables["__function_workspace__"].tobytes())
+        except (UnreadableObject, KeyError) as error:
+            raise InputError(label, f"its timetables cannot be read ({error}): {_INSTEAD}") from None
+    named = {name.lower(): value for name, value in variables.items() if not name.startswith("__")}
+    for value in list(named.values()):  # readMobileSensorData gives one struct of all logs
+        fields = _fields(value)
+        if any(key in fields for key in _LOGS):
+            named |= fields
+    logs: dict[str, Columns] = {}
+    for log, aliases in _LOGS.items():
+        name = next((alias for alias in aliases if alias in named), None)
+        if name is not None:
+            columns = _columns(named, name, label)
+            if columns:
+                logs[log] = columns
+    if not logs:
+        known = ", ".join(named) or "none"
+        raise InputError(label, f"holds neither Acceleration nor AngularVelocity; its variables are {known}")
+    return logs
+
+
+def _fields(value: Any) -> Columns:
+    """Fields of a struct or columns of a timetable, by lower-case name; empty for anything else."""
+    if hasattr(value, "_fieldnames"):
+        return {name.lower(): getattr(value, name) for name in value._fieldnames}
+    return value if isinstance(value, dict) else {}
+
+
+def _columns(named: Columns, name: str, label: str) -> Columns:
+    """Columns of one log by lower-case name, whichever way it was saved."""
+    fields = _fields(named[name])
+    if fields:
+        return fields
+    array = np.asarray(named[name])
+    if array.dtype.kind not in "fiu" or array.ndim != 2:
+        return {}
+    names = _POSITION if name.startswith("pos") else _XYZ
+    if array.shape[1] == len(names) + 1:
+        return {"timestamp": array[:, 0], **{key: array[:, i + 1] for i, key in enumerate(names)}}
+    beside = (
+        [f"{name}_{t}" for t in _TIMES] + [f"{t}_{name}" for t in _TIMES] + [f"{name}{t}" for t in _TIMES]
+    )
+    time = next((key for key in (*beside, *(f"{t}{name}" for t in _TIMES), *_TIMES) if key in named), None)
+    if time is None or array.shape[1] > len(names):
+        raise InputError(label, name, f"no time beside it: save it as {name}_t")
+    return {"timestamp": named[time], **{key: array[:, i] for i, key in enumerate(names[: array.shape[1]])}}
+
+
+def _number_column(columns: Columns, name: str, label: str) -> Floats:
+    if name not in columns:
+        raise InputError(label, name, f"is missing; there are {', '.join(columns)}")
+    try:
+        return np.asarray(columns[name], dtype=np.float64).ravel()
+    except (ValueError, TypeError):
+        raise InputError(label, name, "does not hold numbers") from None
+
+
+def _times(columns: Columns, label: str) -> Floats:
+    """POSIX times from text, datetimes, serial day numbers or seconds, told by their size."""
+    name = next((key for key in _TIMES if key in columns), None)
+    if name is None:
+        raise InputError(label, f"has no Timestamp; there are {', '.join(columns)}")
+    values = columns[name]
+    array = np.asarray(values)
+    if array.dtype.kind == "M":
+        return np.asarray(array.astype("datetime64[ns]").astype(np.int64) * 1e-9, dtype=np.float64).ravel()
+    if array.dtype.kind not in "fiu":
+        texts: Iterable[Any] = values if isinstance(values, list) else array.ravel()
+        t = text_to_posix([str(text) for text in texts])
+        if not np.isfinite(t).any():
+            raise InputError(label, name, "holds neither numbers nor dates")
+        return t
+    t = array.astype(np.float64).ravel()
+    largest = float(np.nanmax(np.abs(t))) if t.size and np.isfinite(t).any() else 0.0
+    step = float(np.nanmedian(np.diff(t))) if t.size > 1 else 0.0
+    if 600_000 < largest < 800_000 and step < 0.01:  # datenum: days since year 0
+        return (t - 719_529.0) * 86_400.0
+    for size, scale in ((1e17, 1e-9), (1e14, 1e-6), (1e11, 1e-3)):
+        if largest > size:
+            return t * scale
+    return t
+
+
+def _series(columns: Columns, label: str) -> Series:
+    t = _times(columns, label)
+    values = [_number_column(columns, name, label) for name in _XYZ]
+    if any(column.size != t.size for column in values):
+        raise InputError(label, f"{values[0].size} samples for {t.size} times")
+    return Series(t, np.stack(values, axis=1))
+
+
+def _position(columns: Columns, streams: Streams, label: str) -> None:
+    t = _times(columns, label)
+    nothing = np.full(t.size, np.nan)
+    latitude, longitude = (_number_column(columns, name, label) for name in ("latitude", "longitude"))
+    altitude, accuracy = (
+        _number_column(columns, name, label) if name in columns else nothing for name in ("altitude", "hacc")
+    )
+    if not t.size == latitude.size == longitude.size:
+        raise InputError(label, f"{latitude.size} positions for {t.size} times")
+    with np.errstate(invalid="ignore"):
+        horizontal = np.where(accuracy > 0, accuracy / np.sqrt(2), np.nan)
+    sigma = np.stack([horizontal, horizontal, nothing], axis=1)
+    streams.fix = FixData(t, latitude, longitude, altitude, np.zeros(t.size, dtype=np.int8), sigma)
+    if "speed" in columns and "course" in columns:
+        speed, course = (_number_column(columns, name, label) for name in ("speed", "course"))
+        streams.velocity = velocities_from_course(t, speed, course)
+        streams.notes.append("velocity: from speed and course")

@@ -1,0 +1,157 @@
+# SPDX-License-Identifier: Apache-2.0
+"""phyphox: the zip or folder of its CSV export, in any of its delimiters and languages.
+
+Sources: the export code and file format pages of phyphox (RWTH Aachen). Columns carry their unit in
+brackets: ``Acceleration x (m/s^2)``, ``Gyroscope x (rad/s)``, ``Latitude (°)``, ``Velocity (m/s)``,
+``Direction (°)``; names follow the language of the phone, so that units and the order in the file
+decide where a name is not the English one. ``Linear Acceleration`` is without gravity and no use.
+Its time is that of the experiment, which stands still during a pause; ``meta/time.csv`` holds what
+the clock said at each START and PAUSE. On iOS the app itself turns values to Android's axes.
+"""
+
+from __future__ import annotations
+
+import re
+
+import numpy as np
+
+from suspension_twin.drive.intake.source import Source
+from suspension_twin.drive.intake.streams import Series, Streams
+from suspension_twin.drive.intake.table import Table, read_table
+from suspension_twin.drive.intake.velocity import velocities_from_course
+from suspension_twin.drive.types import FixData, Floats
+from suspension_twin.errors import InputError
+
+__all__ = ["TITLE", "read", "recognises"]
+
+TITLE = "phyphox"
+
+_LINEAR = re.compile(r"line[aá]|liné|lineer|ohne g|without g|線形|线性", re.IGNORECASE)
+_ACCELERATION = re.compile(r"\bm\s*/\s*s(\^2|²)")
+_RATE = re.compile(r"\brad\s*/\s*s\b")
+_AXIS = re.compile(r"(?:^|[\s_])([xyz])\b", re.IGNORECASE)
+_TIME_HEAD = re.compile(rb"\(s\)")
+
+
+def recognises(source: Source) -> bool:
+    """A time reference in ``meta``, or a CSV file whose columns carry phyphox's units."""
+    if source.find("meta/time.csv") is not None:
+        return True
+    return any(_head(source, name) for name in source.names[:20] if name.lower().endswith((".csv", ".txt")))
+
+
+def _head(source: Source, name: str) -> bool:
+    first = source.head(name, 2048).split(b"\n", 1)[0]
+    units = (b"(m/s^2)", "(m/s²)".encode(), b"(rad/s)", "(°)".encode(), b"(\xb0)")
+    return bool(_TIME_HEAD.search(first)) and any(unit in first for unit in units)
+
+
+def read(source: Source) -> Streams:
+    """Accelerometer with gravity, gyroscope and location."""
+    streams = Streams(origin=TITLE)
+    linear_only = False
+    for name in source.names:
+        if not name.lower().endswith((".csv", ".txt")) or "meta/" in f"/{name.lower()}":
+            continue
+        if not _head(source, name):
+            continue
+        try:
+            table = read_table(source.read(name), source.label(name), header=True)
+        except InputError as error:
+            if "no rows" in str(error):
+                continue  # a sensor that never reported
+            raise
+        linear_only |= _take(table, name, streams)
+        streams.warnings += table.warnings
+    if streams.force is None and linear_only:
+        raise InputError(
+            source.path, "acceleration is without gravity: use the experiment 'Acceleration (with g)' or both"
+        )
+    _to_epoch(source, streams)
+    return streams
+
+
+def _columns(table: Table, unit: re.Pattern[str]) -> list[int]:
+    """The x, y and z columns of a unit, in this order; empty if they are not all there."""
+    found: dict[str, int] = {}
+    for i, name in enumerate(table.names):
+        quantity = name.split("(")[0]
+        axis = _AXIS.search(quantity)
+        if unit.search(name) and axis and not _LINEAR.search(name):
+            found.setdefault(axis.group(1).lower(), i)
+    return [found[axis] for axis in "xyz"] if len(found) == 3 else []
+
+
+def _take(table: Table, name: str, streams: Streams) -> bool:
+    """Add what one file holds; whether it holds acceleration without gravity."""
+    t = table.numbers(0)
+    linear = bool(_LINEAR.search(name)) or any(_LINEAR.search(column) for column in table.names)
+    force = _columns(table, _ACCELERATION)
+    if force and not _LINEAR.search(name) and streams.force is None:
+        streams.force = Series(t, table.vector(force))
+    rate = _columns(table, _RATE)
+    if rate and streams.rate is None:
+        streams.rate = Series(t, table.vector(rate))
+    degrees = [i for i, column in enumerate(table.names) if re.search(r"\(\s*(°|deg)", column)]
+    if len(degrees) >= 2 and streams.fix is None:
+        _location(table, t, degrees, streams)
+    return linear
+
+
+def _location(table: Table, t: Floats, degrees: list[int], streams: Streams) -> None:
+    """Latitude and longitude come first, then height, velocity, direction and the two accuracies."""
+    metres = [i for i, column in enumerate(table.names) if re.search(r"\(\s*m\s*\)", column)]
+    speeds = [i for i, column in enumerate(table.names) if re.search(r"\(\s*m\s*/\s*s\s*\)", column)]
+
+    def metre(number: int) -> Floats:
+        return table.numbers(metres[number]) if len(metres) > number else np.full(t.size, np.nan)
+
+    horizontal, vertical = metre(1), metre(2)
+    with np.errstate(invalid="ignore"):
+        sigma = np.stack([horizontal / np.sqrt(2), horizontal / np.sqrt(2), vertical], axis=1)
+        sigma = np.where(sigma > 0, sigma, np.nan)
+    latitude, longitude = table.numbers(degrees[0]), table.numbers(degrees[1])
+    streams.fix = FixData(t, latitude, longitude, metre(0), np.zeros(t.size, dtype=np.int8), sigma)
+    if speeds and len(degrees) >= 3:
+        streams.velocity = velocities_from_course(t, table.numbers(speeds[0]), table.numbers(degrees[2]))
+        streams.notes.append("velocity: from speed and direction")
+
+
+def _to_epoch(source: Source, streams: Streams) -> None:
+    """Replace the time of the experiment by that of the clock."""
+    name = source.find("meta/time.csv") or source.find("time.csv")
+    if name is None:
+        streams.warnings.append(
+            f"{source.path}: no meta/time.csv: times count from the start of the experiment"
+        )
+        return
+    table = read_table(source.read(name), source.label(name), header=True)
+    events = [value.strip().strip('"').upper() for value in table.text(0)]
+    experiment, system = table.numbers(1), table.numbers(2)
+    known = np.isfinite(experiment) & np.isfinite(system)
+    starts = [i for i, event in enumerate(events) if event == "START" and known[i]]
+    if not starts:
+        raise InputError(source.label(name), "holds no START")
+    begin = experiment[starts]
+    offset = system[starts] - begin
+    pauses = len(starts) - 1
+    if pauses:
+        streams.notes.append(f"time: the recording was paused {pauses} times")
+
+    def epoch(t: Floats) -> Floats:
+        # a sample at the very moment of a pause belongs to what was before it
+        segment = np.clip(np.searchsorted(begin, t, side="left") - 1, 0, len(starts) - 1)
+        return np.asarray(t + offset[segment])
+
+    if streams.force is not None:
+        streams.force = Series(epoch(streams.force.t), streams.force.values)
+    if streams.rate is not None:
+        streams.rate = Series(epoch(streams.rate.t), streams.rate.values)
+    if streams.fix is not None:
+        fix = streams.fix
+        streams.fix = FixData(
+            epoch(fix.t), fix.latitude, fix.longitude, fix.altitude, fix.status, fix.sigma, fix.frame
+        )
+    if streams.velocity is not None:
+        velocity = streams.velocity
+        streams.velocity = type(velocity)(epoch(velocity.t), velocity.enu)

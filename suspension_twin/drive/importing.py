@@ -1,0 +1,96 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Bring a recording of any known format in: one way for the command line and for programs."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+from suspension_twin.drive.importers import importer_of
+from suspension_twin.drive.intake.mapped import read_mapped
+from suspension_twin.drive.intake.mapping import BagSpec, load_mapping
+from suspension_twin.drive.intake.source import Source
+from suspension_twin.drive.intake.streams import assemble, merge
+from suspension_twin.drive.intake.velocity import velocities_from_fixes
+from suspension_twin.drive.read import Topics, read_drive
+from suspension_twin.drive.recording import is_recording
+from suspension_twin.drive.types import Drive, ImuData
+from suspension_twin.errors import InputError
+
+__all__ = ["Imported", "import_drive"]
+
+
+@dataclass(frozen=True, eq=False)
+class Imported:
+    """A drive, the format it came in, and what was decided on the way."""
+
+    drive: Drive
+    origin: str
+    notes: tuple[str, ...]
+
+
+def import_drive(
+    paths: Sequence[str | Path], *, mapping: str | Path | None = None, topics: Topics | None = None
+) -> Imported:
+    """One drive from files, folders or archives of any known format; a mapping file decides if given.
+
+    Several paths are parts of one drive (an IMU's log and a receiver's); of a stream that more than
+    one holds, the last one's is taken. A bag is read by its ``topics``. Raises InputError naming the
+    file.
+    """
+    if not paths:
+        raise InputError("import", "no file given")
+    for path in paths:
+        if not Path(path).exists():
+            raise InputError(path, "is not there")
+    if mapping is not None:
+        return _by_mapping([Path(path) for path in paths], Path(mapping))
+    bags = [Path(path) for path in paths if is_recording(path)]
+    if bags:
+        if len(paths) > 1:
+            raise InputError(bags[0], "is a recording of its own: import it alone")
+        return _bag(bags[0], topics or Topics())
+    sources = [Source(path) for path in paths]
+    streams = merge([importer_of(source).read(source) for source in sources])
+    drive, notes = assemble(streams, sources[0].name, ", ".join(str(path) for path in paths))
+    return Imported(drive, streams.origin, tuple(notes))
+
+
+def _bag(path: Path, topics: Topics, lag: float = 0.0) -> Imported:
+    drive = read_drive(path, topics=topics)
+    notes = [f"topics: {topics.imu}, {topics.fix}, {topics.vel}"]
+    if lag:
+        imu = drive.imu
+        drive = replace(
+            drive,
+            imu=ImuData(imu.t - lag, imu.specific_force, imu.angular_rate, imu.orientation, imu.frame),
+        )
+        notes.append(f"IMU time: {lag:g} s lag taken out")
+    if len(drive.fix) and not len(drive.velocity):
+        velocity = velocities_from_fixes(drive.fix)
+        drive = replace(drive, velocity=velocity)
+        if len(velocity):
+            notes.append("velocity: none recorded, derived from the positions")
+    return Imported(drive, "bag", tuple(notes))
+
+
+def _by_mapping(paths: Sequence[Path], mapping: Path) -> Imported:
+    spec = load_mapping(mapping)
+    if spec.bag is not None:
+        return _mapped_bag(paths, spec.bag, spec.name)
+    sources = [Source(path) for path in paths]
+    streams = read_mapped(spec, sources, str(mapping))
+    drive, notes = assemble(streams, spec.name or sources[0].name, ", ".join(str(path) for path in paths))
+    return Imported(drive, streams.origin, tuple(notes))
+
+
+def _mapped_bag(paths: Sequence[Path], spec: BagSpec, name: str | None) -> Imported:
+    path = paths[0]
+    if spec.file is not None and path.is_dir() and (path / spec.file).exists():
+        path = path / spec.file
+    elif spec.file is not None and path.is_dir() and not is_recording(path):
+        raise InputError(path, spec.file, "is not there (the mapping asks for it)")
+    topics = Topics(imu=spec.imu, fix=spec.fix, vel=spec.vel, heading=spec.heading)
+    imported = _bag(path, topics, spec.lag)
+    return replace(imported, drive=replace(imported.drive, name=name)) if name else imported

@@ -1,0 +1,133 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Files that an importer reads, whether they lie in a folder, in a zip archive or were named singly."""
+
+from __future__ import annotations
+
+import zipfile
+import zlib
+from collections.abc import Mapping
+from pathlib import Path, PurePosixPath
+
+from suspension_twin.errors import InputError
+
+__all__ = ["Source", "decode_text"]
+
+_LARGEST = 2 << 30  # bytes of one member: beyond this an archive is a trap, not a recording
+_MOST_FILES = 20_000
+
+
+def decode_text(data: bytes) -> tuple[str, bool]:
+    """Text of a file in UTF-8 or, by its mark, UTF-16; whether it had to be read as Latin-1."""
+    if data.startswith((b"\xff\xfe", b"\xfe\xff")):
+        return data.decode("utf-16", "replace"), False
+    try:
+        return data.decode("utf-8-sig"), False
+    except UnicodeDecodeError:
+        return data.decode("cp1252", "replace"), True
+
+
+class Source:
+    """One recording as the user named it: a file, a folder or a zip archive.
+
+    ``names`` are its files relative to it, with ``/``; of a single file, its name. Archives made on
+    a Mac carry a shadow of each file, and some wrap everything in a folder: neither shows here.
+    """
+
+    def __init__(self, path: str | Path) -> None:
+        """Raises InputError if there is nothing at ``path`` or the archive is damaged."""
+        self.path = Path(path)
+        self._archive: zipfile.ZipFile | None = None
+        self._members: Mapping[str, str | Path]
+        try:
+            if self.path.is_dir():
+                self._members = self._folder()
+            elif zipfile.is_zipfile(self.path):
+                self._archive = zipfile.ZipFile(self.path)
+                self._members = self._zip(self._archive)
+            else:
+                with self.path.open("rb") as file:
+                    if file.read(4) == b"PK\x03\x04":
+                        raise InputError(self.path, "the zip archive is cut off: copy it again")
+                self._members = {self.path.name: self.path}
+        except zipfile.BadZipFile:
+            raise InputError(self.path, "the zip archive is damaged") from None
+        except OSError as error:
+            raise InputError(self.path, error.strerror or "cannot be read") from None
+
+    def _folder(self) -> dict[str, str | Path]:
+        members: dict[str, str | Path] = {}
+        for path in sorted(self.path.rglob("*")):
+            if path.is_file() and not _shadow(path.relative_to(self.path).as_posix()):
+                members[path.relative_to(self.path).as_posix()] = path
+                if len(members) > _MOST_FILES:
+                    raise InputError(self.path, f"holds more than {_MOST_FILES} files: name one recording")
+        return members
+
+    @staticmethod
+    def _zip(archive: zipfile.ZipFile) -> dict[str, str | Path]:
+        names = [i.filename for i in archive.infolist() if not i.is_dir() and not _shadow(i.filename)]
+        tops = {name.split("/", 1)[0] for name in names}
+        wrapped = len(tops) == 1 and all("/" in name for name in names)
+        return {name.split("/", 1)[1] if wrapped else name: name for name in names}
+
+    @property
+    def name(self) -> str:
+        """Name of the recording, without the archive's or file's ending."""
+        return self.path.name if self.path.is_dir() else self.path.stem
+
+    @property
+    def names(self) -> list[str]:
+        """Every file, relative to the source."""
+        return list(self._members)
+
+    def find(self, *wanted: str) -> str | None:
+        """The first of the names that there is, whatever its case, at any depth (the least deep)."""
+        for name in wanted:
+            low = name.lower()
+            hits = [m for m in self._members if m.lower() == low or m.lower().endswith("/" + low)]
+            if hits:
+                return min(hits, key=lambda m: m.count("/"))
+        return None
+
+    def label(self, name: str) -> str:
+        """How an error names one of the files."""
+        return str(self.path) if str(self.path.name) == name else f"{self.path}/{name}"
+
+    def read(self, name: str) -> bytes:
+        """Content of one file; InputError if it cannot be read."""
+        member = self._members[name]
+        try:
+            if isinstance(member, Path):
+                if member.stat().st_size > _LARGEST:
+                    raise InputError(self.label(name), "larger than 2 GiB")
+                return member.read_bytes()
+            assert self._archive is not None
+            if self._archive.getinfo(member).file_size > _LARGEST:
+                raise InputError(self.label(name), "larger than 2 GiB")
+            return self._archive.read(member)
+        except OSError as error:
+            raise InputError(self.label(name), error.strerror or "cannot be read") from None
+        except (zipfile.BadZipFile, zlib.error, RuntimeError, NotImplementedError, EOFError):
+            raise InputError(self.label(name), "damaged or encrypted in the archive") from None
+
+    def text(self, name: str) -> str:
+        """Content of one text file."""
+        return decode_text(self.read(name))[0]
+
+    def head(self, name: str, size: int = 4096) -> bytes:
+        """The first bytes of one file, empty if it cannot be read (used to recognise a format)."""
+        member = self._members[name]
+        try:
+            if isinstance(member, Path):
+                with member.open("rb") as file:
+                    return file.read(size)
+            assert self._archive is not None
+            with self._archive.open(member) as entry:
+                return entry.read(size)
+        except (OSError, zipfile.BadZipFile, zlib.error, RuntimeError, NotImplementedError, EOFError):
+            return b""
+
+
+def _shadow(name: str) -> bool:
+    parts = PurePosixPath(name).parts
+    return "__MACOSX" in parts or parts[-1].startswith("._") or parts[-1] == ".DS_Store"

@@ -1,0 +1,198 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A recorded drive from a bag, whatever its format, with what had to be left out said in a line."""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass, fields
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from suspension_twin.drive.cdr import Decoded
+from suspension_twin.drive.containers.contents import Contents, topic_name
+from suspension_twin.drive.recording import decode_topic, read_recording
+from suspension_twin.drive.repair import clean_drive, repair_stamps
+from suspension_twin.drive.types import Drive, FixData, Floats, HeadingData, ImuData, VelocityData
+from suspension_twin.errors import InputError
+
+__all__ = ["TYPES", "Topics", "read_drive"]
+
+
+_LAST_STAMP = 1 << 62  # ns: the year 2116
+
+
+@dataclass(frozen=True)
+class Topics:
+    """Names of the topics a drive is read from; a name is absolute with or without its slash."""
+
+    imu: str = "/imu/data_raw"
+    fix: str = "/fix"
+    vel: str = "/vel"
+    heading: str = "/heading"
+
+
+#: Types that each role may have; the first is what is written.
+TYPES: dict[str, tuple[str, ...]] = {
+    "imu": ("sensor_msgs/msg/Imu",),
+    "fix": ("sensor_msgs/msg/NavSatFix",),
+    "vel": ("geometry_msgs/msg/TwistStamped", "geometry_msgs/msg/TwistWithCovarianceStamped"),
+    "heading": ("geometry_msgs/msg/QuaternionStamped",),
+}
+
+
+def read_drive(path: str | Path, *, topics: Topics | None = None) -> Drive:
+    """Read one drive from a rosbag2 folder (MCAP or sqlite3), a bare ``.mcap`` or ``.db3`` file or
+    a ROS 1 bag.
+
+    Times are header stamps; where a topic's header stamps are missing (zero) its record stamps
+    are taken. Samples that are not finite and stamps that stand far out are left out. Everything
+    that was lost or repaired is a line in ``warnings``. Only the IMU's topic must be there.
+    Raises InputError: no recording, no IMU topic (naming those there are), a topic of a wrong
+    type, no sample left.
+    """
+    topics = topics or Topics()
+    names = {role: topic_name(name) for role, name in asdict(topics).items()}
+    contents = read_recording(path, set(names.values()))
+    for role, name in names.items():
+        _check_type(path, contents, role, name)
+    if names["imu"] not in contents.types:
+        raise InputError(path, names["imu"], _no_imu(contents))
+    columns = {f.name: _Columns.of(contents, names[f.name]) for f in fields(Topics)}
+    if not columns["imu"].t.size:
+        raise InputError(path, names["imu"], "; ".join(["no message was read", *contents.warnings]))
+    with np.errstate(all="ignore"):  # a message may hold anything
+        drive = Drive(
+            name=drive_name(path),
+            imu=_imu(columns["imu"]),
+            fix=_fix(columns["fix"]),
+            velocity=_velocity(columns["vel"]),
+            heading=_heading(columns["heading"]),
+            warnings=tuple(contents.warnings),
+        )
+        drive = clean_drive(drive)
+    if not len(drive.imu):
+        raise InputError(path, names["imu"], "; ".join(["no usable sample", *drive.warnings]))
+    return drive
+
+
+def drive_name(path: str | Path) -> str:
+    """Name of a drive from where it lies."""
+    path = Path(path)
+    return path.name if path.is_dir() else path.name.split(".", 1)[0] or path.name
+
+
+def _check_type(path: str | Path, contents: Contents, role: str, name: str) -> None:
+    have = contents.types.get(name)
+    if have is not None and have not in TYPES[role]:
+        raise InputError(path, name, f"holds {have}, but {role} needs {TYPES[role][0]}")
+
+
+def _no_imu(contents: Contents) -> str:
+    """One line: what is there instead, and what to do."""
+    if not contents.types:
+        return "; ".join(["the recording holds no topics", *contents.warnings])
+    imus = sorted(name for name, kind in contents.types.items() if kind in TYPES["imu"])
+    others = sorted(f"{name} ({kind})" for name, kind in contents.types.items() if name not in imus)
+    if imus:
+        text = f"no such topic; IMU topics of this recording are {', '.join(imus)}: name one as the imu topic"
+        return text + f", or 'suspension-twin import --imu-topic {imus[0]}' makes a drive of it"
+    shown = ", ".join(others[:8]) + (f" and {len(others) - 8} more" if len(others) > 8 else "")
+    return f"no such topic, nor any other of type {TYPES['imu'][0]}; the recording holds {shown}"
+
+
+@dataclass
+class _Columns:
+    """Messages of one topic with their repaired stamps."""
+
+    t: Floats
+    groups: list[Decoded]
+    order: NDArray[np.intp]
+
+    @classmethod
+    def of(cls, contents: Contents, name: str) -> _Columns:
+        groups = decode_topic(contents, name)
+        if not groups:
+            return cls(np.empty(0), [], np.empty(0, dtype=np.intp))
+        index = np.concatenate([group.index for group in groups])
+        order = np.argsort(index, kind="stable")
+        header = np.concatenate([group.stamp_ns for group in groups])[order]
+        recorded = _as_stamps(contents.topics[name].stamps)[index[order]]
+        t, keep, warnings = repair_stamps(header, recorded)
+        contents.warnings.extend(f"{name}: {line}" for line in warnings)
+        return cls(t[keep], groups, order[keep])
+
+    def rows(self, name: str) -> NDArray[Any]:
+        """Field ``name`` of the messages kept, in their order."""
+        return np.asarray(np.concatenate([group[name] for group in self.groups])[self.order])
+
+    def vector(self, prefix: str, names: str = "xyz") -> Floats:
+        """(n, len(names)) of a field's members."""
+        if not self.groups:
+            return np.empty((0, len(names)))
+        return np.asarray(np.concatenate([g.columns(prefix, names) for g in self.groups])[self.order])
+
+    @property
+    def frame(self) -> str:
+        return self.groups[0].text("header.frame_id") if self.groups else ""
+
+
+def _as_stamps(stamps: list[int]) -> NDArray[np.int64]:
+    """Times of recording in ns; what no clock ever showed becomes 0."""
+    try:
+        array = np.array(stamps, dtype=np.int64)
+    except OverflowError:
+        array = np.array([stamp if 0 <= stamp < _LAST_STAMP else 0 for stamp in stamps], dtype=np.int64)
+    return np.where((array >= 0) & (array < _LAST_STAMP), array, 0)
+
+
+def _imu(columns: _Columns) -> ImuData:
+    quaternions = columns.vector("orientation", "xyzw")
+    # REP-145: a first covariance of -1 says that the sensor reports no orientation; a quaternion
+    # that is not one says the same
+    unit = np.abs(np.linalg.norm(np.clip(quaternions, -10, 10), axis=1) - 1) < 0.01
+    absent = not unit.all() or (columns.rows("orientation_covariance")[:, 0] < 0).any()
+    return ImuData(
+        t=columns.t,
+        specific_force=columns.vector("linear_acceleration"),
+        angular_rate=columns.vector("angular_velocity"),
+        orientation=None if absent else quaternions,
+        frame=columns.frame or "imu_link",
+    )
+
+
+def _fix(columns: _Columns) -> FixData:
+    if not columns.groups:
+        empty = np.empty(0)
+        return FixData(empty, empty, empty, empty, np.empty(0, dtype=np.int8), np.empty((0, 3)))
+    variance = columns.rows("position_covariance")[:, [0, 4, 8]]
+    known = (columns.rows("position_covariance_type") != 0)[:, None] & np.isfinite(variance) & (variance >= 0)
+    return FixData(
+        t=columns.t,
+        latitude=columns.rows("latitude"),
+        longitude=columns.rows("longitude"),
+        altitude=columns.rows("altitude"),
+        status=columns.rows("status.status").astype(np.int8),
+        sigma=np.sqrt(np.where(known, variance, np.nan)),
+        frame=columns.frame or "gps_link",
+    )
+
+
+def _velocity(columns: _Columns) -> VelocityData:
+    if not columns.groups:
+        return VelocityData(np.empty(0), np.empty((0, 3)))
+    names = columns.groups[0].records.dtype.names or ()
+    with_covariance = "twist.twist.linear.x" in names
+    return VelocityData(
+        columns.t, columns.vector("twist.twist.linear" if with_covariance else "twist.linear")
+    )
+
+
+def _heading(columns: _Columns) -> HeadingData | None:
+    if not columns.groups:
+        return None
+    x, y, z, w = np.clip(columns.vector("quaternion", "xyzw"), -10, 10).T
+    norm = x * x + y * y + z * z + w * w
+    yaw = np.arctan2(2 * (w * z + x * y), w * w + x * x - y * y - z * z)
+    return HeadingData(columns.t, np.where(np.abs(norm - 1) < 0.02, yaw, np.nan))

@@ -1,0 +1,102 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What an effect is: something a model can be given that it did not have.
+
+An effect is one object in a file of its own. It says what it is called, which parameters it has
+with their units, bounds and priors, what excites it and what it is easily confused with; how it
+changes a model is its ``hook`` (see ``models.hooks``). With its severity at the neutral value an
+effect changes no bit of any result.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from typing import Literal
+
+from suspension_twin.drive.types import Floats
+from suspension_twin.errors import InputError
+from suspension_twin.models.hooks import Hook
+
+__all__ = ["Effect", "Parameter", "Values", "Where", "neutral", "per_corner"]
+
+Where = Literal["strut", "tyre", "body", "sensor", "time", "road"]
+#: One array (L,) for each parameter.
+Values = Mapping[str, Floats]
+
+
+@dataclass(frozen=True)
+class Parameter:
+    """One number of an effect.
+
+    ``low`` and ``high`` are physical bounds in ``unit``. ``neutral`` is what it is where the twin
+    file says nothing. The prior is normal about ``typical`` with ``spread``, in the logarithm
+    where ``log`` (then ``spread`` is a factor). ``choices`` lists the values of one that counts.
+    """
+
+    name: str
+    unit: str
+    low: float
+    high: float
+    neutral: float
+    typical: float
+    spread: float
+    doc: str
+    log: bool = False
+    choices: tuple[float, ...] = ()
+
+    def check(self, effect: str, value: float) -> float:
+        """``value`` as it is, or InputError that names the effect and the parameter."""
+        if self.choices:
+            good, must = value in self.choices, f"one of {', '.join(f'{c:g}' for c in self.choices)}"
+        else:
+            good = value == self.neutral or self.low <= value <= self.high
+            must = f"between {self.low:g} and {self.high:g} {self.unit}".rstrip()
+        if not good:
+            raise InputError("twin", f"effects.{effect}.{self.name}", f"must be {must}, is {value:g}")
+        return value
+
+
+@dataclass(frozen=True)
+class Effect:
+    """One effect. ``severity`` names the parameters that switch it off when all are neutral.
+
+    ``excited_by`` says which signals move it, ``confused_with`` what looks alike.
+    """
+
+    id: str
+    title: str
+    where: Where
+    doc: str
+    parameters: tuple[Parameter, ...]
+    severity: tuple[str, ...]
+    excited_by: tuple[str, ...]
+    confused_with: tuple[str, ...]
+    hook: Hook
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "hook", replace(self.hook, check=self.values))
+
+    def parameter(self, name: str) -> Parameter:
+        """The parameter called ``name``."""
+        return next(p for p in self.parameters if p.name == name)
+
+    def values(self, given: Mapping[str, float]) -> dict[str, float]:
+        """All parameters: what is ``given``, else neutral. InputError names what is not one or out of bounds."""
+        known = {p.name: p for p in self.parameters}
+        for name in given:
+            if name not in known:
+                raise InputError(
+                    "twin", f"effects.{self.id}.{name}", f"is not a parameter of it: {', '.join(known)}"
+                )
+        return {name: p.check(self.id, float(given.get(name, p.neutral))) for name, p in known.items()}
+
+
+def per_corner(rows: Floats, first: int, front: Floats, rear: Floats) -> None:
+    """Add the axles' values (L,) to the four rows of the corners from ``first`` on."""
+    rows[first : first + 2] += front
+    rows[first + 2 : first + 4] += rear
+
+
+def neutral(parameters: tuple[Parameter, ...]) -> dict[str, float]:
+    """Neutral value of each parameter, as a Hook wants them."""
+    return {p.name: p.neutral for p in parameters}

@@ -1,0 +1,31 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A clock offset that grows."""
+
+from __future__ import annotations
+
+from suspension_twin.effects.base import Effect, Parameter, Values, neutral
+from suspension_twin.models.hooks import ClockChange, Hook
+
+__all__ = ["EFFECT"]
+
+_PARAMETERS = (
+    Parameter("drift_ppm", "ppm", -50000.0, 50000.0, 0.0, 0.0, 300.0, "rate of the IMU clock less one"),
+)
+
+
+def _clock(change: ClockChange, p: Values) -> None:
+    change.drift[:] += 1e-6 * p["drift_ppm"]
+
+
+EFFECT = Effect(
+    id="clock_drift",
+    title="clock drift",
+    where="time",
+    doc="The clock that stamps the IMU runs fast by so many parts in a million: the offset against the GPS "
+    "receiver's clock is 0 at the start of each drive and grows.",
+    parameters=_PARAMETERS,
+    severity=("drift_ppm",),
+    excited_by=("long drives", "bumps early and late"),
+    confused_with=("time_offset", "damper_fade"),
+    hook=Hook(neutral(_PARAMETERS), clock=_clock, models=("full_car", "msd")),
+)

@@ -1,0 +1,28 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The map shifted across the road."""
+
+from __future__ import annotations
+
+from suspension_twin.effects.base import Effect, Parameter, Values, neutral
+from suspension_twin.models.hooks import Hook, RoadChange
+
+__all__ = ["EFFECT"]
+
+_PARAMETERS = (Parameter("offset", "m", -4.0, 4.0, 0.0, 0.0, 0.3, "across the reference line, to the left"),)
+
+
+def _road(change: RoadChange, p: Values) -> None:
+    change.left[:] += p["offset"]
+
+
+EFFECT = Effect(
+    id="lateral_offset",
+    title="map shifted across the road",
+    where="road",
+    doc="The vehicle is, on the road of the file, this much further to the left than its pose says.",
+    parameters=_PARAMETERS,
+    severity=("offset",),
+    excited_by=("roads whose wheel tracks differ",),
+    confused_with=("corner_damper", "road_scale"),
+    hook=Hook(neutral(_PARAMETERS), road=_road, models=("full_car", "msd")),
+)

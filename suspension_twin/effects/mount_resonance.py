@@ -1,0 +1,47 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The phone holder: the sensor on a springy arm."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from suspension_twin.drive.types import Floats
+from suspension_twin.effects._signal import second_order
+from suspension_twin.effects.base import Effect, Parameter, neutral
+from suspension_twin.models.hooks import Hook, SignalStage
+from suspension_twin.models.numerics import compiled
+
+__all__ = ["EFFECT"]
+
+_PARAMETERS = (
+    Parameter("gain", "", 0.0, 1.5, 0.0, 1.0, 0.2, "share of the holder's motion in what is read"),
+    Parameter("frequency", "Hz", 4.0, 60.0, 18.0, 18.0, 1.6, "of the holder", log=True),
+    Parameter("damping_ratio", "", 0.005, 0.7, 0.05, 0.05, 2.0, "of the holder", log=True),
+)
+
+
+@compiled
+def _signal(signals: Floats, t: Floats, fresh: NDArray[np.bool_], values: Floats, state: Floats) -> None:
+    for i in range(signals.shape[2]):
+        if values[0, i] != 0.0:
+            omega, zeta = 2.0 * math.pi * values[1, i], values[2, i]
+            second_order(signals, t, fresh, 2, i, omega, zeta, 2.0 * zeta * omega, values[0, i], state, 0)
+
+
+EFFECT = Effect(
+    id="mount_resonance",
+    title="resonance of the sensor's holder",
+    where="sensor",
+    doc="The sensor hangs on a mass-spring-damper that is shaken at its foot; the vertical specific force that "
+    "it reads is amplified near the resonance. Gain 1 is a sensor that rides on the holder wholly.",
+    parameters=_PARAMETERS,
+    severity=("gain",),
+    excited_by=("everything near its frequency", "a tap on the holder"),
+    confused_with=("body_bending", "sensor_bandwidth", "powertrain_mount"),
+    hook=Hook(
+        neutral(_PARAMETERS), signal=SignalStage(_signal, states=4, order=10), models=("full_car", "msd")
+    ),
+)

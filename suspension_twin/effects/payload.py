@@ -1,0 +1,48 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Mass on board that the twin file does not list."""
+
+from __future__ import annotations
+
+from suspension_twin.drive.types import Floats
+from suspension_twin.effects.base import Effect, Parameter, Values, neutral
+from suspension_twin.models.hooks import Hook
+
+__all__ = ["EFFECT"]
+
+#: Height of seats and luggage above the ground, m.
+HEIGHT = 0.75
+
+_PARAMETERS = (
+    Parameter("mass", "kg", 0.0, 1500.0, 0.0, 0.0, 150.0, "of the load"),
+    Parameter("x", "m", -1.5, 5.0, 0.5, 0.5, 0.8, "of its centre, ahead of the rear axle"),
+    Parameter("y", "m", -1.0, 1.0, 0.0, 0.0, 0.3, "of its centre, to the left"),
+)
+
+
+def _vehicle(numbers: dict[str, Floats], p: Values) -> None:
+    added, mass = p["mass"], numbers["vehicle.mass"]
+    place = (p["x"], p["y"], HEIGHT)
+    far = [place[i] - numbers[f"vehicle.cog.{i}"] for i in range(3)]
+    # parallel axes: both masses about their common centre
+    reduced = added * mass / (mass + added)
+    roll, pitch = "vehicle.sprung_inertia.roll", "vehicle.sprung_inertia.pitch"
+    numbers[roll] = numbers[roll] + reduced * (far[1] ** 2 + far[2] ** 2)
+    numbers[pitch] = numbers[pitch] + reduced * (far[0] ** 2 + far[2] ** 2)
+    numbers["vehicle.mass"] = mass + added
+    for i in range(3):
+        key = f"vehicle.cog.{i}"
+        numbers[key] = numbers[key] + added / (mass + added) * far[i]
+
+
+EFFECT = Effect(
+    id="payload",
+    title="unlisted payload",
+    where="body",
+    doc="A point mass on the body, 0.75 m above the ground: people or luggage that the mass in the file leaves "
+    "out. Mass, centre of gravity, inertia and standing compression all change.",
+    parameters=_PARAMETERS,
+    severity=("mass",),
+    excited_by=("body resonance, 1 to 2 Hz", "braking and accelerating"),
+    confused_with=("spring points", "sprung_inertia.pitch"),
+    hook=Hook(neutral(_PARAMETERS), vehicle=_vehicle, models=("full_car", "msd")),
+)

@@ -1,0 +1,28 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The map shifted along the road."""
+
+from __future__ import annotations
+
+from suspension_twin.effects.base import Effect, Parameter, Values, neutral
+from suspension_twin.models.hooks import Hook, RoadChange
+
+__all__ = ["EFFECT"]
+
+_PARAMETERS = (Parameter("offset", "m", -10.0, 10.0, 0.0, 0.0, 0.3, "along the reference line, forward"),)
+
+
+def _road(change: RoadChange, p: Values) -> None:
+    change.ahead[:] += p["offset"]
+
+
+EFFECT = Effect(
+    id="position_offset",
+    title="map shifted along the road",
+    where="road",
+    doc="The vehicle is, on the road of the file, this much further along than its pose says.",
+    parameters=_PARAMETERS,
+    severity=("offset",),
+    excited_by=("bumps at several speeds",),
+    confused_with=("time_offset (at one speed they are the same)",),
+    hook=Hook(neutral(_PARAMETERS), road=_road, models=("full_car", "msd")),
+)

@@ -1,0 +1,28 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Heights of the road file wrong by a factor."""
+
+from __future__ import annotations
+
+from suspension_twin.effects.base import Effect, Parameter, Values, neutral
+from suspension_twin.models.hooks import Hook, RoadChange
+
+__all__ = ["EFFECT"]
+
+_PARAMETERS = (Parameter("scale", "", -0.8, 2.0, 0.0, 0.0, 0.15, "factor less one"),)
+
+
+def _road(change: RoadChange, p: Values) -> None:
+    change.scale[:] *= 1 + p["scale"]
+
+
+EFFECT = Effect(
+    id="road_scale",
+    title="road heights off by a factor",
+    where="road",
+    doc="The road is (1 + scale) times as high as its file says.",
+    parameters=_PARAMETERS,
+    severity=("scale",),
+    excited_by=("every unevenness",),
+    confused_with=("sensor_scale (which gravity gives away)",),
+    hook=Hook(neutral(_PARAMETERS), road=_road, models=("full_car", "msd")),
+)

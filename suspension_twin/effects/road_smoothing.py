@@ -1,0 +1,29 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Short waves filtered out of the road file."""
+
+from __future__ import annotations
+
+from suspension_twin.effects.base import Effect, Parameter, Values, neutral
+from suspension_twin.models.hooks import Hook, RoadChange
+
+__all__ = ["EFFECT"]
+
+_PARAMETERS = (Parameter("sigma", "m", 0.005, 2.0, 0.0, 0.1, 2.0, "of the Gaussian", log=True),)
+
+
+def _road(change: RoadChange, p: Values) -> None:
+    change.sharpening[:] += p["sigma"]
+
+
+EFFECT = Effect(
+    id="road_smoothing",
+    title="road file too smooth",
+    where="road",
+    doc="The file was smoothed along the road with a Gaussian of this standard deviation; the effect undoes it "
+    "as far as that can be done, short waves by a factor of ten at most.",
+    parameters=_PARAMETERS,
+    severity=("sigma",),
+    excited_by=("short bumps", "rough road"),
+    confused_with=("road_scale", "tyre_envelope (the other way round)", "sensor_bandwidth"),
+    hook=Hook(neutral(_PARAMETERS), road=_road, models=("full_car", "msd")),
+)

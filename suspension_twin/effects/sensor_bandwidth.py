@@ -1,0 +1,43 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A low-pass in the phone."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from suspension_twin.drive.types import Floats
+from suspension_twin.effects._signal import second_order
+from suspension_twin.effects.base import Effect, Parameter, neutral
+from suspension_twin.models.hooks import Hook, SignalStage
+from suspension_twin.models.numerics import compiled
+
+__all__ = ["EFFECT"]
+
+_PARAMETERS = (Parameter("cutoff", "Hz", 0.5, 500.0, 0.0, 15.0, 2.0, "its -3 dB frequency", log=True),)
+
+
+@compiled
+def _signal(signals: Floats, t: Floats, fresh: NDArray[np.bool_], values: Floats, state: Floats) -> None:
+    for i in range(signals.shape[2]):
+        if values[0, i] != 0.0:
+            omega = 2.0 * math.pi * values[0, i]
+            for axis in range(6):
+                second_order(signals, t, fresh, axis, i, omega, math.sqrt(0.5), 0.0, 1.0, state, 4 * axis)
+
+
+EFFECT = Effect(
+    id="sensor_bandwidth",
+    title="low-pass in the sensor",
+    where="sensor",
+    doc="The sensor filters all its axes with a second-order Butterworth low-pass. 0 is no low-pass.",
+    parameters=_PARAMETERS,
+    severity=("cutoff",),
+    excited_by=("wheel hop", "sharp edges", "anything quick"),
+    confused_with=("time_offset", "tyre_envelope", "road_smoothing"),
+    hook=Hook(
+        neutral(_PARAMETERS), signal=SignalStage(_signal, states=24, order=40), models=("full_car", "msd")
+    ),
+)

@@ -1,0 +1,43 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The range of the sensor."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from suspension_twin.drive.types import Floats
+from suspension_twin.effects.base import Effect, Parameter, neutral
+from suspension_twin.models.hooks import Hook, SignalStage
+from suspension_twin.models.numerics import compiled
+
+__all__ = ["EFFECT"]
+
+_PARAMETERS = (Parameter("range", "m/s²", 9.9, 400.0, 0.0, 15.0, 1.5, "largest reading", log=True),)
+
+
+@compiled
+def _signal(signals: Floats, t: Floats, fresh: NDArray[np.bool_], values: Floats, state: Floats) -> None:
+    for i in range(signals.shape[2]):
+        limit = values[0, i]
+        if limit != 0.0:
+            for k in range(t.size):
+                for axis in range(3):
+                    read = signals[k, axis, i]
+                    clipped = min(max(read, -limit), limit)
+                    signals[k, axis, i] = clipped
+                    if axis == 2:
+                        signals[k, 6, i] += clipped - read
+
+
+EFFECT = Effect(
+    id="sensor_clipping",
+    title="sensor clips",
+    where="sensor",
+    doc="Specific force beyond the range reads as the range, on every axis. 0 is no limit.",
+    parameters=_PARAMETERS,
+    severity=("range",),
+    excited_by=("peaks: bumps and potholes at speed",),
+    confused_with=("bump_stop", "sensor_bandwidth"),
+    hook=Hook(neutral(_PARAMETERS), signal=SignalStage(_signal, order=50), models=("full_car", "msd")),
+)

@@ -1,0 +1,35 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The sensor is not where the file says."""
+
+from __future__ import annotations
+
+from suspension_twin.drive.types import Floats
+from suspension_twin.effects.base import Effect, Parameter, Values, neutral
+from suspension_twin.models.hooks import Hook
+
+__all__ = ["EFFECT"]
+
+_PARAMETERS = (
+    Parameter("x", "m", -4.0, 4.0, 0.0, 0.0, 0.5, "forward"),
+    Parameter("y", "m", -1.5, 1.5, 0.0, 0.0, 0.3, "to the left"),
+    Parameter("z", "m", -2.0, 2.0, 0.0, 0.0, 0.3, "up"),
+)
+
+
+def _vehicle(numbers: dict[str, Floats], p: Values) -> None:
+    for i, name in enumerate(("x", "y", "z")):
+        key = f"imu.position.{i}"
+        numbers[key] = numbers[key] + p[name]
+
+
+EFFECT = Effect(
+    id="sensor_offset",
+    title="sensor elsewhere",
+    where="sensor",
+    doc="The sensor's place in base_link is off by this much: pitch and roll reach it through another arm.",
+    parameters=_PARAMETERS,
+    severity=("x", "y", "z"),
+    excited_by=("pitch", "roll"),
+    confused_with=("cog", "sprung_inertia.pitch"),
+    hook=Hook(neutral(_PARAMETERS), vehicle=_vehicle, models=("full_car", "msd")),
+)

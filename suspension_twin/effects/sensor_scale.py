@@ -1,0 +1,41 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The gain of the sensor."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from suspension_twin.drive.types import Floats
+from suspension_twin.effects.base import Effect, Parameter, neutral
+from suspension_twin.models.hooks import Hook, SignalStage
+from suspension_twin.models.numerics import compiled
+
+__all__ = ["EFFECT"]
+
+_PARAMETERS = (Parameter("scale", "", -0.6, 1.0, 0.0, 0.0, 0.05, "gain less one"),)
+
+
+@compiled
+def _signal(signals: Floats, t: Floats, fresh: NDArray[np.bool_], values: Floats, state: Floats) -> None:
+    for i in range(signals.shape[2]):
+        if values[0, i] != 0.0:
+            for k in range(t.size):
+                for axis in range(3):
+                    more = values[0, i] * signals[k, axis, i]
+                    signals[k, axis, i] += more
+                    if axis == 2:
+                        signals[k, 6, i] += more
+
+
+EFFECT = Effect(
+    id="sensor_scale",
+    title="gain of the accelerometer",
+    where="sensor",
+    doc="The accelerometer reads (1 + scale) times the specific force on all axes, gravity included.",
+    parameters=_PARAMETERS,
+    severity=("scale",),
+    excited_by=("gravity: standing still", "every acceleration"),
+    confused_with=("road_scale", "accelerometer bias"),
+    hook=Hook(neutral(_PARAMETERS), signal=SignalStage(_signal, order=30), models=("full_car", "msd")),
+)

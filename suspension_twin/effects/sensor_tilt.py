@@ -1,0 +1,69 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The sensor is not upright."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from suspension_twin.drive.types import Floats
+from suspension_twin.effects.base import Effect, Parameter, neutral
+from suspension_twin.models.hooks import Hook, SignalStage
+from suspension_twin.models.numerics import compiled
+
+__all__ = ["EFFECT"]
+
+_angle = ("rad", -3.2, 3.2, 0.0, 0.0, 0.1)
+
+_PARAMETERS = (
+    Parameter("roll", *_angle, "about x, left side up"),
+    Parameter("pitch", *_angle, "about y, nose down"),
+    Parameter("yaw", *_angle, "about z, counter-clockwise"),
+)
+
+
+@compiled
+def _turn(roll: float, pitch: float, yaw: float) -> Floats:
+    """Rows of the matrix from base_link axes to the sensor's."""
+    cr, sr, cp, sp, cy, sy = (
+        math.cos(roll), math.sin(roll), math.cos(pitch), math.sin(pitch), math.cos(yaw), math.sin(yaw),
+    )  # fmt: skip
+    return np.array(
+        [
+            [cy * cp, sy * cp, -sp],
+            [cy * sp * sr - sy * cr, sy * sp * sr + cy * cr, cp * sr],
+            [cy * sp * cr + sy * sr, sy * sp * cr - cy * sr, cp * cr],
+        ]
+    )
+
+
+@compiled
+def _signal(signals: Floats, t: Floats, fresh: NDArray[np.bool_], values: Floats, state: Floats) -> None:
+    for i in range(signals.shape[2]):
+        if values[0, i] != 0.0 or values[1, i] != 0.0 or values[2, i] != 0.0:
+            turn = _turn(values[0, i], values[1, i], values[2, i])
+            for k in range(t.size):
+                for first in (0, 3):
+                    a, b, c = signals[k, first, i], signals[k, first + 1, i], signals[k, first + 2, i]
+                    for axis in range(3):
+                        signals[k, first + axis, i] = (
+                            turn[axis, 0] * a + turn[axis, 1] * b + turn[axis, 2] * c
+                        )
+                    if first == 0:
+                        signals[k, 6, i] += signals[k, 2, i] - c
+
+
+EFFECT = Effect(
+    id="sensor_tilt",
+    title="sensor tilted",
+    where="sensor",
+    doc="The sensor is turned against the mounting in the file (z-y-x Euler angles): gravity and the planar "
+    "accelerations leak into the other axes.",
+    parameters=_PARAMETERS,
+    severity=("roll", "pitch", "yaw"),
+    excited_by=("braking", "cornering", "standing still"),
+    confused_with=("accelerometer bias", "sensor_scale"),
+    hook=Hook(neutral(_PARAMETERS), signal=SignalStage(_signal, order=20), models=("full_car", "msd")),
+)

@@ -1,0 +1,29 @@
+# SPDX-License-Identifier: Apache-2.0
+"""IMU stamps shifted against GPS stamps."""
+
+from __future__ import annotations
+
+from suspension_twin.effects.base import Effect, Parameter, Values, neutral
+from suspension_twin.models.hooks import ClockChange, Hook
+
+__all__ = ["EFFECT"]
+
+_PARAMETERS = (Parameter("offset", "s", -2.0, 2.0, 0.0, 0.0, 0.05, "IMU stamp less GPS time"),)
+
+
+def _clock(change: ClockChange, p: Values) -> None:
+    change.delay[:] += p["offset"]
+
+
+EFFECT = Effect(
+    id="time_offset",
+    title="clock offset",
+    where="time",
+    doc="IMU stamps are later than they should be by the offset: what is stamped t happened, on the clock of "
+    "the GPS receiver, at t - offset.",
+    parameters=_PARAMETERS,
+    severity=("offset",),
+    excited_by=("bumps at several speeds", "accelerating and braking"),
+    confused_with=("position_offset (at one speed they are the same)", "sensor_bandwidth"),
+    hook=Hook(neutral(_PARAMETERS), clock=_clock, models=("full_car", "msd")),
+)

@@ -1,0 +1,30 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A contact patch that averages short bumps."""
+
+from __future__ import annotations
+
+from suspension_twin.effects.base import Effect, Parameter, Values, neutral
+from suspension_twin.models.hooks import Hook, RoadChange
+
+__all__ = ["EFFECT"]
+
+_PARAMETERS = (
+    Parameter("length", "m", 0.01, 2.0, 0.0, 0.15, 1.8, "of the contact patch, along the road", log=True),
+)
+
+
+def _road(change: RoadChange, p: Values) -> None:
+    change.patch[:] += p["length"]
+
+
+EFFECT = Effect(
+    id="tyre_envelope",
+    title="contact patch",
+    where="tyre",
+    doc="The wheel follows the mean height over the length of its contact patch instead of the height at a point.",
+    parameters=_PARAMETERS,
+    severity=("length",),
+    excited_by=("short bumps", "sharp edges"),
+    confused_with=("tyre_damping", "sensor_bandwidth", "road_smoothing (the other way round)"),
+    hook=Hook(neutral(_PARAMETERS), road=_road, models=("full_car", "msd")),
+)

@@ -1,0 +1,76 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The gap between a measured and a simulated drive: rms by channel, and its floor."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from suspension_twin.drive.types import Floats
+from suspension_twin.errors import WorkError
+
+__all__ = ["CHANNELS", "Gap", "measure_gap"]
+
+#: Every channel of an IMU that a twin can be compared in, vertical motion first.
+CHANNELS = (
+    "vertical_acceleration",
+    "roll_rate",
+    "pitch_rate",
+    "longitudinal_acceleration",
+    "lateral_acceleration",
+    "yaw_rate",
+)
+
+
+@dataclass(frozen=True)
+class Gap:
+    """What separates two signals that went through the same filter.
+
+    ``rms`` m/s² and ``mse`` m²/s⁴ of the vertical acceleration, ``noise_rms`` m/s² its floor,
+    ``channels`` the rms of each channel (m/s² and rad/s), ``seconds`` how much was compared.
+    """
+
+    rms: float
+    mse: float
+    noise_rms: float
+    channels: dict[str, float]
+    seconds: float
+
+    def as_dict(self) -> dict[str, Any]:
+        """The ``gap`` object of diagnosis.json, with ``seconds``."""
+        return {
+            "rms": self.rms,
+            "mse": self.mse,
+            "noise_rms": self.noise_rms,
+            "channels": dict(self.channels),
+            "seconds": self.seconds,
+        }
+
+
+def measure_gap(
+    measured: Mapping[str, Floats],
+    simulated: Mapping[str, Floats],
+    mask: NDArray[np.bool_],
+    rate: float,
+    noise_rms: float,
+) -> Gap:
+    """The gap over the samples of ``mask`` (m,) at ``rate`` Hz; signals (m,) by channel name.
+
+    Raises WorkError if there is nothing to compare or a signal is not finite there.
+    """
+    count = int(np.count_nonzero(mask))
+    if count == 0:
+        raise WorkError("nothing to compare: no sample has a pose, a road and a whole signal")
+    rms: dict[str, float] = {}
+    for channel in CHANNELS:
+        difference = (np.asarray(measured[channel]) - np.asarray(simulated[channel]))[mask]
+        value = float(np.sqrt(np.mean(difference**2)))
+        if not np.isfinite(value):
+            raise WorkError(f"the gap of {channel} is not a number: the simulation has failed")
+        rms[channel] = value
+    vertical = rms["vertical_acceleration"]
+    return Gap(vertical, vertical**2, noise_rms, rms, count / rate)

@@ -1,0 +1,266 @@
+# SPDX-License-Identifier: Apache-2.0
+"""From a recorded drive to what a twin is compared with, ready to simulate.
+
+Everything that does not depend on the candidate is done here once: the IMU in ``base_link``
+axes, the locked pose, the road under the wheels, the filtered measured channels and their floors.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, fields, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from suspension_twin.drive.types import Drive, Floats
+from suspension_twin.errors import InputError
+from suspension_twin.gap.measure import CHANNELS, Gap, measure_gap
+from suspension_twin.gap.noise import floor_rms
+from suspension_twin.gap.quiet import quiet_motion
+from suspension_twin.models.excitation import excitation
+from suspension_twin.models.types import Excitation, Response
+from suspension_twin.pose.smoothed import locked_trajectory
+from suspension_twin.pose.types import Trajectory
+from suspension_twin.road.road import Road
+from suspension_twin.signals.conditioner import Conditioner
+from suspension_twin.signals.filters import FilterSpec
+from suspension_twin.signals.ingest import ImuSettings
+from suspension_twin.signals.offline import ImuSignals, ingest_drive
+from suspension_twin.vehicle.twin import Datum, Twin
+
+__all__ = ["PrepareSettings", "Prepared", "prepare"]
+
+
+@dataclass(frozen=True)
+class PrepareSettings:
+    """``filter`` for both sides, zero-phase offline; ``max_step`` s of the simulation; ``quiet`` takes the
+    IMU's noise out of the planar motion that drives it."""
+
+    filter: FilterSpec = FilterSpec()
+    max_step: float = 1e-3
+    quiet: bool = True
+    imu: ImuSettings = field(default_factory=ImuSettings)
+
+
+@dataclass(frozen=True, eq=False)
+class Prepared:
+    """One drive, or a part of one, ready for comparison.
+
+    On the n kept IMU stamps: ``signals`` (unfiltered, base_link axes), ``trajectory``,
+    ``excitation``. On the conditioner's uniform grid of m samples: ``measured`` channels (m,),
+    ``speed`` m/s, ``position`` m of base_link along the road (or along the path where there is no
+    road) and its rate ``along`` m/s, ``inside`` where all wheels have a road under them,
+    ``mask`` where a comparison means something. ``noise_rms`` is each channel's floor,
+    ``position_sigma`` m the receiver's own horizontal standard deviation (0 where it gives none).
+    """
+
+    name: str
+    twin: Twin
+    road: Road
+    settings: PrepareSettings
+    signals: ImuSignals
+    trajectory: Trajectory
+    excitation: Excitation
+    conditioner: Conditioner
+    measured: dict[str, Floats]
+    noise_rms: dict[str, float]
+    speed: Floats
+    position: Floats
+    along: Floats
+    inside: NDArray[np.bool_]
+    mask: NDArray[np.bool_]
+    position_sigma: float = 0.0
+    warnings: tuple[str, ...] = ()
+
+    @property
+    def t(self) -> Floats:
+        """(m,) s, the grid of every conditioned signal."""
+        return self.conditioner.grid
+
+    @property
+    def rate(self) -> float:
+        """Samples per second of the grid."""
+        return self.conditioner.rate
+
+    def condition(self, response: Response) -> dict[str, Floats]:
+        """The simulated counterpart (m,) of every measured channel, through the same filter."""
+        stacked = np.stack([_channel(response, name) for name in CHANNELS], axis=1)
+        filtered = self.conditioner.apply(stacked)
+        return {name: filtered[:, i] for i, name in enumerate(CHANNELS)}
+
+    def gap(self, simulated: Mapping[str, Floats]) -> Gap:
+        """The gap to conditioned channels, over every sample that can be compared."""
+        return measure_gap(
+            self.measured, simulated, self.mask, self.rate, self.noise_rms["vertical_acceleration"]
+        )
+
+    def part(self, start: float, end: float) -> Prepared:
+        """The samples with stamps between ``start`` and ``end`` s, with a grid of their own."""
+        first, last = np.searchsorted(self.signals.t, [start, end])
+        if last - first < 16:
+            raise InputError(self.name, f"{last - first} samples between {start:.2f} and {end:.2f} s are too few")
+        cut = slice(int(first), int(last))
+        return _assemble(
+            self.name, self.twin, self.road, self.settings, _cut(self.signals, cut), _cut(self.trajectory, cut),
+            known=self,
+        )  # fmt: skip
+
+    def moved(self, seconds: float, metres: float) -> Prepared:
+        """The same drive with the pose read ``seconds`` later and the map taken ``metres`` back along
+        its own direction: what a clock offset and a shifted map mean, simulated instead of interpolated."""
+        path = self.trajectory
+        t = path.t
+        later = np.clip(t + seconds, t[0], t[-1])
+        columns = {
+            f.name: np.interp(later, t, getattr(path, f.name))
+            for f in fields(Trajectory)
+            if f.name not in ("t", "valid")
+        }
+        if metres:
+            with np.errstate(invalid="ignore"):
+                sense = np.sign(np.gradient(self.road.xy_to_uv(path.x, path.y)[0], t))
+            columns["x"] = columns["x"] + metres * sense * np.cos(columns["yaw"])
+            columns["y"] = columns["y"] + metres * sense * np.sin(columns["yaw"])
+        moved = replace(path, **columns)
+        return _assemble(
+            self.name, self.twin, self.road, self.settings, self.signals, moved,
+            known=self,
+        )  # fmt: skip
+
+
+def prepare(
+    drive: Drive,
+    twin: Twin,
+    road: Road | None = None,
+    settings: PrepareSettings | None = None,
+    strict: bool = False,
+) -> Prepared:
+    """Everything that a comparison of ``twin`` with ``drive`` needs, computed once.
+
+    ``road`` None loads the twin file's. ``strict`` refuses signals that must not be trusted (an IMU
+    upside down, too slow, dead). Raises InputError that names the drive and what it lacks.
+    """
+    settings = settings or PrepareSettings()
+    if road is None:
+        road = road_of(twin)
+    signals = ingest_drive(drive, twin.imu, settings.imu)
+    if strict:
+        for finding in signals.findings:
+            if finding.level == "error":
+                raise InputError(drive.name, "imu", finding.text)
+    datum = twin.datum or _first_fix(drive)
+    try:
+        trajectory = locked_trajectory(drive, signals, twin.gps, datum, signals.t)
+    except InputError as error:
+        raise error if str(error).startswith(drive.name) else InputError(drive.name, str(error)) from None
+    if settings.quiet:
+        trajectory = quiet_motion(trajectory, signals, twin.vehicle.cog[2])
+    warnings = (*drive.warnings, *(f.text for f in signals.findings if f.level != "ok"))
+    prepared = _assemble(drive.name, twin, road, settings, signals, trajectory)
+    return replace(prepared, position_sigma=_position_sigma(drive), warnings=warnings)
+
+
+def road_of(twin: Twin) -> Road:
+    """The road that the twin file names."""
+    from suspension_twin.road import load_road
+
+    if twin.road is None:
+        raise InputError("twin", "road", "is missing: name the road that was driven, road: {file: road.crg}")
+    return load_road(twin.road.file)
+
+
+def _first_fix(drive: Drive) -> Datum:
+    good = np.flatnonzero((drive.fix.status >= 0) & np.isfinite(drive.fix.latitude))
+    if not good.size:
+        raise InputError(drive.name, "fix", "has no usable GNSS fix: without a position the twin has no road")
+    i = int(good[0])
+    altitude = float(drive.fix.altitude[i]) if np.isfinite(drive.fix.altitude[i]) else 0.0
+    return Datum(
+        latitude=float(drive.fix.latitude[i]), longitude=float(drive.fix.longitude[i]), altitude=altitude
+    )
+
+
+def _position_sigma(drive: Drive) -> float:
+    """Median horizontal standard deviation of the fixes, 0 where the receiver gives none."""
+    sigma = drive.fix.sigma[:, :2]
+    known = sigma[np.isfinite(sigma).all(axis=1) & (sigma > 0).all(axis=1)]
+    return float(np.median(known)) if known.size else 0.0
+
+
+def _assemble(
+    name: str,
+    twin: Twin,
+    road: Road,
+    settings: PrepareSettings,
+    signals: ImuSignals,
+    trajectory: Trajectory,
+    known: Prepared | None = None,
+) -> Prepared:
+    """``known``: what this is a part or a moved copy of; the floors and warnings stay what they were."""
+    conditioner = Conditioner.for_stamps(signals.t, settings.filter, zero_phase=True)
+    raw = np.column_stack([_channel(signals, channel) for channel in CHANNELS])
+    filtered = conditioner.apply(raw)
+    floors = known.noise_rms if known else {
+        channel: floor_rms(raw[:, i], conditioner, signals.standing, filtered[:, i])
+        for i, channel in enumerate(CHANNELS)
+    }  # fmt: skip
+    t, grid = signals.t, conditioner.grid
+    position = road.xy_to_uv(trajectory.x, trajectory.y)[0]
+    wheels = twin.vehicle.wheel_positions
+    cos, sin = np.cos(trajectory.yaw)[:, None], np.sin(trajectory.yaw)[:, None]
+    wheel_x = trajectory.x[:, None] + cos * wheels[:, 0] - sin * wheels[:, 1]
+    wheel_y = trajectory.y[:, None] + sin * wheels[:, 0] + cos * wheels[:, 1]
+    inside = road.inside(wheel_x, wheel_y).all(axis=1)
+    on_grid = {
+        name: np.interp(grid, t, values)
+        for name, values in (("speed", trajectory.speed), ("position", position))
+    }
+    usable = inside & trajectory.valid & ~signals.saturated
+    inside_grid = np.interp(grid, t, inside.astype(float)) > 0.5
+    mask = conditioner.valid & (np.interp(grid, t, usable.astype(float)) > 0.99)
+    return Prepared(
+        name=name,
+        twin=twin,
+        road=road,
+        settings=settings,
+        signals=signals,
+        trajectory=trajectory,
+        excitation=excitation(trajectory, twin.vehicle, road, settings.max_step),
+        conditioner=conditioner,
+        measured={channel: filtered[:, i] for i, channel in enumerate(CHANNELS)},
+        noise_rms=floors,
+        speed=on_grid["speed"],
+        position=on_grid["position"],
+        along=np.gradient(on_grid["position"], grid),
+        inside=inside_grid,
+        mask=mask,
+        position_sigma=known.position_sigma if known else 0.0,
+        warnings=known.warnings if known else (),
+    )
+
+
+def _channel(source: ImuSignals | Response, name: str) -> Floats:
+    """One channel of what has ``force``, ``rate`` and ``vertical_acceleration``."""
+    if name == "vertical_acceleration":
+        return source.vertical_acceleration
+    kind, axis = {
+        "roll_rate": ("rate", 0),
+        "pitch_rate": ("rate", 1),
+        "yaw_rate": ("rate", 2),
+        "longitudinal_acceleration": ("force", 0),
+        "lateral_acceleration": ("force", 1),
+    }[name]
+    return np.asarray(getattr(source, kind)[:, axis])
+
+
+def _cut(source: Any, cut: slice) -> Any:
+    """A copy of a dataclass of arrays with every per-sample array cut."""
+    n = len(source)
+    changes = {}
+    for f in fields(source):
+        value = getattr(source, f.name)
+        if isinstance(value, np.ndarray) and value.ndim and len(value) == n and f.name != "gaps":
+            changes[f.name] = value[cut]
+    return replace(source, **changes)

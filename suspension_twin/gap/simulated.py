@@ -1,0 +1,157 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The twin over a recorded drive, without ROS: what its topics would have carried, and the gap."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from suspension_twin.drive.types import Drive, Floats
+from suspension_twin.drive.write import BagWriter
+from suspension_twin.errors import InputError, WorkError
+from suspension_twin.gap.measure import Gap
+from suspension_twin.gap.prepare import Prepared, PrepareSettings, prepare, road_of
+from suspension_twin.models.sensor import to_sensor_axes
+from suspension_twin.models.simulate import simulate_twin
+from suspension_twin.models.types import Response
+from suspension_twin.road import Road
+from suspension_twin.signals.filters import CausalLowPass
+from suspension_twin.vehicle.corners import CORNERS
+from suspension_twin.vehicle.twin import Twin
+
+__all__ = ["SimulatedDrive", "simulate_drive", "write_simulated"]
+
+_LEAST_ON_ROAD = 0.02  # share of the moving drive
+
+
+@dataclass(frozen=True, eq=False)
+class SimulatedDrive:
+    """A twin over a drive: ``prepared`` and ``response`` on the IMU stamps kept, and the ``gap``."""
+
+    drive: Drive
+    prepared: Prepared
+    response: Response
+    gap: Gap
+
+    def as_dict(self) -> dict[str, Any]:
+        """What ``gap.json`` holds: the gap, and how it was measured."""
+        spec = self.prepared.settings.filter
+        low_pass = {"kind": "Butterworth low-pass", "order": spec.order, "cutoff_hz": spec.cutoff}
+        return {
+            **self.gap.as_dict(),
+            "drive": self.drive.name,
+            "filter": {**low_pass, "zero_phase": True},
+            "vertical_acceleration_topic_filter": {**low_pass, "zero_phase": False},
+            "on_road": float(self.prepared.inside.mean()),
+            "warnings": list(self.prepared.warnings),
+        }
+
+
+def simulate_drive(
+    drive: Drive, twin: Twin, road: Road | None = None, settings: PrepareSettings | None = None
+) -> SimulatedDrive:
+    """Simulate ``twin`` over the whole of ``drive`` and measure the gap.
+
+    Raises InputError that names the drive and what it lacks: samples, fixes, or the road under it.
+    """
+    road = road_of(twin) if road is None else road
+    prepared = prepare(drive, twin, road, settings)
+    moving = np.abs(prepared.speed) > 0.8
+    if moving.any() and prepared.inside[moving].mean() < _LEAST_ON_ROAD:
+        raise InputError(
+            drive.name,
+            f"is not on the road {road.name}: is it the road of this drive, and is the twin file's datum the origin "
+            "of its x and y?",
+        )
+    response = simulate_twin(twin, prepared.excitation)
+    return SimulatedDrive(drive, prepared, response, prepared.gap(prepared.condition(response)))
+
+
+def write_simulated(result: SimulatedDrive, folder: Path) -> None:
+    """Write ``folder/simulated`` (a rosbag2 folder, MCAP) and ``folder/gap.json``.
+
+    One message of each topic for every IMU sample of the recording, at its own stamp. ``twin/imu`` is in
+    the sensor's axes, gravity included, unfiltered; ``twin/vertical_acceleration`` in base_link axes
+    through the live low-pass, as ``imu/vertical_acceleration`` is.
+    """
+    gap = json.dumps(result.as_dict(), indent=2, ensure_ascii=False, allow_nan=False)
+    with BagWriter(folder / "simulated", overwrite=True) as bag:
+        _write_topics(bag, result)
+    try:
+        (folder / "gap.json").write_text(gap + "\n", encoding="utf-8")
+    except OSError as error:
+        raise WorkError(f"{folder / 'gap.json'}: {error.strerror or 'cannot be written'}") from None
+
+
+def _write_topics(bag: BagWriter, result: SimulatedDrive) -> None:
+    prepared, response = result.prepared, result.response
+    t, stamps = response.t, result.drive.imu.t
+    place = prepared.twin.imu
+    attitude = Rotation.from_euler(
+        "ZYX", np.column_stack([prepared.trajectory.yaw, response.pitch, response.roll])
+    )
+    sensor = attitude * Rotation.from_euler("ZYX", [place.rpy[2], place.rpy[1], place.rpy[0]])
+
+    def at(values: Floats) -> Floats:
+        """Values at every recorded stamp; exact where the stamp was kept."""
+        if values.ndim == 1:
+            return np.interp(stamps, t, values)
+        return np.column_stack([np.interp(stamps, t, column) for column in values.T])
+
+    nearest = np.clip(np.searchsorted(t, stamps), 0, t.size - 1)
+    nearest = np.where(
+        (nearest > 0) & (np.abs(t[nearest - 1] - stamps) < np.abs(t[nearest] - stamps)), nearest - 1, nearest
+    )
+    force, rate = (at(to_sensor_axes(v, place.rpy)) for v in (response.force, response.rate))
+    bag.write(
+        "twin/imu",
+        "sensor_msgs/msg/Imu",
+        stamps,
+        {
+            **_xyz("linear_acceleration", force),
+            **_xyz("angular_velocity", rate),
+            **_quaternion("orientation", sensor.as_quat()[nearest]),
+        },
+        frame=result.drive.imu.frame,
+    )
+    low_pass = CausalLowPass(prepared.settings.filter, prepared.signals.rate_hz, 1)
+    vertical = low_pass.process(response.vertical_acceleration)
+    bag.write(
+        "twin/vertical_acceleration",
+        "geometry_msgs/msg/AccelStamped",
+        stamps,
+        {"accel.linear.z": at(vertical)},
+        frame="base_link",
+    )
+    path = prepared.trajectory
+    position = np.column_stack([path.x, path.y, response.z])
+    bag.write(
+        "twin/pose",
+        "geometry_msgs/msg/PoseStamped",
+        stamps,
+        {**_xyz("pose.position", at(position)), **_quaternion("pose.orientation", attitude.as_quat()[nearest])},
+        frame="map",
+    )
+    bag.write(
+        "joint_states",
+        "sensor_msgs/msg/JointState",
+        stamps,
+        {
+            "name": [f"{corner}_suspension" for corner in CORNERS],
+            "position": at(response.deflection),
+            "velocity": at(response.deflection_rate),
+        },
+    )
+
+
+def _xyz(prefix: str, rows: Floats) -> dict[str, Floats]:
+    return {f"{prefix}.{axis}": rows[:, i] for i, axis in enumerate("xyz")}
+
+
+def _quaternion(prefix: str, rows: Floats) -> dict[str, Floats]:
+    return {f"{prefix}.{axis}": rows[:, i] for i, axis in enumerate("xyzw")}

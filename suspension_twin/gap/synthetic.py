@@ -1,0 +1,124 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A drive that a known twin would record: what would this road and speed tell of a vehicle?
+
+For checks with a known truth and for planning a measurement. The twin's own model makes the
+motion; a phone's noise, jitter, lost samples and biases and a GNSS receiver's errors are added.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.integrate import cumulative_trapezoid
+from scipy.interpolate import PchipInterpolator
+
+from suspension_twin.drive.types import Drive, FixData, Floats, ImuData, VelocityData
+from suspension_twin.errors import InputError
+from suspension_twin.models.excitation import excitation
+from suspension_twin.models.simulate import simulate_twin
+from suspension_twin.pose.local_map import LocalMap
+from suspension_twin.pose.types import Trajectory
+from suspension_twin.road.road import Road
+from suspension_twin.signals.attitude import rpy_matrix
+from suspension_twin.vehicle.twin import Twin
+
+__all__ = ["SensorErrors", "path_along", "synthetic_drive"]
+
+
+@dataclass(frozen=True)
+class SensorErrors:
+    """A phone and an RTK receiver. Noise as standard deviations: ``force`` m/s², ``rate`` rad/s,
+    ``position`` m, ``velocity`` m/s; biases in sensor axes; ``jitter`` s of the IMU's stamps;
+    ``lost`` share of its samples; rates in Hz; ``clock_offset`` s by which IMU stamps are late."""
+
+    force: float = 0.05
+    rate: float = 0.003
+    force_bias: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    rate_bias: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    jitter: float = 3e-4
+    lost: float = 0.0
+    imu_rate: float = 100.0
+    gps_rate: float = 10.0
+    position: float = 0.01
+    velocity: float = 0.02
+    clock_offset: float = 0.0
+    start: float = 1_700_000_000.0
+
+
+def path_along(road: Road, t: Floats, knots: Sequence[tuple[float, float]], u: float, v: float = 0.0) -> Trajectory:
+    """Driving along a road at lateral offset ``v`` m, from ``u`` m on, base_link's origin on the path.
+
+    ``knots`` (s, m/s) of the speed, smoothly joined; ``t`` (n,) s in the knots' time.
+    """
+    if len(knots) < 2:
+        raise InputError("speed", "needs at least two knots of time and speed")
+    times, speeds = np.array(knots, dtype=float).T
+    profile = PchipInterpolator(times, speeds, extrapolate=False)
+    fine = np.arange(times[0], times[-1] + 1e-3, 1e-3)
+    speed = np.asarray(np.nan_to_num(profile(np.minimum(fine, times[-1]))), dtype=np.float64)
+    place = u + cumulative_trapezoid(speed, fine, initial=0)
+    x, y = road.uv_to_xy(place, np.full_like(place, v))
+    ahead, behind = (road.uv_to_xy(place + d, np.full_like(place, v)) for d in (0.25, -0.25))
+    yaw = np.unwrap(np.arctan2(ahead[1] - behind[1], ahead[0] - behind[0]))
+    yaw_rate = np.gradient(yaw, fine)
+    columns = {
+        "x": x, "y": y, "yaw": yaw, "speed": speed, "lateral_speed": np.zeros_like(speed),
+        "yaw_rate": yaw_rate, "ax": np.gradient(speed, fine), "ay": speed * yaw_rate,
+    }  # fmt: skip
+    at = np.clip(t, fine[0], fine[-1])
+    return Trajectory(
+        t=t, valid=np.ones(t.size, dtype=bool), **{k: np.interp(at, fine, c) for k, c in columns.items()}
+    )
+
+
+def synthetic_drive(
+    truth: Twin,
+    road: Road,
+    knots: Sequence[tuple[float, float]],
+    seed: int,
+    errors: SensorErrors | None = None,
+    u: float = 5.0,
+    v: float = 0.0,
+    name: str = "synthetic",
+) -> Drive:
+    """What the sensors of ``truth`` record on ``road`` at the speed of ``knots`` (s, m/s).
+
+    Raises InputError where the twin has no datum: the fixes need one.
+    """
+    e = errors or SensorErrors()
+    if truth.datum is None:
+        raise InputError("twin", "datum", "is missing: positions need an origin")
+    rng = np.random.default_rng(seed)
+    end = knots[-1][0]
+    even = np.arange(knots[0][0], end, 1.0 / e.imu_rate)
+    t = even + e.jitter * np.clip(rng.standard_normal(even.size), -3.0, 3.0)
+    t = t[rng.random(t.size) >= e.lost]
+    trajectory = path_along(road, t, knots, u, v)
+    response = simulate_twin(truth, excitation(trajectory, truth.vehicle, road))
+    turn = rpy_matrix(truth.imu.rpy)
+    force = response.force @ turn + np.array(e.force_bias) + e.force * rng.standard_normal((t.size, 3))
+    rate = response.rate @ turn + np.array(e.rate_bias) + e.rate * rng.standard_normal((t.size, 3))
+    imu = ImuData(t=e.start + t + e.clock_offset, specific_force=force, angular_rate=rate)
+
+    fixes = np.arange(knots[0][0], end, 1.0 / e.gps_rate)
+    at = path_along(road, fixes, knots, u, v)
+    cos, sin = np.cos(at.yaw), np.sin(at.yaw)
+    arm = truth.gps.position
+    height = np.interp(fixes, t, response.z)
+    antenna = np.column_stack(
+        [at.x + cos * arm[0] - sin * arm[1], at.y + sin * arm[0] + cos * arm[1], height + arm[2]]
+    )
+    antenna = antenna + e.position * rng.standard_normal(antenna.shape) * np.array([1.0, 1.0, 1.5])
+    latitude, longitude, altitude = LocalMap(truth.datum).to_geodetic(antenna).T
+    along = at.speed - at.yaw_rate * arm[1]
+    across = at.yaw_rate * arm[0]
+    enu = np.column_stack([cos * along - sin * across, sin * along + cos * across, np.zeros(fixes.size)])
+    enu = enu + e.velocity * rng.standard_normal(enu.shape)
+    sigma = np.tile(np.array([1.0, 1.0, 1.5]) * e.position, (fixes.size, 1))
+    fix = FixData(
+        t=e.start + fixes, latitude=latitude, longitude=longitude, altitude=altitude,
+        status=np.zeros(fixes.size, dtype=np.int8), sigma=sigma,
+    )  # fmt: skip
+    return Drive(name=name, imu=imu, fix=fix, velocity=VelocityData(t=e.start + fixes, enu=enu))

@@ -1,0 +1,12 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Vehicle models: from a planar pose and a road to what the body, the wheels and a sensor do.
+
+One way through it: ``excitation`` (what drives a model), ``parameters`` (the twin's numbers as a
+vector, many candidates side by side), ``constants`` and ``effect_constants`` (what the kernel
+needs, per lane), ``blocks`` (lanes in blocks of ``rows.WIDTH``), the kernels ``full_car`` and
+``full_car_effects`` made of ``corner``, ``terms``, ``curves``, ``equilibrium``, ``settle`` and
+``sensor``, then ``observe`` and ``types`` (what comes out). ``simulate`` runs a whole drive,
+``live`` one stamp at a time with the same numbers.
+
+How an effect plugs in is told in ``hooks``.
+"""

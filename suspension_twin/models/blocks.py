@@ -1,0 +1,124 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Lanes in blocks, and a stretch of a drive for all of them: what batch and live have in common."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from functools import lru_cache
+
+import numpy as np
+from numba import config
+from numpy.typing import NDArray
+
+from suspension_twin.drive.types import Floats
+from suspension_twin.models import rows
+from suspension_twin.models.constants import Constants
+from suspension_twin.models.full_car import KERNELS
+from suspension_twin.models.full_car_effects import EFFECT_KERNELS
+from suspension_twin.models.msd import MSD_KERNELS
+from suspension_twin.models.numerics import compiled
+from suspension_twin.models.terms import FLAGS
+from suspension_twin.models.types import Ints
+
+__all__ = ["Blocks", "cores"]
+
+_NONE = np.zeros((0, 0, 0))
+
+
+def cores() -> int:
+    """Threads to use: NUMBA_NUM_THREADS where it is set, else the cores there are."""
+    return max(1, int(config.NUMBA_NUM_THREADS))
+
+
+@lru_cache(maxsize=1)
+def _pool() -> ThreadPoolExecutor:
+    return ThreadPoolExecutor(max_workers=cores(), thread_name_prefix="lanes")
+
+
+def _aligned(count: int, size: int) -> Floats:
+    """Zeros (count, size) that start on a cache line; vectors that straddle two cost double."""
+    room = np.zeros(count * size + 8)
+    skip = -(room.ctypes.data // 8) % 8
+    return room[skip : skip + count * size].reshape(count, size)
+
+
+@compiled
+def _fill(blocks: Floats, values: Floats, bad: NDArray[np.bool_]) -> None:
+    """Write ``values`` (rows, L) into blocks (B, rows, WIDTH) of zeros."""
+    lanes = values.shape[1]
+    for block in range(blocks.shape[0]):
+        lane0 = block * rows.WIDTH
+        for row in range(values.shape[0]):
+            for i in range(rows.WIDTH):
+                lane = min(lane0 + i, lanes - 1)
+                if not bad[lane]:
+                    blocks[block, row, i] = values[row, lane]
+        for i in range(rows.WIDTH):
+            if bad[min(lane0 + i, lanes - 1)]:
+                blocks[block, rows.FAILED, i] = 1.0
+
+
+class Blocks:
+    """L lanes, WIDTH to a block, with their state; the last block is filled up with its last lane.
+
+    Lanes that cannot be simulated are all zero and marked failed, so that they stay finite.
+    """
+
+    def __init__(self, known: Constants) -> None:
+        self.known = known
+        self.lanes = known.values.shape[1]
+        self.count = -(-self.lanes // rows.WIDTH)
+        values, bad = known.values, known.bad
+        self._data = _aligned(self.count, values.shape[0] * rows.WIDTH)
+        self._view = self._data.reshape(self.count, -1, rows.WIDTH)
+        _fill(self._view, values, bad)
+        self._flags = np.zeros(self.count, dtype=np.int64)
+        if known.has_terms:
+            for bit, first, size in FLAGS:
+                self._flags[self._view[:, first : first + size].any(axis=(1, 2))] |= bit
+
+    @property
+    def width(self) -> int:
+        """Lanes with the filling, which is what ``signals`` and ``states`` have to hold."""
+        return int(self.count * rows.WIDTH)
+
+    @property
+    def failed(self) -> NDArray[np.bool_]:
+        """(L,) lanes that could not stand or have diverged."""
+        out: NDArray[np.bool_] = self._view[:, rows.FAILED].reshape(-1)[: self.lanes] > 0
+        return out
+
+    def restart(self, fresh: Blocks) -> None:
+        """Take over constants and state of blocks made from the same constants."""
+        self._data[:] = fresh._data
+
+    def walk(
+        self, road: Floats, own_road: Callable[[int], Floats] | None, substeps: Ints, motion: Floats,
+        begin: int, end: int, signals: Floats, states: Floats = _NONE, threads: int = 1,
+    ) -> None:  # fmt: skip
+        """All lanes through the stamps begin..end-1; arguments as in ``full_car._run``.
+
+        ``own_road`` makes the heights (rows, 4, WIDTH) that the lanes of a block see, by its number.
+        """
+
+        def part(low: int, high: int) -> None:
+            data, lane0, hinges = self._data[low:high], low * rows.WIDTH, self.known.hinges
+            own = _NONE if own_road is None else own_road(low)
+            where = substeps, motion, begin, end, signals, states, lane0
+            if self.known.model == "msd":
+                MSD_KERNELS[hinges](data, road, own, *where)
+            elif self.known.has_terms:
+                EFFECT_KERNELS[hinges](data, self._flags[low:high], road, own, *where)
+            else:
+                KERNELS[hinges](data, road, *where)
+
+        pieces = self.count if own_road is not None else min(self.count, max(1, threads))
+        cuts = np.linspace(0, self.count, pieces + 1).astype(int)
+        parts = list(zip(cuts[:-1].tolist(), cuts[1:].tolist(), strict=True))
+        if threads <= 1 or pieces == 1:
+            for low, high in parts:
+                part(low, high)
+            return
+        for job in [_pool().submit(part, low, high) for low, high in parts]:
+            job.result()

@@ -1,0 +1,90 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The sensor's chain behind the ideal sensor: stages of effects, then the clock of its stamps."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from suspension_twin.drive.types import Floats
+from suspension_twin.models.constants import Constants
+from suspension_twin.models.numerics import compiled
+from suspension_twin.models.types import Excitation, Ints
+
+__all__ = ["Chain", "pass_chain"]
+
+
+class Chain:
+    """The stages of L lanes with their state, for a stretch of a drive or one stamp at a time."""
+
+    def __init__(self, known: Constants) -> None:
+        lanes = known.values.shape[1]
+        self._stages = [(stage, values, np.zeros((stage.states, lanes))) for stage, values in known.stages]
+
+    def __bool__(self) -> bool:
+        return bool(self._stages)
+
+    def reset(self) -> None:
+        """Forget what has passed."""
+        for _, _, state in self._stages:
+            state[:] = 0.0
+
+    def process(self, signals: Floats, t: Floats, fresh: np.typing.NDArray[np.bool_]) -> None:
+        """Change ``signals`` (n, 7, L) at ``t`` (n,) s in place; ``fresh`` (n,) marks fresh starts."""
+        for stage, values, state in self._stages:
+            stage.process(signals, t, fresh, values, state)
+
+
+def pass_chain(known: Constants, excitation: Excitation, signals: Floats) -> None:
+    """The chain over a whole drive, in place; ``signals`` (n, 7, L) as the ideal sensor read them."""
+    Chain(known).process(signals, excitation.t, excitation.substeps == 0)
+    if known.clock is not None:
+        clock = known.clock
+        plain = signals.copy()
+        _restamp(excitation.t, excitation.substeps, plain, clock.delay, clock.drift, signals)
+
+
+@compiled
+def _restamp(t: Floats, substeps: Ints, plain: Floats, delay: Floats, drift: Floats, out: Floats) -> None:
+    """Read ``plain`` (n, q, L) at earlier times, by cubics through four stamps, ends held.
+
+    A lane without delay keeps its numbers. No cubic reaches across a fresh start.
+    """
+    n = t.size
+    for lane in range(out.shape[2]):
+        if delay[lane] == 0.0 and drift[lane] == 0.0:
+            continue
+        k = 0
+        for row in range(n):
+            at = t[row] - delay[lane] - drift[lane] * (t[row] - t[0])
+            while k < n - 2 and t[k + 1] <= at:
+                k += 1
+            while k > 0 and t[k] > at:
+                k -= 1
+            if n < 2 or at <= t[0] or at >= t[n - 1] or substeps[k + 1] == 0:
+                nearest = k if n < 2 or at - t[k] <= t[k + 1] - at else k + 1
+                for q in range(out.shape[1]):
+                    out[row, q, lane] = plain[nearest, q, lane]
+                continue
+            h = t[k + 1] - t[k]
+            s = (at - t[k]) / h
+            before = k > 0 and substeps[k] > 0
+            after = k + 2 < n and substeps[k + 2] > 0
+            for q in range(out.shape[1]):
+                a, b = plain[k, q, lane], plain[k + 1, q, lane]
+                slope = (b - a) / h
+                left = right = slope
+                if before:
+                    left = _slope((a - plain[k - 1, q, lane]) / (t[k] - t[k - 1]), slope, t[k] - t[k - 1], h)
+                if after:
+                    then = t[k + 2] - t[k + 1]
+                    right = _slope(slope, (plain[k + 2, q, lane] - b) / then, h, then)
+                out[row, q, lane] = (
+                    (1 + 2 * s) * (1 - s) ** 2 * a + s * (1 - s) ** 2 * h * left
+                    + s * s * (3 - 2 * s) * b + s * s * (s - 1) * h * right
+                )  # fmt: skip
+
+
+@compiled
+def _slope(before: float, after: float, h0: float, h1: float) -> float:
+    """Derivative at the middle of three stamps, of the parabola through them."""
+    return (before * h1 + after * h0) / (h0 + h1)

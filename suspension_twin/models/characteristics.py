@@ -1,0 +1,111 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Characteristics of many lanes, and the rows of a block that hold them."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from suspension_twin.drive.types import Floats
+from suspension_twin.models import rows
+
+__all__ = [
+    "Check", "Curve", "Curves", "Problems", "checker", "compression_at", "hinges_of", "read_curve", "write_curves",
+]  # fmt: skip
+
+#: What is wrong with which lanes: mask (L,), key of the twin, sentence.
+Problems = list[tuple[NDArray[np.bool_], str, str]]
+Check = Callable[[Any, str, str], None]
+
+
+
+@dataclass(frozen=True, eq=False)
+class Curve:
+    """One characteristic for L lanes: ``x``, ``f`` (k, L), ``slope`` (k, L) of its k segments."""
+
+    x: Floats
+    f: Floats
+    slope: Floats
+
+    def implicit(self, beta: Floats) -> Curve:
+        """The same curve as a function of ``x + beta f``."""
+        return Curve(self.x + beta * self.f, self.f, self.slope / (1 + beta * self.slope))
+
+    def scaled(self, factor: Floats) -> Curve:
+        """The same curve with ``factor`` (L,) times the force."""
+        return Curve(self.x, self.f * factor, self.slope * factor)
+
+
+Curves = dict[tuple[str, str], Curve]
+
+
+def checker(problems: Problems) -> Check:
+    """A function that adds a mask of bad lanes, a key and a sentence to ``problems`` if any is bad."""
+
+    def check(bad: Any, key: str, sentence: str) -> None:
+        if bad.any():
+            problems.append((bad, key, sentence))
+
+    return check
+
+
+def hinges_of(curves: Curves) -> int:
+    """How many changes of slope the kernel for these curves has."""
+    most = max(curve.x.shape[0] for curve in curves.values()) - 1
+    return next(h for h in rows.HINGES if h >= most)
+
+
+def read_curve(numbers: dict[str, Floats], prefix: str, abscissa: str) -> Curve:
+    """The curve under ``prefix`` among a twin's numbers by dotted key."""
+    count = 0
+    while f"{prefix}.force.{count}" in numbers:
+        count += 1
+    x = np.stack([numbers[f"{prefix}.{abscissa}.{j}"] for j in range(count)])
+    f = np.stack([numbers[f"{prefix}.force.{j}"] for j in range(count)])
+    slope = np.empty_like(f)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        np.divide(f[0], x[0], out=slope[0])
+        np.divide(f[1:] - f[:-1], x[1:] - x[:-1], out=slope[1:])
+    return Curve(x, f, slope)
+
+
+def compression_at(curve: Curve, load: Floats) -> Floats:
+    """Smallest compression (L,) at which a spring carries ``load``; not finite where it never does."""
+    segment = np.minimum((curve.f < load).sum(axis=0), curve.x.shape[0] - 1)
+    lane = np.arange(load.size)
+    before = np.maximum(segment - 1, 0)
+    inner = segment > 0
+    x0, f0 = np.where(inner, curve.x[before, lane], 0.0), np.where(inner, curve.f[before, lane], 0.0)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        out: Floats = x0 + (load - f0) / curve.slope[segment, lane]
+    return out
+
+
+def _hinge_rows(out: Floats, first: int, count: int, curve: Curve) -> Floats:
+    """Write abscissae and slope changes of the inner points; return their sum of products (L,)."""
+    inner = curve.x.shape[0] - 1
+    out[first : first + inner] = curve.x[:-1]
+    out[first + inner : first + count] = curve.x[-1]  # slope change 0: no hinge
+    change = curve.slope[1:] - curve.slope[:-1]
+    out[first + count : first + count + inner] = change
+    products: Floats = (curve.x[:-1] * change).sum(axis=0)
+    return products
+
+
+def write_curves(
+    out: Floats, first: int, hinges: int, spring: Curve, push: Curve, pull: Curve, beta: Floats
+) -> None:
+    """Write one corner's curves, ``rows.axle_rows`` of them, from row ``first`` on."""
+    out[first] = spring.slope[0]
+    out[first + 1] = -_hinge_rows(out, first + 2, hinges, spring)
+    push, pull = push.implicit(beta), pull.implicit(beta)
+    damper = first + 2 + 2 * hinges
+    out[damper] = pull.slope[0]
+    out[damper + 1] = push.slope[0] - pull.slope[0]
+    constant = _hinge_rows(out, damper + 3, hinges, push)
+    constant = constant + _hinge_rows(out, damper + 3 + 2 * hinges, hinges, Curve(-pull.x, pull.f, pull.slope))
+    out[damper + 2] = -constant

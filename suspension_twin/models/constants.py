@@ -1,0 +1,240 @@
+# SPDX-License-Identifier: Apache-2.0
+"""From a twin's numbers to the constants that the kernel works with, for many lanes at once.
+
+Masses. The twin file gives the whole vehicle's mass and centre of gravity; taking the four
+wheels away at the height of the tyre radius leaves the sprung mass and its centre.
+
+Standing. The vehicle stands level on a level road at height 0: every axle carries its share of
+the sprung weight, its left and right wheel by the lever arms of the sprung centre of gravity.
+That is the one distribution without a twist of the body, and the static compression of a spring
+is where its characteristic reaches that load. Heights, angles and the sensor's place count from
+this stance.
+
+Damper tables. A damper may be far stiffer than a step can resolve (100 kN s/m on a 40 kg wheel
+decays in 0.4 ms), so its force is taken implicitly: with ``beta`` the velocity that a unit of
+damper force takes away within half a step, the force at the end of the step solves
+``v + beta F(v) = b``. ``F`` being piecewise linear, so is the solution as a function of ``b``,
+with its hinges at ``b_j = v_j + beta F_j`` and slopes ``k_j / (1 + beta k_j)``. It is tabled here
+once per lane; in the kernel an implicit damper costs what an explicit one would.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from suspension_twin.drive.types import Floats
+from suspension_twin.errors import InputError
+from suspension_twin.models import rows
+from suspension_twin.models.characteristics import (
+    Check,
+    Curves,
+    Problems,
+    checker,
+    compression_at,
+    hinges_of,
+    read_curve,
+    write_curves,
+)
+from suspension_twin.models.effect_constants import with_terms
+from suspension_twin.models.hooks import ClockChange, RoadChange, SignalStage
+from suspension_twin.models.msd_constants import msd_rows
+from suspension_twin.models.parameters import Layout
+from suspension_twin.vehicle.corners import AXLES
+from suspension_twin.vehicle.twin import G
+
+__all__ = ["Constants", "constants"]
+
+Numbers = dict[str, Floats]
+
+#: Largest product of step and natural frequency for which the explicit springs are trusted.
+#: The scheme is stable up to 2; beyond this the phase error alone is several per cent.
+MAX_PHASE = 1.0
+
+
+@dataclass(frozen=True, eq=False)
+class Constants:
+    """``values`` (rows, L) in the order of a block, ``hinges`` its number of hinges per curve.
+
+    ``problems`` lists what is wrong with which lanes: mask (L,), key, sentence. With ``has_terms``
+    the rows are those of a block with effects; ``road`` is what lanes see of the road where it is
+    not the plain one, ``stages`` the sensor's chain in order, with the parameters of each (k, L), ``clock`` its stamps.
+    """
+
+    values: Floats
+    hinges: int
+    problems: tuple[tuple[NDArray[np.bool_], str, str], ...]
+    model: str = "full_car"
+    has_terms: bool = False
+    road: RoadChange | None = None
+    stages: tuple[tuple[SignalStage, Floats], ...] = ()
+    clock: ClockChange | None = None
+
+    @property
+    def bad(self) -> NDArray[np.bool_]:
+        """(L,) lanes that cannot be simulated."""
+        out = np.zeros(self.values.shape[1], dtype=np.bool_)
+        for mask, _, _ in self.problems:
+            out |= mask
+        return out
+
+    def raise_first(self, lane: int = 0) -> None:
+        """Raise the first thing that is wrong with a lane as the error a user sees."""
+        for mask, key, sentence in self.problems:
+            if mask[lane]:
+                raise InputError("twin", key, sentence)
+
+
+def constants(params: Floats, layout: Layout, max_step: float) -> Constants:
+    """Constants of the kernel for candidates ``params`` (P, L) and steps up to ``max_step`` s."""
+    numbers = {name: params[row] for name, row in layout.index.items()}
+    count = params.shape[1]
+    changed = dict(numbers)
+    terms = np.zeros((rows.CURVES, count))
+    road = RoadChange.neutral(count)
+    clock = ClockChange(np.zeros(count), np.zeros(count))
+    stages = []
+    for effect, hook in layout.hooks.items():
+        values = {name: numbers[f"effects.{effect}.{name}"] for name in hook.neutral}
+        if hook.vehicle is not None:
+            hook.vehicle(changed, values)
+        if hook.terms is not None:
+            hook.terms(terms, values)
+        if hook.road is not None:
+            hook.road(road, values)
+        if hook.clock is not None:
+            hook.clock(clock, values)
+        if hook.signal is not None:
+            given = np.stack([values[name] for name in hook.neutral])
+            neutral = np.array(list(hook.neutral.values()))[:, None]
+            if (given != neutral).any():
+                stages.append((hook.signal, given))
+    stages.sort(key=lambda stage: stage[0].order)
+
+    curves, problems = _read_curves(changed)
+    own_road = bool(road.changed.any())
+    has_terms = own_road or bool(terms[rows.TERMS].any())
+    if layout.model == "msd":
+        out = msd_rows(changed, numbers, terms[rows.UNSPRUNG], curves, problems, max_step)
+    else:
+        out = _full_car(changed, curves, problems, max_step)
+        if any(changed[name] is not numbers[name] for name in numbers):
+            # heights count from where the vehicle stands without what effects put on it
+            stance = _full_car(numbers, _read_curves(numbers)[0], problems, max_step)
+            out[rows.STATIC : rows.LOAD + 4] = stance[rows.STATIC : rows.LOAD + 4]
+        for c in range(4):
+            out[rows.TOUCH + c] = out[rows.LOAD + c] + out[rows.TYRE] * out[rows.STATIC + c]
+        if has_terms:
+            out = with_terms(out, terms, curves, problems, max_step)
+    hinges = hinges_of(curves)
+    return Constants(
+        out, hinges, tuple(problems), layout.model, has_terms, road if own_road else None, tuple(stages),
+        clock if clock.delay.any() or clock.drift.any() else None,
+    )  # fmt: skip
+
+
+def _read_curves(numbers: Numbers) -> tuple[Curves, Problems]:
+    """Curves by axle and part, and what is wrong with them or with any number."""
+    problems: Problems = []
+    check = checker(problems)
+    if not np.isfinite(np.stack(list(numbers.values()))).all():
+        for name, values in numbers.items():
+            check(~np.isfinite(values), name, "is not finite")
+    curves: Curves = {}
+    for axle in AXLES:
+        for part, abscissa in (("spring", "compression"), ("damper_push", "velocity"), ("damper_pull", "velocity")):
+            prefix = f"vehicle.{axle}.{part}"
+            curve = curves[axle, part] = read_curve(numbers, prefix, abscissa)
+            rising = (curve.x[0] > 0) & (curve.x[1:] > curve.x[:-1]).all(axis=0)
+            check(~rising, f"{prefix}.{abscissa}", "must rise from above 0")
+            falling = (curve.f[0] < 0) | (curve.f[1:] < curve.f[:-1]).any(axis=0)
+            check(falling, f"{prefix}.force", "must not be negative or fall")
+    return curves, problems
+
+
+def _full_car(numbers: Numbers, curves: Curves, problems: Problems, max_step: float) -> Floats:
+    """Rows of a block without effects (block_rows, L)."""
+    hinges = hinges_of(curves)
+    out = np.zeros((rows.block_rows(hinges), numbers["vehicle.mass"].size))
+    with np.errstate(all="ignore"):
+        _body(out, numbers, checker(problems))
+        for a, axle in enumerate(AXLES):
+            _axle(out, a, axle, hinges, curves, numbers, checker(problems), max_step)
+    return out
+
+
+def _body(out: Floats, numbers: Numbers, check: Check) -> None:
+    get = numbers.__getitem__
+    mass, radius = get("vehicle.mass"), get("vehicle.tyre.radius")
+    wheels = np.stack([get("vehicle.front.unsprung_mass"), get("vehicle.rear.unsprung_mass")])
+    base = get("vehicle.wheelbase")
+    cog = np.stack([get(f"vehicle.cog.{i}") for i in range(3)])
+    inertia = np.stack([get("vehicle.sprung_inertia.roll"), get("vehicle.sprung_inertia.pitch")])
+    unsprung = 2 * wheels.sum(axis=0)
+    sprung = mass - unsprung
+    check(~(wheels[0] > 0), "vehicle.front.unsprung_mass", "must be above 0 kg")
+    check(~(wheels[1] > 0), "vehicle.rear.unsprung_mass", "must be above 0 kg")
+    check(~(sprung > 0), "vehicle.mass", "leaves no sprung mass above the wheels")
+    check(~(inertia[0] > 0), "vehicle.sprung_inertia.roll", "must be above 0 kg m²")
+    check(~(inertia[1] > 0), "vehicle.sprung_inertia.pitch", "must be above 0 kg m²")
+    check(~(get("vehicle.tyre.vertical_stiffness") > 0), "vehicle.tyre.vertical_stiffness", "must be above 0 N/m")
+
+    x = (mass * cog[0] - 2 * wheels[0] * base) / sprung
+    y = mass * cog[1] / sprung
+    z = (mass * cog[2] - unsprung * radius) / sprung
+    out[rows.INV_MASS] = 1 / sprung
+    out[rows.INV_MASS + 1 : rows.INV_MASS + 3] = 1 / inertia
+    out[rows.ARM_X], out[rows.ARM_X + 1] = base - x, -x
+    tracks = get("vehicle.front_track"), get("vehicle.rear_track")
+    for a in range(2):
+        share = (x if a == 0 else base - x) / base
+        out[rows.INV_WHEEL + a] = 1 / wheels[a]
+        for side, sign in enumerate((1, -1)):
+            i = 2 * a + side
+            out[rows.ARM_Y + i] = sign * tracks[a] / 2 - y
+            suspended = sprung * G * share * (0.5 + sign * y / tracks[a])
+            out[rows.LOAD + i] = suspended + wheels[a] * G
+            check(
+                ~(suspended > 0), "vehicle.cog",
+                f"puts no load on the {('front', 'rear')[a]} {('left', 'right')[side]} spring",
+            )  # fmt: skip
+    out[rows.TYRE] = get("vehicle.tyre.vertical_stiffness")
+    out[rows.TRANSFER] = mass * cog[2]
+    out[rows.COG : rows.COG + 2] = cog[:2]
+    out[rows.SPRUNG : rows.SPRUNG + 3] = x, y, z
+    for i in range(3):
+        out[rows.SENSOR + i] = get(f"imu.position.{i}")
+
+
+def _axle(
+    out: Floats, a: int, axle: str, hinges: int, curves: Curves,
+    numbers: Numbers, check: Check, max_step: float,
+) -> None:  # fmt: skip
+    spring = curves[axle, "spring"]
+    inv_wheel = out[rows.INV_WHEEL + a]
+    for i in (2 * a, 2 * a + 1):
+        suspended = out[rows.LOAD + i] - G / inv_wheel
+        compression = compression_at(spring, suspended)
+        unreachable = ~np.isfinite(compression)
+        check(unreachable, f"vehicle.{axle}.spring.force", "the spring never carries its static load")
+        out[rows.STATIC + i] = compression
+
+    # a corner seen from its damper: the wheel and what the body gives way there
+    arm = numbers[f"vehicle.{axle}_track"] / 2
+    body = (
+        out[rows.INV_MASS]
+        + arm**2 * out[rows.INV_MASS + 1]
+        + out[rows.ARM_X + a] ** 2 * out[rows.INV_MASS + 2]
+    )
+    beta = max_step / 2 * (inv_wheel + body)
+    out[rows.IMPLICIT + a] = beta
+    stiffest = (out[rows.TYRE] + spring.slope.max(axis=0)) * inv_wheel
+    check(
+        ~(np.sqrt(stiffest) * max_step < MAX_PHASE), "vehicle.tyre.vertical_stiffness",
+        f"too stiff on vehicle.{axle}.unsprung_mass for a step of {max_step:g} s: take a smaller step",
+    )  # fmt: skip
+
+    first = rows.CURVES + a * rows.axle_rows(hinges)
+    write_curves(out, first, hinges, spring, curves[axle, "damper_push"], curves[axle, "damper_pull"], beta)

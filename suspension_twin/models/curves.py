@@ -1,0 +1,95 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Piecewise linear characteristics without a branch, for one lane of a block.
+
+``f(x) = k0 x + sum_j dk_j max(x, x_j) - sum_j dk_j x_j``: two instructions for each change of
+slope, whatever segment the lane is in.
+"""
+
+from __future__ import annotations
+
+from suspension_twin.drive.types import Floats
+from suspension_twin.models.numerics import fma, inlined
+from suspension_twin.models.rows import WIDTH
+
+__all__ = ["damper_forces", "spring_force", "spring_forces", "spring_slope"]
+
+
+@inlined
+def spring_force(w: Floats, first: int, hinges: int, lane: int, x: float) -> float:
+    """Force in N of the spring whose rows begin at ``first``, compressed by ``x`` m."""
+    force = fma(w[first * WIDTH + lane], x, w[(first + 1) * WIDTH + lane])
+    for j in range(hinges):
+        at: float = w[(first + 2 + j) * WIDTH + lane]
+        force = fma(w[(first + 2 + hinges + j) * WIDTH + lane], x if x > at else at, force)
+    return force
+
+
+@inlined
+def spring_slope(w: Floats, first: int, hinges: int, lane: int, x: float) -> float:
+    """Stiffness in N/m of that spring at ``x`` m (from above at a point)."""
+    slope: float = w[first * WIDTH + lane]
+    for j in range(hinges):
+        if x >= w[(first + 2 + j) * WIDTH + lane]:
+            slope += w[(first + 2 + hinges + j) * WIDTH + lane]
+    return slope
+
+
+@inlined
+def spring_forces(
+    w: Floats, c0: int, c1: int, c2: int, c3: int, hinges: int, lane: int,
+    x0: float, x1: float, x2: float, x3: float,
+) -> tuple[float, float, float, float]:  # fmt: skip
+    """Forces in N of four springs whose rows begin at ``c0``.. for compressions ``x0``.. in m.
+
+    Four at a time, so that the processor always has four independent sums to work on, and a
+    point that left and right share is fetched once.
+    """
+    f0 = fma(w[c0 * WIDTH + lane], x0, w[(c0 + 1) * WIDTH + lane])
+    f1 = fma(w[c1 * WIDTH + lane], x1, w[(c1 + 1) * WIDTH + lane])
+    f2 = fma(w[c2 * WIDTH + lane], x2, w[(c2 + 1) * WIDTH + lane])
+    f3 = fma(w[c3 * WIDTH + lane], x3, w[(c3 + 1) * WIDTH + lane])
+    for j in range(hinges):
+        a0: float = w[(c0 + 2 + j) * WIDTH + lane]
+        a1: float = w[(c1 + 2 + j) * WIDTH + lane]
+        a2: float = w[(c2 + 2 + j) * WIDTH + lane]
+        a3: float = w[(c3 + 2 + j) * WIDTH + lane]
+        f0 = fma(w[(c0 + 2 + hinges + j) * WIDTH + lane], x0 if x0 > a0 else a0, f0)
+        f1 = fma(w[(c1 + 2 + hinges + j) * WIDTH + lane], x1 if x1 > a1 else a1, f1)
+        f2 = fma(w[(c2 + 2 + hinges + j) * WIDTH + lane], x2 if x2 > a2 else a2, f2)
+        f3 = fma(w[(c3 + 2 + hinges + j) * WIDTH + lane], x3 if x3 > a3 else a3, f3)
+    return f0, f1, f2, f3
+
+
+@inlined
+def damper_forces(
+    w: Floats, c0: int, c1: int, c2: int, c3: int, hinges: int, lane: int,
+    b0: float, b1: float, b2: float, b3: float,
+) -> tuple[float, float, float, float]:  # fmt: skip
+    """Forces in N of four tabled dampers whose rows begin at ``c0``.. for ``b0``.. in m/s."""
+    f0 = fma(w[c0 * WIDTH + lane], b0, w[(c0 + 2) * WIDTH + lane])
+    f1 = fma(w[c1 * WIDTH + lane], b1, w[(c1 + 2) * WIDTH + lane])
+    f2 = fma(w[c2 * WIDTH + lane], b2, w[(c2 + 2) * WIDTH + lane])
+    f3 = fma(w[c3 * WIDTH + lane], b3, w[(c3 + 2) * WIDTH + lane])
+    f0 = fma(w[(c0 + 1) * WIDTH + lane], b0 if b0 > 0.0 else 0.0, f0)
+    f1 = fma(w[(c1 + 1) * WIDTH + lane], b1 if b1 > 0.0 else 0.0, f1)
+    f2 = fma(w[(c2 + 1) * WIDTH + lane], b2 if b2 > 0.0 else 0.0, f2)
+    f3 = fma(w[(c3 + 1) * WIDTH + lane], b3 if b3 > 0.0 else 0.0, f3)
+    for j in range(3, 3 + hinges):  # push
+        a0: float = w[(c0 + j) * WIDTH + lane]
+        a1: float = w[(c1 + j) * WIDTH + lane]
+        a2: float = w[(c2 + j) * WIDTH + lane]
+        a3: float = w[(c3 + j) * WIDTH + lane]
+        f0 = fma(w[(c0 + hinges + j) * WIDTH + lane], b0 if b0 > a0 else a0, f0)
+        f1 = fma(w[(c1 + hinges + j) * WIDTH + lane], b1 if b1 > a1 else a1, f1)
+        f2 = fma(w[(c2 + hinges + j) * WIDTH + lane], b2 if b2 > a2 else a2, f2)
+        f3 = fma(w[(c3 + hinges + j) * WIDTH + lane], b3 if b3 > a3 else a3, f3)
+    for j in range(3 + 2 * hinges, 3 + 3 * hinges):  # pull
+        a0 = w[(c0 + j) * WIDTH + lane]
+        a1 = w[(c1 + j) * WIDTH + lane]
+        a2 = w[(c2 + j) * WIDTH + lane]
+        a3 = w[(c3 + j) * WIDTH + lane]
+        f0 = fma(w[(c0 + hinges + j) * WIDTH + lane], b0 if b0 < a0 else a0, f0)
+        f1 = fma(w[(c1 + hinges + j) * WIDTH + lane], b1 if b1 < a1 else a1, f1)
+        f2 = fma(w[(c2 + hinges + j) * WIDTH + lane], b2 if b2 < a2 else a2, f2)
+        f3 = fma(w[(c3 + hinges + j) * WIDTH + lane], b3 if b3 < a3 else a3, f3)
+    return f0, f1, f2, f3

@@ -1,0 +1,99 @@
+# SPDX-License-Identifier: Apache-2.0
+"""From a locked pose and a road to what drives a model.
+
+Between two stamps everything planar is taken as linear in time, so that a live twin, which
+knows no more than the last two stamps, gets the same numbers as a recorded drive does.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from suspension_twin.errors import InputError
+from suspension_twin.models.tracks import walk, yaw_accelerations
+from suspension_twin.models.types import Excitation, HeightField
+from suspension_twin.pose.types import Trajectory
+from suspension_twin.vehicle.twin import Vehicle
+
+__all__ = ["MAX_GAP", "MAX_STEP", "MOTION", "check_step", "excitation", "substeps"]
+
+#: Largest step in s unless a caller asks otherwise.
+MAX_STEP = 1e-3
+#: A pause between stamps longer than this, in s, starts afresh from static equilibrium.
+MAX_GAP = 0.5
+#: Stamps of 1.7e9 s resolve 0.24 µs: an interval may exceed whole steps by this share of one.
+_SLACK = 2e-3
+#: Columns of Excitation.motion.
+MOTION = ("step", "ax", "ay", "yaw_rate", "yaw_acceleration", "speed", "lateral_speed")
+_CHUNK = 20_000  # stamps whose heights are looked up at once
+
+
+def check_step(max_step: float) -> float:
+    """``max_step`` in s as it is, or InputError when it is no usable step."""
+    if not (math.isfinite(max_step) and 1e-6 <= max_step <= 0.05):
+        raise InputError("excitation", "max_step", f"must lie between 1e-6 and 0.05 s, is {max_step}")
+    return float(max_step)
+
+
+def substeps(interval: float, max_step: float) -> int:
+    """Number of equal steps for one interval in s; 0 where a gap asks for a fresh start."""
+    if interval > MAX_GAP:
+        return 0
+    return max(1, math.ceil(interval / max_step - _SLACK))
+
+
+def excitation(
+    trajectory: Trajectory, vehicle: Vehicle, road: HeightField, max_step: float = MAX_STEP
+) -> Excitation:
+    """Excitation of ``vehicle`` on ``road`` along ``trajectory``.
+
+    Stamps may jitter. Raises InputError for stamps that do not rise, for anything that is not
+    finite, and for a road that gives no finite height under a wheel.
+    """
+    max_step = check_step(max_step)
+    t = np.asarray(trajectory.t, dtype=np.float64)
+    names = ("t", "x", "y", "yaw", "speed", "lateral_speed", "yaw_rate", "ax", "ay")
+    columns = {name: np.ascontiguousarray(getattr(trajectory, name), dtype=np.float64) for name in names}
+    if t.ndim != 1 or t.size < 1:
+        raise InputError("trajectory", "t", "holds no stamps")
+    for name, values in columns.items():
+        if values.shape != t.shape:
+            raise InputError("trajectory", name, f"has shape {values.shape}, t has {t.shape}")
+        if not np.isfinite(values).all():
+            at = int(np.flatnonzero(~np.isfinite(values))[0])
+            raise InputError("trajectory", name, f"is not finite at sample {at}")
+    dt = np.diff(t)
+    if (dt <= 0).any():
+        at = int(np.flatnonzero(dt <= 0)[0]) + 1
+        raise InputError("trajectory", "t", f"does not rise at sample {at}")
+
+    count = np.zeros(t.size, dtype=np.int64)
+    count[1:] = np.maximum(1, np.ceil(dt / max_step - _SLACK))
+    count[1:][dt > MAX_GAP] = 0
+    first = np.zeros(t.size + 1, dtype=np.int64)
+    np.cumsum(np.maximum(count, 1), out=first[1:])
+
+    heights = np.empty((int(first[-1]), 4))
+    pose = columns["x"], columns["y"], columns["yaw"]
+    for begin in range(0, t.size, _CHUNK):
+        end = min(begin + _CHUNK, t.size)
+        rows = slice(int(first[begin]), int(first[end]))
+        wheel_x, wheel_y = (np.empty((rows.stop - rows.start, 4)) for _ in range(2))
+        walk(*pose, count, first, begin, end, vehicle.wheel_positions, wheel_x, wheel_y)
+        heights[rows] = road.heights(wheel_x, wheel_y)
+    if not np.isfinite(heights).all():
+        row = int(np.flatnonzero(~np.isfinite(heights).all(axis=1))[0])
+        stamp = float(t[np.searchsorted(first, row, side="right") - 1])
+        raise InputError("road", f"no height under a wheel at t = {stamp:.3f} s")
+    motion = np.zeros((t.size, len(MOTION)))
+    np.divide(dt, count[1:], out=motion[1:, 0], where=count[1:] > 0)
+    for column, name in enumerate(MOTION):
+        if name in columns:
+            motion[:, column] = columns[name]
+    yaw_accelerations(columns["t"], columns["yaw_rate"], count, motion[:, MOTION.index("yaw_acceleration")])
+    return Excitation(
+        t=columns["t"], substeps=count, first=first, road=heights, motion=motion, max_step=max_step,
+        x=columns["x"], y=columns["y"], yaw=columns["yaw"], wheels=vehicle.wheel_positions, ground=road,
+    )  # fmt: skip

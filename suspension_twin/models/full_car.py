@@ -1,0 +1,197 @@
+# SPDX-License-Identifier: Apache-2.0
+"""``full_car``: seven degrees of freedom, and the kernel that integrates a block of lanes.
+
+Equations. Heave Z of the sprung centre of gravity (up), roll (left side up), pitch (nose down)
+of the sprung mass and four wheel heights u, all counted from standing level. A body point at
+(x, y) ahead and left of the sprung centre is at ``Z + y roll - x pitch``; with
+
+- ``c = static + u - (Z + y roll - x pitch)`` the spring's compression,
+- ``F = spring(c) + damper(c')``, vertical, at the wheel,
+- ``N = max(0, load + k (road - u))`` the tyre, which cannot pull,
+
+``m_s Z'' = sum F - m_s g``, ``I_roll roll'' = sum y F + M_x``, ``I_pitch pitch'' = -sum x F + M_y``
+and ``m_w u'' = N - F - m_w g``. Kinematics are linear in the angles, as in textbook ride models;
+wheels stay under their body points, and gravity has no overturning moment.
+
+Load transfer. The planar accelerations (a_x, a_y) of the whole vehicle's centre of gravity, at
+height h, act with ``M_x = m h a_y``, ``M_y = -m h a_x``: links without anti-dive and with roll
+centres on the ground hand the whole moment to springs and dampers, so that in a steady turn or a
+steady braking the tyre loads balance the whole vehicle's moments about the ground.
+
+Integration. Velocity Verlet, one evaluation of the forces a step, second order; the damper is
+taken implicitly by its table (see ``constants``): with everything else at the end of the step
+known and the damper's force F' of the last step as first guess, the velocity across the damper
+is ``v = p - beta (F - F')``, which the table solves for F. Stable for any damper; springs bound
+the step by (frequency x step) < 2. Between steps the moments M run linearly.
+"""
+
+from __future__ import annotations
+
+from suspension_twin.drive.types import Floats
+from suspension_twin.models import rows
+from suspension_twin.models.corner import (
+    close_interval,
+    move,
+    open_interval,
+    strut_forces,
+    touch,
+    tyre_forces,
+    velocities,
+)
+from suspension_twin.models.equilibrium import stand
+from suspension_twin.models.numerics import compiled, fma, inlined, prefetch
+from suspension_twin.models.rows import STRETCH, WIDTH
+from suspension_twin.models.sensor import sense
+from suspension_twin.models.types import Ints
+
+__all__ = ["BAD_ANGLE", "BAD_TRAVEL", "KERNELS", "moments", "record", "watch"]
+
+#: A lane has diverged when an angle (rad) or a suspension or tyre travel (m) passes these.
+BAD_ANGLE = 1.0
+BAD_TRAVEL = 3.0
+
+
+@inlined
+def watch(w: Floats, r0: float, r1: float, r2: float, r3: float) -> None:
+    """Mark lanes that have left what the model means anything for; NaN counts as outside."""
+    for i in range(WIDTH):
+        bad = 0.0
+        bad = bad if abs(w[1 * WIDTH + i]) < BAD_ANGLE else 1.0
+        bad = bad if abs(w[2 * WIDTH + i]) < BAD_ANGLE else 1.0
+        bad = bad if abs(w[3 * WIDTH + i] - r0) < BAD_TRAVEL else 1.0
+        bad = bad if abs(w[4 * WIDTH + i] - r1) < BAD_TRAVEL else 1.0
+        bad = bad if abs(w[5 * WIDTH + i] - r2) < BAD_TRAVEL else 1.0
+        bad = bad if abs(w[6 * WIDTH + i] - r3) < BAD_TRAVEL else 1.0
+        bad = bad if abs(w[i] - 0.25 * (r0 + r1 + r2 + r3)) < BAD_TRAVEL else 1.0
+        w[rows.FAILED * WIDTH + i] = bad if bad > 0.0 else w[rows.FAILED * WIDTH + i]
+
+
+@inlined
+def moments(w: Floats, i: int, ax: float, ay: float, yaw2: float, dyaw: float) -> tuple[float, float]:
+    """Roll and pitch moment in N m of the planar accelerations, for one lane.
+
+    ``ax``, ``ay`` m/s² of base_link's origin, ``yaw2`` the yaw rate squared and ``dyaw`` its
+    derivative in rad/s² take them to the lane's centre of gravity.
+    """
+    transfer = w[rows.TRANSFER * WIDTH + i]
+    cx, cy = w[rows.COG * WIDTH + i], w[(rows.COG + 1) * WIDTH + i]
+    return transfer * fma(dyaw, cx, fma(-yaw2, cy, ay)), -transfer * fma(-dyaw, cy, fma(-yaw2, cx, ax))
+
+
+@inlined
+def record(w: Floats, at: int, k: int, signals: Floats, states: Floats) -> None:
+    """Copy what the sensor read, and the states where they are wanted, to lanes ``at``.. of row k.
+
+    ``signals`` (n, 7, lanes), or (n, 1, lanes) for the vertical acceleration alone.
+    """
+    out = signals[k]
+    first = rows.SIGNAL + 7 - out.shape[0]
+    for q in range(out.shape[0]):
+        for i in range(WIDTH):
+            out[q, at + i] = w[(first + q) * WIDTH + i]
+    if states.shape[0] > 0:
+        for q in range(rows.STATES):
+            for i in range(WIDTH):
+                states[k, q, at + i] = w[q * WIDTH + i]
+
+
+@inlined
+def ask_ahead(signals: Floats, k: int, at: int) -> None:
+    """Fetch what ``record`` will write at row ``k``: stores that miss hold up all that follow."""
+    if k < signals.shape[0]:
+        for q in range(signals.shape[1]):
+            for i in range(0, WIDTH, 8):
+                prefetch(signals, (k * signals.shape[1] + q) * signals.shape[2] + at + i)
+
+
+@inlined
+def _run(
+    blocks: Floats, road: Floats, substeps: Ints, motion: Floats, begin: int, end: int,
+    signals: Floats, states: Floats, lane0: int, hinges: int,
+) -> None:  # fmt: skip
+    """Walk blocks (B, rows * WIDTH) through the stamps begin..end-1 of an excitation.
+
+    ``road``, ``substeps``, ``motion`` as in Excitation, but that ``road`` starts with the first
+    row of stamp ``begin``. ``signals`` (end - begin, 7 or 1, lanes) takes what the sensor reads, from
+    ``lane0`` on; ``states`` the first rows of a block, (end - begin, STATES, lanes), or nothing
+    where its length is 0.
+    """
+    front = rows.CURVES
+    rear = rows.CURVES + 5 + 6 * hinges
+    done = 0
+    for start in range(begin, end, STRETCH):
+        row = done
+        for block in range(blocks.shape[0]):
+            w = blocks[block]
+            row = done
+            for k in range(start, min(start + STRETCH, end)):
+                ask_ahead(signals, k - begin + 1, lane0 + block * WIDTH)
+                n = substeps[k]
+                h = motion[k, 0]
+                ax, ay, yaw, dyaw = motion[k, 1], motion[k, 2], motion[k, 3], motion[k, 4]
+                if n == 0:
+                    for i in range(WIDTH):
+                        for c in range(4):
+                            w[(rows.ROAD + c) * WIDTH + i] = road[row, c]
+                        mx, my = moments(w, i, ax, ay, yaw * yaw, dyaw)
+                        stand(w, i, mx, my, motion[k, 5], motion[k, 6], hinges)
+                    row += 1
+                else:
+                    ax0, ay0, yaw0, dyaw0 = motion[k - 1, 1], motion[k - 1, 2], motion[k - 1, 3], motion[k - 1, 4]
+                    for i in range(WIDTH):
+                        mx, my = moments(w, i, ax0, ay0, yaw0 * yaw0, dyaw0)
+                        to_x, to_y = moments(w, i, ax, ay, yaw * yaw, dyaw)
+                        open_interval(
+                            w, i, h, rows.IMPLICIT, rows.IMPLICIT, rows.IMPLICIT + 1, rows.IMPLICIT + 1,
+                            mx, my, to_x - mx, to_y - my,
+                        )  # fmt: skip
+                    for j in range(n):
+                        share = (j + 1.0) / n
+                        r0, r1, r2, r3 = road[row, 0], road[row, 1], road[row, 2], road[row, 3]
+                        row += 1
+                        for i in range(WIDTH):
+                            move(w, i, h)
+                            strut_forces(w, i, front, front, rear, rear, hinges)
+                        for i in range(WIDTH):
+                            n0, n1, n2, n3 = tyre_forces(w, i, r0, r1, r2, r3)
+                            velocities(
+                                w, i, h, share, n0, n1, n2, n3, rows.LAG, rows.LAG, rows.LAG + 2, rows.LAG + 2,
+                                front, front, rear, rear, hinges,
+                            )  # fmt: skip
+                    for i in range(WIDTH):
+                        close_interval(w, i, h)
+                r0, r1, r2, r3 = road[row - 1, 0], road[row - 1, 1], road[row - 1, 2], road[row - 1, 3]
+                watch(w, r0, r1, r2, r3)
+                for i in range(WIDTH):
+                    touch(w, i, r0, r1, r2, r3)
+                    sense(w, i, ax, ay, yaw, dyaw)
+                record(w, lane0 + block * WIDTH, k - begin, signals, states)
+        done = row
+
+
+@compiled
+def _run_3(
+    blocks: Floats, road: Floats, substeps: Ints, motion: Floats, begin: int, end: int,
+    signals: Floats, states: Floats, lane0: int,
+) -> None:  # fmt: skip
+    _run(blocks, road, substeps, motion, begin, end, signals, states, lane0, 3)
+
+
+@compiled
+def _run_7(
+    blocks: Floats, road: Floats, substeps: Ints, motion: Floats, begin: int, end: int,
+    signals: Floats, states: Floats, lane0: int,
+) -> None:  # fmt: skip
+    _run(blocks, road, substeps, motion, begin, end, signals, states, lane0, 7)
+
+
+@compiled
+def _run_31(
+    blocks: Floats, road: Floats, substeps: Ints, motion: Floats, begin: int, end: int,
+    signals: Floats, states: Floats, lane0: int,
+) -> None:  # fmt: skip
+    _run(blocks, road, substeps, motion, begin, end, signals, states, lane0, 31)
+
+
+#: The kernel for each number of hinges per curve.
+KERNELS = {3: _run_3, 7: _run_7, 31: _run_31}

@@ -1,0 +1,310 @@
+# SPDX-License-Identifier: Apache-2.0
+"""``msd``: the mass-spring-damper model of the car paper's game engine, section 5.3, eqs (2) to (5).
+
+As printed, with i the corner, m the vehicle's mass, x_i the height of the mass above corner i,
+x_0 the unloaded length of its spring, y_i the road, L1 and L2 the distances of the centre of
+gravity from the front and the rear axle, E1 and E2 the front and the rear track, h its height::
+
+    (2)  F_i = m/4 x_i'' = -d_i(x_i') x_i' + c_i(x_i) (y_i + x_0 - x_i)
+    (3)  F_rear  = m/2 A_r (x'' + g) - m A_r (a_y + g) h / E1,   A_r = L2/L - (a_x + g) h / ((x'' + g) L)
+    (4)  F_front = m/2 A_f (x'' + g) - m A_f (a_y + g) h / E2,   A_f = L1/L - (a_x + g) h / ((x'' + g) L)
+    (5)  m x'' = sum F_i + F_rear + F_front
+
+``printed`` evaluates (3) to (5) to the letter. What is odd in them, and how this model reads it:
+
+1. g is added to the horizontal accelerations. At rest, (a_x + g) h takes away a share h/L from
+   both axles and (a_y + g) h / E another from each, so that the two "loads" of a standing Mondeo
+   add up to 9 % of its weight. Read: g belongs to the vertical alone, a_x and a_y stand bare.
+2. Front and rear are exchanged. The axle behind carries the share L1/L, the one in front L2/L;
+   (3), named rear, has L2, the front track E1 and the front's sign of a_x. Read: (3) is the front
+   axle, (4) the rear one, and there a_x counts positive: what leaves one axle reaches the other.
+3. Units and sides. c_i(x_i) and d_i(x_i') are called coefficients, while the characteristics found
+   by the paper are forces; a_y has no side, so left and right would be equally relieved, and the
+   term lacks division by g where A has none (Jiang et al. 2014, from where it is taken, divide).
+   Read: the characteristics are forces over compression and speed, and the lateral share
+   a_y h / (E g) of an axle's load goes from the left to the right wheel.
+4. The loads act upwards, and count twice. In (5) they push the chassis up, against (2) where no
+   weight appears at all; and with their m/2 (x'' + g) they take half of the inertia away: the
+   heave would be sqrt 2 too fast. (The paper finds "a higher frequency oscillation than the
+   measurement".) Read: they are the weight that rests on a corner, so they act downwards on the
+   m/4 of (2), with g alone, since the inertia stands on the left already; (5) is then the sum of
+   the four corners.
+5. x_i' is called the velocity of the mass. A car that climbs steadily would be held back by its
+   dampers. Read, with the paper's next sentence ("the suspension's compression and velocity are
+   calculated"): the velocity across the damper, x_i' - y_i'.
+6. x'' = -g divides by zero, in every jump. The reading has no such division.
+
+So each corner is ``m/4 x_i'' = spring(static + y_i - x_i) + damper(y_i' - x_i') - W_i`` with
+``W = m g (L2/L - a_x h/(g L)) (1/2 -+ a_y h/(E1 g))`` in front, left and right, and the same with L1,
++ a_x and E2 behind. Wheels have no mass and do not leave the road; heave, roll and pitch are those of
+the plane through the four corners, heave in the middle of the wheelbase. An unsprung mass (effect
+``unsprung_mass``) puts a wheel on the vehicle's tyre stiffness under each corner.
+
+Integration as in ``full_car``: velocity Verlet, the damper implicit by its table. The road's speed
+y' is the difference over the last step.
+"""
+
+from __future__ import annotations
+
+from suspension_twin.drive.types import Floats
+from suspension_twin.models import rows
+from suspension_twin.models.curves import damper_forces, spring_force, spring_forces, spring_slope
+from suspension_twin.models.full_car import record, watch
+from suspension_twin.models.numerics import compiled, fma, inlined
+from suspension_twin.models.rows import WIDTH
+from suspension_twin.models.sensor import sense
+from suspension_twin.models.types import Ints
+from suspension_twin.vehicle.twin import G, Vehicle
+
+__all__ = ["MSD_KERNELS", "printed"]
+
+
+def printed(vehicle: Vehicle, ax: float, ay: float, xdd: float) -> tuple[float, float]:
+    """F_rear and F_front of eqs (3) and (4) to the letter, N; accelerations in m/s².
+
+    For whoever wants to see what the equations say; the model does not use it.
+    """
+    m, wheelbase, (l2, _, h) = vehicle.mass, vehicle.wheelbase, vehicle.cog
+    l1 = wheelbase - l2
+
+    def load(length: float, track: float) -> float:
+        share = length / wheelbase - (ax + G) * h / ((xdd + G) * wheelbase)
+        return m / 2 * share * (xdd + G) - m * share * (ay + G) * h / track
+
+    return load(l2, vehicle.front_track), load(l1, vehicle.rear_track)
+
+
+@inlined
+def _weights(w: Floats, i: int, ax: float, ay: float, yaw2: float, dyaw: float) -> tuple[float, float, float, float]:
+    """Weight that rests on each corner of one lane, N; accelerations of base_link as in ``full_car``."""
+    cx, cy = w[rows.COG * WIDTH + i], w[(rows.COG + 1) * WIDTH + i]
+    gx, gy = fma(-dyaw, cy, fma(-yaw2, cx, ax)), fma(dyaw, cx, fma(-yaw2, cy, ay))
+    weight, shift = w[rows.WEIGHT * WIDTH + i], w[rows.PITCH_SHIFT * WIDTH + i] * gx
+    front = weight * (w[rows.SHARE * WIDTH + i] - shift)
+    rear = weight * (w[(rows.SHARE + 1) * WIDTH + i] + shift)
+    side0 = fma(-w[rows.ROLL_SHIFT * WIDTH + i], gy, w[rows.SIDE * WIDTH + i])
+    side1 = fma(-w[(rows.ROLL_SHIFT + 1) * WIDTH + i], gy, w[(rows.SIDE + 1) * WIDTH + i])
+    return front * (0.5 + side0), front * (0.5 - side0), rear * (0.5 + side1), rear * (0.5 - side1)
+
+
+@compiled
+def _stand(
+    w: Floats, i: int, w0: float, w1: float, w2: float, w3: float, forward: float, sideways: float, hinges: int
+) -> None:
+    """Put one lane in equilibrium under the weights ``w0``.. on the heights in its rows ROAD."""
+    weights = [w0, w1, w2, w3]
+    tyre, inv = w[rows.TYRE * WIDTH + i], w[rows.INV_UNSPRUNG * WIDTH + i]
+    r = [w[(rows.ROAD + c) * WIDTH + i] for c in range(4)]
+    front, rear = 0.5 * (r[0] + r[1]), 0.5 * (r[2] + r[3])
+    length = w[rows.ARM_X * WIDTH + i] - w[(rows.ARM_X + 1) * WIDTH + i]
+    tf = w[rows.ARM_Y * WIDTH + i] - w[(rows.ARM_Y + 1) * WIDTH + i]
+    tr = w[(rows.ARM_Y + 2) * WIDTH + i] - w[(rows.ARM_Y + 3) * WIDTH + i]
+    climb = (front - rear) / length * forward + 0.5 * ((r[0] - r[1]) / tf + (r[2] - r[3]) / tr) * sideways
+    for c in range(4):
+        first = rows.CURVES + (c // 2) * (5 + 6 * hinges)
+        static = w[(rows.STATIC + c) * WIDTH + i]
+        load = weights[c]
+        wheel = r[c]
+        if inv > 0.0:
+            wheel = r[c] + (w[(rows.LOAD + c) * WIDTH + i] - load) / tyre
+            load -= G / inv
+        x = static
+        for _ in range(60):
+            f = spring_force(w, first, hinges, i, x) - load
+            if abs(f) < 1e-9 * (1.0 + abs(load)):
+                break
+            x -= f / max(spring_slope(w, first, hinges, i, x), 1.0)
+        else:
+            w[rows.FAILED * WIDTH + i] = 1.0
+        w[(3 + c) * WIDTH + i] = static + wheel - x
+        w[(10 + c) * WIDTH + i] = climb
+        w[(17 + c) * WIDTH + i] = 0.0
+        w[(rows.DAMPER + c) * WIDTH + i] = 0.0
+        w[(rows.WHEEL + c) * WIDTH + i] = wheel
+        w[(rows.WHEEL + 4 + c) * WIDTH + i] = climb
+        w[(rows.WHEEL + 8 + c) * WIDTH + i] = 0.0
+        w[(rows.CONTACT + c) * WIDTH + i] = weights[c]
+
+
+@inlined
+def _plane(w: Floats, i: int, q: int) -> None:
+    """Heave, roll and pitch (rows q..) of the plane through the four corners (rows q + 3..)."""
+    a, b = w[(q + 3) * WIDTH + i], w[(q + 4) * WIDTH + i]
+    c, d = w[(q + 5) * WIDTH + i], w[(q + 6) * WIDTH + i]
+    length = w[rows.ARM_X * WIDTH + i] - w[(rows.ARM_X + 1) * WIDTH + i]
+    tf = w[rows.ARM_Y * WIDTH + i] - w[(rows.ARM_Y + 1) * WIDTH + i]
+    tr = w[(rows.ARM_Y + 2) * WIDTH + i] - w[(rows.ARM_Y + 3) * WIDTH + i]
+    w[q * WIDTH + i] = 0.25 * ((a + b) + (c + d))
+    w[(q + 1) * WIDTH + i] = 0.5 * ((a - b) / tf + (c - d) / tr)
+    w[(q + 2) * WIDTH + i] = 0.5 * ((c + d) - (a + b)) / length
+
+
+@compiled
+def _wheels(w: Floats, h: float, road: Floats, lane_road: Floats, row: int) -> None:
+    """Wheels to the end of the step: their heights and, less the damper, their accelerations.
+
+    A wheel without mass is where the road is, and as fast as it was over the step.
+    """
+    own = lane_road.shape[0] > 0
+    for c in range(4):
+        for i in range(WIDTH):
+            r = lane_road[row, c, i] if own else road[row, c]
+            inv = w[rows.INV_UNSPRUNG * WIDTH + i]
+            u, v = w[(rows.WHEEL + c) * WIDTH + i], w[(rows.WHEEL + 4 + c) * WIDTH + i]
+            half = fma(0.5 * h, w[(rows.WHEEL + 8 + c) * WIDTH + i], v)
+            last = w[(rows.ROAD + c) * WIDTH + i]
+            w[(rows.WHEEL + c) * WIDTH + i] = fma(h, half, u) if inv > 0.0 else r
+            w[(rows.WHEEL + 4 + c) * WIDTH + i] = half if inv > 0.0 else (r - last) / h
+            w[(rows.ROAD + c) * WIDTH + i] = r
+
+
+@inlined
+def _corners(w: Floats, i: int, h: float, w0: float, w1: float, w2: float, w3: float, hinges: int) -> None:
+    """One lane a step on, from wheels that are already there."""
+    h2 = 0.5 * h
+    front, rear = rows.CURVES, rows.CURVES + 5 + 6 * hinges
+    damper = 2 + 2 * hinges
+    inv, unsprung = w[rows.INV_CORNER * WIDTH + i], w[rows.INV_UNSPRUNG * WIDTH + i]
+    tyre = w[rows.TYRE * WIDTH + i]
+    v0 = fma(h2, w[17 * WIDTH + i], w[10 * WIDTH + i])
+    v1 = fma(h2, w[18 * WIDTH + i], w[11 * WIDTH + i])
+    v2 = fma(h2, w[19 * WIDTH + i], w[12 * WIDTH + i])
+    v3 = fma(h2, w[20 * WIDTH + i], w[13 * WIDTH + i])
+    x0, x1 = fma(h, v0, w[3 * WIDTH + i]), fma(h, v1, w[4 * WIDTH + i])
+    x2, x3 = fma(h, v2, w[5 * WIDTH + i]), fma(h, v3, w[6 * WIDTH + i])
+    u0, u1 = w[rows.WHEEL * WIDTH + i], w[(rows.WHEEL + 1) * WIDTH + i]
+    u2, u3 = w[(rows.WHEEL + 2) * WIDTH + i], w[(rows.WHEEL + 3) * WIDTH + i]
+    s0, s1, s2, s3 = spring_forces(
+        w, front, front, rear, rear, hinges, i,
+        w[rows.STATIC * WIDTH + i] + (u0 - x0), w[(rows.STATIC + 1) * WIDTH + i] + (u1 - x1),
+        w[(rows.STATIC + 2) * WIDTH + i] + (u2 - x2), w[(rows.STATIC + 3) * WIDTH + i] + (u3 - x3),
+    )  # fmt: skip
+    # what wheels with a mass feel but for their dampers; the others have unsprung = 0
+    n0 = fma(tyre, w[rows.ROAD * WIDTH + i] - u0, w[rows.LOAD * WIDTH + i])
+    n1 = fma(tyre, w[(rows.ROAD + 1) * WIDTH + i] - u1, w[(rows.LOAD + 1) * WIDTH + i])
+    n2 = fma(tyre, w[(rows.ROAD + 2) * WIDTH + i] - u2, w[(rows.LOAD + 2) * WIDTH + i])
+    n3 = fma(tyre, w[(rows.ROAD + 3) * WIDTH + i] - u3, w[(rows.LOAD + 3) * WIDTH + i])
+    fall = G if unsprung > 0.0 else 0.0
+    load = fall / unsprung if unsprung > 0.0 else 0.0
+    g0 = fma((n0 if n0 > 0.0 else 0.0) - s0, unsprung, -fall)
+    g1 = fma((n1 if n1 > 0.0 else 0.0) - s1, unsprung, -fall)
+    g2 = fma((n2 if n2 > 0.0 else 0.0) - s2, unsprung, -fall)
+    g3 = fma((n3 if n3 > 0.0 else 0.0) - s3, unsprung, -fall)
+    a0, a1 = (s0 - (w0 - load)) * inv, (s1 - (w1 - load)) * inv
+    a2, a3 = (s2 - (w2 - load)) * inv, (s3 - (w3 - load)) * inv
+    lag0 = fma(-h2, inv + unsprung, w[rows.IMPLICIT * WIDTH + i])
+    lag1 = fma(-h2, inv + unsprung, w[(rows.IMPLICIT + 1) * WIDTH + i])
+    e0, e1 = w[(rows.WHEEL + 4) * WIDTH + i], w[(rows.WHEEL + 5) * WIDTH + i]
+    e2, e3 = w[(rows.WHEEL + 6) * WIDTH + i], w[(rows.WHEEL + 7) * WIDTH + i]
+    d0, d1, d2, d3 = damper_forces(
+        w, front + damper, front + damper, rear + damper, rear + damper, hinges, i,
+        fma(lag0, w[rows.DAMPER * WIDTH + i], fma(h2, g0 - a0, e0 - v0)),
+        fma(lag0, w[(rows.DAMPER + 1) * WIDTH + i], fma(h2, g1 - a1, e1 - v1)),
+        fma(lag1, w[(rows.DAMPER + 2) * WIDTH + i], fma(h2, g2 - a2, e2 - v2)),
+        fma(lag1, w[(rows.DAMPER + 3) * WIDTH + i], fma(h2, g3 - a3, e3 - v3)),
+    )  # fmt: skip
+    massless = not unsprung > 0.0
+    w[rows.CONTACT * WIDTH + i] = s0 + d0 if massless else (n0 if n0 > 0.0 else 0.0)
+    w[(rows.CONTACT + 1) * WIDTH + i] = s1 + d1 if massless else (n1 if n1 > 0.0 else 0.0)
+    w[(rows.CONTACT + 2) * WIDTH + i] = s2 + d2 if massless else (n2 if n2 > 0.0 else 0.0)
+    w[(rows.CONTACT + 3) * WIDTH + i] = s3 + d3 if massless else (n3 if n3 > 0.0 else 0.0)
+    a0, a1, a2, a3 = fma(d0, inv, a0), fma(d1, inv, a1), fma(d2, inv, a2), fma(d3, inv, a3)
+    g0, g1 = fma(-d0, unsprung, g0), fma(-d1, unsprung, g1)
+    g2, g3 = fma(-d2, unsprung, g2), fma(-d3, unsprung, g3)
+    w[3 * WIDTH + i], w[4 * WIDTH + i], w[5 * WIDTH + i], w[6 * WIDTH + i] = x0, x1, x2, x3
+    w[10 * WIDTH + i], w[11 * WIDTH + i] = fma(h2, a0, v0), fma(h2, a1, v1)
+    w[12 * WIDTH + i], w[13 * WIDTH + i] = fma(h2, a2, v2), fma(h2, a3, v3)
+    w[17 * WIDTH + i], w[18 * WIDTH + i], w[19 * WIDTH + i], w[20 * WIDTH + i] = a0, a1, a2, a3
+    w[rows.DAMPER * WIDTH + i], w[(rows.DAMPER + 1) * WIDTH + i] = d0, d1
+    w[(rows.DAMPER + 2) * WIDTH + i], w[(rows.DAMPER + 3) * WIDTH + i] = d2, d3
+    w[(rows.WHEEL + 4) * WIDTH + i], w[(rows.WHEEL + 5) * WIDTH + i] = fma(h2, g0, e0), fma(h2, g1, e1)
+    w[(rows.WHEEL + 6) * WIDTH + i], w[(rows.WHEEL + 7) * WIDTH + i] = fma(h2, g2, e2), fma(h2, g3, e3)
+    w[(rows.WHEEL + 8) * WIDTH + i], w[(rows.WHEEL + 9) * WIDTH + i] = g0, g1
+    w[(rows.WHEEL + 10) * WIDTH + i], w[(rows.WHEEL + 11) * WIDTH + i] = g2, g3
+
+
+@compiled
+def _record_corners(w: Floats, at: int, state: Floats) -> None:
+    """Wheels where ``full_car`` has them, then compressions beyond the static ones and their rates."""
+    for c in range(4):
+        for i in range(WIDTH):
+            u, v = w[(rows.WHEEL + c) * WIDTH + i], w[(rows.WHEEL + 4 + c) * WIDTH + i]
+            state[3 + c, at + i] = u
+            state[10 + c, at + i] = v
+            state[17 + c, at + i] = w[(rows.WHEEL + 8 + c) * WIDTH + i]
+            state[rows.DAMPER + c, at + i] = u - w[(3 + c) * WIDTH + i]
+            state[rows.CONTACT + 4 + c, at + i] = v - w[(10 + c) * WIDTH + i]
+
+
+@inlined
+def _run(
+    blocks: Floats, road: Floats, lane_road: Floats, substeps: Ints, motion: Floats, begin: int, end: int,
+    signals: Floats, states: Floats, lane0: int, hinges: int,
+) -> None:  # fmt: skip
+    """Walk blocks through the stamps begin..end-1; arguments as in ``full_car_effects._run``."""
+    for block in range(blocks.shape[0]):
+        w = blocks[block]
+        row = 0
+        for k in range(begin, end):
+            n = substeps[k]
+            h = motion[k, 0]
+            ax, ay, yaw, dyaw = motion[k, 1], motion[k, 2], motion[k, 3], motion[k, 4]
+            if n == 0:
+                for i in range(WIDTH):
+                    for c in range(4):
+                        own = lane_road.shape[0] > 0
+                        w[(rows.ROAD + c) * WIDTH + i] = lane_road[row, c, i] if own else road[row, c]
+                    w0, w1, w2, w3 = _weights(w, i, ax, ay, yaw * yaw, dyaw)
+                    _stand(w, i, w0, w1, w2, w3, motion[k, 5], motion[k, 6], hinges)
+                row += 1
+            else:
+                ax0, ay0, yaw0, dyaw0 = motion[k - 1, 1], motion[k - 1, 2], motion[k - 1, 3], motion[k - 1, 4]
+                from2, to2 = yaw0 * yaw0, yaw * yaw
+                for j in range(n):
+                    s = (j + 1.0) / n
+                    _wheels(w, h, road, lane_road, row)
+                    row += 1
+                    sx, sy = fma(s, ax - ax0, ax0), fma(s, ay - ay0, ay0)
+                    yaw2, sd = fma(s, to2 - from2, from2), fma(s, dyaw - dyaw0, dyaw0)
+                    for i in range(WIDTH):
+                        w0, w1, w2, w3 = _weights(w, i, sx, sy, yaw2, sd)
+                        _corners(w, i, h, w0, w1, w2, w3, hinges)
+            for i in range(WIDTH):
+                _plane(w, i, rows.POSITION)
+                _plane(w, i, rows.VELOCITY)
+                _plane(w, i, rows.ACCELERATION)
+            watch(w, road[row - 1, 0], road[row - 1, 1], road[row - 1, 2], road[row - 1, 3])
+            for i in range(WIDTH):
+                sense(w, i, ax, ay, yaw, dyaw)
+            at = lane0 + block * WIDTH
+            record(w, at, k - begin, signals, states)
+            if states.shape[0] > 0:
+                _record_corners(w, at, states[k - begin])
+
+
+@compiled
+def _run_3(
+    blocks: Floats, road: Floats, lane_road: Floats, substeps: Ints, motion: Floats, begin: int, end: int,
+    signals: Floats, states: Floats, lane0: int,
+) -> None:  # fmt: skip
+    _run(blocks, road, lane_road, substeps, motion, begin, end, signals, states, lane0, 3)
+
+
+@compiled
+def _run_7(
+    blocks: Floats, road: Floats, lane_road: Floats, substeps: Ints, motion: Floats, begin: int, end: int,
+    signals: Floats, states: Floats, lane0: int,
+) -> None:  # fmt: skip
+    _run(blocks, road, lane_road, substeps, motion, begin, end, signals, states, lane0, 7)
+
+
+@compiled
+def _run_31(
+    blocks: Floats, road: Floats, lane_road: Floats, substeps: Ints, motion: Floats, begin: int, end: int,
+    signals: Floats, states: Floats, lane0: int,
+) -> None:  # fmt: skip
+    _run(blocks, road, lane_road, substeps, motion, begin, end, signals, states, lane0, 31)
+
+
+#: The kernel for each number of hinges per curve.
+MSD_KERNELS = {3: _run_3, 7: _run_7, 31: _run_31}

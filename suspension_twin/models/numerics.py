@@ -1,0 +1,114 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Small things that the compiled kernels share.
+
+Kernels are compiled without any fast-math flag and fuse multiply and add only where
+:func:`fma` says so. A lane's numbers are therefore fixed by the source alone: they do not
+depend on how many lanes run beside it, how the compiler vectorised the loop, or which of the
+two kernels (with and without effects) computed them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from functools import lru_cache
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, TypeVar
+
+from llvmlite import ir
+from numba import njit
+from numba.core import cgutils, types
+from numba.extending import intrinsic
+from numpy.typing import NDArray
+
+__all__ = ["compiled", "fma", "inlined", "prefetch", "sin_cos"]
+
+Function = TypeVar("Function", bound=Callable[..., Any])
+
+
+def compiled(function: Function) -> Function:
+    """Compile on first call, without the GIL, and keep the machine code on disk.
+
+    The code on disk is dropped when any module of the models or the effects has changed: numba
+    alone looks at the one file that holds the function and would go on with stale helpers.
+    A division by zero gives infinity, which marks its lane as failed, instead of raising.
+    Where no folder can be written at all (no home, read-only install) it is compiled anew in
+    every process instead of failing.
+    """
+    try:
+        out: Any = njit(cache=True, nogil=True, error_model="numpy")(function)
+    except RuntimeError:  # numba: "no locator available"
+        out = njit(nogil=True, error_model="numpy")(function)
+    file = getattr(getattr(out, "_cache", None), "_cache_file", None)
+    if file is not None and hasattr(file, "_source_stamp"):
+        file._source_stamp = _sources_stamp()
+    return out  # type: ignore[no-any-return]
+
+
+@lru_cache(maxsize=1)
+def _sources_stamp() -> tuple[tuple[str, float, int], ...]:
+    """Name, time and size of every module whose code may end up in a kernel."""
+    stamp = []
+    package = Path(__file__).resolve().parents[1]
+    for file in sorted(f for folder in ("models", "effects") for f in (package / folder).glob("*.py")):
+        status = file.stat()
+        stamp.append((file.name, status.st_mtime, status.st_size))
+    return tuple(stamp)
+
+
+def inlined(function: Function) -> Function:
+    """A helper that disappears into its caller, so that the lane loop around it vectorises."""
+    out: Any = njit(inline="always", error_model="numpy")(function)
+    return out  # type: ignore[no-any-return]
+
+
+if TYPE_CHECKING:
+
+    def fma(a: float, b: float, c: float) -> float:
+        """``a * b + c`` with one rounding."""
+        ...
+
+    def prefetch(values: NDArray[Any], index: int) -> None:
+        """Ask for the cache line of element ``index`` of a contiguous array, to write to it soon."""
+        ...
+
+else:
+
+    @intrinsic
+    def fma(_context, _a, _b, _c):
+        """``a * b + c`` with one rounding."""
+        signature = types.float64(types.float64, types.float64, types.float64)
+
+        def code(_context, builder, _signature, args):
+            return builder.fma(*args)
+
+        return signature, code
+
+    @intrinsic
+    def prefetch(_context, values, index):
+        """Ask for the cache line of element ``index`` of a contiguous array, to write to it soon."""
+        signature = types.void(values, index)
+
+        def code(context, builder, signature, args):
+            array = context.make_array(signature.args[0])(context, builder, args[0])
+            byte, word = ir.IntType(8).as_pointer(), ir.IntType(32)
+            address = builder.bitcast(builder.gep(array.data, [args[1]]), byte)
+            kind = ir.FunctionType(ir.VoidType(), [byte, word, word, word])
+            hint = cgutils.get_or_insert_function(builder.module, kind, "llvm.prefetch.p0i8")
+            builder.call(hint, [address, word(1), word(3), word(1)])
+            return context.get_dummy_value()
+
+        return signature, code
+
+
+@inlined
+def sin_cos(x: float) -> tuple[float, float]:
+    """Sine and cosine without a branch, to 1e-15 for |x| <= 0.8 and 1e-11 up to 1.2 rad.
+
+    Roll and pitch of a lane that has not been failed stay below 1 rad.
+    """
+    q = x * x
+    s = fma(q, fma(q, fma(q, fma(q, fma(q, fma(q, fma(q, -1 / 1307674368000.0, 1 / 6227020800.0),
+        -1 / 39916800.0), 1 / 362880.0), -1 / 5040.0), 1 / 120.0), -1 / 6.0), 1.0)
+    c = fma(q, fma(q, fma(q, fma(q, fma(q, fma(q, fma(q, fma(q, 1 / 20922789888000.0, -1 / 87178291200.0),
+        1 / 479001600.0), -1 / 3628800.0), 1 / 40320.0), -1 / 720.0), 1 / 24.0), -0.5), 1.0)
+    return s * x, c

@@ -1,0 +1,49 @@
+# SPDX-License-Identifier: Apache-2.0
+"""From the kernel's states to what a user reads: compiled, and the same for batch and live."""
+
+from __future__ import annotations
+
+import math
+
+from suspension_twin.drive.types import Floats
+from suspension_twin.models.numerics import compiled
+from suspension_twin.models.rows import ARM_X, ARM_Y, CONTACT, DAMPER, SPRUNG, STATIC
+
+__all__ = ["COLUMNS", "OBSERVED", "observe"]
+
+#: Columns of what ``observe`` fills, by the name they have in Response and LiveState.
+COLUMNS: dict[str, slice | int] = {
+    "heave": 0, "roll": 1, "pitch": 2, "z": 3, "wheel_z": slice(4, 8), "deflection": slice(8, 12),
+    "deflection_rate": slice(12, 16), "tyre_force": slice(16, 20), "force": slice(20, 23),
+    "rate": slice(23, 26), "vertical_acceleration": 26, "acceleration": slice(27, 34),
+}  # fmt: skip
+OBSERVED = 34
+
+
+@compiled
+def observe(states: Floats, signals: Floats, values: Floats, radius: float, msd: bool, out: Floats) -> None:
+    """Fill ``out`` (n, OBSERVED) from one lane, the first of its block.
+
+    ``states`` (n, STATES, lanes) and ``signals`` (n, 7, lanes) as the kernel wrote them, ``values``
+    (rows,) the lane's constants, ``radius`` m of the tyre. The states of ``msd`` tell the springs'
+    compressions themselves, since its corners need not lie in a plane.
+    """
+    sx, sy, sz = values[SPRUNG], values[SPRUNG + 1], values[SPRUNG + 2]
+    for k in range(states.shape[0]):
+        heave, roll, pitch = states[k, 0, 0], states[k, 1, 0], states[k, 2, 0]
+        out[k, 0], out[k, 1], out[k, 2] = heave, roll, pitch
+        # base_link's origin hangs under the sprung centre of gravity of the turned body
+        above = math.cos(pitch) * (math.sin(roll) * sy + math.cos(roll) * sz) - math.sin(pitch) * sx
+        out[k, 3] = heave + sz - above
+        for i in range(4):
+            x, y = values[ARM_X + i // 2], values[ARM_Y + i]
+            wheel = states[k, 3 + i, 0]
+            out[k, 4 + i] = wheel + radius if msd else wheel - values[STATIC + i] + radius
+            body = heave + y * roll - x * pitch
+            body_rate = states[k, 7, 0] + y * states[k, 8, 0] - x * states[k, 9, 0]
+            out[k, 8 + i] = values[STATIC + i] + states[k, DAMPER + i, 0] if msd else wheel - body
+            out[k, 12 + i] = states[k, CONTACT + 4 + i, 0] if msd else states[k, 10 + i, 0] - body_rate
+            out[k, 16 + i] = states[k, CONTACT + i, 0]
+        for q in range(7):
+            out[k, 20 + q] = signals[k, q, 0]
+            out[k, 27 + q] = states[k, 14 + q, 0]

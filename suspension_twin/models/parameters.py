@@ -1,0 +1,120 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The numbers of a twin as one vector, and many candidates of it side by side.
+
+A row has the dotted key that it has in the twin file: ``vehicle.mass``,
+``vehicle.front.spring.force.2``, ``imu.position.0``, ``effects.strut_friction.front_force``.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+
+from suspension_twin.drive.types import Floats
+from suspension_twin.errors import InputError
+from suspension_twin.models.hooks import Hook, load_hook
+from suspension_twin.vehicle.corners import AXLES
+from suspension_twin.vehicle.twin import Twin
+
+__all__ = ["Layout", "lanes", "layout", "pack"]
+
+_SCALARS = (
+    "vehicle.mass", "vehicle.wheelbase", "vehicle.front_track", "vehicle.rear_track",
+    "vehicle.cog.0", "vehicle.cog.1", "vehicle.cog.2",
+    "vehicle.sprung_inertia.roll", "vehicle.sprung_inertia.pitch",
+    "vehicle.tyre.radius", "vehicle.tyre.vertical_stiffness",
+    "vehicle.front.unsprung_mass", "vehicle.rear.unsprung_mass",
+    "imu.position.0", "imu.position.1", "imu.position.2",
+)  # fmt: skip
+#: The road heights were looked up for these: a candidate cannot differ in them.
+_FIXED = ("vehicle.wheelbase", "vehicle.front_track", "vehicle.rear_track")
+CURVES = tuple(
+    (axle, part, abscissa)
+    for axle in AXLES
+    for part, abscissa in (("spring", "compression"), ("damper_push", "velocity"), ("damper_pull", "velocity"))
+)
+
+
+@dataclass(frozen=True)
+class Layout:
+    """Which row of a parameter vector holds what, and the hooks of the effects in it by id."""
+
+    names: tuple[str, ...]
+    model: str = "full_car"
+    hooks: Mapping[str, Hook] = field(default_factory=dict)
+
+    @cached_property
+    def index(self) -> dict[str, int]:
+        """Row of each dotted key."""
+        return {name: row for row, name in enumerate(self.names)}
+
+    def rows(self, prefix: str) -> list[int]:
+        """Rows of ``prefix.0``, ``prefix.1``, … in order."""
+        found: list[int] = []
+        while (row := self.index.get(f"{prefix}.{len(found)}")) is not None:
+            found.append(row)
+        return found
+
+
+def layout(twin: Twin) -> Layout:
+    """The layout of this twin's parameter vector."""
+    names = list(_SCALARS)
+    for axle, part, abscissa in CURVES:
+        curve = getattr(getattr(twin.vehicle, axle), part)
+        for quantity in (abscissa, "force"):
+            names += [f"vehicle.{axle}.{part}.{quantity}.{j}" for j in range(len(curve.force))]
+    hooks = {}
+    for effect in twin.effects:
+        hook = hooks[effect.id] = load_hook(effect.id)
+        if twin.model not in hook.models:
+            raise InputError("twin", "effects", f"{effect.id} is not an effect of the model {twin.model}")
+        for name in effect.parameters:
+            if name not in hook.neutral:
+                known = ", ".join(hook.neutral)
+                raise InputError("twin", f"effects.{effect.id}.{name}", f"is not a parameter of it: {known}")
+        if hook.check is not None:
+            hook.check(effect.parameters)
+        names += [f"effects.{effect.id}.{name}" for name in hook.neutral]
+    return Layout(tuple(names), twin.model, hooks)
+
+
+def _value(twin: Twin, shape: Layout, key: str) -> float:
+    if key.startswith("effects."):
+        _, effect, name = key.split(".")
+        given = next(e.parameters for e in twin.effects if e.id == effect)
+        return float(given.get(name, shape.hooks[effect].neutral[name]))
+    node: Any = twin
+    for part in key.split("."):
+        node = node[int(part)] if part.isdigit() else getattr(node, part)
+    return float(node)
+
+
+def pack(twin: Twin) -> Floats:
+    """(P,) the twin's numbers in the order of ``layout(twin).names``, SI units."""
+    shape = layout(twin)
+    return np.array([_value(twin, shape, key) for key in shape.names])
+
+
+def lanes(twin: Twin, keys: Sequence[str], values: Floats) -> Floats:
+    """(P, L) candidates that differ from the twin in ``keys``, one row of ``values`` (L, k) each.
+
+    Raises InputError for a key that the twin has not, or that a candidate cannot change.
+    """
+    values = np.asarray(values, dtype=np.float64)
+    if values.ndim != 2 or values.shape[1] != len(keys):
+        raise InputError("candidates", f"values must be (L, {len(keys)}), are {values.shape}")
+    index = layout(twin).index
+    rows = []
+    for key in keys:
+        if key in _FIXED:
+            raise InputError("twin", key, "cannot differ between candidates: the road was looked up for it")
+        if key not in index:
+            raise InputError("twin", key, "is not a number of this twin that can be changed")
+        rows.append(index[key])
+    out = np.repeat(pack(twin)[:, None], values.shape[0], axis=1)
+    out[rows] = values.T
+    return out

@@ -1,0 +1,260 @@
+# SPDX-License-Identifier: Apache-2.0
+"""``tracked``: the tracked paper's vehicle in its plane of symmetry, one half of it.
+
+The paper's model has 118 bodies, 97 of them links of the track [read]. What the markers on the
+hull feel of the track is (1) the tension that pulls idler, sprocket and the outer wheels together,
+(2) that it bridges the gaps between the wheels, ahead of the first and behind the last one, and
+(3) its mass under the wheels. So this model has
+
+- the hull (heave, pitch) on a prescribed travel, and each road wheel on its trailing arm with
+  torsion bar, rotary damper, hard stops and a rubber tyre: 2 + S degrees of freedom with their
+  exact planar kinematics;
+- the run of the track between sprocket and idler as a chain of nodes that keep their place on the
+  ground, as a track does that does not slip: vertical motion, bending stiffness k_g_phi and damping
+  b_g_phi of the joints, contact with the ground below and with the arcs of the wheels above;
+- one tension for the whole loop, (k_gl / N) times its stretch and (b_gl / N) times the stretch's
+  rate for N links, never pushing. The loop's length is that of the chain below, the tangents to the
+  two guide wheels, the wraps around them and the run above.
+
+One tension suffices because the links between two guides settle much faster than the hull moves:
+with the paper's k_gl a wave runs around the loop at 180 m/s (0.07 s), the hull answers below 3 Hz.
+Links of the upper run move with the hull. ``fineness`` nodes stand on each link; the marker motion
+converges with it (``benchmarks/tracked.py --convergence``). Left out: traction and the hull's dive
+that comes with it, sag of the upper run, slip, rolling resistance.
+
+Integration: semi-implicit Euler, dampers on the arms and the track's bending implicit (the bounds
+(11) and (13) would ask for steps below 1 microsecond otherwise).
+"""
+
+from __future__ import annotations
+
+import math
+import os
+from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+
+import numpy as np
+
+from suspension_twin.drive.types import Floats
+from suspension_twin.errors import InputError, WorkError
+from suspension_twin.models.tracked_kernel import COLUMNS, PARAMETERS, run_lane
+from suspension_twin.vehicle.tracked import Obstacle, TrackedVehicle
+
+__all__ = ["TrackedResponse", "belt_length", "obstacle_profile", "simulate_tracked", "simulate_tracked_lanes"]
+
+STEP = 4.0e-4  # s
+_CELL = 0.005  # m, spacing of the obstacle's profile
+_LEAD = 0.5  # m between the idler and the obstacle at the start
+_SETTLE = 2.0  # s of standing still, heavily damped, before the travel
+
+
+@dataclass(frozen=True)
+class TrackedResponse:
+    """One run. Arrays over the stamps ``t`` (n,), forces of both sides together; markers in m.
+
+    ``travel``: CoG along the ground from the obstacle's foot; ``pitch`` rad, positive nose down;
+    ``arm`` (n, S) rad below the horizontal of the hull; ``wheel_load`` (n, S) and ``tension`` N of
+    one side; ``energy`` and ``lost`` J of one side; ``markers`` (n, 2) displacement of A and B
+    upwards from the standing vehicle; ``failed``: the run diverged, what came after is NaN-free zero.
+    """
+
+    t: Floats
+    travel: Floats
+    z: Floats
+    pitch: Floats
+    tension: Floats
+    ground: Floats
+    arm: Floats
+    wheel_load: Floats
+    energy: Floats
+    lost: Floats
+    markers: Floats
+    marker_velocity: Floats
+    marker_acceleration: Floats
+    failed: bool
+
+
+def obstacle_profile(obstacle: Obstacle | None) -> Floats:
+    """Heights of the ground from the obstacle's foot, m, every 5 mm; level without an obstacle."""
+    if obstacle is None:
+        return np.zeros(2)
+    s = np.arange(0.0, obstacle.length + 2 * _CELL, _CELL)
+    corners = np.cumsum([0.0, obstacle.ramp, obstacle.top, obstacle.ramp])
+    return np.asarray(np.interp(s, corners, [0.0, obstacle.height, obstacle.height, 0.0]))
+
+
+def belt_length(vehicle: TrackedVehicle, setting: float) -> float:
+    """Length in m of the taut loop around idler, outer wheels and sprocket of the standing vehicle.
+
+    Closed form: straight lines between circles that they touch, and the arcs between them.
+    """
+    v, half = vehicle, vehicle.track.thickness
+    circles = [
+        (-setting / 1000, v.idler.height, v.idler.radius + half),
+        (v.stations[0].x, v.wheel_height, v.wheel.radius + half),
+        (v.stations[-1].x, v.wheel_height, v.wheel.radius + half),
+        (*v.sprocket.position, v.sprocket.radius + half),
+    ]
+    total, angle = 0.0, 0.5 * math.pi
+    for (x1, z1, r1), (x2, z2, r2) in zip(circles, circles[1:], strict=False):
+        distance = math.hypot(x2 - x1, z2 - z1)
+        # the normal at which the belt leaves one circle and meets the next, below both
+        normal = math.atan2(z2 - z1, x2 - x1) + math.acos((r1 - r2) / distance)
+        normal = (normal + math.pi) % (2 * math.pi) - math.pi
+        normal += 2 * math.pi if normal > angle else 0.0
+        normal -= 2 * math.pi if normal > angle else 0.0
+        total += r1 * (angle - normal) + math.sqrt(distance**2 - (r1 - r2) ** 2)
+        angle = normal
+    total += circles[-1][2] * (angle + 1.5 * math.pi)
+    first, last = circles[0], circles[-1]
+    return total + math.hypot(first[0] - last[0], first[1] - last[1])
+
+
+def _pack(vehicle: TrackedVehicle, fineness: int, kick: tuple[float, float]) -> tuple[Floats, Floats, int]:
+    """Parameters (P,), stations (S, 5) and the number of nodes."""
+    v, track, (cog_x, cog_z) = vehicle, vehicle.track, vehicle.cog
+    cell = track.pitch / fineness
+    idler_x = -v.idler.setting / 1000
+    idler_r, sprocket_r = v.idler.radius + track.thickness, v.sprocket.radius + track.thickness
+    first = v.sprocket.position[0] + sprocket_r + 0.02 - cog_x
+    # The last node is counted from where the idler is when the track is taut: all settings share it.
+    last = -v.idler.taut_at / 1000 - idler_r - 0.02 - cog_x
+    nodes = math.floor((last - first) / cell)
+    node_mass = track.link_mass / fineness
+    hull = v.mass / 2 - len(v.stations) * v.wheel.mass - nodes * node_mass
+    values = {
+        "hull_mass": hull,
+        "hull_inertia": hull * v.gyration**2,
+        "sprocket_x": v.sprocket.position[0] - cog_x,
+        "sprocket_z": v.sprocket.position[1] - cog_z,
+        "sprocket_radius": sprocket_r,
+        "idler_x": idler_x - cog_x,
+        "idler_z": v.idler.height - cog_z,
+        "idler_radius": idler_r,
+        "loop_stiffness": track.stiffness / track.links,
+        "loop_damping": track.damping / track.links,
+        "free_length": belt_length(v, v.idler.taut_at),
+        "bending_stiffness": track.bending_stiffness * fineness,
+        "bending_damping": track.bending_damping * fineness,
+        "wheel_radius": v.wheel.radius,
+        "wheel_mass": v.wheel.mass,
+        "rubber": v.wheel.rubber,
+        "rubber_damping": v.wheel.rubber_damping,
+        "arm": v.arm.length,
+        "free": v.arm.free_angle,
+        "bar": v.arm.stiffness,
+        "jounce": v.arm.jounce_stop,
+        "rebound": v.arm.rebound_stop,
+        "stop": v.arm.stop_stiffness,
+        "ground": v.ground.stiffness,
+        "ground_damping": v.ground.damping,
+        "thickness": track.thickness,
+        "node_mass": node_mass,
+        "spacing": cell,
+        "first_node": first,
+        "height": cog_z - v.ground_height,
+        "kick": kick[0],
+        "pitch_kick": kick[1],
+    }
+    a = v.arm.standing_angle
+    along, up = v.arm.length * math.cos(a), v.arm.length * math.sin(a)
+    stations = [
+        [s.x + along - cog_x, v.wheel_height + up - cog_z, s.damping, s.sag, a] for s in v.stations
+    ]
+    return np.array([values[name] for name in PARAMETERS]), np.array(stations), nodes
+
+
+def _arc(radius: float) -> Floats:
+    """Places along a wheel's lower arc (Q, 3): dense where it stands, wide enough for a step."""
+    half = np.concatenate([np.arange(0.0, 0.121, 0.02), [0.15, 0.19, 0.24]]) * radius / 0.375
+    s = np.concatenate([-half[:0:-1], half])
+    return np.stack([s, radius - np.sqrt(radius**2 - s**2), np.gradient(s)], axis=1)
+
+
+def simulate_tracked_lanes(
+    vehicles: Sequence[TrackedVehicle],
+    speeds: Sequence[float],
+    duration: float,
+    *,
+    rate: float = 100.0,
+    fineness: int = 1,
+    step: float = STEP,
+    level: bool = False,
+    kick: tuple[float, float] = (0.0, 0.0),
+    workers: int | None = None,
+) -> list[TrackedResponse]:
+    """Runs over each vehicle's obstacle from standing level, one for each pair of vehicle and speed.
+
+    ``speeds`` m/s, constant; ``duration`` s at ``rate`` Hz; ``level``: without the obstacle;
+    ``kick``: heave (m/s) and pitch (rad/s) speed given to the standing hull at the start.
+    Raises InputError for a speed or duration that is no run.
+    """
+    if len(vehicles) != len(speeds):
+        raise InputError("tracked", "speeds", f"{len(speeds)} for {len(vehicles)} vehicles")
+    for speed in speeds:
+        if not 0.0 <= speed <= 40.0:
+            raise InputError("tracked", "speed", f"must lie between 0 and 40 m/s, is {speed:g} (is it in km/h?)")
+    if not 0.0 < duration <= 600.0 or not 1.0 <= rate <= 1000.0:
+        raise InputError("tracked", "duration", "must be above 0 and at most 600 s, at 1 to 1000 Hz")
+    t = np.arange(round(duration * rate) + 1) / rate
+    substeps = max(1, math.ceil(1.0 / rate / step - 1e-9))
+
+    def run(lane: tuple[TrackedVehicle, float]) -> TrackedResponse:
+        vehicle, speed = lane
+        p, stations, nodes = _pack(vehicle, fineness, kick)
+        foot = -_LEAD - vehicle.idler.radius - (-vehicle.idler.setting / 1000 - vehicle.cog[0])
+        travel = foot + speed * t
+        out = np.zeros((t.size, COLUMNS + 2 * len(vehicle.stations)))
+        dt = 1.0 / rate / substeps
+        profile = obstacle_profile(None if level else vehicle.obstacle)
+        sound = run_lane(
+            p, stations, _arc(vehicle.wheel.radius), profile, travel, speed, dt, substeps,
+            round(_SETTLE / dt), nodes, out,
+        )  # fmt: skip
+        sound = sound and bool(np.isfinite(out).all())
+        return _response(vehicle, t, travel, out, failed=not sound)
+
+    with ThreadPoolExecutor(workers or os.cpu_count() or 1) as pool:
+        return list(pool.map(run, zip(vehicles, speeds, strict=True)))
+
+
+def _response(vehicle: TrackedVehicle, t: Floats, travel: Floats, out: Floats, failed: bool) -> TrackedResponse:
+    if failed:
+        out = np.zeros_like(out)
+    z, pitch, zv, pv, za, pa = out[:, :6].T
+    sin, cos = np.sin(pitch)[:, None], np.cos(pitch)[:, None]
+    marks = np.array([vehicle.markers.A, vehicle.markers.B]) / 1000
+    x, up = -marks[:, 0] - vehicle.cog[0], marks[:, 1] - vehicle.cog[1]
+    height = z[:, None] - x * sin + up * cos
+    along, above = x * cos + up * sin, up * cos - x * sin
+    stations = len(vehicle.stations)
+    return TrackedResponse(
+        t=t,
+        travel=travel,
+        z=z,
+        pitch=pitch,
+        tension=out[:, 6],
+        ground=2 * out[:, 7],
+        arm=out[:, COLUMNS : COLUMNS + stations],
+        wheel_load=out[:, COLUMNS + stations :],
+        energy=out[:, 8],
+        lost=out[:, 9],
+        markers=height - height[0],
+        marker_velocity=zv[:, None] - along * pv[:, None],
+        marker_acceleration=za[:, None] - along * pa[:, None] - above * pv[:, None] ** 2,
+        failed=failed,
+    )
+
+
+def simulate_tracked(
+    vehicle: TrackedVehicle, speed: float, duration: float, *, rate: float = 100.0, fineness: int = 1,
+    step: float = STEP, level: bool = False, kick: tuple[float, float] = (0.0, 0.0),
+) -> TrackedResponse:  # fmt: skip
+    """One run over the obstacle; raises WorkError where the motion leaves all bounds."""
+    response = simulate_tracked_lanes(
+        [vehicle], [speed], duration, rate=rate, fineness=fineness, step=step, level=level, kick=kick, workers=1
+    )[0]
+    if response.failed:
+        raise WorkError("tracked: the run diverged: make the track softer or the obstacle lower")
+    return response

@@ -1,0 +1,321 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The compiled part of the model ``tracked``: one lane over time. See ``tracked`` for what it models.
+
+World axes x forwards, z up; pitch theta is positive nose down; the angle alpha of an arm is
+absolute (below the horizontal), so that an arm's angle against the hull is alpha + theta. The
+hull's place in its own axes counts from the centre of gravity (CoG) of the hull.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from suspension_twin.drive.types import Floats
+from suspension_twin.models.numerics import compiled
+
+__all__ = ["COLUMNS", "PARAMETERS", "run_lane"]
+
+PARAMETERS = (
+    "hull_mass", "hull_inertia", "sprocket_x", "sprocket_z", "sprocket_radius", "idler_x", "idler_z",
+    "idler_radius", "loop_stiffness", "loop_damping", "free_length", "bending_stiffness", "bending_damping",
+    "wheel_radius", "wheel_mass", "rubber", "rubber_damping", "arm", "free", "bar", "jounce", "rebound",
+    "stop", "ground", "ground_damping", "thickness", "node_mass", "spacing", "first_node", "height", "kick",
+    "pitch_kick",
+)
+#: Recorded at each stamp, then the arm angles against the hull (S) and the wheel loads in N (S): heave, pitch,
+#: their rates, their accelerations, tension, force of the ground, energy and the energy lost.
+COLUMNS = 10
+
+G = 9.80665
+_SETTLING = 3.0e4  # N m s/rad on every arm while the vehicle comes to rest
+_ONSET = 1.0e-3  # m of contact over which its damping grows to its full value
+_CELL = 0.005  # m, spacing of the profile
+
+
+@compiled
+def profile_height(profile: Floats, x: float) -> float:
+    """Height of the ground at ``x`` from the profile's first point; level outside."""
+    k = math.floor(x / _CELL)
+    if x < 0.0 or k >= profile.size - 1:
+        return 0.0
+    f = x / _CELL - k
+    return float((1.0 - f) * profile[k] + f * profile[k + 1])
+
+
+@compiled
+def _factor(n: int, mass: float, weight: float, d: Floats, e: Floats, f: Floats) -> None:
+    """LDL' of mass + weight * (second differences)'(second differences), five diagonals."""
+    for i in range(n):
+        d[i], e[i], f[i] = mass, 0.0, 0.0
+    for i in range(1, n - 1):
+        d[i - 1] += weight
+        d[i] += 4.0 * weight
+        d[i + 1] += weight
+        e[i - 1] -= 2.0 * weight
+        e[i] -= 2.0 * weight
+        f[i - 1] += weight
+    for i in range(n):
+        if i >= 1:
+            d[i] -= e[i - 1] * e[i - 1] * d[i - 1]
+        if i >= 2:
+            d[i] -= f[i - 2] * f[i - 2] * d[i - 2]
+        if i < n - 1:
+            value = e[i]
+            if i >= 1:
+                value -= f[i - 1] * e[i - 1] * d[i - 1]
+            e[i] = value / d[i]
+        if i < n - 2:
+            f[i] = f[i] / d[i]
+
+
+@compiled
+def _solve(n: int, d: Floats, e: Floats, f: Floats, x: Floats) -> None:
+    """x := A^-1 x with the factors of ``_factor``."""
+    for i in range(1, n):
+        x[i] -= e[i - 1] * x[i - 1]
+        if i >= 2:
+            x[i] -= f[i - 2] * x[i - 2]
+    for i in range(n):
+        x[i] /= d[i]
+    for i in range(n - 2, -1, -1):
+        x[i] -= e[i] * x[i + 1]
+        if i < n - 2:
+            x[i] -= f[i] * x[i + 2]
+
+
+@compiled
+def tangent(dx: float, dz: float, r: float, side: float) -> tuple[float, float, float]:
+    """Direction of the lower tangent from a circle to the point (dx, dz), and its length.
+
+    ``side`` is +1 for the idler (the point behind it), -1 for the sprocket (the point in front).
+    """
+    square = dx * dx + dz * dz
+    t = math.sqrt(max(square - r * r, 1e-12))
+    scale = t / square
+    turn = side * r / square
+    # d = (t + i side r) u in complex notation
+    return dx * scale + dz * turn, dz * scale - dx * turn, t
+
+
+@compiled
+def run_lane(
+    p: Floats, st: Floats, shape: Floats, profile: Floats, travel: Floats, speed: float, dt: float,
+    substeps: int, settle: int, nodes: int, out: Floats,
+) -> bool:
+    """One lane; ``travel`` (n,) m is the CoG's x at the stamps, ``out`` (n, 10 + 2 S); false: diverged.
+
+    ``p`` (P,) in the order of ``PARAMETERS``; ``st`` (S, 5): pivot x and z, damping, sag, first angle.
+
+    ``shape`` (Q, 3): places along a wheel, its arc there (R - sqrt(R² - s²)) and the weight in m.
+    """
+    count = st.shape[0]
+    (hull_mass, inertia, sx, sz, sr, ix, iz, ir, loop_k, loop_b, free_length, bend_k, bend_b, radius, wheel_mass,
+     rubber, rubber_b, arm, free, bar, jounce, rebound, stop, ground, ground_b, thick, node_mass, cell, first,
+     height) = (p[0], p[1], p[2], p[3], p[4], p[5], p[6], p[7], p[8], p[9], p[10], p[11], p[12], p[13], p[14],
+     p[15], p[16], p[17], p[18], p[19], p[20], p[21], p[22], p[23], p[24], p[25], p[26], p[27], p[28], p[29])
+    alpha, alpha_v, alpha_a = st[:, 4].copy(), np.zeros(count), np.zeros(count)
+    load, along, torque = np.zeros(count), np.zeros(count), np.zeros(count)
+    damper_c = np.zeros(count)
+    w, wv, fw = np.zeros(nodes), np.zeros(nodes), np.zeros(nodes)
+    level, slope = np.zeros(nodes), np.zeros(nodes)
+    cosine, sine = np.zeros(count), np.zeros(count)
+    d, e, f = np.empty(nodes), np.empty(nodes), np.empty(nodes)
+    _factor(nodes, node_mass, dt * bend_b / (cell * cell) + dt * dt * bend_k / (cell * cell), d, e, f)
+    z, theta, zv, theta_v, za, theta_a = height, 0.0, 0.0, 0.0, 0.0, 0.0
+    lost = 0.0
+    hub = wheel_mass * arm * arm
+    per_cell = 1.0 / cell
+    index = math.ceil((travel[0] + first) / cell)
+    for i in range(nodes):
+        level[i] = profile_height(profile, (index + i) * cell)
+    steps = settle + (travel.size - 1) * substeps + 1
+    row = 0
+    for step in range(steps):
+        moving = step >= settle
+        since = step - settle
+        x = travel[0]
+        v = 0.0
+        if moving:
+            k = since // substeps
+            part = (since - k * substeps) / substeps
+            x = travel[k] if part == 0.0 else travel[k] + part * (travel[k + 1] - travel[k])
+            v = speed
+        if since == 0:
+            lost = 0.0
+            zv += p[30]
+            theta_v += p[31]
+        # The track lies still on the ground: its nodes keep their place, new ones come in front.
+        lead = math.ceil((x + first) / cell)
+        while index < lead:
+            for i in range(nodes - 1):
+                w[i], wv[i], level[i] = w[i + 1], wv[i + 1], level[i + 1]
+            index += 1
+            level[nodes - 1] = profile_height(profile, (index + nodes - 1) * cell)
+            cs, sn = math.cos(theta), math.sin(theta)
+            px = x + ix * cs + iz * sn
+            pz = z - ix * sn + iz * cs
+            before = (index + nodes - 2) * cell
+            ux, uz, _ = tangent(before - px, w[nodes - 2] - pz, ir, 1.0)
+            qx, qz = px - ir * uz, pz + ir * ux
+            share = cell / (qx - before)
+            qv = zv - theta_v * (qx - x)
+            w[nodes - 1] = w[nodes - 2] + share * (qz - w[nodes - 2])
+            wv[nodes - 1] = wv[nodes - 2] + share * (qv - wv[nodes - 2])
+        cs, sn = math.cos(theta), math.sin(theta)
+        # The loop: tangents to idler and sprocket, the run below, the run above and the wraps.
+        fcx, fcz = x + ix * cs + iz * sn, z - ix * sn + iz * cs
+        rcx, rcz = x + sx * cs + sz * sn, z - sx * sn + sz * cs
+        left, right = index * cell, (index + nodes - 1) * cell
+        fux, fuz, ft = tangent(right - fcx, w[nodes - 1] - fcz, ir, 1.0)
+        rux, ruz, rt = tangent(left - rcx, w[0] - rcz, sr, -1.0)
+        fqx, fqz = fcx - ir * fuz, fcz + ir * fux
+        rqx, rqz = rcx + sr * ruz, rcz - sr * rux
+        length = ft + rt + math.hypot(ix - sx, iz - sz)
+        length += ir * (0.5 * math.pi - math.atan2(fux, -fuz) - theta)
+        length += sr * (math.atan2(-rux, ruz) + 2.0 * math.pi + theta - 0.5 * math.pi)
+        rate = fux * -(v + theta_v * (fqz - z)) + fuz * (wv[nodes - 1] - zv + theta_v * (fqx - x))
+        rate += rux * -(v + theta_v * (rqz - z)) + ruz * (wv[0] - zv + theta_v * (rqx - x))
+        for i in range(nodes - 1):
+            dw = w[i + 1] - w[i]
+            s = math.sqrt(cell * cell + dw * dw)
+            length += s
+            slope[i] = dw / s
+            rate += slope[i] * (wv[i + 1] - wv[i])
+        stretch = length - free_length
+        tension = 0.0
+        if stretch > 0.0:
+            tension = max(0.0, loop_k * stretch + loop_b * rate)
+            lost += dt * (tension - loop_k * stretch) * rate
+        # Forces on the nodes: gravity, tension, bending, the ground.
+        reaction, stored, moved = 0.0, 0.5 * loop_k * max(stretch, 0.0) ** 2, 0.0
+        for i in range(nodes):
+            fw[i] = -node_mass * G
+        for i in range(nodes - 1):
+            pull = tension * slope[i]
+            fw[i] += pull
+            fw[i + 1] -= pull
+        fw[nodes - 1] -= tension * fuz
+        fw[0] -= tension * ruz
+        for i in range(1, nodes - 1):
+            bend = (w[i - 1] - 2.0 * w[i] + w[i + 1]) / cell
+            bend_v = (wv[i - 1] - 2.0 * wv[i] + wv[i + 1]) / cell
+            stored += 0.5 * bend_k * bend * bend
+            lost += dt * bend_b * bend_v * bend_v
+            moment = bend_k * bend / cell
+            fw[i - 1] -= moment
+            fw[i] += 2.0 * moment
+            fw[i + 1] -= moment
+        for i in range(nodes):
+            gap = level[i] - w[i]
+            if gap > 0.0:
+                elastic = ground * cell * gap
+                push = max(0.0, elastic - ground_b * cell * min(1.0, gap / _ONSET) * wv[i])
+                fw[i] += push
+                reaction += push
+                stored += 0.5 * elastic * gap
+                lost -= dt * (push - elastic) * wv[i]
+            moved += node_mass * (0.5 * wv[i] * wv[i] + G * w[i])
+        # Wheels on the track: rubber along the arc.
+        for i in range(count):
+            ca, sa = math.cos(alpha[i]), math.sin(alpha[i])
+            cosine[i], sine[i] = ca, sa
+            wx = x + st[i, 0] * cs + st[i, 1] * sn - arm * ca
+            wz = z - st[i, 0] * sn + st[i, 1] * cs - arm * sa
+            wheel_v = zv - theta_v * (st[i, 0] * cs + st[i, 1] * sn) - arm * ca * alpha_v[i]
+            bottom = wz - radius - thick
+            total = 0.0
+            for q in range(shape.shape[0]):
+                place = (wx + shape[q, 0]) * per_cell
+                k = math.floor(place) - index
+                if k < 0 or k >= nodes - 1:
+                    continue
+                share = place - index - k
+                over = (1.0 - share) * w[k] + share * w[k + 1] - bottom - shape[q, 1]
+                if over > 0.0:
+                    over_v = (1.0 - share) * wv[k] + share * wv[k + 1] - wheel_v
+                    elastic = rubber * shape[q, 2] * over
+                    push = max(0.0, elastic + rubber_b * shape[q, 2] * min(1.0, over / _ONSET) * over_v)
+                    total += push
+                    fw[k] -= push * (1.0 - share)
+                    fw[k + 1] -= push * share
+                    stored += 0.5 * elastic * over
+                    lost += dt * (push - elastic) * over_v
+            load[i] = total
+            moved += 0.5 * wheel_mass * wheel_v * wheel_v + wheel_mass * G * wz
+            wheel_vx = theta_v * (st[i, 1] * cs - st[i, 0] * sn) + arm * sa * alpha_v[i]
+            moved += 0.5 * wheel_mass * wheel_vx * wheel_vx
+        # Hull and arms: wheel accelerations are J_z z'' + J_theta theta'' + J_alpha alpha'' + b.
+        fqm = tension * fux * (fqz - z) - tension * fuz * (fqx - x)
+        rqm = tension * rux * (rqz - z) - tension * ruz * (rqx - x)
+        m11, m12, m22 = hull_mass, 0.0, inertia
+        r1 = -hull_mass * G + tension * (fuz + ruz)
+        r2 = fqm + rqm
+        for i in range(count):
+            a, ca, sa = alpha[i], cosine[i], sine[i]
+            dx, dz = st[i, 0] * cs + st[i, 1] * sn, st[i, 1] * cs - st[i, 0] * sn
+            phi, phi_v = a + theta, alpha_v[i] + theta_v
+            c = st[i, 2] if moving else _SETTLING
+            twist = phi - free + st[i, 3]
+            tau = -bar * twist
+            stored += 0.5 * bar * twist * twist
+            over = 0.0
+            if phi < jounce:
+                over = phi - jounce
+            elif phi > rebound:
+                over = phi - rebound
+            tau -= stop * over
+            stored += 0.5 * stop * over * over
+            lost += dt * c * phi_v * phi_v
+            tau -= c * phi_v
+            damper_c[i] = dt * c
+            bx = -dx * theta_v * theta_v + arm * ca * alpha_v[i] * alpha_v[i]
+            bz = -dz * theta_v * theta_v + arm * sa * alpha_v[i] * alpha_v[i]
+            force = load[i] - wheel_mass * G
+            m11 += wheel_mass
+            m12 -= wheel_mass * dx
+            m22 += wheel_mass * (dx * dx + dz * dz) + damper_c[i]
+            r1 += force - wheel_mass * bz
+            r2 += -dx * force + tau - wheel_mass * (dz * bx - dx * bz)
+            jx, jz = arm * sa, -arm * ca
+            c1 = wheel_mass * jz
+            c2 = wheel_mass * (jx * dz - jz * dx) + damper_c[i]
+            c0 = hub + damper_c[i]
+            right_side = jz * force + tau - wheel_mass * (jx * bx + jz * bz)
+            m11 -= c1 * c1 / c0
+            m12 -= c1 * c2 / c0
+            m22 -= c2 * c2 / c0
+            r1 -= c1 * right_side / c0
+            r2 -= c2 * right_side / c0
+            torque[i], along[i], alpha_a[i] = right_side, c2, c1
+        det = m11 * m22 - m12 * m12
+        za = (m22 * r1 - m12 * r2) / det
+        theta_a = (m11 * r2 - m12 * r1) / det
+        for i in range(count):
+            alpha_a[i] = (torque[i] - alpha_a[i] * za - along[i] * theta_a) / (hub + damper_c[i])
+        if moving and since % substeps == 0:
+            moved += 0.5 * hull_mass * zv * zv + 0.5 * inertia * theta_v * theta_v + hull_mass * G * z
+            out[row, 0], out[row, 1], out[row, 2], out[row, 3] = z, theta, zv, theta_v
+            out[row, 4], out[row, 5], out[row, 6], out[row, 7] = za, theta_a, tension, reaction
+            out[row, 8], out[row, 9] = moved + stored, lost
+            for i in range(count):
+                out[row, 10 + i] = alpha[i] + theta
+                out[row, 10 + count + i] = load[i]
+            row += 1
+            if not (abs(z) < 20.0 and abs(theta) < 1.0 and abs(tension) < 1e9):
+                return False
+        zv += dt * za
+        theta_v += dt * theta_a
+        z += dt * zv
+        theta += dt * theta_v
+        for i in range(count):
+            alpha_v[i] += dt * alpha_a[i]
+            alpha[i] += dt * alpha_v[i]
+        for i in range(nodes):
+            fw[i] = node_mass * wv[i] + dt * fw[i]
+        _solve(nodes, d, e, f, fw)
+        for i in range(nodes):
+            wv[i] = fw[i]
+            w[i] += dt * wv[i]
+    return True

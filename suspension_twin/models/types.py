@@ -1,0 +1,135 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What goes into a vehicle model and what comes out of it, as plain arrays."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from suspension_twin.drive.types import Floats
+
+__all__ = ["Excitation", "HeightField", "LaneResponse", "Response"]
+
+Ints = NDArray[np.int64]
+
+
+class HeightField(Protocol):
+    """Anything that knows the height of the ground."""
+
+    def heights(self, x: Floats, y: Floats) -> Floats:
+        """Heights in m at ``map`` positions x, y in m, arrays of any one shape."""
+        ...
+
+
+@dataclass(frozen=True, eq=False)
+class Excitation:
+    """What drives a model: planar motion at n stamps, road heights under the wheels in between.
+
+    The interval that ends at stamp ``k`` is walked in ``substeps[k]`` equal steps of ``step[k]``
+    seconds; ``substeps[k] == 0`` marks a fresh start from static equilibrium (the first stamp,
+    and every stamp after a gap). Road heights are given at the end of every step, one row for a
+    fresh start: interval ``k`` owns ``road[first[k]:first[k + 1]]``.
+
+    ``t`` (n,) s; ``substeps`` (n,); ``first`` (n + 1,); ``road`` (m, 4) m, corners in the usual
+    order; ``motion`` (n, 7): the step in s, ``ax``, ``ay`` m/s² of base_link's origin in its own
+    axes, ``yaw_rate`` rad/s, ``yaw_acceleration`` rad/s², ``speed`` and ``lateral_speed`` m/s;
+    ``max_step`` s is the largest step that any interval may take. ``x``, ``y``, ``yaw`` (n,),
+    ``wheels`` (4, 2) and ``ground`` are what the road heights came from, for those that look again.
+    """
+
+    t: Floats
+    substeps: Ints
+    first: Ints
+    road: Floats
+    motion: Floats
+    max_step: float
+    x: Floats
+    y: Floats
+    yaw: Floats
+    wheels: Floats
+    ground: HeightField
+
+    def __len__(self) -> int:
+        return int(self.t.size)
+
+    @property
+    def step(self) -> Floats:
+        """(n,) s length of the steps of each interval."""
+        return self.motion[:, 0]
+
+    @property
+    def ax(self) -> Floats:
+        """(n,) m/s² acceleration of base_link's origin along its x."""
+        return self.motion[:, 1]
+
+    @property
+    def ay(self) -> Floats:
+        """(n,) m/s² acceleration of base_link's origin along its y."""
+        return self.motion[:, 2]
+
+    @property
+    def yaw_rate(self) -> Floats:
+        """(n,) rad/s."""
+        return self.motion[:, 3]
+
+    @property
+    def yaw_acceleration(self) -> Floats:
+        """(n,) rad/s², a filtered difference of the yaw rate."""
+        return self.motion[:, 4]
+
+    @property
+    def speed(self) -> Floats:
+        """(n,) m/s forward speed of base_link's origin."""
+        return self.motion[:, 5]
+
+    @property
+    def lateral_speed(self) -> Floats:
+        """(n,) m/s speed of base_link's origin to the left."""
+        return self.motion[:, 6]
+
+
+@dataclass(frozen=True, eq=False)
+class Response:
+    """Everything that one run of a model tells, at the n stamps of its excitation.
+
+    ``heave`` (n,) m height of the sprung centre of gravity above its place on a level road at
+    height 0; ``roll``, ``pitch`` (n,) rad (left side up, nose down positive); ``z`` (n,) m height
+    of base_link's origin; ``wheel_z`` (n, 4) m wheel centres; ``deflection`` (n, 4) m compression
+    of the springs from their free length, ``deflection_rate`` (n, 4) m/s; ``tyre_force`` (n, 4) N;
+    ``force`` (n, 3) m/s² specific force and ``rate`` (n, 3) rad/s at the imu's place in base_link
+    axes; ``vertical_acceleration`` (n,) m/s² = ``force`` z less gravity's part. ``acceleration``
+    (n, 7) second derivatives of heave, roll, pitch and the four wheel heights.
+    """
+
+    t: Floats
+    heave: Floats
+    roll: Floats
+    pitch: Floats
+    z: Floats
+    wheel_z: Floats
+    deflection: Floats
+    deflection_rate: Floats
+    tyre_force: Floats
+    force: Floats
+    rate: Floats
+    vertical_acceleration: Floats
+    acceleration: Floats
+
+
+@dataclass(frozen=True, eq=False)
+class LaneResponse:
+    """Sensor signals of L candidates: ``force`` (n, 3, L) m/s², ``rate`` (n, 3, L) rad/s,
+    ``vertical_acceleration`` (n, L) m/s², in base_link axes at the imu's place.
+
+    ``failed`` (L,) marks candidates that diverged or cannot stand; their signals are zero and
+    their cost is to be taken as infinite.
+    """
+
+    t: Floats
+    force: Floats
+    rate: Floats
+    vertical_acceleration: Floats
+    failed: NDArray[np.bool_]

@@ -1,0 +1,49 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Parameters that several nodes share: the twin file and the low-pass."""
+
+from __future__ import annotations
+
+from functools import lru_cache
+from pathlib import Path
+
+from suspension_twin.errors import InputError
+from suspension_twin.nodes._parameters import Param, Values
+from suspension_twin.signals.filters import FilterSpec
+from suspension_twin.vehicle.twin import Twin, load_twin
+
+__all__ = ["FILTER", "TWIN", "filter_of", "twin_of"]
+
+_DEFAULT = FilterSpec()
+
+TWIN = Param("twin", "", "Path of the twin file; the node starts afresh when it is set. Empty: none.")
+
+#: The same in imu_ingest and suspension_model, or measured and simulated cannot be compared.
+FILTER = (
+    Param("filter.order", _DEFAULT.order, "Order of the Butterworth low-pass.", 1, 8),
+    Param("filter.cutoff", _DEFAULT.cutoff, "Cut-off (-3 dB) of the low-pass in Hz.", 0.1, 800.0),
+)
+
+
+@lru_cache(maxsize=16)
+def _load(path: str, _changed: int) -> Twin:
+    return load_twin(path)
+
+
+def twin_of(values: Values) -> Twin | None:
+    """The twin of the parameter ``twin``, read again when the file has changed; None if not set.
+
+    Raises InputError that names the file and the key.
+    """
+    path = values["twin"]
+    if not path:
+        return None
+    try:
+        changed = Path(path).stat().st_mtime_ns
+    except OSError as error:
+        raise InputError(path, error.strerror or "cannot be read") from None
+    return _load(path, changed)
+
+
+def filter_of(values: Values) -> FilterSpec:
+    """The low-pass that the parameters describe."""
+    return FilterSpec(values["filter.order"], values["filter.cutoff"])

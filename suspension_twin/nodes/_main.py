@@ -1,0 +1,141 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A process around nodes: it ends within a moment of Ctrl-C or SIGTERM, with exit status 0."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import re
+import signal
+import socket
+import sys
+import threading
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from types import FrameType
+from typing import Any
+
+import rclpy
+from rclpy.context import Context
+from rclpy.executors import ExternalShutdownException
+from rclpy.impl.logging_severity import LoggingSeverity
+from rclpy.logging import set_logger_level
+from rclpy.node import Node
+from rclpy.signals import SignalHandlerOptions
+
+from suspension_twin.errors import InputError, SuspensionTwinError
+from suspension_twin.nodes._base import Embedding
+from suspension_twin.nodes._executor import TwinExecutor
+
+__all__ = ["Stop", "ros_context", "run_alone", "stopping"]
+
+#: Longest wait in C, in which Python does not see a signal, in s.
+WAIT = 0.1
+#: What is left to do when asked to end takes less than this, in s.
+_DEADLINE = 0.7
+_ENDINGS = (signal.SIGINT, signal.SIGTERM)
+
+
+class Stop:
+    """Whether the process has been asked to end: a handler for SIGINT and SIGTERM."""
+
+    def __init__(self) -> None:
+        self.asked = False
+
+    def __call__(self, _signal: int, _frame: FrameType | None) -> None:
+        if not self.asked:
+            # Both: the exception cuts a long computation short, and the flag is there
+            # should it be lost in a destructor or a callback from C.
+            self.asked = True
+            raise KeyboardInterrupt
+
+    def leave(self) -> None:
+        """End the process here if it has been asked to: the interpreter's own way of ending takes half
+        a second with a compiler loaded, and there is nothing left to tidy up."""
+        if self.asked:
+            for stream in (sys.stdout, sys.stderr):
+                with contextlib.suppress(OSError, ValueError):
+                    stream.flush()
+            os._exit(0)
+
+
+@contextmanager
+def stopping() -> Iterator[Stop]:
+    """SIGINT and SIGTERM raise KeyboardInterrupt within, once, and then end the process with status 0."""
+    stop = Stop()
+    before = {number: signal.signal(number, stop) for number in _ENDINGS}
+    try:
+        with _deadline():
+            yield stop
+    except KeyboardInterrupt:
+        stop.asked = True
+    finally:
+        stop.leave()
+    for number, handler in before.items():
+        signal.signal(number, handler)
+
+
+@contextmanager
+def _deadline() -> Iterator[None]:
+    """From a signal on the process has ``_DEADLINE`` s left. Python's handlers wait for the main thread, which
+    may be deep in a compiler; the byte that a signal writes does not."""
+    here, there = socket.socketpair()
+    there.setblocking(False)
+    previous = signal.set_wakeup_fd(there.fileno(), warn_on_full_buffer=False)
+
+    def watch() -> None:
+        while numbers := here.recv(64):
+            if set(numbers) & set(_ENDINGS):
+                time.sleep(_DEADLINE)
+                os._exit(0)
+
+    threading.Thread(target=watch, daemon=True).start()
+    try:
+        yield
+    finally:
+        signal.set_wakeup_fd(previous)
+        there.close()
+
+
+@contextmanager
+def ros_context(args: list[str] | None) -> Iterator[Context]:
+    """A context of its own, shut down at the end; ``args`` as after the program's name.
+
+    Raises InputError where ROS does not understand them.
+    """
+    context = Context()
+    set_logger_level("rcl", LoggingSeverity.FATAL)  # it would say in a line of its own what is raised here
+    try:
+        rclpy.init(args=args, context=context, signal_handler_options=SignalHandlerOptions.NO)
+    except RuntimeError as error:
+        # The text ends in places in rcl's sources, which help nobody.
+        text = re.sub(r",? at /\S+", "", " ".join(str(error).split()))
+        raise InputError("ROS arguments", text.removeprefix("failed to initialize rcl: ")) from None
+    finally:
+        set_logger_level("rcl", LoggingSeverity.INFO)
+    try:
+        yield context
+    finally:
+        context.try_shutdown()
+
+
+def run_alone(make: Callable[[Embedding], Node], args: list[str] | None = None) -> Any:
+    """Run one node until it is asked to stop; return the exit status."""
+    try:
+        with stopping() as stop, ros_context(sys.argv if args is None else args) as context:
+            node = make(Embedding(context=context))
+            executor = TwinExecutor(context=context)
+            executor.add_node(node)
+            try:
+                while not stop.asked and context.ok():
+                    executor.spin_once(timeout_sec=WAIT)
+            except ExternalShutdownException:
+                pass
+            finally:
+                executor.shutdown()
+                node.destroy_node()
+    except SuspensionTwinError as error:
+        print(" ".join(str(error).split()), file=sys.stderr)
+        return error.exit_status
+    return 0

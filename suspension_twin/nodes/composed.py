@@ -1,0 +1,179 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The four nodes in one process, on one thread, handing each other their messages directly."""
+
+from __future__ import annotations
+
+import gc
+import math
+from dataclasses import dataclass
+from pathlib import Path
+
+from rclpy.context import Context
+from rclpy.exceptions import InvalidNamespaceException
+from rclpy.parameter import Parameter
+from rclpy.validate_namespace import validate_namespace
+
+from suspension_twin.drive.types import Drive
+from suspension_twin.errors import InputError
+from suspension_twin.nodes._base import Embedding, TwinNode
+from suspension_twin.nodes._executor import TwinExecutor
+from suspension_twin.nodes._health import ERROR
+from suspension_twin.nodes._links import Outbox
+from suspension_twin.nodes._main import WAIT
+from suspension_twin.nodes.calibrator import CalibratorNode
+from suspension_twin.nodes.imu_ingest import ImuIngestNode
+from suspension_twin.nodes.player import BagPlayer
+from suspension_twin.nodes.pose_injector import PoseInjectorNode
+from suspension_twin.nodes.suspension_model import SuspensionModelNode
+
+__all__ = ["LINKS", "Composed", "Condition", "Playback", "check_namespace"]
+
+KINDS = {
+    "imu_ingest": ImuIngestNode,
+    "pose_injector": PoseInjectorNode,
+    "suspension_model": SuspensionModelNode,
+    "calibrator": CalibratorNode,
+}
+#: What is handed on within the process: topic, from whom, to whom. No subscription is made for
+#: these, so a publisher outside that uses the same topic is not heard.
+LINKS = (
+    ("imu/data", "imu_ingest", "pose_injector"),
+    ("twin/odom", "pose_injector", "suspension_model"),
+    ("imu/vertical_acceleration", "imu_ingest", "suspension_model"),
+)
+#: With a recording the player takes the place of the sensors.
+PLAYED = (
+    ("imu/data_raw", "bag_player", "imu_ingest"),
+    ("fix", "bag_player", "pose_injector"),
+    ("vel", "bag_player", "pose_injector"),
+    ("heading", "bag_player", "pose_injector"),
+)
+
+
+@dataclass(frozen=True)
+class Playback:
+    """A drive to play, at ``rate`` times real time (``math.inf``: full speed), once or for ever, the first
+    time after ``delay`` s."""
+
+    drive: Drive
+    rate: float = 1.0
+    loop: bool = False
+    delay: float = 0.0
+
+
+@dataclass(frozen=True)
+class Condition:
+    """How a running twin fares: ``rates`` Hz by short name; ``gap`` m/s² and ``normalised``, None while not
+    known; ``complaints`` worst first, ``failing`` whether one is an error; ``position`` and ``duration`` s of a
+    playback and its ``rounds`` done, None when live."""
+
+    rates: dict[str, float]
+    samples: int
+    answers: int
+    gap: float | None
+    normalised: float | None
+    complaints: list[str]
+    failing: bool
+    position: float | None
+    duration: float | None
+    rounds: int
+
+
+def check_namespace(namespace: str) -> None:
+    """Raise InputError for what cannot be a namespace."""
+    try:
+        validate_namespace(f"/{namespace.strip('/')}")
+    except InvalidNamespaceException as error:
+        reason = " ".join(str(error).split()).partition(": ")[2]
+        raise InputError("--namespace", reason or str(error)) from None
+
+
+class Composed:
+    """All nodes of one twin. Call :meth:`step` until :attr:`finished`, then :meth:`close`."""
+
+    def __init__(
+        self, context: Context, twin_file: Path | str, namespace: str = "", playback: Playback | None = None
+    ) -> None:
+        outbox = Outbox()
+        links = LINKS + (PLAYED if playback else ())
+        self.executor = TwinExecutor(context=context)
+        self.nodes: dict[str, TwinNode] = {}
+        self.player: BagPlayer | None = None
+        parameters = [Parameter("twin", value=str(twin_file))]
+        if playback:
+            parameters.append(Parameter("use_sim_time", value=True))
+        try:
+            for name, kind in KINDS.items():
+                linked = frozenset(topic for topic, _, receiver in links if receiver == name)
+                embedding = Embedding(
+                    context, namespace, tuple(parameters), linked, outbox, clock_jumps=playback is None
+                )
+                self._add(name, kind(embedding))
+            if playback:
+                embedding = Embedding(context, namespace, outbox=outbox)
+                self.player = BagPlayer(playback.drive, playback.rate, playback.loop, embedding, playback.delay)
+                self.executor.add_node(self.player)
+            self._link(links)
+        except BaseException:
+            self.close()
+            raise
+
+    def _add(self, name: str, node: TwinNode) -> None:
+        self.nodes[name] = node
+        self.executor.add_node(node)
+
+    def _link(self, links: tuple[tuple[str, str, str], ...]) -> None:
+        for topic, sender, receiver in links:
+            outputs = self.player.outputs if sender == "bag_player" and self.player else self.nodes[sender].outputs
+            outputs[topic].links.append(self.nodes[receiver].inputs[topic].deliver)
+        if self.player is not None:
+            self.player.watched = [o.publisher for n in self.nodes.values() for o in n.outputs.values()]
+
+    @property
+    def finished(self) -> bool:
+        """Whether a playback has come to its end."""
+        return self.player is not None and self.player.done
+
+    def step(self, most: float = WAIT) -> None:
+        """Play what is due and serve what has come in; returns after ``most`` s at the latest."""
+        pause = math.inf if self.player is None else self.player.play()
+        self.executor.spin_once(timeout_sec=min(most, pause))
+
+    def parameter_names(self) -> dict[str, list[str]]:
+        """The names of all parameters, by node."""
+        return {name: node.list_parameters([], 0).names for name, node in self.nodes.items()}
+
+    def condition(self) -> Condition:
+        """How it fares now; the rates are those of the last second."""
+        model, ingest = self.nodes["suspension_model"], self.nodes["imu_ingest"]
+        assert isinstance(model, SuspensionModelNode)
+        inputs = {t: i.state for node in self.nodes.values() for t, i in node.inputs.items()}
+        shown = {"imu": "imu/data_raw", "fix": "fix", "vel": "vel", "twin": "twin/odom"}
+        complaints = [(level, f"{n}: {text}") for n, o in self.nodes.items() for level, text in o.health.complaints()]
+        complaints.sort(key=lambda c: c[0], reverse=True)
+        gap = model.gap_now()
+        return Condition(
+            rates={short: inputs[topic].rate for short, topic in shown.items()},
+            samples=ingest.inputs["imu/data_raw"].state.received,
+            answers=model.outputs["twin/vertical_acceleration"].sent,
+            gap=None if gap is None else gap.rms,
+            normalised=None if gap is None or math.isnan(gap.normalised) else gap.normalised,
+            complaints=[text for _, text in complaints],
+            failing=any(level == ERROR for level, _ in complaints),
+            position=None if self.player is None else self.player.position,
+            duration=None if self.player is None else self.player.duration,
+            rounds=0 if self.player is None else self.player.loops,
+        )
+
+    def settle_memory(self) -> None:
+        """What has been loaded stays: keep the garbage collector from walking through it, which takes
+        tens of milliseconds, in the middle of a drive."""
+        gc.collect()
+        gc.freeze()
+
+    def close(self) -> None:
+        """Take everything down."""
+        self.executor.shutdown()
+        for node in (*self.nodes.values(), *([self.player] if self.player else [])):
+            node.destroy_node()
+        self.nodes.clear()

@@ -1,0 +1,255 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The live filter's inputs: planar signals of each sample, standstill, and the first yaw."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+
+from suspension_twin.drive.types import Floats
+from suspension_twin.pose.inputs import planar_row
+from suspension_twin.pose.kernel import SIDE, YAW, V
+from suspension_twin.pose.nodes import SLOPE_TIME
+from suspension_twin.pose.smoothed import SWAY_SIGMA
+from suspension_twin.signals.attitude import up_step
+from suspension_twin.signals.compiled import compiled
+from suspension_twin.signals.standstill import MAX_LEAN, StillLimits, soften
+from suspension_twin.vehicle.twin import Place
+
+__all__ = ["LiveInputs"]
+
+GRAVITY = 9.81  # imu/data is free of bias to a few mm/s²; what is left goes to the filter's bias
+UP_TIME = 8.0  # s, the accelerometer's time constant against the gyro
+
+
+@compiled
+def _live_row(
+    up: Floats,
+    slow_up: Floats,
+    up_bias: Floats,
+    soft: Floats,
+    mean: Floats,
+    sample: Floats,
+    speed: float,
+    pull: float,
+    sway: float,
+    dt: float,
+    gain: float,
+    imu: Floats,
+    antenna: Floats,
+    out: Floats,
+) -> None:  # pragma: no cover - compiled
+    """Soften ``sample`` (6,), carry ``up`` on by what is left less the vehicle's own planar acceleration, fill
+    ``out`` (11,): the planar inputs, the antenna's sway in m/s, and the yaw rate as it is without the
+    softening; and the running mean and variance ``mean`` (12,) that standstill is judged by."""
+    last = soft[2].copy()
+    soften(soft, sample, dt)
+    now = soft[2]
+    faster = np.zeros(3)
+    if dt > 0.0:
+        faster[:] = (now[3:6] - last[3:6]) / dt
+    own = now[0:3].copy()
+    turn = now[5] - up_bias[2]
+    own[0] -= pull - turn * turn * imu[0] - faster[2] * imu[1]
+    own[1] -= speed * turn + faster[2] * imu[0] - turn * turn * imu[1]
+    up_step(up, up_bias, own, now[3:6], dt, GRAVITY, gain, 0.02)
+    slow = min(1.0, dt / SLOPE_TIME)
+    for k in range(3):
+        slow_up[k] += slow * (up[k] - slow_up[k])
+    rate = now[3:6] - up_bias
+    planar_row(now[0:3], rate, faster, up, slow_up, sway, GRAVITY, imu, antenna, out)
+    out[8], out[9] = rate[1] * antenna[2], -rate[0] * antenna[2]
+    out[10] = 0.0
+    for k in range(3):
+        out[10] += (sample[3 + k] - up_bias[k]) * up[k]
+    share = min(1.0, dt / 0.25)
+    for k in range(6):
+        off = now[k] - mean[k]
+        mean[k] += share * off
+        mean[6 + k] += share * (off * off - mean[6 + k])
+
+
+class LiveInputs:
+    """Turns samples into the planar filter's inputs and remembers what the first yaw needs."""
+
+    def __init__(self, imu_place: Place, gps_place: Place) -> None:
+        self._imu = np.array(imu_place.position)
+        self._antenna = np.array(gps_place.position)
+        self._limits = StillLimits()
+        self._up = np.array([0.0, 0.0, 1.0])
+        self._slow_up = self._up.copy()
+        self._up_bias = np.zeros(3)
+        self._sway_weight = 1.0 / SWAY_SIGMA**2
+        self._sway_sum = self._sway_weight
+        self._mean = np.zeros(12)
+        self._soft = np.zeros((3, 6))
+        self._t = math.nan
+        self._omega = 0.0
+        self._quiet_since = math.nan
+        self.standing = False
+        self._pull = 0.0  # forward speed by the accelerometer since standstill, m/s
+        self._stood = -math.inf  # when it last stood, s
+        self._velocity: tuple[float, float, float] | None = None
+        self._heading: tuple[float, float] | None = None
+        self._fixed_course: tuple[float, float, float] | None = None
+
+    def row(
+        self,
+        t: float,
+        force: Sequence[float],
+        rate: Sequence[float],
+        speed: float,
+        pull: float,
+        known: bool,
+        out: Floats,
+    ) -> bool:
+        """Fill ``out`` (11,) for a sample; ``speed`` m/s and ``pull`` m/s² are the filter's where ``known``.
+        True after a gap."""
+        sample = np.array((*force, *rate), dtype=np.float64)
+        dt = t - self._t
+        gap = not dt < 0.25
+        if gap:
+            # The accelerometer sets the vertical anew, unless the gyro has carried it well so far.
+            length = float(np.linalg.norm(sample[:3]))
+            if (not math.isfinite(dt) or dt > 2.0) and length > 1.0:
+                self._up[:] = self._slow_up[:] = sample[:3] / length
+            self._mean[:6] = self._soft[:] = sample
+            self._mean[6:] = 1.0
+            self._quiet_since = math.nan
+        step = min(dt, 0.25) if math.isfinite(dt) else 0.0
+        gain = (10.0 if self.standing else 1.0) / UP_TIME
+        _live_row(
+            self._up,
+            self._slow_up,
+            self._up_bias,
+            self._soft,
+            self._mean,
+            sample,
+            speed,
+            pull,
+            self._sway_sum / self._sway_weight,
+            step,
+            gain,
+            self._imu,
+            self._antenna,
+            out,
+        )
+        self._t = t
+        self._judge(t, speed, known)
+        # The filter turns by the mean over the interval.
+        omega = float(out[0])
+        out[0] = omega if gap else 0.5 * (omega + self._omega)
+        self._omega = omega
+        out[2] = 1.0 if self.standing else 0.0
+        out[3] = 1000.0 if gap else 1.0
+        self._pull = 0.0 if self.standing else self._pull + float(out[1]) * step
+        self._stood = t if self.standing else self._stood
+        return gap
+
+    def _judge(self, t: float, speed: float, known: bool) -> None:
+        """Standing: quiet for half a second, not leaning away from the vertical, and slow as far as known.
+        One loud sample ends it."""
+        mean, limits = self._mean.tolist(), self._limits
+        variance = max(mean[6], mean[7], mean[8])
+        turning = max(mean[9], mean[10], mean[11])
+        quiet = variance < limits.force**2 and turning < limits.rate**2
+        quiet = quiet and max(abs(mean[3]), abs(mean[4]), abs(mean[5])) < limits.turn
+        soft = self._soft[2].tolist()
+        quiet = (
+            quiet
+            and abs(soft[0] - mean[0]) < 3.0 * limits.force
+            and abs(soft[5] - mean[5]) < 2.5 * limits.rate
+        )
+        up = self._up.tolist()
+        quiet = quiet and math.hypot(mean[0] / GRAVITY - up[0], mean[1] / GRAVITY - up[1]) < MAX_LEAN
+        quiet = quiet and (not known or abs(speed) < 0.3) and self._gps_slow(t)
+        if not quiet:
+            self._quiet_since = math.nan
+            self.standing = False
+        elif math.isnan(self._quiet_since):
+            self._quiet_since = t
+        else:
+            self.standing = t - self._quiet_since >= limits.window
+
+    def _gps_slow(self, t: float) -> bool:
+        if self._velocity is None:
+            return True
+        at, east, north = self._velocity
+        return t - at > 1.5 or math.hypot(east, north) < 0.3
+
+    def learn_sway(self, state: Floats, row: Floats, z: tuple[float, float, float]) -> None:
+        """How much of the body's roll and pitch does the antenna's velocity ``z`` show? A receiver that
+        averages shows less than the arm would have it. ``state`` (8,), ``row`` (10,) at its stamp."""
+        s = row[8:10].tolist()
+        if math.hypot(*s) < 0.05:
+            return
+        yaw, speed, side = float(state[YAW]), float(state[V]), float(state[SIDE])
+        c, sn = math.cos(yaw), math.sin(yaw)
+        share = self._sway_sum / self._sway_weight
+        ahead = z[0] * c + z[1] * sn - speed - float(row[6]) + share * s[0]
+        left = z[1] * c - z[0] * sn - side - float(row[7]) + share * s[1]
+        if math.hypot(ahead, left) > 0.5 + 2.0 * math.hypot(*s):
+            return
+        variance = z[2] ** 2 + 0.05**2
+        self._sway_weight += (s[0] ** 2 + s[1] ** 2) / variance
+        self._sway_sum += (s[0] * ahead + s[1] * left) / variance
+        self._sway_sum = min(max(self._sway_sum, 0.0), 1.2 * self._sway_weight)
+
+    # -- the first yaw ------------------------------------------------------------------------
+
+    def note_velocity(self, t: float, east: float, north: float) -> None:
+        """A GPS velocity in m/s."""
+        self._velocity = (t, east, north)
+
+    def forget_course(self) -> None:
+        """What came so far misled: wait for new velocities."""
+        self._velocity = None
+        self._heading = None
+        self._fixed_course = None
+        self._stood = -math.inf
+
+    def note_heading(self, t: float, yaw: float) -> None:
+        """A heading in rad."""
+        self._heading = (t, yaw)
+
+    def note_fix(
+        self,
+        t: float,
+        east: float,
+        north: float,
+        sigma: float,
+        last: tuple[float, float, float, float] | None,
+    ) -> None:
+        """A fix in m; where no velocities come, two fixes far enough apart give the course."""
+        if last is None or self._velocity is not None or not 0.0 < t - last[0] < 4.0:
+            return
+        dx, dy = east - last[1], north - last[2]
+        far = math.hypot(dx, dy)
+        if far > max(1.0, 6.0 * math.hypot(sigma, last[3])):
+            doubt = math.hypot(sigma, last[3]) / far + 0.05
+            self._fixed_course = (math.atan2(dy, dx), doubt, far / (t - last[0]))
+
+    def course(self, least_speed: float) -> tuple[float, float, float] | None:
+        """Yaw rad, its standard deviation and the signed speed m/s, once they can be told."""
+        if self._heading is not None:
+            yaw = self._heading[1]
+            if self._velocity is None:
+                return yaw, 0.05, 0.0
+            _, east, north = self._velocity
+            return yaw, 0.05, east * math.cos(yaw) + north * math.sin(yaw)
+        if self._velocity is not None:
+            _, east, north = self._velocity
+            speed = math.hypot(east, north)
+            if speed < least_speed:
+                return None
+            course, doubt = math.atan2(north, east), 0.1 / speed + 0.02
+        elif self._fixed_course is not None:
+            course, doubt, speed = self._fixed_course
+        else:
+            return None
+        # The accelerometer has pulled backwards all the way from a rest not long ago: the vehicle reverses.
+        if self._t - self._stood < 10.0 and self._pull < -0.4 * speed:
+            return course + math.pi, doubt, -speed
+        return course, doubt, speed

@@ -1,0 +1,363 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The live pose: x, y and yaw locked to the real vehicle at the IMU's rate, without steps."""
+
+from __future__ import annotations
+
+import math
+from collections import Counter
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from suspension_twin.pose import kernel
+from suspension_twin.pose.blend import Blend
+from suspension_twin.pose.history import History, Measurement
+from suspension_twin.pose.live import LiveInputs
+from suspension_twin.pose.local_map import LocalMap
+from suspension_twin.pose.settings import PoseSettings, fix_sigma
+from suspension_twin.signals.checks import Finding
+from suspension_twin.signals.clock import JUMP_BACK, MAX_STAMP
+from suspension_twin.signals.standstill import SOFT_DELAY
+from suspension_twin.vehicle.twin import Datum, Place
+
+__all__ = ["PlanarState", "PoseLock"]
+
+AHEAD = 5.0  # s that a fix may be ahead of the IMU and still wait for it
+PAUSE = 60.0  # s after which nothing is left of the pose
+REVERSE_SPEED, REVERSE_TIME = 4.0, 3.0  # m/s and s
+MAX_FORCE, MAX_TURN = 2000.0, 200.0  # m/s² and rad/s that no sensor of a vehicle sends
+
+
+class PlanarState(NamedTuple):
+    """One row of a :class:`~suspension_twin.pose.types.Trajectory`, with ``covariance``: the upper triangle
+    xx, xy, x-yaw, yy, y-yaw, yaw-yaw in m², m rad, rad². ``valid`` False while the yaw is not known or
+    no fix supports the pose."""
+
+    t: float
+    x: float
+    y: float
+    yaw: float
+    speed: float
+    lateral_speed: float
+    yaw_rate: float
+    ax: float
+    ay: float
+    valid: bool
+    covariance: tuple[float, float, float, float, float, float]
+
+
+class PoseLock:
+    """Feed it every sample of ``imu/data`` and every fix, velocity and heading, in any order of arrival.
+
+    A fix that comes late is taken at its own stamp: the filter goes back to it and runs again over
+    the samples since. What that changes is bled into the output, not jumped to. A stamp set back by
+    more than a second resets everything. Never raises on a message.
+    """
+
+    def __init__(
+        self,
+        settings: PoseSettings | None = None,
+        gps_place: Place | None = None,
+        datum: Datum | None = None,
+        imu_place: Place | None = None,
+    ) -> None:
+        self.settings = settings or PoseSettings()
+        self._gps = gps_place or Place(frame="gps_link")
+        self._imu = imu_place or Place()
+        self._given_datum = datum
+        self._late = self.settings.imu_delay + SOFT_DELAY
+        self._history = History(self.settings.history, self.settings.noise())
+        self.reset()
+
+    def reset(self) -> None:
+        """Forget everything but the settings and a datum given."""
+        self.counts: Counter[str] = Counter()
+        self._map = LocalMap(self._given_datum) if self._given_datum else None
+        self._live = LiveInputs(self._imu, self._gps)
+        self._blend = Blend(self.settings.blend, self.settings.blend_speed, self.settings.snap)
+        self._history.clear()
+        self._aligned = False
+        self._waiting: list[tuple[float, int, Measurement]] = []
+        self._refused = 0
+        self._refused_since = math.nan
+        self._misled = 0
+        self._backwards_since = math.nan
+        self._last_good_fix = -math.inf
+        self._last_fix = -math.inf
+        self._place: tuple[float, float, float, float] | None = None
+        self._delay = math.nan
+
+    @property
+    def datum(self) -> Datum | None:
+        """The origin of ``map``: as given, else the first fix, else None."""
+        return self._map.datum if self._map else None
+
+    def set_datum(self, datum: Datum) -> None:
+        """Move the origin of ``map``; the lock starts anew."""
+        self._given_datum = datum
+        self.reset()
+
+    @property
+    def latency(self) -> float:
+        """How old fixes are when they arrive, in s on the IMU's clock, averaged; NaN before the first."""
+        return self._delay
+
+    @property
+    def fix_age(self) -> float:
+        """Seconds from the newest fix to the newest IMU sample; inf where there is none."""
+        return self._now() - self._last_fix if self._history.head >= 0 else math.inf
+
+    @property
+    def aligned(self) -> bool:
+        """Whether the yaw is known."""
+        return self._aligned
+
+    @property
+    def standing(self) -> bool:
+        """Whether the vehicle stands."""
+        return self._live.standing
+
+    @property
+    def findings(self) -> list[Finding]:
+        """What keeps the pose from being locked, or made it doubtful."""
+        if self._history.head < 0:
+            return [Finding("warn", "no_imu", "no IMU samples yet: is imu/data published?")]
+        found = []
+        if not math.isfinite(self._last_fix):
+            text = "no GPS fix yet: is fix published, does the receiver see the sky?"
+            found.append(Finding("warn", "no_fix", text))
+        elif self._aligned and self._now() - self._last_good_fix > self.settings.outage:
+            gone = self._now() - self._last_good_fix
+            found.append(Finding("error", "fix_lost", f"no usable GPS fix for {gone:.1f} s: the pose drifts"))
+        if math.isfinite(self._last_fix) and not self._aligned:
+            text = "the yaw is not known yet: drive off, or publish heading"
+            found.append(Finding("warn", "not_aligned", text))
+        ahead = f"fixes were stamped {AHEAD:g} s or more ahead of the IMU: do the clocks agree?"
+        for count, code, text in (
+            ("refused", "outliers", "fixes or velocities were refused as outliers"),
+            ("too_late", "too_late", "fixes came too late to be used"),
+            ("from_the_future", "from_the_future", ahead),
+        ):
+            if self.counts[count]:
+                found.append(Finding("warn", code, f"{self.counts[count]} {text}"))
+        if self._delay > 0.5:
+            found.append(Finding("warn", "latency", f"fixes come {self._delay:.2f} s after their stamps"))
+        return found
+
+    # -- what comes in ------------------------------------------------------------------------
+
+    def on_imu(self, t: float, force: Sequence[float], rate: Sequence[float]) -> PlanarState | None:
+        """One filtered sample in ``base_link`` axes, gravity kept. None before the first fix, and for a
+        sample that is late, repeated or not finite."""
+        # Each on its own: max() passes over a NaN that does not come first.
+        usable = all(abs(f) < MAX_FORCE for f in force) and all(abs(w) < MAX_TURN for w in rate)
+        if not (usable and abs(t) < MAX_STAMP):
+            self.counts["invalid"] += 1
+            return None
+        t -= self._late  # what the low-passes let out now happened that long ago
+        history = self._history
+        if history.head >= 0:
+            dt = t - history.stamp(history.head)
+            if dt < -JUMP_BACK or dt > PAUSE:
+                self.reset()
+                self.counts["resets"] += 1
+            elif dt <= 0.0:
+                self.counts["late"] += 1
+                return None
+        speed, pull = 0.0, 0.0
+        if self._aligned:
+            before = history.state(history.head)
+            speed, pull = float(before[kernel.V]), float(before[kernel.A])
+        row = history.append(t)
+        if self._live.row(t, force, rate, speed, pull, self._aligned, row):
+            self.counts["gaps"] += 1
+        if self._aligned:
+            history.step()
+            self._face_forward(t)
+        if self._waiting:
+            ready = sorted(w for w in self._waiting if w[0] <= t)
+            self._waiting = [w for w in self._waiting if w[0] > t]
+            for stamp, kind, z in ready:
+                self._take(stamp, kind, z)
+        return self._output()
+
+    def on_fix(
+        self,
+        t: float,
+        latitude: float,
+        longitude: float,
+        altitude: float,
+        status: int = 0,
+        sigma_east: float = math.nan,
+        sigma_north: float = math.nan,
+    ) -> None:
+        """One GPS fix: degrees, m; standard deviations in m, NaN or 0 where the receiver gives none."""
+        sigma = fix_sigma(self.settings, status, sigma_east, sigma_north)
+        numbers = (t, latitude, longitude, sigma)
+        if not all(map(math.isfinite, numbers)) or abs(latitude) > 90 or abs(longitude) > 180:
+            self.counts["unusable"] += 1
+            return
+        if self._map is None:
+            height = altitude if math.isfinite(altitude) and -1000 <= altitude <= 20_000 else 0.0
+            self._map = LocalMap(Datum(latitude=latitude, longitude=longitude, altitude=height))
+        height = altitude if math.isfinite(altitude) else self._map.datum.altitude
+        east, north, _ = (float(c) for c in self._map.to_map(latitude, longitude, height))
+        if self._history.head >= 0:
+            late = self._now() - t
+            self._delay = late if math.isnan(self._delay) else self._delay + 0.1 * (late - self._delay)
+        self._last_fix = max(self._last_fix, t)
+        self._arrive(t, kernel.FIX, (east, north, sigma))
+
+    def on_velocity(self, t: float, east: float, north: float) -> None:
+        """One GPS velocity of the antenna in m/s."""
+        if not all(map(math.isfinite, (t, east, north))) or math.hypot(east, north) > 150.0:
+            self.counts["unusable"] += 1
+            return
+        self._arrive(t, kernel.VELOCITY, (east, north, self.settings.velocity_sigma))
+
+    def on_heading(self, t: float, yaw: float) -> None:
+        """One heading: yaw of ``base_link`` in ``map`` in rad."""
+        if not (math.isfinite(t) and math.isfinite(yaw)):
+            self.counts["unusable"] += 1
+            return
+        self._arrive(t, kernel.HEADING, (yaw, 0.0, self.settings.heading_sigma))
+
+    # -- what it does -------------------------------------------------------------------------
+
+    def _now(self) -> float:
+        """The newest IMU stamp."""
+        return self._history.stamp(self._history.head) + self._late
+
+    def _arrive(self, t: float, kind: int, z: Measurement) -> None:
+        head = self._history.head
+        if head >= 0 and t <= self._history.stamp(head):
+            self._take(t, kind, z)
+        elif head < 0 or t - self._history.stamp(head) < AHEAD:
+            # Ahead of the IMU: it waits for the samples.
+            self._waiting = [*self._waiting[-63:], (t, kind, z)]
+        else:
+            self.counts["from_the_future"] += 1
+
+    def _take(self, t: float, kind: int, z: Measurement) -> None:
+        if kind == kernel.VELOCITY:
+            self._live.note_velocity(t, z[0], z[1])
+        if not self._aligned:
+            self._align(t, kind, z)
+            return
+        history = self._history
+        first = history.before(t)
+        if first < 0 or history.stamp(history.head) - t > self.settings.history:
+            self.counts["too_late"] += 1
+            return
+        if kind == kernel.FIX and self._refused >= 3 and t - self._refused_since >= 1.0:
+            kind = kernel.RESET  # refused for so long, it is the pose that is wrong
+        elif kind == kernel.VELOCITY:
+            self._live.learn_sway(history.state(first), history.inputs(first), z)
+        before = history.state(history.head).copy()
+        weight = history.take(first, t, kind, z)
+        self._blend.correct(before, history.state(history.head))
+        self.counts["refused"] += weight == 0.0
+        if kind == kernel.VELOCITY:
+            self._misled = 0 if weight > 0.0 else self._misled + 1
+            return
+        if kind == kernel.HEADING:
+            return
+        if kind == kernel.RESET and self._misled >= 3:
+            # Neither place nor velocity was right: the yaw is not.
+            self._begin_again()
+        if weight > 0.0:
+            self._refused = 0
+            self._last_good_fix = max(self._last_good_fix, t)
+            self.counts["relocated"] += kind == kernel.RESET
+        else:
+            self._refused_since = t if self._refused == 0 else self._refused_since
+            self._refused += 1
+
+    def _align(self, t: float, kind: int, z: Measurement) -> None:
+        """Wait for a fix and a yaw: from a heading, from the course, or from two fixes apart."""
+        if kind == kernel.HEADING:
+            self._live.note_heading(t, z[0])
+        elif kind == kernel.FIX:
+            self._live.note_fix(t, *z, self._place)
+            self._place = (t, *z)
+        found = self._live.course(self.settings.align_speed)
+        if self._place is None or found is None:
+            return
+        when, east, north, sigma = self._place
+        history = self._history
+        first = history.before(min(t, when))
+        if first < 0:
+            return
+        yaw, doubt, speed = found
+        c, s = math.cos(yaw), math.sin(yaw)
+        ahead, left = history.inputs(first)[4:6]
+        back = history.stamp(first) - when
+        x = np.zeros(kernel.STATES)
+        x[kernel.X] = east - (ahead * c - left * s) + back * speed * c
+        x[kernel.Y] = north - (ahead * s + left * c) + back * speed * s
+        x[kernel.YAW] = yaw
+        x[kernel.V] = speed
+        place = sigma + abs(back)
+        history.state(first)[:] = x
+        history.covariance(first)[:] = np.diag(np.array([place, place, doubt, 0.5, 1.0, 0.1, 0.01, 0.2]) ** 2)
+        self._aligned = True
+        self._last_good_fix = when
+        history.run(first)
+        self._blend.clear()
+
+    def _face_forward(self, t: float) -> None:
+        """Nothing on the road reverses this fast for this long: it was aligned the wrong way round."""
+        if self._history.state(self._history.head)[kernel.V] > -REVERSE_SPEED:
+            self._backwards_since = math.nan
+        elif math.isnan(self._backwards_since):
+            self._backwards_since = t
+        elif t - self._backwards_since > REVERSE_TIME:
+            self._begin_again()
+
+    def _begin_again(self) -> None:
+        """The yaw proved wrong: wait for a new one."""
+        self._aligned = False
+        self._place = None
+        self._misled = 0
+        self._backwards_since = math.nan
+        self._live.forget_course()
+        self.counts["turned_round"] += 1
+
+    def _output(self) -> PlanarState | None:
+        history, delay = self._history, self._late
+        t = history.stamp(history.head)
+        if not self._aligned:
+            if self._place is None:
+                return None
+            _, x, y, sigma = self._place
+            unknown = (sigma**2, 0.0, 0.0, sigma**2, 0.0, math.pi**2)
+            return PlanarState(t + delay, x, y, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, False, unknown)
+        x, y, yaw, v, pull, side, gyro, _ = history.state(history.head).tolist()
+        u = history.inputs(history.head)
+        omega = 0.0 if u[2] > 0.5 else float(u[10]) - gyro
+        dx, dy, dyaw, dv = self._blend.step(t)
+        yaw += delay * omega + dyaw
+        c, s = math.cos(yaw), math.sin(yaw)
+        speed = v + delay * pull + dv
+        p = history.covariance(history.head)
+        return PlanarState(
+            t + delay,
+            x + delay * (v * c - side * s) + dx,
+            y + delay * (v * s + side * c) + dy,
+            yaw,
+            speed,
+            side,
+            omega,
+            pull,
+            speed * omega,
+            t - self._last_good_fix <= self.settings.outage,
+            (
+                float(p[0, 0]),
+                float(p[0, 1]),
+                float(p[0, 2]),
+                float(p[1, 1]),
+                float(p[1, 2]),
+                float(p[2, 2]),
+            ),
+        )

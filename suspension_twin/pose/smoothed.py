@@ -1,0 +1,162 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The pose of a recorded drive, smoothed from both sides: centimetres where the receiver gives them."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.interpolate import CubicHermiteSpline
+
+from suspension_twin.drive.types import Drive, Floats
+from suspension_twin.pose import kernel
+from suspension_twin.pose.beginning import first_state
+from suspension_twin.pose.nodes import Nodes, gather, make_nodes, planar_rows
+from suspension_twin.pose.rts import smooth
+from suspension_twin.pose.settings import PoseSettings
+from suspension_twin.pose.types import Trajectory
+from suspension_twin.signals.offline import ImuSignals
+from suspension_twin.vehicle.twin import Datum, Place
+
+__all__ = ["locked_trajectory"]
+
+PASSES = 4
+#: How sure the twin file's antenna height is of telling the sway: 1 with this standard deviation.
+SWAY_SIGMA = 0.3
+FAR = 50.0  # factor on a measurement's standard deviation beyond which it no longer supports a pose
+
+
+def locked_trajectory(
+    drive: Drive,
+    signals: ImuSignals,
+    gps_place: Place,
+    datum: Datum,
+    t: Floats,
+    settings: PoseSettings | None = None,
+) -> Trajectory:
+    """Where ``base_link`` was at stamps ``t`` (n,) s, strictly rising.
+
+    Forward filter and backward smoother over the whole drive, repeated with what the residuals
+    teach: the receiver's true noise, which measurements are outliers, and how much of the body's
+    roll and pitch its antenna shows (a receiver that averages shows less). Raises InputError where
+    no fix or no motion lets the pose be found.
+    """
+    settings = settings or PoseSettings()
+    measured = gather(drive, datum, settings)
+    rows, sway = planar_rows(signals, gps_place)
+    nodes = make_nodes(signals, rows, sway, measured)
+    start, spread = first_state(measured, signals.t, rows)
+    noise = settings.noise(hard=False)
+    states = np.empty((nodes.t.size, kernel.STATES))
+    covariances = np.empty((nodes.t.size, kernel.STATES, kernel.STATES))
+    weights = np.zeros(nodes.t.size)
+    factor = np.ones(nodes.t.size)
+    share = 1.0
+    for _ in range(PASSES):
+        now = _with(nodes, share, factor)
+        kernel.forward(now.t, now.inputs, now.kind, now.z, start, spread, noise, states, covariances, weights)
+        smooth(now.t, now.inputs, noise, states, covariances)
+        share = _sway_share(now, states, share)
+        factor = _noise_factors(_with(nodes, share, np.ones(nodes.t.size)), states)
+    return _evaluate(np.asarray(t, dtype=np.float64), nodes, factor, states, signals, rows, settings)
+
+
+def _with(nodes: Nodes, share: float, factor: Floats) -> Nodes:
+    """The nodes with the antenna swaying by ``share`` and standard deviations times ``factor``."""
+    inputs, z = nodes.inputs.copy(), nodes.z.copy()
+    inputs[:, 4:] += share * nodes.sway
+    z[:, 2] *= factor
+    return replace(nodes, inputs=inputs, z=z)
+
+
+def _residuals(nodes: Nodes, states: Floats, which: int) -> Floats:
+    """(j, 2) measured less expected, ahead and to the left, of the measurements of one kind."""
+    at = nodes.kind == which
+    x, u, z = states[at], nodes.inputs[at], nodes.z[at]
+    c, s = np.cos(x[:, kernel.YAW]), np.sin(x[:, kernel.YAW])
+    east, north = z[:, 0], z[:, 1]
+    if which == kernel.FIX:
+        east, north = east - x[:, kernel.X], north - x[:, kernel.Y]
+        ahead, left = u[:, 4], u[:, 5]
+    else:
+        ahead, left = x[:, kernel.V] + u[:, 6], x[:, kernel.SIDE] + u[:, 7]
+    return np.column_stack([east * c + north * s - ahead, north * c - east * s - left])
+
+
+def _sway_share(nodes: Nodes, states: Floats, share: float) -> float:
+    """Least squares of what the residuals have of the antenna's sway, with the twin file's say."""
+    weight = 1.0 / SWAY_SIGMA**2
+    total = weight
+    for which, columns in ((kernel.FIX, slice(0, 2)), (kernel.VELOCITY, slice(2, 4))):
+        at = nodes.kind == which
+        if not at.any():
+            continue
+        sway, sigma = nodes.sway[at, columns], nodes.z[at, 2:3]
+        full = _residuals(nodes, states, which) + share * sway
+        total += float(np.sum(sway * full / sigma**2))
+        weight += float(np.sum((sway / sigma) ** 2))
+    return float(np.clip(total / weight, 0.0, 1.2))
+
+
+def _noise_factors(nodes: Nodes, states: Floats) -> Floats:
+    """(k,) factors on the standard deviations: the noise that the residuals show for each kind of
+    measurement, and more for each that lies further off than its kind does."""
+    factor = np.ones(nodes.kind.size)
+    for which in (kernel.FIX, kernel.VELOCITY):
+        at = nodes.kind == which
+        if not at.any():
+            continue
+        off = np.linalg.norm(_residuals(nodes, states, which), axis=1) / nodes.z[at, 2]
+        # The median of a Rayleigh distribution lies at 1.1774 standard deviations.
+        common = float(np.clip(np.median(off) / 1.1774, 0.3, 10.0)) if off.size >= 20 else 1.0
+        far = off / (3.5 * common)
+        factor[at] = common * np.where(far > 1.0, np.minimum(far**2, 1.0e4), 1.0)
+    return factor
+
+
+def _evaluate(
+    t: Floats,
+    nodes: Nodes,
+    factor: Floats,
+    states: Floats,
+    signals: ImuSignals,
+    rows: Floats,
+    settings: PoseSettings,
+) -> Trajectory:
+    """Between the nodes: cubics through position and velocity, so both stay in step."""
+    last = np.append(np.diff(nodes.t) > 1e-7, True)  # of nodes that share a stamp the last has it all
+    at, x = nodes.t[last], states[last]
+    turn = np.interp(at, signals.t, rows[:, 0]) - x[:, kernel.GYRO]
+    turn = np.where(np.interp(at, signals.t, signals.standing) > 0.5, 0.0, turn)
+    c, s = np.cos(x[:, kernel.YAW]), np.sin(x[:, kernel.YAW])
+    v, side, pull = x[:, kernel.V], x[:, kernel.SIDE], x[:, kernel.A]
+    inside = np.clip(t, at[0], at[-1])
+    speed = CubicHermiteSpline(at, v, pull + turn * side)(inside)
+    yaw_rate = np.interp(inside, at, turn)
+    return Trajectory(
+        t=t,
+        x=CubicHermiteSpline(at, x[:, kernel.X], v * c - side * s)(inside),
+        y=CubicHermiteSpline(at, x[:, kernel.Y], v * s + side * c)(inside),
+        yaw=CubicHermiteSpline(at, x[:, kernel.YAW], turn)(inside),
+        speed=speed,
+        lateral_speed=np.interp(inside, at, side),
+        yaw_rate=yaw_rate,
+        ax=np.interp(inside, at, pull),
+        ay=speed * yaw_rate,
+        valid=_valid(t, nodes, factor, settings) & (t >= at[0]) & (t <= at[-1]),
+    )
+
+
+def _valid(t: Floats, nodes: Nodes, factor: Floats, settings: PoseSettings) -> NDArray[np.bool_]:
+    """(n,) True within ``outage`` s of a fix on either side that was not thrown out, half of that before the
+    first and after the last."""
+    used = nodes.t[(nodes.kind == kernel.FIX) & (factor < FAR)]
+    if not used.size:
+        return np.zeros(t.size, dtype=np.bool_)
+    after = np.searchsorted(used, t)
+    since = np.where(after > 0, t - used[np.maximum(after - 1, 0)], np.inf)
+    until = np.where(after < used.size, used[np.minimum(after, used.size - 1)] - t, np.inf)
+    between = np.maximum(since, until) <= settings.outage
+    ends = np.minimum(since, until) <= 0.5 * settings.outage
+    return np.asarray(np.where(np.isfinite(since) & np.isfinite(until), between, ends), dtype=np.bool_)

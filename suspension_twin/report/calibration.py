@@ -1,0 +1,396 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The page of a calibration: what was measured, what the twin makes of it, and what the drives could tell."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+from matplotlib.figure import Figure
+from scipy.ndimage import uniform_filter1d
+
+from suspension_twin.calibration.request import CalibrationResult, CurveEstimate, DriveFit, Estimate
+from suspension_twin.drive.types import Floats
+from suspension_twin.report import plots
+from suspension_twin.report.characteristics import AxleEvidence, Band, characteristics
+from suspension_twin.report.page import Cell, Page, Section, Table, short
+from suspension_twin.signals.agreement import (
+    correlation,
+    iso18571,
+    mean_squared_error,
+    rms_error,
+    spectral_distance,
+)
+from suspension_twin.signals.spectra import power_density, power_spectrum
+
+__all__ = ["calibration_page", "parameter_label"]
+
+_WINDOW = 4.0  # s of a panel in time
+_PANELS = 3
+_WAVE = 3.0  # m: longer waves of the road are left out of its profile
+_LONGEST_RATED = 20.0  # s of a drive that ISO/TS 18571 rates: its time warping costs with the square
+_NAMES = {
+    "simulated": "twin, calibrated",
+    "before": "twin as it started",
+    "residual": "measured − calibrated",
+}
+
+
+def calibration_page(result: CalibrationResult) -> Page:
+    """The page; ``write`` it where it shall be."""
+    drives = ", ".join(d.name for d in result.drives)
+    page = Page(
+        "Calibration", f"{result.twin.vehicle.name} on {drives}, preset {result.preset}, seed {result.seed}"
+    )
+    _cards(page, result)
+    page.add(
+        Section("What came of it", _summary(result), _agreement_table(result), plots.agreement(_bars(result)))
+    )
+    for drive in result.drives:
+        page.add(_drive_section(drive))
+    if result.curves:
+        page.add(_characteristics_section(result))
+    page.add(_parameter_section(result))
+    page.add(_nuisance_section(result))
+    page.add(_search_section(result))
+    return page
+
+
+def parameter_label(result: CalibrationResult, key: str) -> str:
+    """``vehicle.front.damper_push.force.2`` as ``front damper push, 0.35 m/s``."""
+    curve_key, _, index = key.rpartition(".force.")
+    for curve in result.curves:
+        if curve.key == curve_key:
+            _, axle, part = curve_key.split(".")
+            x = getattr(getattr(result.twin.vehicle, axle), part).points[0][int(index)]
+            return f"{axle} {part.replace('_', ' ')}, {x:g} {curve.unit}"
+    return key.removeprefix("vehicle.").replace("_", " ").replace(".", " ")
+
+
+def _cards(page: Page, result: CalibrationResult) -> None:
+    for d in result.drives:
+        closed = 1 - d.gap_after.rms / d.gap_before.rms
+        page.card(
+            f"Gap on {d.name}",
+            f"{d.gap_after.rms:.3f} m/s²",
+            f"was {d.gap_before.rms:.3f}, floor {d.gap_after.noise_rms:.3f}",
+            "good" if closed > 0.3 else "bad" if closed < 0 else "warn",
+        )
+    dark = [e for e in result.estimates if not e.excited]
+    bound = [e for e in result.estimates if e.on_bound]
+    excited = len(result.estimates) - len(dark)
+    page.card("Excited", f"{excited} of {len(result.estimates)}", "parameters", "" if not dark else "warn")
+    page.card("On a bound", str(len(bound)), "parameters", "bad" if bound else "good")
+    page.card("Simulated", f"{result.evaluations}", f"candidates in {result.seconds:.1f} s")
+
+
+def _summary(result: CalibrationResult) -> str:
+    lines = [
+        f"The cost (`{result.objective}`) went from {short(result.initial_cost)} to {short(result.cost)}. Both "
+        "sides of "
+        "every comparison on this page went through the same zero-phase low-pass."
+    ]
+    worse = [d.name for d in result.drives if d.gap_after.rms > d.gap_before.rms]
+    if worse:
+        lines.append(
+            f"**On {', '.join(worse)} the twin is farther from the car than before.** Parameters on their bounds below "
+            "say which way they want to go; `--preset fast` or wider `--bound`s let them."
+        )
+    bound = [parameter_label(result, e.key) for e in result.estimates if e.on_bound]
+    if bound:
+        lines.append(f"On a bound: {', '.join(bound)}.")
+    dark = [parameter_label(result, e.key) for e in result.estimates if not e.excited]
+    if dark:
+        lines.append(
+            f"Not excited by the drives, so kept near where they started by the prior: {', '.join(dark)}. A faster "
+            "drive, a higher bump or a deeper hole would tell more of them."
+        )
+    lines += [f"Warning: {w}." for w in result.warnings]
+    return "\n\n".join(lines)
+
+
+# -- comparison ------------------------------------------------------------------------------------
+
+
+def _agreement_table(result: CalibrationResult) -> Table:
+    rows: list[list[object]] = []
+    for d in result.drives:
+        for name, simulated in (("as it started", d.before), ("calibrated", d.after)):
+            a, b = (s["vertical_acceleration"][d.compared] for s in (d.measured, simulated))
+            rated = slice(0, int(_LONGEST_RATED * d.rate))
+            rows.append(
+                [
+                    f"{d.name}, {name}",
+                    float(rms_error(a, b)),
+                    float(mean_squared_error(a, b)),
+                    float(correlation(a, b)),
+                    float(iso18571(a[rated], b[rated], d.rate).overall),
+                    float(spectral_distance(a, b, d.rate)),
+                ]
+            )
+    columns = ["twin", "rms [m/s²]", "MSE [m²/s⁴]", "correlation", "ISO/TS 18571", "spectra apart [dB]"]
+    return Table(columns, rows, "Vertical acceleration where the road excites the car.")
+
+
+def _bars(result: CalibrationResult) -> dict[str, dict[str, float]]:
+    return {d.name: {"before": d.gap_before.rms, "simulated": d.gap_after.rms} for d in result.drives}
+
+
+def _drive_section(drive: DriveFit) -> Section:
+    channel = "vertical_acceleration"
+    measured, before, after = (s[channel] for s in (drive.measured, drive.before, drive.after))
+    time = plots.in_time(
+        drive.t,
+        measured,
+        after,
+        before=before,
+        windows=_windows(drive),
+        origin=float(drive.t[0]),
+        names=_NAMES,
+    )
+    text = (
+        f"{drive.gap_after.seconds:.1f} s compared. Without the nuisances (clock, map, biases) "
+        f"{drive.nuisance_free:.3f} m/s² "
+        f"are left where the road excites the car; the sensor's floor is {drive.gap_after.noise_rms:.3f} m/s²."
+    )
+    return Section(
+        drive.name,
+        text,
+        time,
+        _pitch(drive),
+        _spectra(drive),
+        _two_sided(drive),
+        _by_road(drive),
+        captions=(
+            "The seconds with the strongest motion.",
+            "Pitch rate in the same seconds.",
+            "Power spectral densities.",
+            "Amplitude spectra as the car paper's Fig. 11 has them.",
+            "What is left, by road position of the rear axle.",
+        ),
+    )
+
+
+def _windows(drive: DriveFit) -> list[plots.Window]:
+    """The strongest few seconds, apart from each other, in their order."""
+    size = int(_WINDOW * drive.rate)
+    power = np.where(drive.compared, drive.measured["vertical_acceleration"] ** 2, 0.0)
+    energy = uniform_filter1d(power, size, mode="constant")
+    found: list[float] = []
+    while len(found) < _PANELS and energy.max() > 0:
+        i = int(np.argmax(energy))
+        found.append(float(drive.t[i]))
+        energy[max(0, i - size) : i + size] = 0.0
+    half = 0.5 * _WINDOW
+    return [plots.Window(t - half, t + half) for t in sorted(found)]
+
+
+def _pitch(drive: DriveFit) -> Figure:
+    rows = (s["pitch_rate"] for s in (drive.measured, drive.after, drive.before))
+    measured, after, before = rows
+    return plots.in_time(
+        drive.t, measured, after, before=before, windows=_windows(drive), origin=float(drive.t[0]),
+        label="pitch rate [rad/s]", names=_NAMES,
+    )  # fmt: skip
+
+
+def _stacked(drive: DriveFit) -> Floats:
+    """(m, 4) measured, calibrated, started and residual over the longest compared stretch."""
+    rows = np.flatnonzero(drive.compared)
+    cuts = np.split(rows, np.flatnonzero(np.diff(rows) > 1) + 1)
+    longest = max(cuts, key=len)
+    channel = "vertical_acceleration"
+    a, b, c = (s[channel][longest] for s in (drive.measured, drive.after, drive.before))
+    return np.column_stack([a, b, c, a - b])
+
+
+def _spectra(drive: DriveFit) -> Figure:
+    frequency, density = power_density(_stacked(drive), drive.rate, 4.0)
+    columns = dict(zip(("measured", "simulated", "before", "residual"), density.T, strict=True))
+    order = ("residual", "before", "measured", "simulated")
+    return plots.in_frequency(frequency, {role: columns[role] for role in order}, cutoff=20.0, names=_NAMES)
+
+
+def _two_sided(drive: DriveFit) -> Figure:
+    stacked = _stacked(drive)
+    frequency, _ = power_spectrum(stacked[:, 0], drive.rate)
+    roles = ("measured", "simulated", "before")
+    return plots.two_sided(
+        frequency,
+        {r: power_spectrum(stacked[:, i], drive.rate)[1] for i, r in enumerate(roles)},
+        names=_NAMES,
+    )
+
+
+def _by_road(drive: DriveFit) -> Figure:
+    channel = "vertical_acceleration"
+    rows = drive.compared
+    along, heights = drive.profile
+    step = max(float(np.median(np.diff(along))), 1e-3) if along.size > 1 else 1.0
+    waves = heights - uniform_filter1d(heights, max(3, round(_WAVE / step)), axis=0, mode="nearest")
+    return plots.residual_by_road(
+        drive.position[rows],
+        (drive.measured[channel] - drive.after[channel])[rows],
+        before=(drive.measured[channel] - drive.before[channel])[rows],
+        profile=(along, waves) if along.size > 1 else None,
+        profile_label=f"waves below\n{_WAVE:g} m [cm]",
+        names=_NAMES,
+    )
+
+
+# -- characteristics -------------------------------------------------------------------------------
+
+
+def _characteristics_section(result: CalibrationResult) -> Section:
+    evidence = {axle: _evidence(result, axle) for axle in ("front", "rear")}
+    vehicles = {"before": result.start.vehicle, "simulated": result.twin.vehicle}
+    figure = characteristics(vehicles, evidence=evidence, from_rest=True)
+    whole = characteristics(vehicles, evidence=_whole_evidence(result))
+    text = (
+        "Bands hold the force with a probability of 90 %. What lies outside the shaded range was not excited by the "
+        "drives. A spring is drawn over the travel from standstill first: where its free length lies a drive hardly "
+        "sees, since at rest every spring carries the same load; the second picture shows what that leaves open."
+    )
+    return Section(
+        "Characteristics", text, figure, whole,
+        captions=(
+            "Springs over the travel from standstill, dampers over the velocity.",
+            "Springs over the compression.",
+        ),
+    )  # fmt: skip
+
+
+def _of_axle(result: CalibrationResult, axle: str) -> dict[str, CurveEstimate]:
+    return {c.key.split(".")[2]: c for c in result.curves if c.key.split(".")[1] == axle}
+
+
+def _evidence(result: CalibrationResult, axle: str) -> AxleEvidence:
+    curves = _of_axle(result, axle)
+    spring = curves.get("spring")
+    seen = spring is not None and math.isfinite(spring.static)
+    return AxleEvidence(
+        spring=Band(spring.rest_grid, spring.rest_low, spring.rest_high) if spring and seen else None,
+        push=_band(curves.get("damper_push")),
+        pull=_band(curves.get("damper_pull")),
+        compression=(spring.span[0] - spring.static, spring.span[1] - spring.static)
+        if spring and seen
+        else None,
+        velocity=_velocity(curves),
+        unexcited=[(kind, x) for kind, x in _dark(result, axle) if kind != "spring"],
+    )
+
+
+def _whole_evidence(result: CalibrationResult) -> dict[str, AxleEvidence]:
+    found = {}
+    for axle in ("front", "rear"):
+        curves = _of_axle(result, axle)
+        spring = curves.get("spring")
+        found[axle] = AxleEvidence(
+            spring=_band(spring, 1.3),
+            push=_band(curves.get("damper_push")),
+            pull=_band(curves.get("damper_pull")),
+            compression=spring.span if spring and math.isfinite(spring.span[0]) else None,
+            velocity=_velocity(curves),
+            unexcited=_dark(result, axle),
+        )
+    return found
+
+
+def _band(curve: CurveEstimate | None, reach: float = math.inf) -> Band | None:
+    """The band up to ``reach`` times the farthest that was excited."""
+    if curve is None:
+        return None
+    near = curve.grid <= (reach * curve.span[1] if math.isfinite(curve.span[1]) else math.inf)
+    return Band(curve.grid[near], curve.low[near], curve.high[near])
+
+
+def _velocity(curves: dict[str, CurveEstimate]) -> tuple[float, float] | None:
+    reach = [curves[k].span[1] if k in curves else 0.0 for k in ("damper_pull", "damper_push")]
+    return (-reach[0], reach[1]) if all(map(math.isfinite, reach)) else None
+
+
+def _dark(result: CalibrationResult, axle: str) -> list[tuple[str, float]]:
+    """Kind and abscissa of the points of an axle that were not excited."""
+    found = []
+    for e in result.estimates:
+        curve_key, _, index = e.key.rpartition(".force.")
+        if curve_key and not e.excited:
+            _, where, part = curve_key.split(".")
+            if where == axle:
+                x = getattr(getattr(result.twin.vehicle, axle), part).points[0][int(index)]
+                found.append((part.removeprefix("damper_"), float(x)))
+    return found
+
+
+# -- tables ----------------------------------------------------------------------------------------
+
+
+def _parameter_section(result: CalibrationResult) -> Section:
+    rows: list[Sequence[object]] = []
+    for e in result.estimates:
+        interval = f"{short(e.low)} to {short(e.high)}" if math.isfinite(e.low) else "–"
+        value = Cell(e.value, "bad", f"on its {e.on_bound} bound") if e.on_bound else Cell(e.value)
+        rows.append(
+            [
+                parameter_label(result, e.key),
+                e.start,
+                value,
+                interval,
+                f"{short(e.lower)} to {short(e.upper)}",
+                _told(e),
+            ]
+        )
+    columns = ["parameter", "started as", "found", "90 % interval", "bounds", "what the drives tell"]
+    text = (
+        "Values on a bound are coloured. An interval that does not hold its value says that the bounds or the search "
+        "kept it from where the drives want it."
+    )
+    return Section(
+        "Parameters", text, Table(columns, rows, "Forces in N at the wheel, for one wheel; else SI units.")
+    )
+
+
+def _told(e: Estimate) -> Cell:
+    if not e.excited:
+        return Cell("not excited", "soft", "the drives did not take the suspension there")
+    if not e.determined:
+        return Cell("little", "warn", "excited, and still the interval is wide")
+    if math.isfinite(e.low) and not e.low <= e.value <= e.high:
+        return Cell("something else", "bad", "the value lies outside the interval that the drives give")
+    return Cell("determined", "good")
+
+
+def _nuisance_section(result: CalibrationResult) -> Section:
+    rows: list[Sequence[object]] = []
+    for n in result.nuisances:
+        known = math.isfinite(n.sigma) and n.sigma < 0.7 * n.prior
+        rows.append(
+            [
+                n.name.replace("_", " "),
+                n.value,
+                n.sigma,
+                n.unit,
+                Cell("", "") if known else Cell("prior alone", "soft"),
+            ]
+        )
+    text = (
+        "Not the vehicle's: found on the way, so that the characteristics need not explain them. "
+        "They are not in the twin file."
+    )
+    return Section("Nuisances", text, Table(["what", "found", "± (one sigma)", "unit", ""], rows))
+
+
+def _search_section(result: CalibrationResult) -> Section:
+    history = result.history
+    if len(history) < 2:
+        return Section("The search", "It was over before it began.")
+    stages = []
+    refined = np.flatnonzero(history[:, 3] == 1)
+    if refined.size:
+        stages.append((float(history[refined[0], 0]), "refine"))
+    mean = history[:, 2] if np.isfinite(history[:, 2]).all() and result.preset == "paper" else None
+    reference = (10_842.0, "the car paper's 10 842") if result.preset == "paper" else None
+    figure = plots.convergence(history[:, 0], history[:, 1], mean=mean, stages=stages, reference=reference)
+    text = f"{result.evaluations} candidates were simulated over every drive, in {result.generations} generations."
+    return Section("The search", text, figure)

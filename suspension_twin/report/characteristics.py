@@ -1,0 +1,217 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Springs and dampers of one or several vehicles over each other, with what a drive can tell."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from suspension_twin.drive.types import Floats
+from suspension_twin.report import style
+from suspension_twin.report.style import COLOURS, LINES
+from suspension_twin.vehicle.twin import Axle, G, Vehicle
+
+__all__ = ["AxleEvidence", "Band", "characteristics", "force", "static_compression"]
+
+
+@dataclass(frozen=True)
+class Band:
+    """An interval around a characteristic: abscissae (k,), lowest and highest force (k,) in N."""
+
+    x: Floats
+    low: Floats
+    high: Floats
+
+
+@dataclass(frozen=True)
+class AxleEvidence:
+    """What a drive told about one axle: bands, the ranges it excited and the points it did not.
+
+    ``spring``, ``push`` and ``pull`` are bands (or None); ``compression`` m and ``velocity`` m/s
+    the excited ranges (push positive, pull negative); ``unexcited`` the (kind, abscissa) of
+    points that the drive says nothing about, kind one of "spring", "push", "pull".
+    """
+
+    spring: Band | None = None
+    push: Band | None = None
+    pull: Band | None = None
+    compression: tuple[float, float] | None = None
+    velocity: tuple[float, float] | None = None
+    unexcited: Sequence[tuple[str, float]] = field(default=())
+
+
+def force(points: tuple[Floats, Floats], x: Floats) -> Floats:
+    """A characteristic at ``x`` >= 0: through (0, 0), linear between points, on with its last slope.
+
+    ``points`` are abscissae and forces (k,) in N; ``x`` (m,) comes back as forces (m,).
+    """
+    ax = np.concatenate([[0.0], points[0]])
+    af = np.concatenate([[0.0], points[1]])
+    slope = (af[-1] - af[-2]) / (ax[-1] - ax[-2])
+    return np.asarray(np.where(x > ax[-1], af[-1] + slope * (x - ax[-1]), np.interp(x, ax, af)))
+
+
+def characteristics(
+    vehicles: Mapping[str, Vehicle],
+    *,
+    evidence: Mapping[str, AxleEvidence] | None = None,
+    names: Mapping[str, str] | None = None,
+    compression: float | None = None,
+    velocity: float | None = None,
+    from_rest: bool = False,
+) -> Figure:
+    """Front and rear, springs above and dampers below; forces of one wheel at the wheel.
+
+    ``vehicles`` maps a role ("before", "simulated", "truth") to a vehicle; ``evidence`` maps
+    "front" and "rear" to what the drive told. Jounce (push) is drawn to the right and upwards,
+    rebound (pull) to the left and downwards. ``compression`` m and ``velocity`` m/s limit the
+    axes; by default they cover what the drive excited, else the vehicles' points.
+
+    With ``from_rest`` springs are drawn over the travel from standstill instead of the compression
+    from free length, and evidence is taken as such: that is what a drive can see. Where the free
+    length lies it cannot, since at rest every spring carries the same load.
+    """
+    names = {"before": "before calibration", "simulated": "calibrated", "truth": "truth", **(names or {})}
+    evidence = evidence or {}
+    reach_x = compression or _reach([e.compression for e in evidence.values()], vehicles, "spring")
+    reach_v = velocity or _reach([e.velocity for e in evidence.values()], vehicles, "damper")
+    with style.using():
+        fig = style.figure(9.2, 6.2)
+        grid = fig.subplots(2, 2, sharey="row", sharex="row")
+        for column, axle in enumerate(("front", "rear")):
+            told = evidence.get(axle, AxleEvidence())
+            spring, damper = grid[0, column], grid[1, column]
+            spring.set_title(f"{axle} spring")
+            damper.set_title(f"{axle} damper")
+            _range(spring, told.compression, "excited by the drive")
+            _range(damper, told.velocity)
+            for role, vehicle in vehicles.items():
+                part: Axle = getattr(vehicle, axle)
+                rest = static_compression(vehicle, axle) if from_rest else 0.0
+                _spring(
+                    spring, role, part, (-reach_x if from_rest else 0.0, reach_x), rest, names.get(role, role)
+                )
+                _damper(damper, role, part, reach_v)
+            simulated = vehicles.get("simulated")
+            if simulated is not None:
+                rest = static_compression(simulated, axle) if from_rest else 0.0
+                _unexcited(spring, damper, told, getattr(simulated, axle), rest)
+            _bands(spring, damper, told)
+            spring.set_xlabel(
+                "travel from standstill [m]" if from_rest else "compression from free length [m]"
+            )
+            damper.set_xlabel("velocity [m/s]   ← rebound · jounce →")
+            damper.axhline(0, color=COLOURS["soft"], linewidth=0.7)
+            damper.axvline(0, color=COLOURS["soft"], linewidth=0.7)
+        grid[0, 0].set(ylabel="force at the wheel [kN]", xlim=(-reach_x if from_rest else 0, reach_x))
+        if not from_rest:
+            grid[0, 0].set_ylim(bottom=0)
+        grid[1, 0].set(ylabel="force at the wheel [kN]", xlim=(-reach_v, reach_v))
+        fig.align_ylabels(grid[:, 0])
+        style.legend(fig, *grid[0, 0].get_legend_handles_labels())
+    return fig
+
+
+def _reach(ranges: Sequence[tuple[float, float] | None], vehicles: Mapping[str, Vehicle], kind: str) -> float:
+    """How far an axis goes: 15 % beyond what was excited, else the last point of any vehicle."""
+    excited = [max(abs(r[0]), abs(r[1])) for r in ranges if r is not None]
+    if excited:
+        return 1.15 * max(excited)
+    if kind == "spring":
+        return max(part.spring.compression[-1] for v in vehicles.values() for part in (v.front, v.rear))
+    return max(
+        d.velocity[-1]
+        for v in vehicles.values()
+        for p in (v.front, v.rear)
+        for d in (p.damper_push, p.damper_pull)
+    )
+
+
+def static_compression(vehicle: Vehicle, axle: str) -> float:
+    """Compression in m of one wheel's spring at standstill, left and right alike.
+
+    What an axle carries follows from the whole vehicle's centre of gravity, less its own wheels.
+    """
+    share = vehicle.cog[0] / vehicle.wheelbase
+    part: Axle = getattr(vehicle, axle)
+    carried = vehicle.mass * (share if axle == "front" else 1.0 - share) / 2.0 - part.unsprung_mass
+    x, f = (np.concatenate([[0.0], points]) for points in part.spring.points)
+    load = G * carried
+    if load <= f[-1]:
+        return float(np.interp(load, f, x))
+    return float(x[-1] + (load - f[-1]) * (x[-1] - x[-2]) / (f[-1] - f[-2]))
+
+
+def _spring(axes: Axes, role: str, part: Axle, span: tuple[float, float], rest: float, label: str) -> None:
+    points = part.spring.points
+    low, high = max(span[0] + rest, 0.0), span[1] + rest
+    inside = (points[0] > low) & (points[0] < high)
+    x = np.concatenate([[low], points[0][inside], [high]])
+    axes.plot(x - rest, force(points, x) / 1e3, color=COLOURS[role], label=label, **LINES[role])
+    _dots(axes, role, (points[0][inside] - rest, points[1][inside]), 1.0)
+
+
+def _damper(axes: Axes, role: str, part: Axle, reach: float) -> None:
+    for damper, sign in ((part.damper_push, 1.0), (part.damper_pull, -1.0)):
+        points = damper.points
+        v = np.unique(np.concatenate([[0.0, reach], points[0][points[0] < reach]]))
+        axes.plot(sign * v, sign * force(points, v) / 1e3, color=COLOURS[role], **LINES[role])
+        inside = points[0] <= reach
+        _dots(axes, role, (points[0][inside], points[1][inside]), sign)
+
+
+def _dots(axes: Axes, role: str, points: tuple[Floats, Floats], sign: float) -> None:
+    """The twin's own points; a truth is a curve and has none that matter."""
+    if role != "truth":
+        axes.plot(
+            sign * points[0],
+            sign * points[1] / 1e3,
+            "o",
+            color=COLOURS[role],
+            markersize=3.6,
+            zorder=LINES[role]["zorder"],
+        )
+
+
+def _range(axes: Axes, span: tuple[float, float] | None, label: str | None = None) -> None:
+    if span is not None:
+        axes.axvspan(span[0], span[1], color=COLOURS["extra"], alpha=0.13, linewidth=0, label=label)
+
+
+def _bands(spring: Axes, damper: Axes, told: AxleEvidence) -> None:
+    for axes, band, sign in ((spring, told.spring, 1.0), (damper, told.push, 1.0), (damper, told.pull, -1.0)):
+        if band is not None:
+            axes.fill_between(
+                sign * band.x,
+                sign * band.low / 1e3,
+                sign * band.high / 1e3,
+                color=COLOURS["simulated"],
+                alpha=0.22,
+                linewidth=0,
+                zorder=1,
+                label="interval" if axes is spring else None,
+            )
+
+
+def _unexcited(spring: Axes, damper: Axes, told: AxleEvidence, part: Axle, rest: float) -> None:
+    curves = {
+        "spring": (spring, part.spring.points, 1.0, rest),
+        "push": (damper, part.damper_push.points, 1.0, 0.0),
+        "pull": (damper, part.damper_pull.points, -1.0, 0.0),
+    }
+    for kind, x in told.unexcited:
+        axes, points, sign, shift = curves[kind]
+        y = float(force(points, np.array([x]))[0])
+        axes.plot(
+            [sign * (x - shift)],
+            [sign * y / 1e3],
+            "o",
+            markersize=7,
+            markerfacecolor="none",
+            color=COLOURS["bound"],
+            zorder=7,
+        )

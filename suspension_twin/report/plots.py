@@ -1,0 +1,335 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The plots that every report draws from: arrays in, a figure out, nothing kept.
+
+Blue is measured, orange is simulated, grey dashes are the twin as it was before, green dots
+are a truth that is known (a simulated drive's). Shapes: a signal is (n,), its stamps (n,) s.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.ticker import MaxNLocator
+
+from suspension_twin.drive.types import Floats
+from suspension_twin.report import style
+from suspension_twin.report.maps import path_map
+from suspension_twin.report.style import COLOURS, LINES
+
+__all__ = [
+    "Window",
+    "agreement",
+    "convergence",
+    "in_frequency",
+    "in_time",
+    "path_map",
+    "residual_by_road",
+    "two_sided",
+]
+
+ACCELERATION = "vertical acceleration [m/s²]"
+
+
+@dataclass(frozen=True)
+class Window:
+    """A stretch of a signal that deserves a panel of its own, s on the drive's clock."""
+
+    start: float
+    end: float
+    label: str = ""
+
+
+def _line(axes: Axes, role: str, x: Floats, y: Floats, **settings: Any) -> None:
+    axes.plot(x, y, **{"color": COLOURS[role], **LINES[role], **settings})
+
+
+def _legend(fig: Figure, axes: Axes) -> None:
+    """One legend above the figure, where it hides nothing."""
+    style.legend(fig, *axes.get_legend_handles_labels())
+
+
+def in_time(
+    t: Floats,
+    measured: Floats,
+    simulated: Floats,
+    *,
+    before: Floats | None = None,
+    windows: Sequence[Window] = (),
+    origin: float | None = None,
+    label: str = ACCELERATION,
+    names: Mapping[str, str] | None = None,
+) -> Figure:
+    """Measured and simulated over each other, and in a strip below what is left between them.
+
+    With ``windows`` each stretch has its own column, all on one scale; without, the whole drive
+    is shown. ``origin`` is the stamp called 0 s (the first one). ``names`` renames "measured",
+    "simulated" and "before" in the legend. A NaN leaves a gap.
+    """
+    names = {
+        "measured": "measured",
+        "simulated": "simulated",
+        "before": "before calibration",
+        **(names or {}),
+    }
+    start = float(t[0]) if origin is None else origin
+    columns = list(windows) or [Window(float(t[0]), float(t[-1]))]
+    with style.using():
+        fig = style.figure(9.2, 4.6)
+        grid = fig.subplots(
+            2,
+            len(columns),
+            sharex="col",
+            sharey="row",
+            squeeze=False,
+            height_ratios=[3, 1.2],
+        )
+        for column, window in enumerate(columns):
+            keep = (t >= window.start) & (t <= window.end)
+            x = t[keep] - start
+            top, strip = grid[0, column], grid[1, column]
+            if before is not None:
+                _line(top, "before", x, before[keep], label=names["before"])
+            _line(top, "measured", x, measured[keep], label=names["measured"])
+            _line(top, "simulated", x, simulated[keep], label=names["simulated"])
+            if before is not None:
+                _line(strip, "before", x, (measured - before)[keep], linewidth=0.9)
+            strip.axhline(0.0, color=COLOURS["soft"], linewidth=0.7)
+            left = (measured - simulated)[keep]
+            strip.plot(x, left, color=COLOURS["ink"], linewidth=0.9, zorder=6)
+            top.set_xlim(window.start - start, window.end - start)
+            top.set_title(window.label)
+            strip.set_xlabel("time [s]")
+        grid[0, 0].set_ylabel(label)
+        grid[1, 0].set_ylabel("measured −\nsimulated")
+        fig.align_ylabels(grid[:, 0])
+        _legend(fig, grid[0, 0])
+    return fig
+
+
+def in_frequency(
+    frequency: Floats,
+    densities: Mapping[str, Floats],
+    *,
+    limits: tuple[float, float] = (0.5, 25.0),
+    cutoff: float | None = None,
+    unit: str = "(m/s²)²/Hz",
+    names: Mapping[str, str] | None = None,
+) -> Figure:
+    """Power spectral densities, one-sided, over frequency (f,) in Hz.
+
+    ``densities`` maps a role ("measured", "simulated", "before", "residual") to its PSD (f,);
+    ``cutoff`` marks where the common low-pass begins to take the signal away.
+    """
+    names = {"before": "before calibration", "residual": "measured − simulated", **(names or {})}
+    keep = (frequency > 0.999 * limits[0]) & (
+        frequency < 1.001 * limits[1]
+    )  # a bin just beside its round value
+    with style.using():
+        fig = style.figure(9.2, 3.6)
+        axes = fig.subplots()
+        largest = 0.0
+        for role, density in densities.items():
+            values = np.maximum(density[keep], np.finfo(float).tiny)
+            largest = max(largest, float(values.max(initial=0.0)))
+            if role == "residual":
+                axes.fill_between(
+                    frequency[keep],
+                    values,
+                    1e-30,
+                    color=COLOURS["ink"],
+                    alpha=0.12,
+                    linewidth=0,
+                    label=names[role],
+                )
+            else:
+                _line(axes, role, frequency[keep], values, label=names.get(role, role))
+        axes.set(xscale="log", yscale="log", xlabel="frequency [Hz]", ylabel=f"spectral density [{unit}]")
+        axes.set_xlim(*limits)
+        if largest > 0:
+            axes.set_ylim(largest * 1e-5, largest * 2.5)
+        ticks = [f for f in (0.5, 1, 2, 3, 5, 10, 20, 50, 100) if limits[0] <= f <= limits[1]]
+        axes.set_xticks(ticks, [f"{f:g}" for f in ticks])
+        axes.minorticks_off()
+        if cutoff is not None and limits[0] < cutoff < limits[1]:
+            axes.axvline(cutoff, color=COLOURS["soft"], linewidth=0.8, linestyle=":")
+            axes.annotate(
+                "low-pass",
+                (cutoff, 0.03),
+                xycoords=("data", "axes fraction"),
+                xytext=(-4, 0),
+                textcoords="offset points",
+                ha="right",
+                color=COLOURS["soft"],
+                fontsize=8,
+            )
+        _legend(fig, axes)
+    return fig
+
+
+def two_sided(
+    frequency: Floats,
+    amplitudes: Mapping[str, Floats],
+    *,
+    limit: float = 10.0,
+    names: Mapping[str, str] | None = None,
+) -> Figure:
+    """The car paper's Fig. 11: amplitude spectra over -``limit`` to ``limit`` Hz, m/s².
+
+    ``amplitudes`` maps a role to its spectrum (f,), as ``signals.spectra.power_spectrum`` gives it.
+    """
+    keep = np.abs(frequency) <= limit
+    with style.using():
+        fig = style.figure(9.2, 3.2)
+        axes = fig.subplots()
+        for role, amplitude in amplitudes.items():
+            _line(axes, role, frequency[keep], amplitude[keep], label=(names or {}).get(role, role))
+        axes.set(xlabel="frequency [Hz]", ylabel="amplitude [m/s²]", xlim=(-limit, limit))
+        axes.set_ylim(bottom=0)
+        _legend(fig, axes)
+    return fig
+
+
+def residual_by_road(
+    distance: Floats,
+    residual: Floats,
+    *,
+    before: Floats | None = None,
+    profile: tuple[Floats, Floats] | None = None,
+    bin_width: float = 1.0,
+    label: str = "gap, rms [m/s²]",
+    profile_label: str = "road [cm]",
+    names: Mapping[str, str] | None = None,
+) -> Figure:
+    """Root mean square of the residual (n,) in bins along the road, over ``distance`` (n,) m.
+
+    ``profile`` is (distance (k,), height (k,) or (k, 2) for left and right wheel, m) of the road, drawn
+    under the bars so that a pothole and its gap stand above each other. NaNs and bins that the drive
+    never entered stay empty. ``names`` renames "residual" and "before" in the legend.
+    """
+    names = {"residual": "measured − simulated", "before": "before calibration", **(names or {})}
+    edges = np.arange(np.floor(np.nanmin(distance)), np.nanmax(distance) + bin_width, bin_width)
+    if edges.size < 2:
+        edges = np.array([edges[0], edges[0] + bin_width])
+    with style.using():
+        fig = style.figure(9.2, 4.0 if profile is not None else 3.0)
+        rows = fig.subplots(
+            2 if profile is not None else 1,
+            1,
+            sharex=True,
+            squeeze=False,
+            height_ratios=[2, 1] if profile is not None else [1],
+        )[:, 0]
+        if before is not None:
+            rows[0].stairs(
+                _binned(distance, before, edges),
+                edges,
+                label=names["before"],
+                color=COLOURS["before"],
+                linewidth=1.1,
+            )
+        rows[0].stairs(
+            _binned(distance, residual, edges),
+            edges,
+            fill=True,
+            alpha=0.8,
+            label=names["residual"],
+            color=COLOURS["simulated"],
+        )
+        rows[0].set_ylabel(label)
+        rows[0].set_ylim(bottom=0)
+        if profile is not None:
+            tracks = np.atleast_2d(profile[1].T)
+            sides = [("left wheels", "soft"), ("right wheels", "mark")] if len(tracks) > 1 else [("", "soft")]
+            for track, (side, role) in zip(tracks, sides, strict=True):
+                rows[1].plot(profile[0], 100 * track, color=COLOURS[role], linewidth=1.0, label=side)
+            rows[1].set_ylabel(profile_label)
+        rows[-1].set_xlabel("position along the road [m]")
+        rows[-1].set_xlim(edges[0], edges[-1])
+        fig.align_ylabels(rows)
+        entries = [axes.get_legend_handles_labels() for axes in rows]
+        style.legend(fig, *([e for pair in entries for e in pair[k]] for k in (0, 1)))
+    return fig
+
+
+def _binned(distance: Floats, values: Floats, edges: Floats) -> Floats:
+    """Root mean square per bin, NaN where a bin holds no sample."""
+    good = np.isfinite(distance) & np.isfinite(values)
+    count, _ = np.histogram(distance[good], edges)
+    total, _ = np.histogram(distance[good], edges, weights=values[good] ** 2)
+    out: Floats = np.full(count.shape, np.nan)
+    np.sqrt(total / np.maximum(count, 1), out=out, where=count > 0)
+    return out
+
+
+def convergence(
+    evaluations: Floats,
+    best: Floats,
+    *,
+    mean: Floats | None = None,
+    stages: Sequence[tuple[float, str]] = (),
+    reference: tuple[float, str] | None = None,
+    label: str = "cost",
+) -> Figure:
+    """Best (and mean) cost over the count of simulated candidates; ``stages`` are (evaluation, name) marks."""
+    with style.using():
+        fig = style.figure(9.2, 3.2)
+        axes = fig.subplots()
+        if mean is not None:
+            _line(axes, "before", evaluations, mean, label="mean of the generation")
+        axes.plot(
+            evaluations, best, color=COLOURS["simulated"], linewidth=1.8, label="best", drawstyle="steps-post"
+        )
+        if reference is not None:
+            axes.axhline(
+                reference[0],
+                label=reference[1],
+                color=COLOURS["truth"],
+                **{k: v for k, v in LINES["truth"].items() if k != "zorder"},
+            )
+        for position, name in stages:
+            axes.axvline(position, color=COLOURS["soft"], linewidth=0.8, linestyle=":")
+            axes.annotate(
+                name,
+                (position, 0.97),
+                xycoords=("data", "axes fraction"),
+                xytext=(4, 0),
+                va="top",
+                textcoords="offset points",
+                color=COLOURS["soft"],
+                fontsize=8,
+            )
+        finite = best[np.isfinite(best) & (best > 0)]
+        if finite.size and finite.max() > 5 * finite.min():
+            axes.set_yscale("log")
+        axes.set(xlabel="evaluations (simulated candidates)", ylabel=label)
+        axes.xaxis.set_major_locator(MaxNLocator(integer=True))
+        _legend(fig, axes)
+    return fig
+
+
+def agreement(rows: Mapping[str, Mapping[str, float]], *, label: str = "gap, rms [m/s²]") -> Figure:
+    """Bars of the gap: ``rows`` maps a drive to {role: value}, roles "before", "simulated", "truth"."""
+    names = {"before": "before calibration", "simulated": "calibrated", "truth": "true parameters"}
+    with style.using():
+        fig = style.figure(9.2, 0.9 + 0.75 * len(rows))
+        axes = fig.subplots()
+        drives = list(rows)
+        roles = [r for r in ("before", "simulated", "truth") if any(r in row for row in rows.values())]
+        thickness = 0.8 / max(len(roles), 1)
+        for number, role in enumerate(roles):
+            at = [i + (number - (len(roles) - 1) / 2) * thickness for i in range(len(drives))]
+            values = [rows[d].get(role, float("nan")) for d in drives]
+            bars = axes.barh(at, values, height=0.88 * thickness, color=COLOURS[role], label=names[role])
+            axes.bar_label(bars, fmt="%.2f", padding=4, fontsize=8.5)
+        axes.set_yticks(range(len(drives)), drives)
+        axes.invert_yaxis()
+        axes.grid(visible=False, axis="y")
+        axes.set_xlabel(label)
+        axes.margins(x=0.08)
+        _legend(fig, axes)
+    return fig

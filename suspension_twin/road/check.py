@@ -1,0 +1,222 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What a road is like, and what is wrong with it."""
+
+from __future__ import annotations
+
+import math
+import os
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from suspension_twin.errors import InputError
+from suspension_twin.road.crg import load_road
+from suspension_twin.road.crg_format import examine
+from suspension_twin.road.iso8608 import class_of, road_psd
+from suspension_twin.road.road import Road
+from suspension_twin.road.spikes import Spikes, find_spikes
+from suspension_twin.road.surface import Floats
+
+__all__ = ["Finding", "RoadCheck", "check_file", "check_road", "wheel_tracks"]
+
+#: A jump this high (m) and this steep (m/m) between neighbours is a step, unless a spike makes it.
+_STEP, _STEP_SLOPE = 0.05, 1.0
+_STEEP_ROAD, _STEEP_BANK = 0.25, 0.15
+_COARSE = 0.25  # m; a wheel's contact patch is about as long
+_TRACK = 1.5
+
+
+@dataclass(frozen=True)
+class Finding:
+    """One thing worth knowing: ``fault`` True where a simulation would suffer from it."""
+
+    text: str
+    fault: bool
+
+
+@dataclass(frozen=True, eq=False)
+class RoadCheck:
+    """A road with its figures (name to text), its findings and its spikes."""
+
+    road: Road
+    facts: dict[str, str]
+    findings: tuple[Finding, ...]
+    spikes: Spikes
+
+    @property
+    def sound(self) -> bool:
+        """True if nothing is wrong with the road."""
+        return not any(f.fault for f in self.findings)
+
+
+def check_file(path: str | os.PathLike[str]) -> RoadCheck:
+    """:func:`check_road` of an OpenCRG file, with what its header lets one overlook."""
+    road = load_road(path)
+    text = examine(Path(path))
+    extra = []
+    start = [text.road.get(f"reference_line_start_{k}", 0.0) for k in ("x", "y", "phi")]
+    if text.mods is None and any(start):
+        extra.append(
+            Finding(
+                "the file has no $ROAD_CRG_MODS section, so OpenCRG's default moves its start from "
+                f"({start[0]:.2f}, {start[1]:.2f}) m, heading {math.degrees(start[2]):.1f} deg, to the origin of map; "
+                "an empty section would keep it there",
+                fault=False,
+            )
+        )
+    if text.missing > 0.0 and not np.isnan(road.z).any():
+        held = (
+            f"{100 * text.missing:.2g} % of the heights are missing in the file, filled as its modifiers say"
+        )
+        extra.append(Finding(held, fault=False))
+    return check_road(road, tuple(extra))
+
+
+def check_road(road: Road, also: tuple[Finding, ...] = ()) -> RoadCheck:
+    """Figures and findings of a road; ``also`` is put before them."""
+    spikes = find_spikes(road)
+    findings = [*also, *(Finding(f"the OpenCRG library warns: {note}", True) for note in road.notes)]
+    facts = _facts(road, spikes)
+    missing = np.isnan(road.z)
+    if missing.any():
+        inner = int(_enclosed(missing).sum())
+        share = f"{100 * missing.mean():.2g} % of the heights are missing"
+        findings.append(Finding(f"{share}, {inner} of them between data; wheels there are held", inner > 0))
+    for spike in spikes.found[:5]:
+        across = (
+            f"v {spike.v:.2f} m"
+            if spike.v_low == spike.v_high
+            else f"v {spike.v_low:.2f} to {spike.v_high:.2f} m"
+        )
+        kind = "spike" if spike.height > 0 else "pit"
+        findings.append(
+            Finding(
+                f"{kind} of {1e3 * abs(spike.height):.0f} mm, with a step of {1e3 * spike.step:.0f} mm, "
+                f"at u {spike.u:.2f} m, {across}",
+                True,
+            )
+        )
+    if len(spikes) > 5:
+        findings.append(Finding(f"and {len(spikes) - 5} smaller spikes", True))
+    findings += _steps(road, spikes) + _shape(road)
+    return RoadCheck(road, facts, tuple(findings), spikes)
+
+
+def wheel_tracks(road: Road, track: float = _TRACK) -> tuple[tuple[float, float], Floats, Floats]:
+    """v of the left and right wheel track about the middle of the road, and their heights along it.
+
+    On a road narrower than ``track`` m they run at a quarter and three quarters of its width.
+    """
+    middle = 0.0 if road.v[0] < 0.0 < road.v[-1] else 0.5 * float(road.v[0] + road.v[-1])
+    half = min(0.5 * track, 0.25 * road.width)
+    left, right = middle + half, middle - half
+    return (left, right), road.heights_uv(road.u, left, "hold"), road.heights_uv(road.u, right, "hold")
+
+
+def _facts(road: Road, spikes: Spikes) -> dict[str, str]:
+    grid = road.heights_grid
+    x, y = road.uv_to_xy(road.u[:, None], road.v[None, [0, -1]])
+    step = np.abs(np.diff(grid, axis=0))
+    sections = np.diff(road.v)
+    even = float(np.ptp(sections)) < 1e-9 * road.width
+    _, left, right = wheel_tracks(road)
+    facts = {
+        "length": f"{road.length:.2f} m, {road.z.shape[0]} cross sections every {road.u_step:.6g} m",
+        "width": f"{road.width:.2f} m (v {road.v[0]:g} to {road.v[-1]:g} m), {road.v.size} long sections "
+        + (f"every {sections[0]:.6g} m" if even else f"{sections.min():.6g} to {sections.max():.6g} m apart"),
+        "in map": f"x {x.min():.2f} to {x.max():.2f} m, y {y.min():.2f} to {y.max():.2f} m",
+        "heights": f"{np.nanmin(grid):.3f} to {np.nanmax(grid):.3f} m, rms {np.nanstd(grid):.4f} m about their mean",
+        "missing heights": f"{100 * np.isnan(road.z).mean():.3g} %",
+        "largest step": f"{1e3 * np.nanmax(step):.1f} mm in {road.u_step:.6g} m",
+        "slope": _range(np.diff(road.ref_z) / road.u_step),
+        "banking": _range(road.bank),
+        "curvature": _curvature(road),
+        "roughness": ", ".join(
+            f"{side} {_class(z, road.u_step)}" for side, z in (("left", left), ("right", right))
+        ),
+        "spikes": str(len(spikes)),
+    }
+    return facts
+
+
+def _range(values: Floats) -> str:
+    low, high = 100 * float(values.min()), 100 * float(values.max())
+    return "none" if low == high == 0.0 else f"{low:.2f} to {high:.2f} %"
+
+
+def _curvature(road: Road) -> str:
+    turns = _turns(road)
+    if road.straight or not turns.size or np.abs(turns).max() < 1e-9:
+        return "none"
+    return f"radius down to {road.u_step / np.abs(turns).max():.1f} m"
+
+
+def _turns(road: Road) -> Floats:
+    """Change of heading at the inner cross sections, rad."""
+    heading = np.arctan2(np.diff(road.y), np.diff(road.x))
+    turn: Floats = np.remainder(np.diff(heading) + math.pi, 2.0 * math.pi) - math.pi
+    return turn
+
+
+def _class(z: Floats, step: float) -> str:
+    try:
+        letter, g0 = class_of(*road_psd(z, step))
+    except InputError:
+        return "too short to say"
+    return f"ISO 8608 class {letter} (G(n0) {1e6 * g0:.0f}e-6 m^3)"
+
+
+def _enclosed(missing: object) -> np.ndarray[tuple[int, ...], np.dtype[np.bool_]]:
+    """Missing heights with data on both sides of them in their cross section, or in none of it."""
+    gone = np.asarray(missing, dtype=np.bool_)
+    data = ~gone
+    left = np.logical_or.accumulate(data, axis=1)
+    right = np.logical_or.accumulate(data[:, ::-1], axis=1)[:, ::-1]
+    empty = ~data.any(axis=1, keepdims=True)
+    return gone & ((left & right) | empty)
+
+
+def _steps(road: Road, spikes: Spikes) -> list[Finding]:
+    grid = road.heights_grid
+    jump = np.abs(np.diff(grid, axis=0))
+    high = (jump > _STEP) & (jump > _STEP_SLOPE * road.u_step) & ~spikes.mask[1:] & ~spikes.mask[:-1]
+    if not high.any():
+        return []
+    rows = np.flatnonzero(high.any(axis=1))
+    # Neighbouring cross sections are one step; a wheel meets each place once.
+    places = np.split(rows, np.flatnonzero(np.diff(rows) > max(1, round(0.5 / road.u_step))) + 1)
+    sized = [(float(np.where(high[p], jump[p], 0.0).max()), float(road.u[p[0]])) for p in places]
+    sized.sort(reverse=True)
+    found = [
+        Finding(
+            f"step of {1e3 * size:.0f} mm at u {u:.2f} m; a wheel that touches at one point jumps it", True
+        )
+        for size, u in sized[:3]
+    ]
+    if len(sized) > 3:
+        found.append(Finding(f"and steps at {len(sized) - 3} more places", True))
+    return found
+
+
+def _shape(road: Road) -> list[Finding]:
+    found = []
+    if road.u_step > _COARSE:
+        text = (
+            f"a cross section every {road.u_step:g} m: waves shorter than {2 * road.u_step:g} m are missing"
+        )
+        found.append(Finding(text, road.u_step > 4 * _COARSE))
+    slope = np.abs(np.diff(road.ref_z) / road.u_step)
+    if slope.max() > _STEEP_ROAD:
+        found.append(Finding(f"the reference line climbs up to {100 * slope.max():.0f} %", True))
+    if np.abs(road.bank).max() > _STEEP_BANK:
+        found.append(Finding(f"banked up to {100 * np.abs(road.bank).max():.0f} %", True))
+    turns = _turns(road)
+    if turns.size:
+        reach = np.where(turns > 0.0, road.v[-1], -road.v[0])
+        folded = np.abs(turns) * reach >= road.u_step
+        if folded.any():
+            u = float(road.u[1 + int(np.flatnonzero(folded)[0])])
+            text = f"the centre of a bend lies on the road at u {u:.2f} m: its inner border runs backwards"
+            found.append(Finding(text, True))
+    return found

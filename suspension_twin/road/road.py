@@ -1,0 +1,400 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A road surface in memory and its evaluation under any number of positions.
+
+A road is a regular grid of heights along a reference line, as in ASAM OpenCRG: ``u`` runs
+along the line, ``v`` across it (positive to the left), and the line lies in ``map``. The
+height at a position is ``z(u, v) + ref_z(u) + bank(u) * v``.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from typing import Literal
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from suspension_twin.errors import InputError, WorkError
+from suspension_twin.road import kernels
+from suspension_twin.road.place import (
+    FOLLOW,
+    FOLLOW_STEPS,
+    box_tree,
+    sure_reach,
+    uv_to_xy,
+    xy_to_uv,
+    xy_to_uv_from,
+)
+from suspension_twin.road.surface import Floats, Grid, Line, held
+
+__all__ = ["Borders", "Outside", "Road", "RoadTracker", "Samples"]
+
+#: What a position off the road gets. ``road``: what the road's file says, which is ``hold``
+#: unless it says otherwise; ``hold``: the height of the nearest point of the border, across
+#: the road where data are missing; ``zero``: height 0; ``error``: an :class:`InputError`.
+Outside = Literal["road", "hold", "zero", "error"]
+
+_MODES = {"hold": (2, 2), "zero": (1, 1), "error": (2, 2)}
+
+
+@dataclass(frozen=True)
+class Borders:
+    """What OpenCRG's options say of a road beyond its borders; the defaults are OpenCRG's.
+
+    ``mode_u``, ``mode_v`` 0 none, 1 zero, 2 keep the last height, 3 repeat, 4 reflect; offsets in
+    m; ``smooth_begin``, ``smooth_end`` m over which the ends fade to ``base_begin`` and
+    ``base_end`` (None: they do not); ``close`` the track closes between u ``close_span``.
+    """
+
+    mode_u: int = 2
+    mode_v: int = 2
+    offset_u: float = 0.0
+    offset_v: float = 0.0
+    smooth_begin: float | None = None
+    smooth_end: float | None = None
+    base_begin: float = 0.0
+    base_end: float = 0.0
+    close: bool = False
+    close_span: tuple[float, float] | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class Samples:
+    """Heights with what they rest on; arrays of the positions' shape.
+
+    ``z`` m, never a NaN; ``inside`` False where the road has no data; ``outside`` the policy that
+    these positions got.
+    """
+
+    z: Floats
+    inside: NDArray[np.bool_]
+    outside: Outside
+
+    @property
+    def share_outside(self) -> float:
+        """Share of the positions that are off the road, 0 to 1."""
+        return 1.0 - float(self.inside.mean()) if self.inside.size else 0.0
+
+
+@dataclass(frozen=True, eq=False)
+class Road:
+    """A road: heights on a grid along a reference line in ``map``.
+
+    ``z`` (nu, nv) m, NaN where there are no data; ``v`` (nv,) m, rising; ``x``, ``y`` (nu,) m the
+    reference line at the cross sections, ``u_step`` apart from ``u_first`` on; ``ref_z`` (nu,) m
+    its height; ``bank`` (nu,) m/m the cross slope, positive with the left side high; ``headings``
+    rad before the first and after the last cross section. Never changed: what alters a road
+    gives a new one.
+
+    Raises InputError if the arrays do not fit each other or hold what cannot be evaluated.
+    """
+
+    name: str
+    z: Floats
+    v: Floats
+    u_step: float
+    x: Floats
+    y: Floats
+    ref_z: Floats
+    bank: Floats
+    headings: tuple[float, float]
+    u_first: float = 0.0
+    borders: Borders = field(default_factory=Borders)
+    notes: tuple[str, ...] = ()
+
+    def __post_init__(self) -> None:
+        for name in ("z", "v", "x", "y", "ref_z", "bank"):
+            array = np.ascontiguousarray(getattr(self, name), dtype=np.float64)
+            if array is getattr(self, name):
+                array = array.view()
+            array.flags.writeable = False
+            object.__setattr__(self, name, array)
+        for name in ("u_step", "u_first"):
+            object.__setattr__(self, name, float(getattr(self, name)))
+        nu, nv = self.z.shape if self.z.ndim == 2 else (0, 0)
+        if nu < 2 or nv < 2:
+            raise InputError(self.name, "z", f"needs at least 2 by 2 heights, has shape {self.z.shape}")
+        for name, size in (("v", nv), ("x", nu), ("y", nu), ("ref_z", nu), ("bank", nu)):
+            array = getattr(self, name)
+            if array.shape != (size,):
+                raise InputError(self.name, name, f"needs {size} values to fit z, has shape {array.shape}")
+            if not np.isfinite(array).all():
+                raise InputError(self.name, name, "must be finite everywhere")
+        if not (np.diff(self.v) > 0.0).all():
+            raise InputError(self.name, "v", "must rise from one long section to the next")
+        if not (np.isfinite(self.u_step) and self.u_step > 0.0 and np.isfinite(self.u_first)):
+            raise InputError(self.name, "u_step", f"must be above 0 m, is {self.u_step}")
+        if not (np.hypot(np.diff(self.x), np.diff(self.y)) > 0.0).all():
+            raise InputError(self.name, "x, y", "the reference line stands still between two cross sections")
+        if np.isinf(self.z).any():
+            raise InputError(self.name, "z", "holds an infinite height")
+        if np.isnan(self.z).all():
+            raise InputError(self.name, "z", "holds no height at all")
+
+    @cached_property
+    def u(self) -> Floats:
+        """u of the cross sections (nu,), m."""
+        return self.u_first + self.u_step * np.arange(self.z.shape[0], dtype=np.float64)
+
+    @property
+    def u_last(self) -> float:
+        """u of the last cross section, m."""
+        return self.u_first + self.length
+
+    @property
+    def length(self) -> float:
+        """Length of the reference line, m."""
+        return self.u_step * (int(self.z.shape[0]) - 1)
+
+    @property
+    def width(self) -> float:
+        """Distance of the outermost long sections, m."""
+        return float(self.v[-1] - self.v[0])
+
+    @property
+    def heights_grid(self) -> Floats:
+        """Heights (nu, nv) at the nodes, slope and banking included; NaN where there are no data."""
+        return self.z + self.ref_z[:, None] + self.bank[:, None] * self.v
+
+    @cached_property
+    def straight(self) -> bool:
+        """True where the reference line is one straight line with even steps."""
+        s = np.arange(self.x.size) * self.u_step
+        cos, sin = np.cos(self.headings[0]), np.sin(self.headings[0])
+        off = max(
+            float(np.abs(self.x[0] + s * cos - self.x).max()),
+            float(np.abs(self.y[0] + s * sin - self.y).max()),
+        )
+        turn = np.hypot(np.cos(self.headings[1]) - cos, np.sin(self.headings[1]) - sin)
+        return bool(off < 1e-9 and turn < 1e-12)
+
+    @cached_property
+    def line(self) -> Line:
+        """The reference line as the compiled kernels take it."""
+        boxes, levels = box_tree(self.x, self.y)
+        cap = 1.5 * float(np.abs(self.v).max()) + 2.0
+        sure = np.zeros((0, 2)) if self.straight else sure_reach(self.x, self.y, boxes, levels, cap)
+        ends = np.array([f(h) for h in self.headings for f in (np.cos, np.sin)], dtype=np.float64)
+        u = (self.u_first, self.u_last, self.u_step)
+        return (
+            self.x,
+            self.y,
+            boxes,
+            levels,
+            sure,
+            ends,
+            *u,
+            self.straight,
+            self.borders.close_span is not None,
+        )
+
+    @cached_property
+    def grid(self) -> Grid:
+        """The heights as the compiled kernels take them."""
+        missing = np.isnan(self.z)
+        if missing.any():
+            void = missing[:-1, :-1] | missing[1:, :-1] | missing[:-1, 1:] | missing[1:, 1:]
+            z = held(self.z)
+            z.flags.writeable = False  # as the other, or numba compiles for both
+        else:
+            void, z = np.zeros((0, 0), dtype=np.bool_), self.z
+        even = float(np.ptp(np.diff(self.v))) <= 1e-9 * self.width
+        b = self.borders
+        zones = ((b.smooth_begin, b.base_begin), (b.smooth_end, b.base_end))
+        smooth = np.array([f for zone, base in zones for f in (-1.0 if zone is None else zone, base)])
+        v_step = self.width / (self.v.size - 1) if even else 0.0
+        u = (self.u_first, self.u_last, self.u_step)
+        return z, void, self.v, v_step, self.ref_z, self.bank, smooth, *u
+
+    def heights(self, x: ArrayLike, y: ArrayLike, outside: Outside = "road") -> Floats:
+        """Heights at map positions, m; x and y broadcast, the result has their shape.
+
+        Raises InputError for a position that is not finite, and for one off the road where the
+        policy or the road's file has no height for it.
+        """
+        return self._evaluate(*self.xy_to_uv(x, y), outside)[0]
+
+    def heights_uv(self, u: ArrayLike, v: ArrayLike, outside: Outside = "road") -> Floats:
+        """As :meth:`heights` at road coordinates."""
+        return self._evaluate(u, v, outside)[0]
+
+    def sample(self, x: ArrayLike, y: ArrayLike, outside: Outside = "road") -> Samples:
+        """As :meth:`heights`, with which positions are on the road."""
+        return self.sample_uv(*self.xy_to_uv(x, y), outside)
+
+    def sample_uv(self, u: ArrayLike, v: ArrayLike, outside: Outside = "road") -> Samples:
+        """As :meth:`sample` at road coordinates."""
+        z, seen = self._evaluate(u, v, outside)
+        return Samples(z, seen == kernels.INSIDE, outside)
+
+    def inside(self, x: ArrayLike, y: ArrayLike) -> NDArray[np.bool_]:
+        """True where the road has data under a map position."""
+        return self.sample(x, y, "hold").inside
+
+    def _evaluate(self, u: ArrayLike, v: ArrayLike, outside: Outside) -> tuple[Floats, NDArray[np.uint8]]:
+        if outside == "road":
+            b = self.borders
+            modes = int(b.mode_u), int(b.mode_v)
+            offsets = float(b.offset_u), float(b.offset_v)
+        elif outside in _MODES:
+            modes, offsets = _MODES[outside], (0.0, 0.0)
+        else:
+            raise InputError("outside", f"must be road, hold, zero or error, is {outside!r}")
+        first, second, shape = _pair(u, v)
+        if self.borders.close:
+            first = self._closed(first)
+        z = np.empty(first.size)
+        seen = np.empty(first.size, dtype=np.uint8)
+        met = kernels.heights_uv(self.grid, first, second, modes, offsets, z, seen)
+        if met:
+            self._settle(met, z, seen, outside, first, second)
+        return z.reshape(shape), seen.reshape(shape)
+
+    def _closed(self, u: Floats) -> Floats:
+        """u on a track that its file says is closed: counted on from lap to lap, within the first."""
+        if self.borders.close_span is None:
+            return u
+        low, high = self.borders.close_span
+        lap = np.fmod(u - low, high - low)
+        return np.where((u < low) | (u > high), lap + np.where(lap > 0.0, low, high), u)
+
+    def _settle(
+        self, met: int, z: Floats, seen: NDArray[np.uint8], outside: Outside, u: Floats, v: Floats
+    ) -> None:
+        """What the policy asks for where positions (n,) were not all on the road."""
+        if met & kernels.NOT_FINITE:
+            raise InputError(self.name, "position", f"{_count(seen, kernels.NOT_FINITE)} not finite")
+        if outside == "error" or met & kernels.REFUSED:
+            i = int(np.flatnonzero(seen != kernels.INSIDE)[0])
+            raise InputError(
+                self.name,
+                f"{_count(seen, kernels.OUTSIDE | kernels.VOID)} off the road, the first at u {u[i]:.2f} m, "
+                f"v {v[i]:.2f} m{', where data are missing' if seen[i] == kernels.VOID else ''} "
+                f"(the road: u {self.u_first:.2f} to {self.u_last:.2f} m, "
+                f"v {self.v[0]:.2f} to {self.v[-1]:.2f} m)",
+            )
+        if outside == "zero" and met & kernels.VOID:
+            z[(seen & kernels.VOID) > 0] = 0.0
+
+    def xy_to_uv(self, x: ArrayLike, y: ArrayLike) -> tuple[Floats, Floats]:
+        """Road coordinates (u, v) of map positions, m; of the shape of x and y broadcast.
+
+        Before the start and after the end the line goes on straight. Each position is taken to
+        the nearest part of the line, whatever came before it; :class:`RoadTracker` follows one.
+        """
+        first, second, shape = _pair(x, y)
+        u, v = np.empty(first.size), np.empty(first.size)
+        xy_to_uv(self.line, first, second, u, v)
+        return u.reshape(shape), v.reshape(shape)
+
+    def uv_to_xy(self, u: ArrayLike, v: ArrayLike) -> tuple[Floats, Floats]:
+        """Map positions (x, y) of road coordinates, m; of the shape of u and v broadcast."""
+        first, second, shape = _pair(u, v)
+        if self.borders.close:
+            first = self._closed(first)
+        x, y = np.empty(first.size), np.empty(first.size)
+        uv_to_xy(self.line, first, second, x, y)
+        return x.reshape(shape), y.reshape(shape)
+
+    def tracker(self, size: int = 4, outside: Outside = "road") -> RoadTracker:
+        """A follower of ``size`` positions for live use."""
+        return RoadTracker(self, size, outside)
+
+    def scaled(self, factor: float) -> Road:
+        """The road with every height multiplied by ``factor``."""
+        b = self.borders
+        borders = replace(
+            b,
+            offset_u=b.offset_u * factor,
+            offset_v=b.offset_v * factor,
+            base_begin=b.base_begin * factor,
+            base_end=b.base_end * factor,
+        )
+        return replace(
+            self, z=self.z * factor, ref_z=self.ref_z * factor, bank=self.bank * factor, borders=borders
+        )
+
+    def placed(self, x: float, y: float, heading: float, z: float | None = None) -> Road:
+        """The road moved so that its reference line starts at (x, y) with ``heading`` (rad) in ``map``.
+
+        ``z`` m the height of the line's start; None leaves the heights as they are.
+        """
+        turn = heading - self.headings[0]
+        cos, sin = np.cos(turn), np.sin(turn)
+        dx, dy = self.x - self.x[0], self.y - self.y[0]
+        lift = 0.0 if z is None else z - float(self.ref_z[0])
+        b = self.borders
+        return replace(
+            self,
+            x=x + cos * dx - sin * dy,
+            y=y + sin * dx + cos * dy,
+            ref_z=self.ref_z + lift,
+            headings=(heading, self.headings[1] + turn),
+            borders=replace(b, base_begin=b.base_begin + lift, base_end=b.base_end + lift),
+        )
+
+
+class RoadTracker:
+    """Heights under a few positions that move, as the four wheels of a live twin.
+
+    Where a road comes near itself the tracker stays on the part it was on, and a query costs no
+    search. Not for use by two threads at once.
+    """
+
+    def __init__(self, road: Road, size: int = 4, outside: Outside = "road") -> None:
+        self.road, self.size, self.outside = road, size, outside
+        self._reach2 = max(FOLLOW, FOLLOW_STEPS * road.u_step) ** 2
+        self._at = np.zeros(size, dtype=np.int64)
+        self._u, self._v = np.zeros(size), np.zeros(size)
+        self._inside = np.zeros(size, dtype=np.bool_)
+
+    def reset(self) -> None:
+        """Forget the places, as after a jump in time."""
+        self._at[:] = 0
+
+    def heights(self, x: Floats, y: Floats) -> Floats:
+        """Heights (size,) m at map positions (size,); errors as :meth:`Road.heights`."""
+        if x.shape != (self.size,) or y.shape != (self.size,):
+            raise WorkError(
+                f"a tracker of {self.size} positions got arrays of shapes {x.shape} and {y.shape}"
+            )
+        first, second, _ = _pair(x, y)
+        xy_to_uv_from(self.road.line, first, second, self._reach2, self._at, self._u, self._v)
+        z, seen = self.road._evaluate(self._u, self._v, self.outside)
+        self._inside = seen == kernels.INSIDE
+        return z
+
+    @property
+    def uv(self) -> tuple[Floats, Floats]:
+        """Road coordinates (size,) of the last positions."""
+        return self._u.copy(), self._v.copy()
+
+    @property
+    def inside(self) -> NDArray[np.bool_]:
+        """Which of the last positions were on the road (size,)."""
+        return self._inside
+
+
+def _pair(a: ArrayLike, b: ArrayLike) -> tuple[Floats, Floats, tuple[int, ...]]:
+    """Two arguments as flat, contiguous, writable arrays, and the shape of the result.
+
+    Writable although nothing writes to them: to numba a read-only array is another type, and every
+    type compiles a kernel anew.
+    """
+    first, second = np.asarray(a, dtype=np.float64), np.asarray(b, dtype=np.float64)
+    shape = first.shape
+    if shape != second.shape:
+        shape = np.broadcast_shapes(shape, second.shape)
+        first, second = (np.array(np.broadcast_to(c, shape), order="C") for c in (first, second))
+    return _plain(first), _plain(second), shape
+
+
+def _plain(array: Floats) -> Floats:
+    flat = np.ascontiguousarray(array).reshape(-1)
+    return flat if flat.flags.writeable else flat.copy()
+
+
+def _count(seen: NDArray[np.uint8], bits: int) -> str:
+    n = int(np.count_nonzero(seen & bits))
+    return f"1 of {seen.size} positions is" if n == 1 else f"{n} of {seen.size} positions are"

@@ -1,0 +1,167 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What is odd about an IMU's signal, each finding in one line with what to do about it."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from suspension_twin.drive.types import Floats
+from suspension_twin.signals.attitude import level_rpy, matrix_rpy, rpy_matrix, tilt_of
+
+__all__ = [
+    "MAX_RATE",
+    "MIN_RATE",
+    "Finding",
+    "Units",
+    "check_axes",
+    "check_mounting",
+    "check_rate",
+    "recognise_units",
+    "saturated_samples",
+]
+
+MIN_RATE = 50.0
+MAX_RATE = 1600.0
+#: Full scales of the accelerometers in phones, m/s².
+FULL_SCALES = tuple(9.80665 * g for g in (2, 4, 8, 16))
+
+Units = Literal["m/s2", "g", "gravity removed", "unknown"]
+
+
+@dataclass(frozen=True)
+class Finding:
+    """One thing noticed. ``level`` "ok", "warn" or "error" (the result cannot be trusted until it is put
+    right), ``code`` a stable word, ``text`` one line that says what it is and what to do."""
+
+    level: Literal["ok", "warn", "error"]
+    code: str
+    text: str
+
+
+def recognise_units(force: Floats) -> Units:
+    """Units of ``force`` (n, 3) by the length of its mean, which over seconds of driving is gravity."""
+    if not len(force):
+        return "unknown"
+    length = float(np.linalg.norm(np.mean(force, axis=0)))
+    if 6.0 < length < 14.0:
+        return "m/s2"
+    spread = float(np.median(np.abs(np.linalg.norm(force, axis=1) - length)))
+    if 0.85 < length < 1.15 and spread < 0.35:
+        return "g"
+    return "gravity removed" if length < 3.0 else "unknown"
+
+
+def check_units(units: Units, length: float) -> Finding | None:
+    """What to say about ``units``; ``length`` is that of the mean specific force as delivered."""
+    if units == "g":
+        return Finding(
+            "warn", "units_g", f"accelerations come in g (mean {length:.2f}), taken times 9.80665: send m/s²"
+        )
+    if units == "gravity removed":
+        return Finding(
+            "warn",
+            "gravity_removed",
+            f"gravity is already removed (mean {length:.2f} m/s²), put back along z: send the raw accelerometer, "
+            "not the linear acceleration",
+        )
+    if units == "unknown":
+        return Finding(
+            "error",
+            "units_unknown",
+            f"the mean acceleration is {length:.2f}, neither 9.81 m/s² nor 1 g nor 0: check units and scale",
+        )
+    return None
+
+
+def check_rate(rate: float) -> Finding | None:
+    """A rate that the contract does not allow (2 % aside)."""
+    if rate < 0.98 * MIN_RATE:
+        return Finding(
+            "error",
+            "rate_low",
+            f"IMU samples come at {rate:.4g} Hz, too slow for wheel hop: record at {MIN_RATE:.0f} Hz or more",
+        )
+    if rate > 1.02 * MAX_RATE:
+        return Finding(
+            "error", "rate_high", f"IMU samples come at {rate:.5g} Hz: record at {MAX_RATE:.0f} Hz or less"
+        )
+    return None
+
+
+def check_mounting(mean_force: Floats, rpy: tuple[float, float, float], small: float) -> Finding | None:
+    """Is ``mean_force`` (3,), the specific force at rest in what the twin file calls ``base_link`` axes,
+    upright? ``rpy`` is the file's; tilts up to ``small`` rad are nobody's business."""
+    tilt = tilt_of(mean_force)
+    if tilt <= small:
+        return None
+    roll, pitch, yaw = matrix_rpy(rpy_matrix(level_rpy(mean_force)) @ rpy_matrix(rpy))
+    degrees = math.degrees(tilt)
+    suggestion = f"imu.rpy: [{roll:.4f}, {pitch:.4f}, {yaw:.4f}]"
+    if tilt > math.radians(150):
+        return Finding(
+            "error",
+            "upside_down",
+            f"the IMU reads {mean_force[2]:+.2f} m/s² along z at rest: it hangs upside down (or its signs are "
+            f"reversed, as iOS has them); turn it over or set {suggestion}",
+        )
+    if tilt > math.radians(45):
+        return Finding(
+            "error",
+            "axes_wrong",
+            f"gravity lies {degrees:.0f}° off z: the sensor's axes are not as the twin file says; set {suggestion} "
+            "(its yaw cannot be told from gravity)",
+        )
+    return Finding(
+        "warn",
+        "tilted",
+        f"the IMU stands {degrees:.1f}° off upright (or the car parks on a slope); if it is the mount, "
+        f"set {suggestion}",
+    )
+
+
+def check_axes(force: Floats, rate: Floats) -> list[Finding]:
+    """Axes of ``force`` and ``rate`` (n, 3) that never change while others do."""
+    found = []
+    for values, name in ((force, "accelerometer"), (rate, "gyro")):
+        still = np.ptp(values, axis=0) == 0.0
+        if len(values) < 50:
+            continue
+        if still.all():
+            word = "gives nothing" if not values.any() else f"is stuck at {values[0].tolist()}"
+            found.append(Finding("error", f"{name}_dead", f"the {name} {word}: check the sensor"))
+        elif still.any():
+            axes = ", ".join("xyz"[k] for k in np.flatnonzero(still))
+            found.append(
+                Finding("error", f"{name}_axis_dead", f"{name} axis {axes} never changes: check the sensor")
+            )
+    return found
+
+
+def saturated_samples(values: Floats, full_scale: float | None = None) -> NDArray[np.bool_]:
+    """(n,) True where any axis of ``values`` (n, 3) sits at the end of its range.
+
+    With ``full_scale`` given that is the range. Without, an axis clips where its extreme value comes,
+    exactly, three times at least and more than twice as often as any of the five values next to it:
+    neither noise nor the steps of a converter do that.
+    """
+    out = np.zeros(len(values), dtype=np.bool_)
+    if not len(values):
+        return out
+    if full_scale is not None:
+        return np.asarray(np.any(np.abs(values) >= 0.9995 * full_scale, axis=1))
+    for axis in values.T:
+        levels, counts = np.unique(axis, return_counts=True)
+        if levels.size < 20:
+            continue
+        for extreme, count, beside in (
+            (levels[-1], counts[-1], counts[-6:-1]),
+            (levels[0], counts[0], counts[1:6]),
+        ):
+            if count >= 3 and count > 2 * beside.max():
+                out |= axis == extreme
+    return out

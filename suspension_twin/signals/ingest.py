@@ -1,0 +1,361 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The live IMU path: message by message to bias-free, filtered signals in ``base_link`` axes."""
+
+from __future__ import annotations
+
+import math
+from collections import Counter
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from suspension_twin.drive.types import Floats
+from suspension_twin.errors import InputError
+from suspension_twin.signals.attitude import level_rpy, normal_gravity, rpy_matrix, tilt_of
+from suspension_twin.signals.checks import (
+    FULL_SCALES,
+    Finding,
+    Units,
+    check_axes,
+    check_mounting,
+    check_rate,
+    check_units,
+    recognise_units,
+)
+from suspension_twin.signals.clock import LiveClock, Stamp
+from suspension_twin.signals.filters import FilterSpec, settle, steady_state
+from suspension_twin.signals.ingest_step import ingest_step
+from suspension_twin.signals.settings import ImuSettings
+from suspension_twin.signals.standstill import MAX_LEAN, is_still, rest_bias
+from suspension_twin.vehicle.twin import Place
+
+__all__ = ["ImuIngest", "ImuSettings", "IngestOutput"]
+
+#: No sensor of a vehicle sends this much, in whatever unit.
+ABSURD = 1.0e5
+Vector = tuple[float, float, float]
+
+
+class IngestOutput(NamedTuple):
+    """One sample, all vectors in ``base_link`` axes at the sensor's place.
+
+    ``t`` s; ``force`` m/s² specific force, bias removed, filtered, gravity kept; ``rate`` rad/s, the same;
+    ``vertical_acceleration`` m/s² filtered, gravity removed; ``raw_force`` and ``raw_rate`` unfiltered,
+    bias removed; ``up`` the unit vector opposite to gravity.
+    """
+
+    t: float
+    force: Vector
+    rate: Vector
+    vertical_acceleration: float
+    raw_force: Vector
+    raw_rate: Vector
+    up: Vector
+
+
+class ImuIngest:
+    """Feed it every message with :meth:`push`; it never raises on one.
+
+    Nothing comes out until the sample rate is known (17 samples). A stamp that is set back (a
+    looped bag) resets everything; one that is a little late or repeated is dropped; a pause restarts
+    the filter. ``findings`` says what is odd, ``counts`` how often what happened.
+    """
+
+    def __init__(self, settings: ImuSettings, place: Place) -> None:
+        self.settings = settings
+        self.place = place
+        self._file_turn = rpy_matrix(place.rpy)
+        self._clock = LiveClock()
+        self._sizes = np.empty((0, 0))
+        self.reset()
+
+    @property
+    def rate(self) -> float | None:
+        """Measured sample rate in Hz, None until it is known."""
+        return self._clock.rate
+
+    @property
+    def standing(self) -> bool:
+        """Whether the last full window says that the vehicle stands."""
+        return self._still_blocks >= 2
+
+    @property
+    def findings(self) -> list[Finding]:
+        """What is odd now, worst first."""
+        order = {"error": 0, "warn": 1, "ok": 2}
+        found = list(self._findings.values())
+        lost = self.counts["invalid"]
+        if lost:
+            found.append(
+                Finding("warn", "invalid", f"{lost} messages with NaN or without a stamp were dropped")
+            )
+        if self.counts["saturated"]:
+            text = f"{self.counts['saturated']} samples sit at the end of the range: set a larger range"
+            found.append(Finding("warn", "saturated", text))
+        return sorted(found, key=lambda f: order[f.level])
+
+    def reset(self) -> None:
+        """Forget everything, as at the start."""
+        self._clock.reset()
+        self.counts: Counter[str] = Counter()
+        self._findings: dict[str, Finding] = {}
+        self._pending: list[tuple[float, ...]] = []
+        self._window: list[tuple[float, ...]] = []
+        self._units: Units = "m/s2"
+        self._doubt = 0
+        self._scale = 1.0
+        self._gravity = normal_gravity(self.settings.latitude)
+        self._max_bias = self.settings.max_bias
+        self._level = np.eye(3)
+        self._bias = np.zeros(9)
+        self._up = np.array([0.0, 0.0, 1.0])
+        self._last = np.zeros(7)
+        self._last_t = math.nan
+        self._block = np.zeros(19)
+        self._soft = np.zeros((3, 6))
+        self._quiet_blocks = 0
+        self._still_blocks = 0
+        self._rest_count = 0.0
+        self._rest_mean = np.zeros(6)
+        self._pending_rest = np.zeros(6)
+        self._designed = math.nan
+        self._turn = np.empty((6, 3))
+        self._update_turn()
+
+    def push(self, t: float, force: Sequence[float], rate: Sequence[float]) -> IngestOutput | None:
+        """One message: ``t`` s, ``force`` (3,) and ``rate`` (3,) in the sensor's axes as they were sent.
+
+        None where nothing can be said: not yet, or the message was dropped.
+        """
+        try:
+            sample = (*map(float, force), *map(float, rate))
+            usable = len(sample) == 6 and all(abs(value) < ABSURD for value in sample)
+            stamp = self._clock.classify(float(t)) if usable else Stamp.INVALID
+        except (TypeError, ValueError):
+            usable, stamp = False, Stamp.INVALID
+        if stamp is Stamp.JUMP_BACK:
+            self.reset()
+            self.counts["resets"] += 1
+            self._clock.classify(t)
+            stamp = Stamp.FIRST
+        if not usable or stamp in (Stamp.INVALID, Stamp.LATE, Stamp.DUPLICATE):
+            self.counts[stamp.value if usable else "invalid"] += 1
+            return None
+        self.counts["samples"] += 1
+        if self._is_clipped(sample):
+            self.counts["saturated"] += 1
+        rate_hz = self._clock.rate
+        if rate_hz is None:
+            if stamp is Stamp.GAP:
+                self._pending.clear()
+            self._pending.append((t, *sample))
+            return None
+        if self._pending:
+            waiting, self._pending = self._pending, []
+            self._start(np.array([*waiting, (t, *sample)]))
+            out = None
+            for row in waiting:
+                self._advance(row[0], row[1:], False)
+        if abs(rate_hz / self._designed - 1.0) > 0.03:
+            self._design(rate_hz)
+        out = self._advance(t, sample, stamp is Stamp.GAP)
+        self._window.append(sample)
+        if len(self._window) >= 2.0 * rate_hz:
+            self._look_at_window()
+        return out
+
+    def _is_clipped(self, sample: tuple[float, ...]) -> bool:
+        largest = max(abs(sample[0]), abs(sample[1]), abs(sample[2])) * self._scale
+        if self.settings.full_scale is not None:
+            if largest >= 0.999 * self.settings.full_scale:
+                return True
+        elif largest > 19.0 and any(abs(largest / full - 1.0) < 5e-4 for full in FULL_SCALES):
+            return True
+        full = self.settings.full_scale_rate
+        return full is not None and max(abs(sample[3]), abs(sample[4]), abs(sample[5])) >= 0.999 * full
+
+    def _advance(self, t: float, sample: tuple[float, ...], gap: bool) -> IngestOutput:
+        dt = t - self._last_t
+        missing = 0
+        if gap or not math.isfinite(dt):
+            missing = -1
+            if gap:
+                self.counts["gaps"] += 1
+                self._block[:] = 0.0
+                self._still_blocks = 0
+            dt = min(dt, 0.5) if math.isfinite(dt) else 0.0
+        elif dt > 1.5 / self._designed:
+            missing = round(dt * self._designed) - 1
+            self.counts["missing"] += missing
+        self._last_t = t
+        out = np.empty(16)
+        gain = (10.0 if self._still_blocks >= 2 else 1.0) / self.settings.attitude_time
+        ingest_step(
+            self._turn,
+            self._bias,
+            self._up,
+            self._sos,
+            self._zi,
+            self._state,
+            self._last,
+            self._soft,
+            self._block,
+            np.array(sample),
+            dt,
+            missing,
+            self._gravity,
+            gain,
+            self._units == "gravity removed",
+            self.settings.restore_gravity,
+            out,
+        )
+        if self._block[0] >= self._block_size:
+            self._end_block()
+        v = out.tolist()
+        return IngestOutput(
+            t,
+            (v[0], v[1], v[2]),
+            (v[3], v[4], v[5]),
+            v[6],
+            (v[7], v[8], v[9]),
+            (v[10], v[11], v[12]),
+            (v[13], v[14], v[15]),
+        )
+
+    def _note(self, code: str, finding: Finding | None) -> None:
+        for known in [k for k in self._findings if k.split(".")[0] == code]:
+            del self._findings[known]
+        if finding is not None:
+            self._findings[f"{code}.{finding.code}"] = finding
+
+    def _design(self, rate_hz: float) -> None:
+        """Filter sections for the measured rate; a cut-off that it cannot carry is lowered, and said."""
+        spec, note = self.settings.filter, None
+        try:
+            self._sos = spec.sections(rate_hz)
+        except InputError as error:
+            cutoff = 0.4 * rate_hz
+            self._sos = FilterSpec(spec.order, cutoff).sections(rate_hz)
+            note = Finding("error", "cutoff", f"{error}; filtering at {cutoff:.3g} Hz meanwhile")
+        self._note("cutoff", note)
+        self._note("rate", check_rate(rate_hz))
+        self._zi = steady_state(self._sos)
+        self._state = np.zeros((self._sos.shape[0], 2, 7))
+        if math.isfinite(self._designed):
+            settle(self._zi, self._state, self._last)
+        self._designed = rate_hz
+        self._block_size = max(round(self.settings.still.window * rate_hz), 8)
+
+    def _start(self, rows: Floats) -> None:
+        """The rate is known: look at the first samples, then run."""
+        assert self._clock.rate is not None
+        self._design(self._clock.rate)
+        self._set_units(recognise_units(rows[:, 1:4]), rows[:, 1:4])
+        mean = self._turn[:3] @ rows[:, 1:4].mean(axis=0)
+        if (
+            abs(float(np.linalg.norm(mean)) / self._gravity - 1.0) < 0.2
+        ):  # a bump says nothing of the mounting
+            self._check_level(mean)
+        body = rows[:, 1:4] @ self._turn[:3].T
+        rates = rows[:, 4:7] @ self._turn[3:].T
+        turn = float(np.abs(rates.mean(axis=0)).max())
+        if is_still(float(body.std(axis=0).max()), float(rates.std(axis=0).max()), turn, self.settings.still):
+            self._learn_rest(np.concatenate([body.mean(axis=0), rates.mean(axis=0)]), 1.0)
+        if self._units != "gravity removed":
+            first = body.mean(axis=0) - self._bias[:3]
+            length = float(np.linalg.norm(first))
+            if length > 1.0:
+                self._up = first / length
+        self._soft[:] = np.concatenate([body[0], rates[0]]) - self._bias[:6]
+        self._block[:] = 0.0
+
+    def _set_units(self, units: Units, force: Floats) -> None:
+        self._units = units
+        length = float(np.linalg.norm(force.mean(axis=0)))
+        self._note("units", check_units(units, length))
+        # A sensor in g that is to be left so is judged in g.
+        in_g = units == "g"
+        self._scale = 9.80665 if in_g and self.settings.convert_units else 1.0
+        unit = 9.80665 if in_g and not self.settings.convert_units else 1.0
+        self._gravity = normal_gravity(self.settings.latitude) / unit
+        self._max_bias = self.settings.max_bias / unit
+        if units == "gravity removed":
+            self._up[:] = (0.0, 0.0, 1.0)
+        self._update_turn()
+
+    def _update_turn(self) -> None:
+        rotation = self._level @ self._file_turn
+        self._turn[:3] = self._scale * rotation
+        self._turn[3:] = rotation
+
+    def _check_level(self, mean: Floats) -> bool:
+        """``mean`` (3,) is the specific force at rest in today's axes; True if they were turned for it."""
+        if self._units == "gravity removed":
+            return False
+        small = self._max_bias / self._gravity
+        self._note("mounting", check_mounting(self._level.T @ mean, self.place.rpy, small))
+        tilt = tilt_of(mean)
+        level = self.settings.level
+        if not ((level == "gross" and tilt > math.pi / 4) or (level == "always" and tilt > small)):
+            return False
+        turn = rpy_matrix(level_rpy(mean))
+        self._level = turn @ self._level
+        self._update_turn()
+        self._up[:] = turn @ self._up
+        self._bias[:] = 0.0
+        self._rest_count = 0.0
+        return True
+
+    def _learn_rest(self, mean: Floats, weight: float) -> None:
+        """Take ``mean`` (6,) of a standing window into the biases; all standstills count alike."""
+        self._rest_count += weight
+        self._rest_mean += (mean - self._rest_mean) * (weight / self._rest_count)
+        if self._units != "gravity removed":
+            self._bias[:3] = rest_bias(self._rest_mean[:3], self._gravity, self._max_bias)
+        else:
+            self._bias[:3] = self._rest_mean[:3]
+        self._bias[3:6] = self._rest_mean[3:6]
+        self._bias[6:9] = 0.0
+
+    def _end_block(self) -> None:
+        """A standstill window is full: judge it. Biases learn from the one before it, which surely
+        holds no moving off."""
+        n = self._block[0]
+        rest = self._block[1:7] / n + self._bias[:6]
+        std = np.sqrt(self._block[7:13] / n)
+        limits = self.settings.still
+        force_std, rate_std, turn = float(std[:3].max()), float(std[3:].max()), float(np.abs(rest[3:]).max())
+        still = is_still(force_std, rate_std, turn, limits)
+        # A steady pull looks still too, but the force leans away from where the gyro has carried the
+        # vertical. A gyro of unknown bias carries it astray: three very quiet seconds count all the same.
+        lean = float(np.linalg.norm((self._block[1:3] / n) / self._gravity - self._up[:2]))
+        very_quiet = still and force_std < 0.5 * limits.force and rate_std < 0.5 * limits.rate
+        self._quiet_blocks = self._quiet_blocks + 1 if very_quiet and lean < 0.1 else 0
+        if self._units != "gravity removed" and lean > MAX_LEAN:
+            still = self._quiet_blocks * limits.window >= 3.0
+        if not still:
+            self._still_blocks = 0
+        else:
+            self._still_blocks += 1
+            if self._still_blocks >= 2:
+                if self._check_level(self._pending_rest[:3]):
+                    self._still_blocks = 0  # what was gathered is in the old axes
+                else:
+                    self._learn_rest(self._pending_rest, n)
+            self._pending_rest = rest
+        self._block[:] = 0.0
+
+    def _look_at_window(self) -> None:
+        """Every two seconds: are the units still what they seemed, is an axis dead?"""
+        rows = np.array(self._window)
+        self._window.clear()
+        dead = check_axes(rows[:, :3], rows[:, 3:])
+        self._note("axes", dead[0] if dead else None)
+        units = recognise_units(rows[:, :3])
+        self._doubt = self._doubt + 1 if units != self._units and units != "unknown" else 0
+        if self._doubt >= 2:
+            self._set_units(units, rows[:, :3])
+            self._bias[:] = 0.0
+            self._rest_count = 0.0
+            self._doubt = 0

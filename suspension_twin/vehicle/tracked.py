@@ -1,0 +1,269 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The file of a tracked vehicle in its plane of symmetry, after the tracked paper.
+
+The paper's axes (mm, x backwards, y up, from marker C) are kept for what it prints in them: the
+markers and the setting x_kn of the idler. Everything else is in m, x forwards and z up from the
+axis of the sprocket, at which marker C is taken to be.
+"""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+from typing import Annotated, Any, Final
+
+import yaml
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationError, model_validator
+
+from suspension_twin.errors import InputError
+
+__all__ = [
+    "BOUNDS",
+    "Obstacle",
+    "Station",
+    "Track",
+    "TrackedVehicle",
+    "load_tracked",
+    "parse_tracked",
+]
+
+#: Bounds (10) to (14) of the five parameters, in the order of (9): k_gl, k_g_phi, b_gl, b_g_phi, x_kn.
+BOUNDS: Final[dict[str, tuple[float, float]]] = {
+    "track.stiffness": (1.0e5, 1.0e9),
+    "track.bending_stiffness": (10.0, 1.0e5),
+    "track.damping": (1.0, 1.0e6),
+    "track.bending_damping": (1.0, 1.0e5),
+    "idler.setting": (-5590.0, -5550.0),
+}
+
+
+def _between(low: float, high: float, unit: str, hint: str = "") -> AfterValidator:
+    def check(value: float) -> float:
+        if not (math.isfinite(value) and low <= value <= high):
+            tail = f" ({hint})" if hint else ""
+            raise ValueError(f"must lie between {low:g} and {high:g} {unit}, is {value:g}{tail}")
+        return value
+
+    return AfterValidator(check)
+
+
+def _bounded(key: str, unit: str) -> AfterValidator:
+    return _between(*BOUNDS[key], unit)
+
+
+Length = Annotated[float, _between(0.01, 12.0, "m", "is it in mm?")]
+Place = Annotated[float, _between(-12.0, 12.0, "m", "is it in mm?")]
+PaperPlace = Annotated[float, _between(-12_000.0, 12_000.0, "mm")]
+Angle = Annotated[float, _between(-1.2, 1.2, "rad", "is it in degrees?")]
+
+
+class _Strict(BaseModel):
+    model_config = ConfigDict(extra="forbid", frozen=True, validate_default=True)
+
+
+class Markers(_Strict):
+    """Markers on the hull in the paper's axes, mm, front to rear."""
+
+    A: tuple[PaperPlace, PaperPlace]
+    B: tuple[PaperPlace, PaperPlace]
+    C: tuple[PaperPlace, PaperPlace]
+
+    @model_validator(mode="after")
+    def _in_order(self) -> Markers:
+        if not self.A[0] < self.B[0] < self.C[0]:
+            raise ValueError(
+                "must stand front to rear, A before B before C (rising x), "
+                f"are {self.A[0]:g}, {self.B[0]:g}, {self.C[0]:g}"
+            )
+        return self
+
+
+class Sprocket(_Strict):
+    position: tuple[Place, Place] = (0.0, 0.0)
+    radius: Length
+
+
+class Idler(_Strict):
+    """``setting`` is x_kn, eq. (14); ``taut_at`` is the setting at which the tension begins."""
+
+    height: Place
+    radius: Length
+    setting: Annotated[float, _bounded("idler.setting", "mm")]
+    taut_at: Annotated[float, _between(-5700.0, -5450.0, "mm")]
+
+
+class Track(_Strict):
+    """Stiffness and damping are those of the joint between two links, eqs (10) to (13)."""
+
+    links: Annotated[int, Field(ge=20, le=400)]
+    pitch: Annotated[float, _between(0.05, 0.4, "m")]
+    thickness: Annotated[float, _between(0.0, 0.2, "m")]
+    link_mass: Annotated[float, _between(1.0, 200.0, "kg")]
+    stiffness: Annotated[float, _bounded("track.stiffness", "N/m")]
+    damping: Annotated[float, _bounded("track.damping", "N s/m")]
+    bending_stiffness: Annotated[float, _bounded("track.bending_stiffness", "N m/rad")]
+    bending_damping: Annotated[float, _bounded("track.bending_damping", "N m s/rad")]
+
+
+class Wheel(_Strict):
+    """``mass`` has the outer half of the arm; ``rubber`` is N/m, its damping N s/m, per m of contact."""
+
+    radius: Annotated[float, _between(0.1, 1.0, "m")]
+    mass: Annotated[float, _between(10.0, 2000.0, "kg")]
+    rubber: Annotated[float, _between(1.0e6, 3.0e8, "N/m²")]
+    rubber_damping: Annotated[float, _between(0.0, 1.0e5, "N s/m²")]
+
+
+class Arm(_Strict):
+    """Angles below the horizontal of the hull, the wheel behind its pivot.
+
+    The pivots are placed so that the wheels are where ``stations`` says at ``standing_angle``.
+    """
+
+    length: Annotated[float, _between(0.1, 1.0, "m")]
+    standing_angle: Angle
+    free_angle: Angle
+    stiffness: Annotated[float, _between(1.0e3, 2.0e6, "N m/rad")]
+    jounce_stop: Angle
+    rebound_stop: Angle
+    stop_stiffness: Annotated[float, _between(1.0e4, 5.0e6, "N m/rad")]
+
+    @model_validator(mode="after")
+    def _check(self) -> Arm:
+        if not self.jounce_stop < self.free_angle <= self.rebound_stop:
+            raise ValueError("free_angle: must lie between jounce_stop and rebound_stop")
+        return self
+
+
+class Station(_Strict):
+    """A road wheel: ``x`` of its axis on the standing vehicle; ``sag`` of its torsion bar in rad."""
+
+    x: Place
+    damping: Annotated[float, _between(0.0, 1.0e6, "N m s/rad")] = 0.0
+    sag: Annotated[float, _between(-0.2, 0.3, "rad")] = 0.0
+
+
+class Ground(_Strict):
+    stiffness: Annotated[float, _between(1.0e6, 3.0e8, "N/m²")]
+    damping: Annotated[float, _between(0.0, 1.0e5, "N s/m²")]
+
+
+class Obstacle(_Strict):
+    """A trapezoid across the way: ``ramp`` up, ``top``, ``ramp`` down, m."""
+
+    height: Annotated[float, _between(0.0, 2.0, "m", "is it in mm?")]
+    ramp: Annotated[float, _between(0.05, 50.0, "m")]
+    top: Annotated[float, _between(0.0, 50.0, "m")]
+
+    @property
+    def length(self) -> float:
+        return 2 * self.ramp + self.top
+
+
+class TrackedVehicle(_Strict):
+    name: str = "tracked vehicle"
+    mass: Annotated[float, _between(1000.0, 100_000.0, "kg", "is it in t?")]
+    cog: tuple[Place, Place]
+    gyration: Annotated[float, _between(0.3, 6.0, "m")]
+    markers: Markers
+    sprocket: Sprocket
+    idler: Idler
+    track: Track
+    wheel: Wheel
+    arm: Arm
+    stations: Annotated[tuple[Station, ...], Field(min_length=2, max_length=12)]
+    wheel_height: Place
+    ground: Ground
+    obstacle: Obstacle
+
+    @model_validator(mode="after")
+    def _check(self) -> TrackedVehicle:
+        xs = [s.x for s in self.stations]
+        if any(b >= a for a, b in zip(xs, xs[1:], strict=False)):
+            raise ValueError(f"stations: x must fall from front to rear, is {xs}")
+        if not self.sprocket.position[0] < xs[-1] < xs[0] < -self.idler.setting / 1000:
+            raise ValueError("stations: must lie between sprocket and idler")
+        if not xs[-1] < self.cog[0] < xs[0]:
+            raise ValueError(f"cog: x must lie between the outer wheels, is {self.cog[0]:g}")
+        if self.hull_mass <= 0.3 * self.mass / 2:
+            raise ValueError(f"mass: {self.mass:g} kg leaves no hull above its wheels and tracks")
+        if self.obstacle.height > self.approach_height:
+            raise ValueError(
+                f"obstacle.height: {self.obstacle.height:g} m cannot be passed, the idler's axis stands "
+                f"{self.approach_height:.2f} m above the ground; make it lower"
+            )
+        if self.obstacle.height / self.obstacle.ramp > 1.0:
+            raise ValueError(
+                f"obstacle.ramp: {self.obstacle.ramp:g} m for {self.obstacle.height:g} m of height is steeper "
+                "than 45 degrees, which the vehicle cannot climb; make it longer"
+            )
+        return self
+
+    @property
+    def hull_mass(self) -> float:
+        """Half of the sprung mass without wheels and track, kg."""
+        return self.mass / 2 - len(self.stations) * self.wheel.mass - self.track.links * self.track.link_mass
+
+    @property
+    def ground_height(self) -> float:
+        """Ground under the standing vehicle from the sprocket's axis, m (below 0)."""
+        return self.wheel_height - self.wheel.radius - self.track.thickness
+
+    @property
+    def approach_height(self) -> float:
+        """Height of the idler's axis above the ground, m."""
+        return self.idler.height - self.ground_height
+
+    def with_changes(self, changes: dict[str, float]) -> TrackedVehicle:
+        """A checked copy with dotted keys replaced: ``{"track.stiffness": 1e7, "stations.0.damping": 0}``."""
+        data: Any = self.model_dump(mode="json")
+        for key, value in changes.items():
+            node = data
+            *path, last = key.split(".")
+            try:
+                for part in path:
+                    node = node[int(part)] if isinstance(node, list) else node[part]
+                if isinstance(node, list):
+                    node[int(last)] = value
+                elif last in node:
+                    node[last] = value
+                else:
+                    raise KeyError(last)
+            except (KeyError, IndexError, ValueError, TypeError):
+                raise InputError("tracked vehicle", key, "no such key") from None
+        return parse_tracked(data)
+
+    def with_dampers(self, damping: float) -> TrackedVehicle:
+        """Every station that has a damper gets this one, N m s/rad (Table 1)."""
+        return self.with_changes(
+            {f"stations.{i}.damping": damping for i, s in enumerate(self.stations) if s.damping > 0}
+        )
+
+
+def parse_tracked(data: Any, source: str | Path = "tracked vehicle") -> TrackedVehicle:
+    """Check what a file holds; InputError names source and key."""
+    if not isinstance(data, dict):
+        raise InputError(source, "not the file of a tracked vehicle: a mapping is expected")
+    try:
+        return TrackedVehicle.model_validate(data)
+    except ValidationError as error:
+        first = error.errors(include_url=False)[0]
+        text = str(first["msg"]).removeprefix("Value error, ")
+        if first["type"] == "missing":
+            text = "is missing"
+        elif first["type"] == "extra_forbidden":
+            text = "is not a key of this file"
+        key = ".".join(str(part) for part in first["loc"])
+        raise InputError(*(p for p in (str(source), key, text) if p)) from None
+
+
+def load_tracked(path: str | Path) -> TrackedVehicle:
+    """Read and check a file such as ``config/tracked/pt91.yaml``; InputError names file and key."""
+    path = Path(path)
+    try:
+        data = yaml.safe_load(path.read_text(encoding="utf-8"))
+    except OSError as error:
+        raise InputError(path, error.strerror or "cannot be read") from None
+    except (UnicodeDecodeError, yaml.YAMLError):
+        raise InputError(path, "not YAML") from None
+    return parse_tracked(data, path)

@@ -1,0 +1,344 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The twin file: one vehicle, its sensors, its road and the effects added to its model.
+
+``load_twin`` and ``save_twin`` are the only ways in and out. Whatever is wrong with a file is
+one :class:`~suspension_twin.errors.InputError` that names the file and the key.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+import numpy as np
+import yaml
+from pydantic import (
+    AfterValidator,
+    BaseModel,
+    ConfigDict,
+    Field,
+    ValidationError,
+    field_validator,
+    model_validator,
+)
+
+from suspension_twin.drive.types import Floats
+from suspension_twin.errors import InputError
+
+__all__ = [
+    "Axle",
+    "Damper",
+    "Datum",
+    "EffectSpec",
+    "Place",
+    "RoadFile",
+    "Spring",
+    "Twin",
+    "Tyre",
+    "Vehicle",
+    "load_twin",
+    "parse_twin",
+    "save_twin",
+]
+
+G = 9.80665  # m/s², standard gravity
+
+
+def _finite(value: float) -> float:
+    if not math.isfinite(value):
+        raise ValueError("must be a finite number")
+    return value
+
+
+def _within(low: float, high: float, unit: str, hint: str = "") -> AfterValidator:
+    """A bound that no road vehicle leaves; outside it the unit is wrong, and that is said."""
+
+    def check(value: float) -> float:
+        _finite(value)
+        if not low <= value <= high:
+            tail = f" ({hint})" if hint else ""
+            raise ValueError(f"must lie between {low:g} and {high:g} {unit}, is {value:g}{tail}")
+        return value
+
+    return AfterValidator(check)
+
+
+Length = Annotated[float, _within(0.3, 12.0, "m", "is it in mm?")]
+Coordinate = Annotated[float, _within(-20.0, 20.0, "m", "is it in mm?")]
+Angle = Annotated[float, _within(-2 * math.pi, 2 * math.pi, "rad", "is it in degrees?")]
+Mass = Annotated[float, _within(50.0, 100_000.0, "kg", "is it in t?")]
+WheelMass = Annotated[float, _within(2.0, 2_000.0, "kg")]
+Inertia = Annotated[float, _within(10.0, 1.0e6, "kg m²")]
+Radius = Annotated[float, _within(0.1, 1.5, "m", "is it in mm?")]
+TyreStiffness = Annotated[float, _within(1.0e4, 1.0e7, "N/m", "is it in N/mm?")]
+
+
+class _Strict(BaseModel):
+    model_config = ConfigDict(extra="forbid", frozen=True, validate_default=True)
+
+
+class _Characteristic(_Strict):
+    """Piecewise linear through (0, 0) and its points, going on with its last slope."""
+
+    @staticmethod
+    def _checked(name: str, x: tuple[float, ...], force: tuple[float, ...], largest: float) -> None:
+        if len(x) < 1 or len(x) > 32:
+            raise ValueError(f"{name}: needs 1 to 32 points, has {len(x)}")
+        if len(force) != len(x):
+            raise ValueError(f"force: has {len(force)} points for {len(x)} of {name}")
+        for key, values in ((name, x), ("force", force)):
+            if not all(math.isfinite(v) for v in values):
+                raise ValueError(f"{key}: must be finite numbers, are {list(values)}")
+        if x[0] <= 0 or any(b <= a for a, b in zip(x, x[1:], strict=False)):
+            raise ValueError(f"{name}: must rise from above 0, is {list(x)}")
+        if force[0] < 0 or any(b < a for a, b in zip(force, force[1:], strict=False)):
+            raise ValueError(f"force: must not be negative or fall, is {list(force)}")
+        if x[-1] > largest:
+            raise ValueError(f"{name}: {x[-1]:g} is beyond {largest:g}: wrong unit?")
+        if force[-1] > 2.0e6:
+            raise ValueError(f"force: {force[-1]:g} N is beyond 2e6 N: wrong unit?")
+
+
+class Spring(_Characteristic):
+    """Force at the wheel in N over the compression in m, counted from the free length."""
+
+    compression: tuple[float, ...]
+    force: tuple[float, ...]
+
+    @model_validator(mode="after")
+    def _check(self) -> Spring:
+        self._checked("compression", self.compression, self.force, 3.0)
+        if self.force[-1] <= 0:
+            raise ValueError("force: a spring without force cannot carry the vehicle")
+        return self
+
+    @property
+    def points(self) -> tuple[Floats, Floats]:
+        """Abscissae in m and forces in N, both (k,)."""
+        return np.array(self.compression), np.array(self.force)
+
+
+class Damper(_Characteristic):
+    """Force at the wheel in N over the speed in m/s, one direction, both counted positive."""
+
+    velocity: tuple[float, ...]
+    force: tuple[float, ...]
+
+    @model_validator(mode="after")
+    def _check(self) -> Damper:
+        self._checked("velocity", self.velocity, self.force, 20.0)
+        return self
+
+    @property
+    def points(self) -> tuple[Floats, Floats]:
+        """Abscissae in m/s and forces in N, both (k,)."""
+        return np.array(self.velocity), np.array(self.force)
+
+
+class Axle(_Strict):
+    """One axle: everything for one wheel, forces at the wheel."""
+
+    unsprung_mass: WheelMass
+    spring: Spring
+    damper_push: Damper
+    damper_pull: Damper
+
+
+class Tyre(_Strict):
+    radius: Radius
+    vertical_stiffness: TyreStiffness
+
+
+class SprungInertia(_Strict):
+    """Moments of inertia of the sprung mass about its own centre of gravity, kg m²."""
+
+    roll: Inertia
+    pitch: Inertia
+
+
+class Vehicle(_Strict):
+    """Masses and geometry, ``mass`` and ``cog`` of the whole vehicle with all on board."""
+
+    name: str = "vehicle"
+    mass: Mass
+    wheelbase: Length
+    front_track: Length
+    rear_track: Length
+    cog: tuple[Coordinate, Coordinate, Coordinate]
+    sprung_inertia: SprungInertia
+    tyre: Tyre
+    front: Axle
+    rear: Axle
+
+    @model_validator(mode="after")
+    def _check(self) -> Vehicle:
+        if not 0 < self.cog[0] < self.wheelbase:
+            raise ValueError(f"cog: x must lie between the axles (0 to {self.wheelbase:g} m), is {self.cog[0]:g}")
+        if abs(self.cog[1]) >= min(self.front_track, self.rear_track) / 2:
+            raise ValueError(f"cog: y must lie between the wheels, is {self.cog[1]:g}")
+        if not 0 < self.cog[2] < 5:
+            raise ValueError(f"cog: z must lie above the ground, is {self.cog[2]:g}")
+        unsprung = 2 * (self.front.unsprung_mass + self.rear.unsprung_mass)
+        if unsprung >= 0.6 * self.mass:
+            raise ValueError(f"mass: {self.mass:g} kg leaves no sprung mass above {unsprung:g} kg of wheels")
+        return self
+
+    @property
+    def wheel_positions(self) -> Floats:
+        """(4, 2) x and y of the wheel centres in ``base_link``, corners in the usual order."""
+        f, r, b = self.front_track / 2, self.rear_track / 2, self.wheelbase
+        return np.array([[b, f], [b, -f], [0.0, r], [0.0, -r]])
+
+
+class Place(_Strict):
+    """Where a sensor sits in ``base_link``: ``position`` m, ``rpy`` rad (z-y-x Euler angles)."""
+
+    frame: str = "imu_link"
+    position: tuple[Coordinate, Coordinate, Coordinate] = (0.0, 0.0, 0.0)
+    rpy: tuple[Angle, Angle, Angle] = (0.0, 0.0, 0.0)
+
+
+class Datum(_Strict):
+    """Origin of ``map`` on WGS 84, degrees and m."""
+
+    latitude: Annotated[float, _within(-90, 90, "degrees")]
+    longitude: Annotated[float, _within(-180, 180, "degrees")]
+    altitude: Annotated[float, _within(-1000, 20_000, "m")] = 0.0
+
+
+class RoadFile(_Strict):
+    file: Path
+
+
+class EffectSpec(_Strict):
+    """One effect added to the model: its id and the parameters that differ from neutral."""
+
+    id: str
+    parameters: dict[str, float] = Field(default_factory=dict)
+
+    @field_validator("parameters")
+    @classmethod
+    def _all_finite(cls, value: dict[str, float]) -> dict[str, float]:
+        for key, number in value.items():
+            if not math.isfinite(number):
+                raise ValueError(f"{key}: must be a finite number")
+        return value
+
+
+class Twin(_Strict):
+    """One digital twin as its file describes it. Immutable: use ``with_changes``."""
+
+    model: Literal["full_car", "msd"] = "full_car"
+    effects: tuple[EffectSpec, ...] = ()
+    vehicle: Vehicle
+    imu: Place
+    gps: Place = Place(frame="gps_link")
+    datum: Datum | None = None
+    road: RoadFile | None = None
+
+    @field_validator("effects")
+    @classmethod
+    def _once(cls, value: tuple[EffectSpec, ...]) -> tuple[EffectSpec, ...]:
+        ids = [e.id for e in value]
+        for name in ids:
+            if ids.count(name) > 1:
+                raise ValueError(f"{name} is listed more than once")
+        return value
+
+    def with_changes(self, changes: dict[str, Any]) -> Twin:
+        """A checked copy with dotted keys replaced: ``{"vehicle.mass": 1700.0}``.
+
+        Points of a characteristic are addressed by index: ``vehicle.front.spring.force.2``.
+        Raises InputError that names the key.
+        """
+        data = self.model_dump(mode="python")
+        for key, value in changes.items():
+            _assign(data, key, value)
+        return parse_twin(data, source="twin")
+
+
+def _assign(data: Any, key: str, value: Any) -> None:
+    *path, last = key.split(".")
+    node = data
+    try:
+        for part in path:
+            if isinstance(node, dict) and isinstance(node[part], tuple):
+                node[part] = list(node[part])
+            node = node[int(part)] if isinstance(node, list) else node[part]
+        if isinstance(node, list):
+            node[int(last)] = value
+        elif last in node:
+            node[last] = value
+        else:
+            raise KeyError(last)
+    except (KeyError, IndexError, ValueError, TypeError):
+        raise InputError("twin", key, "no such key") from None
+
+
+def _key(location: Iterable[int | str]) -> str:
+    text = ""
+    for part in location:
+        text += f"[{part}]" if isinstance(part, int) else f".{part}" if text else part
+    return text
+
+
+def parse_twin(data: Any, source: str | Path = "twin") -> Twin:
+    """Check ``data`` (the mapping a twin file holds); raise InputError naming source and key."""
+    if not isinstance(data, dict):
+        raise InputError(source, "not a twin file: a mapping with 'vehicle' and 'imu' is expected")
+    try:
+        return Twin.model_validate(data)
+    except ValidationError as error:
+        first = error.errors(include_url=False)[0]
+        text = str(first["msg"]).removeprefix("Value error, ")
+        if first["type"] == "missing":
+            text = "is missing"
+        elif first["type"] == "extra_forbidden":
+            text = "is not a key of a twin file"
+        elif not isinstance(first.get("input"), dict) and first["type"] != "value_error":
+            text = f"{text[0].lower()}{text[1:]}, is {first.get('input')!r}"
+        more = error.error_count() - 1
+        if more:
+            text += f" (and {more} more)"
+        key = _key(first["loc"])
+        raise InputError(*(p for p in (str(source), key, text) if p)) from None
+
+
+def load_twin(path: str | Path) -> Twin:
+    """Read and check a twin file; ``road.file`` comes back absolute.
+
+    Raises InputError that names the file and the key.
+    """
+    path = Path(path)
+    try:
+        data = yaml.safe_load(path.read_text(encoding="utf-8"))
+    except OSError as error:
+        raise InputError(path, error.strerror or "cannot be read") from None
+    except UnicodeDecodeError:
+        raise InputError(path, "not a text file") from None
+    except yaml.YAMLError as error:
+        mark = getattr(error, "problem_mark", None)
+        where = f"line {mark.line + 1}: " if mark else ""
+        raise InputError(path, f"{where}{getattr(error, 'problem', None) or 'not YAML'}") from None
+    twin = parse_twin(data, source=path)
+    if twin.road is not None and not twin.road.file.is_absolute():
+        road = RoadFile(file=(path.parent / twin.road.file).resolve())
+        twin = twin.model_copy(update={"road": road})
+    return twin
+
+
+def save_twin(twin: Twin, path: str | Path) -> None:
+    """Write a twin file that ``load_twin`` reads back equal; the road is kept relative if it can be."""
+    path = Path(path)
+    data = twin.model_dump(mode="json", exclude_none=True)
+    if twin.road is not None:
+        folder = path.parent.resolve()
+        road = twin.road.file
+        if road.is_absolute() and road.is_relative_to(folder):
+            road = road.relative_to(folder)
+        data["road"] = {"file": road.as_posix()}
+    path.parent.mkdir(parents=True, exist_ok=True)
+    text = yaml.safe_dump(data, sort_keys=False, default_flow_style=None, width=100)
+    path.write_text(text, encoding="utf-8")

@@ -1,0 +1,318 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Whole calibrations of drives whose truth is known: what comes out, stopping, resuming, threads."""
+
+from __future__ import annotations
+
+import os
+import pickle
+import subprocess
+import sys
+import time
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import yaml
+
+from suspension_twin.calibration.identify import profile
+from suspension_twin.calibration.likelihood import Likelihood
+from suspension_twin.calibration.output import details_path, write_result
+from suspension_twin.calibration.problem import FitProblem
+from suspension_twin.calibration.request import CalibrationRequest, CalibrationResult, Progress
+from suspension_twin.calibration.run import calibrate
+from suspension_twin.calibration.setup import set_up
+from suspension_twin.calibration.space import curve_keys, twin_value
+from suspension_twin.calibration.squares import full_precision
+from suspension_twin.drive.read import read_drive
+from suspension_twin.errors import InputError
+from suspension_twin.gap.prepare import prepare
+from suspension_twin.models.simulate import simulate_twin
+from suspension_twin.vehicle.twin import load_twin
+
+
+@pytest.fixture(scope="module")
+def fast(rough_case: Any) -> tuple[CalibrationResult, list[Progress]]:
+    seen: list[Progress] = []
+    request = CalibrationRequest(rough_case.twin, (rough_case.bag("one"),), seed=1)
+    return calibrate(request, seen.append), seen
+
+
+def truth_of(case: Any, result: CalibrationResult) -> dict[str, float]:
+    return {e.key: float(twin_value(case.truth, e.key)) for e in result.estimates}
+
+
+# -- what comes out --------------------------------------------------------------------------------
+
+
+def test_a_drive_not_seen_is_left_with_the_noise(rough_case: Any, fast: Any) -> None:
+    result, _ = fast
+    there = prepare(read_drive(rough_case.bag("two")), result.twin)
+    ours, true = (there.gap(there.condition(simulate_twin(t, there.excitation))).rms for t in (result.twin, rough_case.truth))
+    before = there.gap(there.condition(simulate_twin(rough_case.start, there.excitation))).rms
+    assert ours < 1.1 * true
+    assert before > 2 * true
+
+
+def test_forces_are_found_and_intervals_hold_them(rough_case: Any, fast: Any) -> None:
+    result, _ = fast
+    truth = truth_of(rough_case, result)
+    told = [e for e in result.estimates if e.determined and ".force." in e.key]
+    assert len(told) >= 15
+    assert np.median([abs(e.value / truth[e.key] - 1) for e in told]) < 0.05
+    assert np.mean([e.low <= truth[e.key] <= e.high for e in told]) > 0.7
+    assert all(e.lower <= e.value <= e.upper and not e.on_bound for e in told)
+    inertia = {e.key: e for e in result.estimates}["vehicle.sprung_inertia.pitch"]
+    assert inertia.value == pytest.approx(2600.0, rel=0.03)
+
+
+def test_what_the_drive_did_not_reach_is_marked_and_stays_near_the_start(rough_case: Any, fast: Any) -> None:
+    result, _ = fast
+    spans = {c.key: c.span for c in result.curves}
+    for e in result.estimates:
+        curve, _, index = e.key.rpartition(".force.")
+        if not curve:
+            continue
+        _, axle, part = curve.split(".")
+        x = getattr(getattr(rough_case.truth.vehicle, axle), part).points[0][int(index)]
+        assert e.excited == (spans[curve][0] <= x <= spans[curve][1])
+    last = {e.key: e for e in result.estimates}["vehicle.front.spring.force.3"]
+    assert not last.excited and not last.determined and last.high > 1.3 * last.low
+    assert last.start / 1.5 < last.value < last.start * 1.5
+    assert all(np.all(c.low <= c.high) and np.all(np.diff(c.force) >= 0) for c in result.curves)
+
+
+def test_nuisances_are_reported_apart(fast: Any) -> None:
+    result, _ = fast
+    found = {n.name: n for n in result.nuisances}
+    assert {"map_position", "gain", "one.clock_offset", "one.bias.pitch_rate"} <= set(found)
+    assert abs(found["one.clock_offset"].value) < 0.01 and found["one.clock_offset"].sigma < 0.005
+    assert found["gain"].unit == "" and found["one.bias.pitch_rate"].unit == "rad/s"
+
+
+def test_progress_names_its_stages_in_order(fast: Any) -> None:
+    result, seen = fast
+    stages = list(dict.fromkeys(p.stage for p in seen))
+    assert stages == ["reading", "search", "refine", "writing"]
+    counted = [p.evaluations for p in seen if p.stage in ("search", "refine")]
+    assert counted == sorted(counted) and len(counted) == result.generations == len(result.history)
+    assert seen[-1].best_cost == pytest.approx(result.cost, rel=0.05)
+
+
+def test_a_request_and_a_result_can_be_sent_to_another_process(fast: Any, rough_case: Any) -> None:
+    request = CalibrationRequest(rough_case.twin, ("x",), bounds=(("vehicle.mass", 1.0, 2.0),))
+    assert pickle.loads(pickle.dumps(request)) == request
+    again = pickle.loads(pickle.dumps(fast[0]))
+    assert again.estimates == fast[0].estimates and again.twin == fast[0].twin
+
+
+def test_clock_and_map_offsets_are_found_and_not_taken_for_physics(rough_case: Any, mondeo: Any, tmp_path: Path) -> None:
+    from suspension_twin.drive.write import write_drive
+    from suspension_twin.gap.synthetic import SensorErrors, synthetic_drive
+    from suspension_twin.road import load_road
+
+    road = load_road(rough_case.folder / "road.crg")
+    errors = SensorErrors(clock_offset=0.06, force_bias=(0.0, 0.0, 0.03))
+    knots = [(0, 0), (3.2, 0), (6, 7), (16, 7), (19, 0), (20.5, 0)]
+    write_drive(synthetic_drive(mondeo, road, knots, seed=9, errors=errors, name="late"), tmp_path / "late")
+    result = calibrate(CalibrationRequest(rough_case.twin, (str(tmp_path / "late"),)))
+    found = {n.name: n for n in result.nuisances}
+    moved = found["late.clock_offset"].value + found["map_position"].value / 7.0
+    before = [w for w in result.warnings if "clock" in w]
+    total = moved + (float(before[0].split("read ")[1].split(" s")[0]) if before else 0.0)
+    assert total == pytest.approx(-0.06, abs=0.01)  # the IMU is late: the pose has to be read earlier
+    truth = truth_of(rough_case, result)
+    told = [e for e in result.estimates if e.determined and ".force." in e.key]
+    assert np.median([abs(e.value / truth[e.key] - 1) for e in told]) < 0.08
+
+
+def test_the_paper_preset_searches_table_2_with_its_budget(pass_case: Any) -> None:
+    result = calibrate(CalibrationRequest(pass_case.twin, (pass_case.bag("pass"),), preset="paper", max_generations=25))
+    assert len(result.estimates) == 24
+    assert result.estimates[0].lower == 500.0 and result.estimates[-1].upper == 6000.0
+    searched = 100 + 85 * 25
+    assert searched < result.evaluations <= searched + 2242
+    assert result.cost < 0.4 * result.initial_cost
+    assert result.objective == "euclidean"
+    best = result.history[:, 1]
+    assert np.all(np.diff(best) <= 0)
+    rest = [(n.name, n.value) for n in result.nuisances if not n.name.endswith("clock_offset")]
+    assert all(v == 0.0 for _, v in rest)
+
+
+def test_fast_needs_a_tenth_of_the_papers_evaluations(pass_case: Any) -> None:
+    bags, channel = (pass_case.bag("pass"),), (("vertical_acceleration", 1.0),)
+    paper = calibrate(CalibrationRequest(pass_case.twin, bags, preset="paper", seed=2))
+    keys = curve_keys(load_twin(pass_case.twin))
+    same = CalibrationRequest(pass_case.twin, bags, seed=2, objective="euclidean", channels=channel, free=keys)
+    fast = calibrate(same)
+    there = fast.history[fast.history[:, 1] <= paper.cost]
+    assert len(there) and there[0, 0] <= 0.1 * paper.evaluations
+
+
+@pytest.mark.parametrize("objective", ["correlation", "mse+0.2*spectral", "iso18571"])
+def test_other_objectives_go_down(rough_case: Any, objective: str) -> None:
+    few = ("vehicle.front.damper_push.force.0", "vehicle.rear.damper_pull.force.0")
+    request = CalibrationRequest(
+        rough_case.twin, (rough_case.bag("two"),), objective=objective, channels=(("vertical_acceleration", 1.0),),
+        free=few, max_generations=2 if objective == "iso18571" else 6,
+    )  # fmt: skip
+    result = calibrate(request)
+    assert result.cost < result.initial_cost and result.objective == objective
+    assert {e.key for e in result.estimates} == set(few)
+
+
+def test_effects_and_masses_can_be_freed_and_curves_frozen(rough_case: Any) -> None:
+    request = CalibrationRequest(
+        rough_case.twin, (rough_case.bag("two"),), free=("vehicle.front.damper_pull",),
+        also=("effects.tyre_damping", "vehicle.mass"), freeze=("vehicle.front.damper_pull.force.3",),
+        bounds=(("vehicle.mass", 1700.0, 1750.0),), max_generations=4,
+    )  # fmt: skip
+    result = calibrate(request)
+    keys = [e.key for e in result.estimates]
+    assert keys[:4] == [*(f"vehicle.front.damper_pull.force.{i}" for i in range(3)), "effects.tyre_damping.front"] or (
+        "effects.tyre_damping" in keys[3]
+    )
+    assert [e.id for e in result.twin.effects] == ["tyre_damping"]
+    assert 1700.0 <= result.twin.vehicle.mass <= 1750.0
+    assert result.twin.vehicle.front.damper_pull.force[3] == rough_case.start.vehicle.front.damper_pull.force[3]
+
+
+# -- intervals -------------------------------------------------------------------------------------
+
+
+def test_laplace_agrees_with_the_profile_likelihood(rough_case: Any, fast: Any) -> None:
+    result, _ = fast
+    setup = set_up(CalibrationRequest(rough_case.twin, (rough_case.bag("one"),)), lambda n: None, lambda: False)
+    problem, space = setup.problem, setup.space
+    d = len(space)
+    values = np.array([e.value for e in result.estimates])
+    nuisance = np.array([n.value for n in result.nuisances])
+    x = np.concatenate([space.to_slopes(values), nuisance])
+    signals, _ = problem.simulate(values[:, None])
+    likelihood = Likelihood.fitted(problem.measured, problem.compared(signals, nuisance[:, None])[:, :, 0])
+    precision = full_precision(problem)
+    residual, jacobian, _ = FitProblem(problem, likelihood.residuals).linearise(x)
+    covariance = np.linalg.inv(jacobian.T @ jacobian + precision)
+    for key in ("vehicle.front.damper_push.force.0", "vehicle.rear.damper_pull.force.1", "vehicle.sprung_inertia.pitch"):
+        row = space.keys.index(key)
+        sigma = float(np.sqrt(covariance[row, row]))
+        rises = profile(problem, likelihood, x, precision, row, np.array([-2.0, 0.0, 2.0]) * sigma)
+        assert rises[1] < 0.5
+        # a parabola rises by 4 at two standard deviations
+        assert 2.0 < rises[0] < 7.5 and 2.0 < rises[2] < 7.5
+    assert d + len(problem.nuisances) == x.size and residual.size > 0
+
+
+# -- stopping and going on -------------------------------------------------------------------------
+
+
+def test_stopping_hands_back_the_best_so_far_at_once(rough_case: Any) -> None:
+    state = {"stop": False, "when": 0.0}
+
+    def on_progress(progress: Progress) -> None:
+        if progress.generation == 2 and not state["stop"]:
+            state.update(stop=True, when=time.monotonic())
+
+    request = CalibrationRequest(rough_case.twin, (rough_case.bag("one"), rough_case.bag("two")))
+    result = calibrate(request, on_progress, lambda: bool(state["stop"]))
+    assert time.monotonic() - state["when"] < 0.5
+    assert result.stopped and result.cost < result.initial_cost and result.estimates
+    assert "stopped" in result.message
+    nothing = calibrate(request, None, lambda: True)
+    assert nothing.stopped and not nothing.estimates
+
+
+class Killed(BaseException):
+    """Ends a calibration as a signal would: nothing catches it."""
+
+
+def interrupted_everywhere(request: CalibrationRequest, every: int) -> tuple[CalibrationResult, int]:
+    """Kill it again and again after a few generations, until one run gets to the end."""
+    kills = 0
+    while True:
+        seen = 0
+
+        def on_progress(progress: Progress) -> None:
+            nonlocal seen
+            seen += progress.stage in ("search", "refine")
+            if seen >= every:
+                raise Killed
+
+        try:
+            return calibrate(request, on_progress), kills
+        except Killed:
+            kills += 1
+            assert kills < 200
+
+
+@pytest.mark.parametrize(
+    ("preset", "asked"),
+    [
+        ("paper", {"max_generations": 20}),
+        ("fast", {}),
+        ("fast", {"objective": "euclidean", "channels": (("vertical_acceleration", 1.0),)}),
+        ("fast", {"objective": "euclidean+mse", "max_generations": 12}),
+    ],
+)
+def test_killed_again_and_again_it_ends_with_the_same_bits(
+    pass_case: Any, tmp_path: Path, preset: str, asked: dict[str, Any]
+) -> None:
+    plain = CalibrationRequest(pass_case.twin, (pass_case.bag("pass"),), preset=preset, seed=5, **asked)
+    whole = calibrate(plain)
+    broken, kills = interrupted_everywhere(replace(plain, state=str(tmp_path / "state")), 7)
+    assert kills >= 1
+    write_result(whole, tmp_path / "whole.yaml")
+    write_result(broken, tmp_path / "broken.yaml")
+    assert (tmp_path / "whole.yaml").read_text().replace("whole", "broken") == (tmp_path / "broken.yaml").read_text()
+    details = [details_path(tmp_path / f"{name}.yaml").read_bytes() for name in ("whole", "broken")]
+    assert details[0] == details[1]
+
+
+def test_a_state_of_another_question_is_not_taken_up(pass_case: Any, tmp_path: Path) -> None:
+    request = CalibrationRequest(
+        pass_case.twin, (pass_case.bag("pass"),), preset="paper", seed=5, max_generations=3, state=str(tmp_path)
+    )
+    first = calibrate(request)
+    other = calibrate(replace(request, seed=6))
+    assert other.evaluations == calibrate(replace(request, seed=6, state="")).evaluations
+    assert other.twin != first.twin
+
+
+def test_the_number_of_threads_changes_no_bit(pass_case: Any, tmp_path: Path, repository: Path) -> None:
+    files = []
+    for threads in ("1", "2"):
+        out = tmp_path / threads / "calibrated.yaml"
+        names = ("NUMBA_NUM_THREADS", "OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS")
+        environment = {**os.environ, **dict.fromkeys(names, threads)}
+        command = [
+            sys.executable, "-m", "suspension_twin", "calibrate", "--twin", pass_case.twin, pass_case.bag("pass"),
+            "--out", str(out), "--objective", "euclidean",
+        ]  # fmt: skip
+        subprocess.run(command, check=True, env=environment, cwd=repository, capture_output=True)
+        files.append((out.read_bytes(), details_path(out).read_bytes()))
+    assert files[0] == files[1]
+
+
+# -- files -----------------------------------------------------------------------------------------
+
+
+def test_the_files_say_what_was_found(fast: Any, tmp_path: Path) -> None:
+    result, _ = fast
+    path, details = write_result(result, tmp_path / "new" / "calibrated.yaml")
+    assert load_twin(path).vehicle == result.twin.vehicle
+    assert path.read_text().startswith("# suspension-twin")
+    told = yaml.safe_load(details.read_text())
+    assert told["drives"][0]["gap_after"]["rms"] < told["drives"][0]["gap_before"]["rms"]
+    assert {p["key"] for p in told["parameters"]} == {e.key for e in result.estimates}
+    assert all(len(p["interval_90"]) == 2 for p in told["parameters"])
+    assert {n["unit"] for n in told["nuisances"]} >= {"s", "m", "rad"}
+    assert "seconds" not in told  # the same question gives the same file
+    assert [p.name for p in (tmp_path / "new").iterdir() if p.name.startswith(".")] == []
+
+
+def test_a_file_that_cannot_be_written_is_named(fast: Any, tmp_path: Path) -> None:
+    (tmp_path / "file").write_text("")
+    with pytest.raises(InputError, match="file"):
+        write_result(fast[0], tmp_path / "file" / "calibrated.yaml")

@@ -1,0 +1,74 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Cases on disk: a twin file, a road and drives of a car that has what the twin lacks."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+from suspension_twin.drive.write import write_drive
+from suspension_twin.gap.synthetic import synthetic_drive
+from suspension_twin.road import half_sine, write_road
+from suspension_twin.road.bumps import add_bump
+from suspension_twin.road.iso8608 import iso8608_road
+from suspension_twin.vehicle.twin import EffectSpec, RoadFile, Twin, parse_twin, save_twin
+
+_AXLE = {
+    "unsprung_mass": 40.0,
+    "spring": {"compression": [0.1, 0.3, 0.5, 1.0], "force": [2300.0, 6900.0, 11500.0, 23000.0]},
+    "damper_push": {"velocity": [0.125, 0.25, 0.35, 0.4], "force": [200.0, 420.0, 620.0, 720.0]},
+    "damper_pull": {"velocity": [0.125, 0.25, 0.35, 0.4], "force": [450.0, 900.0, 1250.0, 1430.0]},
+}
+KNOTS = ((0.0, 0.0), (0.5, 0.0), (3.0, 7.0), (11.0, 8.0))
+
+Make = Callable[..., tuple[Path, list[str], list[str]]]
+
+
+@pytest.fixture(scope="session")
+def car() -> Twin:
+    return parse_twin(
+        {
+            "vehicle": {
+                "name": "car", "mass": 1725.0, "wheelbase": 2.85, "front_track": 1.588, "rear_track": 1.605,
+                "cog": [1.5, 0.0, 0.55], "sprung_inertia": {"roll": 550.0, "pitch": 2600.0},
+                "tyre": {"radius": 0.316, "vertical_stiffness": 210000.0}, "front": _AXLE, "rear": _AXLE,
+            },
+            "imu": {"position": [1.9, 0.0, 1.2]},
+            "datum": {"latitude": 47.4025, "longitude": 19.284},
+        }
+    )  # fmt: skip
+
+
+@pytest.fixture(scope="session")
+def make(tmp_path_factory: pytest.TempPathFactory, car: Twin) -> Make:
+    """``make(effect, parameters, reference)``: twin file, bags, reference bags."""
+
+    def build(
+        effect: str = "", parameters: dict[str, float] | None = None, reference: bool = False, seed: int = 3
+    ) -> tuple[Path, list[str], list[str]]:
+        folder = tmp_path_factory.mktemp(effect or "none")
+        road = iso8608_road("B", 130, seed=seed, v_step=0.4)
+        road = add_bump(road, half_sine(0.9, 0.05), 50.0)
+        road = add_bump(road, half_sine(0.6, 0.04), 75.0, v_low=0.1)
+        write_road(road, folder / "road.crg")
+        twin = car.model_copy(update={"road": RoadFile(file=folder / "road.crg")})
+        save_twin(twin, folder / "twin.yaml")
+        stiffer = car.with_changes({"vehicle.front.damper_push.force": [230.0, 480.0, 700.0, 810.0]})
+        specs = (EffectSpec(id=effect, parameters=parameters or {}),) if effect else ()
+        truth = stiffer.model_copy(update={"effects": specs})
+        bags = []
+        for i, factor in enumerate((1.0, 0.7)):
+            knots = tuple((t, v * factor) for t, v in KNOTS)
+            drive = synthetic_drive(truth, road, knots, seed=10 * seed + i, name=f"drive_{i}")
+            write_drive(drive, folder / f"drive_{i}")
+            bags.append(str(folder / f"drive_{i}"))
+        before = []
+        if reference:
+            drive = synthetic_drive(stiffer, road, KNOTS, seed=10 * seed + 7, name="before")
+            write_drive(drive, folder / "before")
+            before.append(str(folder / "before"))
+        return folder / "twin.yaml", bags, before
+
+    return build

@@ -1,0 +1,82 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A diagnosis from files to files: what was put in is found, and nothing where nothing was."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from suspension_twin.diagnosis.output import write
+from suspension_twin.diagnosis.request import DiagnosisRequest
+from suspension_twin.diagnosis.run import diagnose
+from suspension_twin.drive.read import read_drive
+from suspension_twin.errors import InputError
+from suspension_twin.gap.simulated import simulate_drive
+from suspension_twin.report.diagnosis import diagnosis_page
+from suspension_twin.vehicle.twin import load_twin
+
+FEW = ("strut_friction", "tyre_damping", "time_offset")
+
+
+def ask(case: tuple[Path, list[str], list[str]], **settings: Any) -> DiagnosisRequest:
+    twin, bags, reference = case
+    return DiagnosisRequest(str(twin), tuple(bags), tuple(reference), effects=FEW, **settings)
+
+
+def check(document: dict[str, Any]) -> None:
+    """The shape of diagnosis.json."""
+    total = sum(c["probability"] for c in document["causes"])
+    assert total + document["no_gap_probability"] + document["unknown_probability"] == pytest.approx(1, abs=1e-4)
+    assert sorted(c["effect"] for c in document["causes"]) == sorted(FEW)
+    assert set(document["where"]) == {"time", "road", "frequency", "channel", "corner", "operating_point"}
+    for cause in document["causes"]:
+        low, high = cause["shrink_interval"]
+        assert low <= cause["shrink"] <= high
+        assert cause["shrink"] == pytest.approx(1 - cause["gap_after"] / cause["gap_before"], abs=1e-4)
+
+
+def test_friction_is_found_with_its_size_and_the_written_twin_closes_the_gap(make: Any, tmp_path: Path) -> None:
+    case = make("strut_friction", {"front_force": 250.0, "rear_force": 250.0}, reference=True)
+    result = diagnose(ask(case))
+    document = result.document
+    check(document)
+    assert document["verdict"] == "effect", document["message"]
+    assert document["combination"] == ["strut_friction"]
+    lead = document["causes"][0]
+    assert lead["effect"] == "strut_friction" and lead["probability"] > 0.8
+    assert lead["parameters"]["front_force"] == pytest.approx(250, rel=0.2)
+    write(result, tmp_path)
+    diagnosis_page(result).write(tmp_path / "report.html")
+    assert json.loads((tmp_path / "diagnosis.json").read_text()) == document
+    assert "strut friction" in (tmp_path / "report.html").read_text()
+    twin = load_twin(tmp_path / "twin.yaml")
+    drive = read_drive(case[1][0])
+    before = simulate_drive(drive, load_twin(case[0])).gap
+    after = simulate_drive(drive, twin).gap
+    assert after.rms < 0.4 * before.rms
+
+
+def test_a_late_clock_is_found_without_a_reference(make: Any) -> None:
+    document = diagnose(ask(make("time_offset", {"offset": 0.06}))).document
+    check(document)
+    lead = document["causes"][0]
+    assert lead["effect"] == "time_offset" and lead["probability"] > 0.8
+    assert lead["parameters"]["offset"] == pytest.approx(0.06, abs=0.01)
+
+
+def test_wrong_characteristics_alone_are_no_gap_and_twice_the_same(make: Any) -> None:
+    case = make()
+    first, second = (diagnose(ask(case)).document for _ in range(2))
+    check(first)
+    assert first["verdict"] == "no_gap", first["message"]
+    assert first["combination"] == []
+    assert json.dumps(first) == json.dumps(second)
+
+
+def test_a_drive_is_not_its_own_reference(make: Any) -> None:
+    twin, bags, _ = make()
+    with pytest.raises(InputError, match="drive_0"):
+        diagnose(DiagnosisRequest(str(twin), tuple(bags), (bags[0],)))

@@ -1,0 +1,48 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Effects as hypotheses: every one, with its bounds, neutral point and starts."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from suspension_twin.diagnosis.hypotheses import WITHOUT_ROAD, combined, library, variants
+from suspension_twin.effects.registry import EFFECTS
+from suspension_twin.vehicle.twin import EffectSpec, Twin
+
+
+@pytest.mark.parametrize("name", sorted(EFFECTS))
+def test_starts_lie_in_the_bounds_and_away_from_nothing(name: str) -> None:
+    for hypothesis in variants(EFFECTS[name]):
+        starts = hypothesis.starts(16, 0)
+        low, high = hypothesis.bounds()
+        assert starts.shape == (len(hypothesis), 16)
+        assert (starts >= low[:, None]).all() and (starts <= high[:, None]).all()
+        values = hypothesis.values(starts)
+        for row, (key, parameter) in zip(values, hypothesis.searched, strict=True):
+            assert (row >= parameter.low).all() and (row <= parameter.high).all(), key
+        severe = [i for i, (_, p) in enumerate(hypothesis.searched) if p.name in EFFECTS[name].severity]
+        assert (np.ptp(values[severe], axis=1) > 0).all()
+        for values_of_one in values.T:
+            for spec in hypothesis.spec(values_of_one):
+                EFFECTS[name].values(spec.parameters)  # raises where the twin file would be refused
+
+
+def test_every_choice_is_a_hypothesis() -> None:
+    corners = [dict(v.fixed)["effects.corner_damper.corner"] for v in variants(EFFECTS["corner_damper"])]
+    assert corners == [0.0, 1.0, 2.0, 3.0]
+
+
+def test_the_library_leaves_out_what_the_twin_has_and_what_needs_a_road(car: Twin) -> None:
+    assert set(library(car, road=True)) == {n for n, e in EFFECTS.items() if "full_car" in e.hook.models}
+    assert set(library(car, road=False)) == set(WITHOUT_ROAD)
+    having = car.model_copy(update={"effects": (EffectSpec(id="time_offset", parameters={"offset": 0.1}),)})
+    assert "time_offset" not in library(having, road=True)
+
+
+def test_combined_hypotheses_keep_their_order(car: Twin) -> None:
+    first, second = variants(EFFECTS["payload"])[0], variants(EFFECTS["corner_spring"])[2]
+    both = combined(first, second)
+    assert both.effects == ("payload", "corner_spring")
+    assert both.keys == (*first.keys, *second.keys)
+    assert [s.id for s in both.twin(car).effects] == ["payload", "corner_spring"]

@@ -1,0 +1,262 @@
+# SPDX-License-Identifier: Apache-2.0
+"""README.md: every command in it is run, every table is the program's, every link leads somewhere."""
+
+from __future__ import annotations
+
+import ast
+import csv
+import importlib.util
+import io
+import json
+import os
+import re
+import shlex
+import shutil
+import signal
+import subprocess
+import sys
+import time
+import zipfile
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from suspension_twin.cli.main import SUBCOMMANDS
+from suspension_twin.drive.read import read_drive
+from suspension_twin.vehicle.twin import load_twin
+
+README = Path(__file__).resolve().parents[2] / "README.md"
+ROOT = README.parent
+
+
+def commands() -> list[str]:
+    blocks = re.findall(r"^```bash\n(.*?)^```", README.read_text(encoding="utf-8"), re.MULTILINE | re.DOTALL)
+    return [line for block in blocks for line in block.splitlines() if line and not line.startswith("#")]
+
+
+OURS = [c for c in commands() if c.startswith("suspension-twin ")]
+PYTHON = [c for c in commands() if c.startswith("python ")]
+BOOTSTRAP = [c for c in commands() if c.startswith("python3 bootstrap.py")]
+
+
+def load(path: Path):
+    spec = importlib.util.spec_from_file_location(path.stem, path)
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
+@pytest.fixture(scope="module")
+def workspace(tmp_path_factory):
+    """A folder in which the commands find what the README says they find, and may write."""
+    folder = tmp_path_factory.mktemp("readme")
+    for name in ("bags", "config"):
+        (folder / name).symlink_to(ROOT / name)
+    shutil.copytree(ROOT / "docs", folder / "docs")
+    shutil.copy(README, folder)
+    (folder / "recording.zip").write_bytes(phone_recording())
+    return folder
+
+
+def phone_recording() -> bytes:
+    """What Sensor Logger would have exported of the first seconds of a bundled drive."""
+    drive = read_drive(ROOT / "bags" / "crg_road")
+    first = drive.imu.t < drive.imu.t[0] + 10
+    t0 = drive.imu.t[0]
+    files = {}
+    for name, values in (
+        ("TotalAcceleration", drive.imu.specific_force),
+        ("Gyroscope", drive.imu.angular_rate),
+    ):
+        rows = [[f"{t * 1e9:.0f}", f"{t - t0:.6f}", *map(repr, v[::-1].tolist())]
+                for t, v in zip(drive.imu.t[first], values[first], strict=True)]  # fmt: skip
+        files[f"{name}.csv"] = [["time", "seconds_elapsed", "z", "y", "x"], *rows]
+    rows = []
+    for i in np.flatnonzero(drive.fix.t < t0 + 10)[::10]:
+        fix, v = drive.fix, drive.velocity.enu[i]
+        course = np.degrees(np.arctan2(v[0], v[1])) % 360
+        rows.append([f"{fix.t[i] * 1e9:.0f}", f"{fix.t[i] - t0:.6f}", course, np.hypot(v[0], v[1]), fix.altitude[i],
+                     3.0, 1.0, fix.longitude[i], fix.latitude[i]])  # fmt: skip
+    heads = [
+        "time",
+        "seconds_elapsed",
+        "bearing",
+        "speed",
+        "altitude",
+        "horizontalAccuracy",
+        "speedAccuracy",
+        "longitude",
+        "latitude",
+    ]
+    files["Location.csv"] = [heads, *rows]
+    buffer = io.BytesIO()
+    with zipfile.ZipFile(buffer, "w") as archive:
+        for name, table in files.items():
+            text = io.StringIO()
+            csv.writer(text).writerows(table)
+            archive.writestr(name, text.getvalue())
+    return buffer.getvalue()
+
+
+def environment() -> dict[str, str]:
+    return {**os.environ, "COLUMNS": "100"}
+
+
+def run(arguments: list[str], folder: Path, limit: float = 240) -> str:
+    done = subprocess.run(
+        arguments, cwd=folder, env=environment(), capture_output=True, text=True, timeout=limit, check=False
+    )
+    assert done.returncode == 0, f"{arguments}: {done.stderr[-2000:]}"
+    assert "Traceback" not in done.stderr
+    return done.stdout
+
+
+def ours(command: str) -> list[str]:
+    return [sys.executable, "-m", "suspension_twin", *shlex.split(command)[1:]]
+
+
+def is_live(command: str) -> bool:
+    return " run " in command and "--bag" not in command
+
+
+def is_long(command: str) -> bool:
+    """Run for real by tests of its own; here only its arguments are tried."""
+    return " diagnose " in command
+
+
+def test_every_command_is_of_a_kind_that_is_run():
+    others = [c for c in commands() if c not in OURS + PYTHON + BOOTSTRAP]
+    assert others == [
+        ". .venv/bin/activate",
+        "colcon build --base-paths . suspension_twin_interfaces",
+        "ros2 launch suspension_twin suspension_twin.launch.py twin:=/path/to/twin.yaml",
+    ]
+    assert {shlex.split(c)[1] for c in OURS} | {"demo"} == {s.name for s in SUBCOMMANDS}
+
+
+def test_the_commands_do_what_they_say(workspace):
+    """One after the other, as a reader would: later ones use what earlier ones wrote."""
+    for command in OURS:
+        if is_live(command) or is_long(command) or "--mapping" in command:
+            continue
+        run(ours(command), workspace)
+    drive = read_drive(workspace / "drive")
+    assert len(drive.imu) > 950
+    gaps = [json.loads((workspace / "out" / name / "gap.json").read_text()) for name in ("before", "after")]
+    assert gaps[1]["rms"] < 0.5 * gaps[0]["rms"]
+    assert load_twin(workspace / "out" / "calibrated.yaml").vehicle.mass == 1725.0
+    assert (workspace / "out" / "road.png").read_bytes()[:4] == b"\x89PNG"
+    assert (workspace / "out" / "road.obj").stat().st_size > 10_000
+    assert any((workspace / "out" / "report").glob("*.html"))
+
+
+def test_the_mapping_command_reads_the_real_recording(workspace, shared_data):
+    (command,) = (c for c in OURS if "--mapping" in c)
+    (workspace / "logger").symlink_to(shared_data / "rtklibexplorer_GNSS_IMU")
+    run(ours(command), workspace)
+    assert len(read_drive(workspace / "drive_0708").imu) > 50_000
+
+
+@pytest.mark.parametrize("command", [c for c in OURS if is_long(c)])
+def test_the_long_commands_take_their_arguments(command, tmp_path):
+    """In a folder without the files it gets as far as missing the twin file."""
+    done = subprocess.run(
+        ours(command), cwd=tmp_path, capture_output=True, text=True, timeout=60, check=False
+    )
+    assert done.returncode == 2
+    assert done.stderr == "suspension-twin: out/calibrated.yaml: No such file or directory\n"
+
+
+@pytest.mark.parametrize("command", [c for c in OURS if is_live(c)])
+def test_the_live_commands_run_until_they_are_asked_to_end(command, workspace):
+    process = subprocess.Popen(
+        ours(command),
+        cwd=workspace,
+        env=environment(),
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+    )
+    try:
+        time.sleep(8)
+        assert process.poll() is None, process.stderr.read()
+        process.send_signal(signal.SIGINT)
+        _, errors = process.communicate(timeout=20)
+    finally:
+        process.kill()
+    assert process.returncode == 0
+    assert "Traceback" not in errors
+
+
+@pytest.mark.parametrize("command", PYTHON)
+def test_the_python_commands_run(command, workspace):
+    if "make_bags" in command:
+        pytest.importorskip("mujoco")
+    run([sys.executable, *shlex.split(command)[1:]], workspace)
+
+
+@pytest.mark.parametrize("command", BOOTSTRAP)
+def test_the_set_up_knows_its_commands(command):
+    """The demo and the set-up itself have tests of their own."""
+    _, script, name, *rest = shlex.split(command)
+    assert name in {"test", "check"} | {s.name for s in SUBCOMMANDS}
+    assert name in run([sys.executable, script, "--help"], ROOT)
+    for argument in rest:
+        assert argument.startswith("-") or (ROOT / argument).exists()
+
+
+def test_the_launch_file_takes_the_argument_named():
+    tree = ast.parse((ROOT / "launch" / "suspension_twin.launch.py").read_text(encoding="utf-8"))
+    declared = {
+        n.args[0].value
+        for n in ast.walk(tree)
+        if isinstance(n, ast.Call) and getattr(n.func, "id", "") == "DeclareLaunchArgument"
+    }
+    assert "twin" in declared
+    assert (ROOT / "suspension_twin_interfaces" / "package.xml").is_file()
+
+
+def test_tables_are_the_program_s():
+    text = README.read_text(encoding="utf-8")
+    assert load(ROOT / "docs" / "make_docs.py").with_tables(text) == text, (
+        "run: python docs/make_docs.py tables"
+    )
+
+
+def test_topics_of_the_table_are_those_of_the_nodes():
+    """Inputs, outputs, services and actions of the nodes themselves."""
+    from rclpy.action import get_action_server_names_and_types_by_node
+
+    from suspension_twin.nodes._main import ros_context
+    from suspension_twin.nodes.composed import Composed
+
+    text = README.read_text(encoding="utf-8")
+    rows = re.findall(r"^\| `(\w+)` \|(.*?)\|(.*?)\|(.*?)\|$", text, re.MULTILINE)
+    table = {name: tuple(set(re.findall(r"`([^`]+)`", cell)) for cell in cells) for name, *cells in rows}
+    with ros_context([]) as context:
+        composed = Composed(context, ROOT / "bags" / "bump_15kmh" / "twin.yaml", "car")
+        try:
+            assert set(composed.nodes) <= set(table)
+            for name, node in composed.nodes.items():
+                services = {s.srv_name for s in node.services if s.srv_name.startswith("~")}
+                actions = get_action_server_names_and_types_by_node(node, name, "/car")
+                actions = {a.removeprefix("/car/") for a, _ in actions}
+                assert table[name] == (set(node.inputs), set(node.outputs), services | actions), name
+        finally:
+            composed.close()
+
+
+def test_links_and_pictures_lead_somewhere():
+    text = README.read_text(encoding="utf-8")
+    anchors = {
+        re.sub(r"[^a-z0-9 -]", "", h.lower()).replace(" ", "-")
+        for h in re.findall(r"^#+ (.*)$", text, re.MULTILINE)
+    }
+    links = re.findall(r"\]\(([^)]+)\)", text)
+    assert len(links) > 8
+    for link in links:
+        if link.startswith("#"):
+            assert link[1:] in anchors, link
+        elif not link.startswith("http"):
+            assert (ROOT / link).exists(), link

@@ -1,0 +1,731 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Importers on recordings made here in each app's own format, of one motion that is known."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import re
+import shutil
+import zipfile
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import scipy.io
+
+from suspension_twin.drive import importers
+from suspension_twin.drive.importers import IMPORTERS, load_importer
+from suspension_twin.drive.importing import import_drive
+from suspension_twin.drive.intake.clocks import gps_to_posix, iso_to_posix, text_to_posix, week_to_posix
+from suspension_twin.drive.intake.mapping import load_mapping, parse_mapping
+from suspension_twin.drive.intake.velocity import velocities_from_course, velocities_from_fixes
+from suspension_twin.drive.summary import gravity_of, rhythm_of, summarise
+from suspension_twin.drive.types import FixData
+from suspension_twin.errors import InputError
+
+G = 9.80665
+START_NS = 1_714_557_600_000_000_000  # 2024-05-01 10:00:00 UTC
+START = START_NS * 1e-9
+
+RNG = np.random.default_rng(5)
+T = np.arange(400) / 100  # s
+TG = np.arange(200) / 50  # the gyroscope at half the rate, beginning a little later
+TL = np.arange(5) * 1.0
+LINEAR = RNG.normal(size=(400, 3))
+GRAVITY = np.tile([0.0, 0.0, G], (400, 1))
+FORCE = LINEAR + GRAVITY  # as Android gives it: +g on z, lying face up
+RATE = np.stack([np.sin(TG), np.cos(TG), 0.1 * TG], axis=1)
+LATITUDE, LONGITUDE = 47.4 + TL * 9e-5, np.full(5, 19.2)
+SPEED, BEARING = np.full(5, 10.0), np.full(5, 90.0)
+EAST = np.stack([SPEED, np.zeros(5), np.zeros(5)], axis=1)
+
+
+def test_every_file_of_the_folder_is_registered() -> None:
+    """An importer is found by its file name: one that is forgotten here would never be asked."""
+    folder = Path(importers.__file__).parent
+    assert {p.stem for p in folder.glob("*.py")} - {"__init__"} == set(IMPORTERS)
+    assert len(IMPORTERS) == len(set(IMPORTERS))
+    for name in IMPORTERS:
+        importer = load_importer(name)
+        assert importer.TITLE and importer.recognises.__doc__ and importer.read.__doc__
+    with pytest.raises(InputError, match="abacus"):
+        load_importer("abacus")
+
+
+# --- Sensor Logger
+
+
+def _csv(path: Path, header: str, *columns: Any) -> None:
+    rows = [",".join(str(v) for v in row) for row in zip(*columns, strict=True)]
+    path.write_text("\n".join([header, *rows]) + "\n")
+
+
+def _xyz(path: Path, t: np.ndarray, values: np.ndarray) -> None:
+    ns = [START_NS + round(x * 1e9) for x in t]
+    _csv(path, "time,seconds_elapsed,z,y,x", ns, t, values[:, 2], values[:, 1], values[:, 0])
+
+
+LOCATION = (
+    "time,seconds_elapsed,bearingAccuracy,speedAccuracy,verticalAccuracy,horizontalAccuracy,"
+    "speed,bearing,altitude,longitude,latitude"
+)
+METADATA = "version,device name,recording epoch time,recording time,platform,appVersion,standardisation"
+
+
+def sensor_logger(
+    folder: Path, platform: str | None = "android", standardised: bool = False, *, total: bool = True
+) -> Path:
+    """A folder as the app exports it; iOS negates the accelerometer and has no TotalAcceleration."""
+    folder.mkdir(parents=True)
+    sign = -1.0 if platform == "ios" and not standardised else 1.0
+    if platform == "ios" or not total:
+        _xyz(folder / "Accelerometer.csv", T, sign * LINEAR)
+        _xyz(folder / "Gravity.csv", T, sign * GRAVITY)
+    else:
+        _xyz(folder / "TotalAcceleration.csv", T, FORCE)
+        _xyz(folder / "Accelerometer.csv", T, LINEAR)
+    _xyz(folder / "Gyroscope.csv", TG, RATE)
+    (folder / "Barometer.csv").write_text("time,seconds_elapsed,relativeAltitude,pressure\n")
+    ns = [START_NS + round(x * 1e9) for x in TL]
+    ones = np.ones(5)
+    _csv(
+        folder / "Location.csv",
+        LOCATION,
+        ns,
+        TL,
+        ones,
+        ones,
+        3 * ones,
+        5 * ones,
+        SPEED,
+        BEARING,
+        120 * ones,
+        LONGITUDE,
+        LATITUDE,
+    )
+    if platform is not None:
+        row = f"3,phone,{START_NS // 10**6},2024-05-01_10-00-00,{platform},1.40,{str(standardised).lower()}"
+        (folder / "Metadata.csv").write_text(f"{METADATA}\n{row}\n")
+    return folder
+
+
+def check(path: Path, *, force: np.ndarray = FORCE, tolerance: float = 1e-9) -> Any:
+    """The motion, whatever the format."""
+    imported = import_drive([path])
+    drive = imported.drive
+    inside = TG[-1] + 0.05 >= T
+    np.testing.assert_allclose(drive.imu.t - START, T[inside], atol=1e-6)
+    np.testing.assert_allclose(drive.imu.specific_force, force[inside], atol=tolerance)
+    expected = np.stack([np.interp(T[inside], TG, RATE[:, i]) for i in range(3)], axis=1)
+    np.testing.assert_allclose(drive.imu.angular_rate, expected, atol=1e-5)
+    np.testing.assert_allclose(drive.fix.t - START, TL, atol=1e-6)
+    np.testing.assert_allclose(drive.fix.latitude, LATITUDE, atol=1e-9)
+    np.testing.assert_allclose(drive.fix.longitude, LONGITUDE, atol=1e-9)
+    np.testing.assert_allclose(drive.velocity.enu, EAST, atol=1e-9)
+    return imported
+
+
+@pytest.mark.parametrize("platform", ["android", "ios"])
+@pytest.mark.parametrize("standardised", [False, True])
+def test_sensor_logger_of_both_platforms(platform: str, standardised: bool, tmp_path: Path) -> None:
+    imported = check(sensor_logger(tmp_path / "rec", platform, standardised))
+    assert ("iOS" in imported.origin) == (platform == "ios")
+    assert gravity_of(imported.drive.imu.specific_force).axis == "+z"
+    np.testing.assert_allclose(imported.drive.fix.sigma, np.tile([5 / np.sqrt(2), 5 / np.sqrt(2), 3], (5, 1)))
+    assert imported.drive.warnings == ()
+
+
+def test_sensor_logger_without_total_acceleration(tmp_path: Path) -> None:
+    imported = check(sensor_logger(tmp_path / "rec", total=False))
+    assert any("Accelerometer + Gravity" in note for note in imported.notes)
+
+
+def test_sensor_logger_as_zip_with_and_without_a_folder_in_it(tmp_path: Path) -> None:
+    folder = sensor_logger(tmp_path / "rec")
+    check(Path(shutil.make_archive(str(tmp_path / "flat"), "zip", folder)))
+    with zipfile.ZipFile(tmp_path / "wrapped.zip", "w") as archive:
+        for file in folder.iterdir():
+            archive.write(file, f"2024-05-01/{file.name}")
+            archive.writestr(f"__MACOSX/2024-05-01/._{file.name}", b"\0\5\26\7")
+    check(tmp_path / "wrapped.zip")
+
+
+def test_sensor_logger_without_metadata_says_so(tmp_path: Path) -> None:
+    imported = check(sensor_logger(tmp_path / "rec", None))
+    assert any("Android from iOS" in line for line in imported.drive.warnings)
+
+
+def test_sensor_logger_without_gravity_is_refused(tmp_path: Path) -> None:
+    folder = sensor_logger(tmp_path / "rec")
+    (folder / "TotalAcceleration.csv").unlink()
+    with pytest.raises(InputError, match="without gravity"):
+        import_drive([folder])
+    (folder / "Accelerometer.csv").unlink()
+    with pytest.raises(InputError, match="no accelerometer"):
+        import_drive([folder])
+
+
+def test_sensor_logger_without_gyroscope_is_refused(tmp_path: Path) -> None:
+    folder = sensor_logger(tmp_path / "rec")
+    (folder / "Gyroscope.csv").unlink()
+    with pytest.raises(InputError, match="no gyroscope"):
+        import_drive([folder])
+
+
+def test_sensor_logger_marks_what_is_invalid(tmp_path: Path) -> None:
+    """Negative accuracies, bearings and speeds mean that the phone does not know; fields may be empty."""
+    folder = sensor_logger(tmp_path / "rec")
+    lines = (folder / "Location.csv").read_text().splitlines()
+    fields = [line.split(",") for line in lines]
+    fields[2][6], fields[2][7] = "-1", "-1"  # speed, bearing
+    fields[3][5] = "-1"  # horizontal accuracy
+    fields[4][8] = ""  # altitude
+    (folder / "Location.csv").write_text("\n".join(",".join(f) for f in fields) + "\n")
+    drive = import_drive([folder]).drive
+    assert len(drive.velocity) == 4
+    assert drive.fix.status.tolist() == [0, 0, -1, 0, 0]
+    assert np.isfinite(drive.fix.altitude).all()
+    assert any("altitude" in line for line in drive.warnings)
+
+
+def sensor_logger_json(platform: str) -> list[dict[str, str]]:
+    sign = -1.0 if platform == "ios" else 1.0
+    records: list[dict[str, str]] = [{"sensor": "Metadata", "platform": platform, "standardisation": "false"}]
+    for sensor, t, values in (
+        ("Accelerometer", T, sign * LINEAR),
+        ("Gravity", T, sign * GRAVITY),
+        ("Gyroscope", TG, RATE),
+    ):
+        for x, row in zip(t, values, strict=True):
+            axes = dict(zip("zyx", map(str, row[::-1]), strict=True))
+            records.append(
+                {"sensor": sensor, "time": str(START_NS + round(x * 1e9)), "seconds_elapsed": str(x), **axes}
+            )
+    for i, x in enumerate(TL):
+        values = dict(
+            zip(
+                LOCATION.split(",")[2:],
+                map(str, (1, 1, 3, 5, SPEED[i], BEARING[i], 120, LONGITUDE[i], LATITUDE[i])),
+                strict=True,
+            )
+        )
+        records.append(
+            {
+                "sensor": "Location",
+                "time": str(START_NS + round(x * 1e9)),
+                "seconds_elapsed": str(x),
+                **values,
+            }
+        )
+    return records
+
+
+@pytest.mark.parametrize("platform", ["android", "ios"])
+def test_sensor_logger_json_of_strings(platform: str, tmp_path: Path) -> None:
+    path = tmp_path / "rec.json"
+    path.write_text(json.dumps(sensor_logger_json(platform)))
+    check(path)
+
+
+def test_sensor_logger_json_that_is_cut_off(tmp_path: Path) -> None:
+    text = json.dumps(sensor_logger_json("android"))
+    path = tmp_path / "rec.json"
+    path.write_text(text[: int(len(text) * 0.97)])
+    imported = import_drive([path])
+    assert any("cut off" in line for line in imported.drive.warnings)
+    assert len(imported.drive.imu) > 300
+    path.write_text(text[:300])
+    with pytest.raises(InputError):
+        import_drive([path])
+
+
+# --- phyphox
+
+PAUSE = 2.0  # s into the experiment
+BREAK = 7.5  # s the pause lasted
+
+
+def phyphox(
+    folder: Path,
+    delimiter: str = ",",
+    comma: bool = False,
+    language: str = "en",
+    encoding: str = "utf-8",
+    paused: bool = False,
+) -> Path:
+    """A folder as the app exports it: experiment time, numbers in scientific notation, quoted names."""
+    (folder / "meta").mkdir(parents=True)
+
+    def number(value: float) -> str:
+        text = f"{value:.15E}"
+        return text.replace(".", ",") if comma else text
+
+    def table(name: str, head: list[str], *columns: np.ndarray) -> None:
+        rows = [delimiter.join(f'"{h}"' for h in head)]
+        rows += [delimiter.join(number(v) for v in row) for row in zip(*columns, strict=True)]
+        (folder / name).write_text("\n".join(rows) + "\n", encoding=encoding)
+
+    words = {
+        "en": (
+            "Time",
+            "Acceleration",
+            "Linear Acceleration",
+            "Gyroscope",
+            "Latitude",
+            "Longitude",
+            "Height",
+            "Velocity",
+            "Direction",
+        ),
+        "de": (
+            "Zeit",
+            "Beschleunigung",
+            "Lineare Beschleunigung",
+            "Gyroskop",
+            "Breite",
+            "Länge",
+            "Höhe",
+            "Geschwindigkeit",
+            "Richtung",
+        ),
+    }[language]
+    time = f"{words[0]} (s)"
+    # in the folder the linear acceleration comes first, so that taking the first would be wrong
+    table("A Linear.csv", [time, *(f"{words[2]} {a} (m/s^2)" for a in "xyz")], T, *LINEAR.T)
+    table("Accelerometer.csv", [time, *(f"{words[1]} {a} (m/s^2)" for a in "xyz")], T, *FORCE.T)
+    table("Gyroscope.csv", [time, *(f"{words[3]} {a} (rad/s)" for a in "xyz")], TG, *RATE.T)
+    heads = [f"{words[4]} (°)", f"{words[5]} (°)", f"{words[6]} (m)", f"{words[7]} (m/s)", f"{words[8]} (°)"]
+    heads += ["Horizontal Accuracy (m)", "Vertical Accuracy (m)"]
+    table(
+        "Location.csv",
+        [time, *heads],
+        TL,
+        LATITUDE,
+        LONGITUDE,
+        np.full(5, 120.0),
+        SPEED,
+        BEARING,
+        np.full(5, 5.0),
+        np.full(5, 3.0),
+    )
+    events = [("START", 0.0, START)]
+    if paused:
+        events += [("PAUSE", PAUSE, START + PAUSE), ("START", PAUSE, START + PAUSE + BREAK)]
+    events.append(("PAUSE", 5.0, START + 5.0 + (BREAK if paused else 0.0)))
+    rows = [delimiter.join(f'"{h}"' for h in ("event", "experiment time", "system time", "system time text"))]
+    for name, t, system in events:
+        moment = f"{system:.3f}"
+        rows.append(
+            delimiter.join(
+                [
+                    f'"{name}"',
+                    number(t),
+                    moment.replace(".", ",") if comma else moment,
+                    '"2024-05-01 12:00:00.000 UTC+02:00"',
+                ]
+            )
+        )
+    (folder / "meta" / "time.csv").write_text("\n".join(rows) + "\n", encoding=encoding)
+    (folder / "meta" / "device.csv").write_text('"property","value"\n"version","1.1.16"\n')
+    return folder
+
+
+@pytest.mark.parametrize(
+    ("delimiter", "comma"), [(",", False), ("\t", False), (";", False), (";", True), ("\t", True)]
+)
+@pytest.mark.parametrize("language", ["en", "de"])
+def test_phyphox_delimiters_and_languages(delimiter: str, comma: bool, language: str, tmp_path: Path) -> None:
+    imported = check(phyphox(tmp_path / "rec", delimiter, comma, language))
+    assert imported.origin == "phyphox" and imported.drive.warnings == ()
+
+
+def test_phyphox_as_zip_and_in_latin_1(tmp_path: Path) -> None:
+    folder = phyphox(tmp_path / "rec", ";", True, "de", encoding="latin-1")
+    imported = check(Path(shutil.make_archive(str(tmp_path / "rec"), "zip", folder)))
+    assert any("Latin-1" in line for line in imported.drive.warnings)
+
+
+def test_phyphox_paused(tmp_path: Path) -> None:
+    """The experiment's time stands still in a pause, the clock does not."""
+    drive = import_drive([phyphox(tmp_path / "rec", paused=True)]).drive
+    before = T <= PAUSE
+    np.testing.assert_allclose(drive.imu.t[: before.sum()] - START, T[before], atol=1e-6)
+    after = drive.imu.t[before.sum() :] - START
+    np.testing.assert_allclose(after, T[~before][: after.size] + BREAK, atol=1e-6)
+    assert [round(length, 1) for _, length in rhythm_of(drive.imu.t).gaps] == [BREAK]
+    assert drive.fix.t[-1] - START == pytest.approx(TL[-1] + BREAK)
+
+
+def test_phyphox_without_its_time_reference(tmp_path: Path) -> None:
+    folder = phyphox(tmp_path / "rec")
+    shutil.rmtree(folder / "meta")
+    drive = import_drive([folder]).drive
+    assert drive.imu.t[0] == 0.0
+    assert any("time.csv" in line for line in drive.warnings)
+
+
+def test_phyphox_without_gravity_is_refused(tmp_path: Path) -> None:
+    folder = phyphox(tmp_path / "rec")
+    (folder / "Accelerometer.csv").unlink()
+    with pytest.raises(InputError, match="without gravity"):
+        import_drive([folder])
+
+
+# --- MATLAB Mobile
+
+
+def _logs(time: Callable[[np.ndarray], Any]) -> dict[str, dict[str, Any]]:
+    position = {"latitude": LATITUDE, "longitude": LONGITUDE, "altitude": np.full(5, 120.0)}
+    position |= {"speed": SPEED, "course": BEARING, "hacc": np.full(5, 5.0)}
+    return {
+        "Acceleration": {"Timestamp": time(T), **{a: FORCE[:, i] for i, a in enumerate("XYZ")}},
+        "AngularVelocity": {"Timestamp": time(TG), **{a: RATE[:, i] for i, a in enumerate("XYZ")}},
+        "Position": {"Timestamp": time(TL), **position},
+    }
+
+
+TIMES: dict[str, Callable[[np.ndarray], Any]] = {
+    "posix": lambda t: START + t,
+    "milliseconds": lambda t: (START + t) * 1e3,
+    "text": lambda t: np.array([f"01-May-2024 10:00:{x:06.3f}" for x in t], dtype=object),
+}
+
+
+@pytest.mark.parametrize("clock", list(TIMES))
+@pytest.mark.parametrize("nested", [False, True])
+def test_matlab_structs(clock: str, nested: bool, tmp_path: Path) -> None:
+    logs = _logs(TIMES[clock])
+    scipy.io.savemat(tmp_path / "log.mat", {"s": logs} if nested else logs)
+    check(tmp_path / "log.mat", tolerance=1e-9)
+
+
+def test_matlab_serial_day_numbers(tmp_path: Path) -> None:
+    scipy.io.savemat(tmp_path / "log.mat", _logs(lambda t: 719_529 + (START + t) / 86_400))
+    drive = import_drive([tmp_path / "log.mat"]).drive
+    np.testing.assert_allclose(
+        drive.imu.t - START, T[: len(drive.imu)], atol=1e-4
+    )  # a day number holds 10 µs
+
+
+def test_matlab_arrays(tmp_path: Path) -> None:
+    """What ``[log, t] = accellog(m)`` leaves in a workspace."""
+    logs = {
+        "Acceleration": FORCE,
+        "Acceleration_t": START + T,
+        "AngularVelocity": RATE,
+        "t_AngularVelocity": START + TG,
+    }
+    place = np.column_stack(
+        [START + TL, LATITUDE, LONGITUDE, np.full(5, 120.0), SPEED, BEARING, np.full(5, 5.0)]
+    )
+    scipy.io.savemat(tmp_path / "log.mat", {**logs, "Position": place})
+    check(tmp_path / "log.mat")
+    scipy.io.savemat(tmp_path / "no_time.mat", {"Acceleration": FORCE, "AngularVelocity": RATE})
+    with pytest.raises(InputError, match="acceleration_t"):
+        import_drive([tmp_path / "no_time.mat"])
+
+
+def test_matlab_csv(tmp_path: Path) -> None:
+    """``writetimetable`` of each log."""
+    folder = tmp_path / "log"
+    folder.mkdir()
+    for name, columns in _logs(lambda t: [f"01-May-2024 10:00:{x:06.3f}" for x in t]).items():
+        _csv(folder / f"{name}.csv", ",".join(columns), *columns.values())
+    check(folder)
+
+
+def test_matlab_timetables(tmp_path: Path) -> None:
+    """As the app logs them: objects that SciPy leaves closed.
+
+    The file was written by mat-io 1.0.2: Acceleration of 60 rows every 10 ms from 2024-05-01 10:00:00 with
+    X = sin(i), Y = cos(i), Z = 9.81 + i / 1000, AngularVelocity of 30 rows every 20 ms a tenth of that, and
+    Position of 3 rows every second, 10 m/s to the east.
+    """
+    path = Path(__file__).parent / "data" / "matlab_mobile_timetables.mat"
+    drive = import_drive([path]).drive
+    i = np.arange(60)
+    np.testing.assert_allclose(drive.imu.t, START + i / 100, atol=1e-6)
+    np.testing.assert_allclose(
+        drive.imu.specific_force, np.stack([np.sin(i), np.cos(i), 9.81 + i / 1000], axis=1)
+    )
+    k = np.arange(30)
+    by_gyroscope = drive.imu.angular_rate[::2]
+    np.testing.assert_allclose(
+        by_gyroscope, 0.1 * np.stack([np.sin(k), np.cos(k), 9.81 + k / 1000], axis=1), atol=1e-5
+    )
+    np.testing.assert_allclose(drive.fix.latitude, 47.4 + np.arange(3) * 1e-4)
+    np.testing.assert_allclose(drive.velocity.enu, np.tile([10.0, 0, 0], (3, 1)), atol=1e-9)
+    data = path.read_bytes()
+    rng = np.random.default_rng(0)
+    for _ in range(150):
+        damaged = bytearray(data[: rng.integers(1, len(data) + 1)])
+        for at in rng.integers(0, len(damaged), rng.integers(0, 9)):
+            damaged[at] = rng.integers(256)
+        (tmp_path / "log.mat").write_bytes(damaged)
+        with contextlib.suppress(InputError):
+            import_drive([tmp_path / "log.mat"])
+
+
+def test_matlab_files_that_cannot_be_read(tmp_path: Path) -> None:
+    path = tmp_path / "log.mat"
+    scipy.io.savemat(path, {"weather": np.arange(3)})
+    with pytest.raises(InputError, match=r"weather"):
+        import_drive([path])
+    scipy.io.savemat(path, _logs(TIMES["posix"]), do_compression=True)
+    whole = path.read_bytes()
+    for end in (0, 3, 100, 130, 1000, len(whole) // 2):
+        path.write_bytes(whole[:end])
+        with pytest.raises(InputError):
+            import_drive([path])
+    path.write_bytes(b"MATLAB 7.3 MAT-file".ljust(124, b" ") + b"\x00\x02IM" + bytes(400))
+    with pytest.raises(InputError, match=r"version 7\.3: .*writetimetable"):
+        import_drive([path])
+
+
+# --- RTKLIB
+
+POS_HEAD = (
+    "%  {system}                  latitude(deg) longitude(deg)  height(m)   Q  ns   sdn(m)   sde(m)   sdu(m)"
+    "  sdne(m)  sdeu(m)  sdun(m) age(s)  ratio"
+)
+
+
+def _pos(
+    path: Path,
+    system: str = "GPST",
+    *,
+    week: bool = False,
+    dms: bool = False,
+    separator: str = " ",
+    velocity: bool = True,
+) -> Path:
+    shift = 18.0 if system == "GPST" else 9 * 3600.0 if system == "JST" else 0.0
+    head = POS_HEAD.format(system=system).replace("(deg)", "(d'\")" if dms else "(deg)")
+    lines = [
+        "% program   : RTKPOST ver.2.4.3",
+        head + ("    vn(m/s)    ve(m/s)    vu(m/s)" if velocity else ""),
+    ]
+    for i, t in enumerate(TL):
+        moment = START + t + shift
+        if week:
+            since = moment - 315_964_800.0
+            fields = [f"{int(since // 604800)}", f"{since % 604800:.3f}"]
+        else:
+            import datetime
+
+            when = datetime.datetime.fromtimestamp(moment, tz=datetime.timezone.utc)
+            fields = [
+                when.strftime("%Y/%m/%d"),
+                when.strftime("%H:%M:%S.") + f"{when.microsecond // 1000:03d}",
+            ]
+        for angle in (LATITUDE[i], LONGITUDE[i]):
+            if dms:
+                minutes = (angle - int(angle)) * 60
+                fields += [str(int(angle)), str(int(minutes)), f"{(minutes - int(minutes)) * 60:.7f}"]
+            else:
+                fields.append(f"{angle:.9f}")
+        fields += [
+            "120.0",
+            str([1, 2, 5, 4, 7][i]),
+            "20",
+            "0.02",
+            "0.01",
+            "0.03",
+            "0",
+            "0",
+            "0",
+            "0.5",
+            "3.1",
+        ]
+        fields += ["0.0", "10.0", "0.0"] if velocity else []
+        lines.append(separator.join(fields))
+    path.write_text("\n".join(lines) + "\n")
+    return path
+
+
+@pytest.mark.parametrize(
+    "options",
+    [
+        {},
+        {"system": "UTC"},
+        {"system": "JST"},
+        {"week": True},
+        {"dms": True},
+        {"separator": ","},
+        {"separator": " , ", "week": True},
+    ],
+)
+def test_rtklib_variants_with_a_phones_imu(options: dict[str, Any], tmp_path: Path) -> None:
+    """A receiver's solution takes the place of the phone's own positions."""
+    pos = _pos(tmp_path / "gnss.pos", **options)
+    imported = import_drive([sensor_logger(tmp_path / "rec"), pos])
+    drive = imported.drive
+    np.testing.assert_allclose(drive.fix.t - START, TL, atol=2e-3)
+    np.testing.assert_allclose(drive.fix.latitude, LATITUDE, atol=1e-8)
+    np.testing.assert_allclose(drive.fix.longitude, LONGITUDE, atol=1e-8)
+    np.testing.assert_allclose(drive.velocity.enu, EAST)
+    assert drive.fix.status.tolist() == [2, 2, 0, 2, -1]
+    np.testing.assert_allclose(drive.fix.sigma[0], [0.01, 0.02, 0.03])
+    assert any("fix from RTKLIB" in note for note in imported.notes)
+
+
+def test_rtklib_without_velocities_derives_them_from_its_own_positions(tmp_path: Path) -> None:
+    pos = _pos(tmp_path / "gnss.pos", velocity=False)
+    imported = import_drive([sensor_logger(tmp_path / "rec"), pos])
+    np.testing.assert_allclose(imported.drive.velocity.enu[:, 1], 9e-5 * 111_180, rtol=1e-2)  # due north
+    assert any("derived from the positions" in note for note in imported.notes)
+
+
+def test_rtklib_ecef(tmp_path: Path) -> None:
+    """x, y, z with their covariances, turned to latitude, longitude, height and east, north, up."""
+    import pymap3d
+
+    x, y, z = pymap3d.geodetic2ecef(LATITUDE, LONGITUDE, np.full(5, 120.0))
+    lines = [
+        "%  UTC  x-ecef(m) y-ecef(m) z-ecef(m) Q ns sdx(m) sdy(m) sdz(m) sdxy(m) sdyz(m) sdzx(m) age(s) ratio "
+        "vx(m/s) vy(m/s) vz(m/s)"
+    ]
+    vx, vy, vz = pymap3d.enu2uvw(10.0, 0.0, 0.0, LATITUDE, LONGITUDE)
+    for i, t in enumerate(TL):
+        # the covariance of 1 cm east, 2 cm north, 5 cm up
+        rotation = np.stack(
+            [np.array(pymap3d.enu2uvw(*row, LATITUDE[i], LONGITUDE[i])).ravel() for row in np.eye(3)], axis=1
+        )
+        c = rotation @ np.diag([0.01, 0.02, 0.05]) ** 2 @ rotation.T
+        off = [np.sign(v) * np.sqrt(abs(v)) for v in (c[0, 1], c[1, 2], c[2, 0])]
+        sd = " ".join(f"{v:.9f}" for v in (*np.sqrt(np.diag(c)), *off))
+        lines.append(
+            f"2024/05/01 10:00:{t:06.3f} {x[i]:.6f} {y[i]:.6f} {z[i]:.6f} 1 20 {sd} 0 0 "
+            f"{vx[i]:.9f} {vy[i]:.9f} {vz[i]:.9f}"
+        )
+    (tmp_path / "gnss.pos").write_text("\n".join(lines) + "\n")
+    drive = import_drive([sensor_logger(tmp_path / "rec"), tmp_path / "gnss.pos"]).drive
+    np.testing.assert_allclose(drive.fix.latitude, LATITUDE, atol=1e-9)
+    np.testing.assert_allclose(drive.fix.altitude, 120.0, atol=1e-4)
+    np.testing.assert_allclose(drive.fix.sigma, np.tile([0.01, 0.02, 0.05], (5, 1)), rtol=1e-5)
+    np.testing.assert_allclose(drive.velocity.enu, EAST, atol=1e-6)
+
+
+def test_rtklib_files_that_cannot_be_read(tmp_path: Path) -> None:
+    path = tmp_path / "gnss.pos"
+    for text, words in {
+        "": "no positions",
+        "% only a header\n": "no positions",
+        "%  GPST  e-baseline(m) n-baseline(m) u-baseline(m) Q ns\n2024/05/01 10:00:00 1 2 3 1 20\n": "no positions",
+        "%  GPST  latitude(deg) longitude(deg) height(m) Q ns\nyesterday noon 1 2 3 1 20\n": "week",
+    }.items():
+        path.write_text(text)
+        with pytest.raises(InputError, match=words):
+            import_drive([path])
+    with pytest.raises(InputError, match="no accelerometer"):
+        import_drive([_pos(path)])
+
+
+# --- clocks, velocities, figures
+
+
+def test_gps_time_and_leap_seconds() -> None:
+    """IERS: GPS − UTC was 0 at first, 13 s in 2000, 18 s since 2017; the second before each step too."""
+    for moment, ahead in (
+        ("1980-06-01", 0),
+        ("2000-06-01", 13),
+        ("2016-12-31T23:59:59", 17),
+        ("2017-01-01", 18),
+        ("2025-07-08", 18),
+    ):
+        utc = iso_to_posix(moment)
+        assert gps_to_posix(np.array([utc + ahead]))[0] == utc
+    # GPS week 2012, second 404106.397 is in comma2k19's drive of 2018-08-02
+    assert week_to_posix(np.array([2012.0]), np.array([404106.397]))[0] == pytest.approx(
+        iso_to_posix("2018-08-02T16:14:48.397"), abs=1e-6
+    )
+
+
+def test_dates_and_times_as_programs_write_them() -> None:
+    expected = iso_to_posix("2024-05-01T10:00:02.500")
+    for text in (
+        "2024-05-01 10:00:02.5",
+        "2024-05-01T10:00:02.500Z",
+        "2024/05/01 10:00:02,500",
+        "01-May-2024 10:00:02.500",
+        "05/01/2024 10:00:02.5 AM",
+        "01.05.2024 10:00:02.5",
+        "2024-05-01T12:00:02.5+02:00",
+        "20240501T100002.5Z".replace("T100002.5", "T10:00:02.5"),
+    ):
+        assert text_to_posix([text])[0] == pytest.approx(expected, abs=1e-6), text
+    assert np.isnan(text_to_posix(["", "noon", "2024-13-01 10:00:00"])).all()
+    assert text_to_posix(["05/01/2024 12:30:00 PM"])[0] - iso_to_posix("2024-05-01") == 12.5 * 3600
+
+
+def test_velocities_from_speed_and_bearing() -> None:
+    speed = np.array([1.0, 1.0, 1.0, 1.0, 0.1, -1.0, 5.0, 5.0, np.nan])
+    bearing = np.array([0.0, 90.0, 180.0, 315.0, -1.0, 10.0, -1.0, np.nan, 10.0])
+    velocity = velocities_from_course(np.arange(9.0), speed, bearing)
+    assert velocity.t.tolist() == [0, 1, 2, 3, 4]
+    half = np.sqrt(0.5)
+    np.testing.assert_allclose(
+        velocity.enu[:4], [[0, 1, 0], [1, 0, 0], [0, -1, 0], [-half, half, 0]], atol=1e-15
+    )
+    assert np.linalg.norm(velocity.enu[4]) < 0.3
+
+
+def test_velocities_from_positions_are_exact_on_parabolas_and_stop_at_gaps() -> None:
+    import pymap3d
+
+    t = np.concatenate([np.arange(20) * 0.25, 60 + np.arange(20) * 0.25]) + np.random.default_rng(0).uniform(
+        0, 0.05, 40
+    )
+    east, north = 3 * t + 0.5 * t**2 * (t < 30), 2 * t
+    latitude, longitude, altitude = pymap3d.enu2geodetic(east, north, 0 * t, 47.0, 19.0, 100.0)
+    fix = FixData(
+        START + t, latitude, longitude, altitude, np.zeros(40, dtype=np.int8), np.full((40, 3), np.nan)
+    )
+    velocity = velocities_from_fixes(fix)
+    assert len(velocity) == 40
+    np.testing.assert_allclose(
+        velocity.enu[:, 0], 3 + t * (t < 30), atol=2e-3
+    )  # the plane turns with the Earth
+    np.testing.assert_allclose(velocity.enu[:, 1], 2.0, atol=2e-3)
+    lost = FixData(fix.t, latitude, longitude, altitude, np.full(40, -1, dtype=np.int8), fix.sigma)
+    assert len(velocities_from_fixes(lost)) == 0
+
+
+def test_figures_of_a_drive(make: Callable[..., Any]) -> None:
+    drive = make(1000)
+    summary = summarise(drive)
+    assert summary.imu.rate == pytest.approx(100, rel=1e-4)
+    assert summary.imu.duration == pytest.approx(9.99)
+    assert (summary.gravity.axis, summary.imu.gaps) == ("+z", ())
+    t = np.concatenate([np.arange(100), 150 + np.arange(100)]) / 100
+    rhythm = rhythm_of(t)
+    assert [(round(a, 2), round(b, 2)) for a, b in rhythm.gaps] == [(0.99, 0.51)]
+    for axis, column, sign in (("-z", 2, -1), ("+y", 1, 1), ("-x", 0, -1)):
+        force = np.zeros((10, 3))
+        force[:, column] = sign * G
+        assert gravity_of(force).axis == axis
+    text = "\n".join(summary.lines())
+    for words in ("100.00 Hz", "+z", "no gaps", "km", "m/s"):
+        assert words in text
+
+
+# --- documentation
+
+
+def test_every_importer_and_mapping_has_its_line_in_the_documentation(repository: Path) -> None:
+    folder = repository / "config" / "import"
+    text = (folder / "README.md").read_text(encoding="utf-8")
+    for name in IMPORTERS:
+        assert f"| `{name}` |" in text, name
+        assert load_importer(name).TITLE in text
+    mappings = sorted(folder.glob("*.yaml"))
+    assert mappings
+    for path in mappings:
+        assert f"| `{path.name}` |" in text, path.name
+        load_mapping(path)
+    example = re.search(r"```yaml\n(.*?)```", text, re.DOTALL)
+    assert example is not None
+    assert parse_mapping(example.group(1)).name == "my_drive"

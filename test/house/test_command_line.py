@@ -1,0 +1,316 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The command line as a whole: exit status, one line for every failure, nothing imported without need."""
+
+from __future__ import annotations
+
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator
+from enum import Enum
+from pathlib import Path
+from types import ModuleType
+from typing import Annotated
+
+import pytest
+import typer
+
+import suspension_twin
+from suspension_twin.cli import main as program
+from suspension_twin.cli.common import bundled
+from suspension_twin.cli.main import SUBCOMMANDS, Subcommand, main
+from suspension_twin.errors import InputError, WorkError
+
+COMMAND = [sys.executable, "-m", "suspension_twin"]
+CONTRACT = {"demo", "run", "calibrate", "simulate", "import", "road"}
+
+
+class Colour(str, Enum):
+    """A choice."""
+
+    red = "red"
+    green = "green"
+
+
+def failing(error: BaseException) -> Callable[[], None]:
+    def command() -> None:
+        raise error
+
+    return command
+
+
+@pytest.fixture
+def with_command(monkeypatch: pytest.MonkeyPatch) -> Iterator[Callable[..., None]]:
+    """Puts one made-up subcommand ``work`` into the program."""
+
+    def put(command: Callable[..., None] | typer.Typer, **row: bool) -> None:
+        module = ModuleType("suspension_twin.cli.work")
+        setattr(module, "app" if isinstance(command, typer.Typer) else "command", command)
+        monkeypatch.setitem(sys.modules, module.__name__, module)
+        monkeypatch.setattr(program, "SUBCOMMANDS", (Subcommand("work", "work", "Works.", **row),))
+
+    yield put
+
+
+def run(arguments: list[str], capsys: pytest.CaptureFixture[str]) -> tuple[int, str, str]:
+    status = main(arguments)
+    out, err = capsys.readouterr()
+    return status, out, err
+
+
+def test_every_command_of_the_contract_is_there() -> None:
+    assert {row.name for row in SUBCOMMANDS} >= CONTRACT
+
+
+def test_every_file_of_a_command_is_listed(repository: Path) -> None:
+    files = {p.stem for p in (repository / "suspension_twin/cli").glob("*.py") if not p.stem.startswith("_")}
+    assert files - {"main", "common"} == {row.module for row in SUBCOMMANDS}
+
+
+@pytest.mark.parametrize("row", SUBCOMMANDS, ids=lambda row: row.name)
+def test_every_command_helps(row: Subcommand, capsys: pytest.CaptureFixture[str]) -> None:
+    status, out, err = run([row.name, "--help"], capsys)
+    assert (status, err) == (0, "")
+    assert "Usage:" in out
+
+
+@pytest.mark.parametrize("row", SUBCOMMANDS, ids=lambda row: row.name)
+def test_every_command_names_an_unknown_option(row: Subcommand, capsys: pytest.CaptureFixture[str]) -> None:
+    status, out, err = run([row.name, "--no-such-option"], capsys)
+    assert (status, out) == (2, "")
+    assert err.count("\n") == 1
+    assert "--no-such-option" in err or row.name == "road"
+
+
+def test_help_lists_every_command_and_imports_none(capsys: pytest.CaptureFixture[str]) -> None:
+    code = (
+        "import sys; from suspension_twin.cli.main import main; status = main(['--help']);"
+        "heavy = [m for m in sys.modules if m.split('.')[0] in ('numpy', 'scipy', 'numba', 'rclpy', 'matplotlib')];"
+        "sys.exit(status or len(heavy))"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=60)
+    assert done.returncode == 0, done.stdout + done.stderr
+    for row in SUBCOMMANDS:
+        assert row.name in done.stdout
+        assert row.help.rstrip(".") in " ".join(done.stdout.split())
+
+
+def test_version(capsys: pytest.CaptureFixture[str]) -> None:
+    assert run(["--version"], capsys) == (0, f"suspension-twin {suspension_twin.__version__}\n", "")
+
+
+@pytest.mark.parametrize(
+    ("arguments", "named"),
+    [
+        (["frobnicate"], "frobnicate"),
+        (["--bogus"], "--bogus"),
+        (["--bogus", "demo"], "--bogus"),
+        (["road", "frobnicate"], "frobnicate"),
+        (["calibrate", "--out", "x.yaml", "bag"], "--twin"),
+        (["simulate", "--twin", "x.yaml", "bag"], "--out"),
+        (["calibrate", "--twin", "no-such-twin.yaml", "bag", "--out", "x.yaml"], "no-such-twin.yaml"),
+        (["road", "check", "no-such-road.crg"], "no-such-road.crg"),
+        (["import", "no-such-file.csv", "--out", "bag"], "no-such-file.csv"),
+    ],
+    ids=" ".join,
+)
+def test_unusable_arguments_are_one_line_that_names_them(
+    arguments: list[str],
+    named: str,
+    capsys: pytest.CaptureFixture[str],
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    status, out, err = run(arguments, capsys)
+    assert (status, out) == (2, "")
+    assert named in err
+    assert err.count("\n") == 1
+    assert err.startswith("suspension-twin")
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize("arguments", [[], ["road"]], ids=["nothing", "road"])
+def test_a_missing_command_is_met_with_help(arguments: list[str], capsys: pytest.CaptureFixture[str]) -> None:
+    status, out, err = run(arguments, capsys)
+    assert status == 2
+    assert "Usage:" in out
+    path = " ".join(["suspension-twin", *arguments])
+    assert err == f"{path}: Missing command (see {path} --help)\n"
+
+
+def test_a_bad_choice_and_a_bad_number_are_one_line(
+    with_command: Callable[..., None], capsys: pytest.CaptureFixture[str]
+) -> None:
+    def command(colour: Colour, size: Annotated[int, typer.Option(min=1)] = 1) -> None:
+        print(colour.value, size)
+
+    with_command(command)
+    assert run(["work", "red"], capsys) == (0, "red 1\n", "")
+    for arguments, named in (
+        (["work"], "colour"),
+        (["work", "blue"], "blue"),
+        (["work", "red", "--size", "0"], "size"),
+        (["work", "red", "--size", "big"], "--size"),
+        (["work", "red", "green"], "green"),
+    ):
+        status, out, err = run(arguments, capsys)
+        assert (status, out) == (2, "")
+        assert named in err.lower()
+        assert err.count("\n") == 1
+
+
+@pytest.mark.parametrize(
+    ("error", "status", "line"),
+    [
+        (InputError("t.yaml", "vehicle.mass", "must be above 0"), 2, "t.yaml: vehicle.mass: must be above 0"),
+        (WorkError("the search found nothing"), 1, "the search found nothing"),
+        (InputError("a", "several\nlines\n  of it"), 2, "a: several lines of it"),
+        (FileNotFoundError(2, "No such file", "x.csv"), 2, "x.csv: No such file"),
+        (PermissionError(13, "Permission denied", "/out"), 2, "/out: Permission denied"),
+        (OSError(5, "Input/output error", "disk"), 1, "disk: Input/output error"),
+        (OSError(28, "No space left on device"), 1, "no space left to write the results"),
+        (MemoryError(), 1, "out of memory"),
+        (ZeroDivisionError("by zero"), 1, "unexpected error, ZeroDivisionError: by zero (--debug shows where)"),
+        (KeyError(), 1, "unexpected error, KeyError (--debug shows where)"),
+    ],
+    ids=lambda value: type(value).__name__ if isinstance(value, BaseException) else None,
+)
+def test_an_error_becomes_a_status_and_one_line(
+    error: BaseException,
+    status: int,
+    line: str,
+    with_command: Callable[..., None],
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    with_command(failing(error))
+    assert run(["work"], capsys) == (status, "", f"suspension-twin: {line}\n")
+
+
+@pytest.mark.parametrize("arguments", [["--debug", "work"], ["work", "--debug"]], ids=" ".join)
+def test_debug_shows_the_traceback_from_either_place(
+    arguments: list[str], with_command: Callable[..., None], capsys: pytest.CaptureFixture[str]
+) -> None:
+    with_command(failing(ZeroDivisionError("by zero")))
+    status, _, err = run(arguments, capsys)
+    assert status == 1
+    assert "Traceback" in err
+    assert err.endswith("suspension-twin: unexpected error, ZeroDivisionError: by zero (--debug shows where)\n")
+
+
+def test_debug_after_two_dashes_is_an_argument(
+    with_command: Callable[..., None], capsys: pytest.CaptureFixture[str]
+) -> None:
+    def command(words: list[str]) -> None:
+        print(*words)
+
+    with_command(command)
+    assert run(["work", "--", "--debug"], capsys) == (0, "--debug\n", "")
+
+
+def test_exit_and_interrupt(with_command: Callable[..., None], capsys: pytest.CaptureFixture[str]) -> None:
+    with_command(failing(typer.Exit(1)))
+    assert run(["work"], capsys) == (1, "", "")
+    with_command(failing(SystemExit(3)))
+    assert run(["work"], capsys) == (3, "", "")
+    with_command(failing(KeyboardInterrupt()))
+    assert run(["work"], capsys) == (130, "", "")
+    with_command(failing(KeyboardInterrupt()), endless=True)
+    assert run(["work"], capsys) == (0, "", "")
+
+
+def test_subcommands_of_a_subcommand(with_command: Callable[..., None], capsys: pytest.CaptureFixture[str]) -> None:
+    app = typer.Typer()
+
+    @app.command()
+    def show(name: str) -> None:
+        print("shown", name)
+
+    @app.command()
+    def check(name: str) -> None:
+        raise InputError(name, "is wrong")
+
+    with_command(app)
+    assert run(["work", "show", "x"], capsys) == (0, "shown x\n", "")
+    assert run(["work", "check", "x"], capsys) == (2, "", "suspension-twin: x: is wrong\n")
+    status, _, err = run(["work", "show"], capsys)
+    assert status == 2
+    assert err.startswith("suspension-twin work show: Missing argument")
+
+
+def test_help_flows_as_the_terminal_is_wide(
+    with_command: Callable[..., None], capsys: pytest.CaptureFixture[str]
+) -> None:
+    def command() -> None:
+        """Works.
+
+        One sentence that is broken
+        in the source.
+        """
+
+    with_command(command)
+    _, out, _ = run(["work", "--help"], capsys)
+    assert "One sentence that is broken in the source." in out
+
+
+def test_the_module_runs() -> None:
+    whole = subprocess.run([*COMMAND, "--version"], capture_output=True, text=True, timeout=60)
+    assert (whole.returncode, whole.stderr) == (0, "")
+    assert whole.stdout == f"suspension-twin {suspension_twin.__version__}\n"
+
+
+def program_with(body: str, path: Path, endless: bool = False) -> list[str]:
+    """A command line that runs the program in a process of its own, with ``body`` as its one subcommand."""
+    path.write_text(
+        "import sys, time, types\n"
+        "from suspension_twin.cli import main as program\n"
+        f"program.SUBCOMMANDS = (program.Subcommand('work', 'work', 'Works.', endless={endless}),)\n"
+        "def command():\n"
+        f"    {body}\n"
+        "program.import_module = lambda name: types.SimpleNamespace(command=command)\n"
+        "sys.exit(program.main(['work']))\n"
+    )
+    return [sys.executable, str(path)]
+
+
+@pytest.mark.parametrize("size", [1, 1_000_000])
+def test_a_reader_that_leaves_is_no_trouble(size: int, tmp_path: Path) -> None:
+    """``suspension-twin ... | head``: whether the pipe breaks in the middle or at the last flush."""
+    body = f"time.sleep(0.5); print('x' * {size})"
+    with subprocess.Popen(
+        program_with(body, tmp_path / "talk.py"), stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+    ) as child:
+        assert child.stdout is not None
+        child.stdout.close()
+        _, err = child.communicate(timeout=60)
+        assert (child.returncode, err) == (1, "")
+
+
+@pytest.mark.parametrize(
+    ("end", "endless", "status"),
+    [(signal.SIGINT, False, 130), (signal.SIGINT, True, 0), (signal.SIGTERM, True, 0)],
+    ids=["Ctrl-C", "Ctrl-C endless", "SIGTERM endless"],
+)
+def test_a_signal_ends_a_command_quietly(end: signal.Signals, endless: bool, status: int, tmp_path: Path) -> None:
+    """Also while it still imports, which takes seconds: the program's own handlers are in place before."""
+    body = "print('at work', flush=True); time.sleep(30)"
+    child = subprocess.Popen(
+        program_with(body, tmp_path / "work.py", endless), stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+    )
+    try:
+        assert child.stdout is not None
+        assert child.stdout.readline() == "at work\n"
+        start = time.monotonic()
+        child.send_signal(end)
+        _, err = child.communicate(timeout=20)
+        assert (child.returncode, err) == (status, "")
+        assert time.monotonic() - start < 5
+    finally:
+        child.kill()
+
+
+def test_bundled_files_are_found_and_a_missing_one_is_named(repository: Path) -> None:
+    assert bundled("package.xml") == repository / "package.xml"
+    with pytest.raises(InputError, match="config/no-such-file"):
+        bundled("config", "no-such-file")

@@ -1,0 +1,168 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The rules of the house: who may import whom, how long a module is, what every file begins with."""
+
+from __future__ import annotations
+
+import ast
+import re
+from collections.abc import Iterator
+from importlib import import_module
+from pathlib import Path
+from typing import get_args
+
+import pytest
+
+from suspension_twin.drive.importers import IMPORTERS
+from suspension_twin.effects.registry import EFFECTS
+from suspension_twin.vehicle.twin import Twin
+
+# From the left of the design's picture to its right: a package imports from its own row and the rows before it.
+ROWS = (
+    {"errors"},
+    {"drive"},
+    {"vehicle"},
+    {"signals"},
+    {"pose"},
+    {"road"},
+    {"models", "effects"},
+    {"gap"},
+    {"calibration"},
+    {"diagnosis"},
+    {"report"},
+    {"nodes"},
+    {"demo"},
+    {"demo"},
+    {"cli"},
+    {"__main__"},
+)
+RANK = {name: rank for rank, row in enumerate(ROWS) for name in row}
+ROS = re.compile(r"rclpy|rosidl\w*|ament\w*|launch\w*|\w+_msgs|\w+_srvs|\w+_interfaces")
+
+
+def modules(repository: Path) -> Iterator[tuple[Path, ast.Module]]:
+    for path in sorted((repository / "suspension_twin").rglob("*.py")):
+        yield path.relative_to(repository), ast.parse(path.read_text(encoding="utf-8"))
+
+
+def imports(tree: ast.Module) -> set[str]:
+    """Full names of everything imported anywhere in a module."""
+    names = {alias.name for node in ast.walk(tree) if isinstance(node, ast.Import) for alias in node.names}
+    for node in ast.walk(tree):
+        if isinstance(node, ast.ImportFrom):
+            assert node.level == 0, "imports name the whole path"
+            names |= {f"{node.module}.{alias.name}" for alias in node.names}
+    return names
+
+
+def test_only_the_nodes_know_ros(repository: Path) -> None:
+    found = [
+        f"{path}: {name}"
+        for path, tree in modules(repository)
+        for name in imports(tree)
+        if ROS.fullmatch(name.split(".")[0]) and path.parts[1] != "nodes"
+    ]
+    assert found == []
+
+
+def test_imports_go_from_right_to_left(repository: Path) -> None:
+    found = []
+    for path, tree in modules(repository):
+        own = path.parts[1].removesuffix(".py")
+        for name in imports(tree):
+            parts = name.split(".")
+            inside = parts[0] == "suspension_twin" and len(parts) > 1
+            if inside and own != "__init__" and RANK.get(parts[1], -1) > RANK[own]:
+                found.append(f"{path}: {name}")
+    assert found == []
+
+
+def test_every_package_has_its_place(repository: Path) -> None:
+    packages = {p.parent.name for p in (repository / "suspension_twin").glob("*/__init__.py")}
+    assert packages <= set(RANK)
+
+
+def test_modules_are_short(repository: Path) -> None:
+    found = []
+    for path, _ in modules(repository):
+        lines = len((repository / path).read_text(encoding="utf-8").splitlines())
+        if lines > (220 if path.parts[1] == "nodes" else 420):
+            found.append(f"{path}: {lines} lines")
+    assert found == []
+
+
+def test_every_file_has_licence_and_docstring(repository: Path, tracked: list[Path]) -> None:
+    found = []
+    for path in (p for p in tracked if p.suffix == ".py"):
+        text = (repository / path).read_text(encoding="utf-8").removeprefix("#!/usr/bin/env python3\n")
+        if not text.startswith("# SPDX-License-Identifier: Apache-2.0\n"):
+            found.append(f"{path}: licence")
+        tree = ast.parse(text)
+        if not ast.get_docstring(tree) and (tree.body or path.name != "__init__.py"):
+            found.append(f"{path}: docstring")
+    assert found == []
+
+
+def test_no_path_of_a_machine_and_no_registry(repository: Path, tracked: list[Path]) -> None:
+    # Put together here, so that this file may be looked through as well.
+    folders = "|".join(("wor" + "k", "tm" + "p", "roo" + "t", "hom" + "e"))
+    registries = "|".join(("py" + "pi", "python" + "hosted"))
+    forbidden = re.compile(rf"(?<![\w.$}}~*-])/({folders})/|\b({registries})\.org\b")
+    found = []
+    for path in tracked:
+        try:
+            text = (repository / path).read_text(encoding="utf-8")
+        except UnicodeDecodeError:
+            continue  # a bag or a picture
+        found += [f"{path}: {line.strip()[:100]}" for line in text.splitlines() if forbidden.search(line)]
+    assert found == []
+
+
+def documentation(repository: Path) -> str:
+    pages = [repository / "README.md", *sorted((repository / "docs").rglob("*.md"))]
+    return " ".join(page.read_text(encoding="utf-8") for page in pages)
+
+
+def named_in_tests(repository: Path, folder: str, name: str) -> bool:
+    spelt = re.compile(name.replace("_", "[_ -]?"), re.IGNORECASE)  # also as words or a class
+    tests = (repository / "test" / folder).rglob("*.py")
+    return any(spelt.search(p.name + p.read_text(encoding="utf-8")) for p in tests)
+
+
+def files_of(repository: Path, folder: str) -> set[str]:
+    paths = (repository / "suspension_twin" / folder).glob("*.py")
+    return {path.stem for path in paths if not path.stem.startswith("_")}
+
+
+@pytest.mark.parametrize("name", IMPORTERS)
+def test_an_importer_is_whole(name: str, repository: Path) -> None:
+    assert name in files_of(repository, "drive/importers")
+    assert named_in_tests(repository, "drive", name), f"no test of the importer {name}"
+    title = import_module(f"suspension_twin.drive.importers.{name}").TITLE
+    assert title.lower() in documentation(repository).lower(), f"{title} has no line in the documentation"
+
+
+def test_every_importer_is_registered(repository: Path) -> None:
+    assert files_of(repository, "drive/importers") == set(IMPORTERS)
+
+
+@pytest.mark.parametrize("name", get_args(Twin.model_fields["model"].annotation))
+def test_a_model_is_whole(name: str, repository: Path) -> None:
+    assert name in files_of(repository, "models")
+    assert named_in_tests(repository, "models", name), f"no test of the model {name}"
+    assert f"`{name}`" in documentation(repository), f"{name} has no line in the documentation"
+
+
+@pytest.mark.parametrize("name", EFFECTS)
+def test_an_effect_is_whole(name: str, repository: Path) -> None:
+    assert name in files_of(repository, "effects")
+    assert named_in_tests(repository, "effects", name), f"no test of the effect {name}"
+    assert f"`{name}`" in documentation(repository), f"{name} has no line in the documentation"
+
+
+def test_every_effect_is_registered(repository: Path) -> None:
+    assert files_of(repository, "effects") - {"base", "registry"} == set(EFFECTS)
+    strut = "strut_friction bump_stop rebound_stop top_mount anti_roll_bar damper_fade corner_damper corner_spring"
+    tyre_and_body = "tyre_damping tyre_envelope unsprung_mass payload body_bending powertrain_mount"
+    sensor = "mount_resonance sensor_offset sensor_tilt sensor_bandwidth sensor_clipping sensor_scale"
+    time_and_road = "time_offset clock_drift road_scale road_smoothing position_offset lateral_offset"
+    assert set(EFFECTS) >= set(f"{strut} {tyre_and_body} {sensor} {time_and_road}".split())

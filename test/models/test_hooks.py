@@ -1,0 +1,115 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The seam that effects plug into: nothing when neutral, to the last bit; the named physics when not."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from functools import partial
+from typing import Any
+
+import numpy as np
+import pytest
+
+from suspension_twin.errors import InputError
+from suspension_twin.models import parameters, rows
+from suspension_twin.models.excitation import excitation
+from suspension_twin.models.hooks import Hook, SignalStage
+from suspension_twin.models.parameters import lanes
+from suspension_twin.models.simulate import simulate_lanes, simulate_twin
+
+#: Every term of the kernel: first row, how many, and their values at full.
+TERMS: dict[str, list[tuple[int, int, float]]] = {
+    "friction": [(rows.FRICTION_LIMIT, 4, 200.0), (rows.FRICTION_RATE, 4, 4e5)],
+    "bump": [(rows.BUMP_GAP, 4, 0.01), (rows.BUMP_RATE, 4, 5e4), (rows.BUMP_RISE, 4, 2e6)],
+    "rebound": [(rows.REBOUND_GAP, 4, 0.01), (rows.REBOUND_RATE, 4, 5e4), (rows.REBOUND_RISE, 4, 1e6)],
+    "bar": [(rows.BAR, 2, 1.5e4)],
+    "tyre_damping": [(rows.TYRE_DAMPING, 2, 300.0)],
+    "mount": [(rows.MOUNT, 4, 3e-6)],
+    "fade": [(rows.FADE_LOSS, 4, 0.6), (rows.FADE_TIME, 1, 1.0)],
+    "hot": [(rows.FADE_LOSS, 4, 0.6), (rows.FADE_ENERGY, 1, 1 / 500)],
+    "bend": [(rows.BEND_GAIN, 1, 0.3), (rows.BEND_STIFFNESS, 1, 2.5e4), (rows.BEND_DAMPING, 1, 10.0)],
+    "engine": [
+        (rows.ENGINE_MASS, 1, 200.0), (rows.ENGINE_STIFFNESS, 1, 4e3), (rows.ENGINE_DAMPING, 1, 12.0),
+        (rows.ENGINE_X, 1, 1.2),
+    ],
+    "corner_damper": [(rows.DAMPER_SCALE, 1, -0.5)],
+    "corner_spring": [(rows.SPRING_SCALE, 1, -0.3)],
+}  # fmt: skip
+ROADS: dict[str, Callable[[Any, Any], None]] = {
+    "scale": lambda c, v: c.scale.__iadd__(0.3 * v),
+    "ahead": lambda c, v: c.ahead.__iadd__(0.5 * v),
+    "left": lambda c, v: c.left.__iadd__(0.13 * v),
+    "smooth": lambda c, v: c.smoothing.__iadd__(0.15 * v),
+    "patch": lambda c, v: c.patch.__iadd__(0.2 * v),
+}
+
+
+def _terms(rows_at_full: list[tuple[int, int, float]], terms: Any, values: Any) -> None:
+    for first, count, full in rows_at_full:
+        terms[first : first + count] += full * values["amount"]
+
+
+def _payload(numbers: Any, values: Any) -> None:
+    numbers["vehicle.mass"] = numbers["vehicle.mass"] + 300 * values["amount"]
+
+
+def _rescale(signals: Any, t: Any, fresh: Any, values: Any, state: Any) -> None:
+    signals *= 1 + values[0]
+
+
+HOOKS = {
+    **{f"term_{name}": Hook({"amount": 0.0}, terms=partial(_terms, full)) for name, full in TERMS.items()},
+    **{f"road_{k}": Hook({"amount": 0.0}, road=lambda c, v, f=f: f(c, v["amount"])) for k, f in ROADS.items()},
+    "payload": Hook({"amount": 0.0}, vehicle=_payload),
+    "signal": Hook({"amount": 0.0}, signal=SignalStage(_rescale)),
+}
+
+
+@pytest.fixture(autouse=True)
+def _effects(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(parameters, "load_hook", HOOKS.__getitem__)
+
+
+def with_effect(twin: Any, *names: str, amount: float = 0.0) -> Any:
+    return twin.with_changes({"effects": [{"id": n, "parameters": {"amount": amount}} for n in names]})
+
+
+@pytest.mark.parametrize("name", HOOKS)
+def test_neutral_is_bit_identical_and_full_is_not(mondeo: Any, drive: Any, rough: Any, name: str) -> None:
+    way = excitation(drive(seconds=2, jitter=0.3, yaw_rate=0.2), mondeo.vehicle, rough)
+    plain = simulate_lanes(mondeo, lanes(mondeo, [], np.zeros((1, 0))), way)
+    twin = with_effect(mondeo, name)
+    # the same block: neutral lanes beside full ones
+    amounts = np.array([[0.0], [1.0], [0.0], [0.5]])
+    both = simulate_lanes(twin, lanes(twin, [f"effects.{name}.amount"], amounts), way)
+    assert not both.failed.any()
+    for lane in (0, 2):
+        assert np.array_equal(both.force[:, :, lane], plain.force[:, :, 0])
+        assert np.array_equal(both.rate[:, :, lane], plain.rate[:, :, 0])
+    moved = np.abs(both.force[:, :, 1] - plain.force[:, :, 0]).max()
+    half = np.abs(both.force[:, :, 3] - plain.force[:, :, 0]).max()
+    assert moved > 0.01
+    assert half > 0
+    # the recorded run tells the same as the lane
+    one = simulate_twin(with_effect(mondeo, name, amount=1.0), way)
+    assert np.array_equal(one.force, both.force[:, :, 1])
+
+
+def test_all_neutral_at_once(mondeo: Any, drive: Any, rough: Any) -> None:
+    way = excitation(drive(seconds=1), mondeo.vehicle, rough)
+    plain = simulate_twin(mondeo, way)
+    twin = with_effect(mondeo, *HOOKS)
+    names = [f"effects.{n}.amount" for n in HOOKS]
+    amounts = np.vstack([np.zeros(len(names)), np.eye(len(names))])
+    lane = simulate_lanes(twin, lanes(twin, names, amounts), way)
+    assert np.array_equal(lane.force[:, :, 0], plain.force)
+    # every lane answers its own effect alone, whatever runs beside it
+    for k, name in enumerate(HOOKS):
+        alone = simulate_twin(with_effect(mondeo, name, amount=1.0), way)
+        assert np.array_equal(lane.force[:, :, k + 1], alone.force), name
+
+
+def test_unknown_effect_and_parameter_are_named(mondeo: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.undo()
+    with pytest.raises(InputError, match="there is no effect no_such"):
+        parameters.pack(mondeo.with_changes({"effects": [{"id": "no_such"}]}))

@@ -1,0 +1,104 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A bench to put nodes on, and what the tests of the nodes share beside it."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from typing import Any
+
+import rclpy
+from rclpy.node import Node
+from rclpy.parameter import Parameter
+from rclpy.qos import QoSProfile
+
+from suspension_twin.nodes._base import Embedding, TwinNode
+from suspension_twin.nodes._executor import TwinExecutor
+
+NS = 1_000_000_000
+
+
+class Bench:
+    """Nodes under test and a node beside them that talks to them, on one thread."""
+
+    def __init__(self, context: rclpy.Context) -> None:
+        self.context = context
+        self.executor = TwinExecutor(context=context)
+        self.nodes: list[Node] = []
+        self.side = self.add(rclpy.create_node("side", context=context))
+
+    def add(self, node: Any) -> Any:
+        """Have ``node`` served."""
+        self.nodes.append(node)
+        self.executor.add_node(node)
+        return node
+
+    def make(self, kind: Callable[..., TwinNode], *args: Any, namespace: str = "", **parameters: Any) -> Any:
+        """A node with these parameters (``__`` for a dot)."""
+        given = tuple(Parameter(k.replace("__", "."), value=v) for k, v in parameters.items())
+        return self.add(kind(Embedding(self.context, namespace, given), *args))
+
+    def until(self, condition: Callable[[], Any], what: str = "", seconds: float = 20.0) -> Any:
+        """Serve until ``condition`` holds; fail after ``seconds``. Returns what it gave."""
+        end = time.monotonic() + seconds
+        while not (found := condition()):
+            assert time.monotonic() < end, f"waited {seconds} s for {what or condition}"
+            self.executor.spin_once(timeout_sec=0.05)
+        return found
+
+    def spin(self, seconds: float) -> None:
+        """Serve for so long."""
+        end = time.monotonic() + seconds
+        while time.monotonic() < end:
+            self.executor.spin_once(timeout_sec=0.02)
+
+    def hear(self, kind: type, topic: str, depth: int = 10_000) -> list[Any]:
+        """A list that fills with the messages of ``topic``, connected to whoever publishes it."""
+        heard: list[Any] = []
+        subscription = self.side.create_subscription(kind, topic, heard.append, QoSProfile(depth=depth))
+        if any(topic.lstrip("/") in out.publisher.topic_name for n in self.nodes for out in _outputs(n)):
+            self.until(subscription.get_publisher_count, f"a publisher of {topic}")
+        return heard
+
+    def speak(self, kind: type, topic: str) -> Callable[[Any], None]:
+        """A function that publishes on ``topic``, connected to whoever listens."""
+        publisher = self.side.create_publisher(kind, topic, QoSProfile(depth=10_000))
+        self.until(publisher.get_subscription_count, f"a subscriber of {topic}")
+        return publisher.publish
+
+    def call(self, kind: type, name: str, request: Any) -> Any:
+        """The response of a service."""
+        client = self.side.create_client(kind, name)
+        self.until(client.service_is_ready, f"the service {name}")
+        future = client.call_async(request)
+        self.until(future.done, f"an answer of {name}")
+        self.side.destroy_client(client)
+        return future.result()
+
+    def close(self) -> None:
+        """Take everything down."""
+        self.executor.shutdown()
+        for node in self.nodes:
+            node.destroy_node()
+
+
+def _outputs(node: Any) -> list[Any]:
+    return list(getattr(node, "outputs", {}).values())
+
+
+def worst(node: TwinNode) -> tuple[int, str]:
+    """Level and message of the node's own status as it would be published now."""
+    node._diagnose()
+    status = node.health.statuses()[0]
+    return status.level[0], status.message
+
+
+def put_stamp(message: Any, t: float) -> Any:
+    """The message with its header's stamp at ``t`` s."""
+    message.header.stamp.sec, message.header.stamp.nanosec = divmod(round(t * 1e9), NS)
+    return message
+
+
+def stamp_of(message: Any) -> int:
+    """Header stamp in ns."""
+    return int(message.header.stamp.sec * NS + message.header.stamp.nanosec)

@@ -1,0 +1,50 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Stand-ins for the calibration. They run in the worker's process, which imports them from here."""
+
+from __future__ import annotations
+
+import os
+import time
+from pathlib import Path
+
+from suspension_twin.calibration.request import Progress
+from suspension_twin.errors import InputError
+from suspension_twin.nodes._calibration import Outcome
+
+
+def search_until_stopped(job, progress, should_stop):
+    """Generations without end."""
+    generation = 0
+    while not should_stop():
+        generation += 1
+        progress(Progress("search", generation, 10 * generation, 100.0 / generation, 200.0 / generation, 1.0))
+        time.sleep(0.02)
+    Path(job.output).write_text("best so far")
+    return Outcome(
+        True, f"stopped in generation {generation}", job.output, 1.0, 2.0, 10 * generation, generation, ("a",), (3.0,),
+        (True,),
+    )  # fmt: skip
+
+
+def five_generations(job, progress, should_stop):
+    """Five at once, to see that all of them arrive before the result."""
+    for generation in range(1, 6):
+        progress(Progress("search", generation, generation, 1.0, 2.0, float("nan")))
+    return Outcome(True, "found", job.output, 0.5, 2.0, 5, 5, ("vehicle.mass",), (1700.0,), (True,))
+
+
+def cannot(job, progress, should_stop):
+    raise InputError(job.request.bags[0], "no GPS")
+
+
+def breaks(job, progress, should_stop):
+    raise ZeroDivisionError("inside")
+
+
+def dies(job, progress, should_stop):
+    os._exit(3)
+
+
+def deaf(job, progress, should_stop):
+    progress(Progress("search", 1))
+    time.sleep(60.0)

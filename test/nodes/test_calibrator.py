@@ -1,0 +1,199 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The action ``calibrate``: goals taken and refused, word on the way, cancelled at once."""
+
+from __future__ import annotations
+
+import os
+import time
+from pathlib import Path
+
+import pytest
+from action_msgs.msg import GoalStatus
+from nodes_bench import worst
+from rclpy.action import ActionClient
+from rclpy.executors import SingleThreadedExecutor
+from stand_ins import breaks, cannot, deaf, dies, five_generations, search_until_stopped
+
+from suspension_twin.drive.write import write_drive
+from suspension_twin.nodes.calibrator import CalibratorNode
+from suspension_twin.vehicle.twin import load_twin
+from suspension_twin_interfaces.action import Calibrate
+
+
+class Client:
+    """An action client on the bench."""
+
+    def __init__(self, bench) -> None:
+        self.bench = bench
+        self.feedback: list[Calibrate.Feedback] = []
+        self.action = ActionClient(bench.side, Calibrate, "calibrate")
+        bench.until(self.action.server_is_ready, "the action server")
+
+    def send(self, goal):
+        """The goal's handle, accepted or not."""
+        future = self.action.send_goal_async(goal, feedback_callback=lambda m: self.feedback.append(m.feedback))
+        self.bench.until(future.done, "the goal's acceptance")
+        return future.result()
+
+    def result(self, handle, seconds=60.0):
+        """Status and result of an accepted goal."""
+        future = handle.get_result_async()
+        self.bench.until(future.done, "the result", seconds)
+        return future.result().status, future.result().result
+
+
+@pytest.fixture(scope="module")
+def recorded(tmp_path_factory, drive) -> Path:
+    """The bumpy drive as a recording."""
+    path = tmp_path_factory.mktemp("bags") / "bumpy"
+    write_drive(drive, path)
+    return path
+
+
+@pytest.fixture
+def goal(twin_path, recorded, tmp_path) -> Calibrate.Goal:
+    return Calibrate.Goal(twin=str(twin_path), bags=[str(recorded)], output=str(tmp_path / "calibrated.yaml"), seed=7)
+
+
+def test_a_goal_is_taken_followed_and_answered(bench, goal):
+    bench.make(CalibratorNode, five_generations)
+    client = Client(bench)
+    handle = client.send(goal)
+    assert handle.accepted
+    status, result = client.result(handle)
+    assert status == GoalStatus.STATUS_SUCCEEDED and result.success and result.message == "found"
+    assert (result.cost, result.initial_cost, result.evaluations, result.generations) == (0.5, 2.0, 5, 5)
+    assert (list(result.names), list(result.values), list(result.excited)) == (["vehicle.mass"], [1700.0], [True])
+    assert [f.generation for f in client.feedback if f.stage == "search"] == [1, 2, 3, 4, 5]
+    assert client.feedback[0].stage == "reading"
+
+
+def test_it_runs_on_rclpys_own_executor_too(bench, goal):
+    bench.executor.shutdown()
+    bench.executor = SingleThreadedExecutor(context=bench.context)
+    bench.executor.add_node(bench.side)
+    bench.make(CalibratorNode, five_generations)
+    client = Client(bench)
+    assert client.result(client.send(goal))[0] == GoalStatus.STATUS_SUCCEEDED
+
+
+def test_while_it_works_the_node_answers_refuses_a_second_goal_and_cancels_at_once(bench, goal):
+    node = bench.make(CalibratorNode, search_until_stopped)
+    client = Client(bench)
+    handle = client.send(goal)
+    bench.until(lambda: len(client.feedback) > 5, "word of the search")
+
+    from rcl_interfaces.srv import GetParameters
+
+    began = time.monotonic()
+    assert bench.call(GetParameters, "/calibrator/get_parameters", GetParameters.Request(names=["twin"])).values
+    assert time.monotonic() - began < 2.0
+    assert not client.send(goal).accepted
+    assert "one calibration is running" in worst(node)[1]
+
+    began = time.monotonic()
+    cancelling = handle.cancel_goal_async()
+    status, result = client.result(handle)
+    took = time.monotonic() - began
+    assert len(cancelling.result().goals_canceling) == 1
+    assert status == GoalStatus.STATUS_CANCELED and result.success and "stopped in generation" in result.message
+    assert Path(result.output).read_text() == "best so far"
+    assert took < 0.5 * _slowness()
+    generations = [f.generation for f in client.feedback if f.stage == "search"]
+    assert generations == list(range(1, len(generations) + 1))
+
+    node._work = five_generations  # the next goal is welcome
+    client.feedback.clear()
+    assert client.result(client.send(goal))[0] == GoalStatus.STATUS_SUCCEEDED
+
+
+def _slowness() -> float:
+    """How much slower than idle the machine is, from its load."""
+    return max(1.0, os.getloadavg()[0] / (os.cpu_count() or 1))
+
+
+@pytest.mark.parametrize(
+    ("work", "words"),
+    [
+        (cannot, "bumpy: no GPS"),
+        (breaks, "ZeroDivisionError: inside"),
+        (dies, "worker process ended (exit status 3)"),
+    ],
+)
+def test_work_that_fails_is_told_in_a_line_and_the_next_goal_is_taken(bench, goal, work, words):
+    node = bench.make(CalibratorNode, work)
+    client = Client(bench)
+    status, result = client.result(client.send(goal))
+    assert status == GoalStatus.STATUS_ABORTED and not result.success
+    assert words in result.message and "\n" not in result.message
+    assert words in worst(node)[1]
+    node._work = five_generations
+    assert client.result(client.send(goal))[0] == GoalStatus.STATUS_SUCCEEDED
+
+
+def test_a_worker_that_does_not_listen_is_ended(bench, goal):
+    bench.make(CalibratorNode, deaf, cancel_patience=0.3)
+    client = Client(bench)
+    handle = client.send(goal)
+    bench.until(lambda: any(f.stage == "search" for f in client.feedback))
+    handle.cancel_goal_async()
+    status, result = client.result(handle, 15.0)
+    assert status == GoalStatus.STATUS_CANCELED and not result.success
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        ({"twin": "/nowhere/twin.yaml"}, "/nowhere/twin.yaml"),
+        ({"twin": ""}, "twin: is empty"),
+        ({"bags": []}, "bags: is empty"),
+        ({"bags": ["/nowhere/bag"]}, "/nowhere/bag: no such recording"),
+        ({"preset": "best"}, "preset: must be one of"),
+        ({"output": "/nowhere/out.yaml"}, "/nowhere/out.yaml"),
+    ],
+)
+def test_a_goal_that_cannot_be_is_answered_with_what_is_wrong(bench, goal, change, words):
+    bench.make(CalibratorNode, five_generations)
+    client = Client(bench)
+    for name, value in change.items():
+        setattr(goal, name, value)
+    status, result = client.result(client.send(goal))
+    assert status == GoalStatus.STATUS_ABORTED and not result.success
+    assert words in result.message and "\n" not in result.message
+
+
+def test_the_nodes_twin_and_a_place_beside_the_bag_are_the_defaults(bench, goal, twin_path, recorded):
+    node = bench.make(CalibratorNode, five_generations, twin=str(twin_path))
+    client = Client(bench)
+    goal.twin = goal.output = ""
+    status, result = client.result(client.send(goal))
+    assert status == GoalStatus.STATUS_SUCCEEDED
+    assert result.output == str(recorded.parent / "bumpy_calibrated.yaml")
+    assert node.health.values["state"] == "idle"
+
+
+def test_a_node_taken_down_takes_its_worker_along(bench, goal):
+    node = bench.make(CalibratorNode, search_until_stopped)
+    client = Client(bench)
+    client.send(goal)
+    bench.until(lambda: len(client.feedback) > 2)
+    process = node._running.worker._process
+    bench.executor.remove_node(node)
+    bench.nodes.remove(node)
+    node.destroy_node()
+    process.join(5.0)
+    assert process.exitcode is not None
+
+
+def test_a_real_calibration_writes_a_twin_file_that_loads(bench, goal):
+    bench.make(CalibratorNode)
+    client = Client(bench)
+    goal.free = ["vehicle.front.damper_pull", "vehicle.rear.damper_pull"]
+    goal.max_generations = 3
+    status, result = client.result(client.send(goal), 120.0)
+    assert status == GoalStatus.STATUS_SUCCEEDED, result.message
+    assert result.cost <= result.initial_cost
+    twin = load_twin(result.output)
+    found = dict(zip(result.names, result.values, strict=True))
+    assert found["vehicle.front.damper_pull.force.0"] == twin.vehicle.front.damper_pull.force[0]
+    assert any(f.stage == "search" and f.generation >= 1 for f in client.feedback)

@@ -1,0 +1,245 @@
+# SPDX-License-Identifier: Apache-2.0
+"""``suspension-twin run`` and the nodes as programs: how they start, fail and end."""
+
+from __future__ import annotations
+
+import io
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+import yaml
+from rich.console import Console
+
+from suspension_twin.cli._status import Status, line
+from suspension_twin.cli.main import main
+from suspension_twin.drive.write import write_drive
+from suspension_twin.errors import InputError
+from suspension_twin.nodes._param_file import check_names, read_param_file
+from suspension_twin.nodes.composed import Condition
+
+NODES = ("imu_ingest", "pose_injector", "suspension_model", "calibrator")
+
+
+@pytest.fixture(scope="module")
+def recorded(tmp_path_factory, drive) -> Path:
+    path = tmp_path_factory.mktemp("bags") / "bumpy"
+    write_drive(drive, path)
+    return path
+
+
+def start(arguments: list[str], **environment: str) -> subprocess.Popen[str]:
+    """A program of its own; its words are piped."""
+    return subprocess.Popen(
+        arguments, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, env={**os.environ, **environment}
+    )
+
+
+def run_command(*arguments: str | Path) -> list[str]:
+    return [sys.executable, "-m", "suspension_twin", "run", *map(str, arguments)]
+
+
+def wait_for(bench, name: str) -> None:
+    """Until a node of that name is seen."""
+    bench.until(lambda: name in bench.side.get_node_names(), f"the node {name}", 60.0)
+
+
+def end(process: subprocess.Popen[str], number: int) -> float:
+    """Send the signal; seconds until the process was gone."""
+    began = time.monotonic()
+    process.send_signal(number)
+    try:
+        process.wait(10.0)
+    except subprocess.TimeoutExpired:
+        process.kill()
+        raise
+    return time.monotonic() - began
+
+
+@pytest.mark.parametrize(("mode", "number"), [("live", signal.SIGTERM), ("looped", signal.SIGINT)])
+def test_it_ends_within_a_second_with_status_0(bench, twin_path, recorded, mode, number):
+    more = [] if mode == "live" else ["--bag", recorded, "--rate", "max", "--loop"]
+    process = start(run_command("--twin", twin_path, *more))
+    wait_for(bench, "suspension_model")
+    bench.spin(0.5)
+    took = end(process, number)
+    _, errors = process.communicate()
+    assert process.returncode == 0, errors
+    assert "Traceback" not in errors
+    assert took < 1.0
+
+
+def test_it_ends_in_time_even_from_within_compiled_code():
+    script = """
+import numba
+from suspension_twin.nodes._main import stopping
+
+@numba.njit(nogil=True)
+def compute(n):
+    x = 1.0
+    for i in range(n):
+        x = (x * 1.000001 + i) % 1e9
+    return x
+
+compute(10)
+with stopping():
+    print("deep", flush=True)
+    compute(10**12)
+"""
+    process = start([sys.executable, "-c", script])
+    assert process.stdout is not None and process.stdout.readline() == "deep\n"
+    assert end(process, signal.SIGTERM) < 1.2
+    assert process.returncode == 0
+
+
+def test_each_node_is_a_program_of_its_own(bench, twin_path):
+    programs = {}
+    for node in NODES:
+        arguments = ["--ros-args", "-p", f"twin:={twin_path}", "-r", f"__node:={node}_alone"]
+        programs[node] = start([sys.executable, "-m", f"suspension_twin.nodes.{node}", *arguments])
+    for node in NODES:
+        wait_for(bench, f"{node}_alone")
+    for number, (_, process) in enumerate(programs.items()):
+        took = end(process, signal.SIGTERM if number % 2 else signal.SIGINT)
+        _, errors = process.communicate()
+        assert process.returncode == 0, errors
+        assert "Traceback" not in errors
+        assert took < 1.0
+
+
+def test_a_node_with_a_wrong_parameter_ends_with_status_2_and_one_line():
+    arguments = ["--ros-args", "-p", "filter.cutoff:=-3.0"]
+    process = start([sys.executable, "-m", "suspension_twin.nodes.imu_ingest", *arguments])
+    _, errors = process.communicate(timeout=60.0)
+    assert process.returncode == 2
+    assert errors.count("\n") == 1 and "filter.cutoff" in errors
+
+
+def test_a_recording_is_replayed_at_full_speed_to_its_end(recorded, twin_path, drive):
+    process = start(run_command("--twin", twin_path, "--bag", recorded, "--rate", "max"))
+    _, errors = process.communicate(timeout=120.0)
+    assert process.returncode == 0, errors
+    last = errors.strip().splitlines()[-1]
+    assert last.startswith(f"{len(drive.imu) - 16} answers to {len(drive.imu)} IMU samples")
+    assert "gap 0." in last
+
+
+def test_parameters_come_from_a_file_and_names_from_a_namespace(bench, recorded, twin_path, tmp_path):
+    params = tmp_path / "params.yaml"
+    params.write_text(
+        yaml.safe_dump(
+            {
+                "/**": {"ros__parameters": {"filter": {"cutoff": 15.0}}},
+                "/car/suspension_model": {"ros__parameters": {"gap.window": 4.0}},
+            }
+        )
+    )
+    process = start(run_command("--twin", twin_path, "--namespace", "car", "--params", params))
+    wait_for(bench, "suspension_model")
+    from rcl_interfaces.srv import GetParameters
+
+    request = GetParameters.Request(names=["filter.cutoff", "gap.window", "twin"])
+    values = bench.call(GetParameters, "/car/suspension_model/get_parameters", request).values
+    assert (values[0].double_value, values[1].double_value) == (15.0, 4.0)
+    assert values[2].string_value == str(twin_path)
+    end(process, signal.SIGTERM)
+    assert process.returncode == 0
+
+
+def test_topics_are_renamed_by_ros_arguments(bench, twin_path):
+    from sensor_msgs.msg import Imu
+
+    process = start(run_command("--twin", twin_path, "--", "--ros-args", "-r", "imu/data_raw:=/phone/imu"))
+    bench.speak(Imu, "/phone/imu")
+    end(process, signal.SIGINT)
+    assert process.returncode == 0
+
+
+WRONG = [
+    (["--twin", "absent.yaml"], "absent.yaml"),
+    (["--rate", "fast", "--bag", "BAG"], "--rate: must be a number above 0, or 'max', is 'fast'"),
+    (["--rate", "-1", "--bag", "BAG"], "--rate"),
+    (["--rate", "2"], "needs --bag"),
+    (["--loop"], "needs --bag"),
+    (["--bag", "absent"], "absent"),
+    (["--namespace", "3d"], "--namespace"),
+    (["--params", "absent.yaml"], "absent.yaml"),
+    (["--params", "PARAMS"], "imu_ingest: filter.cutof: no such parameter"),
+    (["--", "--ros-args", "-r", "half"], "half"),
+]
+
+
+@pytest.mark.parametrize(("arguments", "words"), WRONG)
+def test_wrong_arguments_end_with_status_2_and_one_line(arguments, words, twin_path, recorded, tmp_path, capfd):
+    (tmp_path / "params.yaml").write_text("imu_ingest: {ros__parameters: {filter: {cutof: 3.0}}}\n")
+    known = {"BAG": str(recorded), "PARAMS": str(tmp_path / "params.yaml")}
+    given = [known.get(a, a) for a in arguments]
+    if "--twin" not in given:
+        given = ["--twin", str(twin_path), *given]
+    assert main(["run", *given]) == 2
+    out, errors = capfd.readouterr()
+    assert words in errors and errors.count("\n") == 1 and not out
+
+
+def test_parameter_files_are_read_with_namespaces_nested_or_written_out(tmp_path):
+    path = tmp_path / "params.yaml"
+    path.write_text(
+        "/**: {ros__parameters: {use_sim_time: true, filter: {order: 2}}}\n"
+        "car: {imu_ingest: {ros__parameters: {max_bias: 0.1}}}\n"
+        "/car/calibrator: {ros__parameters: {threads: 1}}\n"
+        "someone_else: {ros__parameters: {colour: blue}}\n"
+    )
+    wanted = read_param_file(path)
+    assert wanted["/**"] == {"use_sim_time": True, "filter.order": 2}
+    assert wanted["car/imu_ingest"] == {"max_bias": 0.1}
+    known = {"imu_ingest": ["use_sim_time", "filter.order", "max_bias"], "calibrator": ["threads"]}
+    check_names(path, wanted, known)
+    with pytest.raises(InputError, match="threads"):
+        check_names(path, wanted, {**known, "calibrator": []})
+    with pytest.raises(InputError, match=r"filter\.order"):
+        check_names(path, wanted, {"imu_ingest": ["use_sim_time", "max_bias"]})
+
+
+@pytest.mark.parametrize("text", ["- a\n", "a: 3\n", "a: {ros__parameters: 3}\n", "a: {b: c}\n", ": :", "\t"])
+def test_what_is_no_parameter_file_is_refused_by_name(tmp_path, text):
+    path = tmp_path / "params.yaml"
+    path.write_text(text)
+    with pytest.raises(InputError, match=r"params\.yaml"):
+        read_param_file(path)
+
+
+CONDITION = Condition(
+    rates={"imu": 100.0, "fix": 10.0}, samples=500, answers=484, gap=0.1834, normalised=2.71,
+    complaints=["imu_ingest: too loud", "another"], failing=False, position=12.04, duration=44.9, rounds=1,
+)  # fmt: skip
+
+
+def test_the_status_line_says_where_it_is_and_what_is_wrong():
+    text = line(CONDITION).plain
+    assert "12.0 of 44.9 s, round 2" in text and "imu 100 Hz" in text
+    assert "gap 0.18 m/s² (2.7 × floor)" in text and "imu_ingest: too loud (+1)" in text
+    from dataclasses import replace
+
+    live = line(replace(CONDITION, position=None, gap=None, complaints=[], rates={"imu": float("nan")})).plain
+    assert "of" not in live and "gap -" in live and "nan" not in live
+
+
+@pytest.mark.parametrize("terminal", [True, False])
+def test_the_status_is_shown_on_a_terminal_and_in_a_log(terminal, monkeypatch):
+    class Fake:
+        def condition(self) -> Condition:
+            return CONDITION
+
+    out = io.StringIO()
+    monkeypatch.setattr("suspension_twin.cli._status._PERIOD", 0.0)
+    with Status(Fake(), Console(file=out, force_terminal=terminal, width=200)) as status:  # type: ignore[arg-type]
+        status.show()
+        status.show()
+        status.conclude()
+    shown = out.getvalue()
+    assert "gap 0.18" in shown and "484 answers to 500 IMU samples" in shown
+    assert shown.count("too loud") == (2 if terminal else 1) or terminal

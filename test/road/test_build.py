@@ -1,0 +1,157 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Bumps and roads of several parts."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from suspension_twin.errors import InputError
+from suspension_twin.road import (
+    Road,
+    add_bump,
+    bump_road,
+    circular,
+    curved_road,
+    flat_road,
+    grid_road,
+    half_sine,
+    join,
+    load_road,
+    measured,
+    trapezoid,
+    write_road,
+)  # fmt: skip
+
+S = np.linspace(-1, 4, 2001)
+
+
+def test_shapes_are_the_named_ones() -> None:
+    on = (S >= 0) & (S <= 3)
+    np.testing.assert_allclose(half_sine(3, 0.1)(S), np.where(on, 0.1 * np.sin(np.pi * S / 3), 0), atol=1e-15)
+
+    t = trapezoid(3, 0.12, top=1.0)(S)
+    assert t[(S >= 1) & (S <= 2)] == pytest.approx(0.12)
+    ramp = (S > 0.01) & (S < 0.99)
+    assert np.gradient(t, S)[ramp] == pytest.approx(0.12)
+    assert (t[~on] == 0).all()
+
+    c = circular(3, 0.1)
+    radius = (1.5**2 + 0.1**2) / 0.2
+    z = c(S[on])
+    np.testing.assert_allclose((S[on] - 1.5) ** 2 + (z + radius - 0.1) ** 2, radius**2, rtol=1e-12)
+    assert c(1.5) == pytest.approx(0.1)
+    assert c([-0.1, 0.0, 3.0, 3.1]) == pytest.approx([0, 0, 0, 0], abs=1e-12)
+    assert circular(0.2, 0.1)(0.1) == pytest.approx(0.1)  # a half round
+    assert circular(3, -0.1)(1.5) == pytest.approx(-0.1)
+
+    m = measured([2.0, 2.5, 4.0], [0.0, 0.08, 0.02])
+    assert (m.length, m.height) == (2.0, 0.08)
+    assert m([0.25, 0.5, 1.25, 2.0, 2.1]) == pytest.approx([0.04, 0.08, 0.05, 0.02, 0.0])
+
+
+def test_a_bump_lies_where_it_is_put(tmp_path: Path) -> None:
+    road = bump_road(half_sine(3, 0.1), [10, 30.0], length=50, x=5, y=6, heading=0.4)
+    u = np.linspace(0, 50, 5001)
+    expected = half_sine(3, 0.1)(u - 10) + half_sine(3, 0.1)(u - 30)
+    for v in (-2.9, 0.0, 1.3):
+        np.testing.assert_allclose(road.heights_uv(u, v), expected, atol=1e-6)
+    write_road(road, tmp_path / "bump.crg")
+    back = load_road(tmp_path / "bump.crg")
+    x, y = road.uv_to_xy(u, 0.7)
+    np.testing.assert_array_equal(back.heights(x, y), road.heights(x, y))
+
+
+def test_a_bump_in_one_track_and_askew() -> None:
+    flat = grid_road(np.zeros((2001, 41)), 0.01, np.linspace(-2, 2, 41))
+    one = add_bump(flat, trapezoid(1, 0.05, 0.4), 5.0, v_low=0.0)
+    assert one.heights_uv(5.5, [-1.0, -0.15, 0.0, 0.5, 2.0]) == pytest.approx([0, 0, 0.05, 0.05, 0.05])
+    askew = add_bump(flat, half_sine(2, 0.1), 5.0, angle=np.arctan(0.5))
+    for v in (-1.0, 0.0, 1.6):
+        assert askew.heights_uv(6.0 + 0.5 * v, v) == pytest.approx(0.1, abs=1e-6)
+    twice = add_bump(one, half_sine(2, -0.1), 5.0)
+    assert twice.heights_uv(6.0, -1.0) == pytest.approx(-0.1)
+
+
+@pytest.mark.parametrize(
+    ("make", "fault"),
+    [
+        (lambda: half_sine(0, 0.1), "length"),
+        (lambda: half_sine(1, float("nan")), "height"),
+        (lambda: trapezoid(1, 0.1, 1.0), "top"),
+        (lambda: circular(1, 0.6), "at most 0.5"),
+        (lambda: measured([0, 1, 1], [0, 1, 0]), "rise"),
+        (lambda: measured([0, 1], [0, 1, 0]), "pairs"),
+        (lambda: measured([0, np.inf], [0, 1]), "finite"),
+        (lambda: bump_road(half_sine(3, 0.1), 58.0), "off the road"),
+        (lambda: bump_road(half_sine(0.1, 0.1), step=0.05), "too coarse"),
+        (lambda: bump_road(half_sine(1, 0.1), width=0.0), "width"),
+        (lambda: add_bump(flat_road(10), half_sine(3, 0.1), 1.0), "too coarse"),
+        (lambda: join([]), "one part or more"),
+        (lambda: curved_road(flat_road(10), 0.3), "centre of a bend"),
+        (lambda: flat_road(-1.0), "length"),
+    ],
+)
+def test_what_makes_no_road_is_refused(make: object, fault: str) -> None:
+    with pytest.raises(InputError, match=fault):
+        make()  # type: ignore[operator]
+
+
+def _parts() -> tuple[Road, Road, Road]:
+    rng = np.random.default_rng(2)
+    v = np.linspace(-2, 2, 9)
+    rough = grid_road(rng.normal(0, 0.01, (401, 9)), 0.05, v, x=3, y=4, heading=1.0, name="rough")
+    bend = curved_road(grid_road(rng.normal(0.3, 0.01, (601, 9)), 0.05, v), 0.02, name="bend")
+    fine = grid_road(rng.normal(0, 0.01, (1001, 5)), 0.05, np.linspace(-1, 1, 5), name="narrow")
+    return rough, bend, fine
+
+
+def test_parts_follow_one_another(tmp_path: Path) -> None:
+    rough, bend, fine = _parts()
+    road = join([rough, bend, fine], level=False)
+    assert road.length == pytest.approx(20 + 30 + 50)
+    assert (road.x[0], road.y[0]) == (3, 4)
+    np.testing.assert_allclose(np.hypot(np.diff(road.x), np.diff(road.y)), 0.05, rtol=1e-9)
+    heading = np.unwrap(np.arctan2(np.diff(road.y), np.diff(road.x)))
+    # Straight, then the bend's 0.6 rad without a kink at either seam, then straight again.
+    assert heading[0] == pytest.approx(1.0)
+    assert heading[-1] == pytest.approx(1.0 + bend.headings[1] - bend.headings[0])
+    assert np.abs(np.diff(heading)).max() < 0.0011
+    u = np.arange(0.5, 19.5, 0.013)
+    np.testing.assert_array_equal(road.heights_uv(u, 0.3), rough.heights_uv(u, 0.3))
+    u = np.arange(0.5, 29.5, 0.013)
+    np.testing.assert_allclose(road.heights_uv(20 + u, 0.3), bend.heights_uv(u, 0.3), atol=1e-12)
+    # The narrower part is held beyond its own width.
+    np.testing.assert_allclose(
+        road.heights_uv(60.0, [1.0, 1.7]), fine.heights_uv(10.0, [1.0, 1.0]), atol=1e-8
+    )
+    write_road(road, tmp_path / "joined.crg")
+    back = load_road(tmp_path / "joined.crg")
+    np.testing.assert_allclose((back.x, back.y), (road.x, road.y), atol=1e-8)
+
+
+def test_level_parts_meet_at_one_height() -> None:
+    rough, bend, fine = _parts()
+    road = join([rough, bend, fine])
+    assert abs(road.heights_grid[400].mean() - (bend.z[0] + (road.ref_z[401] - bend.ref_z[1])).mean()) < 1e-9
+    # One step across the seam is no rougher than the parts themselves.
+    assert np.abs(np.diff(road.heights_grid, axis=0)).max() < 0.1
+    apart = join([rough, bend, fine], level=False)
+    assert np.abs(np.diff(apart.heights_grid, axis=0)).max() > 0.2
+
+
+def test_a_straight_part_of_another_step_is_resampled_a_curved_one_refused() -> None:
+    rough, bend, _ = _parts()
+    coarse = grid_road(np.outer(np.arange(11.0), np.ones(9)), 1.0, np.linspace(-2, 2, 9))
+    holes = np.array(coarse.z)
+    holes[4, 0] = np.nan
+    road = join([rough, replace(coarse, z=holes)], level=False)
+    assert road.u_step == 0.05
+    assert road.heights_uv(20 + 3.37, 1.0) == pytest.approx(3.37, abs=1e-6)
+    assert np.isnan(road.z).any()
+    assert not road.sample_uv(20 + 4.0, -1.9).inside
+    with pytest.raises(InputError, match="curved part is not resampled"):
+        join([bump_road(half_sine(3, 0.1)), bend])
