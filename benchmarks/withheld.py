@@ -61,7 +61,7 @@ def main() -> None:
     default = os.environ.get("SUSPENSION_TWIN_WITHHELD", str(ROOT.parent / "shared" / "withheld"))
     parser.add_argument("--data", type=Path, default=Path(default))
     parser.add_argument("--only", nargs="*", default=[])
-    parser.add_argument("--out", type=Path, default=Path("withheld_pages"))
+    parser.add_argument("--out", type=Path, default=Path("out/withheld"))
     parser.add_argument("--json", action="store_true")
     options = parser.parse_args()
     found = [c for c in cases(options.data) if not options.only or c.name in options.only]
