@@ -13,6 +13,7 @@ from dataclasses import dataclass, field
 from typing import Any, Protocol
 
 import numpy as np
+from numba import njit
 
 from suspension_twin.drive.types import Floats
 
@@ -46,8 +47,20 @@ class LmSettings:
 
 
 def gram(a: Floats, b: Floats) -> Floats:
-    """a.T @ b for tall arrays (R, p) and (R, q), summed in one fixed order."""
-    return np.asarray(np.einsum("ri,rj->ij", a, b, optimize=False))
+    """a.T @ b for tall arrays (R, p) and (R, q), summed in one fixed order on one thread: the same bits
+    whatever a BLAS would use, and no threads of it waiting for each other on a busy machine."""
+    return np.asarray(_gram(np.ascontiguousarray(a), np.ascontiguousarray(b)))
+
+
+@njit(cache=True)
+def _gram(a: Floats, b: Floats) -> Floats:  # pragma: no cover - compiled
+    out = np.zeros((a.shape[1], b.shape[1]))
+    for r in range(a.shape[0]):
+        for i in range(a.shape[1]):
+            factor = a[r, i]
+            for j in range(b.shape[1]):
+                out[i, j] += factor * b[r, j]
+    return out
 
 
 def solve_positive(matrix: Floats, right: Floats) -> Floats:

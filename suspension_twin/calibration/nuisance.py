@@ -30,7 +30,8 @@ class NuisancePriors:
 
     ``clock`` s, ``map_position`` m, ``wander`` m (the GNSS position's own error, one value for every
     pass and ``wander_seconds``; None takes it from the fixes' covariance), ``gain`` of the
-    accelerometer, ``tilt`` rad, ``force_bias`` m/s², ``rate_bias`` rad/s.
+    accelerometer, ``tilt`` rad, ``force_bias`` m/s², ``rate_bias`` rad/s, ``pivot`` m (how high above the
+    ground a real suspension's kinematics lay the axes about which the body rolls and pitches).
     """
 
     clock: float = 0.1
@@ -41,6 +42,7 @@ class NuisancePriors:
     tilt: float = 0.02
     force_bias: float = 0.05
     rate_bias: float = 0.01
+    pivot: float = 0.0
 
 
 # A windowed sinc over eight samples, tabled by phase: to 0.07 % at up to a quarter of the sampling rate, where
@@ -67,10 +69,13 @@ def _apply(
     shift: Floats,
     gain: Floats,
     added: Floats,
+    lever: Floats,
+    turned: NDArray[np.intp],
     table: Floats,
     out: Floats,
 ) -> None:  # pragma: no cover - compiled
-    """out[i, c, l] = gain[c, l] * simulated(rows[i] + shift[i, l]) + added[i, c, l], held at both ends."""
+    """out[i, c, l] = gain[c, l] * simulated(rows[i] + shift[i, l]) + added[i, c, l], held at both ends,
+    plus lever[c, l] times the slope by sample of channel turned[c] where that is not negative."""
     m, channels, given = simulated.shape
     phases, taps = table.shape[0] - 1, table.shape[1]
     weight = np.empty(taps)
@@ -89,7 +94,16 @@ def _apply(
                 value = 0.0
                 for k in range(taps):
                     value += weight[k] * simulated[min(max(first + k, 0), m - 1), c, source]
-                out[i, c, lane] = gain[c, lane] * value + added[i, c, lane]
+                value = gain[c, lane] * value + added[i, c, lane]
+                other = turned[c]
+                if other >= 0:
+                    slope = 0.0
+                    for k in range(taps):
+                        after = simulated[min(max(first + k + 1, 0), m - 1), other, source]
+                        before = simulated[min(max(first + k - 1, 0), m - 1), other, source]
+                        slope += weight[k] * 0.5 * (after - before)
+                    value += lever[c, lane] * slope
+                out[i, c, lane] = value
 
 
 class Nuisances:
@@ -110,6 +124,7 @@ class Nuisances:
         self.channels = tuple(channels)
         self._force = np.array([c.endswith("acceleration") for c in channels])
         names: list[str] = []
+        channels = tuple(channels)
         spread: list[float] = []
 
         def add(name: str, sigma: float) -> None:
@@ -122,6 +137,17 @@ class Nuisances:
             add("gain", priors.gain)
         add("tilt_roll", priors.tilt)
         add("tilt_pitch", priors.tilt)
+        #: Channel -> nuisance, the rate that it turns with, and its sign.
+        self._pivots = {
+            c: (name, channels.index(rate), sign)
+            for c, name, rate, sign in (
+                ("longitudinal_acceleration", "pivot_pitch", "pitch_rate", -1.0),
+                ("lateral_acceleration", "pivot_roll", "roll_rate", 1.0),
+            )
+            if priors.pivot > 0 and c in self.channels and rate in self.channels
+        }
+        for name, _, _ in self._pivots.values():
+            add(name, priors.pivot)
         drives: dict[int, str] = {}
         for part, drive in zip(parts, drive_of, strict=True):
             if drive not in drives:
@@ -215,8 +241,13 @@ class Nuisances:
         if "tilt_roll" in self._row:
             added += about_x[rows][:, :, None] * value("tilt_roll")
             added += about_y[rows][:, :, None] * value("tilt_pitch")
+        lever, turned = np.zeros_like(gain), np.full(len(self.channels), -1)
+        for channel, (name, rate, sign) in self._pivots.items():
+            turned[self.channels.index(channel)] = rate
+            lever[self.channels.index(channel)] = sign * part.rate * value(name)
         out = np.empty((rows.size, len(self.channels), lanes))
-        _apply(np.ascontiguousarray(simulated), rows, np.ascontiguousarray(shift), gain, added, _TABLE, out)
+        shift = np.ascontiguousarray(shift)
+        _apply(np.ascontiguousarray(simulated), rows, shift, gain, added, lever, turned, _TABLE, out)
         return out
 
 

@@ -13,6 +13,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from suspension_twin.calibration.least_squares import gram
 from suspension_twin.calibration.nuisance import NuisancePriors
 from suspension_twin.calibration.problem import Interrupted, Problem, _stack
 from suspension_twin.diagnosis.hypotheses import Hypothesis
@@ -27,14 +28,9 @@ __all__ = ["NORMAL", "Bench", "Linearised", "gram"]
 
 #: What is normal of clocks, maps and mounts: more than that is a finding, not a nuisance.
 #: A gain is none: a phone's is within half a per cent, and a free one takes the blame for any model's error.
-NORMAL = NuisancePriors(clock=0.005, map_position=0.05, gain=0.0, tilt=0.009, force_bias=0.05, rate_bias=0.005)
+NORMAL = NuisancePriors(clock=0.005, map_position=0.05, gain=0.0, tilt=0.009, force_bias=0.05, rate_bias=0.005, pivot=0.3)
 _STEP = 1e-3
 _STEP_EFFECT = 1e-2
-
-
-def gram(a: Floats, b: Floats) -> Floats:
-    """a.T @ b for tall arrays (R, p) and (R, q)."""
-    return np.asarray(a.T @ b)
 
 
 @dataclass(frozen=True, eq=False)

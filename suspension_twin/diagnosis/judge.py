@@ -10,6 +10,7 @@ Bayesian bootstrap: Yao, Vehtari, Simpson, Gelman 2018, section 3.4), so correla
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -110,23 +111,23 @@ class Evidence:
     unknowns: Floats
 
 
-def evidence(bench: Bench, fit: Fit, blocks: Blocks) -> Evidence:
-    """Held-out evidence of a fit."""
+def evidence(bench: Bench, fit: Fit, blocks: Blocks, shown: Sequence[bool] | None = None) -> Evidence:
+    """Held-out evidence of a fit; ``shown`` which drives show the gap, where ``bench`` says otherwise."""
     unknowns, left = held_out(bench, fit, blocks)
     whitener = bench.whitener
-    active = np.array(bench.active)[whitener.drive]
+    active = np.array(bench.active if shown is None else shown)[whitener.drive]
     score = np.zeros(blocks.count)
     level: dict[tuple[int, bool], float] = {}
     scale = np.ones(left.size)
     for c in range(len(bench.problem.channels)):
-        for shown in (True, False):
-            rows = (whitener.channel == c) & (active == shown)
+        for side in (True, False):
+            rows = (whitener.channel == c) & (active == side)
             if not rows.any():
                 continue
             squares = np.bincount(blocks.row[rows], left[rows] ** 2, blocks.count)
             counts = INDEPENDENT * np.bincount(blocks.row[rows], minlength=blocks.count)
             variance = max(float(squares.sum() / counts.sum()), 1e-6)
-            level[c, shown] = variance
+            level[c, side] = variance
             scale[rows] = np.sqrt(variance)
             score -= 0.5 * (counts * np.log(variance) + squares / variance)
     precision, centre = bench.prior(fit.hypothesis)

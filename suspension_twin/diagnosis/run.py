@@ -12,10 +12,11 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+from scipy.stats import norm
 
 from suspension_twin.diagnosis import gaps, verdict
 from suspension_twin.diagnosis.bench import Bench
-from suspension_twin.diagnosis.case import Case, baseline, build, read_case
+from suspension_twin.diagnosis.case import VERTICAL, Case, baseline, build, read_case
 from suspension_twin.diagnosis.conclude import Findings, conclude
 from suspension_twin.diagnosis.hypotheses import library
 from suspension_twin.diagnosis.judge import Evidence, blocks_of, evidence, weights
@@ -28,6 +29,9 @@ __all__ = ["diagnose"]
 _EFFECT_PRIOR = 0.65
 #: How surely one more effect has to beat the smaller set, and by which share of the gap, to join it.
 _SURE, _WORTH = 0.95, verdict.MATERIAL
+#: Share of soundness that is a trait of the library, shown on the reference drives as well.
+_TRAITS = 0.5
+_LEAST_EXCESS = 0.2
 _MOST_EFFECTS = 3
 _STRANGER = 0.6  # share of its motion that a reference leaves at the best fit, above which it is another car's
 
@@ -69,21 +73,28 @@ class _Search:
             c: float(np.sqrt(np.mean([d.noise_rms[c] ** 2 for d in shown]))) for c in bench.problem.channels
         }
         self.standing = gaps.standing(bench)
-        self.base = evidence(bench, base, self.blocks)
         self.reference = self._reference(evidence(bench, anchor, self.blocks))
         effects = library(self.case.twin, self.case.road, self.request.effects)
         if not effects:
             raise InputError("effects", "none of the library is left to try on this twin")
-        self.singles = singles(
+        base, self.singles = singles(
             bench, base, anchor, effects, self.blocks, seed,
             lambda done, note: self.tell(Progress("effects", 0.15 + 0.6 * done, note)),
         )  # fmt: skip
+        self.base = evidence(bench, base, self.blocks)
         everything = [self.base, *(s.evidence for s in self.singles)]
         self.left = [gaps.remainder(bench, e.fit.hypothesis, e.unknowns, self.blocks) for e in everything]
         best = min(self.left, key=lambda r: float(np.mean(r.difference[gaps.shown_rows(bench), 0] ** 2)))
         self.temper = verdict.temper_of(bench, best, self.noise)
-        prior = np.array([1.0 - _EFFECT_PRIOR, *([_EFFECT_PRIOR / len(self.singles)] * len(self.singles))])
-        self.weights, self.beats = weights(everything, prior, self.temper, seed)
+        traits = [s.always for s in self.singles if s.always is not None]
+        sound = (1.0 - _EFFECT_PRIOR) * (1.0 - _TRAITS if traits else 1.0)
+        each = _EFFECT_PRIOR / len(self.singles)
+        prior = np.array([sound, *([each] * len(self.singles)), *([(1.0 - _EFFECT_PRIOR - sound) / max(len(traits), 1)] * len(traits))])
+        self.weights, self.beats = weights([*everything, *traits], prior, self.temper, seed)
+        count = 1 + len(self.singles)
+        # what the vehicle had before already is no gap: it speaks for the baseline
+        self.weights[0] += self.weights[count:].sum()
+        self.weights = self.weights[:count]
         for i, s in enumerate(self.singles):
             if not s.judged:
                 self.weights[1 + i] = 0.0
@@ -113,12 +124,32 @@ class _Search:
         adequate = verdict.background(level, self.reference, share)
         if found is self.base:
             return verdict.Gates(1.0, adequate, 1.0)
-        beyond = self._shrink(self.left[0], left)
-        # probability that the shrink beyond recalibration is material, from its interval
-        low, high = beyond.interval
-        spread = max((high - low) / 3.29, 1e-3)
-        material = float(0.5 * (1 + np.tanh(0.8 * (beyond.shrink - verdict.MATERIAL) / spread)))
+        material = max(self._material(left, c) for c in range(len(bench.problem.channels)))
         return verdict.Gates(material, adequate, verdict.plausible(bench, found))
+
+    def _material(self, left: gaps.Remainder, column: int) -> float:
+        """Probability that a tenth of a channel's gap, as mean square, is gone beyond recalibration.
+
+        With a reference the gap to explain is what exceeds that which the model leaves of this car anyway.
+        """
+        channel = self.bench.problem.channels[column]
+        if self.case.road and channel not in VERTICAL:
+            return 0.0
+        found = gaps.shrink_of(
+            self.bench, self.left[0], left, self.blocks, self.noise[channel], column, self.request.seed
+        )
+        if found.before < self.noise[channel]:
+            return 0.0
+        shrink, low, high = (1.0 - (1.0 - min(v, 1.0)) ** 2 for v in (found.shrink, *found.interval))
+        spread = max((high - low) / 3.29, 1e-3)
+        return float(norm.cdf((shrink - verdict.MATERIAL * self._excess()) / spread))
+
+    def _excess(self) -> float:
+        """Share of the recalibrated gap's mean square that reference drives do not show as well."""
+        if self.reference is None:
+            return 1.0
+        level = verdict.level_of(self.bench, self.left[0], self.noise, shown=True)
+        return float(np.clip(1.0 - (self.reference / max(level, 1e-9)) ** 2, _LEAST_EXCESS, 1.0))
 
     def _noise_share(self) -> float:
         """Level at which nothing but the sensor's noise is left."""

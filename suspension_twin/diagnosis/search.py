@@ -5,13 +5,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from suspension_twin.diagnosis.bench import Bench
 from suspension_twin.diagnosis.fit import Fit, finished, refit, screened
-from suspension_twin.diagnosis.hypotheses import Hypothesis, combined
+from suspension_twin.diagnosis.hypotheses import BASELINE, Hypothesis, combined
 from suspension_twin.diagnosis.judge import Blocks, Evidence, evidence
 from suspension_twin.drive.types import Floats
 from suspension_twin.effects.registry import EFFECTS
@@ -31,11 +31,13 @@ LEAST_POWER = 5.0
 
 @dataclass(frozen=True, eq=False)
 class Single:
-    """One effect at its best; ``power`` how many nats it could show at the strengths of its prior."""
+    """One effect at its best; ``power`` how many nats it could show at the strengths of its prior;
+    ``always`` the same effect as a trait that the vehicle had on the reference drives already."""
 
     effect: str
     evidence: Evidence
     power: float
+    always: Evidence | None = None
 
     @property
     def fit(self) -> Fit:
@@ -50,11 +52,12 @@ class Single:
 def singles(
     bench: Bench, base: Fit, anchor: Fit, library: dict[str, list[Hypothesis]], blocks: Blocks, seed: int,
     tell: Callable[[float, str], None],
-) -> list[Single]:  # fmt: skip
-    """Every effect of the library, refitted jointly with characteristics and nuisances."""
+) -> tuple[Fit, list[Single]]:  # fmt: skip
+    """Every effect of the library, refitted jointly with characteristics and nuisances; and the baseline,
+    which may take over any vehicle that an effect's fit has come to."""
     rough = []
     for number, (effect, variants) in enumerate(library.items()):
-        tell(number / len(library) * 0.75, effect.replace("_", " "))
+        tell(number / len(library) * 0.65, effect.replace("_", " "))
         best, power = None, 0.0
         for v in variants:
             tried = screened(bench, anchor, v, v.starts(_STARTS, seed))
@@ -72,17 +75,39 @@ def singles(
             y, other = refit(bench, v, [wide[1]], None, _ROUGH)
             x, cost = (y, other) if other < cost else (x, cost)
         rough.append((cost, effect, v, x, power))
+    base = _rebased(bench, base, [r[3] for r in rough])
     order = sorted(range(len(rough)), key=lambda i: rough[i][0])
     out: dict[int, Single] = {}
     for place, i in enumerate(order):
         cost, effect, v, x, power = rough[i]
-        known: Floats | None = anchor.at.jacobian
+        always = None
         if place < _FINALISTS:
-            tell(0.75 + 0.25 * place / _FINALISTS, f"{effect.replace('_', ' ')}, once more")
-            x, _ = refit(bench, v, [x], None, _FINE)
-            known = None
-        out[i] = Single(effect, evidence(bench, finished(bench, v, x, known), blocks), power)
-    return [out[i] for i in range(len(rough))]
+            tell(0.65 + 0.35 * place / _FINALISTS, f"{effect.replace('_', ' ')}, once more")
+            u = x[bench.d + bench.q :]
+            x, cost = refit(bench, v, [x, np.concatenate([base.x, u])], None, _FINE)
+            if not all(bench.active):
+                always = _always(bench, v, x, base, blocks)
+        if cost >= base.cost:
+            x = np.concatenate([base.x, v.neutral()])
+        out[i] = Single(effect, evidence(bench, finished(bench, v, x), blocks), power, always)
+    return base, [out[i] for i in range(len(rough))]
+
+
+def _rebased(bench: Bench, base: Fit, found: Sequence[Floats]) -> Fit:
+    """The baseline from wherever effects' fits have taken the vehicle, so that none is credited with that."""
+    p = bench.d + bench.q
+    x, cost = refit(bench, BASELINE, [base.x, *(y[:p] for y in found)], None, 2 * _ROUGH)
+    return finished(bench, BASELINE, x) if cost < base.cost else base
+
+
+def _always(bench: Bench, hypothesis: Hypothesis, x: Floats, base: Fit, blocks: Blocks) -> Evidence:
+    """The effect as a trait of the vehicle on all drives: what a model's own error looks like to it."""
+    every = replace(bench, active=(True,) * len(bench.active))
+    u = x[bench.d + bench.q :]
+    starts = [x, np.concatenate([base.x, u]), np.concatenate([base.x, hypothesis.neutral()])]
+    y, _ = refit(every, hypothesis, starts, None, _ROUGH)
+    # judged with the noise levels of shown and reference drives kept apart, as every other hypothesis is
+    return evidence(every, finished(every, hypothesis, y), blocks, bench.active)
 
 
 def _wide(bench: Bench, base: Fit, hypothesis: Hypothesis, seed: int) -> tuple[float, Floats] | None:
