@@ -41,7 +41,12 @@ Also = Annotated[
     list[str] | None, typer.Option("--also", help="Search this key as well; repeatable.", metavar="KEY")
 ]
 Freeze = Annotated[
-    list[str] | None, typer.Option("--freeze", help="Leave this key as it is; repeatable.", metavar="KEY")
+    list[str] | None,
+    typer.Option(
+        "--freeze",
+        help="Leave this key as it is (nuisances.gain, nuisances.map_position, ... too); repeatable.",
+        metavar="KEY",
+    ),
 ]
 Bound = Annotated[
     list[str] | None, typer.Option("--bound", help="Bounds of a key; repeatable.", metavar="KEY=LOW:HIGH")
