@@ -141,6 +141,13 @@ def test_the_paper_preset_searches_table_2_with_its_budget(pass_case: Any) -> No
     assert all(v == 0.0 for _, v in rest)
 
 
+def test_the_tracked_papers_preset_searches_the_mean_correlation_with_its_budget(pass_case: Any) -> None:
+    result = calibrate(CalibrationRequest(pass_case.twin, (pass_case.bag("pass"),), preset="tracked_paper", seed=3))
+    assert result.evaluations == 40 + 30 * 38
+    assert result.objective == "correlation"
+    assert 0.0 < result.cost < result.initial_cost < 1.0
+
+
 def test_fast_needs_a_tenth_of_the_papers_evaluations(pass_case: Any) -> None:
     bags, channel = (pass_case.bag("pass"),), (("vertical_acceleration", 1.0),)
     paper = calibrate(CalibrationRequest(pass_case.twin, bags, preset="paper", seed=2))
