@@ -244,6 +244,7 @@ def _body(out: Floats, numbers: Numbers, check: Check) -> None:
     out[rows.TYRE] = get("vehicle.tyre.vertical_stiffness")
     out[rows.TRANSFER] = mass * cog[2]
     out[rows.COG : rows.COG + 2] = cog[:2]
+    out[rows.HEIGHT] = cog[2]
     out[rows.SPRUNG : rows.SPRUNG + 3] = x, y, z
     for i in range(3):
         out[rows.SENSOR + i] = get(f"imu.position.{i}")

@@ -74,7 +74,7 @@ def watch(w: Floats, r0: float, r1: float, r2: float, r3: float) -> None:
 def moments(w: Floats, i: int, ax: float, ay: float, yaw2: float, dyaw: float) -> tuple[float, float]:
     """Roll and pitch moment in N m of the planar accelerations, for one lane.
 
-    ``ax``, ``ay`` m/s² of base_link's origin, ``yaw2`` the yaw rate squared and ``dyaw`` its
+    ``ax``, ``ay`` m/s² above base_link's origin, ``yaw2`` the yaw rate squared and ``dyaw`` its
     derivative in rad/s² take them to the lane's centre of gravity.
     """
     transfer = w[rows.TRANSFER * WIDTH + i]
