@@ -58,14 +58,17 @@ def knob(effect: str, world: World, seed: int) -> Knob:
     knobs: dict[str, Knob] = {
         "strut_friction": lambda s, n: {"front_force": 1000 * s * lead, "rear_force": 1000 * s * (1.4 - lead)},
         "bump_stop": lambda s, n: {
-            "front_clearance": n.jounce * (1 - 0.95 * s), "rear_clearance": n.jounce * (1 - 0.95 * s) * (0.9 + 0.2 * b),
+            "front_clearance": n.jounce * (1 - 0.95 * s),
+            "rear_clearance": n.jounce * (1 - 0.95 * s) * (0.9 + 0.2 * b),
             "stiffness": 6e4 + 1.2e5 * a,
         },
         "rebound_stop": lambda s, n: {
             "front_clearance": n.rebound * (1 - 0.95 * s),
             "rear_clearance": n.rebound * (1 - 0.95 * s) * (0.9 + 0.2 * b), "stiffness": 6e4 + 1.2e5 * a,
         },
-        "top_mount": lambda s, n: {"front_stiffness": 3e4 / max(s, 0.06), "rear_stiffness": 3e4 * (0.8 + 0.8 * b) / max(s, 0.06)},
+        "top_mount": lambda s, n: {
+            "front_stiffness": 3e4 / max(s, 0.06), "rear_stiffness": 3e4 * (0.8 + 0.8 * b) / max(s, 0.06),
+        },
         "anti_roll_bar": lambda s, n: {"front_stiffness": 8e4 * s * lead, "rear_stiffness": 8e4 * s * (1.4 - lead)},
         "damper_fade": lambda s, n: {"loss": 0.93 * s, "time_constant": 6.0 + 12.0 * a},
         "corner_damper": lambda s, n: {"corner": corner, "change": -0.95 * s if sign < 0 else 1.8 * s},

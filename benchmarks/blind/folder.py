@@ -81,7 +81,7 @@ def make_case(spec: Spec, cases: Path, sealed: Path) -> dict[str, Any]:
         (folder / REQUEST).write_text(json.dumps({"without": list(spec.without)}) + "\n", encoding="utf-8")
     scale = {} if not spec.effects else {"floor": dict(zip(severity.CHANNELS, _floor(spec), strict=True))}
     return {
-        **{k: v for k, v in asdict(spec).items()},
+        **asdict(spec),
         "faults": faults,
         "reached": reached,
         "stretch": stretch,

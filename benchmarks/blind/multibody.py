@@ -14,7 +14,7 @@ import numpy as np
 
 from blind import multibody_forces as mf
 from blind.newton import Faults, Motion, rotate
-from blind.world import DAMPER_REACH, SPRING_N, SPRING_REACH, START, Car, Floats, G, Phone, Plan, World
+from blind.world import DAMPER_REACH, SPRING_N, SPRING_REACH, START, Car, Floats, G, Plan, World
 
 STEP = 5e-4
 SETTLE = 3.0
@@ -22,10 +22,10 @@ LEAN = (0.06, 0.06, -0.03, -0.03)  # of the slides, along x
 MODE_MASS = 0.4  # kg
 
 
-def run(world: World, plan: Plan, faults: Faults | None = None, phone: Phone | None = None) -> Motion:
+def run(world: World, plan: Plan, faults: Faults | None = None) -> Motion:
     """Drive a plan; ``faults`` maps effects to their parameters."""
     f = faults or {}
-    phone = phone or world.phone
+    phone = world.phone
     car = world.car
     part = f.get("unsprung_mass", {}).get("share", 1.0)
     unsprung = car.unsprung() * part
@@ -84,7 +84,8 @@ def _xml(car: Car, unsprung: Floats, centre: Floats, phone: Floats, f: Faults) -
     )
     bar = f.get("anti_roll_bar", {})
     bars = "".join(
-        f"""<fixed stiffness="{bar[key]:.9g}"><joint joint="w{a}" coef="1"/><joint joint="w{a + 1}" coef="-1"/></fixed>"""
+        f"""<fixed stiffness="{bar[key]:.9g}"><joint joint="w{a}" coef="1"/>
+        <joint joint="w{a + 1}" coef="-1"/></fixed>"""
         for key, a in (("front_stiffness", 0), ("rear_stiffness", 2))
         if bar.get(key, 0.0) > 0.0
     )

@@ -14,15 +14,16 @@ import numpy as np
 
 from blind import newton_kernel as k
 from blind.road_under import ground_of
-from blind.world import SPRING_N, SPRING_REACH, START, Car, Floats, G, Phone, Plan, World
+from blind.world import SPRING_N, SPRING_REACH, START, Car, Floats, G, Plan, World
 
+STEP = 1e-3  # s
 SETTLE = 3.0  # s of standing before the clock starts
 Faults = dict[str, dict[str, float]]
 
 
 @dataclass(frozen=True, eq=False)
 class Motion:
-    """What a run leaves every millisecond from the clock's start: specific force and angular rate (n, 3) at
+    """What a run leaves at every step from the clock's start: specific force and angular rate (n, 3) at
     the phone in base_link axes, place (n, 3) and quaternion (n, 4; w first) of base_link in ``map``, ``u`` (n,) m
     of the rear axle along the road, ``travel`` (n, 4) m of compression from rest."""
 
@@ -65,17 +66,18 @@ def _body_centre(car: Car, f: Faults) -> Floats:
     return centre
 
 
-def run(world: World, plan: Plan, faults: Faults | None = None, phone: Phone | None = None) -> Motion:
-    """Drive a plan; ``faults`` maps effects to their parameters."""
+def run(world: World, plan: Plan, faults: Faults | None = None, step: float = STEP) -> Motion:
+    """Drive a plan; ``faults`` maps effects to their parameters. ``step`` s must suit them."""
     f = faults or {}
-    phone = phone or world.phone
+    phone = world.phone
     car = world.car
     if "unsprung_mass" in f:
         # A car on stiff and light wheels, as far as the share says.
         part = f["unsprung_mass"]["share"]
         axles = [replace(s, unsprung=part * s.unsprung) for s in (car.front, car.rear)]
         lost = 2 * (1.0 - part) * (car.front.unsprung + car.rear.unsprung)
-        car = replace(car, front=axles[0], rear=axles[1], tyre_stiffness=car.tyre_stiffness / part, mass=car.mass - lost)
+        stiff = car.tyre_stiffness / part
+        car = replace(car, front=axles[0], rear=axles[1], tyre_stiffness=stiff, mass=car.mass - lost)
     standing = car  # springs and tyres were chosen for this load
     car = loaded(car, f.get("payload"))
     n, c, sink = _numbers(world, standing, car, f)
@@ -98,19 +100,19 @@ def run(world: World, plan: Plan, faults: Faults | None = None, phone: Phone | N
         level + centre[2],
     )
     state[k.TURN], state[k.TURN + 3] = math.cos(heading / 2), math.sin(heading / 2)
-    count = round((plan.seconds - 0.5) / k.STEP)
+    count = round((plan.seconds - 0.5) / step)
     felt, path = np.empty((count, 6)), np.empty((count, 12))
     springs = np.array([car.front.spring, car.rear.spring])
     pushes, pulls = np.array([car.front.push, car.rear.push]), np.array([car.front.pull, car.rear.pull])
     k.integrate(
         state, n, c, springs, pushes, pulls, ground, plan.speed, plan.push, car.wheelbase, float(centre[0]), plan.lane,
-        car.mass, round(SETTLE / k.STEP), count, felt, path,
+        car.mass, step, round(SETTLE / step), count, felt, path,
     )  # fmt: skip
     if not np.isfinite(felt).all():
         raise FloatingPointError(f"the motion of world {world.seed} with {sorted(f)} does not stay finite")
     turn = path[:, 3:7] / np.linalg.norm(path[:, 3:7], axis=1, keepdims=True)
     base = path[:, :3] - rotate(turn, np.broadcast_to(centre, (count, 3)))
-    return Motion(np.arange(count) * k.STEP, felt[:, :3], felt[:, 3:], base, turn, path[:, 7], path[:, 8:])
+    return Motion(np.arange(count) * step, felt[:, :3], felt[:, 3:], base, turn, path[:, 7], path[:, 8:])
 
 
 def rotate(q: Floats, v: Floats) -> Floats:

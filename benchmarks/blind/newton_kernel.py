@@ -18,8 +18,6 @@ from numba import njit
 from blind.road_under import locate, probe
 from blind.world import DAMPER_N, DAMPER_REACH, SPRING_N, SPRING_REACH, Floats, G
 
-STEP = 1e-3  # s
-
 # Rows of the numbers that are one for all corners.
 (MASS, IX, IY, IZ, RADIUS, TYRE, HARD, DRIVEN, SX, SY, SZ, BEND_W, BEND_Z, BEND_GAIN, FADE, FADE_T,
  ENGINE_W, ENGINE_Z, VOID, PLAY, ORDER_FORCE, ORDER_X, CUBIC, WEIGHT, BASE) = range(25)  # fmt: skip
@@ -302,29 +300,32 @@ def _steer(y, r, plan, push, at, ground, wheelbase, reach, lane, mass, control, 
     turn = math.atan2(r[1, 0], r[0, 0]) - heading
     turn -= 2 * math.pi * round(turn / (2 * math.pi))
     wish = math.atan(wheelbase * bend) - 0.9 * turn - 0.16 * (v - lane)
-    control[0] += min(max(wish - control[0], -0.0025), 0.0025)
+    control[0] += min(max(wish - control[0], -0.003), 0.003)
     if plan[k] < 0.02 and push[k] <= 1e-9:
         control[1], control[2] = 0.0, 4000.0
         return u
     miss = plan[k] - y[GO]
-    summed[0] += 0.005 * miss
+    summed[0] += 0.006 * miss
     effort = mass * (push[k] + 1.2 * miss + 0.3 * summed[0])
     control[1], control[2] = max(effort, 0.0), max(-effort, 0.0)
     return u
 
 
 @njit(cache=True)
-def integrate(y, n, c, springs, pushes, pulls, ground, plan, push, wheelbase, back, lane, mass, settle, count, felt, path):  # type: ignore[no-untyped-def]
+def integrate(  # type: ignore[no-untyped-def]
+    y, n, c, springs, pushes, pulls, ground, plan, push, wheelbase, back, lane, mass, h, settle, count, felt, path
+):
     """Stand for ``settle`` steps, then fill ``felt`` (count, 6) and ``path`` (count, 12: x, y, z and quaternion
-    of the body, u, compressions) by steps of 1 ms. The control changes every 5 ms."""
+    of the body, u, compressions) by steps of ``h`` s. The control changes every
+    6 ms."""
     k1, k2, k3 = np.empty(STATES), np.empty(STATES), np.empty(STATES)
     k4, mid = np.empty(STATES), np.empty(STATES)
     seen, room, control, r = np.empty(3), np.empty((4, 4)), np.array([0.0, 0.0, 4000.0]), np.empty((3, 3))
-    a6, b6, pushed, out, spare, summed = np.empty((6, 6)), np.empty(6), np.zeros(5), np.empty(6), np.empty(6), np.zeros(1)
-    u = 0.0
+    a6, b6, pushed, out, summed = np.empty((6, 6)), np.empty(6), np.zeros(5), np.empty(6), np.zeros(1)
+    spare, every, u = np.empty(6), max(int(0.006 / h + 0.5), 1), 0.0
     for step in range(-settle, count):
-        t = step * STEP
-        if step % 5 == 0:
+        t = step * h
+        if step % every == 0:
             _rotation(y, r)
             u = _steer(y, r, plan, push, t, ground, wheelbase, back, lane, mass, control, summed)
         _rates(t, y, k1, n, c, springs, pushes, pulls, ground, seen, room, control, r, a6, b6, pushed, out)
@@ -333,13 +334,19 @@ def integrate(y, n, c, springs, pushes, pulls, ground, plan, push, wheelbase, ba
             path[step, :7] = y[:7]
             path[step, 7] = u
             path[step, 8:] = y[SLIDE : SLIDE + 4]
-        mid[:] = y + 0.5 * STEP * k1
-        _rates(t + 0.5 * STEP, mid, k2, n, c, springs, pushes, pulls, ground, seen, room, control, r, a6, b6, pushed, spare)
-        mid[:] = y + 0.5 * STEP * k2
-        _rates(t + 0.5 * STEP, mid, k3, n, c, springs, pushes, pulls, ground, seen, room, control, r, a6, b6, pushed, spare)
-        mid[:] = y + STEP * k3
-        _rates(t + STEP, mid, k4, n, c, springs, pushes, pulls, ground, seen, room, control, r, a6, b6, pushed, spare)
-        y += STEP / 6.0 * (k1 + 2.0 * k2 + 2.0 * k3 + k4)
+        mid[:] = y + 0.5 * h * k1
+        _rates(
+            t + 0.5 * h, mid, k2, n, c, springs, pushes, pulls, ground, seen, room, control, r, a6, b6, pushed, spare
+        )
+        mid[:] = y + 0.5 * h * k2
+        _rates(
+            t + 0.5 * h, mid, k3, n, c, springs, pushes, pulls, ground, seen, room, control, r, a6, b6, pushed, spare
+        )
+        mid[:] = y + h * k3
+        _rates(
+            t + h, mid, k4, n, c, springs, pushes, pulls, ground, seen, room, control, r, a6, b6, pushed, spare
+        )
+        y += h / 6.0 * (k1 + 2.0 * k2 + 2.0 * k3 + k4)
         if step < 0:
             # Stand still the sooner: the motion left of being put down dies within a second.
             y[GO + 2] *= 0.995

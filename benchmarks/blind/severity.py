@@ -56,17 +56,23 @@ def _project(directions: Floats, d: Floats) -> Floats:
 
 def signals(felt: phone.Felt, shift: Floats | float = 0.0) -> Floats:
     """(m, 6) at 100 Hz through a zero-phase low-pass of 20 Hz, from a second before the car moves."""
-    sos = butter(4, 20.0, fs=1000.0, output="sos")
+    rate = 1.0 / float(felt.t[1] - felt.t[0])
+    sos = butter(4, 20.0, fs=rate, output="sos")
     both = np.hstack([felt.force, felt.rate])[:, _COLUMNS]
     if np.any(shift != 0.0):
         both = CubicSpline(felt.t, both)(np.clip(felt.t - shift, 0.0, felt.t[-1]))
-    return np.asarray(sosfiltfilt(sos, both, axis=0)[2500::10])
+    return np.asarray(sosfiltfilt(sos, both, axis=0)[round(2.5 * rate) :: round(rate / 100.0)])
 
 
 def delay(faults: Faults, t: Floats) -> Floats:
     """(n,) s by which stamps are late."""
     own = faults.get("time_offset", {}).get("offset", 0.0)
     return own + 1e-6 * faults.get("clock_drift", {}).get("drift_ppm", 0.0) * t
+
+
+def _step(faults: Faults) -> float:
+    """s: twice the usual where nothing stiff is in the way."""
+    return 1e-3 if {"top_mount", "loose_ball_joint", "unsprung_mass"} & set(faults) else 2e-3
 
 
 def change(world: World, scale: Scale, faults: Faults) -> Floats:
@@ -77,7 +83,7 @@ def change(world: World, scale: Scale, faults: Faults) -> Floats:
     if road:
         even = plain(replace(world, survey=surveyed(world, road)))
     if road or moves:
-        motion = newton.run(even, world.plans[DRIVE], {**scale.base, **moves})
+        motion = newton.run(even, world.plans[DRIVE], {**scale.base, **moves}, _step(moves))
         moved = phone.felt(motion, world.phone, moves, ideal=True)
     else:
         moved = scale.felt
@@ -88,12 +94,12 @@ def yardstick(world: World, msd: bool = False) -> Scale:
     """Measure a world; ``msd`` for a twin without wheels of its own."""
     base: Faults = {"unsprung_mass": {"share": 0.12}} if msd else {}
     even, drive = plain(world), world.plans[DRIVE]
-    motion = newton.run(even, drive, base)
+    motion = newton.run(even, drive, base, _step(base))
     felt = phone.felt(motion, world.phone, {}, ideal=True)
     reference = signals(felt)
     columns = []
     for car, step in _neighbours(even.car, msd):
-        other = newton.run(replace(even, car=car), drive, base)
+        other = newton.run(replace(even, car=car), drive, base, _step(base))
         columns.append((signals(phone.felt(other, world.phone, {}, ideal=True)) - reference) / step)
     real = signals(phone.felt(newton.run(world, drive, base), world.phone, {}), -phone.DELAY)
     noise = np.sqrt(0.4) * np.array([world.phone.force_noise] + [world.phone.rate_noise] * 5)
