@@ -7,7 +7,15 @@ import numpy as np
 
 from suspension_twin.drive.types import Floats
 from suspension_twin.models import rows
-from suspension_twin.models.characteristics import Check, Curve, Curves, Problems, checker, hinges_of, write_curves
+from suspension_twin.models.characteristics import (
+    Check,
+    Curve,
+    Curves,
+    Problems,
+    checker,
+    hinges_of,
+    write_curves,
+)
 from suspension_twin.vehicle.corners import AXLES
 
 __all__ = ["with_terms"]

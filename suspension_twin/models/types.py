@@ -34,8 +34,9 @@ class Excitation:
     fresh start: interval ``k`` owns ``road[first[k]:first[k + 1]]``.
 
     ``t`` (n,) s; ``substeps`` (n,); ``first`` (n + 1,); ``road`` (m, 4) m, corners in the usual
-    order; ``motion`` (n, 7): the step in s, ``ax``, ``ay`` m/s² in base_link's axes of the
-    point above its origin at the height of the centre of gravity, ``yaw_rate`` rad/s, ``yaw_acceleration`` rad/s², ``speed`` and ``lateral_speed`` m/s;
+    order; ``motion`` (n, 7): the step in s, ``ax``, ``ay`` m/s² in base_link's axes of the point above
+    its origin at the height of the centre of gravity, ``yaw_rate`` rad/s, ``yaw_acceleration`` rad/s²,
+    ``speed`` and ``lateral_speed`` m/s;
     ``max_step`` s is the largest step that any interval may take. ``x``, ``y``, ``yaw`` (n,),
     ``wheels`` (4, 2) and ``ground`` are what the road heights came from, for those that look again.
     """

@@ -111,7 +111,7 @@ def test_the_whole_model_agrees_with_its_own_pose(mondeo: Any, drive: Any, rough
     origin[:, :2] -= (body @ [0.0, 0.0, twin.vehicle.cog[2]])[:, :2]
     p = origin + body @ np.array(where)
     acceleration = np.gradient(np.gradient(p, h, axis=0), h, axis=0)
-    force = np.einsum("tji,tj->ti", body, acceleration + [0, 0, G])
+    force = np.einsum("tji,tj->ti", body, acceleration + np.array([0, 0, G]))
     inner = slice(200, -10)
     np.testing.assert_allclose(run.force[inner], force[inner], atol=0.06)
     spread = np.std(run.force[inner], axis=0)
