@@ -232,9 +232,9 @@ class Nuisances:
         bias = np.stack([value(f"{drive}.bias.{c}") for c in self.channels])
         about_x, about_y = self._regressors[number]
         added = bias[None, :, :] + np.zeros((rows.size, 1, 1))
-        if "tilt_roll" in self._row:
-            added += about_x[rows][:, :, None] * value("tilt_roll")
-            added += about_y[rows][:, :, None] * value("tilt_pitch")
+        for about, tilt in ((about_x, value("tilt_roll")), (about_y, value("tilt_pitch"))):
+            if tilt.any():
+                added += about[rows][:, :, None] * tilt
         out = np.empty((rows.size, len(self.channels), lanes))
         _apply(np.ascontiguousarray(simulated), rows, np.ascontiguousarray(shift), gain, added, _TABLE, out)
         return out
