@@ -101,7 +101,9 @@ def parsed() -> argparse.Namespace:
     parser.add_argument("--reality", choices=("newton", "multibody"))
     parser.add_argument("--limit", type=int, default=0, metavar="N", help="the first N cases: a fair sample")
     parser.add_argument("--jobs", type=int, default=min(2, os.cpu_count() or 1), help="to generate with")
-    parser.add_argument("--baselines", action="store_true", help="score simple methods beside (a minute a case)")
+    parser.add_argument(
+        "--baselines", type=int, default=0, metavar="N", help="score simple methods beside on N cases (a minute each)"
+    )
     parser.add_argument("--keep", action="store_true", help="write the table to benchmarks/results")
     parser.add_argument("--out", type=Path, default=None, metavar="DIR")
     parser.add_argument("--json", action="store_true")

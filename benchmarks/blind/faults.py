@@ -17,6 +17,12 @@ from blind.newton import Faults, Motion
 from blind.world import FILE_DU, FILE_DV, Floats, World
 
 OUTSIDE = ("cubic_spring", "wheel_imbalance", "engine_order", "damper_cavitation", "loose_ball_joint")
+#: What a library may call them, should it come to have them: then that is taken out.
+ALIASES = {
+    "cubic_spring": ("cubic_spring", "progressive_spring"),
+    "damper_cavitation": ("damper_cavitation", "damper_backlash"),
+    "loose_ball_joint": ("loose_ball_joint", "joint_play"),
+}
 ROAD = ("road_scale", "road_smoothing", "position_offset", "lateral_offset")
 SENSOR = ("mount_resonance", "sensor_tilt", "sensor_bandwidth", "sensor_clipping", "sensor_scale")
 TIME = ("time_offset", "clock_drift")

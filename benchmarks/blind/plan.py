@@ -14,7 +14,7 @@ from typing import Literal
 
 import numpy as np
 
-from blind.faults import LIBRARY, MSD, OUTSIDE, ROAD
+from blind.faults import ALIASES, LIBRARY, MSD, OUTSIDE, ROAD
 
 Seeds = Literal["dev", "report"]
 Kind = Literal["single", "null", "outside", "excluded", "pair", "stretch"]
@@ -123,7 +123,8 @@ def _cases(kind: Kind) -> Iterator[tuple[tuple[str, ...], float, int, dict[str, 
         for e, effect in enumerate(OUTSIDE):
             for s, severity in enumerate((1.5, 5.0)):
                 for k in range(4):
-                    yield (effect,), severity, (7 * e + 3 * k + 8 * s) % WORLDS, {}
+                    away = ALIASES.get(effect, (effect,))
+                    yield (effect,), severity, (7 * e + 3 * k + 8 * s) % WORLDS, {"without": away}
     elif kind == "excluded":
         for e, effect in enumerate(LIBRARY):
             for k in range(2):

@@ -92,7 +92,7 @@ def report(cases: list[Spec], options: argparse.Namespace, tell: Callable[[str],
         },
     }
     if options.baselines:
-        result["baselines"] = baselines.compare(rows, options.out, tell)
+        result["baselines"] = baselines.compare(rows, options.out, options.baselines, tell)
     picture.draw(rows, result, options.out / "confusion.png")
     if options.keep:
         RESULTS.mkdir(parents=True, exist_ok=True)
