@@ -116,7 +116,7 @@ class Driver:
         self.answered: dict[int, float] = {}
         kind = Imu if system == "relay" else AccelStamped
         self.node.create_subscription(kind, f"/{system}/{ANSWERS[system]}", self._on_answer, 1000)
-        self.travelled = 0.0
+        self.began = 0
 
     def _on_answer(self, message: Any) -> None:
         now = time.perf_counter()
@@ -130,6 +130,7 @@ class Driver:
             self.executor.spin_once(timeout_sec=0.05)
         warm, total = int(warm_up * rate), int((warm_up + seconds) * rate)
         began, stamp = time.perf_counter(), time.time_ns()
+        self.began = self.began or stamp
         noise = np.random.default_rng(0).normal(0.0, 0.05, (total, 3)).tolist()
         self.sent.clear()
         for k in range(total):
@@ -145,19 +146,18 @@ class Driver:
             vector = message.angular_velocity
             vector.x, vector.y, vector.z = (0.02 * v for v in noise[-k - 1])
             if k % int(rate // 10) == 0:
-                self._send_gps(ns, k / rate)
+                self._send_gps(ns)
             if k >= warm:
                 self.sent[ns] = time.perf_counter()
             self.out.publish(message)
-        self.travelled += SPEED * total / rate
         until = time.perf_counter() + 0.5
         while time.perf_counter() < until:
             self.executor.spin_once(timeout_sec=0.05)
 
-    def _send_gps(self, ns: int, t: float) -> None:
+    def _send_gps(self, ns: int) -> None:
         self.fix.header.stamp.sec, self.fix.header.stamp.nanosec = divmod(ns, 1_000_000_000)
         self.vel.header.stamp = self.fix.header.stamp
-        east = self.travelled + SPEED * t
+        east = SPEED * (ns - self.began) / 1e9  # on through the turns of the others, as the stamps go on
         self.fix.latitude, self.fix.longitude = 47.4025, 19.284 + east / 75_540.0
         self.vel.twist.linear.x = SPEED
         self.fix_out.publish(self.fix)

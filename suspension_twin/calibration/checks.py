@@ -8,26 +8,49 @@ from collections.abc import Sequence
 import numpy as np
 
 from suspension_twin.calibration.stretches import TrimSettings
+from suspension_twin.drive.types import Drive
 from suspension_twin.errors import InputError, WorkError
 from suspension_twin.gap.prepare import Prepared
 
-__all__ = ["check_agreement", "check_drive", "check_parts"]
+__all__ = ["check_agreement", "check_drive", "check_parts", "check_recording"]
 
 #: Seconds of excited driving below which nothing is fitted.
 SHORTEST = 1.5
+_FASTEST_PARKED = 1.0  # m/s
 #: Correlation of the fitted twin's vertical acceleration with the measured one, below which the road is
 #: taken for another: a seven-degree model on the right road reaches 0.9 and more, on a wrong one 0.3.
 LEAST_CORRELATION = 0.5
 
 
+def check_recording(drive: Drive) -> None:
+    """Refuse a recording without positions, or of a car that stands, before anything is made of it."""
+    if not len(drive.fix):
+        raise InputError(
+            drive.name,
+            "fix",
+            "holds no GNSS fix: without positions the twin cannot be put on the road; record /fix and /vel too",
+        )
+    speed = np.hypot(drive.velocity.enu[:, 0], drive.velocity.enu[:, 1])
+    seen = np.isfinite(speed)
+    if np.count_nonzero(seen) < 2:
+        return
+    period = float(np.median(np.diff(np.sort(drive.velocity.t[seen]))))
+    # a receiver's velocity jumps now and then: a second of it counts
+    if np.count_nonzero(speed[seen] > _FASTEST_PARKED) * period < 1.0:
+        raise _parked(drive.name, float(np.median(speed[seen])))
+
+
+def _parked(name: str, speed: float) -> InputError:
+    return InputError(
+        name, f"the car is parked ({speed:.1f} m/s): record a drive over the road of the twin file"
+    )
+
+
 def check_drive(drive: Prepared) -> None:
     """Refuse a drive that stands still, or is not on the road of the twin file."""
     fastest = float(np.max(np.abs(drive.speed)))
-    if fastest < 1.0:
-        raise InputError(
-            drive.name,
-            f"the car is parked (never above {fastest:.1f} m/s): record a drive over the road of the twin file",
-        )
+    if fastest < _FASTEST_PARKED:
+        raise _parked(drive.name, fastest)
     moving = np.abs(drive.speed) > 0.8
     on_road = float(drive.inside[moving].mean())
     if on_road < 0.02:

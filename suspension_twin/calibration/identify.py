@@ -12,6 +12,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Protocol
 
 import numpy as np
 
@@ -24,7 +25,7 @@ from suspension_twin.drive.types import Floats
 from suspension_twin.models.simulate import simulate_twin
 from suspension_twin.vehicle.twin import Twin
 
-__all__ = ["CORRELATION", "Posterior", "Travel", "posterior", "profile", "span_of", "travel"]
+__all__ = ["CORRELATION", "Posterior", "Travel", "Weighing", "posterior", "profile", "span_of", "travel"]
 
 #: Of the logarithms of neighbouring slopes in the prior.
 CORRELATION = 0.8
@@ -92,16 +93,34 @@ def span_of(curve: Curve, where: Travel) -> tuple[float, float]:
     return low, float(ordered[-beyond])
 
 
+class Weighing(Protocol):
+    """What turns compared signals into residuals whose sum of squares is -2 log likelihood."""
+
+    def residuals(self, simulated: Floats) -> Floats:
+        """(R, L) of candidates (M, C, L)."""
+
+
 def posterior(
-    problem: Problem, likelihood: Likelihood, x: Floats, precision: Floats, where: Travel, seed: int
+    problem: Problem,
+    likelihood: Weighing,
+    x: Floats,
+    precision: Floats,
+    where: Travel,
+    seed: int,
+    doubt: Floats | None = None,
 ) -> Posterior:
-    """The posterior around ``x`` (d + q,), the best fit of ``likelihood`` with the prior ``precision``."""
+    """The posterior around ``x`` (d + q,), the best fit of ``likelihood`` with the prior ``precision``.
+
+    ``doubt`` (d + q,) is one more standard deviation, of all coordinates together.
+    """
     fit = FitProblem(problem, likelihood.residuals)
     residual, jacobian, _ = fit.linearise(x)
     information = gram(jacobian, jacobian) + precision
     covariance = _widened(
         np.asarray(np.linalg.inv(information), dtype=np.float64), jacobian, residual, precision, problem
     )
+    if doubt is not None:
+        covariance = covariance + np.outer(doubt, doubt)
     d = len(problem.space)
     rng = np.random.default_rng(seed)
     root = np.linalg.cholesky(covariance[:d, :d] + 1e-14 * np.eye(d))

@@ -14,13 +14,18 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import linalg, signal
 
-from suspension_twin.calibration.objectives import Measured
+from suspension_twin.calibration.objectives import Measured, Objective
+from suspension_twin.calibration.problem import FitProblem, Problem
 from suspension_twin.drive.types import Floats
 from suspension_twin.errors import WorkError
 
-__all__ = ["Likelihood", "autoregression"]
+__all__ = ["INDEPENDENT", "NEAR_FLOOR", "Likelihood", "Squares", "autoregression"]
 
 ORDER = 16
+#: Residuals in floors (the median of the channels) up to which what is left is taken for noise.
+NEAR_FLOOR = 3.0
+#: Share of Nyquist's band that the default filter passes: samples count for half as many independent ones.
+INDEPENDENT = 0.5
 _ENOUGH = 30  # samples for each coefficient
 
 
@@ -87,3 +92,22 @@ class Likelihood:
         if not parts:
             raise WorkError("the compared stretches are too short to tell noise from motion")
         return np.concatenate(parts)
+
+
+@dataclass(frozen=True, eq=False)
+class Squares:
+    """An objective's residuals in units of what is left of them: least squares as a rough likelihood."""
+
+    objective: Objective
+    scale: float
+
+    @classmethod
+    def at(cls, problem: Problem, x: Floats) -> Squares:
+        """With the scale that the residuals have at coordinates ``x`` (d + q,)."""
+        sums, _ = FitProblem(problem).sums_of_squares(x[:, None])
+        count = len(problem.objective.residuals(problem.measured.values[:, :, None]))
+        return cls(problem.objective, float(np.sqrt(max(float(sums[0]) / count / INDEPENDENT, 1e-300))))
+
+    def residuals(self, simulated: Floats) -> Floats:
+        """(R, L) of candidates (M, C, L)."""
+        return np.asarray(self.objective.residuals(simulated) / self.scale)

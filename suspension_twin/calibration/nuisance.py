@@ -9,18 +9,28 @@ it. A shift of the map by ``d`` metres is one in time by ``d`` over the speed al
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
 from suspension_twin.drive.types import Floats
+from suspension_twin.errors import InputError
 from suspension_twin.gap.prepare import Prepared
 
-__all__ = ["NuisancePriors", "Nuisances"]
+__all__ = ["NUISANCES", "NuisancePriors", "Nuisances"]
 
+#: What each nuisance that can be frozen leaves out.
+NUISANCES: Mapping[str, tuple[str, ...]] = {
+    "clock_offset": ("clock",),
+    "map_position": ("map_position",),
+    "wander": ("wander",),
+    "gain": ("gain",),
+    "tilt": ("tilt",),
+    "bias": ("force_bias", "rate_bias"),
+}
 _SLOWEST = 0.5  # m/s: below this a place on the road says nothing of a time
 
 
@@ -43,6 +53,16 @@ class NuisancePriors:
     force_bias: float = 0.05
     rate_bias: float = 0.01
     pivot: float = 0.0
+
+    def without(self, keys: Iterable[str]) -> NuisancePriors:
+        """Those of ``keys`` (``nuisances.gain``) left out; raises InputError for one that is not known."""
+        gone: dict[str, float] = {}
+        for key in keys:
+            name = key.removeprefix("nuisances.")
+            if name not in NUISANCES:
+                raise InputError("freeze", key, f"one of {', '.join(f'nuisances.{n}' for n in NUISANCES)} is expected")
+            gone |= dict.fromkeys(NUISANCES[name], 0.0)
+        return replace(self, **gone)
 
 
 # A windowed sinc over eight samples, tabled by phase: to 0.07 % at up to a quarter of the sampling rate, where
@@ -238,9 +258,9 @@ class Nuisances:
         bias = np.stack([value(f"{drive}.bias.{c}") for c in self.channels])
         about_x, about_y = self._regressors[number]
         added = bias[None, :, :] + np.zeros((rows.size, 1, 1))
-        if "tilt_roll" in self._row:
-            added += about_x[rows][:, :, None] * value("tilt_roll")
-            added += about_y[rows][:, :, None] * value("tilt_pitch")
+        for about, tilt in ((about_x, value("tilt_roll")), (about_y, value("tilt_pitch"))):
+            if tilt.any():
+                added += about[rows][:, :, None] * tilt
         lever, turned = np.zeros_like(gain), np.full(len(self.channels), -1)
         for channel, (name, rate, sign) in self._pivots.items():
             turned[self.channels.index(channel)] = rate

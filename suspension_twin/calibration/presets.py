@@ -59,7 +59,8 @@ class Preset:
     """``search`` "genetic" (GA, then pattern search) or "squares" (Gauss-Newton, CMA-ES where the objective
     is no sum of squares). ``synchronise``: each candidate is aligned in time on its own before it is
     judged, as the car paper does; otherwise offsets are unknowns like others. ``also``: what is free beside
-    the points of the characteristics."""
+    the points of the characteristics. ``reach``: by which factor a point may move either way where nobody
+    gave bounds."""
 
     name: str
     about: str
@@ -72,6 +73,7 @@ class Preset:
     pattern: PatternSettings = field(default_factory=PatternSettings)
     squares: LmSettings = field(default_factory=lambda: LmSettings(tolerance=1e-4))
     also: tuple[str, ...] = ()
+    reach: float = _POINT_FACTOR
 
 
 #: Weight 0 stands for "by the channels' floors": each counts in units of its own noise.
@@ -96,6 +98,19 @@ PRESETS: Mapping[str, Preset] = {
         channels={"vertical_acceleration": 1.0},
         synchronise=True,
         table_2=True,
+    ),
+    "tracked_paper": Preset(
+        name="tracked_paper",
+        about="the tracked paper's search: population 40, 30 generations, mean correlation, eq. (15)",
+        search="genetic",
+        objective="correlation",
+        # Its markers' vertical motion, front and rear, is what heave and pitch are together.
+        channels={"vertical_acceleration": 0.5, "pitch_rate": 0.5},
+        synchronise=True,
+        table_2=False,
+        genetic=GaSettings(population=40, generations=30, stall_generations=30, elite_share=0.05),
+        pattern=PatternSettings(evaluations=0),
+        reach=3.0,
     ),
 }
 
@@ -172,7 +187,7 @@ def _parameter(
     if curve in CURVES:
         if given is None and preset.table_2:
             given = TABLE_2[curve][1][int(index)]
-        low, high = given or (nominal / _POINT_FACTOR, max(nominal * _POINT_FACTOR, 1.0))
+        low, high = given or (nominal / preset.reach, max(nominal * preset.reach, 1.0))
         return Parameter(key, nominal, low, high, log=True, spread=_POINT_SPREAD)
     if key.startswith("effects."):
         return _effect_parameter(key, nominal, given)

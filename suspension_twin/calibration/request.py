@@ -30,7 +30,8 @@ class CalibrationRequest:
 
     ``preset`` names what ``presets.PRESETS`` holds. ``free`` replaces what the preset searches and
     ``also`` adds to it: dotted keys, or the key of a whole characteristic
-    (``vehicle.front.spring``); ``freeze`` takes keys out again. ``bounds`` (key, lower, upper).
+    (``vehicle.front.spring``); ``freeze`` takes keys out again, nuisances too
+    (``nuisances.gain``; the names of ``nuisance.NUISANCES``). ``bounds`` (key, lower, upper).
     ``objective`` and ``channels`` (name, weight) as in ``objectives``; empty for the preset's own.
     ``max_generations`` 0 is the preset's. ``state`` is a folder for checkpoints, empty for none.
     """

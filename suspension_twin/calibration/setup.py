@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from suspension_twin.calibration.align import coarse_lag
-from suspension_twin.calibration.checks import check_drive, check_parts
+from suspension_twin.calibration.checks import check_drive, check_parts, check_recording
 from suspension_twin.calibration.nuisance import NuisancePriors
 from suspension_twin.calibration.objectives import parse_objective
 from suspension_twin.calibration.presets import Preset, build_space, preset_named, with_effects, with_table_2
@@ -57,7 +57,10 @@ def set_up(
         raise InputError("drives", "none are given: name at least one recorded drive")
     twin = with_table_2(original) if preset.table_2 else original
     bounds = {key: (low, high) for key, low, high in request.bounds}
-    space = build_space(twin, preset, request.free, request.also, request.freeze, bounds)
+    nuisances = [k for k in request.freeze if k.startswith("nuisances.")]
+    priors = NuisancePriors().without(nuisances)
+    frozen = [k for k in request.freeze if k not in nuisances]
+    space = build_space(twin, preset, request.free, request.also, frozen, bounds)
     road = road_of(twin)
     drives = []
     for bag in request.bags:
@@ -66,19 +69,14 @@ def set_up(
         note(f"reading {Path(bag).name}")
         drives.append(prepare_checked(read_drive(bag, topics=request.topics), twin, road))
     drives = _renamed(drives)
-    problem, lags, warnings = assemble(twin, space, preset, request, drives)
+    problem, lags, warnings = assemble(twin, space, preset, request, drives, priors)
     problem.interrupt = should_stop
     return Setup(twin, original, preset, space, problem, tuple(drives), lags, warnings)
 
 
 def prepare_checked(drive: Drive, twin: Twin, road: Road, settings: PrepareSettings | None = None) -> Prepared:
     """Prepare a drive for calibration, or refuse it with the reason and what to do."""
-    if not len(drive.fix):
-        raise InputError(
-            drive.name,
-            "fix",
-            "holds no GNSS fix: without positions the twin cannot be put on the road; record /fix and /vel too",
-        )
+    check_recording(drive)
     prepared = prepare(drive, twin, road, settings, strict=True)
     check_drive(prepared)
     return prepared

@@ -16,25 +16,23 @@ import numpy as np
 from suspension_twin.calibration.checkpoint import State
 from suspension_twin.calibration.identify import CORRELATION, travel
 from suspension_twin.calibration.least_squares import LeastSquares, LmSettings
-from suspension_twin.calibration.likelihood import Likelihood
+from suspension_twin.calibration.likelihood import INDEPENDENT, NEAR_FLOOR, Likelihood
 from suspension_twin.calibration.problem import FitProblem, Interrupted, Problem
 from suspension_twin.calibration.recorder import Outcome, Recorder
+from suspension_twin.calibration.setup import Setup
 from suspension_twin.calibration.springs import standing_at
 from suspension_twin.drive.types import Floats
 
-__all__ = ["full_precision", "run_squares"]
+__all__ = ["full_precision", "in_floors", "run_squares"]
 
 _EXPECTED = 700.0  # evaluations, for the time left
 _STARTS = 24
 #: Weight of the prior beside an objective that was asked for by name.
 _FAINT = 1e-3
-#: Residuals in floors (the median of the channels) up to which there is nothing to hop for, and up to which
-#: what is left is taken for noise.
-_AT_FLOOR, _NEAR_FLOOR = 1.3, 3.0
+#: Residuals in floors (the median of the channels) up to which there is nothing to hop for.
+_AT_FLOOR = 1.3
 #: Offsets that are simulated from here on instead of interpolated: s and m.
 _PLACE_CLOCK, _PLACE_MAP = 2e-3, 2e-2
-#: Share of Nyquist's band that the default filter passes: samples count for half as many independent ones.
-_INDEPENDENT = 0.5
 _FARTHEST_CORNER, _NEAREST_CORNER = 0.15, 0.003  # m
 
 
@@ -117,7 +115,7 @@ class _Fit:
             yield _Round("hop", 2 * number, replace(_SEARCH, iterations=2), faint=False, hop=corner)
             yield _Round("hop", 2 * number + 1, _SEARCH)
         yield _Round("squares", 2, self.recorder.setup.preset.squares)
-        if self.balanced and (self.recorder.waits_for("likelihood") or self.floors() < _NEAR_FLOOR):
+        if self.balanced and (self.recorder.waits_for("likelihood") or self.floors() < NEAR_FLOOR):
             yield _Round("likelihood", 0, _LIKELIHOOD)
             yield _Round("likelihood", 1, _LIKELIHOOD)
 
@@ -222,7 +220,7 @@ class _Fit:
         if planned.stage == "likelihood":
             return 1.0
         residual = fit.residuals(self.compared(start)[:, :, None])
-        variance = max(float(np.mean(residual**2)) / _INDEPENDENT, 1e-30)
+        variance = max(float(np.mean(residual**2)) / INDEPENDENT, 1e-30)
         return variance * (_FAINT if planned.faint and not self.balanced else 1.0)
 
     def _place(self) -> None:
@@ -252,7 +250,11 @@ class _Fit:
 
     def floors(self) -> float:
         """What is left of the channels in units of their floors; the median of the channels."""
-        left = np.sqrt(np.mean((self.compared(self.x) - self.problem.measured.values) ** 2, axis=0))
-        drives = self.recorder.setup.drives
-        floors = [float(np.mean([d.noise_rms[c] for d in drives])) for c in self.problem.channels]
-        return float(np.median(left / np.array(floors)))
+        return in_floors(self.recorder.setup, self.problem, self.compared(self.x))
+
+
+def in_floors(setup: Setup, problem: Problem, compared: Floats) -> float:
+    """What ``compared`` signals (M, C) leave of the channels in units of their floors; the median of the channels."""
+    left = np.sqrt(np.mean((compared - problem.measured.values) ** 2, axis=0))
+    floors = [float(np.mean([d.noise_rms[c] for d in setup.drives])) for c in problem.channels]
+    return float(np.median(left / np.array(floors)))

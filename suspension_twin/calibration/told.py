@@ -8,16 +8,16 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from suspension_twin.calibration.identify import Posterior, Travel, posterior, span_of, travel
+from suspension_twin.calibration.identify import Posterior, Travel, Weighing, posterior, span_of, travel
 from suspension_twin.calibration.least_squares import LeastSquares, LmSettings
-from suspension_twin.calibration.likelihood import Likelihood
+from suspension_twin.calibration.likelihood import NEAR_FLOOR, Likelihood, Squares
 from suspension_twin.calibration.presets import PRESETS, build_space
 from suspension_twin.calibration.problem import FitProblem, Problem
 from suspension_twin.calibration.recorder import Outcome
 from suspension_twin.calibration.request import CurveEstimate
 from suspension_twin.calibration.setup import Setup
 from suspension_twin.calibration.space import Curve, Space
-from suspension_twin.calibration.squares import full_precision
+from suspension_twin.calibration.squares import full_precision, in_floors
 from suspension_twin.drive.types import Floats
 from suspension_twin.vehicle.twin import Twin
 
@@ -43,30 +43,53 @@ class Told:
 
 
 def tell(setup: Setup, outcome: Outcome, seed: int) -> Told:
-    """Fit the likelihood from the result on, in a space with wide bounds, and look around there."""
+    """Look around the result, in a space with wide bounds.
+
+    Where noise is what is left, by the likelihood fitted from the result on. Where more is left (or the
+    search kept to another objective), by least squares with what is left as the scale; that the likelihood,
+    which weighs the same residuals in another way, would have ended elsewhere counts as doubt of that
+    size: what two ways of weighing disagree on, no statistics of the residual knows.
+    """
     problem = _widened(setup, outcome)
-    d = len(problem.space)
     precision = full_precision(problem)
-    if outcome.x is not None and outcome.likelihood is not None:
+    searched = outcome.x is not None and outcome.likelihood is not None
+    if searched:
+        assert outcome.x is not None and outcome.likelihood is not None
         x, likelihood = outcome.x.copy(), outcome.likelihood
     else:
         x = np.concatenate([problem.space.to_slopes(outcome.values), outcome.nuisance - outcome.placed])
+        if outcome.x is not None:
+            x = outcome.x.copy()
         likelihood = _likelihood_at(problem, x)
         x = _polished(problem, likelihood, x, precision, outcome.placed)
         likelihood = _likelihood_at(problem, x)
     x = _polished(problem, likelihood, x, precision, outcome.placed)
-    for _ in range(3):
-        here = problem.space.applied(setup.twin, problem.space.from_slopes(x[:d]))
-        found = posterior(problem, likelihood, x, precision, travel(here, problem), seed)
-        if found.better is None:
-            break
-        x = _polished(problem, likelihood, found.better, precision, outcome.placed)
+    if searched or (outcome.x is None and in_floors(setup, problem, _compared(problem, x)) < NEAR_FLOOR):
+        for _ in range(3):
+            where = _travel_at(setup, problem, x)
+            found = posterior(problem, likelihood, x, precision, where, seed)
+            if found.better is None:
+                break
+            x = _polished(problem, likelihood, found.better, precision, outcome.placed)
+    else:
+        other = x
+        squares = Squares.at(problem, other if outcome.x is None else outcome.x)
+        x = _polished(problem, squares, other, precision, outcome.placed) if outcome.x is None else outcome.x
+        found = posterior(problem, squares, x, precision, _travel_at(setup, problem, x), seed, doubt=other - x)
     low, high = np.quantile(found.draws, INTERVAL, axis=1)
-    if outcome.likelihood is None and outcome.x is not None:
-        # Where two ways of weighing disagree the model lacks something that no statistics of the residual knows.
-        low, high = np.minimum(low, outcome.values), np.maximum(high, outcome.values)
     twin = setup.space.applied(setup.twin, outcome.values)
     return Told(problem.space, found, travel(twin, problem), low, high, x)
+
+
+def _travel_at(setup: Setup, problem: Problem, x: Floats) -> Travel:
+    values = problem.space.from_slopes(x[: len(problem.space)])
+    return travel(problem.space.applied(setup.twin, values), problem)
+
+
+def _compared(problem: Problem, x: Floats) -> Floats:
+    d = len(problem.space)
+    signals, _ = problem.simulate(problem.space.from_slopes(x[:d, None]))
+    return np.asarray(problem.compared(signals, x[d:, None])[:, :, 0])
 
 
 def _widened(setup: Setup, outcome: Outcome) -> Problem:
@@ -77,12 +100,10 @@ def _widened(setup: Setup, outcome: Outcome) -> Problem:
 
 
 def _likelihood_at(problem: Problem, x: Floats) -> Likelihood:
-    d = len(problem.space)
-    signals, _ = problem.simulate(problem.space.from_slopes(x[:d, None]))
-    return Likelihood.fitted(problem.measured, problem.compared(signals, x[d:, None])[:, :, 0])
+    return Likelihood.fitted(problem.measured, _compared(problem, x))
 
 
-def _polished(problem: Problem, likelihood: Likelihood, x: Floats, precision: Floats, placed: Floats) -> Floats:
+def _polished(problem: Problem, likelihood: Weighing, x: Floats, precision: Floats, placed: Floats) -> Floats:
     centre = np.concatenate([problem.space.z0, -placed])
     fit = FitProblem(problem, likelihood.residuals)
     solver = LeastSquares(fit, x, precision, centre, _POLISH)

@@ -24,7 +24,13 @@ __all__ = ["command"]
 Out = Annotated[
     Path, typer.Option("--out", help="The twin file to write.", metavar="CALIBRATED.YAML", dir_okay=False)
 ]
-Preset = Annotated[str, typer.Option("--preset", help="fast, or paper: the car paper's section 4.3 exactly.")]
+Preset = Annotated[
+    str,
+    typer.Option(
+        "--preset",
+        help="fast; paper: the car paper's section 4.3 exactly; tracked_paper: the tracked paper's search.",
+    ),
+]
 Report = Annotated[
     Path | None,
     typer.Option("--report", help="Folder for a page with plots.", metavar="DIR", file_okay=False),
@@ -41,7 +47,12 @@ Also = Annotated[
     list[str] | None, typer.Option("--also", help="Search this key as well; repeatable.", metavar="KEY")
 ]
 Freeze = Annotated[
-    list[str] | None, typer.Option("--freeze", help="Leave this key as it is; repeatable.", metavar="KEY")
+    list[str] | None,
+    typer.Option(
+        "--freeze",
+        help="Leave this key as it is (nuisances.gain, nuisances.map_position, ... too); repeatable.",
+        metavar="KEY",
+    ),
 ]
 Bound = Annotated[
     list[str] | None, typer.Option("--bound", help="Bounds of a key; repeatable.", metavar="KEY=LOW:HIGH")

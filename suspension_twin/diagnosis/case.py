@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
-from suspension_twin.calibration.checks import check_drive, check_parts
+from suspension_twin.calibration.checks import check_drive, check_parts, check_recording
 from suspension_twin.calibration.identify import CORRELATION
 from suspension_twin.calibration.objectives import parse_objective
 from suspension_twin.calibration.presets import build_space, preset_named
@@ -75,9 +75,8 @@ def read_case(request: DiagnosisRequest, note: Callable[[str], None], stop: Call
             raise Interrupted
         note(f"reading {Path(bag).name}")
         recorded = read_drive(bag, topics=request.topics)
-        if not len(recorded.fix):
-            raise InputError(recorded.name, "fix", "holds no GNSS fix: without positions nothing can be compared")
-        prepared = prepare(recorded, twin, road)
+        check_recording(recorded)
+        prepared = prepare(recorded, twin, road, strict=True)
         if on_road:
             check_drive(prepared)
         drives.append(prepared)

@@ -1,7 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """Planar motion without the sensors' noise, before it drives a model.
 
-Yaw rate and forward pull come from a gyro and an accelerometer and go into the load transfer. A
+What shifts the load is how the centre of gravity is accelerated, ahead and sideways. The smoothed path
+knows that slowly; what is quick, the edge of a bump or a tyre that is pushed aside, the IMU knows: its
+specific force, less gravity, brought down from the sensor to the height of the centre of gravity. A
 gyro's noise times the speed shakes the simulated body in roll as much as a smooth road does; what
 a least squares fit then makes of it is a body too heavy to be shaken. Where the noise is known,
 each short piece of such a signal is cleaned by a Wiener filter: what stands out of the noise
@@ -40,47 +42,50 @@ def quiet_motion(trajectory: Trajectory, signals: ImuSignals, centre: float) -> 
     """
     rate = signals.rate_hz
     nyquist = 0.5 * rate
-    height = signals.place.position[2]
-    yaw, pitch = (white_noise_sigma(signals.rate[:, axis], rate) for axis in (2, 1))
-    force = white_noise_sigma(signals.force[:, 0], rate)
+    ahead, above = signals.place.position[0], signals.place.position[2] - centre
+    roll, pitch, yaw = (white_noise_sigma(signals.rate[:, axis], rate) for axis in range(3))
+    force = [white_noise_sigma(signals.force[:, axis], rate) for axis in range(2)]
 
     def of_yaw(f: Floats) -> Floats:
         return np.full_like(f, yaw**2 / nyquist)
 
+    # the levers from the sensor to the centre of gravity bring the derivatives of the gyro's noise
     def of_pull(f: Floats) -> Floats:
-        # the lever of pitching from the sensor down to base_link brings the derivative of the gyro's noise
-        return np.asarray((force**2 + (height * 2 * np.pi * f) ** 2 * pitch**2) / nyquist)
+        return np.asarray((force[0] ** 2 + (above * 2 * np.pi * f * pitch) ** 2) / nyquist)
+
+    def of_push(f: Floats) -> Floats:
+        return np.asarray((force[1] ** 2 + (2 * np.pi * f) ** 2 * ((above * roll) ** 2 + (ahead * yaw) ** 2)) / nyquist)
 
     yaw_rate = wiener(trajectory.yaw_rate, rate, of_yaw)
-    pull, pitching = _pull(signals)
-    slow = zero_phase(_SLOW, rate, trajectory.ax - pull)
-    ax = wiener(slow + pull, rate, of_pull, against=centre * pitching)
-    ay = trajectory.ay + trajectory.speed * (yaw_rate - trajectory.yaw_rate)
+    turned = trajectory.ay + trajectory.speed * (yaw_rate - trajectory.yaw_rate)
+    pull, push = _quick(signals, centre)
+    ax = wiener(zero_phase(_SLOW, rate, trajectory.ax - pull) + pull, rate, of_pull)
+    ay = wiener(zero_phase(_SLOW, rate, turned - push) + push, rate, of_push)
     return replace(trajectory, yaw_rate=yaw_rate, ax=ax, ay=ay)
 
 
-def _pull(signals: ImuSignals) -> tuple[Floats, Floats]:
-    """(n,) forward acceleration of base_link's origin by the IMU alone, gravity and the sensor's lever taken
-    out, and (n,) the pitch acceleration in rad/s²."""
+def _quick(signals: ImuSignals, centre: float) -> tuple[Floats, Floats]:
+    """(n,) m/s² ahead and to the left above base_link's origin at the height ``centre`` m, by the IMU alone."""
     spec = FilterSpec(_PLANAR.order, min(_PLANAR.cutoff, 0.4 * signals.rate_hz))
     rate = zero_phase(spec, signals.rate_hz, signals.rate)
-    force = zero_phase(spec, signals.rate_hz, signals.force[:, 0] - signals.gravity * signals.up[:, 0])
-    x, _, z = signals.place.position
-    pitching = np.gradient(rate[:, 1], signals.t)
-    return np.asarray(force - z * pitching + x * rate[:, 2] ** 2), np.asarray(pitching)
+    force = zero_phase(spec, signals.rate_hz, signals.force - signals.gravity * signals.up)
+    x, y, z = signals.place.position
+    faster = np.gradient(rate, signals.t, axis=0)
+    spin = rate[:, 2] ** 2
+    ahead = force[:, 0] - (z - centre) * faster[:, 1] + y * faster[:, 2] + x * spin
+    left = force[:, 1] + (z - centre) * faster[:, 0] - x * faster[:, 2] + y * spin
+    return np.asarray(ahead), np.asarray(left)
 
 
 def wiener(
     x: Floats,
     rate: float,
     noise: Callable[[Floats], Floats],
-    against: Floats | None = None,
     seconds: float = _PIECE,
 ) -> Floats:
     """``x`` (n,) at ``rate`` Hz without noise of the one-sided density ``noise(f)``, in overlapping pieces.
 
-    ``against`` (n,) is a signal whose own spectrum, piece by piece, counts as noise as well. Straight
-    lines pass; so does what stands well above the noise. Without any noise nothing changes.
+    Straight lines pass; so does what stands well above the noise. Without any noise nothing changes.
     """
     size = 4 * max(8, round(seconds * rate / 4))
     hop = size // 4
@@ -101,16 +106,12 @@ def wiener(
         return np.asarray(np.convolve(padded, np.ones(_SMOOTH) / _SMOOTH, mode="valid"))
 
     whole = extended(x)
-    other = None if against is None else extended(against)
     out, weight = np.zeros_like(whole), np.zeros_like(whole)
     for start in range(0, whole.size - size + 1, hop):
         piece = whole[start : start + size]
         base = piece.mean() + np.sum(line * piece) / square * line
         spectrum = np.fft.rfft((piece - base) * window)
-        unwanted = floor
-        if other is not None:
-            unwanted = floor + power(np.fft.rfft(other[start : start + size] * window))
-        keep = np.maximum(0.0, 1.0 - _OVER * unwanted / np.maximum(power(spectrum), 1e-300))
+        keep = np.maximum(0.0, 1.0 - _OVER * floor / np.maximum(power(spectrum), 1e-300))
         out[start : start + size] += window * (np.fft.irfft(spectrum * keep, size) + window * base)
         weight[start : start + size] += window**2
     inside = slice(size, size + x.size)

@@ -103,6 +103,11 @@ class RunningGap:
         noise[2] += off * (measured - noise[1])
 
     @property
+    def settled(self) -> bool:
+        """Whether the newest sample counts: the twin has settled after its last fresh start."""
+        return self._head > self._tail
+
+    @property
     def noise_rms(self) -> float:
         """Spread of the measured signal at standstill in m/s²; NaN before a second of it was seen."""
         count, _, squares = self._noise

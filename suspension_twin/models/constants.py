@@ -20,6 +20,7 @@ once per lane; in the kernel an implicit damper costs what an explicit one would
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 
 import numpy as np
@@ -48,10 +49,13 @@ from suspension_twin.vehicle.twin import G
 __all__ = ["Constants", "constants"]
 
 Numbers = dict[str, Floats]
+Stage = tuple[SignalStage, Floats, Floats]  # with its parameters (k, L), and their neutral values (k, 1)
 
 #: Largest product of step and natural frequency for which the explicit springs are trusted.
 #: The scheme is stable up to 2; beyond this the phase error alone is several per cent.
 MAX_PHASE = 1.0
+#: How far off in m, and through how wide a window in m, a candidate may look at the road.
+FARTHEST, WIDEST = 100.0, 20.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -75,10 +79,7 @@ class Constants:
     @property
     def bad(self) -> NDArray[np.bool_]:
         """(L,) lanes that cannot be simulated."""
-        out = np.zeros(self.values.shape[1], dtype=np.bool_)
-        for mask, _, _ in self.problems:
-            out |= mask
-        return out
+        return _union(self.problems, self.values.shape[1])
 
     def raise_first(self, lane: int = 0) -> None:
         """Raise the first thing that is wrong with a lane as the error a user sees."""
@@ -87,33 +88,23 @@ class Constants:
                 raise InputError("twin", key, sentence)
 
 
+def _union(problems: Iterable[tuple[NDArray[np.bool_], str, str]], count: int) -> NDArray[np.bool_]:
+    """(count,) lanes that have any of the problems."""
+    out = np.zeros(count, dtype=np.bool_)
+    for mask, _, _ in problems:
+        out |= mask
+    return out
+
+
 def constants(params: Floats, layout: Layout, max_step: float) -> Constants:
     """Constants of the kernel for candidates ``params`` (P, L) and steps up to ``max_step`` s."""
     numbers = {name: params[row] for name, row in layout.index.items()}
     count = params.shape[1]
-    changed = dict(numbers)
-    terms = np.zeros((rows.CURVES, count))
-    road = RoadChange.neutral(count)
-    clock = ClockChange(np.zeros(count), np.zeros(count))
-    stages = []
-    for effect, hook in layout.hooks.items():
-        values = {name: numbers[f"effects.{effect}.{name}"] for name in hook.neutral}
-        if hook.vehicle is not None:
-            hook.vehicle(changed, values)
-        if hook.terms is not None:
-            hook.terms(terms, values)
-        if hook.road is not None:
-            hook.road(road, values)
-        if hook.clock is not None:
-            hook.clock(clock, values)
-        if hook.signal is not None:
-            given = np.stack([values[name] for name in hook.neutral])
-            neutral = np.array(list(hook.neutral.values()))[:, None]
-            if (given != neutral).any():
-                stages.append((hook.signal, given))
-    stages.sort(key=lambda stage: stage[0].order)
+    with np.errstate(all="ignore"):
+        changed, terms, road, clock, stages = _hooked(numbers, layout, count)
 
     curves, problems = _read_curves(changed)
+    _check_road(road, checker(problems))
     own_road = bool(road.changed.any())
     has_terms = own_road or bool(terms[rows.TERMS].any())
     if layout.model == "msd":
@@ -128,11 +119,61 @@ def constants(params: Floats, layout: Layout, max_step: float) -> Constants:
             out[rows.TOUCH + c] = out[rows.LOAD + c] + out[rows.TYRE] * out[rows.STATIC + c]
         if has_terms:
             out = with_terms(out, terms, curves, problems, max_step)
-    hinges = hinges_of(curves)
+    bad = _union(problems, count)
+    if bad.any():
+        _spare(bad, road, clock, stages)
     return Constants(
-        out, hinges, tuple(problems), layout.model, has_terms, road if own_road else None, tuple(stages),
+        out, hinges_of(curves), tuple(problems), layout.model, has_terms, road if own_road else None,
+        tuple((stage, values) for stage, values, _ in stages),
         clock if clock.delay.any() or clock.drift.any() else None,
     )  # fmt: skip
+
+
+def _hooked(
+    numbers: Numbers, layout: Layout, count: int
+) -> tuple[Numbers, Floats, RoadChange, ClockChange, list[Stage]]:
+    """What the effects make of ``numbers``: the numbers changed, terms, road, clock, stages in order."""
+    changed = dict(numbers)
+    terms = np.zeros((rows.CURVES, count))
+    road = RoadChange.neutral(count)
+    clock = ClockChange(np.zeros(count), np.zeros(count))
+    stages: list[Stage] = []
+    for effect, hook in layout.hooks.items():
+        values = {name: numbers[f"effects.{effect}.{name}"] for name in hook.neutral}
+        if hook.vehicle is not None:
+            hook.vehicle(changed, values)
+        if hook.terms is not None:
+            hook.terms(terms, values)
+        if hook.road is not None:
+            hook.road(road, values)
+        if hook.clock is not None:
+            hook.clock(clock, values)
+        if hook.signal is not None:
+            given = np.stack([values[name] for name in hook.neutral])
+            neutral = np.array(list(hook.neutral.values()))[:, None]
+            if (given != neutral).any():
+                stages.append((hook.signal, given, neutral))
+    stages.sort(key=lambda stage: stage[0].order)
+    return changed, terms, road, clock, stages
+
+
+def _check_road(road: RoadChange, check: Check) -> None:
+    """Nobody looks at a road farther off or through a wider window than these: it would only take memory."""
+    far = np.maximum(np.abs(road.ahead), np.abs(road.left))
+    check(~(far <= FARTHEST), "effects", f"look at the road more than {FARTHEST:g} m off")
+    wide = np.maximum(np.maximum(road.smoothing, road.sharpening), road.patch)
+    check(~(wide <= WIDEST), "effects", f"look at the road through more than {WIDEST:g} m")
+    check(~np.isfinite(road.scale), "effects", "scale the road by what is not finite")
+
+
+def _spare(bad: NDArray[np.bool_], road: RoadChange, clock: ClockChange, stages: list[Stage]) -> None:
+    """Lanes that cannot be simulated (L,) see the plain road with the plain sensor and clock."""
+    plain = RoadChange.neutral(1)
+    for name in vars(plain):
+        getattr(road, name)[bad] = getattr(plain, name)
+    clock.delay[bad] = clock.drift[bad] = 0.0
+    for _, values, neutral in stages:
+        values[:, bad] = neutral
 
 
 def _read_curves(numbers: Numbers) -> tuple[Curves, Problems]:
@@ -203,6 +244,7 @@ def _body(out: Floats, numbers: Numbers, check: Check) -> None:
     out[rows.TYRE] = get("vehicle.tyre.vertical_stiffness")
     out[rows.TRANSFER] = mass * cog[2]
     out[rows.COG : rows.COG + 2] = cog[:2]
+    out[rows.HEIGHT] = cog[2]
     out[rows.SPRUNG : rows.SPRUNG + 3] = x, y, z
     for i in range(3):
         out[rows.SENSOR + i] = get(f"imu.position.{i}")

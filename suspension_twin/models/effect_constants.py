@@ -7,7 +7,15 @@ import numpy as np
 
 from suspension_twin.drive.types import Floats
 from suspension_twin.models import rows
-from suspension_twin.models.characteristics import Curve, Curves, Problems, checker, hinges_of, write_curves
+from suspension_twin.models.characteristics import (
+    Check,
+    Curve,
+    Curves,
+    Problems,
+    checker,
+    hinges_of,
+    write_curves,
+)
 from suspension_twin.vehicle.corners import AXLES
 
 __all__ = ["with_terms"]
@@ -38,6 +46,13 @@ def with_terms(base: Floats, terms: Floats, curves: Curves, problems: Problems, 
         for side, curve in enumerate((push, pull)):
             _write_master(out, master + side * 3 * (hinges + 1), hinges + 1, curve)
 
+    with np.errstate(all="ignore"):
+        _check(out, terms, curves, check, max_step)
+    return out
+
+
+def _check(out: Floats, terms: Floats, curves: Curves, check: Check, max_step: float) -> None:
+    """What no step of ``max_step`` s can follow."""
     check(~np.isfinite(terms).all(axis=0), "effects", "a parameter is not finite")
     give = out[rows.INV_MASS] + out[rows.ENGINE_X] ** 2 * out[rows.INV_MASS + 2]
     check(
@@ -54,7 +69,6 @@ def with_terms(base: Floats, terms: Floats, curves: Curves, problems: Problems, 
         ~(np.sqrt(np.maximum(out[rows.BEND_STIFFNESS], out[rows.ENGINE_STIFFNESS])) * max_step < 1.0),
         "effects", f"a mode is too fast for a step of {max_step:g} s: take a smaller step",
     )  # fmt: skip
-    return out
 
 
 def _write_master(out: Floats, first: int, points: int, curve: Curve) -> None:

@@ -44,11 +44,13 @@ from suspension_twin.models.rows import STRETCH, WIDTH
 from suspension_twin.models.sensor import sense
 from suspension_twin.models.types import Ints
 
-__all__ = ["BAD_ANGLE", "BAD_TRAVEL", "KERNELS", "moments", "record", "watch"]
+__all__ = ["BAD_ACCELERATION", "BAD_ANGLE", "BAD_TRAVEL", "KERNELS", "moments", "record", "watch"]
 
-#: A lane has diverged when an angle (rad) or a suspension or tyre travel (m) passes these.
+#: A lane has diverged when an angle (rad), a suspension or tyre travel (m) or an acceleration (m/s²,
+#: rad/s²) passes these.
 BAD_ANGLE = 1.0
 BAD_TRAVEL = 3.0
+BAD_ACCELERATION = 1e6
 
 
 @inlined
@@ -63,6 +65,8 @@ def watch(w: Floats, r0: float, r1: float, r2: float, r3: float) -> None:
         bad = bad if abs(w[5 * WIDTH + i] - r2) < BAD_TRAVEL else 1.0
         bad = bad if abs(w[6 * WIDTH + i] - r3) < BAD_TRAVEL else 1.0
         bad = bad if abs(w[i] - 0.25 * (r0 + r1 + r2 + r3)) < BAD_TRAVEL else 1.0
+        for q in range(14, 17):  # what the last step made of it, before it shows in a position
+            bad = bad if abs(w[q * WIDTH + i]) < BAD_ACCELERATION else 1.0
         w[rows.FAILED * WIDTH + i] = bad if bad > 0.0 else w[rows.FAILED * WIDTH + i]
 
 
@@ -70,7 +74,7 @@ def watch(w: Floats, r0: float, r1: float, r2: float, r3: float) -> None:
 def moments(w: Floats, i: int, ax: float, ay: float, yaw2: float, dyaw: float) -> tuple[float, float]:
     """Roll and pitch moment in N m of the planar accelerations, for one lane.
 
-    ``ax``, ``ay`` m/s² of base_link's origin, ``yaw2`` the yaw rate squared and ``dyaw`` its
+    ``ax``, ``ay`` m/s² above base_link's origin, ``yaw2`` the yaw rate squared and ``dyaw`` its
     derivative in rad/s² take them to the lane's centre of gravity.
     """
     transfer = w[rows.TRANSFER * WIDTH + i]

@@ -19,7 +19,7 @@ from suspension_twin.models.corner import (
     velocities,
 )
 from suspension_twin.models.equilibrium import stand
-from suspension_twin.models.full_car import moments, record, watch
+from suspension_twin.models.full_car import BAD_ACCELERATION, moments, record, watch
 from suspension_twin.models.numerics import compiled, inlined
 from suspension_twin.models.rows import WIDTH
 from suspension_twin.models.sensor import sense
@@ -126,8 +126,10 @@ def _run(
                 sense(w, i, ax, ay, yaw, dyaw)
             if flag & terms.BEND:
                 for i in range(WIDTH):
-                    w[(rows.SIGNAL + 2) * WIDTH + i] += w[(rows.BEND + 2) * WIDTH + i]
-                    w[(rows.SIGNAL + 6) * WIDTH + i] += w[(rows.BEND + 2) * WIDTH + i]
+                    more = w[(rows.BEND + 2) * WIDTH + i]
+                    w[rows.FAILED * WIDTH + i] = w[rows.FAILED * WIDTH + i] if abs(more) < BAD_ACCELERATION else 1.0
+                    w[(rows.SIGNAL + 2) * WIDTH + i] += more
+                    w[(rows.SIGNAL + 6) * WIDTH + i] += more
             record(w, lane0 + block * WIDTH, k - begin, signals, states)
 
 

@@ -53,6 +53,7 @@ def msd_rows(
         check(~(corner > 0), "effects.unsprung_mass", "leaves no mass above the wheels")
         out[rows.TYRE] = numbers["vehicle.tyre.vertical_stiffness"]
         out[rows.COG], out[rows.COG + 1] = numbers["vehicle.cog.0"], numbers["vehicle.cog.1"]
+        out[rows.HEIGHT] = height
         for i in range(3):
             out[rows.SENSOR + i] = numbers[f"imu.position.{i}"]
         out[rows.WEIGHT] = weight

@@ -100,10 +100,13 @@ SIDE: Final = 198  # share of an axle's load that is more on the left than half 
 INV_CORNER: Final = 200  # 1 / mass above each spring, 1/kg
 INV_UNSPRUNG: Final = 201  # 1 / mass of each wheel, 0 where it has none
 
+# -- one more constant of every lane
+HEIGHT: Final = 202  # of the whole vehicle's centre of gravity above base_link, m
+
 #: Curves of the axles with K hinges, front then rear: first slope and constant of the spring, K
 #: abscissae and K changes of slope; then the damper's table: slope of the first pull segment,
 #: change of slope at rest, constant, K abscissae and K changes of slope of push, and of pull.
-CURVES: Final = 202
+CURVES: Final = 203
 #: Kernels are compiled for these numbers of hinges; a curve of k points has k - 1.
 HINGES: Final = (3, 7, 31)
 

@@ -1,10 +1,12 @@
 # SPDX-License-Identifier: Apache-2.0
 """The virtual sensor: what an ideal accelerometer and gyroscope read at a place on the body.
 
-The body is rigid, its attitude yaw-pitch-roll (z-y-x Euler angles) with yaw and the planar
-motion of base_link's origin given, its sprung centre of gravity at the simulated height. With
-``p = Ry(pitch) Rx(roll) s`` the place seen from base_link in the yaw frame, the acceleration is
-the origin's, plus ``p''``, plus Euler, Coriolis and centripetal terms of the yaw rate; specific
+The body is rigid, its attitude yaw-pitch-roll (z-y-x Euler angles) with yaw and the planar motion
+given, its sprung centre of gravity at the simulated height. What moves as the planar motion says is
+the point of the body above base_link's origin at the height of the centre of gravity: no force of
+the road holds a body at its foot while it rolls and pitches, it turns about its centre of gravity. With
+``p = Ry(pitch) Rx(roll) s`` the place seen from that point in the yaw frame, the acceleration is
+the point's, plus ``p''``, plus Euler, Coriolis and centripetal terms of the yaw rate; specific
 force is that plus g upwards, turned into the body's axes. Angles are finite throughout.
 """
 
@@ -31,12 +33,13 @@ def sense(w: Floats, lane: int, ax: float, ay: float, yaw_rate: float, yaw_accel
     sx = w[rows.SENSOR * WIDTH + lane]
     sy = w[(rows.SENSOR + 1) * WIDTH + lane]
     sz = w[(rows.SENSOR + 2) * WIDTH + lane]
+    above = sz - w[rows.HEIGHT * WIDTH + lane]
     sr, cr = sin_cos(roll)
     sp, cp = sin_cos(pitch)
 
     # place in the yaw frame and its derivatives by roll (r) and pitch (p)
-    up = fma(sr, sy, cr * sz)
-    px, py, pz = fma(cp, sx, sp * up), fma(cr, sy, -(sr * sz)), fma(cp, up, -(sp * sx))
+    up = fma(sr, sy, cr * above)
+    px, py, pz = fma(cp, sx, sp * up), fma(cr, sy, -(sr * above)), fma(cp, up, -(sp * sx))
     side = py  # d(up)/d(roll)
     rate_rr, rate_rp, rate_pp = droll * droll, 2.0 * droll * dpitch, dpitch * dpitch
     vx = fma(dpitch, pz, droll * (sp * side))

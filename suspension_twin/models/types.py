@@ -34,8 +34,9 @@ class Excitation:
     fresh start: interval ``k`` owns ``road[first[k]:first[k + 1]]``.
 
     ``t`` (n,) s; ``substeps`` (n,); ``first`` (n + 1,); ``road`` (m, 4) m, corners in the usual
-    order; ``motion`` (n, 7): the step in s, ``ax``, ``ay`` m/s² of base_link's origin in its own
-    axes, ``yaw_rate`` rad/s, ``yaw_acceleration`` rad/s², ``speed`` and ``lateral_speed`` m/s;
+    order; ``motion`` (n, 7): the step in s, ``ax``, ``ay`` m/s² in base_link's axes of the point above
+    its origin at the height of the centre of gravity, ``yaw_rate`` rad/s, ``yaw_acceleration`` rad/s²,
+    ``speed`` and ``lateral_speed`` m/s;
     ``max_step`` s is the largest step that any interval may take. ``x``, ``y``, ``yaw`` (n,),
     ``wheels`` (4, 2) and ``ground`` are what the road heights came from, for those that look again.
     """
@@ -62,12 +63,12 @@ class Excitation:
 
     @property
     def ax(self) -> Floats:
-        """(n,) m/s² acceleration of base_link's origin along its x."""
+        """(n,) m/s² acceleration along base_link's x, above its origin at the height of the centre of gravity."""
         return self.motion[:, 1]
 
     @property
     def ay(self) -> Floats:
-        """(n,) m/s² acceleration of base_link's origin along its y."""
+        """(n,) m/s² acceleration along base_link's y, above its origin at the height of the centre of gravity."""
         return self.motion[:, 2]
 
     @property

@@ -5,21 +5,31 @@ from __future__ import annotations
 
 import math
 import os
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numba
 
+from suspension_twin.calibration.output import write_result
 from suspension_twin.calibration.presets import PRESETS
 from suspension_twin.calibration.request import CalibrationRequest, Progress
 from suspension_twin.calibration.run import calibrate
 from suspension_twin.drive.read import drive_name
 from suspension_twin.errors import InputError
-from suspension_twin.vehicle.twin import load_twin, save_twin
+from suspension_twin.vehicle.twin import load_twin
 
-__all__ = ["CalibrationJob", "Outcome", "calibrate_job", "job_of"]
+__all__ = [
+    "CalibrationJob",
+    "Outcome",
+    "calibrate_job",
+    "job_of",
+    "recordings_of",
+    "start_of",
+    "use_threads",
+    "writable",
+]
 
 
 @dataclass(frozen=True)
@@ -47,25 +57,45 @@ class Outcome:
     excited: tuple[bool, ...] = ()
 
 
-def job_of(request: Any, twin_file: str, threads: int) -> CalibrationJob:
-    """The job that a goal asks for; raises InputError that names what is wrong with the goal."""
-    twin = request.twin or twin_file
+def start_of(twin: str) -> str:
+    """The path of a twin file, which is there and right."""
     if not twin:
         raise InputError("twin", "is empty: give the path of the twin file to start from")
     load_twin(twin)
-    bags = tuple(request.bags)
-    if not bags:
-        raise InputError("bags", "is empty: give at least one recorded drive")
-    for bag in bags:
-        if not Path(bag).exists():
-            raise InputError(bag, "no such recording")
+    return twin
+
+
+def recordings_of(paths: Sequence[str], name: str, needed: bool = True) -> tuple[str, ...]:
+    """Paths of recordings, which are there; ``name`` is what the goal calls them."""
+    if needed and not paths:
+        raise InputError(name, "is empty: give at least one recorded drive")
+    for path in paths:
+        if not path or not Path(path).exists():
+            raise InputError(path or name, "no such recording")
+    return tuple(paths)
+
+
+def writable(folder: Path) -> bool:
+    """Whether files can be made in ``folder``."""
+    return folder.is_dir() and os.access(folder, os.W_OK)
+
+
+def use_threads(number: int) -> None:
+    """Let compiled code use so many threads; 0: all of the machine's."""
+    if number:
+        numba.set_num_threads(min(number, numba.config.NUMBA_NUM_THREADS))
+
+
+def job_of(request: Any, twin_file: str, threads: int) -> CalibrationJob:
+    """The job that a goal asks for; raises InputError that names what is wrong with the goal."""
+    twin = start_of(request.twin or twin_file)
+    bags = recordings_of(request.bags, "bags")
     preset = request.preset or "fast"
     if preset not in PRESETS:
         raise InputError("preset", f"must be one of {', '.join(PRESETS)}, is {preset!r}")
     first = Path(bags[0])
     output = Path(request.output) if request.output else first.parent / f"{drive_name(first)}_calibrated.yaml"
-    folder = output.parent
-    if output.is_dir() or not folder.is_dir() or not os.access(folder, os.W_OK):
+    if output.is_dir() or not writable(output.parent):
         raise InputError(output, "cannot be written: name a file in a folder that exists")
     asked = CalibrationRequest(
         twin=twin,
@@ -81,13 +111,12 @@ def job_of(request: Any, twin_file: str, threads: int) -> CalibrationJob:
 def calibrate_job(
     job: CalibrationJob, progress: Callable[[Progress], None], should_stop: Callable[[], bool]
 ) -> Outcome:
-    """Calibrate in this process and write the result, the best so far if it was told to stop."""
-    if job.threads:
-        numba.set_num_threads(min(job.threads, numba.config.NUMBA_NUM_THREADS))
+    """Calibrate in this process and write the twin and its details, the best so far if it was told to stop."""
+    use_threads(job.threads)
     result = calibrate(job.request, progress, should_stop)
     if not result.estimates:
         return Outcome(success=False, message="stopped before the search began")
-    save_twin(result.twin, job.output)
+    write_result(result, Path(job.output))
     return Outcome(
         success=True,
         message=f"{job.output}: {result.message}",

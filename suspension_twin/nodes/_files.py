@@ -3,15 +3,19 @@
 
 from __future__ import annotations
 
+import math
 from functools import lru_cache
 from pathlib import Path
 
+import yaml
+
+from suspension_twin.calibration.output import details_path
 from suspension_twin.errors import InputError
 from suspension_twin.nodes._parameters import Param, Values
 from suspension_twin.signals.filters import FilterSpec
 from suspension_twin.vehicle.twin import Twin, load_twin
 
-__all__ = ["FILTER", "TWIN", "filter_of", "twin_of"]
+__all__ = ["FILTER", "TWIN", "filter_of", "left_by_calibration", "twin_of"]
 
 _DEFAULT = FilterSpec()
 
@@ -47,3 +51,21 @@ def twin_of(values: Values) -> Twin | None:
 def filter_of(values: Values) -> FilterSpec:
     """The low-pass that the parameters describe."""
     return FilterSpec(values["filter.order"], values["filter.cutoff"])
+
+
+def left_by_calibration(twin_file: str) -> float:
+    """Gap in m/s² that the calibration of this twin file left on its worst drive, as the details beside it say;
+    0 where there are none. Raises InputError for details that cannot be read."""
+    if not twin_file:
+        return 0.0
+    details = details_path(Path(twin_file))
+    if not details.is_file():
+        return 0.0
+    try:
+        drives = yaml.safe_load(details.read_text(encoding="utf-8"))["drives"]
+        # Live nothing takes clock, gain and tilt out: the larger of the two is what will be seen.
+        left = [max(d["gap_after"]["rms"], d["left_without_nuisances"] or 0.0) for d in drives]
+    except (OSError, UnicodeDecodeError, yaml.YAMLError, KeyError, TypeError):
+        raise InputError(details, "drives", "does not say what gap the calibration left") from None
+    left = [gap for gap in left if math.isfinite(gap)]
+    return max(left, default=0.0)

@@ -14,6 +14,7 @@ from tf2_msgs.msg import TFMessage
 from suspension_twin.gap.running import RunningGap
 from suspension_twin.models.live import LiveState
 from suspension_twin.nodes._follow import Follower
+from suspension_twin.nodes._gap_marker import GapMarker
 from suspension_twin.nodes._pairing import PlanarRow
 from suspension_twin.signals.attitude import rpy_matrix
 from suspension_twin.vehicle.corners import CORNERS
@@ -56,6 +57,7 @@ class TwinOut:
         self._joints_out = node.offer(JointState, "joint_states")
         self._tf_out = node.offer(TFMessage, "/tf")
         self._gap_out = node.offer(Gap, "twin/gap")
+        self.marker = GapMarker(node, map_frame)
         self.configure(None, 100.0, 5.0)
 
     def configure(self, follower: Follower | None, visual_rate: float, gap_rate: float) -> None:
@@ -65,14 +67,17 @@ class TwinOut:
         self._gap_pause = int(_NS / gap_rate)
         if follower is not None:
             place = follower.twin.imu
+            self._joints.name = list(follower.twin.joint_names)
             self._imu.header.frame_id = place.frame
             self._to_sensor = [[float(v) for v in row] for row in rpy_matrix(place.rpy).T]
             self._mounting = _quaternion(*place.rpy)
+            self._sensor = place.position[0], place.position[1]
         self.reset()
 
     def reset(self) -> None:
         """The next sample is the first."""
         self._visual_due = self._gap_due = 0
+        self.marker.reset()
 
     def send_acceleration(self, ns: int, filtered: float) -> None:
         """What is waited for most: published at once."""
@@ -91,6 +96,13 @@ class TwinOut:
             self._gap_due = row.ns + self._gap_pause
             if self._gap_out.wanted:
                 self._send_gap(gap)
+            self.marker.send(row.ns)
+
+    def locate(self, row: PlanarRow, z: float, difference: float) -> None:
+        """A gap of ``difference`` m/s² was felt where the sensor is now."""
+        ahead, left = self._sensor
+        c, s = math.cos(row.yaw), math.sin(row.yaw)
+        self.marker.tiles.push(row.x + c * ahead - s * left, row.y + s * ahead + c * left, z, difference)
 
     def _send_imu(self, row: PlanarRow, state: LiveState) -> None:
         imu, turn = self._imu, self._to_sensor

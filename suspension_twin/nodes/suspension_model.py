@@ -17,10 +17,11 @@ from rclpy.parameter import Parameter
 from std_srvs.srv import Trigger
 
 from suspension_twin.errors import InputError
-from suspension_twin.gap.running import GapNow, RunningGap
+from suspension_twin.gap.running import GapNow
 from suspension_twin.nodes._base import Embedding, TwinNode
 from suspension_twin.nodes._files import FILTER, TWIN, filter_of, twin_of
 from suspension_twin.nodes._follow import Follower
+from suspension_twin.nodes._gap_parameters import GAP, gap_of
 from suspension_twin.nodes._health import ERROR, OK, WARN
 from suspension_twin.nodes._main import run_alone
 from suspension_twin.nodes._pairing import Pairing, PlanarRow, Yielded
@@ -58,10 +59,7 @@ class SuspensionModelNode(TwinNode):
             0.0,
             2.0,
         ),
-        Param("gap.window", 10.0, "Sliding window in s of the live gap.", 0.5, 600.0),
-        Param("gap.rate", 5.0, "Messages a second on twin/gap.", 0.1, 100.0),
-        Param("gap.floor", 0.0, "Gap in m/s² that the calibration left; 0: take the noise at standstill.", 0.0, 100.0),
-        Param("gap.bands", [0.5, 3.0, 8.0, 20.0], "Edges in Hz of the adjoining bands of the live gap.", 0.0, 800.0),
+        *GAP,
     )
 
     def __init__(self, embedding: Embedding | None = None) -> None:
@@ -78,7 +76,7 @@ class SuspensionModelNode(TwinNode):
 
     def check(self, values: Values) -> None:
         """See the base class. The twin is made here, where a wrong one can still be refused."""
-        _gap(values)
+        gap_of(values)
         filter_of(values)
         twin = twin_of(values)
         if twin is not self._prepared[0]:
@@ -93,7 +91,8 @@ class SuspensionModelNode(TwinNode):
         values = self.values
         self._follower = self._prepared[1]
         self._low_pass = LiveLowPass(filter_of(values))
-        self._gap = _gap(values)
+        self._gap = gap_of(values)
+        self._out.marker.floor = self._gap.floor
         self._out.configure(self._follower, values["visual_rate"], values["gap.rate"])
         if self._follower is None:
             self.health.finding("no twin", WARN, "no twin yet: set the parameter twin or call ~/load_twin")
@@ -143,6 +142,8 @@ class SuspensionModelNode(TwinNode):
             filtered = self._low_pass.push(t, state.vertical_acceleration)
             self._out.send_acceleration(row.ns, filtered)
             self._gap.push(t, measured, filtered, row.speed)
+            if row.known and self._gap.settled:
+                self._out.locate(row, state.z, measured - filtered)
             self._out.send_rest(row, state, self._gap)
 
     def _tell(self, event: str) -> None:
@@ -187,10 +188,16 @@ class SuspensionModelNode(TwinNode):
         if gap is not None:
             self.health.values["gap (m/s²)"] = f"{gap.rms:.3f}"
             self.health.values["gap, normalised"] = f"{gap.normalised:.2f}"
+        self._judge_gap(gap)
 
-
-def _gap(values: Values) -> RunningGap:
-    return RunningGap(values["gap.window"], values["gap.bands"], values["gap.floor"])
+    def _judge_gap(self, gap: GapNow | None) -> None:
+        """Warn while the gap is beyond what the calibration left; without a calibration nothing can be."""
+        left, times = self._gap.floor, self.values["gap.warn"]
+        if gap is None or not left or gap.rms <= times * left:
+            self.health.clear("gap")
+            return
+        text = f"the gap is {gap.rms / left:.1f} times the {left:.3g} m/s² that the calibration left: diagnose"
+        self.health.finding("gap", WARN, text)
 
 
 def main(args: list[str] | None = None) -> Any:

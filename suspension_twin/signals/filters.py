@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -50,8 +51,7 @@ class FilterSpec:
                 f"{self.cutoff:g} Hz needs samples faster than {self.cutoff / 0.49:.0f} Hz, they come at "
                 f"{rate:.4g} Hz: lower the cut-off",
             )
-        sos = signal.butter(self.order, self.cutoff, btype="low", fs=rate, output="sos")
-        return np.ascontiguousarray(sos, dtype=np.float64)
+        return _designed(self.order, self.cutoff, rate).copy()
 
     def delay(self, rate: float) -> float:
         """Group delay in s at low frequency of one causal pass at ``rate`` Hz."""
@@ -61,6 +61,14 @@ class FilterSpec:
         return samples / rate
 
 
+@lru_cache(maxsize=64)
+def _designed(order: int, cutoff: float, rate: float) -> Floats:
+    """A search asks for the same design thousands of times, and SciPy takes a millisecond for it."""
+    sos = signal.butter(order, cutoff, btype="low", fs=rate, output="sos")
+    return np.ascontiguousarray(sos, dtype=np.float64)
+
+
+@lru_cache(maxsize=64)
 def settling_time(spec: FilterSpec, rate: float, rest: float = 0.01) -> float:
     """Seconds after which a causal pass has forgotten a step to ``rest`` of its height."""
     poles = np.concatenate([np.roots(section[3:]) for section in spec.sections(rate)])

@@ -60,17 +60,21 @@ def test_the_measured_signal_itself_costs_nothing_and_worse_costs_more(
     assert np.all(np.diff(costs) > 0)
 
 
-@pytest.mark.parametrize("text", ["euclidean", "mse", "correlation", "spectral", "mse+0.5*spectral", "2*mse + correlation"])
+@pytest.mark.parametrize(
+    "text", ["euclidean", "mse", "correlation", "spectral", "mse+0.5*spectral", "2*mse + correlation"]
+)
 def test_squares_and_costs_agree(text: str, measured: Measured, candidates: np.ndarray) -> None:
     objective = build(text, measured, {CHANNELS[0]: 1.0, CHANNELS[1]: 0.5})
     assert objective.is_least_squares
     squares = (objective.residuals(candidates) ** 2).sum(axis=0)
-    np.testing.assert_allclose([objective.cost_of_squares(s) for s in squares], objective.costs(candidates), rtol=1e-9, atol=1e-12)
+    costs = [objective.cost_of_squares(s) for s in squares]
+    np.testing.assert_allclose(costs, objective.costs(candidates), rtol=1e-9, atol=1e-12)
 
 
 def test_spectral_sees_what_is_in_a_band_and_not_its_phase(measured: Measured) -> None:
     t = np.arange(900) / RATE
-    here = Measured(CHANNELS[:1], np.sin(2 * np.pi * 3 * t)[:, None] + 0.01 * measured.values[:, :1], (slice(0, 900),), RATE)
+    values = np.sin(2 * np.pi * 3 * t)[:, None] + 0.01 * measured.values[:, :1]
+    here = Measured(CHANNELS[:1], values, (slice(0, 900),), RATE)
     objective = build("spectral", here)
     shifted = np.sin(2 * np.pi * 3 * t + 1.0)[:, None, None] + 0.01 * measured.values[:, :1, None]
     doubled = 2.0 * here.values[:, :, None]

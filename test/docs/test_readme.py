@@ -16,6 +16,7 @@ import signal
 import subprocess
 import sys
 import time
+import xml.etree.ElementTree as ElementTree
 import zipfile
 from pathlib import Path
 
@@ -30,13 +31,18 @@ README = Path(__file__).resolve().parents[2] / "README.md"
 ROOT = README.parent
 
 
-def commands() -> list[str]:
-    blocks = re.findall(r"^```bash\n(.*?)^```", README.read_text(encoding="utf-8"), re.MULTILINE | re.DOTALL)
+def commands(heading: str = "") -> list[str]:
+    """Every command of the README, or of the part under one heading."""
+    text = README.read_text(encoding="utf-8")
+    if heading:
+        text = text[text.index(f"\n{heading}\n") :].partition("\n## ")[2].partition("\n## ")[0]
+    blocks = re.findall(r"^```bash\n(.*?)^```", text, re.MULTILINE | re.DOTALL)
     return [line for block in blocks for line in block.splitlines() if line and not line.startswith("#")]
 
 
 OURS = [c for c in commands() if c.startswith("suspension-twin ")]
 PYTHON = [c for c in commands() if c.startswith("python ")]
+APT = commands("## In an apt ROS 2 Jazzy")  # needs one; what of it can be checked without is checked
 BOOTSTRAP = [c for c in commands() if c.startswith("python3 bootstrap.py")]
 
 
@@ -126,12 +132,8 @@ def is_long(command: str) -> bool:
 
 
 def test_every_command_is_of_a_kind_that_is_run():
-    others = [c for c in commands() if c not in OURS + PYTHON + BOOTSTRAP]
-    assert others == [
-        ". .venv/bin/activate",
-        "colcon build --base-paths . suspension_twin_interfaces",
-        "ros2 launch suspension_twin suspension_twin.launch.py twin:=/path/to/twin.yaml",
-    ]
+    others = [c for c in commands() if c not in OURS + PYTHON + BOOTSTRAP + APT]
+    assert others == [". .venv/bin/activate"]
     assert {shlex.split(c)[1] for c in OURS} | {"demo"} == {s.name for s in SUBCOMMANDS}
 
 
@@ -204,6 +206,29 @@ def test_the_set_up_knows_its_commands(command):
     assert name in run([sys.executable, script, "--help"], ROOT)
     for argument in rest:
         assert argument.startswith("-") or (ROOT / argument).exists()
+
+
+def test_the_steps_in_an_apt_jazzy_bring_everything_that_the_package_needs():
+    """What pip installs there, together with what rosdep finds by package.xml, is what setup.py asks for."""
+    assert "colcon build --base-paths . suspension_twin_interfaces" in APT
+    manifest = ElementTree.parse(ROOT / "package.xml")
+    apt = {e.text.removeprefix("python3-") for e in manifest.iter("exec_depend") if e.text.startswith("python3-")}
+    (pip,) = (shlex.split(c)[2:] for c in APT if c.startswith("pip install"))
+    given = {re.match(r"[\w-]+", requirement)[0]: requirement for requirement in pip}
+    source = (ROOT / "setup.py").read_text(encoding="utf-8")
+    required = next(
+        ast.literal_eval(n.value)
+        for n in ast.parse(source).body
+        if isinstance(n, ast.Assign) and n.targets[0].id == "REQUIRED"
+    )
+    brought = {"suspension-twin-interfaces", "llvmlite", "cycler", "markupsafe"}  # by the others
+    names = {"pyyaml": "yaml"}
+    for requirement in required:
+        name = re.match(r"[\w-]+", requirement)[0]
+        if name in given:
+            assert given[name] in (requirement, name), requirement
+        else:
+            assert name in brought or names.get(name, name) in apt, f"{requirement} comes from nowhere"
 
 
 def test_the_launch_file_takes_the_argument_named():

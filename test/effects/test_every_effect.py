@@ -90,6 +90,27 @@ def test_lanes_beside_an_effect_stay_as_they_are(twin: Twin, name: str) -> None:
 
 
 @pytest.mark.parametrize("name", EFFECTS)
+def test_an_impossible_candidate_fails_alone(twin: Twin, name: str) -> None:
+    """Parameters that no car has, in lanes beside a sound one: theirs fail or stay finite, none stops anything."""
+    e = EFFECTS[name]
+    base = model_of(e, twin)
+    road = excitation(way(0.2), base.vehicle, type("Ground", (), {"heights": staticmethod(rough)})())
+    keys = [f"effects.{name}.{p.name}" for p in e.parameters]
+    sound = [full(e)[p.name] for p in e.parameters]
+    odd = [[value] * len(keys) for value in (1e300, 1e150, 1e20, 1e12, -1e12, -1e300, np.inf, np.nan)]
+    odd += [[value if i == k else s for i, s in enumerate(sound)] for value in (1e300, -1e9) for k in range(len(keys))]
+    armed = given(base, **{name: {}})
+    mixed = simulate_lanes(armed, lanes(armed, keys, np.array([sound, *odd, sound])), road)
+    alone = simulate_lanes(armed, lanes(armed, keys, np.array([sound])), road)
+    assert not mixed.failed[0] and not mixed.failed[-1]
+    assert mixed.failed[7:9].all()  # what is no number at all
+    for field in ("force", "rate", "vertical_acceleration"):
+        a, b = getattr(mixed, field), getattr(alone, field)
+        assert np.array_equal(a[..., 0], b[..., 0]) and np.array_equal(a[..., -1], b[..., 0]), field
+        assert np.isfinite(a).all(), field
+
+
+@pytest.mark.parametrize("name", EFFECTS)
 def test_a_twin_file_keeps_it(twin: Twin, name: str, tmp_path: Path) -> None:
     saved = given(model_of(EFFECTS[name], twin), **{name: full(EFFECTS[name])})
     save_twin(saved, tmp_path / "twin.yaml")

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Stand-ins for the calibration. They run in the worker's process, which imports them from here."""
+"""Stand-ins for calibration and diagnosis. They run in the worker's process, which imports them from here."""
 
 from __future__ import annotations
 
@@ -10,6 +10,7 @@ from pathlib import Path
 from suspension_twin.calibration.request import Progress
 from suspension_twin.errors import InputError
 from suspension_twin.nodes._calibration import Outcome
+from suspension_twin.nodes._diagnosis import DiagnosisOutcome, DiagnosisStep
 
 
 def search_until_stopped(job, progress, should_stop):
@@ -48,3 +49,16 @@ def dies(job, progress, should_stop):
 def deaf(job, progress, should_stop):
     progress(Progress("search", 1))
     time.sleep(60.0)
+
+
+def judge_until_stopped(job, progress, should_stop):
+    """A diagnosis that does not even ask whether to stop, as while a solver is at work."""
+    for k in range(3000):
+        progress(DiagnosisStep("effects", min(0.1 + 0.001 * k, 1.0), 20.0, "strut_friction"))
+        time.sleep(0.02)
+
+
+def judged(job, progress, should_stop):
+    progress(DiagnosisStep("effects", 0.5, 1.0))
+    Path(job.output).mkdir(exist_ok=True)
+    return DiagnosisOutcome(True, f"{job.output}: friction", '{"verdict": "effect"}', job.output)

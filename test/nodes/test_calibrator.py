@@ -15,6 +15,7 @@ from rclpy.executors import SingleThreadedExecutor
 from stand_ins import breaks, cannot, deaf, dies, five_generations, search_until_stopped
 
 from suspension_twin.drive.write import write_drive
+from suspension_twin.nodes._files import left_by_calibration
 from suspension_twin.nodes.calibrator import CalibratorNode
 from suspension_twin.vehicle.twin import load_twin
 from suspension_twin_interfaces.action import Calibrate
@@ -56,7 +57,7 @@ def goal(twin_path, recorded, tmp_path) -> Calibrate.Goal:
 
 
 def test_a_goal_is_taken_followed_and_answered(bench, goal):
-    bench.make(CalibratorNode, five_generations)
+    bench.make(CalibratorNode, {"calibrate": five_generations})
     client = Client(bench)
     handle = client.send(goal)
     assert handle.accepted
@@ -72,13 +73,13 @@ def test_it_runs_on_rclpys_own_executor_too(bench, goal):
     bench.executor.shutdown()
     bench.executor = SingleThreadedExecutor(context=bench.context)
     bench.executor.add_node(bench.side)
-    bench.make(CalibratorNode, five_generations)
+    bench.make(CalibratorNode, {"calibrate": five_generations})
     client = Client(bench)
     assert client.result(client.send(goal))[0] == GoalStatus.STATUS_SUCCEEDED
 
 
 def test_while_it_works_the_node_answers_refuses_a_second_goal_and_cancels_at_once(bench, goal):
-    node = bench.make(CalibratorNode, search_until_stopped)
+    node = bench.make(CalibratorNode, {"calibrate": search_until_stopped})
     client = Client(bench)
     handle = client.send(goal)
     bench.until(lambda: len(client.feedback) > 5, "word of the search")
@@ -102,7 +103,7 @@ def test_while_it_works_the_node_answers_refuses_a_second_goal_and_cancels_at_on
     generations = [f.generation for f in client.feedback if f.stage == "search"]
     assert generations == list(range(1, len(generations) + 1))
 
-    node._work = five_generations  # the next goal is welcome
+    node.works["calibrate"] = five_generations  # the next goal is welcome
     client.feedback.clear()
     assert client.result(client.send(goal))[0] == GoalStatus.STATUS_SUCCEEDED
 
@@ -121,18 +122,18 @@ def _slowness() -> float:
     ],
 )
 def test_work_that_fails_is_told_in_a_line_and_the_next_goal_is_taken(bench, goal, work, words):
-    node = bench.make(CalibratorNode, work)
+    node = bench.make(CalibratorNode, {"calibrate": work})
     client = Client(bench)
     status, result = client.result(client.send(goal))
     assert status == GoalStatus.STATUS_ABORTED and not result.success
     assert words in result.message and "\n" not in result.message
     assert words in worst(node)[1]
-    node._work = five_generations
+    node.works["calibrate"] = five_generations
     assert client.result(client.send(goal))[0] == GoalStatus.STATUS_SUCCEEDED
 
 
 def test_a_worker_that_does_not_listen_is_ended(bench, goal):
-    bench.make(CalibratorNode, deaf, cancel_patience=0.3)
+    bench.make(CalibratorNode, {"calibrate": deaf}, cancel_patience=0.3)
     client = Client(bench)
     handle = client.send(goal)
     bench.until(lambda: any(f.stage == "search" for f in client.feedback))
@@ -153,7 +154,7 @@ def test_a_worker_that_does_not_listen_is_ended(bench, goal):
     ],
 )
 def test_a_goal_that_cannot_be_is_answered_with_what_is_wrong(bench, goal, change, words):
-    bench.make(CalibratorNode, five_generations)
+    bench.make(CalibratorNode, {"calibrate": five_generations})
     client = Client(bench)
     for name, value in change.items():
         setattr(goal, name, value)
@@ -163,7 +164,7 @@ def test_a_goal_that_cannot_be_is_answered_with_what_is_wrong(bench, goal, chang
 
 
 def test_the_nodes_twin_and_a_place_beside_the_bag_are_the_defaults(bench, goal, twin_path, recorded):
-    node = bench.make(CalibratorNode, five_generations, twin=str(twin_path))
+    node = bench.make(CalibratorNode, {"calibrate": five_generations}, twin=str(twin_path))
     client = Client(bench)
     goal.twin = goal.output = ""
     status, result = client.result(client.send(goal))
@@ -173,7 +174,7 @@ def test_the_nodes_twin_and_a_place_beside_the_bag_are_the_defaults(bench, goal,
 
 
 def test_a_node_taken_down_takes_its_worker_along(bench, goal):
-    node = bench.make(CalibratorNode, search_until_stopped)
+    node = bench.make(CalibratorNode, {"calibrate": search_until_stopped})
     client = Client(bench)
     client.send(goal)
     bench.until(lambda: len(client.feedback) > 2)
@@ -197,3 +198,4 @@ def test_a_real_calibration_writes_a_twin_file_that_loads(bench, goal):
     found = dict(zip(result.names, result.values, strict=True))
     assert found["vehicle.front.damper_pull.force.0"] == twin.vehicle.front.damper_pull.force[0]
     assert any(f.stage == "search" and f.generation >= 1 for f in client.feedback)
+    assert left_by_calibration(result.output) > 0.0  # which the live gap is held against

@@ -1,0 +1,125 @@
+# SPDX-License-Identifier: Apache-2.0
+"""From a spec to a case folder, and to the label that is kept elsewhere."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from dataclasses import asdict
+from functools import lru_cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from blind import multibody, newton, phone, severity
+from blind.faults import TIME, knob, on_stretch, surveyed, without_road
+from blind.newton import Faults, Motion
+from blind.plan import Spec
+from blind.world import FILE_DU, FILE_DV, HALF, Floats, World, make_world
+from suspension_twin.drive.write import write_drive
+from suspension_twin.road import Road, write_road
+from suspension_twin.vehicle.twin import parse_twin, save_twin
+
+Run = Callable[..., Motion]
+RUN: dict[str, Run] = {"newton": newton.run, "multibody": multibody.run}
+REQUEST = "request.json"
+_MSD_BASE = 0.12
+
+
+@lru_cache(maxsize=4)
+def _scale(seed: int, msd: bool) -> severity.Scale:
+    return severity.yardstick(make_world(seed), msd)
+
+
+@lru_cache(maxsize=64)
+def _curve(seed: int, msd: bool, effect: str) -> tuple[float, ...]:
+    return tuple(severity.curve(make_world(seed), _scale(seed, msd), effect, seed))
+
+
+def faults_of(spec: Spec) -> tuple[Faults, dict[str, dict[str, float]]]:
+    """The effects' parameters for the severity asked, and what severity they have."""
+    world = make_world(spec.world, spec.right)
+    faults: Faults = {}
+    reached = {}
+    for effect in spec.effects:
+        curve = np.array(_curve(spec.world, spec.msd, effect))
+        amount, given = severity.amount_for(curve, spec.severity)
+        values = knob(effect, world, spec.world)(amount, _scale(spec.world, spec.msd).null)
+        faults[effect] = {k: float(v) for k, v in values.items()}
+        reached[effect] = {"amount": amount, "severity": given}
+    return faults, reached
+
+
+def make_case(spec: Spec, cases: Path, sealed: Path) -> dict[str, Any]:
+    """Write the case's folder under ``cases`` and its further drive under ``sealed``; return the label."""
+    world = make_world(spec.world, spec.right)
+    faults, reached = faults_of(spec)
+    stretch = None
+    if spec.kind == "stretch":
+        rng = np.random.default_rng([spec.world, 9, len(spec.effects[0])])
+        first = float(rng.uniform(60.0, 110.0))
+        stretch = (round(first, 2), round(first + float(rng.uniform(25.0, 40.0)), 2))
+    base: Faults = {"unsprung_mass": {"share": _MSD_BASE}} if spec.msd and "unsprung_mass" not in faults else {}
+    moving = {**base, **without_road(faults)}
+    folder = cases / spec.name
+    folder.mkdir(parents=True)
+    drives: dict[str, Any] = {}
+    for name, plan in world.plans.items():
+        if name == "reference" and not spec.reference:
+            continue
+        own = base if name == "reference" else moving
+        motion = RUN[spec.reality](world, plan, {k: v for k, v in own.items() if k not in TIME})
+        drive = phone.record(world, plan, motion, own, name)
+        write_drive(drive, (sealed / spec.name if name == "sealed" else folder) / name)
+        drives[name] = {"start": plan.start, "seconds": plan.seconds}
+        if stretch is not None:
+            drives[name]["stretch"] = _times(motion, world, stretch, plan.start)
+    write_road(_road(world, surveyed(world, faults, stretch)), folder / "road.crg", comment="Surveyed road")
+    save_twin(parse_twin(_twin(world, spec)), folder / "twin.yaml")
+    if spec.without:
+        (folder / REQUEST).write_text(json.dumps({"without": list(spec.without)}) + "\n", encoding="utf-8")
+    scale = {} if not spec.effects else {"floor": dict(zip(severity.CHANNELS, _floor(spec), strict=True))}
+    return {
+        **asdict(spec),
+        "faults": faults,
+        "reached": reached,
+        "stretch": stretch,
+        "frequency": [v["frequency"] for v in faults.values() if "frequency" in v],
+        "drives": drives,
+        **scale,
+    }
+
+
+def _floor(spec: Spec) -> list[float]:
+    return [float(f"{v:.4g}") for v in _scale(spec.world, spec.msd).floor]
+
+
+def _times(motion: Motion, world: World, stretch: tuple[float, float], start: float) -> list[float]:
+    on = np.flatnonzero(on_stretch(motion.u, world.car.wheelbase, stretch))
+    return [round(start + float(motion.t[on[0]]), 3), round(start + float(motion.t[on[-1]]), 3)]
+
+
+def _road(world: World, z: Floats) -> Road:
+    line, heading = world.surface.line[::2], world.surface.heading
+    zero = np.zeros(line.shape[0])
+    v = np.round(-HALF + np.arange(z.shape[1]) * FILE_DV, 6)
+    return Road(
+        name="road", z=z.astype(np.float32).astype(np.float64), v=v, u_step=FILE_DU, x=line[:, 0], y=line[:, 1],
+        ref_z=zero, bank=zero, headings=(float(heading[0]), float(heading[-1])),
+    )  # fmt: skip
+
+
+def _twin(world: World, spec: Spec) -> dict[str, Any]:
+    latitude, longitude, altitude = world.datum
+    known = dict(world.known)
+    return {
+        "model": "msd" if spec.msd else "full_car",
+        "vehicle": known,
+        "imu": {"frame": "imu_link", "position": list(world.phone.place), "rpy": list(world.phone.rpy)},
+        "gps": {"frame": "gps_link", "position": list(world.antenna)},
+        "datum": {"latitude": latitude, "longitude": longitude, "altitude": altitude},
+        "road": {"file": "road.crg"},
+    }
+
+

@@ -1,0 +1,130 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The live gap beyond its number: where on the road it lies, and when it leaves what the calibration left."""
+
+from __future__ import annotations
+
+import math
+
+import pytest
+import yaml
+from geometry_msgs.msg import AccelStamped
+from nav_msgs.msg import Odometry
+from nodes_bench import put_stamp, worst
+from visualization_msgs.msg import Marker
+
+from suspension_twin.errors import InputError
+from suspension_twin.nodes._files import left_by_calibration
+from suspension_twin.nodes._gap_marker import GapTiles, colour
+from suspension_twin.nodes.suspension_model import SuspensionModelNode
+from suspension_twin.vehicle.twin import load_twin, save_twin
+
+T0 = 1.7e9
+
+
+def drive_over(model, *, bad=(40.0, 45.0), gap=3.0, seconds=10.0, speed=8.0):
+    """Along x at ``speed``; the car feels what the twin says, and ``gap`` more where x is within ``bad``."""
+    said = []
+    model.outputs["twin/vertical_acceleration"].links.append(lambda m: said.append(m.accel.linear.z))
+    odom, accel = Odometry(), AccelStamped()
+    odom.header.frame_id, odom.pose.pose.orientation.w, odom.twist.twist.linear.x = "map", 1.0, speed
+    for k in range(int(seconds * 100)):
+        t, x = T0 + k / 100, speed * k / 100
+        put_stamp(odom, t)
+        odom.pose.pose.position.x = x
+        model.inputs["twin/odom"].deliver(odom)
+        put_stamp(accel, t)
+        accel.accel.linear.z = gap * (-1) ** k if bad[0] <= x < bad[1] else 0.0
+        model.inputs["imu/vertical_acceleration"].deliver(accel)
+    return said
+
+
+@pytest.fixture
+def flat_twin(tmp_path, twin):
+    """A twin file without a road: on flat ground it feels nothing."""
+    path = tmp_path / "twin.yaml"
+    save_twin(twin.model_copy(update={"road": None}), path)
+    return path
+
+
+def details(path, *drives):
+    """Put beside the twin file what a calibration writes."""
+    path.with_name(f"{path.stem}.calibration.yaml").write_text(yaml.safe_dump({"drives": list(drives)}))
+
+
+def test_the_marker_shows_the_metres_where_the_gap_lies(bench, flat_twin):
+    model = bench.make(SuspensionModelNode, twin=str(flat_twin), gap__floor=0.5)
+    heard = bench.hear(Marker, "/twin/gap_marker")
+    drive_over(model)
+    bench.until(lambda: len(heard) >= 7, "markers")
+    marker = heard[-1]
+    assert marker.header.frame_id == "map" and marker.type == Marker.CUBE_LIST and marker.action == Marker.ADD
+    assert len(marker.points) == len(marker.colors) > 40
+    red = [p.x for p, c in zip(marker.points, marker.colors, strict=True) if c.r == 1.0 and c.g < 0.1]
+    ahead = load_twin(flat_twin).imu.position[0]
+    assert red and min(red) >= 40.0 + ahead - 1.0 and max(red) <= 45.0 + ahead + 1.0 and len(red) in (5, 6)
+    green = [c for c in marker.colors if c.g > 0.8 and c.r == 0.0]
+    assert len(marker.points) - len(red) - 2 <= len(green)  # the tiles on either side are half of each
+
+
+def test_a_new_pass_replaces_the_old_and_the_oldest_is_forgotten():
+    tiles = GapTiles()
+    for difference in (4.0, -4.0, 4.0):
+        tiles.push(0.4, 0.2, 0.1, difference)
+    assert tiles.tiles[0, 0] == (0.5, 0.5, 0.1, 4.0)
+    tiles.push(-0.2, 0.0, 0.0, 9.0)
+    assert list(tiles.tiles) == [(0, 0)]  # one sample says nothing
+    for _ in range(3):
+        tiles.push(0.4, 0.2, 0.1, 1.0)
+    assert tiles.tiles[0, 0].rms == 1.0
+    for k in range(3000):
+        for _ in range(3):
+            tiles.push(10.0 + k, 0.5, 0.0, 1.0)
+    assert len(tiles.tiles) == 2000 and (0, 0) not in tiles.tiles and (3009, 0) in tiles.tiles
+    tiles.reset()
+    assert not tiles.tiles
+
+
+def test_the_colours_go_from_green_over_yellow_to_red():
+    shades = [colour(times) for times in (0.0, 1.0, 2.5, 4.0, 1e9)]
+    assert [s.r for s in shades] == [0.0, 0.0, 1.0, 1.0, 1.0]
+    assert [s.g for s in shades] == pytest.approx([0.85, 0.85, 0.85, 0.0, 0.0])
+
+
+def test_diagnostics_warn_while_the_gap_is_beyond_what_the_calibration_left(bench, flat_twin):
+    details(
+        flat_twin,
+        {"gap_after": {"rms": 0.05}, "left_without_nuisances": 0.10},
+        {"gap_after": {"rms": 0.07}, "left_without_nuisances": None},
+    )
+    model = bench.make(SuspensionModelNode, twin=str(flat_twin), gap__window=4.0)
+    drive_over(model, bad=(0.0, 0.0), seconds=4.0)
+    assert "calibration left" not in worst(model)[1]
+    model.reset()
+    drive_over(model, seconds=8.0)
+    level, text = worst(model)
+    rms = model.gap_now().rms
+    assert level == 1 and text == f"the gap is {rms / 0.1:.1f} times the 0.1 m/s² that the calibration left: diagnose"
+    assert rms == pytest.approx(3.0 * math.sqrt(5.0 / 8.0 / 4.0), rel=0.05)
+    model.reset()
+    drive_over(model, bad=(0.0, 0.0), seconds=4.0)
+    assert "calibration left" not in worst(model)[1]
+
+
+def test_without_a_calibration_there_is_nothing_to_warn_of_and_a_parameter_can_say_it(bench, flat_twin):
+    model = bench.make(SuspensionModelNode, twin=str(flat_twin))
+    drive_over(model, bad=(20.0, 60.0))
+    assert "calibration left" not in worst(model)[1]
+    said = bench.make(SuspensionModelNode, namespace="other", twin=str(flat_twin), gap__floor=0.2, gap__warn=100.0)
+    drive_over(said, bad=(20.0, 60.0))
+    assert "calibration left" not in worst(said)[1]
+
+
+@pytest.mark.parametrize("text", ["[1, 2", "drives: 7", "drives: [{gap_after: {}}]", "other: 1"])
+def test_details_that_say_nothing_are_named(flat_twin, text):
+    flat_twin.with_name("twin.calibration.yaml").write_text(text)
+    with pytest.raises(InputError, match=r"twin\.calibration\.yaml: drives: does not say"):
+        left_by_calibration(str(flat_twin))
+
+
+def test_no_details_no_floor(tmp_path):
+    assert left_by_calibration("") == 0.0 == left_by_calibration(str(tmp_path / "twin.yaml"))
