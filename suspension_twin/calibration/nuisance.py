@@ -40,8 +40,8 @@ class NuisancePriors:
 
     ``clock`` s, ``map_position`` m, ``wander`` m (the GNSS position's own error, one value for every
     pass and ``wander_seconds``; None takes it from the fixes' covariance), ``gain`` of the
-    accelerometer, ``tilt`` rad, ``force_bias`` m/s², ``rate_bias`` rad/s, ``pivot`` m (how high above the
-    ground a real suspension's kinematics lay the axes about which the body rolls and pitches).
+    accelerometer, ``tilt`` rad, ``force_bias`` m/s², ``rate_bias`` rad/s, ``pivot`` m (how far
+    a real suspension's kinematics shift the axes about which the body rolls and pitches).
     """
 
     clock: float = 0.1

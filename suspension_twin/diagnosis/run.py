@@ -89,7 +89,8 @@ class _Search:
         traits = [s.always for s in self.singles if s.always is not None]
         sound = (1.0 - _EFFECT_PRIOR) * (1.0 - _TRAITS if traits else 1.0)
         each = _EFFECT_PRIOR / len(self.singles)
-        prior = np.array([sound, *([each] * len(self.singles)), *([(1.0 - _EFFECT_PRIOR - sound) / max(len(traits), 1)] * len(traits))])
+        trait = (1.0 - _EFFECT_PRIOR - sound) / max(len(traits), 1)
+        prior = np.array([sound, *([each] * len(self.singles)), *([trait] * len(traits))])
         self.weights, self.beats = weights([*everything, *traits], prior, self.temper, seed)
         count = 1 + len(self.singles)
         # what the vehicle had before already is no gap: it speaks for the baseline
