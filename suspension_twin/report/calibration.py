@@ -91,7 +91,11 @@ def _summary(result: CalibrationResult) -> str:
         "sides of "
         "every comparison on this page went through the same zero-phase low-pass."
     ]
-    worse = [d.name for d in result.drives if d.gap_after.rms > d.gap_before.rms]
+    worse = [
+        d.name
+        for d in result.drives
+        if d.gap_after.rms > d.gap_before.rms and d.nuisance_free >= 0.5 * d.gap_after.rms
+    ]
     if worse:
         lines.append(
             f"**On {', '.join(worse)} the twin is farther from the car than before.** Parameters on their bounds below "
