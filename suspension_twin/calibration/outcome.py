@@ -107,8 +107,8 @@ def _remarks(drives: tuple[DriveFit, ...], setup: Setup, values: Floats) -> list
             continue
         if d.nuisance_free < 0.5 * d.gap_after.rms:
             remarks.append(
-                f"{d.name}: {d.gap_after.rms:.3f} m/s² are left, {d.nuisance_free:.3f} without the nuisances: the clocks "
-                "or the map are off by what is found there"
+                f"{d.name}: {d.gap_after.rms:.3f} m/s² are left, {d.nuisance_free:.3f} without the nuisances: the "
+                "clocks or the map are off by what is found there"
             )
         else:
             remarks.append(f"the calibrated twin is farther from {d.name} than the one it started from{tail}")
