@@ -77,7 +77,7 @@ def ask(folder: Path, answer: Path, seal: str, starter: Sequence[str] = ()) -> d
         if {k: record.get(k) for k in key} == key:
             return record
     shutil.rmtree(answer, ignore_errors=True)
-    environment = {k: os.environ[k] for k in _KEPT if k in os.environ}
+    environment = {k: os.environ[k] for k in _KEPT if k in os.environ} | {"PYTHONPATH": str(ROOT)}
     with tempfile.TemporaryDirectory(prefix="blind_") as name:
         copy, out = Path(name) / "case", Path(name) / "out"
         shutil.copytree(folder, copy)
