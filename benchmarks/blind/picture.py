@@ -33,14 +33,14 @@ def draw(rows: Sequence[Row], result: dict[str, Any], path: Path) -> None:
     others = {"no effect": "null", "outside the library": "outside", "taken out of it": "excluded"}
     truths = [e for e in LIBRARY if any(r["truth"] == [e] for r in singles)]
     truths += [t for t, kind in others.items() if any(r["kind"] == kind for r in rows)]
-    answers = [*LIBRARY, "no_gap", "unknown", "error"]
+    more = sorted({_tell(r) for r in rows} - {*LIBRARY, "no_gap", "unknown", "error"})
+    answers = [*LIBRARY, *more, "no_gap", "unknown", "error"]
     counts = np.zeros((len(truths), len(answers)))
     for i, truth in enumerate(truths):
         kind = others.get(truth)
         own = [r for r in rows if r["kind"] == kind] if kind else [r for r in singles if r["truth"] == [truth]]
         for r in own:
-            if _tell(r) in answers:
-                counts[i, answers.index(_tell(r))] += 1
+            counts[i, answers.index(_tell(r))] += 1
     if not counts[:, -1].any():
         answers, counts = answers[:-1], counts[:, :-1]
     right = {t: t for t in LIBRARY} | {t: "no_gap" if t == "no effect" else "unknown" for t in others}

@@ -99,12 +99,20 @@ def _settled(outcome: Outcome, told: Told) -> Outcome:
 
 def _remarks(drives: tuple[DriveFit, ...], setup: Setup, values: Floats) -> list[str]:
     """What a user should not overlook."""
-    worse = [d.name for d in drives if d.gap_after.rms > d.gap_before.rms]
     bound = int(np.count_nonzero(setup.space.on_bound(values)))
-    if not worse:
-        return []
     tail = f": {bound} parameters ended on their bounds, let them go further" if bound else ""
-    return [f"the calibrated twin is farther from {', '.join(worse)} than the one it started from{tail}"]
+    remarks = []
+    for d in drives:
+        if d.gap_after.rms <= d.gap_before.rms:
+            continue
+        if d.nuisance_free < 0.5 * d.gap_after.rms:
+            remarks.append(
+                f"{d.name}: {d.gap_after.rms:.3f} m/s² are left, {d.nuisance_free:.3f} without the nuisances: the "
+                "clocks or the map are off by what is found there"
+            )
+        else:
+            remarks.append(f"the calibrated twin is farther from {d.name} than the one it started from{tail}")
+    return remarks
 
 
 def _rounded(values: Floats) -> Floats:

@@ -52,7 +52,10 @@ def set_up(
 ) -> Setup:
     """Read, check and align everything; raises InputError that names the file or the drive."""
     preset = preset_named(request.preset)
-    original = with_effects(load_twin(request.twin), [*request.free, *request.also])
+    given = load_twin(request.twin)
+    if str(given.model) == "tracked":
+        raise InputError(request.twin, "model", "tracked is calibrated on marker runs, not on recorded drives")
+    original = with_effects(given, [*request.free, *request.also])
     if not request.bags:
         raise InputError("drives", "none are given: name at least one recorded drive")
     twin = with_table_2(original) if preset.table_2 else original

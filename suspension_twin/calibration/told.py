@@ -146,9 +146,8 @@ def _from_rest(
     load = float(_interpolated(np.array([static]), x, force[:, None])[0, 0])
     travel = np.linspace(span[0] - static, span[1] - static, _GRID)
     place = _place_of(load, x, draws)
-    forces = np.stack(
-        [_interpolated(travel + place[k], x, draws[:, k : k + 1])[:, 0] for k in range(0, draws.shape[1], 4)], axis=1
-    )
+    thinned = slice(0, None, 4)
+    forces = _interpolated(travel[:, None] + place[thinned], x, draws[:, thinned])
     low, high = np.quantile(forces, INTERVAL, axis=1)
     return travel, low, high
 
@@ -157,18 +156,22 @@ def _place_of(load: float, x: Floats, force: Floats) -> Floats:
     """(N,) compressions at which curves (k, N) bear ``load``."""
     edges = np.concatenate([[0.0], x])
     values = np.concatenate([np.zeros((1, force.shape[1])), force])
-    place = np.empty(force.shape[1])
-    for k in range(force.shape[1]):
-        j = int(np.clip(np.searchsorted(values[:, k], load), 1, x.size))
-        rise = max(values[j, k] - values[j - 1, k], 1e-9)
-        place[k] = edges[j - 1] + (load - values[j - 1, k]) / rise * (edges[j] - edges[j - 1])
-    return place
+    above = np.clip(np.count_nonzero(values < load, axis=0), 1, x.size)
+    lane = np.arange(force.shape[1])
+    bottom = values[above - 1, lane]
+    rise = np.maximum(values[above, lane] - bottom, 1e-9)
+    return np.asarray(edges[above - 1] + (load - bottom) / rise * (edges[above] - edges[above - 1]))
 
 
 def _interpolated(grid: Floats, x: Floats, force: Floats) -> Floats:
-    """(g, N) forces of N curves (k, N) through (0, 0), going on with their first and last slopes."""
+    """(g, N) forces of N curves (k, N) through (0, 0), going on with their first and last slopes.
+
+    ``grid`` (g,) for all of them, or (g, N) each its own."""
     edges = np.concatenate([[0.0], x])
     values = np.concatenate([np.zeros((1, force.shape[1])), force])
     segment = np.clip(np.searchsorted(edges, grid, side="right") - 1, 0, x.size - 1)
     share = (grid - edges[segment]) / (edges[segment + 1] - edges[segment])
-    return np.asarray(values[segment] + share[:, None] * (values[segment + 1] - values[segment]))
+    if grid.ndim == 1:
+        return np.asarray(values[segment] + share[:, None] * (values[segment + 1] - values[segment]))
+    below, above = (np.take_along_axis(values, at, axis=0) for at in (segment, segment + 1))
+    return np.asarray(below + share * (above - below))

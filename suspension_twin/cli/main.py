@@ -85,7 +85,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except Exception as error:
         if debug:
             traceback.print_exc()
-        status, text = _explain(error)
+        status, text = _explain(error, _option(args, "--twin"))
         print(" ".join(text.split()), file=sys.stderr)
     finally:
         if endless:
@@ -164,8 +164,18 @@ def _not_imported() -> None:
     raise AssertionError("a subcommand ran that was not chosen")
 
 
-def _explain(error: Exception) -> tuple[int, str]:
-    """Exit status and one line for an error that ended a subcommand."""
+def _option(args: Sequence[str], name: str) -> str | None:
+    """The value given to the option ``name``; None if there is none."""
+    for argument, following in zip(args, [*args[1:], None], strict=True):
+        if argument == name:
+            return following
+        if argument.startswith(f"{name}="):
+            return argument.partition("=")[2]
+    return None
+
+
+def _explain(error: Exception, twin: str | None) -> tuple[int, str]:
+    """Exit status and one line for an error that ended a subcommand; ``twin`` is the twin file given to it."""
     format_message: Callable[[], str] | None = getattr(error, "format_message", None)
     if format_message is not None:  # typer's own errors, all about the arguments
         where: Any = getattr(error, "ctx", None)
@@ -173,7 +183,10 @@ def _explain(error: Exception) -> tuple[int, str]:
         message = format_message().rstrip(". ") or "Missing command"  # empty where the help was shown instead
         return UNUSABLE, f"{path}: {message} (see {path} --help)"
     if isinstance(error, SuspensionTwinError):
-        return error.exit_status, f"{PROGRAM}: {error}"
+        text = str(error)
+        if twin and text.startswith("twin: "):  # said of a twin in memory, which knows of no file
+            text = twin + text.removeprefix("twin")
+        return error.exit_status, f"{PROGRAM}: {text}"
     if isinstance(error, OSError) and error.filename is not None:
         status = UNUSABLE if isinstance(error, _PATH_ERRORS) else FAILED
         return status, f"{PROGRAM}: {os.fsdecode(error.filename)}: {error.strerror}"

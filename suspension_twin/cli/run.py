@@ -53,13 +53,14 @@ def command(
     from suspension_twin.vehicle.twin import load_twin
 
     load_twin(twin)
-    from suspension_twin.nodes._main import ros_context, stopping
+    from suspension_twin.nodes._main import check_arguments, ros_context, stopping
     from suspension_twin.nodes._param_file import check_names, read_param_file
     from suspension_twin.nodes.composed import Composed, check_namespace
 
     check_namespace(namespace)
     wanted = {} if params is None else read_param_file(params)
     arguments = list(ros_args or [])
+    check_arguments(arguments)
     if params is not None:
         arguments += ["--ros-args", "--params-file", str(params)]
     with stopping() as stop:

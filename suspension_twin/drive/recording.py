@@ -133,7 +133,7 @@ def _listed(folder: Path, warnings: list[str]) -> list[str] | None:
         names = data["rosbag2_bagfile_information"]["relative_file_paths"]
         # before Foxy the paths held the folder's name
         return [Path(str(name)).name for name in names]
-    except (yaml.YAMLError, UnicodeDecodeError, KeyError, TypeError):
+    except (yaml.YAMLError, ValueError, RecursionError, KeyError, TypeError):
         warnings.append("metadata.yaml is damaged: read without it")
         return None
 

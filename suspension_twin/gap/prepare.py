@@ -18,12 +18,13 @@ from suspension_twin.drive.types import Drive, Floats
 from suspension_twin.errors import InputError
 from suspension_twin.gap.measure import CHANNELS, Gap, measure_gap
 from suspension_twin.gap.noise import floor_rms
+from suspension_twin.gap.off_road import Ground, OffRoad, off_road
 from suspension_twin.gap.quiet import quiet_motion
 from suspension_twin.models.excitation import excitation
 from suspension_twin.models.types import Excitation, Response
 from suspension_twin.pose.smoothed import locked_trajectory
 from suspension_twin.pose.types import Trajectory
-from suspension_twin.road.road import Road
+from suspension_twin.road.road import Outside, Road
 from suspension_twin.signals.conditioner import Conditioner
 from suspension_twin.signals.filters import FilterSpec
 from suspension_twin.signals.ingest import ImuSettings
@@ -36,11 +37,13 @@ __all__ = ["PrepareSettings", "Prepared", "prepare"]
 @dataclass(frozen=True)
 class PrepareSettings:
     """``filter`` for both sides, zero-phase offline; ``max_step`` s of the simulation; ``quiet`` takes the
-    IMU's noise out of the planar motion that drives it."""
+    IMU's noise out of the planar motion that drives it; ``outside`` what a drive gets that leaves the road:
+    hold, zero, error, or what the road's file says."""
 
     filter: FilterSpec = FilterSpec()
     max_step: float = 1e-3
     quiet: bool = True
+    outside: Outside = "road"
     imu: ImuSettings = field(default_factory=ImuSettings)
 
 
@@ -51,8 +54,9 @@ class Prepared:
     On the n kept IMU stamps: ``signals`` (unfiltered, base_link axes), ``trajectory``,
     ``excitation``. On the conditioner's uniform grid of m samples: ``measured`` channels (m,),
     ``speed`` m/s, ``position`` m of base_link along the road (or along the path where there is no
-    road) and its rate ``along`` m/s, ``inside`` where all wheels have a road under them,
-    ``mask`` where a comparison means something. ``noise_rms`` is each channel's floor,
+    road) and its rate ``along`` m/s, ``inside`` where all wheels have a road under them (``off_road``
+    tells where not, and what they get there), ``mask`` where a comparison means something.
+    ``noise_rms`` is each channel's floor,
     ``position_sigma`` m the receiver's own horizontal standard deviation (0 where it gives none).
     """
 
@@ -73,6 +77,7 @@ class Prepared:
     mask: NDArray[np.bool_]
     position_sigma: float = 0.0
     warnings: tuple[str, ...] = ()
+    off_road: OffRoad = OffRoad()
 
     @property
     def t(self) -> Floats:
@@ -159,6 +164,9 @@ def prepare(
         trajectory = quiet_motion(trajectory, signals, twin.vehicle.cog[2])
     warnings = (*drive.warnings, *(f.text for f in signals.findings if f.level != "ok"))
     prepared = _assemble(drive.name, twin, road, settings, signals, trajectory)
+    left = prepared.off_road.sentence(float(signals.t[0]))
+    if left:
+        warnings = (*warnings, left)
     return replace(prepared, position_sigma=_position_sigma(drive), warnings=warnings)
 
 
@@ -212,7 +220,8 @@ def _assemble(
     cos, sin = np.cos(trajectory.yaw)[:, None], np.sin(trajectory.yaw)[:, None]
     wheel_x = trajectory.x[:, None] + cos * wheels[:, 0] - sin * wheels[:, 1]
     wheel_y = trajectory.y[:, None] + sin * wheels[:, 0] + cos * wheels[:, 1]
-    inside = road.inside(wheel_x, wheel_y).all(axis=1)
+    inside = np.asarray(road.inside(wheel_x, wheel_y).all(axis=1))
+    left = known.off_road if known else off_road(name, t, inside, road, settings.outside)
     on_grid = {
         name: np.interp(grid, t, values)
         for name, values in (("speed", trajectory.speed), ("position", position))
@@ -227,7 +236,7 @@ def _assemble(
         settings=settings,
         signals=signals,
         trajectory=trajectory,
-        excitation=excitation(trajectory, twin.vehicle, road, settings.max_step),
+        excitation=excitation(trajectory, twin.vehicle, Ground(road, settings.outside), settings.max_step),
         conditioner=conditioner,
         measured={channel: filtered[:, i] for i, channel in enumerate(CHANNELS)},
         noise_rms=floors,
@@ -238,6 +247,7 @@ def _assemble(
         mask=mask,
         position_sigma=known.position_sigma if known else 0.0,
         warnings=known.warnings if known else (),
+        off_road=left,
     )
 
 

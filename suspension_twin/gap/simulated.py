@@ -48,6 +48,7 @@ class SimulatedDrive:
             "filter": {**low_pass, "zero_phase": True},
             "vertical_acceleration_topic_filter": {**low_pass, "zero_phase": False},
             "on_road": float(self.prepared.inside.mean()),
+            "off_road": self.prepared.off_road.as_dict(),
             "warnings": list(self.prepared.warnings),
         }
 

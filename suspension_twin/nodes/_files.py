@@ -6,6 +6,7 @@ from __future__ import annotations
 import math
 from functools import lru_cache
 from pathlib import Path
+from typing import NamedTuple
 
 import yaml
 
@@ -15,7 +16,7 @@ from suspension_twin.nodes._parameters import Param, Values
 from suspension_twin.signals.filters import FilterSpec
 from suspension_twin.vehicle.twin import Twin, load_twin
 
-__all__ = ["FILTER", "TWIN", "filter_of", "left_by_calibration", "twin_of"]
+__all__ = ["FILTER", "TWIN", "Left", "filter_of", "left_by_calibration", "twin_of"]
 
 _DEFAULT = FilterSpec()
 
@@ -53,19 +54,30 @@ def filter_of(values: Values) -> FilterSpec:
     return FilterSpec(values["filter.order"], values["filter.cutoff"])
 
 
-def left_by_calibration(twin_file: str) -> float:
-    """Gap in m/s² that the calibration of this twin file left on its worst drive, as the details beside it say;
-    0 where there are none. Raises InputError for details that cannot be read."""
+class Left(NamedTuple):
+    """What a calibration left on its worst drive: the gap's rms in m/s², and as a ``share`` of the motion's, which
+    tells what to expect where the road is rougher. Both 0 where it is not known."""
+
+    rms: float
+    share: float
+
+
+def left_by_calibration(twin_file: str) -> Left:
+    """What the calibration of this twin file left, as the details beside it say; nothing where there are none.
+
+    Raises InputError for details that cannot be read.
+    """
     if not twin_file:
-        return 0.0
+        return Left(0.0, 0.0)
     details = details_path(Path(twin_file))
     if not details.is_file():
-        return 0.0
+        return Left(0.0, 0.0)
     try:
         drives = yaml.safe_load(details.read_text(encoding="utf-8"))["drives"]
         # Live nothing takes clock, gain and tilt out: the larger of the two is what will be seen.
         left = [max(d["gap_after"]["rms"], d["left_without_nuisances"] or 0.0) for d in drives]
-    except (OSError, UnicodeDecodeError, yaml.YAMLError, KeyError, TypeError):
+        share = [math.sqrt(1.0 - min(abs(d["correlation"] or 1.0), 1.0) ** 2) for d in drives]
+    except (OSError, ValueError, RecursionError, yaml.YAMLError, KeyError, TypeError):
         raise InputError(details, "drives", "does not say what gap the calibration left") from None
-    left = [gap for gap in left if math.isfinite(gap)]
-    return max(left, default=0.0)
+    known = [gap for gap in left if math.isfinite(gap)]
+    return Left(max(known, default=0.0), max(share, default=0.0))

@@ -23,12 +23,13 @@ from rclpy.impl.logging_severity import LoggingSeverity
 from rclpy.logging import set_logger_level
 from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
+from rclpy.utilities import remove_ros_args
 
 from suspension_twin.errors import InputError, SuspensionTwinError
 from suspension_twin.nodes._base import Embedding
 from suspension_twin.nodes._executor import TwinExecutor
 
-__all__ = ["Stop", "ros_context", "run_alone", "stopping"]
+__all__ = ["Stop", "check_arguments", "ros_context", "run_alone", "stopping"]
 
 #: Longest wait in C, in which Python does not see a signal, in s.
 WAIT = 0.1
@@ -120,10 +121,22 @@ def ros_context(args: list[str] | None) -> Iterator[Context]:
         context.try_shutdown()
 
 
+def check_arguments(args: list[str]) -> None:
+    """Raise InputError for what is no argument of ROS, which would pass over it in silence."""
+    try:
+        strange = [a for a in remove_ros_args(["", *args])[1:] if a != "--"]
+    except RuntimeError:  # half a ROS argument, which the context refuses
+        return
+    if strange:
+        raise InputError(strange[0], "is no argument here: those for ROS begin with --ros-args")
+
+
 def run_alone(make: Callable[[Embedding], Node], args: list[str] | None = None) -> Any:
     """Run one node until it is asked to stop; return the exit status."""
     try:
-        with stopping() as stop, ros_context(sys.argv if args is None else args) as context:
+        arguments = sys.argv if args is None else args
+        check_arguments(arguments[1:])
+        with stopping() as stop, ros_context(arguments) as context:
             node = make(Embedding(context=context))
             executor = TwinExecutor(context=context)
             executor.add_node(node)

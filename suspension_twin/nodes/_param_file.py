@@ -29,6 +29,8 @@ def read_param_file(path: Path) -> dict[str, dict[str, Any]]:
         mark = getattr(error, "problem_mark", None)
         where = f"line {mark.line + 1}: " if mark else ""
         raise InputError(path, f"{where}{getattr(error, 'problem', None) or 'not YAML'}") from None
+    except (RecursionError, ValueError):  # brackets without end, an impossible date
+        raise InputError(path, "not YAML that can be read") from None
     if not isinstance(data, dict):
         raise InputError(path, f"not a parameter file: a mapping of nodes with '{_KEY}' is expected")
     return {node: dict(_flat(path, values)) for node, values in _sections(path, data, "")}

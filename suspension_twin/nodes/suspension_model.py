@@ -21,13 +21,14 @@ from suspension_twin.gap.running import GapNow
 from suspension_twin.nodes._base import Embedding, TwinNode
 from suspension_twin.nodes._files import FILTER, TWIN, filter_of, twin_of
 from suspension_twin.nodes._follow import Follower
-from suspension_twin.nodes._gap_parameters import GAP, gap_of
+from suspension_twin.nodes._gap_parameters import GAP, beyond, gap_of, left_of
 from suspension_twin.nodes._health import ERROR, OK, WARN
 from suspension_twin.nodes._main import run_alone
 from suspension_twin.nodes._pairing import Pairing, PlanarRow, Yielded
 from suspension_twin.nodes._parameters import Param, Values
 from suspension_twin.nodes._twin_out import TwinOut
 from suspension_twin.nodes._warm_up import warm_up_low_pass
+from suspension_twin.signals.checks import Finding
 from suspension_twin.signals.live import LiveLowPass
 from suspension_twin_interfaces.srv import LoadTwin
 
@@ -91,7 +92,7 @@ class SuspensionModelNode(TwinNode):
         values = self.values
         self._follower = self._prepared[1]
         self._low_pass = LiveLowPass(filter_of(values))
-        self._gap = gap_of(values)
+        self._gap, self._left = gap_of(values), left_of(values)
         self._out.marker.floor = self._gap.floor
         self._out.configure(self._follower, values["visual_rate"], values["gap.rate"])
         if self._follower is None:
@@ -182,22 +183,13 @@ class SuspensionModelNode(TwinNode):
         if self._pairing.lost:
             self.note("no pose", WARN, f"samples without a pose, not answered: {self._pairing.lost}")
             self._pairing.lost = 0
-        if self._follower is not None:
-            self.show_findings(self._follower.findings)
+        found = [] if self._follower is None else self._follower.findings
         gap = self._gap.now()
         if gap is not None:
             self.health.values["gap (m/s²)"] = f"{gap.rms:.3f}"
             self.health.values["gap, normalised"] = f"{gap.normalised:.2f}"
-        self._judge_gap(gap)
-
-    def _judge_gap(self, gap: GapNow | None) -> None:
-        """Warn while the gap is beyond what the calibration left; without a calibration nothing can be."""
-        left, times = self._gap.floor, self.values["gap.warn"]
-        if gap is None or not left or gap.rms <= times * left:
-            self.health.clear("gap")
-            return
-        text = f"the gap is {gap.rms / left:.1f} times the {left:.3g} m/s² that the calibration left: diagnose"
-        self.health.finding("gap", WARN, text)
+        warning = beyond(gap, self._left, self.values["gap.warn"])
+        self.show_findings([*found, *([Finding("warn", "gap", warning)] if warning else [])])
 
 
 def main(args: list[str] | None = None) -> Any:

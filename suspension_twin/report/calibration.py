@@ -91,7 +91,11 @@ def _summary(result: CalibrationResult) -> str:
         "sides of "
         "every comparison on this page went through the same zero-phase low-pass."
     ]
-    worse = [d.name for d in result.drives if d.gap_after.rms > d.gap_before.rms]
+    worse = [
+        d.name
+        for d in result.drives
+        if d.gap_after.rms > d.gap_before.rms and d.nuisance_free >= 0.5 * d.gap_after.rms
+    ]
     if worse:
         lines.append(
             f"**On {', '.join(worse)} the twin is farther from the car than before.** Parameters on their bounds below "
@@ -102,9 +106,12 @@ def _summary(result: CalibrationResult) -> str:
         lines.append(f"On a bound: {', '.join(bound)}.")
     dark = [parameter_label(result, e.key) for e in result.estimates if not e.excited]
     if dark:
+        kept = "The prior kept them near where they started."
+        if result.preset != "fast":
+            kept = "The search knows no prior: where they ended is chance."
         lines.append(
-            f"Not excited by the drives, so kept near where they started by the prior: {', '.join(dark)}. A faster "
-            "drive, a higher bump or a deeper hole would tell more of them."
+            f"Not excited by the drives: {', '.join(dark)}. {kept} A faster drive, a higher bump or a deeper hole "
+            "would tell more of them."
         )
     lines += [f"Warning: {w}." for w in result.warnings]
     return "\n\n".join(lines)
@@ -390,7 +397,8 @@ def _search_section(result: CalibrationResult) -> Section:
     if refined.size:
         stages.append((float(history[refined[0], 0]), "refine"))
     mean = history[:, 2] if np.isfinite(history[:, 2]).all() and result.preset == "paper" else None
-    reference = (10_842.0, "the car paper's 10 842") if result.preset == "paper" else None
-    figure = plots.convergence(history[:, 0], history[:, 1], mean=mean, stages=stages, reference=reference)
+    figure = plots.convergence(history[:, 0], history[:, 1], mean=mean, stages=stages)
     text = f"{result.evaluations} candidates were simulated over every drive, in {result.generations} generations."
+    if result.preset == "paper":
+        text += " The car paper needed 10 842."
     return Section("The search", text, figure)

@@ -322,6 +322,8 @@ def load_twin(path: str | Path) -> Twin:
         mark = getattr(error, "problem_mark", None)
         where = f"line {mark.line + 1}: " if mark else ""
         raise InputError(path, f"{where}{getattr(error, 'problem', None) or 'not YAML'}") from None
+    except (RecursionError, ValueError):  # brackets without end, an impossible date
+        raise InputError(path, "not YAML that can be read") from None
     twin = parse_twin(data, source=path)
     if twin.road is not None and not twin.road.file.is_absolute():
         road = RoadFile(file=(path.parent / twin.road.file).resolve())

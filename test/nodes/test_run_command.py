@@ -119,6 +119,14 @@ def test_a_node_with_a_wrong_parameter_ends_with_status_2_and_one_line():
     assert errors.count("\n") == 1 and "filter.cutoff" in errors
 
 
+@pytest.mark.parametrize("given", [["stray"], ["--ros-args", "-p", "threads:=1", "--", "--late"]])
+def test_a_node_names_an_argument_that_it_does_not_know(given, capsys):
+    from suspension_twin.nodes.calibrator import main as alone
+
+    assert alone(["calibrator", *given]) == 2
+    assert capsys.readouterr().err == f"{given[-1]}: is no argument here: those for ROS begin with --ros-args\n"
+
+
 def test_a_recording_is_replayed_at_full_speed_to_its_end(recorded, twin_path, drive):
     process = start(run_command("--twin", twin_path, "--bag", recorded, "--rate", "max"))
     _, errors = process.communicate(timeout=120.0)
@@ -170,15 +178,30 @@ WRONG = [
     (["--params", "absent.yaml"], "absent.yaml"),
     (["--params", "PARAMS"], "imu_ingest: filter.cutof: no such parameter"),
     (["--", "--ros-args", "-r", "half"], "half"),
+    (["--", "stray"], "stray: is no argument here"),
+    (["--", "--ros-args", "-r", "a:=b", "--", "--late"], "--late: is no argument here"),
+    (["--twin", "EFFECT"], "effect.yaml: effects: there is no effect magic"),
+    (["--twin", "DEEP"], "deep.yaml: not YAML"),
+    (["--twin", "DATE"], "date.yaml: not YAML"),
+    (["--twin=EFFECT"], "effect.yaml: effects: there is no effect magic"),
 ]
 
 
 @pytest.mark.parametrize(("arguments", "words"), WRONG)
 def test_wrong_arguments_end_with_status_2_and_one_line(arguments, words, twin_path, recorded, tmp_path, capfd):
     (tmp_path / "params.yaml").write_text("imu_ingest: {ros__parameters: {filter: {cutof: 3.0}}}\n")
-    known = {"BAG": str(recorded), "PARAMS": str(tmp_path / "params.yaml")}
+    effect = yaml.safe_load(twin_path.read_text(encoding="utf-8")) | {"effects": [{"id": "magic"}]}
+    (tmp_path / "effect.yaml").write_text(yaml.safe_dump(effect))
+    (tmp_path / "road.crg").symlink_to(twin_path.parent / "road.crg")
+    (tmp_path / "deep.yaml").write_text("[" * 3000)
+    (tmp_path / "date.yaml").write_text("model: 2020-99-99")
+    known = {
+        "DEEP": str(tmp_path / "deep.yaml"), "DATE": str(tmp_path / "date.yaml"),
+        "BAG": str(recorded), "PARAMS": str(tmp_path / "params.yaml"), "EFFECT": str(tmp_path / "effect.yaml"),
+        "--twin=EFFECT": f"--twin={tmp_path / 'effect.yaml'}",
+    }  # fmt: skip
     given = [known.get(a, a) for a in arguments]
-    if "--twin" not in given:
+    if not any(a.startswith("--twin") for a in given):
         given = ["--twin", str(twin_path), *given]
     assert main(["run", *given]) == 2
     out, errors = capfd.readouterr()
@@ -204,7 +227,10 @@ def test_parameter_files_are_read_with_namespaces_nested_or_written_out(tmp_path
         check_names(path, wanted, {"imu_ingest": ["use_sim_time", "max_bias"]})
 
 
-@pytest.mark.parametrize("text", ["- a\n", "a: 3\n", "a: {ros__parameters: 3}\n", "a: {b: c}\n", ": :", "\t"])
+@pytest.mark.parametrize(
+    "text",
+    ["- a\n", "a: 3\n", "a: {ros__parameters: 3}\n", "a: {b: c}\n", ": :", "\t", "[" * 3000, "a: 2020-99-99"],
+)
 def test_what_is_no_parameter_file_is_refused_by_name(tmp_path, text):
     path = tmp_path / "params.yaml"
     path.write_text(text)

@@ -303,6 +303,8 @@ def parse_mapping(text: str, source: str | Path = "mapping") -> Mapping:
         mark = getattr(error, "problem_mark", None)
         where = f"line {mark.line + 1}: " if mark else ""
         raise InputError(source, f"{where}{getattr(error, 'problem', None) or 'not YAML'}") from None
+    except (RecursionError, ValueError):  # brackets without end, an impossible date
+        raise InputError(source, "not YAML that can be read") from None
     if not isinstance(data, dict):
         raise InputError(source, "not a mapping file: keys imu, fix, vel or bag are expected")
     try:

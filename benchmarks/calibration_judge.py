@@ -1,0 +1,78 @@
+# SPDX-License-Identifier: Apache-2.0
+"""One question and one yardstick for every way of calibrating, for ``calibration.py`` and its peers."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import yaml
+from calibration_cases import Case
+
+from suspension_twin.calibration.nuisance import NUISANCES
+from suspension_twin.calibration.request import CalibrationRequest, CalibrationResult, Progress
+from suspension_twin.calibration.run import calibrate
+from suspension_twin.calibration.setup import set_up
+from suspension_twin.calibration.space import curve_keys
+from suspension_twin.drive.types import Floats
+from suspension_twin.vehicle.twin import load_twin
+
+_ONE_CHANNEL = (("vertical_acceleration", 1.0),)
+
+
+def same_question(case: Case, preset: str, seed: int, **more: Any) -> CalibrationRequest:
+    """One drive, the paper's 24 points, eq. (1) and the clock: what both presets can be asked alike."""
+    asked = {} if preset == "paper" else {
+        "objective": "euclidean", "channels": _ONE_CHANNEL, "free": curve_keys(load_twin(case.twin)),
+        "freeze": tuple(f"nuisances.{name}" for name in NUISANCES if name != "clock_offset"),
+    }  # fmt: skip
+    drives = tuple(str(p) for p in case.drives.values())
+    return CalibrationRequest(twin=str(case.twin), bags=drives, preset=preset, seed=seed, **asked, **more)
+
+
+def judged_by(request: CalibrationRequest) -> Callable[[Floats], float]:
+    """Eq. (1) of values (d,) aligned in time: their signals interpolated, or the pose moved and they simulated
+    again, whichever costs less."""
+    setup = set_up(request, lambda note: None, lambda: False)
+    problem = setup.problem
+    quiet = np.zeros(len(problem.nuisances))
+
+    def cost(values: Floats) -> float:
+        one = values[:, None]
+        signals, _ = problem.simulate(one)
+        offset = problem.synchronised(signals, quiet[:, None])[:, 0]
+        return min(float(p.costs(one, quiet, synchronise=True)[0]) for p in (problem, problem.moved(offset)))
+
+    return cost
+
+
+def traced(
+    request: CalibrationRequest, judge: Callable[[Floats], float]
+) -> tuple[CalibrationResult, list[tuple[int, float, float]]]:
+    """A calibration and (evaluations, cost by ``judge``, seconds) of its best after each generation.
+
+    Read from the states that it saves; judging stops the clock."""
+    space = set_up(request, lambda note: None, lambda: False).problem.space
+    trace: list[tuple[int, float, float]] = []
+    began, judging = time.perf_counter(), 0.0
+
+    def look(progress: Progress | None = None) -> None:
+        nonlocal judging
+        now = time.perf_counter()
+        try:
+            plain = yaml.safe_load((Path(request.state) / "state.yaml").read_text())
+        except OSError:
+            return
+        at = int(plain["plain"]["all_evaluations"])
+        if not trace or trace[-1][0] != at:
+            with np.load(Path(request.state) / plain["arrays"]) as arrays:
+                cost = judge(space.from_slopes(arrays["x"][: len(space)]))
+            trace.append((at, cost, now - began - judging))
+        judging += time.perf_counter() - now
+
+    result = calibrate(request, look)
+    look()
+    return result, trace

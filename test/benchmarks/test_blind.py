@@ -1,0 +1,264 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The blind benchmark: its plan, its two realities against mechanics, its seal and its figures."""
+
+from __future__ import annotations
+
+import json
+import re
+import shutil
+import sys
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from suspension_twin.effects.registry import EFFECTS
+
+BENCHMARKS = Path(__file__).resolve().parents[2] / "benchmarks"
+CONTRACT = (
+    "strut_friction", "bump_stop", "rebound_stop", "top_mount", "anti_roll_bar", "damper_fade", "corner_damper",
+    "corner_spring", "tyre_damping", "tyre_envelope", "unsprung_mass", "payload", "body_bending", "powertrain_mount",
+    "mount_resonance", "sensor_offset", "sensor_tilt", "sensor_bandwidth", "sensor_clipping", "sensor_scale",
+    "time_offset", "clock_drift", "road_scale", "road_smoothing", "position_offset", "lateral_offset",
+)  # fmt: skip
+
+
+@pytest.fixture(scope="module", autouse=True)
+def benchmarks_on_the_path() -> Iterator[None]:
+    before = list(sys.path)
+    sys.path.insert(0, str(BENCHMARKS))
+    yield
+    sys.path[:] = before
+
+
+@pytest.fixture(scope="module")
+def world() -> Any:
+    """A world whose fast drive ends after 12 s, so that a run takes a blink."""
+    from blind.world import make_world
+
+    made = make_world(1003)
+    whole = made.plans["drive_fast"]
+    short = replace(whole, speed=whole.speed[:1200], push=whole.push[:1200])
+    return replace(made, plans={"drive_fast": short})
+
+
+def test_every_effect_of_the_contract_comes_at_three_severities_in_both_realities() -> None:
+    from blind.plan import plan
+
+    cases = [c for c in plan("report") if c.kind == "single"]
+    seen = {(c.effects[0], c.severity, c.reality) for c in cases}
+    assert seen == {(e, s, r) for e in CONTRACT for s in (0.5, 1.5, 5.0) for r in ("newton", "multibody")}
+    assert set(CONTRACT) <= set(EFFECTS)
+
+
+def test_nothing_outside_the_library_is_in_it_when_its_cases_are_diagnosed() -> None:
+    from blind.plan import plan
+
+    outside = [c for c in plan("report") if c.kind == "outside"]
+    assert len({c.effects for c in outside}) >= 4
+    assert all(c.effects[0] in c.without for c in outside)
+    assert not {c.effects[0] for c in outside} & set(CONTRACT)
+
+
+def test_development_and_reporting_share_no_world_and_no_name() -> None:
+    from blind.plan import plan
+
+    dev, report = plan("dev"), plan("report")
+    assert not {c.world for c in dev} & {c.world for c in report}
+    names = [c.name for c in (*dev, *report)]
+    assert len(set(names)) == len(names)
+    assert all(re.fullmatch(r"case_[0-9a-f]{10}", n) for n in names)
+
+
+def test_a_road_fault_has_no_reference_because_the_road_file_is_the_same_for_both() -> None:
+    from blind.faults import ROAD
+    from blind.plan import plan
+
+    assert all(not c.reference for c in plan("report") if set(c.effects) & set(ROAD))
+
+
+def test_the_beginning_of_the_plan_is_a_fair_sample() -> None:
+    from blind.plan import KINDS, plan
+
+    cases = plan("report")
+    for kind in KINDS:
+        share = sum(c.kind == kind for c in cases) / len(cases)
+        first = sum(c.kind == kind for c in cases[:100]) / 100
+        assert first == pytest.approx(share, abs=0.02)
+
+
+@pytest.mark.parametrize("reality", ["newton", "multibody"])
+def test_a_standing_car_feels_gravity_alone(world: Any, reality: str) -> None:
+    from blind.folder import RUN
+    from blind.world import G, plain
+
+    motion = RUN[reality](plain(world), world.plans["drive_fast"])
+    still = motion.force[500:1500].mean(axis=0)
+    assert np.linalg.norm(still) == pytest.approx(G, abs=5e-3)
+    assert np.abs(motion.travel[500:1500]).max() < 0.01  # springs and tyres were chosen for this load
+
+
+def test_both_realities_drive_the_same_car_alike(world: Any) -> None:
+    from blind.folder import RUN
+
+    runs = [RUN[name](world, world.plans["drive_fast"]) for name in ("newton", "multibody")]
+    u = np.linspace(runs[0].u[4500], runs[0].u[11_000], 4000)
+    az = [np.interp(u, r.u, r.force[:, 2]) for r in runs]
+    assert np.corrcoef(*az)[0, 1] > 0.95
+    assert np.std(az[0]) == pytest.approx(np.std(az[1]), rel=0.1)
+    assert np.abs(runs[0].u - runs[1].u).max() < 0.15
+    assert not np.array_equal(*az)
+
+
+@pytest.mark.parametrize("reality", ["newton", "multibody"])
+def test_a_payload_sinks_the_car_by_its_weight_over_the_springs(world: Any, reality: str) -> None:
+    from blind.folder import RUN
+    from blind.world import SPRING_REACH, G
+
+    car, plan = world.car, world.plans["drive_fast"]
+    load = {"payload": {"mass": 100.0, "x": car.cog[0], "y": 0.0}}
+    sunk, still = (RUN[reality](world, plan, f).travel[500:1500].mean(axis=0) for f in (load, {}))
+    rate = sum(2 * np.gradient(s.spring)[300] / (SPRING_REACH / (s.spring.size - 1)) for s in (car.front, car.rear))
+    assert (sunk - still).mean() == pytest.approx(100.0 * G / rate, rel=0.1)
+
+
+def test_severity_grows_with_the_amount_and_recalibration_absorbs_what_a_spring_does(world: Any) -> None:
+    from blind import newton, phone, severity
+    from blind.world import plain
+
+    scale = severity.yardstick(world)
+    curve = severity.curve(world, scale, "mount_resonance", 3)
+    assert np.all(np.diff(curve) >= 0) and curve[-1] > 5.0 > 0.5 > curve[0]
+    amount, given = severity.amount_for(curve, 1.5)
+    assert given == 1.5 and severity.AMOUNTS[0] < amount < 1.0
+    car = replace(world.car, front=replace(world.car.front, spring=1.05 * world.car.front.spring))
+    stiffer = newton.run(replace(plain(world), car=car), world.plans["drive_fast"], {}, 2e-3)
+    changed = severity.signals(phone.felt(stiffer, world.phone, {}, ideal=True)) - severity.signals(scale.felt)
+    before = float(np.max(np.sqrt(np.mean((changed / scale.floor) ** 2, axis=0))))
+    assert scale.severity(changed) < 0.15 * before
+
+
+def test_labels_cannot_be_changed_after_they_are_sealed(tmp_path: Path) -> None:
+    from blind import seal
+
+    label = tmp_path / "sealed" / "case_0" / "label.json"
+    label.parent.mkdir(parents=True)
+    label.write_text('{"effects": ["payload"]}')
+    digest = seal.seal(tmp_path, "abc")
+    assert seal.sealed(tmp_path) == digest
+    assert seal.labels(tmp_path) == {"case_0": {"effects": ["payload"]}}
+    file = tmp_path / "sealed" / "labels.json"
+    file.write_text(file.read_text().replace("payload", "top_mount"))
+    with pytest.raises(seal.Broken, match="not what was sealed"):
+        seal.labels(tmp_path)
+
+
+def test_nothing_is_diagnosed_before_labels_are_sealed(tmp_path: Path) -> None:
+    from blind import seal
+
+    with pytest.raises(seal.Broken, match="generate cases first"):
+        seal.sealed(tmp_path)
+
+
+def test_changing_the_labels_changes_no_byte_of_a_diagnosis(tmp_path: Path, repository: Path) -> None:
+    from blind import ask
+
+    case = tmp_path / "cases" / "case_0"
+    shutil.copytree(repository / "bags" / "crg_road", case / "drive_fast")
+    for name in ("road.crg", "twin.yaml"):
+        shutil.move(case / "drive_fast" / name, case / name)
+    for path in (case / "drive_fast").glob("truth*"):
+        path.unlink()
+    without = [e for e in EFFECTS if e != "sensor_scale"]  # one effect is enough, and quick
+    (case / ask.REQUEST).write_text(json.dumps({"without": without}))
+    labels = tmp_path / "sealed" / "labels.json"
+    labels.parent.mkdir()
+    answers = []
+    for truth in ("sensor_scale", "payload"):
+        labels.write_text(json.dumps({"case_0": {"effects": [truth]}}))
+        answer = tmp_path / "answers" / truth
+        record = ask.ask(case, answer, "seal")
+        assert record["status"] == 0, record["error"]
+        answers.append({p.name: p.read_bytes() for p in answer.iterdir() if p.name != "record.json"})
+    assert set(answers[0]) == {"diagnosis.json", "twin.yaml"}
+    assert answers[0] == answers[1]
+
+
+LOOK = """
+import json, os, sys
+from pathlib import Path
+folder, out = map(Path, sys.argv[1:])
+out.mkdir()
+seen = {"arguments": sys.argv[1:], "environment": dict(os.environ), "folder": os.getcwd(),
+        "files": sorted(str(p.relative_to(folder.parent)) for p in folder.parent.rglob("*") if p.is_file())}
+(out / "diagnosis.json").write_text(json.dumps(seen))
+"""
+
+
+def test_a_diagnosis_is_started_with_the_case_alone_and_not_twice(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    from blind import ask
+
+    case, answer = tmp_path / "cases" / "case_0", tmp_path / "answers" / "case_0"
+    case.mkdir(parents=True)
+    (case / "twin.yaml").write_text("model: full_car\n")
+    monkeypatch.setenv("BLIND_LABELS", str(tmp_path / "sealed"))
+    starter = (sys.executable, "-c", LOOK)
+    record = ask.ask(case, answer, "seal", starter)
+    seen = (answer / "diagnosis.json").read_text()
+    assert json.loads(seen)["files"] == ["case/twin.yaml"]
+    assert str(tmp_path / "sealed") not in seen and str(tmp_path / "cases") not in seen
+    assert ask.ask(case, answer, "seal", ("false",)) == record  # kept
+    (case / "twin.yaml").write_text("model: msd\n")
+    assert ask.ask(case, answer, "seal", ("false",))["status"] != 0  # another case: asked again
+
+
+def _row(kind: str, truth: list[str], verdict: str, top: str, chance: float, **more: Any) -> dict[str, Any]:
+    named = [top] if verdict in ("effect", "partly") else []
+    chances = {"no_gap": 1 - chance if verdict != "no_gap" else chance, "unknown": 0.0}
+    if verdict == "unknown":
+        chances["unknown"] = chance
+    if named:
+        chances[top] = chance
+    return {
+        "case": "c", "kind": kind, "truth": truth, "severity": 5.0, "verdict": verdict, "top": top, "named": named,
+        "set": named, "rank": [1 if top in truth else 4], "chances": chances, "where": {}, "reference": False,
+        "seconds": 50.0, "cpu_seconds": 80.0, "memory_mb": 900.0, "interval": None, **more,
+    }  # fmt: skip
+
+
+def test_the_figures_count_what_they_say() -> None:
+    from blind.score import figures
+
+    rows = [
+        _row("single", ["payload"], "effect", "payload", 0.95, predicted_shrink=0.8, measured_shrink=0.77),
+        _row("single", ["payload"], "effect", "top_mount", 0.95),
+        _row("single", ["top_mount"], "no_gap", "top_mount", 0.6),
+        _row("null", [], "no_gap", "payload", 0.99),
+        _row("null", [], "partly", "payload", 0.5),
+        _row("outside", ["engine_order"], "unknown", "payload", 0.8),
+        _row("pair", ["payload", "top_mount"], "effect", "payload", 0.5),
+    ]
+    found = {k: v["value"] for k, v in figures(rows)["figures"].items()}
+    assert found["top1"] == pytest.approx(1 / 3)  # no gap is no answer, even where the right effect leads
+    assert found["top1_ranked"] == pytest.approx(2 / 3)
+    assert found["false_alarms"] == 0.5
+    assert found["unknown_outside"] == 1.0
+    assert found["pairs_exact"] == 0.0 and found["pairs_no_wrong"] == 1.0
+    assert found["sure_and_wrong"] == pytest.approx(1 / 7)
+    assert found["shrink_error_median"] == pytest.approx(3.0)
+    assert found["unknown_excluded"] is None
+
+
+def test_the_picture_is_drawn(tmp_path: Path) -> None:
+    from blind.picture import draw
+    from blind.score import figures
+
+    rows = [_row("single", ["payload"], "effect", "payload", 0.95), _row("null", [], "no_gap", "payload", 0.99)]
+    result = {**figures(rows), "cases": 2, "seeds": "dev", "commit": ["abc"]}
+    draw(rows, result, tmp_path / "made" / "confusion.png")
+    assert (tmp_path / "made" / "confusion.png").read_bytes().startswith(b"\x89PNG")

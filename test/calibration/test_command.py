@@ -1,0 +1,106 @@
+# SPDX-License-Identifier: Apache-2.0
+"""``suspension-twin calibrate``: its options, its files, its page, and its words for what cannot be."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import yaml
+
+from suspension_twin.calibration.output import details_path
+from suspension_twin.cli.main import main
+from suspension_twin.vehicle.twin import load_twin
+
+
+def asked(case: Any, out: Path, *more: str) -> list[str]:
+    return ["calibrate", "--twin", case.twin, case.bag("pass"), "--out", str(out), *more]
+
+
+def test_every_option_reaches_the_calibration(
+    pass_case: Any, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out = tmp_path / "found" / "calibrated.yaml"
+    status = main(
+        asked(
+            pass_case, out, "--objective", "mse", "--channel", "vertical_acceleration=2", "--channel", "pitch_rate=30",
+            "--free", "vehicle.front.damper_push", "--free", "vehicle.rear.damper_pull",
+            "--also", "vehicle.sprung_inertia.pitch", "--freeze", "vehicle.front.damper_push.force.3",
+            "--freeze", "nuisances.gain", "--freeze", "nuisances.bias",
+            "--bound", "vehicle.sprung_inertia.pitch=2000:3000", "--seed", "3", "--report", str(tmp_path / "page"),
+        )
+    )  # fmt: skip
+    said = capsys.readouterr()
+    assert status == 0, said.err
+    assert "What was found" in said.out and str(out) in said.out
+    details = yaml.safe_load(details_path(out).read_text())
+    keys = [p["key"] for p in details["parameters"]]
+    assert len(keys) == 3 + 4 + 1 and "vehicle.front.damper_push.force.3" not in keys
+    (inertia,) = (p for p in details["parameters"] if p["key"].endswith("inertia.pitch"))
+    assert inertia["bounds"] == [2000.0, 3000.0] and 2000.0 <= inertia["value"] <= 3000.0
+    names = {n["name"] for n in details["nuisances"]}
+    assert "gain" not in names and not any(".bias." in n for n in names)
+    assert {"map_position", "tilt_roll", "tilt_pitch", "pass.clock_offset"} <= names
+    assert (details["seed"], details["objective"]) == (3, "mse")
+    start, found = load_twin(pass_case.twin), load_twin(out)
+    assert found.vehicle.front.spring == start.vehicle.front.spring
+    assert found.vehicle.front.damper_push.force[3] == start.vehicle.front.damper_push.force[3]
+    assert details["cost"] < 0.5 * details["initial_cost"]
+    page = (tmp_path / "page" / "report.html").read_text(encoding="utf-8")
+    for words in ("What came of it", "Characteristics", "Parameters", "Nuisances", "The search", "90 % interval"):
+        assert words in page
+    assert not list((tmp_path / "found").glob(".*"))
+
+
+def test_it_stands_where_the_prior_and_the_drive_leave_it(pass_case: Any, tmp_path: Path) -> None:
+    """What least squares find lies within its interval, well so where the drive tells of it."""
+    out = tmp_path / "calibrated.yaml"
+    assert main(asked(pass_case, out, "--objective", "euclidean")) == 0
+    rows = yaml.safe_load(details_path(out).read_text())["parameters"]
+    assert all(p["interval_90"][0] < p["value"] < p["interval_90"][1] for p in rows)
+    told = [p for p in rows if p["determined"]]
+    assert len(told) >= 4
+    place = np.array([(p["value"] - p["interval_90"][0]) / np.ptp(p["interval_90"]) for p in told])
+    assert np.all((place > 0.03) & (place < 0.97)) and 0.2 < np.median(place) < 0.8
+
+
+@pytest.mark.parametrize(
+    ("more", "words"),
+    [
+        (("--preset", "slow"), "preset: slow: one of fast, paper, tracked_paper is expected"),
+        (("--bound", "vehicle.mass=1"), "--bound: vehicle.mass=1: must read KEY=LOW:HIGH"),
+        (("--bound", "vehicle.mass=1:2"), "bounds: vehicle.mass: is not free"),
+        (("--channel", "pitch_rate=x"), "--channel: pitch_rate=x: must read NAME or NAME=WEIGHT"),
+        (("--channel", "noise"), "objective: noise: no such channel"),
+        (("--objective", "nearest"), "objective: nearest: one of euclidean"),
+        (("--free", "vehicle.wings"), "vehicle.wings"),
+        (("--freeze", "nuisances.luck"), "freeze: nuisances.luck: one of nuisances.clock_offset"),
+    ],
+)
+def test_wrong_options_are_one_line(
+    pass_case: Any, tmp_path: Path, capsys: pytest.CaptureFixture[str], more: tuple[str, ...], words: str
+) -> None:
+    out = tmp_path / "calibrated.yaml"
+    assert main(asked(pass_case, out, *more)) == 2
+    (line,) = capsys.readouterr().err.strip().splitlines()
+    assert line.startswith("suspension-twin: ") and words in line
+    assert not out.exists()
+
+
+def test_the_bundled_drive_gives_the_inertia_and_intervals_around_what_was_found(
+    repository: Path, tmp_path: Path
+) -> None:
+    """The drive of another reality: a truth with what the twin lacks."""
+    bag = repository / "bags" / "bump_15kmh"
+    out = tmp_path / "calibrated.yaml"
+    assert main(["calibrate", "--twin", str(bag / "twin.yaml"), str(bag), "--out", str(out)]) == 0
+    rows = {p["key"]: p for p in yaml.safe_load(details_path(out).read_text())["parameters"]}
+    true = load_twin(bag / "truth.yaml").vehicle
+    found = load_twin(out).vehicle
+    assert found.sprung_inertia.pitch == pytest.approx(true.sprung_inertia.pitch, rel=0.05)
+    low, high = rows["vehicle.sprung_inertia.pitch"]["interval_90"]
+    assert low <= true.sprung_inertia.pitch <= high
+    place = [(p["value"] - p["interval_90"][0]) / np.ptp(p["interval_90"]) for p in rows.values()]
+    assert min(place) > 0.02 and max(place) < 0.98
