@@ -55,7 +55,11 @@ def _generate(job: tuple[list[Spec], Path]) -> list[str]:
         began = time.monotonic()
         for stale in (out / "cases" / spec.name, out / "sealed" / spec.name):
             shutil.rmtree(stale, ignore_errors=True)
-        label = make_case(spec, out / "cases", out / "sealed")
+        try:
+            label = make_case(spec, out / "cases", out / "sealed")
+        except (ArithmeticError, ValueError) as error:  # the others are worth having all the same
+            lines.append(f"{spec.name} cannot be made: {error}")
+            continue
         (out / "sealed" / spec.name / "label.json").write_text(json.dumps(label, indent=1, sort_keys=True) + "\n")
         lines.append(f"{spec.name} {time.monotonic() - began:.1f} s")
     return lines
@@ -71,19 +75,29 @@ def generate(cases: list[Spec], out: Path, jobs: int, tell: Any) -> None:
     done = 0
     if jobs == 1:
         for job in work:
-            done += len(_generate(job))
+            done += _told(_generate(job), tell)
             tell(f"generated {done} of {len(missing)}")
     else:
         with ProcessPoolExecutor(jobs) as pool:
             for lines in pool.map(_generate, work):
-                done += len(lines)
+                done += _told(lines, tell)
                 tell(f"generated {done} of {len(missing)}")
     seal.seal(out, ask.commit())
+
+
+def _told(lines: list[str], tell: Any) -> int:
+    """How many were made; the others are named."""
+    bad = [line for line in lines if "cannot be made" in line]
+    for line in bad:
+        tell(line)
+    return len(lines) - len(bad)
 
 
 def diagnose(cases: list[Spec], out: Path, tell: Any) -> None:
     """Ask for every case; a case that the same package has answered is not asked again."""
     digest = seal.sealed(out)
+    known = seal.labels(out)
+    cases = [c for c in cases if c.name in known]
     for i, spec in enumerate(cases):
         record = ask.ask(out / "cases" / spec.name, out / "answers" / spec.name, digest)
         tell(f"{i + 1}/{len(cases)} {spec.name} {record['seconds']:.0f} s {record['error']}")

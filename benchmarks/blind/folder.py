@@ -44,10 +44,12 @@ def faults_of(spec: Spec) -> tuple[Faults, dict[str, dict[str, float]]]:
     reached = {}
     for effect in spec.effects:
         curve = np.array(_curve(spec.world, spec.msd, effect))
-        amount, given = severity.amount_for(curve, spec.severity)
-        values = knob(effect, world, spec.world)(amount, _scale(spec.world, spec.msd).null)
+        scale = _scale(spec.world, spec.msd)
+        amount = severity.amount_for(curve, spec.severity)
+        values = knob(effect, world, spec.world)(amount, scale.null)
         faults[effect] = {k: float(v) for k, v in values.items()}
-        reached[effect] = {"amount": amount, "severity": given}
+        given = scale.severity(severity.change(world, scale, {effect: faults[effect]}))
+        reached[effect] = {"amount": round(amount, 6), "severity": round(given, 3)}
     return faults, reached
 
 

@@ -63,7 +63,7 @@ def _xml(car: Car, unsprung: Floats, centre: Floats, phone: Floats, f: Faults) -
         rest = mass - own["mass"]
         at = np.array([-own["mass"] * own["x"] / rest, 0.0, 0.0])
         taken = rest * at[0] ** 2 + own["mass"] * own["x"] ** 2
-        inertia = inertia - np.array([0.0, min(taken, 0.5 * inertia[1]), min(taken, 0.5 * inertia[2])])
+        inertia = inertia - min(taken, 0.5 * inertia[1]) * np.array([0.0, 1.0, 1.0])
         mass = rest
     if "body_bending" in f:
         own = f["body_bending"]

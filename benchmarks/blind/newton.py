@@ -193,7 +193,8 @@ def _body(n: Floats, c: Floats, car: Car, f: Faults, centre: Floats, loads: Floa
         # The engine is a part of what the whole's mass and inertia were.
         n[k.MASS] -= own["mass"]
         taken = n[k.MASS] * away**2 + own["mass"] * own["x"] ** 2
-        n[k.IY] -= min(taken, 0.5 * n[k.IY])
-        n[k.IZ] -= min(taken, 0.5 * n[k.IZ])
+        taken = min(taken, 0.5 * n[k.IY])
+        n[k.IY] -= taken
+        n[k.IZ] -= taken
     if "engine_order" in f:
         n[k.ORDER_FORCE], n[k.ORDER_X] = f["engine_order"]["force"], car.wheelbase - centre[0]

@@ -149,10 +149,11 @@ def curve(world: World, scale: Scale, effect: str, seed: int) -> Floats:
     return np.asarray(np.maximum.accumulate(np.maximum(values, 1e-6)))
 
 
-def amount_for(severities: Floats, target: float) -> tuple[float, float]:
-    """Amount that gives a severity, and the severity that it gives: less than asked where all is not enough."""
+def amount_for(severities: Floats, target: float) -> float:
+    """Amount that gives a severity as far as the curve tells; all of it where all is not enough."""
     if target >= severities[-1]:
-        return 1.0, float(severities[-1])
+        return 1.0
+    if target <= severities[0]:
+        return float(AMOUNTS[0] * target / severities[0])
     rising = severities + 1e-9 * np.arange(severities.size)
-    x = np.interp(np.log(target), np.log(rising), np.log(AMOUNTS))
-    return float(np.exp(x)), float(max(target, severities[0]))
+    return float(np.exp(np.interp(np.log(target), np.log(rising), np.log(AMOUNTS))))

@@ -160,12 +160,15 @@ def _car(rng: np.random.Generator) -> Car:
             )
         )
     height = rng.uniform(0.5, 0.62)
+    tracks = (rng.uniform(1.46, 1.6), rng.uniform(1.46, 1.6))
+    cog = (share * wheelbase, rng.uniform(-0.012, 0.012), height)
+    roll, pitch = mass * rng.uniform(0.29, 0.36), mass * rng.uniform(1.25, 1.6)
     return Car(
         mass=mass,
         wheelbase=wheelbase,
-        tracks=(rng.uniform(1.46, 1.6), rng.uniform(1.46, 1.6)),
-        cog=(share * wheelbase, rng.uniform(-0.012, 0.012), height),
-        sprung_inertia=(mass * rng.uniform(0.29, 0.36), mass * rng.uniform(1.25, 1.6), mass * rng.uniform(1.5, 1.8)),
+        tracks=tracks,
+        cog=cog,
+        sprung_inertia=(roll, pitch, pitch + roll * rng.uniform(0.5, 0.9)),
         radius=rng.uniform(0.29, 0.33),
         tyre_stiffness=rng.uniform(185e3, 250e3),
         cornering=60e3,

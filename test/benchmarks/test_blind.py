@@ -127,13 +127,15 @@ def test_a_payload_sinks_the_car_by_its_weight_over_the_springs(world: Any, real
 
 def test_severity_grows_with_the_amount_and_recalibration_absorbs_what_a_spring_does(world: Any) -> None:
     from blind import newton, phone, severity
+    from blind.faults import knob
     from blind.world import plain
 
     scale = severity.yardstick(world)
     curve = severity.curve(world, scale, "mount_resonance", 3)
     assert np.all(np.diff(curve) >= 0) and curve[-1] > 5.0 > 0.5 > curve[0]
-    amount, given = severity.amount_for(curve, 1.5)
-    assert given == 1.5 and severity.AMOUNTS[0] < amount < 1.0
+    amount = severity.amount_for(curve, 1.5)
+    fault = {"mount_resonance": knob("mount_resonance", world, 3)(amount, scale.null)}
+    assert scale.severity(severity.change(world, scale, fault)) == pytest.approx(1.5, rel=0.1)
     car = replace(world.car, front=replace(world.car.front, spring=1.05 * world.car.front.spring))
     stiffer = newton.run(replace(plain(world), car=car), world.plans["drive_fast"], {}, 2e-3)
     changed = severity.signals(phone.felt(stiffer, world.phone, {}, ideal=True)) - severity.signals(scale.felt)
