@@ -13,8 +13,8 @@ from dataclasses import dataclass, field
 from typing import Any, Protocol
 
 import numpy as np
-from numba import njit
 
+from suspension_twin.compiled import compiled
 from suspension_twin.drive.types import Floats
 
 __all__ = ["LeastSquares", "LeastSquaresProblem", "LmSettings", "gram", "solve_positive"]
@@ -52,7 +52,7 @@ def gram(a: Floats, b: Floats) -> Floats:
     return np.asarray(_gram(np.ascontiguousarray(a), np.ascontiguousarray(b)))
 
 
-@njit(cache=True)
+@compiled
 def _gram(a: Floats, b: Floats) -> Floats:  # pragma: no cover - compiled
     out = np.zeros((a.shape[1], b.shape[1]))
     for r in range(a.shape[0]):

@@ -13,9 +13,9 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from suspension_twin.compiled import compiled
 from suspension_twin.drive.types import Floats
 from suspension_twin.errors import InputError
 from suspension_twin.gap.prepare import Prepared
@@ -82,7 +82,7 @@ def _phase_table() -> Floats:
 _TABLE = _phase_table()
 
 
-@njit(cache=True)
+@compiled
 def _apply(
     simulated: Floats,
     rows: NDArray[np.intp],

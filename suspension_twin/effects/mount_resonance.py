@@ -8,11 +8,11 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
+from suspension_twin.compiled import compiled
 from suspension_twin.drive.types import Floats
 from suspension_twin.effects._signal import second_order
 from suspension_twin.effects.base import Effect, Parameter, neutral
 from suspension_twin.models.hooks import Hook, SignalStage
-from suspension_twin.models.numerics import compiled
 
 __all__ = ["EFFECT"]
 

@@ -11,13 +11,13 @@ import numpy as np
 from numba import config
 from numpy.typing import NDArray
 
+from suspension_twin.compiled import compiled
 from suspension_twin.drive.types import Floats
 from suspension_twin.models import rows
 from suspension_twin.models.constants import Constants
 from suspension_twin.models.full_car import KERNELS
 from suspension_twin.models.full_car_effects import EFFECT_KERNELS
 from suspension_twin.models.msd import MSD_KERNELS
-from suspension_twin.models.numerics import compiled
 from suspension_twin.models.terms import FLAGS
 from suspension_twin.models.types import Ints
 

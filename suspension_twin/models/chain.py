@@ -5,9 +5,9 @@ from __future__ import annotations
 
 import numpy as np
 
+from suspension_twin.compiled import compiled
 from suspension_twin.drive.types import Floats
 from suspension_twin.models.constants import Constants
-from suspension_twin.models.numerics import compiled
 from suspension_twin.models.types import Excitation, Ints
 
 __all__ = ["Chain", "pass_chain"]

@@ -11,10 +11,11 @@ middle of a step; ``open_interval`` and ``close_interval`` bring them there and 
 
 from __future__ import annotations
 
+from suspension_twin.compiled import inlined
 from suspension_twin.drive.types import Floats
 from suspension_twin.models import rows
 from suspension_twin.models.curves import damper_forces, spring_forces
-from suspension_twin.models.numerics import fma, inlined
+from suspension_twin.models.numerics import fma
 from suspension_twin.models.rows import WIDTH
 from suspension_twin.vehicle.twin import G
 

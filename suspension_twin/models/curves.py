@@ -7,8 +7,9 @@ slope, whatever segment the lane is in.
 
 from __future__ import annotations
 
+from suspension_twin.compiled import inlined
 from suspension_twin.drive.types import Floats
-from suspension_twin.models.numerics import fma, inlined
+from suspension_twin.models.numerics import fma
 from suspension_twin.models.rows import WIDTH
 
 __all__ = ["damper_forces", "spring_force", "spring_forces", "spring_slope"]

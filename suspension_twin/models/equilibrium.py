@@ -3,10 +3,10 @@
 
 from __future__ import annotations
 
+from suspension_twin.compiled import compiled
 from suspension_twin.drive.types import Floats
 from suspension_twin.models import rows
 from suspension_twin.models.curves import spring_force, spring_slope
-from suspension_twin.models.numerics import compiled
 from suspension_twin.models.rows import WIDTH
 from suspension_twin.vehicle.twin import G
 

@@ -27,6 +27,7 @@ the step by (frequency x step) < 2. Between steps the moments M run linearly.
 
 from __future__ import annotations
 
+from suspension_twin.compiled import compiled, inlined, pasted
 from suspension_twin.drive.types import Floats
 from suspension_twin.models import rows
 from suspension_twin.models.corner import (
@@ -39,7 +40,7 @@ from suspension_twin.models.corner import (
     velocities,
 )
 from suspension_twin.models.equilibrium import stand
-from suspension_twin.models.numerics import compiled, fma, inlined, prefetch
+from suspension_twin.models.numerics import fma, prefetch
 from suspension_twin.models.rows import STRETCH, WIDTH
 from suspension_twin.models.sensor import sense
 from suspension_twin.models.types import Ints
@@ -108,7 +109,7 @@ def ask_ahead(signals: Floats, k: int, at: int) -> None:
                 prefetch(signals, (k * signals.shape[1] + q) * signals.shape[2] + at + i)
 
 
-@inlined
+@pasted
 def _run(
     blocks: Floats, road: Floats, substeps: Ints, motion: Floats, begin: int, end: int,
     signals: Floats, states: Floats, lane0: int, hinges: int,

@@ -8,6 +8,7 @@ Every corner has curves of its own here, every lane may have a road of its own.
 
 from __future__ import annotations
 
+from suspension_twin.compiled import compiled, pasted
 from suspension_twin.drive.types import Floats
 from suspension_twin.models import rows, terms
 from suspension_twin.models.corner import (
@@ -20,7 +21,6 @@ from suspension_twin.models.corner import (
 )
 from suspension_twin.models.equilibrium import stand
 from suspension_twin.models.full_car import BAD_ACCELERATION, moments, record, watch
-from suspension_twin.models.numerics import compiled, inlined
 from suspension_twin.models.rows import WIDTH
 from suspension_twin.models.sensor import sense
 from suspension_twin.models.settle import settle
@@ -40,7 +40,7 @@ def _ground(w: Floats, road: Floats, lane_road: Floats, row: int, per_second: fl
             w[(rows.ROAD + c) * WIDTH + i] = z
 
 
-@inlined
+@pasted
 def _run(
     blocks: Floats, flags: Ints, road: Floats, lane_road: Floats, substeps: Ints, motion: Floats,
     begin: int, end: int, signals: Floats, states: Floats, lane0: int, hinges: int,

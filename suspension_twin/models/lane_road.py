@@ -14,10 +14,10 @@ from weakref import WeakKeyDictionary
 
 import numpy as np
 
+from suspension_twin.compiled import compiled
 from suspension_twin.drive.types import Floats
 from suspension_twin.errors import InputError
 from suspension_twin.models.hooks import RoadChange
-from suspension_twin.models.numerics import compiled
 from suspension_twin.models.rows import WIDTH
 from suspension_twin.models.tracks import walk
 from suspension_twin.models.types import Excitation, HeightField

@@ -46,11 +46,12 @@ y' is the difference over the last step.
 
 from __future__ import annotations
 
+from suspension_twin.compiled import compiled, inlined, pasted
 from suspension_twin.drive.types import Floats
 from suspension_twin.models import rows
 from suspension_twin.models.curves import damper_forces, spring_force, spring_forces, spring_slope
 from suspension_twin.models.full_car import record, watch
-from suspension_twin.models.numerics import compiled, fma, inlined
+from suspension_twin.models.numerics import fma
 from suspension_twin.models.rows import WIDTH
 from suspension_twin.models.sensor import sense
 from suspension_twin.models.types import Ints
@@ -236,7 +237,7 @@ def _record_corners(w: Floats, at: int, state: Floats) -> None:
             state[rows.CONTACT + 4 + c, at + i] = v - w[(10 + c) * WIDTH + i]
 
 
-@inlined
+@pasted
 def _run(
     blocks: Floats, road: Floats, lane_road: Floats, substeps: Ints, motion: Floats, begin: int, end: int,
     signals: Floats, states: Floats, lane0: int, hinges: int,

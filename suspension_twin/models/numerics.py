@@ -9,57 +9,16 @@ two kernels (with and without effects) computed them.
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from functools import lru_cache
-from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import TYPE_CHECKING, Any
 
 from llvmlite import ir
-from numba import njit
 from numba.core import cgutils, types
 from numba.extending import intrinsic
 from numpy.typing import NDArray
 
-__all__ = ["compiled", "fma", "inlined", "prefetch", "sin_cos"]
+from suspension_twin.compiled import inlined
 
-Function = TypeVar("Function", bound=Callable[..., Any])
-
-
-def compiled(function: Function) -> Function:
-    """Compile on first call, without the GIL, and keep the machine code on disk.
-
-    The code on disk is dropped when any module of the models or the effects has changed: numba
-    alone looks at the one file that holds the function and would go on with stale helpers.
-    A division by zero gives infinity, which marks its lane as failed, instead of raising.
-    Where no folder can be written at all (no home, read-only install) it is compiled anew in
-    every process instead of failing.
-    """
-    try:
-        out: Any = njit(cache=True, nogil=True, error_model="numpy")(function)
-    except RuntimeError:  # numba: "no locator available"
-        out = njit(nogil=True, error_model="numpy")(function)
-    file = getattr(getattr(out, "_cache", None), "_cache_file", None)
-    if file is not None and hasattr(file, "_source_stamp"):
-        file._source_stamp = _sources_stamp()
-    return out  # type: ignore[no-any-return]
-
-
-@lru_cache(maxsize=1)
-def _sources_stamp() -> tuple[tuple[str, float, int], ...]:
-    """Name, time and size of every module whose code may end up in a kernel."""
-    stamp = []
-    package = Path(__file__).resolve().parents[1]
-    for file in sorted(f for folder in ("models", "effects") for f in (package / folder).glob("*.py")):
-        status = file.stat()
-        stamp.append((file.name, status.st_mtime, status.st_size))
-    return tuple(stamp)
-
-
-def inlined(function: Function) -> Function:
-    """A helper that disappears into its caller, so that the lane loop around it vectorises."""
-    out: Any = njit(inline="always", error_model="numpy")(function)
-    return out  # type: ignore[no-any-return]
-
+__all__ = ["fma", "prefetch", "sin_cos"]
 
 if TYPE_CHECKING:
 

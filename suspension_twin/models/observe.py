@@ -5,8 +5,8 @@ from __future__ import annotations
 
 import math
 
+from suspension_twin.compiled import compiled
 from suspension_twin.drive.types import Floats
-from suspension_twin.models.numerics import compiled
 from suspension_twin.models.rows import ARM_X, ARM_Y, CONTACT, DAMPER, SPRUNG, STATIC
 
 __all__ = ["COLUMNS", "OBSERVED", "observe"]

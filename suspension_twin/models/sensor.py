@@ -14,9 +14,10 @@ from __future__ import annotations
 
 import numpy as np
 
+from suspension_twin.compiled import inlined
 from suspension_twin.drive.types import Floats
 from suspension_twin.models import rows
-from suspension_twin.models.numerics import fma, inlined, sin_cos
+from suspension_twin.models.numerics import fma, sin_cos
 from suspension_twin.models.rows import WIDTH
 from suspension_twin.vehicle.twin import G
 

@@ -10,9 +10,10 @@ from __future__ import annotations
 
 from typing import Final
 
+from suspension_twin.compiled import compiled, inlined
 from suspension_twin.drive.types import Floats
 from suspension_twin.models import rows
-from suspension_twin.models.numerics import compiled, fma, inlined
+from suspension_twin.models.numerics import fma
 from suspension_twin.models.rows import WIDTH
 
 __all__ = [

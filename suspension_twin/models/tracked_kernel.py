@@ -12,8 +12,8 @@ import math
 
 import numpy as np
 
+from suspension_twin.compiled import compiled
 from suspension_twin.drive.types import Floats
-from suspension_twin.models.numerics import compiled
 
 __all__ = ["COLUMNS", "PARAMETERS", "run_lane"]
 

@@ -5,8 +5,8 @@ from __future__ import annotations
 
 import math
 
+from suspension_twin.compiled import compiled
 from suspension_twin.drive.types import Floats
-from suspension_twin.models.numerics import compiled
 from suspension_twin.models.types import Ints
 
 __all__ = ["YAW_TIME", "next_yaw_acceleration", "walk", "yaw_accelerations"]

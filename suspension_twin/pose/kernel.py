@@ -16,8 +16,8 @@ import math
 
 import numpy as np
 
+from suspension_twin.compiled import compiled
 from suspension_twin.drive.types import Floats
-from suspension_twin.signals.compiled import compiled
 
 __all__ = ["FIX", "HEADING", "RESET", "STATES", "VELOCITY", "advance", "forward", "measure"]
 

@@ -20,7 +20,8 @@ class Trajectory:
     ``t`` s, strictly rising; ``x``, ``y`` m; ``yaw`` rad, continuous (not wrapped), from east,
     counter-clockwise; ``speed`` and ``lateral_speed`` m/s along base_link x and y; ``yaw_rate``
     rad/s; ``ax``, ``ay`` m/s² the acceleration along base_link's x and y of the body above its origin,
-    at the height of the centre of gravity (centripetal part included, gravity not); ``valid`` False where no fix supports the pose.
+    at the height of the centre of gravity (centripetal part included, gravity not); ``valid`` False
+    where no fix supports the pose.
     """
 
     t: Floats

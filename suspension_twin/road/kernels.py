@@ -3,9 +3,6 @@
 
 The rules are those of ASAM OpenCRG 2.0 (bilinear grid, slope, banking, border modes, smoothing
 zones), so that the values are those of the OpenCRG library.
-
-The compiled code of a file is kept until that file changes, whatever else does. So no kernel here
-calls one of another file, nor the other way round.
 """
 
 from __future__ import annotations
@@ -13,9 +10,9 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from suspension_twin.compiled import compiled
 from suspension_twin.road.surface import Floats, Grid
 
 __all__ = [
@@ -36,13 +33,13 @@ _NONE, _ZERO, _KEEP, _REPEAT, _REFLECT = 0, 1, 2, 3, 4
 _SNAP = 1e-8  # m, OpenCRG's tolerance at the border of unevenly spaced long sections
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def _repeat(f: float, count: float) -> float:
     f = np.fmod(f, count)
     return f + count if f < 0.0 else f
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def _reflect(f: float, count: float) -> float:
     f = abs(f)
     turns = math.floor(f / count)
@@ -50,7 +47,7 @@ def _reflect(f: float, count: float) -> float:
     return count - f if turns % 2.0 != 0.0 else f
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def _cell(f: float, cells: int) -> tuple[int, float]:
     """Cell and place within it (0 to 1), held at both borders."""
     if f < 0.0:
@@ -61,7 +58,7 @@ def _cell(f: float, cells: int) -> tuple[int, float]:
     return i, f - i
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def _any_height(
     grid: Grid, u: float, v: float, mode_u: int, mode_v: int, offset_u: float, offset_v: float
 ) -> tuple[float, int]:
@@ -137,7 +134,7 @@ def _any_height(
     return z, seen
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def heights_uv(
     grid: Grid,
     u: Floats,

@@ -6,9 +6,6 @@ cross sections lie in the planes that bisect it. What differs from the OpenCRG l
 search for the place on a curved line: every query finds the nearest point of the whole line
 through boxes around its stretches, so the answer depends on the position alone, not on the
 queries before it.
-
-The compiled code of a file is kept until that file changes, whatever else does. So no kernel here
-calls one of another file, nor the other way round.
 """
 
 from __future__ import annotations
@@ -16,9 +13,9 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from suspension_twin.compiled import compiled, inlined
 from suspension_twin.road.surface import Floats, Line
 
 __all__ = ["FOLLOW", "FOLLOW_STEPS", "box_tree", "sure_reach", "uv_to_xy", "xy_to_uv", "xy_to_uv_from"]
@@ -49,14 +46,14 @@ def box_tree(x: Floats, y: Floats) -> tuple[Floats, NDArray[np.int64]]:
             return np.vstack(found), np.array(starts, dtype=np.int64)
 
 
-@njit(cache=True, nogil=True, inline="always")
+@inlined
 def _box_distance2(boxes: Floats, i: int, x: float, y: float) -> float:
     dx: float = max(boxes[i, 0] - x, 0.0, x - boxes[i, 1])
     dy: float = max(boxes[i, 2] - y, 0.0, y - boxes[i, 3])
     return dx * dx + dy * dy
 
 
-@njit(cache=True, nogil=True, inline="always")
+@inlined
 def _next(level: int, i: int, levels: NDArray[np.int64]) -> tuple[int, int]:
     """The box after box i of a level in the order of the line, children of one box before the next."""
     i += 1
@@ -66,7 +63,7 @@ def _next(level: int, i: int, levels: NDArray[np.int64]) -> tuple[int, int]:
     return level, i
 
 
-@njit(cache=True, nogil=True, inline="always")
+@inlined
 def _segment_distance2(px: Floats, py: Floats, i: int, x: float, y: float) -> float:
     tx: float = px[i + 1] - px[i]
     ty: float = py[i + 1] - py[i]
@@ -77,7 +74,7 @@ def _segment_distance2(px: Floats, py: Floats, i: int, x: float, y: float) -> fl
     return dx * dx + dy * dy
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def _near(px: Floats, py: Floats, boxes: Floats, levels: NDArray[np.int64], x: float, y: float) -> int:
     """A segment near (x, y), by the nearest box of each level down the tree; mostly the nearest."""
     top = levels.size - 2
@@ -97,7 +94,7 @@ def _near(px: Floats, py: Floats, boxes: Floats, levels: NDArray[np.int64], x: f
     return best + 1
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def _nearest(
     px: Floats, py: Floats, boxes: Floats, levels: NDArray[np.int64], x: float, y: float, near: int
 ) -> int:
@@ -124,7 +121,7 @@ def _nearest(
     return best + 1
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def sure_reach(px: Floats, py: Floats, boxes: Floats, levels: NDArray[np.int64], cap: float) -> Floats:
     """How far to the right and to the left (n, 2) of a segment a place is surely nearest to it.
 
@@ -187,7 +184,7 @@ def sure_reach(px: Floats, py: Floats, boxes: Floats, levels: NDArray[np.int64],
     return sure
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def _uv_from(
     px: Floats,
     py: Floats,
@@ -257,14 +254,14 @@ def _uv_from(
     return u, v, i
 
 
-@njit(cache=True, nogil=True, inline="always")
+@inlined
 def _sure(sure: Floats, u_first: float, u_step: float, u: float, v: float, at: int) -> bool:
     """True if no other part of the line can be nearer to (u, v), found in interval ``at``."""
     inner = (u - u_first) / u_step - at
     return inner >= -1.0 and inner <= 0.0 and -sure[at, 0] <= v and v <= sure[at, 1]
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def xy_to_uv(line: Line, x: Floats, y: Floats, u: Floats, v: Floats) -> None:
     """Road coordinates (n,) of map positions (n,); what is not finite gives NaN."""
     px, py, boxes, levels, sure, ends, u_first, u_last, u_step, straight, closes = line
@@ -292,7 +289,7 @@ def xy_to_uv(line: Line, x: Floats, y: Floats, u: Floats, v: Floats) -> None:
             u[i], v[i], at = _uv_from(px, py, ends, u_first, u_last, u_step, closes, x[i], y[i], start)
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def xy_to_uv_from(
     line: Line, x: Floats, y: Floats, reach2: float, at: NDArray[np.int64], u: Floats, v: Floats
 ) -> None:
@@ -316,7 +313,7 @@ def xy_to_uv_from(
         u[i], v[i], at[i] = _uv_from(px, py, ends, u_first, u_last, u_step, closes, x[i], y[i], k)
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def _corner(px: Floats, py: Floats, i: int, n: int, v: float) -> tuple[float, float]:
     """Point at distance v from the segment i to i + 1, in the plane that bisects the line at point n."""
     last = px.size - 1
@@ -330,7 +327,7 @@ def _corner(px: Floats, py: Floats, i: int, n: int, v: float) -> tuple[float, fl
     return px[n] - v * by / along, py[n] + v * bx / along
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def uv_to_xy(line: Line, u: Floats, v: Floats, x: Floats, y: Floats) -> None:
     """Map positions (n,) of road coordinates (n,); NaN gives NaN."""
     px, py, _, _, _, ends, u_first, _, u_step, straight, _ = line

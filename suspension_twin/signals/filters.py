@@ -16,9 +16,9 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy import signal
 
+from suspension_twin.compiled import compiled
 from suspension_twin.drive.types import Floats
 from suspension_twin.errors import InputError
-from suspension_twin.signals.compiled import compiled
 
 __all__ = ["CausalLowPass", "FilterSpec", "filter_lanes", "settling_time", "zero_phase"]
 

@@ -5,9 +5,9 @@ from __future__ import annotations
 
 import numpy as np
 
+from suspension_twin.compiled import compiled
 from suspension_twin.drive.types import Floats
 from suspension_twin.signals.attitude import up_step
-from suspension_twin.signals.compiled import compiled
 from suspension_twin.signals.filters import filter_row, settle
 from suspension_twin.signals.standstill import soften
 

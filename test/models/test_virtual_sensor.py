@@ -11,9 +11,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
+from suspension_twin.compiled import inlined
 from suspension_twin.models import rows
 from suspension_twin.models.excitation import excitation
-from suspension_twin.models.numerics import inlined
 from suspension_twin.models.sensor import rotation, sense, to_sensor_axes
 from suspension_twin.models.simulate import simulate_twin
 
