@@ -36,6 +36,8 @@ __all__ = ["SuspensionModelNode", "main"]
 
 #: Above this variance of the yaw (rad²) the heading is a guess and the road under the wheels too.
 _YAW_KNOWN = 1.0
+#: No vehicle is this far from its datum (m), moves or turns this fast (m/s, rad/s) or is shaken this hard (m/s²).
+_FARTHEST, _FASTEST, _HARDEST = 1e8, 1e3, 1e5
 
 
 class SuspensionModelNode(TwinNode):
@@ -118,15 +120,16 @@ class SuspensionModelNode(TwinNode):
         q, p = pose.orientation, pose.position
         yaw = math.atan2(2.0 * (q.w * q.z + q.x * q.y), q.w * q.w + q.x * q.x - q.y * q.y - q.z * q.z)
         v, w = twist.linear, twist.angular.z
-        if not math.isfinite(p.x + p.y + yaw + v.x + v.y + w):
-            raise InputError("twin/odom", "holds a number that is not finite: dropped")
+        near = abs(p.x) < _FARTHEST and abs(p.y) < _FARTHEST
+        if not (near and abs(v.x) < _FASTEST and abs(v.y) < _FASTEST and abs(w) < _FASTEST and math.isfinite(yaw)):
+            raise InputError("twin/odom", "holds a number that is not finite or beyond belief: dropped")
         known = message.pose.covariance[35] < _YAW_KNOWN
         self._follow(self._pairing.pose(PlanarRow(ns, p.x, p.y, yaw, v.x, v.y, w, known)))
 
     def _on_vertical(self, message: AccelStamped, ns: int) -> None:
         measured = message.accel.linear.z
-        if not math.isfinite(measured):
-            raise InputError("imu/vertical_acceleration", "linear.z is not finite: dropped")
+        if not abs(measured) < _HARDEST:
+            raise InputError("imu/vertical_acceleration", "linear.z is not finite or beyond belief: dropped")
         self._follow(self._pairing.sample(ns, measured))
 
     def _follow(self, ready: list[Yielded]) -> None:
@@ -140,6 +143,12 @@ class SuspensionModelNode(TwinNode):
             if state.event:
                 self._tell(state.event)
                 self._gap.restart(t)
+            if not abs(state.vertical_acceleration) < _HARDEST:  # the poses were of no vehicle
+                self._tell("diverged: starting afresh")
+                self._follower.reset()
+                self._low_pass.reset()
+                self._gap.restart(t)
+                continue
             filtered = self._low_pass.push(t, state.vertical_acceleration)
             self._out.send_acceleration(row.ns, filtered)
             self._gap.push(t, measured, filtered, row.speed)

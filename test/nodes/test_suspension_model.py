@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -145,12 +146,30 @@ def test_samples_and_poses_are_paired_by_stamp_whatever_comes_first(bench, twin_
     assert values == pytest.approx([5.0 + SPEED * k / 100.0 for k in range(100)])
 
 
+def test_a_twin_shaken_beyond_belief_starts_afresh_and_hands_nothing_on(bench, twin_path, monkeypatch):
+    node = bench.make(SuspensionModelNode, twin=str(twin_path))
+    rows = tap(node, "twin/vertical_acceleration", lambda m: m.accel.linear.z)
+    drive(node, 50)
+    step = node._follower.step
+    monkeypatch.setattr(node._follower, "step", lambda t, row: replace(step(t, row), vertical_acceleration=1e200))
+    drive(node, 5, start=50)
+    monkeypatch.undo()
+    assert len(rows) == 50 and "diverged: starting afresh" in worst(node)[1]
+    drive(node, 300, start=55)
+    assert len(rows) == 350 and np.isfinite(rows).all() and max(np.abs(rows)) < 50
+    assert math.isfinite(node.gap_now().rms)
+
+
 def test_what_is_not_a_number_is_dropped_and_told(bench, twin_path):
     node = bench.make(SuspensionModelNode, twin=str(twin_path))
     rows = tap(node, "twin/vertical_acceleration", lambda m: m.accel.linear.z)
     drive(node, 50)
     node.inputs["twin/odom"].deliver(odom(T0 + 0.5, math.nan))
     node.inputs["twin/odom"].deliver(odom(T0 + 0.5, 9.0, speed=math.inf))
+    for huge in (1e300, -1e9):
+        node.inputs["twin/odom"].deliver(odom(T0 + 0.5, huge))
+        node.inputs["twin/odom"].deliver(odom(T0 + 0.5, 9.0, speed=huge))
+        node.inputs["imu/vertical_acceleration"].deliver(vertical(T0 + 0.5, huge))
     node.inputs["imu/vertical_acceleration"].deliver(vertical(T0 + 0.5, math.nan))
     node.inputs["twin/odom"].deliver(odom(0.0, 9.0))
     level, text = worst(node)
