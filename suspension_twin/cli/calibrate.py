@@ -107,6 +107,11 @@ def command(
     Writes the calibrated twin, beside it CALIBRATED.calibration.yaml with intervals, nuisances and what the drives
     did not excite, and with --report a page with plots. Interrupted, it goes on where it was when started again.
     """
+    from suspension_twin.cli._tracked import calibrate_runs, is_tracked
+
+    if is_tracked(twin):
+        calibrate_runs(twin, bags, out, preset, report, seed, objective, max_generations)
+        return
     from suspension_twin.calibration.output import write_result
     from suspension_twin.calibration.request import CalibrationRequest
     from suspension_twin.calibration.run import calibrate

@@ -32,6 +32,11 @@ def command(twin: TwinFile, bags: Bags, out: Out, reference: Reference = None, s
 
     Writes DIR/diagnosis.json, DIR/report.html and DIR/twin.yaml, the twin with what was found added.
     """
+    from suspension_twin.cli._tracked import diagnose_runs, is_tracked
+
+    if is_tracked(twin):
+        diagnose_runs(twin, bags, list(reference or ()), out, seed)
+        return
     from suspension_twin.diagnosis.output import write
     from suspension_twin.diagnosis.request import DiagnosisRequest
     from suspension_twin.diagnosis.request import Progress as Stage

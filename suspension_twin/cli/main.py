@@ -50,6 +50,7 @@ SUBCOMMANDS = (
     Subcommand("diagnose", "diagnose", "Where twin and car disagree, why, and what closes the gap."),
     Subcommand("simulate", "simulate", "The twin over a recorded drive, without ROS."),
     Subcommand("import", "import_", "A phone's or logger's recording into a bag."),
+    Subcommand("damping", "damping", "Which dampers a tracked vehicle should have, by speed."),
     Subcommand("road", "road", "A picture or a mesh of a road, or what is wrong with it."),
 )
 

@@ -161,7 +161,7 @@ def prepare(
     except InputError as error:
         raise error if str(error).startswith(drive.name) else InputError(drive.name, str(error)) from None
     if settings.quiet:
-        trajectory = quiet_motion(trajectory, signals, twin.vehicle.cog[2])
+        trajectory = quiet_motion(trajectory, signals, twin.cog_height)
     warnings = (*drive.warnings, *(f.text for f in signals.findings if f.level != "ok"))
     prepared = _assemble(drive.name, twin, road, settings, signals, trajectory)
     left = prepared.off_road.sentence(float(signals.t[0]))

@@ -21,7 +21,6 @@ from suspension_twin.models.simulate import simulate_twin
 from suspension_twin.models.types import Response
 from suspension_twin.road import Road
 from suspension_twin.signals.filters import CausalLowPass
-from suspension_twin.vehicle.corners import CORNERS
 from suspension_twin.vehicle.twin import Twin
 
 __all__ = ["SimulatedDrive", "simulate_drive", "write_simulated"]
@@ -143,7 +142,7 @@ def _write_topics(bag: BagWriter, result: SimulatedDrive) -> None:
         "sensor_msgs/msg/JointState",
         stamps,
         {
-            "name": [f"{corner}_suspension" for corner in CORNERS],
+            "name": list(prepared.twin.joint_names),
             "position": at(response.deflection),
             "velocity": at(response.deflection_rate),
         },

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -24,9 +25,13 @@ from suspension_twin.models.parameters import layout, pack
 from suspension_twin.models.rows import STATES, WIDTH
 from suspension_twin.models.tracks import next_yaw_acceleration, walk
 from suspension_twin.models.types import HeightField
+from suspension_twin.vehicle.tracked_twin import TrackedTwin
 from suspension_twin.vehicle.twin import Twin
 
-__all__ = ["LiveState", "LiveTwin"]
+if TYPE_CHECKING:
+    from suspension_twin.models.tracked_live import LiveTracked
+
+__all__ = ["LiveState", "LiveTwin", "live_twin"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -193,3 +198,12 @@ class LiveTwin:
         last = self._last
         fields = {name: getattr(last, name) for name in last.__dataclass_fields__}
         return LiveState(**{**fields, "event": event})
+
+
+def live_twin(twin: Twin, road: HeightField) -> LiveTwin | LiveTracked:
+    """The live model of any twin."""
+    if isinstance(twin, TrackedTwin):
+        from suspension_twin.models.tracked_live import LiveTracked  # which needs LiveState of this module
+
+        return LiveTracked(twin, road)
+    return LiveTwin(twin, road)

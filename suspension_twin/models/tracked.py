@@ -17,10 +17,12 @@ hull feel of the track is (1) the tension that pulls idler, sprocket and the out
   two guide wheels, the wraps around them and the run above.
 
 One tension suffices because the links between two guides settle much faster than the hull moves:
-with the paper's k_gl a wave runs around the loop at 180 m/s (0.07 s), the hull answers below 3 Hz.
-Links of the upper run move with the hull. ``fineness`` nodes stand on each link; the marker motion
-converges with it (``benchmarks/tracked.py --convergence``). Left out: traction and the hull's dive
-that comes with it, sag of the upper run, slip, rolling resistance.
+with the paper's k_gl a wave runs at 167 m/s around the loop (0.08 s), the hull answers below 3 Hz.
+Links of the upper run move with the hull. A link is one element, as in the paper, and meets the
+ground at ``contacts`` places; ``fineness`` elements a link make a beam of the same stiffness instead.
+``benchmarks/tracked.py --convergence`` shows what either and the step change, and why nothing
+converges where no damper works. What pushes the vehicle on acts at the ground (its moment lifts the
+nose). Left out: the tension that drives, sag of the upper run, slip, rolling resistance.
 
 Integration: semi-implicit Euler, dampers on the arms and the track's bending implicit (the bounds
 (11) and (13) would ask for steps below 1 microsecond otherwise).
@@ -38,15 +40,16 @@ import numpy as np
 
 from suspension_twin.drive.types import Floats
 from suspension_twin.errors import InputError, WorkError
-from suspension_twin.models.tracked_kernel import COLUMNS, PARAMETERS, run_lane
+from suspension_twin.models.tracked_kernel import COLUMNS, PARAMETERS, first_index, walk_lane
+from suspension_twin.models.types import Ints
 from suspension_twin.vehicle.tracked import Obstacle, TrackedVehicle
 
-__all__ = ["TrackedResponse", "belt_length", "obstacle_profile", "simulate_tracked", "simulate_tracked_lanes"]
+__all__ = ["TrackedResponse", "belt_length", "obstacle_height", "simulate_tracked", "simulate_tracked_lanes"]
 
 STEP = 4.0e-4  # s
-_CELL = 0.005  # m, spacing of the obstacle's profile
+CONTACTS = 4  # places on each link at which it can meet the ground
 _LEAD = 0.5  # m between the idler and the obstacle at the start
-_SETTLE = 2.0  # s of standing still, heavily damped, before the travel
+SETTLE = 2.0  # s of standing still, heavily damped, before the travel
 
 
 @dataclass(frozen=True)
@@ -55,8 +58,8 @@ class TrackedResponse:
 
     ``travel``: CoG along the ground from the obstacle's foot; ``pitch`` rad, positive nose down;
     ``arm`` (n, S) rad below the horizontal of the hull; ``wheel_load`` (n, S) and ``tension`` N of
-    one side; ``energy`` and ``lost`` J of one side; ``markers`` (n, 2) displacement of A and B
-    upwards from the standing vehicle; ``failed``: the run diverged, what came after is NaN-free zero.
+    one side; ``energy`` and ``lost`` J of one side; ``markers`` (n, 3) displacement of A, B
+    and C upwards from the standing vehicle; ``failed``: the run diverged, what came after is NaN-free zero.
     """
 
     t: Floats
@@ -75,11 +78,10 @@ class TrackedResponse:
     failed: bool
 
 
-def obstacle_profile(obstacle: Obstacle | None) -> Floats:
-    """Heights of the ground from the obstacle's foot, m, every 5 mm; level without an obstacle."""
+def obstacle_height(obstacle: Obstacle | None, s: Floats) -> Floats:
+    """Height of the ground in m at ``s`` m from the obstacle's foot; level without an obstacle."""
     if obstacle is None:
-        return np.zeros(2)
-    s = np.arange(0.0, obstacle.length + 2 * _CELL, _CELL)
+        return np.zeros(s.shape)
     corners = np.cumsum([0.0, obstacle.ramp, obstacle.top, obstacle.ramp])
     return np.asarray(np.interp(s, corners, [0.0, obstacle.height, obstacle.height, 0.0]))
 
@@ -111,7 +113,9 @@ def belt_length(vehicle: TrackedVehicle, setting: float) -> float:
     return total + math.hypot(first[0] - last[0], first[1] - last[1])
 
 
-def _pack(vehicle: TrackedVehicle, fineness: int, kick: tuple[float, float]) -> tuple[Floats, Floats, int]:
+def pack_tracked(
+    vehicle: TrackedVehicle, fineness: int = 1, kick: tuple[float, float] = (0.0, 0.0)
+) -> tuple[Floats, Floats, int]:
     """Parameters (P,), stations (S, 5) and the number of nodes."""
     v, track, (cog_x, cog_z) = vehicle, vehicle.track, vehicle.cog
     cell = track.pitch / fineness
@@ -165,7 +169,14 @@ def _pack(vehicle: TrackedVehicle, fineness: int, kick: tuple[float, float]) -> 
     return np.array([values[name] for name in PARAMETERS]), np.array(stations), nodes
 
 
-def _arc(radius: float) -> Floats:
+def start_state(p: Floats, stations: Floats, nodes: int, x: float) -> tuple[Floats, Floats, Floats, Ints]:
+    """State before settling, CoG at ``x`` on level ground at 0: see ``tracked_kernel.walk_lane``."""
+    hull = np.array([p[PARAMETERS.index("height")], 0.0, 0.0, 0.0, 0.0])
+    arms = np.stack([stations[:, 4], np.zeros(len(stations))])
+    return hull, arms, np.zeros((2, nodes)), np.array([first_index(p, x)])
+
+
+def wheel_arc(radius: float) -> Floats:
     """Places along a wheel's lower arc (Q, 3): dense where it stands, wide enough for a step."""
     half = np.concatenate([np.arange(0.0, 0.121, 0.02), [0.15, 0.19, 0.24]]) * radius / 0.375
     s = np.concatenate([-half[:0:-1], half])
@@ -180,6 +191,7 @@ def simulate_tracked_lanes(
     rate: float = 100.0,
     fineness: int = 1,
     step: float = STEP,
+    contacts: int = CONTACTS,
     level: bool = False,
     kick: tuple[float, float] = (0.0, 0.0),
     workers: int | None = None,
@@ -202,15 +214,18 @@ def simulate_tracked_lanes(
 
     def run(lane: tuple[TrackedVehicle, float]) -> TrackedResponse:
         vehicle, speed = lane
-        p, stations, nodes = _pack(vehicle, fineness, kick)
+        p, stations, nodes = pack_tracked(vehicle, fineness, kick)
         foot = -_LEAD - vehicle.idler.radius - (-vehicle.idler.setting / 1000 - vehicle.cog[0])
         travel = foot + speed * t
         out = np.zeros((t.size, COLUMNS + 2 * len(vehicle.stations)))
-        dt = 1.0 / rate / substeps
-        profile = obstacle_profile(None if level else vehicle.obstacle)
-        sound = run_lane(
-            p, stations, _arc(vehicle.wheel.radius), profile, travel, speed, dt, substeps,
-            round(_SETTLE / dt), nodes, out,
+        hull, arms, track, mark = start_state(p, stations, nodes, float(travel[0]))
+        cell, base = p[PARAMETERS.index("spacing")], int(mark[0]) * contacts
+        samples = np.arange(base, (first_index(p, float(travel[-1])) + nodes) * contacts)
+        obstacle = None if level else vehicle.obstacle
+        sound = walk_lane(
+            p, stations, wheel_arc(vehicle.wheel.radius), obstacle_height(obstacle, (samples + 0.5) * cell / contacts),
+            base, contacts, travel, np.zeros(t.size), np.diff(t), np.full(t.size - 1, substeps), round(SETTLE / step),
+            step, hull, arms, track, mark, out,
         )  # fmt: skip
         sound = sound and bool(np.isfinite(out).all())
         return _response(vehicle, t, travel, out, failed=not sound)
@@ -224,7 +239,7 @@ def _response(vehicle: TrackedVehicle, t: Floats, travel: Floats, out: Floats, f
         out = np.zeros_like(out)
     z, pitch, zv, pv, za, pa = out[:, :6].T
     sin, cos = np.sin(pitch)[:, None], np.cos(pitch)[:, None]
-    marks = np.array([vehicle.markers.A, vehicle.markers.B]) / 1000
+    marks = np.array([vehicle.markers.A, vehicle.markers.B, vehicle.markers.C]) / 1000
     x, up = -marks[:, 0] - vehicle.cog[0], marks[:, 1] - vehicle.cog[1]
     height = z[:, None] - x * sin + up * cos
     along, above = x * cos + up * sin, up * cos - x * sin
@@ -249,11 +264,12 @@ def _response(vehicle: TrackedVehicle, t: Floats, travel: Floats, out: Floats, f
 
 def simulate_tracked(
     vehicle: TrackedVehicle, speed: float, duration: float, *, rate: float = 100.0, fineness: int = 1,
-    step: float = STEP, level: bool = False, kick: tuple[float, float] = (0.0, 0.0),
+    step: float = STEP, contacts: int = CONTACTS, level: bool = False, kick: tuple[float, float] = (0.0, 0.0),
 ) -> TrackedResponse:  # fmt: skip
     """One run over the obstacle; raises WorkError where the motion leaves all bounds."""
     response = simulate_tracked_lanes(
-        [vehicle], [speed], duration, rate=rate, fineness=fineness, step=step, level=level, kick=kick, workers=1
+        [vehicle], [speed], duration, rate=rate, fineness=fineness, step=step, contacts=contacts,
+        level=level, kick=kick, workers=1,
     )[0]
     if response.failed:
         raise WorkError("tracked: the run diverged: make the track softer or the obstacle lower")

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The compiled part of the model ``tracked``: one lane over time. See ``tracked`` for what it models.
+"""The compiled part of the model ``tracked``: one lane from stamp to stamp. See ``tracked`` for what it models.
 
 World axes x forwards, z up; pitch theta is positive nose down; the angle alpha of an arm is
 absolute (below the horizontal), so that an arm's angle against the hull is alpha + theta. The
@@ -14,8 +14,9 @@ import numpy as np
 
 from suspension_twin.compiled import compiled
 from suspension_twin.drive.types import Floats
+from suspension_twin.models.types import Ints
 
-__all__ = ["COLUMNS", "PARAMETERS", "run_lane"]
+__all__ = ["COLUMNS", "PARAMETERS", "first_index", "walk_lane"]
 
 PARAMETERS = (
     "hull_mass", "hull_inertia", "sprocket_x", "sprocket_z", "sprocket_radius", "idler_x", "idler_z",
@@ -31,17 +32,6 @@ COLUMNS = 10
 G = 9.80665
 _SETTLING = 3.0e4  # N m s/rad on every arm while the vehicle comes to rest
 _ONSET = 1.0e-3  # m of contact over which its damping grows to its full value
-_CELL = 0.005  # m, spacing of the profile
-
-
-@compiled
-def profile_height(profile: Floats, x: float) -> float:
-    """Height of the ground at ``x`` from the profile's first point; level outside."""
-    k = math.floor(x / _CELL)
-    if x < 0.0 or k >= profile.size - 1:
-        return 0.0
-    f = x / _CELL - k
-    return float((1.0 - f) * profile[k] + f * profile[k + 1])
 
 
 @compiled
@@ -100,69 +90,93 @@ def tangent(dx: float, dz: float, r: float, side: float) -> tuple[float, float, 
 
 
 @compiled
-def run_lane(
-    p: Floats, st: Floats, shape: Floats, profile: Floats, travel: Floats, speed: float, dt: float,
-    substeps: int, settle: int, nodes: int, out: Floats,
-) -> bool:
-    """One lane; ``travel`` (n,) m is the CoG's x at the stamps, ``out`` (n, 10 + 2 S); false: diverged.
+def first_index(p: Floats, x: float) -> int:
+    """Place of the chain's rearmost node in node spacings when the CoG is at ``x``."""
+    place: int = math.ceil((x + p[28]) / p[27])
+    return place
 
-    ``p`` (P,) in the order of ``PARAMETERS``; ``st`` (S, 5): pivot x and z, damping, sag, first angle.
 
-    ``shape`` (Q, 3): places along a wheel, its arc there (R - sqrt(R² - s²)) and the weight in m.
+@compiled
+def _roll_on(
+    p: Floats, w: Floats, wv: Floats, hull: Floats, x: float, index: int, lead: int
+) -> None:
+    """The nodes keep their place on the ground: new ones come in front, or behind where it reverses."""
+    sx, sz, sr, ix, iz, ir, cell = p[2], p[3], p[4], p[5], p[6], p[7], p[27]
+    n = w.size
+    cs, sn = math.cos(hull[1]), math.sin(hull[1])
+    while index < lead:
+        for i in range(n - 1):
+            w[i], wv[i] = w[i + 1], wv[i + 1]
+        index += 1
+        px, pz = x + ix * cs + iz * sn, hull[0] - ix * sn + iz * cs
+        before = (index + n - 2) * cell
+        ux, uz, _ = tangent(before - px, w[n - 2] - pz, ir, 1.0)
+        qx, qz = px - ir * uz, pz + ir * ux
+        share = cell / (qx - before)
+        w[n - 1] = w[n - 2] + share * (qz - w[n - 2])
+        wv[n - 1] = wv[n - 2] + share * (hull[2] - hull[3] * (qx - x) - wv[n - 2])
+    while index > lead:
+        for i in range(n - 1, 0, -1):
+            w[i], wv[i] = w[i - 1], wv[i - 1]
+        index -= 1
+        px, pz = x + sx * cs + sz * sn, hull[0] - sx * sn + sz * cs
+        before = (index + 1) * cell
+        ux, uz, _ = tangent(before - px, w[1] - pz, sr, -1.0)
+        qx, qz = px + sr * uz, pz - sr * ux
+        share = cell / (before - qx)
+        w[0] = w[1] + share * (qz - w[1])
+        wv[0] = wv[1] + share * (hull[2] - hull[3] * (qx - x) - wv[1])
+
+
+@compiled
+def walk_lane(
+    p: Floats, st: Floats, shape: Floats, floor: Floats, base: int, per: int, travel: Floats, accel: Floats,
+    interval: Floats, counts: Ints, settle: int, settle_dt: float, hull: Floats, arms: Floats, track: Floats,
+    mark: Ints, out: Floats,
+) -> bool:  # fmt: skip
+    """From the first to the last of n stamps; false: diverged. What stands at the last one goes on in place.
+
+    ``p`` (P,) in the order of ``PARAMETERS``; ``st`` (S, 5): pivot x and z, damping, sag, first angle; ``shape``
+    (Q, 3): places along a wheel, its arc there (R - sqrt(R² - s²)) and the weight in m. ``floor`` (m,) m heights
+    of the ground at (``base`` + j + 0.5) / ``per`` node spacings. ``travel`` (n,) m and ``accel`` (n,) m/s² of the
+    CoG along the way; ``interval`` (n - 1,) s in ``counts`` steps each. ``settle`` steps of ``settle_dt`` s of
+    standing still come first; 0 goes on. State: ``hull`` z, theta, their rates, energy lost; ``arms`` (2, S) angle
+    and rate; ``track`` (2, nodes) height and rate; ``mark`` (1,) index of the first node. ``out`` (n, 10 + 2 S).
     """
-    count = st.shape[0]
+    count, nodes, stamps = st.shape[0], track.shape[1], travel.size
     (hull_mass, inertia, sx, sz, sr, ix, iz, ir, loop_k, loop_b, free_length, bend_k, bend_b, radius, wheel_mass,
      rubber, rubber_b, arm, free, bar, jounce, rebound, stop, ground, ground_b, thick, node_mass, cell, first,
      height) = (p[0], p[1], p[2], p[3], p[4], p[5], p[6], p[7], p[8], p[9], p[10], p[11], p[12], p[13], p[14],
      p[15], p[16], p[17], p[18], p[19], p[20], p[21], p[22], p[23], p[24], p[25], p[26], p[27], p[28], p[29])
-    alpha, alpha_v, alpha_a = st[:, 4].copy(), np.zeros(count), np.zeros(count)
+    alpha, alpha_v, alpha_a = arms[0], arms[1], np.zeros(count)
     load, along, torque = np.zeros(count), np.zeros(count), np.zeros(count)
-    damper_c = np.zeros(count)
-    w, wv, fw = np.zeros(nodes), np.zeros(nodes), np.zeros(nodes)
-    level, slope = np.zeros(nodes), np.zeros(nodes)
-    cosine, sine = np.zeros(count), np.zeros(count)
+    damper_c, cosine, sine = np.zeros(count), np.zeros(count), np.zeros(count)
+    w, wv, fw = track[0], track[1], np.zeros(nodes)
+    slope = np.zeros(nodes)
     d, e, f = np.empty(nodes), np.empty(nodes), np.empty(nodes)
-    _factor(nodes, node_mass, dt * bend_b / (cell * cell) + dt * dt * bend_k / (cell * cell), d, e, f)
-    z, theta, zv, theta_v, za, theta_a = height, 0.0, 0.0, 0.0, 0.0, 0.0
-    lost = 0.0
+    factored = 0.0
     hub = wheel_mass * arm * arm
-    per_cell = 1.0 / cell
-    index = math.ceil((travel[0] + first) / cell)
-    for i in range(nodes):
-        level[i] = profile_height(profile, (index + i) * cell)
-    steps = settle + (travel.size - 1) * substeps + 1
-    row = 0
-    for step in range(steps):
-        moving = step >= settle
-        since = step - settle
-        x = travel[0]
-        v = 0.0
-        if moving:
-            k = since // substeps
-            part = (since - k * substeps) / substeps
-            x = travel[k] if part == 0.0 else travel[k] + part * (travel[k + 1] - travel[k])
-            v = speed
-        if since == 0:
-            lost = 0.0
-            zv += p[30]
-            theta_v += p[31]
-        # The track lies still on the ground: its nodes keep their place, new ones come in front.
-        lead = math.ceil((x + first) / cell)
-        while index < lead:
-            for i in range(nodes - 1):
-                w[i], wv[i], level[i] = w[i + 1], wv[i + 1], level[i + 1]
-            index += 1
-            level[nodes - 1] = profile_height(profile, (index + nodes - 1) * cell)
-            cs, sn = math.cos(theta), math.sin(theta)
-            px = x + ix * cs + iz * sn
-            pz = z - ix * sn + iz * cs
-            before = (index + nodes - 2) * cell
-            ux, uz, _ = tangent(before - px, w[nodes - 2] - pz, ir, 1.0)
-            qx, qz = px - ir * uz, pz + ir * ux
-            share = cell / (qx - before)
-            qv = zv - theta_v * (qx - x)
-            w[nodes - 1] = w[nodes - 2] + share * (qz - w[nodes - 2])
-            wv[nodes - 1] = wv[nodes - 2] + share * (qv - wv[nodes - 2])
+    per_cell, piece = 1.0 / cell, cell / per
+    index = mark[0]
+    stamp, sub, v, dt, push_on = 0, 0, 0.0, settle_dt, 0.0
+    z, theta, zv, theta_v, za, theta_a = hull[0], hull[1], hull[2], hull[3], 0.0, 0.0
+    while True:
+        moving = settle == 0
+        x = travel[stamp]
+        if moving and stamp < stamps - 1:
+            part = sub / counts[stamp]
+            dt = interval[stamp] / counts[stamp]
+            v = (travel[stamp + 1] - travel[stamp]) / interval[stamp]
+            x = travel[stamp] + part * (travel[stamp + 1] - travel[stamp])
+            push_on = accel[stamp] + part * (accel[stamp + 1] - accel[stamp])
+        if dt != factored:
+            _factor(nodes, node_mass, dt * bend_b / (cell * cell) + dt * dt * bend_k / (cell * cell), d, e, f)
+            factored = dt
+        lead = math.ceil((x + first) * per_cell)
+        if lead != index:
+            _roll_on(p, w, wv, hull, x, index, lead)
+            index = lead
+        gone = 0.0
         cs, sn = math.cos(theta), math.sin(theta)
         # The loop: tangents to idler and sprocket, the run below, the run above and the wraps.
         fcx, fcz = x + ix * cs + iz * sn, z - ix * sn + iz * cs
@@ -187,7 +201,7 @@ def run_lane(
         tension = 0.0
         if stretch > 0.0:
             tension = max(0.0, loop_k * stretch + loop_b * rate)
-            lost += dt * (tension - loop_k * stretch) * rate
+            gone += dt * (tension - loop_k * stretch) * rate
         # Forces on the nodes: gravity, tension, bending, the ground.
         reaction, stored, moved = 0.0, 0.5 * loop_k * max(stretch, 0.0) ** 2, 0.0
         for i in range(nodes):
@@ -202,20 +216,26 @@ def run_lane(
             bend = (w[i - 1] - 2.0 * w[i] + w[i + 1]) / cell
             bend_v = (wv[i - 1] - 2.0 * wv[i] + wv[i + 1]) / cell
             stored += 0.5 * bend_k * bend * bend
-            lost += dt * bend_b * bend_v * bend_v
+            gone += dt * bend_b * bend_v * bend_v
             moment = bend_k * bend / cell
             fw[i - 1] -= moment
             fw[i] += 2.0 * moment
             fw[i + 1] -= moment
+        for i in range(nodes - 1):
+            at = (index + i) * per - base
+            for q in range(per):
+                part = (q + 0.5) / per
+                gap = floor[at + q] - (1.0 - part) * w[i] - part * w[i + 1]
+                if gap > 0.0:
+                    sinking = (1.0 - part) * wv[i] + part * wv[i + 1]
+                    elastic = ground * piece * gap
+                    push = max(0.0, elastic - ground_b * piece * min(1.0, gap / _ONSET) * sinking)
+                    fw[i] += (1.0 - part) * push
+                    fw[i + 1] += part * push
+                    reaction += push
+                    stored += 0.5 * elastic * gap
+                    gone -= dt * (push - elastic) * sinking
         for i in range(nodes):
-            gap = level[i] - w[i]
-            if gap > 0.0:
-                elastic = ground * cell * gap
-                push = max(0.0, elastic - ground_b * cell * min(1.0, gap / _ONSET) * wv[i])
-                fw[i] += push
-                reaction += push
-                stored += 0.5 * elastic * gap
-                lost -= dt * (push - elastic) * wv[i]
             moved += node_mass * (0.5 * wv[i] * wv[i] + G * w[i])
         # Wheels on the track: rubber along the arc.
         for i in range(count):
@@ -241,7 +261,7 @@ def run_lane(
                     fw[k] -= push * (1.0 - share)
                     fw[k + 1] -= push * share
                     stored += 0.5 * elastic * over
-                    lost += dt * (push - elastic) * over_v
+                    gone += dt * (push - elastic) * over_v
             load[i] = total
             moved += 0.5 * wheel_mass * wheel_v * wheel_v + wheel_mass * G * wz
             wheel_vx = theta_v * (st[i, 1] * cs - st[i, 0] * sn) + arm * sa * alpha_v[i]
@@ -251,7 +271,8 @@ def run_lane(
         rqm = tension * rux * (rqz - z) - tension * ruz * (rqx - x)
         m11, m12, m22 = hull_mass, 0.0, inertia
         r1 = -hull_mass * G + tension * (fuz + ruz)
-        r2 = fqm + rqm
+        # what pushes the vehicle on acts at the ground, below the centre of gravity: it lifts the nose
+        r2 = fqm + rqm - hull_mass * push_on * height
         for i in range(count):
             a, ca, sa = alpha[i], cosine[i], sine[i]
             dx, dz = st[i, 0] * cs + st[i, 1] * sn, st[i, 1] * cs - st[i, 0] * sn
@@ -267,7 +288,7 @@ def run_lane(
                 over = phi - rebound
             tau -= stop * over
             stored += 0.5 * stop * over * over
-            lost += dt * c * phi_v * phi_v
+            gone += dt * c * phi_v * phi_v
             tau -= c * phi_v
             damper_c[i] = dt * c
             bx = -dx * theta_v * theta_v + arm * ca * alpha_v[i] * alpha_v[i]
@@ -294,17 +315,20 @@ def run_lane(
         theta_a = (m11 * r2 - m12 * r1) / det
         for i in range(count):
             alpha_a[i] = (torque[i] - alpha_a[i] * za - along[i] * theta_a) / (hub + damper_c[i])
-        if moving and since % substeps == 0:
+        if moving and sub == 0:
             moved += 0.5 * hull_mass * zv * zv + 0.5 * inertia * theta_v * theta_v + hull_mass * G * z
-            out[row, 0], out[row, 1], out[row, 2], out[row, 3] = z, theta, zv, theta_v
-            out[row, 4], out[row, 5], out[row, 6], out[row, 7] = za, theta_a, tension, reaction
-            out[row, 8], out[row, 9] = moved + stored, lost
+            out[stamp, 0], out[stamp, 1], out[stamp, 2], out[stamp, 3] = z, theta, zv, theta_v
+            out[stamp, 4], out[stamp, 5], out[stamp, 6], out[stamp, 7] = za, theta_a, tension, reaction
+            out[stamp, 8], out[stamp, 9] = moved + stored, hull[4]
             for i in range(count):
-                out[row, 10 + i] = alpha[i] + theta
-                out[row, 10 + count + i] = load[i]
-            row += 1
-            if not (abs(z) < 20.0 and abs(theta) < 1.0 and abs(tension) < 1e9):
+                out[stamp, 10 + i] = alpha[i] + theta
+                out[stamp, 10 + count + i] = load[i]
+            over = z - floor[(index + nodes // 2) * per - base]
+            if not (abs(over) < 20.0 and abs(theta) < 1.0 and abs(tension) < 1e9):
                 return False
+            if stamp == stamps - 1:
+                break
+        hull[4] += gone
         zv += dt * za
         theta_v += dt * theta_a
         z += dt * zv
@@ -318,4 +342,16 @@ def run_lane(
         for i in range(nodes):
             wv[i] = fw[i]
             w[i] += dt * wv[i]
+        if settle > 0:
+            settle -= 1
+            if settle == 0:
+                hull[4] = 0.0
+                zv += p[30]
+                theta_v += p[31]
+        else:
+            sub += 1
+            if sub == counts[stamp]:
+                stamp, sub = stamp + 1, 0
+        hull[0], hull[1], hull[2], hull[3] = z, theta, zv, theta_v
+    mark[0] = index
     return True

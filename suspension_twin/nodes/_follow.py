@@ -8,7 +8,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from suspension_twin.models.live import LiveState, LiveTwin
+from suspension_twin.models.live import LiveState, live_twin
 from suspension_twin.nodes._pairing import PlanarRow
 from suspension_twin.road.build import flat_road
 from suspension_twin.road.crg import load_road
@@ -35,7 +35,7 @@ class Follower:
         self.twin = twin
         self.road: Road = flat_road() if twin.road is None else load_road(twin.road.file)
         self.acceleration_time = acceleration_time
-        self._live = LiveTwin(twin, self.road)
+        self._live = live_twin(twin, self.road)
         for t in (0.0, 0.01):  # compiles now what would else be compiled at the first samples
             self._live.step(t, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
         self.reset()

@@ -12,9 +12,11 @@ import math
 from pathlib import Path
 from typing import Annotated, Any, Final
 
+import numpy as np
 import yaml
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationError, model_validator
 
+from suspension_twin.drive.types import Floats
 from suspension_twin.errors import InputError
 
 __all__ = [
@@ -165,6 +167,7 @@ class TrackedVehicle(_Strict):
     mass: Annotated[float, _between(1000.0, 100_000.0, "kg", "is it in t?")]
     cog: tuple[Place, Place]
     gyration: Annotated[float, _between(0.3, 6.0, "m")]
+    tread: Annotated[float, _between(0.5, 6.0, "m", "is it in mm?")] = 2.79
     markers: Markers
     sprocket: Sprocket
     idler: Idler
@@ -205,6 +208,12 @@ class TrackedVehicle(_Strict):
         return self.mass / 2 - len(self.stations) * self.wheel.mass - self.track.links * self.track.link_mass
 
     @property
+    def wheel_positions(self) -> Floats:
+        """(4, 2) x and y in ``base_link`` of the outer road wheels, in the order of a car's."""
+        ahead, side = self.stations[0].x - self.stations[-1].x, self.tread / 2
+        return np.array([[ahead, side], [ahead, -side], [0.0, side], [0.0, -side]])
+
+    @property
     def ground_height(self) -> float:
         """Ground under the standing vehicle from the sprocket's axis, m (below 0)."""
         return self.wheel_height - self.wheel.radius - self.track.thickness
@@ -241,9 +250,11 @@ class TrackedVehicle(_Strict):
 
 
 def parse_tracked(data: Any, source: str | Path = "tracked vehicle") -> TrackedVehicle:
-    """Check what a file holds; InputError names source and key."""
+    """Check what a file holds, a vehicle alone or a twin file around it; InputError names source and key."""
     if not isinstance(data, dict):
         raise InputError(source, "not the file of a tracked vehicle: a mapping is expected")
+    if data.get("model") == "tracked" and isinstance(data.get("vehicle"), dict):
+        data = data["vehicle"]
     try:
         return TrackedVehicle.model_validate(data)
     except ValidationError as error:

@@ -26,6 +26,7 @@ from pydantic import (
 
 from suspension_twin.drive.types import Floats
 from suspension_twin.errors import InputError
+from suspension_twin.vehicle.corners import CORNERS
 
 __all__ = [
     "Axle",
@@ -247,6 +248,16 @@ class Twin(_Strict):
                 raise ValueError(f"{name} is listed more than once")
         return value
 
+    @property
+    def joint_names(self) -> tuple[str, ...]:
+        """Names of the joints in joint_states, in the order of a response's deflections."""
+        return tuple(f"{corner}_suspension" for corner in CORNERS)
+
+    @property
+    def cog_height(self) -> float:
+        """Height in m of the centre of gravity above the ground."""
+        return self.vehicle.cog[2]
+
     def with_changes(self, changes: dict[str, Any]) -> Twin:
         """A checked copy with dotted keys replaced: ``{"vehicle.mass": 1700.0}``.
 
@@ -284,12 +295,20 @@ def _key(location: Iterable[int | str]) -> str:
     return text
 
 
+def _kind(data: dict[str, Any]) -> type[Twin]:
+    if data.get("model") == "tracked":
+        from suspension_twin.vehicle.tracked_twin import TrackedTwin  # which is a Twin itself
+
+        return TrackedTwin
+    return Twin
+
+
 def parse_twin(data: Any, source: str | Path = "twin") -> Twin:
     """Check ``data`` (the mapping a twin file holds); raise InputError naming source and key."""
     if not isinstance(data, dict):
         raise InputError(source, "not a twin file: a mapping with 'vehicle' and 'imu' is expected")
     try:
-        return Twin.model_validate(data)
+        return _kind(data).model_validate(data)
     except ValidationError as error:
         first = error.errors(include_url=False)[0]
         text = str(first["msg"]).removeprefix("Value error, ")

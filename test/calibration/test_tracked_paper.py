@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The preset ``tracked_paper``: its objective, its search, its markers file, what its runs determine."""
+"""The preset ``tracked_paper``: its objectives and its search."""
 
 from __future__ import annotations
 
@@ -12,13 +12,14 @@ import pytest
 from suspension_twin.calibration.tracked_paper import (
     PUBLISHED,
     SETTINGS,
-    MarkerRun,
     calibrate_tracked,
     compare,
-    identifiability,
-    read_markers,
+    simulate_runs,
+    unit_values,
+    values_at,
 )
-from suspension_twin.errors import InputError
+from suspension_twin.calibration.tracked_runs import MarkerRun
+from suspension_twin.errors import InputError, WorkError
 from suspension_twin.models.tracked import simulate_tracked
 from suspension_twin.vehicle.tracked import BOUNDS, TrackedVehicle, load_tracked
 
@@ -30,8 +31,15 @@ def vehicle(repository: Path) -> TrackedVehicle:
 
 @pytest.fixture(scope="module")
 def run(vehicle: TrackedVehicle) -> MarkerRun:
-    response = simulate_tracked(vehicle, 13 / 3.6, 3.0, rate=50.0)
-    return MarkerRun(response.t, response.markers, 13 / 3.6)
+    r = simulate_tracked(vehicle, 13 / 3.6, 3.0, rate=50.0)
+    whole = MarkerRun(r.t, r.markers, r.marker_velocity, r.marker_acceleration, 13 / 3.6)
+    return simulate_runs([vehicle], [whole])[0][0]  # type: ignore[index]
+
+
+def times(run: MarkerRun, factor: float) -> MarkerRun:
+    return replace(
+        run, markers=factor * run.markers, velocity=factor * run.velocity, acceleration=factor * run.acceleration
+    )
 
 
 def test_the_papers_settings() -> None:
@@ -39,61 +47,79 @@ def test_the_papers_settings() -> None:
     assert all(BOUNDS[key][0] <= value <= BOUNDS[key][1] for key, value in PUBLISHED.items())
 
 
-def test_correlation_is_blind_to_amplitude(run: MarkerRun) -> None:
-    twice = compare(run.markers, 2 * run.markers)
+def test_correlation_is_blind_to_amplitude_and_the_others_are_not(run: MarkerRun) -> None:
+    twice = compare(run, times(run, 2.0))
     assert twice.cost("correlation") == pytest.approx(0.0, abs=1e-12)
     assert twice.cost("amplitude") == pytest.approx(1.0)
+    assert twice.cost("motion") > 0.9
     assert twice.gain == pytest.approx([2.0, 2.0])
-    assert compare(run.markers, -run.markers).correlation == pytest.approx([-1.0, -1.0])
+    assert compare(run, times(run, -1.0)).correlation == pytest.approx([-1.0, -1.0])
+
+
+def test_correlation_is_that_of_numpy(run: MarkerRun) -> None:
+    swapped = replace(run, markers=run.markers[:, [1, 0, 2]])
     expected = [np.corrcoef(run.markers[:, k], run.markers[:, 1 - k])[0, 1] for k in (0, 1)]
-    assert compare(run.markers, run.markers[:, ::-1]).correlation == pytest.approx(expected)
+    assert compare(run, swapped).correlation == pytest.approx(expected)
 
 
-@pytest.mark.parametrize("objective", ["correlation", "amplitude"])
+def test_motion_does_not_mind_a_clock_that_is_late(run: MarkerRun) -> None:
+    def late(values: np.ndarray) -> np.ndarray:
+        return np.stack([np.interp(run.t - 0.05, run.t, c) for c in values.T], axis=1)
+
+    shifted = replace(run, markers=late(run.markers), velocity=late(run.velocity), acceleration=late(run.acceleration))
+    worth = compare(shifted, run)
+    assert worth.late == pytest.approx(0.05, abs=0.003)
+    assert worth.cost("motion") < 0.3 * compare(shifted, run).residual.mean() + 0.05
+
+
+def test_markers_that_stand_still_are_refused(run: MarkerRun) -> None:
+    with pytest.raises(InputError, match="do not move"):
+        compare(times(run, 0.0), run)
+
+
+def test_places_in_the_bounds_are_decades(vehicle: TrackedVehicle) -> None:
+    assert values_at(np.full(5, 0.5))["track.stiffness"] == pytest.approx(1e7)
+    # the paper's b_gl lies in the middle of its range, in logarithms
+    assert unit_values(vehicle)[2] == pytest.approx(2 / 3)
+    back = values_at(unit_values(vehicle))
+    assert all(back[k] == pytest.approx(v) for k, v in PUBLISHED.items())
+
+
+@pytest.mark.parametrize("objective", ["correlation", "motion"])
 def test_the_search_comes_near_and_is_repeatable(vehicle: TrackedVehicle, run: MarkerRun, objective: str) -> None:
     start = vehicle.with_changes({"track.stiffness": 1e5, "track.bending_stiffness": 10.0})
     settings = replace(SETTINGS, population=10, generations=4)
     kinds = {"objective": objective, "seed": 3, "settings": settings}
-    first = calibrate_tracked(start, run, **kinds)  # type: ignore[arg-type]
-    again = calibrate_tracked(start, run, **kinds)  # type: ignore[arg-type]
+    first = calibrate_tracked(start, [run], **kinds)  # type: ignore[arg-type]
+    again = calibrate_tracked(start, [run], **kinds)  # type: ignore[arg-type]
     assert first.values == again.values
     assert (np.diff(first.best) <= 0).all() and first.evaluations > 40
-    assert first.worth.cost(objective) == pytest.approx(first.best[-1])  # type: ignore[arg-type]
-    assert first.worth.correlation.mean() > 0.9
+    assert first.worth[0].cost(objective) == pytest.approx(first.best[-1])  # type: ignore[arg-type]
+    assert first.worth[0].correlation.mean() > 0.9
     assert all(BOUNDS[key][0] <= value <= BOUNDS[key][1] for key, value in first.values.items())
 
 
-def test_more_noise_determines_less(vehicle: TrackedVehicle, run: MarkerRun) -> None:
-    quiet, loud = (identifiability(vehicle, [run], noise) for noise in (1e-4, 1e-2))
-    assert set(quiet) == set(BOUNDS)
-    assert all(quiet[key] < loud[key] for key in BOUNDS)
-    assert max(loud, key=loud.__getitem__) == "track.damping"
+def test_a_candidate_that_diverges_is_the_worst_and_not_the_end(
+    vehicle: TrackedVehicle, run: MarkerRun, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    from suspension_twin.calibration import tracked_paper
+
+    def fragile(vehicles: list[TrackedVehicle], runs: list[MarkerRun]) -> list[list[MarkerRun] | None]:
+        told = simulate_runs(vehicles, runs)
+        return [None if v.track.stiffness > limit else t for v, t in zip(vehicles, told, strict=True)]
+
+    limit = 1e7
+    monkeypatch.setattr(tracked_paper, "simulate_runs", fragile)
+    settings = replace(SETTINGS, population=8, generations=1)
+    found = calibrate_tracked(vehicle, [run], settings=settings)
+    assert np.isfinite(found.best[-1]) and found.values["track.stiffness"] <= limit
+    limit = 0.0
+    with pytest.raises(WorkError, match="every candidate diverged"):
+        calibrate_tracked(vehicle, [run], settings=settings)
 
 
-def test_markers_are_read_as_they_were_written(tmp_path: Path) -> None:
-    t = np.arange(0, 3, 0.004)
-    table = np.stack([t, 100 * np.sin(t), 50 * np.cos(t)], axis=1)
-    path = tmp_path / "run.csv"
-    np.savetxt(path, table, delimiter=",", header="t,A,B", comments="")
-    read = read_markers(path, 1.1)
-    assert read.rate == pytest.approx(50.0)
-    assert np.abs(read.markers[:, 0] - 0.1 * np.sin(read.t)).max() < 1e-5
-
-
-@pytest.mark.parametrize(
-    ("text", "word"),
-    [
-        ("t,B,A\n1,2,3\n", "must be t,A,B"),
-        ("t,A,B\n1,2,x\n", "not a table"),
-        ("t,A,B\n1,2,3\n", "at least 20 rows"),
-        ("t,A,B\n" + "".join(f"{k % 7},1,2\n" for k in range(30)), "must rise"),
-        ("t,A,B\n" + "".join(f"{k},nan,2\n" for k in range(30)), "no numbers"),
-        ("t,A,B\n" + "".join(f"{k},{k * 1e6},2\n" for k in range(30)), "is the unit mm"),
-    ],
-)
-def test_what_is_no_markers_file(tmp_path: Path, text: str, word: str) -> None:
-    path = tmp_path / "markers.csv"
-    path.write_text(text, encoding="utf-8")
-    with pytest.raises(InputError, match=word) as error:
-        read_markers(path, 1.0)
-    assert "markers.csv" in str(error.value) and "\n" not in str(error.value)
+def test_no_run_and_no_objective_are_refused(vehicle: TrackedVehicle, run: MarkerRun) -> None:
+    with pytest.raises(InputError, match="none is given"):
+        calibrate_tracked(vehicle, [])
+    with pytest.raises(InputError, match="must be one of correlation, amplitude, motion"):
+        calibrate_tracked(vehicle, [run], objective="beauty")  # type: ignore[arg-type]

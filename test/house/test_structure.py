@@ -160,7 +160,7 @@ def test_an_effect_is_whole(name: str, repository: Path) -> None:
 
 
 def test_every_effect_is_registered(repository: Path) -> None:
-    assert files_of(repository, "effects") - {"base", "registry"} == set(EFFECTS)
+    assert files_of(repository, "effects") - {"base", "registry", "tracked_effects"} == set(EFFECTS)
     strut = "strut_friction bump_stop rebound_stop top_mount anti_roll_bar damper_fade corner_damper corner_spring"
     tyre_and_body = "tyre_damping tyre_envelope unsprung_mass payload body_bending powertrain_mount"
     sensor = "mount_resonance sensor_offset sensor_tilt sensor_bandwidth sensor_clipping sensor_scale"

@@ -1,0 +1,143 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A blind check of the tracked vehicle's diagnosis, like the cars': faults in a specimen of another model.
+
+Each case is a specimen of ``tracked_reality`` with parameters of its own (drawn by the seed), reference runs
+from before and runs with one fault, filmed by a camera's tool. The diagnosis sees the CSVs and the twin
+file, nothing else. Development and reporting seeds are apart: thresholds were set on the former alone.
+Usage: ``python benchmarks/tracked_blind.py [--seeds development|reporting] [--kinds ...] [--json] [--cases N]``.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import multiprocessing
+import tempfile
+import time
+from collections import defaultdict
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from tracked_reality import Faults, photogrammetry, simulate
+from tracked_runs import write_run
+
+from suspension_twin.diagnosis.tracked import diagnose_tracked_files
+from suspension_twin.vehicle.tracked import load_tracked
+
+FILE = Path(__file__).resolve().parents[1] / "config" / "tracked" / "pt91.yaml"
+KINDS = ("none", "track_tension", "track_wear", "station_damper", "station_bar", "payload", "sensor_scale",
+         "sensor_tilt", "time_offset")  # fmt: skip
+SEEDS = {"development": (100, 101), "reporting": (900, 901, 902)}
+SPEEDS = {8: 7.4, 13: 5.0}
+
+
+def case(kind: str, seed: int, folder: Path) -> dict[str, Any]:
+    """Write the runs of one case to ``folder`` and return its truth."""
+    rng = np.random.default_rng([seed, KINDS.index(kind)])
+    own = {
+        "track.stiffness": float(np.exp(rng.uniform(np.log(8e6), np.log(3e7)))),
+        "track.bending_stiffness": float(np.exp(rng.uniform(np.log(3e2), np.log(4e3)))),
+        "track.damping": float(np.exp(rng.uniform(np.log(5e3), np.log(3e4)))),
+        "track.bending_damping": float(np.exp(rng.uniform(np.log(1e2), np.log(2e3)))),
+        "idler.setting": float(rng.uniform(-5575, -5558)),
+        "mass": float(rng.uniform(41500, 43500)),
+        "arm.stiffness": float(1.27e5 * rng.uniform(0.95, 1.05)),
+    }
+    vehicle = load_tracked(FILE).with_changes(own)
+    broken, faults, camera, truth = vehicle, Faults(), {}, {}
+    if kind == "track_tension":
+        truth = {"tighter": float(rng.choice([-1, 1]) * rng.uniform(8, 15))}
+        setting = float(np.clip(own["idler.setting"] - truth["tighter"], -5590, -5550))
+        truth["tighter"] = own["idler.setting"] - setting
+        broken = vehicle.with_changes({"idler.setting": setting})
+    elif kind == "track_wear":
+        truth = {"stiffness": float(rng.uniform(0.1, 0.4))}
+        worn = ("track.stiffness", "track.bending_stiffness")
+        broken = vehicle.with_changes({k: own[k] * truth["stiffness"] for k in worn})
+    elif kind == "station_damper":
+        truth = {"station": float(rng.choice([1, 2, 6])), "share": float(rng.uniform(0.0, 0.2))}
+        damper = [1.0] * 6
+        damper[int(truth["station"]) - 1] = truth["share"]
+        faults = Faults(damper=tuple(damper))
+    elif kind == "station_bar":
+        truth = {"station": float(rng.choice([1, 2, 5, 6])), "sag": float(rng.uniform(0.06, 0.14))}
+        sag = [0.0] * 6
+        sag[int(truth["station"]) - 1] = truth["sag"]
+        faults = Faults(sag=tuple(sag))
+    elif kind == "payload":
+        truth = {"mass": float(rng.uniform(2500, 5000)), "x": float(rng.uniform(-1.0, 1.0))}
+        faults = Faults(payload=truth["mass"], payload_x=vehicle.cog[0] + truth["x"])
+    elif kind == "sensor_scale":
+        truth = {"gain": float(rng.choice([0.9, 1.12]))}
+        camera = {"scale": truth["gain"]}
+    elif kind == "sensor_tilt":
+        truth = {"roll": float(rng.choice([-1, 1]) * rng.uniform(0.005, 0.015))}
+        camera = {"tilt": truth["roll"]}
+    elif kind == "time_offset":
+        truth = {"seconds": float(rng.choice([-1, 1]) * rng.uniform(0.08, 0.16))}
+        camera = {"late": truth["seconds"]}
+    for state, specimen, fault, repeats in (("before", vehicle, Faults(), 2), ("after", broken, faults, 2)):
+        (folder / state).mkdir()
+        for kmh, seconds in SPEEDS.items():
+            for repeat in range(repeats):
+                speed = kmh / 3.6 * (1 + rng.normal(0, 0.006))
+                motion = simulate(specimen, speed, seconds, fault)
+                extra = dict(camera) if state == "after" else {}
+                extra["late"] = extra.get("late", 0.0) + rng.normal(0, 0.008)
+                table = photogrammetry(motion, int(rng.integers(1 << 30)), rate=50.0, **extra)
+                write_run(folder / state / f"{kmh:02d}kmh_{repeat + 1}.csv", table)
+    return truth
+
+
+def judge(task: tuple[str, int]) -> dict[str, Any]:
+    """Make one case and diagnose it."""
+    kind, seed = task
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name)
+        truth = case(kind, seed, folder)
+        began = time.perf_counter()
+        runs, reference = (sorted(str(p) for p in (folder / s).glob("*.csv")) for s in ("after", "before"))
+        document = diagnose_tracked_files(str(FILE), runs, reference, seed=seed).document
+    top = document["causes"][0]
+    named = document["combination"]
+    right = not named if kind == "none" else named == [kind]
+    return {
+        "kind": kind, "seed": seed, "truth": truth, "verdict": document["verdict"], "named": named, "right": right,
+        "top": top["effect"], "probability": top["probability"], "parameters": top["parameters"],
+        "shrink": top["shrink"], "tied": top["indistinguishable_from"], "message": document["message"],
+        "evidence": {c["effect"]: [c["log_evidence"], c["shrink"]] for c in document["causes"]},
+        "seconds": round(time.perf_counter() - began, 1),
+    }  # fmt: skip
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description="Blind check of the tracked vehicle's diagnosis.")
+    parser.add_argument("--seeds", choices=tuple(SEEDS), default="development")
+    parser.add_argument("--kinds", nargs="+", choices=KINDS, default=KINDS)
+    parser.add_argument("--cases", type=int, default=10, help="at most so many seeds")
+    parser.add_argument("--json", action="store_true")
+    parser.add_argument("--workers", type=int, default=1)
+    arguments = parser.parse_args()
+    tasks = [(kind, seed) for seed in SEEDS[arguments.seeds][: arguments.cases] for kind in arguments.kinds]
+    rows = []
+    with multiprocessing.get_context("spawn").Pool(arguments.workers) as pool:
+        for row in pool.imap(judge, tasks):
+            rows.append(row)
+            if not arguments.json:
+                mark = "right" if row["right"] else "WRONG"
+                print(f"{mark} {row['kind']:15} {row['seed']} {row['truth']} -> {row['message']}; {row['top']} "
+                      f"{row['probability']:.2f} {row['parameters']} tied {row['tied']}", flush=True)  # fmt: skip
+    by: dict[str, list[bool]] = defaultdict(list)
+    for row in rows:
+        by[row["kind"]].append(row["right"])
+    kinds = {k: f"{sum(v)}/{len(v)}" for k, v in by.items()}
+    summary = {"right": sum(r["right"] for r in rows), "cases": len(rows), "by_kind": kinds}
+    if arguments.json:
+        print(json.dumps({"seeds": arguments.seeds, **summary, "rows": rows}))
+    else:
+        print(f"{summary['right']} of {summary['cases']} right: {summary['by_kind']}")
+
+
+if __name__ == "__main__":
+    main()

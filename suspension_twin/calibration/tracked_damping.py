@@ -1,0 +1,72 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Selection of a tracked vehicle's damping, section 6 of the tracked paper: Table 1 and Fig. 13.
+
+Variance of the pitch over 15 s for speeds of 5 to 55 km/h in steps of 5 and the seven dampings of
+Table 1: 77 runs in one batch, and the damping to take for a range of speeds.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+
+from suspension_twin.drive.types import Floats
+from suspension_twin.errors import InputError, WorkError
+from suspension_twin.models.tracked import simulate_tracked_lanes
+from suspension_twin.vehicle.tracked import TrackedVehicle
+
+__all__ = ["DAMPINGS", "DURATION", "PAPER_CURVE", "SPEEDS", "Selection", "pitch_variances", "select_damping"]
+
+DAMPINGS: Final = (0.0, 11272.0, 22545.0, 45090.0, 90180.0, 135270.0, 180360.0)  # N m s/rad, Table 1
+SPEEDS: Final = tuple(float(v) for v in range(5, 56, 5))  # km/h
+DURATION: Final = 15.0  # s
+PAPER_CURVE: Final = 4  # which the paper recommends over all speeds
+
+
+@dataclass(frozen=True)
+class Selection:
+    """``table`` (dampings, speeds) rad², NaN where a run diverged; within ``low`` to ``high`` km/h ``mean`` and
+    ``regret`` (dampings,): the largest variance over the least of all dampings at that speed. ``best`` has the
+    least mean; ``near`` are the dampings whose mean is within a tenth of it."""
+
+    dampings: tuple[float, ...]
+    speeds: tuple[float, ...]
+    table: Floats
+    low: float
+    high: float
+    mean: Floats
+    regret: Floats
+    best: int
+    near: tuple[int, ...]
+
+
+def pitch_variances(
+    vehicle: TrackedVehicle, dampings: Sequence[float] = DAMPINGS, speeds: Sequence[float] = SPEEDS
+) -> Floats:
+    """Variance of the pitch in rad² (dampings, speeds); NaN for a run that diverged."""
+    lanes = [(vehicle.with_dampers(c), v / 3.6) for c in dampings for v in speeds]
+    runs = simulate_tracked_lanes([v for v, _ in lanes], [s for _, s in lanes], DURATION)
+    values = [np.nan if r.failed else float(r.pitch.var()) for r in runs]
+    return np.reshape(values, (len(dampings), len(speeds)))
+
+
+def select_damping(vehicle: TrackedVehicle, low: float = 5.0, high: float = 55.0) -> Selection:
+    """The damping of Table 1 with the least mean variance of the pitch from ``low`` to ``high`` km/h.
+
+    Raises InputError where no speed of the table lies within, WorkError where every damping diverged.
+    """
+    within = np.array([low <= v <= high for v in SPEEDS])
+    if not within.any():
+        raise InputError("--range", f"no speed of 5, 10 ... 55 km/h lies between {low:g} and {high:g}")
+    table = pitch_variances(vehicle)
+    part = table[:, within]
+    mean = part.mean(axis=1)
+    if np.isnan(mean).all():
+        raise WorkError("damping: every damping diverged within the range")
+    regret = (part / np.nanmin(part, axis=0)).max(axis=1)
+    best = int(np.nanargmin(mean))
+    near = tuple(int(i) for i in np.flatnonzero(mean <= 1.1 * mean[best]))
+    return Selection(DAMPINGS, SPEEDS, table, low, high, mean, regret, best, near)
