@@ -155,22 +155,24 @@ def peers_of_one(twin: Twin, way: Excitation) -> dict[str, float]:
 
 
 def cost_of_effects(twin: Twin, way: Excitation, repeats: int) -> dict[str, float]:
-    """Time with an effect in all lanes, as a ratio to the model without any."""
+    """Time with an effect in all lanes, as a ratio to its model without any: ``full_car``, else ``msd``."""
     count = 128
 
     def seconds(changed: Twin) -> float:
         params = candidates(changed, count)
         return best(lambda: simulate_lanes(changed, params, way, 1, vertical_only=True), repeats)
 
-    base = seconds(twin)
+    bare = {model: twin.with_changes({"model": model}) for model in ("full_car", "msd")}
+    base = {model: seconds(without) for model, without in bare.items()}
     out = {}
     for name, effect in EFFECTS.items():
-        if twin.model in effect.hook.models:
-            given = {}
-            for p in effect.parameters:
-                value = p.typical if p.typical != p.neutral else p.neutral + 0.25 * (p.high - p.neutral)
-                given[p.name] = p.choices[-1] if p.choices else min(max(value, p.low), p.high)
-            out[name] = seconds(twin.with_changes({"effects": [{"id": name, "parameters": given}]})) / base
+        model = "full_car" if "full_car" in effect.hook.models else "msd"
+        given = {}
+        for p in effect.parameters:
+            value = p.typical if p.typical != p.neutral else p.neutral + 0.25 * (p.high - p.neutral)
+            given[p.name] = p.choices[-1] if p.choices else min(max(value, p.low), p.high)
+        armed = bare[model].with_changes({"effects": [{"id": name, "parameters": given}]})
+        out[name] = seconds(armed) / base[model]
     return out
 
 
@@ -279,7 +281,8 @@ def show(figures: dict[str, Any], rows: list[tuple[str, float, float, float]]) -
     )
     table = Table("effect in every lane", "time, base = 1")
     for name, ratio in sorted(figures["effects"].items(), key=lambda item: item[1]):
-        table.add_row(name, f"{ratio:.2f}")
+        of = "" if "full_car" in EFFECTS[name].hook.models else " (of msd)"
+        table.add_row(f"{name}{of}", f"{ratio:.2f}")
     console.print(table)
 
 

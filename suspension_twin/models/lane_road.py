@@ -58,6 +58,7 @@ class Samples:
             self._columns[index] = known
         return known
 
+
 class Tracks(Samples):
     """The road along the way of one excitation, sampled as it is asked for."""
 
@@ -113,13 +114,15 @@ def reach_of(change: RoadChange) -> float:
 
 
 def own_road(
-    tracks: Samples, change: RoadChange, lane0: int, count: int, road: Floats, distance: Floats, reference: Floats
-) -> Floats:
+    tracks: Samples, change: RoadChange, lane0: int, count: int, road: Floats, distance: Floats, reference: Floats,
+    strict: bool = True,
+) -> Floats:  # fmt: skip
     """(rows, 4, WIDTH) heights in m that each lane of one block sees, for a stretch of the drive.
 
     ``change`` of all L lanes, of which lanes ``lane0``.. (``count`` of them) are in this block;
     ``road`` (rows, 4) and ``distance`` (rows,) of the stretch; ``reference`` (4,) m is what heights
-    are scaled about.
+    are scaled about. A lane that looks where the ground has no height raises InputError where ``strict``;
+    else it gets no heights at all, and fails alone.
     """
     low_distance, high_distance = float(distance.min()), float(distance.max())
     need = change.changed
@@ -137,11 +140,13 @@ def own_road(
             low = max(0, int((low_distance - tracks.start - reach) / SPACING))
             high = min(tracks.count, int((high_distance - tracks.start + reach) / SPACING) + 2)
             plain = tracks.column(0)[:, low:high]
-            index = math.floor(left / BESIDE)
-            share = left / BESIDE - index
-            own = tracks.column(index)[:, low:high]
-            if share:
-                own = (1 - share) * own + share * tracks.column(index + 1)[:, low:high]
+            try:
+                own = _beside(tracks, left)[:, low:high]
+            except InputError:
+                if strict:
+                    raise
+                heights[i] = np.nan
+                continue
             own = _smoothed(_sharpened(own, sharp), sigma)
             if patch > 0:
                 own = _averaged(own, patch / 2 / SPACING)
@@ -155,6 +160,14 @@ def own_road(
     out = np.empty((road.shape[0], 4, WIDTH))
     _side_by_side(heights, out)
     return out
+
+
+def _beside(tracks: Samples, left: float) -> Floats:
+    """(4, n) m heights ``left`` m beside the wheels' tracks, between the two tracks next to there."""
+    index = math.floor(left / BESIDE)
+    share = left / BESIDE - index
+    own = tracks.column(index)
+    return (1 - share) * own + share * tracks.column(index + 1) if share else own
 
 
 def _smoothed(profile: Floats, sigma: float) -> Floats:

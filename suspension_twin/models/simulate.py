@@ -16,7 +16,9 @@ from suspension_twin.models.constants import Constants, constants
 from suspension_twin.models.lane_road import own_road, tracks_of
 from suspension_twin.models.observe import COLUMNS, OBSERVED, observe
 from suspension_twin.models.parameters import layout, pack
+from suspension_twin.models.tracked_live import simulate_tracked_drive
 from suspension_twin.models.types import Excitation, LaneResponse, Response
+from suspension_twin.vehicle.tracked_twin import TrackedTwin
 from suspension_twin.vehicle.twin import Twin
 
 __all__ = ["simulate_lanes", "simulate_twin"]
@@ -50,7 +52,7 @@ def simulate_lanes(
     full = not vertical_only or bool(known.stages)
     signals = np.empty((len(excitation), 7 if full else 1, blocks.width))
     for begin, end in _stretches(known, excitation):
-        road, own = _roads(known, blocks, excitation, begin, end)
+        road, own = _roads(known, blocks, excitation, begin, end, strict=False)
         blocks.walk(
             road, own, excitation.substeps, excitation.motion, begin, end, signals[begin:end],
             threads=threads or cores(),
@@ -76,6 +78,8 @@ def simulate_twin(twin: Twin, excitation: Excitation) -> Response:
     Raises InputError for a twin that cannot be simulated (naming the key) and WorkError when the
     simulation diverges.
     """
+    if isinstance(twin, TrackedTwin):
+        return simulate_tracked_drive(twin, excitation)
     known = constants(pack(twin)[:, None], layout(twin), excitation.max_step)
     known.raise_first()
     blocks = Blocks(known)
@@ -109,9 +113,10 @@ def _stretches(known: Constants, excitation: Excitation, most: int | None = None
 
 
 def _roads(
-    known: Constants, blocks: Blocks, excitation: Excitation, begin: int, end: int
+    known: Constants, blocks: Blocks, excitation: Excitation, begin: int, end: int, strict: bool = True
 ) -> tuple[Floats, Callable[[int], Floats] | None]:
-    """Road heights of a stretch, and a maker of every block's own where lanes see different roads."""
+    """Road heights of a stretch, and a maker of every block's own where lanes see different roads;
+    ``strict`` as in ``own_road``."""
     part = slice(int(excitation.first[begin]), int(excitation.first[end]))
     road, change = excitation.road[part], known.road
     if change is None:
@@ -122,6 +127,6 @@ def _roads(
     def own(block: int) -> Floats:
         lane0 = block * rows.WIDTH
         count = min(rows.WIDTH, blocks.lanes - lane0)
-        return own_road(tracks, change, lane0, count, road, distance, excitation.road[0])
+        return own_road(tracks, change, lane0, count, road, distance, excitation.road[0], strict)
 
     return road, own

@@ -110,6 +110,22 @@ def test_an_impossible_candidate_fails_alone(twin: Twin, name: str) -> None:
         assert np.isfinite(a).all(), field
 
 
+def test_a_candidate_beside_the_road_fails_alone(twin: Twin) -> None:
+    """Its neighbours stay as they are; one twin alone is told that the road has no height there."""
+
+    def edge(x: np.ndarray, y: np.ndarray) -> np.ndarray:
+        return np.where(np.abs(y) < 1.2, rough(x, y), np.nan)
+
+    road = excitation(way(0.5), twin.vehicle, type("Ground", (), {"heights": staticmethod(edge)})())
+    armed = given(twin, lateral_offset={})
+    run = simulate_lanes(armed, lanes(armed, ["effects.lateral_offset.offset"], np.array([[0.0], [0.8], [0.1]])), road)
+    assert run.failed.tolist() == [False, True, False] and np.isfinite(run.force).all()
+    alone = simulate_lanes(armed, lanes(armed, ["effects.lateral_offset.offset"], np.array([[0.1]])), road)
+    assert np.array_equal(run.force[..., 2], alone.force[..., 0])
+    with pytest.raises(InputError, match="road: has no height everywhere"):
+        respond(given(twin, lateral_offset={"offset": 0.8}), edge, way(0.5))
+
+
 @pytest.mark.parametrize("name", EFFECTS)
 def test_a_twin_file_keeps_it(twin: Twin, name: str, tmp_path: Path) -> None:
     saved = given(model_of(EFFECTS[name], twin), **{name: full(EFFECTS[name])})
