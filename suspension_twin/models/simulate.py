@@ -16,7 +16,9 @@ from suspension_twin.models.constants import Constants, constants
 from suspension_twin.models.lane_road import own_road, tracks_of
 from suspension_twin.models.observe import COLUMNS, OBSERVED, observe
 from suspension_twin.models.parameters import layout, pack
+from suspension_twin.models.tracked_live import simulate_tracked_drive
 from suspension_twin.models.types import Excitation, LaneResponse, Response
+from suspension_twin.vehicle.tracked_twin import TrackedTwin
 from suspension_twin.vehicle.twin import Twin
 
 __all__ = ["simulate_lanes", "simulate_twin"]
@@ -76,6 +78,8 @@ def simulate_twin(twin: Twin, excitation: Excitation) -> Response:
     Raises InputError for a twin that cannot be simulated (naming the key) and WorkError when the
     simulation diverges.
     """
+    if isinstance(twin, TrackedTwin):
+        return simulate_tracked_drive(twin, excitation)
     known = constants(pack(twin)[:, None], layout(twin), excitation.max_step)
     known.raise_first()
     blocks = Blocks(known)
