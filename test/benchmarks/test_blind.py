@@ -261,6 +261,8 @@ def test_the_picture_is_drawn(tmp_path: Path) -> None:
     from blind.score import figures
 
     rows = [_row("single", ["payload"], "effect", "payload", 0.95), _row("null", [], "no_gap", "payload", 0.99)]
+    rows.append({**_row("single", ["top_mount"], "error", "", 0.0), "chances": {}, "top": None})
+    assert figures(rows)["figures"]["failed"]["value"] == pytest.approx(1 / 3)
     result = {**figures(rows), "cases": 2, "seeds": "dev", "commit": ["abc"]}
     draw(rows, result, tmp_path / "made" / "confusion.png")
     assert (tmp_path / "made" / "confusion.png").read_bytes().startswith(b"\x89PNG")
