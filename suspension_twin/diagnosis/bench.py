@@ -31,6 +31,8 @@ __all__ = ["NORMAL", "Bench", "Linearised", "gram"]
 NORMAL = NuisancePriors(
     clock=0.005, map_position=0.05, gain=0.0, tilt=0.009, force_bias=0.05, rate_bias=0.005, pivot=0.3
 )
+#: Standard deviations beyond which no nuisance goes.
+_NORMAL_LIMIT = 3.0
 _STEP = 1e-3
 _STEP_EFFECT = 1e-2
 
@@ -74,13 +76,18 @@ class Bench:
         precision[:p, :p] = self.precision
         return precision, np.concatenate([self.centre, np.zeros(k)])
 
-    def clipped(self, hypothesis: Hypothesis, x: Floats) -> Floats:
-        """Coordinates (p + k, L) with the effects' inside their bounds."""
+    def limits(self, hypothesis: Hypothesis) -> tuple[Floats, Floats]:
+        """(d + q + k,) lowest and highest unknowns. A nuisance that could go on without end would take
+        over what is a finding: a clock that is 60 ms late pays for itself on any drive."""
         low, high = hypothesis.bounds()
-        out = x.copy()
-        p = self.d + self.q
-        out[p:] = np.clip(x[p:], low[:, None], high[:, None])
-        return out
+        free = np.full(self.d, np.inf)
+        nuisance = _NORMAL_LIMIT * self.problem.nuisances.spread
+        return np.concatenate([-free, -nuisance, low]), np.concatenate([free, nuisance, high])
+
+    def clipped(self, hypothesis: Hypothesis, x: Floats) -> Floats:
+        """Unknowns (d + q + k, L) inside their limits."""
+        low, high = self.limits(hypothesis)
+        return np.asarray(np.clip(x, low[:, None], high[:, None]))
 
     # -- simulation ----------------------------------------------------------------------------
 

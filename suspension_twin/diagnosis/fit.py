@@ -97,8 +97,7 @@ def refit(
     best = int(np.argmin(costs))
     x, cost = candidates[:, best], float(costs[best])
     precision, centre = bench.prior(hypothesis)
-    low, high = hypothesis.bounds()
-    p = bench.d + bench.q
+    low, high = bench.limits(hypothesis)
     damping = 1e-2
     for _ in range(iterations):
         at = bench.linearise(hypothesis, x, known)
@@ -106,10 +105,7 @@ def refit(
         gradient = gram(at.jacobian, at.residual[:, None])[:, 0]
         gradient = gradient + np.einsum("ij,j->i", precision, x - centre, optimize=False)
         # a coordinate on its bound that wants out stays there
-        u = x[p:]
-        stuck = np.concatenate(
-            [np.zeros(p, dtype=bool), ((u <= low) & (gradient[p:] > 0)) | ((u >= high) & (gradient[p:] < 0))]
-        )
+        stuck = ((x <= low) & (gradient > 0)) | ((x >= high) & (gradient < 0))
         free = np.flatnonzero(~stuck)
         trials = []
         for factor in _LADDER:

@@ -89,6 +89,17 @@ class Hypothesis:
                 at[i] = (p.neutral - p.typical) / p.spread
         return np.clip(at, low, high)
 
+    def early(self, far: float) -> Floats:
+        """(k,) an effect that acts early and strongly, ``far`` spreads of its prior from what is typical."""
+        low, high = self.bounds()
+        at = self.neutral()
+        for i, (_, p) in enumerate(self.searched):
+            if p.name in EFFECTS[self._owner(i)].severity and not p.log:
+                at[i] += far
+            elif p.log and p.unit == "m":
+                at[i] = -far
+        return np.clip(at, low, high)
+
     def _owner(self, index: int) -> str:
         return self.keys[index].split(".")[1]
 

@@ -68,9 +68,8 @@ def held_out(bench: Bench, fit: Fit, blocks: Blocks) -> tuple[Floats, Floats]:
     slope = gram(jacobian, residual[:, None])[:, 0] + precision @ (fit.x - centre)
     fold = blocks.fold(blocks.row)
     # a severity on its bound, usually at nothing, stays there: the step knows no bounds
-    low, high = fit.hypothesis.bounds()
-    u = fit.x[bench.d + bench.q :]
-    free = np.flatnonzero(np.concatenate([np.ones(fit.x.size - u.size, dtype=bool), (u > low) & (u < high)]))
+    low, high = bench.limits(fit.hypothesis)
+    free = np.flatnonzero((fit.x > low) & (fit.x < high))
     candidates = []
     for f in range(FOLDS):
         own = fold == f

@@ -22,6 +22,7 @@ from suspension_twin.diagnosis.hypotheses import library
 from suspension_twin.diagnosis.judge import Evidence, blocks_of, evidence, weights
 from suspension_twin.diagnosis.request import DiagnosisRequest, DiagnosisResult, Progress
 from suspension_twin.diagnosis.search import pairs, singles
+from suspension_twin.effects.registry import EFFECTS
 from suspension_twin.errors import InputError
 
 __all__ = ["diagnose"]
@@ -32,6 +33,8 @@ _SURE, _WORTH = 0.95, verdict.MATERIAL
 #: Share of soundness that is a trait of the library, shown on the reference drives as well.
 _TRAITS = 0.5
 _LEAST_EXCESS = 0.2
+#: Where a wrong clock shows whole, and how much more of it stays than of another effect.
+_SHIFTED, _FUSED = ("vertical_acceleration", "pitch_rate"), 1.3
 _MOST_EFFECTS = 3
 _STRANGER = 0.6  # share of its motion that a reference leaves at the best fit, above which it is another car's
 
@@ -120,21 +123,26 @@ class _Search:
 
     def _gates(self, found: Evidence, left: gaps.Remainder) -> verdict.Gates:
         bench = self.bench
-        level = verdict.level_of(bench, left, self.noise, shown=True)
-        share = self._noise_share()
-        adequate = verdict.background(level, self.reference, share)
+        if self.reference is None:
+            level = verdict.level_of(bench, left, self.noise, shown=True)
+            adequate = verdict.background(level, self._noise_share())
+        else:
+            # the pose was fused from both clocks: what it has wrong sideways no shift of the simulation undoes
+            late = any(EFFECTS[e].where == "time" for e in found.fit.hypothesis.effects)
+            heard = _SHIFTED if late else tuple(n for n in bench.problem.channels if self._driven(n))
+            adequate = verdict.sound(found, [bench.problem.channels.index(n) for n in heard], _FUSED if late else 1.0)
         if found is self.base:
             return verdict.Gates(1.0, adequate, 1.0)
         material = max(self._material(left, c) for c in range(len(bench.problem.channels)))
         return verdict.Gates(material, adequate, verdict.plausible(bench, found))
 
     def _material(self, left: gaps.Remainder, column: int) -> float:
-        """Probability that a tenth of a channel's gap, as mean square, is gone beyond recalibration.
+        """Probability that a tenth of a channel's gap is gone beyond recalibration.
 
         With a reference the gap to explain is what exceeds that which the model leaves of this car anyway.
         """
         channel = self.bench.problem.channels[column]
-        if self.case.road and channel not in VERTICAL:
+        if not self._driven(channel):
             return 0.0
         found = gaps.shrink_of(
             self.bench, self.left[0], left, self.blocks, self.noise[channel], column, self.request.seed
@@ -143,7 +151,11 @@ class _Search:
             return 0.0
         shrink, low, high = (1.0 - (1.0 - min(v, 1.0)) ** 2 for v in (found.shrink, *found.interval))
         spread = max((high - low) / 3.29, 1e-3)
-        return float(norm.cdf((shrink - verdict.MATERIAL * self._excess()) / spread))
+        return float(norm.cdf((shrink - verdict.MATERIAL_SQUARE * self._excess()) / spread))
+
+    def _driven(self, channel: str) -> bool:
+        """Whether a channel is one that speaks for the vehicle: with a road what the road drives."""
+        return channel in VERTICAL or not self.case.road
 
     def _excess(self) -> float:
         """Share of the recalibrated gap's mean square that reference drives do not show as well."""

@@ -20,9 +20,14 @@ from suspension_twin.errors import WorkError
 __all__ = ["Single", "pairs", "singles"]
 
 _STARTS, _TRIED = 16, 3
-_ROUGH, _FINE = 4, 3
+_WIDE_STARTS = 16
+#: Slopes of springs and dampers, in their search coordinates, beside the baseline's.
+_VEHICLES = ((0.0, 0.0), (-0.3, 0.0), (-0.6, 0.0), (0.0, -0.25), (0.0, -0.6), (-0.3, -0.6), (0.0, -1.2))
+#: Vehicles, and how early and strong the effect is in spreads of its prior, that are always tried.
+_EARLY = (((-0.6, 0.0), 1.0), ((0.0, -0.3), 0.6))
+_ROUGH, _DEEP, _FINE = 4, 6, 5
 #: How much worse than the best so far a start may be that a fit is begun from.
-_WORTH_A_LOOK = 1.5
+_WORTH_A_LOOK = 3.0
 #: Effects whose Jacobian is simulated anew before they are judged: the best by the rough fit.
 _FINALISTS = 7
 #: Nats that an effect has to be able to change the signals by at prior strength, to be judged at all.
@@ -70,10 +75,10 @@ def singles(
         x, cost = refit(bench, v, starts, anchor.at.jacobian, _ROUGH)
         if not math.isfinite(cost):
             raise WorkError(f"the twin cannot be simulated with {effect}")
-        wide = _wide(bench, base, v, seed)
-        if wide is not None and wide[0] < _WORTH_A_LOOK * cost:
-            y, other = refit(bench, v, [wide[1]], None, _ROUGH)
-            x, cost = (y, other) if other < cost else (x, cost)
+        for begun, start in _wide(bench, base, v, seed):
+            if begun < _WORTH_A_LOOK * cost:
+                y, other = refit(bench, v, [start], None, _DEEP)
+                x, cost = (y, other) if other < cost else (x, cost)
         rough.append((cost, effect, v, x, power))
     base = _rebased(bench, base, [r[3] for r in rough])
     order = sorted(range(len(rough)), key=lambda i: rough[i][0])
@@ -110,28 +115,33 @@ def _always(bench: Bench, hypothesis: Hypothesis, x: Floats, base: Fit, blocks: 
     return evidence(every, finished(every, hypothesis, y), blocks, bench.active)
 
 
-def _wide(bench: Bench, base: Fit, hypothesis: Hypothesis, seed: int) -> tuple[float, Floats] | None:
-    """The best of many strengths of an effect with weaker dampers and other springs than the baseline has.
+def _wide(bench: Bench, base: Fit, hypothesis: Hypothesis, seed: int) -> list[tuple[float, Floats]]:
+    """Costs and unknowns of a few strengths of an effect, each with what suits it best of softer springs and
+    weaker dampers than the baseline has.
 
     A calibration that never saw friction, a stop or a bar has made up for it elsewhere, too far for a
     linear step to undo. Only for effects that act where characteristics do.
     """
     if EFFECTS[hypothesis.effects[-1]].where not in ("strut", "tyre", "body"):
-        return None
+        return []
     p = bench.d + bench.q
-    starts = hypothesis.starts(8, seed + 1)
-    columns = []
-    for dampers in (-1.2, -0.6, -0.25):
-        for springs in (-0.3, 0.0):
-            z = base.x[:p].copy()
-            for curve in bench.problem.space.curves:
-                rows = [r for r in curve.rows if r >= 0]
-                z[rows] += springs if curve.key.endswith("spring") else dampers
-            columns.append(np.concatenate([np.repeat(z[:, None], starts.shape[1], axis=1), starts]))
-    x = np.concatenate(columns, axis=1)
+
+    def vehicle(springs: float, dampers: float) -> Floats:
+        z = base.x[:p].copy()
+        for curve in bench.problem.space.curves:
+            rows = [r for r in curve.rows if r >= 0]
+            z[rows] += springs if curve.key.endswith("spring") else dampers
+        return z
+
+    starts = hypothesis.starts(_WIDE_STARTS, seed + 1)
+    many = [vehicle(*v) for v in _VEHICLES]
+    x = np.concatenate([np.concatenate([np.repeat(z[:, None], _WIDE_STARTS, axis=1), starts]) for z in many], axis=1)
+    # what changes least costs least at first and leads nowhere: an effect that acts early gets its tries too
+    early = [np.concatenate([vehicle(*v), hypothesis.early(far)])[:, None] for v, far in _EARLY]
+    x = bench.clipped(hypothesis, np.concatenate([x, *early], axis=1))
     costs = bench.costs(hypothesis, x)
-    best = int(np.argmin(costs))
-    return (float(costs[best]), x[:, best]) if np.isfinite(costs[best]) else None
+    tried = [int(np.argmin(costs[: -len(early)])), *range(costs.size - len(early), costs.size)]
+    return [(float(costs[i]), x[:, i]) for i in tried if np.isfinite(costs[i])]
 
 
 def pairs(

@@ -14,16 +14,19 @@ from suspension_twin.diagnosis.gaps import Remainder, shown_rows
 from suspension_twin.diagnosis.judge import Evidence
 from suspension_twin.drive.types import Floats
 
-__all__ = ["Gates", "background", "level_of", "masses", "temper_of", "verdict_of"]
+__all__ = ["Gates", "background", "level_of", "masses", "sound", "temper_of", "verdict_of"]
 
-#: Share of the gap that a cause has to explain.
+#: Share of the gap's rms that a cause has to explain, and what that is of its mean square.
 MATERIAL = 0.1
+MATERIAL_SQUARE = 1.0 - (1.0 - MATERIAL) ** 2
 #: What a calibrated model of seven degrees leaves of a car's motion that it knows, as a share of its rms:
 #: median and factor of one standard deviation; and what is left where something is missing.
 _USUAL, _USUAL_SPREAD = 0.2, 1.5
 _AMISS, _AMISS_SPREAD = 0.5, 1.8
-#: Factor by which what is left may differ between drives of the same car at other speeds.
-_BETWEEN_DRIVES = 1.35
+#: Held-out squares, in units of the noise that the reference taught, at which a sound model is as likely as
+#: not: on the drives with the gap, which are others than it learnt from, and on the reference itself. Half a
+#: sound model's drives lie at 1.2 to 1.6 and at 1.0 to 1.2.
+_SOUND_SHOWN, _SOUND_THERE, _SOUND_SPREAD = 1.9, 1.5, 1.15
 _LEAST_TEMPER = 0.03
 
 
@@ -53,20 +56,27 @@ def level_of(bench: Bench, left: Remainder, noise: dict[str, float], shown: bool
     return float(np.sqrt(np.sum(weight * ratio) / weight.sum()))
 
 
-def background(level: float, reference: float | None, noise_share: float) -> float:
-    """Probability that a remaining level is what a sound model leaves, not something missing.
-
-    With a reference: as much as there, within what drives differ. Without one: by what such models leave.
-    """
+def background(level: float, noise_share: float) -> float:
+    """Probability that a remaining level is what a sound model leaves, not something missing, where no
+    reference says what this one leaves: by what such models leave."""
     level = max(level, 1e-3)
     if level < noise_share:
         return 1.0
-    if reference is not None:
-        excess = np.log(level / max(reference, noise_share)) / np.log(_BETWEEN_DRIVES)
-        return float(np.clip(2.0 * norm.sf(excess - 0.5), 0.0, 1.0))
     usual = norm.pdf(max(np.log(level / _USUAL), 0.0) / np.log(_USUAL_SPREAD)) / np.log(_USUAL_SPREAD)
     amiss = norm.pdf(min(np.log(level / _AMISS), 0.0) / np.log(_AMISS_SPREAD)) / np.log(_AMISS_SPREAD)
     return float(usual / (usual + amiss))
+
+
+def sound(found: Evidence, channels: Sequence[int], slack: float = 1.0) -> float:
+    """Probability that nothing is missing beside what ``found`` has, by what the reference taught of the
+    noise: everywhere as quiet as there, and there as quiet as before the effect was asked of the vehicle.
+    ``slack`` is what the shown drives may have more."""
+    shown = max(found.level[c, True] for c in channels)
+    there = max(found.level[c, False] for c in channels)
+    spread = np.log(_SOUND_SPREAD)
+    return float(
+        norm.sf(np.log(shown / slack / _SOUND_SHOWN) / spread) * norm.sf(np.log(there / _SOUND_THERE) / spread)
+    )
 
 
 def temper_of(bench: Bench, best: Remainder, noise: dict[str, float]) -> float:
