@@ -224,7 +224,7 @@ class _Linear:
 
 def _linear(bench: Bench, hypothesis: Hypothesis, x: Floats, prior: Floats, centre: Floats) -> _Linear | None:
     k = len(hypothesis.keys)
-    size = 0.04 * prior
+    size = 0.2 * prior  # contacts make anything nearer rough
     size[:k] = np.where(x[:k] + size[:k] > hypothesis.high, -size[:k], size[:k])
     size[k:] = np.where(x[k:] + size[k:] > 1.0, -size[k:], size[k:])
     points = [x, *(x + np.eye(x.size)[i] * size[i] for i in range(x.size))]
