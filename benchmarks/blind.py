@@ -106,7 +106,7 @@ def diagnose(cases: list[Spec], out: Path, tell: Any) -> None:
 def parsed() -> argparse.Namespace:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     size = parser.add_mutually_exclusive_group()
-    size.add_argument("--short", action="store_true", help="ten cases, minutes (the default)")
+    size.add_argument("--short", action="store_true", help="nine cases, minutes (the default)")
     size.add_argument("--full", action="store_true", help="all cases, hours")
     parser.add_argument("--seeds", choices=("dev", "report"), default="dev")
     parser.add_argument("--stage", choices=("generate", "diagnose", "score", "all"), default="all")

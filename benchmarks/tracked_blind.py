@@ -36,7 +36,7 @@ def case(kind: str, seed: int, folder: Path) -> dict[str, Any]:
     """Write the runs of one case to ``folder`` and return its truth."""
     rng = np.random.default_rng([seed, KINDS.index(kind)])
     own = {
-        "track.stiffness": float(np.exp(rng.uniform(np.log(8e6), np.log(3e7)))),
+        "track.stiffness": float(np.exp(rng.uniform(np.log(1.5e7), np.log(4e7)))),
         "track.bending_stiffness": float(np.exp(rng.uniform(np.log(3e2), np.log(4e3)))),
         "track.damping": float(np.exp(rng.uniform(np.log(5e3), np.log(3e4)))),
         "track.bending_damping": float(np.exp(rng.uniform(np.log(1e2), np.log(2e3)))),
@@ -52,7 +52,7 @@ def case(kind: str, seed: int, folder: Path) -> dict[str, Any]:
         truth["tighter"] = own["idler.setting"] - setting
         broken = vehicle.with_changes({"idler.setting": setting})
     elif kind == "track_wear":
-        truth = {"stiffness": float(rng.uniform(0.1, 0.4))}
+        truth = {"stiffness": float(rng.uniform(0.3, 0.6))}
         worn = ("track.stiffness", "track.bending_stiffness")
         broken = vehicle.with_changes({k: own[k] * truth["stiffness"] for k in worn})
     elif kind == "station_damper":
@@ -90,12 +90,17 @@ def case(kind: str, seed: int, folder: Path) -> dict[str, Any]:
     return truth
 
 
-def judge(task: tuple[str, int]) -> dict[str, Any]:
-    """Make one case and diagnose it."""
-    kind, seed = task
+def judge(task: tuple[str, int, Path | None]) -> dict[str, Any]:
+    """Make one case, or take it from where it was kept, and diagnose it."""
+    kind, seed, kept = task
     with tempfile.TemporaryDirectory() as name:
-        folder = Path(name)
-        truth = case(kind, seed, folder)
+        folder = Path(name) if kept is None else kept / f"{kind}_{seed}"
+        if (folder / "truth.json").is_file():
+            truth = json.loads((folder / "truth.json").read_text(encoding="utf-8"))
+        else:
+            folder.mkdir(parents=True, exist_ok=True)
+            truth = case(kind, seed, folder)
+            (folder / "truth.json").write_text(json.dumps(truth), encoding="utf-8")
         began = time.perf_counter()
         runs, reference = (sorted(str(p) for p in (folder / s).glob("*.csv")) for s in ("after", "before"))
         document = diagnose_tracked_files(str(FILE), runs, reference, seed=seed).document
@@ -117,17 +122,19 @@ def main() -> None:
     parser.add_argument("--kinds", nargs="+", choices=KINDS, default=KINDS)
     parser.add_argument("--cases", type=int, default=10, help="at most so many seeds")
     parser.add_argument("--json", action="store_true")
+    parser.add_argument("--folder", type=Path, help="where the cases are kept, and taken from if they are there")
     parser.add_argument("--workers", type=int, default=1)
     arguments = parser.parse_args()
-    tasks = [(kind, seed) for seed in SEEDS[arguments.seeds][: arguments.cases] for kind in arguments.kinds]
+    seeds = SEEDS[arguments.seeds][: arguments.cases]
+    tasks = [(kind, seed, arguments.folder) for seed in seeds for kind in arguments.kinds]
     rows = []
     with multiprocessing.get_context("spawn").Pool(arguments.workers) as pool:
         for row in pool.imap(judge, tasks):
             rows.append(row)
             if not arguments.json:
                 mark = "right" if row["right"] else "WRONG"
-                print(f"{mark} {row['kind']:15} {row['seed']} {row['truth']} -> {row['message']}; {row['top']} "
-                      f"{row['probability']:.2f} {row['parameters']} tied {row['tied']}", flush=True)  # fmt: skip
+                print(f"{mark} {row['kind']:15} {row['seed']} {row['truth']} -> {row['message']}; "
+                      f"{row['top']} {row['probability']:.2f} {row['parameters']} tied {row['tied']}", flush=True)
     by: dict[str, list[bool]] = defaultdict(list)
     for row in rows:
         by[row["kind"]].append(row["right"])

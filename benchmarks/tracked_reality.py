@@ -76,8 +76,8 @@ def _run(
         wanted = 0.0
         if moving:  # a driver who comes to speed and holds it
             aim = speed * min(1.0, (step - settle) * dt / _RUN_UP)
-            held += dt * 2.0 * (aim - hull[3])
-            wanted = aim + held + (aim - hull[3])
+            held += dt * 12.0 * (aim - hull[3])
+            wanted = aim + held + 4.0 * (aim - hull[3])
         for i in range(n):
             fx[i], fz[i], torque[i] = 0.0, -mass * G, 0.0
         pull = 0.0

@@ -15,7 +15,7 @@ import numpy as np
 
 from suspension_twin.calibration.checkpoint import State
 from suspension_twin.calibration.identify import CORRELATION, travel
-from suspension_twin.calibration.least_squares import LeastSquares, LmSettings
+from suspension_twin.calibration.least_squares import LeastSquares, LmSettings, gram
 from suspension_twin.calibration.likelihood import INDEPENDENT, NEAR_FLOOR, Likelihood
 from suspension_twin.calibration.problem import FitProblem, Interrupted, Problem
 from suspension_twin.calibration.recorder import Outcome, Recorder
@@ -33,6 +33,8 @@ _FAINT = 1e-3
 _AT_FLOOR = 1.3
 #: Offsets that are simulated from here on instead of interpolated: s and m.
 _PLACE_CLOCK, _PLACE_MAP = 2e-3, 2e-2
+#: By how many standard deviations a search of a named objective is shaken, time by time.
+_SHAKES = (2.0, 4.0, 4.0)
 _FARTHEST_CORNER, _NEAREST_CORNER = 0.15, 0.003  # m
 
 
@@ -108,6 +110,9 @@ class _Fit:
         """The rounds; which of them are worth it is decided on the way."""
         yield _Round("squares", 0, _DESCENT, faint=False)
         yield _Round("squares", 1, _DESCENT)
+        if not self.balanced:
+            for number in range(len(_SHAKES)):
+                yield _Round("shake", number, _SEARCH)
         corners = [(s, j) for s, c in enumerate(self.springs) for j in range(c.x.size - 1)]
         for number, corner in enumerate(corners):
             if self.balanced and self.recorder.resumed is None and self.floors() < _AT_FLOOR:
@@ -175,8 +180,27 @@ class _Fit:
                 return self._at_corner(*planned.hop)
             # the second half of a hop goes on from the first, if that was made at all
             return self._pending
+        if planned.stage == "shake":
+            return self._shaken(planned.number)
         self._place()
         return self.x
+
+    def _shaken(self, number: int) -> Floats:
+        """The best of two dozen draws around the fit, wide where the drives leave it open: a corner of a curve
+        makes a valley of its own, and those lie side by side in such directions."""
+        fit = FitProblem(self.problem)
+        residual, jacobian, spent = fit.linearise(self.x)
+        scale = max(float(np.mean(residual**2)) / INDEPENDENT, 1e-30)
+        information = gram(jacobian, jacobian) / scale + self.precision
+        unit = 1.0 / np.sqrt(np.diag(information))
+        scaled = information * unit[:, None] * unit[None, :] + 1e-9 * np.eye(unit.size)
+        root = unit[:, None] * np.linalg.cholesky(np.linalg.inv(scaled))
+        rng = np.random.default_rng((self.recorder.request.seed, number))
+        draws = rng.standard_normal((self.x.size, _STARTS))
+        starts = self.x[:, None] + _SHAKES[number] * np.einsum("ij,jn->in", root, draws, optimize=False)
+        costs, more = fit.sums_of_squares(starts)
+        self.recorder.evaluations += spent + more
+        return np.asarray(starts[:, int(np.argmin(costs))])
 
     def _note(self, solver: LeastSquares, planned: _Round, scale: float) -> None:
         """Keep what is better, report, save."""
@@ -184,7 +208,7 @@ class _Fit:
         whitened = planned.stage == "likelihood"
         # The squares of the objective order candidates as its costs do; those of the likelihood do not.
         cost = self.costs_at(solver.x) if whitened else self.problem.objective.cost_of_squares(solver.fit)
-        if cost < self.cost or (self.balanced and planned.stage != "hop"):
+        if cost < self.cost or (self.balanced and planned.stage not in ("hop", "shake")):
             self.x, self.cost = solver.x, cost
         recorder.report(whitened, self.cost, cost, _EXPECTED)
         arrays = {"solver": solver.x, "x": self.x, "placed": self.placed}

@@ -80,7 +80,7 @@ def calibrate_runs(
         table.add_column(name, justify="left" if name in ("run", "") else "right")
     for run, own in zip(read, told, strict=True):
         w = paper.compare(run, own)
-        used = "fitted" if run in fitted else "validation"
+        used = "fitted" if any(run is f for f in fitted) else "validation"
         numbers = (f"{v:.3f}" for pair in (w.correlation, w.residual, w.gain) for v in pair)
         table.add_row(run.name, f"{3.6 * run.speed:.0f}", used, *numbers)
     console.print(table)

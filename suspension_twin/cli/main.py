@@ -167,7 +167,7 @@ def _not_imported() -> None:
 
 def _option(args: Sequence[str], name: str) -> str | None:
     """The value given to the option ``name``; None if there is none."""
-    for argument, following in zip(args, [*args[1:], None], strict=True):
+    for argument, following in zip(args, [*args, None][1:], strict=True):
         if argument == name:
             return following
         if argument.startswith(f"{name}="):

@@ -39,6 +39,7 @@ __all__ = ["TrackedDiagnosis", "diagnose_tracked", "diagnose_tracked_files"]
 _INDEPENDENT: Final = 5.0  # pieces of information that one second of a run holds, at most
 _MATERIAL: Final = 0.10  # share of the gap's rms above the noise that a cause must take away
 _QUIET: Final = 1.25  # level below which a gap is what repeats differ by
+_CALM: Final = 2.0  # ... and below which a gap that no cause takes away is not worth a word
 _ADEQUATE: Final = 0.65  # share of the gap above the noise that a cause named alone takes away
 _PARTLY: Final = 0.35  # ... and that a cause named for a part of it does
 _PAYS: Final = 8.0  # log evidence that a second effect has to bring
@@ -142,7 +143,8 @@ def _conclude(
     best = max(gain.values(), default=0.0)
     names = chosen.hypothesis.effects
     closed = _closed(base, chosen)
-    quiet = _level(base) < _QUIET or best < _TIED or closed < _MATERIAL
+    small = best < _TIED or closed < _MATERIAL
+    quiet = _level(base) < _QUIET or (small and _level(base) < _CALM)
     # a gap without a cause is unknown by as much as the best cause leaves open
     open_share = float(np.clip((_ADEQUATE - closed) / (_ADEQUATE - _PARTLY), 0.0, 1.0)) if not quiet else 0.0
     weights = {n: float(np.exp(g - best)) for n, g in gain.items()}

@@ -34,6 +34,7 @@ __all__ = [
 
 _LATE, _STRETCH = 0.015, 0.01  # s and share: what a camera's start and a driver's speed are off by
 _FLOOR = np.repeat([0.8e-3, 0.01, 0.15], 3)  # m, m/s, m/s²: less noise than that no tool has
+_UNEVEN = 0.01  # share of the motion by which two runs of one driver differ
 _BLOCK = 0.5  # s of consecutive samples that are held out together
 _FOLDS = 5
 _SPREAD = 0.15  # of a track parameter's range, about the twin's value
@@ -152,6 +153,8 @@ def make_bench(
         usual.append(own)
         clocks.append(clock)
     sigma = np.maximum(np.sqrt(np.mean(scatter, axis=0)), _FLOOR) if scatter else 4 * _FLOOR
+    motion = np.sqrt(np.mean([u.var(axis=0) for u in usual], axis=0))
+    sigma = np.hypot(sigma, _UNEVEN * motion)
     seen = np.tile(np.all([r.seen for r in runs], axis=0), 3)
     sigma = np.where(seen, sigma, 1e6)
     fitted = not reference if free is None else free
@@ -221,7 +224,7 @@ class _Linear:
 
 def _linear(bench: Bench, hypothesis: Hypothesis, x: Floats, prior: Floats, centre: Floats) -> _Linear | None:
     k = len(hypothesis.keys)
-    size = 0.04 * prior
+    size = 0.2 * prior  # contacts make anything nearer rough
     size[:k] = np.where(x[:k] + size[:k] > hypothesis.high, -size[:k], size[:k])
     size[k:] = np.where(x[k:] + size[k:] > 1.0, -size[k:], size[k:])
     points = [x, *(x + np.eye(x.size)[i] * size[i] for i in range(x.size))]

@@ -65,8 +65,8 @@ class OffRoad:
         words = _WORDS.get(self.policy, f"the road's file says {self.policy}")
         span = f"from {start - begin:.1f} to {end - begin:.1f} s{more}"
         return (
-            f"off the road {self.road} for {self.seconds:.1f} s ({self.share:.0%} of the drive), {span}: there {words}, "
-            "and nothing is compared"
+            f"off the road {self.road} for {self.seconds:.1f} s ({self.share:.0%} of the drive), {span}: "
+            f"there {words}, and nothing is compared"
         )
 
 

@@ -9,6 +9,8 @@ import pytest
 
 from suspension_twin.errors import InputError
 from suspension_twin.vehicle.tracked import BOUNDS, TrackedVehicle, load_tracked, parse_tracked
+from suspension_twin.vehicle.tracked_twin import TrackedTwin
+from suspension_twin.vehicle.twin import load_twin, save_twin
 
 
 @pytest.fixture(scope="module")
@@ -67,3 +69,16 @@ def test_files_that_are_none(tmp_path: Path) -> None:
 def test_dampers_change_where_there_are_some(vehicle: TrackedVehicle) -> None:
     dampings = [s.damping for s in vehicle.with_dampers(11272.0).stations]
     assert dampings == [11272.0, 11272.0, 0.0, 0.0, 0.0, 11272.0]
+
+
+def test_the_file_is_a_twin_file_and_goes_there_and_back(repository: Path, tmp_path: Path) -> None:
+    twin = load_twin(repository / "config" / "tracked" / "pt91.yaml")
+    assert isinstance(twin, TrackedTwin) and twin.model == "tracked"
+    assert len(set(twin.joint_names)) == 12 and twin.joint_names[0] == "left_road_wheel_1"
+    assert twin.cog_height == pytest.approx(1.144)
+    save_twin(twin, tmp_path / "twin.yaml")
+    assert load_twin(tmp_path / "twin.yaml") == twin
+    changed = twin.with_changes({"vehicle.track.stiffness": 1e6})
+    assert isinstance(changed, TrackedTwin) and changed.vehicle.track.stiffness == 1e6
+    with pytest.raises(InputError, match=r"vehicle\.idler\.setting: must lie between -5590 and -5550 mm"):
+        twin.with_changes({"vehicle.idler.setting": -5600.0})

@@ -1,0 +1,113 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Diagnosis of a tracked vehicle: it names what was done to marker runs, says no gap and unknown when so."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from suspension_twin.calibration.tracked_paper import simulate_runs
+from suspension_twin.calibration.tracked_runs import MarkerRun
+from suspension_twin.diagnosis import tracked
+from suspension_twin.diagnosis.tracked import diagnose_tracked, diagnose_tracked_files
+from suspension_twin.diagnosis.tracked_fit import NOTHING, fit, hypotheses_for, make_bench
+from suspension_twin.effects.tracked_effects import TRACKED_EFFECTS, apply_tracked, camera_of
+from suspension_twin.errors import InputError
+from suspension_twin.report.tracked import diagnosis_page
+from suspension_twin.vehicle.tracked_twin import TrackedTwin
+from suspension_twin.vehicle.twin import load_twin
+
+SPEED = 13 / 3.6
+KEYS = {"verdict", "gap", "where", "causes", "combination", "unexplained", "next_experiment", "seed", "message"}
+
+
+@pytest.fixture(scope="module")
+def twin(repository: Path) -> TrackedTwin:
+    loaded = load_twin(repository / "config" / "tracked" / "pt91.yaml")
+    assert isinstance(loaded, TrackedTwin)
+    return loaded
+
+
+def film(twin: TrackedTwin, effects: dict[str, dict[str, float]], seed: int, speed: float = SPEED) -> MarkerRun:
+    """A run of the model itself with effects, and a camera's noise."""
+    t = np.arange(0, 4.6, 0.02)
+    empty = MarkerRun(t, *(np.zeros((t.size, 3)) for _ in range(3)), speed)  # type: ignore[arg-type]
+    told = simulate_runs([apply_tracked(twin.vehicle, effects)], [empty])[0]
+    assert told is not None
+    rng = np.random.default_rng(seed)
+    seen = camera_of(effects).see(t, told[0].markers, told[0].velocity, told[0].acceleration, speed)
+    z, v, a = (m + rng.normal(0, s, m.shape) for m, s in zip(seen, (5e-4, 5e-3, 0.08), strict=True))
+    return MarkerRun(t, z, v, a, speed, f"13kmh_{seed}")
+
+
+@pytest.fixture
+def short(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Few effects, and a twin that is as well calibrated as it can be."""
+    few = {k: TRACKED_EFFECTS[k] for k in ("sensor_scale", "station_damper")}
+    monkeypatch.setattr(tracked, "TRACKED_EFFECTS", few)
+    monkeypatch.setattr(tracked, "calibrate_to", lambda vehicle, runs: vehicle)
+
+
+def test_a_dead_damper_is_named_with_its_station(twin: TrackedTwin, short: None, tmp_path: Path) -> None:
+    fault = {"station_damper": {"station": 6.0, "share": 0.1}}
+    runs, reference = [film(twin, fault, 1)], [film(twin, {}, k) for k in (3, 4)]
+    result = diagnose_tracked(twin, runs, reference)
+    d = result.document
+    assert set(d) >= KEYS and d["verdict"] == "effect" and d["combination"] == ["station_damper"]
+    top = d["causes"][0]
+    assert top["effect"] == "station_damper" and top["probability"] > 0.9 and top["shrink"] > 0.8
+    assert top["parameters"]["station"] == 6.0 and top["parameters"]["share"] == pytest.approx(0.1, abs=0.1)
+    low, high = top["shrink_interval"]
+    assert low <= top["shrink"] <= high + 1e-9
+    assert sum(c["probability"] for c in d["causes"]) + d["no_gap_probability"] + d["unknown_probability"] == (
+        pytest.approx(1.0, abs=1e-4)
+    )
+    json.dumps(d, allow_nan=False)
+    assert result.twin.effects[0].id == "station_damper"
+    page = diagnosis_page(result).write(tmp_path / "report.html")
+    assert "station damper" in Path(page).read_text(encoding="utf-8")
+
+
+def test_a_sound_vehicle_has_no_gap(twin: TrackedTwin, short: None) -> None:
+    result = diagnose_tracked(twin, [film(twin, {}, 1)], [film(twin, {}, 3), film(twin, {}, 4)])
+    assert result.document["verdict"] == "no_gap" and result.document["combination"] == []
+    assert result.document["no_gap_probability"] > 0.5 and result.twin.effects == ()
+
+
+def test_what_no_effect_is_remains_unknown(twin: TrackedTwin, short: None) -> None:
+    runs = [film(twin, {}, 1)]
+    shake = 0.06 * np.sin(9.0 * runs[0].t)[:, None] * np.array([1.0, -1.0, 1.0])
+    odd = [replace(r, markers=r.markers + shake, velocity=r.velocity + np.gradient(shake, r.t, axis=0)) for r in runs]
+    document = diagnose_tracked(twin, odd, [film(twin, {}, 3), film(twin, {}, 4)]).document
+    assert document["verdict"] == "unknown" and document["unknown_probability"] > 0.5
+    assert document["signature"]["peak_hz"] == pytest.approx(9.0 / (2 * np.pi), abs=0.5)
+
+
+def test_each_kind_of_effect_is_found_by_its_own_hypothesis(twin: TrackedTwin) -> None:
+    reference = [film(twin, {}, 3), film(twin, {}, 4)]
+    cases = {
+        "station_bar": {"station": 2.0, "sag": 0.1},
+        "sensor_tilt": {"roll": 0.01},
+    }
+    for name, values in cases.items():
+        bench = make_bench(twin.vehicle, [film(twin, {name: values}, 1)], reference)
+        base = fit(bench, NOTHING)
+        place = int(values.get("station", 1)) - 1
+        found = fit(bench, hypotheses_for(name, twin.vehicle)[place])
+        assert base is not None and found is not None
+        assert found.score < 0.6 * base.score, name
+        told = found.hypothesis.given(found.x)[name]
+        for key, value in values.items():
+            assert told[key] == pytest.approx(value, rel=0.35), (name, key)
+
+
+def test_what_cannot_be_diagnosed(twin: TrackedTwin, repository: Path, tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="none is given"):
+        diagnose_tracked(twin, [])
+    car = min((repository / "config" / "twins").glob("*.yaml"))
+    with pytest.raises(InputError, match="marker runs are of a tracked vehicle"):
+        diagnose_tracked_files(str(car), ["13kmh.csv"])
