@@ -123,9 +123,9 @@ class _Search:
 
     def _gates(self, found: Evidence, left: gaps.Remainder) -> verdict.Gates:
         bench = self.bench
-        if self.reference is None:
-            level = verdict.level_of(bench, left, self.noise, shown=True)
-            adequate = verdict.background(level, self._noise_share())
+        level, quiet = verdict.level_of(bench, left, self.noise, shown=True), self._noise_share()
+        if self.reference is None or level < quiet:
+            adequate = verdict.background(level, quiet)
         else:
             # the pose was fused from both clocks: what it has wrong sideways no shift of the simulation undoes
             late = any(EFFECTS[e].where == "time" for e in found.fit.hypothesis.effects)
