@@ -40,22 +40,21 @@ def command(twin: TwinFile, speeds: Range = (5.0, 55.0), out: Out = None) -> Non
         raise InputError(twin, "model", f"is {loaded.model}: the dampers of a tracked vehicle are chosen here")
     chosen = select_damping(loaded.vehicle, *speeds)
     console = Console(highlight=False, soft_wrap=True)
-    table = Table(title="Variance of the pitch, 1e-4 rad², over km/h", title_justify="left", title_style="bold")
-    table.add_column("N m s/rad", justify="right")
-    for speed in chosen.speeds:
-        table.add_column(f"{speed:.0f}", justify="right")
-    table.add_column("mean", justify="right")
-    table.add_column("worst/least", justify="right")
-    for i, row in enumerate(chosen.table):
-        mark = "bold" if i == chosen.best else ""
-        numbers = (f"{1e4 * v:.2f}" for v in (*row, chosen.mean[i]))
-        table.add_row(f"{chosen.dampings[i]:.0f}", *numbers, f"{chosen.regret[i]:.2f}", style=mark)
+    table = Table(title="Variance of the pitch, 1e-4 rad², by damping", title_justify="left", title_style="bold")
+    table.add_column("km/h \\ N m s/rad", justify="right")
+    for i, damping in enumerate(chosen.dampings):
+        table.add_column(f"{damping:.0f}", justify="right", style="bold" if i == chosen.best else "")
+    for k, speed in enumerate(chosen.speeds):
+        table.add_row(f"{speed:.0f}", *(f"{1e4 * row[k]:.2f}" for row in chosen.table))
+    table.add_section()
+    table.add_row("mean in range", *(f"{1e4 * v:.2f}" for v in chosen.mean))
+    table.add_row("worst over least", *(f"{v:.2f}" for v in chosen.regret))
     console.print(table)
     others = [f"{chosen.dampings[i]:.0f}" for i in chosen.near if i != chosen.best]
     also = f"; within a tenth of it: {', '.join(others)}" if others else ""
     console.print(
         f"From {chosen.low:g} to {chosen.high:g} km/h take {chosen.dampings[chosen.best]:.0f} N m s/rad (curve "
-        f"{chosen.best + 1}; the paper, over all speeds: curve {PAPER_CURVE}){also}. The obstacle decides with."
+        f"{chosen.best + 1}; the paper, over all speeds: curve {PAPER_CURVE}){also}. Another obstacle may say otherwise."
     )
     if out is not None:
         from suspension_twin.report import style
