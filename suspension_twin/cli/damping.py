@@ -54,7 +54,7 @@ def command(twin: TwinFile, speeds: Range = (5.0, 55.0), out: Out = None) -> Non
     also = f"; within a tenth of it: {', '.join(others)}" if others else ""
     console.print(
         f"From {chosen.low:g} to {chosen.high:g} km/h take {chosen.dampings[chosen.best]:.0f} N m s/rad (curve "
-        f"{chosen.best + 1}; the paper, over all speeds: curve {PAPER_CURVE}){also}. Another obstacle may say otherwise."
+        f"{chosen.best + 1}; the paper, over all speeds: curve {PAPER_CURVE}){also}. It depends on the obstacle."
     )
     if out is not None:
         from suspension_twin.report import style
