@@ -498,6 +498,7 @@ def test_the_rest_of_the_environment_stays(bootstrap: ModuleType, monkeypatch: p
 
 def test_ros_can_log_without_a_home(bootstrap: ModuleType, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.delenv("HOME")
+    monkeypatch.delenv("ROS_HOME", raising=False)
     home = clean(bootstrap, monkeypatch)["HOME"]
     assert os.path.isdir(home)
     env = clean(bootstrap, monkeypatch, HOME="/nowhere")

@@ -295,9 +295,14 @@ def test_a_reader_that_leaves_is_no_trouble(size: int, tmp_path: Path) -> None:
 def test_a_signal_ends_a_command_quietly(end: signal.Signals, endless: bool, status: int, tmp_path: Path) -> None:
     """Also while it still imports, which takes seconds: the program's own handlers are in place before."""
     body = "print('at work', flush=True); time.sleep(30)"
-    child = subprocess.Popen(
-        program_with(body, tmp_path / "work.py", endless), stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
-    )
+    # a shell that runs the tests in the background has its children ignore Ctrl-C
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)
+    try:
+        child = subprocess.Popen(
+            program_with(body, tmp_path / "work.py", endless), stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+        )
+    finally:
+        signal.signal(signal.SIGINT, before)
     try:
         assert child.stdout is not None
         assert child.stdout.readline() == "at work\n"
