@@ -24,14 +24,19 @@ from suspension_twin.drive.read import read_drive
 from suspension_twin.drive.types import Floats
 from suspension_twin.errors import InputError
 from suspension_twin.gap.measure import CHANNELS
-from suspension_twin.gap.prepare import Prepared, prepare, road_of
+from suspension_twin.gap.prepare import Prepared, PrepareSettings, prepare, road_of
 from suspension_twin.road import flat_road
+from suspension_twin.signals.filters import FilterSpec
 from suspension_twin.vehicle.twin import Twin, load_twin
 
 __all__ = ["PLANAR", "VERTICAL", "Case", "baseline", "build", "read_case"]
 
 VERTICAL = ("vertical_acceleration", "roll_rate", "pitch_rate")
 PLANAR = ("longitudinal_acceleration", "lateral_acceleration", "yaw_rate")
+#: Without a road: what the receiver has seen against what the IMU has felt.
+_PLANAR_ONLY = PrepareSettings(filter=FilterSpec(2, 1.6), satellites=True)
+#: What clock and mounting are is then the very question, and nothing else shows it.
+_BARE = replace(NORMAL, clock=0.0, map_position=0.0, tilt=0.0, pivot=0.0)
 #: Seconds of compared driving below which nothing can be held back from the fit.
 SHORTEST = 8.0
 #: Free beside the characteristics: what no weighbridge tells.
@@ -76,7 +81,7 @@ def read_case(request: DiagnosisRequest, note: Callable[[str], None], stop: Call
         note(f"reading {Path(bag).name}")
         recorded = read_drive(bag, topics=request.topics)
         check_recording(recorded)
-        prepared = prepare(recorded, twin, road, strict=True)
+        prepared = prepare(recorded, twin, road, None if on_road else _PLANAR_ONLY, strict=True)
         if on_road:
             check_drive(prepared)
         drives.append(prepared)
@@ -120,7 +125,7 @@ def build(case: Case, stop: Callable[[], bool]) -> Bench:
     terms = parse_objective("euclidean", dict.fromkeys(case.channels, 1.0))
     wander = [0.5 * d.position_sigma if d.position_sigma >= 0.1 else 0.0 for d in case.drives]
     numbers = list(range(len(case.drives)))
-    problem = Problem(twin, space, case.drives, numbers, terms, NORMAL, wander, settings)
+    problem = Problem(twin, space, case.drives, numbers, terms, NORMAL if case.road else _BARE, wander, settings)
     problem.interrupt = stop
     d, q = len(space), len(problem.nuisances)
     precision = np.zeros((d + q, d + q))

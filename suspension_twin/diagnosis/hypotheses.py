@@ -24,8 +24,9 @@ from suspension_twin.vehicle.twin import EffectSpec, Twin
 __all__ = ["BASELINE", "Hypothesis", "combined", "library"]
 
 _WIDTH = 1.4  # of the starting points, in spreads of the prior
-#: Effects that sensors, clocks and mounts have without any road under the wheels.
-WITHOUT_ROAD = ("time_offset", "clock_drift", "sensor_tilt", "sensor_scale", "sensor_bandwidth", "sensor_clipping")
+#: Effects that the planar motion shows without any road under the wheels. What fixes at a few hertz can
+#: hold says nothing of a sensor's bandwidth or range.
+WITHOUT_ROAD = ("time_offset", "clock_drift", "sensor_tilt", "sensor_scale")
 
 
 @dataclass(frozen=True)
@@ -88,6 +89,11 @@ class Hypothesis:
             if p.name in EFFECTS[self._owner(i)].severity and not p.log:
                 at[i] = (p.neutral - p.typical) / p.spread
         return np.clip(at, low, high)
+
+    @property
+    def touches(self) -> bool:
+        """Whether an effect acts only past a distance."""
+        return any(p.log and p.unit == "m" and "clearance" in p.name for _, p in self.searched)
 
     def early(self, far: float) -> Floats:
         """(k,) an effect that acts early and strongly, ``far`` spreads of its prior from what is typical."""

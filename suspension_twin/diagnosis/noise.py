@@ -18,6 +18,7 @@ from scipy import linalg, signal
 from scipy.ndimage import gaussian_filter1d
 
 from suspension_twin.calibration.problem import Problem
+from suspension_twin.compiled import compiled
 from suspension_twin.drive.types import Floats
 
 __all__ = ["INDEPENDENT", "Whitener", "density", "shares"]
@@ -119,9 +120,21 @@ class Whitener:
             difference = simulated[:, c, :] - measured.values[:, c, None]
             for s, d in zip(measured.stretches, measured.drives, strict=True):
                 if s.stop - s.start > 2 * ORDER:
-                    white = np.asarray(signal.lfilter(self.filters[d, c], [1.0], difference[s], axis=0))
-                    parts.append(white[ORDER:] / (self.sigma[d, c] * self.scale[c]))
+                    taps = self.filters[d, c, ::-1] / (self.sigma[d, c] * self.scale[c])
+                    parts.append(_filtered(difference[s], taps))
         return np.concatenate(parts)
+
+
+@compiled
+def _filtered(x: Floats, taps: Floats) -> Floats:  # pragma: no cover - compiled
+    """(n - ORDER, L) of (n, L): taps, the oldest sample's first, where all of them have a sample."""
+    order = taps.size - 1
+    out = np.zeros((x.shape[0] - order, x.shape[1]))
+    for i in range(out.shape[0]):
+        for k in range(order + 1):
+            for lane in range(x.shape[1]):
+                out[i, lane] += taps[k] * x[i + k, lane]
+    return out
 
 
 def _predictor(power: Floats, rate: float) -> tuple[Floats, float]:

@@ -30,6 +30,8 @@ __all__ = ["diagnose"]
 _EFFECT_PRIOR = 0.65
 #: How surely one more effect has to beat the smaller set, and by which share of the gap, to join it.
 _SURE, _WORTH = 0.95, verdict.MATERIAL
+#: The same share where clocks and mounts are all there is to find.
+_WORTH_PLANAR = 0.02
 #: Share of soundness that is a trait of the library, shown on the reference drives as well.
 _TRAITS = 0.5
 _LEAST_EXCESS = 0.2
@@ -184,7 +186,13 @@ class _Search:
             return self.base, self.left[0]
         effects = library(self.case.twin, self.case.road, self.request.effects)
         weak = [s.effect for s in self.singles if not s.judged]
-        while len(chosen.fit.hypothesis.effects) < _MOST_EFFECTS and gates.adequate < 0.5 and len(effects) > 1:
+        # without a road no background is known that a remainder could be measured by
+        open_end = not self.case.road
+        while (
+            len(chosen.fit.hypothesis.effects) < _MOST_EFFECTS
+            and (open_end or gates.adequate < 0.5)
+            and len(effects) > 1
+        ):
             tried = pairs(
                 self.bench, chosen, effects, self.blocks, self.request.seed,
                 lambda done, note: self.tell(Progress("combinations", 0.76 + 0.18 * done, note)), weak,
@@ -197,7 +205,7 @@ class _Search:
             total = self._shrink(self.left[0], left).after
             gained = total - self._shrink(self.left[0], rest).after
             before = self._shrink(self.left[0], left).before
-            if beats[1, 0] < _SURE or gained < _WORTH * before:
+            if beats[1, 0] < _SURE or gained < (_WORTH_PLANAR if open_end else _WORTH) * before:
                 break
             chosen, left, gates = more, rest, self._gates(more, rest)
         return chosen, left

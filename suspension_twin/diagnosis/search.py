@@ -136,11 +136,13 @@ def _wide(bench: Bench, base: Fit, hypothesis: Hypothesis, seed: int) -> list[tu
     starts = hypothesis.starts(_WIDE_STARTS, seed + 1)
     many = [vehicle(*v) for v in _VEHICLES]
     x = np.concatenate([np.concatenate([np.repeat(z[:, None], _WIDE_STARTS, axis=1), starts]) for z in many], axis=1)
-    # what changes least costs least at first and leads nowhere: an effect that acts early gets its tries too
-    early = [np.concatenate([vehicle(*v), hypothesis.early(far)])[:, None] for v, far in _EARLY]
+    # a stop that hardly touches costs least at first and leads nowhere: one that touches early gets its tries too
+    ways = _EARLY if hypothesis.touches else ()
+    early = [np.concatenate([vehicle(*v), hypothesis.early(far)])[:, None] for v, far in ways]
     x = bench.clipped(hypothesis, np.concatenate([x, *early], axis=1))
     costs = bench.costs(hypothesis, x)
-    tried = [int(np.argmin(costs[: -len(early)])), *range(costs.size - len(early), costs.size)]
+    first = costs.size - len(early)
+    tried = [int(np.argmin(costs[:first])), *range(first, costs.size)]
     return [(float(costs[i]), x[:, i]) for i in tried if np.isfinite(costs[i])]
 
 

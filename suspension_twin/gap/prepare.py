@@ -22,6 +22,7 @@ from suspension_twin.gap.off_road import Ground, OffRoad, off_road
 from suspension_twin.gap.quiet import quiet_motion
 from suspension_twin.models.excitation import excitation
 from suspension_twin.models.types import Excitation, Response
+from suspension_twin.pose.satellites import satellite_motion
 from suspension_twin.pose.smoothed import locked_trajectory
 from suspension_twin.pose.types import Trajectory
 from suspension_twin.road.road import Outside, Road
@@ -38,12 +39,14 @@ __all__ = ["PrepareSettings", "Prepared", "prepare"]
 class PrepareSettings:
     """``filter`` for both sides, zero-phase offline; ``max_step`` s of the simulation; ``quiet`` takes the
     IMU's noise out of the planar motion that drives it; ``outside`` what a drive gets that leaves the road:
-    hold, zero, error, or what the road's file says."""
+    hold, zero, error, or what the road's file says; ``satellites`` takes the planar motion from the fixes alone,
+    for where the IMU itself is what is asked about."""
 
     filter: FilterSpec = FilterSpec()
     max_step: float = 1e-3
     quiet: bool = True
     outside: Outside = "road"
+    satellites: bool = False
     imu: ImuSettings = field(default_factory=ImuSettings)
 
 
@@ -156,12 +159,15 @@ def prepare(
             if finding.level == "error":
                 raise InputError(drive.name, "imu", finding.text)
     datum = twin.datum or _first_fix(drive)
-    try:
-        trajectory = locked_trajectory(drive, signals, twin.gps, datum, signals.t)
-    except InputError as error:
-        raise error if str(error).startswith(drive.name) else InputError(drive.name, str(error)) from None
-    if settings.quiet:
-        trajectory = quiet_motion(trajectory, signals, twin.cog_height)
+    if settings.satellites:
+        signals, trajectory = satellite_motion(drive, signals, twin.gps, datum)
+    else:
+        try:
+            trajectory = locked_trajectory(drive, signals, twin.gps, datum, signals.t)
+        except InputError as error:
+            raise error if str(error).startswith(drive.name) else InputError(drive.name, str(error)) from None
+        if settings.quiet:
+            trajectory = quiet_motion(trajectory, signals, twin.cog_height)
     warnings = (*drive.warnings, *(f.text for f in signals.findings if f.level != "ok"))
     prepared = _assemble(drive.name, twin, road, settings, signals, trajectory)
     left = prepared.off_road.sentence(float(signals.t[0]))

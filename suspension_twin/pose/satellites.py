@@ -1,0 +1,97 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The planar motion that the receiver alone has seen, and the IMU as slowly beside it.
+
+The locked pose is fused from receiver and IMU: a comparison with that IMU would find it right whatever
+its clock and its mounting are. Where no road tells the two apart, the path comes from the fixes alone,
+and both sides are brought down to what fixes at a few hertz can hold.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+from scipy.interpolate import CubicSpline
+
+from suspension_twin.drive.types import Drive, Floats
+from suspension_twin.errors import InputError
+from suspension_twin.pose.local_map import LocalMap
+from suspension_twin.pose.types import Trajectory
+from suspension_twin.signals.filters import FilterSpec, zero_phase
+from suspension_twin.signals.offline import ImuSignals
+from suspension_twin.vehicle.twin import Datum, Place
+
+__all__ = ["RATE", "satellite_motion"]
+
+#: Of what is compared, Hz.
+RATE = 5.0
+#: Share of the fixes' rate that a course and an acceleration can be told up to.
+_SHARE, _MOST = 0.2, 0.8  # Hz
+_SLOWEST = 3.0  # m/s: below it a course says nothing of the heading
+_GAP = 1.5  # s
+
+
+def satellite_motion(
+    drive: Drive, signals: ImuSignals, gps_place: Place, datum: Datum
+) -> tuple[ImuSignals, Trajectory]:
+    """The IMU (n,) at RATE Hz and the motion of ``base_link`` at its stamps, by the fixes alone.
+
+    Raises InputError where there are too few fixes to differentiate.
+    """
+    fix = drive.fix
+    whole = np.isfinite(fix.latitude) & np.isfinite(fix.longitude) & np.isfinite(fix.t)
+    good = np.flatnonzero((fix.status >= 0) & whole)
+    good = good[np.argsort(fix.t[good], kind="stable")]
+    good = good[np.concatenate([[True], np.diff(fix.t[good]) > 1e-3])] if good.size else good
+    if good.size < 20:
+        raise InputError(drive.name, "fix", f"has {good.size} usable positions: too few to tell accelerations from")
+    at = fix.t[good]
+    places = LocalMap(datum).to_map(fix.latitude[good], fix.longitude[good], np.full(good.size, datum.altitude))
+    spec = FilterSpec(2, min(_MOST, _SHARE / float(np.median(np.diff(at)))))
+    rate = signals.rate_hz
+    # an even grid: on jittered stamps the speed itself would turn into acceleration
+    t = np.arange(signals.t[0], signals.t[-1], 1.0 / rate)
+    nearest = np.clip(np.searchsorted(signals.t, t), 0, len(signals) - 1)
+
+    def slow(values: Floats) -> Floats:
+        return np.asarray(zero_phase(spec, rate, values))
+
+    inside = np.clip(t, at[0], at[-1])
+    path = slow(np.asarray(CubicSpline(at, places[:, :2])(inside)))
+    arm = np.asarray(gps_place.position[:2])
+    own = path
+    # the antenna's course is not the vehicle's where it sits ahead of the rear axle: once more from there
+    for _ in range(2):
+        velocity = np.gradient(own, t, axis=0)
+        speed = np.hypot(velocity[:, 0], velocity[:, 1])
+        fast = slow((speed > _SLOWEST).astype(np.float64)) > 0.999
+        if not fast.any():
+            raise InputError(drive.name, "fix", f"never moves faster than {_SLOWEST:g} m/s: no course can be told")
+        yaw = np.unwrap(np.arctan2(velocity[fast, 1], velocity[fast, 0]))
+        yaw = slow(np.interp(t, t[fast], yaw))
+        c, s = np.cos(yaw), np.sin(yaw)
+        own = path - np.stack([c * arm[0] - s * arm[1], s * arm[0] + c * arm[1]], axis=1)
+    turn, pull = np.where(fast, np.gradient(yaw, t), 0.0), np.where(fast, np.gradient(speed, t), 0.0)
+    wide = np.flatnonzero(np.diff(at) > _GAP)
+    near = (t >= at[0]) & (t <= at[-1])
+    for i in wide:
+        near &= (t < at[i]) | (t > at[i + 1])
+    step = max(1, round(rate / RATE))
+    cut = slice(None, None, step)
+    trajectory = Trajectory(
+        t=t[cut], x=own[cut, 0], y=own[cut, 1], yaw=yaw[cut], speed=speed[cut],
+        lateral_speed=np.zeros_like(speed[cut]), yaw_rate=turn[cut], ax=pull[cut], ay=(speed * turn)[cut],
+        valid=(fast & near)[cut],
+    )  # fmt: skip
+    kept = nearest[cut]
+
+    def slowed(values: Floats) -> Floats:
+        even = np.stack([np.interp(t, signals.t, column) for column in np.atleast_2d(values.T)], axis=1)
+        return slow(even)[cut].reshape(-1, *values.shape[1:])
+
+    slower = replace(
+        signals, t=t[cut], keep=signals.keep[kept], force=slowed(signals.force), rate=slowed(signals.rate),
+        vertical_acceleration=slowed(signals.vertical_acceleration), up=signals.up[kept], rate_hz=rate / step,
+        standing=signals.standing[kept], saturated=signals.saturated[kept],
+    )  # fmt: skip
+    return slower, trajectory
