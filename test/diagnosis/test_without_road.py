@@ -1,0 +1,44 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A recording of a real car whose IMU sits tilted and late, without telling the twin."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from suspension_twin.diagnosis.request import DiagnosisRequest
+from suspension_twin.diagnosis.run import diagnose
+from suspension_twin.drive.importing import import_drive
+from suspension_twin.drive.write import write_drive
+from suspension_twin.vehicle.twin import Datum, Place, Twin, save_twin
+
+
+def test_tilt_and_clock_of_a_real_roof_imu_are_named(
+    shared_data: Path, repository: Path, car: Twin, tmp_path: Path
+) -> None:
+    folder = shared_data / "rtklibexplorer_GNSS_IMU"
+    if not folder.is_dir():
+        pytest.skip("no rtklibexplorer_GNSS_IMU among the measured data")
+    mapping = repository / "config" / "import" / "rtklibexplorer_gnss_imu_raw.yaml"
+    drive = import_drive([folder], mapping=mapping).drive
+    write_drive(drive, tmp_path / "raw")
+    fix = drive.fix
+    twin = car.model_copy(
+        update={
+            # all that its owner saw: it looks backwards
+            "imu": Place(position=(0.0, 0.0, 1.5), rpy=(0.0, 0.0, np.pi)),
+            "gps": Place(frame="gps_link", position=(0.0, 0.0, 2.15)),
+            "datum": Datum(latitude=fix.latitude[0], longitude=fix.longitude[0], altitude=fix.altitude[0]),
+        }
+    )
+    save_twin(twin, tmp_path / "twin.yaml")
+    document = diagnose(DiagnosisRequest(str(tmp_path / "twin.yaml"), (str(tmp_path / "raw"),))).document
+    assert document["verdict"] in ("effect", "partly")
+    assert "sensor_tilt" in document["combination"]
+    assert {"time_offset", "clock_drift"} & set(document["combination"])
+    found = {c["effect"]: c["parameters"] for c in document["causes"]}
+    assert np.degrees(found["sensor_tilt"]["pitch"]) == pytest.approx(6.79, abs=2.0)  # as documented
+    assert document["where"]["road"] == [] or document["gap"]["channel"] == "longitudinal_acceleration"
+    assert any("names no road" in w for w in document["warnings"])

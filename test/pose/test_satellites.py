@@ -1,0 +1,72 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The motion that fixes alone tell, against known paths."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from suspension_twin.drive.types import FixData
+from suspension_twin.errors import InputError
+from suspension_twin.pose.satellites import RATE, satellite_motion
+from suspension_twin.signals.offline import ingest_drive
+
+
+def cut(fix: FixData, keep: Any) -> FixData:
+    names = ("t", "latitude", "longitude", "altitude", "status", "sigma")
+    return replace(fix, **{k: getattr(fix, k)[keep] for k in names})
+
+
+@pytest.fixture(scope="module")
+def scene(make_scene: Callable[..., Any]) -> Any:
+    """A slalom that speeds up and slows down; the antenna stands ahead of the rear axle and to the right."""
+    return make_scene(
+        speed=lambda s: 10.0 + 2.0 * np.sin(0.4 * s), turn=lambda s: 0.2 * np.sin(0.7 * s), seconds=60.0, sigma=0.005
+    )
+
+
+def test_the_motion_is_the_vehicle_s_and_both_sides_are_as_slow(scene: Any) -> None:
+    signals, motion = satellite_motion(scene.drive, ingest_drive(scene.drive, scene.imu), scene.gps, scene.datum)
+    assert signals.rate_hz == pytest.approx(RATE, rel=1e-3)
+    assert len(signals) == len(motion) == signals.force.shape[0] == signals.standing.size
+    inner = motion.valid & (motion.t > motion.t[0] + 5) & (motion.t < motion.t[-1] - 5)
+    assert inner.sum() > 200
+
+    def true(name: str) -> np.ndarray:
+        return np.interp(motion.t, scene.truth.t, getattr(scene.truth, name))[inner]
+
+    # fixes to 5 mm ten times a second: what that noise is after two derivatives up to 0.8 Hz
+    for name, most in (("speed", 0.02), ("yaw_rate", 0.004), ("ax", 0.05), ("ay", 0.05)):
+        off = getattr(motion, name)[inner] - true(name)
+        assert np.sqrt(np.mean(off**2)) < most, name
+    np.testing.assert_allclose(motion.x[inner], true("x"), atol=0.1)
+    # the gyro that went through the same low-pass says the same, at the same time
+    delays = np.arange(-3, 4)
+    fit = [np.corrcoef(signals.rate[10:-10, 2], motion.yaw_rate[10 + d : len(motion) - 10 + d])[0, 1] for d in delays]
+    assert delays[int(np.argmax(fit))] == 0 and max(fit) > 0.995
+
+
+def test_nothing_is_said_where_fixes_are_missing(scene: Any) -> None:
+    drive = scene.drive
+    start = drive.fix.t[0]
+    keep = (drive.fix.t < start + 20) | (drive.fix.t > start + 26)
+    fix = cut(drive.fix, keep)
+    _, motion = satellite_motion(replace(drive, fix=fix), ingest_drive(drive, scene.imu), scene.gps, scene.datum)
+    assert not motion.valid[(motion.t > start + 20.5) & (motion.t < start + 25.5)].any()
+    assert motion.valid[(motion.t > start + 30) & (motion.t < start + 50)].all()
+    assert all(np.isfinite(getattr(motion, k)).all() for k in ("x", "y", "yaw", "speed", "yaw_rate", "ax", "ay"))
+
+
+def test_too_few_fixes_and_a_parked_car_are_named(scene: Any, make_scene: Callable[..., Any]) -> None:
+    drive = scene.drive
+    few = cut(drive.fix, slice(10))
+    signals = ingest_drive(drive, scene.imu)
+    with pytest.raises(InputError, match="10 usable positions"):
+        satellite_motion(replace(drive, fix=few), signals, scene.gps, scene.datum)
+    parked = make_scene(speed=np.zeros_like, seconds=20.0)
+    with pytest.raises(InputError, match="never moves"):
+        satellite_motion(parked.drive, ingest_drive(parked.drive, parked.imu), parked.gps, parked.datum)
