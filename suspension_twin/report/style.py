@@ -146,6 +146,7 @@ def svg(fig: Figure, *, salt: str = "figure") -> str:
     """
     buffer = io.StringIO()
     with using(), mpl.rc_context({"svg.hashsalt": salt}):
+        _arranged(fig)
         fig.savefig(
             buffer,
             format="svg",
@@ -169,10 +170,19 @@ def svg(fig: Figure, *, salt: str = "figure") -> str:
     return f'{head} role="img">{rest}'
 
 
+def _arranged(fig: Figure) -> None:
+    """Lay the figure out once and for all; left on, the engine does it for a dry run and for the drawing."""
+    engine = fig.get_layout_engine()
+    if engine is not None:
+        engine.execute(fig)
+        fig.set_layout_engine(None)
+
+
 def png(fig: Figure, *, dpi: int = 160) -> bytes:
     """The figure as a PNG on white."""
     buffer = io.BytesIO()
     with using():
+        _arranged(fig)
         fig.savefig(buffer, format="png", dpi=dpi, metadata={"Software": None})
     return buffer.getvalue()
 
@@ -182,6 +192,7 @@ def save(fig: Figure, path: str | Path, *, dpi: int = 160) -> None:
     path = Path(path)
     path.parent.mkdir(parents=True, exist_ok=True)
     with using():
+        _arranged(fig)
         fig.savefig(path, dpi=dpi)
 
 
