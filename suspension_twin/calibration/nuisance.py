@@ -15,7 +15,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from suspension_twin.compiled import compiled
+from suspension_twin.compiled import compiled, inlined
 from suspension_twin.drive.types import Floats
 from suspension_twin.errors import InputError
 from suspension_twin.gap.prepare import Prepared
@@ -82,48 +82,94 @@ def _phase_table() -> Floats:
 _TABLE = _phase_table()
 
 
+@inlined
+def _together(
+    simulated: Floats, first: int, weight: Floats, c: int, turned: int, lanes: slice, lever: Floats, to: Floats
+) -> None:  # pragma: no cover - compiled
+    """Lanes that are shifted alike: a weight is one for all of them, and the loop over lanes vectorises."""
+    m, taps = simulated.shape[0], weight.size - 4
+    to[:] = 0.0
+    for k in range(taps):
+        of, w = simulated[min(max(first + k + 1, 0), m - 1), c, lanes], weight[k + 2]
+        for lane in range(to.size):
+            to[lane] += w * of[lane]
+    if turned >= 0:
+        for k in range(taps + 2):
+            of, w = simulated[min(max(first + k, 0), m - 1), turned, lanes], 0.5 * (weight[k] - weight[k + 2])
+            for lane in range(to.size):
+                to[lane] += lever[lane] * w * of[lane]
+
+
+@inlined
+def _alone(
+    simulated: Floats, first: int, weight: Floats, c: int, turned: int, source: int, lever: float
+) -> float:  # pragma: no cover - compiled
+    """One simulated lane: its value, and ``lever`` times the slope of ``turned``."""
+    m, taps = simulated.shape[0], weight.size - 4
+    value, slope = 0.0, 0.0
+    for k in range(taps):
+        value += weight[k + 2] * simulated[min(max(first + k + 1, 0), m - 1), c, source]
+    if turned >= 0:
+        for k in range(taps + 2):
+            at = min(max(first + k, 0), m - 1)
+            slope += 0.5 * (weight[k] - weight[k + 2]) * simulated[at, turned, source]
+    return value + lever * slope
+
+
 @compiled
 def _apply(
     simulated: Floats,
     rows: NDArray[np.intp],
     shift: Floats,
     gain: Floats,
-    added: Floats,
+    bias: Floats,
+    about: Floats,
+    tilt: Floats,
     lever: Floats,
     turned: NDArray[np.intp],
     table: Floats,
     out: Floats,
 ) -> None:  # pragma: no cover - compiled
-    """out[i, c, l] = gain[c, l] * simulated(rows[i] + shift[i, l]) + added[i, c, l], held at both ends,
-    plus lever[c, l] times the slope by sample of channel turned[c] where that is not negative."""
-    m, channels, given = simulated.shape
+    """out[i, c, l] = gain[c, l] * signal + bias[c, l] + tilt[:, l] * about[:, i, c], where signal is channel c
+    of ``simulated`` at rows[i] + shift[i, l], held at both ends, plus lever[c, l] times the slope by sample
+    of channel turned[c] if that is not negative."""
+    channels, given = simulated.shape[1:]
     phases, taps = table.shape[0] - 1, table.shape[1]
-    weight = np.empty(taps)
+    weight = np.zeros(taps + 4)  # two of nothing at either end: the slope's weights are differences of these
     for i in range(out.shape[0]):
-        for lane in range(out.shape[2]):
-            source = lane if given > 1 else 0
-            place = rows[i] + shift[i, lane]
+        begin = 0
+        while begin < out.shape[2]:
+            end = begin + 1
+            while end < out.shape[2] and shift[i, end] == shift[i, begin]:
+                end += 1
+            place = rows[i] + shift[i, begin]
             j = int(np.floor(place))
             fine = (place - j) * phases
             p = min(int(fine), phases - 1)
             fine -= p
             for k in range(taps):
-                weight[k] = (1.0 - fine) * table[p, k] + fine * table[p + 1, k]
-            first = j - (taps // 2 - 1)
+                weight[k + 2] = (1.0 - fine) * table[p, k] + fine * table[p + 1, k]
+            first = j - taps // 2  # of the slope's samples: one before the value's own
+            source = begin if given > 1 else 0
             for c in range(channels):
-                value = 0.0
-                for k in range(taps):
-                    value += weight[k] * simulated[min(max(first + k, 0), m - 1), c, source]
-                value = gain[c, lane] * value + added[i, c, lane]
-                other = turned[c]
-                if other >= 0:
-                    slope = 0.0
-                    for k in range(taps):
-                        after = simulated[min(max(first + k + 1, 0), m - 1), other, source]
-                        before = simulated[min(max(first + k - 1, 0), m - 1), other, source]
-                        slope += weight[k] * 0.5 * (after - before)
-                    value += lever[c, lane] * slope
-                out[i, c, lane] = value
+                x, y = about[0, i, c], about[1, i, c]
+                if end == begin + 1:
+                    value = _alone(simulated, first, weight, c, turned[c], source, lever[c, begin])
+                    out[i, c, begin] = gain[c, begin] * value + bias[c, begin] + tilt[0, begin] * x + tilt[1, begin] * y
+                    continue
+                to, levers = out[i, c, begin:end], lever[c, begin:end]
+                gains, biases = gain[c, begin:end], bias[c, begin:end]
+                roll, pitch = tilt[0, begin:end], tilt[1, begin:end]
+                if given > 1:
+                    _together(simulated, first, weight, c, turned[c], slice(begin, end), levers, to)
+                else:
+                    value = _alone(simulated, first, weight, c, -1, 0, 0.0)
+                    slope = _alone(simulated, first, weight, c, turned[c], 0, 1.0) - value
+                    for lane in range(to.size):
+                        to[lane] = value + levers[lane] * slope
+                for lane in range(to.size):
+                    to[lane] = gains[lane] * to[lane] + biases[lane] + roll[lane] * x + pitch[lane] * y
+            begin = end
 
 
 class Nuisances:
@@ -206,8 +252,8 @@ class Nuisances:
         """(q,) finite-difference steps: small against the priors, large against rounding."""
         return 1e-3 * self.spread
 
-    def _tilt(self, part: Prepared) -> tuple[Floats, Floats]:
-        """(m, C) what a small tilt about x and about y adds, from the measured signals."""
+    def _tilt(self, part: Prepared) -> Floats:
+        """(2, m, C) what a small tilt about x and about y adds, from the measured signals."""
         m = part.measured
         g = part.signals.gravity
         zero = np.zeros_like(m["yaw_rate"])
@@ -224,9 +270,8 @@ class Nuisances:
             "roll_rate": m["yaw_rate"],
             "yaw_rate": -m["roll_rate"],
         }
-        return (
-            np.stack([about_x.get(c, zero) for c in self.channels], axis=1),
-            np.stack([about_y.get(c, zero) for c in self.channels], axis=1),
+        return np.stack(
+            [np.stack([about.get(c, zero) for c in self.channels], axis=1) for about in (about_x, about_y)]
         )
 
     def apply(self, number: int, simulated: Floats, rows: NDArray[np.intp], values: Floats) -> Floats:
@@ -256,18 +301,15 @@ class Nuisances:
         gain = np.ones((len(self.channels), lanes))
         gain[self._force] += value("gain")
         bias = np.stack([value(f"{drive}.bias.{c}") for c in self.channels])
-        about_x, about_y = self._regressors[number]
-        added = bias[None, :, :] + np.zeros((rows.size, 1, 1))
-        for about, tilt in ((about_x, value("tilt_roll")), (about_y, value("tilt_pitch"))):
-            if tilt.any():
-                added += about[rows][:, :, None] * tilt
+        about = self._regressors[number][:, rows]
+        tilt = np.stack([value("tilt_roll"), value("tilt_pitch")])
         lever, turned = np.zeros_like(gain), np.full(len(self.channels), -1)
         for channel, (name, rate, sign) in self._pivots.items():
             turned[self.channels.index(channel)] = rate
             lever[self.channels.index(channel)] = sign * part.rate * value(name)
         out = np.empty((rows.size, len(self.channels), lanes))
         shift = np.ascontiguousarray(shift)
-        _apply(np.ascontiguousarray(simulated), rows, shift, gain, added, lever, turned, _TABLE, out)
+        _apply(np.ascontiguousarray(simulated), rows, shift, gain, bias, about, tilt, lever, turned, _TABLE, out)
         return out
 
 

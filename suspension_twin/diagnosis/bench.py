@@ -59,7 +59,6 @@ class Bench:
     centre: Floats
     stop: Callable[[], bool] = lambda: False
     heard: tuple[int, ...] | None = None
-    simulations: int = 0
 
     @property
     def d(self) -> int:
@@ -119,7 +118,6 @@ class Bench:
     def _simulated(self, twin: Twin, candidates: Floats, part: Prepared) -> tuple[Floats, np.ndarray]:
         """Channels (n, C, L) and failed lanes (L,); a batch that breaks off is taken lane by lane."""
         channels = self.problem.channels
-        self.simulations += candidates.shape[1]
         try:
             response = simulate_lanes(twin, candidates, part.excitation)
             return _stack(response, channels), response.failed
@@ -136,7 +134,8 @@ class Bench:
 
     def white(self, signals: Sequence[Floats], nuisance: Floats) -> Floats:
         """(R, L) whitened residuals; their squares' sum is -2 log likelihood of independent samples."""
-        white = self.whitener.residuals(self.compared(signals, nuisance)) * np.sqrt(INDEPENDENT)
+        white = self.whitener.residuals(self.compared(signals, nuisance))
+        white *= np.sqrt(INDEPENDENT)
         if self.heard is not None:
             white[~np.isin(self.whitener.drive, self.heard)] = 0.0
         return np.asarray(white)
@@ -177,12 +176,18 @@ class Bench:
         held = np.repeat(x[d : d + q, None], z.shape[1], axis=1)
         white = self.white(signals, held)
         base = white[:, 0].copy()
-        moved = (white[:, 1:] - base[:, None]) / np.concatenate([np.full(physics, _STEP), steps])
-        moved = np.where(failed[None, 1:], 0.0, moved)
+        jacobian = np.empty((base.size, d + q + k))
+        with_effects = jacobian[:, d + q :]
+        np.subtract(white[:, 1 + physics :], base[:, None], out=with_effects)
+        with_effects *= ~failed[1 + physics :] / steps
         if known is not None:
-            return Linearised(x, base, np.concatenate([known, moved], axis=1))
+            jacobian[:, : d + q] = known
+            return Linearised(x, base, jacobian)
+        np.subtract(white[:, 1 : 1 + d], base[:, None], out=jacobian[:, :d])
+        jacobian[:, :d] *= ~failed[1 : 1 + d] / _STEP
         small = self.problem.nuisances.steps
         shifted = np.repeat(x[d : d + q, None], q, axis=1)
         shifted[np.diag_indices(q)] += small
-        nuisance = (self.white([s[:, :, :1] for s in signals], shifted) - base[:, None]) / small
-        return Linearised(x, base, np.concatenate([moved[:, :d], nuisance, moved[:, d:]], axis=1))
+        np.subtract(self.white([s[:, :, :1] for s in signals], shifted), base[:, None], out=jacobian[:, d : d + q])
+        jacobian[:, d : d + q] /= small
+        return Linearised(x, base, jacobian)

@@ -16,7 +16,7 @@ from suspension_twin.calibration.presets import build_space, preset_named
 from suspension_twin.calibration.problem import Interrupted, Problem
 from suspension_twin.calibration.stretches import TrimSettings, fit_rows
 from suspension_twin.diagnosis.bench import NORMAL, Bench
-from suspension_twin.diagnosis.fit import Fit, finished, refit
+from suspension_twin.diagnosis.fit import Linear, finished, refit
 from suspension_twin.diagnosis.hypotheses import BASELINE
 from suspension_twin.diagnosis.noise import USUAL_SHARE, Whitener, shares
 from suspension_twin.diagnosis.request import DiagnosisRequest
@@ -138,7 +138,7 @@ def build(case: Case, stop: Callable[[], bool]) -> Bench:
     return Bench(problem, case.active, whitener, precision, centre, stop)
 
 
-def baseline(case: Case, bench: Bench) -> tuple[Fit, Fit]:
+def baseline(case: Case, bench: Bench) -> tuple[Linear, Linear]:
     """The vehicle without any effect: on all drives, and where searches for effects start from.
 
     With a reference, what the calibrated model leaves there, band by band, is what it leaves of the same

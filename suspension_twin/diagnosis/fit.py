@@ -19,7 +19,7 @@ from suspension_twin.diagnosis.bench import Bench, Linearised, gram
 from suspension_twin.diagnosis.hypotheses import Hypothesis
 from suspension_twin.drive.types import Floats
 
-__all__ = ["Fit", "Screening", "finished", "refit", "screened"]
+__all__ = ["Fit", "Linear", "Screening", "finished", "refit", "screened"]
 
 _LADDER = (0.0, 1e-2, 1e-1, 1.0, 10.0)
 _LARGEST_STEP = 2.0
@@ -27,17 +27,22 @@ _LARGEST_STEP = 2.0
 
 @dataclass(frozen=True, eq=False)
 class Fit:
-    """A hypothesis at its best: unknowns ``x`` (d + q + k,), ``cost`` -2 log posterior, and the
-    linearisation there."""
+    """A hypothesis at its best: unknowns ``x`` (d + q + k,), ``cost`` -2 log posterior."""
 
     hypothesis: Hypothesis
     x: Floats
     cost: float
-    at: Linearised
 
     def effects(self, bench: Bench) -> Floats:
         """(k,) values of the effects' parameters."""
         return self.hypothesis.values(self.x[bench.d + bench.q :, None])[:, 0]
+
+
+@dataclass(frozen=True, eq=False)
+class Linear(Fit):
+    """A fit with the linearisation ``at`` its place: tens of megabytes, so only while it is worked with."""
+
+    at: Linearised
 
 
 @dataclass(frozen=True, eq=False)
@@ -50,7 +55,7 @@ class Screening:
     power: float
 
 
-def screened(bench: Bench, base: Fit, hypothesis: Hypothesis, starts: Floats) -> Screening:
+def screened(bench: Bench, base: Linear, hypothesis: Hypothesis, starts: Floats) -> Screening:
     """Try every start (k, S) of a hypothesis' last effects with the vehicle of ``base``.
 
     ``base`` may be a hypothesis of fewer effects: its coordinates are the first of those of ``hypothesis``.
@@ -133,8 +138,8 @@ def refit(
     return x, cost
 
 
-def finished(bench: Bench, hypothesis: Hypothesis, x: Floats, known: Floats | None = None) -> Fit:
+def finished(bench: Bench, hypothesis: Hypothesis, x: Floats, known: Floats | None = None) -> Linear:
     """The fit at ``x`` with its linearisation."""
     at = bench.linearise(hypothesis, x, known)
     cost = float(bench.costs(hypothesis, x[:, None])[0])
-    return Fit(hypothesis, x, cost, at)
+    return Linear(hypothesis, x, cost, at)

@@ -18,7 +18,7 @@ from scipy import linalg
 from scipy.special import logsumexp
 
 from suspension_twin.diagnosis.bench import Bench, gram
-from suspension_twin.diagnosis.fit import Fit
+from suspension_twin.diagnosis.fit import Fit, Linear
 from suspension_twin.diagnosis.noise import INDEPENDENT
 from suspension_twin.drive.types import Floats
 
@@ -56,7 +56,7 @@ def blocks_of(bench: Bench, road: bool) -> Blocks:
     return Blocks(sample, sample[bench.whitener.row], int(sample.max()) + 1)
 
 
-def held_out(bench: Bench, fit: Fit, blocks: Blocks) -> tuple[Floats, Floats]:
+def held_out(bench: Bench, fit: Linear, blocks: Blocks) -> tuple[Floats, Floats]:
     """Unknowns (d + q + k, FOLDS) without each fold, and the residuals (R,) that they leave in it.
 
     A Gauss-Newton step from the fit to all undoes what a fold pulled on it; of its lengths the one that suits
@@ -110,7 +110,7 @@ class Evidence:
     unknowns: Floats
 
 
-def evidence(bench: Bench, fit: Fit, blocks: Blocks, shown: Sequence[bool] | None = None) -> Evidence:
+def evidence(bench: Bench, fit: Linear, blocks: Blocks, shown: Sequence[bool] | None = None) -> Evidence:
     """Held-out evidence of a fit; ``shown`` which drives show the gap, where ``bench`` says otherwise."""
     unknowns, left = held_out(bench, fit, blocks)
     whitener = bench.whitener
@@ -135,7 +135,8 @@ def evidence(bench: Bench, fit: Fit, blocks: Blocks, shown: Sequence[bool] | Non
     away = fit.x - centre
     occam = 0.5 * (np.linalg.slogdet(hessian)[1] - np.linalg.slogdet(precision)[1])
     occam += 0.5 * float(away @ precision @ away) / max(float(np.mean(scale**2)), 1.0)
-    return Evidence(fit, score, float(occam), level, left, unknowns)
+    plain = Fit(fit.hypothesis, fit.x, fit.cost)
+    return Evidence(plain, score, float(occam), level, left, unknowns)
 
 
 def weights(found: list[Evidence], prior: Floats, temper: float, seed: int) -> tuple[Floats, Floats]:

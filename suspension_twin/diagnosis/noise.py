@@ -115,26 +115,42 @@ class Whitener:
     def residuals(self, simulated: Floats) -> Floats:
         """(R, L) whitened residuals of candidates (M, C, L)."""
         measured = self.problem.measured
-        parts = []
+        simulated = np.ascontiguousarray(simulated)
+        out = np.empty((self.row.size, simulated.shape[2]))
+        at = 0
         for c in range(len(self.problem.channels)):
-            difference = simulated[:, c, :] - measured.values[:, c, None]
             for s, d in zip(measured.stretches, measured.drives, strict=True):
                 if s.stop - s.start > 2 * ORDER:
                     taps = self.filters[d, c, ::-1] / (self.sigma[d, c] * self.scale[c])
-                    parts.append(_filtered(difference[s], taps))
-        return np.concatenate(parts)
+                    end = at + s.stop - s.start - ORDER
+                    _filtered(simulated, measured.values, c, s.start, taps, out[at:end])
+                    at = end
+        return out
 
 
 @compiled
-def _filtered(x: Floats, taps: Floats) -> Floats:  # pragma: no cover - compiled
-    """(n - ORDER, L) of (n, L): taps, the oldest sample's first, where all of them have a sample."""
+def _filtered(
+    simulated: Floats, measured: Floats, c: int, start: int, taps: Floats, out: Floats
+) -> None:  # pragma: no cover - compiled
+    """``out`` (n - ORDER, L): the difference in channel c from ``start`` on by taps, the oldest sample's first."""
+    n, lanes = out.shape
     order = taps.size - 1
-    out = np.zeros((x.shape[0] - order, x.shape[1]))
-    for i in range(out.shape[0]):
-        for k in range(order + 1):
-            for lane in range(x.shape[1]):
-                out[i, lane] += taps[k] * x[i + k, lane]
-    return out
+    x = np.empty((order + n, lanes))
+    for i in range(order + n):
+        for lane in range(lanes):
+            x[i, lane] = simulated[start + i, c, lane] - measured[start + i, c]
+    fives = taps.size - taps.size % 5
+    for i in range(n):
+        to = out[i]
+        to[:] = 0.0
+        for k in range(0, fives, 5):
+            t0, t1, t2, t3, t4 = taps[k], taps[k + 1], taps[k + 2], taps[k + 3], taps[k + 4]
+            x0, x1, x2, x3, x4 = x[i + k], x[i + k + 1], x[i + k + 2], x[i + k + 3], x[i + k + 4]
+            for lane in range(lanes):
+                to[lane] += t0 * x0[lane] + t1 * x1[lane] + t2 * x2[lane] + t3 * x3[lane] + t4 * x4[lane]
+        for k in range(fives, taps.size):
+            for lane in range(lanes):
+                to[lane] += taps[k] * x[i + k, lane]
 
 
 def _predictor(power: Floats, rate: float) -> tuple[Floats, float]:

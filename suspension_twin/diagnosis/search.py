@@ -5,19 +5,25 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
+from typing import TypeVar
 
 import numpy as np
 
 from suspension_twin.diagnosis.bench import Bench
-from suspension_twin.diagnosis.fit import Fit, finished, refit, screened
+from suspension_twin.diagnosis.fit import Fit, Linear, finished, refit, screened
 from suspension_twin.diagnosis.hypotheses import BASELINE, Hypothesis, combined
 from suspension_twin.diagnosis.judge import Blocks, Evidence, evidence
 from suspension_twin.drive.types import Floats
 from suspension_twin.effects.registry import EFFECTS
 from suspension_twin.errors import WorkError
+from suspension_twin.models.blocks import cores
 
 __all__ = ["Single", "pairs", "singles"]
+
+Item = TypeVar("Item")
+Found = TypeVar("Found")
 
 _STARTS, _TRIED = 16, 3
 _WIDE_STARTS = 16
@@ -30,6 +36,7 @@ _ROUGH, _DEEP, _FINE = 4, 6, 5
 _WORTH_A_LOOK = 3.0
 #: Effects whose Jacobian is simulated anew before they are judged: the best by the rough fit.
 _FINALISTS = 7
+_BEST_PAIRS = 3
 #: Nats that an effect has to be able to change the signals by at prior strength, to be judged at all.
 LEAST_POWER = 5.0
 
@@ -54,51 +61,92 @@ class Single:
         return self.power >= LEAST_POWER
 
 
+@dataclass(frozen=True, eq=False)
+class _Rough:
+    """Where an effect's search has come to before it is refined."""
+
+    cost: float
+    effect: str
+    hypothesis: Hypothesis
+    x: Floats
+    power: float
+
+
 def singles(
-    bench: Bench, base: Fit, anchor: Fit, library: dict[str, list[Hypothesis]], blocks: Blocks, seed: int,
+    bench: Bench, base: Linear, anchor: Linear, library: dict[str, list[Hypothesis]], blocks: Blocks, seed: int,
     tell: Callable[[float, str], None],
-) -> tuple[Fit, list[Single]]:  # fmt: skip
+) -> tuple[Linear, list[Single]]:  # fmt: skip
     """Every effect of the library, refitted jointly with characteristics and nuisances; and the baseline,
     which may take over any vehicle that an effect's fit has come to."""
-    rough = []
-    for number, (effect, variants) in enumerate(library.items()):
-        tell(number / len(library) * 0.65, effect.replace("_", " "))
-        best, power = None, 0.0
-        for v in variants:
-            tried = screened(bench, anchor, v, v.starts(_STARTS, seed))
-            power = max(power, tried.power)
-            if best is None or tried.cost[0] < best[0].cost[0]:
-                best = (tried, v)
-        assert best is not None
-        tried, v = best
-        starts = [*tried.x[:_TRIED], np.concatenate([base.x, v.neutral()])]
-        x, cost = refit(bench, v, starts, anchor.at.jacobian, _ROUGH)
-        if not math.isfinite(cost):
-            raise WorkError(f"the twin cannot be simulated with {effect}")
-        for begun, start in _wide(bench, base, v, seed):
-            if begun < _WORTH_A_LOOK * cost:
-                y, other = refit(bench, v, [start], None, _DEEP)
-                x, cost = (y, other) if other < cost else (x, cost)
-        rough.append((cost, effect, v, x, power))
-    base = _rebased(bench, base, [r[3] for r in rough])
-    order = sorted(range(len(rough)), key=lambda i: rough[i][0])
-    out: dict[int, Single] = {}
-    for place, i in enumerate(order):
-        cost, effect, v, x, power = rough[i]
-        always = None
-        if place < _FINALISTS:
-            tell(0.65 + 0.35 * place / _FINALISTS, f"{effect.replace('_', ' ')}, once more")
+    begun = base
+
+    def look(effect: str) -> _Rough:
+        return _rough(bench, begun, anchor, effect, library[effect], seed)
+
+    rough = _side_by_side(look, list(library), lambda done, name: tell(0.65 * done, name.replace("_", " ")))
+    base = _rebased(bench, base, [r.x for r in rough])
+    order = sorted(range(len(rough)), key=lambda i: rough[i].cost)
+    finalists = set(order[:_FINALISTS])
+
+    def judge(i: int) -> Single:
+        r, v, always = rough[i], rough[i].hypothesis, None
+        x, cost = r.x, r.cost
+        if i in finalists:
             u = x[bench.d + bench.q :]
             x, cost = refit(bench, v, [x, np.concatenate([base.x, u])], None, _FINE)
             if not all(bench.active):
                 always = _always(bench, v, x, base, blocks)
         if cost >= base.cost:
             x = np.concatenate([base.x, v.neutral()])
-        out[i] = Single(effect, evidence(bench, finished(bench, v, x), blocks), power, always)
-    return base, [out[i] for i in range(len(rough))]
+        return Single(r.effect, evidence(bench, finished(bench, v, x), blocks), r.power, always)
+
+    judged = _side_by_side(
+        judge, order, lambda done, i: tell(0.65 + 0.35 * done, f"{rough[i].effect.replace('_', ' ')}, once more")
+    )
+    found = dict(zip(order, judged, strict=True))
+    return base, [found[i] for i in range(len(rough))]
 
 
-def _rebased(bench: Bench, base: Fit, found: Sequence[Floats]) -> Fit:
+def _side_by_side(
+    work: Callable[[Item], Found], items: Sequence[Item], tell: Callable[[float, Item], None]
+) -> list[Found]:
+    """``work`` on every item, as many at once as there are cores; each by itself, so their number changes nothing."""
+    found = []
+    with ThreadPoolExecutor(cores(), thread_name_prefix="effects") as pool:
+        waiting = [pool.submit(work, item) for item in items]
+        try:
+            for number, (item, future) in enumerate(zip(items, waiting, strict=True)):
+                tell(number / len(items), item)
+                found.append(future.result())
+        finally:
+            pool.shutdown(cancel_futures=True)
+    return found
+
+
+def _rough(
+    bench: Bench, base: Linear, anchor: Linear, effect: str, variants: Sequence[Hypothesis], seed: int
+) -> _Rough:
+    """The best of an effect's variants, from many starts, its vehicle's Jacobian mostly the reference's."""
+    best, power = None, 0.0
+    for v in variants:
+        tried = screened(bench, anchor, v, v.starts(_STARTS, seed))
+        power = max(power, tried.power)
+        if best is None or tried.cost[0] < best[0].cost[0]:
+            best = (tried, v)
+    assert best is not None
+    tried, v = best
+    starts = [*tried.x[:_TRIED], np.concatenate([base.x, v.neutral()])]
+    x, cost = refit(bench, v, starts, anchor.at.jacobian, _ROUGH)
+    if not math.isfinite(cost):
+        raise WorkError(f"the twin cannot be simulated with {effect}")
+    for begun, start in _wide(bench, base, v, seed):
+        if begun < _WORTH_A_LOOK * cost:
+            y, other = refit(bench, v, [start], None, _DEEP)
+            x, cost = (y, other) if other < cost else (x, cost)
+    return _Rough(cost, effect, v, x, power)
+
+
+def _rebased(bench: Bench, base: Linear, found: Sequence[Floats]) -> Linear:
     """The baseline from wherever effects' fits have taken the vehicle, so that none is credited with that."""
     p = bench.d + bench.q
     x, cost = refit(bench, BASELINE, [base.x, *(y[:p] for y in found)], None, 2 * _ROUGH)
@@ -152,24 +200,30 @@ def pairs(
 ) -> list[Evidence]:  # fmt: skip
     """The best additions of one more effect to what is there, the best first."""
     there = first.fit.hypothesis
-    rough = []
+    start = finished(bench, there, first.fit.x)
     others = [e for e in library if e not in there.effects and e not in skip]
-    for number, effect in enumerate(others):
-        tell(number / len(others) * 0.7, f"{there.name} and {effect}".replace("_", " "))
-        for v in library[effect]:
-            both = combined(there, v)
-            tried = screened(bench, first.fit, both, v.starts(_STARTS // 2, seed))
-            rough.append((tried.cost[0], both, tried.x[:2]))
-    rough.sort(key=lambda r: r[0])
-    found, seen = [], set()
+
+    def look(effect: str) -> list[tuple[float, Hypothesis, list[Floats]]]:
+        tried = [(combined(there, v), v.starts(_STARTS // 2, seed)) for v in library[effect]]
+        screens = [(both, screened(bench, start, both, starts)) for both, starts in tried]
+        return [(s.cost[0], both, s.x[:2]) for both, s in screens]
+
+    looked = _side_by_side(
+        look, others, lambda done, name: tell(0.7 * done, f"{there.name} and {name}".replace("_", " "))
+    )
+    rough = sorted((r for some in looked for r in some), key=lambda r: r[0])
+    best: dict[tuple[str, ...], tuple[Hypothesis, list[Floats]]] = {}
     for _, both, starts in rough:
-        if both.effects in seen:
-            continue
-        seen.add(both.effects)
-        tell(0.7 + 0.1 * len(seen), f"{both.name}, jointly".replace("_", " "))
-        x, _ = refit(bench, both, starts, first.fit.at.jacobian[:, : bench.d + bench.q], _ROUGH)
+        best.setdefault(both.effects, (both, starts))
+
+    def join(at: tuple[Hypothesis, list[Floats]]) -> Evidence:
+        both, starts = at
+        x, _ = refit(bench, both, starts, start.at.jacobian[:, : bench.d + bench.q], _ROUGH)
         x, _ = refit(bench, both, [x], None, 2)
-        found.append(evidence(bench, finished(bench, both, x), blocks))
-        if len(seen) == 3:
-            break
+        return evidence(bench, finished(bench, both, x), blocks)
+
+    found = _side_by_side(
+        join, list(best.values())[:_BEST_PAIRS],
+        lambda done, at: tell(0.7 + 0.3 * done, f"{at[0].name}, jointly".replace("_", " ")),
+    )  # fmt: skip
     return sorted(found, key=lambda e: -float(e.score.sum()) + 0.5 * e.occam)
