@@ -23,21 +23,17 @@ def _signal(signals: Floats, t: Floats, fresh: NDArray[np.bool_], values: Floats
         if limit != 0.0:
             for k in range(t.size):
                 for axis in range(3):
-                    read = signals[k, axis, i]
-                    clipped = min(max(read, -limit), limit)
-                    signals[k, axis, i] = clipped
-                    if axis == 2:
-                        signals[k, 6, i] += clipped - read
+                    signals[k, axis, i] = min(max(signals[k, axis, i], -limit), limit)
 
 
 EFFECT = Effect(
     id="sensor_clipping",
     title="sensor clips",
     where="sensor",
-    doc="Specific force beyond the range reads as the range, on every axis. 0 is no limit.",
+    doc="Specific force beyond the range reads as the range, on each of the sensor's own axes. 0 is no limit.",
     parameters=_PARAMETERS,
     severity=("range",),
     excited_by=("peaks: bumps and potholes at speed",),
     confused_with=("bump_stop", "sensor_bandwidth"),
-    hook=Hook(neutral(_PARAMETERS), signal=SignalStage(_signal, order=50), models=("full_car", "msd")),
+    hook=Hook(neutral(_PARAMETERS), signal=SignalStage(_signal, order=50, own_axes=True), models=("full_car", "msd")),
 )

@@ -8,6 +8,7 @@ import numpy as np
 from suspension_twin.compiled import compiled
 from suspension_twin.drive.types import Floats
 from suspension_twin.models.constants import Constants
+from suspension_twin.models.sensor import rotation
 from suspension_twin.models.types import Excitation, Ints
 
 __all__ = ["Chain", "pass_chain"]
@@ -19,6 +20,7 @@ class Chain:
     def __init__(self, known: Constants) -> None:
         lanes = known.values.shape[1]
         self._stages = [(stage, values, np.zeros((stage.states, lanes))) for stage, values in known.stages]
+        self._axes = rotation(known.mounting)
 
     def __bool__(self) -> bool:
         return bool(self._stages)
@@ -31,7 +33,16 @@ class Chain:
     def process(self, signals: Floats, t: Floats, fresh: np.typing.NDArray[np.bool_]) -> None:
         """Change ``signals`` (n, 7, L) at ``t`` (n,) s in place; ``fresh`` (n,) marks fresh starts."""
         for stage, values, state in self._stages:
-            stage.process(signals, t, fresh, values, state)
+            if not stage.own_axes:
+                stage.process(signals, t, fresh, values, state)
+                continue
+            turned = signals.copy()
+            turned[:, :3] = np.einsum("ij,njl->nil", self._axes.T, signals[:, :3], optimize=False)
+            before = turned[:, :3].copy()
+            stage.process(turned, t, fresh, values, state)
+            more = np.einsum("ij,njl->nil", self._axes, turned[:, :3] - before, optimize=False)
+            signals[:, :3] += more
+            signals[:, 6] += more[:, 2]
 
 
 def pass_chain(known: Constants, excitation: Excitation, signals: Floats) -> None:

@@ -64,7 +64,8 @@ class Constants:
 
     ``problems`` lists what is wrong with which lanes: mask (L,), key, sentence. With ``has_terms``
     the rows are those of a block with effects; ``road`` is what lanes see of the road where it is
-    not the plain one, ``stages`` the sensor's chain in order, with the parameters of each (k, L), ``clock`` its stamps.
+    not the plain one, ``stages`` the sensor's chain in order, with the parameters of each (k, L), ``clock`` its stamps,
+    ``mounting`` how its axes lie.
     """
 
     values: Floats
@@ -75,6 +76,7 @@ class Constants:
     road: RoadChange | None = None
     stages: tuple[tuple[SignalStage, Floats], ...] = ()
     clock: ClockChange | None = None
+    mounting: tuple[float, float, float] = (0.0, 0.0, 0.0)
 
     @property
     def bad(self) -> NDArray[np.bool_]:
@@ -125,7 +127,7 @@ def constants(params: Floats, layout: Layout, max_step: float) -> Constants:
     return Constants(
         out, hinges_of(curves), tuple(problems), layout.model, has_terms, road if own_road else None,
         tuple((stage, values) for stage, values, _ in stages),
-        clock if clock.delay.any() or clock.drift.any() else None,
+        clock if clock.delay.any() or clock.drift.any() else None, layout.mounting,
     )  # fmt: skip
 
 

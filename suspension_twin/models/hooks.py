@@ -92,12 +92,14 @@ class SignalStage:
     ``t`` (n,) s, ``fresh`` (n,) bool marks a fresh start, ``values`` (parameters, L) in the order
     of ``Hook.neutral``, ``state`` (states, L) zeros at first, carried on from call to call.
 
-    ``order``: mount 10, tilt 20, scale 30, bandwidth 40, range 50.
+    ``order``: mount 10, tilt 20, scale 30, bandwidth 40, range 50. With ``own_axes`` the specific
+    force comes in the axes of the sensor as it is mounted, and the vertical acceleration follows by itself.
     """
 
     process: Callable[[Floats, Floats, Any, Floats, Floats], None]
     states: int = 0
     order: int = 30
+    own_axes: bool = False
 
 
 @dataclass(frozen=True)

@@ -41,11 +41,13 @@ CURVES = tuple(
 
 @dataclass(frozen=True)
 class Layout:
-    """Which row of a parameter vector holds what, and the hooks of the effects in it by id."""
+    """Which row of a parameter vector holds what, the hooks of the effects in it by id, and how the
+    sensor is mounted, roll, pitch and yaw in rad."""
 
     names: tuple[str, ...]
     model: str = "full_car"
     hooks: Mapping[str, Hook] = field(default_factory=dict)
+    mounting: tuple[float, float, float] = (0.0, 0.0, 0.0)
 
     @cached_property
     def index(self) -> dict[str, int]:
@@ -79,7 +81,7 @@ def layout(twin: Twin) -> Layout:
         if hook.check is not None:
             hook.check(effect.parameters)
         names += [f"effects.{effect.id}.{name}" for name in hook.neutral]
-    return Layout(tuple(names), twin.model, hooks)
+    return Layout(tuple(names), twin.model, hooks, twin.imu.rpy)
 
 
 def _value(twin: Twin, shape: Layout, key: str) -> float:

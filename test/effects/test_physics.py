@@ -10,6 +10,7 @@ import pytest
 from effect_cases import given, respond, rough, way
 from scipy.signal import butter, freqs
 
+from suspension_twin.models.sensor import to_sensor_axes
 from suspension_twin.models.types import Response
 from suspension_twin.vehicle.twin import G, Twin
 
@@ -266,12 +267,24 @@ def test_sensor_clipping_and_scale(twin: Twin) -> None:
     plain = respond(twin)
     clipped = respond(given(twin, sensor_clipping={"range": 10.5}))
     assert plain.force.max() > 10.6
-    assert np.array_equal(clipped.force, np.clip(plain.force, -10.5, 10.5))
+    assert np.allclose(clipped.force, np.clip(plain.force, -10.5, 10.5), rtol=0, atol=1e-12)
     assert np.allclose(
         clipped.vertical_acceleration - plain.vertical_acceleration, (clipped.force - plain.force)[:, 2]
     )
     scaled = respond(given(twin, sensor_scale={"scale": 0.04}))
     assert np.allclose(scaled.force, 1.04 * plain.force) and np.array_equal(scaled.rate, plain.rate)
+
+
+def test_a_sensor_clips_on_its_own_axes(twin: Twin) -> None:
+    rpy = (1.31, 0.2, -1.57)
+    turned = twin.model_copy(update={"imu": twin.imu.model_copy(update={"rpy": rpy})})
+    plain, clipped = respond(turned), respond(given(turned, sensor_clipping={"range": 9.9}))
+    own = to_sensor_axes(plain.force, rpy)
+    assert np.abs(own).max() > 10.5
+    assert np.allclose(to_sensor_axes(clipped.force, rpy), np.clip(own, -9.9, 9.9), rtol=0, atol=1e-12)
+    assert np.allclose(
+        clipped.vertical_acceleration - plain.vertical_acceleration, (clipped.force - plain.force)[:, 2]
+    )
 
 
 def test_time_offset_is_late_and_clock_drift_grows(twin: Twin) -> None:
