@@ -41,7 +41,8 @@ class NuisancePriors:
     ``clock`` s, ``map_position`` m, ``wander`` m (the GNSS position's own error, one value for every
     pass and ``wander_seconds``; None takes it from the fixes' covariance), ``gain`` of the
     accelerometer, ``tilt`` rad, ``force_bias`` m/s², ``rate_bias`` rad/s, ``pivot`` m (how far
-    a real suspension's kinematics shift the axes about which the body rolls and pitches).
+    a real suspension's kinematics shift the axes about which the body rolls and pitches), ``slip`` rad per
+    m/s² (slip angle of the rear tyres: where the heading is told from the course, it runs ahead of that).
     """
 
     clock: float = 0.1
@@ -53,6 +54,7 @@ class NuisancePriors:
     force_bias: float = 0.05
     rate_bias: float = 0.01
     pivot: float = 0.0
+    slip: float = 0.0
 
     def without(self, keys: Iterable[str]) -> NuisancePriors:
         """Those of ``keys`` (``nuisances.gain``) left out; raises InputError for one that is not known."""
@@ -203,17 +205,16 @@ class Nuisances:
             add("gain", priors.gain)
         add("tilt_roll", priors.tilt)
         add("tilt_pitch", priors.tilt)
-        #: Channel -> nuisance, the rate that it turns with, and its sign.
-        self._pivots = {
-            c: (name, channels.index(rate), sign)
-            for c, name, rate, sign in (
-                ("longitudinal_acceleration", "pivot_pitch", "pitch_rate", -1.0),
-                ("lateral_acceleration", "pivot_roll", "roll_rate", 1.0),
-            )
-            if priors.pivot > 0 and c in self.channels and rate in self.channels
-        }
-        for name, _, _ in self._pivots.values():
-            add(name, priors.pivot)
+        #: Channel -> nuisance, the channel whose slope it adds, and its sign.
+        self._levers = {}
+        for c, name, other, sign, sigma in (
+            ("longitudinal_acceleration", "pivot_pitch", "pitch_rate", -1.0, priors.pivot),
+            ("lateral_acceleration", "pivot_roll", "roll_rate", 1.0, priors.pivot),
+            ("yaw_rate", "rear_slip", "lateral_acceleration", 1.0, priors.slip),
+        ):
+            if sigma > 0 and c in self.channels and other in self.channels:
+                self._levers[c] = (name, channels.index(other), sign)
+                add(name, sigma)
         drives: dict[int, str] = {}
         for part, drive in zip(parts, drive_of, strict=True):
             if drive not in drives:
@@ -304,7 +305,7 @@ class Nuisances:
         about = self._regressors[number][:, rows]
         tilt = np.stack([value("tilt_roll"), value("tilt_pitch")])
         lever, turned = np.zeros_like(gain), np.full(len(self.channels), -1)
-        for channel, (name, rate, sign) in self._pivots.items():
+        for channel, (name, rate, sign) in self._levers.items():
             turned[self.channels.index(channel)] = rate
             lever[self.channels.index(channel)] = sign * part.rate * value(name)
         out = np.empty((rows.size, len(self.channels), lanes))

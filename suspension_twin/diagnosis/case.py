@@ -17,7 +17,7 @@ from suspension_twin.calibration.problem import Interrupted, Problem
 from suspension_twin.calibration.stretches import TrimSettings, fit_rows
 from suspension_twin.diagnosis.bench import NORMAL, Bench
 from suspension_twin.diagnosis.fit import Linear, finished, refit
-from suspension_twin.diagnosis.hypotheses import BASELINE
+from suspension_twin.diagnosis.hypotheses import BASELINE, Hypothesis
 from suspension_twin.diagnosis.noise import USUAL_SHARE, Whitener, shares
 from suspension_twin.diagnosis.request import DiagnosisRequest
 from suspension_twin.drive.read import read_drive
@@ -29,14 +29,15 @@ from suspension_twin.road import flat_road
 from suspension_twin.signals.filters import FilterSpec
 from suspension_twin.vehicle.twin import Twin, load_twin
 
-__all__ = ["PLANAR", "VERTICAL", "Case", "baseline", "build", "read_case"]
+__all__ = ["PLANAR", "VERTICAL", "Case", "baseline", "build", "read_case", "taught_by"]
 
 VERTICAL = ("vertical_acceleration", "roll_rate", "pitch_rate")
 PLANAR = ("longitudinal_acceleration", "lateral_acceleration", "yaw_rate")
 #: Without a road: what the receiver has seen against what the IMU has felt.
 _PLANAR_ONLY = PrepareSettings(filter=FilterSpec(2, 1.6), satellites=True)
 #: What clock and mounting are is then the very question, and nothing else shows it.
-_BARE = replace(NORMAL, clock=0.0, map_position=0.0, tilt=0.0, pivot=0.0)
+#: Rear tyres of cars slip by about 0.005 rad for each m/s²; a course that lags by that would pass for a clock's.
+_BARE = replace(NORMAL, clock=0.0, map_position=0.0, tilt=0.0, pivot=0.0, slip=0.005)
 #: Seconds of compared driving below which nothing can be held back from the fit.
 SHORTEST = 8.0
 #: Free beside the characteristics: what no weighbridge tells.
@@ -47,6 +48,8 @@ _ALSO = (
     "vehicle.front.unsprung_mass",
     "vehicle.rear.unsprung_mass",
 )
+#: Without a road nothing speaks for the characteristics; how far the body leans is all that its motion shows.
+_LEANING = ("vehicle.cog.2",)
 
 
 @dataclass(frozen=True, eq=False)
@@ -121,7 +124,10 @@ def build(case: Case, stop: Callable[[], bool]) -> Bench:
             )
     preset = preset_named("fast")
     twin = case.twin
-    space = build_space(twin, replace(preset, also=_ALSO))
+    if case.road:
+        space = build_space(twin, replace(preset, also=_ALSO))
+    else:
+        space = build_space(twin, replace(preset, also=()), free=_LEANING)
     terms = parse_objective("euclidean", dict.fromkeys(case.channels, 1.0))
     wander = [0.5 * d.position_sigma if d.position_sigma >= 0.1 else 0.0 for d in case.drives]
     numbers = list(range(len(case.drives)))
@@ -145,29 +151,33 @@ def baseline(case: Case, bench: Bench) -> tuple[Linear, Linear]:
     car anyway, and searches start from the vehicle that the reference shows. Planar accelerations come
     from GNSS and not from the model: their noise is what they leave.
     """
-    d, q = bench.d, bench.q
-    everything = list(range(len(bench.active)))
-    quiet = [i for i, a in enumerate(bench.active) if not a] or everything
-    referenced = len(quiet) < len(everything)
-    floors = [dict(p.noise_rms) for p in case.drives]
+    quiet = [i for i, a in enumerate(bench.active) if not a] or list(range(len(bench.active)))
+    referenced = len(quiet) < len(bench.active)
     x = bench.centre.copy()
     for number in range(2):
         trial = replace(bench, heard=tuple(quiet))
         x, _ = refit(trial, BASELINE, [x] if number else _many(bench, x), None, 8 if number == 0 else 5)
-        signals, _ = bench.signals(BASELINE, x[:d, None], np.zeros((0, 1)))
-        simulated = bench.compared(signals, x[d : d + q, None])[:, :, 0]
-        left = shares(bench.problem, simulated - bench.problem.measured.values, quiet)
-        if not referenced:
-            for c, channel in enumerate(bench.problem.channels):
-                if channel in VERTICAL:
-                    left[c] = USUAL_SHARE
-        whitener = Whitener.designed(bench.problem, left, floors)
-        white = whitener.residuals(simulated[:, :, None])[:, 0]
-        bench.whitener = _scaled(whitener, white, np.isin(whitener.drive, quiet))
+        taught_by(case, bench, BASELINE, x, quiet, () if referenced else VERTICAL)
     anchor = finished(bench, BASELINE, x)
     if referenced:
         x, _ = refit(bench, BASELINE, [x], None, 6)
     return finished(bench, BASELINE, x), anchor
+
+
+def taught_by(
+    case: Case, bench: Bench, hypothesis: Hypothesis, x: Floats, drives: Sequence[int], usual: Sequence[str] = ()
+) -> None:
+    """Give the bench the noise that a fit leaves on some drives; ``usual`` channels keep the usual share of it."""
+    d, q = bench.d, bench.q
+    signals, _ = bench.signals(hypothesis, x[:d, None], x[d + q :, None])
+    simulated = bench.compared(signals, x[d : d + q, None])[:, :, 0]
+    left = shares(bench.problem, simulated - bench.problem.measured.values, drives)
+    for c, channel in enumerate(bench.problem.channels):
+        if channel in usual:
+            left[c] = USUAL_SHARE
+    whitener = Whitener.designed(bench.problem, left, [dict(p.noise_rms) for p in case.drives])
+    white = whitener.residuals(simulated[:, :, None])[:, 0]
+    bench.whitener = _scaled(whitener, white, np.isin(whitener.drive, drives))
 
 
 def _scaled(whitener: Whitener, white: Floats, rows: np.ndarray) -> Whitener:

@@ -16,12 +16,13 @@ from scipy.stats import norm
 
 from suspension_twin.diagnosis import gaps, verdict
 from suspension_twin.diagnosis.bench import Bench
-from suspension_twin.diagnosis.case import VERTICAL, Case, baseline, build, read_case
+from suspension_twin.diagnosis.case import VERTICAL, Case, baseline, build, read_case, taught_by
 from suspension_twin.diagnosis.conclude import Findings, conclude
-from suspension_twin.diagnosis.hypotheses import library
+from suspension_twin.diagnosis.fit import Linear, finished, refit
+from suspension_twin.diagnosis.hypotheses import BASELINE, Hypothesis, library
 from suspension_twin.diagnosis.judge import Evidence, blocks_of, evidence, weights
 from suspension_twin.diagnosis.request import DiagnosisRequest, DiagnosisResult, Progress
-from suspension_twin.diagnosis.search import pairs, singles
+from suspension_twin.diagnosis.search import jointly, pairs, singles, without_one
 from suspension_twin.effects.registry import EFFECTS
 from suspension_twin.errors import InputError
 
@@ -30,8 +31,6 @@ __all__ = ["diagnose"]
 _EFFECT_PRIOR = 0.65
 #: How surely one more effect has to beat the smaller set, and by which share of the gap, to join it.
 _SURE, _WORTH = 0.95, verdict.MATERIAL
-#: The same share where clocks and mounts are all there is to find.
-_WORTH_PLANAR = 0.02
 #: Share of soundness that is a trait of the library, shown on the reference drives as well.
 _TRAITS = 0.5
 _LEAST_EXCESS = 0.2
@@ -72,6 +71,11 @@ class _Search:
 
     def judge(self, base: Any, anchor: Any) -> None:
         bench, seed = self.bench, self.request.seed
+        effects = library(self.case.twin, self.case.road, self.request.effects)
+        if not effects:
+            raise InputError("effects", "none of the library is left to try on this twin")
+        if not self.case.road:
+            base = anchor = self._cleared(base, [v[0] for v in effects.values()])
         self.blocks = blocks_of(bench, self.case.road)
         shown = [d for d, a in zip(self.case.drives, bench.active, strict=True) if a]
         self.noise = {
@@ -79,9 +83,6 @@ class _Search:
         }
         self.standing = gaps.standing(bench)
         self.reference = self._reference(evidence(bench, anchor, self.blocks))
-        effects = library(self.case.twin, self.case.road, self.request.effects)
-        if not effects:
-            raise InputError("effects", "none of the library is left to try on this twin")
         base, self.singles = singles(
             bench, base, anchor, effects, self.blocks, seed,
             lambda done, note: self.tell(Progress("effects", 0.15 + 0.6 * done, note)),
@@ -106,7 +107,33 @@ class _Search:
                 self.weights[1 + i] = 0.0
         self.weights /= self.weights.sum()
         self.gates = [self._gates(e, r) for e, r in zip(everything, self.left, strict=True)]
-        self.chosen, self.chosen_left = self._combine(everything)
+        if self.case.road:
+            self.chosen, self.chosen_left = self._combine(everything)
+        else:
+            self.chosen, self.chosen_left = self._eliminate()
+            self._carried_by(self.chosen, self._gates(self.chosen, self.chosen_left))
+
+    def _cleared(self, base: Linear, effects: list[Hypothesis]) -> Linear:
+        """The baseline again under the noise that all effects together leave.
+
+        What a late clock leaves is no noise: taught by it, the noise would be as large as what is looked for.
+        """
+        every = range(len(self.bench.active))
+        for _ in range(2):
+            fit = jointly(self.bench, effects, base, self.request.seed)
+            taught_by(self.case, self.bench, fit.hypothesis, fit.x, every)
+        x, _ = refit(self.bench, BASELINE, [base.x], None, 8)
+        return finished(self.bench, BASELINE, x)
+
+    def _carried_by(self, chosen: Evidence, gates: verdict.Gates) -> None:
+        """Weights and gates of effects that were judged together: each stands for all of them."""
+        _, beats = weights([self.base, chosen], np.array([0.5, 0.5]), self.temper, self.request.seed)
+        members = [1 + i for i, s in enumerate(self.singles) if s.effect in chosen.fit.hypothesis.effects]
+        self.weights[:] = 0.0
+        self.weights[members] = beats[1, 0] / max(len(members), 1)
+        self.weights[0] = 1.0 - self.weights.sum()
+        for i in members:
+            self.gates[i] = gates
 
     def _reference(self, anchor: Evidence) -> float | None:
         """What the calibrated vehicle leaves of its motion on the reference drives; refuses a stranger's."""
@@ -146,9 +173,7 @@ class _Search:
         channel = self.bench.problem.channels[column]
         if not self._driven(channel):
             return 0.0
-        found = gaps.shrink_of(
-            self.bench, self.left[0], left, self.blocks, self.noise[channel], column, self.request.seed
-        )
+        found = self._shrink(self.left[0], left, column)
         if found.before < self.noise[channel]:
             return 0.0
         shrink, low, high = (1.0 - (1.0 - min(v, 1.0)) ** 2 for v in (found.shrink, *found.interval))
@@ -173,9 +198,9 @@ class _Search:
         motion = float(np.std(self.bench.problem.measured.values[rows, column]))
         return 0.7 * self.noise[self.bench.problem.channels[column]] / max(motion, 1e-12)
 
-    def _shrink(self, before: gaps.Remainder, after: gaps.Remainder) -> gaps.Shrink:
-        channel = self.bench.problem.channels[0]
-        return gaps.shrink_of(self.bench, before, after, self.blocks, self.noise[channel], 0, self.request.seed)
+    def _shrink(self, before: gaps.Remainder, after: gaps.Remainder, column: int = 0) -> gaps.Shrink:
+        noise = self.noise[self.bench.problem.channels[column]]
+        return gaps.shrink_of(self.bench, before, after, self.blocks, noise, column, self.request.seed)
 
     def _combine(self, everything: list[Evidence]) -> tuple[Evidence, gaps.Remainder]:
         """The smallest set that closes the gap: greedily, one effect at a time, as long as it pays."""
@@ -186,13 +211,7 @@ class _Search:
             return self.base, self.left[0]
         effects = library(self.case.twin, self.case.road, self.request.effects)
         weak = [s.effect for s in self.singles if not s.judged]
-        # without a road no background is known that a remainder could be measured by
-        open_end = not self.case.road
-        while (
-            len(chosen.fit.hypothesis.effects) < _MOST_EFFECTS
-            and (open_end or gates.adequate < 0.5)
-            and len(effects) > 1
-        ):
+        while len(chosen.fit.hypothesis.effects) < _MOST_EFFECTS and gates.adequate < 0.5 and len(effects) > 1:
             tried = pairs(
                 self.bench, chosen, effects, self.blocks, self.request.seed,
                 lambda done, note: self.tell(Progress("combinations", 0.76 + 0.18 * done, note)), weak,
@@ -201,13 +220,48 @@ class _Search:
                 break
             more = tried[0]
             rest = gaps.remainder(self.bench, more.fit.hypothesis, more.unknowns, self.blocks)
-            _, beats = weights([chosen, more], np.array([0.5, 0.5]), self.temper, self.request.seed)
-            total = self._shrink(self.left[0], left).after
-            gained = total - self._shrink(self.left[0], rest).after
-            before = self._shrink(self.left[0], left).before
-            if beats[1, 0] < _SURE or gained < (_WORTH_PLANAR if open_end else _WORTH) * before:
+            if not self._pays(chosen, left, more, rest):
                 break
             chosen, left, gates = more, rest, self._gates(more, rest)
+        return chosen, left
+
+    def _pays(self, few: Evidence, few_left: gaps.Remainder, many: Evidence, many_left: gaps.Remainder) -> bool:
+        """Whether one more effect is sure to be better, and by a tenth of the recalibrated gap; without a
+        road by a tenth of what the fewer leave in some channel: each channel is another effect's to show."""
+        _, beats = weights([few, many], np.array([0.5, 0.5]), self.temper, self.request.seed)
+        if beats[1, 0] < _SURE:
+            return False
+        if self.case.road:
+            one, two = self._shrink(self.left[0], few_left), self._shrink(self.left[0], many_left)
+            return one.after - two.after >= _WORTH * one.before
+        return any(
+            self._shrink(few_left, many_left, column).shrink >= _WORTH
+            for column in range(len(self.bench.problem.channels))
+        )
+
+    def _eliminate(self) -> tuple[Evidence, gaps.Remainder]:
+        """Without a road: all effects that can be judged jointly, then one less for as long as nothing is lost.
+
+        There are few of them, and they hide each other: a clock that drifts looks like one that is late, and
+        a tilt is not seen before the clock is right. Starting from one would end with the wrong one. No
+        background is known that a remainder could be measured by.
+        """
+        bench = self.bench
+        known = library(self.case.twin, False, self.request.effects)
+        judged = [s for s in self.singles if s.judged]
+        if not judged:
+            return self.base, self.left[0]
+        fit = jointly(bench, [known[s.effect][0] for s in judged], self.base.fit, self.request.seed)
+        chosen = evidence(bench, fit, self.blocks)
+        left = gaps.remainder(bench, chosen.fit.hypothesis, chosen.unknowns, self.blocks)
+        while chosen.fit.hypothesis.effects:
+            fewer = without_one(bench, chosen, self.blocks)
+            rest = [gaps.remainder(bench, e.fit.hypothesis, e.unknowns, self.blocks) for e in fewer]
+            spare = [i for i, e in enumerate(fewer) if not self._pays(e, rest[i], chosen, left)]
+            if not spare:
+                break
+            least = max(spare, key=lambda i: float(fewer[i].score.sum()) - 0.5 * fewer[i].occam)
+            chosen, left = fewer[least], rest[least]
         return chosen, left
 
     def findings(self) -> Findings:

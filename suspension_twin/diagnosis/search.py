@@ -20,18 +20,18 @@ from suspension_twin.effects.registry import EFFECTS
 from suspension_twin.errors import WorkError
 from suspension_twin.models.blocks import cores
 
-__all__ = ["Single", "pairs", "singles"]
+__all__ = ["Single", "jointly", "pairs", "singles", "without_one"]
 
 Item = TypeVar("Item")
 Found = TypeVar("Found")
 
-_STARTS, _TRIED = 16, 3
+_STARTS, _TRIED, _JOINT_STARTS = 16, 3, 128
 _WIDE_STARTS = 16
 #: Slopes of springs and dampers, in their search coordinates, beside the baseline's.
 _VEHICLES = ((0.0, 0.0), (-0.3, 0.0), (-0.6, 0.0), (0.0, -0.25), (0.0, -0.6), (-0.3, -0.6), (0.0, -1.2))
 #: Vehicles, and how early and strong the effect is in spreads of its prior, that are always tried.
 _EARLY = (((-0.6, 0.0), 1.0), ((0.0, -0.3), 0.6))
-_ROUGH, _DEEP, _FINE = 4, 6, 5
+_ROUGH, _DEEP, _FINE, _LONG = 4, 6, 5, 15
 #: How much worse than the best so far a start may be that a fit is begun from.
 _WORTH_A_LOOK = 3.0
 #: Effects whose Jacobian is simulated anew before they are judged: the best by the rough fit.
@@ -227,3 +227,30 @@ def pairs(
         lambda done, at: tell(0.7 + 0.3 * done, f"{at[0].name}, jointly".replace("_", " ")),
     )  # fmt: skip
     return sorted(found, key=lambda e: -float(e.score.sum()) + 0.5 * e.occam)
+
+
+def jointly(bench: Bench, parts: Sequence[Hypothesis], base: Fit, seed: int) -> Linear:
+    """All of ``parts`` at once: from nothing, and from the best of many starts."""
+    p = bench.d + bench.q
+    together = combined(*parts)
+    many = np.concatenate([together.neutral()[:, None], together.starts(_JOINT_STARTS, seed)], axis=1)
+    starts = np.concatenate([np.repeat(base.x[:p, None], many.shape[1], axis=1), many])
+    order = np.argsort(bench.costs(together, starts), kind="stable")
+    found = [refit(bench, together, [starts[:, i]], None, _LONG) for i in {0, *order[:_TRIED].tolist()}]
+    x, _ = min(found, key=lambda f: f[1])
+    return finished(bench, together, x)
+
+
+def without_one(bench: Bench, whole: Evidence, blocks: Blocks) -> list[Evidence]:
+    """The best fits with one effect of ``whole`` less, in the order of its effects."""
+    there, p = whole.fit.hypothesis, bench.d + bench.q
+    found = []
+    for effect in there.effects:
+        rest = Hypothesis(
+            tuple(e for e in there.effects if e != effect),
+            tuple(pair for pair in there.fixed if pair[0].split(".")[1] != effect),
+        )
+        kept = [i for i, key in enumerate(there.keys) if key.split(".")[1] != effect]
+        x, _ = refit(bench, rest, [np.concatenate([whole.fit.x[:p], whole.fit.x[p:][kept]])], None, _LONG)
+        found.append(evidence(bench, finished(bench, rest, x), blocks))
+    return found

@@ -8,27 +8,32 @@ and both sides are brought down to what fixes at a few hertz can hold.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
+from scipy.ndimage import minimum_filter1d
 
-from suspension_twin.drive.types import Drive, Floats
+from suspension_twin.drive.types import Drive, FixData, Floats
 from suspension_twin.errors import InputError
 from suspension_twin.pose.local_map import LocalMap
 from suspension_twin.pose.types import Trajectory
 from suspension_twin.signals.filters import FilterSpec, zero_phase
 from suspension_twin.signals.offline import ImuSignals
-from suspension_twin.vehicle.twin import Datum, Place
+from suspension_twin.vehicle.twin import Datum, G, Place
 
 __all__ = ["RATE", "satellite_motion"]
 
 #: Of what is compared, Hz.
 RATE = 5.0
-#: Share of the fixes' rate that a course and an acceleration can be told up to.
-_SHARE, _MOST = 0.2, 0.8  # Hz
+#: Eight fixes to the shortest period: a spline through fewer is off by more than a per cent once differentiated twice.
+_SHARE, _MOST = 0.125, 0.8  # of it, Hz
 _SLOWEST = 3.0  # m/s: below it a course says nothing of the heading
 _GAP = 1.5  # s
+#: m: standard deviation of the height up to which its slope is a hill and not the receiver's error.
+_LEVEL = 0.1
 
 
 def satellite_motion(
@@ -60,18 +65,20 @@ def satellite_motion(
     path = slow(np.asarray(CubicSpline(at, places[:, :2])(inside)))
     arm = np.asarray(gps_place.position[:2])
     own = path
+    # a course told too slowly reaches as far as the filter does
+    margin = round(rate / spec.cutoff)
     # the antenna's course is not the vehicle's where it sits ahead of the rear axle: once more from there
     for _ in range(2):
         velocity = np.gradient(own, t, axis=0)
         speed = np.hypot(velocity[:, 0], velocity[:, 1])
-        fast = slow((speed > _SLOWEST).astype(np.float64)) > 0.999
+        fast = minimum_filter1d(speed, 2 * margin + 1) > _SLOWEST
         if not fast.any():
             raise InputError(drive.name, "fix", f"never moves faster than {_SLOWEST:g} m/s: no course can be told")
         yaw = np.unwrap(np.arctan2(velocity[fast, 1], velocity[fast, 0]))
         yaw = slow(np.interp(t, t[fast], yaw))
         c, s = np.cos(yaw), np.sin(yaw)
         own = path - np.stack([c * arm[0] - s * arm[1], s * arm[0] + c * arm[1]], axis=1)
-    turn, pull = np.where(fast, np.gradient(yaw, t), 0.0), np.where(fast, np.gradient(speed, t), 0.0)
+    turn, pull = np.gradient(yaw, t), np.gradient(speed, t)
     wide = np.flatnonzero(np.diff(at) > _GAP)
     near = (t >= at[0]) & (t <= at[-1])
     for i in wide:
@@ -81,7 +88,7 @@ def satellite_motion(
     trajectory = Trajectory(
         t=t[cut], x=own[cut, 0], y=own[cut, 1], yaw=yaw[cut], speed=speed[cut],
         lateral_speed=np.zeros_like(speed[cut]), yaw_rate=turn[cut], ax=pull[cut], ay=(speed * turn)[cut],
-        valid=(fast & near)[cut],
+        valid=minimum_filter1d(fast & near, 2 * margin + 1)[cut],
     )  # fmt: skip
     kept = nearest[cut]
 
@@ -89,9 +96,25 @@ def satellite_motion(
         even = np.stack([np.interp(t, signals.t, column) for column in np.atleast_2d(values.T)], axis=1)
         return slow(even)[cut].reshape(-1, *values.shape[1:])
 
+    force = slowed(signals.force)
+    force[:, 0] -= _hills(fix, good, t, speed, fast, slow)[cut]
     slower = replace(
-        signals, t=t[cut], keep=signals.keep[kept], force=slowed(signals.force), rate=slowed(signals.rate),
+        signals, t=t[cut], keep=signals.keep[kept], force=force, rate=slowed(signals.rate),
         vertical_acceleration=slowed(signals.vertical_acceleration), up=signals.up[kept], rate_hz=rate / step,
         standing=signals.standing[kept], saturated=signals.saturated[kept],
     )  # fmt: skip
     return slower, trajectory
+
+
+def _hills(
+    fix: FixData, good: NDArray[np.intp], t: Floats, speed: Floats, fast: NDArray[np.bool_],
+    slow: Callable[[Floats], Floats],
+) -> Floats:  # fmt: skip
+    """(n,) m/s² what gravity adds to the longitudinal specific force where the road climbs, which no flat
+    road shows; zero where the receiver does not know its height well enough to tell."""
+    sigma = fix.sigma[good, 2]
+    if not np.isfinite(sigma).any() or float(np.nanmedian(sigma)) > _LEVEL:
+        return np.zeros(t.size)
+    at = fix.t[good]
+    climb = np.gradient(slow(np.asarray(CubicSpline(at, fix.altitude[good])(np.clip(t, at[0], at[-1])))), t)
+    return np.where(fast, G * np.sin(np.arctan2(climb, np.maximum(speed, _SLOWEST))), 0.0)
