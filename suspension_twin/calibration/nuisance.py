@@ -4,7 +4,8 @@
 The offset between the clocks of IMU and GPS, the position of the map along the road, the IMU's
 gain, tilt and biases. They are fitted with the physics and reported apart from it. A shift in
 time is applied to the simulated, band-limited signal by interpolation: no simulation is spent on
-it. A shift of the map by ``d`` metres is one in time by ``d`` over the speed along the road.
+it. A shift of the map by ``d`` metres is one in time by ``d`` over the speed along the road. The planar
+channels are shifted by neither: what the pose knows of them comes from no map and, fused, from the IMU itself.
 """
 
 from __future__ import annotations
@@ -31,6 +32,7 @@ NUISANCES: Mapping[str, tuple[str, ...]] = {
     "tilt": ("tilt",),
     "bias": ("force_bias", "rate_bias"),
 }
+_PLANAR = ("longitudinal_acceleration", "lateral_acceleration", "yaw_rate")
 _SLOWEST = 0.5  # m/s: below this a place on the road says nothing of a time
 
 
@@ -129,15 +131,18 @@ def _apply(
     tilt: Floats,
     lever: Floats,
     turned: NDArray[np.intp],
+    still: NDArray[np.bool_],
     table: Floats,
     out: Floats,
 ) -> None:  # pragma: no cover - compiled
     """out[i, c, l] = gain[c, l] * signal + bias[c, l] + tilt[:, l] * about[:, i, c], where signal is channel c
     of ``simulated`` at rows[i] + shift[i, l], held at both ends, plus lever[c, l] times the slope by sample
-    of channel turned[c] if that is not negative."""
+    of channel turned[c] if that is not negative. Channels that are ``still`` are not shifted."""
     channels, given = simulated.shape[1:]
     phases, taps = table.shape[0] - 1, table.shape[1]
-    weight = np.zeros(taps + 4)  # two of nothing at either end: the slope's weights are differences of these
+    plain = np.zeros(taps + 4)
+    plain[2 + taps // 2 - 1] = 1.0
+    moved = np.zeros(taps + 4)  # two of nothing at either end: the slope's weights are differences of these
     for i in range(out.shape[0]):
         begin = 0
         while begin < out.shape[2]:
@@ -150,10 +155,12 @@ def _apply(
             p = min(int(fine), phases - 1)
             fine -= p
             for k in range(taps):
-                weight[k + 2] = (1.0 - fine) * table[p, k] + fine * table[p + 1, k]
-            first = j - taps // 2  # of the slope's samples: one before the value's own
+                moved[k + 2] = (1.0 - fine) * table[p, k] + fine * table[p + 1, k]
+            # of the slope's samples: one before the value's own
+            first_moved, first_plain = j - taps // 2, rows[i] - taps // 2
             source = begin if given > 1 else 0
             for c in range(channels):
+                first, weight = (first_plain, plain) if still[c] else (first_moved, moved)
                 x, y = about[0, i, c], about[1, i, c]
                 if end == begin + 1:
                     value = _alone(simulated, first, weight, c, turned[c], source, lever[c, begin])
@@ -191,6 +198,7 @@ class Nuisances:
     ) -> None:
         self.channels = tuple(channels)
         self._force = np.array([c.endswith("acceleration") for c in channels])
+        self._still = np.array([c in _PLANAR for c in channels])
         names: list[str] = []
         channels = tuple(channels)
         spread: list[float] = []
@@ -309,8 +317,8 @@ class Nuisances:
             turned[self.channels.index(channel)] = rate
             lever[self.channels.index(channel)] = sign * part.rate * value(name)
         out = np.empty((rows.size, len(self.channels), lanes))
-        shift = np.ascontiguousarray(shift)
-        _apply(np.ascontiguousarray(simulated), rows, shift, gain, bias, about, tilt, lever, turned, _TABLE, out)
+        given, shift = np.ascontiguousarray(simulated), np.ascontiguousarray(shift)
+        _apply(given, rows, shift, gain, bias, about, tilt, lever, turned, self._still, _TABLE, out)
         return out
 
 

@@ -50,7 +50,7 @@ class Linearised:
 class Bench:
     """A problem over all drives; ``active`` (drives,) True where the gap is. ``precision`` (d + q, d + q)
     and ``centre`` (d + q,) are the prior of characteristics and nuisances.
-    ``heard`` limits the residuals to some drives."""
+    ``heard`` limits the residuals to some drives; ``fused`` whether poses come from receiver and IMU together."""
 
     problem: Problem
     active: tuple[bool, ...]
@@ -59,6 +59,7 @@ class Bench:
     centre: Floats
     stop: Callable[[], bool] = lambda: False
     heard: tuple[int, ...] | None = None
+    fused: bool = True
 
     @property
     def d(self) -> int:
@@ -119,7 +120,7 @@ class Bench:
         """Channels (n, C, L) and failed lanes (L,); a batch that breaks off is taken lane by lane."""
         channels = self.problem.channels
         try:
-            response = simulate_lanes(twin, candidates, part.excitation)
+            response = simulate_lanes(twin, candidates, part.excitation, fused=self.fused)
             return _stack(response, channels), response.failed
         except np.linalg.LinAlgError:
             if candidates.shape[1] == 1:

@@ -141,7 +141,7 @@ def build(case: Case, stop: Callable[[], bool]) -> Bench:
     share = np.full((len(case.channels), 129), USUAL_SHARE)
     floors = [dict(p.noise_rms) for p in case.drives]
     whitener = Whitener.designed(problem, share, floors)
-    return Bench(problem, case.active, whitener, precision, centre, stop)
+    return Bench(problem, case.active, whitener, precision, centre, stop, fused=case.road)
 
 
 def baseline(case: Case, bench: Bench) -> tuple[Linear, Linear]:

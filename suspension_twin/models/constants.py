@@ -21,7 +21,7 @@ once per lane; in the kernel an implicit damper costs what an explicit one would
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -98,12 +98,18 @@ def _union(problems: Iterable[tuple[NDArray[np.bool_], str, str]], count: int) -
     return out
 
 
-def constants(params: Floats, layout: Layout, max_step: float) -> Constants:
-    """Constants of the kernel for candidates ``params`` (P, L) and steps up to ``max_step`` s."""
+def constants(params: Floats, layout: Layout, max_step: float, fused: bool = False) -> Constants:
+    """Constants of the kernel for candidates ``params`` (P, L) and steps up to ``max_step`` s.
+
+    ``fused``: a late clock delays what is seen of the road instead of the sensor's stamps.
+    """
     numbers = {name: params[row] for name, row in layout.index.items()}
     count = params.shape[1]
     with np.errstate(all="ignore"):
         changed, terms, road, clock, stages = _hooked(numbers, layout, count)
+    if fused:
+        road = replace(road, delay=clock.delay, drift=clock.drift)
+        clock = ClockChange(np.zeros(count), np.zeros(count))
 
     curves, problems = _read_curves(changed)
     _check_road(road, checker(problems))

@@ -48,7 +48,8 @@ class RoadChange:
     """What L candidates see of the road, all (L,): ``scale`` of its heights (1), ``ahead`` and
     ``left`` m that the map is looked up ahead of and left of the vehicle (0), ``smoothing`` m the
     sigma of a Gaussian along the track (0), ``sharpening`` m the sigma of one that is to be undone
-    (0), ``patch`` m the length that a tyre averages over (0)."""
+    (0), ``patch`` m the length that a tyre averages over (0), ``delay`` s and ``drift`` s/s from the first
+    stamp on: the road is seen where the vehicle was so long ago (0)."""
 
     scale: Floats
     ahead: Floats
@@ -56,16 +57,18 @@ class RoadChange:
     smoothing: Floats
     sharpening: Floats
     patch: Floats
+    delay: Floats
+    drift: Floats
 
     @classmethod
     def neutral(cls, count: int) -> RoadChange:
         """No change for ``count`` candidates."""
-        return cls(np.ones(count), *(np.zeros(count) for _ in range(5)))
+        return cls(np.ones(count), *(np.zeros(count) for _ in range(7)))
 
     @property
     def changed(self) -> Any:
         """(L,) bool: candidates that need a road of their own."""
-        moved = (self.ahead != 0) | (self.left != 0)
+        moved = (self.ahead != 0) | (self.left != 0) | (self.delay != 0) | (self.drift != 0)
         filtered = (self.smoothing != 0) | (self.sharpening != 0) | (self.patch != 0)
         return (self.scale != 1) | moved | filtered
 

@@ -10,6 +10,7 @@ sampling loses cancels as the change goes to zero, and no change is no change to
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from weakref import WeakKeyDictionary
 
 import numpy as np
@@ -65,13 +66,19 @@ class Tracks(Samples):
     def __init__(self, excitation: Excitation) -> None:
         x, y, yaw = excitation.x, excitation.y, excitation.yaw
         travelled = np.concatenate([[0.0], np.cumsum(np.hypot(np.diff(x), np.diff(y)))])
-        #: distance in m at every row of ``excitation.road``
+        #: distance in m and time in s at every row of ``excitation.road``
         self.distance = self._at_rows(excitation, travelled)
+        self.time = self._at_rows(excitation, excitation.t)
         moving = np.concatenate([[True], np.diff(travelled) > 1e-9])
         s = travelled[moving]
         at = np.arange(math.ceil((s[-1] + 2 * MARGIN) / SPACING) + 2) * SPACING - MARGIN
         way = tuple(np.interp(at, s, values[moving]) for values in (x, y, yaw))
         super().__init__(way[0], way[1], way[2], -MARGIN, excitation.wheels, excitation.ground)
+
+    def earlier(self, part: slice, delay: float, drift: float) -> Floats:
+        """(rows,) distances in m at which the vehicle was ``delay + drift (t - t0)`` s before a stretch's rows."""
+        t = self.time[part]
+        return np.asarray(np.interp(t - delay - drift * (t - self.time[0]), self.time, self.distance))
 
     @staticmethod
     def _at_rows(excitation: Excitation, travelled: Floats) -> Floats:
@@ -115,14 +122,14 @@ def reach_of(change: RoadChange) -> float:
 
 def own_road(
     tracks: Samples, change: RoadChange, lane0: int, count: int, road: Floats, distance: Floats, reference: Floats,
-    strict: bool = True,
+    strict: bool = True, earlier: Callable[[float, float], Floats] | None = None,
 ) -> Floats:  # fmt: skip
     """(rows, 4, WIDTH) heights in m that each lane of one block sees, for a stretch of the drive.
 
     ``change`` of all L lanes, of which lanes ``lane0``.. (``count`` of them) are in this block;
     ``road`` (rows, 4) and ``distance`` (rows,) of the stretch; ``reference`` (4,) m is what heights
     are scaled about. A lane that looks where the ground has no height raises InputError where ``strict``;
-    else it gets no heights at all, and fails alone.
+    else it gets no heights at all, and fails alone. ``earlier`` gives distances (rows,) a delay and a drift ago.
     """
     low_distance, high_distance = float(distance.min()), float(distance.max())
     need = change.changed
@@ -132,11 +139,14 @@ def own_road(
         if not need[lane]:
             heights[i] = road.T
             continue
-        ahead, left = float(change.ahead[lane]), float(change.left[lane])
+        ahead, left = np.full(distance.size, float(change.ahead[lane])), float(change.left[lane])
+        delay, drift = float(change.delay[lane]), float(change.drift[lane])
+        if earlier is not None and (delay or drift):
+            ahead += earlier(delay, drift) - distance
         sigma, patch = float(change.smoothing[lane]), float(change.patch[lane])
         sharp = float(change.sharpening[lane])
-        if ahead or left or sigma or sharp or patch:
-            reach = _REACH * (sigma + 2 * sharp) + patch / 2 + abs(ahead) + 3 * SPACING
+        if ahead.any() or left or sigma or sharp or patch:
+            reach = _REACH * (sigma + 2 * sharp) + patch / 2 + float(np.abs(ahead).max()) + 3 * SPACING
             low = max(0, int((low_distance - tracks.start - reach) / SPACING))
             high = min(tracks.count, int((high_distance - tracks.start + reach) / SPACING) + 2)
             plain = tracks.column(0)[:, low:high]
@@ -225,17 +235,17 @@ def _averaged(profile: Floats, half: float) -> Floats:
 
 @compiled
 def _with_difference(
-    road: Floats, plain: Floats, own: Floats, distance: Floats, first: float, ahead: float, out: Floats
+    road: Floats, plain: Floats, own: Floats, distance: Floats, first: float, ahead: Floats, out: Floats
 ) -> None:
     """Fill ``out`` (4, rows): ``road`` (rows, 4) plus ``own`` ahead of where it is less ``plain`` there.
 
-    Profiles (4, n) begin at the distance ``first`` m; ``ahead`` counts in samples.
+    Profiles (4, n) begin at the distance ``first`` m; ``ahead`` (rows,) counts in samples.
     """
     n = plain.shape[1]
     for row in range(distance.size):
         at = (distance[row] - first) / SPACING
         p = min(max(at, 0.0), n - 1.001)
-        q = min(max(at + ahead, 0.0), n - 1.001)
+        q = min(max(at + ahead[row], 0.0), n - 1.001)
         i, j = int(p), int(q)
         f, g = p - i, q - j
         for c in range(4):

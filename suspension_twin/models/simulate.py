@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
+from functools import partial
 
 import numpy as np
 
@@ -36,18 +37,20 @@ def simulate_lanes(
     threads: int | None = None,
     *,
     vertical_only: bool = False,
+    fused: bool = False,
 ) -> LaneResponse:
     """Sensor signals of candidates ``params`` (P, L) (see ``parameters.lanes``) on one excitation.
 
     ``threads`` defaults to NUMBA_NUM_THREADS or the cores there are. Neither it nor L changes the
     numbers of a lane. A lane that cannot stand, is unstable or diverges comes back as failed. With
     ``vertical_only`` force and rate come back with no components, (n, 0, L): less to write, the
-    same numbers.
+    same numbers. ``fused``: the pose was fused with the sensor's own readings, so that the motion that it has
+    is as late as the sensor is; late by that clock is then the road alone.
     """
     shape = layout(twin)
     if params.ndim != 2 or params.shape[0] != len(shape.names) or params.shape[1] < 1:
         raise InputError("candidates", f"must be ({len(shape.names)}, L >= 1), are {params.shape}")
-    known = constants(params, shape, excitation.max_step)
+    known = constants(params, shape, excitation.max_step, fused)
     blocks = Blocks(known)
     full = not vertical_only or bool(known.stages)
     signals = np.empty((len(excitation), 7 if full else 1, blocks.width))
@@ -127,6 +130,8 @@ def _roads(
     def own(block: int) -> Floats:
         lane0 = block * rows.WIDTH
         count = min(rows.WIDTH, blocks.lanes - lane0)
-        return own_road(tracks, change, lane0, count, road, distance, excitation.road[0], strict)
+        return own_road(
+            tracks, change, lane0, count, road, distance, excitation.road[0], strict, partial(tracks.earlier, part)
+        )
 
     return road, own
