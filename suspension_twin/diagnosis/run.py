@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -82,7 +82,7 @@ class _Search:
             c: float(np.sqrt(np.mean([d.noise_rms[c] ** 2 for d in shown]))) for c in bench.problem.channels
         }
         self.standing = gaps.standing(bench)
-        self.reference = self._reference(evidence(bench, anchor, self.blocks))
+        self.reference = self._reference(anchor)
         base, self.singles = singles(
             bench, base, anchor, effects, self.blocks, seed,
             lambda done, note: self.tell(Progress("effects", 0.15 + 0.6 * done, note)),
@@ -135,11 +135,13 @@ class _Search:
         for i in members:
             self.gates[i] = gates
 
-    def _reference(self, anchor: Evidence) -> float | None:
+    def _reference(self, anchor: Linear) -> float | None:
         """What the calibrated vehicle leaves of its motion on the reference drives; refuses a stranger's."""
         if all(self.bench.active):
             return None
-        left = gaps.remainder(self.bench, anchor.fit.hypothesis, anchor.unknowns, self.blocks)
+        quiet = replace(self.bench, heard=tuple(i for i, a in enumerate(self.bench.active) if not a))
+        alone = evidence(quiet, finished(quiet, BASELINE, anchor.x), self.blocks)
+        left = gaps.remainder(self.bench, BASELINE, alone.unknowns, self.blocks)
         level = verdict.level_of(self.bench, left, self.noise, shown=False)
         if level > _STRANGER:
             names = ", ".join(d.name for d, a in zip(self.case.drives, self.bench.active, strict=True) if not a)

@@ -24,6 +24,7 @@ __all__ = ["SLOPE_TIME", "Measurements", "Nodes", "gather", "make_nodes", "plana
 #: Hz to which yaw rate and forward pull are smoothed before they meet the filter's nodes.
 PLANAR = FilterSpec(2, 12.0)
 STEP = 0.01  # s between nodes at most
+MOST_SLOPE = 3.0  # degrees on average of a drive; a sensor that leans more is mounted so
 SLOPE_TIME = 5.0  # s; what tilts the vehicle for longer is a slope, not a sway
 
 
@@ -101,8 +102,27 @@ def planar_rows(signals: ImuSignals, gps_place: Place) -> tuple[Floats, Floats]:
         planar_inputs(force, rate, faster, signals.up, slow, share, signals.gravity, imu, antenna)
         for share in (0.0, 1.0)
     )
+    up = _upright(signals.up)
+    if up is not signals.up:  # the antenna hangs where the vehicle leans, not where its sensor does
+        slow = _upright(slow)
+        for share, out in ((0.0, still), (1.0, swaying)):
+            right = planar_inputs(force, rate, faster, up, slow, share, signals.gravity, imu, antenna)
+            out[:, 4:] = right[:, 4:]
     still[:, 2] = signals.standing
     return still, swaying[:, 4:] - still[:, 4:]
+
+
+def _upright(up: Floats) -> Floats:
+    """Verticals (n, 3) without the sensor's own lean, if it has one: no road climbs that much all the way."""
+    mean = up.mean(axis=0)
+    mean /= np.linalg.norm(mean)
+    if mean[2] > math.cos(math.radians(MOST_SLOPE)):
+        return up
+    # the smallest turn that takes the mean to the z axis (Rodrigues)
+    axis = np.array([mean[1], -mean[0], 0.0])
+    cross = np.array([[0.0, 0.0, axis[1]], [0.0, 0.0, -axis[0]], [-axis[1], axis[0], 0.0]])
+    turn = np.eye(3) + cross + cross @ cross / (1.0 + mean[2])
+    return np.asarray(np.einsum("ij,nj->ni", turn, up, optimize=False))
 
 
 def make_nodes(signals: ImuSignals, rows: Floats, sway: Floats, measured: Measurements) -> Nodes:
