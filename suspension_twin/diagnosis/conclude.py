@@ -12,8 +12,8 @@ from suspension_twin.diagnosis import gaps, verdict
 from suspension_twin.diagnosis.bench import Bench
 from suspension_twin.diagnosis.case import Case
 from suspension_twin.diagnosis.experiment import next_experiment
-from suspension_twin.diagnosis.fit import Fit
-from suspension_twin.diagnosis.judge import Blocks, Evidence
+from suspension_twin.diagnosis.fit import Fit, finished
+from suspension_twin.diagnosis.judge import Blocks, Evidence, intervals
 from suspension_twin.diagnosis.request import DiagnosisRequest, DiagnosisResult, DriveView
 from suspension_twin.diagnosis.search import Single
 from suspension_twin.diagnosis.where import localise, signature
@@ -80,6 +80,7 @@ def conclude(
     twin = twin_of(case, bench, kept.fit)
     shrink = _shrink(bench, found, kept_left, request.seed)
     causes = _causes(bench, found, effects, beyond, groups, request.seed)
+    _add_intervals(bench, found.blocks, kept.fit, causes)
     document: dict[str, Any] = {
         "verdict": answer,
         "gap": _gap(bench, found),
@@ -170,6 +171,18 @@ def _causes(
             }
         )  # fmt: skip
     return causes
+
+
+def _add_intervals(bench: Bench, blocks: Blocks, fit: Fit, causes: list[dict[str, Any]]) -> None:
+    """90 % intervals of the parameters of what the written twin has."""
+    if not fit.hypothesis.effects:
+        return
+    ends = intervals(bench, finished(bench, fit.hypothesis, fit.x), blocks)
+    for key, (low, high) in zip(fit.hypothesis.keys, ends, strict=True):
+        _, effect, name = key.split(".")
+        for cause in causes:
+            if cause["effect"] == effect:
+                cause.setdefault("parameter_intervals", {})[name] = [_round(low), _round(high)]
 
 
 def _groups(found: Findings, effects: Floats) -> list[list[int]]:

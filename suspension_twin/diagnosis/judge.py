@@ -16,13 +16,14 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import linalg
 from scipy.special import logsumexp
+from scipy.stats import norm
 
 from suspension_twin.diagnosis.bench import Bench, gram
 from suspension_twin.diagnosis.fit import Fit, Linear
 from suspension_twin.diagnosis.noise import INDEPENDENT
 from suspension_twin.drive.types import Floats
 
-__all__ = ["Blocks", "Evidence", "blocks_of", "evidence", "held_out", "weights"]
+__all__ = ["Blocks", "Evidence", "blocks_of", "evidence", "held_out", "intervals", "weights"]
 
 FOLDS = 5
 _SHARES = (1.0, 0.5, 0.25, 0.0)
@@ -137,6 +138,24 @@ def evidence(bench: Bench, fit: Linear, blocks: Blocks, shown: Sequence[bool] | 
     occam += 0.5 * float(away @ precision @ away) / max(float(np.mean(scale**2)), 1.0)
     plain = Fit(fit.hypothesis, fit.x, fit.cost)
     return Evidence(plain, score, float(occam), level, left, unknowns)
+
+
+def intervals(bench: Bench, fit: Linear, blocks: Blocks) -> Floats:
+    """(k, 2) 90 % intervals of the effects' parameters, in their units.
+
+    How much a fit would move with other stretches is told by what each block pulls it: residuals that
+    belong together count once (sandwich covariance: White 1982, by clusters).
+    """
+    precision, _ = bench.prior(fit.hypothesis)
+    jacobian, p = fit.at.jacobian, bench.d + bench.q
+    inverse: Floats = np.asarray(linalg.inv(gram(jacobian, jacobian) + precision))
+    pulls: Floats = np.stack(
+        [np.bincount(blocks.row, column * fit.at.residual, blocks.count) for column in jacobian.T], axis=1
+    ).astype(np.float64)
+    covariance = gram(inverse, gram(gram(pulls, pulls) + precision, inverse))
+    away = norm.ppf(0.95) * np.sqrt(np.maximum(np.diag(covariance)[p:], 0.0))
+    u = fit.x[p:, None] + np.stack([-away, away], axis=1)
+    return np.sort(fit.hypothesis.values(u), axis=1)
 
 
 def weights(found: list[Evidence], prior: Floats, temper: float, seed: int) -> tuple[Floats, Floats]:

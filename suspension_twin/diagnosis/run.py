@@ -23,7 +23,6 @@ from suspension_twin.diagnosis.hypotheses import BASELINE, Hypothesis, library
 from suspension_twin.diagnosis.judge import Evidence, blocks_of, evidence, weights
 from suspension_twin.diagnosis.request import DiagnosisRequest, DiagnosisResult, Progress
 from suspension_twin.diagnosis.search import jointly, pairs, singles, without_one
-from suspension_twin.effects.registry import EFFECTS
 from suspension_twin.errors import InputError
 
 __all__ = ["diagnose"]
@@ -34,8 +33,6 @@ _SURE, _WORTH = 0.95, verdict.MATERIAL
 #: Share of soundness that is a trait of the library, shown on the reference drives as well.
 _TRAITS = 0.5
 _LEAST_EXCESS = 0.2
-#: Where a wrong clock shows whole, and how much more of it stays than of another effect.
-_SHIFTED, _FUSED = ("vertical_acceleration", "pitch_rate"), 1.3
 _MOST_EFFECTS = 3
 _STRANGER = 0.6  # share of its motion that a reference leaves at the best fit, above which it is another car's
 
@@ -158,10 +155,7 @@ class _Search:
         if self.reference is None or level < quiet:
             adequate = verdict.background(level, quiet)
         else:
-            # the pose was fused from both clocks: what it has wrong sideways no shift of the simulation undoes
-            late = any(EFFECTS[e].where == "time" for e in found.fit.hypothesis.effects)
-            heard = _SHIFTED if late else tuple(n for n in bench.problem.channels if self._driven(n))
-            adequate = verdict.sound(found, [bench.problem.channels.index(n) for n in heard], _FUSED if late else 1.0)
+            adequate = verdict.sound(found, [c for c, n in enumerate(bench.problem.channels) if self._driven(n)])
         if found is self.base:
             return verdict.Gates(1.0, adequate, 1.0)
         material = max(self._material(left, c) for c in range(len(bench.problem.channels)))

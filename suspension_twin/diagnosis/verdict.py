@@ -25,8 +25,8 @@ _USUAL, _USUAL_SPREAD = 0.2, 1.5
 _AMISS, _AMISS_SPREAD = 0.5, 1.8
 #: Held-out squares, in units of the noise that the reference taught, at which a sound model is as likely as
 #: not: on the drives with the gap, which are others than it learnt from, and on the reference itself. A
-#: sound model's drives lie at 1.2 to 1.9 and at 1.0 to 1.7.
-_SOUND_SHOWN, _SOUND_THERE, _SOUND_SPREAD = 2.1, 2.0, 1.15
+#: sound model's drives lie at 1.2 to 2.3 and at 1.0 to 1.7.
+_SOUND_SHOWN, _SOUND_THERE, _SOUND_SPREAD = 2.3, 2.0, 1.2
 _LEAST_TEMPER = 0.03
 
 
@@ -67,15 +67,14 @@ def background(level: float, noise_share: float) -> float:
     return float(usual / (usual + amiss))
 
 
-def sound(found: Evidence, channels: Sequence[int], slack: float = 1.0) -> float:
+def sound(found: Evidence, channels: Sequence[int]) -> float:
     """Probability that nothing is missing beside what ``found`` has, by what the reference taught of the
-    noise: everywhere as quiet as there, and there as quiet as before the effect was asked of the vehicle.
-    ``slack`` is what the shown drives may have more."""
+    noise: everywhere as quiet as there, and there as quiet as before the effect was asked of the vehicle."""
     shown = max(found.level[c, True] for c in channels)
     there = max(found.level[c, False] for c in channels)
     spread = np.log(_SOUND_SPREAD)
     return float(
-        norm.sf(np.log(shown / slack / _SOUND_SHOWN) / spread) * norm.sf(np.log(there / _SOUND_THERE) / spread)
+        norm.sf(np.log(shown / _SOUND_SHOWN) / spread) * norm.sf(np.log(there / _SOUND_THERE) / spread)
     )
 
 
