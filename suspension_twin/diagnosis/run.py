@@ -207,7 +207,10 @@ class _Search:
             return self.base, self.left[0]
         effects = library(self.case.twin, self.case.road, self.request.effects)
         weak = [s.effect for s in self.singles if not s.judged]
-        while len(chosen.fit.hypothesis.effects) < _MOST_EFFECTS and gates.adequate < 0.5 and len(effects) > 1:
+        # without a reference nobody knows what is left of a sound model: what pays is taken
+        while len(chosen.fit.hypothesis.effects) < min(_MOST_EFFECTS, len(effects)) and (
+            self.reference is None or gates.adequate < 0.5
+        ):
             tried = pairs(
                 self.bench, chosen, effects, self.blocks, self.request.seed,
                 lambda done, note: self.tell(Progress("combinations", 0.76 + 0.18 * done, note)), weak,
@@ -222,18 +225,18 @@ class _Search:
         return chosen, left
 
     def _pays(self, few: Evidence, few_left: gaps.Remainder, many: Evidence, many_left: gaps.Remainder) -> bool:
-        """Whether one more effect is sure to be better, and by a tenth of the recalibrated gap; without a
-        road by a tenth of what the fewer leave in some channel: each channel is another effect's to show."""
+        """Whether one more effect is sure to be better, and by a tenth of some channel's recalibrated gap;
+        without a road by a tenth of what the fewer leave there: each channel is another effect's to show."""
         _, beats = weights([few, many], np.array([0.5, 0.5]), self.temper, self.request.seed)
         if beats[1, 0] < _SURE:
             return False
-        if self.case.road:
-            one, two = self._shrink(self.left[0], few_left), self._shrink(self.left[0], many_left)
-            return one.after - two.after >= _WORTH * one.before
-        return any(
-            self._shrink(few_left, many_left, column).shrink >= _WORTH
-            for column in range(len(self.bench.problem.channels))
-        )
+        for column, channel in enumerate(self.bench.problem.channels):
+            before = self.left[0] if self.case.road else few_left
+            one, two = self._shrink(before, few_left, column), self._shrink(before, many_left, column)
+            enough = self._driven(channel) and one.after >= self.noise[channel]
+            if enough and one.after - two.after >= _WORTH * one.before:
+                return True
+        return False
 
     def _eliminate(self) -> tuple[Evidence, gaps.Remainder]:
         """Without a road: all effects that can be judged jointly, then one less for as long as nothing is lost.
