@@ -115,6 +115,34 @@ def test_each_nuisance_does_what_its_name_says(prepared: Prepared) -> None:
     np.testing.assert_allclose(tilted[:, 0] - plain[:, 0], 0.01 * prepared.measured["lateral_acceleration"][50:-50])
 
 
+def test_clock_and_map_leave_the_planar_channels_alone(prepared: Prepared) -> None:
+    n = Nuisances([prepared], [0], ("vertical_acceleration", "yaw_rate"), NuisancePriors(), [0.0])
+    wave = np.sin(2 * np.pi * 4.0 * (prepared.t - prepared.t[0]))
+    signal = np.stack([wave, wave], axis=1)[:, :, None]
+    out = applied(n, prepared, signal, pass__clock_offset=0.03, map_position=0.2)
+    np.testing.assert_array_equal(out[:, 1], wave[50:-50])
+    assert np.abs(out[:, 0] - wave[50:-50]).max() > 0.3
+
+
+def test_lanes_together_are_lanes_alone(prepared: Prepared) -> None:
+    """Lanes that share a shift go through another loop than one that has its own; pivots and tilts included."""
+    channels = ("vertical_acceleration", "longitudinal_acceleration", "pitch_rate")
+    n = Nuisances([prepared], [0], channels, NuisancePriors(pivot=0.3), [0.0])
+    rng = np.random.default_rng(3)
+    signal = rng.standard_normal((prepared.t.size, 3, 5))
+    values = rng.standard_normal((len(n), 5)) * n.spread[:, None]
+    shifts = [n.names.index("map_position"), n.names.index("pass.clock_offset")]
+    values[shifts, 1:4] = values[shifts, 1:2]
+    rows = np.arange(prepared.t.size)
+    together = n.apply(0, signal, rows, values)
+    one = n.apply(0, signal[:, :, :1], rows, values)
+    for lane in range(5):
+        alone = n.apply(0, signal[:, :, lane : lane + 1], rows, values[:, lane : lane + 1])
+        np.testing.assert_allclose(together[:, :, lane], alone[:, :, 0], atol=1e-12)
+        same = n.apply(0, signal[:, :, :1], rows, values[:, lane : lane + 1])
+        np.testing.assert_allclose(one[:, :, lane], same[:, :, 0], atol=1e-12)
+
+
 def test_a_wandering_receiver_gets_an_offset_of_its_own(prepared: Prepared) -> None:
     n = Nuisances([prepared], [0], ("vertical_acceleration",), NuisancePriors(wander_seconds=2.0), [0.4])
     knots = [name for name in n.names if ".wander." in name]

@@ -7,10 +7,13 @@ from typing import Any
 
 import numpy as np
 import pytest
-from effect_cases import given, respond, rough, way
+from effect_cases import Ground, given, respond, rough, way
 from scipy.signal import butter, freqs
 
+from suspension_twin.models.excitation import excitation
+from suspension_twin.models.parameters import pack
 from suspension_twin.models.sensor import to_sensor_axes
+from suspension_twin.models.simulate import simulate_lanes
 from suspension_twin.models.types import Response
 from suspension_twin.vehicle.twin import G, Twin
 
@@ -284,6 +287,27 @@ def test_a_sensor_clips_on_its_own_axes(twin: Twin) -> None:
     assert np.allclose(to_sensor_axes(clipped.force, rpy), np.clip(own, -9.9, 9.9), rtol=0, atol=1e-12)
     assert np.allclose(
         clipped.vertical_acceleration - plain.vertical_acceleration, (clipped.force - plain.force)[:, 2]
+    )
+
+
+def test_with_a_fused_pose_the_road_alone_is_late(twin: Twin) -> None:
+    """At a steady speed that is the same as a late sensor; while braking, the pose brakes when the sensor says so."""
+    late = given(twin, time_offset={"offset": 0.05}, clock_drift={"drift_ppm": 2000.0})
+    steady, braking = way(8.0, rate=200.0), way(2.0, rate=200.0, speed=12.0, ax=-4.0)
+    ways = [excitation(w, twin.vehicle, Ground(r)) for w, r in ((steady, rough), (braking, rough), (braking, flat))]
+    params = pack(late)[:, None]
+    sensor, road = (
+        simulate_lanes(late, params, ways[0], fused=fused).force[400:, 2, 0] for fused in (False, True)
+    )
+    scatter = np.std(sensor)
+    assert np.std(sensor - road) < 0.03 * scatter
+    assert np.std(road - respond(twin, rough, steady).force[400:, 2]) > 0.3 * scatter
+    # on a flat road there is nothing to be late: to the last bit what a punctual sensor reads
+    plain = simulate_lanes(twin, pack(twin)[:, None], ways[2])
+    fused = simulate_lanes(late, params, ways[2], fused=True)
+    assert np.allclose(fused.force, plain.force, rtol=0, atol=1e-9)
+    assert not np.allclose(
+        simulate_lanes(late, params, ways[1]).force, simulate_lanes(late, params, ways[1], fused=True).force, atol=1e-2
     )
 
 

@@ -110,6 +110,20 @@ def test_the_antenna_swings_as_the_body_pitches_or_its_receiver_hides_it(
     assert off["ax"] < 0.35  # of 1.6 m/s² that pitching adds at the sensor
 
 
+def test_a_sensor_that_leans_does_not_move_the_antenna(make_scene: Maker) -> None:
+    """Mounted 14° nose down without the twin knowing it: the antenna, 1.5 m up, still hangs above the roof."""
+    scene = make_scene(speed=lambda s: 6.0 + np.sin(0.5 * s), seconds=40.0, sigma=0.02)
+    leaning = scene.imu.model_copy(update={"rpy": (0.05, 0.25, 0.0)})
+    signals = ingest_drive(scene.drive, leaning)
+    found = locked_trajectory(scene.drive, signals, scene.gps, scene.datum, signals.t)
+    inner = slice(500, -500)
+    off = errors(found, scene.truth, slice(None))
+    level = errors(lock(scene), scene.truth, slice(None))
+    assert np.sin(0.25) * scene.gps.position[2] > 0.35
+    assert off["along"] < level["along"] + 0.05 and off["across"] < level["across"] + 0.05
+    assert np.abs(np.mean(found.x[inner] - scene.truth.x[inner])) < 0.05
+
+
 def test_between_and_beyond_the_stamps(make_scene: Maker, away: Away) -> None:
     scene = make_scene(speed=away())
     signals = ingest_drive(scene.drive, scene.imu)
