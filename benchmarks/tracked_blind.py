@@ -3,8 +3,10 @@
 
 Each case is a specimen of ``tracked_reality`` with parameters of its own (drawn by the seed), reference runs
 from before and runs with one fault, filmed by a camera's tool. The diagnosis sees the CSVs and the twin
-file, nothing else. Development and reporting seeds are apart: thresholds were set on the former alone.
-Usage: ``python benchmarks/tracked_blind.py [--seeds development|reporting] [--kinds ...] [--json] [--cases N]``.
+file, nothing else. Development and reporting seeds are apart: thresholds were set on the former alone. ``--keep``
+writes what came out to ``benchmarks/results/tracked_blind.json``, with the commit that it belongs to.
+Usage: ``python benchmarks/tracked_blind.py [--seeds development|reporting] [--kinds ...] [--json] [--cases N]
+[--keep]``.
 """
 
 from __future__ import annotations
@@ -19,6 +21,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from blind.ask import commit
 from tracked_reality import Faults, photogrammetry, simulate
 from tracked_runs import write_run
 
@@ -26,6 +29,7 @@ from suspension_twin.diagnosis.tracked import diagnose_tracked_files
 from suspension_twin.vehicle.tracked import load_tracked
 
 FILE = Path(__file__).resolve().parents[1] / "config" / "tracked" / "pt91.yaml"
+RESULTS = Path(__file__).resolve().parent / "results" / "tracked_blind.json"
 KINDS = ("none", "track_tension", "track_wear", "station_damper", "station_bar", "payload", "sensor_scale",
          "sensor_tilt", "time_offset")  # fmt: skip
 SEEDS = {"development": (100, 101), "reporting": (900, 901, 902)}
@@ -124,10 +128,11 @@ def main() -> None:
     parser.add_argument("--json", action="store_true")
     parser.add_argument("--folder", type=Path, help="where the cases are kept, and taken from if they are there")
     parser.add_argument("--workers", type=int, default=1)
+    parser.add_argument("--keep", action="store_true", help="write what came out to benchmarks/results")
     arguments = parser.parse_args()
     seeds = SEEDS[arguments.seeds][: arguments.cases]
     tasks = [(kind, seed, arguments.folder) for seed in seeds for kind in arguments.kinds]
-    rows = []
+    rows, belongs = [], commit()
     with multiprocessing.get_context("spawn").Pool(arguments.workers) as pool:
         for row in pool.imap(judge, tasks):
             rows.append(row)
@@ -135,15 +140,32 @@ def main() -> None:
                 mark = "right" if row["right"] else "WRONG"
                 print(f"{mark} {row['kind']:15} {row['seed']} {row['truth']} -> {row['message']}; "
                       f"{row['top']} {row['probability']:.2f} {row['parameters']} tied {row['tied']}", flush=True)
-    by: dict[str, list[bool]] = defaultdict(list)
+    by: dict[str, list[dict[str, Any]]] = defaultdict(list)
     for row in rows:
-        by[row["kind"]].append(row["right"])
-    kinds = {k: f"{sum(v)}/{len(v)}" for k, v in by.items()}
-    summary = {"right": sum(r["right"] for r in rows), "cases": len(rows), "by_kind": kinds}
+        by[row["kind"]].append(row)
+    kinds = {
+        k: {
+            "cases": len(own), "right": sum(r["right"] for r in own),
+            "another_named": sum(bool(r["named"]) and not r["right"] for r in own),
+            "no_gap": sum(r["verdict"] == "no_gap" for r in own),
+            "unknown": sum(r["verdict"] == "unknown" for r in own),
+        }
+        for k, own in by.items()
+    }  # fmt: skip
+    result = {"commit": belongs, "seeds": SEEDS[arguments.seeds][: arguments.cases], "cases": len(rows),
+              "right": sum(r["right"] for r in rows), "kinds": kinds, "rows": rows}  # fmt: skip
+    if arguments.keep:
+        known = json.loads(RESULTS.read_text(encoding="utf-8")) if RESULTS.is_file() else {}
+        text = json.dumps({**known, arguments.seeds: result}, indent=1)
+        RESULTS.write_text(text + "\n", encoding="utf-8")
     if arguments.json:
-        print(json.dumps({"seeds": arguments.seeds, **summary, "rows": rows}))
-    else:
-        print(f"{summary['right']} of {summary['cases']} right: {summary['by_kind']}")
+        print(json.dumps(result))
+        return
+    names = ("cases", "right", "another_named", "no_gap", "unknown")
+    print(f"{'':15}" + "".join(f"{n.replace('_', ' '):>15}" for n in names))
+    for kind, counts in kinds.items():
+        print(f"{kind:15}" + "".join(f"{counts[n]:15d}" for n in names))
+    print(f"{result['right']} of {result['cases']} right, of {belongs}")
 
 
 if __name__ == "__main__":

@@ -23,6 +23,7 @@ from suspension_twin.diagnosis.tracked_fit import (
     Bench,
     Fitted,
     calibrate_to,
+    evidence,
     fit,
     hypotheses_for,
     make_bench,
@@ -36,7 +37,6 @@ from suspension_twin.vehicle.twin import EffectSpec, Twin, load_twin
 
 __all__ = ["TrackedDiagnosis", "diagnose_tracked", "diagnose_tracked_files"]
 
-_INDEPENDENT: Final = 5.0  # pieces of information that one second of a run holds, at most
 _MATERIAL: Final = 0.10  # share of the gap's rms above the noise that a cause must take away
 _QUIET: Final = 1.25  # level below which a gap is what repeats differ by
 _CALM: Final = 2.0  # ... and below which a gap that no cause takes away is not worth a word
@@ -104,16 +104,15 @@ def diagnose_tracked(
         tried = [f for f in (fit(bench, h) for h in hypotheses_for(name, vehicle)) if f is not None]
         if tried:
             singles[name] = min(tried, key=lambda f: f.score)
-    count = _INDEPENDENT * sum(float(r.t[-1] - r.t[0]) for r in runs)
-    gain = {n: 0.5 * count * float(np.log(base.score / f.score)) for n, f in singles.items()}
+    gain = {n: evidence(bench, f) - evidence(bench, base) for n, f in singles.items()}
     order = sorted(singles, key=lambda n: -gain[n])
     chosen = singles[order[0]]
     for name in order[1:4]:
         tell(Progress("combinations", 0.85, name))
-        if _closed(as_it_stands, chosen) > 0.9 or _level(chosen) < _QUIET or len(chosen.hypothesis.effects) > 1:
-            break
+        if chosen.score < 1.0 or len(chosen.hypothesis.effects) > 1:
+            break  # what is left is what noise and doubt leave
         both = fit(bench, together(chosen, singles[name]))
-        if both is not None and 0.5 * count * np.log(chosen.score / both.score) > _PAYS:
+        if both is not None and evidence(bench, both) - evidence(bench, chosen) > _PAYS:
             chosen = both
     tell(Progress("judging", 0.95))
     return _conclude(twin, bench, as_it_stands, base, singles, gain, chosen, seed, warnings)
@@ -125,15 +124,16 @@ def _alike(a: MarkerRun, b: MarkerRun) -> bool:
 
 def _level(f: Fitted) -> float:
     """What is left in units of the noise."""
-    return float(np.sqrt(f.score))
+    return float(np.sqrt(f.left))
 
 
-def _above(f: Fitted) -> float:
-    return float(np.sqrt(max(f.score - 1.0, 1e-6)))
+def _above(square: float) -> float:
+    return float(np.sqrt(max(square - 1.0, 1e-6)))
 
 
 def _closed(before: Fitted, after: Fitted) -> float:
-    return 1.0 - _above(after) / _above(before)
+    """Share of the gap above the noise that is gone."""
+    return 1.0 - _above(after.left) / _above(before.left)
 
 
 def _conclude(
@@ -154,14 +154,13 @@ def _conclude(
     shares = {n: (mass - no_gap) * w / total for n, w in weights.items()}
     if len(names) > 1 and not quiet:
         shares = {n: (mass - no_gap) / len(names) if n in names else 0.0 for n in shares}
-    lead = max(shares, key=lambda n: shares[n])
     if quiet:
         verdict, kept = "no_gap", base
     elif open_share >= 1.0:
         verdict, kept = "unknown", base
     else:
         verdict, kept = ("effect" if open_share < 0.5 and _level(chosen) < 3.0 else "partly"), chosen
-    tied = [n for n in gain if gain[lead] - gain[n] < _TIED and not quiet] if len(names) < 2 else []
+    tied = [n for n in gain if best - gain[n] < _TIED] if len(kept.hypothesis.effects) == 1 else []
     rng = np.random.default_rng(seed)
     document: dict[str, Any] = {
         "verdict": verdict,
@@ -212,8 +211,8 @@ def _cause(
         "effect": name,
         "probability": round(share, 6),
         "parameters": _given(f)[name],
-        "gap_before": round(_above(standing), 4),
-        "gap_after": round(_above(f), 4),
+        "gap_before": round(_above(standing.left), 4),
+        "gap_after": round(_above(f.left), 4),
         "shrink": round(_closed(standing, f), 4),
         "shrink_interval": [round(float(low), 4), round(float(high), 4)],
         "indistinguishable_from": [n for n in tied if n != name] if name in tied else [],

@@ -3,7 +3,10 @@
 
 Prediction of a run = model with the effect - model without + what is normal for this vehicle. Normal is the mean
 of the reference runs at that speed, so that whatever the model gets wrong of a sound vehicle cancels; without
-a reference it is the model itself. Each run's clock and true speed are nuisances with priors of their own.
+a reference it is the model itself. Each run's clock and true speed are nuisances with priors of their own: they
+are found anew for every explanation, and what an explanation asks of them counts against it. Causes are weighed
+against noise and doubt together: the model tells the change that a fault brings no better than it tells the motion of
+the sound vehicle, and where it misses that by much it says little of which fault it is.
 """
 
 from __future__ import annotations
@@ -13,11 +16,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from suspension_twin.calibration.tracked_paper import simulate_runs, unit_values, values_at
+from suspension_twin.calibration.tracked_paper import simulate_runs
 from suspension_twin.calibration.tracked_runs import MarkerRun
+from suspension_twin.diagnosis.tracked_own import OWN_HIGH, OWN_LOW, OWN_SPREAD, own_places, own_vehicle
 from suspension_twin.drive.types import Floats
 from suspension_twin.effects.tracked_effects import TRACKED_EFFECTS, apply_tracked, camera_of
-from suspension_twin.errors import WorkError
+from suspension_twin.errors import InputError, WorkError
 from suspension_twin.vehicle.tracked import TrackedVehicle
 
 __all__ = [
@@ -26,19 +30,24 @@ __all__ = [
     "Fitted",
     "Hypothesis",
     "calibrate_to",
+    "evidence",
     "fit",
     "hypotheses_for",
     "make_bench",
     "together",
 ]
 
-_LATE, _STRETCH = 0.015, 0.01  # s and share: what a camera's start and a driver's speed are off by
+_CLOCK = np.array([0.015, 0.01])  # s and share: what a camera's start and a driver's speed are off by
+_FARTHEST = 2.0  # of these: beyond that it is no matter of a start any more
+_SAMPLES = 30.0  # samples of one run that hold one piece of what a prior tells: they are not independent
+_INDEPENDENT = 2.0  # pieces of information that one second at one speed holds: what the model misses is slow
 _FLOOR = np.repeat([0.8e-3, 0.01, 0.15], 3)  # m, m/s, m/s²: less noise than that no tool has
 _UNEVEN = 0.01  # share of the motion by which two runs of one driver differ
 _BLOCK = 0.5  # s of consecutive samples that are held out together
 _FOLDS = 5
-_SPREAD = 0.15  # of a track parameter's range, about the twin's value
-_STEPS = 6
+_DOUBT = 0.5  # error of a change that the model tells, over its error about the sound vehicle there and then
+_AROUND = 0.5  # s over which that error is taken
+_STEPS = 8
 
 
 @dataclass(frozen=True)
@@ -68,28 +77,32 @@ NOTHING = Hypothesis((), (), (), *(np.zeros(0) for _ in range(4)))
 @dataclass(frozen=True)
 class Bench:
     """Runs of the gap beside what is normal. ``usual`` (n, 9) of each run and lateness and
-    stretch of it against the model (``clocks``), ``sigma`` (9,) of displacement, velocity
-    and acceleration of A, B, C; ``free``: the track's own parameters are fitted too, as there is no reference."""
+    stretch of it against the model (``clocks``), ``sigma`` (9,) noise and ``scale`` (n, 9) of each run noise and doubt
+    of displacement, velocity
+    and acceleration of A, B, C; ``free``: what is the vehicle's own is fitted too, as there is no reference."""
 
     vehicle: TrackedVehicle
     runs: tuple[MarkerRun, ...]
     plain: tuple[MarkerRun, ...]
     usual: tuple[Floats, ...]
-    clocks: tuple[tuple[float, float], ...]
+    clocks: tuple[Floats, ...]
     sigma: Floats
+    scale: tuple[Floats, ...]
     free: bool
 
 
 @dataclass(frozen=True)
 class Fitted:
-    """``x`` found, ``rest`` residual (n, 9) of each run in units of its noise; ``score`` mean square of what is left on
-    held-out blocks, ``levels`` (blocks,) the same block by block; ``track`` (5,) places of the track's parameters."""
+    """``x`` found, ``rest`` residual (n, 9) of each run in units of its noise. On held-out blocks: ``score`` mean
+    square of what is left in units of noise and doubt, ``left`` the same of noise alone, ``levels`` (blocks,) that
+    block by block; ``own`` (10,) see ``tracked_own``."""
 
     hypothesis: Hypothesis
     x: Floats
-    track: Floats
+    own: Floats
     rest: tuple[Floats, ...]
     score: float
+    left: float
     levels: Floats
 
 
@@ -110,18 +123,16 @@ def _shifts(seen: Floats, t: Floats) -> Floats:
     return np.stack([slope, slope * t[:, None]])
 
 
-def _align(measured: Floats, told: Floats, t: Floats, sigma: Floats) -> tuple[float, float]:
-    """Lateness and stretch of a run against what is expected, two steps of least squares with priors."""
-    late = stretch = 0.0
-    for _ in range(3):
-        at = t - late - stretch * t
-        moved = np.stack([np.interp(at, t, c) for c in told.T], axis=1)
-        a = (_shifts(moved, t) / sigma).reshape(2, -1).T * [_LATE, _STRETCH]
+def _align(measured: Floats, told: Floats, t: Floats, sigma: Floats) -> Floats:
+    """(2,) lateness and stretch of a run against what is expected: least squares with priors, within bounds."""
+    clock = np.zeros(2)
+    for _ in range(4):  # anew each time: a slope at no shift says little of signals at 6 Hz that are 20 ms late
+        moved = _moved(told, t, *-clock)
+        a = (_shifts(moved, t) / sigma).reshape(2, -1).T * _CLOCK
         r = ((measured - moved) / sigma).ravel()
-        prior = np.array([late / _LATE, stretch / _STRETCH])
-        step = np.linalg.solve(a.T @ a + 30.0 * np.eye(2), a.T @ r - 30.0 * prior)
-        late, stretch = late + _LATE * step[0], stretch + _STRETCH * step[1]
-    return late, stretch
+        step = np.linalg.solve(a.T @ a + _SAMPLES * np.eye(2), a.T @ r - _SAMPLES * clock / _CLOCK)
+        clock = np.clip(clock + _CLOCK * step, -_FARTHEST * _CLOCK, _FARTHEST * _CLOCK)
+    return clock
 
 
 def make_bench(
@@ -135,9 +146,9 @@ def make_bench(
     if plain is None:
         raise WorkError("tracked: the twin as it stands diverges on these runs")
     usual: list[Floats] = []
-    clocks, scatter = [], []
+    clocks, scatter, doubts = [], [], []
     for run, model in zip(runs, plain, strict=True):
-        own, clock = signals(model), (0.0, 0.0)
+        own, clock = signals(model), np.zeros(2)
         same = [ref for ref in reference if abs(ref.speed - run.speed) <= 0.02 * run.speed]
         if same:
             repeats = [np.stack([np.interp(run.t, r.t, c) for c in signals(r).T], axis=1) for r in same]
@@ -149,16 +160,24 @@ def make_bench(
                 factor = (len(same) + 1) / (len(same) - 1)
                 scatter.append(factor * np.mean([(r - mean) ** 2 for r in right], axis=(0, 1)))
             clock = _align(mean, own, run.t, 4 * _FLOOR)
+            missed = (mean - _moved(own, run.t, *-clock)) ** 2
             own = mean
+            window = np.ones(max(1, round(_AROUND * run.rate)))
+            members = np.convolve(np.ones(run.t.size), window, "same")
+            around = np.stack([np.convolve(c, window, "same") / members for c in missed.T], axis=1)
+        else:
+            around = np.zeros_like(own)
         usual.append(own)
         clocks.append(clock)
+        doubts.append(_DOUBT * np.sqrt(around))
     sigma = np.maximum(np.sqrt(np.mean(scatter, axis=0)), _FLOOR) if scatter else 4 * _FLOOR
     motion = np.sqrt(np.mean([u.var(axis=0) for u in usual], axis=0))
     sigma = np.hypot(sigma, _UNEVEN * motion)
     seen = np.tile(np.all([r.seen for r in runs], axis=0), 3)
     sigma = np.where(seen, sigma, 1e6)
     fitted = not reference if free is None else free
-    return Bench(vehicle, tuple(runs), tuple(plain), tuple(usual), tuple(clocks), sigma, fitted)
+    scale = tuple(np.hypot(sigma, d) for d in doubts)
+    return Bench(vehicle, tuple(runs), tuple(plain), tuple(usual), tuple(clocks), sigma, scale, fitted)
 
 
 def hypotheses_for(effect: str, vehicle: TrackedVehicle) -> list[Hypothesis]:
@@ -187,15 +206,17 @@ def together(a: Fitted, b: Fitted) -> Hypothesis:
 
 
 def _predict(bench: Bench, hypothesis: Hypothesis, points: Sequence[Floats]) -> list[list[Floats] | None]:
-    """Expected (n, 9) of each run at points (k + 5 if free,); None where the vehicle cannot be or diverges."""
+    """Expected (n, 9) of each run at points (k + 10 if free,); None where the vehicle cannot be or diverges."""
     k = len(hypothesis.keys)
     vehicles, at, givens = [], [], []
     for i, point in enumerate(points):
         given = hypothesis.given(np.clip(point[:k], hypothesis.low, hypothesis.high))
-        vehicle = bench.vehicle
-        if bench.free:
-            vehicle = vehicle.with_changes(values_at(np.clip(point[k:], 0.0, 1.0)))
-        vehicles.append(apply_tracked(vehicle, given))
+        try:
+            vehicle = own_vehicle(bench.vehicle, point[k:]) if bench.free else bench.vehicle
+            vehicle = apply_tracked(vehicle, given)
+        except InputError:  # no such vehicle: more taken off than there is, say
+            continue
+        vehicles.append(vehicle)
         at.append(i)
         givens.append(given)
     out: list[list[Floats] | None] = [None] * len(points)
@@ -206,7 +227,7 @@ def _predict(bench: Bench, hypothesis: Hypothesis, points: Sequence[Floats]) -> 
         for run, model, plain, usual, clock in zip(
             bench.runs, told, bench.plain, bench.usual, bench.clocks, strict=True
         ):
-            full = usual + _moved(signals(model) - signals(plain), run.t, -clock[0], -clock[1])
+            full = usual + _moved(signals(model) - signals(plain), run.t, *-clock)
             seen = camera.see(run.t, full[:, :3], full[:, 3:6], full[:, 6:], run.speed)
             predicted.append(np.concatenate(seen, axis=1))
         out[i] = predicted
@@ -215,7 +236,8 @@ def _predict(bench: Bench, hypothesis: Hypothesis, points: Sequence[Floats]) -> 
 
 @dataclass(frozen=True)
 class _Linear:
-    """Residual r (m,) and its change a (m, d) per unit of prior, ``x0`` (d,) where the priors' units stand."""
+    """Residual r (m,) with the clocks set, its change a (m, d + 2 runs) per unit of prior of the parameters and the
+    clocks, ``x0`` (d + 2 runs,) where they stand in these units."""
 
     r: Floats
     a: Floats
@@ -223,81 +245,90 @@ class _Linear:
 
 
 def _linear(bench: Bench, hypothesis: Hypothesis, x: Floats, prior: Floats, centre: Floats) -> _Linear | None:
-    k = len(hypothesis.keys)
     size = 0.2 * prior  # contacts make anything nearer rough
-    size[:k] = np.where(x[:k] + size[:k] > hypothesis.high, -size[:k], size[:k])
-    size[k:] = np.where(x[k:] + size[k:] > 1.0, -size[k:], size[k:])
+    high = np.concatenate([hypothesis.high, OWN_HIGH])[: x.size]
+    size = np.where(x + size > high, -size, size)
     points = [x, *(x + np.eye(x.size)[i] * size[i] for i in range(x.size))]
     told = _predict(bench, hypothesis, points)
     if told[0] is None:
         return None
     count = len(bench.runs)
-    rows, columns = [], []
-    for j, run in enumerate(bench.runs):
-        here = told[0][j]
-        rows.append(((signals(run) - here) / bench.sigma).ravel())
+    rows, columns, clocks = [], [], []
+    for j, (run, scale) in enumerate(zip(bench.runs, bench.scale, strict=True)):
+        clock = _align(signals(run), told[0][j], run.t, scale)
+        here = _moved(told[0][j], run.t, *-clock)
+        rows.append(((signals(run) - here) / scale).ravel())
         own = np.zeros((here.size, x.size + 2 * count))
         for i in range(x.size):
             other = told[1 + i]
             if other is not None:
-                own[:, i] = ((other[j] - here) / bench.sigma).ravel() * prior[i] / size[i]
-        shifts = (_shifts(here, run.t) / bench.sigma).reshape(2, -1).T
-        own[:, x.size + 2 * j : x.size + 2 * j + 2] = shifts * [_LATE, _STRETCH]
+                change = (_moved(other[j], run.t, *-clock) - here) / scale
+                own[:, i] = change.ravel() * prior[i] / size[i]
+        shifts = (_shifts(here, run.t) / scale).reshape(2, -1).T
+        own[:, x.size + 2 * j : x.size + 2 * j + 2] = shifts * _CLOCK
         columns.append(own)
-    offset = np.concatenate([(x - centre) / prior, np.zeros(2 * count)])
-    return _Linear(np.concatenate(rows), np.concatenate(columns), offset)
+        clocks.append(clock / _CLOCK)
+    return _Linear(np.concatenate(rows), np.concatenate(columns), np.concatenate([(x - centre) / prior, *clocks]))
 
 
-def _solve(a: Floats, r: Floats, x0: Floats, weight: float) -> Floats:
-    """Step with priors: samples of a run are not independent, a prior counts ``weight`` of them."""
-    return np.asarray(np.linalg.solve(a.T @ a + weight * np.eye(a.shape[1]), a.T @ r - weight * x0))
+def _solve(a: Floats, r: Floats, x0: Floats) -> Floats:
+    """Step with priors."""
+    return np.asarray(np.linalg.solve(a.T @ a + _SAMPLES * np.eye(a.shape[1]), a.T @ r - _SAMPLES * x0))
 
 
-def fit(bench: Bench, hypothesis: Hypothesis, weight: float = 30.0) -> Fitted | None:
+def fit(bench: Bench, hypothesis: Hypothesis) -> Fitted | None:
     """The best parameters, by Gauss-Newton with halved steps; None where it cannot be simulated."""
     k = len(hypothesis.keys)
-    track = unit_values(bench.vehicle)
-    x = np.concatenate([hypothesis.start, track]) if bench.free else hypothesis.start.copy()
-    prior = np.concatenate([hypothesis.spread, np.full(5, _SPREAD)]) if bench.free else hypothesis.spread.copy()
-    centre = np.concatenate([hypothesis.start, track]) if bench.free else hypothesis.start
-    low = np.concatenate([hypothesis.low, np.zeros(5)]) if bench.free else hypothesis.low
-    high = np.concatenate([hypothesis.high, np.ones(5)]) if bench.free else hypothesis.high
+    own = own_places(bench.vehicle)
+    count = k + own.size if bench.free else k
+    centre = np.concatenate([hypothesis.start, own])[:count]
+    prior = np.concatenate([hypothesis.spread, OWN_SPREAD])[:count]
+    low = np.concatenate([hypothesis.low, OWN_LOW])[:count]
+    high = np.concatenate([hypothesis.high, OWN_HIGH])[:count]
+    x = centre.copy()
     # an effect's own prior is wide: what a fault is like is not known beforehand
-    wide = np.where(np.arange(x.size) < k, 0.1, 1.0)
-    best: tuple[float, Floats, _Linear, Floats] | None = None
+    wide = np.ones(x.size + 2 * len(bench.runs))
+    wide[:k] = 0.1
+    best: tuple[float, Floats, _Linear] | None = None
     for _ in range(_STEPS):
         linear = _linear(bench, hypothesis, x, prior, centre)
         if linear is None:
             break
-        x0 = linear.x0.copy()
-        x0[: x.size] *= wide
-        step = _solve(linear.a, linear.r, x0, weight)
-        left = linear.r - linear.a[:, x.size :] @ _solve(linear.a[:, x.size :], linear.r, x0[x.size :], weight)
-        cost = float(left @ left + weight * (x0[: x.size] @ x0[: x.size]))
+        x0 = linear.x0 * wide
+        cost = float(linear.r @ linear.r + _SAMPLES * (x0 @ x0))
         if best is not None and cost > best[0] * (1 + 1e-6):
             x = 0.5 * (x + best[1])
             if np.abs((x - best[1]) / prior).max(initial=0.0) < 1e-3:
                 break
             continue
         gained = np.inf if best is None else 1.0 - cost / best[0]
-        best = cost, x.copy(), linear, left
-        moved = np.clip(x + prior * np.clip(step[: x.size], -2.0, 2.0), low, high)
+        best = cost, x.copy(), linear
+        held = np.flatnonzero(np.abs(linear.x0[x.size :]) > _FARTHEST - 1e-9) + x.size
+        free = np.delete(np.arange(x0.size), held)  # a clock at its bound takes nothing more off a parameter
+        step = _solve(linear.a[:, free], linear.r, x0[free])[: x.size]
+        moved = np.clip(x + prior * np.clip(step, -2.0, 2.0), low, high)
         if not x.size or gained < 1e-3 or np.abs((moved - x) / prior).max() < 2e-3:
             break
         x = moved
     if best is None:
         return None
-    _, x, linear, left = best
-    score, levels = _held_out(bench, linear, weight)
+    _, x, linear = best
+    units = np.concatenate([(s / bench.sigma).ravel() for s in bench.scale])
+    score, left, levels = _held_out(bench, linear, x.size, units)
     rest, begin = [], 0
     for run in bench.runs:
-        rest.append(left[begin : begin + 9 * run.t.size].reshape(-1, 9))
-        begin += 9 * run.t.size
-    return Fitted(hypothesis, x[:k], x[k:] if bench.free else track, tuple(rest), score, levels)
+        part = slice(begin, begin + 9 * run.t.size)
+        rest.append((linear.r[part] * units[part]).reshape(-1, 9))
+        begin = part.stop
+    return Fitted(hypothesis, x[:k], x[k:] if bench.free else own, tuple(rest), score, left, levels)
 
 
-def _held_out(bench: Bench, linear: _Linear, weight: float) -> tuple[float, Floats]:
-    """Mean square on blocks that the last step of the fit has not seen, over all and block by block."""
+def _held_out(bench: Bench, linear: _Linear, size: int, units: Floats) -> tuple[float, float, Floats]:
+    """``score``, ``left`` and ``levels`` of a :class:`Fitted`, on blocks that the last step of the fit has not seen,
+    with what the clocks are asked to be off by spread over all of them.
+
+    ``size``: how many parameters there are before the clocks; ``units`` (m,) noise and doubt over noise.
+    """
     block, number = [], 0
     for run in bench.runs:
         own = np.floor((run.t - run.t[0]) / _BLOCK).astype(int) + number
@@ -305,19 +336,37 @@ def _held_out(bench: Bench, linear: _Linear, weight: float) -> tuple[float, Floa
         number = int(own.max()) + 1
     place = np.concatenate(block)
     counted = np.tile(bench.sigma < 1e5, place.size // 9)
-    squares = np.empty(place.size)
+    a, missed = linear.a[:, :size], np.empty(place.size)
     for fold in range(_FOLDS):
         out = place % _FOLDS == fold
-        step = _solve(linear.a[~out], linear.r[~out], np.zeros(linear.a.shape[1]), weight)
-        squares[out] = (linear.r[out] - linear.a[out] @ step) ** 2
-    total = np.bincount(place[counted], squares[counted], number)
-    size = np.bincount(place[counted], minlength=number)
-    return float(squares[counted].mean()), np.asarray(total / np.maximum(size, 1))
+        step = _solve(a[~out], linear.r[~out], np.zeros(size))
+        missed[out] = linear.r[out] - a[out] @ step
+    asked = float(linear.x0[size:] @ linear.x0[size:]) / _pieces(bench)
+    squares = (missed * units)[counted] ** 2
+    total = np.bincount(place[counted], squares, number)
+    members = np.bincount(place[counted], minlength=number)
+    score = float((missed[counted] ** 2).mean())
+    return score + asked, float(squares.mean()) + asked, np.asarray(total / np.maximum(members, 1)) + asked
+
+
+def _pieces(bench: Bench) -> float:
+    """Pieces of information that the runs hold, at most: repeats at one speed share what the model misses."""
+    longest: dict[float, float] = {}
+    for run in bench.runs:
+        longest[run.speed] = max(longest.get(run.speed, 0.0), float(run.t[-1] - run.t[0]))
+    return _INDEPENDENT * sum(longest.values())
+
+
+def evidence(bench: Bench, f: Fitted) -> float:
+    """Logarithm of how likely the runs are, but for a constant: noise and doubt are at least what is taken, they may be
+    more."""
+    worth = f.score if f.score < 1.0 else 1.0 + np.log(f.score)
+    return -0.5 * _pieces(bench) * float(worth)
 
 
 def calibrate_to(vehicle: TrackedVehicle, runs: Sequence[MarkerRun]) -> TrackedVehicle:
-    """The vehicle with its track's five parameters fitted to runs, from where they are."""
+    """The vehicle with what is its own fitted to runs, from where it is."""
     found = fit(make_bench(vehicle, runs, (), free=True), NOTHING)
     if found is None:
         raise WorkError("tracked: no neighbour of the twin can be simulated on the reference runs")
-    return vehicle.with_changes(values_at(np.clip(found.track, 0.0, 1.0)))
+    return own_vehicle(vehicle, found.own)

@@ -96,9 +96,14 @@ def _bar(vehicle: TrackedVehicle, v: Given) -> TrackedVehicle:
 
 
 def _payload(vehicle: TrackedVehicle, v: Given) -> TrackedVehicle:
-    mass = vehicle.mass + v["mass"]
-    ahead = (vehicle.mass * vehicle.cog[0] + v["mass"] * (vehicle.cog[0] + v["x"])) / mass
-    return vehicle.with_changes({"mass": mass, "cog.0": ahead})
+    # a lump on the hull: it moves the centre towards itself and adds no more inertia than its distance gives it
+    hull, lump = vehicle.hull_mass, 0.5 * v["mass"]
+    inertia = hull * vehicle.gyration**2 + hull * lump / (hull + lump) * v["x"] ** 2
+    return vehicle.with_changes({
+        "mass": vehicle.mass + v["mass"],
+        "cog.0": vehicle.cog[0] + lump / (hull + lump) * v["x"],
+        "gyration": float(np.sqrt(max(inertia, 0.0) / (hull + lump))),
+    })  # fmt: skip
 
 
 _STATION = Parameter("station", "", 1, 12, 1, 1, 3, "Which road wheel, 1 in front.", choices=tuple(range(1, 13)))

@@ -54,7 +54,13 @@ def test_each_changes_what_it_says(vehicle: TrackedVehicle) -> None:
     assert one("station_damper", station=2, share=0.0).stations[1].damping == 0.0
     assert one("station_bar", station=6, sag=0.1).stations[5].sag == pytest.approx(0.1)
     loaded = one("payload", mass=4260.0, x=1.1)
-    assert loaded.mass == 46860.0 and loaded.cog[0] == pytest.approx(2.78 + 0.1)
+    assert loaded.mass == 46860.0
+    # half of it on one side, as a lump on the hull: centre and inertia about it, of both parts
+    parts = np.array([[vehicle.hull_mass, vehicle.cog[0]], [2130.0, vehicle.cog[0] + 1.1]])
+    centre = float(np.average(parts[:, 1], weights=parts[:, 0]))
+    inertia = vehicle.hull_mass * vehicle.gyration**2 + float(parts[:, 0] @ (parts[:, 1] - centre) ** 2)
+    assert loaded.cog[0] == pytest.approx(centre)
+    assert loaded.hull_mass * loaded.gyration**2 == pytest.approx(inertia)
 
 
 def test_the_camera(vehicle: TrackedVehicle) -> None:
