@@ -20,6 +20,7 @@ from typing import Final, Literal, get_args
 import numpy as np
 
 from suspension_twin.calibration.genetic import GaSettings, GeneticSearch
+from suspension_twin.calibration.request import Progress
 from suspension_twin.calibration.tracked_runs import MarkerRun, low_pass
 from suspension_twin.drive.types import Floats
 from suspension_twin.errors import InputError, WorkError
@@ -182,23 +183,25 @@ def calibrate_tracked(
     objective: Objective = "correlation",
     seed: int = 0,
     settings: GaSettings = SETTINGS,
-    on_generation: Callable[[int, float], None] | None = None,
+    tell: Callable[[Progress], None] = lambda _: None,
+    should_stop: Callable[[], bool] = lambda: False,
 ) -> TrackedResult:
     """Find the five parameters from runs; a cost is the mean over them.
 
-    A candidate that diverges is the worst, not the end. Raises InputError without a run and WorkError where
-    every candidate diverged.
+    A candidate that diverges is the worst, not the end. Told to stop, between generations, it ends with the best so
+    far. Raises InputError without a run and WorkError where every candidate diverged or none was tried.
     """
     if not runs:
         raise InputError("tracked_paper", "runs", "none is given")
     if objective not in OBJECTIVES:
         raise InputError("tracked_paper", "objective", f"must be one of {', '.join(OBJECTIVES)}, is {objective}")
     search = GeneticSearch(len(BOUNDS), settings, seed)
-    while search.generation <= settings.generations:
+    while search.generation <= settings.generations and not should_stop():
         candidates = [vehicle.with_changes(values_at(u)) for u in search.ask()]
         search.tell(np.array([_cost(told, runs, objective) for told in simulate_runs(candidates, runs)]))
-        if on_generation is not None:
-            on_generation(search.generation - 1, search.best[-1])
+        tell(Progress("search", search.generation - 1, search.evaluations, float(search.best[-1])))
+    if not search.best:
+        raise WorkError("tracked_paper: stopped before the search began")
     unit, cost = search.best_point
     if not np.isfinite(cost):
         raise WorkError("tracked_paper: every candidate diverged: check the vehicle and the speed")

@@ -4,15 +4,19 @@
 from __future__ import annotations
 
 import sys
+from collections.abc import Mapping
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
+from rich.console import Console
+from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
+from rich.table import Table
 
 import suspension_twin
 from suspension_twin.errors import InputError
 
-__all__ = ["Bag", "Bags", "Seed", "TwinFile", "bundled"]
+__all__ = ["Bag", "Bags", "Seed", "TwinFile", "bundled", "print_diagnosis", "stage_bar"]
 
 TwinFile = Annotated[Path, typer.Option("--twin", help="The twin file.", metavar="TWIN.YAML", show_default=False)]
 Bag = Annotated[
@@ -39,3 +43,33 @@ def bundled(*parts: str) -> Path:
         if (root / "package.xml").is_file() and (found := root.joinpath(*parts)).exists():
             return found
     raise InputError("/".join(parts), f"is missing from the installation, looked in {', '.join(map(str, roots))}")
+
+
+def stage_bar() -> Progress:
+    """A bar with the stage of the work on it, on standard error, gone when it is over; nothing where no one looks."""
+    errors = Console(stderr=True)
+    columns = TextColumn("{task.description:<44}"), BarColumn(), TimeElapsedColumn()
+    return Progress(*columns, console=errors, disable=not errors.is_terminal, transient=True)
+
+
+def print_diagnosis(document: Mapping[str, Any], out: Path) -> None:
+    """What ``diagnosis.json`` holds in a few lines: warnings, verdict, the first causes, and the folder ``out``."""
+    console = Console(highlight=False, soft_wrap=True)
+    for warning in document["warnings"]:
+        console.print(f"[yellow]{warning}[/]")
+    console.print(f"[bold]{document['verdict']}[/]: {document['message']}")
+    table = Table()
+    for name in ("cause", "probability", "shrink", "interval", "parameters"):
+        table.add_column(name)
+    for cause in document["causes"][:5]:
+        low, high = cause["shrink_interval"]
+        values = ", ".join(f"{k} {v:.4g}" for k, v in cause["parameters"].items())
+        table.add_row(
+            cause["effect"], f"{cause['probability']:.3f}", f"{cause['shrink']:.2f}", f"{low:.2f} to {high:.2f}", values
+        )
+    console.print(table)
+    console.print(
+        f"no gap {document['no_gap_probability']:.3f}, unknown {document['unknown_probability']:.3f}. "
+        f"{document['next_experiment']}"
+    )
+    console.print(f"Written to {out}")

@@ -7,11 +7,8 @@ from pathlib import Path
 from typing import Annotated
 
 import typer
-from rich.console import Console
-from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
-from rich.table import Table
 
-from suspension_twin.cli.common import Bags, Seed, TwinFile
+from suspension_twin.cli.common import Bags, Seed, TwinFile, print_diagnosis, stage_bar
 
 __all__ = ["command"]
 
@@ -46,9 +43,7 @@ def command(twin: TwinFile, bags: Bags, out: Out, reference: Reference = None, s
     request = DiagnosisRequest(
         str(twin), tuple(str(b) for b in bags), tuple(str(b) for b in reference or ()), seed
     )
-    errors = Console(stderr=True)
-    columns = TextColumn("{task.description:<44}"), BarColumn(), TimeElapsedColumn()
-    with Progress(*columns, console=errors, disable=not errors.is_terminal, transient=True) as bar:
+    with stage_bar() as bar:
         task = bar.add_task("reading", total=1.0)
 
         def show(stage: Stage) -> None:
@@ -58,26 +53,4 @@ def command(twin: TwinFile, bags: Bags, out: Out, reference: Reference = None, s
         result = diagnose(request, show)
     write(result, out)
     diagnosis_page(result).write(out / "report.html")
-    _print(result.document, out)
-
-
-def _print(document: dict[str, object], out: Path) -> None:
-    console = Console(highlight=False, soft_wrap=True)
-    for warning in document["warnings"]:  # type: ignore[attr-defined]
-        console.print(f"[yellow]{warning}[/]")
-    console.print(f"[bold]{document['verdict']}[/]: {document['message']}")
-    table = Table()
-    for name in ("cause", "probability", "shrink", "interval", "parameters"):
-        table.add_column(name)
-    for cause in document["causes"][:5]:  # type: ignore[index]
-        low, high = cause["shrink_interval"]
-        values = ", ".join(f"{k} {v:.4g}" for k, v in cause["parameters"].items())
-        table.add_row(
-            cause["effect"], f"{cause['probability']:.3f}", f"{cause['shrink']:.2f}", f"{low:.2f} to {high:.2f}", values
-        )
-    console.print(table)
-    console.print(
-        f"no gap {document['no_gap_probability']:.3f}, unknown {document['unknown_probability']:.3f}. "
-        f"{document['next_experiment']}"
-    )
-    console.print(f"Written to {out}")
+    print_diagnosis(result.document, out)

@@ -5,15 +5,25 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
+from typing import Any, Protocol
 
-from suspension_twin.diagnosis.request import DiagnosisResult
 from suspension_twin.errors import WorkError
-from suspension_twin.vehicle.twin import save_twin
+from suspension_twin.vehicle.twin import Twin, save_twin
 
-__all__ = ["write"]
+__all__ = ["Found", "write"]
 
 
-def write(result: DiagnosisResult, folder: Path) -> None:
+class Found(Protocol):
+    """What a diagnosis hands back, of a car or of a tracked vehicle: the document, and the twin with what was found."""
+
+    @property
+    def document(self) -> dict[str, Any]: ...
+
+    @property
+    def twin(self) -> Twin: ...
+
+
+def write(result: Found, folder: Path) -> None:
     """``diagnosis.json`` and ``twin.yaml`` in ``folder``, which is made."""
     text = json.dumps(result.document, indent=2, ensure_ascii=False, allow_nan=False)
     try:

@@ -16,9 +16,12 @@ from suspension_twin.calibration.output import write_result
 from suspension_twin.calibration.presets import PRESETS
 from suspension_twin.calibration.request import CalibrationRequest, Progress
 from suspension_twin.calibration.run import calibrate
+from suspension_twin.calibration.tracked_files import PRESET as TRACKED
+from suspension_twin.calibration.tracked_files import calibrate_tracked_files
 from suspension_twin.drive.read import drive_name
 from suspension_twin.errors import InputError
-from suspension_twin.vehicle.twin import load_twin
+from suspension_twin.vehicle.tracked_twin import TrackedTwin
+from suspension_twin.vehicle.twin import Twin, load_twin
 
 __all__ = [
     "CalibrationJob",
@@ -57,12 +60,11 @@ class Outcome:
     excited: tuple[bool, ...] = ()
 
 
-def start_of(twin: str) -> str:
-    """The path of a twin file, which is there and right."""
+def start_of(twin: str) -> Twin:
+    """The twin in a file, which is there and right."""
     if not twin:
         raise InputError("twin", "is empty: give the path of the twin file to start from")
-    load_twin(twin)
-    return twin
+    return load_twin(twin)
 
 
 def recordings_of(paths: Sequence[str], name: str, needed: bool = True) -> tuple[str, ...]:
@@ -88,10 +90,15 @@ def use_threads(number: int) -> None:
 
 def job_of(request: Any, twin_file: str, threads: int) -> CalibrationJob:
     """The job that a goal asks for; raises InputError that names what is wrong with the goal."""
-    twin = start_of(request.twin or twin_file)
+    twin = request.twin or twin_file
+    tracked = isinstance(start_of(twin), TrackedTwin)
     bags = recordings_of(request.bags, "bags")
-    preset = request.preset or "fast"
-    if preset not in PRESETS:
+    preset = request.preset or (TRACKED if tracked else "fast")
+    if tracked and preset != TRACKED:
+        raise InputError("preset", f"must be {TRACKED} for a twin on tracks, is {preset!r}")
+    if tracked and request.free:
+        raise InputError("free", f"{TRACKED} searches five parameters of the track, no others: leave it empty")
+    if not tracked and preset not in PRESETS:
         raise InputError("preset", f"must be one of {', '.join(PRESETS)}, is {preset!r}")
     first = Path(bags[0])
     output = Path(request.output) if request.output else first.parent / f"{drive_name(first)}_calibrated.yaml"
@@ -113,6 +120,8 @@ def calibrate_job(
 ) -> Outcome:
     """Calibrate in this process and write the twin and its details, the best so far if it was told to stop."""
     use_threads(job.threads)
+    if job.request.preset == TRACKED:
+        return _calibrate_tracked(job, progress, should_stop)
     result = calibrate(job.request, progress, should_stop)
     if not result.estimates:
         return Outcome(success=False, message="stopped before the search began")
@@ -128,4 +137,28 @@ def calibrate_job(
         names=tuple(e.key for e in result.estimates),
         values=tuple(e.value for e in result.estimates),
         excited=tuple(e.excited for e in result.estimates),
+    )
+
+
+def _calibrate_tracked(
+    job: CalibrationJob, progress: Callable[[Progress], None], should_stop: Callable[[], bool]
+) -> Outcome:
+    """The same of a twin on tracks, whose drives are marker runs."""
+    asked = job.request
+    done = calibrate_tracked_files(
+        asked.twin, asked.bags, Path(job.output), seed=asked.seed, generations=asked.max_generations, tell=progress,
+        should_stop=should_stop,
+    )  # fmt: skip
+    result = done.result
+    return Outcome(
+        success=True,
+        message=f"{job.output}: {done.message}",
+        output=job.output,
+        cost=float(result.best[-1]),
+        initial_cost=done.initial_cost,
+        evaluations=result.evaluations,
+        generations=len(result.best) - 1,
+        names=tuple(f"vehicle.{key}" for key in result.values),
+        values=tuple(result.values.values()),
+        excited=(True,) * len(result.values),
     )

@@ -45,6 +45,37 @@ def test_what_a_twin_on_tracks_does_not_take(
     assert status == 2 and word in " ".join(error.split()) and "Traceback" not in error
 
 
+@pytest.mark.parametrize("command", ["calibrate", "diagnose"])
+@pytest.mark.parametrize(
+    ("key", "value", "word"),
+    [
+        ("markers", {"A": [-1000.0, 587.0], "B": [-1445.0, 620.0], "C": [0.0, 0.0]}, "front to rear"),
+        ("idler", {"height": -0.169, "radius": 0.255, "setting": -5600.0, "taut_at": -5550.0}, "-5590 and -5550 mm"),
+        ("obstacle", {"height": 0.7, "ramp": 4.0, "top": 0.3}, "cannot be passed"),
+        ("obstacle", {"height": 0.3, "ramp": 0.1, "top": 0.3}, "steeper than 45 degrees"),
+    ],
+)
+def test_a_twin_that_cannot_be_is_refused_in_a_line(
+    files: tuple[str, list[str]], command: str, key: str, value: dict, word: str, tmp_path: Path, capsys
+) -> None:
+    data = yaml.safe_load(Path(files[0]).read_text(encoding="utf-8"))
+    data["vehicle"][key] = value
+    (tmp_path / "twin.yaml").write_text(yaml.safe_dump(data), encoding="utf-8")
+    status = main([command, "--twin", str(tmp_path / "twin.yaml"), *files[1], "--out", str(tmp_path / "out")])
+    error = capsys.readouterr().err
+    assert status == 2 and word in error and "twin.yaml" in error
+    assert error.count("\n") == 1 and not (tmp_path / "out").exists()
+
+
+def test_a_run_that_cannot_be_is_refused_in_a_line(files: tuple[str, list[str]], tmp_path: Path, capsys) -> None:
+    lines = Path(files[1][0]).read_text(encoding="utf-8").splitlines()
+    shuffled = tmp_path / "13kmh_1.csv"
+    shuffled.write_text("\n".join([lines[0], *lines[:0:-1]]), encoding="utf-8")
+    status = main(["diagnose", "--twin", files[0], str(shuffled), "--out", str(tmp_path / "out")])
+    error = capsys.readouterr().err
+    assert status == 2 and "13kmh_1.csv" in error and "must rise" in error and error.count("\n") == 1
+
+
 def test_dampers_are_of_a_twin_on_tracks(repository: Path, capsys) -> None:
     car = str(min((repository / "config" / "twins").glob("*.yaml")))
     assert main(["damping", "--twin", car]) == 2

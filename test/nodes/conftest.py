@@ -15,6 +15,7 @@ sys.path.insert(0, str(Path(__file__).parent))  # for nodes_bench
 from nodes_bench import Bench
 
 from suspension_twin.drive.types import Drive
+from suspension_twin.drive.write import write_drive
 from suspension_twin.gap.synthetic import SensorErrors, synthetic_drive
 from suspension_twin.nodes._main import ros_context
 from suspension_twin.road import Road, grid_road, write_road
@@ -63,3 +64,11 @@ def drive(twin: Twin, bumpy_road: Road) -> Drive:
     """Standing for 2 s, then up to 8 m/s over the bumpy road: 14 s at 100 Hz, a few samples lost."""
     knots = [(0.0, 0.0), (2.0, 0.0), (6.0, 8.0), (13.0, 8.0), (14.0, 7.0)]
     return synthetic_drive(twin, bumpy_road, knots, seed=3, errors=SensorErrors(lost=0.002), name="bumpy")
+
+
+@pytest.fixture(scope="session")
+def recorded(tmp_path_factory: pytest.TempPathFactory, drive: Drive) -> Path:
+    """The bumpy drive as a recording."""
+    path = tmp_path_factory.mktemp("bags") / "bumpy"
+    write_drive(drive, path)
+    return path

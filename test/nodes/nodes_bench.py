@@ -8,6 +8,7 @@ from collections.abc import Callable
 from typing import Any
 
 import rclpy
+from rclpy.action import ActionClient
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 from rclpy.qos import QoSProfile
@@ -80,6 +81,28 @@ class Bench:
         self.executor.shutdown()
         for node in self.nodes:
             node.destroy_node()
+
+
+class Client:
+    """A client of an action on the bench; ``feedback`` fills with what it is told."""
+
+    def __init__(self, bench: Bench, kind: Any, name: str) -> None:
+        self.bench = bench
+        self.feedback: list[Any] = []
+        self.action = ActionClient(bench.side, kind, name)
+        bench.until(self.action.server_is_ready, "the action server")
+
+    def send(self, goal: Any) -> Any:
+        """The goal's handle, accepted or not."""
+        future = self.action.send_goal_async(goal, feedback_callback=lambda m: self.feedback.append(m.feedback))
+        self.bench.until(future.done, "the goal's acceptance")
+        return future.result()
+
+    def result(self, handle: Any, seconds: float = 60.0) -> tuple[int, Any]:
+        """Status and result of an accepted goal."""
+        future = handle.get_result_async()
+        self.bench.until(future.done, "the result", seconds)
+        return future.result().status, future.result().result
 
 
 def _outputs(node: Any) -> list[Any]:

@@ -9,46 +9,14 @@ from pathlib import Path
 
 import pytest
 from action_msgs.msg import GoalStatus
-from nodes_bench import worst
-from rclpy.action import ActionClient
+from nodes_bench import Client, worst
 from rclpy.executors import SingleThreadedExecutor
 from stand_ins import breaks, cannot, deaf, dies, five_generations, search_until_stopped
 
-from suspension_twin.drive.write import write_drive
 from suspension_twin.nodes._files import left_by_calibration
 from suspension_twin.nodes.calibrator import CalibratorNode
 from suspension_twin.vehicle.twin import load_twin
 from suspension_twin_interfaces.action import Calibrate
-
-
-class Client:
-    """An action client on the bench."""
-
-    def __init__(self, bench) -> None:
-        self.bench = bench
-        self.feedback: list[Calibrate.Feedback] = []
-        self.action = ActionClient(bench.side, Calibrate, "calibrate")
-        bench.until(self.action.server_is_ready, "the action server")
-
-    def send(self, goal):
-        """The goal's handle, accepted or not."""
-        future = self.action.send_goal_async(goal, feedback_callback=lambda m: self.feedback.append(m.feedback))
-        self.bench.until(future.done, "the goal's acceptance")
-        return future.result()
-
-    def result(self, handle, seconds=60.0):
-        """Status and result of an accepted goal."""
-        future = handle.get_result_async()
-        self.bench.until(future.done, "the result", seconds)
-        return future.result().status, future.result().result
-
-
-@pytest.fixture(scope="module")
-def recorded(tmp_path_factory, drive) -> Path:
-    """The bumpy drive as a recording."""
-    path = tmp_path_factory.mktemp("bags") / "bumpy"
-    write_drive(drive, path)
-    return path
 
 
 @pytest.fixture
@@ -58,7 +26,7 @@ def goal(twin_path, recorded, tmp_path) -> Calibrate.Goal:
 
 def test_a_goal_is_taken_followed_and_answered(bench, goal):
     bench.make(CalibratorNode, {"calibrate": five_generations})
-    client = Client(bench)
+    client = Client(bench, Calibrate, "calibrate")
     handle = client.send(goal)
     assert handle.accepted
     status, result = client.result(handle)
@@ -74,13 +42,13 @@ def test_it_runs_on_rclpys_own_executor_too(bench, goal):
     bench.executor = SingleThreadedExecutor(context=bench.context)
     bench.executor.add_node(bench.side)
     bench.make(CalibratorNode, {"calibrate": five_generations})
-    client = Client(bench)
+    client = Client(bench, Calibrate, "calibrate")
     assert client.result(client.send(goal))[0] == GoalStatus.STATUS_SUCCEEDED
 
 
 def test_while_it_works_the_node_answers_refuses_a_second_goal_and_cancels_at_once(bench, goal):
     node = bench.make(CalibratorNode, {"calibrate": search_until_stopped})
-    client = Client(bench)
+    client = Client(bench, Calibrate, "calibrate")
     handle = client.send(goal)
     bench.until(lambda: len(client.feedback) > 5, "word of the search")
 
@@ -123,7 +91,7 @@ def _slowness() -> float:
 )
 def test_work_that_fails_is_told_in_a_line_and_the_next_goal_is_taken(bench, goal, work, words):
     node = bench.make(CalibratorNode, {"calibrate": work})
-    client = Client(bench)
+    client = Client(bench, Calibrate, "calibrate")
     status, result = client.result(client.send(goal))
     assert status == GoalStatus.STATUS_ABORTED and not result.success
     assert words in result.message and "\n" not in result.message
@@ -134,7 +102,7 @@ def test_work_that_fails_is_told_in_a_line_and_the_next_goal_is_taken(bench, goa
 
 def test_a_worker_that_does_not_listen_is_ended(bench, goal):
     bench.make(CalibratorNode, {"calibrate": deaf}, cancel_patience=0.3)
-    client = Client(bench)
+    client = Client(bench, Calibrate, "calibrate")
     handle = client.send(goal)
     bench.until(lambda: any(f.stage == "search" for f in client.feedback))
     handle.cancel_goal_async()
@@ -155,7 +123,7 @@ def test_a_worker_that_does_not_listen_is_ended(bench, goal):
 )
 def test_a_goal_that_cannot_be_is_answered_with_what_is_wrong(bench, goal, change, words):
     bench.make(CalibratorNode, {"calibrate": five_generations})
-    client = Client(bench)
+    client = Client(bench, Calibrate, "calibrate")
     for name, value in change.items():
         setattr(goal, name, value)
     status, result = client.result(client.send(goal))
@@ -165,7 +133,7 @@ def test_a_goal_that_cannot_be_is_answered_with_what_is_wrong(bench, goal, chang
 
 def test_the_nodes_twin_and_a_place_beside_the_bag_are_the_defaults(bench, goal, twin_path, recorded):
     node = bench.make(CalibratorNode, {"calibrate": five_generations}, twin=str(twin_path))
-    client = Client(bench)
+    client = Client(bench, Calibrate, "calibrate")
     goal.twin = goal.output = ""
     status, result = client.result(client.send(goal))
     assert status == GoalStatus.STATUS_SUCCEEDED
@@ -175,7 +143,7 @@ def test_the_nodes_twin_and_a_place_beside_the_bag_are_the_defaults(bench, goal,
 
 def test_a_node_taken_down_takes_its_worker_along(bench, goal):
     node = bench.make(CalibratorNode, {"calibrate": search_until_stopped})
-    client = Client(bench)
+    client = Client(bench, Calibrate, "calibrate")
     client.send(goal)
     bench.until(lambda: len(client.feedback) > 2)
     process = node._running.worker._process
@@ -188,7 +156,7 @@ def test_a_node_taken_down_takes_its_worker_along(bench, goal):
 
 def test_a_real_calibration_writes_a_twin_file_that_loads(bench, goal):
     bench.make(CalibratorNode)
-    client = Client(bench)
+    client = Client(bench, Calibrate, "calibrate")
     goal.free = ["vehicle.front.damper_pull", "vehicle.rear.damper_pull"]
     goal.max_generations = 3
     status, result = client.result(client.send(goal), 120.0)

@@ -11,44 +11,15 @@ from pathlib import Path
 
 import pytest
 from action_msgs.msg import GoalStatus
-from nodes_bench import worst
-from rclpy.action import ActionClient
+from nodes_bench import Client, worst
 from stand_ins import cannot, five_generations, judge_until_stopped, judged
 
 from suspension_twin.diagnosis.request import DiagnosisResult, Progress
-from suspension_twin.drive.write import write_drive
 from suspension_twin.nodes import _diagnosis
 from suspension_twin.nodes._diagnosis import DiagnosisJob, diagnose_job, diagnosis_job_of
 from suspension_twin.nodes.calibrator import CalibratorNode
 from suspension_twin.vehicle.twin import load_twin
 from suspension_twin_interfaces.action import Calibrate, Diagnose
-
-
-class Client:
-    """A client of one of the actions on the bench."""
-
-    def __init__(self, bench, kind=Diagnose, name="diagnose") -> None:
-        self.bench = bench
-        self.feedback: list = []
-        self.action = ActionClient(bench.side, kind, name)
-        bench.until(self.action.server_is_ready, "the action server")
-
-    def send(self, goal):
-        future = self.action.send_goal_async(goal, feedback_callback=lambda m: self.feedback.append(m.feedback))
-        self.bench.until(future.done, "the goal's acceptance")
-        return future.result()
-
-    def result(self, handle):
-        future = handle.get_result_async()
-        self.bench.until(future.done, "the result", 60.0)
-        return future.result().status, future.result().result
-
-
-@pytest.fixture(scope="module")
-def recorded(tmp_path_factory, drive) -> Path:
-    path = tmp_path_factory.mktemp("bags") / "bumpy"
-    write_drive(drive, path)
-    return path
 
 
 @pytest.fixture
@@ -58,7 +29,7 @@ def goal(twin_path, recorded, tmp_path) -> Diagnose.Goal:
 
 def test_a_goal_is_taken_followed_and_answered(bench, goal):
     node = bench.make(CalibratorNode, {"diagnose": judged})
-    client = Client(bench)
+    client = Client(bench, Diagnose, "diagnose")
     status, result = client.result(client.send(goal))
     assert status == GoalStatus.STATUS_SUCCEEDED and result.success
     assert json.loads(result.diagnosis) == {"verdict": "effect"} and result.output == goal.output
@@ -69,7 +40,7 @@ def test_a_goal_is_taken_followed_and_answered(bench, goal):
 
 def test_a_cancelled_diagnosis_ends_at_once_and_the_next_goal_is_taken(bench, goal):
     node = bench.make(CalibratorNode, {"diagnose": judge_until_stopped})
-    client = Client(bench)
+    client = Client(bench, Diagnose, "diagnose")
     handle = client.send(goal)
     bench.until(lambda: len(client.feedback) > 3, "word of the diagnosis")
     assert node.health.values["state"].startswith("effects (strut_friction), 10 %")
@@ -87,7 +58,7 @@ def test_a_cancelled_diagnosis_ends_at_once_and_the_next_goal_is_taken(bench, go
 
 def test_one_goal_at_a_time_whichever_action_it_is_of(bench, goal, tmp_path):
     node = bench.make(CalibratorNode, {"diagnose": judge_until_stopped, "calibrate": five_generations})
-    client, other = Client(bench), Client(bench, Calibrate, "calibrate")
+    client, other = Client(bench, Diagnose, "diagnose"), Client(bench, Calibrate, "calibrate")
     handle = client.send(goal)
     assert not client.send(goal).accepted
     assert "diagnose: refused a second goal, one diagnosis is running" in worst(node)[1]
@@ -114,7 +85,7 @@ def test_one_goal_at_a_time_whichever_action_it_is_of(bench, goal, tmp_path):
 )
 def test_a_goal_that_cannot_be_is_answered_with_what_is_wrong(bench, goal, change, words):
     bench.make(CalibratorNode, {"diagnose": judged})
-    client = Client(bench)
+    client = Client(bench, Diagnose, "diagnose")
     for name, value in change.items():
         setattr(goal, name, value)
     status, result = client.result(client.send(goal))
@@ -124,7 +95,7 @@ def test_a_goal_that_cannot_be_is_answered_with_what_is_wrong(bench, goal, chang
 
 def test_work_that_fails_is_told_in_a_line(bench, goal):
     node = bench.make(CalibratorNode, {"diagnose": cannot})
-    client = Client(bench)
+    client = Client(bench, Diagnose, "diagnose")
     status, result = client.result(client.send(goal))
     assert status == GoalStatus.STATUS_ABORTED and "bumpy: no GPS" in result.message
     assert "diagnose: " in worst(node)[1]
