@@ -34,6 +34,7 @@ __all__ = [
     "fit",
     "hypotheses_for",
     "make_bench",
+    "signals",
     "together",
 ]
 
@@ -76,10 +77,12 @@ NOTHING = Hypothesis((), (), (), *(np.zeros(0) for _ in range(4)))
 
 @dataclass(frozen=True)
 class Bench:
-    """Runs of the gap beside what is normal. ``usual`` (n, 9) of each run and lateness and
-    stretch of it against the model (``clocks``), ``sigma`` (9,) noise and ``scale`` (n, 9) of each run noise and doubt
-    of displacement, velocity
-    and acceleration of A, B, C; ``free``: what is the vehicle's own is fitted too, as there is no reference."""
+    """Runs of the gap beside what is normal: displacement, velocity and acceleration of A, B, C in m, m/s, m/s².
+
+    Of each run ``plain``, the model's motion, ``usual`` (n, 9) and lateness and stretch of that against the model
+    (``clocks``); ``sigma`` (9,) noise, ``scale`` (n, 9) of each run noise and doubt together. ``free``: what is the
+    vehicle's own is fitted too, as there is no reference.
+    """
 
     vehicle: TrackedVehicle
     runs: tuple[MarkerRun, ...]

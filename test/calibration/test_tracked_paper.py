@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from suspension_twin.calibration.request import Progress
 from suspension_twin.calibration.tracked_paper import (
     PUBLISHED,
     SETTINGS,
@@ -86,17 +87,28 @@ def test_places_in_the_bounds_are_decades(vehicle: TrackedVehicle) -> None:
 
 
 @pytest.mark.parametrize("objective", ["correlation", "motion"])
-def test_the_search_comes_near_and_is_repeatable(vehicle: TrackedVehicle, run: MarkerRun, objective: str) -> None:
+def test_the_search_comes_near(vehicle: TrackedVehicle, run: MarkerRun, objective: str) -> None:
     start = vehicle.with_changes({"track.stiffness": 1e5, "track.bending_stiffness": 10.0})
     settings = replace(SETTINGS, population=10, generations=4)
-    kinds = {"objective": objective, "seed": 3, "settings": settings}
-    first = calibrate_tracked(start, [run], **kinds)  # type: ignore[arg-type]
-    again = calibrate_tracked(start, [run], **kinds)  # type: ignore[arg-type]
-    assert first.values == again.values
+    first = calibrate_tracked(start, [run], objective=objective, seed=3, settings=settings)  # type: ignore[arg-type]
     assert (np.diff(first.best) <= 0).all() and first.evaluations > 40
     assert first.worth[0].cost(objective) == pytest.approx(first.best[-1])  # type: ignore[arg-type]
     assert first.worth[0].correlation.mean() > 0.9
     assert all(BOUNDS[key][0] <= value <= BOUNDS[key][1] for key, value in first.values.items())
+
+
+def test_the_search_is_repeatable_and_stops_with_the_best_so_far(vehicle: TrackedVehicle, run: MarkerRun) -> None:
+    settings = replace(SETTINGS, population=6, generations=2)
+    told: list[Progress] = []
+    first = calibrate_tracked(vehicle, [run], seed=3, settings=settings, tell=told.append)
+    assert [p.generation for p in told] == [0, 1, 2] and told[-1].best_cost == first.best[-1]
+    again = calibrate_tracked(vehicle, [run], seed=3, settings=settings)
+    assert first.values == again.values
+    asked = iter([False, False, True])
+    stopped = calibrate_tracked(vehicle, [run], seed=3, settings=settings, should_stop=lambda: next(asked))
+    assert list(stopped.best) == list(first.best[:2])
+    with pytest.raises(WorkError, match="stopped before the search began"):
+        calibrate_tracked(vehicle, [run], should_stop=lambda: True)
 
 
 def test_a_candidate_that_diverges_is_the_worst_and_not_the_end(

@@ -14,7 +14,8 @@ from suspension_twin.calibration.tracked_paper import simulate_runs
 from suspension_twin.calibration.tracked_runs import MarkerRun
 from suspension_twin.diagnosis import tracked
 from suspension_twin.diagnosis.tracked import diagnose_tracked, diagnose_tracked_files
-from suspension_twin.diagnosis.tracked_fit import NOTHING, fit, hypotheses_for, make_bench
+from suspension_twin.diagnosis.tracked_fit import NOTHING, evidence, fit, hypotheses_for, make_bench
+from suspension_twin.diagnosis.tracked_own import OWN_SPREAD, own_places, own_vehicle
 from suspension_twin.effects.tracked_effects import TRACKED_EFFECTS, apply_tracked, camera_of
 from suspension_twin.errors import InputError
 from suspension_twin.report.tracked import diagnosis_page
@@ -103,6 +104,41 @@ def test_each_kind_of_effect_is_found_by_its_own_hypothesis(twin: TrackedTwin) -
         told = found.hypothesis.given(found.x)[name]
         for key, value in values.items():
             assert told[key] == pytest.approx(value, rel=0.35), (name, key)
+
+
+@pytest.mark.parametrize(("seconds", "quiet"), [(0.02, True), (-0.1, False), (0.15, False)])
+def test_a_clock_is_wrong_beyond_what_starts_differ_by(twin: TrackedTwin, seconds: float, quiet: bool) -> None:
+    late = {"time_offset": {"seconds": seconds}}
+    bench = make_bench(twin.vehicle, [film(twin, late, k) for k in (1, 2)], [film(twin, {}, k) for k in (3, 4)])
+    base = fit(bench, NOTHING)
+    assert base is not None and (base.left < 1.5) == quiet
+    if not quiet:
+        found = fit(bench, hypotheses_for("time_offset", twin.vehicle)[0])
+        assert found is not None and found.left < 1.2
+        assert found.x[0] == pytest.approx(seconds, abs=0.02)  # when a run starts is known to 15 ms
+        assert evidence(bench, found) > evidence(bench, base) + 10.0
+
+
+def test_where_the_model_misses_the_sound_vehicle_it_is_doubted(twin: TrackedTwin) -> None:
+    runs, sound = [film(twin, {}, 1)], [film(twin, {}, k) for k in (3, 4)]
+    bump = 0.05 * np.exp(-(((sound[0].t - 2.0) / 0.1) ** 2))[:, None]  # of the real vehicle, with and without a fault
+    shaken = [replace(r, markers=r.markers + bump) for r in (*runs, *sound)]
+    plain, doubted = make_bench(twin.vehicle, runs, sound), make_bench(twin.vehicle, shaken[:1], shaken[1:])
+    there, elsewhere = int(2.0 * runs[0].rate), int(4.0 * runs[0].rate)
+    assert doubted.scale[0][there, 0] > 5 * plain.scale[0][there, 0]
+    assert doubted.scale[0][elsewhere, 0] == pytest.approx(plain.scale[0][elsewhere, 0], rel=0.3)
+    one, other = (fit(b, NOTHING) for b in (plain, doubted))
+    assert one is not None and other is not None and other.left == pytest.approx(one.left, abs=0.3)
+
+
+def test_what_is_a_vehicles_own_goes_there_and_back(twin: TrackedTwin) -> None:
+    places = own_places(twin.vehicle)
+    same, other = own_vehicle(twin.vehicle, places), own_vehicle(twin.vehicle, places + OWN_SPREAD)
+    assert own_places(same) == pytest.approx(places)
+    assert (same.mass, same.arm, same.cog) == (twin.vehicle.mass, twin.vehicle.arm, twin.vehicle.cog)
+    assert other.mass == pytest.approx(twin.vehicle.mass * np.exp(0.03)) and other.arm.stiffness > same.arm.stiffness
+    far = own_vehicle(twin.vehicle, places + 100.0)  # kept within what it can be
+    assert far.gyration == pytest.approx(twin.vehicle.gyration * np.exp(0.15))
 
 
 def test_what_cannot_be_diagnosed(twin: TrackedTwin, repository: Path, tmp_path: Path) -> None:
