@@ -16,10 +16,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from suspension_twin.compiled import compiled, inlined
+from suspension_twin.compiled import compiled
 from suspension_twin.drive.types import Floats
 from suspension_twin.errors import InputError
 from suspension_twin.gap.prepare import Prepared
+from suspension_twin.models.blocks import cores, share_out
 
 __all__ = ["NUISANCES", "NuisancePriors", "Nuisances"]
 
@@ -33,6 +34,8 @@ NUISANCES: Mapping[str, tuple[str, ...]] = {
     "bias": ("force_bias", "rate_bias"),
 }
 _PLANAR = ("longitudinal_acceleration", "lateral_acceleration", "yaw_rate")
+#: Values from which on several threads are quicker than one.
+_WORTH_SHARING = 50_000
 _SLOWEST = 0.5  # m/s: below this a place on the road says nothing of a time
 
 
@@ -86,40 +89,6 @@ def _phase_table() -> Floats:
 _TABLE = _phase_table()
 
 
-@inlined
-def _together(
-    simulated: Floats, first: int, weight: Floats, c: int, turned: int, lanes: slice, lever: Floats, to: Floats
-) -> None:  # pragma: no cover - compiled
-    """Lanes that are shifted alike: a weight is one for all of them, and the loop over lanes vectorises."""
-    m, taps = simulated.shape[0], weight.size - 4
-    to[:] = 0.0
-    for k in range(taps):
-        of, w = simulated[min(max(first + k + 1, 0), m - 1), c, lanes], weight[k + 2]
-        for lane in range(to.size):
-            to[lane] += w * of[lane]
-    if turned >= 0:
-        for k in range(taps + 2):
-            of, w = simulated[min(max(first + k, 0), m - 1), turned, lanes], 0.5 * (weight[k] - weight[k + 2])
-            for lane in range(to.size):
-                to[lane] += lever[lane] * w * of[lane]
-
-
-@inlined
-def _alone(
-    simulated: Floats, first: int, weight: Floats, c: int, turned: int, source: int, lever: float
-) -> float:  # pragma: no cover - compiled
-    """One simulated lane: its value, and ``lever`` times the slope of ``turned``."""
-    m, taps = simulated.shape[0], weight.size - 4
-    value, slope = 0.0, 0.0
-    for k in range(taps):
-        value += weight[k + 2] * simulated[min(max(first + k + 1, 0), m - 1), c, source]
-    if turned >= 0:
-        for k in range(taps + 2):
-            at = min(max(first + k, 0), m - 1)
-            slope += 0.5 * (weight[k] - weight[k + 2]) * simulated[at, turned, source]
-    return value + lever * slope
-
-
 @compiled
 def _apply(
     simulated: Floats,
@@ -134,48 +103,72 @@ def _apply(
     still: NDArray[np.bool_],
     table: Floats,
     out: Floats,
+    low: int,
+    high: int,
 ) -> None:  # pragma: no cover - compiled
-    """out[i, c, l] = gain[c, l] * signal + bias[c, l] + tilt[:, l] * about[:, i, c], where signal is channel c
-    of ``simulated`` at rows[i] + shift[i, l], held at both ends, plus lever[c, l] times the slope by sample
-    of channel turned[c] if that is not negative. Channels that are ``still`` are not shifted."""
-    channels, given = simulated.shape[1:]
-    phases, taps = table.shape[0] - 1, table.shape[1]
-    plain = np.zeros(taps + 4)
-    plain[2 + taps // 2 - 1] = 1.0
-    moved = np.zeros(taps + 4)  # two of nothing at either end: the slope's weights are differences of these
-    for i in range(out.shape[0]):
+    """out[i, c, l] = gain[c, l] * signal + bias[c, l] + tilt[:, l] * about[:, i, c] for low <= i < high.
+
+    ``signal`` is channel c of ``simulated`` at rows[i] + shift[i, l], held at both ends, plus lever[c, l] times
+    the slope by sample of channel turned[c] if that is not negative. Channels that are ``still`` are not shifted.
+    """
+    m, channels, given = simulated.shape
+    phases, taps, lanes = table.shape[0] - 1, table.shape[1], out.shape[2]
+    w = np.zeros(taps + 4)  # two of nothing at either end: the slope's weights are differences of these
+    for i in range(low, high):
         begin = 0
-        while begin < out.shape[2]:
+        while begin < lanes:
+            # lanes that are shifted alike share their weights, and the loop over them vectorises
             end = begin + 1
-            while end < out.shape[2] and shift[i, end] == shift[i, begin]:
+            while end < lanes and shift[i, end] == shift[i, begin]:
                 end += 1
             place = rows[i] + shift[i, begin]
             j = int(np.floor(place))
             fine = (place - j) * phases
             p = min(int(fine), phases - 1)
             fine -= p
+            first = j - taps // 2  # of the slope's samples: one before the value's own
             for k in range(taps):
-                moved[k + 2] = (1.0 - fine) * table[p, k] + fine * table[p + 1, k]
-            # of the slope's samples: one before the value's own
-            first_moved, first_plain = j - taps // 2, rows[i] - taps // 2
-            source = begin if given > 1 else 0
+                w[k + 2] = (1.0 - fine) * table[p, k] + fine * table[p + 1, k]
             for c in range(channels):
-                first, weight = (first_plain, plain) if still[c] else (first_moved, moved)
-                x, y = about[0, i, c], about[1, i, c]
-                if end == begin + 1:
-                    value = _alone(simulated, first, weight, c, turned[c], source, lever[c, begin])
-                    out[i, c, begin] = gain[c, begin] * value + bias[c, begin] + tilt[0, begin] * x + tilt[1, begin] * y
+                x, y, other = about[0, i, c], about[1, i, c], turned[c]
+                if still[c]:
+                    at = rows[i]
+                    for lane in range(begin, end):
+                        source = lane if given > 1 else 0
+                        signal = simulated[at, c, source]
+                        if other >= 0:
+                            after, before = simulated[min(at + 1, m - 1), other], simulated[max(at - 1, 0), other]
+                            signal += lever[c, lane] * 0.5 * (after[source] - before[source])
+                        signal = gain[c, lane] * signal + bias[c, lane]
+                        out[i, c, lane] = signal + tilt[0, lane] * x + tilt[1, lane] * y
+                    continue
+                if given == 1 or end == begin + 1:
+                    source = begin if given > 1 else 0
+                    value, slope = 0.0, 0.0
+                    for k in range(taps):
+                        value += w[k + 2] * simulated[min(max(first + k + 1, 0), m - 1), c, source]
+                    if other >= 0:
+                        for k in range(taps + 2):
+                            of = simulated[min(max(first + k, 0), m - 1), other, source]
+                            slope += 0.5 * (w[k] - w[k + 2]) * of
+                    for lane in range(begin, end):
+                        signal = gain[c, lane] * (value + lever[c, lane] * slope)
+                        out[i, c, lane] = signal + bias[c, lane] + tilt[0, lane] * x + tilt[1, lane] * y
                     continue
                 to, levers = out[i, c, begin:end], lever[c, begin:end]
+                to[:] = 0.0
+                for k in range(taps):
+                    many, f = simulated[min(max(first + k + 1, 0), m - 1), c, begin:end], w[k + 2]
+                    for lane in range(to.size):
+                        to[lane] += f * many[lane]
+                if other >= 0:
+                    for k in range(taps + 2):
+                        many = simulated[min(max(first + k, 0), m - 1), other, begin:end]
+                        f = 0.5 * (w[k] - w[k + 2])
+                        for lane in range(to.size):
+                            to[lane] += levers[lane] * f * many[lane]
                 gains, biases = gain[c, begin:end], bias[c, begin:end]
                 roll, pitch = tilt[0, begin:end], tilt[1, begin:end]
-                if given > 1:
-                    _together(simulated, first, weight, c, turned[c], slice(begin, end), levers, to)
-                else:
-                    value = _alone(simulated, first, weight, c, -1, 0, 0.0)
-                    slope = _alone(simulated, first, weight, c, turned[c], 0, 1.0) - value
-                    for lane in range(to.size):
-                        to[lane] = value + levers[lane] * slope
                 for lane in range(to.size):
                     to[lane] = gains[lane] * to[lane] + biases[lane] + roll[lane] * x + pitch[lane] * y
             begin = end
@@ -318,7 +311,14 @@ class Nuisances:
             lever[self.channels.index(channel)] = sign * part.rate * value(name)
         out = np.empty((rows.size, len(self.channels), lanes))
         given, shift = np.ascontiguousarray(simulated), np.ascontiguousarray(shift)
-        _apply(given, rows, shift, gain, bias, about, tilt, lever, turned, self._still, _TABLE, out)
+        everything = given, rows, shift, gain, bias, about, tilt, lever, turned, self._still, _TABLE, out
+
+        def work(low: int, high: int) -> None:
+            _apply(*everything, low, high)
+
+        pieces = cores() if out.size > _WORTH_SHARING else 1
+        cuts = np.linspace(0, rows.size, pieces + 1).astype(int).tolist()
+        share_out(work, list(zip(cuts[:-1], cuts[1:], strict=True)), pieces)
         return out
 
 

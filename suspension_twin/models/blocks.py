@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from functools import lru_cache
 
@@ -21,7 +21,7 @@ from suspension_twin.models.msd import MSD_KERNELS
 from suspension_twin.models.terms import FLAGS
 from suspension_twin.models.types import Ints
 
-__all__ = ["Blocks", "cores"]
+__all__ = ["Blocks", "cores", "share_out"]
 
 _NONE = np.zeros((0, 0, 0))
 
@@ -34,6 +34,16 @@ def cores() -> int:
 @lru_cache(maxsize=1)
 def _pool() -> ThreadPoolExecutor:
     return ThreadPoolExecutor(max_workers=cores(), thread_name_prefix="lanes")
+
+
+def share_out(work: Callable[[int, int], None], parts: Sequence[tuple[int, int]], threads: int) -> None:
+    """``work`` on every part (from, to), on several threads if there are: it has to let go of the GIL."""
+    if threads <= 1 or len(parts) == 1:
+        for low, high in parts:
+            work(low, high)
+        return
+    for job in [_pool().submit(work, low, high) for low, high in parts]:
+        job.result()
 
 
 def _aligned(count: int, size: int) -> Floats:
@@ -116,9 +126,4 @@ class Blocks:
         pieces = self.count if own_road is not None else min(self.count, max(1, threads))
         cuts = np.linspace(0, self.count, pieces + 1).astype(int)
         parts = list(zip(cuts[:-1].tolist(), cuts[1:].tolist(), strict=True))
-        if threads <= 1 or pieces == 1:
-            for low, high in parts:
-                part(low, high)
-            return
-        for job in [_pool().submit(part, low, high) for low, high in parts]:
-            job.result()
+        share_out(part, parts, threads)
