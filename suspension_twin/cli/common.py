@@ -54,6 +54,8 @@ def stage_bar() -> Progress:
 
 def print_diagnosis(document: Mapping[str, Any], out: Path) -> None:
     """What ``diagnosis.json`` holds in a few lines: warnings, verdict, the first causes, and the folder ``out``."""
+    from suspension_twin.diagnosis.output import values_of
+
     console = Console(highlight=False, soft_wrap=True)
     for warning in document["warnings"]:
         console.print(f"[yellow]{warning}[/]")
@@ -63,10 +65,10 @@ def print_diagnosis(document: Mapping[str, Any], out: Path) -> None:
         table.add_column(name)
     for cause in document["causes"][:5]:
         low, high = cause["shrink_interval"]
-        values = ", ".join(f"{k} {v:.4g}" for k, v in cause["parameters"].items())
         table.add_row(
-            cause["effect"], f"{cause['probability']:.3f}", f"{cause['shrink']:.2f}", f"{low:.2f} to {high:.2f}", values
-        )
+            cause["effect"], f"{cause['probability']:.3f}", f"{cause['shrink']:.2f}", f"{low:.2f} to {high:.2f}",
+            values_of(cause),
+        )  # fmt: skip
     console.print(table)
     console.print(
         f"no gap {document['no_gap_probability']:.3f}, unknown {document['unknown_probability']:.3f}. "

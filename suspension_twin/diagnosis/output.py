@@ -4,13 +4,14 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, Protocol
 
 from suspension_twin.errors import WorkError
 from suspension_twin.vehicle.twin import Twin, save_twin
 
-__all__ = ["Found", "write"]
+__all__ = ["Found", "values_of", "write"]
 
 
 class Found(Protocol):
@@ -32,3 +33,12 @@ def write(result: Found, folder: Path) -> None:
         save_twin(result.twin, folder / "twin.yaml")
     except OSError as error:
         raise WorkError(f"{folder}: {error.strerror or 'cannot be written'}") from None
+
+
+def values_of(cause: Mapping[str, Any]) -> str:
+    """A cause's parameters in a line, with their 90 % intervals where there are any."""
+    ends = cause.get("parameter_intervals", {})
+    return ", ".join(
+        f"{name} {value:.4g}" + (" ({:.4g} to {:.4g})".format(*ends[name]) if name in ends else "")
+        for name, value in cause["parameters"].items()
+    )

@@ -9,6 +9,7 @@ import numpy as np
 from matplotlib.figure import Figure
 from scipy import signal
 
+from suspension_twin.diagnosis.output import values_of
 from suspension_twin.diagnosis.request import DiagnosisResult, DriveView
 from suspension_twin.report import plots, style
 from suspension_twin.report.page import Card, Cell, Mark, Page, Section, Table
@@ -74,7 +75,6 @@ def _causes(d: dict[str, Any]) -> Section:
     rows = []
     for c in d["causes"]:
         gates = c["gates"]
-        values = ", ".join(f"{k} {v:.4g}" for k, v in c["parameters"].items())
         low, high = c["shrink_interval"]
         rows.append(
             (
@@ -83,7 +83,7 @@ def _causes(d: dict[str, Any]) -> Section:
                 f"{c['shrink']:.2f} ({low:.2f} to {high:.2f})",
                 round(c["shrink_beyond_recalibration"], 3),
                 *(Cell(round(gates[g], 2), "" if gates[g] > 0.5 else "warn") for g in _GATES),
-                values,
+                values_of(c),
                 ", ".join(e.replace("_", " ") for e in c["indistinguishable_from"]),
             )
         )
