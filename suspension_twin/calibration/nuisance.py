@@ -4,8 +4,8 @@
 The offset between the clocks of IMU and GPS, the position of the map along the road, the IMU's
 gain, tilt and biases. They are fitted with the physics and reported apart from it. A shift in
 time is applied to the simulated, band-limited signal by interpolation: no simulation is spent on
-it. A shift of the map by ``d`` metres is one in time by ``d`` over the speed along the road. The planar
-channels are shifted by neither: what the pose knows of them comes from no map and, fused, from the IMU itself.
+it. A shift of the map by ``d`` metres is one in time by ``d`` over the speed along the road. Neither
+shifts what the planar motion brings about, where that is known apart: a pose comes from no map.
 """
 
 from __future__ import annotations
@@ -33,7 +33,6 @@ NUISANCES: Mapping[str, tuple[str, ...]] = {
     "tilt": ("tilt",),
     "bias": ("force_bias", "rate_bias"),
 }
-_PLANAR = ("longitudinal_acceleration", "lateral_acceleration", "yaw_rate")
 #: Values from which on several threads are quicker than one.
 _WORTH_SHARING = 50_000
 _SLOWEST = 0.5  # m/s: below this a place on the road says nothing of a time
@@ -100,7 +99,6 @@ def _apply(
     tilt: Floats,
     lever: Floats,
     turned: NDArray[np.intp],
-    still: NDArray[np.bool_],
     table: Floats,
     out: Floats,
     low: int,
@@ -109,7 +107,7 @@ def _apply(
     """out[i, c, l] = gain[c, l] * signal + bias[c, l] + tilt[:, l] * about[:, i, c] for low <= i < high.
 
     ``signal`` is channel c of ``simulated`` at rows[i] + shift[i, l], held at both ends, plus lever[c, l] times
-    the slope by sample of channel turned[c] if that is not negative. Channels that are ``still`` are not shifted.
+    the slope by sample of channel turned[c] if that is not negative.
     """
     m, channels, given = simulated.shape
     phases, taps, lanes = table.shape[0] - 1, table.shape[1], out.shape[2]
@@ -131,17 +129,6 @@ def _apply(
                 w[k + 2] = (1.0 - fine) * table[p, k] + fine * table[p + 1, k]
             for c in range(channels):
                 x, y, other = about[0, i, c], about[1, i, c], turned[c]
-                if still[c]:
-                    at = rows[i]
-                    for lane in range(begin, end):
-                        source = lane if given > 1 else 0
-                        signal = simulated[at, c, source]
-                        if other >= 0:
-                            after, before = simulated[min(at + 1, m - 1), other], simulated[max(at - 1, 0), other]
-                            signal += lever[c, lane] * 0.5 * (after[source] - before[source])
-                        signal = gain[c, lane] * signal + bias[c, lane]
-                        out[i, c, lane] = signal + tilt[0, lane] * x + tilt[1, lane] * y
-                    continue
                 if given == 1 or end == begin + 1:
                     source = begin if given > 1 else 0
                     value, slope = 0.0, 0.0
@@ -191,7 +178,6 @@ class Nuisances:
     ) -> None:
         self.channels = tuple(channels)
         self._force = np.array([c.endswith("acceleration") for c in channels])
-        self._still = np.array([c in _PLANAR for c in channels])
         names: list[str] = []
         channels = tuple(channels)
         spread: list[float] = []
@@ -223,6 +209,8 @@ class Nuisances:
                 add(f"{part.name}.clock_offset", priors.clock)
                 for channel, force in zip(self.channels, self._force, strict=True):
                     add(f"{part.name}.bias.{channel}", priors.force_bias if force else priors.rate_bias)
+        #: (m, C) of every part: what the planar motion alone brings about; neither clock nor map shifts it.
+        self.carried: list[Floats] = []
         self._knots: list[Floats] = []
         for number, (part, drive) in enumerate(zip(parts, drive_of, strict=True)):
             knots = _knots(part, priors.wander_seconds) if wander[drive] > 0 else np.empty(0)
@@ -310,8 +298,11 @@ class Nuisances:
             turned[self.channels.index(channel)] = rate
             lever[self.channels.index(channel)] = sign * part.rate * value(name)
         out = np.empty((rows.size, len(self.channels), lanes))
+        carried = self.carried[number] if self.carried and shift.any() else None
+        if carried is not None:
+            simulated = simulated - carried[:, :, None]
         given, shift = np.ascontiguousarray(simulated), np.ascontiguousarray(shift)
-        everything = given, rows, shift, gain, bias, about, tilt, lever, turned, self._still, _TABLE, out
+        everything = given, rows, shift, gain, bias, about, tilt, lever, turned, _TABLE, out
 
         def work(low: int, high: int) -> None:
             _apply(*everything, low, high)
@@ -319,6 +310,8 @@ class Nuisances:
         pieces = cores() if out.size > _WORTH_SHARING else 1
         cuts = np.linspace(0, rows.size, pieces + 1).astype(int).tolist()
         share_out(work, list(zip(cuts[:-1], cuts[1:], strict=True)), pieces)
+        if carried is not None:
+            out += carried[rows][:, :, None]
         return out
 
 

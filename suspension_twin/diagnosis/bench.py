@@ -9,7 +9,7 @@ the effects for those that show the gap alone: what changed is the evidence.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -19,9 +19,9 @@ from suspension_twin.calibration.problem import Interrupted, Problem, _stack
 from suspension_twin.diagnosis.hypotheses import Hypothesis
 from suspension_twin.diagnosis.noise import INDEPENDENT, Whitener
 from suspension_twin.drive.types import Floats
-from suspension_twin.gap.prepare import Prepared
 from suspension_twin.models.parameters import lanes
 from suspension_twin.models.simulate import simulate_lanes
+from suspension_twin.models.types import Excitation
 from suspension_twin.vehicle.twin import Twin
 
 __all__ = ["NORMAL", "Bench", "Linearised", "gram"]
@@ -29,7 +29,7 @@ __all__ = ["NORMAL", "Bench", "Linearised", "gram"]
 #: What is normal of clocks, maps and mounts: more than that is a finding, not a nuisance.
 #: A gain is none: a phone's is within half a per cent, and a free one takes the blame for any model's error.
 NORMAL = NuisancePriors(
-    clock=0.005, map_position=0.05, gain=0.0, tilt=0.009, force_bias=0.05, rate_bias=0.005, pivot=0.3
+    clock=0.002, map_position=0.02, gain=0.0, tilt=0.009, force_bias=0.05, rate_bias=0.005, pivot=0.3
 )
 #: Standard deviations beyond which no nuisance goes.
 _NORMAL_LIMIT = 3.0
@@ -111,7 +111,7 @@ class Bench:
                 raise Interrupted
             shown = self.active[drive] and bool(hypothesis.effects)
             given = (twin, with_effects) if shown else (problem.twin, plain)
-            stacked, bad = self._simulated(*given, part)
+            stacked, bad = self._simulated(*given, part.excitation)
             failed |= bad
             conditioned = part.conditioner.apply(stacked)
             if problem.channels[0] == "vertical_acceleration":
@@ -120,17 +120,34 @@ class Bench:
             out.append(conditioned)
         return out, failed
 
-    def _simulated(self, twin: Twin, candidates: Floats, part: Prepared) -> tuple[Floats, np.ndarray]:
+    def carry(self, x: Floats) -> None:
+        """Learn what the planar motion alone brings about in the vehicle of ``x``, by driving it over a flat road.
+
+        Clock and map move what comes from the road; braking pitches the body when the pose brakes. Both add up
+        but for what is not linear, so one vehicle's share serves for those near it.
+        """
+        problem = self.problem
+        values = problem.space.from_slopes(x[: self.d, None])
+        candidates = lanes(problem.twin, problem.space.keys, values.T)
+        carried = []
+        for part in problem.parts:
+            road = part.excitation.road
+            flat = replace(part.excitation, road=np.repeat(road[:1], road.shape[0], axis=0))
+            stacked, _ = self._simulated(problem.twin, candidates, flat)
+            carried.append(part.conditioner.apply(stacked)[:, :, 0])
+        problem.nuisances.carried = carried
+
+    def _simulated(self, twin: Twin, candidates: Floats, excitation: Excitation) -> tuple[Floats, np.ndarray]:
         """Channels (n, C, L) and failed lanes (L,); a batch that breaks off is taken lane by lane."""
         channels = self.problem.channels
         try:
-            response = simulate_lanes(twin, candidates, part.excitation, fused=self.fused)
+            response = simulate_lanes(twin, candidates, excitation, fused=self.fused)
             return _stack(response, channels), response.failed
         except np.linalg.LinAlgError:
             if candidates.shape[1] == 1:
-                return np.zeros((len(part.excitation), len(channels), 1)), np.ones(1, dtype=bool)
+                return np.zeros((len(excitation), len(channels), 1)), np.ones(1, dtype=bool)
             middle = candidates.shape[1] // 2
-            halves = [self._simulated(twin, c, part) for c in (candidates[:, :middle], candidates[:, middle:])]
+            halves = [self._simulated(twin, c, excitation) for c in (candidates[:, :middle], candidates[:, middle:])]
             return np.concatenate([h[0] for h in halves], axis=2), np.concatenate([h[1] for h in halves])
 
     def compared(self, signals: Sequence[Floats], nuisance: Floats) -> Floats:

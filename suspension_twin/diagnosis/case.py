@@ -155,6 +155,8 @@ def baseline(case: Case, bench: Bench) -> tuple[Linear, Linear]:
     referenced = len(quiet) < len(bench.active)
     x = bench.centre.copy()
     for number in range(2):
+        if case.road:
+            bench.carry(x)
         trial = replace(bench, heard=tuple(quiet))
         x, _ = refit(trial, BASELINE, [x] if number else _many(bench, x), None, 8 if number == 0 else 5)
         taught_by(case, bench, BASELINE, x, quiet, () if referenced else VERTICAL)
