@@ -112,7 +112,10 @@ def _hills(
 ) -> Floats:  # fmt: skip
     """(n,) m/s² what gravity adds to the longitudinal specific force where the road climbs, which no flat
     road shows; zero where the receiver does not know its height well enough to tell."""
+    good = good[np.isfinite(fix.altitude[good])]
     sigma = fix.sigma[good, 2]
+    if good.size < 2:
+        return np.zeros(t.size)
     if not np.isfinite(sigma).any() or float(np.nanmedian(sigma)) > _LEVEL:
         return np.zeros(t.size)
     at = fix.t[good]

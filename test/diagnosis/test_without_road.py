@@ -38,7 +38,7 @@ def test_tilt_and_clock_of_a_real_roof_imu_are_named(
     assert document["verdict"] == "effect"
     assert set(document["combination"]) == {"time_offset", "sensor_tilt", "clock_drift"}
     found = {c["effect"]: c["parameters"] for c in document["causes"]}
-    # as documented; its yaw and pitch are those of a sensor that is upside down in its own papers
+    # as documented, in axes that point forward, right, down: seen in ours, pitch and yaw change sign
     assert found["time_offset"]["offset"] == pytest.approx(0.125, abs=0.015)
     assert found["clock_drift"]["drift_ppm"] == pytest.approx(257, abs=80)
     assert np.degrees(found["sensor_tilt"]["pitch"]) == pytest.approx(6.79, abs=2.0)

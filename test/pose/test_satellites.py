@@ -70,3 +70,25 @@ def test_too_few_fixes_and_a_parked_car_are_named(scene: Any, make_scene: Callab
     parked = make_scene(speed=np.zeros_like, seconds=20.0)
     with pytest.raises(InputError, match="never moves"):
         satellite_motion(parked.drive, ingest_drive(parked.drive, parked.imu), parked.gps, parked.datum)
+
+
+def test_heights_that_are_missing_or_unknown_make_no_hills(scene: Any) -> None:
+    """A climb of 5 % is taken off the forward pull where the receiver knows its height, and only there."""
+    drive, signals = scene.drive, ingest_drive(scene.drive, scene.imu)
+    fix = drive.fix
+    climb = 0.05 * 10.0 * (fix.t - fix.t[0])
+    sure, vague = fix.sigma.copy(), fix.sigma.copy()
+    sure[:, 2], vague[:, 2] = 0.01, 3.0
+    holes = fix.altitude + climb
+    holes[::7] = np.nan
+
+    def pull(altitude: Any, sigma: Any) -> Any:
+        asked = replace(drive, fix=replace(fix, altitude=altitude, sigma=sigma))
+        slower, motion = satellite_motion(asked, signals, scene.gps, scene.datum)
+        assert np.isfinite(slower.force).all()
+        return slower.force[motion.valid, 0]
+
+    flat = pull(fix.altitude, vague)
+    assert np.mean(pull(holes, sure) - flat) == pytest.approx(-9.81 * 0.05, rel=0.1)
+    np.testing.assert_allclose(pull(holes, vague), flat)
+    np.testing.assert_allclose(pull(np.full_like(holes, np.nan), sure), flat)
