@@ -39,6 +39,11 @@ def values_of(cause: Mapping[str, Any]) -> str:
     """A cause's parameters in a line, with their 90 % intervals where there are any."""
     ends = cause.get("parameter_intervals", {})
     return ", ".join(
-        f"{name} {value:.4g}" + (" ({:.4g} to {:.4g})".format(*ends[name]) if name in ends else "")
+        f"{name} {_plain(value)}" + (f" ({' to '.join(map(_plain, ends[name]))})" if name in ends else "")
         for name, value in cause["parameters"].items()
     )
+
+
+def _plain(value: float) -> str:
+    """Four digits, and no powers of ten for a stiffness in N/m."""
+    return f"{value:.0f}" if abs(value) >= 1000 else f"{value:.4g}"
