@@ -125,3 +125,10 @@ def put_stamp(message: Any, t: float) -> Any:
 def stamp_of(message: Any) -> int:
     """Header stamp in ns."""
     return int(message.header.stamp.sec * NS + message.header.stamp.nanosec)
+
+
+class PlainPage:
+    """A report page that is only there."""
+
+    def write(self, path):
+        path.write_text("page")

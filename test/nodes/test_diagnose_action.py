@@ -11,7 +11,7 @@ from pathlib import Path
 
 import pytest
 from action_msgs.msg import GoalStatus
-from nodes_bench import Client, worst
+from nodes_bench import Client, PlainPage, worst
 from stand_ins import cannot, five_generations, judge_until_stopped, judged
 
 from suspension_twin.diagnosis.request import DiagnosisResult, Progress
@@ -117,12 +117,8 @@ def test_the_work_hands_on_the_stages_and_leaves_the_three_files(goal, twin_path
             tell(Progress("effects", done, "top_mount"))
         return result
 
-    class Page:
-        def write(self, path):
-            path.write_text("page")
-
     monkeypatch.setattr(_diagnosis, "diagnose", diagnose)
-    monkeypatch.setattr(_diagnosis, "diagnosis_page", lambda found: Page())
+    monkeypatch.setattr(_diagnosis, "diagnosis_page", lambda found: PlainPage())
     told = []
     job = DiagnosisJob(diagnosis_job_of(goal, "", 0).request, goal.output, 0)
     outcome = diagnose_job(job, told.append, lambda: False)

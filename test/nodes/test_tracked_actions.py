@@ -9,7 +9,7 @@ from typing import Any
 
 import pytest
 from action_msgs.msg import GoalStatus
-from nodes_bench import Client
+from nodes_bench import Client, PlainPage
 from stand_ins import five_generations, judged
 
 from suspension_twin.nodes import _diagnosis
@@ -95,12 +95,8 @@ def test_a_diagnosis_goes_through_what_the_command_line_uses(given, tmp_path, mo
         asked.append((twin, list(runs), list(reference), seed))
         return Found
 
-    class Page:
-        def write(self, path):
-            path.write_text("page")
-
     monkeypatch.setattr(_diagnosis, "diagnose_tracked_files", diagnose)
-    monkeypatch.setattr(_diagnosis, "tracked_page", lambda found: Page())
+    monkeypatch.setattr(_diagnosis, "tracked_page", lambda found: PlainPage())
     goal = Diagnose.Goal(**given, reference=given["bags"][:1], output=str(tmp_path / "found"), seed=5)
     outcome = diagnose_job(diagnosis_job_of(goal, "", 0), lambda _: None, lambda: False)
     assert asked == [(given["twin"], given["bags"], given["bags"][:1], 5)]
