@@ -161,6 +161,51 @@ def _apply(
             begin = end
 
 
+@compiled
+def _apply_steady(
+    simulated: Floats,
+    rows: NDArray[np.intp],
+    shift: Floats,
+    gain: Floats,
+    bias: Floats,
+    about: Floats,
+    tilt: Floats,
+    table: Floats,
+    out: Floats,
+    low: int,
+    high: int,
+) -> None:  # pragma: no cover - compiled
+    """As ``_apply`` where shift (L,) lasts the whole part and no channel leans on another's slope.
+
+    Every lane's weights are then made once; a population of which each has a clock of its own lives on this.
+    """
+    m, channels, _ = simulated.shape
+    phases, taps, lanes = table.shape[0] - 1, table.shape[1], out.shape[2]
+    w, first = np.empty((taps, lanes)), np.empty(lanes, dtype=np.intp)
+    for lane in range(lanes):
+        j = int(np.floor(shift[lane]))
+        fine = (shift[lane] - j) * phases
+        p = min(int(fine), phases - 1)
+        fine -= p
+        first[lane] = j - taps // 2 + 1
+        for k in range(taps):
+            w[k, lane] = (1.0 - fine) * table[p, k] + fine * table[p + 1, k]
+    earliest, latest = first.min(), first.max() + taps - 1
+    for i in range(low, high):
+        inside = rows[i] + earliest >= 0 and rows[i] + latest < m
+        for c in range(channels):
+            x, y = about[0, i, c], about[1, i, c]
+            for lane in range(lanes):
+                start, value = rows[i] + first[lane], 0.0
+                if inside:
+                    for k in range(taps):
+                        value += w[k, lane] * simulated[start + k, c, lane]
+                else:
+                    for k in range(taps):
+                        value += w[k, lane] * simulated[min(max(start + k, 0), m - 1), c, lane]
+                out[i, c, lane] = gain[c, lane] * value + bias[c, lane] + tilt[0, lane] * x + tilt[1, lane] * y
+
+
 class Nuisances:
     """The nuisances of a set of parts of drives; ``drive_of`` says which drive a part belongs to.
 
@@ -302,10 +347,14 @@ class Nuisances:
         if carried is not None:
             simulated = simulated - carried[:, :, None]
         given, shift = np.ascontiguousarray(simulated), np.ascontiguousarray(shift)
-        everything = given, rows, shift, gain, bias, about, tilt, lever, turned, _TABLE, out
+        apart = given.shape[2] > 1 and bool((shift[0] != shift[0, 0]).any())
+        steady = apart and not self._levers and bool((shift == shift[0]).all())
 
         def work(low: int, high: int) -> None:
-            _apply(*everything, low, high)
+            if steady:
+                _apply_steady(given, rows, shift[0], gain, bias, about, tilt, _TABLE, out, low, high)
+            else:
+                _apply(given, rows, shift, gain, bias, about, tilt, lever, turned, _TABLE, out, low, high)
 
         pieces = cores() if out.size > _WORTH_SHARING else 1
         cuts = np.linspace(0, rows.size, pieces + 1).astype(int).tolist()
