@@ -26,7 +26,7 @@ __all__ = ["NUISANCES", "NuisancePriors", "Nuisances"]
 
 #: What each nuisance that can be frozen leaves out.
 NUISANCES: Mapping[str, tuple[str, ...]] = {
-    "clock_offset": ("clock",),
+    "clock_offset": ("clock", "common_clock"),
     "map_position": ("map_position",),
     "wander": ("wander",),
     "gain": ("gain",),
@@ -42,14 +42,15 @@ _SLOWEST = 0.5  # m/s: below this a place on the road says nothing of a time
 class NuisancePriors:
     """Standard deviations of what a nuisance may be; 0 leaves it out.
 
-    ``clock`` s, ``map_position`` m, ``wander`` m (the GNSS position's own error, one value for every
-    pass and ``wander_seconds``; None takes it from the fixes' covariance), ``gain`` of the
-    accelerometer, ``tilt`` rad, ``force_bias`` m/s², ``rate_bias`` rad/s, ``pivot`` m (how far
-    a real suspension's kinematics shift the axes about which the body rolls and pitches), ``slip`` rad per
+    ``clock`` s of each drive, ``common_clock`` s of all of them, ``map_position`` m, ``wander`` m (the GNSS
+    position's own error, one value for every pass and ``wander_seconds``; None takes it from the fixes'
+    covariance), ``gain`` of the accelerometer, ``tilt`` rad, ``force_bias`` m/s², ``rate_bias`` rad/s, ``pivot`` m
+    (how far a real suspension's kinematics shift the axes about which the body rolls and pitches), ``slip`` rad per
     m/s² (slip angle of the rear tyres: where the heading is told from the course, it runs ahead of that).
     """
 
     clock: float = 0.1
+    common_clock: float = 0.0
     map_position: float = 0.5
     wander: float | None = None
     wander_seconds: float = 8.0
@@ -233,6 +234,7 @@ class Nuisances:
                 spread.append(sigma)
 
         add("map_position", priors.map_position)
+        add("clock_offset", priors.common_clock)
         if self._force.any():
             add("gain", priors.gain)
         add("tilt_roll", priors.tilt)
@@ -332,7 +334,8 @@ class Nuisances:
             hats = _hats(part.t[rows], knots)
             wander = np.stack([value(f"{drive}.wander.{number}.{k}") for k in range(knots.size)])
             metres = metres + sense * np.einsum("rk,kl->rl", hats, wander, optimize=False)
-        shift = (value(f"{drive}.clock_offset")[None, :] + metres / along[:, None]) * part.rate
+        late = value(f"{drive}.clock_offset") + value("clock_offset")
+        shift = (late[None, :] + metres / along[:, None]) * part.rate
         gain = np.ones((len(self.channels), lanes))
         gain[self._force] += value("gain")
         bias = np.stack([value(f"{drive}.bias.{c}") for c in self.channels])

@@ -118,7 +118,8 @@ class Problem:
         """
         found = dict(zip(self.nuisances.names, nuisance, strict=True))
         metres = found.get("map_position", 0.0)
-        parts = [p.moved(found.get(f"{p.name}.clock_offset", 0.0), metres) for p in self.parts]
+        late = found.get("clock_offset", 0.0)
+        parts = [p.moved(late + found.get(f"{p.name}.clock_offset", 0.0), metres) for p in self.parts]
         clone = object.__new__(Problem)
         clone.__dict__.update(self.__dict__)
         clone.parts = tuple(parts)

@@ -37,7 +37,9 @@ PLANAR = ("longitudinal_acceleration", "lateral_acceleration", "yaw_rate")
 _PLANAR_ONLY = PrepareSettings(filter=FilterSpec(2, 1.6), satellites=True)
 #: What clock and mounting are is then the very question, and nothing else shows it.
 #: Rear tyres of cars slip by about 0.005 rad for each m/s²; a course that lags by that would pass for a clock's.
-_BARE = replace(NORMAL, clock=0.0, map_position=0.0, tilt=0.0, pivot=0.0, slip=0.005)
+_BARE = replace(NORMAL, clock=0.0, common_clock=0.0, map_position=0.0, tilt=0.0, pivot=0.0, slip=0.005)
+#: The best in m that a map and a pose agree to.
+_MAP_LEAST = 0.002
 #: Seconds of compared driving below which nothing can be held back from the fit.
 SHORTEST = 8.0
 #: Free beside the characteristics: what no weighbridge tells.
@@ -131,7 +133,8 @@ def build(case: Case, stop: Callable[[], bool]) -> Bench:
     terms = parse_objective("euclidean", dict.fromkeys(case.channels, 1.0))
     wander = [0.5 * d.position_sigma if d.position_sigma >= 0.1 else 0.0 for d in case.drives]
     numbers = list(range(len(case.drives)))
-    problem = Problem(twin, space, case.drives, numbers, terms, NORMAL if case.road else _BARE, wander, settings)
+    normal = replace(NORMAL, map_position=_map_spread(case.drives)) if case.road else _BARE
+    problem = Problem(twin, space, case.drives, numbers, terms, normal, wander, settings)
     problem.interrupt = stop
     d, q = len(space), len(problem.nuisances)
     precision = np.zeros((d + q, d + q))
@@ -142,6 +145,15 @@ def build(case: Case, stop: Callable[[], bool]) -> Bench:
     floors = [dict(p.noise_rms) for p in case.drives]
     whitener = Whitener.designed(problem, share, floors)
     return Bench(problem, case.active, whitener, precision, centre, stop, fused=case.road)
+
+
+def _map_spread(drives: Sequence[Prepared]) -> float:
+    """m of standard deviation by which all drives' poses may be off the map along the road.
+
+    The mean of drives goes no further than the receiver says of single fixes: that is the limit, three spreads.
+    """
+    told = [d.position_sigma for d in drives if d.position_sigma > 0]
+    return float(np.clip(np.mean(told) / 3.0, _MAP_LEAST, NORMAL.map_position)) if told else NORMAL.map_position
 
 
 def baseline(case: Case, bench: Bench) -> tuple[Linear, Linear]:

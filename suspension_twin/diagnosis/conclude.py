@@ -30,7 +30,7 @@ _TIED = 0.05  # how often the second has to win for the two not to be told apart
 @dataclass(frozen=True, eq=False)
 class Findings:
     """``left``, ``weights`` and ``gates`` count the baseline first, then ``singles``; ``chosen`` is what
-    the written twin has, ``chosen_left`` and ``chosen_gate`` belong to it."""
+    the written twin has, ``chosen_left`` and ``chosen_gate`` belong to it; ``unseen`` as in ``verdict.masses``."""
 
     blocks: Blocks
     noise: dict[str, float]
@@ -39,6 +39,7 @@ class Findings:
     singles: list[Single]
     left: list[gaps.Remainder]
     weights: Floats
+    unseen: Floats
     beats: Floats
     gates: list[verdict.Gates]
     chosen: Evidence
@@ -67,7 +68,7 @@ def conclude(
         [gaps.shrink_of(bench, found.left[0], r, found.blocks, found.noise[channel], 0, request.seed).shrink
          for r in found.left[1:]]
     )  # fmt: skip
-    effects, no_gap, unknown = verdict.masses(found.weights, found.gates, beyond)
+    effects, no_gap, unknown = verdict.masses(found.weights, found.gates, beyond, found.unseen)
     chosen = found.chosen.fit.hypothesis.effects
     if len(chosen) > 1:
         effects, unknown = _shared(found, effects, unknown, chosen)
@@ -117,7 +118,7 @@ def conclude(
 
 def _shrink(bench: Bench, found: Findings, after: gaps.Remainder, seed: int) -> gaps.Shrink:
     channel = bench.problem.channels[0]
-    return gaps.shrink_of(bench, found.standing, after, found.blocks, found.noise[channel], 0, seed)
+    return gaps.shrink_of(bench, found.standing, after, found.blocks, found.noise[channel], 0, seed, another=True)
 
 
 def _gap(bench: Bench, found: Findings) -> dict[str, Any]:

@@ -47,12 +47,13 @@ class Linear(Fit):
 
 @dataclass(frozen=True, eq=False)
 class Screening:
-    """Linearised joint ``cost`` and unknowns ``x`` of starts, the best first, and the largest ``power``:
-    half the squared change of the whitened signals that characteristics and nuisances cannot imitate, in nats."""
+    """Linearised joint ``cost`` and unknowns ``x`` of starts, the best first, and the ``power`` (S,) of each in the
+    order given: half the squared change of the whitened signals that characteristics and nuisances cannot imitate,
+    in nats."""
 
     cost: list[float]
     x: list[Floats]
-    power: float
+    power: Floats
 
 
 def screened(bench: Bench, base: Linear, hypothesis: Hypothesis, starts: Floats) -> Screening:
@@ -86,7 +87,7 @@ def screened(bench: Bench, base: Linear, hypothesis: Hypothesis, starts: Floats)
         moved = x[:, i].copy()
         moved[: p + kept] += np.clip(step[:, i], -_LARGEST_STEP, _LARGEST_STEP)
         unknowns.append(moved)
-    return Screening(costs[order].tolist(), unknowns, float(np.max(np.where(failed, 0.0, power))))
+    return Screening(costs[order].tolist(), unknowns, np.where(failed, 0.0, power))
 
 
 def refit(

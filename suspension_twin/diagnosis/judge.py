@@ -170,7 +170,8 @@ def weights(found: list[Evidence], prior: Floats, temper: float, seed: int) -> t
     count = scores.shape[1]
     draws = np.random.default_rng(seed).dirichlet(np.ones(count), _DRAWS) * count
     total = np.einsum("db,kb->dk", draws, scores, optimize=False) - 0.5 * (occam - occam.min())[None, :]
-    total = temper * total + np.log(prior)[None, :]
+    with np.errstate(divide="ignore"):  # a prior of nothing
+        total = temper * total + np.log(prior)[None, :]
     probabilities = np.exp(total - logsumexp(total, axis=1)[:, None]).mean(axis=0)
     beats = (total[:, :, None] > total[:, None, :]).mean(axis=0)
     return probabilities, beats

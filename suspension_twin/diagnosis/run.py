@@ -32,7 +32,8 @@ _EFFECT_PRIOR = 0.65
 _SURE, _WORTH = 0.95, verdict.MATERIAL
 #: Share of soundness that is a trait of the library, shown on the reference drives as well.
 _TRAITS = 0.5
-_LEAST_EXCESS = 0.2
+_LEAST_EXCESS = 0.4
+_MAYBE = 0.05  # probability of being material below which an effect is out of the question
 _MOST_EFFECTS = 3
 _STRANGER = 0.6  # share of its motion that a reference leaves at the best fit, above which it is another car's
 
@@ -93,8 +94,12 @@ class _Search:
         sound = (1.0 - _EFFECT_PRIOR) * (1.0 - _TRAITS if traits else 1.0)
         each = _EFFECT_PRIOR / len(self.singles)
         trait = (1.0 - _EFFECT_PRIOR - sound) / max(len(traits), 1)
-        prior = np.array([sound, *([each] * len(self.singles)), *([trait] * len(traits))])
+        self.gates = [self._gates(e, r) for e, r in zip(everything, self.left, strict=True)]
+        # what takes nothing material away cannot be the finding, however sure it is: it must not hide another
+        priors = [each if g.material > _MAYBE else 0.0 for g in self.gates[1:]]
+        prior = np.array([sound, *priors, *([trait] * len(traits))])
         self.weights, self.beats = weights([*everything, *traits], prior, self.temper, seed)
+        self.unseen = each / (1.0 - _EFFECT_PRIOR) * np.array([s.hidden(self.temper) for s in self.singles])
         count = 1 + len(self.singles)
         # what the vehicle had before already is no gap: it speaks for the baseline
         self.weights[0] += self.weights[count:].sum()
@@ -103,7 +108,6 @@ class _Search:
             if not s.judged:
                 self.weights[1 + i] = 0.0
         self.weights /= self.weights.sum()
-        self.gates = [self._gates(e, r) for e, r in zip(everything, self.left, strict=True)]
         if self.case.road:
             self.chosen, self.chosen_left = self._combine(everything)
         else:
@@ -153,28 +157,41 @@ class _Search:
         bench = self.bench
         level, quiet = verdict.level_of(bench, left, self.noise, shown=True), self._noise_share()
         if self.reference is None or level < quiet:
-            adequate = verdict.background(level, quiet)
+            adequate = verdict.background(level, quiet) * verdict.even(bench, left, self.noise)
         else:
             adequate = verdict.sound(found, [c for c, n in enumerate(bench.problem.channels) if self._driven(n)])
         if found is self.base:
             return verdict.Gates(1.0, adequate, 1.0)
-        material = max(self._material(left, c) for c in range(len(bench.problem.channels)))
+        columns = range(len(bench.problem.channels))
+        # what is gained in one channel and lost in another is traded, not explained
+        material = max(self._material(left, c) for c in columns) * min(self._unspoilt(left, c) for c in columns)
         return verdict.Gates(material, adequate, verdict.plausible(bench, found))
 
     def _material(self, left: gaps.Remainder, column: int) -> float:
         """Probability that a tenth of a channel's gap is gone beyond recalibration.
 
-        With a reference the gap to explain is what exceeds that which the model leaves of this car anyway.
+        With a reference the gap to explain is what exceeds that which the model leaves of this car anyway. In
+        the planar channels, which the pose drives, biases and the mount's normal lean make most of any gap:
+        there it is what is gone beyond these too.
         """
         channel = self.bench.problem.channels[column]
-        if not self._driven(channel):
-            return 0.0
-        found = self._shrink(self.left[0], left, column)
+        driven = self._driven(channel)
+        found = self._shrink(self.left[0], left, column, settled=not driven)
         if found.before < self.noise[channel]:
             return 0.0
         shrink, low, high = (1.0 - (1.0 - min(v, 1.0)) ** 2 for v in (found.shrink, *found.interval))
         spread = max((high - low) / 3.29, 1e-3)
-        return float(norm.cdf((shrink - verdict.MATERIAL_SQUARE * self._excess()) / spread))
+        wanted = verdict.MATERIAL_SQUARE * (self._excess() if driven else 1.0)
+        return float(norm.cdf((shrink - wanted) / spread))
+
+    def _unspoilt(self, left: gaps.Remainder, column: int) -> float:
+        """Probability that a channel's gap is not a tenth larger than recalibration alone leaves it."""
+        channel = self.bench.problem.channels[column]
+        found = self._shrink(self.left[0], left, column)
+        if not self._driven(channel) or max(found.before, found.after) < self.noise[channel]:
+            return 1.0
+        spread = max((found.interval[1] - found.interval[0]) / 3.29, 1e-3)
+        return float(norm.cdf((found.shrink + verdict.MATERIAL) / spread))
 
     def _driven(self, channel: str) -> bool:
         """Whether a channel is one that speaks for the vehicle: with a road what the road drives."""
@@ -194,9 +211,13 @@ class _Search:
         motion = float(np.std(self.bench.problem.measured.values[rows, column]))
         return 0.7 * self.noise[self.bench.problem.channels[column]] / max(motion, 1e-12)
 
-    def _shrink(self, before: gaps.Remainder, after: gaps.Remainder, column: int = 0) -> gaps.Shrink:
+    def _shrink(
+        self, before: gaps.Remainder, after: gaps.Remainder, column: int = 0, settled: bool = False
+    ) -> gaps.Shrink:
         noise = self.noise[self.bench.problem.channels[column]]
-        return gaps.shrink_of(self.bench, before, after, self.blocks, noise, column, self.request.seed)
+        return gaps.shrink_of(
+            self.bench, before, after, self.blocks, noise, column, self.request.seed, settled=settled
+        )
 
     def _combine(self, everything: list[Evidence]) -> tuple[Evidence, gaps.Remainder]:
         """The smallest set that closes the gap: greedily, one effect at a time, as long as it pays."""
@@ -267,7 +288,7 @@ class _Search:
         """Everything that the answer is made of."""
         self.tell(Progress("judging", 0.95))
         return Findings(
-            self.blocks, self.noise, self.standing, self.base, self.singles, self.left, self.weights, self.beats,
-            self.gates, self.chosen, self.chosen_left, self._gates(self.chosen, self.chosen_left), self.reference,
-            self.temper,
+            self.blocks, self.noise, self.standing, self.base, self.singles, self.left, self.weights, self.unseen,
+            self.beats, self.gates, self.chosen, self.chosen_left, self._gates(self.chosen, self.chosen_left),
+            self.reference, self.temper,
         )  # fmt: skip

@@ -43,12 +43,12 @@ LEAST_POWER = 5.0
 
 @dataclass(frozen=True, eq=False)
 class Single:
-    """One effect at its best; ``power`` how many nats it could show at the strengths of its prior;
+    """One effect at its best; ``powers`` (S,) how many nats it shows at strengths all over its prior;
     ``always`` the same effect as a trait that the vehicle had on the reference drives already."""
 
     effect: str
     evidence: Evidence
-    power: float
+    powers: Floats
     always: Evidence | None = None
 
     @property
@@ -58,7 +58,11 @@ class Single:
     @property
     def judged(self) -> bool:
         """Whether the drives excited the effect enough to say anything of it."""
-        return self.power >= LEAST_POWER
+        return bool(self.powers.max() >= LEAST_POWER)
+
+    def hidden(self, temper: float) -> float:
+        """Share of the effect's prior at which these drives would not show it; ``temper`` as for the weights."""
+        return float(np.mean(temper * self.powers < LEAST_POWER))
 
 
 @dataclass(frozen=True, eq=False)
@@ -69,7 +73,7 @@ class _Rough:
     effect: str
     hypothesis: Hypothesis
     x: Floats
-    power: float
+    powers: Floats
 
 
 def singles(
@@ -98,7 +102,7 @@ def singles(
                 always = _always(bench, v, x, base, blocks)
         if cost >= base.cost:
             x = np.concatenate([base.x, v.neutral()])
-        return Single(r.effect, evidence(bench, finished(bench, v, x), blocks), r.power, always)
+        return Single(r.effect, evidence(bench, finished(bench, v, x), blocks), r.powers, always)
 
     judged = _side_by_side(
         judge, order, lambda done, i: tell(0.65 + 0.35 * done, f"{rough[i].effect.replace('_', ' ')}, once more")
@@ -127,10 +131,10 @@ def _rough(
     bench: Bench, base: Linear, anchor: Linear, effect: str, variants: Sequence[Hypothesis], seed: int
 ) -> _Rough:
     """The best of an effect's variants, from many starts, its vehicle's Jacobian mostly the reference's."""
-    best, power = None, 0.0
+    best, powers = None, []
     for v in variants:
         tried = screened(bench, anchor, v, v.starts(_STARTS, seed))
-        power = max(power, tried.power)
+        powers.append(tried.power)
         if best is None or tried.cost[0] < best[0].cost[0]:
             best = (tried, v)
     assert best is not None
@@ -143,7 +147,7 @@ def _rough(
         if begun < _WORTH_A_LOOK * cost:
             y, other = refit(bench, v, [start], None, _DEEP)
             x, cost = (y, other) if other < cost else (x, cost)
-    return _Rough(cost, effect, v, x, power)
+    return _Rough(cost, effect, v, x, np.concatenate(powers))
 
 
 def _rebased(bench: Bench, base: Linear, found: Sequence[Floats]) -> Linear:

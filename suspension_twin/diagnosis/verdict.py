@@ -12,9 +12,10 @@ from scipy.stats import norm
 from suspension_twin.diagnosis.bench import Bench
 from suspension_twin.diagnosis.gaps import Remainder, shown_rows
 from suspension_twin.diagnosis.judge import Evidence
+from suspension_twin.diagnosis.noise import INDEPENDENT, density
 from suspension_twin.drive.types import Floats
 
-__all__ = ["Gates", "background", "level_of", "masses", "sound", "temper_of", "verdict_of"]
+__all__ = ["Gates", "background", "even", "level_of", "masses", "sound", "temper_of", "verdict_of"]
 
 #: Share of the gap's rms that a cause has to explain, and what that is of its mean square.
 MATERIAL = 0.1
@@ -27,6 +28,10 @@ _AMISS, _AMISS_SPREAD = 0.5, 1.8
 #: not: on the drives with the gap, which are others than it learnt from, and on the reference itself. A
 #: sound model's drives lie at 1.2 to 2.3 and at 1.0 to 1.7.
 _SOUND_SHOWN, _SOUND_THERE, _SOUND_SPREAD = 2.3, 2.0, 1.2
+#: How far the share that is left in half an octave stands out of its neighbours', at which a sound model is as
+#: likely as not: such a share goes smoothly with frequency, to within a factor of two on cars that lack nothing.
+_STANDS_OUT, _STANDS_OUT_SPREAD = 2.6, 1.15
+_HALF_OCTAVES = 1.0 * 2.0 ** (0.5 * np.arange(9))  # Hz
 _LEAST_TEMPER = 0.03
 
 
@@ -65,6 +70,29 @@ def background(level: float, noise_share: float) -> float:
     usual = norm.pdf(max(np.log(level / _USUAL), 0.0) / np.log(_USUAL_SPREAD)) / np.log(_USUAL_SPREAD)
     amiss = norm.pdf(min(np.log(level / _AMISS), 0.0) / np.log(_AMISS_SPREAD)) / np.log(_AMISS_SPREAD)
     return float(usual / (usual + amiss))
+
+
+def even(bench: Bench, left: Remainder, noise: dict[str, float]) -> float:
+    """Probability that what is left of the vertical acceleration is a sound model's by its spectrum: an order, a
+    resonance that the model lacks stands out of its neighbourhood as a share of the motion there."""
+    measured = bench.problem.measured
+    if "vertical_acceleration" not in measured.channels:
+        return 1.0
+    c = measured.channels.index("vertical_acceleration")
+    stretches = [s for s, d in zip(measured.stretches, measured.drives, strict=True) if bench.active[d]]
+    rest, motion = (density(v[:, c], stretches, measured.rate) for v in (left.difference, measured.values))
+    f = np.linspace(0.0, 0.5 * measured.rate, rest.size)
+    band = np.digitize(f, _HALF_OCTAVES)
+    white = 2.0 * noise["vertical_acceleration"] ** 2 / measured.rate / INDEPENDENT
+    shares = []
+    for b in range(1, _HALF_OCTAVES.size):
+        own = band == b
+        # what little is above the noise says nothing of a shape
+        shares.append(max(float(rest[own].mean()) - white, white) / float(motion[own].mean()))
+    level = 0.5 * np.log(shares)
+    others = [np.delete(level[max(b - 2, 0) : b + 3], min(b, 2)) for b in range(level.size)]
+    most = max(float(level[b] - np.median(o)) for b, o in enumerate(others))
+    return float(norm.sf((most - np.log(_STANDS_OUT)) / np.log(_STANDS_OUT_SPREAD)))
 
 
 def sound(found: Evidence, channels: Sequence[int]) -> float:
@@ -109,12 +137,14 @@ def plausible(bench: Bench, found: Evidence) -> float:
 
 
 def masses(
-    weights: Floats, gates: Sequence[Gates], explained: Floats
+    weights: Floats, gates: Sequence[Gates], explained: Floats, unseen: Floats
 ) -> tuple[Floats, float, float]:
     """Probabilities of the effects (E,), of no gap and of unknown, from weights (1 + E,), baseline first.
 
     An effect that is not material is no finding: its weight goes to the answers without one. What an
     effect that is not adequate leaves is unexplained: its weight is shared with unknown by how much it explains.
+    ``unseen`` (E,) are the prior odds, to no effect at all, of each at a strength that would not have shown: no
+    evidence is none against these.
     """
     effects = np.zeros(len(gates) - 1)
     rest, unknown = float(weights[0]), 0.0
@@ -125,6 +155,9 @@ def masses(
         good = gate.adequate + (1.0 - gate.adequate) * float(np.clip(explained[i], 0.0, 1.0)) ** 2
         effects[i] = named * good
         unknown += named * (1.0 - good)
+    faint = rest * unseen / (1.0 + float(unseen.sum()))
+    effects += faint
+    rest -= float(faint.sum())
     no_gap = rest * gates[0].adequate
     return effects, no_gap, unknown + rest - no_gap
 

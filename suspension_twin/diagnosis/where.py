@@ -13,6 +13,7 @@ from typing import Any
 
 import numpy as np
 from scipy import signal
+from scipy.ndimage import gaussian_filter1d
 from scipy.stats import false_discovery_control, norm
 
 from suspension_twin.diagnosis.bench import Bench
@@ -26,7 +27,7 @@ __all__ = ["localise", "repeatable", "signature"]
 _WINDOW = 0.5  # s
 _METRES = 1.0
 _FALSE = 0.1
-_BAND = 2 ** (1 / 6)
+_SEGMENT, _LOWEST, _DRAWS = 256, 0.5, 1000
 
 
 def localise(bench: Bench, difference: Floats, noise: dict[str, float], twin: Twin) -> dict[str, Any]:
@@ -143,30 +144,65 @@ def _spectrum(bench: Bench, series: Sequence[Floats]) -> tuple[Floats, Floats]:
     return f, np.asarray(total / weight)
 
 
+def _segments(bench: Bench, series: Sequence[Floats]) -> tuple[Floats, Floats]:
+    """Frequencies (F,) and the power density (N, F) of every stretch of ``_SEGMENT`` samples of the drives, half of
+    each in the next; a shorter drive is one stretch."""
+    rate = bench.problem.measured.rate
+    found = []
+    for x in series:
+        size = min(_SEGMENT, x.size)
+        for start in range(0, x.size - size + 1, max(size // 2, 1)):
+            part = x[start : start + size]
+            f, power = signal.periodogram(
+                part, fs=rate, window="hann", nfft=_SEGMENT, detrend="linear"
+            )  # type: ignore[call-overload]
+            found.append(power)
+    return f, np.array(found)
+
+
 def _frequency(bench: Bench, series: Sequence[Floats], floor: float) -> list[dict[str, Any]]:
-    f, power = _spectrum(bench, series)
-    edges = [0.5]
-    while edges[-1] < min(30.0, f[-1]):
-        edges.append(edges[-1] * _BAND)
-    white = floor**2 / 20.0
-    above = np.maximum(power - white, 0.0)
-    width = f[1] - f[0]
-    energy = np.array([above[(f >= a) & (f < b)].sum() * width for a, b in zip(edges, edges[1:], strict=False)])
-    span = np.diff(np.log(edges))
-    if energy.sum() <= 0:
+    """Bands that hold more of the gap than their width in octaves asks for, each about a peak and down to half of
+    its density. How sure that is comes from drawing pairs of stretches anew, neighbours together."""
+    f, power = _segments(bench, series)
+    inside = (f >= _LOWEST) & (f < 30.0)
+    f, power = f[inside], gaussian_filter1d(power[:, inside], 1.0, axis=1, mode="nearest")
+    white, octaves = floor**2 / 20.0, np.log2((f + 0.5 * (f[1] - f[0])) / (f - 0.5 * (f[1] - f[0])))
+    blocks = np.arange(len(power)) // 2
+    count = int(blocks[-1]) + 1
+    sums = np.stack([power[blocks == b].sum(axis=0) for b in range(count)])
+    sizes = np.bincount(blocks)
+    drawn = np.random.default_rng(0).multinomial(count, np.full(count, 1.0 / count), _DRAWS).astype(float)
+    means = np.einsum("kb,bf->kf", drawn, sums, optimize=False)
+    means /= np.einsum("kb,b->k", drawn, sizes, optimize=False)[:, None]
+    above = np.maximum(np.vstack([power.mean(axis=0), means]) - white, 0.0)
+    usual = above.sum(axis=1) / octaves.sum()
+    if usual[0] <= 0:
         return []
-    flags = energy / span > 1.0 * energy.sum() / span.sum()
-    flags &= energy > 0.02 * energy.sum()
-    return _ranked(
-        [
+    fewer = (above[1:] / octaves <= usual[1:, None]).mean(axis=0)
+    left = np.asarray(false_discovery_control(np.clip(fewer, 0.5 / _DRAWS, 1.0)) < _FALSE)
+    density, total, half = above[0], float(above[0].sum()), 0.5 * (f[1] - f[0])
+    items = []
+    while left.any():
+        peak = int(np.flatnonzero(left)[np.argmax(density[left])])
+        ends = []
+        for step in (-1, 1):
+            at = peak
+            while 0 <= at + step < f.size and left[at + step] and density[at + step] >= 0.5 * density[peak]:
+                at += step
+            ends.append(at)
+            # what goes on falling from there is the same peak's foot
+            while 0 <= at < f.size and left[at] and density[at] <= density[max(min(at - step, f.size - 1), 0)]:
+                left[at] = False
+                at += step
+        low, high = ends
+        left[low : high + 1] = False
+        items.append(
             {
-                "low_hz": round(float(edges[a]), 2),
-                "high_hz": round(float(edges[b]), 2),
-                "share": round(float(energy[a:b].sum() / energy.sum()), 4),
+                "low_hz": round(float(f[low] - half), 2), "high_hz": round(float(f[high] + half), 2),
+                "share": round(float(density[low : high + 1].sum()) / total, 4),
             }
-            for a, b in _runs(flags)
-        ]
-    )
+        )  # fmt: skip
+    return _ranked(items)
 
 
 def _channels(bench: Bench, difference: Floats, noise: dict[str, float]) -> list[dict[str, Any]]:

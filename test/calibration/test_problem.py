@@ -159,6 +159,36 @@ def test_a_wandering_receiver_gets_an_offset_of_its_own(prepared: Prepared) -> N
     assert np.abs(out[-100:-10] - signal[-100:-10, 0, 0]).max() > 0.2
 
 
+def test_a_clock_of_all_drives_adds_to_that_of_each(prepared: Prepared) -> None:
+    n = Nuisances([prepared], [0], ("vertical_acceleration",), NuisancePriors(common_clock=0.002), [0.0])
+    rows = np.arange(100, prepared.t.size - 100)
+    signal = np.sin(2 * np.pi * 3.0 * prepared.t)[:, None, None]
+    values = np.zeros((len(n), 3))
+    values[n.names.index("clock_offset")] = [0.03, 0.0, 0.01]
+    values[n.names.index(f"{prepared.name}.clock_offset")] = [0.0, 0.03, 0.02]
+    out = n.apply(0, np.repeat(signal, 3, axis=2), rows, values)
+    np.testing.assert_allclose(out, out[:, :, :1].repeat(3, axis=2), atol=1e-12)
+    with pytest.raises(AssertionError):
+        np.testing.assert_allclose(out[:, :, 0], signal[rows, :, 0], atol=1e-3)
+    assert "clock_offset" not in Nuisances([prepared], [0], n.channels, NuisancePriors(), [0.0]).names
+
+
+@pytest.mark.parametrize("lanes", [2, 5])
+def test_clocks_of_candidates_taken_together_are_those_taken_alone(prepared: Prepared, lanes: int) -> None:
+    """Lanes that differ by their clocks alone go through a kernel of their own."""
+    rng = np.random.default_rng(lanes)
+    channels = ("vertical_acceleration", "pitch_rate")
+    n = Nuisances([prepared], [0], channels, NuisancePriors(), [0.0])
+    signals = rng.standard_normal((prepared.t.size, 2, lanes))
+    values = n.spread[:, None] * rng.standard_normal((len(n), lanes))
+    values[n.names.index("map_position")] = 0.0
+    rows = np.arange(prepared.t.size)
+    together = n.apply(0, signals, rows, values)
+    for k in range(lanes):
+        alone = n.apply(0, signals[:, :, k : k + 1], rows, values[:, k : k + 1])
+        np.testing.assert_allclose(together[:, :, k : k + 1], alone, rtol=1e-12, atol=1e-12)
+
+
 def test_coarse_lag_finds_seconds() -> None:
     rng = np.random.default_rng(0)
     signal = np.convolve(rng.standard_normal(3000), np.ones(9) / 9, mode="same")

@@ -1,0 +1,135 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What answers are made of: masses, shares of a spectrum, shrink and where a gap lies in frequency."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from scipy.signal import butter, lfilter, sosfilt
+
+from suspension_twin.diagnosis import gaps, verdict
+from suspension_twin.diagnosis.gaps import Remainder
+from suspension_twin.diagnosis.judge import Blocks
+from suspension_twin.diagnosis.verdict import Gates
+from suspension_twin.diagnosis.where import _frequency
+
+RATE, CHANNEL = 100.0, "vertical_acceleration"
+FOUND, NOTHING = Gates(1.0, 1.0, 1.0), Gates(0.0, 1.0, 1.0)
+
+
+def bench(lengths: list[int], values: np.ndarray, active: tuple[bool, ...] | None = None) -> Any:
+    """What the functions here ask of a bench: drives of ``lengths`` samples end to end, one channel."""
+    ends = np.cumsum([0, *lengths])
+    stretches = [slice(int(a), int(b)) for a, b in zip(ends[:-1], ends[1:], strict=True)]
+    measured = SimpleNamespace(
+        channels=(CHANNEL,), stretches=stretches, drives=list(range(len(lengths))), rate=RATE, values=values
+    )
+    return SimpleNamespace(active=active or (True,) * len(lengths), problem=SimpleNamespace(measured=measured))
+
+
+# -- masses ----------------------------------------------------------------------------------------
+
+
+@given(
+    st.lists(st.floats(0.01, 1.0), min_size=3, max_size=6),
+    st.lists(st.floats(0.0, 1.0), min_size=15, max_size=15),
+    st.floats(0.0, 0.2),
+)
+def test_masses_are_probabilities(weights: list[float], gates: list[float], odds: float) -> None:
+    w = np.array(weights) / sum(weights)
+    made = [Gates(1.0, gates[0], 1.0), *(Gates(*gates[3 * i : 3 * i + 3]) for i in range(len(w) - 1))]
+    effects, no_gap, unknown = verdict.masses(w, made, np.full(w.size - 1, 0.5), np.full(w.size - 1, odds))
+    assert min(effects.min(), no_gap, unknown) >= -1e-12
+    assert effects.sum() + no_gap + unknown == pytest.approx(1.0)
+
+
+def test_what_would_not_have_shown_is_not_ruled_out() -> None:
+    weights, gates, none = np.array([1.0, 0.0, 0.0]), [FOUND, NOTHING, NOTHING], np.zeros(2)
+    effects, no_gap, unknown = verdict.masses(weights, gates, none, np.array([0.0, 0.5]))
+    assert effects[0] == 0.0 and effects[1] == pytest.approx(1 / 3) and no_gap == pytest.approx(2 / 3)
+    assert unknown == 0.0
+    # where an effect was found there is nothing left for those that hide
+    effects, no_gap, _ = verdict.masses(np.array([0.0, 1.0, 0.0]), [FOUND, FOUND, NOTHING], none, np.array([0.0, 0.5]))
+    assert effects[0] == pytest.approx(1.0) and no_gap == pytest.approx(0.0)
+
+
+# -- the shape of what is left ---------------------------------------------------------------------
+
+
+def road_motion(seed: int, samples: int) -> np.ndarray:
+    """(n,) something like a body's vertical acceleration on a rough road, m/s²."""
+    white = np.random.default_rng(seed).standard_normal(samples)
+    return np.asarray(sosfilt(butter(2, [1.0, 12.0], "band", fs=RATE, output="sos"), white))
+
+
+def resonance(x: np.ndarray, hertz: float, damping: float) -> np.ndarray:
+    """(n,) what a lightly damped oscillator makes of ``x``, its rms that of ``x``."""
+    radius, angle = np.exp(-2 * np.pi * hertz * damping / RATE), 2 * np.pi * hertz / RATE
+    y = lfilter([1.0 - radius], [1.0, -2 * radius * np.cos(angle), radius**2], x)
+    return np.asarray(y * np.std(x) / np.std(y))
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_a_share_of_the_motion_is_even_and_an_order_is_not(seed: int) -> None:
+    n = 4000
+    motion, own = road_motion(seed, n), road_motion(seed + 100, n)
+    noise = {CHANNEL: 0.005}
+    order = 0.3 * np.sin(2 * np.pi * 7.0 * np.arange(n) / RATE)
+    there = bench([n], motion[:, None])
+    left = (0.1 * own)[:, None]
+    assert verdict.even(there, Remainder(left, left), noise) > 0.9
+    loud = left + order[:, None]
+    assert verdict.even(bench([n], (motion + order)[:, None]), Remainder(loud, loud), noise) < 0.1
+
+
+@given(st.floats(3.0, 16.0), st.floats(0.02, 0.06), st.integers(0, 1000))
+def test_a_resonance_is_located_within_a_sixth_of_an_octave(hertz: float, damping: float, seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    drives = [0.3 * resonance(rng.standard_normal(n), hertz, damping) + 0.05 * rng.standard_normal(n)
+              for n in (3000, 4500)]  # fmt: skip
+    regions = _frequency(bench([3000, 4500], np.zeros((7500, 1))), drives, 0.01)
+    assert regions == sorted(regions, key=lambda r: -r["share"])
+    main = regions[0]
+    assert main["share"] > 0.4 and main["low_hz"] < main["high_hz"]
+    assert abs(np.log2(np.sqrt(main["low_hz"] * main["high_hz"]) / hertz)) < 1 / 6
+
+
+def test_no_band_stands_out_of_a_gap_that_is_everywhere_alike() -> None:
+    """Equal energy in every octave: nothing to tell."""
+    rng = np.random.default_rng(5)
+    spectrum = np.fft.rfft(rng.standard_normal(12_000))
+    f = np.fft.rfftfreq(12_000, 1 / RATE)
+    pink = np.fft.irfft(spectrum / np.sqrt(np.maximum(f, 0.2)))
+    assert sum(r["share"] for r in _frequency(bench([12_000], np.zeros((12_000, 1))), [pink], 0.0)) < 0.5
+
+
+# -- shrink ----------------------------------------------------------------------------------------
+
+
+def test_another_drive_is_less_sure_where_drives_differ() -> None:
+    rng = np.random.default_rng(1)
+    n = 2000
+    before = rng.standard_normal((2 * n, 1))
+    after = before * np.repeat([0.2, 0.8], n)[:, None]
+    blocks = Blocks(np.tile(np.arange(n) // 100, 2), np.zeros(0, dtype=int), n // 100)
+    there, args = bench([n, n], before), (blocks, 0.0, 0, 0)
+    one = Remainder(before, before), Remainder(after, after)
+    same, another = gaps.shrink_of(there, *one, *args), gaps.shrink_of(there, *one, *args, another=True)
+    expected = 1 - np.sqrt(np.mean(after**2) / np.mean(before**2))
+    assert same.shrink == another.shrink == pytest.approx(expected)
+    assert another.interval[0] < 0.25 and another.interval[1] > 0.75  # it may be like either
+    assert same.interval[1] - same.interval[0] < 0.2
+
+
+def test_settled_differences_are_compared_where_asked() -> None:
+    x = np.random.default_rng(2).standard_normal((1000, 1))
+    blocks = Blocks(np.arange(1000) // 50, np.zeros(0, dtype=int), 20)
+    before, after = Remainder(x, x), Remainder(x, 0.5 * x)
+    args = (bench([1000], x), before, after, blocks, 0.0, 0, 0)
+    assert gaps.shrink_of(*args).shrink == pytest.approx(0.0)
+    assert gaps.shrink_of(*args, settled=True).shrink == pytest.approx(0.5)
