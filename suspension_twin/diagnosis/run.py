@@ -157,7 +157,9 @@ class _Search:
         bench = self.bench
         level, quiet = verdict.level_of(bench, left, self.noise, shown=True), self._noise_share()
         if self.reference is None or level < quiet:
-            adequate = verdict.background(level, quiet) * verdict.even(bench, left, self.noise)
+            adequate = verdict.background(level, quiet)
+            if level > verdict.LITTLE:
+                adequate *= verdict.even(bench, left, self.noise)
         else:
             adequate = verdict.sound(found, [c for c, n in enumerate(bench.problem.channels) if self._driven(n)])
         if found is self.base:
@@ -177,7 +179,8 @@ class _Search:
         channel = self.bench.problem.channels[column]
         driven = self._driven(channel)
         found = self._shrink(self.left[0], left, column, settled=not driven)
-        if found.before < self.noise[channel]:
+        motion = float(np.std(self.bench.problem.measured.values[gaps.shown_rows(self.bench), column]))
+        if found.before < max(self.noise[channel], verdict.SLIGHT * motion):
             return 0.0
         shrink, low, high = (1.0 - (1.0 - min(v, 1.0)) ** 2 for v in (found.shrink, *found.interval))
         spread = max((high - low) / 3.29, 1e-3)

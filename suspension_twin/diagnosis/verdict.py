@@ -24,13 +24,16 @@ MATERIAL_SQUARE = 1.0 - (1.0 - MATERIAL) ** 2
 #: median and factor of one standard deviation; and what is left where something is missing.
 _USUAL, _USUAL_SPREAD = 0.2, 1.5
 _AMISS, _AMISS_SPREAD = 0.5, 1.8
+#: Shares of the motion below which what is left is too little for its spectrum to tell anything, and below which a
+#: channel's gap is not worth a word.
+LITTLE, SLIGHT = 0.5 * _USUAL, 0.06
 #: Held-out squares, in units of the noise that the reference taught, at which a sound model is as likely as
 #: not: on the drives with the gap, which are others than it learnt from, and on the reference itself. A
 #: sound model's drives lie at 1.2 to 2.3 and at 1.0 to 1.7.
 _SOUND_SHOWN, _SOUND_THERE, _SOUND_SPREAD = 2.3, 2.0, 1.2
 #: How far the share that is left in half an octave stands out of its neighbours', at which a sound model is as
 #: likely as not: such a share goes smoothly with frequency, to within a factor of two on cars that lack nothing.
-_STANDS_OUT, _STANDS_OUT_SPREAD = 2.6, 1.15
+_STANDS_OUT, _STANDS_OUT_SPREAD = 2.8, 1.15
 _HALF_OCTAVES = 1.0 * 2.0 ** (0.5 * np.arange(9))  # Hz
 _LEAST_TEMPER = 0.03
 
