@@ -322,6 +322,10 @@ def _message(document: dict[str, Any], standing: Fitted, kept: Fitted, seen: lis
     if document["verdict"] == "unknown":
         return f"unknown: a gap of {level:.1f} times the noise, which nothing in the library explains"
     names = " and ".join(n.replace("_", " ") for n in document["combination"])
+    alike = document["causes"][0]["indistinguishable_from"]
+    if alike:
+        names = " or ".join(n.replace("_", " ") for n in (document["causes"][0]["effect"], *alike))
+        names += " (which these runs do not tell apart)"
     word = "partly " if document["verdict"] == "partly" else ""
     return (
         f"{word}{names}: the gap above the noise shrinks by {100 * _closed(standing, kept):.0f} % "

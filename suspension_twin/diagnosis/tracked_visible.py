@@ -26,6 +26,7 @@ _STEPS: Final = (0.25, 0.5, 1.0)  # of the strongest
 #: Share of the change that the model tells right where that is not nearly all: what of it is alike in the vehicle of 97
 #: links, by the gains and correlations of ``benchmarks/tracked_changes.py``.
 _TRUST: Final = {"track_tension": 0.2, "track_wear": 0.3}
+_LEAST: Final = {"track_wear": 0.2}  # what is left of the stiffness of a track that still goes
 _MAIN: Final = {"track_wear": "stiffness", "station_damper": "share", "station_bar": "sag"}
 
 
@@ -49,24 +50,22 @@ def visible_from(bench: Bench, name: str, hypotheses: Sequence[Hypothesis]) -> V
     main = parameters[_MAIN.get(name, next(p.name for p in effect.parameters if not p.choices))]
     down = name in ("track_wear", "station_damper")  # what is left of something
     farthest = main.neutral + (-1 if down else 1) * _STRONGEST * main.spread
-    farthest = float(np.clip(farthest, max(main.low, 0.2) if down else main.low, main.high))
+    farthest = float(np.clip(farthest, _LEAST.get(name, main.low), main.high))
     starts: list[float] = []
     for h in hypotheses:
         fixed = {k.split(".")[1]: v for k, v in h.fixed}
         given = [{name: {**fixed, main.name: main.neutral + a * (farthest - main.neutral)}} for a in _STEPS]
         levels = _TRUST.get(name, 1.0) * changes_of(bench, given)
         if levels[-1] >= SHOWS:
-            rising = np.maximum.accumulate(np.concatenate([[0.0], levels])) + 1e-9 * np.arange(
-                len(_STEPS) + 1
-            )
+            rising = np.maximum.accumulate([0.0, *levels]) + 1e-9 * np.arange(len(_STEPS) + 1)
             starts.append(float(np.interp(SHOWS, rising, (0.0, *_STEPS))))
     share = max(starts, default=1.0)
-    start = main.neutral + share * (farthest - main.neutral)
-    return Visible(name, main.name, main.unit, main.neutral, float(f"{start:.3g}"), bool(starts))
+    away = float(f"{share * (farthest - main.neutral):.2g}")
+    return Visible(name, main.name, main.unit, main.neutral, round(main.neutral + away, 9), bool(starts))
 
 
 def words(found: Visible) -> str:
-    """Such as "track tension tighter by less than 14 mm"."""
+    """Such as "payload below 1600 kg" or "station damper with share above 0.5"."""
     what = found.effect.replace("_", " ")
     unit = f" {found.unit}" if found.unit else ""
     if not found.judged:

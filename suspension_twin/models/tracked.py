@@ -22,7 +22,7 @@ Links of the upper run move with the hull. A link is one element, as in the pape
 ground at ``contacts`` places; ``fineness`` elements a link make a beam of the same stiffness instead.
 ``benchmarks/tracked.py --convergence`` shows what either and the step change, and why nothing
 converges where no damper works. What pushes the vehicle on acts at the ground (its moment lifts the
-nose). Left out: sag of the upper run, slip, rolling resistance.
+nose). Left out: sag of the upper run, slip, what turns the wheels.
 
 The travel is prescribed, or, where the vehicle has a ``driver``, it is what its sprocket makes of it:
 the ground holds the track between the outer wheels, the sprocket winds in the span behind the last

@@ -221,17 +221,18 @@ def test_corners_of_the_bounds_run_to_the_end(vehicle: TrackedVehicle) -> None:
 
 
 def test_a_driven_vehicle_loses_speed_uphill_by_what_its_drive_gives_way(vehicle: TrackedVehicle) -> None:
-    """On a long slope the pull of one track is its half's weight down the slope."""
-    droop, rise = 1e-5, {"obstacle.height": 0.4, "obstacle.ramp": 20.0, "obstacle.top": 1.0}
-    driver = Driver(gain=0.0, reset=0.0, droop=droop)
-    hill = vehicle.model_copy(update={"driver": driver}).with_changes(rise)
-    r = simulate_tracked(hill, 3.0, 6.5, rate=50.0)
-    level = simulate_tracked(hill, 3.0, 6.5, rate=50.0, level=True)
-    assert np.abs(level.travel - level.travel[0] - 3.0 * level.t).max() < 0.01  # nothing to pull
-    climbing = (r.t > 4.0) & (r.t < 6.4)  # all wheels on the slope, and it has come to rest on it
-    speed = float(np.polyfit(r.t[climbing], r.travel[climbing], 1)[0])
-    pull = (vehicle.mass / 2 - vehicle.track.links * vehicle.track.link_mass / 2) * G * 0.4 / 20.0
-    assert 3.0 - speed == pytest.approx(droop * pull, rel=0.2)
+    """Twice the slope asks for a pull of one track that is more by half the weight down the lesser one."""
+    droop, speeds = 1e-5, []
+    for height in (0.0, 0.2, 0.4):
+        hill = vehicle.with_changes({"obstacle.height": height, "obstacle.ramp": 20.0, "obstacle.top": 1.0})
+        driven = hill.model_copy(update={"driver": Driver(gain=0.0, reset=0.0, droop=droop)})
+        r = simulate_tracked(driven, 3.0, 6.5, rate=50.0)
+        climbing = (r.t > 4.0) & (r.t < 6.4)  # all wheels are on the slope, and it has come to rest on it
+        speeds.append(float(np.polyfit(r.t[climbing], r.travel[climbing], 1)[0]))
+    level, low, high = speeds
+    lying = 0.5 * vehicle.track.links * vehicle.track.link_mass
+    assert low - high == pytest.approx(droop * (vehicle.mass / 2 - lying) * G * 0.2 / 20.0, rel=0.08)
+    assert 2.8 < level < 2.9  # what rubber and track take on the level, 7 % of the weight
 
 
 def test_a_driver_who_holds_the_speed_is_nearer_to_his_way(vehicle: TrackedVehicle) -> None:
