@@ -79,7 +79,7 @@ def judge_one(truth: dict[str, Any], folder: Path) -> dict[str, Any]:
         "shrink": top["shrink"], "tied": top["indistinguishable_from"], "message": document["message"],
         "cannot_be_judged": document["cannot_be_judged"], "visible_from": document["visible_from"],
         "evidence": {c["effect"]: [c["log_evidence"], c["shrink"]] for c in document["causes"]},
-        "seconds": round(time.perf_counter() - began, 1),
+        "took_s": round(time.perf_counter() - began, 1),
     }  # fmt: skip
 
 

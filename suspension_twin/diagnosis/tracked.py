@@ -164,7 +164,8 @@ def _conclude(
         verdict, kept = "unknown", base
     else:
         verdict, kept = ("effect" if closed > _ADEQUATE and _level(chosen) < 3.0 else "partly"), chosen
-    tied = [n for n in gain if best - gain[n] < _TIED] if len(kept.hypothesis.effects) == 1 else []
+    alike = [n for n in gain if best - gain[n] < _TIED and _closed(base, singles[n]) > _MATERIAL]
+    tied = alike if len(kept.hypothesis.effects) == 1 else []
     rng = np.random.default_rng(seed)
     document: dict[str, Any] = {
         "verdict": verdict,

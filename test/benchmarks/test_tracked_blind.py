@@ -73,7 +73,12 @@ def test_every_effect_is_among_the_kinds_and_seeds_are_apart() -> None:
 
 
 def test_what_is_kept_has_every_kind_at_every_severity() -> None:
+    from tracked_blind import STRENGTH
+
     kept = json.loads((BENCHMARKS / "results" / "tracked_blind.json").read_text(encoding="utf-8"))["reporting"]
     asked = {(r["kind"], r["severity"]) for r in kept["rows"]}
     assert asked >= {(k, s) for k in kept["kinds"] if k != "none" for s in (0.5, 1.5, 5.0)}
+    for row in kept["rows"]:  # what was done stands beside what was said of it
+        assert row["kind"] == "none" or STRENGTH[row["kind"]][0] in row
+        assert row["kind"] != "time_offset" or abs(row["seconds"]) < 0.31
     assert kept["right"] == sum(r["outcome"] == "right" for r in kept["rows"])

@@ -65,6 +65,7 @@ def test_a_dead_damper_is_named_with_its_station(twin: TrackedTwin, short: None,
     assert set(d) >= KEYS and d["verdict"] == "effect" and d["combination"] == ["station_damper"]
     top = d["causes"][0]
     assert top["effect"] == "station_damper" and top["probability"] > 0.9 and top["shrink"] > 0.8
+    assert top["indistinguishable_from"] == []
     assert top["parameters"]["station"] == 6.0 and top["parameters"]["share"] == pytest.approx(0.1, abs=0.1)
     low, high = top["shrink_interval"]
     assert low <= top["shrink"] <= high + 1e-9
@@ -158,7 +159,7 @@ def test_what_cannot_be_diagnosed(twin: TrackedTwin, repository: Path, tmp_path:
 def test_what_the_runs_do_not_tell_of_cannot_be_judged(
     twin: TrackedTwin, short: None, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
-    """A camera that films too little of the run to see a damper at work: no gap does not speak against one."""
+    """Of a track's tension the model tells too little: no gap does not speak against one that is off."""
     few = {k: TRACKED_EFFECTS[k] for k in ("sensor_scale", "track_tension")}
     monkeypatch.setattr(tracked, "TRACKED_EFFECTS", few)
     result = diagnose_tracked(twin, [film(twin, {}, 1)], [film(twin, {}, 3), film(twin, {}, 4)])
@@ -193,3 +194,15 @@ def test_a_cause_that_explains_a_part_is_sure_and_not_complete(twin: TrackedTwin
     assert sum(c["probability"] for c in d["causes"]) + d["no_gap_probability"] + d["unknown_probability"] == (
         pytest.approx(1.0, abs=1e-4)
     )
+
+
+def test_a_set_is_of_those_that_explain_something(
+    twin: TrackedTwin, short: None, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """However near in evidence: what closes nothing is not one of those that cannot be told apart."""
+    monkeypatch.setattr(tracked, "_TIED", 1e9)
+    runs = [film(twin, {"station_damper": {"station": 6.0, "share": 0.1}}, 1)]
+    d = diagnose_tracked(twin, runs, [film(twin, {}, 3), film(twin, {}, 4)]).document
+    shrink = {c["effect"]: c["shrink"] for c in d["causes"]}
+    assert d["combination"] == ["station_damper"] and shrink["sensor_scale"] < 0.1
+    assert d["causes"][0]["indistinguishable_from"] == []
