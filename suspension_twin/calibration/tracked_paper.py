@@ -136,17 +136,17 @@ def _cut(response: TrackedResponse, run: MarkerRun) -> MarkerRun:
 
 
 def simulate_runs(
-    vehicles: Sequence[TrackedVehicle], runs: Sequence[MarkerRun]
+    vehicles: Sequence[TrackedVehicle], runs: Sequence[MarkerRun], phase: float = 0.0
 ) -> list[list[MarkerRun] | None]:
     """For each vehicle its motion at the stamps of each run; None where one diverged.
 
-    Repeats at one speed and rate are one simulation.
+    Repeats at one speed and rate are one simulation. ``phase`` m: where the joints of the links lie.
     """
     kinds = {(r.speed, r.rate): 0.0 for r in runs}
     for run in runs:
         kinds[run.speed, run.rate] = max(kinds[run.speed, run.rate], float(run.t[-1]))
     known = {
-        kind: simulate_tracked_lanes(vehicles, [kind[0]] * len(vehicles), seconds, rate=kind[1])
+        kind: simulate_tracked_lanes(vehicles, [kind[0]] * len(vehicles), seconds, rate=kind[1], phase=phase)
         for kind, seconds in kinds.items()
     }
     out: list[list[MarkerRun] | None] = []

@@ -29,6 +29,7 @@ from suspension_twin.diagnosis.tracked_fit import (
     make_bench,
     together,
 )
+from suspension_twin.diagnosis.tracked_visible import Visible, as_table, visible_from, words
 from suspension_twin.drive.types import Floats
 from suspension_twin.effects.tracked_effects import TRACKED_EFFECTS, apply_tracked
 from suspension_twin.errors import InputError, WorkError
@@ -39,11 +40,13 @@ __all__ = ["TrackedDiagnosis", "diagnose_tracked", "diagnose_tracked_files"]
 
 _MATERIAL: Final = 0.10  # share of the gap's rms above the noise that a cause must take away
 _QUIET: Final = 1.25  # level below which a gap is what repeats differ by
-_CALM: Final = 2.0  # ... and below which a gap that no cause takes away is not worth a word
-_ADEQUATE: Final = 0.65  # share of the gap above the noise that a cause named alone takes away
+_CALM: Final = 1.5  # ... and below which a gap that no cause takes away is not worth a word
+_SURE: Final = 0.60  # ... and from which on something of the library is behind it for sure
+_ADEQUATE: Final = 0.50  # share of the gap above the noise that a cause named alone takes away
 _PARTLY: Final = 0.35  # ... and that a cause named for a part of it does
 _PAYS: Final = 8.0  # log evidence that a second effect has to bring
 _TIED: Final = 3.0  # log evidence within which two causes cannot be told apart
+_TRACK: Final = {"track_tension", "track_wear"}
 _KINDS: Final = ("displacement", "velocity", "acceleration")
 
 
@@ -115,7 +118,8 @@ def diagnose_tracked(
         if both is not None and evidence(bench, both) - evidence(bench, chosen) > _PAYS:
             chosen = both
     tell(Progress("judging", 0.95))
-    return _conclude(twin, bench, as_it_stands, base, singles, gain, chosen, seed, warnings)
+    seen = [visible_from(bench, name, hypotheses_for(name, vehicle)) for name in singles]
+    return _conclude(twin, bench, as_it_stands, base, singles, gain, chosen, seen, seed, warnings)
 
 
 def _alike(a: MarkerRun, b: MarkerRun) -> bool:
@@ -138,29 +142,30 @@ def _closed(before: Fitted, after: Fitted) -> float:
 
 def _conclude(
     twin: TrackedTwin, bench: Bench, standing: Fitted, base: Fitted, singles: dict[str, Fitted],
-    gain: dict[str, float], chosen: Fitted, seed: int, warnings: list[str],
+    gain: dict[str, float], chosen: Fitted, seen: list[Visible], seed: int, warnings: list[str],
 ) -> TrackedDiagnosis:  # fmt: skip
     best = max(gain.values(), default=0.0)
     names = chosen.hypothesis.effects
     closed = _closed(base, chosen)
     small = best < _TIED or closed < _MATERIAL
     quiet = _level(base) < _QUIET or (small and _level(base) < _CALM)
-    # a gap without a cause is unknown by as much as the best cause leaves open
-    open_share = float(np.clip((_ADEQUATE - closed) / (_ADEQUATE - _PARTLY), 0.0, 1.0)) if not quiet else 0.0
+    # how likely it is that nothing of the library is behind it; what a cause leaves open is for the verdict to say
+    nothing = float(np.clip((_SURE - closed) / (_SURE - _MATERIAL), 0.0, 1.0)) if not quiet else 0.0
     weights = {n: float(np.exp(g - best)) for n, g in gain.items()}
     total = sum(weights.values())
-    mass = 1.0 - open_share
+    mass = 1.0 - nothing
     no_gap = mass * (float(np.exp(-min(best, 50.0))) if not quiet else 0.97)
     shares = {n: (mass - no_gap) * w / total for n, w in weights.items()}
     if len(names) > 1 and not quiet:
         shares = {n: (mass - no_gap) / len(names) if n in names else 0.0 for n in shares}
     if quiet:
         verdict, kept = "no_gap", base
-    elif open_share >= 1.0:
+    elif closed < _PARTLY:
         verdict, kept = "unknown", base
     else:
-        verdict, kept = ("effect" if open_share < 0.5 and _level(chosen) < 3.0 else "partly"), chosen
-    tied = [n for n in gain if best - gain[n] < _TIED] if len(kept.hypothesis.effects) == 1 else []
+        verdict, kept = ("effect" if closed > _ADEQUATE and _level(chosen) < 3.0 else "partly"), chosen
+    alike = [n for n in gain if best - gain[n] < _TIED and _closed(base, singles[n]) > _MATERIAL]
+    tied = alike if len(kept.hypothesis.effects) == 1 else []
     rng = np.random.default_rng(seed)
     document: dict[str, Any] = {
         "verdict": verdict,
@@ -171,20 +176,25 @@ def _conclude(
             for n in sorted(singles, key=lambda n: (-round(shares[n], 9), -gain[n]))
         ],
         "no_gap_probability": round(no_gap, 6),
-        "unknown_probability": round(open_share, 6),
+        "unknown_probability": round(nothing, 6),
         "combination": list(kept.hypothesis.effects),
         "unexplained": round(float(np.clip(1.0 - _closed(standing, kept), 0.0, 1.0)), 6),
-        "next_experiment": _next(verdict, tied, bench),
+        "cannot_be_judged": [v.effect for v in seen if not v.judged],
+        "visible_from": as_table(seen),
+        "next_experiment": _next(verdict, tied, bench, [v.effect for v in seen if not v.judged]),
         "seed": seed,
         "warnings": warnings,
     }
     if verdict in ("unknown", "partly"):
         document["signature"] = _signature(bench, kept)
     values = _given(kept)
+    names_kept = kept.hypothesis.effects
     for cause in document["causes"]:  # a combination's parameters are those of both together
         if cause["effect"] in values:
             cause["parameters"] = values[cause["effect"]]
-    document["message"] = _message(document, standing, kept)
+    for cause in document["causes"]:
+        cause["judged"] = cause["effect"] not in document["cannot_be_judged"] or cause["effect"] in names_kept
+    document["message"] = _message(document, standing, kept, seen)
     return TrackedDiagnosis(document, _twin(twin, kept), bench.runs, standing.rest, kept.rest, bench.sigma)
 
 
@@ -282,7 +292,16 @@ def _signature(bench: Bench, kept: Fitted) -> dict[str, Any]:
     }  # fmt: skip
 
 
-def _next(verdict: str, tied: list[str], bench: Bench) -> str:
+def _next(verdict: str, tied: list[str], bench: Bench, unseen: list[str]) -> str:
+    told = _told_next(verdict, tied, bench)
+    if not unseen:
+        return told
+    names = " and ".join(n.replace("_", " ") for n in unseen)
+    how = ": measure the sag of the run above and the length of ten links" if set(unseen) & _TRACK else ""
+    return f"{told} These runs do not tell of {names}{how}."
+
+
+def _told_next(verdict: str, tied: list[str], bench: Bench) -> str:
     fastest = max(3.6 * r.speed for r in bench.runs)
     if verdict == "no_gap":
         return "None is needed."
@@ -293,13 +312,21 @@ def _next(verdict: str, tied: list[str], bench: Bench) -> str:
     return "Repeat the runs after the repair."
 
 
-def _message(document: dict[str, Any], standing: Fitted, kept: Fitted) -> str:
+def _message(document: dict[str, Any], standing: Fitted, kept: Fitted, seen: list[Visible]) -> str:
     level = _level(standing)
     if document["verdict"] == "no_gap":
-        return f"no gap: the runs differ from what is normal by {level:.2f} times what repeats differ by"
+        faint = "; ".join(words(v) for v in seen)
+        return (
+            f"no gap: the runs differ from what is normal by {level:.2f} times what repeats differ by. "
+            f"Would not show in these runs: {faint}"
+        )
     if document["verdict"] == "unknown":
         return f"unknown: a gap of {level:.1f} times the noise, which nothing in the library explains"
     names = " and ".join(n.replace("_", " ") for n in document["combination"])
+    alike = document["causes"][0]["indistinguishable_from"]
+    if alike:
+        names = " or ".join(n.replace("_", " ") for n in (document["causes"][0]["effect"], *alike))
+        names += " (which these runs do not tell apart)"
     word = "partly " if document["verdict"] == "partly" else ""
     return (
         f"{word}{names}: the gap above the noise shrinks by {100 * _closed(standing, kept):.0f} % "

@@ -18,7 +18,14 @@ import numpy as np
 
 from suspension_twin.calibration.tracked_paper import simulate_runs
 from suspension_twin.calibration.tracked_runs import MarkerRun
-from suspension_twin.diagnosis.tracked_own import OWN_HIGH, OWN_LOW, OWN_SPREAD, own_places, own_vehicle
+from suspension_twin.diagnosis.tracked_own import (
+    OWN_HIGH,
+    OWN_LOW,
+    OWN_SPREAD,
+    driven,
+    own_places,
+    own_vehicle,
+)
 from suspension_twin.drive.types import Floats
 from suspension_twin.effects.tracked_effects import TRACKED_EFFECTS, apply_tracked, camera_of
 from suspension_twin.errors import InputError, WorkError
@@ -29,11 +36,14 @@ __all__ = [
     "Bench",
     "Fitted",
     "Hypothesis",
+    "align",
     "calibrate_to",
     "evidence",
+    "expect",
     "fit",
     "hypotheses_for",
     "make_bench",
+    "moved",
     "signals",
     "together",
 ]
@@ -98,7 +108,7 @@ class Bench:
 class Fitted:
     """``x`` found, ``rest`` residual (n, 9) of each run in units of its noise. On held-out blocks: ``score`` mean
     square of what is left in units of noise and doubt, ``left`` the same of noise alone, ``levels`` (blocks,) that
-    block by block; ``own`` (10,) see ``tracked_own``."""
+    block by block; ``own`` (12,) see ``tracked_own``."""
 
     hypothesis: Hypothesis
     x: Floats
@@ -114,7 +124,7 @@ def signals(run: MarkerRun) -> Floats:
     return np.concatenate([run.markers, run.velocity, run.acceleration], axis=1)
 
 
-def _moved(seen: Floats, t: Floats, late: float, stretch: float) -> Floats:
+def moved(seen: Floats, t: Floats, late: float, stretch: float) -> Floats:
     """(n, 9) what would have been seen with clock and speed right."""
     at = t + late + stretch * t
     return np.stack([np.interp(at, t, c) for c in seen.T], axis=1)
@@ -126,16 +136,23 @@ def _shifts(seen: Floats, t: Floats) -> Floats:
     return np.stack([slope, slope * t[:, None]])
 
 
-def _align(measured: Floats, told: Floats, t: Floats, sigma: Floats) -> Floats:
+def align(measured: Floats, told: Floats, t: Floats, sigma: Floats) -> Floats:
     """(2,) lateness and stretch of a run against what is expected: least squares with priors, within bounds."""
     clock = np.zeros(2)
     for _ in range(4):  # anew each time: a slope at no shift says little of signals at 6 Hz that are 20 ms late
-        moved = _moved(told, t, *-clock)
-        a = (_shifts(moved, t) / sigma).reshape(2, -1).T * _CLOCK
-        r = ((measured - moved) / sigma).ravel()
+        there = moved(told, t, *-clock)
+        a = (_shifts(there, t) / sigma).reshape(2, -1).T * _CLOCK
+        r = ((measured - there) / sigma).ravel()
         step = np.linalg.solve(a.T @ a + _SAMPLES * np.eye(2), a.T @ r - _SAMPLES * clock / _CLOCK)
         clock = np.clip(clock + _CLOCK * step, -_FARTHEST * _CLOCK, _FARTHEST * _CLOCK)
     return clock
+
+
+def _around(squares: Floats, run: MarkerRun) -> Floats:
+    """(n, 9) their mean over what is near in time."""
+    window = np.ones(max(1, round(_AROUND * run.rate)))
+    members = np.convolve(np.ones(run.t.size), window, "same")
+    return np.stack([np.convolve(c, window, "same") / members for c in squares.T], axis=1)
 
 
 def make_bench(
@@ -145,31 +162,35 @@ def make_bench(
 
     Raises WorkError where the vehicle diverges.
     """
+    vehicle = driven(vehicle)
     plain = simulate_runs([vehicle], runs)[0]
     if plain is None:
         raise WorkError("tracked: the twin as it stands diverges on these runs")
     usual: list[Floats] = []
     clocks, scatter, doubts = [], [], []
-    for run, model in zip(runs, plain, strict=True):
+    # a real run's links lie where they lie: what that changes the model cannot tell
+    other = simulate_runs([vehicle], runs, 0.5 * vehicle.track.pitch)[0]
+    for j, (run, model) in enumerate(zip(runs, plain, strict=True)):
         own, clock = signals(model), np.zeros(2)
         same = [ref for ref in reference if abs(ref.speed - run.speed) <= 0.02 * run.speed]
         if same:
             repeats = [np.stack([np.interp(run.t, r.t, c) for c in signals(r).T], axis=1) for r in same]
             mean = np.mean(repeats, axis=0)
             for _ in range(2):  # each with its own clock set by what all have in common
-                right = [_moved(r, run.t, *_align(r, mean, run.t, _FLOOR)) for r in repeats]
+                right = [moved(r, run.t, *align(r, mean, run.t, _FLOOR)) for r in repeats]
                 mean = np.mean(right, axis=0)
             if len(same) > 1:
                 factor = (len(same) + 1) / (len(same) - 1)
                 scatter.append(factor * np.mean([(r - mean) ** 2 for r in right], axis=(0, 1)))
-            clock = _align(mean, own, run.t, 4 * _FLOOR)
-            missed = (mean - _moved(own, run.t, *-clock)) ** 2
+            clock = align(mean, own, run.t, 4 * _FLOOR)
+            missed = (mean - moved(own, run.t, *-clock)) ** 2
             own = mean
-            window = np.ones(max(1, round(_AROUND * run.rate)))
-            members = np.convolve(np.ones(run.t.size), window, "same")
-            around = np.stack([np.convolve(c, window, "same") / members for c in missed.T], axis=1)
+            around = _around(missed, run)
         else:
             around = np.zeros_like(own)
+        if other is not None:
+            rough = _around((signals(other[j]) - signals(model)) ** 2, run)
+            around = around + rough / _DOUBT**2
         usual.append(own)
         clocks.append(clock)
         doubts.append(_DOUBT * np.sqrt(around))
@@ -209,20 +230,25 @@ def together(a: Fitted, b: Fitted) -> Hypothesis:
 
 
 def _predict(bench: Bench, hypothesis: Hypothesis, points: Sequence[Floats]) -> list[list[Floats] | None]:
-    """Expected (n, 9) of each run at points (k + 10 if free,); None where the vehicle cannot be or diverges."""
-    k = len(hypothesis.keys)
+    """Expected (n, 9) of each run at points (k + 12 if free,); None where the vehicle cannot be or diverges."""
+    return expect(bench, [(hypothesis, point) for point in points])
+
+
+def expect(bench: Bench, asked: Sequence[tuple[Hypothesis, Floats]]) -> list[list[Floats] | None]:
+    """As :func:`_predict`, each point with a hypothesis of its own."""
     vehicles, at, givens = [], [], []
-    for i, point in enumerate(points):
+    for i, (hypothesis, point) in enumerate(asked):
+        k = len(hypothesis.keys)
         given = hypothesis.given(np.clip(point[:k], hypothesis.low, hypothesis.high))
         try:
-            vehicle = own_vehicle(bench.vehicle, point[k:]) if bench.free else bench.vehicle
+            vehicle = own_vehicle(bench.vehicle, point[k:]) if point.size > k else bench.vehicle
             vehicle = apply_tracked(vehicle, given)
         except InputError:  # no such vehicle: more taken off than there is, say
             continue
         vehicles.append(vehicle)
         at.append(i)
         givens.append(given)
-    out: list[list[Floats] | None] = [None] * len(points)
+    out: list[list[Floats] | None] = [None] * len(asked)
     for i, given, told in zip(at, givens, simulate_runs(vehicles, bench.runs), strict=True):
         if told is None:
             continue
@@ -230,7 +256,7 @@ def _predict(bench: Bench, hypothesis: Hypothesis, points: Sequence[Floats]) -> 
         for run, model, plain, usual, clock in zip(
             bench.runs, told, bench.plain, bench.usual, bench.clocks, strict=True
         ):
-            full = usual + _moved(signals(model) - signals(plain), run.t, *-clock)
+            full = usual + moved(signals(model) - signals(plain), run.t, *-clock)
             seen = camera.see(run.t, full[:, :3], full[:, 3:6], full[:, 6:], run.speed)
             predicted.append(np.concatenate(seen, axis=1))
         out[i] = predicted
@@ -258,14 +284,14 @@ def _linear(bench: Bench, hypothesis: Hypothesis, x: Floats, prior: Floats, cent
     count = len(bench.runs)
     rows, columns, clocks = [], [], []
     for j, (run, scale) in enumerate(zip(bench.runs, bench.scale, strict=True)):
-        clock = _align(signals(run), told[0][j], run.t, scale)
-        here = _moved(told[0][j], run.t, *-clock)
+        clock = align(signals(run), told[0][j], run.t, scale)
+        here = moved(told[0][j], run.t, *-clock)
         rows.append(((signals(run) - here) / scale).ravel())
         own = np.zeros((here.size, x.size + 2 * count))
         for i in range(x.size):
             other = told[1 + i]
             if other is not None:
-                change = (_moved(other[j], run.t, *-clock) - here) / scale
+                change = (moved(other[j], run.t, *-clock) - here) / scale
                 own[:, i] = change.ravel() * prior[i] / size[i]
         shifts = (_shifts(here, run.t) / scale).reshape(2, -1).T
         own[:, x.size + 2 * j : x.size + 2 * j + 2] = shifts * _CLOCK
@@ -309,10 +335,10 @@ def fit(bench: Bench, hypothesis: Hypothesis) -> Fitted | None:
         held = np.flatnonzero(np.abs(linear.x0[x.size :]) > _FARTHEST - 1e-9) + x.size
         free = np.delete(np.arange(x0.size), held)  # a clock at its bound takes nothing more off a parameter
         step = _solve(linear.a[:, free], linear.r, x0[free])[: x.size]
-        moved = np.clip(x + prior * np.clip(step, -2.0, 2.0), low, high)
-        if not x.size or gained < 1e-3 or np.abs((moved - x) / prior).max() < 2e-3:
+        new = np.clip(x + prior * np.clip(step, -2.0, 2.0), low, high)
+        if not x.size or gained < 1e-3 or np.abs((new - x) / prior).max() < 2e-3:
             break
-        x = moved
+        x = new
     if best is None:
         return None
     _, x, linear = best

@@ -16,18 +16,22 @@ from suspension_twin.compiled import compiled
 from suspension_twin.drive.types import Floats
 from suspension_twin.models.types import Ints
 
-__all__ = ["COLUMNS", "PARAMETERS", "first_index", "walk_lane"]
+__all__ = ["COLUMNS", "HULL", "PARAMETERS", "first_index", "walk_lane"]
 
 PARAMETERS = (
     "hull_mass", "hull_inertia", "sprocket_x", "sprocket_z", "sprocket_radius", "idler_x", "idler_z",
     "idler_radius", "loop_stiffness", "loop_damping", "free_length", "bending_stiffness", "bending_damping",
     "wheel_radius", "wheel_mass", "rubber", "rubber_damping", "arm", "free", "bar", "jounce", "rebound",
     "stop", "ground", "ground_damping", "thickness", "node_mass", "spacing", "first_node", "height", "kick",
-    "pitch_kick",
+    "pitch_kick", "governed", "governor", "reset", "droop", "pulling_links", "returning_links",
 )
 #: Recorded at each stamp, then the arm angles against the hull (S) and the wheel loads in N (S): heave, pitch,
-#: their rates, their accelerations, tension, force of the ground, energy and the energy lost.
-COLUMNS = 10
+#: their rates, their accelerations, tension, force of the ground, energy, the energy lost and how far the vehicle is
+#: ahead of its way.
+COLUMNS = 11
+#: State of the hull: heave, pitch, their rates, energy lost; how far it is ahead of its way, how fast that grows, its
+#: acceleration, and by how much the driven span is stretched beyond the loop, m.
+HULL = 9
 
 G = 9.80665
 _SETTLING = 3.0e4  # N m s/rad on every arm while the vehicle comes to rest
@@ -140,8 +144,11 @@ def walk_lane(
     (Q, 3): places along a wheel, its arc there (R - sqrt(R² - s²)) and the weight in m. ``floor`` (m,) m heights
     of the ground at (``base`` + j + 0.5) / ``per`` node spacings. ``travel`` (n,) m and ``accel`` (n,) m/s² of the
     CoG along the way; ``interval`` (n - 1,) s in ``counts`` steps each. ``settle`` steps of ``settle_dt`` s of
-    standing still come first; 0 goes on. State: ``hull`` z, theta, their rates, energy lost; ``arms`` (2, S) angle
-    and rate; ``track`` (2, nodes) height and rate; ``mark`` (1,) index of the first node. ``out`` (n, 10 + 2 S).
+    standing still come first; 0 goes on. State: ``hull`` (``HULL``,); ``arms`` (2, S) angle and rate; ``track``
+    (2, nodes) height and rate; ``mark`` (1,) index of the first node. ``out`` (n, ``COLUMNS`` + 2 S).
+
+    With "governed" the way is only where a driver wants to be. The sprocket then winds in the span to the last wheel
+    and gives to the run above, as the ground holds the track between the wheels; see ``tracked``.
     """
     count, nodes, stamps = st.shape[0], track.shape[1], travel.size
     (hull_mass, inertia, sx, sz, sr, ix, iz, ir, loop_k, loop_b, free_length, bend_k, bend_b, radius, wheel_mass,
@@ -150,15 +157,19 @@ def walk_lane(
      p[15], p[16], p[17], p[18], p[19], p[20], p[21], p[22], p[23], p[24], p[25], p[26], p[27], p[28], p[29])
     alpha, alpha_v, alpha_a = arms[0], arms[1], np.zeros(count)
     load, along, torque = np.zeros(count), np.zeros(count), np.zeros(count)
+    across = np.zeros(count)
     damper_c, cosine, sine = np.zeros(count), np.zeros(count), np.zeros(count)
     w, wv, fw = track[0], track[1], np.zeros(nodes)
     slope = np.zeros(nodes)
     d, e, f = np.empty(nodes), np.empty(nodes), np.empty(nodes)
+    governed, governor, reset, droop, pulling, returning = p[32] > 0.0, p[33], p[34], p[35], p[36], p[37]
+    ahead, ahead_v, ahead_a, drawn = hull[5], hull[6], hull[7], hull[8]
+    wholly = hull_mass + count * wheel_mass
     factored = 0.0
     hub = wheel_mass * arm * arm
     per_cell, piece = 1.0 / cell, cell / per
     index = mark[0]
-    stamp, sub, v, dt, push_on = 0, 0, 0.0, settle_dt, 0.0
+    stamp, sub, aim, dt, push_on = 0, 0, 0.0, settle_dt, 0.0
     z, theta, zv, theta_v, za, theta_a = hull[0], hull[1], hull[2], hull[3], 0.0, 0.0
     while True:
         moving = settle == 0
@@ -166,9 +177,11 @@ def walk_lane(
         if moving and stamp < stamps - 1:
             part = sub / counts[stamp]
             dt = interval[stamp] / counts[stamp]
-            v = (travel[stamp + 1] - travel[stamp]) / interval[stamp]
+            aim = (travel[stamp + 1] - travel[stamp]) / interval[stamp]
             x = travel[stamp] + part * (travel[stamp + 1] - travel[stamp])
             push_on = accel[stamp] + part * (accel[stamp + 1] - accel[stamp])
+        x += ahead
+        v = aim + ahead_v
         if dt != factored:
             _factor(nodes, node_mass, dt * bend_b / (cell * cell) + dt * dt * bend_k / (cell * cell), d, e, f)
             factored = dt
@@ -238,6 +251,7 @@ def walk_lane(
         for i in range(nodes):
             moved += node_mass * (0.5 * wv[i] * wv[i] + G * w[i])
         # Wheels on the track: rubber along the arc.
+        front, rear, foremost = 0.0, 0.0, 0
         for i in range(count):
             ca, sa = math.cos(alpha[i]), math.sin(alpha[i])
             cosine[i], sine[i] = ca, sa
@@ -245,7 +259,7 @@ def walk_lane(
             wz = z - st[i, 0] * sn + st[i, 1] * cs - arm * sa
             wheel_v = zv - theta_v * (st[i, 0] * cs + st[i, 1] * sn) - arm * ca * alpha_v[i]
             bottom = wz - radius - thick
-            total = 0.0
+            total, side = 0.0, 0.0
             for q in range(shape.shape[0]):
                 place = (wx + shape[q, 0]) * per_cell
                 k = math.floor(place) - index
@@ -258,19 +272,42 @@ def walk_lane(
                     elastic = rubber * shape[q, 2] * over
                     push = max(0.0, elastic + rubber_b * shape[q, 2] * min(1.0, over / _ONSET) * over_v)
                     total += push
+                    side -= push * shape[q, 0] / radius
                     fw[k] -= push * (1.0 - share)
                     fw[k + 1] -= push * share
                     stored += 0.5 * elastic * over
                     gone += dt * (push - elastic) * over_v
-            load[i] = total
+            load[i], across[i] = total, side if governed else 0.0
+            if i == 0:
+                foremost = min(max(math.floor(wx * per_cell) - index, 0), nodes - 2)
             moved += 0.5 * wheel_mass * wheel_v * wheel_v + wheel_mass * G * wz
             wheel_vx = theta_v * (st[i, 1] * cs - st[i, 0] * sn) + arm * sa * alpha_v[i]
             moved += 0.5 * wheel_mass * wheel_vx * wheel_vx
+        if governed and moving:
+            # what the sprocket has wound in beyond what the vehicle has covered is missing behind the last wheel
+            last = min(max(math.floor(wx * per_cell) - index, 0), nodes - 2)
+            longer = v * (1.0 / math.sqrt(1.0 - slope[last] * slope[last]) - 1.0)
+            pay = -(governor + 1.0) * ahead_v - reset * ahead - longer
+            pay -= droop * loop_k * drawn * (pulling + returning)
+            pay += rux * theta_v * (z - rqz) - ruz * (zv - theta_v * (rqx - x) - wheel_v)
+            drawn += dt * pay
+            pull = loop_k * drawn + loop_b * pay  # of a whole loop; a span is stiffer by as much as it is shorter
+            rear = max(0.0, tension + pull * pulling) - tension
+            front = max(0.0, tension - pull * returning) - tension
+            fw[0] -= rear * ruz
+            fw[nodes - 1] -= front * fuz
+            for i in range(last):
+                fw[i] += rear * slope[i]
+                fw[i + 1] -= rear * slope[i]
+            for i in range(foremost, nodes - 1):
+                fw[i] += front * slope[i]
+                fw[i + 1] -= front * slope[i]
+            ahead_a = ((tension + front) * fux + (tension + rear) * rux + across.sum()) / wholly
         # Hull and arms: wheel accelerations are J_z z'' + J_theta theta'' + J_alpha alpha'' + b.
-        fqm = tension * fux * (fqz - z) - tension * fuz * (fqx - x)
-        rqm = tension * rux * (rqz - z) - tension * ruz * (rqx - x)
+        fqm = (tension + front) * (fux * (fqz - z) - fuz * (fqx - x))
+        rqm = (tension + rear) * (rux * (rqz - z) - ruz * (rqx - x))
         m11, m12, m22 = hull_mass, 0.0, inertia
-        r1 = -hull_mass * G + tension * (fuz + ruz)
+        r1 = -hull_mass * G + (tension + front) * fuz + (tension + rear) * ruz
         # what pushes the vehicle on acts at the ground, below the centre of gravity: it lifts the nose
         r2 = fqm + rqm - hull_mass * push_on * height
         for i in range(count):
@@ -291,19 +328,19 @@ def walk_lane(
             gone += dt * c * phi_v * phi_v
             tau -= c * phi_v
             damper_c[i] = dt * c
-            bx = -dx * theta_v * theta_v + arm * ca * alpha_v[i] * alpha_v[i]
+            bx = ahead_a - dx * theta_v * theta_v + arm * ca * alpha_v[i] * alpha_v[i]
             bz = -dz * theta_v * theta_v + arm * sa * alpha_v[i] * alpha_v[i]
             force = load[i] - wheel_mass * G
             m11 += wheel_mass
             m12 -= wheel_mass * dx
             m22 += wheel_mass * (dx * dx + dz * dz) + damper_c[i]
             r1 += force - wheel_mass * bz
-            r2 += -dx * force + tau - wheel_mass * (dz * bx - dx * bz)
+            r2 += dz * across[i] - dx * force + tau - wheel_mass * (dz * bx - dx * bz)
             jx, jz = arm * sa, -arm * ca
             c1 = wheel_mass * jz
             c2 = wheel_mass * (jx * dz - jz * dx) + damper_c[i]
             c0 = hub + damper_c[i]
-            right_side = jz * force + tau - wheel_mass * (jx * bx + jz * bz)
+            right_side = jx * across[i] + jz * force + tau - wheel_mass * (jx * bx + jz * bz)
             m11 -= c1 * c1 / c0
             m12 -= c1 * c2 / c0
             m22 -= c2 * c2 / c0
@@ -320,15 +357,18 @@ def walk_lane(
             out[stamp, 0], out[stamp, 1], out[stamp, 2], out[stamp, 3] = z, theta, zv, theta_v
             out[stamp, 4], out[stamp, 5], out[stamp, 6], out[stamp, 7] = za, theta_a, tension, reaction
             out[stamp, 8], out[stamp, 9] = moved + stored, hull[4]
+            out[stamp, 10] = ahead
             for i in range(count):
-                out[stamp, 10 + i] = alpha[i] + theta
-                out[stamp, 10 + count + i] = load[i]
+                out[stamp, 11 + i] = alpha[i] + theta
+                out[stamp, 11 + count + i] = load[i]
             over = z - floor[(index + nodes // 2) * per - base]
-            if not (abs(over) < 20.0 and abs(theta) < 1.0 and abs(tension) < 1e9):
+            if not (abs(ahead) < 1.5 and abs(over) < 20.0 and abs(theta) < 1.0 and abs(tension) < 1e9):
                 return False
             if stamp == stamps - 1:
                 break
         hull[4] += gone
+        ahead_v += dt * ahead_a
+        ahead += dt * ahead_v
         zv += dt * za
         theta_v += dt * theta_a
         z += dt * zv
@@ -353,5 +393,6 @@ def walk_lane(
             if sub == counts[stamp]:
                 stamp, sub = stamp + 1, 0
         hull[0], hull[1], hull[2], hull[3] = z, theta, zv, theta_v
+        hull[5], hull[6], hull[7], hull[8] = ahead, ahead_v, ahead_a, drawn
     mark[0] = index
     return True

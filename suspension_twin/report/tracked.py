@@ -119,7 +119,7 @@ def diagnosis_page(result: TrackedDiagnosis) -> Page:
     page.add(Section("The answer", f"{d['message'][0].upper()}{d['message'][1:]}.\n\n{d['next_experiment']}"))
     rows = [
         (
-            c["effect"].replace("_", " "),
+            c["effect"].replace("_", " ") + ("" if c["judged"] else " (cannot be judged)"),
             Cell(round(c["probability"], 3), "good" if c["effect"] in d["combination"] else ""),
             f"{c['shrink']:.2f} ({c['shrink_interval'][0]:.2f} to {c['shrink_interval'][1]:.2f})",
             ", ".join(f"{k} {v:.4g}" for k, v in c["parameters"].items()),

@@ -15,7 +15,8 @@ from suspension_twin.calibration.tracked_runs import MarkerRun
 from suspension_twin.diagnosis import tracked
 from suspension_twin.diagnosis.tracked import diagnose_tracked, diagnose_tracked_files
 from suspension_twin.diagnosis.tracked_fit import NOTHING, evidence, fit, hypotheses_for, make_bench
-from suspension_twin.diagnosis.tracked_own import OWN_SPREAD, own_places, own_vehicle
+from suspension_twin.diagnosis.tracked_own import OWN_SPREAD, driven, own_places, own_vehicle
+from suspension_twin.diagnosis.tracked_visible import SHOWS, changes_of, visible_from
 from suspension_twin.effects.tracked_effects import TRACKED_EFFECTS, apply_tracked, camera_of
 from suspension_twin.errors import InputError
 from suspension_twin.report.tracked import diagnosis_page
@@ -23,7 +24,10 @@ from suspension_twin.vehicle.tracked_twin import TrackedTwin
 from suspension_twin.vehicle.twin import load_twin
 
 SPEED = 13 / 3.6
-KEYS = {"verdict", "gap", "where", "causes", "combination", "unexplained", "next_experiment", "seed", "message"}
+KEYS = {
+    "verdict", "gap", "where", "causes", "combination", "unexplained", "next_experiment", "seed", "message",
+    "cannot_be_judged", "visible_from",
+}  # fmt: skip
 
 
 @pytest.fixture(scope="module")
@@ -37,7 +41,7 @@ def film(twin: TrackedTwin, effects: dict[str, dict[str, float]], seed: int, spe
     """A run of the model itself with effects, and a camera's noise."""
     t = np.arange(0, 4.6, 0.02)
     empty = MarkerRun(t, *(np.zeros((t.size, 3)) for _ in range(3)), speed)  # type: ignore[arg-type]
-    told = simulate_runs([apply_tracked(twin.vehicle, effects)], [empty])[0]
+    told = simulate_runs([apply_tracked(driven(twin.vehicle), effects)], [empty])[0]
     assert told is not None
     rng = np.random.default_rng(seed)
     seen = camera_of(effects).see(t, told[0].markers, told[0].velocity, told[0].acceleration, speed)
@@ -61,6 +65,7 @@ def test_a_dead_damper_is_named_with_its_station(twin: TrackedTwin, short: None,
     assert set(d) >= KEYS and d["verdict"] == "effect" and d["combination"] == ["station_damper"]
     top = d["causes"][0]
     assert top["effect"] == "station_damper" and top["probability"] > 0.9 and top["shrink"] > 0.8
+    assert top["indistinguishable_from"] == []
     assert top["parameters"]["station"] == 6.0 and top["parameters"]["share"] == pytest.approx(0.1, abs=0.1)
     low, high = top["shrink_interval"]
     assert low <= top["shrink"] <= high + 1e-9
@@ -77,6 +82,8 @@ def test_a_sound_vehicle_has_no_gap(twin: TrackedTwin, short: None) -> None:
     result = diagnose_tracked(twin, [film(twin, {}, 1)], [film(twin, {}, 3), film(twin, {}, 4)])
     assert result.document["verdict"] == "no_gap" and result.document["combination"] == []
     assert result.document["no_gap_probability"] > 0.5 and result.twin.effects == ()
+    start = result.document["visible_from"]["station_damper"]["share"]
+    assert 0.2 < start < 0.98 and f"share above {start:g}" in result.document["message"]
 
 
 def test_what_no_effect_is_remains_unknown(twin: TrackedTwin, short: None) -> None:
@@ -147,3 +154,55 @@ def test_what_cannot_be_diagnosed(twin: TrackedTwin, repository: Path, tmp_path:
     car = min((repository / "config" / "twins").glob("*.yaml"))
     with pytest.raises(InputError, match="marker runs are of a tracked vehicle"):
         diagnose_tracked_files(str(car), ["13kmh.csv"])
+
+
+def test_what_the_runs_do_not_tell_of_cannot_be_judged(
+    twin: TrackedTwin, short: None, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    """Of a track's tension the model tells too little: no gap does not speak against one that is off."""
+    few = {k: TRACKED_EFFECTS[k] for k in ("sensor_scale", "track_tension")}
+    monkeypatch.setattr(tracked, "TRACKED_EFFECTS", few)
+    result = diagnose_tracked(twin, [film(twin, {}, 1)], [film(twin, {}, 3), film(twin, {}, 4)])
+    d = result.document
+    assert d["verdict"] == "no_gap" and d["cannot_be_judged"] == ["track_tension"]
+    assert "track tension cannot be judged" in d["message"] and "track tension" in d["next_experiment"]
+    assert {c["effect"]: c["judged"] for c in d["causes"]} == {"sensor_scale": True, "track_tension": False}
+    page = diagnosis_page(result).write(tmp_path / "report.html")
+    assert "track tension (cannot be judged)" in Path(page).read_text(encoding="utf-8")
+
+
+def test_an_effect_shows_from_where_it_changes_more_than_noise(twin: TrackedTwin) -> None:
+    reference = [film(twin, {}, 3), film(twin, {}, 4)]
+    bench = make_bench(twin.vehicle, [film(twin, {}, 1)], reference)
+    levels = changes_of(bench, [{"sensor_scale": {"gain": g}} for g in (1.0, 1.02, 1.04, 1.08)])
+    assert levels[0] == pytest.approx(0.0, abs=1e-6)
+    assert levels[2] == pytest.approx(2 * levels[1], rel=0.05) and levels[3] == pytest.approx(4 * levels[1], rel=0.05)
+    found = visible_from(bench, "sensor_scale", hypotheses_for("sensor_scale", twin.vehicle))
+    assert found.judged and np.interp(found.start, (1.0, 1.02), (0.0, levels[1])) == pytest.approx(SHOWS, rel=0.2)
+    late = changes_of(bench, [{"time_offset": {"seconds": s}} for s in (0.01, 0.2)])
+    assert late[0] < 0.2 and late[1] > 1.0  # the start of a clock takes the first
+
+
+def test_a_cause_that_explains_a_part_is_sure_and_not_complete(twin: TrackedTwin, short: None) -> None:
+    """A dead damper, and a shake that nothing explains: partly, and the damper is no less there for that."""
+    runs = [film(twin, {"station_damper": {"station": 6.0, "share": 0.0}}, k) for k in (1, 2)]
+    shake = 0.016 * np.sin(9.0 * runs[0].t)[:, None] * np.array([1.0, -1.0, 1.0])
+    odd = [replace(r, markers=r.markers + shake, velocity=r.velocity + np.gradient(shake, r.t, axis=0)) for r in runs]
+    d = diagnose_tracked(twin, odd, [film(twin, {}, 3), film(twin, {}, 4)]).document
+    assert d["verdict"] == "partly" and d["combination"] == ["station_damper"]
+    assert d["causes"][0]["probability"] > 0.6 > 0.4 > d["unknown_probability"]
+    assert sum(c["probability"] for c in d["causes"]) + d["no_gap_probability"] + d["unknown_probability"] == (
+        pytest.approx(1.0, abs=1e-4)
+    )
+
+
+def test_a_set_is_of_those_that_explain_something(
+    twin: TrackedTwin, short: None, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """However near in evidence: what closes nothing is not one of those that cannot be told apart."""
+    monkeypatch.setattr(tracked, "_TIED", 1e9)
+    runs = [film(twin, {"station_damper": {"station": 6.0, "share": 0.1}}, 1)]
+    d = diagnose_tracked(twin, runs, [film(twin, {}, 3), film(twin, {}, 4)]).document
+    shrink = {c["effect"]: c["shrink"] for c in d["causes"]}
+    assert d["combination"] == ["station_damper"] and shrink["sensor_scale"] < 0.1
+    assert d["causes"][0]["indistinguishable_from"] == []

@@ -16,7 +16,7 @@ from scipy.optimize import brentq
 
 from suspension_twin.errors import InputError, WorkError
 from suspension_twin.models.tracked import belt_length, simulate_tracked, simulate_tracked_lanes
-from suspension_twin.vehicle.tracked import TrackedVehicle, load_tracked
+from suspension_twin.vehicle.tracked import Driver, TrackedVehicle, load_tracked
 
 G = 9.80665
 SLACK = {
@@ -218,6 +218,44 @@ def test_corners_of_the_bounds_run_to_the_end(vehicle: TrackedVehicle) -> None:
     runs = simulate_tracked_lanes([vehicle.with_changes(c) for c in corners], [13 / 3.6] * 32, 4.0)
     assert not any(r.failed for r in runs)
     assert all(np.isfinite(r.markers).all() and np.ptp(r.markers) < 1.0 for r in runs)
+
+
+def test_a_driven_vehicle_loses_speed_uphill_by_what_its_drive_gives_way(vehicle: TrackedVehicle) -> None:
+    """Twice the slope asks for a pull of one track that is more by half the weight down the lesser one."""
+    droop, speeds = 1e-5, []
+    for height in (0.0, 0.2, 0.4):
+        hill = vehicle.with_changes({"obstacle.height": height, "obstacle.ramp": 20.0, "obstacle.top": 1.0})
+        driven = hill.model_copy(update={"driver": Driver(gain=0.0, reset=0.0, droop=droop)})
+        r = simulate_tracked(driven, 3.0, 6.5, rate=50.0)
+        climbing = (r.t > 4.0) & (r.t < 6.4)  # all wheels are on the slope, and it has come to rest on it
+        speeds.append(float(np.polyfit(r.t[climbing], r.travel[climbing], 1)[0]))
+    level, low, high = speeds
+    lying = 0.5 * vehicle.track.links * vehicle.track.link_mass
+    assert low - high == pytest.approx(droop * (vehicle.mass / 2 - lying) * G * 0.2 / 20.0, rel=0.08)
+    assert 2.8 < level < 2.9  # what rubber and track take on the level, 7 % of the weight
+
+
+def test_a_driver_who_holds_the_speed_is_nearer_to_his_way(vehicle: TrackedVehicle) -> None:
+    away = []
+    for gain in (0.0, 1.5, 6.0):
+        driver = Driver(gain=gain, reset=8 / 3 * gain)
+        r = simulate_tracked(vehicle.model_copy(update={"driver": driver}), 13 / 3.6, 5.0)
+        away.append(np.abs(r.travel - r.travel[0] - 13 / 3.6 * r.t).max())
+    assert away[0] > 2 * away[1] > 2 * away[2] > 0.02
+
+
+def test_pitch_is_felt_along_the_way(vehicle: TrackedVehicle) -> None:
+    """What a prescribed way leaves out: the hull that pitches above its track has to take its mass along."""
+    driven = vehicle.model_copy(update={"driver": Driver()})
+    free, held = (simulate_tracked(v, 13 / 3.6, 5.0).markers for v in (driven, vehicle))
+    assert np.abs(free - held).max() > 0.03
+
+
+def test_where_the_links_lie_is_the_same_a_link_on(vehicle: TrackedVehicle) -> None:
+    phases = (0.0, vehicle.track.pitch, 0.5 * vehicle.track.pitch)
+    here, on, between = (simulate_tracked_lanes([vehicle], [13 / 3.6], 4.0, phase=p)[0] for p in phases)
+    assert np.abs(on.markers - here.markers).max() < 1e-4 and on.travel == pytest.approx(here.travel)
+    assert 1e-4 < np.abs(between.markers - here.markers).max() < 0.02
 
 
 def test_a_diverging_run_is_an_error(vehicle: TrackedVehicle) -> None:
