@@ -28,8 +28,10 @@ from suspension_twin.errors import InputError
 __all__ = ["diagnose"]
 
 _EFFECT_PRIOR = 0.65
-#: How surely one more effect has to beat the smaller set, and by which share of the gap, to join it.
-_SURE, _WORTH = 0.95, verdict.MATERIAL
+#: How surely one more effect has to beat the smaller set, and by which share of the gap, to join it; and by which of
+#: the vertical and of the rates where no reference says what a sound model leaves: some effect makes up for any
+#: model's own error, of which the rates have more.
+_SURE, _WORTH, _WORTH_ALONE, _WORTH_OF_RATES = 0.95, verdict.MATERIAL, 0.2, 0.3
 #: Share of soundness that is a trait of the library, shown on the reference drives as well.
 _TRAITS = 0.5
 _LEAST_EXCESS = 0.4
@@ -249,16 +251,18 @@ class _Search:
         return chosen, left
 
     def _pays(self, few: Evidence, few_left: gaps.Remainder, many: Evidence, many_left: gaps.Remainder) -> bool:
-        """Whether one more effect is sure to be better, and by a tenth of some channel's recalibrated gap;
-        without a road by a tenth of what the fewer leave there: each channel is another effect's to show."""
+        """Whether one more effect is sure to be better, and by enough of some channel's recalibrated gap;
+        without a road of what the fewer leave there: each channel is another effect's to show."""
         _, beats = weights([few, many], np.array([0.5, 0.5]), self.temper, self.request.seed)
         if beats[1, 0] < _SURE:
             return False
+        alone = self.case.road and self.reference is None
         for column, channel in enumerate(self.bench.problem.channels):
+            worth = (_WORTH_OF_RATES if channel.endswith("rate") else _WORTH_ALONE) if alone else _WORTH
             before = self.left[0] if self.case.road else few_left
             one, two = self._shrink(before, few_left, column), self._shrink(before, many_left, column)
             enough = self._driven(channel) and one.after >= self.noise[channel]
-            if enough and one.after - two.after >= _WORTH * one.before:
+            if enough and one.after - two.after >= worth * one.before:
                 return True
         return False
 
