@@ -17,9 +17,9 @@ from scipy.ndimage import gaussian_filter1d
 from scipy.stats import false_discovery_control, norm
 
 from suspension_twin.diagnosis.bench import Bench
+from suspension_twin.diagnosis.operating import by_motion
 from suspension_twin.drive.types import Floats
 from suspension_twin.models.simulate import simulate_twin
-from suspension_twin.vehicle.corners import CORNERS
 from suspension_twin.vehicle.twin import Twin
 
 __all__ = ["localise", "repeatable", "signature"]
@@ -46,7 +46,11 @@ def localise(bench: Bench, difference: Floats, noise: dict[str, float], twin: Tw
         "frequency": _frequency(bench, [d[:, main] for d in _parts(bench, difference)], floor),
         "channel": _channels(bench, difference, noise),
     }
-    where.update(_suspension(bench, _parts(bench, difference), excess, total, twin))
+    where.update(
+        by_motion(_shown(bench), excess, twin)
+        if "vertical_acceleration" in names
+        else {"corner": [], "operating_point": []}
+    )
     return where
 
 
@@ -217,51 +221,6 @@ def _channels(bench: Bench, difference: Floats, noise: dict[str, float]) -> list
         {"name": name, "share": round(e / total, 4)} for name, e in zip(bench.problem.channels, energy, strict=True)
     ]
     return sorted(items, key=lambda i: -float(str(i["share"])))
-
-
-def _suspension(
-    bench: Bench, parts: Sequence[Floats], excess: Sequence[Floats], total: float, twin: Twin
-) -> dict[str, list[dict[str, Any]]]:
-    """By corner and by operating point, from how the twin's suspension moved."""
-    if "vertical_acceleration" not in bench.problem.channels:
-        return {"corner": [], "operating_point": []}
-    travel, speed, energy = [], [], []
-    for (part, rows), e in zip(_shown(bench), excess, strict=True):
-        response = simulate_twin(twin, part.excitation)
-        at = np.clip(np.searchsorted(response.t, part.t[rows]), 0, response.t.size - 1)
-        travel.append(response.deflection[at] - response.deflection[0])
-        speed.append(response.deflection_rate[at])
-        energy.append(e)
-    deflection, velocity, amount = np.concatenate(travel), np.concatenate(speed), np.concatenate(energy)
-    # how much of the gap goes with each corner's motion: a regression of its envelope on theirs
-    drive = np.abs(velocity) / np.maximum(np.std(velocity, axis=0), 1e-9)
-    weight = np.linalg.lstsq(drive.T @ drive, drive.T @ np.sqrt(amount), rcond=None)[0]
-    weight = np.maximum(weight, 0.0)
-    weight = weight / max(float(weight.sum()), 1e-12)
-    corner = sorted(
-        ({"name": n, "share": round(float(w), 4)} for n, w in zip(CORNERS, weight, strict=True)),
-        key=lambda i: -float(str(i["share"])),
-    )
-    points: list[dict[str, Any]] = []
-    for axle, wheels in (("front", slice(0, 2)), ("rear", slice(2, 4))):
-        for quantity, values, unit in (
-            ("damper velocity", velocity[:, wheels], "m/s"), ("spring travel", deflection[:, wheels], "m"),
-        ):  # fmt: skip
-            both = values[np.arange(values.shape[0]), np.argmax(np.abs(values), axis=1)]
-            edges = np.unique(np.quantile(both, np.linspace(0, 1, 11)))
-            index = np.clip(np.digitize(both, edges[1:-1]), 0, edges.size - 2)
-            sums = np.bincount(index, amount, edges.size - 1)
-            counts = np.bincount(index, minlength=edges.size - 1)
-            usual = amount.mean()
-            for a, b in _runs(sums / np.maximum(counts, 1) > 1.5 * usual):
-                points.append(
-                    {
-                        "quantity": f"{axle} {quantity}", "low": round(float(edges[a]), 4),
-                        "high": round(float(edges[b]), 4), "unit": unit,
-                        "share": round(float(sums[a:b].sum()) / total, 4),
-                    }
-                )  # fmt: skip
-    return {"corner": corner, "operating_point": _ranked(points)}
 
 
 def repeatable(bench: Bench, difference: Floats, column: int) -> dict[str, float]:

@@ -15,6 +15,7 @@ from scipy.signal import butter, lfilter, sosfilt
 from suspension_twin.diagnosis import gaps, verdict
 from suspension_twin.diagnosis.gaps import Remainder
 from suspension_twin.diagnosis.judge import Blocks
+from suspension_twin.diagnosis.operating import _corners, _points
 from suspension_twin.diagnosis.verdict import Gates
 from suspension_twin.diagnosis.where import _frequency
 
@@ -106,6 +107,38 @@ def test_no_band_stands_out_of_a_gap_that_is_everywhere_alike() -> None:
     f = np.fft.rfftfreq(12_000, 1 / RATE)
     pink = np.fft.irfft(spectrum / np.sqrt(np.maximum(f, 0.2)))
     assert sum(r["share"] for r in _frequency(bench([12_000], np.zeros((12_000, 1))), [pink], 0.0)) < 0.5
+
+
+# -- corners and operating points ------------------------------------------------------------------
+
+
+def stretches(samples: int, count: int = 60) -> tuple[np.ndarray, np.ndarray]:
+    """Block (n,) of every sample and 500 draws of blocks."""
+    drawn = np.random.default_rng(0).multinomial(count, np.full(count, 1.0 / count), 500).astype(float)
+    return np.arange(samples) * count // samples, drawn
+
+
+@pytest.mark.parametrize("corner", range(4))
+def test_the_corner_whose_motion_the_gap_follows_comes_first(corner: int) -> None:
+    rng = np.random.default_rng(corner)
+    velocity = rng.standard_normal((6000, 4)) * [0.1, 0.2, 0.3, 0.1]
+    amount = (velocity[:, corner] / np.std(velocity[:, corner])) ** 2
+    found = _corners(velocity, amount, *stretches(6000))
+    names = ("front_left", "front_right", "rear_left", "rear_right")
+    assert found[0]["name"] == names[corner] and found[0]["share"] > 0.9
+    assert len(found) < 4  # a part that is not sure is left out
+
+
+def test_an_operating_point_is_where_the_gap_is_and_nowhere_if_it_is_everywhere() -> None:
+    rng = np.random.default_rng(3)
+    velocity, travel = 0.2 * rng.standard_normal(6000), 0.02 * rng.standard_normal(6000)
+    told = [("front damper velocity", velocity, "m/s"), ("front spring travel", travel, "m")]
+    noise = rng.standard_normal(6000) ** 2
+    points = _points(told, noise + 8.0 * (velocity < -0.3), *stretches(6000))
+    assert {p["quantity"] for p in points} == {"front damper velocity"}
+    assert points[0]["low"] < -0.3 and points[0]["high"] < -0.15 and points[0]["share"] > 0.3
+    wrong = [_points(told, np.random.default_rng(s).standard_normal(6000) ** 2, *stretches(6000)) for s in range(20)]
+    assert sum(map(bool, wrong)) <= 4
 
 
 # -- shrink ----------------------------------------------------------------------------------------

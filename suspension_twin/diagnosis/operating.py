@@ -1,0 +1,122 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Where the gap lies by corner and by operating point: spring travel, damper velocity with its sign, speed.
+
+Shares are of the gap's energy above the noise. What is reported stands out in resampled stretches of a second (block
+bootstrap; Künsch 1989), and of everything that is tried false discoveries are held to a tenth (Benjamini and
+Hochberg 1995).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from scipy.stats import false_discovery_control
+
+from suspension_twin.drive.types import Floats
+from suspension_twin.models.simulate import simulate_twin
+from suspension_twin.vehicle.corners import CORNERS
+from suspension_twin.vehicle.twin import Twin
+
+__all__ = ["by_motion"]
+
+_SECONDS, _DRAWS, _FALSE = 1.0, 1000, 0.1
+_BINS, _STANDS_OUT, _WORTH_A_WORD, _MOST = 10, 1.25, 0.02, 8
+
+
+def by_motion(shown: Sequence[Any], excess: Sequence[Floats], twin: Twin, seed: int = 0) -> dict[str, Any]:
+    """``corner`` and ``operating_point`` of diagnosis.json for drives (prepared, compared rows) and the energy of
+    the gap (r,) of each; ``twin`` tells how the suspension moved."""
+    travel, speed, driven, blocks, first = [], [], [], [], 0
+    for part, rows in shown:
+        response = simulate_twin(twin, part.excitation)
+        at = np.clip(np.searchsorted(response.t, part.t[rows]), 0, response.t.size - 1)
+        travel.append(response.deflection[at] - response.deflection[0])
+        speed.append(response.deflection_rate[at])
+        driven.append(np.abs(part.along[rows]))
+        _, block = np.unique(np.floor((part.t[rows] - part.t[0]) / _SECONDS), return_inverse=True)
+        blocks.append(block + first)
+        first = int(blocks[-1].max()) + 1
+    block, amount = np.concatenate(blocks), np.concatenate(list(excess))
+    drawn = np.random.default_rng(seed).multinomial(first, np.full(first, 1.0 / first), _DRAWS).astype(float)
+    deflection, velocity = np.concatenate(travel), np.concatenate(speed)
+    quantities = [("speed", np.concatenate(driven), "m/s")]
+    for axle, wheels in (("front", slice(0, 2)), ("rear", slice(2, 4))):
+        quantities += [
+            (f"{axle} damper velocity", _larger(velocity[:, wheels]), "m/s"),
+            (f"{axle} spring travel", _larger(deflection[:, wheels]), "m"),
+        ]
+    return {
+        "corner": _corners(velocity, amount, block, drawn),
+        "operating_point": _points(quantities, amount, block, drawn),
+    }
+
+
+def _larger(values: Floats) -> Floats:
+    """(n,) of two wheels (n, 2) the one that moves more, with its sign."""
+    return np.asarray(values[np.arange(len(values)), np.argmax(np.abs(values), axis=1)])
+
+
+def _corners(velocity: Floats, amount: Floats, block: np.ndarray, drawn: Floats) -> list[dict[str, Any]]:
+    """How much of the gap goes with each corner's motion: a regression of its envelope on theirs. Corners whose
+    part is sure, and at least the first."""
+    drive = np.abs(velocity) / np.maximum(np.std(velocity, axis=0), 1e-9)
+    count = drawn.shape[1]
+    products = (*(drive * drive[:, i : i + 1] for i in range(4)), drive * np.sqrt(amount)[:, None])
+    sums = np.stack([[np.bincount(block, c, count) for c in p.T] for p in products])  # (5, 4, B)
+
+    def shares(at: Floats) -> Floats:
+        """(k, 4) for sums (k, 5, 4)."""
+        gram = at[:, :4] + 1e-9 * np.trace(at[:, :4], axis1=1, axis2=2)[:, None, None] * np.eye(4)
+        weight = np.maximum(np.linalg.solve(gram, at[:, 4, :, None])[:, :, 0], 0.0)
+        return np.asarray(weight / np.maximum(weight.sum(axis=1, keepdims=True), 1e-12))
+
+    found = shares(sums.sum(axis=2)[None])[0]
+    sure = (shares(np.einsum("kb,pcb->kpc", drawn, sums, optimize=False)) > _WORTH_A_WORD).mean(axis=0) >= 0.95
+    order = np.argsort(-found, kind="stable")
+    return [
+        {"name": CORNERS[i], "share": round(float(found[i]), 4)} for n, i in enumerate(order) if n == 0 or sure[i]
+    ]
+
+
+def _points(
+    quantities: Sequence[tuple[str, Floats, str]], amount: Floats, block: np.ndarray, drawn: Floats
+) -> list[dict[str, Any]]:
+    """Ranges of each quantity (tenths of its samples) in which the gap is larger than elsewhere."""
+    tried = []
+    for name, values, unit in quantities:
+        edges = np.unique(np.quantile(values, np.linspace(0.0, 1.0, _BINS + 1)))
+        bins = edges.size - 1
+        if bins < 2:
+            continue
+        cell = block * bins + np.clip(np.digitize(values, edges[1:-1]), 0, bins - 1)
+        sums, counts = (
+            np.bincount(cell, w, drawn.shape[1] * bins).reshape(-1, bins) for w in (amount, np.ones(amount.size))
+        )
+
+        def ratio(s: Floats, n: Floats) -> Floats:
+            usual = s.sum(axis=-1, keepdims=True) / np.maximum(n.sum(axis=-1, keepdims=True), 1.0)
+            return np.asarray(s / np.maximum(n, 1.0) / np.maximum(usual, 1e-30))
+
+        draws = ratio(*(np.einsum("kb,bi->ki", drawn, v, optimize=False) for v in (sums, counts)))
+        chance = np.clip((draws <= 1.0).mean(axis=0), 0.5 / _DRAWS, 1.0)
+        whole = ratio(sums.sum(axis=0), counts.sum(axis=0))
+        tried.append((name, unit, edges, sums.sum(axis=0), whole, chance))
+    if not tried:
+        return []
+    kept = false_discovery_control(np.concatenate([t[-1] for t in tried])) < _FALSE
+    points: list[dict[str, Any]] = []
+    first, total = 0, max(float(amount.sum()), 1e-30)
+    for name, unit, edges, energy, whole, chance in tried:
+        flags = kept[first : first + chance.size] & (whole > _STANDS_OUT)
+        first += chance.size
+        ends = np.flatnonzero(np.diff(np.concatenate([[0], flags.astype(int), [0]])))
+        for a, b in zip(ends[::2], ends[1::2], strict=True):
+            points.append(
+                {
+                    "quantity": name, "low": round(float(edges[a]), 4), "high": round(float(edges[b]), 4), "unit": unit,
+                    "share": round(float(energy[a:b].sum()) / total, 4),
+                }
+            )  # fmt: skip
+    return sorted((p for p in points if p["share"] >= _WORTH_A_WORD), key=lambda p: -float(p["share"]))[:_MOST]
