@@ -93,8 +93,14 @@ class Prepared:
         return self.conditioner.rate
 
     def condition(self, response: Response) -> dict[str, Floats]:
-        """The simulated counterpart (m,) of every measured channel, through the same filter."""
+        """The simulated counterpart (m,) of every measured channel, through the same filter.
+
+        What the simulated sensor shows standing still is taken off its vertical, as it is off the recorded one's: a
+        gain multiplies gravity too, and a tilt loses a part of it.
+        """
         stacked = np.stack([_channel(response, name) for name in CHANNELS], axis=1)
+        standing = self.signals.standing if self.signals.standing.any() else slice(None)
+        stacked[:, CHANNELS.index("vertical_acceleration")] -= response.vertical_acceleration[standing].mean()
         filtered = self.conditioner.apply(stacked)
         return {name: filtered[:, i] for i, name in enumerate(CHANNELS)}
 
