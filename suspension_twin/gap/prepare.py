@@ -99,10 +99,14 @@ class Prepared:
         gain multiplies gravity too, and a tilt loses a part of it.
         """
         stacked = np.stack([_channel(response, name) for name in CHANNELS], axis=1)
-        standing = self.signals.standing if self.signals.standing.any() else slice(None)
-        stacked[:, CHANNELS.index("vertical_acceleration")] -= response.vertical_acceleration[standing].mean()
+        stacked[:, CHANNELS.index("vertical_acceleration")] -= self.standing_vertical(response)
         filtered = self.conditioner.apply(stacked)
         return {name: filtered[:, i] for i, name in enumerate(CHANNELS)}
+
+    def standing_vertical(self, response: Response) -> float:
+        """m/s² that the simulated sensor shows as its vertical while the vehicle stands; its mean if it never does."""
+        standing = self.signals.standing if self.signals.standing.any() else slice(None)
+        return float(response.vertical_acceleration[standing].mean())
 
     def gap(self, simulated: Mapping[str, Floats]) -> Gap:
         """The gap to conditioned channels, over every sample that can be compared."""

@@ -120,7 +120,7 @@ def _write_topics(bag: BagWriter, result: SimulatedDrive) -> None:
         frame=result.drive.imu.frame,
     )
     low_pass = CausalLowPass(prepared.settings.filter, prepared.signals.rate_hz, 1)
-    vertical = low_pass.process(response.vertical_acceleration)
+    vertical = low_pass.process(response.vertical_acceleration - prepared.standing_vertical(response))
     bag.write(
         "twin/vertical_acceleration",
         "geometry_msgs/msg/AccelStamped",

@@ -36,8 +36,10 @@ class Follower:
         self.road: Road = flat_road() if twin.road is None else load_road(twin.road.file)
         self.acceleration_time = acceleration_time
         self._live = live_twin(twin, self.road)
-        for t in (0.0, 0.01):  # compiles now what would else be compiled at the first samples
-            self._live.step(t, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+        # compiles now what would else be compiled at the first samples
+        first, _ = (self._live.step(t, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0) for t in (0.0, 0.01))
+        #: m/s² that the sensor shows standing: a gain multiplies gravity too. The IMU's filter takes it for a bias.
+        self.standing_vertical = first.vertical_acceleration if twin.effects else 0.0
         self.reset()
 
     def reset(self) -> None:

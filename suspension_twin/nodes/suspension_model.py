@@ -149,7 +149,7 @@ class SuspensionModelNode(TwinNode):
                 self._low_pass.reset()
                 self._gap.restart(t)
                 continue
-            filtered = self._low_pass.push(t, state.vertical_acceleration)
+            filtered = self._low_pass.push(t, state.vertical_acceleration - self._follower.standing_vertical)
             self._out.send_acceleration(row.ns, filtered)
             self._gap.push(t, measured, filtered, row.speed)
             if row.known and self._gap.settled:

@@ -19,7 +19,9 @@ from suspension_twin.models.simulate import simulate_twin
 from suspension_twin.road import Road
 from suspension_twin.signals.conditioner import Conditioner
 from suspension_twin.signals.filters import FilterSpec
-from suspension_twin.vehicle.twin import Twin
+from suspension_twin.vehicle.twin import EffectSpec, Twin
+
+KNOTS = [(0.0, 0.0), (3.0, 0.0), (6.0, 5.0), (14.0, 6.0), (16.0, 0.0), (19.5, 0.0)]
 
 
 @pytest.fixture(scope="module")
@@ -50,6 +52,20 @@ def test_a_wrong_twin_leaves_more(prepared: Prepared, twin: Twin) -> None:
     )
     gap = prepared.gap(prepared.condition(simulate_twin(soft, prepared.excitation)))
     assert gap.rms > 3 * gap.noise_rms
+
+
+@pytest.mark.parametrize(
+    "effect", [EffectSpec(id="sensor_scale", parameters={"scale": 0.15}),
+               EffectSpec(id="sensor_tilt", parameters={"roll": 0.0, "pitch": 0.06, "yaw": 0.0})],
+    ids=lambda e: e.id,
+)  # fmt: skip
+def test_a_sensor_that_is_wrong_stands_at_nothing_on_both_sides(twin: Twin, bumps: Road, effect: EffectSpec) -> None:
+    """The recording's filter takes what a gain or a tilt makes of gravity for a bias."""
+    wrong = twin.model_copy(update={"effects": (effect,)})
+    recorded = synthetic_drive(wrong, bumps, KNOTS, seed=4, errors=SensorErrors(), name="wrong")
+    prepared = prepare(recorded, wrong, bumps)
+    right, plain = (prepared.gap(prepared.condition(simulate_twin(t, prepared.excitation))) for t in (wrong, twin))
+    assert right.rms < 2.0 * right.noise_rms < plain.rms
 
 
 def test_position_is_the_rear_axles_along_the_road(prepared: Prepared, bumps: Road) -> None:

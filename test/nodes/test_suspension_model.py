@@ -22,7 +22,7 @@ from suspension_twin.road import load_road
 from suspension_twin.signals.attitude import rpy_matrix
 from suspension_twin.signals.filters import FilterSpec
 from suspension_twin.signals.live import LiveLowPass
-from suspension_twin.vehicle.twin import load_twin, save_twin
+from suspension_twin.vehicle.twin import EffectSpec, load_twin, save_twin
 from suspension_twin_interfaces.msg import Gap
 from suspension_twin_interfaces.srv import LoadTwin
 
@@ -304,3 +304,19 @@ def test_braking_pitches_the_twin_nose_down(bench, twin, tmp_path):
         x, speed = x + speed / 100.0, speed - braking / 100.0
     assert abs(pitch[99]) < 1e-6
     assert pitch[-1] == pytest.approx(0.03, abs=0.02) and pitch[-1] > 0.01
+
+
+def test_a_gain_of_the_sensor_leaves_nothing_while_the_vehicle_stands(bench, twin_path, tmp_path):
+    """The IMU's filter takes a share of gravity for a bias: a twin that knows the gain has to stand at nothing too."""
+    twin = load_twin(twin_path)
+    effect = EffectSpec(id="sensor_scale", parameters={"scale": 0.2})
+    save_twin(twin.model_copy(update={"effects": (effect,)}), tmp_path / "twin.yaml")
+    node = bench.make(SuspensionModelNode, twin=str(tmp_path / "twin.yaml"))
+    shown = tap(node, "twin/vertical_acceleration", lambda m: m.accel.linear.z)
+    force = tap(node, "twin/imu", lambda m: m.linear_acceleration.z)
+    for k in range(50):
+        t = T0 + k / 100.0
+        node.inputs["twin/odom"].deliver(odom(t, 5.0, speed=0.0))
+        node.inputs["imu/vertical_acceleration"].deliver(vertical(t))
+    assert shown and max(map(abs, shown)) < 0.02
+    assert force[-1] == pytest.approx(1.2 * 9.81, abs=0.05)
