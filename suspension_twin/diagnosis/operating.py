@@ -19,7 +19,7 @@ from suspension_twin.models.simulate import simulate_twin
 from suspension_twin.vehicle.corners import CORNERS
 from suspension_twin.vehicle.twin import Twin
 
-__all__ = ["by_motion"]
+__all__ = ["by_motion", "ranked", "runs"]
 
 _SECONDS, _DRAWS, _FALSE = 1.0, 1000, 0.1
 _BINS, _STANDS_OUT, _WORTH_A_WORD, _MOST = 10, 1.25, 0.02, 8
@@ -51,6 +51,17 @@ def by_motion(shown: Sequence[Any], excess: Sequence[Floats], twin: Twin, seed: 
         "corner": _corners(velocity, amount, block, drawn),
         "operating_point": _points(quantities, amount, block, drawn),
     }
+
+
+def runs(flags: np.ndarray) -> list[tuple[int, int]]:
+    """Where neighbours are all flagged: from, to (not included)."""
+    edges = np.flatnonzero(np.diff(np.concatenate([[0], flags.astype(int), [0]])))
+    return list(zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True))
+
+
+def ranked(items: list[dict[str, Any]]) -> list[dict[str, Any]]:
+    """The largest shares first, those that are worth a word."""
+    return sorted((i for i in items if i["share"] >= _WORTH_A_WORD), key=lambda i: -float(i["share"]))[:_MOST]
 
 
 def _larger(values: Floats) -> Floats:
@@ -111,12 +122,11 @@ def _points(
     for name, unit, edges, energy, whole, chance in tried:
         flags = kept[first : first + chance.size] & (whole > _STANDS_OUT)
         first += chance.size
-        ends = np.flatnonzero(np.diff(np.concatenate([[0], flags.astype(int), [0]])))
-        for a, b in zip(ends[::2], ends[1::2], strict=True):
+        for a, b in runs(flags):
             points.append(
                 {
                     "quantity": name, "low": round(float(edges[a]), 4), "high": round(float(edges[b]), 4), "unit": unit,
                     "share": round(float(energy[a:b].sum()) / total, 4),
                 }
             )  # fmt: skip
-    return sorted((p for p in points if p["share"] >= _WORTH_A_WORD), key=lambda p: -float(p["share"]))[:_MOST]
+    return ranked(points)

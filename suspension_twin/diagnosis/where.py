@@ -17,7 +17,7 @@ from scipy.ndimage import gaussian_filter1d
 from scipy.stats import false_discovery_control, norm
 
 from suspension_twin.diagnosis.bench import Bench
-from suspension_twin.diagnosis.operating import by_motion
+from suspension_twin.diagnosis.operating import by_motion, ranked, runs
 from suspension_twin.drive.types import Floats
 from suspension_twin.models.simulate import simulate_twin
 from suspension_twin.vehicle.twin import Twin
@@ -83,15 +83,6 @@ def _significant(means: Floats, all_means: Floats) -> np.ndarray:
     return np.asarray(false_discovery_control(np.clip(p, 1e-12, 1.0)) < _FALSE) if p.size else np.zeros(0, dtype=bool)
 
 
-def _runs(flags: np.ndarray) -> list[tuple[int, int]]:
-    edges = np.flatnonzero(np.diff(np.concatenate([[0], flags.astype(int), [0]])))
-    return list(zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True))
-
-
-def _ranked(items: list[dict[str, Any]], most: int = 8) -> list[dict[str, Any]]:
-    return sorted((i for i in items if i["share"] >= 0.02), key=lambda i: -i["share"])[:most]
-
-
 def _time(bench: Bench, excess: Sequence[Floats], total: float) -> list[dict[str, Any]]:
     items = []
     for (part, rows), energy in zip(_shown(bench), excess, strict=True):
@@ -100,7 +91,7 @@ def _time(bench: Bench, excess: Sequence[Floats], total: float) -> list[dict[str
         if count < 4:
             continue
         means = energy[: count * size].reshape(count, size).mean(axis=1)
-        for a, b in _runs(_significant(means, means)):
+        for a, b in runs(_significant(means, means)):
             cut = slice(a * size, b * size)
             items.append(
                 {
@@ -110,7 +101,7 @@ def _time(bench: Bench, excess: Sequence[Floats], total: float) -> list[dict[str
                     "share": round(float(energy[cut].sum()) / total, 4),
                 }
             )
-    return _ranked(items)
+    return ranked(items)
 
 
 def _road(bench: Bench, excess: Sequence[Floats], total: float) -> list[dict[str, Any]]:
@@ -124,14 +115,14 @@ def _road(bench: Bench, excess: Sequence[Floats], total: float) -> list[dict[str
     means = np.where(used, sums / np.maximum(counts, 1), 0.0)
     flags = np.zeros(means.size, dtype=bool)
     flags[used] = _significant(means[used], means[used])
-    return _ranked(
+    return ranked(
         [
             {
                 "start_m": round(float((first + a) * _METRES), 2),
                 "end_m": round(float((first + b) * _METRES), 2),
                 "share": round(float(sums[a:b].sum()) / total, 4),
             }
-            for a, b in _runs(flags)
+            for a, b in runs(flags)
         ]
     )
 
@@ -206,7 +197,7 @@ def _frequency(bench: Bench, series: Sequence[Floats], floor: float) -> list[dic
                 "share": round(float(density[low : high + 1].sum()) / total, 4),
             }
         )  # fmt: skip
-    return _ranked(items)
+    return ranked(items)
 
 
 def _channels(bench: Bench, difference: Floats, noise: dict[str, float]) -> list[dict[str, Any]]:

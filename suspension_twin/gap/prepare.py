@@ -104,9 +104,10 @@ class Prepared:
         return {name: filtered[:, i] for i, name in enumerate(CHANNELS)}
 
     def standing_vertical(self, response: Response) -> float:
-        """m/s² that the simulated sensor shows as its vertical while the vehicle stands; its mean if it never does."""
-        standing = self.signals.standing if self.signals.standing.any() else slice(None)
-        return float(response.vertical_acceleration[standing].mean())
+        """m/s² that the simulated sensor shows as its vertical while the vehicle stands; 0 where it never does: the
+        mean of a part on the move is motion too."""
+        standing = self.signals.standing
+        return float(response.vertical_acceleration[standing].mean()) if standing.any() else 0.0
 
     def gap(self, simulated: Mapping[str, Floats]) -> Gap:
         """The gap to conditioned channels, over every sample that can be compared."""

@@ -68,6 +68,17 @@ def test_a_sensor_that_is_wrong_stands_at_nothing_on_both_sides(twin: Twin, bump
     assert right.rms < 2.0 * right.noise_rms < plain.rms
 
 
+def test_a_part_on_the_move_keeps_its_mean(prepared: Prepared, twin: Twin) -> None:
+    """Nothing stands in it, so nothing of it is what the sensor shows standing."""
+    t0 = float(prepared.signals.t[0])
+    part = prepared.part(t0 + 7.0, t0 + 12.0)
+    assert not part.signals.standing.any() and prepared.signals.standing.any()
+    response = simulate_twin(twin, part.excitation)
+    raised = replace(response, vertical_acceleration=response.vertical_acceleration + 0.5)
+    shift = part.condition(raised)["vertical_acceleration"] - part.condition(response)["vertical_acceleration"]
+    np.testing.assert_allclose(shift, 0.5, atol=1e-9)
+
+
 def test_position_is_the_rear_axles_along_the_road(prepared: Prepared, bumps: Road) -> None:
     still = prepared.t < prepared.t[0] + 2.0
     assert np.median(prepared.position[still]) == pytest.approx(5.0, abs=0.05)
