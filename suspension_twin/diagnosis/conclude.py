@@ -24,13 +24,16 @@ from suspension_twin.vehicle.twin import Twin
 __all__ = ["Findings", "conclude", "twin_of"]
 
 _WORTH_ASKING = 0.01  # probability of a runner-up that a further drive could still turn to
+_WORTH_SAYING = 0.1  # probability of what an unknown looks like
 _TIED = 0.05  # how often the second has to win for the two not to be told apart
 
 
 @dataclass(frozen=True, eq=False)
 class Findings:
     """``left``, ``weights`` and ``gates`` count the baseline first, then ``singles``; ``chosen`` is what
-    the written twin has, ``chosen_left`` and ``chosen_gate`` belong to it; ``unseen`` as in ``verdict.masses``."""
+    the written twin has, ``chosen_left`` and ``chosen_gate`` belong to it; ``unseen`` as in ``verdict.masses``.
+    ``strange`` (W,) is the probability that each of ``witnesses`` is what the gap is like, ``strange_left`` what they
+    leave."""
 
     blocks: Blocks
     noise: dict[str, float]
@@ -47,6 +50,9 @@ class Findings:
     chosen_gate: verdict.Gates
     reference: float | None
     temper: float
+    witnesses: list[Single]
+    strange: Floats
+    strange_left: list[gaps.Remainder]
 
 
 def twin_of(case: Case, bench: Bench, fit: Fit) -> Twin:
@@ -69,6 +75,7 @@ def conclude(
          for r in found.left[1:]]
     )  # fmt: skip
     effects, no_gap, unknown = verdict.masses(found.weights, found.gates, beyond, found.unseen)
+    unknown += float(found.strange.sum())
     chosen = found.chosen.fit.hypothesis.effects
     if len(chosen) > 1:
         effects, unknown = _shared(found, effects, unknown, chosen)
@@ -105,6 +112,8 @@ def conclude(
     }  # fmt: skip
     if answer in ("unknown", "partly"):
         document["signature"] = signature(bench, kept_left.difference, twin)
+        document["signature"]["resembles"] = _resembles(bench, found, request.seed)
+        document["signature"].update(_periodic(case, bench, kept_left))
     tied = [found.singles[i] for i in (groups[0] if groups else [])]
     if len(tied) < 2:
         named = [c["effect"] for c in causes[:2] if c["probability"] > _WORTH_ASKING]
@@ -114,6 +123,32 @@ def conclude(
     document["message"] = _message(answer, document, shrink)
     views = _views(case, bench, twin, twin_of(case, bench, found.base.fit))
     return DiagnosisResult(document, twin, views, seconds, case.warnings)
+
+
+def _periodic(case: Case, bench: Bench, left: gaps.Remainder) -> dict[str, Any]:
+    """What is periodic in the rest, by turns of a wheel or in Hz, where there is something."""
+    free, line = verdict.free_of_lines(bench, left) if case.road else (1.0, None)
+    if line is None or free > 0.5:
+        return {}
+    at = {"every_m": _round(1.0 / line.at)} if line.domain == "distance" else {"hz": _round(line.at)}
+    return {"periodic": {"channel": line.channel, **at, "share": _round(line.share)}}
+
+
+def _resembles(bench: Bench, found: Findings, seed: int) -> list[dict[str, Any]]:
+    """What the unknown looks like, the likeliest first: an effect that would give it to the twin, not its cause."""
+    like = []
+    for i in np.argsort(-found.strange, kind="stable"):
+        if found.strange[i] > _WORTH_SAYING:
+            fit = found.witnesses[i].fit
+            values = dict(zip(fit.hypothesis.keys, fit.effects(bench), strict=True))
+            like.append(
+                {
+                    "effect": found.witnesses[i].effect, "probability": round(float(found.strange[i]), 6),
+                    "parameters": {k.split(".")[2]: float(f"{float(v):.6g}") for k, v in values.items()},
+                    "shrink": _round(_shrink(bench, found, found.strange_left[i], seed).shrink),
+                }
+            )  # fmt: skip
+    return like
 
 
 def _shrink(bench: Bench, found: Findings, after: gaps.Remainder, seed: int) -> gaps.Shrink:
@@ -239,14 +274,20 @@ def _message(answer: str, document: dict[str, Any], shrink: gaps.Shrink) -> str:
     if answer == "no_gap":
         return f"no gap: recalibrated, the twin leaves nothing material of {gap:.3g} m/s² that a sound model would not"
     if answer == "unknown":
-        return f"unknown: a gap remains ({shrink.after:.3g} m/s²) that nothing in the library explains"
-    names = " and ".join(e.replace("_", " ") for e in document["combination"])
+        like = document["signature"]["resembles"]
+        word = f"; it is like {_words(like[0]['effect'])}" if like else ""
+        return f"unknown: a gap remains ({shrink.after:.3g} m/s²) that nothing in the library explains{word}"
+    names = " and ".join(_words(e) for e in document["combination"])
     word = "partly " if answer == "partly" else ""
     low, high = shrink.interval
     return (
         f"{word}{names}: the gap shrinks by {100 * shrink.shrink:.0f} % ({100 * low:.0f} to {100 * high:.0f} %) "
         "on road that the fit has not seen"
     )
+
+
+def _words(effect: str) -> str:
+    return effect.replace("_", " ")
 
 
 def _round(value: float) -> float:

@@ -21,12 +21,15 @@ from suspension_twin.effects.base import Effect, Parameter
 from suspension_twin.effects.registry import EFFECTS
 from suspension_twin.vehicle.twin import EffectSpec, Twin
 
-__all__ = ["BASELINE", "Hypothesis", "combined", "library"]
+__all__ = ["BASELINE", "Hypothesis", "combined", "library", "witnesses"]
 
 _WIDTH = 1.4  # of the starting points, in spreads of the prior
 #: Effects that the planar motion shows without any road under the wheels. What fixes at a few hertz can
 #: hold says nothing of a sensor's bandwidth or range.
 WITHOUT_ROAD = ("time_offset", "clock_drift", "sensor_tilt", "sensor_scale")
+#: Shapes that many things have: coils, rubber, air, worn bushes, torn oil. One that explains the gap best says that no
+#: effect with a name does, and what the unknown one looks like. Named only where they are asked for.
+WITNESSES = ("progressive_spring", "damper_play")
 
 
 @dataclass(frozen=True)
@@ -160,6 +163,15 @@ def library(twin: Twin, road: bool, only: Sequence[str] = ()) -> dict[str, list[
 
     An effect that the twin already has is its own: it is not offered twice.
     """
+    return _offered(twin, road, only or [name for name in EFFECTS if name not in WITNESSES])
+
+
+def witnesses(twin: Twin, road: bool, only: Sequence[str] = ()) -> dict[str, list[Hypothesis]]:
+    """Those of ``WITNESSES`` that this twin can be given and ``only`` does not name."""
+    return _offered(twin, road, [name for name in WITNESSES if name not in only])
+
+
+def _offered(twin: Twin, road: bool, names: Sequence[str]) -> dict[str, list[Hypothesis]]:
     own = {e.id for e in twin.effects}
     return {
         name: variants(effect)
@@ -167,7 +179,7 @@ def library(twin: Twin, road: bool, only: Sequence[str] = ()) -> dict[str, list[
         if twin.model in effect.hook.models
         and name not in own
         and (road or name in WITHOUT_ROAD)
-        and (not only or name in only)
+        and name in names
     }
 
 

@@ -19,7 +19,7 @@ from suspension_twin.diagnosis.bench import Bench
 from suspension_twin.diagnosis.case import VERTICAL, Case, baseline, build, read_case, taught_by
 from suspension_twin.diagnosis.conclude import Findings, conclude
 from suspension_twin.diagnosis.fit import Linear, finished, refit
-from suspension_twin.diagnosis.hypotheses import BASELINE, Hypothesis, library
+from suspension_twin.diagnosis.hypotheses import BASELINE, Hypothesis, library, witnesses
 from suspension_twin.diagnosis.judge import Evidence, blocks_of, evidence, weights
 from suspension_twin.diagnosis.request import DiagnosisRequest, DiagnosisResult, Progress
 from suspension_twin.diagnosis.search import jointly, pairs, singles, without_one
@@ -83,18 +83,20 @@ class _Search:
         }
         self.standing = gaps.standing(bench)
         self.reference = self._reference(anchor)
-        base, self.singles = singles(
-            bench, base, anchor, effects, self.blocks, seed,
+        strangers = witnesses(self.case.twin, self.case.road, self.request.effects)
+        base, found = singles(
+            bench, base, anchor, {**effects, **strangers}, self.blocks, seed,
             lambda done, note: self.tell(Progress("effects", 0.15 + 0.6 * done, note)),
         )  # fmt: skip
         self.base = evidence(bench, base, self.blocks)
-        everything = [self.base, *(s.evidence for s in self.singles)]
+        self.singles, self.witnesses = found[: len(effects)], found[len(effects) :]
+        everything = [self.base, *(s.evidence for s in found)]
         self.left = [gaps.remainder(bench, e.fit.hypothesis, e.unknowns, self.blocks) for e in everything]
         best = min(self.left, key=lambda r: float(np.mean(r.difference[gaps.shown_rows(bench), 0] ** 2)))
         self.temper = verdict.temper_of(bench, best, self.noise)
-        traits = [s.always for s in self.singles if s.always is not None]
+        traits = [s.always for s in found if s.always is not None]
         sound = (1.0 - _EFFECT_PRIOR) * (1.0 - _TRAITS if traits else 1.0)
-        each = _EFFECT_PRIOR / len(self.singles)
+        each = _EFFECT_PRIOR / len(found)
         trait = (1.0 - _EFFECT_PRIOR - sound) / max(len(traits), 1)
         self.gates = [self._gates(e, r) for e, r in zip(everything, self.left, strict=True)]
         # what takes nothing material away cannot be the finding, however sure it is: it must not hide another
@@ -102,19 +104,29 @@ class _Search:
         prior = np.array([sound, *priors, *([trait] * len(traits))])
         self.weights, self.beats = weights([*everything, *traits], prior, self.temper, seed)
         self.unseen = each / (1.0 - _EFFECT_PRIOR) * np.array([s.hidden(self.temper) for s in self.singles])
-        count = 1 + len(self.singles)
         # what the vehicle had before already is no gap: it speaks for the baseline
-        self.weights[0] += self.weights[count:].sum()
-        self.weights = self.weights[:count]
-        for i, s in enumerate(self.singles):
+        self.weights[0] += self.weights[1 + len(found) :].sum()
+        self.weights = self.weights[: 1 + len(found)]
+        for i, s in enumerate(found):
             if not s.judged:
                 self.weights[1 + i] = 0.0
         self.weights /= self.weights.sum()
+        self._set_apart()
         if self.case.road:
-            self.chosen, self.chosen_left = self._combine(everything)
+            self.chosen, self.chosen_left = self._combine(everything[: 1 + len(self.singles)])
         else:
             self.chosen, self.chosen_left = self._eliminate()
             self._carried_by(self.chosen, self._gates(self.chosen, self.chosen_left))
+
+    def _set_apart(self) -> None:
+        """Take the witnesses' weights and gates from those of the library: what they explain is unknown."""
+        count = 1 + len(self.singles)
+        passed = np.array([g.material * g.plausible for g in self.gates[count:]])
+        self.strange = self.weights[count:] * passed
+        self.weights[0] += float((self.weights[count:] - self.strange).sum())
+        self.weights, self.beats = self.weights[:count], self.beats[:count, :count]
+        self.strange_left, self.left = self.left[count:], self.left[:count]
+        self.gates = self.gates[:count]
 
     def _cleared(self, base: Linear, effects: list[Hypothesis]) -> Linear:
         """The baseline again under the noise that all effects together leave.
@@ -164,6 +176,8 @@ class _Search:
                 adequate *= verdict.even(bench, left, self.noise)
         else:
             adequate = verdict.sound(found, [c for c, n in enumerate(bench.problem.channels) if self._driven(n)])
+        if self.case.road:
+            adequate *= verdict.free_of_lines(bench, left)[0]
         if found is self.base:
             return verdict.Gates(1.0, adequate, 1.0)
         columns = range(len(bench.problem.channels))
@@ -297,5 +311,5 @@ class _Search:
         return Findings(
             self.blocks, self.noise, self.standing, self.base, self.singles, self.left, self.weights, self.unseen,
             self.beats, self.gates, self.chosen, self.chosen_left, self._gates(self.chosen, self.chosen_left),
-            self.reference, self.temper,
+            self.reference, self.temper, self.witnesses, self.strange, self.strange_left,
         )  # fmt: skip

@@ -12,10 +12,11 @@ from scipy.stats import norm
 from suspension_twin.diagnosis.bench import Bench
 from suspension_twin.diagnosis.gaps import Remainder, shown_rows
 from suspension_twin.diagnosis.judge import Evidence
+from suspension_twin.diagnosis.lines import Line, strongest
 from suspension_twin.diagnosis.noise import INDEPENDENT, density
 from suspension_twin.drive.types import Floats
 
-__all__ = ["Gates", "background", "even", "level_of", "masses", "sound", "temper_of", "verdict_of"]
+__all__ = ["Gates", "background", "even", "free_of_lines", "level_of", "masses", "sound", "temper_of", "verdict_of"]
 
 #: Share of the gap's rms that a cause has to explain, and what that is of its mean square.
 MATERIAL = 0.1
@@ -34,6 +35,9 @@ _SOUND_SHOWN, _SOUND_THERE, _SOUND_SPREAD = 2.3, 2.0, 1.2
 #: How far the share that is left in half an octave stands out of its neighbours', at which a sound model is as
 #: likely as not: such a share goes smoothly with frequency, to within a factor of two on cars that lack nothing.
 _STANDS_OUT, _STANDS_OUT_SPREAD = 2.8, 1.15
+#: How often what its neighbourhood holds a line has to hold that a sound model is as likely as not: what is left of
+#: cars that lack nothing has up to ten times.
+_LINE, _LINE_SPREAD = 16.0, 1.2
 _HALF_OCTAVES = 1.0 * 2.0 ** (0.5 * np.arange(9))  # Hz
 _LEAST_TEMPER = 0.03
 
@@ -96,6 +100,15 @@ def even(bench: Bench, left: Remainder, noise: dict[str, float]) -> float:
     others = [np.delete(level[max(b - 2, 0) : b + 3], min(b, 2)) for b in range(level.size)]
     most = max(float(level[b] - np.median(o)) for b, o in enumerate(others))
     return float(norm.sf((most - np.log(_STANDS_OUT)) / np.log(_STANDS_OUT_SPREAD)))
+
+
+def free_of_lines(bench: Bench, left: Remainder) -> tuple[float, Line | None]:
+    """Probability that nothing periodic of its own is in what is left, and the line that stands out most of those
+    that hold a tenth of a channel's gap."""
+    line = strongest(bench, left, MATERIAL)
+    if line is None:
+        return 1.0, None
+    return float(norm.sf(np.log(line.strength / _LINE) / np.log(_LINE_SPREAD))), line
 
 
 def sound(found: Evidence, channels: Sequence[int]) -> float:

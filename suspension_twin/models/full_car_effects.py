@@ -98,6 +98,10 @@ def _run(
                         terms.stops(w, rows.BUMP_GAP, rows.BUMP_RATE, rows.BUMP_RISE, 1.0)
                     if flag & terms.REBOUND:
                         terms.stops(w, rows.REBOUND_GAP, rows.REBOUND_RATE, rows.REBOUND_RISE, -1.0)
+                    if flag & terms.PROGRESSION:
+                        terms.progression(w)
+                    if flag & terms.PLAY:
+                        terms.play(w, h)
                     if flag & terms.BAR:
                         terms.anti_roll_bars(w)
                     if flag & terms.TYRE_DAMPING:

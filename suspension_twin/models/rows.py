@@ -87,26 +87,30 @@ ENGINE_X: Final = 166  # ahead of the sprung centre of gravity, m
 DAMPER_SCALE: Final = 167  # of each corner's damper, 0 for unchanged: factor - 1 (4)
 SPRING_SCALE: Final = 171  # of each corner's spring, 0 for unchanged: factor - 1 (4)
 UNSPRUNG: Final = 175  # mass of each wheel for msd, kg
-TERMS: Final = slice(114, 176)  # all constants of effects
-CORNER_IMPLICIT: Final = 176  # beta of each corner's table (4)
+RATE_RISE: Final = 176  # growth of each corner's spring rate with jounce from static, N/m² (4)
+RATE_SQUARE: Final = 180  # and with its square, N/m³ (4)
+PLAY: Final = 184  # half of the play in a damper's joints, m (4)
+TERMS: Final = slice(114, 188)  # all constants of effects
+CORNER_IMPLICIT: Final = 188  # beta of each corner's table (4)
+SLACK: Final = 192  # state of effects: where in its play a damper is, m (4)
 
 # -- rows of the model msd
-WHEEL: Final = 180  # height of the wheels where they have a mass, m, its derivatives (12)
-WEIGHT: Final = 192  # weight of the vehicle, N
-SHARE: Final = 193  # share of the weight on each axle (2)
-PITCH_SHIFT: Final = 195  # share that moves from front to rear for each m/s² ahead, s²/m
-ROLL_SHIFT: Final = 196  # share of an axle's load that moves to the right for each m/s² left (2)
-SIDE: Final = 198  # share of an axle's load that is more on the left than half of it (2)
-INV_CORNER: Final = 200  # 1 / mass above each spring, 1/kg
-INV_UNSPRUNG: Final = 201  # 1 / mass of each wheel, 0 where it has none
+WHEEL: Final = 196  # height of the wheels where they have a mass, m, its derivatives (12)
+WEIGHT: Final = 208  # weight of the vehicle, N
+SHARE: Final = 209  # share of the weight on each axle (2)
+PITCH_SHIFT: Final = 211  # share that moves from front to rear for each m/s² ahead, s²/m
+ROLL_SHIFT: Final = 212  # share of an axle's load that moves to the right for each m/s² left (2)
+SIDE: Final = 214  # share of an axle's load that is more on the left than half of it (2)
+INV_CORNER: Final = 216  # 1 / mass above each spring, 1/kg
+INV_UNSPRUNG: Final = 217  # 1 / mass of each wheel, 0 where it has none
 
 # -- one more constant of every lane
-HEIGHT: Final = 202  # of the whole vehicle's centre of gravity above base_link, m
+HEIGHT: Final = 218  # of the whole vehicle's centre of gravity above base_link, m
 
 #: Curves of the axles with K hinges, front then rear: first slope and constant of the spring, K
 #: abscissae and K changes of slope; then the damper's table: slope of the first pull segment,
 #: change of slope at rest, constant, K abscissae and K changes of slope of push, and of pull.
-CURVES: Final = 203
+CURVES: Final = 219
 #: Kernels are compiled for these numbers of hinges; a curve of k points has k - 1.
 HINGES: Final = (3, 7, 31)
 

@@ -40,12 +40,13 @@ def _solve(k: Floats, rest: Floats) -> None:
 def settle(w: Floats, lane: int, mx: float, my: float, hinges: int) -> None:
     """Static equilibrium of one lane of a block with effects, from where ``stand`` put it.
 
-    Springs of every corner's own, stops and anti-roll bars; friction, engine mounts and body
+    Springs of every corner's own, however progressive, stops and anti-roll bars; friction, engine mounts and body
     bending carry nothing at first. A lane that already stands is not touched at all. ``mx``,
     ``my`` N m are the moments of the planar accelerations.
     """
     for c in range(4):
         w[(rows.FRICTION + c) * WIDTH + lane] = 0.0
+        w[(rows.SLACK + c) * WIDTH + lane] = 0.0
     for j in range(3):
         w[(rows.ENGINE + j) * WIDTH + lane] = 0.0
         w[(rows.BEND + j) * WIDTH + lane] = 0.0
@@ -82,6 +83,9 @@ def settle(w: Floats, lane: int, mx: float, my: float, hinges: int) -> None:
                 rate, rise = w[(rows.REBOUND_RATE + c) * WIDTH + lane], w[(rows.REBOUND_RISE + c) * WIDTH + lane]
                 force[c] -= droop * (rate + rise * droop)
                 stiffness[c] += rate + 2 * rise * droop
+            rise, square = w[(rows.RATE_RISE + c) * WIDTH + lane], w[(rows.RATE_SQUARE + c) * WIDTH + lane]
+            force[c] += x * x * (0.5 * rise + square * x / 3.0)
+            stiffness[c] += max(x * (rise + square * x), -stiffness[c])
         for a in range(2):
             bar = w[(rows.BAR + a) * WIDTH + lane] * (travel[2 * a] - travel[2 * a + 1])
             force[2 * a] += bar

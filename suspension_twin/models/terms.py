@@ -17,7 +17,8 @@ from suspension_twin.models.numerics import fma
 from suspension_twin.models.rows import WIDTH
 
 __all__ = [
-    "FLAGS", "anti_roll_bars", "bending", "engine", "fade", "friction", "heat", "retable", "stops", "viscous_tyres",
+    "FLAGS", "anti_roll_bars", "bending", "engine", "fade", "friction", "heat", "play", "progression", "retable",
+    "stops", "viscous_tyres",
 ]  # fmt: skip
 
 FRICTION: Final = 1
@@ -29,12 +30,15 @@ RETABLE: Final = 32
 FADE: Final = 64
 BEND: Final = 128
 ENGINE: Final = 256
+PROGRESSION: Final = 512
+PLAY: Final = 1024
 
 #: Which loops a block needs: bit, first row and number of rows that are not all zero then.
 FLAGS: Final = (
     (FRICTION, rows.FRICTION_LIMIT, 4), (BUMP, rows.BUMP_RATE, 8), (REBOUND, rows.REBOUND_RATE, 8),
     (BAR, rows.BAR, 2), (TYRE_DAMPING, rows.TYRE_DAMPING, 2), (RETABLE, rows.MOUNT, 4),
     (RETABLE | FADE, rows.FADE_LOSS, 4), (BEND, rows.BEND_GAIN, 1), (ENGINE, rows.ENGINE_MASS, 1),
+    (PROGRESSION, rows.RATE_RISE, 8), (PLAY, rows.PLAY, 4),
 )  # fmt: skip
 
 
@@ -81,6 +85,33 @@ def stops(w: Floats, gap: int, rate: int, rise: int, sign: float) -> None:
             x = x if x > 0.0 else 0.0
             f = x * fma(w[(rise + c) * WIDTH + i], x, w[(rate + c) * WIDTH + i])
             w[(rows.STRUT + c) * WIDTH + i] += sign * f
+
+
+@compiled
+def progression(w: Floats) -> None:
+    """Springs whose rate changes with travel x from static: a x + b x² more of it, so a x²/2 + b x³/3 more force."""
+    for c in range(4):
+        for i in range(WIDTH):
+            x = _out_of_static(w, i, c)
+            third = w[(rows.RATE_SQUARE + c) * WIDTH + i] / 3.0
+            w[(rows.STRUT + c) * WIDTH + i] += x * x * fma(third, x, 0.5 * w[(rows.RATE_RISE + c) * WIDTH + i])
+
+
+@compiled
+def play(w: Floats, h: float) -> None:
+    """Dampers that hold only once the play of their joints is taken up after a reversal.
+
+    Where one is loose its force of the last step is taken away, which leaves what changes within a step: first
+    order, while the dampers stay implicit.
+    """
+    for c in range(4):
+        for i in range(WIDTH):
+            half = w[(rows.PLAY + c) * WIDTH + i]
+            y = fma(h, _rate(w, i, c), w[(rows.SLACK + c) * WIDTH + i])
+            loose = w[(rows.DAMPER + c) * WIDTH + i] if abs(y) < half else 0.0
+            y = y if y < half else half
+            w[(rows.SLACK + c) * WIDTH + i] = y if y > -half else -half
+            w[(rows.STRUT + c) * WIDTH + i] -= loose
 
 
 @compiled

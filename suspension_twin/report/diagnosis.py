@@ -184,6 +184,17 @@ def _signature(s: dict[str, Any]) -> Section:
     for key, value in s.items():
         if key.startswith("triggers_above"):
             lines.append(f"- appears above a {key.rsplit('_', 1)[1]} of {value['value']} {value['unit']}")
+    if "periodic" in s:
+        p = s["periodic"]
+        every = f"every {p['every_m']:.3g} m of the way" if "every_m" in p else f"at {p['hz']:.3g} Hz"
+        channel = p["channel"].replace("_", " ")
+        lines.append(f"- comes again {every}: {100 * p['share']:.0f} % of what is left of the {channel}")
+    for like in s.get("resembles", ()):
+        values = ", ".join(f"{k} {v:.4g}" for k, v in like["parameters"].items())
+        lines.append(
+            f"- is like {like['effect'].replace('_', ' ')} ({values}; probability {like['probability']:.2f}): a shape "
+            f"that many things have, no cause; with it the gap would shrink by {100 * like['shrink']:.0f} %"
+        )
     return Section("What the rest looks like", "\n".join(lines))
 
 

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -74,6 +75,21 @@ def test_wrong_characteristics_alone_are_no_gap_and_twice_the_same(make: Any) ->
     assert first["verdict"] == "no_gap", first["message"]
     assert first["combination"] == []
     assert json.dumps(first) == json.dumps(second)
+
+
+def test_what_only_a_witness_explains_is_unknown_unless_it_is_asked_for(make: Any) -> None:
+    case = make("progressive_spring", {f"{axle}_square": 4e7 for axle in ("front", "rear")}, reference=True)
+    result = diagnose(ask(case))
+    document = result.document
+    check(document)
+    assert document["verdict"] == "unknown", document["message"]
+    like = document["signature"]["resembles"][0]
+    assert like["effect"] == "progressive_spring" and like["probability"] > 0.8 and like["shrink"] > 0.5
+    assert like["parameters"]["front_square"] == pytest.approx(4e7, rel=0.4)
+    assert document["message"].endswith("it is like progressive spring")
+    assert "is like progressive spring" in diagnosis_page(result).render()
+    named = diagnose(replace(ask(case), effects=(*FEW, "progressive_spring"))).document
+    assert named["verdict"] == "effect" and named["combination"] == ["progressive_spring"]
 
 
 def test_a_drive_is_not_its_own_reference(make: Any) -> None:

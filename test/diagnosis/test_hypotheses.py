@@ -6,7 +6,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from suspension_twin.diagnosis.hypotheses import WITHOUT_ROAD, combined, library, variants
+from suspension_twin.diagnosis.hypotheses import WITHOUT_ROAD, WITNESSES, combined, library, variants, witnesses
 from suspension_twin.effects.registry import EFFECTS
 from suspension_twin.vehicle.twin import EffectSpec, Twin
 
@@ -34,10 +34,21 @@ def test_every_choice_is_a_hypothesis() -> None:
 
 
 def test_the_library_leaves_out_what_the_twin_has_and_what_needs_a_road(car: Twin) -> None:
-    assert set(library(car, road=True)) == {n for n, e in EFFECTS.items() if "full_car" in e.hook.models}
+    everything = {n for n, e in EFFECTS.items() if "full_car" in e.hook.models}
+    assert set(library(car, road=True)) == everything - set(WITNESSES)
     assert set(library(car, road=False)) == set(WITHOUT_ROAD)
     having = car.model_copy(update={"effects": (EffectSpec(id="time_offset", parameters={"offset": 0.1}),)})
     assert "time_offset" not in library(having, road=True)
+
+
+def test_a_witness_is_named_only_where_it_is_asked_for(car: Twin) -> None:
+    asked = ("progressive_spring", "payload")
+    assert set(library(car, True, asked)) == set(asked)
+    assert set(witnesses(car, True, asked)) == set(WITNESSES) - set(asked)
+    assert set(witnesses(car, True, ("payload",))) == set(witnesses(car, True)) == set(WITNESSES)
+    assert not witnesses(car, road=False)
+    having = car.model_copy(update={"effects": (EffectSpec(id="damper_play", parameters={"front": 0.001}),)})
+    assert "damper_play" not in witnesses(having, True)
 
 
 def test_combined_hypotheses_keep_their_order(car: Twin) -> None:

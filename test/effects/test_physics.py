@@ -91,6 +91,53 @@ def test_a_stop_acts_only_past_its_clearance(twin: Twin, name: str, sign: int) -
     assert (sign * (stopped.deflection - stopped.deflection[0])).max() < 0.95 * reach
 
 
+def test_a_progressive_spring_is_its_rate_integrated(twin: Twin) -> None:
+    """What spring and damper leave of the strut's force is rise x²/2 + square x³/3 of the travel from standing."""
+    rise, square = 1.5e5, 6e6
+    rising = given(twin, progressive_spring={"front_rise": rise, "front_square": square})
+    r = respond(rising, wave(0.06, 8.0))
+    for corner, wanted in ((0, 1.0), (2, 0.0)):
+        x = r.deflection[:, corner] - r.deflection[0, corner]
+        assert np.ptp(x) > 0.02
+        expected = wanted * (rise * x**2 / 2 + square * x**3 / 3)
+        assert np.abs(beyond_spring_and_damper(twin, r, corner) - expected).max() < 5.0
+
+
+def test_a_progressive_spring_stands_where_it_balances(twin: Twin) -> None:
+    """In a steady turn the outer wheel's jounce is that at which spring and progression carry the load together."""
+    rising = given(twin, progressive_spring={"front_square": 2e7, "rear_square": 2e7})
+    turn = way(6.0, speed=10.0, yaw_rate=0.5)
+    plain, stiff = (respond(each, flat, turn) for each in (twin, rising))
+    assert np.abs(stiff.deflection[-1] - stiff.deflection[0]).max() < 1e-4  # it stood in equilibrium from the first stamp
+    assert 0.1 < stiff.roll[-1] / plain.roll[-1] < 0.95
+
+
+@pytest.mark.parametrize("play", [0.002, 0.008])
+def test_play_takes_the_dampers_hold_after_a_reversal_alone(twin: Twin, play: float) -> None:
+    """Spring apart, the strut carries nothing until the play is taken up, and then what its damper does."""
+    loose = given(twin, damper_play={"front": play})
+    r = respond(loose, wave(0.06, 8.0), way(10.0, rate=1000.0))
+    corner = 0
+    travel, rate = r.deflection[:, corner], r.deflection_rate[:, corner]
+    missing = beyond_spring_and_damper(twin, r, corner)
+    axle = twin.vehicle.front
+    damper = curve(np.maximum(rate, 0), axle.damper_push.points) - curve(np.maximum(-rate, 0), axle.damper_pull.points)
+    turns = 1 + np.flatnonzero(rate[1:] * rate[:-1] < 0)
+    turns = turns[turns > 2000]
+    assert turns.size > 3
+    seen = 0
+    for begin, end in zip(turns[:-1], turns[1:], strict=True):
+        gone = np.abs(travel[begin:end] - travel[begin])
+        if gone.max() < 1.5 * play:
+            continue
+        seen += 1
+        within, past = gone < 0.8 * play, gone > 1.2 * play
+        least = 20.0 + 0.05 * np.abs(damper[begin:end])
+        assert np.all(np.abs(missing[begin:end] + damper[begin:end])[within] < least[within])
+        assert np.all(np.abs(missing[begin:end])[past] < least[past])
+    assert seen > 3
+
+
 def test_top_mount_gives_way_to_quick_motion_only(twin: Twin) -> None:
     """At wheel hop the soft mount takes the damper out; over long waves it does nothing."""
     soft = given(twin, top_mount={"front_stiffness": 3e4, "rear_stiffness": 3e4})

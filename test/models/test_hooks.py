@@ -22,6 +22,8 @@ TERMS: dict[str, list[tuple[int, int, float]]] = {
     "friction": [(rows.FRICTION_LIMIT, 4, 200.0), (rows.FRICTION_RATE, 4, 4e5)],
     "bump": [(rows.BUMP_GAP, 4, 0.01), (rows.BUMP_RATE, 4, 5e4), (rows.BUMP_RISE, 4, 2e6)],
     "rebound": [(rows.REBOUND_GAP, 4, 0.01), (rows.REBOUND_RATE, 4, 5e4), (rows.REBOUND_RISE, 4, 1e6)],
+    "progression": [(rows.RATE_RISE, 4, 1e5), (rows.RATE_SQUARE, 4, 3e6)],
+    "play": [(rows.PLAY, 4, 0.002)],
     "bar": [(rows.BAR, 2, 1.5e4)],
     "tyre_damping": [(rows.TYRE_DAMPING, 2, 300.0)],
     "mount": [(rows.MOUNT, 4, 3e-6)],

@@ -1,0 +1,37 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A spring whose rate grows with travel."""
+
+from __future__ import annotations
+
+from suspension_twin.drive.types import Floats
+from suspension_twin.effects.base import Effect, Parameter, Values, neutral, per_corner
+from suspension_twin.models.hooks import Hook
+from suspension_twin.models.rows import RATE_RISE, RATE_SQUARE
+
+__all__ = ["EFFECT"]
+
+_PARAMETERS = (
+    Parameter("front_rise", "N/m²", -2.0e6, 2.0e6, 0.0, 0.0, 1.5e5, "growth of the rate with jounce, front"),
+    Parameter("rear_rise", "N/m²", -2.0e6, 2.0e6, 0.0, 0.0, 1.5e5, "the same at the rear"),
+    Parameter("front_square", "N/m³", 0.0, 1.0e9, 0.0, 0.0, 1.5e7, "growth with the square of travel, front"),
+    Parameter("rear_square", "N/m³", 0.0, 1.0e9, 0.0, 0.0, 1.5e7, "the same at the rear"),
+)
+
+
+def _terms(rows: Floats, p: Values) -> None:
+    per_corner(rows, RATE_RISE, p["front_rise"], p["rear_rise"])
+    per_corner(rows, RATE_SQUARE, p["front_square"], p["rear_square"])
+
+
+EFFECT = Effect(
+    id="progressive_spring",
+    title="progressive spring",
+    where="strut",
+    doc="The rate of an axle's springs is (rise x + square x²) more than its characteristic says, x the jounce from "
+    "standing: coils of a varying pitch, a rubber or air spring, both stops in one.",
+    parameters=_PARAMETERS,
+    severity=("front_rise", "rear_rise", "front_square", "rear_square"),
+    excited_by=("large travel both ways", "braking and cornering on top of a rough road"),
+    confused_with=("bump_stop", "rebound_stop", "the points of the spring"),
+    hook=Hook(neutral(_PARAMETERS), terms=_terms, models=("full_car",)),
+)
