@@ -28,13 +28,14 @@ from suspension_twin.errors import InputError
 __all__ = ["diagnose"]
 
 _EFFECT_PRIOR = 0.65
-#: How surely one more effect has to beat the smaller set, and by which share of the gap, to join it; and by which of
-#: the vertical and of the rates where no reference says what a sound model leaves: some effect makes up for any
-#: model's own error, of which the rates have more.
-_SURE, _WORTH, _WORTH_ALONE, _WORTH_OF_RATES = 0.95, verdict.MATERIAL, 0.2, 0.3
+#: How surely one more effect has to beat the smaller set, and by which share of a channel's gap, to join it; and by
+#: which share of what the smaller set leaves there, its nuisances where they were fitted, while no reference says what
+#: a sound model leaves: some effect makes up for a part of any model's own error.
+_SURE, _WORTH, _WORTH_OF_THE_REST = 0.95, verdict.MATERIAL, 0.2
 #: Share of soundness that is a trait of the library, shown on the reference drives as well.
 _TRAITS = 0.5
 _LEAST_EXCESS = 0.4
+_TRADED = 0.25  # share of the most that a channel gains which another may lose
 _MAYBE = 0.05  # probability of being material below which an effect is out of the question
 _MOST_EFFECTS = 3
 _STRANGER = 0.6  # share of its motion that a reference leaves at the best fit, above which it is another car's
@@ -182,7 +183,8 @@ class _Search:
             return verdict.Gates(1.0, adequate, 1.0)
         columns = range(len(bench.problem.channels))
         # what is gained in one channel and lost in another is traded, not explained
-        material = max(self._material(left, c) for c in columns) * min(self._unspoilt(left, c) for c in columns)
+        most = max(self._shrink(self.left[0], left, c).shrink for c in columns if self._driven(bench.problem.channels[c]))
+        material = max(self._material(left, c) for c in columns) * min(self._unspoilt(left, c, most) for c in columns)
         return verdict.Gates(material, adequate, verdict.plausible(bench, found))
 
     def _material(self, left: gaps.Remainder, column: int) -> float:
@@ -203,14 +205,15 @@ class _Search:
         wanted = verdict.MATERIAL_SQUARE * (self._excess() if driven else 1.0)
         return float(norm.cdf((shrink - wanted) / spread))
 
-    def _unspoilt(self, left: gaps.Remainder, column: int) -> float:
-        """Probability that a channel's gap is not a tenth larger than recalibration alone leaves it."""
+    def _unspoilt(self, left: gaps.Remainder, column: int, most: float) -> float:
+        """Probability that a channel's gap is not a tenth larger than recalibration alone leaves it, and a quarter of
+        what the gap shrinks by where it shrinks ``most``."""
         channel = self.bench.problem.channels[column]
         found = self._shrink(self.left[0], left, column)
         if not self._driven(channel) or max(found.before, found.after) < self.noise[channel]:
             return 1.0
         spread = max((found.interval[1] - found.interval[0]) / 3.29, 1e-3)
-        return float(norm.cdf((found.shrink + verdict.MATERIAL) / spread))
+        return float(norm.cdf((found.shrink + verdict.MATERIAL + _TRADED * max(most, 0.0)) / spread))
 
     def _driven(self, channel: str) -> bool:
         """Whether a channel is one that speaks for the vehicle: with a road what the road drives."""
@@ -272,11 +275,13 @@ class _Search:
             return False
         alone = self.case.road and self.reference is None
         for column, channel in enumerate(self.bench.problem.channels):
-            worth = (_WORTH_OF_RATES if channel.endswith("rate") else _WORTH_ALONE) if alone else _WORTH
             before = self.left[0] if self.case.road else few_left
             one, two = self._shrink(before, few_left, column), self._shrink(before, many_left, column)
-            enough = self._driven(channel) and one.after >= self.noise[channel]
-            if enough and one.after - two.after >= worth * one.before:
+            if not self._driven(channel) or one.after < self.noise[channel]:
+                continue
+            if one.after - two.after >= _WORTH * one.before and (
+                not alone or self._shrink(few_left, many_left, column, settled=True).shrink >= _WORTH_OF_THE_REST
+            ):
                 return True
         return False
 
