@@ -19,7 +19,7 @@ from suspension_twin.diagnosis.bench import Bench, Linearised, gram
 from suspension_twin.diagnosis.hypotheses import Hypothesis
 from suspension_twin.drive.types import Floats
 
-__all__ = ["Fit", "Linear", "Screening", "finished", "refit", "screened"]
+__all__ = ["Fit", "Linear", "Screening", "finished", "refit", "scanned", "screened"]
 
 _LADDER = (0.0, 1e-2, 1e-1, 1.0, 10.0)
 _LARGEST_STEP = 2.0
@@ -88,6 +88,47 @@ def screened(bench: Bench, base: Linear, hypothesis: Hypothesis, starts: Floats)
         moved[: p + kept] += np.clip(step[:, i], -_LARGEST_STEP, _LARGEST_STEP)
         unknowns.append(moved)
     return Screening(costs[order].tolist(), unknowns, np.where(failed, 0.0, power))
+
+
+def scanned(bench: Bench, base: Linear, hypothesis: Hypothesis, scan: tuple[int, Floats]) -> Floats | None:
+    """Unknowns of the best point of a ``scan`` of the hypothesis' last effect: coordinates (k, S) all over where
+    its resonance may lie, each with the strength, in the given row, that suits it best.
+
+    A narrow resonance is missed by starts here and there; what it adds grows with its strength, so one simulation
+    tells the best strength of either sign by linear algebra.
+    """
+    row, points = scan
+    p, kept = bench.d + bench.q, base.x.size - bench.d - bench.q
+    nothing = hypothesis.neutral()[kept + row]
+    x = np.concatenate([np.repeat(base.x[:, None], points.shape[1], axis=1), points])
+    residual, failed = bench.residuals(hypothesis, x)
+    precision, centre = bench.prior(base.hypothesis)
+    jacobian, rest = base.at.jacobian, base.at.residual
+    hessian = gram(jacobian, jacobian) + precision
+    factor = linalg.cho_factor(hessian + 1e-10 * np.diag(np.diag(hessian)))
+    gradient = gram(jacobian, rest[:, None])[:, 0] + np.einsum("ij,j->i", precision, base.x - centre, optimize=False)
+    change = residual - rest[:, None]
+    seen = gram(jacobian, change)
+    taken = linalg.cho_solve(factor, np.column_stack([seen, gradient]))
+    far = points[row] - nothing
+    curve = np.einsum("rl,rl->l", change, change, optimize=False) + far**2
+    curve -= np.einsum("il,il->l", seen, taken[:, :-1], optimize=False)
+    slope = np.einsum("r,rl->l", rest, change, optimize=False) + nothing * far
+    slope -= np.einsum("il,i->l", seen, taken[:, -1], optimize=False)
+    low, high = (b[kept + row] for b in hypothesis.bounds())
+    with np.errstate(divide="ignore", invalid="ignore"):
+        strength = np.clip(nothing - far * slope / curve, low, high)
+        share = (strength - nothing) / far
+        gain = -(2.0 * slope * share + curve * share**2) - np.sum(np.delete(points, row, axis=0) ** 2, axis=0)
+    gain = np.where(failed | ~np.isfinite(gain), -np.inf, gain)
+    best = int(np.argmax(gain))
+    if not np.isfinite(gain[best]):
+        return None
+    found: Floats = x[:, best].copy()
+    found[p + kept + row] = strength[best]
+    step = -(taken[:, -1] + share[best] * taken[:, best])
+    found[: p + kept] += np.clip(step, -_LARGEST_STEP, _LARGEST_STEP)
+    return found
 
 
 def refit(

@@ -109,6 +109,20 @@ class Hypothesis:
                 at[i] = -far
         return np.clip(at, low, high)
 
+    def scan(self, count: int) -> tuple[int, Floats] | None:
+        """For an effect that resonates: the row of its strength, and ``count`` points (k, count) with resonances all
+        over their bounds; None for any other effect."""
+        names = [p.name for _, p in self.searched]
+        severe = [i for i, n in enumerate(names) if n in EFFECTS[self._owner(i)].severity]
+        if "frequency" not in names or len(severe) != 1:
+            return None
+        low, high = self.bounds()
+        tone, row = names.index("frequency"), severe[0]
+        points = np.zeros((len(self), count))
+        points[tone] = np.linspace(low[tone], high[tone], count)
+        points[row] = points[row] if self.neutral()[row] != 0.0 else 1.0
+        return row, np.asarray(np.clip(points, low[:, None], high[:, None]))
+
     def _owner(self, index: int) -> str:
         return self.keys[index].split(".")[1]
 

@@ -181,9 +181,10 @@ class _Search:
             adequate *= verdict.free_of_lines(bench, left)[0]
         if found is self.base:
             return verdict.Gates(1.0, adequate, 1.0)
-        columns = range(len(bench.problem.channels))
+        names = bench.problem.channels
+        columns = range(len(names))
         # what is gained in one channel and lost in another is traded, not explained
-        most = max(self._shrink(self.left[0], left, c).shrink for c in columns if self._driven(bench.problem.channels[c]))
+        most = max(self._shrink(self.left[0], left, c).shrink for c in columns if self._driven(names[c]))
         material = max(self._material(left, c) for c in columns) * min(self._unspoilt(left, c, most) for c in columns)
         return verdict.Gates(material, adequate, verdict.plausible(bench, found))
 

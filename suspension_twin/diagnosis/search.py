@@ -12,7 +12,7 @@ from typing import TypeVar
 import numpy as np
 
 from suspension_twin.diagnosis.bench import Bench
-from suspension_twin.diagnosis.fit import Fit, Linear, finished, refit, screened
+from suspension_twin.diagnosis.fit import Fit, Linear, finished, refit, scanned, screened
 from suspension_twin.diagnosis.hypotheses import BASELINE, Hypothesis, combined
 from suspension_twin.diagnosis.judge import Blocks, Evidence, evidence
 from suspension_twin.drive.types import Floats
@@ -27,6 +27,7 @@ Found = TypeVar("Found")
 
 _STARTS, _TRIED, _JOINT_STARTS = 16, 3, 128
 _WIDE_STARTS = 16
+_SCANNED = 32  # places of a resonance
 #: Slopes of springs and dampers, in their search coordinates, beside the baseline's.
 _VEHICLES = ((0.0, 0.0), (-0.3, 0.0), (-0.6, 0.0), (0.0, -0.25), (0.0, -0.6), (-0.3, -0.6), (0.0, -1.2))
 #: Vehicles, and how early and strong the effect is in spreads of its prior, that are always tried.
@@ -139,7 +140,7 @@ def _rough(
             best = (tried, v)
     assert best is not None
     tried, v = best
-    starts = [*tried.x[:_TRIED], np.concatenate([base.x, v.neutral()])]
+    starts = [*tried.x[:_TRIED], *_resonant(bench, anchor, v, v), np.concatenate([base.x, v.neutral()])]
     x, cost = refit(bench, v, starts, anchor.at.jacobian, _ROUGH)
     if not math.isfinite(cost):
         raise WorkError(f"the twin cannot be simulated with {effect}")
@@ -148,6 +149,13 @@ def _rough(
             y, other = refit(bench, v, [start], None, _DEEP)
             x, cost = (y, other) if other < cost else (x, cost)
     return _Rough(cost, effect, v, x, np.concatenate(powers))
+
+
+def _resonant(bench: Bench, base: Linear, hypothesis: Hypothesis, added: Hypothesis) -> list[Floats]:
+    """Where the resonance of ``added``, the last of the hypothesis' effects, suits best, if it has one."""
+    scan = added.scan(_SCANNED)
+    found = None if scan is None else scanned(bench, base, hypothesis, scan)
+    return [] if found is None else [found]
 
 
 def _rebased(bench: Bench, base: Linear, found: Sequence[Floats]) -> Linear:
@@ -210,7 +218,16 @@ def pairs(
     def look(effect: str) -> list[tuple[float, Hypothesis, list[Floats]]]:
         tried = [(combined(there, v), v.starts(_STARTS // 2, seed)) for v in library[effect]]
         screens = [(both, screened(bench, start, both, starts)) for both, starts in tried]
-        return [(s.cost[0], both, s.x[:2]) for both, s in screens]
+        more = [_resonant(bench, start, both, v) for (both, _), v in zip(tried, library[effect], strict=True)]
+        # a start that is only told by linear algebra ranks by what it costs
+        costs = [
+            [float(bench.costs(both, x[:, None])[0]) for x in found]
+            for (both, _), found in zip(tried, more, strict=True)
+        ]
+        return [
+            (min([s.cost[0], *cost]), both, [*s.x[:2], *found])
+            for (both, s), cost, found in zip(screens, costs, more, strict=True)
+        ]
 
     looked = _side_by_side(
         look, others, lambda done, name: tell(0.7 * done, f"{there.name} and {name}".replace("_", " "))

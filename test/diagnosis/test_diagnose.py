@@ -92,6 +92,17 @@ def test_what_only_a_witness_explains_is_unknown_unless_it_is_asked_for(make: An
     assert named["verdict"] == "effect" and named["combination"] == ["progressive_spring"]
 
 
+def test_a_narrow_resonance_against_the_bodys_motion_is_found(make: Any) -> None:
+    """Far from where such modes usually are, and of the other sign: starts here and there miss it."""
+    truth = {"gain": -0.25, "frequency": 10.0, "damping_ratio": 0.03}
+    case = replace(ask(make("body_bending", truth)), effects=("body_bending", "strut_friction"))
+    document = diagnose(case).document
+    lead = document["causes"][0]
+    assert document["verdict"] == "effect" and lead["effect"] == "body_bending"
+    assert lead["parameters"]["frequency"] == pytest.approx(10.0, rel=0.02)
+    assert lead["parameters"]["gain"] == pytest.approx(-0.25, rel=0.25)
+
+
 def test_a_drive_is_not_its_own_reference(make: Any) -> None:
     twin, bags, _ = make()
     with pytest.raises(InputError, match="drive_0"):

@@ -6,7 +6,14 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from suspension_twin.diagnosis.hypotheses import WITHOUT_ROAD, WITNESSES, combined, library, variants, witnesses
+from suspension_twin.diagnosis.hypotheses import (
+    WITHOUT_ROAD,
+    WITNESSES,
+    combined,
+    library,
+    variants,
+    witnesses,
+)
 from suspension_twin.effects.registry import EFFECTS
 from suspension_twin.vehicle.twin import EffectSpec, Twin
 
@@ -49,6 +56,21 @@ def test_a_witness_is_named_only_where_it_is_asked_for(car: Twin) -> None:
     assert not witnesses(car, road=False)
     having = car.model_copy(update={"effects": (EffectSpec(id="damper_play", parameters={"front": 0.001}),)})
     assert "damper_play" not in witnesses(having, True)
+
+
+def test_a_resonance_is_looked_for_everywhere(car: Twin) -> None:
+    known = library(car, True)
+    scans = {name: [v.scan(9) for v in of] for name, of in known.items()}
+    assert {n for n, s in scans.items() if s[0] is not None} == {"body_bending", "mount_resonance", "powertrain_mount"}
+    for name in ("body_bending", "mount_resonance", "powertrain_mount"):
+        (row, points), (hypothesis,) = scans[name][0], known[name]
+        severe, tone = hypothesis.searched[row][1], EFFECTS[name].parameter("frequency")
+        assert severe.name in EFFECTS[name].severity
+        values = dict(zip(hypothesis.keys, hypothesis.values(points), strict=True))
+        heard = values[f"effects.{name}.frequency"]
+        assert heard[0] == pytest.approx(tone.low) and heard[-1] == pytest.approx(tone.high)
+        assert np.ptp(np.diff(np.log(heard))) < 1e-9
+        assert (values[f"effects.{name}.{severe.name}"] != severe.neutral).all()
 
 
 def test_combined_hypotheses_keep_their_order(car: Twin) -> None:

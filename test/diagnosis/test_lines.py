@@ -86,7 +86,8 @@ def test_what_the_reference_has_as_well_is_a_trait() -> None:
     for shown_only in (False, True):
         bench, place, _, rest = drives([8.0, 15.0, 10.0], (True, True, False), 7)
         turning = rest[:, 2].std() * np.sin(2 * np.pi * place / 2.1)
-        rest[:, 2] += turning * (np.repeat([1.0, 1.0, 0.0], [len(r) for r in bench.problem.rows]) if shown_only else 1.0)
+        there = np.repeat([1.0, 1.0, 0.0 if shown_only else 1.0], [len(r) for r in bench.problem.rows])
+        rest[:, 2] += turning * there
         assert (judged(bench, rest)[0] < 0.01) == shown_only
 
 

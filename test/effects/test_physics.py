@@ -108,7 +108,8 @@ def test_a_progressive_spring_stands_where_it_balances(twin: Twin) -> None:
     rising = given(twin, progressive_spring={"front_square": 2e7, "rear_square": 2e7})
     turn = way(6.0, speed=10.0, yaw_rate=0.5)
     plain, stiff = (respond(each, flat, turn) for each in (twin, rising))
-    assert np.abs(stiff.deflection[-1] - stiff.deflection[0]).max() < 1e-4  # it stood in equilibrium from the first stamp
+    # it stood in equilibrium from the first stamp on
+    assert np.abs(stiff.deflection[-1] - stiff.deflection[0]).max() < 1e-4
     assert 0.1 < stiff.roll[-1] / plain.roll[-1] < 0.95
 
 
