@@ -35,7 +35,7 @@ _SURE, _WORTH, _WORTH_OF_THE_REST = 0.95, verdict.MATERIAL, 0.2
 #: Share of soundness that is a trait of the library, shown on the reference drives as well.
 _TRAITS = 0.5
 _LEAST_EXCESS = 0.4
-_TRADED = 0.25  # share of the most that a channel gains which another may lose
+_TRADED = 0.25  # what a channel may lose, over the square of the most that another gains
 _MAYBE = 0.05  # probability of being material below which an effect is out of the question
 _MOST_EFFECTS = 3
 _STRANGER = 0.6  # share of its motion that a reference leaves at the best fit, above which it is another car's
@@ -207,14 +207,14 @@ class _Search:
         return float(norm.cdf((shrink - wanted) / spread))
 
     def _unspoilt(self, left: gaps.Remainder, column: int, most: float) -> float:
-        """Probability that a channel's gap is not a tenth larger than recalibration alone leaves it, and a quarter of
-        what the gap shrinks by where it shrinks ``most``."""
+        """Probability that a channel's gap is not larger than recalibration alone leaves it by more than a tenth and,
+        where another shrinks by much, a quarter of the square of the ``most`` that one does."""
         channel = self.bench.problem.channels[column]
         found = self._shrink(self.left[0], left, column)
         if not self._driven(channel) or max(found.before, found.after) < self.noise[channel]:
             return 1.0
         spread = max((found.interval[1] - found.interval[0]) / 3.29, 1e-3)
-        return float(norm.cdf((found.shrink + verdict.MATERIAL + _TRADED * max(most, 0.0)) / spread))
+        return float(norm.cdf((found.shrink + verdict.MATERIAL + _TRADED * max(most, 0.0) ** 2) / spread))
 
     def _driven(self, channel: str) -> bool:
         """Whether a channel is one that speaks for the vehicle: with a road what the road drives."""
