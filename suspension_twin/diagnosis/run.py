@@ -32,6 +32,7 @@ _EFFECT_PRIOR = 0.65
 #: which share of what the smaller set leaves there, its nuisances where they were fitted, while no reference says what
 #: a sound model leaves: some effect makes up for a part of any model's own error.
 _SURE, _WORTH, _WORTH_OF_THE_REST = 0.95, verdict.MATERIAL, 0.2
+_WORTH_OF_A_WITNESS = 0.25  # share of a channel's gap that a witness has to take where there is no reference
 #: Share of soundness that is a trait of the library, shown on the reference drives as well.
 _TRAITS = 0.5
 _LEAST_EXCESS = 0.4
@@ -99,7 +100,12 @@ class _Search:
         sound = (1.0 - _EFFECT_PRIOR) * (1.0 - _TRAITS if traits else 1.0)
         each = _EFFECT_PRIOR / len(found)
         trait = (1.0 - _EFFECT_PRIOR - sound) / max(len(traits), 1)
-        self.gates = [self._gates(e, r) for e, r in zip(everything, self.left, strict=True)]
+        # a shape that many things have makes up for a part of any model's own error
+        least = verdict.MATERIAL if self.reference is not None else _WORTH_OF_A_WITNESS
+        self.gates = [
+            self._gates(e, r, least if i > len(effects) else verdict.MATERIAL)
+            for i, (e, r) in enumerate(zip(everything, self.left, strict=True))
+        ]
         # what takes nothing material away cannot be the finding, however sure it is: it must not hide another
         priors = [each if g.material > _MAYBE else 0.0 for g in self.gates[1:]]
         prior = np.array([sound, *priors, *([trait] * len(traits))])
@@ -168,7 +174,7 @@ class _Search:
             )
         return level
 
-    def _gates(self, found: Evidence, left: gaps.Remainder) -> verdict.Gates:
+    def _gates(self, found: Evidence, left: gaps.Remainder, least: float = verdict.MATERIAL) -> verdict.Gates:
         bench = self.bench
         level, quiet = verdict.level_of(bench, left, self.noise, shown=True), self._noise_share()
         if self.reference is None or level < quiet:
@@ -185,11 +191,12 @@ class _Search:
         columns = range(len(names))
         # what is gained in one channel and lost in another is traded, not explained
         most = max(self._shrink(self.left[0], left, c).shrink for c in columns if self._driven(names[c]))
-        material = max(self._material(left, c) for c in columns) * min(self._unspoilt(left, c, most) for c in columns)
+        material = max(self._material(left, c, least) for c in columns)
+        material *= min(self._unspoilt(left, c, most) for c in columns)
         return verdict.Gates(material, adequate, verdict.plausible(bench, found))
 
-    def _material(self, left: gaps.Remainder, column: int) -> float:
-        """Probability that a tenth of a channel's gap is gone beyond recalibration.
+    def _material(self, left: gaps.Remainder, column: int, least: float) -> float:
+        """Probability that a share ``least`` of a channel's gap is gone beyond recalibration.
 
         With a reference the gap to explain is what exceeds that which the model leaves of this car anyway. In
         the planar channels, which the pose drives, biases and the mount's normal lean make most of any gap:
@@ -203,7 +210,7 @@ class _Search:
             return 0.0
         shrink, low, high = (1.0 - (1.0 - min(v, 1.0)) ** 2 for v in (found.shrink, *found.interval))
         spread = max((high - low) / 3.29, 1e-3)
-        wanted = verdict.MATERIAL_SQUARE * (self._excess() if driven else 1.0)
+        wanted = (1.0 - (1.0 - least) ** 2) * (self._excess() if driven else 1.0)
         return float(norm.cdf((shrink - wanted) / spread))
 
     def _unspoilt(self, left: gaps.Remainder, column: int, most: float) -> float:

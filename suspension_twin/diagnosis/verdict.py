@@ -18,9 +18,8 @@ from suspension_twin.drive.types import Floats
 
 __all__ = ["Gates", "background", "even", "free_of_lines", "level_of", "masses", "sound", "temper_of", "verdict_of"]
 
-#: Share of the gap's rms that a cause has to explain, and what that is of its mean square.
+#: Share of the gap's rms that a cause has to explain.
 MATERIAL = 0.1
-MATERIAL_SQUARE = 1.0 - (1.0 - MATERIAL) ** 2
 #: What a calibrated model of seven degrees leaves of a car's motion that it knows, as a share of its rms:
 #: median and factor of one standard deviation; and what is left where something is missing.
 _USUAL, _USUAL_SPREAD = 0.2, 1.5
