@@ -206,3 +206,24 @@ def test_a_set_is_of_those_that_explain_something(
     shrink = {c["effect"]: c["shrink"] for c in d["causes"]}
     assert d["combination"] == ["station_damper"] and shrink["sensor_scale"] < 0.1
     assert d["causes"][0]["indistinguishable_from"] == []
+
+
+def test_what_cannot_be_judged_may_be_behind_a_faint_cause(
+    twin: TrackedTwin, short: None, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A cause has to gain more than chance gains where the model does not tell of what it is."""
+    few = {k: TRACKED_EFFECTS[k] for k in ("sensor_scale", "station_damper", "track_tension")}
+    monkeypatch.setattr(tracked, "TRACKED_EFFECTS", few)
+    runs = [film(twin, {"station_damper": {"station": 6.0, "share": 0.1}}, 1)]
+    reference = [film(twin, {}, 3), film(twin, {}, 4)]
+    sure = diagnose_tracked(twin, runs, reference).document
+    assert sure["combination"] == ["station_damper"] and sure["cannot_be_judged"] == ["track_tension"]
+    gain = sure["causes"][0]["log_evidence"]
+    monkeypatch.setattr(tracked, "_UNTOLD", gain + 3.0)
+    faint = diagnose_tracked(twin, runs, reference).document
+    assert faint["verdict"] == "unknown" and faint["combination"] == []
+    assert faint["unknown_probability"] == pytest.approx(1 / (1 + np.exp(-3.0)), abs=0.02)
+    assert sum(c["probability"] for c in faint["causes"]) + faint["unknown_probability"] == pytest.approx(1, abs=1e-3)
+    assert "track tension" in faint["message"]
+    monkeypatch.setattr(tracked, "TRACKED_EFFECTS", {k: few[k] for k in ("sensor_scale", "station_damper")})
+    assert diagnose_tracked(twin, runs, reference).document["combination"] == ["station_damper"]
