@@ -6,6 +6,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
+from suspension_twin.diagnosis.hypotheses import WITNESSES
 from suspension_twin.effects.base import Effect, Parameter
 from suspension_twin.effects.registry import EFFECTS
 
@@ -41,10 +42,12 @@ def page() -> str:
 def _entry(e: Effect) -> str:
     models = ", ".join(f"`{m}`" for m in e.hook.models)
     rows = "".join(_row(p, p.name in e.severity) for p in e.parameters)
+    witness = " The diagnosis takes it for a shape, not for a cause, unless asked: see [there](diagnosis.md#which)."
     return (
         f"\n### `{e.id}`: {e.title}\n\n{e.doc}\n\n"
         f"| parameter | unit | from, to | neutral | usual | what |\n| --- | --- | --- | --- | --- | --- |\n{rows}\n"
-        f"Excited by {'; '.join(e.excited_by)}. Easily confused with {'; '.join(e.confused_with)}. For {models}.\n"
+        f"Excited by {'; '.join(e.excited_by)}. Easily confused with {'; '.join(e.confused_with)}. For {models}."
+        f"{witness if e.id in WITNESSES else ''}\n"
     )
 
 
