@@ -9,6 +9,7 @@ from typing import Annotated
 import typer
 
 from suspension_twin.cli.common import Bags, Seed, TwinFile, print_diagnosis, stage_bar
+from suspension_twin.errors import InputError
 
 __all__ = ["command"]
 
@@ -19,12 +20,20 @@ Reference = Annotated[
         metavar="BAG", show_default=False,
     ),
 ]  # fmt: skip
+Effects = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--effect", help="Look at this effect alone; may be given more than once.", metavar="ID", show_default=False
+    ),
+]  # fmt: skip
 Out = Annotated[
     Path, typer.Option("--out", help="Folder for the result.", metavar="DIR", file_okay=False, show_default=False)
 ]
 
 
-def command(twin: TwinFile, bags: Bags, out: Out, reference: Reference = None, seed: Seed = 0) -> None:
+def command(
+    twin: TwinFile, bags: Bags, out: Out, reference: Reference = None, effect: Effects = None, seed: Seed = 0
+) -> None:
     """Where twin and car disagree, why, and what closes the gap.
 
     Writes DIR/diagnosis.json, DIR/report.html and DIR/twin.yaml, the twin with what was found added.
@@ -32,16 +41,22 @@ def command(twin: TwinFile, bags: Bags, out: Out, reference: Reference = None, s
     from suspension_twin.cli._tracked import diagnose_runs, is_tracked
 
     if is_tracked(twin):
+        if effect:
+            raise InputError("--effect", "is for cars: a tracked vehicle's few effects are all tried")
         diagnose_runs(twin, bags, list(reference or ()), out, seed)
         return
     from suspension_twin.diagnosis.output import write
     from suspension_twin.diagnosis.request import DiagnosisRequest
     from suspension_twin.diagnosis.request import Progress as Stage
     from suspension_twin.diagnosis.run import diagnose
+    from suspension_twin.effects.registry import EFFECTS
     from suspension_twin.report.diagnosis import diagnosis_page
 
+    for name in effect or ():
+        if name not in EFFECTS:
+            raise InputError("--effect", name, f"is not an effect ({', '.join(EFFECTS)})")
     request = DiagnosisRequest(
-        str(twin), tuple(str(b) for b in bags), tuple(str(b) for b in reference or ()), seed
+        str(twin), tuple(str(b) for b in bags), tuple(str(b) for b in reference or ()), seed, tuple(effect or ())
     )
     with stage_bar() as bar:
         task = bar.add_task("reading", total=1.0)

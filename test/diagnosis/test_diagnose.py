@@ -10,6 +10,7 @@ from typing import Any
 
 import pytest
 
+from suspension_twin.cli.main import main
 from suspension_twin.diagnosis.output import write
 from suspension_twin.diagnosis.request import DiagnosisRequest
 from suspension_twin.diagnosis.run import diagnose
@@ -107,3 +108,17 @@ def test_a_drive_is_not_its_own_reference(make: Any) -> None:
     twin, bags, _ = make()
     with pytest.raises(InputError, match="drive_0"):
         diagnose(DiagnosisRequest(str(twin), tuple(bags), (bags[0],)))
+
+
+def test_effects_asked_for_by_name_on_the_command_line(
+    make: Any, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    twin, bags, _ = make("strut_friction", {"front_force": 250.0, "rear_force": 250.0})
+    ask = ["diagnose", "--twin", str(twin), *bags, "--out", str(tmp_path / "out")]
+    assert main([*ask, "--effect", "strut_fricton"]) == 2
+    error = " ".join(capsys.readouterr().err.split())
+    assert "--effect: strut_fricton: is not an effect" in error and "strut_friction" in error
+    assert main([*ask, "--effect", "strut_friction", "--effect", "tyre_damping"]) == 0
+    document = json.loads((tmp_path / "out" / "diagnosis.json").read_text())
+    assert sorted(c["effect"] for c in document["causes"]) == ["strut_friction", "tyre_damping"]
+    assert document["combination"] == ["strut_friction"]

@@ -37,6 +37,7 @@ def test_calibrate_writes_a_twin_and_a_page(files: tuple[str, list[str]], tmp_pa
     [
         (["calibrate", "--preset", "paper"], "a twin on tracks takes tracked_paper"),
         (["calibrate", "--preset", "tracked_paper", "--objective", "mse"], "one of correlation, amplitude, motion"),
+        (["diagnose", "--effect", "payload"], "--effect: is for cars"),
     ],
 )
 def test_what_a_twin_on_tracks_does_not_take(
