@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from scipy import linalg
@@ -56,6 +57,15 @@ class Screening:
     power: Floats
 
 
+def _curvature(bench: Bench, base: Linear) -> tuple[Any, Floats, float]:
+    """Of the posterior about ``base``: Cholesky factor of its curvature, the prior's gradient, and what it costs."""
+    precision, centre = bench.prior(base.hypothesis)
+    hessian = gram(base.at.jacobian, base.at.jacobian) + precision
+    away = base.x - centre
+    pull = np.einsum("ij,j->i", precision, away, optimize=False)
+    return linalg.cho_factor(hessian + 1e-10 * np.diag(np.diag(hessian))), pull, float(away @ precision @ away)
+
+
 def screened(bench: Bench, base: Linear, hypothesis: Hypothesis, starts: Floats) -> Screening:
     """Try every start (k, S) of a hypothesis' last effects with the vehicle of ``base``.
 
@@ -66,14 +76,11 @@ def screened(bench: Bench, base: Linear, hypothesis: Hypothesis, starts: Floats)
     u = np.concatenate([np.repeat(base.x[p:, None], starts.shape[1], axis=1), starts])
     x = np.concatenate([np.repeat(base.x[:p, None], u.shape[1], axis=1), u])
     residual, failed = bench.residuals(hypothesis, x)
-    precision, centre = bench.prior(base.hypothesis)
     jacobian = base.at.jacobian
-    hessian = gram(jacobian, jacobian) + precision
-    factor = linalg.cho_factor(hessian + 1e-10 * np.diag(np.diag(hessian)))
-    away = base.x - centre
-    gradient = gram(jacobian, residual) + np.einsum("ij,j->i", precision, away, optimize=False)[:, None]
+    factor, pull, penalty = _curvature(bench, base)
+    gradient = gram(jacobian, residual) + pull[:, None]
     step = -linalg.cho_solve(factor, gradient)
-    costs = np.einsum("rl,rl->l", residual, residual, optimize=False) + float(away @ precision @ away)
+    costs = np.einsum("rl,rl->l", residual, residual, optimize=False) + penalty
     costs = costs + np.einsum("il,il->l", gradient, step, optimize=False)
     costs = costs + np.sum(starts**2, axis=0)
     costs = np.where(failed | ~np.isfinite(costs), np.inf, costs)
@@ -102,11 +109,9 @@ def scanned(bench: Bench, base: Linear, hypothesis: Hypothesis, scan: tuple[int,
     nothing = hypothesis.neutral()[kept + row]
     x = np.concatenate([np.repeat(base.x[:, None], points.shape[1], axis=1), points])
     residual, failed = bench.residuals(hypothesis, x)
-    precision, centre = bench.prior(base.hypothesis)
     jacobian, rest = base.at.jacobian, base.at.residual
-    hessian = gram(jacobian, jacobian) + precision
-    factor = linalg.cho_factor(hessian + 1e-10 * np.diag(np.diag(hessian)))
-    gradient = gram(jacobian, rest[:, None])[:, 0] + np.einsum("ij,j->i", precision, base.x - centre, optimize=False)
+    factor, pull, _ = _curvature(bench, base)
+    gradient = gram(jacobian, rest[:, None])[:, 0] + pull
     change = residual - rest[:, None]
     seen = gram(jacobian, change)
     taken = linalg.cho_solve(factor, np.column_stack([seen, gradient]))
