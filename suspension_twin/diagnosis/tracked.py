@@ -45,7 +45,7 @@ _SURE: Final = 0.60  # ... and from which on something of the library is behind 
 _ADEQUATE: Final = 0.50  # share of the gap above the noise that a cause named alone takes away
 _PARTLY: Final = 0.35  # ... and that a cause named for a part of it does, if every effect can be judged
 #: Log evidence that some effect gains where the gap is of one that cannot be judged: what the model does not tell
-#: looks like something else by accident. From development specimens with worn and slack tracks.
+#: looks like something else by accident. From specimens with worn and slack tracks that are not reported.
 _UNTOLD: Final = 5.0
 _PAYS: Final = 8.0  # log evidence that a second effect has to bring
 _TIED: Final = 3.0  # log evidence within which two causes cannot be told apart
