@@ -27,6 +27,8 @@ __all__ = ["Checkpoint", "State"]
 
 _INDEX = "state.yaml"
 _FORMAT = 1
+#: The same text from C where PyYAML was built with it, in a tenth of the time.
+_DUMPER = getattr(yaml, "CSafeDumper", yaml.SafeDumper)
 
 
 @dataclass(frozen=True, eq=False)
@@ -83,7 +85,7 @@ class Checkpoint:
         }
         part = self.folder / f"{_INDEX}.part"
         with part.open("w", encoding="utf-8") as text:
-            yaml.safe_dump(index, text, sort_keys=False)
+            yaml.dump(index, text, Dumper=_DUMPER, sort_keys=False)
             text.flush()
             _flush(text.fileno())
         os.replace(part, self.folder / _INDEX)
