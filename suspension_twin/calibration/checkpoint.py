@@ -27,7 +27,7 @@ __all__ = ["Checkpoint", "State"]
 
 _INDEX = "state.yaml"
 _FORMAT = 1
-#: The same text from C where PyYAML was built with it, in a tenth of the time.
+#: The same text, written by C where PyYAML was built with it.
 _DUMPER = getattr(yaml, "CSafeDumper", yaml.SafeDumper)
 
 
