@@ -6,7 +6,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from scipy import signal
 
 from suspension_twin.drive.types import Floats
 
@@ -29,9 +28,9 @@ def coarse_lag(
         norm = float(np.sqrt(np.sum(a * a) * np.sum(b * b)))
         if norm <= 0 or a.size <= limit:
             continue
-        full = signal.correlate(b, a, mode="full", method="fft")
-        middle = a.size - 1
-        total += full[middle - limit : middle + limit + 1] / norm * a.size
+        size = 1 << (a.size + limit).bit_length()
+        circular = np.fft.irfft(np.fft.rfft(b, size) * np.conj(np.fft.rfft(a, size)), size)
+        total += np.roll(circular, limit)[: 2 * limit + 1] / norm * a.size
         energy += a.size
     if energy == 0:
         return 0.0, 0.0, 0.0

@@ -12,7 +12,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy import linalg, signal
+from scipy import linalg
 
 from suspension_twin.calibration.objectives import Measured, Objective
 from suspension_twin.calibration.problem import FitProblem, Problem
@@ -87,11 +87,19 @@ class Likelihood:
             difference = simulated[:, c, :] - self.measured.values[:, c, None]
             for stretch, g in zip(self.measured.stretches, self.group, strict=True):
                 if stretch.stop - stretch.start > 2 * order:
-                    white = np.asarray(signal.lfilter(self.filters[g, c], [1.0], difference[stretch], axis=0))
-                    parts.append(white[order:] / self.sigmas[g, c])
+                    parts.append(_whitened(self.filters[g, c], difference[stretch]) / self.sigmas[g, c])
         if not parts:
             raise WorkError("the compared stretches are too short to tell noise from motion")
         return np.concatenate(parts)
+
+
+def _whitened(taps: Floats, x: Floats) -> Floats:
+    """(n - order, L) the moving average ``taps`` (order + 1,), newest sample first, of (n, L)."""
+    order = len(taps) - 1
+    white = taps[0] * x[order:]
+    for k in range(1, order + 1):
+        white += taps[k] * x[order - k : len(x) - k]
+    return np.asarray(white)
 
 
 @dataclass(frozen=True, eq=False)

@@ -22,7 +22,6 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from scipy import signal
 
 from suspension_twin.drive.types import Floats
 from suspension_twin.errors import InputError
@@ -146,6 +145,8 @@ class Objective:
 
     def _levels(self, x: Floats, channel: str) -> Floats:
         """(B, L) decimal logarithms of the power in sixth-octave bands, averaged over the stretches."""
+        from scipy import signal  # half a second to import, and no preset needs it
+
         rate = self.measured.rate
         longest = max(s.stop - s.start for s in self.measured.stretches)
         window = min(longest, 4 * int(rate))

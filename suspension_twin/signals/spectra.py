@@ -4,7 +4,6 @@
 from __future__ import annotations
 
 import numpy as np
-from scipy import signal
 
 from suspension_twin.drive.types import Floats
 from suspension_twin.errors import InputError
@@ -21,6 +20,8 @@ def power_density(x: Floats, rate: float, segment: float = 2.0) -> tuple[Floats,
     x = np.asarray(x, dtype=np.float64)
     if len(x) < 8:
         raise InputError("spectrum", f"{len(x)} samples are too few")
+    from scipy import signal  # half a second to import, which a calibration without a report does not need
+
     size = min(len(x), max(8, round(segment * rate)))
     frequency, density = signal.welch(x, fs=rate, nperseg=size, detrend="constant", axis=0)
     return np.asarray(frequency, dtype=np.float64), np.asarray(density, dtype=np.float64)

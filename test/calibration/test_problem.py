@@ -195,6 +195,9 @@ def test_coarse_lag_finds_seconds() -> None:
     lag, there, here = coarse_lag([(signal[:-37], signal[37:])], 100.0, 1.0)
     assert lag == pytest.approx(-0.37, abs=0.003) and there > 0.98 and here < 0.5
     assert coarse_lag([(np.zeros(500), signal[:500])], 100.0, 1.0) == (0.0, 0.0, 0.0)
+    # no lag allowed, and a lag the other way
+    assert coarse_lag([(signal[:500], signal[:500])], 100.0, 0.0) == (0.0, pytest.approx(1.0), pytest.approx(1.0))
+    assert coarse_lag([(signal[37:], signal[:-37])], 100.0, 1.0)[0] == pytest.approx(-lag, abs=1e-6)
 
 
 # -- the problem -----------------------------------------------------------------------------------

@@ -4,6 +4,8 @@
 from __future__ import annotations
 
 import math
+import subprocess
+import sys
 
 import numpy as np
 import pytest
@@ -142,3 +144,19 @@ def test_nothing_in_nothing_out() -> None:
     assert zero_phase(FilterSpec(), 100.0, np.empty((0, 3))).shape == (0, 3)
     assert CausalLowPass(FilterSpec(), 100.0, 3).process(np.empty((0, 3))).shape == (0, 3)
     assert zero_phase(FilterSpec(), 100.0, np.array([4.0])) == pytest.approx([4.0])
+
+
+@pytest.mark.parametrize("order", range(1, 9))
+@pytest.mark.parametrize(("cutoff", "rate"), [(20.0, 100.0), (1.0, 1000.0), (40.0, 82.0)])
+def test_sections_are_scipys(order: int, cutoff: float, rate: float) -> None:
+    """The same cascade as SciPy's design, whichever way the sections are paired and ordered."""
+    ours = FilterSpec(order, cutoff).sections(rate)
+    _, own = signal.freqz_sos(ours, 256)
+    _, theirs = signal.freqz_sos(signal.butter(order, cutoff, fs=rate, output="sos"), 256)
+    assert own == pytest.approx(theirs, rel=1e-9, abs=1e-9)
+
+
+def test_a_calibration_does_not_wait_for_what_it_does_not_use() -> None:
+    """Half a second of imports: nothing on the way from a drive to a calibrated twin needs scipy.signal."""
+    code = "import sys, suspension_twin.calibration.run; sys.exit('scipy.signal' in sys.modules)"
+    assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0
