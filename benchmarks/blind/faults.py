@@ -16,7 +16,10 @@ from scipy.ndimage import gaussian_filter1d
 from blind.newton import Faults, Motion
 from blind.world import FILE_DU, FILE_DV, Floats, World
 
-OUTSIDE = ("cubic_spring", "wheel_imbalance", "engine_order", "damper_cavitation", "loose_ball_joint")
+OUTSIDE = (
+    "cubic_spring", "wheel_imbalance", "engine_order", "damper_cavitation", "loose_ball_joint",
+    "position_sensitive_damper", "gusts",
+)  # fmt: skip
 #: What a library may call them, should it come to have them: then that is taken out.
 ALIASES = {
     "cubic_spring": ("cubic_spring", "progressive_spring"),
@@ -110,6 +113,8 @@ def knob(effect: str, world: World, seed: int) -> Knob:
         "engine_order": lambda s, n: {"force": 2500 * s},
         "damper_cavitation": lambda s, n: {"void": 0.03 * s},
         "loose_ball_joint": lambda s, n: {"play": 0.02 * s},
+        "position_sensitive_damper": lambda s, n: {"rise": 12.0 * s},
+        "gusts": lambda s, n: {"force": 3000 * s, "phase": 6.28 * a},
     }
     return knobs[effect]
 

@@ -4,7 +4,8 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable
+import math
+from collections.abc import Callable, Mapping
 from dataclasses import asdict
 from functools import lru_cache
 from pathlib import Path
@@ -87,10 +88,22 @@ def make_case(spec: Spec, cases: Path, sealed: Path) -> dict[str, Any]:
         "faults": faults,
         "reached": reached,
         "stretch": stretch,
-        "frequency": [v["frequency"] for v in faults.values() if "frequency" in v],
+        "frequency": [_resonance(world, e, v) for e, v in faults.items() if "frequency" in v],
         "drives": drives,
         **scale,
     }
+
+
+def _resonance(world: World, effect: str, own: Mapping[str, float]) -> float:
+    """Hz at which the effect rings in the car. An engine on its mounts rings above the frequency that it has on a
+    fixed base: the body that it leans on gives way, up and down and in pitch."""
+    if effect != "powertrain_mount":
+        return own["frequency"]
+    car, engine, x = world.car, own["mass"], own["x"]
+    rest = car.mass - float(car.unsprung().sum()) - engine
+    arm = x + engine * x / rest  # from the centre of the body without its engine
+    inertia = car.sprung_inertia[1] - min(engine * x * arm, 0.5 * car.sprung_inertia[1])
+    return own["frequency"] * math.sqrt(1.0 + engine * (1.0 / rest + arm**2 / inertia))
 
 
 def _floor(spec: Spec) -> list[float]:

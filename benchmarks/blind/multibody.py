@@ -8,9 +8,11 @@ mode as bodies on springs of MuJoCo's own, an anti-roll bar as a tendon, a paylo
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 
 import mujoco
 import numpy as np
+from scipy.signal import lfilter
 
 from blind import multibody_forces as mf
 from blind.newton import Faults, Motion, rotate
@@ -110,6 +112,7 @@ def _numbers(world: World, car: Car, part: float, f: Faults) -> tuple[Floats, Fl
     n[mf.PLAY] = f.get("loose_ball_joint", {}).get("play", 0.0)
     n[mf.VOID] = f.get("damper_cavitation", {}).get("void", 0.0)
     n[mf.CUBIC] = f.get("cubic_spring", {}).get("rate", 0.0)
+    n[mf.GROOVE] = f.get("position_sensitive_damper", {}).get("rise", 0.0)
     loads = car.loads() - car.unsprung() * (1.0 - part) * G
     fine = np.linspace(0.0, SPRING_REACH, SPRING_N + 1)
     w[mf.SINK] = loads / n[mf.TYRE]
@@ -162,6 +165,16 @@ class _Driver:
         return self.steer, max(effort, 0.0), max(-effort, 0.0)
 
 
+def _wind(own: Mapping[str, float], plan: Plan) -> Floats:
+    """(n, 2) N of side force and lift every step: white noise through a low-pass at 1 Hz, blowing up
+    over the first second."""
+    rng = np.random.default_rng([int(1e4 * own["phase"]), int(plan.start)])
+    raw = rng.standard_normal((round(plan.seconds / STEP) + 1, 2))
+    slow = lfilter([1.0], [1.0, -math.exp(-2 * math.pi * STEP)], raw, axis=0)
+    slow *= np.clip(np.arange(len(slow)) * STEP, 0.0, 1.0)[:, None] / slow.std(axis=0)
+    return np.asarray(own["force"] * slow * [0.4, 1.0])
+
+
 def _drive(
     world: World, plan: Plan, model: mujoco.MjModel, data: mujoco.MjData, n: Floats, w: Floats, keep: Floats,
     centre: Floats, f: Faults,
@@ -184,6 +197,7 @@ def _drive(
     mode = model.joint("mode").dofadr[0] if gain else 0
     shake, angle = f.get("engine_order", {}).get("force", 0.0), 0.0
     arm = car.wheelbase - centre[0]
+    wind = _wind(f["gusts"], plan) if "gusts" in f else np.zeros((0, 2))
     for step in range(-settle, count * every):
         t = step * STEP
         if step % 10 == 0:
@@ -202,6 +216,11 @@ def _drive(
             push = shake * math.sin(angle)
             data.xfrc_applied[1, :3] = push * matrix[:, 2]
             data.xfrc_applied[1, 3:] = -arm * push * matrix[:, 1]
+        if len(wind):
+            side, lift = wind[min(max(step, 0), len(wind) - 1)]
+            push = side * matrix[:, 1] + lift * matrix[:, 2]
+            data.xfrc_applied[1, :3] = push
+            data.xfrc_applied[1, 3:] = np.cross(matrix @ np.array([0.5, 0.0, 0.6]), push)
         mujoco.mj_step(model, data)
         if step < 0:
             data.qvel[2] *= 0.998

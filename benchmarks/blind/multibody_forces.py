@@ -8,8 +8,8 @@ import math
 from numba import njit
 
 #: Numbers of the whole car.
-RADIUS, TYRE, GRIP, DRIVEN, PLAY, VOID, FADE, FADE_T, CUBIC, PATCH, POINTS, DT = range(12)
-NUMBERS = 12
+RADIUS, TYRE, GRIP, DRIVEN, PLAY, VOID, FADE, FADE_T, CUBIC, PATCH, POINTS, DT, GROOVE = range(13)
+NUMBERS = 13
 #: Numbers by wheel, and the states that a wheel keeps from step to step.
 (REST, SINK, SPRING, DAMPER, FRICTION, BUMP, BUMP_GAP, REBOUND, REBOUND_GAP, MOUNT, TYRE_DAMPING, IMBALANCE,
  PHASE) = range(13)  # fmt: skip
@@ -76,6 +76,8 @@ def strut(i, s, v, t, n, w, keep, springs, pushes, pulls, spring_reach, damper_r
         keep[STICK, i] = min(max(keep[STICK, i], -most), most)
         force += STICKING * keep[STICK, i]
     scale = w[DAMPER, i] * (1.0 - n[FADE] * (1.0 - math.exp(-max(t, 0.0) / n[FADE_T])))
+    # grooves in the tube: free in the middle, shut within a centimetre
+    scale *= 1.0 + n[GROOVE] / (1.0 + math.exp(-(abs(s) - 0.02) / 0.004))
     if w[MOUNT, i] > 0.0 or n[PLAY] > 0.0:
         z = keep[STRETCH, i]
         if n[PLAY] > 0.0:

@@ -81,6 +81,7 @@ def run(world: World, plan: Plan, faults: Faults | None = None, step: float = ST
     standing = car  # springs and tyres were chosen for this load
     car = loaded(car, f.get("payload"))
     n, c, sink = _numbers(world, standing, car, f)
+    n[k.GUST_PHASE] = f.get("gusts", {}).get("phase", 0.0) + plan.start % 6.28  # no wind blows twice
     centre = _body_centre(car, f)
     place = np.array(phone.place) + phone.misplaced
     if "sensor_offset" in f:
@@ -174,6 +175,8 @@ def _struts(n: Floats, c: Floats, f: Faults) -> None:
     n[k.VOID] = f.get("damper_cavitation", {}).get("void", 0.0)
     n[k.PLAY] = f.get("loose_ball_joint", {}).get("play", 0.0)
     n[k.CUBIC] = f.get("cubic_spring", {}).get("rate", 0.0)
+    n[k.GROOVE] = f.get("position_sensitive_damper", {}).get("rise", 0.0)
+    n[k.GUST] = f.get("gusts", {}).get("force", 0.0)
 
 
 def _body(n: Floats, c: Floats, car: Car, f: Faults, centre: Floats, loads: Floats) -> None:

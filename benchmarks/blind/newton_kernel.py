@@ -20,8 +20,9 @@ from blind.world import DAMPER_N, DAMPER_REACH, SPRING_N, SPRING_REACH, Floats, 
 
 # Rows of the numbers that are one for all corners.
 (MASS, IX, IY, IZ, RADIUS, TYRE, HARD, DRIVEN, SX, SY, SZ, BEND_W, BEND_Z, BEND_GAIN, FADE, FADE_T,
- ENGINE_W, ENGINE_Z, VOID, PLAY, ORDER_FORCE, ORDER_X, CUBIC, WEIGHT, BASE) = range(25)  # fmt: skip
-NUMBERS = 25
+ ENGINE_W, ENGINE_Z, VOID, PLAY, ORDER_FORCE, ORDER_X, CUBIC, WEIGHT, BASE, GROOVE, GUST,
+ GUST_PHASE) = range(28)  # fmt: skip
+NUMBERS = 28
 # Rows of the numbers by corner (columns: four wheels and the engine).
 (X, Y, Z, SLIDER, REST, FRICTION, SPRING, DAMPER, BUMP, BUMP_GAP, REBOUND, REBOUND_GAP, MOUNT, BAR, TYRE_DAMPING,
  IMBALANCE, PHASE, SHAPE) = range(18)  # fmt: skip
@@ -33,6 +34,7 @@ BREAK = 7e-4  # m that a strut gives way before it slips
 FASTEST = 0.6  # m/s
 STRIBECK, STRIBECK_SPEED = 1.25, 0.02
 UPPER = 0.02  # m of a stop's foam
+PLATEAU = 0.03  # m of travel from which a damper with grooves has left them behind
 
 
 @njit(cache=True)
@@ -99,7 +101,7 @@ def _strut(i, s, v, y, dy, n, c, springs, pushes, pulls, fade):  # type: ignore[
     deep = -s - c[REBOUND_GAP, i]
     if deep > 0.0:
         force -= c[REBOUND, i] * deep * (1.0 + (deep / UPPER) ** 2 * 0.9 + deep / UPPER * 0.4)
-    scale = c[DAMPER, i] * fade
+    scale = c[DAMPER, i] * fade * (1.0 + n[GROOVE] * min((s / PLATEAU) ** 2, 1.0))
     if c[MOUNT, i] > 0.0 or n[PLAY] > 0.0:
         z = y[STRETCH + i]
         if n[PLAY] > 0.0:
@@ -135,6 +137,16 @@ def _strut(i, s, v, y, dy, n, c, springs, pushes, pulls, fade):  # type: ignore[
         dy[BRISTLE + i] = zdot
         force += level / BREAK * z + 0.01 * level / BREAK * zdot
     return force
+
+
+@njit(cache=True)
+def _gust(t: float, phase: float) -> float:
+    """Wind of 0.2 to 5 Hz about its mean, rms about 1: tones closer than any drive can part."""
+    total = 0.0
+    for i in range(60):
+        f = 0.2 * 1.056**i
+        total += math.sin(2.0 * math.pi * f * t + phase * (i + 1) * (i + 2)) / (1.0 + (f / 1.2) ** 2)
+    return total / 4.5
 
 
 @njit(cache=True)
@@ -251,6 +263,14 @@ def _rates(t, y, dy, n, c, springs, pushes, pulls, ground, seen, room, control, 
         shake = n[ORDER_FORCE] * math.sin(y[ANGLE + 1])
         b6[2] += shake
         b6[4] -= n[ORDER_X] * shake
+    if n[GUST] > 0.0:
+        # Side force and lift, pressing ahead of the centre and above it.
+        side, lift = 0.4 * n[GUST] * _gust(t, n[GUST_PHASE]), n[GUST] * _gust(t, n[GUST_PHASE] + 1.0)
+        b6[1] += side
+        b6[2] += lift
+        b6[3] -= 0.6 * side
+        b6[4] -= 0.4 * lift
+        b6[5] += 0.4 * side
     _solve6(a6, b6)
     ax, ay, az, dx, dyy, dz = b6[0], b6[1], b6[2], b6[3], b6[4], b6[5]
     for i in range(5):

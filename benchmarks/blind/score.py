@@ -82,7 +82,7 @@ def _where(label: dict[str, Any], where: dict[str, Any]) -> dict[str, float]:
         )
         if region and times:
             out["time_s"] = max(0.0, times[0] - region["start"], region["end"] - times[1])
-    if label["kind"] == "single" and label["frequency"]:
+    if label["kind"] == "single" and label["frequency"] and label["severity"] >= PLAIN:
         region = main(where.get("frequency", []))
         if region:
             centre = math.sqrt(max(region["low_hz"], 0.1) * max(region["high_hz"], 0.1))

@@ -193,6 +193,8 @@ class _Search:
         most = max(self._shrink(self.left[0], left, c).shrink for c in columns if self._driven(names[c]))
         material = max(self._material(left, c, least) for c in columns)
         material *= min(self._unspoilt(left, c, most) for c in columns)
+        if self.reference is None:
+            material *= verdict.uncommon(bench, found)
         return verdict.Gates(material, adequate, verdict.plausible(bench, found))
 
     def _material(self, left: gaps.Remainder, column: int, least: float) -> float:

@@ -15,8 +15,12 @@ from suspension_twin.diagnosis.judge import Evidence
 from suspension_twin.diagnosis.lines import Line, strongest
 from suspension_twin.diagnosis.noise import INDEPENDENT, density
 from suspension_twin.drive.types import Floats
+from suspension_twin.effects.registry import EFFECTS
 
-__all__ = ["Gates", "background", "even", "free_of_lines", "level_of", "masses", "sound", "temper_of", "verdict_of"]
+__all__ = [
+    "Gates", "background", "even", "free_of_lines", "level_of", "masses", "sound", "temper_of", "uncommon",
+    "verdict_of",
+]  # fmt: skip
 
 #: Share of the gap's rms that a cause has to explain.
 MATERIAL = 0.1
@@ -39,6 +43,8 @@ _STANDS_OUT, _STANDS_OUT_SPREAD = 2.8, 1.15
 _LINE, _LINE_SPREAD = 16.0, 1.2
 _HALF_OCTAVES = 1.0 * 2.0 ** (0.5 * np.arange(9))  # Hz
 _LEAST_TEMPER = 0.03
+#: Factor of one standard deviation about what is usual of a twin file that is off.
+_USUAL_SHARE_SPREAD = 1.3
 
 
 @dataclass(frozen=True)
@@ -149,6 +155,19 @@ def plausible(bench: Bench, found: Evidence) -> float:
     if np.mean(np.sign(held[main]) == np.sign(u[main])) < 0.8:
         worst *= 0.3
     return worst
+
+
+def uncommon(bench: Bench, found: Evidence) -> float:
+    """Probability that an effect is more than what any vehicle differs from its twin file by."""
+    hypothesis = found.fit.hypothesis
+    values = hypothesis.values(found.fit.x[bench.d + bench.q :, None])[:, 0]
+    given, likely = dict(zip(hypothesis.keys, values, strict=True)), 1.0
+    for e in hypothesis.effects:
+        usual = EFFECTS[e].usual_share * bench.problem.twin.vehicle.mass
+        if usual > 0:
+            most = max(abs(given[f"effects.{e}.{name}"]) for name in EFFECTS[e].severity)
+            likely *= float(norm.cdf(np.log(max(most, 1e-12) / usual) / np.log(_USUAL_SHARE_SPREAD)))
+    return likely
 
 
 def masses(

@@ -3,7 +3,8 @@
 
 A place is reported that holds significantly more of the gap than its length asks for: its mean square
 is compared with the spread of blocks of a second over the whole drives, and of all places tried, false
-discoveries are held to a tenth (Benjamini and Hochberg 1995). Shares are of the gap's energy above the noise.
+discoveries are held to a tenth (Benjamini and Hochberg 1995). Shares are of the gap's energy above the noise;
+in frequency, also above what the model leaves of the motion on drives from before the gap, where there are any.
 """
 
 from __future__ import annotations
@@ -17,6 +18,7 @@ from scipy.ndimage import gaussian_filter1d
 from scipy.stats import false_discovery_control, norm
 
 from suspension_twin.diagnosis.bench import Bench
+from suspension_twin.diagnosis.noise import density, shares
 from suspension_twin.diagnosis.operating import by_motion, ranked, runs
 from suspension_twin.drive.types import Floats
 from suspension_twin.models.simulate import simulate_twin
@@ -43,7 +45,9 @@ def localise(bench: Bench, difference: Floats, noise: dict[str, float], twin: Tw
     where: dict[str, Any] = {
         "time": _time(bench, excess, total),
         "road": _road(bench, excess, total),
-        "frequency": _frequency(bench, [d[:, main] for d in _parts(bench, difference)], floor),
+        "frequency": _frequency(
+            bench, [d[:, main] for d in _parts(bench, difference)], floor, _usual(bench, difference, main)
+        ),
         "channel": _channels(bench, difference, noise),
     }
     where.update(
@@ -155,13 +159,27 @@ def _segments(bench: Bench, series: Sequence[Floats]) -> tuple[Floats, Floats]:
     return f, np.array(found)
 
 
-def _frequency(bench: Bench, series: Sequence[Floats], floor: float) -> list[dict[str, Any]]:
+def _usual(bench: Bench, difference: Floats, column: int) -> Floats:
+    """(F,) power density that the model would leave of the drives with the gap if it left the share of the motion
+    that it leaves of the others; nothing without such drives."""
+    problem = bench.problem
+    measured, others = problem.measured, [d for d, a in enumerate(bench.active) if not a]
+    if not others:
+        return np.zeros(_SEGMENT // 2 + 1)
+    own = [s for s, d in zip(measured.stretches, measured.drives, strict=True) if bench.active[d]]
+    motion = density(measured.values[:, column], own, measured.rate)
+    return np.asarray(shares(problem, difference, others)[column] ** 2 * motion)
+
+
+def _frequency(bench: Bench, series: Sequence[Floats], floor: float, usual: Floats) -> list[dict[str, Any]]:
     """Bands that hold more of the gap than their width in octaves asks for, each about a peak and down to half of
-    its density. How sure that is comes from drawing pairs of stretches anew, neighbours together."""
+    its density. How sure that is comes from drawing pairs of stretches anew, neighbours together. ``usual`` (F,) is
+    the power density that is there without the gap."""
     f, power = _segments(bench, series)
     inside = (f >= _LOWEST) & (f < 30.0)
     f, power = f[inside], gaussian_filter1d(power[:, inside], 1.0, axis=1, mode="nearest")
-    white, octaves = floor**2 / 20.0, np.log2((f + 0.5 * (f[1] - f[0])) / (f - 0.5 * (f[1] - f[0])))
+    usual = usual[inside]
+    there, octaves = np.maximum(usual, floor**2 / 20.0), np.log2((f + 0.5 * (f[1] - f[0])) / (f - 0.5 * (f[1] - f[0])))
     blocks = np.arange(len(power)) // 2
     count = int(blocks[-1]) + 1
     sums = np.stack([power[blocks == b].sum(axis=0) for b in range(count)])
@@ -169,11 +187,11 @@ def _frequency(bench: Bench, series: Sequence[Floats], floor: float) -> list[dic
     drawn = np.random.default_rng(0).multinomial(count, np.full(count, 1.0 / count), _DRAWS).astype(float)
     means = np.einsum("kb,bf->kf", drawn, sums, optimize=False)
     means /= np.einsum("kb,b->k", drawn, sizes, optimize=False)[:, None]
-    above = np.maximum(np.vstack([power.mean(axis=0), means]) - white, 0.0)
-    usual = above.sum(axis=1) / octaves.sum()
-    if usual[0] <= 0:
+    above = np.maximum(np.vstack([power.mean(axis=0), means]) - there, 0.0)
+    even = above.sum(axis=1) / octaves.sum()
+    if even[0] <= 0:
         return []
-    fewer = (above[1:] / octaves <= usual[1:, None]).mean(axis=0)
+    fewer = (above[1:] / octaves <= even[1:, None]).mean(axis=0)
     left = np.asarray(false_discovery_control(np.clip(fewer, 0.5 / _DRAWS, 1.0)) < _FALSE)
     density, total, half = above[0], float(above[0].sum()), 0.5 * (f[1] - f[0])
     items = []

@@ -60,7 +60,8 @@ class Parameter:
 class Effect:
     """One effect. ``severity`` names the parameters that switch it off when all are neutral.
 
-    ``excited_by`` says which signals move it, ``confused_with`` what looks alike.
+    ``excited_by`` says which signals move it, ``confused_with`` what looks alike. ``usual_share`` is the severity by
+    which a weighed vehicle differs from its twin file anyway (a driver, a tank), as a share of its mass.
     """
 
     id: str
@@ -72,6 +73,7 @@ class Effect:
     excited_by: tuple[str, ...]
     confused_with: tuple[str, ...]
     hook: Hook
+    usual_share: float = 0.0
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "hook", replace(self.hook, check=self.values))

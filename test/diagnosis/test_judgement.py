@@ -93,7 +93,7 @@ def test_a_resonance_is_located_within_a_sixth_of_an_octave(hertz: float, dampin
     rng = np.random.default_rng(seed)
     drives = [0.3 * resonance(rng.standard_normal(n), hertz, damping) + 0.05 * rng.standard_normal(n)
               for n in (3000, 4500)]  # fmt: skip
-    regions = _frequency(bench([3000, 4500], np.zeros((7500, 1))), drives, 0.01)
+    regions = _frequency(bench([3000, 4500], np.zeros((7500, 1))), drives, 0.01, np.zeros(129))
     assert regions == sorted(regions, key=lambda r: -r["share"])
     main = regions[0]
     assert main["share"] > 0.4 and main["low_hz"] < main["high_hz"]
@@ -106,7 +106,7 @@ def test_no_band_stands_out_of_a_gap_that_is_everywhere_alike() -> None:
     spectrum = np.fft.rfft(rng.standard_normal(12_000))
     f = np.fft.rfftfreq(12_000, 1 / RATE)
     pink = np.fft.irfft(spectrum / np.sqrt(np.maximum(f, 0.2)))
-    assert sum(r["share"] for r in _frequency(bench([12_000], np.zeros((12_000, 1))), [pink], 0.0)) < 0.5
+    assert sum(r["share"] for r in _frequency(bench([12_000], np.zeros((12_000, 1))), [pink], 0.0, np.zeros(129))) < 0.5
 
 
 # -- corners and operating points ------------------------------------------------------------------
