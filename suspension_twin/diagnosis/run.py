@@ -184,7 +184,7 @@ class _Search:
         else:
             adequate = verdict.sound(found, [c for c, n in enumerate(bench.problem.channels) if self._driven(n)])
         if self.case.road:
-            adequate *= verdict.free_of_lines(bench, left)[0]
+            adequate *= verdict.free_of_lines(bench, left)[0] * verdict.punctual(bench, found)
         if found is self.base:
             return verdict.Gates(1.0, adequate, 1.0)
         names = bench.problem.channels

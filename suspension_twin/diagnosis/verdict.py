@@ -18,7 +18,7 @@ from suspension_twin.drive.types import Floats
 from suspension_twin.effects.registry import EFFECTS
 
 __all__ = [
-    "Gates", "background", "even", "free_of_lines", "level_of", "masses", "sound", "temper_of", "uncommon",
+    "Gates", "background", "even", "free_of_lines", "level_of", "masses", "punctual", "sound", "temper_of", "uncommon",
     "verdict_of",
 ]  # fmt: skip
 
@@ -41,6 +41,9 @@ _STANDS_OUT, _STANDS_OUT_SPREAD = 2.8, 1.15
 #: How often what its neighbourhood holds a line has to hold that a sound model is as likely as not: what is left of
 #: cars that lack nothing has up to ten times.
 _LINE, _LINE_SPREAD = 16.0, 1.2
+#: Rms of the drives' own clock errors, in spreads of what is normal and of which none goes beyond three, at which a
+#: sound model is as likely as not.
+_LATE, _LATE_SPREAD = 2.92, 0.04
 _HALF_OCTAVES = 1.0 * 2.0 ** (0.5 * np.arange(9))  # Hz
 _LEAST_TEMPER = 0.03
 #: Factor of one standard deviation about what is usual of a twin file that is off.
@@ -114,6 +117,16 @@ def free_of_lines(bench: Bench, left: Remainder) -> tuple[float, Line | None]:
     if line is None:
         return 1.0, None
     return float(norm.sf(np.log(line.strength / _LINE) / np.log(_LINE_SPREAD))), line
+
+
+def punctual(bench: Bench, found: Evidence) -> float:
+    """Probability that the drives' clocks, each of which may be off by a little, are not asked to make up for
+    something: a single one goes to its limit on a sound car, all of them do where the time is wrong."""
+    own = [i for i, n in enumerate(bench.problem.nuisances.names) if n.endswith(".clock_offset")]
+    if not own:
+        return 1.0
+    off = found.fit.x[bench.d + np.array(own)] / bench.problem.nuisances.spread[own]
+    return float(norm.sf((float(np.sqrt(np.mean(off**2))) - _LATE) / _LATE_SPREAD))
 
 
 def sound(found: Evidence, channels: Sequence[int]) -> float:

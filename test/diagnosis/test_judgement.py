@@ -14,10 +14,11 @@ from scipy.signal import butter, lfilter, sosfilt
 
 from suspension_twin.diagnosis import gaps, verdict
 from suspension_twin.diagnosis.gaps import Remainder
+from suspension_twin.diagnosis.hypotheses import Hypothesis
 from suspension_twin.diagnosis.judge import Blocks
 from suspension_twin.diagnosis.operating import _corners, _points
 from suspension_twin.diagnosis.verdict import Gates
-from suspension_twin.diagnosis.where import _frequency
+from suspension_twin.diagnosis.where import _frequency, _usual
 
 RATE, CHANNEL = 100.0, "vertical_acceleration"
 FOUND, NOTHING = Gates(1.0, 1.0, 1.0), Gates(0.0, 1.0, 1.0)
@@ -107,6 +108,59 @@ def test_no_band_stands_out_of_a_gap_that_is_everywhere_alike() -> None:
     f = np.fft.rfftfreq(12_000, 1 / RATE)
     pink = np.fft.irfft(spectrum / np.sqrt(np.maximum(f, 0.2)))
     assert sum(r["share"] for r in _frequency(bench([12_000], np.zeros((12_000, 1))), [pink], 0.0, np.zeros(129))) < 0.5
+
+
+def test_what_a_reference_shows_as_well_is_no_band_of_the_gap() -> None:
+    """The model misses a fifth of the motion about 4 Hz always; what is new is at 11 Hz, and smaller."""
+    n = [3000, 4500, 4000]
+    rng = np.random.default_rng(7)
+    motion = [resonance(rng.standard_normal(k), 4.0, 0.1) for k in n]
+    left = [0.2 * resonance(rng.standard_normal(k), 4.0, 0.1) for k in n]
+    for k, one in zip(n[:2], left[:2], strict=True):
+        one += 0.12 * resonance(rng.standard_normal(k), 11.0, 0.04)
+    there = bench(n, np.concatenate(motion)[:, None], (True, True, False))
+    there.problem.channels = (CHANNEL,)
+    usual = _usual(there, np.concatenate(left)[:, None], 0)
+    band = _frequency(there, left[:2], 0.01, usual)[0]
+    assert band["low_hz"] < 11.0 < band["high_hz"]
+    # without the reference the larger band is the answer
+    alone = bench(n[:2], np.concatenate(motion[:2])[:, None])
+    plain = _usual(alone, np.concatenate(left[:2])[:, None], 0)
+    assert not plain.any()
+    band = _frequency(alone, left[:2], 0.01, plain)[0]
+    assert band["low_hz"] < 4.0 < band["high_hz"]
+
+
+# -- what is normal --------------------------------------------------------------------------------
+
+
+def fitted(hypothesis: Hypothesis, nuisances: dict[str, float], values: dict[str, float]) -> tuple[Any, Any]:
+    """A bench and evidence with these nuisances, in spreads, and these parameters of the effects."""
+    names = list(nuisances)
+    given = SimpleNamespace(names=names, spread=np.full(len(names), 0.002))
+    twin = SimpleNamespace(vehicle=SimpleNamespace(mass=1500.0))
+    there = SimpleNamespace(d=2, q=len(names), problem=SimpleNamespace(nuisances=given, twin=twin))
+    u = [(values[p.name] - p.typical) / p.spread for _, p in hypothesis.searched]
+    x = np.concatenate([np.zeros(2), [0.002 * v for v in nuisances.values()], u])
+    return there, SimpleNamespace(fit=SimpleNamespace(hypothesis=hypothesis, x=x))
+
+
+@pytest.mark.parametrize(("mass", "low", "high"), [(30.0, 0.0, 0.05), (60.0, 0.45, 0.55), (150.0, 0.99, 1.0)])
+def test_a_payload_has_to_be_more_than_a_file_is_off_by(mass: float, low: float, high: float) -> None:
+    found = fitted(Hypothesis(("payload",)), {}, {"mass": mass, "x": 0.5, "y": 0.0})
+    assert low <= verdict.uncommon(*found) <= high
+    assert verdict.uncommon(*fitted(Hypothesis(("tyre_damping",)), {}, {"damping": 1.0})) == 1.0
+
+
+def test_clocks_that_are_all_at_their_limit_make_up_for_something() -> None:
+    def punctual(*own: float) -> float:
+        nuisances = {"map_position": 3.0, "clock_offset": -3.0}
+        nuisances |= {f"drive_{i}.clock_offset": v for i, v in enumerate(own)}
+        return verdict.punctual(*fitted(Hypothesis(), nuisances, {}))
+
+    assert punctual(3.0, 3.0, -3.0) < 0.05
+    assert punctual(-3.0, 0.5, 1.0) > 0.99 and punctual(0.1, 0.2) > 0.99
+    assert punctual() == 1.0
 
 
 # -- corners and operating points ------------------------------------------------------------------
