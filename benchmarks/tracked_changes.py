@@ -4,14 +4,16 @@
 The specimen of ``tracked_reality`` drives once sound and once with each fault, without a camera's noise; the
 model is calibrated on the sound run as the diagnosis does it. Both changes in units of what repeats differ by
 (1.5 mm, 0.01 m/s, 0.16 m/s²), with what a late clock and another speed would look like taken out of both. What
-is small here no diagnosis sees; what correlates badly it cannot name.
-Usage: ``python benchmarks/tracked_changes.py [--json]``.
+is small here no diagnosis sees; what correlates badly it cannot name. Before that, in the same units, how far the
+model is off the sound specimen: with the specimen's own parameters on a prescribed way, with a driver, and calibrated.
+Usage: ``python benchmarks/tracked_changes.py [--kmh 4 20] [--json]``.
 """
 
 from __future__ import annotations
 
 import argparse
 import json
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -21,12 +23,13 @@ from tracked_reality import Faults, simulate
 from suspension_twin.calibration.tracked_paper import simulate_runs
 from suspension_twin.calibration.tracked_runs import RATE, MarkerRun, low_pass
 from suspension_twin.diagnosis.tracked_fit import calibrate_to, signals
+from suspension_twin.diagnosis.tracked_own import driven
 from suspension_twin.drive.types import Floats
 from suspension_twin.effects.tracked_effects import apply_tracked
 from suspension_twin.vehicle.tracked import TrackedVehicle, load_tracked
 
 FILE = Path(__file__).resolve().parents[1] / "config" / "tracked" / "pt91.yaml"
-SPEEDS = {8: 7.0, 13: 4.6}  # km/h: s
+SECONDS = {4: 14.0, 8: 7.0, 13: 4.6, 20: 3.2}  # of a run at so many km/h
 SIGMA = np.repeat([1.5e-3, 0.01, 0.16], 3)
 #: The sound specimen: within what ``tracked_blind`` draws.
 SOUND = {
@@ -54,8 +57,9 @@ def cases(sound: TrackedVehicle) -> dict[str, tuple[dict[str, dict[str, float]],
 
 def filmed(vehicle: TrackedVehicle, kmh: int, faults: Faults) -> MarkerRun:
     """The specimen's run as a camera without noise would give it."""
-    motion = simulate(vehicle, kmh / 3.6, SPEEDS[kmh] + 0.4, faults)
-    t = np.arange(0.0, SPEEDS[kmh], 1.0 / RATE)
+    seconds = SECONDS[kmh]
+    motion = simulate(vehicle, kmh / 3.6, seconds + 0.4, faults)
+    t = np.arange(0.0, seconds, 1.0 / RATE)
     z = low_pass(np.stack([np.interp(t, motion["t"], c) for c in motion["markers"].T], axis=1), RATE)
     v = np.gradient(z, t, axis=0)
     return MarkerRun(t, z, v, np.gradient(v, t, axis=0), kmh / 3.6, f"{kmh:02d}kmh")
@@ -69,21 +73,37 @@ def without_clock(change: Floats, sound: Floats, t: Floats) -> Floats:
     return np.asarray(c - shifts @ np.linalg.lstsq(shifts, c, rcond=None)[0])
 
 
+def misfits(model: TrackedVehicle, sound: Sequence[MarkerRun]) -> list[float]:
+    """Of each run, the rms difference of model and specimen in units of the noise."""
+    told = simulate_runs([model], sound)[0]
+    assert told is not None
+    return [
+        float(np.sqrt(np.mean(without_clock(signals(t) - signals(s), signals(s), s.t) ** 2)))
+        for t, s in zip(told, sound, strict=True)
+    ]
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description="What faults change, in the reality of 97 links and in the model.")
     parser.add_argument("--json", action="store_true", help="print one JSON object")
+    parser.add_argument("--kmh", type=int, nargs="+", choices=list(SECONDS), default=[8, 13])
     arguments = parser.parse_args()
     start = load_tracked(FILE)
     specimen = start.with_changes(SOUND)
-    sound = [filmed(specimen, kmh, Faults()) for kmh in SPEEDS]
+    sound = [filmed(specimen, kmh, Faults()) for kmh in arguments.kmh]
     model = calibrate_to(start, sound)
+    off = {
+        "on a prescribed way": misfits(specimen, sound), "driven": misfits(driven(specimen), sound),
+        "calibrated": misfits(model, sound),
+    }  # fmt: skip
+    gyration = model.gyration / specimen.gyration
     told = simulate_runs([model], sound)[0]
     assert told is not None  # it was fitted to them
     rows: list[dict[str, Any]] = []
     for name, (effect, vehicle, faults) in cases(specimen).items():
         broken = simulate_runs([apply_tracked(model, effect)], sound)[0]
         assert broken is not None
-        for kmh, before, plain, after in zip(SPEEDS, sound, told, broken, strict=True):
+        for kmh, before, plain, after in zip(arguments.kmh, sound, told, broken, strict=True):
             usual = signals(before)
             real = without_clock(signals(filmed(vehicle, kmh, faults)) - usual, usual, before.t)
             ours = without_clock(signals(after) - signals(plain), usual, before.t)
@@ -93,8 +113,12 @@ def main() -> None:
                 "correlation": float(real @ ours / np.sqrt((real @ real) * (ours @ ours))),
             })  # fmt: skip
     if arguments.json:
-        print(json.dumps({"rows": rows}))
+        print(json.dumps({"sound": off, "gyration": gyration, "rows": rows}))
         return
+    for name, values in off.items():
+        told_off = ", ".join(f"{v:.1f} at {kmh} km/h" for kmh, v in zip(arguments.kmh, values, strict=True))
+        print(f"sound, {name}: off by {told_off} times the noise")
+    print(f"calibrated, its radius of gyration is {gyration:.3f} of the specimen's")
     print(f"{'':18}{'km/h':>5}{'real':>8}{'model':>8}{'gain':>8}{'corr.':>8}   (rms in units of the noise)")
     for r in rows:
         print("{fault:18}{kmh:5d}{real:8.2f}{model:8.2f}{gain:8.2f}{correlation:8.2f}".format(**r))
