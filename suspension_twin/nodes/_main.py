@@ -67,7 +67,7 @@ def stopping() -> Iterator[Stop]:
     stop = Stop()
     before = {number: signal.signal(number, stop) for number in _ENDINGS}
     try:
-        with _deadline():
+        with _deadline(), _quietly_lost():
             yield stop
     except KeyboardInterrupt:
         stop.asked = True
@@ -75,6 +75,23 @@ def stopping() -> Iterator[Stop]:
         stop.leave()
     for number, handler in before.items():
         signal.signal(number, handler)
+
+
+@contextmanager
+def _quietly_lost() -> Iterator[None]:
+    """The interpreter says nothing of a KeyboardInterrupt that came up in a destructor and was lost there: the flag
+    and the deadline end the process all the same."""
+    previous = sys.unraisablehook
+
+    def hook(lost: sys.UnraisableHookArgs) -> None:
+        if not isinstance(lost.exc_value, KeyboardInterrupt):
+            previous(lost)
+
+    sys.unraisablehook = hook
+    try:
+        yield
+    finally:
+        sys.unraisablehook = previous
 
 
 @contextmanager

@@ -73,6 +73,30 @@ def test_it_ends_within_a_second_with_status_0(bench, twin_path, recorded, mode,
     assert took < 1.0
 
 
+def test_a_signal_that_is_lost_in_a_destructor_ends_it_without_a_word():
+    script = """
+import os, signal, time, weakref
+from suspension_twin.nodes._main import stopping
+
+class Thing:
+    pass
+
+def dying(_):
+    os.kill(os.getpid(), signal.SIGTERM)
+    time.sleep(0.1)
+
+with stopping():
+    thing = Thing()
+    watch = weakref.ref(thing, dying)
+    del thing
+    print("went on", flush=True)
+    time.sleep(30.0)
+"""
+    process = start([sys.executable, "-c", script])
+    words, errors = process.communicate(timeout=60.0)
+    assert process.returncode == 0 and words == "went on\n" and errors == ""
+
+
 def test_it_ends_in_time_even_from_within_compiled_code():
     script = """
 import numba
