@@ -63,7 +63,7 @@ class FilterSpec:
 @lru_cache(maxsize=64)
 def _designed(order: int, cutoff: float, rate: float) -> Floats:
     """Butterworth's analogue poles through the bilinear transform with the cut-off pre-warped, a section a
-    pair, the slowest pair last (Oppenheim and Schafer, Discrete-Time Signal Processing, section 7.1).
+    pair, the least damped last (Oppenheim and Schafer, Discrete-Time Signal Processing, section 7.1).
 
     ``scipy.signal.butter`` gives the same numbers, but importing that package takes half a second, a
     tenth of a short calibration: nothing on the way from a drive to a calibrated twin imports it.
