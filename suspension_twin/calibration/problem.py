@@ -120,6 +120,10 @@ class Problem:
         metres = found.get("map_position", 0.0)
         late = found.get("clock_offset", 0.0)
         parts = [p.moved(late + found.get(f"{p.name}.clock_offset", 0.0), metres) for p in self.parts]
+        return self.on(parts)
+
+    def on(self, parts: Sequence[Prepared]) -> Problem:
+        """The same problem with the same samples of ``parts`` that excite the vehicle otherwise."""
         clone = object.__new__(Problem)
         clone.__dict__.update(self.__dict__)
         clone.parts = tuple(parts)

@@ -8,7 +8,7 @@ the effects for those that show the gap alone: what changed is the evidence.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -19,6 +19,7 @@ from suspension_twin.calibration.problem import Interrupted, Problem, _stack
 from suspension_twin.diagnosis.hypotheses import Hypothesis
 from suspension_twin.diagnosis.noise import INDEPENDENT, Whitener
 from suspension_twin.drive.types import Floats
+from suspension_twin.models.hooks import Leaning, leaning_of
 from suspension_twin.models.parameters import lanes
 from suspension_twin.models.simulate import simulate_lanes
 from suspension_twin.models.types import Excitation
@@ -50,10 +51,12 @@ class Linearised:
 @dataclass(eq=False)
 class Bench:
     """A problem over all drives; ``active`` (drives,) True where the gap is. ``precision`` (d + q, d + q)
-    and ``centre`` (d + q,) are the prior of characteristics and nuisances.
+    and ``centre`` (d + q,) are the prior of characteristics and nuisances. ``leaning`` (drives,) is what excites the
+    vehicle, by what leans in it: antenna and wheels are elsewhere if it is the sensor alone.
     ``heard`` limits the residuals to some drives; ``fused`` whether poses come from receiver and IMU together."""
 
     problem: Problem
+    leaning: tuple[Mapping[Leaning, Excitation], ...]
     active: tuple[bool, ...]
     whitener: Whitener
     precision: Floats
@@ -90,6 +93,16 @@ class Bench:
         low, high = self.limits(hypothesis)
         return np.asarray(np.clip(x, low[:, None], high[:, None]))
 
+    def leans(self, hypothesis: Hypothesis) -> Leaning:
+        """What leans in a vehicle with the hypothesis' effects."""
+        return leaning_of((*(e.id for e in self.problem.twin.effects), *hypothesis.effects))
+
+    def upright(self) -> Bench:
+        """The same with vehicles that do not lean on average of a drive: what lies off the vertical is the sensor."""
+        parts = [replace(p, excitation=m["sensor"]) for p, m in zip(self.problem.parts, self.leaning, strict=True)]
+        leaning = tuple({**m, "either": m["sensor"]} for m in self.leaning)
+        return replace(self, problem=self.problem.on(parts), leaning=leaning)
+
     # -- simulation ----------------------------------------------------------------------------
 
     def signals(self, hypothesis: Hypothesis, z: Floats, u: Floats) -> tuple[list[Floats], np.ndarray]:
@@ -107,12 +120,14 @@ class Bench:
         plain = lanes(problem.twin, plain_keys, (values[:, :1] if alike else values).T)
         failed = np.zeros(count, dtype=bool)
         out = []
+        leans = self.leans(hypothesis)
         for part, drive in zip(problem.parts, problem.drive_of, strict=True):
             if self.stop():
                 raise Interrupted
-            shown = self.active[drive] and bool(hypothesis.effects)
-            given = (twin, with_effects) if shown else (problem.twin, plain)
-            stacked, bad = self._simulated(*given, part.excitation)
+            if self.active[drive] and hypothesis.effects:
+                stacked, bad = self._simulated(twin, with_effects, self.leaning[drive][leans])
+            else:
+                stacked, bad = self._simulated(problem.twin, plain, part.excitation)
             failed |= bad
             conditioned = part.conditioner.apply(stacked)
             if problem.channels[0] == "vertical_acceleration":

@@ -3,9 +3,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import get_args
 
 import numpy as np
 
@@ -24,7 +25,9 @@ from suspension_twin.drive.read import read_drive
 from suspension_twin.drive.types import Floats
 from suspension_twin.errors import InputError
 from suspension_twin.gap.measure import CHANNELS
-from suspension_twin.gap.prepare import Prepared, PrepareSettings, prepare, road_of
+from suspension_twin.gap.prepare import Prepared, PrepareSettings, leaning_excitation, prepare, road_of
+from suspension_twin.models.hooks import Leaning
+from suspension_twin.models.types import Excitation
 from suspension_twin.road import flat_road
 from suspension_twin.signals.filters import FilterSpec
 from suspension_twin.vehicle.twin import Twin, load_twin
@@ -56,10 +59,12 @@ _LEANING = ("vehicle.cog.2",)
 
 @dataclass(frozen=True, eq=False)
 class Case:
-    """Drives ready to compare; ``active`` True where the gap is shown, ``road`` False without a road file."""
+    """Drives ready to compare; ``active`` True where the gap is shown, ``road`` False without a road file; ``leaning``
+    what excites the vehicle on each drive, by what leans in it."""
 
     twin: Twin
     drives: tuple[Prepared, ...]
+    leaning: tuple[Mapping[Leaning, Excitation], ...]
     active: tuple[bool, ...]
     road: bool
     warnings: tuple[str, ...]
@@ -80,6 +85,7 @@ def read_case(request: DiagnosisRequest, note: Callable[[str], None], stop: Call
     on_road = twin.road is not None
     road = road_of(twin) if on_road else flat_road()
     drives: list[Prepared] = []
+    leaning: list[Mapping[Leaning, Excitation]] = []
     for bag in (*request.bags, *request.reference):
         if stop():
             raise Interrupted
@@ -90,6 +96,7 @@ def read_case(request: DiagnosisRequest, note: Callable[[str], None], stop: Call
         if on_road:
             check_drive(prepared)
         drives.append(prepared)
+        leaning.append({what: leaning_excitation(prepared, recorded, what) for what in get_args(Leaning)})
     names: list[str] = []
     for i, drive in enumerate(drives):
         name = drive.name if drive.name not in names else f"{drive.name}_{i + 1}"
@@ -105,7 +112,7 @@ def read_case(request: DiagnosisRequest, note: Callable[[str], None], stop: Call
             "the twin file names no road: only the planar channels are compared, and only effects of clock, sensor "
             "and mount can be judged"
         )
-    return Case(twin, tuple(drives), active, on_road, tuple(warnings))
+    return Case(twin, tuple(drives), tuple(leaning), active, on_road, tuple(warnings))
 
 
 def build(case: Case, stop: Callable[[], bool]) -> Bench:
@@ -144,7 +151,7 @@ def build(case: Case, stop: Callable[[], bool]) -> Bench:
     share = np.full((len(case.channels), 129), USUAL_SHARE)
     floors = [dict(p.noise_rms) for p in case.drives]
     whitener = Whitener.designed(problem, share, floors)
-    return Bench(problem, case.active, whitener, precision, centre, stop, fused=case.road)
+    return Bench(problem, case.leaning, case.active, whitener, precision, centre, stop, fused=case.road)
 
 
 def _map_spread(drives: Sequence[Prepared]) -> float:
@@ -161,7 +168,8 @@ def baseline(case: Case, bench: Bench) -> tuple[Linear, Linear]:
 
     With a reference, what the calibrated model leaves there, band by band, is what it leaves of the same
     car anyway, and searches start from the vehicle that the reference shows. Planar accelerations come
-    from GNSS and not from the model: their noise is what they leave.
+    from GNSS and not from the model: their noise is what they leave. Whether vehicle or sensor leans by the little
+    that any does is as the fit has it.
     """
     quiet = [i for i, a in enumerate(bench.active) if not a] or list(range(len(bench.active)))
     referenced = len(quiet) < len(bench.active)
@@ -170,7 +178,12 @@ def baseline(case: Case, bench: Bench) -> tuple[Linear, Linear]:
         if case.road:
             bench.carry(x)
         trial = replace(bench, heard=tuple(quiet))
-        x, _ = refit(trial, BASELINE, [x] if number else _many(bench, x), None, 8 if number == 0 else 5)
+        x, cost = refit(trial, BASELINE, [x] if number else _many(bench, x), None, 8 if number == 0 else 5)
+        if case.road and number == 0:
+            upright = trial.upright()
+            y, other = refit(upright, BASELINE, [x], None, 5)
+            if other < cost:
+                x, bench.problem, bench.leaning = y, upright.problem, upright.leaning
         taught_by(case, bench, BASELINE, x, quiet, () if referenced else VERTICAL)
     anchor = finished(bench, BASELINE, x)
     if referenced:

@@ -18,6 +18,7 @@ from suspension_twin.diagnosis.request import DiagnosisRequest, DiagnosisResult,
 from suspension_twin.diagnosis.search import Single
 from suspension_twin.diagnosis.where import localise, signature
 from suspension_twin.drive.types import Floats
+from suspension_twin.models.hooks import leaning_of
 from suspension_twin.models.simulate import simulate_twin
 from suspension_twin.vehicle.twin import Twin
 
@@ -78,7 +79,10 @@ def conclude(
     unknown += float(found.strange.sum())
     chosen = found.chosen.fit.hypothesis.effects
     if len(chosen) > 1:
-        effects, unknown = _shared(found, effects, unknown, chosen)
+        gone = gaps.shrink_of(
+            bench, found.left[0], found.chosen_left, found.blocks, found.noise[channel], 0, request.seed
+        )
+        effects, unknown = _shared(found, effects, unknown, chosen, gone.shrink)
     groups = _groups(found, effects)
     left = 1.0 - _shrink(bench, found, found.chosen_left, request.seed).shrink
     adequate = found.chosen_gate.adequate
@@ -239,26 +243,28 @@ def _places(found: Findings, chosen: tuple[str, ...]) -> list[int]:
 
 
 def _shared(
-    found: Findings, effects: Floats, unknown: float, chosen: tuple[str, ...]
+    found: Findings, effects: Floats, unknown: float, chosen: tuple[str, ...], gone: float
 ) -> tuple[Floats, float]:
     """With a combination its members carry what all effects carry, in equal parts, and the part of unknown
-    that the combination has explained."""
-    gate = found.chosen_gate
-    explained = float(effects.sum()) + unknown * gate.adequate
+    that the combination has explained; ``gone`` is the share of the recalibrated gap that it takes away."""
+    good = verdict.explained(found.chosen_gate, gone)
     out = np.zeros_like(effects)
     places = _places(found, chosen)
-    out[places] = explained / len(places)
-    return out, unknown * (1.0 - gate.adequate)
+    out[places] = (float(effects.sum()) + unknown * good) / len(places)
+    return out, unknown * (1.0 - good)
 
 
 def _views(case: Case, bench: Bench, after: Twin, recalibrated: Twin) -> tuple[DriveView, ...]:
     views = []
     channel = bench.problem.channels[0]
-    for part, rows, active in zip(bench.problem.parts, bench.problem.rows, bench.active, strict=True):
+    for part, rows, active, leaning in zip(
+        bench.problem.parts, bench.problem.rows, bench.active, bench.leaning, strict=True
+    ):
         if not active:
             continue
         before, middle, found = (
-            part.condition(simulate_twin(twin, part.excitation))[channel] for twin in (case.twin, recalibrated, after)
+            part.condition(simulate_twin(twin, leaning[leaning_of(e.id for e in twin.effects)]))[channel]
+            for twin in (case.twin, recalibrated, after)
         )
         compared = np.zeros(part.t.size, dtype=bool)
         compared[rows] = True

@@ -18,8 +18,8 @@ from suspension_twin.drive.types import Floats
 from suspension_twin.effects.registry import EFFECTS
 
 __all__ = [
-    "Gates", "background", "even", "free_of_lines", "level_of", "masses", "punctual", "sound", "temper_of", "uncommon",
-    "verdict_of",
+    "Gates", "background", "even", "explained", "free_of_lines", "level_of", "masses", "plausible", "punctual", "sound",
+    "temper_of", "uncommon", "verdict_of",
 ]  # fmt: skip
 
 #: Share of the gap's rms that a cause has to explain.
@@ -183,13 +183,20 @@ def uncommon(bench: Bench, found: Evidence) -> float:
     return likely
 
 
+def explained(gate: Gates, gone: float) -> float:
+    """Part of a hypothesis' weight that stays with it: what is not adequate is shared with unknown by the square of the
+    share ``gone`` of the recalibrated gap's rms that it takes away."""
+    return gate.adequate + (1.0 - gate.adequate) * float(np.clip(gone, 0.0, 1.0)) ** 2
+
+
 def masses(
-    weights: Floats, gates: Sequence[Gates], explained: Floats, unseen: Floats
+    weights: Floats, gates: Sequence[Gates], gone: Floats, unseen: Floats
 ) -> tuple[Floats, float, float]:
     """Probabilities of the effects (E,), of no gap and of unknown, from weights (1 + E,), baseline first.
 
     An effect that is not material is no finding: its weight goes to the answers without one. What an
-    effect that is not adequate leaves is unexplained: its weight is shared with unknown by how much it explains.
+    effect that is not adequate leaves is unexplained: its weight is shared with unknown by how much of the gap is
+    ``gone`` (E,) with it.
     ``unseen`` (E,) are the prior odds, to no effect at all, of each at a strength that would not have shown: no
     evidence is none against these.
     """
@@ -199,7 +206,7 @@ def masses(
         w = float(weights[i + 1])
         named = w * gate.material * gate.plausible
         rest += w - named
-        good = gate.adequate + (1.0 - gate.adequate) * float(np.clip(explained[i], 0.0, 1.0)) ** 2
+        good = explained(gate, float(gone[i]))
         effects[i] = named * good
         unknown += named * (1.0 - good)
     faint = rest * unseen / (1.0 + float(unseen.sum()))

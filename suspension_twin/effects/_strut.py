@@ -9,7 +9,7 @@ import numpy as np
 
 from suspension_twin.drive.types import Floats
 from suspension_twin.effects.base import Effect, Parameter, Values, neutral, per_corner
-from suspension_twin.models.hooks import Hook
+from suspension_twin.models.hooks import Hook, Leaning
 
 __all__ = ["odd_corner", "stop"]
 
@@ -18,7 +18,7 @@ _CORNERS = "0 front left, 1 front right, 2 rear left, 3 rear right"
 _DOUBLING = 0.02
 
 
-def odd_corner(part: str, other: str, scale: int) -> Effect:
+def odd_corner(part: str, other: str, scale: int, leaning: Leaning = "either") -> Effect:
     """One corner whose ``part`` (spring, damper) has another force; ``scale`` the first of the rows that multiply it,
     ``other`` the part that is easily confused with it."""
     parameters = (
@@ -35,7 +35,7 @@ def odd_corner(part: str, other: str, scale: int) -> Effect:
         severity=("change",),
         excited_by=("one-sided bumps", "heave coupled with roll", "roll rate on a straight even road"),
         confused_with=(f"the axle's {part}", f"corner_{other}", "payload on one side", "lateral_offset"),
-        hook=Hook(neutral(parameters), terms=partial(_scale_one, scale), models=("full_car",)),
+        hook=Hook(neutral(parameters), terms=partial(_scale_one, scale), models=("full_car",), leaning=leaning),
     )
 
 

@@ -8,4 +8,4 @@ from suspension_twin.models.rows import SPRING_SCALE
 
 __all__ = ["EFFECT"]
 
-EFFECT = odd_corner("spring", "damper", SPRING_SCALE)
+EFFECT = odd_corner("spring", "damper", SPRING_SCALE, leaning="vehicle")

@@ -65,5 +65,7 @@ EFFECT = Effect(
     severity=("roll", "pitch", "yaw"),
     excited_by=("braking", "cornering", "standing still"),
     confused_with=("accelerometer bias", "sensor_scale"),
-    hook=Hook(neutral(_PARAMETERS), signal=SignalStage(_signal, order=20), models=("full_car", "msd")),
+    hook=Hook(
+        neutral(_PARAMETERS), signal=SignalStage(_signal, order=20), models=("full_car", "msd"), leaning="sensor"
+    ),
 )

@@ -21,7 +21,9 @@ from suspension_twin.gap.noise import floor_rms
 from suspension_twin.gap.off_road import Ground, OffRoad, off_road
 from suspension_twin.gap.quiet import quiet_motion
 from suspension_twin.models.excitation import excitation
+from suspension_twin.models.hooks import Leaning, leaning_of
 from suspension_twin.models.types import Excitation, Response
+from suspension_twin.pose.nodes import MOST_LEAN, mean_lean
 from suspension_twin.pose.satellites import satellite_motion
 from suspension_twin.pose.smoothed import locked_trajectory
 from suspension_twin.pose.types import Trajectory
@@ -32,7 +34,7 @@ from suspension_twin.signals.ingest import ImuSettings
 from suspension_twin.signals.offline import ImuSignals, ingest_drive
 from suspension_twin.vehicle.twin import Datum, Twin
 
-__all__ = ["PrepareSettings", "Prepared", "prepare"]
+__all__ = ["PrepareSettings", "Prepared", "leaning_excitation", "prepare"]
 
 
 @dataclass(frozen=True)
@@ -174,17 +176,37 @@ def prepare(
         signals, trajectory = satellite_motion(drive, signals, twin.gps, datum)
     else:
         try:
-            trajectory = locked_trajectory(drive, signals, twin.gps, datum, signals.t)
+            trajectory = _locked(drive, twin, signals, settings, datum, _leaning(twin))
         except InputError as error:
             raise error if str(error).startswith(drive.name) else InputError(drive.name, str(error)) from None
-        if settings.quiet:
-            trajectory = quiet_motion(trajectory, signals, twin.cog_height)
     warnings = (*drive.warnings, *(f.text for f in signals.findings if f.level != "ok"))
     prepared = _assemble(drive.name, twin, road, settings, signals, trajectory)
     left = prepared.off_road.sentence(float(signals.t[0]))
     if left:
         warnings = (*warnings, left)
     return replace(prepared, position_sigma=_position_sigma(drive), warnings=warnings)
+
+
+def _leaning(twin: Twin) -> Leaning:
+    return leaning_of(e.id for e in twin.effects)
+
+
+def _locked(
+    drive: Drive, twin: Twin, signals: ImuSignals, settings: PrepareSettings, datum: Datum, leaning: Leaning
+) -> Trajectory:
+    trajectory = locked_trajectory(drive, signals, twin.gps, datum, signals.t, leaning=leaning)
+    return quiet_motion(trajectory, signals, twin.cog_height) if settings.quiet else trajectory
+
+
+def leaning_excitation(prepared: Prepared, drive: Drive, leaning: Leaning) -> Excitation:
+    """What a prepared ``drive`` excites a vehicle with if it is that which leans: it is where the antenna was."""
+    twin, signals = prepared.twin, prepared.signals
+    lean = mean_lean(signals.up)
+    if prepared.settings.satellites or (lean > MOST_LEAN[leaning]) == (lean > MOST_LEAN[_leaning(twin)]):
+        return prepared.excitation
+    settings = prepared.settings
+    trajectory = _locked(drive, twin, signals, settings, twin.datum or _first_fix(drive), leaning)
+    return excitation(trajectory, twin.vehicle, Ground(prepared.road, settings.outside), settings.max_step)
 
 
 def road_of(twin: Twin) -> Road:

@@ -11,6 +11,7 @@ from scipy.ndimage import gaussian_filter1d
 
 from suspension_twin.drive.types import Drive, Floats
 from suspension_twin.errors import InputError
+from suspension_twin.models.hooks import Leaning
 from suspension_twin.pose import kernel
 from suspension_twin.pose.inputs import planar_inputs
 from suspension_twin.pose.local_map import LocalMap
@@ -19,12 +20,14 @@ from suspension_twin.signals.filters import FilterSpec, zero_phase
 from suspension_twin.signals.offline import ImuSignals
 from suspension_twin.vehicle.twin import Datum, Place
 
-__all__ = ["SLOPE_TIME", "Measurements", "Nodes", "gather", "make_nodes", "planar_rows"]
+__all__ = ["MOST_LEAN", "SLOPE_TIME", "Measurements", "Nodes", "gather", "make_nodes", "mean_lean", "planar_rows"]
 
 #: Hz to which yaw rate and forward pull are smoothed before they meet the filter's nodes.
 PLANAR = FilterSpec(2, 12.0)
 STEP = 0.01  # s between nodes at most
-MOST_SLOPE = 3.0  # degrees on average of a drive; a sensor that leans more is mounted so
+#: Degrees of lean on average of a drive beyond which it is the sensor that leans: no road climbs that much all the way.
+#: Where something is known that makes the one or the other lean, that is what it is, as far as vehicles do.
+MOST_LEAN: dict[Leaning, float] = {"either": 3.0, "vehicle": 8.0, "sensor": 0.0}
 SLOPE_TIME = 5.0  # s; what tilts the vehicle for longer is a slope, not a sway
 
 
@@ -89,8 +92,9 @@ def _with(pair: Floats, sigma: float) -> Floats:
     return np.column_stack([pair, np.full(len(pair), sigma)])
 
 
-def planar_rows(signals: ImuSignals, gps_place: Place) -> tuple[Floats, Floats]:
-    """(n, 8) planar inputs at the IMU's stamps without the antenna's sway, and (n, 4) what it adds."""
+def planar_rows(signals: ImuSignals, gps_place: Place, leaning: Leaning = "either") -> tuple[Floats, Floats]:
+    """(n, 8) planar inputs at the IMU's stamps without the antenna's sway, and (n, 4) what it adds; ``leaning`` what
+    leans, the vehicle with its antenna or the sensor alone."""
     spec = FilterSpec(PLANAR.order, min(PLANAR.cutoff, 0.4 * signals.rate_hz))
     force = zero_phase(spec, signals.rate_hz, signals.force)
     rate = zero_phase(spec, signals.rate_hz, signals.rate)
@@ -102,9 +106,9 @@ def planar_rows(signals: ImuSignals, gps_place: Place) -> tuple[Floats, Floats]:
         planar_inputs(force, rate, faster, signals.up, slow, share, signals.gravity, imu, antenna)
         for share in (0.0, 1.0)
     )
-    up = _upright(signals.up)
-    if up is not signals.up:  # the antenna hangs where the vehicle leans, not where its sensor does
-        slow = _upright(slow)
+    # the antenna hangs where the vehicle leans, not where its sensor does
+    if mean_lean(signals.up) > MOST_LEAN[leaning]:
+        up, slow = _upright(signals.up), _upright(slow)
         for share, out in ((0.0, still), (1.0, swaying)):
             right = planar_inputs(force, rate, faster, up, slow, share, signals.gravity, imu, antenna)
             out[:, 4:] = right[:, 4:]
@@ -112,12 +116,16 @@ def planar_rows(signals: ImuSignals, gps_place: Place) -> tuple[Floats, Floats]:
     return still, swaying[:, 4:] - still[:, 4:]
 
 
+def mean_lean(up: Floats) -> float:
+    """Degrees by which the mean of verticals (n, 3) is off the z axis."""
+    mean = up.mean(axis=0)
+    return math.degrees(math.atan2(math.hypot(mean[0], mean[1]), mean[2]))
+
+
 def _upright(up: Floats) -> Floats:
-    """Verticals (n, 3) without the sensor's own lean, if it has one: no road climbs that much all the way."""
+    """Verticals (n, 3) turned so that their mean is the z axis."""
     mean = up.mean(axis=0)
     mean /= np.linalg.norm(mean)
-    if mean[2] > math.cos(math.radians(MOST_SLOPE)):
-        return up
     # the smallest turn that takes the mean to the z axis (Rodrigues)
     axis = np.array([mean[1], -mean[0], 0.0])
     cross = np.array([[0.0, 0.0, axis[1]], [0.0, 0.0, -axis[0]], [-axis[1], axis[0], 0.0]])
