@@ -45,18 +45,26 @@ def _entry(e: Effect) -> str:
     witness = " The diagnosis takes it for a shape, not for a cause, unless asked: see [there](diagnosis.md#which)."
     return (
         f"\n### `{e.id}`: {e.title}\n\n{e.doc}\n\n"
-        f"| parameter | unit | from, to | neutral | usual | what |\n| --- | --- | --- | --- | --- | --- |\n{rows}\n"
+        f"| parameter | unit | from, to | neutral | prior | what |\n| --- | --- | --- | --- | --- | --- |\n{rows}\n"
         f"Excited by {'; '.join(e.excited_by)}. Easily confused with {'; '.join(e.confused_with)}. For {models}."
-        f"{witness if e.id in WITNESSES else ''}\n"
+        f"{_anyway(e)}{witness if e.id in WITNESSES else ''}\n"
     )
+
+
+def _anyway(e: Effect) -> str:
+    """What of an effect is there anyway and no finding."""
+    if e.usual_share:
+        return f" Up to {100 * e.usual_share:g} % of the mass is normal."
+    usual = next((p for p in e.parameters if p.usual), None)
+    return "" if usual is None else f" Up to {usual.usual:g} {usual.unit or 'of change'} is normal."
 
 
 def _row(p: Parameter, severe: bool) -> str:
     name = f"**`{p.name}`**" if severe else f"`{p.name}`"
-    usual = f"{p.typical:g} × or ÷ {p.spread:g}" if p.log else f"{p.typical:g} ± {p.spread:g}"
+    prior = f"{p.typical:g} × or ÷ {p.spread:g}" if p.log else f"{p.typical:g} ± {p.spread:g}"
     if p.choices:
-        usual = "each"
-    return f"| {name} | {p.unit or '–'} | {p.low:g}, {p.high:g} | {p.neutral:g} | {usual} | {p.doc} |\n"
+        prior = "each"
+    return f"| {name} | {p.unit or '–'} | {p.low:g}, {p.high:g} | {p.neutral:g} | {prior} | {p.doc} |\n"
 
 
 if __name__ == "__main__":

@@ -8,7 +8,7 @@ the effects for those that show the gap alone: what changed is the evidence.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -19,7 +19,7 @@ from suspension_twin.calibration.problem import Interrupted, Problem, _stack
 from suspension_twin.diagnosis.hypotheses import Hypothesis
 from suspension_twin.diagnosis.noise import INDEPENDENT, Whitener
 from suspension_twin.drive.types import Floats
-from suspension_twin.models.hooks import Leaning, leaning_of
+from suspension_twin.models.hooks import upright_with
 from suspension_twin.models.parameters import lanes
 from suspension_twin.models.simulate import simulate_lanes
 from suspension_twin.models.types import Excitation
@@ -51,12 +51,13 @@ class Linearised:
 @dataclass(eq=False)
 class Bench:
     """A problem over all drives; ``active`` (drives,) True where the gap is. ``precision`` (d + q, d + q)
-    and ``centre`` (d + q,) are the prior of characteristics and nuisances. ``leaning`` (drives,) is what excites the
-    vehicle, by what leans in it: antenna and wheels are elsewhere if it is the sensor alone.
-    ``heard`` limits the residuals to some drives; ``fused`` whether poses come from receiver and IMU together."""
+    and ``centre`` (d + q,) are the prior of characteristics and nuisances. ``upright`` (drives,) is what excites a
+    vehicle that does not lean on average: antenna and wheels are elsewhere if it is the sensor alone.
+    ``heard`` limits the residuals to some drives; ``fused`` whether poses come from receiver and IMU together;
+    ``barred`` names nuisances that stay at nothing."""
 
     problem: Problem
-    leaning: tuple[Mapping[Leaning, Excitation], ...]
+    upright: tuple[Excitation, ...]
     active: tuple[bool, ...]
     whitener: Whitener
     precision: Floats
@@ -64,6 +65,7 @@ class Bench:
     stop: Callable[[], bool] = lambda: False
     heard: tuple[int, ...] | None = None
     fused: bool = True
+    barred: tuple[str, ...] = ()
 
     @property
     def d(self) -> int:
@@ -85,7 +87,8 @@ class Bench:
         over what is a finding: a clock that is 60 ms late pays for itself on any drive."""
         low, high = hypothesis.bounds()
         free = np.full(self.d, np.inf)
-        nuisance = _NORMAL_LIMIT * self.problem.nuisances.spread
+        allowed = [name not in self.barred for name in self.problem.nuisances.names]
+        nuisance = _NORMAL_LIMIT * self.problem.nuisances.spread * allowed
         return np.concatenate([-free, -nuisance, low]), np.concatenate([free, nuisance, high])
 
     def clipped(self, hypothesis: Hypothesis, x: Floats) -> Floats:
@@ -93,15 +96,14 @@ class Bench:
         low, high = self.limits(hypothesis)
         return np.asarray(np.clip(x, low[:, None], high[:, None]))
 
-    def leans(self, hypothesis: Hypothesis) -> Leaning:
-        """What leans in a vehicle with the hypothesis' effects."""
-        return leaning_of((*(e.id for e in self.problem.twin.effects), *hypothesis.effects))
-
-    def upright(self) -> Bench:
+    def levelled(self) -> Bench:
         """The same with vehicles that do not lean on average of a drive: what lies off the vertical is the sensor."""
-        parts = [replace(p, excitation=m["sensor"]) for p, m in zip(self.problem.parts, self.leaning, strict=True)]
-        leaning = tuple({**m, "either": m["sensor"]} for m in self.leaning)
-        return replace(self, problem=self.problem.on(parts), leaning=leaning)
+        parts = [replace(p, excitation=e) for p, e in zip(self.problem.parts, self.upright, strict=True)]
+        return replace(self, problem=self.problem.on(parts))
+
+    def excitation(self, number: int, effects: Sequence[str]) -> Excitation:
+        """What excites a vehicle with these effects on a drive."""
+        return self.upright[number] if upright_with(effects) else self.problem.parts[number].excitation
 
     # -- simulation ----------------------------------------------------------------------------
 
@@ -120,12 +122,11 @@ class Bench:
         plain = lanes(problem.twin, plain_keys, (values[:, :1] if alike else values).T)
         failed = np.zeros(count, dtype=bool)
         out = []
-        leans = self.leans(hypothesis)
-        for part, drive in zip(problem.parts, problem.drive_of, strict=True):
+        for number, (part, drive) in enumerate(zip(problem.parts, problem.drive_of, strict=True)):
             if self.stop():
                 raise Interrupted
             if self.active[drive] and hypothesis.effects:
-                stacked, bad = self._simulated(twin, with_effects, self.leaning[drive][leans])
+                stacked, bad = self._simulated(twin, with_effects, self.excitation(number, hypothesis.effects))
             else:
                 stacked, bad = self._simulated(problem.twin, plain, part.excitation)
             failed |= bad

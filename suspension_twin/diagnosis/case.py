@@ -3,10 +3,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import get_args
 
 import numpy as np
 
@@ -25,8 +24,7 @@ from suspension_twin.drive.read import read_drive
 from suspension_twin.drive.types import Floats
 from suspension_twin.errors import InputError
 from suspension_twin.gap.measure import CHANNELS
-from suspension_twin.gap.prepare import Prepared, PrepareSettings, leaning_excitation, prepare, road_of
-from suspension_twin.models.hooks import Leaning
+from suspension_twin.gap.prepare import Prepared, PrepareSettings, prepare, road_of, upright_excitation
 from suspension_twin.models.types import Excitation
 from suspension_twin.road import flat_road
 from suspension_twin.signals.filters import FilterSpec
@@ -59,12 +57,12 @@ _LEANING = ("vehicle.cog.2",)
 
 @dataclass(frozen=True, eq=False)
 class Case:
-    """Drives ready to compare; ``active`` True where the gap is shown, ``road`` False without a road file; ``leaning``
-    what excites the vehicle on each drive, by what leans in it."""
+    """Drives ready to compare; ``active`` True where the gap is shown, ``road`` False without a road file; ``upright``
+    what excites a vehicle that does not lean on each drive."""
 
     twin: Twin
     drives: tuple[Prepared, ...]
-    leaning: tuple[Mapping[Leaning, Excitation], ...]
+    upright: tuple[Excitation, ...]
     active: tuple[bool, ...]
     road: bool
     warnings: tuple[str, ...]
@@ -85,7 +83,7 @@ def read_case(request: DiagnosisRequest, note: Callable[[str], None], stop: Call
     on_road = twin.road is not None
     road = road_of(twin) if on_road else flat_road()
     drives: list[Prepared] = []
-    leaning: list[Mapping[Leaning, Excitation]] = []
+    upright: list[Excitation] = []
     for bag in (*request.bags, *request.reference):
         if stop():
             raise Interrupted
@@ -96,7 +94,7 @@ def read_case(request: DiagnosisRequest, note: Callable[[str], None], stop: Call
         if on_road:
             check_drive(prepared)
         drives.append(prepared)
-        leaning.append({what: leaning_excitation(prepared, recorded, what) for what in get_args(Leaning)})
+        upright.append(upright_excitation(prepared, recorded))
     names: list[str] = []
     for i, drive in enumerate(drives):
         name = drive.name if drive.name not in names else f"{drive.name}_{i + 1}"
@@ -112,7 +110,7 @@ def read_case(request: DiagnosisRequest, note: Callable[[str], None], stop: Call
             "the twin file names no road: only the planar channels are compared, and only effects of clock, sensor "
             "and mount can be judged"
         )
-    return Case(twin, tuple(drives), tuple(leaning), active, on_road, tuple(warnings))
+    return Case(twin, tuple(drives), tuple(upright), active, on_road, tuple(warnings))
 
 
 def build(case: Case, stop: Callable[[], bool]) -> Bench:
@@ -151,7 +149,7 @@ def build(case: Case, stop: Callable[[], bool]) -> Bench:
     share = np.full((len(case.channels), 129), USUAL_SHARE)
     floors = [dict(p.noise_rms) for p in case.drives]
     whitener = Whitener.designed(problem, share, floors)
-    return Bench(problem, case.leaning, case.active, whitener, precision, centre, stop, fused=case.road)
+    return Bench(problem, case.upright, case.active, whitener, precision, centre, stop, fused=case.road)
 
 
 def _map_spread(drives: Sequence[Prepared]) -> float:
@@ -180,10 +178,10 @@ def baseline(case: Case, bench: Bench) -> tuple[Linear, Linear]:
         trial = replace(bench, heard=tuple(quiet))
         x, cost = refit(trial, BASELINE, [x] if number else _many(bench, x), None, 8 if number == 0 else 5)
         if case.road and number == 0:
-            upright = trial.upright()
-            y, other = refit(upright, BASELINE, [x], None, 5)
+            level = trial.levelled()
+            y, other = refit(level, BASELINE, [x], None, 5)
             if other < cost:
-                x, bench.problem, bench.leaning = y, upright.problem, upright.leaning
+                x, bench.problem = y, level.problem
         taught_by(case, bench, BASELINE, x, quiet, () if referenced else VERTICAL)
     anchor = finished(bench, BASELINE, x)
     if referenced:

@@ -18,7 +18,6 @@ from suspension_twin.diagnosis.request import DiagnosisRequest, DiagnosisResult,
 from suspension_twin.diagnosis.search import Single
 from suspension_twin.diagnosis.where import localise, signature
 from suspension_twin.drive.types import Floats
-from suspension_twin.models.hooks import leaning_of
 from suspension_twin.models.simulate import simulate_twin
 from suspension_twin.vehicle.twin import Twin
 
@@ -257,13 +256,11 @@ def _shared(
 def _views(case: Case, bench: Bench, after: Twin, recalibrated: Twin) -> tuple[DriveView, ...]:
     views = []
     channel = bench.problem.channels[0]
-    for part, rows, active, leaning in zip(
-        bench.problem.parts, bench.problem.rows, bench.active, bench.leaning, strict=True
-    ):
+    for i, (part, rows, active) in enumerate(zip(bench.problem.parts, bench.problem.rows, bench.active, strict=True)):
         if not active:
             continue
         before, middle, found = (
-            part.condition(simulate_twin(twin, leaning[leaning_of(e.id for e in twin.effects)]))[channel]
+            part.condition(simulate_twin(twin, bench.excitation(i, [e.id for e in twin.effects])))[channel]
             for twin in (case.twin, recalibrated, after)
         )
         compared = np.zeros(part.t.size, dtype=bool)

@@ -20,10 +20,12 @@ from suspension_twin.diagnosis.bench import Bench, Linearised, gram
 from suspension_twin.diagnosis.hypotheses import Hypothesis
 from suspension_twin.drive.types import Floats
 
-__all__ = ["Fit", "Linear", "Screening", "finished", "refit", "scanned", "screened"]
+__all__ = ["Fit", "Linear", "Screening", "finished", "refit", "scanned", "screened", "swept"]
 
 _LADDER = (0.0, 1e-2, 1e-1, 1.0, 10.0)
 _LARGEST_STEP = 2.0
+#: Places of each coordinate of an effect, out to so many spreads of its prior, and how many of them are simulated anew.
+_SWEPT, _FAR, _TRIED = 9, 2.5, 4
 
 
 @dataclass(frozen=True, eq=False)
@@ -134,6 +136,41 @@ def scanned(bench: Bench, base: Linear, hypothesis: Hypothesis, scan: tuple[int,
     step = -(taken[:, -1] + share[best] * taken[:, best])
     found[: p + kept] += np.clip(step, -_LARGEST_STEP, _LARGEST_STEP)
     return found
+
+
+def swept(bench: Bench, at: Linear) -> Floats | None:
+    """Unknowns that cost less than those of a fit, one coordinate of its effects anywhere else in its prior and the
+    rest moved to what suits it best by linear algebra; None where there are none.
+
+    A stop that touches at one axle alone, a mass in front instead of behind: such fits lie in valleys of their own,
+    and no descent leads from one to the next.
+    """
+    hypothesis, p = at.hypothesis, bench.d + bench.q
+    low, high = hypothesis.bounds()
+    precision, centre = bench.prior(hypothesis)
+    rows = np.repeat(np.arange(p, at.x.size), _SWEPT)
+    points = np.repeat(at.x[:, None], rows.size, axis=1)
+    for i in range(len(hypothesis)):
+        points[p + i, rows == p + i] = np.linspace(max(-_FAR, low[i]), min(_FAR, high[i]), _SWEPT)
+    residual, failed = bench.residuals(hypothesis, points)
+    jacobian = at.at.jacobian
+    hessian = gram(jacobian, jacobian) + precision
+    away = points - centre[:, None]
+    slope = gram(jacobian, residual) + np.einsum("ij,jl->il", precision, away, optimize=False)
+    costs = np.einsum("rl,rl->l", residual, residual, optimize=False)
+    costs += np.einsum("il,ij,jl->l", away, precision, away, optimize=False)
+    for i in range(p, at.x.size):
+        own = rows == i
+        others = np.delete(np.arange(at.x.size), i)
+        curve = hessian[np.ix_(others, others)]
+        step = -linalg.cho_solve(linalg.cho_factor(curve + 1e-10 * np.diag(np.diag(curve))), slope[np.ix_(others, own)])
+        costs[own] += np.einsum("il,il->l", slope[np.ix_(others, own)], step, optimize=False)
+        points[np.ix_(others, own)] += np.clip(step, -_LARGEST_STEP, _LARGEST_STEP)
+    costs = np.where(failed | ~np.isfinite(costs), np.inf, costs)
+    tried = bench.clipped(hypothesis, points[:, np.argsort(costs, kind="stable")[:_TRIED]])
+    found = bench.costs(hypothesis, tried)
+    best = int(np.argmin(found))
+    return tried[:, best].copy() if found[best] < at.cost else None
 
 
 def refit(

@@ -28,6 +28,9 @@ __all__ = ["Blocks", "Evidence", "blocks_of", "evidence", "held_out", "intervals
 FOLDS = 5
 _SHARES = (1.0, 0.5, 0.25, 0.0)
 _DRAWS = 4000
+#: How many times what it gains in the fit an effect may gain where it is held out: a vehicle without it, which has made
+#: up for it elsewhere, is the worse there.
+_BEYOND_THE_FIT = 2.0
 _METRES, _SECONDS = 8.0, 4.0
 
 
@@ -101,7 +104,7 @@ def held_out(bench: Bench, fit: Linear, blocks: Blocks) -> tuple[Floats, Floats]
 class Evidence:
     """One hypothesis: ``score`` (B,) log predictive density of each block, ``occam`` nats that its freedom
     costs, ``level`` (groups,) mean square of what it leaves (1 where the noise model holds), ``left`` (R,)
-    held-out residuals, ``unknowns`` (d + q + k, FOLDS)."""
+    held-out residuals, ``unknowns`` (d + q + k, FOLDS), ``fitted`` log density of all blocks where all are fitted."""
 
     fit: Fit
     score: Floats
@@ -109,6 +112,7 @@ class Evidence:
     level: dict[tuple[int, bool], float]
     left: Floats
     unknowns: Floats
+    fitted: float
 
 
 def evidence(bench: Bench, fit: Linear, blocks: Blocks, shown: Sequence[bool] | None = None) -> Evidence:
@@ -119,6 +123,7 @@ def evidence(bench: Bench, fit: Linear, blocks: Blocks, shown: Sequence[bool] | 
     score = np.zeros(blocks.count)
     level: dict[tuple[int, bool], float] = {}
     scale = np.ones(left.size)
+    fitted = 0.0
     for c in range(len(bench.problem.channels)):
         for side in (True, False):
             rows = (whitener.channel == c) & (active == side)
@@ -128,6 +133,7 @@ def evidence(bench: Bench, fit: Linear, blocks: Blocks, shown: Sequence[bool] | 
             counts = INDEPENDENT * np.bincount(blocks.row[rows], minlength=blocks.count)
             variance = max(float(squares.sum() / counts.sum()), 1e-6)
             level[c, side] = variance
+            fitted -= 0.5 * counts.sum() * np.log(max(float(np.mean(fit.at.residual[rows] ** 2)) / INDEPENDENT, 1e-6))
             scale[rows] = np.sqrt(variance)
             score -= 0.5 * (counts * np.log(variance) + squares / variance)
     precision, centre = bench.prior(fit.hypothesis)
@@ -137,7 +143,7 @@ def evidence(bench: Bench, fit: Linear, blocks: Blocks, shown: Sequence[bool] | 
     occam = 0.5 * (np.linalg.slogdet(hessian)[1] - np.linalg.slogdet(precision)[1])
     occam += 0.5 * float(away @ precision @ away) / max(float(np.mean(scale**2)), 1.0)
     plain = Fit(fit.hypothesis, fit.x, fit.cost)
-    return Evidence(plain, score, float(occam), level, left, unknowns)
+    return Evidence(plain, score, float(occam), level, left, unknowns, float(fitted))
 
 
 def intervals(bench: Bench, fit: Linear, blocks: Blocks) -> Floats:
@@ -163,9 +169,14 @@ def weights(found: list[Evidence], prior: Floats, temper: float, seed: int) -> t
 
     Half of the freedom's cost counts: held-out scores have paid for it once already, in what freedom
     spoils on unseen road, and the evidence of the whole prior would have it in full. ``temper`` is the
-    share of what is left that is noise: a model's own error is no new evidence at every sample.
+    share of what is left that is noise: a model's own error is no new evidence at every sample. The first of ``found``
+    is part of all others: what these gain on unseen road beyond twice of what they gain in the fit is chance.
     """
     scores = np.stack([e.score for e in found])
+    gains = scores.sum(axis=1) - scores[0].sum()
+    most = _BEYOND_THE_FIT * np.array([max(e.fitted - found[0].fitted, 0.0) for e in found])
+    share = np.where(gains > most, most / np.maximum(gains, 1e-12), 1.0)
+    scores = scores[0] + share[:, None] * (scores - scores[0])
     occam = np.array([e.occam for e in found])
     count = scores.shape[1]
     draws = np.random.default_rng(seed).dirichlet(np.ones(count), _DRAWS) * count

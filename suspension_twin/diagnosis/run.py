@@ -39,6 +39,11 @@ _LEAST_EXCESS = 0.4
 _TRADED = 0.25  # what a channel may lose, over the square of the most that another gains
 _MAYBE = 0.05  # probability of being material below which an effect is out of the question
 _MOST_EFFECTS = 3
+#: Nuisances that are the same thing as an effect, and by how much -2 log posterior may differ if the effect takes over.
+_NORMAL_PART = {
+    "sensor_tilt": ("tilt_roll", "tilt_pitch"), "time_offset": ("clock_offset",), "position_offset": ("map_position",),
+}  # fmt: skip
+_SAME_FIT = 20.0
 _STRANGER = 0.6  # share of its motion that a reference leaves at the best fit, above which it is another car's
 
 
@@ -120,7 +125,8 @@ class _Search:
         self.weights /= self.weights.sum()
         self._set_apart()
         if self.case.road:
-            self.chosen, self.chosen_left = self._combine(everything[: 1 + len(self.singles)])
+            chosen, left = self._combine(everything[: 1 + len(self.singles)])
+            self.chosen, self.chosen_left = self._whole(chosen, left)
         else:
             self.chosen, self.chosen_left = self._eliminate()
             self._carried_by(self.chosen, self._gates(self.chosen, self.chosen_left))
@@ -193,8 +199,7 @@ class _Search:
         most = max(self._shrink(self.left[0], left, c).shrink for c in columns if self._driven(names[c]))
         material = max(self._material(left, c, least) for c in columns)
         material *= min(self._unspoilt(left, c, most) for c in columns)
-        if self.reference is None:
-            material *= verdict.uncommon(bench, found)
+        material *= verdict.uncommon(bench, found, self.reference is not None)
         return verdict.Gates(material, adequate, verdict.plausible(bench, found))
 
     def _material(self, left: gaps.Remainder, column: int, least: float) -> float:
@@ -268,9 +273,10 @@ class _Search:
                 self.bench, chosen, effects, self.blocks, self.request.seed,
                 lambda done, note: self.tell(Progress("combinations", 0.76 + 0.18 * done, note)), weak,
             )  # fmt: skip
-            if not tried:
+            worth = (e for e in tried if verdict.uncommon(self.bench, e, self.reference is not None) > 0.5)
+            more = next(worth, None)
+            if more is None:
                 break
-            more = tried[0]
             rest = gaps.remainder(self.bench, more.fit.hypothesis, more.unknowns, self.blocks)
             if not self._pays(chosen, left, more, rest):
                 break
@@ -294,6 +300,20 @@ class _Search:
             ):
                 return True
         return False
+
+    def _whole(self, chosen: Evidence, left: gaps.Remainder) -> tuple[Evidence, gaps.Remainder]:
+        """What is named with all of it: the part that is normal of any clock, map or mount went to the nuisances while
+        causes were compared. With a reference that part is the vehicle's before the change."""
+        bench, hypothesis = self.bench, chosen.fit.hypothesis
+        barred = tuple(n for e in hypothesis.effects for n in _NORMAL_PART.get(e, ()))
+        if self.reference is not None or not barred:
+            return chosen, left
+        alone = replace(bench, barred=barred)
+        x, cost = refit(alone, hypothesis, [chosen.fit.x], None, 10)
+        if cost > chosen.fit.cost + _SAME_FIT:
+            return chosen, left
+        whole = evidence(alone, finished(alone, hypothesis, x), self.blocks)
+        return whole, gaps.remainder(bench, hypothesis, whole.unknowns, self.blocks)
 
     def _eliminate(self) -> tuple[Evidence, gaps.Remainder]:
         """Without a road: all effects that can be judged jointly, then one less for as long as nothing is lost.

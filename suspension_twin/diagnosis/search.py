@@ -12,7 +12,7 @@ from typing import TypeVar
 import numpy as np
 
 from suspension_twin.diagnosis.bench import Bench
-from suspension_twin.diagnosis.fit import Fit, Linear, finished, refit, scanned, screened
+from suspension_twin.diagnosis.fit import Fit, Linear, finished, refit, scanned, screened, swept
 from suspension_twin.diagnosis.hypotheses import BASELINE, Hypothesis, combined
 from suspension_twin.diagnosis.judge import Blocks, Evidence, evidence
 from suspension_twin.drive.types import Floats
@@ -103,7 +103,11 @@ def singles(
                 always = _always(bench, v, x, base, blocks)
         if cost >= base.cost:
             x = np.concatenate([base.x, v.neutral()])
-        return Single(r.effect, evidence(bench, finished(bench, v, x), blocks), r.powers, always)
+        at = finished(bench, v, x)
+        other = swept(bench, at) if i in finalists else None
+        if other is not None:
+            at = finished(bench, v, refit(bench, v, [other], None, _DEEP)[0])
+        return Single(r.effect, evidence(bench, at, blocks), r.powers, always)
 
     judged = _side_by_side(
         judge, order, lambda done, i: tell(0.65 + 0.35 * done, f"{rough[i].effect.replace('_', ' ')}, once more")

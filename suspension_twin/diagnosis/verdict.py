@@ -170,16 +170,19 @@ def plausible(bench: Bench, found: Evidence) -> float:
     return worst
 
 
-def uncommon(bench: Bench, found: Evidence) -> float:
-    """Probability that an effect is more than what any vehicle differs from its twin file by."""
+def uncommon(bench: Bench, found: Evidence, changed: bool = False) -> float:
+    """Probability that each effect is more than what any vehicle differs from its twin file by. ``changed`` where a
+    reference shows the same vehicle: then this goes for what is another on every drive, its clock, alone."""
     hypothesis = found.fit.hypothesis
     values = hypothesis.values(found.fit.x[bench.d + bench.q :, None])[:, 0]
     given, likely = dict(zip(hypothesis.keys, values, strict=True)), 1.0
-    for e in hypothesis.effects:
-        usual = EFFECTS[e].usual_share * bench.problem.twin.vehicle.mass
-        if usual > 0:
-            most = max(abs(given[f"effects.{e}.{name}"]) for name in EFFECTS[e].severity)
-            likely *= float(norm.cdf(np.log(max(most, 1e-12) / usual) / np.log(_USUAL_SHARE_SPREAD)))
+    for effect in (EFFECTS[e] for e in hypothesis.effects):
+        weighed = effect.usual_share * bench.problem.twin.vehicle.mass
+        usual = {name: effect.parameter(name).usual or weighed for name in effect.severity}
+        if (changed and effect.where != "time") or not all(usual.values()):
+            continue
+        most = max(abs(given[f"effects.{effect.id}.{name}"]) / usual[name] for name in effect.severity)
+        likely *= float(norm.cdf(np.log(max(most, 1e-12)) / np.log(_USUAL_SHARE_SPREAD)))
     return likely
 
 

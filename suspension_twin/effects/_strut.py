@@ -9,7 +9,7 @@ import numpy as np
 
 from suspension_twin.drive.types import Floats
 from suspension_twin.effects.base import Effect, Parameter, Values, neutral, per_corner
-from suspension_twin.models.hooks import Hook, Leaning
+from suspension_twin.models.hooks import Hook
 
 __all__ = ["odd_corner", "stop"]
 
@@ -18,12 +18,12 @@ _CORNERS = "0 front left, 1 front right, 2 rear left, 3 rear right"
 _DOUBLING = 0.02
 
 
-def odd_corner(part: str, other: str, scale: int, leaning: Leaning = "either") -> Effect:
+def odd_corner(part: str, other: str, scale: int, usual: float, upright: bool = False) -> Effect:
     """One corner whose ``part`` (spring, damper) has another force; ``scale`` the first of the rows that multiply it,
-    ``other`` the part that is easily confused with it."""
+    ``other`` the part that is easily confused with it, ``usual`` what new parts of one kind differ by."""
     parameters = (
         Parameter("corner", "", 0.0, 3.0, 0.0, 0.0, 3.0, _CORNERS, choices=(0.0, 1.0, 2.0, 3.0)),
-        Parameter("change", "", -0.98, 2.0, 0.0, 0.0, 0.4, "of its force, as a share"),
+        Parameter("change", "", -0.98, 2.0, 0.0, 0.0, 0.4, "of its force, as a share", usual=usual),
     )
     return Effect(
         id=f"corner_{part}",
@@ -35,7 +35,7 @@ def odd_corner(part: str, other: str, scale: int, leaning: Leaning = "either") -
         severity=("change",),
         excited_by=("one-sided bumps", "heave coupled with roll", "roll rate on a straight even road"),
         confused_with=(f"the axle's {part}", f"corner_{other}", "payload on one side", "lateral_offset"),
-        hook=Hook(neutral(parameters), terms=partial(_scale_one, scale), models=("full_car",), leaning=leaning),
+        hook=Hook(neutral(parameters), terms=partial(_scale_one, scale), models=("full_car",), upright=upright),
     )
 
 

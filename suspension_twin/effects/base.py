@@ -30,7 +30,8 @@ class Parameter:
 
     ``low`` and ``high`` are physical bounds in ``unit``. ``neutral`` is what it is where the twin
     file says nothing. The prior is normal about ``typical`` with ``spread``, in the logarithm
-    where ``log`` (then ``spread`` is a factor). ``choices`` lists the values of one that counts.
+    where ``log`` (then ``spread`` is a factor). ``choices`` lists the values of one that counts. ``usual`` is how far
+    from neutral any vehicle, sensor or clock is anyway: what is found has to be more to be worth a word.
     """
 
     name: str
@@ -43,6 +44,7 @@ class Parameter:
     doc: str
     log: bool = False
     choices: tuple[float, ...] = ()
+    usual: float = 0.0
 
     def check(self, effect: str, value: float) -> float:
         """``value`` as it is, or InputError that names the effect and the parameter."""

@@ -8,4 +8,4 @@ from suspension_twin.models.rows import DAMPER_SCALE
 
 __all__ = ["EFFECT"]
 
-EFFECT = odd_corner("damper", "spring", DAMPER_SCALE)
+EFFECT = odd_corner("damper", "spring", DAMPER_SCALE, 0.1)

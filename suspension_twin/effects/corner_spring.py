@@ -8,4 +8,4 @@ from suspension_twin.models.rows import SPRING_SCALE
 
 __all__ = ["EFFECT"]
 
-EFFECT = odd_corner("spring", "damper", SPRING_SCALE, leaning="vehicle")
+EFFECT = odd_corner("spring", "damper", SPRING_SCALE, 0.05, upright=True)

@@ -45,5 +45,5 @@ EFFECT = Effect(
     excited_by=("body resonance, 1 to 2 Hz", "braking and accelerating"),
     confused_with=("spring points", "sprung_inertia.pitch"),
     usual_share=0.04,
-    hook=Hook(neutral(_PARAMETERS), vehicle=_vehicle, models=("full_car", "msd"), leaning="vehicle"),
+    hook=Hook(neutral(_PARAMETERS), vehicle=_vehicle, models=("full_car", "msd"), upright=True),
 )

@@ -66,6 +66,6 @@ EFFECT = Effect(
     excited_by=("braking", "cornering", "standing still"),
     confused_with=("accelerometer bias", "sensor_scale"),
     hook=Hook(
-        neutral(_PARAMETERS), signal=SignalStage(_signal, order=20), models=("full_car", "msd"), leaning="sensor"
+        neutral(_PARAMETERS), signal=SignalStage(_signal, order=20), models=("full_car", "msd"), upright=True
     ),
 )

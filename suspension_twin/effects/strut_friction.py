@@ -16,8 +16,8 @@ STICKING = 3.0e5
 _force = ("N", 0.0, 1500.0, 0.0, 0.0, 200.0)
 
 _PARAMETERS = (
-    Parameter("front_force", *_force, "friction of each front strut"),
-    Parameter("rear_force", *_force, "friction of each rear strut"),
+    Parameter("front_force", *_force, "friction of each front strut", usual=10.0),
+    Parameter("rear_force", *_force, "friction of each rear strut", usual=10.0),
 )
 
 

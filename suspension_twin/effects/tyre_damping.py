@@ -10,7 +10,9 @@ from suspension_twin.models.rows import TYRE_DAMPING
 
 __all__ = ["EFFECT"]
 
-_PARAMETERS = (Parameter("damping", "N s/m", 0.0, 5000.0, 0.0, 0.0, 500.0, "of one tyre, in the vertical"),)
+_PARAMETERS = (
+    Parameter("damping", "N s/m", 0.0, 5000.0, 0.0, 0.0, 500.0, "of one tyre, in the vertical", usual=50.0),
+)
 
 
 def _terms(rows: Floats, p: Values) -> None:

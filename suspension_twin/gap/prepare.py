@@ -21,9 +21,9 @@ from suspension_twin.gap.noise import floor_rms
 from suspension_twin.gap.off_road import Ground, OffRoad, off_road
 from suspension_twin.gap.quiet import quiet_motion
 from suspension_twin.models.excitation import excitation
-from suspension_twin.models.hooks import Leaning, leaning_of
+from suspension_twin.models.hooks import upright_with
 from suspension_twin.models.types import Excitation, Response
-from suspension_twin.pose.nodes import MOST_LEAN, mean_lean
+from suspension_twin.pose.nodes import MOST_SLOPE, mean_lean
 from suspension_twin.pose.satellites import satellite_motion
 from suspension_twin.pose.smoothed import locked_trajectory
 from suspension_twin.pose.types import Trajectory
@@ -34,7 +34,7 @@ from suspension_twin.signals.ingest import ImuSettings
 from suspension_twin.signals.offline import ImuSignals, ingest_drive
 from suspension_twin.vehicle.twin import Datum, Twin
 
-__all__ = ["PrepareSettings", "Prepared", "leaning_excitation", "prepare"]
+__all__ = ["PrepareSettings", "Prepared", "prepare", "upright_excitation"]
 
 
 @dataclass(frozen=True)
@@ -176,7 +176,7 @@ def prepare(
         signals, trajectory = satellite_motion(drive, signals, twin.gps, datum)
     else:
         try:
-            trajectory = _locked(drive, twin, signals, settings, datum, _leaning(twin))
+            trajectory = _locked(drive, twin, signals, settings, datum, _upright(twin))
         except InputError as error:
             raise error if str(error).startswith(drive.name) else InputError(drive.name, str(error)) from None
     warnings = (*drive.warnings, *(f.text for f in signals.findings if f.level != "ok"))
@@ -187,26 +187,28 @@ def prepare(
     return replace(prepared, position_sigma=_position_sigma(drive), warnings=warnings)
 
 
-def _leaning(twin: Twin) -> Leaning:
-    return leaning_of(e.id for e in twin.effects)
+def _upright(twin: Twin) -> bool:
+    return upright_with(e.id for e in twin.effects)
 
 
 def _locked(
-    drive: Drive, twin: Twin, signals: ImuSignals, settings: PrepareSettings, datum: Datum, leaning: Leaning
+    drive: Drive, twin: Twin, signals: ImuSignals, settings: PrepareSettings, datum: Datum, upright: bool
 ) -> Trajectory:
-    trajectory = locked_trajectory(drive, signals, twin.gps, datum, signals.t, leaning=leaning)
+    trajectory = locked_trajectory(drive, signals, twin.gps, datum, signals.t, upright=upright)
     return quiet_motion(trajectory, signals, twin.cog_height) if settings.quiet else trajectory
 
 
-def leaning_excitation(prepared: Prepared, drive: Drive, leaning: Leaning) -> Excitation:
-    """What a prepared ``drive`` excites a vehicle with if it is that which leans: it is where the antenna was."""
-    twin, signals = prepared.twin, prepared.signals
-    lean = mean_lean(signals.up)
-    if prepared.settings.satellites or (lean > MOST_LEAN[leaning]) == (lean > MOST_LEAN[_leaning(twin)]):
+def upright_excitation(prepared: Prepared, drive: Drive) -> Excitation:
+    """What a prepared ``drive`` excites a vehicle with that does not lean on average: what leans is its sensor."""
+    twin, settings, signals = prepared.twin, prepared.settings, prepared.signals
+    if settings.satellites or _upright(twin) or mean_lean(signals.up) > MOST_SLOPE:
         return prepared.excitation
-    settings = prepared.settings
-    trajectory = _locked(drive, twin, signals, settings, twin.datum or _first_fix(drive), leaning)
-    return excitation(trajectory, twin.vehicle, Ground(prepared.road, settings.outside), settings.max_step)
+    trajectory = _locked(drive, twin, signals, settings, twin.datum or _first_fix(drive), True)
+    return _excitation(trajectory, twin, Ground(prepared.road, settings.outside), settings)
+
+
+def _excitation(trajectory: Trajectory, twin: Twin, ground: Ground, settings: PrepareSettings) -> Excitation:
+    return excitation(trajectory, twin.vehicle, ground, settings.max_step, twin.gps.position[2])
 
 
 def road_of(twin: Twin) -> Road:
@@ -275,7 +277,7 @@ def _assemble(
         settings=settings,
         signals=signals,
         trajectory=trajectory,
-        excitation=excitation(trajectory, twin.vehicle, Ground(road, settings.outside), settings.max_step),
+        excitation=_excitation(trajectory, twin, Ground(road, settings.outside), settings),
         conditioner=conditioner,
         measured={channel: filtered[:, i] for i, channel in enumerate(CHANNELS)},
         noise_rms=floors,

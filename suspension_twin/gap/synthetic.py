@@ -106,10 +106,10 @@ def synthetic_drive(
     at = path_along(road, fixes, knots, u, v)
     cos, sin = np.cos(at.yaw), np.sin(at.yaw)
     arm = truth.gps.position
-    height = np.interp(fixes, t, response.z)
-    antenna = np.column_stack(
-        [at.x + cos * arm[0] - sin * arm[1], at.y + sin * arm[0] + cos * arm[1], height + arm[2]]
-    )
+    height, roll, pitch = (np.interp(fixes, t, c) for c in (response.z, response.roll, response.pitch))
+    # the body takes its antenna along when it leans
+    ahead, left = arm[0] + arm[2] * pitch, arm[1] - arm[2] * roll
+    antenna = np.column_stack([at.x + cos * ahead - sin * left, at.y + sin * ahead + cos * left, height + arm[2]])
     antenna = antenna + e.position * rng.standard_normal(antenna.shape) * np.array([1.0, 1.0, 1.5])
     latitude, longitude, altitude = LocalMap(truth.datum).to_geodetic(antenna).T
     along = at.speed - at.yaw_rate * arm[1]

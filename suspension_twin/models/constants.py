@@ -41,6 +41,7 @@ from suspension_twin.models.characteristics import (
 )
 from suspension_twin.models.effect_constants import with_terms
 from suspension_twin.models.hooks import ClockChange, RoadChange, SignalStage
+from suspension_twin.models.lean import lean
 from suspension_twin.models.msd_constants import msd_rows
 from suspension_twin.models.parameters import Layout
 from suspension_twin.vehicle.corners import AXLES
@@ -98,10 +99,13 @@ def _union(problems: Iterable[tuple[NDArray[np.bool_], str, str]], count: int) -
     return out
 
 
-def constants(params: Floats, layout: Layout, max_step: float, fused: bool = False) -> Constants:
+def constants(
+    params: Floats, layout: Layout, max_step: float, fused: bool = False, antenna: float = 0.0
+) -> Constants:
     """Constants of the kernel for candidates ``params`` (P, L) and steps up to ``max_step`` s.
 
-    ``fused``: a late clock delays what is seen of the road instead of the sensor's stamps.
+    ``fused``: a late clock delays what is seen of the road instead of the sensor's stamps. ``antenna`` m is how high
+    that hangs which tells where the vehicle is: leaning takes it along.
     """
     numbers = {name: params[row] for name, row in layout.index.items()}
     count = params.shape[1]
@@ -112,26 +116,31 @@ def constants(params: Floats, layout: Layout, max_step: float, fused: bool = Fal
         clock = ClockChange(np.zeros(count), np.zeros(count))
 
     curves, problems = _read_curves(changed)
-    _check_road(road, checker(problems))
-    own_road = bool(road.changed.any())
-    has_terms = own_road or bool(terms[rows.TERMS].any())
+    has_terms = bool(terms[rows.TERMS].any())
     if layout.model == "msd":
         out = msd_rows(changed, numbers, terms[rows.UNSPRUNG], curves, problems, max_step)
     else:
-        out = _full_car(changed, curves, problems, max_step)
+        out = stance = _full_car(changed, curves, problems, max_step)
         if any(changed[name] is not numbers[name] for name in numbers):
             # heights count from where the vehicle stands without what effects put on it
             stance = _full_car(numbers, _read_curves(numbers)[0], problems, max_step)
+        if antenna and (has_terms or stance is not out):
+            with np.errstate(all="ignore"):
+                pitch, roll = lean(out, stance, terms, curves)
+            road = replace(road, ahead=road.ahead - antenna * pitch, left=road.left + antenna * roll)
+        if stance is not out:
             out[rows.STATIC : rows.LOAD + 4] = stance[rows.STATIC : rows.LOAD + 4]
         for c in range(4):
             out[rows.TOUCH + c] = out[rows.LOAD + c] + out[rows.TYRE] * out[rows.STATIC + c]
-        if has_terms:
+        if has_terms or road.changed.any():
             out = with_terms(out, terms, curves, problems, max_step)
+    _check_road(road, checker(problems))
+    own_road = bool(road.changed.any())
     bad = _union(problems, count)
     if bad.any():
         _spare(bad, road, clock, stages)
     return Constants(
-        out, hinges_of(curves), tuple(problems), layout.model, has_terms, road if own_road else None,
+        out, hinges_of(curves), tuple(problems), layout.model, has_terms or own_road, road if own_road else None,
         tuple((stage, values) for stage, values, _ in stages),
         clock if clock.delay.any() or clock.drift.any() else None, layout.mounting,
     )  # fmt: skip

@@ -45,9 +45,10 @@ def substeps(interval: float, max_step: float) -> int:
 
 
 def excitation(
-    trajectory: Trajectory, vehicle: Vehicle, road: HeightField, max_step: float = MAX_STEP
+    trajectory: Trajectory, vehicle: Vehicle, road: HeightField, max_step: float = MAX_STEP, antenna: float = 0.0
 ) -> Excitation:
-    """Excitation of ``vehicle`` on ``road`` along ``trajectory``.
+    """Excitation of ``vehicle`` on ``road`` along ``trajectory``, that of an ``antenna`` so many m above base_link of
+    a vehicle that was taken for upright, or the vehicle's own.
 
     Stamps may jitter. Raises InputError for stamps that do not rise, for anything that is not
     finite, and for a road that gives no finite height under a wheel.
@@ -96,4 +97,5 @@ def excitation(
     return Excitation(
         t=columns["t"], substeps=count, first=first, road=heights, motion=motion, max_step=max_step,
         x=columns["x"], y=columns["y"], yaw=columns["yaw"], wheels=vehicle.wheel_positions, ground=road,
+        antenna=antenna,
     )  # fmt: skip

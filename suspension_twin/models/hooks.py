@@ -31,19 +31,16 @@ from __future__ import annotations
 import importlib
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 
 from suspension_twin.drive.types import Floats
 from suspension_twin.errors import InputError
 
-__all__ = ["ClockChange", "Hook", "Leaning", "RoadChange", "SignalStage", "leaning_of", "load_hook"]
+__all__ = ["ClockChange", "Hook", "RoadChange", "SignalStage", "load_hook", "upright_with"]
 
 Values = Mapping[str, Floats]
-#: What leans when gravity lies off the sensor's vertical all the way: the sensor on its mount, the vehicle under it, or
-#: whichever is likelier by how far.
-Leaning = Literal["either", "sensor", "vehicle"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -119,8 +116,8 @@ class Hook:
     signal: SignalStage | None = None
     clock: Callable[[ClockChange, Values], None] | None = None
     models: tuple[str, ...] = field(default=("full_car",))
-    #: What leans with the effect, where it makes something lean.
-    leaning: Leaning = "either"
+    #: With the effect it is known how the vehicle leans: what more the sensor leans by is its own.
+    upright: bool = False
     #: Raises InputError for parameters (of a twin file) that the effect cannot have.
     check: Callable[[Mapping[str, float]], object] | None = None
 
@@ -141,7 +138,6 @@ def load_hook(effect: str) -> Hook:
     return hook
 
 
-def leaning_of(effects: Iterable[str]) -> Leaning:
-    """What leans in a vehicle with these effects, by id."""
-    known = {load_hook(effect).leaning for effect in effects} - {"either"}
-    return known.pop() if len(known) == 1 else "either"
+def upright_with(effects: Iterable[str]) -> bool:
+    """Whether it is known how a vehicle with these effects, by id, leans."""
+    return any(load_hook(effect).upright for effect in effects)

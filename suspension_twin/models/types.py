@@ -39,6 +39,8 @@ class Excitation:
     ``speed`` and ``lateral_speed`` m/s;
     ``max_step`` s is the largest step that any interval may take. ``x``, ``y``, ``yaw`` (n,),
     ``wheels`` (4, 2) and ``ground`` are what the road heights came from, for those that look again.
+    ``antenna`` m is the height of the antenna that the path is from, 0 where it is the vehicle's own: what makes
+    the vehicle lean takes the antenna along, and wheels and road are elsewhere.
     """
 
     t: Floats
@@ -52,6 +54,7 @@ class Excitation:
     yaw: Floats
     wheels: Floats
     ground: HeightField
+    antenna: float = 0.0
 
     def __len__(self) -> int:
         return int(self.t.size)

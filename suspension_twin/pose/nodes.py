@@ -11,7 +11,6 @@ from scipy.ndimage import gaussian_filter1d
 
 from suspension_twin.drive.types import Drive, Floats
 from suspension_twin.errors import InputError
-from suspension_twin.models.hooks import Leaning
 from suspension_twin.pose import kernel
 from suspension_twin.pose.inputs import planar_inputs
 from suspension_twin.pose.local_map import LocalMap
@@ -20,14 +19,12 @@ from suspension_twin.signals.filters import FilterSpec, zero_phase
 from suspension_twin.signals.offline import ImuSignals
 from suspension_twin.vehicle.twin import Datum, Place
 
-__all__ = ["MOST_LEAN", "SLOPE_TIME", "Measurements", "Nodes", "gather", "make_nodes", "mean_lean", "planar_rows"]
+__all__ = ["MOST_SLOPE", "SLOPE_TIME", "Measurements", "Nodes", "gather", "make_nodes", "mean_lean", "planar_rows"]
 
 #: Hz to which yaw rate and forward pull are smoothed before they meet the filter's nodes.
 PLANAR = FilterSpec(2, 12.0)
 STEP = 0.01  # s between nodes at most
-#: Degrees of lean on average of a drive beyond which it is the sensor that leans: no road climbs that much all the way.
-#: Where something is known that makes the one or the other lean, that is what it is, as far as vehicles do.
-MOST_LEAN: dict[Leaning, float] = {"either": 3.0, "vehicle": 8.0, "sensor": 0.0}
+MOST_SLOPE = 3.0  # degrees on average of a drive; a sensor that leans more is mounted so
 SLOPE_TIME = 5.0  # s; what tilts the vehicle for longer is a slope, not a sway
 
 
@@ -92,9 +89,9 @@ def _with(pair: Floats, sigma: float) -> Floats:
     return np.column_stack([pair, np.full(len(pair), sigma)])
 
 
-def planar_rows(signals: ImuSignals, gps_place: Place, leaning: Leaning = "either") -> tuple[Floats, Floats]:
-    """(n, 8) planar inputs at the IMU's stamps without the antenna's sway, and (n, 4) what it adds; ``leaning`` what
-    leans, the vehicle with its antenna or the sensor alone."""
+def planar_rows(signals: ImuSignals, gps_place: Place, upright: bool = False) -> tuple[Floats, Floats]:
+    """(n, 8) planar inputs at the IMU's stamps without the antenna's sway, and (n, 4) what it adds; ``upright``: on
+    average it is the sensor that leans and not the vehicle with its antenna."""
     spec = FilterSpec(PLANAR.order, min(PLANAR.cutoff, 0.4 * signals.rate_hz))
     force = zero_phase(spec, signals.rate_hz, signals.force)
     rate = zero_phase(spec, signals.rate_hz, signals.rate)
@@ -107,7 +104,7 @@ def planar_rows(signals: ImuSignals, gps_place: Place, leaning: Leaning = "eithe
         for share in (0.0, 1.0)
     )
     # the antenna hangs where the vehicle leans, not where its sensor does
-    if mean_lean(signals.up) > MOST_LEAN[leaning]:
+    if upright or mean_lean(signals.up) > MOST_SLOPE:
         up, slow = _upright(signals.up), _upright(slow)
         for share, out in ((0.0, still), (1.0, swaying)):
             right = planar_inputs(force, rate, faster, up, slow, share, signals.gravity, imu, antenna)

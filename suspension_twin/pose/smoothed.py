@@ -10,7 +10,6 @@ from numpy.typing import NDArray
 from scipy.interpolate import CubicHermiteSpline
 
 from suspension_twin.drive.types import Drive, Floats
-from suspension_twin.models.hooks import Leaning
 from suspension_twin.pose import kernel
 from suspension_twin.pose.beginning import first_state
 from suspension_twin.pose.nodes import Nodes, gather, make_nodes, planar_rows
@@ -35,18 +34,18 @@ def locked_trajectory(
     datum: Datum,
     t: Floats,
     settings: PoseSettings | None = None,
-    leaning: Leaning = "either",
+    upright: bool = False,
 ) -> Trajectory:
     """Where ``base_link`` was at stamps ``t`` (n,) s, strictly rising.
 
     Forward filter and backward smoother over the whole drive, repeated with what the residuals
     teach: the receiver's true noise, which measurements are outliers, and how much of the body's
-    roll and pitch its antenna shows (a receiver that averages shows less). ``leaning`` tells what leans where the
-    sensor does all the way. Raises InputError where no fix or no motion lets the pose be found.
+    roll and pitch its antenna shows (a receiver that averages shows less). ``upright``: where the sensor leans all
+    the way the vehicle does not. Raises InputError where no fix or no motion lets the pose be found.
     """
     settings = settings or PoseSettings()
     measured = gather(drive, datum, settings)
-    rows, sway = planar_rows(signals, gps_place, leaning)
+    rows, sway = planar_rows(signals, gps_place, upright)
     nodes = make_nodes(signals, rows, sway, measured)
     start, spread = first_state(measured, signals.t, rows)
     noise = settings.noise(hard=False)

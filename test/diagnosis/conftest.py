@@ -43,10 +43,11 @@ def car() -> Twin:
 
 @pytest.fixture(scope="session")
 def make(tmp_path_factory: pytest.TempPathFactory, car: Twin) -> Make:
-    """``make(effect, parameters, reference)``: twin file, bags, reference bags."""
+    """``make(effect, parameters, reference, seed, car)``: twin file, bags, reference bags."""
 
     def build(
-        effect: str = "", parameters: dict[str, float] | None = None, reference: bool = False, seed: int = 3
+        effect: str = "", parameters: dict[str, float] | None = None, reference: bool = False, seed: int = 3,
+        car: Twin = car,
     ) -> tuple[Path, list[str], list[str]]:
         folder = tmp_path_factory.mktemp(effect or "none")
         road = iso8608_road("B", 130, seed=seed, v_step=0.4)

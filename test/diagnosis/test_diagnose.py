@@ -18,7 +18,7 @@ from suspension_twin.drive.read import read_drive
 from suspension_twin.errors import InputError
 from suspension_twin.gap.simulated import simulate_drive
 from suspension_twin.report.diagnosis import diagnosis_page
-from suspension_twin.vehicle.twin import load_twin
+from suspension_twin.vehicle.twin import Twin, load_twin
 
 FEW = ("strut_friction", "tyre_damping", "time_offset")
 
@@ -102,6 +102,16 @@ def test_a_narrow_resonance_against_the_bodys_motion_is_found(make: Any) -> None
     assert document["verdict"] == "effect" and lead["effect"] == "body_bending"
     assert lead["parameters"]["frequency"] == pytest.approx(10.0, rel=0.02)
     assert lead["parameters"]["gain"] == pytest.approx(-0.25, rel=0.25)
+
+
+def test_a_little_tilt_under_a_high_antenna_is_no_map_that_lies_ahead(make: Any, car: Twin) -> None:
+    """2.6° of a sensor's lean, taken for the vehicle's, put the antenna and with it the car 7 cm elsewhere."""
+    high = car.model_copy(update={"gps": car.gps.model_copy(update={"position": (0.0, 0.0, 1.5)})})
+    case = make("sensor_tilt", {"roll": 0.01, "pitch": 0.045, "yaw": 0.03}, car=high)
+    asked = replace(ask(case), effects=("sensor_tilt", "position_offset", "lateral_offset"))
+    document = diagnose(asked).document
+    assert document["combination"] == ["sensor_tilt"], document["message"]
+    assert document["causes"][0]["probability"] > 0.8
 
 
 def test_a_drive_is_not_its_own_reference(make: Any) -> None:

@@ -15,7 +15,7 @@ from scipy.signal import butter, lfilter, sosfilt
 from suspension_twin.diagnosis import gaps, verdict
 from suspension_twin.diagnosis.gaps import Remainder
 from suspension_twin.diagnosis.hypotheses import Hypothesis
-from suspension_twin.diagnosis.judge import Blocks
+from suspension_twin.diagnosis.judge import Blocks, Evidence, weights
 from suspension_twin.diagnosis.operating import _corners, _points
 from suspension_twin.diagnosis.verdict import Gates
 from suspension_twin.diagnosis.where import _frequency, _usual
@@ -149,7 +149,46 @@ def fitted(hypothesis: Hypothesis, nuisances: dict[str, float], values: dict[str
 def test_a_payload_has_to_be_more_than_a_file_is_off_by(mass: float, low: float, high: float) -> None:
     found = fitted(Hypothesis(("payload",)), {}, {"mass": mass, "x": 0.5, "y": 0.0})
     assert low <= verdict.uncommon(*found) <= high
-    assert verdict.uncommon(*fitted(Hypothesis(("tyre_damping",)), {}, {"damping": 1.0})) == 1.0
+    assert verdict.uncommon(*fitted(Hypothesis(("road_scale",)), {}, {"scale": 1e-4})) == 1.0
+
+
+@pytest.mark.parametrize(
+    ("effect", "values", "usual"),
+    [
+        ("strut_friction", {"front_force": 3.0, "rear_force": 5.0}, True),
+        ("strut_friction", {"front_force": 0.0, "rear_force": 40.0}, False),
+        ("tyre_damping", {"damping": 25.0}, True), ("tyre_damping", {"damping": 300.0}, False),
+        ("clock_drift", {"drift_ppm": -25.0}, True), ("clock_drift", {"drift_ppm": -250.0}, False),
+    ],
+)  # fmt: skip
+def test_what_every_car_has_is_no_finding(effect: str, values: dict[str, float], usual: bool) -> None:
+    found = fitted(Hypothesis((effect,)), {}, values)
+    assert (verdict.uncommon(*found) < 0.01) == usual and (verdict.uncommon(*found) > 0.99) == (not usual)
+    # where a reference shows the same car, what it had before is in both; a clock is another on every drive
+    with_reference = verdict.uncommon(*found, changed=True)
+    assert with_reference == (verdict.uncommon(*found) if effect == "clock_drift" else 1.0)
+
+
+def test_what_is_named_in_part_is_shared_with_unknown_by_how_much_is_gone() -> None:
+    half = verdict.Gates(1.0, 0.5, 1.0)
+    assert verdict.explained(half, 0.0) == 0.5 and verdict.explained(half, 1.0) == 1.0
+    assert verdict.explained(half, -0.3) == 0.5
+    assert verdict.explained(half, 0.8) == pytest.approx(0.5 + 0.5 * 0.64)
+
+
+def test_what_is_gained_on_unseen_road_alone_is_chance() -> None:
+    """An effect of nothing, whose held-out blocks happen to do better than the baseline's, gets no weight by it."""
+    rng = np.random.default_rng(3)
+
+    def told(gain: float, fitted: float) -> Evidence:
+        score = -np.full(30, 50.0) + gain / 30 + rng.normal(0, 1.0, 30)
+        return Evidence(None, score, 0.0, {}, np.zeros(1), np.zeros((1, 5)), fitted)  # type: ignore[arg-type]
+
+    base, lucky, true = told(0.0, 0.0), told(235.0, 0.7), told(235.0, 140.0)
+    even = np.array([0.5, 0.5])
+    assert weights([base, lucky], even, 1.0, 0)[0][1] < 0.9
+    assert weights([base, true], even, 1.0, 0)[0][1] > 0.999
+    assert weights([base, base], even, 1.0, 0)[0][1] == pytest.approx(0.5)
 
 
 def test_clocks_that_are_all_at_their_limit_make_up_for_something() -> None:

@@ -124,6 +124,21 @@ def test_a_sensor_that_leans_does_not_move_the_antenna(make_scene: Maker) -> Non
     assert np.abs(np.mean(found.x[inner] - scene.truth.x[inner])) < 0.05
 
 
+@pytest.mark.parametrize(
+    ("lean", "upright", "moves"),
+    [(0.035, False, True), (0.035, True, False), (0.09, False, False), (0.09, True, False)],
+)
+def test_whether_the_antenna_moves_is_for_what_leans_to_say(
+    make_scene: Maker, lean: float, upright: bool, moves: bool
+) -> None:
+    """5 cm for each 2° under an antenna 1.5 m up, if it is the vehicle that noses down and not its sensor."""
+    scene = make_scene(speed=lambda s: 6.0 + np.sin(0.5 * s), seconds=30.0, sigma=0.01)
+    signals = ingest_drive(scene.drive, scene.imu.model_copy(update={"rpy": (0.0, lean, 0.0)}))
+    found = locked_trajectory(scene.drive, signals, scene.gps, scene.datum, signals.t, upright=upright)
+    off = float(np.mean(found.x[500:-500] - scene.truth.x[500:-500]))
+    assert abs(off) == pytest.approx(math.sin(lean) * scene.gps.position[2] if moves else 0.0, abs=0.012)
+
+
 def test_between_and_beyond_the_stamps(make_scene: Maker, away: Away) -> None:
     scene = make_scene(speed=away())
     signals = ingest_drive(scene.drive, scene.imu)
