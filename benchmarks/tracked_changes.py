@@ -6,6 +6,7 @@ model is calibrated on the sound run as the diagnosis does it. Both changes in u
 (1.5 mm, 0.01 m/s, 0.16 m/s²), with what a late clock and another speed would look like taken out of both. What
 is small here no diagnosis sees; what correlates badly it cannot name. Before that, in the same units, how far the
 model is off the sound specimen: with the specimen's own parameters on a prescribed way, with a driver, and calibrated.
+Beside it how far the fault lets the standing hull sink, which displacements from a standing start do not show.
 Usage: ``python benchmarks/tracked_changes.py [--kmh 4 20] [--json]``.
 """
 
@@ -65,6 +66,11 @@ def filmed(vehicle: TrackedVehicle, kmh: int, faults: Faults) -> MarkerRun:
     return MarkerRun(t, z, v, np.gradient(v, t, axis=0), kmh / 3.6, f"{kmh:02d}kmh")
 
 
+def standing(vehicle: TrackedVehicle, faults: Faults) -> Floats:
+    """(3,) m heights of the markers above the ground before the specimen drives off."""
+    return simulate(vehicle, 8.0 / 3.6, 0.1, faults)["standing"]
+
+
 def without_clock(change: Floats, sound: Floats, t: Floats) -> Floats:
     """A change in units of the noise, less the best lateness and stretch of the sound run."""
     slope = -np.gradient(sound, t, axis=0)
@@ -103,6 +109,7 @@ def main() -> None:
     for name, (effect, vehicle, faults) in cases(specimen).items():
         broken = simulate_runs([apply_tracked(model, effect)], sound)[0]
         assert broken is not None
+        sinks = 1e3 * float(np.mean(standing(specimen, Faults()) - standing(vehicle, faults)))
         for kmh, before, plain, after in zip(arguments.kmh, sound, told, broken, strict=True):
             usual = signals(before)
             real = without_clock(signals(filmed(vehicle, kmh, faults)) - usual, usual, before.t)
@@ -110,7 +117,7 @@ def main() -> None:
             rows.append({
                 "fault": name, "kmh": kmh, "real": float(np.sqrt(np.mean(real**2))),
                 "model": float(np.sqrt(np.mean(ours**2))), "gain": float(real @ ours / (ours @ ours)),
-                "correlation": float(real @ ours / np.sqrt((real @ real) * (ours @ ours))),
+                "correlation": float(real @ ours / np.sqrt((real @ real) * (ours @ ours))), "sinks": sinks,
             })  # fmt: skip
     if arguments.json:
         print(json.dumps({"sound": off, "gyration": gyration, "rows": rows}))
@@ -119,9 +126,10 @@ def main() -> None:
         told_off = ", ".join(f"{v:.1f} at {kmh} km/h" for kmh, v in zip(arguments.kmh, values, strict=True))
         print(f"sound, {name}: off by {told_off} times the noise")
     print(f"calibrated, its radius of gyration is {gyration:.3f} of the specimen's")
-    print(f"{'':18}{'km/h':>5}{'real':>8}{'model':>8}{'gain':>8}{'corr.':>8}   (rms in units of the noise)")
+    heads = "".join(f"{h:>8}" for h in ("real", "model", "gain", "corr.", "sinks"))
+    print(f"{'':18}{'km/h':>5}{heads}   (rms in units of the noise; mm)")
     for r in rows:
-        print("{fault:18}{kmh:5d}{real:8.2f}{model:8.2f}{gain:8.2f}{correlation:8.2f}".format(**r))
+        print("{fault:18}{kmh:5d}{real:8.2f}{model:8.2f}{gain:8.2f}{correlation:8.2f}{sinks:8.2f}".format(**r))
 
 
 if __name__ == "__main__":

@@ -266,7 +266,8 @@ def simulate(
     vehicle: TrackedVehicle, speed: float, duration: float, faults: Faults = Faults(), taut_at: float = -5552.0
 ) -> dict[str, Floats]:
     """True motion at 500 Hz from standing: ``t`` s, ``x`` m of the CoG, ``markers`` (n, 3) m of A, B, C upwards
-    from the standing vehicle, ``tension`` N. ``taut_at`` mm is where this specimen's track begins to pull."""
+    from the standing vehicle, ``standing`` (3,) m their heights there, ``tension`` N. ``taut_at`` mm is where this
+    specimen's track begins to pull."""
     v, track = vehicle, vehicle.track
     n = track.links
     free = _loop(v, -taut_at / 1000)
@@ -336,6 +337,7 @@ def simulate(
     kept = out[part]
     return {
         "t": np.arange(kept.shape[0]) / RATE, "x": kept[:, 0], "markers": height[part] - height[0],
+        "standing": height[0],
         "pitch": kept[:, 2], "tension": kept[:, 3],
     }  # fmt: skip
 
