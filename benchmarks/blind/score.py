@@ -17,6 +17,8 @@ Row = dict[str, Any]
 PLAIN = 1.3  # measured severity from which on a single effect has to be named: 1.5, met as well as the search does
 BINS = (0.0, 0.05, 0.2, 0.5, 0.8, 0.95, 1.0)
 _NAMED = ("effect", "partly")
+#: Parameters whose sign is the reality's own affair, or said of the road file there and of the truth in the answer.
+_UNSIGNED = {("position_offset", "offset"), ("lateral_offset", "offset"), ("body_bending", "gain")}
 
 
 def row_of(label: dict[str, Any], answer: Path, further: Callable[[], tuple[float, float] | None]) -> Row:
@@ -50,6 +52,7 @@ def row_of(label: dict[str, Any], answer: Path, further: Callable[[], tuple[floa
         "predicted_shrink": 1.0 - d["unexplained"],
         "interval": _interval(d),
         "where": _where(label, d.get("where", {})),
+        "parameters": _parameters(label, d) if named else {},
     }
     gaps = further()
     if gaps is not None and gaps[0] > 1e-9:
@@ -61,6 +64,24 @@ def _interval(d: dict[str, Any]) -> list[float] | None:
     if d["verdict"] in _NAMED and len(d["combination"]) == 1:
         return next((list(c["shrink_interval"]) for c in d["causes"] if c["effect"] == d["combination"][0]), None)
     return list(d["recalibration"]["shrink_interval"]) if "recalibration" in d and not d["combination"] else None
+
+
+def _parameters(label: dict[str, Any], d: dict[str, Any]) -> dict[str, list[float]]:
+    """Of every parameter of an effect that is rightly named: truth, what is told, ends of its 90 % interval."""
+    out = {}
+    for cause in d["causes"]:
+        effect = cause["effect"]
+        if effect not in d["combination"]:
+            continue
+        for name, ends in cause.get("parameter_intervals", {}).items():
+            truth = label["faults"].get(effect, {}).get(name)
+            if truth is None or name == "corner":
+                continue
+            told = [truth, cause["parameters"][name], *ends]
+            if (effect, name) in _UNSIGNED:
+                told = [abs(truth), abs(told[1]), *sorted(abs(e) for e in ends)]
+            out[f"{effect}.{name}"] = [float(v) for v in told]
+    return out
 
 
 def _where(label: dict[str, Any], where: dict[str, Any]) -> dict[str, float]:
@@ -147,6 +168,10 @@ def figures(rows: Sequence[Row]) -> dict[str, Any]:
     put("shrink_error_median", (_quantile(errors, 0.5), len(errors)), "<= 3 points")
     put("shrink_error_p95", (_quantile(errors, 0.95), len(errors)), "<= 8 points")
     put("shrink_in_interval", _share(held, lambda r: r["interval"][0] <= r["measured_shrink"] <= r["interval"][1]))
+    told = [v for r in rows for v in r.get("parameters", {}).values()]
+    off = [abs(v / truth - 1.0) for truth, v, _, _ in told if truth]
+    put("parameter_error_median", (_quantile(off, 0.5), len(off)))
+    put("parameter_in_interval", (_mean([low <= truth <= high for truth, _, low, high in told]), len(told)))
     put("road_m_median", (_quantile(located["road_m"], 0.5), len(located["road_m"])), "<= 1 m")
     put("time_s_median", (_quantile(located["time_s"], 0.5), len(located["time_s"])))
     put("octaves_median", (_quantile(located["octaves"], 0.5), len(located["octaves"])), "<= 1/6")

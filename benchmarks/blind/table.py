@@ -27,6 +27,8 @@ _TITLES = {
     "stretch_top1": "on one stretch only: top-1", "sure_and_wrong": "probability above 0.9 and wrong",
     "shrink_error_median": "shrink, predicted to measured, median (points)",
     "shrink_error_p95": "the same, 95th percentile", "shrink_in_interval": "measured shrink in the interval",
+    "parameter_error_median": "parameters of what is rightly named off by, median",
+    "parameter_in_interval": "parameters in their 90 % interval",
     "road_m_median": "place out of the true stretch, median (m)", "time_s_median": "time out of it, median (s)",
     "octaves_median": "frequency off, median (octaves)", "seconds_two_drives": "seconds a case of two drives, median",
     "seconds_worst": "seconds, worst", "cpu_seconds_median": "processor seconds, median",

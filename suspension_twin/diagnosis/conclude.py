@@ -91,7 +91,7 @@ def conclude(
     twin = twin_of(case, bench, kept.fit)
     shrink = _shrink(bench, found, kept_left, request.seed)
     causes = _causes(bench, found, effects, beyond, groups, request.seed)
-    _add_intervals(bench, found.blocks, kept.fit, causes)
+    _add_intervals(bench, found.blocks, kept.fit, found.temper, causes)
     document: dict[str, Any] = {
         "verdict": answer,
         "gap": _gap(bench, found),
@@ -212,11 +212,13 @@ def _causes(
     return causes
 
 
-def _add_intervals(bench: Bench, blocks: Blocks, fit: Fit, causes: list[dict[str, Any]]) -> None:
+def _add_intervals(
+    bench: Bench, blocks: Blocks, fit: Fit, temper: float, causes: list[dict[str, Any]]
+) -> None:
     """90 % intervals of the parameters of what the written twin has."""
     if not fit.hypothesis.effects:
         return
-    ends = intervals(bench, finished(bench, fit.hypothesis, fit.x), blocks)
+    ends = intervals(bench, finished(bench, fit.hypothesis, fit.x), blocks, temper)
     for key, (low, high) in zip(fit.hypothesis.keys, ends, strict=True):
         _, effect, name = key.split(".")
         for cause in causes:

@@ -10,9 +10,9 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy import linalg
 
 from suspension_twin.calibration.least_squares import solve_positive
@@ -24,6 +24,7 @@ __all__ = ["Fit", "Linear", "Screening", "finished", "refit", "scanned", "screen
 
 _LADDER = (0.0, 1e-2, 1e-1, 1.0, 10.0)
 _LARGEST_STEP = 2.0
+_ROUNDS = 4  # times that coordinates which a linear step takes beyond their limits are held there
 #: Places of each coordinate of an effect, out to so many spreads of its prior, and how many of them are simulated anew.
 _SWEPT, _FAR, _TRIED = 9, 2.5, 4
 
@@ -59,13 +60,37 @@ class Screening:
     power: Floats
 
 
-def _curvature(bench: Bench, base: Linear) -> tuple[Any, Floats, float]:
-    """Of the posterior about ``base``: Cholesky factor of its curvature, the prior's gradient, and what it costs."""
+def _curvature(bench: Bench, base: Linear) -> tuple[Floats, Floats, float]:
+    """Of the posterior about ``base``: its curvature, the prior's gradient, and what the prior costs."""
     precision, centre = bench.prior(base.hypothesis)
     hessian = gram(base.at.jacobian, base.at.jacobian) + precision
     away = base.x - centre
     pull = np.einsum("ij,j->i", precision, away, optimize=False)
-    return linalg.cho_factor(hessian + 1e-10 * np.diag(np.diag(hessian))), pull, float(away @ precision @ away)
+    return hessian + 1e-10 * np.diag(np.diag(hessian)), pull, float(away @ precision @ away)
+
+
+def _within(bench: Bench, base: Linear, hessian: Floats, gradient: Floats) -> Floats:
+    """(p, S) steps that suit gradients (p, S) best and end inside the limits: a clock that may not be any later cannot
+    make up for an effect by being so."""
+    low, high = bench.limits(base.hypothesis)
+    low, high = np.minimum(low - base.x, 0.0), np.maximum(high - base.x, 0.0)
+    steps = -linalg.cho_solve(linalg.cho_factor(hessian), gradient)
+    for i in np.flatnonzero(((steps < low[:, None]) | (steps > high[:, None])).any(axis=0)):
+        step, held = steps[:, i], np.zeros(low.size, dtype=bool)
+        for _ in range(_ROUNDS):
+            held |= (step < low) | (step > high)
+            step = np.where(held, np.clip(step, low, high), 0.0)
+            free = np.flatnonzero(~held)
+            slope = gradient[free, i] + np.einsum("ij,j->i", hessian[free], step, optimize=False)
+            step[free] = -linalg.cho_solve(linalg.cho_factor(hessian[np.ix_(free, free)]), slope)
+        steps[:, i] = np.clip(step, low, high)
+    return steps
+
+
+def _stuck(bench: Bench, hypothesis: Hypothesis, x: Floats, gradient: Floats) -> NDArray[np.bool_]:
+    """(p,) coordinates on a limit that want out: they stay there."""
+    low, high = bench.limits(hypothesis)
+    return np.asarray(((x <= low) & (gradient > 0)) | ((x >= high) & (gradient < 0)))
 
 
 def screened(bench: Bench, base: Linear, hypothesis: Hypothesis, starts: Floats) -> Screening:
@@ -79,16 +104,17 @@ def screened(bench: Bench, base: Linear, hypothesis: Hypothesis, starts: Floats)
     x = np.concatenate([np.repeat(base.x[:p, None], u.shape[1], axis=1), u])
     residual, failed = bench.residuals(hypothesis, x)
     jacobian = base.at.jacobian
-    factor, pull, penalty = _curvature(bench, base)
+    hessian, pull, penalty = _curvature(bench, base)
     gradient = gram(jacobian, residual) + pull[:, None]
-    step = -linalg.cho_solve(factor, gradient)
+    step = _within(bench, base, hessian, gradient)
     costs = np.einsum("rl,rl->l", residual, residual, optimize=False) + penalty
-    costs = costs + np.einsum("il,il->l", gradient, step, optimize=False)
+    bent = gradient + 0.5 * np.einsum("ij,jl->il", hessian, step, optimize=False)
+    costs = costs + 2.0 * np.einsum("il,il->l", bent, step, optimize=False)
     costs = costs + np.sum(starts**2, axis=0)
     costs = np.where(failed | ~np.isfinite(costs), np.inf, costs)
     change = residual - base.at.residual[:, None]
     seen = gram(jacobian, change)
-    lost = np.einsum("il,il->l", seen, linalg.cho_solve(factor, seen), optimize=False)
+    lost = np.einsum("il,il->l", seen, linalg.cho_solve(linalg.cho_factor(hessian), seen), optimize=False)
     power = 0.5 * (np.einsum("rl,rl->l", change, change, optimize=False) - lost)
     order = np.argsort(costs, kind="stable")
     unknowns = []
@@ -112,11 +138,13 @@ def scanned(bench: Bench, base: Linear, hypothesis: Hypothesis, scan: tuple[int,
     x = np.concatenate([np.repeat(base.x[:, None], points.shape[1], axis=1), points])
     residual, failed = bench.residuals(hypothesis, x)
     jacobian, rest = base.at.jacobian, base.at.residual
-    factor, pull, _ = _curvature(bench, base)
+    hessian, pull, _ = _curvature(bench, base)
     gradient = gram(jacobian, rest[:, None])[:, 0] + pull
     change = residual - rest[:, None]
-    seen = gram(jacobian, change)
-    taken = linalg.cho_solve(factor, np.column_stack([seen, gradient]))
+    free = np.flatnonzero(~_stuck(bench, base.hypothesis, base.x, gradient))
+    seen = gram(jacobian[:, free], change)
+    factor = linalg.cho_factor(hessian[np.ix_(free, free)])
+    taken = linalg.cho_solve(factor, np.column_stack([seen, gradient[free]]))
     far = points[row] - nothing
     curve = np.einsum("rl,rl->l", change, change, optimize=False) + far**2
     curve -= np.einsum("il,il->l", seen, taken[:, :-1], optimize=False)
@@ -134,8 +162,8 @@ def scanned(bench: Bench, base: Linear, hypothesis: Hypothesis, scan: tuple[int,
     found: Floats = x[:, best].copy()
     found[p + kept + row] = strength[best]
     step = -(taken[:, -1] + share[best] * taken[:, best])
-    found[: p + kept] += np.clip(step, -_LARGEST_STEP, _LARGEST_STEP)
-    return found
+    found[free] += np.clip(step, -_LARGEST_STEP, _LARGEST_STEP)
+    return np.asarray(bench.clipped(hypothesis, found[:, None])[:, 0])
 
 
 def swept(bench: Bench, at: Linear) -> Floats | None:
@@ -186,16 +214,13 @@ def refit(
     best = int(np.argmin(costs))
     x, cost = candidates[:, best], float(costs[best])
     precision, centre = bench.prior(hypothesis)
-    low, high = bench.limits(hypothesis)
     damping = 1e-2
     for _ in range(iterations):
         at = bench.linearise(hypothesis, x, known)
         hessian = gram(at.jacobian, at.jacobian) + precision
         gradient = gram(at.jacobian, at.residual[:, None])[:, 0]
         gradient = gradient + np.einsum("ij,j->i", precision, x - centre, optimize=False)
-        # a coordinate on its bound that wants out stays there
-        stuck = ((x <= low) & (gradient > 0)) | ((x >= high) & (gradient < 0))
-        free = np.flatnonzero(~stuck)
+        free = np.flatnonzero(~_stuck(bench, hypothesis, x, gradient))
         trials = []
         for factor in _LADDER:
             damped = hessian[np.ix_(free, free)].copy()

@@ -146,11 +146,13 @@ def evidence(bench: Bench, fit: Linear, blocks: Blocks, shown: Sequence[bool] | 
     return Evidence(plain, score, float(occam), level, left, unknowns, float(fitted))
 
 
-def intervals(bench: Bench, fit: Linear, blocks: Blocks) -> Floats:
-    """(k, 2) 90 % intervals of the effects' parameters, in their units.
+def intervals(bench: Bench, fit: Linear, blocks: Blocks, temper: float) -> Floats:
+    """(k, 2) 90 % intervals of the effects' parameters, in their units and inside their bounds.
 
     How much a fit would move with other stretches is told by what each block pulls it: residuals that
-    belong together count once (sandwich covariance: White 1982, by clusters).
+    belong together count once (sandwich covariance: White 1982, by clusters). But a model's own error pulls every
+    block the same way, and more road does not average it out: as for the evidence, of what is left only the share
+    ``temper`` that is noise counts as many pieces.
     """
     precision, _ = bench.prior(fit.hypothesis)
     jacobian, p = fit.at.jacobian, bench.d + bench.q
@@ -159,8 +161,9 @@ def intervals(bench: Bench, fit: Linear, blocks: Blocks) -> Floats:
         [np.bincount(blocks.row, column * fit.at.residual, blocks.count) for column in jacobian.T], axis=1
     ).astype(np.float64)
     covariance = gram(inverse, gram(gram(pulls, pulls) + precision, inverse))
-    away = norm.ppf(0.95) * np.sqrt(np.maximum(np.diag(covariance)[p:], 0.0))
-    u = fit.x[p:, None] + np.stack([-away, away], axis=1)
+    away = norm.ppf(0.95) * np.sqrt(np.maximum(np.diag(covariance)[p:], 0.0) / temper)
+    low, high = fit.hypothesis.bounds()
+    u = np.clip(fit.x[p:, None] + np.stack([-away, away], axis=1), low[:, None], high[:, None])
     return np.sort(fit.hypothesis.values(u), axis=1)
 
 

@@ -8,7 +8,7 @@ from suspension_twin.models.hooks import Hook, RoadChange
 
 __all__ = ["EFFECT"]
 
-_PARAMETERS = (Parameter("scale", "", -0.8, 2.0, 0.0, 0.0, 0.15, "factor less one"),)
+_PARAMETERS = (Parameter("scale", "", -0.8, 2.0, 0.0, 0.0, 0.15, "factor less one", usual=0.03),)
 
 
 def _road(change: RoadChange, p: Values) -> None:

@@ -10,9 +10,9 @@ from suspension_twin.models.hooks import Hook
 __all__ = ["EFFECT"]
 
 _PARAMETERS = (
-    Parameter("x", "m", -4.0, 4.0, 0.0, 0.0, 0.5, "forward"),
-    Parameter("y", "m", -1.5, 1.5, 0.0, 0.0, 0.3, "to the left"),
-    Parameter("z", "m", -2.0, 2.0, 0.0, 0.0, 0.3, "up"),
+    Parameter("x", "m", -4.0, 4.0, 0.0, 0.0, 0.5, "forward", usual=0.03),
+    Parameter("y", "m", -1.5, 1.5, 0.0, 0.0, 0.3, "to the left", usual=0.03),
+    Parameter("z", "m", -2.0, 2.0, 0.0, 0.0, 0.3, "up", usual=0.03),
 )
 
 

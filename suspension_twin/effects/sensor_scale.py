@@ -13,7 +13,7 @@ from suspension_twin.models.hooks import Hook, SignalStage
 
 __all__ = ["EFFECT"]
 
-_PARAMETERS = (Parameter("scale", "", -0.6, 1.0, 0.0, 0.0, 0.05, "gain less one"),)
+_PARAMETERS = (Parameter("scale", "", -0.6, 1.0, 0.0, 0.0, 0.05, "gain less one", usual=0.01),)
 
 
 @compiled

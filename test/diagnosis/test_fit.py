@@ -9,10 +9,12 @@ from typing import Any
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
+from scipy.optimize import lsq_linear
 
 from suspension_twin.diagnosis.bench import Linearised
-from suspension_twin.diagnosis.fit import Linear, refit, swept
-from suspension_twin.diagnosis.hypotheses import Hypothesis
+from suspension_twin.diagnosis.fit import Linear, refit, screened, swept
+from suspension_twin.diagnosis.hypotheses import BASELINE, Hypothesis
+from suspension_twin.diagnosis.judge import Blocks, intervals
 
 STOP = Hypothesis(("rebound_stop",))
 TRUTH = np.array([0.7, -1.2, 0.4])
@@ -84,3 +86,47 @@ def test_candidates_that_fail_are_passed_over(bench: Any) -> None:
     bench.residuals = lambda hypothesis, x: (np.zeros((4, x.shape[1])), np.ones(x.shape[1], dtype=bool))
     bench.costs = lambda hypothesis, x: np.full(x.shape[1], np.inf)
     assert swept(bench, at(bench, stuck)) is None
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_no_start_ranks_by_a_clock_beyond_its_limit(seed: int) -> None:
+    """Where nuisances have to stay inside their limits the screened cost is that of least squares with bounds."""
+    rng = np.random.default_rng(seed)
+    effect, nuisances = Hypothesis(("time_offset",)), 4
+    a, b = rng.normal(size=(40, 6)) + 1.0, 40 * rng.normal(size=40)
+    bounds = np.array([[-np.inf, *[-3.0] * nuisances], [np.inf, *[3.0] * nuisances]])
+
+    def limits(hypothesis: Hypothesis) -> tuple[np.ndarray, np.ndarray]:
+        low, high = hypothesis.bounds()
+        return np.concatenate([bounds[0], low]), np.concatenate([bounds[1], high])
+
+    def best(u: float) -> tuple[np.ndarray, float]:
+        rows, right = np.vstack([a[:, :5], 0.1 * np.eye(5)]), np.concatenate([b - a[:, 5] * u, np.zeros(5)])
+        found = lsq_linear(rows, right, bounds)
+        return found.x, 2 * found.cost + u**2
+
+    bench: Any = SimpleNamespace(
+        d=1, q=nuisances, limits=limits,
+        prior=lambda hypothesis: (0.01 * np.eye(5), np.zeros(5)),
+        residuals=lambda hypothesis, x: (a[:, : x.shape[0]] @ x - b[:, None], np.zeros(x.shape[1], dtype=bool)),
+    )  # fmt: skip
+    x, cost = best(0.0)
+    assert (np.abs(x[1:]) > 3.0 - 1e-6).any(), "a nuisance is at its limit"
+    base = Linear(BASELINE, x, cost, Linearised(x, a[:, :5] @ x - b, a[:, :5]))
+    starts = np.array([[-1.5, 0.3, 2.0]])
+    tried = screened(bench, base, effect, starts)
+    assert_allclose(tried.cost, sorted(best(u)[1] for u in starts[0]), rtol=0.01)
+    assert all((np.abs(found[1:5]) <= 3.0 + 1e-9).all() for found in tried.x)
+
+
+def test_a_models_own_error_widens_intervals_up_to_the_bounds() -> None:
+    rng = np.random.default_rng(0)
+    effect = Hypothesis(("tyre_damping",))
+    a, rest = rng.normal(size=(60, 2)), rng.normal(size=60)
+    bench: Any = SimpleNamespace(d=1, q=0, prior=lambda hypothesis: (np.eye(2), np.zeros(2)))
+    fit = Linear(effect, np.array([0.0, 2.0]), 0.0, Linearised(np.array([0.0, 2.0]), rest, a))
+    blocks = Blocks(np.arange(60) // 6, np.arange(60) // 6, 10)
+    (low, high), (lower, higher), (least, _) = (intervals(bench, fit, blocks, t)[0] for t in (1.0, 0.25, 0.001))
+    told = effect.values(np.array([[2.0]]))[0, 0]
+    assert_allclose([told - lower, higher - told], [2 * (told - low), 2 * (high - told)])
+    assert least == 0.0 and low > 0.0

@@ -149,7 +149,7 @@ def fitted(hypothesis: Hypothesis, nuisances: dict[str, float], values: dict[str
 def test_a_payload_has_to_be_more_than_a_file_is_off_by(mass: float, low: float, high: float) -> None:
     found = fitted(Hypothesis(("payload",)), {}, {"mass": mass, "x": 0.5, "y": 0.0})
     assert low <= verdict.uncommon(*found) <= high
-    assert verdict.uncommon(*fitted(Hypothesis(("road_scale",)), {}, {"scale": 1e-4})) == 1.0
+    assert verdict.uncommon(*fitted(Hypothesis(("lateral_offset",)), {}, {"offset": 1e-4})) == 1.0
 
 
 @pytest.mark.parametrize(
@@ -158,6 +158,9 @@ def test_a_payload_has_to_be_more_than_a_file_is_off_by(mass: float, low: float,
         ("strut_friction", {"front_force": 3.0, "rear_force": 5.0}, True),
         ("strut_friction", {"front_force": 0.0, "rear_force": 40.0}, False),
         ("tyre_damping", {"damping": 25.0}, True), ("tyre_damping", {"damping": 300.0}, False),
+        ("road_scale", {"scale": -0.012}, True), ("road_scale", {"scale": 0.08}, False),
+        ("sensor_offset", {"x": 0.01, "y": 0.0, "z": -0.01}, True),
+        ("sensor_offset", {"x": 0.0, "y": 0.0, "z": 0.2}, False),
         ("clock_drift", {"drift_ppm": -25.0}, True), ("clock_drift", {"drift_ppm": -250.0}, False),
     ],
 )  # fmt: skip
