@@ -91,7 +91,8 @@ def conclude(
     twin = twin_of(case, bench, kept.fit)
     shrink = _shrink(bench, found, kept_left, request.seed)
     causes = _causes(bench, found, effects, beyond, groups, request.seed)
-    _add_intervals(bench, found.blocks, kept.fit, found.temper, causes)
+    # without a road no block shows the model what another has shown it
+    _add_intervals(bench, found.blocks, kept.fit, found.temper if case.road else 1.0, causes)
     document: dict[str, Any] = {
         "verdict": answer,
         "gap": _gap(bench, found),
