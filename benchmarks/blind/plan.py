@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Which cases there are: kinds, effects, severities, seeds and realities, in an order to take a sample from.
 
-Development and reporting use other worlds. A case's name says nothing about it.
+Development and both sets for reporting use other worlds. A case's name says nothing about it.
 """
 
 from __future__ import annotations
@@ -16,12 +16,12 @@ import numpy as np
 
 from blind.faults import ALIASES, LIBRARY, MSD, OUTSIDE, ROAD
 
-Seeds = Literal["dev", "report"]
+Seeds = Literal["dev", "report", "report2"]
 Kind = Literal["single", "null", "outside", "excluded", "pair", "stretch"]
 KINDS: tuple[Kind, ...] = ("single", "null", "outside", "excluded", "pair", "stretch")
 SEVERITIES = (0.5, 1.5, 5.0)
 REALITIES = ("newton", "multibody")
-_FIRST = {"dev": 1000, "report": 500_000}
+_FIRST = {"dev": 1000, "report": 500_000, "report2": 1_000_000}
 WORLDS = 16  # that cases with an effect share
 _PAIR = 3.0  # severity of each member
 #: Pairs of parts that are broken at the same time often enough.

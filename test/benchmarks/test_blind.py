@@ -9,6 +9,7 @@ import shutil
 import sys
 from collections.abc import Iterator
 from dataclasses import replace
+from itertools import combinations
 from pathlib import Path
 from typing import Any
 
@@ -66,9 +67,10 @@ def test_nothing_outside_the_library_is_in_it_when_its_cases_are_diagnosed() -> 
 def test_development_and_reporting_share_no_world_and_no_name() -> None:
     from blind.plan import plan
 
-    dev, report = plan("dev"), plan("report")
-    assert not {c.world for c in dev} & {c.world for c in report}
-    names = [c.name for c in (*dev, *report)]
+    sets = [plan("dev"), plan("report"), plan("report2")]
+    for one, other in combinations(sets, 2):
+        assert not {c.world for c in one} & {c.world for c in other}
+    names = [c.name for cases in sets for c in cases]
     assert len(set(names)) == len(names)
     assert all(re.fullmatch(r"case_[0-9a-f]{10}", n) for n in names)
 
@@ -237,7 +239,8 @@ def test_the_figures_count_what_they_say() -> None:
     from blind.score import figures
 
     rows = [
-        _row("single", ["payload"], "effect", "payload", 0.95, predicted_shrink=0.8, measured_shrink=0.77),
+        _row("single", ["payload"], "effect", "payload", 0.95, predicted_shrink=0.8, measured_shrink=0.77,
+             parameters={"payload.mass": [200.0, 190.0, 170.0, 210.0], "payload.x": [0.5, 0.4, 0.3, 0.45]}),
         _row("single", ["payload"], "effect", "top_mount", 0.95),
         _row("single", ["top_mount"], "no_gap", "top_mount", 0.6),
         _row("null", [], "no_gap", "payload", 0.99),
@@ -254,6 +257,21 @@ def test_the_figures_count_what_they_say() -> None:
     assert found["sure_and_wrong"] == pytest.approx(1 / 7)
     assert found["shrink_error_median"] == pytest.approx(3.0)
     assert found["unknown_excluded"] is None
+    assert found["parameter_error_median"] == pytest.approx(0.125) and found["parameter_in_interval"] == 0.5
+
+
+def test_parameters_are_compared_where_label_and_answer_mean_the_same() -> None:
+    from blind.score import _parameters
+
+    label = {"faults": {"corner_spring": {"corner": 1.0, "change": -0.3}, "position_offset": {"offset": -0.2}}}
+    causes = [
+        {"effect": "corner_spring", "parameters": {"corner": 1.0, "change": -0.25},
+         "parameter_intervals": {"change": [-0.4, -0.1]}},
+        {"effect": "position_offset", "parameters": {"offset": 0.19}, "parameter_intervals": {"offset": [0.1, 0.3]}},
+        {"effect": "payload", "parameters": {"mass": 10.0}, "parameter_intervals": {"mass": [0.0, 20.0]}},
+    ]  # fmt: skip
+    told = _parameters(label, {"causes": causes, "combination": ["corner_spring", "position_offset"]})
+    assert told == {"corner_spring.change": [-0.3, -0.25, -0.4, -0.1], "position_offset.offset": [0.2, 0.19, 0.1, 0.3]}
 
 
 def test_the_picture_is_drawn(tmp_path: Path) -> None:
