@@ -74,7 +74,7 @@ def conclude(
         [gaps.shrink_of(bench, found.left[0], r, found.blocks, found.noise[channel], 0, request.seed).shrink
          for r in found.left[1:]]
     )  # fmt: skip
-    effects, no_gap, unknown = verdict.masses(found.weights, found.gates, beyond, found.unseen)
+    effects, no_gap, unknown = verdict.masses(found.weights, found.gates, beyond, found.unseen, _alone(found))
     unknown += float(found.strange.sum())
     chosen = found.chosen.fit.hypothesis.effects
     if len(chosen) > 1:
@@ -204,13 +204,24 @@ def _causes(
                     "plausible": _round(gate.plausible),
                 },
                 "judged": single.judged,
-                "log_evidence": round(
-                    float(single.evidence.score.sum() - found.base.score.sum())
-                    - 0.5 * (single.evidence.occam - found.base.occam), 2,
-                ),
+                "log_evidence": round(_gain(found, single), 2),
             }
         )  # fmt: skip
     return causes
+
+
+def _gain(found: Findings, single: Single) -> float:
+    """Nats that an effect gains over recalibration alone."""
+    more = float(single.evidence.score.sum() - found.base.score.sum())
+    return more - 0.5 * (single.evidence.occam - found.base.occam)
+
+
+def _alone(found: Findings) -> Floats:
+    """(E,) how far each effect stands above the others by what it gains."""
+    gains, strange = (np.array([_gain(found, s) for s in some]) for some in (found.singles, found.witnesses))
+    # one resonance makes up for any other, whether it is in the library or not
+    resonant = [s.fit.hypothesis.scan(1) is not None for s in found.singles]
+    return np.where(resonant, 0.0, verdict.unmatched(gains, strange))
 
 
 def _add_intervals(

@@ -45,18 +45,20 @@ def bench(lengths: list[int], values: np.ndarray, active: tuple[bool, ...] | Non
 def test_masses_are_probabilities(weights: list[float], gates: list[float], odds: float) -> None:
     w = np.array(weights) / sum(weights)
     made = [Gates(1.0, gates[0], 1.0), *(Gates(*gates[3 * i : 3 * i + 3]) for i in range(len(w) - 1))]
-    effects, no_gap, unknown = verdict.masses(w, made, np.full(w.size - 1, 0.5), np.full(w.size - 1, odds))
+    gone, unseen, alone = (np.full(w.size - 1, v) for v in (0.5, odds, 0.0))
+    effects, no_gap, unknown = verdict.masses(w, made, gone, unseen, alone)
     assert min(effects.min(), no_gap, unknown) >= -1e-12
     assert effects.sum() + no_gap + unknown == pytest.approx(1.0)
 
 
 def test_what_would_not_have_shown_is_not_ruled_out() -> None:
     weights, gates, none = np.array([1.0, 0.0, 0.0]), [FOUND, NOTHING, NOTHING], np.zeros(2)
-    effects, no_gap, unknown = verdict.masses(weights, gates, none, np.array([0.0, 0.5]))
+    effects, no_gap, unknown = verdict.masses(weights, gates, none, np.array([0.0, 0.5]), none)
     assert effects[0] == 0.0 and effects[1] == pytest.approx(1 / 3) and no_gap == pytest.approx(2 / 3)
     assert unknown == 0.0
     # where an effect was found there is nothing left for those that hide
-    effects, no_gap, _ = verdict.masses(np.array([0.0, 1.0, 0.0]), [FOUND, FOUND, NOTHING], none, np.array([0.0, 0.5]))
+    certain = np.array([0.0, 1.0, 0.0])
+    effects, no_gap, _ = verdict.masses(certain, [FOUND, FOUND, NOTHING], none, np.array([0.0, 0.5]), none)
     assert effects[0] == pytest.approx(1.0) and no_gap == pytest.approx(0.0)
 
 
@@ -177,6 +179,21 @@ def test_what_is_named_in_part_is_shared_with_unknown_by_how_much_is_gone() -> N
     assert verdict.explained(half, 0.0) == 0.5 and verdict.explained(half, 1.0) == 1.0
     assert verdict.explained(half, -0.3) == 0.5
     assert verdict.explained(half, 0.8) == pytest.approx(0.5 + 0.5 * 0.64)
+    assert verdict.explained(half, 0.2, 0.7) == pytest.approx(0.5 + 0.5 * 0.7)
+
+
+def test_what_gains_many_times_as_much_as_any_other_stands_alone() -> None:
+    gains, none = np.full(12, 10.0), np.zeros(2)
+    gains[3] = 300.0
+    assert verdict.unmatched(gains, none) == pytest.approx(np.where(np.arange(12) == 3, 0.9, 0.0))
+    # a second one that gains nearly as much, or a shape that many things have: neither is what it is for sure
+    gains[4] = 250.0
+    assert not verdict.unmatched(gains, none).any()
+    gains[4] = 10.0
+    assert not verdict.unmatched(gains, np.array([0.0, 150.0])).any()
+    # with few effects to choose from the best of them says little, and losses are no gains
+    assert not verdict.unmatched(gains[:9], none).any()
+    assert not verdict.unmatched(np.full(12, -5.0), none).any()
 
 
 def test_what_is_gained_on_unseen_road_alone_is_chance() -> None:
