@@ -31,7 +31,8 @@ _TIED = 0.05  # how often the second has to win for the two not to be told apart
 @dataclass(frozen=True, eq=False)
 class Findings:
     """``left``, ``weights`` and ``gates`` count the baseline first, then ``singles``; ``chosen`` is what
-    the written twin has, ``chosen_left`` and ``chosen_gate`` belong to it; ``unseen`` as in ``verdict.masses``.
+    the written twin has, ``chosen_left`` and ``chosen_gate`` belong to it; ``unseen`` and ``alone`` as in
+    ``verdict.masses``.
     ``strange`` (W,) is the probability that each of ``witnesses`` is what the gap is like, ``strange_left`` what they
     leave."""
 
@@ -43,6 +44,7 @@ class Findings:
     left: list[gaps.Remainder]
     weights: Floats
     unseen: Floats
+    alone: Floats
     beats: Floats
     gates: list[verdict.Gates]
     chosen: Evidence
@@ -74,7 +76,7 @@ def conclude(
         [gaps.shrink_of(bench, found.left[0], r, found.blocks, found.noise[channel], 0, request.seed).shrink
          for r in found.left[1:]]
     )  # fmt: skip
-    effects, no_gap, unknown = verdict.masses(found.weights, found.gates, beyond, found.unseen, _alone(found))
+    effects, no_gap, unknown = verdict.masses(found.weights, found.gates, beyond, found.unseen, found.alone)
     unknown += float(found.strange.sum())
     chosen = found.chosen.fit.hypothesis.effects
     if len(chosen) > 1:
@@ -204,24 +206,10 @@ def _causes(
                     "plausible": _round(gate.plausible),
                 },
                 "judged": single.judged,
-                "log_evidence": round(_gain(found, single), 2),
+                "log_evidence": round(single.evidence.over(found.base), 2),
             }
         )  # fmt: skip
     return causes
-
-
-def _gain(found: Findings, single: Single) -> float:
-    """Nats that an effect gains over recalibration alone."""
-    more = float(single.evidence.score.sum() - found.base.score.sum())
-    return more - 0.5 * (single.evidence.occam - found.base.occam)
-
-
-def _alone(found: Findings) -> Floats:
-    """(E,) how far each effect stands above the others by what it gains."""
-    gains, strange = (np.array([_gain(found, s) for s in some]) for some in (found.singles, found.witnesses))
-    # one resonance makes up for any other, whether it is in the library or not
-    resonant = [s.fit.hypothesis.scan(1) is not None for s in found.singles]
-    return np.where(resonant, 0.0, verdict.unmatched(gains, strange))
 
 
 def _add_intervals(

@@ -114,6 +114,10 @@ class Evidence:
     unknowns: Floats
     fitted: float
 
+    def over(self, base: Evidence) -> float:
+        """Nats that the hypothesis gains over ``base``."""
+        return float(self.score.sum() - base.score.sum()) - 0.5 * (self.occam - base.occam)
+
 
 def evidence(bench: Bench, fit: Linear, blocks: Blocks, shown: Sequence[bool] | None = None) -> Evidence:
     """Held-out evidence of a fit; ``shown`` which drives show the gap, where ``bench`` says otherwise."""

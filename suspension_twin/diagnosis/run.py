@@ -107,10 +107,13 @@ class _Search:
         trait = (1.0 - _EFFECT_PRIOR - sound) / max(len(traits), 1)
         # a shape that many things have makes up for a part of any model's own error
         least = verdict.MATERIAL if self.reference is not None else _WORTH_OF_A_WITNESS
-        self.gates = [
-            self._gates(e, r, least if i > len(effects) else verdict.MATERIAL)
-            for i, (e, r) in enumerate(zip(everything, self.left, strict=True))
-        ]
+        gains = np.array([e.over(self.base) for e in everything[1:]])
+        self.alone = verdict.unmatched(gains[: len(effects)], gains[len(effects) :])
+        # one resonance makes up for any other, whether it is in the library or not
+        self.alone[[s.fit.hypothesis.scan(1) is not None for s in self.singles]] = 0.0
+        leasts = [verdict.MATERIAL] * (1 + len(effects)) + [least] * len(strangers)
+        alone = [0.0, *self.alone, *([0.0] * len(strangers))]
+        self.gates = [self._gates(*given) for given in zip(everything, self.left, leasts, alone, strict=True)]
         # what takes nothing material away cannot be the finding, however sure it is: it must not hide another
         priors = [each if g.material > _MAYBE else 0.0 for g in self.gates[1:]]
         prior = np.array([sound, *priors, *([trait] * len(traits))])
@@ -180,7 +183,9 @@ class _Search:
             )
         return level
 
-    def _gates(self, found: Evidence, left: gaps.Remainder, least: float = verdict.MATERIAL) -> verdict.Gates:
+    def _gates(
+        self, found: Evidence, left: gaps.Remainder, least: float = verdict.MATERIAL, alone: float = 0.0
+    ) -> verdict.Gates:
         bench = self.bench
         level, quiet = verdict.level_of(bench, left, self.noise, shown=True), self._noise_share()
         if self.reference is None or level < quiet:
@@ -195,10 +200,10 @@ class _Search:
             return verdict.Gates(1.0, adequate, 1.0)
         names = bench.problem.channels
         columns = range(len(names))
-        # what is gained in one channel and lost in another is traded, not explained
+        # what is gained in one channel and lost in another is traded, not explained, unless nothing else gains alike
         most = max(self._shrink(self.left[0], left, c).shrink for c in columns if self._driven(names[c]))
         material = max(self._material(left, c, least) for c in columns)
-        material *= min(self._unspoilt(left, c, most) for c in columns)
+        material *= max(min(self._unspoilt(left, c, most) for c in columns), alone)
         material *= verdict.uncommon(bench, found, self.reference is not None)
         return verdict.Gates(material, adequate, verdict.plausible(bench, found))
 
@@ -348,6 +353,7 @@ class _Search:
         self.tell(Progress("judging", 0.95))
         return Findings(
             self.blocks, self.noise, self.standing, self.base, self.singles, self.left, self.weights, self.unseen,
-            self.beats, self.gates, self.chosen, self.chosen_left, self._gates(self.chosen, self.chosen_left),
-            self.reference, self.temper, self.witnesses, self.strange, self.strange_left,
+            self.alone, self.beats, self.gates, self.chosen, self.chosen_left,
+            self._gates(self.chosen, self.chosen_left), self.reference, self.temper, self.witnesses, self.strange,
+            self.strange_left,
         )  # fmt: skip
