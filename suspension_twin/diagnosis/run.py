@@ -296,7 +296,7 @@ class _Search:
             return False
         alone = self.case.road and self.reference is None
         # clocks that are all at their ends make up for something: what frees them is worth it
-        if self.case.road and verdict.punctual(self.bench, few) < 0.5 <= verdict.punctual(self.bench, many):
+        if alone and verdict.punctual(self.bench, few) < 0.5 <= verdict.punctual(self.bench, many):
             return True
         for column, channel in enumerate(self.bench.problem.channels):
             before = self.left[0] if self.case.road else few_left

@@ -8,7 +8,9 @@ from suspension_twin.models.hooks import Hook, RoadChange
 
 __all__ = ["EFFECT"]
 
-_PARAMETERS = (Parameter("offset", "m", -4.0, 4.0, 0.0, 0.0, 0.3, "across the reference line, to the left"),)
+_PARAMETERS = (
+    Parameter("offset", "m", -4.0, 4.0, 0.0, 0.0, 0.3, "across the reference line, to the left", usual=0.03),
+)
 
 
 def _road(change: RoadChange, p: Values) -> None:

@@ -151,7 +151,7 @@ def fitted(hypothesis: Hypothesis, nuisances: dict[str, float], values: dict[str
 def test_a_payload_has_to_be_more_than_a_file_is_off_by(mass: float, low: float, high: float) -> None:
     found = fitted(Hypothesis(("payload",)), {}, {"mass": mass, "x": 0.5, "y": 0.0})
     assert low <= verdict.uncommon(*found) <= high
-    assert verdict.uncommon(*fitted(Hypothesis(("lateral_offset",)), {}, {"offset": 1e-4})) == 1.0
+    assert verdict.uncommon(*fitted(Hypothesis(("tyre_envelope",)), {}, {"length": 0.02})) == 1.0
 
 
 @pytest.mark.parametrize(
