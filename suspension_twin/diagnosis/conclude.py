@@ -284,11 +284,11 @@ def _message(answer: str, document: dict[str, Any], shrink: gaps.Shrink) -> str:
         return f"unknown: a gap remains ({shrink.after:.3g} m/s²) that nothing in the library explains{word}"
     names = " and ".join(_words(e) for e in document["combination"])
     word = "partly " if answer == "partly" else ""
-    low, high = shrink.interval
-    return (
-        f"{word}{names}: the gap shrinks by {100 * shrink.shrink:.0f} % ({100 * low:.0f} to {100 * high:.0f} %) "
-        "on road that the fit has not seen"
-    )
+    low, high = (100.0 * v for v in shrink.interval)
+    where = f"({low:.0f} to {high:.0f} %) on road that the fit has not seen"
+    if shrink.shrink < 0.005:
+        return f"{word}{names}: it shows, but adding it does not shrink the gap {where}"
+    return f"{word}{names}: the gap shrinks by {100 * shrink.shrink:.0f} % {where}"
 
 
 def _words(effect: str) -> str:

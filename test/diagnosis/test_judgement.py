@@ -13,7 +13,8 @@ from hypothesis import strategies as st
 from scipy.signal import butter, lfilter, sosfilt
 
 from suspension_twin.diagnosis import gaps, verdict
-from suspension_twin.diagnosis.gaps import Remainder
+from suspension_twin.diagnosis.conclude import _message
+from suspension_twin.diagnosis.gaps import Remainder, Shrink
 from suspension_twin.diagnosis.hypotheses import Hypothesis
 from suspension_twin.diagnosis.judge import Blocks, Evidence, weights
 from suspension_twin.diagnosis.operating import _corners, _points
@@ -279,3 +280,14 @@ def test_settled_differences_are_compared_where_asked() -> None:
     args = (bench([1000], x), before, after, blocks, 0.0, 0, 0)
     assert gaps.shrink_of(*args).shrink == pytest.approx(0.0)
     assert gaps.shrink_of(*args, settled=True).shrink == pytest.approx(0.5)
+
+
+def test_a_cause_that_shows_without_closing_the_gap_is_not_said_to_shrink_it() -> None:
+    document = {"gap": {"rms": 1.0}, "combination": ["road_smoothing"]}
+
+    def told(shrink: float) -> str:
+        found = Shrink(before=1.0, after=1.0 - shrink, shrink=shrink, interval=(shrink - 0.1, shrink + 0.1))
+        return _message("partly", document, found)
+
+    assert told(0.3) == "partly road smoothing: the gap shrinks by 30 % (20 to 40 %) on road that the fit has not seen"
+    assert "does not shrink the gap (-11 to 9 %)" in told(-0.01)
