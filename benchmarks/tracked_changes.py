@@ -136,7 +136,8 @@ def main() -> None:
     heads = "".join(f"{h:>8}" for h in ("real", "model", "gain", "corr.", "disp.", "sinks"))
     print(f"{'':18}{'km/h':>5}{heads}   (rms in units of the noise; mm)")
     for r in rows:
-        print("{fault:18}{kmh:5d}{real:8.2f}{model:8.2f}{gain:8.2f}{correlation:8.2f}{displacement:8.2f}{sinks:8.2f}".format(**r))
+        values = (r[k] for k in ("real", "model", "gain", "correlation", "displacement", "sinks"))
+        print(f"{r['fault']:18}{r['kmh']:5d}" + "".join(f"{v:8.2f}" for v in values))
 
 
 if __name__ == "__main__":

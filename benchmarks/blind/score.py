@@ -17,8 +17,9 @@ Row = dict[str, Any]
 PLAIN = 1.3  # measured severity from which on a single effect has to be named: 1.5, met as well as the search does
 BINS = (0.0, 0.05, 0.2, 0.5, 0.8, 0.95, 1.0)
 _NAMED = ("effect", "partly")
-#: Parameters whose sign is the reality's own affair, or said of the road file there and of the truth in the answer.
-_UNSIGNED = {("position_offset", "offset"), ("lateral_offset", "offset"), ("body_bending", "gain")}
+#: Said of the road file in a label and of the true road in an answer; and a sign that is the reality's own affair.
+_TURNED = {("position_offset", "offset"), ("lateral_offset", "offset")}
+_UNSIGNED = {("body_bending", "gain")}
 
 
 def row_of(label: dict[str, Any], answer: Path, further: Callable[[], tuple[float, float] | None]) -> Row:
@@ -77,10 +78,12 @@ def _parameters(label: dict[str, Any], d: dict[str, Any]) -> dict[str, list[floa
             truth = label["faults"].get(effect, {}).get(name)
             if truth is None or name == "corner":
                 continue
-            told = [truth, cause["parameters"][name], *ends]
-            if (effect, name) in _UNSIGNED:
-                told = [abs(truth), abs(told[1]), *sorted(abs(e) for e in ends)]
-            out[f"{effect}.{name}"] = [float(v) for v in told]
+            told = cause["parameters"][name]
+            if (effect, name) in _TURNED:
+                truth = -truth
+            elif (effect, name) in _UNSIGNED:
+                truth = math.copysign(truth, told)
+            out[f"{effect}.{name}"] = [float(v) for v in (truth, told, *ends)]
     return out
 
 

@@ -176,22 +176,20 @@ def swept(bench: Bench, at: Linear) -> Floats | None:
     hypothesis, p = at.hypothesis, bench.d + bench.q
     low, high = hypothesis.bounds()
     precision, centre = bench.prior(hypothesis)
+    hessian, _, _ = _curvature(bench, at)
     rows = np.repeat(np.arange(p, at.x.size), _SWEPT)
     points = np.repeat(at.x[:, None], rows.size, axis=1)
     for i in range(len(hypothesis)):
         points[p + i, rows == p + i] = np.linspace(max(-_FAR, low[i]), min(_FAR, high[i]), _SWEPT)
     residual, failed = bench.residuals(hypothesis, points)
-    jacobian = at.at.jacobian
-    hessian = gram(jacobian, jacobian) + precision
     away = points - centre[:, None]
-    slope = gram(jacobian, residual) + np.einsum("ij,jl->il", precision, away, optimize=False)
+    slope = gram(at.at.jacobian, residual) + np.einsum("ij,jl->il", precision, away, optimize=False)
     costs = np.einsum("rl,rl->l", residual, residual, optimize=False)
     costs += np.einsum("il,ij,jl->l", away, precision, away, optimize=False)
     for i in range(p, at.x.size):
         own = rows == i
         others = np.delete(np.arange(at.x.size), i)
-        curve = hessian[np.ix_(others, others)]
-        step = -linalg.cho_solve(linalg.cho_factor(curve + 1e-10 * np.diag(np.diag(curve))), slope[np.ix_(others, own)])
+        step = -linalg.cho_solve(linalg.cho_factor(hessian[np.ix_(others, others)]), slope[np.ix_(others, own)])
         costs[own] += np.einsum("il,il->l", slope[np.ix_(others, own)], step, optimize=False)
         points[np.ix_(others, own)] += np.clip(step, -_LARGEST_STEP, _LARGEST_STEP)
     costs = np.where(failed | ~np.isfinite(costs), np.inf, costs)

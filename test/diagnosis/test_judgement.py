@@ -46,7 +46,7 @@ def bench(lengths: list[int], values: np.ndarray, active: tuple[bool, ...] | Non
 def test_masses_are_probabilities(weights: list[float], gates: list[float], odds: float) -> None:
     w = np.array(weights) / sum(weights)
     made = [Gates(1.0, gates[0], 1.0), *(Gates(*gates[3 * i : 3 * i + 3]) for i in range(len(w) - 1))]
-    gone, unseen, alone = (np.full(w.size - 1, v) for v in (0.5, odds, 0.0))
+    gone, unseen, alone = (np.full(w.size - 1, v) for v in (0.5, odds, 0.7))
     effects, no_gap, unknown = verdict.masses(w, made, gone, unseen, alone)
     assert min(effects.min(), no_gap, unknown) >= -1e-12
     assert effects.sum() + no_gap + unknown == pytest.approx(1.0)
