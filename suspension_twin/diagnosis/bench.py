@@ -52,12 +52,14 @@ class Linearised:
 class Bench:
     """A problem over all drives; ``active`` (drives,) True where the gap is. ``precision`` (d + q, d + q)
     and ``centre`` (d + q,) are the prior of characteristics and nuisances. ``upright`` (drives,) is what excites a
-    vehicle that does not lean on average: antenna and wheels are elsewhere if it is the sensor alone.
+    vehicle that does not lean on average: antenna and wheels are elsewhere if it is the sensor alone; ``turned``
+    (drives,) one whose motion was measured by a sensor turned as far as the drive shows.
     ``heard`` limits the residuals to some drives; ``fused`` whether poses come from receiver and IMU together;
     ``barred`` names nuisances that stay at nothing."""
 
     problem: Problem
     upright: tuple[Excitation, ...]
+    turned: tuple[Excitation, ...]
     active: tuple[bool, ...]
     whitener: Whitener
     precision: Floats
@@ -103,6 +105,8 @@ class Bench:
 
     def excitation(self, number: int, effects: Sequence[str]) -> Excitation:
         """What excites a vehicle with these effects on a drive."""
+        if "sensor_tilt" in effects:
+            return self.turned[number]
         return self.upright[number] if upright_with(effects) else self.problem.parts[number].excitation
 
     # -- simulation ----------------------------------------------------------------------------

@@ -24,7 +24,14 @@ from suspension_twin.drive.read import read_drive
 from suspension_twin.drive.types import Floats
 from suspension_twin.errors import InputError
 from suspension_twin.gap.measure import CHANNELS
-from suspension_twin.gap.prepare import Prepared, PrepareSettings, prepare, road_of, upright_excitation
+from suspension_twin.gap.prepare import (
+    Prepared,
+    PrepareSettings,
+    prepare,
+    road_of,
+    turned_excitation,
+    upright_excitation,
+)
 from suspension_twin.models.types import Excitation
 from suspension_twin.road import flat_road
 from suspension_twin.signals.filters import FilterSpec
@@ -58,11 +65,12 @@ _LEANING = ("vehicle.cog.2",)
 @dataclass(frozen=True, eq=False)
 class Case:
     """Drives ready to compare; ``active`` True where the gap is shown, ``road`` False without a road file; ``upright``
-    what excites a vehicle that does not lean on each drive."""
+    what excites a vehicle that does not lean on each drive, ``turned`` one whose sensor is turned on its mount."""
 
     twin: Twin
     drives: tuple[Prepared, ...]
     upright: tuple[Excitation, ...]
+    turned: tuple[Excitation, ...]
     active: tuple[bool, ...]
     road: bool
     warnings: tuple[str, ...]
@@ -84,6 +92,7 @@ def read_case(request: DiagnosisRequest, note: Callable[[str], None], stop: Call
     road = road_of(twin) if on_road else flat_road()
     drives: list[Prepared] = []
     upright: list[Excitation] = []
+    turned: list[Excitation] = []
     for bag in (*request.bags, *request.reference):
         if stop():
             raise Interrupted
@@ -95,6 +104,7 @@ def read_case(request: DiagnosisRequest, note: Callable[[str], None], stop: Call
             check_drive(prepared)
         drives.append(prepared)
         upright.append(upright_excitation(prepared, recorded))
+        turned.append(turned_excitation(prepared, recorded))
     names: list[str] = []
     for i, drive in enumerate(drives):
         name = drive.name if drive.name not in names else f"{drive.name}_{i + 1}"
@@ -110,7 +120,7 @@ def read_case(request: DiagnosisRequest, note: Callable[[str], None], stop: Call
             "the twin file names no road: only the planar channels are compared, and only effects of clock, sensor "
             "and mount can be judged"
         )
-    return Case(twin, tuple(drives), tuple(upright), active, on_road, tuple(warnings))
+    return Case(twin, tuple(drives), tuple(upright), tuple(turned), active, on_road, tuple(warnings))
 
 
 def build(case: Case, stop: Callable[[], bool]) -> Bench:
@@ -149,7 +159,7 @@ def build(case: Case, stop: Callable[[], bool]) -> Bench:
     share = np.full((len(case.channels), 129), USUAL_SHARE)
     floors = [dict(p.noise_rms) for p in case.drives]
     whitener = Whitener.designed(problem, share, floors)
-    return Bench(problem, case.upright, case.active, whitener, precision, centre, stop, fused=case.road)
+    return Bench(problem, case.upright, case.turned, case.active, whitener, precision, centre, stop, fused=case.road)
 
 
 def _map_spread(drives: Sequence[Prepared]) -> float:

@@ -147,6 +147,10 @@ def _rough(
     starts = [*tried.x[:_TRIED], *_resonant(bench, anchor, v, v), np.concatenate([base.x, v.neutral()])]
     x, cost = refit(bench, v, starts, anchor.at.jacobian, _ROUGH)
     if not math.isfinite(cost):
+        # a baseline that made up for what no vehicle can may be one that nothing can be added to
+        starts = [np.concatenate([bench.centre, u]) for u in (v.neutral(), *v.starts(_STARTS, seed).T)]
+        x, cost = refit(bench, v, starts, None, _DEEP)
+    if not math.isfinite(cost):
         raise WorkError(f"the twin cannot be simulated with {effect}")
     for begun, start in _wide(bench, base, v, seed):
         if begun < _WORTH_A_LOOK * cost:

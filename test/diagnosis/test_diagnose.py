@@ -8,9 +8,11 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
 from suspension_twin.cli.main import main
+from suspension_twin.diagnosis import search
 from suspension_twin.diagnosis.output import write
 from suspension_twin.diagnosis.request import DiagnosisRequest
 from suspension_twin.diagnosis.run import diagnose
@@ -112,6 +114,36 @@ def test_a_little_tilt_under_a_high_antenna_is_no_map_that_lies_ahead(make: Any,
     document = diagnose(asked).document
     assert document["combination"] == ["sensor_tilt"], document["message"]
     assert document["causes"][0]["probability"] > 0.8
+
+
+def test_a_sensor_that_is_turned_far_is_named_and_pushes_no_vehicle(make: Any) -> None:
+    """By 14° of yaw a quarter of the braking is felt as a push to the side: no body rolls by that."""
+    truth = {"roll": -0.05, "pitch": 0.12, "yaw": 0.25}
+    asked = replace(ask(make("sensor_tilt", truth)), effects=("sensor_tilt", "corner_spring", "road_smoothing"))
+    document = diagnose(asked).document
+    assert document["verdict"] == "effect" and document["combination"] == ["sensor_tilt"], document["message"]
+    assert document["causes"][0]["parameters"] == pytest.approx(truth, abs=0.012)
+    assert document["unexplained"] < 0.28  # 0.35 if the vehicle were pushed
+
+
+def test_an_effect_that_no_step_leads_to_from_the_baseline_is_tried_on_the_vehicle_of_the_file(
+    make: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A baseline that made up for too much may be a vehicle to which nothing can be added."""
+    lost: list[str] = []
+    right = search.refit
+
+    def refit(bench: Any, hypothesis: Any, starts: Any, known: Any, iterations: int) -> Any:
+        away = all(not np.array_equal(x[: bench.d], bench.centre[: bench.d]) for x in starts)
+        if hypothesis.effects == ("sensor_tilt",) and away and not lost:
+            lost.append("sensor_tilt")
+            return starts[0], np.inf
+        return right(bench, hypothesis, starts, known, iterations)
+
+    monkeypatch.setattr(search, "refit", refit)
+    case = make("sensor_tilt", {"roll": 0.06, "pitch": 0.08, "yaw": 0.0})
+    document = diagnose(replace(ask(case), effects=("sensor_tilt", "sensor_scale"))).document
+    assert lost and document["combination"] == ["sensor_tilt"]
 
 
 def test_a_drive_is_not_its_own_reference(make: Any) -> None:

@@ -1,0 +1,48 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A sensor that is turned on its mount, and by how much a drive shows.
+
+What shakes a vehicle quickly its IMU alone knows. One that is turned by ten degrees takes a sixth of the braking for
+a push to the side, and a vehicle that is simulated with that push rolls when its driver brakes. So where the mount is
+to blame, the recording is read once more as that of a sensor that stands so, for the motion that drives the model.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from suspension_twin.pose.types import Trajectory
+from suspension_twin.signals.attitude import matrix_rpy, rpy_matrix
+from suspension_twin.signals.filters import FilterSpec, zero_phase
+from suspension_twin.signals.offline import ImuSignals
+from suspension_twin.vehicle.twin import Place
+
+__all__ = ["heading_off", "turned"]
+
+#: Below this the path alone says how the vehicle is accelerated, Hz.
+_SLOW = FilterSpec(2, 0.4)
+_LEAST = 0.2  # m/s² rms of slow acceleration that tells a heading
+
+
+def heading_off(signals: ImuSignals, trajectory: Trajectory) -> float:
+    """Yaw in rad by which an upright sensor is turned against the vehicle, 0 where the drive hardly tells.
+
+    The path says how the vehicle speeds up and turns, slowly; the sensor feels the same, in its own axes.
+    """
+    pull = zero_phase(_SLOW, signals.rate_hz, signals.force - signals.gravity * signals.up)
+    path = np.column_stack([trajectory.ax, trajectory.speed * trajectory.yaw_rate])
+    path = zero_phase(_SLOW, signals.rate_hz, path)
+    used = trajectory.valid & ~signals.standing
+    pull, path = pull[used], path[used]
+    if not used.any() or math.sqrt(float(np.mean(np.sum(path**2, axis=1)))) < _LEAST:
+        return 0.0
+    # the turn that takes one best to the other: least squares in closed form
+    along = float(np.sum(pull[:, :2] * path))
+    across = float(np.sum(pull[:, 0] * path[:, 1] - pull[:, 1] * path[:, 0]))
+    return math.atan2(across, along)
+
+
+def turned(place: Place, rpy: tuple[float, float, float]) -> Place:
+    """A sensor's ``place`` turned further, by the angles in rad that the effect ``sensor_tilt`` has."""
+    return place.model_copy(update={"rpy": matrix_rpy(rpy_matrix(rpy) @ rpy_matrix(place.rpy))})

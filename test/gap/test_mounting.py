@@ -1,0 +1,84 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A sensor turned on its mount: how far a drive shows it, and what then moves the vehicle."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from suspension_twin.drive.types import Drive, Floats
+from suspension_twin.gap.mounting import heading_off, turned
+from suspension_twin.gap.prepare import prepare, turned_excitation
+from suspension_twin.gap.synthetic import SensorErrors, synthetic_drive
+from suspension_twin.models.excitation import MOTION
+from suspension_twin.models.types import Excitation
+from suspension_twin.road import Road
+from suspension_twin.signals.attitude import rpy_matrix
+from suspension_twin.signals.offline import ingest_drive
+from suspension_twin.vehicle.twin import EffectSpec, Place, Twin
+
+KNOTS = [(0.0, 0.0), (3.0, 0.0), (6.0, 5.0), (9.0, 2.0), (14.0, 6.0), (16.0, 0.0), (19.5, 0.0)]
+TILT = {"roll": -0.09, "pitch": 0.07, "yaw": 0.3}
+
+
+@pytest.fixture(scope="module")
+def tilted(twin: Twin) -> Twin:
+    return twin.model_copy(update={"effects": (EffectSpec(id="sensor_tilt", parameters=TILT),)})
+
+
+@pytest.fixture(scope="module")
+def recorded(tilted: Twin, bumps: Road) -> Drive:
+    return synthetic_drive(tilted, bumps, KNOTS, seed=4, errors=SensorErrors(), name="tilted")
+
+
+@pytest.fixture(scope="module")
+def sound(twin: Twin, bumps: Road) -> Excitation:
+    """What the same drive excites the vehicle with, measured by a sensor that stands as the file says."""
+    drive = synthetic_drive(twin, bumps, KNOTS, seed=4, errors=SensorErrors(), name="sound")
+    return prepare(drive, twin, bumps).excitation
+
+
+def off(found: Excitation, true: Excitation, what: str) -> float:
+    column = MOTION.index(what)
+    return float(np.sqrt(np.mean((found.motion[:, column] - true.motion[:, column]) ** 2)))
+
+
+def test_a_further_turn_comes_after_the_one_in_the_file() -> None:
+    place, rpy = Place(rpy=(0.2, -0.4, 1.1)), (0.05, 0.1, -0.6)
+    reading = np.array([0.3, -2.0, 9.5])
+    once = rpy_matrix(rpy) @ (rpy_matrix(place.rpy) @ reading)
+    np.testing.assert_allclose(rpy_matrix(turned(place, rpy).rpy) @ reading, once, atol=1e-12)
+
+
+@pytest.mark.parametrize("yaw", [-2.6, -0.4, 0.0, 0.05, 1.5])
+def test_the_path_shows_which_way_an_upright_sensor_faces(drive: Drive, twin: Twin, bumps: Road, yaw: float) -> None:
+    prepared = prepare(drive, twin, bumps)
+    spun = ingest_drive(drive, turned(twin.imu, (0.0, 0.0, -yaw)))
+    # the vertical, told by a path that goes elsewhere, bends after it: turned signals with the right one
+    c, s = math.cos(yaw), math.sin(yaw)
+    turn = np.array([[c, s, 0.0], [-s, c, 0.0], [0.0, 0.0, 1.0]])
+    exact = replace(prepared.signals, force=prepared.signals.force @ turn.T, up=prepared.signals.up @ turn.T)
+    assert heading_off(exact, prepared.trajectory) == pytest.approx(yaw, abs=0.01)
+    assert math.cos(heading_off(spun, prepared.trajectory) - yaw) > 0.85
+
+
+def test_where_nothing_pulls_no_heading_is_told(drive: Drive, twin: Twin, bumps: Road) -> None:
+    prepared = prepare(drive, twin, bumps)
+    none: Floats = np.zeros_like(prepared.trajectory.ax)
+    assert heading_off(prepared.signals, replace(prepared.trajectory, ax=none, yaw_rate=none)) == 0.0
+
+
+@pytest.mark.parametrize("known", [False, True], ids=["shown by the drive", "in the twin file"])
+def test_a_turned_sensor_does_not_push_the_vehicle(
+    recorded: Drive, twin: Twin, tilted: Twin, bumps: Road, sound: Excitation, known: bool
+) -> None:
+    """By 17° of yaw a third of the braking is taken for a push to the side, which rolls the body."""
+    plain = prepare(recorded, twin, bumps)
+    found = prepare(recorded, tilted, bumps).excitation if known else turned_excitation(plain, recorded)
+    assert off(plain.excitation, sound, "ay") > 0.06
+    for what in ("ax", "ay"):
+        assert off(found, sound, what) < 0.01
+        assert off(found, sound, what) < 0.3 * off(plain.excitation, sound, what)
