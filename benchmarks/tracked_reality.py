@@ -31,6 +31,7 @@ RATE = 500.0  # Hz of the recorded truth
 SETTLE = 1.5  # s
 LEAD = 0.5  # m between the idler and the obstacle at the start
 POINTS = 5  # of contact along each link
+TEETH = 0.02  # m by which the sprocket's teeth reach beyond its circle
 _RUN_UP = 1.5  # s to come to speed
 _STEADY = 1.0  # s at speed before the clock of a run begins
 
@@ -143,18 +144,21 @@ def _run(
                     cx, cz = circles[k, 0] * ct + circles[k, 1] * st, circles[k, 1] * ct - circles[k, 0] * st
                     ddx, ddz = x - hx - cx, z - hz - cz
                     square = ddx * ddx + ddz * ddz
-                    if square < circles[k, 2] * circles[k, 2] and square > 1e-4:
+                    toothed = k == 0 and p == POINTS // 2
+                    reach = circles[k, 2] + TEETH if toothed else circles[k, 2]
+                    if square < reach * reach and square > 1e-4:
                         r = math.sqrt(square)
                         over = circles[k, 2] - r
                         ux, uz = ddx / r, ddz / r
                         bx, bz = x - hx, z - hz
                         rvx, rvz = vx - hvx - thv * bz, vz - hvz + thv * bx
                         rate = -rvx * ux - rvz * uz
-                        force = max(0.0, 1e7 * over + 8e3 * min(1.0, over / 1e-3) * rate)
+                        force = 0.0
+                        if over > 0.0:
+                            force = max(0.0, 1e7 * over + 8e3 * min(1.0, over / 1e-3) * rate)
                         ffx, ffz = force * ux, force * uz
-                        if k == 0:  # the teeth: the links go with the sprocket
-                            slip = wanted - (rvx * uz - rvz * ux)
-                            tooth = 2e4 * slip
+                        if toothed:  # by its shape a tooth takes its link along, however slack the track
+                            tooth = 6e4 * (wanted - (rvx * uz - rvz * ux))
                             ffx += tooth * uz
                             ffz -= tooth * ux
                         fx[i] += ffx

@@ -175,6 +175,7 @@ def _conclude(
         verdict, kept = ("effect" if closed > _ADEQUATE and _level(chosen) < 3.0 else "partly"), chosen
     alike = [n for n in gain if best - gain[n] < _TIED and _closed(base, singles[n]) > _MATERIAL]
     tied = alike if len(kept.hypothesis.effects) == 1 else []
+    hidden = [v.effect for v in seen if not v.judged and v.effect not in kept.hypothesis.effects]
     rng = np.random.default_rng(seed)
     document: dict[str, Any] = {
         "verdict": verdict,
@@ -188,21 +189,20 @@ def _conclude(
         "unknown_probability": round(nothing, 6),
         "combination": list(kept.hypothesis.effects),
         "unexplained": round(float(np.clip(1.0 - _closed(standing, kept), 0.0, 1.0)), 6),
-        "cannot_be_judged": [v.effect for v in seen if not v.judged],
+        "cannot_be_judged": hidden,
         "visible_from": as_table(seen),
-        "next_experiment": _next(verdict, tied, bench, [v.effect for v in seen if not v.judged]),
+        "next_experiment": _next(verdict, tied, bench, hidden),
         "seed": seed,
         "warnings": warnings,
     }
     if verdict in ("unknown", "partly"):
         document["signature"] = _signature(bench, kept)
     values = _given(kept)
-    names_kept = kept.hypothesis.effects
     for cause in document["causes"]:  # a combination's parameters are those of both together
         if cause["effect"] in values:
             cause["parameters"] = values[cause["effect"]]
     for cause in document["causes"]:
-        cause["judged"] = cause["effect"] not in document["cannot_be_judged"] or cause["effect"] in names_kept
+        cause["judged"] = cause["effect"] not in document["cannot_be_judged"]
     document["message"] = _message(document, standing, kept, seen)
     return TrackedDiagnosis(document, _twin(twin, kept), bench.runs, standing.rest, kept.rest, bench.sigma)
 

@@ -25,7 +25,7 @@ _STRONGEST: Final = 2.0  # spreads of an effect's parameter beyond which nobody 
 _STEPS: Final = (0.25, 0.5, 1.0)  # of the strongest
 #: Share of the change that the model tells right where that is not nearly all: what of it is alike in the vehicle of 97
 #: links, by the gains and correlations of ``benchmarks/tracked_changes.py``.
-_TRUST: Final = {"track_tension": 0.2, "track_wear": 0.3}
+_TRUST: Final = {"track_tension": 0.2, "track_wear": 0.2}
 _LEAST: Final = {"track_wear": 0.2}  # what is left of the stiffness of a track that still goes
 _MAIN: Final = {"track_wear": "stiffness", "station_damper": "share", "station_bar": "sag"}
 
