@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from suspension_twin.compiled import compiled
 from suspension_twin.drive.types import Floats
-from suspension_twin.effects._signal import second_order
+from suspension_twin.effects._signal import STATES, second_order
 from suspension_twin.effects.base import Effect, Parameter, neutral
 from suspension_twin.models.hooks import Hook, SignalStage
 
@@ -42,6 +42,6 @@ EFFECT = Effect(
     excited_by=("everything near its frequency", "a tap on the holder"),
     confused_with=("body_bending", "sensor_bandwidth", "powertrain_mount"),
     hook=Hook(
-        neutral(_PARAMETERS), signal=SignalStage(_signal, states=4, order=10), models=("full_car", "msd")
+        neutral(_PARAMETERS), signal=SignalStage(_signal, states=STATES, order=10), models=("full_car", "msd")
     ),
 )

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from suspension_twin.compiled import compiled
 from suspension_twin.drive.types import Floats
-from suspension_twin.effects._signal import second_order
+from suspension_twin.effects._signal import STATES, second_order
 from suspension_twin.effects.base import Effect, Parameter, neutral
 from suspension_twin.models.hooks import Hook, SignalStage
 
@@ -25,7 +25,7 @@ def _signal(signals: Floats, t: Floats, fresh: NDArray[np.bool_], values: Floats
         if values[0, i] != 0.0:
             omega = 2.0 * math.pi * values[0, i]
             for axis in range(6):
-                second_order(signals, t, fresh, axis, i, omega, math.sqrt(0.5), 0.0, 1.0, state, 4 * axis)
+                second_order(signals, t, fresh, axis, i, omega, math.sqrt(0.5), 0.0, 1.0, state, STATES * axis)
 
 
 EFFECT = Effect(
@@ -38,6 +38,6 @@ EFFECT = Effect(
     excited_by=("wheel hop", "sharp edges", "anything quick"),
     confused_with=("time_offset", "tyre_envelope", "road_smoothing"),
     hook=Hook(
-        neutral(_PARAMETERS), signal=SignalStage(_signal, states=24, order=40), models=("full_car", "msd")
+        neutral(_PARAMETERS), signal=SignalStage(_signal, states=6 * STATES, order=40), models=("full_car", "msd")
     ),
 )
