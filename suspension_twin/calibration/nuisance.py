@@ -35,6 +35,7 @@ NUISANCES: Mapping[str, tuple[str, ...]] = {
 }
 #: Values from which on several threads are quicker than one.
 _WORTH_SHARING = 50_000
+_HOLDER = 70.0  # Hz
 _SLOWEST = 0.5  # m/s: below this a place on the road says nothing of a time
 
 
@@ -46,7 +47,8 @@ class NuisancePriors:
     position's own error, one value for every pass and ``wander_seconds``; None takes it from the fixes'
     covariance), ``gain`` of the accelerometer, ``tilt`` rad, ``force_bias`` m/s², ``rate_bias`` rad/s, ``pivot`` m
     (how far a real suspension's kinematics shift the axes about which the body rolls and pitches), ``slip`` rad per
-    m/s² (slip angle of the rear tyres: where the heading is told from the course, it runs ahead of that).
+    m/s² (slip angle of the rear tyres: where the heading is told from the course, it runs ahead of that), ``holder``
+    of the share (f / 70 Hz)² by which a sensor's holder, which gives a little, adds to vertical motion at f.
     """
 
     clock: float = 0.1
@@ -60,6 +62,7 @@ class NuisancePriors:
     rate_bias: float = 0.01
     pivot: float = 0.0
     slip: float = 0.0
+    holder: float = 0.0
 
     def without(self, keys: Iterable[str]) -> NuisancePriors:
         """Those of ``keys`` (``nuisances.gain``) left out; raises InputError for one that is not known."""
@@ -110,7 +113,8 @@ def _apply(
     ``signal`` is channel c of ``simulated`` at rows[i] + shift[i, l], held at both ends, plus lever[c, l] times
     the slope by sample of channel turned[c] if that is not negative.
     """
-    m, channels, given = simulated.shape
+    m, _, given = simulated.shape
+    channels = out.shape[1]
     phases, taps, lanes = table.shape[0] - 1, table.shape[1], out.shape[2]
     w = np.zeros(taps + 4)  # two of nothing at either end: the slope's weights are differences of these
     for i in range(low, high):
@@ -249,6 +253,9 @@ class Nuisances:
             if sigma > 0 and c in self.channels and other in self.channels:
                 self._levers[c] = (name, channels.index(other), sign)
                 add(name, sigma)
+        self._held = self.channels.index("vertical_acceleration") if "vertical_acceleration" in self.channels else -1
+        if self._held >= 0:
+            add("holder", priors.holder)
         drives: dict[int, str] = {}
         for part, drive in zip(parts, drive_of, strict=True):
             if drive not in drives:
@@ -266,6 +273,8 @@ class Nuisances:
                 add(f"{part.name}.wander.{number}.{k}", wander[drive])
         self.names = tuple(names)
         self.spread = np.array(spread)
+        #: (q,) what cannot be below nothing: a holder adds to what is quick, as all do below their resonance
+        self.one_sided = np.array([name == "holder" for name in names], dtype=np.bool_)
         self._row = {name: i for i, name in enumerate(names)}
         self._parts = tuple(parts)
         self._drive_names = tuple(drives[d] for d in drive_of)
@@ -345,13 +354,19 @@ class Nuisances:
         for channel, (name, rate, sign) in self._levers.items():
             turned[self.channels.index(channel)] = rate
             lever[self.channels.index(channel)] = sign * part.rate * value(name)
+        if "holder" in self._row:  # less a share of the second derivative, which is the slope of the slope
+            turned[self._held] = len(self.channels)
+            lever[self._held] = -((part.rate / (2.0 * np.pi * _HOLDER)) ** 2) * value("holder")
         out = np.empty((rows.size, len(self.channels), lanes))
         carried = self.carried[number] if self.carried and shift.any() else None
         if carried is not None:
             simulated = simulated - carried[:, :, None]
+        if "holder" in self._row:
+            slope = np.gradient(simulated[:, self._held], axis=0)
+            simulated = np.concatenate([simulated, slope[:, None]], axis=1)
         given, shift = np.ascontiguousarray(simulated), np.ascontiguousarray(shift)
         apart = given.shape[2] > 1 and bool((shift[0] != shift[0, 0]).any())
-        steady = apart and not self._levers and bool((shift == shift[0]).all())
+        steady = apart and (turned < 0).all() and bool((shift == shift[0]).all())
 
         def work(low: int, high: int) -> None:
             if steady:

@@ -115,6 +115,24 @@ def test_each_nuisance_does_what_its_name_says(prepared: Prepared) -> None:
     np.testing.assert_allclose(tilted[:, 0] - plain[:, 0], 0.01 * prepared.measured["lateral_acceleration"][50:-50])
 
 
+@pytest.mark.parametrize("late", [0.0, 0.0137])
+def test_a_holder_that_gives_adds_to_what_is_quick(prepared: Prepared, late: float) -> None:
+    channels = ("vertical_acceleration", "pitch_rate")
+    n = Nuisances([prepared], [0], channels, NuisancePriors(holder=1.0), [0.0])
+    t = prepared.t - prepared.t[0]
+    for hertz in (1.0, 8.0, 15.0):
+        signal = np.repeat(np.sin(2 * np.pi * hertz * t)[:, None, None], 2, axis=1)
+        plain = applied(n, prepared, signal, pass__clock_offset=late)
+        held = applied(n, prepared, signal, pass__clock_offset=late, holder=2.0)
+        assert np.array_equal(held[:, 1], plain[:, 1])
+        # slopes of slopes over two samples fall short of a second derivative where a wave has few samples
+        fine = np.sinc(2 * hertz / prepared.rate) ** 2
+        share = np.std(held[:, 0]) / np.std(plain[:, 0]) - 1.0
+        assert share == pytest.approx(2.0 * (hertz / 70.0) ** 2 * fine, rel=0.05)
+        assert np.corrcoef(held[:, 0], plain[:, 0])[0, 1] > 0.9999  # neither late nor early
+    assert n.one_sided.tolist() == [name == "holder" for name in n.names]
+
+
 def test_clock_and_map_leave_alone_what_the_planar_motion_brings_about(prepared: Prepared) -> None:
     n = Nuisances([prepared], [0], ("vertical_acceleration", "pitch_rate"), NuisancePriors(), [0.0])
     t = prepared.t - prepared.t[0]
