@@ -171,6 +171,23 @@ def test_what_the_runs_do_not_tell_of_cannot_be_judged(
     assert "track tension (cannot be judged)" in Path(page).read_text(encoding="utf-8")
 
 
+@pytest.mark.parametrize(
+    ("effect", "values"), [("track_tension", {"tighter": 18.0}), ("track_wear", {"stiffness": 0.4, "elongation": 0.0})]
+)
+def test_where_the_track_does_show_it_is_named(
+    twin: TrackedTwin, short: None, monkeypatch: pytest.MonkeyPatch, effect: str, values: dict[str, float]
+) -> None:
+    """In motion of the model itself nothing hides it, and what is named is not among what cannot be judged."""
+    few = {k: TRACKED_EFFECTS[k] for k in ("sensor_scale", "station_bar", "track_tension", "track_wear")}
+    monkeypatch.setattr(tracked, "TRACKED_EFFECTS", few)
+    runs = [film(twin, {effect: values}, k, v) for v in (8 / 3.6, SPEED) for k in (1, 2)]
+    d = diagnose_tracked(twin, runs, [film(twin, {}, k, v) for v in (8 / 3.6, SPEED) for k in (3, 4)]).document
+    assert d["combination"] == [effect], d["message"]
+    assert effect not in d["cannot_be_judged"] and d["causes"][0]["judged"]
+    main = next(iter(values))
+    assert d["causes"][0]["parameters"][main] == pytest.approx(values[main], rel=0.25)
+
+
 def test_an_effect_shows_from_where_it_changes_more_than_noise(twin: TrackedTwin) -> None:
     reference = [film(twin, {}, 3), film(twin, {}, 4)]
     bench = make_bench(twin.vehicle, [film(twin, {}, 1)], reference)
