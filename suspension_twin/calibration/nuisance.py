@@ -43,7 +43,8 @@ _SLOWEST = 0.5  # m/s: below this a place on the road says nothing of a time
 class NuisancePriors:
     """Standard deviations of what a nuisance may be; 0 leaves it out.
 
-    ``clock`` s of each drive, ``common_clock`` s of all of them, ``map_position`` m, ``wander`` m (the GNSS
+    ``clock`` s of each drive, ``common_clock`` s of all of them, ``map_position`` m of all, ``drive_map`` m of each,
+    ``wander`` m (the GNSS
     position's own error, one value for every pass and ``wander_seconds``; None takes it from the fixes'
     covariance), ``gain`` of the accelerometer, ``tilt`` rad, ``force_bias`` m/s², ``rate_bias`` rad/s, ``pivot`` m
     (how far a real suspension's kinematics shift the axes about which the body rolls and pitches), ``slip`` rad per
@@ -63,6 +64,7 @@ class NuisancePriors:
     pivot: float = 0.0
     slip: float = 0.0
     holder: float = 0.0
+    drive_map: float = 0.0
 
     def without(self, keys: Iterable[str]) -> NuisancePriors:
         """Those of ``keys`` (``nuisances.gain``) left out; raises InputError for one that is not known."""
@@ -261,6 +263,7 @@ class Nuisances:
             if drive not in drives:
                 drives[drive] = part.name
                 add(f"{part.name}.clock_offset", priors.clock)
+                add(f"{part.name}.map_position", priors.drive_map)
                 for channel, force in zip(self.channels, self._force, strict=True):
                     add(f"{part.name}.bias.{channel}", priors.force_bias if force else priors.rate_bias)
         #: (m, C) of every part: what the planar motion alone brings about; neither clock nor map shifts it.
@@ -335,7 +338,7 @@ class Nuisances:
         drive = self._drive_names[number]
         along = part.along[rows]
         along = np.where(np.abs(along) < _SLOWEST, np.where(along < 0, -_SLOWEST, _SLOWEST), along)
-        metres = np.broadcast_to(value("map_position"), (rows.size, lanes))
+        metres = np.broadcast_to(value("map_position") + value(f"{drive}.map_position"), (rows.size, lanes))
         # the map's shift follows the road's direction, the wander the vehicle's
         sense = np.sign(along)[:, None]
         knots = self._knots[number]

@@ -28,10 +28,11 @@ from suspension_twin.vehicle.twin import Twin
 __all__ = ["NORMAL", "Bench", "Linearised", "gram"]
 
 #: What is normal of clocks, maps and mounts: more than that is a finding, not a nuisance.
+#: A receiver that knows a place to a centimetre is off by some of it for a whole drive.
 #: A gain is none: a phone's is within half a per cent, and a free one takes the blame for any model's error.
 NORMAL = NuisancePriors(
     clock=0.0005, common_clock=0.002, map_position=0.02, gain=0.0, tilt=0.009,
-    force_bias=0.05, rate_bias=0.005, pivot=0.3, holder=1.0,
+    force_bias=0.05, rate_bias=0.005, pivot=0.3, holder=1.0, drive_map=0.006,
 )  # fmt: skip
 #: Standard deviations beyond which no nuisance goes.
 _NORMAL_LIMIT = 3.0

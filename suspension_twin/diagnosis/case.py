@@ -45,7 +45,7 @@ PLANAR = ("longitudinal_acceleration", "lateral_acceleration", "yaw_rate")
 _PLANAR_ONLY = PrepareSettings(filter=FilterSpec(2, 1.6), satellites=True)
 #: What clock and mounting are is then the very question, and nothing else shows it.
 #: Rear tyres of cars slip by about 0.005 rad for each m/s²; a course that lags by that would pass for a clock's.
-_BARE = replace(NORMAL, clock=0.0, common_clock=0.0, map_position=0.0, tilt=0.0, pivot=0.0, slip=0.005)
+_BARE = replace(NORMAL, clock=0.0, common_clock=0.0, map_position=0.0, tilt=0.0, pivot=0.0, slip=0.005, drive_map=0.0)
 #: The best in m that a map and a pose agree to.
 _MAP_LEAST = 0.002
 #: Seconds of compared driving below which nothing can be held back from the fit.
