@@ -115,6 +115,17 @@ def test_each_nuisance_does_what_its_name_says(prepared: Prepared) -> None:
     np.testing.assert_allclose(tilted[:, 0] - plain[:, 0], 0.01 * prepared.measured["lateral_acceleration"][50:-50])
 
 
+def test_what_a_drive_is_off_the_map_adds_to_what_all_are(prepared: Prepared) -> None:
+    channels = ("vertical_acceleration", "pitch_rate")
+    n = Nuisances([prepared], [0], channels, NuisancePriors(drive_map=0.006), [0.0])
+    wave = np.sin(2 * np.pi * 4.0 * (prepared.t - prepared.t[0]))
+    signal = np.stack([wave, wave], axis=1)[:, :, None]
+    assert n.spread[n.names.index("pass.map_position")] == 0.006
+    both = applied(n, prepared, signal, map_position=0.03, pass__map_position=0.02)
+    np.testing.assert_array_equal(both, applied(n, prepared, signal, map_position=0.05))
+    assert np.abs(both - applied(n, prepared, signal)).max() > 0.1
+
+
 @pytest.mark.parametrize("late", [0.0, 0.0137])
 def test_a_holder_that_gives_adds_to_what_is_quick(prepared: Prepared, late: float) -> None:
     channels = ("vertical_acceleration", "pitch_rate")
