@@ -43,12 +43,13 @@ _SLOWEST = 0.5  # m/s: below this a place on the road says nothing of a time
 class NuisancePriors:
     """Standard deviations of what a nuisance may be; 0 leaves it out.
 
-    ``clock`` s of each drive, ``common_clock`` s of all of them, ``map_position`` m of all, ``drive_map`` m of each,
-    ``wander`` m (the GNSS position's own error, one value for every pass and ``wander_seconds``; None takes it from
-    the fixes' covariance), ``gain`` of the accelerometer, ``tilt`` rad, ``force_bias`` m/s², ``rate_bias`` rad/s,
-    ``pivot`` m (how far a real suspension's kinematics shift the axes about which the body rolls and pitches),
-    ``slip`` rad per m/s² (slip angle of the rear tyres: where the heading is told from the course, it runs ahead of that), ``holder``
-    of the share (f / 70 Hz)² by which a sensor's holder, which gives a little, adds to vertical motion at f.
+    ``clock`` s of each drive, ``common_clock`` s of all of them, ``map_position`` m of all, ``drive_map`` m of
+    each, ``wander`` m (the GNSS position's own error, one value for every pass and ``wander_seconds``; None takes
+    it from the fixes' covariance), ``gain`` of the accelerometer, ``tilt`` rad, ``force_bias`` m/s², ``rate_bias``
+    rad/s, ``pivot`` m (how far a real suspension's kinematics shift the axes about which the body rolls and
+    pitches), ``slip`` rad per m/s² (slip angle of the rear tyres: where the heading is told from the course, it
+    runs ahead of that), ``holder`` of the share (f / 70 Hz)² by which a sensor's holder, which gives a little, adds
+    to vertical motion at f.
     """
 
     clock: float = 0.1
