@@ -20,6 +20,7 @@ from suspension_twin.compiled import compiled
 from suspension_twin.drive.types import Floats
 from suspension_twin.errors import InputError
 from suspension_twin.gap.prepare import Prepared
+from suspension_twin.models.between import TABLE
 from suspension_twin.models.blocks import cores, share_out
 
 __all__ = ["NUISANCES", "NuisancePriors", "Nuisances"]
@@ -75,23 +76,6 @@ class NuisancePriors:
                 raise InputError("freeze", key, f"one of {', '.join(f'nuisances.{n}' for n in NUISANCES)} is expected")
             gone |= dict.fromkeys(NUISANCES[name], 0.0)
         return replace(self, **gone)
-
-
-# A windowed sinc over eight samples, tabled by phase: to 0.07 % at up to a quarter of the sampling rate, where
-# a cubic through four would be off by a tenth.
-_TAPS, _PHASES = 8, 512
-
-
-def _phase_table() -> Floats:
-    """(phases + 1, taps) weights of the samples around a place between two of them."""
-    phase = np.arange(_PHASES + 1)[:, None] / _PHASES
-    distance = np.arange(_TAPS)[None, :] - (_TAPS // 2 - 1) - phase
-    window = np.i0(6.0 * np.sqrt(np.maximum(0.0, 1.0 - (distance / (_TAPS / 2)) ** 2)))
-    weights = np.sinc(distance) * window
-    return np.asarray(weights / weights.sum(axis=1, keepdims=True))
-
-
-_TABLE = _phase_table()
 
 
 @compiled
@@ -373,9 +357,9 @@ class Nuisances:
 
         def work(low: int, high: int) -> None:
             if steady:
-                _apply_steady(given, rows, shift[0], gain, bias, about, tilt, _TABLE, out, low, high)
+                _apply_steady(given, rows, shift[0], gain, bias, about, tilt, TABLE, out, low, high)
             else:
-                _apply(given, rows, shift, gain, bias, about, tilt, lever, turned, _TABLE, out, low, high)
+                _apply(given, rows, shift, gain, bias, about, tilt, lever, turned, TABLE, out, low, high)
 
         pieces = cores() if out.size > _WORTH_SHARING else 1
         cuts = np.linspace(0, rows.size, pieces + 1).astype(int).tolist()

@@ -20,11 +20,11 @@ from suspension_twin.diagnosis.bench import Bench, Linearised, gram
 from suspension_twin.diagnosis.hypotheses import Hypothesis
 from suspension_twin.drive.types import Floats
 
-__all__ = ["Fit", "Linear", "Screening", "finished", "refit", "scanned", "screened", "swept"]
+__all__ = ["Fit", "Linear", "Screening", "finished", "refit", "room", "scanned", "screened", "swept", "within"]
 
 _LADDER = (0.0, 1e-2, 1e-1, 1.0, 10.0)
 _LARGEST_STEP = 2.0
-_ROUNDS = 4  # times that coordinates which a linear step takes beyond their limits are held there
+_ROUNDS = 12  # of holding coordinates at their limits and letting them go
 #: Places of each coordinate of an effect, out to so many spreads of its prior, and how many of them are simulated anew.
 _SWEPT, _FAR, _TRIED = 9, 2.5, 4
 
@@ -69,22 +69,35 @@ def _curvature(bench: Bench, base: Linear) -> tuple[Floats, Floats, float]:
     return hessian + 1e-10 * np.diag(np.diag(hessian)), pull, float(away @ precision @ away)
 
 
-def _within(bench: Bench, base: Linear, hessian: Floats, gradient: Floats) -> Floats:
-    """(p, S) steps that suit gradients (p, S) best and end inside the limits: a clock that may not be any later cannot
-    make up for an effect by being so."""
-    low, high = bench.limits(base.hypothesis)
-    low, high = np.minimum(low - base.x, 0.0), np.maximum(high - base.x, 0.0)
-    steps = -linalg.cho_solve(linalg.cho_factor(hessian), gradient)
+def within(hessian: Floats, gradient: Floats, low: Floats, high: Floats) -> Floats:
+    """(p, S) steps that suit gradients (p, S) best and stay between ``low`` and ``high`` (p,), which hold nothing: a
+    clock that may not be any later cannot make up for an effect by being so.
+
+    By a primal-dual active set (Hintermüller, Ito, Kunisch 2003): what goes beyond its limit is held there, what is
+    held and pulled back is let go, until neither happens.
+    """
+    steps = -solve_positive(hessian, gradient)
     for i in np.flatnonzero(((steps < low[:, None]) | (steps > high[:, None])).any(axis=0)):
-        step, held = steps[:, i], np.zeros(low.size, dtype=bool)
+        step = steps[:, i]
+        below, above = step < low, step > high
         for _ in range(_ROUNDS):
-            held |= (step < low) | (step > high)
-            step = np.where(held, np.clip(step, low, high), 0.0)
-            free = np.flatnonzero(~held)
+            step = np.where(below, low, np.where(above, high, 0.0))
+            free = np.flatnonzero(~(below | above))
             slope = gradient[free, i] + np.einsum("ij,j->i", hessian[free], step, optimize=False)
-            step[free] = -linalg.cho_solve(linalg.cho_factor(hessian[np.ix_(free, free)]), slope)
+            step[free] = -solve_positive(hessian[np.ix_(free, free)], slope)
+            pull = gradient[:, i] + np.einsum("ij,j->i", hessian, step, optimize=False)
+            kept, lost = (below & (pull > 0)) | (step < low), (above & (pull < 0)) | (step > high)
+            if (kept == below).all() and (lost == above).all():
+                break
+            below, above = kept, lost & ~kept
         steps[:, i] = np.clip(step, low, high)
     return steps
+
+
+def room(bench: Bench, hypothesis: Hypothesis, x: Floats) -> tuple[Floats, Floats]:
+    """(p,) how far each coordinate may go down and up."""
+    low, high = bench.limits(hypothesis)
+    return np.minimum(low - x, 0.0), np.maximum(high - x, 0.0)
 
 
 def _stuck(bench: Bench, hypothesis: Hypothesis, x: Floats, gradient: Floats) -> NDArray[np.bool_]:
@@ -106,7 +119,7 @@ def screened(bench: Bench, base: Linear, hypothesis: Hypothesis, starts: Floats)
     jacobian = base.at.jacobian
     hessian, pull, penalty = _curvature(bench, base)
     gradient = gram(jacobian, residual) + pull[:, None]
-    step = _within(bench, base, hessian, gradient)
+    step = within(hessian, gradient, *room(bench, base.hypothesis, base.x))
     costs = np.einsum("rl,rl->l", residual, residual, optimize=False) + penalty
     bent = gradient + 0.5 * np.einsum("ij,jl->il", hessian, step, optimize=False)
     costs = costs + 2.0 * np.einsum("il,il->l", bent, step, optimize=False)
@@ -218,13 +231,12 @@ def refit(
         hessian = gram(at.jacobian, at.jacobian) + precision
         gradient = gram(at.jacobian, at.residual[:, None])[:, 0]
         gradient = gradient + np.einsum("ij,j->i", precision, x - centre, optimize=False)
-        free = np.flatnonzero(~_stuck(bench, hypothesis, x, gradient))
+        low, high = room(bench, hypothesis, x)
         trials = []
         for factor in _LADDER:
-            damped = hessian[np.ix_(free, free)].copy()
-            damped[np.diag_indices(free.size)] *= 1.0 + damping * factor
-            step = np.zeros(x.size)
-            step[free] = -solve_positive(damped, gradient[free])
+            damped = hessian.copy()
+            damped[np.diag_indices(x.size)] *= 1.0 + damping * factor
+            step = within(damped, gradient[:, None], low, high)[:, 0]
             step *= min(1.0, _LARGEST_STEP / max(float(np.abs(step).max()), 1e-300))
             trials.append(x + step)
             if factor == 1.0:

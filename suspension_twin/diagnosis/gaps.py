@@ -20,6 +20,10 @@ from suspension_twin.drive.types import Floats
 __all__ = ["Remainder", "Shrink", "remainder", "shrink_of", "standing"]
 
 _DRAWS = 2000
+#: Standard deviation of the logarithm of the share of a gap that a twin leaves, from one drive to another of the same
+#: car on the same road, and how many drives this knowledge counts as.
+_FROM_DRIVE_TO_DRIVE, _COUNTS_AS = 0.06, 6
+_GONE = 0.02
 
 
 @dataclass(frozen=True, eq=False)
@@ -84,8 +88,9 @@ def shrink_of(
     another: bool = False, settled: bool = False,
 ) -> Shrink:  # fmt: skip
     """The shrink in one channel over the drives with the gap; interval by resampling blocks of road, with
-    ``another`` the drives too: what one more drive at some other speed would show. ``settled`` with the nuisances
-    where they were fitted."""
+    ``another`` for one more drive: what it leaves differs as these do among each other, or as drives do (Student's t
+    of normal values with a scaled inverse chi-squared prior of their variance: Gelman et al., Bayesian Data Analysis,
+    3rd ed., section 3.3). ``settled`` with the nuisances where they were fitted."""
     rows = shown_rows(bench)
     shown = [i for i, active in enumerate(bench.active) if active]
     drive = np.searchsorted(shown, drives_of(bench)[rows]) if another else np.zeros(int(rows.sum()), dtype=int)
@@ -106,12 +111,23 @@ def shrink_of(
     rng = np.random.default_rng(seed)
     used = np.flatnonzero(count.any(axis=0))
     blocks_drawn = rng.multinomial(used.size, np.full(used.size, 1.0 / used.size), _DRAWS).astype(float)
-    drives_drawn = rng.multinomial(drives, np.full(drives, 1.0 / drives), _DRAWS).astype(float)
-    n, f, s = (
-        np.sum(np.einsum("kd,db->kb", drives_drawn, v[:, used], optimize=False) * blocks_drawn, axis=1)
-        for v in (count, first, second)
-    )
-    ratio = 1.0 - above(s, n) / np.maximum(above(f, n), 1e-12)
+    n, f, s = (np.sum(v[:, used].sum(axis=0) * blocks_drawn, axis=1) for v in (count, first, second))
+    share = above(s, n) / np.maximum(above(f, n), 1e-12)
+    if another:
+        before_after = [above(v.sum(axis=1), count.sum(axis=1)) for v in (first, second)]
+        share *= np.exp(_of_another(before_after[0], before_after[1], rng))
+    ratio = 1.0 - share
     low, high = np.quantile(ratio, [0.05, 0.95])
     shrink = 1.0 - float(b) / float(a) if a > 1e-12 else 0.0
     return Shrink(float(a), float(b), shrink, (float(min(low, shrink)), float(max(high, shrink))))
+
+
+def _of_another(before: Floats, after: Floats, rng: np.random.Generator) -> Floats:
+    """(_DRAWS,) logarithms of how much more or less of the gap one more drive leaves than all of these (D,) do."""
+    known = before > 1e-12
+    # what lies in the noise is as good as gone, by how much is not known
+    left = np.log(np.maximum(after[known] / before[known], _GONE))
+    apart = float(np.sum((left - left.mean()) ** 2)) if left.size else 0.0
+    freedom = _COUNTS_AS + max(left.size - 1, 0)
+    variance = (_COUNTS_AS * _FROM_DRIVE_TO_DRIVE**2 + apart) / freedom * (1.0 + 1.0 / max(left.size, 1))
+    return np.asarray(np.sqrt(variance) * rng.standard_t(freedom, _DRAWS))

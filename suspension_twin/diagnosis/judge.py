@@ -21,6 +21,7 @@ from scipy.stats import norm
 from suspension_twin.diagnosis.bench import Bench, gram
 from suspension_twin.diagnosis.fit import Fit, Linear
 from suspension_twin.diagnosis.noise import INDEPENDENT
+from suspension_twin.diagnosis.strain import Strain, relieved, strain_of
 from suspension_twin.drive.types import Floats
 
 __all__ = ["Blocks", "Evidence", "blocks_of", "evidence", "held_out", "intervals", "weights"]
@@ -104,7 +105,8 @@ def held_out(bench: Bench, fit: Linear, blocks: Blocks) -> tuple[Floats, Floats]
 class Evidence:
     """One hypothesis: ``score`` (B,) log predictive density of each block, ``occam`` nats that its freedom
     costs, ``level`` (groups,) mean square of what it leaves (1 where the noise model holds), ``left`` (R,)
-    held-out residuals, ``unknowns`` (d + q + k, FOLDS), ``fitted`` log density of all blocks where all are fitted."""
+    held-out residuals, ``unknowns`` (d + q + k, FOLDS), ``fitted`` log density of all blocks where all are fitted,
+    ``strain`` what it asks of the nuisances."""
 
     fit: Fit
     score: Floats
@@ -113,6 +115,7 @@ class Evidence:
     left: Floats
     unknowns: Floats
     fitted: float
+    strain: Strain | None = None
 
     def over(self, base: Evidence) -> float:
         """Nats that the hypothesis gains over ``base``."""
@@ -144,10 +147,11 @@ def evidence(bench: Bench, fit: Linear, blocks: Blocks, shown: Sequence[bool] | 
     jacobian = fit.at.jacobian / scale[:, None]
     hessian = gram(jacobian, jacobian) + precision
     away = fit.x - centre
+    away[bench.d : bench.d + bench.q] = 0.0  # counted in full elsewhere
     occam = 0.5 * (np.linalg.slogdet(hessian)[1] - np.linalg.slogdet(precision)[1])
     occam += 0.5 * float(away @ precision @ away) / max(float(np.mean(scale**2)), 1.0)
     plain = Fit(fit.hypothesis, fit.x, fit.cost)
-    return Evidence(plain, score, float(occam), level, left, unknowns, float(fitted))
+    return Evidence(plain, score, float(occam), level, left, unknowns, float(fitted), strain_of(bench, fit, scale))
 
 
 def intervals(bench: Bench, fit: Linear, blocks: Blocks, temper: float) -> Floats:
@@ -176,8 +180,9 @@ def weights(found: list[Evidence], prior: Floats, temper: float, seed: int) -> t
 
     Half of the freedom's cost counts: held-out scores have paid for it once already, in what freedom
     spoils on unseen road, and the evidence of the whole prior would have it in full. ``temper`` is the
-    share of what is left that is noise: a model's own error is no new evidence at every sample. The first of ``found``
-    is part of all others: what these gain on unseen road beyond twice of what they gain in the fit is chance.
+    share of what is left that is noise: a model's own error is no new evidence at every sample. What is normal of
+    clocks, map and mount is no such evidence and counts in full. The first of ``found`` is part of all others: what
+    these gain on unseen road beyond twice of what they gain in the fit is chance.
     """
     scores = np.stack([e.score for e in found])
     gains = scores.sum(axis=1) - scores[0].sum()
@@ -189,7 +194,7 @@ def weights(found: list[Evidence], prior: Floats, temper: float, seed: int) -> t
     draws = np.random.default_rng(seed).dirichlet(np.ones(count), _DRAWS) * count
     total = np.einsum("db,kb->dk", draws, scores, optimize=False) - 0.5 * (occam - occam.min())[None, :]
     with np.errstate(divide="ignore"):  # a prior of nothing
-        total = temper * total + np.log(prior)[None, :]
+        total = temper * total + relieved([e.strain for e in found], temper) + np.log(prior)
     probabilities = np.exp(total - logsumexp(total, axis=1)[:, None]).mean(axis=0)
     beats = (total[:, :, None] > total[:, None, :]).mean(axis=0)
     return probabilities, beats

@@ -38,6 +38,8 @@ _WORTH_A_LOOK = 3.0
 #: Effects whose Jacobian is simulated anew before they are judged: the best by the rough fit.
 _FINALISTS = 7
 _BEST_PAIRS = 3
+#: Nuisances that are in small what an effect is in large.
+_SHARED = ("clock_offset", "map_position", "tilt_roll", "tilt_pitch")
 #: Nats that an effect has to be able to change the signals by at prior strength, to be judged at all.
 LEAST_POWER = 5.0
 
@@ -89,7 +91,9 @@ def singles(
         return _rough(bench, begun, anchor, effect, library[effect], seed)
 
     rough = _side_by_side(look, list(library), lambda done, name: tell(0.65 * done, name.replace("_", " ")))
-    base = _rebased(bench, base, [r.x for r in rough])
+    base, known = _rebased(bench, base, [r.x for r in rough]), base
+    if base is not known:
+        rough = _side_by_side(lambda r: _caught_up(bench, base, r), rough, lambda done, _: tell(0.6, "baseline"))
     order = sorted(range(len(rough)), key=lambda i: rough[i].cost)
     finalists = set(order[:_FINALISTS])
 
@@ -171,6 +175,23 @@ def _rebased(bench: Bench, base: Linear, found: Sequence[Floats]) -> Linear:
     p = bench.d + bench.q
     x, cost = refit(bench, BASELINE, [base.x, *(y[:p] for y in found)], None, 2 * _ROUGH)
     return finished(bench, BASELINE, x) if cost < base.cost else base
+
+
+def _caught_up(bench: Bench, base: Linear, rough: _Rough) -> _Rough:
+    """An effect's search from where the baseline has come to since: it has all that the baseline has and must not be
+    behind for having begun from less.
+
+    Many small shares of what is normal of clocks, map and mount can hide a late clock whole, and between them and the
+    effect lies a ridge: it is also begun from where it has all of it.
+    """
+    v, u = rough.hypothesis, rough.x[bench.d + bench.q :]
+    starts = [np.concatenate([base.x, u]), np.concatenate([base.x, v.neutral()])]
+    if EFFECTS[rough.effect].where in ("time", "road", "sensor"):
+        alone = replace(bench, barred=tuple(n for n in bench.problem.nuisances.names if n.endswith(_SHARED)))
+        starts.append(refit(alone, v, starts, base.at.jacobian, _ROUGH)[0])
+    found = [refit(bench, v, [start], base.at.jacobian, _ROUGH) for start in starts]
+    x, cost = min(found, key=lambda f: f[1])
+    return replace(rough, x=x, cost=cost) if cost < rough.cost else rough
 
 
 def _always(bench: Bench, hypothesis: Hypothesis, x: Floats, base: Fit, blocks: Blocks) -> Evidence:

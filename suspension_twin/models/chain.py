@@ -4,14 +4,18 @@
 from __future__ import annotations
 
 import numpy as np
+from numpy.typing import NDArray
 
 from suspension_twin.compiled import compiled
 from suspension_twin.drive.types import Floats
+from suspension_twin.models.between import TABLE, TAPS
 from suspension_twin.models.constants import Constants
 from suspension_twin.models.sensor import rotation
 from suspension_twin.models.types import Excitation, Ints
 
 __all__ = ["Chain", "pass_chain"]
+
+_UNEVEN = 0.01  # of a step
 
 
 class Chain:
@@ -30,7 +34,7 @@ class Chain:
         for _, _, state in self._stages:
             state[:] = 0.0
 
-    def process(self, signals: Floats, t: Floats, fresh: np.typing.NDArray[np.bool_]) -> None:
+    def process(self, signals: Floats, t: Floats, fresh: NDArray[np.bool_]) -> None:
         """Change ``signals`` (n, 7, L) at ``t`` (n,) s in place; ``fresh`` (n,) marks fresh starts."""
         for stage, values, state in self._stages:
             if not stage.own_axes:
@@ -51,16 +55,37 @@ def pass_chain(known: Constants, excitation: Excitation, signals: Floats) -> Non
     if known.clock is not None:
         clock = known.clock
         plain = signals.copy()
-        _restamp(excitation.t, excitation.substeps, plain, clock.delay, clock.drift, signals)
+        t = excitation.t
+        even = _even(t, excitation.substeps)
+        _restamp(t, excitation.substeps, even, plain, clock.delay, clock.drift, TABLE, signals)
+
+
+def _even(t: Floats, substeps: Ints) -> NDArray[np.bool_]:
+    """(n,) whether the stamps that the table needs around the gap after each lie evenly, on one stretch."""
+    n, before = t.size, TAPS // 2 - 1
+    even = np.zeros(n, dtype=bool)
+    if n < TAPS:
+        return even
+    gaps = np.lib.stride_tricks.sliding_window_view(np.diff(t), TAPS - 1)
+    middle = gaps[:, before]
+    fresh = np.lib.stride_tricks.sliding_window_view(substeps[1:] == 0, TAPS - 1).any(axis=1)
+    close = np.abs(gaps - middle[:, None]).max(axis=1) <= _UNEVEN * middle
+    even[before : before + middle.size] = close & ~fresh
+    return even
 
 
 @compiled
-def _restamp(t: Floats, substeps: Ints, plain: Floats, delay: Floats, drift: Floats, out: Floats) -> None:
-    """Read ``plain`` (n, q, L) at earlier times, by cubics through four stamps, ends held.
+def _restamp(
+    t: Floats, substeps: Ints, even: NDArray[np.bool_], plain: Floats, delay: Floats, drift: Floats, table: Floats,
+    out: Floats,
+) -> None:  # fmt: skip
+    """Read ``plain`` (n, q, L) at earlier times, by the windowed sinc of ``table`` where stamps are ``even`` (n,), else
+    by cubics through four of them, ends held.
 
-    A lane without delay keeps its numbers. No cubic reaches across a fresh start.
+    A lane without delay keeps its numbers. Nothing reaches across a fresh start.
     """
-    n = t.size
+    n, taps, phases = t.size, table.shape[1], table.shape[0] - 1
+    w = np.empty(taps)
     for lane in range(out.shape[2]):
         if delay[lane] == 0.0 and drift[lane] == 0.0:
             continue
@@ -78,6 +103,18 @@ def _restamp(t: Floats, substeps: Ints, plain: Floats, delay: Floats, drift: Flo
                 continue
             h = t[k + 1] - t[k]
             s = (at - t[k]) / h
+            if even[k]:
+                p = min(int(s * phases), phases - 1)
+                fine = s * phases - p
+                for i in range(taps):
+                    w[i] = (1.0 - fine) * table[p, i] + fine * table[p + 1, i]
+                first = k - taps // 2 + 1
+                for q in range(out.shape[1]):
+                    value = 0.0
+                    for i in range(taps):
+                        value += w[i] * plain[first + i, q, lane]
+                    out[row, q, lane] = value
+                continue
             before = k > 0 and substeps[k] > 0
             after = k + 2 < n and substeps[k + 2] > 0
             for q in range(out.shape[1]):

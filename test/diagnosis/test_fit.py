@@ -12,7 +12,7 @@ from numpy.testing import assert_allclose
 from scipy.optimize import lsq_linear
 
 from suspension_twin.diagnosis.bench import Linearised
-from suspension_twin.diagnosis.fit import Linear, refit, screened, swept
+from suspension_twin.diagnosis.fit import Linear, refit, screened, swept, within
 from suspension_twin.diagnosis.hypotheses import BASELINE, Hypothesis
 from suspension_twin.diagnosis.judge import Blocks, intervals
 
@@ -117,6 +117,20 @@ def test_no_start_ranks_by_a_clock_beyond_its_limit(seed: int) -> None:
     tried = screened(bench, base, effect, starts)
     assert_allclose(tried.cost, sorted(best(u)[1] for u in starts[0]), rtol=0.01)
     assert all((np.abs(found[1:5]) <= 3.0 + 1e-9).all() for found in tried.x)
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_a_step_that_ends_at_limits_is_the_best_there(seed: int) -> None:
+    """Against least squares with bounds, begun inside and at limits; what a limit held is let go where it should."""
+    rng = np.random.default_rng(seed)
+    a, b, x = rng.normal(size=(60, 12)) + 2.0, 60 * rng.normal(size=60), rng.uniform(-3.0, 3.0, 12)
+    x[:3] = 3.0
+    low, high = np.full(12, -3.0), np.full(12, 3.0)
+    low[11], high[11] = -np.inf, np.inf
+    step = within(a.T @ a, (a.T @ (a @ x - b))[:, None], low - x, high - x)[:, 0]
+    best = lsq_linear(a, b, (low, high), tol=1e-12)
+    assert (best.active_mask != 0).sum() >= 2
+    assert_allclose(x + step, best.x, atol=1e-4)
 
 
 def test_a_models_own_error_widens_intervals_up_to_the_bounds() -> None:

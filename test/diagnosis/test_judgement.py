@@ -273,6 +273,32 @@ def test_another_drive_is_less_sure_where_drives_differ() -> None:
     assert same.interval[1] - same.interval[0] < 0.2
 
 
+@pytest.mark.parametrize("drives", [1, 2, 4])
+def test_the_interval_holds_for_one_more_drive(drives: int) -> None:
+    """Drives of one car that differ by 8 % in what a twin leaves: nine in ten of further ones lie inside."""
+    rng = np.random.default_rng(drives)
+    n, held = 600, 0
+    blocks = Blocks(np.tile(np.arange(n) // 20, drives), np.zeros(0, dtype=int), n // 20)
+    for seed in range(200):
+        *there, further = 0.3 * np.exp(0.08 * rng.standard_normal(drives + 1))
+        before = rng.standard_normal((drives * n, 1))
+        after = np.repeat(there, n)[:, None] * rng.standard_normal((drives * n, 1))
+        some = bench([n] * drives, before)
+        found = gaps.shrink_of(some, Remainder(before, before), Remainder(after, after), blocks, 0.0, 0, seed, True)
+        held += found.interval[0] <= 1 - further <= found.interval[1]
+    assert 0.84 <= held / 200 <= 0.99
+
+
+def test_a_drive_whose_gap_is_gone_leaves_the_interval_finite() -> None:
+    rng = np.random.default_rng(5)
+    before = rng.standard_normal((2000, 1))
+    after = before * np.repeat([0.3, 1e-9], 1000)[:, None]
+    blocks = Blocks(np.tile(np.arange(1000) // 50, 2), np.zeros(0, dtype=int), 20)
+    some = bench([1000, 1000], before)
+    found = gaps.shrink_of(some, Remainder(before, before), Remainder(after, after), blocks, 1e-3, 0, 0, another=True)
+    assert np.isfinite(found.interval).all() and found.interval[0] <= found.shrink <= found.interval[1] <= 1.0
+
+
 def test_settled_differences_are_compared_where_asked() -> None:
     x = np.random.default_rng(2).standard_normal((1000, 1))
     blocks = Blocks(np.arange(1000) // 50, np.zeros(0, dtype=int), 20)

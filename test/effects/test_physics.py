@@ -10,6 +10,8 @@ import pytest
 from effect_cases import Ground, given, respond, rough, way
 from scipy.signal import butter, freqs
 
+from suspension_twin.models.between import TABLE
+from suspension_twin.models.chain import _even, _restamp
 from suspension_twin.models.excitation import excitation
 from suspension_twin.models.parameters import pack
 from suspension_twin.models.sensor import to_sensor_axes
@@ -357,6 +359,28 @@ def test_with_a_fused_pose_the_road_alone_is_late(twin: Twin) -> None:
     assert not np.allclose(
         simulate_lanes(late, params, ways[1]).force, simulate_lanes(late, params, ways[1], fused=True).force, atol=1e-2
     )
+
+
+@pytest.mark.parametrize("hz", [2.0, 12.0, 20.0])
+def test_a_late_clock_keeps_what_a_phone_still_samples(hz: float) -> None:
+    """Half a sample late, which is where reading between stamps of 100 Hz costs most."""
+    t = 0.01 * np.arange(400)
+    t[200:] += 0.004  # a stamp that is late: where stamps are uneven a cubic does, and nothing is lost
+    plain = np.repeat(np.sin(2 * np.pi * hz * t)[:, None, None], 2, axis=1)
+    out, substeps = plain.copy(), np.full(t.size, 4)
+    substeps[0] = 0
+    _restamp(t, substeps, _even(t, substeps), plain, np.array([0.005]), np.zeros(1), TABLE, out)
+    wanted = np.sin(2 * np.pi * hz * (t - 0.005))
+    inside = np.r_[10:190, 215:390]
+    assert np.abs(out[inside, 0, 0] - wanted[inside]).max() < 0.002
+    seam = np.abs(out[190:215, 0, 0] - wanted[190:215]).max()
+    assert seam < 0.25 * (hz / 20.0) ** 2 + 0.002
+    # nothing of what was before a fresh start gets past it
+    apart = np.where(t < 2.0, 0.0, plain[:, 0, 0])[:, None, None]
+    substeps[200] = 0
+    out = apart.copy()
+    _restamp(t, substeps, _even(t, substeps), apart, np.array([0.005]), np.zeros(1), TABLE, out)
+    assert not out[:200].any()
 
 
 def test_time_offset_is_late_and_clock_drift_grows(twin: Twin) -> None:
