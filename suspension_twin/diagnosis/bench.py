@@ -19,7 +19,7 @@ from suspension_twin.calibration.problem import Interrupted, Problem, _stack
 from suspension_twin.diagnosis.hypotheses import Hypothesis
 from suspension_twin.diagnosis.noise import INDEPENDENT, Whitener
 from suspension_twin.drive.types import Floats
-from suspension_twin.models.hooks import upright_with
+from suspension_twin.models.hooks import turns_with, upright_with
 from suspension_twin.models.parameters import lanes
 from suspension_twin.models.simulate import simulate_lanes
 from suspension_twin.models.types import Excitation
@@ -112,7 +112,7 @@ class Bench:
         reference reads of a lean is its mount's. Taken for the vehicle's there, antenna and wheels would lie a
         centimetre apart before and after.
         """
-        if "sensor_tilt" in effects and self.active[self.problem.drive_of[number]]:
+        if turns_with(effects) and self.active[self.problem.drive_of[number]]:
             return self.turned[number]
         return self.upright[number] if upright_with(effects) else self.problem.parts[number].excitation
 

@@ -66,6 +66,10 @@ EFFECT = Effect(
     excited_by=("braking", "cornering", "standing still"),
     confused_with=("accelerometer bias", "sensor_scale"),
     hook=Hook(
-        neutral(_PARAMETERS), signal=SignalStage(_signal, order=20), models=("full_car", "msd"), upright=True
+        neutral(_PARAMETERS),
+        signal=SignalStage(_signal, order=20),
+        models=("full_car", "msd"),
+        upright=True,
+        turned=lambda p: (p.get("roll", 0.0), p.get("pitch", 0.0), p.get("yaw", 0.0)),
     ),
 )

@@ -12,13 +12,15 @@ import math
 
 import numpy as np
 
+from suspension_twin.models.hooks import load_hook
 from suspension_twin.pose.types import Trajectory
 from suspension_twin.signals.attitude import matrix_rpy, rpy_matrix
 from suspension_twin.signals.filters import FilterSpec, zero_phase
 from suspension_twin.signals.offline import ImuSignals
-from suspension_twin.vehicle.twin import Place
+from suspension_twin.vehicle.tracked_twin import TrackedTwin
+from suspension_twin.vehicle.twin import Place, Twin
 
-__all__ = ["heading_off", "turned"]
+__all__ = ["heading_off", "turn_of", "turned"]
 
 #: Below this the path alone says how the vehicle is accelerated, Hz.
 _SLOW = FilterSpec(2, 0.4)
@@ -43,6 +45,14 @@ def heading_off(signals: ImuSignals, trajectory: Trajectory) -> float:
     return math.atan2(across, along)
 
 
+def turn_of(twin: Twin) -> tuple[float, float, float] | None:
+    """Roll, pitch and yaw in rad by which the twin's effects turn the sensor against the mounting in its file."""
+    if isinstance(twin, TrackedTwin):  # whose sensors are cameras
+        return None
+    hooks = ((load_hook(e.id), e.parameters) for e in twin.effects)
+    return next((hook.turned(parameters) for hook, parameters in hooks if hook.turned is not None), None)
+
+
 def turned(place: Place, rpy: tuple[float, float, float]) -> Place:
-    """A sensor's ``place`` turned further, by the angles in rad that the effect ``sensor_tilt`` has."""
+    """A sensor's ``place`` turned further, by roll, pitch and yaw in rad as ``turn_of`` has them."""
     return place.model_copy(update={"rpy": matrix_rpy(rpy_matrix(rpy) @ rpy_matrix(place.rpy))})

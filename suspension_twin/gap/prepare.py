@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from suspension_twin.drive.types import Drive, Floats
 from suspension_twin.errors import InputError
 from suspension_twin.gap.measure import CHANNELS, Gap, measure_gap
-from suspension_twin.gap.mounting import heading_off, turned
+from suspension_twin.gap.mounting import heading_off, turn_of, turned
 from suspension_twin.gap.noise import floor_rms
 from suspension_twin.gap.off_road import Ground, OffRoad, off_road
 from suspension_twin.gap.quiet import quiet_motion
@@ -216,7 +216,7 @@ def upright_excitation(prepared: Prepared, drive: Drive) -> Excitation:
 def turned_excitation(prepared: Prepared, drive: Drive) -> Excitation:
     """What excites the vehicle where all that the sensor is turned by, as far as ``drive`` shows, is its mount's."""
     twin, settings, signals = prepared.twin, prepared.settings, prepared.signals
-    if settings.satellites or _tilt(twin) is not None:
+    if settings.satellites or turn_of(twin) is not None:
         return prepared.excitation
     trajectory, datum = prepared.trajectory, twin.datum or _first_fix(drive)
     roll, pitch, yaw = level_rpy(signals.up.mean(axis=0))
@@ -228,16 +228,10 @@ def turned_excitation(prepared: Prepared, drive: Drive) -> Excitation:
     return _excitation(trajectory, twin, Ground(prepared.road, settings.outside), settings)
 
 
-def _tilt(twin: Twin) -> tuple[float, float, float] | None:
-    """Roll, pitch and yaw in rad of the mount that the twin file knows to be turned."""
-    found = next((e.parameters for e in twin.effects if e.id == "sensor_tilt"), None)
-    return None if found is None else (found.get("roll", 0.0), found.get("pitch", 0.0), found.get("yaw", 0.0))
-
-
 def _as_mounted(drive: Drive, twin: Twin, signals: ImuSignals, settings: PrepareSettings) -> ImuSignals:
     """The signals for what moves the vehicle: a mount that is known to be turned is no turn of the vehicle."""
-    tilt = _tilt(twin)
-    return signals if tilt is None else ingest_drive(drive, turned(twin.imu, tilt), settings.imu)
+    turn = turn_of(twin)
+    return signals if turn is None else ingest_drive(drive, turned(twin.imu, turn), settings.imu)
 
 
 def _excitation(trajectory: Trajectory, twin: Twin, ground: Ground, settings: PrepareSettings) -> Excitation:

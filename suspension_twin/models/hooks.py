@@ -38,7 +38,7 @@ import numpy as np
 from suspension_twin.drive.types import Floats
 from suspension_twin.errors import InputError
 
-__all__ = ["ClockChange", "Hook", "RoadChange", "SignalStage", "load_hook", "upright_with"]
+__all__ = ["ClockChange", "Hook", "RoadChange", "SignalStage", "load_hook", "turns_with", "upright_with"]
 
 Values = Mapping[str, Floats]
 
@@ -118,6 +118,9 @@ class Hook:
     models: tuple[str, ...] = field(default=("full_car",))
     #: With the effect it is known how the vehicle leans: what more the sensor leans by is its own.
     upright: bool = False
+    #: Roll, pitch and yaw in rad by which the effect turns the sensor on its mount: such a sensor takes braking for a
+    #: push to the side, and what moves the vehicle has to be read from it turned back.
+    turned: Callable[[Mapping[str, float]], tuple[float, float, float]] | None = None
     #: Raises InputError for parameters (of a twin file) that the effect cannot have.
     check: Callable[[Mapping[str, float]], object] | None = None
 
@@ -136,6 +139,11 @@ def load_hook(effect: str) -> Hook:
         raise InputError("twin", "effects", f"there is no effect {effect}")
     hook: Hook = known.hook
     return hook
+
+
+def turns_with(effects: Iterable[str]) -> bool:
+    """Whether one of these effects, by id, turns the sensor on its mount."""
+    return any(load_hook(effect).turned is not None for effect in effects)
 
 
 def upright_with(effects: Iterable[str]) -> bool:

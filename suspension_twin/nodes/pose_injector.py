@@ -17,6 +17,7 @@ from pydantic import ValidationError
 from sensor_msgs.msg import Imu, NavSatFix
 
 from suspension_twin.errors import InputError, WorkError
+from suspension_twin.gap.mounting import turn_of
 from suspension_twin.nodes._base import Embedding, TwinNode
 from suspension_twin.nodes._files import FILTER, TWIN, twin_of
 from suspension_twin.nodes._health import WARN
@@ -79,8 +80,8 @@ class PoseInjectorNode(TwinNode):
     def _start(self) -> None:
         twin = twin_of(self.values)
         self._frame = None if twin is None else twin.gps.frame
-        places = {} if twin is None else {"gps_place": twin.gps, "imu_place": twin.imu}
-        self._lock = PoseLock(settings_of(self.values), datum=datum_of(self.values), **places)
+        gps, imu, turn = (None, None, None) if twin is None else (twin.gps, twin.imu, turn_of(twin))
+        self._lock = PoseLock(settings_of(self.values), gps, datum_of(self.values), imu, turn)
         self._seen.clear()
 
     def reset(self) -> None:

@@ -16,6 +16,7 @@ from suspension_twin.pose.history import History, Measurement
 from suspension_twin.pose.live import LiveInputs
 from suspension_twin.pose.local_map import LocalMap
 from suspension_twin.pose.settings import PoseSettings, fix_sigma
+from suspension_twin.signals.attitude import rpy_matrix
 from suspension_twin.signals.checks import Finding
 from suspension_twin.signals.clock import JUMP_BACK, MAX_STAMP
 from suspension_twin.signals.standstill import SOFT_DELAY
@@ -61,10 +62,13 @@ class PoseLock:
         gps_place: Place | None = None,
         datum: Datum | None = None,
         imu_place: Place | None = None,
+        imu_turn: tuple[float, float, float] | None = None,
     ) -> None:
+        """``imu_turn``: roll, pitch and yaw in rad by which the sensor is turned further than its place says."""
         self.settings = settings or PoseSettings()
         self._gps = gps_place or Place(frame="gps_link")
         self._imu = imu_place or Place()
+        self._turn = None if imu_turn is None else rpy_matrix(imu_turn)
         self._given_datum = datum
         self._late = self.settings.imu_delay + SOFT_DELAY
         self._history = History(self.settings.history, self.settings.noise())
@@ -155,6 +159,8 @@ class PoseLock:
         if not (usable and abs(t) < MAX_STAMP):
             self.counts["invalid"] += 1
             return None
+        if self._turn is not None:
+            force, rate = (self._turn @ force).tolist(), (self._turn @ rate).tolist()
         t -= self._late  # what the low-passes let out now happened that long ago
         history = self._history
         if history.head >= 0:

@@ -14,6 +14,7 @@ from hypothesis import strategies as st
 
 from suspension_twin.pose.lock import PlanarState, PoseLock
 from suspension_twin.pose.settings import PoseSettings
+from suspension_twin.signals.attitude import rpy_matrix
 from suspension_twin.signals.ingest import ImuIngest
 from suspension_twin.signals.settings import ImuSettings
 from suspension_twin.vehicle.twin import Datum
@@ -181,6 +182,20 @@ def test_behind_the_low_pass_of_the_imu_node(make_scene: Maker, away: Away) -> N
 def stop_and_wait(s: np.ndarray) -> np.ndarray:
     """To 5 m/s and back to rest within ten seconds, then a long wait."""
     return 5.0 * np.sin(np.pi * np.clip((s - 3) / 10, 0, 1)) ** 2
+
+
+def test_a_sensor_that_is_known_to_be_turned_says_what_an_upright_one_says(make_scene: Maker) -> None:
+    scene = make_scene(speed=lambda s: 6.0 + 4.0 * np.sin(0.5 * s) * np.clip(s - 5, 0, 1), turn=swinging(0.3, 7.0))
+    rpy = (-0.09, 0.07, 0.3)
+    there = rpy_matrix(rpy)  # from what the turned sensor reads to what an upright one does
+    upright = feed(make_lock(scene), scene)
+    imu = scene.drive.imu
+    own = replace(imu, specific_force=imu.specific_force @ there, angular_rate=imu.angular_rate @ there)
+    scene = replace(scene, drive=replace(scene.drive, imu=own))
+    turned = feed(PoseLock(UNDELAYED, scene.gps, scene.datum, scene.imu, rpy), scene)
+    unknown = feed(make_lock(scene), scene)
+    assert np.allclose([s[:9] for s in turned], [s[:9] for s in upright], rtol=0, atol=1e-6)
+    assert rms(off(unknown, scene, 8.0)["ax"]) > 2.0 * rms(off(turned, scene, 8.0)["ax"])
 
 
 def test_standing_the_yaw_does_not_wander(make_scene: Maker) -> None:
