@@ -93,7 +93,7 @@ def singles(
     rough = _side_by_side(look, list(library), lambda done, name: tell(0.65 * done, name.replace("_", " ")))
     base, known = _rebased(bench, base, [r.x for r in rough]), base
     if base is not known:
-        rough = _side_by_side(lambda r: _caught_up(bench, base, r), rough, lambda done, _: tell(0.6, "baseline"))
+        rough = _side_by_side(lambda r: _caught_up(bench, base, r, seed), rough, lambda done, _: tell(0.6, "baseline"))
     order = sorted(range(len(rough)), key=lambda i: rough[i].cost)
     finalists = set(order[:_FINALISTS])
 
@@ -177,7 +177,7 @@ def _rebased(bench: Bench, base: Linear, found: Sequence[Floats]) -> Linear:
     return finished(bench, BASELINE, x) if cost < base.cost else base
 
 
-def _caught_up(bench: Bench, base: Linear, rough: _Rough) -> _Rough:
+def _caught_up(bench: Bench, base: Linear, rough: _Rough, seed: int) -> _Rough:
     """An effect's search from where the baseline has come to since: it has all that the baseline has and must not be
     behind for having begun from less.
 
@@ -186,10 +186,13 @@ def _caught_up(bench: Bench, base: Linear, rough: _Rough) -> _Rough:
     """
     v, u = rough.hypothesis, rough.x[bench.d + bench.q :]
     starts = [np.concatenate([base.x, u]), np.concatenate([base.x, v.neutral()])]
+    if rough.cost >= base.cost:
+        starts += screened(bench, base, v, v.starts(_STARTS, seed)).x[:_TRIED]
+    found = [refit(bench, v, starts, base.at.jacobian, _ROUGH)]
     if EFFECTS[rough.effect].where in ("time", "road", "sensor"):
         alone = replace(bench, barred=tuple(n for n in bench.problem.nuisances.names if n.endswith(_SHARED)))
-        starts.append(refit(alone, v, starts, base.at.jacobian, _ROUGH)[0])
-    found = [refit(bench, v, [start], base.at.jacobian, _ROUGH) for start in starts]
+        begun, _ = refit(alone, v, starts, base.at.jacobian, _ROUGH)
+        found.append(refit(bench, v, [begun], base.at.jacobian, _ROUGH))
     x, cost = min(found, key=lambda f: f[1])
     return replace(rough, x=x, cost=cost) if cost < rough.cost else rough
 

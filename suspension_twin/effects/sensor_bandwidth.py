@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from suspension_twin.compiled import compiled
 from suspension_twin.drive.types import Floats
 from suspension_twin.effects._signal import STATES, second_order
-from suspension_twin.effects.base import Effect, Parameter, neutral
+from suspension_twin.effects.base import Effect, Parameter, Values, neutral
 from suspension_twin.models.hooks import Hook, SignalStage
 
 __all__ = ["EFFECT"]
@@ -28,6 +28,12 @@ def _signal(signals: Floats, t: Floats, fresh: NDArray[np.bool_], values: Floats
                 second_order(signals, t, fresh, axis, i, omega, math.sqrt(0.5), 0.0, 1.0, state, STATES * axis)
 
 
+def _lag(p: Values) -> Floats:
+    """(L,) s of group delay of a second-order Butterworth low-pass at 0 Hz."""
+    omega = 2.0 * math.pi * p["cutoff"]
+    return np.asarray(math.sqrt(2.0) / np.where(omega > 0.0, omega, np.inf))
+
+
 EFFECT = Effect(
     id="sensor_bandwidth",
     title="low-pass in the sensor",
@@ -38,6 +44,9 @@ EFFECT = Effect(
     excited_by=("wheel hop", "sharp edges", "anything quick"),
     confused_with=("time_offset", "tyre_envelope", "road_smoothing"),
     hook=Hook(
-        neutral(_PARAMETERS), signal=SignalStage(_signal, states=6 * STATES, order=40), models=("full_car", "msd")
+        neutral(_PARAMETERS),
+        signal=SignalStage(_signal, states=6 * STATES, order=40),
+        lag=_lag,
+        models=("full_car", "msd"),
     ),
 )

@@ -110,10 +110,11 @@ def constants(
     numbers = {name: params[row] for name, row in layout.index.items()}
     count = params.shape[1]
     with np.errstate(all="ignore"):
-        changed, terms, road, clock, stages = _hooked(numbers, layout, count)
+        changed, terms, road, clock, stages, lag = _hooked(numbers, layout, count)
     if fused:
-        road = replace(road, delay=clock.delay, drift=clock.drift)
-        clock = ClockChange(np.zeros(count), np.zeros(count))
+        # what a slow sensor feels of the planar motion is as late as the pose: it is put back by what its filter takes
+        road = replace(road, delay=clock.delay + lag, drift=clock.drift)
+        clock = ClockChange(-lag, np.zeros(count))
 
     curves, problems = _read_curves(changed)
     has_terms = bool(terms[rows.TERMS].any())
@@ -148,13 +149,14 @@ def constants(
 
 def _hooked(
     numbers: Numbers, layout: Layout, count: int
-) -> tuple[Numbers, Floats, RoadChange, ClockChange, list[Stage]]:
-    """What the effects make of ``numbers``: the numbers changed, terms, road, clock, stages in order."""
+) -> tuple[Numbers, Floats, RoadChange, ClockChange, list[Stage], Floats]:
+    """What the effects make of ``numbers``: the numbers changed, terms, road, clock, stages in order, their lag."""
     changed = dict(numbers)
     terms = np.zeros((rows.CURVES, count))
     road = RoadChange.neutral(count)
     clock = ClockChange(np.zeros(count), np.zeros(count))
     stages: list[Stage] = []
+    lag = np.zeros(count)
     for effect, hook in layout.hooks.items():
         values = {name: numbers[f"effects.{effect}.{name}"] for name in hook.neutral}
         if hook.vehicle is not None:
@@ -170,8 +172,10 @@ def _hooked(
             neutral = np.array(list(hook.neutral.values()))[:, None]
             if (given != neutral).any():
                 stages.append((hook.signal, given, neutral))
+        if hook.lag is not None:
+            lag += hook.lag(values)
     stages.sort(key=lambda stage: stage[0].order)
-    return changed, terms, road, clock, stages
+    return changed, terms, road, clock, stages, lag
 
 
 def _check_road(road: RoadChange, check: Check) -> None:

@@ -115,6 +115,8 @@ class Hook:
     road: Callable[[RoadChange, Values], None] | None = None
     signal: SignalStage | None = None
     clock: Callable[[ClockChange, Values], None] | None = None
+    #: (L,) s by which ``signal`` delays what is slow: a pose that is fused with such a sensor is as late.
+    lag: Callable[[Values], Floats] | None = None
     models: tuple[str, ...] = field(default=("full_car",))
     #: With the effect it is known how the vehicle leans: what more the sensor leans by is its own.
     upright: bool = False

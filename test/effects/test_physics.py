@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import Any
 
 import numpy as np
@@ -359,6 +360,23 @@ def test_with_a_fused_pose_the_road_alone_is_late(twin: Twin) -> None:
     assert not np.allclose(
         simulate_lanes(late, params, ways[1]).force, simulate_lanes(late, params, ways[1], fused=True).force, atol=1e-2
     )
+
+
+def test_with_a_fused_pose_a_slow_sensor_is_late_on_the_road_alone(twin: Twin) -> None:
+    slow, cutoff = given(twin, sensor_bandwidth={"cutoff": 12.0}), 12.0
+    params, lag = pack(slow)[:, None], math.sqrt(2.0) / (2 * math.pi * cutoff)
+    braking, steady = way(4.0, rate=200.0, speed=12.0, ax=-2.0), way(8.0, rate=200.0)
+    # its pitch while it brakes comes when the pose brakes, not a filter's delay later
+    ways = [excitation(w, twin.vehicle, Ground(r)) for w, r in ((braking, flat), (steady, rough))]
+    plain, late, fused = (
+        simulate_lanes(t, pack(t)[:, None], ways[0], fused=f).rate[20:-20, 1, 0]
+        for t, f in ((twin, False), (slow, False), (slow, True))
+    )
+    assert np.std(fused - plain) < 0.3 * np.std(late - plain)
+    # and what comes from the road is the sensor's own, low-pass and delay
+    late, fused = (simulate_lanes(slow, params, ways[1], fused=f).force[400:-50, 2, 0] for f in (False, True))
+    assert np.std(fused - late) < 0.03 * np.std(late)
+    assert lag > 0.018 and np.std(fused[4:] - late[:-4]) > 0.3 * np.std(late)
 
 
 @pytest.mark.parametrize("hz", [2.0, 12.0, 20.0])
