@@ -172,8 +172,9 @@ def prepare(
     if road is None:
         road = road_of(twin)
     signals = ingest_drive(drive, twin.imu, settings.imu)
+    mounted = signals if settings.satellites else _as_mounted(drive, twin, signals, settings)
     if strict:
-        for finding in signals.findings:
+        for finding in mounted.findings:
             if finding.level == "error":
                 raise InputError(drive.name, "imu", finding.text)
     datum = twin.datum or _first_fix(drive)
@@ -181,11 +182,10 @@ def prepare(
         signals, trajectory = satellite_motion(drive, signals, twin.gps, datum)
     else:
         try:
-            mounted = _as_mounted(drive, twin, signals, settings)
             trajectory = _locked(drive, twin, mounted, settings, datum, _upright(twin))
         except InputError as error:
             raise error if str(error).startswith(drive.name) else InputError(drive.name, str(error)) from None
-    warnings = (*drive.warnings, *(f.text for f in signals.findings if f.level != "ok"))
+    warnings = (*drive.warnings, *(f.text for f in mounted.findings if f.level != "ok"))
     prepared = _assemble(drive.name, twin, road, settings, signals, trajectory)
     left = prepared.off_road.sentence(float(signals.t[0]))
     if left:

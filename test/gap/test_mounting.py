@@ -53,6 +53,13 @@ def test_a_further_turn_comes_after_the_one_in_the_file() -> None:
     np.testing.assert_allclose(rpy_matrix(turned(place, rpy).rpy) @ reading, once, atol=1e-12)
 
 
+def test_a_tilt_that_the_twin_file_knows_is_nothing_to_be_warned_of(
+    recorded: Drive, tilted: Twin, twin: Twin, bumps: Road
+) -> None:
+    assert any("off upright" in w for w in prepare(recorded, twin, bumps).warnings)
+    assert not any("off upright" in w for w in prepare(recorded, tilted, bumps).warnings)
+
+
 @pytest.mark.parametrize("yaw", [-2.6, -0.4, 0.0, 0.05, 1.5])
 def test_the_path_shows_which_way_an_upright_sensor_faces(drive: Drive, twin: Twin, bumps: Road, yaw: float) -> None:
     prepared = prepare(drive, twin, bumps)
