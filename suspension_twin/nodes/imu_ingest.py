@@ -14,6 +14,7 @@ from geometry_msgs.msg import AccelStamped
 from sensor_msgs.msg import Imu
 
 from suspension_twin.errors import InputError
+from suspension_twin.gap.mounting import turn_of
 from suspension_twin.nodes._base import Embedding, TwinNode
 from suspension_twin.nodes._files import FILTER, TWIN, filter_of, twin_of
 from suspension_twin.nodes._health import WARN
@@ -94,6 +95,8 @@ class ImuIngestNode(TwinNode):
     def _start(self) -> None:
         twin = twin_of(self.values)
         self._frame = None if twin is None else twin.imu.frame
+        # a tilt that the twin simulates is to be seen in the measured signals, and no news
+        self._silent = (*_COUNTED, *(() if twin is None or turn_of(twin) is None else ("tilted",)))
         self._ingest = ImuIngest(_settings(self.values), Place() if twin is None else twin.imu)
         self.reset()
 
@@ -124,7 +127,7 @@ class ImuIngestNode(TwinNode):
     def report(self) -> None:
         """See the base class."""
         ingest, health = self._ingest, self.health
-        found = [f for f in ingest.findings if f.code not in _COUNTED]
+        found = [f for f in ingest.findings if f.code not in self._silent]
         self.show_findings(found)
         for code, text in _COUNTED.items():
             count = ingest.counts[code]

@@ -130,6 +130,21 @@ def test_a_sensor_in_g_and_one_upside_down_are_recognised(bench, twin_path):
     assert "upside" in worst(node)[1].lower()
 
 
+def test_a_tilt_that_the_twin_simulates_is_no_news(bench, tmp_path, twin):
+    from suspension_twin.vehicle.twin import EffectSpec, save_twin
+
+    tilt = EffectSpec(id="sensor_tilt", parameters={"roll": 0.0, "pitch": 0.15, "yaw": 0.0})
+    leaning, rng = 9.81 * np.array([-math.sin(0.15), 0.0, math.cos(0.15)]), np.random.default_rng(0)
+    told = []
+    for i, effects in enumerate(((), (tilt,))):
+        save_twin(twin.model_copy(update={"effects": effects}), tmp_path / f"{i}.yaml")
+        node = bench.make(ImuIngestNode, twin=str(tmp_path / f"{i}.yaml"))
+        for k in range(300):
+            node.inputs["imu/data_raw"].deliver(imu(T0 + k / 100.0, leaning + rng.normal(0, 0.01, 3)))
+        told.append("off upright" in worst(node)[1])
+    assert told == [True, False]
+
+
 def test_a_jump_back_starts_afresh_and_a_late_sample_does_not(bench, twin_path):
     node = bench.make(ImuIngestNode, twin=str(twin_path))
     _, vertical = taps(node)
