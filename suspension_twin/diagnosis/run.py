@@ -23,6 +23,7 @@ from suspension_twin.diagnosis.hypotheses import BASELINE, Hypothesis, library, 
 from suspension_twin.diagnosis.judge import Evidence, blocks_of, evidence, weights
 from suspension_twin.diagnosis.request import DiagnosisRequest, DiagnosisResult, Progress
 from suspension_twin.diagnosis.search import jointly, pairs, singles, without_one
+from suspension_twin.diagnosis.strain import relieved
 from suspension_twin.errors import InputError
 
 __all__ = ["diagnose"]
@@ -44,6 +45,7 @@ _NORMAL_PART = {
     "sensor_tilt": ("tilt_roll", "tilt_pitch"), "time_offset": ("clock_offset",), "position_offset": ("map_position",),
 }  # fmt: skip
 _SAME_FIT = 20.0
+_RELIEF = 1.0  # nats that clocks which one more effect frees have to be spared
 _STRANGER = 0.6  # share of its motion that a reference leaves at the best fit, above which it is another car's
 
 
@@ -195,7 +197,7 @@ class _Search:
         else:
             adequate = verdict.sound(found, [c for c, n in enumerate(bench.problem.channels) if self._driven(n)])
         if self.case.road:
-            adequate *= verdict.free_of_lines(bench, left)[0] * verdict.punctual(bench, found)
+            adequate *= verdict.free_of_lines(bench, left)[0] * verdict.punctual(bench, found, self.temper)
         if found is self.base:
             return verdict.Gates(1.0, adequate, 1.0)
         names = bench.problem.channels
@@ -295,8 +297,9 @@ class _Search:
         if beats[1, 0] < _SURE:
             return False
         alone = self.case.road and self.reference is None
-        # clocks that are all at their ends make up for something: what frees them is worth it
-        if alone and verdict.punctual(self.bench, few) < 0.5 <= verdict.punctual(self.bench, many):
+        # clocks that are all at their ends make up for something: what frees them is worth it, if that is worth it
+        freed = verdict.punctual(self.bench, few, self.temper) < 0.5 <= verdict.punctual(self.bench, many, self.temper)
+        if alone and freed and relieved([few.strain, many.strain], self.temper)[1] > _RELIEF:
             return True
         for column, channel in enumerate(self.bench.problem.channels):
             before = self.left[0] if self.case.road else few_left

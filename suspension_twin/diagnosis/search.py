@@ -38,6 +38,7 @@ _WORTH_A_LOOK = 3.0
 #: Effects whose Jacobian is simulated anew before they are judged: the best by the rough fit.
 _FINALISTS = 7
 _BEST_PAIRS = 3
+_VARIANTS = 2  # of an effect that are fitted: the corners that suit best by linear algebra
 #: Nuisances that are in small what an effect is in large.
 _SHARED = ("clock_offset", "map_position", "tilt_roll", "tilt_pitch")
 #: Nats that an effect has to be able to change the signals by at prior strength, to be judged at all.
@@ -140,27 +141,28 @@ def _rough(
     bench: Bench, base: Linear, anchor: Linear, effect: str, variants: Sequence[Hypothesis], seed: int
 ) -> _Rough:
     """The best of an effect's variants, from many starts, its vehicle's Jacobian mostly the reference's."""
-    best, powers = None, []
-    for v in variants:
-        tried = screened(bench, anchor, v, v.starts(_STARTS, seed))
-        powers.append(tried.power)
-        if best is None or tried.cost[0] < best[0].cost[0]:
-            best = (tried, v)
-    assert best is not None
-    tried, v = best
-    starts = [*tried.x[:_TRIED], *_resonant(bench, anchor, v, v), np.concatenate([base.x, v.neutral()])]
-    x, cost = refit(bench, v, starts, anchor.at.jacobian, _ROUGH)
-    if not math.isfinite(cost):
-        # a baseline that made up for what no vehicle can may be one that nothing can be added to
-        starts = [np.concatenate([bench.centre, u]) for u in (v.neutral(), *v.starts(_STARTS, seed).T)]
-        x, cost = refit(bench, v, starts, None, _DEEP)
+    screens = [screened(bench, anchor, v, v.starts(_STARTS, seed)) for v in variants]
+    powers = np.concatenate([s.power for s in screens])
+    order = sorted(range(len(variants)), key=lambda i: screens[i].cost[0])
+    found = []
+    # a damper too weak at one corner looks like one too strong at the other: which it is, a fit tells
+    for i in order[:_VARIANTS]:
+        v, tried = variants[i], screens[i]
+        starts = [*tried.x[:_TRIED], *_resonant(bench, anchor, v, v), np.concatenate([base.x, v.neutral()])]
+        x, cost = refit(bench, v, starts, anchor.at.jacobian, _ROUGH)
+        if not math.isfinite(cost):
+            # a baseline that made up for what no vehicle can may be one that nothing can be added to
+            starts = [np.concatenate([bench.centre, u]) for u in (v.neutral(), *v.starts(_STARTS, seed).T)]
+            x, cost = refit(bench, v, starts, None, _DEEP)
+        for begun, start in _wide(bench, base, v, seed):
+            if begun < _WORTH_A_LOOK * cost:
+                y, other = refit(bench, v, [start], None, _DEEP)
+                x, cost = (y, other) if other < cost else (x, cost)
+        found.append((cost, v, x))
+    cost, v, x = min(found, key=lambda f: f[0])
     if not math.isfinite(cost):
         raise WorkError(f"the twin cannot be simulated with {effect}")
-    for begun, start in _wide(bench, base, v, seed):
-        if begun < _WORTH_A_LOOK * cost:
-            y, other = refit(bench, v, [start], None, _DEEP)
-            x, cost = (y, other) if other < cost else (x, cost)
-    return _Rough(cost, effect, v, x, np.concatenate(powers))
+    return _Rough(cost, effect, v, x, powers)
 
 
 def _resonant(bench: Bench, base: Linear, hypothesis: Hypothesis, added: Hypothesis) -> list[Floats]:

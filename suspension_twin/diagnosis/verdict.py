@@ -123,13 +123,15 @@ def free_of_lines(bench: Bench, left: Remainder) -> tuple[float, Line | None]:
     return float(norm.sf(np.log(line.strength / _LINE) / np.log(_LINE_SPREAD))), line
 
 
-def punctual(bench: Bench, found: Evidence) -> float:
+def punctual(bench: Bench, found: Evidence, temper: float) -> float:
     """Probability that the drives' clocks, each of which may be off by a little, are not asked to make up for
-    something: a single one goes to its limit on a sound car, all of them do where the time is wrong."""
+    something: a single one goes to its limit on a sound car, all of them do where the time is wrong. Asked for is what
+    is left of it where residuals count by ``temper``."""
     own = [i for i, n in enumerate(bench.problem.nuisances.names) if n.endswith(".clock_offset")]
     if not own:
         return 1.0
-    off = found.fit.x[bench.d + np.array(own)] / bench.problem.nuisances.spread[own]
+    unknowns = found.fit.x if found.strain is None else found.strain.eased(temper)
+    off = unknowns[bench.d + np.array(own)] / bench.problem.nuisances.spread[own]
     return float(norm.sf((float(np.sqrt(np.mean(off**2))) - _LATE) / _LATE_SPREAD))
 
 

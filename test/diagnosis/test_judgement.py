@@ -145,7 +145,7 @@ def fitted(hypothesis: Hypothesis, nuisances: dict[str, float], values: dict[str
     there = SimpleNamespace(d=2, q=len(names), problem=SimpleNamespace(nuisances=given, twin=twin))
     u = [(values[p.name] - p.typical) / p.spread for _, p in hypothesis.searched]
     x = np.concatenate([np.zeros(2), [0.002 * v for v in nuisances.values()], u])
-    return there, SimpleNamespace(fit=SimpleNamespace(hypothesis=hypothesis, x=x))
+    return there, SimpleNamespace(fit=SimpleNamespace(hypothesis=hypothesis, x=x), strain=None)
 
 
 @pytest.mark.parametrize(("mass", "low", "high"), [(30.0, 0.0, 0.05), (60.0, 0.45, 0.55), (150.0, 0.99, 1.0)])
@@ -216,7 +216,7 @@ def test_clocks_that_are_all_at_their_limit_make_up_for_something() -> None:
     def punctual(*own: float) -> float:
         nuisances = {"map_position": 3.0, "clock_offset": -3.0}
         nuisances |= {f"drive_{i}.clock_offset": v for i, v in enumerate(own)}
-        return verdict.punctual(*fitted(Hypothesis(), nuisances, {}))
+        return verdict.punctual(*fitted(Hypothesis(), nuisances, {}), 1.0)
 
     assert punctual(3.0, 3.0, -3.0) < 0.05
     assert punctual(-3.0, 0.5, 1.0) > 0.99 and punctual(0.1, 0.2) > 0.99

@@ -3,12 +3,14 @@
 
 from __future__ import annotations
 
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 import pytest
 from scipy.optimize import minimize
 
+from suspension_twin.diagnosis import verdict
 from suspension_twin.diagnosis.bench import Linearised
 from suspension_twin.diagnosis.fit import Linear, refit
 from suspension_twin.diagnosis.hypotheses import BASELINE, Hypothesis
@@ -85,6 +87,21 @@ def test_the_price_is_that_of_the_best_between_residuals_and_prior(seed: int, te
     spent, _ = strain_of(bench, fit, np.ones(bench.b.size)).at(temper)
     assert spent == pytest.approx(best.fun, rel=1e-3, abs=1e-4)
     assert spent <= 0.5 * float(np.sum(fit.x[1:4] ** 2)) + 1e-9
+
+
+def test_clocks_at_their_ends_ease_where_little_asks_for_it() -> None:
+    """A clock that is late by far keeps all of them at their ends; one that is late by a little, of which a model's own
+    error makes a lot, lets them go."""
+    for late, louder, least, most in ((60.0, 3.0, 2.99, 3.0), (5.5, 0.4, 0.0, 2.5)):
+        bench: Any = clocks(late, louder=louder)
+        fit = bench.fit(BASELINE)
+        eased = strain_of(bench, fit, np.ones(bench.b.size)).eased(0.01)[2:4]
+        asked = np.sqrt(np.mean(eased**2))
+        assert least <= asked <= most + 1e-9 and asked <= np.sqrt(np.mean(fit.x[2:4] ** 2)) + 1e-9
+        found: Any = SimpleNamespace(fit=fit, strain=strain_of(bench, fit, np.ones(bench.b.size)))
+        nuisances = SimpleNamespace(names=["clock_offset", "one.clock_offset", "two.clock_offset"], spread=np.ones(3))
+        bench.problem = SimpleNamespace(nuisances=nuisances)
+        assert (verdict.punctual(bench, found, 0.01) > 0.5) == (late < 10.0)
 
 
 def told(bench: Any, *hypotheses: Hypothesis) -> np.ndarray:
