@@ -33,30 +33,20 @@ class Strain:
     low: Floats
     high: Floats
 
-    def eased(self, temper: float) -> Floats:
-        """(p,) how far from the prior's centre all is where residuals count by ``temper`` and the nuisances are what
-        suits both best."""
-        return self.away + self._step(temper)[0]
-
     def at(self, temper: float) -> tuple[float, float]:
-        """Nats that the nuisances cost there, with what the residuals lose by it, and nats that the freedom of all
-        unknowns costs."""
-        step, gradient, hessian = self._step(temper)
-        own = self.nuisances
+        """Nats that the nuisances cost where residuals count by ``temper`` and the nuisances are what suits both best,
+        with what the residuals lose by it; and nats that the freedom of all unknowns costs there."""
+        own, given = self.nuisances, temper * self.precision
+        given[own, own] = self.precision[own, own]
+        hessian = temper * self.curvature + given
+        gradient = temper * self.slope + np.einsum("ij,j->i", given, self.away, optimize=False)
+        step = within(hessian, gradient[:, None], self.low, self.high)[:, 0]
         # what the residuals lose by it is the price of sparing the nuisances
         changed = float(gradient @ step + 0.5 * step @ hessian @ step)
         spent = 0.5 * float(self.away[own] @ self.precision[own, own] @ self.away[own]) + changed
         full = temper * self.curvature + self.precision
         freedom = 0.5 * (np.linalg.slogdet(full)[1] - np.linalg.slogdet(self.precision)[1])
         return max(spent, 0.0), float(freedom)
-
-    def _step(self, temper: float) -> tuple[Floats, Floats, Floats]:
-        """(p,) from the fit to there, and gradient and curvature of what is least there."""
-        own, given = self.nuisances, temper * self.precision
-        given[own, own] = self.precision[own, own]
-        hessian = temper * self.curvature + given
-        gradient = temper * self.slope + np.einsum("ij,j->i", given, self.away, optimize=False)
-        return within(hessian, gradient[:, None], self.low, self.high)[:, 0], gradient, hessian
 
 
 def strain_of(bench: Bench, fit: Linear, scale: Floats) -> Strain:

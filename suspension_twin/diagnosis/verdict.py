@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.stats import norm
+from scipy.stats import chi2, norm
 
 from suspension_twin.diagnosis.bench import Bench
 from suspension_twin.diagnosis.gaps import Remainder, shown_rows
@@ -44,6 +44,8 @@ _LINE, _LINE_SPREAD = 16.0, 1.2
 #: Rms of the drives' own clock errors, in spreads of what is normal and of which none goes beyond three, at which a
 #: sound model is as likely as not.
 _LATE, _LATE_SPREAD = 2.92, 0.04
+#: Probability of clocks and maps that are off by so much, at which it is as likely as not that they make up for more.
+_CHANCE = 0.01
 _HALF_OCTAVES = 1.0 * 2.0 ** (0.5 * np.arange(9))  # Hz
 _LEAST_TEMPER = 0.03
 #: How many times what the next effect gains one has to gain before it stands for itself, with a library of so many at
@@ -125,14 +127,16 @@ def free_of_lines(bench: Bench, left: Remainder) -> tuple[float, Line | None]:
 
 def punctual(bench: Bench, found: Evidence, temper: float) -> float:
     """Probability that the drives' clocks, each of which may be off by a little, are not asked to make up for
-    something: a single one goes to its limit on a sound car, all of them do where the time is wrong. Asked for is what
-    is left of it where residuals count by ``temper``."""
+    something: a single one goes to its limit on a sound car, all of them do where the time is wrong. Where residuals
+    that count by ``temper`` hardly ask for it, it is chance: as probable as clocks and maps are together."""
     own = [i for i, n in enumerate(bench.problem.nuisances.names) if n.endswith(".clock_offset")]
     if not own:
         return 1.0
-    unknowns = found.fit.x if found.strain is None else found.strain.eased(temper)
-    off = unknowns[bench.d + np.array(own)] / bench.problem.nuisances.spread[own]
-    return float(norm.sf((float(np.sqrt(np.mean(off**2))) - _LATE) / _LATE_SPREAD))
+    off = found.fit.x[bench.d + np.array(own)] / bench.problem.nuisances.spread[own]
+    late = float(norm.cdf((float(np.sqrt(np.mean(off**2))) - _LATE) / _LATE_SPREAD))
+    placed = sum(n.endswith(("clock_offset", "map_position")) for n in bench.problem.nuisances.names)
+    chance = 0.0 if found.strain is None else float(chi2.sf(2.0 * found.strain.at(temper)[0], placed))
+    return 1.0 - late * _CHANCE / (_CHANCE + chance)
 
 
 def sound(found: Evidence, channels: Sequence[int]) -> float:

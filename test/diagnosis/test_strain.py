@@ -89,19 +89,19 @@ def test_the_price_is_that_of_the_best_between_residuals_and_prior(seed: int, te
     assert spent <= 0.5 * float(np.sum(fit.x[1:4] ** 2)) + 1e-9
 
 
-def test_clocks_at_their_ends_ease_where_little_asks_for_it() -> None:
-    """A clock that is late by far keeps all of them at their ends; one that is late by a little, of which a model's own
-    error makes a lot, lets them go."""
-    for late, louder, least, most in ((60.0, 3.0, 2.99, 3.0), (5.5, 0.4, 0.0, 2.5)):
+def test_clocks_at_their_ends_are_chance_where_little_asks_for_it() -> None:
+    """A clock that is late by far takes all of them to their ends at any price; one that is late by a little, of which
+    a model's own error makes a lot, does so for next to nothing."""
+    for late, louder in ((60.0, 3.0), (9.0, 0.2)):
         bench: Any = clocks(late, louder=louder)
+        names = ["clock_offset", "one.clock_offset", "two.clock_offset"]
+        bench.problem = SimpleNamespace(nuisances=SimpleNamespace(names=names, spread=np.ones(3)))
         fit = bench.fit(BASELINE)
-        eased = strain_of(bench, fit, np.ones(bench.b.size)).eased(0.01)[2:4]
-        asked = np.sqrt(np.mean(eased**2))
-        assert least <= asked <= most + 1e-9 and asked <= np.sqrt(np.mean(fit.x[2:4] ** 2)) + 1e-9
+        assert (fit.x[2:4] > 2.95).all()
         found: Any = SimpleNamespace(fit=fit, strain=strain_of(bench, fit, np.ones(bench.b.size)))
-        nuisances = SimpleNamespace(names=["clock_offset", "one.clock_offset", "two.clock_offset"], spread=np.ones(3))
-        bench.problem = SimpleNamespace(nuisances=nuisances)
         assert (verdict.punctual(bench, found, 0.01) > 0.5) == (late < 10.0)
+        found.strain = None
+        assert verdict.punctual(bench, found, 0.01) < 0.5
 
 
 def told(bench: Any, *hypotheses: Hypothesis) -> np.ndarray:
