@@ -18,6 +18,7 @@ import numpy as np
 
 from suspension_twin.calibration.tracked_paper import simulate_runs
 from suspension_twin.calibration.tracked_runs import MarkerRun
+from suspension_twin.diagnosis.fit import within
 from suspension_twin.diagnosis.tracked_own import (
     OWN_HIGH,
     OWN_LOW,
@@ -59,6 +60,7 @@ _FOLDS = 5
 _DOUBT = 0.5  # error of a change that the model tells, over its error about the sound vehicle there and then
 _AROUND = 0.5  # s over which that error is taken
 _STEPS = 8
+_LARGEST_STEP = 2.0  # spreads
 _WORN = (0.25, 0.45, 0.7)  # what is left of a worn track's stiffness, to begin from
 
 
@@ -310,6 +312,19 @@ def _solve(a: Floats, r: Floats, x0: Floats) -> Floats:
     return np.asarray(np.linalg.solve(a.T @ a + _SAMPLES * np.eye(a.shape[1]), a.T @ r - _SAMPLES * x0))
 
 
+def _step(linear: _Linear, weight: Floats, low: Floats, high: Floats) -> Floats:
+    """(d,) step of the parameters, in units of their priors of weight (d + 2 runs,), between ``low`` and ``high`` (d,)
+    and no further than the linearisation is good for. A clock at its bound stays there, which takes nothing off a
+    parameter: it is set anew at the next place anyway."""
+    size, clocks = low.size, linear.x0[low.size :]
+    free = np.abs(clocks) < _FARTHEST - 1e-9
+    down = np.concatenate([np.maximum(low, -_LARGEST_STEP), free * (-_FARTHEST - clocks)])
+    up = np.concatenate([np.minimum(high, _LARGEST_STEP), free * (_FARTHEST - clocks)])
+    gradient = weight * linear.x0 - linear.a.T @ linear.r
+    hessian = linear.a.T @ linear.a + np.diag(weight)
+    return within(hessian, gradient[:, None], np.minimum(down, 0.0), np.maximum(up, 0.0))[:size, 0]
+
+
 def fit(bench: Bench, hypothesis: Hypothesis) -> Fitted | None:
     """The best parameters, by Gauss-Newton with halved steps; None where it cannot be simulated."""
     k = len(hypothesis.keys)
@@ -321,15 +336,14 @@ def fit(bench: Bench, hypothesis: Hypothesis) -> Fitted | None:
     high = np.concatenate([hypothesis.high, OWN_HIGH])[:count]
     x = centre.copy()
     # an effect's own prior is wide: what a fault is like is not known beforehand
-    wide = np.ones(x.size + 2 * len(bench.runs))
-    wide[:k] = 0.1
+    weight = np.full(x.size + 2 * len(bench.runs), _SAMPLES)
+    weight[:k] *= 0.01
     best: tuple[float, Floats, _Linear] | None = None
     for _ in range(_STEPS):
         linear = _linear(bench, hypothesis, x, prior, centre)
         if linear is None:
             break
-        x0 = linear.x0 * wide
-        cost = float(linear.r @ linear.r + _SAMPLES * (x0 @ x0))
+        cost = float(linear.r @ linear.r + weight @ linear.x0**2)
         if best is not None and cost > best[0] * (1 + 1e-6):
             x = 0.5 * (x + best[1])
             if np.abs((x - best[1]) / prior).max(initial=0.0) < 1e-3:
@@ -337,10 +351,7 @@ def fit(bench: Bench, hypothesis: Hypothesis) -> Fitted | None:
             continue
         gained = np.inf if best is None else 1.0 - cost / best[0]
         best = cost, x.copy(), linear
-        held = np.flatnonzero(np.abs(linear.x0[x.size :]) > _FARTHEST - 1e-9) + x.size
-        free = np.delete(np.arange(x0.size), held)  # a clock at its bound takes nothing more off a parameter
-        step = _solve(linear.a[:, free], linear.r, x0[free])[: x.size]
-        new = np.clip(x + prior * np.clip(step, -2.0, 2.0), low, high)
+        new = np.clip(x + prior * _step(linear, weight, (low - x) / prior, (high - x) / prior), low, high)
         if not x.size or gained < 1e-3 or np.abs((new - x) / prior).max() < 2e-3:
             break
         x = new
