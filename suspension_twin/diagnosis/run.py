@@ -189,21 +189,21 @@ class _Search:
         self, found: Evidence, left: gaps.Remainder, least: float = verdict.MATERIAL, alone: float = 0.0
     ) -> verdict.Gates:
         bench = self.bench
-        level, quiet = verdict.level_of(bench, left, self.noise, shown=True), self._noise_share()
-        if self.reference is None or level < quiet:
-            adequate = verdict.background(level, quiet)
-            if level > verdict.LITTLE:
-                adequate *= verdict.even(bench, left, self.noise)
-        else:
-            adequate = verdict.sound(found, [c for c, n in enumerate(bench.problem.channels) if self._driven(n)])
-        if self.case.road:
-            adequate *= verdict.free_of_lines(bench, left)[0] * verdict.punctual(bench, found, self.temper)
-        if found is self.base:
-            return verdict.Gates(1.0, adequate, 1.0)
         names = bench.problem.channels
         columns = range(len(names))
         # what is gained in one channel and lost in another is traded, not explained, unless nothing else gains alike
         most = max(self._shrink(self.left[0], left, c).shrink for c in columns if self._driven(names[c]))
+        level, quiet = verdict.level_of(bench, left, self.noise, shown=True), self._noise_share()
+        if self.reference is None or level < quiet:
+            adequate = verdict.background(level, quiet, None if found is self.base else most)
+            if level > verdict.LITTLE:
+                adequate *= verdict.even(bench, left, self.noise)
+        else:
+            adequate = verdict.sound(found, [c for c in columns if self._driven(names[c])])
+        if self.case.road:
+            adequate *= verdict.free_of_lines(bench, left)[0] * verdict.punctual(bench, found, self.temper)
+        if found is self.base:
+            return verdict.Gates(1.0, adequate, 1.0)
         material = max(self._material(left, c, least) for c in columns)
         material *= max(min(self._unspoilt(left, c, most) for c in columns), alone)
         material *= verdict.uncommon(bench, found, self.reference is not None)

@@ -317,3 +317,22 @@ def test_a_cause_that_shows_without_closing_the_gap_is_not_said_to_shrink_it() -
 
     assert told(0.3) == "partly road smoothing: the gap shrinks by 30 % (20 to 40 %) on road that the fit has not seen"
     assert "does not shrink the gap (-11 to 9 %)" in told(-0.01)
+
+
+def test_what_stands_in_takes_little_where_much_is_left() -> None:
+    much, little = 0.25, 0.05  # of the motion
+    assert verdict.background(much, 0.01, 0.1) < 0.75 * verdict.background(much, 0.01)
+    assert verdict.background(much, 0.01, 0.8) > 0.95 > verdict.background(much, 0.01)
+    assert verdict.background(little, 0.01, 0.1) > 0.95  # what is so quiet lacks nothing, however it came about
+    shares = [verdict.background(much, 0.01, s) for s in np.linspace(-0.2, 1.1, 40)]
+    assert (np.diff(shares) >= 0).all() and min(shares) > 0.0 and max(shares) < 1.0
+    # both densities are ones: averaged over what stand-ins take, the odds are those of the level alone
+    s = (np.arange(20000) + 0.5) / 20000
+    shape = 1.0 / 0.23 - 1.0
+    of_a_stand_in = shape * (1.0 - s) ** (shape - 1.0)
+    assert np.mean(of_a_stand_in) == pytest.approx(1.0, abs=1e-3)
+    assert np.mean(s * of_a_stand_in) == pytest.approx(0.23, abs=1e-3)
+    told = verdict.background(much, 0.01, 0.4)
+    odds = told / (1.0 - told)
+    alone = verdict.background(much, 0.01) / (1.0 - verdict.background(much, 0.01))
+    assert odds / alone == pytest.approx(1.0 / (shape * 0.6 ** (shape - 1.0)))
