@@ -40,12 +40,15 @@ _LEAST_EXCESS = 0.4
 _TRADED = 0.25  # what a channel may lose, over the square of the most that another gains
 _MAYBE = 0.05  # probability of being material below which an effect is out of the question
 _MOST_EFFECTS = 3
+_LEADS = (0.2, 0.1)  # weights from which on the likeliest effects and the next are tried with others
 #: Nuisances that are the same thing as an effect, and by how much -2 log posterior may differ if the effect takes over.
 _NORMAL_PART = {
     "sensor_tilt": ("tilt_roll", "tilt_pitch"), "time_offset": ("clock_offset",), "position_offset": ("map_position",),
 }  # fmt: skip
 _SAME_FIT = 20.0
-_RELIEF = 1.0  # nats that clocks which one more effect frees have to be spared
+#: Nats that clocks which one more effect frees have to be spared, and that clocks, map and mount have to be where it
+#: makes up for what these are asked more than for what is left.
+_RELIEF, _MUCH_RELIEF = 1.0, float(np.log(_SURE / (1.0 - _SURE)))
 _STRANGER = 0.6  # share of its motion that a reference leaves at the best fit, above which it is another car's
 
 
@@ -264,12 +267,29 @@ class _Search:
         )
 
     def _combine(self, everything: list[Evidence]) -> tuple[Evidence, gaps.Remainder]:
-        """The smallest set that closes the gap: greedily, one effect at a time, as long as it pays."""
-        order = np.argsort(-self.weights[1:], kind="stable")
-        lead = int(order[0]) + 1
-        chosen, left, gates = everything[lead], self.left[lead], self.gates[lead]
-        if self.weights[lead] < 0.2 or gates.material < 0.5:
-            return self.base, self.left[0]
+        """The smallest set that closes the gap, from the likeliest effects: of two causes the one that shows most by
+        itself may be neither, or too little of the gap while the other is not there."""
+        missing = self.gates[0].adequate < 0.5
+        best, best_left = self.base, self.left[0]
+        for place, at in enumerate(np.argsort(-self.weights[1:], kind="stable")[: len(_LEADS)]):
+            lead = int(at) + 1
+            material, there = self.gates[lead].material >= 0.5, best.fit.hypothesis.effects
+            if self.weights[lead] < _LEADS[place] or not (material or missing) or self.singles[at].effect in there:
+                continue
+            chosen, left = self._grown(everything[lead], self.left[lead], self.gates[lead])
+            size, largest = len(chosen.fit.hypothesis.effects), len(there)
+            if size == 1 and not (material and best is self.base):
+                continue
+            if (
+                best is self.base
+                or (size == largest and chosen.over(self.base) > best.over(self.base))
+                or (size > largest and self._pays(best, best_left, chosen, left))
+            ):
+                best, best_left = chosen, left
+        return best, best_left
+
+    def _grown(self, chosen: Evidence, left: gaps.Remainder, gates: verdict.Gates) -> tuple[Evidence, gaps.Remainder]:
+        """What a lead becomes, greedily, one more effect at a time, as long as it pays."""
         effects = library(self.case.twin, self.case.road, self.request.effects)
         weak = [s.effect for s in self.singles if not s.judged]
         # without a reference nobody knows what is left of a sound model: what pays is taken
@@ -297,9 +317,10 @@ class _Search:
         if beats[1, 0] < _SURE:
             return False
         alone = self.case.road and self.reference is None
+        spared = relieved([few.strain, many.strain], self.temper)[1] if alone else 0.0
         # clocks that are all at their ends make up for something: what frees them is worth it, if that is worth it
         freed = verdict.punctual(self.bench, few, self.temper) < 0.5 <= verdict.punctual(self.bench, many, self.temper)
-        if alone and freed and relieved([few.strain, many.strain], self.temper)[1] > _RELIEF:
+        if freed and spared > _RELIEF:
             return True
         for column, channel in enumerate(self.bench.problem.channels):
             before = self.left[0] if self.case.road else few_left
@@ -307,7 +328,9 @@ class _Search:
             if not self._driven(channel) or one.after < self.noise[channel]:
                 continue
             if one.after - two.after >= _WORTH * one.before and (
-                not alone or self._shrink(few_left, many_left, column, settled=True).shrink >= _WORTH_OF_THE_REST
+                not alone
+                or spared > _MUCH_RELIEF  # no model's own error asks that of clocks and map
+                or self._shrink(few_left, many_left, column, settled=True).shrink >= _WORTH_OF_THE_REST
             ):
                 return True
         return False

@@ -57,3 +57,55 @@ def test_what_frees_clocks_at_their_ends_joins_where_no_reference_says_what_is_n
     assert not pays(monkeypatch, (0.02, 0.02), after=0.79)
     assert not pays(monkeypatch, (0.02, 0.9), after=0.79, sure=0.9)
     assert not pays(monkeypatch, (0.02, 0.9), after=0.79, reference=0.1)
+
+
+def test_what_spares_clocks_and_map_much_has_not_to_take_a_fifth_of_the_rest(monkeypatch: pytest.MonkeyPatch) -> None:
+    assert pays(monkeypatch, (1.0, 1.0), after=0.69, relief=3.5)
+    assert not pays(monkeypatch, (1.0, 1.0), after=0.69, relief=2.5)
+    assert not pays(monkeypatch, (1.0, 1.0), after=0.75, relief=3.5)  # a tenth of the gap it has to
+
+
+def found(effects: tuple[str, ...], gain: float) -> Any:
+    fit = SimpleNamespace(hypothesis=SimpleNamespace(effects=effects))
+    return SimpleNamespace(fit=fit, over=lambda base: gain)
+
+
+def combined(
+    weights: tuple[float, float], materials: tuple[float, float], grown: tuple[Any, Any], adequate: float = 0.1,
+    paying: bool = True,
+) -> tuple[tuple[str, ...], list[str]]:  # fmt: skip
+    """What is chosen of leads "a" and "b" that grow to ``grown``, and which of them were grown."""
+    base, tried = found((), 0.0), []
+    alone = [found(("a",), 10.0), found(("b",), 9.0)]
+
+    def grow(lead: Any, left: Any, gates: Any) -> tuple[Any, str]:
+        tried.append(lead.fit.hypothesis.effects[0])
+        return grown[alone.index(lead)] or lead, "left"
+
+    search: Any = SimpleNamespace(
+        base=base, left=["base", "a", "b"], weights=np.array([1.0 - sum(weights), *weights]),
+        gates=[verdict.Gates(1.0, adequate, 1.0), *(verdict.Gates(m, 0.2, 1.0) for m in materials)],
+        singles=[SimpleNamespace(effect="a"), SimpleNamespace(effect="b")], _grown=grow, _pays=lambda *given: paying,
+    )  # fmt: skip
+    chosen, _ = run._Search._combine(search, [base, *alone])
+    return chosen.fit.hypothesis.effects, tried
+
+
+def test_a_set_is_begun_from_the_likeliest_effects() -> None:
+    ab, bc = found(("a", "b"), 20.0), found(("b", "c"), 30.0)
+    assert combined((0.8, 0.05), (1.0, 1.0), (None, bc)) == (("a",), ["a"])  # nobody else is likely
+    assert combined((0.15, 0.1), (1.0, 1.0), (ab, bc)) == (("b", "c"), ["b"])  # the first alone has to be likelier
+    assert combined((0.6, 0.3), (1.0, 1.0), (None, bc)) == (("b", "c"), ["a", "b"])
+    assert combined((0.6, 0.3), (1.0, 1.0), (None, bc), paying=False) == (("a",), ["a", "b"])
+    assert combined((0.6, 0.3), (1.0, 1.0), (found(("a", "d"), 20.0), bc)) == (("b", "c"), ["a", "b"])
+    assert combined((0.6, 0.3), (1.0, 1.0), (found(("a", "d"), 40.0), bc)) == (("a", "d"), ["a", "b"])
+    assert combined((0.6, 0.3), (1.0, 1.0), (ab, bc)) == (("a", "b"), ["a"])  # it is there already
+
+
+def test_what_is_too_little_by_itself_may_be_one_of_two_where_something_is_missing() -> None:
+    ab = found(("a", "b"), 20.0)
+    assert combined((0.8, 0.05), (0.4, 1.0), (ab, None)) == (("a", "b"), ["a"])
+    assert combined((0.8, 0.05), (0.4, 1.0), (None, None)) == ((), ["a"])
+    assert combined((0.8, 0.05), (0.4, 1.0), (ab, None), adequate=0.9) == ((), [])
+    assert combined((0.6, 0.3), (0.4, 1.0), (None, None)) == (("b",), ["a", "b"])
+    assert combined((0.6, 0.3), (0.4, 0.4), (None, None)) == ((), ["a", "b"])
