@@ -52,7 +52,7 @@ def draw(rows: Sequence[Row], result: dict[str, Any], path: Path) -> None:
     _reliability(below, result["reliability"])
     figure.suptitle(
         f"Diagnosis of withheld effects: {result['cases']} cases, {result['seeds']} seeds, "
-        f"commit {', '.join(result['commit'])[:60]}", color=_INK, fontsize=13, x=0.01, ha="left",
+        f"commit {', '.join(c[:7] for c in result['commit'])}", color=_INK, fontsize=13, x=0.01, ha="left",
     )  # fmt: skip
     path.parent.mkdir(parents=True, exist_ok=True)
     figure.savefig(path, dpi=110, facecolor="white")
@@ -89,9 +89,9 @@ def _reliability(axes: Axes, bins: Sequence[dict[str, float]]) -> None:
     axes.plot([0, 1], [0, 1], color=_SOFT, linewidth=1.0)
     axes.plot([b["said"] for b in bins], [b["right"] for b in bins], "o-", color="#1b7f5c", markersize=5)
     for b in bins:
-        axes.annotate(f"{b['n']}", (b["said"], b["right"]), textcoords="offset points", xytext=(6, -10), fontsize=8,
-                      color=_SOFT)  # fmt: skip
-    axes.set_xlim(-0.03, 1.08)
+        axes.annotate(f"{b['n']}", (b["said"], b["right"]), textcoords="offset points", xytext=(-4, 7), fontsize=8,
+                      ha="center", color=_SOFT)  # fmt: skip
+    axes.set_xlim(-0.12, 1.08)
     axes.set_ylim(-0.03, 1.08)
     axes.set_aspect("equal")
     axes.set_xlabel("probability said", color=_INK)
