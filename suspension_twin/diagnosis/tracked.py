@@ -39,13 +39,15 @@ from suspension_twin.vehicle.twin import EffectSpec, Twin, load_twin
 __all__ = ["TrackedDiagnosis", "diagnose_tracked", "diagnose_tracked_files"]
 
 _MATERIAL: Final = 0.10  # share of the gap's rms above the noise that a cause must take away
-_QUIET: Final = 1.25  # level below which a gap is what repeats differ by
+_QUIET: Final = 1.25  # level below which a gap is what repeats differ by, unless a cause shows in it
+_SHOWS: Final = float(np.log(19.0))  # log evidence that a cause gains which shows, at odds of 19 to 1
 _CALM: Final = 1.5  # ... and below which a gap that no cause takes away is not worth a word
 _SURE: Final = 0.60  # ... and from which on something of the library is behind it for sure
 _ADEQUATE: Final = 0.50  # share of the gap above the noise that a cause named alone takes away
 _PARTLY: Final = 0.35  # ... and that a cause named for a part of it does, if every effect can be judged
 #: Log evidence that some effect gains where the gap is of one that cannot be judged: what the model does not tell
-#: looks like something else by accident. From specimens with worn and slack tracks that are not reported.
+#: looks like something else of its kind, of the vehicle or of the camera, by accident. From specimens with worn and
+#: slack tracks that are not reported; what those gained of the other kind was less than 1.
 _UNTOLD: Final = 5.0
 _PAYS: Final = 8.0  # log evidence that a second effect has to bring
 _TIED: Final = 3.0  # log evidence within which two causes cannot be told apart
@@ -143,6 +145,14 @@ def _closed(before: Fitted, after: Fitted) -> float:
     return 1.0 - _above(after.left) / _above(before.left)
 
 
+def _untold(name: str, gain: dict[str, float]) -> float:
+    """Log evidence that an effect which cannot be judged may stand for: a track looks like a bar or a load, but not
+    like a camera that is turned, and the other way about."""
+    lead = max(gain, key=lambda n: gain[n])
+    own = [n for n in gain if (TRACKED_EFFECTS[n].camera is None) == (TRACKED_EFFECTS[name].camera is None)]
+    return _UNTOLD if lead in own else max(0.0, *(gain[n] for n in own))
+
+
 def _conclude(
     twin: TrackedTwin, bench: Bench, standing: Fitted, base: Fitted, singles: dict[str, Fitted],
     gain: dict[str, float], chosen: Fitted, seen: list[Visible], seed: int, warnings: list[str],
@@ -151,7 +161,7 @@ def _conclude(
     names = chosen.hypothesis.effects
     closed = _closed(base, chosen)
     small = best < _TIED or closed < _MATERIAL
-    quiet = _level(base) < _QUIET or (small and _level(base) < _CALM)
+    quiet = (best < _SHOWS and _level(base) < _QUIET) or (small and _level(base) < _CALM)
     # how likely it is that nothing of the library is behind it; what a cause leaves open is for the verdict to say
     nothing = float(np.clip((_SURE - closed) / (_SURE - _MATERIAL), 0.0, 1.0)) if not quiet else 0.0
     weights = {n: float(np.exp(g - best)) for n, g in gain.items()}
@@ -160,7 +170,7 @@ def _conclude(
     no_gap = mass * (float(np.exp(-min(best, 50.0))) if not quiet else 0.97)
     # an effect that cannot be judged may be behind what another seems to explain
     unjudged = [v.effect for v in seen if not v.judged and v.effect not in names]
-    untold = len(unjudged) * float(np.exp(_UNTOLD - best)) if not quiet else 0.0
+    untold = sum(float(np.exp(_untold(n, gain) - best)) for n in unjudged) if not quiet else 0.0
     untold /= total + untold
     nothing += (mass - no_gap) * untold
     mass -= (mass - no_gap) * untold
