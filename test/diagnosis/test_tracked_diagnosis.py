@@ -244,3 +244,31 @@ def test_what_cannot_be_judged_may_be_behind_a_faint_cause(
     assert "track tension" in faint["message"]
     monkeypatch.setattr(tracked, "TRACKED_EFFECTS", {k: few[k] for k in ("sensor_scale", "station_damper")})
     assert diagnose_tracked(twin, runs, reference).document["combination"] == ["station_damper"]
+
+
+@pytest.mark.parametrize(("roll", "named"), [(0.0, []), (0.0001, []), (0.00033, ["sensor_tilt"])])
+def test_what_shows_is_named_in_a_gap_that_is_hardly_more_than_what_repeats_differ_by(
+    twin: TrackedTwin, monkeypatch: pytest.MonkeyPatch, roll: float, named: list[str]
+) -> None:
+    """A third of a milliradian in 4.6 s: little in any sample, and nothing but a turned camera drifts like it."""
+    few = {k: TRACKED_EFFECTS[k] for k in ("sensor_tilt", "station_damper", "track_tension")}
+    monkeypatch.setattr(tracked, "TRACKED_EFFECTS", few)
+    monkeypatch.setattr(tracked, "calibrate_to", lambda vehicle, runs: vehicle)
+    runs, reference = [film(twin, {"sensor_tilt": {"roll": roll}}, 1)], [film(twin, {}, k) for k in (3, 4)]
+    base = fit(make_bench(twin.vehicle, runs, reference), NOTHING)
+    assert base is not None and np.sqrt(base.left) < tracked._QUIET
+    d = diagnose_tracked(twin, runs, reference).document
+    assert d["combination"] == named and d["verdict"] == ("effect" if named else "no_gap")
+    assert d["cannot_be_judged"] == ["track_tension"]
+    if named:
+        assert d["causes"][0]["parameters"]["roll"] == pytest.approx(roll, rel=0.2)
+
+
+def test_a_track_that_cannot_be_judged_looks_like_something_of_the_vehicle() -> None:
+    gain = {"payload": 6.0, "station_bar": 1.5, "track_tension": 0.2, "sensor_tilt": 2.0, "time_offset": -0.3}
+    assert tracked._untold("track_tension", gain) == tracked._UNTOLD  # for a payload a slack track may be behind it
+    assert tracked._untold("time_offset", gain) == 2.0  # a clock looks like a payload no more than a tilt does
+    turned = gain | {"sensor_tilt": 9.0}
+    assert tracked._untold("track_tension", turned) == 6.0 and tracked._untold("time_offset", turned) == tracked._UNTOLD
+    nothing = {"track_tension": -0.2, "sensor_tilt": 4.0}
+    assert tracked._untold("track_tension", nothing) == 0.0
