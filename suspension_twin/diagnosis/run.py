@@ -319,8 +319,9 @@ class _Search:
         alone = self.case.road and self.reference is None
         spared = relieved([few.strain, many.strain], self.temper)[1] if alone else 0.0
         # clocks that are all at their ends make up for something: what frees them is worth it, if that is worth it
-        freed = verdict.punctual(self.bench, few, self.temper) < 0.5 <= verdict.punctual(self.bench, many, self.temper)
-        if freed and spared > _RELIEF:
+        if spared > _RELIEF and (
+            verdict.punctual(self.bench, few, self.temper) < 0.5 <= verdict.punctual(self.bench, many, self.temper)
+        ):
             return True
         for column, channel in enumerate(self.bench.problem.channels):
             before = self.left[0] if self.case.road else few_left

@@ -39,8 +39,8 @@ from suspension_twin.vehicle.twin import EffectSpec, Twin, load_twin
 __all__ = ["TrackedDiagnosis", "diagnose_tracked", "diagnose_tracked_files"]
 
 _MATERIAL: Final = 0.10  # share of the gap's rms above the noise that a cause must take away
-_QUIET: Final = 1.25  # level below which a gap is what repeats differ by, unless a cause shows in it
-_SHOWS: Final = float(np.log(19.0))  # log evidence that a cause gains which shows, at odds of 19 to 1
+_EVIDENT: Final = float(np.log(19.0))  # log evidence of a cause that is there at odds of 19 to 1
+_QUIET: Final = 1.25  # level below which a gap is what repeats differ by, unless a cause is evident
 _CALM: Final = 1.5  # ... and below which a gap that no cause takes away is not worth a word
 _SURE: Final = 0.60  # ... and from which on something of the library is behind it for sure
 _ADEQUATE: Final = 0.50  # share of the gap above the noise that a cause named alone takes away
@@ -161,7 +161,7 @@ def _conclude(
     names = chosen.hypothesis.effects
     closed = _closed(base, chosen)
     small = best < _TIED or closed < _MATERIAL
-    quiet = (best < _SHOWS and _level(base) < _QUIET) or (small and _level(base) < _CALM)
+    quiet = (best < _EVIDENT and _level(base) < _QUIET) or (small and _level(base) < _CALM)
     # how likely it is that nothing of the library is behind it; what a cause leaves open is for the verdict to say
     nothing = float(np.clip((_SURE - closed) / (_SURE - _MATERIAL), 0.0, 1.0)) if not quiet else 0.0
     weights = {n: float(np.exp(g - best)) for n, g in gain.items()}
