@@ -19,7 +19,7 @@ from suspension_twin.calibration.problem import Interrupted, Problem, _stack
 from suspension_twin.diagnosis.hypotheses import Hypothesis
 from suspension_twin.diagnosis.noise import INDEPENDENT, Whitener
 from suspension_twin.drive.types import Floats
-from suspension_twin.models.hooks import turns_with, upright_with
+from suspension_twin.models.hooks import gains_with, turns_with, upright_with
 from suspension_twin.models.parameters import lanes
 from suspension_twin.models.simulate import simulate_lanes
 from suspension_twin.models.types import Excitation
@@ -54,13 +54,15 @@ class Bench:
     """A problem over all drives; ``active`` (drives,) True where the gap is. ``precision`` (d + q, d + q)
     and ``centre`` (d + q,) are the prior of characteristics and nuisances. ``upright`` (drives,) is what excites a
     vehicle that does not lean on average: antenna and wheels are elsewhere if it is the sensor alone; ``turned``
-    (drives,) one whose motion was measured by a sensor turned as far as the drive shows.
+    (drives,) one whose motion was measured by a sensor turned as far as the drive shows, ``regained`` by one that
+    reads as much too much.
     ``heard`` limits the residuals to some drives; ``fused`` whether poses come from receiver and IMU together;
     ``barred`` names nuisances that stay at nothing."""
 
     problem: Problem
     upright: tuple[Excitation, ...]
     turned: tuple[Excitation, ...]
+    regained: tuple[Excitation, ...]
     active: tuple[bool, ...]
     whitener: Whitener
     precision: Floats
@@ -112,8 +114,11 @@ class Bench:
         reference reads of a lean is its mount's. Taken for the vehicle's there, antenna and wheels would lie a
         centimetre apart before and after.
         """
-        if turns_with(effects) and self.active[self.problem.drive_of[number]]:
-            return self.turned[number]
+        if self.active[self.problem.drive_of[number]]:
+            if turns_with(effects):
+                return self.turned[number]
+            if gains_with(effects):
+                return self.regained[number]
         return self.upright[number] if upright_with(effects) else self.problem.parts[number].excitation
 
     # -- simulation ----------------------------------------------------------------------------

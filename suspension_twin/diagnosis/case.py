@@ -28,6 +28,7 @@ from suspension_twin.gap.prepare import (
     Prepared,
     PrepareSettings,
     prepare,
+    regained_excitation,
     road_of,
     turned_excitation,
     upright_excitation,
@@ -65,12 +66,14 @@ _LEANING = ("vehicle.cog.2",)
 @dataclass(frozen=True, eq=False)
 class Case:
     """Drives ready to compare; ``active`` True where the gap is shown, ``road`` False without a road file; ``upright``
-    what excites a vehicle that does not lean on each drive, ``turned`` one whose sensor is turned on its mount."""
+    what excites a vehicle that does not lean on each drive, ``turned`` one whose sensor is turned on its mount,
+    ``regained`` one whose sensor reads too much."""
 
     twin: Twin
     drives: tuple[Prepared, ...]
     upright: tuple[Excitation, ...]
     turned: tuple[Excitation, ...]
+    regained: tuple[Excitation, ...]
     active: tuple[bool, ...]
     road: bool
     warnings: tuple[str, ...]
@@ -93,6 +96,7 @@ def read_case(request: DiagnosisRequest, note: Callable[[str], None], stop: Call
     drives: list[Prepared] = []
     upright: list[Excitation] = []
     turned: list[Excitation] = []
+    regained: list[Excitation] = []
     for bag in (*request.bags, *request.reference):
         if stop():
             raise Interrupted
@@ -105,6 +109,7 @@ def read_case(request: DiagnosisRequest, note: Callable[[str], None], stop: Call
         drives.append(prepared)
         upright.append(upright_excitation(prepared, recorded))
         turned.append(turned_excitation(prepared, recorded))
+        regained.append(regained_excitation(prepared, recorded))
     names: list[str] = []
     for i, drive in enumerate(drives):
         name = drive.name if drive.name not in names else f"{drive.name}_{i + 1}"
@@ -120,7 +125,7 @@ def read_case(request: DiagnosisRequest, note: Callable[[str], None], stop: Call
             "the twin file names no road: only the planar channels are compared, and only effects of clock, sensor "
             "and mount can be judged"
         )
-    return Case(twin, tuple(drives), tuple(upright), tuple(turned), active, on_road, tuple(warnings))
+    return Case(twin, tuple(drives), tuple(upright), tuple(turned), tuple(regained), active, on_road, tuple(warnings))
 
 
 def build(case: Case, stop: Callable[[], bool]) -> Bench:
@@ -159,7 +164,10 @@ def build(case: Case, stop: Callable[[], bool]) -> Bench:
     share = np.full((len(case.channels), 129), USUAL_SHARE)
     floors = [dict(p.noise_rms) for p in case.drives]
     whitener = Whitener.designed(problem, share, floors)
-    return Bench(problem, case.upright, case.turned, case.active, whitener, precision, centre, stop, fused=case.road)
+    return Bench(
+        problem, case.upright, case.turned, case.regained, case.active, whitener, precision, centre, stop,
+        fused=case.road,
+    )  # fmt: skip
 
 
 def _map_spread(drives: Sequence[Prepared]) -> float:

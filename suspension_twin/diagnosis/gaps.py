@@ -22,7 +22,7 @@ __all__ = ["Remainder", "Shrink", "remainder", "shrink_of", "standing"]
 _DRAWS = 2000
 #: Standard deviation of the logarithm of the share of a gap that a twin leaves, from one drive to another of the same
 #: car on the same road, and how many drives this knowledge counts as.
-_FROM_DRIVE_TO_DRIVE, _COUNTS_AS = 0.09, 4
+_FROM_DRIVE_TO_DRIVE, _COUNTS_AS = 0.15, 4
 _GONE = 0.02
 
 

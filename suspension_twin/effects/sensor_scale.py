@@ -37,5 +37,10 @@ EFFECT = Effect(
     severity=("scale",),
     excited_by=("gravity: standing still", "every acceleration"),
     confused_with=("road_scale", "accelerometer bias"),
-    hook=Hook(neutral(_PARAMETERS), signal=SignalStage(_signal, order=30), models=("full_car", "msd")),
+    hook=Hook(
+        neutral(_PARAMETERS),
+        signal=SignalStage(_signal, order=30),
+        models=("full_car", "msd"),
+        gained=lambda p: 1.0 + p.get("scale", 0.0),
+    ),
 )

@@ -1,17 +1,20 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A sensor that is turned on its mount, and by how much a drive shows.
+"""A sensor that is turned on its mount or reads too much, and by how much a drive shows.
 
 What shakes a vehicle quickly its IMU alone knows. One that is turned by ten degrees takes a sixth of the braking for
 a push to the side, and a vehicle that is simulated with that push rolls when its driver brakes. So where the mount is
 to blame, the recording is read once more as that of a sensor that stands so, for the motion that drives the model.
+The same goes for one that reads a fifth too much: at rest it reads a fifth more than gravity.
 """
 
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import numpy as np
 
+from suspension_twin.drive.types import Drive
 from suspension_twin.models.hooks import load_hook
 from suspension_twin.pose.types import Trajectory
 from suspension_twin.signals.attitude import matrix_rpy, rpy_matrix
@@ -20,11 +23,12 @@ from suspension_twin.signals.offline import ImuSignals
 from suspension_twin.vehicle.tracked_twin import TrackedTwin
 from suspension_twin.vehicle.twin import Place, Twin
 
-__all__ = ["heading_off", "turn_of", "turned"]
+__all__ = ["gain_at_rest", "gain_of", "heading_off", "regained", "turn_of", "turned"]
 
 #: Below this the path alone says how the vehicle is accelerated, Hz.
 _SLOW = FilterSpec(2, 0.4)
 _LEAST = 0.2  # m/s² rms of slow acceleration that tells a heading
+_BIASED = 0.02  # of gravity: what a sound accelerometer may be off by at rest
 
 
 def heading_off(signals: ImuSignals, trajectory: Trajectory) -> float:
@@ -43,6 +47,30 @@ def heading_off(signals: ImuSignals, trajectory: Trajectory) -> float:
     along = float(np.sum(pull[:, :2] * path))
     across = float(np.sum(pull[:, 0] * path[:, 1] - pull[:, 1] * path[:, 0]))
     return math.atan2(across, along)
+
+
+def gain_at_rest(signals: ImuSignals) -> float:
+    """How many times gravity the sensor reads standing still; 1 where it is its bias or the drive never stands."""
+    if not signals.standing.any():
+        return 1.0
+    rest = signals.force[signals.standing].mean(axis=0) + signals.force_bias
+    gain = float(np.linalg.norm(rest)) / signals.gravity
+    return gain if abs(gain - 1.0) > _BIASED else 1.0
+
+
+def gain_of(twin: Twin) -> float:
+    """How many times the specific force the twin's effects have the sensor read."""
+    if isinstance(twin, TrackedTwin):
+        return 1.0
+    hooks = ((load_hook(e.id), e.parameters) for e in twin.effects)
+    return math.prod(hook.gained(parameters) for hook, parameters in hooks if hook.gained is not None)
+
+
+def regained(drive: Drive, gain: float) -> Drive:
+    """The drive as a sensor would have recorded it that reads no more than there is."""
+    if gain == 1.0:
+        return drive
+    return replace(drive, imu=replace(drive.imu, specific_force=drive.imu.specific_force / gain))
 
 
 def turn_of(twin: Twin) -> tuple[float, float, float] | None:

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from suspension_twin.drive.types import Drive, Floats
 from suspension_twin.errors import InputError
 from suspension_twin.gap.measure import CHANNELS, Gap, measure_gap
-from suspension_twin.gap.mounting import heading_off, turn_of, turned
+from suspension_twin.gap.mounting import gain_at_rest, gain_of, heading_off, regained, turn_of, turned
 from suspension_twin.gap.noise import floor_rms
 from suspension_twin.gap.off_road import Ground, OffRoad, off_road
 from suspension_twin.gap.quiet import quiet_motion
@@ -36,7 +36,9 @@ from suspension_twin.signals.ingest import ImuSettings
 from suspension_twin.signals.offline import ImuSignals, ingest_drive
 from suspension_twin.vehicle.twin import Datum, Twin
 
-__all__ = ["PrepareSettings", "Prepared", "prepare", "turned_excitation", "upright_excitation"]
+__all__ = [
+    "PrepareSettings", "Prepared", "prepare", "regained_excitation", "turned_excitation", "upright_excitation",
+]  # fmt: skip
 
 #: The path that shows how a sensor is turned is made with its signals: each pass leaves a fifth of what was wrong.
 _TURNS = 3
@@ -228,10 +230,25 @@ def turned_excitation(prepared: Prepared, drive: Drive) -> Excitation:
     return _excitation(trajectory, twin, Ground(prepared.road, settings.outside), settings)
 
 
+def regained_excitation(prepared: Prepared, drive: Drive) -> Excitation:
+    """What excites the vehicle where all that the sensor reads beside gravity at rest is its gain."""
+    twin, settings = prepared.twin, prepared.settings
+    gain = gain_at_rest(prepared.signals)
+    if settings.satellites or gain_of(twin) != 1.0 or gain == 1.0:
+        return prepared.excitation
+    signals = ingest_drive(regained(drive, gain), twin.imu, settings.imu)
+    trajectory = _locked(drive, twin, signals, settings, twin.datum or _first_fix(drive), _upright(twin))
+    return _excitation(trajectory, twin, Ground(prepared.road, settings.outside), settings)
+
+
 def _as_mounted(drive: Drive, twin: Twin, signals: ImuSignals, settings: PrepareSettings) -> ImuSignals:
-    """The signals for what moves the vehicle: a mount that is known to be turned is no turn of the vehicle."""
-    turn = turn_of(twin)
-    return signals if turn is None else ingest_drive(drive, turned(twin.imu, turn), settings.imu)
+    """The signals for what moves the vehicle: a mount that is known to be turned is no turn of the vehicle, and what
+    a sensor reads too much is no push."""
+    turn, gain = turn_of(twin), gain_of(twin)
+    if turn is None and gain == 1.0:
+        return signals
+    place = twin.imu if turn is None else turned(twin.imu, turn)
+    return ingest_drive(regained(drive, gain), place, settings.imu)
 
 
 def _excitation(trajectory: Trajectory, twin: Twin, ground: Ground, settings: PrepareSettings) -> Excitation:

@@ -38,7 +38,7 @@ import numpy as np
 from suspension_twin.drive.types import Floats
 from suspension_twin.errors import InputError
 
-__all__ = ["ClockChange", "Hook", "RoadChange", "SignalStage", "load_hook", "turns_with", "upright_with"]
+__all__ = ["ClockChange", "Hook", "RoadChange", "SignalStage", "gains_with", "load_hook", "turns_with", "upright_with"]
 
 Values = Mapping[str, Floats]
 
@@ -123,6 +123,8 @@ class Hook:
     #: Roll, pitch and yaw in rad by which the effect turns the sensor on its mount: such a sensor takes braking for a
     #: push to the side, and what moves the vehicle has to be read from it turned back.
     turned: Callable[[Mapping[str, float]], tuple[float, float, float]] | None = None
+    #: How many times the specific force the sensor reads with the effect: what moves the vehicle is so much less.
+    gained: Callable[[Mapping[str, float]], float] | None = None
     #: Raises InputError for parameters (of a twin file) that the effect cannot have.
     check: Callable[[Mapping[str, float]], object] | None = None
 
@@ -146,6 +148,11 @@ def load_hook(effect: str) -> Hook:
 def turns_with(effects: Iterable[str]) -> bool:
     """Whether one of these effects, by id, turns the sensor on its mount."""
     return any(load_hook(effect).turned is not None for effect in effects)
+
+
+def gains_with(effects: Iterable[str]) -> bool:
+    """Whether one of these effects, by id, is a gain of the sensor."""
+    return any(load_hook(effect).gained is not None for effect in effects)
 
 
 def upright_with(effects: Iterable[str]) -> bool:

@@ -17,7 +17,7 @@ from pydantic import ValidationError
 from sensor_msgs.msg import Imu, NavSatFix
 
 from suspension_twin.errors import InputError, WorkError
-from suspension_twin.gap.mounting import turn_of
+from suspension_twin.gap.mounting import gain_of, turn_of
 from suspension_twin.nodes._base import Embedding, TwinNode
 from suspension_twin.nodes._files import FILTER, TWIN, twin_of
 from suspension_twin.nodes._health import WARN
@@ -81,7 +81,8 @@ class PoseInjectorNode(TwinNode):
         twin = twin_of(self.values)
         self._frame = None if twin is None else twin.gps.frame
         gps, imu, turn = (None, None, None) if twin is None else (twin.gps, twin.imu, turn_of(twin))
-        self._lock = PoseLock(settings_of(self.values), gps, datum_of(self.values), imu, turn)
+        gain = 1.0 if twin is None else gain_of(twin)
+        self._lock = PoseLock(settings_of(self.values), gps, datum_of(self.values), imu, turn, gain)
         self._seen.clear()
 
     def reset(self) -> None:

@@ -63,12 +63,15 @@ class PoseLock:
         datum: Datum | None = None,
         imu_place: Place | None = None,
         imu_turn: tuple[float, float, float] | None = None,
+        imu_gain: float = 1.0,
     ) -> None:
-        """``imu_turn``: roll, pitch and yaw in rad by which the sensor is turned further than its place says."""
+        """``imu_turn``: roll, pitch and yaw in rad by which the sensor is turned further than its place says;
+        ``imu_gain``: how many times the specific force it reads."""
         self.settings = settings or PoseSettings()
         self._gps = gps_place or Place(frame="gps_link")
         self._imu = imu_place or Place()
         self._turn = None if imu_turn is None else rpy_matrix(imu_turn)
+        self._gain = imu_gain
         self._given_datum = datum
         self._late = self.settings.imu_delay + SOFT_DELAY
         self._history = History(self.settings.history, self.settings.noise())
@@ -161,6 +164,8 @@ class PoseLock:
             return None
         if self._turn is not None:
             force, rate = (self._turn @ force).tolist(), (self._turn @ rate).tolist()
+        if self._gain != 1.0:  # the excess of its vertical has gone with the bias at rest
+            force = (force[0] / self._gain, force[1] / self._gain, force[2])
         t -= self._late  # what the low-passes let out now happened that long ago
         history = self._history
         if history.head >= 0:

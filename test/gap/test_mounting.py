@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A sensor turned on its mount: how far a drive shows it, and what then moves the vehicle."""
+"""A sensor turned on its mount, or that reads too much: how far a drive shows it, and what then moves the vehicle."""
 
 from __future__ import annotations
 
@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 
 from suspension_twin.drive.types import Drive, Floats
-from suspension_twin.gap.mounting import heading_off, turned
-from suspension_twin.gap.prepare import prepare, turned_excitation
+from suspension_twin.gap.mounting import gain_at_rest, heading_off, regained, turned
+from suspension_twin.gap.prepare import prepare, regained_excitation, turned_excitation
 from suspension_twin.gap.synthetic import SensorErrors, synthetic_drive
 from suspension_twin.models.excitation import MOTION
 from suspension_twin.models.types import Excitation
@@ -89,3 +89,34 @@ def test_a_turned_sensor_does_not_push_the_vehicle(
     for what in ("ax", "ay"):
         assert off(found, sound, what) < 0.01
         assert off(found, sound, what) < 0.3 * off(plain.excitation, sound, what)
+
+
+@pytest.mark.parametrize("scale", [-0.3, 0.0, 0.25])
+def test_gravity_shows_a_gain_and_a_bias_is_none(twin: Twin, bumps: Road, scale: float) -> None:
+    errors = SensorErrors(force_bias=(0.05, -0.05, 0.1))
+    drive = synthetic_drive(twin, bumps, KNOTS, seed=5, errors=errors, name="biased")
+    gain = gain_at_rest(ingest_drive(regained(drive, 1.0 / (1.0 + scale)), twin.imu))
+    assert gain == (1.0 if scale == 0.0 else pytest.approx(1.0 + scale, abs=0.02))
+
+
+def test_a_drive_that_never_stands_shows_no_gain(drive: Drive, twin: Twin) -> None:
+    signals = ingest_drive(regained(drive, 0.5), twin.imu)
+    assert gain_at_rest(signals) == pytest.approx(2.0, abs=0.02)
+    assert gain_at_rest(replace(signals, standing=np.zeros_like(signals.standing))) == 1.0
+
+
+@pytest.mark.parametrize("known", [False, True], ids=["shown by the drive", "in the twin file"])
+def test_what_a_sensor_reads_too_much_does_not_push_the_vehicle(
+    twin: Twin, bumps: Road, sound: Excitation, known: bool
+) -> None:
+    loud = twin.model_copy(update={"effects": (EffectSpec(id="sensor_scale", parameters={"scale": 0.4}),)})
+    recorded = synthetic_drive(loud, bumps, KNOTS, seed=4, errors=SensorErrors(), name="loud")
+    plain = prepare(recorded, twin, bumps)
+    found = prepare(recorded, loud, bumps).excitation if known else regained_excitation(plain, recorded)
+    assert off(found, sound, "ax") < 0.3 * off(plain.excitation, sound, "ax")
+    assert off(found, sound, "ay") < 0.5 * off(plain.excitation, sound, "ay")
+
+
+def test_a_sensor_without_a_gain_is_not_read_again(drive: Drive, twin: Twin, bumps: Road) -> None:
+    prepared = prepare(drive, twin, bumps)
+    assert regained_excitation(prepared, drive) is prepared.excitation
