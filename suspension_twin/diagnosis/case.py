@@ -43,7 +43,8 @@ __all__ = ["PLANAR", "VERTICAL", "Case", "baseline", "build", "read_case", "taug
 VERTICAL = ("vertical_acceleration", "roll_rate", "pitch_rate")
 PLANAR = ("longitudinal_acceleration", "lateral_acceleration", "yaw_rate")
 #: Without a road: what the receiver has seen against what the IMU has felt.
-_PLANAR_ONLY = PrepareSettings(filter=FilterSpec(2, 1.6), satellites=True)
+_PLANAR_ONLY = PrepareSettings(filter=FilterSpec(2, 1.6), satellites=True, saturated=True)
+_ON_ROAD = PrepareSettings(saturated=True)
 #: What clock and mounting are is then the very question, and nothing else shows it.
 #: Rear tyres of cars slip by about 0.005 rad for each m/s²; a course that lags by that would pass for a clock's.
 _BARE = replace(NORMAL, clock=0.0, common_clock=0.0, map_position=0.0, tilt=0.0, pivot=0.0, slip=0.005, drive_map=0.0)
@@ -103,7 +104,7 @@ def read_case(request: DiagnosisRequest, note: Callable[[str], None], stop: Call
         note(f"reading {Path(bag).name}")
         recorded = read_drive(bag, topics=request.topics)
         check_recording(recorded)
-        prepared = prepare(recorded, twin, road, None if on_road else _PLANAR_ONLY, strict=True)
+        prepared = prepare(recorded, twin, road, _ON_ROAD if on_road else _PLANAR_ONLY, strict=True)
         if on_road:
             check_drive(prepared)
         drives.append(prepared)

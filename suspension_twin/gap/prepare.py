@@ -49,13 +49,15 @@ class PrepareSettings:
     """``filter`` for both sides, zero-phase offline; ``max_step`` s of the simulation; ``quiet`` takes the
     IMU's noise out of the planar motion that drives it; ``outside`` what a drive gets that leaves the road:
     hold, zero, error, or what the road's file says; ``satellites`` takes the planar motion from the fixes alone,
-    for where the IMU itself is what is asked about."""
+    for where the IMU itself is what is asked about; ``saturated`` compares what was read at the end of the sensor's
+    range as well: what a range has cut off shows nowhere else."""
 
     filter: FilterSpec = FilterSpec()
     max_step: float = 1e-3
     quiet: bool = True
     outside: Outside = "road"
     satellites: bool = False
+    saturated: bool = False
     imu: ImuSettings = field(default_factory=ImuSettings)
 
 
@@ -311,7 +313,7 @@ def _assemble(
         name: np.interp(grid, t, values)
         for name, values in (("speed", trajectory.speed), ("position", position))
     }
-    usable = inside & trajectory.valid & ~signals.saturated
+    usable = inside & trajectory.valid & (settings.saturated | ~signals.saturated)
     inside_grid = np.interp(grid, t, inside.astype(float)) > 0.5
     mask = conditioner.valid & (np.interp(grid, t, usable.astype(float)) > 0.99)
     return Prepared(

@@ -17,6 +17,7 @@ from suspension_twin.diagnosis.output import write
 from suspension_twin.diagnosis.request import DiagnosisRequest
 from suspension_twin.diagnosis.run import diagnose
 from suspension_twin.drive.read import read_drive
+from suspension_twin.drive.write import write_drive
 from suspension_twin.errors import InputError
 from suspension_twin.gap.simulated import simulate_drive
 from suspension_twin.report.diagnosis import diagnosis_page
@@ -164,3 +165,17 @@ def test_effects_asked_for_by_name_on_the_command_line(
     document = json.loads((tmp_path / "out" / "diagnosis.json").read_text())
     assert sorted(c["effect"] for c in document["causes"]) == ["strut_friction", "tyre_damping"]
     assert document["combination"] == ["strut_friction"]
+
+
+def test_what_a_converter_cuts_off_is_compared(make: Any) -> None:
+    """Samples at the end of the range are left out where a twin is calibrated: here they are the evidence."""
+    twin, bags, _ = make()
+    reach = 13.0
+    for bag in bags:
+        drive = read_drive(bag)
+        force = np.clip(drive.imu.specific_force, -reach, reach)
+        assert (force[:, 2] == reach).sum() >= 3
+        write_drive(replace(drive, imu=replace(drive.imu, specific_force=force)), bag, overwrite=True)
+    found = diagnose(DiagnosisRequest(str(twin), tuple(bags), effects=("sensor_clipping", "bump_stop", "sensor_scale")))
+    assert found.document["combination"] == ["sensor_clipping"]
+    assert found.document["causes"][0]["parameters"]["range"] == pytest.approx(reach, rel=0.02)
