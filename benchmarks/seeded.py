@@ -114,7 +114,8 @@ def plan(seeds: str) -> list[Seeded]:
                 drives = tuple(sorted(rng.choice(DRIVES, 2, replace=False).tolist()))
                 name = f"{effect}_{'plain' if amount == PLAIN else 'faint'}_{'ref' if reference else 'alone'}"
                 peak = max(_PEAK[d] for d in drives)
-                out.append(Seeded(name, faults_of(effect, amount * float(rng.uniform(0.8, 1.25)), peak, rng), amount, drives, reference))
+                faults = faults_of(effect, amount * float(rng.uniform(0.8, 1.25)), peak, rng)
+                out.append(Seeded(name, faults, amount, drives, reference))
     for left in DRIVES:
         pair = tuple(d for d in DRIVES if d != left)
         for reference in (False, True):
