@@ -93,6 +93,16 @@ class Hypothesis:
                 at[i] = (p.neutral - p.typical) / p.spread
         return np.clip(at, low, high)
 
+    def slightest(self) -> Floats:
+        """(k, n) where the effect may be next to none: severities of zero, and those that go by factors at either
+        end: a low-pass is least at its highest cutoff, a contact patch at its shortest."""
+        low, high = self.bounds()
+        ends = np.repeat(self.neutral()[:, None], 2, axis=1)
+        for i, (_, p) in enumerate(self.searched):
+            if p.name in EFFECTS[self._owner(i)].severity and p.log:
+                ends[i] = low[i], high[i]
+        return np.unique(ends, axis=1)
+
     @property
     def touches(self) -> bool:
         """Whether an effect acts only past a distance."""

@@ -107,7 +107,9 @@ def singles(
             if not all(bench.active):
                 always = _always(bench, v, x, base, blocks)
         if cost >= base.cost:
-            x = np.concatenate([base.x, v.neutral()])
+            ends = v.slightest()
+            none = np.concatenate([np.repeat(base.x[:, None], ends.shape[1], axis=1), ends])
+            x = none[:, int(np.argmin(bench.costs(v, none)))]
         at = finished(bench, v, x)
         other = swept(bench, at) if i in finalists else None
         if other is not None:

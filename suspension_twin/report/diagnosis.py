@@ -94,8 +94,9 @@ def _causes(d: dict[str, Any]) -> Section:
     return Section(
         "Which",
         "Every effect was fitted together with the characteristics, the clocks, the map, the tilt and the biases. A "
-        "cause is named if it is material (a tenth of the gap), adequate (what is left is what a sound model leaves) "
-        "and plausible (inside its prior and the same on every stretch).",
+        "cause is named if it is material (a tenth of some channel's gap), adequate (what is left is what a sound "
+        "model leaves) and plausible (inside its prior and the same on every stretch). The shrinks are of the vertical "
+        "acceleration alone, with the calibration and beyond it: what shows in roll or braking may have none.",
         _bars(d),
         Table(columns, rows),
     )

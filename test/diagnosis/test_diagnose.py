@@ -176,6 +176,7 @@ def test_what_a_converter_cuts_off_is_compared(make: Any) -> None:
         force = np.clip(drive.imu.specific_force, -reach, reach)
         assert (force[:, 2] == reach).sum() >= 3
         write_drive(replace(drive, imu=replace(drive.imu, specific_force=force)), bag, overwrite=True)
-    found = diagnose(DiagnosisRequest(str(twin), tuple(bags), effects=("sensor_clipping", "bump_stop", "sensor_scale")))
-    assert found.document["combination"] == ["sensor_clipping"]
-    assert found.document["causes"][0]["parameters"]["range"] == pytest.approx(reach, rel=0.02)
+    effects = ("sensor_clipping", "bump_stop", "sensor_scale")
+    document = diagnose(DiagnosisRequest(str(twin), tuple(bags), effects=effects)).document
+    assert document["combination"] == ["sensor_clipping"]
+    assert document["causes"][0]["parameters"]["range"] == pytest.approx(reach, rel=0.02)

@@ -79,3 +79,13 @@ def test_combined_hypotheses_keep_their_order(car: Twin) -> None:
     assert both.effects == ("payload", "corner_spring")
     assert both.keys == (*first.keys, *second.keys)
     assert [s.id for s in both.twin(car).effects] == ["payload", "corner_spring"]
+
+
+def test_next_to_nothing_is_zero_or_either_end_of_what_goes_by_factors() -> None:
+    effects = {e: variants(EFFECTS[e]) for e in ("strut_friction", "sensor_bandwidth", "top_mount")}
+    friction, band, mount = (effects[e][0] for e in ("strut_friction", "sensor_bandwidth", "top_mount"))
+    np.testing.assert_array_equal(friction.slightest()[:, 0], friction.neutral())
+    assert friction.slightest().shape[1] == 1
+    assert sorted(band.values(band.slightest())[0]) == pytest.approx([0.5, 500.0])
+    ends = mount.values(mount.slightest())
+    assert ends.shape == (2, 2) and (ends[0] == ends[1]).all() and ends[0, 0] != ends[0, 1]
