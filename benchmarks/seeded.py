@@ -8,7 +8,7 @@ with MacPherson struts, a multilink axle and a tyre that slips. No seven-degree 
 the motion's rms, and the engine's own truth lies beside them. What a fault of the sensor would have changed is made
 from that truth, as ``blind.phone`` does for the realities of ``blind.py``, and added to what the phone recorded;
 clocks are set wrong, the road file is scaled, smoothed or shifted. Each is diagnosed without and with a reference
-drive. A vehicle's own effects cannot be added afterwards.
+drive, a road file without: it is as wrong before. A vehicle's own effects cannot be added afterwards.
 """
 
 from __future__ import annotations
@@ -25,14 +25,13 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from blind.faults import ROAD, SENSOR, TIME
+from blind.faults import ROAD, SENSOR, TIME, Faults, misread
 from blind.phone import felt
 from blind.world import G, Phone
 from multibody_truth import Truth, read_truth
 from rich.console import Console
 from rich.table import Table
 from scipy.interpolate import CubicSpline
-from scipy.ndimage import gaussian_filter1d
 from scipy.signal import savgol_filter
 from scipy.spatial.transform import Rotation
 
@@ -55,8 +54,6 @@ SEEDS = {"development": 100, "reporting": 200}
 FAINT, PLAIN = 0.35, 1.0
 #: Highest vertical acceleration that each drive has, m/s².
 _PEAK = {"drive_fast": 8.4, "drive_other": 6.3, "drive_slow": 4.7}
-
-Faults = dict[str, dict[str, float]]
 
 
 @dataclass(frozen=True)
@@ -166,17 +163,8 @@ def _late(drive: Drive, truth: Truth) -> float:
 
 def surveyed(road: Road, faults: Faults) -> Road:
     """The road file with what is wrong with it: the truth is ``scale`` higher, rougher or elsewhere."""
-    z = road.z.copy()
-    u = np.arange(z.shape[0]) * road.u_step
-    if "position_offset" in faults:
-        z = np.stack([np.interp(u + faults["position_offset"]["offset"], u, c) for c in z.T], axis=1)
-    if "lateral_offset" in faults:
-        z = np.stack([np.interp(road.v + faults["lateral_offset"]["offset"], road.v, row) for row in z])
-    if "road_smoothing" in faults:
-        z = gaussian_filter1d(z, faults["road_smoothing"]["sigma"] / road.u_step, axis=0, mode="nearest")
-    if "road_scale" in faults:
-        z = z / (1.0 + faults["road_scale"]["scale"])
-    return replace(road, z=z)
+    u = np.arange(road.z.shape[0]) * road.u_step
+    return replace(road, z=misread(road.z, u, road.v, faults))
 
 
 def make(case: Seeded, data: Path, folder: Path) -> None:

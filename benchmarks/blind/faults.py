@@ -124,9 +124,17 @@ def surveyed(world: World, faults: Faults, stretch: tuple[float, float] | None =
 
     What is wrong is wrong with the file: the truth is ``scale`` higher, rougher or elsewhere.
     """
-    z = world.survey.copy()
-    u = np.arange(z.shape[0]) * FILE_DU
-    v = np.arange(z.shape[1]) * FILE_DV
+    u = np.arange(world.survey.shape[0]) * FILE_DU
+    v = np.arange(world.survey.shape[1]) * FILE_DV
+    z = misread(world.survey, u, v, faults)
+    if stretch is not None:
+        part = 0.5 * (np.tanh((u - stretch[0]) / 0.15) - np.tanh((u - stretch[1]) / 0.15))[:, None]
+        z = world.survey + part * (z - world.survey)
+    return z
+
+
+def misread(z: Floats, u: Floats, v: Floats, faults: Faults) -> Floats:
+    """(N, M) heights at ``u`` along and ``v`` across, in m, with what is wrong with their file."""
     if "position_offset" in faults:
         moved = u + faults["position_offset"]["offset"]
         z = np.stack([np.interp(moved, u, z[:, j]) for j in range(z.shape[1])], axis=1)
@@ -134,13 +142,10 @@ def surveyed(world: World, faults: Faults, stretch: tuple[float, float] | None =
         moved = v + faults["lateral_offset"]["offset"]
         z = np.stack([np.interp(moved, v, row) for row in z])
     if "road_smoothing" in faults:
-        sigma = faults["road_smoothing"]["sigma"] / FILE_DU
+        sigma = faults["road_smoothing"]["sigma"] / float(u[1] - u[0])
         z = gaussian_filter1d(z, sigma, axis=0, mode="nearest") if sigma > 0.05 else z
     if "road_scale" in faults:
         z = z / (1.0 + faults["road_scale"]["scale"])
-    if stretch is not None:
-        part = 0.5 * (np.tanh((u - stretch[0]) / 0.15) - np.tanh((u - stretch[1]) / 0.15))[:, None]
-        z = world.survey + part * (z - world.survey)
     return z
 
 

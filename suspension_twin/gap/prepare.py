@@ -213,7 +213,8 @@ def upright_excitation(prepared: Prepared, drive: Drive) -> Excitation:
     twin, settings, signals = prepared.twin, prepared.settings, prepared.signals
     if settings.satellites or _upright(twin) or mean_lean(signals.up) > MOST_SLOPE:
         return prepared.excitation
-    trajectory = _locked(drive, twin, signals, settings, twin.datum or _first_fix(drive), True)
+    mounted = _as_mounted(drive, twin, signals, settings)
+    trajectory = _locked(drive, twin, mounted, settings, twin.datum or _first_fix(drive), True)
     return _excitation(trajectory, twin, Ground(prepared.road, settings.outside), settings)
 
 
@@ -224,6 +225,7 @@ def turned_excitation(prepared: Prepared, drive: Drive) -> Excitation:
         return prepared.excitation
     trajectory, datum = prepared.trajectory, twin.datum or _first_fix(drive)
     roll, pitch, yaw = level_rpy(signals.up.mean(axis=0))
+    drive = regained(drive, gain_of(twin))
     signals = ingest_drive(drive, turned(twin.imu, (roll, pitch, yaw)), settings.imu)
     for _ in range(_TURNS):
         yaw += heading_off(signals, trajectory)
@@ -238,7 +240,7 @@ def regained_excitation(prepared: Prepared, drive: Drive) -> Excitation:
     gain = gain_at_rest(prepared.signals)
     if settings.satellites or gain_of(twin) != 1.0 or gain == 1.0:
         return prepared.excitation
-    signals = ingest_drive(regained(drive, gain), twin.imu, settings.imu)
+    signals = _read(drive, twin, gain, settings)
     trajectory = _locked(drive, twin, signals, settings, twin.datum or _first_fix(drive), _upright(twin))
     return _excitation(trajectory, twin, Ground(prepared.road, settings.outside), settings)
 
@@ -246,9 +248,13 @@ def regained_excitation(prepared: Prepared, drive: Drive) -> Excitation:
 def _as_mounted(drive: Drive, twin: Twin, signals: ImuSignals, settings: PrepareSettings) -> ImuSignals:
     """The signals for what moves the vehicle: a mount that is known to be turned is no turn of the vehicle, and what
     a sensor reads too much is no push."""
-    turn, gain = turn_of(twin), gain_of(twin)
-    if turn is None and gain == 1.0:
-        return signals
+    gain = gain_of(twin)
+    return signals if turn_of(twin) is None and gain == 1.0 else _read(drive, twin, gain, settings)
+
+
+def _read(drive: Drive, twin: Twin, gain: float, settings: PrepareSettings) -> ImuSignals:
+    """The signals of a sensor that is turned as the twin's effects say, less what it reads too much by ``gain``."""
+    turn = turn_of(twin)
     place = twin.imu if turn is None else turned(twin.imu, turn)
     return ingest_drive(regained(drive, gain), place, settings.imu)
 
