@@ -109,11 +109,11 @@ def parsed() -> argparse.Namespace:
     size = parser.add_mutually_exclusive_group()
     size.add_argument("--short", action="store_true", help="nine cases, minutes (the default)")
     size.add_argument("--full", action="store_true", help="all cases, hours")
-    parser.add_argument("--seeds", choices=("dev", "report", "report2"), default="dev")
+    parser.add_argument("--seeds", choices=("dev", "report", "report2", "links_dev", "links"), default="dev")
     parser.add_argument("--stage", choices=("generate", "diagnose", "score", "all"), default="all")
     parser.add_argument("--only", nargs="+", default=[], metavar="EFFECT", help="effects, kinds or names of cases")
     parser.add_argument("--severity", nargs="+", type=float, default=[], help="keep cases of these severities")
-    parser.add_argument("--reality", choices=("newton", "multibody"))
+    parser.add_argument("--reality", choices=("newton", "multibody", "linkage"))
     parser.add_argument("--limit", type=int, default=0, metavar="N", help="the first N cases: a fair sample")
     parser.add_argument("--jobs", type=int, default=min(2, os.cpu_count() or 1), help="to generate with")
     parser.add_argument(

@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from blind import multibody, newton, phone, severity
+from blind import linkage, multibody, newton, phone, severity
 from blind.faults import TIME, knob, on_stretch, surveyed, without_road
 from blind.newton import Faults, Motion
 from blind.plan import Spec
@@ -23,7 +23,7 @@ from suspension_twin.road import Road, write_road
 from suspension_twin.vehicle.twin import parse_twin, save_twin
 
 Run = Callable[..., Motion]
-RUN: dict[str, Run] = {"newton": newton.run, "multibody": multibody.run}
+RUN: dict[str, Run] = {"newton": newton.run, "multibody": multibody.run, "linkage": linkage.run}
 REQUEST = "request.json"
 _MSD_BASE = 0.12
 

@@ -8,7 +8,8 @@ mode as bodies on springs of MuJoCo's own, an anti-roll bar as a tendon, a paylo
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
 
 import mujoco
 import numpy as np
@@ -22,21 +23,56 @@ STEP = 5e-4
 SETTLE = 3.0
 LEAN = (0.06, 0.06, -0.03, -0.03)  # of the slides, along x
 MODE_MASS = 0.4  # kg
+Control = tuple[float, float, float]  # steering angle rad, drive N, brake N
+
+
+@dataclass(frozen=True)
+class Scene:
+    """A car that stands at its start: MuJoCo's model and data, numbers of ``multibody_forces`` by car and by wheel,
+    what each wheel keeps, and (3,) m of the body's centre in base_link."""
+
+    model: mujoco.MjModel
+    data: mujoco.MjData
+    numbers: Floats
+    wheel: Floats
+    keep: Floats
+    centre: Floats
 
 
 def run(world: World, plan: Plan, faults: Faults | None = None) -> Motion:
     """Drive a plan; ``faults`` maps effects to their parameters."""
     f = faults or {}
-    phone = world.phone
-    car = world.car
     part = f.get("unsprung_mass", {}).get("share", 1.0)
-    unsprung = car.unsprung() * part
-    centre = (np.array(car.cog) * car.mass - car.unsprung() @ car.wheels()) / (car.mass - car.unsprung().sum())
+    scene = stand(world, plan, f, _slides(world.car, part, body_centre(world.car), f), part)
+    data, tables, road = scene.data, tables_of(world.car), road_of(world)
+    lean = np.array([[a, 0.0, 1.0] for a in LEAN])
+    lean /= np.linalg.norm(lean, axis=1, keepdims=True)
+    matrix, wheels, outer = data.xmat[1].reshape(3, 3), data.xpos[2:6], data.xfrc_applied[2:6]
+
+    def act(t: float, control: Control) -> None:
+        mf.apply(
+            t, data.qpos, data.qvel, matrix, wheels, lean @ matrix.T, control, scene.numbers, scene.wheel, scene.keep,
+            tables, (SPRING_REACH, DAMPER_REACH), road, data.qfrc_applied, outer,
+        )  # fmt: skip
+
+    return drive(world, plan, scene, act, lambda: data.qpos[7:11], f)
+
+
+def body_centre(car: Car) -> Floats:
+    """(3,) m from base_link to the centre of all that the wheels carry."""
+    sprung = car.mass - car.unsprung().sum()
+    return np.asarray((np.array(car.cog) * car.mass - car.unsprung() @ car.wheels()) / sprung)
+
+
+def stand(world: World, plan: Plan, f: Faults, corners: tuple[str, str], part: float = 1.0) -> Scene:
+    """Put the car at the start of a plan. ``corners`` are its four wheels' bodies, then tendons, as XML; ``part`` is
+    the share of their mass that the wheels have."""
+    phone, car, surface = world.phone, world.car, world.surface
+    centre = body_centre(car)
     place = np.array(phone.place) + phone.misplaced + [f.get("sensor_offset", {}).get(a, 0.0) for a in "xyz"]
-    model = mujoco.MjModel.from_xml_string(_xml(car, unsprung, centre, place - centre, f))
+    model = mujoco.MjModel.from_xml_string(_xml(car, centre, place - centre, f, corners))
     data = mujoco.MjData(model)
     numbers, wheel, keep = _numbers(world, car, part, f)
-    surface = world.surface
     i = round(START / surface.du)
     heading = float(surface.heading[i])
     x, y = surface.to_map(np.array([START]), np.array([plan.lane]))[0]
@@ -46,13 +82,32 @@ def run(world: World, plan: Plan, faults: Faults | None = None) -> Motion:
     data.qpos[3:7] = (math.cos(heading / 2), 0.0, 0.0, math.sin(heading / 2))
     keep[mf.LAST_U] = [START + car.wheelbase] * 2 + [START] * 2
     mujoco.mj_forward(model, data)
-    return _drive(world, plan, model, data, numbers, wheel, keep, centre, f)
+    return Scene(model, data, numbers, wheel, keep, centre)
 
 
-def _xml(car: Car, unsprung: Floats, centre: Floats, phone: Floats, f: Faults) -> str:
-    def text(v: Floats | tuple[float, ...]) -> str:
-        return " ".join(f"{a:.10g}" for a in np.asarray(v))
+def text(v: Floats | tuple[float, ...]) -> str:
+    """Numbers as XML has them."""
+    return " ".join(f"{a:.10g}" for a in np.asarray(v))
 
+
+def _slides(car: Car, part: float, centre: Floats, f: Faults) -> tuple[str, str]:
+    """Four wheels on slides, and tendons between them for bars."""
+    wheels = "".join(
+        f"""<body name="w{i}" pos="{text(p - centre)}"><joint name="w{i}" type="slide" axis="{LEAN[i]} 0 1"/>
+        <inertial pos="0 0 0" mass="{part * m:.9g}" diaginertia="0.9 1.4 0.9"/></body>"""
+        for i, (p, m) in enumerate(zip(car.wheels(), car.unsprung(), strict=True))
+    )
+    bar = f.get("anti_roll_bar", {})
+    bars = "".join(
+        f"""<fixed stiffness="{bar[key]:.9g}"><joint joint="w{a}" coef="1"/>
+        <joint joint="w{a + 1}" coef="-1"/></fixed>"""
+        for key, a in (("front_stiffness", 0), ("rear_stiffness", 2))
+        if bar.get(key, 0.0) > 0.0
+    )
+    return wheels, bars
+
+
+def _xml(car: Car, centre: Floats, phone: Floats, f: Faults, corners: tuple[str, str]) -> str:
     mass, inertia, at = car.mass - car.unsprung().sum(), np.array(car.sprung_inertia), np.zeros(3)
     more = ""
     if "powertrain_mount" in f:
@@ -79,18 +134,7 @@ def _xml(car: Car, unsprung: Floats, centre: Floats, phone: Floats, f: Faults) -
         where = np.array([own["x"], own["y"], 0.75]) - centre
         more += f"""<body name="load" pos="{text(where)}">
             <inertial pos="0 0 0" mass="{own["mass"]:.9g}" diaginertia="1 1 1"/></body>"""
-    wheels = "".join(
-        f"""<body name="w{i}" pos="{text(p - centre)}"><joint name="w{i}" type="slide" axis="{LEAN[i]} 0 1"/>
-        <inertial pos="0 0 0" mass="{unsprung[i]:.9g}" diaginertia="0.9 1.4 0.9"/></body>"""
-        for i, p in enumerate(car.wheels())
-    )
-    bar = f.get("anti_roll_bar", {})
-    bars = "".join(
-        f"""<fixed stiffness="{bar[key]:.9g}"><joint joint="w{a}" coef="1"/>
-        <joint joint="w{a + 1}" coef="-1"/></fixed>"""
-        for key, a in (("front_stiffness", 0), ("rear_stiffness", 2))
-        if bar.get(key, 0.0) > 0.0
-    )
+    wheels, bars = corners
     return f"""<mujoco>
       <option timestep="{STEP}" gravity="0 0 {-G}" integrator="implicitfast"><flag contact="disable"/></option>
       <worldbody><body name="chassis"><freejoint/>
@@ -148,7 +192,7 @@ class _Driver:
         self.plan, self.base, self.mass = plan, world.car.wheelbase, world.car.mass
         self.steer, self.sum = 0.0, 0.0
 
-    def __call__(self, t: float, x: float, y: float, yaw: float, speed: float, u: float) -> tuple[float, float, float]:
+    def __call__(self, t: float, x: float, y: float, yaw: float, speed: float, u: float) -> Control:
         k = min(max(int(t / 0.01), 0), self.plan.speed.size - 1)
         ahead = 3.5 + 0.45 * abs(speed)
         aim = self.way[min(int((u + ahead) / 0.1), len(self.way) - 1)]
@@ -175,24 +219,31 @@ def _wind(own: Mapping[str, float], plan: Plan) -> Floats:
     return np.asarray(own["force"] * slow * [0.4, 1.0])
 
 
-def _drive(
-    world: World, plan: Plan, model: mujoco.MjModel, data: mujoco.MjData, n: Floats, w: Floats, keep: Floats,
-    centre: Floats, f: Faults,
-) -> Motion:  # fmt: skip
-    car, surface = world.car, world.surface
-    tables = tuple(np.array([getattr(car.front, k), getattr(car.rear, k)]) for k in ("spring", "push", "pull"))
-    road = (
+def tables_of(car: Car) -> tuple[Floats, ...]:
+    """Springs', pushes' and pulls' tables, (2, n) each: front and rear."""
+    return tuple(np.array([getattr(car.front, k), getattr(car.rear, k)]) for k in ("spring", "push", "pull"))
+
+
+def road_of(world: World) -> tuple[Floats, ...]:
+    """What ``multibody_forces.ground`` takes of a road."""
+    surface = world.surface
+    return (
         np.ascontiguousarray(surface.z), np.array([surface.du, surface.dv, surface.v0]), surface.heading,
         surface.line[:, 0].copy(), surface.line[:, 1].copy(),
     )  # fmt: skip
-    reaches = (SPRING_REACH, DAMPER_REACH)
+
+
+def drive(
+    world: World, plan: Plan, scene: Scene, act: Callable[[float, Control], None], travel: Callable[[], Floats],
+    f: Faults,
+) -> Motion:  # fmt: skip
+    """Follow the plan: ``act`` applies what suspension and tyres do at a time under a control, ``travel`` tells
+    the four compressions."""
+    model, data, centre, car = scene.model, scene.data, scene.centre, world.car
     every, driver = round(1e-3 / STEP), _Driver(world, plan)
     count, settle = round((plan.seconds - 0.5) / 1e-3), round(SETTLE / STEP)
     felt, path = np.empty((count, 6)), np.empty((count, 12))
-    matrix, wheels = data.xmat[1].reshape(3, 3), data.xpos[2:6]
-    outer, control = data.xfrc_applied[2:6], (0.0, 0.0, 4500.0)
-    lean = np.array([[a, 0.0, 1.0] for a in LEAN])
-    lean /= np.linalg.norm(lean, axis=1, keepdims=True)
+    matrix, control = data.xmat[1].reshape(3, 3), (0.0, 0.0, 4500.0)
     gain = f.get("body_bending", {}).get("gain", 0.0)
     mode = model.joint("mode").dofadr[0] if gain else 0
     shake, angle = f.get("engine_order", {}).get("force", 0.0), 0.0
@@ -203,24 +254,21 @@ def _drive(
         if step % 10 == 0:
             back = data.xpos[1] - matrix @ centre
             speed = float(data.qvel[:3] @ matrix[:, 0])
-            u = float(keep[mf.LAST_U, 2:].mean())
+            u = float(scene.keep[mf.LAST_U, 2:].mean())
             control = driver(t, back[0], back[1], math.atan2(matrix[1, 0], matrix[0, 0]), speed, u)
-        axes = lean @ matrix.T
-        mf.apply(
-            t, data.qpos, data.qvel, matrix, wheels, axes, control, n, w, keep, tables, reaches, road,
-            data.qfrc_applied, outer,
-        )  # fmt: skip
+        data.xfrc_applied[1] = 0.0
+        act(t, control)
         if shake:
             v = max(speed, 0.0)
             angle += STEP * math.pi * (13.0 + (v * 1.1 if v < 6.0 else v * 0.65))
             push = shake * math.sin(angle)
-            data.xfrc_applied[1, :3] = push * matrix[:, 2]
-            data.xfrc_applied[1, 3:] = -arm * push * matrix[:, 1]
+            data.xfrc_applied[1, :3] += push * matrix[:, 2]
+            data.xfrc_applied[1, 3:] -= arm * push * matrix[:, 1]
         if len(wind):
             side, lift = wind[min(max(step, 0), len(wind) - 1)]
             push = side * matrix[:, 1] + lift * matrix[:, 2]
-            data.xfrc_applied[1, :3] = push
-            data.xfrc_applied[1, 3:] = np.cross(matrix @ np.array([0.5, 0.0, 0.6]), push)
+            data.xfrc_applied[1, :3] += push
+            data.xfrc_applied[1, 3:] += np.cross(matrix @ np.array([0.5, 0.0, 0.6]), push)
         mujoco.mj_step(model, data)
         if step < 0:
             data.qvel[2] *= 0.998
@@ -230,7 +278,7 @@ def _drive(
             felt[k] = data.sensordata
             if gain:
                 felt[k, 2] += gain * data.qacc[mode]
-            path[k, :7], path[k, 7], path[k, 8:] = data.qpos[:7], u, data.qpos[7:11]
+            path[k, :7], path[k, 7], path[k, 8:] = data.qpos[:7], u, travel()
     if not np.isfinite(felt).all():
         raise FloatingPointError(f"the motion of world {world.seed} with {sorted(f)} does not stay finite")
     turn = path[:, 3:7]

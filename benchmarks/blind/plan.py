@@ -16,12 +16,15 @@ import numpy as np
 
 from blind.faults import ALIASES, LIBRARY, MSD, OUTSIDE, ROAD
 
-Seeds = Literal["dev", "report", "report2"]
+Seeds = Literal["dev", "report", "report2", "links_dev", "links"]
 Kind = Literal["single", "null", "outside", "excluded", "pair", "stretch"]
 KINDS: tuple[Kind, ...] = ("single", "null", "outside", "excluded", "pair", "stretch")
 SEVERITIES = (0.5, 1.5, 5.0)
 REALITIES = ("newton", "multibody")
-_FIRST = {"dev": 1000, "report": 500_000, "report2": 1_000_000}
+#: Seeds whose cars are the ones with linkages: fewer cases, and none of them faint.
+LINKS = ("links_dev", "links")
+_LINKAGE = "linkage"
+_FIRST = {"dev": 1000, "report": 500_000, "report2": 1_000_000, "links_dev": 2_000_000, "links": 3_000_000}
 WORLDS = 16  # that cases with an effect share
 _PAIR = 3.0  # severity of each member
 #: Pairs of parts that are broken at the same time often enough.
@@ -90,7 +93,8 @@ def _short(cases: list[Spec]) -> list[Spec]:
 
 
 def _numbered(seeds: Seeds, kind: Kind) -> Iterator[Spec]:
-    for n, (effects, severity, world, more) in enumerate(_cases(kind)):
+    links = seeds in LINKS
+    for n, (effects, severity, world, more) in enumerate(_fewer(kind) if links else _cases(kind)):
         digest = hashlib.sha256(f"{seeds} {kind} {n} {effects} {severity}".encode()).hexdigest()
         coin = int(digest[-6:], 16)
         hidden = set(effects) & set(ROAD) or "stretch" in more or "unsprung_mass" in effects
@@ -100,13 +104,23 @@ def _numbered(seeds: Seeds, kind: Kind) -> Iterator[Spec]:
             effects=effects,
             severity=severity,
             world=_FIRST[seeds] + world,
-            reality=REALITIES[world % 2] if kind != "null" else REALITIES[coin % 2],
+            reality=_LINKAGE if links else REALITIES[world % 2] if kind != "null" else REALITIES[coin % 2],
             # A reference shares the case's road file, whose faults would be in it as well.
             reference=not hidden and coin // 2 % 2 == 0,
             right=bool(more.get("right")),
             msd=any(e in MSD for e in effects),
             without=tuple(more.get("without", ())),  # type: ignore[arg-type]
         )
+
+
+def _fewer(kind: Kind) -> Iterator[tuple[tuple[str, ...], float, int, dict[str, object]]]:
+    """Of every effect and severity two cases, none below the floor; a third of the nulls."""
+    taken: dict[tuple[tuple[str, ...], float], int] = {}
+    for case in _cases(kind):
+        key = case[:2]
+        taken[key] = taken.get(key, 0) + 1
+        if taken[key] <= (16 if kind == "null" else 2) and (kind == "null" or case[1] >= 1.0):
+            yield case
 
 
 def _cases(kind: Kind) -> Iterator[tuple[tuple[str, ...], float, int, dict[str, object]]]:

@@ -67,7 +67,7 @@ def test_nothing_outside_the_library_is_in_it_when_its_cases_are_diagnosed() -> 
 def test_development_and_reporting_share_no_world_and_no_name() -> None:
     from blind.plan import plan
 
-    sets = [plan("dev"), plan("report"), plan("report2")]
+    sets = [plan("dev"), plan("report"), plan("report2"), plan("links_dev"), plan("links")]
     for one, other in combinations(sets, 2):
         assert not {c.world for c in one} & {c.world for c in other}
     names = [c.name for cases in sets for c in cases]
@@ -92,7 +92,7 @@ def test_the_beginning_of_the_plan_is_a_fair_sample() -> None:
         assert first == pytest.approx(share, abs=0.02)
 
 
-@pytest.mark.parametrize("reality", ["newton", "multibody"])
+@pytest.mark.parametrize("reality", ["newton", "multibody", "linkage"])
 def test_a_standing_car_feels_gravity_alone(world: Any, reality: str) -> None:
     from blind.folder import RUN
     from blind.world import G, plain
@@ -125,6 +125,75 @@ def test_a_payload_sinks_the_car_by_its_weight_over_the_springs(world: Any, real
     sunk, still = (RUN[reality](world, plan, f).travel[500:1500].mean(axis=0) for f in (load, {}))
     rate = sum(2 * np.gradient(s.spring)[300] / (SPRING_REACH / (s.spring.size - 1)) for s in (car.front, car.rear))
     assert (sunk - still).mean() == pytest.approx(100.0 * G / rate, rel=0.1)
+
+
+def test_a_wheel_on_a_linkage_comes_up_as_its_lever_says(world: Any) -> None:
+    import mujoco
+    from blind.linkage import links
+    from blind.linkage_forces import lift
+    from blind.multibody import body_centre, stand
+
+    bodies, lever = links(world.car, 1.0, body_centre(world.car))
+    scene = stand(world, world.plans["drive_fast"], {}, (bodies, ""))
+    flat = np.array([1.0, 0.0, 0.0, 0.0])
+    for angle in (-0.06, 0.0, 0.01, 0.05):
+        scene.data.qpos[3:7] = flat
+        scene.data.qpos[8::2] = angle
+        mujoco.mj_forward(scene.model, scene.data)
+        up = scene.data.xpos[2:6] - scene.data.xpos[1] - lever[:, 6:9]
+        for i in range(4):
+            rise, slope = lift(i, angle, lever)
+            assert rise == pytest.approx(up[i, 2], abs=1e-9)
+            more = lift(i, angle + 1e-6, lever)[0]
+            assert slope == pytest.approx((more - rise) / 1e-6, rel=1e-4)
+    # Up by 5 cm and more, a wheel goes to the outside and away from the side view's centre.
+    assert np.sign(up[:, 1]).tolist() == [-1, 1, -1, 1] or np.sign(up[:, 1]).tolist() == [1, -1, 1, -1]
+    assert up[:, 2].min() > 0.05
+
+
+def test_a_linkage_carries_a_payload_on_the_spring_the_lever_and_the_scrub_of_its_tyres(world: Any) -> None:
+    from blind.folder import RUN
+    from blind.linkage import FRONT_HEIGHT, FRONT_VIEW, PROGRESSION
+    from blind.linkage_forces import BUILD_UP, STIFFNESS
+    from blind.world import SPRING_REACH, G
+
+    car, plan = world.car, world.plans["drive_fast"]
+    load = {"payload": {"mass": 100.0, "x": car.cog[0], "y": 0.0}}
+    sunk, still = (RUN["linkage"](world, plan, f).travel[500:1500].mean(axis=0) for f in (load, {}))
+    rate = 0.0
+    for axle, strut in enumerate((car.front, car.rear)):
+        spring = np.gradient(strut.spring)[300] / (SPRING_REACH / (strut.spring.size - 1))
+        tyre = car.loads()[2 * axle : 2 * axle + 2].mean()
+        lever = 2 * PROGRESSION[axle] * (tyre - strut.unsprung * G)
+        scrub = (car.radius + FRONT_HEIGHT[axle]) / FRONT_VIEW[axle]
+        rate += 2 * (spring + lever + scrub**2 * STIFFNESS[1] * tyre / BUILD_UP[1])
+    assert (sunk - still).mean() == pytest.approx(100.0 * G / rate, rel=0.1)
+
+
+def test_a_tyre_builds_its_force_up_over_a_way_and_then_slips_as_its_stiffness_says() -> None:
+    from blind.linkage_forces import sheared
+
+    speed, slip, way, stiffness, normal, dt = 10.0, 0.2, 0.4, 13.0, 4000.0, 1e-4
+    xi, force = 0.0, []
+    for _ in range(4000):
+        xi, rate = sheared(xi, slip, speed, way, stiffness, normal, dt)
+        force.append(rate * xi)
+    end = stiffness * normal * slip / speed
+    assert force[-1] == pytest.approx(end, rel=1e-3)
+    assert force[399] == pytest.approx(end * (1 - np.exp(-1.0)), rel=0.01)  # a build-up way of 0.4 m is 40 ms here
+    for _ in range(4000):
+        xi, rate = sheared(xi, 50 * slip, speed, way, stiffness, normal, dt)
+    assert rate * xi == pytest.approx(0.95 * normal)  # the tyre slides
+
+
+def test_a_car_on_linkages_does_what_one_on_slides_does_and_something_more(world: Any) -> None:
+    from blind.folder import RUN
+
+    slides, links = (RUN[name](world, world.plans["drive_fast"]) for name in ("multibody", "linkage"))
+    u = np.linspace(slides.u[4500], slides.u[11_000], 4000)
+    a, b = (np.interp(u, r.u, r.force[:, 2]) for r in (slides, links))
+    assert 0.85 < np.corrcoef(a, b)[0, 1] < 0.99
+    assert np.abs(slides.u - links.u).max() < 0.3
 
 
 def test_severity_grows_with_the_amount_and_recalibration_absorbs_what_a_spring_does(world: Any) -> None:
