@@ -54,14 +54,15 @@ class Bench:
     """A problem over all drives; ``active`` (drives,) True where the gap is. ``precision`` (d + q, d + q)
     and ``centre`` (d + q,) are the prior of characteristics and nuisances. ``upright`` (drives,) is what excites a
     vehicle that does not lean on average: antenna and wheels are elsewhere if it is the sensor alone; ``turned``
-    (drives,) one whose motion was measured by a sensor turned as far as the drive shows, ``regained`` by one that
-    reads as much too much.
+    (drives,) one whose motion was measured by a sensor turned as far as the drive shows (``turn``: roll, pitch and yaw
+    in rad of that), ``regained`` by one that reads as much too much.
     ``heard`` limits the residuals to some drives; ``fused`` whether poses come from receiver and IMU together;
     ``barred`` names nuisances that stay at nothing."""
 
     problem: Problem
     upright: tuple[Excitation, ...]
     turned: tuple[Excitation, ...]
+    turn: tuple[float, float, float]
     regained: tuple[Excitation, ...]
     active: tuple[bool, ...]
     whitener: Whitener
@@ -81,11 +82,11 @@ class Bench:
         return len(self.problem.nuisances)
 
     def prior(self, hypothesis: Hypothesis) -> tuple[Floats, Floats]:
-        """Precision and centre with the hypothesis' own coordinates, whose prior is standard normal."""
+        """Precision and centre with the hypothesis' own coordinates, whose prior is normal with a spread of one."""
         p, k = self.d + self.q, len(hypothesis)
         precision = np.eye(p + k)
         precision[:p, :p] = self.precision
-        return precision, np.concatenate([self.centre, np.zeros(k)])
+        return precision, np.concatenate([self.centre, hypothesis.centre()])
 
     def limits(self, hypothesis: Hypothesis) -> tuple[Floats, Floats]:
         """(d + q + k,) lowest and highest unknowns. A nuisance that could go on without end would take

@@ -67,13 +67,14 @@ _LEANING = ("vehicle.cog.2",)
 @dataclass(frozen=True, eq=False)
 class Case:
     """Drives ready to compare; ``active`` True where the gap is shown, ``road`` False without a road file; ``upright``
-    what excites a vehicle that does not lean on each drive, ``turned`` one whose sensor is turned on its mount,
-    ``regained`` one whose sensor reads too much."""
+    what excites a vehicle that does not lean on each drive, ``turned`` one whose sensor is turned on its mount (by
+    ``turn``, roll, pitch and yaw in rad on the drives with the gap), ``regained`` one whose sensor reads too much."""
 
     twin: Twin
     drives: tuple[Prepared, ...]
     upright: tuple[Excitation, ...]
     turned: tuple[Excitation, ...]
+    turn: tuple[float, float, float]
     regained: tuple[Excitation, ...]
     active: tuple[bool, ...]
     road: bool
@@ -97,6 +98,7 @@ def read_case(request: DiagnosisRequest, note: Callable[[str], None], stop: Call
     drives: list[Prepared] = []
     upright: list[Excitation] = []
     turned: list[Excitation] = []
+    turns: list[tuple[float, float, float]] = []
     regained: list[Excitation] = []
     for bag in (*request.bags, *request.reference):
         if stop():
@@ -109,7 +111,9 @@ def read_case(request: DiagnosisRequest, note: Callable[[str], None], stop: Call
             check_drive(prepared)
         drives.append(prepared)
         upright.append(upright_excitation(prepared, recorded))
-        turned.append(turned_excitation(prepared, recorded))
+        excited, turn = turned_excitation(prepared, recorded)
+        turned.append(excited)
+        turns.append(turn)
         regained.append(regained_excitation(prepared, recorded))
     names: list[str] = []
     for i, drive in enumerate(drives):
@@ -126,7 +130,11 @@ def read_case(request: DiagnosisRequest, note: Callable[[str], None], stop: Call
             "the twin file names no road: only the planar channels are compared, and only effects of clock, sensor "
             "and mount can be judged"
         )
-    return Case(twin, tuple(drives), tuple(upright), tuple(turned), tuple(regained), active, on_road, tuple(warnings))
+    roll, pitch, yaw = np.angle(np.exp(1j * np.array(turns[: len(request.bags)])).sum(axis=0)).tolist()
+    return Case(
+        twin, tuple(drives), tuple(upright), tuple(turned), (roll, pitch, yaw), tuple(regained), active, on_road,
+        tuple(warnings),
+    )  # fmt: skip
 
 
 def build(case: Case, stop: Callable[[], bool]) -> Bench:
@@ -166,7 +174,7 @@ def build(case: Case, stop: Callable[[], bool]) -> Bench:
     floors = [dict(p.noise_rms) for p in case.drives]
     whitener = Whitener.designed(problem, share, floors)
     return Bench(
-        problem, case.upright, case.turned, case.regained, case.active, whitener, precision, centre, stop,
+        problem, case.upright, case.turned, case.turn, case.regained, case.active, whitener, precision, centre, stop,
         fused=case.road,
     )  # fmt: skip
 

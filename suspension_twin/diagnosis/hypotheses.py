@@ -21,9 +21,11 @@ from suspension_twin.effects.base import Effect, Parameter
 from suspension_twin.effects.registry import EFFECTS
 from suspension_twin.vehicle.twin import EffectSpec, Twin
 
-__all__ = ["BASELINE", "Hypothesis", "combined", "library", "witnesses"]
+__all__ = ["BASELINE", "SETTINGS", "Hypothesis", "combined", "library", "witnesses"]
 
 _WIDTH = 1.4  # of the starting points, in spreads of the prior
+#: Where effects act that any size of is a matter of what was set, not of what a part can be like.
+SETTINGS = ("time", "road", "sensor")
 #: Effects that the planar motion shows without any road under the wheels. What fixes at a few hertz can
 #: hold says nothing of a sensor's bandwidth or range.
 WITHOUT_ROAD = ("time_offset", "clock_drift", "sensor_tilt", "sensor_scale")
@@ -36,11 +38,13 @@ WITNESSES = ("progressive_spring", "damper_play")
 class Hypothesis:
     """Some effects, possibly none, with the parameters that are searched and those that are fixed.
 
-    ``fixed`` (key, value) holds choices; ``keys`` the dotted keys of the searched ones.
+    ``fixed`` (key, value) holds choices; ``keys`` the dotted keys of the searched ones. ``around`` are the
+    coordinates about which the prior lies, where something is off by far more than what is typical; empty for zeros.
     """
 
     effects: tuple[str, ...] = ()
     fixed: tuple[tuple[str, float], ...] = ()
+    around: tuple[float, ...] = ()
 
     @property
     def name(self) -> str:
@@ -63,6 +67,19 @@ class Hypothesis:
 
     def __len__(self) -> int:
         return len(self.searched)
+
+    def centre(self) -> Floats:
+        """(k,) coordinates about which the prior lies."""
+        return np.array(self.around) if self.around else np.zeros(len(self))
+
+    def without(self, effect: str) -> Hypothesis:
+        """The others of its effects."""
+        kept = [i for i in range(len(self)) if self._owner(i) != effect]
+        return Hypothesis(
+            tuple(e for e in self.effects if e != effect),
+            tuple(pair for pair in self.fixed if pair[0].split(".")[1] != effect),
+            tuple(self.around[i] for i in kept) if self.around else (),
+        )
 
     def bounds(self) -> tuple[Floats, Floats]:
         """(k,) lowest and highest coordinates."""
@@ -209,6 +226,7 @@ def _offered(twin: Twin, road: bool, names: Sequence[str]) -> dict[str, list[Hyp
 
 def combined(*parts: Hypothesis) -> Hypothesis:
     """Several effects at once."""
+    around = tuple(float(u) for p in parts for u in p.centre()) if any(p.around for p in parts) else ()
     return Hypothesis(
-        tuple(e for p in parts for e in p.effects), tuple(pair for p in parts for pair in p.fixed)
+        tuple(e for p in parts for e in p.effects), tuple(pair for p in parts for pair in p.fixed), around
     )

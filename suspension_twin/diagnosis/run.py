@@ -19,8 +19,9 @@ from suspension_twin.diagnosis.bench import Bench
 from suspension_twin.diagnosis.case import VERTICAL, Case, baseline, build, read_case, taught_by
 from suspension_twin.diagnosis.conclude import Findings, conclude
 from suspension_twin.diagnosis.fit import Linear, finished, refit
+from suspension_twin.diagnosis.gross import LOST
 from suspension_twin.diagnosis.hypotheses import BASELINE, Hypothesis, library, witnesses
-from suspension_twin.diagnosis.judge import Evidence, blocks_of, evidence, weights
+from suspension_twin.diagnosis.judge import Evidence, blocks_of, evidence, held_out, weights
 from suspension_twin.diagnosis.request import DiagnosisRequest, DiagnosisResult, Progress
 from suspension_twin.diagnosis.search import jointly, pairs, singles, without_one
 from suspension_twin.diagnosis.strain import relieved
@@ -33,6 +34,8 @@ _EFFECT_PRIOR = 0.65
 #: which share of what the smaller set leaves there, its nuisances where they were fitted, while no reference says what
 #: a sound model leaves: some effect makes up for a part of any model's own error.
 _SURE, _WORTH, _WORTH_OF_THE_REST = 0.95, verdict.MATERIAL, 0.2
+#: Without a road, of a channel's gap: a clock that drifts passes almost whole for one that is late.
+_WORTH_BARE = 0.5 * _WORTH
 _WORTH_OF_A_WITNESS = 0.25  # share of a channel's gap that a witness has to take where there is no reference
 #: Share of soundness that is a trait of the library, shown on the reference drives as well.
 _TRAITS = 0.5
@@ -49,6 +52,8 @@ _SAME_FIT = 20.0
 #: Nats that clocks which one more effect frees have to be spared, and that clocks, map and mount have to be where it
 #: makes up for what these are asked more than for what is left.
 _RELIEF, _MUCH_RELIEF = 1.0, float(np.log(_SURE / (1.0 - _SURE)))
+#: Rounds in which the noise without a road is learnt from what all effects together leave.
+_CLEARED, _CLEARED_GROSS = 2, 6
 _STRANGER = 0.6  # share of its motion that a reference leaves at the best fit, above which it is another car's
 
 
@@ -97,7 +102,7 @@ class _Search:
         self.reference = self._reference(anchor)
         strangers = witnesses(self.case.twin, self.case.road, self.request.effects)
         base, found = singles(
-            bench, base, anchor, {**effects, **strangers}, self.blocks, seed,
+            bench, base, anchor, {**effects, **strangers}, self.blocks, seed, self._lost(base),
             lambda done, note: self.tell(Progress("effects", 0.15 + 0.6 * done, note)),
         )  # fmt: skip
         self.base = evidence(bench, base, self.blocks)
@@ -139,6 +144,12 @@ class _Search:
             self.chosen, self.chosen_left = self._eliminate()
             self._carried_by(self.chosen, self._gates(self.chosen, self.chosen_left))
 
+    def _lost(self, base: Linear) -> bool:
+        """Whether the recalibrated twin follows nothing of the motion."""
+        unknowns, _ = held_out(self.bench, base, self.blocks)
+        left = gaps.remainder(self.bench, BASELINE, unknowns, self.blocks)
+        return verdict.level_of(self.bench, left, self.noise, shown=True) > LOST
+
     def _set_apart(self) -> None:
         """Take the witnesses' weights and gates from those of the library: what they explain is unknown."""
         count = 1 + len(self.singles)
@@ -155,9 +166,12 @@ class _Search:
         What a late clock leaves is no noise: taught by it, the noise would be as large as what is looked for.
         """
         every = range(len(self.bench.active))
-        for _ in range(2):
+        for number in range(_CLEARED_GROSS):
             fit = jointly(self.bench, effects, base, self.request.seed)
             taught_by(self.case, self.bench, fit.hypothesis, fit.x, every)
+            # what a sensor that stands backwards leaves is far from noise: that takes longer
+            if number + 1 >= _CLEARED and not fit.hypothesis.around:
+                break
         x, _ = refit(self.bench, BASELINE, [base.x], None, 8)
         return finished(self.bench, BASELINE, x)
 
@@ -328,7 +342,7 @@ class _Search:
             one, two = self._shrink(before, few_left, column), self._shrink(before, many_left, column)
             if not self._driven(channel) or one.after < self.noise[channel]:
                 continue
-            if one.after - two.after >= _WORTH * one.before and (
+            if one.after - two.after >= (_WORTH if self.case.road else _WORTH_BARE) * one.before and (
                 not alone
                 or spared > _MUCH_RELIEF  # no model's own error asks that of clocks and map
                 or self._shrink(few_left, many_left, column, settled=True).shrink >= _WORTH_OF_THE_REST

@@ -11,6 +11,7 @@ from typing import TypeVar
 
 import numpy as np
 
+from suspension_twin.diagnosis import gross
 from suspension_twin.diagnosis.bench import Bench
 from suspension_twin.diagnosis.fit import Fit, Linear, finished, refit, scanned, screened, swept
 from suspension_twin.diagnosis.hypotheses import BASELINE, Hypothesis, combined
@@ -82,14 +83,14 @@ class _Rough:
 
 def singles(
     bench: Bench, base: Linear, anchor: Linear, library: dict[str, list[Hypothesis]], blocks: Blocks, seed: int,
-    tell: Callable[[float, str], None],
+    lost: bool, tell: Callable[[float, str], None],
 ) -> tuple[Linear, list[Single]]:  # fmt: skip
     """Every effect of the library, refitted jointly with characteristics and nuisances; and the baseline,
-    which may take over any vehicle that an effect's fit has come to."""
+    which may take over any vehicle that an effect's fit has come to. A twin that is ``lost`` follows nothing."""
     begun = base
 
     def look(effect: str) -> _Rough:
-        return _rough(bench, begun, anchor, effect, library[effect], seed)
+        return _rough(bench, begun, anchor, effect, library[effect], seed, lost)
 
     rough = _side_by_side(look, list(library), lambda done, name: tell(0.65 * done, name.replace("_", " ")))
     base, known = _rebased(bench, base, [r.x for r in rough]), base
@@ -140,9 +141,10 @@ def _side_by_side(
 
 
 def _rough(
-    bench: Bench, base: Linear, anchor: Linear, effect: str, variants: Sequence[Hypothesis], seed: int
+    bench: Bench, base: Linear, anchor: Linear, effect: str, variants: Sequence[Hypothesis], seed: int, lost: bool
 ) -> _Rough:
-    """The best of an effect's variants, from many starts, its vehicle's Jacobian mostly the reference's."""
+    """The best of an effect's variants, from many starts, its vehicle's Jacobian mostly the reference's; where the
+    twin is ``lost``, gross faults are looked for, too."""
     screens = [screened(bench, anchor, v, v.starts(_STARTS, seed)) for v in variants]
     powers = np.concatenate([s.power for s in screens])
     order = sorted(range(len(variants)), key=lambda i: screens[i].cost[0])
@@ -156,6 +158,9 @@ def _rough(
             # a baseline that made up for what no vehicle can may be one that nothing can be added to
             starts = [np.concatenate([bench.centre, u]) for u in (v.neutral(), *v.starts(_STARTS, seed).T)]
             x, cost = refit(bench, v, starts, None, _DEEP)
+        far = gross.found(bench, v, lost)
+        if far is not None and far[2] < cost:
+            v, x, cost = far
         for begun, start in _wide(bench, base, v, seed):
             if begun < _WORTH_A_LOOK * cost:
                 y, other = refit(bench, v, [start], None, _DEEP)
@@ -287,15 +292,19 @@ def pairs(
 
 
 def jointly(bench: Bench, parts: Sequence[Hypothesis], base: Fit, seed: int) -> Linear:
-    """All of ``parts`` at once: from nothing, and from the best of many starts."""
+    """All of ``parts`` at once: from nothing, and from the best of many starts, gross ones among them."""
     p = bench.d + bench.q
     together = combined(*parts)
-    many = np.concatenate([together.neutral()[:, None], together.starts(_JOINT_STARTS, seed)], axis=1)
+    far = gross.jointly(bench, together)
+    many = np.concatenate([together.neutral()[:, None], together.starts(_JOINT_STARTS, seed), far], axis=1)
     starts = np.concatenate([np.repeat(base.x[:p, None], many.shape[1], axis=1), many])
-    order = np.argsort(bench.costs(together, starts), kind="stable")
-    found = [refit(bench, together, [starts[:, i]], None, _LONG) for i in {0, *order[:_TRIED].tolist()}]
-    x, _ = min(found, key=lambda f: f[1])
-    return finished(bench, together, x)
+    # without what is grossly wrong the vehicle has gone astray
+    starts[:p, many.shape[1] - far.shape[1] :] = bench.centre[:, None]
+    order = np.argsort(bench.costs(together, starts) - gross.waived(many), kind="stable")
+    tried = [(gross.about(together, many[:, i]), starts[:, i]) for i in {0, *order[:_TRIED].tolist()}]
+    found = [(h, *refit(bench, h, [start], None, _LONG)) for h, start in tried]
+    best, x, _ = min(found, key=lambda f: f[2] + gross.PRICE * bool(f[0].around))
+    return finished(bench, best, x)
 
 
 def without_one(bench: Bench, whole: Evidence, blocks: Blocks) -> list[Evidence]:
@@ -303,10 +312,7 @@ def without_one(bench: Bench, whole: Evidence, blocks: Blocks) -> list[Evidence]
     there, p = whole.fit.hypothesis, bench.d + bench.q
     found = []
     for effect in there.effects:
-        rest = Hypothesis(
-            tuple(e for e in there.effects if e != effect),
-            tuple(pair for pair in there.fixed if pair[0].split(".")[1] != effect),
-        )
+        rest = there.without(effect)
         kept = [i for i, key in enumerate(there.keys) if key.split(".")[1] != effect]
         x, _ = refit(bench, rest, [np.concatenate([whole.fit.x[:p], whole.fit.x[p:][kept]])], None, _LONG)
         found.append(evidence(bench, finished(bench, rest, x), blocks))

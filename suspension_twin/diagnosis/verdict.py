@@ -11,6 +11,7 @@ from scipy.stats import chi2, norm
 
 from suspension_twin.diagnosis.bench import Bench
 from suspension_twin.diagnosis.gaps import Remainder, shown_rows
+from suspension_twin.diagnosis.hypotheses import SETTINGS
 from suspension_twin.diagnosis.judge import Evidence
 from suspension_twin.diagnosis.lines import Line, strongest
 from suspension_twin.diagnosis.noise import INDEPENDENT, density
@@ -167,7 +168,8 @@ def temper_of(bench: Bench, best: Remainder, noise: dict[str, float]) -> float:
 
 
 def plausible(bench: Bench, found: Evidence) -> float:
-    """Within its prior, and the same whichever stretch of road is left out."""
+    """Within its prior, and the same whichever stretch of road is left out. What a clock, a map or a mount is off
+    by has no limit but that of its range: any of it can be set wrong."""
     hypothesis = found.fit.hypothesis
     p = bench.d + bench.q
     u = found.fit.x[p:]
@@ -175,8 +177,8 @@ def plausible(bench: Bench, found: Evidence) -> float:
         return 1.0
     low, high = hypothesis.bounds()
     worst = 1.0
-    for i, (_, parameter) in enumerate(hypothesis.searched):
-        far = abs(u[i])
+    for i, (key, parameter) in enumerate(hypothesis.searched):
+        far = 0.0 if EFFECTS[key.split(".")[1]].where in SETTINGS else abs(u[i])
         worst *= float(np.clip(np.exp(-0.5 * max(far - 4.0, 0.0) ** 2 / 16.0), 0.02, 1.0))
         two_sided = not parameter.log and parameter.neutral not in (parameter.low, parameter.high)
         if two_sided and not low[i] + 1e-9 < u[i] < high[i] - 1e-9:

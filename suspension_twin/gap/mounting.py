@@ -17,13 +17,13 @@ import numpy as np
 from suspension_twin.drive.types import Drive
 from suspension_twin.models.hooks import load_hook
 from suspension_twin.pose.types import Trajectory
-from suspension_twin.signals.attitude import matrix_rpy, rpy_matrix
+from suspension_twin.signals.attitude import level_rpy, matrix_rpy, rpy_matrix
 from suspension_twin.signals.filters import FilterSpec, zero_phase
 from suspension_twin.signals.offline import ImuSignals
 from suspension_twin.vehicle.tracked_twin import TrackedTwin
 from suspension_twin.vehicle.twin import Place, Twin
 
-__all__ = ["gain_at_rest", "gain_of", "heading_off", "regained", "turn_of", "turned"]
+__all__ = ["ahead_of", "gain_at_rest", "gain_of", "heading_off", "regained", "turn_of", "turn_seen", "turned"]
 
 #: Below this the path alone says how the vehicle is accelerated, Hz.
 _SLOW = FilterSpec(2, 0.4)
@@ -47,6 +47,20 @@ def heading_off(signals: ImuSignals, trajectory: Trajectory) -> float:
     along = float(np.sum(pull[:, :2] * path))
     across = float(np.sum(pull[:, 0] * path[:, 1] - pull[:, 1] * path[:, 0]))
     return math.atan2(across, along)
+
+
+def turn_seen(signals: ImuSignals, trajectory: Trajectory) -> tuple[float, float, float]:
+    """Roll, pitch and yaw in rad by which a sensor is turned: gravity tells two of them, the path the third."""
+    roll, pitch, _ = level_rpy(signals.up.mean(axis=0))
+    level = rpy_matrix((roll, pitch, 0.0)).T
+    upright = replace(signals, force=signals.force @ level, up=signals.up @ level)
+    return roll, pitch, heading_off(upright, trajectory)
+
+
+def ahead_of(turn: tuple[float, float, float]) -> tuple[float, float, float]:
+    """The vehicle's own axis in the axes of a sensor that is turned by roll, pitch and yaw in rad."""
+    x, y, z = rpy_matrix(turn)[0]
+    return float(x), float(y), float(z)
 
 
 def gain_at_rest(signals: ImuSignals) -> float:

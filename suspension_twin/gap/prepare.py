@@ -16,8 +16,18 @@ from numpy.typing import NDArray
 
 from suspension_twin.drive.types import Drive, Floats
 from suspension_twin.errors import InputError
+from suspension_twin.gap.agreement import facing, findings
 from suspension_twin.gap.measure import CHANNELS, Gap, measure_gap
-from suspension_twin.gap.mounting import gain_at_rest, gain_of, heading_off, regained, turn_of, turned
+from suspension_twin.gap.mounting import (
+    ahead_of,
+    gain_at_rest,
+    gain_of,
+    heading_off,
+    regained,
+    turn_of,
+    turn_seen,
+    turned,
+)
 from suspension_twin.gap.noise import floor_rms
 from suspension_twin.gap.off_road import Ground, OffRoad, off_road
 from suspension_twin.gap.quiet import quiet_motion
@@ -177,19 +187,22 @@ def prepare(
         road = road_of(twin)
     signals = ingest_drive(drive, twin.imu, settings.imu)
     mounted = signals if settings.satellites else _as_mounted(drive, twin, signals, settings)
+    datum = twin.datum or _first_fix(drive)
+    noticed = [*mounted.findings, *findings(drive, mounted, twin.gps, datum)]
     if strict:
-        for finding in mounted.findings:
+        for finding in noticed:
             if finding.level == "error":
                 raise InputError(drive.name, "imu", finding.text)
-    datum = twin.datum or _first_fix(drive)
     if settings.satellites:
-        signals, trajectory = satellite_motion(drive, signals, twin.gps, datum)
+        slow = satellite_motion(drive, signals, twin.gps, datum)
+        turn = turn_of(twin) or turn_seen(*slow)
+        signals, trajectory = satellite_motion(drive, signals, twin.gps, datum, ahead_of(turn))
     else:
         try:
             trajectory = _locked(drive, twin, mounted, settings, datum, _upright(twin))
         except InputError as error:
             raise error if str(error).startswith(drive.name) else InputError(drive.name, str(error)) from None
-    warnings = (*drive.warnings, *(f.text for f in mounted.findings if f.level != "ok"))
+    warnings = (*drive.warnings, *(f.text for f in noticed if f.level != "ok"))
     prepared = _assemble(drive.name, twin, road, settings, signals, trajectory)
     left = prepared.off_road.sentence(float(signals.t[0]))
     if left:
@@ -218,20 +231,25 @@ def upright_excitation(prepared: Prepared, drive: Drive) -> Excitation:
     return _excitation(trajectory, twin, Ground(prepared.road, settings.outside), settings)
 
 
-def turned_excitation(prepared: Prepared, drive: Drive) -> Excitation:
-    """What excites the vehicle where all that the sensor is turned by, as far as ``drive`` shows, is its mount's."""
+def turned_excitation(prepared: Prepared, drive: Drive) -> tuple[Excitation, tuple[float, float, float]]:
+    """What excites the vehicle where all that the sensor is turned by, as far as ``drive`` shows, is its mount's; and
+    roll, pitch and yaw in rad of that turn."""
     twin, settings, signals = prepared.twin, prepared.settings, prepared.signals
-    if settings.satellites or turn_of(twin) is not None:
-        return prepared.excitation
+    if turn_of(twin) is not None:
+        return prepared.excitation, (0.0, 0.0, 0.0)
+    if settings.satellites:
+        return prepared.excitation, turn_seen(signals, prepared.trajectory)
     trajectory, datum = prepared.trajectory, twin.datum or _first_fix(drive)
     roll, pitch, yaw = level_rpy(signals.up.mean(axis=0))
     drive = regained(drive, gain_of(twin))
     signals = ingest_drive(drive, turned(twin.imu, (roll, pitch, yaw)), settings.imu)
+    # a path that is made with a sensor which faces backwards speeds up as that says: by then it is too late to ask
+    far = facing(drive, signals, twin.gps, datum)
     for _ in range(_TURNS):
-        yaw += heading_off(signals, trajectory)
+        yaw, far = yaw + (far or heading_off(signals, trajectory)), 0.0
         signals = ingest_drive(drive, turned(twin.imu, (roll, pitch, yaw)), settings.imu)
         trajectory = _locked(drive, twin, signals, settings, datum, True)
-    return _excitation(trajectory, twin, Ground(prepared.road, settings.outside), settings)
+    return _excitation(trajectory, twin, Ground(prepared.road, settings.outside), settings), (roll, pitch, yaw)
 
 
 def regained_excitation(prepared: Prepared, drive: Drive) -> Excitation:

@@ -13,7 +13,10 @@ from suspension_twin.pose import kernel
 from suspension_twin.pose.nodes import Measurements
 from suspension_twin.signals.filters import FilterSpec, zero_phase
 
-__all__ = ["first_state"]
+__all__ = ["REVERSE_SPEED", "REVERSE_TIME", "first_state"]
+
+#: m/s and s: nothing on the road reverses this fast for this long. What pulls backwards then is a sensor that faces so.
+REVERSE_SPEED, REVERSE_TIME = 4.0, 3.0
 
 
 def first_state(measured: Measurements, stamps: Floats, rows: Floats) -> tuple[Floats, Floats]:
@@ -78,9 +81,9 @@ def _courses(measured: Measurements) -> tuple[Floats, Floats, Floats, Floats]:
 
 def _drives_backwards(at: Floats, speed: Floats, stamps: Floats, rows: Floats) -> bool:
     """Does the accelerometer pull the other way whenever the speed changes? Over a whole drive their
-    correlation tells a vehicle (or a mounting) that faces backwards."""
+    correlation tells a vehicle that faces backwards, unless it is too fast for one: then its sensor does."""
     grid = np.arange(max(at[0], stamps[0]), min(at[-1], stamps[-1]), 0.5)
-    if grid.size < 6:
+    if grid.size < 6 or np.count_nonzero(np.interp(grid, at, speed) > REVERSE_SPEED) * 0.5 > REVERSE_TIME:
         return False
     change = np.gradient(np.interp(grid, at, speed), 0.5)
     if np.ptp(change) < 0.2:

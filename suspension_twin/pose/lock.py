@@ -11,6 +11,7 @@ from typing import NamedTuple
 import numpy as np
 
 from suspension_twin.pose import kernel
+from suspension_twin.pose.beginning import REVERSE_SPEED, REVERSE_TIME
 from suspension_twin.pose.blend import Blend
 from suspension_twin.pose.history import History, Measurement
 from suspension_twin.pose.live import LiveInputs
@@ -26,7 +27,6 @@ __all__ = ["PlanarState", "PoseLock"]
 
 AHEAD = 5.0  # s that a fix may be ahead of the IMU and still wait for it
 PAUSE = 60.0  # s after which nothing is left of the pose
-REVERSE_SPEED, REVERSE_TIME = 4.0, 3.0  # m/s and s
 MAX_FORCE, MAX_TURN = 2000.0, 200.0  # m/s² and rad/s that no sensor of a vehicle sends
 
 

@@ -8,7 +8,7 @@ and both sides are brought down to what fixes at a few hertz can hold.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -37,9 +37,10 @@ _LEVEL = 0.1
 
 
 def satellite_motion(
-    drive: Drive, signals: ImuSignals, gps_place: Place, datum: Datum
+    drive: Drive, signals: ImuSignals, gps_place: Place, datum: Datum, ahead: Sequence[float] = (1.0, 0.0, 0.0)
 ) -> tuple[ImuSignals, Trajectory]:
-    """The IMU (n,) at RATE Hz and the motion of ``base_link`` at its stamps, by the fixes alone.
+    """The IMU (n,) at RATE Hz and the motion of ``base_link`` at its stamps, by the fixes alone. ``ahead`` is the
+    vehicle's own axis as the signals have it: along it hills are taken off what the IMU feels.
 
     Raises InputError where there are too few fixes to differentiate.
     """
@@ -97,7 +98,7 @@ def satellite_motion(
         return slow(even)[cut].reshape(-1, *values.shape[1:])
 
     force = slowed(signals.force)
-    force[:, 0] -= _hills(fix, good, t, speed, fast, slow)[cut]
+    force -= np.outer(_hills(fix, good, t, speed, fast, slow)[cut], ahead)
     slower = replace(
         signals, t=t[cut], keep=signals.keep[kept], force=force, rate=slowed(signals.rate),
         vertical_acceleration=slowed(signals.vertical_acceleration), up=signals.up[kept], rate_hz=rate / step,

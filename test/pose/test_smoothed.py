@@ -184,6 +184,17 @@ def test_reversing_out_of_a_gap_and_driving_off(make_scene: Maker) -> None:
     assert found.speed.min() == pytest.approx(-2.0, abs=0.05)
 
 
+def test_a_sensor_that_faces_backwards_makes_no_car_reverse_at_speed(make_scene: Maker, away: Away) -> None:
+    scene = make_scene(speed=away(), turn=wiggle(0.2, 9.0))
+    imu = scene.drive.imu
+    turned = np.array([-1.0, -1.0, 1.0])
+    backwards = replace(imu, specific_force=imu.specific_force * turned, angular_rate=imu.angular_rate * turned)
+    found = lock(scene, replace(scene.drive, imu=backwards))
+    assert found.speed.min() > -1.0
+    assert found.speed.max() > 5.0
+    assert errors(found, scene.truth)["yaw"] < 0.3
+
+
 def test_headings_serve_a_car_that_never_moves(make_scene: Maker) -> None:
     scene = make_scene(speed=np.zeros_like, heading=True, seconds=20.0)
     found = lock(scene)

@@ -1,0 +1,103 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What IMU and receiver say of each other: clocks that differ, sensors that face elsewhere, rates in degrees."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from suspension_twin.drive.types import Drive
+from suspension_twin.errors import InputError
+from suspension_twin.gap.agreement import agreement
+from suspension_twin.gap.prepare import prepare, turned_excitation
+from suspension_twin.gap.synthetic import SensorErrors, synthetic_drive
+from suspension_twin.road import Road
+from suspension_twin.signals.attitude import rpy_matrix
+from suspension_twin.signals.offline import ingest_drive
+from suspension_twin.vehicle.twin import Twin
+
+KNOTS = [
+    (0.0, 0.0), (3.0, 0.0), (7.0, 8.0), (11.0, 4.0), (15.0, 10.0), (20.0, 5.0), (24.0, 8.0), (30.0, 0.0), (33.0, 0.0),
+]  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def drive(twin: Twin, bumps: Road) -> Drive:
+    return synthetic_drive(twin, bumps, KNOTS, seed=4, errors=SensorErrors(), name="ride")
+
+
+def late(drive: Drive, seconds: float) -> Drive:
+    return replace(drive, imu=replace(drive.imu, t=drive.imu.t + seconds))
+
+
+def facing(drive: Drive, yaw: float) -> Drive:
+    """As a sensor records it that is turned by ``yaw`` against its mounting."""
+    turn = rpy_matrix((0.0, 0.0, yaw))
+    imu = drive.imu
+    force, rate = imu.specific_force @ turn, imu.angular_rate @ turn
+    return replace(drive, imu=replace(imu, specific_force=force, angular_rate=rate))
+
+
+@pytest.mark.parametrize("seconds", [-4.0, -0.6, 0.0, 0.35, 1.5, 5.0])
+@pytest.mark.parametrize("yaw", [0.0, 1.5708, -2.8])
+def test_delay_and_facing_are_told_apart(drive: Drive, twin: Twin, seconds: float, yaw: float) -> None:
+    spoilt = late(facing(drive, yaw), seconds)
+    assert twin.datum is not None
+    told = agreement(spoilt, ingest_drive(spoilt, twin.imu), twin.gps, twin.datum)
+    assert told is not None
+    assert told.late == pytest.approx(seconds, abs=0.1)
+    assert math.cos(told.yaw - yaw) > 0.99
+
+
+def test_a_sound_drive_has_nothing_to_say(drive: Drive, twin: Twin, bumps: Road) -> None:
+    assert not any("clock" in w or "turned" in w or "gyro" in w for w in prepare(drive, twin, bumps).warnings)
+
+
+@pytest.mark.parametrize(
+    ("spoil", "says"),
+    [
+        (lambda d: late(d, 5.0), "5.0 s after the receiver's"),
+        (lambda d: late(d, -5.0), "5.0 s before the receiver's"),
+        (lambda d: replace(d, imu=replace(d.imu, angular_rate=np.degrees(d.imu.angular_rate))), "°/s"),
+    ],
+    ids=["late", "early", "degrees"],
+)
+def test_what_no_answer_can_come_from_is_refused_in_one_line(
+    drive: Drive, twin: Twin, bumps: Road, spoil: object, says: str
+) -> None:
+    spoilt = spoil(drive)  # type: ignore[operator]
+    with pytest.raises(InputError, match=says) as told:
+        prepare(spoilt, twin, bumps, strict=True)
+    assert str(told.value).startswith("ride") and "\n" not in str(told.value)
+    assert any(says in w for w in prepare(spoilt, twin, bumps).warnings)  # to look at, not to learn from
+
+
+def test_what_a_diagnosis_may_find_is_a_warning(drive: Drive, twin: Twin, bumps: Road) -> None:
+    assert any("0.8 s after" in w for w in prepare(late(drive, 0.8), twin, bumps, strict=True).warnings)
+    assert any("180°" in w for w in prepare(facing(drive, math.pi), twin, bumps, strict=True).warnings)
+
+
+@pytest.mark.parametrize("yaw", [1.6, math.pi])
+def test_a_path_that_was_bent_by_a_sensor_is_not_asked_how_far_that_is_turned(
+    drive: Drive, twin: Twin, bumps: Road, yaw: float
+) -> None:
+    spoilt = facing(drive, yaw)
+    found, turn = turned_excitation(prepare(spoilt, twin, bumps), spoilt)
+    assert math.cos(turn[2] - yaw) > 0.999
+    sound, right = prepare(drive, twin, bumps), np.array(turn[:2])
+    assert np.abs(right).max() < 0.02
+    assert found.speed.max() == pytest.approx(sound.excitation.speed.max(), abs=0.1)
+
+
+def test_a_drive_that_hardly_moves_tells_nothing(drive: Drive, twin: Twin) -> None:
+    stands = drive.imu.t < drive.imu.t[0] + 3.0
+    imu = replace(
+        drive.imu, t=drive.imu.t[stands], specific_force=drive.imu.specific_force[stands],
+        angular_rate=drive.imu.angular_rate[stands],
+    )  # fmt: skip
+    assert twin.datum is not None
+    short = replace(drive, imu=imu)
+    assert agreement(short, ingest_drive(short, twin.imu), twin.gps, twin.datum) is None
