@@ -1,14 +1,16 @@
 # SPDX-License-Identifier: Apache-2.0
 """Known faults of sensor, clock and map, put into the drives of a multibody car that lack nothing.
 
-    python benchmarks/seeded.py [--seeds development|reporting] [--only NAME ...] [--workers N] [--data DIR] [--json]
+    python benchmarks/seeded.py [--seeds development|reporting] [--gross] [--only NAME ...] [--workers N] [--json]
 
 The drives of ``no_effect_added`` (``../shared/withheld``, or SUSPENSION_TWIN_WITHHELD) come from an established engine
 with MacPherson struts, a multilink axle and a tyre that slips. No seven-degree model follows it, by about a fifth of
 the motion's rms, and the engine's own truth lies beside them. What a fault of the sensor would have changed is made
 from that truth, as ``blind.phone`` does for the realities of ``blind.py``, and added to what the phone recorded;
 clocks are set wrong, the road file is scaled, smoothed or shifted. Each is diagnosed without and with a reference
-drive, a road file without: it is as wrong before. A vehicle's own effects cannot be added afterwards.
+drive, a road file without: it is as wrong before. A vehicle's own effects cannot be added afterwards. With ``--gross``
+the faults are those that a set-up has more often than any: a clock half a second late, a sensor that stands sideways
+or backwards, a map metres off. A twin follows nothing of such a drive.
 """
 
 from __future__ import annotations
@@ -45,13 +47,18 @@ from suspension_twin.road import Road, load_road, write_road
 from suspension_twin.vehicle.twin import RoadFile, load_twin, save_twin
 
 ROOT = Path(__file__).resolve().parents[1]
-RESULTS = ROOT / "benchmarks" / "results" / "seeded.json"
+RESULTS = ROOT / "benchmarks" / "results"
 DRIVES = ("drive_fast", "drive_slow", "drive_other")
 EFFECTS = ("sensor_offset", *SENSOR, *TIME, *ROAD)
 SEEDS = {"development": 100, "reporting": 200}
 #: What is hardly above what clocks, maps and mounts have anyway, and what is plain; each case by up to a quarter
 #: more or less.
 FAINT, PLAIN = 0.35, 1.0
+#: Faults with ``--gross``, by what they are called.
+GROSS = {
+    "late": "time_offset", "drifting": "clock_drift", "sideways": "sensor_tilt", "backwards": "sensor_tilt",
+    "ahead": "position_offset", "beside": "lateral_offset",
+}  # fmt: skip
 #: Highest vertical acceleration that each drive has, m/s².
 _PEAK = {"drive_fast": 8.4, "drive_other": 6.3, "drive_slow": 4.7}
 
@@ -96,6 +103,32 @@ def faults_of(effect: str, amount: float, peak: float, rng: np.random.Generator)
         "lateral_offset": {"offset": 0.5 * amount * sign},
     }
     return {effect: {k: float(v) for k, v in values[effect].items()}}
+
+
+def gross(kind: str, rng: np.random.Generator) -> Faults:
+    """A fault of ``GROSS`` of any such size and sign."""
+    sign, size, angle = float(rng.choice([-1.0, 1.0])), float(rng.uniform()), rng.uniform(-0.05, 0.05, 3).tolist()
+    yaw = np.pi / 2 * sign if kind == "sideways" else np.pi
+    values = {
+        "late": {"offset": sign * (0.3 + 0.7 * size)},
+        "drifting": {"drift_ppm": sign * (4000.0 + 6000.0 * size)},
+        "ahead": {"offset": sign * (1.0 + 4.0 * size)},
+        "beside": {"offset": sign * (0.7 + 0.6 * size)},
+    }
+    turned = {"roll": angle[0], "pitch": angle[1], "yaw": float(yaw) + angle[2]}
+    return {GROSS[kind]: values.get(kind, turned)}
+
+
+def plan_gross(seeds: str) -> list[Seeded]:
+    """Every gross fault, without and with a reference."""
+    out = []
+    for number, kind in enumerate(GROSS):
+        for reference in (False,) if GROSS[kind] in ROAD else (False, True):
+            rng = np.random.default_rng([SEEDS[seeds], 50 + number, reference])
+            drives = tuple(sorted(rng.choice(DRIVES, 2, replace=False).tolist()))
+            name = f"{kind}_gross_{'ref' if reference else 'alone'}"
+            out.append(Seeded(name, gross(kind, rng), 4.0, drives, reference))
+    return out
 
 
 def plan(seeds: str) -> list[Seeded]:
@@ -211,6 +244,7 @@ def main() -> None:
     default = os.environ.get("SUSPENSION_TWIN_WITHHELD", str(ROOT.parent / "shared" / "withheld"))
     parser.add_argument("--data", type=Path, default=Path(default))
     parser.add_argument("--seeds", choices=sorted(SEEDS), default="development")
+    parser.add_argument("--gross", action="store_true", help="gross faults instead of faint and plain ones")
     parser.add_argument("--only", nargs="*", default=[])
     parser.add_argument("--workers", type=int, default=2)
     parser.add_argument("--keep", action="store_true", help=f"write the answers to {RESULTS.relative_to(ROOT)}")
@@ -218,7 +252,8 @@ def main() -> None:
     options = parser.parse_args()
     if not (options.data / "no_effect_added" / "twin.yaml").is_file():
         raise SystemExit(f"{options.data}: no drives of no_effect_added; name the folder with --data")
-    cases = [c for c in plan(options.seeds) if not options.only or c.name in options.only]
+    every = plan_gross(options.seeds) if options.gross else plan(options.seeds)
+    cases = [c for c in every if not options.only or c.name in options.only]
     if not cases:
         raise SystemExit(f"--only: none of {' '.join(options.only)} is a case of these seeds")
     rows = []
@@ -230,14 +265,15 @@ def main() -> None:
     if options.keep:
         commit = subprocess.run(["git", "rev-parse", "HEAD"], cwd=ROOT, capture_output=True, text=True).stdout.strip()
         document = {"seeds": options.seeds, "commit": commit[:12], "cases": rows}
-        RESULTS.write_text(json.dumps(document, indent=1) + "\n", encoding="utf-8")
+        kept = RESULTS / f"seeded{'_gross' if options.gross else ''}.json"
+        kept.write_text(json.dumps(document, indent=1) + "\n", encoding="utf-8")
     if options.json:
         print(json.dumps({"seeds": options.seeds, "cases": rows}))
         return
     table = Table(title=f"Seeded faults ({options.seeds}): right of all")
     for column in ("", "alone", "with a reference"):
         table.add_column(column)
-    for kind in ("faint", "plain", "none"):
+    for kind in ("gross",) if options.gross else ("faint", "plain", "none"):
         of = [r for r in rows if kind in r["case"].split("_")]
         counts = [[r["right"] for r in of if r["case"].endswith(end)] for end in ("alone", "ref")]
         table.add_row(kind, *(f"{sum(c)} of {len(c)}" for c in counts))

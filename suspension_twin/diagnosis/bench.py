@@ -19,7 +19,7 @@ from suspension_twin.calibration.problem import Interrupted, Problem, _stack
 from suspension_twin.diagnosis.hypotheses import Hypothesis
 from suspension_twin.diagnosis.noise import INDEPENDENT, Whitener
 from suspension_twin.drive.types import Floats
-from suspension_twin.models.hooks import gains_with, turns_with, upright_with
+from suspension_twin.models.hooks import clocks_with, gains_with, turns_with, upright_with
 from suspension_twin.models.parameters import lanes
 from suspension_twin.models.simulate import simulate_lanes
 from suspension_twin.models.types import Excitation
@@ -55,7 +55,7 @@ class Bench:
     and ``centre`` (d + q,) are the prior of characteristics and nuisances. ``upright`` (drives,) is what excites a
     vehicle that does not lean on average: antenna and wheels are elsewhere if it is the sensor alone; ``turned``
     (drives,) one whose motion was measured by a sensor turned as far as the drive shows (``turn``: roll, pitch and yaw
-    in rad of that), ``regained`` by one that reads as much too much.
+    in rad of that), ``regained`` by one that reads as much too much, ``reclocked`` by one as late as it shows.
     ``heard`` limits the residuals to some drives; ``fused`` whether poses come from receiver and IMU together;
     ``barred`` names nuisances that stay at nothing."""
 
@@ -64,6 +64,7 @@ class Bench:
     turned: tuple[Excitation, ...]
     turn: tuple[float, float, float]
     regained: tuple[Excitation, ...]
+    reclocked: tuple[Excitation, ...]
     active: tuple[bool, ...]
     whitener: Whitener
     precision: Floats
@@ -120,6 +121,8 @@ class Bench:
                 return self.turned[number]
             if gains_with(effects):
                 return self.regained[number]
+            if clocks_with(effects):
+                return self.reclocked[number]
         return self.upright[number] if upright_with(effects) else self.problem.parts[number].excitation
 
     # -- simulation ----------------------------------------------------------------------------

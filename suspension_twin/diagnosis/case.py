@@ -28,6 +28,7 @@ from suspension_twin.gap.prepare import (
     Prepared,
     PrepareSettings,
     prepare,
+    reclocked_excitation,
     regained_excitation,
     road_of,
     turned_excitation,
@@ -68,7 +69,8 @@ _LEANING = ("vehicle.cog.2",)
 class Case:
     """Drives ready to compare; ``active`` True where the gap is shown, ``road`` False without a road file; ``upright``
     what excites a vehicle that does not lean on each drive, ``turned`` one whose sensor is turned on its mount (by
-    ``turn``, roll, pitch and yaw in rad on the drives with the gap), ``regained`` one whose sensor reads too much."""
+    ``turn``, roll, pitch and yaw in rad on the drives with the gap), ``regained`` one whose sensor reads too much,
+    ``reclocked`` one whose sensor is far too late."""
 
     twin: Twin
     drives: tuple[Prepared, ...]
@@ -76,6 +78,7 @@ class Case:
     turned: tuple[Excitation, ...]
     turn: tuple[float, float, float]
     regained: tuple[Excitation, ...]
+    reclocked: tuple[Excitation, ...]
     active: tuple[bool, ...]
     road: bool
     warnings: tuple[str, ...]
@@ -100,6 +103,7 @@ def read_case(request: DiagnosisRequest, note: Callable[[str], None], stop: Call
     turned: list[Excitation] = []
     turns: list[tuple[float, float, float]] = []
     regained: list[Excitation] = []
+    reclocked: list[Excitation] = []
     for bag in (*request.bags, *request.reference):
         if stop():
             raise Interrupted
@@ -115,6 +119,7 @@ def read_case(request: DiagnosisRequest, note: Callable[[str], None], stop: Call
         turned.append(excited)
         turns.append(turn)
         regained.append(regained_excitation(prepared, recorded))
+        reclocked.append(reclocked_excitation(prepared, recorded))
     names: list[str] = []
     for i, drive in enumerate(drives):
         name = drive.name if drive.name not in names else f"{drive.name}_{i + 1}"
@@ -132,8 +137,8 @@ def read_case(request: DiagnosisRequest, note: Callable[[str], None], stop: Call
         )
     roll, pitch, yaw = np.angle(np.exp(1j * np.array(turns[: len(request.bags)])).sum(axis=0)).tolist()
     return Case(
-        twin, tuple(drives), tuple(upright), tuple(turned), (roll, pitch, yaw), tuple(regained), active, on_road,
-        tuple(warnings),
+        twin, tuple(drives), tuple(upright), tuple(turned), (roll, pitch, yaw), tuple(regained), tuple(reclocked),
+        active, on_road, tuple(warnings),
     )  # fmt: skip
 
 
@@ -174,8 +179,8 @@ def build(case: Case, stop: Callable[[], bool]) -> Bench:
     floors = [dict(p.noise_rms) for p in case.drives]
     whitener = Whitener.designed(problem, share, floors)
     return Bench(
-        problem, case.upright, case.turned, case.turn, case.regained, case.active, whitener, precision, centre, stop,
-        fused=case.road,
+        problem, case.upright, case.turned, case.turn, case.regained, case.reclocked, case.active, whitener,
+        precision, centre, stop, fused=case.road,
     )  # fmt: skip
 
 

@@ -21,7 +21,7 @@ from suspension_twin.signals.checks import Finding
 from suspension_twin.signals.offline import ImuSignals
 from suspension_twin.vehicle.twin import Datum, Place
 
-__all__ = ["Agreement", "agreement", "facing", "findings"]
+__all__ = ["Agreement", "agreement", "facing", "findings", "lateness"]
 
 Complexes = NDArray[np.complex128]
 
@@ -92,6 +92,12 @@ def facing(drive: Drive, signals: ImuSignals, gps: Place, datum: Datum) -> float
     """Yaw in rad by which the sensor is turned against its mounting, where that is far; else 0."""
     told = agreement(drive, signals, gps, datum)
     return told.yaw if told is not None and abs(told.yaw) > _TURNED else 0.0
+
+
+def lateness(drive: Drive, signals: ImuSignals, gps: Place, datum: Datum) -> float:
+    """Seconds by which the IMU's stamps are after the receiver's, where that is far; else 0."""
+    told = agreement(drive, signals, gps, datum)
+    return told.late if told is not None and abs(told.late) > _LATE else 0.0
 
 
 def findings(drive: Drive, signals: ImuSignals, gps: Place, datum: Datum) -> list[Finding]:

@@ -1,10 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A sensor that is turned on its mount or reads too much, and by how much a drive shows.
+"""A sensor that is turned on its mount, reads too much or is late, and by how much a drive shows.
 
 What shakes a vehicle quickly its IMU alone knows. One that is turned by ten degrees takes a sixth of the braking for
 a push to the side, and a vehicle that is simulated with that push rolls when its driver brakes. So where the mount is
 to blame, the recording is read once more as that of a sensor that stands so, for the motion that drives the model.
-The same goes for one that reads a fifth too much: at rest it reads a fifth more than gravity.
+The same goes for one that reads a fifth too much: at rest it reads a fifth more than gravity; and for one that is half
+a second late.
 """
 
 from __future__ import annotations
@@ -15,7 +16,7 @@ from dataclasses import replace
 import numpy as np
 
 from suspension_twin.drive.types import Drive
-from suspension_twin.models.hooks import load_hook
+from suspension_twin.models.hooks import ClockChange, load_hook
 from suspension_twin.pose.types import Trajectory
 from suspension_twin.signals.attitude import level_rpy, matrix_rpy, rpy_matrix
 from suspension_twin.signals.filters import FilterSpec, zero_phase
@@ -23,7 +24,10 @@ from suspension_twin.signals.offline import ImuSignals
 from suspension_twin.vehicle.tracked_twin import TrackedTwin
 from suspension_twin.vehicle.twin import Place, Twin
 
-__all__ = ["ahead_of", "gain_at_rest", "gain_of", "heading_off", "regained", "turn_of", "turn_seen", "turned"]
+__all__ = [
+    "ahead_of", "gain_at_rest", "gain_of", "heading_off", "late_of", "punctual", "regained", "turn_of", "turn_seen",
+    "turned",
+]  # fmt: skip
 
 #: Below this the path alone says how the vehicle is accelerated, Hz.
 _SLOW = FilterSpec(2, 0.4)
@@ -78,6 +82,23 @@ def gain_of(twin: Twin) -> float:
         return 1.0
     hooks = ((load_hook(e.id), e.parameters) for e in twin.effects)
     return math.prod(hook.gained(parameters) for hook, parameters in hooks if hook.gained is not None)
+
+
+def late_of(twin: Twin) -> float:
+    """Seconds by which the twin's effects have the sensor's stamps late from the first on."""
+    if isinstance(twin, TrackedTwin):
+        return 0.0
+    change = ClockChange(np.zeros(1), np.zeros(1))
+    for effect in twin.effects:
+        hook = load_hook(effect.id)
+        if hook.clock is not None:
+            hook.clock(change, {name: np.array([value]) for name, value in effect.parameters.items()})
+    return float(change.delay[0])
+
+
+def punctual(drive: Drive, late: float) -> Drive:
+    """The drive as a sensor would have stamped it whose clock is ``late`` s earlier."""
+    return replace(drive, imu=replace(drive.imu, t=drive.imu.t - late)) if late else drive
 
 
 def regained(drive: Drive, gain: float) -> Drive:

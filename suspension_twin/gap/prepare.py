@@ -16,13 +16,15 @@ from numpy.typing import NDArray
 
 from suspension_twin.drive.types import Drive, Floats
 from suspension_twin.errors import InputError
-from suspension_twin.gap.agreement import facing, findings
+from suspension_twin.gap.agreement import facing, findings, lateness
 from suspension_twin.gap.measure import CHANNELS, Gap, measure_gap
 from suspension_twin.gap.mounting import (
     ahead_of,
     gain_at_rest,
     gain_of,
     heading_off,
+    late_of,
+    punctual,
     regained,
     turn_of,
     turn_seen,
@@ -47,7 +49,8 @@ from suspension_twin.signals.offline import ImuSignals, ingest_drive
 from suspension_twin.vehicle.twin import Datum, Twin
 
 __all__ = [
-    "PrepareSettings", "Prepared", "prepare", "regained_excitation", "turned_excitation", "upright_excitation",
+    "PrepareSettings", "Prepared", "prepare", "reclocked_excitation", "regained_excitation", "turned_excitation",
+    "upright_excitation",
 ]  # fmt: skip
 
 #: The path that shows how a sensor is turned is made with its signals: each pass leaves a fifth of what was wrong.
@@ -186,9 +189,13 @@ def prepare(
     if road is None:
         road = road_of(twin)
     signals = ingest_drive(drive, twin.imu, settings.imu)
-    mounted = signals if settings.satellites else _as_mounted(drive, twin, signals, settings)
+    # what is known to be late is stamped anew for the motion: no filter makes one of both
+    late = 0.0 if settings.satellites else late_of(twin)
+    timed = punctual(drive, late)
+    mounted = ingest_drive(timed, twin.imu, settings.imu) if late else signals
+    mounted = mounted if settings.satellites else _as_mounted(timed, twin, mounted, settings)
     datum = twin.datum or _first_fix(drive)
-    noticed = [*mounted.findings, *findings(drive, mounted, twin.gps, datum)]
+    noticed = [*mounted.findings, *findings(timed, mounted, twin.gps, datum)]
     if strict:
         for finding in noticed:
             if finding.level == "error":
@@ -199,11 +206,12 @@ def prepare(
         signals, trajectory = satellite_motion(drive, signals, twin.gps, datum, ahead_of(turn))
     else:
         try:
-            trajectory = _locked(drive, twin, mounted, settings, datum, _upright(twin))
+            trajectory = _locked(timed, twin, mounted, settings, datum, _upright(twin))
+            trajectory = replace(trajectory, t=signals.t) if late else trajectory
         except InputError as error:
             raise error if str(error).startswith(drive.name) else InputError(drive.name, str(error)) from None
     warnings = (*drive.warnings, *(f.text for f in noticed if f.level != "ok"))
-    prepared = _assemble(drive.name, twin, road, settings, signals, trajectory)
+    prepared = _assemble(drive.name, twin, road, settings, signals, trajectory, late=late)
     left = prepared.off_road.sentence(float(signals.t[0]))
     if left:
         warnings = (*warnings, left)
@@ -263,6 +271,20 @@ def regained_excitation(prepared: Prepared, drive: Drive) -> Excitation:
     return _excitation(trajectory, twin, Ground(prepared.road, settings.outside), settings)
 
 
+def reclocked_excitation(prepared: Prepared, drive: Drive) -> Excitation:
+    """What excites the vehicle where all that the IMU's stamps are after the receiver's is its clock's, if that is
+    much."""
+    twin, settings, datum = prepared.twin, prepared.settings, prepared.twin.datum or _first_fix(drive)
+    late = 0.0 if settings.satellites else lateness(drive, prepared.signals, twin.gps, datum)
+    if not late or late_of(twin):
+        return prepared.excitation
+    timed = punctual(drive, late)
+    signals = _as_mounted(timed, twin, ingest_drive(timed, twin.imu, settings.imu), settings)
+    trajectory = _locked(timed, twin, signals, settings, datum, _upright(twin))
+    trajectory = replace(trajectory, t=prepared.signals.t)
+    return replace(_excitation(trajectory, twin, Ground(prepared.road, settings.outside), settings), late=late)
+
+
 def _as_mounted(drive: Drive, twin: Twin, signals: ImuSignals, settings: PrepareSettings) -> ImuSignals:
     """The signals for what moves the vehicle: a mount that is known to be turned is no turn of the vehicle, and what
     a sensor reads too much is no push."""
@@ -316,8 +338,11 @@ def _assemble(
     signals: ImuSignals,
     trajectory: Trajectory,
     known: Prepared | None = None,
+    late: float = 0.0,
 ) -> Prepared:
-    """``known``: what this is a part or a moved copy of; the floors and warnings stay what they were."""
+    """``known``: what this is a part or a moved copy of; the floors and warnings stay what they were. ``late`` s of the
+    IMU's clock are in the trajectory."""
+    late = known.excitation.late if known else late
     conditioner = Conditioner.for_stamps(signals.t, settings.filter, zero_phase=True)
     raw = np.column_stack([_channel(signals, channel) for channel in CHANNELS])
     filtered = conditioner.apply(raw)
@@ -347,7 +372,7 @@ def _assemble(
         settings=settings,
         signals=signals,
         trajectory=trajectory,
-        excitation=_excitation(trajectory, twin, Ground(road, settings.outside), settings),
+        excitation=replace(_excitation(trajectory, twin, Ground(road, settings.outside), settings), late=late),
         conditioner=conditioner,
         measured={channel: filtered[:, i] for i, channel in enumerate(CHANNELS)},
         noise_rms=floors,

@@ -100,17 +100,19 @@ def _union(problems: Iterable[tuple[NDArray[np.bool_], str, str]], count: int) -
 
 
 def constants(
-    params: Floats, layout: Layout, max_step: float, fused: bool = False, antenna: float = 0.0
+    params: Floats, layout: Layout, max_step: float, fused: bool = False, antenna: float = 0.0, late: float = 0.0
 ) -> Constants:
     """Constants of the kernel for candidates ``params`` (P, L) and steps up to ``max_step`` s.
 
     ``fused``: a late clock delays what is seen of the road instead of the sensor's stamps. ``antenna`` m is how high
-    that hangs which tells where the vehicle is: leaning takes it along.
+    that hangs which tells where the vehicle is: leaning takes it along. ``late`` s of a late clock are in the
+    excitation already.
     """
     numbers = {name: params[row] for name, row in layout.index.items()}
     count = params.shape[1]
     with np.errstate(all="ignore"):
         changed, terms, road, clock, stages, lag = _hooked(numbers, layout, count)
+    clock.delay[:] -= late
     if fused:
         # what a slow sensor feels of the planar motion is as late as the pose: it is put back by what its filter takes
         road = replace(road, delay=clock.delay + lag, drift=clock.drift)

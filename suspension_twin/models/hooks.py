@@ -150,6 +150,15 @@ def turns_with(effects: Iterable[str]) -> bool:
     return any(load_hook(effect).turned is not None for effect in effects)
 
 
+def clocks_with(effects: Iterable[str]) -> bool:
+    """Whether one of these effects, by id, is a late clock."""
+    change = ClockChange(np.zeros(1), np.zeros(1))
+    for hook in map(load_hook, effects):
+        if hook.clock is not None:
+            hook.clock(change, dict.fromkeys(hook.neutral, np.ones(1)))
+    return bool(change.delay[0])
+
+
 def gains_with(effects: Iterable[str]) -> bool:
     """Whether one of these effects, by id, is a gain of the sensor."""
     return any(load_hook(effect).gained is not None for effect in effects)

@@ -50,7 +50,7 @@ def simulate_lanes(
     shape = layout(twin)
     if params.ndim != 2 or params.shape[0] != len(shape.names) or params.shape[1] < 1:
         raise InputError("candidates", f"must be ({len(shape.names)}, L >= 1), are {params.shape}")
-    known = constants(params, shape, excitation.max_step, fused, excitation.antenna)
+    known = constants(params, shape, excitation.max_step, fused, excitation.antenna, excitation.late)
     blocks = Blocks(known)
     full = not vertical_only or bool(known.stages)
     signals = np.empty((len(excitation), 7 if full else 1, blocks.width))
@@ -83,7 +83,8 @@ def simulate_twin(twin: Twin, excitation: Excitation) -> Response:
     """
     if isinstance(twin, TrackedTwin):
         return simulate_tracked_drive(twin, excitation)
-    known = constants(pack(twin)[:, None], layout(twin), excitation.max_step, antenna=excitation.antenna)
+    most, antenna, late = excitation.max_step, excitation.antenna, excitation.late
+    known = constants(pack(twin)[:, None], layout(twin), most, antenna=antenna, late=late)
     known.raise_first()
     blocks = Blocks(known)
     n = len(excitation)

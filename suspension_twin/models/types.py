@@ -40,7 +40,8 @@ class Excitation:
     ``max_step`` s is the largest step that any interval may take. ``x``, ``y``, ``yaw`` (n,),
     ``wheels`` (4, 2) and ``ground`` are what the road heights came from, for those that look again.
     ``antenna`` m is the height of the antenna that the path is from, 0 where it is the vehicle's own: what makes
-    the vehicle lean takes the antenna along, and wheels and road are elsewhere.
+    the vehicle lean takes the antenna along, and wheels and road are elsewhere. ``late`` s by which the sensor's stamps
+    were known to be late when all this was made: that much of a late clock is in it.
     """
 
     t: Floats
@@ -55,6 +56,7 @@ class Excitation:
     wheels: Floats
     ground: HeightField
     antenna: float = 0.0
+    late: float = 0.0
 
     def __len__(self) -> int:
         return int(self.t.size)

@@ -76,6 +76,19 @@ def test_every_effect_comes_faint_and_plain_and_seeds_share_no_case(seeded: Modu
     assert sum(not c.faults for c in reporting) == 6
 
 
+def test_gross_faults_are_gross_and_differ_from_seeds_to_seeds(seeded: ModuleType) -> None:
+    development, reporting = seeded.plan_gross("development"), seeded.plan_gross("reporting")
+    assert [c.name for c in development] == [c.name for c in reporting]
+    assert len(reporting) == len({c.name for c in reporting}) == 2 * len(seeded.GROSS) - 2
+    assert not any(a.faults == b.faults for a, b in zip(development, reporting, strict=True))
+    least = {
+        "time_offset": 0.3, "clock_drift": 4000.0, "sensor_tilt": 1.5, "position_offset": 1.0, "lateral_offset": 0.7,
+    }  # fmt: skip
+    for case in (*development, *reporting):
+        ((effect, values),) = case.faults.items()
+        assert max(abs(v) for v in values.values()) >= least[effect]
+
+
 def test_nothing_put_in_changes_nothing(seeded: ModuleType, drive: Drive, truth: Any) -> None:
     same = seeded.recorded(drive, truth, LEVEL, {})
     np.testing.assert_allclose(same.imu.specific_force, drive.imu.specific_force, atol=1e-9)

@@ -12,12 +12,13 @@ import pytest
 from suspension_twin.drive.types import Drive
 from suspension_twin.errors import InputError
 from suspension_twin.gap.agreement import agreement
-from suspension_twin.gap.prepare import prepare, turned_excitation
+from suspension_twin.gap.prepare import prepare, reclocked_excitation, turned_excitation
 from suspension_twin.gap.synthetic import SensorErrors, synthetic_drive
+from suspension_twin.models.simulate import simulate_twin
 from suspension_twin.road import Road
 from suspension_twin.signals.attitude import rpy_matrix
 from suspension_twin.signals.offline import ingest_drive
-from suspension_twin.vehicle.twin import Twin
+from suspension_twin.vehicle.twin import EffectSpec, Twin
 
 KNOTS = [
     (0.0, 0.0), (3.0, 0.0), (7.0, 8.0), (11.0, 4.0), (15.0, 10.0), (20.0, 5.0), (24.0, 8.0), (30.0, 0.0), (33.0, 0.0),
@@ -90,6 +91,33 @@ def test_a_path_that_was_bent_by_a_sensor_is_not_asked_how_far_that_is_turned(
     sound, right = prepare(drive, twin, bumps), np.array(turn[:2])
     assert np.abs(right).max() < 0.02
     assert found.speed.max() == pytest.approx(sound.excitation.speed.max(), abs=0.1)
+
+
+@pytest.mark.parametrize("seconds", [-1.1, 0.06, 0.7])
+def test_a_clock_that_is_known_to_be_late_costs_nothing(drive: Drive, twin: Twin, bumps: Road, seconds: float) -> None:
+    spoilt = late(drive, seconds)
+    knowing = twin.model_copy(update={"effects": (EffectSpec(id="time_offset", parameters={"offset": seconds}),)})
+    sound, known = prepare(drive, twin, bumps), prepare(spoilt, knowing, bumps)
+    assert not any("after" in w or "before" in w for w in known.warnings)
+    assert known.excitation.late == pytest.approx(seconds)
+    assert np.array_equal(known.excitation.t, known.signals.t)
+    gaps = [p.gap(p.condition(simulate_twin(p.twin, p.excitation))).rms for p in (sound, known)]
+    assert gaps[1] == pytest.approx(gaps[0], rel=5e-3)
+    unknown = prepare(spoilt, twin, bumps)
+    assert unknown.gap(unknown.condition(simulate_twin(twin, unknown.excitation))).rms > 1.3 * gaps[0]
+
+
+@pytest.mark.parametrize("seconds", [-1.1, 0.0, 0.7])
+def test_how_late_a_clock_is_seen_to_be_is_taken_off_the_motion(
+    drive: Drive, twin: Twin, bumps: Road, seconds: float
+) -> None:
+    spoilt = late(drive, seconds)
+    seen = reclocked_excitation(prepare(spoilt, twin, bumps), spoilt)
+    assert seen.late == pytest.approx(seconds, abs=0.05)
+    if seconds:
+        sound, bent = prepare(drive, twin, bumps).excitation, prepare(spoilt, twin, bumps).excitation
+        off, more = (float(np.std(e.speed - sound.speed)) for e in (seen, bent))
+        assert off < 0.3 * more
 
 
 def test_a_drive_that_hardly_moves_tells_nothing(drive: Drive, twin: Twin) -> None:
