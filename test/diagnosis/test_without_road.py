@@ -15,8 +15,9 @@ from suspension_twin.drive.write import write_drive
 from suspension_twin.vehicle.twin import Datum, Place, Twin, save_twin
 
 
+@pytest.mark.parametrize("told", [np.pi, 0.0], ids=["it looks backwards", "nothing of it"])
 def test_tilt_and_clock_of_a_real_roof_imu_are_named(
-    shared_data: Path, repository: Path, car: Twin, tmp_path: Path
+    shared_data: Path, repository: Path, car: Twin, tmp_path: Path, told: float
 ) -> None:
     folder = shared_data / "rtklibexplorer_GNSS_IMU"
     if not folder.is_dir():
@@ -27,8 +28,8 @@ def test_tilt_and_clock_of_a_real_roof_imu_are_named(
     fix = drive.fix
     twin = car.model_copy(
         update={
-            # all that its owner saw: it looks backwards
-            "imu": Place(position=(0.0, 0.0, 1.5), rpy=(0.0, 0.0, np.pi)),
+            # all that its owner saw: it looks backwards; or not even that
+            "imu": Place(position=(0.0, 0.0, 1.5), rpy=(0.0, 0.0, told)),
             "gps": Place(frame="gps_link", position=(0.0, 0.0, 2.15)),
             "datum": Datum(latitude=fix.latitude[0], longitude=fix.longitude[0], altitude=fix.altitude[0]),
         }
@@ -38,10 +39,12 @@ def test_tilt_and_clock_of_a_real_roof_imu_are_named(
     assert document["verdict"] == "effect"
     assert set(document["combination"]) == {"time_offset", "sensor_tilt", "clock_drift"}
     found = {c["effect"]: c["parameters"] for c in document["causes"]}
-    # as documented, in axes that point forward, right, down: seen in ours, pitch and yaw change sign
+    # as documented, in axes that point forward, right, down: seen in ours, pitch and yaw change sign; pitch once more
+    # where the sensor itself looks the other way
     assert found["time_offset"]["offset"] == pytest.approx(0.125, abs=0.015)
     assert found["clock_drift"]["drift_ppm"] == pytest.approx(257, abs=80)
-    assert np.degrees(found["sensor_tilt"]["pitch"]) == pytest.approx(6.79, abs=2.0)
-    assert np.degrees(found["sensor_tilt"]["yaw"]) == pytest.approx(-5.35, abs=2.0)
+    turned = np.degrees(found["sensor_tilt"]["yaw"]) + (0.0 if told else 180.0)
+    assert np.degrees(found["sensor_tilt"]["pitch"]) == pytest.approx(6.79 if told else -6.79, abs=2.0)
+    assert (turned + 5.35 + 180.0) % 360.0 - 180.0 == pytest.approx(0.0, abs=2.0)
     assert document["where"]["road"] == [] or document["gap"]["channel"] == "longitudinal_acceleration"
     assert any("names no road" in w for w in document["warnings"])
