@@ -65,7 +65,7 @@ def links(car: Car, part: float, centre: Floats) -> tuple[str, Floats]:
         rise = np.cross(axis, -front)[2]  # m up for each radian
         if rise < 0.0:
             axis, rise = -axis, -rise
-        lever[i] = (*axis, *front, *(place - centre), PROGRESSION[axle])
+        lever[i] = (*axis, *front, PROGRESSION[axle])
         bodies += f"""<body name="w{i}" pos="{mb.text(place - centre)}">
         <joint type="slide" axis="1 0 0" stiffness="{BUSHING:.9g}" damping="{BUSHING_DAMPING:.9g}"/>
         <joint type="hinge" pos="{mb.text(front)}" axis="{mb.text(axis)}"/>

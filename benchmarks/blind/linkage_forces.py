@@ -8,11 +8,11 @@ import math
 from numba import njit
 
 from blind import multibody_forces as mf
-from blind.multibody_forces import ground, strut
+from blind.multibody_forces import footing, strut
 
-#: Numbers of each linkage: its axis, the place that this goes through and the wheel's own, and its progression.
-AX, AY, AZ, FX, FY, FZ, WX, WY, WZ, PROG = range(10)
-LEVERS = 10
+#: Numbers of each linkage: its axis, the place from the wheel that this goes through, and its progression.
+AX, AY, AZ, FX, FY, FZ, PROG = range(7)
+LEVERS = 7
 #: What a wheel keeps: its spin rad/s, and how far its tyre is sheared along and across, m.
 SPIN, ALONG, ACROSS = range(3)
 STATES = 3
@@ -40,9 +40,8 @@ def apply(t, motion, lever, bars, control, n, w, keep, spin, travel, tables, rea
     joints' places and rates; joints of wheel i are 6 + 2 i along the road and 7 + 2 i about its axis."""
     at, turned, moving, qpos, qvel = motion
     springs, pushes, pulls = tables
-    z, steps, heading, lx, ly = road
     steer, drive, brake = control
-    dt, points = n[mf.DT], int(n[mf.POINTS])
+    dt = n[mf.DT]
     for i in range(4):
         s, ds = lift(i, qpos[8 + 2 * i], lever)
         travel[i] = s
@@ -62,20 +61,7 @@ def apply(t, motion, lever, bars, control, n, w, keep, spin, travel, tables, rea
         px, py, pz = at[b, 0], at[b, 1], at[b, 2]
         aim = math.atan2(turned[b, 3], turned[b, 0]) + (steer if i < 2 else 0.0)
         ca, sa = math.cos(aim), math.sin(aim)
-        height = 0.0
-        for k in range(points):
-            d = n[mf.PATCH] * ((k + 0.5) / points - 0.5)
-            height += ground(px + d * ca, py + d * sa, i, keep, z, steps[0], steps[1], steps[2], heading, lx, ly)
-        height /= points
-        e = 0.03 + 0.5 * n[mf.PATCH]
-        rise = (
-            ground(px + e * ca, py + e * sa, i, keep, z, steps[0], steps[1], steps[2], heading, lx, ly)
-            - ground(px - e * ca, py - e * sa, i, keep, z, steps[0], steps[1], steps[2], heading, lx, ly)
-        ) / (2 * e)
-        lean = (
-            ground(px - 0.04 * sa, py + 0.04 * ca, i, keep, z, steps[0], steps[1], steps[2], heading, lx, ly)
-            - ground(px + 0.04 * sa, py - 0.04 * ca, i, keep, z, steps[0], steps[1], steps[2], heading, lx, ly)
-        ) / 0.08
+        height, rise, lean = footing(px, py, ca, sa, i, n, keep, road)
         arm = height - pz
         # the wheel's middle, then the tyre's foot, which leans with the body but does not turn with the spin
         wx, wy = moving[b, 0], moving[b, 1]

@@ -39,6 +39,27 @@ def ground(x, y, i, keep, z, du, dv, v0, heading, lx, ly):  # type: ignore[no-un
 
 
 @njit(cache=True)
+def footing(px, py, ca, sa, i, n, keep, road):  # type: ignore[no-untyped-def]
+    """Height under wheel i, evenly over its patch, and the surface's slopes ahead and to the left as it points."""
+    z, steps, heading, lx, ly = road
+    points, height = int(n[POINTS]), 0.0
+    for k in range(points):
+        d = n[PATCH] * ((k + 0.5) / points - 0.5)
+        height += ground(px + d * ca, py + d * sa, i, keep, z, steps[0], steps[1], steps[2], heading, lx, ly)
+    height /= points
+    e = 0.03 + 0.5 * n[PATCH]
+    rise = (
+        ground(px + e * ca, py + e * sa, i, keep, z, steps[0], steps[1], steps[2], heading, lx, ly)
+        - ground(px - e * ca, py - e * sa, i, keep, z, steps[0], steps[1], steps[2], heading, lx, ly)
+    ) / (2 * e)
+    lean = (
+        ground(px - 0.04 * sa, py + 0.04 * ca, i, keep, z, steps[0], steps[1], steps[2], heading, lx, ly)
+        - ground(px + 0.04 * sa, py - 0.04 * ca, i, keep, z, steps[0], steps[1], steps[2], heading, lx, ly)
+    ) / 0.08
+    return height, rise, lean
+
+
+@njit(cache=True)
 def lookup(table, x, reach):  # type: ignore[no-untyped-def]
     n = table.size - 1
     a = min(max(x / reach, 0.0), 1.0) * n
@@ -104,34 +125,19 @@ def strut(i, s, v, t, n, w, keep, springs, pushes, pulls, spring_reach, damper_r
 def apply(t, qpos, qvel, xmat, xpos, axes, control, n, w, keep, tables, reaches, road, applied, outer):  # type: ignore[no-untyped-def]
     """Fill joint forces ``applied`` (from index 6 on) and wheel wrenches ``outer`` (4, 6) for one step."""
     springs, pushes, pulls = tables
-    z, steps, heading, lx, ly = road
     steer, drive, brake = control
     b = qvel[3:6]
     wx = xmat[0, 0] * b[0] + xmat[0, 1] * b[1] + xmat[0, 2] * b[2]
     wy = xmat[1, 0] * b[0] + xmat[1, 1] * b[1] + xmat[1, 2] * b[2]
     wz = xmat[2, 0] * b[0] + xmat[2, 1] * b[1] + xmat[2, 2] * b[2]
     facing = math.atan2(xmat[1, 0], xmat[0, 0])
-    points = int(n[POINTS])
     for i in range(4):
         s, v = qpos[7 + i], qvel[6 + i]
         applied[6 + i] = -strut(i, s, v, t, n, w, keep, springs, pushes, pulls, reaches[0], reaches[1])
         px, py, pz = xpos[i, 0], xpos[i, 1], xpos[i, 2]
         aim = facing + (steer if i < 2 else 0.0)
         ca, sa = math.cos(aim), math.sin(aim)
-        height = 0.0
-        for k in range(points):
-            d = n[PATCH] * ((k + 0.5) / points - 0.5)
-            height += ground(px + d * ca, py + d * sa, i, keep, z, steps[0], steps[1], steps[2], heading, lx, ly)
-        height /= points
-        e = 0.03 + 0.5 * n[PATCH]
-        rise = (
-            ground(px + e * ca, py + e * sa, i, keep, z, steps[0], steps[1], steps[2], heading, lx, ly)
-            - ground(px - e * ca, py - e * sa, i, keep, z, steps[0], steps[1], steps[2], heading, lx, ly)
-        ) / (2 * e)
-        lean = (
-            ground(px - 0.04 * sa, py + 0.04 * ca, i, keep, z, steps[0], steps[1], steps[2], heading, lx, ly)
-            - ground(px + 0.04 * sa, py - 0.04 * ca, i, keep, z, steps[0], steps[1], steps[2], heading, lx, ly)
-        ) / 0.08
+        height, rise, lean = footing(px, py, ca, sa, i, n, keep, road)
         dx, dy, dz = px - qpos[0], py - qpos[1], pz - qpos[2]
         qx = qvel[0] + wy * dz - wz * dy + v * axes[i, 0]
         qy = qvel[1] + wz * dx - wx * dz + v * axes[i, 1]
