@@ -32,7 +32,7 @@ _TIED = 0.05  # how often the second has to win for the two not to be told apart
 class Findings:
     """``left``, ``weights`` and ``gates`` count the baseline first, then ``singles``; ``chosen`` is what
     the written twin has, ``chosen_left`` and ``chosen_gate`` belong to it; ``unseen`` and ``alone`` as in
-    ``verdict.masses``.
+    ``verdict.masses``; ``excess`` is the share of the recalibrated gap's mean square that no reference shows as well.
     ``strange`` (W,) is the probability that each of ``witnesses`` is what the gap is like, ``strange_left`` what they
     leave."""
 
@@ -51,6 +51,7 @@ class Findings:
     chosen_left: gaps.Remainder
     chosen_gate: verdict.Gates
     reference: float | None
+    excess: float
     temper: float
     witnesses: list[Single]
     strange: Floats
@@ -76,14 +77,16 @@ def conclude(
         [gaps.shrink_of(bench, found.left[0], r, found.blocks, found.noise[channel], 0, request.seed).shrink
          for r in found.left[1:]]
     )  # fmt: skip
-    effects, no_gap, unknown = verdict.masses(found.weights, found.gates, beyond, found.unseen, found.alone)
+    gone = verdict.of_the_excess(beyond, found.excess)
+    effects, no_gap, unknown = verdict.masses(found.weights, found.gates, gone, found.unseen, found.alone)
     unknown += float(found.strange.sum())
     chosen = found.chosen.fit.hypothesis.effects
     if len(chosen) > 1:
-        gone = gaps.shrink_of(
+        taken = gaps.shrink_of(
             bench, found.left[0], found.chosen_left, found.blocks, found.noise[channel], 0, request.seed
         )
-        effects, unknown = _shared(found, effects, unknown, chosen, gone.shrink)
+        gone = verdict.of_the_excess(np.array([taken.shrink]), found.excess)
+        effects, unknown = _shared(found, effects, unknown, chosen, float(gone[0]))
     groups = _groups(found, effects)
     left = 1.0 - _shrink(bench, found, found.chosen_left, request.seed).shrink
     adequate = found.chosen_gate.adequate

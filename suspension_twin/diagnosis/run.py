@@ -7,7 +7,7 @@ It may run in a spawned process: whatever it reads is named in the request, and 
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -314,15 +314,23 @@ class _Search:
                 self.bench, chosen, effects, self.blocks, self.request.seed,
                 lambda done, note: self.tell(Progress("combinations", 0.76 + 0.18 * done, note)), weak,
             )  # fmt: skip
-            worth = (e for e in tried if verdict.uncommon(self.bench, e, self.reference is not None) > 0.5)
-            more = next(worth, None)
-            if more is None:
+            # the one that gains most may make up for a little everywhere and close nothing: then the next
+            joined = next(self._joining(chosen, left, tried), None)
+            if joined is None:
                 break
-            rest = gaps.remainder(self.bench, more.fit.hypothesis, more.unknowns, self.blocks)
-            if not self._pays(chosen, left, more, rest):
-                break
-            chosen, left, gates = more, rest, self._gates(more, rest)
+            chosen, left = joined
+            gates = self._gates(chosen, left)
         return chosen, left
+
+    def _joining(
+        self, few: Evidence, few_left: gaps.Remainder, tried: list[Evidence]
+    ) -> Iterator[tuple[Evidence, gaps.Remainder]]:
+        """Those of ``tried`` that pay, the best first, and what they leave."""
+        for more in tried:
+            if verdict.uncommon(self.bench, more, self.reference is not None) > 0.5:
+                rest = gaps.remainder(self.bench, more.fit.hypothesis, more.unknowns, self.blocks)
+                if self._pays(few, few_left, more, rest):
+                    yield more, rest
 
     def _pays(self, few: Evidence, few_left: gaps.Remainder, many: Evidence, many_left: gaps.Remainder) -> bool:
         """Whether one more effect is sure to be better, and by enough of some channel's recalibrated gap;
@@ -395,6 +403,6 @@ class _Search:
         return Findings(
             self.blocks, self.noise, self.standing, self.base, self.singles, self.left, self.weights, self.unseen,
             self.alone, self.beats, self.gates, self.chosen, self.chosen_left,
-            self._gates(self.chosen, self.chosen_left), self.reference, self.temper, self.witnesses, self.strange,
-            self.strange_left,
+            self._gates(self.chosen, self.chosen_left), self.reference, self._excess(), self.temper, self.witnesses,
+            self.strange, self.strange_left,
         )  # fmt: skip

@@ -19,8 +19,8 @@ from suspension_twin.drive.types import Floats
 from suspension_twin.effects.registry import EFFECTS
 
 __all__ = [
-    "Gates", "background", "even", "explained", "free_of_lines", "level_of", "masses", "plausible", "punctual", "sound",
-    "temper_of", "uncommon", "unmatched", "verdict_of",
+    "Gates", "background", "even", "explained", "free_of_lines", "level_of", "masses", "of_the_excess", "plausible",
+    "punctual", "sound", "temper_of", "uncommon", "unmatched", "verdict_of",
 ]  # fmt: skip
 
 #: Share of the gap's rms that a cause has to explain.
@@ -225,6 +225,13 @@ def explained(gate: Gates, gone: float, alone: float = 0.0) -> float:
     return gate.adequate + (1.0 - gate.adequate) * kept
 
 
+def of_the_excess(shrink: Floats, excess: float) -> Floats:
+    """Shares (E,) of a recalibrated gap's rms that are gone, of the part that a reference does not show as well:
+    ``excess`` of its mean square."""
+    gone = (1.0 - (1.0 - np.clip(shrink, 0.0, 1.0)) ** 2) / excess
+    return np.asarray(1.0 - np.sqrt(1.0 - np.minimum(gone, 1.0)))
+
+
 def masses(
     weights: Floats, gates: Sequence[Gates], gone: Floats, unseen: Floats, alone: Floats
 ) -> tuple[Floats, float, float]:
@@ -255,10 +262,9 @@ def masses(
 def verdict_of(
     effects: Floats, no_gap: float, unknown: float, adequate: float, left: float, groups: Sequence[Sequence[int]]
 ) -> str:
-    """effect, partly, no_gap or unknown: whichever answer carries the most; effects that cannot be told
-    apart (``groups``) carry theirs together."""
-    together = max((float(sum(effects[i] for i in g)) for g in groups), default=0.0)
-    named = max(together, 0.0)
-    if max(no_gap, unknown) > named:
+    """effect or partly where a cause is likelier than that it is none of the library, else no_gap or unknown, whichever
+    carries more; effects that cannot be told apart (``groups``) carry theirs together."""
+    named = max((float(sum(effects[i] for i in g)) for g in groups), default=0.0)
+    if named <= no_gap + unknown:
         return "no_gap" if no_gap >= unknown else "unknown"
     return "effect" if adequate >= 0.3 or left < MATERIAL else "partly"

@@ -51,7 +51,8 @@ def stop(name: str, travel: str, moves: str, valve: str, farthest: float, rows: 
     parameters = (
         Parameter("front_clearance", *gap, f"{travel} at the wheel until it touches, front", log=True),
         Parameter("rear_clearance", *gap, "the same at the rear", log=True),
-        Parameter("stiffness", "N/m", 0.0, 1.0e6, 0.0, 0.0, 8.0e4, "at first touch, at the wheel"),
+        # softer is what bushings and kinematics add to any spring as it is compressed, not a stop
+        Parameter("stiffness", "N/m", 0.0, 1.0e6, 0.0, 0.0, 8.0e4, "at first touch, at the wheel", usual=8.0e3),
     )
     return Effect(
         id=f"{name}_stop",

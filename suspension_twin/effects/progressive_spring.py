@@ -10,11 +10,14 @@ from suspension_twin.models.rows import RATE_RISE, RATE_SQUARE
 
 __all__ = ["EFFECT"]
 
+#: Linkage, bushings and the first of a stop make any car's wheel rate grow on one way by up to 12 kN/m in 3 cm; on both
+#: ways, which takes two stops, by less than half of that.
+_rise, _square = ("N/m²", -2.0e6, 2.0e6, 0.0, 0.0, 1.5e5), ("N/m³", 0.0, 1.0e9, 0.0, 0.0, 1.5e7)
 _PARAMETERS = (
-    Parameter("front_rise", "N/m²", -2.0e6, 2.0e6, 0.0, 0.0, 1.5e5, "growth of the rate with jounce, front"),
-    Parameter("rear_rise", "N/m²", -2.0e6, 2.0e6, 0.0, 0.0, 1.5e5, "the same at the rear"),
-    Parameter("front_square", "N/m³", 0.0, 1.0e9, 0.0, 0.0, 1.5e7, "growth with the square of travel, front"),
-    Parameter("rear_square", "N/m³", 0.0, 1.0e9, 0.0, 0.0, 1.5e7, "the same at the rear"),
+    Parameter("front_rise", *_rise, "growth of the rate with jounce, front", usual=4.0e5),
+    Parameter("rear_rise", *_rise, "the same at the rear", usual=4.0e5),
+    Parameter("front_square", *_square, "growth with the square of travel, front", usual=6.0e6),
+    Parameter("rear_square", *_square, "the same at the rear", usual=6.0e6),
 )
 
 

@@ -165,6 +165,10 @@ def test_a_payload_has_to_be_more_than_a_file_is_off_by(mass: float, low: float,
         ("sensor_offset", {"x": 0.01, "y": 0.0, "z": -0.01}, True),
         ("sensor_offset", {"x": 0.0, "y": 0.0, "z": 0.2}, False),
         ("clock_drift", {"drift_ppm": -25.0}, True), ("clock_drift", {"drift_ppm": -250.0}, False),
+        ("progressive_spring", {"front_rise": 2.0e5, "rear_rise": -5e4, "front_square": 1.1e6, "rear_square": 0.0}, True),
+        ("progressive_spring", {"front_rise": 7.0e4, "rear_rise": 4e3, "front_square": 3.0e7, "rear_square": 3e7}, False),
+        ("bump_stop", {"front_clearance": 0.003, "rear_clearance": 0.04, "stiffness": 3.2e3}, True),
+        ("rebound_stop", {"front_clearance": 0.03, "rear_clearance": 0.03, "stiffness": 4.0e4}, False),
     ],
 )  # fmt: skip
 def test_what_every_car_has_is_no_finding(effect: str, values: dict[str, float], usual: bool) -> None:
@@ -181,6 +185,33 @@ def test_what_is_named_in_part_is_shared_with_unknown_by_how_much_is_gone() -> N
     assert verdict.explained(half, -0.3) == 0.5
     assert verdict.explained(half, 0.8) == pytest.approx(0.5 + 0.5 * 0.64)
     assert verdict.explained(half, 0.2, 0.7) == pytest.approx(0.5 + 0.5 * 0.7)
+
+
+def test_what_a_reference_shows_as_well_is_not_to_be_taken_away() -> None:
+    shrink = np.array([0.0, 0.5, 0.6, 1.0, -0.2])
+    # nothing is known of before: the share of the gap, and never less than none
+    assert verdict.of_the_excess(shrink, 1.0) == pytest.approx([0.0, 0.5, 0.6, 1.0, 0.0])
+    # where a quarter of the mean square was there before, three quarters of it are all that there was to take
+    assert verdict.of_the_excess(shrink, 0.75) == pytest.approx([0.0, 1.0, 1.0, 1.0, 0.0])
+    assert verdict.of_the_excess(np.array([0.25]), 0.75)[0] == pytest.approx(1.0 - np.sqrt(1.0 - 0.4375 / 0.75))
+
+
+@pytest.mark.parametrize(
+    ("effects", "no_gap", "unknown", "adequate", "answer"),
+    [
+        ((0.6, 0.1), 0.2, 0.1, 1.0, "effect"), ((0.6, 0.1), 0.2, 0.1, 0.1, "partly"),
+        # more than either answer without one, but not than both
+        ((0.4, 0.0), 0.35, 0.25, 1.0, "no_gap"), ((0.4, 0.0), 0.25, 0.35, 1.0, "unknown"),
+        # one of two, whichever: likelier than that it is neither
+        ((0.4, 0.3), 0.1, 0.2, 1.0, "effect"), ((0.3, 0.3), 0.35, 0.05, 1.0, "effect"),
+    ],
+)  # fmt: skip
+def test_a_cause_is_named_where_it_is_likelier_than_none(
+    effects: tuple[float, float], no_gap: float, unknown: float, adequate: float, answer: str
+) -> None:
+    tied = [[0, 1]] if effects[1] == 0.3 else [[0]]
+    assert verdict.verdict_of(np.array(effects), no_gap, unknown, adequate, 0.5, tied) == answer
+    assert verdict.verdict_of(np.array(effects), no_gap, unknown, adequate, 0.5, [[]]) in ("no_gap", "unknown")
 
 
 def test_what_gains_many_times_as_much_as_any_other_stands_alone() -> None:

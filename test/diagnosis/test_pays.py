@@ -65,6 +65,26 @@ def test_what_spares_clocks_and_map_much_has_not_to_take_a_fifth_of_the_rest(mon
     assert not pays(monkeypatch, (1.0, 1.0), after=0.75, relief=3.5)  # a tenth of the gap it has to
 
 
+def test_where_the_best_addition_closes_nothing_the_next_that_does_joins(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(run.gaps, "remainder", lambda bench, hypothesis, unknowns, blocks: f"left by {hypothesis}")
+    monkeypatch.setattr(verdict, "uncommon", lambda bench, found, changed: 0.1 if found == "usual" else 1.0)
+    worthy = ("usual", "closes", "closes too")
+
+    class Tried(_Told):
+        @property
+        def fit(self) -> Any:
+            return SimpleNamespace(hypothesis=str(self))
+
+        unknowns = None
+
+    search: Any = SimpleNamespace(
+        bench=None, reference=None, blocks=None, _pays=lambda few, few_left, many, many_left: many in worthy
+    )
+    tried = [Tried(name) for name in ("makes up", "usual", "closes", "closes too")]
+    joining = list(run._Search._joining(search, _Told("few"), "left", tried))  # type: ignore[arg-type]
+    assert joining == [("closes", "left by closes"), ("closes too", "left by closes too")]
+
+
 def found(effects: tuple[str, ...], gain: float) -> Any:
     fit = SimpleNamespace(hypothesis=SimpleNamespace(effects=effects))
     return SimpleNamespace(fit=fit, over=lambda base: gain)
