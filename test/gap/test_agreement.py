@@ -15,7 +15,7 @@ from suspension_twin.gap.agreement import agreement
 from suspension_twin.gap.prepare import prepare, reclocked_excitation, turned_excitation
 from suspension_twin.gap.synthetic import SensorErrors, synthetic_drive
 from suspension_twin.models.simulate import simulate_twin
-from suspension_twin.road import Road
+from suspension_twin.road import Road, flat_road
 from suspension_twin.signals.attitude import rpy_matrix
 from suspension_twin.signals.offline import ingest_drive
 from suspension_twin.vehicle.twin import EffectSpec, Twin
@@ -42,6 +42,26 @@ def facing(drive: Drive, yaw: float) -> Drive:
     return replace(drive, imu=replace(imu, specific_force=force, angular_rate=rate))
 
 
+@pytest.fixture(scope="module")
+def winding(twin: Twin) -> Drive:
+    """A ride through bends, to the left and to the right: on a straight road no side shows."""
+    u = np.arange(0.0, 300.0, 0.1)
+    heading = 0.8 * np.sin(2.0 * np.pi * u / 120.0)
+    x, y = np.cumsum(np.cos(heading)) * 0.1, np.cumsum(np.sin(heading)) * 0.1
+    rough = np.random.default_rng(5).standard_normal((u.size // 5, 7)).repeat(5, axis=0) * 2e-3
+    flat = np.zeros(u.size)
+    ends = (float(heading[0]), float(heading[-1]))
+    road = Road("winding", rough, np.linspace(-3.0, 3.0, 7), 0.1, x, y, flat, flat, ends)
+    return synthetic_drive(twin, road, KNOTS, seed=4, errors=SensorErrors(), name="ride")
+
+
+def mirrored(drive: Drive, force: tuple[float, ...], rate: tuple[float, ...]) -> Drive:
+    """With other signs of the axes of accelerometer and gyro."""
+    imu = drive.imu
+    felt, turned = imu.specific_force * np.array(force), imu.angular_rate * np.array(rate)
+    return replace(drive, imu=replace(imu, specific_force=felt, angular_rate=turned))
+
+
 @pytest.mark.parametrize("seconds", [-4.0, -0.6, 0.0, 0.35, 1.5, 5.0])
 @pytest.mark.parametrize("yaw", [0.0, 1.5708, -2.8])
 def test_delay_and_facing_are_told_apart(drive: Drive, twin: Twin, seconds: float, yaw: float) -> None:
@@ -51,6 +71,46 @@ def test_delay_and_facing_are_told_apart(drive: Drive, twin: Twin, seconds: floa
     assert told is not None
     assert told.late == pytest.approx(seconds, abs=0.1)
     assert math.cos(told.yaw - yaw) > 0.99
+    assert not told.mirrored and not told.reversed
+
+
+@pytest.mark.parametrize("seconds", [0.0, -0.7])
+@pytest.mark.parametrize(
+    ("order", "force", "rate", "handed", "back"),
+    [
+        ((0, 1, 2), (1.0, 1.0, 1.0), (1.0, 1.0, 1.0), False, False),
+        ((0, 1, 2), (1.0, -1.0, 1.0), (-1.0, 1.0, -1.0), True, True),
+        ((0, 1, 2), (1.0, -1.0, 1.0), (1.0, 1.0, 1.0), True, False),
+        ((1, 0, 2), (1.0, 1.0, 1.0), (1.0, 1.0, 1.0), True, False),
+        ((0, 1, 2), (1.0, 1.0, 1.0), (-1.0, -1.0, -1.0), False, True),
+        ((0, 1, 2), (1.0, 1.0, 1.0), (1.0, 1.0, -1.0), False, True),
+    ],
+    ids=["sound", "left-handed", "one axis", "two exchanged", "rates", "yaw rate"],
+)
+def test_wrong_signs_are_told_from_a_turned_sensor(
+    winding: Drive, twin: Twin, seconds: float, order: tuple[int, ...], force: tuple[float, ...],
+    rate: tuple[float, ...], handed: bool, back: bool,
+) -> None:  # fmt: skip
+    assert twin.datum is not None
+    imu, axes = winding.imu, list(order)
+    swapped = replace(imu, specific_force=imu.specific_force[:, axes], angular_rate=imu.angular_rate[:, axes])
+    spoilt = late(mirrored(replace(winding, imu=swapped), force, rate), seconds)
+    told = agreement(spoilt, ingest_drive(spoilt, twin.imu), twin.gps, twin.datum)
+    assert told is not None and (told.mirrored, told.reversed) == (handed, back)
+    assert told.late == pytest.approx(seconds, abs=0.1)
+
+
+@pytest.mark.parametrize(
+    ("force", "rate", "says"),
+    [((1.0, -1.0, 1.0), (-1.0, 1.0, -1.0), "axes are mirrored"), ((1.0, 1.0, 1.0), (-1.0, -1.0, -1.0), "other way")],
+)
+def test_wrong_signs_are_refused_in_one_line(
+    winding: Drive, twin: Twin, force: tuple[float, ...], rate: tuple[float, ...], says: str
+) -> None:
+    with pytest.raises(InputError, match=says) as told:
+        prepare(mirrored(winding, force, rate), twin, flat_road(), strict=True)
+    assert str(told.value).startswith("ride: imu: ") and "\n" not in str(told.value)
+    assert not any("other way" in w or "mirrored" in w for w in prepare(winding, twin, flat_road()).warnings)
 
 
 def test_a_sound_drive_has_nothing_to_say(drive: Drive, twin: Twin, bumps: Road) -> None:
