@@ -12,6 +12,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from suspension_twin.calibration.least_squares import gram
 from suspension_twin.calibration.nuisance import NuisancePriors
@@ -56,8 +57,8 @@ class Bench:
     vehicle that does not lean on average: antenna and wheels are elsewhere if it is the sensor alone; ``turned``
     (drives,) one whose motion was measured by a sensor turned as far as the drive shows (``turn``: roll, pitch and yaw
     in rad of that), ``regained`` by one that reads as much too much, ``reclocked`` by one as late as it shows.
-    ``heard`` limits the residuals to some drives; ``fused`` whether poses come from receiver and IMU together;
-    ``barred`` names nuisances that stay at nothing."""
+    ``heard`` limits the residuals to some drives, ``there`` (R,) to some of them; ``fused`` whether poses come from
+    receiver and IMU together; ``barred`` names nuisances that stay at nothing."""
 
     problem: Problem
     upright: tuple[Excitation, ...]
@@ -71,6 +72,7 @@ class Bench:
     centre: Floats
     stop: Callable[[], bool] = lambda: False
     heard: tuple[int, ...] | None = None
+    there: NDArray[np.bool_] | None = None
     fused: bool = True
     barred: tuple[str, ...] = ()
 
@@ -198,6 +200,8 @@ class Bench:
         white *= np.sqrt(INDEPENDENT)
         if self.heard is not None:
             white[~np.isin(self.whitener.drive, self.heard)] = 0.0
+        if self.there is not None:
+            white[~self.there] = 0.0
         return np.asarray(white)
 
     def residuals(self, hypothesis: Hypothesis, x: Floats) -> tuple[Floats, np.ndarray]:

@@ -13,11 +13,14 @@ from suspension_twin.diagnosis.bench import Bench
 from suspension_twin.diagnosis.case import Case
 from suspension_twin.diagnosis.experiment import next_experiment
 from suspension_twin.diagnosis.fit import Fit, finished
+from suspension_twin.diagnosis.hypotheses import library
 from suspension_twin.diagnosis.judge import Blocks, Evidence, intervals
+from suspension_twin.diagnosis.places import gathered, likenesses, spread_out
 from suspension_twin.diagnosis.request import DiagnosisRequest, DiagnosisResult, DriveView
 from suspension_twin.diagnosis.search import Single
 from suspension_twin.diagnosis.where import localise, signature
 from suspension_twin.drive.types import Floats
+from suspension_twin.effects.registry import EFFECTS
 from suspension_twin.models.simulate import simulate_twin
 from suspension_twin.vehicle.twin import Twin
 
@@ -123,6 +126,7 @@ def conclude(
         document["signature"] = signature(bench, kept_left.difference, twin)
         document["signature"]["resembles"] = _resembles(bench, found, request.seed)
         document["signature"].update(_periodic(case, bench, kept_left))
+        document["signature"].update(_stretch(case, bench, found, kept_left))
     tied = [found.singles[i] for i in (groups[0] if groups else [])]
     if len(tied) < 2:
         named = [c["effect"] for c in causes[:2] if c["probability"] > _WORTH_ASKING]
@@ -141,6 +145,24 @@ def _periodic(case: Case, bench: Bench, left: gaps.Remainder) -> dict[str, Any]:
         return {}
     at = {"every_m": _round(1.0 / line.at)} if line.domain == "distance" else {"hz": _round(line.at)}
     return {"periodic": {"channel": line.channel, **at, "share": _round(line.share)}}
+
+
+def _stretch(case: Case, bench: Bench, found: Findings, left: gaps.Remainder) -> dict[str, Any]:
+    """The stretch of road that holds the rest, where one does, and what of the road would make up for it there."""
+    there = gathered(bench, left, found.noise) if case.road else None
+    if there is None or spread_out(there) > 0.5:
+        return {}
+    offered = library(case.twin, True, [e for e, effect in EFFECTS.items() if effect.where == "road"])
+    x = found.base.fit.x[: bench.d + bench.q]
+    like = [
+        {
+            "effect": one.effect, "shrink": _round(one.shrink),
+            "parameters": {k.split(".")[2]: float(f"{v:.6g}") for k, v in one.values.items()},
+        }
+        for one in likenesses(bench, x, there, [h for v in offered.values() for h in v], found.temper)
+    ]  # fmt: skip
+    place = {"start_m": there.start, "end_m": there.end, "share": _round(there.share), "resembles": like}
+    return {"stretch": place}
 
 
 def _resembles(bench: Bench, found: Findings, seed: int) -> list[dict[str, Any]]:
@@ -282,8 +304,11 @@ def _message(answer: str, document: dict[str, Any], shrink: gaps.Shrink) -> str:
     if answer == "no_gap":
         return f"no gap: recalibrated, the twin leaves nothing material of {gap:.3g} m/s² that a sound model would not"
     if answer == "unknown":
-        like = document["signature"]["resembles"]
+        like, there = document["signature"]["resembles"], document["signature"].get("stretch")
         word = f"; it is like {_words(like[0]['effect'])}" if like else ""
+        if there:
+            word += f"; {100 * there['share']:.0f} % of it lies from {there['start_m']:.0f} to {there['end_m']:.0f} m"
+            word += f", like {_words(there['resembles'][0]['effect'])} there" if there["resembles"] else ""
         return f"unknown: a gap remains ({shrink.after:.3g} m/s²) that nothing in the library explains{word}"
     names = " and ".join(_words(e) for e in document["combination"])
     word = "partly " if answer == "partly" else ""

@@ -22,6 +22,7 @@ from suspension_twin.diagnosis.fit import Linear, finished, refit
 from suspension_twin.diagnosis.gross import LOST
 from suspension_twin.diagnosis.hypotheses import BASELINE, Hypothesis, library, witnesses
 from suspension_twin.diagnosis.judge import Evidence, blocks_of, evidence, held_out, weights
+from suspension_twin.diagnosis.places import gathered, spread_out
 from suspension_twin.diagnosis.request import DiagnosisRequest, DiagnosisResult, Progress
 from suspension_twin.diagnosis.search import jointly, pairs, singles, without_one
 from suspension_twin.diagnosis.strain import relieved
@@ -219,6 +220,7 @@ class _Search:
             adequate = verdict.sound(found, [c for c in columns if self._driven(names[c])])
         if self.case.road:
             adequate *= verdict.free_of_lines(bench, left)[0] * verdict.punctual(bench, found, self.temper)
+            adequate *= spread_out(gathered(bench, left, self.noise))
         if found is self.base:
             return verdict.Gates(1.0, adequate, 1.0)
         material = max(self._material(left, c, least) for c in columns)

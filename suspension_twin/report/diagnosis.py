@@ -190,6 +190,18 @@ def _signature(s: dict[str, Any]) -> Section:
         every = f"every {p['every_m']:.3g} m of the way" if "every_m" in p else f"at {p['hz']:.3g} Hz"
         channel = p["channel"].replace("_", " ")
         lines.append(f"- comes again {every}: {100 * p['share']:.0f} % of what is left of the {channel}")
+    if "stretch" in s:
+        there = s["stretch"]
+        lines.append(
+            f"- on every pass {100 * there['share']:.0f} % of it lies from {there['start_m']:.0f} to "
+            f"{there['end_m']:.0f} m of the road, which holds less of the motion: the file is not of this road there"
+        )
+        for like in there["resembles"]:
+            values = ", ".join(f"{k} {v:.4g}" for k, v in like["parameters"].items())
+            lines.append(
+                f"- there it is like {like['effect'].replace('_', ' ')} ({values}), which would take "
+                f"{100 * like['shrink']:.0f} % of it"
+            )
     for like in s.get("resembles", ()):
         values = ", ".join(f"{k} {v:.4g}" for k, v in like["parameters"].items())
         lines.append(
