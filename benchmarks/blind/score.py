@@ -169,7 +169,7 @@ def figures(rows: Sequence[Row]) -> dict[str, Any]:
     put("pairs_no_wrong", _share(kinds["pair"], lambda r: set(r["named"]) <= set(r["truth"])), ">= 0.90")
     put("stretch_top1", _share(kinds["stretch"], _top1))
     put("stretch_unknown", _share(kinds["stretch"], lambda r: r["verdict"] == "unknown"))
-    put("stretch_there", _share(kinds["stretch"], lambda r: r["there"][:1] == r["truth"]))
+    put("stretch_there", _share(kinds["stretch"], lambda r: r.get("there", [])[:1] == r["truth"]))
     put("sure_and_wrong", _share(rows, sure_and_wrong), "<= 0.02")
     put("shrink_error_median", (_quantile(errors, 0.5), len(errors)), "<= 3 points")
     put("shrink_error_p95", (_quantile(errors, 0.95), len(errors)), "<= 8 points")
