@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -15,7 +16,7 @@ from suspension_twin.diagnosis.experiment import next_experiment
 from suspension_twin.diagnosis.fit import Fit, finished
 from suspension_twin.diagnosis.hypotheses import library
 from suspension_twin.diagnosis.judge import Blocks, Evidence, intervals
-from suspension_twin.diagnosis.places import gathered, likenesses, spread_out
+from suspension_twin.diagnosis.places import as_surveyed, gathered, likenesses, spread_out
 from suspension_twin.diagnosis.request import DiagnosisRequest, DiagnosisResult, DriveView
 from suspension_twin.diagnosis.search import Single
 from suspension_twin.diagnosis.where import localise, signature
@@ -93,7 +94,12 @@ def conclude(
     groups = _groups(found, effects)
     left = 1.0 - _shrink(bench, found, found.chosen_left, request.seed).shrink
     adequate = found.chosen_gate.adequate
-    answer = verdict.verdict_of(effects, no_gap, unknown, adequate, left, [*groups, list(_places(found, chosen))])
+    told = [*groups, list(_places(found, chosen))]
+    answer, stretch = verdict.verdict_of(effects, no_gap, unknown, adequate, left, told), None
+    if answer in ("no_gap", "unknown") and case.road:
+        stretch, surveyed = _stretch(case, bench, found, request.effects)
+        no_gap, unknown = no_gap * surveyed, unknown + no_gap * (1.0 - surveyed)
+        answer = verdict.verdict_of(effects, no_gap, unknown, adequate, left, told)
     kept = found.chosen if answer in ("effect", "partly") else found.base
     kept_left = found.chosen_left if kept is found.chosen else found.left[0]
     twin = twin_of(case, bench, kept.fit)
@@ -126,7 +132,8 @@ def conclude(
         document["signature"] = signature(bench, kept_left.difference, twin)
         document["signature"]["resembles"] = _resembles(bench, found, request.seed)
         document["signature"].update(_periodic(case, bench, kept_left))
-        document["signature"].update(_stretch(case, bench, found, kept_left))
+        if stretch is not None:
+            document["signature"]["stretch"] = stretch
     tied = [found.singles[i] for i in (groups[0] if groups else [])]
     if len(tied) < 2:
         named = [c["effect"] for c in causes[:2] if c["probability"] > _WORTH_ASKING]
@@ -147,22 +154,31 @@ def _periodic(case: Case, bench: Bench, left: gaps.Remainder) -> dict[str, Any]:
     return {"periodic": {"channel": line.channel, **at, "share": _round(line.share)}}
 
 
-def _stretch(case: Case, bench: Bench, found: Findings, left: gaps.Remainder) -> dict[str, Any]:
-    """The stretch of road that holds the rest, where one does, and what of the road would make up for it there."""
-    there = gathered(bench, left, found.noise) if case.road else None
-    if there is None or spread_out(there) > 0.5:
-        return {}
-    offered = library(case.twin, True, [e for e, effect in EFFECTS.items() if effect.where == "road"])
+def _stretch(
+    case: Case, bench: Bench, found: Findings, only: Sequence[str]
+) -> tuple[dict[str, Any] | None, float]:
+    """The stretch of road that holds what recalibration leaves, where one does, with the errors of the road file that
+    make up for it there; and the probability that the file has none of them there."""
+    there = gathered(bench, found.left[0], found.noise)
+    if there is None:
+        return None, 1.0
+    of_the_road = [e for e, effect in EFFECTS.items() if effect.where == "road" and (not only or e in only)]
+    offered = library(case.twin, True, of_the_road) if of_the_road else {}
     x = found.base.fit.x[: bench.d + bench.q]
-    like = [
+    like = likenesses(bench, x, there, [h for v in offered.values() for h in v], found.temper)
+    surveyed = as_surveyed(like)
+    if min(spread_out(there), surveyed) > 0.5:
+        return None, surveyed
+    told = [
         {
             "effect": one.effect, "shrink": _round(one.shrink),
             "parameters": {k.split(".")[2]: float(f"{v:.6g}") for k, v in one.values.items()},
         }
-        for one in likenesses(bench, x, there, [h for v in offered.values() for h in v], found.temper)
+        for one in like
     ]  # fmt: skip
-    place = {"start_m": there.start, "end_m": there.end, "share": _round(there.share), "resembles": like}
-    return {"stretch": place}
+    return {
+        "start_m": there.start, "end_m": there.end, "share": _round(there.share), "resembles": told
+    }, surveyed  # fmt: skip
 
 
 def _resembles(bench: Bench, found: Findings, seed: int) -> list[dict[str, Any]]:

@@ -14,7 +14,7 @@ from suspension_twin.diagnosis.gaps import Remainder, drives_of
 from suspension_twin.diagnosis.hypotheses import BASELINE, Hypothesis
 from suspension_twin.drive.types import Floats
 
-__all__ = ["Likeness", "Stretch", "gathered", "likenesses", "spread_out"]
+__all__ = ["Likeness", "Stretch", "as_surveyed", "gathered", "likenesses", "spread_out"]
 
 _METRES = 4.0
 #: Share of what is left that one stretch holds beyond its share of the motion, on every pass, at which it is as likely
@@ -24,9 +24,10 @@ _HARDLY = 0.1
 #: m before a stretch from which on its front wheels are on it, and behind it until the body has come to rest.
 _BEFORE, _BEHIND = 4.0, 15.0
 _COARSE, _FINE, _LONG = 201, 21, 6
-#: Share of what is left on a stretch that an effect has to take there to be worth a word, and nats by which it may be
-#: worse than the best.
-_TAKEN, _AS_GOOD = 0.25, 3.0
+#: Share of the rest of a stretch that an error of the road file takes there, at which it is as likely as not that the
+#: file has it: up to 0.10 where nothing is wrong; and nats by which one may be worse than the best.
+_TAKEN, _TAKEN_SPREAD, _AS_GOOD = 0.25, 1.3, 3.0
+_WORTH_A_WORD = 0.05  # share of the rest of a stretch
 
 
 @dataclass(frozen=True)
@@ -98,6 +99,12 @@ def spread_out(found: Stretch | None) -> float:
     return float(norm.sf(np.log(max(found.beyond, 1e-3) / _GATHERED) / np.log(_GATHERED_SPREAD)))
 
 
+def as_surveyed(found: list[Likeness]) -> float:
+    """Probability that no error of the road file is on the stretch that these are of."""
+    most = max((one.shrink for one in found[:1]), default=0.0)
+    return float(norm.sf(np.log(max(most, 1e-3) / _TAKEN) / np.log(_TAKEN_SPREAD)))
+
+
 def likenesses(bench: Bench, x: Floats, there: Stretch, effects: list[Hypothesis], temper: float) -> list[Likeness]:
     """Which of ``effects`` of the road, on the stretch alone, make up for what is left of it, the best first.
 
@@ -135,7 +142,7 @@ def likenesses(bench: Bench, x: Floats, there: Stretch, effects: list[Hypothesis
         return []
     least = min(cost for cost, _ in found)
     ranked = sorted(found, key=lambda f: f[0])
-    return [f for cost, f in ranked if 0.5 * temper * (cost - least) < _AS_GOOD and f.shrink > _TAKEN]
+    return [f for cost, f in ranked if 0.5 * temper * (cost - least) < _AS_GOOD and f.shrink > _WORTH_A_WORD]
 
 
 def _positions(bench: Bench) -> Floats:

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from suspension_twin.diagnosis.gaps import Remainder
-from suspension_twin.diagnosis.places import gathered, spread_out
+from suspension_twin.diagnosis.places import Likeness, as_surveyed, gathered, spread_out
 from suspension_twin.diagnosis.request import DiagnosisRequest
 from suspension_twin.diagnosis.run import diagnose
 from suspension_twin.report.diagnosis import diagnosis_page
@@ -92,6 +92,13 @@ def test_a_rest_within_the_noise_and_a_bench_without_the_vertical_say_nothing() 
     assert gathered(seen, quiet, NOISE) is None and spread_out(None) == 1.0
 
 
+def test_a_road_is_as_surveyed_where_no_error_of_its_file_takes_much() -> None:
+    assert as_surveyed([]) == pytest.approx(1.0)
+    assert as_surveyed([Likeness("road_scale", {}, 0.1)]) > 0.99
+    assert as_surveyed([Likeness("road_scale", {}, 0.25)]) == pytest.approx(0.5)
+    assert as_surveyed([Likeness("road_scale", {}, 0.5), Likeness("lateral_offset", {}, 0.1)]) < 0.01
+
+
 def test_a_road_file_that_is_wrong_on_one_stretch_is_unknown_and_said_to_be_so(make: Any) -> None:
     twin, bags, _ = make()
     path = twin.parent / "road.crg"
@@ -99,7 +106,8 @@ def test_a_road_file_that_is_wrong_on_one_stretch_is_unknown_and_said_to_be_so(m
     u = road.u_first + road.u_step * np.arange(road.z.shape[0])
     there = 0.5 * (np.tanh((u - 22.0) / 0.3) - np.tanh((u - 42.0) / 0.3))[:, None]
     write_road(replace(road, z=road.z * (1.0 + 2.0 * there)), path)  # three times as high as it is
-    result = diagnose(DiagnosisRequest(str(twin), tuple(bags), effects=("strut_friction", "tyre_damping")))
+    few = ("strut_friction", "tyre_damping", "road_scale", "lateral_offset")
+    result = diagnose(DiagnosisRequest(str(twin), tuple(bags), effects=few))
     document = result.document
     assert document["verdict"] == "unknown", document["message"]
     stretch = document["signature"]["stretch"]
@@ -108,4 +116,5 @@ def test_a_road_file_that_is_wrong_on_one_stretch_is_unknown_and_said_to_be_so(m
     assert like["effect"] == "road_scale" and like["shrink"] > 0.4
     assert like["parameters"]["scale"] == pytest.approx(-2.0 / 3.0, abs=0.1)
     assert "like road scale there" in document["message"]
+    assert document["no_gap_probability"] < 0.1
     assert "the file is not of this road there" in diagnosis_page(result).render()
