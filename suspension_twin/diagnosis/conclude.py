@@ -138,7 +138,11 @@ def conclude(
     if len(tied) < 2:
         named = [c["effect"] for c in causes[:2] if c["probability"] > _WORTH_ASKING]
         tied = [s for name in named for s in found.singles if s.effect == name]
-    document["next_experiment"] = next_experiment(case, bench, tied, answer, found)
+    document["next_experiment"] = (
+        f"Survey the road from {stretch['start_m']:.0f} to {stretch['end_m']:.0f} m again: no drive changes its file."
+        if stretch is not None and answer == "unknown"
+        else next_experiment(case, bench, tied, answer, found)
+    )
     document["seed"] = request.seed
     document["message"] = _message(answer, document, shrink)
     views = _views(case, bench, twin, twin_of(case, bench, found.base.fit))
