@@ -194,7 +194,7 @@ def _signature(s: dict[str, Any]) -> Section:
         there = s["stretch"]
         lines.append(
             f"- on every pass {100 * there['share']:.0f} % of it lies from {there['start_m']:.0f} to "
-            f"{there['end_m']:.0f} m of the road, which holds less of the motion: the file is not of this road there"
+            f"{there['end_m']:.0f} m of the road, which holds less of the motion: there the road file is wrong"
         )
         for like in there["resembles"]:
             values = ", ".join(f"{k} {v:.4g}" for k, v in like["parameters"].items())
