@@ -11,7 +11,7 @@ import numpy as np
 
 from suspension_twin.diagnosis import gaps, verdict
 from suspension_twin.diagnosis.bench import Bench
-from suspension_twin.diagnosis.case import Case
+from suspension_twin.diagnosis.case import VERTICAL, Case
 from suspension_twin.diagnosis.experiment import next_experiment
 from suspension_twin.diagnosis.fit import Fit, finished
 from suspension_twin.diagnosis.hypotheses import library
@@ -81,7 +81,9 @@ def conclude(
         [gaps.shrink_of(bench, found.left[0], r, found.blocks, found.noise[channel], 0, request.seed).shrink
          for r in found.left[1:]]
     )  # fmt: skip
-    gone = verdict.of_the_excess(beyond, found.excess)
+    driven = [c for c, name in enumerate(bench.problem.channels) if name in VERTICAL or not case.road]
+    still = np.array([verdict.undisturbed(s.evidence, driven) for s in found.singles])
+    gone = verdict.of_the_excess(beyond, found.excess, still)
     effects, no_gap, unknown = verdict.masses(found.weights, found.gates, gone, found.unseen, found.alone)
     unknown += float(found.strange.sum())
     chosen = found.chosen.fit.hypothesis.effects
@@ -89,7 +91,8 @@ def conclude(
         taken = gaps.shrink_of(
             bench, found.left[0], found.chosen_left, found.blocks, found.noise[channel], 0, request.seed
         )
-        gone = verdict.of_the_excess(np.array([taken.shrink]), found.excess)
+        still = np.array([verdict.undisturbed(found.chosen, driven)])
+        gone = verdict.of_the_excess(np.array([taken.shrink]), found.excess, still)
         effects, unknown = _shared(found, effects, unknown, chosen, float(gone[0]))
     groups = _groups(found, effects)
     left = 1.0 - _shrink(bench, found, found.chosen_left, request.seed).shrink

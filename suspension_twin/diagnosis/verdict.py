@@ -20,7 +20,7 @@ from suspension_twin.effects.registry import EFFECTS
 
 __all__ = [
     "Gates", "background", "even", "explained", "free_of_lines", "level_of", "masses", "of_the_excess", "plausible",
-    "punctual", "sound", "temper_of", "uncommon", "unmatched", "verdict_of",
+    "punctual", "sound", "temper_of", "uncommon", "undisturbed", "unmatched", "verdict_of",
 ]  # fmt: skip
 
 #: Share of the gap's rms that a cause has to explain.
@@ -152,11 +152,7 @@ def sound(found: Evidence, channels: Sequence[int]) -> float:
     """Probability that nothing is missing beside what ``found`` has, by what the reference taught of the
     noise: everywhere as quiet as there, and there as quiet as before the effect was asked of the vehicle."""
     shown = max(found.level[c, True] for c in channels)
-    there = max(found.level[c, False] for c in channels)
-    spread = np.log(_SOUND_SPREAD)
-    return float(
-        norm.sf(np.log(shown / _SOUND_SHOWN) / spread) * norm.sf(np.log(there / _SOUND_THERE) / spread)
-    )
+    return float(norm.sf(np.log(shown / _SOUND_SHOWN) / np.log(_SOUND_SPREAD)) * undisturbed(found, channels))
 
 
 def temper_of(bench: Bench, best: Remainder, noise: dict[str, float]) -> float:
@@ -225,11 +221,19 @@ def explained(gate: Gates, gone: float, alone: float = 0.0) -> float:
     return gate.adequate + (1.0 - gate.adequate) * kept
 
 
-def of_the_excess(shrink: Floats, excess: float) -> Floats:
+def of_the_excess(shrink: Floats, excess: float, undisturbed: Floats) -> Floats:
     """Shares (E,) of a recalibrated gap's rms that are gone, of the part that a reference does not show as well:
-    ``excess`` of its mean square."""
-    gone = (1.0 - (1.0 - np.clip(shrink, 0.0, 1.0)) ** 2) / excess
-    return np.asarray(1.0 - np.sqrt(1.0 - np.minimum(gone, 1.0)))
+    ``excess`` of its mean square; of all of it as far as the reference is not ``undisturbed`` (E,) by the effect."""
+    plain = np.clip(shrink, 0.0, 1.0)
+    gone = 1.0 - np.sqrt(1.0 - np.minimum((1.0 - (1.0 - plain) ** 2) / excess, 1.0))
+    return np.asarray(plain + undisturbed * (gone - plain))
+
+
+def undisturbed(found: Evidence, channels: Sequence[int]) -> float:
+    """Probability that drives from before are as quiet as they were before the effect was asked of the vehicle: else
+    the drives after the change have another vehicle still, and both pull at one. 1 without such drives."""
+    there = max(found.level.get((c, False), 0.0) for c in channels)
+    return float(norm.sf(np.log(max(there, 1e-12) / _SOUND_THERE) / np.log(_SOUND_SPREAD)))
 
 
 def masses(

@@ -189,11 +189,24 @@ def test_what_is_named_in_part_is_shared_with_unknown_by_how_much_is_gone() -> N
 
 def test_what_a_reference_shows_as_well_is_not_to_be_taken_away() -> None:
     shrink = np.array([0.0, 0.5, 0.6, 1.0, -0.2])
+    one, none = np.ones(5), np.zeros(5)
     # nothing is known of before: the share of the gap, and never less than none
-    assert verdict.of_the_excess(shrink, 1.0) == pytest.approx([0.0, 0.5, 0.6, 1.0, 0.0])
+    assert verdict.of_the_excess(shrink, 1.0, one) == pytest.approx([0.0, 0.5, 0.6, 1.0, 0.0])
     # where a quarter of the mean square was there before, three quarters of it are all that there was to take
-    assert verdict.of_the_excess(shrink, 0.75) == pytest.approx([0.0, 1.0, 1.0, 1.0, 0.0])
-    assert verdict.of_the_excess(np.array([0.25]), 0.75)[0] == pytest.approx(1.0 - np.sqrt(1.0 - 0.4375 / 0.75))
+    assert verdict.of_the_excess(shrink, 0.75, one) == pytest.approx([0.0, 1.0, 1.0, 1.0, 0.0])
+    assert verdict.of_the_excess(np.array([0.25]), 0.75, np.ones(1))[0] == pytest.approx(1 - np.sqrt(1 - 0.4375 / 0.75))
+    # what the drives from before are the worse for has not explained what changed
+    assert verdict.of_the_excess(shrink, 0.75, none) == pytest.approx([0.0, 0.5, 0.6, 1.0, 0.0])
+
+
+def test_a_reference_that_two_vehicles_pull_at_is_disturbed() -> None:
+    def told(there: float) -> Any:
+        return SimpleNamespace(level={(0, True): 9.0, (0, False): 1.1, (1, True): 9.0, (1, False): there})
+
+    assert verdict.undisturbed(told(1.2), [0, 1]) > 0.99
+    assert verdict.undisturbed(told(2.0), [0, 1]) == pytest.approx(0.5)
+    assert verdict.undisturbed(told(3.0), [0, 1]) < 0.02
+    assert verdict.undisturbed(SimpleNamespace(level={(0, True): 9.0}), [0]) == 1.0  # type: ignore[arg-type]
 
 
 @pytest.mark.parametrize(
