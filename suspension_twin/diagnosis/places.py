@@ -25,7 +25,7 @@ _HARDLY = 0.1
 _BEFORE, _BEHIND = 4.0, 15.0
 _COARSE, _FINE, _LONG = 201, 21, 6
 #: Share of the rest of a stretch that an error of the road file takes there, at which it is as likely as not that the
-#: file has it: up to 0.10 where nothing is wrong; and nats by which one may be worse than the best.
+#: file has it: none did in twelve cases where nothing is wrong; and nats by which one may be worse than the best.
 _TAKEN, _TAKEN_SPREAD, _AS_GOOD = 0.25, 1.3, 3.0
 _WORTH_A_WORD = 0.05  # share of the rest of a stretch
 
