@@ -16,7 +16,7 @@ from suspension_twin.diagnosis.experiment import next_experiment
 from suspension_twin.diagnosis.fit import Fit, finished
 from suspension_twin.diagnosis.hypotheses import library
 from suspension_twin.diagnosis.judge import Blocks, Evidence, intervals
-from suspension_twin.diagnosis.places import as_surveyed, gathered, likenesses, spread_out
+from suspension_twin.diagnosis.places import Likeness, as_surveyed, gathered, likenesses, spread_out
 from suspension_twin.diagnosis.request import DiagnosisRequest, DiagnosisResult, DriveView
 from suspension_twin.diagnosis.search import Single
 from suspension_twin.diagnosis.where import localise, signature
@@ -143,7 +143,7 @@ def conclude(
         tied = [s for name in named for s in found.singles if s.effect == name]
     document["next_experiment"] = (
         f"Survey the road from {stretch['start_m']:.0f} to {stretch['end_m']:.0f} m again: no drive changes its file."
-        if stretch is not None and answer == "unknown"
+        if stretch is not None and answer == "unknown" and _takes_much(stretch)
         else next_experiment(case, bench, tied, answer, found)
     )
     document["seed"] = request.seed
@@ -186,6 +186,12 @@ def _stretch(
     return {
         "start_m": there.start, "end_m": there.end, "share": _round(there.share), "resembles": told
     }, surveyed  # fmt: skip
+
+
+def _takes_much(stretch: dict[str, Any]) -> bool:
+    """Whether an error of the road file makes up for enough of the rest on a stretch to be told in a word."""
+    found = [Likeness(one["effect"], {}, one["shrink"]) for one in stretch["resembles"]]
+    return as_surveyed(found) < 0.5
 
 
 def _resembles(bench: Bench, found: Findings, seed: int) -> list[dict[str, Any]]:
@@ -331,7 +337,7 @@ def _message(answer: str, document: dict[str, Any], shrink: gaps.Shrink) -> str:
         word = f"; it is like {_words(like[0]['effect'])}" if like else ""
         if there:
             word += f"; {100 * there['share']:.0f} % of it lies from {there['start_m']:.0f} to {there['end_m']:.0f} m"
-            word += f", like {_words(there['resembles'][0]['effect'])} there" if there["resembles"] else ""
+            word += f", like {_words(there['resembles'][0]['effect'])} there" if _takes_much(there) else ""
         return f"unknown: a gap remains ({shrink.after:.3g} m/s²) that nothing in the library explains{word}"
     names = " and ".join(_words(e) for e in document["combination"])
     word = "partly " if answer == "partly" else ""

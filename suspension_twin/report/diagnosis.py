@@ -194,7 +194,8 @@ def _signature(s: dict[str, Any]) -> Section:
         there = s["stretch"]
         lines.append(
             f"- on every pass {100 * there['share']:.0f} % of it lies from {there['start_m']:.0f} to "
-            f"{there['end_m']:.0f} m of the road, which holds less of the motion: there the road file is wrong"
+            f"{there['end_m']:.0f} m of the road, which holds less of the motion: "
+            "its file is wrong there, or something acts that only this place sets off"
         )
         for like in there["resembles"]:
             values = ", ".join(f"{k} {v:.4g}" for k, v in like["parameters"].items())
