@@ -215,11 +215,15 @@ def test_a_reference_that_two_vehicles_pull_at_is_disturbed() -> None:
         ((0.6, 0.1), 0.2, 0.1, 1.0, "effect"), ((0.6, 0.1), 0.2, 0.1, 0.1, "partly"),
         # more than either answer without one, but not than both
         ((0.4, 0.0), 0.35, 0.25, 1.0, "no_gap"), ((0.4, 0.0), 0.25, 0.35, 1.0, "unknown"),
+        # a little likelier than none is not enough to send somebody to a part, three to two is
+        ((0.55, 0.0), 0.05, 0.4, 1.0, "unknown"), ((0.62, 0.0), 0.05, 0.33, 1.0, "effect"),
+        # whatever else shares the rest: no gap and unknown are what a cause is weighed against
+        ((0.45, 0.25), 0.1, 0.15, 1.0, "effect"),
         # one of two, whichever: likelier than that it is neither
-        ((0.4, 0.3), 0.1, 0.2, 1.0, "effect"), ((0.3, 0.3), 0.35, 0.05, 1.0, "effect"),
+        ((0.4, 0.3), 0.1, 0.2, 1.0, "effect"), ((0.32, 0.3), 0.33, 0.05, 1.0, "effect"),
     ],
 )  # fmt: skip
-def test_a_cause_is_named_where_it_is_likelier_than_none(
+def test_a_cause_is_named_where_it_is_half_as_likely_again_as_none(
     effects: tuple[float, float], no_gap: float, unknown: float, adequate: float, answer: str
 ) -> None:
     tied = [[0, 1]] if effects[1] == 0.3 else [[0]]
