@@ -40,7 +40,7 @@ REQUIRED = [
 ]
 TEST = [
     "pytest>=8",
-    "pytest-xdist>=3.6",
+    "pytest-xdist>=3.7",
     "hypothesis>=6.100",
     "mujoco>=3.3",
     # Later ones refuse Python 3.10, and an old pip that finds out late tries all of numpy's releases for a way out.

@@ -24,7 +24,7 @@ from suspension_twin.diagnosis.hypotheses import BASELINE, Hypothesis, library, 
 from suspension_twin.diagnosis.judge import Evidence, blocks_of, evidence, held_out, weights
 from suspension_twin.diagnosis.places import gathered, spread_out
 from suspension_twin.diagnosis.request import DiagnosisRequest, DiagnosisResult, Progress
-from suspension_twin.diagnosis.search import jointly, pairs, singles, without_one
+from suspension_twin.diagnosis.search import again, jointly, pairs, singles, without_one
 from suspension_twin.diagnosis.strain import relieved
 from suspension_twin.errors import InputError
 
@@ -166,9 +166,9 @@ class _Search:
 
         What a late clock leaves is no noise: taught by it, the noise would be as large as what is looked for.
         """
-        every = range(len(self.bench.active))
+        every, fit = range(len(self.bench.active)), base
         for number in range(_CLEARED_GROSS):
-            fit = jointly(self.bench, effects, base, self.request.seed)
+            fit = again(self.bench, fit) if number else jointly(self.bench, effects, base, self.request.seed)
             taught_by(self.case, self.bench, fit.hypothesis, fit.x, every)
             # what a sensor that stands backwards leaves is far from noise: that takes longer
             if number + 1 >= _CLEARED and not fit.hypothesis.around:

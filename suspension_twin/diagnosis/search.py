@@ -21,7 +21,7 @@ from suspension_twin.effects.registry import EFFECTS
 from suspension_twin.errors import WorkError
 from suspension_twin.models.blocks import cores
 
-__all__ = ["Single", "jointly", "pairs", "singles", "without_one"]
+__all__ = ["Single", "again", "jointly", "pairs", "singles", "without_one"]
 
 Item = TypeVar("Item")
 Found = TypeVar("Found")
@@ -301,19 +301,32 @@ def jointly(bench: Bench, parts: Sequence[Hypothesis], base: Fit, seed: int) -> 
     # without what is grossly wrong the vehicle has gone astray
     starts[:p, many.shape[1] - far.shape[1] :] = bench.centre[:, None]
     order = np.argsort(bench.costs(together, starts) - gross.waived(many), kind="stable")
-    tried = [(gross.about(together, many[:, i]), starts[:, i]) for i in {0, *order[:_TRIED].tolist()}]
-    found = [(h, *refit(bench, h, [start], None, _LONG)) for h, start in tried]
+    tried = [(gross.about(together, many[:, i]), starts[:, i]) for i in sorted({0, *order[:_TRIED].tolist()})]
+    fits = _side_by_side(lambda at: refit(bench, at[0], [at[1]], None, _LONG), tried, _quietly)
+    found = [(h, *fit) for (h, _), fit in zip(tried, fits, strict=True)]
     best, x, _ = min(found, key=lambda f: f[2] + gross.PRICE * bool(f[0].around))
     return finished(bench, best, x)
+
+
+def again(bench: Bench, fit: Linear) -> Linear:
+    """The same hypothesis from where it was, under the noise of now."""
+    x, _ = refit(bench, fit.hypothesis, [fit.x], None, _LONG)
+    return finished(bench, fit.hypothesis, x)
 
 
 def without_one(bench: Bench, whole: Evidence, blocks: Blocks) -> list[Evidence]:
     """The best fits with one effect of ``whole`` less, in the order of its effects."""
     there, p = whole.fit.hypothesis, bench.d + bench.q
-    found = []
-    for effect in there.effects:
-        rest = there.without(effect)
+
+    def less(effect: str) -> Evidence:
         kept = [i for i, key in enumerate(there.keys) if key.split(".")[1] != effect]
-        x, _ = refit(bench, rest, [np.concatenate([whole.fit.x[:p], whole.fit.x[p:][kept]])], None, _LONG)
-        found.append(evidence(bench, finished(bench, rest, x), blocks))
-    return found
+        start = np.concatenate([whole.fit.x[:p], whole.fit.x[p:][kept]])
+        rest = there.without(effect)
+        x, _ = refit(bench, rest, [start], None, _LONG)
+        return evidence(bench, finished(bench, rest, x), blocks)
+
+    return _side_by_side(less, there.effects, _quietly)
+
+
+def _quietly(done: float, item: object) -> None:
+    """Tells nobody how far the work is."""

@@ -430,8 +430,8 @@ def test_a_clone_that_cannot_be_written_to_is_named(
         (["demo", "--out", "x"], [], ["suspension_twin", "demo", "--out", "x"]),
         (["run", "--twin", "t"], [], ["suspension_twin", "run", "--twin", "t"]),
         (["--version"], [], ["suspension_twin", "--version"]),
-        (["test"], ["test"], ["pytest", "-n", "2", "--dist", "loadfile"]),
-        (["test", "-k", "x"], ["test"], ["pytest", "-n", "2", "--dist", "loadfile", "-k", "x"]),
+        (["test"], ["test"], ["pytest", "-n", "2", "--dist", "loadfile", "--no-loadscope-reorder"]),
+        (["test", "-k", "x"], ["test"], ["pytest", "-n", "2", "--dist", "loadfile", "--no-loadscope-reorder", "-k", "x"]),
     ],
     ids=lambda value: " ".join(value),
 )
