@@ -1,16 +1,19 @@
 # SPDX-License-Identifier: Apache-2.0
 """Known faults of sensor, clock and map, put into the drives of a multibody car that lack nothing.
 
-    python benchmarks/seeded.py [--seeds development|reporting] [--gross] [--only NAME ...] [--workers N] [--json]
+    python benchmarks/seeded.py [--seeds development|reporting] [--gross | --vehicle] [--only NAME ...] [--workers N]
+        [--keep] [--json]
 
 The drives of ``no_effect_added`` (``../shared/withheld``, or SUSPENSION_TWIN_WITHHELD) come from an established engine
 with MacPherson struts, a multilink axle and a tyre that slips. No seven-degree model follows it, by about a fifth of
 the motion's rms, and the engine's own truth lies beside them. What a fault of the sensor would have changed is made
 from that truth, as ``blind.phone`` does for the realities of ``blind.py``, and added to what the phone recorded;
 clocks are set wrong, the road file is scaled, smoothed or shifted. Each is diagnosed without and with a reference
-drive, a road file without: it is as wrong before. A vehicle's own effects cannot be added afterwards. With ``--gross``
-the faults are those that a set-up has more often than any: a clock half a second late, a sensor that stands sideways
-or backwards, a map metres off. A twin follows nothing of such a drive.
+drive, a road file without: it is as wrong before. With ``--gross`` the faults are those that a set-up has more often
+than any: a clock half a second late, a sensor that stands sideways or backwards, a map metres off. A twin follows
+nothing of such a drive. With ``--vehicle`` they are the vehicle's own and some that no twin can be given, which have to
+be told as unknown: what another formulation of a car with the same springs, dampers and road feels of them
+(``seeded_vehicle``) is added to what was recorded.
 """
 
 from __future__ import annotations
@@ -36,6 +39,8 @@ from rich.table import Table
 from scipy.interpolate import CubicSpline
 from scipy.signal import savgol_filter
 from scipy.spatial.transform import Rotation
+from seeded_vehicle import NAMELESS, VEHICLE, changed
+from seeded_vehicle import faults_of as vehicle_faults
 
 from suspension_twin.diagnosis.request import DiagnosisRequest
 from suspension_twin.diagnosis.run import diagnose
@@ -54,6 +59,9 @@ SEEDS = {"development": 100, "reporting": 200}
 #: What is hardly above what clocks, maps and mounts have anyway, and what is plain; each case by up to a quarter
 #: more or less.
 FAINT, PLAIN = 0.35, 1.0
+#: What a vehicle's effects change of the vertical acceleration, as shares of the motion's rms, of which such a twin
+#: leaves a fifth anyway.
+SHARES = {"faint": 0.3, "plain": 0.6}
 #: Faults with ``--gross``, by what they are called.
 GROSS = {
     "late": "time_offset", "drifting": "clock_drift", "sideways": "sensor_tilt", "backwards": "sensor_tilt",
@@ -65,13 +73,16 @@ _PEAK = {"drive_fast": 8.4, "drive_other": 6.3, "drive_slow": 4.7}
 
 @dataclass(frozen=True)
 class Seeded:
-    """One case: what is wrong, about which share of ``PLAIN``, and which drives there are."""
+    """One case: what is wrong, about which share of ``PLAIN``, and which drives there are; of a vehicle's own fault
+    the share of the motion that it changes, from which its parameters are drawn with ``seed``."""
 
     name: str
     faults: Faults
     amount: float
     drives: tuple[str, ...]
     reference: bool
+    share: float = 0.0
+    seed: int = 0
 
 
 @dataclass(frozen=True, eq=False)
@@ -131,6 +142,23 @@ def plan_gross(seeds: str) -> list[Seeded]:
     return out
 
 
+def plan_vehicle(seeds: str) -> list[Seeded]:
+    """Every effect of the vehicle, and those that no twin can be given, without and with a reference."""
+    out = []
+    for number, effect in enumerate((*VEHICLE, *NAMELESS)):
+        for kind, share in SHARES.items():
+            for reference in (False, True):
+                key = [SEEDS[seeds], 80 + number, int(10 * share), reference]
+                rng = np.random.default_rng(key)
+                drives = tuple(sorted(rng.choice(DRIVES, 2, replace=False).tolist()))
+                name = f"{effect}_{kind}_{'ref' if reference else 'alone'}"
+                out.append(
+                    Seeded(name, {effect: {}}, share, drives, reference, share * float(rng.uniform(0.8, 1.25)),
+                           int(rng.integers(1 << 30)))
+                )  # fmt: skip
+    return out
+
+
 def plan(seeds: str) -> list[Seeded]:
     """Every effect faint and plain, without and with a reference; and nothing, on every pair of drives.
 
@@ -154,8 +182,11 @@ def plan(seeds: str) -> list[Seeded]:
     return out
 
 
-def recorded(drive: Drive, truth: Truth, twin_rpy: tuple[float, ...], faults: Faults) -> Drive:
-    """The drive as a phone with these faults would have recorded it."""
+def recorded(
+    drive: Drive, truth: Truth, twin_rpy: tuple[float, ...], faults: Faults, vehicle: Floats | float = 0.0
+) -> Drive:
+    """The drive as a phone with these faults would have recorded it; ``vehicle`` (n, 6) is what the vehicle's own
+    faults change of specific force and angular rate at the truth's times."""
     imu = drive.imu
     columns = truth.columns
     force = np.stack([columns[k] for k in ("fx", "fy", "fz")], axis=1)
@@ -172,7 +203,7 @@ def recorded(drive: Drive, truth: Truth, twin_rpy: tuple[float, ...], faults: Fa
     linear = {k: v for k, v in faults.items() if k in SENSOR and k != "sensor_clipping"}
     clean = felt(_Motion(truth.t, force, rate), phone, {}, ideal=True)
     faulty = felt(_Motion(truth.t, moved, rate), phone, linear, ideal=True)
-    change = np.hstack([faulty.force - clean.force, faulty.rate - clean.rate])
+    change = np.hstack([faulty.force - clean.force, faulty.rate - clean.rate]) + vehicle
     mount = Rotation.from_euler("xyz", twin_rpy)
     change = np.hstack([mount.apply(change[:, :3], inverse=True), mount.apply(change[:, 3:], inverse=True)])
     since = imu.t - truth.start
@@ -206,7 +237,8 @@ def make(case: Seeded, data: Path, folder: Path) -> None:
     folder.mkdir(parents=True)
     twin = load_twin(source / "twin.yaml")
     for name in case.drives:
-        drive = recorded(read_drive(source / name), read_truth(source, name), twin.imu.rpy, case.faults)
+        own = changed(source, name, case.faults)
+        drive = recorded(read_drive(source / name), read_truth(source, name), twin.imu.rpy, case.faults, own)
         write_drive(drive, folder / name)
     if case.reference:
         write_drive(read_drive(source / "reference"), folder / "reference")
@@ -217,6 +249,12 @@ def make(case: Seeded, data: Path, folder: Path) -> None:
 
 def answer(case: Seeded, data: Path) -> dict[str, Any]:
     """Make one case, diagnose it and return what was said of it."""
+    if case.share:
+        effect = next(iter(case.faults))
+        faults = vehicle_faults(effect, case.share, data / "no_effect_added", case.drives[0], case.seed)
+        case = replace(case, faults=faults)
+    wanted = {e for e in case.faults if e not in NAMELESS}
+    nothing = "unknown" if _nameless(case.faults) else "no_gap"
     with tempfile.TemporaryDirectory() as temporary:
         folder = Path(temporary) / case.name
         make(case, data, folder)
@@ -231,7 +269,7 @@ def answer(case: Seeded, data: Path) -> dict[str, Any]:
     chance = first[0]["probability"] if first else d[f"{d['verdict']}_probability"]
     return {
         "case": case.name, "faults": case.faults, "drives": case.drives, "verdict": d["verdict"], "named": named,
-        "probability": chance, "right": set(named) == set(case.faults) and (bool(named) or d["verdict"] == "no_gap"),
+        "probability": chance, "right": set(named) == wanted and (bool(named) or d["verdict"] == nothing),
         "parameters": {c["effect"]: c["parameters"] for c in first},
         "first": [[c["effect"], round(c["probability"], 3)] for c in d["causes"][:3]],
         "no_gap": d["no_gap_probability"], "unknown": d["unknown_probability"],
@@ -244,7 +282,9 @@ def main() -> None:
     default = os.environ.get("SUSPENSION_TWIN_WITHHELD", str(ROOT.parent / "shared" / "withheld"))
     parser.add_argument("--data", type=Path, default=Path(default))
     parser.add_argument("--seeds", choices=sorted(SEEDS), default="development")
-    parser.add_argument("--gross", action="store_true", help="gross faults instead of faint and plain ones")
+    kinds = parser.add_mutually_exclusive_group()
+    kinds.add_argument("--gross", action="store_true", help="gross faults instead of faint and plain ones")
+    kinds.add_argument("--vehicle", action="store_true", help="the vehicle's own effects, and some without a name")
     parser.add_argument("--only", nargs="*", default=[])
     parser.add_argument("--workers", type=int, default=2)
     parser.add_argument("--keep", action="store_true", help=f"write the answers to {RESULTS.relative_to(ROOT)}")
@@ -252,7 +292,9 @@ def main() -> None:
     options = parser.parse_args()
     if not (options.data / "no_effect_added" / "twin.yaml").is_file():
         raise SystemExit(f"{options.data}: no drives of no_effect_added; name the folder with --data")
-    every = plan_gross(options.seeds) if options.gross else plan(options.seeds)
+    planned = {"_gross": plan_gross, "_vehicle": plan_vehicle, "": plan}
+    which = "_gross" if options.gross else "_vehicle" if options.vehicle else ""
+    every = planned[which](options.seeds)
     cases = [c for c in every if not options.only or c.name in options.only]
     if not cases:
         raise SystemExit(f"--only: none of {' '.join(options.only)} is a case of these seeds")
@@ -265,7 +307,7 @@ def main() -> None:
     if options.keep:
         commit = subprocess.run(["git", "rev-parse", "HEAD"], cwd=ROOT, capture_output=True, text=True).stdout.strip()
         document = {"seeds": options.seeds, "commit": commit[:12], "cases": rows}
-        kept = RESULTS / f"seeded{'_gross' if options.gross else ''}.json"
+        kept = RESULTS / f"seeded{which}.json"
         kept.write_text(json.dumps(document, indent=1) + "\n", encoding="utf-8")
     if options.json:
         print(json.dumps({"seeds": options.seeds, "cases": rows}))
@@ -273,11 +315,18 @@ def main() -> None:
     table = Table(title=f"Seeded faults ({options.seeds}): right of all")
     for column in ("", "alone", "with a reference"):
         table.add_column(column)
-    for kind in ("gross",) if options.gross else ("faint", "plain", "none"):
-        of = [r for r in rows if kind in r["case"].split("_")]
-        counts = [[r["right"] for r in of if r["case"].endswith(end)] for end in ("alone", "ref")]
-        table.add_row(kind, *(f"{sum(c)} of {len(c)}" for c in counts))
+    for nameless in (False, True):
+        for kind in ("gross", "faint", "plain", "none"):
+            of = [r for r in rows if kind in r["case"].split("_") and nameless == _nameless(r["faults"])]
+            counts = [[r["right"] for r in of if r["case"].endswith(end)] for end in ("alone", "ref")]
+            if of:
+                name = f"{kind}, without a name" if nameless else kind
+                table.add_row(name, *(f"{sum(c)} of {len(c)}" for c in counts))
     Console().print(table)
+
+
+def _nameless(faults: Faults) -> bool:
+    return bool(set(faults) & set(NAMELESS))
 
 
 def _said(row: dict[str, Any]) -> str:

@@ -89,6 +89,30 @@ def test_gross_faults_are_gross_and_differ_from_seeds_to_seeds(seeded: ModuleTyp
         assert max(abs(v) for v in values.values()) >= least[effect]
 
 
+def test_a_vehicles_own_effects_come_with_and_without_a_name(seeded: ModuleType) -> None:
+    development, reporting = seeded.plan_vehicle("development"), seeded.plan_vehicle("reporting")
+    effects = (*seeded.VEHICLE, *seeded.NAMELESS)
+    assert len({c.name for c in development}) == len(development) == 4 * len(effects)
+    for case in development:
+        (effect,) = case.faults
+        assert case.name.startswith(effect) and case.reference == case.name.endswith("_ref")
+        assert case.share == pytest.approx(case.amount, rel=0.25)
+    assert not {(c.share, c.seed) for c in development} & {(c.share, c.seed) for c in reporting}
+
+
+def test_what_the_vehicle_changes_is_added_in_the_sensors_axes(seeded: ModuleType, drive: Drive, truth: Any) -> None:
+    own = np.zeros((truth.t.size, 6))
+    own[:, 2], own[:, 4] = 0.5, 0.02
+    turned = (np.pi / 2, 0.0, 0.0)  # its y looks up, its z to the right
+    more = seeded.recorded(drive, truth, turned, {}, own).imu
+    assert more.specific_force[50:-50] - drive.imu.specific_force[50:-50] == pytest.approx(
+        np.tile([0.0, 0.5, 0.0], (drive.imu.t.size - 100, 1)), abs=1e-9
+    )
+    assert more.angular_rate[50:-50] - drive.imu.angular_rate[50:-50] == pytest.approx(
+        np.tile([0.0, 0.0, -0.02], (drive.imu.t.size - 100, 1)), abs=1e-9
+    )
+
+
 def test_nothing_put_in_changes_nothing(seeded: ModuleType, drive: Drive, truth: Any) -> None:
     same = seeded.recorded(drive, truth, LEVEL, {})
     np.testing.assert_allclose(same.imu.specific_force, drive.imu.specific_force, atol=1e-9)

@@ -424,14 +424,17 @@ def test_a_clone_that_cannot_be_written_to_is_named(
     assert str(clone) in refusal(bootstrap, ["demo"], capsys)
 
 
+_PYTEST = ["pytest", "-n", "2", "--dist", "loadfile", "--no-loadscope-reorder"]
+
+
 @pytest.mark.parametrize(
     ("arguments", "extras", "command"),
     [
         (["demo", "--out", "x"], [], ["suspension_twin", "demo", "--out", "x"]),
         (["run", "--twin", "t"], [], ["suspension_twin", "run", "--twin", "t"]),
         (["--version"], [], ["suspension_twin", "--version"]),
-        (["test"], ["test"], ["pytest", "-n", "2", "--dist", "loadfile", "--no-loadscope-reorder"]),
-        (["test", "-k", "x"], ["test"], ["pytest", "-n", "2", "--dist", "loadfile", "--no-loadscope-reorder", "-k", "x"]),
+        (["test"], ["test"], _PYTEST),
+        (["test", "-k", "x"], ["test"], [*_PYTEST, "-k", "x"]),
     ],
     ids=lambda value: " ".join(value),
 )
