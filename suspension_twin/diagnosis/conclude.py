@@ -97,12 +97,12 @@ def conclude(
     groups = _groups(found, effects)
     left = 1.0 - _shrink(bench, found, found.chosen_left, request.seed).shrink
     adequate = found.chosen_gate.adequate
-    told = [*groups, list(_places(found, chosen))]
-    answer, stretch = verdict.verdict_of(effects, no_gap, unknown, adequate, left, told), None
+    told, known = [*groups, list(_places(found, chosen))], found.reference is not None
+    answer, stretch = verdict.verdict_of(effects, no_gap, unknown, adequate, left, told, known), None
     if answer in ("no_gap", "unknown") and case.road:
         stretch, surveyed = _stretch(case, bench, found, request.effects)
         no_gap, unknown = no_gap * surveyed, unknown + no_gap * (1.0 - surveyed)
-        answer = verdict.verdict_of(effects, no_gap, unknown, adequate, left, told)
+        answer = verdict.verdict_of(effects, no_gap, unknown, adequate, left, told, known)
     kept = found.chosen if answer in ("effect", "partly") else found.base
     kept_left = found.chosen_left if kept is found.chosen else found.left[0]
     twin = twin_of(case, bench, kept.fit)

@@ -56,8 +56,8 @@ _LEAST_TEMPER = 0.03
 #: least. Of leads that were wrong, resonances apart, one gained four times what the next did, all others less than
 #: three times; those that were right and left much had up to thirty times.
 _ALIKE, _MANY = 3.0, 10
-#: Odds against no gap and unknown together from which on a cause is named: a wrong name sends somebody to a sound part.
-#: Of seven answers between even odds and these, five were wrong.
+#: Odds against no gap and unknown together from which on a cause is named where no reference says what a sound model
+#: leaves: a wrong name sends somebody to a sound part. Of seven such answers between even odds and these, five were.
 _NAMED_FROM = 1.5
 #: Factor of one standard deviation about what is usual of a twin file that is off.
 _USUAL_SHARE_SPREAD = 1.3
@@ -267,11 +267,13 @@ def masses(
 
 
 def verdict_of(
-    effects: Floats, no_gap: float, unknown: float, adequate: float, left: float, groups: Sequence[Sequence[int]]
-) -> str:
-    """effect or partly where a cause is half as likely again as that it is none of the library, else no_gap or unknown,
-    whichever carries more; effects that cannot be told apart (``groups``) carry theirs together."""
+    effects: Floats, no_gap: float, unknown: float, adequate: float, left: float, groups: Sequence[Sequence[int]],
+    referenced: bool,
+) -> str:  # fmt: skip
+    """effect or partly where a cause is likelier than that it is none of the library, without a reference half as
+    likely again; else no_gap or unknown, whichever carries more; effects that cannot be told apart (``groups``) carry
+    theirs together."""
     named = max((float(sum(effects[i] for i in g)) for g in groups), default=0.0)
-    if named <= _NAMED_FROM * (no_gap + unknown):
+    if named <= (1.0 if referenced else _NAMED_FROM) * (no_gap + unknown):
         return "no_gap" if no_gap >= unknown else "unknown"
     return "effect" if adequate >= 0.3 or left < MATERIAL else "partly"

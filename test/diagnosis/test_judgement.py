@@ -223,12 +223,18 @@ def test_a_reference_that_two_vehicles_pull_at_is_disturbed() -> None:
         ((0.4, 0.3), 0.1, 0.2, 1.0, "effect"), ((0.32, 0.3), 0.33, 0.05, 1.0, "effect"),
     ],
 )  # fmt: skip
-def test_a_cause_is_named_where_it_is_half_as_likely_again_as_none(
+def test_without_a_reference_a_cause_is_named_where_it_is_half_as_likely_again_as_none(
     effects: tuple[float, float], no_gap: float, unknown: float, adequate: float, answer: str
 ) -> None:
     tied = [[0, 1]] if effects[1] == 0.3 else [[0]]
-    assert verdict.verdict_of(np.array(effects), no_gap, unknown, adequate, 0.5, tied) == answer
-    assert verdict.verdict_of(np.array(effects), no_gap, unknown, adequate, 0.5, [[]]) in ("no_gap", "unknown")
+    given = np.array(effects), no_gap, unknown, adequate, 0.5
+    assert verdict.verdict_of(*given, tied, False) == answer
+    assert verdict.verdict_of(*given, [[]], False) in ("no_gap", "unknown")
+
+
+@pytest.mark.parametrize(("named", "answer"), [(0.55, "effect"), (0.45, "unknown")])
+def test_with_a_reference_a_cause_is_named_where_it_is_likelier_than_none(named: float, answer: str) -> None:
+    assert verdict.verdict_of(np.array([named]), 0.05, 0.95 - named, 1.0, 0.5, [[0]], True) == answer
 
 
 def test_what_gains_many_times_as_much_as_any_other_stands_alone() -> None:
