@@ -120,6 +120,7 @@ def parsed() -> argparse.Namespace:
         "--baselines", type=int, default=0, metavar="N", help="score simple methods beside on N cases (a minute each)"
     )
     parser.add_argument("--keep", action="store_true", help="write the table to benchmarks/results")
+    parser.add_argument("--add", action="store_true", help="with --keep: beside the answers to other cases kept there")
     parser.add_argument("--out", type=Path, default=None, metavar="DIR")
     parser.add_argument("--json", action="store_true")
     options = parser.parse_args()

@@ -21,6 +21,7 @@ from matplotlib.colors import LinearSegmentedColormap
 _GOOD = LinearSegmentedColormap.from_list("good", ["#ffffff", "#1b7f5c"])
 _BAD = LinearSegmentedColormap.from_list("bad", ["#ffffff", "#b3402e"])
 _INK, _SOFT = "#1f2933", "#8a94a0"
+_NAMED_COMMITS = 4  # that fit into a line
 
 
 def _tell(row: Row) -> str:
@@ -52,11 +53,17 @@ def draw(rows: Sequence[Row], result: dict[str, Any], path: Path) -> None:
     _reliability(below, result["reliability"])
     figure.suptitle(
         f"Diagnosis of withheld effects: {result['cases']} cases, {result['seeds']} seeds, "
-        f"commit {', '.join(c[:7] for c in result['commit'])}", color=_INK, fontsize=13, x=0.01, ha="left",
+        f"{_versions(result['commit'])}", color=_INK, fontsize=13, x=0.01, ha="left",
     )  # fmt: skip
     path.parent.mkdir(parents=True, exist_ok=True)
     figure.savefig(path, dpi=110, facecolor="white")
     plt.close(figure)
+
+
+def _versions(commits: Sequence[str]) -> str:
+    if len(commits) > _NAMED_COMMITS:
+        return f"answered by {len(commits)} versions"
+    return f"commit {', '.join(c[:7] for c in commits)}"
 
 
 def _matrix(axes: Axes, counts: np.ndarray, truths: list[str], answers: list[str], right: list[int]) -> None:
@@ -90,8 +97,8 @@ def _reliability(axes: Axes, bins: Sequence[dict[str, float]]) -> None:
     axes.plot([b["said"] for b in bins], [b["right"] for b in bins], "o-", color="#1b7f5c", markersize=5)
     for b in bins:
         axes.annotate(f"{b['n']}", (b["said"], b["right"]), textcoords="offset points", xytext=(-4, 7), fontsize=8,
-                      ha="center", color=_SOFT)  # fmt: skip
-    axes.set_xlim(-0.12, 1.08)
+                      ha="right", color=_SOFT)  # fmt: skip
+    axes.set_xlim(-0.2, 1.08)
     axes.set_ylim(-0.03, 1.08)
     axes.set_aspect("equal")
     axes.set_xlabel("probability said", color=_INK)

@@ -82,33 +82,50 @@ def report(cases: list[Spec], options: argparse.Namespace, tell: Callable[[str],
     rows = gather(cases, options.out, tell)
     if not rows:
         raise SystemExit(f"{options.out}: nothing is diagnosed yet")
-    result: dict[str, Any] = {
-        "seeds": options.seeds,
+    seals = [seal.sealed(options.out)]
+    result = _result(rows, seals, options.seeds, len(cases))
+    if options.baselines:
+        result["baselines"] = baselines.compare(rows, options.out, options.baselines, tell)
+    picture.draw(rows, result, options.out / "confusion.png")
+    if options.keep:
+        _keep(rows, result, options.add)
+    if options.json:
+        print(json.dumps(result))
+    else:
+        print(text_of(result))
+        print(f"picture: {options.out / 'confusion.png'}")
+
+
+def _result(rows: list[Row], seals: list[str], seeds: str, planned: int) -> dict[str, Any]:
+    return {
+        "seeds": seeds,
         "commit": sorted({r["commit"] for r in rows}),
         "scored_at_commit": ask.commit(),
-        "labels_sha256": seal.sealed(options.out),
+        "labels_sha256": seals,
         "cases": len(rows),
-        "planned": len(cases),
+        "planned": planned,
         **figures(rows),
         "realities": {
             name: figures([r for r in rows if r["reality"] == name])["figures"]
             for name in sorted({r["reality"] for r in rows})
         },
     }
-    if options.baselines:
-        result["baselines"] = baselines.compare(rows, options.out, options.baselines, tell)
-    picture.draw(rows, result, options.out / "confusion.png")
-    if options.keep:
-        RESULTS.mkdir(parents=True, exist_ok=True)
-        name = f"blind_{options.seeds}"
-        text = json.dumps({**result, "rows": [_short(r) for r in rows]}, indent=1, sort_keys=False)
-        (RESULTS / f"{name}.json").write_text(text + "\n", encoding="utf-8")
-        picture.draw(rows, result, RESULTS / f"{name}.png")
-    if options.json:
-        print(json.dumps(result))
-    else:
-        print(text_of(result))
-        print(f"picture: {options.out / 'confusion.png'}")
+
+
+def _keep(rows: list[Row], result: dict[str, Any], add: bool) -> None:
+    """Write the table, its rows and the picture; with ``add`` beside the answers to other cases that were kept."""
+    RESULTS.mkdir(parents=True, exist_ok=True)
+    file = RESULTS / f"blind_{result['seeds']}.json"
+    if add and file.is_file():
+        before, new = json.loads(file.read_text(encoding="utf-8")), {r["case"] for r in rows}
+        known = before["labels_sha256"]
+        seals = [*([known] if isinstance(known, str) else known), *result["labels_sha256"]]
+        rows = [*(r for r in before["rows"] if r["case"] not in new), *rows]
+        planned = max(before["planned"], result["planned"], len(rows))
+        result = _result(rows, list(dict.fromkeys(seals)), result["seeds"], planned)
+    text = json.dumps({**result, "rows": [_short(r) for r in rows]}, indent=1, sort_keys=False)
+    file.write_text(text + "\n", encoding="utf-8")
+    picture.draw(rows, result, file.with_suffix(".png"))
 
 
 def _short(row: Row) -> Row:

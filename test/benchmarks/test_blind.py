@@ -304,6 +304,31 @@ def _row(kind: str, truth: list[str], verdict: str, top: str, chance: float, **m
     }  # fmt: skip
 
 
+def test_kept_answers_grow_by_those_to_other_cases(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    from blind import table
+
+    monkeypatch.setattr(table, "RESULTS", tmp_path)
+    monkeypatch.setattr(table.ask, "commit", lambda: "abc")
+    file = tmp_path / "blind_dev.json"
+
+    def keep(seal: str, add: bool, **right: bool) -> dict[str, Any]:
+        rows = [
+            _row("single", ["payload"], "effect", "payload" if good else "top_mount", 0.95, case=case, commit=seal,
+                 reality="newton", right=False)
+            for case, good in right.items()
+        ]  # fmt: skip
+        table._keep(rows, table._result(rows, [seal], "dev", 40), add)
+        return dict(json.loads(file.read_text()))
+
+    assert keep("first", True, one=True, two=False)["figures"]["top1"]["value"] == 0.5
+    both = keep("second", True, two=True, three=True)
+    assert [r["case"] for r in both["rows"]] == ["one", "two", "three"]
+    assert both["cases"] == 3 and both["planned"] == 40 and both["figures"]["top1"]["value"] == 1.0
+    assert both["labels_sha256"] == both["commit"] == ["first", "second"]
+    assert [r["case"] for r in keep("third", False, four=True)["rows"]] == ["four"]
+    assert file.with_suffix(".png").stat().st_size > 1000
+
+
 def test_the_figures_count_what_they_say() -> None:
     from blind.score import figures
 
