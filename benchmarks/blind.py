@@ -3,6 +3,7 @@
 
     python benchmarks/blind.py [--short | --full] [--seeds dev|report|report2] [--limit N] [--json] [--out DIR]
     python benchmarks/blind.py --stage generate|diagnose|score ...    # one stage alone
+    python benchmarks/blind.py ... --keep [--add]                     # answers kept, with --add beside those before
 
 Cases come from two realities that share nothing with the package's models (``blind/newton.py`` and
 ``blind/multibody.py``). Their labels are sealed under a hash before the first diagnosis, and a diagnosis

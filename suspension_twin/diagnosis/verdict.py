@@ -57,7 +57,7 @@ _LEAST_TEMPER = 0.03
 #: three times; those that were right and left much had up to thirty times.
 _ALIKE, _MANY = 3.0, 10
 #: Odds against no gap and unknown together from which on a cause is named where no reference says what a sound model
-#: leaves: a wrong name sends somebody to a sound part. Of seven such answers between even odds and these, five were.
+#: leaves: a wrong name sends somebody to a sound part. Of seven such between even odds and these five are wrong.
 _NAMED_FROM = 1.5
 #: Factor of one standard deviation about what is usual of a twin file that is off.
 _USUAL_SHARE_SPREAD = 1.3

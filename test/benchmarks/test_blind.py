@@ -7,7 +7,6 @@ import json
 import re
 import shutil
 import sys
-from collections.abc import Iterator
 from dataclasses import replace
 from itertools import combinations
 from pathlib import Path
@@ -25,14 +24,6 @@ CONTRACT = (
     "mount_resonance", "sensor_offset", "sensor_tilt", "sensor_bandwidth", "sensor_clipping", "sensor_scale",
     "time_offset", "clock_drift", "road_scale", "road_smoothing", "position_offset", "lateral_offset",
 )  # fmt: skip
-
-
-@pytest.fixture(scope="module", autouse=True)
-def benchmarks_on_the_path() -> Iterator[None]:
-    before = list(sys.path)
-    sys.path.insert(0, str(BENCHMARKS))
-    yield
-    sys.path[:] = before
 
 
 @pytest.fixture(scope="module")

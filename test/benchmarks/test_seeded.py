@@ -3,8 +3,7 @@
 
 from __future__ import annotations
 
-import sys
-from collections.abc import Iterator
+from importlib import import_module
 from pathlib import Path
 from types import ModuleType
 from typing import Any
@@ -21,13 +20,8 @@ LEVEL = (0.0, 0.0, 0.0)
 
 
 @pytest.fixture(scope="module")
-def seeded() -> Iterator[ModuleType]:
-    before = list(sys.path)
-    sys.path.insert(0, str(BENCHMARKS))
-    import seeded as module
-
-    yield module
-    sys.path[:] = before
+def seeded() -> ModuleType:
+    return import_module("seeded")
 
 
 @pytest.fixture(scope="module")

@@ -4,8 +4,7 @@
 from __future__ import annotations
 
 import os
-import sys
-from collections.abc import Iterator
+from importlib import import_module
 from pathlib import Path
 from types import ModuleType
 
@@ -18,13 +17,8 @@ DRIVE = "drive_fast"
 
 
 @pytest.fixture(scope="module")
-def vehicle() -> Iterator[ModuleType]:
-    before = list(sys.path)
-    sys.path.insert(0, str(BENCHMARKS))
-    import seeded_vehicle as module
-
-    yield module
-    sys.path[:] = before
+def vehicle() -> ModuleType:
+    return import_module("seeded_vehicle")
 
 
 @pytest.fixture(scope="module")
