@@ -17,7 +17,6 @@ import pytest
 
 from suspension_twin.effects.registry import EFFECTS
 
-BENCHMARKS = Path(__file__).resolve().parents[2] / "benchmarks"
 CONTRACT = (
     "strut_friction", "bump_stop", "rebound_stop", "top_mount", "anti_roll_bar", "damper_fade", "corner_damper",
     "corner_spring", "tyre_damping", "tyre_envelope", "unsprung_mass", "payload", "body_bending", "powertrain_mount",

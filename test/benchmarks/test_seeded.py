@@ -4,7 +4,6 @@
 from __future__ import annotations
 
 from importlib import import_module
-from pathlib import Path
 from types import ModuleType
 from typing import Any
 
@@ -14,7 +13,6 @@ import pytest
 from suspension_twin.drive.types import Drive, FixData, ImuData, VelocityData
 from suspension_twin.road import Road
 
-BENCHMARKS = Path(__file__).resolve().parents[2] / "benchmarks"
 ROAD = ("road_scale", "road_smoothing", "position_offset", "lateral_offset")
 LEVEL = (0.0, 0.0, 0.0)
 
