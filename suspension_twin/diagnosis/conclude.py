@@ -36,9 +36,8 @@ _TIED = 0.05  # how often the second has to win for the two not to be told apart
 class Findings:
     """``left``, ``weights`` and ``gates`` count the baseline first, then ``singles``; ``chosen`` is what
     the written twin has, ``chosen_left`` and ``chosen_gate`` belong to it; ``unseen`` and ``alone`` as in
-    ``verdict.masses``; ``excess`` is the share of the recalibrated gap's mean square that no reference shows as well.
-    ``strange`` (W,) is the probability that each of ``witnesses`` is what the gap is like, ``strange_left`` what they
-    leave."""
+    ``verdict.masses``. ``strange`` (W,) is the probability that each of ``witnesses`` is what the gap is like,
+    ``strange_left`` what they leave."""
 
     blocks: Blocks
     noise: dict[str, float]
@@ -55,7 +54,6 @@ class Findings:
     chosen_left: gaps.Remainder
     chosen_gate: verdict.Gates
     reference: float | None
-    excess: float
     temper: float
     witnesses: list[Single]
     strange: Floats
@@ -82,18 +80,19 @@ def conclude(
          for r in found.left[1:]]
     )  # fmt: skip
     driven = [c for c, name in enumerate(bench.problem.channels) if name in VERTICAL or not case.road]
-    still = np.array([verdict.undisturbed(s.evidence, driven) for s in found.singles])
-    gone = verdict.of_the_excess(beyond, found.excess, still)
+    gone = np.clip(beyond, 0.0, 1.0)
+    if found.reference is not None:
+        gone = np.array([verdict.gone(s.evidence, found.base, driven) for s in found.singles])
     effects, no_gap, unknown = verdict.masses(found.weights, found.gates, gone, found.unseen, found.alone)
     unknown += float(found.strange.sum())
     chosen = found.chosen.fit.hypothesis.effects
     if len(chosen) > 1:
         taken = gaps.shrink_of(
             bench, found.left[0], found.chosen_left, found.blocks, found.noise[channel], 0, request.seed
-        )
-        still = np.array([verdict.undisturbed(found.chosen, driven)])
-        gone = verdict.of_the_excess(np.array([taken.shrink]), found.excess, still)
-        effects, unknown = _shared(found, effects, unknown, chosen, float(gone[0]))
+        ).shrink
+        if found.reference is not None:
+            taken = verdict.gone(found.chosen, found.base, driven)
+        effects, unknown = _shared(found, effects, unknown, chosen, taken)
     groups = _groups(found, effects)
     left = 1.0 - _shrink(bench, found, found.chosen_left, request.seed).shrink
     adequate = found.chosen_gate.adequate

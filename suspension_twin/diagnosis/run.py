@@ -237,7 +237,7 @@ class _Search:
         """
         channel = self.bench.problem.channels[column]
         driven = self._driven(channel)
-        found = self._shrink(self.left[0], left, column, settled=not driven)
+        found = self._shrink(self.left[0], left, column, settled=not driven or self.reference is not None)
         motion = float(np.std(self.bench.problem.measured.values[gaps.shown_rows(self.bench), column]))
         if found.before < max(self.noise[channel], verdict.SLIGHT * motion):
             return 0.0
@@ -250,7 +250,7 @@ class _Search:
         """Probability that a channel's gap is not larger than recalibration alone leaves it by more than a tenth and,
         where another shrinks by much, a quarter of the square of the ``most`` that one does."""
         channel = self.bench.problem.channels[column]
-        found = self._shrink(self.left[0], left, column)
+        found = self._shrink(self.left[0], left, column, settled=self.reference is not None)
         if not self._driven(channel) or max(found.before, found.after) < self.noise[channel]:
             return 1.0
         spread = max((found.interval[1] - found.interval[0]) / 3.29, 1e-3)
@@ -405,6 +405,6 @@ class _Search:
         return Findings(
             self.blocks, self.noise, self.standing, self.base, self.singles, self.left, self.weights, self.unseen,
             self.alone, self.beats, self.gates, self.chosen, self.chosen_left,
-            self._gates(self.chosen, self.chosen_left), self.reference, self._excess(), self.temper, self.witnesses,
+            self._gates(self.chosen, self.chosen_left), self.reference, self.temper, self.witnesses,
             self.strange, self.strange_left,
         )  # fmt: skip

@@ -19,8 +19,8 @@ from suspension_twin.drive.types import Floats
 from suspension_twin.effects.registry import EFFECTS
 
 __all__ = [
-    "Gates", "background", "even", "explained", "free_of_lines", "level_of", "masses", "of_the_excess", "plausible",
-    "punctual", "sound", "temper_of", "uncommon", "undisturbed", "unmatched", "verdict_of",
+    "Gates", "background", "even", "explained", "free_of_lines", "gone", "level_of", "masses", "plausible", "punctual",
+    "sound", "temper_of", "uncommon", "undisturbed", "unmatched", "verdict_of",
 ]  # fmt: skip
 
 #: Share of the gap's rms that a cause has to explain.
@@ -37,8 +37,8 @@ _STAND_IN = 0.23
 LITTLE, SLIGHT = 0.5 * _USUAL, 0.06
 #: Held-out squares, in units of the noise that the reference taught, at which a sound model is as likely as
 #: not: on the drives with the gap, which are others than it learnt from, and on the reference itself. A
-#: sound model's drives lie at 1.2 to 2.3 and at 1.0 to 1.7.
-_SOUND_SHOWN, _SOUND_THERE, _SOUND_SPREAD = 2.3, 2.0, 1.2
+#: sound model's drives lie at 1.2 to 2.3 and at 1.0 to 1.7, about the last of these.
+_SOUND_SHOWN, _SOUND_THERE, _SOUND_SPREAD, _SOUND_USUAL = 2.3, 2.0, 1.2, 1.5
 #: How far the share that is left in half an octave stands out of its neighbours', at which a sound model is as
 #: likely as not: such a share goes smoothly with frequency, to within a factor of two on cars that lack nothing.
 _STANDS_OUT, _STANDS_OUT_SPREAD = 2.8, 1.15
@@ -219,17 +219,21 @@ def unmatched(gains: Floats, strange: Floats) -> Floats:
 
 def explained(gate: Gates, gone: float, alone: float = 0.0) -> float:
     """Part of a hypothesis' weight that stays with it: what is not adequate is shared with unknown by the square of the
-    share ``gone`` of the recalibrated gap's rms that it takes away, or by how far it stands ``alone``."""
+    share ``gone`` of the recalibrated gap that it takes away, or by how far it stands ``alone``."""
     kept = max(float(np.clip(gone, 0.0, 1.0)) ** 2, alone)
     return gate.adequate + (1.0 - gate.adequate) * kept
 
 
-def of_the_excess(shrink: Floats, excess: float, undisturbed: Floats) -> Floats:
-    """Shares (E,) of a recalibrated gap's rms that are gone, of the part that a reference does not show as well:
-    ``excess`` of its mean square; of all of it as far as the reference is not ``undisturbed`` (E,) by the effect."""
-    plain = np.clip(shrink, 0.0, 1.0)
-    gone = 1.0 - np.sqrt(1.0 - np.minimum((1.0 - (1.0 - plain) ** 2) / excess, 1.0))
-    return np.asarray(plain + undisturbed * (gone - plain))
+def gone(found: Evidence, base: Evidence, channels: Sequence[int]) -> float:
+    """Share of what the baseline leaves beyond what the reference taught that is gone, of the mean square in units of
+    that, all ``channels`` and the drives from before together: one vehicle has to suit both, and where an effect is
+    missing it suits neither."""
+
+    def beyond(one: Evidence) -> float:
+        return sum(max(v - _SOUND_USUAL, 0.0) for (c, _), v in one.level.items() if c in channels)
+
+    before = beyond(base)
+    return float(np.clip(1.0 - beyond(found) / before, 0.0, 1.0)) if before > 0.0 else 0.0
 
 
 def undisturbed(found: Evidence, channels: Sequence[int]) -> float:

@@ -187,16 +187,21 @@ def test_what_is_named_in_part_is_shared_with_unknown_by_how_much_is_gone() -> N
     assert verdict.explained(half, 0.2, 0.7) == pytest.approx(0.5 + 0.5 * 0.7)
 
 
-def test_what_a_reference_shows_as_well_is_not_to_be_taken_away() -> None:
-    shrink = np.array([0.0, 0.5, 0.6, 1.0, -0.2])
-    one, none = np.ones(5), np.zeros(5)
-    # nothing is known of before: the share of the gap, and never less than none
-    assert verdict.of_the_excess(shrink, 1.0, one) == pytest.approx([0.0, 0.5, 0.6, 1.0, 0.0])
-    # where a quarter of the mean square was there before, three quarters of it are all that there was to take
-    assert verdict.of_the_excess(shrink, 0.75, one) == pytest.approx([0.0, 1.0, 1.0, 1.0, 0.0])
-    assert verdict.of_the_excess(np.array([0.25]), 0.75, np.ones(1))[0] == pytest.approx(1 - np.sqrt(1 - 0.4375 / 0.75))
-    # what the drives from before are the worse for has not explained what changed
-    assert verdict.of_the_excess(shrink, 0.75, none) == pytest.approx([0.0, 0.5, 0.6, 1.0, 0.0])
+def test_what_is_gone_is_counted_above_what_a_sound_model_leaves() -> None:
+    def left(*levels: float) -> Any:
+        return SimpleNamespace(level=dict(zip([(0, True), (0, False), (1, True), (1, False)], levels, strict=True)))
+
+    base = left(6.5, 2.5, 3.5, 1.2)
+    assert verdict.gone(base, base, [0, 1]) == 0.0
+    assert verdict.gone(left(1.5, 1.4, 1.0, 1.5), base, [0, 1]) == 1.0
+    # of 5 + 1 + 2 beyond what a sound model has, 1 stays
+    assert verdict.gone(left(2.5, 1.0, 1.0, 1.0), base, [0, 1]) == pytest.approx(1.0 - 1.0 / 8.0)
+    # drives from before that are the worse for it count against it, other channels do not count
+    assert verdict.gone(left(2.5, 5.5, 1.0, 1.0), base, [0, 1]) == pytest.approx(1.0 - 5.0 / 8.0)
+    assert verdict.gone(left(6.5, 2.5, 1.0, 1.0), base, [0]) == 0.0
+    # worse than nothing is nothing; where nothing is beyond, nothing is gone
+    assert verdict.gone(left(9.0, 9.0, 9.0, 9.0), base, [0, 1]) == 0.0
+    assert verdict.gone(left(1.0, 1.0, 1.0, 1.0), left(1.4, 1.1, 1.0, 1.0), [0, 1]) == 0.0
 
 
 def test_a_reference_that_two_vehicles_pull_at_is_disturbed() -> None:
