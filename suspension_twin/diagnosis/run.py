@@ -231,30 +231,44 @@ class _Search:
     def _material(self, left: gaps.Remainder, column: int, least: float) -> float:
         """Probability that a share ``least`` of a channel's gap is gone beyond recalibration.
 
-        With a reference the gap to explain is what exceeds that which the model leaves of this car anyway. In
-        the planar channels, which the pose drives, biases and the mount's normal lean make most of any gap:
-        there it is what is gone beyond these too.
+        With a reference the gap to explain is what exceeds that which the model leaves of this car anyway.
         """
         channel = self.bench.problem.channels[column]
-        driven = self._driven(channel)
-        found = self._shrink(self.left[0], left, column, settled=not driven or self.reference is not None)
         motion = float(np.std(self.bench.problem.measured.values[gaps.shown_rows(self.bench), column]))
-        if found.before < max(self.noise[channel], verdict.SLIGHT * motion):
-            return 0.0
-        shrink, low, high = (1.0 - (1.0 - min(v, 1.0)) ** 2 for v in (found.shrink, *found.interval))
-        spread = max((high - low) / 3.29, 1e-3)
-        wanted = (1.0 - (1.0 - least) ** 2) * (self._excess() if driven else 1.0)
-        return float(norm.cdf((shrink - wanted) / spread))
+        wanted = (1.0 - (1.0 - least) ** 2) * (self._excess() if self._driven(channel) else 1.0)
+        likely = 0.0
+        for settled in self._ways(channel):
+            found = self._shrink(self.left[0], left, column, settled)
+            if found.before >= max(self.noise[channel], verdict.SLIGHT * motion):
+                shrink, low, high = (1.0 - (1.0 - min(v, 1.0)) ** 2 for v in (found.shrink, *found.interval))
+                likely = max(likely, float(norm.cdf((shrink - wanted) / max((high - low) / 3.29, 1e-3))))
+        return likely
 
     def _unspoilt(self, left: gaps.Remainder, column: int, most: float) -> float:
         """Probability that a channel's gap is not larger than recalibration alone leaves it by more than a tenth and,
         where another shrinks by much, a quarter of the square of the ``most`` that one does."""
         channel = self.bench.problem.channels[column]
-        found = self._shrink(self.left[0], left, column, settled=self.reference is not None)
-        if not self._driven(channel) or max(found.before, found.after) < self.noise[channel]:
+        if not self._driven(channel):
             return 1.0
-        spread = max((found.interval[1] - found.interval[0]) / 3.29, 1e-3)
-        return float(norm.cdf((found.shrink + verdict.MATERIAL + _TRADED * max(most, 0.0) ** 2) / spread))
+        likely = 0.0
+        for settled in self._ways(channel):
+            found = self._shrink(self.left[0], left, column, settled)
+            if max(found.before, found.after) < self.noise[channel]:
+                return 1.0
+            spread = max((found.interval[1] - found.interval[0]) / 3.29, 1e-3)
+            likely = max(
+                likely,
+                float(norm.cdf((found.shrink + verdict.MATERIAL + _TRADED * max(most, 0.0) ** 2) / spread)),
+            )
+        return likely
+
+    def _ways(self, channel: str) -> tuple[bool, ...]:
+        """Whether a channel's gap is looked at where the nuisances were fitted: the planar ones, since biases and the
+        mount's normal lean make most of any gap there. With a reference, which shows what clocks and map are off by
+        anyway, both ways count: a vehicle's own effect may ask them for something, and one of theirs spares it."""
+        if not self._driven(channel):
+            return (True,)
+        return (False,) if self.reference is None else (False, True)
 
     def _driven(self, channel: str) -> bool:
         """Whether a channel is one that speaks for the vehicle: with a road what the road drives."""
