@@ -80,10 +80,11 @@ def conclude(
          for r in found.left[1:]]
     )  # fmt: skip
     driven = [c for c, name in enumerate(bench.problem.channels) if name in VERTICAL or not case.road]
-    gone = np.clip(beyond, 0.0, 1.0)
+    gone, alone = np.clip(beyond, 0.0, 1.0), found.alone
     if found.reference is not None:
         gone = np.array([verdict.gone(s.evidence, found.base, driven) for s in found.singles])
-    effects, no_gap, unknown = verdict.masses(found.weights, found.gates, gone, found.unseen, found.alone)
+        alone = alone * gone  # what is measured to be there still is not explained by gaining more than others
+    effects, no_gap, unknown = verdict.masses(found.weights, found.gates, gone, found.unseen, alone)
     unknown += float(found.strange.sum())
     chosen = found.chosen.fit.hypothesis.effects
     if len(chosen) > 1:
