@@ -21,9 +21,11 @@ class _Told(str):
 
 def pays(
     monkeypatch: pytest.MonkeyPatch, punctual: tuple[float, float], after: float, reference: float | None = None,
-    sure: float = 1.0, relief: float = 5.0,
+    sure: float = 1.0, relief: float = 5.0, gone: tuple[float, float] = (0.2, 0.9),
 ) -> bool:  # fmt: skip
-    """Whether ``many`` joins: clocks of few and many, what many leave of a gap of 1 of which few leave 0.8."""
+    """Whether ``many`` joins: clocks of few and many, what many leave of a gap of 1 of which few leave 0.8, what each
+    takes of what a reference does not show."""
+    monkeypatch.setattr(verdict, "gone", lambda found, base, channels: gone[found == "many"])
     monkeypatch.setattr(run, "weights", lambda *given: (None, np.array([[0.0, 1.0 - sure], [sure, 0.0]])))
     monkeypatch.setattr(verdict, "punctual", lambda bench, found, temper: punctual[found == "many"])
 
@@ -37,7 +39,7 @@ def pays(
     search: Any = SimpleNamespace(
         bench=SimpleNamespace(problem=SimpleNamespace(channels=["vertical_acceleration"])), reference=reference,
         case=SimpleNamespace(road=True), left=["base"], noise={"vertical_acceleration": 0.01}, temper=1.0,
-        request=SimpleNamespace(seed=0), _shrink=shrink, _driven=lambda channel: True,
+        request=SimpleNamespace(seed=0), base="base", _shrink=shrink, _driven=lambda channel: True,
     )  # fmt: skip
     few, many = _Told("few"), _Told("many")
     return run._Search._pays(search, few, "few", many, "many")  # type: ignore[arg-type]
@@ -57,6 +59,14 @@ def test_what_frees_clocks_at_their_ends_joins_where_no_reference_says_what_is_n
     assert not pays(monkeypatch, (0.02, 0.02), after=0.79)
     assert not pays(monkeypatch, (0.02, 0.9), after=0.79, sure=0.9)
     assert not pays(monkeypatch, (0.02, 0.9), after=0.79, reference=0.1)
+
+
+def test_with_a_reference_a_tenth_of_what_it_does_not_show_has_to_go(monkeypatch: pytest.MonkeyPatch) -> None:
+    assert pays(monkeypatch, (1.0, 1.0), after=0.5, reference=0.1)
+    # 0.40 of the rms stays with few, 0.39 or 0.28 with many
+    assert not pays(monkeypatch, (1.0, 1.0), after=0.5, reference=0.1, gone=(0.84, 0.85))
+    assert pays(monkeypatch, (1.0, 1.0), after=0.5, reference=0.1, gone=(0.84, 0.92))
+    assert pays(monkeypatch, (1.0, 1.0), after=0.5, gone=(0.84, 0.85))  # nobody knows without one
 
 
 def test_what_spares_clocks_and_map_much_has_not_to_take_a_fifth_of_the_rest(monkeypatch: pytest.MonkeyPatch) -> None:
