@@ -88,11 +88,13 @@ def conclude(
     unknown += float(found.strange.sum())
     chosen = found.chosen.fit.hypothesis.effects
     if len(chosen) > 1:
-        taken = gaps.shrink_of(
-            bench, found.left[0], found.chosen_left, found.blocks, found.noise[channel], 0, request.seed
-        ).shrink
-        if found.reference is not None:
-            taken = verdict.gone(found.chosen, found.base, driven)
+        taken = (
+            verdict.gone(found.chosen, found.base, driven)
+            if found.reference is not None
+            else gaps.shrink_of(
+                bench, found.left[0], found.chosen_left, found.blocks, found.noise[channel], 0, request.seed
+            ).shrink
+        )
         effects, unknown = _shared(found, effects, unknown, chosen, taken)
     groups = _groups(found, effects)
     left = 1.0 - _shrink(bench, found, found.chosen_left, request.seed).shrink

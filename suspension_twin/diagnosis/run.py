@@ -12,17 +12,16 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from scipy.stats import norm
 
 from suspension_twin.diagnosis import gaps, verdict
 from suspension_twin.diagnosis.bench import Bench
-from suspension_twin.diagnosis.case import VERTICAL, Case, baseline, build, read_case, taught_by
+from suspension_twin.diagnosis.case import Case, baseline, build, read_case, taught_by
 from suspension_twin.diagnosis.conclude import Findings, conclude
 from suspension_twin.diagnosis.fit import Linear, finished, refit
+from suspension_twin.diagnosis.gates import Gatekeeper
 from suspension_twin.diagnosis.gross import LOST
 from suspension_twin.diagnosis.hypotheses import BASELINE, Hypothesis, library, witnesses
 from suspension_twin.diagnosis.judge import Evidence, blocks_of, evidence, held_out, weights
-from suspension_twin.diagnosis.places import gathered, spread_out
 from suspension_twin.diagnosis.request import DiagnosisRequest, DiagnosisResult, Progress
 from suspension_twin.diagnosis.search import again, jointly, pairs, singles, without_one
 from suspension_twin.diagnosis.strain import relieved
@@ -40,8 +39,6 @@ _WORTH_BARE = 0.5 * _WORTH
 _WORTH_OF_A_WITNESS = 0.25  # share of a channel's gap that a witness has to take where there is no reference
 #: Share of soundness that is a trait of the library, shown on the reference drives as well.
 _TRAITS = 0.5
-_LEAST_EXCESS = 0.4
-_TRADED = 0.25  # what a channel may lose, over the square of the most that another gains
 _MAYBE = 0.05  # probability of being material below which an effect is out of the question
 _MOST_EFFECTS = 3
 _LEADS = (0.2, 0.1)  # weights from which on the likeliest effects and the next are tried with others
@@ -124,7 +121,10 @@ class _Search:
         self.alone[[s.fit.hypothesis.scan(1) is not None for s in self.singles]] = 0.0
         leasts = [verdict.MATERIAL] * (1 + len(effects)) + [least] * len(strangers)
         alone = [0.0, *self.alone, *([0.0] * len(strangers))]
-        self.gates = [self._gates(*given) for given in zip(everything, self.left, leasts, alone, strict=True)]
+        self.keeper = Gatekeeper(
+            bench, self.blocks, self.noise, self.reference, self.temper, self.case.road, seed, self.base, self.left[0]
+        )
+        self.gates = [self.keeper.gates(*given) for given in zip(everything, self.left, leasts, alone, strict=True)]
         # what takes nothing material away cannot be the finding, however sure it is: it must not hide another
         priors = [each if g.material > _MAYBE else 0.0 for g in self.gates[1:]]
         prior = np.array([sound, *priors, *([trait] * len(traits))])
@@ -143,7 +143,7 @@ class _Search:
             self.chosen, self.chosen_left = self._whole(chosen, left)
         else:
             self.chosen, self.chosen_left = self._eliminate()
-            self._carried_by(self.chosen, self._gates(self.chosen, self.chosen_left))
+            self._carried_by(self.chosen, self.keeper.gates(self.chosen, self.chosen_left))
 
     def _lost(self, base: Linear) -> bool:
         """Whether the recalibrated twin follows nothing of the motion."""
@@ -203,99 +203,6 @@ class _Search:
             )
         return level
 
-    def _gates(
-        self, found: Evidence, left: gaps.Remainder, least: float = verdict.MATERIAL, alone: float = 0.0
-    ) -> verdict.Gates:
-        bench = self.bench
-        names = bench.problem.channels
-        columns = range(len(names))
-        # what is gained in one channel and lost in another is traded, not explained, unless nothing else gains alike
-        most = max(self._shrink(self.left[0], left, c).shrink for c in columns if self._driven(names[c]))
-        level, quiet = verdict.level_of(bench, left, self.noise, shown=True), self._noise_share()
-        if self.reference is None or level < quiet:
-            adequate = verdict.background(level, quiet, None if found is self.base else most)
-            if level > verdict.LITTLE:
-                adequate *= verdict.even(bench, left, self.noise)
-        else:
-            adequate = verdict.sound(found, [c for c in columns if self._driven(names[c])])
-        if self.case.road:
-            adequate *= verdict.free_of_lines(bench, left)[0] * verdict.punctual(bench, found, self.temper)
-            adequate *= spread_out(gathered(bench, left, self.noise))
-        if found is self.base:
-            return verdict.Gates(1.0, adequate, 1.0)
-        material = max(self._material(left, c, least) for c in columns)
-        material *= max(min(self._unspoilt(left, c, most) for c in columns), alone)
-        material *= verdict.uncommon(bench, found, self.reference is not None)
-        return verdict.Gates(material, adequate, verdict.plausible(bench, found))
-
-    def _material(self, left: gaps.Remainder, column: int, least: float) -> float:
-        """Probability that a share ``least`` of a channel's gap is gone beyond recalibration.
-
-        With a reference the gap to explain is what exceeds that which the model leaves of this car anyway.
-        """
-        channel = self.bench.problem.channels[column]
-        motion = float(np.std(self.bench.problem.measured.values[gaps.shown_rows(self.bench), column]))
-        wanted = (1.0 - (1.0 - least) ** 2) * (self._excess() if self._driven(channel) else 1.0)
-        likely = 0.0
-        for settled in self._ways(channel):
-            found = self._shrink(self.left[0], left, column, settled)
-            if found.before >= max(self.noise[channel], verdict.SLIGHT * motion):
-                shrink, low, high = (1.0 - (1.0 - min(v, 1.0)) ** 2 for v in (found.shrink, *found.interval))
-                likely = max(likely, float(norm.cdf((shrink - wanted) / max((high - low) / 3.29, 1e-3))))
-        return likely
-
-    def _unspoilt(self, left: gaps.Remainder, column: int, most: float) -> float:
-        """Probability that a channel's gap is not larger than recalibration alone leaves it by more than a tenth and,
-        where another shrinks by much, a quarter of the square of the ``most`` that one does."""
-        channel = self.bench.problem.channels[column]
-        if not self._driven(channel):
-            return 1.0
-        likely = 0.0
-        for settled in self._ways(channel):
-            found = self._shrink(self.left[0], left, column, settled)
-            if max(found.before, found.after) < self.noise[channel]:
-                return 1.0
-            spread = max((found.interval[1] - found.interval[0]) / 3.29, 1e-3)
-            likely = max(
-                likely,
-                float(norm.cdf((found.shrink + verdict.MATERIAL + _TRADED * max(most, 0.0) ** 2) / spread)),
-            )
-        return likely
-
-    def _ways(self, channel: str) -> tuple[bool, ...]:
-        """Whether a channel's gap is looked at where the nuisances were fitted: the planar ones, since biases and the
-        mount's normal lean make most of any gap there. With a reference, which shows what clocks and map are off by
-        anyway, both ways count: a vehicle's own effect may ask them for something, and one of theirs spares it."""
-        if not self._driven(channel):
-            return (True,)
-        return (False,) if self.reference is None else (False, True)
-
-    def _driven(self, channel: str) -> bool:
-        """Whether a channel is one that speaks for the vehicle: with a road what the road drives."""
-        return channel in VERTICAL or not self.case.road
-
-    def _excess(self) -> float:
-        """Share of the recalibrated gap's mean square that reference drives do not show as well."""
-        if self.reference is None:
-            return 1.0
-        level = verdict.level_of(self.bench, self.left[0], self.noise, shown=True)
-        return float(np.clip(1.0 - (self.reference / max(level, 1e-9)) ** 2, _LEAST_EXCESS, 1.0))
-
-    def _noise_share(self) -> float:
-        """Level at which nothing but the sensor's noise is left."""
-        column = 0
-        rows = gaps.shown_rows(self.bench)
-        motion = float(np.std(self.bench.problem.measured.values[rows, column]))
-        return 0.7 * self.noise[self.bench.problem.channels[column]] / max(motion, 1e-12)
-
-    def _shrink(
-        self, before: gaps.Remainder, after: gaps.Remainder, column: int = 0, settled: bool = False
-    ) -> gaps.Shrink:
-        noise = self.noise[self.bench.problem.channels[column]]
-        return gaps.shrink_of(
-            self.bench, before, after, self.blocks, noise, column, self.request.seed, settled=settled
-        )
-
     def _combine(self, everything: list[Evidence]) -> tuple[Evidence, gaps.Remainder]:
         """The smallest set that closes the gap, from the likeliest effects: of two causes the one that shows most by
         itself may be neither, or too little of the gap while the other is not there."""
@@ -335,7 +242,7 @@ class _Search:
             if joined is None:
                 break
             chosen, left = joined
-            gates = self._gates(chosen, left)
+            gates = self.keeper.gates(chosen, left)
         return chosen, left
 
     def _joining(
@@ -356,8 +263,7 @@ class _Search:
             return False
         alone = self.case.road and self.reference is None
         if self.case.road and not alone:
-            driven = [c for c, name in enumerate(self.bench.problem.channels) if self._driven(name)]
-            still = [np.sqrt(1.0 - verdict.gone(e, self.base, driven)) for e in (few, many)]
+            still = [np.sqrt(1.0 - verdict.gone(e, self.base, self.keeper.driven)) for e in (few, many)]
             # what makes up for a little of the model's own error takes little of what the reference does not show
             if still[0] - still[1] < _WORTH:
                 return False
@@ -369,13 +275,13 @@ class _Search:
             return True
         for column, channel in enumerate(self.bench.problem.channels):
             before = self.left[0] if self.case.road else few_left
-            one, two = self._shrink(before, few_left, column), self._shrink(before, many_left, column)
-            if not self._driven(channel) or one.after < self.noise[channel]:
+            one, two = self.keeper.shrink(before, few_left, column), self.keeper.shrink(before, many_left, column)
+            if column not in self.keeper.driven or one.after < self.noise[channel]:
                 continue
             if one.after - two.after >= (_WORTH if self.case.road else _WORTH_BARE) * one.before and (
                 not alone
                 or spared > _MUCH_RELIEF  # no model's own error asks that of clocks and map
-                or self._shrink(few_left, many_left, column, settled=True).shrink >= _WORTH_OF_THE_REST
+                or self.keeper.shrink(few_left, many_left, column, settled=True).shrink >= _WORTH_OF_THE_REST
             ):
                 return True
         return False
@@ -425,6 +331,6 @@ class _Search:
         return Findings(
             self.blocks, self.noise, self.standing, self.base, self.singles, self.left, self.weights, self.unseen,
             self.alone, self.beats, self.gates, self.chosen, self.chosen_left,
-            self._gates(self.chosen, self.chosen_left), self.reference, self.temper, self.witnesses,
+            self.keeper.gates(self.chosen, self.chosen_left), self.reference, self.temper, self.witnesses,
             self.strange, self.strange_left,
         )  # fmt: skip

@@ -39,7 +39,8 @@ def pays(
     search: Any = SimpleNamespace(
         bench=SimpleNamespace(problem=SimpleNamespace(channels=["vertical_acceleration"])), reference=reference,
         case=SimpleNamespace(road=True), left=["base"], noise={"vertical_acceleration": 0.01}, temper=1.0,
-        request=SimpleNamespace(seed=0), base="base", _shrink=shrink, _driven=lambda channel: True,
+        request=SimpleNamespace(seed=0), base="base",
+        keeper=SimpleNamespace(shrink=shrink, driven=[0]),
     )  # fmt: skip
     few, many = _Told("few"), _Told("many")
     return run._Search._pays(search, few, "few", many, "many")  # type: ignore[arg-type]

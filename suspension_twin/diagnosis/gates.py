@@ -1,0 +1,122 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The gates that a hypothesis has to pass before it is named: material, adequate, plausible."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.stats import norm
+
+from suspension_twin.diagnosis import gaps, verdict
+from suspension_twin.diagnosis.bench import Bench
+from suspension_twin.diagnosis.case import VERTICAL
+from suspension_twin.diagnosis.judge import Blocks, Evidence
+from suspension_twin.diagnosis.places import gathered, spread_out
+
+__all__ = ["Gatekeeper"]
+
+_LEAST_EXCESS = 0.4
+_TRADED = 0.25  # what a channel may lose, over the square of the most that another gains
+
+
+@dataclass(frozen=True, eq=False)
+class Gatekeeper:
+    """What hypotheses are measured against: ``base`` and what it leaves (``recalibrated``), ``noise`` by channel in its
+    units, ``reference`` the share of the motion that is left on reference drives (None without), ``temper`` the share
+    of what is left that is noise."""
+
+    bench: Bench
+    blocks: Blocks
+    noise: dict[str, float]
+    reference: float | None
+    temper: float
+    road: bool
+    seed: int
+    base: Evidence
+    recalibrated: gaps.Remainder
+
+    @property
+    def driven(self) -> list[int]:
+        """Columns of the channels that speak for the vehicle: with a road what the road drives."""
+        return [c for c, name in enumerate(self.bench.problem.channels) if name in VERTICAL or not self.road]
+
+    def gates(
+        self, found: Evidence, left: gaps.Remainder, least: float = verdict.MATERIAL, alone: float = 0.0
+    ) -> verdict.Gates:
+        """Probabilities that ``found``, which leaves ``left``, passes each gate; material from a share ``least``, where
+        it stands ``alone`` whatever other channels lose."""
+        bench, driven, columns = self.bench, self.driven, range(len(self.bench.problem.channels))
+        seen = {(c, way): self.shrink(self.recalibrated, left, c, way) for c in columns for way in self._ways(c)}
+        # what is gained in one channel and lost in another is traded, not explained, unless nothing else gains alike
+        most = max(seen[c, False].shrink for c in driven)
+        level, quiet = verdict.level_of(bench, left, self.noise, shown=True), self._noise_share()
+        if self.reference is None or level < quiet:
+            adequate = verdict.background(level, quiet, None if found is self.base else most)
+            if level > verdict.LITTLE:
+                adequate *= verdict.even(bench, left, self.noise)
+        else:
+            adequate = verdict.sound(found, driven)
+        if self.road:
+            adequate *= verdict.free_of_lines(bench, left)[0] * verdict.punctual(bench, found, self.temper)
+            adequate *= spread_out(gathered(bench, left, self.noise))
+        if found is self.base:
+            return verdict.Gates(1.0, adequate, 1.0)
+        material = max(self._material(c, [seen[c, way] for way in self._ways(c)], least) for c in columns)
+        material *= max(min(self._unspoilt(c, [seen[c, way] for way in self._ways(c)], most) for c in driven), alone)
+        material *= verdict.uncommon(bench, found, self.reference is not None)
+        return verdict.Gates(material, adequate, verdict.plausible(bench, found))
+
+    def shrink(
+        self, before: gaps.Remainder, after: gaps.Remainder, column: int = 0, settled: bool = False
+    ) -> gaps.Shrink:
+        """The shrink in one channel, with the nuisances where they were fitted if ``settled``."""
+        noise = self.noise[self.bench.problem.channels[column]]
+        return gaps.shrink_of(self.bench, before, after, self.blocks, noise, column, self.seed, settled=settled)
+
+    def _ways(self, column: int) -> tuple[bool, ...]:
+        """Whether a channel's gap is looked at where the nuisances were fitted: the planar ones, since biases and the
+        mount's normal lean make most of any gap there. With a reference, which shows what clocks and map are off by
+        anyway, both ways count: a vehicle's own effect may ask them for something, and one of theirs spares it."""
+        if column not in self.driven:
+            return (True,)
+        return (False,) if self.reference is None else (False, True)
+
+    def _material(self, column: int, seen: list[gaps.Shrink], least: float) -> float:
+        """Probability that a share ``least`` of a channel's gap is gone beyond recalibration.
+
+        With a reference the gap to explain is what exceeds that which the model leaves of this car anyway.
+        """
+        motion = float(np.std(self.bench.problem.measured.values[gaps.shown_rows(self.bench), column]))
+        floor = max(self.noise[self.bench.problem.channels[column]], verdict.SLIGHT * motion)
+        wanted = (1.0 - (1.0 - least) ** 2) * (self._excess() if column in self.driven else 1.0)
+        likely = 0.0
+        for found in seen:
+            if found.before >= floor:
+                shrink, low, high = (1.0 - (1.0 - min(v, 1.0)) ** 2 for v in (found.shrink, *found.interval))
+                likely = max(likely, float(norm.cdf((shrink - wanted) / max((high - low) / 3.29, 1e-3))))
+        return likely
+
+    def _unspoilt(self, column: int, seen: list[gaps.Shrink], most: float) -> float:
+        """Probability that a channel's gap is not larger than recalibration alone leaves it by more than a tenth and,
+        where another shrinks by much, a quarter of the square of the ``most`` that one does."""
+        allowed, likely = verdict.MATERIAL + _TRADED * max(most, 0.0) ** 2, 0.0
+        for found in seen:
+            if max(found.before, found.after) < self.noise[self.bench.problem.channels[column]]:
+                return 1.0
+            spread = max((found.interval[1] - found.interval[0]) / 3.29, 1e-3)
+            likely = max(likely, float(norm.cdf((found.shrink + allowed) / spread)))
+        return likely
+
+    def _excess(self) -> float:
+        """Share of the recalibrated gap's mean square that reference drives do not show as well."""
+        if self.reference is None:
+            return 1.0
+        level = verdict.level_of(self.bench, self.recalibrated, self.noise, shown=True)
+        return float(np.clip(1.0 - (self.reference / max(level, 1e-9)) ** 2, _LEAST_EXCESS, 1.0))
+
+    def _noise_share(self) -> float:
+        """Level at which nothing but the sensor's noise is left."""
+        rows = gaps.shown_rows(self.bench)
+        motion = float(np.std(self.bench.problem.measured.values[rows, 0]))
+        return 0.7 * self.noise[self.bench.problem.channels[0]] / max(motion, 1e-12)
