@@ -224,6 +224,7 @@ def short(value: float, digits: int = 4) -> str:
     """A number as people write it: four digits that matter, no trailing noise, true minus sign."""
     if math.isnan(value):
         return "–"
+    value += 0.0  # nothing has no sign
     if value and not 1e-4 <= abs(value) < 1e7:
         text = f"{value:.{digits - 1}e}"
     else:
