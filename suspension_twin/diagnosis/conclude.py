@@ -80,9 +80,10 @@ def conclude(
          for r in found.left[1:]]
     )  # fmt: skip
     driven = [c for c, name in enumerate(bench.problem.channels) if name in VERTICAL or not case.road]
-    gone, alone = np.clip(beyond, 0.0, 1.0), found.alone
+    gone, alone, foreign = np.clip(beyond, 0.0, 1.0), found.alone, None
     if found.reference is not None:
         gone = np.array([verdict.gone(s.evidence, found.base, driven) for s in found.singles])
+        foreign = 1.0 - np.sqrt(1.0 - gone)  # of the rms, as the other shrinks
         alone = alone * gone  # what is measured to be there still is not explained by gaining more than others
     effects, no_gap, unknown = verdict.masses(found.weights, found.gates, gone, found.unseen, alone)
     unknown += float(found.strange.sum())
@@ -109,7 +110,7 @@ def conclude(
     kept_left = found.chosen_left if kept is found.chosen else found.left[0]
     twin = twin_of(case, bench, kept.fit)
     shrink = _shrink(bench, found, kept_left, request.seed)
-    causes = _causes(bench, found, effects, beyond, groups, request.seed)
+    causes = _causes(bench, found, effects, beyond, foreign, groups, request.seed)
     # without a road no block shows the model what another has shown it
     _add_intervals(bench, found.blocks, kept.fit, found.temper if case.road else 1.0, causes)
     document: dict[str, Any] = {
@@ -232,8 +233,9 @@ def _gap(bench: Bench, found: Findings) -> dict[str, Any]:
 
 
 def _causes(
-    bench: Bench, found: Findings, effects: Floats, beyond: Floats, groups: list[list[int]], seed: int
-) -> list[dict[str, Any]]:
+    bench: Bench, found: Findings, effects: Floats, beyond: Floats, foreign: Floats | None, groups: list[list[int]],
+    seed: int,
+) -> list[dict[str, Any]]:  # fmt: skip
     names = [s.effect for s in found.singles]
     together = dict(zip(found.chosen.fit.hypothesis.keys, found.chosen.fit.effects(bench), strict=True))
     causes = []
@@ -256,6 +258,7 @@ def _causes(
                 "shrink": _round(shrink.shrink),
                 "shrink_interval": [_round(v) for v in shrink.interval],
                 "shrink_beyond_recalibration": _round(float(beyond[i])),
+                "shrink_beyond_reference": None if foreign is None else _round(float(foreign[i])),
                 "indistinguishable_from": [names[j] for g in groups if i in g for j in g if j != i],
                 "gates": {
                     "material": _round(gate.material), "adequate": _round(gate.adequate),

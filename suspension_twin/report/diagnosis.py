@@ -24,6 +24,10 @@ _VERDICTS: dict[str, tuple[str, Mark]] = {
 }
 _SHOWN_SECONDS = 6.0
 _GATES = ("material", "adequate", "plausible")
+_REFERENCED = (
+    ' What decides is "beyond reference": of all that the recalibrated twin leaves in vertical, roll and pitch above '
+    "what the reference drives taught, after the change and before it, the share that the cause takes."
+)
 
 
 def diagnosis_page(result: DiagnosisResult) -> Page:
@@ -73,6 +77,7 @@ def _answer(d: dict[str, Any]) -> Section:
 
 def _causes(d: dict[str, Any]) -> Section:
     rows = []
+    referenced = d["background"]["share_left_on_reference"] is not None
     for c in d["causes"]:
         gates = c["gates"]
         low, high = c["shrink_interval"]
@@ -82,21 +87,23 @@ def _causes(d: dict[str, Any]) -> Section:
                 Cell(round(c["probability"], 3), "good" if c["effect"] in d["combination"] else ""),
                 f"{c['shrink']:.2f} ({low:.2f} to {high:.2f})",
                 round(c["shrink_beyond_recalibration"], 3),
+                *([round(c["shrink_beyond_reference"], 3)] if referenced else []),
                 *(Cell(round(gates[g], 2), "" if gates[g] > 0.5 else "warn") for g in _GATES),
                 values_of(c),
                 ", ".join(e.replace("_", " ") for e in c["indistinguishable_from"]),
             )
         )
-    rows.append(("no gap", Cell(round(d["no_gap_probability"], 3)), "", "", "", "", "", "", ""))
-    rows.append(("unknown", Cell(round(d["unknown_probability"], 3)), "", "", "", "", "", "", ""))
-    columns = ("cause", "probability", "shrink", "beyond recalibration", "material", "adequate", "plausible",
-               "parameters", "like")  # fmt: skip
+    columns = ("cause", "probability", "shrink", "beyond recalibration", *(["beyond reference"] if referenced else []),
+               "material", "adequate", "plausible", "parameters", "like")  # fmt: skip
+    for name, key in (("no gap", "no_gap_probability"), ("unknown", "unknown_probability")):
+        rows.append((name, Cell(round(d[key], 3)), *[""] * (len(columns) - 2)))
     return Section(
         "Which",
         "Every effect was fitted together with the characteristics, the clocks, the map, the tilt and the biases. A "
         "cause is named if it is material (a tenth of some channel's gap), adequate (what is left is what a sound "
         "model leaves) and plausible (inside its prior and the same on every stretch). The shrinks are of the vertical "
-        "acceleration alone, with the calibration and beyond it: what shows in roll or braking may have none.",
+        "acceleration alone, with the calibration and beyond it: what shows in roll or braking may have none."
+        + (_REFERENCED if referenced else ""),
         _bars(d),
         Table(columns, rows),
     )

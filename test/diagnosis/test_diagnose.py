@@ -53,10 +53,13 @@ def test_friction_is_found_with_its_size_and_the_written_twin_closes_the_gap(mak
     lead = document["causes"][0]
     assert lead["effect"] == "strut_friction" and lead["probability"] > 0.8
     assert lead["parameters"]["front_force"] == pytest.approx(250, rel=0.2)
+    beyond = {c["effect"]: c["shrink_beyond_reference"] for c in document["causes"]}
+    assert beyond.pop("strut_friction") > 0.7 and all(0.0 <= v < 0.3 for v in beyond.values())
     write(result, tmp_path)
     diagnosis_page(result).write(tmp_path / "report.html")
     assert json.loads((tmp_path / "diagnosis.json").read_text()) == document
-    assert "strut friction" in (tmp_path / "report.html").read_text()
+    told = (tmp_path / "report.html").read_text()
+    assert "strut friction" in told and "beyond reference" in told
     twin = load_twin(tmp_path / "twin.yaml")
     drive = read_drive(case[1][0])
     before = simulate_drive(drive, load_twin(case[0])).gap
@@ -69,6 +72,7 @@ def test_a_late_clock_is_found_without_a_reference(make: Any) -> None:
     check(document)
     lead = document["causes"][0]
     assert lead["effect"] == "time_offset" and lead["probability"] > 0.8
+    assert lead["shrink_beyond_reference"] is None
     assert lead["parameters"]["offset"] == pytest.approx(0.06, abs=0.01)
 
 
