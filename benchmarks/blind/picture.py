@@ -96,10 +96,10 @@ def _reliability(axes: Axes, bins: Sequence[dict[str, float]]) -> None:
     axes.plot([0, 1], [0, 1], color=_SOFT, linewidth=1.0)
     axes.plot([b["said"] for b in bins], [b["right"] for b in bins], "o-", color="#1b7f5c", markersize=5)
     for b in bins:
-        axes.annotate(f"{b['n']}", (b["said"], b["right"]), textcoords="offset points", xytext=(-4, 7), fontsize=8,
-                      ha="right", color=_SOFT)  # fmt: skip
-    axes.set_xlim(-0.2, 1.08)
-    axes.set_ylim(-0.03, 1.08)
+        axes.annotate(f"{b['n']}", (b["said"], b["right"]), textcoords="offset points", xytext=(7, -9), fontsize=8,
+                      color=_SOFT)  # fmt: skip
+    axes.set_xlim(-0.03, 1.15)
+    axes.set_ylim(-0.08, 1.08)
     axes.set_aspect("equal")
     axes.set_xlabel("probability said", color=_INK)
     axes.set_ylabel("share right", color=_INK)

@@ -11,7 +11,7 @@ import numpy as np
 
 from suspension_twin.diagnosis import gaps, verdict
 from suspension_twin.diagnosis.bench import Bench
-from suspension_twin.diagnosis.case import VERTICAL, Case
+from suspension_twin.diagnosis.case import Case
 from suspension_twin.diagnosis.experiment import next_experiment
 from suspension_twin.diagnosis.fit import Fit, finished
 from suspension_twin.diagnosis.hypotheses import library
@@ -35,9 +35,9 @@ _TIED = 0.05  # how often the second has to win for the two not to be told apart
 @dataclass(frozen=True, eq=False)
 class Findings:
     """``left``, ``weights`` and ``gates`` count the baseline first, then ``singles``; ``chosen`` is what
-    the written twin has, ``chosen_left`` and ``chosen_gate`` belong to it; ``unseen`` and ``alone`` as in
-    ``verdict.masses``. ``strange`` (W,) is the probability that each of ``witnesses`` is what the gap is like,
-    ``strange_left`` what they leave."""
+    the written twin has, ``chosen_left``, ``chosen_gate`` and ``chosen_gone`` belong to it; ``gone`` (E,), ``unseen``
+    and ``alone`` as in ``verdict.masses``. ``strange`` (W,) is the probability that each of ``witnesses`` is what the
+    gap is like, ``strange_left`` what they leave."""
 
     blocks: Blocks
     noise: dict[str, float]
@@ -46,6 +46,7 @@ class Findings:
     singles: list[Single]
     left: list[gaps.Remainder]
     weights: Floats
+    gone: Floats
     unseen: Floats
     alone: Floats
     beats: Floats
@@ -53,6 +54,7 @@ class Findings:
     chosen: Evidence
     chosen_left: gaps.Remainder
     chosen_gate: verdict.Gates
+    chosen_gone: float
     reference: float | None
     temper: float
     witnesses: list[Single]
@@ -79,24 +81,15 @@ def conclude(
         [gaps.shrink_of(bench, found.left[0], r, found.blocks, found.noise[channel], 0, request.seed).shrink
          for r in found.left[1:]]
     )  # fmt: skip
-    driven = [c for c, name in enumerate(bench.problem.channels) if name in VERTICAL or not case.road]
-    gone, alone, foreign = np.clip(beyond, 0.0, 1.0), found.alone, None
+    alone, foreign = found.alone, None
     if found.reference is not None:
-        gone = np.array([verdict.gone(s.evidence, found.base, driven) for s in found.singles])
-        foreign = 1.0 - np.sqrt(1.0 - gone)  # of the rms, as the other shrinks
-        alone = alone * gone  # what is measured to be there still is not explained by gaining more than others
-    effects, no_gap, unknown = verdict.masses(found.weights, found.gates, gone, found.unseen, alone)
+        foreign = 1.0 - np.sqrt(1.0 - found.gone)  # of the rms, as the other shrinks
+        alone = alone * found.gone  # what is measured to be there still is not explained by gaining more than others
+    effects, no_gap, unknown = verdict.masses(found.weights, found.gates, found.gone, found.unseen, alone)
     unknown += float(found.strange.sum())
     chosen = found.chosen.fit.hypothesis.effects
     if len(chosen) > 1:
-        taken = (
-            verdict.gone(found.chosen, found.base, driven)
-            if found.reference is not None
-            else gaps.shrink_of(
-                bench, found.left[0], found.chosen_left, found.blocks, found.noise[channel], 0, request.seed
-            ).shrink
-        )
-        effects, unknown = _shared(found, effects, unknown, chosen, taken)
+        effects, unknown = _shared(found, effects, unknown, chosen, found.chosen_gone)
     groups = _groups(found, effects)
     left = 1.0 - _shrink(bench, found, found.chosen_left, request.seed).shrink
     adequate = found.chosen_gate.adequate

@@ -49,8 +49,8 @@ class Gatekeeper:
         bench, driven, columns = self.bench, self.driven, range(len(self.bench.problem.channels))
         seen = {(c, way): self.shrink(self.recalibrated, left, c, way) for c in columns for way in self._ways(c)}
         # what is gained in one channel and lost in another is traded, not explained, unless nothing else gains alike
-        most = max(seen[c, False].shrink for c in driven)
-        level, quiet = verdict.level_of(bench, left, self.noise, shown=True), self._noise_share()
+        most = max(seen[c, way].shrink for c in driven for way in self._ways(c))
+        level, quiet = self.level(left), self._noise_share()
         if self.reference is None or level < quiet:
             adequate = verdict.background(level, quiet, None if found is self.base else most)
             if level > verdict.LITTLE:
@@ -67,6 +67,21 @@ class Gatekeeper:
         material *= verdict.uncommon(bench, found, self.reference is not None)
         return verdict.Gates(material, adequate, verdict.plausible(bench, found))
 
+    def gone(self, found: Evidence, left: gaps.Remainder) -> float:
+        """Share of what recalibration leaves beyond what a sound model would that is gone with ``found``, which leaves
+        ``left``, of the mean square; without a road of the first channel's rms."""
+        if self.reference is not None:
+            return verdict.gone(found, self.base, self.driven)
+        if self.road:
+            return verdict.closed(self.level(left), self.level(self.recalibrated))
+        return float(np.clip(self.shrink(self.recalibrated, left).shrink, 0.0, 1.0))
+
+    def level(self, left: gaps.Remainder) -> float:
+        """What is left as a share of the motion: where no reference says by what clocks and map are off, with them
+        where they were fitted."""
+        settled = self.road and self.reference is None
+        return verdict.level_of(self.bench, left, self.noise, shown=True, settled=settled)
+
     def shrink(
         self, before: gaps.Remainder, after: gaps.Remainder, column: int = 0, settled: bool = False
     ) -> gaps.Shrink:
@@ -76,11 +91,11 @@ class Gatekeeper:
 
     def _ways(self, column: int) -> tuple[bool, ...]:
         """Whether a channel's gap is looked at where the nuisances were fitted: the planar ones, since biases and the
-        mount's normal lean make most of any gap there. With a reference, which shows what clocks and map are off by
-        anyway, both ways count: a vehicle's own effect may ask them for something, and one of theirs spares it."""
+        mount's normal lean make most of any gap there. What the road drives counts both ways: a vehicle's own effect
+        may ask clocks and map for something, and one of theirs spares it."""
         if column not in self.driven:
             return (True,)
-        return (False,) if self.reference is None else (False, True)
+        return (False, True) if self.road or self.reference is not None else (False,)
 
     def _material(self, column: int, seen: list[gaps.Shrink], least: float) -> float:
         """Probability that a share ``least`` of a channel's gap is gone beyond recalibration.

@@ -263,7 +263,7 @@ class _Search:
             return False
         alone = self.case.road and self.reference is None
         if self.case.road and not alone:
-            still = [np.sqrt(1.0 - verdict.gone(e, self.base, self.keeper.driven)) for e in (few, many)]
+            still = [np.sqrt(1.0 - self.keeper.gone(*one)) for one in ((few, few_left), (many, many_left))]
             # what makes up for a little of the model's own error takes little of what the reference does not show
             if still[0] - still[1] < _WORTH:
                 return False
@@ -328,9 +328,10 @@ class _Search:
     def findings(self) -> Findings:
         """Everything that the answer is made of."""
         self.tell(Progress("judging", 0.95))
+        keeper, chosen, left = self.keeper, self.chosen, self.chosen_left
+        gone = [keeper.gone(s.evidence, r) for s, r in zip(self.singles, self.left[1:], strict=True)]
         return Findings(
-            self.blocks, self.noise, self.standing, self.base, self.singles, self.left, self.weights, self.unseen,
-            self.alone, self.beats, self.gates, self.chosen, self.chosen_left,
-            self.keeper.gates(self.chosen, self.chosen_left), self.reference, self.temper, self.witnesses,
-            self.strange, self.strange_left,
+            self.blocks, self.noise, self.standing, self.base, self.singles, self.left, self.weights, np.array(gone),
+            self.unseen, self.alone, self.beats, self.gates, chosen, left, keeper.gates(chosen, left),
+            keeper.gone(chosen, left), self.reference, self.temper, self.witnesses, self.strange, self.strange_left,
         )  # fmt: skip

@@ -19,22 +19,23 @@ from suspension_twin.drive.types import Floats
 from suspension_twin.effects.registry import EFFECTS
 
 __all__ = [
-    "Gates", "background", "even", "explained", "free_of_lines", "gone", "level_of", "masses", "plausible", "punctual",
-    "sound", "temper_of", "uncommon", "undisturbed", "unmatched", "verdict_of",
+    "Gates", "background", "closed", "even", "explained", "free_of_lines", "gone", "level_of", "masses", "plausible",
+    "punctual", "sound", "temper_of", "uncommon", "undisturbed", "unmatched", "verdict_of",
 ]  # fmt: skip
 
 #: Share of the gap's rms that a cause has to explain.
 MATERIAL = 0.1
-#: What a calibrated model of seven degrees leaves of a car's motion that it knows, as a share of its rms:
-#: median and factor of one standard deviation; and what is left where something is missing.
-_USUAL, _USUAL_SPREAD = 0.2, 1.5
-_AMISS, _AMISS_SPREAD = 0.5, 1.8
+#: What a calibrated model of seven degrees leaves of a car's motion that it knows, clocks and map where they were
+#: fitted, as a share of its rms: median and factor of one standard deviation (cars of three makes that lack nothing
+#: have 0.09 to 0.14); and what is left where something is missing.
+_USUAL, _USUAL_SPREAD = 0.14, 1.4
+_AMISS, _AMISS_SPREAD = 0.3, 1.8
 #: Mean share of a channel's recalibrated gap that the best of a library takes which lacks the right effect: 0.23 in ten
 #: such cases, where those that are right take anything.
 _STAND_IN = 0.23
 #: Shares of the motion below which what is left is too little for its spectrum to tell anything, and below which a
 #: channel's gap is not worth a word.
-LITTLE, SLIGHT = 0.5 * _USUAL, 0.06
+LITTLE, SLIGHT = 0.1, 0.06
 #: Held-out squares, in units of the noise that the reference taught, at which a sound model is as likely as
 #: not: on the drives with the gap, which are others than it learnt from, and on the reference itself. A
 #: sound model's drives lie at 1.2 to 2.3 and at 1.0 to 1.7, about the last of these.
@@ -72,15 +73,16 @@ class Gates:
     plausible: float
 
 
-def level_of(bench: Bench, left: Remainder, noise: dict[str, float], shown: bool) -> float:
-    """What is left above the noise as a share of the motion's rms, over the channels that the road drives."""
-    rows = shown_rows(bench) == shown
+def level_of(bench: Bench, left: Remainder, noise: dict[str, float], shown: bool, settled: bool = False) -> float:
+    """What is left above the noise as a share of the motion's rms, over the channels that the road drives; ``settled``
+    with the nuisances where they were fitted."""
+    rows, rest_of = shown_rows(bench) == shown, left.settled if settled else left.difference
     measured = bench.problem.measured
     shares, counts = [], []
     for c, name in enumerate(measured.channels):
         if name in ("vertical_acceleration", "pitch_rate", "roll_rate") or len(measured.channels) == 3:
             motion = float(np.var(measured.values[rows, c]))
-            rest = max(float(np.var(left.difference[rows, c])) - noise[name] ** 2, 0.0)
+            rest = max(float(np.var(rest_of[rows, c])) - noise[name] ** 2, 0.0)
             shares.append(rest)
             counts.append(max(motion - noise[name] ** 2, 1e-12))
     # the loudest channel in units of its own noise speaks for the vehicle
@@ -234,6 +236,13 @@ def gone(found: Evidence, base: Evidence, channels: Sequence[int]) -> float:
 
     before = beyond(base)
     return float(np.clip(1.0 - beyond(found) / before, 0.0, 1.0)) if before > 0.0 else 0.0
+
+
+def closed(level: float, before: float) -> float:
+    """Share of what is left ``before`` beyond the usual, of the mean square, that is gone with a ``level``: shares of
+    the motion's rms, where no reference says what a sound model leaves."""
+    beyond = max(before**2 - _USUAL**2, 0.0)
+    return float(np.clip(1.0 - max(level**2 - _USUAL**2, 0.0) / beyond, 0.0, 1.0)) if beyond > 0.0 else 0.0
 
 
 def undisturbed(found: Evidence, channels: Sequence[int]) -> float:

@@ -15,6 +15,7 @@ from scipy.signal import butter, lfilter, sosfilt
 from suspension_twin.diagnosis import gaps, verdict
 from suspension_twin.diagnosis.conclude import _message
 from suspension_twin.diagnosis.gaps import Remainder, Shrink
+from suspension_twin.diagnosis.gates import Gatekeeper
 from suspension_twin.diagnosis.hypotheses import Hypothesis
 from suspension_twin.diagnosis.judge import Blocks, Evidence, weights
 from suspension_twin.diagnosis.operating import _corners, _points
@@ -32,7 +33,8 @@ def bench(lengths: list[int], values: np.ndarray, active: tuple[bool, ...] | Non
     measured = SimpleNamespace(
         channels=(CHANNEL,), stretches=stretches, drives=list(range(len(lengths))), rate=RATE, values=values
     )
-    return SimpleNamespace(active=active or (True,) * len(lengths), problem=SimpleNamespace(measured=measured))
+    problem = SimpleNamespace(measured=measured, channels=measured.channels)
+    return SimpleNamespace(active=active or (True,) * len(lengths), problem=problem)
 
 
 # -- masses ----------------------------------------------------------------------------------------
@@ -367,6 +369,43 @@ def test_settled_differences_are_compared_where_asked() -> None:
     assert gaps.shrink_of(*args, settled=True).shrink == pytest.approx(0.5)
 
 
+def test_how_much_is_left_is_told_with_nuisances_where_they_were_fitted_where_asked() -> None:
+    x = np.random.default_rng(3).standard_normal((1000, 1))
+    left = Remainder(0.4 * x, 0.1 * x)
+    at = bench([1000], x)
+    noise = dict.fromkeys(at.problem.measured.channels, 1e-6)
+    assert verdict.level_of(at, left, noise, shown=True) == pytest.approx(0.4, rel=1e-3)
+    assert verdict.level_of(at, left, noise, shown=True, settled=True) == pytest.approx(0.1, rel=1e-3)
+
+
+def test_what_is_gone_counts_from_what_a_sound_model_leaves() -> None:
+    assert verdict.closed(0.3, 0.3) == 0.0
+    assert verdict.closed(0.14, 0.3) == verdict.closed(0.05, 0.3) == 1.0
+    assert verdict.closed(0.4, 0.3) == 0.0  # what makes it worse takes nothing
+    assert verdict.closed(0.05, 0.13) == 0.0  # there was nothing to take
+    assert verdict.closed(0.22, 0.3) == pytest.approx((0.3**2 - 0.22**2) / (0.3**2 - 0.14**2))
+
+
+def test_a_cars_own_effect_may_ask_clocks_for_something() -> None:
+    """With clocks at nothing a payload seems to spoil what it closes."""
+    rng = np.random.default_rng(4)
+    noise = 1e-3 * rng.standard_normal((1000, 1))
+    x = rng.standard_normal((1000, 1)) + noise
+    at, blocks = bench([1000], x), Blocks(np.arange(1000) // 50, np.zeros(0, dtype=int), 20)
+    names = at.problem.measured.channels
+    base = Remainder(0.3 * x, 0.3 * x)
+
+    def gates(road: bool, after: Remainder) -> tuple[bool, float]:
+        nothing: Any = None
+        keeper = Gatekeeper(at, blocks, dict.fromkeys(names, 1e-3), None, 1.0, road, 0, nothing, base)
+        seen = [keeper.shrink(base, after, 0, way) for way in keeper._ways(0)]
+        return keeper._unspoilt(0, seen, 0.0) > 0.5, keeper.level(after)
+
+    spoilt = Remainder(0.4 * x, 0.1 * x)
+    assert gates(True, spoilt) == (True, pytest.approx(0.1, rel=1e-2))
+    assert gates(False, spoilt) == (False, pytest.approx(0.4, rel=1e-2))  # planar channels have biases to make up
+
+
 def test_a_cause_that_shows_without_closing_the_gap_is_not_said_to_shrink_it() -> None:
     document = {"gap": {"rms": 1.0}, "combination": ["road_smoothing"]}
 
@@ -379,7 +418,7 @@ def test_a_cause_that_shows_without_closing_the_gap_is_not_said_to_shrink_it() -
 
 
 def test_what_stands_in_takes_little_where_much_is_left() -> None:
-    much, little = 0.25, 0.05  # of the motion
+    much, little = 0.17, 0.05  # of the motion
     assert verdict.background(much, 0.01, 0.1) < 0.75 * verdict.background(much, 0.01)
     assert verdict.background(much, 0.01, 0.8) > 0.95 > verdict.background(much, 0.01)
     assert verdict.background(little, 0.01, 0.1) > 0.95  # what is so quiet lacks nothing, however it came about

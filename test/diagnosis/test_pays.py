@@ -25,7 +25,6 @@ def pays(
 ) -> bool:  # fmt: skip
     """Whether ``many`` joins: clocks of few and many, what many leave of a gap of 1 of which few leave 0.8, what each
     takes of what a reference does not show."""
-    monkeypatch.setattr(verdict, "gone", lambda found, base, channels: gone[found == "many"])
     monkeypatch.setattr(run, "weights", lambda *given: (None, np.array([[0.0, 1.0 - sure], [sure, 0.0]])))
     monkeypatch.setattr(verdict, "punctual", lambda bench, found, temper: punctual[found == "many"])
 
@@ -40,7 +39,7 @@ def pays(
         bench=SimpleNamespace(problem=SimpleNamespace(channels=["vertical_acceleration"])), reference=reference,
         case=SimpleNamespace(road=True), left=["base"], noise={"vertical_acceleration": 0.01}, temper=1.0,
         request=SimpleNamespace(seed=0), base="base",
-        keeper=SimpleNamespace(shrink=shrink, driven=[0]),
+        keeper=SimpleNamespace(shrink=shrink, driven=[0], gone=lambda found, left: gone[found == "many"]),
     )  # fmt: skip
     few, many = _Told("few"), _Told("many")
     return run._Search._pays(search, few, "few", many, "many")  # type: ignore[arg-type]
