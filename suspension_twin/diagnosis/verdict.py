@@ -26,8 +26,8 @@ __all__ = [
 #: Share of the gap's rms that a cause has to explain.
 MATERIAL = 0.1
 #: What a calibrated model of seven degrees leaves of a car's motion that it knows, clocks and map where they were
-#: fitted, as a share of its rms: median and factor of one standard deviation (cars of three makes that lack nothing
-#: have 0.09 to 0.14); and what is left where something is missing.
+#: fitted, as a share of its rms: median and factor of one standard deviation (cars of four makes that lack nothing
+#: have 0.09 to 0.17); and what is left where something is missing.
 _USUAL, _USUAL_SPREAD = 0.14, 1.4
 _AMISS, _AMISS_SPREAD = 0.3, 1.8
 #: Mean share of a channel's recalibrated gap that the best of a library takes which lacks the right effect: 0.23 in ten
