@@ -78,6 +78,7 @@ def _answer(d: dict[str, Any]) -> Section:
 def _causes(d: dict[str, Any]) -> Section:
     rows = []
     referenced = d["background"]["share_left_on_reference"] is not None
+    tied = any(c["indistinguishable_from"] for c in d["causes"])
     for c in d["causes"]:
         gates = c["gates"]
         low, high = c["shrink_interval"]
@@ -85,16 +86,16 @@ def _causes(d: dict[str, Any]) -> Section:
             (
                 c["effect"].replace("_", " ") + ("" if c["judged"] else " (cannot be judged)"),
                 Cell(round(c["probability"], 3), "good" if c["effect"] in d["combination"] else ""),
-                f"{c['shrink']:.2f} ({low:.2f} to {high:.2f})",
-                round(c["shrink_beyond_recalibration"], 3),
-                *([round(c["shrink_beyond_reference"], 3)] if referenced else []),
+                f"{c['shrink']:.2f} ({low:.2f} to {high:.2f})".replace("-", "\N{MINUS SIGN}"),
+                round(c["shrink_beyond_recalibration"], 2),
+                *([round(c["shrink_beyond_reference"], 2)] if referenced else []),
                 *(Cell(round(gates[g], 2), "" if gates[g] > 0.5 else "warn") for g in _GATES),
                 values_of(c),
-                ", ".join(e.replace("_", " ") for e in c["indistinguishable_from"]),
+                *([", ".join(e.replace("_", " ") for e in c["indistinguishable_from"])] if tied else []),
             )
         )
     columns = ("cause", "probability", "shrink", "beyond recalibration", *(["beyond reference"] if referenced else []),
-               "material", "adequate", "plausible", "parameters", "like")  # fmt: skip
+               "material", "adequate", "plausible", "parameters", *(["like"] if tied else []))  # fmt: skip
     for name, key in (("no gap", "no_gap_probability"), ("unknown", "unknown_probability")):
         rows.append((name, Cell(round(d[key], 3)), *[""] * (len(columns) - 2)))
     return Section(
