@@ -26,7 +26,7 @@ from suspension_twin.models.simulate import simulate_lanes
 from suspension_twin.models.types import Excitation
 from suspension_twin.vehicle.twin import Twin
 
-__all__ = ["NORMAL", "Bench", "Linearised", "gram"]
+__all__ = ["NORMAL", "Bench", "Excitations", "Linearised", "gram"]
 
 #: What is normal of clocks, maps and mounts: more than that is a finding, not a nuisance.
 #: A receiver that knows a place to a centimetre is off by some of it for a whole drive.
@@ -50,22 +50,31 @@ class Linearised:
     jacobian: Floats
 
 
+@dataclass(frozen=True, eq=False)
+class Excitations:
+    """What else may excite the vehicle on a drive: ``upright`` one that does not lean on average (antenna and wheels
+    are elsewhere if it is the sensor alone), ``turned`` one whose motion was measured by a sensor turned as far as the
+    drive shows. ``regained`` and ``reclocked``, by whether the vehicle is upright: by one that reads as much too much,
+    by one as late as it shows; empty where it shows neither."""
+
+    upright: Excitation
+    turned: Excitation
+    regained: dict[bool, Excitation]
+    reclocked: dict[bool, Excitation]
+
+
 @dataclass(eq=False)
 class Bench:
     """A problem over all drives; ``active`` (drives,) True where the gap is. ``precision`` (d + q, d + q)
-    and ``centre`` (d + q,) are the prior of characteristics and nuisances. ``upright`` (drives,) is what excites a
-    vehicle that does not lean on average: antenna and wheels are elsewhere if it is the sensor alone; ``turned``
-    (drives,) one whose motion was measured by a sensor turned as far as the drive shows (``turn``: roll, pitch and yaw
-    in rad of that), ``regained`` by one that reads as much too much, ``reclocked`` by one as late as it shows.
-    ``heard`` limits the residuals to some drives, ``there`` (R,) to some of them; ``fused`` whether poses come from
-    receiver and IMU together; ``barred`` names nuisances that stay at nothing."""
+    and ``centre`` (d + q,) are the prior of characteristics and nuisances. ``excitations`` (drives,) are what else may
+    excite the vehicle, ``turn`` roll, pitch and yaw in rad by which the sensor is turned, ``level`` whether the vehicle
+    of the problem does not lean on average. ``heard`` limits the residuals to some drives, ``there`` (R,) to some of
+    them; ``fused`` whether poses come from receiver and IMU together; ``barred`` names nuisances that stay at
+    nothing."""
 
     problem: Problem
-    upright: tuple[Excitation, ...]
-    turned: tuple[Excitation, ...]
+    excitations: tuple[Excitations, ...]
     turn: tuple[float, float, float]
-    regained: tuple[Excitation, ...]
-    reclocked: tuple[Excitation, ...]
     active: tuple[bool, ...]
     whitener: Whitener
     precision: Floats
@@ -75,6 +84,7 @@ class Bench:
     there: NDArray[np.bool_] | None = None
     fused: bool = True
     barred: tuple[str, ...] = ()
+    level: bool = False
 
     @property
     def d(self) -> int:
@@ -108,8 +118,9 @@ class Bench:
 
     def levelled(self) -> Bench:
         """The same with vehicles that do not lean on average of a drive: what lies off the vertical is the sensor."""
-        parts = [replace(p, excitation=e) for p, e in zip(self.problem.parts, self.upright, strict=True)]
-        return replace(self, problem=self.problem.on(parts))
+        pairs = zip(self.problem.parts, self.excitations, strict=True)
+        parts = [replace(part, excitation=known.upright) for part, known in pairs]
+        return replace(self, problem=self.problem.on(parts), level=True)
 
     def excitation(self, number: int, effects: Sequence[str]) -> Excitation:
         """What excites a vehicle on a drive, by the effects that there are on those with the gap.
@@ -118,14 +129,16 @@ class Bench:
         reference reads of a lean is its mount's. Taken for the vehicle's there, antenna and wheels would lie a
         centimetre apart before and after.
         """
+        known, level = self.excitations[number], self.level or upright_with(effects)
+        plain = known.upright if level else self.problem.parts[number].excitation
         if self.active[self.problem.drive_of[number]]:
             if turns_with(effects):
-                return self.turned[number]
+                return known.turned
             if gains_with(effects):
-                return self.regained[number]
+                return known.regained.get(level, plain)
             if clocks_with(effects):
-                return self.reclocked[number]
-        return self.upright[number] if upright_with(effects) else self.problem.parts[number].excitation
+                return known.reclocked.get(level, plain)
+        return plain
 
     # -- simulation ----------------------------------------------------------------------------
 

@@ -15,13 +15,13 @@ from suspension_twin.calibration.objectives import parse_objective
 from suspension_twin.calibration.presets import build_space, preset_named
 from suspension_twin.calibration.problem import Interrupted, Problem
 from suspension_twin.calibration.stretches import TrimSettings, fit_rows
-from suspension_twin.diagnosis.bench import NORMAL, Bench
+from suspension_twin.diagnosis.bench import NORMAL, Bench, Excitations
 from suspension_twin.diagnosis.fit import Linear, finished, refit
 from suspension_twin.diagnosis.hypotheses import BASELINE, Hypothesis
 from suspension_twin.diagnosis.noise import USUAL_SHARE, Whitener, shares
 from suspension_twin.diagnosis.request import DiagnosisRequest
 from suspension_twin.drive.read import read_drive
-from suspension_twin.drive.types import Floats
+from suspension_twin.drive.types import Drive, Floats
 from suspension_twin.errors import InputError
 from suspension_twin.gap.measure import CHANNELS
 from suspension_twin.gap.prepare import (
@@ -34,7 +34,6 @@ from suspension_twin.gap.prepare import (
     turned_excitation,
     upright_excitation,
 )
-from suspension_twin.models.types import Excitation
 from suspension_twin.road import flat_road
 from suspension_twin.signals.filters import FilterSpec
 from suspension_twin.vehicle.twin import Twin, load_twin
@@ -67,18 +66,14 @@ _LEANING = ("vehicle.cog.2",)
 
 @dataclass(frozen=True, eq=False)
 class Case:
-    """Drives ready to compare; ``active`` True where the gap is shown, ``road`` False without a road file; ``upright``
-    what excites a vehicle that does not lean on each drive, ``turned`` one whose sensor is turned on its mount (by
-    ``turn``, roll, pitch and yaw in rad on the drives with the gap), ``regained`` one whose sensor reads too much,
-    ``reclocked`` one whose sensor is far too late."""
+    """Drives ready to compare; ``active`` True where the gap is shown, ``road`` False without a road file;
+    ``excitations`` what else may excite the vehicle on each drive, and ``turn`` (roll, pitch, yaw; rad) by how much the
+    sensor is turned on those with the gap."""
 
     twin: Twin
     drives: tuple[Prepared, ...]
-    upright: tuple[Excitation, ...]
-    turned: tuple[Excitation, ...]
+    excitations: tuple[Excitations, ...]
     turn: tuple[float, float, float]
-    regained: tuple[Excitation, ...]
-    reclocked: tuple[Excitation, ...]
     active: tuple[bool, ...]
     road: bool
     warnings: tuple[str, ...]
@@ -99,11 +94,8 @@ def read_case(request: DiagnosisRequest, note: Callable[[str], None], stop: Call
     on_road = twin.road is not None
     road = road_of(twin) if on_road else flat_road()
     drives: list[Prepared] = []
-    upright: list[Excitation] = []
-    turned: list[Excitation] = []
+    excitations: list[Excitations] = []
     turns: list[tuple[float, float, float]] = []
-    regained: list[Excitation] = []
-    reclocked: list[Excitation] = []
     for bag in (*request.bags, *request.reference):
         if stop():
             raise Interrupted
@@ -114,12 +106,9 @@ def read_case(request: DiagnosisRequest, note: Callable[[str], None], stop: Call
         if on_road:
             check_drive(prepared)
         drives.append(prepared)
-        upright.append(upright_excitation(prepared, recorded))
-        excited, turn = turned_excitation(prepared, recorded)
-        turned.append(excited)
+        found, turn = _excitations(prepared, recorded)
+        excitations.append(found)
         turns.append(turn)
-        regained.append(regained_excitation(prepared, recorded))
-        reclocked.append(reclocked_excitation(prepared, recorded))
     names: list[str] = []
     for i, drive in enumerate(drives):
         name = drive.name if drive.name not in names else f"{drive.name}_{i + 1}"
@@ -136,10 +125,17 @@ def read_case(request: DiagnosisRequest, note: Callable[[str], None], stop: Call
             "and mount can be judged"
         )
     roll, pitch, yaw = np.angle(np.exp(1j * np.array(turns[: len(request.bags)])).sum(axis=0)).tolist()
-    return Case(
-        twin, tuple(drives), tuple(upright), tuple(turned), (roll, pitch, yaw), tuple(regained), tuple(reclocked),
-        active, on_road, tuple(warnings),
-    )  # fmt: skip
+    return Case(twin, tuple(drives), tuple(excitations), (roll, pitch, yaw), active, on_road, tuple(warnings))
+
+
+def _excitations(prepared: Prepared, drive: Drive) -> tuple[Excitations, tuple[float, float, float]]:
+    """What else may excite the vehicle, and by how much the sensor is turned."""
+    turned, turn = turned_excitation(prepared, drive)
+    regained, reclocked = (
+        {upright: found for upright in (False, True) if (found := of(prepared, drive, upright)) is not None}
+        for of in (regained_excitation, reclocked_excitation)
+    )
+    return Excitations(upright_excitation(prepared, drive), turned, regained, reclocked), turn
 
 
 def build(case: Case, stop: Callable[[], bool]) -> Bench:
@@ -179,9 +175,8 @@ def build(case: Case, stop: Callable[[], bool]) -> Bench:
     floors = [dict(p.noise_rms) for p in case.drives]
     whitener = Whitener.designed(problem, share, floors)
     return Bench(
-        problem, case.upright, case.turned, case.turn, case.regained, case.reclocked, case.active, whitener,
-        precision, centre, stop, fused=case.road,
-    )  # fmt: skip
+        problem, case.excitations, case.turn, case.active, whitener, precision, centre, stop, fused=case.road
+    )
 
 
 def _map_spread(drives: Sequence[Prepared]) -> float:
@@ -213,7 +208,7 @@ def baseline(case: Case, bench: Bench) -> tuple[Linear, Linear]:
             level = trial.levelled()
             y, other = refit(level, BASELINE, [x], None, 5)
             if other < cost:
-                x, bench.problem = y, level.problem
+                x, bench.problem, bench.level = y, level.problem, True
         taught_by(case, bench, BASELINE, x, quiet, () if referenced else VERTICAL)
     anchor = finished(bench, BASELINE, x)
     if referenced:

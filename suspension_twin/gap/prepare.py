@@ -260,27 +260,28 @@ def turned_excitation(prepared: Prepared, drive: Drive) -> tuple[Excitation, tup
     return _excitation(trajectory, twin, Ground(prepared.road, settings.outside), settings), (roll, pitch, yaw)
 
 
-def regained_excitation(prepared: Prepared, drive: Drive) -> Excitation:
-    """What excites the vehicle where all that the sensor reads beside gravity at rest is its gain."""
+def regained_excitation(prepared: Prepared, drive: Drive, upright: bool = False) -> Excitation | None:
+    """What excites the vehicle, ``upright`` one that does not lean on average, where all that the sensor reads beside
+    gravity at rest is its gain; None where the drive shows none."""
     twin, settings = prepared.twin, prepared.settings
     gain = gain_at_rest(prepared.signals)
     if settings.satellites or gain_of(twin) != 1.0 or gain == 1.0:
-        return prepared.excitation
-    signals = _read(drive, twin, gain, settings)
-    trajectory = _locked(drive, twin, signals, settings, twin.datum or _first_fix(drive), _upright(twin))
+        return None
+    signals, upright = _read(drive, twin, gain, settings), upright or _upright(twin)
+    trajectory = _locked(drive, twin, signals, settings, twin.datum or _first_fix(drive), upright)
     return _excitation(trajectory, twin, Ground(prepared.road, settings.outside), settings)
 
 
-def reclocked_excitation(prepared: Prepared, drive: Drive) -> Excitation:
-    """What excites the vehicle where all that the IMU's stamps are after the receiver's is its clock's, if that is
-    much."""
+def reclocked_excitation(prepared: Prepared, drive: Drive, upright: bool = False) -> Excitation | None:
+    """What excites the vehicle, ``upright`` one that does not lean on average, where all that the IMU's stamps are
+    after the receiver's is its clock's; None where that is not much."""
     twin, settings, datum = prepared.twin, prepared.settings, prepared.twin.datum or _first_fix(drive)
     late = 0.0 if settings.satellites else lateness(drive, prepared.signals, twin.gps, datum)
     if not late or late_of(twin):
-        return prepared.excitation
+        return None
     timed = punctual(drive, late)
     signals = _as_mounted(timed, twin, ingest_drive(timed, twin.imu, settings.imu), settings)
-    trajectory = _locked(timed, twin, signals, settings, datum, _upright(twin))
+    trajectory = _locked(timed, twin, signals, settings, datum, upright or _upright(twin))
     trajectory = replace(trajectory, t=prepared.signals.t)
     return replace(_excitation(trajectory, twin, Ground(prepared.road, settings.outside), settings), late=late)
 
