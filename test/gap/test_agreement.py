@@ -167,17 +167,21 @@ def test_a_clock_that_is_known_to_be_late_costs_nothing(drive: Drive, twin: Twin
     assert unknown.gap(unknown.condition(simulate_twin(twin, unknown.excitation))).rms > 1.3 * gaps[0]
 
 
-@pytest.mark.parametrize("seconds", [-1.1, 0.0, 0.7])
+@pytest.mark.parametrize("upright", [False, True])
+@pytest.mark.parametrize("seconds", [-1.1, 0.7])
 def test_how_late_a_clock_is_seen_to_be_is_taken_off_the_motion(
-    drive: Drive, twin: Twin, bumps: Road, seconds: float
+    drive: Drive, twin: Twin, bumps: Road, seconds: float, upright: bool
 ) -> None:
     spoilt = late(drive, seconds)
-    seen = reclocked_excitation(prepare(spoilt, twin, bumps), spoilt)
-    assert seen.late == pytest.approx(seconds, abs=0.05)
-    if seconds:
-        sound, bent = prepare(drive, twin, bumps).excitation, prepare(spoilt, twin, bumps).excitation
-        off, more = (float(np.std(e.speed - sound.speed)) for e in (seen, bent))
-        assert off < 0.3 * more
+    seen = reclocked_excitation(prepare(spoilt, twin, bumps), spoilt, upright)
+    assert seen is not None and seen.late == pytest.approx(seconds, abs=0.05)
+    sound, bent = prepare(drive, twin, bumps).excitation, prepare(spoilt, twin, bumps).excitation
+    off, more = (float(np.std(e.speed - sound.speed)) for e in (seen, bent))
+    assert off < 0.3 * more
+
+
+def test_a_clock_that_is_right_is_not_taken_off_the_motion(drive: Drive, twin: Twin, bumps: Road) -> None:
+    assert reclocked_excitation(prepare(drive, twin, bumps), drive) is None
 
 
 def test_a_drive_that_hardly_moves_tells_nothing(drive: Drive, twin: Twin) -> None:
