@@ -27,12 +27,15 @@ from suspension_twin.drive.types import Floats
 __all__ = ["Blocks", "Evidence", "blocks_of", "evidence", "held_out", "intervals", "weights"]
 
 FOLDS = 5
-_SHARES = (1.0, 0.5, 0.25, 0.0)
+_SHARES = (1.0, 0.5, 0.25)
 _DRAWS = 4000
 #: How many times what it gains in the fit an effect may gain where it is held out: a vehicle without it, which has made
 #: up for it elsewhere, is the worse there.
 _BEYOND_THE_FIT = 2.0
 _METRES, _SECONDS = 8.0, 4.0
+#: Nuisances that say when: a few sharp edges tell them. Without these they go wherever the model's own error takes
+#: them, and that would speak against those hypotheses whose clocks no limit holds.
+_TIMES = ("clock_offset", "map_position")
 
 
 @dataclass(frozen=True, eq=False)
@@ -61,8 +64,18 @@ def blocks_of(bench: Bench, road: bool) -> Blocks:
     return Blocks(sample, sample[bench.whitener.row], int(sample.max()) + 1)
 
 
-def held_out(bench: Bench, fit: Linear, blocks: Blocks) -> tuple[Floats, Floats]:
-    """Unknowns (d + q + k, FOLDS) without each fold, and the residuals (R,) that they leave in it.
+@dataclass(frozen=True, eq=False)
+class HeldOut:
+    """Unknowns (d + q + k, FOLDS) without each fold and the residuals ``left`` (R,) that they leave in it; ``timed``
+    (R,) those where clocks and map stay as the whole recording has them."""
+
+    unknowns: Floats
+    left: Floats
+    timed: Floats
+
+
+def held_out(bench: Bench, fit: Linear, blocks: Blocks) -> HeldOut:
+    """A fit on stretches that it has not seen.
 
     A Gauss-Newton step from the fit to all undoes what a fold pulled on it; of its lengths the one that suits
     the other folds best is taken, simulated.
@@ -74,37 +87,44 @@ def held_out(bench: Bench, fit: Linear, blocks: Blocks) -> tuple[Floats, Floats]
     fold = blocks.fold(blocks.row)
     # a severity on its bound, usually at nothing, stays there: the step knows no bounds
     low, high = bench.limits(fit.hypothesis)
-    free = np.flatnonzero((fit.x > low) & (fit.x < high))
-    candidates = []
-    for f in range(FOLDS):
-        own = fold == f
-        j = jacobian[own][:, free]
-        rest = total[np.ix_(free, free)] - gram(j, j)
-        rest[np.diag_indices_from(rest)] *= 1 + 1e-9
-        step = np.zeros(fit.x.size)
-        step[free] = -linalg.solve(rest, slope[free] - gram(j, residual[own, None])[:, 0], assume_a="sym")
-        step *= min(1.0, 1.0 / max(float(np.abs(step).max()), 1e-300))
-        candidates += [fit.x + share * step for share in _SHARES]
+    inside = (fit.x > low) & (fit.x < high)
+    known = np.zeros(fit.x.size, dtype=bool)
+    known[bench.d : bench.d + bench.q] = [n.endswith(_TIMES) for n in bench.problem.nuisances.names]
+    candidates = [fit.x]
+    for free in (np.flatnonzero(inside), np.flatnonzero(inside & ~known)):
+        for f in range(FOLDS):
+            own = fold == f
+            j = jacobian[own][:, free]
+            rest = total[np.ix_(free, free)] - gram(j, j)
+            rest[np.diag_indices_from(rest)] *= 1 + 1e-9
+            step = np.zeros(fit.x.size)
+            step[free] = -linalg.solve(rest, slope[free] - gram(j, residual[own, None])[:, 0], assume_a="sym")
+            step *= min(1.0, 1.0 / max(float(np.abs(step).max()), 1e-300))
+            candidates += [fit.x + share * step for share in _SHARES]
     tried = bench.clipped(fit.hypothesis, np.stack(candidates, axis=1))
-    left, failed = bench.residuals(fit.hypothesis, tried)
+    residuals, failed = bench.residuals(fit.hypothesis, tried)
     away = tried - centre[:, None]
     penalty = np.einsum("il,ij,jl->l", away, precision, away, optimize=False)
     unknowns = np.repeat(fit.x[:, None], FOLDS, axis=1)
-    out = residual.copy()
+    left, timed = residual.copy(), residual.copy()
     for f in range(FOLDS):
         own = fold == f
-        lanes = slice(f * len(_SHARES), (f + 1) * len(_SHARES))
-        costs = np.sum(left[~own, lanes] ** 2, axis=0) + penalty[lanes]
-        best = f * len(_SHARES) + int(np.argmin(np.where(failed[lanes], np.inf, costs)))
-        unknowns[:, f] = tried[:, best]
-        out[own] = left[own, best]
-    return unknowns, out
+        costs = np.sum(residuals[~own] ** 2, axis=0) + penalty
+        costs = np.where(failed, np.inf, costs)
+        for number, out in enumerate((left, timed)):
+            first = 1 + (number * FOLDS + f) * len(_SHARES)
+            lanes = [*range(first, first + len(_SHARES)), 0]
+            best = lanes[int(np.argmin(costs[lanes]))]
+            out[own] = residuals[own, best]
+            if out is left:
+                unknowns[:, f] = tried[:, best]
+    return HeldOut(unknowns, left, timed)
 
 
 @dataclass(frozen=True, eq=False)
 class Evidence:
-    """One hypothesis: ``score`` (B,) log predictive density of each block, ``occam`` nats that its freedom
-    costs, ``level`` (groups,) mean square of what it leaves (1 where the noise model holds), ``left`` (R,)
+    """One hypothesis: ``score`` (B,) log predictive density of each block, clocks and map as the whole recording has
+    them, ``occam`` nats that its freedom costs, ``level`` (groups,) mean square of what it leaves (1 where the noise model holds), ``left`` (R,)
     held-out residuals, ``unknowns`` (d + q + k, FOLDS), ``fitted`` log density of all blocks where all are fitted,
     ``strain`` what it asks of the nuisances."""
 
@@ -124,22 +144,22 @@ class Evidence:
 
 def evidence(bench: Bench, fit: Linear, blocks: Blocks, shown: Sequence[bool] | None = None) -> Evidence:
     """Held-out evidence of a fit; ``shown`` which drives show the gap, where ``bench`` says otherwise."""
-    unknowns, left = held_out(bench, fit, blocks)
+    out = held_out(bench, fit, blocks)
     whitener = bench.whitener
     active = np.array(bench.active if shown is None else shown)[whitener.drive]
     score = np.zeros(blocks.count)
     level: dict[tuple[int, bool], float] = {}
-    scale = np.ones(left.size)
+    scale = np.ones(out.left.size)
     fitted = 0.0
     for c in range(len(bench.problem.channels)):
         for side in (True, False):
             rows = (whitener.channel == c) & (active == side)
             if not rows.any():
                 continue
-            squares = np.bincount(blocks.row[rows], left[rows] ** 2, blocks.count)
             counts = INDEPENDENT * np.bincount(blocks.row[rows], minlength=blocks.count)
+            level[c, side] = max(float(np.sum(out.left[rows] ** 2) / counts.sum()), 1e-6)
+            squares = np.bincount(blocks.row[rows], out.timed[rows] ** 2, blocks.count)
             variance = max(float(squares.sum() / counts.sum()), 1e-6)
-            level[c, side] = variance
             fitted -= 0.5 * counts.sum() * np.log(max(float(np.mean(fit.at.residual[rows] ** 2)) / INDEPENDENT, 1e-6))
             scale[rows] = np.sqrt(variance)
             score -= 0.5 * (counts * np.log(variance) + squares / variance)
@@ -151,7 +171,8 @@ def evidence(bench: Bench, fit: Linear, blocks: Blocks, shown: Sequence[bool] | 
     occam = 0.5 * (np.linalg.slogdet(hessian)[1] - np.linalg.slogdet(precision)[1])
     occam += 0.5 * float(away @ precision @ away) / max(float(np.mean(scale**2)), 1.0)
     plain = Fit(fit.hypothesis, fit.x, fit.cost)
-    return Evidence(plain, score, float(occam), level, left, unknowns, float(fitted), strain_of(bench, fit, scale))
+    strain = strain_of(bench, fit, scale)
+    return Evidence(plain, score, float(occam), level, out.left, out.unknowns, float(fitted), strain)
 
 
 def intervals(bench: Bench, fit: Linear, blocks: Blocks, temper: float) -> Floats:

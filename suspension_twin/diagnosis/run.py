@@ -147,7 +147,7 @@ class _Search:
 
     def _lost(self, base: Linear) -> bool:
         """Whether the recalibrated twin follows nothing of the motion."""
-        unknowns, _ = held_out(self.bench, base, self.blocks)
+        unknowns = held_out(self.bench, base, self.blocks).unknowns
         left = gaps.remainder(self.bench, BASELINE, unknowns, self.blocks)
         return verdict.level_of(self.bench, left, self.noise, shown=True) > LOST
 
