@@ -124,9 +124,9 @@ def held_out(bench: Bench, fit: Linear, blocks: Blocks) -> HeldOut:
 @dataclass(frozen=True, eq=False)
 class Evidence:
     """One hypothesis: ``score`` (B,) log predictive density of each block, clocks and map as the whole recording has
-    them, ``occam`` nats that its freedom costs, ``level`` (groups,) mean square of what it leaves (1 where the noise model holds), ``left`` (R,)
-    held-out residuals, ``unknowns`` (d + q + k, FOLDS), ``fitted`` log density of all blocks where all are fitted,
-    ``strain`` what it asks of the nuisances."""
+    them, ``occam`` nats that its freedom costs, ``level`` (groups,) mean square of what it leaves (1 where the noise
+    model holds), ``left`` (R,) held-out residuals, ``unknowns`` (d + q + k, FOLDS), ``fitted`` log density of all
+    blocks where all are fitted, ``strain`` what it asks of the nuisances."""
 
     fit: Fit
     score: Floats
