@@ -122,8 +122,9 @@ class Bench:
         parts = [replace(part, excitation=known.upright) for part, known in pairs]
         return replace(self, problem=self.problem.on(parts), level=True)
 
-    def excitation(self, number: int, effects: Sequence[str]) -> Excitation:
-        """What excites a vehicle on a drive, by the effects that there are on those with the gap.
+    def excitation(self, number: int, effects: Sequence[str], everywhere: Sequence[str] = ()) -> Excitation:
+        """What excites a vehicle on a drive, by the effects that there are on those with the gap and by those of them
+        that there are ``everywhere``.
 
         Where it is known how far the vehicle leans with them it is known that it does not lean without: what the
         reference reads of a lean is its mount's. Taken for the vehicle's there, antenna and wheels would lie a
@@ -131,40 +132,41 @@ class Bench:
         """
         known, level = self.excitations[number], self.level or upright_with(effects)
         plain = known.upright if level else self.problem.parts[number].excitation
-        if self.active[self.problem.drive_of[number]]:
-            if turns_with(effects):
-                return known.turned
-            if gains_with(effects):
-                return known.regained.get(level, plain)
-            if clocks_with(effects):
-                return known.reclocked.get(level, plain)
-        return plain
+        here = effects if self.active[self.problem.drive_of[number]] else everywhere
+        if turns_with(here):
+            return known.turned
+        if gains_with(here):
+            return known.regained.get(level, plain)
+        return known.reclocked.get(level, plain) if clocks_with(here) else plain
 
     # -- simulation ----------------------------------------------------------------------------
 
     def signals(self, hypothesis: Hypothesis, z: Floats, u: Floats) -> tuple[list[Floats], np.ndarray]:
         """Conditioned signals (m, C, L) of every drive for slope coordinates (d, L) and effects (k, L).
 
-        A drive without the effects, on which all lanes are alike, comes back with one lane.
+        A drive from before the effects, on which all lanes are alike, comes back with one lane.
         """
         problem = self.problem
         values = problem.space.from_slopes(z)
         twin = hypothesis.twin(problem.twin)
-        plain_keys, keys = problem.space.keys, (*problem.space.keys, *hypothesis.keys)
-        count = values.shape[1]
+        keys = (*problem.space.keys, *hypothesis.keys)
         with_effects = lanes(twin, keys, np.concatenate([values, hypothesis.values(u)]).T)
-        alike = bool((values == values[:, :1]).all())
-        plain = lanes(problem.twin, plain_keys, (values[:, :1] if alike else values).T)
-        failed = np.zeros(count, dtype=bool)
+        before = hypothesis.before()
+        earlier = np.concatenate([values, before.values(u[hypothesis.rows(before)])])
+        if (earlier == earlier[:, :1]).all():
+            earlier = earlier[:, :1]
+        quiet = before.twin(problem.twin)
+        plain = lanes(quiet, (*problem.space.keys, *before.keys), earlier.T)
+        failed = np.zeros(values.shape[1], dtype=bool)
         out = []
         for number, (part, drive) in enumerate(zip(problem.parts, problem.drive_of, strict=True)):
             if self.stop():
                 raise Interrupted
-            excitation = self.excitation(number, hypothesis.effects)
+            excitation = self.excitation(number, hypothesis.effects, hypothesis.everywhere)
             if self.active[drive] and hypothesis.effects:
                 stacked, bad = self._simulated(twin, with_effects, excitation)
             else:
-                stacked, bad = self._simulated(problem.twin, plain, excitation)
+                stacked, bad = self._simulated(quiet, plain, excitation)
             failed |= bad
             conditioned = part.conditioner.apply(stacked)
             if problem.channels[0] == "vertical_acceleration":

@@ -9,7 +9,7 @@ of it is a hypothesis of its own, a variant, and the best speaks for the effect.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import product
 
 import numpy as np
@@ -21,11 +21,15 @@ from suspension_twin.effects.base import Effect, Parameter
 from suspension_twin.effects.registry import EFFECTS
 from suspension_twin.vehicle.twin import EffectSpec, Twin
 
-__all__ = ["BASELINE", "SETTINGS", "Hypothesis", "combined", "library", "witnesses"]
+__all__ = ["BASELINE", "NORMAL_PART", "SETTINGS", "Hypothesis", "combined", "library", "witnesses"]
 
 _WIDTH = 1.4  # of the starting points, in spreads of the prior
 #: Where effects act that any size of is a matter of what was set, not of what a part can be like.
 SETTINGS = ("time", "road", "sensor")
+#: Nuisances that are in small what an effect is in large.
+NORMAL_PART = {
+    "sensor_tilt": ("tilt_roll", "tilt_pitch"), "time_offset": ("clock_offset",), "position_offset": ("map_position",),
+}  # fmt: skip
 #: Effects that the planar motion shows without any road under the wheels. What fixes at a few hertz can
 #: hold says nothing of a sensor's bandwidth or range.
 WITHOUT_ROAD = ("time_offset", "clock_drift", "sensor_tilt", "sensor_scale")
@@ -40,11 +44,13 @@ class Hypothesis:
 
     ``fixed`` (key, value) holds choices; ``keys`` the dotted keys of the searched ones. ``around`` are the
     coordinates about which the prior lies, where something is off by far more than what is typical; empty for zeros.
+    ``everywhere`` names those of its effects that the vehicle has on the drives from before as well.
     """
 
     effects: tuple[str, ...] = ()
     fixed: tuple[tuple[str, float], ...] = ()
     around: tuple[float, ...] = ()
+    everywhere: tuple[str, ...] = ()
 
     @property
     def name(self) -> str:
@@ -74,12 +80,27 @@ class Hypothesis:
 
     def without(self, effect: str) -> Hypothesis:
         """The others of its effects."""
-        kept = [i for i in range(len(self)) if self._owner(i) != effect]
+        return self._with(tuple(e for e in self.effects if e != effect))
+
+    def before(self) -> Hypothesis:
+        """What of it there is on the drives from before."""
+        return self._with(self.everywhere)
+
+    def always(self) -> Hypothesis:
+        """The same as traits of the vehicle, on all drives."""
+        return replace(self, everywhere=self.effects)
+
+    def _with(self, kept: tuple[str, ...]) -> Hypothesis:
         return Hypothesis(
-            tuple(e for e in self.effects if e != effect),
-            tuple(pair for pair in self.fixed if pair[0].split(".")[1] != effect),
-            tuple(self.around[i] for i in kept) if self.around else (),
+            kept,
+            tuple(pair for pair in self.fixed if pair[0].split(".")[1] in kept),
+            tuple(u for i, u in enumerate(self.around) if self._owner(i) in kept),
+            tuple(e for e in self.everywhere if e in kept),
         )
+
+    def rows(self, part: Hypothesis) -> list[int]:
+        """Which of its coordinates are those of ``part``."""
+        return [self.keys.index(key) for key in part.keys]
 
     def bounds(self) -> tuple[Floats, Floats]:
         """(k,) lowest and highest coordinates."""
@@ -228,5 +249,6 @@ def combined(*parts: Hypothesis) -> Hypothesis:
     """Several effects at once."""
     around = tuple(float(u) for p in parts for u in p.centre()) if any(p.around for p in parts) else ()
     return Hypothesis(
-        tuple(e for p in parts for e in p.effects), tuple(pair for p in parts for pair in p.fixed), around
-    )
+        tuple(e for p in parts for e in p.effects), tuple(pair for p in parts for pair in p.fixed), around,
+        tuple(e for p in parts for e in p.everywhere),
+    )  # fmt: skip

@@ -10,7 +10,6 @@ Bayesian bootstrap: Yao, Vehtari, Simpson, Gelman 2018, section 3.4), so correla
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -142,11 +141,11 @@ class Evidence:
         return float(self.score.sum() - base.score.sum()) - 0.5 * (self.occam - base.occam)
 
 
-def evidence(bench: Bench, fit: Linear, blocks: Blocks, shown: Sequence[bool] | None = None) -> Evidence:
-    """Held-out evidence of a fit; ``shown`` which drives show the gap, where ``bench`` says otherwise."""
+def evidence(bench: Bench, fit: Linear, blocks: Blocks) -> Evidence:
+    """Held-out evidence of a fit."""
     out = held_out(bench, fit, blocks)
     whitener = bench.whitener
-    active = np.array(bench.active if shown is None else shown)[whitener.drive]
+    active = np.array(bench.active)[whitener.drive]
     score = np.zeros(blocks.count)
     level: dict[tuple[int, bool], float] = {}
     scale = np.ones(out.left.size)

@@ -7,7 +7,7 @@ It may run in a spawned process: whatever it reads is named in the request, and 
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -20,11 +20,13 @@ from suspension_twin.diagnosis.conclude import Findings, conclude
 from suspension_twin.diagnosis.fit import Linear, finished, refit
 from suspension_twin.diagnosis.gates import Gatekeeper
 from suspension_twin.diagnosis.gross import LOST
-from suspension_twin.diagnosis.hypotheses import BASELINE, Hypothesis, library, witnesses
+from suspension_twin.diagnosis.hypotheses import BASELINE, NORMAL_PART, Hypothesis, library, witnesses
 from suspension_twin.diagnosis.judge import Evidence, blocks_of, evidence, held_out, weights
 from suspension_twin.diagnosis.request import DiagnosisRequest, DiagnosisResult, Progress
-from suspension_twin.diagnosis.search import again, jointly, pairs, singles, without_one
+from suspension_twin.diagnosis.search import again, jointly, pairs, side_by_side, singles, without_one
 from suspension_twin.diagnosis.strain import relieved
+from suspension_twin.diagnosis.traits import beyond, settled
+from suspension_twin.drive.types import Floats
 from suspension_twin.errors import InputError
 
 __all__ = ["diagnose"]
@@ -37,16 +39,13 @@ _SURE, _WORTH, _WORTH_OF_THE_REST = 0.95, verdict.MATERIAL, 0.2
 #: Without a road, of a channel's gap: a clock that drifts passes almost whole for one that is late.
 _WORTH_BARE = 0.5 * _WORTH
 _WORTH_OF_A_WITNESS = 0.25  # share of a channel's gap that a witness has to take where there is no reference
-#: Share of soundness that is a trait of the library, shown on the reference drives as well.
-_TRAITS = 0.5
 _MAYBE = 0.05  # probability of being material below which an effect is out of the question
 _MOST_EFFECTS = 3
 _LEADS = (0.2, 0.1)  # weights from which on the likeliest effects and the next are tried with others
-#: Nuisances that are the same thing as an effect, and by how much -2 log posterior may differ if the effect takes over.
-_NORMAL_PART = {
-    "sensor_tilt": ("tilt_roll", "tilt_pitch"), "time_offset": ("clock_offset",), "position_offset": ("map_position",),
-}  # fmt: skip
+#: By how much -2 log posterior may differ if an effect takes over from the nuisances that are the same thing.
 _SAME_FIT = 20.0
+#: Weight from which on an effect is asked what it gains beyond the vehicle's traits.
+_ASKED = 0.01
 #: Nats that clocks which one more effect frees have to be spared, and that clocks, map and mount have to be where it
 #: makes up for what these are asked more than for what is left.
 _RELIEF, _MUCH_RELIEF = 1.0, float(np.log(_SURE / (1.0 - _SURE)))
@@ -109,10 +108,7 @@ class _Search:
         self.left = [gaps.remainder(bench, e.fit.hypothesis, e.unknowns, self.blocks) for e in everything]
         best = min(self.left, key=lambda r: float(np.mean(r.difference[gaps.shown_rows(bench), 0] ** 2)))
         self.temper = verdict.temper_of(bench, best, self.noise)
-        traits = [s.always for s in found if s.always is not None]
-        sound = (1.0 - _EFFECT_PRIOR) * (1.0 - _TRAITS if traits else 1.0)
         each = _EFFECT_PRIOR / len(found)
-        trait = (1.0 - _EFFECT_PRIOR - sound) / max(len(traits), 1)
         # a shape that many things have makes up for a part of any model's own error
         least = verdict.MATERIAL if self.reference is not None else _WORTH_OF_A_WITNESS
         gains = np.array([e.over(self.base) for e in everything[1:]])
@@ -127,12 +123,8 @@ class _Search:
         self.gates = [self.keeper.gates(*given) for given in zip(everything, self.left, leasts, alone, strict=True)]
         # what takes nothing material away cannot be the finding, however sure it is: it must not hide another
         priors = [each if g.material > _MAYBE else 0.0 for g in self.gates[1:]]
-        prior = np.array([sound, *priors, *([trait] * len(traits))])
-        self.weights, self.beats = weights([*everything, *traits], prior, self.temper, seed)
+        self._weigh(everything, np.array([1.0 - _EFFECT_PRIOR, *priors]), [s.always for s in found])
         self.unseen = each / (1.0 - _EFFECT_PRIOR) * np.array([s.hidden(self.temper) for s in self.singles])
-        # what the vehicle had before already is no gap: it speaks for the baseline
-        self.weights[0] += self.weights[1 + len(found) :].sum()
-        self.weights = self.weights[: 1 + len(found)]
         for i, s in enumerate(found):
             if not s.judged:
                 self.weights[1 + i] = 0.0
@@ -144,6 +136,26 @@ class _Search:
         else:
             self.chosen, self.chosen_left = self._eliminate()
             self._carried_by(self.chosen, self.keeper.gates(self.chosen, self.chosen_left))
+
+    def _weigh(self, everything: list[Evidence], prior: Floats, always: Sequence[Evidence | None]) -> None:
+        """Weights of the baseline and all effects; where there is a reference, of what these gain beyond the traits
+        that the vehicle ``always`` had."""
+        bench, blocks, seed = self.bench, self.blocks, self.request.seed
+        self.weights, self.beats = weights(everything, prior, self.temper, seed)
+        known = [e for e in always if e is not None]
+        traits = settled(bench, self.base, known, self.temper, blocks)
+        if traits is None:
+            return
+        likely = prior[1:] * (self.weights[1:] > _ASKED) + prior[1:] * [e is not None for e in always]
+        asked = np.flatnonzero(likely).tolist()
+        told = side_by_side(
+            lambda i: beyond(bench, traits, everything[1 + i].fit, blocks), asked,
+            lambda done, i: self.tell(Progress("effects", 0.75, f"{everything[1 + i].fit.hypothesis.name}, of late")),
+        )  # fmt: skip
+        late = dict(zip(asked, told, strict=True))
+        prior = np.array([prior[0], *(p if i in late else 0.0 for i, p in enumerate(prior[1:]))])
+        found = [traits, *(late.get(i, traits) for i in range(len(always)))]
+        self.weights, self.beats = weights(found, prior, self.temper, seed)
 
     def _lost(self, base: Linear) -> bool:
         """Whether the recalibrated twin follows nothing of the motion."""
@@ -290,7 +302,7 @@ class _Search:
         """What is named with all of it: the part that is normal of any clock, map or mount went to the nuisances while
         causes were compared. With a reference that part is the vehicle's before the change."""
         bench, hypothesis = self.bench, chosen.fit.hypothesis
-        barred = tuple(n for e in hypothesis.effects for n in _NORMAL_PART.get(e, ()))
+        barred = tuple(n for e in hypothesis.effects for n in NORMAL_PART.get(e, ()))
         if self.reference is not None or not barred:
             return chosen, left
         alone = replace(bench, barred=barred)

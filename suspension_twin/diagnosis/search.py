@@ -16,12 +16,13 @@ from suspension_twin.diagnosis.bench import Bench
 from suspension_twin.diagnosis.fit import Fit, Linear, finished, refit, scanned, screened, swept
 from suspension_twin.diagnosis.hypotheses import BASELINE, Hypothesis, combined
 from suspension_twin.diagnosis.judge import Blocks, Evidence, evidence
+from suspension_twin.diagnosis.traits import as_trait
 from suspension_twin.drive.types import Floats
 from suspension_twin.effects.registry import EFFECTS
 from suspension_twin.errors import WorkError
 from suspension_twin.models.blocks import cores
 
-__all__ = ["Single", "again", "jointly", "pairs", "singles", "without_one"]
+__all__ = ["Single", "again", "jointly", "pairs", "side_by_side", "singles", "without_one"]
 
 Item = TypeVar("Item")
 Found = TypeVar("Found")
@@ -92,10 +93,10 @@ def singles(
     def look(effect: str) -> _Rough:
         return _rough(bench, begun, anchor, effect, library[effect], seed, lost)
 
-    rough = _side_by_side(look, list(library), lambda done, name: tell(0.65 * done, name.replace("_", " ")))
+    rough = side_by_side(look, list(library), lambda done, name: tell(0.65 * done, name.replace("_", " ")))
     base, known = _rebased(bench, base, [r.x for r in rough]), base
     if base is not known:
-        rough = _side_by_side(lambda r: _caught_up(bench, base, r, seed), rough, lambda done, _: tell(0.6, "baseline"))
+        rough = side_by_side(lambda r: _caught_up(bench, base, r, seed), rough, lambda done, _: tell(0.6, "baseline"))
     order = sorted(range(len(rough)), key=lambda i: rough[i].cost)
     finalists = set(order[:_FINALISTS])
 
@@ -106,7 +107,7 @@ def singles(
             u = x[bench.d + bench.q :]
             x, cost = refit(bench, v, [x, np.concatenate([base.x, u])], None, _FINE)
             if not all(bench.active):
-                always = _always(bench, v, x, base, blocks)
+                always = as_trait(bench, v, x, base, blocks)
         if cost >= base.cost:
             ends = v.slightest()
             none = np.concatenate([np.repeat(base.x[:, None], ends.shape[1], axis=1), ends])
@@ -117,14 +118,14 @@ def singles(
             at = finished(bench, v, refit(bench, v, [other], None, _DEEP)[0])
         return Single(r.effect, evidence(bench, at, blocks), r.powers, always)
 
-    judged = _side_by_side(
+    judged = side_by_side(
         judge, order, lambda done, i: tell(0.65 + 0.35 * done, f"{rough[i].effect.replace('_', ' ')}, once more")
     )
     found = dict(zip(order, judged, strict=True))
     return base, [found[i] for i in range(len(rough))]
 
 
-def _side_by_side(
+def side_by_side(
     work: Callable[[Item], Found], items: Sequence[Item], tell: Callable[[float, Item], None]
 ) -> list[Found]:
     """``work`` on every item, as many at once as there are cores; each by itself, so their number changes nothing."""
@@ -206,16 +207,6 @@ def _caught_up(bench: Bench, base: Linear, rough: _Rough, seed: int) -> _Rough:
     return replace(rough, x=x, cost=cost) if cost < rough.cost else rough
 
 
-def _always(bench: Bench, hypothesis: Hypothesis, x: Floats, base: Fit, blocks: Blocks) -> Evidence:
-    """The effect as a trait of the vehicle on all drives: what a model's own error looks like to it."""
-    every = replace(bench, active=(True,) * len(bench.active))
-    u = x[bench.d + bench.q :]
-    starts = [x, np.concatenate([base.x, u]), np.concatenate([base.x, hypothesis.neutral()])]
-    y, _ = refit(every, hypothesis, starts, None, _ROUGH)
-    # judged with the noise levels of shown and reference drives kept apart, as every other hypothesis is
-    return evidence(every, finished(every, hypothesis, y), blocks, bench.active)
-
-
 def _wide(bench: Bench, base: Fit, hypothesis: Hypothesis, seed: int) -> list[tuple[float, Floats]]:
     """Costs and unknowns of a few strengths of an effect, each with what suits it best of softer springs and
     weaker dampers than the baseline has.
@@ -270,7 +261,7 @@ def pairs(
             for (both, s), cost, found in zip(screens, costs, more, strict=True)
         ]
 
-    looked = _side_by_side(
+    looked = side_by_side(
         look, others, lambda done, name: tell(0.7 * done, f"{there.name} and {name}".replace("_", " "))
     )
     rough = sorted((r for some in looked for r in some), key=lambda r: r[0])
@@ -284,7 +275,7 @@ def pairs(
         x, _ = refit(bench, both, [x], None, 2)
         return evidence(bench, finished(bench, both, x), blocks)
 
-    found = _side_by_side(
+    found = side_by_side(
         join, list(best.values())[:_BEST_PAIRS],
         lambda done, at: tell(0.7 + 0.3 * done, f"{at[0].name}, jointly".replace("_", " ")),
     )  # fmt: skip
@@ -302,7 +293,7 @@ def jointly(bench: Bench, parts: Sequence[Hypothesis], base: Fit, seed: int) -> 
     starts[:p, many.shape[1] - far.shape[1] :] = bench.centre[:, None]
     order = np.argsort(bench.costs(together, starts) - gross.waived(many), kind="stable")
     tried = [(gross.about(together, many[:, i]), starts[:, i]) for i in sorted({0, *order[:_TRIED].tolist()})]
-    fits = _side_by_side(lambda at: refit(bench, at[0], [at[1]], None, _LONG), tried, _quietly)
+    fits = side_by_side(lambda at: refit(bench, at[0], [at[1]], None, _LONG), tried, _quietly)
     found = [(h, *fit) for (h, _), fit in zip(tried, fits, strict=True)]
     best, x, _ = min(found, key=lambda f: f[2] + gross.PRICE * bool(f[0].around))
     return finished(bench, best, x)
@@ -325,7 +316,7 @@ def without_one(bench: Bench, whole: Evidence, blocks: Blocks) -> list[Evidence]
         x, _ = refit(bench, rest, [start], None, _LONG)
         return evidence(bench, finished(bench, rest, x), blocks)
 
-    return _side_by_side(less, there.effects, _quietly)
+    return side_by_side(less, there.effects, _quietly)
 
 
 def _quietly(done: float, item: object) -> None:
