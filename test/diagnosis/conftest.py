@@ -43,11 +43,12 @@ def car() -> Twin:
 
 @pytest.fixture(scope="session")
 def make(tmp_path_factory: pytest.TempPathFactory, car: Twin) -> Make:
-    """``make(effect, parameters, reference, seed, car)``: twin file, bags, reference bags."""
+    """``make(effect, parameters, reference, seed, car, always)``: twin file, bags, reference bags; ``always`` is what
+    the car has on all of them that the twin lacks."""
 
     def build(
         effect: str = "", parameters: dict[str, float] | None = None, reference: bool = False, seed: int = 3,
-        car: Twin = car,
+        car: Twin = car, always: tuple[EffectSpec, ...] = (),
     ) -> tuple[Path, list[str], list[str]]:
         folder = tmp_path_factory.mktemp(effect or "none")
         road = iso8608_road("B", 130, seed=seed, v_step=0.4)
@@ -57,8 +58,9 @@ def make(tmp_path_factory: pytest.TempPathFactory, car: Twin) -> Make:
         twin = car.model_copy(update={"road": RoadFile(file=folder / "road.crg")})
         save_twin(twin, folder / "twin.yaml")
         stiffer = car.with_changes({"vehicle.front.damper_push.force": [230.0, 480.0, 700.0, 810.0]})
+        stiffer = stiffer.model_copy(update={"effects": always})
         specs = (EffectSpec(id=effect, parameters=parameters or {}),) if effect else ()
-        truth = stiffer.model_copy(update={"effects": specs})
+        truth = stiffer.model_copy(update={"effects": (*always, *specs)})
         bags = []
         for i, factor in enumerate((1.0, 0.7)):
             knots = tuple((t, v * factor) for t, v in KNOTS)

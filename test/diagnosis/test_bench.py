@@ -3,19 +3,22 @@
 
 from __future__ import annotations
 
+from copy import copy
 from dataclasses import replace
 from typing import Any
 
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose
 
 from suspension_twin.diagnosis.bench import Bench
 from suspension_twin.diagnosis.case import build, read_case
-from suspension_twin.diagnosis.hypotheses import BASELINE, library
+from suspension_twin.diagnosis.hypotheses import BASELINE, Hypothesis, combined, library
 from suspension_twin.diagnosis.request import DiagnosisRequest
+from suspension_twin.diagnosis.run import diagnose
 from suspension_twin.effects.registry import EFFECTS
 from suspension_twin.models.hooks import turns_with, upright_with
-from suspension_twin.vehicle.twin import Twin
+from suspension_twin.vehicle.twin import EffectSpec, Twin
 
 
 def bench_of(case: Any) -> Bench:
@@ -60,3 +63,36 @@ def test_what_a_gross_fault_did_to_the_motion_is_taken_off_it_upright_or_not(lea
     assert bench.levelled().excitation(0, (effect,)).late == 1.5
     before = bench.active.index(False)
     assert bench.excitation(before, (effect,)) is bench.problem.parts[before].excitation
+
+
+def test_an_effect_everywhere_is_one_of_the_vehicle(leaning: Bench) -> None:
+    """On the drives from before as well, which else have no effect."""
+    stiff = Hypothesis(("tyre_damping",))
+    u, z = np.array([[0.7]]), leaning.centre[:, None]
+    problem = copy(leaning.problem)
+    problem.twin = problem.twin.model_copy(update={"effects": stiff.spec(stiff.values(u)[:, 0])})
+    before = ~np.array(leaning.active)[leaning.whitener.drive]
+    own, _ = replace(leaning, problem=problem).residuals(BASELINE, z)
+    plain, _ = leaning.residuals(BASELINE, z)
+    always, _ = leaning.residuals(stiff.always(), np.concatenate([z, u]))
+    shown, _ = leaning.residuals(stiff, np.concatenate([z, u]))
+    assert_allclose(always, own, atol=1e-9)
+    assert_allclose(shown[before], plain[before], atol=1e-9)
+    assert_allclose(shown[~before], own[~before], atol=1e-9)
+    assert np.abs(own - plain)[before].max() > 0.05
+    both = combined(Hypothesis(("strut_friction",)), stiff.always())
+    assert both.before() == stiff.always() and both.rows(stiff) == [len(both) - 1]
+    mixed, _ = leaning.residuals(both, np.concatenate([z, both.neutral()[:-1, None], u]))
+    assert_allclose(mixed, own, atol=1e-9)
+
+
+def test_what_changed_is_told_from_what_was_there_before(make: Any) -> None:
+    """A low-pass that the sensor always had makes a low-pass on the drives with the gap gain more than the late clock
+    that came since."""
+    low = EffectSpec(id="sensor_bandwidth", parameters={"cutoff": 16.0})
+    twin, bags, reference = make("time_offset", {"offset": 0.009}, reference=True, always=(low,))
+    effects = ("sensor_bandwidth", "time_offset", "strut_friction", "tyre_damping")
+    document = diagnose(DiagnosisRequest(str(twin), tuple(bags), tuple(reference), effects=effects)).document
+    assert document["combination"] == ["time_offset"], document["message"]
+    assert document["causes"][0]["probability"] > 0.5
+    assert all(c["probability"] < 0.01 for c in document["causes"][1:])
