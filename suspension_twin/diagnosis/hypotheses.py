@@ -186,11 +186,19 @@ class Hypothesis:
         )
 
     def twin(self, base: Twin) -> Twin:
-        """``base`` with the effects in its file, so that candidates can differ in them."""
+        """``base`` with the effects in its file, in place of its own such, so that candidates can differ in them."""
         if not self.effects:
             return base
         specs = self.spec(self.values(self.neutral()[:, None])[:, 0])
-        return base.model_copy(update={"effects": (*base.effects, *specs)})
+        others = [e for e in base.effects if e.id not in self.effects]
+        return base.model_copy(update={"effects": (*others, *specs)})
+
+    def at(self, spec: EffectSpec) -> Floats:
+        """(k,) coordinates of an effect as a twin file has it."""
+        known = [(p, spec.parameters[p.name]) for _, p in self.searched]
+        return np.array(
+            [np.log(v / p.typical) / np.log(p.spread) if p.log else (v - p.typical) / p.spread for p, v in known]
+        )
 
     def starts(self, count: int, seed: int) -> Floats:
         """(k, count) coordinates spread over the prior, severities away from zero and from small to large."""

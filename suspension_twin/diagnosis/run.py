@@ -146,15 +146,16 @@ class _Search:
         traits = settled(bench, self.base, known, self.temper, blocks)
         if traits is None:
             return
+        having, base = traits
         likely = prior[1:] * (self.weights[1:] > _ASKED) + prior[1:] * [e is not None for e in always]
         asked = np.flatnonzero(likely).tolist()
         told = side_by_side(
-            lambda i: beyond(bench, traits, everything[1 + i].fit, blocks), asked,
+            lambda i: beyond(having, base, everything[1 + i].fit, blocks), asked,
             lambda done, i: self.tell(Progress("effects", 0.75, f"{everything[1 + i].fit.hypothesis.name}, of late")),
         )  # fmt: skip
         late = dict(zip(asked, told, strict=True))
         prior = np.array([prior[0], *(p if i in late else 0.0 for i, p in enumerate(prior[1:]))])
-        found = [traits, *(late.get(i, traits) for i in range(len(always)))]
+        found = [base, *(late.get(i, base) for i in range(len(always)))]
         self.weights, self.beats = weights(found, prior, self.temper, seed)
 
     def _lost(self, base: Linear) -> bool:

@@ -10,12 +10,14 @@ for an effect is what it gains beyond that.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from copy import copy
+from dataclasses import replace
 
 import numpy as np
 
 from suspension_twin.diagnosis.bench import Bench
 from suspension_twin.diagnosis.fit import Fit, finished, refit
-from suspension_twin.diagnosis.hypotheses import NORMAL_PART, Hypothesis, combined
+from suspension_twin.diagnosis.hypotheses import BASELINE, NORMAL_PART, Hypothesis, combined
 from suspension_twin.diagnosis.judge import Blocks, Evidence, evidence
 from suspension_twin.drive.types import Floats
 
@@ -34,8 +36,11 @@ def as_trait(bench: Bench, hypothesis: Hypothesis, x: Floats, base: Fit, blocks:
     return evidence(bench, finished(bench, always, y), blocks)
 
 
-def settled(bench: Bench, base: Evidence, found: Sequence[Evidence], temper: float, blocks: Blocks) -> Evidence | None:
-    """The baseline with all traits of ``found`` that speak for themselves; None where none does.
+def settled(
+    bench: Bench, base: Evidence, found: Sequence[Evidence], temper: float, blocks: Blocks
+) -> tuple[Bench, Evidence] | None:
+    """The bench of a vehicle that has all traits of ``found`` that speak for themselves, and its baseline; None where
+    none does.
 
     A clock, a place on the map or a lean that there always was is a nuisance already.
     """
@@ -49,18 +54,22 @@ def settled(bench: Bench, base: Evidence, found: Sequence[Evidence], temper: flo
         others = [e.fit.x[p:] if e is one else e.fit.hypothesis.neutral() for e in speaking]
         starts.append(np.concatenate([one.fit.x[:p], *others]))
     x, _ = refit(bench, whole, starts, None, _LONG)
-    return evidence(bench, finished(bench, whole, x), blocks)
+    problem = copy(bench.problem)
+    specs = whole.spec(whole.values(x[p:, None])[:, 0])
+    problem.twin = problem.twin.model_copy(update={"effects": (*problem.twin.effects, *specs)})
+    having = replace(bench, problem=problem)
+    y, _ = refit(having, BASELINE, [x[:p]], None, _ROUGH)
+    return having, evidence(having, finished(having, BASELINE, y), blocks)
 
 
-def beyond(bench: Bench, traits: Evidence, single: Fit, blocks: Blocks) -> Evidence:
-    """An effect on the drives with the gap beyond the ``traits`` that it is none of itself: it came since, or it was
-    there already."""
-    p, whole, own = bench.d + bench.q, traits.fit.hypothesis, single.hypothesis
-    others, x = whole.without(own.effects[0]), traits.fit.x
-    rest = x[p:][whole.rows(others)]
-    starts = [(x, single.x[p:]), (x, own.neutral()), (single.x, single.x[p:])]
-    if own.effects[0] in whole.effects and len(whole) - len(others) == len(own):
-        starts.append((x, np.delete(x[p:], whole.rows(others))))
-    both = combined(own, others)
-    y, _ = refit(bench, both, [np.concatenate([z[:p], u, rest]) for z, u in starts], None, _FINE)
-    return evidence(bench, finished(bench, both, y), blocks)
+def beyond(having: Bench, base: Evidence, single: Fit, blocks: Blocks) -> Evidence:
+    """An effect on the drives with the gap of a vehicle ``having`` its traits, ``base`` without the effect; one that is
+    a trait itself has another size there than on those from before."""
+    own, p = single.hypothesis, having.d + having.q
+    x, u = base.fit.x, single.x[p:]
+    starts = [np.concatenate(pair) for pair in ((x, u), (x, own.neutral()), (single.x[:p], u))]
+    there = [e for e in having.problem.twin.effects if e.id in own.effects]
+    if there and not own.fixed:
+        starts.append(np.concatenate([x, own.at(there[0])]))
+    y, _ = refit(having, own, starts, None, _FINE)
+    return evidence(having, finished(having, own, y), blocks)
