@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose
 
 from suspension_twin.diagnosis.hypotheses import (
     WITHOUT_ROAD,
@@ -89,3 +90,24 @@ def test_next_to_nothing_is_zero_or_either_end_of_what_goes_by_factors() -> None
     assert sorted(band.values(band.slightest())[0]) == pytest.approx([0.5, 500.0])
     ends = mount.values(mount.slightest())
     assert ends.shape == (2, 2) and (ends[0] == ends[1]).all() and ends[0, 0] != ends[0, 1]
+
+
+@pytest.mark.parametrize("name", sorted(EFFECTS))
+def test_an_effect_of_a_twin_file_has_its_place(name: str, car: Twin) -> None:
+    for hypothesis in variants(EFFECTS[name]):
+        values = hypothesis.values(hypothesis.starts(4, 1))[:, 3]
+        (spec,) = hypothesis.spec(values)
+        assert_allclose(hypothesis.values(hypothesis.at(spec)[:, None])[:, 0], values, rtol=1e-9, atol=1e-12)
+        having = hypothesis.twin(car.model_copy(update={"effects": (spec,)}))
+        assert [e.id for e in having.effects] == [name]  # in place of its own
+
+
+def test_traits_are_there_before_and_what_came_since_is_not(car: Twin) -> None:
+    known = library(car, True)
+    late, trait, other = known["strut_friction"][0], known["corner_damper"][2].always(), known["payload"][0].always()
+    whole = combined(late, trait, other)
+    assert whole.effects == ("strut_friction", "corner_damper", "payload")
+    assert whole.before() == combined(trait, other)
+    assert whole.without("payload").before() == trait
+    assert [whole.keys[i] for i in whole.rows(other)] == list(other.keys)
+    assert not late.before().effects and not late.before().keys
