@@ -123,16 +123,17 @@ class Bench:
         return replace(self, problem=self.problem.on(parts), level=True)
 
     def excitation(self, number: int, effects: Sequence[str], everywhere: Sequence[str] = ()) -> Excitation:
-        """What excites a vehicle on a drive, by the effects that there are on those with the gap and by those of them
-        that there are ``everywhere``.
+        """What excites a vehicle on a drive, by the effects that there are on those with the gap, by those of them that
+        there are ``everywhere`` and by those that it has anyway.
 
         Where it is known how far the vehicle leans with them it is known that it does not lean without: what the
         reference reads of a lean is its mount's. Taken for the vehicle's there, antenna and wheels would lie a
         centimetre apart before and after.
         """
-        known, level = self.excitations[number], self.level or upright_with(effects)
+        own = [e.id for e in self.problem.twin.effects]
+        known, level = self.excitations[number], self.level or upright_with([*effects, *own])
         plain = known.upright if level else self.problem.parts[number].excitation
-        here = effects if self.active[self.problem.drive_of[number]] else everywhere
+        here = [*(effects if self.active[self.problem.drive_of[number]] else everywhere), *own]
         if turns_with(here):
             return known.turned
         if gains_with(here):

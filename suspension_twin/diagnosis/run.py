@@ -23,9 +23,9 @@ from suspension_twin.diagnosis.gross import LOST
 from suspension_twin.diagnosis.hypotheses import BASELINE, NORMAL_PART, Hypothesis, library, witnesses
 from suspension_twin.diagnosis.judge import Evidence, blocks_of, evidence, held_out, weights
 from suspension_twin.diagnosis.request import DiagnosisRequest, DiagnosisResult, Progress
-from suspension_twin.diagnosis.search import again, jointly, pairs, side_by_side, singles, without_one
+from suspension_twin.diagnosis.search import again, jointly, pairs, singles, without_one
 from suspension_twin.diagnosis.strain import relieved
-from suspension_twin.diagnosis.traits import beyond, settled
+from suspension_twin.diagnosis.traits import since
 from suspension_twin.drive.types import Floats
 from suspension_twin.errors import InputError
 
@@ -143,17 +143,15 @@ class _Search:
         bench, blocks, seed = self.bench, self.blocks, self.request.seed
         self.weights, self.beats = weights(everything, prior, self.temper, seed)
         known = [e for e in always if e is not None]
-        traits = settled(bench, self.base, known, self.temper, blocks)
-        if traits is None:
-            return
-        having, base = traits
-        likely = prior[1:] * (self.weights[1:] > _ASKED) + prior[1:] * [e is not None for e in always]
-        asked = np.flatnonzero(likely).tolist()
-        told = side_by_side(
-            lambda i: beyond(having, base, everything[1 + i].fit, blocks), asked,
+        likely = prior[1:] * [w > _ASKED or e is not None for w, e in zip(self.weights[1:], always, strict=True)]
+        asked = {int(i): everything[1 + i].fit for i in np.flatnonzero(likely)}
+        told = since(
+            bench, self.base, asked, known, self.temper, blocks,
             lambda done, i: self.tell(Progress("effects", 0.75, f"{everything[1 + i].fit.hypothesis.name}, of late")),
         )  # fmt: skip
-        late = dict(zip(asked, told, strict=True))
+        if told is None:
+            return
+        base, late = told
         prior = np.array([prior[0], *(p if i in late else 0.0 for i, p in enumerate(prior[1:]))])
         found = [base, *(late.get(i, base) for i in range(len(always)))]
         self.weights, self.beats = weights(found, prior, self.temper, seed)

@@ -5,9 +5,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
-from typing import TypeVar
 
 import numpy as np
 
@@ -16,16 +14,13 @@ from suspension_twin.diagnosis.bench import Bench
 from suspension_twin.diagnosis.fit import Fit, Linear, finished, refit, scanned, screened, swept
 from suspension_twin.diagnosis.hypotheses import BASELINE, Hypothesis, combined
 from suspension_twin.diagnosis.judge import Blocks, Evidence, evidence
+from suspension_twin.diagnosis.parallel import quietly, side_by_side
 from suspension_twin.diagnosis.traits import as_trait
 from suspension_twin.drive.types import Floats
 from suspension_twin.effects.registry import EFFECTS
 from suspension_twin.errors import WorkError
-from suspension_twin.models.blocks import cores
 
-__all__ = ["Single", "again", "jointly", "pairs", "side_by_side", "singles", "without_one"]
-
-Item = TypeVar("Item")
-Found = TypeVar("Found")
+__all__ = ["Single", "again", "jointly", "pairs", "singles", "without_one"]
 
 _STARTS, _TRIED, _JOINT_STARTS = 16, 3, 128
 _WIDE_STARTS = 16
@@ -123,22 +118,6 @@ def singles(
     )
     found = dict(zip(order, judged, strict=True))
     return base, [found[i] for i in range(len(rough))]
-
-
-def side_by_side(
-    work: Callable[[Item], Found], items: Sequence[Item], tell: Callable[[float, Item], None]
-) -> list[Found]:
-    """``work`` on every item, as many at once as there are cores; each by itself, so their number changes nothing."""
-    found = []
-    with ThreadPoolExecutor(cores(), thread_name_prefix="effects") as pool:
-        waiting = [pool.submit(work, item) for item in items]
-        try:
-            for number, (item, future) in enumerate(zip(items, waiting, strict=True)):
-                tell(number / len(items), item)
-                found.append(future.result())
-        finally:
-            pool.shutdown(cancel_futures=True)
-    return found
 
 
 def _rough(
@@ -293,7 +272,7 @@ def jointly(bench: Bench, parts: Sequence[Hypothesis], base: Fit, seed: int) -> 
     starts[:p, many.shape[1] - far.shape[1] :] = bench.centre[:, None]
     order = np.argsort(bench.costs(together, starts) - gross.waived(many), kind="stable")
     tried = [(gross.about(together, many[:, i]), starts[:, i]) for i in sorted({0, *order[:_TRIED].tolist()})]
-    fits = side_by_side(lambda at: refit(bench, at[0], [at[1]], None, _LONG), tried, _quietly)
+    fits = side_by_side(lambda at: refit(bench, at[0], [at[1]], None, _LONG), tried, quietly)
     found = [(h, *fit) for (h, _), fit in zip(tried, fits, strict=True)]
     best, x, _ = min(found, key=lambda f: f[2] + gross.PRICE * bool(f[0].around))
     return finished(bench, best, x)
@@ -316,8 +295,4 @@ def without_one(bench: Bench, whole: Evidence, blocks: Blocks) -> list[Evidence]
         x, _ = refit(bench, rest, [start], None, _LONG)
         return evidence(bench, finished(bench, rest, x), blocks)
 
-    return side_by_side(less, there.effects, _quietly)
-
-
-def _quietly(done: float, item: object) -> None:
-    """Tells nobody how far the work is."""
+    return side_by_side(less, there.effects, quietly)

@@ -9,7 +9,7 @@ for an effect is what it gains beyond that.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from copy import copy
 from dataclasses import replace
 
@@ -19,13 +19,15 @@ from suspension_twin.diagnosis.bench import Bench
 from suspension_twin.diagnosis.fit import Fit, finished, refit
 from suspension_twin.diagnosis.hypotheses import BASELINE, NORMAL_PART, Hypothesis, combined
 from suspension_twin.diagnosis.judge import Blocks, Evidence, evidence
+from suspension_twin.diagnosis.parallel import side_by_side
 from suspension_twin.drive.types import Floats
 
-__all__ = ["as_trait", "beyond", "settled"]
+__all__ = ["as_trait", "since"]
 
 #: Nats, counted by the share of what is left that is noise, from which on an effect is a trait.
-_SPEAKS = 2.0
+_SPEAKS = 1.0
 _ROUGH, _LONG, _FINE = 4, 8, 6
+_BEHIND = 1.0  # -2 log posterior by which a baseline has to be better for what was compared with it to go on
 
 
 def as_trait(bench: Bench, hypothesis: Hypothesis, x: Floats, base: Fit, blocks: Blocks) -> Evidence:
@@ -36,17 +38,49 @@ def as_trait(bench: Bench, hypothesis: Hypothesis, x: Floats, base: Fit, blocks:
     return evidence(bench, finished(bench, always, y), blocks)
 
 
-def settled(
-    bench: Bench, base: Evidence, found: Sequence[Evidence], temper: float, blocks: Blocks
-) -> tuple[Bench, Evidence] | None:
-    """The bench of a vehicle that has all traits of ``found`` that speak for themselves, and its baseline; None where
-    none does.
+def since(
+    bench: Bench, base: Evidence, found: dict[int, Fit], always: Sequence[Evidence], temper: float, blocks: Blocks,
+    tell: Callable[[float, int], None],
+) -> tuple[Evidence, dict[int, Evidence]] | None:  # fmt: skip
+    """The baseline of a vehicle that has the traits of ``always``, and what each effect of ``found`` does on the drives
+    with the gap beyond them; None where no trait speaks for itself. One that is a trait as well may have another size
+    there than on those from before."""
+    having, x, cost = _settled(bench, base, always, temper)
+    if having is bench:
+        return None
+    p = bench.d + bench.q
+
+    def fitted(i: int) -> Floats:
+        own, u = found[i].hypothesis, found[i].x[p:]
+        starts = [np.concatenate(pair) for pair in ((x, u), (x, own.neutral()), (found[i].x[:p], u))]
+        there = [e for e in having.problem.twin.effects if e.id in own.effects]
+        if there and not own.fixed:
+            starts.append(np.concatenate([x, own.at(there[0])]))
+        return refit(having, own, starts, None, _FINE)[0]
+
+    fits = dict(zip(found, side_by_side(fitted, list(found), tell), strict=True))
+    # the baseline takes over any vehicle that an effect's fit has come to, and the others go on from there
+    y, better = refit(having, BASELINE, [x, *(z[:p] for z in fits.values())], None, _LONG)
+
+    def judged(i: int) -> Evidence:
+        own, z = found[i].hypothesis, fits[i]
+        if better < cost - _BEHIND:
+            starts = [z, np.concatenate([y, z[p:]]), np.concatenate([y, own.neutral()])]
+            z = refit(having, own, starts, None, _FINE)[0]
+        return evidence(having, finished(having, own, z), blocks)
+
+    told = side_by_side(judged, list(found), tell)
+    return evidence(having, finished(having, BASELINE, y), blocks), dict(zip(found, told, strict=True))
+
+
+def _settled(bench: Bench, base: Evidence, always: Sequence[Evidence], temper: float) -> tuple[Bench, Floats, float]:
+    """The bench of a vehicle that has all traits that speak for themselves, and its unknowns and cost.
 
     A clock, a place on the map or a lean that there always was is a nuisance already.
     """
-    speaking = [e for e in found if temper * e.over(base) > _SPEAKS and e.fit.hypothesis.effects[0] not in NORMAL_PART]
+    speaking = [e for e in always if temper * e.over(base) > _SPEAKS and e.fit.hypothesis.effects[0] not in NORMAL_PART]
     if not speaking:
-        return None
+        return bench, base.fit.x, base.fit.cost
     speaking.sort(key=lambda e: -e.over(base))
     p, whole = bench.d + bench.q, combined(*(e.fit.hypothesis for e in speaking))
     starts = [np.concatenate([speaking[0].fit.x[:p], *(e.fit.x[p:] for e in speaking)])]
@@ -58,18 +92,4 @@ def settled(
     specs = whole.spec(whole.values(x[p:, None])[:, 0])
     problem.twin = problem.twin.model_copy(update={"effects": (*problem.twin.effects, *specs)})
     having = replace(bench, problem=problem)
-    y, _ = refit(having, BASELINE, [x[:p]], None, _ROUGH)
-    return having, evidence(having, finished(having, BASELINE, y), blocks)
-
-
-def beyond(having: Bench, base: Evidence, single: Fit, blocks: Blocks) -> Evidence:
-    """An effect on the drives with the gap of a vehicle ``having`` its traits, ``base`` without the effect; one that is
-    a trait itself has another size there than on those from before."""
-    own, p = single.hypothesis, having.d + having.q
-    x, u = base.fit.x, single.x[p:]
-    starts = [np.concatenate(pair) for pair in ((x, u), (x, own.neutral()), (single.x[:p], u))]
-    there = [e for e in having.problem.twin.effects if e.id in own.effects]
-    if there and not own.fixed:
-        starts.append(np.concatenate([x, own.at(there[0])]))
-    y, _ = refit(having, own, starts, None, _FINE)
-    return evidence(having, finished(having, own, y), blocks)
+    return having, *refit(having, BASELINE, [x[:p]], None, _LONG)
