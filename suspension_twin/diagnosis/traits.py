@@ -43,8 +43,8 @@ def since(
     tell: Callable[[float, int], None],
 ) -> tuple[Evidence, dict[int, Evidence]] | None:  # fmt: skip
     """The baseline of a vehicle that has the traits of ``always``, and what each effect of ``found`` does on the drives
-    with the gap beyond them; None where no trait speaks for itself or nothing is asked. One that is a trait as well may have another size
-    there than on those from before."""
+    with the gap beyond them; None where no trait speaks for itself or nothing is asked. An effect that is a trait as
+    well may have another size there than on those from before."""
     having, x, cost = _settled(bench, base, always if found else (), temper)
     if having is bench:
         return None
