@@ -25,7 +25,7 @@ from suspension_twin.drive.types import Floats
 
 __all__ = ["as_trait", "since"]
 
-#: Nats, counted by the share of what is left that is noise, that a trait has to gain on all drives, and that it may lose
+#: Nats, counted by the share of what is left that is noise, that a trait has to gain on all drives, and may lose at most
 #: on those from before: of effects that came since, tried as traits, these lost 4 to 13, of others less than 1.
 _SPEAKS = 1.0
 _ROUGH, _LONG, _FINE = 4, 8, 6
