@@ -25,8 +25,8 @@ from suspension_twin.drive.types import Floats
 
 __all__ = ["as_trait", "since"]
 
-#: Nats, counted by the share of what is left that is noise, that a trait has to gain on all drives, and may lose at most
-#: on those from before: of effects that came since, tried as traits, these lost 4 to 13, of others less than 1.
+#: Nats, counted by the share of what is left that is noise, that a trait gains at least on all drives and loses at
+#: most on those from before: of effects that came since, tried as traits, these lost 4 to 13, of others less than 1.
 _SPEAKS = 1.0
 _ROUGH, _LONG, _FINE = 4, 8, 6
 _BEHIND = 1.0  # -2 log posterior by which a baseline has to be better for what was compared with it to go on
