@@ -133,11 +133,12 @@ class Bench:
         own = [e.id for e in self.problem.twin.effects]
         known, level = self.excitations[number], self.level or upright_with([*effects, *own])
         plain = known.upright if level else self.problem.parts[number].excitation
-        here = [*(effects if self.active[self.problem.drive_of[number]] else everywhere), *own]
+        here = effects if self.active[self.problem.drive_of[number]] else everywhere
         if turns_with(here):
             return known.turned
-        if gains_with(here):
-            return known.regained.get(level, plain)
+        # what the twin file has of it the motion knows already: nothing is regained then
+        if gains_with([*here, *own]) and level in known.regained:
+            return known.regained[level]
         return known.reclocked.get(level, plain) if clocks_with(here) else plain
 
     # -- simulation ----------------------------------------------------------------------------

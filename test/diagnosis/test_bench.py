@@ -63,6 +63,10 @@ def test_what_a_gross_fault_did_to_the_motion_is_taken_off_it_upright_or_not(lea
     assert bench.levelled().excitation(0, (effect,)).late == 1.5
     before = bench.active.index(False)
     assert bench.excitation(before, (effect,)) is bench.problem.parts[before].excitation
+    problem = copy(bench.problem)
+    tilt = EffectSpec(id="sensor_tilt", parameters={"roll": 0.02, "pitch": 0.03, "yaw": 0.0})
+    problem.twin = problem.twin.model_copy(update={"effects": (tilt,)})
+    assert replace(bench, problem=problem).excitation(0, (effect,)).late == 1.5  # whatever the twin file knows
 
 
 def test_an_effect_everywhere_is_one_of_the_vehicle(leaning: Bench) -> None:
