@@ -16,7 +16,7 @@ from typing import Protocol
 
 import numpy as np
 
-from suspension_twin.calibration.least_squares import LeastSquares, LmSettings, gram
+from suspension_twin.calibration.least_squares import LeastSquares, LmSettings, squared
 from suspension_twin.calibration.likelihood import Likelihood
 from suspension_twin.calibration.problem import FitProblem, Problem
 from suspension_twin.calibration.space import Curve
@@ -115,7 +115,7 @@ def posterior(
     """
     fit = FitProblem(problem, likelihood.residuals)
     residual, jacobian, _ = fit.linearise(x)
-    information = gram(jacobian, jacobian) + precision
+    information = squared(jacobian) + precision
     covariance = _widened(
         np.asarray(np.linalg.inv(information), dtype=np.float64), jacobian, residual, precision, problem
     )
@@ -157,7 +157,7 @@ def _widened(
     if blocks < 2 * covariance.shape[0]:
         return covariance
     scores = np.add.reduceat(jacobian * residual[:, None], np.arange(0, residual.size, size), axis=0)
-    meat = gram(scores, scores) * (blocks / (blocks - 1.0)) + precision
+    meat = squared(scores) * (blocks / (blocks - 1.0)) + precision
     robust = np.einsum("ij,jk,kl->il", covariance, meat, covariance, optimize=False)
     ratio = np.sqrt(np.maximum(np.diag(robust) / np.diag(covariance), 1.0))
     widened = covariance * ratio[:, None] * ratio[None, :]

@@ -17,7 +17,7 @@ import numpy as np
 from suspension_twin.compiled import compiled
 from suspension_twin.drive.types import Floats
 
-__all__ = ["LeastSquares", "LeastSquaresProblem", "LmSettings", "gram", "solve_positive"]
+__all__ = ["LeastSquares", "LeastSquaresProblem", "LmSettings", "gram", "solve_positive", "squared"]
 
 
 class LeastSquaresProblem(Protocol):
@@ -50,6 +50,33 @@ def gram(a: Floats, b: Floats) -> Floats:
     """a.T @ b for tall arrays (R, p) and (R, q), summed in one fixed order on one thread: the same bits
     whatever a BLAS would use, and no threads of it waiting for each other on a busy machine."""
     return np.asarray(_gram(np.ascontiguousarray(a), np.ascontiguousarray(b)))
+
+
+def squared(a: Floats) -> Floats:
+    """a.T @ a for a tall array (R, p), to the same bits as ``gram`` by half the work."""
+    return np.asarray(_squared(np.ascontiguousarray(a)))
+
+
+@compiled
+def _squared(a: Floats) -> Floats:  # pragma: no cover - compiled
+    p = a.shape[1]
+    out = np.zeros((p, p))
+    whole = a.shape[0] - a.shape[0] % 4
+    for r in range(0, whole, 4):
+        b0, b1, b2, b3 = a[r], a[r + 1], a[r + 2], a[r + 3]
+        for i in range(p):
+            f0, f1, f2, f3 = b0[i], b1[i], b2[i], b3[i]
+            to = out[i]
+            for j in range(i, p):
+                to[j] = to[j] + f0 * b0[j] + f1 * b1[j] + f2 * b2[j] + f3 * b3[j]
+    for r in range(whole, a.shape[0]):
+        for i in range(p):
+            for j in range(i, p):
+                out[i, j] += a[r, i] * a[r, j]
+    for i in range(p):
+        for j in range(i):
+            out[i, j] = out[j, i]
+    return out
 
 
 @compiled
@@ -114,9 +141,9 @@ class LeastSquares:
         self.evaluations += spent
         self.fit = float(np.einsum("r,r->", residual, residual, optimize=False))
         self.cost = self.fit + float(self.penalty(self.x[:, None])[0])
-        hessian = gram(jacobian, jacobian) + self.precision
+        hessian = squared(jacobian) + self.precision
         away = self.x - self.centre
-        gradient = gram(jacobian, residual[:, None])[:, 0]
+        gradient = gram(residual[:, None], jacobian)[0]
         gradient = gradient + np.einsum("ij,j->i", self.precision, away, optimize=False)
         self.iteration += 1
         while True:

@@ -16,7 +16,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from suspension_twin.compiled import compiled
+from suspension_twin.calibration.reading import read_alike, read_any, read_steady
 from suspension_twin.drive.types import Floats
 from suspension_twin.errors import InputError
 from suspension_twin.gap.prepare import Prepared
@@ -76,125 +76,6 @@ class NuisancePriors:
                 raise InputError("freeze", key, f"one of {', '.join(f'nuisances.{n}' for n in NUISANCES)} is expected")
             gone |= dict.fromkeys(NUISANCES[name], 0.0)
         return replace(self, **gone)
-
-
-@compiled
-def _apply(
-    simulated: Floats,
-    rows: NDArray[np.intp],
-    shift: Floats,
-    gain: Floats,
-    bias: Floats,
-    about: Floats,
-    tilt: Floats,
-    lever: Floats,
-    turned: NDArray[np.intp],
-    table: Floats,
-    out: Floats,
-    low: int,
-    high: int,
-) -> None:  # pragma: no cover - compiled
-    """out[i, c, l] = gain[c, l] * signal + bias[c, l] + tilt[:, l] * about[:, i, c] for low <= i < high.
-
-    ``signal`` is channel c of ``simulated`` at rows[i] + shift[i, l], held at both ends, plus lever[c, l] times
-    the slope by sample of channel turned[c] if that is not negative.
-    """
-    m, _, given = simulated.shape
-    channels = out.shape[1]
-    phases, taps, lanes = table.shape[0] - 1, table.shape[1], out.shape[2]
-    w = np.zeros(taps + 4)  # two of nothing at either end: the slope's weights are differences of these
-    for i in range(low, high):
-        begin = 0
-        while begin < lanes:
-            # lanes that are shifted alike share their weights, and the loop over them vectorises
-            end = begin + 1
-            while end < lanes and shift[i, end] == shift[i, begin]:
-                end += 1
-            place = rows[i] + shift[i, begin]
-            j = int(np.floor(place))
-            fine = (place - j) * phases
-            p = min(int(fine), phases - 1)
-            fine -= p
-            first = j - taps // 2  # of the slope's samples: one before the value's own
-            for k in range(taps):
-                w[k + 2] = (1.0 - fine) * table[p, k] + fine * table[p + 1, k]
-            for c in range(channels):
-                x, y, other = about[0, i, c], about[1, i, c], turned[c]
-                if given == 1 or end == begin + 1:
-                    source = begin if given > 1 else 0
-                    value, slope = 0.0, 0.0
-                    for k in range(taps):
-                        value += w[k + 2] * simulated[min(max(first + k + 1, 0), m - 1), c, source]
-                    if other >= 0:
-                        for k in range(taps + 2):
-                            of = simulated[min(max(first + k, 0), m - 1), other, source]
-                            slope += 0.5 * (w[k] - w[k + 2]) * of
-                    for lane in range(begin, end):
-                        signal = gain[c, lane] * (value + lever[c, lane] * slope)
-                        out[i, c, lane] = signal + bias[c, lane] + tilt[0, lane] * x + tilt[1, lane] * y
-                    continue
-                to, levers = out[i, c, begin:end], lever[c, begin:end]
-                to[:] = 0.0
-                for k in range(taps):
-                    many, f = simulated[min(max(first + k + 1, 0), m - 1), c, begin:end], w[k + 2]
-                    for lane in range(to.size):
-                        to[lane] += f * many[lane]
-                if other >= 0:
-                    for k in range(taps + 2):
-                        many = simulated[min(max(first + k, 0), m - 1), other, begin:end]
-                        f = 0.5 * (w[k] - w[k + 2])
-                        for lane in range(to.size):
-                            to[lane] += levers[lane] * f * many[lane]
-                gains, biases = gain[c, begin:end], bias[c, begin:end]
-                roll, pitch = tilt[0, begin:end], tilt[1, begin:end]
-                for lane in range(to.size):
-                    to[lane] = gains[lane] * to[lane] + biases[lane] + roll[lane] * x + pitch[lane] * y
-            begin = end
-
-
-@compiled
-def _apply_steady(
-    simulated: Floats,
-    rows: NDArray[np.intp],
-    shift: Floats,
-    gain: Floats,
-    bias: Floats,
-    about: Floats,
-    tilt: Floats,
-    table: Floats,
-    out: Floats,
-    low: int,
-    high: int,
-) -> None:  # pragma: no cover - compiled
-    """As ``_apply`` where shift (L,) lasts the whole part and no channel leans on another's slope.
-
-    Every lane's weights are then made once; a population of which each has a clock of its own lives on this.
-    """
-    m, channels, _ = simulated.shape
-    phases, taps, lanes = table.shape[0] - 1, table.shape[1], out.shape[2]
-    w, first = np.empty((taps, lanes)), np.empty(lanes, dtype=np.intp)
-    for lane in range(lanes):
-        j = int(np.floor(shift[lane]))
-        fine = (shift[lane] - j) * phases
-        p = min(int(fine), phases - 1)
-        fine -= p
-        first[lane] = j - taps // 2 + 1
-        for k in range(taps):
-            w[k, lane] = (1.0 - fine) * table[p, k] + fine * table[p + 1, k]
-    earliest, latest = first.min(), first.max() + taps - 1
-    for i in range(low, high):
-        inside = rows[i] + earliest >= 0 and rows[i] + latest < m
-        for c in range(channels):
-            x, y = about[0, i, c], about[1, i, c]
-            for lane in range(lanes):
-                start, value = rows[i] + first[lane], 0.0
-                if inside:
-                    for k in range(taps):
-                        value += w[k, lane] * simulated[start + k, c, lane]
-                else:
-                    for k in range(taps):
-                        value += w[k, lane] * simulated[min(max(start + k, 0), m - 1), c, lane]
-                out[i, c, lane] = gain[c, lane] * value + bias[c, lane] + tilt[0, lane] * x + tilt[1, lane] * y
 
 
 class Nuisances:
@@ -345,28 +226,43 @@ class Nuisances:
             turned[self._held] = len(self.channels)
             lever[self._held] = -((part.rate / (2.0 * np.pi * _HOLDER)) ** 2) * value("holder")
         out = np.empty((rows.size, len(self.channels), lanes))
+        if "holder" in self._row:  # less a share of the second derivative, which is the slope of the slope
+            turned[self._held] = len(self.channels)
+            lever[self._held] = -((part.rate / (2.0 * np.pi * _HOLDER)) ** 2) * value("holder")
         carried = self.carried[number] if self.carried and shift.any() else None
-        if carried is not None:
-            simulated = simulated - carried[:, :, None]
-        if "holder" in self._row:
-            slope = np.gradient(simulated[:, self._held], axis=0)
-            simulated = np.concatenate([simulated, slope[:, None]], axis=1)
-        given, shift = np.ascontiguousarray(simulated), np.ascontiguousarray(shift)
-        apart = given.shape[2] > 1 and bool((shift[0] != shift[0, 0]).any())
-        steady = apart and (turned < 0).all() and bool((shift == shift[0]).all())
+        simulated, shift = np.ascontiguousarray(simulated), np.ascontiguousarray(shift)
+        apart = simulated.shape[2] > 1 and bool((shift[0] != shift[0, 0]).any())
+        steady = apart and (turned < 0).all() and bool((shift == shift[0]).all()) and carried is None
+        alike = not apart and simulated.shape[2] > 1 and bool((shift == shift[:, :1]).all())
+        still = np.empty((0, len(self.channels))) if carried is None else carried
+        given, later = simulated, None if alike else carried
+        if later is not None:
+            given = given - later[:, :, None]
+        if not (steady or alike):
+            given = self._with_slope(given)
 
         def work(low: int, high: int) -> None:
             if steady:
-                _apply_steady(given, rows, shift[0], gain, bias, about, tilt, TABLE, out, low, high)
+                read_steady(given, rows, shift[0], gain, bias, about, tilt, TABLE, out, low, high)
+            elif alike:
+                one = np.ascontiguousarray(shift[:, 0])
+                read_alike(given, still, rows, one, gain, bias, about, tilt, lever, turned, TABLE, out, low, high)
             else:
-                _apply(given, rows, shift, gain, bias, about, tilt, lever, turned, TABLE, out, low, high)
+                read_any(given, rows, shift, gain, bias, about, tilt, lever, turned, TABLE, out, low, high)
 
         pieces = cores() if out.size > _WORTH_SHARING else 1
         cuts = np.linspace(0, rows.size, pieces + 1).astype(int).tolist()
         share_out(work, list(zip(cuts[:-1], cuts[1:], strict=True)), pieces)
-        if carried is not None:
-            out += carried[rows][:, :, None]
+        if later is not None:
+            out += later[rows][:, :, None]
         return out
+
+    def _with_slope(self, simulated: Floats) -> Floats:
+        """Signals (m, C + 1, L) with the slope of the held channel as one more, where there is a holder."""
+        if "holder" not in self._row:
+            return simulated
+        slope = np.gradient(simulated[:, self._held], axis=0)
+        return np.concatenate([simulated, slope[:, None]], axis=1)
 
 
 def _knots(part: Prepared, seconds: float) -> Floats:

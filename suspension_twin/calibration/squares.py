@@ -15,7 +15,7 @@ import numpy as np
 
 from suspension_twin.calibration.checkpoint import State
 from suspension_twin.calibration.identify import CORRELATION, travel
-from suspension_twin.calibration.least_squares import LeastSquares, LmSettings, gram
+from suspension_twin.calibration.least_squares import LeastSquares, LmSettings, squared
 from suspension_twin.calibration.likelihood import INDEPENDENT, NEAR_FLOOR, Likelihood
 from suspension_twin.calibration.problem import FitProblem, Interrupted, Problem
 from suspension_twin.calibration.recorder import Outcome, Recorder
@@ -191,7 +191,7 @@ class _Fit:
         fit = FitProblem(self.problem)
         residual, jacobian, spent = fit.linearise(self.x)
         scale = max(float(np.mean(residual**2)) / INDEPENDENT, 1e-30)
-        information = gram(jacobian, jacobian) / scale + self.precision
+        information = squared(jacobian) / scale + self.precision
         unit = 1.0 / np.sqrt(np.diag(information))
         scaled = information * unit[:, None] * unit[None, :] + 1e-9 * np.eye(unit.size)
         root = unit[:, None] * np.linalg.cholesky(np.linalg.inv(scaled))

@@ -10,23 +10,25 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
 
-from suspension_twin.calibration.least_squares import gram
+from suspension_twin.calibration.least_squares import gram, squared
 from suspension_twin.calibration.nuisance import NuisancePriors
 from suspension_twin.calibration.problem import Interrupted, Problem, _stack
 from suspension_twin.diagnosis.hypotheses import Hypothesis
 from suspension_twin.diagnosis.noise import INDEPENDENT, Whitener
 from suspension_twin.drive.types import Floats
+from suspension_twin.models.excitation import coarser
 from suspension_twin.models.hooks import clocks_with, gains_with, turns_with, upright_with
 from suspension_twin.models.parameters import lanes
 from suspension_twin.models.simulate import simulate_lanes
 from suspension_twin.models.types import Excitation
 from suspension_twin.vehicle.twin import Twin
 
-__all__ = ["NORMAL", "Bench", "Excitations", "Linearised", "gram"]
+__all__ = ["NORMAL", "Bench", "Excitations", "Linearised"]
 
 #: What is normal of clocks, maps and mounts: more than that is a finding, not a nuisance.
 #: A receiver that knows a place to a centimetre is off by some of it for a whole drive.
@@ -43,11 +45,31 @@ _STEP_EFFECT = 1e-2
 
 @dataclass(frozen=True, eq=False)
 class Linearised:
-    """Residuals (R,) and Jacobian (R, d + q + k) at ``x``."""
+    """Residuals (R,) and Jacobian (R, d + q + k) at ``x``; its ``squares`` (d + q + k, d + q + k) and the ``slope``
+    (d + q + k,) of half the residuals' sum of squares."""
 
     x: Floats
     residual: Floats
     jacobian: Floats
+
+    @cached_property
+    def squares(self) -> Floats:
+        return squared(self.jacobian)
+
+    @cached_property
+    def slope(self) -> Floats:
+        return np.asarray(gram(self.residual[:, None], self.jacobian)[0])
+
+    def first(self, count: int) -> Linearised:
+        """That of the first ``count`` unknowns alone."""
+        return Linearised(self.x[:count], self.residual, np.ascontiguousarray(self.jacobian[:, :count]))
+
+    def beyond(self, residual: Floats, effects: Floats) -> tuple[Floats, Floats]:
+        """Squares and slope where ``effects`` (R, k) are the columns of a few more unknowns and the residuals are
+        others, but this Jacobian is taken to hold."""
+        beside = gram(effects, self.jacobian)
+        squares = np.block([[self.squares, beside.T], [beside, squared(effects)]])
+        return squares, np.concatenate([gram(residual[:, None], columns)[0] for columns in (self.jacobian, effects)])
 
 
 @dataclass(frozen=True, eq=False)
@@ -61,6 +83,11 @@ class Excitations:
     turned: Excitation
     regained: dict[bool, Excitation]
     reclocked: dict[bool, Excitation]
+
+    def coarser(self, max_step: float) -> Excitations:
+        """The same in steps of up to ``max_step`` s."""
+        gross = ({u: coarser(e, max_step) for u, e in known.items()} for known in (self.regained, self.reclocked))
+        return Excitations(coarser(self.upright, max_step), coarser(self.turned, max_step), *gross)
 
 
 @dataclass(eq=False)
@@ -121,6 +148,12 @@ class Bench:
         pairs = zip(self.problem.parts, self.excitations, strict=True)
         parts = [replace(part, excitation=known.upright) for part, known in pairs]
         return replace(self, problem=self.problem.on(parts), level=True)
+
+    def coarser(self, max_step: float) -> Bench:
+        """The same in steps of up to ``max_step`` s."""
+        parts = [replace(p, excitation=coarser(p.excitation, max_step)) for p in self.problem.parts]
+        known = tuple(e.coarser(max_step) for e in self.excitations)
+        return replace(self, problem=self.problem.on(parts), excitations=known)
 
     def excitation(self, number: int, effects: Sequence[str], everywhere: Sequence[str] = ()) -> Excitation:
         """What excites a vehicle on a drive, by the effects that there are on those with the gap, by those of them that
@@ -240,35 +273,44 @@ class Bench:
         total = np.einsum("rl,rl->l", residual, residual, optimize=False) + penalty
         return np.asarray(np.where(failed | ~np.isfinite(total), np.inf, total))
 
-    def linearise(self, hypothesis: Hypothesis, x: Floats, known: Floats | None = None) -> Linearised:
-        """Residuals and Jacobian at ``x``; ``known`` (R, d + q) columns are taken over instead of simulated."""
-        d, q, k = self.d, self.q, len(hypothesis)
-        _, high = hypothesis.bounds()
-        u = x[d + q :]
-        # away from the nearer bound, so that every difference is one
-        steps = np.where(u + _STEP_EFFECT > high, -_STEP_EFFECT, _STEP_EFFECT)
-        physics = 0 if known is not None else d
-        z = np.repeat(x[:d, None], 1 + physics + k, axis=1)
-        us = np.repeat(u[:, None], 1 + physics + k, axis=1)
-        if physics:
-            z[np.arange(d), 1 + np.arange(d)] += _STEP
-        us[np.arange(k), 1 + physics + np.arange(k)] += steps
-        signals, failed = self.signals(hypothesis, z, us)
-        held = np.repeat(x[d : d + q, None], z.shape[1], axis=1)
-        white = self.white(signals, held)
-        base = white[:, 0].copy()
-        jacobian = np.empty((base.size, d + q + k))
-        with_effects = jacobian[:, d + q :]
-        np.subtract(white[:, 1 + physics :], base[:, None], out=with_effects)
-        with_effects *= ~failed[1 + physics :] / steps
-        if known is not None:
-            jacobian[:, : d + q] = known
-            return Linearised(x, base, jacobian)
-        np.subtract(white[:, 1 : 1 + d], base[:, None], out=jacobian[:, :d])
-        jacobian[:, :d] *= ~failed[1 : 1 + d] / _STEP
+    def linearise(self, hypothesis: Hypothesis, x: Floats) -> Linearised:
+        """Residuals and Jacobian at ``x`` (d + q + k,)."""
+        d, q = self.d, self.q
+        jacobian = np.empty((self.whitener.row.size, x.size))
+        base, signals = self._differences(hypothesis, x, d, jacobian)
         small = self.problem.nuisances.steps
         shifted = np.repeat(x[d : d + q, None], q, axis=1)
         shifted[np.diag_indices(q)] += small
         np.subtract(self.white([s[:, :, :1] for s in signals], shifted), base[:, None], out=jacobian[:, d : d + q])
         jacobian[:, d : d + q] /= small
         return Linearised(x, base, jacobian)
+
+    def effects_alone(self, hypothesis: Hypothesis, x: Floats) -> tuple[Floats, Floats]:
+        """Residuals (R,) at ``x`` (d + q + k,) and the columns (R, k) of their Jacobian that are the effects'."""
+        jacobian = np.empty((self.whitener.row.size, len(hypothesis)))
+        base, _ = self._differences(hypothesis, x, 0, jacobian)
+        return base, jacobian
+
+    def _differences(
+        self, hypothesis: Hypothesis, x: Floats, physics: int, jacobian: Floats
+    ) -> tuple[Floats, list[Floats]]:
+        """Residuals and signals at ``x``; the first ``physics`` columns of ``jacobian`` and the effects', its last."""
+        d, q, k = self.d, self.q, len(hypothesis)
+        _, high = hypothesis.bounds()
+        u = x[d + q :]
+        # away from the nearer bound, so that every difference is one
+        steps = np.where(u + _STEP_EFFECT > high, -_STEP_EFFECT, _STEP_EFFECT)
+        z = np.repeat(x[:d, None], 1 + physics + k, axis=1)
+        us = np.repeat(u[:, None], 1 + physics + k, axis=1)
+        z[np.arange(physics), 1 + np.arange(physics)] += _STEP
+        us[np.arange(k), 1 + physics + np.arange(k)] += steps
+        signals, failed = self.signals(hypothesis, z, us)
+        held = np.repeat(x[d : d + q, None], z.shape[1], axis=1)
+        white = self.white(signals, held)
+        base = white[:, 0].copy()
+        vehicle, effects = jacobian[:, :physics], jacobian[:, jacobian.shape[1] - k :]
+        np.subtract(white[:, 1 : 1 + physics], base[:, None], out=vehicle)
+        vehicle *= ~failed[1 : 1 + physics] / _STEP
+        np.subtract(white[:, 1 + physics :], base[:, None], out=effects)
+        effects *= ~failed[1 + physics :] / steps
+        return base, signals

@@ -15,8 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import linalg
 
-from suspension_twin.calibration.least_squares import solve_positive
-from suspension_twin.diagnosis.bench import Bench, Linearised, gram
+from suspension_twin.calibration.least_squares import gram, solve_positive
+from suspension_twin.diagnosis.bench import Bench, Linearised
 from suspension_twin.diagnosis.hypotheses import Hypothesis
 from suspension_twin.drive.types import Floats
 
@@ -63,7 +63,7 @@ class Screening:
 def _curvature(bench: Bench, base: Linear) -> tuple[Floats, Floats, float]:
     """Of the posterior about ``base``: its curvature, the prior's gradient, and what the prior costs."""
     precision, centre = bench.prior(base.hypothesis)
-    hessian = gram(base.at.jacobian, base.at.jacobian) + precision
+    hessian = base.at.squares + precision
     away = base.x - centre
     pull = np.einsum("ij,j->i", precision, away, optimize=False)
     return hessian + 1e-10 * np.diag(np.diag(hessian)), pull, float(away @ precision @ away)
@@ -152,10 +152,10 @@ def scanned(bench: Bench, base: Linear, hypothesis: Hypothesis, scan: tuple[int,
     residual, failed = bench.residuals(hypothesis, x)
     jacobian, rest = base.at.jacobian, base.at.residual
     hessian, pull, _ = _curvature(bench, base)
-    gradient = gram(jacobian, rest[:, None])[:, 0] + pull
+    gradient = base.at.slope + pull
     change = residual - rest[:, None]
     free = np.flatnonzero(~_stuck(bench, base.hypothesis, base.x, gradient))
-    seen = gram(jacobian[:, free], change)
+    seen = gram(jacobian, change)[free]
     factor = linalg.cho_factor(hessian[np.ix_(free, free)])
     taken = linalg.cho_solve(factor, np.column_stack([seen, gradient[free]]))
     far = points[row] - nothing
@@ -216,10 +216,11 @@ def refit(
     bench: Bench,
     hypothesis: Hypothesis,
     starts: Sequence[Floats],
-    known: Floats | None,
+    known: Linearised | None,
     iterations: int,
 ) -> tuple[Floats, float]:
-    """Gauss-Newton from the best of ``starts``; ``known`` columns of the Jacobian are kept as they are."""
+    """Gauss-Newton from the best of ``starts``; ``known`` columns of the Jacobian, the vehicle's and the nuisances',
+    are taken to hold."""
     candidates = bench.clipped(hypothesis, np.stack(list(starts), axis=1))
     costs = bench.costs(hypothesis, candidates)
     best = int(np.argmin(costs))
@@ -227,10 +228,13 @@ def refit(
     precision, centre = bench.prior(hypothesis)
     damping = 1e-2
     for _ in range(iterations):
-        at = bench.linearise(hypothesis, x, known)
-        hessian = gram(at.jacobian, at.jacobian) + precision
-        gradient = gram(at.jacobian, at.residual[:, None])[:, 0]
-        gradient = gradient + np.einsum("ij,j->i", precision, x - centre, optimize=False)
+        if known is None:
+            at = bench.linearise(hypothesis, x)
+            squares, slope = at.squares, at.slope
+        else:
+            squares, slope = known.beyond(*bench.effects_alone(hypothesis, x))
+        hessian = squares + precision
+        gradient = slope + np.einsum("ij,j->i", precision, x - centre, optimize=False)
         low, high = room(bench, hypothesis, x)
         trials = []
         for factor in _LADDER:
@@ -257,8 +261,8 @@ def refit(
     return x, cost
 
 
-def finished(bench: Bench, hypothesis: Hypothesis, x: Floats, known: Floats | None = None) -> Linear:
+def finished(bench: Bench, hypothesis: Hypothesis, x: Floats) -> Linear:
     """The fit at ``x`` with its linearisation."""
-    at = bench.linearise(hypothesis, x, known)
+    at = bench.linearise(hypothesis, x)
     cost = float(bench.costs(hypothesis, x[:, None])[0])
     return Linear(hypothesis, x, cost, at)

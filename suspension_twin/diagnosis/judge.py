@@ -17,7 +17,8 @@ from scipy import linalg
 from scipy.special import logsumexp
 from scipy.stats import norm
 
-from suspension_twin.diagnosis.bench import Bench, gram
+from suspension_twin.calibration.least_squares import gram, squared
+from suspension_twin.diagnosis.bench import Bench, Linearised
 from suspension_twin.diagnosis.fit import Fit, Linear
 from suspension_twin.diagnosis.noise import INDEPENDENT
 from suspension_twin.diagnosis.strain import Strain, relieved, strain_of
@@ -81,23 +82,23 @@ def held_out(bench: Bench, fit: Linear, blocks: Blocks) -> HeldOut:
     """
     precision, centre = bench.prior(fit.hypothesis)
     jacobian, residual = fit.at.jacobian, fit.at.residual
-    total = gram(jacobian, jacobian) + precision
-    slope = gram(jacobian, residual[:, None])[:, 0] + precision @ (fit.x - centre)
+    total = fit.at.squares + precision
+    slope = fit.at.slope + precision @ (fit.x - centre)
     fold = blocks.fold(blocks.row)
     # a severity on its bound, usually at nothing, stays there: the step knows no bounds
     low, high = bench.limits(fit.hypothesis)
     inside = (fit.x > low) & (fit.x < high)
     known = np.zeros(fit.x.size, dtype=bool)
     known[bench.d : bench.d + bench.q] = [n.endswith(_TIMES) for n in bench.problem.nuisances.names]
+    folds = [squared(jacobian[fold == f]) for f in range(FOLDS)]
+    slopes = [gram(residual[fold == f, None], jacobian[fold == f])[0] for f in range(FOLDS)]
     candidates = [fit.x]
     for free in (np.flatnonzero(inside), np.flatnonzero(inside & ~known)):
         for f in range(FOLDS):
-            own = fold == f
-            j = jacobian[own][:, free]
-            rest = total[np.ix_(free, free)] - gram(j, j)
+            rest = (total - folds[f])[np.ix_(free, free)]
             rest[np.diag_indices_from(rest)] *= 1 + 1e-9
             step = np.zeros(fit.x.size)
-            step[free] = -linalg.solve(rest, slope[free] - gram(j, residual[own, None])[:, 0], assume_a="sym")
+            step[free] = -linalg.solve(rest, (slope - slopes[f])[free], assume_a="sym")
             step *= min(1.0, 1.0 / max(float(np.abs(step).max()), 1e-300))
             candidates += [fit.x + share * step for share in _SHARES]
     tried = bench.clipped(fit.hypothesis, np.stack(candidates, axis=1))
@@ -163,14 +164,14 @@ def evidence(bench: Bench, fit: Linear, blocks: Blocks) -> Evidence:
             scale[rows] = np.sqrt(variance)
             score -= 0.5 * (counts * np.log(variance) + squares / variance)
     precision, centre = bench.prior(fit.hypothesis)
-    jacobian = fit.at.jacobian / scale[:, None]
-    hessian = gram(jacobian, jacobian) + precision
+    scaled = Linearised(fit.x, fit.at.residual / scale, fit.at.jacobian / scale[:, None])
+    hessian = scaled.squares + precision
     away = fit.x - centre
     away[bench.d : bench.d + bench.q] = 0.0  # counted in full elsewhere
     occam = 0.5 * (np.linalg.slogdet(hessian)[1] - np.linalg.slogdet(precision)[1])
     occam += 0.5 * float(away @ precision @ away) / max(float(np.mean(scale**2)), 1.0)
     plain = Fit(fit.hypothesis, fit.x, fit.cost)
-    strain = strain_of(bench, fit, scale)
+    strain = strain_of(bench, fit, scaled)
     return Evidence(plain, score, float(occam), level, out.left, out.unknowns, float(fitted), strain)
 
 
@@ -184,11 +185,11 @@ def intervals(bench: Bench, fit: Linear, blocks: Blocks, temper: float) -> Float
     """
     precision, _ = bench.prior(fit.hypothesis)
     jacobian, p = fit.at.jacobian, bench.d + bench.q
-    inverse: Floats = np.asarray(linalg.inv(gram(jacobian, jacobian) + precision))
+    inverse: Floats = np.asarray(linalg.inv(fit.at.squares + precision))
     pulls: Floats = np.stack(
         [np.bincount(blocks.row, column * fit.at.residual, blocks.count) for column in jacobian.T], axis=1
     ).astype(np.float64)
-    covariance = gram(inverse, gram(gram(pulls, pulls) + precision, inverse))
+    covariance = gram(inverse, gram(squared(pulls) + precision, inverse))
     away = norm.ppf(0.95) * np.sqrt(np.maximum(np.diag(covariance)[p:], 0.0) / temper)
     low, high = fit.hypothesis.bounds()
     u = np.clip(fit.x[p:, None] + np.stack([-away, away], axis=1), low[:, None], high[:, None])

@@ -135,22 +135,32 @@ def _filtered(
     """``out`` (n - ORDER, L): the difference in channel c from ``start`` on by taps, the oldest sample's first."""
     n, lanes = out.shape
     order = taps.size - 1
-    x = np.empty((order + n, lanes))
+    wide = lanes + (-lanes) % 8  # whole vectors
+    x = np.zeros((order + n + 1, wide))
     for i in range(order + n):
         for lane in range(lanes):
             x[i, lane] = simulated[start + i, c, lane] - measured[start + i, c]
-    fives = taps.size - taps.size % 5
-    for i in range(n):
-        to = out[i]
-        to[:] = 0.0
-        for k in range(0, fives, 5):
-            t0, t1, t2, t3, t4 = taps[k], taps[k + 1], taps[k + 2], taps[k + 3], taps[k + 4]
-            x0, x1, x2, x3, x4 = x[i + k], x[i + k + 1], x[i + k + 2], x[i + k + 3], x[i + k + 4]
+    t = np.zeros(taps.size + 5)
+    t[: taps.size] = taps
+    one, two = np.empty(wide), np.empty(wide)
+    for i in range(0, n, 2):
+        # two at a time: what is loaded for the one serves the other by the tap before
+        one[:] = 0.0
+        two[:] = 0.0
+        for k in range(0, taps.size + 1, 4):
+            e = t[k - 1] if k > 0 else 0.0
+            t0, t1, t2, t3 = t[k], t[k + 1], t[k + 2], t[k + 3]
+            last = order + n
+            a, b, d, f = i + k, min(i + k + 1, last), min(i + k + 2, last), min(i + k + 3, last)
+            for lane in range(wide):
+                x0, x1, x2, x3 = x[a, lane], x[b, lane], x[d, lane], x[f, lane]
+                one[lane] += t0 * x0 + t1 * x1 + t2 * x2 + t3 * x3
+                two[lane] += e * x0 + t0 * x1 + t1 * x2 + t2 * x3
+        for lane in range(lanes):
+            out[i, lane] = one[lane]
+        if i + 1 < n:
             for lane in range(lanes):
-                to[lane] += t0 * x0[lane] + t1 * x1[lane] + t2 * x2[lane] + t3 * x3[lane] + t4 * x4[lane]
-        for k in range(fives, taps.size):
-            for lane in range(lanes):
-                to[lane] += taps[k] * x[i + k, lane]
+                out[i + 1, lane] = two[lane]
 
 
 def _predictor(power: Floats, rate: float) -> tuple[Floats, float]:

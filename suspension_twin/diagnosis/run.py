@@ -22,6 +22,7 @@ from suspension_twin.diagnosis.gates import Gatekeeper
 from suspension_twin.diagnosis.gross import LOST
 from suspension_twin.diagnosis.hypotheses import BASELINE, NORMAL_PART, Hypothesis, library, witnesses
 from suspension_twin.diagnosis.judge import Evidence, blocks_of, evidence, held_out, weights
+from suspension_twin.diagnosis.parallel import quietly, side_by_side
 from suspension_twin.diagnosis.request import DiagnosisRequest, DiagnosisResult, Progress
 from suspension_twin.diagnosis.search import again, jointly, pairs, singles, without_one
 from suspension_twin.diagnosis.strain import relieved
@@ -105,7 +106,9 @@ class _Search:
         self.base = evidence(bench, base, self.blocks)
         self.singles, self.witnesses = found[: len(effects)], found[len(effects) :]
         everything = [self.base, *(s.evidence for s in found)]
-        self.left = [gaps.remainder(bench, e.fit.hypothesis, e.unknowns, self.blocks) for e in everything]
+        self.left = side_by_side(
+            lambda e: gaps.remainder(bench, e.fit.hypothesis, e.unknowns, self.blocks), everything, quietly
+        )
         best = min(self.left, key=lambda r: float(np.mean(r.difference[gaps.shown_rows(bench), 0] ** 2)))
         self.temper = verdict.temper_of(bench, best, self.noise)
         each = _EFFECT_PRIOR / len(found)
@@ -120,7 +123,8 @@ class _Search:
         self.keeper = Gatekeeper(
             bench, self.blocks, self.noise, self.reference, self.temper, self.case.road, seed, self.base, self.left[0]
         )
-        self.gates = [self.keeper.gates(*given) for given in zip(everything, self.left, leasts, alone, strict=True)]
+        given = list(zip(everything, self.left, leasts, alone, strict=True))
+        self.gates = side_by_side(lambda one: self.keeper.gates(*one), given, quietly)
         # what takes nothing material away cannot be the finding, however sure it is: it must not hide another
         priors = [each if g.material > _MAYBE else 0.0 for g in self.gates[1:]]
         self._weigh(everything, np.array([1.0 - _EFFECT_PRIOR, *priors]), [s.always for s in found])

@@ -29,6 +29,8 @@ _SCANNED = 32  # places of a resonance
 _VEHICLES = ((0.0, 0.0), (-0.3, 0.0), (-0.6, 0.0), (0.0, -0.25), (0.0, -0.6), (-0.3, -0.6), (0.0, -1.2))
 #: Vehicles, and how early and strong the effect is in spreads of its prior, that are always tried.
 _EARLY = (((-0.6, 0.0), 1.0), ((0.0, -0.3), 0.6))
+#: s of simulation until the finalists are known; their last digits take the drives' own step.
+_STEP = 2.5e-3
 _ROUGH, _DEEP, _FINE, _LONG = 4, 6, 5, 15
 #: How much worse than the best so far a start may be that a fit is begun from.
 _WORTH_A_LOOK = 3.0
@@ -83,26 +85,26 @@ def singles(
 ) -> tuple[Linear, list[Single]]:  # fmt: skip
     """Every effect of the library, refitted jointly with characteristics and nuisances; and the baseline,
     which may take over any vehicle that an effect's fit has come to. A twin that is ``lost`` follows nothing."""
-    begun = base
+    coarse = _coarser(bench, base)
+    begun, from_anchor = (finished(coarse, BASELINE, one.x) for one in (base, anchor))
 
     def look(effect: str) -> _Rough:
-        return _rough(bench, begun, anchor, effect, library[effect], seed, lost)
+        return _rough(coarse, begun, from_anchor, effect, library[effect], seed, lost)
 
     rough = side_by_side(look, list(library), lambda done, name: tell(0.65 * done, name.replace("_", " ")))
     base, known = _rebased(bench, base, [r.x for r in rough]), base
     if base is not known:
-        rough = side_by_side(lambda r: _caught_up(bench, base, r, seed), rough, lambda done, _: tell(0.6, "baseline"))
+        then = finished(coarse, BASELINE, base.x)
+        rough = side_by_side(lambda r: _caught_up(coarse, then, r, seed), rough, lambda done, _: tell(0.6, "baseline"))
     order = sorted(range(len(rough)), key=lambda i: rough[i].cost)
     finalists = set(order[:_FINALISTS])
 
     def judge(i: int) -> Single:
         r, v, always = rough[i], rough[i].hypothesis, None
-        x, cost = r.x, r.cost
-        if i in finalists:
-            u = x[bench.d + bench.q :]
-            x, cost = refit(bench, v, [x, np.concatenate([base.x, u])], None, _FINE)
-            if not all(bench.active):
-                always = as_trait(bench, v, x, base, blocks)
+        starts = [r.x, np.concatenate([base.x, r.x[bench.d + bench.q :]])]
+        x, cost = refit(bench, v, starts, None, _FINE if i in finalists else 0)
+        if i in finalists and not all(bench.active):
+            always = as_trait(bench, v, x, base, blocks)
         if cost >= base.cost:
             ends = v.slightest()
             none = np.concatenate([np.repeat(base.x[:, None], ends.shape[1], axis=1), ends])
@@ -120,6 +122,12 @@ def singles(
     return base, [found[i] for i in range(len(rough))]
 
 
+def _coarser(bench: Bench, base: Fit) -> Bench:
+    """The bench in longer steps, where these can follow the vehicle."""
+    coarse = bench.coarser(_STEP)
+    return coarse if np.isfinite(coarse.costs(BASELINE, base.x[:, None])).all() else bench
+
+
 def _rough(
     bench: Bench, base: Linear, anchor: Linear, effect: str, variants: Sequence[Hypothesis], seed: int, lost: bool
 ) -> _Rough:
@@ -133,7 +141,7 @@ def _rough(
     for i in order[:_VARIANTS]:
         v, tried = variants[i], screens[i]
         starts = [*tried.x[:_TRIED], *_resonant(bench, anchor, v, v), np.concatenate([base.x, v.neutral()])]
-        x, cost = refit(bench, v, starts, anchor.at.jacobian, _ROUGH)
+        x, cost = refit(bench, v, starts, anchor.at, _ROUGH)
         if not math.isfinite(cost):
             # a baseline that made up for what no vehicle can may be one that nothing can be added to
             starts = [np.concatenate([bench.centre, u]) for u in (v.neutral(), *v.starts(_STARTS, seed).T)]
@@ -177,11 +185,11 @@ def _caught_up(bench: Bench, base: Linear, rough: _Rough, seed: int) -> _Rough:
     starts = [np.concatenate([base.x, u]), np.concatenate([base.x, v.neutral()])]
     if rough.cost >= base.cost:
         starts += screened(bench, base, v, v.starts(_STARTS, seed)).x[:_TRIED]
-    found = [refit(bench, v, starts, base.at.jacobian, _ROUGH)]
+    found = [refit(bench, v, starts, base.at, _ROUGH)]
     if EFFECTS[rough.effect].where in ("time", "road", "sensor"):
         alone = replace(bench, barred=tuple(n for n in bench.problem.nuisances.names if n.endswith(_SHARED)))
-        begun, _ = refit(alone, v, starts, base.at.jacobian, _ROUGH)
-        found.append(refit(bench, v, [begun], base.at.jacobian, _ROUGH))
+        begun, _ = refit(alone, v, starts, base.at, _ROUGH)
+        found.append(refit(bench, v, [begun], base.at, _ROUGH))
     x, cost = min(found, key=lambda f: f[1])
     return replace(rough, x=x, cost=cost) if cost < rough.cost else rough
 
@@ -224,6 +232,7 @@ def pairs(
     """The best additions of one more effect to what is there, the best first."""
     there = first.fit.hypothesis
     start = finished(bench, there, first.fit.x)
+    known = start.at.first(bench.d + bench.q)
     others = [e for e in library if e not in there.effects and e not in skip]
 
     def look(effect: str) -> list[tuple[float, Hypothesis, list[Floats]]]:
@@ -250,7 +259,7 @@ def pairs(
 
     def join(at: tuple[Hypothesis, list[Floats]]) -> Evidence:
         both, starts = at
-        x, _ = refit(bench, both, starts, start.at.jacobian[:, : bench.d + bench.q], _ROUGH)
+        x, _ = refit(bench, both, starts, known, _ROUGH)
         x, _ = refit(bench, both, [x], None, 2)
         return evidence(bench, finished(bench, both, x), blocks)
 

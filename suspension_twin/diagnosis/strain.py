@@ -12,7 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from suspension_twin.diagnosis.bench import Bench, gram
+from suspension_twin.diagnosis.bench import Bench, Linearised
 from suspension_twin.diagnosis.fit import Linear, room, within
 from suspension_twin.drive.types import Floats
 
@@ -49,18 +49,16 @@ class Strain:
         return max(spent, 0.0), float(freedom)
 
 
-def strain_of(bench: Bench, fit: Linear, scale: Floats) -> Strain:
-    """That of a fit whose residuals (R,) are of ``scale`` (R,)."""
-    jacobian, residual = fit.at.jacobian / scale[:, None], fit.at.residual / scale
+def strain_of(bench: Bench, fit: Linear, at: Linearised) -> Strain:
+    """That of a fit, linearised ``at`` its place with every residual in units of what is left."""
     precision, centre = bench.prior(fit.hypothesis)
     low, high = room(bench, fit.hypothesis, fit.x)
     pulled = np.einsum("ij,j->i", precision, fit.x - centre, optimize=False)
-    slope = gram(jacobian, residual[:, None])[:, 0]
-    outward = ((low >= 0) & (slope + pulled > 0)) | ((high <= 0) & (slope + pulled < 0))
+    outward = ((low >= 0) & (at.slope + pulled > 0)) | ((high <= 0) & (at.slope + pulled < 0))
     # at its best a fit's residuals and its prior pull alike, but for what a limit holds
-    slope = np.where(outward, slope, -pulled)
+    slope = np.where(outward, at.slope, -pulled)
     nuisances = slice(bench.d, bench.d + bench.q)
-    return Strain(gram(jacobian, jacobian), slope, precision, fit.x - centre, nuisances, low, high)
+    return Strain(at.squares, slope, precision, fit.x - centre, nuisances, low, high)
 
 
 def relieved(strains: Sequence[Strain | None], temper: float) -> Floats:

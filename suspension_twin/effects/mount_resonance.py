@@ -28,7 +28,7 @@ def _signal(signals: Floats, t: Floats, fresh: NDArray[np.bool_], values: Floats
     for i in range(signals.shape[2]):
         if values[0, i] != 0.0:
             omega, zeta = 2.0 * math.pi * values[1, i], values[2, i]
-            second_order(signals, t, fresh, 2, i, omega, zeta, 2.0 * zeta * omega, values[0, i], state, 0)
+            second_order(signals, t, fresh, 2, 1, i, omega, zeta, 2.0 * zeta * omega, values[0, i], state)
 
 
 EFFECT = Effect(

@@ -24,8 +24,7 @@ def _signal(signals: Floats, t: Floats, fresh: NDArray[np.bool_], values: Floats
     for i in range(signals.shape[2]):
         if values[0, i] != 0.0:
             omega = 2.0 * math.pi * values[0, i]
-            for axis in range(6):
-                second_order(signals, t, fresh, axis, i, omega, math.sqrt(0.5), 0.0, 1.0, state, STATES * axis)
+            second_order(signals, t, fresh, 0, 6, i, omega, math.sqrt(0.5), 0.0, 1.0, state)
 
 
 def _lag(p: Values) -> Floats:

@@ -104,24 +104,25 @@ class Blocks:
         self._data[:] = fresh._data
 
     def walk(
-        self, road: Floats, own_road: Callable[[int], Floats] | None, substeps: Ints, motion: Floats,
+        self, road: Floats, own_road: Callable[[int], tuple[Floats, Floats]] | None, substeps: Ints, motion: Floats,
         begin: int, end: int, signals: Floats, states: Floats = _NONE, threads: int = 1,
     ) -> None:  # fmt: skip
         """All lanes through the stamps begin..end-1; arguments as in ``full_car._run``.
 
-        ``own_road`` makes the heights (rows, 4, WIDTH) that the lanes of a block see, by its number.
+        ``own_road`` makes the heights that the lanes of a block see, by its number: (rows, 4) of all, or
+        (rows, 4, WIDTH) of each.
         """
 
         def part(low: int, high: int) -> None:
             data, lane0, hinges = self._data[low:high], low * rows.WIDTH, self.known.hinges
-            own = _NONE if own_road is None else own_road(low)
+            shared, own = (road, _NONE) if own_road is None else own_road(low)
             where = substeps, motion, begin, end, signals, states, lane0
             if self.known.model == "msd":
-                MSD_KERNELS[hinges](data, road, own, *where)
+                MSD_KERNELS[hinges](data, shared, own, *where)
             elif self.known.has_terms:
-                EFFECT_KERNELS[hinges](data, self._flags[low:high], road, own, *where)
+                EFFECT_KERNELS[hinges](data, self._flags[low:high], shared, own, *where)
             else:
-                KERNELS[hinges](data, road, *where)
+                KERNELS[hinges](data, shared, *where)
 
         pieces = self.count if own_road is not None else min(self.count, max(1, threads))
         cuts = np.linspace(0, self.count, pieces + 1).astype(int)

@@ -86,20 +86,23 @@ def _restamp(
     """
     n, taps, phases = t.size, table.shape[1], table.shape[0] - 1
     w = np.empty(taps)
-    for lane in range(out.shape[2]):
-        if delay[lane] == 0.0 and drift[lane] == 0.0:
-            continue
+    begin = 0
+    while begin < out.shape[2]:
+        # lanes that are as late share their weights, and the loop over them vectorises
+        late, pace = delay[begin], drift[begin]
+        end = begin + 1
+        while end < out.shape[2] and delay[end] == late and drift[end] == pace:
+            end += 1
         k = 0
-        for row in range(n):
-            at = t[row] - delay[lane] - drift[lane] * (t[row] - t[0])
+        for row in range(n if late != 0.0 or pace != 0.0 else 0):
+            at = t[row] - late - pace * (t[row] - t[0])
             while k < n - 2 and t[k + 1] <= at:
                 k += 1
             while k > 0 and t[k] > at:
                 k -= 1
             if n < 2 or at <= t[0] or at >= t[n - 1] or substeps[k + 1] == 0:
                 nearest = k if n < 2 or at - t[k] <= t[k + 1] - at else k + 1
-                for q in range(out.shape[1]):
-                    out[row, q, lane] = plain[nearest, q, lane]
+                out[row, :, begin:end] = plain[nearest, :, begin:end]
                 continue
             h = t[k + 1] - t[k]
             s = (at - t[k]) / h
@@ -110,26 +113,30 @@ def _restamp(
                     w[i] = (1.0 - fine) * table[p, i] + fine * table[p + 1, i]
                 first = k - taps // 2 + 1
                 for q in range(out.shape[1]):
-                    value = 0.0
+                    to = out[row, q, begin:end]
+                    to[:] = 0.0
                     for i in range(taps):
-                        value += w[i] * plain[first + i, q, lane]
-                    out[row, q, lane] = value
+                        many, f = plain[first + i, q, begin:end], w[i]
+                        for lane in range(to.size):
+                            to[lane] += f * many[lane]
                 continue
             before = k > 0 and substeps[k] > 0
             after = k + 2 < n and substeps[k + 2] > 0
             for q in range(out.shape[1]):
-                a, b = plain[k, q, lane], plain[k + 1, q, lane]
-                slope = (b - a) / h
-                left = right = slope
-                if before:
-                    left = _slope((a - plain[k - 1, q, lane]) / (t[k] - t[k - 1]), slope, t[k] - t[k - 1], h)
-                if after:
-                    then = t[k + 2] - t[k + 1]
-                    right = _slope(slope, (plain[k + 2, q, lane] - b) / then, h, then)
-                out[row, q, lane] = (
-                    (1 + 2 * s) * (1 - s) ** 2 * a + s * (1 - s) ** 2 * h * left
-                    + s * s * (3 - 2 * s) * b + s * s * (s - 1) * h * right
-                )  # fmt: skip
+                for lane in range(begin, end):
+                    a, b = plain[k, q, lane], plain[k + 1, q, lane]
+                    slope = (b - a) / h
+                    left = right = slope
+                    if before:
+                        left = _slope((a - plain[k - 1, q, lane]) / (t[k] - t[k - 1]), slope, t[k] - t[k - 1], h)
+                    if after:
+                        then = t[k + 2] - t[k + 1]
+                        right = _slope(slope, (plain[k + 2, q, lane] - b) / then, h, then)
+                    out[row, q, lane] = (
+                        (1 + 2 * s) * (1 - s) ** 2 * a + s * (1 - s) ** 2 * h * left
+                        + s * s * (3 - 2 * s) * b + s * s * (s - 1) * h * right
+                    )  # fmt: skip
+        begin = end
 
 
 @compiled

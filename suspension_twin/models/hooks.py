@@ -30,7 +30,7 @@ from __future__ import annotations
 
 import importlib
 from collections.abc import Callable, Iterable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields
 from typing import Any
 
 import numpy as np
@@ -71,6 +71,12 @@ class RoadChange:
         moved = (self.ahead != 0) | (self.left != 0) | (self.delay != 0) | (self.drift != 0)
         filtered = (self.smoothing != 0) | (self.sharpening != 0) | (self.patch != 0)
         return (self.scale != 1) | moved | filtered
+
+    def alike(self, first: int, count: int) -> list[int]:
+        """For each of ``count`` candidates from ``first`` on, which of them is the first to see the same road."""
+        seen = list(zip(*(getattr(self, f.name)[first : first + count].tolist() for f in fields(self)), strict=True))
+        known: dict[tuple[float, ...], int] = {}
+        return [known.setdefault(each, i) for i, each in enumerate(seen)]
 
 
 @dataclass(frozen=True, eq=False)

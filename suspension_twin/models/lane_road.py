@@ -32,6 +32,7 @@ BESIDE = 0.05
 #: Distance in m that the samples go on beyond both ends of the drive, the last heights held.
 MARGIN = 8.0
 _REACH = 4.0  # of a Gaussian, in sigmas
+_NONE = np.empty((0, 4, WIDTH))
 #: What a short wave that smoothing took out of a road file is raised by at most.
 LARGEST_GAIN = 10.0
 
@@ -123,8 +124,9 @@ def reach_of(change: RoadChange) -> float:
 def own_road(
     tracks: Samples, change: RoadChange, lane0: int, count: int, road: Floats, distance: Floats, reference: Floats,
     strict: bool = True, earlier: Callable[[float, float], Floats] | None = None,
-) -> Floats:  # fmt: skip
-    """(rows, 4, WIDTH) heights in m that each lane of one block sees, for a stretch of the drive.
+) -> tuple[Floats, Floats]:  # fmt: skip
+    """Heights in m that the lanes of one block see, for a stretch of the drive: (rows, 4) where all see the same, and
+    (rows, 4, WIDTH) each lane's own, or none.
 
     ``change`` of all L lanes, of which lanes ``lane0``.. (``count`` of them) are in this block;
     ``road`` (rows, 4) and ``distance`` (rows,) of the stretch; ``reference`` (4,) m is what heights
@@ -132,10 +134,13 @@ def own_road(
     else it gets no heights at all, and fails alone. ``earlier`` gives distances (rows,) a delay and a drift ago.
     """
     low_distance, high_distance = float(distance.min()), float(distance.max())
-    need = change.changed
+    need, alike = change.changed, change.alike(lane0, count)
     heights = np.empty((count, 4, road.shape[0]))
     for i in range(count):
         lane = lane0 + i
+        if alike[i] < i:  # candidates mostly differ in something else
+            heights[i] = heights[alike[i]]
+            continue
         if not need[lane]:
             heights[i] = road.T
             continue
@@ -167,9 +172,11 @@ def own_road(
         scale = float(change.scale[lane])
         if scale != 1.0:
             heights[i] += (scale - 1.0) * (heights[i] - reference[:, None])
+    if max(alike) == 0:
+        return np.ascontiguousarray(heights[0].T), _NONE
     out = np.empty((road.shape[0], 4, WIDTH))
     _side_by_side(heights, out)
-    return out
+    return road, out
 
 
 def _beside(tracks: Samples, left: float) -> Floats:

@@ -150,25 +150,24 @@ class LiveTwin:
             ground = np.where(np.isfinite(ground), ground, self._ground)
         self._t = t
         self._ground = ground[-1:]
-        own = self._own_road(ground, n) if self._known.road is not None else None
-        self._advance(ground, own)
+        seen = self._seen(ground, n)
+        self._advance(seen)
         if self._blocks.failed[0]:
             event = "diverged: started afresh"
             self._blocks.restart(self._fresh)
             self._count[1] = 0
-            self._advance(self._ground, None if own is None else own[-1:])
+            self._advance(seen[-1:])
         self._last = self._state(t, event)
         return self._last
 
-    def _advance(self, ground: Floats, own: Floats | None) -> None:
-        self._blocks.walk(
-            ground, None if own is None else lambda _: own, self._count, self._motion, 1, 2, self._signals, self._states
-        )
+    def _advance(self, seen: Floats) -> None:
+        self._blocks.walk(seen, None, self._count, self._motion, 1, 2, self._signals, self._states)
 
-    def _own_road(self, ground: Floats, n: int) -> Floats:
-        """Heights (rows, 4, WIDTH) where effects change what the twin sees of the road."""
+    def _seen(self, ground: Floats, n: int) -> Floats:
+        """(rows, 4) heights that the twin sees of the ``ground``, where effects change that."""
         change = self._known.road
-        assert change is not None
+        if change is None:
+            return ground
         (x0, x1), (y0, y1), (_, yaw) = self._pose.tolist()
         if n == 0:
             x0, y0 = x1, y1
@@ -177,7 +176,7 @@ class LiveTwin:
         around = ahead_of((x0, x1), (y0, y1), yaw, reach_of(change), self._wheels, self._road)
         if self._reference is None:
             self._reference = ground[0].copy()
-        return own_road(around, change, 0, 1, ground, distance, self._reference)
+        return own_road(around, change, 0, 1, ground, distance, self._reference)[0]
 
     def _state(self, t: float, event: str) -> LiveState:
         out = np.empty((1, OBSERVED))

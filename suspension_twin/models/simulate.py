@@ -118,7 +118,7 @@ def _stretches(known: Constants, excitation: Excitation, most: int | None = None
 
 def _roads(
     known: Constants, blocks: Blocks, excitation: Excitation, begin: int, end: int, strict: bool = True
-) -> tuple[Floats, Callable[[int], Floats] | None]:
+) -> tuple[Floats, Callable[[int], tuple[Floats, Floats]] | None]:
     """Road heights of a stretch, and a maker of every block's own where lanes see different roads;
     ``strict`` as in ``own_road``."""
     part = slice(int(excitation.first[begin]), int(excitation.first[end]))
@@ -128,7 +128,7 @@ def _roads(
     tracks = tracks_of(excitation)
     distance = tracks.distance[part]
 
-    def own(block: int) -> Floats:
+    def own(block: int) -> tuple[Floats, Floats]:
         lane0 = block * rows.WIDTH
         count = min(rows.WIDTH, blocks.lanes - lane0)
         return own_road(

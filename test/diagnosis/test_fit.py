@@ -52,7 +52,7 @@ def bench() -> Any:
     def residuals(hypothesis: Hypothesis, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         return valleys(x), np.zeros(x.shape[1], dtype=bool)
 
-    def linearise(hypothesis: Hypothesis, x: np.ndarray, known: Any = None) -> Linearised:
+    def linearise(hypothesis: Hypothesis, x: np.ndarray) -> Linearised:
         steps = np.repeat(x[:, None], 4, axis=1) + 1e-6 * np.eye(4)
         base = valleys(x[:, None])
         return Linearised(x, base[:, 0], (valleys(steps) - base) / 1e-6)

@@ -49,7 +49,7 @@ class Line:
         precision, _ = self.prior(hypothesis)
         return np.sum(self.residuals(hypothesis, x)[0] ** 2, axis=0) + np.sum(x * (precision @ x), axis=0)
 
-    def linearise(self, hypothesis: Hypothesis, x: np.ndarray, known: Any = None) -> Linearised:
+    def linearise(self, hypothesis: Hypothesis, x: np.ndarray) -> Linearised:
         return Linearised(x, self.residuals(hypothesis, x[:, None])[0][:, 0], self.a[:, : x.size])
 
     def fit(self, hypothesis: Hypothesis) -> Linear:
@@ -84,7 +84,7 @@ def test_the_price_is_that_of_the_best_between_residuals_and_prior(seed: int, te
 
     low, high = bench.limits(BASELINE)
     best = minimize(price, fit.x, bounds=list(zip(low, high, strict=True)), options={"ftol": 1e-14, "gtol": 1e-10})
-    spent, _ = strain_of(bench, fit, np.ones(bench.b.size)).at(temper)
+    spent, _ = strain_of(bench, fit, fit.at).at(temper)
     assert spent == pytest.approx(best.fun, rel=1e-3, abs=1e-4)
     assert spent <= 0.5 * float(np.sum(fit.x[1:4] ** 2)) + 1e-9
 
@@ -98,15 +98,15 @@ def test_clocks_at_their_ends_are_chance_where_little_asks_for_it() -> None:
         bench.problem = SimpleNamespace(nuisances=SimpleNamespace(names=names, spread=np.ones(3)))
         fit = bench.fit(BASELINE)
         assert (fit.x[2:4] > 2.95).all()
-        found: Any = SimpleNamespace(fit=fit, strain=strain_of(bench, fit, np.ones(bench.b.size)))
+        found: Any = SimpleNamespace(fit=fit, strain=strain_of(bench, fit, fit.at))
         assert (verdict.punctual(bench, found, 0.01) > 0.5) == (late < 10.0)
         found.strain = None
         assert verdict.punctual(bench, found, 0.01) < 0.5
 
 
 def told(bench: Any, *hypotheses: Hypothesis) -> np.ndarray:
-    strains = [strain_of(bench, bench.fit(h), np.ones(bench.b.size)) for h in hypotheses]
-    return relieved(strains, 0.03)
+    fits = [bench.fit(h) for h in hypotheses]
+    return relieved([strain_of(bench, fit, fit.at) for fit in fits], 0.03)
 
 
 def test_what_spares_the_clocks_gains_by_what_they_were_asked_for() -> None:
@@ -136,7 +136,7 @@ def test_a_prior_counts_in_full_where_what_is_left_is_the_models_own_error() -> 
 
     def found(h: Hypothesis) -> Evidence:
         fit = bench.fit(h)
-        return Evidence(fit, score, 0.0, {}, np.zeros(1), np.zeros((1, 5)), 0.0, strain_of(bench, fit, np.ones(200)))
+        return Evidence(fit, score, 0.0, {}, np.zeros(1), np.zeros((1, 5)), 0.0, strain_of(bench, fit, fit.at))
 
     share, _ = weights([found(BASELINE), found(LATE)], np.array([0.5, 0.5]), 0.03, 0)
     assert share[1] > 0.95

@@ -21,7 +21,7 @@ def through(
     state = np.zeros((STATES, 1))
     for part in np.array_split(np.arange(t.size), pieces):
         own = np.ascontiguousarray(signals[part])
-        second_order(own, t[part], fresh[part], 2, 0, omega, zeta, feed, 1.0, state, 0)
+        second_order(own, t[part], fresh[part], 2, 1, 0, omega, zeta, feed, 1.0, state)
         signals[part] = own
     return signals[:, 2, 0]
 
