@@ -117,11 +117,11 @@ def read_alike(
                 + w4 * side[a4, x] + w5 * side[a5, x] + w6 * side[a6, x] + w7 * side[a7, x]
             )  # fmt: skip
         for c in range(channels):
-            other, still, own = turned[c], 0.0, c * lanes
+            other, still, moved, own = turned[c], 0.0, 0.0, c * lanes
             if carried.shape[0] > 0:
                 still = carried[rows[i], c]
                 for k in range(taps):
-                    still -= w[k] * carried[at[k + 2], c]
+                    moved += w[k] * carried[at[k + 2], c]
             if other >= 0:
                 first, count, weights = (0, taps + 4, bend) if other == channels else (1, taps + 2, slope)
                 of = c if other == channels else other
@@ -135,7 +135,7 @@ def read_alike(
                     to[own + lane] += lever[c, lane] * more[lane]
             x, y = about[0, i, c], about[1, i, c]
             for lane in range(lanes):
-                value = gain[c, lane] * to[own + lane] + bias[c, lane]
+                value = gain[c, lane] * (to[own + lane] - moved) + bias[c, lane]
                 out[i, c, lane] = value + tilt[0, lane] * x + tilt[1, lane] * y + still
 
 

@@ -156,21 +156,26 @@ def test_clock_and_map_leave_alone_what_the_planar_motion_brings_about(prepared:
     np.testing.assert_allclose(out[:, 1], 0.5 * braking[50:-50], atol=1e-12)
 
 
-def test_lanes_together_are_lanes_alone(prepared: Prepared) -> None:
-    """Lanes that share a shift go through another loop than one that has its own; pivots and tilts included."""
+@pytest.mark.parametrize("carried", [False, True], ids=["", "carried"])
+@pytest.mark.parametrize("alike", [3, 5], ids=["some alike", "all alike"])
+def test_lanes_together_are_lanes_alone(prepared: Prepared, alike: int, carried: bool) -> None:
+    """Lanes that share a shift go through other loops than one with its own; pivots, tilts, holders included."""
     channels = ("vertical_acceleration", "longitudinal_acceleration", "pitch_rate")
-    n = Nuisances([prepared], [0], channels, NuisancePriors(pivot=0.3), [0.0])
+    n = Nuisances([prepared], [0], channels, NuisancePriors(pivot=0.3, holder=1.0), [0.0])
     rng = np.random.default_rng(3)
     signal = rng.standard_normal((prepared.t.size, 3, 5))
+    if carried:
+        n.carried = [rng.standard_normal((prepared.t.size, 3))]
     values = rng.standard_normal((len(n), 5)) * n.spread[:, None]
     shifts = [n.names.index("map_position"), n.names.index("pass.clock_offset")]
-    values[shifts, 1:4] = values[shifts, 1:2]
+    values[shifts, 5 - alike :] = values[shifts, -1:]
     rows = np.arange(prepared.t.size)
+    inside = slice(50, -50)  # at the very ends a slope of a slope is another
     together = n.apply(0, signal, rows, values)
     one = n.apply(0, signal[:, :, :1], rows, values)
     for lane in range(5):
         alone = n.apply(0, signal[:, :, lane : lane + 1], rows, values[:, lane : lane + 1])
-        np.testing.assert_allclose(together[:, :, lane], alone[:, :, 0], atol=1e-12)
+        np.testing.assert_allclose(together[inside, :, lane], alone[inside, :, 0], atol=1e-12)
         same = n.apply(0, signal[:, :, :1], rows, values[:, lane : lane + 1])
         np.testing.assert_allclose(one[:, :, lane], same[:, :, 0], atol=1e-12)
 

@@ -18,7 +18,7 @@ from suspension_twin.calibration.genetic import (
     rank_expectation,
     stochastic_uniform,
 )
-from suspension_twin.calibration.least_squares import LeastSquares, LmSettings, gram, solve_positive
+from suspension_twin.calibration.least_squares import LeastSquares, LmSettings, gram, solve_positive, squared
 from suspension_twin.calibration.pattern import PatternSearch, PatternSettings
 
 TARGET = np.linspace(0.2, 0.8, 6)
@@ -213,6 +213,8 @@ def test_gram_and_solve_agree_with_lapack() -> None:
     rng = np.random.default_rng(2)
     a = rng.standard_normal((300, 7)) * 10.0 ** np.arange(-6, 8, 2)
     np.testing.assert_allclose(gram(a, a), a.T @ a, rtol=1e-9, atol=1e-9)
+    for rows in (300, 299, 3):
+        assert np.array_equal(squared(a[:rows]), gram(a[:rows], a[:rows]))
     x = rng.standard_normal(7) / 10.0 ** np.arange(-6, 8, 2)
     np.testing.assert_allclose(solve_positive(gram(a, a), gram(a, (a @ x)[:, None])[:, 0]), x, rtol=1e-6)
 

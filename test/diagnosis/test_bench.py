@@ -90,6 +90,33 @@ def test_an_effect_everywhere_is_one_of_the_vehicle(leaning: Bench) -> None:
     assert_allclose(mixed, own, atol=1e-9)
 
 
+def test_known_columns_and_those_of_effects_are_the_whole_jacobian(leaning: Bench) -> None:
+    effect = Hypothesis(("tyre_damping",))
+    x = np.concatenate([leaning.centre, [0.7]])
+    whole = leaning.linearise(effect, x)
+    residual, columns = leaning.effects_alone(effect, x)
+    assert_allclose(residual, whole.residual, atol=1e-9)
+    squares, slope = whole.first(leaning.d + leaning.q).beyond(residual, columns)
+    assert_allclose(squares, whole.squares, rtol=1e-6, atol=1e-6 * np.abs(whole.squares).max())
+    assert_allclose(slope, whole.slope, rtol=1e-6, atol=1e-6 * np.abs(whole.slope).max())
+    assert_allclose(whole.squares, whole.jacobian.T @ whole.jacobian, atol=1e-9 * np.abs(whole.squares).max())
+    assert_allclose(whole.slope, whole.jacobian.T @ whole.residual, atol=1e-9 * np.abs(whole.slope).max())
+
+
+def test_longer_steps_are_the_same_drives_to_what_the_model_leaves(leaning: Bench) -> None:
+    """Whatever excites the vehicle: what is found in longer steps is looked at once more in the drives' own."""
+    coarse, z = leaning.coarser(2.5e-3), leaning.centre[:, None]
+    for effects in ((), ("sensor_tilt",), ("payload",)):
+        one, other = (b.excitation(0, effects) for b in (leaning, coarse))
+        assert other.max_step == 2.5e-3
+        assert other.road.shape[0] < 0.6 * one.road.shape[0]
+        assert_allclose(other.x, one.x)
+    signals, rougher = (np.concatenate(b.signals(BASELINE, z[: b.d], z[:0])[0]) for b in (leaning, coarse))
+    off = np.sqrt(np.mean((rougher - signals) ** 2, axis=0) / np.mean(signals**2, axis=0))[:3]
+    assert (off > 0.0).all()
+    assert (off < 0.01).all()
+
+
 def test_what_changed_is_told_from_what_was_there_before(make: Any) -> None:
     """A low-pass that the sensor always had makes a low-pass on the drives with the gap gain more than the late clock
     that came since."""

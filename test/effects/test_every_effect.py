@@ -126,6 +126,26 @@ def test_a_candidate_beside_the_road_fails_alone(twin: Twin) -> None:
         respond(given(twin, lateral_offset={"offset": 0.8}), edge, way(0.5))
 
 
+@pytest.mark.parametrize(("effect", "name", "values"), [
+    ("lateral_offset", "offset", (0.0, 0.1, 0.1, 0.3, 0.0)), ("time_offset", "offset", (0.0, 0.02, 0.02, -0.01, 0.0)),
+    ("tyre_envelope", "length", (0.2, 0.2, 0.2, 0.2, 0.2)), ("sensor_bandwidth", "cutoff", (9.0, 9.0, 0.0, 30.0, 30.0)),
+])  # fmt: skip
+def test_candidates_that_see_the_same_are_as_alone(
+    twin: Twin, effect: str, name: str, values: tuple[float, ...]
+) -> None:
+    """What lanes have in common is made once; in blocks that share all of it, and in those that share some."""
+    road = excitation(way(0.5), twin.vehicle, type("Ground", (), {"heights": staticmethod(rough)})())
+    armed = given(twin, **{effect: {}})
+    key = f"effects.{effect}.{name}"
+    for repeat in (1, 4):
+        many = np.repeat(np.array(values), repeat)[:, None]
+        run = simulate_lanes(armed, lanes(armed, [key], many), road)
+        for lane, value in enumerate(many[:, 0]):
+            alone = simulate_lanes(armed, lanes(armed, [key], np.array([[value]])), road)
+            assert np.array_equal(run.force[..., lane], alone.force[..., 0]), (lane, value)
+            assert np.array_equal(run.rate[..., lane], alone.rate[..., 0])
+
+
 @pytest.mark.parametrize("name", EFFECTS)
 def test_a_twin_file_keeps_it(twin: Twin, name: str, tmp_path: Path) -> None:
     saved = given(model_of(EFFECTS[name], twin), **{name: full(EFFECTS[name])})

@@ -71,3 +71,24 @@ def test_piece_by_piece_is_the_same() -> None:
     x = np.random.default_rng(1).standard_normal(t.size)
     whole, pieces = (through(x, t, 80.0, 0.3, pieces=n) for n in (1, t.size))
     assert np.array_equal(whole, pieces)
+
+
+def test_axes_together_are_axes_alone() -> None:
+    """With steps that they have in common, and where one has begun later than the others."""
+    rng = np.random.default_rng(7)
+    t = np.cumsum(rng.uniform(0.004, 0.02, 80))
+    fresh = np.zeros(80, dtype=bool)
+    fresh[[0, 40]] = True
+    x = rng.normal(size=(80, 7, 3))
+    x[:, 6] = x[:, 2]
+    state = np.zeros((6 * STATES, 3))
+    state[3 * STATES + 3] = t[0] - 0.1  # an axis whose last stamp is another one
+    alone, apart = x.copy(), state.copy()
+    for axis in range(6):
+        one = apart[STATES * axis : STATES * (axis + 1)].copy()
+        second_order(alone, t, fresh, axis, 1, 1, 60.0, 0.7, 0.0, 1.0, one)
+        apart[STATES * axis : STATES * (axis + 1)] = one
+    second_order(x, t, fresh, 0, 6, 1, 60.0, 0.7, 0.0, 1.0, state)
+    np.testing.assert_array_equal(x, alone)
+    np.testing.assert_array_equal(state, apart)
+    assert np.abs(x[:, 6, 1] - x[:, 2, 1]).max() < 1e-12

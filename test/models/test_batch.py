@@ -18,7 +18,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from suspension_twin.errors import InputError, WorkError
-from suspension_twin.models.excitation import excitation, substeps
+from suspension_twin.models.excitation import coarser, excitation, substeps
 from suspension_twin.models.parameters import lanes, layout, pack
 from suspension_twin.models.simulate import simulate_lanes, simulate_twin
 from suspension_twin.road import bump_road, circular
@@ -155,6 +155,19 @@ def test_steps_fill_the_interval_and_stay_below_the_largest(interval: float, mos
     n = substeps(interval, most)
     assert interval / n <= most * (1 + 3e-3)
     assert n == 1 or interval / (n - 1) > most * (1 - 1e-9)
+
+
+def test_a_coarser_excitation_is_one_made_coarser(mondeo: Any, drive: Any, rough: Any) -> None:
+    trajectory = drive(seconds=1.5, jitter=0.4, yaw_rate=0.1)
+    fine, other = (excitation(trajectory, mondeo.vehicle, rough, step) for step in (1e-3, 2.5e-3))
+    found = coarser(fine, 2.5e-3)
+    for name in ("t", "substeps", "first", "road", "motion", "max_step"):
+        assert np.array_equal(getattr(found, name), getattr(other, name)), name
+    assert found.road.shape[0] < 0.5 * fine.road.shape[0]
+    plain, rougher = (simulate_twin(mondeo, e).force for e in (fine, found))
+    assert 0.0 < np.abs(rougher - plain).max() < 0.05 * np.abs(plain - plain.mean(axis=0)).max()
+    with pytest.raises(InputError, match="max_step"):
+        coarser(fine, 0.0)
 
 
 def test_golden_derivatives(mondeo: Any, drive: Any, flat: Any) -> None:
