@@ -23,6 +23,9 @@ from suspension_twin.drive.types import Floats
 __all__ = ["Fit", "Linear", "Screening", "finished", "refit", "room", "scanned", "screened", "swept", "within"]
 
 _LADDER = (0.0, 1e-2, 1e-1, 1.0, 10.0)
+#: How many times more a step is held by the prior than by what is known already. What a drive hardly visits, the end
+#: of a spring, has no curvature of its own and a wall behind it, which would hold back all that the drive does tell.
+_BY_PRIOR = 1e4
 _LARGEST_STEP = 2.0
 _ROUNDS = 12  # of holding coordinates at their limits and letting them go
 #: Places of each coordinate of an effect, out to so many spreads of its prior, and how many of them are simulated anew.
@@ -238,8 +241,8 @@ def refit(
         low, high = room(bench, hypothesis, x)
         trials = []
         for factor in _LADDER:
-            damped = hessian.copy()
-            damped[np.diag_indices(x.size)] *= 1.0 + damping * factor
+            more = damping * factor
+            damped = hessian + more * np.diag(np.diag(hessian) + _BY_PRIOR * np.diag(precision))
             step = within(damped, gradient[:, None], low, high)[:, 0]
             step *= min(1.0, _LARGEST_STEP / max(float(np.abs(step).max()), 1e-300))
             trials.append(x + step)

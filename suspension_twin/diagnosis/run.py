@@ -142,13 +142,13 @@ class _Search:
             self._carried_by(self.chosen, self.keeper.gates(self.chosen, self.chosen_left))
 
     def _weigh(self, everything: list[Evidence], prior: Floats, always: Sequence[Evidence | None]) -> None:
-        """Weights of the baseline and all effects; where there is a reference, of what these gain beyond the traits
-        that the vehicle ``always`` had."""
+        """Weights of the baseline and all effects; where there is a reference, also of what these gain beyond the
+        traits that the vehicle ``always`` had: that it has some is as likely at first as that it has none."""
         bench, blocks, seed = self.bench, self.blocks, self.request.seed
         self.weights, self.beats = weights(everything, prior, self.temper, seed)
         known = [e for e in always if e is not None]
-        likely = prior[1:] * [w > _ASKED or e is not None for w, e in zip(self.weights[1:], always, strict=True)]
-        asked = {int(i): everything[1 + i].fit for i in np.flatnonzero(likely)}
+        worth = prior[1:] * [w > _ASKED or e is not None for w, e in zip(self.weights[1:], always, strict=True)]
+        asked = {int(i): everything[1 + i].fit for i in np.flatnonzero(worth)}
         told = since(
             bench, self.base, asked, known, self.temper, blocks,
             lambda done, i: self.tell(Progress("effects", 0.75, f"{everything[1 + i].fit.hypothesis.name}, of late")),
@@ -156,9 +156,13 @@ class _Search:
         if told is None:
             return
         base, late = told
-        prior = np.array([prior[0], *(p if i in late else 0.0 for i, p in enumerate(prior[1:]))])
+        likely = np.array([prior[0], *(p if i in late else 0.0 for i, p in enumerate(prior[1:]))])
         found = [base, *(late.get(i, base) for i in range(len(always)))]
-        self.weights, self.beats = weights(found, prior, self.temper, seed)
+        # what came since and is large bends what all drives share: then it says more without traits than beside them
+        both, _ = weights([*everything, *found], 0.5 * np.concatenate([prior, likely]), self.temper, seed)
+        self.weights, without = both.reshape(2, -1).sum(axis=0), float(both[: len(everything)].sum())
+        if without < 0.5:
+            _, self.beats = weights(found, likely, self.temper, seed)
 
     def _lost(self, base: Linear) -> bool:
         """Whether the recalibrated twin follows nothing of the motion."""

@@ -11,10 +11,11 @@ import pytest
 from numpy.testing import assert_allclose
 from scipy.optimize import lsq_linear
 
+from suspension_twin.diagnosis import fit, judge
 from suspension_twin.diagnosis.bench import Linearised
 from suspension_twin.diagnosis.fit import Linear, refit, screened, swept, within
 from suspension_twin.diagnosis.hypotheses import BASELINE, Hypothesis
-from suspension_twin.diagnosis.judge import Blocks, intervals
+from suspension_twin.diagnosis.judge import FOLDS, Blocks, held_out, intervals
 
 STOP = Hypothesis(("rebound_stop",))
 TRUTH = np.array([0.7, -1.2, 0.4])
@@ -86,6 +87,68 @@ def test_candidates_that_fail_are_passed_over(bench: Any) -> None:
     bench.residuals = lambda hypothesis, x: (np.zeros((4, x.shape[1])), np.ones(x.shape[1], dtype=bool))
     bench.costs = lambda hypothesis, x: np.full(x.shape[1], np.inf)
     assert swept(bench, at(bench, stuck)) is None
+
+
+def walled(x: np.ndarray) -> np.ndarray:
+    """(R, L) residuals of two characteristics: what little there is of the first pulls it into a wall."""
+    wall = 1e3 * np.maximum(x[0] - 0.1, 0.0) ** 2
+    return np.stack([0.5 * (x[0] - 1.0), wall, 30 * (np.exp(x[1]) - 2.0), 20 * (np.sin(x[1]) + 0.2 * x[1] ** 2 - 0.7)])
+
+
+def hilly(shape: Any, count: int, precision: np.ndarray, hypothesis: Hypothesis = BASELINE) -> Any:
+    """A bench of ``count`` characteristics with residuals ``shape`` and nothing else."""
+    low, high = hypothesis.bounds()
+    low, high = np.concatenate([np.full(count, -np.inf), low]), np.concatenate([np.full(count, np.inf), high])
+
+    def costs(hypothesis: Hypothesis, x: np.ndarray) -> np.ndarray:
+        return np.sum(shape(x) ** 2, axis=0) + np.einsum("il,ij,jl->l", x, precision, x)
+
+    def linearise(hypothesis: Hypothesis, x: np.ndarray) -> Linearised:
+        base = shape(x[:, None])
+        return Linearised(x, base[:, 0], (shape(x[:, None] + 1e-6 * np.eye(x.size)) - base) / 1e-6)
+
+    return SimpleNamespace(
+        d=count, q=0, costs=costs, linearise=linearise,
+        clipped=lambda hypothesis, x: np.clip(x, low[:, None], high[:, None]), limits=lambda hypothesis: (low, high),
+        prior=lambda hypothesis: (precision, np.zeros(precision.shape[0])),
+        residuals=lambda hypothesis, x: (shape(x), np.zeros(x.shape[1], dtype=bool)),
+        problem=SimpleNamespace(nuisances=SimpleNamespace(names=())),
+    )  # fmt: skip
+
+
+def test_a_wall_beside_what_nothing_tells_does_not_hold_back_the_rest(monkeypatch: pytest.MonkeyPatch) -> None:
+    bench = hilly(walled, 2, 0.1 * np.eye(2))
+    _, best = refit(bench, BASELINE, [np.array([0.12, 0.7])], None, 60)
+    start = [np.array([-0.5, -1.0])]
+    _, cost = refit(bench, BASELINE, start, None, 3)
+    assert cost < best + 1.0
+    monkeypatch.setattr(fit, "_BY_PRIOR", 0.0)
+    _, cost = refit(bench, BASELINE, start, None, 3)
+    assert cost > best + 10.0
+
+
+def test_what_one_fold_alone_tells_of_the_vehicle_is_not_lost_with_it(monkeypatch: pytest.MonkeyPatch) -> None:
+    """An effect, though, has to do without."""
+    hypothesis = Hypothesis(("tyre_damping",))
+    rows = np.arange(60) % FOLDS
+
+    def shape(x: np.ndarray) -> np.ndarray:
+        vehicle, effect = (np.where(rows == 2, np.arange(60) // 5 % 2 == i, 0)[:, None] for i in (0, 1))
+        return np.asarray(vehicle * 40 * (np.exp(-3 * (x[0] - 0.8)) - 1.0) + effect * 4 * (x[1] - 0.9))
+
+    bench = hilly(shape, 1, np.eye(2), hypothesis)
+    x, cost = refit(bench, hypothesis, [np.array([0.5, 1.0])], None, 60)
+    at = Linear(hypothesis, x, cost, bench.linearise(hypothesis, x))
+    blocks = Blocks(rows, rows, FOLDS)
+    fitted = np.sum(at.at.residual**2)
+    out = held_out(bench, at, blocks)
+    assert_allclose(out.unknowns[0], x[0], atol=0.02)
+    assert out.unknowns[1, 2] == pytest.approx(0.0, abs=1e-6) and x[1] > 0.8
+    moved = shape(np.array([[x[0]], [0.0]]))
+    assert np.sum(out.left**2) < 1.2 * np.sum(moved**2)
+    monkeypatch.setattr(judge, "_HELD", (0.0,))
+    free = held_out(bench, at, blocks)
+    assert np.sum(free.left**2) > 10 * np.sum(out.left**2) > 10 * fitted
 
 
 @pytest.mark.parametrize("seed", range(5))

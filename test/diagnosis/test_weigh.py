@@ -1,0 +1,64 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Weights of what came since, where the vehicle may have traits."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+
+from suspension_twin.diagnosis import judge, run
+from suspension_twin.diagnosis.fit import Fit
+from suspension_twin.diagnosis.hypotheses import Hypothesis
+from suspension_twin.diagnosis.judge import Evidence
+
+
+def told(effect: str, gain: float) -> Evidence:
+    """Evidence of ``gain`` nats over all else being nothing, spread evenly over ten blocks."""
+    hypothesis = Hypothesis((effect,) if effect else ())
+    score = np.full(10, gain / 10)
+    return Evidence(Fit(hypothesis, np.zeros(0), 0.0), score, 0.0, {}, np.zeros(0), np.zeros((0, 5)), gain)
+
+
+def weighed(
+    monkeypatch: pytest.MonkeyPatch, plain: tuple[float, float], base: float | None, late: tuple[float, float]
+) -> Any:
+    """A payload and a late clock, which gain ``plain`` by themselves and ``late`` where the vehicle has traits that
+    gain ``base``."""
+    effects = ("payload", "time_offset")
+    beside = {i: told(e, g) for i, (e, g) in enumerate(zip(effects, late, strict=True))}
+    monkeypatch.setattr(run, "since", lambda *given: None if base is None else (told("", base), beside))
+    monkeypatch.setattr(judge, "relieved", lambda strains, temper: np.zeros(len(strains)))
+    search: Any = SimpleNamespace(
+        bench=None, blocks=None, request=SimpleNamespace(seed=0), base=told("", 0.0), temper=1.0, tell=None
+    )
+    everything = [search.base, *(told(e, g) for e, g in zip(effects, plain, strict=True))]
+    run._Search._weigh(search, everything, np.array([0.4, 0.3, 0.3]), [None, None])
+    assert search.weights.sum() == pytest.approx(1.0)
+    assert search.beats.shape == (3, 3)
+    return search
+
+
+def test_what_is_small_counts_beside_the_traits_that_the_vehicle_had(monkeypatch: pytest.MonkeyPatch) -> None:
+    search = weighed(monkeypatch, plain=(8.0, 4.0), base=20.0, late=(22.0, 35.0))
+    assert search.weights[2] > 0.99
+    assert search.beats[2, 1] == 1.0
+
+
+def test_what_is_large_bends_the_traits_and_counts_without(monkeypatch: pytest.MonkeyPatch) -> None:
+    search = weighed(monkeypatch, plain=(190.0, 40.0), base=60.0, late=(70.0, 90.0))
+    assert search.weights[1] > 0.99
+    assert search.beats[1, 2] == 1.0
+
+
+def test_either_is_as_likely_at_first(monkeypatch: pytest.MonkeyPatch) -> None:
+    search = weighed(monkeypatch, plain=(30.0, 0.0), base=0.0, late=(0.0, 30.0))
+    assert_allclose(search.weights, [0.0, 0.5, 0.5], atol=1e-6)
+
+
+def test_without_traits_nothing_changes(monkeypatch: pytest.MonkeyPatch) -> None:
+    search = weighed(monkeypatch, plain=(0.0, np.log(2.0)), base=None, late=(0.0, 0.0))
+    assert_allclose(search.weights, np.array([0.4, 0.3, 0.6]) / 1.3, rtol=1e-9)
