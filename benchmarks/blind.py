@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Diagnosis on cases whose effect is withheld: makes them, diagnoses them, and scores the answers.
 
-    python benchmarks/blind.py [--short | --full] [--seeds dev|report|report2] [--limit N] [--json] [--out DIR]
+    python benchmarks/blind.py [--short | --full] [--seeds dev|report|report2|report3] [--limit N] [--json] [--out DIR]
     python benchmarks/blind.py --stage generate|diagnose|score ...    # one stage alone
     python benchmarks/blind.py ... --keep [--add]                     # answers kept, with --add beside those before
 
@@ -9,7 +9,7 @@ Cases come from two realities that share nothing with the package's models (``bl
 ``blind/multibody.py``). Their labels are sealed under a hash before the first diagnosis, and a diagnosis
 is started with a copy of the case's folder alone. ``--limit N`` takes N cases of every kind in fair
 shares; ``--only`` keeps cases of some effects or kinds. What was diagnosed stays: run again to go on.
-A case that was reported on teaches: ``report2`` are as many that none was.
+A case that was reported on teaches: ``report2`` are as many that none was, and so are ``report3``.
 """
 
 from __future__ import annotations
@@ -110,7 +110,7 @@ def parsed() -> argparse.Namespace:
     size = parser.add_mutually_exclusive_group()
     size.add_argument("--short", action="store_true", help="nine cases, minutes (the default)")
     size.add_argument("--full", action="store_true", help="all cases, hours")
-    parser.add_argument("--seeds", choices=("dev", "report", "report2", "links_dev", "links"), default="dev")
+    parser.add_argument("--seeds", choices=("dev", "report", "report2", "report3", "links_dev", "links"), default="dev")
     parser.add_argument("--stage", choices=("generate", "diagnose", "score", "all"), default="all")
     parser.add_argument("--only", nargs="+", default=[], metavar="EFFECT", help="effects, kinds or names of cases")
     parser.add_argument("--severity", nargs="+", type=float, default=[], help="keep cases of these severities")

@@ -16,7 +16,7 @@ import numpy as np
 
 from blind.faults import ALIASES, LIBRARY, MSD, OUTSIDE, ROAD
 
-Seeds = Literal["dev", "report", "report2", "links_dev", "links"]
+Seeds = Literal["dev", "report", "report2", "report3", "links_dev", "links"]
 Kind = Literal["single", "null", "outside", "excluded", "pair", "stretch"]
 KINDS: tuple[Kind, ...] = ("single", "null", "outside", "excluded", "pair", "stretch")
 SEVERITIES = (0.5, 1.5, 5.0)
@@ -24,7 +24,10 @@ REALITIES = ("newton", "multibody")
 #: Seeds whose cars are the ones with linkages: fewer cases, and none of them faint.
 LINKS = ("links_dev", "links")
 _LINKAGE = "linkage"
-_FIRST = {"dev": 1000, "report": 500_000, "report2": 1_000_000, "links_dev": 2_000_000, "links": 3_000_000}
+_FIRST = {
+    "dev": 1000, "report": 500_000, "report2": 1_000_000, "links_dev": 2_000_000, "links": 3_000_000,
+    "report3": 4_000_000,
+}  # fmt: skip
 WORLDS = 16  # that cases with an effect share
 _PAIR = 3.0  # severity of each member
 #: Pairs of parts that are broken at the same time often enough.

@@ -57,7 +57,7 @@ def test_nothing_outside_the_library_is_in_it_when_its_cases_are_diagnosed() -> 
 def test_development_and_reporting_share_no_world_and_no_name() -> None:
     from blind.plan import plan
 
-    sets = [plan("dev"), plan("report"), plan("report2"), plan("links_dev"), plan("links")]
+    sets = [plan(s) for s in ("dev", "report", "report2", "report3", "links_dev", "links")]
     for one, other in combinations(sets, 2):
         assert not {c.world for c in one} & {c.world for c in other}
     names = [c.name for cases in sets for c in cases]
