@@ -60,6 +60,9 @@ _ALIKE, _MANY = 3.0, 10
 #: Odds against no gap and unknown together from which on a cause is named where no reference says what a sound model
 #: leaves: a wrong name sends somebody to a sound part. Of seven such between even odds and these five are wrong.
 _NAMED_FROM = 1.5
+#: Spreads of a drive's clock that lie between its two ends where it is two early at one and two late at the other: a
+#: place that wanders by centimetres while a drive lasts looks like that too.
+_BETWEEN_ENDS = 4.0
 #: Factor of one standard deviation about what is usual of a twin file that is off.
 _USUAL_SHARE_SPREAD = 1.3
 
@@ -200,11 +203,23 @@ def uncommon(bench: Bench, found: Evidence, changed: bool = False) -> float:
     for effect in (EFFECTS[e] for e in hypothesis.effects):
         weighed = effect.usual_share * bench.problem.twin.vehicle.mass
         usual = {name: effect.parameter(name).usual or weighed for name in effect.severity}
+        if effect.id == "clock_drift":
+            usual = {name: max(least, _ends_apart(bench)) for name, least in usual.items()}
         if (changed and effect.where != "time") or not all(usual.values()):
             continue
         most = max(abs(given[f"effects.{effect.id}.{name}"]) / usual[name] for name in effect.severity)
         likely *= float(norm.cdf(np.log(max(most, 1e-12)) / np.log(_USUAL_SHARE_SPREAD)))
     return likely
+
+
+def _ends_apart(bench: Bench) -> float:
+    """ppm by which a clock drifts that is as early at one end of the longest drive as it is late at the other, within
+    what is normal of clocks; 0 where none is fitted."""
+    problem = bench.problem
+    clocks = zip(problem.nuisances.names, problem.nuisances.spread, strict=True)
+    wander = max((float(spread) for name, spread in clocks if name.endswith(".clock_offset")), default=0.0)
+    longest = max(float(part.t[-1] - part.t[0]) for part in problem.parts)
+    return 1e6 * _BETWEEN_ENDS * wander / max(longest, 1.0)
 
 
 def unmatched(gains: Floats, strange: Floats) -> Floats:

@@ -144,7 +144,8 @@ def fitted(hypothesis: Hypothesis, nuisances: dict[str, float], values: dict[str
     names = list(nuisances)
     given = SimpleNamespace(names=names, spread=np.full(len(names), 0.002))
     twin = SimpleNamespace(vehicle=SimpleNamespace(mass=1500.0))
-    there = SimpleNamespace(d=2, q=len(names), problem=SimpleNamespace(nuisances=given, twin=twin))
+    parts = [SimpleNamespace(t=np.array([0.0, 40.0])), SimpleNamespace(t=np.array([0.0, 25.0]))]
+    there = SimpleNamespace(d=2, q=len(names), problem=SimpleNamespace(nuisances=given, twin=twin, parts=parts))
     u = [(values[p.name] - p.typical) / p.spread for _, p in hypothesis.searched]
     x = np.concatenate([np.zeros(2), [0.002 * v for v in nuisances.values()], u])
     return there, SimpleNamespace(fit=SimpleNamespace(hypothesis=hypothesis, x=x), strain=None)
@@ -179,6 +180,18 @@ def test_what_every_car_has_is_no_finding(effect: str, values: dict[str, float],
     # where a reference shows the same car, what it had before is in both; a clock is another on every drive
     with_reference = verdict.uncommon(*found, changed=True)
     assert with_reference == (verdict.uncommon(*found) if effect == "clock_drift" else 1.0)
+
+
+def test_a_clock_that_is_late_within_what_is_normal_at_either_end_does_not_drift() -> None:
+    hypothesis = Hypothesis(("clock_drift",))
+
+    def uncommon(ppm: float, clocks: dict[str, float]) -> float:
+        return verdict.uncommon(*fitted(hypothesis, clocks, {"drift_ppm": ppm}), changed=True)
+
+    short = {"drive_fast.clock_offset": 0.0, "clock_offset": 0.0}  # 40 s and 2 ms: four of these are 200 ppm
+    assert uncommon(-200.0, short) == pytest.approx(0.5)
+    assert uncommon(100.0, short) < 0.01 and uncommon(-400.0, short) > 0.99
+    assert uncommon(100.0, {}) > 0.99  # where no clock's error is known only its rate tells
 
 
 def test_what_is_named_in_part_is_shared_with_unknown_by_how_much_is_gone() -> None:
