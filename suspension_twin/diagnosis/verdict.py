@@ -60,9 +60,10 @@ _ALIKE, _MANY = 3.0, 10
 #: Odds against no gap and unknown together from which on a cause is named where no reference says what a sound model
 #: leaves: a wrong name sends somebody to a sound part. Of seven such between even odds and these five are wrong.
 _NAMED_FROM = 1.5
-#: Spreads of a drive's clock that lie between its two ends where it is two early at one and two late at the other: a
-#: place that wanders by centimetres while a drive lasts looks like that too.
+#: Spreads of a drive's clock and place that lie between its two ends where they are two off at one and two the other
+#: way at the other: a receiver that wanders by centimetres while a slow drive lasts looks like a clock that drifts.
 _BETWEEN_ENDS = 4.0
+_WANDERS = (".clock_offset", ".map_position")
 #: Factor of one standard deviation about what is usual of a twin file that is off.
 _USUAL_SHARE_SPREAD = 1.3
 
@@ -213,13 +214,15 @@ def uncommon(bench: Bench, found: Evidence, changed: bool = False) -> float:
 
 
 def _ends_apart(bench: Bench) -> float:
-    """ppm by which a clock drifts that is as early at one end of the longest drive as it is late at the other, within
-    what is normal of clocks; 0 where none is fitted."""
+    """ppm by which a clock seems to drift that is early at one end of the longest drive and late at the other within
+    what is normal of clocks and, at that drive's speed, of places; 0 where neither is fitted."""
     problem = bench.problem
-    clocks = zip(problem.nuisances.names, problem.nuisances.spread, strict=True)
-    wander = max((float(spread) for name, spread in clocks if name.endswith(".clock_offset")), default=0.0)
-    longest = max(float(part.t[-1] - part.t[0]) for part in problem.parts)
-    return 1e6 * _BETWEEN_ENDS * wander / max(longest, 1.0)
+    normal = list(zip(problem.nuisances.names, problem.nuisances.spread, strict=True))
+    clock, place = (max((float(v) for n, v in normal if n.endswith(e)), default=0.0) for e in _WANDERS)
+    longest = max(problem.parts, key=lambda part: float(part.t[-1] - part.t[0]))
+    seconds = max(float(longest.t[-1] - longest.t[0]), 1.0)
+    speed = max(float(np.ptp(longest.position)) / seconds, 1.0)
+    return 1e6 * _BETWEEN_ENDS * float(np.hypot(clock, place / speed)) / seconds
 
 
 def unmatched(gains: Floats, strange: Floats) -> Floats:

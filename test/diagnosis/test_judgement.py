@@ -144,7 +144,7 @@ def fitted(hypothesis: Hypothesis, nuisances: dict[str, float], values: dict[str
     names = list(nuisances)
     given = SimpleNamespace(names=names, spread=np.full(len(names), 0.002))
     twin = SimpleNamespace(vehicle=SimpleNamespace(mass=1500.0))
-    parts = [SimpleNamespace(t=np.array([0.0, 40.0])), SimpleNamespace(t=np.array([0.0, 25.0]))]
+    parts = [SimpleNamespace(t=np.array([0.0, s]), position=np.array([5.0, 185.0])) for s in (40.0, 25.0)]
     there = SimpleNamespace(d=2, q=len(names), problem=SimpleNamespace(nuisances=given, twin=twin, parts=parts))
     u = [(values[p.name] - p.typical) / p.spread for _, p in hypothesis.searched]
     x = np.concatenate([np.zeros(2), [0.002 * v for v in nuisances.values()], u])
@@ -188,9 +188,11 @@ def test_a_clock_that_is_late_within_what_is_normal_at_either_end_does_not_drift
     def uncommon(ppm: float, clocks: dict[str, float]) -> float:
         return verdict.uncommon(*fitted(hypothesis, clocks, {"drift_ppm": ppm}), changed=True)
 
-    short = {"drive_fast.clock_offset": 0.0, "clock_offset": 0.0}  # 40 s and 2 ms: four of these are 200 ppm
-    assert uncommon(-200.0, short) == pytest.approx(0.5)
-    assert uncommon(100.0, short) < 0.01 and uncommon(-400.0, short) > 0.99
+    one = {"drive_fast.clock_offset": 0.0, "clock_offset": 0.0}  # 40 s and 2 ms: four of these are 200 ppm
+    assert uncommon(-200.0, one) == pytest.approx(0.5)
+    assert uncommon(100.0, one) < 0.01 and uncommon(-400.0, one) > 0.99
+    both = {**one, "drive_fast.map_position": 0.0}  # and 2 mm at 4.5 m/s
+    assert uncommon(100.0 * np.hypot(2.0, 2.0 / 4.5), both) == pytest.approx(0.5)
     assert uncommon(100.0, {}) > 0.99  # where no clock's error is known only its rate tells
 
 
