@@ -214,14 +214,17 @@ def uncommon(bench: Bench, found: Evidence, changed: bool = False) -> float:
 
 
 def _ends_apart(bench: Bench) -> float:
-    """ppm by which a clock seems to drift that is early at one end of the longest drive and late at the other within
-    what is normal of clocks and, at that drive's speed, of places; 0 where neither is fitted."""
+    """ppm by which a clock seems to drift that is early at one end of the longest drive with the gap and late at the
+    other within what is normal of clocks and, at that drive's speed, of places; 0 where neither is fitted."""
     problem = bench.problem
     normal = list(zip(problem.nuisances.names, problem.nuisances.spread, strict=True))
     clock, place = (max((float(v) for n, v in normal if n.endswith(e)), default=0.0) for e in _WANDERS)
-    longest = max(problem.parts, key=lambda part: float(part.t[-1] - part.t[0]))
-    seconds = max(float(longest.t[-1] - longest.t[0]), 1.0)
-    speed = max(float(np.ptp(longest.position)) / seconds, 1.0)
+    seconds, speed = 1.0, 1.0
+    for drive in {d for d in problem.drive_of if bench.active[d]}:
+        own = [part for part, d in zip(problem.parts, problem.drive_of, strict=True) if d == drive]
+        lasts = float(max(part.t[-1] for part in own) - min(part.t[0] for part in own))
+        if lasts > seconds:
+            seconds, speed = lasts, max(sum(float(np.ptp(part.position)) for part in own) / lasts, 1.0)
     return 1e6 * _BETWEEN_ENDS * float(np.hypot(clock, place / speed)) / seconds
 
 

@@ -144,8 +144,11 @@ def fitted(hypothesis: Hypothesis, nuisances: dict[str, float], values: dict[str
     names = list(nuisances)
     given = SimpleNamespace(names=names, spread=np.full(len(names), 0.002))
     twin = SimpleNamespace(vehicle=SimpleNamespace(mass=1500.0))
-    parts = [SimpleNamespace(t=np.array([0.0, s]), position=np.array([5.0, 185.0])) for s in (40.0, 25.0)]
-    there = SimpleNamespace(d=2, q=len(names), problem=SimpleNamespace(nuisances=given, twin=twin, parts=parts))
+    # a drive of 40 s in two parts, a shorter one, and a longer one from before
+    ends = ((0.0, 10.0, 0), (25.0, 40.0, 0), (50.0, 75.0, 1), (90.0, 190.0, 2))
+    parts = [SimpleNamespace(t=np.array([a, b]), position=np.array([5.0, 95.0])) for a, b, _ in ends]
+    problem = SimpleNamespace(nuisances=given, twin=twin, parts=parts, drive_of=[drive for *_, drive in ends])
+    there = SimpleNamespace(d=2, q=len(names), problem=problem, active=(True, True, False))
     u = [(values[p.name] - p.typical) / p.spread for _, p in hypothesis.searched]
     x = np.concatenate([np.zeros(2), [0.002 * v for v in nuisances.values()], u])
     return there, SimpleNamespace(fit=SimpleNamespace(hypothesis=hypothesis, x=x), strain=None)
