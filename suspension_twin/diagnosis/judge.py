@@ -27,7 +27,7 @@ from suspension_twin.drive.types import Floats
 __all__ = ["Blocks", "Evidence", "blocks_of", "evidence", "held_out", "intervals", "weights"]
 
 FOLDS = 5
-#: How many times more the prior holds vehicle and nuisances while a fold is held back, the least that leads anywhere.
+#: How many times more the prior holds vehicle and nuisances while a fold is held back: what suits the others best.
 #: What one fold alone tells of them, the end of a spring that is visited there, all hypotheses would lose with it, by
 #: thousands of nats and as chance has it: held by a tenth of its spread it is none's to win.
 _HELD = (1e2, 1e3, 1e4)
