@@ -78,8 +78,8 @@ def make_case(spec: Spec, cases: Path, sealed: Path) -> dict[str, Any]:
         drives[name] = {"start": plan.start, "seconds": plan.seconds}
         if stretch is not None:
             drives[name]["stretch"] = _times(motion, world, stretch, plan.start)
-    write_road(_road(world, surveyed(world, faults, stretch)), folder / "road.crg", comment="Surveyed road")
-    save_twin(parse_twin(_twin(world, spec)), folder / "twin.yaml")
+    write_road(road_file(world, surveyed(world, faults, stretch)), folder / "road.crg", comment="Surveyed road")
+    save_twin(parse_twin(twin_file(world, spec)), folder / "twin.yaml")
     if spec.without:
         (folder / REQUEST).write_text(json.dumps({"without": list(spec.without)}) + "\n", encoding="utf-8")
     scale = {} if not spec.effects else {"floor": dict(zip(severity.CHANNELS, _floor(spec), strict=True))}
@@ -115,7 +115,8 @@ def _times(motion: Motion, world: World, stretch: tuple[float, float], start: fl
     return [round(start + float(motion.t[on[0]]), 3), round(start + float(motion.t[on[-1]]), 3)]
 
 
-def _road(world: World, z: Floats) -> Road:
+def road_file(world: World, z: Floats) -> Road:
+    """The road as it was surveyed, with heights ``z`` on the file's grid."""
     line, heading = world.surface.line[::2], world.surface.heading
     zero = np.zeros(line.shape[0])
     v = np.round(-HALF + np.arange(z.shape[1]) * FILE_DV, 6)
@@ -125,7 +126,8 @@ def _road(world: World, z: Floats) -> Road:
     )  # fmt: skip
 
 
-def _twin(world: World, spec: Spec) -> dict[str, Any]:
+def twin_file(world: World, spec: Spec) -> dict[str, Any]:
+    """What the user knows of the vehicle and where it stands."""
     latitude, longitude, altitude = world.datum
     known = dict(world.known)
     return {

@@ -250,7 +250,8 @@ def _hump(u: Floats, at: float, length: float) -> Floats:
     return np.where(np.abs(u - at) < length / 2, 0.5 * (1 + np.cos(2 * np.pi * (u - at) / length)), 0.0)
 
 
-def _plan(rng: np.random.Generator, low: float, high: float, number: int, seed: int, lane: float) -> Plan:
+def drive_plan(rng: np.random.Generator, low: float, high: float, number: int, seed: int, lane: float) -> Plan:
+    """A drive over the whole road between speeds ``low`` and ``high`` m/s, on lateral offset ``lane`` m."""
     length = LENGTH - START - 12.0
     limits, s = [(0.0, rng.uniform(low, high))], 0.0
     while s < length:
@@ -303,7 +304,7 @@ def make_world(seed: int, right: bool = False) -> World:
         "sealed": (0.55 * top, 0.9 * top),
     }
     plans = {
-        name: _plan(rng, *pace, number, seed, lane + rng.uniform(-0.1, 0.1))
+        name: drive_plan(rng, *pace, number, seed, lane + rng.uniform(-0.1, 0.1))
         for number, (name, pace) in enumerate(paces.items())
     }
     known = _known(car, np.random.default_rng([seed, 4]), right)

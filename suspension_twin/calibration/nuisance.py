@@ -166,6 +166,11 @@ class Nuisances:
         """(q,) finite-difference steps: small against the priors, large against rounding."""
         return 1e-3 * self.spread
 
+    @property
+    def plain(self) -> NDArray[np.bool_]:
+        """(q,) those that add what does not depend on the simulation: biases and small tilts."""
+        return np.array([".bias." in name or name.startswith("tilt_") for name in self.names], dtype=np.bool_)
+
     def _tilt(self, part: Prepared) -> Floats:
         """(2, m, C) what a small tilt about x and about y adds, from the measured signals."""
         m = part.measured
@@ -226,9 +231,6 @@ class Nuisances:
             turned[self._held] = len(self.channels)
             lever[self._held] = -((part.rate / (2.0 * np.pi * _HOLDER)) ** 2) * value("holder")
         out = np.empty((rows.size, len(self.channels), lanes))
-        if "holder" in self._row:  # less a share of the second derivative, which is the slope of the slope
-            turned[self._held] = len(self.channels)
-            lever[self._held] = -((part.rate / (2.0 * np.pi * _HOLDER)) ** 2) * value("holder")
         carried = self.carried[number] if self.carried and shift.any() else None
         simulated, shift = np.ascontiguousarray(simulated), np.ascontiguousarray(shift)
         apart = simulated.shape[2] > 1 and bool((shift[0] != shift[0, 0]).any())

@@ -18,8 +18,10 @@ from numpy.typing import NDArray
 from suspension_twin.calibration.least_squares import gram, squared
 from suspension_twin.calibration.nuisance import NuisancePriors
 from suspension_twin.calibration.problem import Interrupted, Problem, _stack
+from suspension_twin.compiled import compiled
 from suspension_twin.diagnosis.hypotheses import Hypothesis
 from suspension_twin.diagnosis.noise import INDEPENDENT, Whitener
+from suspension_twin.diagnosis.parallel import side_by_side
 from suspension_twin.drive.types import Floats
 from suspension_twin.models.excitation import coarser
 from suspension_twin.models.hooks import clocks_with, gains_with, turns_with, upright_with
@@ -192,23 +194,23 @@ class Bench:
             earlier = earlier[:, :1]
         quiet = before.twin(problem.twin)
         plain = lanes(quiet, (*problem.space.keys, *before.keys), earlier.T)
-        failed = np.zeros(values.shape[1], dtype=bool)
-        out = []
-        for number, (part, drive) in enumerate(zip(problem.parts, problem.drive_of, strict=True)):
+
+        def driven(number: int) -> tuple[Floats, np.ndarray]:
             if self.stop():
                 raise Interrupted
             excitation = self.excitation(number, hypothesis.effects, hypothesis.everywhere)
-            if self.active[drive] and hypothesis.effects:
+            if self.active[problem.drive_of[number]] and hypothesis.effects:
                 stacked, bad = self._simulated(twin, with_effects, excitation)
             else:
                 stacked, bad = self._simulated(quiet, plain, excitation)
-            failed |= bad
-            conditioned = part.conditioner.apply(stacked)
+            conditioned = problem.parts[number].conditioner.apply(stacked)
             if problem.channels[0] == "vertical_acceleration":
                 # a gain of the sensor multiplies gravity too, and standing still the filter takes that for a bias
                 conditioned[:, 0] -= conditioned[:, 0].mean(axis=0)
-            out.append(conditioned)
-        return out, failed
+            return conditioned, bad
+
+        out, failed = zip(*side_by_side(driven, range(len(problem.parts))), strict=True)
+        return list(out), np.any(np.broadcast_arrays(np.zeros(values.shape[1], dtype=bool), *failed), axis=0)
 
     def carry(self, x: Floats) -> None:
         """Learn what the planar motion alone brings about in the vehicle of ``x``, by driving it over a flat road.
@@ -246,13 +248,16 @@ class Bench:
 
     def white(self, signals: Sequence[Floats], nuisance: Floats) -> Floats:
         """(R, L) whitened residuals; their squares' sum is -2 log likelihood of independent samples."""
-        white = self.whitener.residuals(self.compared(signals, nuisance))
+        return self._counted(self.whitener.residuals(self.compared(signals, nuisance)))
+
+    def _counted(self, white: Floats) -> Floats:
+        """Whitened residuals (R, L), changed in place, as independent samples of what the bench listens to."""
         white *= np.sqrt(INDEPENDENT)
         if self.heard is not None:
             white[~np.isin(self.whitener.drive, self.heard)] = 0.0
         if self.there is not None:
             white[~self.there] = 0.0
-        return np.asarray(white)
+        return white
 
     def residuals(self, hypothesis: Hypothesis, x: Floats) -> tuple[Floats, np.ndarray]:
         """(R, L) whitened residuals of unknowns (d + q + k, L), and which lanes failed."""
@@ -276,41 +281,53 @@ class Bench:
     def linearise(self, hypothesis: Hypothesis, x: Floats) -> Linearised:
         """Residuals and Jacobian at ``x`` (d + q + k,)."""
         d, q = self.d, self.q
-        jacobian = np.empty((self.whitener.row.size, x.size))
-        base, signals = self._differences(hypothesis, x, d, jacobian)
-        small = self.problem.nuisances.steps
-        shifted = np.repeat(x[d : d + q, None], q, axis=1)
-        shifted[np.diag_indices(q)] += small
-        np.subtract(self.white([s[:, :, :1] for s in signals], shifted), base[:, None], out=jacobian[:, d : d + q])
-        jacobian[:, d : d + q] /= small
-        return Linearised(x, base, jacobian)
+        white, per_step, signals = self._stepped(hypothesis, x, d)
+        nuisances = self.problem.nuisances
+        free, plain = np.flatnonzero(~nuisances.plain), np.flatnonzero(nuisances.plain)
+        shifted = np.repeat(x[d : d + q, None], free.size, axis=1)
+        shifted[free, np.arange(free.size)] += nuisances.steps[free]
+        moved = self.white([s[:, :, :1] for s in signals], shifted)
+        given = self._counted(self.whitener.plain.copy())
+        jacobian = np.empty((white.shape[0], x.size))
+        _columns(d, white, per_step, moved, 1.0 / nuisances.steps[free], d + free, given, d + plain, jacobian)
+        return Linearised(x, white[:, 0].copy(), jacobian)
 
     def effects_alone(self, hypothesis: Hypothesis, x: Floats) -> tuple[Floats, Floats]:
         """Residuals (R,) at ``x`` (d + q + k,) and the columns (R, k) of their Jacobian that are the effects'."""
-        jacobian = np.empty((self.whitener.row.size, len(hypothesis)))
-        base, _ = self._differences(hypothesis, x, 0, jacobian)
-        return base, jacobian
+        white, per_step, _ = self._stepped(hypothesis, x, 0)
+        return white[:, 0].copy(), (white[:, 1:] - white[:, :1]) * per_step
 
-    def _differences(
-        self, hypothesis: Hypothesis, x: Floats, physics: int, jacobian: Floats
-    ) -> tuple[Floats, list[Floats]]:
-        """Residuals and signals at ``x``; the first ``physics`` columns of ``jacobian`` and the effects', its last."""
+    def _stepped(self, hypothesis: Hypothesis, x: Floats, physics: int) -> tuple[Floats, Floats, list[Floats]]:
+        """Residuals (R, 1 + physics + k) at ``x`` and a step further in the first ``physics`` unknowns and in those of
+        the effects, what a difference counts by each step (physics + k,), and the signals."""
         d, q, k = self.d, self.q, len(hypothesis)
         _, high = hypothesis.bounds()
         u = x[d + q :]
         # away from the nearer bound, so that every difference is one
-        steps = np.where(u + _STEP_EFFECT > high, -_STEP_EFFECT, _STEP_EFFECT)
-        z = np.repeat(x[:d, None], 1 + physics + k, axis=1)
-        us = np.repeat(u[:, None], 1 + physics + k, axis=1)
-        z[np.arange(physics), 1 + np.arange(physics)] += _STEP
-        us[np.arange(k), 1 + physics + np.arange(k)] += steps
-        signals, failed = self.signals(hypothesis, z, us)
-        held = np.repeat(x[d : d + q, None], z.shape[1], axis=1)
-        white = self.white(signals, held)
-        base = white[:, 0].copy()
-        vehicle, effects = jacobian[:, :physics], jacobian[:, jacobian.shape[1] - k :]
-        np.subtract(white[:, 1 : 1 + physics], base[:, None], out=vehicle)
-        vehicle *= ~failed[1 : 1 + physics] / _STEP
-        np.subtract(white[:, 1 + physics :], base[:, None], out=effects)
-        effects *= ~failed[1 + physics :] / steps
-        return base, signals
+        own = np.where(u + _STEP_EFFECT > high, -_STEP_EFFECT, _STEP_EFFECT)
+        steps = np.concatenate([np.full(physics, _STEP), own])
+        stepped = np.repeat(np.concatenate([x[:d], u])[:, None], 1 + physics + k, axis=1)
+        stepped[[*range(physics), *range(d, d + k)], 1 + np.arange(physics + k)] += steps
+        signals, failed = self.signals(hypothesis, stepped[:d], stepped[d:])
+        white = self.white(signals, np.repeat(x[d : d + q, None], stepped.shape[1], axis=1))
+        return white, ~failed[1:] / steps, signals
+
+
+@compiled
+def _columns(
+    d: int, stepped: Floats, per_step: Floats, moved: Floats, per_move: Floats, free: NDArray[np.intp], given: Floats,
+    plain: NDArray[np.intp], out: Floats,
+) -> None:  # pragma: no cover - compiled
+    """The Jacobian (R, d + q + k) in one pass: of ``stepped`` (R, 1 + d + k) and ``moved`` (R, m) the differences to
+    the first column of ``stepped``, and what is ``given`` (R, n); nuisances have the columns ``free`` and ``plain``."""
+    nuisances = free.size + plain.size
+    for r in range(out.shape[0]):
+        base = stepped[r, 0]
+        for i in range(d):
+            out[r, i] = (stepped[r, 1 + i] - base) * per_step[i]
+        for i in range(free.size):
+            out[r, free[i]] = (moved[r, i] - base) * per_move[i]
+        for i in range(plain.size):
+            out[r, plain[i]] = given[r, i]
+        for i in range(d, per_step.size):
+            out[r, nuisances + i] = (stepped[r, 1 + i] - base) * per_step[i]

@@ -16,9 +16,10 @@ from suspension_twin.calibration.presets import build_space, preset_named
 from suspension_twin.calibration.problem import Interrupted, Problem
 from suspension_twin.calibration.stretches import TrimSettings, fit_rows
 from suspension_twin.diagnosis.bench import NORMAL, Bench, Excitations
-from suspension_twin.diagnosis.fit import Linear, finished, refit
+from suspension_twin.diagnosis.fit import Linear, finished, fitted, refit
 from suspension_twin.diagnosis.hypotheses import BASELINE, Hypothesis
 from suspension_twin.diagnosis.noise import USUAL_SHARE, Whitener, shares
+from suspension_twin.diagnosis.parallel import side_by_side
 from suspension_twin.diagnosis.request import DiagnosisRequest
 from suspension_twin.drive.read import read_drive
 from suspension_twin.drive.types import Drive, Floats
@@ -93,22 +94,22 @@ def read_case(request: DiagnosisRequest, note: Callable[[str], None], stop: Call
         raise InputError(min(same).name, "is given as a drive with the gap and as one from before it")
     on_road = twin.road is not None
     road = road_of(twin) if on_road else flat_road()
-    drives: list[Prepared] = []
-    excitations: list[Excitations] = []
-    turns: list[tuple[float, float, float]] = []
-    for bag in (*request.bags, *request.reference):
+
+    def read(bag: str) -> tuple[Prepared, Excitations, tuple[float, float, float]]:
         if stop():
             raise Interrupted
-        note(f"reading {Path(bag).name}")
         recorded = read_drive(bag, topics=request.topics)
         check_recording(recorded)
         prepared = prepare(recorded, twin, road, _ON_ROAD if on_road else _PLANAR_ONLY, strict=True)
         if on_road:
             check_drive(prepared)
-        drives.append(prepared)
-        found, turn = _excitations(prepared, recorded)
-        excitations.append(found)
-        turns.append(turn)
+        return prepared, *_excitations(prepared, recorded)
+
+    found = side_by_side(
+        read, (*request.bags, *request.reference), lambda _, bag: note(f"reading {Path(bag).name}")
+    )
+    drives = [prepared for prepared, _, _ in found]
+    excitations, turns = [known for _, known, _ in found], [turn for _, _, turn in found]
     names: list[str] = []
     for i, drive in enumerate(drives):
         name = drive.name if drive.name not in names else f"{drive.name}_{i + 1}"
@@ -211,9 +212,7 @@ def baseline(case: Case, bench: Bench) -> tuple[Linear, Linear]:
                 x, bench.problem, bench.level = y, level.problem, True
         taught_by(case, bench, BASELINE, x, quiet, () if referenced else VERTICAL)
     anchor = finished(bench, BASELINE, x)
-    if referenced:
-        x, _ = refit(bench, BASELINE, [x], None, 6)
-    return finished(bench, BASELINE, x), anchor
+    return (fitted(bench, BASELINE, [x], 6), anchor) if referenced else (anchor, anchor)
 
 
 def taught_by(

@@ -20,13 +20,16 @@ from suspension_twin.diagnosis.bench import Bench, Linearised
 from suspension_twin.diagnosis.hypotheses import Hypothesis
 from suspension_twin.drive.types import Floats
 
-__all__ = ["Fit", "Linear", "Screening", "finished", "refit", "room", "scanned", "screened", "swept", "within"]
+__all__ = [
+    "Fit", "Linear", "Screening", "finished", "fitted", "refit", "room", "scanned", "screened", "swept", "within",
+]  # fmt: skip
 
 _LADDER = (0.0, 1e-2, 1e-1, 1.0, 10.0)
 #: How many times more a step is held by the prior than by what is known already. What a drive hardly visits, the end
 #: of a spring, has no curvature of its own and a wall behind it, which would hold back all that the drive does tell.
 _BY_PRIOR = 1e4
 _LARGEST_STEP = 2.0
+_ENOUGH = 0.3  # of -2 log posterior: a step that gains less is the last
 _ROUNDS = 12  # of holding coordinates at their limits and letting them go
 #: Places of each coordinate of an effect, out to so many spreads of its prior, and how many of them are simulated anew.
 _SWEPT, _FAR, _TRIED = 9, 2.5, 4
@@ -224,18 +227,33 @@ def refit(
 ) -> tuple[Floats, float]:
     """Gauss-Newton from the best of ``starts``; ``known`` columns of the Jacobian, the vehicle's and the nuisances',
     are taken to hold."""
+    x, cost, _ = _descended(bench, hypothesis, starts, known, iterations)
+    return x, cost
+
+
+def fitted(bench: Bench, hypothesis: Hypothesis, starts: Sequence[Floats], iterations: int) -> Linear:
+    """As ``refit``, with the linearisation where it comes to."""
+    x, cost, at = _descended(bench, hypothesis, starts, None, iterations)
+    return Linear(hypothesis, x, cost, at if at is not None else bench.linearise(hypothesis, x))
+
+
+def _descended(
+    bench: Bench, hypothesis: Hypothesis, starts: Sequence[Floats], known: Linearised | None, iterations: int
+) -> tuple[Floats, float, Linearised | None]:
+    """Unknowns, their cost, and the whole linearisation there if one was made."""
     candidates = bench.clipped(hypothesis, np.stack(list(starts), axis=1))
     costs = bench.costs(hypothesis, candidates)
     best = int(np.argmin(costs))
     x, cost = candidates[:, best], float(costs[best])
     precision, centre = bench.prior(hypothesis)
-    damping = 1e-2
+    damping, at, squares, slope = 1e-2, None, None, None
     for _ in range(iterations):
-        if known is None:
-            at = bench.linearise(hypothesis, x)
-            squares, slope = at.squares, at.slope
-        else:
-            squares, slope = known.beyond(*bench.effects_alone(hypothesis, x))
+        if squares is None:
+            if known is None:
+                at = bench.linearise(hypothesis, x)
+                squares, slope = at.squares, at.slope
+            else:
+                squares, slope = known.beyond(*bench.effects_alone(hypothesis, x))
         hessian = squares + precision
         gradient = slope + np.einsum("ij,j->i", precision, x - centre, optimize=False)
         low, high = room(bench, hypothesis, x)
@@ -244,6 +262,9 @@ def refit(
             more = damping * factor
             damped = hessian + more * np.diag(np.diag(hessian) + _BY_PRIOR * np.diag(precision))
             step = within(damped, gradient[:, None], low, high)[:, 0]
+            # what no step can gain is not worth a simulation
+            if factor == 0.0 and -2.0 * float(gradient @ step + 0.5 * step @ hessian @ step) < _ENOUGH:
+                return x, cost, at
             step *= min(1.0, _LARGEST_STEP / max(float(np.abs(step).max()), 1e-300))
             trials.append(x + step)
             if factor == 1.0:
@@ -257,11 +278,11 @@ def refit(
             if damping > 1e4:
                 break
             continue
-        x, cost = tried[:, best].copy(), float(costs[best])
+        x, cost, at, squares = tried[:, best].copy(), float(costs[best]), None, None
         damping = max(damping * 0.3, 1e-4)
-        if gain < 0.05:
+        if gain < _ENOUGH:
             break
-    return x, cost
+    return x, cost, at
 
 
 def finished(bench: Bench, hypothesis: Hypothesis, x: Floats) -> Linear:

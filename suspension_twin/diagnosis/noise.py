@@ -12,6 +12,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from scipy import linalg, signal
@@ -111,6 +112,17 @@ class Whitener:
             np.concatenate(channels),
             np.concatenate(of),
         )
+
+    @cached_property
+    def plain(self) -> Floats:
+        """(R, n) what a unit of each of the problem's plain nuisances adds, whatever is simulated."""
+        problem = self.problem
+        still = [np.zeros((part.t.size, len(problem.channels), 1)) for part in problem.parts]
+        rows = np.flatnonzero(problem.nuisances.plain)
+        unit = np.zeros((len(problem.nuisances), 1 + rows.size))
+        unit[rows, 1 + np.arange(rows.size)] = 1.0
+        white = self.residuals(problem.compared(still, unit))
+        return np.ascontiguousarray(white[:, 1:] - white[:, :1])
 
     def residuals(self, simulated: Floats) -> Floats:
         """(R, L) whitened residuals of candidates (M, C, L)."""

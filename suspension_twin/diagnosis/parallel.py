@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import threading
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from typing import TypeVar
@@ -14,18 +15,27 @@ __all__ = ["quietly", "side_by_side"]
 Item = TypeVar("Item")
 Found = TypeVar("Found")
 
+_here = threading.local()
+
 
 def quietly(done: float, item: object) -> None:
     """Tells nobody how far the work is."""
 
 
 def side_by_side(
-    work: Callable[[Item], Found], items: Sequence[Item], tell: Callable[[float, Item], None]
+    work: Callable[[Item], Found], items: Sequence[Item], tell: Callable[[float, Item], None] = quietly
 ) -> list[Found]:
-    """``work`` on every item, as many at once as there are cores; each by itself, so their number changes nothing."""
-    found = []
-    with ThreadPoolExecutor(cores(), thread_name_prefix="effects") as pool:
+    """``work`` on every item, as many at once as there are cores; each by itself, so their number changes nothing.
+    Work that is one of several itself does its own one after the other."""
+    if getattr(_here, "one_of_several", False) or len(items) < 2:
+        found = []
+        for number, item in enumerate(items):
+            tell(number / len(items), item)
+            found.append(work(item))
+        return found
+    with ThreadPoolExecutor(cores(), "effects", _begin) as pool:
         waiting = [pool.submit(work, item) for item in items]
+        found = []
         try:
             for number, (item, future) in enumerate(zip(items, waiting, strict=True)):
                 tell(number / len(items), item)
@@ -33,3 +43,7 @@ def side_by_side(
         finally:
             pool.shutdown(cancel_futures=True)
     return found
+
+
+def _begin() -> None:
+    _here.one_of_several = True

@@ -17,14 +17,14 @@ from suspension_twin.diagnosis import gaps, verdict
 from suspension_twin.diagnosis.bench import Bench
 from suspension_twin.diagnosis.case import Case, baseline, build, read_case, taught_by
 from suspension_twin.diagnosis.conclude import Findings, conclude
-from suspension_twin.diagnosis.fit import Linear, finished, refit
+from suspension_twin.diagnosis.fit import Linear, finished, fitted
 from suspension_twin.diagnosis.gates import Gatekeeper
 from suspension_twin.diagnosis.gross import LOST
 from suspension_twin.diagnosis.hypotheses import BASELINE, NORMAL_PART, Hypothesis, library, witnesses
 from suspension_twin.diagnosis.judge import Evidence, blocks_of, evidence, held_out, weights
-from suspension_twin.diagnosis.parallel import quietly, side_by_side
+from suspension_twin.diagnosis.parallel import side_by_side
 from suspension_twin.diagnosis.request import DiagnosisRequest, DiagnosisResult, Progress
-from suspension_twin.diagnosis.search import again, jointly, pairs, singles, without_one
+from suspension_twin.diagnosis.search import Single, again, jointly, pairs, singles, without_one
 from suspension_twin.diagnosis.strain import relieved
 from suspension_twin.diagnosis.traits import since
 from suspension_twin.drive.types import Floats
@@ -107,7 +107,7 @@ class _Search:
         self.singles, self.witnesses = found[: len(effects)], found[len(effects) :]
         everything = [self.base, *(s.evidence for s in found)]
         self.left = side_by_side(
-            lambda e: gaps.remainder(bench, e.fit.hypothesis, e.unknowns, self.blocks), everything, quietly
+            lambda e: gaps.remainder(bench, e.fit.hypothesis, e.unknowns, self.blocks), everything
         )
         best = min(self.left, key=lambda r: float(np.mean(r.difference[gaps.shown_rows(bench), 0] ** 2)))
         self.temper = verdict.temper_of(bench, best, self.noise)
@@ -124,10 +124,10 @@ class _Search:
             bench, self.blocks, self.noise, self.reference, self.temper, self.case.road, seed, self.base, self.left[0]
         )
         given = list(zip(everything, self.left, leasts, alone, strict=True))
-        self.gates = side_by_side(lambda one: self.keeper.gates(*one), given, quietly)
+        self.gates = side_by_side(lambda one: self.keeper.gates(*one), given)
         # what takes nothing material away cannot be the finding, however sure it is: it must not hide another
         priors = [each if g.material > _MAYBE else 0.0 for g in self.gates[1:]]
-        self._weigh(everything, np.array([1.0 - _EFFECT_PRIOR, *priors]), [s.always for s in found])
+        self._weigh(everything, np.array([1.0 - _EFFECT_PRIOR, *priors]), found)
         self.unseen = each / (1.0 - _EFFECT_PRIOR) * np.array([s.hidden(self.temper) for s in self.singles])
         for i, s in enumerate(found):
             if not s.judged:
@@ -141,13 +141,13 @@ class _Search:
             self.chosen, self.chosen_left = self._eliminate()
             self._carried_by(self.chosen, self.keeper.gates(self.chosen, self.chosen_left))
 
-    def _weigh(self, everything: list[Evidence], prior: Floats, always: Sequence[Evidence | None]) -> None:
+    def _weigh(self, everything: list[Evidence], prior: Floats, found: Sequence[Single]) -> None:
         """Weights of the baseline and all effects; where there is a reference, also of what these gain beyond the
-        traits that the vehicle ``always`` had: that it has some is as likely at first as that it has none."""
+        traits that the vehicle always had: that it has some is as likely at first as that it has none."""
         bench, blocks, seed = self.bench, self.blocks, self.request.seed
         self.weights, self.beats = weights(everything, prior, self.temper, seed)
-        known = [e for e in always if e is not None]
-        worth = prior[1:] * [w > _ASKED or e is not None for w, e in zip(self.weights[1:], always, strict=True)]
+        known = [s.always for s in found if s.always is not None]
+        worth = prior[1:] * [w > _ASKED or s.finalist for w, s in zip(self.weights[1:], found, strict=True)]
         asked = {int(i): everything[1 + i].fit for i in np.flatnonzero(worth)}
         told = since(
             bench, self.base, asked, known, self.temper, blocks,
@@ -157,12 +157,12 @@ class _Search:
             return
         base, late = told
         likely = np.array([prior[0], *(p if i in late else 0.0 for i, p in enumerate(prior[1:]))])
-        found = [base, *(late.get(i, base) for i in range(len(always)))]
+        beyond = [base, *(late.get(i, base) for i in range(len(found)))]
         # what came since and is large bends what all drives share: then it says more without traits than beside them
-        both, _ = weights([*everything, *found], 0.5 * np.concatenate([prior, likely]), self.temper, seed)
+        both, _ = weights([*everything, *beyond], 0.5 * np.concatenate([prior, likely]), self.temper, seed)
         self.weights, without = both.reshape(2, -1).sum(axis=0), float(both[: len(everything)].sum())
         if without < 0.5:
-            _, self.beats = weights(found, likely, self.temper, seed)
+            _, self.beats = weights(beyond, likely, self.temper, seed)
 
     def _lost(self, base: Linear) -> bool:
         """Whether the recalibrated twin follows nothing of the motion."""
@@ -192,8 +192,7 @@ class _Search:
             # what a sensor that stands backwards leaves is far from noise: that takes longer
             if number + 1 >= _CLEARED and not fit.hypothesis.around:
                 break
-        x, _ = refit(self.bench, BASELINE, [base.x], None, 8)
-        return finished(self.bench, BASELINE, x)
+        return fitted(self.bench, BASELINE, [base.x], 8)
 
     def _carried_by(self, chosen: Evidence, gates: verdict.Gates) -> None:
         """Weights and gates of effects that were judged together: each stands for all of them."""
@@ -313,10 +312,10 @@ class _Search:
         if self.reference is not None or not barred:
             return chosen, left
         alone = replace(bench, barred=barred)
-        x, cost = refit(alone, hypothesis, [chosen.fit.x], None, 10)
-        if cost > chosen.fit.cost + _SAME_FIT:
+        fit = fitted(alone, hypothesis, [chosen.fit.x], 10)
+        if fit.cost > chosen.fit.cost + _SAME_FIT:
             return chosen, left
-        whole = evidence(alone, finished(alone, hypothesis, x), self.blocks)
+        whole = evidence(alone, fit, self.blocks)
         return whole, gaps.remainder(bench, hypothesis, whole.unknowns, self.blocks)
 
     def _eliminate(self) -> tuple[Evidence, gaps.Remainder]:

@@ -11,10 +11,10 @@ import numpy as np
 
 from suspension_twin.diagnosis import gross
 from suspension_twin.diagnosis.bench import Bench
-from suspension_twin.diagnosis.fit import Fit, Linear, finished, refit, scanned, screened, swept
-from suspension_twin.diagnosis.hypotheses import BASELINE, Hypothesis, combined
+from suspension_twin.diagnosis.fit import Fit, Linear, finished, fitted, refit, scanned, screened, swept
+from suspension_twin.diagnosis.hypotheses import BASELINE, NORMAL_PART, Hypothesis, combined
 from suspension_twin.diagnosis.judge import Blocks, Evidence, evidence
-from suspension_twin.diagnosis.parallel import quietly, side_by_side
+from suspension_twin.diagnosis.parallel import side_by_side
 from suspension_twin.diagnosis.traits import as_trait
 from suspension_twin.drive.types import Floats
 from suspension_twin.effects.registry import EFFECTS
@@ -46,12 +46,14 @@ LEAST_POWER = 5.0
 
 @dataclass(frozen=True, eq=False)
 class Single:
-    """One effect at its best; ``powers`` (S,) how many nats it shows at strengths all over its prior;
-    ``always`` the same effect as a trait that the vehicle had on the reference drives already."""
+    """One effect at its best; ``powers`` (S,) how many nats it shows at strengths all over its prior; whether it is one
+    of the ``finalists``, whose Jacobian was simulated anew; ``always`` the same effect as a trait that the vehicle had
+    on the reference drives already."""
 
     effect: str
     evidence: Evidence
     powers: Floats
+    finalist: bool = True
     always: Evidence | None = None
 
     @property
@@ -93,27 +95,28 @@ def singles(
 
     rough = side_by_side(look, list(library), lambda done, name: tell(0.65 * done, name.replace("_", " ")))
     base, known = _rebased(bench, base, [r.x for r in rough]), base
-    if base is not known:
-        then = finished(coarse, BASELINE, base.x)
-        rough = side_by_side(lambda r: _caught_up(coarse, then, r, seed), rough, lambda done, _: tell(0.6, "baseline"))
+    moved = base is not known
+    then = finished(coarse, BASELINE, base.x) if moved else begun
+    rough = side_by_side(
+        lambda r: _caught_up(coarse, then, moved, r, seed), rough, lambda done, _: tell(0.6, "baseline")
+    )
     order = sorted(range(len(rough)), key=lambda i: rough[i].cost)
     finalists = set(order[:_FINALISTS])
 
     def judge(i: int) -> Single:
         r, v, always = rough[i], rough[i].hypothesis, None
         starts = [r.x, np.concatenate([base.x, r.x[bench.d + bench.q :]])]
-        x, cost = refit(bench, v, starts, None, _FINE if i in finalists else 0)
-        if i in finalists and not all(bench.active):
-            always = as_trait(bench, v, x, base, blocks)
-        if cost >= base.cost:
+        at = fitted(bench, v, starts, _FINE if i in finalists else 0)
+        if i in finalists and not all(bench.active) and r.effect not in NORMAL_PART:
+            always = as_trait(bench, v, at.x, base, blocks)
+        if at.cost >= base.cost:
             ends = v.slightest()
             none = np.concatenate([np.repeat(base.x[:, None], ends.shape[1], axis=1), ends])
-            x = none[:, int(np.argmin(bench.costs(v, none)))]
-        at = finished(bench, v, x)
+            at = fitted(bench, v, list(none.T), 0)
         other = swept(bench, at) if i in finalists else None
         if other is not None:
-            at = finished(bench, v, refit(bench, v, [other], None, _DEEP)[0])
-        return Single(r.effect, evidence(bench, at, blocks), r.powers, always)
+            at = fitted(bench, v, [other], _DEEP)
+        return Single(r.effect, evidence(bench, at, blocks), r.powers, i in finalists, always)
 
     judged = side_by_side(
         judge, order, lambda done, i: tell(0.65 + 0.35 * done, f"{rough[i].effect.replace('_', ' ')}, once more")
@@ -170,13 +173,13 @@ def _resonant(bench: Bench, base: Linear, hypothesis: Hypothesis, added: Hypothe
 def _rebased(bench: Bench, base: Linear, found: Sequence[Floats]) -> Linear:
     """The baseline from wherever effects' fits have taken the vehicle, so that none is credited with that."""
     p = bench.d + bench.q
-    x, cost = refit(bench, BASELINE, [base.x, *(y[:p] for y in found)], None, 2 * _ROUGH)
-    return finished(bench, BASELINE, x) if cost < base.cost else base
+    better = fitted(bench, BASELINE, [base.x, *(y[:p] for y in found)], 2 * _ROUGH)
+    return better if better.cost < base.cost else base
 
 
-def _caught_up(bench: Bench, base: Linear, rough: _Rough, seed: int) -> _Rough:
-    """An effect's search from where the baseline has come to since: it has all that the baseline has and must not be
-    behind for having begun from less.
+def _caught_up(bench: Bench, base: Linear, moved: bool, rough: _Rough, seed: int) -> _Rough:
+    """An effect's search from where the baseline has come to since, if it has ``moved``: it has all that the baseline
+    has and must not be behind for having begun from less.
 
     Many small shares of what is normal of clocks, map and mount can hide a late clock whole, and between them and the
     effect lies a ridge: it is also begun from where it has all of it.
@@ -185,7 +188,7 @@ def _caught_up(bench: Bench, base: Linear, rough: _Rough, seed: int) -> _Rough:
     starts = [np.concatenate([base.x, u]), np.concatenate([base.x, v.neutral()])]
     if rough.cost >= base.cost:
         starts += screened(bench, base, v, v.starts(_STARTS, seed)).x[:_TRIED]
-    found = [refit(bench, v, starts, base.at, _ROUGH)]
+    found = [refit(bench, v, starts, base.at, _ROUGH)] if moved else [(rough.x, rough.cost)]
     if EFFECTS[rough.effect].where in ("time", "road", "sensor"):
         alone = replace(bench, barred=tuple(n for n in bench.problem.nuisances.names if n.endswith(_SHARED)))
         begun, _ = refit(alone, v, starts, base.at, _ROUGH)
@@ -260,8 +263,7 @@ def pairs(
     def join(at: tuple[Hypothesis, list[Floats]]) -> Evidence:
         both, starts = at
         x, _ = refit(bench, both, starts, known, _ROUGH)
-        x, _ = refit(bench, both, [x], None, 2)
-        return evidence(bench, finished(bench, both, x), blocks)
+        return evidence(bench, fitted(bench, both, [x], 2), blocks)
 
     found = side_by_side(
         join, list(best.values())[:_BEST_PAIRS],
@@ -281,7 +283,7 @@ def jointly(bench: Bench, parts: Sequence[Hypothesis], base: Fit, seed: int) -> 
     starts[:p, many.shape[1] - far.shape[1] :] = bench.centre[:, None]
     order = np.argsort(bench.costs(together, starts) - gross.waived(many), kind="stable")
     tried = [(gross.about(together, many[:, i]), starts[:, i]) for i in sorted({0, *order[:_TRIED].tolist()})]
-    fits = side_by_side(lambda at: refit(bench, at[0], [at[1]], None, _LONG), tried, quietly)
+    fits = side_by_side(lambda at: refit(bench, at[0], [at[1]], None, _LONG), tried)
     found = [(h, *fit) for (h, _), fit in zip(tried, fits, strict=True)]
     best, x, _ = min(found, key=lambda f: f[2] + gross.PRICE * bool(f[0].around))
     return finished(bench, best, x)
@@ -289,8 +291,7 @@ def jointly(bench: Bench, parts: Sequence[Hypothesis], base: Fit, seed: int) -> 
 
 def again(bench: Bench, fit: Linear) -> Linear:
     """The same hypothesis from where it was, under the noise of now."""
-    x, _ = refit(bench, fit.hypothesis, [fit.x], None, _LONG)
-    return finished(bench, fit.hypothesis, x)
+    return fitted(bench, fit.hypothesis, [fit.x], _LONG)
 
 
 def without_one(bench: Bench, whole: Evidence, blocks: Blocks) -> list[Evidence]:
@@ -301,7 +302,6 @@ def without_one(bench: Bench, whole: Evidence, blocks: Blocks) -> list[Evidence]
         kept = [i for i, key in enumerate(there.keys) if key.split(".")[1] != effect]
         start = np.concatenate([whole.fit.x[:p], whole.fit.x[p:][kept]])
         rest = there.without(effect)
-        x, _ = refit(bench, rest, [start], None, _LONG)
-        return evidence(bench, finished(bench, rest, x), blocks)
+        return evidence(bench, fitted(bench, rest, [start], _LONG), blocks)
 
-    return side_by_side(less, there.effects, quietly)
+    return side_by_side(less, there.effects)

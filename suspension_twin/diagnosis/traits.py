@@ -16,8 +16,8 @@ from dataclasses import replace
 import numpy as np
 
 from suspension_twin.diagnosis.bench import Bench
-from suspension_twin.diagnosis.fit import Fit, finished, refit
-from suspension_twin.diagnosis.hypotheses import BASELINE, NORMAL_PART, Hypothesis, combined
+from suspension_twin.diagnosis.fit import Fit, finished, fitted, refit
+from suspension_twin.diagnosis.hypotheses import BASELINE, Hypothesis, combined
 from suspension_twin.diagnosis.judge import Blocks, Evidence, evidence
 from suspension_twin.diagnosis.noise import INDEPENDENT
 from suspension_twin.diagnosis.parallel import side_by_side
@@ -33,11 +33,13 @@ _BEHIND = 1.0  # -2 log posterior by which a baseline has to be better for what 
 
 
 def as_trait(bench: Bench, hypothesis: Hypothesis, x: Floats, base: Fit, blocks: Blocks) -> Evidence:
-    """An effect, at unknowns ``x`` (d + q + k,) on the drives with the gap, as a trait of the vehicle on all drives."""
+    """An effect, at unknowns ``x`` (d + q + k,) on the drives with the gap, as a trait of the vehicle on all drives.
+
+    Not for a clock, a place on the map or a lean: that there always was one is a nuisance already.
+    """
     always, u = hypothesis.always(), x[bench.d + bench.q :]
     starts = [x, np.concatenate([base.x, u]), np.concatenate([base.x, hypothesis.neutral()])]
-    y, _ = refit(bench, always, starts, None, _ROUGH)
-    return evidence(bench, finished(bench, always, y), blocks)
+    return evidence(bench, fitted(bench, always, starts, _ROUGH), blocks)
 
 
 def since(
@@ -52,7 +54,7 @@ def since(
         return None
     p = bench.d + bench.q
 
-    def fitted(i: int) -> Floats:
+    def beside(i: int) -> Floats:
         own, u = found[i].hypothesis, found[i].x[p:]
         starts = [np.concatenate(pair) for pair in ((x, u), (x, own.neutral()), (found[i].x[:p], u))]
         there = [e for e in having.problem.twin.effects if e.id in own.effects]
@@ -60,7 +62,7 @@ def since(
             starts.append(np.concatenate([x, own.at(there[0])]))
         return refit(having, own, starts, None, _FINE)[0]
 
-    fits = dict(zip(found, side_by_side(fitted, list(found), tell), strict=True))
+    fits = dict(zip(found, side_by_side(beside, list(found), tell), strict=True))
     # the baseline takes over any vehicle that an effect's fit has come to, and the others go on from there
     y, better = refit(having, BASELINE, [x, *(z[:p] for z in fits.values())], None, _LONG)
 
@@ -68,7 +70,7 @@ def since(
         own, z = found[i].hypothesis, fits[i]
         if better < cost - _BEHIND:
             starts = [z, np.concatenate([y, z[p:]]), np.concatenate([y, own.neutral()])]
-            z = refit(having, own, starts, None, _FINE)[0]
+            return evidence(having, fitted(having, own, starts, _FINE), blocks)
         return evidence(having, finished(having, own, z), blocks)
 
     told = side_by_side(judged, list(found), tell)
@@ -89,14 +91,10 @@ def _before(bench: Bench, trait: Evidence, base: Evidence) -> float:
 
 def _settled(bench: Bench, base: Evidence, always: Sequence[Evidence], temper: float) -> tuple[Bench, Floats, float]:
     """The bench of a vehicle that has all traits that speak for themselves and that the drives from before do not speak
-    against, and its unknowns and cost.
-
-    A clock, a place on the map or a lean that there always was is a nuisance already.
-    """
+    against, and its unknowns and cost."""
     speaking = [
         e for e in always
         if temper * e.over(base) > _SPEAKS and temper * _before(bench, e, base) > -_SPEAKS
-        and e.fit.hypothesis.effects[0] not in NORMAL_PART
     ]  # fmt: skip
     if not speaking:
         return bench, base.fit.x, base.fit.cost

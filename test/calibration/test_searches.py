@@ -9,6 +9,8 @@ from typing import Any
 import numpy as np
 import pytest
 import yaml
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
 from suspension_twin.calibration.checkpoint import Checkpoint, State
 from suspension_twin.calibration.genetic import (
@@ -214,9 +216,22 @@ def test_gram_and_solve_agree_with_lapack() -> None:
     a = rng.standard_normal((300, 7)) * 10.0 ** np.arange(-6, 8, 2)
     np.testing.assert_allclose(gram(a, a), a.T @ a, rtol=1e-9, atol=1e-9)
     for rows in (300, 299, 3):
-        assert np.array_equal(squared(a[:rows]), gram(a[:rows], a[:rows]))
+        np.testing.assert_allclose(squared(a[:rows]), gram(a[:rows], a[:rows]), rtol=1e-9, atol=1e-9)
     x = rng.standard_normal(7) / 10.0 ** np.arange(-6, 8, 2)
     np.testing.assert_allclose(solve_positive(gram(a, a), gram(a, (a @ x)[:, None])[:, 0]), x, rtol=1e-6)
+
+
+@settings(max_examples=60, deadline=None)
+@given(rows=st.integers(0, 300), columns=st.integers(1, 20), seed=st.integers(0, 2**31))
+def test_squares_of_columns_that_are_nothing_here_and_there(rows: int, columns: int, seed: int) -> None:
+    """A bias of one drive is nothing in the rows of all others."""
+    rng = np.random.default_rng(seed)
+    a = rng.standard_normal((rows, columns))
+    for column in range(columns):
+        begin, end = np.sort(rng.integers(0, rows + 1, 2))
+        a[begin:end, column] = 0.0
+    np.testing.assert_allclose(squared(a), a.T @ a, rtol=1e-9, atol=1e-9)
+    assert np.array_equal(squared(a), squared(a).T)
 
 
 def test_a_checkpoint_is_whole_or_not_there(tmp_path: Path) -> None:

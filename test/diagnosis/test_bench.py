@@ -103,6 +103,26 @@ def test_known_columns_and_those_of_effects_are_the_whole_jacobian(leaning: Benc
     assert_allclose(whole.slope, whole.jacobian.T @ whole.residual, atol=1e-9 * np.abs(whole.slope).max())
 
 
+@pytest.mark.parametrize("heard", [None, (1,)])
+def test_the_jacobian_is_what_every_unknown_changes(leaning: Bench, heard: tuple[int, ...] | None) -> None:
+    """Each column anew by a step of its own, whether it is simulated, shifted or known beforehand."""
+    bench = replace(leaning, heard=heard)
+    effect, d = Hypothesis(("tyre_damping",)), bench.d
+    x = np.concatenate([bench.centre, [0.7]])
+    x[d : d + bench.q] = 0.3 * bench.problem.nuisances.spread
+    whole = bench.linearise(effect, x)
+    steps = np.concatenate([np.full(d, 1e-3), bench.problem.nuisances.steps, [1e-2]])
+    moved, failed = bench.residuals(effect, x[:, None] + np.diag(steps))
+    assert not failed.any()
+    columns = (moved - whole.residual[:, None]) / steps
+    largest = np.maximum(np.abs(columns).max(axis=0), 1e-3)  # less is rounding
+    assert_allclose(whole.jacobian / largest, columns / largest, atol=1e-6)
+    plain = bench.problem.nuisances.plain
+    assert 0 < plain.sum() < bench.q
+    if heard is not None:
+        assert not whole.jacobian[~np.isin(bench.whitener.drive, heard)].any()
+
+
 def test_longer_steps_are_the_same_drives_to_what_the_model_leaves(leaning: Bench) -> None:
     """Whatever excites the vehicle: what is found in longer steps is looked at once more in the drives' own."""
     coarse, z = leaning.coarser(2.5e-3), leaning.centre[:, None]

@@ -13,7 +13,7 @@ from scipy.optimize import lsq_linear
 
 from suspension_twin.diagnosis import fit, judge
 from suspension_twin.diagnosis.bench import Linearised
-from suspension_twin.diagnosis.fit import Linear, refit, screened, swept, within
+from suspension_twin.diagnosis.fit import Linear, fitted, refit, screened, swept, within
 from suspension_twin.diagnosis.hypotheses import BASELINE, Hypothesis
 from suspension_twin.diagnosis.judge import FOLDS, Blocks, held_out, intervals
 
@@ -75,6 +75,34 @@ def test_a_coordinate_that_nothing_touches_is_swept_into_the_valley(bench: Any) 
     found, cost = refit(bench, STOP, [begun], None, 30)
     assert_allclose(found[1:], TRUTH, atol=0.02)
     assert cost < 1.0
+
+
+def test_a_fit_is_linearised_where_it_ends_and_nowhere_twice(bench: Any) -> None:
+    places, tried, linearise, costs = [], [], bench.linearise, bench.costs
+    bench.linearise = lambda hypothesis, x: (places.append(tuple(x)), linearise(hypothesis, x))[1]
+    bench.costs = lambda hypothesis, x: (tried.append(x), costs(hypothesis, x))[1]
+    found = fitted(bench, STOP, [np.array([0.0, 0.6, 0.2, 0.0])], 30)
+    assert_allclose(found.x[1:], TRUTH, atol=0.02)
+    assert_allclose(found.at.x, found.x, atol=0.0)
+    assert found.cost == pytest.approx(float(costs(STOP, found.x[:, None])[0]), rel=1e-12)
+    assert len(set(places)) == len(places)
+    places.clear(), tried.clear()
+    again = fitted(bench, STOP, [found.x], 30)
+    assert_allclose(again.x, found.x, atol=0.0)
+    assert (len(places), len(tried)) == (1, 1), "no step could gain anything, so none is tried"
+
+
+def test_a_step_that_fails_is_tried_shorter_from_the_same_linearisation(bench: Any) -> None:
+    """All but short steps break off, as a simulation does."""
+    places, linearise, costs = [], bench.linearise, bench.costs
+    start = np.array([0.0, 0.6, 0.2, 0.0])
+    bench.linearise = lambda hypothesis, x: (places.append(tuple(x)), linearise(hypothesis, x))[1]
+    bench.costs = lambda hypothesis, x: np.where(
+        np.abs(x - start[:, None]).max(axis=0) < 0.02, costs(hypothesis, x), np.inf
+    )
+    _, cost = refit(bench, STOP, [start], None, 5)
+    assert cost < float(costs(STOP, start[:, None])[0])
+    assert len(set(places)) == len(places) < 5
 
 
 def test_what_is_best_stays(bench: Any) -> None:
