@@ -30,7 +30,7 @@ from suspension_twin.models.simulate import simulate_lanes
 from suspension_twin.models.types import Excitation
 from suspension_twin.vehicle.twin import Twin
 
-__all__ = ["NORMAL", "Bench", "Excitations", "Linearised"]
+__all__ = ["NORMAL", "Bench", "Curved", "Excitations", "Linearised"]
 
 #: What is normal of clocks, maps and mounts: more than that is a finding, not a nuisance.
 #: A receiver that knows a place to a centimetre is off by some of it for a whole drive.
@@ -43,6 +43,15 @@ NORMAL = NuisancePriors(
 _NORMAL_LIMIT = 3.0
 _STEP = 1e-3
 _STEP_EFFECT = 1e-2
+
+
+@dataclass(frozen=True, eq=False)
+class Curved:
+    """What is left of a linearisation once its rows are summed up: ``squares`` (p, p) of the Jacobian and the ``slope``
+    (p,) of half the residuals' sum of squares."""
+
+    squares: Floats
+    slope: Floats
 
 
 @dataclass(frozen=True, eq=False)
@@ -61,6 +70,14 @@ class Linearised:
     @cached_property
     def slope(self) -> Floats:
         return np.asarray(gram(self.residual[:, None], self.jacobian)[0])
+
+    def by(self, label: NDArray[np.intp]) -> list[Curved]:
+        """That of the rows of each ``label`` (R,), which count from nothing on."""
+        order = np.argsort(label, kind="stable")
+        jacobian, residual = self.jacobian[order], self.residual[order, None]
+        ends = np.cumsum(np.bincount(label))
+        cuts = [slice(a, b) for a, b in zip([0, *ends[:-1]], ends, strict=True)]
+        return [Curved(squared(jacobian[c]), gram(residual[c], jacobian[c])[0]) for c in cuts]
 
     def first(self, count: int) -> Linearised:
         """That of the first ``count`` unknowns alone."""

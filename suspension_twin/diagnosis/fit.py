@@ -224,10 +224,11 @@ def refit(
     starts: Sequence[Floats],
     known: Linearised | None,
     iterations: int,
+    sparing: bool = False,
 ) -> tuple[Floats, float]:
     """Gauss-Newton from the best of ``starts``; ``known`` columns of the Jacobian, the vehicle's and the nuisances',
-    are taken to hold."""
-    x, cost, _ = _descended(bench, hypothesis, starts, known, iterations)
+    are taken to hold. ``sparing``: those of one iteration are, for one more."""
+    x, cost, _ = _descended(bench, hypothesis, starts, known, iterations, sparing)
     return x, cost
 
 
@@ -238,22 +239,26 @@ def fitted(bench: Bench, hypothesis: Hypothesis, starts: Sequence[Floats], itera
 
 
 def _descended(
-    bench: Bench, hypothesis: Hypothesis, starts: Sequence[Floats], known: Linearised | None, iterations: int
-) -> tuple[Floats, float, Linearised | None]:
+    bench: Bench, hypothesis: Hypothesis, starts: Sequence[Floats], known: Linearised | None, iterations: int,
+    sparing: bool = False,
+) -> tuple[Floats, float, Linearised | None]:  # fmt: skip
     """Unknowns, their cost, and the whole linearisation there if one was made."""
     candidates = bench.clipped(hypothesis, np.stack(list(starts), axis=1))
     costs = bench.costs(hypothesis, candidates)
     best = int(np.argmin(costs))
     x, cost = candidates[:, best], float(costs[best])
     precision, centre = bench.prior(hypothesis)
-    damping, at, squares, slope = 1e-2, None, None, None
+    damping, at, squares, slope, last = 1e-2, None, None, None, None
     for _ in range(iterations):
         if squares is None:
-            if known is None:
+            held = known if known is not None else last
+            if held is None:
                 at = bench.linearise(hypothesis, x)
                 squares, slope = at.squares, at.slope
+                last = at.first(bench.d + bench.q) if sparing else None
             else:
-                squares, slope = known.beyond(*bench.effects_alone(hypothesis, x))
+                squares, slope = held.beyond(*bench.effects_alone(hypothesis, x))
+                last = None
         hessian = squares + precision
         gradient = slope + np.einsum("ij,j->i", precision, x - centre, optimize=False)
         low, high = room(bench, hypothesis, x)

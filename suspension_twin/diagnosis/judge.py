@@ -10,6 +10,7 @@ Bayesian bootstrap: Yao, Vehtari, Simpson, Gelman 2018, section 3.4), so correla
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -18,7 +19,7 @@ from scipy.special import logsumexp
 from scipy.stats import norm
 
 from suspension_twin.calibration.least_squares import gram, squared
-from suspension_twin.diagnosis.bench import Bench, Linearised
+from suspension_twin.diagnosis.bench import Bench, Curved
 from suspension_twin.diagnosis.fit import Fit, Linear
 from suspension_twin.diagnosis.noise import INDEPENDENT
 from suspension_twin.diagnosis.strain import Strain, relieved, strain_of
@@ -70,36 +71,41 @@ def blocks_of(bench: Bench, road: bool) -> Blocks:
 @dataclass(frozen=True, eq=False)
 class HeldOut:
     """Unknowns (d + q + k, FOLDS) without each fold and the residuals ``left`` (R,) that they leave in it; ``timed``
-    (R,) those where clocks and map stay as the whole recording has them."""
+    (R,) those where clocks and map stay as the whole recording has them; the fit ``by_group`` of rows."""
 
     unknowns: Floats
     left: Floats
     timed: Floats
+    by_group: list[Curved]
 
 
-def held_out(bench: Bench, fit: Linear, blocks: Blocks) -> HeldOut:
-    """A fit on stretches that it has not seen.
+def held_out(bench: Bench, fit: Linear, blocks: Blocks, group: np.ndarray | None = None) -> HeldOut:
+    """A fit on stretches that it has not seen; ``group`` (R,) of each row, one if not given.
 
     A Gauss-Newton step from the fit to all undoes what a fold pulled on it; of those that the prior holds more or less
     the one that suits the other folds best is taken, simulated.
     """
     precision, centre = bench.prior(fit.hypothesis)
-    jacobian, residual = fit.at.jacobian, fit.at.residual
-    total = fit.at.squares + precision
-    slope = fit.at.slope + precision @ (fit.x - centre)
-    fold = blocks.fold(blocks.row)
+    residual, fold = fit.at.residual, blocks.fold(blocks.row)
+    group = np.zeros(fold.size, dtype=np.intp) if group is None else group
+    groups = int(group.max()) + 1
+    # every group and fold has its rows, however few
+    parts = fit.at.by(fold * groups + group)
+    parts += [Curved(np.zeros_like(precision), np.zeros_like(fit.x))] * (FOLDS * groups - len(parts))
+    folds = [_together(parts[f * groups : (f + 1) * groups]) for f in range(FOLDS)]
+    by_group = [_together(parts[g::groups]) for g in range(groups)]
+    whole = _together(folds)
+    total, slope = whole.squares + precision, whole.slope + precision @ (fit.x - centre)
     # a severity on its bound, usually at nothing, stays there: the step knows no bounds
     low, high = bench.limits(fit.hypothesis)
     inside = (fit.x > low) & (fit.x < high)
     known, p = np.zeros(fit.x.size, dtype=bool), bench.d + bench.q
     known[bench.d : p] = [n.endswith(_TIMES) for n in bench.problem.nuisances.names]
-    folds = [squared(jacobian[fold == f]) for f in range(FOLDS)]
-    slopes = [gram(residual[fold == f, None], jacobian[fold == f])[0] for f in range(FOLDS)]
     shared = np.where(np.arange(fit.x.size) < p, np.diag(precision), 0.0)
     candidates = [fit.x]
     for free in (np.flatnonzero(inside), np.flatnonzero(inside & ~known)):
         for f in range(FOLDS):
-            rest, pull = (total - folds[f])[np.ix_(free, free)], (slope - slopes[f])[free]
+            rest, pull = (total - folds[f].squares)[np.ix_(free, free)], (slope - folds[f].slope)[free]
             for times in _HELD:
                 held = rest + np.diag(1e-9 * np.diag(rest) + times * shared[free])
                 step = np.zeros(fit.x.size)
@@ -112,9 +118,10 @@ def held_out(bench: Bench, fit: Linear, blocks: Blocks) -> HeldOut:
     penalty = np.einsum("il,ij,jl->l", away, precision, away, optimize=False)
     unknowns = np.repeat(fit.x[:, None], FOLDS, axis=1)
     left, timed = residual.copy(), residual.copy()
-    for f in range(FOLDS):
-        own = fold == f
-        costs = np.sum(residuals[~own] ** 2, axis=0) + penalty
+    rows = [fold == f for f in range(FOLDS)]
+    squares = np.stack([np.einsum("rl,rl->l", r, r, optimize=False) for r in (residuals[own] for own in rows)])
+    for f, own in enumerate(rows):
+        costs = np.delete(squares, f, axis=0).sum(axis=0) + penalty
         costs = np.where(failed, np.inf, costs)
         for number, out in enumerate((left, timed)):
             first = 1 + (number * FOLDS + f) * len(_HELD)
@@ -123,7 +130,11 @@ def held_out(bench: Bench, fit: Linear, blocks: Blocks) -> HeldOut:
             out[own] = residuals[own, best]
             if out is left:
                 unknowns[:, f] = tried[:, best]
-    return HeldOut(unknowns, left, timed)
+    return HeldOut(unknowns, left, timed, by_group)
+
+
+def _together(parts: Sequence[Curved]) -> Curved:
+    return Curved(np.sum([p.squares for p in parts], axis=0), np.sum([p.slope for p in parts], axis=0))
 
 
 @dataclass(frozen=True, eq=False)
@@ -149,32 +160,28 @@ class Evidence:
 
 def evidence(bench: Bench, fit: Linear, blocks: Blocks) -> Evidence:
     """Held-out evidence of a fit."""
-    out = held_out(bench, fit, blocks)
     whitener = bench.whitener
-    active = np.array(bench.active)[whitener.drive]
+    group = 2 * whitener.channel + ~np.array(bench.active)[whitener.drive]
+    out = held_out(bench, fit, blocks, group)
     score = np.zeros(blocks.count)
     level: dict[tuple[int, bool], float] = {}
-    scale = np.ones(out.left.size)
+    noise = np.ones(len(out.by_group))
     fitted = 0.0
-    for c in range(len(bench.problem.channels)):
-        for side in (True, False):
-            rows = (whitener.channel == c) & (active == side)
-            if not rows.any():
-                continue
-            counts = INDEPENDENT * np.bincount(blocks.row[rows], minlength=blocks.count)
-            level[c, side] = max(float(np.sum(out.left[rows] ** 2) / counts.sum()), 1e-6)
-            squares = np.bincount(blocks.row[rows], out.timed[rows] ** 2, blocks.count)
-            variance = max(float(squares.sum() / counts.sum()), 1e-6)
-            fitted -= 0.5 * counts.sum() * np.log(max(float(np.mean(fit.at.residual[rows] ** 2)) / INDEPENDENT, 1e-6))
-            scale[rows] = np.sqrt(variance)
-            score -= 0.5 * (counts * np.log(variance) + squares / variance)
+    for number in np.unique(group).tolist():
+        c, side, rows = number // 2, number % 2 == 0, group == number
+        counts = INDEPENDENT * np.bincount(blocks.row[rows], minlength=blocks.count)
+        level[c, side] = max(float(np.sum(out.left[rows] ** 2) / counts.sum()), 1e-6)
+        squares = np.bincount(blocks.row[rows], out.timed[rows] ** 2, blocks.count)
+        noise[number] = max(float(squares.sum() / counts.sum()), 1e-6)
+        fitted -= 0.5 * counts.sum() * np.log(max(float(np.mean(fit.at.residual[rows] ** 2)) / INDEPENDENT, 1e-6))
+        score -= 0.5 * (counts * np.log(noise[number]) + squares / noise[number])
     precision, centre = bench.prior(fit.hypothesis)
-    scaled = Linearised(fit.x, fit.at.residual / scale, fit.at.jacobian / scale[:, None])
+    scaled = _together([Curved(p.squares / v, p.slope / v) for p, v in zip(out.by_group, noise, strict=True)])
     hessian = scaled.squares + precision
     away = fit.x - centre
     away[bench.d : bench.d + bench.q] = 0.0  # counted in full elsewhere
     occam = 0.5 * (np.linalg.slogdet(hessian)[1] - np.linalg.slogdet(precision)[1])
-    occam += 0.5 * float(away @ precision @ away) / max(float(np.mean(scale**2)), 1.0)
+    occam += 0.5 * float(away @ precision @ away) / max(float(np.mean(noise[group])), 1.0)
     plain = Fit(fit.hypothesis, fit.x, fit.cost)
     strain = strain_of(bench, fit, scaled)
     return Evidence(plain, score, float(occam), level, out.left, out.unknowns, float(fitted), strain)

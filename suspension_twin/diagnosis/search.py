@@ -34,6 +34,7 @@ _STEP = 2.5e-3
 _ROUGH, _DEEP, _FINE, _LONG = 4, 6, 5, 15
 #: How much worse than the best so far a start may be that a fit is begun from.
 _WORTH_A_LOOK = 3.0
+_BEHIND = 3.0  # -2 log posterior by which a baseline has to be better for all effects to go on from there
 #: Effects whose Jacobian is simulated anew before they are judged: the best by the rough fit.
 _FINALISTS = 7
 _BEST_PAIRS = 3
@@ -95,8 +96,8 @@ def singles(
 
     rough = side_by_side(look, list(library), lambda done, name: tell(0.65 * done, name.replace("_", " ")))
     base, known = _rebased(bench, base, [r.x for r in rough]), base
-    moved = base is not known
-    then = finished(coarse, BASELINE, base.x) if moved else begun
+    moved = base.cost < known.cost - _BEHIND
+    then = begun if base is known else finished(coarse, BASELINE, base.x)
     rough = side_by_side(
         lambda r: _caught_up(coarse, then, moved, r, seed), rough, lambda done, _: tell(0.6, "baseline")
     )
@@ -154,7 +155,7 @@ def _rough(
             v, x, cost = far
         for begun, start in _wide(bench, base, v, seed):
             if begun < _WORTH_A_LOOK * cost:
-                y, other = refit(bench, v, [start], None, _DEEP)
+                y, other = refit(bench, v, [start], None, _DEEP, sparing=True)
                 x, cost = (y, other) if other < cost else (x, cost)
         found.append((cost, v, x))
     cost, v, x = min(found, key=lambda f: f[0])

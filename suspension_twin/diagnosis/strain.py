@@ -12,7 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from suspension_twin.diagnosis.bench import Bench, Linearised
+from suspension_twin.diagnosis.bench import Bench, Curved, Linearised
 from suspension_twin.diagnosis.fit import Linear, room, within
 from suspension_twin.drive.types import Floats
 
@@ -49,8 +49,8 @@ class Strain:
         return max(spent, 0.0), float(freedom)
 
 
-def strain_of(bench: Bench, fit: Linear, at: Linearised) -> Strain:
-    """That of a fit, linearised ``at`` its place with every residual in units of what is left."""
+def strain_of(bench: Bench, fit: Linear, at: Linearised | Curved) -> Strain:
+    """That of a fit, ``at`` its place, with every residual in units of what is left."""
     precision, centre = bench.prior(fit.hypothesis)
     low, high = room(bench, fit.hypothesis, fit.x)
     pulled = np.einsum("ij,j->i", precision, fit.x - centre, optimize=False)

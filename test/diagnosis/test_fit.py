@@ -92,6 +92,24 @@ def test_a_fit_is_linearised_where_it_ends_and_nowhere_twice(bench: Any) -> None
     assert (len(places), len(tried)) == (1, 1), "no step could gain anything, so none is tried"
 
 
+def test_a_sparing_fit_linearises_half_as_often(bench: Any) -> None:
+    """And comes to the same place: in between, the effect's own columns alone are anew."""
+    places, linearise = [], bench.linearise
+
+    def alone(hypothesis: Hypothesis, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        here = linearise(hypothesis, x)
+        return here.residual, np.ascontiguousarray(here.jacobian[:, 1:])
+
+    bench.linearise = lambda hypothesis, x: (places.append(tuple(x)), linearise(hypothesis, x))[1]
+    bench.effects_alone = alone
+    start = np.array([0.0, 0.6, 0.2, 0.0])
+    whole, _ = refit(bench, STOP, [start], None, 30)
+    often = len(places)
+    spared, _ = refit(bench, STOP, [start], None, 30, sparing=True)
+    assert_allclose(spared, whole, atol=0.02)
+    assert often > 1 and len(places) - often <= (often + 1) // 2
+
+
 def test_a_step_that_fails_is_tried_shorter_from_the_same_linearisation(bench: Any) -> None:
     """All but short steps break off, as a simulation does."""
     places, linearise, costs = [], bench.linearise, bench.costs

@@ -14,6 +14,7 @@ from suspension_twin.diagnosis import judge, run
 from suspension_twin.diagnosis.fit import Fit
 from suspension_twin.diagnosis.hypotheses import Hypothesis
 from suspension_twin.diagnosis.judge import Evidence
+from suspension_twin.diagnosis.search import Single
 
 
 def told(effect: str, gain: float) -> Evidence:
@@ -36,7 +37,8 @@ def weighed(
         bench=None, blocks=None, request=SimpleNamespace(seed=0), base=told("", 0.0), temper=1.0, tell=None
     )
     everything = [search.base, *(told(e, g) for e, g in zip(effects, plain, strict=True))]
-    run._Search._weigh(search, everything, np.array([0.4, 0.3, 0.3]), [None, None])
+    found = [Single(e, one, np.ones(1), finalist=False) for e, one in zip(effects, everything[1:], strict=True)]
+    run._Search._weigh(search, everything, np.array([0.4, 0.3, 0.3]), found)
     assert search.weights.sum() == pytest.approx(1.0)
     assert search.beats.shape == (3, 3)
     return search
