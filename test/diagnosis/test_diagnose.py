@@ -138,12 +138,12 @@ def test_an_effect_that_no_step_leads_to_from_the_baseline_is_tried_on_the_vehic
     lost: list[str] = []
     right = search.refit
 
-    def refit(bench: Any, hypothesis: Any, starts: Any, known: Any, iterations: int) -> Any:
+    def refit(bench: Any, hypothesis: Any, starts: Any, *how: Any, **more: Any) -> Any:
         away = all(not np.array_equal(x[: bench.d], bench.centre[: bench.d]) for x in starts)
         if hypothesis.effects == ("sensor_tilt",) and away and not lost:
             lost.append("sensor_tilt")
             return starts[0], np.inf
-        return right(bench, hypothesis, starts, known, iterations)
+        return right(bench, hypothesis, starts, *how, **more)
 
     monkeypatch.setattr(search, "refit", refit)
     case = make("sensor_tilt", {"roll": 0.06, "pitch": 0.08, "yaw": 0.0})
