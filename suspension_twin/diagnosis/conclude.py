@@ -90,7 +90,8 @@ def conclude(
     chosen = found.chosen.fit.hypothesis.effects
     if len(chosen) > 1:
         effects, unknown = _shared(found, effects, unknown, chosen, found.chosen_gone)
-    groups = _groups(found, effects)
+    # members of a set are all there: by themselves they may look alike, but nothing has to tell them apart
+    groups = _groups(found, effects) if len(chosen) < 2 else []
     left = 1.0 - _shrink(bench, found, found.chosen_left, request.seed).shrink
     adequate = found.chosen_gate.adequate
     told, known = [*groups, list(_places(found, chosen))], found.reference is not None
@@ -134,7 +135,7 @@ def conclude(
         if stretch is not None:
             document["signature"]["stretch"] = stretch
     tied = [found.singles[i] for i in (groups[0] if groups else [])]
-    if len(tied) < 2:
+    if len(tied) < 2 and len(chosen) < 2:
         named = [c["effect"] for c in causes[:2] if c["probability"] > _WORTH_ASKING]
         tied = [s for name in named for s in found.singles if s.effect == name]
     document["next_experiment"] = (

@@ -21,7 +21,7 @@ from suspension_twin.drive.write import write_drive
 from suspension_twin.errors import InputError
 from suspension_twin.gap.simulated import simulate_drive
 from suspension_twin.report.diagnosis import diagnosis_page
-from suspension_twin.vehicle.twin import Twin, load_twin
+from suspension_twin.vehicle.twin import EffectSpec, Twin, load_twin
 
 FEW = ("strut_friction", "tyre_damping", "time_offset")
 
@@ -169,6 +169,18 @@ def test_effects_asked_for_by_name_on_the_command_line(
     document = json.loads((tmp_path / "out" / "diagnosis.json").read_text())
     assert sorted(c["effect"] for c in document["causes"]) == ["strut_friction", "tyre_damping"]
     assert document["combination"] == ["strut_friction"]
+
+
+def test_two_causes_are_named_together_and_nothing_has_to_tell_them_apart(make: Any) -> None:
+    elsewhere = EffectSpec(id="sensor_offset", parameters={"x": 0.8, "y": 0.0, "z": 0.0})
+    case = make("strut_friction", {"front_force": 250.0, "rear_force": 250.0}, always=(elsewhere,))
+    effects = ("strut_friction", "sensor_offset", "payload")
+    document = diagnose(replace(ask(case), effects=effects)).document
+    assert set(document["combination"]) == {"strut_friction", "sensor_offset"}, document["message"]
+    first, second, other = document["causes"]
+    assert first["probability"] == pytest.approx(second["probability"], abs=1e-4) and other["probability"] < 0.01
+    assert not any(c["indistinguishable_from"] for c in document["causes"])
+    assert document["next_experiment"].startswith("None is needed to tell candidates apart.")
 
 
 def test_what_a_converter_cuts_off_is_compared(make: Any) -> None:
