@@ -39,10 +39,15 @@ FOREIGN = """PYTHONPATH PYTHONHOME PYTHONUSERBASE VIRTUAL_ENV VIRTUAL_ENV_PROMPT
 PIP_USER PIP_TARGET PIP_PREFIX PIP_ROOT AMENT_PREFIX_PATH COLCON_PREFIX_PATH ROS_DISTRO ROS_VERSION
 ROS_PYTHON_VERSION RMW_IMPLEMENTATION _ROS_WHEELS_BOOTSTRAP_COMPLETE""".split()
 
-NETWORK = re.compile(r"NewConnectionError|NameResolution|name resolution|timed out|Max retries|unreachable|ProxyError")
+NETWORK = re.compile(
+    r"NewConnectionError|NameResolution|name resolution|timed out|Max retries|unreachable|ProxyError"
+)
 TROUBLES = (  # in pip's words, and in ours
     (NETWORK, "no package index within reach: connect to the network, or set PIP_INDEX_URL to a mirror"),
-    (re.compile(r"SSLError|CERTIFICATE_VERIFY"), "cannot verify the package index: apt-get install ca-certificates"),
+    (
+        re.compile(r"SSLError|CERTIFICATE_VERIFY"),
+        "cannot verify the package index: apt-get install ca-certificates",
+    ),
     (re.compile(r"No space left|Errno 28"), "no space left on the disk: about 2 GB are needed"),
 )
 
@@ -135,7 +140,13 @@ def set_up(extras):
         say("installing into .venv, some minutes the first time")
         targets = [] if same.get("interfaces") else [os.path.join(ROOT, folder) for folder in INTERFACES]
         targets += ["-e", ".[%s]" % ",".join(extras) if extras else "."]
-        options = ["--no-input", "--disable-pip-version-check", "--no-warn-script-location", "--progress-bar", "off"]
+        options = [
+            "--no-input",
+            "--disable-pip-version-check",
+            "--no-warn-script-location",
+            "--progress-bar",
+            "off",
+        ]
         run([PYTHON, "-m", "pip", "install"] + options + targets)
         wanted["extras"] = extras
         write_stamp(wanted)
@@ -156,9 +167,13 @@ def check_machine():
         libc = "another libc"
     found = re.match(r"glibc (\d+)\.(\d+)", libc)
     if not found or (int(found.group(1)), int(found.group(2))) < (2, 28):
-        raise Refusal("the ROS 2 wheels need glibc 2.28 or later, this is %s: use Debian 12 or Ubuntu 24.04" % libc)
+        raise Refusal(
+            "the ROS 2 wheels need glibc 2.28 or later, this is %s: use Debian 12 or Ubuntu 24.04" % libc
+        )
     if platform.python_implementation() != "CPython" or sysconfig.get_config_var("Py_GIL_DISABLED"):
-        raise Refusal("the ROS 2 wheels are for the standard CPython, this is another build: apt-get install python3")
+        raise Refusal(
+            "the ROS 2 wheels are for the standard CPython, this is another build: apt-get install python3"
+        )
 
 
 def check_tools():
@@ -186,9 +201,16 @@ def run(command):
     """Run a step of the installation, with its last line as progress and all of it in the log."""
     lines = []
     process = subprocess.Popen(
-        command, cwd=ROOT, env=clean_environment(), stdin=subprocess.DEVNULL, stdout=subprocess.PIPE,
-        stderr=subprocess.STDOUT, encoding="utf-8", errors="replace", close_fds=False,
-    )  # fmt: skip
+        command,
+        cwd=ROOT,
+        env=clean_environment(),
+        stdin=subprocess.DEVNULL,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.STDOUT,
+        encoding="utf-8",
+        errors="replace",
+        close_fds=False,
+    )
     try:
         for line in process.stdout:
             lines.append(line)
@@ -208,7 +230,11 @@ def run(command):
         for pattern, trouble in TROUBLES:
             if pattern.search(text):
                 raise Refusal(trouble)
-        errors = [line.strip() for line in lines if "error" in line.lower()] or [line.strip() for line in lines] or [""]
+        errors = (
+            [line.strip() for line in lines if "error" in line.lower()]
+            or [line.strip() for line in lines]
+            or [""]
+        )
         raise Refusal("cannot install: %s (all of it in %s)" % (errors[-1], os.path.relpath(LOG)))
 
 

@@ -62,7 +62,9 @@ def _generate(job: tuple[list[Spec], Path]) -> list[str]:
         except (ArithmeticError, ValueError) as error:  # the others are worth having all the same
             lines.append(f"{spec.name} cannot be made: {error}")
             continue
-        (out / "sealed" / spec.name / "label.json").write_text(json.dumps(label, indent=1, sort_keys=True) + "\n")
+        (out / "sealed" / spec.name / "label.json").write_text(
+            json.dumps(label, indent=1, sort_keys=True) + "\n"
+        )
         lines.append(f"{spec.name} {time.monotonic() - began:.1f} s")
     return lines
 
@@ -106,22 +108,36 @@ def diagnose(cases: list[Spec], out: Path, tell: Any) -> None:
 
 
 def parsed() -> argparse.Namespace:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     size = parser.add_mutually_exclusive_group()
     size.add_argument("--short", action="store_true", help="nine cases, minutes (the default)")
     size.add_argument("--full", action="store_true", help="all cases, hours")
-    parser.add_argument("--seeds", choices=("dev", "report", "report2", "report3", "links_dev", "links"), default="dev")
+    parser.add_argument(
+        "--seeds", choices=("dev", "report", "report2", "report3", "links_dev", "links"), default="dev"
+    )
     parser.add_argument("--stage", choices=("generate", "diagnose", "score", "all"), default="all")
-    parser.add_argument("--only", nargs="+", default=[], metavar="EFFECT", help="effects, kinds or names of cases")
-    parser.add_argument("--severity", nargs="+", type=float, default=[], help="keep cases of these severities")
+    parser.add_argument(
+        "--only", nargs="+", default=[], metavar="EFFECT", help="effects, kinds or names of cases"
+    )
+    parser.add_argument(
+        "--severity", nargs="+", type=float, default=[], help="keep cases of these severities"
+    )
     parser.add_argument("--reality", choices=("newton", "multibody", "linkage"))
     parser.add_argument("--limit", type=int, default=0, metavar="N", help="the first N cases: a fair sample")
     parser.add_argument("--jobs", type=int, default=min(2, os.cpu_count() or 1), help="to generate with")
     parser.add_argument(
-        "--baselines", type=int, default=0, metavar="N", help="score simple methods beside on N cases (a minute each)"
+        "--baselines",
+        type=int,
+        default=0,
+        metavar="N",
+        help="score simple methods beside on N cases (a minute each)",
     )
     parser.add_argument("--keep", action="store_true", help="write the table to benchmarks/results")
-    parser.add_argument("--add", action="store_true", help="with --keep: beside the answers to other cases kept there")
+    parser.add_argument(
+        "--add", action="store_true", help="with --keep: beside the answers to other cases kept there"
+    )
     parser.add_argument("--out", type=Path, default=None, metavar="DIR")
     parser.add_argument("--json", action="store_true")
     options = parser.parse_args()

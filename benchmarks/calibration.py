@@ -39,7 +39,7 @@ from calibration_cases import (
     thirty_per_cent_off,
     within_table_2,
     write_case,
-)  # fmt: skip
+)
 from calibration_judge import judged_by, same_question, traced
 from calibration_peers import draw, peers
 from rich.console import Console
@@ -47,10 +47,10 @@ from rich.table import Table
 
 from suspension_twin.calibration.request import CalibrationRequest, CalibrationResult
 from suspension_twin.calibration.run import calibrate
-from suspension_twin.calibration.space import twin_value
 from suspension_twin.drive.read import read_drive
 from suspension_twin.gap.prepare import prepare
 from suspension_twin.gap.synthetic import SensorErrors
+from suspension_twin.identification.space import twin_value
 from suspension_twin.models.simulate import simulate_twin
 from suspension_twin.vehicle.twin import Twin, load_twin
 
@@ -117,7 +117,9 @@ def accuracy(folder: Path, seeds: Sequence[int]) -> dict[str, Any]:
             true = float(twin_value(known, e.key))
             hit = bool(e.low <= true <= e.high)
             point = ".force." in e.key
-            hits["other parameters" if not point else "excited points" if e.excited else "other points"].append(hit)
+            hits[
+                "other parameters" if not point else "excited points" if e.excited else "other points"
+            ].append(hit)
             if e.excited and point:
                 own_errors.append(abs(e.value / true - 1))
                 own_hits.append(hit)
@@ -143,9 +145,15 @@ def accuracy(folder: Path, seeds: Sequence[int]) -> dict[str, Any]:
         "residual_ratio_unseen_median": float(np.median([r["residual_ratio_unseen"] for r in rows])),
         "force_error_median_at_excited_points": float(np.median(errors)),
         "force_error_median_worst_vehicle": max(r["force_error_points"] for r in rows),
-        "force_error_median_along_excited_range": float(np.median([r["force_error_excited_range"] for r in rows])),
+        "force_error_median_along_excited_range": float(
+            np.median([r["force_error_excited_range"] for r in rows])
+        ),
         **{f"{kind.replace(' ', '_')}": len(found) for kind, found in hits.items()},
-        **{f"coverage_{kind.replace(' ', '_')}": float(np.mean(found)) for kind, found in hits.items() if found},
+        **{
+            f"coverage_{kind.replace(' ', '_')}": float(np.mean(found))
+            for kind, found in hits.items()
+            if found
+        },
         "coverage_everything": float(np.mean(every)),
         "by_vehicle": rows,
     }
@@ -191,9 +199,19 @@ def speed(folder: Path, repeats: int = 5) -> dict[str, Any]:
 def timed(case: Case, preset: str, out: Path, repeats: int, page: Path | None) -> dict[str, float]:
     """Wall and processor seconds of a whole command, the least of ``repeats`` each, and how busy the machine was."""
     command = [
-        sys.executable, "-m", "suspension_twin", "calibrate", "--twin", str(case.twin), "--preset", preset,
-        "--out", str(out), *map(str, case.drives.values()), *(("--report", str(page)) if page else ()),
-    ]  # fmt: skip
+        sys.executable,
+        "-m",
+        "suspension_twin",
+        "calibrate",
+        "--twin",
+        str(case.twin),
+        "--preset",
+        preset,
+        "--out",
+        str(out),
+        *map(str, case.drives.values()),
+        *(("--report", str(page)) if page else ()),
+    ]
     walls, busy = [], []
     for _ in range(repeats + 1):
         start, before = time.perf_counter(), resource.getrusage(resource.RUSAGE_CHILDREN)

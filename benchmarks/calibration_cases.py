@@ -67,7 +67,9 @@ def thirty_per_cent_off(seed: int) -> tuple[Twin, Twin]:
 def bump(seed: int) -> Road:
     """A bump across a smooth road, where a pass of ten seconds meets it in the middle."""
     del seed
-    return bump_road(circular(0.9, 0.05), at=22.0, length=60.0, width=6.0, step=0.02, x=-20.0, y=3.0, heading=0.4)
+    return bump_road(
+        circular(0.9, 0.05), at=22.0, length=60.0, width=6.0, step=0.02, x=-20.0, y=3.0, heading=0.4
+    )
 
 
 def rough(seed: int) -> Road:
@@ -85,7 +87,13 @@ class Case:
 
 
 def write_case(
-    folder: Path, truth: Twin, start: Twin, road: Road, knots: dict[str, Knots], seed: int, errors: SensorErrors
+    folder: Path,
+    truth: Twin,
+    start: Twin,
+    road: Road,
+    knots: dict[str, Knots],
+    seed: int,
+    errors: SensorErrors,
 ) -> Case:
     """Simulate the drives of the truth and write all that a calibration reads."""
     folder.mkdir(parents=True, exist_ok=True)

@@ -12,12 +12,12 @@ import numpy as np
 import yaml
 from calibration_cases import Case
 
-from suspension_twin.calibration.nuisance import NUISANCES
+from suspension_twin.arrays import Floats
 from suspension_twin.calibration.request import CalibrationRequest, CalibrationResult, Progress
 from suspension_twin.calibration.run import calibrate
 from suspension_twin.calibration.setup import set_up
-from suspension_twin.calibration.space import curve_keys
-from suspension_twin.drive.types import Floats
+from suspension_twin.identification.nuisance import NUISANCES
+from suspension_twin.identification.space import curve_keys
 from suspension_twin.vehicle.twin import load_twin
 
 _ONE_CHANNEL = (("vertical_acceleration", 1.0),)
@@ -25,10 +25,16 @@ _ONE_CHANNEL = (("vertical_acceleration", 1.0),)
 
 def same_question(case: Case, preset: str, seed: int, **more: Any) -> CalibrationRequest:
     """One drive, the paper's 24 points, eq. (1) and the clock: what both presets can be asked alike."""
-    asked = {} if preset == "paper" else {
-        "objective": "euclidean", "channels": _ONE_CHANNEL, "free": curve_keys(load_twin(case.twin)),
-        "freeze": tuple(f"nuisances.{name}" for name in NUISANCES if name != "clock_offset"),
-    }  # fmt: skip
+    asked = (
+        {}
+        if preset == "paper"
+        else {
+            "objective": "euclidean",
+            "channels": _ONE_CHANNEL,
+            "free": curve_keys(load_twin(case.twin)),
+            "freeze": tuple(f"nuisances.{name}" for name in NUISANCES if name != "clock_offset"),
+        }
+    )
     drives = tuple(str(p) for p in case.drives.values())
     return CalibrationRequest(twin=str(case.twin), bags=drives, preset=preset, seed=seed, **asked, **more)
 

@@ -16,8 +16,8 @@ from plain_car import PlainCar
 from suspension_twin.calibration.request import Progress
 from suspension_twin.calibration.run import calibrate
 from suspension_twin.calibration.setup import set_up
-from suspension_twin.calibration.space import twin_value
 from suspension_twin.gap.synthetic import SensorErrors
+from suspension_twin.identification.space import twin_value
 from suspension_twin.vehicle.twin import Twin, load_twin
 
 
@@ -57,7 +57,9 @@ def peers(folder: Path, seconds: float, seed: int) -> dict[str, Any]:
 
     paper = calibrate(asked, look)
     found["paper"] = _summed(paper_trace, paper.evaluations, paper.seconds)
-    fast, trace = traced(same_question(case, "fast", seed, state=str(folder / "peer_state")), judged_by(asked))
+    fast, trace = traced(
+        same_question(case, "fast", seed, state=str(folder / "peer_state")), judged_by(asked)
+    )
     found["fast"] = _summed([[n, t, c] for n, c, t in trace], fast.evaluations, fast.seconds)
 
     def batch(values: np.ndarray) -> np.ndarray:
@@ -113,9 +115,16 @@ def _scipy(
         return values
 
     differential_evolution(
-        cost, list(zip(lower, upper, strict=True)), seed=1, vectorized=True, updating="deferred", polish=False,
-        popsize=4, maxiter=10_842 // (4 * len(lower)), callback=lambda *a: counted.over,
-    )  # fmt: skip
+        cost,
+        list(zip(lower, upper, strict=True)),
+        seed=1,
+        vectorized=True,
+        updating="deferred",
+        polish=False,
+        popsize=4,
+        maxiter=10_842 // (4 * len(lower)),
+        callback=lambda *a: counted.over,
+    )
     return _told(counted)
 
 

@@ -79,9 +79,11 @@ def timed(folder: Path, drives: list[str]) -> dict[str, Any]:
         raise SystemExit(f"the diagnosis ended with {os.waitstatus_to_exitcode(status)}")
     answer = json.loads((folder / "out" / "diagnosis.json").read_text(encoding="utf-8"))
     return {
-        "seconds": round(seconds, 1), "processor_seconds": round(used.ru_utime + used.ru_stime, 1),
-        "memory_mb": round(used.ru_maxrss / 1024), "message": answer["message"],
-    }  # fmt: skip
+        "seconds": round(seconds, 1),
+        "processor_seconds": round(used.ru_utime + used.ru_stime, 1),
+        "memory_mb": round(used.ru_maxrss / 1024),
+        "message": answer["message"],
+    }
 
 
 def main() -> None:
@@ -97,9 +99,14 @@ def main() -> None:
             "two drives with the gap": [str(folder / "fault"), str(folder / "more")],
             "one, and one from before": [str(folder / "fault"), "--reference", str(folder / "before")],
         }
-        timed(folder, [*ways["two drives with the gap"], "--effect", "time_offset"])  # whatever has to be compiled
+        timed(
+            folder, [*ways["two drives with the gap"], "--effect", "time_offset"]
+        )  # whatever has to be compiled
         found = {
-            way: {"library": timed(folder, drives), "alone": timed(folder, [*drives, "--effect", "time_offset"])}
+            way: {
+                "library": timed(folder, drives),
+                "alone": timed(folder, [*drives, "--effect", "time_offset"]),
+            }
             for way, drives in ways.items()
         }
     if options.json:

@@ -28,14 +28,16 @@ import numpy as np  # noqa: E402
 from blind.folder import make_case  # noqa: E402
 from blind.plan import Spec, plan  # noqa: E402
 
-from suspension_twin.diagnosis import fit as fits  # noqa: E402
-from suspension_twin.diagnosis import gaps, judge, verdict  # noqa: E402
+from suspension_twin.arrays import Floats  # noqa: E402
+from suspension_twin.diagnosis import evidence as judge  # noqa: E402
+from suspension_twin.diagnosis import shrink as gaps  # noqa: E402
+from suspension_twin.diagnosis import verdict  # noqa: E402
 from suspension_twin.diagnosis.bench import Bench  # noqa: E402
 from suspension_twin.diagnosis.case import baseline, build, read_case  # noqa: E402
-from suspension_twin.diagnosis.fit import Linear, fitted, refit  # noqa: E402
 from suspension_twin.diagnosis.hypotheses import BASELINE, Hypothesis, library  # noqa: E402
 from suspension_twin.diagnosis.request import DiagnosisRequest  # noqa: E402
-from suspension_twin.drive.types import Floats  # noqa: E402
+from suspension_twin.identification import gauss_newton as fits  # noqa: E402
+from suspension_twin.identification.gauss_newton import Linear, fitted, refit  # noqa: E402
 
 EFFECTS = ("sensor_bandwidth", "strut_friction")
 BESIDE, FURTHER = 0.1, 0.6  # of a coordinate, by which fits begin beside the best and further off
@@ -61,7 +63,9 @@ def evidences(bench: Bench, blocks: judge.Blocks, found: Sequence[Linear], tempe
     return temper * np.array([float(e.score.sum()) - 0.5 * e.occam for e in out])
 
 
-def scatter(bench: Bench, hypothesis: Hypothesis, x: Floats, blocks: judge.Blocks, temper: float, count: int) -> Any:
+def scatter(
+    bench: Bench, hypothesis: Hypothesis, x: Floats, blocks: judge.Blocks, temper: float, count: int
+) -> Any:
     """Costs of fits begun beside each other, and the spread of their evidence, held and free."""
     rng = np.random.default_rng(0)
     spread = np.concatenate([np.ones(bench.d), bench.problem.nuisances.spread, np.ones(len(hypothesis))])
@@ -79,9 +83,11 @@ def scatter(bench: Bench, hypothesis: Hypothesis, x: Floats, blocks: judge.Block
     return {
         "hypothesis": hypothesis.name,
         "costs": float(np.ptp([f.cost for f in found])),
-        "held": float(np.std(held, ddof=1)), "free": float(np.std(free, ddof=1)),
-        "behind_damped_by_prior": damped - known, "behind_damped_by_curvature": bare - known,
-    }  # fmt: skip
+        "held": float(np.std(held, ddof=1)),
+        "free": float(np.std(free, ddof=1)),
+        "behind_damped_by_prior": damped - known,
+        "behind_damped_by_curvature": bare - known,
+    }
 
 
 def case_of(folder: Path, count: int) -> list[dict[str, Any]]:
@@ -110,7 +116,9 @@ def case_of(folder: Path, count: int) -> list[dict[str, Any]]:
 def main() -> None:
     """Take the figures and print a table, or with ``--json`` the same figures."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--cases", type=int, default=4, help="development cases to make (a minute and a half each)")
+    parser.add_argument(
+        "--cases", type=int, default=4, help="development cases to make (a minute and a half each)"
+    )
     parser.add_argument("--fits", type=int, default=5, help="fits beside each other")
     parser.add_argument("--json", action="store_true")
     options = parser.parse_args()

@@ -182,10 +182,15 @@ def listen_to_all(control: Connection) -> None:
     rclpy.init(args=[])
     node = rclpy.create_node("dashboard", namespace="twin")
     for kind, topic in (
-        (Imu, "imu/data"), (AccelStamped, "imu/vertical_acceleration"), (Odometry, "twin/odom"),
-        (Imu, "twin/imu"), (PoseStamped, "twin/pose"), (JointState, "joint_states"), (TFMessage, "/tf"),
+        (Imu, "imu/data"),
+        (AccelStamped, "imu/vertical_acceleration"),
+        (Odometry, "twin/odom"),
+        (Imu, "twin/imu"),
+        (PoseStamped, "twin/pose"),
+        (JointState, "joint_states"),
+        (TFMessage, "/tf"),
         (Gap, "twin/gap"),
-    ):  # fmt: skip
+    ):
         node.create_subscription(kind, topic, lambda _: None, 100)
     executor = TwinExecutor()
     executor.add_node(node)
@@ -286,7 +291,12 @@ def synthetic_hour(seconds: float, rate: float = 100.0) -> Any:
     )
     velocity = SPEED * np.column_stack([np.cos(angle), np.sin(angle), np.zeros(at.size)])
     fix = FixData(
-        1.7e9 + at, place[:, 0], place[:, 1], place[:, 2], np.zeros(at.size, dtype=np.int8), np.full((at.size, 3), 0.02)
+        1.7e9 + at,
+        place[:, 0],
+        place[:, 1],
+        place[:, 2],
+        np.zeros(at.size, dtype=np.int8),
+        np.full((at.size, 3), 0.02),
     )
     return Drive("hour", ImuData(1.7e9 + t, force, turn), fix, VelocityData(1.7e9 + at, velocity))
 
@@ -334,18 +344,28 @@ def resident() -> float:
 
 def main() -> int:
     """Measure, print a table or JSON."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("--json", action="store_true", help="one JSON object instead of the table")
-    parser.add_argument("--seconds", type=float, default=20.0, help="measured seconds per system and rate; 0: none")
+    parser.add_argument(
+        "--seconds", type=float, default=20.0, help="measured seconds per system and rate; 0: none"
+    )
     parser.add_argument("--rounds", type=int, default=5, help="turns that the systems take")
     parser.add_argument("--warm-up", type=float, default=2.0, help="seconds of a turn that do not count")
-    parser.add_argument("--dashboard", action="store_true", help="a further process takes all that the twin publishes")
-    parser.add_argument("--replay", type=float, default=3600.0, help="seconds of driving for the memory; 0: none")
+    parser.add_argument(
+        "--dashboard", action="store_true", help="a further process takes all that the twin publishes"
+    )
+    parser.add_argument(
+        "--replay", type=float, default=3600.0, help="seconds of driving for the memory; 0: none"
+    )
     arguments = parser.parse_args()
     result: dict[str, Any] = {"bar": BAR, "cores": os.cpu_count(), "dashboard": arguments.dashboard}
     result["rates"] = {}
     if arguments.seconds > 0:
-        result["rates"] = measure_latency(arguments.seconds, arguments.rounds, arguments.warm_up, arguments.dashboard)
+        result["rates"] = measure_latency(
+            arguments.seconds, arguments.rounds, arguments.warm_up, arguments.dashboard
+        )
     if arguments.replay > 0:
         result["memory"] = measure_memory(arguments.replay)
     if arguments.json:
@@ -363,7 +383,9 @@ def _print(result: dict[str, Any]) -> None:
             row = rows[system]
             lost = f"{row['lost']} of {row['sent']}"
             share = f"{100 * row['cpu_share']:.1f} %"
-            print(f"{rate + ' Hz':>9} {system:>7} {row['p50_us']:8.0f} {row['p99_us']:8.0f} {share:>14} {lost:>13}")
+            print(
+                f"{rate + ' Hz':>9} {system:>7} {row['p50_us']:8.0f} {row['p99_us']:8.0f} {share:>14} {lost:>13}"
+            )
         word = "within" if rows["within_bar"] else "beyond"
         print(
             f"{'':>9} p99 of the twin / of the relay: {rows['p99_ratio']:.2f}, {word} the bar of {result['bar']:g} "

@@ -23,13 +23,14 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table
 
+from suspension_twin.arrays import Floats
 from suspension_twin.diagnosis.case import build, read_case
-from suspension_twin.diagnosis.gaps import standing
 from suspension_twin.diagnosis.request import DiagnosisRequest
 from suspension_twin.diagnosis.run import diagnose
+from suspension_twin.diagnosis.shrink import standing
 from suspension_twin.drive.edit import cut
 from suspension_twin.drive.importing import import_drive
-from suspension_twin.drive.types import Drive, Floats
+from suspension_twin.drive.types import Drive
 from suspension_twin.drive.write import write_drive
 from suspension_twin.signals.offline import ingest_drive
 from suspension_twin.vehicle.twin import Datum, Place, Twin, load_twin, save_twin
@@ -71,9 +72,10 @@ def named(document: dict[str, Any]) -> dict[str, Any]:
                 scale = 180 / np.pi if name in ("roll", "pitch", "yaw") else 1.0
                 low, high = cause["parameter_intervals"][name]
                 found[name] = {
-                    "found": value * scale, "interval": [low * scale, high * scale],
+                    "found": value * scale,
+                    "interval": [low * scale, high * scale],
                     "documented": DOCUMENTED.get(name),
-                }  # fmt: skip
+                }
     return found
 
 
@@ -95,10 +97,13 @@ def halves(drive: Drive, folder: Path) -> dict[str, Any]:
     # a drift counts from the first stamp of the drive that it is asked of
     drift = next((e.parameters["drift_ppm"] for e in result.twin.effects if e.id == "clock_drift"), 0.0)
     later = tuple(
-        e.model_copy(update={"parameters": {"offset": e.parameters["offset"] + 1e-6 * drift * (middle - start)}})
-        if e.id == "time_offset" else e
+        e.model_copy(
+            update={"parameters": {"offset": e.parameters["offset"] + 1e-6 * drift * (middle - start)}}
+        )
+        if e.id == "time_offset"
+        else e
         for e in result.twin.effects
-    )  # fmt: skip
+    )
     mended = result.twin.model_copy(update={"effects": later, "road": None})
     before, after = gap(second, twin, folder / "before"), gap(second, mended, folder / "after")
     return {
@@ -106,14 +111,22 @@ def halves(drive: Drive, folder: Path) -> dict[str, Any]:
         "second_half": {
             c: {"before": before[c], "after": after[c], "shrink": 1.0 - after[c] / before[c]} for c in before
         },
-    }  # fmt: skip
+    }
 
 
 def repeat_floor(drive: Drive) -> dict[str, float]:
     """Vertical acceleration of two passes over one bump: what differs, by road position, over the root of two."""
     signals = ingest_drive(drive, Place(position=(0.0, 0.0, 1.5), rpy=(0.0, 0.0, np.pi)))
-    way = np.concatenate([[0.0], np.cumsum(np.hypot(np.diff(drive.fix.latitude) * 111_200.0,
-                                                    np.diff(drive.fix.longitude) * 111_200.0 * 0.77))])  # fmt: skip
+    way = np.concatenate(
+        [
+            [0.0],
+            np.cumsum(
+                np.hypot(
+                    np.diff(drive.fix.latitude) * 111_200.0, np.diff(drive.fix.longitude) * 111_200.0 * 0.77
+                )
+            ),
+        ]
+    )
     grid = np.arange(-6.0, 6.0, 0.02)
 
     def passed(seconds: float) -> Floats:
@@ -125,9 +138,10 @@ def repeat_floor(drive: Drive) -> dict[str, float]:
 
     one, two = (passed(s) for s in PASSES)
     return {
-        "rms": float(np.sqrt(np.mean(one**2))), "floor": float(np.std(one - two) / np.sqrt(2.0)),
+        "rms": float(np.sqrt(np.mean(one**2))),
+        "floor": float(np.std(one - two) / np.sqrt(2.0)),
         "correlation": float(np.corrcoef(one, two)[0, 1]),
-    }  # fmt: skip
+    }
 
 
 def show(console: Console, results: dict[str, Any]) -> None:
@@ -148,9 +162,13 @@ def show(console: Console, results: dict[str, Any]) -> None:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     given = os.environ.get("SUSPENSION_TWIN_DATA")
-    parser.add_argument("--data", type=Path, default=Path(given) if given else ROOT.parent / "shared" / "data")
+    parser.add_argument(
+        "--data", type=Path, default=Path(given) if given else ROOT.parent / "shared" / "data"
+    )
     parser.add_argument("--json", action="store_true", help="one JSON object on standard output")
     options = parser.parse_args()
     folder = options.data / "rtklibexplorer_GNSS_IMU"

@@ -28,12 +28,13 @@ from plain_car import PlainCar
 from rich.console import Console
 from rich.table import Table
 
+from suspension_twin.arrays import Floats
 from suspension_twin.effects.registry import EFFECTS
 from suspension_twin.models.blocks import cores
 from suspension_twin.models.excitation import excitation
 from suspension_twin.models.parameters import lanes, layout
 from suspension_twin.models.simulate import simulate_lanes, simulate_twin
-from suspension_twin.models.types import Excitation, Floats
+from suspension_twin.models.types import Excitation
 from suspension_twin.pose.types import Trajectory
 from suspension_twin.road import bump_road, circular
 from suspension_twin.vehicle.twin import Twin, load_twin
@@ -81,7 +82,9 @@ def best(work: Callable[[], object], repeats: int, clock: Callable[[], float] = 
 
 def operations(hinges: int = 3) -> int:
     """float64 operations of a lane's step in ``models.corner``: a fused multiply-add is two, min or max one."""
-    fused = 7 + 6 + 4 * (1 + hinges) + 4 + 3 + 4 + 2 + 4 + 4 + 4 + 4 * (2 + 2 * hinges) + 4 + 2 + 2 + 4 + 1 + 7
+    fused = (
+        7 + 6 + 4 * (1 + hinges) + 4 + 3 + 4 + 2 + 4 + 4 + 4 + 4 * (2 + 2 * hinges) + 4 + 2 + 2 + 4 + 1 + 7
+    )
     others = 4 + 4 + 4 + 4 + 4 + 3 + 1 + 1 + 2
     highest = 4 * hinges + 4 + 4 * (1 + 2 * hinges)
     return 2 * fused + others + highest
@@ -117,7 +120,9 @@ def beside_mujoco(twin: Twin, repeats: int) -> tuple[dict[str, float], list[tupl
     car = linear(twin)
     fine = 1e-4  # the road is linear between these, for everyone
     t = np.arange(round(PASS / fine) + 1) * fine
-    bump = bump_road(circular(0.9, 0.05), at=20.0, length=80.0, width=24.0, step=0.01, heading=0.1)  # slantwise: roll
+    bump = bump_road(
+        circular(0.9, 0.05), at=20.0, length=80.0, width=24.0, step=0.01, heading=0.1
+    )  # slantwise: roll
     wheels = car.vehicle.wheel_positions
     road = np.asarray(bump.heights(SPEED * t[:, None] + wheels[:, 0], 0 * t[:, None] + wheels[:, 1]))
     exact = LinearCar.of(car).exact(road, fine)
@@ -192,8 +197,9 @@ def straight_lines(twin: Twin, repeats: int) -> dict[str, Any]:
 
     out: dict[str, Any] = {}
     for name, cost, sizes in (
-        ("lanes", lane_cost, (64, 128, 256, 512, 1024)), ("length_s", length_cost, (5, 10, 20, 40, 80)),
-    ):  # fmt: skip
+        ("lanes", lane_cost, (64, 128, 256, 512, 1024)),
+        ("length_s", length_cost, (5, 10, 20, 40, 80)),
+    ):
         times = [cost(n) for n in sizes]
         out[f"cost_against_{name}"] = dict(zip(map(str, sizes), times, strict=True))
         out[f"linearity_{name}"] = float(np.corrcoef(sizes, times)[0, 1] ** 2)
@@ -287,7 +293,9 @@ def show(figures: dict[str, Any], rows: list[tuple[str, float, float, float]]) -
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("--json", action="store_true", help="one JSON object on standard output")
     parser.add_argument("--repeats", type=int, default=9, help="tries of each measurement")
     arguments = parser.parse_args()

@@ -105,7 +105,9 @@ def agreement(side: Side, rate: float, moving: NDArray[np.bool_]) -> dict[str, A
     return out
 
 
-def compare(folder: Path, name: str, twin: Twin, truth: Truth) -> tuple[dict[str, Any], dict[str, Side], Floats]:
+def compare(
+    folder: Path, name: str, twin: Twin, truth: Truth
+) -> tuple[dict[str, Any], dict[str, Side], Floats]:
     """One drive under one twin: figures of every signal, the signals, and where along the road (n,) m."""
     prepared = prepare(read_drive(folder / name), twin)
     run = simulate_twin(twin, prepared.excitation)
@@ -142,7 +144,10 @@ def measure(folder: Path) -> tuple[dict[str, Any], dict[str, Any]]:
         "calibrated_on": REFERENCE,
         "seconds": fitted.seconds,
         "sprung_inertia": {
-            k: {name: getattr(t.vehicle.sprung_inertia, k) for name, t in (("file", given), ("found", fitted.twin))}
+            k: {
+                name: getattr(t.vehicle.sprung_inertia, k)
+                for name, t in (("file", given), ("found", fitted.twin))
+            }
             for k in ("roll", "pitch")
         },
         "drives": {},
@@ -170,21 +175,32 @@ def show(figures: dict[str, Any]) -> None:
     console = Console(width=150)
     for name, row in figures["drives"].items():
         head = ["", "rms of truth", "off: given", "calibr.", "share: given", "calibr.", "correl."]
-        table = Table(*head, *[f"{b[0]:g}-{b[1]:g} Hz" for b in BANDS], title=f"{name}{', held out' * row['held_out']}")
+        table = Table(
+            *head, *[f"{b[0]:g}-{b[1]:g} Hz" for b in BANDS], title=f"{name}{', held out' * row['held_out']}"
+        )
         for signal, after in row["calibrated"]["signals"].items():
             before = row["given"]["signals"][signal]
             table.add_row(
-                signal, f"{after['rms']:.4g} {after['unit']}", f"{before['difference']:.3g}",
-                f"{after['difference']:.3g}", f"{before['share']:.2f}", f"{after['share']:.2f}",
-                f"{after['correlation']:.3f}", *[f"{b['share']:.2f}" for b in after["bands"]],
-            )  # fmt: skip
+                signal,
+                f"{after['rms']:.4g} {after['unit']}",
+                f"{before['difference']:.3g}",
+                f"{after['difference']:.3g}",
+                f"{before['share']:.2f}",
+                f"{after['share']:.2f}",
+                f"{after['correlation']:.3f}",
+                *[f"{b['share']:.2f}" for b in after["bands"]],
+            )
         console.print(table)
     fast = figures["drives"]["drive_fast"]
-    table = Table("drive_fast, calibrated", "share of the time", "share of the misfit (vertical acceleration)")
+    table = Table(
+        "drive_fast, calibrated", "share of the time", "share of the misfit (vertical acceleration)"
+    )
     for name, row in fast["misfit_by_situation"].items():
         table.add_row(name, f"{row['time']:.2f}", f"{row['misfit']:.2f}")
     console.print(table)
-    table = Table("what seven degrees cannot follow (truth alone)", *figures["drives"], title="rms, N for one axle")
+    table = Table(
+        "what seven degrees cannot follow (truth alone)", *figures["drives"], title="rms, N for one axle"
+    )
     rows = figures["beyond_seven_degrees"]
     for key in rows[REFERENCE]:
         table.add_row(key, *[f"{rows[name][key]:.4g}" for name in figures["drives"]])
@@ -198,7 +214,9 @@ def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     default = os.environ.get("SUSPENSION_TWIN_WITHHELD", str(ROOT.parent / "shared" / "withheld"))
     parser.add_argument("--data", type=Path, default=Path(default), help="folder that holds no_effect_added")
-    parser.add_argument("--out", type=Path, default=Path("out/multibody"), help="where figures and picture go")
+    parser.add_argument(
+        "--out", type=Path, default=Path("out/multibody"), help="where figures and picture go"
+    )
     parser.add_argument("--json", action="store_true", help="one JSON object on standard output")
     options = parser.parse_args()
     try:

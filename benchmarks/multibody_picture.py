@@ -12,15 +12,29 @@ from suspension_twin.report import style
 
 __all__ = ["draw"]
 
-_STRETCHES = (("a bump of 5 cm", 38.5, 47.0), ("a hump of 9 cm, under power", 82.0, 98.0), ("braking", 129.0, 143.0))
+_STRETCHES = (
+    ("a bump of 5 cm", 38.5, 47.0),
+    ("a hump of 9 cm, under power", 82.0, 98.0),
+    ("braking", 129.0, 143.0),
+)
 _TRACES = (
-    ("vertical acceleration", 0, "m/s²", 1.0), ("pitch", 0, "mrad", 1e3), ("front suspension travel", 0, "mm", 1e3),
-    ("front tyre load", 0, "kN", 1e-3), ("rear tyre load", 0, "kN", 1e-3),
-)  # fmt: skip
+    ("vertical acceleration", 0, "m/s²", 1.0),
+    ("pitch", 0, "mrad", 1e3),
+    ("front suspension travel", 0, "mm", 1e3),
+    ("front tyre load", 0, "kN", 1e-3),
+    ("rear tyre load", 0, "kN", 1e-3),
+)
 _BARS = (
-    "vertical acceleration", "roll rate", "pitch rate", "longitudinal acceleration", "lateral acceleration",
-    "front suspension travel", "rear suspension travel", "front tyre load", "rear tyre load",
-)  # fmt: skip
+    "vertical acceleration",
+    "roll rate",
+    "pitch rate",
+    "longitudinal acceleration",
+    "lateral acceleration",
+    "front suspension travel",
+    "rear suspension travel",
+    "front tyre load",
+    "rear tyre load",
+)
 
 
 def draw(figures: dict[str, Any], shown: dict[str, Any], path: Path) -> None:
@@ -28,15 +42,18 @@ def draw(figures: dict[str, Any], shown: dict[str, Any], path: Path) -> None:
     with style.using():
         fig = style.figure(13.0, 13.5)
         top, bottom = fig.subfigures(2, 1, height_ratios=[2.2, 1.0])
-        axes = top.subplots(len(_TRACES), len(_STRETCHES), sharex="col", sharey="row",
-                            width_ratios=[1.0, 1.4, 1.2])  # fmt: skip
+        axes = top.subplots(
+            len(_TRACES), len(_STRETCHES), sharex="col", sharey="row", width_ratios=[1.0, 1.4, 1.2]
+        )
         for column, (title, low, high) in enumerate(_STRETCHES):
             axes[0, column].set_title(title)
             axes[-1, column].set_xlabel("front axle along the road, m")
             for row, (name, place, unit, factor) in enumerate(_TRACES):
                 _trace(axes[row, column], shown, name, place, factor, low, high)
                 if column == 0:
-                    axes[row, 0].set_ylabel(f"{name.replace('suspension ', '').replace(' acceleration', '')}, {unit}")
+                    axes[row, 0].set_ylabel(
+                        f"{name.replace('suspension ', '').replace(' acceleration', '')}, {unit}"
+                    )
         handles, labels = axes[0, 0].get_legend_handles_labels()
         top.legend(handles, labels, loc="outside upper right", ncols=3)
         title = "A multibody car and its twin at 40 km/h, on a drive that the calibration has not seen"
@@ -45,18 +62,33 @@ def draw(figures: dict[str, Any], shown: dict[str, Any], path: Path) -> None:
         style.save(fig, path, dpi=110)
 
 
-def _trace(axes: Any, shown: dict[str, Any], name: str, place: int, factor: float, low: float, high: float) -> None:
+def _trace(
+    axes: Any, shown: dict[str, Any], name: str, place: int, factor: float, low: float, high: float
+) -> None:
     both, u = shown["calibrated"]
     given, v = shown["given"]
     here, there = (u > low) & (u < high), (v > low) & (v < high)
     truth = both[name].truth[:, place]
     level = np.median(truth)
-    axes.plot(u[here], factor * (truth[here] - level), color=style.colour("measured"), lw=1.8, label="multibody car")
+    axes.plot(
+        u[here], factor * (truth[here] - level), color=style.colour("measured"), lw=1.8, label="multibody car"
+    )
     old, new = given[name].twin[:, place], both[name].twin[:, place]
-    axes.plot(v[there], factor * (old[there] - np.median(old)), color=style.colour("before"), lw=0.9, ls="--",
-              label="twin as given")  # fmt: skip
-    axes.plot(u[here], factor * (new[here] - np.median(new)), color=style.colour("simulated"), lw=1.2,
-              label="twin, calibrated on another drive")  # fmt: skip
+    axes.plot(
+        v[there],
+        factor * (old[there] - np.median(old)),
+        color=style.colour("before"),
+        lw=0.9,
+        ls="--",
+        label="twin as given",
+    )
+    axes.plot(
+        u[here],
+        factor * (new[here] - np.median(new)),
+        color=style.colour("simulated"),
+        lw=1.2,
+        label="twin, calibrated on another drive",
+    )
     axes.margins(x=0)
 
 

@@ -83,7 +83,9 @@ class Truth:
         """What the car does, in the order in which a moment is given to the first that fits."""
         slow = _low_passed(self.pull, self.rate, 2.0)
         steep = np.abs(self.slopes(road)).max(axis=1) > 0.06
-        near = np.convolve(steep, np.ones(round(0.8 * self.rate)), mode="full")[: steep.size] > 0  # and as it rings
+        near = (
+            np.convolve(steep, np.ones(round(0.8 * self.rate)), mode="full")[: steep.size] > 0
+        )  # and as it rings
         travel = np.stack([self.columns[f"sc_{c}"] for c in CORNERS], axis=1) / self.ratio
         far = np.abs(travel - np.median(travel, axis=0)).max(axis=1) > 0.03
         return {
@@ -129,10 +131,14 @@ def beyond(truth: Truth, twin: Twin, road: Road) -> dict[str, float]:
             if sign > 0:
                 # links that take a share of brake and drive forces, and arms that stand aslant far from rest
                 kinds = [np.minimum(pull, 0.0), np.maximum(pull, 0.0)]
-                out[f"{axle}, {name}: and by brake and drive forces"] = _left(carried, [*strut, *kinds], moving)
+                out[f"{axle}, {name}: and by brake and drive forces"] = _left(
+                    carried, [*strut, *kinds], moving
+                )
                 travel = both("sc", 1.0) / (2 * truth.ratio[2 * k])
                 arms = [*kinds, travel**2, np.abs(travel) ** 3]
-                out[f"{axle}, {name}: and by the square of the travel"] = _left(carried, [*strut, *arms], moving)
+                out[f"{axle}, {name}: and by the square of the travel"] = _left(
+                    carried, [*strut, *arms], moving
+                )
         for pair, name in (((0, 1), AXLES[0]), ((2, 3), AXLES[1])):
             if name == axle:
                 out |= _tyres(truth, road, axle, pair)
@@ -158,8 +164,10 @@ def _tyres(truth: Truth, road: Road, axle: str, pair: tuple[int, int]) -> dict[s
         stiffness, damping = stiffness + fit[0] / 2, damping + fit[1] / 2
         size += float(np.var(load[on]))
     out = {f"{axle} tyres: loads on the road": float(np.sqrt(size))}
-    out |= {f"{axle} tyres: left by a linear {name}".replace("linear and", "spring and"): float(np.sqrt(v))
-            for name, v in kinds.items()}  # fmt: skip
+    out |= {
+        f"{axle} tyres: left by a linear {name}".replace("linear and", "spring and"): float(np.sqrt(v))
+        for name, v in kinds.items()
+    }
     out[f"{axle} tyres: stiffness found, kN/m"] = float(stiffness) / 1e3
     out[f"{axle} tyres: damping found, N s/m"] = float(damping)
     return out

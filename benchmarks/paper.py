@@ -20,17 +20,17 @@ from paper_trucks import TRUCKS, truck
 from rich.console import Console
 from rich.table import Table
 
+from suspension_twin.arrays import Floats
 from suspension_twin.calibration.presets import TABLE_2
 from suspension_twin.calibration.request import CalibrationRequest, CalibrationResult
 from suspension_twin.calibration.run import calibrate
 from suspension_twin.drive.read import read_drive
-from suspension_twin.drive.types import Floats
 from suspension_twin.gap.prepare import Prepared, prepare
 from suspension_twin.models.simulate import simulate_twin
 from suspension_twin.report import plots, style
 from suspension_twin.report.characteristics import force
 from suspension_twin.report.style import COLOURS
-from suspension_twin.signals.agreement import correlation
+from suspension_twin.signals.metrics import correlation
 from suspension_twin.signals.spectra import power_spectrum
 from suspension_twin.vehicle.twin import Twin, load_twin
 
@@ -61,18 +61,22 @@ def validated(twin: Twin, drive: Any, place: Twin) -> tuple[Prepared, dict[str, 
     gap = there.gap(simulated)
     a, b = there.measured[CHANNEL][there.mask], simulated[CHANNEL][there.mask]
     power = float(np.mean((a - a.mean()) ** 2))
-    return there, simulated, {
-        "mse": gap.mse, "mse_over_power": gap.mse / power, "correlation": float(correlation(a, b)),
-        "seconds": gap.seconds,
-    }  # fmt: skip
+    return (
+        there,
+        simulated,
+        {
+            "mse": gap.mse,
+            "mse_over_power": gap.mse / power,
+            "correlation": float(correlation(a, b)),
+            "seconds": gap.seconds,
+        },
+    )
 
 
 def car(out: Path, seed: int) -> dict[str, Any]:
     """The paper's two drives."""
     bump, road = BAGS / "bump_15kmh", BAGS / "crg_road"
-    result = calibrate(
-        CalibrationRequest(str(bump / "twin.yaml"), (str(bump),), preset="paper", seed=seed)
-    )
+    result = calibrate(CalibrationRequest(str(bump / "twin.yaml"), (str(bump),), preset="paper", seed=seed))
     fast = calibrate(CalibrationRequest(str(bump / "twin.yaml"), (str(bump),), seed=seed))
     place, drive = load_twin(road / "twin.yaml"), read_drive(road)
     truth = load_twin(bump / "truth.yaml")
@@ -81,9 +85,11 @@ def car(out: Path, seed: int) -> dict[str, Any]:
     there: Prepared | None = None
     for model, (_, published) in PUBLISHED.items():
         for name, twin in (
-            ("paper", result.twin), ("fast", fast.twin), ("as it started", result.start),
+            ("paper", result.twin),
+            ("fast", fast.twin),
+            ("as it started", result.start),
             ("the true vehicle", truth),
-        ):  # fmt: skip
+        ):
             there, simulated, figures = validated(twin.model_copy(update={"model": model}), drive, place)
             rows.setdefault(model, {"published_mse": published})[name] = figures
             if name == "paper":
@@ -147,7 +153,11 @@ def _draw_car(
         whole = plots.Window(float(there.t[keep[0]]), float(there.t[keep[-1]]), f"90 m road, {model}")
         style.save(
             plots.in_time(
-                there.t, there.measured[CHANNEL], sides[model][CHANNEL], windows=[whole], origin=float(there.t[0])
+                there.t,
+                there.measured[CHANNEL],
+                sides[model][CHANNEL],
+                windows=[whole],
+                origin=float(there.t[0]),
             ),
             out / f"{name}.png",
         )
@@ -193,17 +203,30 @@ def _curves(found: Twin, truth: Twin, kinds: tuple[str, ...]) -> Any:
                 first = kind == kinds[0]
                 low, high = np.array(TABLE_2[f"vehicle.{axle}.{kind}"][1]).T
                 axes.vlines(
-                    sign * x, sign * low / 1e3, sign * high / 1e3, color=COLOURS["bound"], linewidth=4, alpha=0.35,
+                    sign * x,
+                    sign * low / 1e3,
+                    sign * high / 1e3,
+                    color=COLOURS["bound"],
+                    linewidth=4,
+                    alpha=0.35,
                     label="bounds of Table 2" if first else None,
-                )  # fmt: skip
+                )
                 axes.plot(
-                    sign * fine, sign * real / 1e3, color=COLOURS["truth"], label="truth" if first else None,
+                    sign * fine,
+                    sign * real / 1e3,
+                    color=COLOURS["truth"],
+                    label="truth" if first else None,
                     **style.LINES["truth"],
-                )  # fmt: skip
+                )
                 axes.plot(
-                    sign * np.concatenate([[0.0], x]), sign * np.concatenate([[0.0], f]) / 1e3, "o-",
-                    color=COLOURS["simulated"], label="found" if first else None, markersize=4, zorder=5,
-                )  # fmt: skip
+                    sign * np.concatenate([[0.0], x]),
+                    sign * np.concatenate([[0.0], f]) / 1e3,
+                    "o-",
+                    color=COLOURS["simulated"],
+                    label="found" if first else None,
+                    markersize=4,
+                    zorder=5,
+                )
             spring = kinds == ("spring",)
             axes.set(
                 title=f"{axle} {'spring' if spring else 'damper'}",
@@ -240,10 +263,19 @@ def _map(there: Prepared) -> Any:
 def show(console: Console, results: dict[str, Any]) -> None:
     if found := results.get("car"):
         table = Table(
-            title="MSE of the vertical acceleration on the 90 m road [m²/s⁴]", title_justify="left",
+            title="MSE of the vertical acceleration on the 90 m road [m²/s⁴]",
+            title_justify="left",
             title_style="bold",
-        )  # fmt: skip
-        columns = ("model", "the paper's", "paper preset", "fast", "as it started", "the true vehicle", "MSE / power")
+        )
+        columns = (
+            "model",
+            "the paper's",
+            "paper preset",
+            "fast",
+            "as it started",
+            "the true vehicle",
+            "MSE / power",
+        )
         for name in columns:
             table.add_column(name, justify="left" if name == "model" else "right")
         for model, row in found["validation"].items():
@@ -275,9 +307,12 @@ def show(console: Console, results: dict[str, Any]) -> None:
             table.add_column(column, justify="left" if not column else "right")
         for preset, row in found["presets"].items():
             table.add_row(
-                preset, f"{row['force_error_median']:.3f}", f"{row['force_error_worst_curve']:.3f}",
-                str(row["evaluations"]), f"{row['mse_unseen_over_truths']:.2f}",
-            )  # fmt: skip
+                preset,
+                f"{row['force_error_median']:.3f}",
+                f"{row['force_error_worst_curve']:.3f}",
+                str(row["evaluations"]),
+                f"{row['mse_unseen_over_truths']:.2f}",
+            )
         console.print(table)
 
 

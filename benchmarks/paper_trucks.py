@@ -36,12 +36,18 @@ from suspension_twin.road.iso8608 import iso8608_road
 from suspension_twin.vehicle.twin import RoadFile, Twin, parse_twin, save_twin
 
 _ROOT = Path(__file__).resolve().parents[1]
-DATA = Path(os.environ.get("SUSPENSION_TWIN_DATA", _ROOT.parent / "shared" / "data")) / "projectchrono" / "vehicle"
+DATA = (
+    Path(os.environ.get("SUSPENSION_TWIN_DATA", _ROOT.parent / "shared" / "data"))
+    / "projectchrono"
+    / "vehicle"
+)
 #: Points of a twin's curves: where a truck's wheel goes, on the published abscissae.
 _COMPRESSION = (0.1, 0.2, 0.3, 0.4)
 _VELOCITY = (0.1, 0.2, 0.4, 0.8)
 _CURVES = tuple(
-    f"vehicle.{axle}.{part}" for axle in ("front", "rear") for part in ("spring", "damper_push", "damper_pull")
+    f"vehicle.{axle}.{part}"
+    for axle in ("front", "rear")
+    for part in ("spring", "damper_push", "damper_pull")
 )
 
 
@@ -60,29 +66,42 @@ class Truck:
 
 TRUCKS: Mapping[str, Truck] = {
     "mtv": Truck(
-        "mtv/suspension/MTV_SolidThreeLinkAxleF.json", "mtv/suspension/MTV_SolidThreeLinkAxleR.json",
-        9500.0, 4.1, (2.1, 0.0, 1.15), (5200.0, 21000.0), (480.0, 480.0),
+        "mtv/suspension/MTV_SolidThreeLinkAxleF.json",
+        "mtv/suspension/MTV_SolidThreeLinkAxleR.json",
+        9500.0,
+        4.1,
+        (2.1, 0.0, 1.15),
+        (5200.0, 21000.0),
+        (480.0, 480.0),
     ),
     "MAN_Kat1": Truck(
         "MAN_Kat1/suspension/MAN_5t_FrontSolidThreeLinkAxle.json",
         "MAN_Kat1/suspension/MAN_5t_RearSolidThreeLinkAxle.json",
-        11500.0, 4.5, (2.2, 0.0, 1.2), (6500.0, 28000.0), (470.0, 480.0),
+        11500.0,
+        4.5,
+        (2.2, 0.0, 1.2),
+        (6500.0, 28000.0),
+        (470.0, 480.0),
     ),
-}  # fmt: skip
+}
 
 
 def published(file: Path) -> tuple[np.ndarray, np.ndarray]:
     """(k, 2) spring and damper tables of an axle: deformation m or its rate m/s (extension positive) and force N."""
     text = re.sub(r"//[^\n]*", "", file.read_text(encoding="utf-8"))
     axle = json.loads(re.sub(r",(\s*[}\]])", r"\1", text))
-    return np.array(axle["Spring"]["Spring Curve Data"], float), np.array(axle["Shock"]["Damping Curve Data"], float)
+    return np.array(axle["Spring"]["Spring Curve Data"], float), np.array(
+        axle["Shock"]["Damping Curve Data"], float
+    )
 
 
 def true_twin(name: str) -> Twin:
     """The truck with its published curves, on the abscissae that they are given at."""
     known = TRUCKS[name]
     axles = {}
-    for axle, file, unsprung in zip(("front", "rear"), (known.front, known.rear), known.unsprung, strict=True):
+    for axle, file, unsprung in zip(
+        ("front", "rear"), (known.front, known.rear), known.unsprung, strict=True
+    ):
         spring, shock = published(DATA / file)
         axles[axle] = {
             "unsprung_mass": unsprung,
@@ -206,9 +225,13 @@ def _picture(name: str, found: Mapping[str, CalibrationResult], truth: Twin, sta
                     x = np.linspace(0.0, 0.45 if row == 0 else 1.0, 300)
                     first = part == parts[0]
                     axes.axvspan(
-                        sign * low, sign * high, color=COLOURS["extra"], alpha=0.15, linewidth=0,
+                        sign * low,
+                        sign * high,
+                        color=COLOURS["extra"],
+                        alpha=0.15,
+                        linewidth=0,
                         label="excited" if first else None,
-                    )  # fmt: skip
+                    )
                     lines = {"as it started": (start, COLOURS["before"], style.LINES["before"])}
                     lines |= {n: (r.twin, colours[n], {"linewidth": 1.5}) for n, r in found.items()}
                     lines["published"] = (truth, COLOURS["truth"], style.LINES["truth"])
@@ -223,9 +246,11 @@ def _picture(name: str, found: Mapping[str, CalibrationResult], truth: Twin, sta
                     axes.set_ylim(0.0, 1.2e-3 * float(force(part_of.spring.points, x[-1:])[0]))
                 else:
                     axes.set_ylim(
-                        *(1.5e-3 * s * float(force(p.points, x[-1:])[0]) for s, p in
-                          ((-1, part_of.damper_pull), (1, part_of.damper_push)))
-                    )  # fmt: skip
+                        *(
+                            1.5e-3 * s * float(force(p.points, x[-1:])[0])
+                            for s, p in ((-1, part_of.damper_pull), (1, part_of.damper_push))
+                        )
+                    )
             grid[0, column].set_ylabel("force [kN]")
         style.legend(fig, *grid[0, 0].get_legend_handles_labels())
     return fig

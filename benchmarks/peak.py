@@ -34,7 +34,12 @@ def _source(width: int) -> str:
     lines += ["br label %loop", "loop:", "%i = phi i64 [0, %entry], [%next, %loop]"]
     lines += [f"%x{k} = phi {v} [%bv, %entry], [%y{k}, %loop]" for k in range(_SUMS)]
     lines += [f"%y{k} = call {v} {fma}({v} %x{k}, {v} %av, {v} %bv)" for k in range(_SUMS)]
-    lines += ["%next = add i64 %i, 1", "%end = icmp eq i64 %next, %n", "br i1 %end, label %out, label %loop", "out:"]
+    lines += [
+        "%next = add i64 %i, 1",
+        "%end = icmp eq i64 %next, %n",
+        "br i1 %end, label %out, label %loop",
+        "out:",
+    ]
     total = "%y0"
     for k in range(1, _SUMS):
         lines.append(f"%s{k} = fadd {v} {total}, %y{k}")

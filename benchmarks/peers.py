@@ -12,7 +12,8 @@ import numpy as np
 from mujoco import rollout
 from scipy.linalg import expm
 
-from suspension_twin.models.types import Excitation, Floats
+from suspension_twin.arrays import Floats
+from suspension_twin.models.types import Excitation
 from suspension_twin.vehicle.twin import Twin
 
 G = 9.80665
@@ -22,11 +23,16 @@ def linear(twin: Twin, spring: float = 23000.0, damper: float = 1500.0) -> Twin:
     """The twin with one straight line for each curve: what MuJoCo and a closed form can follow."""
     changes: dict[str, Any] = {}
     for axle in ("front", "rear"):
-        changes[f"vehicle.{axle}.spring"] = {"compression": (0.1, 0.3, 0.5, 1.0), "force": tuple(
-            spring * x for x in (0.1, 0.3, 0.5, 1.0))}  # fmt: skip
+        changes[f"vehicle.{axle}.spring"] = {
+            "compression": (0.1, 0.3, 0.5, 1.0),
+            "force": tuple(spring * x for x in (0.1, 0.3, 0.5, 1.0)),
+        }
         for part in ("damper_push", "damper_pull"):
             speeds = (0.125, 0.25, 0.35, 0.4)
-            changes[f"vehicle.{axle}.{part}"] = {"velocity": speeds, "force": tuple(damper * v for v in speeds)}
+            changes[f"vehicle.{axle}.{part}"] = {
+                "velocity": speeds,
+                "force": tuple(damper * v for v in speeds),
+            }
     return twin.with_changes(changes)
 
 
@@ -156,7 +162,9 @@ class NumpyCars:
         self.lanes = lanes
         axles = [v.front, v.front, v.rear, v.rear]
         self.curves = [[_hinges(c.points) for c in (a.spring, a.damper_push, a.damper_pull)] for a in axles]
-        self.static = np.array([[_where(c[0], float(w))] for c, w in zip(self.curves, self.load[:, 0], strict=True)])
+        self.static = np.array(
+            [[_where(c[0], float(w))] for c, w in zip(self.curves, self.load[:, 0], strict=True)]
+        )
 
     def run(self) -> Floats:
         """(rows, lanes) heave."""

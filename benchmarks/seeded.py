@@ -42,10 +42,11 @@ from scipy.spatial.transform import Rotation
 from seeded_vehicle import NAMELESS, VEHICLE, changed
 from seeded_vehicle import faults_of as vehicle_faults
 
+from suspension_twin.arrays import Floats
 from suspension_twin.diagnosis.request import DiagnosisRequest
 from suspension_twin.diagnosis.run import diagnose
 from suspension_twin.drive.read import read_drive
-from suspension_twin.drive.types import Drive, Floats
+from suspension_twin.drive.types import Drive
 from suspension_twin.drive.write import write_drive
 from suspension_twin.errors import SuspensionTwinError
 from suspension_twin.road import Road, load_road, write_road
@@ -64,9 +65,13 @@ FAINT, PLAIN = 0.35, 1.0
 SHARES = {"faint": 0.3, "plain": 0.6}
 #: Faults with ``--gross``, by what they are called.
 GROSS = {
-    "late": "time_offset", "drifting": "clock_drift", "sideways": "sensor_tilt", "backwards": "sensor_tilt",
-    "ahead": "position_offset", "beside": "lateral_offset",
-}  # fmt: skip
+    "late": "time_offset",
+    "drifting": "clock_drift",
+    "sideways": "sensor_tilt",
+    "backwards": "sensor_tilt",
+    "ahead": "position_offset",
+    "beside": "lateral_offset",
+}
 #: Highest vertical acceleration that each drive has, m/s².
 _PEAK = {"drive_fast": 8.4, "drive_other": 6.3, "drive_slow": 4.7}
 
@@ -100,8 +105,16 @@ def faults_of(effect: str, amount: float, peak: float, rng: np.random.Generator)
     angle = rng.normal(size=3)
     roll, pitch, yaw = np.radians(9.0) * amount * angle / np.linalg.norm(angle)
     values = {
-        "sensor_offset": {"x": 1.2 * amount * sign, "y": 0.6 * amount * (2 * a - 1), "z": 0.2 * amount * (2 * b - 1)},
-        "mount_resonance": {"gain": 1.0 * amount, "frequency": 8.0 + 12.0 * a, "damping_ratio": 0.03 + 0.07 * b},
+        "sensor_offset": {
+            "x": 1.2 * amount * sign,
+            "y": 0.6 * amount * (2 * a - 1),
+            "z": 0.2 * amount * (2 * b - 1),
+        },
+        "mount_resonance": {
+            "gain": 1.0 * amount,
+            "frequency": 8.0 + 12.0 * a,
+            "damping_ratio": 0.03 + 0.07 * b,
+        },
         "sensor_tilt": {"roll": roll, "pitch": pitch, "yaw": yaw},
         "sensor_bandwidth": {"cutoff": 6.0 / amount},
         "sensor_clipping": {"range": G + peak * (1.0 - 0.75 * amount)},
@@ -118,7 +131,11 @@ def faults_of(effect: str, amount: float, peak: float, rng: np.random.Generator)
 
 def gross(kind: str, rng: np.random.Generator) -> Faults:
     """A fault of ``GROSS`` of any such size and sign."""
-    sign, size, angle = float(rng.choice([-1.0, 1.0])), float(rng.uniform()), rng.uniform(-0.05, 0.05, 3).tolist()
+    sign, size, angle = (
+        float(rng.choice([-1.0, 1.0])),
+        float(rng.uniform()),
+        rng.uniform(-0.05, 0.05, 3).tolist(),
+    )
     yaw = np.pi / 2 * sign if kind == "sideways" else np.pi
     values = {
         "late": {"offset": sign * (0.3 + 0.7 * size)},
@@ -153,9 +170,16 @@ def plan_vehicle(seeds: str) -> list[Seeded]:
                 drives = tuple(sorted(rng.choice(DRIVES, 2, replace=False).tolist()))
                 name = f"{effect}_{kind}_{'ref' if reference else 'alone'}"
                 out.append(
-                    Seeded(name, {effect: {}}, share, drives, reference, share * float(rng.uniform(0.8, 1.25)),
-                           int(rng.integers(1 << 30)))
-                )  # fmt: skip
+                    Seeded(
+                        name,
+                        {effect: {}},
+                        share,
+                        drives,
+                        reference,
+                        share * float(rng.uniform(0.8, 1.25)),
+                        int(rng.integers(1 << 30)),
+                    )
+                )
     return out
 
 
@@ -177,8 +201,15 @@ def plan(seeds: str) -> list[Seeded]:
     for left in DRIVES:
         pair = tuple(d for d in DRIVES if d != left)
         for reference in (False, True):
-            out.append(Seeded(f"none_{'_'.join(d[6:] for d in pair)}_{'ref' if reference else 'alone'}", {}, 0.0, pair,
-                              reference))  # fmt: skip
+            out.append(
+                Seeded(
+                    f"none_{'_'.join(d[6:] for d in pair)}_{'ref' if reference else 'alone'}",
+                    {},
+                    0.0,
+                    pair,
+                    reference,
+                )
+            )
     return out
 
 
@@ -197,9 +228,19 @@ def recorded(
         turned = savgol_filter(rate, 7, 3, deriv=1, delta=1.0 / truth.rate, axis=0)
         moved = force + np.cross(turned, arm) + np.cross(rate, np.cross(rate, arm))
     phone = Phone(
-        place=(0.0, 0.0, 0.0), rpy=twin_rpy, misplaced=(0.0,) * 3, askew=(0.0,) * 3, holder=60.0,
-        force_bias=(0.0,) * 3, rate_bias=(0.0,) * 3, force_noise=0.0, rate_noise=0.0, jitter=0.0, lag=0.0, lost=0.0,
-    )  # fmt: skip
+        place=(0.0, 0.0, 0.0),
+        rpy=twin_rpy,
+        misplaced=(0.0,) * 3,
+        askew=(0.0,) * 3,
+        holder=60.0,
+        force_bias=(0.0,) * 3,
+        rate_bias=(0.0,) * 3,
+        force_noise=0.0,
+        rate_noise=0.0,
+        jitter=0.0,
+        lag=0.0,
+        lost=0.0,
+    )
     linear = {k: v for k, v in faults.items() if k in SENSOR and k != "sensor_clipping"}
     clean = felt(_Motion(truth.t, force, rate), phone, {}, ideal=True)
     faulty = felt(_Motion(truth.t, moved, rate), phone, linear, ideal=True)
@@ -268,12 +309,18 @@ def answer(case: Seeded, data: Path) -> dict[str, Any]:
     first = [c for c in d["causes"] if c["effect"] in named][:1]
     chance = first[0]["probability"] if first else d[f"{d['verdict']}_probability"]
     return {
-        "case": case.name, "faults": case.faults, "drives": case.drives, "verdict": d["verdict"], "named": named,
-        "probability": chance, "right": set(named) == wanted and (bool(named) or d["verdict"] == nothing),
+        "case": case.name,
+        "faults": case.faults,
+        "drives": case.drives,
+        "verdict": d["verdict"],
+        "named": named,
+        "probability": chance,
+        "right": set(named) == wanted and (bool(named) or d["verdict"] == nothing),
         "parameters": {c["effect"]: c["parameters"] for c in first},
         "first": [[c["effect"], round(c["probability"], 3)] for c in d["causes"][:3]],
-        "no_gap": d["no_gap_probability"], "unknown": d["unknown_probability"],
-    }  # fmt: skip
+        "no_gap": d["no_gap_probability"],
+        "unknown": d["unknown_probability"],
+    }
 
 
 def main() -> None:
@@ -284,10 +331,14 @@ def main() -> None:
     parser.add_argument("--seeds", choices=sorted(SEEDS), default="development")
     kinds = parser.add_mutually_exclusive_group()
     kinds.add_argument("--gross", action="store_true", help="gross faults instead of faint and plain ones")
-    kinds.add_argument("--vehicle", action="store_true", help="the vehicle's own effects, and some without a name")
+    kinds.add_argument(
+        "--vehicle", action="store_true", help="the vehicle's own effects, and some without a name"
+    )
     parser.add_argument("--only", nargs="*", default=[])
     parser.add_argument("--workers", type=int, default=2)
-    parser.add_argument("--keep", action="store_true", help=f"write the answers to {RESULTS.relative_to(ROOT)}")
+    parser.add_argument(
+        "--keep", action="store_true", help=f"write the answers to {RESULTS.relative_to(ROOT)}"
+    )
     parser.add_argument("--json", action="store_true")
     options = parser.parse_args()
     if not (options.data / "no_effect_added" / "twin.yaml").is_file():
@@ -305,7 +356,9 @@ def main() -> None:
             if not options.json:
                 print(f"{row['case']:34s} {_said(row)}", flush=True)
     if options.keep:
-        commit = subprocess.run(["git", "rev-parse", "HEAD"], cwd=ROOT, capture_output=True, text=True).stdout.strip()
+        commit = subprocess.run(
+            ["git", "rev-parse", "HEAD"], cwd=ROOT, capture_output=True, text=True
+        ).stdout.strip()
         document = {"seeds": options.seeds, "commit": commit[:12], "cases": rows}
         kept = RESULTS / f"seeded{which}.json"
         kept.write_text(json.dumps(document, indent=1) + "\n", encoding="utf-8")

@@ -54,25 +54,49 @@ _KNOTS = np.array([0.0, 0.05, 0.15, 0.35, 0.8])
 def _world(source: Path, name: str) -> tuple[World, Truth, float]:
     """The multibody car, its road and one of its drives as ``blind`` has them, its truth, and m from the road's
     start to that of newton's road."""
-    truth, twin, road = read_truth(source, name), load_twin(source / "twin.yaml"), load_road(source / "road.crg")
+    truth, twin, road = (
+        read_truth(source, name),
+        load_twin(source / "twin.yaml"),
+        load_road(source / "road.crg"),
+    )
     begun = float(truth.columns["u"][0]) - twin.vehicle.wheelbase - START
     u = begun + np.arange(round((road.length - begun) / DU)) * DU
     v = -HALF + np.arange(round(2 * HALF / DV) + 1) * DV
     along = np.clip(u, 0.0, road.length - 1e-6)
-    z = np.stack([road.heights_uv(along, np.full_like(u, np.clip(at, road.v[0], road.v[-1]))) for at in v], axis=1)
+    z = np.stack(
+        [road.heights_uv(along, np.full_like(u, np.clip(at, road.v[0], road.v[-1]))) for at in v], axis=1
+    )
     surface = Surface(DU, DV, -HALF, (0.0, 0.0), np.zeros(u.size), np.nan_to_num(z))
     vehicle, imu = twin.vehicle, twin.imu
     struts = [_strut(truth, k, getattr(vehicle, axle).unsprung_mass) for k, axle in enumerate(AXLES)]
     roll, pitch = vehicle.sprung_inertia.roll, vehicle.sprung_inertia.pitch
     car = Car(
-        mass=vehicle.mass, wheelbase=vehicle.wheelbase, tracks=(vehicle.front_track, vehicle.rear_track),
-        cog=tuple(vehicle.cog), sprung_inertia=(roll, pitch, pitch + 0.7 * roll), radius=vehicle.tyre.radius,
-        tyre_stiffness=vehicle.tyre.vertical_stiffness, cornering=60e3, driven=1, front=struts[0], rear=struts[1],
-    )  # fmt: skip
+        mass=vehicle.mass,
+        wheelbase=vehicle.wheelbase,
+        tracks=(vehicle.front_track, vehicle.rear_track),
+        cog=tuple(vehicle.cog),
+        sprung_inertia=(roll, pitch, pitch + 0.7 * roll),
+        radius=vehicle.tyre.radius,
+        tyre_stiffness=vehicle.tyre.vertical_stiffness,
+        cornering=60e3,
+        driven=1,
+        front=struts[0],
+        rear=struts[1],
+    )
     phone = Phone(
-        place=tuple(imu.position), rpy=(0.0,) * 3, misplaced=(0.0,) * 3, askew=(0.0,) * 3, force_bias=(0.0,) * 3,
-        rate_bias=(0.0,) * 3, force_noise=0.0, rate_noise=0.0, jitter=0.0, lag=0.0, lost=0.0, holder=60.0,
-    )  # fmt: skip
+        place=tuple(imu.position),
+        rpy=(0.0,) * 3,
+        misplaced=(0.0,) * 3,
+        askew=(0.0,) * 3,
+        force_bias=(0.0,) * 3,
+        rate_bias=(0.0,) * 3,
+        force_noise=0.0,
+        rate_noise=0.0,
+        jitter=0.0,
+        lag=0.0,
+        lost=0.0,
+        holder=60.0,
+    )
     t = np.arange(0.0, float(truth.t[-1]) + 0.5, 0.01)
     speed = np.maximum(np.interp(t, truth.t, truth.columns["v_fwd"]), 0.0)
     plan = Plan(speed, np.gradient(speed, 0.01), 0.0, truth.start, 1)
@@ -92,7 +116,9 @@ def _strut(truth: Truth, axle: int, unsprung: float) -> Strut:
     tables = []
     for way in (1.0, -1.0):
         on = way * velocity > 0
-        ramps = np.stack([np.clip(way * velocity[on], a, b) - a for a, b in zip(_KNOTS[:-1], _KNOTS[1:], strict=True)])
+        ramps = np.stack(
+            [np.clip(way * velocity[on], a, b) - a for a, b in zip(_KNOTS[:-1], _KNOTS[1:], strict=True)]
+        )
         slopes = nnls(ramps.T, way * force[on])[0]
         fine = np.linspace(0.0, DAMPER_REACH, DAMPER_N + 1)
         ends = [*_KNOTS[1:-1], DAMPER_REACH]

@@ -27,8 +27,15 @@ from suspension_twin.vehicle.tracked import TrackedVehicle, load_tracked
 FILE = Path(__file__).resolve().parents[1] / "config" / "tracked" / "pt91.yaml"
 #: (elements of a link, contact points of an element, step in s), the finest first.
 GRID = (
-    (1, 16, 2.5e-5), (1, 1, 4e-4), (1, 4, 8e-4), (1, 4, 4e-4), (1, 4, 2e-4), (1, 8, 1e-4), (2, 4, 1e-4), (4, 4, 1e-4)
-)  # fmt: skip
+    (1, 16, 2.5e-5),
+    (1, 1, 4e-4),
+    (1, 4, 8e-4),
+    (1, 4, 4e-4),
+    (1, 4, 2e-4),
+    (1, 8, 1e-4),
+    (2, 4, 1e-4),
+    (4, 4, 1e-4),
+)
 SECTION_5 = (0.6, 0.8, 6.0)  # m/s of A, m/s of B, m/s² at 13 km/h
 
 
@@ -46,20 +53,32 @@ def convergence(vehicle: TrackedVehicle) -> list[dict[str, Any]]:
             run = simulate_tracked(lane, speed, 15.0, fineness=elements, contacts=contacts, step=step)
             fine = run if fine is None else fine
             away = 1e3 * np.abs(run.markers - fine.markers)
-            rows.append({
-                "damping": damping, "kmh": kmh, "elements": elements, "contacts": contacts, "step_s": step,
-                "mm_over_6_s": float(away[:600].max()), "mm_over_15_s": float(away.max()),
-                "variance_rad2": float(run.pitch.var()),
-            })  # fmt: skip
+            rows.append(
+                {
+                    "damping": damping,
+                    "kmh": kmh,
+                    "elements": elements,
+                    "contacts": contacts,
+                    "step_s": step,
+                    "mm_over_6_s": float(away[:600].max()),
+                    "mm_over_15_s": float(away.max()),
+                    "variance_rad2": float(run.pitch.var()),
+                }
+            )
         usual = simulate_tracked(lane, speed, 15.0)
         kicks = [simulate_tracked(lane, speed, 15.0, kick=(k, 0.0)) for k in (1e-6, -1e-6, 2e-6, -2e-6)]
         away = np.max([1e3 * np.abs(k.markers - usual.markers).max(axis=1) for k in kicks], axis=0)
-        rows.append({
-            "damping": damping, "kmh": kmh, "kick": "kicks of 1 to 2 micrometres/s",
-            "mm_over_6_s": float(away[:600].max()), "mm_over_15_s": float(away.max()),
-            "variance_rad2": float(np.mean([k.pitch.var() for k in kicks])),
-            "variance_spread": float(np.std([k.pitch.var() for k in kicks])),
-        })  # fmt: skip
+        rows.append(
+            {
+                "damping": damping,
+                "kmh": kmh,
+                "kick": "kicks of 1 to 2 micrometres/s",
+                "mm_over_6_s": float(away[:600].max()),
+                "mm_over_15_s": float(away.max()),
+                "variance_rad2": float(np.mean([k.pitch.var() for k in kicks])),
+                "variance_spread": float(np.std([k.pitch.var() for k in kicks])),
+            }
+        )
     return rows
 
 
@@ -79,11 +98,18 @@ def obstacles(vehicle: TrackedVehicle, low: float, high: float, shown: int = 6) 
     out = []
     for away, g, peaks, v in sorted(rows, key=lambda r: r[0])[:shown]:
         chosen = select_damping(v, low, high)
-        out.append({
-            "height": g[0], "ramp": g[1], "top": g[2], "peaks": peaks, "away": round(away, 4),
-            "curve": chosen.best + 1, "near": [i + 1 for i in chosen.near],
-            "paper_over_least_mean": float(chosen.mean[PAPER_CURVE - 1] / chosen.mean[chosen.best]),
-        })  # fmt: skip
+        out.append(
+            {
+                "height": g[0],
+                "ramp": g[1],
+                "top": g[2],
+                "peaks": peaks,
+                "away": round(away, 4),
+                "curve": chosen.best + 1,
+                "near": [i + 1 for i in chosen.near],
+                "paper_over_least_mean": float(chosen.mean[PAPER_CURVE - 1] / chosen.mean[chosen.best]),
+            }
+        )
     return out
 
 
@@ -91,9 +117,13 @@ def main() -> None:
     parser = argparse.ArgumentParser(description="Damping of the tracked vehicle over speed (Fig. 13).")
     parser.add_argument("--json", action="store_true", help="print one JSON object")
     parser.add_argument("--out", type=Path, help="folder for the picture and the table")
-    parser.add_argument("--range", type=float, nargs=2, default=(5.0, 55.0), metavar=("LOW", "HIGH"), help="km/h")
+    parser.add_argument(
+        "--range", type=float, nargs=2, default=(5.0, 55.0), metavar=("LOW", "HIGH"), help="km/h"
+    )
     parser.add_argument("--vehicle", type=Path, default=FILE)
-    parser.add_argument("--convergence", action="store_true", help="also with other elements, contacts and steps")
+    parser.add_argument(
+        "--convergence", action="store_true", help="also with other elements, contacts and steps"
+    )
     parser.add_argument("--obstacles", action="store_true", help="also on other obstacles")
     arguments = parser.parse_args()
     vehicle = load_tracked(arguments.vehicle)
@@ -129,18 +159,27 @@ def main() -> None:
     for c, row, m, w in zip(DAMPINGS, chosen.table, chosen.mean, chosen.regret, strict=True):
         print(f"{c:7.0f}  " + "".join(f"{1e4 * v:7.2f}" for v in row) + f"{1e4 * m:7.2f}{w:7.2f}")
     low, high = arguments.range
-    print(f"from {low:g} to {high:g} km/h: curve {chosen.best + 1}; within a tenth: {[i + 1 for i in chosen.near]}; "
-          f"the paper, over all: curve {PAPER_CURVE}")  # fmt: skip
+    print(
+        f"from {low:g} to {high:g} km/h: curve {chosen.best + 1}; within a tenth: {[i + 1 for i in chosen.near]}; "
+        f"the paper, over all: curve {PAPER_CURVE}"
+    )
     print(f"77 runs of 15 s: {result['wall_s']:.1f} s, {result['processor_s']:.1f} s of processor time")
     for row in result.get("convergence", []):
-        what = row.get("kick") or f"{row['elements']} elements, {row['contacts']:2d} contacts, {row['step_s']:g} s"
+        what = (
+            row.get("kick")
+            or f"{row['elements']} elements, {row['contacts']:2d} contacts, {row['step_s']:g} s"
+        )
         spread = f" +- {1e4 * row['variance_spread']:.3f}" if "variance_spread" in row else ""
-        print(f"{row['damping']:6.0f} at {row['kmh']:2.0f} km/h, {what:32}: {row['mm_over_6_s']:8.3f} mm over 6 s, "
-              f"{row['mm_over_15_s']:8.3f} mm over 15 s, variance {1e4 * row['variance_rad2']:.3f}"
-              f"{spread}")  # fmt: skip
+        print(
+            f"{row['damping']:6.0f} at {row['kmh']:2.0f} km/h, {what:32}: {row['mm_over_6_s']:8.3f} mm over 6 s, "
+            f"{row['mm_over_15_s']:8.3f} mm over 15 s, variance {1e4 * row['variance_rad2']:.3f}"
+            f"{spread}"
+        )
     for row in result.get("obstacles", []):
-        print("obstacle {height} m high, ramps {ramp} m, top {top} m: maxima {peaks}, curve {curve}, within a tenth "
-              "{near}, curve 4 over the least {paper_over_least_mean:.2f}".format(**row))  # fmt: skip
+        print(
+            "obstacle {height} m high, ramps {ramp} m, top {top} m: maxima {peaks}, curve {curve}, within a tenth "
+            "{near}, curve 4 over the least {paper_over_least_mean:.2f}".format(**row)
+        )
 
 
 if __name__ == "__main__":

@@ -30,10 +30,15 @@ RESULTS = Path(__file__).resolve().parent / "results" / "tracked_blind.json"
 SEEDS = {"development": (110, 111), "reporting": (954,)}
 #: In what parameter a fault's strength is, and what it is without one.
 STRENGTH = {
-    "track_tension": ("tighter", 0.0), "track_wear": ("stiffness", 1.0), "station_damper": ("share", 1.0),
-    "station_bar": ("sag", 0.0), "payload": ("mass", 0.0), "sensor_scale": ("gain", 1.0), "sensor_tilt": ("roll", 0.0),
+    "track_tension": ("tighter", 0.0),
+    "track_wear": ("stiffness", 1.0),
+    "station_damper": ("share", 1.0),
+    "station_bar": ("sag", 0.0),
+    "payload": ("mass", 0.0),
+    "sensor_scale": ("gain", 1.0),
+    "sensor_tilt": ("roll", 0.0),
     "time_offset": ("seconds", 0.0),
-}  # fmt: skip
+}
 OUTCOMES = ("right", "in_set", "another", "unknown", "said_unseen", "no_gap")
 
 
@@ -73,14 +78,23 @@ def judge_one(truth: dict[str, Any], folder: Path) -> dict[str, Any]:
     top = document["causes"][0]
     own = next((c for c in document["causes"] if c["effect"] == truth["kind"]), top)
     return {
-        **truth, "outcome": outcome(truth, document), "verdict": document["verdict"],
-        "named": document["combination"], "top": top["effect"], "probability": top["probability"],
-        "unknown": document["unknown_probability"], "parameters": top["parameters"], "own": own["parameters"],
-        "shrink": top["shrink"], "tied": top["indistinguishable_from"], "message": document["message"],
-        "cannot_be_judged": document["cannot_be_judged"], "visible_from": document["visible_from"],
+        **truth,
+        "outcome": outcome(truth, document),
+        "verdict": document["verdict"],
+        "named": document["combination"],
+        "top": top["effect"],
+        "probability": top["probability"],
+        "unknown": document["unknown_probability"],
+        "parameters": top["parameters"],
+        "own": own["parameters"],
+        "shrink": top["shrink"],
+        "tied": top["indistinguishable_from"],
+        "message": document["message"],
+        "cannot_be_judged": document["cannot_be_judged"],
+        "visible_from": document["visible_from"],
         "evidence": {c["effect"]: [c["log_evidence"], c["shrink"]] for c in document["causes"]},
         "took_s": round(time.perf_counter() - began, 1),
-    }  # fmt: skip
+    }
 
 
 def counted(rows: list[dict[str, Any]], key: str) -> dict[str, dict[str, int]]:
@@ -98,7 +112,9 @@ def main() -> None:
     parser.add_argument("--kinds", nargs="+", choices=KINDS, default=KINDS)
     parser.add_argument("--cases", type=int, default=10, help="at most so many seeds")
     parser.add_argument("--json", action="store_true")
-    parser.add_argument("--folder", type=Path, help="where the cases are kept, and taken from if they are there")
+    parser.add_argument(
+        "--folder", type=Path, help="where the cases are kept, and taken from if they are there"
+    )
     parser.add_argument("--workers", type=int, default=1)
     parser.add_argument("--keep", action="store_true", help="write what came out to benchmarks/results")
     arguments = parser.parse_args()
@@ -111,13 +127,23 @@ def main() -> None:
             rows += own
             if not arguments.json:
                 for row in own:
-                    print(f"{row['outcome']:12}{row['kind']:15} {row['floors']:5.2f} floors -> {row['verdict']} "
-                          f"{row['named']}; {row['top']} {row['probability']:.2f} {row['parameters']}", flush=True)
+                    print(
+                        f"{row['outcome']:12}{row['kind']:15} {row['floors']:5.2f} floors -> {row['verdict']} "
+                        f"{row['named']}; {row['top']} {row['probability']:.2f} {row['parameters']}",
+                        flush=True,
+                    )
     kinds = counted(rows, "kind")
     severities = counted([r for r in rows if r["kind"] != "none"], "severity")
-    result = {"commit": belongs, "seeds": seeds, "severities": SEVERITIES, "cases": len(rows),
-              "right": sum(r["outcome"] == "right" for r in rows), "kinds": kinds, "by_severity": severities,
-              "rows": rows}  # fmt: skip
+    result = {
+        "commit": belongs,
+        "seeds": seeds,
+        "severities": SEVERITIES,
+        "cases": len(rows),
+        "right": sum(r["outcome"] == "right" for r in rows),
+        "kinds": kinds,
+        "by_severity": severities,
+        "rows": rows,
+    }
     if arguments.keep:
         known = json.loads(RESULTS.read_text(encoding="utf-8")) if RESULTS.is_file() else {}
         text = json.dumps({**known, arguments.seeds: result}, indent=1)

@@ -21,15 +21,24 @@ import numpy as np
 from tracked_reality import Faults, photogrammetry, simulate
 from tracked_runs import write_run
 
+from suspension_twin.arrays import Floats
 from suspension_twin.calibration.tracked_runs import RATE, MarkerRun, low_pass
 from suspension_twin.diagnosis.tracked_fit import signals
-from suspension_twin.drive.types import Floats
 from suspension_twin.effects.tracked_effects import Camera
 from suspension_twin.vehicle.tracked import TrackedVehicle, load_tracked
 
 FILE = Path(__file__).resolve().parents[1] / "config" / "tracked" / "pt91.yaml"
-KINDS = ("none", "track_tension", "track_wear", "station_damper", "station_bar", "payload", "sensor_scale",
-         "sensor_tilt", "time_offset")  # fmt: skip
+KINDS = (
+    "none",
+    "track_tension",
+    "track_wear",
+    "station_damper",
+    "station_bar",
+    "payload",
+    "sensor_scale",
+    "sensor_tilt",
+    "time_offset",
+)
 SEVERITIES = (0.5, 1.5, 5.0)
 SPEEDS = {8: 7.4, 13: 5.0}  # km/h: s
 FLOOR = np.repeat([1.5e-3, 0.01, 0.16], 3)  # m, m/s, m/s² by which repeats of one specimen differ
@@ -50,15 +59,17 @@ class Made:
 
 def specimen(rng: np.random.Generator) -> TrackedVehicle:
     """A sound vehicle that is not quite what the file of its type says."""
-    return load_tracked(FILE).with_changes({
-        "track.stiffness": float(np.exp(rng.uniform(np.log(1.5e7), np.log(4e7)))),
-        "track.bending_stiffness": float(np.exp(rng.uniform(np.log(3e2), np.log(4e3)))),
-        "track.damping": float(np.exp(rng.uniform(np.log(5e3), np.log(3e4)))),
-        "track.bending_damping": float(np.exp(rng.uniform(np.log(1e2), np.log(2e3)))),
-        "idler.setting": float(rng.uniform(-5575, -5558)),
-        "mass": float(rng.uniform(41500, 43500)),
-        "arm.stiffness": float(1.27e5 * rng.uniform(0.95, 1.05)),
-    })  # fmt: skip
+    return load_tracked(FILE).with_changes(
+        {
+            "track.stiffness": float(np.exp(rng.uniform(np.log(1.5e7), np.log(4e7)))),
+            "track.bending_stiffness": float(np.exp(rng.uniform(np.log(3e2), np.log(4e3)))),
+            "track.damping": float(np.exp(rng.uniform(np.log(5e3), np.log(3e4)))),
+            "track.bending_damping": float(np.exp(rng.uniform(np.log(1e2), np.log(2e3)))),
+            "idler.setting": float(rng.uniform(-5575, -5558)),
+            "mass": float(rng.uniform(41500, 43500)),
+            "arm.stiffness": float(1.27e5 * rng.uniform(0.95, 1.05)),
+        }
+    )
 
 
 def knob(kind: str, vehicle: TrackedVehicle, rng: np.random.Generator) -> Callable[[float], Made]:
@@ -168,9 +179,13 @@ def write_runs(made: Made, folder: Path, rng: np.random.Generator) -> None:
         for repeat in range(_REPEATS):
             motion = simulate(made.vehicle, kmh / 3.6 * (1 + rng.normal(0, 0.006)), seconds, made.faults)
             table = photogrammetry(
-                motion, int(rng.integers(1 << 30)), rate=50.0, scale=made.camera.scale, tilt=made.camera.tilt,
+                motion,
+                int(rng.integers(1 << 30)),
+                rate=50.0,
+                scale=made.camera.scale,
+                tilt=made.camera.tilt,
                 late=made.camera.late + rng.normal(0, 0.008),
-            )  # fmt: skip
+            )
             write_run(folder / f"{kmh:02d}kmh_{repeat + 1}.csv", table)
 
 

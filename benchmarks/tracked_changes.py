@@ -22,11 +22,11 @@ from typing import Any
 import numpy as np
 from tracked_reality import Faults, simulate
 
+from suspension_twin.arrays import Floats
 from suspension_twin.calibration.tracked_paper import simulate_runs
 from suspension_twin.calibration.tracked_runs import RATE, MarkerRun, low_pass
 from suspension_twin.diagnosis.tracked_fit import calibrate_to, signals
 from suspension_twin.diagnosis.tracked_own import driven
-from suspension_twin.drive.types import Floats
 from suspension_twin.effects.tracked_effects import apply_tracked
 from suspension_twin.vehicle.tracked import TrackedVehicle, load_tracked
 
@@ -35,9 +35,12 @@ SECONDS = {4: 14.0, 8: 7.0, 13: 4.6, 20: 3.2}  # of a run at so many km/h
 SIGMA = np.repeat([1.5e-3, 0.01, 0.16], 3)
 #: The sound specimen: within what ``tracked_blind`` draws.
 SOUND = {
-    "track.stiffness": 2e7, "track.bending_stiffness": 1.5e3, "track.damping": 1.5e4, "track.bending_damping": 800.0,
+    "track.stiffness": 2e7,
+    "track.bending_stiffness": 1.5e3,
+    "track.damping": 1.5e4,
+    "track.bending_damping": 800.0,
     "idler.setting": -5568.0,
-}  # fmt: skip
+}
 
 
 def cases(sound: TrackedVehicle) -> dict[str, tuple[dict[str, dict[str, float]], TrackedVehicle, Faults]]:
@@ -48,12 +51,32 @@ def cases(sound: TrackedVehicle) -> dict[str, tuple[dict[str, dict[str, float]],
         "10 mm looser": ({"track_tension": {"tighter": -10.0}}, change({"idler.setting": -5558.0}), Faults()),
         "10 mm tighter": ({"track_tension": {"tighter": 10.0}}, change({"idler.setting": -5578.0}), Faults()),
         "worn to 0.45": ({"track_wear": {"stiffness": 0.45}}, change(worn), Faults()),
-        "damper 6 at 0.1": ({"station_damper": {"station": 6, "share": 0.1}}, sound, Faults(damper=(*one[:5], 0.1))),
-        "damper 2 at 0.1": ({"station_damper": {"station": 2, "share": 0.1}}, sound, Faults(damper=(1, 0.1, *one[:4]))),
-        "bar 2 sagged": ({"station_bar": {"station": 2, "sag": 0.1}}, sound, Faults(sag=(0, 0.1, 0, 0, 0, 0))),
-        "bar 5 sagged": ({"station_bar": {"station": 5, "sag": 0.1}}, sound, Faults(sag=(0, 0, 0, 0, 0.1, 0))),
+        "damper 6 at 0.1": (
+            {"station_damper": {"station": 6, "share": 0.1}},
+            sound,
+            Faults(damper=(*one[:5], 0.1)),
+        ),
+        "damper 2 at 0.1": (
+            {"station_damper": {"station": 2, "share": 0.1}},
+            sound,
+            Faults(damper=(1, 0.1, *one[:4])),
+        ),
+        "bar 2 sagged": (
+            {"station_bar": {"station": 2, "sag": 0.1}},
+            sound,
+            Faults(sag=(0, 0.1, 0, 0, 0, 0)),
+        ),
+        "bar 5 sagged": (
+            {"station_bar": {"station": 5, "sag": 0.1}},
+            sound,
+            Faults(sag=(0, 0, 0, 0, 0.1, 0)),
+        ),
         "4 t": ({"payload": {"mass": 4000, "x": 0}}, sound, Faults(payload=4000, payload_x=sound.cog[0])),
-        "4 t 1 m ahead": ({"payload": {"mass": 4000, "x": 1}}, sound, Faults(payload=4000, payload_x=sound.cog[0] + 1)),
+        "4 t 1 m ahead": (
+            {"payload": {"mass": 4000, "x": 1}},
+            sound,
+            Faults(payload=4000, payload_x=sound.cog[0] + 1),
+        ),
     }
 
 
@@ -96,7 +119,9 @@ def misfits(model: TrackedVehicle, sound: Sequence[MarkerRun]) -> list[float]:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description="What faults change, in the reality of 97 links and in the model.")
+    parser = argparse.ArgumentParser(
+        description="What faults change, in the reality of 97 links and in the model."
+    )
     parser.add_argument("--json", action="store_true", help="print one JSON object")
     parser.add_argument("--kmh", type=int, nargs="+", choices=list(SECONDS), default=[8, 13])
     arguments = parser.parse_args()
@@ -105,9 +130,10 @@ def main() -> None:
     sound = [filmed(specimen, kmh, Faults()) for kmh in arguments.kmh]
     model = calibrate_to(start, sound)
     off = {
-        "on a prescribed way": misfits(specimen, sound), "driven": misfits(driven(specimen), sound),
+        "on a prescribed way": misfits(specimen, sound),
+        "driven": misfits(driven(specimen), sound),
         "calibrated": misfits(model, sound),
-    }  # fmt: skip
+    }
     gyration = model.gyration / specimen.gyration
     told = simulate_runs([model], sound)[0]
     assert told is not None  # it was fitted to them
@@ -120,12 +146,18 @@ def main() -> None:
             usual = signals(before)
             real = without_clock(signals(filmed(vehicle, kmh, faults)) - usual, usual, before.t)
             ours = without_clock(signals(after) - signals(plain), usual, before.t)
-            rows.append({
-                "fault": name, "kmh": kmh, "real": float(np.sqrt(np.mean(real**2))),
-                "model": float(np.sqrt(np.mean(ours**2))), "gain": float(real @ ours / (ours @ ours)),
-                "correlation": correlation(real, ours), "sinks": sinks,
-                "displacement": correlation(*(c.reshape(-1, 9)[:, :3].ravel() for c in (real, ours))),
-            })  # fmt: skip
+            rows.append(
+                {
+                    "fault": name,
+                    "kmh": kmh,
+                    "real": float(np.sqrt(np.mean(real**2))),
+                    "model": float(np.sqrt(np.mean(ours**2))),
+                    "gain": float(real @ ours / (ours @ ours)),
+                    "correlation": correlation(real, ours),
+                    "sinks": sinks,
+                    "displacement": correlation(*(c.reshape(-1, 9)[:, :3].ravel() for c in (real, ours))),
+                }
+            )
     if arguments.json:
         print(json.dumps({"sound": off, "gyration": gyration, "rows": rows}))
         return

@@ -30,7 +30,9 @@ NOISES = {"camera": np.array([1e-3, 0.01, 0.17]), "model error": np.array([0.02,
 def main() -> None:
     parser = argparse.ArgumentParser(description="Identifiability of the five track parameters.")
     parser.add_argument("--json", action="store_true")
-    parser.add_argument("--profiles", action="store_true", help="also the likelihood over each whole range (minutes)")
+    parser.add_argument(
+        "--profiles", action="store_true", help="also the likelihood over each whole range (minutes)"
+    )
     parser.add_argument("--points", type=int, default=7)
     arguments = parser.parse_args()
     vehicle = load_tracked(ROOT / "pt91.yaml").with_changes(PUBLISHED)
@@ -49,19 +51,31 @@ def main() -> None:
             low, high = BOUNDS[key]
             log = key.startswith("track.")
             ends = [low * (high / low) ** u if log else low + u * (high - low) for u in (p.low, p.high)]
-            result["profiles"].append({
-                "key": key, "places": p.places.tolist(), "half_chi_square": p.cost.tolist(), "interval": ends,
-            })  # fmt: skip
+            result["profiles"].append(
+                {
+                    "key": key,
+                    "places": p.places.tolist(),
+                    "half_chi_square": p.cost.tolist(),
+                    "interval": ends,
+                }
+            )
     if arguments.json:
         print(json.dumps(result))
         return
     print(f"standard deviation as a share of the range; the bounds alone: {BOUNDS_ALONE:.2f}")
     print(f"{'noise':12}{'runs':18}{'step':>7}" + "".join(f"{k.split('.')[1]:>19}" for k in BOUNDS))
     for row in result["fisher"]:
-        print(f"{row['noise']:12}{row['runs']:18}{row['step']:7.3f}" + "".join(f"{row[k]:19.4f}" for k in BOUNDS))
+        print(
+            f"{row['noise']:12}{row['runs']:18}{row['step']:7.3f}"
+            + "".join(f"{row[k]:19.4f}" for k in BOUNDS)
+        )
     for row in result["profiles"]:
-        costs = " ".join(f"{p:.2f}: {c:.3g}" for p, c in zip(row["places"], row["half_chi_square"], strict=True))
-        print(f"{row['key']}: 90 % from {row['interval'][0]:.4g} to {row['interval'][1]:.4g}; half chi square {costs}")
+        costs = " ".join(
+            f"{p:.2f}: {c:.3g}" for p, c in zip(row["places"], row["half_chi_square"], strict=True)
+        )
+        print(
+            f"{row['key']}: 90 % from {row['interval'][0]:.4g} to {row['interval'][1]:.4g}; half chi square {costs}"
+        )
 
 
 if __name__ == "__main__":

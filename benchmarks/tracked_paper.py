@@ -44,37 +44,54 @@ def main() -> None:
     runs = [read_run(p, vehicle) for p in sorted((ROOT / "runs").glob("*.csv"))]
     slow, others = [r for r in runs if r.speed < 1.5], [r for r in runs if r.speed >= 1.5]
     truth = yaml.safe_load((ROOT / "runs" / "truth.yaml").read_text(encoding="utf-8"))
-    results: dict[str, Any] = {"truth": truth, "published": PUBLISHED, "published_correlation": PUBLISHED_CORRELATION}
+    results: dict[str, Any] = {
+        "truth": truth,
+        "published": PUBLISHED,
+        "published_correlation": PUBLISHED_CORRELATION,
+    }
     settings = replace(SETTINGS, generations=arguments.generations)
-    vehicles = {"published parameters": vehicle.with_changes(PUBLISHED), "true parameters": vehicle.with_changes(truth)}
+    vehicles = {
+        "published parameters": vehicle.with_changes(PUBLISHED),
+        "true parameters": vehicle.with_changes(truth),
+    }
     for objective in ("correlation", "motion"):
         began, cpu = time.perf_counter(), time.process_time()
         found = calibrate_tracked(vehicle, slow, objective=objective, seed=arguments.seed, settings=settings)
         vehicles[objective] = found.vehicle
         results[objective] = {
-            "values": found.values, "evaluations": found.evaluations, "best_cost": float(found.best[-1]),
-            "wall_s": time.perf_counter() - began, "processor_s": time.process_time() - cpu,
-        }  # fmt: skip
+            "values": found.values,
+            "evaluations": found.evaluations,
+            "best_cost": float(found.best[-1]),
+            "wall_s": time.perf_counter() - began,
+            "processor_s": time.process_time() - cpu,
+        }
     rows = []
     for name, candidate in vehicles.items():
         told = simulate_runs([candidate], runs)[0]
         assert told is not None
         for kmh in (4, 8, 13):
             worth = [compare(r, t) for r, t in zip(runs, told, strict=True) if round(r.speed * 3.6) == kmh]
-            rows.append({
-                "parameters": name, "kmh": kmh,
-                "correlation": np.mean([w.correlation for w in worth], axis=0).round(4).tolist(),
-                "residual": np.mean([w.residual for w in worth], axis=0).round(4).tolist(),
-                "gain": np.mean([w.gain for w in worth], axis=0).round(4).tolist(),
-                "motion": float(np.mean([w.cost("motion") for w in worth]).round(4)),
-            })  # fmt: skip
+            rows.append(
+                {
+                    "parameters": name,
+                    "kmh": kmh,
+                    "correlation": np.mean([w.correlation for w in worth], axis=0).round(4).tolist(),
+                    "residual": np.mean([w.residual for w in worth], axis=0).round(4).tolist(),
+                    "gain": np.mean([w.gain for w in worth], axis=0).round(4).tolist(),
+                    "motion": float(np.mean([w.cost("motion") for w in worth]).round(4)),
+                }
+            )
     results["rows"] = rows
     spread = [
-        compare(a, replace(b, t=a.t)) for a in others for b in others
+        compare(a, replace(b, t=a.t))
+        for a in others
+        for b in others
         if a is not b and a.speed == b.speed and a.t.size == b.t.size
-    ]  # fmt: skip
-    results["repeats"] = {"correlation": np.mean([w.correlation for w in spread], axis=0).round(4).tolist(),
-                          "motion": float(np.mean([w.cost("motion") for w in spread]).round(4))}  # fmt: skip
+    ]
+    results["repeats"] = {
+        "correlation": np.mean([w.correlation for w in spread], axis=0).round(4).tolist(),
+        "motion": float(np.mean([w.cost("motion") for w in spread]).round(4)),
+    }
     if arguments.out:
         fast = [r for r in runs if round(r.speed * 3.6) == 13][:1]
         lines = {n: simulate_runs([vehicles[n]], fast)[0][0] for n in ("correlation", "motion")}  # type: ignore[index]
@@ -84,18 +101,25 @@ def main() -> None:
         print(json.dumps(results))
         return
     print(f"{'':22}" + "".join(f"{k.split('.')[1]:>20}" for k in BOUNDS))
-    for name, values in (("the paper's", PUBLISHED), ("the specimen's", truth),
-                         *((o, results[o]["values"]) for o in ("correlation", "motion"))):  # fmt: skip
+    for name, values in (
+        ("the paper's", PUBLISHED),
+        ("the specimen's", truth),
+        *((o, results[o]["values"]) for o in ("correlation", "motion")),
+    ):
         print(f"{name:22}" + "".join(f"{values[k]:20.4g}" for k in BOUNDS))
     names = ("rho A", "rho B", "left A", "left B", "gain A", "gain B", "motion")
     print(f"\n{'parameters':22}{'km/h':>5}" + "".join(f"{n:>9}" for n in names))
     for r in rows:
         numbers = (*r["correlation"], *r["residual"], *r["gain"], r["motion"])
         print(f"{r['parameters']:22}{r['kmh']:5d}" + "".join(f"{v:9.4f}" for v in numbers))
-    print(f"repeats among themselves at 8 and 13 km/h: rho {results['repeats']['correlation']}, "
-          f"motion {results['repeats']['motion']}; the paper at 13 km/h: rho {PUBLISHED_CORRELATION}")  # fmt: skip
+    print(
+        f"repeats among themselves at 8 and 13 km/h: rho {results['repeats']['correlation']}, "
+        f"motion {results['repeats']['motion']}; the paper at 13 km/h: rho {PUBLISHED_CORRELATION}"
+    )
     for o in ("correlation", "motion"):
-        print(f"{o}: {results[o]['evaluations']} candidates, {results[o]['processor_s']:.0f} s of processor time")
+        print(
+            f"{o}: {results[o]['evaluations']} candidates, {results[o]['processor_s']:.0f} s of processor time"
+        )
 
 
 if __name__ == "__main__":

@@ -59,10 +59,29 @@ def _ground(x: float, height: float, ramp: float, top: float) -> tuple[float, fl
 
 @njit(cache=True)
 def _run(
-    link: Floats, inverse: Floats, pitch: float, half: float, mass: float, inertia: float, kl: float, bl: float,
-    kphi: float, circles: Floats, hull: Floats, body: Floats, arms: Floats, arm: Floats, stations: Floats,
-    obstacle: Floats, speed: float, dt: float, settle: int, steps: int, every: int, out: Floats,
-) -> bool:  # fmt: skip
+    link: Floats,
+    inverse: Floats,
+    pitch: float,
+    half: float,
+    mass: float,
+    inertia: float,
+    kl: float,
+    bl: float,
+    kphi: float,
+    circles: Floats,
+    hull: Floats,
+    body: Floats,
+    arms: Floats,
+    arm: Floats,
+    stations: Floats,
+    obstacle: Floats,
+    speed: float,
+    dt: float,
+    settle: int,
+    steps: int,
+    every: int,
+    out: Floats,
+) -> bool:
     """``link`` (6, N) x, z, phi and rates; ``circles`` (C, 3) on the hull, the sprocket first, x, z, radius;
     ``hull`` (6,) x, z, theta and rates; ``arms`` (2, S); ``out`` (n, 5) hull x, z, theta, mean tension, arm 0."""
     n, s = link.shape[1], arms.shape[1]
@@ -85,7 +104,12 @@ def _run(
         h = 0.5 * pitch
         for i in range(n):
             j = i + 1 if i < n - 1 else 0
-            c1, s1, c2, s2 = math.cos(link[2, i]), math.sin(link[2, i]), math.cos(link[2, j]), math.sin(link[2, j])
+            c1, s1, c2, s2 = (
+                math.cos(link[2, i]),
+                math.sin(link[2, i]),
+                math.cos(link[2, j]),
+                math.sin(link[2, j]),
+            )
             dx = link[0, j] - h * c2 - link[0, i] - h * c1
             dz = link[1, j] - h * s2 - link[1, i] - h * s1
             vx = link[3, j] + h * s2 * link[5, j] - link[3, i] + h * s1 * link[5, i]
@@ -132,7 +156,9 @@ def _run(
                         over = arm[2] - r
                         ux, uz = ddx / r, ddz / r
                         rate = -(vx - wheel[k, 2]) * ux - (vz - wheel[k, 3]) * uz
-                        force = max(0.0, arm[3] * (over + 40.0 * over * over) + arm[4] * min(1.0, over / 1e-3) * rate)
+                        force = max(
+                            0.0, arm[3] * (over + 40.0 * over * over) + arm[4] * min(1.0, over / 1e-3) * rate
+                        )
                         fx[i] += force * ux
                         fz[i] += force * uz
                         torque[i] += force * (ix * uz - iz * ux)
@@ -259,15 +285,19 @@ def _loop(vehicle: TrackedVehicle, idler_x: float) -> Floats:
     circles = [(idler_x, v.idler.height, v.idler.radius), (*v.sprocket.position, v.sprocket.radius)]
     circles += [(s.x, v.wheel_height, v.wheel.radius) for s in v.stations]
     angle = np.linspace(0, 2 * np.pi, 721)
-    points = np.concatenate([
-        np.stack([x + (r + half) * np.cos(angle), z + (r + half) * np.sin(angle)], 1) for x, z, r in circles
-    ])  # fmt: skip
+    points = np.concatenate(
+        [np.stack([x + (r + half) * np.cos(angle), z + (r + half) * np.sin(angle)], 1) for x, z, r in circles]
+    )
     corners = points[ConvexHull(points).vertices][::-1]  # clockwise: front, below, rear, above
     return np.vstack([corners, corners[:1]])
 
 
 def simulate(
-    vehicle: TrackedVehicle, speed: float, duration: float, faults: Faults = Faults(), taut_at: float = -5552.0
+    vehicle: TrackedVehicle,
+    speed: float,
+    duration: float,
+    faults: Faults = Faults(),
+    taut_at: float = -5552.0,
 ) -> dict[str, Floats]:
     """True motion at 500 Hz from standing: ``t`` s, ``x`` m of the CoG, ``markers`` (n, 3) m of A, B, C upwards
     from the standing vehicle, ``standing`` (3,) m their heights there, ``tension`` N. ``taut_at`` mm is where this
@@ -292,45 +322,97 @@ def simulate(
     cog_x, cog_z = v.cog
     hull_mass = v.hull_mass
     extra = 0.5 * faults.payload
-    centre = np.array([(hull_mass * cog_x + extra * faults.payload_x), hull_mass * cog_z + extra * (cog_z + 0.5)])
+    centre = np.array(
+        [(hull_mass * cog_x + extra * faults.payload_x), hull_mass * cog_z + extra * (cog_z + 0.5)]
+    )
     centre /= hull_mass + extra
-    inertia = hull_mass * (v.gyration**2 + (centre[0] - cog_x) ** 2) + extra * (centre[0] - faults.payload_x) ** 2
+    inertia = (
+        hull_mass * (v.gyration**2 + (centre[0] - cog_x) ** 2) + extra * (centre[0] - faults.payload_x) ** 2
+    )
     a0 = v.arm.standing_angle
-    stations = np.array([
-        [s.x + v.arm.length * math.cos(a0) - centre[0], v.wheel_height + v.arm.length * math.sin(a0) - centre[1],
-         s.damping * f, s.sag + sag]
-        for s, f, sag in zip(v.stations, faults.damper, faults.sag, strict=True)
-    ])  # fmt: skip
-    circles = np.array([
-        [-centre[0], -centre[1], v.sprocket.radius],
-        [idler_x - centre[0], v.idler.height - centre[1], v.idler.radius],
-        *([x - centre[0], 0.305 - 0.11 - 0.03 * i - centre[1], 0.11] for i, x in enumerate((1.4, 2.8, 4.2))),
-    ])  # fmt: skip
+    stations = np.array(
+        [
+            [
+                s.x + v.arm.length * math.cos(a0) - centre[0],
+                v.wheel_height + v.arm.length * math.sin(a0) - centre[1],
+                s.damping * f,
+                s.sag + sag,
+            ]
+            for s, f, sag in zip(v.stations, faults.damper, faults.sag, strict=True)
+        ]
+    )
+    circles = np.array(
+        [
+            [-centre[0], -centre[1], v.sprocket.radius],
+            [idler_x - centre[0], v.idler.height - centre[1], v.idler.radius],
+            *(
+                [x - centre[0], 0.305 - 0.11 - 0.03 * i - centre[1], 0.11]
+                for i, x in enumerate((1.4, 2.8, 4.2))
+            ),
+        ]
+    )
     spacing = pitch / POINTS
-    arm = np.array([
-        v.arm.length, v.wheel.mass, v.wheel.radius, v.wheel.rubber * spacing, v.wheel.rubber_damping * spacing,
-        v.arm.free_angle, v.arm.stiffness, v.arm.jounce_stop, v.arm.rebound_stop, 250.0,
-    ])  # fmt: skip
+    arm = np.array(
+        [
+            v.arm.length,
+            v.wheel.mass,
+            v.wheel.radius,
+            v.wheel.rubber * spacing,
+            v.wheel.rubber_damping * spacing,
+            v.arm.free_angle,
+            v.arm.stiffness,
+            v.arm.jounce_stop,
+            v.arm.rebound_stop,
+            250.0,
+        ]
+    )
     o = v.obstacle
-    obstacle = np.array([
-        o.height, o.ramp, o.top, v.ground.stiffness * spacing, v.ground.damping * spacing,
-    ])  # fmt: skip
+    obstacle = np.array(
+        [
+            o.height,
+            o.ramp,
+            o.top,
+            v.ground.stiffness * spacing,
+            v.ground.damping * spacing,
+        ]
+    )
     link[1] -= v.ground_height
     hull = np.array([foot + centre[0], centre[1] - v.ground_height, 0.0, 0.0, 0.0, 0.0])
     arms = np.stack([np.full(len(stations), a0), np.zeros(len(stations))])
     rotary = track.link_mass * (pitch**2 / 12 + track.thickness**2 / 12)
     ring = 2 * np.eye(n) - np.roll(np.eye(n), 1, 0) - np.roll(np.eye(n), -1, 0)
     # the same row for every link; what lies far off is nothing
-    row = np.linalg.inv(rotary * np.eye(n) + STEP * (track.bending_damping + STEP * track.bending_stiffness) * ring)[0]
+    row = np.linalg.inv(
+        rotary * np.eye(n) + STEP * (track.bending_damping + STEP * track.bending_stiffness) * ring
+    )[0]
     inverse = row[: min(n // 2, int(np.flatnonzero(np.abs(row[: n // 2]) > 1e-9 * row[0])[-1]) + 1)].copy()
     every = round(1.0 / RATE / STEP)
     steps = round((duration + _RUN_UP + 1.3 * _STEADY) / STEP) + 1
     out = np.zeros(((steps - 1) // every + 1, 5))
     sound = _run(
-        link, inverse, pitch, half, track.link_mass, rotary, track.stiffness, track.damping, track.bending_stiffness,
-        circles, hull, np.array([hull_mass + extra, inertia]), arms, arm, stations, obstacle, speed, STEP,
-        round(SETTLE / STEP), steps, every, out,
-    )  # fmt: skip
+        link,
+        inverse,
+        pitch,
+        half,
+        track.link_mass,
+        rotary,
+        track.stiffness,
+        track.damping,
+        track.bending_stiffness,
+        circles,
+        hull,
+        np.array([hull_mass + extra, inertia]),
+        arms,
+        arm,
+        stations,
+        obstacle,
+        speed,
+        STEP,
+        round(SETTLE / STEP),
+        steps,
+        every,
+        out,
+    )
     if not (sound and np.isfinite(out).all()):
         raise RuntimeError("the reality diverged: choose softer links")
     marks = np.array([v.markers.A, v.markers.B, v.markers.C]) / 1000
@@ -340,16 +422,25 @@ def simulate(
     part = slice(begin, begin + round(duration * RATE) + 1)
     kept = out[part]
     return {
-        "t": np.arange(kept.shape[0]) / RATE, "x": kept[:, 0], "markers": height[part] - height[0],
+        "t": np.arange(kept.shape[0]) / RATE,
+        "x": kept[:, 0],
+        "markers": height[part] - height[0],
         "standing": height[0],
-        "pitch": kept[:, 2], "tension": kept[:, 3],
-    }  # fmt: skip
+        "pitch": kept[:, 2],
+        "tension": kept[:, 3],
+    }
 
 
 def photogrammetry(
-    motion: dict[str, Floats], seed: int, *, rate: float = 100.0, noise: float = 0.6e-3, scale: float = 1.0,
-    late: float = 0.0, tilt: float = 0.0,
-) -> Floats:  # fmt: skip
+    motion: dict[str, Floats],
+    seed: int,
+    *,
+    rate: float = 100.0,
+    noise: float = 0.6e-3,
+    scale: float = 1.0,
+    late: float = 0.0,
+    tilt: float = 0.0,
+) -> Floats:
     """What a camera's tool gives (n, 10): s, then for A, B, C mm, m/s and m/s² upwards.
 
     Displacements carry white ``noise`` m; velocity and acceleration are derivatives of a smoothing spline

@@ -52,7 +52,9 @@ def main() -> None:
             table = photogrammetry(motion, kmh * 10 + repeat, rate=50.0, late=rng.normal(0, 0.01))
             write_run(out / f"{kmh:02d}kmh_{repeat}.csv", table)
             print(f"{kmh} km/h, {repeat}: {table.shape[0]} rows", flush=True)
-    about = "# The specimen that the runs beside this file were made with; nothing that calibrates reads it.\n"
+    about = (
+        "# The specimen that the runs beside this file were made with; nothing that calibrates reads it.\n"
+    )
     (out / "truth.yaml").write_text(about + yaml.safe_dump(TRUTH, sort_keys=False), encoding="utf-8")
 
 

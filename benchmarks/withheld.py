@@ -43,8 +43,19 @@ def run(case: Path, out: Path) -> dict[str, Any]:
     write(result, out / case.name)
     diagnosis_page(result).write(out / case.name / "report.html")
     d = result.document
-    kept = ("verdict", "message", "combination", "unexplained", "no_gap_probability", "unknown_probability", "gap",
-            "recalibration", "background", "cannot_be_judged", "next_experiment")  # fmt: skip
+    kept = (
+        "verdict",
+        "message",
+        "combination",
+        "unexplained",
+        "no_gap_probability",
+        "unknown_probability",
+        "gap",
+        "recalibration",
+        "background",
+        "cannot_be_judged",
+        "next_experiment",
+    )
     return {
         "case": case.name,
         "reference": bool(reference),

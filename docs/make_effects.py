@@ -25,9 +25,13 @@ A parameter that is not given is neutral, and an effect whose severity (in bold)
 no bit of any result. Effects combine freely. This page is written by `docs/make_effects.py`.
 """
 WHERE = {
-    "strut": "In the struts", "tyre": "In the tyres", "body": "In the body", "sensor": "In the sensor",
-    "time": "In the clocks", "road": "In the road file",
-}  # fmt: skip
+    "strut": "In the struts",
+    "tyre": "In the tyres",
+    "body": "In the body",
+    "sensor": "In the sensor",
+    "time": "In the clocks",
+    "road": "In the road file",
+}
 
 
 def page() -> str:
@@ -42,7 +46,9 @@ def page() -> str:
 def _entry(e: Effect) -> str:
     models = ", ".join(f"`{m}`" for m in e.hook.models)
     rows = "".join(_row(p, p.name in e.severity) for p in e.parameters)
-    witness = " The diagnosis takes it for a shape, not for a cause, unless asked: see [there](diagnosis.md#which)."
+    witness = (
+        " The diagnosis takes it for a shape, not for a cause, unless asked: see [there](diagnosis.md#which)."
+    )
     return (
         f"\n### `{e.id}`: {e.title}\n\n{e.doc}\n\n"
         f"| parameter | unit | from, to | neutral | prior | what |\n| --- | --- | --- | --- | --- | --- |\n{rows}\n"

@@ -24,12 +24,16 @@ def generate_launch_description() -> LaunchDescription:
     arguments = [
         DeclareLaunchArgument("twin", description="Path of the twin file."),
         DeclareLaunchArgument(
-            "params", default_value=str(config / "nodes.yaml"), description="Path of the nodes' parameter file."
+            "params",
+            default_value=str(config / "nodes.yaml"),
+            description="Path of the nodes' parameter file.",
         ),
         DeclareLaunchArgument(
             "use_sim_time", default_value="false", description="Follow /clock, for a replayed recording."
         ),
-        DeclareLaunchArgument("namespace", default_value="", description="A namespace that holds the whole twin."),
+        DeclareLaunchArgument(
+            "namespace", default_value="", description="A namespace that holds the whole twin."
+        ),
     ]
     parameters = [
         LaunchConfiguration("params"),

@@ -34,7 +34,9 @@ class Interfaces(Extension):
         implied = {"service_msgs", "unique_identifier_msgs"}
         self.deps = sorted({str(d.text) for d in manifest.iter("depend")} | implied)
         super().__init__(
-            f"{self.package}.{self.package}_s__rosidl_typesupport_c", ["typesupport_dispatch.cpp"], language="c++"
+            f"{self.package}.{self.package}_s__rosidl_typesupport_c",
+            ["typesupport_dispatch.cpp"],
+            language="c++",
         )
 
     def generate(self, share: Path, out: Path) -> list[str]:
@@ -49,7 +51,9 @@ class Interfaces(Extension):
 
         shutil.rmtree(out, ignore_errors=True)
         idl_dir = out / "idl" / self.package
-        files = sorted(p.relative_to(self.folder) for kind in KINDS for p in self.folder.glob(f"{kind}/*.{kind}"))
+        files = sorted(
+            p.relative_to(self.folder) for kind in KINDS for p in self.folder.glob(f"{kind}/*.{kind}")
+        )
         for path in files:
             (idl_dir / path.parent).mkdir(parents=True, exist_ok=True)
             convert_to_idl(self.folder, self.package, path, idl_dir)
@@ -64,7 +68,9 @@ class Interfaces(Extension):
                 "template_dir": str(resource),
                 "idl_tuples": [f"{idl_dir}:{i.as_posix()}" for i in idls],
                 "target_dependencies": [],
-                "ros_interface_dependencies": [f"{d}:{i}" for d in self.deps for i in (share / d).rglob("*.idl")],
+                "ros_interface_dependencies": [
+                    f"{d}:{i}" for d in self.deps for i in (share / d).rglob("*.idl")
+                ],
                 **arguments,
             }
             (out / "arguments.json").write_text(json.dumps(settings))

@@ -56,7 +56,18 @@ def command(folder: Path, out: Path) -> list[str]:
     shown, before = _drives(folder)
     more = [a for b in before for a in ("--reference", b)]
     twin = str(folder / "twin.yaml")
-    return [sys.executable, "-m", "suspension_twin", "diagnose", "--twin", twin, *shown, *more, "--out", str(out)]
+    return [
+        sys.executable,
+        "-m",
+        "suspension_twin",
+        "diagnose",
+        "--twin",
+        twin,
+        *shown,
+        *more,
+        "--out",
+        str(out),
+    ]
 
 
 def _drives(folder: Path) -> tuple[list[str], list[str]]:
@@ -98,10 +109,15 @@ def ask(folder: Path, answer: Path, seal: str, starter: Sequence[str] = ()) -> d
                     text = file.read_text(encoding="utf-8").replace(f"{copy}/", "")
                     (answer / file.name).write_text(text, encoding="utf-8")
     record = {
-        **key, "commit": commit(), "seal": seal, "status": process.returncode, "seconds": round(seconds, 2),
-        "memory_mb": round(usage.ru_maxrss / 1024, 1), "cpu_seconds": round(usage.ru_utime + usage.ru_stime, 2),
+        **key,
+        "commit": commit(),
+        "seal": seal,
+        "status": process.returncode,
+        "seconds": round(seconds, 2),
+        "memory_mb": round(usage.ru_maxrss / 1024, 1),
+        "cpu_seconds": round(usage.ru_utime + usage.ru_stime, 2),
         "error": errors.strip().replace(name, "")[-400:] if process.returncode else "",
-    }  # fmt: skip
+    }
     kept.write_text(json.dumps(record, indent=1) + "\n", encoding="utf-8")
     return record
 
@@ -119,7 +135,9 @@ def main(folder: Path, out: Path) -> None:
     shown, before = _drives(folder)
     # a witness that is asked for by name would be a cause
     kept = tuple(e for e in EFFECTS if e not in without and e not in WITNESSES)
-    write(diagnose(DiagnosisRequest(str(folder / "twin.yaml"), tuple(shown), tuple(before), effects=kept)), out)
+    write(
+        diagnose(DiagnosisRequest(str(folder / "twin.yaml"), tuple(shown), tuple(before), effects=kept)), out
+    )
 
 
 if __name__ == "__main__":

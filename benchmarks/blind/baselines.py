@@ -89,7 +89,9 @@ def fits(folder: Path) -> dict[str, tuple[float, int]]:
     before = [b for b in bags if b not in shown]
     request = folder / "request.json"
     without = json.loads(request.read_text())["without"] if request.is_file() else []
-    twin = calibrate(CalibrationRequest(str(folder / "twin.yaml"), tuple(before or shown), max_generations=60)).twin
+    twin = calibrate(
+        CalibrationRequest(str(folder / "twin.yaml"), tuple(before or shown), max_generations=60)
+    ).twin
     twin = twin.model_copy(update={"road": load_twin(folder / "twin.yaml").road})
     drives = [prepare(read_drive(b), twin, road_of(twin)) for b in shown[:1]]
     out = {"none": (_deviance(twin, drives), 0)}
@@ -102,10 +104,15 @@ def fits(folder: Path) -> dict[str, tuple[float, int]]:
 def compare(rows: Sequence[Row], out: Path, most: int, tell: Callable[[str], None]) -> dict[str, Any]:
     """Top-1 on plain single effects and false alarms on null cases, for each simple method, on the first
     ``most`` of them."""
-    wanted = [r for r in rows if r["kind"] == "null" or (r["kind"] == "single" and r["severity"] >= PLAIN)][:most]
+    wanted = [r for r in rows if r["kind"] == "null" or (r["kind"] == "single" and r["severity"] >= PLAIN)][
+        :most
+    ]
     answers: dict[str, list[tuple[Row, str]]] = {
-        "largest reduction, frozen": [], "AIC, frozen": [], "BIC, frozen": [], "at random": [],
-    }  # fmt: skip
+        "largest reduction, frozen": [],
+        "AIC, frozen": [],
+        "BIC, frozen": [],
+        "at random": [],
+    }
     for i, row in enumerate(wanted):
         kept = out / "answers" / row["case"] / "frozen.json"
         if not kept.is_file():
@@ -120,7 +127,9 @@ def compare(rows: Sequence[Row], out: Path, most: int, tell: Callable[[str], Non
         effects = {k: v for k, v in found.items() if k != "none"}
         answers["largest reduction, frozen"].append((row, min(effects, key=lambda k: effects[k][0])))
         answers["AIC, frozen"].append((row, min(found, key=lambda k: found[k][0] + 2 * found[k][1])))
-        answers["BIC, frozen"].append((row, min(found, key=lambda k: found[k][0] + math.log(samples) * found[k][1])))
+        answers["BIC, frozen"].append(
+            (row, min(found, key=lambda k: found[k][0] + math.log(samples) * found[k][1]))
+        )
         drawn = np.random.default_rng([i, 11]).choice(list(found))
         answers["at random"].append((row, str(drawn)))
     return {name: _scored(own) for name, own in answers.items()}

@@ -17,9 +17,14 @@ from blind.newton import Faults, Motion
 from blind.world import FILE_DU, FILE_DV, Floats, World
 
 OUTSIDE = (
-    "cubic_spring", "wheel_imbalance", "engine_order", "damper_cavitation", "loose_ball_joint",
-    "position_sensitive_damper", "gusts",
-)  # fmt: skip
+    "cubic_spring",
+    "wheel_imbalance",
+    "engine_order",
+    "damper_cavitation",
+    "loose_ball_joint",
+    "position_sensitive_damper",
+    "gusts",
+)
 #: What a library may call them, should it come to have them: then that is taken out.
 ALIASES = {
     "cubic_spring": ("cubic_spring", "progressive_spring"),
@@ -30,9 +35,21 @@ ROAD = ("road_scale", "road_smoothing", "position_offset", "lateral_offset")
 SENSOR = ("mount_resonance", "sensor_tilt", "sensor_bandwidth", "sensor_clipping", "sensor_scale")
 TIME = ("time_offset", "clock_drift")
 BODY = (
-    "strut_friction", "bump_stop", "rebound_stop", "top_mount", "anti_roll_bar", "damper_fade", "corner_damper",
-    "corner_spring", "tyre_damping", "tyre_envelope", "payload", "body_bending", "powertrain_mount", "sensor_offset",
-)  # fmt: skip
+    "strut_friction",
+    "bump_stop",
+    "rebound_stop",
+    "top_mount",
+    "anti_roll_bar",
+    "damper_fade",
+    "corner_damper",
+    "corner_spring",
+    "tyre_damping",
+    "tyre_envelope",
+    "payload",
+    "body_bending",
+    "powertrain_mount",
+    "sensor_offset",
+)
 MSD = ("unsprung_mass",)
 LIBRARY = (*BODY, *MSD, *SENSOR, *TIME, *ROAD)
 
@@ -65,7 +82,10 @@ def knob(effect: str, world: World, seed: int) -> Knob:
     angle /= np.linalg.norm(angle)
 
     knobs: dict[str, Knob] = {
-        "strut_friction": lambda s, n: {"front_force": 1000 * s * lead, "rear_force": 1000 * s * (1.4 - lead)},
+        "strut_friction": lambda s, n: {
+            "front_force": 1000 * s * lead,
+            "rear_force": 1000 * s * (1.4 - lead),
+        },
         "bump_stop": lambda s, n: {
             "front_clearance": n.jounce * (1 - 0.95 * s),
             "rear_clearance": n.jounce * (1 - 0.95 * s) * (0.9 + 0.2 * b),
@@ -73,12 +93,17 @@ def knob(effect: str, world: World, seed: int) -> Knob:
         },
         "rebound_stop": lambda s, n: {
             "front_clearance": n.rebound * (1 - 0.95 * s),
-            "rear_clearance": n.rebound * (1 - 0.95 * s) * (0.9 + 0.2 * b), "stiffness": 6e4 + 1.2e5 * a,
+            "rear_clearance": n.rebound * (1 - 0.95 * s) * (0.9 + 0.2 * b),
+            "stiffness": 6e4 + 1.2e5 * a,
         },
         "top_mount": lambda s, n: {
-            "front_stiffness": 3e4 / max(s, 0.06), "rear_stiffness": 3e4 * (0.8 + 0.8 * b) / max(s, 0.06),
+            "front_stiffness": 3e4 / max(s, 0.06),
+            "rear_stiffness": 3e4 * (0.8 + 0.8 * b) / max(s, 0.06),
         },
-        "anti_roll_bar": lambda s, n: {"front_stiffness": 8e4 * s * lead, "rear_stiffness": 8e4 * s * (1.4 - lead)},
+        "anti_roll_bar": lambda s, n: {
+            "front_stiffness": 8e4 * s * lead,
+            "rear_stiffness": 8e4 * s * (1.4 - lead),
+        },
         "damper_fade": lambda s, n: {"loss": 0.93 * s, "time_constant": 6.0 + 12.0 * a},
         "corner_damper": lambda s, n: {"corner": corner, "change": -0.95 * s if sign < 0 else 1.8 * s},
         "corner_spring": lambda s, n: {"corner": corner, "change": -0.6 * s if sign < 0 else 1.0 * s},
@@ -86,16 +111,24 @@ def knob(effect: str, world: World, seed: int) -> Knob:
         "tyre_envelope": lambda s, n: {"length": 0.06 + 1.2 * s},
         "payload": lambda s, n: {"mass": 600 * s, "x": -0.6 + 2.2 * a, "y": sign * 0.4 * b},
         "body_bending": lambda s, n: {
-            "gain": 3.0 * s * sign, "frequency": 8.5 + 8.5 * a, "damping_ratio": 0.02 + 0.03 * b,
+            "gain": 3.0 * s * sign,
+            "frequency": 8.5 + 8.5 * a,
+            "damping_ratio": 0.02 + 0.03 * b,
         },
         "powertrain_mount": lambda s, n: {
-            "mass": 0.28 * world.car.mass * s, "frequency": 6.5 + 6 * a, "x": 0.7 + 0.8 * b,
+            "mass": 0.28 * world.car.mass * s,
+            "frequency": 6.5 + 6 * a,
+            "x": 0.7 + 0.8 * b,
         },
         "mount_resonance": lambda s, n: {
-            "gain": 1.4 * s, "frequency": 8.5 + 8.5 * a, "damping_ratio": 0.03 + 0.06 * b,
+            "gain": 1.4 * s,
+            "frequency": 8.5 + 8.5 * a,
+            "damping_ratio": 0.03 + 0.06 * b,
         },
         "sensor_offset": lambda s, n: {
-            "x": 2.5 * s * sign, "y": 1.0 * s * (2 * a - 1), "z": 0.8 * s * (2 * b - 1),
+            "x": 2.5 * s * sign,
+            "y": 1.0 * s * (2 * a - 1),
+            "z": 0.8 * s * (2 * b - 1),
         },
         "sensor_tilt": lambda s, n: dict(zip(("roll", "pitch", "yaw"), 0.6 * s * angle, strict=True)),
         "sensor_bandwidth": lambda s, n: {"cutoff": 2.5 * 40.0 ** (1 - s)},
@@ -158,5 +191,3 @@ def on_stretch(motion_u: Floats, wheelbase: float, stretch: tuple[float, float])
 def without_road(faults: Faults) -> Faults:
     """The faults that a car has, not its road file."""
     return {k: v for k, v in faults.items() if k not in ROAD}
-
-

@@ -63,7 +63,9 @@ def make_case(spec: Spec, cases: Path, sealed: Path) -> dict[str, Any]:
         rng = np.random.default_rng([spec.world, 9, len(spec.effects[0])])
         first = float(rng.uniform(60.0, 110.0))
         stretch = (round(first, 2), round(first + float(rng.uniform(25.0, 40.0)), 2))
-    base: Faults = {"unsprung_mass": {"share": _MSD_BASE}} if spec.msd and "unsprung_mass" not in faults else {}
+    base: Faults = (
+        {"unsprung_mass": {"share": _MSD_BASE}} if spec.msd and "unsprung_mass" not in faults else {}
+    )
     moving = {**base, **without_road(faults)}
     folder = cases / spec.name
     folder.mkdir(parents=True)
@@ -78,7 +80,9 @@ def make_case(spec: Spec, cases: Path, sealed: Path) -> dict[str, Any]:
         drives[name] = {"start": plan.start, "seconds": plan.seconds}
         if stretch is not None:
             drives[name]["stretch"] = _times(motion, world, stretch, plan.start)
-    write_road(road_file(world, surveyed(world, faults, stretch)), folder / "road.crg", comment="Surveyed road")
+    write_road(
+        road_file(world, surveyed(world, faults, stretch)), folder / "road.crg", comment="Surveyed road"
+    )
     save_twin(parse_twin(twin_file(world, spec)), folder / "twin.yaml")
     if spec.without:
         (folder / REQUEST).write_text(json.dumps({"without": list(spec.without)}) + "\n", encoding="utf-8")
@@ -121,9 +125,16 @@ def road_file(world: World, z: Floats) -> Road:
     zero = np.zeros(line.shape[0])
     v = np.round(-HALF + np.arange(z.shape[1]) * FILE_DV, 6)
     return Road(
-        name="road", z=z.astype(np.float32).astype(np.float64), v=v, u_step=FILE_DU, x=line[:, 0], y=line[:, 1],
-        ref_z=zero, bank=zero, headings=(float(heading[0]), float(heading[-1])),
-    )  # fmt: skip
+        name="road",
+        z=z.astype(np.float32).astype(np.float64),
+        v=v,
+        u_step=FILE_DU,
+        x=line[:, 0],
+        y=line[:, 1],
+        ref_z=zero,
+        bank=zero,
+        headings=(float(heading[0]), float(heading[-1])),
+    )
 
 
 def twin_file(world: World, spec: Spec) -> dict[str, Any]:
@@ -138,5 +149,3 @@ def twin_file(world: World, spec: Spec) -> dict[str, Any]:
         "datum": {"latitude": latitude, "longitude": longitude, "altitude": altitude},
         "road": {"file": "road.crg"},
     }
-
-

@@ -46,9 +46,22 @@ def run(world: World, plan: Plan, faults: Faults | None = None) -> Motion:
         for body in range(1, 6):
             mujoco.mj_objectVelocity(model, data, mujoco.mjtObj.mjOBJ_BODY, body, moving[body - 1], 0)
         lf.apply(
-            t, motion, lever, bars, control, scene.numbers, scene.wheel, scene.keep, spin, travel, tables, reaches,
-            road, data.qfrc_applied, outer,
-        )  # fmt: skip
+            t,
+            motion,
+            lever,
+            bars,
+            control,
+            scene.numbers,
+            scene.wheel,
+            scene.keep,
+            spin,
+            travel,
+            tables,
+            reaches,
+            road,
+            data.qfrc_applied,
+            outer,
+        )
 
     return mb.drive(world, plan, scene, act, lambda: travel, f)
 

@@ -71,12 +71,16 @@ def apply(t, motion, lever, bars, control, n, w, keep, spin, travel, tables, rea
         depth = height + n[mf.RADIUS] + w[mf.SINK, i] - pz
         normal = 0.0
         if depth > 0.0:
-            normal = max(n[mf.TYRE] * depth + w[mf.TYRE_DAMPING, i] * (rise * ahead_of + lean * across - qz), 0.0)
+            normal = max(
+                n[mf.TYRE] * depth + w[mf.TYRE_DAMPING, i] * (rise * ahead_of + lean * across - qz), 0.0
+            )
         rolled = spin[SPIN, i] * -arm
         over = max(abs(rolled), abs(ahead_of))
         slip = rolled - ahead_of
         spin[ALONG, i], k_along = sheared(spin[ALONG, i], slip, over, BUILD_UP[0], STIFFNESS[0], normal, dt)
-        spin[ACROSS, i], k_across = sheared(spin[ACROSS, i], -across, over, BUILD_UP[1], STIFFNESS[1], normal, dt)
+        spin[ACROSS, i], k_across = sheared(
+            spin[ACROSS, i], -across, over, BUILD_UP[1], STIFFNESS[1], normal, dt
+        )
         on = k_along * spin[ALONG, i] + SHEAR_DAMPING * slip
         side = k_across * spin[ACROSS, i] - SHEAR_DAMPING * across
         on = min(max(on, -GRIP * normal), GRIP * normal)

@@ -51,9 +51,22 @@ def run(world: World, plan: Plan, faults: Faults | None = None) -> Motion:
 
     def act(t: float, control: Control) -> None:
         mf.apply(
-            t, data.qpos, data.qvel, matrix, wheels, lean @ matrix.T, control, scene.numbers, scene.wheel, scene.keep,
-            tables, (SPRING_REACH, DAMPER_REACH), road, data.qfrc_applied, outer,
-        )  # fmt: skip
+            t,
+            data.qpos,
+            data.qvel,
+            matrix,
+            wheels,
+            lean @ matrix.T,
+            control,
+            scene.numbers,
+            scene.wheel,
+            scene.keep,
+            tables,
+            (SPRING_REACH, DAMPER_REACH),
+            road,
+            data.qfrc_applied,
+            outer,
+        )
 
     return drive(world, plan, scene, act, lambda: data.qpos[7:11], f)
 
@@ -148,7 +161,12 @@ def _numbers(world: World, car: Car, part: float, f: Faults) -> tuple[Floats, Fl
     back = world.background
     n, w, keep = np.zeros(mf.NUMBERS), np.zeros((mf.BY_WHEEL, 4)), np.zeros((mf.STATES, 4))
     patch = max(back.patch, f.get("tyre_envelope", {}).get("length", 0.0))
-    n[mf.RADIUS], n[mf.TYRE], n[mf.GRIP], n[mf.DRIVEN] = car.radius, car.tyre_stiffness / part, 14.0, car.driven
+    n[mf.RADIUS], n[mf.TYRE], n[mf.GRIP], n[mf.DRIVEN] = (
+        car.radius,
+        car.tyre_stiffness / part,
+        14.0,
+        car.driven,
+    )
     n[mf.PATCH], n[mf.POINTS], n[mf.DT] = patch, max(1, round(patch / 0.03)), STEP
     n[mf.FADE], n[mf.FADE_T] = f.get("damper_fade", {}).get("loss", 0.0), 1.0
     if "damper_fade" in f:
@@ -169,8 +187,9 @@ def _numbers(world: World, car: Car, part: float, f: Faults) -> tuple[Floats, Fl
         w[mf.FRICTION, i] = back.friction[i // 2] + f.get("strut_friction", {}).get(f"{axle}_force", 0.0)
         w[mf.MOUNT, i] = f.get("top_mount", {}).get(f"{axle}_stiffness", 0.0)
         for name, gap, rate in (
-            ("bump_stop", mf.BUMP_GAP, mf.BUMP), ("rebound_stop", mf.REBOUND_GAP, mf.REBOUND),
-        ):  # fmt: skip
+            ("bump_stop", mf.BUMP_GAP, mf.BUMP),
+            ("rebound_stop", mf.REBOUND_GAP, mf.REBOUND),
+        ):
             if name in f:
                 w[gap, i], w[rate, i] = f[name][f"{axle}_clearance"], f[name]["stiffness"]
     for name, row in (("corner_spring", mf.SPRING), ("corner_damper", mf.DAMPER)):
@@ -228,15 +247,22 @@ def road_of(world: World) -> tuple[Floats, ...]:
     """What ``multibody_forces.ground`` takes of a road."""
     surface = world.surface
     return (
-        np.ascontiguousarray(surface.z), np.array([surface.du, surface.dv, surface.v0]), surface.heading,
-        surface.line[:, 0].copy(), surface.line[:, 1].copy(),
-    )  # fmt: skip
+        np.ascontiguousarray(surface.z),
+        np.array([surface.du, surface.dv, surface.v0]),
+        surface.heading,
+        surface.line[:, 0].copy(),
+        surface.line[:, 1].copy(),
+    )
 
 
 def drive(
-    world: World, plan: Plan, scene: Scene, act: Callable[[float, Control], None], travel: Callable[[], Floats],
+    world: World,
+    plan: Plan,
+    scene: Scene,
+    act: Callable[[float, Control], None],
+    travel: Callable[[], Floats],
     f: Faults,
-) -> Motion:  # fmt: skip
+) -> Motion:
     """Follow the plan: ``act`` applies what suspension and tyres do at a time under a control, ``travel`` tells
     the four compressions."""
     model, data, centre, car = scene.model, scene.data, scene.centre, world.car

@@ -11,8 +11,21 @@ from numba import njit
 RADIUS, TYRE, GRIP, DRIVEN, PLAY, VOID, FADE, FADE_T, CUBIC, PATCH, POINTS, DT, GROOVE = range(13)
 NUMBERS = 13
 #: Numbers by wheel, and the states that a wheel keeps from step to step.
-(REST, SINK, SPRING, DAMPER, FRICTION, BUMP, BUMP_GAP, REBOUND, REBOUND_GAP, MOUNT, TYRE_DAMPING, IMBALANCE,
- PHASE) = range(13)  # fmt: skip
+(
+    REST,
+    SINK,
+    SPRING,
+    DAMPER,
+    FRICTION,
+    BUMP,
+    BUMP_GAP,
+    REBOUND,
+    REBOUND_GAP,
+    MOUNT,
+    TYRE_DAMPING,
+    IMBALANCE,
+    PHASE,
+) = range(13)
 BY_WHEEL = 13
 STICK, STRETCH, HOLLOW, TURNED, LAST_U = range(5)
 STATES = 5

@@ -93,7 +93,9 @@ def run(world: World, plan: Plan, faults: Faults | None = None, step: float = ST
     i = round(START / world.surface.du)
     heading = float(world.surface.heading[i])
     x, y = world.surface.to_map(np.array([START]), np.array([plan.lane]))[0]
-    level = float(np.mean([world.surface.z[round((START + d) / world.surface.du), 60] for d in (0, car.wheelbase)]))
+    level = float(
+        np.mean([world.surface.z[round((START + d) / world.surface.du), 60] for d in (0, car.wheelbase)])
+    )
     state = np.zeros(k.STATES)
     state[:3] = (
         x + math.cos(heading) * centre[0] - math.sin(heading) * centre[1],
@@ -106,9 +108,25 @@ def run(world: World, plan: Plan, faults: Faults | None = None, step: float = ST
     springs = np.array([car.front.spring, car.rear.spring])
     pushes, pulls = np.array([car.front.push, car.rear.push]), np.array([car.front.pull, car.rear.pull])
     k.integrate(
-        state, n, c, springs, pushes, pulls, ground, plan.speed, plan.push, car.wheelbase, float(centre[0]), plan.lane,
-        car.mass, step, round(SETTLE / step), count, felt, path,
-    )  # fmt: skip
+        state,
+        n,
+        c,
+        springs,
+        pushes,
+        pulls,
+        ground,
+        plan.speed,
+        plan.push,
+        car.wheelbase,
+        float(centre[0]),
+        plan.lane,
+        car.mass,
+        step,
+        round(SETTLE / step),
+        count,
+        felt,
+        path,
+    )
     if not np.isfinite(felt).all():
         raise FloatingPointError(f"the motion of world {world.seed} with {sorted(f)} does not stay finite")
     turn = path[:, 3:7] / np.linalg.norm(path[:, 3:7], axis=1, keepdims=True)
@@ -131,7 +149,12 @@ def _numbers(world: World, standing: Car, car: Car, f: Faults) -> tuple[Floats, 
     centre = _body_centre(car, f)
     n[k.MASS] = car.mass - unsprung.sum()
     n[k.IX : k.IZ + 1] = car.sprung_inertia
-    n[k.RADIUS], n[k.TYRE], n[k.HARD], n[k.DRIVEN] = car.radius, car.tyre_stiffness, back.tyre_hardening, car.driven
+    n[k.RADIUS], n[k.TYRE], n[k.HARD], n[k.DRIVEN] = (
+        car.radius,
+        car.tyre_stiffness,
+        back.tyre_hardening,
+        car.driven,
+    )
     loads = standing.loads()
     sink = loads / car.tyre_stiffness
     sink = sink / (1.0 + back.tyre_hardening * sink)
@@ -156,7 +179,10 @@ def _struts(n: Floats, c: Floats, f: Faults) -> None:
     for i, axle in axles:
         if "strut_friction" in f:
             c[k.FRICTION, i] += f["strut_friction"][f"{axle}_force"]
-        for name, gap, rate in (("bump_stop", k.BUMP_GAP, k.BUMP), ("rebound_stop", k.REBOUND_GAP, k.REBOUND)):
+        for name, gap, rate in (
+            ("bump_stop", k.BUMP_GAP, k.BUMP),
+            ("rebound_stop", k.REBOUND_GAP, k.REBOUND),
+        ):
             if name in f:
                 c[gap, i], c[rate, i] = f[name][f"{axle}_clearance"], f[name]["stiffness"]
         if "top_mount" in f:
@@ -182,7 +208,11 @@ def _struts(n: Floats, c: Floats, f: Faults) -> None:
 def _body(n: Floats, c: Floats, car: Car, f: Faults, centre: Floats, loads: Floats) -> None:
     if "body_bending" in f:
         own = f["body_bending"]
-        n[k.BEND_GAIN], n[k.BEND_W], n[k.BEND_Z] = own["gain"], 2 * math.pi * own["frequency"], own["damping_ratio"]
+        n[k.BEND_GAIN], n[k.BEND_W], n[k.BEND_Z] = (
+            own["gain"],
+            2 * math.pi * own["frequency"],
+            own["damping_ratio"],
+        )
         n[k.WEIGHT] = n[k.MASS]
         # A free beam: its ends move against its middle, where the load is.
         c[k.SHAPE, :4] = (1.0, 1.0, 0.8, 0.8)

@@ -19,16 +19,73 @@ from blind.road_under import locate, probe
 from blind.world import DAMPER_N, DAMPER_REACH, SPRING_N, SPRING_REACH, Floats, G
 
 # Rows of the numbers that are one for all corners.
-(MASS, IX, IY, IZ, RADIUS, TYRE, HARD, DRIVEN, SX, SY, SZ, BEND_W, BEND_Z, BEND_GAIN, FADE, FADE_T,
- ENGINE_W, ENGINE_Z, VOID, PLAY, ORDER_FORCE, ORDER_X, CUBIC, WEIGHT, BASE, GROOVE, GUST,
- GUST_PHASE) = range(28)  # fmt: skip
+(
+    MASS,
+    IX,
+    IY,
+    IZ,
+    RADIUS,
+    TYRE,
+    HARD,
+    DRIVEN,
+    SX,
+    SY,
+    SZ,
+    BEND_W,
+    BEND_Z,
+    BEND_GAIN,
+    FADE,
+    FADE_T,
+    ENGINE_W,
+    ENGINE_Z,
+    VOID,
+    PLAY,
+    ORDER_FORCE,
+    ORDER_X,
+    CUBIC,
+    WEIGHT,
+    BASE,
+    GROOVE,
+    GUST,
+    GUST_PHASE,
+) = range(28)
 NUMBERS = 28
 # Rows of the numbers by corner (columns: four wheels and the engine).
-(X, Y, Z, SLIDER, REST, FRICTION, SPRING, DAMPER, BUMP, BUMP_GAP, REBOUND, REBOUND_GAP, MOUNT, BAR, TYRE_DAMPING,
- IMBALANCE, PHASE, SHAPE) = range(18)  # fmt: skip
+(
+    X,
+    Y,
+    Z,
+    SLIDER,
+    REST,
+    FRICTION,
+    SPRING,
+    DAMPER,
+    BUMP,
+    BUMP_GAP,
+    REBOUND,
+    REBOUND_GAP,
+    MOUNT,
+    BAR,
+    TYRE_DAMPING,
+    IMBALANCE,
+    PHASE,
+    SHAPE,
+) = range(18)
 # The state: place, quaternion, velocity (body axes), spin, sliders, their rates, bristles, mounts, voids, mode,
 # wheel and engine angle.
-AT, TURN, GO, SPIN, SLIDE, RATE, BRISTLE, STRETCH, HOLLOW, MODE, ANGLE = 0, 3, 7, 10, 13, 18, 23, 27, 31, 35, 37
+AT, TURN, GO, SPIN, SLIDE, RATE, BRISTLE, STRETCH, HOLLOW, MODE, ANGLE = (
+    0,
+    3,
+    7,
+    10,
+    13,
+    18,
+    23,
+    27,
+    31,
+    35,
+    37,
+)
 STATES = 39
 BREAK = 7e-4  # m that a strut gives way before it slips
 FASTEST = 0.6  # m/s
@@ -207,11 +264,15 @@ def _rates(t, y, dy, n, c, springs, pushes, pulls, ground, seen, room, control, 
             depth = h + n[RADIUS] + ground.sink[i] - pz
             normal = 0.0
             if depth > 0.0:
-                normal = n[TYRE] * depth * (1.0 + n[HARD] * depth) + c[TYRE_DAMPING, i] * (hx * qx + hy * qy - qz)
+                normal = n[TYRE] * depth * (1.0 + n[HARD] * depth) + c[TYRE_DAMPING, i] * (
+                    hx * qx + hy * qy - qz
+                )
                 normal = max(normal, 0.0)
             lateral = -0.95 * normal * math.tanh(math.atan2(across, abs(along) + 0.6) / 0.066)
             hold = 0.34 if i < 2 else 0.16
-            on = (0.5 * drive if (i < 2) == (n[DRIVEN] == 0.0) else 0.0) - hold * brake * math.tanh(along / 0.03)
+            on = (0.5 * drive if (i < 2) == (n[DRIVEN] == 0.0) else 0.0) - hold * brake * math.tanh(
+                along / 0.03
+            )
             most = 0.9 * normal
             on = min(max(on, -most), most)
             # Along the road's normal, and in its plane.
@@ -298,7 +359,9 @@ def _rates(t, y, dy, n, c, springs, pushes, pulls, ground, seen, room, control, 
     if n[BEND_GAIN] != 0.0:
         dy[MODE] = y[MODE + 1]
         dy[MODE + 1] = (
-            (stress - n[BASE]) / n[WEIGHT] - n[BEND_W] ** 2 * y[MODE] - 2 * n[BEND_Z] * n[BEND_W] * y[MODE + 1]
+            (stress - n[BASE]) / n[WEIGHT]
+            - n[BEND_W] ** 2 * y[MODE]
+            - 2 * n[BEND_Z] * n[BEND_W] * y[MODE + 1]
         )
         out[2] += n[BEND_GAIN] * dy[MODE + 1]
     dy[ANGLE] = vx / n[RADIUS]
@@ -333,7 +396,24 @@ def _steer(y, r, plan, push, at, ground, wheelbase, reach, lane, mass, control, 
 
 @njit(cache=True)
 def integrate(  # type: ignore[no-untyped-def]
-    y, n, c, springs, pushes, pulls, ground, plan, push, wheelbase, back, lane, mass, h, settle, count, felt, path
+    y,
+    n,
+    c,
+    springs,
+    pushes,
+    pulls,
+    ground,
+    plan,
+    push,
+    wheelbase,
+    back,
+    lane,
+    mass,
+    h,
+    settle,
+    count,
+    felt,
+    path,
 ):
     """Stand for ``settle`` steps, then fill ``felt`` (count, 6) and ``path`` (count, 12: x, y, z and quaternion
     of the body, u, compressions) by steps of ``h`` s. The control changes every
@@ -356,15 +436,63 @@ def integrate(  # type: ignore[no-untyped-def]
             path[step, 8:] = y[SLIDE : SLIDE + 4]
         mid[:] = y + 0.5 * h * k1
         _rates(
-            t + 0.5 * h, mid, k2, n, c, springs, pushes, pulls, ground, seen, room, control, r, a6, b6, pushed, spare
+            t + 0.5 * h,
+            mid,
+            k2,
+            n,
+            c,
+            springs,
+            pushes,
+            pulls,
+            ground,
+            seen,
+            room,
+            control,
+            r,
+            a6,
+            b6,
+            pushed,
+            spare,
         )
         mid[:] = y + 0.5 * h * k2
         _rates(
-            t + 0.5 * h, mid, k3, n, c, springs, pushes, pulls, ground, seen, room, control, r, a6, b6, pushed, spare
+            t + 0.5 * h,
+            mid,
+            k3,
+            n,
+            c,
+            springs,
+            pushes,
+            pulls,
+            ground,
+            seen,
+            room,
+            control,
+            r,
+            a6,
+            b6,
+            pushed,
+            spare,
         )
         mid[:] = y + h * k3
         _rates(
-            t + h, mid, k4, n, c, springs, pushes, pulls, ground, seen, room, control, r, a6, b6, pushed, spare
+            t + h,
+            mid,
+            k4,
+            n,
+            c,
+            springs,
+            pushes,
+            pulls,
+            ground,
+            seen,
+            room,
+            control,
+            r,
+            a6,
+            b6,
+            pushed,
+            spare,
         )
         y += h / 6.0 * (k1 + 2.0 * k2 + 2.0 * k3 + k4)
         if step < 0:

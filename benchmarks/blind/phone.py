@@ -51,7 +51,9 @@ def felt(motion: Motion, phone: Phone, faults: Faults, ideal: bool = False) -> F
     own = faults.get("mount_resonance")
     if own:
         w = 2 * np.pi * own["frequency"]
-        moved = _second_order(force[:, 2:], dt, own["frequency"], own["damping_ratio"], 2 * own["damping_ratio"] * w)
+        moved = _second_order(
+            force[:, 2:], dt, own["frequency"], own["damping_ratio"], 2 * own["damping_ratio"] * w
+        )
         force[:, 2:] += own["gain"] * (moved - force[:, 2:])
     turn = Rotation.identity() if ideal else Rotation.from_euler("xyz", phone.askew)
     if "sensor_tilt" in faults:
@@ -98,7 +100,11 @@ def record(world: World, plan: Plan, motion: Motion, faults: Faults, name: str) 
     )
     spread = float(np.hypot(receiver.white, receiver.wander))
     fix = FixData(
-        fix_t, geodetic[:, 0], geodetic[:, 1], geodetic[:, 2], np.full(fix_t.size, 2, dtype=np.int8),
+        fix_t,
+        geodetic[:, 0],
+        geodetic[:, 1],
+        geodetic[:, 2],
+        np.full(fix_t.size, 2, dtype=np.int8),
         np.tile([spread, spread, receiver.vertical * spread], (fix_t.size, 1)),
-    )  # fmt: skip
+    )
     return Drive(name=name, imu=imu, fix=fix, velocity=VelocityData(fix_t, velocity))

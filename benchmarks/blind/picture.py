@@ -39,7 +39,9 @@ def draw(rows: Sequence[Row], result: dict[str, Any], path: Path) -> None:
     counts = np.zeros((len(truths), len(answers)))
     for i, truth in enumerate(truths):
         kind = others.get(truth)
-        own = [r for r in rows if r["kind"] == kind] if kind else [r for r in singles if r["truth"] == [truth]]
+        own = (
+            [r for r in rows if r["kind"] == kind] if kind else [r for r in singles if r["truth"] == [truth]]
+        )
         for r in own:
             counts[i, answers.index(_tell(r))] += 1
     if not counts[:, -1].any():
@@ -53,8 +55,12 @@ def draw(rows: Sequence[Row], result: dict[str, Any], path: Path) -> None:
     _reliability(below, result["reliability"])
     figure.suptitle(
         f"Diagnosis of withheld effects: {result['cases']} cases, {result['seeds']} seeds, "
-        f"{_versions(result['commit'])}", color=_INK, fontsize=13, x=0.01, ha="left",
-    )  # fmt: skip
+        f"{_versions(result['commit'])}",
+        color=_INK,
+        fontsize=13,
+        x=0.01,
+        ha="left",
+    )
     path.parent.mkdir(parents=True, exist_ok=True)
     figure.savefig(path, dpi=110, facecolor="white")
     plt.close(figure)
@@ -76,10 +82,20 @@ def _matrix(axes: Axes, counts: np.ndarray, truths: list[str], answers: list[str
     axes.imshow(colours, aspect="auto")
     for i, j in zip(*np.nonzero(counts), strict=True):
         dark = share[i, j] > 0.55
-        axes.text(j, i, f"{int(counts[i, j])}", ha="center", va="center", fontsize=9, color="white" if dark else _INK)
+        axes.text(
+            j,
+            i,
+            f"{int(counts[i, j])}",
+            ha="center",
+            va="center",
+            fontsize=9,
+            color="white" if dark else _INK,
+        )
     for i, j in enumerate(right):
         axes.add_patch(plt.Rectangle((j - 0.5, i - 0.5), 1, 1, fill=False, edgecolor=_SOFT, linewidth=1.0))
-    axes.set_xticks(range(len(answers)), [a.replace("_", " ") for a in answers], rotation=55, ha="right", fontsize=9)
+    axes.set_xticks(
+        range(len(answers)), [a.replace("_", " ") for a in answers], rotation=55, ha="right", fontsize=9
+    )
     names = [f"{t.replace('_', ' ')}  ({int(n)})" for t, n in zip(truths, counts.sum(axis=1), strict=True)]
     axes.set_yticks(range(len(truths)), names, fontsize=9)
     axes.set_xticks(np.arange(-0.5, len(answers)), minor=True)
@@ -96,8 +112,14 @@ def _reliability(axes: Axes, bins: Sequence[dict[str, float]]) -> None:
     axes.plot([0, 1], [0, 1], color=_SOFT, linewidth=1.0)
     axes.plot([b["said"] for b in bins], [b["right"] for b in bins], "o-", color="#1b7f5c", markersize=5)
     for b in bins:
-        axes.annotate(f"{b['n']}", (b["said"], b["right"]), textcoords="offset points", xytext=(7, -9), fontsize=8,
-                      color=_SOFT)  # fmt: skip
+        axes.annotate(
+            f"{b['n']}",
+            (b["said"], b["right"]),
+            textcoords="offset points",
+            xytext=(7, -9),
+            fontsize=8,
+            color=_SOFT,
+        )
     axes.set_xlim(-0.03, 1.15)
     axes.set_ylim(-0.08, 1.08)
     axes.set_aspect("equal")

@@ -25,18 +25,30 @@ REALITIES = ("newton", "multibody")
 LINKS = ("links_dev", "links")
 _LINKAGE = "linkage"
 _FIRST = {
-    "dev": 1000, "report": 500_000, "report2": 1_000_000, "links_dev": 2_000_000, "links": 3_000_000,
+    "dev": 1000,
+    "report": 500_000,
+    "report2": 1_000_000,
+    "links_dev": 2_000_000,
+    "links": 3_000_000,
     "report3": 4_000_000,
-}  # fmt: skip
+}
 WORLDS = 16  # that cases with an effect share
 _PAIR = 3.0  # severity of each member
 #: Pairs of parts that are broken at the same time often enough.
 PAIRS = (
-    ("strut_friction", "mount_resonance"), ("bump_stop", "tyre_envelope"), ("corner_damper", "sensor_tilt"),
-    ("payload", "time_offset"), ("top_mount", "sensor_bandwidth"), ("road_scale", "mount_resonance"),
-    ("anti_roll_bar", "damper_fade"), ("position_offset", "body_bending"), ("corner_spring", "tyre_damping"),
-    ("powertrain_mount", "lateral_offset"), ("strut_friction", "clock_drift"), ("rebound_stop", "sensor_offset"),
-)  # fmt: skip
+    ("strut_friction", "mount_resonance"),
+    ("bump_stop", "tyre_envelope"),
+    ("corner_damper", "sensor_tilt"),
+    ("payload", "time_offset"),
+    ("top_mount", "sensor_bandwidth"),
+    ("road_scale", "mount_resonance"),
+    ("anti_roll_bar", "damper_fade"),
+    ("position_offset", "body_bending"),
+    ("corner_spring", "tyre_damping"),
+    ("powertrain_mount", "lateral_offset"),
+    ("strut_friction", "clock_drift"),
+    ("rebound_stop", "sensor_offset"),
+)
 
 
 @dataclass(frozen=True)
@@ -89,7 +101,11 @@ def _short(cases: list[Spec]) -> list[Spec]:
     wanted = {"null": 2, "single": 4, "outside": 1, "excluded": 1, "pair": 1}
     out = []
     for spec in cases:
-        if wanted.get(spec.kind, 0) and spec.reality == "newton" and spec.severity >= 3.0 - 3.0 * (spec.kind == "null"):
+        if (
+            wanted.get(spec.kind, 0)
+            and spec.reality == "newton"
+            and spec.severity >= 3.0 - 3.0 * (spec.kind == "null")
+        ):
             wanted[spec.kind] -= 1
             out.append(spec)
     return out

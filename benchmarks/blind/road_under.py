@@ -36,10 +36,18 @@ def ground_of(surface: Surface, u: Floats, patch: float, sink: Floats) -> Ground
     reach = np.linspace(-0.5, 0.5, count) * patch if count > 1 else np.zeros(1)
     weight = 1.0 - 0.8 * (2 * reach / patch) ** 2 if count > 1 else np.ones(1)
     return Ground(
-        surface.du, surface.dv, surface.v0, np.ascontiguousarray(surface.z), surface.heading,
-        surface.line[:, 0].copy(), surface.line[:, 1].copy(), np.array(u, dtype=float), reach,
-        weight / weight.sum(), sink,
-    )  # fmt: skip
+        surface.du,
+        surface.dv,
+        surface.v0,
+        np.ascontiguousarray(surface.z),
+        surface.heading,
+        surface.line[:, 0].copy(),
+        surface.line[:, 1].copy(),
+        np.array(u, dtype=float),
+        reach,
+        weight / weight.sum(),
+        sink,
+    )
 
 
 @njit(cache=True)
@@ -66,7 +74,12 @@ def _keys(a, w, d):  # type: ignore[no-untyped-def]
     """Weights and slopes of the four neighbours at part a of a cell."""
     b = a * a
     e = b * a
-    w[0], w[1], w[2], w[3] = -0.5 * e + b - 0.5 * a, 1.5 * e - 2.5 * b + 1, -1.5 * e + 2 * b + 0.5 * a, 0.5 * (e - b)
+    w[0], w[1], w[2], w[3] = (
+        -0.5 * e + b - 0.5 * a,
+        1.5 * e - 2.5 * b + 1,
+        -1.5 * e + 2 * b + 0.5 * a,
+        0.5 * (e - b),
+    )
     d[0], d[1], d[2], d[3] = -1.5 * b + 2 * a - 0.5, 4.5 * b - 5 * a, -4.5 * b + 4 * a + 0.5, 1.5 * b - a
 
 

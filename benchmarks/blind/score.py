@@ -27,12 +27,20 @@ def row_of(label: dict[str, Any], answer: Path, further: Callable[[], tuple[floa
     record = json.loads((answer / "record.json").read_text())
     truth = list(label["effects"])
     row: Row = {
-        "case": label["name"], "kind": label["kind"], "reality": label["reality"], "truth": truth,
+        "case": label["name"],
+        "kind": label["kind"],
+        "reality": label["reality"],
+        "truth": truth,
         "severity": min((r["severity"] for r in label["reached"].values()), default=0.0),
-        "asked": label["severity"], "reference": label["reference"], "right": label["right"],
-        "seconds": record["seconds"], "cpu_seconds": record["cpu_seconds"], "memory_mb": record["memory_mb"],
-        "commit": record["commit"], "error": record["error"],
-    }  # fmt: skip
+        "asked": label["severity"],
+        "reference": label["reference"],
+        "right": label["right"],
+        "seconds": record["seconds"],
+        "cpu_seconds": record["cpu_seconds"],
+        "memory_mb": record["memory_mb"],
+        "commit": record["commit"],
+        "error": record["error"],
+    }
     file = answer / "diagnosis.json"
     if record["status"] or not file.is_file():
         return {**row, "verdict": "error", "named": [], "top": None, "set": [], "chances": {}}
@@ -64,8 +72,12 @@ def row_of(label: dict[str, Any], answer: Path, further: Callable[[], tuple[floa
 
 def _interval(d: dict[str, Any]) -> list[float] | None:
     if d["verdict"] in _NAMED and len(d["combination"]) == 1:
-        return next((list(c["shrink_interval"]) for c in d["causes"] if c["effect"] == d["combination"][0]), None)
-    return list(d["recalibration"]["shrink_interval"]) if "recalibration" in d and not d["combination"] else None
+        return next(
+            (list(c["shrink_interval"]) for c in d["causes"] if c["effect"] == d["combination"][0]), None
+        )
+    return (
+        list(d["recalibration"]["shrink_interval"]) if "recalibration" in d and not d["combination"] else None
+    )
 
 
 def _parameters(label: dict[str, Any], d: dict[str, Any]) -> dict[str, list[float]]:
@@ -137,7 +149,9 @@ def figures(rows: Sequence[Row]) -> dict[str, Any]:
     kinds = {k: [r for r in rows if r["kind"] == k] for k in KINDS}
     plain = [r for r in kinds["single"] if r["severity"] >= PLAIN]
     faint = [r for r in kinds["single"] if r["severity"] < PLAIN]
-    located = {k: [r["where"][k] for r in rows if k in r.get("where", {})] for k in ("road_m", "time_s", "octaves")}
+    located = {
+        k: [r["where"][k] for r in rows if k in r.get("where", {})] for k in ("road_m", "time_s", "octaves")
+    }
     shrunk = [r for r in rows if "measured_shrink" in r and r["verdict"] in _NAMED]
     errors = [100 * abs(r["measured_shrink"] - r["predicted_shrink"]) for r in shrunk]
     held = [r for r in shrunk if r["interval"]]
@@ -152,9 +166,14 @@ def figures(rows: Sequence[Row]) -> dict[str, Any]:
 
     put("top1", _share(plain, _top1), ">= 0.90")
     put("top1_ranked", _share(plain, lambda r: r["top"] == r["truth"][0]))
-    put("top3", _share(plain, lambda r: bool(r.get("rank") and r["rank"][0] and r["rank"][0] <= 3)), ">= 0.97")
-    put("lowest_effect", (min((v for v, _ in by_effect.values() if v is not None), default=None), len(by_effect)),
-        ">= 0.70")  # fmt: skip
+    put(
+        "top3", _share(plain, lambda r: bool(r.get("rank") and r["rank"][0] and r["rank"][0] <= 3)), ">= 0.97"
+    )
+    put(
+        "lowest_effect",
+        (min((v for v, _ in by_effect.values() if v is not None), default=None), len(by_effect)),
+        ">= 0.70",
+    )
     put("in_set", _share(plain, lambda r: r["truth"][0] in r["set"]))
     put("set_size", (_mean([len(r["set"]) for r in plain if r["set"]]), len(plain)))
     put("faint_named_right", _share(faint, _top1))
@@ -173,7 +192,10 @@ def figures(rows: Sequence[Row]) -> dict[str, Any]:
     put("sure_and_wrong", _share(rows, sure_and_wrong), "<= 0.02")
     put("shrink_error_median", (_quantile(errors, 0.5), len(errors)), "<= 3 points")
     put("shrink_error_p95", (_quantile(errors, 0.95), len(errors)), "<= 8 points")
-    put("shrink_in_interval", _share(held, lambda r: r["interval"][0] <= r["measured_shrink"] <= r["interval"][1]))
+    put(
+        "shrink_in_interval",
+        _share(held, lambda r: r["interval"][0] <= r["measured_shrink"] <= r["interval"][1]),
+    )
     told = [v for r in rows for v in r.get("parameters", {}).values()]
     off = [abs(v / truth - 1.0) for truth, v, _, _ in told if truth]
     put("parameter_error_median", (_quantile(off, 0.5), len(off)))
@@ -181,14 +203,23 @@ def figures(rows: Sequence[Row]) -> dict[str, Any]:
     put("road_m_median", (_quantile(located["road_m"], 0.5), len(located["road_m"])), "<= 1 m")
     put("time_s_median", (_quantile(located["time_s"], 0.5), len(located["time_s"])))
     put("octaves_median", (_quantile(located["octaves"], 0.5), len(located["octaves"])), "<= 1/6")
-    put("seconds_two_drives", (_quantile([r["seconds"] for r in rows if not r["reference"]], 0.5),
-                               sum(not r["reference"] for r in rows)), "<= 90 s")  # fmt: skip
+    put(
+        "seconds_two_drives",
+        (
+            _quantile([r["seconds"] for r in rows if not r["reference"]], 0.5),
+            sum(not r["reference"] for r in rows),
+        ),
+        "<= 90 s",
+    )
     put("seconds_worst", (max((r["seconds"] for r in rows), default=None), len(rows)))
     put("cpu_seconds_median", (_quantile([r["cpu_seconds"] for r in rows], 0.5), len(rows)))
     put("memory_mb", (max((r["memory_mb"] for r in rows), default=None), len(rows)), "< 2048 MB")
     put("failed", _share(rows, lambda r: r["verdict"] == "error"))
-    return {"figures": out, "by_effect": {e: {"top1": v, "n": n} for e, (v, n) in by_effect.items()},
-            "reliability": reliability(rows)}  # fmt: skip
+    return {
+        "figures": out,
+        "by_effect": {e: {"top1": v, "n": n} for e, (v, n) in by_effect.items()},
+        "reliability": reliability(rows),
+    }
 
 
 def _top1(row: Row) -> bool:

@@ -31,7 +31,9 @@ def seal(out: Path, commit: str) -> str:
     digest = _digest(file)
     if not seals or seals[-1]["labels_sha256"] != digest:
         stamp = time.strftime("%Y-%m-%dT%H:%M:%SZ", time.gmtime())
-        seals.append({"labels_sha256": digest, "cases": len(labels), "sealed": stamp, "generator_commit": commit})
+        seals.append(
+            {"labels_sha256": digest, "cases": len(labels), "sealed": stamp, "generator_commit": commit}
+        )
         ledger.write_text(json.dumps(seals, indent=1) + "\n", encoding="utf-8")
     return digest
 

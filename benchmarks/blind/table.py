@@ -17,25 +17,39 @@ from blind.score import Row, figures, row_of
 
 RESULTS = ROOT / "benchmarks" / "results"
 _TITLES = {
-    "top1": "top-1 (named and first)", "top1_ranked": "ranked first, whatever the verdict",
-    "top3": "among the first three", "lowest_effect": "lowest top-1 of an effect", "in_set": "in the answered set",
-    "set_size": "mean size of the set", "faint_named_right": "below 1.5 floors: named rightly",
-    "faint_named_wrong": "below 1.5 floors: named wrongly", "false_alarms": "null: a cause named",
-    "null_no_gap": "null: no gap", "unknown_outside": "outside the library: unknown",
-    "unknown_excluded": "taken out of the library: unknown", "unknown_or_partly": "both: unknown or partly",
-    "pairs_exact": "pairs exact", "pairs_no_wrong": "pairs without a wrong member",
-    "stretch_top1": "on one stretch only: top-1", "stretch_unknown": "the same: unknown",
+    "top1": "top-1 (named and first)",
+    "top1_ranked": "ranked first, whatever the verdict",
+    "top3": "among the first three",
+    "lowest_effect": "lowest top-1 of an effect",
+    "in_set": "in the answered set",
+    "set_size": "mean size of the set",
+    "faint_named_right": "below 1.5 floors: named rightly",
+    "faint_named_wrong": "below 1.5 floors: named wrongly",
+    "false_alarms": "null: a cause named",
+    "null_no_gap": "null: no gap",
+    "unknown_outside": "outside the library: unknown",
+    "unknown_excluded": "taken out of the library: unknown",
+    "unknown_or_partly": "both: unknown or partly",
+    "pairs_exact": "pairs exact",
+    "pairs_no_wrong": "pairs without a wrong member",
+    "stretch_top1": "on one stretch only: top-1",
+    "stretch_unknown": "the same: unknown",
     "stretch_there": "the same: what it is like there is what it is",
     "sure_and_wrong": "probability above 0.9 and wrong",
     "shrink_error_median": "shrink, predicted to measured, median (points)",
-    "shrink_error_p95": "the same, 95th percentile", "shrink_in_interval": "measured shrink in the interval",
+    "shrink_error_p95": "the same, 95th percentile",
+    "shrink_in_interval": "measured shrink in the interval",
     "parameter_error_median": "parameters of what is rightly named off by, median",
     "parameter_in_interval": "parameters in their 90 % interval",
-    "road_m_median": "place out of the true stretch, median (m)", "time_s_median": "time out of it, median (s)",
-    "octaves_median": "frequency off, median (octaves)", "seconds_two_drives": "seconds a case of two drives, median",
-    "seconds_worst": "seconds, worst", "cpu_seconds_median": "processor seconds, median",
-    "memory_mb": "memory, worst (MB)", "failed": "failed",
-}  # fmt: skip
+    "road_m_median": "place out of the true stretch, median (m)",
+    "time_s_median": "time out of it, median (s)",
+    "octaves_median": "frequency off, median (octaves)",
+    "seconds_two_drives": "seconds a case of two drives, median",
+    "seconds_worst": "seconds, worst",
+    "cpu_seconds_median": "processor seconds, median",
+    "memory_mb": "memory, worst (MB)",
+    "failed": "failed",
+}
 
 
 def _further(case: Path, answer: Path, sealed: Path) -> tuple[float, float] | None:
@@ -135,8 +149,11 @@ def _short(row: Row) -> Row:
 
 def text_of(result: dict[str, Any]) -> str:
     """The table for people."""
-    lines = [f"{result['cases']} of {result['planned']} cases, {result['seeds']} seeds, commit "
-             f"{', '.join(result['commit'])}", ""]  # fmt: skip
+    lines = [
+        f"{result['cases']} of {result['planned']} cases, {result['seeds']} seeds, commit "
+        f"{', '.join(result['commit'])}",
+        "",
+    ]
     for key, f in result["figures"].items():
         value = "-" if f["value"] is None else f"{f['value']:.3g}"
         lines.append(f"{_TITLES[key]:<48s} {value:>8s}  n={f['n']:<4d} {f['bar']}")

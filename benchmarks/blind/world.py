@@ -210,7 +210,10 @@ def _known(car: Car, rng: np.random.Generator, right: bool) -> dict[str, Any]:
         "front_track": round(car.tracks[0], 3),
         "rear_track": round(car.tracks[1], 3),
         "cog": [round(car.cog[0] + rng.uniform(-0.015, 0.015), 4), 0.0, round(car.cog[2], 2)],
-        "sprung_inertia": {"roll": off(car.sprung_inertia[0], 0.05), "pitch": off(car.sprung_inertia[1], 0.05)},
+        "sprung_inertia": {
+            "roll": off(car.sprung_inertia[0], 0.05),
+            "pitch": off(car.sprung_inertia[1], 0.05),
+        },
         "tyre": {"radius": round(car.radius, 3), "vertical_stiffness": off(car.tyre_stiffness, 0.05)},
         "front": axles[0],
         "rear": axles[1],
@@ -241,7 +244,9 @@ def _surface(rng: np.random.Generator, seed: int) -> Surface:
     bend = np.zeros(u.size)
     if rng.random() < 0.7:
         first = rng.uniform(40, 90)
-        bend = np.where((u > first) & (u < first + rng.uniform(40, 80)), rng.choice([-1, 1]) / rng.uniform(120, 350), 0)
+        bend = np.where(
+            (u > first) & (u < first + rng.uniform(40, 80)), rng.choice([-1, 1]) / rng.uniform(120, 350), 0
+        )
     heading = rng.uniform(-math.pi, math.pi) + np.cumsum(gaussian_filter1d(bend, 4.0 / DU)) * DU
     return Surface(DU, DV, -HALF, (0.0, 0.0), heading, z)
 
@@ -250,7 +255,9 @@ def _hump(u: Floats, at: float, length: float) -> Floats:
     return np.where(np.abs(u - at) < length / 2, 0.5 * (1 + np.cos(2 * np.pi * (u - at) / length)), 0.0)
 
 
-def drive_plan(rng: np.random.Generator, low: float, high: float, number: int, seed: int, lane: float) -> Plan:
+def drive_plan(
+    rng: np.random.Generator, low: float, high: float, number: int, seed: int, lane: float
+) -> Plan:
     """A drive over the whole road between speeds ``low`` and ``high`` m/s, on lateral offset ``lane`` m."""
     length = LENGTH - START - 12.0
     limits, s = [(0.0, rng.uniform(low, high))], 0.0

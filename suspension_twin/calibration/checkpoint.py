@@ -20,7 +20,7 @@ from typing import Any
 import numpy as np
 import yaml
 
-from suspension_twin.drive.types import Floats
+from suspension_twin.arrays import Floats
 from suspension_twin.errors import InputError
 
 __all__ = ["Checkpoint", "State"]

@@ -7,10 +7,10 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from suspension_twin.calibration.stretches import TrimSettings
 from suspension_twin.drive.types import Drive
 from suspension_twin.errors import InputError, WorkError
 from suspension_twin.gap.prepare import Prepared
+from suspension_twin.identification.excited_segments import TrimSettings
 
 __all__ = ["check_agreement", "check_drive", "check_parts", "check_recording"]
 

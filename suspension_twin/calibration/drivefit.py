@@ -6,13 +6,13 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from suspension_twin.calibration.problem import Interrupted, Problem
+from suspension_twin.arrays import Floats
 from suspension_twin.calibration.recorder import Outcome
 from suspension_twin.calibration.request import DriveFit
 from suspension_twin.calibration.setup import Setup
-from suspension_twin.drive.types import Floats
 from suspension_twin.gap.measure import CHANNELS
 from suspension_twin.gap.prepare import Prepared
+from suspension_twin.identification.problem import Interrupted, Problem
 from suspension_twin.models.parameters import pack
 from suspension_twin.models.simulate import simulate_lanes
 from suspension_twin.models.types import LaneResponse
@@ -63,9 +63,13 @@ def _profile(drive: Prepared) -> tuple[Floats, Floats]:
     road, path = drive.road, drive.trajectory
     u, v = road.xy_to_uv(path.x, path.y)
     half = 0.5 * drive.twin.vehicle.front_track
-    along = np.arange(max(u.min(), road.u_first), min(u.max() + drive.twin.vehicle.wheelbase, road.u_last), road.u_step)
+    along = np.arange(
+        max(u.min(), road.u_first), min(u.max() + drive.twin.vehicle.wheelbase, road.u_last), road.u_step
+    )
     lane = float(np.median(v))
-    return along, np.column_stack([road.heights_uv(along, np.full(along.size, lane + side)) for side in (half, -half)])
+    return along, np.column_stack(
+        [road.heights_uv(along, np.full(along.size, lane + side)) for side in (half, -half)]
+    )
 
 
 def _conditioned(drive: Prepared, response: LaneResponse, lane: int) -> dict[str, Floats]:
@@ -88,7 +92,9 @@ def _left_over(outcome: Outcome, number: int, values: Floats) -> tuple[float, fl
     signals, _ = problem.simulate(values[:, None])
     nuisance = (outcome.nuisance - outcome.placed)[:, None]
     simulated = problem.compared(signals, nuisance)[:, :, 0]
-    column = problem.channels.index("vertical_acceleration") if "vertical_acceleration" in problem.channels else 0
+    column = (
+        problem.channels.index("vertical_acceleration") if "vertical_acceleration" in problem.channels else 0
+    )
     own = np.concatenate(
         [
             np.full(rows.size, drive == number)

@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from suspension_twin.drive.types import Floats
+from suspension_twin.arrays import Floats
 
 __all__ = ["CmaSearch"]
 
@@ -52,7 +52,9 @@ class CmaSearch:
         self._scale = np.sqrt(np.maximum(values, 1e-30))
         self._vectors = vectors
         normal = self.rng.standard_normal((self.population, self.d))
-        self._asked = self.mean + self.sigma * np.einsum("ni,di->nd", normal * self._scale, vectors, optimize=False)
+        self._asked = self.mean + self.sigma * np.einsum(
+            "ni,di->nd", normal * self._scale, vectors, optimize=False
+        )
         return self._asked
 
     def tell(self, costs: Floats) -> None:
@@ -72,7 +74,9 @@ class CmaSearch:
         self.mean = self.mean + self.sigma * step
         whitened = np.einsum("id,d->i", self._vectors.T, step, optimize=False) / self._scale
         whitened = np.einsum("di,i->d", self._vectors, whitened, optimize=False)
-        self.path_s = (1 - self.c_s) * self.path_s + np.sqrt(self.c_s * (2 - self.c_s) * self.mu_eff) * whitened
+        self.path_s = (1 - self.c_s) * self.path_s + np.sqrt(
+            self.c_s * (2 - self.c_s) * self.mu_eff
+        ) * whitened
         length = float(np.sqrt((self.path_s**2).sum()))
         turning = np.sqrt(1 - (1 - self.c_s) ** (2 * self.generation))
         slow = length / turning < (1.4 + 2 / (self.d + 1)) * self.expected
@@ -81,7 +85,9 @@ class CmaSearch:
             self.path_c = self.path_c + np.sqrt(self.c_c * (2 - self.c_c) * self.mu_eff) * step
         kept = 1 - self.c_1 - self.c_mu + (0.0 if slow else self.c_1 * self.c_c * (2 - self.c_c))
         rank_mu = np.einsum("n,ni,nj->ij", self.weights, chosen, chosen, optimize=False)
-        covariance = kept * self.covariance + self.c_1 * np.outer(self.path_c, self.path_c) + self.c_mu * rank_mu
+        covariance = (
+            kept * self.covariance + self.c_1 * np.outer(self.path_c, self.path_c) + self.c_mu * rank_mu
+        )
         self.covariance = 0.5 * (covariance + covariance.T)
         self.sigma *= float(np.exp(min(1.0, (self.c_s / self.damp) * (length / self.expected - 1))))
 

@@ -25,7 +25,7 @@ from pymoo.core.problem import Problem
 from pymoo.core.survival import Survival
 from pymoo.core.termination import NoTermination
 
-from suspension_twin.drive.types import Floats
+from suspension_twin.arrays import Floats
 
 __all__ = ["GaSettings", "GeneticSearch"]
 
@@ -133,9 +133,7 @@ def adaptive_feasible(x: Floats, step: float, rng: np.random.Generator) -> Float
 class GeneticSearch:
     """The search as ``ask`` (candidates in unit coordinates (n, d)) and ``tell`` (their costs)."""
 
-    def __init__(
-        self, dimension: int, settings: GaSettings, seed: int, start: Floats | None = None
-    ) -> None:
+    def __init__(self, dimension: int, settings: GaSettings, seed: int, start: Floats | None = None) -> None:
         self.settings = settings
         self.rng = np.random.default_rng(seed)
         self._breeding = _Breeding(settings, self.rng)

@@ -8,10 +8,9 @@ from dataclasses import replace
 
 import numpy as np
 
+from suspension_twin.arrays import Floats
 from suspension_twin.calibration.checks import check_agreement
 from suspension_twin.calibration.drivefit import drive_fits
-from suspension_twin.calibration.identify import span_of
-from suspension_twin.calibration.problem import Interrupted
 from suspension_twin.calibration.recorder import Outcome, Recorder
 from suspension_twin.calibration.request import (
     CalibrationRequest,
@@ -21,8 +20,9 @@ from suspension_twin.calibration.request import (
     NuisanceEstimate,
 )
 from suspension_twin.calibration.setup import Setup
-from suspension_twin.calibration.told import Told, curve_estimates, tell
-from suspension_twin.drive.types import Floats
+from suspension_twin.calibration.uncertainty import Told, curve_estimates, tell
+from suspension_twin.identification.posterior import span_of
+from suspension_twin.identification.problem import Interrupted
 from suspension_twin.vehicle.twin import Twin
 
 __all__ = ["conclude", "unfinished"]
@@ -35,10 +35,24 @@ _DETERMINED = 0.22
 def unfinished(request: CalibrationRequest, twin: Twin, seconds: float) -> CalibrationResult:
     """The result of a calibration that was stopped before it began to search."""
     return CalibrationResult(
-        twin=twin, start=twin, preset=request.preset, objective=request.objective, seed=request.seed, estimates=(),
-        nuisances=(), curves=(), drives=(), cost=float("nan"), initial_cost=float("nan"), evaluations=0,
-        generations=0, history=np.empty((0, 4)), stopped=True, seconds=seconds, warnings=(),
-    )  # fmt: skip
+        twin=twin,
+        start=twin,
+        preset=request.preset,
+        objective=request.objective,
+        seed=request.seed,
+        estimates=(),
+        nuisances=(),
+        curves=(),
+        drives=(),
+        cost=float("nan"),
+        initial_cost=float("nan"),
+        evaluations=0,
+        generations=0,
+        history=np.empty((0, 4)),
+        stopped=True,
+        seconds=seconds,
+        warnings=(),
+    )
 
 
 def conclude(recorder: Recorder, outcome: Outcome, start: float, began: float) -> CalibrationResult:
@@ -63,7 +77,9 @@ def conclude(recorder: Recorder, outcome: Outcome, start: float, began: float) -
     try:
         if not stopped:
             drives = drive_fits(setup, outcome, twin, values)
-            check_agreement([d.name for d in drives], [d.correlation for d in drives], setup.drives[0].road.name)
+            check_agreement(
+                [d.name for d in drives], [d.correlation for d in drives], setup.drives[0].road.name
+            )
     except Interrupted:
         stopped = True
     return CalibrationResult(
@@ -92,7 +108,9 @@ def _settled(outcome: Outcome, told: Told) -> Outcome:
     if outcome.likelihood is None or outcome.x is None:
         return outcome
     d = len(told.space)
-    values = np.clip(told.space.from_slopes(told.x[:d]), outcome.problem.space.lower, outcome.problem.space.upper)
+    values = np.clip(
+        told.space.from_slopes(told.x[:d]), outcome.problem.space.lower, outcome.problem.space.upper
+    )
     cost = float(outcome.problem.costs(values[:, None], told.x[d:])[0])
     return replace(outcome, values=values, nuisance=told.x[d:] + outcome.placed, x=told.x, cost=cost)
 
@@ -128,7 +146,9 @@ def _estimates(setup: Setup, values: Floats, told: Told | None) -> tuple[Estimat
     estimates = []
     for i, key in enumerate(space.keys):
         low, high = (float(told.low[i]), float(told.high[i])) if told else (float("nan"), float("nan"))
-        determined = bool(told) and _is_determined(low, high, space.parameters[i].log, space.parameters[i].spread)
+        determined = bool(told) and _is_determined(
+            low, high, space.parameters[i].log, space.parameters[i].spread
+        )
         excited = determined
         curve_key, _, index = key.rpartition(".force.")
         if curve_key in spans:
@@ -136,12 +156,18 @@ def _estimates(setup: Setup, values: Floats, told: Told | None) -> tuple[Estimat
             excited = bool(least <= curve.x[int(index)] <= most)
         estimates.append(
             Estimate(
-                key=key, start=float(setup.space.parameters[i].nominal), value=float(values[i]), low=low, high=high,
-                lower=float(space.lower[i]), upper=float(space.upper[i]),
+                key=key,
+                start=float(setup.space.parameters[i].nominal),
+                value=float(values[i]),
+                low=low,
+                high=high,
+                lower=float(space.lower[i]),
+                upper=float(space.upper[i]),
                 on_bound=("upper" if upper_half[i] else "lower") if bound[i] else "",
-                excited=excited, determined=determined,
+                excited=excited,
+                determined=determined,
             )
-        )  # fmt: skip
+        )
     return tuple(estimates)
 
 
@@ -156,7 +182,9 @@ def _nuisances(outcome: Outcome, told: Told | None) -> tuple[NuisanceEstimate, .
     sigma = told.posterior.sigma if told else np.full(len(nuisances), float("nan"))
     return tuple(
         NuisanceEstimate(name, float(value), float(s), float(prior), _unit(name))
-        for name, value, s, prior in zip(nuisances.names, outcome.nuisance, sigma, nuisances.spread, strict=True)
+        for name, value, s, prior in zip(
+            nuisances.names, outcome.nuisance, sigma, nuisances.spread, strict=True
+        )
     )
 
 

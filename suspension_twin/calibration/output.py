@@ -37,7 +37,9 @@ def write_result(result: CalibrationResult, path: Path) -> tuple[Path, Path]:
         part.write_text(_heading(result, details) + text, encoding="utf-8")
         os.replace(part, path)
         part = path.with_name(f".{details.name}.part")
-        body = yaml.safe_dump(describe(result), sort_keys=False, default_flow_style=None, width=110, allow_unicode=True)
+        body = yaml.safe_dump(
+            describe(result), sort_keys=False, default_flow_style=None, width=110, allow_unicode=True
+        )
         part.write_text(body, encoding="utf-8")
         os.replace(part, details)
     except OSError as error:

@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 
-from suspension_twin.drive.types import Floats
+from suspension_twin.arrays import Floats
 
 __all__ = ["PatternSearch", "PatternSettings"]
 

@@ -10,11 +10,11 @@ from typing import Literal
 import numpy as np
 
 from suspension_twin.calibration.genetic import GaSettings
-from suspension_twin.calibration.least_squares import LmSettings
 from suspension_twin.calibration.pattern import PatternSettings
-from suspension_twin.calibration.space import CURVES, Parameter, Space, bounds_of, curve_keys, twin_value
 from suspension_twin.effects.registry import effect
 from suspension_twin.errors import InputError
+from suspension_twin.identification.least_squares import LmSettings
+from suspension_twin.identification.space import CURVES, Parameter, Space, bounds_of, curve_keys, twin_value
 from suspension_twin.vehicle.twin import EffectSpec, Twin
 
 __all__ = ["PRESETS", "TABLE_2", "Preset", "build_space", "preset_named", "with_effects", "with_table_2"]
@@ -159,7 +159,9 @@ def build_space(
     for key in bounds:
         if key not in keys and not any(k.startswith(f"{key}.") for k in keys):
             raise InputError("bounds", key, "is not free")
-    have = {p.key: p for p in known if p.key not in _KNOWLEDGE and p.key.rpartition(".force.")[0] not in CURVES}
+    have = {
+        p.key: p for p in known if p.key not in _KNOWLEDGE and p.key.rpartition(".force.")[0] not in CURVES
+    }
     return Space(twin, [have.get(key) or _parameter(twin, key, preset, bounds) for key in keys])
 
 
@@ -176,9 +178,7 @@ def _expanded(twin: Twin, keys: Sequence[str]) -> list[str]:
     return found
 
 
-def _parameter(
-    twin: Twin, key: str, preset: Preset, bounds: Mapping[str, tuple[float, float]]
-) -> Parameter:
+def _parameter(twin: Twin, key: str, preset: Preset, bounds: Mapping[str, tuple[float, float]]) -> Parameter:
     value = twin_value(twin, key)
     if isinstance(value, bool) or not isinstance(value, int | float):
         raise InputError("free parameters", key, "is not a number")
@@ -208,7 +208,9 @@ def _effect_parameter(key: str, nominal: float, given: tuple[float, float] | Non
     low, high = given or (known.low, known.high)
     if known.log and low > 0:
         start = nominal if nominal > 0 else known.typical
-        return Parameter(key, min(max(start, low), high), low, high, log=True, spread=float(np.log(known.spread)))
+        return Parameter(
+            key, min(max(start, low), high), low, high, log=True, spread=float(np.log(known.spread))
+        )
     start = min(max(nominal, low), high)
     return Parameter(key, start, low, high, log=False, spread=known.spread)
 

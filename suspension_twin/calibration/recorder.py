@@ -12,12 +12,12 @@ from typing import Any
 import numpy as np
 
 from suspension_twin import __version__
+from suspension_twin.arrays import Floats
 from suspension_twin.calibration.checkpoint import Checkpoint, State
-from suspension_twin.calibration.likelihood import Likelihood
-from suspension_twin.calibration.problem import Interrupted, Problem
 from suspension_twin.calibration.request import CalibrationRequest, Progress
 from suspension_twin.calibration.setup import Setup
-from suspension_twin.drive.types import Floats
+from suspension_twin.identification.likelihood import Likelihood
+from suspension_twin.identification.problem import Interrupted, Problem
 
 __all__ = ["Outcome", "Recorder", "fingerprint"]
 

@@ -8,8 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from suspension_twin.arrays import Floats
 from suspension_twin.drive.read import Topics
-from suspension_twin.drive.types import Floats
 from suspension_twin.gap.measure import Gap
 from suspension_twin.vehicle.twin import Twin
 

@@ -16,13 +16,13 @@ import numpy as np
 
 from suspension_twin.calibration.checkpoint import Checkpoint
 from suspension_twin.calibration.outcome import conclude, unfinished
-from suspension_twin.calibration.problem import Interrupted
 from suspension_twin.calibration.recorder import Outcome, Recorder, fingerprint
 from suspension_twin.calibration.request import CalibrationRequest, CalibrationResult, Progress
 from suspension_twin.calibration.searches import run_evolution, run_genetic
 from suspension_twin.calibration.setup import Setup, set_up
 from suspension_twin.calibration.squares import run_squares
 from suspension_twin.errors import WorkError
+from suspension_twin.identification.problem import Interrupted
 from suspension_twin.vehicle.twin import load_twin
 
 __all__ = ["calibrate"]

@@ -7,12 +7,12 @@ from dataclasses import replace
 
 import numpy as np
 
+from suspension_twin.arrays import Floats
 from suspension_twin.calibration.evolution import CmaSearch
 from suspension_twin.calibration.genetic import GeneticSearch
 from suspension_twin.calibration.pattern import PatternSearch
-from suspension_twin.calibration.problem import Interrupted
 from suspension_twin.calibration.recorder import Outcome, Recorder
-from suspension_twin.drive.types import Floats
+from suspension_twin.identification.problem import Interrupted
 
 __all__ = ["run_evolution", "run_genetic"]
 

@@ -9,19 +9,20 @@ from pathlib import Path
 
 import numpy as np
 
-from suspension_twin.calibration.align import coarse_lag
+from suspension_twin.arrays import Floats
 from suspension_twin.calibration.checks import check_drive, check_parts, check_recording
-from suspension_twin.calibration.nuisance import NuisancePriors
-from suspension_twin.calibration.objectives import parse_objective
 from suspension_twin.calibration.presets import Preset, build_space, preset_named, with_effects, with_table_2
-from suspension_twin.calibration.problem import Interrupted, Problem
 from suspension_twin.calibration.request import CalibrationRequest
-from suspension_twin.calibration.space import Space
-from suspension_twin.calibration.stretches import TrimSettings, fit_rows, trim
 from suspension_twin.drive.read import read_drive
-from suspension_twin.drive.types import Drive, Floats
+from suspension_twin.drive.types import Drive
 from suspension_twin.errors import InputError
 from suspension_twin.gap.prepare import Prepared, PrepareSettings, prepare, road_of
+from suspension_twin.identification.coarse_alignment import coarse_lag
+from suspension_twin.identification.excited_segments import TrimSettings, fit_rows, trim
+from suspension_twin.identification.nuisance import NuisancePriors
+from suspension_twin.identification.objectives import parse_objective
+from suspension_twin.identification.problem import Interrupted, Problem
+from suspension_twin.identification.space import Space
 from suspension_twin.models.simulate import simulate_twin
 from suspension_twin.road import Road
 from suspension_twin.vehicle.twin import Twin, load_twin
@@ -54,7 +55,9 @@ def set_up(
     preset = preset_named(request.preset)
     given = load_twin(request.twin)
     if str(given.model) == "tracked":
-        raise InputError(request.twin, "model", "tracked is calibrated on marker runs, not on recorded drives")
+        raise InputError(
+            request.twin, "model", "tracked is calibrated on marker runs, not on recorded drives"
+        )
     original = with_effects(given, [*request.free, *request.also])
     if not request.bags:
         raise InputError("drives", "none are given: name at least one recorded drive")
@@ -77,7 +80,9 @@ def set_up(
     return Setup(twin, original, preset, space, problem, tuple(drives), lags, warnings)
 
 
-def prepare_checked(drive: Drive, twin: Twin, road: Road, settings: PrepareSettings | None = None) -> Prepared:
+def prepare_checked(
+    drive: Drive, twin: Twin, road: Road, settings: PrepareSettings | None = None
+) -> Prepared:
     """Prepare a drive for calibration, or refuse it with the reason and what to do."""
     check_recording(drive)
     prepared = prepare(drive, twin, road, settings, strict=True)
@@ -110,7 +115,9 @@ def assemble(
     settings = settings or TrimSettings()
     rates = {round(d.rate, 3) for d in drives}
     channels = dict(request.channels) or dict(preset.channels)
-    floors = {c: float(np.mean([d.noise_rms[c] for d in drives])) for c in channels if c in drives[0].noise_rms}
+    floors = {
+        c: float(np.mean([d.noise_rms[c] for d in drives])) for c in channels if c in drives[0].noise_rms
+    }
     unit = floors.get("vertical_acceleration", 1.0)
     weighted = {c: w if w > 0 else unit / max(floors.get(c, unit), 1e-12) for c, w in channels.items()}
     objective = request.objective or preset.objective
@@ -127,7 +134,9 @@ def assemble(
         drive_of += [number] * len(pieces)
     warnings = [w for d in drives for w in (f"{d.name}: {text}" for text in d.warnings)]
     if len(rates) > 1 and any(t.kind in ("spectral", "iso18571") for t in terms):
-        raise InputError("drives", f"come at different rates ({sorted(rates)} Hz): calibrate on them one by one")
+        raise InputError(
+            "drives", f"come at different rates ({sorted(rates)} Hz): calibrate on them one by one"
+        )
     warnings += [
         f"{d.name}: the pose was read {lag:+.3f} s off the IMU's clock before the fit"
         for d, lag in zip(drives, lags, strict=True)

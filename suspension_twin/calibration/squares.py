@@ -13,15 +13,15 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from suspension_twin.arrays import Floats
 from suspension_twin.calibration.checkpoint import State
-from suspension_twin.calibration.identify import CORRELATION, travel
-from suspension_twin.calibration.least_squares import LeastSquares, LmSettings, squared
-from suspension_twin.calibration.likelihood import INDEPENDENT, NEAR_FLOOR, Likelihood
-from suspension_twin.calibration.problem import FitProblem, Interrupted, Problem
 from suspension_twin.calibration.recorder import Outcome, Recorder
 from suspension_twin.calibration.setup import Setup
-from suspension_twin.calibration.springs import standing_at
-from suspension_twin.drive.types import Floats
+from suspension_twin.identification.least_squares import LeastSquares, LmSettings, squared
+from suspension_twin.identification.likelihood import INDEPENDENT, NEAR_FLOOR, Likelihood
+from suspension_twin.identification.posterior import CORRELATION, travel
+from suspension_twin.identification.problem import FitProblem, Interrupted, Problem
+from suspension_twin.identification.spring_position import standing_at
 
 __all__ = ["full_precision", "in_floors", "run_squares"]
 

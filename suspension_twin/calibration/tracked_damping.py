@@ -13,7 +13,7 @@ from typing import Final
 
 import numpy as np
 
-from suspension_twin.drive.types import Floats
+from suspension_twin.arrays import Floats
 from suspension_twin.errors import InputError, WorkError
 from suspension_twin.models.tracked import simulate_tracked_lanes
 from suspension_twin.vehicle.tracked import TrackedVehicle

@@ -13,9 +13,9 @@ from typing import Final
 
 import numpy as np
 
+from suspension_twin.arrays import Floats
 from suspension_twin.calibration.tracked_paper import simulate_runs, unit_values, values_at
 from suspension_twin.calibration.tracked_runs import MarkerRun
-from suspension_twin.drive.types import Floats
 from suspension_twin.errors import WorkError
 from suspension_twin.vehicle.tracked import BOUNDS, TrackedVehicle
 
@@ -68,7 +68,9 @@ def fisher(
         places = np.clip(centre, step, 1 - step)
         points = [places + sign * step * np.eye(5)[i] for i in range(5) for sign in (1.0, -1.0)]
         told = _stack([vehicle.with_changes(values_at(p)) for p in points], runs, noise)
-        jacobian = np.stack([(a - b) / (2 * step) for a, b in zip(told[::2], told[1::2], strict=True)], axis=1)
+        jacobian = np.stack(
+            [(a - b) / (2 * step) for a, b in zip(told[::2], told[1::2], strict=True)], axis=1
+        )
         information = jacobian.T @ jacobian + np.eye(5) / BOUNDS_ALONE**2
         deviation = np.sqrt(np.diag(np.linalg.inv(information)))
         out[step] = dict(zip(keys, (float(d) for d in deviation), strict=True))
@@ -76,9 +78,14 @@ def fisher(
 
 
 def profile(
-    vehicle: TrackedVehicle, runs: Sequence[MarkerRun], noise: Floats, key: str, points: int = 9, rounds: int = 3,
+    vehicle: TrackedVehicle,
+    runs: Sequence[MarkerRun],
+    noise: Floats,
+    key: str,
+    points: int = 9,
+    rounds: int = 3,
     tell: Callable[[float], None] = lambda _: None,
-) -> Profile:  # fmt: skip
+) -> Profile:
     """Likelihood of ``key`` over its whole range, the other four fitted anew at each place by Gauss-Newton.
 
     From the vehicle's own values outwards, each place starting from its neighbour's answer.
@@ -97,7 +104,9 @@ def profile(
             for _ in range(rounds):
                 step = np.where(x[others] > 0.95, -0.03, 0.03)
                 around = [x, *(x + s * np.eye(5)[i] for i, s in zip(others, step, strict=True))]
-                told = _stack([vehicle.with_changes(values_at(np.clip(p, 0, 1))) for p in around], runs, noise)
+                told = _stack(
+                    [vehicle.with_changes(values_at(np.clip(p, 0, 1))) for p in around], runs, noise
+                )
                 rest = measured - told[0]
                 here = 0.5 * float(rest @ rest)
                 if here < cost[k]:

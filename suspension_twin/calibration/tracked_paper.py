@@ -19,10 +19,10 @@ from typing import Final, Literal, get_args
 
 import numpy as np
 
+from suspension_twin.arrays import Floats
 from suspension_twin.calibration.genetic import GaSettings, GeneticSearch
 from suspension_twin.calibration.request import Progress
 from suspension_twin.calibration.tracked_runs import MarkerRun, low_pass
-from suspension_twin.drive.types import Floats
 from suspension_twin.errors import InputError, WorkError
 from suspension_twin.models.tracked import TrackedResponse, simulate_tracked_lanes
 from suspension_twin.vehicle.tracked import BOUNDS, TrackedVehicle
@@ -172,7 +172,9 @@ def unit_values(vehicle: TrackedVehicle) -> Floats:
     for key, (low, high) in BOUNDS.items():
         part, name = key.split(".")
         value = float(getattr(getattr(vehicle, part), name))
-        places.append(np.log(value / low) / np.log(high / low) if key in _LOG else (value - low) / (high - low))
+        places.append(
+            np.log(value / low) / np.log(high / low) if key in _LOG else (value - low) / (high - low)
+        )
     return np.array(places)
 
 
@@ -194,7 +196,9 @@ def calibrate_tracked(
     if not runs:
         raise InputError("tracked_paper", "runs", "none is given")
     if objective not in OBJECTIVES:
-        raise InputError("tracked_paper", "objective", f"must be one of {', '.join(OBJECTIVES)}, is {objective}")
+        raise InputError(
+            "tracked_paper", "objective", f"must be one of {', '.join(OBJECTIVES)}, is {objective}"
+        )
     search = GeneticSearch(len(BOUNDS), settings, seed)
     while search.generation <= settings.generations and not should_stop():
         candidates = [vehicle.with_changes(values_at(u)) for u in search.ask()]

@@ -16,9 +16,9 @@ import numpy as np
 from scipy.interpolate import make_smoothing_spline
 from scipy.signal import butter, sosfiltfilt
 
+from suspension_twin.arrays import Floats
 from suspension_twin.drive.containers.contents import topic_name
 from suspension_twin.drive.recording import decode_topic, read_recording
-from suspension_twin.drive.types import Floats
 from suspension_twin.errors import InputError
 from suspension_twin.vehicle.tracked import TrackedVehicle
 
@@ -93,7 +93,8 @@ def read_markers(path: str | Path, speed: float, *, rate: float = RATE) -> Marke
         raise InputError(path, f"not a table of numbers: {str(error).splitlines()[0][:80]}") from None
     if table.shape[0] < 20 or table.shape[1] != len(names):
         raise InputError(
-            path, f"needs {len(names)} columns and at least 20 rows, has {table.shape[1]} and {table.shape[0]}"
+            path,
+            f"needs {len(names)} columns and at least 20 rows, has {table.shape[1]} and {table.shape[0]}",
         )
     if not np.isfinite(table).all():
         raise InputError(path, "holds values that are no numbers: cut or fill the gaps")
@@ -189,7 +190,11 @@ def read_poses(
     q = np.concatenate([g.columns("pose.orientation", "xyzw") for g in groups])
     order = np.argsort(ns, kind="stable")
     t = (ns[order] - ns[order[0]]) / 1e9
-    keep = np.concatenate([[True], np.diff(t) > 0]) & np.isfinite(position[order]).all(1) & np.isfinite(q[order]).all(1)
+    keep = (
+        np.concatenate([[True], np.diff(t) > 0])
+        & np.isfinite(position[order]).all(1)
+        & np.isfinite(q[order]).all(1)
+    )
     if keep.sum() < 20:
         raise InputError(path, name, f"{int(keep.sum())} usable poses are too few")
     t, position, (x, y, z, w) = t[keep], position[order][keep], q[order][keep].T

@@ -32,7 +32,9 @@ def line(condition: Condition) -> Text:
     if condition.position is not None:
         again = f", round {condition.rounds + 1}" if condition.rounds else ""
         parts.append(f"{condition.position:.1f} of {condition.duration:.1f} s{again}")
-    parts.append("  ".join(f"{n} {'-' if math.isnan(r) else f'{r:.0f}'} Hz" for n, r in condition.rates.items()))
+    parts.append(
+        "  ".join(f"{n} {'-' if math.isnan(r) else f'{r:.0f}'} Hz" for n, r in condition.rates.items())
+    )
     if condition.gap is None:
         parts.append("gap -")
     else:
@@ -55,7 +57,9 @@ class Status:
         self._console = console or Console(stderr=True, highlight=False, soft_wrap=True)
         self._live: Live | None = None
         if self._console.is_terminal:
-            self._live = Live(console=self._console, auto_refresh=False, redirect_stdout=False, redirect_stderr=False)
+            self._live = Live(
+                console=self._console, auto_refresh=False, redirect_stdout=False, redirect_stderr=False
+            )
         self._began = time.monotonic()
         self._due = self._began + _PERIOD
 

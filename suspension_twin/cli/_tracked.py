@@ -29,9 +29,15 @@ def is_tracked(path: Path) -> bool:
 
 
 def calibrate_runs(
-    twin: Path, runs: list[Path], out: Path, preset: str, report: Path | None, seed: int, objective: str,
+    twin: Path,
+    runs: list[Path],
+    out: Path,
+    preset: str,
+    report: Path | None,
+    seed: int,
+    objective: str,
     generations: int,
-) -> None:  # fmt: skip
+) -> None:
     """Preset ``tracked_paper``: fit the slowest runs, validate on the others; see calibration.tracked_files."""
     from suspension_twin.calibration.request import Progress
     from suspension_twin.calibration.tracked_files import PRESET, calibrate_tracked_files
@@ -46,12 +52,22 @@ def calibrate_runs(
         task = bar.add_task("reading", total=generations or SETTINGS.generations)
 
         def show(step: Progress) -> None:
-            text = f"generation {step.generation}, best {step.best_cost:.4g}" if step.stage == "search" else step.stage
+            text = (
+                f"generation {step.generation}, best {step.best_cost:.4g}"
+                if step.stage == "search"
+                else step.stage
+            )
             bar.update(task, completed=step.generation, description=text)
 
         done = calibrate_tracked_files(
-            twin, runs, out, objective=wanted, seed=seed, generations=generations, tell=show,  # type: ignore[arg-type]
-        )  # fmt: skip
+            twin,
+            runs,
+            out,
+            objective=wanted,  # type: ignore[arg-type]
+            seed=seed,
+            generations=generations,
+            tell=show,
+        )
     _print_calibration(done)
     page = ""
     if report is not None:
@@ -101,9 +117,12 @@ def diagnose_runs(twin: Path, runs: list[Path], reference: list[Path], out: Path
     with stage_bar() as bar:
         task = bar.add_task("reading", total=1.0)
         result = diagnose_tracked_files(
-            str(twin), [str(p) for p in runs], [str(p) for p in reference], seed,
+            str(twin),
+            [str(p) for p in runs],
+            [str(p) for p in reference],
+            seed,
             lambda s: bar.update(task, completed=s.done, description=f"{s.stage} {s.note}".strip()),
-        )  # fmt: skip
+        )
     write(result, out)
     diagnosis_page(result).write(out / "report.html")
     print_diagnosis(result.document, out)

@@ -18,9 +18,14 @@ from suspension_twin.errors import InputError
 
 __all__ = ["Bag", "Bags", "Seed", "TwinFile", "bundled", "print_diagnosis", "stage_bar"]
 
-TwinFile = Annotated[Path, typer.Option("--twin", help="The twin file.", metavar="TWIN.YAML", show_default=False)]
+TwinFile = Annotated[
+    Path, typer.Option("--twin", help="The twin file.", metavar="TWIN.YAML", show_default=False)
+]
 Bag = Annotated[
-    Path, typer.Argument(help="A recorded drive: a rosbag2 folder or a bare file.", metavar="BAG", show_default=False)
+    Path,
+    typer.Argument(
+        help="A recorded drive: a rosbag2 folder or a bare file.", metavar="BAG", show_default=False
+    ),
 ]
 Bags = Annotated[
     list[Path],
@@ -42,7 +47,9 @@ def bundled(*parts: str) -> Path:
     for root in roots:
         if (root / "package.xml").is_file() and (found := root.joinpath(*parts)).exists():
             return found
-    raise InputError("/".join(parts), f"is missing from the installation, looked in {', '.join(map(str, roots))}")
+    raise InputError(
+        "/".join(parts), f"is missing from the installation, looked in {', '.join(map(str, roots))}"
+    )
 
 
 def stage_bar() -> Progress:
@@ -66,9 +73,12 @@ def print_diagnosis(document: Mapping[str, Any], out: Path) -> None:
     for cause in document["causes"][:5]:
         low, high = cause["shrink_interval"]
         table.add_row(
-            cause["effect"], f"{cause['probability']:.3f}", f"{cause['shrink']:.2f}", f"{low:.2f} to {high:.2f}",
+            cause["effect"],
+            f"{cause['probability']:.3f}",
+            f"{cause['shrink']:.2f}",
+            f"{low:.2f} to {high:.2f}",
             values_of(cause),
-        )  # fmt: skip
+        )
     console.print(table)
     console.print(
         f"no gap {document['no_gap_probability']:.3f}, unknown {document['unknown_probability']:.3f}. "

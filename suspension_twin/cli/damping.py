@@ -37,10 +37,14 @@ def command(twin: TwinFile, speeds: Range = (5.0, 55.0), out: Out = None) -> Non
 
     loaded = load_twin(twin)
     if not isinstance(loaded, TrackedTwin):
-        raise InputError(twin, "model", f"is {loaded.model}: the dampers of a tracked vehicle are chosen here")
+        raise InputError(
+            twin, "model", f"is {loaded.model}: the dampers of a tracked vehicle are chosen here"
+        )
     chosen = select_damping(loaded.vehicle, *speeds)
     console = Console(highlight=False, soft_wrap=True)
-    table = Table(title="Variance of the pitch, 1e-4 rad², by damping", title_justify="left", title_style="bold")
+    table = Table(
+        title="Variance of the pitch, 1e-4 rad², by damping", title_justify="left", title_style="bold"
+    )
     table.add_column("km/h \\ N m s/rad", justify="right")
     for i, damping in enumerate(chosen.dampings):
         table.add_column(f"{damping:.0f}", justify="right", style="bold" if i == chosen.best else "")
@@ -63,9 +67,11 @@ def command(twin: TwinFile, speeds: Range = (5.0, 55.0), out: Out = None) -> Non
         out.mkdir(parents=True, exist_ok=True)
         style.save(damping_picture(chosen.speeds, chosen.dampings, chosen.table), out / "pitch_variance.png")
         document = {
-            "speeds_kmh": chosen.speeds, "dampings": chosen.dampings, "range_kmh": speeds,
+            "speeds_kmh": chosen.speeds,
+            "dampings": chosen.dampings,
+            "range_kmh": speeds,
             "variance_rad2": [[None if v != v else v for v in row] for row in chosen.table.tolist()],
             "recommended": {"curve": chosen.best + 1, "damping": chosen.dampings[chosen.best]},
-        }  # fmt: skip
+        }
         (out / "pitch_variance.json").write_text(json.dumps(document, indent=1) + "\n", encoding="utf-8")
         console.print(f"Written to {out}")

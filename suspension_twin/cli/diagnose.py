@@ -16,18 +16,24 @@ __all__ = ["command"]
 Reference = Annotated[
     list[Path] | None,
     typer.Option(
-        "--reference", help="A drive of the same vehicle from before the gap; may be given more than once.",
-        metavar="BAG", show_default=False,
+        "--reference",
+        help="A drive of the same vehicle from before the gap; may be given more than once.",
+        metavar="BAG",
+        show_default=False,
     ),
-]  # fmt: skip
+]
 Effects = Annotated[
     list[str] | None,
     typer.Option(
-        "--effect", help="Look at this effect alone; may be given more than once.", metavar="ID", show_default=False
+        "--effect",
+        help="Look at this effect alone; may be given more than once.",
+        metavar="ID",
+        show_default=False,
     ),
-]  # fmt: skip
+]
 Out = Annotated[
-    Path, typer.Option("--out", help="Folder for the result.", metavar="DIR", file_okay=False, show_default=False)
+    Path,
+    typer.Option("--out", help="Folder for the result.", metavar="DIR", file_okay=False, show_default=False),
 ]
 
 
@@ -56,7 +62,11 @@ def command(
         if name not in EFFECTS:
             raise InputError("--effect", name, f"is not an effect ({', '.join(EFFECTS)})")
     request = DiagnosisRequest(
-        str(twin), tuple(str(b) for b in bags), tuple(str(b) for b in reference or ()), seed, tuple(effect or ())
+        str(twin),
+        tuple(str(b) for b in bags),
+        tuple(str(b) for b in reference or ()),
+        seed,
+        tuple(effect or ()),
     )
     with stage_bar() as bar:
         task = bar.add_task("reading", total=1.0)

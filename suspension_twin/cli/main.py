@@ -77,7 +77,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
     thresholds = gc.get_threshold()
     gc.set_threshold(_COLLECT_EVERY, *thresholds[1:])
     try:
-        if endless:  # SIGTERM is a service manager's way of saying Ctrl-C, which a shell's background job would ignore
+        if (
+            endless
+        ):  # SIGTERM is a service manager's way of saying Ctrl-C, which a shell's background job would ignore
             for number in endings:
                 signal.signal(number, signal.default_int_handler)
         status = _invoke(args, chosen)
@@ -162,7 +164,8 @@ def _show_version(wanted: bool) -> None:
 
 def _root(
     version: Annotated[
-        bool, typer.Option("--version", help="Show the version and exit.", callback=_show_version, is_eager=True)
+        bool,
+        typer.Option("--version", help="Show the version and exit.", callback=_show_version, is_eager=True),
     ] = False,
     debug: Annotated[bool, typer.Option("--debug", help="Show the traceback of an error.")] = False,
 ) -> None:

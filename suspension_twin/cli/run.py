@@ -27,15 +27,23 @@ def command(
     twin: TwinFile,
     bag: Annotated[
         Path | None,
-        typer.Option("--bag", help="Replay this recorded drive instead of listening to sensors.", metavar="BAG"),
+        typer.Option(
+            "--bag", help="Replay this recorded drive instead of listening to sensors.", metavar="BAG"
+        ),
     ] = None,
     rate: Annotated[
-        str, typer.Option("--rate", help="Times real time; 'max' or 0: as fast as nothing gets lost.", metavar="X")
+        str,
+        typer.Option(
+            "--rate", help="Times real time; 'max' or 0: as fast as nothing gets lost.", metavar="X"
+        ),
     ] = "1",
     loop: Annotated[bool, typer.Option("--loop", help="Begin the recording again at its end.")] = False,
-    namespace: Annotated[str, typer.Option("--namespace", help="Put everything below this name.", metavar="NS")] = "",
+    namespace: Annotated[
+        str, typer.Option("--namespace", help="Put everything below this name.", metavar="NS")
+    ] = "",
     params: Annotated[
-        Path | None, typer.Option("--params", help="Parameters of the nodes, a ROS 2 YAML file.", metavar="FILE")
+        Path | None,
+        typer.Option("--params", help="Parameters of the nodes, a ROS 2 YAML file.", metavar="FILE"),
     ] = None,
     ros_args: Annotated[
         list[str] | None,

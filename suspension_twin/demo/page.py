@@ -9,8 +9,8 @@ import numpy as np
 from matplotlib.figure import Figure
 from scipy.ndimage import uniform_filter1d
 
+from suspension_twin.arrays import Floats
 from suspension_twin.demo.steps import DRIVES, LEARNT, UNSEEN, DemoResult, Outcome
-from suspension_twin.drive.types import Floats
 from suspension_twin.pose.local_map import LocalMap
 from suspension_twin.report import Cell, Page, Section, Table, plots
 from suspension_twin.report.characteristics import AxleEvidence, characteristics, force
@@ -143,9 +143,14 @@ def _whole(outcome: Outcome) -> plots.Window:
 def _in_time(result: DemoResult, name: str, windows: list[plots.Window]) -> Figure:
     before, after = result.before[name].replay, result.after[name].replay
     return plots.in_time(
-        after.t, after.measured, after.simulated, before=_at(before.t, before.simulated, after.t), windows=windows,
-        origin=float(after.t[0]), names={"simulated": "twin, calibrated", "before": "twin as it started"},
-    )  # fmt: skip
+        after.t,
+        after.measured,
+        after.simulated,
+        before=_at(before.t, before.simulated, after.t),
+        windows=windows,
+        origin=float(after.t[0]),
+        names={"simulated": "twin, calibrated", "before": "twin as it started"},
+    )
 
 
 def _at(t: Floats, y: Floats, stamps: Floats) -> Floats:

@@ -13,8 +13,9 @@ from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
 
+from suspension_twin.arrays import Floats
 from suspension_twin.drive.read import read_drive
-from suspension_twin.drive.types import Drive, Floats
+from suspension_twin.drive.types import Drive
 from suspension_twin.errors import InputError, WorkError
 from suspension_twin.nodes.answers import CalibrateAnswer, Feedback, Replay
 from suspension_twin.report.characteristics import static_compression

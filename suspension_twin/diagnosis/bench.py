@@ -15,14 +15,14 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from suspension_twin.calibration.least_squares import gram, squared
-from suspension_twin.calibration.nuisance import NuisancePriors
-from suspension_twin.calibration.problem import Interrupted, Problem, _stack
+from suspension_twin.arrays import Floats
 from suspension_twin.compiled import compiled
 from suspension_twin.diagnosis.hypotheses import Hypothesis
-from suspension_twin.diagnosis.noise import INDEPENDENT, Whitener
-from suspension_twin.diagnosis.parallel import side_by_side
-from suspension_twin.drive.types import Floats
+from suspension_twin.identification.least_squares import gram, squared
+from suspension_twin.identification.noise import INDEPENDENT, Whitener
+from suspension_twin.identification.nuisance import NuisancePriors
+from suspension_twin.identification.parallel import side_by_side
+from suspension_twin.identification.problem import Interrupted, Problem, _stack
 from suspension_twin.models.excitation import coarser
 from suspension_twin.models.hooks import clocks_with, gains_with, turns_with, upright_with
 from suspension_twin.models.parameters import lanes
@@ -36,9 +36,17 @@ __all__ = ["NORMAL", "Bench", "Curved", "Excitations", "Linearised"]
 #: A receiver that knows a place to a centimetre is off by some of it for a whole drive.
 #: A gain is none: a phone's is within half a per cent, and a free one takes the blame for any model's error.
 NORMAL = NuisancePriors(
-    clock=0.0005, common_clock=0.002, map_position=0.02, gain=0.0, tilt=0.009,
-    force_bias=0.05, rate_bias=0.005, pivot=0.3, holder=1.0, drive_map=0.006,
-)  # fmt: skip
+    clock=0.0005,
+    common_clock=0.002,
+    map_position=0.02,
+    gain=0.0,
+    tilt=0.009,
+    force_bias=0.05,
+    rate_bias=0.005,
+    pivot=0.3,
+    holder=1.0,
+    drive_map=0.006,
+)
 #: Standard deviations beyond which no nuisance goes.
 _NORMAL_LIMIT = 3.0
 _STEP = 1e-3
@@ -88,7 +96,9 @@ class Linearised:
         others, but this Jacobian is taken to hold."""
         beside = gram(effects, self.jacobian)
         squares = np.block([[self.squares, beside.T], [beside, squared(effects)]])
-        return squares, np.concatenate([gram(residual[:, None], columns)[0] for columns in (self.jacobian, effects)])
+        return squares, np.concatenate(
+            [gram(residual[:, None], columns)[0] for columns in (self.jacobian, effects)]
+        )
 
 
 @dataclass(frozen=True, eq=False)
@@ -105,7 +115,9 @@ class Excitations:
 
     def coarser(self, max_step: float) -> Excitations:
         """The same in steps of up to ``max_step`` s."""
-        gross = ({u: coarser(e, max_step) for u, e in known.items()} for known in (self.regained, self.reclocked))
+        gross = (
+            {u: coarser(e, max_step) for u, e in known.items()} for known in (self.regained, self.reclocked)
+        )
         return Excitations(coarser(self.upright, max_step), coarser(self.turned, max_step), *gross)
 
 
@@ -256,7 +268,9 @@ class Bench:
             if candidates.shape[1] == 1:
                 return np.zeros((len(excitation), len(channels), 1)), np.ones(1, dtype=bool)
             middle = candidates.shape[1] // 2
-            halves = [self._simulated(twin, c, excitation) for c in (candidates[:, :middle], candidates[:, middle:])]
+            halves = [
+                self._simulated(twin, c, excitation) for c in (candidates[:, :middle], candidates[:, middle:])
+            ]
             return np.concatenate([h[0] for h in halves], axis=2), np.concatenate([h[1] for h in halves])
 
     def compared(self, signals: Sequence[Floats], nuisance: Floats) -> Floats:
@@ -314,7 +328,9 @@ class Bench:
         white, per_step, _ = self._stepped(hypothesis, x, 0)
         return white[:, 0].copy(), (white[:, 1:] - white[:, :1]) * per_step
 
-    def _stepped(self, hypothesis: Hypothesis, x: Floats, physics: int) -> tuple[Floats, Floats, list[Floats]]:
+    def _stepped(
+        self, hypothesis: Hypothesis, x: Floats, physics: int
+    ) -> tuple[Floats, Floats, list[Floats]]:
         """Residuals (R, 1 + physics + k) at ``x`` and a step further in the first ``physics`` unknowns and in those of
         the effects, what a difference counts by each step (physics + k,), and the signals."""
         d, q, k = self.d, self.q, len(hypothesis)
@@ -332,8 +348,15 @@ class Bench:
 
 @compiled
 def _columns(
-    d: int, stepped: Floats, per_step: Floats, moved: Floats, per_move: Floats, free: NDArray[np.intp], given: Floats,
-    plain: NDArray[np.intp], out: Floats,
+    d: int,
+    stepped: Floats,
+    per_step: Floats,
+    moved: Floats,
+    per_move: Floats,
+    free: NDArray[np.intp],
+    given: Floats,
+    plain: NDArray[np.intp],
+    out: Floats,
 ) -> None:  # pragma: no cover - compiled
     """The Jacobian (R, d + q + k) in one pass: of ``stepped`` (R, 1 + d + k) and ``moved`` (R, m) the differences to
     the first column of ``stepped``, and what is ``given`` (R, n); nuisances have the columns ``free`` and ``plain``."""

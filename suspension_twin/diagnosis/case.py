@@ -9,20 +9,14 @@ from pathlib import Path
 
 import numpy as np
 
+from suspension_twin.arrays import Floats
 from suspension_twin.calibration.checks import check_drive, check_parts, check_recording
-from suspension_twin.calibration.identify import CORRELATION
-from suspension_twin.calibration.objectives import parse_objective
 from suspension_twin.calibration.presets import build_space, preset_named
-from suspension_twin.calibration.problem import Interrupted, Problem
-from suspension_twin.calibration.stretches import TrimSettings, fit_rows
 from suspension_twin.diagnosis.bench import NORMAL, Bench, Excitations
-from suspension_twin.diagnosis.fit import Linear, finished, fitted, refit
 from suspension_twin.diagnosis.hypotheses import BASELINE, Hypothesis
-from suspension_twin.diagnosis.noise import USUAL_SHARE, Whitener, shares
-from suspension_twin.diagnosis.parallel import side_by_side
 from suspension_twin.diagnosis.request import DiagnosisRequest
 from suspension_twin.drive.read import read_drive
-from suspension_twin.drive.types import Drive, Floats
+from suspension_twin.drive.types import Drive
 from suspension_twin.errors import InputError
 from suspension_twin.gap.measure import CHANNELS
 from suspension_twin.gap.prepare import (
@@ -35,6 +29,13 @@ from suspension_twin.gap.prepare import (
     turned_excitation,
     upright_excitation,
 )
+from suspension_twin.identification.excited_segments import TrimSettings, fit_rows
+from suspension_twin.identification.gauss_newton import Linear, finished, fitted, refit
+from suspension_twin.identification.noise import USUAL_SHARE, Whitener, shares
+from suspension_twin.identification.objectives import parse_objective
+from suspension_twin.identification.parallel import side_by_side
+from suspension_twin.identification.posterior import CORRELATION
+from suspension_twin.identification.problem import Interrupted, Problem
 from suspension_twin.road import flat_road
 from suspension_twin.signals.filters import FilterSpec
 from suspension_twin.vehicle.twin import Twin, load_twin
@@ -48,7 +49,9 @@ _PLANAR_ONLY = PrepareSettings(filter=FilterSpec(2, 1.6), satellites=True, satur
 _ON_ROAD = PrepareSettings(saturated=True)
 #: What clock and mounting are is then the very question, and nothing else shows it.
 #: Rear tyres of cars slip by about 0.005 rad for each m/s²; a course that lags by that would pass for a clock's.
-_BARE = replace(NORMAL, clock=0.0, common_clock=0.0, map_position=0.0, tilt=0.0, pivot=0.0, slip=0.005, drive_map=0.0)
+_BARE = replace(
+    NORMAL, clock=0.0, common_clock=0.0, map_position=0.0, tilt=0.0, pivot=0.0, slip=0.005, drive_map=0.0
+)
 #: The best in m that a map and a pose agree to.
 _MAP_LEAST = 0.002
 #: Seconds of compared driving below which nothing can be held back from the fit.
@@ -186,7 +189,9 @@ def _map_spread(drives: Sequence[Prepared]) -> float:
     The mean of drives goes no further than the receiver says of single fixes: that is the limit, three spreads.
     """
     told = [d.position_sigma for d in drives if d.position_sigma > 0]
-    return float(np.clip(np.mean(told) / 3.0, _MAP_LEAST, NORMAL.map_position)) if told else NORMAL.map_position
+    return (
+        float(np.clip(np.mean(told) / 3.0, _MAP_LEAST, NORMAL.map_position)) if told else NORMAL.map_position
+    )
 
 
 def baseline(case: Case, bench: Bench) -> tuple[Linear, Linear]:
@@ -216,7 +221,12 @@ def baseline(case: Case, bench: Bench) -> tuple[Linear, Linear]:
 
 
 def taught_by(
-    case: Case, bench: Bench, hypothesis: Hypothesis, x: Floats, drives: Sequence[int], usual: Sequence[str] = ()
+    case: Case,
+    bench: Bench,
+    hypothesis: Hypothesis,
+    x: Floats,
+    drives: Sequence[int],
+    usual: Sequence[str] = (),
 ) -> None:
     """Give the bench the noise that a fit leaves on some drives; ``usual`` channels keep the usual share of it."""
     d, q = bench.d, bench.q

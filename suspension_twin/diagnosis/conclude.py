@@ -9,19 +9,20 @@ from typing import Any
 
 import numpy as np
 
-from suspension_twin.diagnosis import gaps, verdict
+from suspension_twin.arrays import Floats
+from suspension_twin.diagnosis import shrink as gaps
+from suspension_twin.diagnosis import verdict
 from suspension_twin.diagnosis.bench import Bench
 from suspension_twin.diagnosis.case import Case
+from suspension_twin.diagnosis.evidence import Blocks, Evidence, intervals
 from suspension_twin.diagnosis.experiment import next_experiment
-from suspension_twin.diagnosis.fit import Fit, finished
 from suspension_twin.diagnosis.hypotheses import library
-from suspension_twin.diagnosis.judge import Blocks, Evidence, intervals
-from suspension_twin.diagnosis.places import Likeness, as_surveyed, gathered, likenesses, spread_out
+from suspension_twin.diagnosis.local_road_error import Likeness, as_surveyed, gathered, likenesses, spread_out
+from suspension_twin.diagnosis.localisation import localise, signature
 from suspension_twin.diagnosis.request import DiagnosisRequest, DiagnosisResult, DriveView
 from suspension_twin.diagnosis.search import Single
-from suspension_twin.diagnosis.where import localise, signature
-from suspension_twin.drive.types import Floats
 from suspension_twin.effects.registry import EFFECTS
+from suspension_twin.identification.gauss_newton import Fit, finished
 from suspension_twin.models.simulate import simulate_twin
 from suspension_twin.vehicle.twin import Twin
 
@@ -78,13 +79,19 @@ def conclude(
     channel = bench.problem.channels[0]
     base_shrink = _shrink(bench, found, found.left[0], request.seed)
     beyond = np.array(
-        [gaps.shrink_of(bench, found.left[0], r, found.blocks, found.noise[channel], 0, request.seed).shrink
-         for r in found.left[1:]]
-    )  # fmt: skip
+        [
+            gaps.shrink_of(
+                bench, found.left[0], r, found.blocks, found.noise[channel], 0, request.seed
+            ).shrink
+            for r in found.left[1:]
+        ]
+    )
     alone, foreign = found.alone, None
     if found.reference is not None:
         foreign = 1.0 - np.sqrt(1.0 - found.gone)  # of the rms, as the other shrinks
-        alone = alone * found.gone  # what is measured to be there still is not explained by gaining more than others
+        alone = (
+            alone * found.gone
+        )  # what is measured to be there still is not explained by gaining more than others
     effects, no_gap, unknown = verdict.masses(found.weights, found.gates, found.gone, found.unseen, alone)
     unknown += float(found.strange.sum())
     chosen = found.chosen.fit.hypothesis.effects
@@ -117,8 +124,10 @@ def conclude(
         "combination": list(kept.fit.hypothesis.effects),
         "unexplained": _round(1.0 - shrink.shrink),
         "recalibration": {
-            "gap_before": _round(base_shrink.before), "gap_after": _round(base_shrink.after),
-            "shrink": _round(base_shrink.shrink), "shrink_interval": [_round(v) for v in base_shrink.interval],
+            "gap_before": _round(base_shrink.before),
+            "gap_after": _round(base_shrink.after),
+            "shrink": _round(base_shrink.shrink),
+            "shrink_interval": [_round(v) for v in base_shrink.interval],
         },
         "background": {
             "share_of_motion_left": _round(verdict.level_of(bench, kept_left, found.noise, shown=True)),
@@ -127,7 +136,7 @@ def conclude(
         },
         "cannot_be_judged": [s.effect for s in found.singles if not s.judged],
         "warnings": list(case.warnings),
-    }  # fmt: skip
+    }
     if answer in ("unknown", "partly"):
         document["signature"] = signature(bench, kept_left.difference, twin)
         document["signature"]["resembles"] = _resembles(bench, found, request.seed)
@@ -175,14 +184,18 @@ def _stretch(
         return None, surveyed
     told = [
         {
-            "effect": one.effect, "shrink": _round(one.shrink),
+            "effect": one.effect,
+            "shrink": _round(one.shrink),
             "parameters": {k.split(".")[2]: float(f"{v:.6g}") for k, v in one.values.items()},
         }
         for one in like
-    ]  # fmt: skip
+    ]
     return {
-        "start_m": there.start, "end_m": there.end, "share": _round(there.share), "resembles": told
-    }, surveyed  # fmt: skip
+        "start_m": there.start,
+        "end_m": there.end,
+        "share": _round(there.share),
+        "resembles": told,
+    }, surveyed
 
 
 def _takes_much(stretch: dict[str, Any]) -> bool:
@@ -200,17 +213,20 @@ def _resembles(bench: Bench, found: Findings, seed: int) -> list[dict[str, Any]]
             values = dict(zip(fit.hypothesis.keys, fit.effects(bench), strict=True))
             like.append(
                 {
-                    "effect": found.witnesses[i].effect, "probability": round(float(found.strange[i]), 6),
+                    "effect": found.witnesses[i].effect,
+                    "probability": round(float(found.strange[i]), 6),
                     "parameters": {k.split(".")[2]: float(f"{float(v):.6g}") for k, v in values.items()},
                     "shrink": _round(_shrink(bench, found, found.strange_left[i], seed).shrink),
                 }
-            )  # fmt: skip
+            )
     return like
 
 
 def _shrink(bench: Bench, found: Findings, after: gaps.Remainder, seed: int) -> gaps.Shrink:
     channel = bench.problem.channels[0]
-    return gaps.shrink_of(bench, found.standing, after, found.blocks, found.noise[channel], 0, seed, another=True)
+    return gaps.shrink_of(
+        bench, found.standing, after, found.blocks, found.noise[channel], 0, seed, another=True
+    )
 
 
 def _gap(bench: Bench, found: Findings) -> dict[str, Any]:
@@ -221,26 +237,37 @@ def _gap(bench: Bench, found: Findings) -> dict[str, Any]:
     }
     first = bench.problem.channels[0]
     return {
-        "rms": rms[first], "mse": _round(rms[first] ** 2), "noise_rms": _round(found.noise[first]),
-        "channel": first, "channels": rms,
-    }  # fmt: skip
+        "rms": rms[first],
+        "mse": _round(rms[first] ** 2),
+        "noise_rms": _round(found.noise[first]),
+        "channel": first,
+        "channels": rms,
+    }
 
 
 def _causes(
-    bench: Bench, found: Findings, effects: Floats, beyond: Floats, foreign: Floats | None, groups: list[list[int]],
+    bench: Bench,
+    found: Findings,
+    effects: Floats,
+    beyond: Floats,
+    foreign: Floats | None,
+    groups: list[list[int]],
     seed: int,
-) -> list[dict[str, Any]]:  # fmt: skip
+) -> list[dict[str, Any]]:
     names = [s.effect for s in found.singles]
     together = dict(zip(found.chosen.fit.hypothesis.keys, found.chosen.fit.effects(bench), strict=True))
     causes = []
-    for i in sorted(range(len(names)), key=lambda i: (-round(float(effects[i]), 9), -float(found.weights[1 + i]), i)):
+    for i in sorted(
+        range(len(names)), key=lambda i: (-round(float(effects[i]), 9), -float(found.weights[1 + i]), i)
+    ):
         single = found.singles[i]
         shrink = _shrink(bench, found, found.left[1 + i], seed)
         held = dict(single.fit.hypothesis.fixed)
         values = {
-            **held, **dict(zip(single.fit.hypothesis.keys, single.fit.effects(bench), strict=True)),
+            **held,
+            **dict(zip(single.fit.hypothesis.keys, single.fit.effects(bench), strict=True)),
             **{k: v for k, v in together.items() if k.split(".")[1] == names[i]},
-        }  # fmt: skip
+        }
         gate = found.gates[1 + i]
         causes.append(
             {
@@ -255,13 +282,14 @@ def _causes(
                 "shrink_beyond_reference": None if foreign is None else _round(float(foreign[i])),
                 "indistinguishable_from": [names[j] for g in groups if i in g for j in g if j != i],
                 "gates": {
-                    "material": _round(gate.material), "adequate": _round(gate.adequate),
+                    "material": _round(gate.material),
+                    "adequate": _round(gate.adequate),
                     "plausible": _round(gate.plausible),
                 },
                 "judged": single.judged,
                 "log_evidence": round(single.evidence.over(found.base), 2),
             }
-        )  # fmt: skip
+        )
     return causes
 
 
@@ -287,7 +315,8 @@ def _groups(found: Findings, effects: Floats) -> list[list[int]]:
     tied = [
         i
         for i, s in enumerate(found.singles)
-        if i == lead or (s.judged and found.beats[1 + i, 1 + lead] > _TIED and found.gates[1 + i].material > 0.3)
+        if i == lead
+        or (s.judged and found.beats[1 + i, 1 + lead] > _TIED and found.gates[1 + i].material > 0.3)
     ]
     return [tied] if len(tied) > 1 and found.gates[1 + lead].material > 0.3 else []
 
@@ -311,7 +340,9 @@ def _shared(
 def _views(case: Case, bench: Bench, after: Twin, recalibrated: Twin) -> tuple[DriveView, ...]:
     views = []
     channel = bench.problem.channels[0]
-    for i, (part, rows, active) in enumerate(zip(bench.problem.parts, bench.problem.rows, bench.active, strict=True)):
+    for i, (part, rows, active) in enumerate(
+        zip(bench.problem.parts, bench.problem.rows, bench.active, strict=True)
+    ):
         if not active:
             continue
         before, middle, found = (

@@ -51,7 +51,9 @@ def menu() -> list[Manoeuvre]:
     found = [Manoeuvre("standing still for ten seconds", bump, ((0.0, 0.0), (10.0, 0.0)))]
     for kmh in (10, 20, 40):
         v = kmh / 3.6
-        found.append(Manoeuvre(f"a speed bump (7 cm high, 0.9 m long) at {kmh} km/h", bump, ((0.0, v), (60.0 / v, v))))
+        found.append(
+            Manoeuvre(f"a speed bump (7 cm high, 0.9 m long) at {kmh} km/h", bump, ((0.0, v), (60.0 / v, v)))
+        )
     for name, road, kmh in (
         ("a low sharp edge (3 cm high, 0.25 m long) at 30 km/h", sharp, 30),
         ("a long wave (8 cm high, 6 m long) at 40 km/h", wave, 40),

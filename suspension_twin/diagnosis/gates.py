@@ -8,11 +8,12 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.stats import norm
 
-from suspension_twin.diagnosis import gaps, verdict
+from suspension_twin.diagnosis import shrink as gaps
+from suspension_twin.diagnosis import verdict
 from suspension_twin.diagnosis.bench import Bench
 from suspension_twin.diagnosis.case import VERTICAL
-from suspension_twin.diagnosis.judge import Blocks, Evidence
-from suspension_twin.diagnosis.places import gathered, spread_out
+from suspension_twin.diagnosis.evidence import Blocks, Evidence
+from suspension_twin.diagnosis.local_road_error import gathered, spread_out
 
 __all__ = ["Gatekeeper"]
 
@@ -47,7 +48,9 @@ class Gatekeeper:
         """Probabilities that ``found``, which leaves ``left``, passes each gate; material from a share ``least``, where
         it stands ``alone`` whatever other channels lose."""
         bench, driven, columns = self.bench, self.driven, range(len(self.bench.problem.channels))
-        seen = {(c, way): self.shrink(self.recalibrated, left, c, way) for c in columns for way in self._ways(c)}
+        seen = {
+            (c, way): self.shrink(self.recalibrated, left, c, way) for c in columns for way in self._ways(c)
+        }
         # what is gained in one channel and lost in another is traded, not explained, unless nothing else gains alike
         most = max(seen[c, way].shrink for c in driven for way in self._ways(c))
         level, quiet = self.level(left), self._noise_share()
@@ -63,7 +66,9 @@ class Gatekeeper:
         if found is self.base:
             return verdict.Gates(1.0, adequate, 1.0)
         material = max(self._material(c, [seen[c, way] for way in self._ways(c)], least) for c in columns)
-        material *= max(min(self._unspoilt(c, [seen[c, way] for way in self._ways(c)], most) for c in driven), alone)
+        material *= max(
+            min(self._unspoilt(c, [seen[c, way] for way in self._ways(c)], most) for c in driven), alone
+        )
         material *= verdict.uncommon(bench, found, self.reference is not None)
         return verdict.Gates(material, adequate, verdict.plausible(bench, found))
 
@@ -87,7 +92,9 @@ class Gatekeeper:
     ) -> gaps.Shrink:
         """The shrink in one channel, with the nuisances where they were fitted if ``settled``."""
         noise = self.noise[self.bench.problem.channels[column]]
-        return gaps.shrink_of(self.bench, before, after, self.blocks, noise, column, self.seed, settled=settled)
+        return gaps.shrink_of(
+            self.bench, before, after, self.blocks, noise, column, self.seed, settled=settled
+        )
 
     def _ways(self, column: int) -> tuple[bool, ...]:
         """Whether a channel's gap is looked at where the nuisances were fitted: the planar ones, since biases and the

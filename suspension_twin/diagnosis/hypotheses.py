@@ -16,7 +16,7 @@ import numpy as np
 from scipy.special import ndtri
 from scipy.stats import qmc
 
-from suspension_twin.drive.types import Floats
+from suspension_twin.arrays import Floats
 from suspension_twin.effects.base import Effect, Parameter
 from suspension_twin.effects.registry import EFFECTS
 from suspension_twin.vehicle.twin import EffectSpec, Twin
@@ -28,8 +28,10 @@ _WIDTH = 1.4  # of the starting points, in spreads of the prior
 SETTINGS = ("time", "road", "sensor")
 #: Nuisances that are in small what an effect is in large.
 NORMAL_PART = {
-    "sensor_tilt": ("tilt_roll", "tilt_pitch"), "time_offset": ("clock_offset",), "position_offset": ("map_position",),
-}  # fmt: skip
+    "sensor_tilt": ("tilt_roll", "tilt_pitch"),
+    "time_offset": ("clock_offset",),
+    "position_offset": ("map_position",),
+}
 #: Effects that the planar motion shows without any road under the wheels. What fixes at a few hertz can
 #: hold says nothing of a sensor's bandwidth or range.
 WITHOUT_ROAD = ("time_offset", "clock_drift", "sensor_tilt", "sensor_scale")
@@ -197,7 +199,10 @@ class Hypothesis:
         """(k,) coordinates of an effect as a twin file has it."""
         known = [(p, spec.parameters[p.name]) for _, p in self.searched]
         return np.array(
-            [np.log(v / p.typical) / np.log(p.spread) if p.log else (v - p.typical) / p.spread for p, v in known]
+            [
+                np.log(v / p.typical) / np.log(p.spread) if p.log else (v - p.typical) / p.spread
+                for p, v in known
+            ]
         )
 
     def starts(self, count: int, seed: int) -> Floats:
@@ -257,6 +262,8 @@ def combined(*parts: Hypothesis) -> Hypothesis:
     """Several effects at once."""
     around = tuple(float(u) for p in parts for u in p.centre()) if any(p.around for p in parts) else ()
     return Hypothesis(
-        tuple(e for p in parts for e in p.effects), tuple(pair for p in parts for pair in p.fixed), around,
+        tuple(e for p in parts for e in p.effects),
+        tuple(pair for p in parts for pair in p.fixed),
+        around,
         tuple(e for p in parts for e in p.everywhere),
-    )  # fmt: skip
+    )

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 from scipy.stats import false_discovery_control
 
-from suspension_twin.drive.types import Floats
+from suspension_twin.arrays import Floats
 from suspension_twin.models.simulate import simulate_twin
 from suspension_twin.vehicle.corners import CORNERS
 from suspension_twin.vehicle.twin import Twin
@@ -84,10 +84,14 @@ def _corners(velocity: Floats, amount: Floats, block: np.ndarray, drawn: Floats)
         return np.asarray(weight / np.maximum(weight.sum(axis=1, keepdims=True), 1e-12))
 
     found = shares(sums.sum(axis=2)[None])[0]
-    sure = (shares(np.einsum("kb,pcb->kpc", drawn, sums, optimize=False)) > _WORTH_A_WORD).mean(axis=0) >= 0.95
+    sure = (shares(np.einsum("kb,pcb->kpc", drawn, sums, optimize=False)) > _WORTH_A_WORD).mean(
+        axis=0
+    ) >= 0.95
     order = np.argsort(-found, kind="stable")
     return [
-        {"name": CORNERS[i], "share": round(float(found[i]), 4)} for n, i in enumerate(order) if n == 0 or sure[i]
+        {"name": CORNERS[i], "share": round(float(found[i]), 4)}
+        for n, i in enumerate(order)
+        if n == 0 or sure[i]
     ]
 
 
@@ -103,7 +107,8 @@ def _points(
             continue
         cell = block * bins + np.clip(np.digitize(values, edges[1:-1]), 0, bins - 1)
         sums, counts = (
-            np.bincount(cell, w, drawn.shape[1] * bins).reshape(-1, bins) for w in (amount, np.ones(amount.size))
+            np.bincount(cell, w, drawn.shape[1] * bins).reshape(-1, bins)
+            for w in (amount, np.ones(amount.size))
         )
 
         def ratio(s: Floats, n: Floats) -> Floats:
@@ -125,8 +130,11 @@ def _points(
         for a, b in runs(flags):
             points.append(
                 {
-                    "quantity": name, "low": round(float(edges[a]), 4), "high": round(float(edges[b]), 4), "unit": unit,
+                    "quantity": name,
+                    "low": round(float(edges[a]), 4),
+                    "high": round(float(edges[b]), 4),
+                    "unit": unit,
                     "share": round(float(energy[a:b].sum()) / total, 4),
                 }
-            )  # fmt: skip
+            )
     return ranked(points)

@@ -6,8 +6,8 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from typing import Any
 
+from suspension_twin.arrays import Floats
 from suspension_twin.drive.read import Topics
-from suspension_twin.drive.types import Floats
 from suspension_twin.vehicle.twin import Twin
 
 __all__ = ["DiagnosisRequest", "DiagnosisResult", "DriveView", "Progress"]

@@ -13,22 +13,23 @@ from typing import Any
 
 import numpy as np
 
-from suspension_twin.diagnosis import gaps, verdict
+from suspension_twin.arrays import Floats
+from suspension_twin.diagnosis import shrink as gaps
+from suspension_twin.diagnosis import verdict
 from suspension_twin.diagnosis.bench import Bench
 from suspension_twin.diagnosis.case import Case, baseline, build, read_case, taught_by
+from suspension_twin.diagnosis.coarse_search import LOST
 from suspension_twin.diagnosis.conclude import Findings, conclude
-from suspension_twin.diagnosis.fit import Linear, finished, fitted
+from suspension_twin.diagnosis.evidence import Evidence, blocks_of, evidence, held_out, weights
 from suspension_twin.diagnosis.gates import Gatekeeper
-from suspension_twin.diagnosis.gross import LOST
 from suspension_twin.diagnosis.hypotheses import BASELINE, NORMAL_PART, Hypothesis, library, witnesses
-from suspension_twin.diagnosis.judge import Evidence, blocks_of, evidence, held_out, weights
-from suspension_twin.diagnosis.parallel import side_by_side
+from suspension_twin.diagnosis.nuisance_penalty import relieved
+from suspension_twin.diagnosis.preexisting import since
 from suspension_twin.diagnosis.request import DiagnosisRequest, DiagnosisResult, Progress
 from suspension_twin.diagnosis.search import Single, again, jointly, pairs, singles, without_one
-from suspension_twin.diagnosis.strain import relieved
-from suspension_twin.diagnosis.traits import since
-from suspension_twin.drive.types import Floats
 from suspension_twin.errors import InputError
+from suspension_twin.identification.gauss_newton import Linear, finished, fitted
+from suspension_twin.identification.parallel import side_by_side
 
 __all__ = ["diagnose"]
 
@@ -52,7 +53,9 @@ _ASKED = 0.01
 _RELIEF, _MUCH_RELIEF = 1.0, float(np.log(_SURE / (1.0 - _SURE)))
 #: Rounds in which the noise without a road is learnt from what all effects together leave.
 _CLEARED, _CLEARED_GROSS = 2, 6
-_STRANGER = 0.6  # share of its motion that a reference leaves at the best fit, above which it is another car's
+_STRANGER = (
+    0.6  # share of its motion that a reference leaves at the best fit, above which it is another car's
+)
 
 
 def diagnose(
@@ -61,7 +64,7 @@ def diagnose(
     should_stop: Callable[[], bool] | None = None,
 ) -> DiagnosisResult:
     """Say where, why and how far: raises InputError for what cannot be used, WorkError where the work
-    fails and ``calibration.problem.Interrupted`` where it was told to stop."""
+    fails and ``identification.problem.Interrupted`` where it was told to stop."""
     began = time.monotonic()
     tell = on_progress or (lambda progress: None)
     stop = should_stop or (lambda: False)
@@ -100,9 +103,15 @@ class _Search:
         self.reference = self._reference(anchor)
         strangers = witnesses(self.case.twin, self.case.road, self.request.effects)
         base, found = singles(
-            bench, base, anchor, {**effects, **strangers}, self.blocks, seed, self._lost(base),
+            bench,
+            base,
+            anchor,
+            {**effects, **strangers},
+            self.blocks,
+            seed,
+            self._lost(base),
             lambda done, note: self.tell(Progress("effects", 0.15 + 0.6 * done, note)),
-        )  # fmt: skip
+        )
         self.base = evidence(bench, base, self.blocks)
         self.singles, self.witnesses = found[: len(effects)], found[len(effects) :]
         everything = [self.base, *(s.evidence for s in found)]
@@ -121,7 +130,15 @@ class _Search:
         leasts = [verdict.MATERIAL] * (1 + len(effects)) + [least] * len(strangers)
         alone = [0.0, *self.alone, *([0.0] * len(strangers))]
         self.keeper = Gatekeeper(
-            bench, self.blocks, self.noise, self.reference, self.temper, self.case.road, seed, self.base, self.left[0]
+            bench,
+            self.blocks,
+            self.noise,
+            self.reference,
+            self.temper,
+            self.case.road,
+            seed,
+            self.base,
+            self.left[0],
         )
         given = list(zip(everything, self.left, leasts, alone, strict=True))
         self.gates = side_by_side(lambda one: self.keeper.gates(*one), given)
@@ -150,9 +167,16 @@ class _Search:
         worth = prior[1:] * [w > _ASKED or s.finalist for w, s in zip(self.weights[1:], found, strict=True)]
         asked = {int(i): everything[1 + i].fit for i in np.flatnonzero(worth)}
         told = since(
-            bench, self.base, asked, known, self.temper, blocks,
-            lambda done, i: self.tell(Progress("effects", 0.75, f"{everything[1 + i].fit.hypothesis.name}, of late")),
-        )  # fmt: skip
+            bench,
+            self.base,
+            asked,
+            known,
+            self.temper,
+            blocks,
+            lambda done, i: self.tell(
+                Progress("effects", 0.75, f"{everything[1 + i].fit.hypothesis.name}, of late")
+            ),
+        )
         if told is None:
             return
         base, late = told
@@ -213,7 +237,9 @@ class _Search:
         left = gaps.remainder(self.bench, BASELINE, alone.unknowns, self.blocks)
         level = verdict.level_of(self.bench, left, self.noise, shown=False)
         if level > _STRANGER:
-            names = ", ".join(d.name for d, a in zip(self.case.drives, self.bench.active, strict=True) if not a)
+            names = ", ".join(
+                d.name for d, a in zip(self.case.drives, self.bench.active, strict=True) if not a
+            )
             raise InputError(
                 names,
                 f"calibrated on it alone, the twin still misses {100 * level:.0f} % of its motion: it is of another "
@@ -229,7 +255,11 @@ class _Search:
         for place, at in enumerate(np.argsort(-self.weights[1:], kind="stable")[: len(_LEADS)]):
             lead = int(at) + 1
             material, there = self.gates[lead].material >= 0.5, best.fit.hypothesis.effects
-            if self.weights[lead] < _LEADS[place] or not (material or missing) or self.singles[at].effect in there:
+            if (
+                self.weights[lead] < _LEADS[place]
+                or not (material or missing)
+                or self.singles[at].effect in there
+            ):
                 continue
             chosen, left = self._grown(everything[lead], self.left[lead], self.gates[lead])
             size, largest = len(chosen.fit.hypothesis.effects), len(there)
@@ -243,7 +273,9 @@ class _Search:
                 best, best_left = chosen, left
         return best, best_left
 
-    def _grown(self, chosen: Evidence, left: gaps.Remainder, gates: verdict.Gates) -> tuple[Evidence, gaps.Remainder]:
+    def _grown(
+        self, chosen: Evidence, left: gaps.Remainder, gates: verdict.Gates
+    ) -> tuple[Evidence, gaps.Remainder]:
         """What a lead becomes, greedily, one more effect at a time, as long as it pays."""
         effects = library(self.case.twin, self.case.road, self.request.effects)
         weak = [s.effect for s in self.singles if not s.judged]
@@ -252,9 +284,14 @@ class _Search:
             self.reference is None or gates.adequate < 0.5
         ):
             tried = pairs(
-                self.bench, chosen, effects, self.blocks, self.request.seed,
-                lambda done, note: self.tell(Progress("combinations", 0.76 + 0.18 * done, note)), weak,
-            )  # fmt: skip
+                self.bench,
+                chosen,
+                effects,
+                self.blocks,
+                self.request.seed,
+                lambda done, note: self.tell(Progress("combinations", 0.76 + 0.18 * done, note)),
+                weak,
+            )
             # the one that gains most may make up for a little everywhere and close nothing: then the next
             joined = next(self._joining(chosen, left, tried), None)
             if joined is None:
@@ -273,7 +310,9 @@ class _Search:
                 if self._pays(few, few_left, more, rest):
                     yield more, rest
 
-    def _pays(self, few: Evidence, few_left: gaps.Remainder, many: Evidence, many_left: gaps.Remainder) -> bool:
+    def _pays(
+        self, few: Evidence, few_left: gaps.Remainder, many: Evidence, many_left: gaps.Remainder
+    ) -> bool:
         """Whether one more effect is sure to be better, and by enough of some channel's recalibrated gap;
         without a road of what the fewer leave there: each channel is another effect's to show."""
         _, beats = weights([few, many], np.array([0.5, 0.5]), self.temper, self.request.seed)
@@ -288,12 +327,17 @@ class _Search:
         spared = relieved([few.strain, many.strain], self.temper)[1] if alone else 0.0
         # clocks that are all at their ends make up for something: what frees them is worth it, if that is worth it
         if spared > _RELIEF and (
-            verdict.punctual(self.bench, few, self.temper) < 0.5 <= verdict.punctual(self.bench, many, self.temper)
+            verdict.punctual(self.bench, few, self.temper)
+            < 0.5
+            <= verdict.punctual(self.bench, many, self.temper)
         ):
             return True
         for column, channel in enumerate(self.bench.problem.channels):
             before = self.left[0] if self.case.road else few_left
-            one, two = self.keeper.shrink(before, few_left, column), self.keeper.shrink(before, many_left, column)
+            one, two = (
+                self.keeper.shrink(before, few_left, column),
+                self.keeper.shrink(before, many_left, column),
+            )
             if column not in self.keeper.driven or one.after < self.noise[channel]:
                 continue
             if one.after - two.after >= (_WORTH if self.case.road else _WORTH_BARE) * one.before and (
@@ -349,7 +393,25 @@ class _Search:
         keeper, chosen, left = self.keeper, self.chosen, self.chosen_left
         gone = [keeper.gone(s.evidence, r) for s, r in zip(self.singles, self.left[1:], strict=True)]
         return Findings(
-            self.blocks, self.noise, self.standing, self.base, self.singles, self.left, self.weights, np.array(gone),
-            self.unseen, self.alone, self.beats, self.gates, chosen, left, keeper.gates(chosen, left),
-            keeper.gone(chosen, left), self.reference, self.temper, self.witnesses, self.strange, self.strange_left,
-        )  # fmt: skip
+            self.blocks,
+            self.noise,
+            self.standing,
+            self.base,
+            self.singles,
+            self.left,
+            self.weights,
+            np.array(gone),
+            self.unseen,
+            self.alone,
+            self.beats,
+            self.gates,
+            chosen,
+            left,
+            keeper.gates(chosen, left),
+            keeper.gone(chosen, left),
+            self.reference,
+            self.temper,
+            self.witnesses,
+            self.strange,
+            self.strange_left,
+        )

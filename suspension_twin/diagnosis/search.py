@@ -9,16 +9,25 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from suspension_twin.diagnosis import gross
+from suspension_twin.arrays import Floats
+from suspension_twin.diagnosis import coarse_search as gross
 from suspension_twin.diagnosis.bench import Bench
-from suspension_twin.diagnosis.fit import Fit, Linear, finished, fitted, refit, scanned, screened, swept
+from suspension_twin.diagnosis.evidence import Blocks, Evidence, evidence
 from suspension_twin.diagnosis.hypotheses import BASELINE, NORMAL_PART, Hypothesis, combined
-from suspension_twin.diagnosis.judge import Blocks, Evidence, evidence
-from suspension_twin.diagnosis.parallel import side_by_side
-from suspension_twin.diagnosis.traits import as_trait
-from suspension_twin.drive.types import Floats
+from suspension_twin.diagnosis.preexisting import as_trait
 from suspension_twin.effects.registry import EFFECTS
 from suspension_twin.errors import WorkError
+from suspension_twin.identification.gauss_newton import (
+    Fit,
+    Linear,
+    finished,
+    fitted,
+    refit,
+    scanned,
+    screened,
+    swept,
+)
+from suspension_twin.identification.parallel import side_by_side
 
 __all__ = ["Single", "again", "jointly", "pairs", "singles", "without_one"]
 
@@ -83,9 +92,15 @@ class _Rough:
 
 
 def singles(
-    bench: Bench, base: Linear, anchor: Linear, library: dict[str, list[Hypothesis]], blocks: Blocks, seed: int,
-    lost: bool, tell: Callable[[float, str], None],
-) -> tuple[Linear, list[Single]]:  # fmt: skip
+    bench: Bench,
+    base: Linear,
+    anchor: Linear,
+    library: dict[str, list[Hypothesis]],
+    blocks: Blocks,
+    seed: int,
+    lost: bool,
+    tell: Callable[[float, str], None],
+) -> tuple[Linear, list[Single]]:
     """Every effect of the library, refitted jointly with characteristics and nuisances; and the baseline,
     which may take over any vehicle that an effect's fit has come to. A twin that is ``lost`` follows nothing."""
     coarse = _coarser(bench, base)
@@ -120,7 +135,9 @@ def singles(
         return Single(r.effect, evidence(bench, at, blocks), r.powers, i in finalists, always)
 
     judged = side_by_side(
-        judge, order, lambda done, i: tell(0.65 + 0.35 * done, f"{rough[i].effect.replace('_', ' ')}, once more")
+        judge,
+        order,
+        lambda done, i: tell(0.65 + 0.35 * done, f"{rough[i].effect.replace('_', ' ')}, once more"),
     )
     found = dict(zip(order, judged, strict=True))
     return base, [found[i] for i in range(len(rough))]
@@ -133,7 +150,13 @@ def _coarser(bench: Bench, base: Fit) -> Bench:
 
 
 def _rough(
-    bench: Bench, base: Linear, anchor: Linear, effect: str, variants: Sequence[Hypothesis], seed: int, lost: bool
+    bench: Bench,
+    base: Linear,
+    anchor: Linear,
+    effect: str,
+    variants: Sequence[Hypothesis],
+    seed: int,
+    lost: bool,
 ) -> _Rough:
     """The best of an effect's variants, from many starts, its vehicle's Jacobian mostly the reference's; where the
     twin is ``lost``, gross faults are looked for, too."""
@@ -218,7 +241,9 @@ def _wide(bench: Bench, base: Fit, hypothesis: Hypothesis, seed: int) -> list[tu
 
     starts = hypothesis.starts(_WIDE_STARTS, seed + 1)
     many = [vehicle(*v) for v in _VEHICLES]
-    x = np.concatenate([np.concatenate([np.repeat(z[:, None], _WIDE_STARTS, axis=1), starts]) for z in many], axis=1)
+    x = np.concatenate(
+        [np.concatenate([np.repeat(z[:, None], _WIDE_STARTS, axis=1), starts]) for z in many], axis=1
+    )
     # a stop that hardly touches costs least at first and leads nowhere: one that touches early gets its tries too
     ways = _EARLY if hypothesis.touches else ()
     early = [np.concatenate([vehicle(*v), hypothesis.early(far)])[:, None] for v, far in ways]
@@ -230,9 +255,14 @@ def _wide(bench: Bench, base: Fit, hypothesis: Hypothesis, seed: int) -> list[tu
 
 
 def pairs(
-    bench: Bench, first: Evidence, library: dict[str, list[Hypothesis]], blocks: Blocks, seed: int,
-    tell: Callable[[float, str], None], skip: Sequence[str] = (),
-) -> list[Evidence]:  # fmt: skip
+    bench: Bench,
+    first: Evidence,
+    library: dict[str, list[Hypothesis]],
+    blocks: Blocks,
+    seed: int,
+    tell: Callable[[float, str], None],
+    skip: Sequence[str] = (),
+) -> list[Evidence]:
     """The best additions of one more effect to what is there, the best first."""
     there = first.fit.hypothesis
     start = finished(bench, there, first.fit.x)
@@ -267,9 +297,10 @@ def pairs(
         return evidence(bench, fitted(bench, both, [x], 2), blocks)
 
     found = side_by_side(
-        join, list(best.values())[:_BEST_PAIRS],
+        join,
+        list(best.values())[:_BEST_PAIRS],
         lambda done, at: tell(0.7 + 0.3 * done, f"{at[0].name}, jointly".replace("_", " ")),
-    )  # fmt: skip
+    )
     return sorted(found, key=lambda e: -float(e.score.sum()) + 0.5 * e.occam)
 
 

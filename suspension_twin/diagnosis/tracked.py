@@ -16,6 +16,7 @@ from typing import Any, Final
 import numpy as np
 from scipy.signal import welch
 
+from suspension_twin.arrays import Floats
 from suspension_twin.calibration.tracked_runs import MARKERS, MarkerRun, read_run
 from suspension_twin.diagnosis.request import Progress
 from suspension_twin.diagnosis.tracked_fit import (
@@ -30,7 +31,6 @@ from suspension_twin.diagnosis.tracked_fit import (
     together,
 )
 from suspension_twin.diagnosis.tracked_visible import Visible, as_table, visible_from, words
-from suspension_twin.drive.types import Floats
 from suspension_twin.effects.tracked_effects import TRACKED_EFFECTS, apply_tracked
 from suspension_twin.errors import InputError, WorkError
 from suspension_twin.vehicle.tracked_twin import TrackedTwin
@@ -68,9 +68,12 @@ class TrackedDiagnosis:
 
 
 def diagnose_tracked_files(
-    twin: str, runs: Sequence[str], reference: Sequence[str] = (), seed: int = 0,
+    twin: str,
+    runs: Sequence[str],
+    reference: Sequence[str] = (),
+    seed: int = 0,
     tell: Callable[[Progress], None] = lambda _: None,
-) -> TrackedDiagnosis:  # fmt: skip
+) -> TrackedDiagnosis:
     """As :func:`diagnose_tracked`, from files: CSV of markers or recordings of poses, speed in their names."""
     tell(Progress("reading", 0.0))
     loaded = load_twin(twin)
@@ -81,9 +84,12 @@ def diagnose_tracked_files(
 
 
 def diagnose_tracked(
-    twin: TrackedTwin, runs: Sequence[MarkerRun], reference: Sequence[MarkerRun] = (), seed: int = 0,
+    twin: TrackedTwin,
+    runs: Sequence[MarkerRun],
+    reference: Sequence[MarkerRun] = (),
+    seed: int = 0,
     tell: Callable[[Progress], None] = lambda _: None,
-) -> TrackedDiagnosis:  # fmt: skip
+) -> TrackedDiagnosis:
     """Where, why and how far. ``reference``: runs of the same vehicle from before the gap.
 
     Raises InputError for runs that cannot be used and WorkError where the twin diverges on them.
@@ -97,7 +103,9 @@ def diagnose_tracked(
         vehicle = calibrate_to(vehicle, reference)
         lone = {f"{3.6 * r.speed:.0f} km/h" for r in runs if not any(_alike(r, s) for s in reference)}
         if lone:
-            warnings.append(f"no reference at {', '.join(sorted(lone))}: the model alone says what is normal there")
+            warnings.append(
+                f"no reference at {', '.join(sorted(lone))}: the model alone says what is normal there"
+            )
     standing = make_bench(vehicle, runs, reference, free=False)
     bench = make_bench(vehicle, runs, reference)
     base = fit(bench, NOTHING)
@@ -154,9 +162,17 @@ def _untold(name: str, gain: dict[str, float]) -> float:
 
 
 def _conclude(
-    twin: TrackedTwin, bench: Bench, standing: Fitted, base: Fitted, singles: dict[str, Fitted],
-    gain: dict[str, float], chosen: Fitted, seen: list[Visible], seed: int, warnings: list[str],
-) -> TrackedDiagnosis:  # fmt: skip
+    twin: TrackedTwin,
+    bench: Bench,
+    standing: Fitted,
+    base: Fitted,
+    singles: dict[str, Fitted],
+    gain: dict[str, float],
+    chosen: Fitted,
+    seen: list[Visible],
+    seed: int,
+    warnings: list[str],
+) -> TrackedDiagnosis:
     best = max(gain.values(), default=0.0)
     names = chosen.hypothesis.effects
     closed = _closed(base, chosen)
@@ -231,7 +247,13 @@ def _twin(twin: TrackedTwin, kept: Fitted) -> Twin:
 
 
 def _cause(
-    name: str, f: Fitted, standing: Fitted, share: float, gain: float, tied: list[str], rng: np.random.Generator
+    name: str,
+    f: Fitted,
+    standing: Fitted,
+    share: float,
+    gain: float,
+    tied: list[str],
+    rng: np.random.Generator,
 ) -> dict[str, Any]:
     blocks = rng.integers(0, f.levels.size, (400, f.levels.size))
     before, after = (np.sqrt(np.maximum(g.levels[blocks].mean(axis=1) - 1.0, 1e-6)) for g in (standing, f))
@@ -274,11 +296,22 @@ def _where(bench: Bench, base: Fitted) -> dict[str, list[dict[str, Any]]]:
             part = (run.t >= begin) & (run.t < begin + 0.5)
             share = float(power[part].sum()) / total
             if share > 2.0 * part.sum() / sum(r.t.size for r in bench.runs):
-                time.append({"bag": run.name, "start": round(float(begin), 3), "end": round(float(begin) + 0.5, 3),
-                             "share": round(share, 4)})  # fmt: skip
+                time.append(
+                    {
+                        "bag": run.name,
+                        "start": round(float(begin), 3),
+                        "end": round(float(begin) + 0.5, 3),
+                        "share": round(share, 4),
+                    }
+                )
                 front = run.speed * begin - 0.5  # of the idler's front edge from the obstacle's foot
-                road.append({"start_m": round(front, 2), "end_m": round(front + 0.5 * run.speed, 2),
-                             "share": round(share, 4)})  # fmt: skip
+                road.append(
+                    {
+                        "start_m": round(front, 2),
+                        "end_m": round(front + 0.5 * run.speed, 2),
+                        "share": round(share, 4),
+                    }
+                )
     rest = np.concatenate(base.rest)
     f, density = welch(rest[:, 3:6], bench.runs[0].rate, nperseg=min(128, rest.shape[0]), axis=0)
     density = density.sum(axis=1)
@@ -287,16 +320,22 @@ def _where(bench: Bench, base: Fitted) -> dict[str, list[dict[str, Any]]]:
         share = float(density[(f >= low) & (f < high)].sum() / density.sum())
         bands.append({"low_hz": low, "high_hz": high, "share": round(share, 4)})
     power = (rest**2).sum(axis=0).reshape(3, 3)
-    channel = [{"name": f"marker_{m}", "share": round(float(power[:, k].sum() / power.sum()), 4)}
-               for k, m in enumerate(MARKERS)]  # fmt: skip
+    channel = [
+        {"name": f"marker_{m}", "share": round(float(power[:, k].sum() / power.sum()), 4)}
+        for k, m in enumerate(MARKERS)
+    ]
 
     def most(items: list[dict[str, Any]]) -> list[dict[str, Any]]:
         return sorted(items, key=lambda i: -float(i["share"]))[:6]
 
     return {
-        "time": most(time), "road": most(road), "frequency": most(bands), "channel": most(channel),
-        "corner": [], "operating_point": [],
-    }  # fmt: skip
+        "time": most(time),
+        "road": most(road),
+        "frequency": most(bands),
+        "channel": most(channel),
+        "corner": [],
+        "operating_point": [],
+    }
 
 
 def _signature(bench: Bench, kept: Fitted) -> dict[str, Any]:
@@ -305,10 +344,12 @@ def _signature(bench: Bench, kept: Fitted) -> dict[str, Any]:
     density = density.sum(axis=1)
     share = np.cumsum(density) / density.sum()
     return {
-        "channel": "marker velocity", "low_hz": round(float(f[np.searchsorted(share, 0.1)]), 2),
-        "high_hz": round(float(f[np.searchsorted(share, 0.9)]), 2), "peak_hz": round(float(f[np.argmax(density)]), 2),
+        "channel": "marker velocity",
+        "low_hz": round(float(f[np.searchsorted(share, 0.1)]), 2),
+        "high_hz": round(float(f[np.searchsorted(share, 0.9)]), 2),
+        "peak_hz": round(float(f[np.argmax(density)]), 2),
         "level": round(_level(kept), 3),
-    }  # fmt: skip
+    }
 
 
 def _next(verdict: str, tied: list[str], bench: Bench, unseen: list[str]) -> str:
@@ -325,7 +366,9 @@ def _told_next(verdict: str, tied: list[str], bench: Bench) -> str:
     if verdict == "no_gap":
         return "None is needed."
     if len(tied) > 1:
-        return f"To part {' from '.join(tied[:2])}: three repeats over the obstacle at {1.6 * fastest:.0f} km/h."
+        return (
+            f"To part {' from '.join(tied[:2])}: three repeats over the obstacle at {1.6 * fastest:.0f} km/h."
+        )
     if verdict == "unknown":
         return "Repeat one speed three times with a marker on each outer road wheel's arm."
     return "Repeat the runs after the repair."

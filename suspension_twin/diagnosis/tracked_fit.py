@@ -16,9 +16,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from suspension_twin.arrays import Floats
 from suspension_twin.calibration.tracked_paper import simulate_runs
 from suspension_twin.calibration.tracked_runs import MarkerRun
-from suspension_twin.diagnosis.fit import within
 from suspension_twin.diagnosis.tracked_own import (
     OWN_HIGH,
     OWN_LOW,
@@ -27,9 +27,9 @@ from suspension_twin.diagnosis.tracked_own import (
     own_places,
     own_vehicle,
 )
-from suspension_twin.drive.types import Floats
 from suspension_twin.effects.tracked_effects import TRACKED_EFFECTS, apply_tracked, camera_of
 from suspension_twin.errors import InputError, WorkError
+from suspension_twin.identification.gauss_newton import within
 from suspension_twin.vehicle.tracked import TrackedVehicle
 
 __all__ = [
@@ -142,7 +142,9 @@ def _shifts(seen: Floats, t: Floats) -> Floats:
 def align(measured: Floats, told: Floats, t: Floats, sigma: Floats) -> Floats:
     """(2,) lateness and stretch of a run against what is expected: least squares with priors, within bounds."""
     clock = np.zeros(2)
-    for _ in range(4):  # anew each time: a slope at no shift says little of signals at 6 Hz that are 20 ms late
+    for _ in range(
+        4
+    ):  # anew each time: a slope at no shift says little of signals at 6 Hz that are 20 ms late
         there = moved(told, t, *-clock)
         a = (_shifts(there, t) / sigma).reshape(2, -1).T * _CLOCK
         r = ((measured - there) / sigma).ravel()
@@ -159,7 +161,10 @@ def _around(squares: Floats, run: MarkerRun) -> Floats:
 
 
 def make_bench(
-    vehicle: TrackedVehicle, runs: Sequence[MarkerRun], reference: Sequence[MarkerRun], free: bool | None = None
+    vehicle: TrackedVehicle,
+    runs: Sequence[MarkerRun],
+    reference: Sequence[MarkerRun],
+    free: bool | None = None,
 ) -> Bench:
     """What is normal at the speed of each run: references at that speed, else the model.
 
@@ -223,17 +228,24 @@ def hypotheses_for(effect: str, vehicle: TrackedVehicle) -> list[Hypothesis]:
     if not any(p.choices for p in found.parameters):
         return [Hypothesis((effect,), (), keys, low, high, start, spread)]
     places = [i for i, s in enumerate(vehicle.stations) if effect != "station_damper" or s.damping > 0]
-    return [Hypothesis((effect,), ((f"{effect}.station", i + 1.0),), keys, low, high, start, spread) for i in places]
+    return [
+        Hypothesis((effect,), ((f"{effect}.station", i + 1.0),), keys, low, high, start, spread)
+        for i in places
+    ]
 
 
 def together(a: Fitted, b: Fitted) -> Hypothesis:
     """Both explanations at once, from where each of them ended."""
     one, two = a.hypothesis, b.hypothesis
     return Hypothesis(
-        (*one.effects, *two.effects), (*one.fixed, *two.fixed), (*one.keys, *two.keys),
-        np.concatenate([one.low, two.low]), np.concatenate([one.high, two.high]), np.concatenate([a.x, b.x]),
+        (*one.effects, *two.effects),
+        (*one.fixed, *two.fixed),
+        (*one.keys, *two.keys),
+        np.concatenate([one.low, two.low]),
+        np.concatenate([one.high, two.high]),
+        np.concatenate([a.x, b.x]),
         np.concatenate([one.spread, two.spread]),
-    )  # fmt: skip
+    )
 
 
 def _predict(bench: Bench, hypothesis: Hypothesis, points: Sequence[Floats]) -> list[list[Floats] | None]:
@@ -304,7 +316,9 @@ def _linear(bench: Bench, hypothesis: Hypothesis, x: Floats, prior: Floats, cent
         own[:, x.size + 2 * j : x.size + 2 * j + 2] = shifts * _CLOCK
         columns.append(own)
         clocks.append(clock / _CLOCK)
-    return _Linear(np.concatenate(rows), np.concatenate(columns), np.concatenate([(x - centre) / prior, *clocks]))
+    return _Linear(
+        np.concatenate(rows), np.concatenate(columns), np.concatenate([(x - centre) / prior, *clocks])
+    )
 
 
 def _solve(a: Floats, r: Floats, x0: Floats) -> Floats:

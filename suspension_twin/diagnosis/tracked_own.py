@@ -13,8 +13,8 @@ from typing import Final
 
 import numpy as np
 
+from suspension_twin.arrays import Floats
 from suspension_twin.calibration.tracked_paper import unit_values, values_at
-from suspension_twin.drive.types import Floats
 from suspension_twin.vehicle.tracked import BOUNDS, Driver, TrackedVehicle
 
 __all__ = ["OWN_HIGH", "OWN_LOW", "OWN_SPREAD", "driven", "own_places", "own_vehicle"]

@@ -14,8 +14,8 @@ from typing import Final
 
 import numpy as np
 
+from suspension_twin.arrays import Floats
 from suspension_twin.diagnosis.tracked_fit import Bench, Hypothesis, align, expect, moved
-from suspension_twin.drive.types import Floats
 from suspension_twin.effects.tracked_effects import TRACKED_EFFECTS
 
 __all__ = ["SHOWS", "Visible", "as_table", "changes_of", "visible_from", "words"]
@@ -86,10 +86,17 @@ def changes_of(bench: Bench, givens: Sequence[dict[str, dict[str, float]]]) -> F
     have taken what they can; infinite where the vehicle cannot be or diverges."""
     none = np.zeros(0)
     asked = [
-        Hypothesis(tuple(g), tuple((f"{e}.{k}", v) for e, own in g.items() for k, v in own.items()), (),
-                   none, none, none, none)
+        Hypothesis(
+            tuple(g),
+            tuple((f"{e}.{k}", v) for e, own in g.items() for k, v in own.items()),
+            (),
+            none,
+            none,
+            none,
+            none,
+        )
         for g in ({}, *givens)
-    ]  # fmt: skip
+    ]
     usual, *told = expect(bench, [(h, none) for h in asked])
     assert usual is not None  # the bench would not be
     levels = []

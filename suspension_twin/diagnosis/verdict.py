@@ -9,19 +9,34 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.stats import chi2, norm
 
+from suspension_twin.arrays import Floats
 from suspension_twin.diagnosis.bench import Bench
-from suspension_twin.diagnosis.gaps import Remainder, shown_rows
+from suspension_twin.diagnosis.evidence import Evidence
 from suspension_twin.diagnosis.hypotheses import SETTINGS
-from suspension_twin.diagnosis.judge import Evidence
-from suspension_twin.diagnosis.lines import Line, strongest
-from suspension_twin.diagnosis.noise import INDEPENDENT, density
-from suspension_twin.drive.types import Floats
+from suspension_twin.diagnosis.shrink import Remainder, shown_rows
+from suspension_twin.diagnosis.tonal import Line, strongest
 from suspension_twin.effects.registry import EFFECTS
+from suspension_twin.identification.noise import INDEPENDENT, density
 
 __all__ = [
-    "Gates", "background", "closed", "even", "explained", "free_of_lines", "gone", "level_of", "masses", "plausible",
-    "punctual", "sound", "temper_of", "uncommon", "undisturbed", "unmatched", "verdict_of",
-]  # fmt: skip
+    "Gates",
+    "background",
+    "closed",
+    "even",
+    "explained",
+    "free_of_lines",
+    "gone",
+    "level_of",
+    "masses",
+    "plausible",
+    "punctual",
+    "sound",
+    "temper_of",
+    "uncommon",
+    "undisturbed",
+    "unmatched",
+    "verdict_of",
+]
 
 #: Share of the gap's rms that a cause has to explain.
 MATERIAL = 0.1
@@ -77,7 +92,9 @@ class Gates:
     plausible: float
 
 
-def level_of(bench: Bench, left: Remainder, noise: dict[str, float], shown: bool, settled: bool = False) -> float:
+def level_of(
+    bench: Bench, left: Remainder, noise: dict[str, float], shown: bool, settled: bool = False
+) -> float:
     """What is left above the noise as a share of the motion's rms, over the channels that the road drives; ``settled``
     with the nuisances where they were fitted."""
     rows, rest_of = shown_rows(bench) == shown, left.settled if settled else left.difference
@@ -106,7 +123,9 @@ def background(level: float, noise_share: float, taken: float | None = None) -> 
     if taken is not None:  # anything from none to all is as likely of a right one
         most = 1.0 / _STAND_IN - 1.0
         likely = 1.0 / (most * (1.0 - float(np.clip(taken, 0.0, 0.95))) ** (most - 1.0))
-    usual = likely * norm.pdf(max(np.log(level / _USUAL), 0.0) / np.log(_USUAL_SPREAD)) / np.log(_USUAL_SPREAD)
+    usual = (
+        likely * norm.pdf(max(np.log(level / _USUAL), 0.0) / np.log(_USUAL_SPREAD)) / np.log(_USUAL_SPREAD)
+    )
     amiss = norm.pdf(min(np.log(level / _AMISS), 0.0) / np.log(_AMISS_SPREAD)) / np.log(_AMISS_SPREAD)
     return float(usual / (usual + amiss))
 
@@ -301,9 +320,14 @@ def masses(
 
 
 def verdict_of(
-    effects: Floats, no_gap: float, unknown: float, adequate: float, left: float, groups: Sequence[Sequence[int]],
+    effects: Floats,
+    no_gap: float,
+    unknown: float,
+    adequate: float,
+    left: float,
+    groups: Sequence[Sequence[int]],
     referenced: bool,
-) -> str:  # fmt: skip
+) -> str:
     """effect or partly where a cause is likelier than that it is none of the library, without a reference half as
     likely again; else no_gap or unknown, whichever carries more; effects that cannot be told apart (``groups``) carry
     theirs together."""

@@ -7,7 +7,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from suspension_twin.drive.types import Drive, FixData, Floats, HeadingData, ImuData, VelocityData
+from suspension_twin.arrays import Floats
+from suspension_twin.drive.types import Drive, FixData, HeadingData, ImuData, VelocityData
 from suspension_twin.errors import InputError
 
 __all__ = ["concatenate", "cut"]

@@ -10,11 +10,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from suspension_twin.arrays import Floats
 from suspension_twin.drive.cdr import Decoded
 from suspension_twin.drive.containers.contents import Contents, topic_name
 from suspension_twin.drive.recording import decode_topic, read_recording
 from suspension_twin.drive.repair import clean_drive, repair_stamps
-from suspension_twin.drive.types import Drive, FixData, Floats, HeadingData, ImuData, VelocityData
+from suspension_twin.drive.types import Drive, FixData, HeadingData, ImuData, VelocityData
 from suspension_twin.errors import InputError
 
 __all__ = ["TYPES", "Topics", "read_drive"]

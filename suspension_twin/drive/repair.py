@@ -12,7 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import median_filter
 
-from suspension_twin.drive.types import Drive, FixData, Floats, HeadingData, ImuData, VelocityData
+from suspension_twin.arrays import Floats
+from suspension_twin.drive.types import Drive, FixData, HeadingData, ImuData, VelocityData
 
 __all__ = ["clean_drive", "measured", "nanoseconds", "repair_stamps", "seconds"]
 

@@ -9,7 +9,8 @@ from datetime import datetime, timezone
 import numpy as np
 import pymap3d
 
-from suspension_twin.drive.types import Drive, FixData, Floats
+from suspension_twin.arrays import Floats
+from suspension_twin.drive.types import Drive, FixData
 
 __all__ = ["Gravity", "Rhythm", "Summary", "gravity_of", "path_length", "rhythm_of", "summarise"]
 

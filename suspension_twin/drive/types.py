@@ -8,9 +8,9 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["Drive", "FixData", "Floats", "HeadingData", "ImuData", "VelocityData"]
+__all__ = ["Drive", "FixData", "HeadingData", "ImuData", "VelocityData"]
 
-Floats = NDArray[np.float64]
+from suspension_twin.arrays import Floats
 
 
 @dataclass(frozen=True, eq=False)

@@ -21,11 +21,12 @@ import yaml
 from mcap.writer import CompressionType, Writer
 from numpy.typing import NDArray
 
+from suspension_twin.arrays import Floats
 from suspension_twin.drive.cdr import encode, ros2_types
 from suspension_twin.drive.containers.contents import topic_name, type_name
 from suspension_twin.drive.read import TYPES, Topics
 from suspension_twin.drive.repair import nanoseconds
-from suspension_twin.drive.types import Drive, Floats
+from suspension_twin.drive.types import Drive
 from suspension_twin.errors import InputError, WorkError
 
 __all__ = ["BagWriter", "write_drive"]

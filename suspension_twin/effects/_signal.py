@@ -8,8 +8,8 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
+from suspension_twin.arrays import Floats
 from suspension_twin.compiled import compiled
-from suspension_twin.drive.types import Floats
 
 __all__ = ["STATES", "second_order"]
 
@@ -18,9 +18,18 @@ STATES = 6  # of one axis
 
 @compiled
 def second_order(
-    signals: Floats, t: Floats, fresh: NDArray[np.bool_], axis: int, axes: int, lane: int, omega: float, zeta: float,
-    feed: float, gain: float, state: Floats,
-) -> None:  # fmt: skip
+    signals: Floats,
+    t: Floats,
+    fresh: NDArray[np.bool_],
+    axis: int,
+    axes: int,
+    lane: int,
+    omega: float,
+    zeta: float,
+    feed: float,
+    gain: float,
+    state: Floats,
+) -> None:
     """``axes`` of one lane from ``axis`` on through q'' + 2 zeta omega q' + omega² q = x, in place.
 
     What is read is x + gain (omega² q + feed q' - x): with ``feed`` 2 zeta omega a mass shaken at
@@ -35,14 +44,25 @@ def second_order(
     for k in range(t.size):
         known, decay, c, s = -1.0, 0.0, 0.0, 0.0  # axes mostly have a step in common
         for i in range(axes):
-            q, v, before, last, earlier, held = own[i, 0], own[i, 1], own[i, 2], own[i, 3], own[i, 4], own[i, 5]
+            q, v, before, last, earlier, held = (
+                own[i, 0],
+                own[i, 1],
+                own[i, 2],
+                own[i, 3],
+                own[i, 4],
+                own[i, 5],
+            )
             x = signals[k, axis + i, lane]
             h = t[k] - last
             if fresh[k]:
                 q, v, held = x / square, 0.0, 0.0
             elif h > 0.0:
                 if h != known:
-                    decay, c, s = math.exp(-zeta * omega * h), math.cos(damped * h), math.sin(damped * h) / damped
+                    decay, c, s = (
+                        math.exp(-zeta * omega * h),
+                        math.cos(damped * h),
+                        math.sin(damped * h) / damped,
+                    )
                     known = h
                 slope = (x - before) / h
                 bend = (slope - earlier) / (h + held) if held > 0.0 else 0.0

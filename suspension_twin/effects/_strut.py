@@ -7,7 +7,7 @@ from functools import partial
 
 import numpy as np
 
-from suspension_twin.drive.types import Floats
+from suspension_twin.arrays import Floats
 from suspension_twin.effects.base import Effect, Parameter, Values, neutral, per_corner
 from suspension_twin.models.hooks import Hook
 
@@ -35,7 +35,9 @@ def odd_corner(part: str, other: str, scale: int, usual: float, upright: bool = 
         severity=("change",),
         excited_by=("one-sided bumps", "heave coupled with roll", "roll rate on a straight even road"),
         confused_with=(f"the axle's {part}", f"corner_{other}", "payload on one side", "lateral_offset"),
-        hook=Hook(neutral(parameters), terms=partial(_scale_one, scale), models=("full_car",), upright=upright),
+        hook=Hook(
+            neutral(parameters), terms=partial(_scale_one, scale), models=("full_car",), upright=upright
+        ),
     )
 
 
@@ -44,7 +46,9 @@ def _scale_one(scale: int, rows: Floats, p: Values) -> None:
         rows[scale + corner] += np.where(p["corner"] == corner, p["change"], 0.0)
 
 
-def stop(name: str, travel: str, moves: str, valve: str, farthest: float, rows: tuple[int, int, int]) -> Effect:
+def stop(
+    name: str, travel: str, moves: str, valve: str, farthest: float, rows: tuple[int, int, int]
+) -> Effect:
     """A progressive stop at the end of ``travel`` (jounce, rebound), at most ``farthest`` m away; ``rows`` the first of
     clearance, stiffness and its rise, ``moves`` what the strut does then, ``valve`` the damper's that is confused."""
     gap = ("m", 0.002, farthest, 0.06, 0.05, 2.0)
@@ -52,7 +56,9 @@ def stop(name: str, travel: str, moves: str, valve: str, farthest: float, rows: 
         Parameter("front_clearance", *gap, f"{travel} at the wheel until it touches, front", log=True),
         Parameter("rear_clearance", *gap, "the same at the rear", log=True),
         # softer is what bushings and kinematics add to any spring as it is compressed, not a stop
-        Parameter("stiffness", "N/m", 0.0, 1.0e6, 0.0, 0.0, 8.0e4, "at first touch, at the wheel", usual=8.0e3),
+        Parameter(
+            "stiffness", "N/m", 0.0, 1.0e6, 0.0, 0.0, 8.0e4, "at first touch, at the wheel", usual=8.0e3
+        ),
     )
     return Effect(
         id=f"{name}_stop",

@@ -9,7 +9,9 @@ from suspension_twin.models.hooks import ClockChange, Hook
 __all__ = ["EFFECT"]
 
 _PARAMETERS = (
-    Parameter("drift_ppm", "ppm", -50000.0, 50000.0, 0.0, 0.0, 300.0, "rate of the IMU clock less one", usual=50.0),
+    Parameter(
+        "drift_ppm", "ppm", -50000.0, 50000.0, 0.0, 0.0, 300.0, "rate of the IMU clock less one", usual=50.0
+    ),
 )
 
 

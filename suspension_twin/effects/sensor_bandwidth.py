@@ -8,8 +8,8 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
+from suspension_twin.arrays import Floats
 from suspension_twin.compiled import compiled
-from suspension_twin.drive.types import Floats
 from suspension_twin.effects._signal import STATES, second_order
 from suspension_twin.effects.base import Effect, Parameter, Values, neutral
 from suspension_twin.models.hooks import Hook, SignalStage

@@ -6,8 +6,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from suspension_twin.arrays import Floats
 from suspension_twin.compiled import compiled
-from suspension_twin.drive.types import Floats
 from suspension_twin.effects.base import Effect, Parameter, neutral
 from suspension_twin.models.hooks import Hook, SignalStage
 
@@ -35,5 +35,7 @@ EFFECT = Effect(
     severity=("range",),
     excited_by=("peaks: bumps and potholes at speed",),
     confused_with=("bump_stop", "sensor_bandwidth"),
-    hook=Hook(neutral(_PARAMETERS), signal=SignalStage(_signal, order=50, own_axes=True), models=("full_car", "msd")),
+    hook=Hook(
+        neutral(_PARAMETERS), signal=SignalStage(_signal, order=50, own_axes=True), models=("full_car", "msd")
+    ),
 )

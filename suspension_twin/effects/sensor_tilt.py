@@ -8,8 +8,8 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
+from suspension_twin.arrays import Floats
 from suspension_twin.compiled import compiled
-from suspension_twin.drive.types import Floats
 from suspension_twin.effects.base import Effect, Parameter, neutral
 from suspension_twin.models.hooks import Hook, SignalStage
 
@@ -28,8 +28,13 @@ _PARAMETERS = (
 def _turn(roll: float, pitch: float, yaw: float) -> Floats:
     """Rows of the matrix from base_link axes to the sensor's."""
     cr, sr, cp, sp, cy, sy = (
-        math.cos(roll), math.sin(roll), math.cos(pitch), math.sin(pitch), math.cos(yaw), math.sin(yaw),
-    )  # fmt: skip
+        math.cos(roll),
+        math.sin(roll),
+        math.cos(pitch),
+        math.sin(pitch),
+        math.cos(yaw),
+        math.sin(yaw),
+    )
     return np.array(
         [
             [cy * cp, sy * cp, -sp],

@@ -13,7 +13,7 @@ from typing import Final
 
 import numpy as np
 
-from suspension_twin.drive.types import Floats
+from suspension_twin.arrays import Floats
 from suspension_twin.effects.base import Parameter
 from suspension_twin.errors import InputError
 from suspension_twin.vehicle.tracked import BOUNDS, TrackedVehicle
@@ -66,7 +66,9 @@ class TrackedEffect:
 def _tension(vehicle: TrackedVehicle, v: Given) -> TrackedVehicle:
     low, high = BOUNDS["idler.setting"]
     # beyond the range in which an idler can be set a track is simply slack, or as tight as it goes
-    return vehicle.with_changes({"idler.setting": float(np.clip(vehicle.idler.setting - v["tighter"], low, high))})
+    return vehicle.with_changes(
+        {"idler.setting": float(np.clip(vehicle.idler.setting - v["tighter"], low, high))}
+    )
 
 
 def _wear(vehicle: TrackedVehicle, v: Given) -> TrackedVehicle:
@@ -99,62 +101,111 @@ def _payload(vehicle: TrackedVehicle, v: Given) -> TrackedVehicle:
     # a lump on the hull: it moves the centre towards itself and adds no more inertia than its distance gives it
     hull, lump = vehicle.hull_mass, 0.5 * v["mass"]
     inertia = hull * vehicle.gyration**2 + hull * lump / (hull + lump) * v["x"] ** 2
-    return vehicle.with_changes({
-        "mass": vehicle.mass + v["mass"],
-        "cog.0": vehicle.cog[0] + lump / (hull + lump) * v["x"],
-        "gyration": float(np.sqrt(max(inertia, 0.0) / (hull + lump))),
-    })  # fmt: skip
+    return vehicle.with_changes(
+        {
+            "mass": vehicle.mass + v["mass"],
+            "cog.0": vehicle.cog[0] + lump / (hull + lump) * v["x"],
+            "gyration": float(np.sqrt(max(inertia, 0.0) / (hull + lump))),
+        }
+    )
 
 
-_STATION = Parameter("station", "", 1, 12, 1, 1, 3, "Which road wheel, 1 in front.", choices=tuple(range(1, 13)))
+_STATION = Parameter(
+    "station", "", 1, 12, 1, 1, 3, "Which road wheel, 1 in front.", choices=tuple(range(1, 13))
+)
 _EFFECTS: Final = (
     TrackedEffect(
-        "track_tension", "Track tension off", "track", "The idler is set further out (tighter) or in than said.",
+        "track_tension",
+        "Track tension off",
+        "track",
+        "The idler is set further out (tighter) or in than said.",
         (Parameter("tighter", "mm", -40.0, 40.0, 0.0, 0.0, 10.0, "How much further out the idler stands."),),
-        ("an approach to an obstacle", "ends of obstacles"), ("track_wear",), vehicle=_tension,
+        ("an approach to an obstacle", "ends of obstacles"),
+        ("track_wear",),
+        vehicle=_tension,
     ),
     TrackedEffect(
-        "track_wear", "Worn track", "track", "Links softer than the file says, in pull and in bending, and longer.",
+        "track_wear",
+        "Worn track",
+        "track",
+        "Links softer than the file says, in pull and in bending, and longer.",
         (
             Parameter("stiffness", "", 0.02, 2.0, 1.0, 0.5, 0.7, "What is left of the links' stiffness."),
-            Parameter("elongation", "m", 0.0, 0.06, 0.0, 0.01, 0.01, "How much longer the whole track has become."),
+            Parameter(
+                "elongation", "m", 0.0, 0.06, 0.0, 0.01, 0.01, "How much longer the whole track has become."
+            ),
         ),
-        ("an approach to an obstacle",), ("track_tension",), vehicle=_wear,
+        ("an approach to an obstacle",),
+        ("track_tension",),
+        vehicle=_wear,
     ),
     TrackedEffect(
-        "station_damper", "Weak damper", "station", "One station's damper has lost some or all of its damping.",
+        "station_damper",
+        "Weak damper",
+        "station",
+        "One station's damper has lost some or all of its damping.",
         (_STATION, Parameter("share", "", 0.0, 2.0, 1.0, 0.3, 0.5, "What is left of its damping.")),
-        ("speed over an obstacle",), ("station_damper of another station",), vehicle=_damper,
+        ("speed over an obstacle",),
+        ("station_damper of another station",),
+        vehicle=_damper,
     ),
     TrackedEffect(
-        "station_bar", "Sagged torsion bar", "station", "One station's torsion bar has set: its arm hangs higher.",
-        (_STATION, Parameter("sag", "rad", -0.2, 0.3, 0.0, 0.05, 0.06, "How far its free angle has gone up.")),
-        ("edges of obstacles",), ("payload", "station_bar of another station"), vehicle=_bar,
+        "station_bar",
+        "Sagged torsion bar",
+        "station",
+        "One station's torsion bar has set: its arm hangs higher.",
+        (
+            _STATION,
+            Parameter("sag", "rad", -0.2, 0.3, 0.0, 0.05, 0.06, "How far its free angle has gone up."),
+        ),
+        ("edges of obstacles",),
+        ("payload", "station_bar of another station"),
+        vehicle=_bar,
     ),
     TrackedEffect(
-        "payload", "Unlisted mass", "body", "Mass on board that the file does not know.",
+        "payload",
+        "Unlisted mass",
+        "body",
+        "Mass on board that the file does not know.",
         (
             Parameter("mass", "kg", -8000.0, 12000.0, 0.0, 2000.0, 2500.0, "How much more it weighs."),
             Parameter("x", "m", -2.5, 2.5, 0.0, 0.0, 1.0, "Where it lies ahead of the centre of gravity."),
         ),
-        ("speed over an obstacle",), ("station_bar",), vehicle=_payload,
+        ("speed over an obstacle",),
+        ("station_bar",),
+        vehicle=_payload,
     ),
     TrackedEffect(
-        "sensor_scale", "Camera scale", "sensor", "All that the camera measures is too large by this factor.",
+        "sensor_scale",
+        "Camera scale",
+        "sensor",
+        "All that the camera measures is too large by this factor.",
         (Parameter("gain", "", 0.5, 2.0, 1.0, 1.0, 0.08, "Factor on what is measured."),),
-        ("any motion",), (), camera=lambda v: Camera(scale=v["gain"]),
+        ("any motion",),
+        (),
+        camera=lambda v: Camera(scale=v["gain"]),
     ),
     TrackedEffect(
-        "sensor_tilt", "Camera rolled", "sensor", "Travel is taken for height: the camera's horizon is not level.",
+        "sensor_tilt",
+        "Camera rolled",
+        "sensor",
+        "Travel is taken for height: the camera's horizon is not level.",
         (Parameter("roll", "rad", -0.1, 0.1, 0.0, 0.0, 0.02, "Roll of the camera about its axis of view."),),
-        ("travel",), (), camera=lambda v: Camera(tilt=v["roll"]),
+        ("travel",),
+        (),
+        camera=lambda v: Camera(tilt=v["roll"]),
     ),
     TrackedEffect(
-        "time_offset", "Camera clock", "time", "The camera's clock is late.",
+        "time_offset",
+        "Camera clock",
+        "time",
+        "The camera's clock is late.",
         (Parameter("seconds", "s", -0.5, 0.5, 0.0, 0.0, 0.1, "How late."),),
-        ("any motion",), (), camera=lambda v: Camera(late=v["seconds"]),
+        ("any motion",),
+        (),
+        camera=lambda v: Camera(late=v["seconds"]),
     ),
-)  # fmt: skip
+)
 
 #: Effects of a tracked vehicle by id.
 TRACKED_EFFECTS: Final[dict[str, TrackedEffect]] = {e.id: e for e in _EFFECTS}
@@ -166,7 +217,9 @@ def tracked_effect(name: str) -> TrackedEffect:
         return TRACKED_EFFECTS[name]
     except KeyError:
         known = ", ".join(TRACKED_EFFECTS)
-        raise InputError("twin", "effects", f"{name} is not an effect of a tracked vehicle ({known})") from None
+        raise InputError(
+            "twin", "effects", f"{name} is not an effect of a tracked vehicle ({known})"
+        ) from None
 
 
 def apply_tracked(vehicle: TrackedVehicle, effects: Mapping[str, Given]) -> TrackedVehicle:

@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from suspension_twin.drive.types import Floats
+from suspension_twin.arrays import Floats
 from suspension_twin.effects.base import Effect, Parameter, Values, neutral
 from suspension_twin.models.hooks import Hook
 from suspension_twin.models.rows import UNSPRUNG

@@ -25,9 +25,17 @@ from suspension_twin.vehicle.tracked_twin import TrackedTwin
 from suspension_twin.vehicle.twin import Place, Twin
 
 __all__ = [
-    "ahead_of", "gain_at_rest", "gain_of", "heading_off", "late_of", "punctual", "regained", "turn_of", "turn_seen",
+    "ahead_of",
+    "gain_at_rest",
+    "gain_of",
+    "heading_off",
+    "late_of",
+    "punctual",
+    "regained",
+    "turn_of",
+    "turn_seen",
     "turned",
-]  # fmt: skip
+]
 
 #: Below this the path alone says how the vehicle is accelerated, Hz.
 _SLOW = FilterSpec(2, 0.4)

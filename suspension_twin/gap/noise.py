@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from suspension_twin.drive.types import Floats
+from suspension_twin.arrays import Floats
 from suspension_twin.signals.conditioner import Conditioner
 
 __all__ = ["floor_rms", "white_noise_sigma"]

@@ -14,9 +14,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from suspension_twin.drive.types import Drive, Floats
+from suspension_twin.arrays import Floats
+from suspension_twin.drive.types import Drive
 from suspension_twin.errors import InputError
-from suspension_twin.gap.agreement import facing, findings, lateness
+from suspension_twin.gap.imu_gnss_consistency import facing, findings, lateness
 from suspension_twin.gap.measure import CHANNELS, Gap, measure_gap
 from suspension_twin.gap.mounting import (
     ahead_of,
@@ -32,7 +33,7 @@ from suspension_twin.gap.mounting import (
 )
 from suspension_twin.gap.noise import floor_rms
 from suspension_twin.gap.off_road import Ground, OffRoad, off_road
-from suspension_twin.gap.quiet import quiet_motion
+from suspension_twin.gap.planar_denoising import quiet_motion
 from suspension_twin.models.excitation import excitation
 from suspension_twin.models.hooks import upright_with
 from suspension_twin.models.types import Excitation, Response
@@ -49,9 +50,14 @@ from suspension_twin.signals.offline import ImuSignals, ingest_drive
 from suspension_twin.vehicle.twin import Datum, Twin
 
 __all__ = [
-    "PrepareSettings", "Prepared", "prepare", "reclocked_excitation", "regained_excitation", "turned_excitation",
+    "PrepareSettings",
+    "Prepared",
+    "prepare",
+    "reclocked_excitation",
+    "regained_excitation",
+    "turned_excitation",
     "upright_excitation",
-]  # fmt: skip
+]
 
 #: The path that shows how a sensor is turned is made with its signals: each pass leaves a fifth of what was wrong.
 _TURNS = 3
@@ -143,12 +149,19 @@ class Prepared:
         """The samples with stamps between ``start`` and ``end`` s, with a grid of their own."""
         first, last = np.searchsorted(self.signals.t, [start, end])
         if last - first < 16:
-            raise InputError(self.name, f"{last - first} samples between {start:.2f} and {end:.2f} s are too few")
+            raise InputError(
+                self.name, f"{last - first} samples between {start:.2f} and {end:.2f} s are too few"
+            )
         cut = slice(int(first), int(last))
         return _assemble(
-            self.name, self.twin, self.road, self.settings, _cut(self.signals, cut), _cut(self.trajectory, cut),
+            self.name,
+            self.twin,
+            self.road,
+            self.settings,
+            _cut(self.signals, cut),
+            _cut(self.trajectory, cut),
             known=self,
-        )  # fmt: skip
+        )
 
     def moved(self, seconds: float, metres: float) -> Prepared:
         """The same drive with the pose read ``seconds`` later and the map taken ``metres`` back along
@@ -168,9 +181,14 @@ class Prepared:
             columns["y"] = columns["y"] + metres * sense * np.sin(columns["yaw"])
         moved = replace(path, **columns)
         return _assemble(
-            self.name, self.twin, self.road, self.settings, self.signals, moved,
+            self.name,
+            self.twin,
+            self.road,
+            self.settings,
+            self.signals,
+            moved,
             known=self,
-        )  # fmt: skip
+        )
 
 
 def prepare(
@@ -257,7 +275,11 @@ def turned_excitation(prepared: Prepared, drive: Drive) -> tuple[Excitation, tup
         yaw, far = yaw + (far or heading_off(signals, trajectory)), 0.0
         signals = ingest_drive(drive, turned(twin.imu, (roll, pitch, yaw)), settings.imu)
         trajectory = _locked(drive, twin, signals, settings, datum, True)
-    return _excitation(trajectory, twin, Ground(prepared.road, settings.outside), settings), (roll, pitch, yaw)
+    return _excitation(trajectory, twin, Ground(prepared.road, settings.outside), settings), (
+        roll,
+        pitch,
+        yaw,
+    )
 
 
 def regained_excitation(prepared: Prepared, drive: Drive, upright: bool = False) -> Excitation | None:
@@ -283,7 +305,9 @@ def reclocked_excitation(prepared: Prepared, drive: Drive, upright: bool = False
     signals = _as_mounted(timed, twin, ingest_drive(timed, twin.imu, settings.imu), settings)
     trajectory = _locked(timed, twin, signals, settings, datum, upright or _upright(twin))
     trajectory = replace(trajectory, t=prepared.signals.t)
-    return replace(_excitation(trajectory, twin, Ground(prepared.road, settings.outside), settings), late=late)
+    return replace(
+        _excitation(trajectory, twin, Ground(prepared.road, settings.outside), settings), late=late
+    )
 
 
 def _as_mounted(drive: Drive, twin: Twin, signals: ImuSignals, settings: PrepareSettings) -> ImuSignals:
@@ -347,10 +371,14 @@ def _assemble(
     conditioner = Conditioner.for_stamps(signals.t, settings.filter, zero_phase=True)
     raw = np.column_stack([_channel(signals, channel) for channel in CHANNELS])
     filtered = conditioner.apply(raw)
-    floors = known.noise_rms if known else {
-        channel: floor_rms(raw[:, i], conditioner, signals.standing, filtered[:, i])
-        for i, channel in enumerate(CHANNELS)
-    }  # fmt: skip
+    floors = (
+        known.noise_rms
+        if known
+        else {
+            channel: floor_rms(raw[:, i], conditioner, signals.standing, filtered[:, i])
+            for i, channel in enumerate(CHANNELS)
+        }
+    )
     t, grid = signals.t, conditioner.grid
     position = road.xy_to_uv(trajectory.x, trajectory.y)[0]
     wheels = twin.vehicle.wheel_positions
@@ -373,7 +401,9 @@ def _assemble(
         settings=settings,
         signals=signals,
         trajectory=trajectory,
-        excitation=replace(_excitation(trajectory, twin, Ground(road, settings.outside), settings), late=late),
+        excitation=replace(
+            _excitation(trajectory, twin, Ground(road, settings.outside), settings), late=late
+        ),
         conditioner=conditioner,
         measured={channel: filtered[:, i] for i, channel in enumerate(CHANNELS)},
         noise_rms=floors,

@@ -11,7 +11,8 @@ from typing import Any
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from suspension_twin.drive.types import Drive, Floats
+from suspension_twin.arrays import Floats
+from suspension_twin.drive.types import Drive
 from suspension_twin.drive.write import BagWriter
 from suspension_twin.errors import InputError, WorkError
 from suspension_twin.gap.measure import Gap
@@ -134,7 +135,10 @@ def _write_topics(bag: BagWriter, result: SimulatedDrive) -> None:
         "twin/pose",
         "geometry_msgs/msg/PoseStamped",
         stamps,
-        {**_xyz("pose.position", at(position)), **_quaternion("pose.orientation", attitude.as_quat()[nearest])},
+        {
+            **_xyz("pose.position", at(position)),
+            **_quaternion("pose.orientation", attitude.as_quat()[nearest]),
+        },
         frame="map",
     )
     bag.write(

@@ -14,7 +14,8 @@ import numpy as np
 from scipy.integrate import cumulative_trapezoid
 from scipy.interpolate import PchipInterpolator
 
-from suspension_twin.drive.types import Drive, FixData, Floats, ImuData, VelocityData
+from suspension_twin.arrays import Floats
+from suspension_twin.drive.types import Drive, FixData, ImuData, VelocityData
 from suspension_twin.errors import InputError
 from suspension_twin.models.excitation import excitation
 from suspension_twin.models.simulate import simulate_twin
@@ -47,7 +48,9 @@ class SensorErrors:
     start: float = 1_700_000_000.0
 
 
-def path_along(road: Road, t: Floats, knots: Sequence[tuple[float, float]], u: float, v: float = 0.0) -> Trajectory:
+def path_along(
+    road: Road, t: Floats, knots: Sequence[tuple[float, float]], u: float, v: float = 0.0
+) -> Trajectory:
     """Driving along a road at lateral offset ``v`` m, from ``u`` m on, base_link's origin on the path.
 
     ``knots`` (s, m/s) of the speed, smoothly joined; ``t`` (n,) s in the knots' time.
@@ -64,9 +67,15 @@ def path_along(road: Road, t: Floats, knots: Sequence[tuple[float, float]], u: f
     yaw = np.unwrap(np.arctan2(ahead[1] - behind[1], ahead[0] - behind[0]))
     yaw_rate = np.gradient(yaw, fine)
     columns = {
-        "x": x, "y": y, "yaw": yaw, "speed": speed, "lateral_speed": np.zeros_like(speed),
-        "yaw_rate": yaw_rate, "ax": np.gradient(speed, fine), "ay": speed * yaw_rate,
-    }  # fmt: skip
+        "x": x,
+        "y": y,
+        "yaw": yaw,
+        "speed": speed,
+        "lateral_speed": np.zeros_like(speed),
+        "yaw_rate": yaw_rate,
+        "ax": np.gradient(speed, fine),
+        "ay": speed * yaw_rate,
+    }
     at = np.clip(t, fine[0], fine[-1])
     return Trajectory(
         t=t, valid=np.ones(t.size, dtype=bool), **{k: np.interp(at, fine, c) for k, c in columns.items()}
@@ -109,7 +118,9 @@ def synthetic_drive(
     height, roll, pitch = (np.interp(fixes, t, c) for c in (response.z, response.roll, response.pitch))
     # the body takes its antenna along when it leans
     ahead, left = arm[0] + arm[2] * pitch, arm[1] - arm[2] * roll
-    antenna = np.column_stack([at.x + cos * ahead - sin * left, at.y + sin * ahead + cos * left, height + arm[2]])
+    antenna = np.column_stack(
+        [at.x + cos * ahead - sin * left, at.y + sin * ahead + cos * left, height + arm[2]]
+    )
     antenna = antenna + e.position * rng.standard_normal(antenna.shape) * np.array([1.0, 1.0, 1.5])
     latitude, longitude, altitude = LocalMap(truth.datum).to_geodetic(antenna).T
     along = at.speed - at.yaw_rate * arm[1]
@@ -118,7 +129,11 @@ def synthetic_drive(
     enu = enu + e.velocity * rng.standard_normal(enu.shape)
     sigma = np.tile(np.array([1.0, 1.0, 1.5]) * e.position, (fixes.size, 1))
     fix = FixData(
-        t=e.start + fixes, latitude=latitude, longitude=longitude, altitude=altitude,
-        status=np.zeros(fixes.size, dtype=np.int8), sigma=sigma,
-    )  # fmt: skip
+        t=e.start + fixes,
+        latitude=latitude,
+        longitude=longitude,
+        altitude=altitude,
+        status=np.zeros(fixes.size, dtype=np.int8),
+        sigma=sigma,
+    )
     return Drive(name=name, imu=imu, fix=fix, velocity=VelocityData(t=e.start + fixes, enu=enu))

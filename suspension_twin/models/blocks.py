@@ -11,14 +11,14 @@ import numpy as np
 from numba import config
 from numpy.typing import NDArray
 
+from suspension_twin.arrays import Floats
 from suspension_twin.compiled import compiled
-from suspension_twin.drive.types import Floats
 from suspension_twin.models import rows
 from suspension_twin.models.constants import Constants
+from suspension_twin.models.effect_terms import FLAGS
 from suspension_twin.models.full_car import KERNELS
 from suspension_twin.models.full_car_effects import EFFECT_KERNELS
 from suspension_twin.models.msd import MSD_KERNELS
-from suspension_twin.models.terms import FLAGS
 from suspension_twin.models.types import Ints
 
 __all__ = ["Blocks", "cores", "share_out"]
@@ -104,9 +104,17 @@ class Blocks:
         self._data[:] = fresh._data
 
     def walk(
-        self, road: Floats, own_road: Callable[[int], tuple[Floats, Floats]] | None, substeps: Ints, motion: Floats,
-        begin: int, end: int, signals: Floats, states: Floats = _NONE, threads: int = 1,
-    ) -> None:  # fmt: skip
+        self,
+        road: Floats,
+        own_road: Callable[[int], tuple[Floats, Floats]] | None,
+        substeps: Ints,
+        motion: Floats,
+        begin: int,
+        end: int,
+        signals: Floats,
+        states: Floats = _NONE,
+        threads: int = 1,
+    ) -> None:
         """All lanes through the stamps begin..end-1; arguments as in ``full_car._run``.
 
         ``own_road`` makes the heights that the lanes of a block see, by its number: (rows, 4) of all, or

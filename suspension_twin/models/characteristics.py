@@ -10,17 +10,24 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from suspension_twin.drive.types import Floats
+from suspension_twin.arrays import Floats
 from suspension_twin.models import rows
 
 __all__ = [
-    "Check", "Curve", "Curves", "Problems", "checker", "compression_at", "hinges_of", "read_curve", "write_curves",
-]  # fmt: skip
+    "Check",
+    "Curve",
+    "Curves",
+    "Problems",
+    "checker",
+    "compression_at",
+    "hinges_of",
+    "read_curve",
+    "write_curves",
+]
 
 #: What is wrong with which lanes: mask (L,), key of the twin, sentence.
 Problems = list[tuple[NDArray[np.bool_], str, str]]
 Check = Callable[[Any, str, str], None]
-
 
 
 @dataclass(frozen=True, eq=False)
@@ -107,5 +114,7 @@ def write_curves(
     out[damper] = pull.slope[0]
     out[damper + 1] = push.slope[0] - pull.slope[0]
     constant = _hinge_rows(out, damper + 3, hinges, push)
-    constant = constant + _hinge_rows(out, damper + 3 + 2 * hinges, hinges, Curve(-pull.x, pull.f, pull.slope))
+    constant = constant + _hinge_rows(
+        out, damper + 3 + 2 * hinges, hinges, Curve(-pull.x, pull.f, pull.slope)
+    )
     out[damper + 2] = -constant

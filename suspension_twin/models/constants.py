@@ -26,7 +26,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from suspension_twin.drive.types import Floats
+from suspension_twin.arrays import Floats
 from suspension_twin.errors import InputError
 from suspension_twin.models import rows
 from suspension_twin.models.characteristics import (
@@ -41,11 +41,11 @@ from suspension_twin.models.characteristics import (
 )
 from suspension_twin.models.effect_constants import with_terms
 from suspension_twin.models.hooks import ClockChange, RoadChange, SignalStage
-from suspension_twin.models.lean import lean
 from suspension_twin.models.msd_constants import msd_rows
 from suspension_twin.models.parameters import Layout
+from suspension_twin.models.static_attitude import lean
+from suspension_twin.units import STANDARD_GRAVITY as G
 from suspension_twin.vehicle.corners import AXLES
-from suspension_twin.vehicle.twin import G
 
 __all__ = ["Constants", "constants"]
 
@@ -100,7 +100,12 @@ def _union(problems: Iterable[tuple[NDArray[np.bool_], str, str]], count: int) -
 
 
 def constants(
-    params: Floats, layout: Layout, max_step: float, fused: bool = False, antenna: float = 0.0, late: float = 0.0
+    params: Floats,
+    layout: Layout,
+    max_step: float,
+    fused: bool = False,
+    antenna: float = 0.0,
+    late: float = 0.0,
 ) -> Constants:
     """Constants of the kernel for candidates ``params`` (P, L) and steps up to ``max_step`` s.
 
@@ -143,10 +148,16 @@ def constants(
     if bad.any():
         _spare(bad, road, clock, stages)
     return Constants(
-        out, hinges_of(curves), tuple(problems), layout.model, has_terms or own_road, road if own_road else None,
+        out,
+        hinges_of(curves),
+        tuple(problems),
+        layout.model,
+        has_terms or own_road,
+        road if own_road else None,
         tuple((stage, values) for stage, values, _ in stages),
-        clock if clock.delay.any() or clock.drift.any() else None, layout.mounting,
-    )  # fmt: skip
+        clock if clock.delay.any() or clock.drift.any() else None,
+        layout.mounting,
+    )
 
 
 def _hooked(
@@ -208,7 +219,11 @@ def _read_curves(numbers: Numbers) -> tuple[Curves, Problems]:
             check(~np.isfinite(values), name, "is not finite")
     curves: Curves = {}
     for axle in AXLES:
-        for part, abscissa in (("spring", "compression"), ("damper_push", "velocity"), ("damper_pull", "velocity")):
+        for part, abscissa in (
+            ("spring", "compression"),
+            ("damper_push", "velocity"),
+            ("damper_pull", "velocity"),
+        ):
             prefix = f"vehicle.{axle}.{part}"
             curve = curves[axle, part] = read_curve(numbers, prefix, abscissa)
             rising = (curve.x[0] > 0) & (curve.x[1:] > curve.x[:-1]).all(axis=0)
@@ -243,7 +258,11 @@ def _body(out: Floats, numbers: Numbers, check: Check) -> None:
     check(~(sprung > 0), "vehicle.mass", "leaves no sprung mass above the wheels")
     check(~(inertia[0] > 0), "vehicle.sprung_inertia.roll", "must be above 0 kg m²")
     check(~(inertia[1] > 0), "vehicle.sprung_inertia.pitch", "must be above 0 kg m²")
-    check(~(get("vehicle.tyre.vertical_stiffness") > 0), "vehicle.tyre.vertical_stiffness", "must be above 0 N/m")
+    check(
+        ~(get("vehicle.tyre.vertical_stiffness") > 0),
+        "vehicle.tyre.vertical_stiffness",
+        "must be above 0 N/m",
+    )
 
     x = (mass * cog[0] - 2 * wheels[0] * base) / sprung
     y = mass * cog[1] / sprung
@@ -261,9 +280,10 @@ def _body(out: Floats, numbers: Numbers, check: Check) -> None:
             suspended = sprung * G * share * (0.5 + sign * y / tracks[a])
             out[rows.LOAD + i] = suspended + wheels[a] * G
             check(
-                ~(suspended > 0), "vehicle.cog",
+                ~(suspended > 0),
+                "vehicle.cog",
                 f"puts no load on the {('front', 'rear')[a]} {('left', 'right')[side]} spring",
-            )  # fmt: skip
+            )
     out[rows.TYRE] = get("vehicle.tyre.vertical_stiffness")
     out[rows.TRANSFER] = mass * cog[2]
     out[rows.COG : rows.COG + 2] = cog[:2]
@@ -274,9 +294,15 @@ def _body(out: Floats, numbers: Numbers, check: Check) -> None:
 
 
 def _axle(
-    out: Floats, a: int, axle: str, hinges: int, curves: Curves,
-    numbers: Numbers, check: Check, max_step: float,
-) -> None:  # fmt: skip
+    out: Floats,
+    a: int,
+    axle: str,
+    hinges: int,
+    curves: Curves,
+    numbers: Numbers,
+    check: Check,
+    max_step: float,
+) -> None:
     spring = curves[axle, "spring"]
     inv_wheel = out[rows.INV_WHEEL + a]
     for i in (2 * a, 2 * a + 1):
@@ -297,9 +323,10 @@ def _axle(
     out[rows.IMPLICIT + a] = beta
     stiffest = (out[rows.TYRE] + spring.slope.max(axis=0)) * inv_wheel
     check(
-        ~(np.sqrt(stiffest) * max_step < MAX_PHASE), "vehicle.tyre.vertical_stiffness",
+        ~(np.sqrt(stiffest) * max_step < MAX_PHASE),
+        "vehicle.tyre.vertical_stiffness",
         f"too stiff on vehicle.{axle}.unsprung_mass for a step of {max_step:g} s: take a smaller step",
-    )  # fmt: skip
+    )
 
     first = rows.CURVES + a * rows.axle_rows(hinges)
     write_curves(out, first, hinges, spring, curves[axle, "damper_push"], curves[axle, "damper_pull"], beta)

@@ -11,20 +11,30 @@ middle of a step; ``open_interval`` and ``close_interval`` bring them there and 
 
 from __future__ import annotations
 
+from suspension_twin.arrays import Floats
 from suspension_twin.compiled import inlined
-from suspension_twin.drive.types import Floats
 from suspension_twin.models import rows
 from suspension_twin.models.curves import damper_forces, spring_forces
 from suspension_twin.models.numerics import fma
 from suspension_twin.models.rows import WIDTH
-from suspension_twin.vehicle.twin import G
+from suspension_twin.units import STANDARD_GRAVITY as G
 
 __all__ = ["close_interval", "move", "open_interval", "strut_forces", "touch", "tyre_forces", "velocities"]
 
 
 @inlined
 def open_interval(
-    w: Floats, i: int, h: float, b0: int, b1: int, b2: int, b3: int, mx: float, my: float, dmx: float, dmy: float
+    w: Floats,
+    i: int,
+    h: float,
+    b0: int,
+    b1: int,
+    b2: int,
+    b3: int,
+    mx: float,
+    my: float,
+    dmx: float,
+    dmy: float,
 ) -> None:
     """From velocities at a stamp to those half a step of ``h`` s later.
 
@@ -62,12 +72,18 @@ def strut_forces(w: Floats, i: int, c0: int, c1: int, c2: int, c3: int, hinges: 
     z, r, p = w[i], w[1 * WIDTH + i], w[2 * WIDTH + i]
     front, rear = fma(-w[rows.ARM_X * WIDTH + i], p, z), fma(-w[(rows.ARM_X + 1) * WIDTH + i], p, z)
     s0, s1, s2, s3 = spring_forces(
-        w, c0, c1, c2, c3, hinges, i,
+        w,
+        c0,
+        c1,
+        c2,
+        c3,
+        hinges,
+        i,
         w[3 * WIDTH + i] - fma(w[rows.ARM_Y * WIDTH + i], r, front),
         w[4 * WIDTH + i] - fma(w[(rows.ARM_Y + 1) * WIDTH + i], r, front),
         w[5 * WIDTH + i] - fma(w[(rows.ARM_Y + 2) * WIDTH + i], r, rear),
         w[6 * WIDTH + i] - fma(w[(rows.ARM_Y + 3) * WIDTH + i], r, rear),
-    )  # fmt: skip
+    )
     w[rows.STRUT * WIDTH + i], w[(rows.STRUT + 1) * WIDTH + i] = s0, s1
     w[(rows.STRUT + 2) * WIDTH + i], w[(rows.STRUT + 3) * WIDTH + i] = s2, s3
 
@@ -88,9 +104,24 @@ def tyre_forces(
 
 @inlined
 def velocities(
-    w: Floats, i: int, h: float, share: float, n0: float, n1: float, n2: float, n3: float,
-    l0: int, l1: int, l2: int, l3: int, c0: int, c1: int, c2: int, c3: int, hinges: int,
-) -> None:  # fmt: skip
+    w: Floats,
+    i: int,
+    h: float,
+    share: float,
+    n0: float,
+    n1: float,
+    n2: float,
+    n3: float,
+    l0: int,
+    l1: int,
+    l2: int,
+    l3: int,
+    c0: int,
+    c1: int,
+    c2: int,
+    c3: int,
+    hinges: int,
+) -> None:
     """Solve the dampers at the end of the step; velocities go on to the middle of the next one.
 
     Strut forces from STRUT, ``n0``.. N of the tyres; ``share`` of the interval has passed; ``l0``..
@@ -102,7 +133,11 @@ def velocities(
     s2, s3 = w[(rows.STRUT + 2) * WIDTH + i], w[(rows.STRUT + 3) * WIDTH + i]
     vz, vr, vp = w[7 * WIDTH + i], w[8 * WIDTH + i], w[9 * WIDTH + i]
     # the body's velocity at the end of the step, guessed with its last acceleration
-    qz, qr, qp = fma(h2, w[14 * WIDTH + i], vz), fma(h2, w[15 * WIDTH + i], vr), fma(h2, w[16 * WIDTH + i], vp)
+    qz, qr, qp = (
+        fma(h2, w[14 * WIDTH + i], vz),
+        fma(h2, w[15 * WIDTH + i], vr),
+        fma(h2, w[16 * WIDTH + i], vp),
+    )
 
     front, rear = w[rows.ARM_X * WIDTH + i], w[(rows.ARM_X + 1) * WIDTH + i]
     inv, ivr = w[rows.INV_WHEEL * WIDTH + i], w[(rows.INV_WHEEL + 1) * WIDTH + i]
@@ -119,9 +154,18 @@ def velocities(
     p2 = fma(w[l2 * WIDTH + i], w[(rows.DAMPER + 2) * WIDTH + i], v2 - fma(y2, qr, behind))
     p3 = fma(w[l3 * WIDTH + i], w[(rows.DAMPER + 3) * WIDTH + i], v3 - fma(y3, qr, behind))
     d0, d1, d2, d3 = damper_forces(
-        w, c0 + damper, c1 + damper, c2 + damper, c3 + damper, hinges, i,
-        fma(h2, a0, p0), fma(h2, a1, p1), fma(h2, a2, p2), fma(h2, a3, p3),
-    )  # fmt: skip
+        w,
+        c0 + damper,
+        c1 + damper,
+        c2 + damper,
+        c3 + damper,
+        hinges,
+        i,
+        fma(h2, a0, p0),
+        fma(h2, a1, p1),
+        fma(h2, a2, p2),
+        fma(h2, a3, p3),
+    )
     a0, a1, a2, a3 = fma(-d0, inv, a0), fma(-d1, inv, a1), fma(-d2, ivr, a2), fma(-d3, ivr, a3)
     f0, f1, f2, f3 = s0 + d0, s1 + d1, s2 + d2, s3 + d3
     fore, aft = f0 + f1, f2 + f3

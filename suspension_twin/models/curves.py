@@ -7,8 +7,8 @@ slope, whatever segment the lane is in.
 
 from __future__ import annotations
 
+from suspension_twin.arrays import Floats
 from suspension_twin.compiled import inlined
-from suspension_twin.drive.types import Floats
 from suspension_twin.models.numerics import fma
 from suspension_twin.models.rows import WIDTH
 
@@ -37,9 +37,18 @@ def spring_slope(w: Floats, first: int, hinges: int, lane: int, x: float) -> flo
 
 @inlined
 def spring_forces(
-    w: Floats, c0: int, c1: int, c2: int, c3: int, hinges: int, lane: int,
-    x0: float, x1: float, x2: float, x3: float,
-) -> tuple[float, float, float, float]:  # fmt: skip
+    w: Floats,
+    c0: int,
+    c1: int,
+    c2: int,
+    c3: int,
+    hinges: int,
+    lane: int,
+    x0: float,
+    x1: float,
+    x2: float,
+    x3: float,
+) -> tuple[float, float, float, float]:
     """Forces in N of four springs whose rows begin at ``c0``.. for compressions ``x0``.. in m.
 
     Four at a time, so that the processor always has four independent sums to work on, and a
@@ -63,9 +72,18 @@ def spring_forces(
 
 @inlined
 def damper_forces(
-    w: Floats, c0: int, c1: int, c2: int, c3: int, hinges: int, lane: int,
-    b0: float, b1: float, b2: float, b3: float,
-) -> tuple[float, float, float, float]:  # fmt: skip
+    w: Floats,
+    c0: int,
+    c1: int,
+    c2: int,
+    c3: int,
+    hinges: int,
+    lane: int,
+    b0: float,
+    b1: float,
+    b2: float,
+    b3: float,
+) -> tuple[float, float, float, float]:
     """Forces in N of four tabled dampers whose rows begin at ``c0``.. for ``b0``.. in m/s."""
     f0 = fma(w[c0 * WIDTH + lane], b0, w[(c0 + 2) * WIDTH + lane])
     f1 = fma(w[c1 * WIDTH + lane], b1, w[(c1 + 2) * WIDTH + lane])

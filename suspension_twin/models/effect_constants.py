@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from suspension_twin.drive.types import Floats
+from suspension_twin.arrays import Floats
 from suspension_twin.models import rows
 from suspension_twin.models.characteristics import (
     Check,
@@ -56,7 +56,9 @@ def _check(out: Floats, terms: Floats, curves: Curves, check: Check, max_step: f
     check(~np.isfinite(terms).all(axis=0), "effects", "a parameter is not finite")
     give = out[rows.INV_MASS] + out[rows.ENGINE_X] ** 2 * out[rows.INV_MASS + 2]
     check(
-        ~(out[rows.ENGINE_MASS] * give < 0.8), "effects.powertrain_mount", "the engine is too heavy for the sprung mass"
+        ~(out[rows.ENGINE_MASS] * give < 0.8),
+        "effects.powertrain_mount",
+        "the engine is too heavy for the sprung mass",
     )
     springs = [curves[axle, "spring"].slope.max(axis=0) for axle in AXLES]
     stiff = out[rows.TYRE] + np.maximum(*springs)
@@ -67,8 +69,9 @@ def _check(out: Floats, terms: Floats, curves: Curves, check: Check, max_step: f
     check(~(phase < _MAX_PHASE), "effects", f"too stiff for a step of {max_step:g} s: take a smaller step")
     check(
         ~(np.sqrt(np.maximum(out[rows.BEND_STIFFNESS], out[rows.ENGINE_STIFFNESS])) * max_step < 1.0),
-        "effects", f"a mode is too fast for a step of {max_step:g} s: take a smaller step",
-    )  # fmt: skip
+        "effects",
+        f"a mode is too fast for a step of {max_step:g} s: take a smaller step",
+    )
 
 
 def _write_master(out: Floats, first: int, points: int, curve: Curve) -> None:

@@ -3,12 +3,12 @@
 
 from __future__ import annotations
 
+from suspension_twin.arrays import Floats
 from suspension_twin.compiled import compiled
-from suspension_twin.drive.types import Floats
 from suspension_twin.models import rows
 from suspension_twin.models.curves import spring_force, spring_slope
 from suspension_twin.models.rows import WIDTH
-from suspension_twin.vehicle.twin import G
+from suspension_twin.units import STANDARD_GRAVITY as G
 
 __all__ = ["stand"]
 

@@ -12,10 +12,10 @@ from dataclasses import replace
 
 import numpy as np
 
-from suspension_twin.drive.types import Floats
+from suspension_twin.arrays import Floats
 from suspension_twin.errors import InputError
-from suspension_twin.models.tracks import walk, yaw_accelerations
 from suspension_twin.models.types import Excitation, HeightField, Ints
+from suspension_twin.models.wheel_paths import walk, yaw_accelerations
 from suspension_twin.pose.types import Trajectory
 from suspension_twin.vehicle.twin import Vehicle
 
@@ -47,7 +47,11 @@ def substeps(interval: float, max_step: float) -> int:
 
 
 def excitation(
-    trajectory: Trajectory, vehicle: Vehicle, road: HeightField, max_step: float = MAX_STEP, antenna: float = 0.0
+    trajectory: Trajectory,
+    vehicle: Vehicle,
+    road: HeightField,
+    max_step: float = MAX_STEP,
+    antenna: float = 0.0,
 ) -> Excitation:
     """Excitation of ``vehicle`` on ``road`` along ``trajectory``, that of an ``antenna`` so many m above base_link of
     a vehicle that was taken for upright, or the vehicle's own.
@@ -73,7 +77,9 @@ def excitation(
         raise InputError("trajectory", "t", f"does not rise at sample {at}")
 
     count, first = _counted(t, max_step)
-    heights = _heights(columns["x"], columns["y"], columns["yaw"], t, count, first, vehicle.wheel_positions, road)
+    heights = _heights(
+        columns["x"], columns["y"], columns["yaw"], t, count, first, vehicle.wheel_positions, road
+    )
     motion = np.zeros((t.size, len(MOTION)))
     motion[1:, 0] = _steps(dt, count)
     for column, name in enumerate(MOTION):
@@ -81,10 +87,19 @@ def excitation(
             motion[:, column] = columns[name]
     yaw_accelerations(columns["t"], columns["yaw_rate"], count, motion[:, MOTION.index("yaw_acceleration")])
     return Excitation(
-        t=columns["t"], substeps=count, first=first, road=heights, motion=motion, max_step=max_step,
-        x=columns["x"], y=columns["y"], yaw=columns["yaw"], wheels=vehicle.wheel_positions, ground=road,
+        t=columns["t"],
+        substeps=count,
+        first=first,
+        road=heights,
+        motion=motion,
+        max_step=max_step,
+        x=columns["x"],
+        y=columns["y"],
+        yaw=columns["yaw"],
+        wheels=vehicle.wheel_positions,
+        ground=road,
         antenna=antenna,
-    )  # fmt: skip
+    )
 
 
 def coarser(known: Excitation, max_step: float) -> Excitation:

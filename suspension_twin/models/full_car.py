@@ -27,8 +27,8 @@ the step by (frequency x step) < 2. Between steps the moments M run linearly.
 
 from __future__ import annotations
 
+from suspension_twin.arrays import Floats
 from suspension_twin.compiled import compiled, inlined, pasted
-from suspension_twin.drive.types import Floats
 from suspension_twin.models import rows
 from suspension_twin.models.corner import (
     close_interval,
@@ -111,9 +111,17 @@ def ask_ahead(signals: Floats, k: int, at: int) -> None:
 
 @pasted
 def _run(
-    blocks: Floats, road: Floats, substeps: Ints, motion: Floats, begin: int, end: int,
-    signals: Floats, states: Floats, lane0: int, hinges: int,
-) -> None:  # fmt: skip
+    blocks: Floats,
+    road: Floats,
+    substeps: Ints,
+    motion: Floats,
+    begin: int,
+    end: int,
+    signals: Floats,
+    states: Floats,
+    lane0: int,
+    hinges: int,
+) -> None:
     """Walk blocks (B, rows * WIDTH) through the stamps begin..end-1 of an excitation.
 
     ``road``, ``substeps``, ``motion`` as in Excitation, but that ``road`` starts with the first
@@ -142,14 +150,28 @@ def _run(
                         stand(w, i, mx, my, motion[k, 5], motion[k, 6], hinges)
                     row += 1
                 else:
-                    ax0, ay0, yaw0, dyaw0 = motion[k - 1, 1], motion[k - 1, 2], motion[k - 1, 3], motion[k - 1, 4]
+                    ax0, ay0, yaw0, dyaw0 = (
+                        motion[k - 1, 1],
+                        motion[k - 1, 2],
+                        motion[k - 1, 3],
+                        motion[k - 1, 4],
+                    )
                     for i in range(WIDTH):
                         mx, my = moments(w, i, ax0, ay0, yaw0 * yaw0, dyaw0)
                         to_x, to_y = moments(w, i, ax, ay, yaw * yaw, dyaw)
                         open_interval(
-                            w, i, h, rows.IMPLICIT, rows.IMPLICIT, rows.IMPLICIT + 1, rows.IMPLICIT + 1,
-                            mx, my, to_x - mx, to_y - my,
-                        )  # fmt: skip
+                            w,
+                            i,
+                            h,
+                            rows.IMPLICIT,
+                            rows.IMPLICIT,
+                            rows.IMPLICIT + 1,
+                            rows.IMPLICIT + 1,
+                            mx,
+                            my,
+                            to_x - mx,
+                            to_y - my,
+                        )
                     for j in range(n):
                         share = (j + 1.0) / n
                         r0, r1, r2, r3 = road[row, 0], road[row, 1], road[row, 2], road[row, 3]
@@ -160,9 +182,24 @@ def _run(
                         for i in range(WIDTH):
                             n0, n1, n2, n3 = tyre_forces(w, i, r0, r1, r2, r3)
                             velocities(
-                                w, i, h, share, n0, n1, n2, n3, rows.LAG, rows.LAG, rows.LAG + 2, rows.LAG + 2,
-                                front, front, rear, rear, hinges,
-                            )  # fmt: skip
+                                w,
+                                i,
+                                h,
+                                share,
+                                n0,
+                                n1,
+                                n2,
+                                n3,
+                                rows.LAG,
+                                rows.LAG,
+                                rows.LAG + 2,
+                                rows.LAG + 2,
+                                front,
+                                front,
+                                rear,
+                                rear,
+                                hinges,
+                            )
                     for i in range(WIDTH):
                         close_interval(w, i, h)
                 r0, r1, r2, r3 = road[row - 1, 0], road[row - 1, 1], road[row - 1, 2], road[row - 1, 3]
@@ -176,25 +213,46 @@ def _run(
 
 @compiled
 def _run_3(
-    blocks: Floats, road: Floats, substeps: Ints, motion: Floats, begin: int, end: int,
-    signals: Floats, states: Floats, lane0: int,
-) -> None:  # fmt: skip
+    blocks: Floats,
+    road: Floats,
+    substeps: Ints,
+    motion: Floats,
+    begin: int,
+    end: int,
+    signals: Floats,
+    states: Floats,
+    lane0: int,
+) -> None:
     _run(blocks, road, substeps, motion, begin, end, signals, states, lane0, 3)
 
 
 @compiled
 def _run_7(
-    blocks: Floats, road: Floats, substeps: Ints, motion: Floats, begin: int, end: int,
-    signals: Floats, states: Floats, lane0: int,
-) -> None:  # fmt: skip
+    blocks: Floats,
+    road: Floats,
+    substeps: Ints,
+    motion: Floats,
+    begin: int,
+    end: int,
+    signals: Floats,
+    states: Floats,
+    lane0: int,
+) -> None:
     _run(blocks, road, substeps, motion, begin, end, signals, states, lane0, 7)
 
 
 @compiled
 def _run_31(
-    blocks: Floats, road: Floats, substeps: Ints, motion: Floats, begin: int, end: int,
-    signals: Floats, states: Floats, lane0: int,
-) -> None:  # fmt: skip
+    blocks: Floats,
+    road: Floats,
+    substeps: Ints,
+    motion: Floats,
+    begin: int,
+    end: int,
+    signals: Floats,
+    states: Floats,
+    lane0: int,
+) -> None:
     _run(blocks, road, substeps, motion, begin, end, signals, states, lane0, 31)
 
 

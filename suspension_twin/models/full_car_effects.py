@@ -8,9 +8,10 @@ Every corner has curves of its own here, every lane may have a road of its own.
 
 from __future__ import annotations
 
+from suspension_twin.arrays import Floats
 from suspension_twin.compiled import compiled, pasted
-from suspension_twin.drive.types import Floats
-from suspension_twin.models import rows, terms
+from suspension_twin.models import effect_terms as terms
+from suspension_twin.models import rows
 from suspension_twin.models.corner import (
     close_interval,
     move,
@@ -42,9 +43,19 @@ def _ground(w: Floats, road: Floats, lane_road: Floats, row: int, per_second: fl
 
 @pasted
 def _run(
-    blocks: Floats, flags: Ints, road: Floats, lane_road: Floats, substeps: Ints, motion: Floats,
-    begin: int, end: int, signals: Floats, states: Floats, lane0: int, hinges: int,
-) -> None:  # fmt: skip
+    blocks: Floats,
+    flags: Ints,
+    road: Floats,
+    lane_road: Floats,
+    substeps: Ints,
+    motion: Floats,
+    begin: int,
+    end: int,
+    signals: Floats,
+    states: Floats,
+    lane0: int,
+    hinges: int,
+) -> None:
     """As ``full_car._run``; ``flags`` (B,) say which terms each block needs.
 
     ``lane_road`` (rows, 4, WIDTH) gives every lane heights of its own, or has length 0; with it
@@ -87,9 +98,13 @@ def _run(
                         move(w, i, h)
                         strut_forces(w, i, c0, c1, c2, c3, hinges)
                         n0, n1, n2, n3 = tyre_forces(
-                            w, i, w[rows.ROAD * WIDTH + i], w[(rows.ROAD + 1) * WIDTH + i],
-                            w[(rows.ROAD + 2) * WIDTH + i], w[(rows.ROAD + 3) * WIDTH + i],
-                        )  # fmt: skip
+                            w,
+                            i,
+                            w[rows.ROAD * WIDTH + i],
+                            w[(rows.ROAD + 1) * WIDTH + i],
+                            w[(rows.ROAD + 2) * WIDTH + i],
+                            w[(rows.ROAD + 3) * WIDTH + i],
+                        )
                         w[rows.GROUND * WIDTH + i], w[(rows.GROUND + 1) * WIDTH + i] = n0, n1
                         w[(rows.GROUND + 2) * WIDTH + i], w[(rows.GROUND + 3) * WIDTH + i] = n2, n3
                     if flag & terms.FRICTION:
@@ -108,10 +123,24 @@ def _run(
                         terms.viscous_tyres(w)
                     for i in range(WIDTH):
                         velocities(
-                            w, i, h, share, w[rows.GROUND * WIDTH + i], w[(rows.GROUND + 1) * WIDTH + i],
-                            w[(rows.GROUND + 2) * WIDTH + i], w[(rows.GROUND + 3) * WIDTH + i],
-                            rows.LAG, rows.LAG + 1, rows.LAG + 2, rows.LAG + 3, c0, c1, c2, c3, hinges,
-                        )  # fmt: skip
+                            w,
+                            i,
+                            h,
+                            share,
+                            w[rows.GROUND * WIDTH + i],
+                            w[(rows.GROUND + 1) * WIDTH + i],
+                            w[(rows.GROUND + 2) * WIDTH + i],
+                            w[(rows.GROUND + 3) * WIDTH + i],
+                            rows.LAG,
+                            rows.LAG + 1,
+                            rows.LAG + 2,
+                            rows.LAG + 3,
+                            c0,
+                            c1,
+                            c2,
+                            c3,
+                            hinges,
+                        )
                     if flag & terms.ENGINE:
                         terms.engine(w, h)
                     if flag & terms.BEND:
@@ -131,7 +160,9 @@ def _run(
             if flag & terms.BEND:
                 for i in range(WIDTH):
                     more = w[(rows.BEND + 2) * WIDTH + i]
-                    w[rows.FAILED * WIDTH + i] = w[rows.FAILED * WIDTH + i] if abs(more) < BAD_ACCELERATION else 1.0
+                    w[rows.FAILED * WIDTH + i] = (
+                        w[rows.FAILED * WIDTH + i] if abs(more) < BAD_ACCELERATION else 1.0
+                    )
                     w[(rows.SIGNAL + 2) * WIDTH + i] += more
                     w[(rows.SIGNAL + 6) * WIDTH + i] += more
             record(w, lane0 + block * WIDTH, k - begin, signals, states)
@@ -139,25 +170,52 @@ def _run(
 
 @compiled
 def _run_3(
-    blocks: Floats, flags: Ints, road: Floats, lane_road: Floats, substeps: Ints, motion: Floats,
-    begin: int, end: int, signals: Floats, states: Floats, lane0: int,
-) -> None:  # fmt: skip
+    blocks: Floats,
+    flags: Ints,
+    road: Floats,
+    lane_road: Floats,
+    substeps: Ints,
+    motion: Floats,
+    begin: int,
+    end: int,
+    signals: Floats,
+    states: Floats,
+    lane0: int,
+) -> None:
     _run(blocks, flags, road, lane_road, substeps, motion, begin, end, signals, states, lane0, 3)
 
 
 @compiled
 def _run_7(
-    blocks: Floats, flags: Ints, road: Floats, lane_road: Floats, substeps: Ints, motion: Floats,
-    begin: int, end: int, signals: Floats, states: Floats, lane0: int,
-) -> None:  # fmt: skip
+    blocks: Floats,
+    flags: Ints,
+    road: Floats,
+    lane_road: Floats,
+    substeps: Ints,
+    motion: Floats,
+    begin: int,
+    end: int,
+    signals: Floats,
+    states: Floats,
+    lane0: int,
+) -> None:
     _run(blocks, flags, road, lane_road, substeps, motion, begin, end, signals, states, lane0, 7)
 
 
 @compiled
 def _run_31(
-    blocks: Floats, flags: Ints, road: Floats, lane_road: Floats, substeps: Ints, motion: Floats,
-    begin: int, end: int, signals: Floats, states: Floats, lane0: int,
-) -> None:  # fmt: skip
+    blocks: Floats,
+    flags: Ints,
+    road: Floats,
+    lane_road: Floats,
+    substeps: Ints,
+    motion: Floats,
+    begin: int,
+    end: int,
+    signals: Floats,
+    states: Floats,
+    lane0: int,
+) -> None:
     _run(blocks, flags, road, lane_road, substeps, motion, begin, end, signals, states, lane0, 31)
 
 

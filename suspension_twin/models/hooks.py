@@ -11,7 +11,7 @@ the parameters of all L candidates at once and must be exactly nothing where the
     by a misplaced sensor. ``numbers`` maps dotted keys to (L,) arrays; the geometry of the stance
     (static compression, what heights are counted from) stays that of the twin without it.
 ``terms(rows, values)``
-    sets constants of terms in the kernel (``models.rows``, ``models.terms``): dry friction, stops,
+    sets constants of terms in the kernel (``models.rows``, ``models.effect_terms``): dry friction, stops,
     anti-roll bars, top mounts, fading, one corner's spring or damper, viscous tyres, engine, body
     bending; for ``msd`` there is only the mass of its wheels, ``rows.UNSPRUNG``. ``rows`` is (rows, L),
     all zero at first; add to it, another effect may have been there.
@@ -35,10 +35,19 @@ from typing import Any
 
 import numpy as np
 
-from suspension_twin.drive.types import Floats
+from suspension_twin.arrays import Floats
 from suspension_twin.errors import InputError
 
-__all__ = ["ClockChange", "Hook", "RoadChange", "SignalStage", "gains_with", "load_hook", "turns_with", "upright_with"]
+__all__ = [
+    "ClockChange",
+    "Hook",
+    "RoadChange",
+    "SignalStage",
+    "gains_with",
+    "load_hook",
+    "turns_with",
+    "upright_with",
+]
 
 Values = Mapping[str, Floats]
 
@@ -74,7 +83,9 @@ class RoadChange:
 
     def alike(self, first: int, count: int) -> list[int]:
         """For each of ``count`` candidates from ``first`` on, which of them is the first to see the same road."""
-        seen = list(zip(*(getattr(self, f.name)[first : first + count].tolist() for f in fields(self)), strict=True))
+        seen = list(
+            zip(*(getattr(self, f.name)[first : first + count].tolist() for f in fields(self)), strict=True)
+        )
         known: dict[tuple[float, ...], int] = {}
         return [known.setdefault(each, i) for i, each in enumerate(seen)]
 

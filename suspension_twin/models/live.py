@@ -13,18 +13,18 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from suspension_twin.drive.types import Floats
+from suspension_twin.arrays import Floats
 from suspension_twin.errors import InputError
 from suspension_twin.models.blocks import Blocks
-from suspension_twin.models.chain import Chain
+from suspension_twin.models.candidate_road import ahead_of, own_road, reach_of
 from suspension_twin.models.constants import constants
 from suspension_twin.models.excitation import MAX_STEP, check_step, substeps
-from suspension_twin.models.lane_road import ahead_of, own_road, reach_of
 from suspension_twin.models.observe import OBSERVED, observe
 from suspension_twin.models.parameters import layout, pack
 from suspension_twin.models.rows import STATES, WIDTH
-from suspension_twin.models.tracks import next_yaw_acceleration, walk
+from suspension_twin.models.sensor_chain import Chain
 from suspension_twin.models.types import HeightField
+from suspension_twin.models.wheel_paths import next_yaw_acceleration, walk
 from suspension_twin.vehicle.tracked_twin import TrackedTwin
 from suspension_twin.vehicle.twin import Twin
 
@@ -97,9 +97,17 @@ class LiveTwin:
         self._last: LiveState | None = None
 
     def step(
-        self, t: float, x: float, y: float, yaw: float, speed: float, lateral_speed: float,
-        yaw_rate: float, ax: float, ay: float,
-    ) -> LiveState:  # fmt: skip
+        self,
+        t: float,
+        x: float,
+        y: float,
+        yaw: float,
+        speed: float,
+        lateral_speed: float,
+        yaw_rate: float,
+        ax: float,
+        ay: float,
+    ) -> LiveState:
         """Go on to stamp ``t`` s, where base_link has this pose and planar motion (as in Trajectory).
 
         A pause longer than ``excitation.MAX_GAP`` or a stamp before the last one starts afresh; a
@@ -187,9 +195,20 @@ class LiveTwin:
             self._chain.process(read, np.array([t]), self._count[1:] == 0)
         heave, roll, pitch, z = row[:4].tolist()
         return LiveState(
-            t, heave, roll, pitch, z, row[4:8], row[8:12], row[12:16], row[16:20], row[20:23], row[23:26],
-            float(row[26]), event,
-        )  # fmt: skip
+            t,
+            heave,
+            roll,
+            pitch,
+            z,
+            row[4:8],
+            row[8:12],
+            row[12:16],
+            row[16:20],
+            row[20:23],
+            row[23:26],
+            float(row[26]),
+            event,
+        )
 
     def _same(self, event: str) -> LiveState:
         if self._last is None:

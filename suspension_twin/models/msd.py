@@ -46,8 +46,8 @@ y' is the difference over the last step.
 
 from __future__ import annotations
 
+from suspension_twin.arrays import Floats
 from suspension_twin.compiled import compiled, inlined, pasted
-from suspension_twin.drive.types import Floats
 from suspension_twin.models import rows
 from suspension_twin.models.curves import damper_forces, spring_force, spring_forces, spring_slope
 from suspension_twin.models.full_car import record, watch
@@ -55,7 +55,8 @@ from suspension_twin.models.numerics import fma
 from suspension_twin.models.rows import WIDTH
 from suspension_twin.models.sensor import sense
 from suspension_twin.models.types import Ints
-from suspension_twin.vehicle.twin import G, Vehicle
+from suspension_twin.units import STANDARD_GRAVITY as G
+from suspension_twin.vehicle.twin import Vehicle
 
 __all__ = ["MSD_KERNELS", "printed"]
 
@@ -76,7 +77,9 @@ def printed(vehicle: Vehicle, ax: float, ay: float, xdd: float) -> tuple[float, 
 
 
 @inlined
-def _weights(w: Floats, i: int, ax: float, ay: float, yaw2: float, dyaw: float) -> tuple[float, float, float, float]:
+def _weights(
+    w: Floats, i: int, ax: float, ay: float, yaw2: float, dyaw: float
+) -> tuple[float, float, float, float]:
     """Weight that rests on each corner of one lane, N; accelerations of base_link as in ``full_car``."""
     cx, cy = w[rows.COG * WIDTH + i], w[(rows.COG + 1) * WIDTH + i]
     gx, gy = fma(-dyaw, cy, fma(-yaw2, cx, ax)), fma(dyaw, cx, fma(-yaw2, cy, ay))
@@ -90,7 +93,15 @@ def _weights(w: Floats, i: int, ax: float, ay: float, yaw2: float, dyaw: float) 
 
 @compiled
 def _stand(
-    w: Floats, i: int, w0: float, w1: float, w2: float, w3: float, forward: float, sideways: float, hinges: int
+    w: Floats,
+    i: int,
+    w0: float,
+    w1: float,
+    w2: float,
+    w3: float,
+    forward: float,
+    sideways: float,
+    hinges: int,
 ) -> None:
     """Put one lane in equilibrium under the weights ``w0``.. on the heights in its rows ROAD."""
     weights = [w0, w1, w2, w3]
@@ -176,10 +187,18 @@ def _corners(w: Floats, i: int, h: float, w0: float, w1: float, w2: float, w3: f
     u0, u1 = w[rows.WHEEL * WIDTH + i], w[(rows.WHEEL + 1) * WIDTH + i]
     u2, u3 = w[(rows.WHEEL + 2) * WIDTH + i], w[(rows.WHEEL + 3) * WIDTH + i]
     s0, s1, s2, s3 = spring_forces(
-        w, front, front, rear, rear, hinges, i,
-        w[rows.STATIC * WIDTH + i] + (u0 - x0), w[(rows.STATIC + 1) * WIDTH + i] + (u1 - x1),
-        w[(rows.STATIC + 2) * WIDTH + i] + (u2 - x2), w[(rows.STATIC + 3) * WIDTH + i] + (u3 - x3),
-    )  # fmt: skip
+        w,
+        front,
+        front,
+        rear,
+        rear,
+        hinges,
+        i,
+        w[rows.STATIC * WIDTH + i] + (u0 - x0),
+        w[(rows.STATIC + 1) * WIDTH + i] + (u1 - x1),
+        w[(rows.STATIC + 2) * WIDTH + i] + (u2 - x2),
+        w[(rows.STATIC + 3) * WIDTH + i] + (u3 - x3),
+    )
     # what wheels with a mass feel but for their dampers; the others have unsprung = 0
     n0 = fma(tyre, w[rows.ROAD * WIDTH + i] - u0, w[rows.LOAD * WIDTH + i])
     n1 = fma(tyre, w[(rows.ROAD + 1) * WIDTH + i] - u1, w[(rows.LOAD + 1) * WIDTH + i])
@@ -198,12 +217,18 @@ def _corners(w: Floats, i: int, h: float, w0: float, w1: float, w2: float, w3: f
     e0, e1 = w[(rows.WHEEL + 4) * WIDTH + i], w[(rows.WHEEL + 5) * WIDTH + i]
     e2, e3 = w[(rows.WHEEL + 6) * WIDTH + i], w[(rows.WHEEL + 7) * WIDTH + i]
     d0, d1, d2, d3 = damper_forces(
-        w, front + damper, front + damper, rear + damper, rear + damper, hinges, i,
+        w,
+        front + damper,
+        front + damper,
+        rear + damper,
+        rear + damper,
+        hinges,
+        i,
         fma(lag0, w[rows.DAMPER * WIDTH + i], fma(h2, g0 - a0, e0 - v0)),
         fma(lag0, w[(rows.DAMPER + 1) * WIDTH + i], fma(h2, g1 - a1, e1 - v1)),
         fma(lag1, w[(rows.DAMPER + 2) * WIDTH + i], fma(h2, g2 - a2, e2 - v2)),
         fma(lag1, w[(rows.DAMPER + 3) * WIDTH + i], fma(h2, g3 - a3, e3 - v3)),
-    )  # fmt: skip
+    )
     massless = not unsprung > 0.0
     w[rows.CONTACT * WIDTH + i] = s0 + d0 if massless else (n0 if n0 > 0.0 else 0.0)
     w[(rows.CONTACT + 1) * WIDTH + i] = s1 + d1 if massless else (n1 if n1 > 0.0 else 0.0)
@@ -239,9 +264,18 @@ def _record_corners(w: Floats, at: int, state: Floats) -> None:
 
 @pasted
 def _run(
-    blocks: Floats, road: Floats, lane_road: Floats, substeps: Ints, motion: Floats, begin: int, end: int,
-    signals: Floats, states: Floats, lane0: int, hinges: int,
-) -> None:  # fmt: skip
+    blocks: Floats,
+    road: Floats,
+    lane_road: Floats,
+    substeps: Ints,
+    motion: Floats,
+    begin: int,
+    end: int,
+    signals: Floats,
+    states: Floats,
+    lane0: int,
+    hinges: int,
+) -> None:
     """Walk blocks through the stamps begin..end-1; arguments as in ``full_car_effects._run``."""
     for block in range(blocks.shape[0]):
         w = blocks[block]
@@ -285,25 +319,49 @@ def _run(
 
 @compiled
 def _run_3(
-    blocks: Floats, road: Floats, lane_road: Floats, substeps: Ints, motion: Floats, begin: int, end: int,
-    signals: Floats, states: Floats, lane0: int,
-) -> None:  # fmt: skip
+    blocks: Floats,
+    road: Floats,
+    lane_road: Floats,
+    substeps: Ints,
+    motion: Floats,
+    begin: int,
+    end: int,
+    signals: Floats,
+    states: Floats,
+    lane0: int,
+) -> None:
     _run(blocks, road, lane_road, substeps, motion, begin, end, signals, states, lane0, 3)
 
 
 @compiled
 def _run_7(
-    blocks: Floats, road: Floats, lane_road: Floats, substeps: Ints, motion: Floats, begin: int, end: int,
-    signals: Floats, states: Floats, lane0: int,
-) -> None:  # fmt: skip
+    blocks: Floats,
+    road: Floats,
+    lane_road: Floats,
+    substeps: Ints,
+    motion: Floats,
+    begin: int,
+    end: int,
+    signals: Floats,
+    states: Floats,
+    lane0: int,
+) -> None:
     _run(blocks, road, lane_road, substeps, motion, begin, end, signals, states, lane0, 7)
 
 
 @compiled
 def _run_31(
-    blocks: Floats, road: Floats, lane_road: Floats, substeps: Ints, motion: Floats, begin: int, end: int,
-    signals: Floats, states: Floats, lane0: int,
-) -> None:  # fmt: skip
+    blocks: Floats,
+    road: Floats,
+    lane_road: Floats,
+    substeps: Ints,
+    motion: Floats,
+    begin: int,
+    end: int,
+    signals: Floats,
+    states: Floats,
+    lane0: int,
+) -> None:
     _run(blocks, road, lane_road, substeps, motion, begin, end, signals, states, lane0, 31)
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from suspension_twin.drive.types import Floats
+from suspension_twin.arrays import Floats
 from suspension_twin.models import rows
 from suspension_twin.models.characteristics import (
     Curves,
@@ -15,8 +15,8 @@ from suspension_twin.models.characteristics import (
     hinges_of,
     write_curves,
 )
+from suspension_twin.units import STANDARD_GRAVITY as G
 from suspension_twin.vehicle.corners import AXLES
-from suspension_twin.vehicle.twin import G
 
 __all__ = ["msd_rows"]
 
@@ -24,9 +24,13 @@ _SPRING_PHASE = 1.0
 
 
 def msd_rows(
-    numbers: dict[str, Floats], stance: dict[str, Floats], unsprung: Floats, curves: Curves,
-    problems: Problems, max_step: float,
-) -> Floats:  # fmt: skip
+    numbers: dict[str, Floats],
+    stance: dict[str, Floats],
+    unsprung: Floats,
+    curves: Curves,
+    problems: Problems,
+    max_step: float,
+) -> Floats:
     """Rows of a block (rows, L) of ``msd``.
 
     ``numbers`` of the twin as changed by effects, ``stance`` of the twin from whose standing heights
@@ -40,10 +44,13 @@ def msd_rows(
         ahead, left = of["vehicle.cog.0"] / of["vehicle.wheelbase"], of["vehicle.cog.1"]
         weight = of["vehicle.mass"] * G
         tracks = of["vehicle.front_track"], of["vehicle.rear_track"]
-        return weight, np.stack([
-            weight * (ahead if a == 0 else 1 - ahead) * (0.5 + sign * left / tracks[a])
-            for a in range(2) for sign in (1, -1)
-        ])  # fmt: skip
+        return weight, np.stack(
+            [
+                weight * (ahead if a == 0 else 1 - ahead) * (0.5 + sign * left / tracks[a])
+                for a in range(2)
+                for sign in (1, -1)
+            ]
+        )
 
     base, height = numbers["vehicle.wheelbase"], numbers["vehicle.cog.2"]
     with np.errstate(all="ignore"):
@@ -87,7 +94,8 @@ def msd_rows(
             stiff = spring.slope.max(axis=0) * (out[rows.INV_CORNER] + out[rows.INV_UNSPRUNG])
             stiff = np.maximum(stiff, (out[rows.TYRE] + spring.slope.max(axis=0)) * out[rows.INV_UNSPRUNG])
             check(
-                ~(np.sqrt(stiff) * max_step < _SPRING_PHASE), f"vehicle.{axle}.spring.force",
+                ~(np.sqrt(stiff) * max_step < _SPRING_PHASE),
+                f"vehicle.{axle}.spring.force",
                 f"too stiff on its mass for a step of {max_step:g} s: take a smaller step",
-            )  # fmt: skip
+            )
     return out

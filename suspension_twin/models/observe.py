@@ -5,18 +5,27 @@ from __future__ import annotations
 
 import math
 
+from suspension_twin.arrays import Floats
 from suspension_twin.compiled import compiled
-from suspension_twin.drive.types import Floats
 from suspension_twin.models.rows import ARM_X, ARM_Y, CONTACT, DAMPER, SPRUNG, STATIC
 
 __all__ = ["COLUMNS", "OBSERVED", "observe"]
 
 #: Columns of what ``observe`` fills, by the name they have in Response and LiveState.
 COLUMNS: dict[str, slice | int] = {
-    "heave": 0, "roll": 1, "pitch": 2, "z": 3, "wheel_z": slice(4, 8), "deflection": slice(8, 12),
-    "deflection_rate": slice(12, 16), "tyre_force": slice(16, 20), "force": slice(20, 23),
-    "rate": slice(23, 26), "vertical_acceleration": 26, "acceleration": slice(27, 34),
-}  # fmt: skip
+    "heave": 0,
+    "roll": 1,
+    "pitch": 2,
+    "z": 3,
+    "wheel_z": slice(4, 8),
+    "deflection": slice(8, 12),
+    "deflection_rate": slice(12, 16),
+    "tyre_force": slice(16, 20),
+    "force": slice(20, 23),
+    "rate": slice(23, 26),
+    "vertical_acceleration": 26,
+    "acceleration": slice(27, 34),
+}
 OBSERVED = 34
 
 

@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from suspension_twin.drive.types import Floats
+from suspension_twin.arrays import Floats
 from suspension_twin.errors import InputError
 from suspension_twin.models.hooks import Hook, load_hook
 from suspension_twin.vehicle.corners import AXLES
@@ -23,19 +23,33 @@ from suspension_twin.vehicle.twin import Twin
 __all__ = ["Layout", "lanes", "layout", "pack"]
 
 _SCALARS = (
-    "vehicle.mass", "vehicle.wheelbase", "vehicle.front_track", "vehicle.rear_track",
-    "vehicle.cog.0", "vehicle.cog.1", "vehicle.cog.2",
-    "vehicle.sprung_inertia.roll", "vehicle.sprung_inertia.pitch",
-    "vehicle.tyre.radius", "vehicle.tyre.vertical_stiffness",
-    "vehicle.front.unsprung_mass", "vehicle.rear.unsprung_mass",
-    "imu.position.0", "imu.position.1", "imu.position.2",
-)  # fmt: skip
+    "vehicle.mass",
+    "vehicle.wheelbase",
+    "vehicle.front_track",
+    "vehicle.rear_track",
+    "vehicle.cog.0",
+    "vehicle.cog.1",
+    "vehicle.cog.2",
+    "vehicle.sprung_inertia.roll",
+    "vehicle.sprung_inertia.pitch",
+    "vehicle.tyre.radius",
+    "vehicle.tyre.vertical_stiffness",
+    "vehicle.front.unsprung_mass",
+    "vehicle.rear.unsprung_mass",
+    "imu.position.0",
+    "imu.position.1",
+    "imu.position.2",
+)
 #: The road heights were looked up for these: a candidate cannot differ in them.
 _FIXED = ("vehicle.wheelbase", "vehicle.front_track", "vehicle.rear_track")
 CURVES = tuple(
     (axle, part, abscissa)
     for axle in AXLES
-    for part, abscissa in (("spring", "compression"), ("damper_push", "velocity"), ("damper_pull", "velocity"))
+    for part, abscissa in (
+        ("spring", "compression"),
+        ("damper_push", "velocity"),
+        ("damper_pull", "velocity"),
+    )
 )
 
 

@@ -14,12 +14,12 @@ from __future__ import annotations
 
 import numpy as np
 
+from suspension_twin.arrays import Floats
 from suspension_twin.compiled import inlined
-from suspension_twin.drive.types import Floats
 from suspension_twin.models import rows
 from suspension_twin.models.numerics import fma, sin_cos
 from suspension_twin.models.rows import WIDTH
-from suspension_twin.vehicle.twin import G
+from suspension_twin.units import STANDARD_GRAVITY as G
 
 __all__ = ["rotation", "sense", "to_sensor_axes"]
 
@@ -45,7 +45,9 @@ def sense(w: Floats, lane: int, ax: float, ay: float, yaw_rate: float, yaw_accel
     rate_rr, rate_rp, rate_pp = droll * droll, 2.0 * droll * dpitch, dpitch * dpitch
     vx = fma(dpitch, pz, droll * (sp * side))
     vy = -(droll * up)
-    bx = fma(ddpitch, pz, fma(ddroll, sp * side, fma(rate_rp, cp * side, -fma(rate_pp, px, rate_rr * (sp * up)))))
+    bx = fma(
+        ddpitch, pz, fma(ddroll, sp * side, fma(rate_rp, cp * side, -fma(rate_pp, px, rate_rr * (sp * up))))
+    )
     by = -fma(ddroll, up, rate_rr * py)
 
     # vertically the sprung centre of gravity is what the model moves: place relative to it
@@ -54,7 +56,11 @@ def sense(w: Floats, lane: int, ax: float, ay: float, yaw_rate: float, yaw_accel
     ez = sz - w[(rows.SPRUNG + 2) * WIDTH + lane]
     eup, eside = fma(sr, ey, cr * ez), fma(cr, ey, -(sr * ez))
     esx, esz = fma(cp, ex, sp * eup), fma(cp, eup, -(sp * ex))
-    bz = fma(ddroll, cp * eside, -fma(ddpitch, esx, fma(rate_rp, sp * eside, fma(rate_pp, esz, rate_rr * (cp * eup)))))
+    bz = fma(
+        ddroll,
+        cp * eside,
+        -fma(ddpitch, esx, fma(rate_rp, sp * eside, fma(rate_pp, esz, rate_rr * (cp * eup)))),
+    )
 
     yaw2 = yaw_rate * yaw_rate
     fx = ax + fma(-yaw2, px, fma(-yaw_acceleration, py, fma(-2.0 * yaw_rate, vy, bx)))
@@ -75,11 +81,13 @@ def sense(w: Floats, lane: int, ax: float, ay: float, yaw_rate: float, yaw_accel
 def rotation(rpy: tuple[float, float, float]) -> Floats:
     """(3, 3) matrix that takes vectors from a frame placed with ``rpy`` rad into its parent."""
     (sr, sp, sy), (cr, cp, cy) = np.sin(rpy), np.cos(rpy)
-    return np.array([
-        [cy * cp, cy * sp * sr - sy * cr, cy * sp * cr + sy * sr],
-        [sy * cp, sy * sp * sr + cy * cr, sy * sp * cr - cy * sr],
-        [-sp, cp * sr, cp * cr],
-    ])  # fmt: skip
+    return np.array(
+        [
+            [cy * cp, cy * sp * sr - sy * cr, cy * sp * cr + sy * sr],
+            [sy * cp, sy * sp * sr + cy * cr, sy * sp * cr - cy * sr],
+            [-sp, cp * sr, cp * cr],
+        ]
+    )
 
 
 def to_sensor_axes(vectors: Floats, rpy: tuple[float, float, float]) -> Floats:

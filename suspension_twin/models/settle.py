@@ -5,13 +5,13 @@ from __future__ import annotations
 
 import numpy as np
 
+from suspension_twin.arrays import Floats
 from suspension_twin.compiled import compiled
-from suspension_twin.drive.types import Floats
 from suspension_twin.models import rows
 from suspension_twin.models.curves import spring_force, spring_slope
 from suspension_twin.models.numerics import fma
 from suspension_twin.models.rows import WIDTH
-from suspension_twin.vehicle.twin import G
+from suspension_twin.units import STANDARD_GRAVITY as G
 
 __all__ = ["settle"]
 
@@ -80,7 +80,10 @@ def settle(w: Floats, lane: int, mx: float, my: float, hinges: int) -> None:
                 stiffness[c] += rate + 2 * rise * bump
             droop = -x - w[(rows.REBOUND_GAP + c) * WIDTH + lane]
             if droop > 0.0:
-                rate, rise = w[(rows.REBOUND_RATE + c) * WIDTH + lane], w[(rows.REBOUND_RISE + c) * WIDTH + lane]
+                rate, rise = (
+                    w[(rows.REBOUND_RATE + c) * WIDTH + lane],
+                    w[(rows.REBOUND_RISE + c) * WIDTH + lane],
+                )
                 force[c] -= droop * (rate + rise * droop)
                 stiffness[c] += rate + 2 * rise * droop
             rise, square = w[(rows.RATE_RISE + c) * WIDTH + lane], w[(rows.RATE_SQUARE + c) * WIDTH + lane]
@@ -96,7 +99,9 @@ def settle(w: Floats, lane: int, mx: float, my: float, hinges: int) -> None:
         for j in range(7):
             k[j, j] = 1.0
         for c in range(4):
-            pull[c] = w[(rows.LOAD + c) * WIDTH + lane] + tyre * (w[(rows.ROAD + c) * WIDTH + lane] - q[3 + c])
+            pull[c] = w[(rows.LOAD + c) * WIDTH + lane] + tyre * (
+                w[(rows.ROAD + c) * WIDTH + lane] - q[3 + c]
+            )
             if pull[c] > 0.0:
                 rest[3 + c] += pull[c]
                 k[3 + c, 3 + c] += tyre

@@ -8,15 +8,15 @@ from functools import partial
 
 import numpy as np
 
-from suspension_twin.drive.types import Floats
+from suspension_twin.arrays import Floats
 from suspension_twin.errors import InputError, WorkError
 from suspension_twin.models import rows
 from suspension_twin.models.blocks import Blocks, cores
-from suspension_twin.models.chain import pass_chain
+from suspension_twin.models.candidate_road import own_road, tracks_of
 from suspension_twin.models.constants import Constants, constants
-from suspension_twin.models.lane_road import own_road, tracks_of
 from suspension_twin.models.observe import COLUMNS, OBSERVED, observe
 from suspension_twin.models.parameters import layout, pack
+from suspension_twin.models.sensor_chain import pass_chain
 from suspension_twin.models.tracked_live import simulate_tracked_drive
 from suspension_twin.models.types import Excitation, LaneResponse, Response
 from suspension_twin.vehicle.tracked_twin import TrackedTwin
@@ -57,9 +57,15 @@ def simulate_lanes(
     for begin, end in _stretches(known, excitation):
         road, own = _roads(known, blocks, excitation, begin, end, strict=False)
         blocks.walk(
-            road, own, excitation.substeps, excitation.motion, begin, end, signals[begin:end],
+            road,
+            own,
+            excitation.substeps,
+            excitation.motion,
+            begin,
+            end,
+            signals[begin:end],
             threads=threads or cores(),
-        )  # fmt: skip
+        )
     failed = blocks.failed
     signals = signals[:, :, : blocks.lanes]
     if known.stages or known.clock is not None:
@@ -70,9 +76,12 @@ def simulate_lanes(
         signals[:, :, failed] = 0.0
     rest = signals[:, : 0 if vertical_only else 6]
     return LaneResponse(
-        t=excitation.t, force=rest[:, :3], rate=rest[:, 3:],
-        vertical_acceleration=signals[:, -1], failed=failed,
-    )  # fmt: skip
+        t=excitation.t,
+        force=rest[:, :3],
+        rate=rest[:, 3:],
+        vertical_acceleration=signals[:, -1],
+        failed=failed,
+    )
 
 
 def simulate_twin(twin: Twin, excitation: Excitation) -> Response:
@@ -107,7 +116,9 @@ def simulate_twin(twin: Twin, excitation: Excitation) -> Response:
     return Response(t=excitation.t, **{name: out[:, column] for name, column in COLUMNS.items()})
 
 
-def _stretches(known: Constants, excitation: Excitation, most: int | None = None) -> Iterator[tuple[int, int]]:
+def _stretches(
+    known: Constants, excitation: Excitation, most: int | None = None
+) -> Iterator[tuple[int, int]]:
     """Parts of the drive, begin and end, that are walked at once."""
     n = len(excitation)
     if known.road is not None:
@@ -132,7 +143,15 @@ def _roads(
         lane0 = block * rows.WIDTH
         count = min(rows.WIDTH, blocks.lanes - lane0)
         return own_road(
-            tracks, change, lane0, count, road, distance, excitation.road[0], strict, partial(tracks.earlier, part)
+            tracks,
+            change,
+            lane0,
+            count,
+            road,
+            distance,
+            excitation.road[0],
+            strict,
+            partial(tracks.earlier, part),
         )
 
     return road, own

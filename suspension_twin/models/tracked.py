@@ -45,7 +45,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from suspension_twin.drive.types import Floats
+from suspension_twin.arrays import Floats
 from suspension_twin.errors import InputError, WorkError
 from suspension_twin.models.tracked_kernel import COLUMNS, HULL, PARAMETERS, first_index, walk_lane
 from suspension_twin.models.types import Ints
@@ -122,7 +122,10 @@ def belt_length(vehicle: TrackedVehicle, setting: float) -> float:
 
 
 def pack_tracked(
-    vehicle: TrackedVehicle, fineness: int = 1, kick: tuple[float, float] = (0.0, 0.0), driver: Driver | None = None
+    vehicle: TrackedVehicle,
+    fineness: int = 1,
+    kick: tuple[float, float] = (0.0, 0.0),
+    driver: Driver | None = None,
 ) -> tuple[Floats, Floats, int]:
     """Parameters (P,), stations (S, 5) and the number of nodes."""
     v, track, (cog_x, cog_z) = vehicle, vehicle.track, vehicle.cog
@@ -181,9 +184,7 @@ def pack_tracked(
     }
     a = v.arm.standing_angle
     along, up = v.arm.length * math.cos(a), v.arm.length * math.sin(a)
-    stations = [
-        [s.x + along - cog_x, v.wheel_height + up - cog_z, s.damping, s.sag, a] for s in v.stations
-    ]
+    stations = [[s.x + along - cog_x, v.wheel_height + up - cog_z, s.damping, s.sag, a] for s in v.stations]
     return np.array([values[name] for name in PARAMETERS]), np.array(stations), nodes
 
 
@@ -228,7 +229,9 @@ def simulate_tracked_lanes(
         raise InputError("tracked", "speeds", f"{len(speeds)} for {len(vehicles)} vehicles")
     for speed in speeds:
         if not 0.0 <= speed <= 40.0:
-            raise InputError("tracked", "speed", f"must lie between 0 and 40 m/s, is {speed:g} (is it in km/h?)")
+            raise InputError(
+                "tracked", "speed", f"must lie between 0 and 40 m/s, is {speed:g} (is it in km/h?)"
+            )
     if not 0.0 < duration <= 600.0 or not 1.0 <= rate <= 1000.0:
         raise InputError("tracked", "duration", "must be above 0 and at most 600 s, at 1 to 1000 Hz")
     t = np.arange(round(duration * rate) + 1) / rate
@@ -248,9 +251,24 @@ def simulate_tracked_lanes(
         obstacle = None if level else vehicle.obstacle
         heights = obstacle_height(obstacle, (samples + 0.5) * cell / contacts - phase)
         sound = walk_lane(
-            p, stations, wheel_arc(vehicle.wheel.radius), heights, base, contacts, travel, np.zeros(t.size), np.diff(t),
-            np.full(t.size - 1, substeps), round(SETTLE / step), step, hull, arms, track, mark, out,
-        )  # fmt: skip
+            p,
+            stations,
+            wheel_arc(vehicle.wheel.radius),
+            heights,
+            base,
+            contacts,
+            travel,
+            np.zeros(t.size),
+            np.diff(t),
+            np.full(t.size - 1, substeps),
+            round(SETTLE / step),
+            step,
+            hull,
+            arms,
+            track,
+            mark,
+            out,
+        )
         sound = sound and bool(np.isfinite(out).all())
         return _response(vehicle, t, travel - phase, out, failed=not sound)
 
@@ -258,7 +276,9 @@ def simulate_tracked_lanes(
         return list(pool.map(run, zip(vehicles, speeds, strict=True)))
 
 
-def _response(vehicle: TrackedVehicle, t: Floats, travel: Floats, out: Floats, failed: bool) -> TrackedResponse:
+def _response(
+    vehicle: TrackedVehicle, t: Floats, travel: Floats, out: Floats, failed: bool
+) -> TrackedResponse:
     if failed:
         out = np.zeros_like(out)
     z, pitch, zv, pv, za, pa = out[:, :6].T
@@ -287,13 +307,29 @@ def _response(vehicle: TrackedVehicle, t: Floats, travel: Floats, out: Floats, f
 
 
 def simulate_tracked(
-    vehicle: TrackedVehicle, speed: float, duration: float, *, rate: float = 100.0, fineness: int = 1,
-    step: float = STEP, contacts: int = CONTACTS, level: bool = False, kick: tuple[float, float] = (0.0, 0.0),
-) -> TrackedResponse:  # fmt: skip
+    vehicle: TrackedVehicle,
+    speed: float,
+    duration: float,
+    *,
+    rate: float = 100.0,
+    fineness: int = 1,
+    step: float = STEP,
+    contacts: int = CONTACTS,
+    level: bool = False,
+    kick: tuple[float, float] = (0.0, 0.0),
+) -> TrackedResponse:
     """One run over the obstacle; raises WorkError where the motion leaves all bounds."""
     response = simulate_tracked_lanes(
-        [vehicle], [speed], duration, rate=rate, fineness=fineness, step=step, contacts=contacts,
-        level=level, kick=kick, workers=1,
+        [vehicle],
+        [speed],
+        duration,
+        rate=rate,
+        fineness=fineness,
+        step=step,
+        contacts=contacts,
+        level=level,
+        kick=kick,
+        workers=1,
     )[0]
     if response.failed:
         raise WorkError("tracked: the run diverged: make the track softer or the obstacle lower")

@@ -12,18 +12,52 @@ import math
 
 import numpy as np
 
+from suspension_twin.arrays import Floats
 from suspension_twin.compiled import compiled
-from suspension_twin.drive.types import Floats
 from suspension_twin.models.types import Ints
+from suspension_twin.units import STANDARD_GRAVITY as G
 
 __all__ = ["COLUMNS", "HULL", "PARAMETERS", "first_index", "walk_lane"]
 
 PARAMETERS = (
-    "hull_mass", "hull_inertia", "sprocket_x", "sprocket_z", "sprocket_radius", "idler_x", "idler_z",
-    "idler_radius", "loop_stiffness", "loop_damping", "free_length", "bending_stiffness", "bending_damping",
-    "wheel_radius", "wheel_mass", "rubber", "rubber_damping", "arm", "free", "bar", "jounce", "rebound",
-    "stop", "ground", "ground_damping", "thickness", "node_mass", "spacing", "first_node", "height", "kick",
-    "pitch_kick", "governed", "governor", "reset", "droop", "pulling_links", "returning_links",
+    "hull_mass",
+    "hull_inertia",
+    "sprocket_x",
+    "sprocket_z",
+    "sprocket_radius",
+    "idler_x",
+    "idler_z",
+    "idler_radius",
+    "loop_stiffness",
+    "loop_damping",
+    "free_length",
+    "bending_stiffness",
+    "bending_damping",
+    "wheel_radius",
+    "wheel_mass",
+    "rubber",
+    "rubber_damping",
+    "arm",
+    "free",
+    "bar",
+    "jounce",
+    "rebound",
+    "stop",
+    "ground",
+    "ground_damping",
+    "thickness",
+    "node_mass",
+    "spacing",
+    "first_node",
+    "height",
+    "kick",
+    "pitch_kick",
+    "governed",
+    "governor",
+    "reset",
+    "droop",
+    "pulling_links",
+    "returning_links",
 )
 #: Recorded at each stamp, then the arm angles against the hull (S) and the wheel loads in N (S): heave, pitch,
 #: their rates, their accelerations, tension, force of the ground, energy, the energy lost and how far the vehicle is
@@ -33,7 +67,6 @@ COLUMNS = 11
 #: acceleration, and by how much the driven span is stretched beyond the loop, m.
 HULL = 9
 
-G = 9.80665
 _SETTLING = 3.0e4  # N m s/rad on every arm while the vehicle comes to rest
 _ONSET = 1.0e-3  # m of contact over which its damping grows to its full value
 
@@ -101,9 +134,7 @@ def first_index(p: Floats, x: float) -> int:
 
 
 @compiled
-def _roll_on(
-    p: Floats, w: Floats, wv: Floats, hull: Floats, x: float, index: int, lead: int
-) -> None:
+def _roll_on(p: Floats, w: Floats, wv: Floats, hull: Floats, x: float, index: int, lead: int) -> None:
     """The nodes keep their place on the ground: new ones come in front, or behind where it reverses."""
     sx, sz, sr, ix, iz, ir, cell = p[2], p[3], p[4], p[5], p[6], p[7], p[27]
     n = w.size
@@ -134,10 +165,24 @@ def _roll_on(
 
 @compiled
 def walk_lane(
-    p: Floats, st: Floats, shape: Floats, floor: Floats, base: int, per: int, travel: Floats, accel: Floats,
-    interval: Floats, counts: Ints, settle: int, settle_dt: float, hull: Floats, arms: Floats, track: Floats,
-    mark: Ints, out: Floats,
-) -> bool:  # fmt: skip
+    p: Floats,
+    st: Floats,
+    shape: Floats,
+    floor: Floats,
+    base: int,
+    per: int,
+    travel: Floats,
+    accel: Floats,
+    interval: Floats,
+    counts: Ints,
+    settle: int,
+    settle_dt: float,
+    hull: Floats,
+    arms: Floats,
+    track: Floats,
+    mark: Ints,
+    out: Floats,
+) -> bool:
     """From the first to the last of n stamps; false: diverged. What stands at the last one goes on in place.
 
     ``p`` (P,) in the order of ``PARAMETERS``; ``st`` (S, 5): pivot x and z, damping, sag, first angle; ``shape``
@@ -151,10 +196,69 @@ def walk_lane(
     and gives to the run above, as the ground holds the track between the wheels; see ``tracked``.
     """
     count, nodes, stamps = st.shape[0], track.shape[1], travel.size
-    (hull_mass, inertia, sx, sz, sr, ix, iz, ir, loop_k, loop_b, free_length, bend_k, bend_b, radius, wheel_mass,
-     rubber, rubber_b, arm, free, bar, jounce, rebound, stop, ground, ground_b, thick, node_mass, cell, first,
-     height) = (p[0], p[1], p[2], p[3], p[4], p[5], p[6], p[7], p[8], p[9], p[10], p[11], p[12], p[13], p[14],
-     p[15], p[16], p[17], p[18], p[19], p[20], p[21], p[22], p[23], p[24], p[25], p[26], p[27], p[28], p[29])
+    (
+        hull_mass,
+        inertia,
+        sx,
+        sz,
+        sr,
+        ix,
+        iz,
+        ir,
+        loop_k,
+        loop_b,
+        free_length,
+        bend_k,
+        bend_b,
+        radius,
+        wheel_mass,
+        rubber,
+        rubber_b,
+        arm,
+        free,
+        bar,
+        jounce,
+        rebound,
+        stop,
+        ground,
+        ground_b,
+        thick,
+        node_mass,
+        cell,
+        first,
+        height,
+    ) = (
+        p[0],
+        p[1],
+        p[2],
+        p[3],
+        p[4],
+        p[5],
+        p[6],
+        p[7],
+        p[8],
+        p[9],
+        p[10],
+        p[11],
+        p[12],
+        p[13],
+        p[14],
+        p[15],
+        p[16],
+        p[17],
+        p[18],
+        p[19],
+        p[20],
+        p[21],
+        p[22],
+        p[23],
+        p[24],
+        p[25],
+        p[26],
+        p[27],
+        p[28],
+        p[29],
+    )
     alpha, alpha_v, alpha_a = arms[0], arms[1], np.zeros(count)
     load, along, torque = np.zeros(count), np.zeros(count), np.zeros(count)
     across = np.zeros(count)
@@ -291,7 +395,9 @@ def walk_lane(
             pay -= droop * loop_k * drawn * (pulling + returning)
             pay += rux * theta_v * (z - rqz) - ruz * (zv - theta_v * (rqx - x) - wheel_v)
             drawn += dt * pay
-            pull = loop_k * drawn + loop_b * pay  # of a whole loop; a span is stiffer by as much as it is shorter
+            pull = (
+                loop_k * drawn + loop_b * pay
+            )  # of a whole loop; a span is stiffer by as much as it is shorter
             rear = max(0.0, tension + pull * pulling) - tension
             front = max(0.0, tension - pull * returning) - tension
             fw[0] -= rear * ruz

@@ -13,20 +13,19 @@ from dataclasses import fields
 
 import numpy as np
 
-from suspension_twin.drive.types import Floats
+from suspension_twin.arrays import Floats
 from suspension_twin.effects.tracked_effects import apply_tracked
 from suspension_twin.errors import InputError, WorkError
 from suspension_twin.models.excitation import MAX_GAP, MAX_STEP
 from suspension_twin.models.live import LiveState
 from suspension_twin.models.tracked import CONTACTS, SETTLE, STEP, pack_tracked, start_state, wheel_arc
 from suspension_twin.models.tracked_kernel import COLUMNS, PARAMETERS, first_index, walk_lane
-from suspension_twin.models.tracks import next_yaw_acceleration
 from suspension_twin.models.types import Excitation, HeightField, Response
+from suspension_twin.models.wheel_paths import next_yaw_acceleration
+from suspension_twin.units import STANDARD_GRAVITY as G
 from suspension_twin.vehicle.tracked_twin import TrackedTwin
 
 __all__ = ["LiveTracked", "simulate_tracked_drive"]
-
-G = 9.80665
 
 
 class LiveTracked:
@@ -46,7 +45,9 @@ class LiveTracked:
         self._free, self._radius = vehicle.arm.free_angle, vehicle.wheel.radius
         self._cell = float(self._p[PARAMETERS.index("spacing")])
         # places counted from the centre of gravity: base_link's origin, the imu; and pivots for the wheels
-        self._origin = np.array([vehicle.stations[-1].x - vehicle.cog[0], vehicle.ground_height - vehicle.cog[1]])
+        self._origin = np.array(
+            [vehicle.stations[-1].x - vehicle.cog[0], vehicle.ground_height - vehicle.cog[1]]
+        )
         position = np.array(twin.imu.position)
         self._imu = self._origin + position[[0, 2]]
         self._imu_y = float(position[1])
@@ -65,9 +66,17 @@ class LiveTracked:
         self._motion = (0.0, 0.0, 0.0, 0.0)  # speed, ax, yaw rate, yaw acceleration
 
     def step(
-        self, t: float, x: float, y: float, yaw: float, speed: float, lateral_speed: float,
-        yaw_rate: float, ax: float, ay: float,
-    ) -> LiveState:  # fmt: skip
+        self,
+        t: float,
+        x: float,
+        y: float,
+        yaw: float,
+        speed: float,
+        lateral_speed: float,
+        yaw_rate: float,
+        ax: float,
+        ay: float,
+    ) -> LiveState:
         """Go on to stamp ``t`` s with base_link's pose and planar motion; see LiveTwin.step."""
         if not math.isfinite(t + x + y + yaw + speed + lateral_speed + yaw_rate + ax + ay):
             return self._same("input is not finite")
@@ -114,9 +123,13 @@ class LiveTracked:
 
     def _standing(self) -> float:
         """Height of the centre of gravity standing on level ground at 0, m."""
-        self._hull, self._arms, self._track, self._mark = start_state(self._p, self._stations, self._nodes, 0.0)
+        self._hull, self._arms, self._track, self._mark = start_state(
+            self._p, self._stations, self._nodes, 0.0
+        )
         floor, steps = np.zeros(self._nodes * CONTACTS), round(SETTLE / self._step)
-        if not self._walk(np.zeros(1), np.zeros(1), np.zeros(0), floor, int(self._mark[0]), steps, self._out[1:]):
+        if not self._walk(
+            np.zeros(1), np.zeros(1), np.zeros(0), floor, int(self._mark[0]), steps, self._out[1:]
+        ):
             raise InputError("twin", "vehicle", "cannot stand on level ground: are its stiffnesses right?")
         return float(self._hull[0])
 
@@ -129,11 +142,15 @@ class LiveTracked:
             heights = np.where(np.isfinite(heights), heights, known.mean() if known.size else 0.0)
         self._reference = float(heights.mean())
         self._floor = heights - self._reference
-        self._hull, self._arms, self._track, self._mark = start_state(self._p, self._stations, self._nodes, 0.0)
+        self._hull, self._arms, self._track, self._mark = start_state(
+            self._p, self._stations, self._nodes, 0.0
+        )
         self._hull[0] += self._floor.max()
         self._track[0] = self._floor.reshape(self._nodes, CONTACTS).max(axis=1)
         out = self._out[1:]
-        return self._walk(np.zeros(1), np.zeros(1), np.zeros(0), self._floor, lead, round(SETTLE / self._step), out)
+        return self._walk(
+            np.zeros(1), np.zeros(1), np.zeros(0), self._floor, lead, round(SETTLE / self._step), out
+        )
 
     def _go(self, interval: float, distance: float, push: float, ax: float) -> tuple[bool, str]:
         mark, travel = int(self._mark[0]), np.array([self._s, self._s + distance])
@@ -155,12 +172,34 @@ class LiveTracked:
         return sound and high - low < 4 * self._nodes, problem
 
     def _walk(
-        self, travel: Floats, accel: Floats, interval: Floats, floor: Floats, base: int, settle: int, out: Floats
+        self,
+        travel: Floats,
+        accel: Floats,
+        interval: Floats,
+        floor: Floats,
+        base: int,
+        settle: int,
+        out: Floats,
     ) -> bool:
         sound = walk_lane(
-            self._p, self._stations, self._arc, floor, base * CONTACTS, CONTACTS, travel, accel, interval,
-            self._counts[: interval.size], settle, self._step, self._hull, self._arms, self._track, self._mark, out,
-        )  # fmt: skip
+            self._p,
+            self._stations,
+            self._arc,
+            floor,
+            base * CONTACTS,
+            CONTACTS,
+            travel,
+            accel,
+            interval,
+            self._counts[: interval.size],
+            settle,
+            self._step,
+            self._hull,
+            self._arms,
+            self._track,
+            self._mark,
+            out,
+        )
         return bool(sound) and bool(np.isfinite(out).all())
 
     def _state(self, event: str, ax: float, ay: float) -> LiveState:
@@ -182,12 +221,20 @@ class LiveTracked:
         base = z - s * self._origin[0] + c * self._origin[1]
         force = np.array([forward * c - upward * s, aside, forward * s + upward * c])
         return LiveState(
-            t=self._t, heave=z - self._height + self._reference, roll=0.0, pitch=pitch, z=float(base + self._reference),
-            wheel_z=np.tile(wheel + self._reference, 2), deflection=np.tile(self._free - phi, 2),
-            deflection_rate=np.tile(-turn, 2), tyre_force=np.tile(load, 2), force=force,
-            rate=np.array([-yaw_rate * s, pv, yaw_rate * c]), vertical_acceleration=float(force[2] - G * c),
+            t=self._t,
+            heave=z - self._height + self._reference,
+            roll=0.0,
+            pitch=pitch,
+            z=float(base + self._reference),
+            wheel_z=np.tile(wheel + self._reference, 2),
+            deflection=np.tile(self._free - phi, 2),
+            deflection_rate=np.tile(-turn, 2),
+            tyre_force=np.tile(load, 2),
+            force=force,
+            rate=np.array([-yaw_rate * s, pv, yaw_rate * c]),
+            vertical_acceleration=float(force[2] - G * c),
             event=event,
-        )  # fmt: skip
+        )
 
     def _same(self, event: str) -> LiveState:
         if self._last is None:
@@ -206,9 +253,16 @@ def simulate_tracked_drive(twin: TrackedTwin, excitation: Excitation) -> Respons
         if excitation.substeps[k] == 0:
             live.reset()
         state = live.step(
-            float(t), float(excitation.x[k]), float(excitation.y[k]), float(excitation.yaw[k]), float(motion[k, 5]),
-            float(motion[k, 6]), float(motion[k, 3]), float(motion[k, 1]), float(motion[k, 2]),
-        )  # fmt: skip
+            float(t),
+            float(excitation.x[k]),
+            float(excitation.y[k]),
+            float(excitation.yaw[k]),
+            float(motion[k, 5]),
+            float(motion[k, 6]),
+            float(motion[k, 3]),
+            float(motion[k, 1]),
+            float(motion[k, 2]),
+        )
         if state.event.startswith("diverged"):
             raise WorkError(f"the simulation diverges by t = {t:.3f} s: are the road's heights in m?")
         for name in names:

@@ -9,7 +9,7 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from suspension_twin.drive.types import Floats
+from suspension_twin.arrays import Floats
 
 __all__ = ["Excitation", "HeightField", "LaneResponse", "Response"]
 

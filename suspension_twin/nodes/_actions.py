@@ -39,12 +39,18 @@ class Action:
 
     def result(self, outcome: Any) -> Any:
         """``outcome`` as the action's result."""
-        return self.kind.Result(**{k: list(v) if isinstance(v, tuple) else v for k, v in vars(outcome).items()})
+        return self.kind.Result(
+            **{k: list(v) if isinstance(v, tuple) else v for k, v in vars(outcome).items()}
+        )
 
     @property
     def given_up(self) -> str:
         """What a client is told whose cancelled goal left nothing."""
-        return "cancelled; nothing was handed over in time" if self.hands_over else "cancelled; nothing was written"
+        return (
+            "cancelled; nothing was handed over in time"
+            if self.hands_over
+            else "cancelled; nothing was written"
+        )
 
 
 def _calibrate_feedback(step: Progress) -> Calibrate.Feedback:
@@ -75,10 +81,26 @@ def _noted(note: str) -> str:
 
 
 CALIBRATE = Action(
-    Calibrate, "calibrate", "calibration", job_of, calibrate_job, Progress, Outcome, _calibrate_feedback,
-    _calibrate_said, hands_over=True,
-)  # fmt: skip
+    Calibrate,
+    "calibrate",
+    "calibration",
+    job_of,
+    calibrate_job,
+    Progress,
+    Outcome,
+    _calibrate_feedback,
+    _calibrate_said,
+    hands_over=True,
+)
 DIAGNOSE = Action(
-    Diagnose, "diagnose", "diagnosis", diagnosis_job_of, diagnose_job, DiagnosisStep, DiagnosisOutcome,
-    _diagnose_feedback, _diagnose_said, hands_over=False,
-)  # fmt: skip
+    Diagnose,
+    "diagnose",
+    "diagnosis",
+    diagnosis_job_of,
+    diagnose_job,
+    DiagnosisStep,
+    DiagnosisOutcome,
+    _diagnose_feedback,
+    _diagnose_said,
+    hands_over=False,
+)

@@ -33,7 +33,13 @@ _PERIOD = 1.0
 _LEVELS = {"ok": OK, "warn": WARN, "error": ERROR}
 
 COMMON = (
-    Param("silence_timeout", 2.0, "Seconds without a message after which a topic is reported as silent.", 0.1, 3600.0),
+    Param(
+        "silence_timeout",
+        2.0,
+        "Seconds without a message after which a topic is reported as silent.",
+        0.1,
+        3600.0,
+    ),
     Param(
         "jump_back",
         JUMP_BACK,
@@ -138,7 +144,9 @@ class TwinNode(Node):  # type: ignore[misc]
 
     def note_frame(self, topic: str, got: str, wanted: str) -> None:
         """A message is not in the frame that the twin file says; it is taken as if it were."""
-        self.note(f"frame {topic}", WARN, f"{topic}: frame_id is '{got}', the twin's is '{wanted}': taken as that")
+        self.note(
+            f"frame {topic}", WARN, f"{topic}: frame_id is '{got}', the twin's is '{wanted}': taken as that"
+        )
 
     def show_findings(self, found: Iterable[Finding]) -> None:
         """Put ``found`` in the place of the findings shown before; log the new ones."""
@@ -196,14 +204,19 @@ class TwinNode(Node):  # type: ignore[misc]
             state.measure(now, interval)
             silent = state.expected and state.silent_for > self.values["silence_timeout"]
             if silent and not state.warned:
-                self.log.warning(f"{self.resolve_topic_name(name)} is silent: no message since "
-                                          f"{state.silent_for:.0f} s")
+                self.log.warning(
+                    f"{self.resolve_topic_name(name)} is silent: no message since {state.silent_for:.0f} s"
+                )
             elif state.warned and not silent:
                 self.log.info(f"{self.resolve_topic_name(name)} is back")
             state.warned = silent
             if name in self.embedding.linked and self.count_publishers(name) > 1:
-                self.health.finding(f"outside {name}", WARN, f"{name} is also published from outside, which is "
-                                    "not listened to here: run the nodes apart")
+                self.health.finding(
+                    f"outside {name}",
+                    WARN,
+                    f"{name} is also published from outside, which is "
+                    "not listened to here: run the nodes apart",
+                )
             else:
                 self.health.clear(f"outside {name}")
 

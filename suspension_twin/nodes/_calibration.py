@@ -97,7 +97,9 @@ def job_of(request: Any, twin_file: str, threads: int) -> CalibrationJob:
     if tracked and preset != TRACKED:
         raise InputError("preset", f"must be {TRACKED} for a twin on tracks, is {preset!r}")
     if tracked and request.free:
-        raise InputError("free", f"{TRACKED} searches five parameters of the track, no others: leave it empty")
+        raise InputError(
+            "free", f"{TRACKED} searches five parameters of the track, no others: leave it empty"
+        )
     if not tracked and preset not in PRESETS:
         raise InputError("preset", f"must be one of {', '.join(PRESETS)}, is {preset!r}")
     first = Path(bags[0])
@@ -146,9 +148,14 @@ def _calibrate_tracked(
     """The same of a twin on tracks, whose drives are marker runs."""
     asked = job.request
     done = calibrate_tracked_files(
-        asked.twin, asked.bags, Path(job.output), seed=asked.seed, generations=asked.max_generations, tell=progress,
+        asked.twin,
+        asked.bags,
+        Path(job.output),
+        seed=asked.seed,
+        generations=asked.max_generations,
+        tell=progress,
         should_stop=should_stop,
-    )  # fmt: skip
+    )
     result = done.result
     return Outcome(
         success=True,

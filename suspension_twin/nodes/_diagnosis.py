@@ -67,9 +67,13 @@ def diagnosis_job_of(goal: Any, twin_file: str, threads: int) -> DiagnosisJob:
     reference = recordings_of(goal.reference, "reference", needed=False)
     first = Path(bags[0])
     output = Path(goal.output) if goal.output else first.parent / f"{drive_name(first)}_diagnosis"
-    if (output.exists() and not output.is_dir()) or not writable(output if output.is_dir() else output.parent):
+    if (output.exists() and not output.is_dir()) or not writable(
+        output if output.is_dir() else output.parent
+    ):
         raise InputError(output, "cannot be written: name a folder, in one that exists")
-    return DiagnosisJob(DiagnosisRequest(twin, bags, reference, int(goal.seed)), str(output), threads, tracked)
+    return DiagnosisJob(
+        DiagnosisRequest(twin, bags, reference, int(goal.seed)), str(output), threads, tracked
+    )
 
 
 def diagnose_job(

@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from suspension_twin.gap.running import GapNow, RunningGap
+from suspension_twin.gap.sliding_window import GapNow, RunningGap
 from suspension_twin.nodes._files import Left, left_by_calibration
 from suspension_twin.nodes._parameters import Param, Values
 
@@ -28,7 +28,9 @@ GAP = (
         1.0,
         1000.0,
     ),
-    Param("gap.bands", [0.5, 3.0, 8.0, 20.0], "Edges in Hz of the adjoining bands of the live gap.", 0.0, 800.0),
+    Param(
+        "gap.bands", [0.5, 3.0, 8.0, 20.0], "Edges in Hz of the adjoining bands of the live gap.", 0.0, 800.0
+    ),
 )
 
 

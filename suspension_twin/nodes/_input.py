@@ -18,7 +18,9 @@ from suspension_twin.nodes._links import Outbox
 __all__ = ["SENSOR_QOS", "STREAM_QOS", "Embedding", "Input"]
 
 #: As qos_profile_sensor_data, but deep enough to ride out a pause of the process at 1.6 kHz.
-SENSOR_QOS = QoSProfile(history=HistoryPolicy.KEEP_LAST, depth=1000, reliability=ReliabilityPolicy.BEST_EFFORT)
+SENSOR_QOS = QoSProfile(
+    history=HistoryPolicy.KEEP_LAST, depth=1000, reliability=ReliabilityPolicy.BEST_EFFORT
+)
 #: Reliable, since game engines and dashboards connect to nothing else.
 STREAM_QOS = QoSProfile(history=HistoryPolicy.KEEP_LAST, depth=100, reliability=ReliabilityPolicy.RELIABLE)
 
@@ -84,6 +86,8 @@ class Input:
         except InputError as error:
             node.note(f"refused {self.state.topic}", WARN, str(error))
         except Exception as error:  # whatever a message causes, the next one is to be handled
-            node.note(f"failed {self.state.topic}", ERROR, f"{self.state.topic}: {type(error).__name__}: {error}")
+            node.note(
+                f"failed {self.state.topic}", ERROR, f"{self.state.topic}: {type(error).__name__}: {error}"
+            )
         finally:
             self._outbox.leave()

@@ -59,7 +59,9 @@ def _flat(path: Path, values: Mapping[Any, Any], prefix: str = "") -> Iterator[t
             yield full, value
 
 
-def check_names(path: Path, wanted: Mapping[str, Mapping[str, Any]], known: Mapping[str, Iterable[str]]) -> None:
+def check_names(
+    path: Path, wanted: Mapping[str, Mapping[str, Any]], known: Mapping[str, Iterable[str]]
+) -> None:
     """Raise InputError for a parameter that none of the nodes it is meant for has.
 
     ``known`` are the parameters of each node by the node's name. Nodes that are not ours may stand in

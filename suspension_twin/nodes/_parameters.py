@@ -92,7 +92,9 @@ class ParameterSet:
         except InvalidParameterTypeException:
             example = param.default[0] if isinstance(param.default, list) else param.default
             plural = " in a list" if isinstance(param.default, list) else ""
-            raise InputError(node.get_name(), param.name, f"must be {_KINDS[type(example)]}{plural}") from None
+            raise InputError(
+                node.get_name(), param.name, f"must be {_KINDS[type(example)]}{plural}"
+            ) from None
         except ParameterException as error:
             reason = str(error).rpartition("Reason: ")[2].rstrip(".")
             bounds = "" if param.low is None else f" (from {param.low:g} to {param.high:g})"

@@ -47,8 +47,12 @@ def fill_fix(drive: Drive) -> Fill:
         known = math.isfinite(east) and math.isfinite(north)
         kind = NavSatFix.COVARIANCE_TYPE_DIAGONAL_KNOWN if known else NavSatFix.COVARIANCE_TYPE_UNKNOWN
         message.position_covariance_type = kind
-        variance = (east * east, north * north, up * up if math.isfinite(up) else 0.0) if known else (0.0, 0.0, 0.0)
-        message.position_covariance[0], message.position_covariance[4], message.position_covariance[8] = variance
+        variance = (
+            (east * east, north * north, up * up if math.isfinite(up) else 0.0) if known else (0.0, 0.0, 0.0)
+        )
+        message.position_covariance[0], message.position_covariance[4], message.position_covariance[8] = (
+            variance
+        )
 
     return fill
 

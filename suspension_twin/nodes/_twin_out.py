@@ -11,7 +11,7 @@ from geometry_msgs.msg import AccelStamped, PoseStamped, TransformStamped
 from sensor_msgs.msg import Imu, JointState
 from tf2_msgs.msg import TFMessage
 
-from suspension_twin.gap.running import RunningGap
+from suspension_twin.gap.sliding_window import RunningGap
 from suspension_twin.models.live import LiveState
 from suspension_twin.nodes._follow import Follower
 from suspension_twin.nodes._gap_marker import GapMarker

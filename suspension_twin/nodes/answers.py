@@ -6,7 +6,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
-from suspension_twin.drive.types import Floats
+from suspension_twin.arrays import Floats
 
 __all__ = ["CalibrateAnswer", "Feedback", "Replay"]
 

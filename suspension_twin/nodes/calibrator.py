@@ -51,7 +51,9 @@ class CalibratorNode(TwinNode):
 
     parameters = (
         TWIN,
-        Param("threads", 0, "Threads that a calibration or diagnosis may use; 0: all of the machine's.", 0, 1024),
+        Param(
+            "threads", 0, "Threads that a calibration or diagnosis may use; 0: all of the machine's.", 0, 1024
+        ),
         Param(
             "cancel_patience",
             10.0,
@@ -96,7 +98,11 @@ class CalibratorNode(TwinNode):
 
     def _busy(self) -> str:
         running = self._running
-        return "" if running is None else f"one {running.action.noun} is running: cancel it or wait for its result"
+        return (
+            ""
+            if running is None
+            else f"one {running.action.noun} is running: cancel it or wait for its result"
+        )
 
     def _on_goal(self, action: Action, _goal: Any) -> GoalResponse:
         if self._running is not None:

@@ -111,7 +111,9 @@ class Composed:
                 self._add(name, kind(embedding))
             if playback:
                 embedding = Embedding(context, namespace, outbox=outbox)
-                self.player = BagPlayer(playback.drive, playback.rate, playback.loop, embedding, playback.delay)
+                self.player = BagPlayer(
+                    playback.drive, playback.rate, playback.loop, embedding, playback.delay
+                )
                 self.executor.add_node(self.player)
             self._link(links)
         except BaseException:
@@ -124,7 +126,9 @@ class Composed:
 
     def _link(self, links: tuple[tuple[str, str, str], ...]) -> None:
         for topic, sender, receiver in links:
-            outputs = self.player.outputs if sender == "bag_player" and self.player else self.nodes[sender].outputs
+            outputs = (
+                self.player.outputs if sender == "bag_player" and self.player else self.nodes[sender].outputs
+            )
             outputs[topic].links.append(self.nodes[receiver].inputs[topic].deliver)
         if self.player is not None:
             self.player.watched = [o.publisher for n in self.nodes.values() for o in n.outputs.values()]
@@ -149,7 +153,9 @@ class Composed:
         assert isinstance(model, SuspensionModelNode)
         inputs = {t: i.state for node in self.nodes.values() for t, i in node.inputs.items()}
         shown = {"imu": "imu/data_raw", "fix": "fix", "vel": "vel", "twin": "twin/odom"}
-        complaints = [(level, f"{n}: {text}") for n, o in self.nodes.items() for level, text in o.health.complaints()]
+        complaints = [
+            (level, f"{n}: {text}") for n, o in self.nodes.items() for level, text in o.health.complaints()
+        ]
         complaints.sort(key=lambda c: c[0], reverse=True)
         gap = model.gap_now()
         return Condition(

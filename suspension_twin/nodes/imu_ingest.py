@@ -38,8 +38,14 @@ class ImuIngestNode(TwinNode):
         TWIN,
         *FILTER,
         Param("base_frame", "base_link", "Frame of what is published.", read_only=True),
-        Param("convert_units", _DEFAULT.convert_units, "Take a sensor that sends g instead of m/s² times 9.80665."),
-        Param("restore_gravity", _DEFAULT.restore_gravity, "Put gravity back where the phone has removed it."),
+        Param(
+            "convert_units",
+            _DEFAULT.convert_units,
+            "Take a sensor that sends g instead of m/s² times 9.80665.",
+        ),
+        Param(
+            "restore_gravity", _DEFAULT.restore_gravity, "Put gravity back where the phone has removed it."
+        ),
         Param(
             "level",
             _DEFAULT.level,
@@ -64,9 +70,27 @@ class ImuIngestNode(TwinNode):
             1000.0,
         ),
         Param("still.window", _STILL.window, "Window in s over which a standstill is judged.", 0.1, 10.0),
-        Param("still.force", _STILL.force, "Standard deviation in m/s² that a standing car stays below.", 0.001, 5.0),
-        Param("still.rate", _STILL.rate, "Standard deviation in rad/s that a standing car stays below.", 1e-5, 1.0),
-        Param("still.turn", _STILL.turn, "Mean rate in rad/s of a standing car: the gyroscope's bias.", 1e-5, 1.0),
+        Param(
+            "still.force",
+            _STILL.force,
+            "Standard deviation in m/s² that a standing car stays below.",
+            0.001,
+            5.0,
+        ),
+        Param(
+            "still.rate",
+            _STILL.rate,
+            "Standard deviation in rad/s that a standing car stays below.",
+            1e-5,
+            1.0,
+        ),
+        Param(
+            "still.turn",
+            _STILL.turn,
+            "Mean rate in rad/s of a standing car: the gyroscope's bias.",
+            1e-5,
+            1.0,
+        ),
     )
 
     def __init__(self, embedding: Embedding | None = None) -> None:
@@ -109,7 +133,9 @@ class ImuIngestNode(TwinNode):
         if message.header.frame_id != self._frame and self._frame is not None:
             self.note_frame("imu/data_raw", message.header.frame_id, self._frame)
         if message.linear_acceleration_covariance[0] == -1.0:
-            raise InputError("imu/data_raw", "linear_acceleration is not reported (its covariance begins with -1)")
+            raise InputError(
+                "imu/data_raw", "linear_acceleration is not reported (its covariance begins with -1)"
+            )
         a, w = message.linear_acceleration, message.angular_velocity
         out = self._ingest.push(ns / 1e9, (a.x, a.y, a.z), (w.x, w.y, w.z))
         if out is None:

@@ -16,8 +16,9 @@ from rclpy.publisher import Publisher
 from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import Imu, NavSatFix
 
+from suspension_twin.arrays import Floats
 from suspension_twin.drive.repair import nanoseconds
-from suspension_twin.drive.types import Drive, Floats
+from suspension_twin.drive.types import Drive
 from suspension_twin.nodes._base import STREAM_QOS, Embedding
 from suspension_twin.nodes._links import Outbox, Output
 from suspension_twin.nodes._recorded import Fill, fill_fix, fill_heading, fill_imu, fill_velocity
@@ -41,7 +42,9 @@ class BagPlayer(Node):  # type: ignore[misc]
     the end, and time jumps back. The first message waits for ``delay`` s, in which others find it.
     """
 
-    def __init__(self, drive: Drive, rate: float, loop: bool, embedding: Embedding, delay: float = 0.0) -> None:
+    def __init__(
+        self, drive: Drive, rate: float, loop: bool, embedding: Embedding, delay: float = 0.0
+    ) -> None:
         super().__init__(
             "bag_player",
             context=embedding.context,

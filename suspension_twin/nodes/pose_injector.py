@@ -111,7 +111,10 @@ class PoseInjectorNode(TwinNode):
         status = 0 if message.status.status < -1 else message.status.status
         sigma = (math.nan, math.nan)
         variance = message.position_covariance
-        if message.position_covariance_type != NavSatFix.COVARIANCE_TYPE_UNKNOWN and min(variance[0], variance[4]) >= 0:
+        if (
+            message.position_covariance_type != NavSatFix.COVARIANCE_TYPE_UNKNOWN
+            and min(variance[0], variance[4]) >= 0
+        ):
             sigma = math.sqrt(variance[0]), math.sqrt(variance[4])
         self._lock.on_fix(ns / 1e9, message.latitude, message.longitude, message.altitude, status, *sigma)
 
@@ -136,7 +139,9 @@ class PoseInjectorNode(TwinNode):
             return response
         self._lock.set_datum(datum)
         response.success = True
-        response.message = f"map begins at {datum.latitude:.7f}, {datum.longitude:.7f}, {datum.altitude:.2f} m"
+        response.message = (
+            f"map begins at {datum.latitude:.7f}, {datum.longitude:.7f}, {datum.altitude:.2f} m"
+        )
         self.log.info(response.message)
         return response
 
@@ -154,7 +159,9 @@ class PoseInjectorNode(TwinNode):
         values["yaw known"] = str(lock.aligned)
         values["standing"] = str(lock.standing)
         datum = lock.datum
-        values["datum"] = f"{datum.latitude:.8f} {datum.longitude:.8f} {datum.altitude:.3f}" if datum else "not known"
+        values["datum"] = (
+            f"{datum.latitude:.8f} {datum.longitude:.8f} {datum.altitude:.3f}" if datum else "not known"
+        )
 
 
 def _fill(odom: Odometry, state: PlanarState) -> None:

@@ -17,7 +17,7 @@ from rclpy.parameter import Parameter
 from std_srvs.srv import Trigger
 
 from suspension_twin.errors import InputError
-from suspension_twin.gap.running import GapNow
+from suspension_twin.gap.sliding_window import GapNow
 from suspension_twin.nodes._base import Embedding, TwinNode
 from suspension_twin.nodes._files import FILTER, TWIN, filter_of, twin_of
 from suspension_twin.nodes._follow import Follower
@@ -121,7 +121,9 @@ class SuspensionModelNode(TwinNode):
         yaw = math.atan2(2.0 * (q.w * q.z + q.x * q.y), q.w * q.w + q.x * q.x - q.y * q.y - q.z * q.z)
         v, w = twist.linear, twist.angular.z
         near = abs(p.x) < _FARTHEST and abs(p.y) < _FARTHEST
-        if not (near and abs(v.x) < _FASTEST and abs(v.y) < _FASTEST and abs(w) < _FASTEST and math.isfinite(yaw)):
+        if not (
+            near and abs(v.x) < _FASTEST and abs(v.y) < _FASTEST and abs(w) < _FASTEST and math.isfinite(yaw)
+        ):
             raise InputError("twin/odom", "holds a number that is not finite or beyond belief: dropped")
         known = message.pose.covariance[35] < _YAW_KNOWN
         self._follow(self._pairing.pose(PlanarRow(ns, p.x, p.y, yaw, v.x, v.y, w, known)))
@@ -180,7 +182,9 @@ class SuspensionModelNode(TwinNode):
             response.message = f"follows with {twin.vehicle.name} ({twin.model})"
             moved = [k for k in ("imu", "gps", "datum") if before and getattr(before, k) != getattr(twin, k)]
             if moved:
-                response.message += f"; {', '.join(moved)} differ: set the parameter twin of the other nodes too"
+                response.message += (
+                    f"; {', '.join(moved)} differ: set the parameter twin of the other nodes too"
+                )
         return response
 
     def gap_now(self) -> GapNow | None:

@@ -5,8 +5,8 @@ from __future__ import annotations
 
 import math
 
-from suspension_twin.drive.types import Floats
-from suspension_twin.pose.kernel import YAW, V, X, Y
+from suspension_twin.arrays import Floats
+from suspension_twin.pose.ekf import YAW, V, X, Y
 
 __all__ = ["Blend"]
 

@@ -7,8 +7,8 @@ from bisect import bisect_right
 
 import numpy as np
 
-from suspension_twin.drive.types import Floats
-from suspension_twin.pose import kernel
+from suspension_twin.arrays import Floats
+from suspension_twin.pose import ekf as kernel
 
 __all__ = ["History", "Measurement"]
 

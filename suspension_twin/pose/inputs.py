@@ -7,8 +7,8 @@ import math
 
 import numpy as np
 
+from suspension_twin.arrays import Floats
 from suspension_twin.compiled import compiled
-from suspension_twin.drive.types import Floats
 
 __all__ = ["planar_inputs", "planar_row"]
 

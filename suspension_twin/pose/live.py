@@ -8,10 +8,10 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from suspension_twin.arrays import Floats
 from suspension_twin.compiled import compiled
-from suspension_twin.drive.types import Floats
+from suspension_twin.pose.ekf import SIDE, YAW, V
 from suspension_twin.pose.inputs import planar_row
-from suspension_twin.pose.kernel import SIDE, YAW, V
 from suspension_twin.pose.nodes import SLOPE_TIME
 from suspension_twin.pose.smoothed import SWAY_SIGMA
 from suspension_twin.signals.attitude import up_step

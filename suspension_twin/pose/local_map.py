@@ -7,7 +7,7 @@ import numpy as np
 import pymap3d  # type: ignore[import-untyped]
 from numpy.typing import ArrayLike
 
-from suspension_twin.drive.types import Floats
+from suspension_twin.arrays import Floats
 from suspension_twin.vehicle.twin import Datum
 
 __all__ = ["LocalMap"]

@@ -10,10 +10,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from suspension_twin.pose import kernel
-from suspension_twin.pose.beginning import REVERSE_SPEED, REVERSE_TIME
+from suspension_twin.pose import ekf as kernel
 from suspension_twin.pose.blend import Blend
 from suspension_twin.pose.history import History, Measurement
+from suspension_twin.pose.initial_state import REVERSE_SPEED, REVERSE_TIME
 from suspension_twin.pose.live import LiveInputs
 from suspension_twin.pose.local_map import LocalMap
 from suspension_twin.pose.settings import PoseSettings, fix_sigma

@@ -9,9 +9,10 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.ndimage import gaussian_filter1d
 
-from suspension_twin.drive.types import Drive, Floats
+from suspension_twin.arrays import Floats
+from suspension_twin.drive.types import Drive
 from suspension_twin.errors import InputError
-from suspension_twin.pose import kernel
+from suspension_twin.pose import ekf as kernel
 from suspension_twin.pose.inputs import planar_inputs
 from suspension_twin.pose.local_map import LocalMap
 from suspension_twin.pose.settings import PoseSettings, fix_sigma
@@ -19,7 +20,16 @@ from suspension_twin.signals.filters import FilterSpec, zero_phase
 from suspension_twin.signals.offline import ImuSignals
 from suspension_twin.vehicle.twin import Datum, Place
 
-__all__ = ["MOST_SLOPE", "SLOPE_TIME", "Measurements", "Nodes", "gather", "make_nodes", "mean_lean", "planar_rows"]
+__all__ = [
+    "MOST_SLOPE",
+    "SLOPE_TIME",
+    "Measurements",
+    "Nodes",
+    "gather",
+    "make_nodes",
+    "mean_lean",
+    "planar_rows",
+]
 
 #: Hz to which yaw rate and forward pull are smoothed before they meet the filter's nodes.
 PLANAR = FilterSpec(2, 12.0)

@@ -8,9 +8,9 @@ import math
 
 import numpy as np
 
+from suspension_twin.arrays import Floats
 from suspension_twin.compiled import compiled
-from suspension_twin.drive.types import Floats
-from suspension_twin.pose.kernel import add_noise, put, sandwich, transition
+from suspension_twin.pose.ekf import add_noise, put, sandwich, transition
 
 __all__ = ["smooth"]
 

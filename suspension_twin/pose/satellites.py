@@ -16,13 +16,15 @@ from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
 from scipy.ndimage import minimum_filter1d
 
-from suspension_twin.drive.types import Drive, FixData, Floats
+from suspension_twin.arrays import Floats
+from suspension_twin.drive.types import Drive, FixData
 from suspension_twin.errors import InputError
 from suspension_twin.pose.local_map import LocalMap
 from suspension_twin.pose.types import Trajectory
 from suspension_twin.signals.filters import FilterSpec, zero_phase
 from suspension_twin.signals.offline import ImuSignals
-from suspension_twin.vehicle.twin import Datum, G, Place
+from suspension_twin.units import STANDARD_GRAVITY as G
+from suspension_twin.vehicle.twin import Datum, Place
 
 __all__ = ["RATE", "satellite_motion"]
 
@@ -37,7 +39,11 @@ _LEVEL = 0.1
 
 
 def satellite_motion(
-    drive: Drive, signals: ImuSignals, gps_place: Place, datum: Datum, ahead: Sequence[float] = (1.0, 0.0, 0.0)
+    drive: Drive,
+    signals: ImuSignals,
+    gps_place: Place,
+    datum: Datum,
+    ahead: Sequence[float] = (1.0, 0.0, 0.0),
 ) -> tuple[ImuSignals, Trajectory]:
     """The IMU (n,) at RATE Hz and the motion of ``base_link`` at its stamps, by the fixes alone. ``ahead`` is the
     vehicle's own axis as the signals have it: along it hills are taken off what the IMU feels.
@@ -50,9 +56,13 @@ def satellite_motion(
     good = good[np.argsort(fix.t[good], kind="stable")]
     good = good[np.concatenate([[True], np.diff(fix.t[good]) > 1e-3])] if good.size else good
     if good.size < 20:
-        raise InputError(drive.name, "fix", f"has {good.size} usable positions: too few to tell accelerations from")
+        raise InputError(
+            drive.name, "fix", f"has {good.size} usable positions: too few to tell accelerations from"
+        )
     at = fix.t[good]
-    places = LocalMap(datum).to_map(fix.latitude[good], fix.longitude[good], np.full(good.size, datum.altitude))
+    places = LocalMap(datum).to_map(
+        fix.latitude[good], fix.longitude[good], np.full(good.size, datum.altitude)
+    )
     spec = FilterSpec(2, min(_MOST, _SHARE / float(np.median(np.diff(at)))))
     rate = signals.rate_hz
     # an even grid: on jittered stamps the speed itself would turn into acceleration
@@ -74,7 +84,9 @@ def satellite_motion(
         speed = np.hypot(velocity[:, 0], velocity[:, 1])
         fast = minimum_filter1d(speed, 2 * margin + 1) > _SLOWEST
         if not fast.any():
-            raise InputError(drive.name, "fix", f"never moves faster than {_SLOWEST:g} m/s: no course can be told")
+            raise InputError(
+                drive.name, "fix", f"never moves faster than {_SLOWEST:g} m/s: no course can be told"
+            )
         yaw = np.unwrap(np.arctan2(velocity[fast, 1], velocity[fast, 0]))
         yaw = slow(np.interp(t, t[fast], yaw))
         c, s = np.cos(yaw), np.sin(yaw)
@@ -87,10 +99,17 @@ def satellite_motion(
     step = max(1, round(rate / RATE))
     cut = slice(None, None, step)
     trajectory = Trajectory(
-        t=t[cut], x=own[cut, 0], y=own[cut, 1], yaw=yaw[cut], speed=speed[cut],
-        lateral_speed=np.zeros_like(speed[cut]), yaw_rate=turn[cut], ax=pull[cut], ay=(speed * turn)[cut],
+        t=t[cut],
+        x=own[cut, 0],
+        y=own[cut, 1],
+        yaw=yaw[cut],
+        speed=speed[cut],
+        lateral_speed=np.zeros_like(speed[cut]),
+        yaw_rate=turn[cut],
+        ax=pull[cut],
+        ay=(speed * turn)[cut],
         valid=minimum_filter1d(fast & near, 2 * margin + 1)[cut],
-    )  # fmt: skip
+    )
     kept = nearest[cut]
 
     def slowed(values: Floats) -> Floats:
@@ -100,17 +119,28 @@ def satellite_motion(
     force = slowed(signals.force)
     force -= np.outer(_hills(fix, good, t, speed, fast, slow)[cut], ahead)
     slower = replace(
-        signals, t=t[cut], keep=signals.keep[kept], force=force, rate=slowed(signals.rate),
-        vertical_acceleration=slowed(signals.vertical_acceleration), up=signals.up[kept], rate_hz=rate / step,
-        standing=signals.standing[kept], saturated=signals.saturated[kept],
-    )  # fmt: skip
+        signals,
+        t=t[cut],
+        keep=signals.keep[kept],
+        force=force,
+        rate=slowed(signals.rate),
+        vertical_acceleration=slowed(signals.vertical_acceleration),
+        up=signals.up[kept],
+        rate_hz=rate / step,
+        standing=signals.standing[kept],
+        saturated=signals.saturated[kept],
+    )
     return slower, trajectory
 
 
 def _hills(
-    fix: FixData, good: NDArray[np.intp], t: Floats, speed: Floats, fast: NDArray[np.bool_],
+    fix: FixData,
+    good: NDArray[np.intp],
+    t: Floats,
+    speed: Floats,
+    fast: NDArray[np.bool_],
     slow: Callable[[Floats], Floats],
-) -> Floats:  # fmt: skip
+) -> Floats:
     """(n,) m/s² what gravity adds to the longitudinal specific force where the road climbs, which no flat
     road shows; zero where the receiver does not know its height well enough to tell."""
     good = good[np.isfinite(fix.altitude[good])]

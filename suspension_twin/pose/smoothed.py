@@ -9,9 +9,10 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.interpolate import CubicHermiteSpline
 
-from suspension_twin.drive.types import Drive, Floats
-from suspension_twin.pose import kernel
-from suspension_twin.pose.beginning import first_state
+from suspension_twin.arrays import Floats
+from suspension_twin.drive.types import Drive
+from suspension_twin.pose import ekf as kernel
+from suspension_twin.pose.initial_state import first_state
 from suspension_twin.pose.nodes import Nodes, gather, make_nodes, planar_rows
 from suspension_twin.pose.rts import smooth
 from suspension_twin.pose.settings import PoseSettings

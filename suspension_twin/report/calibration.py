@@ -10,12 +10,12 @@ import numpy as np
 from matplotlib.figure import Figure
 from scipy.ndimage import uniform_filter1d
 
+from suspension_twin.arrays import Floats
 from suspension_twin.calibration.request import CalibrationResult, CurveEstimate, DriveFit, Estimate
-from suspension_twin.drive.types import Floats
 from suspension_twin.report import plots
 from suspension_twin.report.characteristics import AxleEvidence, Band, characteristics
 from suspension_twin.report.page import Cell, Page, Section, Table, short
-from suspension_twin.signals.agreement import (
+from suspension_twin.signals.metrics import (
     correlation,
     iso18571,
     mean_squared_error,
@@ -197,9 +197,15 @@ def _pitch(drive: DriveFit) -> Figure:
     rows = (s["pitch_rate"] for s in (drive.measured, drive.after, drive.before))
     measured, after, before = rows
     return plots.in_time(
-        drive.t, measured, after, before=before, windows=_windows(drive), origin=float(drive.t[0]),
-        label="pitch rate [rad/s]", names=_NAMES,
-    )  # fmt: skip
+        drive.t,
+        measured,
+        after,
+        before=before,
+        windows=_windows(drive),
+        origin=float(drive.t[0]),
+        label="pitch rate [rad/s]",
+        names=_NAMES,
+    )
 
 
 def _stacked(drive: DriveFit) -> Floats:
@@ -260,12 +266,15 @@ def _characteristics_section(result: CalibrationResult) -> Section:
         "sees, since at rest every spring carries the same load; the second picture shows what that leaves open."
     )
     return Section(
-        "Characteristics", text, figure, whole,
+        "Characteristics",
+        text,
+        figure,
+        whole,
         captions=(
             "Springs over the travel from standstill, dampers over the velocity.",
             "Springs over the compression.",
         ),
-    )  # fmt: skip
+    )
 
 
 def _of_axle(result: CalibrationResult, axle: str) -> dict[str, CurveEstimate]:

@@ -10,10 +10,11 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from suspension_twin.drive.types import Floats
+from suspension_twin.arrays import Floats
 from suspension_twin.report import style
 from suspension_twin.report.style import COLOURS, LINES
-from suspension_twin.vehicle.twin import Axle, G, Vehicle
+from suspension_twin.units import STANDARD_GRAVITY as G
+from suspension_twin.vehicle.twin import Axle, Vehicle
 
 __all__ = ["AxleEvidence", "Band", "characteristics", "force", "static_compression"]
 

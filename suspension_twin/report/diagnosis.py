@@ -42,8 +42,12 @@ def diagnosis_page(result: DiagnosisResult) -> Page:
         names = " + ".join(e.replace("_", " ") for e in d["combination"])
         page.card("Cause", names, f"probability {share:.2f}")
     unit = "rad/s" if d["gap"]["channel"].endswith("rate") else "m/s²"
-    page.card("Gap as it stands", f"{d['gap']['rms']:.3g} {unit}", f"floor {d['gap']['noise_rms']:.2g} {unit}")
-    page.card("Left unexplained", f"{100 * d['unexplained']:.0f} %", "of the gap above the noise, on unseen road")
+    page.card(
+        "Gap as it stands", f"{d['gap']['rms']:.3g} {unit}", f"floor {d['gap']['noise_rms']:.2g} {unit}"
+    )
+    page.card(
+        "Left unexplained", f"{100 * d['unexplained']:.0f} %", "of the gap above the noise, on unseen road"
+    )
     page.add(_answer(d))
     page.add(_causes(d))
     page.add(_where(d))
@@ -67,7 +71,9 @@ def _answer(d: dict[str, Any]) -> Section:
     ]
     left = f"What is written to twin.yaml misses {100 * b['share_of_motion_left']:.0f} % of the motion's rms"
     if b["share_left_on_reference"] is not None:
-        left += f"; on the reference drives the same car is missed by {100 * b['share_left_on_reference']:.0f} %"
+        left += (
+            f"; on the reference drives the same car is missed by {100 * b['share_left_on_reference']:.0f} %"
+        )
     lines.append(left + ".")
     if d["cannot_be_judged"]:
         weak = ", ".join(e.replace("_", " ") for e in d["cannot_be_judged"])
@@ -94,8 +100,18 @@ def _causes(d: dict[str, Any]) -> Section:
                 *([", ".join(e.replace("_", " ") for e in c["indistinguishable_from"])] if tied else []),
             )
         )
-    columns = ("cause", "probability", "shrink", "beyond recalibration", *(["beyond reference"] if referenced else []),
-               "material", "adequate", "plausible", "parameters", *(["like"] if tied else []))  # fmt: skip
+    columns = (
+        "cause",
+        "probability",
+        "shrink",
+        "beyond recalibration",
+        *(["beyond reference"] if referenced else []),
+        "material",
+        "adequate",
+        "plausible",
+        "parameters",
+        *(["like"] if tied else []),
+    )
     for name, key in (("no gap", "no_gap_probability"), ("unknown", "unknown_probability")):
         rows.append((name, Cell(round(d[key], 3)), *[""] * (len(columns) - 2)))
     return Section(
@@ -132,7 +148,10 @@ def _where(d: dict[str, Any]) -> Section:
         _places(w["channel"], "By channel, each in units of its noise", channel="name"),
         _places(w["corner"], "By corner", corner="name"),
         _places(
-            w["operating_point"], "By operating point", quantity="quantity", **{"from": "low", "to": "high", "": "unit"}
+            w["operating_point"],
+            "By operating point",
+            quantity="quantity",
+            **{"from": "low", "to": "high", "": "unit"},
         ),
     ]
     return Section(
@@ -160,20 +179,29 @@ def _plain(value: object) -> object:
 def _drive(view: DriveView, d: dict[str, Any]) -> Section:
     rows = np.flatnonzero(view.compared)
     window = max(1, int(_SHOWN_SECONDS * view.rate))
-    energy = np.convolve((view.before - view.measured)[rows] ** 2, np.ones(min(window, rows.size)), mode="valid")
+    energy = np.convolve(
+        (view.before - view.measured)[rows] ** 2, np.ones(min(window, rows.size)), mode="valid"
+    )
     start = int(np.argmax(energy))
     cut = rows[start : start + window]
     label = d["gap"]["channel"].replace("_", " ")
     names = {"before": "as it stands", "simulated": "with what was found"}
     figure = plots.in_time(
-        view.t[cut], view.measured[cut], view.after[cut], before=view.before[cut], origin=float(view.t[0]),
-        label=label, names=names,
-    )  # fmt: skip
+        view.t[cut],
+        view.measured[cut],
+        view.after[cut],
+        before=view.before[cut],
+        origin=float(view.t[0]),
+        label=label,
+        names=names,
+    )
     size = min(512, rows.size)
     densities = {}
     for role, series in (
-        ("measured", view.measured), ("before", view.before - view.measured), ("residual", view.after - view.measured),
-    ):  # fmt: skip
+        ("measured", view.measured),
+        ("before", view.before - view.measured),
+        ("residual", view.after - view.measured),
+    ):
         f, densities[role] = signal.welch(series[rows], view.rate, nperseg=size)
     spectrum = plots.in_frequency(
         f, densities, names={"before": "gap as it stands", "residual": "gap with what was found"}

@@ -9,10 +9,10 @@ from pathlib import Path
 import numpy as np
 from matplotlib.figure import Figure
 
+from suspension_twin.arrays import Floats
 from suspension_twin.calibration.tracked_paper import PUBLISHED, PUBLISHED_CORRELATION, TrackedResult, compare
 from suspension_twin.calibration.tracked_runs import MARKERS, MarkerRun
 from suspension_twin.diagnosis.tracked import TrackedDiagnosis
-from suspension_twin.drive.types import Floats
 from suspension_twin.report import style
 from suspension_twin.report.page import Cell, Mark, Page, Section, Table
 
@@ -35,8 +35,18 @@ def marker_figure(measured: MarkerRun, simulated: Mapping[str, MarkerRun], kind:
         values = unit * getattr(measured, kind)[:, marker]
         axes.plot(measured.t, values, color=style.colour("measured"), label="measured")
         for role, (name, run) in zip(_ROLES, simulated.items(), strict=False):
-            axes.plot(run.t, unit * getattr(run, kind)[:, marker], color=style.colour(role), linewidth=1.3, label=name)
-        axes.set(xlabel="time, s", ylabel=label, title=f"Marker {MARKERS[marker]} at {3.6 * measured.speed:.0f} km/h")
+            axes.plot(
+                run.t,
+                unit * getattr(run, kind)[:, marker],
+                color=style.colour(role),
+                linewidth=1.3,
+                label=name,
+            )
+        axes.set(
+            xlabel="time, s",
+            ylabel=label,
+            title=f"Marker {MARKERS[marker]} at {3.6 * measured.speed:.0f} km/h",
+        )
         axes.legend()
     return fig
 
@@ -59,15 +69,25 @@ def damping_picture(speeds: Sequence[float], dampings: Sequence[float], table: F
         axes = fig.subplots()
         for i, damping in enumerate(dampings):
             label = f"{i + 1}: {damping:,.0f}".replace(",", " ")
-            axes.plot(speeds, 1e4 * table[i], marker="o", markersize=3, linewidth=2.4 if i == 3 else 1.2,
-                      color=style.colour("ink") if i == 6 else None, label=label)  # fmt: skip
+            axes.plot(
+                speeds,
+                1e4 * table[i],
+                marker="o",
+                markersize=3,
+                linewidth=2.4 if i == 3 else 1.2,
+                color=style.colour("ink") if i == 6 else None,
+                label=label,
+            )
         axes.set_yscale("log")
         low, high = 1e4 * np.nanmin(table), 1e4 * np.nanmax(table)
         ticks = [t for t in (0.1, 0.2, 0.5, 1, 2, 5, 10, 20, 50, 100, 200, 500) if 0.7 * low < t < 1.5 * high]
         axes.set_yticks(ticks, [f"{v:g}" for v in ticks])
         axes.minorticks_off()
-        axes.set(xlabel="speed, km/h", ylabel="variance of the pitch, 10⁻⁴ rad²",
-                 title="Variance of the pitch over speed, by damping in N m s/rad")  # fmt: skip
+        axes.set(
+            xlabel="speed, km/h",
+            ylabel="variance of the pitch, 10⁻⁴ rad²",
+            title="Variance of the pitch over speed, by damping in N m s/rad",
+        )
         axes.legend(ncols=2)
     return fig
 
@@ -79,10 +99,17 @@ def calibration_page(
     page = Page("Calibration of a tracked vehicle", f"{result.vehicle.name}, objective {result.objective}")
     worth = [compare(a, b) for a, b in zip(runs, told, strict=True)]
     last = worth[shown]
-    page.card("Correlation A, B", " and ".join(f"{v:.3f}" for v in last.correlation), f"{runs[shown].name}; the paper "
-              f"{PUBLISHED_CORRELATION[0]} and {PUBLISHED_CORRELATION[1]}")  # fmt: skip
-    page.card("Left over A, B", " and ".join(f"{100 * v:.1f} %" for v in last.residual), "of the measured rms")
-    page.card("Simulated over measured", " and ".join(f"{v:.3f}" for v in last.gain), "rms: what correlation misses")
+    page.card(
+        "Correlation A, B",
+        " and ".join(f"{v:.3f}" for v in last.correlation),
+        f"{runs[shown].name}; the paper {PUBLISHED_CORRELATION[0]} and {PUBLISHED_CORRELATION[1]}",
+    )
+    page.card(
+        "Left over A, B", " and ".join(f"{100 * v:.1f} %" for v in last.residual), "of the measured rms"
+    )
+    page.card(
+        "Simulated over measured", " and ".join(f"{v:.3f}" for v in last.gain), "rms: what correlation misses"
+    )
     rows = [(key, value, PUBLISHED[key]) for key, value in result.values.items()]
     page.add(Section("What was found", "", Table(("parameter", "found", "the paper's"), rows)))
     lines = [
@@ -93,7 +120,9 @@ def calibration_page(
     text = "Correlation does not see amplitude: twice the motion correlates as well. What is left over and the gain do."
     page.add(Section("Run by run", text, Table(columns, lines)))
     figures = [
-        marker_figure(runs[shown], {"simulated": told[shown]}, kind[0], marker) for kind in _KINDS for marker in (0, 1)
+        marker_figure(runs[shown], {"simulated": told[shown]}, kind[0], marker)
+        for kind in _KINDS
+        for marker in (0, 1)
     ]
     captions = [f"As the paper's Fig. {7 + i}." for i in range(6)]
     return page.add(Section("In time", "", *figures, captions=captions))
@@ -127,8 +156,10 @@ def diagnosis_page(result: TrackedDiagnosis) -> Page:
         )
         for c in d["causes"]
     ]
-    rows += [(name, Cell(round(d[f"{name.replace(' ', '_')}_probability"], 3)), "", "", "")
-             for name in ("no gap", "unknown")]  # fmt: skip
+    rows += [
+        (name, Cell(round(d[f"{name.replace(' ', '_')}_probability"], 3)), "", "", "")
+        for name in ("no gap", "unknown")
+    ]
     page.add(Section("Which", "", Table(("cause", "probability", "shrink", "parameters", "like"), rows)))
     places = [(i["bag"], i["start"], i["end"], i["share"]) for i in d["where"]["time"]]
     if places:

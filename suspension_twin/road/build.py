@@ -10,9 +10,9 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import ArrayLike
 
+from suspension_twin.arrays import Floats
 from suspension_twin.errors import InputError
 from suspension_twin.road.road import Borders, Road
-from suspension_twin.road.surface import Floats
 
 __all__ = ["curved_road", "flat_road", "grid_road", "join", "lateral_grid"]
 

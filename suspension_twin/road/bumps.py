@@ -10,10 +10,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import ArrayLike
 
+from suspension_twin.arrays import Floats
 from suspension_twin.errors import InputError
 from suspension_twin.road.build import grid_road, lateral_grid
 from suspension_twin.road.road import Road
-from suspension_twin.road.surface import Floats
 
 __all__ = ["Bump", "add_bump", "bump_road", "circular", "half_sine", "measured", "trapezoid"]
 

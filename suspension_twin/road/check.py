@@ -10,13 +10,13 @@ from pathlib import Path
 
 import numpy as np
 
+from suspension_twin.arrays import Floats
 from suspension_twin.errors import InputError
 from suspension_twin.road.crg import load_road
 from suspension_twin.road.crg_format import examine
 from suspension_twin.road.iso8608 import class_of, road_psd
 from suspension_twin.road.road import Road
 from suspension_twin.road.spikes import Spikes, find_spikes
-from suspension_twin.road.surface import Floats
 
 __all__ = ["Finding", "RoadCheck", "check_file", "check_road", "wheel_tracks"]
 

@@ -22,10 +22,10 @@ from scipy.fft import next_fast_len
 from scipy.signal import detrend, welch
 from scipy.special import gamma, kv
 
+from suspension_twin.arrays import Floats
 from suspension_twin.errors import InputError
 from suspension_twin.road.build import grid_road, lateral_grid
 from suspension_twin.road.road import Road
-from suspension_twin.road.surface import Floats
 
 __all__ = [
     "CLASSES",

@@ -12,8 +12,9 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
+from suspension_twin.arrays import Floats
 from suspension_twin.compiled import compiled
-from suspension_twin.road.surface import Floats, Grid
+from suspension_twin.road.surface import Grid
 
 __all__ = [
     "INSIDE",

@@ -20,10 +20,10 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from suspension_twin.arrays import Floats
 from suspension_twin.errors import InputError
 from suspension_twin.road.files import replacing
 from suspension_twin.road.road import Road
-from suspension_twin.road.surface import Floats
 
 __all__ = ["RoadMesh", "Tile", "road_mesh", "write_mesh", "write_obj", "write_stl"]
 

@@ -15,8 +15,9 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
+from suspension_twin.arrays import Floats
 from suspension_twin.compiled import compiled, inlined
-from suspension_twin.road.surface import Floats, Line
+from suspension_twin.road.surface import Line
 
 __all__ = ["FOLLOW", "FOLLOW_STEPS", "box_tree", "sure_reach", "uv_to_xy", "xy_to_uv", "xy_to_uv_from"]
 

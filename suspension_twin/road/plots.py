@@ -13,12 +13,12 @@ from matplotlib.colors import LightSource
 from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter
 
+from suspension_twin.arrays import Floats
 from suspension_twin.errors import InputError
 from suspension_twin.road.check import RoadCheck, check_road, wheel_tracks
 from suspension_twin.road.files import replacing
 from suspension_twin.road.iso8608 import CLASSES, N0, road_psd, roughness, smoothed_psd
 from suspension_twin.road.road import Road
-from suspension_twin.road.surface import Floats
 
 __all__ = ["road_figure", "save_road_picture"]
 

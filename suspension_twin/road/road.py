@@ -15,6 +15,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from suspension_twin.arrays import Floats
 from suspension_twin.errors import InputError, WorkError
 from suspension_twin.road import kernels
 from suspension_twin.road.place import (
@@ -26,7 +27,7 @@ from suspension_twin.road.place import (
     xy_to_uv,
     xy_to_uv_from,
 )
-from suspension_twin.road.surface import Floats, Grid, Line, held
+from suspension_twin.road.surface import Grid, Line, held
 
 __all__ = ["Borders", "Outside", "Road", "RoadTracker", "Samples"]
 

@@ -9,9 +9,9 @@ from dataclasses import replace
 import numpy as np
 from scipy.signal import fftconvolve
 
+from suspension_twin.arrays import Floats
 from suspension_twin.errors import InputError
 from suspension_twin.road.road import Road
-from suspension_twin.road.surface import Floats
 
 __all__ = ["smooth"]
 

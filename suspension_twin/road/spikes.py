@@ -16,8 +16,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
+from suspension_twin.arrays import Floats
 from suspension_twin.road.road import Road
-from suspension_twin.road.surface import Floats
 
 __all__ = ["Spike", "Spikes", "find_spikes", "remove_spikes"]
 

@@ -10,9 +10,9 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["Floats", "Grid", "Line", "held"]
+__all__ = ["Grid", "Line", "held"]
 
-Floats = NDArray[np.float64]
+from suspension_twin.arrays import Floats
 
 #: The reference line: its points x and y (nu,); boxes and levels of
 #: :func:`~suspension_twin.road.place.box_tree`; the sure reach (nu, 2) of

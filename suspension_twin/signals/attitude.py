@@ -11,8 +11,9 @@ import math
 
 import numpy as np
 
+from suspension_twin.arrays import Floats
 from suspension_twin.compiled import compiled
-from suspension_twin.drive.types import Floats
+from suspension_twin.units import STANDARD_GRAVITY
 
 __all__ = [
     "carried_up",
@@ -30,7 +31,7 @@ def normal_gravity(latitude: float | None, height: float = 0.0) -> float:
     """Gravity in m/s² on WGS 84 at ``latitude`` degrees (Somigliana; NIMA TR8350.2 eq. 4-1) less the
     free-air gradient to ``height`` m; the standard 9.80665 where the latitude is not known."""
     if latitude is None:
-        return 9.80665
+        return STANDARD_GRAVITY
     s2 = math.sin(math.radians(latitude)) ** 2
     surface = 9.7803253359 * (1 + 0.00193185265241 * s2) / math.sqrt(1 - 0.00669437999014 * s2)
     return surface - 3.086e-6 * height

@@ -10,8 +10,9 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from suspension_twin.drive.types import Floats
+from suspension_twin.arrays import Floats
 from suspension_twin.signals.attitude import level_rpy, matrix_rpy, rpy_matrix, tilt_of
+from suspension_twin.units import STANDARD_GRAVITY
 
 __all__ = [
     "MAX_RATE",
@@ -28,7 +29,7 @@ __all__ = [
 MIN_RATE = 50.0
 MAX_RATE = 1600.0
 #: Full scales of the accelerometers in phones, m/s².
-FULL_SCALES = tuple(9.80665 * g for g in (2, 4, 8, 16))
+FULL_SCALES = tuple(STANDARD_GRAVITY * g for g in (2, 4, 8, 16))
 
 Units = Literal["m/s2", "g", "gravity removed", "unknown"]
 

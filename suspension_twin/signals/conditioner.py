@@ -13,8 +13,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from suspension_twin.arrays import Floats
 from suspension_twin.compiled import compiled
-from suspension_twin.drive.types import Floats
 from suspension_twin.errors import InputError
 from suspension_twin.signals.clock import clean_stamps, find_gaps, nominal_rate
 from suspension_twin.signals.filters import FilterSpec, filter_lanes, settling_time

@@ -15,8 +15,8 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import ArrayLike
 
+from suspension_twin.arrays import Floats
 from suspension_twin.compiled import compiled
-from suspension_twin.drive.types import Floats
 from suspension_twin.errors import InputError
 
 __all__ = ["CausalLowPass", "FilterSpec", "filter_lanes", "settling_time", "zero_phase"]

@@ -9,7 +9,8 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.ndimage import gaussian_filter1d
 
-from suspension_twin.drive.types import Drive, Floats
+from suspension_twin.arrays import Floats
+from suspension_twin.drive.types import Drive
 
 __all__ = ["NO_FIX", "Ground", "ground_motion"]
 

@@ -10,7 +10,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from suspension_twin.drive.types import Floats
+from suspension_twin.arrays import Floats
 from suspension_twin.errors import InputError
 from suspension_twin.signals.attitude import level_rpy, normal_gravity, rpy_matrix, tilt_of
 from suspension_twin.signals.checks import (
@@ -28,6 +28,7 @@ from suspension_twin.signals.filters import FilterSpec, settle, steady_state
 from suspension_twin.signals.ingest_step import ingest_step
 from suspension_twin.signals.settings import ImuSettings
 from suspension_twin.signals.standstill import MAX_LEAN, is_still, rest_bias
+from suspension_twin.units import STANDARD_GRAVITY
 from suspension_twin.vehicle.twin import Place
 
 __all__ = ["ImuIngest", "ImuSettings", "IngestOutput"]
@@ -276,8 +277,8 @@ class ImuIngest:
         self._note("units", check_units(units, length))
         # A sensor in g that is to be left so is judged in g.
         in_g = units == "g"
-        self._scale = 9.80665 if in_g and self.settings.convert_units else 1.0
-        unit = 9.80665 if in_g and not self.settings.convert_units else 1.0
+        self._scale = STANDARD_GRAVITY if in_g and self.settings.convert_units else 1.0
+        unit = STANDARD_GRAVITY if in_g and not self.settings.convert_units else 1.0
         self._gravity = normal_gravity(self.settings.latitude) / unit
         self._max_bias = self.settings.max_bias / unit
         if units == "gravity removed":

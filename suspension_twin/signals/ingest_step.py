@@ -5,8 +5,8 @@ from __future__ import annotations
 
 import numpy as np
 
+from suspension_twin.arrays import Floats
 from suspension_twin.compiled import compiled
-from suspension_twin.drive.types import Floats
 from suspension_twin.signals.attitude import up_step
 from suspension_twin.signals.filters import filter_row, settle
 from suspension_twin.signals.standstill import soften

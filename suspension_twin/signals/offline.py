@@ -10,7 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter1d
 
-from suspension_twin.drive.types import Drive, Floats
+from suspension_twin.arrays import Floats
+from suspension_twin.drive.types import Drive
 from suspension_twin.errors import InputError
 from suspension_twin.signals.attitude import (
     carried_up,
@@ -33,6 +34,7 @@ from suspension_twin.signals.clock import Cleaned, clean_stamps, find_gaps, nomi
 from suspension_twin.signals.ground import NO_FIX, Ground, ground_motion
 from suspension_twin.signals.settings import ImuSettings
 from suspension_twin.signals.standstill import MAX_LEAN, rest_bias, still_samples
+from suspension_twin.units import STANDARD_GRAVITY
 from suspension_twin.vehicle.twin import Place
 
 __all__ = ["ImuSignals", "ingest_drive"]
@@ -94,7 +96,7 @@ def ingest_drive(drive: Drive, place: Place, settings: ImuSettings | None = None
 
     units = recognise_units(raw_force)
     findings += _listed(check_units(units, float(np.linalg.norm(raw_force.mean(axis=0)))))
-    scale = 9.80665 if units == "g" and settings.convert_units else 1.0
+    scale = STANDARD_GRAVITY if units == "g" and settings.convert_units else 1.0
     saturated = saturated_samples(scale * raw_force, settings.full_scale)
     saturated |= saturated_samples(raw_rate, settings.full_scale_rate)
     if saturated.any():
@@ -120,7 +122,7 @@ def ingest_drive(drive: Drive, place: Place, settings: ImuSettings | None = None
         planar[standing] = 0.0
 
     # A sensor in g that is to be left so is judged in g.
-    unit = 9.80665 if units == "g" and not settings.convert_units else 1.0
+    unit = STANDARD_GRAVITY if units == "g" and not settings.convert_units else 1.0
     gravity, max_bias = normal_gravity(_latitude(drive, settings)) / unit, settings.max_bias / unit
     rest = force[standing].mean(axis=0) if stands else (force - planar).mean(axis=0)
     if units == "gravity removed":

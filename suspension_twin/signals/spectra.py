@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from suspension_twin.drive.types import Floats
+from suspension_twin.arrays import Floats
 from suspension_twin.errors import InputError
 
 __all__ = ["band_rms", "octave_bands", "power_density", "power_spectrum"]

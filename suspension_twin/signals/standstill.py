@@ -10,8 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import binary_dilation, binary_opening, uniform_filter1d
 
+from suspension_twin.arrays import Floats
 from suspension_twin.compiled import compiled
-from suspension_twin.drive.types import Floats
 from suspension_twin.signals.filters import FilterSpec, zero_phase
 
 __all__ = [

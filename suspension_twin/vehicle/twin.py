@@ -24,7 +24,7 @@ from pydantic import (
     model_validator,
 )
 
-from suspension_twin.drive.types import Floats
+from suspension_twin.arrays import Floats
 from suspension_twin.errors import InputError
 from suspension_twin.vehicle.corners import CORNERS
 
@@ -43,8 +43,6 @@ __all__ = [
     "parse_twin",
     "save_twin",
 ]
-
-G = 9.80665  # m/s², standard gravity
 
 
 def _finite(value: float) -> float:
@@ -176,7 +174,9 @@ class Vehicle(_Strict):
     @model_validator(mode="after")
     def _check(self) -> Vehicle:
         if not 0 < self.cog[0] < self.wheelbase:
-            raise ValueError(f"cog: x must lie between the axles (0 to {self.wheelbase:g} m), is {self.cog[0]:g}")
+            raise ValueError(
+                f"cog: x must lie between the axles (0 to {self.wheelbase:g} m), is {self.cog[0]:g}"
+            )
         if abs(self.cog[1]) >= min(self.front_track, self.rear_track) / 2:
             raise ValueError(f"cog: y must lie between the wheels, is {self.cog[1]:g}")
         if not 0 < self.cog[2] < 5:

@@ -18,11 +18,33 @@ import pytest
 from suspension_twin.effects.registry import EFFECTS
 
 CONTRACT = (
-    "strut_friction", "bump_stop", "rebound_stop", "top_mount", "anti_roll_bar", "damper_fade", "corner_damper",
-    "corner_spring", "tyre_damping", "tyre_envelope", "unsprung_mass", "payload", "body_bending", "powertrain_mount",
-    "mount_resonance", "sensor_offset", "sensor_tilt", "sensor_bandwidth", "sensor_clipping", "sensor_scale",
-    "time_offset", "clock_drift", "road_scale", "road_smoothing", "position_offset", "lateral_offset",
-)  # fmt: skip
+    "strut_friction",
+    "bump_stop",
+    "rebound_stop",
+    "top_mount",
+    "anti_roll_bar",
+    "damper_fade",
+    "corner_damper",
+    "corner_spring",
+    "tyre_damping",
+    "tyre_envelope",
+    "unsprung_mass",
+    "payload",
+    "body_bending",
+    "powertrain_mount",
+    "mount_resonance",
+    "sensor_offset",
+    "sensor_tilt",
+    "sensor_bandwidth",
+    "sensor_clipping",
+    "sensor_scale",
+    "time_offset",
+    "clock_drift",
+    "road_scale",
+    "road_smoothing",
+    "position_offset",
+    "lateral_offset",
+)
 
 
 @pytest.fixture(scope="module")
@@ -113,7 +135,9 @@ def test_a_payload_sinks_the_car_by_its_weight_over_the_springs(world: Any, real
     car, plan = world.car, world.plans["drive_fast"]
     load = {"payload": {"mass": 100.0, "x": car.cog[0], "y": 0.0}}
     sunk, still = (RUN[reality](world, plan, f).travel[500:1500].mean(axis=0) for f in (load, {}))
-    rate = sum(2 * np.gradient(s.spring)[300] / (SPRING_REACH / (s.spring.size - 1)) for s in (car.front, car.rear))
+    rate = sum(
+        2 * np.gradient(s.spring)[300] / (SPRING_REACH / (s.spring.size - 1)) for s in (car.front, car.rear)
+    )
     assert (sunk - still).mean() == pytest.approx(100.0 * G / rate, rel=0.1)
 
 
@@ -170,7 +194,9 @@ def test_a_tyre_builds_its_force_up_over_a_way_and_then_slips_as_its_stiffness_s
         force.append(rate * xi)
     end = stiffness * normal * slip / speed
     assert force[-1] == pytest.approx(end, rel=1e-3)
-    assert force[399] == pytest.approx(end * (1 - np.exp(-1.0)), rel=0.01)  # a build-up way of 0.4 m is 40 ms here
+    assert force[399] == pytest.approx(
+        end * (1 - np.exp(-1.0)), rel=0.01
+    )  # a build-up way of 0.4 m is 40 ms here
     for _ in range(4000):
         xi, rate = sheared(xi, 50 * slip, speed, way, stiffness, normal, dt)
     assert rate * xi == pytest.approx(0.95 * normal)  # the tyre slides
@@ -199,7 +225,9 @@ def test_severity_grows_with_the_amount_and_recalibration_absorbs_what_a_spring_
     assert scale.severity(severity.change(world, scale, fault)) == pytest.approx(1.5, rel=0.1)
     car = replace(world.car, front=replace(world.car.front, spring=1.05 * world.car.front.spring))
     stiffer = newton.run(replace(plain(world), car=car), world.plans["drive_fast"], {}, 2e-3)
-    changed = severity.signals(phone.felt(stiffer, world.phone, {}, ideal=True)) - severity.signals(scale.felt)
+    changed = severity.signals(phone.felt(stiffer, world.phone, {}, ideal=True)) - severity.signals(
+        scale.felt
+    )
     before = float(np.max(np.sqrt(np.mean((changed / scale.floor) ** 2, axis=0))))
     assert scale.severity(changed) < 0.15 * before
 
@@ -288,10 +316,24 @@ def _row(kind: str, truth: list[str], verdict: str, top: str, chance: float, **m
     if named:
         chances[top] = chance
     return {
-        "case": "c", "kind": kind, "truth": truth, "severity": 5.0, "verdict": verdict, "top": top, "named": named,
-        "set": named, "rank": [1 if top in truth else 4], "chances": chances, "where": {}, "reference": False,
-        "seconds": 50.0, "cpu_seconds": 80.0, "memory_mb": 900.0, "interval": None, **more,
-    }  # fmt: skip
+        "case": "c",
+        "kind": kind,
+        "truth": truth,
+        "severity": 5.0,
+        "verdict": verdict,
+        "top": top,
+        "named": named,
+        "set": named,
+        "rank": [1 if top in truth else 4],
+        "chances": chances,
+        "where": {},
+        "reference": False,
+        "seconds": 50.0,
+        "cpu_seconds": 80.0,
+        "memory_mb": 900.0,
+        "interval": None,
+        **more,
+    }
 
 
 def test_kept_answers_grow_by_those_to_other_cases(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -303,10 +345,19 @@ def test_kept_answers_grow_by_those_to_other_cases(tmp_path: Path, monkeypatch: 
 
     def keep(seal: str, add: bool, **right: bool) -> dict[str, Any]:
         rows = [
-            _row("single", ["payload"], "effect", "payload" if good else "top_mount", 0.95, case=case, commit=seal,
-                 reality="newton", right=False)
+            _row(
+                "single",
+                ["payload"],
+                "effect",
+                "payload" if good else "top_mount",
+                0.95,
+                case=case,
+                commit=seal,
+                reality="newton",
+                right=False,
+            )
             for case, good in right.items()
-        ]  # fmt: skip
+        ]
         table._keep(rows, table._result(rows, [seal], "dev", 40), add)
         return dict(json.loads(file.read_text()))
 
@@ -323,8 +374,16 @@ def test_the_figures_count_what_they_say() -> None:
     from blind.score import figures
 
     rows = [
-        _row("single", ["payload"], "effect", "payload", 0.95, predicted_shrink=0.8, measured_shrink=0.77,
-             parameters={"payload.mass": [200.0, 190.0, 170.0, 210.0], "payload.x": [0.5, 0.4, 0.3, 0.45]}),
+        _row(
+            "single",
+            ["payload"],
+            "effect",
+            "payload",
+            0.95,
+            predicted_shrink=0.8,
+            measured_shrink=0.77,
+            parameters={"payload.mass": [200.0, 190.0, 170.0, 210.0], "payload.x": [0.5, 0.4, 0.3, 0.45]},
+        ),
         _row("single", ["payload"], "effect", "top_mount", 0.95),
         _row("single", ["top_mount"], "no_gap", "top_mount", 0.6),
         _row("null", [], "no_gap", "payload", 0.99),
@@ -347,22 +406,37 @@ def test_the_figures_count_what_they_say() -> None:
 def test_parameters_are_compared_where_label_and_answer_mean_the_same() -> None:
     from blind.score import _parameters
 
-    label = {"faults": {"corner_spring": {"corner": 1.0, "change": -0.3}, "position_offset": {"offset": -0.2}}}
+    label = {
+        "faults": {"corner_spring": {"corner": 1.0, "change": -0.3}, "position_offset": {"offset": -0.2}}
+    }
     causes = [
-        {"effect": "corner_spring", "parameters": {"corner": 1.0, "change": -0.25},
-         "parameter_intervals": {"change": [-0.4, -0.1]}},
-        {"effect": "position_offset", "parameters": {"offset": 0.19}, "parameter_intervals": {"offset": [0.1, 0.3]}},
+        {
+            "effect": "corner_spring",
+            "parameters": {"corner": 1.0, "change": -0.25},
+            "parameter_intervals": {"change": [-0.4, -0.1]},
+        },
+        {
+            "effect": "position_offset",
+            "parameters": {"offset": 0.19},
+            "parameter_intervals": {"offset": [0.1, 0.3]},
+        },
         {"effect": "payload", "parameters": {"mass": 10.0}, "parameter_intervals": {"mass": [0.0, 20.0]}},
-    ]  # fmt: skip
+    ]
     told = _parameters(label, {"causes": causes, "combination": ["corner_spring", "position_offset"]})
-    assert told == {"corner_spring.change": [-0.3, -0.25, -0.4, -0.1], "position_offset.offset": [0.2, 0.19, 0.1, 0.3]}
+    assert told == {
+        "corner_spring.change": [-0.3, -0.25, -0.4, -0.1],
+        "position_offset.offset": [0.2, 0.19, 0.1, 0.3],
+    }
 
 
 def test_the_picture_is_drawn(tmp_path: Path) -> None:
     from blind.picture import draw
     from blind.score import figures
 
-    rows = [_row("single", ["payload"], "effect", "payload", 0.95), _row("null", [], "no_gap", "payload", 0.99)]
+    rows = [
+        _row("single", ["payload"], "effect", "payload", 0.95),
+        _row("null", [], "no_gap", "payload", 0.99),
+    ]
     rows.append({**_row("single", ["top_mount"], "error", "", 0.0), "chances": {}, "top": None})
     assert figures(rows)["figures"]["failed"]["value"] == pytest.approx(1 / 3)
     result = {**figures(rows), "cases": 2, "seeds": "dev", "commit": ["abc"]}

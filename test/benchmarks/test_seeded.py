@@ -28,9 +28,14 @@ def truth(seeded: ModuleType) -> Any:
     t = np.arange(0.0, 10.0, 0.005)
     zero = np.zeros_like(t)
     columns = {
-        "t": t, "fx": zero, "fy": 0.3 * np.sin(2 * np.pi * 0.5 * t), "fz": 9.81 + np.sin(2 * np.pi * 2.0 * t),
-        "wx": zero, "wy": 0.1 * np.sin(2 * np.pi * t), "wz": zero,
-    }  # fmt: skip
+        "t": t,
+        "fx": zero,
+        "fy": 0.3 * np.sin(2 * np.pi * 0.5 * t),
+        "fz": 9.81 + np.sin(2 * np.pi * 2.0 * t),
+        "wx": zero,
+        "wy": 0.1 * np.sin(2 * np.pi * t),
+        "wz": zero,
+    }
     return seeded.Truth(columns, 1000.0, 2.7, 0.75)
 
 
@@ -42,7 +47,9 @@ def drive(truth: Any) -> Drive:
     rate = np.stack([truth.columns[k][pick] for k in ("wx", "wy", "wz")], axis=1)
     none = np.empty(0)
     fix = FixData(none, none, none, none, np.empty(0, dtype=np.int8), np.empty((0, 3)))
-    return Drive("heave", ImuData(1000.0 + truth.t[pick], force, rate), fix, VelocityData(none, np.empty((0, 3))))
+    return Drive(
+        "heave", ImuData(1000.0 + truth.t[pick], force, rate), fix, VelocityData(none, np.empty((0, 3)))
+    )
 
 
 @pytest.fixture(scope="module")
@@ -50,9 +57,16 @@ def road() -> Road:
     u, v = np.arange(0.0, 40.0, 0.05), np.arange(-2.0, 2.05, 0.1)
     z = np.sin(2 * np.pi * u / 4.0)[:, None] * 0.02 + 0.01 * v[None, :]
     return Road(
-        name="waves", z=z, v=np.round(v, 6), u_step=0.05, x=u, y=np.zeros_like(u), ref_z=np.zeros_like(u),
-        bank=np.zeros_like(u), headings=(0.0, 0.0),
-    )  # fmt: skip
+        name="waves",
+        z=z,
+        v=np.round(v, 6),
+        u_step=0.05,
+        x=u,
+        y=np.zeros_like(u),
+        ref_z=np.zeros_like(u),
+        bank=np.zeros_like(u),
+        headings=(0.0, 0.0),
+    )
 
 
 def test_every_effect_comes_faint_and_plain_and_seeds_share_no_case(seeded: ModuleType) -> None:
@@ -74,8 +88,12 @@ def test_gross_faults_are_gross_and_differ_from_seeds_to_seeds(seeded: ModuleTyp
     assert len(reporting) == len({c.name for c in reporting}) == 2 * len(seeded.GROSS) - 2
     assert not any(a.faults == b.faults for a, b in zip(development, reporting, strict=True))
     least = {
-        "time_offset": 0.3, "clock_drift": 4000.0, "sensor_tilt": 1.5, "position_offset": 1.0, "lateral_offset": 0.7,
-    }  # fmt: skip
+        "time_offset": 0.3,
+        "clock_drift": 4000.0,
+        "sensor_tilt": 1.5,
+        "position_offset": 1.0,
+        "lateral_offset": 0.7,
+    }
     for case in (*development, *reporting):
         ((effect, values),) = case.faults.items()
         assert max(abs(v) for v in values.values()) >= least[effect]
@@ -92,7 +110,9 @@ def test_a_vehicles_own_effects_come_with_and_without_a_name(seeded: ModuleType)
     assert not {(c.share, c.seed) for c in development} & {(c.share, c.seed) for c in reporting}
 
 
-def test_what_the_vehicle_changes_is_added_in_the_sensors_axes(seeded: ModuleType, drive: Drive, truth: Any) -> None:
+def test_what_the_vehicle_changes_is_added_in_the_sensors_axes(
+    seeded: ModuleType, drive: Drive, truth: Any
+) -> None:
     own = np.zeros((truth.t.size, 6))
     own[:, 2], own[:, 4] = 0.5, 0.02
     turned = (np.pi / 2, 0.0, 0.0)  # its y looks up, its z to the right
@@ -137,14 +157,20 @@ def test_a_low_pass_takes_what_is_quick_by_its_own_gain(seeded: ModuleType, driv
 
 
 def test_a_range_cuts_and_clocks_are_set(seeded: ModuleType, drive: Drive, truth: Any) -> None:
-    faults = {"sensor_clipping": {"range": 10.2}, "time_offset": {"offset": 0.05}, "clock_drift": {"drift_ppm": 1000.0}}
+    faults = {
+        "sensor_clipping": {"range": 10.2},
+        "time_offset": {"offset": 0.05},
+        "clock_drift": {"drift_ppm": 1000.0},
+    }
     found = seeded.recorded(drive, truth, LEVEL, faults).imu
     assert found.specific_force[:, 2].max() == 10.2
     np.testing.assert_allclose(found.t - drive.imu.t, 0.05 + 1e-3 * (drive.imu.t - 1000.0), atol=1e-6)
 
 
 def test_the_road_file_is_wrong_as_it_is_told(seeded: ModuleType, road: Road) -> None:
-    np.testing.assert_allclose(seeded.surveyed(road, {"road_scale": {"scale": 0.25}}).z * 1.25, road.z, atol=1e-12)
+    np.testing.assert_allclose(
+        seeded.surveyed(road, {"road_scale": {"scale": 0.25}}).z * 1.25, road.z, atol=1e-12
+    )
     ahead = seeded.surveyed(road, {"position_offset": {"offset": 0.5}})
     np.testing.assert_allclose(ahead.z[:-20], road.z[10:-10], atol=1e-9)
     beside = seeded.surveyed(road, {"lateral_offset": {"offset": 0.3}})

@@ -53,7 +53,9 @@ def test_nothing_and_next_to_nothing_change_nothing(vehicle: ModuleType, source:
     assert 0.0 < np.abs(slight).max() < 1e-6
 
 
-def test_a_load_behind_lets_the_car_lean_back_and_changes_no_weight(vehicle: ModuleType, source: Path) -> None:
+def test_a_load_behind_lets_the_car_lean_back_and_changes_no_weight(
+    vehicle: ModuleType, source: Path
+) -> None:
     load = {"mass": 200.0, "x": -0.4, "y": 0.0}
     world, truth, _ = vehicle._world(source, DRIVE)
     rest = vehicle.changed(source, DRIVE, {"payload": load})[truth.t < 1.0].mean(axis=0)

@@ -15,9 +15,12 @@ BENCHMARKS = Path(__file__).resolve().parents[2] / "benchmarks"
 
 def answer(named: list[str], verdict: str, tied: tuple[str, ...] = ()) -> dict[str, Any]:
     return {
-        "verdict": verdict, "combination": named, "causes": [{"indistinguishable_from": list(tied)}],
-        "cannot_be_judged": ["track_tension"], "visible_from": {"payload": {"mass": 1500.0}},
-    }  # fmt: skip
+        "verdict": verdict,
+        "combination": named,
+        "causes": [{"indistinguishable_from": list(tied)}],
+        "cannot_be_judged": ["track_tension"],
+        "visible_from": {"payload": {"mass": 1500.0}},
+    }
 
 
 def test_an_outcome_is_what_was_said_of_what_was_done() -> None:
@@ -65,7 +68,9 @@ def test_every_effect_is_among_the_kinds_and_seeds_are_apart() -> None:
 def test_what_is_kept_has_every_kind_at_every_severity() -> None:
     from tracked_blind import STRENGTH
 
-    kept = json.loads((BENCHMARKS / "results" / "tracked_blind.json").read_text(encoding="utf-8"))["reporting"]
+    kept = json.loads((BENCHMARKS / "results" / "tracked_blind.json").read_text(encoding="utf-8"))[
+        "reporting"
+    ]
     asked = {(r["kind"], r["severity"]) for r in kept["rows"]}
     assert asked >= {(k, s) for k in kept["kinds"] if k != "none" for s in (0.5, 1.5, 5.0)}
     for row in kept["rows"]:  # what was done stands beside what was said of it

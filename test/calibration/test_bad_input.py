@@ -35,12 +35,16 @@ def drive(rough_case: Any) -> Drive:
 def calibrated(rough_case: Any, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> Run:
     """Runs ``calibrate`` on a drive: exit status, what it said, and the file it was to write."""
 
-    def run(drive: Drive | Path, command: str = "calibrate", twin: str = rough_case.twin) -> tuple[int, str, Path]:
+    def run(
+        drive: Drive | Path, command: str = "calibrate", twin: str = rough_case.twin
+    ) -> tuple[int, str, Path]:
         bag = drive if isinstance(drive, Path) else tmp_path / drive.name
         if isinstance(drive, Drive):
             write_drive(drive, bag)
         out = tmp_path / "out" / "calibrated.yaml"
-        status = main([command, "--twin", twin, str(bag), "--out", str(out if command == "calibrate" else out.parent)])
+        status = main(
+            [command, "--twin", twin, str(bag), "--out", str(out if command == "calibrate" else out.parent)]
+        )
         said = capsys.readouterr()
         return status, said.err if status else said.out, out
 
@@ -65,8 +69,10 @@ def test_without_excitation(rough_case: Any, calibrated: Run) -> None:
     knots = [(0, 0), (3.2, 0), (6, 5), (14, 5), (17, 0), (19, 0)]
     refused(
         calibrated(synthetic_drive(rough_case.truth, smooth, knots, seed=4, name="smooth")),
-        "smooth", "does not excite the car", "drive over a bump or a rough road",
-    )  # fmt: skip
+        "smooth",
+        "does not excite the car",
+        "drive over a bump or a rough road",
+    )
 
 
 @pytest.mark.parametrize("command", ["calibrate", "diagnose"])
@@ -102,7 +108,12 @@ def test_without_gps(drive: Drive, calibrated: Run) -> None:
 
 def test_far_from_the_road(rough_case: Any, drive: Drive, calibrated: Run) -> None:
     fix = replace(drive.fix, latitude=drive.fix.latitude + 0.01)
-    refused(calibrated(replace(drive, name="elsewhere", fix=fix)), "elsewhere", "never drives on the road", "datum")
+    refused(
+        calibrated(replace(drive, name="elsewhere", fix=fix)),
+        "elsewhere",
+        "never drives on the road",
+        "datum",
+    )
 
 
 def test_on_another_road_at_the_same_place(rough_case: Any, calibrated: Any, tmp_path: Path) -> None:
@@ -119,9 +130,7 @@ def test_cut_off_to_a_few_seconds(drive: Drive, calibrated: Run) -> None:
     refused(calibrated(replace(cut(drive, start, start + 5.0), name="short")), "short", "are needed")
 
 
-def test_a_file_cut_off_is_used_as_far_as_it_goes(
-    rough_case: Any, calibrated: Run, tmp_path: Path
-) -> None:
+def test_a_file_cut_off_is_used_as_far_as_it_goes(rough_case: Any, calibrated: Run, tmp_path: Path) -> None:
     (file,) = Path(rough_case.bag("one")).glob("*.mcap")
     whole = file.read_bytes()
     broken = tmp_path / "broken.mcap"

@@ -25,13 +25,34 @@ def test_every_option_reaches_the_calibration(
     out = tmp_path / "found" / "calibrated.yaml"
     status = main(
         asked(
-            pass_case, out, "--objective", "mse", "--channel", "vertical_acceleration=2", "--channel", "pitch_rate=30",
-            "--free", "vehicle.front.damper_push", "--free", "vehicle.rear.damper_pull",
-            "--also", "vehicle.sprung_inertia.pitch", "--freeze", "vehicle.front.damper_push.force.3",
-            "--freeze", "nuisances.gain", "--freeze", "nuisances.bias",
-            "--bound", "vehicle.sprung_inertia.pitch=2000:3000", "--seed", "3", "--report", str(tmp_path / "page"),
+            pass_case,
+            out,
+            "--objective",
+            "mse",
+            "--channel",
+            "vertical_acceleration=2",
+            "--channel",
+            "pitch_rate=30",
+            "--free",
+            "vehicle.front.damper_push",
+            "--free",
+            "vehicle.rear.damper_pull",
+            "--also",
+            "vehicle.sprung_inertia.pitch",
+            "--freeze",
+            "vehicle.front.damper_push.force.3",
+            "--freeze",
+            "nuisances.gain",
+            "--freeze",
+            "nuisances.bias",
+            "--bound",
+            "vehicle.sprung_inertia.pitch=2000:3000",
+            "--seed",
+            "3",
+            "--report",
+            str(tmp_path / "page"),
         )
-    )  # fmt: skip
+    )
     said = capsys.readouterr()
     assert status == 0, said.err
     assert "What was found" in said.out and str(out) in said.out
@@ -49,7 +70,14 @@ def test_every_option_reaches_the_calibration(
     assert found.vehicle.front.damper_push.force[3] == start.vehicle.front.damper_push.force[3]
     assert details["cost"] < 0.5 * details["initial_cost"]
     page = (tmp_path / "page" / "report.html").read_text(encoding="utf-8")
-    for words in ("What came of it", "Characteristics", "Parameters", "Nuisances", "The search", "90 % interval"):
+    for words in (
+        "What came of it",
+        "Characteristics",
+        "Parameters",
+        "Nuisances",
+        "The search",
+        "90 % interval",
+    ):
         assert words in page
     assert not list((tmp_path / "found").glob(".*"))
 

@@ -20,9 +20,19 @@ MOMENTS = (("*.part", 2), ("state.yaml", 3))
 
 def command(case: Any, out: Path, *more: str) -> list[str]:
     return [
-        sys.executable, "-m", "suspension_twin", "calibrate", "--twin", case.twin, case.bag("pass"), "--out", str(out),
-        "--seed", "5", *more,
-    ]  # fmt: skip
+        sys.executable,
+        "-m",
+        "suspension_twin",
+        "calibrate",
+        "--twin",
+        case.twin,
+        case.bag("pass"),
+        "--out",
+        str(out),
+        "--seed",
+        "5",
+        *more,
+    ]
 
 
 def killed(arguments: list[str], state: Path, pattern: str, count: int, environment: dict[str, str]) -> bool:

@@ -13,18 +13,18 @@ import numpy as np
 import pytest
 import yaml
 
-from suspension_twin.calibration.identify import profile
-from suspension_twin.calibration.likelihood import Likelihood
 from suspension_twin.calibration.output import details_path, write_result
-from suspension_twin.calibration.problem import FitProblem
 from suspension_twin.calibration.request import CalibrationRequest, CalibrationResult, Progress
 from suspension_twin.calibration.run import calibrate
 from suspension_twin.calibration.setup import set_up
-from suspension_twin.calibration.space import curve_keys, twin_value
 from suspension_twin.calibration.squares import full_precision
 from suspension_twin.drive.read import read_drive
 from suspension_twin.errors import InputError
 from suspension_twin.gap.prepare import prepare
+from suspension_twin.identification.likelihood import Likelihood
+from suspension_twin.identification.posterior import profile
+from suspension_twin.identification.problem import FitProblem
+from suspension_twin.identification.space import curve_keys, twin_value
 from suspension_twin.models.simulate import simulate_twin
 from suspension_twin.vehicle.twin import load_twin
 
@@ -47,7 +47,8 @@ def test_a_drive_not_seen_is_left_with_the_noise(rough_case: Any, fast: Any) -> 
     result, _ = fast
     there = prepare(read_drive(rough_case.bag("two")), result.twin)
     ours, true = (
-        there.gap(there.condition(simulate_twin(t, there.excitation))).rms for t in (result.twin, rough_case.truth)
+        there.gap(there.condition(simulate_twin(t, there.excitation))).rms
+        for t in (result.twin, rough_case.truth)
     )
     before = there.gap(there.condition(simulate_twin(rough_case.start, there.excitation))).rms
     assert ours < 1.1 * true
@@ -129,7 +130,9 @@ def test_clock_and_map_offsets_are_found_and_not_taken_for_physics(
 
 
 def test_the_paper_preset_searches_table_2_with_its_budget(pass_case: Any) -> None:
-    result = calibrate(CalibrationRequest(pass_case.twin, (pass_case.bag("pass"),), preset="paper", max_generations=25))
+    result = calibrate(
+        CalibrationRequest(pass_case.twin, (pass_case.bag("pass"),), preset="paper", max_generations=25)
+    )
     assert len(result.estimates) == 24
     assert result.estimates[0].lower == 500.0 and result.estimates[-1].upper == 6000.0
     searched = 100 + 85 * 25
@@ -143,7 +146,9 @@ def test_the_paper_preset_searches_table_2_with_its_budget(pass_case: Any) -> No
 
 
 def test_the_tracked_papers_preset_searches_the_mean_correlation_with_its_budget(pass_case: Any) -> None:
-    result = calibrate(CalibrationRequest(pass_case.twin, (pass_case.bag("pass"),), preset="tracked_paper", seed=3))
+    result = calibrate(
+        CalibrationRequest(pass_case.twin, (pass_case.bag("pass"),), preset="tracked_paper", seed=3)
+    )
     assert result.evaluations == 40 + 30 * 38
     assert result.objective == "correlation"
     assert 0.0 < result.cost < result.initial_cost < 1.0
@@ -153,7 +158,9 @@ def test_fast_needs_a_tenth_of_the_papers_evaluations(pass_case: Any) -> None:
     bags, channel = (pass_case.bag("pass"),), (("vertical_acceleration", 1.0),)
     paper = calibrate(CalibrationRequest(pass_case.twin, bags, preset="paper", seed=2))
     keys = curve_keys(load_twin(pass_case.twin))
-    same = CalibrationRequest(pass_case.twin, bags, seed=2, objective="euclidean", channels=channel, free=keys)
+    same = CalibrationRequest(
+        pass_case.twin, bags, seed=2, objective="euclidean", channels=channel, free=keys
+    )
     fast = calibrate(same)
     there = fast.history[fast.history[:, 1] <= paper.cost]
     assert len(there) and there[0, 0] <= 0.1 * paper.evaluations
@@ -163,9 +170,13 @@ def test_fast_needs_a_tenth_of_the_papers_evaluations(pass_case: Any) -> None:
 def test_other_objectives_go_down(rough_case: Any, objective: str) -> None:
     few = ("vehicle.front.damper_push.force.0", "vehicle.rear.damper_pull.force.0")
     request = CalibrationRequest(
-        rough_case.twin, (rough_case.bag("two"),), objective=objective, channels=(("vertical_acceleration", 1.0),),
-        free=few, max_generations=2 if objective == "iso18571" else 6,
-    )  # fmt: skip
+        rough_case.twin,
+        (rough_case.bag("two"),),
+        objective=objective,
+        channels=(("vertical_acceleration", 1.0),),
+        free=few,
+        max_generations=2 if objective == "iso18571" else 6,
+    )
     result = calibrate(request)
     assert result.cost < result.initial_cost and result.objective == objective
     assert {e.key for e in result.estimates} == set(few)
@@ -173,18 +184,25 @@ def test_other_objectives_go_down(rough_case: Any, objective: str) -> None:
 
 def test_effects_and_masses_can_be_freed_and_curves_frozen(rough_case: Any) -> None:
     request = CalibrationRequest(
-        rough_case.twin, (rough_case.bag("two"),), free=("vehicle.front.damper_pull",),
-        also=("effects.tyre_damping", "vehicle.mass"), freeze=("vehicle.front.damper_pull.force.3",),
-        bounds=(("vehicle.mass", 1700.0, 1750.0),), max_generations=4,
-    )  # fmt: skip
+        rough_case.twin,
+        (rough_case.bag("two"),),
+        free=("vehicle.front.damper_pull",),
+        also=("effects.tyre_damping", "vehicle.mass"),
+        freeze=("vehicle.front.damper_pull.force.3",),
+        bounds=(("vehicle.mass", 1700.0, 1750.0),),
+        max_generations=4,
+    )
     result = calibrate(request)
     keys = [e.key for e in result.estimates]
-    assert keys[:4] == [*(f"vehicle.front.damper_pull.force.{i}" for i in range(3)), "effects.tyre_damping.front"] or (
-        "effects.tyre_damping" in keys[3]
-    )
+    assert keys[:4] == [
+        *(f"vehicle.front.damper_pull.force.{i}" for i in range(3)),
+        "effects.tyre_damping.front",
+    ] or ("effects.tyre_damping" in keys[3])
     assert [e.id for e in result.twin.effects] == ["tyre_damping"]
     assert 1700.0 <= result.twin.vehicle.mass <= 1750.0
-    assert result.twin.vehicle.front.damper_pull.force[3] == rough_case.start.vehicle.front.damper_pull.force[3]
+    assert (
+        result.twin.vehicle.front.damper_pull.force[3] == rough_case.start.vehicle.front.damper_pull.force[3]
+    )
 
 
 # -- intervals -------------------------------------------------------------------------------------
@@ -192,7 +210,9 @@ def test_effects_and_masses_can_be_freed_and_curves_frozen(rough_case: Any) -> N
 
 def test_laplace_agrees_with_the_profile_likelihood(rough_case: Any, fast: Any) -> None:
     result, _ = fast
-    setup = set_up(CalibrationRequest(rough_case.twin, (rough_case.bag("one"),)), lambda n: None, lambda: False)
+    setup = set_up(
+        CalibrationRequest(rough_case.twin, (rough_case.bag("one"),)), lambda n: None, lambda: False
+    )
     problem, space = setup.problem, setup.space
     d = len(space)
     values = np.array([e.value for e in result.estimates])
@@ -203,7 +223,11 @@ def test_laplace_agrees_with_the_profile_likelihood(rough_case: Any, fast: Any) 
     precision = full_precision(problem)
     residual, jacobian, _ = FitProblem(problem, likelihood.residuals).linearise(x)
     covariance = np.linalg.inv(jacobian.T @ jacobian + precision)
-    checked = ("vehicle.front.damper_push.force.0", "vehicle.rear.damper_pull.force.1", "vehicle.sprung_inertia.pitch")
+    checked = (
+        "vehicle.front.damper_push.force.0",
+        "vehicle.rear.damper_pull.force.1",
+        "vehicle.sprung_inertia.pitch",
+    )
     for key in checked:
         row = space.keys.index(key)
         sigma = float(np.sqrt(covariance[row, row]))
@@ -274,14 +298,21 @@ def test_killed_again_and_again_it_ends_with_the_same_bits(
     assert kills >= 1
     write_result(whole, tmp_path / "whole.yaml")
     write_result(broken, tmp_path / "broken.yaml")
-    assert (tmp_path / "whole.yaml").read_text().replace("whole", "broken") == (tmp_path / "broken.yaml").read_text()
+    assert (tmp_path / "whole.yaml").read_text().replace("whole", "broken") == (
+        tmp_path / "broken.yaml"
+    ).read_text()
     details = [details_path(tmp_path / f"{name}.yaml").read_bytes() for name in ("whole", "broken")]
     assert details[0] == details[1]
 
 
 def test_a_state_of_another_question_is_not_taken_up(pass_case: Any, tmp_path: Path) -> None:
     request = CalibrationRequest(
-        pass_case.twin, (pass_case.bag("pass"),), preset="paper", seed=5, max_generations=3, state=str(tmp_path)
+        pass_case.twin,
+        (pass_case.bag("pass"),),
+        preset="paper",
+        seed=5,
+        max_generations=3,
+        state=str(tmp_path),
     )
     first = calibrate(request)
     other = calibrate(replace(request, seed=6))

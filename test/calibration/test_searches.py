@@ -20,8 +20,14 @@ from suspension_twin.calibration.genetic import (
     rank_expectation,
     stochastic_uniform,
 )
-from suspension_twin.calibration.least_squares import LeastSquares, LmSettings, gram, solve_positive, squared
 from suspension_twin.calibration.pattern import PatternSearch, PatternSettings
+from suspension_twin.identification.least_squares import (
+    LeastSquares,
+    LmSettings,
+    gram,
+    solve_positive,
+    squared,
+)
 
 TARGET = np.linspace(0.2, 0.8, 6)
 
@@ -124,7 +130,9 @@ def test_mutation_moves_and_stays_within_the_bounds() -> None:
 
 
 def test_pattern_search_reaches_a_corner_and_an_inner_minimum() -> None:
-    search = PatternSearch(np.full(6, 0.5), float(bowl(np.full((1, 6), 0.5))[0]), PatternSettings(evaluations=4000))
+    search = PatternSearch(
+        np.full(6, 0.5), float(bowl(np.full((1, 6), 0.5))[0]), PatternSettings(evaluations=4000)
+    )
     while not search.finished:
         search.tell(bowl(search.ask()))
     assert search.converged
@@ -246,7 +254,11 @@ def test_a_checkpoint_is_whole_or_not_there(tmp_path: Path) -> None:
     assert state.plain == {"number": 0.1 + 0.2, "large": 2**127, "none": np.inf, "list": [1, [2, 3]]}
     assert len(list((tmp_path / "state").iterdir())) == 2
     assert Checkpoint(tmp_path / "state", "another").load() is None
-    for damage in ("format: 1\n", "- [", "format: 1\nfingerprint: one\nstage: x\narrays: no.npz\nplain: {}\n"):
+    for damage in (
+        "format: 1\n",
+        "- [",
+        "format: 1\nfingerprint: one\nstage: x\narrays: no.npz\nplain: {}\n",
+    ):
         (tmp_path / "state" / "state.yaml").write_text(damage)
         assert store.load() is None
     store.remove()

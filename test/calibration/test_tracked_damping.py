@@ -34,7 +34,9 @@ def test_a_variance_is_that_of_the_run(vehicle: TrackedVehicle) -> None:
     assert table[0, 0] == pytest.approx(np.var(pitch))
 
 
-def test_the_least_mean_within_the_range_is_taken(vehicle: TrackedVehicle, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_least_mean_within_the_range_is_taken(
+    vehicle: TrackedVehicle, monkeypatch: pytest.MonkeyPatch
+) -> None:
     table = np.full((7, 11), 2.0)
     table[2, :5], table[2, 5:] = 1.0, 3.0
     table[4, 5:] = 1.5

@@ -39,7 +39,10 @@ def run(vehicle: TrackedVehicle) -> MarkerRun:
 
 def times(run: MarkerRun, factor: float) -> MarkerRun:
     return replace(
-        run, markers=factor * run.markers, velocity=factor * run.velocity, acceleration=factor * run.acceleration
+        run,
+        markers=factor * run.markers,
+        velocity=factor * run.velocity,
+        acceleration=factor * run.acceleration,
     )
 
 
@@ -67,7 +70,9 @@ def test_motion_does_not_mind_a_clock_that_is_late(run: MarkerRun) -> None:
     def late(values: np.ndarray) -> np.ndarray:
         return np.stack([np.interp(run.t - 0.05, run.t, c) for c in values.T], axis=1)
 
-    shifted = replace(run, markers=late(run.markers), velocity=late(run.velocity), acceleration=late(run.acceleration))
+    shifted = replace(
+        run, markers=late(run.markers), velocity=late(run.velocity), acceleration=late(run.acceleration)
+    )
     worth = compare(shifted, run)
     assert worth.late == pytest.approx(0.05, abs=0.003)
     assert worth.cost("motion") < 0.3 * compare(shifted, run).residual.mean() + 0.05
@@ -97,7 +102,9 @@ def test_the_search_comes_near(vehicle: TrackedVehicle, run: MarkerRun, objectiv
     assert all(BOUNDS[key][0] <= value <= BOUNDS[key][1] for key, value in first.values.items())
 
 
-def test_the_search_is_repeatable_and_stops_with_the_best_so_far(vehicle: TrackedVehicle, run: MarkerRun) -> None:
+def test_the_search_is_repeatable_and_stops_with_the_best_so_far(
+    vehicle: TrackedVehicle, run: MarkerRun
+) -> None:
     settings = replace(SETTINGS, population=6, generations=2)
     told: list[Progress] = []
     first = calibrate_tracked(vehicle, [run], seed=3, settings=settings, tell=told.append)

@@ -21,7 +21,9 @@ def vehicle(repository: Path) -> TrackedVehicle:
     return load_tracked(repository / "config" / "tracked" / "pt91.yaml")
 
 
-def test_the_bundled_runs_are_three_repeats_at_three_speeds(repository: Path, vehicle: TrackedVehicle) -> None:
+def test_the_bundled_runs_are_three_repeats_at_three_speeds(
+    repository: Path, vehicle: TrackedVehicle
+) -> None:
     runs = [read_run(p, vehicle) for p in sorted((repository / "config" / "tracked" / "runs").glob("*.csv"))]
     assert [round(3.6 * r.speed) for r in runs] == [4] * 3 + [8] * 3 + [13] * 3
     for r in runs:
@@ -51,12 +53,20 @@ def test_poses_in_a_recording_are_markers(tmp_path: Path, vehicle: TrackedVehicl
     z, pitch = 0.1 * np.sin(2 * t), 0.05 * np.sin(3 * t)
     with BagWriter(tmp_path / "13kmh_1") as bag:
         bag.write(
-            "/pose", "geometry_msgs/msg/PoseStamped", 1000.0 + t,
-            {"pose.position.x": t, "pose.position.y": 0 * t, "pose.position.z": 5.0 + z, "pose.orientation.x": 0 * t,
-             "pose.orientation.y": np.sin(pitch / 2), "pose.orientation.z": 0 * t,
-             "pose.orientation.w": np.cos(pitch / 2)},
+            "/pose",
+            "geometry_msgs/msg/PoseStamped",
+            1000.0 + t,
+            {
+                "pose.position.x": t,
+                "pose.position.y": 0 * t,
+                "pose.position.z": 5.0 + z,
+                "pose.orientation.x": 0 * t,
+                "pose.orientation.y": np.sin(pitch / 2),
+                "pose.orientation.z": 0 * t,
+                "pose.orientation.w": np.cos(pitch / 2),
+            },
             frame="map",
-        )  # fmt: skip
+        )
     run = read_run(tmp_path / "13kmh_1", vehicle)
     assert run.speed == pytest.approx(13 / 3.6)
     ahead = 3.347 - vehicle.stations[-1].x
@@ -65,7 +75,9 @@ def test_poses_in_a_recording_are_markers(tmp_path: Path, vehicle: TrackedVehicl
     assert np.abs(run.markers[:, 0] - expected)[15:-15].max() < 5e-4
     with pytest.raises(InputError, match=r"/pose: is missing: /fix"):
         with BagWriter(tmp_path / "8kmh") as bag:
-            bag.write("/fix", "geometry_msgs/msg/PoseStamped", 1000.0 + t, {"pose.position.x": t}, frame="map")
+            bag.write(
+                "/fix", "geometry_msgs/msg/PoseStamped", 1000.0 + t, {"pose.position.x": t}, frame="map"
+            )
         read_run(tmp_path / "8kmh", vehicle)
 
 

@@ -31,14 +31,21 @@ def car() -> Twin:
     return parse_twin(
         {
             "vehicle": {
-                "name": "car", "mass": 1725.0, "wheelbase": 2.85, "front_track": 1.588, "rear_track": 1.605,
-                "cog": [1.5, 0.0, 0.55], "sprung_inertia": {"roll": 550.0, "pitch": 2600.0},
-                "tyre": {"radius": 0.316, "vertical_stiffness": 210000.0}, "front": _AXLE, "rear": _AXLE,
+                "name": "car",
+                "mass": 1725.0,
+                "wheelbase": 2.85,
+                "front_track": 1.588,
+                "rear_track": 1.605,
+                "cog": [1.5, 0.0, 0.55],
+                "sprung_inertia": {"roll": 550.0, "pitch": 2600.0},
+                "tyre": {"radius": 0.316, "vertical_stiffness": 210000.0},
+                "front": _AXLE,
+                "rear": _AXLE,
             },
             "imu": {"position": [1.9, 0.0, 1.2]},
             "datum": {"latitude": 47.4025, "longitude": 19.284},
         }
-    )  # fmt: skip
+    )
 
 
 @pytest.fixture(scope="session")
@@ -47,8 +54,12 @@ def make(tmp_path_factory: pytest.TempPathFactory, car: Twin) -> Make:
     the car has on all of them that the twin lacks."""
 
     def build(
-        effect: str = "", parameters: dict[str, float] | None = None, reference: bool = False, seed: int = 3,
-        car: Twin = car, always: tuple[EffectSpec, ...] = (),
+        effect: str = "",
+        parameters: dict[str, float] | None = None,
+        reference: bool = False,
+        seed: int = 3,
+        car: Twin = car,
+        always: tuple[EffectSpec, ...] = (),
     ) -> tuple[Path, list[str], list[str]]:
         folder = tmp_path_factory.mktemp(effect or "none")
         road = iso8608_road("B", 130, seed=seed, v_step=0.4)

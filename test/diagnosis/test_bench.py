@@ -23,7 +23,9 @@ from suspension_twin.vehicle.twin import EffectSpec, Twin
 
 def bench_of(case: Any) -> Bench:
     twin, bags, reference = case
-    read = read_case(DiagnosisRequest(str(twin), tuple(bags), tuple(reference)), lambda note: None, lambda: False)
+    read = read_case(
+        DiagnosisRequest(str(twin), tuple(bags), tuple(reference)), lambda note: None, lambda: False
+    )
     return build(read, lambda: False)
 
 
@@ -54,7 +56,9 @@ def test_an_effect_of_no_severity_is_the_baseline(leaning: Bench, level: bool) -
 
 
 @pytest.mark.parametrize("effect", ["time_offset", "sensor_scale"])
-def test_what_a_gross_fault_did_to_the_motion_is_taken_off_it_upright_or_not(leaning: Bench, effect: str) -> None:
+def test_what_a_gross_fault_did_to_the_motion_is_taken_off_it_upright_or_not(
+    leaning: Bench, effect: str
+) -> None:
     plain = leaning.problem.parts[0].excitation
     shown = {upright: replace(plain, late=0.5 + upright) for upright in (False, True)}
     known = tuple(replace(e, regained=shown, reclocked=shown) for e in leaning.excitations)
@@ -66,7 +70,9 @@ def test_what_a_gross_fault_did_to_the_motion_is_taken_off_it_upright_or_not(lea
     problem = copy(bench.problem)
     tilt = EffectSpec(id="sensor_tilt", parameters={"roll": 0.02, "pitch": 0.03, "yaw": 0.0})
     problem.twin = problem.twin.model_copy(update={"effects": (tilt,)})
-    assert replace(bench, problem=problem).excitation(0, (effect,)).late == 1.5  # whatever the twin file knows
+    assert (
+        replace(bench, problem=problem).excitation(0, (effect,)).late == 1.5
+    )  # whatever the twin file knows
 
 
 def test_an_effect_everywhere_is_one_of_the_vehicle(leaning: Bench) -> None:

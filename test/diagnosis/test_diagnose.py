@@ -34,7 +34,9 @@ def ask(case: tuple[Path, list[str], list[str]], **settings: Any) -> DiagnosisRe
 def check(document: dict[str, Any]) -> None:
     """The shape of diagnosis.json."""
     total = sum(c["probability"] for c in document["causes"])
-    assert total + document["no_gap_probability"] + document["unknown_probability"] == pytest.approx(1, abs=1e-4)
+    assert total + document["no_gap_probability"] + document["unknown_probability"] == pytest.approx(
+        1, abs=1e-4
+    )
     assert sorted(c["effect"] for c in document["causes"]) == sorted(FEW)
     assert set(document["where"]) == {"time", "road", "frequency", "channel", "corner", "operating_point"}
     for cause in document["causes"]:
@@ -43,7 +45,9 @@ def check(document: dict[str, Any]) -> None:
         assert cause["shrink"] == pytest.approx(1 - cause["gap_after"] / cause["gap_before"], abs=1e-4)
 
 
-def test_friction_is_found_with_its_size_and_the_written_twin_closes_the_gap(make: Any, tmp_path: Path) -> None:
+def test_friction_is_found_with_its_size_and_the_written_twin_closes_the_gap(
+    make: Any, tmp_path: Path
+) -> None:
     case = make("strut_friction", {"front_force": 250.0, "rear_force": 250.0}, reference=True)
     result = diagnose(ask(case))
     document = result.document
@@ -124,7 +128,9 @@ def test_a_little_tilt_under_a_high_antenna_is_no_map_that_lies_ahead(make: Any,
 def test_a_sensor_that_is_turned_far_is_named_and_pushes_no_vehicle(make: Any) -> None:
     """By 14° of yaw a quarter of the braking is felt as a push to the side: no body rolls by that."""
     truth = {"roll": -0.05, "pitch": 0.12, "yaw": 0.25}
-    asked = replace(ask(make("sensor_tilt", truth)), effects=("sensor_tilt", "corner_spring", "road_smoothing"))
+    asked = replace(
+        ask(make("sensor_tilt", truth)), effects=("sensor_tilt", "corner_spring", "road_smoothing")
+    )
     document = diagnose(asked).document
     assert document["verdict"] == "effect" and document["combination"] == ["sensor_tilt"], document["message"]
     assert document["causes"][0]["parameters"] == pytest.approx(truth, abs=0.012)
@@ -178,7 +184,9 @@ def test_two_causes_are_named_together_and_nothing_has_to_tell_them_apart(make: 
     document = diagnose(replace(ask(case), effects=effects)).document
     assert set(document["combination"]) == {"strut_friction", "sensor_offset"}, document["message"]
     first, second, other = document["causes"]
-    assert first["probability"] == pytest.approx(second["probability"], abs=1e-4) and other["probability"] < 0.01
+    assert (
+        first["probability"] == pytest.approx(second["probability"], abs=1e-4) and other["probability"] < 0.01
+    )
     assert not any(c["indistinguishable_from"] for c in document["causes"])
     assert document["next_experiment"].startswith("None is needed to tell candidates apart.")
 

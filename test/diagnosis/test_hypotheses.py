@@ -62,7 +62,11 @@ def test_a_witness_is_named_only_where_it_is_asked_for(car: Twin) -> None:
 def test_a_resonance_is_looked_for_everywhere(car: Twin) -> None:
     known = library(car, True)
     scans = {name: [v.scan(9) for v in of] for name, of in known.items()}
-    assert {n for n, s in scans.items() if s[0] is not None} == {"body_bending", "mount_resonance", "powertrain_mount"}
+    assert {n for n, s in scans.items() if s[0] is not None} == {
+        "body_bending",
+        "mount_resonance",
+        "powertrain_mount",
+    }
     for name in ("body_bending", "mount_resonance", "powertrain_mount"):
         (row, points), (hypothesis,) = scans[name][0], known[name]
         severe, tone = hypothesis.searched[row][1], EFFECTS[name].parameter("frequency")
@@ -104,7 +108,11 @@ def test_an_effect_of_a_twin_file_has_its_place(name: str, car: Twin) -> None:
 
 def test_traits_are_there_before_and_what_came_since_is_not(car: Twin) -> None:
     known = library(car, True)
-    late, trait, other = known["strut_friction"][0], known["corner_damper"][2].always(), known["payload"][0].always()
+    late, trait, other = (
+        known["strut_friction"][0],
+        known["corner_damper"][2].always(),
+        known["payload"][0].always(),
+    )
     whole = combined(late, trait, other)
     assert whole.effects == ("strut_friction", "corner_damper", "payload")
     assert whole.before() == combined(trait, other)

@@ -12,15 +12,16 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.signal import butter, lfilter, sosfilt
 
-from suspension_twin.diagnosis import gaps, verdict
+from suspension_twin.diagnosis import shrink as gaps
+from suspension_twin.diagnosis import verdict
 from suspension_twin.diagnosis.conclude import _message
-from suspension_twin.diagnosis.gaps import Remainder, Shrink
+from suspension_twin.diagnosis.evidence import Blocks, Evidence, weights
 from suspension_twin.diagnosis.gates import Gatekeeper
 from suspension_twin.diagnosis.hypotheses import Hypothesis
-from suspension_twin.diagnosis.judge import Blocks, Evidence, weights
+from suspension_twin.diagnosis.localisation import _frequency, _usual
 from suspension_twin.diagnosis.operating import _corners, _points
+from suspension_twin.diagnosis.shrink import Remainder, Shrink
 from suspension_twin.diagnosis.verdict import Gates
-from suspension_twin.diagnosis.where import _frequency, _usual
 
 RATE, CHANNEL = 100.0, "vertical_acceleration"
 FOUND, NOTHING = Gates(1.0, 1.0, 1.0), Gates(0.0, 1.0, 1.0)
@@ -97,8 +98,10 @@ def test_a_share_of_the_motion_is_even_and_an_order_is_not(seed: int) -> None:
 @given(st.floats(3.0, 16.0), st.floats(0.02, 0.06), st.integers(0, 1000))
 def test_a_resonance_is_located_within_a_sixth_of_an_octave(hertz: float, damping: float, seed: int) -> None:
     rng = np.random.default_rng(seed)
-    drives = [0.3 * resonance(rng.standard_normal(n), hertz, damping) + 0.05 * rng.standard_normal(n)
-              for n in (3000, 4500)]  # fmt: skip
+    drives = [
+        0.3 * resonance(rng.standard_normal(n), hertz, damping) + 0.05 * rng.standard_normal(n)
+        for n in (3000, 4500)
+    ]
     regions = _frequency(bench([3000, 4500], np.zeros((7500, 1))), drives, 0.01, np.zeros(129))
     assert regions == sorted(regions, key=lambda r: -r["share"])
     main = regions[0]
@@ -112,7 +115,12 @@ def test_no_band_stands_out_of_a_gap_that_is_everywhere_alike() -> None:
     spectrum = np.fft.rfft(rng.standard_normal(12_000))
     f = np.fft.rfftfreq(12_000, 1 / RATE)
     pink = np.fft.irfft(spectrum / np.sqrt(np.maximum(f, 0.2)))
-    assert sum(r["share"] for r in _frequency(bench([12_000], np.zeros((12_000, 1))), [pink], 0.0, np.zeros(129))) < 0.5
+    assert (
+        sum(
+            r["share"] for r in _frequency(bench([12_000], np.zeros((12_000, 1))), [pink], 0.0, np.zeros(129))
+        )
+        < 0.5
+    )
 
 
 def test_what_a_reference_shows_as_well_is_no_band_of_the_gap() -> None:
@@ -166,17 +174,28 @@ def test_a_payload_has_to_be_more_than_a_file_is_off_by(mass: float, low: float,
     [
         ("strut_friction", {"front_force": 3.0, "rear_force": 5.0}, True),
         ("strut_friction", {"front_force": 0.0, "rear_force": 40.0}, False),
-        ("tyre_damping", {"damping": 25.0}, True), ("tyre_damping", {"damping": 300.0}, False),
-        ("road_scale", {"scale": -0.012}, True), ("road_scale", {"scale": 0.08}, False),
+        ("tyre_damping", {"damping": 25.0}, True),
+        ("tyre_damping", {"damping": 300.0}, False),
+        ("road_scale", {"scale": -0.012}, True),
+        ("road_scale", {"scale": 0.08}, False),
         ("sensor_offset", {"x": 0.01, "y": 0.0, "z": -0.01}, True),
         ("sensor_offset", {"x": 0.0, "y": 0.0, "z": 0.2}, False),
-        ("clock_drift", {"drift_ppm": -25.0}, True), ("clock_drift", {"drift_ppm": -250.0}, False),
-        ("progressive_spring", {"front_rise": 2e5, "rear_rise": -5e4, "front_square": 1e6, "rear_square": 0.0}, True),
-        ("progressive_spring", {"front_rise": 7e4, "rear_rise": 4e3, "front_square": 3e7, "rear_square": 3e7}, False),
+        ("clock_drift", {"drift_ppm": -25.0}, True),
+        ("clock_drift", {"drift_ppm": -250.0}, False),
+        (
+            "progressive_spring",
+            {"front_rise": 2e5, "rear_rise": -5e4, "front_square": 1e6, "rear_square": 0.0},
+            True,
+        ),
+        (
+            "progressive_spring",
+            {"front_rise": 7e4, "rear_rise": 4e3, "front_square": 3e7, "rear_square": 3e7},
+            False,
+        ),
         ("bump_stop", {"front_clearance": 0.003, "rear_clearance": 0.04, "stiffness": 3.2e3}, True),
         ("rebound_stop", {"front_clearance": 0.03, "rear_clearance": 0.03, "stiffness": 4.0e4}, False),
     ],
-)  # fmt: skip
+)
 def test_what_every_car_has_is_no_finding(effect: str, values: dict[str, float], usual: bool) -> None:
     found = fitted(Hypothesis((effect,)), {}, values)
     assert (verdict.uncommon(*found) < 0.01) == usual and (verdict.uncommon(*found) > 0.99) == (not usual)
@@ -209,7 +228,9 @@ def test_what_is_named_in_part_is_shared_with_unknown_by_how_much_is_gone() -> N
 
 def test_what_is_gone_is_counted_above_what_a_sound_model_leaves() -> None:
     def left(*levels: float) -> Any:
-        return SimpleNamespace(level=dict(zip([(0, True), (0, False), (1, True), (1, False)], levels, strict=True)))
+        return SimpleNamespace(
+            level=dict(zip([(0, True), (0, False), (1, True), (1, False)], levels, strict=True))
+        )
 
     base = left(6.5, 2.5, 3.5, 1.2)
     assert verdict.gone(base, base, [0, 1]) == 0.0
@@ -237,17 +258,21 @@ def test_a_reference_that_two_vehicles_pull_at_is_disturbed() -> None:
 @pytest.mark.parametrize(
     ("effects", "no_gap", "unknown", "adequate", "answer"),
     [
-        ((0.6, 0.1), 0.2, 0.1, 1.0, "effect"), ((0.6, 0.1), 0.2, 0.1, 0.1, "partly"),
+        ((0.6, 0.1), 0.2, 0.1, 1.0, "effect"),
+        ((0.6, 0.1), 0.2, 0.1, 0.1, "partly"),
         # more than either answer without one, but not than both
-        ((0.4, 0.0), 0.35, 0.25, 1.0, "no_gap"), ((0.4, 0.0), 0.25, 0.35, 1.0, "unknown"),
+        ((0.4, 0.0), 0.35, 0.25, 1.0, "no_gap"),
+        ((0.4, 0.0), 0.25, 0.35, 1.0, "unknown"),
         # a little likelier than none is not enough to send somebody to a part, three to two is
-        ((0.55, 0.0), 0.05, 0.4, 1.0, "unknown"), ((0.62, 0.0), 0.05, 0.33, 1.0, "effect"),
+        ((0.55, 0.0), 0.05, 0.4, 1.0, "unknown"),
+        ((0.62, 0.0), 0.05, 0.33, 1.0, "effect"),
         # whatever else shares the rest: no gap and unknown are what a cause is weighed against
         ((0.45, 0.25), 0.1, 0.15, 1.0, "effect"),
         # one of two, whichever: likelier than that it is neither
-        ((0.4, 0.3), 0.1, 0.2, 1.0, "effect"), ((0.32, 0.3), 0.33, 0.05, 1.0, "effect"),
+        ((0.4, 0.3), 0.1, 0.2, 1.0, "effect"),
+        ((0.32, 0.3), 0.33, 0.05, 1.0, "effect"),
     ],
-)  # fmt: skip
+)
 def test_without_a_reference_a_cause_is_named_where_it_is_half_as_likely_again_as_none(
     effects: tuple[float, float], no_gap: float, unknown: float, adequate: float, answer: str
 ) -> None:
@@ -330,7 +355,10 @@ def test_an_operating_point_is_where_the_gap_is_and_nowhere_if_it_is_everywhere(
     points = _points(told, noise + 8.0 * (velocity < -0.3), *stretches(6000))
     assert {p["quantity"] for p in points} == {"front damper velocity"}
     assert points[0]["low"] < -0.3 and points[0]["high"] < -0.15 and points[0]["share"] > 0.3
-    wrong = [_points(told, np.random.default_rng(s).standard_normal(6000) ** 2, *stretches(6000)) for s in range(20)]
+    wrong = [
+        _points(told, np.random.default_rng(s).standard_normal(6000) ** 2, *stretches(6000))
+        for s in range(20)
+    ]
     assert sum(map(bool, wrong)) <= 4
 
 
@@ -363,7 +391,9 @@ def test_the_interval_holds_for_one_more_drive(drives: int) -> None:
         before = rng.standard_normal((drives * n, 1))
         after = np.repeat(there, n)[:, None] * rng.standard_normal((drives * n, 1))
         some = bench([n] * drives, before)
-        found = gaps.shrink_of(some, Remainder(before, before), Remainder(after, after), blocks, 0.0, 0, seed, True)
+        found = gaps.shrink_of(
+            some, Remainder(before, before), Remainder(after, after), blocks, 0.0, 0, seed, True
+        )
         held += found.interval[0] <= 1 - further <= found.interval[1]
     assert 0.84 <= held / 200 <= 0.99
 
@@ -374,7 +404,9 @@ def test_a_drive_whose_gap_is_gone_leaves_the_interval_finite() -> None:
     after = before * np.repeat([0.3, 1e-9], 1000)[:, None]
     blocks = Blocks(np.tile(np.arange(1000) // 50, 2), np.zeros(0, dtype=int), 20)
     some = bench([1000, 1000], before)
-    found = gaps.shrink_of(some, Remainder(before, before), Remainder(after, after), blocks, 1e-3, 0, 0, another=True)
+    found = gaps.shrink_of(
+        some, Remainder(before, before), Remainder(after, after), blocks, 1e-3, 0, 0, another=True
+    )
     assert np.isfinite(found.interval).all() and found.interval[0] <= found.shrink <= found.interval[1] <= 1.0
 
 
@@ -421,7 +453,10 @@ def test_a_cars_own_effect_may_ask_clocks_for_something() -> None:
 
     spoilt = Remainder(0.4 * x, 0.1 * x)
     assert gates(True, spoilt) == (True, pytest.approx(0.1, rel=1e-2))
-    assert gates(False, spoilt) == (False, pytest.approx(0.4, rel=1e-2))  # planar channels have biases to make up
+    assert gates(False, spoilt) == (
+        False,
+        pytest.approx(0.4, rel=1e-2),
+    )  # planar channels have biases to make up
 
 
 def test_a_cause_that_shows_without_closing_the_gap_is_not_said_to_shrink_it() -> None:
@@ -431,7 +466,10 @@ def test_a_cause_that_shows_without_closing_the_gap_is_not_said_to_shrink_it() -
         found = Shrink(before=1.0, after=1.0 - shrink, shrink=shrink, interval=(shrink - 0.1, shrink + 0.1))
         return _message("partly", document, found)
 
-    assert told(0.3) == "partly road smoothing: the gap shrinks by 30 % (20 to 40 %) on road that the fit has not seen"
+    assert (
+        told(0.3)
+        == "partly road smoothing: the gap shrinks by 30 % (20 to 40 %) on road that the fit has not seen"
+    )
     assert "does not shrink the gap (-11 to 9 %)" in told(-0.01)
 
 
@@ -439,7 +477,9 @@ def test_what_stands_in_takes_little_where_much_is_left() -> None:
     much, little = 0.17, 0.05  # of the motion
     assert verdict.background(much, 0.01, 0.1) < 0.75 * verdict.background(much, 0.01)
     assert verdict.background(much, 0.01, 0.8) > 0.95 > verdict.background(much, 0.01)
-    assert verdict.background(little, 0.01, 0.1) > 0.95  # what is so quiet lacks nothing, however it came about
+    assert (
+        verdict.background(little, 0.01, 0.1) > 0.95
+    )  # what is so quiet lacks nothing, however it came about
     shares = [verdict.background(much, 0.01, s) for s in np.linspace(-0.2, 1.1, 40)]
     assert (np.diff(shares) >= 0).all() and min(shares) > 0.0 and max(shares) < 1.0
     # both densities are ones: averaged over what stand-ins take, the odds are those of the level alone

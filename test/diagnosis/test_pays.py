@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from suspension_twin.diagnosis import run, verdict
-from suspension_twin.diagnosis.gaps import Shrink
+from suspension_twin.diagnosis.shrink import Shrink
 
 
 class _Told(str):
@@ -20,9 +20,14 @@ class _Told(str):
 
 
 def pays(
-    monkeypatch: pytest.MonkeyPatch, punctual: tuple[float, float], after: float, reference: float | None = None,
-    sure: float = 1.0, relief: float = 5.0, gone: tuple[float, float] = (0.2, 0.9),
-) -> bool:  # fmt: skip
+    monkeypatch: pytest.MonkeyPatch,
+    punctual: tuple[float, float],
+    after: float,
+    reference: float | None = None,
+    sure: float = 1.0,
+    relief: float = 5.0,
+    gone: tuple[float, float] = (0.2, 0.9),
+) -> bool:
     """Whether ``many`` joins: clocks of few and many, what many leave of a gap of 1 of which few leave 0.8, what each
     takes of what a reference does not show."""
     monkeypatch.setattr(run, "weights", lambda *given: (None, np.array([[0.0, 1.0 - sure], [sure, 0.0]])))
@@ -36,11 +41,16 @@ def pays(
         return Shrink(start, left, 1.0 - left / start, (0.0, 1.0))
 
     search: Any = SimpleNamespace(
-        bench=SimpleNamespace(problem=SimpleNamespace(channels=["vertical_acceleration"])), reference=reference,
-        case=SimpleNamespace(road=True), left=["base"], noise={"vertical_acceleration": 0.01}, temper=1.0,
-        request=SimpleNamespace(seed=0), base="base",
+        bench=SimpleNamespace(problem=SimpleNamespace(channels=["vertical_acceleration"])),
+        reference=reference,
+        case=SimpleNamespace(road=True),
+        left=["base"],
+        noise={"vertical_acceleration": 0.01},
+        temper=1.0,
+        request=SimpleNamespace(seed=0),
+        base="base",
         keeper=SimpleNamespace(shrink=shrink, driven=[0], gone=lambda found, left: gone[found == "many"]),
-    )  # fmt: skip
+    )
     few, many = _Told("few"), _Told("many")
     return run._Search._pays(search, few, "few", many, "many")  # type: ignore[arg-type]
 
@@ -69,14 +79,20 @@ def test_with_a_reference_a_tenth_of_what_it_does_not_show_has_to_go(monkeypatch
     assert pays(monkeypatch, (1.0, 1.0), after=0.5, gone=(0.84, 0.85))  # nobody knows without one
 
 
-def test_what_spares_clocks_and_map_much_has_not_to_take_a_fifth_of_the_rest(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_what_spares_clocks_and_map_much_has_not_to_take_a_fifth_of_the_rest(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     assert pays(monkeypatch, (1.0, 1.0), after=0.69, relief=3.5)
     assert not pays(monkeypatch, (1.0, 1.0), after=0.69, relief=2.5)
     assert not pays(monkeypatch, (1.0, 1.0), after=0.75, relief=3.5)  # a tenth of the gap it has to
 
 
-def test_where_the_best_addition_closes_nothing_the_next_that_does_joins(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(run.gaps, "remainder", lambda bench, hypothesis, unknowns, blocks: f"left by {hypothesis}")
+def test_where_the_best_addition_closes_nothing_the_next_that_does_joins(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(
+        run.gaps, "remainder", lambda bench, hypothesis, unknowns, blocks: f"left by {hypothesis}"
+    )
     monkeypatch.setattr(verdict, "uncommon", lambda bench, found, changed: 0.1 if found == "usual" else 1.0)
     worthy = ("usual", "closes", "closes too")
 
@@ -101,9 +117,12 @@ def found(effects: tuple[str, ...], gain: float) -> Any:
 
 
 def combined(
-    weights: tuple[float, float], materials: tuple[float, float], grown: tuple[Any, Any], adequate: float = 0.1,
+    weights: tuple[float, float],
+    materials: tuple[float, float],
+    grown: tuple[Any, Any],
+    adequate: float = 0.1,
     paying: bool = True,
-) -> tuple[tuple[str, ...], list[str]]:  # fmt: skip
+) -> tuple[tuple[str, ...], list[str]]:
     """What is chosen of leads "a" and "b" that grow to ``grown``, and which of them were grown."""
     base, tried = found((), 0.0), []
     alone = [found(("a",), 10.0), found(("b",), 9.0)]
@@ -113,10 +132,14 @@ def combined(
         return grown[alone.index(lead)] or lead, "left"
 
     search: Any = SimpleNamespace(
-        base=base, left=["base", "a", "b"], weights=np.array([1.0 - sum(weights), *weights]),
+        base=base,
+        left=["base", "a", "b"],
+        weights=np.array([1.0 - sum(weights), *weights]),
         gates=[verdict.Gates(1.0, adequate, 1.0), *(verdict.Gates(m, 0.2, 1.0) for m in materials)],
-        singles=[SimpleNamespace(effect="a"), SimpleNamespace(effect="b")], _grown=grow, _pays=lambda *given: paying,
-    )  # fmt: skip
+        singles=[SimpleNamespace(effect="a"), SimpleNamespace(effect="b")],
+        _grown=grow,
+        _pays=lambda *given: paying,
+    )
     chosen, _ = run._Search._combine(search, [base, *alone])
     return chosen.fit.hypothesis.effects, tried
 
@@ -124,7 +147,10 @@ def combined(
 def test_a_set_is_begun_from_the_likeliest_effects() -> None:
     ab, bc = found(("a", "b"), 20.0), found(("b", "c"), 30.0)
     assert combined((0.8, 0.05), (1.0, 1.0), (None, bc)) == (("a",), ["a"])  # nobody else is likely
-    assert combined((0.15, 0.1), (1.0, 1.0), (ab, bc)) == (("b", "c"), ["b"])  # the first alone has to be likelier
+    assert combined((0.15, 0.1), (1.0, 1.0), (ab, bc)) == (
+        ("b", "c"),
+        ["b"],
+    )  # the first alone has to be likelier
     assert combined((0.6, 0.3), (1.0, 1.0), (None, bc)) == (("b", "c"), ["a", "b"])
     assert combined((0.6, 0.3), (1.0, 1.0), (None, bc), paying=False) == (("a",), ["a", "b"])
     assert combined((0.6, 0.3), (1.0, 1.0), (found(("a", "d"), 20.0), bc)) == (("b", "c"), ["a", "b"])

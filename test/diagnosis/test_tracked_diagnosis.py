@@ -25,9 +25,18 @@ from suspension_twin.vehicle.twin import load_twin
 
 SPEED = 13 / 3.6
 KEYS = {
-    "verdict", "gap", "where", "causes", "combination", "unexplained", "next_experiment", "seed", "message",
-    "cannot_be_judged", "visible_from",
-}  # fmt: skip
+    "verdict",
+    "gap",
+    "where",
+    "causes",
+    "combination",
+    "unexplained",
+    "next_experiment",
+    "seed",
+    "message",
+    "cannot_be_judged",
+    "visible_from",
+}
 
 
 @pytest.fixture(scope="module")
@@ -37,7 +46,9 @@ def twin(repository: Path) -> TrackedTwin:
     return loaded
 
 
-def film(twin: TrackedTwin, effects: dict[str, dict[str, float]], seed: int, speed: float = SPEED) -> MarkerRun:
+def film(
+    twin: TrackedTwin, effects: dict[str, dict[str, float]], seed: int, speed: float = SPEED
+) -> MarkerRun:
     """A run of the model itself with effects, and a camera's noise."""
     t = np.arange(0, 4.6, 0.02)
     empty = MarkerRun(t, *(np.zeros((t.size, 3)) for _ in range(3)), speed)  # type: ignore[arg-type]
@@ -69,9 +80,9 @@ def test_a_dead_damper_is_named_with_its_station(twin: TrackedTwin, short: None,
     assert top["parameters"]["station"] == 6.0 and top["parameters"]["share"] == pytest.approx(0.1, abs=0.1)
     low, high = top["shrink_interval"]
     assert low <= top["shrink"] <= high + 1e-9
-    assert sum(c["probability"] for c in d["causes"]) + d["no_gap_probability"] + d["unknown_probability"] == (
-        pytest.approx(1.0, abs=1e-4)
-    )
+    assert sum(c["probability"] for c in d["causes"]) + d["no_gap_probability"] + d[
+        "unknown_probability"
+    ] == (pytest.approx(1.0, abs=1e-4))
     json.dumps(d, allow_nan=False)
     assert result.twin.effects[0].id == "station_damper"
     page = diagnosis_page(result).write(tmp_path / "report.html")
@@ -89,7 +100,10 @@ def test_a_sound_vehicle_has_no_gap(twin: TrackedTwin, short: None) -> None:
 def test_what_no_effect_is_remains_unknown(twin: TrackedTwin, short: None) -> None:
     runs = [film(twin, {}, 1)]
     shake = 0.06 * np.sin(9.0 * runs[0].t)[:, None] * np.array([1.0, -1.0, 1.0])
-    odd = [replace(r, markers=r.markers + shake, velocity=r.velocity + np.gradient(shake, r.t, axis=0)) for r in runs]
+    odd = [
+        replace(r, markers=r.markers + shake, velocity=r.velocity + np.gradient(shake, r.t, axis=0))
+        for r in runs
+    ]
     document = diagnose_tracked(twin, odd, [film(twin, {}, 3), film(twin, {}, 4)]).document
     assert document["verdict"] == "unknown" and document["unknown_probability"] > 0.5
     assert document["signature"]["peak_hz"] == pytest.approx(9.0 / (2 * np.pi), abs=0.5)
@@ -114,9 +128,13 @@ def test_each_kind_of_effect_is_found_by_its_own_hypothesis(twin: TrackedTwin) -
 
 
 @pytest.mark.parametrize(("seconds", "quiet"), [(0.02, True), (-0.1, False), (0.15, False)])
-def test_a_clock_is_wrong_beyond_what_starts_differ_by(twin: TrackedTwin, seconds: float, quiet: bool) -> None:
+def test_a_clock_is_wrong_beyond_what_starts_differ_by(
+    twin: TrackedTwin, seconds: float, quiet: bool
+) -> None:
     late = {"time_offset": {"seconds": seconds}}
-    bench = make_bench(twin.vehicle, [film(twin, late, k) for k in (1, 2)], [film(twin, {}, k) for k in (3, 4)])
+    bench = make_bench(
+        twin.vehicle, [film(twin, late, k) for k in (1, 2)], [film(twin, {}, k) for k in (3, 4)]
+    )
     base = fit(bench, NOTHING)
     assert base is not None and (base.left < 1.5) == quiet
     if not quiet:
@@ -128,7 +146,9 @@ def test_a_clock_is_wrong_beyond_what_starts_differ_by(twin: TrackedTwin, second
 
 def test_where_the_model_misses_the_sound_vehicle_it_is_doubted(twin: TrackedTwin) -> None:
     runs, sound = [film(twin, {}, 1)], [film(twin, {}, k) for k in (3, 4)]
-    bump = 0.05 * np.exp(-(((sound[0].t - 2.0) / 0.1) ** 2))[:, None]  # of the real vehicle, with and without a fault
+    bump = (
+        0.05 * np.exp(-(((sound[0].t - 2.0) / 0.1) ** 2))[:, None]
+    )  # of the real vehicle, with and without a fault
     shaken = [replace(r, markers=r.markers + bump) for r in (*runs, *sound)]
     plain, doubted = make_bench(twin.vehicle, runs, sound), make_bench(twin.vehicle, shaken[:1], shaken[1:])
     there, elsewhere = int(2.0 * runs[0].rate), int(4.0 * runs[0].rate)
@@ -143,7 +163,10 @@ def test_what_is_a_vehicles_own_goes_there_and_back(twin: TrackedTwin) -> None:
     same, other = own_vehicle(twin.vehicle, places), own_vehicle(twin.vehicle, places + OWN_SPREAD)
     assert own_places(same) == pytest.approx(places)
     assert (same.mass, same.arm, same.cog) == (twin.vehicle.mass, twin.vehicle.arm, twin.vehicle.cog)
-    assert other.mass == pytest.approx(twin.vehicle.mass * np.exp(0.03)) and other.arm.stiffness > same.arm.stiffness
+    assert (
+        other.mass == pytest.approx(twin.vehicle.mass * np.exp(0.03))
+        and other.arm.stiffness > same.arm.stiffness
+    )
     far = own_vehicle(twin.vehicle, places + 100.0)  # kept within what it can be
     assert far.gyration == pytest.approx(twin.vehicle.gyration * np.exp(0.15))
 
@@ -172,7 +195,8 @@ def test_what_the_runs_do_not_tell_of_cannot_be_judged(
 
 
 @pytest.mark.parametrize(
-    ("effect", "values"), [("track_tension", {"tighter": 18.0}), ("track_wear", {"stiffness": 0.4, "elongation": 0.0})]
+    ("effect", "values"),
+    [("track_tension", {"tighter": 18.0}), ("track_wear", {"stiffness": 0.4, "elongation": 0.0})],
 )
 def test_where_the_track_does_show_it_is_named(
     twin: TrackedTwin, short: None, monkeypatch: pytest.MonkeyPatch, effect: str, values: dict[str, float]
@@ -181,7 +205,9 @@ def test_where_the_track_does_show_it_is_named(
     few = {k: TRACKED_EFFECTS[k] for k in ("sensor_scale", "station_bar", "track_tension", "track_wear")}
     monkeypatch.setattr(tracked, "TRACKED_EFFECTS", few)
     runs = [film(twin, {effect: values}, k, v) for v in (8 / 3.6, SPEED) for k in (1, 2)]
-    d = diagnose_tracked(twin, runs, [film(twin, {}, k, v) for v in (8 / 3.6, SPEED) for k in (3, 4)]).document
+    d = diagnose_tracked(
+        twin, runs, [film(twin, {}, k, v) for v in (8 / 3.6, SPEED) for k in (3, 4)]
+    ).document
     assert d["combination"] == [effect], d["message"]
     assert effect not in d["cannot_be_judged"] and d["causes"][0]["judged"]
     main = next(iter(values))
@@ -193,9 +219,13 @@ def test_an_effect_shows_from_where_it_changes_more_than_noise(twin: TrackedTwin
     bench = make_bench(twin.vehicle, [film(twin, {}, 1)], reference)
     levels = changes_of(bench, [{"sensor_scale": {"gain": g}} for g in (1.0, 1.02, 1.04, 1.08)])
     assert levels[0] == pytest.approx(0.0, abs=1e-6)
-    assert levels[2] == pytest.approx(2 * levels[1], rel=0.05) and levels[3] == pytest.approx(4 * levels[1], rel=0.05)
+    assert levels[2] == pytest.approx(2 * levels[1], rel=0.05) and levels[3] == pytest.approx(
+        4 * levels[1], rel=0.05
+    )
     found = visible_from(bench, "sensor_scale", hypotheses_for("sensor_scale", twin.vehicle))
-    assert found.judged and np.interp(found.start, (1.0, 1.02), (0.0, levels[1])) == pytest.approx(SHOWS, rel=0.2)
+    assert found.judged and np.interp(found.start, (1.0, 1.02), (0.0, levels[1])) == pytest.approx(
+        SHOWS, rel=0.2
+    )
     late = changes_of(bench, [{"time_offset": {"seconds": s}} for s in (0.01, 0.2)])
     assert late[0] < 0.2 and late[1] > 1.0  # the start of a clock takes the first
 
@@ -204,13 +234,16 @@ def test_a_cause_that_explains_a_part_is_sure_and_not_complete(twin: TrackedTwin
     """A dead damper, and a shake that nothing explains: partly, and the damper is no less there for that."""
     runs = [film(twin, {"station_damper": {"station": 6.0, "share": 0.0}}, k) for k in (1, 2)]
     shake = 0.016 * np.sin(9.0 * runs[0].t)[:, None] * np.array([1.0, -1.0, 1.0])
-    odd = [replace(r, markers=r.markers + shake, velocity=r.velocity + np.gradient(shake, r.t, axis=0)) for r in runs]
+    odd = [
+        replace(r, markers=r.markers + shake, velocity=r.velocity + np.gradient(shake, r.t, axis=0))
+        for r in runs
+    ]
     d = diagnose_tracked(twin, odd, [film(twin, {}, 3), film(twin, {}, 4)]).document
     assert d["verdict"] == "partly" and d["combination"] == ["station_damper"]
     assert d["causes"][0]["probability"] > 0.6 > 0.4 > d["unknown_probability"]
-    assert sum(c["probability"] for c in d["causes"]) + d["no_gap_probability"] + d["unknown_probability"] == (
-        pytest.approx(1.0, abs=1e-4)
-    )
+    assert sum(c["probability"] for c in d["causes"]) + d["no_gap_probability"] + d[
+        "unknown_probability"
+    ] == (pytest.approx(1.0, abs=1e-4))
 
 
 def test_a_set_is_of_those_that_explain_something(
@@ -240,7 +273,9 @@ def test_what_cannot_be_judged_may_be_behind_a_faint_cause(
     faint = diagnose_tracked(twin, runs, reference).document
     assert faint["verdict"] == "unknown" and faint["combination"] == []
     assert faint["unknown_probability"] == pytest.approx(1 / (1 + np.exp(-3.0)), abs=0.02)
-    assert sum(c["probability"] for c in faint["causes"]) + faint["unknown_probability"] == pytest.approx(1, abs=1e-3)
+    assert sum(c["probability"] for c in faint["causes"]) + faint["unknown_probability"] == pytest.approx(
+        1, abs=1e-3
+    )
     assert "track tension" in faint["message"]
     monkeypatch.setattr(tracked, "TRACKED_EFFECTS", {k: few[k] for k in ("sensor_scale", "station_damper")})
     assert diagnose_tracked(twin, runs, reference).document["combination"] == ["station_damper"]
@@ -266,9 +301,16 @@ def test_what_shows_is_named_in_a_gap_that_is_hardly_more_than_what_repeats_diff
 
 def test_a_track_that_cannot_be_judged_looks_like_something_of_the_vehicle() -> None:
     gain = {"payload": 6.0, "station_bar": 1.5, "track_tension": 0.2, "sensor_tilt": 2.0, "time_offset": -0.3}
-    assert tracked._untold("track_tension", gain) == tracked._UNTOLD  # for a payload a slack track may be behind it
-    assert tracked._untold("time_offset", gain) == 2.0  # a clock looks like a payload no more than a tilt does
+    assert (
+        tracked._untold("track_tension", gain) == tracked._UNTOLD
+    )  # for a payload a slack track may be behind it
+    assert (
+        tracked._untold("time_offset", gain) == 2.0
+    )  # a clock looks like a payload no more than a tilt does
     turned = gain | {"sensor_tilt": 9.0}
-    assert tracked._untold("track_tension", turned) == 6.0 and tracked._untold("time_offset", turned) == tracked._UNTOLD
+    assert (
+        tracked._untold("track_tension", turned) == 6.0
+        and tracked._untold("time_offset", turned) == tracked._UNTOLD
+    )
     nothing = {"track_tension": -0.2, "sensor_tilt": 4.0}
     assert tracked._untold("track_tension", nothing) == 0.0

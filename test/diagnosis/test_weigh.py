@@ -10,11 +10,12 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from suspension_twin.diagnosis import judge, run
-from suspension_twin.diagnosis.fit import Fit
+from suspension_twin.diagnosis import evidence as judge
+from suspension_twin.diagnosis import run
+from suspension_twin.diagnosis.evidence import Evidence
 from suspension_twin.diagnosis.hypotheses import Hypothesis
-from suspension_twin.diagnosis.judge import Evidence
 from suspension_twin.diagnosis.search import Single
+from suspension_twin.identification.gauss_newton import Fit
 
 
 def told(effect: str, gain: float) -> Evidence:
@@ -37,7 +38,9 @@ def weighed(
         bench=None, blocks=None, request=SimpleNamespace(seed=0), base=told("", 0.0), temper=1.0, tell=None
     )
     everything = [search.base, *(told(e, g) for e, g in zip(effects, plain, strict=True))]
-    found = [Single(e, one, np.ones(1), finalist=False) for e, one in zip(effects, everything[1:], strict=True)]
+    found = [
+        Single(e, one, np.ones(1), finalist=False) for e, one in zip(effects, everything[1:], strict=True)
+    ]
     run._Search._weigh(search, everything, np.array([0.4, 0.3, 0.3]), found)
     assert search.weights.sum() == pytest.approx(1.0)
     assert search.beats.shape == (3, 3)

@@ -75,15 +75,28 @@ def phone_recording() -> bytes:
         ("TotalAcceleration", drive.imu.specific_force),
         ("Gyroscope", drive.imu.angular_rate),
     ):
-        rows = [[f"{t * 1e9:.0f}", f"{t - t0:.6f}", *map(repr, v[::-1].tolist())]
-                for t, v in zip(drive.imu.t[first], values[first], strict=True)]  # fmt: skip
+        rows = [
+            [f"{t * 1e9:.0f}", f"{t - t0:.6f}", *map(repr, v[::-1].tolist())]
+            for t, v in zip(drive.imu.t[first], values[first], strict=True)
+        ]
         files[f"{name}.csv"] = [["time", "seconds_elapsed", "z", "y", "x"], *rows]
     rows = []
     for i in np.flatnonzero(drive.fix.t < t0 + 10)[::10]:
         fix, v = drive.fix, drive.velocity.enu[i]
         course = np.degrees(np.arctan2(v[0], v[1])) % 360
-        rows.append([f"{fix.t[i] * 1e9:.0f}", f"{fix.t[i] - t0:.6f}", course, np.hypot(v[0], v[1]), fix.altitude[i],
-                     3.0, 1.0, fix.longitude[i], fix.latitude[i]])  # fmt: skip
+        rows.append(
+            [
+                f"{fix.t[i] * 1e9:.0f}",
+                f"{fix.t[i] - t0:.6f}",
+                course,
+                np.hypot(v[0], v[1]),
+                fix.altitude[i],
+                3.0,
+                1.0,
+                fix.longitude[i],
+                fix.latitude[i],
+            ]
+        )
     heads = [
         "time",
         "seconds_elapsed",
@@ -212,7 +225,9 @@ def test_the_steps_in_an_apt_jazzy_bring_everything_that_the_package_needs():
     """What pip installs there, together with what rosdep finds by package.xml, is what setup.py asks for."""
     assert "colcon build --base-paths . suspension_twin_interfaces" in APT
     manifest = ElementTree.parse(ROOT / "package.xml")
-    apt = {e.text.removeprefix("python3-") for e in manifest.iter("exec_depend") if e.text.startswith("python3-")}
+    apt = {
+        e.text.removeprefix("python3-") for e in manifest.iter("exec_depend") if e.text.startswith("python3-")
+    }
     (pip,) = (shlex.split(c)[2:] for c in APT if c.startswith("pip install"))
     given = {re.match(r"[\w-]+", requirement)[0]: requirement for requirement in pip}
     source = (ROOT / "setup.py").read_text(encoding="utf-8")

@@ -441,9 +441,12 @@ def test_a_wrong_mapping_names_its_key(data: Any, words: str, tmp_path: Path) ->
 def test_a_mapping_that_cannot_be_read(tmp_path: Path) -> None:
     path = tmp_path / "map.yaml"
     for data, words in (
-        (b"imu: [", "line"), (b"\xff\xfe\x00", "not a text"), (b"[" * 3000, "not YAML"), (b"a: 2020-99-99", "not YAML"),
+        (b"imu: [", "line"),
+        (b"\xff\xfe\x00", "not a text"),
+        (b"[" * 3000, "not YAML"),
+        (b"a: 2020-99-99", "not YAML"),
         (None, "No such file"),
-    ):  # fmt: skip
+    ):
         if data is None:
             path.unlink()
         else:

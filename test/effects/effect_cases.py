@@ -42,9 +42,17 @@ def way(
     else:
         x, y = speed * s + ax * s**2 / 2, zero
     return Trajectory(
-        t=1.7e9 + s, x=x, y=y, yaw=yaw_rate * s, speed=v, lateral_speed=zero, yaw_rate=zero + yaw_rate,
-        ax=zero + ax, ay=v * yaw_rate, valid=np.ones(s.size, bool),
-    )  # fmt: skip
+        t=1.7e9 + s,
+        x=x,
+        y=y,
+        yaw=yaw_rate * s,
+        speed=v,
+        lateral_speed=zero,
+        yaw_rate=zero + yaw_rate,
+        ax=zero + ax,
+        ay=v * yaw_rate,
+        valid=np.ones(s.size, bool),
+    )
 
 
 def given(twin: Twin, **effects: dict[str, float]) -> Twin:

@@ -98,7 +98,11 @@ def test_an_impossible_candidate_fails_alone(twin: Twin, name: str) -> None:
     keys = [f"effects.{name}.{p.name}" for p in e.parameters]
     sound = [full(e)[p.name] for p in e.parameters]
     odd = [[value] * len(keys) for value in (1e300, 1e150, 1e20, 1e12, -1e12, -1e300, np.inf, np.nan)]
-    odd += [[value if i == k else s for i, s in enumerate(sound)] for value in (1e300, -1e9) for k in range(len(keys))]
+    odd += [
+        [value if i == k else s for i, s in enumerate(sound)]
+        for value in (1e300, -1e9)
+        for k in range(len(keys))
+    ]
     armed = given(base, **{name: {}})
     mixed = simulate_lanes(armed, lanes(armed, keys, np.array([sound, *odd, sound])), road)
     alone = simulate_lanes(armed, lanes(armed, keys, np.array([sound])), road)
@@ -118,7 +122,9 @@ def test_a_candidate_beside_the_road_fails_alone(twin: Twin) -> None:
 
     road = excitation(way(0.5), twin.vehicle, type("Ground", (), {"heights": staticmethod(edge)})())
     armed = given(twin, lateral_offset={})
-    run = simulate_lanes(armed, lanes(armed, ["effects.lateral_offset.offset"], np.array([[0.0], [0.8], [0.1]])), road)
+    run = simulate_lanes(
+        armed, lanes(armed, ["effects.lateral_offset.offset"], np.array([[0.0], [0.8], [0.1]])), road
+    )
     assert run.failed.tolist() == [False, True, False] and np.isfinite(run.force).all()
     alone = simulate_lanes(armed, lanes(armed, ["effects.lateral_offset.offset"], np.array([[0.1]])), road)
     assert np.array_equal(run.force[..., 2], alone.force[..., 0])
@@ -126,10 +132,15 @@ def test_a_candidate_beside_the_road_fails_alone(twin: Twin) -> None:
         respond(given(twin, lateral_offset={"offset": 0.8}), edge, way(0.5))
 
 
-@pytest.mark.parametrize(("effect", "name", "values"), [
-    ("lateral_offset", "offset", (0.0, 0.1, 0.1, 0.3, 0.0)), ("time_offset", "offset", (0.0, 0.02, 0.02, -0.01, 0.0)),
-    ("tyre_envelope", "length", (0.2, 0.2, 0.2, 0.2, 0.2)), ("sensor_bandwidth", "cutoff", (9.0, 9.0, 0.0, 30.0, 30.0)),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    ("effect", "name", "values"),
+    [
+        ("lateral_offset", "offset", (0.0, 0.1, 0.1, 0.3, 0.0)),
+        ("time_offset", "offset", (0.0, 0.02, 0.02, -0.01, 0.0)),
+        ("tyre_envelope", "length", (0.2, 0.2, 0.2, 0.2, 0.2)),
+        ("sensor_bandwidth", "cutoff", (9.0, 9.0, 0.0, 30.0, 30.0)),
+    ],
+)
 def test_candidates_that_see_the_same_are_as_alone(
     twin: Twin, effect: str, name: str, values: tuple[float, ...]
 ) -> None:

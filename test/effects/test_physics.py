@@ -11,14 +11,15 @@ import pytest
 from effect_cases import Ground, given, respond, rough, way
 from scipy.signal import butter, freqs
 
-from suspension_twin.models.between import TABLE
-from suspension_twin.models.chain import _even, _restamp
 from suspension_twin.models.excitation import excitation
 from suspension_twin.models.parameters import pack
 from suspension_twin.models.sensor import to_sensor_axes
+from suspension_twin.models.sensor_chain import _even, _restamp
 from suspension_twin.models.simulate import simulate_lanes
+from suspension_twin.models.sinc_interpolation import TABLE
 from suspension_twin.models.types import Response
-from suspension_twin.vehicle.twin import G, Twin
+from suspension_twin.units import STANDARD_GRAVITY as G
+from suspension_twin.vehicle.twin import Twin
 
 
 def flat(x: Any, y: Any) -> Any:
@@ -41,9 +42,13 @@ def beyond_spring_and_damper(twin: Twin, r: Response, corner: int) -> np.ndarray
     """Force of one strut (n,) that its characteristics do not explain, from the wheel's own motion."""
     axle = twin.vehicle.front if corner < 2 else twin.vehicle.rear
     total = r.tyre_force[:, corner] - axle.unsprung_mass * (r.acceleration[:, 3 + corner] + G)
-    push, pull = (curve(np.maximum(v, 0), c.points) for v, c in (
-        (r.deflection_rate[:, corner], axle.damper_push), (-r.deflection_rate[:, corner], axle.damper_pull)
-    ))  # fmt: skip
+    push, pull = (
+        curve(np.maximum(v, 0), c.points)
+        for v, c in (
+            (r.deflection_rate[:, corner], axle.damper_push),
+            (-r.deflection_rate[:, corner], axle.damper_pull),
+        )
+    )
     return total - curve(r.deflection[:, corner], axle.spring.points) - (push - pull)
 
 
@@ -125,7 +130,9 @@ def test_play_takes_the_dampers_hold_after_a_reversal_alone(twin: Twin, play: fl
     travel, rate = r.deflection[:, corner], r.deflection_rate[:, corner]
     missing = beyond_spring_and_damper(twin, r, corner)
     axle = twin.vehicle.front
-    damper = curve(np.maximum(rate, 0), axle.damper_push.points) - curve(np.maximum(-rate, 0), axle.damper_pull.points)
+    damper = curve(np.maximum(rate, 0), axle.damper_push.points) - curve(
+        np.maximum(-rate, 0), axle.damper_pull.points
+    )
     turns = 1 + np.flatnonzero(rate[1:] * rate[:-1] < 0)
     turns = turns[turns > 2000]
     assert turns.size > 3
@@ -345,7 +352,10 @@ def test_with_a_fused_pose_the_road_alone_is_late(twin: Twin) -> None:
     """At a steady speed that is the same as a late sensor; while braking, the pose brakes when the sensor says so."""
     late = given(twin, time_offset={"offset": 0.05}, clock_drift={"drift_ppm": 2000.0})
     steady, braking = way(8.0, rate=200.0), way(2.0, rate=200.0, speed=12.0, ax=-4.0)
-    ways = [excitation(w, twin.vehicle, Ground(r)) for w, r in ((steady, rough), (braking, rough), (braking, flat))]
+    ways = [
+        excitation(w, twin.vehicle, Ground(r))
+        for w, r in ((steady, rough), (braking, rough), (braking, flat))
+    ]
     params = pack(late)[:, None]
     sensor, road = (
         simulate_lanes(late, params, ways[0], fused=fused).force[400:, 2, 0] for fused in (False, True)
@@ -358,7 +368,9 @@ def test_with_a_fused_pose_the_road_alone_is_late(twin: Twin) -> None:
     fused = simulate_lanes(late, params, ways[2], fused=True)
     assert np.allclose(fused.force, plain.force, rtol=0, atol=1e-9)
     assert not np.allclose(
-        simulate_lanes(late, params, ways[1]).force, simulate_lanes(late, params, ways[1], fused=True).force, atol=1e-2
+        simulate_lanes(late, params, ways[1]).force,
+        simulate_lanes(late, params, ways[1], fused=True).force,
+        atol=1e-2,
     )
 
 

@@ -28,7 +28,9 @@ def through(
 
 @pytest.mark.parametrize("hertz", [3.0, 8.0, 12.0])
 @pytest.mark.parametrize(("cutoff", "feeds"), [(42.0, False), (15.0, False), (25.0, True)])
-def test_at_a_phones_hundred_hertz_a_wheels_hop_keeps_its_size(hertz: float, cutoff: float, feeds: bool) -> None:
+def test_at_a_phones_hundred_hertz_a_wheels_hop_keeps_its_size(
+    hertz: float, cutoff: float, feeds: bool
+) -> None:
     """Lines between stamps would take 5 % off it at 12 Hz."""
     t = np.arange(0.0, 6.0, 0.01) + np.random.default_rng(3).uniform(-5e-4, 5e-4, 600)
     omega, zeta = 2 * np.pi * cutoff, 0.7
@@ -52,14 +54,21 @@ def test_parabolas_pass_exactly_however_the_stamps_jitter() -> None:
         return np.asarray(1.0 + 2.0 * (s - t[0]) - 3.0 * (s - t[0]) ** 2)
 
     exact = solve_ivp(
-        lambda s, y: [y[1], x(s) - 2 * zeta * omega * y[1] - omega**2 * y[0]], (t[1], t[-1]), [0.0, 0.0],
-        t_eval=t[1:], rtol=1e-11, atol=1e-13,
-    ).y  # fmt: skip
+        lambda s, y: [y[1], x(s) - 2 * zeta * omega * y[1] - omega**2 * y[0]],
+        (t[1], t[-1]),
+        [0.0, 0.0],
+        t_eval=t[1:],
+        rtol=1e-11,
+        atol=1e-13,
+    ).y
     read = through(x(t), t, omega, zeta)
     # before the second stamp nothing is known of the bend; what differs from there on swings freely
     free = read[1:] - omega**2 * exact[0]
     swing = np.exp(-zeta * omega * (t[1:] - t[1]))[:, None] * np.stack(
-        [np.cos(omega * np.sqrt(1 - zeta**2) * (t[1:] - t[1])), np.sin(omega * np.sqrt(1 - zeta**2) * (t[1:] - t[1]))],
+        [
+            np.cos(omega * np.sqrt(1 - zeta**2) * (t[1:] - t[1])),
+            np.sin(omega * np.sqrt(1 - zeta**2) * (t[1:] - t[1])),
+        ],
         axis=1,
     )
     left = free - swing @ np.linalg.lstsq(swing, free, rcond=None)[0]

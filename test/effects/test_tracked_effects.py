@@ -27,7 +27,9 @@ def vehicle(repository: Path) -> TrackedVehicle:
 
 @pytest.mark.parametrize("name", TRACKED_EFFECTS)
 def test_neutral_changes_nothing(name: str, vehicle: TrackedVehicle) -> None:
-    for after, before in zip(pack_tracked(apply_tracked(vehicle, {name: {}})), pack_tracked(vehicle), strict=True):
+    for after, before in zip(
+        pack_tracked(apply_tracked(vehicle, {name: {}})), pack_tracked(vehicle), strict=True
+    ):
         np.testing.assert_allclose(after, before, rtol=1e-12, atol=1e-12)
     assert camera_of({name: {}}) == Camera()
 
@@ -35,7 +37,12 @@ def test_neutral_changes_nothing(name: str, vehicle: TrackedVehicle) -> None:
 @pytest.mark.parametrize("name", TRACKED_EFFECTS)
 def test_an_effect_is_whole(name: str, repository: Path) -> None:
     found = tracked_effect(name)
-    assert found.id == name and found.doc and found.excited_by and (found.vehicle is None) != (found.camera is None)
+    assert (
+        found.id == name
+        and found.doc
+        and found.excited_by
+        and (found.vehicle is None) != (found.camera is None)
+    )
     text = (repository / "docs" / "tracked.md").read_text(encoding="utf-8")
     assert f"`{name}`" in text
     for p in found.parameters:
@@ -64,7 +71,9 @@ def test_each_changes_what_it_says(vehicle: TrackedVehicle) -> None:
 
 
 def test_the_camera(vehicle: TrackedVehicle) -> None:
-    camera = camera_of({"sensor_scale": {"gain": 1.1}, "sensor_tilt": {"roll": 0.01}, "time_offset": {"seconds": 0.1}})
+    camera = camera_of(
+        {"sensor_scale": {"gain": 1.1}, "sensor_tilt": {"roll": 0.01}, "time_offset": {"seconds": 0.1}}
+    )
     assert camera == Camera(1.1, 0.1, 0.01)
     t = np.arange(0, 2, 0.01)
     z, v, a = (np.stack([f(t)], axis=1) for f in (np.sin, np.cos, lambda t: -np.sin(t)))

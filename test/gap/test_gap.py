@@ -12,8 +12,8 @@ from suspension_twin.drive.types import Drive, FixData, ImuData
 from suspension_twin.errors import InputError, WorkError
 from suspension_twin.gap.measure import CHANNELS, measure_gap
 from suspension_twin.gap.noise import floor_rms, white_noise_sigma
+from suspension_twin.gap.planar_denoising import wiener
 from suspension_twin.gap.prepare import Prepared, PrepareSettings, prepare
-from suspension_twin.gap.quiet import wiener
 from suspension_twin.gap.synthetic import SensorErrors, path_along, synthetic_drive
 from suspension_twin.models.simulate import simulate_twin
 from suspension_twin.road import Road
@@ -55,16 +55,23 @@ def test_a_wrong_twin_leaves_more(prepared: Prepared, twin: Twin) -> None:
 
 
 @pytest.mark.parametrize(
-    "effect", [EffectSpec(id="sensor_scale", parameters={"scale": 0.15}),
-               EffectSpec(id="sensor_tilt", parameters={"roll": 0.0, "pitch": 0.06, "yaw": 0.0})],
+    "effect",
+    [
+        EffectSpec(id="sensor_scale", parameters={"scale": 0.15}),
+        EffectSpec(id="sensor_tilt", parameters={"roll": 0.0, "pitch": 0.06, "yaw": 0.0}),
+    ],
     ids=lambda e: e.id,
-)  # fmt: skip
-def test_a_sensor_that_is_wrong_stands_at_nothing_on_both_sides(twin: Twin, bumps: Road, effect: EffectSpec) -> None:
+)
+def test_a_sensor_that_is_wrong_stands_at_nothing_on_both_sides(
+    twin: Twin, bumps: Road, effect: EffectSpec
+) -> None:
     """The recording's filter takes what a gain or a tilt makes of gravity for a bias."""
     wrong = twin.model_copy(update={"effects": (effect,)})
     recorded = synthetic_drive(wrong, bumps, KNOTS, seed=4, errors=SensorErrors(), name="wrong")
     prepared = prepare(recorded, wrong, bumps)
-    right, plain = (prepared.gap(prepared.condition(simulate_twin(t, prepared.excitation))) for t in (wrong, twin))
+    right, plain = (
+        prepared.gap(prepared.condition(simulate_twin(t, prepared.excitation))) for t in (wrong, twin)
+    )
     assert right.rms < 2.0 * right.noise_rms < plain.rms
 
 
@@ -75,7 +82,9 @@ def test_a_part_on_the_move_keeps_its_mean(prepared: Prepared, twin: Twin) -> No
     assert not part.signals.standing.any() and prepared.signals.standing.any()
     response = simulate_twin(twin, part.excitation)
     raised = replace(response, vertical_acceleration=response.vertical_acceleration + 0.5)
-    shift = part.condition(raised)["vertical_acceleration"] - part.condition(response)["vertical_acceleration"]
+    shift = (
+        part.condition(raised)["vertical_acceleration"] - part.condition(response)["vertical_acceleration"]
+    )
     np.testing.assert_allclose(shift, 0.5, atol=1e-9)
 
 

@@ -9,7 +9,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from suspension_twin.drive.types import Drive, Floats
+from suspension_twin.arrays import Floats
+from suspension_twin.drive.types import Drive
 from suspension_twin.gap.mounting import gain_at_rest, heading_off, regained, turned
 from suspension_twin.gap.prepare import prepare, regained_excitation, turned_excitation, upright_excitation
 from suspension_twin.gap.synthetic import SensorErrors, synthetic_drive
@@ -61,7 +62,9 @@ def test_a_tilt_that_the_twin_file_knows_is_nothing_to_be_warned_of(
 
 
 @pytest.mark.parametrize("yaw", [-2.6, -0.4, 0.0, 0.05, 1.5])
-def test_the_path_shows_which_way_an_upright_sensor_faces(drive: Drive, twin: Twin, bumps: Road, yaw: float) -> None:
+def test_the_path_shows_which_way_an_upright_sensor_faces(
+    drive: Drive, twin: Twin, bumps: Road, yaw: float
+) -> None:
     prepared = prepare(drive, twin, bumps)
     spun = ingest_drive(drive, turned(twin.imu, (0.0, 0.0, -yaw)))
     # the vertical, told by a path that goes elsewhere, bends after it: turned signals with the right one

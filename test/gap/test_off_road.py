@@ -33,7 +33,8 @@ def short(bumps: Road) -> Road:
 
 def test_policies_differ_beyond_the_end_alone(drive: Drive, twin: Twin, short: Road) -> None:
     runs = {
-        policy: prepare(drive, twin, short, PrepareSettings(outside=policy)) for policy in ("road", "hold", "zero")
+        policy: prepare(drive, twin, short, PrepareSettings(outside=policy))
+        for policy in ("road", "hold", "zero")
     }
     road, held, zero = (runs[p].excitation.road for p in ("road", "hold", "zero"))
     assert np.array_equal(road, held)  # what the file says unless it says otherwise
@@ -67,7 +68,9 @@ def test_a_drive_on_the_road_has_nothing_to_say(drive: Drive, twin: Twin, bumps:
 
 
 def test_error_refuses_by_the_drives_name(drive: Drive, twin: Twin, short: Road) -> None:
-    with pytest.raises(InputError, match=r"^bumps: leaves the road short from \d+\.\d\d to 19\.\d\d s.*the policy"):
+    with pytest.raises(
+        InputError, match=r"^bumps: leaves the road short from \d+\.\d\d to 19\.\d\d s.*the policy"
+    ):
         prepare(drive, twin, short, PrepareSettings(outside="error"))
     none = replace(short, borders=replace(short.borders, mode_u=0))
     with pytest.raises(InputError, match="and the road's file has no height there"):
@@ -94,7 +97,10 @@ def test_the_command_takes_a_policy(case: Path, tmp_path: Path, capsys: pytest.C
 
 def test_a_calibration_says_so(case: Path) -> None:
     request = CalibrationRequest(
-        str(case / "twin.yaml"), (str(case / "drive"),), free=("vehicle.front.damper_push",), max_generations=1
+        str(case / "twin.yaml"),
+        (str(case / "drive"),),
+        free=("vehicle.front.damper_push",),
+        max_generations=1,
     )
     result = calibrate(request)
     assert any(w.startswith("drive: off the road") and "are held" in w for w in result.warnings)

@@ -103,8 +103,13 @@ def test_the_gap_can_be_had_from_the_two_recordings(case: Path, written: Path) -
     assert gap["rms"] == pytest.approx(by_hand, rel=0.05)
     assert gap["mse"] == pytest.approx(gap["rms"] ** 2)
     assert set(gap["channels"]) == {
-        "vertical_acceleration", "roll_rate", "pitch_rate", "longitudinal_acceleration", "lateral_acceleration", "yaw_rate",  # noqa: E501
-    }  # fmt: skip
+        "vertical_acceleration",
+        "roll_rate",
+        "pitch_rate",
+        "longitudinal_acceleration",
+        "lateral_acceleration",
+        "yaw_rate",
+    }
     assert gap["noise_rms"] < gap["rms"] < 0.06 and gap["seconds"] > 12.0
     assert gap["filter"] == {
         "kind": "Butterworth low-pass",

@@ -39,7 +39,9 @@ def test_each_error_does_what_its_name_says(twin: Twin, bumps: Road) -> None:
     assert (biased.imu.angular_rate - clean.imu.angular_rate)[:, 1] == pytest.approx(0.02)
     noisy = synthetic_drive(twin, bumps, KNOTS, seed=3, errors=replace(QUIET, force=0.05, rate=0.003))
     assert np.std(noisy.imu.specific_force - clean.imu.specific_force) == pytest.approx(0.05, rel=0.1)
-    lossy = synthetic_drive(twin, bumps, KNOTS, seed=3, errors=replace(QUIET, lost=0.1, imu_rate=200.0, gps_rate=5.0))
+    lossy = synthetic_drive(
+        twin, bumps, KNOTS, seed=3, errors=replace(QUIET, lost=0.1, imu_rate=200.0, gps_rate=5.0)
+    )
     assert 0.85 * 1200 < len(lossy.imu.t) < 0.95 * 1200
     assert np.diff(lossy.fix.t) == pytest.approx(0.2, abs=1e-6)
 

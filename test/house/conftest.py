@@ -14,7 +14,9 @@ import pytest
 @pytest.fixture(scope="session")
 def tracked(repository: Path) -> list[Path]:
     """The project's files: what git tracks and is still there, relative to the repository."""
-    listed = subprocess.run(["git", "ls-files", "-z"], cwd=repository, capture_output=True, text=True, check=True)
+    listed = subprocess.run(
+        ["git", "ls-files", "-z"], cwd=repository, capture_output=True, text=True, check=True
+    )
     return [Path(name) for name in listed.stdout.split("\0") if name and (repository / name).is_file()]
 
 

@@ -94,7 +94,9 @@ def test_installs_once(bootstrap: ModuleType, installer: Installer) -> None:
     assert installer.took() == []
 
 
-def test_extras_come_in_when_wanted_and_stay(bootstrap: ModuleType, installer: Installer, clone: Path) -> None:
+def test_extras_come_in_when_wanted_and_stay(
+    bootstrap: ModuleType, installer: Installer, clone: Path
+) -> None:
     bootstrap.set_up([])
     installer.took()
     bootstrap.set_up(["test"])
@@ -144,7 +146,9 @@ def test_an_installation_that_was_interrupted_is_done_again(
     assert installer.took() == []
 
 
-def test_an_environment_of_the_users_own_is_used_and_not_cleared(bootstrap: ModuleType, installer: Installer) -> None:
+def test_an_environment_of_the_users_own_is_used_and_not_cleared(
+    bootstrap: ModuleType, installer: Installer
+) -> None:
     os.makedirs(os.path.dirname(bootstrap.PYTHON))
     Path(bootstrap.PYTHON).write_text("")
     bootstrap.set_up([])
@@ -207,7 +211,9 @@ def test_two_processes_install_once(clone: Path) -> None:
         "bootstrap.check_tools = lambda: None\n"
         "bootstrap.set_up([])\n"
     )
-    both = [subprocess.Popen([sys.executable, "both.py"], cwd=clone, stderr=subprocess.DEVNULL) for _ in range(2)]
+    both = [
+        subprocess.Popen([sys.executable, "both.py"], cwd=clone, stderr=subprocess.DEVNULL) for _ in range(2)
+    ]
     assert [child.wait(timeout=60) for child in both] == [0, 0]
     assert (clone / "came").read_text() == "venv\npip\n"
 
@@ -253,7 +259,9 @@ def test_termination_ends_the_step_too(clone: Path) -> None:
         "sys.exit(bootstrap.main(['demo']))\n"
     )
     start = time.monotonic()
-    child = subprocess.Popen([sys.executable, "ended.py"], cwd=clone, stderr=subprocess.PIPE, start_new_session=True)
+    child = subprocess.Popen(
+        [sys.executable, "ended.py"], cwd=clone, stderr=subprocess.PIPE, start_new_session=True
+    )
     time.sleep(1.5)
     child.terminate()
     _, err = child.communicate(timeout=30)
@@ -280,7 +288,10 @@ def refusal(bootstrap: ModuleType, arguments: list[str], capsys: pytest.CaptureF
         ("g++", "g++ is missing: apt-get install g++"),
         ("venv", f"the module venv is missing: apt-get install python{HERE}-venv"),
         ("Python.h", f"Python.h is missing: apt-get install python{HERE}-dev"),
-        ("all", f"g++, the module venv, Python.h are missing: apt-get install g++ python{HERE}-venv python{HERE}-dev"),
+        (
+            "all",
+            f"g++, the module venv, Python.h are missing: apt-get install g++ python{HERE}-venv python{HERE}-dev",
+        ),
         ("CXX", "no-such-compiler is missing: apt-get install g++"),
     ],
 )
@@ -300,7 +311,9 @@ def test_a_missing_tool_is_named_with_its_package(
     monkeypatch.delenv("CXX", raising=False)
     monkeypatch.setenv("PATH", str(compiler.parent))
     monkeypatch.setattr(sysconfig, "get_paths", lambda: {"include": str(headers.parent)})
-    monkeypatch.setitem(sys.modules, "ensurepip", None if lack in ("venv", "all") else ModuleType("ensurepip"))
+    monkeypatch.setitem(
+        sys.modules, "ensurepip", None if lack in ("venv", "all") else ModuleType("ensurepip")
+    )
     if lack in ("g++", "all"):
         compiler.unlink()
     if lack in ("Python.h", "all"):
@@ -389,16 +402,32 @@ def test_old_pythons_can_read_it(repository: Path) -> None:
 @pytest.mark.parametrize(
     ("text", "said"),
     [
-        ("Retrying ... 'NewConnectionError(...): Temporary failure in name resolution'", "no package index within"),
+        (
+            "Retrying ... 'NewConnectionError(...): Temporary failure in name resolution'",
+            "no package index within",
+        ),
         ("pip._vendor.urllib3.exceptions.ReadTimeoutError: Read timed out.", "no package index within reach"),
-        ("SSLCertVerificationError(1, '[SSL: CERTIFICATE_VERIFY_FAILED]'))", "apt-get install ca-certificates"),
-        ("ERROR: Could not install packages due to an OSError: [Errno 28] No space left on device", "no space left"),
-        ("ERROR: No matching distribution found for x", "cannot install: ERROR: No matching distribution found for x"),
+        (
+            "SSLCertVerificationError(1, '[SSL: CERTIFICATE_VERIFY_FAILED]'))",
+            "apt-get install ca-certificates",
+        ),
+        (
+            "ERROR: Could not install packages due to an OSError: [Errno 28] No space left on device",
+            "no space left",
+        ),
+        (
+            "ERROR: No matching distribution found for x",
+            "cannot install: ERROR: No matching distribution found for x",
+        ),
         ("something else", "cannot install: something else"),
     ],
 )
 def test_a_failed_step_is_one_line(
-    text: str, said: str, bootstrap: ModuleType, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    text: str,
+    said: str,
+    bootstrap: ModuleType,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
 ) -> None:
     def set_up(extras: list[str]) -> None:
         os.makedirs(bootstrap.VENV)
@@ -478,7 +507,10 @@ def clean(bootstrap: ModuleType, monkeypatch: pytest.MonkeyPatch, **variables: s
 
 @pytest.mark.parametrize(
     "sourced",
-    [{"_ROS_WHEELS_BOOTSTRAP_COMPLETE": "1"}, {"AMENT_PREFIX_PATH": "/opt/ros/humble", "ROS_DISTRO": "humble"}],
+    [
+        {"_ROS_WHEELS_BOOTSTRAP_COMPLETE": "1"},
+        {"AMENT_PREFIX_PATH": "/opt/ros/humble", "ROS_DISTRO": "humble"},
+    ],
     ids=["other wheels", "apt"],
 )
 def test_another_ros_does_not_leak_in(
@@ -491,7 +523,12 @@ def test_another_ros_does_not_leak_in(
 
 
 def test_the_rest_of_the_environment_stays(bootstrap: ModuleType, monkeypatch: pytest.MonkeyPatch) -> None:
-    kept = {"LD_LIBRARY_PATH": "/opt/cuda", "ROS_DOMAIN_ID": "7", "PIP_INDEX_URL": "file:///mirror", "CXX": "clang++"}
+    kept = {
+        "LD_LIBRARY_PATH": "/opt/cuda",
+        "ROS_DOMAIN_ID": "7",
+        "PIP_INDEX_URL": "file:///mirror",
+        "CXX": "clang++",
+    }
     env = clean(bootstrap, monkeypatch, VIRTUAL_ENV="/other", PIP_USER="1", **kept)
     assert {name: env.get(name) for name in kept} == kept
     assert env["VIRTUAL_ENV"] == bootstrap.VENV

@@ -172,7 +172,11 @@ def test_a_bad_choice_and_a_bad_number_are_one_line(
         (OSError(5, "Input/output error", "disk"), 1, "disk: Input/output error"),
         (OSError(28, "No space left on device"), 1, "no space left to write the results"),
         (MemoryError(), 1, "out of memory"),
-        (ZeroDivisionError("by zero"), 1, "unexpected error, ZeroDivisionError: by zero (--debug shows where)"),
+        (
+            ZeroDivisionError("by zero"),
+            1,
+            "unexpected error, ZeroDivisionError: by zero (--debug shows where)",
+        ),
         (KeyError(), 1, "unexpected error, KeyError (--debug shows where)"),
     ],
     ids=lambda value: type(value).__name__ if isinstance(value, BaseException) else None,
@@ -196,7 +200,9 @@ def test_debug_shows_the_traceback_from_either_place(
     status, _, err = run(arguments, capsys)
     assert status == 1
     assert "Traceback" in err
-    assert err.endswith("suspension-twin: unexpected error, ZeroDivisionError: by zero (--debug shows where)\n")
+    assert err.endswith(
+        "suspension-twin: unexpected error, ZeroDivisionError: by zero (--debug shows where)\n"
+    )
 
 
 def test_debug_after_two_dashes_is_an_argument(
@@ -220,7 +226,9 @@ def test_exit_and_interrupt(with_command: Callable[..., None], capsys: pytest.Ca
     assert run(["work"], capsys) == (0, "", "")
 
 
-def test_subcommands_of_a_subcommand(with_command: Callable[..., None], capsys: pytest.CaptureFixture[str]) -> None:
+def test_subcommands_of_a_subcommand(
+    with_command: Callable[..., None], capsys: pytest.CaptureFixture[str]
+) -> None:
     app = typer.Typer()
 
     @app.command()
@@ -292,14 +300,19 @@ def test_a_reader_that_leaves_is_no_trouble(size: int, tmp_path: Path) -> None:
     [(signal.SIGINT, False, 130), (signal.SIGINT, True, 0), (signal.SIGTERM, True, 0)],
     ids=["Ctrl-C", "Ctrl-C endless", "SIGTERM endless"],
 )
-def test_a_signal_ends_a_command_quietly(end: signal.Signals, endless: bool, status: int, tmp_path: Path) -> None:
+def test_a_signal_ends_a_command_quietly(
+    end: signal.Signals, endless: bool, status: int, tmp_path: Path
+) -> None:
     """Also while it still imports, which takes seconds: the program's own handlers are in place before."""
     body = "print('at work', flush=True); time.sleep(30)"
     # a shell that runs the tests in the background has its children ignore Ctrl-C
     before = signal.signal(signal.SIGINT, signal.default_int_handler)
     try:
         child = subprocess.Popen(
-            program_with(body, tmp_path / "work.py", endless), stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+            program_with(body, tmp_path / "work.py", endless),
+            stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE,
+            text=True,
         )
     finally:
         signal.signal(signal.SIGINT, before)

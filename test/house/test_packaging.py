@@ -91,7 +91,9 @@ def test_setup_requires_what_is_imported(repository: Path, setup_arguments: dict
 
 
 def test_the_test_extra_brings_what_tests_import(repository: Path, setup_arguments: dict[str, Any]) -> None:
-    required = {canonical(r) for r in setup_arguments["install_requires"] + setup_arguments["extras_require"]["test"]}
+    required = {
+        canonical(r) for r in setup_arguments["install_requires"] + setup_arguments["extras_require"]["test"]
+    }
     folders = [repository / folder for folder in ("test", "bags", "benchmarks", "docs")]
     files = [path for folder in folders for path in folder.rglob("*.py")]
     own = {p.stem for p in files} | {p.parent.name for p in files}  # helpers beside a script or a test
@@ -103,8 +105,14 @@ def test_the_test_extra_brings_what_tests_import(repository: Path, setup_argumen
     assert missing == set()
 
 
-def test_rosdep_knows_no_library_that_setup_does_not(repository: Path, setup_arguments: dict[str, Any]) -> None:
-    keys = {d.name.removeprefix("python3-") for d in parse_package(repository).exec_depends if "python3-" in d.name}
+def test_rosdep_knows_no_library_that_setup_does_not(
+    repository: Path, setup_arguments: dict[str, Any]
+) -> None:
+    keys = {
+        d.name.removeprefix("python3-")
+        for d in parse_package(repository).exec_depends
+        if "python3-" in d.name
+    }
     required = {canonical(r).removeprefix("py") for r in setup_arguments["install_requires"]}
     assert keys <= required | {"yaml"}
 
@@ -134,7 +142,9 @@ def test_package_data_is_installed(tracked: list[Path], setup_arguments: dict[st
 
 def test_every_folder_of_code_is_a_package(repository: Path, setup_arguments: dict[str, Any]) -> None:
     folders = {p.parent for p in (repository / "suspension_twin").rglob("*.py")}
-    assert {f.relative_to(repository).as_posix().replace("/", ".") for f in folders} == set(setup_arguments["packages"])
+    assert {f.relative_to(repository).as_posix().replace("/", ".") for f in folders} == set(
+        setup_arguments["packages"]
+    )
 
 
 def test_entry_points_resolve(setup_arguments: dict[str, Any]) -> None:
@@ -150,7 +160,9 @@ def test_ros_finds_the_programs(repository: Path) -> None:
 
     config = ConfigParser()
     config.read(repository / "setup.cfg")
-    assert config["develop"]["script_dir"] == config["install"]["install_scripts"] == "$base/lib/suspension_twin"
+    assert (
+        config["develop"]["script_dir"] == config["install"]["install_scripts"] == "$base/lib/suspension_twin"
+    )
     assert config["build_scripts"]["executable"] == "/usr/bin/env python3"
 
 
@@ -171,7 +183,9 @@ def test_colcon_lists_both_packages(repository: Path, tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("options", [[], ["--symlink-install"]], ids=["copied", "symlinked"])
-def test_colcon_builds_the_package(options: list[str], repository: Path, tracked: list[Path], tmp_path: Path) -> None:
+def test_colcon_builds_the_package(
+    options: list[str], repository: Path, tracked: list[Path], tmp_path: Path
+) -> None:
     """As in an apt workspace, but for the interfaces, which take ament_cmake and stand there as if built."""
     source, install = tmp_path / "src", tmp_path / "install"
     for path in tracked:
@@ -191,7 +205,9 @@ def test_colcon_builds_the_package(options: list[str], repository: Path, tracked
     python = os.path.dirname(sys.executable)  # as if that environment were active
     env = {"COLCON_CURRENT_PREFIX": str(prefix), "PATH": f"{python}{os.pathsep}{os.defpath}"}
     done = subprocess.run(["sh", "-c", setup], env=env, capture_output=True, text=True, timeout=60)
-    assert (done.returncode, done.stdout) == (0, f"suspension-twin {suspension_twin.__version__}\n"), done.stderr
+    assert (done.returncode, done.stdout) == (0, f"suspension-twin {suspension_twin.__version__}\n"), (
+        done.stderr
+    )
 
 
 class Recorded:
@@ -246,7 +262,10 @@ def test_interfaces_name_their_dependencies(repository: Path) -> None:
     folder = repository / INTERFACES
     named = {d.text for d in ElementTree.parse(folder / "package.xml").getroot().iter("depend")}
     cmake = (folder / "CMakeLists.txt").read_text()
-    found = set(re.findall(r"find_package\((\w+) REQUIRED\)", cmake)) - {"ament_cmake", "rosidl_default_generators"}
+    found = set(re.findall(r"find_package\((\w+) REQUIRED\)", cmake)) - {
+        "ament_cmake",
+        "rosidl_default_generators",
+    }
     listed = re.search(r"DEPENDENCIES ([\w\s]+)\)", cmake)
     assert listed
     assert named == found == set(listed[1].split())
@@ -254,7 +273,9 @@ def test_interfaces_name_their_dependencies(repository: Path) -> None:
     used = {"builtin_interfaces"}  # of every header
     for kind, packages in implied.items():
         for path in folder.glob(f"{kind}/*.{kind}"):
-            used |= packages | set(re.findall(r"^(\w+)/\w+(?:\[\w*\])?\s+\w+", path.read_text(), re.MULTILINE))
+            used |= packages | set(
+                re.findall(r"^(\w+)/\w+(?:\[\w*\])?\s+\w+", path.read_text(), re.MULTILINE)
+            )
     assert used == named
 
 

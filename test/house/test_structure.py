@@ -18,7 +18,7 @@ from suspension_twin.vehicle.twin import Twin
 
 # From the left of the design's picture to its right: a package imports from its own row and the rows before it.
 ROWS = (
-    {"errors", "compiled"},
+    {"arrays", "errors", "compiled", "units"},
     {"drive"},
     {"vehicle"},
     {"signals"},
@@ -26,6 +26,7 @@ ROWS = (
     {"road"},
     {"models", "effects"},
     {"gap"},
+    {"identification"},
     {"calibration"},
     {"diagnosis"},
     {"report"},

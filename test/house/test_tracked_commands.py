@@ -19,12 +19,16 @@ def files(repository: Path) -> tuple[str, list[str]]:
 
 def test_calibrate_writes_a_twin_and_a_page(files: tuple[str, list[str]], tmp_path: Path, capsys) -> None:
     twin, runs = files[0], [str(tmp_path / Path(path).name) for path in files[1]]
-    for path, short in zip(files[1], runs, strict=True):  # two seconds of each: over the obstacle's first edge
+    for path, short in zip(
+        files[1], runs, strict=True
+    ):  # two seconds of each: over the obstacle's first edge
         lines = Path(path).read_text(encoding="utf-8").splitlines()
         Path(short).write_text("\n".join(lines[:101]) + "\n", encoding="utf-8")
     out, report = tmp_path / "calibrated.yaml", tmp_path / "report"
     preset = ["--preset", "tracked_paper", "--max-generations", "1"]
-    assert main(["calibrate", "--twin", twin, *runs, "--out", str(out), "--report", str(report), *preset]) == 0
+    assert (
+        main(["calibrate", "--twin", twin, *runs, "--out", str(out), "--report", str(report), *preset]) == 0
+    )
     data = yaml.safe_load(out.read_text(encoding="utf-8"))
     assert data["model"] == "tracked" and 1e5 <= data["vehicle"]["track"]["stiffness"] <= 1e9
     said = capsys.readouterr().out
@@ -36,7 +40,10 @@ def test_calibrate_writes_a_twin_and_a_page(files: tuple[str, list[str]], tmp_pa
     ("arguments", "word"),
     [
         (["calibrate", "--preset", "paper"], "a twin on tracks takes tracked_paper"),
-        (["calibrate", "--preset", "tracked_paper", "--objective", "mse"], "one of correlation, amplitude, motion"),
+        (
+            ["calibrate", "--preset", "tracked_paper", "--objective", "mse"],
+            "one of correlation, amplitude, motion",
+        ),
         (["diagnose", "--effect", "payload"], "--effect: is for cars"),
     ],
 )
@@ -54,7 +61,11 @@ def test_what_a_twin_on_tracks_does_not_take(
     ("key", "value", "word"),
     [
         ("markers", {"A": [-1000.0, 587.0], "B": [-1445.0, 620.0], "C": [0.0, 0.0]}, "front to rear"),
-        ("idler", {"height": -0.169, "radius": 0.255, "setting": -5600.0, "taut_at": -5550.0}, "-5590 and -5550 mm"),
+        (
+            "idler",
+            {"height": -0.169, "radius": 0.255, "setting": -5600.0, "taut_at": -5550.0},
+            "-5590 and -5550 mm",
+        ),
         ("obstacle", {"height": 0.7, "ramp": 4.0, "top": 0.3}, "cannot be passed"),
         ("obstacle", {"height": 0.3, "ramp": 0.1, "top": 0.3}, "steeper than 45 degrees"),
     ],
@@ -71,7 +82,9 @@ def test_a_twin_that_cannot_be_is_refused_in_a_line(
     assert error.count("\n") == 1 and not (tmp_path / "out").exists()
 
 
-def test_a_run_that_cannot_be_is_refused_in_a_line(files: tuple[str, list[str]], tmp_path: Path, capsys) -> None:
+def test_a_run_that_cannot_be_is_refused_in_a_line(
+    files: tuple[str, list[str]], tmp_path: Path, capsys
+) -> None:
     lines = Path(files[1][0]).read_text(encoding="utf-8").splitlines()
     shuffled = tmp_path / "13kmh_1.csv"
     shuffled.write_text("\n".join([lines[0], *lines[:0:-1]]), encoding="utf-8")

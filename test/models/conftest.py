@@ -60,9 +60,10 @@ def rough() -> Ground:
 
     def height(x: Any, y: Any) -> Any:
         return (
-            0.02 * np.sin(2 * np.pi * x / 8 + 0.4 * y) + 0.008 * np.sin(2 * np.pi * x / 2.1 - 0.9 * y)
+            0.02 * np.sin(2 * np.pi * x / 8 + 0.4 * y)
+            + 0.008 * np.sin(2 * np.pi * x / 2.1 - 0.9 * y)
             + 0.003 * np.sin(2 * np.pi * x / 0.7 + 2 * y)
-        )  # fmt: skip
+        )
 
     return Ground(height)
 
@@ -72,9 +73,15 @@ def drive() -> Callable[..., Trajectory]:
     """Maker of trajectories: constant speed and yaw rate from the origin, or braking."""
 
     def make(
-        seconds: float = 4.0, rate: float = 100.0, speed: float = 8.0, yaw_rate: float = 0.0,
-        ax: float = 0.0, t0: float = 1.7e9, jitter: float = 0.0, seed: int = 0,
-    ) -> Trajectory:  # fmt: skip
+        seconds: float = 4.0,
+        rate: float = 100.0,
+        speed: float = 8.0,
+        yaw_rate: float = 0.0,
+        ax: float = 0.0,
+        t0: float = 1.7e9,
+        jitter: float = 0.0,
+        seed: int = 0,
+    ) -> Trajectory:
         s = np.arange(round(seconds * rate) + 1) / rate
         s += jitter / rate * np.random.default_rng(seed).uniform(-0.5, 0.5, s.size)
         v = speed + ax * s
@@ -85,8 +92,16 @@ def drive() -> Callable[..., Trajectory]:
             x, y = speed * s + ax * s**2 / 2, 0 * s
         zero = np.zeros_like(s)
         return Trajectory(
-            t=t0 + s, x=x, y=y, yaw=yaw, speed=v, lateral_speed=zero, yaw_rate=zero + yaw_rate,
-            ax=zero + ax, ay=v * yaw_rate, valid=np.ones(s.size, bool),
-        )  # fmt: skip
+            t=t0 + s,
+            x=x,
+            y=y,
+            yaw=yaw,
+            speed=v,
+            lateral_speed=zero,
+            yaw_rate=zero + yaw_rate,
+            ax=zero + ax,
+            ay=v * yaw_rate,
+            valid=np.ones(s.size, bool),
+        )
 
     return make

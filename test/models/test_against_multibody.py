@@ -25,9 +25,19 @@ def figures(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
         pytest.skip(f"no drives of a multibody car under {DATA}")
     out = tmp_path_factory.mktemp("multibody")
     run = subprocess.run(
-        [sys.executable, str(ROOT / "benchmarks" / "multibody.py"), "--data", str(DATA), "--out", str(out), "--json"],
-        capture_output=True, text=True, timeout=300,
-    )  # fmt: skip
+        [
+            sys.executable,
+            str(ROOT / "benchmarks" / "multibody.py"),
+            "--data",
+            str(DATA),
+            "--out",
+            str(out),
+            "--json",
+        ],
+        capture_output=True,
+        text=True,
+        timeout=300,
+    )
     assert run.returncode == 0, run.stderr
     found: dict[str, Any] = json.loads(run.stdout)
     assert json.loads((out / "multibody.json").read_text(encoding="utf-8")) == found
@@ -62,5 +72,7 @@ def test_what_is_left_is_named_by_evidence(figures: dict[str, Any]) -> None:
 
 def test_a_missing_truth_is_named(tmp_path: Path) -> None:
     script = str(ROOT / "benchmarks" / "multibody.py")
-    run = subprocess.run([sys.executable, script, "--data", str(tmp_path)], capture_output=True, text=True, timeout=60)
+    run = subprocess.run(
+        [sys.executable, script, "--data", str(tmp_path)], capture_output=True, text=True, timeout=60
+    )
     assert run.returncode == 2 and run.stderr.count("\n") == 1 and "no_effect_added" in run.stderr

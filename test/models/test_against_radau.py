@@ -22,7 +22,9 @@ def curve(points: tuple[Any, Any]) -> Any:
 
     def force(value: Any) -> Any:
         inside = np.interp(value, x, f)
-        return np.where(value < 0, left * value, np.where(value > x[-1], f[-1] + right * (value - x[-1]), inside))
+        return np.where(
+            value < 0, left * value, np.where(value > x[-1], f[-1] + right * (value - x[-1]), inside)
+        )
 
     return force
 
@@ -49,17 +51,23 @@ class Car:
         self.push = [curve(a.damper_push.points) for a in self.axle]
         self.pull = [curve(a.damper_pull.points) for a in self.axle]
         self.static = np.array(
-            [brentq(lambda c, f=f, w=w: f(c) - w, 0, 5) for f, w in zip(self.springs, self.weight, strict=True)]
+            [
+                brentq(lambda c, f=f, w=w: f(c) - w, 0, 5)
+                for f, w in zip(self.springs, self.weight, strict=True)
+            ]
         )
 
     def accelerations(self, q: Any, v: Any, road: Any, ax: float, ay: float) -> Any:
         """``ax``, ``ay`` at the whole car's centre of gravity."""
         compression = self.static + q[3:] - (q[0] + self.y * q[1] - self.x * q[2])
         rate = v[3:] - (v[0] + self.y * v[1] - self.x * v[2])
-        force = np.array([
-            self.springs[i](compression[i]) + (self.push[i](rate[i]) if rate[i] > 0 else -self.pull[i](-rate[i]))
-            for i in range(4)
-        ])  # fmt: skip
+        force = np.array(
+            [
+                self.springs[i](compression[i])
+                + (self.push[i](rate[i]) if rate[i] > 0 else -self.pull[i](-rate[i]))
+                for i in range(4)
+            ]
+        )
         tyre = np.maximum(0, self.weight + self.mw * G + self.v.tyre.vertical_stiffness * (road - q[3:]))
         moment = self.v.mass * self.cog[2]
         return np.r_[
@@ -76,9 +84,13 @@ def reference(twin: Any, way: Any, ground: Any, start: Any) -> Any:
     wheels = twin.vehicle.wheel_positions
 
     def inputs(t: float) -> Any:
-        x, y, yaw, ax, ay, w = (np.interp(t, way.t, getattr(way, n)) for n in ("x", "y", "yaw", "ax", "ay", "yaw_rate"))
+        x, y, yaw, ax, ay, w = (
+            np.interp(t, way.t, getattr(way, n)) for n in ("x", "y", "yaw", "ax", "ay", "yaw_rate")
+        )
         c, s = np.cos(yaw), np.sin(yaw)
-        road = ground.heights(x + c * wheels[:, 0] - s * wheels[:, 1], y + s * wheels[:, 0] + c * wheels[:, 1])
+        road = ground.heights(
+            x + c * wheels[:, 0] - s * wheels[:, 1], y + s * wheels[:, 0] + c * wheels[:, 1]
+        )
         return road, ax - w**2 * car.cog[0], ay - w**2 * car.cog[1]
 
     def f(t: float, s: Any) -> Any:
@@ -95,9 +107,14 @@ def rms(x: Any) -> Any:
     return np.sqrt(np.mean(np.square(x), axis=0))
 
 
-@pytest.mark.parametrize(("car", "speed", "yaw_rate", "ax"), [
-    ("mondeo", 8.0, 0.0, 0.0), ("mondeo", 6.0, 0.4, 0.0), ("stiff", 8.0, 0.0, -2.0),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    ("car", "speed", "yaw_rate", "ax"),
+    [
+        ("mondeo", 8.0, 0.0, 0.0),
+        ("mondeo", 6.0, 0.4, 0.0),
+        ("stiff", 8.0, 0.0, -2.0),
+    ],
+)
 def test_every_acceleration_within_half_a_per_cent(
     request: Any, drive: Any, rough: Any, car: str, speed: float, yaw_rate: float, ax: float
 ) -> None:

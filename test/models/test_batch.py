@@ -65,7 +65,11 @@ def test_more_points_on_the_same_line_change_nothing_but_rounding(mondeo: Any, w
     for count in (7, 20):
         changes = {}
         for axle in ("front", "rear"):
-            for part, key in (("spring", "compression"), ("damper_push", "velocity"), ("damper_pull", "velocity")):
+            for part, key in (
+                ("spring", "compression"),
+                ("damper_push", "velocity"),
+                ("damper_pull", "velocity"),
+            ):
                 x, f = getattr(getattr(mondeo.vehicle, axle), part).points
                 more = np.unique(np.r_[x, np.linspace(0.05, 0.9, count)[: count - 4] * x[-1]])
                 force = np.interp(more, np.r_[0, x], np.r_[0, f])
@@ -74,7 +78,13 @@ def test_more_points_on_the_same_line_change_nothing_but_rounding(mondeo: Any, w
 
 
 def test_a_bad_candidate_fails_alone(mondeo: Any, way: Any) -> None:
-    keys = [FORCE, "vehicle.mass", "vehicle.front.unsprung_mass", "vehicle.cog.0", "vehicle.tyre.vertical_stiffness"]
+    keys = [
+        FORCE,
+        "vehicle.mass",
+        "vehicle.front.unsprung_mass",
+        "vehicle.cog.0",
+        "vehicle.tyre.vertical_stiffness",
+    ]
     base = dict(zip(layout(mondeo).names, pack(mondeo), strict=True))
     good = [base[k] for k in keys]
     values = np.array([good] * 9)
@@ -105,11 +115,20 @@ def test_a_diverging_lane_fails_alone(mondeo: Any, drive: Any, ground: Any) -> N
         simulate_twin(mondeo, way)
 
 
-@pytest.mark.parametrize(("changes", "key"), [
-    ({"vehicle.front.spring": {"compression": (0.1, 0.2), "force": (2000.0, 2000.0)}}, "vehicle.front.spring.force"),
-    ({"vehicle.cog": (0.1, 0.0, 0.5), "vehicle.front.unsprung_mass": 200.0}, "vehicle.cog"),
-    ({"vehicle.tyre.vertical_stiffness": 1e7, "vehicle.rear.unsprung_mass": 2.0}, "vehicle.tyre.vertical_stiffness"),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    ("changes", "key"),
+    [
+        (
+            {"vehicle.front.spring": {"compression": (0.1, 0.2), "force": (2000.0, 2000.0)}},
+            "vehicle.front.spring.force",
+        ),
+        ({"vehicle.cog": (0.1, 0.0, 0.5), "vehicle.front.unsprung_mass": 200.0}, "vehicle.cog"),
+        (
+            {"vehicle.tyre.vertical_stiffness": 1e7, "vehicle.rear.unsprung_mass": 2.0},
+            "vehicle.tyre.vertical_stiffness",
+        ),
+    ],
+)
 def test_a_twin_that_cannot_stand_or_be_stepped_is_refused_by_its_key(
     mondeo: Any, way: Any, changes: Any, key: str
 ) -> None:
@@ -175,17 +194,31 @@ def test_golden_derivatives(mondeo: Any, drive: Any, flat: Any) -> None:
     way = drive(seconds=0.02, rate=1000, ax=0.0, t0=0.0)
     still = simulate_twin(mondeo, excitation(way, mondeo.vehicle, flat))
     assert np.abs(still.acceleration).max() < 1e-8
-    brake = type(way)(**{
-        k: np.where(way.t > 0, -2.0, 0.0) if k == "ax" else np.where(way.t > 0, 1.0, 0.0) if k == "ay"
-        else getattr(way, k) for k in way.__dataclass_fields__
-    })  # fmt: skip
+    brake = type(way)(
+        **{
+            k: np.where(way.t > 0, -2.0, 0.0)
+            if k == "ax"
+            else np.where(way.t > 0, 1.0, 0.0)
+            if k == "ay"
+            else getattr(way, k)
+            for k in way.__dataclass_fields__
+        }
+    )
     run = simulate_twin(mondeo, excitation(brake, mondeo.vehicle, flat))
     # the moments of m h a appear at the first step: 1725 x 0.55 x (1, 2) over 550 and 2600
     assert run.acceleration[1, 1] == pytest.approx(1725 * 0.55 / 550, rel=2e-2)
     assert run.acceleration[1, 2] == pytest.approx(1725 * 0.55 * 2 / 2600, rel=2e-2)
     golden = [-0.0253015, 1.48394, 0.658196, 0.180300, -0.946337, 1.38224, -0.106306]
     np.testing.assert_allclose(run.acceleration[20], golden, rtol=1e-4)
-    exact = [-0.0253250, 1.48391, 0.658182, 0.179888, -0.943695, 1.37888, -0.105995]  # Radau, test_against_radau
+    exact = [
+        -0.0253250,
+        1.48391,
+        0.658182,
+        0.179888,
+        -0.943695,
+        1.37888,
+        -0.105995,
+    ]  # Radau, test_against_radau
     np.testing.assert_allclose(run.acceleration[20], exact, rtol=4e-3)
 
 
@@ -221,9 +254,13 @@ print(json.dumps([sum(stats.cache_hits.values()), sum(stats.cache_misses.values(
 
 def _start(environment: dict[str, str]) -> list[int]:
     run = subprocess.run(
-        [sys.executable, "-c", _START, str(TWIN)], capture_output=True, text=True, timeout=300, check=True,
+        [sys.executable, "-c", _START, str(TWIN)],
+        capture_output=True,
+        text=True,
+        timeout=300,
+        check=True,
         env={**os.environ, **environment},
-    )  # fmt: skip
+    )
     out: list[int] = json.loads(run.stdout.strip().splitlines()[-1])
     return out
 

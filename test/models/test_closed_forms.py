@@ -28,10 +28,14 @@ def with_linear(twin: Any, k: float = 25000.0, c: float = 1800.0, **more: Any) -
 def symmetric(mondeo: Any) -> Any:
     """Centre of gravity amid the wheels and axles alike: heave, pitch and roll are apart."""
     half = mondeo.vehicle.wheelbase / 2
-    return with_linear(mondeo, **{
-        "vehicle.cog": (half, 0.0, 0.55), "vehicle.rear_track": mondeo.vehicle.front_track,
-        "vehicle.rear.unsprung_mass": mondeo.vehicle.front.unsprung_mass,
-    })  # fmt: skip
+    return with_linear(
+        mondeo,
+        **{
+            "vehicle.cog": (half, 0.0, 0.55),
+            "vehicle.rear_track": mondeo.vehicle.front_track,
+            "vehicle.rear.unsprung_mass": mondeo.vehicle.front.unsprung_mass,
+        },
+    )
 
 
 def sprung_mass(twin: Any) -> float:

@@ -15,7 +15,7 @@ import suspension_twin
 from suspension_twin.compiled import sources
 
 ROOT = Path(suspension_twin.__file__).parent
-KERNEL = '''
+KERNEL = """
 from suspension_twin.compiled import compiled, inlined
 from house.deep import (
     factor,
@@ -28,7 +28,7 @@ def twice(x):
 @compiled
 def answer(x):
     return twice(x)
-'''
+"""
 START = """
 import json
 from house.kernel import answer
@@ -61,7 +61,12 @@ def start(house: Path) -> tuple[float, int]:
         "PYTHONDONTWRITEBYTECODE": "1",
     }
     run = subprocess.run(
-        [sys.executable, "-c", START], capture_output=True, text=True, check=True, env=environment, timeout=120
+        [sys.executable, "-c", START],
+        capture_output=True,
+        text=True,
+        check=True,
+        env=environment,
+        timeout=120,
     )
     value, hits = json.loads(run.stdout)
     return value, hits
@@ -78,10 +83,15 @@ def test_a_change_in_another_file_is_noticed_and_a_touch_is_not(house: Path) -> 
 
 
 def test_a_kernel_rests_on_what_it_imports_and_nothing_else() -> None:
-    names = {path.relative_to(ROOT).as_posix() for path in sources(ROOT / "models" / "full_car_effects.py", ROOT)}
+    names = {
+        path.relative_to(ROOT).as_posix() for path in sources(ROOT / "models" / "full_car_effects.py", ROOT)
+    }
     helpers = {"corner", "curves", "equilibrium", "full_car", "numerics", "rows", "sensor", "settle", "terms"}
     assert {f"models/{name}.py" for name in helpers} <= names
-    assert not {"models/simulate.py", "models/msd.py", "models/tracked_kernel.py", "calibration/problem.py"} & names
+    assert (
+        not {"models/simulate.py", "models/msd.py", "models/tracked_kernel.py", "identification/problem.py"}
+        & names
+    )
 
 
 def test_every_kernel_is_compiled_by_the_one_helper() -> None:

@@ -31,12 +31,14 @@ TERMS: dict[str, list[tuple[int, int, float]]] = {
     "hot": [(rows.FADE_LOSS, 4, 0.6), (rows.FADE_ENERGY, 1, 1 / 500)],
     "bend": [(rows.BEND_GAIN, 1, 0.3), (rows.BEND_STIFFNESS, 1, 2.5e4), (rows.BEND_DAMPING, 1, 10.0)],
     "engine": [
-        (rows.ENGINE_MASS, 1, 200.0), (rows.ENGINE_STIFFNESS, 1, 4e3), (rows.ENGINE_DAMPING, 1, 12.0),
+        (rows.ENGINE_MASS, 1, 200.0),
+        (rows.ENGINE_STIFFNESS, 1, 4e3),
+        (rows.ENGINE_DAMPING, 1, 12.0),
         (rows.ENGINE_X, 1, 1.2),
     ],
     "corner_damper": [(rows.DAMPER_SCALE, 1, -0.5)],
     "corner_spring": [(rows.SPRING_SCALE, 1, -0.3)],
-}  # fmt: skip
+}
 ROADS: dict[str, Callable[[Any, Any], None]] = {
     "scale": lambda c, v: c.scale.__iadd__(0.3 * v),
     "ahead": lambda c, v: c.ahead.__iadd__(0.5 * v),
@@ -61,7 +63,9 @@ def _rescale(signals: Any, t: Any, fresh: Any, values: Any, state: Any) -> None:
 
 HOOKS = {
     **{f"term_{name}": Hook({"amount": 0.0}, terms=partial(_terms, full)) for name, full in TERMS.items()},
-    **{f"road_{k}": Hook({"amount": 0.0}, road=lambda c, v, f=f: f(c, v["amount"])) for k, f in ROADS.items()},
+    **{
+        f"road_{k}": Hook({"amount": 0.0}, road=lambda c, v, f=f: f(c, v["amount"])) for k, f in ROADS.items()
+    },
     "payload": Hook({"amount": 0.0}, vehicle=_payload),
     "signal": Hook({"amount": 0.0}, signal=SignalStage(_rescale)),
 }

@@ -17,9 +17,18 @@ from suspension_twin.models.simulate import simulate_twin
 
 COLUMNS = ("t", "x", "y", "yaw", "speed", "lateral_speed", "yaw_rate", "ax", "ay")
 FIELDS = (
-    "heave", "roll", "pitch", "z", "wheel_z", "deflection", "deflection_rate", "tyre_force", "force", "rate",
+    "heave",
+    "roll",
+    "pitch",
+    "z",
+    "wheel_z",
+    "deflection",
+    "deflection_rate",
+    "tyre_force",
+    "force",
+    "rate",
     "vertical_acceleration",
-)  # fmt: skip
+)
 
 
 def play(live: LiveTwin, way: Any) -> Any:
@@ -63,7 +72,9 @@ def test_reset_and_a_looped_drive(mondeo: Any, drive: Any, rough: Any) -> None:
         assert np.array_equal(a.force, c.force)
 
 
-def test_unusable_input_is_reported_and_changes_nothing(mondeo: Any, drive: Any, rough: Any, flat: Any) -> None:
+def test_unusable_input_is_reported_and_changes_nothing(
+    mondeo: Any, drive: Any, rough: Any, flat: Any
+) -> None:
     way = drive(seconds=1)
     clean = play(LiveTwin(mondeo, rough), way)
     live = LiveTwin(mondeo, rough)
@@ -89,10 +100,12 @@ def test_a_hole_in_the_road_is_held_over_and_said(mondeo: Any, drive: Any, groun
 def test_yaw_that_wraps_is_no_turn(mondeo: Any, drive: Any, rough: Any) -> None:
     way = drive(seconds=3, yaw_rate=1.5, speed=4)
     smooth = play(LiveTwin(mondeo, rough), way)
-    wrapped = type(way)(**{
-        k: (getattr(way, k) + np.pi) % (2 * np.pi) - np.pi if k == "yaw" else getattr(way, k)
-        for k in way.__dataclass_fields__
-    })  # fmt: skip
+    wrapped = type(way)(
+        **{
+            k: (getattr(way, k) + np.pi) % (2 * np.pi) - np.pi if k == "yaw" else getattr(way, k)
+            for k in way.__dataclass_fields__
+        }
+    )
     for a, b in zip(smooth, play(LiveTwin(mondeo, rough), wrapped), strict=True):
         np.testing.assert_allclose(a.force, b.force, atol=1e-7)
 
@@ -134,10 +147,13 @@ def rms(x: Any) -> float:
     return float(np.sqrt(np.mean(np.square(x))))
 
 
-@pytest.mark.parametrize("effect", [
-    {"id": "road", "parameters": {"sigma": 0.1, "ahead": 0.4, "scale": 0.2}},
-    {"id": "late", "parameters": {"delay": 0.05}},
-])  # fmt: skip
+@pytest.mark.parametrize(
+    "effect",
+    [
+        {"id": "road", "parameters": {"sigma": 0.1, "ahead": 0.4, "scale": 0.2}},
+        {"id": "late", "parameters": {"delay": 0.05}},
+    ],
+)
 def test_roads_and_clocks_live_are_those_of_the_batch(
     mondeo: Any, drive: Any, rough: Any, monkeypatch: pytest.MonkeyPatch, effect: Any
 ) -> None:

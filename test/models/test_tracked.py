@@ -61,7 +61,9 @@ def test_it_stands_as_hand_calculation_says(vehicle: TrackedVehicle) -> None:
     lying = r.ground[-1] / 2 - r.wheel_load[-1].sum()
     load = (slack.mass / 2 * G - lying) / 6 - slack.wheel.mass * G
     arm = slack.arm
-    angle = brentq(lambda a: arm.stiffness * (arm.free_angle - a) - load * arm.length * math.cos(a), -0.3, 0.3)
+    angle = brentq(
+        lambda a: arm.stiffness * (arm.free_angle - a) - load * arm.length * math.cos(a), -0.3, 0.3
+    )
     # the arms lean by the pitch that their pivots, on one side of the wheels, bring about
     assert r.arm[-1].mean() == pytest.approx(angle, abs=1e-4)
     moment = float(np.sum(r.wheel_load[-1] * ([s.x - slack.cog[0] for s in slack.stations])))
@@ -177,14 +179,20 @@ def test_a_slack_track_leaves_the_vehicle_without_one(vehicle: TrackedVehicle) -
     assert np.abs(theirs).max() > 0.05
     assert np.abs(ours.markers[:, :2] - theirs).max() < 0.004
     # and the track matters where it is tight
-    tight = simulate_tracked(slack.with_changes({"track.stiffness": 1e9, "idler.taut_at": -5550.0,
-                                                 "idler.setting": -5570.0}), 8 / 3.6, 3.6, rate=50.0)  # fmt: skip
+    tight = simulate_tracked(
+        slack.with_changes({"track.stiffness": 1e9, "idler.taut_at": -5550.0, "idler.setting": -5570.0}),
+        8 / 3.6,
+        3.6,
+        rate=50.0,
+    )
     assert np.abs(tight.markers[:, :2] - theirs).max() > 0.008
 
 
 def test_markers_converge_with_contact_points_and_steps(vehicle: TrackedVehicle) -> None:
-    runs = [simulate_tracked(vehicle, 13 / 3.6, 4.0, contacts=c, step=s).markers
-            for c, s in ((1, 4e-4), (4, 4e-4), (8, 1e-4))]  # fmt: skip
+    runs = [
+        simulate_tracked(vehicle, 13 / 3.6, 4.0, contacts=c, step=s).markers
+        for c, s in ((1, 4e-4), (4, 4e-4), (8, 1e-4))
+    ]
     one, usual = (np.abs(r - runs[2]).max() for r in runs[:2])
     assert usual < one < 0.006 * np.ptp(runs[2]) and usual < 0.004 * np.ptp(runs[2])
 

@@ -64,7 +64,9 @@ def test_the_sensor_feels_what_the_hull_does(twin: TrackedTwin) -> None:
     live = live_twin(twin, Ground(twin))
     speed = 13 / 3.6
     dt = 0.0025
-    states = [live.step(dt * k, k * dt * speed - 8.0, 0.0, 0.0, speed, 0.0, 0.0, 0.0, 0.0) for k in range(700)]
+    states = [
+        live.step(dt * k, k * dt * speed - 8.0, 0.0, 0.0, speed, 0.0, 0.0, 0.0, 0.0) for k in range(700)
+    ]
     at = np.array([2.13, 1.14])
     pitch, base = np.array([s.pitch for s in states]), np.array([s.z for s in states])
     height = base - at[0] * np.sin(pitch) + at[1] * np.cos(pitch)
@@ -96,7 +98,9 @@ def test_it_reverses_where_it_came_from(twin: TrackedTwin) -> None:
     forwards = np.arange(-7.0, -3.0, 0.01 * speed)
     there = drive(live, forwards, speed)
     drive(live, np.full(150, forwards[-1]), 0.0, t0=300.0 - 0.2)
-    back = [live.step(301.3 + 0.01 * k, float(p), 0, 0, -speed, 0, 0, 0, 0) for k, p in enumerate(forwards[::-1])]
+    back = [
+        live.step(301.3 + 0.01 * k, float(p), 0, 0, -speed, 0, 0, 0, 0) for k, p in enumerate(forwards[::-1])
+    ]
     assert not any(s.event for s in back[1:])
     assert back[-1].z == pytest.approx(there[0].z, abs=0.02) and abs(back[-1].pitch) < 0.01
 
@@ -118,14 +122,18 @@ def test_what_messages_may_hold(twin: TrackedTwin) -> None:
 
 def test_an_effect_of_the_file_acts(twin: TrackedTwin) -> None:
     # slack, so that no part of the load goes through the track past the wheels
-    slack = twin.vehicle.with_changes({"track.stiffness": 1e5, "track.bending_stiffness": 10.0, "idler.taut_at": -5600})
+    slack = twin.vehicle.with_changes(
+        {"track.stiffness": 1e5, "track.bending_stiffness": 10.0, "idler.taut_at": -5600}
+    )
 
     def standing(*effects: EffectSpec) -> LiveState:
         changed = twin.model_copy(update={"effects": effects, "vehicle": slack})
         return drive(live_twin(changed, Ground(twin)), np.full(3, -60.0), 0.0)[-1]
 
     light = standing()
-    heavy, ahead = (standing(EffectSpec(id="payload", parameters={"mass": 4000.0, "x": x})) for x in (0.0, 1.0))
+    heavy, ahead = (
+        standing(EffectSpec(id="payload", parameters={"mass": 4000.0, "x": x})) for x in (0.0, 1.0)
+    )
     assert heavy.tyre_force.sum() - light.tyre_force.sum() == pytest.approx(4000 * G, rel=0.01)
     assert ahead.pitch > heavy.pitch + 1e-3
     wrong = twin.model_copy(update={"effects": (EffectSpec(id="strut_friction"),)})

@@ -25,7 +25,9 @@ def attitude(yaw: Any, pitch: Any, roll: Any) -> Any:
     return Rotation.from_euler("ZYX", np.stack([yaw, pitch, roll], axis=-1)).as_matrix()
 
 
-def read(position: Any, velocity: Any, acceleration: Any, place: Any, sprung: Any, height: float, planar: Any) -> Any:
+def read(
+    position: Any, velocity: Any, acceleration: Any, place: Any, sprung: Any, height: float, planar: Any
+) -> Any:
     """What one lane's sensor reads for heave, roll, pitch and their derivatives."""
     w = np.zeros((rows.CURVES) * WIDTH)
 
@@ -49,17 +51,40 @@ place = st.tuples(st.floats(-3, 3), st.floats(-1, 1), st.floats(-0.5, 2.5))
 
 @settings(max_examples=60, deadline=None)
 @given(
-    a0=small, a1=small, b0=small, b1=small, f0=st.floats(0.5, 6), f1=st.floats(0.5, 6), place=place, sprung=place,
-    height=st.floats(0.0, 1.5), speed=st.floats(-5, 25), turn=st.floats(-0.8, 0.8), turning=st.floats(-0.5, 0.5),
-)  # fmt: skip
+    a0=small,
+    a1=small,
+    b0=small,
+    b1=small,
+    f0=st.floats(0.5, 6),
+    f1=st.floats(0.5, 6),
+    place=place,
+    sprung=place,
+    height=st.floats(0.0, 1.5),
+    speed=st.floats(-5, 25),
+    turn=st.floats(-0.8, 0.8),
+    turning=st.floats(-0.5, 0.5),
+)
 def test_reads_what_a_moving_rigid_body_has(
-    a0: float, a1: float, b0: float, b1: float, f0: float, f1: float, place: Any, sprung: Any, height: float,
-    speed: float, turn: float, turning: float,
-) -> None:  # fmt: skip
+    a0: float,
+    a1: float,
+    b0: float,
+    b1: float,
+    f0: float,
+    f1: float,
+    place: Any,
+    sprung: Any,
+    height: float,
+    speed: float,
+    turn: float,
+    turning: float,
+) -> None:
     """Angles of up to 34 degrees, swinging; the place circles, the heave oscillates."""
     h = 1e-3
     t = h * np.arange(-3, 4)
-    roll, pitch = a0 * np.cos(f0 * t) + a1 * np.sin(f0 * t) / f0, b0 * np.cos(f1 * t) + b1 * np.sin(f1 * t) / f1
+    roll, pitch = (
+        a0 * np.cos(f0 * t) + a1 * np.sin(f0 * t) / f0,
+        b0 * np.cos(f1 * t) + b1 * np.sin(f1 * t) / f1,
+    )
     heave = 0.1 * np.sin(9 * t) + 0.3 * t
     yaw = turn * t + 0.5 * turning * t**2
     # the point at the height of the centre of gravity, in the plane: from its speed along x; fine steps around 0

@@ -94,7 +94,9 @@ class Client:
 
     def send(self, goal: Any) -> Any:
         """The goal's handle, accepted or not."""
-        future = self.action.send_goal_async(goal, feedback_callback=lambda m: self.feedback.append(m.feedback))
+        future = self.action.send_goal_async(
+            goal, feedback_callback=lambda m: self.feedback.append(m.feedback)
+        )
         self.bench.until(future.done, "the goal's acceptance")
         return future.result()
 

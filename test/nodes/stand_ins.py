@@ -22,9 +22,17 @@ def search_until_stopped(job, progress, should_stop):
         time.sleep(0.02)
     Path(job.output).write_text("best so far")
     return Outcome(
-        True, f"stopped in generation {generation}", job.output, 1.0, 2.0, 10 * generation, generation, ("a",), (3.0,),
+        True,
+        f"stopped in generation {generation}",
+        job.output,
+        1.0,
+        2.0,
+        10 * generation,
+        generation,
+        ("a",),
+        (3.0,),
         (True,),
-    )  # fmt: skip
+    )
 
 
 def five_generations(job, progress, should_stop):

@@ -21,7 +21,9 @@ from suspension_twin_interfaces.action import Calibrate
 
 @pytest.fixture
 def goal(twin_path, recorded, tmp_path) -> Calibrate.Goal:
-    return Calibrate.Goal(twin=str(twin_path), bags=[str(recorded)], output=str(tmp_path / "calibrated.yaml"), seed=7)
+    return Calibrate.Goal(
+        twin=str(twin_path), bags=[str(recorded)], output=str(tmp_path / "calibrated.yaml"), seed=7
+    )
 
 
 def test_a_goal_is_taken_followed_and_answered(bench, goal):
@@ -32,7 +34,11 @@ def test_a_goal_is_taken_followed_and_answered(bench, goal):
     status, result = client.result(handle)
     assert status == GoalStatus.STATUS_SUCCEEDED and result.success and result.message == "found"
     assert (result.cost, result.initial_cost, result.evaluations, result.generations) == (0.5, 2.0, 5, 5)
-    assert (list(result.names), list(result.values), list(result.excited)) == (["vehicle.mass"], [1700.0], [True])
+    assert (list(result.names), list(result.values), list(result.excited)) == (
+        ["vehicle.mass"],
+        [1700.0],
+        [True],
+    )
     assert [f.generation for f in client.feedback if f.stage == "search"] == [1, 2, 3, 4, 5]
     assert client.feedback[0].stage == "reading"
 
@@ -55,7 +61,9 @@ def test_while_it_works_the_node_answers_refuses_a_second_goal_and_cancels_at_on
     from rcl_interfaces.srv import GetParameters
 
     began = time.monotonic()
-    assert bench.call(GetParameters, "/calibrator/get_parameters", GetParameters.Request(names=["twin"])).values
+    assert bench.call(
+        GetParameters, "/calibrator/get_parameters", GetParameters.Request(names=["twin"])
+    ).values
     assert time.monotonic() - began < 2.0
     assert not client.send(goal).accepted
     assert "one calibration is running" in worst(node)[1]
@@ -65,7 +73,9 @@ def test_while_it_works_the_node_answers_refuses_a_second_goal_and_cancels_at_on
     status, result = client.result(handle)
     took = time.monotonic() - began
     assert len(cancelling.result().goals_canceling) == 1
-    assert status == GoalStatus.STATUS_CANCELED and result.success and "stopped in generation" in result.message
+    assert (
+        status == GoalStatus.STATUS_CANCELED and result.success and "stopped in generation" in result.message
+    )
     assert Path(result.output).read_text() == "best so far"
     assert took < 0.5 * _slowness()
     generations = [f.generation for f in client.feedback if f.stage == "search"]

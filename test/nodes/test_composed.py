@@ -86,7 +86,11 @@ def test_alone_and_over_the_wire_the_nodes_say_the_same(composed, bench, twin_pa
     inner = answers(one.nodes)
     play(one)
     given = {"namespace": "outer", "twin": str(twin_path)}
-    kinds = {"imu_ingest": ImuIngestNode, "pose_injector": PoseInjectorNode, "suspension_model": SuspensionModelNode}
+    kinds = {
+        "imu_ingest": ImuIngestNode,
+        "pose_injector": PoseInjectorNode,
+        "suspension_model": SuspensionModelNode,
+    }
     nodes = {name: bench.make(kind, **given) for name, kind in kinds.items()}
     outer = answers(nodes)
     player = bench.add(BagPlayer(drive, 4.0, False, Embedding(bench.context, "outer"), delay=1.0))
@@ -149,7 +153,9 @@ def test_live_over_the_wire_and_silence_is_named(composed, bench, drive):
 
 def test_simulated_time_runs_with_the_recording(composed, bench, drive):
     clocks = []
-    bench.side.create_subscription(Clock, "/clock", lambda m: clocks.append(m.clock.sec + m.clock.nanosec / 1e9), 1000)
+    bench.side.create_subscription(
+        Clock, "/clock", lambda m: clocks.append(m.clock.sec + m.clock.nanosec / 1e9), 1000
+    )
     one = composed(Playback(drive, 20.0, delay=0.5))
     began = None
     while not one.finished:
@@ -181,7 +187,9 @@ def test_the_player_sends_what_was_recorded_in_the_order_of_its_stamps(bench, dr
     stamped = replace(
         drive,
         heading=HeadingData(t=drive.fix.t[:5], yaw=np.array([0.1, 0.2, 3.0, -3.0, 0.0])),
-        fix=replace(drive.fix, sigma=np.where(np.arange(len(drive.fix))[:, None] < 3, np.nan, drive.fix.sigma)),
+        fix=replace(
+            drive.fix, sigma=np.where(np.arange(len(drive.fix))[:, None] < 3, np.nan, drive.fix.sigma)
+        ),
     )
     player = bench.add(BagPlayer(stamped, math.inf, False, Embedding(bench.context)))
     rows = []
@@ -199,8 +207,11 @@ def test_the_player_sends_what_was_recorded_in_the_order_of_its_stamps(bench, dr
     assert stamps == sorted(stamps)
     count = {topic: sum(t == topic for t, _, _ in rows) for topic in player.outputs}
     assert count == {
-        "imu/data_raw": len(drive.imu), "fix": len(drive.fix), "vel": len(drive.velocity), "heading": 5
-    }  # fmt: skip
+        "imu/data_raw": len(drive.imu),
+        "fix": len(drive.fix),
+        "vel": len(drive.velocity),
+        "heading": 5,
+    }
     assert forces == drive.imu.specific_force[:, 2].tolist()
     assert [k[1] for k in kept[:4]] == [NavSatFix.COVARIANCE_TYPE_UNKNOWN] * 3 + [
         NavSatFix.COVARIANCE_TYPE_DIAGONAL_KNOWN

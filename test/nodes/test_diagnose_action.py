@@ -49,7 +49,11 @@ def test_a_cancelled_diagnosis_ends_at_once_and_the_next_goal_is_taken(bench, go
     handle.cancel_goal_async()
     status, result = client.result(handle)
     took = time.monotonic() - began
-    assert status == GoalStatus.STATUS_CANCELED and not result.success and "nothing was written" in result.message
+    assert (
+        status == GoalStatus.STATUS_CANCELED
+        and not result.success
+        and "nothing was written" in result.message
+    )
     assert took < 0.5 * max(1.0, os.getloadavg()[0] / (os.cpu_count() or 1))
     assert process.exitcode is not None and not Path(goal.output).exists()
     node.works["diagnose"] = judged
@@ -104,7 +108,9 @@ def test_work_that_fails_is_told_in_a_line(bench, goal):
 def test_the_nodes_twin_and_a_folder_beside_the_bag_are_the_defaults(goal, twin_path, recorded):
     goal.twin = goal.output = ""
     job = diagnosis_job_of(goal, str(twin_path), 2)
-    assert job.request.twin == str(twin_path) and job.request.bags == (str(recorded),) and job.request.seed == 7
+    assert (
+        job.request.twin == str(twin_path) and job.request.bags == (str(recorded),) and job.request.seed == 7
+    )
     assert job.output == str(recorded.parent / "bumpy_diagnosis") and job.threads == 2
 
 
@@ -124,6 +130,10 @@ def test_the_work_hands_on_the_stages_and_leaves_the_three_files(goal, twin_path
     outcome = diagnose_job(job, told.append, lambda: False)
     assert outcome.success and outcome.message == f"{goal.output}: nothing to see"
     assert json.loads(outcome.diagnosis) == document
-    assert sorted(p.name for p in Path(goal.output).iterdir()) == ["diagnosis.json", "report.html", "twin.yaml"]
+    assert sorted(p.name for p in Path(goal.output).iterdir()) == [
+        "diagnosis.json",
+        "report.html",
+        "twin.yaml",
+    ]
     assert [s.progress for s in told] == [0.0, 0.5, 1.0]
     assert math.isnan(told[0].seconds_left) and told[1].seconds_left >= 0 and told[2].seconds_left == 0

@@ -52,7 +52,10 @@ def taps(node):
 
 def test_over_the_wire_every_sample_is_answered_with_its_own_stamp(bench, twin_path):
     bench.make(ImuIngestNode, namespace="car", twin=str(twin_path))
-    data, vertical = bench.hear(Imu, "/car/imu/data"), bench.hear(AccelStamped, "/car/imu/vertical_acceleration")
+    data, vertical = (
+        bench.hear(Imu, "/car/imu/data"),
+        bench.hear(AccelStamped, "/car/imu/vertical_acceleration"),
+    )
     say = bench.speak(Imu, "/car/imu/data_raw")
     times = [T0 + k / 100.0 for k in range(120)]
     for t in times:

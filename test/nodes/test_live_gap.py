@@ -13,7 +13,7 @@ from nodes_bench import put_stamp, worst
 from visualization_msgs.msg import Marker
 
 from suspension_twin.errors import InputError
-from suspension_twin.gap.running import GapNow
+from suspension_twin.gap.sliding_window import GapNow
 from suspension_twin.nodes._files import Left, left_by_calibration
 from suspension_twin.nodes._gap_marker import GapTiles, colour
 from suspension_twin.nodes._gap_parameters import beyond
@@ -125,7 +125,9 @@ def test_without_a_calibration_there_is_nothing_to_warn_of_and_a_parameter_can_s
     model = bench.make(SuspensionModelNode, twin=str(flat_twin))
     drive_over(model, bad=(20.0, 60.0))
     assert "calibration left" not in worst(model)[1]
-    said = bench.make(SuspensionModelNode, namespace="other", twin=str(flat_twin), gap__floor=0.2, gap__warn=100.0)
+    said = bench.make(
+        SuspensionModelNode, namespace="other", twin=str(flat_twin), gap__floor=0.2, gap__warn=100.0
+    )
     drive_over(said, bad=(20.0, 60.0))
     assert "calibration left" not in worst(said)[1]
 

@@ -32,7 +32,11 @@ def both(t, values, spec=None):
 
 def signal(t):
     x = t - T0
-    return 1.5 * np.sin(2 * np.pi * 1.3 * x) + 0.8 * np.sin(2 * np.pi * 11.0 * x) + 0.3 * np.sin(2 * np.pi * 31.0 * x)
+    return (
+        1.5 * np.sin(2 * np.pi * 1.3 * x)
+        + 0.8 * np.sin(2 * np.pi * 11.0 * x)
+        + 0.3 * np.sin(2 * np.pi * 31.0 * x)
+    )
 
 
 @pytest.mark.parametrize("rate", [60.0, 100.0, 400.0, 1000.0])

@@ -33,7 +33,9 @@ def test_every_sample_between_two_poses_gets_its_pose_once_and_in_order(steps, m
     pairing, got = Pairing(), []
     while poses or samples:
         # one topic may run ahead of the other by a few messages
-        ahead = bool(poses) and (not samples or random.random() < 0.5 or poses[0] < samples[0] - lead * 10 * MS)
+        ahead = bool(poses) and (
+            not samples or random.random() < 0.5 or poses[0] < samples[0] - lead * 10 * MS
+        )
         got += pairing.pose(row(poses.pop(0))) if ahead else pairing.sample(samples[0], float(samples.pop(0)))
     known = [s for k, s in enumerate(stamps) if k not in missing]
     if not known:

@@ -28,7 +28,9 @@ def imu(t: float, yaw_rate: float = 0.0) -> Imu:
     return message
 
 
-def fix(t: float, east: float, north: float, frame="gps_link", status=NavSatStatus.STATUS_GBAS_FIX) -> NavSatFix:
+def fix(
+    t: float, east: float, north: float, frame="gps_link", status=NavSatStatus.STATUS_GBAS_FIX
+) -> NavSatFix:
     message = put_stamp(NavSatFix(), t)
     message.header.frame_id = frame
     message.latitude, message.longitude, message.altitude = LocalMap(DATUM).to_geodetic([east, north, 1.5])

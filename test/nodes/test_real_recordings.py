@@ -71,7 +71,9 @@ def replay(drive: Drive, twin: Twin, folder: Path) -> Replayed:
 def imported(shared_data: Path, repository: Path, name: str, mapping: str) -> Drive:
     if not (shared_data / name).exists():
         pytest.skip(f"no measured data: {name} is not in {shared_data.name}")
-    return import_drive([shared_data / name], mapping=repository / "config" / "import" / f"{mapping}.yaml").drive
+    return import_drive(
+        [shared_data / name], mapping=repository / "config" / "import" / f"{mapping}.yaml"
+    ).drive
 
 
 def test_a_car_with_an_rtk_receiver(shared_data, repository, twin, tmp_path):
@@ -79,7 +81,11 @@ def test_a_car_with_an_rtk_receiver(shared_data, repository, twin, tmp_path):
     drive = imported(shared_data, repository, "rtklibexplorer_GNSS_IMU", "rtklibexplorer_gnss_imu")
     # The IMU faces backwards and leans; the antenna is taken for above the rear axle.
     mounted = twin.with_changes(
-        {"imu.position": (0.0, 0.0, 1.5), "imu.rpy": (0.0111, -0.1180, 3.0476), "gps.position": (0.0, 0.0, 2.15)}
+        {
+            "imu.position": (0.0, 0.0, 1.5),
+            "imu.rpy": (0.0111, -0.1180, 3.0476),
+            "gps.position": (0.0, 0.0, 2.15),
+        }
     )
     out = replay(drive, mounted, tmp_path)
     assert out.rate == pytest.approx(100.0, rel=2e-3)

@@ -35,7 +35,11 @@ def recorded(tmp_path_factory, drive) -> Path:
 def start(arguments: list[str], **environment: str) -> subprocess.Popen[str]:
     """A program of its own; its words are piped."""
     return subprocess.Popen(
-        arguments, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, env={**os.environ, **environment}
+        arguments,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        env={**os.environ, **environment},
     )
 
 
@@ -148,7 +152,9 @@ def test_a_node_names_an_argument_that_it_does_not_know(given, capsys):
     from suspension_twin.nodes.calibrator import main as alone
 
     assert alone(["calibrator", *given]) == 2
-    assert capsys.readouterr().err == f"{given[-1]}: is no argument here: those for ROS begin with --ros-args\n"
+    assert (
+        capsys.readouterr().err == f"{given[-1]}: is no argument here: those for ROS begin with --ros-args\n"
+    )
 
 
 def test_a_recording_is_replayed_at_full_speed_to_its_end(recorded, twin_path, drive):
@@ -212,7 +218,9 @@ WRONG = [
 
 
 @pytest.mark.parametrize(("arguments", "words"), WRONG)
-def test_wrong_arguments_end_with_status_2_and_one_line(arguments, words, twin_path, recorded, tmp_path, capfd):
+def test_wrong_arguments_end_with_status_2_and_one_line(
+    arguments, words, twin_path, recorded, tmp_path, capfd
+):
     (tmp_path / "params.yaml").write_text("imu_ingest: {ros__parameters: {filter: {cutof: 3.0}}}\n")
     effect = yaml.safe_load(twin_path.read_text(encoding="utf-8")) | {"effects": [{"id": "magic"}]}
     (tmp_path / "effect.yaml").write_text(yaml.safe_dump(effect))
@@ -220,10 +228,13 @@ def test_wrong_arguments_end_with_status_2_and_one_line(arguments, words, twin_p
     (tmp_path / "deep.yaml").write_text("[" * 3000)
     (tmp_path / "date.yaml").write_text("model: 2020-99-99")
     known = {
-        "DEEP": str(tmp_path / "deep.yaml"), "DATE": str(tmp_path / "date.yaml"),
-        "BAG": str(recorded), "PARAMS": str(tmp_path / "params.yaml"), "EFFECT": str(tmp_path / "effect.yaml"),
+        "DEEP": str(tmp_path / "deep.yaml"),
+        "DATE": str(tmp_path / "date.yaml"),
+        "BAG": str(recorded),
+        "PARAMS": str(tmp_path / "params.yaml"),
+        "EFFECT": str(tmp_path / "effect.yaml"),
         "--twin=EFFECT": f"--twin={tmp_path / 'effect.yaml'}",
-    }  # fmt: skip
+    }
     given = [known.get(a, a) for a in arguments]
     if not any(a.startswith("--twin") for a in given):
         given = ["--twin", str(twin_path), *given]
@@ -263,9 +274,17 @@ def test_what_is_no_parameter_file_is_refused_by_name(tmp_path, text):
 
 
 CONDITION = Condition(
-    rates={"imu": 100.0, "fix": 10.0}, samples=500, answers=484, gap=0.1834, normalised=2.71,
-    complaints=["imu_ingest: too loud", "another"], failing=False, position=12.04, duration=44.9, rounds=1,
-)  # fmt: skip
+    rates={"imu": 100.0, "fix": 10.0},
+    samples=500,
+    answers=484,
+    gap=0.1834,
+    normalised=2.71,
+    complaints=["imu_ingest: too loud", "another"],
+    failing=False,
+    position=12.04,
+    duration=44.9,
+    rounds=1,
+)
 
 
 def test_the_status_line_says_where_it_is_and_what_is_wrong():

@@ -83,8 +83,15 @@ def test_a_wrong_twin_file_is_named(drive, tmp_path):
 
 
 def test_a_drive_without_samples_is_an_error(drive):
-    silent = replace(drive, imu=replace(drive.imu, t=drive.imu.t[:1], specific_force=drive.imu.specific_force[:1],
-                                        angular_rate=drive.imu.angular_rate[:1]))  # fmt: skip
+    silent = replace(
+        drive,
+        imu=replace(
+            drive.imu,
+            t=drive.imu.t[:1],
+            specific_force=drive.imu.specific_force[:1],
+            angular_rate=drive.imu.angular_rate[:1],
+        ),
+    )
     with session() as ros, pytest.raises(WorkError, match="answered to none"):
         ros.replay(silent, BAG / "twin.yaml")
 

@@ -92,9 +92,13 @@ def test_it_says_what_the_model_says(bench, twin_path, tmp_path):
         assert joints[k][2] == pytest.approx(state.deflection_rate.tolist(), abs=1e-12)
         x, y, z, w = turned[k]
         up = rpy_matrix((state.roll, state.pitch, 0.0)) @ rpy_matrix(rpy) @ np.array([0.0, 0.0, 1.0])
-        assert [2 * (x * z + w * y), 2 * (y * z - w * x), 1 - 2 * (x * x + y * y)] == pytest.approx(up, abs=1e-9)
+        assert [2 * (x * z + w * y), 2 * (y * z - w * x), 1 - 2 * (x * x + y * y)] == pytest.approx(
+            up, abs=1e-9
+        )
     assert loudest > 0.5
-    assert joints[0][0] == [f"{c}_suspension" for c in ("front_left", "front_right", "rear_left", "rear_right")]
+    assert joints[0][0] == [
+        f"{c}_suspension" for c in ("front_left", "front_right", "rear_left", "rear_right")
+    ]
 
 
 def test_over_the_wire_everything_of_the_contract_comes(bench, twin_path):
@@ -108,8 +112,9 @@ def test_over_the_wire_everything_of_the_contract_comes(bench, twin_path):
         "/car/twin/gap": Gap,
     }
     heard = {topic: bench.hear(kind, topic) for topic, kind in kinds.items()}
-    say_odom, say_vertical = bench.speak(Odometry, "/car/twin/odom"), bench.speak(
-        AccelStamped, "/car/imu/vertical_acceleration"
+    say_odom, say_vertical = (
+        bench.speak(Odometry, "/car/twin/odom"),
+        bench.speak(AccelStamped, "/car/imu/vertical_acceleration"),
     )
     for k in range(350):
         t = T0 + k / 100.0
@@ -151,7 +156,9 @@ def test_a_twin_shaken_beyond_belief_starts_afresh_and_hands_nothing_on(bench, t
     rows = tap(node, "twin/vertical_acceleration", lambda m: m.accel.linear.z)
     drive(node, 50)
     step = node._follower.step
-    monkeypatch.setattr(node._follower, "step", lambda t, row: replace(step(t, row), vertical_acceleration=1e200))
+    monkeypatch.setattr(
+        node._follower, "step", lambda t, row: replace(step(t, row), vertical_acceleration=1e200)
+    )
     drive(node, 5, start=50)
     monkeypatch.undo()
     assert len(rows) == 50 and "diverged: starting afresh" in worst(node)[1]

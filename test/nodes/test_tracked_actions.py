@@ -102,7 +102,11 @@ def test_a_diagnosis_goes_through_what_the_command_line_uses(given, tmp_path, mo
     assert asked == [(given["twin"], given["bags"], given["bags"][:1], 5)]
     assert outcome.success and outcome.message == f"{goal.output}: nothing to see"
     assert json.loads(outcome.diagnosis) == document
-    assert sorted(p.name for p in Path(goal.output).iterdir()) == ["diagnosis.json", "report.html", "twin.yaml"]
+    assert sorted(p.name for p in Path(goal.output).iterdir()) == [
+        "diagnosis.json",
+        "report.html",
+        "twin.yaml",
+    ]
 
 
 def test_the_node_takes_a_diagnosis_of_a_twin_on_tracks(bench, given, tmp_path):

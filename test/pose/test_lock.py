@@ -185,7 +185,9 @@ def stop_and_wait(s: np.ndarray) -> np.ndarray:
 
 
 def test_a_sensor_that_is_known_to_be_turned_says_what_an_upright_one_says(make_scene: Maker) -> None:
-    scene = make_scene(speed=lambda s: 6.0 + 4.0 * np.sin(0.5 * s) * np.clip(s - 5, 0, 1), turn=swinging(0.3, 7.0))
+    scene = make_scene(
+        speed=lambda s: 6.0 + 4.0 * np.sin(0.5 * s) * np.clip(s - 5, 0, 1), turn=swinging(0.3, 7.0)
+    )
     rpy = (-0.09, 0.07, 0.3)
     there = rpy_matrix(rpy)  # from what the turned sensor reads to what an upright one does
     upright = feed(make_lock(scene), scene)
@@ -199,7 +201,9 @@ def test_a_sensor_that_is_known_to_be_turned_says_what_an_upright_one_says(make_
 
 
 def test_a_sensor_that_is_known_to_read_too_much_says_what_a_sound_one_says(make_scene: Maker) -> None:
-    scene = make_scene(speed=lambda s: 6.0 + 4.0 * np.sin(0.5 * s) * np.clip(s - 5, 0, 1), turn=swinging(0.3, 7.0))
+    scene = make_scene(
+        speed=lambda s: 6.0 + 4.0 * np.sin(0.5 * s) * np.clip(s - 5, 0, 1), turn=swinging(0.3, 7.0)
+    )
     sound = feed(make_lock(scene), scene)
     imu = scene.drive.imu
     # as the filter hands it on: what it reads too much at rest has gone with the bias

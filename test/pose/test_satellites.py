@@ -25,12 +25,17 @@ def cut(fix: FixData, keep: Any) -> FixData:
 def scene(make_scene: Callable[..., Any]) -> Any:
     """A slalom that speeds up and slows down; the antenna stands ahead of the rear axle and to the right."""
     return make_scene(
-        speed=lambda s: 10.0 + 2.0 * np.sin(0.4 * s), turn=lambda s: 0.2 * np.sin(0.7 * s), seconds=60.0, sigma=0.005
+        speed=lambda s: 10.0 + 2.0 * np.sin(0.4 * s),
+        turn=lambda s: 0.2 * np.sin(0.7 * s),
+        seconds=60.0,
+        sigma=0.005,
     )
 
 
 def test_the_motion_is_the_vehicle_s_and_both_sides_are_as_slow(scene: Any) -> None:
-    signals, motion = satellite_motion(scene.drive, ingest_drive(scene.drive, scene.imu), scene.gps, scene.datum)
+    signals, motion = satellite_motion(
+        scene.drive, ingest_drive(scene.drive, scene.imu), scene.gps, scene.datum
+    )
     assert signals.rate_hz == pytest.approx(RATE, rel=1e-3)
     assert len(signals) == len(motion) == signals.force.shape[0] == signals.standing.size
     inner = motion.valid & (motion.t > motion.t[0] + 5) & (motion.t < motion.t[-1] - 5)
@@ -46,7 +51,10 @@ def test_the_motion_is_the_vehicle_s_and_both_sides_are_as_slow(scene: Any) -> N
     np.testing.assert_allclose(motion.x[inner], true("x"), atol=0.1)
     # the gyro that went through the same low-pass says the same, at the same time
     delays = np.arange(-3, 4)
-    fit = [np.corrcoef(signals.rate[10:-10, 2], motion.yaw_rate[10 + d : len(motion) - 10 + d])[0, 1] for d in delays]
+    fit = [
+        np.corrcoef(signals.rate[10:-10, 2], motion.yaw_rate[10 + d : len(motion) - 10 + d])[0, 1]
+        for d in delays
+    ]
     assert delays[int(np.argmax(fit))] == 0 and max(fit) > 0.995
 
 
@@ -55,10 +63,14 @@ def test_nothing_is_said_where_fixes_are_missing(scene: Any) -> None:
     start = drive.fix.t[0]
     keep = (drive.fix.t < start + 20) | (drive.fix.t > start + 26)
     fix = cut(drive.fix, keep)
-    _, motion = satellite_motion(replace(drive, fix=fix), ingest_drive(drive, scene.imu), scene.gps, scene.datum)
+    _, motion = satellite_motion(
+        replace(drive, fix=fix), ingest_drive(drive, scene.imu), scene.gps, scene.datum
+    )
     assert not motion.valid[(motion.t > start + 20.5) & (motion.t < start + 25.5)].any()
     assert motion.valid[(motion.t > start + 30) & (motion.t < start + 50)].all()
-    assert all(np.isfinite(getattr(motion, k)).all() for k in ("x", "y", "yaw", "speed", "yaw_rate", "ax", "ay"))
+    assert all(
+        np.isfinite(getattr(motion, k)).all() for k in ("x", "y", "yaw", "speed", "yaw_rate", "ax", "ay")
+    )
 
 
 def test_too_few_fixes_and_a_parked_car_are_named(scene: Any, make_scene: Callable[..., Any]) -> None:

@@ -188,7 +188,9 @@ def test_a_sensor_that_faces_backwards_makes_no_car_reverse_at_speed(make_scene:
     scene = make_scene(speed=away(), turn=wiggle(0.2, 9.0))
     imu = scene.drive.imu
     turned = np.array([-1.0, -1.0, 1.0])
-    backwards = replace(imu, specific_force=imu.specific_force * turned, angular_rate=imu.angular_rate * turned)
+    backwards = replace(
+        imu, specific_force=imu.specific_force * turned, angular_rate=imu.angular_rate * turned
+    )
     found = lock(scene, replace(scene.drive, imu=backwards))
     assert found.speed.min() > -1.0
     assert found.speed.max() > 5.0

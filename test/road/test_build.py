@@ -24,7 +24,7 @@ from suspension_twin.road import (
     measured,
     trapezoid,
     write_road,
-)  # fmt: skip
+)
 
 S = np.linspace(-1, 4, 2001)
 

@@ -192,9 +192,13 @@ def test_mesh_command(folder: Path, tmp_path: Path, capsys: pytest.CaptureFixtur
     ],
 )
 def test_unusable_arguments_end_with_2_and_one_line(
-    folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, arguments: list[str], words: str,
+    folder: Path,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    arguments: list[str],
+    words: str,
     capsys: pytest.CaptureFixture[str],
-) -> None:  # fmt: skip
+) -> None:
     monkeypatch.chdir(tmp_path)
     assert main(["road", *(str(folder / "sound.crg") if a == "ROAD" else a for a in arguments)]) == 2
     said = capsys.readouterr()

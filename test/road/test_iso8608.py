@@ -18,7 +18,7 @@ from suspension_twin.road.iso8608 import (
     road_psd,
     roughness,
     smoothed_psd,
-)  # fmt: skip
+)
 
 
 def test_classes_are_the_standards() -> None:

@@ -110,8 +110,10 @@ def test_obj_lies_on_the_road_with_true_normals(winding: Road, tmp_path: Path) -
     mesh = road_mesh(smooth)
     step = 1e-4
     px, py = mesh.points[5:-5, 2:-2, 0], mesh.points[5:-5, 2:-2, 1]
-    along = [(smooth.heights(px + dx, py + dy) - smooth.heights(px - dx, py - dy)) / (2 * step)
-             for dx, dy in ((step, 0), (0, step))]  # fmt: skip
+    along = [
+        (smooth.heights(px + dx, py + dy) - smooth.heights(px - dx, py - dy)) / (2 * step)
+        for dx, dy in ((step, 0), (0, step))
+    ]
     slope = np.stack([-along[0], -along[1], np.ones_like(px)], axis=-1)
     slope /= np.linalg.norm(slope, axis=-1, keepdims=True)
     assert np.abs(mesh.normals[5:-5, 2:-2] - slope).max() < 0.02

@@ -11,12 +11,13 @@ from __future__ import annotations
 
 import numpy as np
 
+from suspension_twin.arrays import Floats
 from suspension_twin.drive.intake.arrays import read_array
 from suspension_twin.drive.intake.clocks import week_to_posix
 from suspension_twin.drive.intake.source import Source
 from suspension_twin.drive.intake.streams import Series, Streams
 from suspension_twin.drive.intake.velocity import velocities_from_course
-from suspension_twin.drive.types import FixData, Floats
+from suspension_twin.drive.types import FixData
 from suspension_twin.errors import InputError
 
 __all__ = ["TITLE", "read", "recognises"]

@@ -22,13 +22,14 @@ import numpy as np
 import scipy.io
 from scipy.io.matlab import MatReadError
 
+from suspension_twin.arrays import Floats
 from suspension_twin.drive.intake.clocks import text_to_posix
 from suspension_twin.drive.intake.matlab_objects import UnreadableObject, timetables
 from suspension_twin.drive.intake.source import Source
 from suspension_twin.drive.intake.streams import Series, Streams
 from suspension_twin.drive.intake.table import read_table
 from suspension_twin.drive.intake.velocity import velocities_from_course
-from suspension_twin.drive.types import FixData, Floats
+from suspension_twin.drive.types import FixData
 from suspension_twin.errors import InputError
 
 __all__ = ["TITLE", "read", "recognises"]

@@ -18,10 +18,11 @@ from functools import lru_cache
 import numpy as np
 import pymap3d
 
+from suspension_twin.arrays import Floats
 from suspension_twin.drive.intake.clocks import gps_to_posix, week_to_posix
 from suspension_twin.drive.intake.source import Source
 from suspension_twin.drive.intake.streams import Streams
-from suspension_twin.drive.types import FixData, Floats, VelocityData
+from suspension_twin.drive.types import FixData, VelocityData
 from suspension_twin.errors import InputError
 
 __all__ = ["TITLE", "read", "recognises"]

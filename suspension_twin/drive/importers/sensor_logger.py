@@ -16,11 +16,12 @@ from typing import Any
 
 import numpy as np
 
+from suspension_twin.arrays import Floats
 from suspension_twin.drive.intake.source import Source
 from suspension_twin.drive.intake.streams import Series, Streams
 from suspension_twin.drive.intake.table import Table, read_table
 from suspension_twin.drive.intake.velocity import velocities_from_course
-from suspension_twin.drive.types import FixData, Floats
+from suspension_twin.drive.types import FixData
 from suspension_twin.errors import InputError
 
 __all__ = ["TITLE", "read", "recognises"]

@@ -7,7 +7,7 @@ from io import BytesIO
 
 import numpy as np
 
-from suspension_twin.drive.types import Floats
+from suspension_twin.arrays import Floats
 from suspension_twin.errors import InputError
 
 __all__ = ["MAGIC", "read_array"]

@@ -15,7 +15,7 @@ from typing import Final
 
 import numpy as np
 
-from suspension_twin.drive.types import Floats
+from suspension_twin.arrays import Floats
 from suspension_twin.errors import InputError
 
 __all__ = [

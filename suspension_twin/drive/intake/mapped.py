@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from suspension_twin.arrays import Floats
 from suspension_twin.drive.importers import load_importer
 from suspension_twin.drive.intake.arrays import MAGIC as ARRAY_MAGIC
 from suspension_twin.drive.intake.arrays import read_array
@@ -39,7 +40,7 @@ from suspension_twin.drive.intake.source import Source
 from suspension_twin.drive.intake.streams import Series, Streams
 from suspension_twin.drive.intake.table import Table, read_table
 from suspension_twin.drive.intake.velocity import velocities_from_course
-from suspension_twin.drive.types import FixData, Floats, HeadingData, VelocityData
+from suspension_twin.drive.types import FixData, HeadingData, VelocityData
 from suspension_twin.errors import InputError
 
 __all__ = ["read_mapped"]

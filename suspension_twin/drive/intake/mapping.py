@@ -15,6 +15,7 @@ from pydantic import AfterValidator, BaseModel, ConfigDict, ValidationError, mod
 
 from suspension_twin.drive.intake.clocks import TIME_UNITS, iso_to_posix
 from suspension_twin.errors import InputError
+from suspension_twin.units import STANDARD_GRAVITY
 
 __all__ = [
     "ANGLE_UNITS",
@@ -35,8 +36,14 @@ __all__ = [
     "parse_mapping",
 ]
 
-_G = 9.80665
-FORCE_UNITS: Final = {"m/s2": 1.0, "m/s^2": 1.0, "m/s²": 1.0, "g": _G, "mg": _G * 1e-3, "milli-g": _G * 1e-3}
+FORCE_UNITS: Final = {
+    "m/s2": 1.0,
+    "m/s^2": 1.0,
+    "m/s²": 1.0,
+    "g": STANDARD_GRAVITY,
+    "mg": STANDARD_GRAVITY * 1e-3,
+    "milli-g": STANDARD_GRAVITY * 1e-3,
+}
 RATE_UNITS: Final = {"rad/s": 1.0, "deg/s": math.radians(1), "°/s": math.radians(1), "dps": math.radians(1)}
 SPEED_UNITS: Final = {"m/s": 1.0, "km/h": 1 / 3.6, "kn": 1852 / 3600, "mph": 0.44704}
 #: In degrees, in which places and bearings are kept.

@@ -14,14 +14,15 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from suspension_twin.arrays import Floats
 from suspension_twin.drive.intake.velocity import velocities_from_fixes
 from suspension_twin.drive.repair import clean_drive, measured
-from suspension_twin.drive.types import Drive, FixData, Floats, HeadingData, ImuData, VelocityData
+from suspension_twin.drive.types import Drive, FixData, HeadingData, ImuData, VelocityData
 from suspension_twin.errors import InputError
+from suspension_twin.units import STANDARD_GRAVITY
 
-__all__ = ["STANDARD_GRAVITY", "Series", "Streams", "assemble", "merge"]
+__all__ = ["Series", "Streams", "assemble", "merge"]
 
-STANDARD_GRAVITY = 9.80665  # m/s²
 
 #: Median of |specific force| by which its unit is told: a quiet sensor reads 1 g.
 _IN_G = (0.5, 2.0)

@@ -10,8 +10,8 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from suspension_twin.arrays import Floats
 from suspension_twin.drive.intake.source import decode_text
-from suspension_twin.drive.types import Floats
 from suspension_twin.errors import InputError
 
 __all__ = ["Table", "read_table"]

@@ -6,7 +6,8 @@ from __future__ import annotations
 import numpy as np
 import pymap3d
 
-from suspension_twin.drive.types import FixData, Floats, VelocityData
+from suspension_twin.arrays import Floats
+from suspension_twin.drive.types import FixData, VelocityData
 
 __all__ = ["velocities_from_course", "velocities_from_fixes"]
 

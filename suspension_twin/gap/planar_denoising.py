@@ -1,0 +1,120 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Planar motion without the sensors' noise, before it drives a model.
+
+What shifts the load is how the centre of gravity is accelerated, ahead and sideways. The smoothed path
+knows that slowly; what is quick, the edge of a bump or a tyre that is pushed aside, the IMU knows: its
+specific force, less gravity, brought down from the sensor to the height of the centre of gravity. A
+gyro's noise times the speed shakes the simulated body in roll as much as a smooth road does; what
+a least squares fit then makes of it is a body too heavy to be shaken. Where the noise is known,
+each short piece of such a signal is cleaned by a Wiener filter: what stands out of the noise
+stays as it is, what does not goes.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from suspension_twin.arrays import Floats
+from suspension_twin.gap.noise import white_noise_sigma
+from suspension_twin.pose.types import Trajectory
+from suspension_twin.signals.filters import FilterSpec, zero_phase
+from suspension_twin.signals.offline import ImuSignals
+
+__all__ = ["quiet_motion", "wiener"]
+
+#: Below this the locked pose knows the pull better, above the accelerometer does.
+_SLOW = FilterSpec(2, 0.4)
+#: Beyond this no vehicle as a whole accelerates, Hz.
+_PLANAR = FilterSpec(2, 12.0)
+_PIECE = 4.0  # s
+_SMOOTH = 5  # bins over which a piece's spectrum is averaged
+_OVER = 2.0  # the spectrum of a short piece scatters: what is less than this many times the noise goes
+
+
+def quiet_motion(trajectory: Trajectory, signals: ImuSignals, centre: float) -> Trajectory:
+    """The trajectory with yaw rate and planar accelerations freed of the IMU's white noise.
+
+    ``centre`` m is the height of the centre of gravity.
+    """
+    rate = signals.rate_hz
+    nyquist = 0.5 * rate
+    ahead, above = signals.place.position[0], signals.place.position[2] - centre
+    roll, pitch, yaw = (white_noise_sigma(signals.rate[:, axis], rate) for axis in range(3))
+    force = [white_noise_sigma(signals.force[:, axis], rate) for axis in range(2)]
+
+    def of_yaw(f: Floats) -> Floats:
+        return np.full_like(f, yaw**2 / nyquist)
+
+    # the levers from the sensor to the centre of gravity bring the derivatives of the gyro's noise
+    def of_pull(f: Floats) -> Floats:
+        return np.asarray((force[0] ** 2 + (above * 2 * np.pi * f * pitch) ** 2) / nyquist)
+
+    def of_push(f: Floats) -> Floats:
+        return np.asarray(
+            (force[1] ** 2 + (2 * np.pi * f) ** 2 * ((above * roll) ** 2 + (ahead * yaw) ** 2)) / nyquist
+        )
+
+    yaw_rate = wiener(trajectory.yaw_rate, rate, of_yaw)
+    turned = trajectory.ay + trajectory.speed * (yaw_rate - trajectory.yaw_rate)
+    pull, push = _quick(signals, centre)
+    ax = wiener(zero_phase(_SLOW, rate, trajectory.ax - pull) + pull, rate, of_pull)
+    ay = wiener(zero_phase(_SLOW, rate, turned - push) + push, rate, of_push)
+    return replace(trajectory, yaw_rate=yaw_rate, ax=ax, ay=ay)
+
+
+def _quick(signals: ImuSignals, centre: float) -> tuple[Floats, Floats]:
+    """(n,) m/s² ahead and to the left above base_link's origin at the height ``centre`` m, by the IMU alone."""
+    spec = FilterSpec(_PLANAR.order, min(_PLANAR.cutoff, 0.4 * signals.rate_hz))
+    rate = zero_phase(spec, signals.rate_hz, signals.rate)
+    force = zero_phase(spec, signals.rate_hz, signals.force - signals.gravity * signals.up)
+    x, y, z = signals.place.position
+    faster = np.gradient(rate, signals.t, axis=0)
+    spin = rate[:, 2] ** 2
+    ahead = force[:, 0] - (z - centre) * faster[:, 1] + y * faster[:, 2] + x * spin
+    left = force[:, 1] + (z - centre) * faster[:, 0] - x * faster[:, 2] + y * spin
+    return np.asarray(ahead), np.asarray(left)
+
+
+def wiener(
+    x: Floats,
+    rate: float,
+    noise: Callable[[Floats], Floats],
+    seconds: float = _PIECE,
+) -> Floats:
+    """``x`` (n,) at ``rate`` Hz without noise of the one-sided density ``noise(f)``, in overlapping pieces.
+
+    Straight lines pass; so does what stands well above the noise. Without any noise nothing changes.
+    """
+    size = 4 * max(8, round(seconds * rate / 4))
+    hop = size // 4
+    if x.size < size:
+        return x.copy()
+    window = np.sin(np.pi * (np.arange(size) + 0.5) / size)
+    floor = noise(np.asarray(np.fft.rfftfreq(size, 1.0 / rate), dtype=np.float64))
+    scale = 2.0 / (rate * np.sum(window**2))
+    line = np.linspace(-1.0, 1.0, size)
+    square = np.sum(line**2)
+
+    def extended(values: Floats) -> Floats:
+        before, after = 2 * values[0] - values[size:0:-1], 2 * values[-1] - values[-2 : -size - 2 : -1]
+        return np.asarray(np.concatenate([before, values, after]), dtype=np.float64)
+
+    def power(spectrum: NDArray[np.complex128]) -> Floats:
+        padded = np.pad(scale * np.abs(spectrum) ** 2, _SMOOTH // 2, mode="edge")
+        return np.asarray(np.convolve(padded, np.ones(_SMOOTH) / _SMOOTH, mode="valid"))
+
+    whole = extended(x)
+    out, weight = np.zeros_like(whole), np.zeros_like(whole)
+    for start in range(0, whole.size - size + 1, hop):
+        piece = whole[start : start + size]
+        base = piece.mean() + np.sum(line * piece) / square * line
+        spectrum = np.fft.rfft((piece - base) * window)
+        keep = np.maximum(0.0, 1.0 - _OVER * floor / np.maximum(power(spectrum), 1e-300))
+        out[start : start + size] += window * (np.fft.irfft(spectrum * keep, size) + window * base)
+        weight[start : start + size] += window**2
+    inside = slice(size, size + x.size)
+    return np.asarray(out[inside] / np.maximum(weight[inside], 1e-12))

@@ -1,0 +1,164 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The gap while driving: over a sliding window, sample by sample."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from suspension_twin.arrays import Floats
+from suspension_twin.errors import InputError
+
+__all__ = ["GapNow", "RunningGap"]
+
+#: Speed in m/s below which a vehicle counts as standing, and seconds of it before noise is learnt.
+STANDING_SPEED = 0.1
+STANDING_TIME = 1.0
+#: Rows that the ring grows by.
+_GROW = 1024
+
+
+@dataclass(frozen=True)
+class GapNow:
+    """``rms``, ``measured_rms``, ``bands`` m/s²; ``noise_rms`` and ``normalised`` NaN while not known;
+    ``samples`` in the window."""
+
+    rms: float
+    measured_rms: float
+    noise_rms: float
+    normalised: float
+    bands: tuple[float, ...]
+    samples: int
+
+
+class RunningGap:
+    """Measured minus simulated vertical acceleration, both through the same filter.
+
+    ``window`` s; ``edges`` Hz of adjoining bands, rising; ``floor`` m/s² that the calibration left, 0
+    where not known (then the noise seen at standstill takes its place); ``settle`` s after a fresh
+    start of the twin that do not count, because it begins from rest.
+    """
+
+    def __init__(
+        self,
+        window: float = 10.0,
+        edges: Sequence[float] = (0.5, 3.0, 8.0, 20.0),
+        floor: float = 0.0,
+        settle: float = 2.0,
+    ) -> None:
+        if not (math.isfinite(window) and window > 0):
+            raise InputError("gap", "window", f"must be above 0 s, is {window}")
+        if any(not 0 <= a < b for a, b in zip(edges, edges[1:], strict=False)) or len(edges) == 1:
+            raise InputError(
+                "gap", "bands", f"must rise from 0 Hz or more, at least two edges, are {list(edges)}"
+            )
+        if not (math.isfinite(floor) and floor >= 0):
+            raise InputError("gap", "floor", f"must not be negative, is {floor}")
+        self.window = window
+        self.edges = tuple(float(e) for e in edges)
+        self.floor = floor
+        self._settle = settle
+        self._ring = np.zeros((4 * _GROW, 3))
+        self._taper = np.empty(0)
+        self.reset()
+
+    def reset(self) -> None:
+        """Forget everything, the noise too."""
+        self._head = 0  # rows written, counted without end
+        self._tail = 0  # oldest row in the window
+        self._from = -math.inf
+        self._still_since = math.nan
+        self._noise: list[float] = [0.0, 0.0, 0.0]  # count, mean, sum of squared deviations
+
+    def restart(self, t: float) -> None:
+        """The twin has begun anew at ``t`` s: what it says until it has settled does not count."""
+        self._tail = self._head
+        self._from = t + self._settle
+
+    def push(self, t: float, measured: float, simulated: float, speed: float) -> None:
+        """One sample: ``t`` s, accelerations m/s², ``speed`` m/s of the vehicle."""
+        self._learn(t, measured, speed)
+        if t < self._from:
+            return
+        size = len(self._ring)
+        if self._head - self._tail >= size:
+            self._ring = np.roll(self._ring, -(self._tail % size), axis=0)
+            self._ring = np.concatenate([self._ring, np.zeros_like(self._ring)])
+            self._head, self._tail, size = self._head - self._tail, 0, 2 * size
+        self._ring[self._head % size] = (t, measured, simulated)
+        self._head += 1
+        while self._ring[self._tail % size, 0] <= t - self.window:
+            self._tail += 1
+
+    def _learn(self, t: float, measured: float, speed: float) -> None:
+        if not abs(speed) < STANDING_SPEED:
+            self._still_since = math.nan
+            return
+        if math.isnan(self._still_since):
+            self._still_since = t
+        if t - self._still_since < STANDING_TIME:
+            return
+        noise = self._noise
+        noise[0] += 1
+        off = measured - noise[1]
+        noise[1] += off / noise[0]
+        noise[2] += off * (measured - noise[1])
+
+    @property
+    def settled(self) -> bool:
+        """Whether the newest sample counts: the twin has settled after its last fresh start."""
+        return self._head > self._tail
+
+    @property
+    def noise_rms(self) -> float:
+        """Spread of the measured signal at standstill in m/s²; NaN before a second of it was seen."""
+        count, _, squares = self._noise
+        return math.sqrt(squares / (count - 1)) if count >= 32 else math.nan
+
+    def now(self) -> GapNow | None:
+        """The gap over the window; None while it holds fewer than two samples."""
+        rows = self._rows()
+        if len(rows) < 2:
+            return None
+        difference = rows[:, 1] - rows[:, 2]
+        rms = float(np.sqrt(np.mean(difference**2)))
+        noise = self.noise_rms
+        floor = self.floor or noise
+        return GapNow(
+            rms=rms,
+            measured_rms=float(np.sqrt(np.mean(rows[:, 1] ** 2))),
+            noise_rms=noise,
+            normalised=rms / floor if floor > 0 else math.nan,
+            bands=self._bands(rows[:, 0], difference),
+            samples=len(rows),
+        )
+
+    def _rows(self) -> Floats:
+        size = len(self._ring)
+        start, stop = self._tail % size, self._head % size
+        if self._head - self._tail == 0:
+            return self._ring[:0]
+        if start < stop:
+            return self._ring[start:stop]
+        return np.concatenate([self._ring[start:], self._ring[:stop]])
+
+    def _bands(self, t: Floats, difference: Floats) -> tuple[float, ...]:
+        """Rms in each band, by Parseval over a Hann window, so that the squares of all bands add up
+        to the square of the whole (but for what lies outside of them)."""
+        if len(self.edges) < 2:
+            return ()
+        n = difference.size
+        if n != self._taper.size:
+            self._taper = np.hanning(n + 2)[1:-1]
+        taper = self._taper
+        power = np.abs(np.fft.rfft(difference * taper)) ** 2 / (n * float(np.sum(taper**2)))
+        power[1:] *= 2.0
+        if n % 2 == 0:
+            power[-1] /= 2.0
+        # Samples are nearly even; the mean rate is what the frequencies need.
+        frequency = np.arange(power.size) * ((n - 1) / (float(t[-1] - t[0]) * n))
+        at = np.searchsorted(frequency, self.edges)
+        return tuple(float(np.sqrt(power[a:b].sum())) for a, b in zip(at, at[1:], strict=False))

@@ -1,0 +1,267 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What the drives can tell: intervals, excited ranges, and the marks on what was not excited.
+
+Around the best fit the posterior is taken as Gaussian (Laplace) in slope coordinates, its
+curvature from whitened residuals, widened where the scores of blocks of a second scatter more
+than that curvature allows. Along the one direction where that is known to fail, a spring's place
+on its curve, the likelihood is evaluated slide by slide (see ``springs``). Intervals of the forces
+are quantiles of draws.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+
+from suspension_twin.arrays import Floats
+from suspension_twin.identification.least_squares import LeastSquares, LmSettings, squared
+from suspension_twin.identification.likelihood import Likelihood
+from suspension_twin.identification.problem import FitProblem, Problem
+from suspension_twin.identification.space import Curve
+from suspension_twin.identification.spring_position import Slide, slides
+from suspension_twin.models.simulate import simulate_twin
+from suspension_twin.vehicle.twin import Twin
+
+__all__ = ["CORRELATION", "Posterior", "Travel", "Weighing", "posterior", "profile", "span_of", "travel"]
+
+#: Of the logarithms of neighbouring slopes in the prior.
+CORRELATION = 0.8
+_DRAWS = 4000
+_BLOCK_SECONDS = 1.0
+_REACHED = 0.05  # s that have to lie beyond a point before it counts as excited
+
+
+@dataclass(frozen=True, eq=False)
+class Travel:
+    """Where the suspension was on the compared samples, by axle (both wheels): ``compression`` m,
+    ``velocity`` m/s (jounce positive) and the ``static`` compression m."""
+
+    compression: dict[str, Floats]
+    velocity: dict[str, Floats]
+    static: dict[str, float]
+    rate: float
+
+
+@dataclass(frozen=True, eq=False)
+class Posterior:
+    """``draws`` (d, N) of the parameters' values, ``sigma`` (q,) of the nuisances, ``covariance``
+    (d + q, d + q) in the solver's coordinates; ``better`` coordinates of a point that fits better
+    than the one asked about, or None."""
+
+    draws: Floats
+    sigma: Floats
+    covariance: Floats
+    better: Floats | None
+
+
+def travel(twin: Twin, problem: Problem) -> Travel:
+    """Simulate ``twin`` over the problem's parts and collect where its suspension went."""
+    compression: dict[str, list[Floats]] = {"front": [], "rear": []}
+    velocity: dict[str, list[Floats]] = {"front": [], "rear": []}
+    static = {"front": 0.0, "rear": 0.0}
+    for part, rows in zip(problem.parts, problem.rows, strict=True):
+        response = simulate_twin(twin, part.excitation)
+        at = np.clip(np.searchsorted(response.t, part.t[rows]), 0, response.t.size - 1)
+        for axle, wheels in (("front", slice(0, 2)), ("rear", slice(2, 4))):
+            compression[axle].append(response.deflection[at, wheels].ravel())
+            velocity[axle].append(response.deflection_rate[at, wheels].ravel())
+            static[axle] = float(response.deflection[0, wheels].mean())
+    return Travel(
+        {k: np.concatenate(v) for k, v in compression.items()},
+        {k: np.concatenate(v) for k, v in velocity.items()},
+        static,
+        problem.measured.rate,
+    )
+
+
+def span_of(curve: Curve, where: Travel) -> tuple[float, float]:
+    """The range of a curve's abscissa that the drives excited; (NaN, NaN) if none was."""
+    _, axle, part = curve.key.split(".")
+    if part == "spring":
+        values = where.compression[axle]
+    else:
+        values = where.velocity[axle] * (1.0 if part == "damper_push" else -1.0)
+        values = values[values > 0]
+    beyond = max(1, round(2 * _REACHED * where.rate))
+    if values.size < 3 * beyond:
+        return float("nan"), float("nan")
+    ordered = np.sort(values)
+    low = float(ordered[beyond - 1]) if part == "spring" else 0.0
+    return low, float(ordered[-beyond])
+
+
+class Weighing(Protocol):
+    """What turns compared signals into residuals whose sum of squares is -2 log likelihood."""
+
+    def residuals(self, simulated: Floats) -> Floats:
+        """(R, L) of candidates (M, C, L)."""
+
+
+def posterior(
+    problem: Problem,
+    likelihood: Weighing,
+    x: Floats,
+    precision: Floats,
+    where: Travel,
+    seed: int,
+    doubt: Floats | None = None,
+) -> Posterior:
+    """The posterior around ``x`` (d + q,), the best fit of ``likelihood`` with the prior ``precision``.
+
+    ``doubt`` (d + q,) is one more standard deviation, of all coordinates together.
+    """
+    fit = FitProblem(problem, likelihood.residuals)
+    residual, jacobian, _ = fit.linearise(x)
+    information = squared(jacobian) + precision
+    covariance = _widened(
+        np.asarray(np.linalg.inv(information), dtype=np.float64), jacobian, residual, precision, problem
+    )
+    if doubt is not None:
+        covariance = covariance + np.outer(doubt, doubt)
+    d = len(problem.space)
+    rng = np.random.default_rng(seed)
+    root = np.linalg.cholesky(covariance[:d, :d] + 1e-14 * np.eye(d))
+    noise = np.einsum("ij,jn->in", root, rng.standard_normal((d, _DRAWS)), optimize=False)
+    z = x[:d, None] + noise
+    best = float(np.sum(residual**2)) + _penalty(problem, x[:d, None], precision)[0]
+    better: Floats | None = None
+    for curve in problem.space.curves:
+        if not curve.key.endswith("spring") or min(curve.rows) < 0:
+            continue
+        rows = list(curve.rows)
+        axle = curve.key.split(".")[1]
+        seen = np.quantile(where.compression[axle], np.linspace(0.002, 0.998, 200))
+        found = slides(curve.x, x[rows], problem.space.z0[rows], CORRELATION, where.static[axle], seen)
+        if not found:
+            continue
+        costs = _slide_costs(problem, fit, x, rows, found, precision)
+        lowest = int(np.argmin(costs))
+        if costs[lowest] < best - 0.5:
+            better = x.copy()
+            better[rows] = found[lowest].z
+            best = float(costs[lowest])
+        _mix(z, noise, x, rows, found, costs - best, covariance, rng)
+    draws = problem.space.from_slopes(z)
+    return Posterior(draws, np.sqrt(np.diag(covariance)[d:]), covariance, better)
+
+
+def _widened(
+    covariance: Floats, jacobian: Floats, residual: Floats, precision: Floats, problem: Problem
+) -> Floats:
+    """The covariance with each deviation at least that of the block scores (a sandwich estimate)."""
+    size = max(8, int(_BLOCK_SECONDS * problem.measured.rate))
+    blocks = residual.size // size
+    if blocks < 2 * covariance.shape[0]:
+        return covariance
+    scores = np.add.reduceat(jacobian * residual[:, None], np.arange(0, residual.size, size), axis=0)
+    meat = squared(scores) * (blocks / (blocks - 1.0)) + precision
+    robust = np.einsum("ij,jk,kl->il", covariance, meat, covariance, optimize=False)
+    ratio = np.sqrt(np.maximum(np.diag(robust) / np.diag(covariance), 1.0))
+    widened = covariance * ratio[:, None] * ratio[None, :]
+    return np.asarray(0.5 * (widened + widened.T))
+
+
+def _penalty(problem: Problem, z: Floats, precision: Floats) -> Floats:
+    d = len(problem.space)
+    away = z - problem.space.z0[:, None]
+    return np.asarray(np.einsum("il,ij,jl->l", away, precision[:d, :d], away, optimize=False))
+
+
+def _slide_costs(
+    problem: Problem, fit: FitProblem, x: Floats, rows: list[int], found: Sequence[Slide], precision: Floats
+) -> Floats:
+    """(s,) -2 log posterior of every slide, all other coordinates as they are."""
+    candidates = np.repeat(x[:, None], len(found), axis=1)
+    for lane, slide in enumerate(found):
+        candidates[rows, lane] = slide.z
+    sums, _ = fit.sums_of_squares(candidates)
+    return np.asarray(sums + _penalty(problem, candidates[: len(problem.space)], precision))
+
+
+def _mix(
+    z: Floats,
+    noise: Floats,
+    x: Floats,
+    rows: list[int],
+    found: Sequence[Slide],
+    worse: Floats,
+    covariance: Floats,
+    rng: np.random.Generator,
+) -> None:
+    """Let the draws ``z`` (d, N) slide where the likelihood allows it; ``worse`` (s,) what a slide costs."""
+    weights = np.where(np.isfinite(worse), np.exp(-0.5 * np.maximum(worse, 0.0)), 0.0)
+    weights = weights * np.array([s.density for s in found])
+    # The best fit's own place counts for one step of the ladder, as dense as its nearest slide.
+    nearest = int(np.argmin([abs(s.shift) for s in found]))
+    total = float(weights.sum()) + found[nearest].density
+    share = float(weights.sum()) / total
+    if share < 0.02:
+        return
+    count = z.shape[1]
+    chosen = rng.random(count) < share
+    slide = rng.choice(len(found), size=count, p=weights / weights.sum())
+    low = rows[0]
+    # Given where the curve lies, the unseen segment's slope tells nothing of the others any more.
+    regression = covariance[: z.shape[0], low] / covariance[low, low]
+    free = noise - regression[:, None] * noise[low]
+    moved = np.stack([s.z for s in found], axis=1)
+    jitter = rng.uniform(-0.5, 0.5, count)
+    step = np.gradient(moved, axis=1) if len(found) > 1 else np.zeros_like(moved)
+    target = x[: z.shape[0], None] + free
+    target[rows] = moved[:, slide] + step[:, slide] * jitter + free[rows]
+    z[:, chosen] = target[:, chosen]
+
+
+def profile(
+    problem: Problem, likelihood: Likelihood, x: Floats, precision: Floats, row: int, offsets: Floats
+) -> Floats:
+    """(k,) rise of -2 log posterior with coordinate ``row`` held ``offsets`` away from ``x`` and all
+    others fitted again: what the Laplace approximation is checked against."""
+    fit = FitProblem(problem, likelihood.residuals)
+    centre = np.concatenate([problem.space.z0, np.zeros(x.size - len(problem.space))])
+
+    def posterior_cost(at: Floats) -> float:
+        sums, _ = fit.sums_of_squares(at[:, None])
+        away = at - centre
+        return float(sums[0]) + float(np.einsum("i,ij,j->", away, precision, away, optimize=False))
+
+    lowest = posterior_cost(x)
+    others = np.delete(np.arange(x.size), row)
+    rises = np.empty(offsets.size)
+    for k, offset in enumerate(offsets):
+        held = x.copy()
+        held[row] += offset
+        inner = precision[np.ix_(others, others)]
+        pull = precision[others, row] * (held[row] - centre[row])
+        solver = LeastSquares(
+            _Held(fit, held, others),
+            x[others],
+            inner,
+            centre[others] - np.linalg.solve(inner, pull),
+            LmSettings(iterations=10),
+        )
+        solver.run(lambda: False)
+        held[others] = solver.x
+        rises[k] = posterior_cost(held) - lowest
+    return rises
+
+
+class _Held:
+    """A fit with some coordinates held where ``at`` has them; the ``others`` are the unknowns."""
+
+    def __init__(self, fit: FitProblem, at: Floats, others: np.ndarray) -> None:
+        self.fit, self.at, self.others = fit, at, others
+
+    def linearise(self, x: Floats) -> tuple[Floats, Floats, int]:
+        full = self.at.copy()
+        full[self.others] = x
+        residual, jacobian, spent = self.fit.linearise(full)
+        return residual, jacobian[:, self.others], spent
+
+    def sums_of_squares(self, x: Floats) -> tuple[Floats, int]:
+        full = np.repeat(self.at[:, None], x.shape[1], axis=1)
+        full[self.others] = x
+        return self.fit.sums_of_squares(full)

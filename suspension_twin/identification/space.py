@@ -1,0 +1,324 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What a calibration searches: free parameters, their bounds and two sets of coordinates.
+
+``Space`` maps search coordinates to the values of the twin file and back, in such a way that
+every characteristic stays monotone by construction:
+
+- *unit* coordinates, 0 to 1 between the bounds, for the genetic algorithm and the pattern search.
+  A curve's points are made to rise by a running maximum (with bounds that do not overlap, as in
+  Table 2 of the car paper, that changes nothing);
+- *slope* coordinates, the logarithm of the slope of the segment that ends at a point, for
+  Gauss-Newton and CMA-ES. A drive sees slopes: the force in a spring at rest follows from the
+  load whatever the curve, so the slope of the segment in use is what the data determine, and
+  any value of its logarithm is a rising curve.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from suspension_twin.arrays import Floats
+from suspension_twin.effects.registry import effect
+from suspension_twin.errors import InputError
+from suspension_twin.vehicle.twin import Twin
+
+__all__ = ["CURVES", "Curve", "Parameter", "Space", "curve_keys", "twin_value"]
+
+#: The six characteristics, in the order of the car paper's Table 2.
+CURVES = (
+    "vehicle.front.spring",
+    "vehicle.rear.spring",
+    "vehicle.front.damper_push",
+    "vehicle.front.damper_pull",
+    "vehicle.rear.damper_push",
+    "vehicle.rear.damper_pull",
+)
+_POINT = re.compile(r"^(vehicle\.(?:front|rear)\.(?:spring|damper_push|damper_pull))\.force\.(\d+)$")
+
+# Logarithms beyond this are no suspension's; it keeps exp() finite whatever a search proposes.
+_LARGEST_LOG = 40.0
+# A flat segment has no logarithm: it is searched from this share of its curve's mean slope.
+_FLAT = 1e-3
+
+
+@dataclass(frozen=True)
+class Parameter:
+    """One free parameter in the units of the twin file.
+
+    ``spread`` is the standard deviation of the prior around ``nominal``: of the logarithm's
+    change where ``log`` holds, of the value itself elsewhere; for a point of a curve it is that
+    of the logarithm of the slope of the segment before it.
+    """
+
+    key: str
+    nominal: float
+    lower: float
+    upper: float
+    log: bool = True
+    spread: float = 0.5
+
+
+@dataclass(frozen=True, eq=False)
+class Curve:
+    """A characteristic with at least one free point: ``x`` (k,), nominal ``force`` (k,), and for
+    each point the row of its parameter in the space, -1 where the point is frozen."""
+
+    key: str
+    x: Floats
+    force: Floats
+    rows: tuple[int, ...]
+
+    @property
+    def label(self) -> str:
+        return self.key.removeprefix("vehicle.").replace(".", " ").replace("_", " ")
+
+    @property
+    def quantity(self) -> str:
+        return "compression" if self.key.endswith("spring") else "velocity"
+
+    @property
+    def unit(self) -> str:
+        return "m" if self.key.endswith("spring") else "m/s"
+
+
+def curve_keys(twin: Twin, curves: Sequence[str] = CURVES) -> tuple[str, ...]:
+    """The dotted keys of every point of the given characteristics."""
+    keys: list[str] = []
+    for curve in curves:
+        points = twin_value(twin, f"{curve}.force")
+        keys.extend(f"{curve}.force.{i}" for i in range(len(points)))
+    return tuple(keys)
+
+
+def twin_value(twin: Twin, key: str) -> Any:
+    """The value behind a dotted key of the twin file; raises InputError that names the key."""
+    if key.startswith("effects."):
+        return _effect_value(twin, key)
+    node: Any = twin
+    for part in key.split("."):
+        try:
+            node = node[int(part)] if isinstance(node, tuple | list) else getattr(node, part)
+        except (AttributeError, IndexError, ValueError):
+            raise InputError("free parameters", key, "no such key in the twin file") from None
+    return node
+
+
+def _effect_value(twin: Twin, key: str) -> float:
+    _, name, *parameter = key.split(".")
+    for spec in twin.effects:
+        if spec.id == name and len(parameter) == 1:
+            values = effect(name).values(spec.parameters)
+            if parameter[0] in values:
+                return values[parameter[0]]
+    raise InputError("free parameters", key, "the twin has no such effect parameter")
+
+
+class Space:
+    """The free parameters of one calibration.
+
+    Arrays of values and coordinates are (d,) or (d, L), the row order that of ``parameters``.
+    """
+
+    def __init__(self, twin: Twin, parameters: Sequence[Parameter]) -> None:
+        if not parameters:
+            raise InputError("free parameters", "nothing is free: name at least one key")
+        self.parameters = tuple(parameters)
+        self.keys = tuple(p.key for p in self.parameters)
+        if len(set(self.keys)) != len(self.keys):
+            twice = next(k for k in self.keys if self.keys.count(k) > 1)
+            raise InputError("free parameters", twice, "is listed twice")
+        self.nominal = np.array([p.nominal for p in self.parameters])
+        self.lower = np.array([p.lower for p in self.parameters])
+        self.upper = np.array([p.upper for p in self.parameters])
+        self._log = np.array([p.log for p in self.parameters])
+        self._spread = np.array([p.spread for p in self.parameters])
+        self.curves = self._find_curves(twin)
+        self._on_curve = np.zeros(len(self.keys), dtype=bool)
+        for curve in self.curves:
+            self._on_curve[[r for r in curve.rows if r >= 0]] = True
+        self._check()
+        self.z0 = self.to_slopes(self.nominal)
+
+    def __len__(self) -> int:
+        return len(self.parameters)
+
+    def _find_curves(self, twin: Twin) -> tuple[Curve, ...]:
+        rows: dict[str, dict[int, int]] = {}
+        for row, key in enumerate(self.keys):
+            match = _POINT.match(key)
+            if match:
+                rows.setdefault(match[1], {})[int(match[2])] = row
+        curves = []
+        for key in sorted(rows, key=CURVES.index):
+            axle, part = key.split(".")[1:]
+            x, force = getattr(getattr(twin.vehicle, axle), part).points
+            for index in rows[key]:
+                if index >= x.size:
+                    raise InputError(
+                        "free parameters", f"{key}.force.{index}", f"the curve has {x.size} points"
+                    )
+            force = force.copy()
+            for index, row in rows[key].items():
+                force[index] = self.nominal[row]
+            curves.append(Curve(key, x, force, tuple(rows[key].get(i, -1) for i in range(x.size))))
+        return tuple(curves)
+
+    def _check(self) -> None:
+        for p in self.parameters:
+            if not (np.isfinite(p.lower) and np.isfinite(p.upper) and p.lower < p.upper):
+                raise InputError(
+                    "bounds", p.key, f"the lower must be below the upper, are {p.lower:g}:{p.upper:g}"
+                )
+            if p.log and p.lower <= 0 and not _POINT.match(p.key):
+                raise InputError("bounds", p.key, f"must be above 0, lower is {p.lower:g}")
+        lower, upper = self.lower.copy(), self.upper.copy()
+        for curve in self.curves:
+            low, high = 0.0, np.inf
+            for i, row in enumerate(curve.rows):
+                low = max(low, lower[row] if row >= 0 else curve.force[i])
+                if row >= 0:
+                    lower[row] = low
+            for i in reversed(range(len(curve.rows))):
+                row = curve.rows[i]
+                high = min(high, upper[row] if row >= 0 else curve.force[i])
+                if row >= 0:
+                    upper[row] = high
+                    if lower[row] > high:
+                        raise InputError(
+                            "bounds",
+                            self.keys[row],
+                            f"leave no rising curve: from {lower[row]:g} to {high:g} N",
+                        )
+        self.lower, self.upper = lower, upper
+        self.nominal = np.clip(self.nominal, lower, upper)
+
+    # -- unit coordinates ----------------------------------------------------------------------
+
+    def from_unit(self, u: Floats) -> Floats:
+        """Values for unit coordinates (d,) or (d, L); clipped to 0..1, curves made to rise."""
+        u = np.clip(u, 0.0, 1.0)
+        shape = (-1,) + (1,) * (u.ndim - 1)
+        low, high = self.lower.reshape(shape), self.upper.reshape(shape)
+        values = low + u * (high - low)
+        geometric = self._log & ~self._on_curve
+        if geometric.any():
+            ratio = (self.upper / np.where(geometric, self.lower, 1.0))[geometric].reshape(shape)
+            values[geometric] = self.lower[geometric].reshape(shape) * ratio ** u[geometric]
+        for curve in self.curves:
+            free = [r for r in curve.rows if r >= 0]
+            values[free] = np.maximum.accumulate(values[free], axis=0)
+        return np.asarray(values)
+
+    def to_unit(self, values: Floats) -> Floats:
+        """Unit coordinates of values, clipped into the bounds; the inverse of ``from_unit``."""
+        shape = (-1,) + (1,) * (values.ndim - 1)
+        low, high = self.lower.reshape(shape), self.upper.reshape(shape)
+        inside = np.clip(values, low, high)
+        u = (inside - low) / np.where(high > low, high - low, 1.0)
+        geometric = self._log & ~self._on_curve
+        if geometric.any():
+            g_low, g_high = low[geometric], high[geometric]
+            u[geometric] = np.log(inside[geometric] / g_low) / np.log(g_high / g_low)
+        return np.asarray(u)
+
+    # -- slope coordinates ---------------------------------------------------------------------
+
+    def from_slopes(self, z: Floats) -> Floats:
+        """Values for slope coordinates (d,) or (d, L), clipped to the bounds, curves rising."""
+        single = z.ndim == 1
+        z2 = z[:, None] if single else z
+        values = np.empty_like(z2, dtype=float)
+        grows = np.exp(np.clip(z2, -_LARGEST_LOG, _LARGEST_LOG))
+        for curve in self.curves:
+            force = np.zeros(z2.shape[1])
+            before = 0.0
+            for i, row in enumerate(curve.rows):
+                if row < 0:
+                    force = np.full(z2.shape[1], curve.force[i])
+                else:
+                    force = force + grows[row] * (curve.x[i] - before)
+                    force = np.clip(force, self.lower[row], self.upper[row])
+                    values[row] = force
+                before = curve.x[i]
+        other = ~self._on_curve
+        if other.any():
+            low, high = self.lower[other, None], self.upper[other, None]
+            scale = self._spread[other, None]
+            plain = self.nominal[other, None] + scale * z2[other]
+            scaled = self.nominal[other, None] * grows[other]
+            values[other] = np.clip(np.where(self._log[other, None], scaled, plain), low, high)
+        return values[:, 0] if single else values
+
+    def to_slopes(self, values: Floats) -> Floats:
+        """Slope coordinates of values (d,) or (d, L); a flat segment counts as nearly flat."""
+        single = values.ndim == 1
+        v2 = values[:, None] if single else values
+        z = np.empty_like(v2, dtype=float)
+        for curve in self.curves:
+            last = v2[curve.rows[-1]] if curve.rows[-1] >= 0 else np.full(v2.shape[1], curve.force[-1])
+            flat = _FLAT * np.maximum(last, 1.0) / curve.x[-1]
+            force, before = np.zeros(v2.shape[1]), 0.0
+            for i, row in enumerate(curve.rows):
+                here = v2[row] if row >= 0 else np.full(v2.shape[1], curve.force[i])
+                if row >= 0:
+                    z[row] = np.log(np.maximum((here - force) / (curve.x[i] - before), flat))
+                force, before = here, curve.x[i]
+        other = ~self._on_curve
+        if other.any():
+            nominal = self.nominal[other, None]
+            log = self._log[other, None]
+            with np.errstate(divide="ignore", invalid="ignore"):
+                ratio = np.log(np.where(log, v2[other] / np.where(log, nominal, 1.0), 1.0))
+            z[other] = np.where(log, ratio, (v2[other] - nominal) / self._spread[other, None])
+        return z[:, 0] if single else z
+
+    def prior_precision(self, correlation: float = 0.8) -> Floats:
+        """(d, d) inverse covariance of the slope coordinates around ``z0``.
+
+        Neighbouring segments of a curve move together (``correlation`` from one to the next):
+        what a drive never excited goes with what it did, relative to the preset.
+        """
+        covariance = np.diag(np.where(self._on_curve | self._log, self._spread**2, 1.0))
+        for curve in self.curves:
+            free = [(i, r) for i, r in enumerate(curve.rows) if r >= 0]
+            for i, a in free:
+                for j, b in free:
+                    covariance[a, b] = self._spread[a] * self._spread[b] * correlation ** abs(i - j)
+        return np.asarray(np.linalg.inv(covariance))
+
+    def on_bound(self, values: Floats, share: float = 1e-3) -> np.ndarray[Any, np.dtype[np.bool_]]:
+        """(d,) True where a value lies within ``share`` of the bounds' distance from one."""
+        u = self.to_unit(values)
+        return np.asarray((u <= share) | (u >= 1 - share))
+
+    def with_nominal(self, twin: Twin, values: Floats) -> Space:
+        """The same space around other nominal values."""
+        changed = (replace(p, nominal=float(v)) for p, v in zip(self.parameters, values, strict=True))
+        return Space(twin, tuple(changed))
+
+    def applied(self, twin: Twin, values: Floats) -> Twin:
+        """A checked copy of ``twin`` with the values (d,) in it."""
+        changes: dict[str, Any] = {}
+        effects = {spec.id: dict(spec.parameters) for spec in twin.effects}
+        for key, value in zip(self.keys, values, strict=True):
+            if key.startswith("effects."):
+                _, name, parameter = key.split(".")
+                effects[name][parameter] = float(value)
+            else:
+                changes[key] = float(value)
+        if effects:
+            changes["effects"] = [{"id": name, "parameters": p} for name, p in effects.items()]
+        return twin.with_changes(changes)
+
+
+def bounds_of(bounds: Mapping[str, tuple[float, float]], key: str) -> tuple[float, float] | None:
+    """The bounds given for a key, or for the curve it belongs to."""
+    if key in bounds:
+        return bounds[key]
+    match = _POINT.match(key)
+    return bounds.get(match[1]) if match else None

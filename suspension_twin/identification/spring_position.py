@@ -1,0 +1,108 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What a drive cannot tell of a spring: where on its curve the vehicle stands.
+
+At rest a spring carries its load whatever its curve is, and a drive sees the curve only around
+that place. Slide the seen piece along the compression, let the unseen segment below make up the
+force, and every sensor reads the same. A local approximation around the best fit does not know
+that: where a corner of the curve lies just outside the range that was driven, it takes the wall on
+one side for a valley. So these slides are tried one by one.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from suspension_twin.arrays import Floats
+
+__all__ = ["Slide", "slides", "standing_at"]
+
+_STEP = 0.004  # m between slides
+_FARTHEST = 0.16  # m
+_MISFIT = 0.01  # of the load: how well a curve must end in (0, 0)
+
+
+@dataclass(frozen=True, eq=False)
+class Slide:
+    """The curve slid by ``shift`` m: logarithms of its slopes (k,), and how densely the prior's
+    coordinate of the unseen segment runs over ``shift``, per m."""
+
+    shift: float
+    z: Floats
+    density: float
+
+
+def slides(
+    x: Floats, z: Floats, prior: Floats, correlation: float, static: float, seen: Floats
+) -> list[Slide]:
+    """Curves that act alike around the standing place ``static`` m over the ``seen`` compressions (s,) m.
+
+    ``x`` (k,) m abscissae, ``z`` (k,) logarithms of the slopes, ``prior`` (k,) those of the preset.
+    """
+    slope = np.exp(z)
+    load = _force(x, slope, static)
+    old = slope[_segment(x, seen)]
+    found: list[Slide] = []
+    remainders: list[tuple[float, float, Floats]] = []
+    steps = int(_FARTHEST / _STEP)
+    for shift in _STEP * np.arange(-steps, steps + 1):
+        if seen.min() + shift <= 0 or abs(shift) < 0.5 * _STEP:
+            continue
+        new, lowest = _slid(x, old, prior, z, correlation, seen + shift)
+        edge = float(x[lowest - 1]) if lowest else 0.0
+        below = load - (_force(x, new, static + shift) - _force(x, new, edge))
+        if lowest == 0:
+            remainders.append((float(shift), below, new))
+        elif below > 0:
+            share = np.exp(prior[:lowest])
+            new[:lowest] = share * below / _force(x, np.concatenate([share, new[lowest:]]), edge)
+            found.append(
+                Slide(float(shift), np.log(new), float(slope[_segment(x, np.array([static]))[0]]) / below)
+            )
+    # With the lowest segment in sight the curve has to end in (0, 0) by itself: a few places at most.
+    for (shift, below, new), (_, following, _) in zip(remainders, remainders[1:], strict=False):
+        if below * following <= 0 or abs(below) < _MISFIT * load:
+            found.append(Slide(shift, np.log(new), 1.0 / max(static + shift, _STEP)))
+    return found
+
+
+def _segment(x: Floats, at: Floats) -> np.ndarray:
+    """Index of the segment, the last one going on."""
+    return np.minimum(np.searchsorted(x, at, side="left"), x.size - 1)
+
+
+def _force(x: Floats, slope: Floats, at: float) -> float:
+    """Force of the curve with these slopes at one compression."""
+    edges = np.concatenate([[0.0], x])
+    width = np.clip(at - edges[:-1], 0.0, np.diff(edges))
+    width[-1] = max(at - edges[-2], 0.0)
+    return float(np.sum(slope * width))
+
+
+def _slid(
+    x: Floats, old: Floats, prior: Floats, z: Floats, correlation: float, place: Floats
+) -> tuple[Floats, int]:
+    """Slopes (k,) after the slide and the lowest segment in sight; unseen ones follow their neighbours."""
+    at = _segment(x, place)
+    new = np.exp(z).copy()
+    sight = np.unique(at)
+    for j in sight:
+        new[j] = old[at == j].mean()
+    for j in range(x.size):
+        if j not in sight:
+            near = int(sight[np.argmin(np.abs(sight - j))])
+            new[j] = np.exp(prior[j] + correlation ** abs(j - near) * (np.log(new[near]) - prior[near]))
+    return new, int(sight[0])
+
+
+def standing_at(x: Floats, z: Floats, static: float, corner: int) -> Floats:
+    """Logarithms of slopes (k,) of a curve that bears the same load at its point ``corner`` instead of at
+    ``static`` m, and goes on from there as steeply as it did where the vehicle stood."""
+    slope = np.exp(z)
+    below = _force(x, slope, float(x[corner]))
+    new = slope.copy()
+    new[: corner + 1] *= _force(x, slope, static) / below
+    local = slope[_segment(x, np.array([static]))[0]]
+    new[corner + 1 :] *= local / new[corner + 1]
+    return np.log(new)

@@ -1,0 +1,327 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The planar filter: eight states, predicted with the gyro, corrected by everything else.
+
+States: x, y of ``base_link`` in ``map`` m, yaw rad, forward speed m/s, forward acceleration m/s²,
+lateral speed m/s, gyro bias rad/s, accelerometer bias m/s². The yaw rate is an input; the forward
+acceleration is a state with the accelerometer as its measurement, so that it comes out smooth and
+in step with speed and position. The rear axle hardly slips: the lateral speed is a first-order
+Markov process whose size grows with the cornering.
+
+An extended Kalman filter.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from suspension_twin.arrays import Floats
+from suspension_twin.compiled import compiled
+
+__all__ = ["FIX", "HEADING", "RESET", "STATES", "VELOCITY", "advance", "forward", "measure"]
+
+STATES = 8
+X, Y, YAW, V, A, SIDE, GYRO, FORCE = range(8)
+#: Kinds of measurement: a fix, a fix that the position jumps to, a velocity, a heading.
+FIX, RESET, VELOCITY, HEADING = 0, 1, 2, 3
+SIDE_TIME = 0.5  # s, the time constant of the lateral speed
+
+
+@compiled
+def sandwich(f: Floats, p: Floats, work: Floats, out: Floats) -> None:  # pragma: no cover - compiled
+    """out = f p f' for (8, 8)."""
+    for i in range(8):
+        for j in range(8):
+            s = 0.0
+            for k in range(8):
+                if f[i, k] != 0.0:
+                    s += f[i, k] * p[k, j]
+            work[i, j] = s
+    for i in range(8):
+        for j in range(i + 1):
+            s = 0.0
+            for k in range(8):
+                if f[j, k] != 0.0:
+                    s += work[i, k] * f[j, k]
+            out[i, j] = s
+            out[j, i] = s
+
+
+@compiled
+def transition(x: Floats, u: Floats, dt: float, f: Floats) -> None:  # pragma: no cover - compiled
+    """Move ``x`` (8,) on by ``dt`` s under the inputs ``u`` and leave the Jacobian in ``f``."""
+    standing = u[2] > 0.5
+    turn = 0.0 if standing else u[0] - x[GYRO]
+    v, side, a = x[V], x[SIDE], x[A]
+    keep = math.exp(-dt / SIDE_TIME)
+    half = x[YAW] + 0.5 * turn * dt
+    c, s = math.cos(half), math.sin(half)
+    for i in range(8):
+        for j in range(8):
+            f[i, j] = 1.0 if i == j else 0.0
+    ahead = across = 0.0
+    f[V, A] = dt
+    f[V, SIDE] = turn * dt
+    if not standing:
+        ahead = v * dt + 0.5 * a * dt * dt
+        across = side * dt
+        f[X, YAW] = -ahead * s - across * c
+        f[Y, YAW] = ahead * c - across * s
+        f[X, V], f[Y, V] = dt * c, dt * s
+        f[X, A], f[Y, A] = 0.5 * dt * dt * c, 0.5 * dt * dt * s
+        f[X, SIDE], f[Y, SIDE] = -dt * s, dt * c
+        f[X, GYRO] = -0.5 * dt * f[X, YAW]
+        f[Y, GYRO] = -0.5 * dt * f[Y, YAW]
+        f[YAW, GYRO] = -dt
+        f[V, GYRO] = -side * dt
+    f[SIDE, SIDE] = keep
+    x[X] += ahead * c - across * s
+    x[Y] += ahead * s + across * c
+    x[YAW] += turn * dt
+    x[V] += a * dt + turn * side * dt
+    x[SIDE] = side * keep
+
+
+@compiled
+def add_noise(
+    p: Floats, noise: Floats, x: Floats, u: Floats, dt: float
+) -> None:  # pragma: no cover - compiled
+    """Process noise of ``dt`` s."""
+    q = noise[1]
+    v, omega = x[V], u[0] - x[GYRO]
+    p[A, A] += q * dt
+    p[V, V] += q * dt**3 / 3.0
+    p[V, A] += q * dt * dt / 2.0
+    p[A, V] += q * dt * dt / 2.0
+    if u[2] < 0.5:
+        p[YAW, YAW] += (noise[2] + (noise[3] * omega) ** 2) * max(u[3], 1.0) * dt
+    slip = 0.01 + noise[4] * abs(v * omega) * abs(v)
+    p[SIDE, SIDE] += slip * slip * (1.0 - math.exp(-2.0 * dt / SIDE_TIME))
+    p[FORCE, FORCE] += noise[5] * dt
+    p[GYRO, GYRO] += noise[6] * dt
+    # A car that stands may creep or settle by a few millimetres; one that drives is led by its speed.
+    place = 2.5e-5 if u[2] > 0.5 else 1.0e-6
+    p[X, X] += place * dt
+    p[Y, Y] += place * dt
+
+
+@compiled
+def scalar_update(
+    x: Floats, p: Floats, h: Floats, residual: float, variance: float, yaw_held: bool
+) -> None:  # pragma: no cover - compiled
+    """Kalman update by one number. With ``yaw_held`` the yaw is taken as it is, its doubt with it (Schmidt's
+    consider state): a car that stands does not turn because its antenna's fix moves."""
+    ph = np.zeros(8)
+    for i in range(8):
+        for k in range(8):
+            if h[k] != 0.0:
+                ph[i] += p[i, k] * h[k]
+    s = variance
+    for k in range(8):
+        s += h[k] * ph[k]
+    for i in range(8):
+        if not (yaw_held and i == YAW):
+            x[i] += ph[i] / s * residual
+    for i in range(8):
+        for j in range(i + 1):
+            if yaw_held and i == YAW and j == YAW:
+                continue
+            value = p[i, j] - ph[i] * ph[j] / s
+            p[i, j] = value
+            p[j, i] = value
+
+
+@compiled
+def measure(
+    x: Floats, p: Floats, kind: int, z: Floats, u: Floats, noise: Floats
+) -> float:  # pragma: no cover - compiled
+    """Update by a measurement ``z`` (3,): two numbers and a standard deviation. Of the inputs ``u`` (8,) it
+    takes the last four, the antenna ahead and to the left of ``base_link`` on level ground m, and its
+    velocity against it m/s, and whether the vehicle stands.
+
+    Returns the weight it got: 1 in full, less where it was doubtful, 0 where it was refused.
+    """
+    soft, gate = noise[7], noise[8]
+    h = np.zeros((2, 8))
+    r = np.zeros(2)
+    c, s = math.cos(x[YAW]), math.sin(x[YAW])
+    rows = 2
+    if kind == HEADING:
+        rows = 1
+        h[0, YAW] = 1.0
+        r[0] = z[0] - x[YAW]
+        r[0] -= 2.0 * math.pi * math.floor(r[0] / (2.0 * math.pi) + 0.5)
+    else:
+        ahead, left = u[4], u[5]
+        if kind == VELOCITY:
+            ahead, left = x[V] + u[6], x[SIDE] + u[7]
+            h[0, V], h[1, V] = c, s
+            h[0, SIDE], h[1, SIDE] = -s, c
+            r[0], r[1] = z[0], z[1]
+        else:
+            h[0, X] = h[1, Y] = 1.0
+            r[0], r[1] = z[0] - x[X], z[1] - x[Y]
+        if kind == RESET:
+            for k in range(8):
+                p[X, k] = p[k, X] = p[Y, k] = p[k, Y] = 0.0
+            p[X, X] = p[Y, Y] = 1.0e6
+        h[0, YAW] = -ahead * s - left * c
+        h[1, YAW] = ahead * c - left * s
+        r[0] -= ahead * c - left * s
+        r[1] -= ahead * s + left * c
+    # Squared distance by the spread of one number or of two.
+    s00 = s01 = s11 = 0.0
+    for i in range(8):
+        for j in range(8):
+            s00 += h[0, i] * p[i, j] * h[0, j]
+            s01 += h[0, i] * p[i, j] * h[1, j]
+            s11 += h[1, i] * p[i, j] * h[1, j]
+    variance = z[2] * z[2]
+    s00 += variance
+    s11 += variance
+    d2 = (r[0] * r[0] * s11 - 2.0 * r[0] * r[1] * s01 + r[1] * r[1] * s00) / (s00 * s11 - s01 * s01)
+    weight = 1.0
+    if kind != RESET:
+        if d2 > gate * gate:
+            return 0.0
+        weight = min(1.0, soft / math.sqrt(d2 + 1e-12))  # Huber's
+    variance /= weight * weight
+    hold = u[2] > 0.5 and kind != HEADING
+    before = np.empty(8)
+    for i in range(8):
+        before[i] = x[i]
+    for row in range(rows):
+        for i in range(8):
+            r[row] -= h[row, i] * (x[i] - before[i])
+        scalar_update(x, p, h[row], r[row], variance, hold)
+    return float(weight)
+
+
+@compiled
+def imu_update(
+    x: Floats, p: Floats, noise: Floats, u: Floats, dt: float
+) -> None:  # pragma: no cover - compiled
+    """The accelerometer's word, and at standstill that speed and yaw rate are nought. ``u`` (8,): yaw
+    rate rad/s, forward specific force without gravity m/s², standing (1 or 0), looseness (above 1 where
+    samples are missing and the gyro is to be believed less), arm (4,)."""
+    standing = u[2] > 0.5
+    span = max(dt, 1e-4)
+    h = np.zeros(8)
+    for k in range(5 if standing else 1):
+        for i in range(8):
+            h[i] = 0.0
+        if k == 0:
+            if u[3] > 1.0:
+                continue
+            h[A] = h[FORCE] = 1.0
+            residual, density = u[1] - x[A] - x[FORCE], noise[0]
+        elif k == 1:
+            h[V] = 1.0
+            residual, density = -x[V], 1.0e-7
+        elif k == 2:
+            h[A] = 1.0
+            residual, density = -x[A], 1.0e-4
+        elif k == 3:
+            h[SIDE] = 1.0
+            residual, density = -x[SIDE], 1.0e-6
+        else:
+            h[GYRO] = 1.0
+            residual, density = u[0] - x[GYRO], 1.0e-6
+        scalar_update(x, p, h, residual, density / span, standing)
+
+
+@compiled
+def put(x: Floats, p: Floats, state: Floats, covariance: Floats) -> None:  # pragma: no cover - compiled
+    """Copy ``x`` (8,) and ``p`` (8, 8) into ``state`` and ``covariance``."""
+    for i in range(8):
+        state[i] = x[i]
+        for j in range(8):
+            covariance[i, j] = p[i, j]
+
+
+@compiled
+def predict(
+    x: Floats, p: Floats, noise: Floats, u: Floats, dt: float, f: Floats, work: Floats
+) -> None:  # pragma: no cover - compiled
+    """State and covariance on by ``dt`` s under the inputs ``u``."""
+    transition(x, u, dt, f)
+    sandwich(f, p, work, p)
+    add_noise(p, noise, x, u, dt)
+
+
+@compiled
+def advance(
+    t: Floats,
+    inputs: Floats,
+    states: Floats,
+    covariances: Floats,
+    first: int,
+    last: int,
+    kinds: Floats,
+    times: Floats,
+    values: Floats,
+    weights: Floats,
+    count: int,
+    noise: Floats,
+) -> None:  # pragma: no cover - compiled
+    """Run a ring of samples from index ``first``, whose state stands, to ``last``, both counted without
+    end, and take every one of ``count`` measurements (sorted by ``times``) on its way.
+
+    ``t`` (r,), ``inputs`` (r, 8), ``states`` (r, 8), ``covariances`` (r, 8, 8); ``values`` (m, 3);
+    ``weights`` (m,) gets what each measurement was given.
+    """
+    size = t.size
+    f = np.empty((8, 8))
+    work = np.empty((8, 8))
+    x, p = np.empty(8), np.empty((8, 8))
+    put(states[first % size], covariances[first % size], x, p)
+    now = t[first % size]
+    m = 0
+    while m < count and times[m] <= now:
+        m += 1
+    for step in range(first + 1, last + 1):
+        k = step % size
+        u = inputs[k]
+        start = now
+        while m < count and times[m] <= t[k]:
+            if times[m] > now:
+                predict(x, p, noise, u, times[m] - now, f, work)
+                now = times[m]
+            weights[m] = measure(x, p, int(kinds[m]), values[m], u, noise)
+            m += 1
+        if t[k] > now:
+            predict(x, p, noise, u, t[k] - now, f, work)
+        now = t[k]
+        imu_update(x, p, noise, u, now - start)
+        put(x, p, states[k], covariances[k])
+
+
+@compiled
+def forward(
+    t: Floats,
+    inputs: Floats,
+    kinds: Floats,
+    values: Floats,
+    start: Floats,
+    spread: Floats,
+    noise: Floats,
+    states: Floats,
+    covariances: Floats,
+    weights: Floats,
+) -> None:  # pragma: no cover - compiled
+    """Filter over nodes ``t`` (n,): the filtered states (n, 8) and covariances (n, 8, 8) are left in the
+    arrays given. Node i has the mean inputs (n, 8) of the interval before it and at most one
+    measurement, ``kinds`` (n,) below 0 for none; ``weights`` (n,) what it got."""
+    f = np.empty((8, 8))
+    work = np.empty((8, 8))
+    x, p = np.empty(8), np.empty((8, 8))
+    put(start, spread, x, p)
+    for i in range(t.size):
+        if i > 0 and t[i] > t[i - 1]:
+            dt = t[i] - t[i - 1]
+            predict(x, p, noise, inputs[i], dt, f, work)
+            imu_update(x, p, noise, inputs[i], dt)
+        if kinds[i] >= 0:
+            weights[i] = measure(x, p, int(kinds[i]), values[i], inputs[i], noise)
+        put(x, p, states[i], covariances[i])

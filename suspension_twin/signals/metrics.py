@@ -1,0 +1,143 @@
+# SPDX-License-Identifier: Apache-2.0
+"""How well two signals agree: the measures of both papers and of ISO/TS 18571.
+
+``measured`` is (n,), ``simulated`` (n,) or (n, L) with a candidate in every lane; the result is a
+float or (L,). Choose the samples (valid ones, one channel after the other) before calling.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from suspension_twin.arrays import Floats
+from suspension_twin.errors import InputError
+from suspension_twin.signals.iso18571 import rate_lanes
+from suspension_twin.signals.spectra import power_density
+
+__all__ = [
+    "IsoRating",
+    "correlation",
+    "euclidean_distance",
+    "iso18571",
+    "mean_correlation",
+    "mean_squared_error",
+    "rms_error",
+    "spectral_distance",
+]
+
+#: Of corridor, phase, magnitude and slope in the overall rating.
+ISO_WEIGHTS = np.array([0.4, 0.2, 0.2, 0.2])
+
+
+def _pair(measured: Floats, simulated: Floats) -> tuple[Floats, Floats]:
+    measured = np.asarray(measured, dtype=np.float64)
+    simulated = np.asarray(simulated, dtype=np.float64)
+    if (
+        measured.ndim != 1
+        or simulated.ndim not in (1, 2)
+        or len(measured) != len(simulated)
+        or not measured.size
+    ):
+        raise InputError(
+            "agreement",
+            f"measured must be (n,) and simulated (n,) or (n, L), are {measured.shape} and {simulated.shape}",
+        )
+    return (measured[:, None] if simulated.ndim == 2 else measured), simulated
+
+
+def _given(values: Floats) -> Floats:
+    """Lanes as an array, a single signal as a plain number (0-dimensional)."""
+    return np.asarray(values, dtype=np.float64)
+
+
+def euclidean_distance(measured: Floats, simulated: Floats) -> Floats:
+    """The car paper's cost, eq. (1): root of the sum of squared differences."""
+    m, s = _pair(measured, simulated)
+    return _given(np.sqrt(np.sum((m - s) ** 2, axis=0)))
+
+
+def mean_squared_error(measured: Floats, simulated: Floats) -> Floats:
+    """The car paper's validation figure (section 5); unit squared."""
+    m, s = _pair(measured, simulated)
+    return _given(np.mean((m - s) ** 2, axis=0))
+
+
+def rms_error(measured: Floats, simulated: Floats) -> Floats:
+    """Root of the mean squared error, in the unit of the signals."""
+    return _given(np.sqrt(mean_squared_error(measured, simulated)))
+
+
+def correlation(measured: Floats, simulated: Floats) -> Floats:
+    """The tracked paper's eqs (7) and (8): covariance over the product of the standard deviations.
+
+    0 where one of the signals is constant: such a signal says nothing about the other.
+    """
+    m, s = _pair(measured, simulated)
+    dm, ds = m - np.mean(m, axis=0), s - np.mean(s, axis=0)
+    covariance = np.mean(dm * ds, axis=0)
+    spread = np.sqrt(np.mean(dm**2, axis=0) * np.mean(ds**2, axis=0))
+    return _given(np.where(spread > 0, covariance / np.where(spread > 0, spread, 1.0), 0.0))
+
+
+def mean_correlation(measured: list[Floats], simulated: list[Floats]) -> Floats:
+    """The tracked paper's eq. (15): arithmetic mean of the correlations of several channels."""
+    if not measured or len(measured) != len(simulated):
+        raise InputError("agreement", "needs the same channels measured and simulated, at least one")
+    return _given(np.mean([correlation(m, s) for m, s in zip(measured, simulated, strict=True)], axis=0))
+
+
+def spectral_distance(
+    measured: Floats,
+    simulated: Floats,
+    rate: float,
+    low: float = 0.5,
+    high: float = 25.0,
+    segment: float = 2.0,
+) -> Floats:
+    """rms difference in dB of the power spectral densities between ``low`` and ``high`` Hz.
+
+    Blind to phase, so to clocks and to the position along the road. Welch segments of ``segment`` s;
+    densities below a thousandth of the measured peak do not count.
+    """
+    m, s = _pair(measured, simulated)
+    frequency, a = power_density(m, rate, segment)
+    _, b = power_density(s, rate, segment)
+    band = (frequency >= low) & (frequency <= high)
+    if not band.any():
+        raise InputError("agreement", f"no frequency between {low:g} and {high:g} Hz at {rate:g} Hz")
+    floor = max(1e-3 * float(a[band].max()), np.finfo(np.float64).tiny)
+    difference = 10.0 * np.log10(np.maximum(a[band], floor) / np.maximum(b[band], floor))
+    return _given(np.sqrt(np.mean(difference**2, axis=0)))
+
+
+@dataclass(frozen=True, eq=False)
+class IsoRating:
+    """ISO/TS 18571: four scores between 0 and 1 and their weighted sum ``overall`` (0.4, 0.2, 0.2, 0.2).
+
+    Numbers for one simulated signal, arrays (L,) for lanes.
+    """
+
+    corridor: Floats
+    phase: Floats
+    magnitude: Floats
+    slope: Floats
+    overall: Floats
+
+
+def iso18571(measured: Floats, simulated: Floats, rate: float) -> IsoRating:
+    """Rate simulated signals (n,) or (n, L) against the measured one (n,), all at ``rate`` Hz.
+
+    The standard means whole events of a few seconds: time and memory grow with the square of n.
+    """
+    m, s = _pair(measured, simulated)
+    m = m.reshape(-1)
+    if m.size < 10:
+        raise InputError("agreement", "ISO/TS 18571 needs at least ten samples")
+    if not np.ptp(m):
+        raise InputError("agreement", "ISO/TS 18571 cannot rate against a constant signal")
+    lanes = np.ascontiguousarray(s[None, :] if s.ndim == 1 else s.T)
+    scores = rate_lanes(np.ascontiguousarray(m), lanes, float(rate))
+    columns = [_given(c[0] if s.ndim == 1 else c) for c in (*scores.T, scores @ ISO_WEIGHTS)]
+    return IsoRating(*columns)

@@ -1,0 +1,74 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Faults so large that the twin follows nothing: a clock half a second late, a sensor that stands sideways."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+import pytest
+
+from suspension_twin.diagnosis import coarse_search as gross
+from suspension_twin.diagnosis.hypotheses import SETTINGS, combined, variants
+from suspension_twin.diagnosis.request import DiagnosisRequest
+from suspension_twin.diagnosis.run import diagnose
+from suspension_twin.effects.registry import EFFECTS
+
+SOME = ("time_offset", "sensor_tilt", "position_offset", "tyre_damping", "corner_spring")
+
+
+@pytest.mark.parametrize(
+    ("effect", "given", "exact"),
+    [
+        ("time_offset", {"offset": 0.6}, 0.01),
+        ("position_offset", {"offset": -3.0}, 0.05),
+        ("sensor_tilt", {"roll": 0.0, "pitch": 0.0, "yaw": math.pi / 2}, 0.03),
+    ],
+    ids=["late", "elsewhere", "sideways"],
+)
+def test_a_gross_fault_is_named_with_its_size(
+    make: Any, effect: str, given: dict[str, float], exact: float
+) -> None:
+    twin, bags, reference = make(effect, given)
+    document = diagnose(DiagnosisRequest(str(twin), tuple(bags), tuple(reference), effects=SOME)).document
+    assert document["combination"] == [effect], document["message"]
+    lead = document["causes"][0]
+    assert lead["probability"] > 0.6
+    assert lead["parameters"] == pytest.approx(given, abs=exact)
+    intervals = lead["parameter_intervals"]
+    assert all(low <= lead["parameters"][name] <= high for name, (low, high) in intervals.items())
+
+
+def test_a_prior_moves_to_what_is_far_and_stays_for_what_is_near() -> None:
+    tilt, clock = variants(EFFECTS["sensor_tilt"])[0], variants(EFFECTS["time_offset"])[0]
+    moved = gross.about(tilt, np.array([0.5, -1.0, 31.0]))
+    assert moved.centre().tolist() == [0.0, 0.0, 31.0]
+    assert gross.about(tilt, np.array([0.5, -1.0, 2.9])) is tilt
+    both = combined(moved, clock)
+    assert both.centre().tolist() == [0.0, 0.0, 31.0, 0.0]
+    assert both.without("time_offset") == moved
+    assert both.without("sensor_tilt").centre().tolist() == [0.0]
+    charged = gross.waived(np.array([[0.5, 31.0], [2.0, 0.0]]))
+    assert charged.tolist() == [0.0, 31.0**2 - gross.PRICE]
+
+
+def test_only_what_can_be_set_wrong_is_looked_for_everywhere() -> None:
+    for name, effect in EFFECTS.items():
+        if "full_car" not in effect.hook.models:
+            continue
+        points = gross._everywhere(turned_by(1.5), variants(effect)[0])
+        if effect.where not in SETTINGS:
+            assert points is None, name
+        elif points is not None:
+            low, high = variants(effect)[0].bounds()
+            assert (points >= low[:, None] - 1e-9).all() and (points <= high[:, None] + 1e-9).all()
+    assert np.shape(gross._everywhere(turned_by(1.5), variants(EFFECTS["time_offset"])[0])) == (1, 201)
+    assert gross._seen(turned_by(0.1), variants(EFFECTS["sensor_tilt"])[0]) is None
+
+
+def turned_by(yaw: float) -> Any:
+    class Seen:
+        turn = (0.0, 0.0, yaw)
+
+    return Seen()

@@ -1,0 +1,127 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What is left on one stretch of road: found where it lies, named by what the road would have to be there."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from suspension_twin.diagnosis.local_road_error import Likeness, as_surveyed, gathered, spread_out
+from suspension_twin.diagnosis.request import DiagnosisRequest
+from suspension_twin.diagnosis.run import diagnose
+from suspension_twin.diagnosis.shrink import Remainder
+from suspension_twin.report.diagnosis import diagnosis_page
+from suspension_twin.road import load_road, write_road
+
+CHANNEL = "vertical_acceleration"
+NOISE = {CHANNEL: 0.02}
+SPEEDS = (12.0, 8.0, 10.0)  # m/s
+
+
+def bench(active: tuple[bool, ...], seed: int = 0) -> tuple[Any, list[np.ndarray]]:
+    """What ``gathered`` asks of a bench: drives over 200 m, rougher here and there; and where each of them is."""
+    rng = np.random.default_rng(seed)
+    positions = [np.arange(0.0, 200.0, v / 100.0) for v in SPEEDS[: len(active)]]
+    motion = [(1.0 + np.sin(x / 9.0)) * rng.standard_normal(x.size) for x in positions]
+    ends = np.cumsum([0, *(x.size for x in positions)])
+    measured = SimpleNamespace(
+        channels=(CHANNEL,),
+        values=np.concatenate(motion)[:, None],
+        drives=list(range(len(active))),
+        stretches=[slice(int(a), int(b)) for a, b in zip(ends[:-1], ends[1:], strict=True)],
+    )
+    problem = SimpleNamespace(
+        measured=measured,
+        parts=[SimpleNamespace(position=x) for x in positions],
+        drive_of=list(range(len(active))),
+        rows=[np.arange(x.size) for x in positions],
+    )
+    return SimpleNamespace(active=active, problem=problem), positions
+
+
+def rest(
+    seen: Any, positions: list[np.ndarray], wrong: list[tuple[float, float] | None], seed: int = 1
+) -> Remainder:
+    """A fifth of the motion everywhere, and on the ``wrong`` stretch of a drive two or three times all of that."""
+    rng = np.random.default_rng(seed)
+    left = 0.2 * seen.problem.measured.values[:, 0]
+    more = []
+    for x, where in zip(positions, wrong, strict=True):
+        own = np.zeros(x.size) if where is None else 1.0 * ((x > where[0]) & (x < where[1]))
+        size = np.sqrt(x.size / max(own.sum(), 1.0)) * 0.4
+        more.append(size * own * rng.standard_normal(x.size))
+    left = (left + np.concatenate(more))[:, None]
+    return Remainder(left, left)
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_a_share_of_the_motion_is_spread_out(seed: int) -> None:
+    seen, positions = bench((True, True), seed)
+    found = gathered(seen, rest(seen, positions, [None, None], seed), NOISE)
+    assert found is not None and found.beyond < 0.1 and spread_out(found) > 0.99
+
+
+@pytest.mark.parametrize(("start", "end"), [(0.0, 20.0), (61.0, 97.0), (170.0, 199.0)])
+def test_what_every_pass_leaves_on_one_stretch_lies_there(start: float, end: float) -> None:
+    seen, positions = bench((True, True))
+    found = gathered(seen, rest(seen, positions, [(start, end)] * 2), NOISE)
+    assert found is not None and spread_out(found) < 0.05
+    assert start - 4.0 <= found.start < found.end <= end + 4.0
+    assert found.end - found.start > 0.7 * (end - start) and found.share > 0.5
+
+
+def test_what_one_pass_leaves_is_no_road() -> None:
+    seen, positions = bench((True, True))
+    found = gathered(seen, rest(seen, positions, [(60.0, 90.0), None]), NOISE)
+    assert found is not None and spread_out(found) > 0.9
+    elsewhere = gathered(seen, rest(seen, positions, [(20.0, 50.0), (140.0, 170.0)]), NOISE)
+    assert elsewhere is not None and spread_out(elsewhere) > 0.9
+
+
+def test_what_was_there_before_is_none_of_the_gap() -> None:
+    seen, positions = bench((True, True, False))
+    before = gathered(seen, rest(seen, positions, [(60.0, 90.0)] * 3), NOISE)
+    assert before is not None and spread_out(before) > 0.9
+    now = gathered(seen, rest(seen, positions, [(60.0, 90.0), (60.0, 90.0), None]), NOISE)
+    assert now is not None and spread_out(now) < 0.05
+
+
+def test_a_rest_within_the_noise_and_a_bench_without_the_vertical_say_nothing() -> None:
+    seen, positions = bench((True, True))
+    quiet = Remainder(*(np.full((sum(x.size for x in positions), 1), 0.01),) * 2)
+    assert spread_out(gathered(seen, quiet, NOISE)) == pytest.approx(1.0)
+    seen.problem.measured.channels = ("yaw_rate",)
+    assert gathered(seen, quiet, NOISE) is None and spread_out(None) == 1.0
+
+
+def test_a_road_is_as_surveyed_where_no_error_of_its_file_takes_much() -> None:
+    assert as_surveyed([]) == pytest.approx(1.0)
+    assert as_surveyed([Likeness("road_scale", {}, 0.1)]) > 0.99
+    assert as_surveyed([Likeness("road_scale", {}, 0.25)]) == pytest.approx(0.5)
+    assert as_surveyed([Likeness("road_scale", {}, 0.5), Likeness("lateral_offset", {}, 0.1)]) < 0.01
+
+
+def test_a_road_file_that_is_wrong_on_one_stretch_is_unknown_and_said_to_be_so(make: Any) -> None:
+    twin, bags, _ = make()
+    path = twin.parent / "road.crg"
+    road = load_road(path)
+    u = road.u_first + road.u_step * np.arange(road.z.shape[0])
+    there = 0.5 * (np.tanh((u - 22.0) / 0.3) - np.tanh((u - 42.0) / 0.3))[:, None]
+    write_road(replace(road, z=road.z * (1.0 + 2.0 * there)), path)  # three times as high as it is
+    few = ("strut_friction", "tyre_damping", "road_scale", "lateral_offset")
+    result = diagnose(DiagnosisRequest(str(twin), tuple(bags), effects=few))
+    document = result.document
+    assert document["verdict"] == "unknown", document["message"]
+    stretch = document["signature"]["stretch"]
+    assert 16.0 <= stretch["start_m"] < stretch["end_m"] <= 46.0 and stretch["share"] > 0.4
+    like = stretch["resembles"][0]
+    assert like["effect"] == "road_scale" and like["shrink"] > 0.4
+    assert like["parameters"]["scale"] == pytest.approx(-2.0 / 3.0, abs=0.1)
+    assert "like road scale there" in document["message"]
+    assert document["next_experiment"].startswith("Survey the road from ")
+    assert document["no_gap_probability"] < 0.1
+    assert "which holds less of the motion" in diagnosis_page(result).render()

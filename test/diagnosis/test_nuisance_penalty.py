@@ -1,0 +1,149 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What a hypothesis asks of clocks, map and mount."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+from scipy.optimize import minimize
+
+from suspension_twin.diagnosis import verdict
+from suspension_twin.diagnosis.bench import Linearised
+from suspension_twin.diagnosis.evidence import Evidence, weights
+from suspension_twin.diagnosis.hypotheses import BASELINE, Hypothesis
+from suspension_twin.diagnosis.nuisance_penalty import relieved, strain_of
+from suspension_twin.identification.gauss_newton import Linear, refit
+
+LATE = Hypothesis(("time_offset",))
+LIMIT = 3.0
+
+
+class Line:
+    """A bench of one characteristic, ``q`` nuisances and a late clock, whose residuals are linear in all of them."""
+
+    def __init__(self, a: np.ndarray, b: np.ndarray) -> None:
+        self.a, self.b, self.d, self.q = a, b, 1, a.shape[1] - 2
+
+    def limits(self, hypothesis: Hypothesis) -> tuple[np.ndarray, np.ndarray]:
+        low, high = hypothesis.bounds()
+        box = np.full(self.q, LIMIT)
+        return np.concatenate([[-np.inf], -box, low]), np.concatenate([[np.inf], box, high])
+
+    def clipped(self, hypothesis: Hypothesis, x: np.ndarray) -> np.ndarray:
+        low, high = self.limits(hypothesis)
+        return np.clip(x, low[:, None], high[:, None])
+
+    def prior(self, hypothesis: Hypothesis) -> tuple[np.ndarray, np.ndarray]:
+        p = 1 + self.q + len(hypothesis)
+        precision = np.eye(p)
+        precision[0, 0] = 0.01
+        return precision, np.zeros(p)
+
+    def residuals(self, hypothesis: Hypothesis, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        return self.a[:, : x.shape[0]] @ x - self.b[:, None], np.zeros(x.shape[1], dtype=bool)
+
+    def costs(self, hypothesis: Hypothesis, x: np.ndarray) -> np.ndarray:
+        precision, _ = self.prior(hypothesis)
+        return np.sum(self.residuals(hypothesis, x)[0] ** 2, axis=0) + np.sum(x * (precision @ x), axis=0)
+
+    def linearise(self, hypothesis: Hypothesis, x: np.ndarray) -> Linearised:
+        return Linearised(x, self.residuals(hypothesis, x[:, None])[0][:, 0], self.a[:, : x.size])
+
+    def fit(self, hypothesis: Hypothesis) -> Linear:
+        bench: Any = self
+        x, cost = refit(bench, hypothesis, [np.zeros(1 + self.q + len(hypothesis))], None, 50)
+        return Linear(hypothesis, x, cost, self.linearise(hypothesis, x))
+
+
+def clocks(late: float, seed: int = 0, rows: int = 200, louder: float = 3.0) -> Line:
+    """Two drives with clocks of their own and a common one, on which a late clock acts as the common one does."""
+    rng = np.random.default_rng(seed)
+    first = np.arange(rows) < rows // 2
+    common = louder * rng.normal(size=rows)
+    a = np.stack([rng.normal(size=rows), common, common * first, common * ~first, 5.0 * common], axis=1)
+    return Line(a, common * late + 0.1 * rng.normal(size=rows))
+
+
+@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize("temper", [1.0, 0.1, 0.01])
+def test_the_price_is_that_of_the_best_between_residuals_and_prior(seed: int, temper: float) -> None:
+    """Against a general minimiser with bounds."""
+    bench: Any = clocks(4.0, seed, louder=0.5)
+    fit = bench.fit(BASELINE)
+    precision, _ = bench.prior(BASELINE)
+    slope, curvature = bench.a[:, :4].T @ fit.at.residual, bench.a[:, :4].T @ bench.a[:, :4]
+
+    def price(x: np.ndarray) -> float:
+        step, own = x - fit.x, precision[1:4, 1:4]
+        squares = slope @ step + 0.5 * step @ curvature @ step
+        rest = 0.5 * precision[0, 0] * (x[0] ** 2 - fit.x[0] ** 2)
+        return float(temper * (squares + rest) + 0.5 * x[1:4] @ own @ x[1:4])
+
+    low, high = bench.limits(BASELINE)
+    best = minimize(
+        price, fit.x, bounds=list(zip(low, high, strict=True)), options={"ftol": 1e-14, "gtol": 1e-10}
+    )
+    spent, _ = strain_of(bench, fit, fit.at).at(temper)
+    assert spent == pytest.approx(best.fun, rel=1e-3, abs=1e-4)
+    assert spent <= 0.5 * float(np.sum(fit.x[1:4] ** 2)) + 1e-9
+
+
+def test_clocks_at_their_ends_are_chance_where_little_asks_for_it() -> None:
+    """A clock that is late by far takes all of them to their ends at any price; one that is late by a little, of which
+    a model's own error makes a lot, does so for next to nothing."""
+    for late, louder in ((60.0, 3.0), (9.0, 0.2)):
+        bench: Any = clocks(late, louder=louder)
+        names = ["clock_offset", "one.clock_offset", "two.clock_offset"]
+        bench.problem = SimpleNamespace(nuisances=SimpleNamespace(names=names, spread=np.ones(3)))
+        fit = bench.fit(BASELINE)
+        assert (fit.x[2:4] > 2.95).all()
+        found: Any = SimpleNamespace(fit=fit, strain=strain_of(bench, fit, fit.at))
+        assert (verdict.punctual(bench, found, 0.01) > 0.5) == (late < 10.0)
+        found.strain = None
+        assert verdict.punctual(bench, found, 0.01) < 0.5
+
+
+def told(bench: Any, *hypotheses: Hypothesis) -> np.ndarray:
+    fits = [bench.fit(h) for h in hypotheses]
+    return relieved([strain_of(bench, fit, fit.at) for fit in fits], 0.03)
+
+
+def test_what_spares_the_clocks_gains_by_what_they_were_asked_for() -> None:
+    """Nuisances together make up for five spreads of a late clock, within the limits of each."""
+    bench: Any = clocks(5.0)
+    base = bench.fit(BASELINE)
+    assert (np.abs(base.x[1:4]) <= LIMIT).all() and base.x[1:4] @ base.x[1:4] > 12
+    none, gained = told(bench, BASELINE, LATE)
+    assert none == 0.0 and 3.0 < gained < 12.0
+
+
+def test_what_is_normal_gains_nothing() -> None:
+    """One spread of a clock is worth less than the freedom to say that it is late."""
+    assert told(clocks(1.0), BASELINE, LATE)[1] == 0.0
+    assert told(clocks(0.0), BASELINE, LATE)[1] == pytest.approx(0.0, abs=1e-6)
+
+
+def test_what_asks_more_of_the_clocks_loses() -> None:
+    assert told(clocks(5.0), LATE, BASELINE)[1] < -3.0
+
+
+def test_a_prior_counts_in_full_where_what_is_left_is_the_models_own_error() -> None:
+    """The same residuals with and without the effect: what is known of clocks decides, however little they count."""
+    bench: Any = clocks(5.0)
+    rng = np.random.default_rng(0)
+    score = rng.normal(size=30)
+
+    def found(h: Hypothesis) -> Evidence:
+        fit = bench.fit(h)
+        return Evidence(
+            fit, score, 0.0, {}, np.zeros(1), np.zeros((1, 5)), 0.0, strain_of(bench, fit, fit.at)
+        )
+
+    share, _ = weights([found(BASELINE), found(LATE)], np.array([0.5, 0.5]), 0.03, 0)
+    assert share[1] > 0.95
+    bench = clocks(1.0)
+    share, _ = weights([found(BASELINE), found(LATE)], np.array([0.5, 0.5]), 0.03, 0)
+    assert share[1] == pytest.approx(0.5, abs=0.05)
