@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import os
+from dataclasses import dataclass
 from pathlib import Path
 
 import pytest
@@ -26,6 +27,13 @@ def _isolate() -> None:
 
 _isolate()
 
+from suspension_twin.calibration.presets import TABLE_2, with_table_2  # noqa: E402
+from suspension_twin.drive.write import write_drive  # noqa: E402
+from suspension_twin.gap.synthetic import SensorErrors, synthetic_drive  # noqa: E402
+from suspension_twin.road import bump_road, circular, write_road  # noqa: E402
+from suspension_twin.road.iso8608 import iso8608_road  # noqa: E402
+from suspension_twin.vehicle.twin import RoadFile, Twin, parse_twin, save_twin  # noqa: E402
+
 
 @pytest.fixture(scope="session")
 def repository() -> Path:
@@ -40,3 +48,94 @@ def shared_data() -> Path:
     if not folder.is_dir():
         pytest.skip("no measured data: set SUSPENSION_TWIN_DATA to its folder")
     return folder
+
+
+_AXLE = {
+    "unsprung_mass": 40.0,
+    "spring": {"compression": [0.1, 0.3, 0.5, 1.0], "force": [2300.0, 6900.0, 11500.0, 23000.0]},
+    "damper_push": {"velocity": [0.125, 0.25, 0.35, 0.4], "force": [200.0, 420.0, 620.0, 720.0]},
+    "damper_pull": {"velocity": [0.125, 0.25, 0.35, 0.4], "force": [450.0, 900.0, 1250.0, 1430.0]},
+}
+
+
+@pytest.fixture(scope="session")
+def mondeo() -> Twin:
+    return parse_twin(
+        {
+            "vehicle": {
+                "name": "Ford Mondeo Mk IV estate",
+                "mass": 1725.0,
+                "wheelbase": 2.85,
+                "front_track": 1.588,
+                "rear_track": 1.605,
+                "cog": [1.5, 0.0, 0.55],
+                "sprung_inertia": {"roll": 550.0, "pitch": 2600.0},
+                "tyre": {"radius": 0.316, "vertical_stiffness": 210000.0},
+                "front": _AXLE,
+                "rear": _AXLE,
+            },
+            "imu": {"position": [1.9, 0.0, 1.2]},
+            "datum": {"latitude": 47.4025, "longitude": 19.284},
+        }
+    )
+
+
+@dataclass(frozen=True)
+class Case:
+    """Files of a calibration whose truth is known."""
+
+    folder: Path
+    truth: Twin
+    start: Twin
+
+    @property
+    def twin(self) -> str:
+        return str(self.folder / "twin.yaml")
+
+    def bag(self, name: str) -> str:
+        return str(self.folder / name)
+
+
+def _off(twin: Twin) -> Twin:
+    """Curves 30 % too stiff in front and 30 % too weak at the rear."""
+    changes = {}
+    for axle, factor in (("front", 1.3), ("rear", 0.7)):
+        for part in ("spring", "damper_push", "damper_pull"):
+            _, force = getattr(getattr(twin.vehicle, axle), part).points
+            changes[f"vehicle.{axle}.{part}.force"] = tuple((factor * force).tolist())
+    return twin.with_changes(changes)
+
+
+@pytest.fixture(scope="session")
+def rough_case(tmp_path_factory: pytest.TempPathFactory, mondeo: Twin) -> Case:
+    """Two drives of some twenty seconds over a rough road, the preset 30 % off."""
+    folder = tmp_path_factory.mktemp("rough")
+    road = iso8608_road("C", 140.0, seed=2, x=4.0, y=2.0, heading=0.3)
+    write_road(road, folder / "road.crg")
+    named = RoadFile(file=folder / "road.crg")
+    start = _off(mondeo).model_copy(update={"road": named})
+    save_twin(start, folder / "twin.yaml")
+    for name, top, seed in (("one", 7.0, 1), ("two", 5.0, 2)):
+        knots = [(0, 0), (3.2, 0), (6, top), (16, top), (19, 0), (20.5, 0)]
+        drive = synthetic_drive(mondeo, road, knots, seed=seed, errors=SensorErrors(lost=0.001), name=name)
+        write_drive(drive, folder / name)
+    return Case(folder, mondeo.model_copy(update={"road": named}), start)
+
+
+@pytest.fixture(scope="session")
+def pass_case(tmp_path_factory: pytest.TempPathFactory, mondeo: Twin) -> Case:
+    """Five seconds over one bump, the truth within Table 2's bounds and the start in their middle."""
+    folder = tmp_path_factory.mktemp("pass")
+    road = bump_road(circular(0.9, 0.05), at=14.0, length=45.0, step=0.02, x=-20.0, y=3.0, heading=0.4)
+    write_road(road, folder / "road.crg")
+    named = RoadFile(file=folder / "road.crg")
+    base = with_table_2(mondeo).model_copy(update={"road": named})
+    truth: dict[str, object] = {}
+    middle: dict[str, object] = {}
+    for key, (_, bounds) in TABLE_2.items():
+        truth[f"{key}.force"] = tuple(0.7 * low + 0.3 * high for low, high in bounds)
+        middle[f"{key}.force"] = tuple(0.5 * (low + high) for low, high in bounds)
+    save_twin(base.with_changes(middle), folder / "twin.yaml")
+    drive = synthetic_drive(base.with_changes(truth), road, [(0.0, 4.2), (6.0, 4.2)], seed=3, name="pass")
+    write_drive(drive, folder / "pass")
+    return Case(folder, base.with_changes(truth), base.with_changes(middle))
