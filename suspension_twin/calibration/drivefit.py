@@ -73,15 +73,7 @@ def _profile(drive: Prepared) -> tuple[Floats, Floats]:
 
 
 def _conditioned(drive: Prepared, response: LaneResponse, lane: int) -> dict[str, Floats]:
-    stacked = np.stack(
-        [
-            response.vertical_acceleration[:, lane],
-            *(response.rate[:, a, lane] for a in (0, 1)),
-            *(response.force[:, a, lane] for a in (0, 1)),
-            response.rate[:, 2, lane],
-        ],
-        axis=1,
-    )
+    stacked = response.stacked(CHANNELS)[:, :, lane]
     filtered = drive.conditioner.apply(stacked)
     return {name: filtered[:, i] for i, name in enumerate(CHANNELS)}
 

@@ -20,8 +20,7 @@ from suspension_twin.calibration.tracked_paper import (
 )
 from suspension_twin.calibration.tracked_runs import MarkerRun, read_run
 from suspension_twin.errors import InputError, WorkError
-from suspension_twin.vehicle.tracked import TrackedVehicle
-from suspension_twin.vehicle.tracked_twin import TrackedTwin
+from suspension_twin.vehicle.tracked import TrackedTwin, TrackedVehicle
 from suspension_twin.vehicle.twin import load_twin, save_twin
 
 __all__ = ["PRESET", "TrackedCalibration", "calibrate_tracked_files"]

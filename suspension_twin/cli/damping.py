@@ -32,7 +32,7 @@ def command(twin: TwinFile, speeds: Range = (5.0, 55.0), out: Out = None) -> Non
     the least mean variance within --range. With --out also the picture and the whole table.
     """
     from suspension_twin.calibration.tracked_damping import PAPER_CURVE, select_damping
-    from suspension_twin.vehicle.tracked_twin import TrackedTwin
+    from suspension_twin.vehicle.tracked import TrackedTwin
     from suspension_twin.vehicle.twin import load_twin
 
     loaded = load_twin(twin)

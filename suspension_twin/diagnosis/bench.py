@@ -22,7 +22,7 @@ from suspension_twin.identification.least_squares import gram, squared
 from suspension_twin.identification.noise import INDEPENDENT, Whitener
 from suspension_twin.identification.nuisance import NuisancePriors
 from suspension_twin.identification.parallel import side_by_side
-from suspension_twin.identification.problem import Interrupted, Problem, _stack
+from suspension_twin.identification.problem import Interrupted, Problem
 from suspension_twin.models.excitation import coarser
 from suspension_twin.models.hooks import clocks_with, gains_with, turns_with, upright_with
 from suspension_twin.models.parameters import lanes
@@ -263,7 +263,7 @@ class Bench:
         channels = self.problem.channels
         try:
             response = simulate_lanes(twin, candidates, excitation, fused=self.fused)
-            return _stack(response, channels), response.failed
+            return response.stacked(channels), response.failed
         except np.linalg.LinAlgError:
             if candidates.shape[1] == 1:
                 return np.zeros((len(excitation), len(channels), 1)), np.ones(1, dtype=bool)

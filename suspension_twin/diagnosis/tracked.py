@@ -33,7 +33,7 @@ from suspension_twin.diagnosis.tracked_fit import (
 from suspension_twin.diagnosis.tracked_visible import Visible, as_table, visible_from, words
 from suspension_twin.effects.tracked_effects import TRACKED_EFFECTS, apply_tracked
 from suspension_twin.errors import InputError, WorkError
-from suspension_twin.vehicle.tracked_twin import TrackedTwin
+from suspension_twin.vehicle.tracked import TrackedTwin
 from suspension_twin.vehicle.twin import EffectSpec, Twin, load_twin
 
 __all__ = ["TrackedDiagnosis", "diagnose_tracked", "diagnose_tracked_files"]

@@ -10,16 +10,16 @@ effect changes no bit of any result.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Literal
 
 from suspension_twin.arrays import Floats
 from suspension_twin.errors import InputError
 from suspension_twin.models.hooks import Hook
 
-__all__ = ["Effect", "Parameter", "Values", "Where", "neutral", "per_corner"]
+__all__ = ["Effect", "Parameter", "Values", "Variant", "Where", "neutral", "per_corner"]
 
-Where = Literal["strut", "tyre", "body", "sensor", "time", "road"]
+Where = Literal["strut", "tyre", "track", "body", "sensor", "time", "road"]
 #: One array (L,) for each parameter.
 Values = Mapping[str, Floats]
 
@@ -59,11 +59,20 @@ class Parameter:
 
 
 @dataclass(frozen=True)
+class Variant:
+    """What differs of an effect on one more model: parameters of the same names and meaning, and the hook."""
+
+    parameters: tuple[Parameter, ...]
+    hook: Hook
+
+
+@dataclass(frozen=True)
 class Effect:
     """One effect. ``severity`` names the parameters that switch it off when all are neutral.
 
     ``excited_by`` says which signals move it, ``confused_with`` what looks alike. ``usual_share`` is the severity by
-    which a weighed vehicle differs from its twin file anyway (a driver, a tank), as a share of its mass.
+    which a weighed vehicle differs from its twin file anyway (a driver, a tank), as a share of its mass. ``variants``
+    by model hold what is different on models that ``hook`` is not for.
     """
 
     id: str
@@ -76,9 +85,22 @@ class Effect:
     confused_with: tuple[str, ...]
     hook: Hook
     usual_share: float = 0.0
+    variants: Mapping[str, Variant] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "hook", replace(self.hook, check=self.values))
+
+    @property
+    def models(self) -> tuple[str, ...]:
+        """Names of the models that it applies to."""
+        return (*self.hook.models, *self.variants)
+
+    def on(self, model: str) -> Effect:
+        """The effect as it is on a model: itself, or with that model's parameters and hook."""
+        own = self.variants.get(model)
+        if own is None:
+            return self
+        return replace(self, parameters=own.parameters, hook=own.hook, usual_share=0.0, variants={})
 
     def parameter(self, name: str) -> Parameter:
         """The parameter called ``name``."""

@@ -3,8 +3,10 @@
 
 from __future__ import annotations
 
+import numpy as np
+
 from suspension_twin.arrays import Floats
-from suspension_twin.effects.base import Effect, Parameter, Values, neutral
+from suspension_twin.effects.base import Effect, Parameter, Values, Variant, neutral
 from suspension_twin.models.hooks import Hook
 
 __all__ = ["EFFECT"]
@@ -34,6 +36,31 @@ def _vehicle(numbers: dict[str, Floats], p: Values) -> None:
         numbers[key] = numbers[key] + added / (mass + added) * far[i]
 
 
+#: A load of tonnes on a tracked vehicle of tens; its plane of symmetry knows no left and right.
+_TRACKED = (
+    Parameter("mass", "kg", -8000.0, 12000.0, 0.0, 0.0, 2500.0, "of the load"),
+    Parameter("x", "m", -1.0, 6.0, 2.2, 2.2, 1.0, "of its centre, ahead of the rearmost road wheels"),
+)
+
+
+def _hull(numbers: dict[str, Floats], p: Values) -> None:
+    """A lump on half a vehicle at the height of the hull's centre of gravity."""
+    links, stations = numbers["vehicle.track.links"], 0
+    while f"vehicle.stations.{stations}.x" in numbers:
+        stations += 1
+    wheels = stations * numbers["vehicle.wheel.mass"]
+    hull = 0.5 * numbers["vehicle.mass"] - wheels - links * numbers["vehicle.track.link_mass"]
+    lump, far = (
+        0.5 * p["mass"],
+        p["x"] + numbers[f"vehicle.stations.{stations - 1}.x"] - numbers["vehicle.cog.0"],
+    )
+    inertia = hull * numbers["vehicle.gyration"] ** 2 + hull * lump / (hull + lump) * far**2
+    numbers["vehicle.mass"] = numbers["vehicle.mass"] + p["mass"]
+    numbers["vehicle.cog.0"] = numbers["vehicle.cog.0"] + lump / (hull + lump) * far
+    with np.errstate(invalid="ignore"):  # more taken off than there is: no such vehicle
+        numbers["vehicle.gyration"] = np.sqrt(inertia / (hull + lump))
+
+
 EFFECT = Effect(
     id="payload",
     title="unlisted payload",
@@ -46,4 +73,5 @@ EFFECT = Effect(
     confused_with=("spring points", "sprung_inertia.pitch"),
     usual_share=0.04,
     hook=Hook(neutral(_PARAMETERS), vehicle=_vehicle, models=("full_car", "msd"), upright=True),
+    variants={"tracked": Variant(_TRACKED, Hook(neutral(_TRACKED), vehicle=_hull, models=("tracked",)))},
 )

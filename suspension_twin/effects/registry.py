@@ -26,6 +26,10 @@ _FILES: Final = (
     "corner_spring",
     "tyre_damping",
     "unsprung_mass",
+    "track_tension",
+    "track_wear",
+    "station_damper",
+    "station_bar",
     "body_bending",
     "powertrain_mount",
     "sensor_offset",
@@ -47,9 +51,9 @@ _FILES: Final = (
 EFFECTS: Final[dict[str, Effect]] = {name: import_module(f"{__package__}.{name}").EFFECT for name in _FILES}
 
 
-def effect(name: str) -> Effect:
-    """The effect called ``name``; InputError names it where there is none."""
+def effect(name: str, model: str = "full_car") -> Effect:
+    """The effect called ``name`` as it is on a model; InputError names it where there is none."""
     try:
-        return EFFECTS[name]
+        return EFFECTS[name].on(model)
     except KeyError:
         raise InputError("twin", "effects", f"{name} is not an effect ({', '.join(EFFECTS)})") from None

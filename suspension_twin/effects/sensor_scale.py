@@ -3,12 +3,14 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 from numpy.typing import NDArray
 
 from suspension_twin.arrays import Floats
 from suspension_twin.compiled import compiled
-from suspension_twin.effects.base import Effect, Parameter, neutral
+from suspension_twin.effects.base import Effect, Parameter, Values, Variant, neutral
 from suspension_twin.models.hooks import Hook, SignalStage
 
 __all__ = ["EFFECT"]
@@ -28,6 +30,14 @@ def _signal(signals: Floats, t: Floats, fresh: NDArray[np.bool_], values: Floats
                         signals[k, 6, i] += more
 
 
+def _reading(signals: Floats, run: Any, p: Values) -> None:
+    signals *= 1.0 + p["scale"]
+
+
+#: Another length than that the scale of a camera was set by.
+_CAMERA = (Parameter("scale", "", -0.5, 1.0, 0.0, 0.0, 0.08, "gain less one"),)
+
+
 EFFECT = Effect(
     id="sensor_scale",
     title="gain of the accelerometer",
@@ -43,4 +53,5 @@ EFFECT = Effect(
         models=("full_car", "msd"),
         gained=lambda p: 1.0 + p.get("scale", 0.0),
     ),
+    variants={"tracked": Variant(_CAMERA, Hook(neutral(_CAMERA), reading=_reading, models=("tracked",)))},
 )

@@ -4,13 +4,14 @@
 from __future__ import annotations
 
 import math
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from suspension_twin.arrays import Floats
 from suspension_twin.compiled import compiled
-from suspension_twin.effects.base import Effect, Parameter, neutral
+from suspension_twin.effects.base import Effect, Parameter, Values, Variant, neutral
 from suspension_twin.models.hooks import Hook, SignalStage
 
 __all__ = ["EFFECT"]
@@ -60,6 +61,17 @@ def _signal(signals: Floats, t: Floats, fresh: NDArray[np.bool_], values: Floats
                         signals[k, 6, i] += signals[k, 2, i] - c
 
 
+#: A camera's horizon is levelled by eye.
+_CAMERA = (Parameter("pitch", "rad", -0.1, 0.1, 0.0, 0.0, 0.02, "about y, nose down"),)
+
+
+def _reading(signals: Floats, run: Any, p: Values) -> None:
+    """Part of the travel is taken for height, of the speed for vertical velocity: markers (n, 9, L)."""
+    leak = np.sin(p["pitch"])
+    signals[:, 0:3] += (leak * (run.speed * run.t)[:, None])[:, None]
+    signals[:, 3:6] += leak * run.speed
+
+
 EFFECT = Effect(
     id="sensor_tilt",
     title="sensor tilted",
@@ -77,4 +89,5 @@ EFFECT = Effect(
         upright=True,
         turned=lambda p: (p.get("roll", 0.0), p.get("pitch", 0.0), p.get("yaw", 0.0)),
     ),
+    variants={"tracked": Variant(_CAMERA, Hook(neutral(_CAMERA), reading=_reading, models=("tracked",)))},
 )

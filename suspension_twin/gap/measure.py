@@ -12,18 +12,9 @@ from numpy.typing import NDArray
 
 from suspension_twin.arrays import Floats
 from suspension_twin.errors import WorkError
+from suspension_twin.models.car import CHANNELS
 
 __all__ = ["CHANNELS", "Gap", "measure_gap"]
-
-#: Every channel of an IMU that a twin can be compared in, vertical motion first.
-CHANNELS = (
-    "vertical_acceleration",
-    "roll_rate",
-    "pitch_rate",
-    "longitudinal_acceleration",
-    "lateral_acceleration",
-    "yaw_rate",
-)
 
 
 @dataclass(frozen=True)

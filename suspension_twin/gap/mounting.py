@@ -21,7 +21,6 @@ from suspension_twin.pose.types import Trajectory
 from suspension_twin.signals.attitude import level_rpy, matrix_rpy, rpy_matrix
 from suspension_twin.signals.filters import FilterSpec, zero_phase
 from suspension_twin.signals.offline import ImuSignals
-from suspension_twin.vehicle.tracked_twin import TrackedTwin
 from suspension_twin.vehicle.twin import Place, Twin
 
 __all__ = [
@@ -86,19 +85,15 @@ def gain_at_rest(signals: ImuSignals) -> float:
 
 def gain_of(twin: Twin) -> float:
     """How many times the specific force the twin's effects have the sensor read."""
-    if isinstance(twin, TrackedTwin):
-        return 1.0
-    hooks = ((load_hook(e.id), e.parameters) for e in twin.effects)
+    hooks = ((load_hook(e.id, twin.model), e.parameters) for e in twin.effects)
     return math.prod(hook.gained(parameters) for hook, parameters in hooks if hook.gained is not None)
 
 
 def late_of(twin: Twin) -> float:
     """Seconds by which the twin's effects have the sensor's stamps late from the first on."""
-    if isinstance(twin, TrackedTwin):
-        return 0.0
     change = ClockChange(np.zeros(1), np.zeros(1))
     for effect in twin.effects:
-        hook = load_hook(effect.id)
+        hook = load_hook(effect.id, twin.model)
         if hook.clock is not None:
             hook.clock(change, {name: np.array([value]) for name, value in effect.parameters.items()})
     return float(change.delay[0])
@@ -118,9 +113,7 @@ def regained(drive: Drive, gain: float) -> Drive:
 
 def turn_of(twin: Twin) -> tuple[float, float, float] | None:
     """Roll, pitch and yaw in rad by which the twin's effects turn the sensor against the mounting in its file."""
-    if isinstance(twin, TrackedTwin):  # whose sensors are cameras
-        return None
-    hooks = ((load_hook(e.id), e.parameters) for e in twin.effects)
+    hooks = ((load_hook(e.id, twin.model), e.parameters) for e in twin.effects)
     return next((hook.turned(parameters) for hook, parameters in hooks if hook.turned is not None), None)
 
 

@@ -22,18 +22,10 @@ from suspension_twin.identification.objectives import Measured, Objective, Term
 from suspension_twin.identification.space import Space
 from suspension_twin.models.parameters import lanes
 from suspension_twin.models.simulate import simulate_lanes
-from suspension_twin.models.types import LaneResponse
 from suspension_twin.vehicle.twin import Twin
 
 __all__ = ["FitProblem", "Interrupted", "Problem", "stretches_of"]
 
-_SOURCES = {
-    "roll_rate": ("rate", 0),
-    "pitch_rate": ("rate", 1),
-    "yaw_rate": ("rate", 2),
-    "longitudinal_acceleration": ("force", 0),
-    "lateral_acceleration": ("force", 1),
-}
 _SYNC_STEP, _SYNC_LIMIT = 1e-3, 0.1  # s
 # Simulated signals kept at once, in numbers: 25 million are 200 MB.
 _LARGEST_BATCH = 25_000_000
@@ -143,7 +135,7 @@ class Problem:
                 raise Interrupted
             response = simulate_lanes(self.twin, candidates, part.excitation)
             failed |= response.failed
-            signals.append(part.conditioner.apply(_stack(response, self.channels)))
+            signals.append(part.conditioner.apply(response.stacked(self.channels)))
         self.evaluations += values.shape[1]
         return signals, failed
 
@@ -200,18 +192,6 @@ class Problem:
         samples = sum(len(p.excitation) for p in self.parts)
         size = max(1, _LARGEST_BATCH // (7 * samples))
         return [slice(i, min(i + size, lane_count)) for i in range(0, lane_count, size)]
-
-
-def _stack(response: LaneResponse, channels: Sequence[str]) -> Floats:
-    """(n, C, L) of the channels asked for."""
-    columns = []
-    for name in channels:
-        if name == "vertical_acceleration":
-            columns.append(response.vertical_acceleration)
-        else:
-            source, axis = _SOURCES[name]
-            columns.append(getattr(response, source)[:, axis, :])
-    return np.stack(columns, axis=1)
 
 
 class FitProblem:

@@ -30,6 +30,7 @@ from __future__ import annotations
 from suspension_twin.arrays import Floats
 from suspension_twin.compiled import compiled, inlined, pasted
 from suspension_twin.models import rows
+from suspension_twin.models.car import car_model
 from suspension_twin.models.corner import (
     close_interval,
     move,
@@ -45,7 +46,7 @@ from suspension_twin.models.rows import STRETCH, WIDTH
 from suspension_twin.models.sensor import sense
 from suspension_twin.models.types import Ints
 
-__all__ = ["BAD_ACCELERATION", "BAD_ANGLE", "BAD_TRAVEL", "KERNELS", "moments", "record", "watch"]
+__all__ = ["BAD_ACCELERATION", "BAD_ANGLE", "BAD_TRAVEL", "KERNELS", "MODEL", "moments", "record", "watch"]
 
 #: A lane has diverged when an angle (rad), a suspension or tyre travel (m) or an acceleration (m/s²,
 #: rad/s²) passes these.
@@ -258,3 +259,5 @@ def _run_31(
 
 #: The kernel for each number of hinges per curve.
 KERNELS = {3: _run_3, 7: _run_7, 31: _run_31}
+
+MODEL = car_model("full_car", "seven degrees of freedom: heave, roll and pitch of the body and four wheels")

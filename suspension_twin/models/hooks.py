@@ -142,12 +142,16 @@ class Hook:
     turned: Callable[[Mapping[str, float]], tuple[float, float, float]] | None = None
     #: How many times the specific force the sensor reads with the effect: what moves the vehicle is so much less.
     gained: Callable[[Mapping[str, float]], float] | None = None
+    #: Changes readings (n, C, L) in place of a model whose sensors are no IMU: signals, excitation, parameters.
+    reading: Callable[[Floats, Any, Values], None] | None = None
+    #: Whether the effect with these parameters makes sense on a twin: a station that there is, say.
+    possible: Callable[[Any, Mapping[str, float]], bool] | None = None
     #: Raises InputError for parameters (of a twin file) that the effect cannot have.
     check: Callable[[Mapping[str, float]], object] | None = None
 
 
-def load_hook(effect: str) -> Hook:
-    """The hook of an effect by its id; InputError names an effect that there is not."""
+def load_hook(effect: str, model: str = "full_car") -> Hook:
+    """The hook of an effect on a model; InputError names an effect that there is not."""
     name = f"suspension_twin.effects.{effect}"
     try:
         module = importlib.import_module(name)
@@ -158,7 +162,7 @@ def load_hook(effect: str) -> Hook:
     known = getattr(module, "EFFECT", None)
     if known is None:
         raise InputError("twin", "effects", f"there is no effect {effect}")
-    hook: Hook = known.hook
+    hook: Hook = known.on(model).hook
     return hook
 
 

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -21,15 +20,12 @@ from suspension_twin.models.constants import constants
 from suspension_twin.models.excitation import MAX_STEP, check_step, substeps
 from suspension_twin.models.observe import OBSERVED, observe
 from suspension_twin.models.parameters import layout, pack
+from suspension_twin.models.registry import model_of
 from suspension_twin.models.rows import STATES, WIDTH
 from suspension_twin.models.sensor_chain import Chain
 from suspension_twin.models.types import HeightField
 from suspension_twin.models.wheel_paths import next_yaw_acceleration, walk
-from suspension_twin.vehicle.tracked_twin import TrackedTwin
 from suspension_twin.vehicle.twin import Twin
-
-if TYPE_CHECKING:
-    from suspension_twin.models.tracked_live import LiveTracked
 
 __all__ = ["LiveState", "LiveTwin", "live_twin"]
 
@@ -218,10 +214,10 @@ class LiveTwin:
         return LiveState(**{**fields, "event": event})
 
 
-def live_twin(twin: Twin, road: HeightField) -> LiveTwin | LiveTracked:
-    """The live model of any twin."""
-    if isinstance(twin, TrackedTwin):
-        from suspension_twin.models.tracked_live import LiveTracked  # which needs LiveState of this module
-
-        return LiveTracked(twin, road)
-    return LiveTwin(twin, road)
+def live_twin(twin: Twin, road: HeightField) -> LiveTwin:
+    """The model of a twin that follows its vehicle stamp by stamp; InputError where the model cannot."""
+    live = model_of(twin).live
+    if live is None:
+        raise InputError("twin", "model", f"{twin.model} follows no vehicle on a road")
+    model: LiveTwin = live(twin, road)
+    return model

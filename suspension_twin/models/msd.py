@@ -49,6 +49,7 @@ from __future__ import annotations
 from suspension_twin.arrays import Floats
 from suspension_twin.compiled import compiled, inlined, pasted
 from suspension_twin.models import rows
+from suspension_twin.models.car import car_model
 from suspension_twin.models.curves import damper_forces, spring_force, spring_forces, spring_slope
 from suspension_twin.models.full_car import record, watch
 from suspension_twin.models.numerics import fma
@@ -58,7 +59,7 @@ from suspension_twin.models.types import Ints
 from suspension_twin.units import STANDARD_GRAVITY as G
 from suspension_twin.vehicle.twin import Vehicle
 
-__all__ = ["MSD_KERNELS", "printed"]
+__all__ = ["MODEL", "MSD_KERNELS", "printed"]
 
 
 def printed(vehicle: Vehicle, ax: float, ay: float, xdd: float) -> tuple[float, float]:
@@ -367,3 +368,5 @@ def _run_31(
 
 #: The kernel for each number of hinges per curve.
 MSD_KERNELS = {3: _run_3, 7: _run_7, 31: _run_31}
+
+MODEL = car_model("msd", "the game-engine model of the car paper: a body on four massless wheels")

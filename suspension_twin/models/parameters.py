@@ -17,40 +17,10 @@ import numpy as np
 from suspension_twin.arrays import Floats
 from suspension_twin.errors import InputError
 from suspension_twin.models.hooks import Hook, load_hook
-from suspension_twin.vehicle.corners import AXLES
+from suspension_twin.models.registry import model_of
 from suspension_twin.vehicle.twin import Twin
 
 __all__ = ["Layout", "lanes", "layout", "pack"]
-
-_SCALARS = (
-    "vehicle.mass",
-    "vehicle.wheelbase",
-    "vehicle.front_track",
-    "vehicle.rear_track",
-    "vehicle.cog.0",
-    "vehicle.cog.1",
-    "vehicle.cog.2",
-    "vehicle.sprung_inertia.roll",
-    "vehicle.sprung_inertia.pitch",
-    "vehicle.tyre.radius",
-    "vehicle.tyre.vertical_stiffness",
-    "vehicle.front.unsprung_mass",
-    "vehicle.rear.unsprung_mass",
-    "imu.position.0",
-    "imu.position.1",
-    "imu.position.2",
-)
-#: The road heights were looked up for these: a candidate cannot differ in them.
-_FIXED = ("vehicle.wheelbase", "vehicle.front_track", "vehicle.rear_track")
-CURVES = tuple(
-    (axle, part, abscissa)
-    for axle in AXLES
-    for part, abscissa in (
-        ("spring", "compression"),
-        ("damper_push", "velocity"),
-        ("damper_pull", "velocity"),
-    )
-)
 
 
 @dataclass(frozen=True)
@@ -78,14 +48,10 @@ class Layout:
 
 def layout(twin: Twin) -> Layout:
     """The layout of this twin's parameter vector."""
-    names = list(_SCALARS)
-    for axle, part, abscissa in CURVES:
-        curve = getattr(getattr(twin.vehicle, axle), part)
-        for quantity in (abscissa, "force"):
-            names += [f"vehicle.{axle}.{part}.{quantity}.{j}" for j in range(len(curve.force))]
+    names = list(model_of(twin).numbers(twin))
     hooks = {}
     for effect in twin.effects:
-        hook = hooks[effect.id] = load_hook(effect.id)
+        hook = hooks[effect.id] = load_hook(effect.id, twin.model)
         if twin.model not in hook.models:
             raise InputError("twin", "effects", f"{effect.id} is not an effect of the model {twin.model}")
         for name in effect.parameters:
@@ -123,10 +89,10 @@ def lanes(twin: Twin, keys: Sequence[str], values: Floats) -> Floats:
     values = np.asarray(values, dtype=np.float64)
     if values.ndim != 2 or values.shape[1] != len(keys):
         raise InputError("candidates", f"values must be (L, {len(keys)}), are {values.shape}")
-    index = layout(twin).index
+    index, fixed = layout(twin).index, model_of(twin).fixed
     rows = []
     for key in keys:
-        if key in _FIXED:
+        if key in fixed:
             raise InputError("twin", key, "cannot differ between candidates: the road was looked up for it")
         if key not in index:
             raise InputError("twin", key, "is not a number of this twin that can be changed")

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from functools import partial
+from typing import Any
 
 import numpy as np
 
@@ -16,13 +17,24 @@ from suspension_twin.models.candidate_road import own_road, tracks_of
 from suspension_twin.models.constants import Constants, constants
 from suspension_twin.models.observe import COLUMNS, OBSERVED, observe
 from suspension_twin.models.parameters import layout, pack
+from suspension_twin.models.registry import model_of
 from suspension_twin.models.sensor_chain import pass_chain
-from suspension_twin.models.tracked_live import simulate_tracked_drive
 from suspension_twin.models.types import Excitation, LaneResponse, Response
-from suspension_twin.vehicle.tracked_twin import TrackedTwin
 from suspension_twin.vehicle.twin import Twin
 
-__all__ = ["simulate_lanes", "simulate_twin"]
+__all__ = ["CAR_SIGNALS", "car_lanes", "car_response", "simulate_lanes", "simulate_twin"]
+
+#: Channels of a car's lanes: specific force and angular rate at the imu's place in base_link axes, and the vertical
+#: specific force less gravity's part.
+CAR_SIGNALS = (
+    "longitudinal_acceleration",
+    "lateral_acceleration",
+    "vertical_force",
+    "roll_rate",
+    "pitch_rate",
+    "yaw_rate",
+    "vertical_acceleration",
+)
 
 #: Stamps walked at once where everything is recorded, so that an hour's recording fits in memory.
 _CHUNK = 4096
@@ -31,6 +43,50 @@ _OWN_ROWS = 16384
 
 
 def simulate_lanes(
+    twin: Twin, params: Floats, excitation: Any, threads: int | None = None, **options: Any
+) -> LaneResponse:
+    """Sensor signals of candidates of a twin on one excitation, by the model that the twin file names.
+
+    Parameters
+    ----------
+    twin
+        What the candidates are variants of.
+    params
+        (P, L) numbers of the candidates, see :func:`~suspension_twin.models.parameters.lanes`.
+    excitation
+        What drives the model, of the kind that the model takes.
+    threads
+        NUMBA_NUM_THREADS or the cores there are by default. Neither it nor L changes the numbers of a lane.
+
+    Returns
+    -------
+    LaneResponse
+        A candidate that cannot stand, is unstable or diverges comes back as failed.
+
+    Raises
+    ------
+    InputError
+        Where ``params`` are not of this twin.
+    """
+    count = len(layout(twin).names)
+    if params.ndim != 2 or params.shape[0] != count or params.shape[1] < 1:
+        raise InputError("candidates", f"must be ({count}, L >= 1), are {params.shape}")
+    return model_of(twin).lanes(twin, params, excitation, threads, **options)
+
+
+def simulate_twin(twin: Twin, excitation: Excitation) -> Response:
+    """One twin over an excitation, everything recorded at the stamps.
+
+    Raises InputError for a twin that cannot be simulated so (naming the key) and WorkError when the
+    simulation diverges.
+    """
+    respond = model_of(twin).respond
+    if respond is None:
+        raise InputError("twin", "model", f"{twin.model} does not drive on a road")
+    return respond(twin, excitation)
+
+
+def car_lanes(
     twin: Twin,
     params: Floats,
     excitation: Excitation,
@@ -39,17 +95,11 @@ def simulate_lanes(
     vertical_only: bool = False,
     fused: bool = False,
 ) -> LaneResponse:
-    """Sensor signals of candidates ``params`` (P, L) (see ``parameters.lanes``) on one excitation.
-
-    ``threads`` defaults to NUMBA_NUM_THREADS or the cores there are. Neither it nor L changes the
-    numbers of a lane. A lane that cannot stand, is unstable or diverges comes back as failed. With
-    ``vertical_only`` force and rate come back with no components, (n, 0, L): less to write, the
-    same numbers. ``fused``: the pose was fused with the sensor's own readings, so that the motion that it has
-    is as late as the sensor is; late by that clock is then the road alone.
+    """``full_car`` and ``msd``, many candidates in blocks of lanes. With ``vertical_only`` the vertical acceleration
+    is the only channel: less to write, the same numbers. ``fused``: the pose was fused with the sensor's own readings,
+    so that the motion that it has is as late as the sensor is; late by that clock is then the road alone.
     """
     shape = layout(twin)
-    if params.ndim != 2 or params.shape[0] != len(shape.names) or params.shape[1] < 1:
-        raise InputError("candidates", f"must be ({len(shape.names)}, L >= 1), are {params.shape}")
     known = constants(params, shape, excitation.max_step, fused, excitation.antenna, excitation.late)
     blocks = Blocks(known)
     full = not vertical_only or bool(known.stages)
@@ -74,24 +124,13 @@ def simulate_lanes(
         failed |= ~np.isfinite(signals).all(axis=(0, 1))
     if failed.any():
         signals[:, :, failed] = 0.0
-    rest = signals[:, : 0 if vertical_only else 6]
-    return LaneResponse(
-        t=excitation.t,
-        force=rest[:, :3],
-        rate=rest[:, 3:],
-        vertical_acceleration=signals[:, -1],
-        failed=failed,
-    )
+    if vertical_only:
+        return LaneResponse(excitation.t, CAR_SIGNALS[-1:], signals[:, -1:], failed)
+    return LaneResponse(excitation.t, CAR_SIGNALS, signals, failed)
 
 
-def simulate_twin(twin: Twin, excitation: Excitation) -> Response:
-    """One twin over an excitation, everything recorded at the stamps.
-
-    Raises InputError for a twin that cannot be simulated (naming the key) and WorkError when the
-    simulation diverges.
-    """
-    if isinstance(twin, TrackedTwin):
-        return simulate_tracked_drive(twin, excitation)
+def car_response(twin: Twin, excitation: Excitation) -> Response:
+    """``full_car`` and ``msd``, one twin with everything recorded."""
     most, antenna, late = excitation.max_step, excitation.antenna, excitation.late
     known = constants(pack(twin)[:, None], layout(twin), most, antenna=antenna, late=late)
     known.raise_first()

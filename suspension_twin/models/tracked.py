@@ -39,19 +39,33 @@ from __future__ import annotations
 
 import math
 import os
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
 from suspension_twin.arrays import Floats
 from suspension_twin.errors import InputError, WorkError
+from suspension_twin.models.hooks import ClockChange, Hook
+from suspension_twin.models.parameters import layout, pack
+from suspension_twin.models.registry import Model, deferred
 from suspension_twin.models.tracked_kernel import COLUMNS, HULL, PARAMETERS, first_index, walk_lane
-from suspension_twin.models.types import Ints
+from suspension_twin.models.types import Ints, LaneResponse
 from suspension_twin.vehicle.tracked import Driver, Obstacle, TrackedVehicle
+from suspension_twin.vehicle.twin import Twin
 
-__all__ = ["TrackedResponse", "belt_length", "obstacle_height", "simulate_tracked", "simulate_tracked_lanes"]
+__all__ = [
+    "MODEL",
+    "ObstacleRun",
+    "TrackedResponse",
+    "belt_length",
+    "changed_vehicle",
+    "obstacle_height",
+    "simulate_tracked",
+    "simulate_tracked_lanes",
+]
 
 STEP = 4.0e-4  # s
 CONTACTS = 4  # places on each link at which it can meet the ground
@@ -334,3 +348,123 @@ def simulate_tracked(
     if response.failed:
         raise WorkError("tracked: the run diverged: make the track softer or the obstacle lower")
     return response
+
+
+@dataclass(frozen=True, eq=False)
+class ObstacleRun:
+    """A run over the vehicle's obstacle from standing level: ``speed`` m/s, even stamps ``t`` (n,) s from 0 on."""
+
+    t: Floats
+    speed: float
+
+    def __len__(self) -> int:
+        return int(self.t.size)
+
+
+def _numbers(twin: Twin) -> tuple[str, ...]:
+    """Every number of the vehicle, by its dotted key."""
+
+    def leaves(node: Any, key: str) -> Iterator[str]:
+        parts = node.items() if isinstance(node, dict) else enumerate(node)
+        for name, part in parts:
+            if isinstance(part, dict | list | tuple):
+                yield from leaves(part, f"{key}.{name}")
+            elif isinstance(part, int | float):
+                yield f"{key}.{name}"
+
+    return tuple(leaves(twin.vehicle.model_dump(), "vehicle"))
+
+
+def _hooked(twin: Twin, params: Floats) -> tuple[dict[str, Floats], list[tuple[Hook, dict[str, Floats]]]]:
+    """Numbers (L,) of every candidate with what its effects change of them, and the effects' hooks and parameters."""
+    shape = layout(twin)
+    numbers = dict(zip(shape.names, params, strict=True))
+    own = [
+        (hook, {name: numbers[f"effects.{effect}.{name}"] for name in hook.neutral})
+        for effect, hook in shape.hooks.items()
+    ]
+    for hook, values in own:
+        if hook.vehicle is not None:
+            hook.vehicle(numbers, values)
+    return numbers, own
+
+
+def _vehicle(twin: Twin, numbers: dict[str, Floats], lane: int) -> TrackedVehicle | None:
+    """The vehicle of a candidate; None where there cannot be such a one."""
+    given = {key: float(values[lane]) for key, values in numbers.items() if key.startswith("vehicle.")}
+    kept: TrackedVehicle = twin.vehicle
+    try:
+        return kept.with_changes(
+            {k.removeprefix("vehicle."): v for k, v in given.items() if v != _of(twin, k)}
+        )
+    except InputError:
+        return None
+
+
+def _of(twin: Twin, key: str) -> float:
+    node: Any = twin
+    for part in key.split("."):
+        try:
+            node = node[int(part)] if part.isdigit() else getattr(node, part)
+        except IndexError:  # a station that an effect names and the vehicle has not
+            return math.nan
+    return float(node)
+
+
+def changed_vehicle(twin: Twin) -> TrackedVehicle:
+    """The vehicle of a twin with its effects; InputError where there cannot be such a one."""
+    params = pack(twin)[:, None]
+    found = _vehicle(twin, _hooked(twin, params)[0], 0)
+    if found is None:
+        raise InputError("twin", "effects", "there can be no such vehicle")
+    return found
+
+
+def _lanes(twin: Twin, params: Floats, excitation: ObstacleRun, threads: int | None = None) -> LaneResponse:
+    """Markers of candidates (P, L) on a run; clock and camera are in what is read of them."""
+    numbers, own = _hooked(twin, params)
+    count, t = params.shape[1], excitation.t
+    vehicles = [_vehicle(twin, numbers, lane) for lane in range(count)]
+    signals, failed = np.zeros((t.size, len(_CHANNELS), count)), np.ones(count, dtype=np.bool_)
+    # effects of clock and camera leave the vehicle as it is: candidates that are alike are simulated once
+    same: dict[TrackedVehicle, list[int]] = {}
+    for i, vehicle in enumerate(vehicles):
+        if vehicle is not None:
+            same.setdefault(vehicle, []).append(i)
+    rate = (t.size - 1) / float(t[-1])
+    responses = simulate_tracked_lanes(
+        list(same), [excitation.speed] * len(same), float(t[-1]), rate=rate, workers=threads
+    )
+    for response, lanes in zip(responses, same.values(), strict=True):
+        read = (response.markers, response.marker_velocity, response.marker_acceleration)
+        signals[:, :, lanes] = np.concatenate(read, axis=1)[:, :, None]
+        failed[lanes] = response.failed
+    change = ClockChange(np.zeros(count), np.zeros(count))
+    for hook, values in own:
+        if hook.reading is not None:
+            hook.reading(signals, excitation, values)
+        if hook.clock is not None:
+            hook.clock(change, values)
+    for i in np.flatnonzero((change.delay != 0.0) | (change.drift != 0.0)).tolist():
+        at = t - change.delay[i] - change.drift[i] * t
+        signals[:, :, i] = np.stack([np.interp(at, t, c) for c in signals[:, :, i].T], axis=1)
+    signals[:, :, failed] = 0.0
+    return LaneResponse(t, _CHANNELS, signals, failed)
+
+
+_CHANNELS = tuple(
+    f"marker_{name}_{kind}"
+    for kind in ("displacement", "velocity", "acceleration")
+    for name in ("A", "B", "C")
+)
+
+MODEL = Model(
+    name="tracked",
+    title="a tracked vehicle in its plane of symmetry",
+    recordings="markers",
+    channels=_CHANNELS,
+    numbers=_numbers,
+    lanes=_lanes,
+    respond=deferred("tracked_live", "simulate_tracked_drive"),
+    live=deferred("tracked_live", "LiveTracked"),
+)

@@ -14,16 +14,23 @@ from dataclasses import fields
 import numpy as np
 
 from suspension_twin.arrays import Floats
-from suspension_twin.effects.tracked_effects import apply_tracked
 from suspension_twin.errors import InputError, WorkError
 from suspension_twin.models.excitation import MAX_GAP, MAX_STEP
 from suspension_twin.models.live import LiveState
-from suspension_twin.models.tracked import CONTACTS, SETTLE, STEP, pack_tracked, start_state, wheel_arc
+from suspension_twin.models.tracked import (
+    CONTACTS,
+    SETTLE,
+    STEP,
+    changed_vehicle,
+    pack_tracked,
+    start_state,
+    wheel_arc,
+)
 from suspension_twin.models.tracked_kernel import COLUMNS, PARAMETERS, first_index, walk_lane
 from suspension_twin.models.types import Excitation, HeightField, Response
 from suspension_twin.models.wheel_paths import next_yaw_acceleration
 from suspension_twin.units import STANDARD_GRAVITY as G
-from suspension_twin.vehicle.tracked_twin import TrackedTwin
+from suspension_twin.vehicle.tracked import TrackedTwin
 
 __all__ = ["LiveTracked", "simulate_tracked_drive"]
 
@@ -36,7 +43,7 @@ class LiveTracked:
     """
 
     def __init__(self, twin: TrackedTwin, road: HeightField, max_step: float = MAX_STEP) -> None:
-        vehicle = apply_tracked(twin.vehicle, {e.id: e.parameters for e in twin.effects})
+        vehicle = changed_vehicle(twin)
         self.twin = twin
         self._road = road
         self._step = min(STEP, max_step)

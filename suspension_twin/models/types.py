@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Protocol
 
@@ -127,15 +128,36 @@ class Response:
 
 @dataclass(frozen=True, eq=False)
 class LaneResponse:
-    """Sensor signals of L candidates: ``force`` (n, 3, L) m/s², ``rate`` (n, 3, L) rad/s,
-    ``vertical_acceleration`` (n, L) m/s², in base_link axes at the imu's place.
+    """Sensor signals of L candidates: ``signals`` (n, C, L) in SI units, in the order of the channels' ``names``.
 
     ``failed`` (L,) marks candidates that diverged or cannot stand; their signals are zero and
     their cost is to be taken as infinite.
     """
 
     t: Floats
-    force: Floats
-    rate: Floats
-    vertical_acceleration: Floats
+    names: tuple[str, ...]
+    signals: Floats
     failed: NDArray[np.bool_]
+
+    def channel(self, name: str) -> Floats:
+        """(n, L) one channel."""
+        return self.signals[:, self.names.index(name)]
+
+    def stacked(self, names: Sequence[str]) -> Floats:
+        """(n, len(names), L) some channels in the order asked for."""
+        return np.stack([self.channel(name) for name in names], axis=1)
+
+    @property
+    def force(self) -> Floats:
+        """(n, 3, L) specific force of a car's sensor in m/s²; no components where only the vertical was asked for."""
+        return self.signals[:, :3] if self.signals.shape[1] > 1 else self.signals[:, :0]
+
+    @property
+    def rate(self) -> Floats:
+        """(n, 3, L) angular rate of a car's sensor in rad/s."""
+        return self.signals[:, 3:6]
+
+    @property
+    def vertical_acceleration(self) -> Floats:
+        """(n, L) of a car's sensor in m/s², without gravity's part."""
+        return self.channel("vertical_acceleration")

@@ -20,7 +20,7 @@ from suspension_twin.calibration.tracked_files import PRESET as TRACKED
 from suspension_twin.calibration.tracked_files import calibrate_tracked_files
 from suspension_twin.drive.read import drive_name
 from suspension_twin.errors import InputError
-from suspension_twin.vehicle.tracked_twin import TrackedTwin
+from suspension_twin.vehicle.tracked import TrackedTwin
 from suspension_twin.vehicle.twin import Twin, load_twin
 
 __all__ = [

@@ -20,7 +20,7 @@ from suspension_twin.errors import InputError
 from suspension_twin.nodes._calibration import recordings_of, start_of, use_threads, writable
 from suspension_twin.report.diagnosis import diagnosis_page
 from suspension_twin.report.tracked import diagnosis_page as tracked_page
-from suspension_twin.vehicle.tracked_twin import TrackedTwin
+from suspension_twin.vehicle.tracked import TrackedTwin
 
 __all__ = ["DiagnosisJob", "DiagnosisOutcome", "DiagnosisStep", "diagnose_job", "diagnosis_job_of"]
 

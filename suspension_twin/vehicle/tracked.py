@@ -10,14 +10,15 @@ from __future__ import annotations
 
 import math
 from pathlib import Path
-from typing import Annotated, Any, Final
+from typing import Annotated, Any, Final, Literal
 
 import numpy as np
 import yaml
-from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationError, model_validator
+from pydantic import AfterValidator, Field, ValidationError, model_validator
 
 from suspension_twin.arrays import Floats
 from suspension_twin.errors import InputError
+from suspension_twin.vehicle.twin import Place, Strict, Twin
 
 __all__ = [
     "BOUNDS",
@@ -25,6 +26,7 @@ __all__ = [
     "Obstacle",
     "Station",
     "Track",
+    "TrackedTwin",
     "TrackedVehicle",
     "load_tracked",
     "parse_tracked",
@@ -55,16 +57,12 @@ def _bounded(key: str, unit: str) -> AfterValidator:
 
 
 Length = Annotated[float, _between(0.01, 12.0, "m", "is it in mm?")]
-Place = Annotated[float, _between(-12.0, 12.0, "m", "is it in mm?")]
+Position = Annotated[float, _between(-12.0, 12.0, "m", "is it in mm?")]
 PaperPlace = Annotated[float, _between(-12_000.0, 12_000.0, "mm")]
 Angle = Annotated[float, _between(-1.2, 1.2, "rad", "is it in degrees?")]
 
 
-class _Strict(BaseModel):
-    model_config = ConfigDict(extra="forbid", frozen=True, validate_default=True)
-
-
-class Markers(_Strict):
+class Markers(Strict):
     """Markers on the hull in the paper's axes, mm, front to rear."""
 
     A: tuple[PaperPlace, PaperPlace]
@@ -81,21 +79,21 @@ class Markers(_Strict):
         return self
 
 
-class Sprocket(_Strict):
-    position: tuple[Place, Place] = (0.0, 0.0)
+class Sprocket(Strict):
+    position: tuple[Position, Position] = (0.0, 0.0)
     radius: Length
 
 
-class Idler(_Strict):
+class Idler(Strict):
     """``setting`` is x_kn, eq. (14); ``taut_at`` is the setting at which the tension begins."""
 
-    height: Place
+    height: Position
     radius: Length
     setting: Annotated[float, _bounded("idler.setting", "mm")]
     taut_at: Annotated[float, _between(-5700.0, -5450.0, "mm")]
 
 
-class Track(_Strict):
+class Track(Strict):
     """Stiffness and damping are those of the joint between two links, eqs (10) to (13)."""
 
     links: Annotated[int, Field(ge=20, le=400)]
@@ -108,7 +106,7 @@ class Track(_Strict):
     bending_damping: Annotated[float, _bounded("track.bending_damping", "N m s/rad")]
 
 
-class Wheel(_Strict):
+class Wheel(Strict):
     """``mass`` has the outer half of the arm; ``rubber`` is N/m, its damping N s/m, per m of contact."""
 
     radius: Annotated[float, _between(0.1, 1.0, "m")]
@@ -117,7 +115,7 @@ class Wheel(_Strict):
     rubber_damping: Annotated[float, _between(0.0, 1.0e5, "N s/m²")]
 
 
-class Arm(_Strict):
+class Arm(Strict):
     """Angles below the horizontal of the hull, the wheel behind its pivot.
 
     The pivots are placed so that the wheels are where ``stations`` says at ``standing_angle``.
@@ -138,20 +136,20 @@ class Arm(_Strict):
         return self
 
 
-class Station(_Strict):
+class Station(Strict):
     """A road wheel: ``x`` of its axis on the standing vehicle; ``sag`` of its torsion bar in rad."""
 
-    x: Place
+    x: Position
     damping: Annotated[float, _between(0.0, 1.0e6, "N m s/rad")] = 0.0
     sag: Annotated[float, _between(-0.2, 0.3, "rad")] = 0.0
 
 
-class Ground(_Strict):
+class Ground(Strict):
     stiffness: Annotated[float, _between(1.0e6, 3.0e8, "N/m²")]
     damping: Annotated[float, _between(0.0, 1.0e5, "N s/m²")]
 
 
-class Obstacle(_Strict):
+class Obstacle(Strict):
     """A trapezoid across the way: ``ramp`` up, ``top``, ``ramp`` down, m."""
 
     height: Annotated[float, _between(0.0, 2.0, "m", "is it in mm?")]
@@ -163,7 +161,7 @@ class Obstacle(_Strict):
         return 2 * self.ramp + self.top
 
 
-class Driver(_Strict):
+class Driver(Strict):
     """Who holds the speed, by the sprocket's: ``gain`` of what the vehicle is too slow by, ``reset`` 1/s of what it is
     behind by; ``droop`` m/s per N by which engine and gearbox give way to the pull of one track. All 0: a sprocket
     that turns evenly. Nobody publishes them; the defaults hold 13 km/h within 0.1 m over a 0.4 m obstacle."""
@@ -173,10 +171,10 @@ class Driver(_Strict):
     droop: Annotated[float, _between(0.0, 1.0e-4, "m/s per N")] = 2.0e-6
 
 
-class TrackedVehicle(_Strict):
+class TrackedVehicle(Strict):
     name: str = "tracked vehicle"
     mass: Annotated[float, _between(1000.0, 100_000.0, "kg", "is it in t?")]
-    cog: tuple[Place, Place]
+    cog: tuple[Position, Position]
     gyration: Annotated[float, _between(0.3, 6.0, "m")]
     tread: Annotated[float, _between(0.5, 6.0, "m", "is it in mm?")] = 2.79
     markers: Markers
@@ -186,7 +184,7 @@ class TrackedVehicle(_Strict):
     wheel: Wheel
     arm: Arm
     stations: Annotated[tuple[Station, ...], Field(min_length=2, max_length=12)]
-    wheel_height: Place
+    wheel_height: Position
     ground: Ground
     obstacle: Obstacle
     driver: Driver | None = None
@@ -259,6 +257,29 @@ class TrackedVehicle(_Strict):
         return self.with_changes(
             {f"stations.{i}.damping": damping for i, s in enumerate(self.stations) if s.damping > 0}
         )
+
+
+class TrackedTwin(Twin):
+    """The twin of a vehicle on tracks in its plane of symmetry.
+
+    ``base_link`` is on the ground under the rearmost road wheels, as it is under a car's rear axle; what
+    ``vehicle`` gives counts from the sprocket's axis, as the tracked paper's drawing does. ``imu`` may be left out
+    where only markers are measured: it then sits at the centre of gravity's place.
+    """
+
+    model: Literal["tracked"] = "tracked"
+    vehicle: TrackedVehicle
+    imu: Place = Place(position=(2.1, 0.0, 1.1))
+
+    @property
+    def joint_names(self) -> tuple[str, ...]:
+        """One joint for each road wheel, front to rear, left side first."""
+        count = len(self.vehicle.stations)
+        return tuple(f"{side}_road_wheel_{i + 1}" for side in ("left", "right") for i in range(count))
+
+    @property
+    def cog_height(self) -> float:
+        return self.vehicle.cog[1] - self.vehicle.ground_height
 
 
 def parse_tracked(data: Any, source: str | Path = "tracked vehicle") -> TrackedVehicle:

@@ -9,8 +9,9 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable
+from importlib import import_module
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Final, Literal
 
 import numpy as np
 import yaml
@@ -29,13 +30,16 @@ from suspension_twin.errors import InputError
 from suspension_twin.vehicle.corners import CORNERS
 
 __all__ = [
+    "SCHEMAS",
     "Axle",
+    "CarTwin",
     "Damper",
     "Datum",
     "EffectSpec",
     "Place",
     "RoadFile",
     "Spring",
+    "Strict",
     "Twin",
     "Tyre",
     "Vehicle",
@@ -74,11 +78,13 @@ Radius = Annotated[float, _within(0.1, 1.5, "m", "is it in mm?")]
 TyreStiffness = Annotated[float, _within(1.0e4, 1.0e7, "N/m", "is it in N/mm?")]
 
 
-class _Strict(BaseModel):
+class Strict(BaseModel):
+    """A part of a twin file: no key but its own, no number that is not finite, never changed in place."""
+
     model_config = ConfigDict(extra="forbid", frozen=True, validate_default=True)
 
 
-class _Characteristic(_Strict):
+class _Characteristic(Strict):
     """Piecewise linear through (0, 0) and its points, going on with its last slope."""
 
     @staticmethod
@@ -136,7 +142,7 @@ class Damper(_Characteristic):
         return np.array(self.velocity), np.array(self.force)
 
 
-class Axle(_Strict):
+class Axle(Strict):
     """One axle: everything for one wheel, forces at the wheel."""
 
     unsprung_mass: WheelMass
@@ -145,19 +151,19 @@ class Axle(_Strict):
     damper_pull: Damper
 
 
-class Tyre(_Strict):
+class Tyre(Strict):
     radius: Radius
     vertical_stiffness: TyreStiffness
 
 
-class SprungInertia(_Strict):
+class SprungInertia(Strict):
     """Moments of inertia of the sprung mass about its own centre of gravity, kg m²."""
 
     roll: Inertia
     pitch: Inertia
 
 
-class Vehicle(_Strict):
+class Vehicle(Strict):
     """Masses and geometry, ``mass`` and ``cog`` of the whole vehicle with all on board."""
 
     name: str = "vehicle"
@@ -193,7 +199,7 @@ class Vehicle(_Strict):
         return np.array([[b, f], [b, -f], [0.0, r], [0.0, -r]])
 
 
-class Place(_Strict):
+class Place(Strict):
     """Where a sensor sits in ``base_link``: ``position`` m, ``rpy`` rad (z-y-x Euler angles)."""
 
     frame: str = "imu_link"
@@ -201,7 +207,7 @@ class Place(_Strict):
     rpy: tuple[Angle, Angle, Angle] = (0.0, 0.0, 0.0)
 
 
-class Datum(_Strict):
+class Datum(Strict):
     """Origin of ``map`` on WGS 84, degrees and m."""
 
     latitude: Annotated[float, _within(-90, 90, "degrees")]
@@ -209,11 +215,11 @@ class Datum(_Strict):
     altitude: Annotated[float, _within(-1000, 20_000, "m")] = 0.0
 
 
-class RoadFile(_Strict):
+class RoadFile(Strict):
     file: Path
 
 
-class EffectSpec(_Strict):
+class EffectSpec(Strict):
     """One effect added to the model: its id and the parameters that differ from neutral."""
 
     id: str
@@ -228,12 +234,15 @@ class EffectSpec(_Strict):
         return value
 
 
-class Twin(_Strict):
-    """One digital twin as its file describes it. Immutable: use ``with_changes``."""
+class Twin(Strict):
+    """One digital twin as its file describes it, whatever its model. Immutable: use ``with_changes``.
 
-    model: Literal["full_car", "msd"] = "full_car"
+    A model's own subclass says what ``vehicle`` holds.
+    """
+
+    model: str
     effects: tuple[EffectSpec, ...] = ()
-    vehicle: Vehicle
+    vehicle: Any
     imu: Place
     gps: Place = Place(frame="gps_link")
     datum: Datum | None = None
@@ -251,12 +260,12 @@ class Twin(_Strict):
     @property
     def joint_names(self) -> tuple[str, ...]:
         """Names of the joints in joint_states, in the order of a response's deflections."""
-        return tuple(f"{corner}_suspension" for corner in CORNERS)
+        return ()
 
     @property
     def cog_height(self) -> float:
         """Height in m of the centre of gravity above the ground."""
-        return self.vehicle.cog[2]
+        return 0.0
 
     def with_changes(self, changes: dict[str, Any]) -> Twin:
         """A checked copy with dotted keys replaced: ``{"vehicle.mass": 1700.0}``.
@@ -268,6 +277,21 @@ class Twin(_Strict):
         for key, value in changes.items():
             _assign(data, key, value)
         return parse_twin(data, source="twin")
+
+
+class CarTwin(Twin):
+    """The twin of a car: models ``full_car`` and ``msd``."""
+
+    model: Literal["full_car", "msd"] = "full_car"
+    vehicle: Vehicle
+
+    @property
+    def joint_names(self) -> tuple[str, ...]:
+        return tuple(f"{corner}_suspension" for corner in CORNERS)
+
+    @property
+    def cog_height(self) -> float:
+        return self.vehicle.cog[2]
 
 
 def _assign(data: Any, key: str, value: Any) -> None:
@@ -295,12 +319,21 @@ def _key(location: Iterable[int | str]) -> str:
     return text
 
 
-def _kind(data: dict[str, Any]) -> type[Twin]:
-    if data.get("model") == "tracked":
-        from suspension_twin.vehicle.tracked_twin import TrackedTwin  # which is a Twin itself
+#: For each model the class that says what its twin file holds: module in this package and name.
+SCHEMAS: Final = {
+    "full_car": ("twin", "CarTwin"),
+    "msd": ("twin", "CarTwin"),
+    "tracked": ("tracked", "TrackedTwin"),
+}
 
-        return TrackedTwin
-    return Twin
+
+def _schema(data: dict[str, Any], source: str | Path) -> type[Twin]:
+    model = data.get("model", "full_car")
+    if model not in SCHEMAS:
+        raise InputError(source, "model", f"must be one of {', '.join(SCHEMAS)}, is {model!r}")
+    module, name = SCHEMAS[model]
+    found: type[Twin] = getattr(import_module(f"suspension_twin.vehicle.{module}"), name)
+    return found
 
 
 def parse_twin(data: Any, source: str | Path = "twin") -> Twin:
@@ -308,7 +341,7 @@ def parse_twin(data: Any, source: str | Path = "twin") -> Twin:
     if not isinstance(data, dict):
         raise InputError(source, "not a twin file: a mapping with 'vehicle' and 'imu' is expected")
     try:
-        return _kind(data).model_validate(data)
+        return _schema(data, source).model_validate(data)
     except ValidationError as error:
         first = error.errors(include_url=False)[0]
         text = str(first["msg"]).removeprefix("Value error, ")

@@ -8,13 +8,13 @@ import re
 from collections.abc import Iterator
 from importlib import import_module
 from pathlib import Path
-from typing import get_args
 
 import pytest
 
 from suspension_twin.drive.importers import IMPORTERS
 from suspension_twin.effects.registry import EFFECTS
-from suspension_twin.vehicle.twin import Twin
+from suspension_twin.models.registry import MODELS
+from suspension_twin.vehicle.twin import SCHEMAS
 
 # From the left of the design's picture to its right: a package imports from its own row and the rows before it.
 ROWS = (
@@ -146,11 +146,16 @@ def test_every_importer_is_registered(repository: Path) -> None:
     assert files_of(repository, "drive/importers") == set(IMPORTERS)
 
 
-@pytest.mark.parametrize("name", get_args(Twin.model_fields["model"].annotation))
+@pytest.mark.parametrize("name", MODELS)
 def test_a_model_is_whole(name: str, repository: Path) -> None:
     assert name in files_of(repository, "models")
     assert named_in_tests(repository, "models", name), f"no test of the model {name}"
     assert f"`{name}`" in documentation(repository), f"{name} has no line in the documentation"
+
+
+def test_every_model_has_a_twin_file() -> None:
+    assert set(MODELS) == set(SCHEMAS)
+    assert all(MODELS[name].name == name for name in MODELS)
 
 
 @pytest.mark.parametrize("name", EFFECTS)

@@ -9,7 +9,7 @@ import pytest
 
 from suspension_twin.errors import InputError
 from suspension_twin.vehicle.tracked import BOUNDS, TrackedVehicle, load_tracked, parse_tracked
-from suspension_twin.vehicle.tracked_twin import TrackedTwin
+from suspension_twin.vehicle.tracked import TrackedTwin
 from suspension_twin.vehicle.twin import load_twin, save_twin
 
 

@@ -1,0 +1,37 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What the effects of one station of a tracked vehicle share: which road wheel."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+from suspension_twin.arrays import Floats
+from suspension_twin.effects.base import Parameter
+
+__all__ = ["STATION", "add", "exists"]
+
+_MOST = 12
+
+STATION = Parameter(
+    "station", "", 1, _MOST, 1, 1, 3, "which road wheel, 1 in front", choices=tuple(range(1, _MOST + 1))
+)
+
+
+def exists(twin: Any, p: Mapping[str, float]) -> bool:
+    """Whether the vehicle has such a station."""
+    return bool(p["station"] <= len(twin.vehicle.stations))
+
+
+def add(numbers: dict[str, Floats], name: str, station: Floats, change: Floats) -> None:
+    """Add ``change`` (L,) to a number of the ``station`` (L,) of each candidate; a station that there is not stays
+    nothing, and the candidate fails."""
+    for i in range(_MOST):
+        own, key = station == i + 1, f"vehicle.stations.{i}.{name}"
+        if not own.any():
+            continue
+        numbers[key] = np.where(
+            own, numbers.get(key, np.full(own.shape, np.nan)) + change, numbers.get(key, 0.0)
+        )

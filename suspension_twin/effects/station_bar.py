@@ -1,0 +1,33 @@
+# SPDX-License-Identifier: Apache-2.0
+"""One station's torsion bar of a tracked vehicle has set: its arm hangs higher."""
+
+from __future__ import annotations
+
+from suspension_twin.arrays import Floats
+from suspension_twin.effects._station import STATION, add, exists
+from suspension_twin.effects.base import Effect, Parameter, Values, neutral
+from suspension_twin.models.hooks import Hook
+
+__all__ = ["EFFECT"]
+
+_PARAMETERS = (
+    STATION,
+    Parameter("sag", "rad", -0.2, 0.3, 0.0, 0.0, 0.06, "how far its free angle has gone up"),
+)
+
+
+def _vehicle(numbers: dict[str, Floats], p: Values) -> None:
+    add(numbers, "sag", p["station"], p["sag"])
+
+
+EFFECT = Effect(
+    id="station_bar",
+    title="sagged torsion bar",
+    where="strut",
+    doc="The torsion bar of one road wheel's arm has set: its free angle is higher.",
+    parameters=_PARAMETERS,
+    severity=("sag",),
+    excited_by=("edges of obstacles",),
+    confused_with=("payload", "station_bar of another station"),
+    hook=Hook(neutral(_PARAMETERS), vehicle=_vehicle, models=("tracked",), possible=exists),
+)

@@ -1,0 +1,36 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The track of a tracked vehicle is tighter or slacker than its file says."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from suspension_twin.arrays import Floats
+from suspension_twin.effects.base import Effect, Parameter, Values, neutral
+from suspension_twin.models.hooks import Hook
+from suspension_twin.vehicle.tracked import BOUNDS
+
+__all__ = ["EFFECT"]
+
+_PARAMETERS = (
+    Parameter("tighter", "mm", -40.0, 40.0, 0.0, 0.0, 10.0, "how much further out the idler stands"),
+)
+_KEY = "vehicle.idler.setting"
+
+
+def _vehicle(numbers: dict[str, Floats], p: Values) -> None:
+    # beyond the range in which an idler can be set a track is simply slack, or as tight as it goes
+    numbers[_KEY] = np.clip(numbers[_KEY] - p["tighter"], *BOUNDS["idler.setting"])
+
+
+EFFECT = Effect(
+    id="track_tension",
+    title="track tension off",
+    where="track",
+    doc="The idler is set further out (tighter) or in than the file says.",
+    parameters=_PARAMETERS,
+    severity=("tighter",),
+    excited_by=("an approach to an obstacle", "ends of obstacles"),
+    confused_with=("track_wear",),
+    hook=Hook(neutral(_PARAMETERS), vehicle=_vehicle, models=("tracked",)),
+)

@@ -1,0 +1,39 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The links of a tracked vehicle's track have become softer and longer."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from suspension_twin.arrays import Floats
+from suspension_twin.effects.base import Effect, Parameter, Values, neutral
+from suspension_twin.models.hooks import Hook
+from suspension_twin.vehicle.tracked import BOUNDS
+
+__all__ = ["EFFECT"]
+
+_PARAMETERS = (
+    Parameter("stiffness", "", 0.02, 2.0, 1.0, 1.0, 0.7, "remaining share of the links' stiffness"),
+    Parameter("elongation", "m", 0.0, 0.06, 0.0, 0.0, 0.01, "how much longer the whole track has become"),
+)
+
+
+def _vehicle(numbers: dict[str, Floats], p: Values) -> None:
+    for key in ("track.stiffness", "track.bending_stiffness"):
+        numbers[f"vehicle.{key}"] = np.clip(numbers[f"vehicle.{key}"] * p["stiffness"], *BOUNDS[key])
+    # both the run above and the run below reach as far
+    taut = "vehicle.idler.taut_at"
+    numbers[taut] = numbers[taut] - 0.5e3 * p["elongation"]
+
+
+EFFECT = Effect(
+    id="track_wear",
+    title="worn track",
+    where="track",
+    doc="Links softer than the file says, in pull and in bending, and a longer track.",
+    parameters=_PARAMETERS,
+    severity=("stiffness", "elongation"),
+    excited_by=("an approach to an obstacle",),
+    confused_with=("track_tension",),
+    hook=Hook(neutral(_PARAMETERS), vehicle=_vehicle, models=("tracked",)),
+)

@@ -1,0 +1,103 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Every vehicle model there is, found by the name of its file, behind one interface.
+
+A model is a module ``suspension_twin/models/<name>.py`` with an object ``MODEL``. Whatever handles a twin (calibration,
+diagnosis, the nodes, the command line) asks the registry for its model and never for the model's name.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from importlib import import_module
+from typing import Any, Final, Literal, Protocol
+
+from suspension_twin.arrays import Floats
+from suspension_twin.models.types import HeightField, LaneResponse, Response
+from suspension_twin.vehicle.twin import Twin
+
+__all__ = ["MODELS", "Model", "deferred", "model_of"]
+
+#: The files of this folder that hold a model.
+_FILES: Final = ("full_car", "msd", "tracked")
+
+
+class SimulateLanes(Protocol):
+    """Candidates (P, L) of a twin over an excitation of its model."""
+
+    def __call__(
+        self, twin: Twin, params: Floats, excitation: Any, threads: int | None = None
+    ) -> LaneResponse: ...
+
+
+@dataclass(frozen=True)
+class Model:
+    """One vehicle model.
+
+    Parameters
+    ----------
+    name, title
+        Its id in the twin file, and what it is in a few words.
+    recordings
+        What is measured of such a vehicle: ``drive`` (IMU and GNSS on a road), ``markers`` (heights of markers on a
+        run over an obstacle) or ``rig`` (a corner on an actuator).
+    channels
+        Names of the signals that a :class:`~suspension_twin.models.types.LaneResponse` of it has.
+    numbers
+        Dotted keys of all numbers of a twin that its kernel uses, effects apart.
+    fixed
+        Keys in which candidates cannot differ, because the excitation was made for them.
+    lanes
+        Simulates candidates (P, L), see :func:`~suspension_twin.models.simulate.simulate_lanes`.
+    respond
+        Simulates one twin with everything recorded, or None where there is nothing more than ``lanes`` gives.
+    live
+        Makes the model that follows its vehicle stamp by stamp on a road, or None where it cannot.
+    """
+
+    name: str
+    title: str
+    recordings: Literal["drive", "markers", "rig"]
+    channels: tuple[str, ...]
+    numbers: Callable[[Twin], Sequence[str]]
+    lanes: SimulateLanes
+    fixed: tuple[str, ...] = ()
+    respond: Callable[[Twin, Any], Response] | None = None
+    live: Callable[[Twin, HeightField], Any] | None = None
+
+
+def deferred(module: str, name: str) -> Any:
+    """A function of a module of this package that is imported when it is first called: kernels import each other."""
+
+    def call(*arguments: Any, **options: Any) -> Any:
+        return getattr(import_module(f"{__package__}.{module}"), name)(*arguments, **options)
+
+    return call
+
+
+def _found(name: str) -> Model:
+    model: Model = import_module(f"{__package__}.{name}").MODEL
+    return model
+
+
+class _Models(Mapping[str, Model]):
+    """Models by name, each imported when it is asked for."""
+
+    def __getitem__(self, name: str) -> Model:
+        if name not in _FILES:
+            raise KeyError(name)
+        return _found(name)
+
+    def __iter__(self) -> Any:
+        return iter(_FILES)
+
+    def __len__(self) -> int:
+        return len(_FILES)
+
+
+MODELS: Final[Mapping[str, Model]] = _Models()
+
+
+def model_of(twin: Twin) -> Model:
+    """The model of a twin."""
+    return MODELS[twin.model]
