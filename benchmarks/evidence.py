@@ -17,6 +17,7 @@ import json
 import sys
 import tempfile
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 from unittest.mock import patch
@@ -30,14 +31,14 @@ from blind.plan import Spec, plan  # noqa: E402
 
 from suspension_twin.arrays import Floats  # noqa: E402
 from suspension_twin.diagnosis import evidence as judge  # noqa: E402
+from suspension_twin.diagnosis import fit as fits  # noqa: E402
 from suspension_twin.diagnosis import shrink as gaps  # noqa: E402
 from suspension_twin.diagnosis import verdict  # noqa: E402
 from suspension_twin.diagnosis.bench import Bench  # noqa: E402
 from suspension_twin.diagnosis.case import baseline, build, read_case  # noqa: E402
+from suspension_twin.diagnosis.fit import Linear, fitted, refit  # noqa: E402
 from suspension_twin.diagnosis.hypotheses import BASELINE, Hypothesis, library  # noqa: E402
 from suspension_twin.diagnosis.request import DiagnosisRequest  # noqa: E402
-from suspension_twin.identification import gauss_newton as fits  # noqa: E402
-from suspension_twin.identification.gauss_newton import Linear, fitted, refit  # noqa: E402
 
 EFFECTS = ("sensor_bandwidth", "strut_friction")
 BESIDE, FURTHER = 0.1, 0.6  # of a coordinate, by which fits begin beside the best and further off
@@ -78,7 +79,7 @@ def scatter(
     far = bench.clipped(hypothesis, far[:, None])[:, 0]
     known = min(f.cost for f in found)
     _, damped = refit(bench, hypothesis, [far], None, ITERATIONS)
-    with patch.object(fits, "_BY_PRIOR", 0.0):
+    with patch.object(fits, "SETTINGS", replace(fits.SETTINGS, prior_damping=0.0)):
         _, bare = refit(bench, hypothesis, [far], None, ITERATIONS)
     return {
         "hypothesis": hypothesis.name,

@@ -13,7 +13,7 @@ from suspension_twin.calibration.genetic import GaSettings
 from suspension_twin.calibration.pattern import PatternSettings
 from suspension_twin.effects.registry import effect
 from suspension_twin.errors import InputError
-from suspension_twin.identification.least_squares import LmSettings
+from suspension_twin.identification.gauss_newton import GaussNewtonSettings
 from suspension_twin.identification.space import CURVES, Parameter, Space, bounds_of, curve_keys, twin_value
 from suspension_twin.vehicle.twin import EffectSpec, Twin
 
@@ -71,7 +71,7 @@ class Preset:
     table_2: bool
     genetic: GaSettings = field(default_factory=GaSettings)
     pattern: PatternSettings = field(default_factory=PatternSettings)
-    squares: LmSettings = field(default_factory=lambda: LmSettings(tolerance=1e-4))
+    squares: GaussNewtonSettings = field(default_factory=lambda: GaussNewtonSettings(tolerance=1e-4))
     also: tuple[str, ...] = ()
     reach: float = _POINT_FACTOR
 

@@ -17,7 +17,7 @@ from suspension_twin.arrays import Floats
 from suspension_twin.calibration.checkpoint import State
 from suspension_twin.calibration.recorder import Outcome, Recorder
 from suspension_twin.calibration.setup import Setup
-from suspension_twin.identification.least_squares import LeastSquares, LmSettings, squared
+from suspension_twin.identification.gauss_newton import GaussNewton, GaussNewtonSettings
 from suspension_twin.identification.likelihood import INDEPENDENT, NEAR_FLOOR, Likelihood
 from suspension_twin.identification.posterior import CORRELATION, travel
 from suspension_twin.identification.problem import FitProblem, Interrupted, Problem
@@ -45,15 +45,15 @@ class _Round:
 
     stage: str
     number: int
-    settings: LmSettings
+    settings: GaussNewtonSettings
     faint: bool = True
     hop: tuple[int, int] | None = None
 
 
-_DESCENT = LmSettings(iterations=3, tolerance=1e-3)
-_SEARCH = LmSettings(iterations=4, tolerance=1e-2)
+_DESCENT = GaussNewtonSettings(iterations=3, tolerance=1e-3)
+_SEARCH = GaussNewtonSettings(iterations=4, tolerance=1e-2)
 #: A likelihood's minimum is found where -2 log likelihood falls by less than a tenth.
-_LIKELIHOOD = LmSettings(iterations=15, tolerance=0.0, absolute=0.1, patience=1)
+_LIKELIHOOD = GaussNewtonSettings(iterations=15, tolerance=0.0, absolute=0.1, patience=1)
 
 
 def full_precision(problem: Problem) -> Floats:
@@ -160,14 +160,14 @@ class _Fit:
         fit = FitProblem(self.problem, self.likelihood.residuals if whitened and self.likelihood else None)
         scale = float(state.plain["scale"]) if state else self._scale(fit, planned, start)
         centre = np.concatenate([self.base.space.z0, -self.placed])
-        solver = LeastSquares(fit, start, scale * self.precision, centre, planned.settings)
+        solver = GaussNewton(fit, start, scale * self.precision, centre, settings=planned.settings)
         if state is not None:
             solver.restore({"x": start, "centre": centre}, state.plain["solver"])
         while not solver.finished and not recorder.out_of_generations:
             recorder.check()
-            before = solver.evaluations
+            before = self.problem.evaluations
             solver.step()
-            recorder.evaluations += solver.evaluations - before
+            recorder.evaluations += self.problem.evaluations - before
             self._note(solver, planned, scale)
         self._pending = solver.x if planned.stage == "hop" else None
 
@@ -189,20 +189,21 @@ class _Fit:
         """The best of two dozen draws around the fit, wide where the drives leave it open: a corner of a curve
         makes a valley of its own, and those lie side by side in such directions."""
         fit = FitProblem(self.problem)
-        residual, jacobian, spent = fit.linearise(self.x)
+        before = self.problem.evaluations
+        residual, jacobian = fit.linearise(self.x)
         scale = max(float(np.mean(residual**2)) / INDEPENDENT, 1e-30)
-        information = squared(jacobian) / scale + self.precision
+        information = jacobian.T @ jacobian / scale + self.precision
         unit = 1.0 / np.sqrt(np.diag(information))
         scaled = information * unit[:, None] * unit[None, :] + 1e-9 * np.eye(unit.size)
         root = unit[:, None] * np.linalg.cholesky(np.linalg.inv(scaled))
         rng = np.random.default_rng((self.recorder.request.seed, number))
         draws = rng.standard_normal((self.x.size, _STARTS))
         starts = self.x[:, None] + _SHAKES[number] * np.einsum("ij,jn->in", root, draws, optimize=False)
-        costs, more = fit.sums_of_squares(starts)
-        self.recorder.evaluations += spent + more
+        costs = fit.sums_of_squares(starts)
+        self.recorder.evaluations += self.problem.evaluations - before
         return np.asarray(starts[:, int(np.argmin(costs))])
 
-    def _note(self, solver: LeastSquares, planned: _Round, scale: float) -> None:
+    def _note(self, solver: GaussNewton, planned: _Round, scale: float) -> None:
         """Keep what is better, report, save."""
         recorder = self.recorder
         whitened = planned.stage == "likelihood"

@@ -14,7 +14,7 @@ from suspension_twin.calibration.recorder import Outcome
 from suspension_twin.calibration.request import CurveEstimate
 from suspension_twin.calibration.setup import Setup
 from suspension_twin.calibration.squares import full_precision, in_floors
-from suspension_twin.identification.least_squares import LeastSquares, LmSettings
+from suspension_twin.identification.gauss_newton import GaussNewton, GaussNewtonSettings
 from suspension_twin.identification.likelihood import NEAR_FLOOR, Likelihood, Squares
 from suspension_twin.identification.posterior import Posterior, Travel, Weighing, posterior, span_of, travel
 from suspension_twin.identification.problem import FitProblem, Problem
@@ -26,7 +26,7 @@ __all__ = ["INTERVAL", "Told", "curve_estimates", "tell"]
 #: Quantiles of the intervals.
 INTERVAL = (0.05, 0.95)
 _GRID = 120
-_POLISH = LmSettings(iterations=12, tolerance=0.0, absolute=0.1, patience=1)
+_POLISH = GaussNewtonSettings(iterations=12, tolerance=0.0, absolute=0.1, patience=1)
 
 
 @dataclass(frozen=True, eq=False)
@@ -108,8 +108,8 @@ def _likelihood_at(problem: Problem, x: Floats) -> Likelihood:
 def _polished(problem: Problem, likelihood: Weighing, x: Floats, precision: Floats, placed: Floats) -> Floats:
     centre = np.concatenate([problem.space.z0, -placed])
     fit = FitProblem(problem, likelihood.residuals)
-    solver = LeastSquares(fit, x, precision, centre, _POLISH)
-    solver.run(lambda: False)
+    solver = GaussNewton(fit, x, precision, centre, settings=_POLISH)
+    solver.run()
     return solver.x
 
 

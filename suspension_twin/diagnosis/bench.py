@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from suspension_twin.arrays import Floats
 from suspension_twin.compiled import compiled
 from suspension_twin.diagnosis.hypotheses import Hypothesis
-from suspension_twin.identification.least_squares import gram, squared
+from suspension_twin.identification.gauss_newton import Quadratic
 from suspension_twin.identification.noise import INDEPENDENT, Whitener
 from suspension_twin.identification.nuisance import NuisancePriors
 from suspension_twin.identification.parallel import side_by_side
@@ -30,7 +30,7 @@ from suspension_twin.models.simulate import simulate_lanes
 from suspension_twin.models.types import Excitation
 from suspension_twin.vehicle.twin import Twin
 
-__all__ = ["NORMAL", "Bench", "Curved", "Excitations", "Linearised"]
+__all__ = ["NORMAL", "Bench", "Excitations", "Linearised"]
 
 #: What is normal of clocks, maps and mounts: more than that is a finding, not a nuisance.
 #: A receiver that knows a place to a centimetre is off by some of it for a whole drive.
@@ -54,51 +54,40 @@ _STEP_EFFECT = 1e-2
 
 
 @dataclass(frozen=True, eq=False)
-class Curved:
-    """What is left of a linearisation once its rows are summed up: ``squares`` (p, p) of the Jacobian and the ``slope``
-    (p,) of half the residuals' sum of squares."""
-
-    squares: Floats
-    slope: Floats
-
-
-@dataclass(frozen=True, eq=False)
 class Linearised:
-    """Residuals (R,) and Jacobian (R, d + q + k) at ``x``; its ``squares`` (d + q + k, d + q + k) and the ``slope``
-    (d + q + k,) of half the residuals' sum of squares."""
+    """Residuals (R,) and Jacobian (R, d + q + k) at ``x`` (d + q + k,)."""
 
     x: Floats
     residual: Floats
     jacobian: Floats
 
     @cached_property
-    def squares(self) -> Floats:
-        return squared(self.jacobian)
+    def model(self) -> Quadratic:
+        """The quadratic model of the residuals' sum of squares about ``x``."""
+        return _quadratic(self.residual, self.jacobian)
 
-    @cached_property
-    def slope(self) -> Floats:
-        return np.asarray(gram(self.residual[:, None], self.jacobian)[0])
-
-    def by(self, label: NDArray[np.intp]) -> list[Curved]:
+    def by(self, label: NDArray[np.intp]) -> list[Quadratic]:
         """That of the rows of each ``label`` (R,), which count from nothing on."""
         order = np.argsort(label, kind="stable")
-        jacobian, residual = self.jacobian[order], self.residual[order, None]
+        jacobian, residual = self.jacobian[order], self.residual[order]
         ends = np.cumsum(np.bincount(label))
-        cuts = [slice(a, b) for a, b in zip([0, *ends[:-1]], ends, strict=True)]
-        return [Curved(squared(jacobian[c]), gram(residual[c], jacobian[c])[0]) for c in cuts]
+        return [_quadratic(residual[a:b], jacobian[a:b]) for a, b in zip([0, *ends[:-1]], ends, strict=True)]
 
     def first(self, count: int) -> Linearised:
         """That of the first ``count`` unknowns alone."""
         return Linearised(self.x[:count], self.residual, np.ascontiguousarray(self.jacobian[:, :count]))
 
-    def beyond(self, residual: Floats, effects: Floats) -> tuple[Floats, Floats]:
-        """Squares and slope where ``effects`` (R, k) are the columns of a few more unknowns and the residuals are
-        others, but this Jacobian is taken to hold."""
-        beside = gram(effects, self.jacobian)
-        squares = np.block([[self.squares, beside.T], [beside, squared(effects)]])
-        return squares, np.concatenate(
-            [gram(residual[:, None], columns)[0] for columns in (self.jacobian, effects)]
-        )
+    def beyond(self, residual: Floats, effects: Floats) -> Quadratic:
+        """The model where ``effects`` (R, k) are the columns of a few more unknowns and the residuals are others, but
+        this Jacobian is taken to hold."""
+        beside = effects.T @ self.jacobian
+        squares = np.block([[self.model.squares, beside.T], [beside, effects.T @ effects]])
+        slope = np.concatenate([self.jacobian.T @ residual, effects.T @ residual])
+        return Quadratic(float(residual @ residual), squares, slope)
+
+
+def _quadratic(residual: Floats, jacobian: Floats) -> Quadratic:
+    return Quadratic(float(residual @ residual), jacobian.T @ jacobian, jacobian.T @ residual)
 
 
 @dataclass(frozen=True, eq=False)

@@ -13,6 +13,7 @@ from suspension_twin.arrays import Floats
 from suspension_twin.calibration.checks import check_drive, check_parts, check_recording
 from suspension_twin.calibration.presets import build_space, preset_named
 from suspension_twin.diagnosis.bench import NORMAL, Bench, Excitations
+from suspension_twin.diagnosis.fit import Linear, finished, fitted, refit
 from suspension_twin.diagnosis.hypotheses import BASELINE, Hypothesis
 from suspension_twin.diagnosis.request import DiagnosisRequest
 from suspension_twin.drive.read import read_drive
@@ -30,7 +31,6 @@ from suspension_twin.gap.prepare import (
     upright_excitation,
 )
 from suspension_twin.identification.excited_segments import TrimSettings, fit_rows
-from suspension_twin.identification.gauss_newton import Linear, finished, fitted, refit
 from suspension_twin.identification.noise import USUAL_SHARE, Whitener, shares
 from suspension_twin.identification.objectives import parse_objective
 from suspension_twin.identification.parallel import side_by_side

@@ -15,9 +15,9 @@ import numpy as np
 
 from suspension_twin.arrays import Floats
 from suspension_twin.diagnosis.bench import Bench
+from suspension_twin.diagnosis.fit import refit
 from suspension_twin.diagnosis.hypotheses import SETTINGS, Hypothesis
 from suspension_twin.effects.registry import EFFECTS
-from suspension_twin.identification.gauss_newton import refit
 
 __all__ = ["LOST", "PRICE", "about", "found", "jointly", "waived"]
 

@@ -16,13 +16,13 @@ from suspension_twin.diagnosis.bench import Bench
 from suspension_twin.diagnosis.case import Case
 from suspension_twin.diagnosis.evidence import Blocks, Evidence, intervals
 from suspension_twin.diagnosis.experiment import next_experiment
+from suspension_twin.diagnosis.fit import Fit, finished
 from suspension_twin.diagnosis.hypotheses import library
 from suspension_twin.diagnosis.local_road_error import Likeness, as_surveyed, gathered, likenesses, spread_out
 from suspension_twin.diagnosis.localisation import localise, signature
 from suspension_twin.diagnosis.request import DiagnosisRequest, DiagnosisResult, DriveView
 from suspension_twin.diagnosis.search import Single
 from suspension_twin.effects.registry import EFFECTS
-from suspension_twin.identification.gauss_newton import Fit, finished
 from suspension_twin.models.simulate import simulate_twin
 from suspension_twin.vehicle.twin import Twin
 

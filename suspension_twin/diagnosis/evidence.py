@@ -19,10 +19,10 @@ from scipy.special import logsumexp
 from scipy.stats import norm
 
 from suspension_twin.arrays import Floats
-from suspension_twin.diagnosis.bench import Bench, Curved
-from suspension_twin.diagnosis.nuisance_penalty import Strain, relieved, strain_of
-from suspension_twin.identification.gauss_newton import Fit, Linear
-from suspension_twin.identification.least_squares import gram, squared
+from suspension_twin.diagnosis.bench import Bench
+from suspension_twin.diagnosis.fit import Fit, Linear
+from suspension_twin.diagnosis.nuisance_penalty import NuisancePenalty, penalty_gains, penalty_of
+from suspension_twin.identification.gauss_newton import Quadratic
 from suspension_twin.identification.noise import INDEPENDENT
 
 __all__ = ["Blocks", "Evidence", "blocks_of", "evidence", "held_out", "intervals", "weights"]
@@ -76,7 +76,7 @@ class HeldOut:
     unknowns: Floats
     left: Floats
     timed: Floats
-    by_group: list[Curved]
+    by_group: list[Quadratic]
 
 
 def held_out(bench: Bench, fit: Linear, blocks: Blocks, group: np.ndarray | None = None) -> HeldOut:
@@ -91,7 +91,7 @@ def held_out(bench: Bench, fit: Linear, blocks: Blocks, group: np.ndarray | None
     groups = int(group.max()) + 1
     # every group and fold has its rows, however few
     parts = fit.at.by(fold * groups + group)
-    parts += [Curved(np.zeros_like(precision), np.zeros_like(fit.x))] * (FOLDS * groups - len(parts))
+    parts += [Quadratic(0.0, np.zeros_like(precision), np.zeros_like(fit.x))] * (FOLDS * groups - len(parts))
     folds = [_together(parts[f * groups : (f + 1) * groups]) for f in range(FOLDS)]
     by_group = [_together(parts[g::groups]) for g in range(groups)]
     whole = _together(folds)
@@ -135,8 +135,12 @@ def held_out(bench: Bench, fit: Linear, blocks: Blocks, group: np.ndarray | None
     return HeldOut(unknowns, left, timed, by_group)
 
 
-def _together(parts: Sequence[Curved]) -> Curved:
-    return Curved(np.sum([p.squares for p in parts], axis=0), np.sum([p.slope for p in parts], axis=0))
+def _together(parts: Sequence[Quadratic]) -> Quadratic:
+    return Quadratic(
+        sum(p.value for p in parts),
+        np.sum([p.squares for p in parts], axis=0),
+        np.sum([p.slope for p in parts], axis=0),
+    )
 
 
 @dataclass(frozen=True, eq=False)
@@ -144,7 +148,7 @@ class Evidence:
     """One hypothesis: ``score`` (B,) log predictive density of each block, clocks and map as the whole recording has
     them, ``occam`` nats that its freedom costs, ``level`` (groups,) mean square of what it leaves (1 where the noise
     model holds), ``left`` (R,) held-out residuals, ``unknowns`` (d + q + k, FOLDS), ``fitted`` log density of all
-    blocks where all are fitted, ``strain`` what it asks of the nuisances."""
+    blocks where all are fitted, ``penalty`` what it asks of the nuisances."""
 
     fit: Fit
     score: Floats
@@ -153,7 +157,7 @@ class Evidence:
     left: Floats
     unknowns: Floats
     fitted: float
-    strain: Strain | None = None
+    penalty: NuisancePenalty | None = None
 
     def over(self, base: Evidence) -> float:
         """Nats that the hypothesis gains over ``base``."""
@@ -180,15 +184,17 @@ def evidence(bench: Bench, fit: Linear, blocks: Blocks) -> Evidence:
         )
         score -= 0.5 * (counts * np.log(noise[number]) + squares / noise[number])
     precision, centre = bench.prior(fit.hypothesis)
-    scaled = _together([Curved(p.squares / v, p.slope / v) for p, v in zip(out.by_group, noise, strict=True)])
+    scaled = _together(
+        [Quadratic(p.value / v, p.squares / v, p.slope / v) for p, v in zip(out.by_group, noise, strict=True)]
+    )
     hessian = scaled.squares + precision
     away = fit.x - centre
     away[bench.d : bench.d + bench.q] = 0.0  # counted in full elsewhere
     occam = 0.5 * (np.linalg.slogdet(hessian)[1] - np.linalg.slogdet(precision)[1])
     occam += 0.5 * float(away @ precision @ away) / max(float(np.mean(noise[group])), 1.0)
     plain = Fit(fit.hypothesis, fit.x, fit.cost)
-    strain = strain_of(bench, fit, scaled)
-    return Evidence(plain, score, float(occam), level, out.left, out.unknowns, float(fitted), strain)
+    penalty = penalty_of(bench, fit, scaled)
+    return Evidence(plain, score, float(occam), level, out.left, out.unknowns, float(fitted), penalty)
 
 
 def intervals(bench: Bench, fit: Linear, blocks: Blocks, temper: float) -> Floats:
@@ -201,11 +207,11 @@ def intervals(bench: Bench, fit: Linear, blocks: Blocks, temper: float) -> Float
     """
     precision, _ = bench.prior(fit.hypothesis)
     jacobian, p = fit.at.jacobian, bench.d + bench.q
-    inverse: Floats = np.asarray(linalg.inv(fit.at.squares + precision))
+    inverse: Floats = np.asarray(linalg.inv(fit.at.model.squares + precision))
     pulls: Floats = np.stack(
         [np.bincount(blocks.row, column * fit.at.residual, blocks.count) for column in jacobian.T], axis=1
     ).astype(np.float64)
-    covariance = gram(inverse, gram(squared(pulls) + precision, inverse))
+    covariance = inverse @ (pulls.T @ pulls + precision) @ inverse
     away = norm.ppf(0.95) * np.sqrt(np.maximum(np.diag(covariance)[p:], 0.0) / temper)
     low, high = fit.hypothesis.bounds()
     u = np.clip(fit.x[p:, None] + np.stack([-away, away], axis=1), low[:, None], high[:, None])
@@ -231,7 +237,7 @@ def weights(found: list[Evidence], prior: Floats, temper: float, seed: int) -> t
     draws = np.random.default_rng(seed).dirichlet(np.ones(count), _DRAWS) * count
     total = np.einsum("db,kb->dk", draws, scores, optimize=False) - 0.5 * (occam - occam.min())[None, :]
     with np.errstate(divide="ignore"):  # a prior of nothing
-        total = temper * total + relieved([e.strain for e in found], temper) + np.log(prior)
+        total = temper * total + penalty_gains([e.penalty for e in found], temper) + np.log(prior)
     probabilities = np.exp(total - logsumexp(total, axis=1)[:, None]).mean(axis=0)
     beats = (total[:, :, None] > total[:, None, :]).mean(axis=0)
     return probabilities, beats

@@ -10,9 +10,9 @@ from scipy.stats import norm
 
 from suspension_twin.arrays import Floats
 from suspension_twin.diagnosis.bench import Bench
+from suspension_twin.diagnosis.fit import refit
 from suspension_twin.diagnosis.hypotheses import BASELINE, Hypothesis
 from suspension_twin.diagnosis.shrink import Remainder, drives_of
-from suspension_twin.identification.gauss_newton import refit
 
 __all__ = ["Likeness", "Stretch", "as_surveyed", "gathered", "likenesses", "spread_out"]
 

@@ -18,8 +18,8 @@ import numpy as np
 from suspension_twin.arrays import Floats
 from suspension_twin.diagnosis.bench import Bench
 from suspension_twin.diagnosis.evidence import Blocks, Evidence, evidence
+from suspension_twin.diagnosis.fit import Fit, finished, fitted, refit
 from suspension_twin.diagnosis.hypotheses import BASELINE, Hypothesis, combined
-from suspension_twin.identification.gauss_newton import Fit, finished, fitted, refit
 from suspension_twin.identification.noise import INDEPENDENT
 from suspension_twin.identification.parallel import side_by_side
 

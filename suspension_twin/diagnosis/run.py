@@ -21,14 +21,14 @@ from suspension_twin.diagnosis.case import Case, baseline, build, read_case, tau
 from suspension_twin.diagnosis.coarse_search import LOST
 from suspension_twin.diagnosis.conclude import Findings, conclude
 from suspension_twin.diagnosis.evidence import Evidence, blocks_of, evidence, held_out, weights
+from suspension_twin.diagnosis.fit import Linear, finished, fitted
 from suspension_twin.diagnosis.gates import Gatekeeper
 from suspension_twin.diagnosis.hypotheses import BASELINE, NORMAL_PART, Hypothesis, library, witnesses
-from suspension_twin.diagnosis.nuisance_penalty import relieved
+from suspension_twin.diagnosis.nuisance_penalty import penalty_gains
 from suspension_twin.diagnosis.preexisting import since
 from suspension_twin.diagnosis.request import DiagnosisRequest, DiagnosisResult, Progress
 from suspension_twin.diagnosis.search import Single, again, jointly, pairs, singles, without_one
 from suspension_twin.errors import InputError
-from suspension_twin.identification.gauss_newton import Linear, finished, fitted
 from suspension_twin.identification.parallel import side_by_side
 
 __all__ = ["diagnose"]
@@ -324,7 +324,7 @@ class _Search:
             # what makes up for a little of the model's own error takes little of what the reference does not show
             if still[0] - still[1] < _WORTH:
                 return False
-        spared = relieved([few.strain, many.strain], self.temper)[1] if alone else 0.0
+        spared = penalty_gains([few.penalty, many.penalty], self.temper)[1] if alone else 0.0
         # clocks that are all at their ends make up for something: what frees them is worth it, if that is worth it
         if spared > _RELIEF and (
             verdict.punctual(self.bench, few, self.temper)

@@ -13,20 +13,11 @@ from suspension_twin.arrays import Floats
 from suspension_twin.diagnosis import coarse_search as gross
 from suspension_twin.diagnosis.bench import Bench
 from suspension_twin.diagnosis.evidence import Blocks, Evidence, evidence
+from suspension_twin.diagnosis.fit import Fit, Linear, finished, fitted, refit, scanned, screened, swept
 from suspension_twin.diagnosis.hypotheses import BASELINE, NORMAL_PART, Hypothesis, combined
 from suspension_twin.diagnosis.preexisting import as_trait
 from suspension_twin.effects.registry import EFFECTS
 from suspension_twin.errors import WorkError
-from suspension_twin.identification.gauss_newton import (
-    Fit,
-    Linear,
-    finished,
-    fitted,
-    refit,
-    scanned,
-    screened,
-    swept,
-)
 from suspension_twin.identification.parallel import side_by_side
 
 __all__ = ["Single", "again", "jointly", "pairs", "singles", "without_one"]

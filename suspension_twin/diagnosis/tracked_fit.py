@@ -29,7 +29,7 @@ from suspension_twin.diagnosis.tracked_own import (
 )
 from suspension_twin.effects.tracked_effects import TRACKED_EFFECTS, apply_tracked, camera_of
 from suspension_twin.errors import InputError, WorkError
-from suspension_twin.identification.gauss_newton import within
+from suspension_twin.identification.gauss_newton import bounded_step
 from suspension_twin.vehicle.tracked import TrackedVehicle
 
 __all__ = [
@@ -336,7 +336,7 @@ def _step(linear: _Linear, weight: Floats, low: Floats, high: Floats) -> Floats:
     up = np.concatenate([np.minimum(high, _LARGEST_STEP), free * (_FARTHEST - clocks)])
     gradient = weight * linear.x0 - linear.a.T @ linear.r
     hessian = linear.a.T @ linear.a + np.diag(weight)
-    return within(hessian, gradient[:, None], np.minimum(down, 0.0), np.maximum(up, 0.0))[:size, 0]
+    return bounded_step(hessian, gradient[:, None], np.minimum(down, 0.0), np.maximum(up, 0.0))[:size, 0]
 
 
 def fit(bench: Bench, hypothesis: Hypothesis) -> Fitted | None:

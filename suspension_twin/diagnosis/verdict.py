@@ -172,7 +172,7 @@ def punctual(bench: Bench, found: Evidence, temper: float) -> float:
     off = found.fit.x[bench.d + np.array(own)] / bench.problem.nuisances.spread[own]
     late = float(norm.cdf((float(np.sqrt(np.mean(off**2))) - _LATE) / _LATE_SPREAD))
     placed = sum(n.endswith(("clock_offset", "map_position")) for n in bench.problem.nuisances.names)
-    chance = 0.0 if found.strain is None else float(chi2.sf(2.0 * found.strain.at(temper)[0], placed))
+    chance = 0.0 if found.penalty is None else float(chi2.sf(2.0 * found.penalty.at(temper)[0], placed))
     return 1.0 - late * _CHANCE / (_CHANCE + chance)
 
 

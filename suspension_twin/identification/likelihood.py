@@ -116,7 +116,7 @@ class Squares:
     @classmethod
     def at(cls, problem: Problem, x: Floats) -> Squares:
         """With the scale that the residuals have at coordinates ``x`` (d + q,)."""
-        sums, _ = FitProblem(problem).sums_of_squares(x[:, None])
+        sums = FitProblem(problem).sums_of_squares(x[:, None])
         count = len(problem.objective.residuals(problem.measured.values[:, :, None]))
         return cls(problem.objective, float(np.sqrt(max(float(sums[0]) / count / INDEPENDENT, 1e-300))))
 

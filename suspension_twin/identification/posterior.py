@@ -17,7 +17,7 @@ from typing import Protocol
 import numpy as np
 
 from suspension_twin.arrays import Floats
-from suspension_twin.identification.least_squares import LeastSquares, LmSettings, squared
+from suspension_twin.identification.gauss_newton import GaussNewton, GaussNewtonSettings, Quadratic
 from suspension_twin.identification.likelihood import Likelihood
 from suspension_twin.identification.problem import FitProblem, Problem
 from suspension_twin.identification.space import Curve
@@ -114,8 +114,8 @@ def posterior(
     ``doubt`` (d + q,) is one more standard deviation, of all coordinates together.
     """
     fit = FitProblem(problem, likelihood.residuals)
-    residual, jacobian, _ = fit.linearise(x)
-    information = squared(jacobian) + precision
+    residual, jacobian = fit.linearise(x)
+    information = jacobian.T @ jacobian + precision
     covariance = _widened(
         np.asarray(np.linalg.inv(information), dtype=np.float64), jacobian, residual, precision, problem
     )
@@ -157,7 +157,7 @@ def _widened(
     if blocks < 2 * covariance.shape[0]:
         return covariance
     scores = np.add.reduceat(jacobian * residual[:, None], np.arange(0, residual.size, size), axis=0)
-    meat = squared(scores) * (blocks / (blocks - 1.0)) + precision
+    meat = scores.T @ scores * (blocks / (blocks - 1.0)) + precision
     robust = np.einsum("ij,jk,kl->il", covariance, meat, covariance, optimize=False)
     ratio = np.sqrt(np.maximum(np.diag(robust) / np.diag(covariance), 1.0))
     widened = covariance * ratio[:, None] * ratio[None, :]
@@ -177,7 +177,7 @@ def _slide_costs(
     candidates = np.repeat(x[:, None], len(found), axis=1)
     for lane, slide in enumerate(found):
         candidates[rows, lane] = slide.z
-    sums, _ = fit.sums_of_squares(candidates)
+    sums = fit.sums_of_squares(candidates)
     return np.asarray(sums + _penalty(problem, candidates[: len(problem.space)], precision))
 
 
@@ -224,7 +224,7 @@ def profile(
     centre = np.concatenate([problem.space.z0, np.zeros(x.size - len(problem.space))])
 
     def posterior_cost(at: Floats) -> float:
-        sums, _ = fit.sums_of_squares(at[:, None])
+        sums = fit.sums_of_squares(at[:, None])
         away = at - centre
         return float(sums[0]) + float(np.einsum("i,ij,j->", away, precision, away, optimize=False))
 
@@ -236,14 +236,14 @@ def profile(
         held[row] += offset
         inner = precision[np.ix_(others, others)]
         pull = precision[others, row] * (held[row] - centre[row])
-        solver = LeastSquares(
+        solver = GaussNewton(
             _Held(fit, held, others),
             x[others],
             inner,
             centre[others] - np.linalg.solve(inner, pull),
-            LmSettings(iterations=10),
+            settings=GaussNewtonSettings(iterations=10),
         )
-        solver.run(lambda: False)
+        solver.run()
         held[others] = solver.x
         rises[k] = posterior_cost(held) - lowest
     return rises
@@ -255,13 +255,15 @@ class _Held:
     def __init__(self, fit: FitProblem, at: Floats, others: np.ndarray) -> None:
         self.fit, self.at, self.others = fit, at, others
 
-    def linearise(self, x: Floats) -> tuple[Floats, Floats, int]:
+    def quadratic(self, x: Floats) -> Quadratic:
         full = self.at.copy()
         full[self.others] = x
-        residual, jacobian, spent = self.fit.linearise(full)
-        return residual, jacobian[:, self.others], spent
+        model = self.fit.quadratic(full)
+        return Quadratic(
+            model.value, model.squares[np.ix_(self.others, self.others)], model.slope[self.others]
+        )
 
-    def sums_of_squares(self, x: Floats) -> tuple[Floats, int]:
+    def sums_of_squares(self, x: Floats) -> Floats:
         full = np.repeat(self.at[:, None], x.shape[1], axis=1)
         full[self.others] = x
         return self.fit.sums_of_squares(full)

@@ -17,6 +17,7 @@ from suspension_twin.arrays import Floats
 from suspension_twin.errors import InputError
 from suspension_twin.gap.prepare import Prepared
 from suspension_twin.identification.excited_segments import TrimSettings, fit_rows
+from suspension_twin.identification.gauss_newton import Quadratic
 from suspension_twin.identification.nuisance import NuisancePriors, Nuisances
 from suspension_twin.identification.objectives import Measured, Objective, Term
 from suspension_twin.identification.space import Space
@@ -195,11 +196,10 @@ class Problem:
 
 
 class FitProblem:
-    """A problem as the least squares solver sees it: d slope coordinates, then q nuisances.
+    """A problem as the solver sees it: d search coordinates, then q nuisances.
 
-    ``residuals`` turns compared signals (M, C, L) into (R, L); those of the objective by default.
-
-    The Jacobian's physics columns are differences of simulated lanes, the nuisances' cost none.
+    ``residuals`` turns compared signals (M, C, L) into (R, L); those of the objective by default. The physics columns
+    of the Jacobian are differences of simulated lanes; those of the nuisances cost no simulation.
     """
 
     step = 1e-3
@@ -209,10 +209,9 @@ class FitProblem:
         self.d = len(problem.space)
         self.residuals = residuals or problem.objective.residuals
 
-    def linearise(self, x: Floats) -> tuple[Floats, Floats, int]:
-        """Residuals (R,), Jacobian (R, d + q) and simulations spent at ``x`` (d + q,)."""
+    def linearise(self, x: Floats) -> tuple[Floats, Floats]:
+        """Residuals (R,) and Jacobian (R, d + q) at ``x`` (d + q,)."""
         problem, d = self.problem, self.d
-        before = problem.evaluations
         z, nuisance = x[:d], x[d:]
         shifted = np.repeat(z[:, None], d + 1, axis=1)
         shifted[np.arange(d), np.arange(1, d + 1)] += self.step
@@ -236,17 +235,21 @@ class FitProblem:
         moved[np.diag_indices(steps.size)] += steps
         disturbed = self.residuals(problem.compared(base_signals, moved))
         disturbance = (disturbed - base[:, None]) / steps
-        return base, np.concatenate([physics, disturbance], axis=1), problem.evaluations - before
+        return base, np.concatenate([physics, disturbance], axis=1)
 
-    def sums_of_squares(self, x: Floats) -> tuple[Floats, int]:
+    def quadratic(self, x: Floats) -> Quadratic:
+        """The quadratic model of the sum of squares about ``x`` (d + q,)."""
+        residual, jacobian = self.linearise(x)
+        return Quadratic(float(residual @ residual), jacobian.T @ jacobian, jacobian.T @ residual)
+
+    def sums_of_squares(self, x: Floats) -> Floats:
         """(L,) sums of squared residuals of (d + q, L), infinite where a lane failed."""
         problem = self.problem
-        before = problem.evaluations
         sums = np.empty(x.shape[1])
         values = problem.space.from_slopes(x[: self.d])
         for cut in problem.batches(x.shape[1]):
             signals, failed = problem.simulate(values[:, cut])
             r = self.residuals(problem.compared(signals, x[self.d :, cut]))
-            found = np.einsum("rl,rl->l", r, r, optimize=False)
+            found = np.einsum("rl,rl->l", r, r)
             sums[cut] = np.where(failed | ~np.isfinite(found), np.inf, found)
-        return sums, problem.evaluations - before
+        return sums

@@ -9,8 +9,6 @@ from typing import Any
 import numpy as np
 import pytest
 import yaml
-from hypothesis import given, settings
-from hypothesis import strategies as st
 
 from suspension_twin.calibration.checkpoint import Checkpoint, State
 from suspension_twin.calibration.genetic import (
@@ -21,13 +19,6 @@ from suspension_twin.calibration.genetic import (
     stochastic_uniform,
 )
 from suspension_twin.calibration.pattern import PatternSearch, PatternSettings
-from suspension_twin.identification.least_squares import (
-    LeastSquares,
-    LmSettings,
-    gram,
-    solve_positive,
-    squared,
-)
 
 TARGET = np.linspace(0.2, 0.8, 6)
 
@@ -157,89 +148,6 @@ def test_pattern_search_keeps_to_its_evaluations_and_continues() -> None:
     while not again.finished:
         again.tell(bowl(again.ask()))
     assert np.array_equal(again.x, whole.x) and again.cost == whole.cost
-
-
-class Rosenbrock:
-    """The valley function as least squares in two unknowns."""
-
-    def residuals(self, x: np.ndarray) -> np.ndarray:
-        return np.stack([10 * (x[1] - x[0] ** 2), 1 - x[0]])
-
-    def linearise(self, x: np.ndarray) -> tuple[np.ndarray, np.ndarray, int]:
-        return self.residuals(x), np.array([[-20 * x[0], 10.0], [-1.0, 0.0]]), 3
-
-    def sums_of_squares(self, x: np.ndarray) -> tuple[np.ndarray, int]:
-        return (self.residuals(x) ** 2).sum(axis=0), x.shape[1]
-
-
-def test_least_squares_goes_down_the_valley_and_continues_to_the_same_bits() -> None:
-    def fresh() -> LeastSquares:
-        return LeastSquares(Rosenbrock(), np.array([-1.2, 1.0]), np.zeros((2, 2)), np.zeros(2))
-
-    whole = fresh()
-    whole.run(lambda: False)
-    np.testing.assert_allclose(whole.x, 1.0, atol=1e-4)
-    part = fresh()
-    for _ in range(4):
-        part.step()
-    again = fresh()
-    again.restore(*part.state())
-    again.run(lambda: False)
-    assert np.array_equal(again.x, whole.x) and again.evaluations == whole.evaluations
-
-
-def test_least_squares_with_a_prior_is_ridge_regression() -> None:
-    rng = np.random.default_rng(1)
-    a, b = rng.standard_normal((40, 4)), rng.standard_normal(40)
-    precision, centre = np.diag([1.0, 2.0, 3.0, 4.0]), np.arange(4.0)
-
-    class Linear:
-        def linearise(self, x: np.ndarray) -> tuple[np.ndarray, np.ndarray, int]:
-            return a @ x - b, a, 1
-
-        def sums_of_squares(self, x: np.ndarray) -> tuple[np.ndarray, int]:
-            return ((a @ x - b[:, None]) ** 2).sum(axis=0), x.shape[1]
-
-    solver = LeastSquares(Linear(), np.zeros(4), precision, centre, LmSettings(tolerance=1e-14))
-    solver.run(lambda: False)
-    expected = np.linalg.solve(a.T @ a + precision, a.T @ b + precision @ centre)
-    np.testing.assert_allclose(solver.x, expected, rtol=1e-6)
-
-
-def test_least_squares_stops_when_told_and_survives_failed_candidates() -> None:
-    class Cliff(Rosenbrock):
-        def sums_of_squares(self, x: np.ndarray) -> tuple[np.ndarray, int]:
-            sums, n = super().sums_of_squares(x)
-            return np.where(np.abs(x[0]) > 1.25, np.nan, sums), n
-
-    solver = LeastSquares(Cliff(), np.array([-1.2, 1.0]), np.zeros((2, 2)), np.zeros(2))
-    solver.run(lambda: True)
-    assert solver.iteration == 0
-    solver.run(lambda: False)
-    np.testing.assert_allclose(solver.x, 1.0, atol=1e-4)
-
-
-def test_gram_and_solve_agree_with_lapack() -> None:
-    rng = np.random.default_rng(2)
-    a = rng.standard_normal((300, 7)) * 10.0 ** np.arange(-6, 8, 2)
-    np.testing.assert_allclose(gram(a, a), a.T @ a, rtol=1e-9, atol=1e-9)
-    for rows in (300, 299, 3):
-        np.testing.assert_allclose(squared(a[:rows]), gram(a[:rows], a[:rows]), rtol=1e-9, atol=1e-9)
-    x = rng.standard_normal(7) / 10.0 ** np.arange(-6, 8, 2)
-    np.testing.assert_allclose(solve_positive(gram(a, a), gram(a, (a @ x)[:, None])[:, 0]), x, rtol=1e-6)
-
-
-@settings(max_examples=60, deadline=None)
-@given(rows=st.integers(0, 300), columns=st.integers(1, 20), seed=st.integers(0, 2**31))
-def test_squares_of_columns_that_are_nothing_here_and_there(rows: int, columns: int, seed: int) -> None:
-    """A bias of one drive is nothing in the rows of all others."""
-    rng = np.random.default_rng(seed)
-    a = rng.standard_normal((rows, columns))
-    for column in range(columns):
-        begin, end = np.sort(rng.integers(0, rows + 1, 2))
-        a[begin:end, column] = 0.0
-    np.testing.assert_allclose(squared(a), a.T @ a, rtol=1e-9, atol=1e-9)
-    assert np.array_equal(squared(a), squared(a).T)
 
 
 def test_a_checkpoint_is_whole_or_not_there(tmp_path: Path) -> None:

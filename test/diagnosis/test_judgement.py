@@ -159,7 +159,7 @@ def fitted(hypothesis: Hypothesis, nuisances: dict[str, float], values: dict[str
     there = SimpleNamespace(d=2, q=len(names), problem=problem, active=(True, True, False))
     u = [(values[p.name] - p.typical) / p.spread for _, p in hypothesis.searched]
     x = np.concatenate([np.zeros(2), [0.002 * v for v in nuisances.values()], u])
-    return there, SimpleNamespace(fit=SimpleNamespace(hypothesis=hypothesis, x=x), strain=None)
+    return there, SimpleNamespace(fit=SimpleNamespace(hypothesis=hypothesis, x=x), penalty=None)
 
 
 @pytest.mark.parametrize(("mass", "low", "high"), [(30.0, 0.0, 0.05), (60.0, 0.45, 0.55), (150.0, 0.99, 1.0)])

@@ -13,9 +13,9 @@ from scipy.optimize import minimize
 from suspension_twin.diagnosis import verdict
 from suspension_twin.diagnosis.bench import Linearised
 from suspension_twin.diagnosis.evidence import Evidence, weights
+from suspension_twin.diagnosis.fit import Linear, refit
 from suspension_twin.diagnosis.hypotheses import BASELINE, Hypothesis
-from suspension_twin.diagnosis.nuisance_penalty import relieved, strain_of
-from suspension_twin.identification.gauss_newton import Linear, refit
+from suspension_twin.diagnosis.nuisance_penalty import penalty_gains, penalty_of
 
 LATE = Hypothesis(("time_offset",))
 LIMIT = 3.0
@@ -86,7 +86,7 @@ def test_the_price_is_that_of_the_best_between_residuals_and_prior(seed: int, te
     best = minimize(
         price, fit.x, bounds=list(zip(low, high, strict=True)), options={"ftol": 1e-14, "gtol": 1e-10}
     )
-    spent, _ = strain_of(bench, fit, fit.at).at(temper)
+    spent, _ = penalty_of(bench, fit, fit.at.model).at(temper)
     assert spent == pytest.approx(best.fun, rel=1e-3, abs=1e-4)
     assert spent <= 0.5 * float(np.sum(fit.x[1:4] ** 2)) + 1e-9
 
@@ -100,15 +100,15 @@ def test_clocks_at_their_ends_are_chance_where_little_asks_for_it() -> None:
         bench.problem = SimpleNamespace(nuisances=SimpleNamespace(names=names, spread=np.ones(3)))
         fit = bench.fit(BASELINE)
         assert (fit.x[2:4] > 2.95).all()
-        found: Any = SimpleNamespace(fit=fit, strain=strain_of(bench, fit, fit.at))
+        found: Any = SimpleNamespace(fit=fit, penalty=penalty_of(bench, fit, fit.at.model))
         assert (verdict.punctual(bench, found, 0.01) > 0.5) == (late < 10.0)
-        found.strain = None
+        found.penalty = None
         assert verdict.punctual(bench, found, 0.01) < 0.5
 
 
 def told(bench: Any, *hypotheses: Hypothesis) -> np.ndarray:
     fits = [bench.fit(h) for h in hypotheses]
-    return relieved([strain_of(bench, fit, fit.at) for fit in fits], 0.03)
+    return penalty_gains([penalty_of(bench, fit, fit.at.model) for fit in fits], 0.03)
 
 
 def test_what_spares_the_clocks_gains_by_what_they_were_asked_for() -> None:
@@ -139,7 +139,7 @@ def test_a_prior_counts_in_full_where_what_is_left_is_the_models_own_error() -> 
     def found(h: Hypothesis) -> Evidence:
         fit = bench.fit(h)
         return Evidence(
-            fit, score, 0.0, {}, np.zeros(1), np.zeros((1, 5)), 0.0, strain_of(bench, fit, fit.at)
+            fit, score, 0.0, {}, np.zeros(1), np.zeros((1, 5)), 0.0, penalty_of(bench, fit, fit.at.model)
         )
 
     share, _ = weights([found(BASELINE), found(LATE)], np.array([0.5, 0.5]), 0.03, 0)

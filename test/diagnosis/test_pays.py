@@ -16,7 +16,7 @@ from suspension_twin.diagnosis.shrink import Shrink
 class _Told(str):
     """Evidence that is its name."""
 
-    strain = None
+    penalty = None
 
 
 def pays(
@@ -33,7 +33,7 @@ def pays(
     monkeypatch.setattr(run, "weights", lambda *given: (None, np.array([[0.0, 1.0 - sure], [sure, 0.0]])))
     monkeypatch.setattr(verdict, "punctual", lambda bench, found, temper: punctual[found == "many"])
 
-    monkeypatch.setattr(run, "relieved", lambda strains, temper: np.array([0.0, relief]))
+    monkeypatch.setattr(run, "penalty_gains", lambda strains, temper: np.array([0.0, relief]))
 
     def shrink(before: Any, found: str, column: int = 0, settled: bool = False) -> Shrink:
         left = {"few": 0.8, "many": after}[found]

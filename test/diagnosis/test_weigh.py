@@ -13,9 +13,9 @@ from numpy.testing import assert_allclose
 from suspension_twin.diagnosis import evidence as judge
 from suspension_twin.diagnosis import run
 from suspension_twin.diagnosis.evidence import Evidence
+from suspension_twin.diagnosis.fit import Fit
 from suspension_twin.diagnosis.hypotheses import Hypothesis
 from suspension_twin.diagnosis.search import Single
-from suspension_twin.identification.gauss_newton import Fit
 
 
 def told(effect: str, gain: float) -> Evidence:
@@ -33,7 +33,7 @@ def weighed(
     effects = ("payload", "time_offset")
     beside = {i: told(e, g) for i, (e, g) in enumerate(zip(effects, late, strict=True))}
     monkeypatch.setattr(run, "since", lambda *given: None if base is None else (told("", base), beside))
-    monkeypatch.setattr(judge, "relieved", lambda strains, temper: np.zeros(len(strains)))
+    monkeypatch.setattr(judge, "penalty_gains", lambda strains, temper: np.zeros(len(strains)))
     search: Any = SimpleNamespace(
         bench=None, blocks=None, request=SimpleNamespace(seed=0), base=told("", 0.0), temper=1.0, tell=None
     )

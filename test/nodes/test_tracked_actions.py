@@ -16,8 +16,7 @@ from suspension_twin.nodes import _diagnosis
 from suspension_twin.nodes._calibration import job_of
 from suspension_twin.nodes._diagnosis import diagnose_job, diagnosis_job_of
 from suspension_twin.nodes.calibrator import CalibratorNode
-from suspension_twin.vehicle.tracked import BOUNDS
-from suspension_twin.vehicle.tracked import TrackedTwin
+from suspension_twin.vehicle.tracked import BOUNDS, TrackedTwin
 from suspension_twin.vehicle.twin import load_twin
 from suspension_twin_interfaces.action import Calibrate, Diagnose
 

@@ -8,8 +8,7 @@ from pathlib import Path
 import pytest
 
 from suspension_twin.errors import InputError
-from suspension_twin.vehicle.tracked import BOUNDS, TrackedVehicle, load_tracked, parse_tracked
-from suspension_twin.vehicle.tracked import TrackedTwin
+from suspension_twin.vehicle.tracked import BOUNDS, TrackedTwin, TrackedVehicle, load_tracked, parse_tracked
 from suspension_twin.vehicle.twin import load_twin, save_twin
 
 

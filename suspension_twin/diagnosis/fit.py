@@ -1,0 +1,301 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The joint fit of characteristics, nuisances and effects.
+
+A hypothesis is screened first: its effects are simulated all over their prior with the vehicle as
+the baseline has it, and what the characteristics and nuisances can take back is taken back by linear
+algebra. From the best of these, Gauss-Newton runs on everything jointly.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import linalg
+
+from suspension_twin.arrays import Floats
+from suspension_twin.diagnosis.bench import Bench, Linearised
+from suspension_twin.diagnosis.hypotheses import Hypothesis
+from suspension_twin.identification.gauss_newton import (
+    GaussNewton,
+    GaussNewtonSettings,
+    Quadratic,
+    bounded_step,
+)
+
+__all__ = [
+    "SETTINGS",
+    "Fit",
+    "Linear",
+    "Screening",
+    "finished",
+    "fitted",
+    "refit",
+    "room",
+    "scanned",
+    "screened",
+    "swept",
+]
+
+_LARGEST_STEP = 2.0
+#: Dampings tried at once; a step is held 1e4 times more by the prior than by the curvature, so that the end of a spring
+#: that a drive hardly visits, which has no curvature and a wall behind it, holds back nothing else. A step that lowers
+#: -2 log posterior by less than 0.3 is the last: what decides differs by several.
+SETTINGS = GaussNewtonSettings(
+    tolerance=0.0,
+    absolute=0.3,
+    patience=1,
+    ladder=(0.0, 1e-2, 1e-1, 1.0, 10.0),
+    least_damping=1e-4,
+    largest_damping=1e4,
+    largest_step=_LARGEST_STEP,
+    prior_damping=1e4,
+    shortened=0.3,
+    relaxed=0.3,
+    raised=100.0,
+    worthwhile=0.3,
+)
+#: Places of each coordinate of an effect, out to so many spreads of its prior, and how many of them are simulated anew.
+_SWEPT, _FAR, _TRIED = 9, 2.5, 4
+
+
+@dataclass(frozen=True, eq=False)
+class Fit:
+    """A hypothesis at its best: unknowns ``x`` (d + q + k,), ``cost`` -2 log posterior."""
+
+    hypothesis: Hypothesis
+    x: Floats
+    cost: float
+
+    def effects(self, bench: Bench) -> Floats:
+        """(k,) values of the effects' parameters."""
+        return self.hypothesis.values(self.x[bench.d + bench.q :, None])[:, 0]
+
+
+@dataclass(frozen=True, eq=False)
+class Linear(Fit):
+    """A fit with the linearisation ``at`` its place: tens of megabytes, so only while it is worked with."""
+
+    at: Linearised
+
+
+@dataclass(frozen=True, eq=False)
+class Screening:
+    """Linearised joint ``cost`` and unknowns ``x`` of starts, the best first, and the ``power`` (S,) of each in the
+    order given: half the squared change of the whitened signals that characteristics and nuisances cannot imitate,
+    in nats."""
+
+    cost: list[float]
+    x: list[Floats]
+    power: Floats
+
+
+def _curvature(bench: Bench, base: Linear) -> tuple[Floats, Floats, float]:
+    """Of the posterior about ``base``: its curvature, the prior's gradient, and what the prior costs."""
+    precision, centre = bench.prior(base.hypothesis)
+    hessian = base.at.model.squares + precision
+    away = base.x - centre
+    pull = np.einsum("ij,j->i", precision, away, optimize=False)
+    return hessian + 1e-10 * np.diag(np.diag(hessian)), pull, float(away @ precision @ away)
+
+
+def room(bench: Bench, hypothesis: Hypothesis, x: Floats) -> tuple[Floats, Floats]:
+    """(p,) how far each coordinate may go down and up."""
+    low, high = bench.limits(hypothesis)
+    return np.minimum(low - x, 0.0), np.maximum(high - x, 0.0)
+
+
+def _stuck(bench: Bench, hypothesis: Hypothesis, x: Floats, gradient: Floats) -> NDArray[np.bool_]:
+    """(p,) coordinates on a limit that want out: they stay there."""
+    low, high = bench.limits(hypothesis)
+    return np.asarray(((x <= low) & (gradient > 0)) | ((x >= high) & (gradient < 0)))
+
+
+def screened(bench: Bench, base: Linear, hypothesis: Hypothesis, starts: Floats) -> Screening:
+    """Try every start (k, S) of a hypothesis' last effects with the vehicle of ``base``.
+
+    ``base`` may be a hypothesis of fewer effects: its coordinates are the first of those of ``hypothesis``.
+    """
+    p = bench.d + bench.q
+    kept = base.x.size - p
+    u = np.concatenate([np.repeat(base.x[p:, None], starts.shape[1], axis=1), starts])
+    x = np.concatenate([np.repeat(base.x[:p, None], u.shape[1], axis=1), u])
+    residual, failed = bench.residuals(hypothesis, x)
+    jacobian = base.at.jacobian
+    hessian, pull, penalty = _curvature(bench, base)
+    gradient = jacobian.T @ residual + pull[:, None]
+    step = bounded_step(hessian, gradient, *room(bench, base.hypothesis, base.x))
+    costs = np.einsum("rl,rl->l", residual, residual, optimize=False) + penalty
+    bent = gradient + 0.5 * np.einsum("ij,jl->il", hessian, step, optimize=False)
+    costs = costs + 2.0 * np.einsum("il,il->l", bent, step, optimize=False)
+    costs = costs + np.sum(starts**2, axis=0)
+    costs = np.where(failed | ~np.isfinite(costs), np.inf, costs)
+    change = residual - base.at.residual[:, None]
+    seen = jacobian.T @ change
+    lost = np.einsum("il,il->l", seen, linalg.cho_solve(linalg.cho_factor(hessian), seen), optimize=False)
+    power = 0.5 * (np.einsum("rl,rl->l", change, change, optimize=False) - lost)
+    order = np.argsort(costs, kind="stable")
+    unknowns = []
+    for i in order:
+        moved = x[:, i].copy()
+        moved[: p + kept] += np.clip(step[:, i], -_LARGEST_STEP, _LARGEST_STEP)
+        unknowns.append(moved)
+    return Screening(costs[order].tolist(), unknowns, np.where(failed, 0.0, power))
+
+
+def scanned(bench: Bench, base: Linear, hypothesis: Hypothesis, scan: tuple[int, Floats]) -> Floats | None:
+    """Unknowns of the best point of a ``scan`` of the hypothesis' last effect: coordinates (k, S) all over where
+    its resonance may lie, each with the strength, in the given row, that suits it best.
+
+    A narrow resonance is missed by starts here and there; what it adds grows with its strength, so one simulation
+    tells the best strength of either sign by linear algebra.
+    """
+    row, points = scan
+    p, kept = bench.d + bench.q, base.x.size - bench.d - bench.q
+    nothing = hypothesis.neutral()[kept + row]
+    x = np.concatenate([np.repeat(base.x[:, None], points.shape[1], axis=1), points])
+    residual, failed = bench.residuals(hypothesis, x)
+    jacobian, rest = base.at.jacobian, base.at.residual
+    hessian, pull, _ = _curvature(bench, base)
+    gradient = base.at.model.slope + pull
+    change = residual - rest[:, None]
+    free = np.flatnonzero(~_stuck(bench, base.hypothesis, base.x, gradient))
+    seen = (jacobian.T @ change)[free]
+    factor = linalg.cho_factor(hessian[np.ix_(free, free)])
+    taken = linalg.cho_solve(factor, np.column_stack([seen, gradient[free]]))
+    far = points[row] - nothing
+    curve = np.einsum("rl,rl->l", change, change, optimize=False) + far**2
+    curve -= np.einsum("il,il->l", seen, taken[:, :-1], optimize=False)
+    slope = np.einsum("r,rl->l", rest, change, optimize=False) + nothing * far
+    slope -= np.einsum("il,i->l", seen, taken[:, -1], optimize=False)
+    low, high = (b[kept + row] for b in hypothesis.bounds())
+    with np.errstate(divide="ignore", invalid="ignore"):
+        strength = np.clip(nothing - far * slope / curve, low, high)
+        share = (strength - nothing) / far
+        gain = -(2.0 * slope * share + curve * share**2) - np.sum(np.delete(points, row, axis=0) ** 2, axis=0)
+    gain = np.where(failed | ~np.isfinite(gain), -np.inf, gain)
+    best = int(np.argmax(gain))
+    if not np.isfinite(gain[best]):
+        return None
+    found: Floats = x[:, best].copy()
+    found[p + kept + row] = strength[best]
+    step = -(taken[:, -1] + share[best] * taken[:, best])
+    found[free] += np.clip(step, -_LARGEST_STEP, _LARGEST_STEP)
+    return np.asarray(bench.clipped(hypothesis, found[:, None])[:, 0])
+
+
+def swept(bench: Bench, at: Linear) -> Floats | None:
+    """Unknowns that cost less than those of a fit, one coordinate of its effects anywhere else in its prior and the
+    rest moved to what suits it best by linear algebra; None where there are none.
+
+    A stop that touches at one axle alone, a mass in front instead of behind: such fits lie in valleys of their own,
+    and no descent leads from one to the next.
+    """
+    hypothesis, p = at.hypothesis, bench.d + bench.q
+    low, high = hypothesis.bounds()
+    precision, centre = bench.prior(hypothesis)
+    hessian, _, _ = _curvature(bench, at)
+    rows = np.repeat(np.arange(p, at.x.size), _SWEPT)
+    points = np.repeat(at.x[:, None], rows.size, axis=1)
+    for i in range(len(hypothesis)):
+        points[p + i, rows == p + i] = np.linspace(max(-_FAR, low[i]), min(_FAR, high[i]), _SWEPT)
+    residual, failed = bench.residuals(hypothesis, points)
+    away = points - centre[:, None]
+    slope = at.at.jacobian.T @ residual + precision @ away
+    costs = np.einsum("rl,rl->l", residual, residual, optimize=False)
+    costs += np.einsum("il,ij,jl->l", away, precision, away, optimize=False)
+    for i in range(p, at.x.size):
+        own = rows == i
+        others = np.delete(np.arange(at.x.size), i)
+        step = -linalg.cho_solve(
+            linalg.cho_factor(hessian[np.ix_(others, others)]), slope[np.ix_(others, own)]
+        )
+        costs[own] += np.einsum("il,il->l", slope[np.ix_(others, own)], step, optimize=False)
+        points[np.ix_(others, own)] += np.clip(step, -_LARGEST_STEP, _LARGEST_STEP)
+    costs = np.where(failed | ~np.isfinite(costs), np.inf, costs)
+    tried = bench.clipped(hypothesis, points[:, np.argsort(costs, kind="stable")[:_TRIED]])
+    found = bench.costs(hypothesis, tried)
+    best = int(np.argmin(found))
+    return tried[:, best].copy() if found[best] < at.cost else None
+
+
+class _Joint:
+    """The residuals of a hypothesis as the solver sees them.
+
+    ``known`` columns of the Jacobian, the vehicle's and the nuisances', are taken to hold; with ``sparing`` those of
+    one iteration are, for one more.
+    """
+
+    def __init__(self, bench: Bench, hypothesis: Hypothesis, known: Linearised | None, sparing: bool) -> None:
+        self.bench, self.hypothesis, self.known, self.sparing = bench, hypothesis, known, sparing
+        self.at: Linearised | None = None
+        self._last: Linearised | None = None
+
+    def quadratic(self, x: Floats) -> Quadratic:
+        held, self.at = self.known or self._last, None
+        if held is not None:
+            self._last = None
+            return held.beyond(*self.bench.effects_alone(self.hypothesis, x))
+        self.at = self.bench.linearise(self.hypothesis, x)
+        self._last = self.at.first(self.bench.d + self.bench.q) if self.sparing else None
+        return self.at.model
+
+    def sums_of_squares(self, x: Floats) -> Floats:
+        residual, failed = self.bench.residuals(self.hypothesis, x)
+        sums = np.einsum("rl,rl->l", residual, residual)
+        return np.where(failed | ~np.isfinite(sums), np.inf, sums)
+
+
+def refit(
+    bench: Bench,
+    hypothesis: Hypothesis,
+    starts: Sequence[Floats],
+    known: Linearised | None,
+    iterations: int,
+    sparing: bool = False,
+) -> tuple[Floats, float]:
+    """Gauss-Newton from the best of ``starts``: unknowns and -2 log posterior; ``known`` and ``sparing`` as in
+    :class:`_Joint`."""
+    solver, _ = _solved(bench, hypothesis, starts, known, iterations, sparing)
+    return solver.x, solver.cost
+
+
+def fitted(bench: Bench, hypothesis: Hypothesis, starts: Sequence[Floats], iterations: int) -> Linear:
+    """As ``refit``, with the linearisation where it comes to."""
+    solver, problem = _solved(bench, hypothesis, starts, None, iterations)
+    there = problem.at is not None and np.array_equal(problem.at.x, solver.x)
+    at = problem.at if there else bench.linearise(hypothesis, solver.x)
+    assert at is not None
+    return Linear(hypothesis, solver.x, solver.cost, at)
+
+
+def _solved(
+    bench: Bench,
+    hypothesis: Hypothesis,
+    starts: Sequence[Floats],
+    known: Linearised | None,
+    iterations: int,
+    sparing: bool = False,
+) -> tuple[GaussNewton, _Joint]:
+    problem = _Joint(bench, hypothesis, known, sparing)
+    settings = replace(SETTINGS, iterations=iterations)
+    solver = GaussNewton(
+        problem,
+        starts[0],
+        *bench.prior(hypothesis),
+        *bench.limits(hypothesis),
+        settings,
+        finished=not iterations,
+    )
+    solver.begin(np.stack(list(starts), axis=1))
+    solver.run()
+    return solver, problem
+
+
+def finished(bench: Bench, hypothesis: Hypothesis, x: Floats) -> Linear:
+    """The fit at ``x`` with its linearisation."""
+    at = bench.linearise(hypothesis, x)
+    cost = float(bench.costs(hypothesis, x[:, None])[0])
+    return Linear(hypothesis, x, cost, at)
