@@ -16,7 +16,7 @@ from suspension_twin.arrays import Floats
 from suspension_twin.calibration.checkpoint import Checkpoint, State
 from suspension_twin.calibration.request import CalibrationRequest, Progress
 from suspension_twin.calibration.setup import Setup
-from suspension_twin.identification.likelihood import Likelihood
+from suspension_twin.identification.noise import Whitener
 from suspension_twin.identification.problem import Interrupted, Problem
 
 __all__ = ["Outcome", "Recorder", "fingerprint"]
@@ -35,7 +35,7 @@ class Outcome:
     problem: Problem
     placed: Floats
     x: Floats | None = None
-    likelihood: Likelihood | None = None
+    likelihood: Whitener | None = None
     stopped: bool = False
 
 

@@ -18,7 +18,7 @@ from suspension_twin.calibration.checkpoint import State
 from suspension_twin.calibration.recorder import Outcome, Recorder
 from suspension_twin.calibration.setup import Setup
 from suspension_twin.identification.gauss_newton import GaussNewton, GaussNewtonSettings
-from suspension_twin.identification.likelihood import INDEPENDENT, NEAR_FLOOR, Likelihood
+from suspension_twin.identification.noise import NEAR_FLOOR, Whitener
 from suspension_twin.identification.posterior import CORRELATION, travel
 from suspension_twin.identification.problem import FitProblem, Interrupted, Problem
 from suspension_twin.identification.spring_position import standing_at
@@ -99,7 +99,7 @@ class _Fit:
         self.precision = full_precision(self.base)
         self.x = np.concatenate([self.base.space.z0, np.zeros(q)])
         self.placed = np.zeros(q)
-        self.likelihood: Likelihood | None = None
+        self.likelihood: Whitener | None = None
         self.cost = np.inf
         self.balanced = recorder.objective == "likelihood"
         self.springs = [c for c in self.base.space.curves if c.key.endswith("spring") and min(c.rows) >= 0]
@@ -156,7 +156,7 @@ class _Fit:
             return
         whitened = planned.stage == "likelihood"
         if whitened and state is None:
-            self.likelihood = Likelihood.fitted(self.problem.measured, self.compared(start))
+            self.likelihood = Whitener.of_residual(self.problem.measured, self.compared(start))
         fit = FitProblem(self.problem, self.likelihood.residuals if whitened and self.likelihood else None)
         scale = float(state.plain["scale"]) if state else self._scale(fit, planned, start)
         centre = np.concatenate([self.base.space.z0, -self.placed])
@@ -191,7 +191,7 @@ class _Fit:
         fit = FitProblem(self.problem)
         before = self.problem.evaluations
         residual, jacobian = fit.linearise(self.x)
-        scale = max(float(np.mean(residual**2)) / INDEPENDENT, 1e-30)
+        scale = max(float(np.mean(residual**2)) / self.problem.measured.independent, 1e-30)
         information = jacobian.T @ jacobian / scale + self.precision
         unit = 1.0 / np.sqrt(np.diag(information))
         scaled = information * unit[:, None] * unit[None, :] + 1e-9 * np.eye(unit.size)
@@ -214,7 +214,8 @@ class _Fit:
         recorder.report(whitened, self.cost, cost, _EXPECTED)
         arrays = {"solver": solver.x, "x": self.x, "placed": self.placed}
         if self.likelihood is not None:
-            arrays |= {"filters": self.likelihood.filters, "sigmas": self.likelihood.sigmas}
+            noise = self.likelihood
+            arrays |= {"filters": noise.filters, "sigma": noise.sigma, "group": np.array(noise.group)}
         plain = {"round": planned.number, "scale": scale, "cost": self.cost, "solver": solver.state()[1]}
         recorder.save(planned.stage, arrays, plain, now=True)
 
@@ -223,8 +224,9 @@ class _Fit:
         self.cost = float(state.plain["cost"])
         self.problem = self.base.moved(self.placed) if self.placed.any() else self.base
         if "filters" in state.arrays:
-            fresh = Likelihood.fitted(self.base.measured, self.base.measured.values)
-            self.likelihood = replace(fresh, filters=state.arrays["filters"], sigmas=state.arrays["sigmas"])
+            measured, arrays = self.base.measured, state.arrays
+            group = tuple(int(g) for g in arrays["group"])
+            self.likelihood = Whitener.with_filters(measured, group, arrays["filters"], arrays["sigma"])
         return state.arrays["solver"]
 
     def _at_corner(self, spring: int, corner: int) -> Floats | None:
@@ -245,7 +247,7 @@ class _Fit:
         if planned.stage == "likelihood":
             return 1.0
         residual = fit.residuals(self.compared(start)[:, :, None])
-        variance = max(float(np.mean(residual**2)) / INDEPENDENT, 1e-30)
+        variance = max(float(np.mean(residual**2)) / self.problem.measured.independent, 1e-30)
         return variance * (_FAINT if planned.faint and not self.balanced else 1.0)
 
     def _place(self) -> None:

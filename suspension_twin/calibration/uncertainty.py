@@ -15,7 +15,7 @@ from suspension_twin.calibration.request import CurveEstimate
 from suspension_twin.calibration.setup import Setup
 from suspension_twin.calibration.squares import full_precision, in_floors
 from suspension_twin.identification.gauss_newton import GaussNewton, GaussNewtonSettings
-from suspension_twin.identification.likelihood import NEAR_FLOOR, Likelihood, Squares
+from suspension_twin.identification.noise import NEAR_FLOOR, ScaledObjective, Whitener
 from suspension_twin.identification.posterior import Posterior, Travel, Weighing, posterior, span_of, travel
 from suspension_twin.identification.problem import FitProblem, Problem
 from suspension_twin.identification.space import Curve, Space
@@ -73,7 +73,9 @@ def tell(setup: Setup, outcome: Outcome, seed: int) -> Told:
             x = _polished(problem, likelihood, found.better, precision, outcome.placed)
     else:
         other = x
-        squares = Squares.at(problem, other if outcome.x is None else outcome.x)
+        squares = ScaledObjective.at(
+            problem.objective, _compared(problem, other if outcome.x is None else outcome.x)
+        )
         x = _polished(problem, squares, other, precision, outcome.placed) if outcome.x is None else outcome.x
         found = posterior(
             problem, squares, x, precision, _travel_at(setup, problem, x), seed, doubt=other - x
@@ -101,8 +103,8 @@ def _widened(setup: Setup, outcome: Outcome) -> Problem:
     return problem
 
 
-def _likelihood_at(problem: Problem, x: Floats) -> Likelihood:
-    return Likelihood.fitted(problem.measured, _compared(problem, x))
+def _likelihood_at(problem: Problem, x: Floats) -> Whitener:
+    return Whitener.of_residual(problem.measured, _compared(problem, x))
 
 
 def _polished(problem: Problem, likelihood: Weighing, x: Floats, precision: Floats, placed: Floats) -> Floats:

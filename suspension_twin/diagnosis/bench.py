@@ -9,8 +9,9 @@ the effects for those that show the gap alone: what changed is the evidence.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,7 +20,7 @@ from suspension_twin.arrays import Floats
 from suspension_twin.compiled import compiled
 from suspension_twin.diagnosis.hypotheses import Hypothesis
 from suspension_twin.identification.gauss_newton import Quadratic
-from suspension_twin.identification.noise import INDEPENDENT, Whitener
+from suspension_twin.identification.noise import Whitener
 from suspension_twin.identification.nuisance import NuisancePriors
 from suspension_twin.identification.parallel import side_by_side
 from suspension_twin.identification.problem import Interrupted, Problem
@@ -132,6 +133,7 @@ class Bench:
     fused: bool = True
     barred: tuple[str, ...] = ()
     level: bool = False
+    _known_plain: dict[str, Any] = field(default_factory=dict)
 
     @property
     def d(self) -> int:
@@ -272,12 +274,26 @@ class Bench:
 
     def _counted(self, white: Floats) -> Floats:
         """Whitened residuals (R, L), changed in place, as independent samples of what the bench listens to."""
-        white *= np.sqrt(INDEPENDENT)
+        white *= np.sqrt(self.problem.measured.independent)
         if self.heard is not None:
             white[~np.isin(self.whitener.drive, self.heard)] = 0.0
         if self.there is not None:
             white[~self.there] = 0.0
         return white
+
+    def _plain(self) -> Floats:
+        """(R, n) what a unit of each of the problem's plain nuisances adds, whatever is simulated."""
+        if self._known_plain.get("whitener") is not self.whitener:
+            problem = self.problem
+            still = [np.zeros((part.t.size, len(problem.channels), 1)) for part in problem.parts]
+            rows = np.flatnonzero(problem.nuisances.plain)
+            unit = np.zeros((len(problem.nuisances), 1 + rows.size))
+            unit[rows, 1 + np.arange(rows.size)] = 1.0
+            white = self.whitener.residuals(problem.compared(still, unit))
+            self._known_plain.update(
+                whitener=self.whitener, columns=np.ascontiguousarray(white[:, 1:] - white[:, :1])
+            )
+        return np.array(self._known_plain["columns"])
 
     def residuals(self, hypothesis: Hypothesis, x: Floats) -> tuple[Floats, np.ndarray]:
         """(R, L) whitened residuals of unknowns (d + q + k, L), and which lanes failed."""
@@ -307,7 +323,7 @@ class Bench:
         shifted = np.repeat(x[d : d + q, None], free.size, axis=1)
         shifted[free, np.arange(free.size)] += nuisances.steps[free]
         moved = self.white([s[:, :, :1] for s in signals], shifted)
-        given = self._counted(self.whitener.plain.copy())
+        given = self._counted(self._plain())
         jacobian = np.empty((white.shape[0], x.size))
         _columns(d, white, per_step, moved, 1.0 / nuisances.steps[free], d + free, given, d + plain, jacobian)
         return Linearised(x, white[:, 0].copy(), jacobian)

@@ -177,7 +177,7 @@ def build(case: Case, stop: Callable[[], bool]) -> Bench:
     centre = np.concatenate([space.z0, np.zeros(q)])
     share = np.full((len(case.channels), 129), USUAL_SHARE)
     floors = [dict(p.noise_rms) for p in case.drives]
-    whitener = Whitener.designed(problem, share, floors)
+    whitener = Whitener.designed(problem.measured, share, floors)
     return Bench(
         problem, case.excitations, case.turn, case.active, whitener, precision, centre, stop, fused=case.road
     )
@@ -232,11 +232,11 @@ def taught_by(
     d, q = bench.d, bench.q
     signals, _ = bench.signals(hypothesis, x[:d, None], x[d + q :, None])
     simulated = bench.compared(signals, x[d : d + q, None])[:, :, 0]
-    left = shares(bench.problem, simulated - bench.problem.measured.values, drives)
+    left = shares(bench.problem.measured, simulated - bench.problem.measured.values, drives)
     for c, channel in enumerate(bench.problem.channels):
         if channel in usual:
             left[c] = USUAL_SHARE
-    whitener = Whitener.designed(bench.problem, left, [dict(p.noise_rms) for p in case.drives])
+    whitener = Whitener.designed(bench.problem.measured, left, [dict(p.noise_rms) for p in case.drives])
     white = whitener.residuals(simulated[:, :, None])[:, 0]
     bench.whitener = _scaled(whitener, white, np.isin(whitener.drive, drives))
 

@@ -23,7 +23,6 @@ from suspension_twin.diagnosis.bench import Bench
 from suspension_twin.diagnosis.fit import Fit, Linear
 from suspension_twin.diagnosis.nuisance_penalty import NuisancePenalty, penalty_gains, penalty_of
 from suspension_twin.identification.gauss_newton import Quadratic
-from suspension_twin.identification.noise import INDEPENDENT
 
 __all__ = ["Blocks", "Evidence", "blocks_of", "evidence", "held_out", "intervals", "weights"]
 
@@ -166,7 +165,7 @@ class Evidence:
 
 def evidence(bench: Bench, fit: Linear, blocks: Blocks) -> Evidence:
     """Held-out evidence of a fit."""
-    whitener = bench.whitener
+    whitener, independent = bench.whitener, bench.problem.measured.independent
     group = 2 * whitener.channel + ~np.array(bench.active)[whitener.drive]
     out = held_out(bench, fit, blocks, group)
     score = np.zeros(blocks.count)
@@ -175,12 +174,12 @@ def evidence(bench: Bench, fit: Linear, blocks: Blocks) -> Evidence:
     fitted = 0.0
     for number in np.unique(group).tolist():
         c, side, rows = number // 2, number % 2 == 0, group == number
-        counts = INDEPENDENT * np.bincount(blocks.row[rows], minlength=blocks.count)
+        counts = independent * np.bincount(blocks.row[rows], minlength=blocks.count)
         level[c, side] = max(float(np.sum(out.left[rows] ** 2) / counts.sum()), 1e-6)
         squares = np.bincount(blocks.row[rows], out.timed[rows] ** 2, blocks.count)
         noise[number] = max(float(squares.sum() / counts.sum()), 1e-6)
         fitted -= (
-            0.5 * counts.sum() * np.log(max(float(np.mean(fit.at.residual[rows] ** 2)) / INDEPENDENT, 1e-6))
+            0.5 * counts.sum() * np.log(max(float(np.mean(fit.at.residual[rows] ** 2)) / independent, 1e-6))
         )
         score -= 0.5 * (counts * np.log(noise[number]) + squares / noise[number])
     precision, centre = bench.prior(fit.hypothesis)

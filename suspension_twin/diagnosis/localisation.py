@@ -172,7 +172,7 @@ def _usual(bench: Bench, difference: Floats, column: int) -> Floats:
         return np.zeros(_SEGMENT // 2 + 1)
     own = [s for s, d in zip(measured.stretches, measured.drives, strict=True) if bench.active[d]]
     motion = density(measured.values[:, column], own, measured.rate)
-    return np.asarray(shares(problem, difference, others)[column] ** 2 * motion)
+    return np.asarray(shares(measured, difference, others)[column] ** 2 * motion)
 
 
 def _frequency(bench: Bench, series: Sequence[Floats], floor: float, usual: Floats) -> list[dict[str, Any]]:

@@ -20,7 +20,6 @@ from suspension_twin.diagnosis.bench import Bench
 from suspension_twin.diagnosis.evidence import Blocks, Evidence, evidence
 from suspension_twin.diagnosis.fit import Fit, finished, fitted, refit
 from suspension_twin.diagnosis.hypotheses import BASELINE, Hypothesis, combined
-from suspension_twin.identification.noise import INDEPENDENT
 from suspension_twin.identification.parallel import side_by_side
 
 __all__ = ["as_trait", "since"]
@@ -89,7 +88,9 @@ def _before(bench: Bench, trait: Evidence, base: Evidence) -> float:
     before = ~np.array(bench.active)[whitener.drive]
     for (c, shown), level in base.level.items():
         if not shown:
-            count = INDEPENDENT * float(np.count_nonzero(before & (whitener.channel == c)))
+            count = bench.problem.measured.independent * float(
+                np.count_nonzero(before & (whitener.channel == c))
+            )
             gain += 0.5 * count * float(np.log(level / trait.level[c, shown]))
     return gain
 

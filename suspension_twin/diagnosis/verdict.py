@@ -16,7 +16,7 @@ from suspension_twin.diagnosis.hypotheses import SETTINGS
 from suspension_twin.diagnosis.shrink import Remainder, shown_rows
 from suspension_twin.diagnosis.tonal import Line, strongest
 from suspension_twin.effects.registry import EFFECTS
-from suspension_twin.identification.noise import INDEPENDENT, density
+from suspension_twin.identification.noise import density
 
 __all__ = [
     "Gates",
@@ -141,7 +141,7 @@ def even(bench: Bench, left: Remainder, noise: dict[str, float]) -> float:
     rest, motion = (density(v[:, c], stretches, measured.rate) for v in (left.difference, measured.values))
     f = np.linspace(0.0, 0.5 * measured.rate, rest.size)
     band = np.digitize(f, _HALF_OCTAVES)
-    white = 2.0 * noise["vertical_acceleration"] ** 2 / measured.rate / INDEPENDENT
+    white = 2.0 * noise["vertical_acceleration"] ** 2 / measured.rate / measured.independent
     shares = []
     for b in range(1, _HALF_OCTAVES.size):
         own = band == b

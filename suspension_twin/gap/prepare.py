@@ -122,6 +122,11 @@ class Prepared:
         """Samples per second of the grid."""
         return self.conditioner.rate
 
+    @property
+    def bandwidth(self) -> float:
+        """Cut-off in Hz of the low-pass that both sides go through."""
+        return self.settings.filter.cutoff
+
     def condition(self, response: Response) -> dict[str, Floats]:
         """The simulated counterpart (m,) of every measured channel, through the same filter.
 

@@ -1,18 +1,27 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What separates car and twin when nothing is missing: the sensor's noise and the model's own error.
+"""One model of noise and model discrepancy: an autoregressive process in each channel of each drive.
 
-No model of seven degrees follows a car: what it leaves is a share of the motion itself, of the same
-kind of spectrum, and it comes again on every pass. It is taken as a stationary process whose density
-is that of the white sensor noise plus a share of the measured signal's. With drives from before the
-gap the share is learnt there, band by band; without them it starts as the same for all bands and its
-size stays unknown: hypotheses are then compared by what they leave, not by a noise that nobody knows.
+The residual of a sound twin is not white. It is filtered sensor noise plus the discrepancy of the model, which is of
+the same kind of spectrum as the motion itself and comes again on every pass. A prediction-error filter a of each
+channel makes it white,
+
+    e_k = (r_k + a_1 r_(k-1) + ... + a_n r_(k-n)) / sigma,
+
+and the sum of e^2 is -2 log likelihood up to a constant: generalised least squares. The filter comes either from a
+residual itself (Yule-Walker), where what remains is taken for noise, or from a design density
+
+    S(f) = (c(f) s_motion(f))^2 + S_floor,
+
+a share c of the measured motion's amplitude that the model misses plus the sensor's floor. With reference drives c is
+estimated on them, band by band; without, it starts as the same for all bands and its size stays unknown.
+
+A low-pass of cut-off f_c leaves 2 f_c / rate independent samples for each one: the effective sample size.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cached_property
 
 import numpy as np
 from scipy import linalg, signal
@@ -20,17 +29,49 @@ from scipy.ndimage import gaussian_filter1d
 
 from suspension_twin.arrays import Floats
 from suspension_twin.compiled import compiled
-from suspension_twin.identification.problem import Problem
+from suspension_twin.errors import WorkError
+from suspension_twin.identification.objectives import Measured, Objective
 
-__all__ = ["INDEPENDENT", "Whitener", "density", "shares"]
+__all__ = ["NEAR_FLOOR", "USUAL_SHARE", "ScaledObjective", "Whitener", "autoregression", "density", "shares"]
 
-ORDER = 24
+#: Coefficients of a filter taken from a residual, and of one designed: their spectra agree within a decibel.
+ORDER, DESIGN_ORDER = 16, 24
 _SEGMENT = 256
-#: Share of the samples that are independent: the low-pass at 20 Hz leaves 40 % of the band at 100 Hz.
-INDEPENDENT = 0.4
 #: Share of the motion that a twin misses where no reference says how much.
 USUAL_SHARE = 0.15
 _LEAST_SHARE, _MOST_SHARE = 0.02, 3.0
+#: Residuals in floors (the median of the channels) up to which the residual is taken for noise.
+NEAR_FLOOR = 3.0
+_ENOUGH = 30  # samples for each coefficient
+
+
+def autoregression(parts: list[Floats], order: int) -> tuple[Floats, float]:
+    """Prediction-error filter (order + 1,) and innovation standard deviation of segments of one process.
+
+    Yule-Walker on the pooled autocovariance, which always gives a stable model.
+    """
+    count = sum(len(p) for p in parts)
+    covariance = np.zeros(order + 1)
+    for part in parts:
+        for lag in range(min(order + 1, len(part))):
+            covariance[lag] += float(part[: len(part) - lag] @ part[lag:])
+    covariance /= max(count, 1)
+    covariance[0] = covariance[0] * (1 + 1e-9) + 1e-300
+    return _yule_walker(covariance)
+
+
+def _yule_walker(covariance: Floats) -> tuple[Floats, float]:
+    """Prediction-error filter and innovation standard deviation for an autocovariance (order + 1,)."""
+    weights = linalg.solve_toeplitz(covariance[:-1], covariance[1:])
+    innovation = covariance[0] - float(np.sum(weights * covariance[1:]))
+    return np.concatenate([[1.0], -weights]), float(np.sqrt(max(innovation, 1e-300)))
+
+
+def _predictor(power: Floats, rate: float) -> tuple[Floats, float]:
+    """The same for a one-sided density (F,)."""
+    covariance = np.fft.irfft(power)[: DESIGN_ORDER + 1] * rate / 2.0
+    covariance[0] *= 1 + 1e-6
+    return _yule_walker(covariance)
 
 
 def density(values: Floats, stretches: Sequence[slice], rate: float) -> Floats:
@@ -48,30 +89,27 @@ def density(values: Floats, stretches: Sequence[slice], rate: float) -> Floats:
     return np.maximum(smooth, 1e-18)
 
 
-def shares(problem: Problem, residual: Floats, parts: Sequence[int]) -> Floats:
-    """(C, F) share of the motion's amplitude that is left in the given parts: residual (M, C) over measured."""
-    stretches = [
-        s for s, d in zip(problem.measured.stretches, problem.measured.drives, strict=True) if d in parts
-    ]
-    rate = problem.measured.rate
-    out = np.empty((len(problem.channels), _SEGMENT // 2 + 1))
+def shares(measured: Measured, residual: Floats, drives: Sequence[int]) -> Floats:
+    """(C, F) share of the motion's amplitude that a residual (M, C) is in the given drives."""
+    own = [s for s, d in zip(measured.stretches, measured.drives, strict=True) if d in drives]
+    out = np.empty((len(measured.channels), _SEGMENT // 2 + 1))
     for c in range(out.shape[0]):
-        left = density(residual[:, c], stretches, rate)
-        motion = density(problem.measured.values[:, c], stretches, rate)
+        left, motion = (density(v[:, c], own, measured.rate) for v in (residual, measured.values))
         out[c] = np.clip(np.sqrt(left / motion), _LEAST_SHARE, _MOST_SHARE)
     return out
 
 
 @dataclass(frozen=True, eq=False)
 class Whitener:
-    """Residuals (M, C, L) made white with unit variance where the noise model holds.
+    """Residuals (M, C, L) made white, of unit variance where the noise model holds.
 
-    ``filters`` (D, C, ORDER + 1) and ``sigma`` (D, C) by drive and channel; ``scale`` (C,) a common
-    factor on each channel's noise. ``row``, ``channel`` and ``drive`` (R,) tell the sample, channel and drive
-    of every whitened residual.
+    ``filters`` (G, C, order + 1) and ``sigma`` (G, C) by group of drives and channel, ``group`` of each segment;
+    ``scale`` (C,) a common factor on each channel's noise. ``row``, ``channel`` and ``drive`` (R,) are the sample,
+    channel and drive of every whitened residual; each segment loses its first samples.
     """
 
-    problem: Problem
+    measured: Measured
+    group: tuple[int, ...]
     filters: Floats
     sigma: Floats
     scale: Floats
@@ -80,64 +118,98 @@ class Whitener:
     drive: np.ndarray
 
     @classmethod
-    def designed(cls, problem: Problem, share: Floats, floors: Sequence[dict[str, float]]) -> Whitener:
-        """From the share (C, F) of the motion that is missed and each drive's ``floors`` by channel."""
-        drives = sorted(set(problem.measured.drives))
-        rate = problem.measured.rate
-        filters = np.empty((len(drives), len(problem.channels), ORDER + 1))
-        sigma = np.empty((len(drives), len(problem.channels)))
-        for d in drives:
-            own = [
-                s for s, e in zip(problem.measured.stretches, problem.measured.drives, strict=True) if e == d
-            ]
-            for c, name in enumerate(problem.channels):
-                motion = density(problem.measured.values[:, c], own, rate)
-                # white up to Nyquist although the low-pass took the noise's upper band: what lies there
-                # says nothing and must not be raised
-                floor = 2.0 * floors[d][name] ** 2 / rate / INDEPENDENT
-                filters[d, c], sigma[d, c] = _predictor(share[c] ** 2 * motion + floor, rate)
+    def with_filters(
+        cls, measured: Measured, group: Sequence[int], filters: Floats, sigma: Floats
+    ) -> Whitener:
+        """From filters that are known; WorkError where every segment is too short for them."""
+        order = filters.shape[2] - 1
         rows, channels, of = [], [], []
-        for c in range(len(problem.channels)):
-            for s, d in zip(problem.measured.stretches, problem.measured.drives, strict=True):
-                if s.stop - s.start > 2 * ORDER:
-                    of.append(np.full(s.stop - s.start - ORDER, d))
-                    rows.append(np.arange(s.start + ORDER, s.stop))
-                    channels.append(np.full(s.stop - s.start - ORDER, c))
-        return cls(
-            problem,
-            filters,
-            sigma,
-            np.ones(len(problem.channels)),
-            np.concatenate(rows),
-            np.concatenate(channels),
-            np.concatenate(of),
-        )
+        drives = measured.drives or (0,) * len(measured.stretches)
+        for c in range(len(measured.channels)):
+            for s, d in zip(measured.stretches, drives, strict=True):
+                if s.stop - s.start > 2 * order:
+                    rows.append(np.arange(s.start + order, s.stop))
+                    channels.append(np.full(rows[-1].size, c))
+                    of.append(np.full(rows[-1].size, d))
+        if not rows:
+            raise WorkError("the compared segments are too short to separate noise from motion")
+        index = (np.concatenate(v) for v in (rows, channels, of))
+        return cls(measured, tuple(group), filters, sigma, np.ones(len(measured.channels)), *index)
 
-    @cached_property
-    def plain(self) -> Floats:
-        """(R, n) what a unit of each of the problem's plain nuisances adds, whatever is simulated."""
-        problem = self.problem
-        still = [np.zeros((part.t.size, len(problem.channels), 1)) for part in problem.parts]
-        rows = np.flatnonzero(problem.nuisances.plain)
-        unit = np.zeros((len(problem.nuisances), 1 + rows.size))
-        unit[rows, 1 + np.arange(rows.size)] = 1.0
-        white = self.residuals(problem.compared(still, unit))
-        return np.ascontiguousarray(white[:, 1:] - white[:, :1])
+    @classmethod
+    def of_residual(cls, measured: Measured, simulated: Floats, order: int = ORDER) -> Whitener:
+        """From the residuals that ``simulated`` (M, C) leaves; a drive too short for a model of its own shares one
+        with all."""
+        segments = measured.stretches
+        drives = measured.drives or (0,) * len(segments)
+        length = {
+            d: sum(s.stop - s.start for s, e in zip(segments, drives, strict=True) if e == d) for d in drives
+        }
+        own = [d for d in dict.fromkeys(drives) if length[d] >= _ENOUGH * order]
+        if set(own) != set(drives):
+            own = []
+        group = tuple(own.index(d) if own else 0 for d in drives)
+        count = max(1, len(own))
+        filters = np.empty((count, len(measured.channels), order + 1))
+        sigma = np.empty((count, len(measured.channels)))
+        for c in range(len(measured.channels)):
+            residual = simulated[:, c] - measured.values[:, c]
+            for g in range(count):
+                parts = [
+                    residual[s] - residual[s].mean() for s, k in zip(segments, group, strict=True) if k == g
+                ]
+                filters[g, c], sigma[g, c] = autoregression(parts, order)
+        return cls.with_filters(measured, group, filters, sigma)
+
+    @classmethod
+    def designed(cls, measured: Measured, share: Floats, floors: Sequence[dict[str, float]]) -> Whitener:
+        """For the share (C, F) of the motion that is missed and each drive's ``floors`` by channel."""
+        drives, rate = sorted(set(measured.drives)), measured.rate
+        filters = np.empty((len(drives), len(measured.channels), DESIGN_ORDER + 1))
+        sigma = np.empty((len(drives), len(measured.channels)))
+        for g, d in enumerate(drives):
+            own = [s for s, e in zip(measured.stretches, measured.drives, strict=True) if e == d]
+            for c, name in enumerate(measured.channels):
+                motion = density(measured.values[:, c], own, rate)
+                # white up to Nyquist although the low-pass took the noise's upper band: what lies there
+                # is no information and must not be raised
+                floor = 2.0 * floors[d][name] ** 2 / rate / measured.independent
+                filters[g, c], sigma[g, c] = _predictor(share[c] ** 2 * motion + floor, rate)
+        return cls.with_filters(measured, [drives.index(d) for d in measured.drives], filters, sigma)
 
     def residuals(self, simulated: Floats) -> Floats:
         """(R, L) whitened residuals of candidates (M, C, L)."""
-        measured = self.problem.measured
+        measured, order = self.measured, self.filters.shape[2] - 1
         simulated = np.ascontiguousarray(simulated)
         out = np.empty((self.row.size, simulated.shape[2]))
         at = 0
-        for c in range(len(self.problem.channels)):
-            for s, d in zip(measured.stretches, measured.drives, strict=True):
-                if s.stop - s.start > 2 * ORDER:
-                    taps = self.filters[d, c, ::-1] / (self.sigma[d, c] * self.scale[c])
-                    end = at + s.stop - s.start - ORDER
+        for c in range(len(measured.channels)):
+            for s, g in zip(measured.stretches, self.group, strict=True):
+                if s.stop - s.start > 2 * order:
+                    taps = self.filters[g, c, ::-1] / (self.sigma[g, c] * self.scale[c])
+                    end = at + s.stop - s.start - order
                     _filtered(simulated, measured.values, c, s.start, taps, out[at:end])
                     at = end
         return out
+
+
+@dataclass(frozen=True, eq=False)
+class ScaledObjective:
+    """An objective's residuals in units of the remaining residual: least squares as a rough likelihood."""
+
+    objective: Objective
+    scale: float
+
+    @classmethod
+    def at(cls, objective: Objective, compared: Floats) -> ScaledObjective:
+        """With the scale that the residuals of ``compared`` signals (M, C) have."""
+        residual = objective.residuals(compared[:, :, None])
+        variance = float(np.mean(residual**2)) / objective.measured.independent
+        return cls(objective, float(np.sqrt(max(variance, 1e-300))))
+
+    def residuals(self, simulated: Floats) -> Floats:
+        """(R, L) of candidates (M, C, L)."""
+        return np.asarray(self.objective.residuals(simulated) / self.scale)
 
 
 @compiled
@@ -173,13 +245,3 @@ def _filtered(
         if i + 1 < n:
             for lane in range(lanes):
                 out[i + 1, lane] = two[lane]
-
-
-def _predictor(power: Floats, rate: float) -> tuple[Floats, float]:
-    """Prediction-error filter and innovation's standard deviation of a process of this density."""
-    covariance = np.fft.irfft(power) * rate / 2.0
-    covariance = covariance[: ORDER + 1].copy()
-    covariance[0] *= 1 + 1e-6
-    weights = linalg.solve_toeplitz(covariance[:ORDER], covariance[1:])
-    innovation = covariance[0] - float(np.sum(weights * covariance[1:]))
-    return np.concatenate([[1.0], -weights]), float(np.sqrt(max(innovation, 1e-300)))

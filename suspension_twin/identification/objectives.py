@@ -46,13 +46,19 @@ class Term:
 class Measured:
     """The measured side: ``values`` (M, C), one column a channel, ``rate`` Hz, the stretches (slices of
     the M samples) within which samples follow each other without a gap, and the number of the drive
-    that each stretch belongs to."""
+    that each stretch belongs to. ``bandwidth`` Hz: the cut-off of the low-pass that both sides went through."""
 
     channels: tuple[str, ...]
     values: Floats
     stretches: tuple[slice, ...]
     rate: float
     drives: tuple[int, ...] = ()
+    bandwidth: float = 20.0
+
+    @property
+    def independent(self) -> float:
+        """Independent samples for each sample: the share of the band up to Nyquist that the low-pass passes."""
+        return min(1.0, 2.0 * self.bandwidth / self.rate)
 
     def column(self, channel: str) -> int:
         return self.channels.index(channel)

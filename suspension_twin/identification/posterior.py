@@ -18,7 +18,7 @@ import numpy as np
 
 from suspension_twin.arrays import Floats
 from suspension_twin.identification.gauss_newton import GaussNewton, GaussNewtonSettings, Quadratic
-from suspension_twin.identification.likelihood import Likelihood
+from suspension_twin.identification.noise import Whitener
 from suspension_twin.identification.problem import FitProblem, Problem
 from suspension_twin.identification.space import Curve
 from suspension_twin.identification.spring_position import Slide, slides
@@ -216,7 +216,7 @@ def _mix(
 
 
 def profile(
-    problem: Problem, likelihood: Likelihood, x: Floats, precision: Floats, row: int, offsets: Floats
+    problem: Problem, likelihood: Whitener, x: Floats, precision: Floats, row: int, offsets: Floats
 ) -> Floats:
     """(k,) rise of -2 log posterior with coordinate ``row`` held ``offsets`` away from ``x`` and all
     others fitted again: what the Laplace approximation is checked against."""

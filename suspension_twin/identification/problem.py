@@ -89,7 +89,12 @@ class Problem:
         if offset == 0:
             raise InputError("drives", "nothing is left to compare after trimming")
         self.measured = Measured(
-            self.channels, np.concatenate(measured), tuple(stretches), self.parts[0].rate, tuple(drives)
+            self.channels,
+            np.concatenate(measured),
+            tuple(stretches),
+            self.parts[0].rate,
+            tuple(drives),
+            self.parts[0].bandwidth,
         )
         self.objective = Objective(self.terms, self.measured)
         self.evaluations = 0

@@ -21,7 +21,7 @@ from suspension_twin.calibration.squares import full_precision
 from suspension_twin.drive.read import read_drive
 from suspension_twin.errors import InputError
 from suspension_twin.gap.prepare import prepare
-from suspension_twin.identification.likelihood import Likelihood
+from suspension_twin.identification.noise import Whitener
 from suspension_twin.identification.posterior import profile
 from suspension_twin.identification.problem import FitProblem
 from suspension_twin.identification.space import curve_keys, twin_value
@@ -219,9 +219,9 @@ def test_laplace_agrees_with_the_profile_likelihood(rough_case: Any, fast: Any) 
     nuisance = np.array([n.value for n in result.nuisances])
     x = np.concatenate([space.to_slopes(values), nuisance])
     signals, _ = problem.simulate(values[:, None])
-    likelihood = Likelihood.fitted(problem.measured, problem.compared(signals, nuisance[:, None])[:, :, 0])
+    likelihood = Whitener.of_residual(problem.measured, problem.compared(signals, nuisance[:, None])[:, :, 0])
     precision = full_precision(problem)
-    residual, jacobian, _ = FitProblem(problem, likelihood.residuals).linearise(x)
+    residual, jacobian = FitProblem(problem, likelihood.residuals).linearise(x)
     covariance = np.linalg.inv(jacobian.T @ jacobian + precision)
     checked = (
         "vehicle.front.damper_push.force.0",
