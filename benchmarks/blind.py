@@ -48,10 +48,11 @@ def chosen(options: argparse.Namespace) -> list[Spec]:
     return cases
 
 
-def _generate(job: tuple[list[Spec], Path]) -> list[str]:
+def _generate(job: tuple[list[Spec], Path, float, float | None]) -> list[str]:
+    from blind import phone
     from blind.folder import make_case
 
-    specs, out = job
+    specs, out, phone.RATE, phone.JITTER = job
     lines = []
     for spec in specs:
         began = time.monotonic()
@@ -69,13 +70,15 @@ def _generate(job: tuple[list[Spec], Path]) -> list[str]:
     return lines
 
 
-def generate(cases: list[Spec], out: Path, jobs: int, tell: Any) -> None:
+def generate(
+    cases: list[Spec], out: Path, jobs: int, tell: Any, rate: float = 100.0, jitter: float | None = None
+) -> None:
     """Write every case that is not there yet, then seal the labels."""
     missing = [c for c in cases if not (out / "sealed" / c.name / "label.json").is_file()]
     by_world: dict[int, list[Spec]] = {}
     for spec in missing:
         by_world.setdefault(spec.world, []).append(spec)
-    work = [(specs, out) for specs in by_world.values()]
+    work = [(specs, out, rate, jitter) for specs in by_world.values()]
     done = 0
     if jobs == 1:
         for job in work:
@@ -126,6 +129,8 @@ def parsed() -> argparse.Namespace:
     )
     parser.add_argument("--reality", choices=("newton", "multibody", "linkage"))
     parser.add_argument("--limit", type=int, default=0, metavar="N", help="the first N cases: a fair sample")
+    parser.add_argument("--rate", type=float, default=100.0, help="of the phone in Hz")
+    parser.add_argument("--jitter", type=float, help="s of its stamps; each phone's own by default")
     parser.add_argument("--jobs", type=int, default=min(2, os.cpu_count() or 1), help="to generate with")
     parser.add_argument(
         "--baselines",
@@ -155,7 +160,7 @@ def main() -> None:
 
     cases = chosen(options)
     if options.stage in ("generate", "all"):
-        generate(cases, options.out, options.jobs, tell)
+        generate(cases, options.out, options.jobs, tell, options.rate, options.jitter)
     if options.stage in ("diagnose", "all"):
         diagnose(cases, options.out, tell)
     if options.stage in ("score", "all"):

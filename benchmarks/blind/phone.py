@@ -21,6 +21,8 @@ from suspension_twin.drive.types import Drive, FixData, ImuData, VelocityData
 
 CHIP = 42.0  # Hz, of the converter's own low-pass, whose delay the stamps have taken off
 RATE = 100.0
+#: s of jitter of the stamps; None for each phone's own.
+JITTER: float | None = None
 DELAY = 2 * 0.7071 / (2 * np.pi * CHIP)  # s
 
 
@@ -89,7 +91,12 @@ def record(world: World, plan: Plan, motion: Motion, faults: Faults, name: str) 
     sample = np.round(sample / steps) * steps
     drift = 1e-6 * faults.get("clock_drift", {}).get("drift_ppm", 0.0)
     shift = phone.lag + faults.get("time_offset", {}).get("offset", 0.0)
-    stamps = plan.start + when * (1.0 + drift) + shift + phone.jitter * np.clip(draw[:, 6], -3, 3)
+    stamps = (
+        plan.start
+        + when * (1.0 + drift)
+        + shift
+        + (phone.jitter if JITTER is None else JITTER) * np.clip(draw[:, 6], -3, 3)
+    )
     kept = rng.random(count) >= phone.lost
     imu = ImuData(stamps[kept], sample[kept, :3], sample[kept, 3:])
     antenna = motion.place + rotate(motion.turn, np.broadcast_to(world.antenna, motion.place.shape))

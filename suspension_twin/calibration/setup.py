@@ -16,6 +16,7 @@ from suspension_twin.calibration.request import CalibrationRequest
 from suspension_twin.drive.read import read_drive
 from suspension_twin.drive.types import Drive
 from suspension_twin.errors import InputError
+from suspension_twin.gap.common_rate import on_common_rate
 from suspension_twin.gap.prepare import Prepared, PrepareSettings, prepare, road_of
 from suspension_twin.identification.coarse_alignment import coarse_lag
 from suspension_twin.identification.excited_segments import TrimSettings, fit_rows, trim
@@ -25,6 +26,7 @@ from suspension_twin.identification.problem import Interrupted, Problem
 from suspension_twin.identification.space import Space
 from suspension_twin.models.simulate import simulate_twin
 from suspension_twin.road import Road
+from suspension_twin.signals.filters import FilterSpec
 from suspension_twin.vehicle.twin import Twin, load_twin
 
 __all__ = ["Setup", "set_up"]
@@ -68,13 +70,14 @@ def set_up(
     frozen = [k for k in request.freeze if k not in nuisances]
     space = build_space(twin, preset, request.free, request.also, frozen, bounds)
     road = road_of(twin)
-    drives = []
+    recordings = []
     for bag in request.bags:
         if should_stop():
             raise Interrupted
         note(f"reading {Path(bag).name}")
-        drives.append(prepare_checked(read_drive(bag, topics=request.topics), twin, road))
-    drives = _renamed(drives)
+        recordings.append(read_drive(bag, topics=request.topics))
+        check_recording(recordings[-1])
+    drives = _renamed([prepare_checked(d, twin, road) for d in on_common_rate(recordings, FilterSpec())])
     problem, lags, warnings = assemble(twin, space, preset, request, drives, priors)
     problem.interrupt = should_stop
     return Setup(twin, original, preset, space, problem, tuple(drives), lags, warnings)

@@ -19,6 +19,7 @@ from suspension_twin.diagnosis.request import DiagnosisRequest
 from suspension_twin.drive.read import read_drive
 from suspension_twin.drive.types import Drive
 from suspension_twin.errors import InputError
+from suspension_twin.gap.common_rate import on_common_rate
 from suspension_twin.gap.measure import CHANNELS
 from suspension_twin.gap.prepare import (
     Prepared,
@@ -98,19 +99,24 @@ def read_case(request: DiagnosisRequest, note: Callable[[str], None], stop: Call
     on_road = twin.road is not None
     road = road_of(twin) if on_road else flat_road()
 
-    def read(bag: str) -> tuple[Prepared, Excitations, tuple[float, float, float]]:
+    def recording(bag: str) -> Drive:
         if stop():
             raise Interrupted
         recorded = read_drive(bag, topics=request.topics)
         check_recording(recorded)
+        return recorded
+
+    def ready(recorded: Drive) -> tuple[Prepared, Excitations, tuple[float, float, float]]:
+        if stop():
+            raise Interrupted
         prepared = prepare(recorded, twin, road, _ON_ROAD if on_road else _PLANAR_ONLY, strict=True)
         if on_road:
             check_drive(prepared)
         return prepared, *_excitations(prepared, recorded)
 
-    found = side_by_side(
-        read, (*request.bags, *request.reference), lambda _, bag: note(f"reading {Path(bag).name}")
-    )
+    bags = (*request.bags, *request.reference)
+    recordings = side_by_side(recording, bags, lambda _, bag: note(f"reading {Path(bag).name}"))
+    found = side_by_side(ready, on_common_rate(recordings, FilterSpec()))
     drives = [prepared for prepared, _, _ in found]
     excitations, turns = [known for _, known, _ in found], [turn for _, _, turn in found]
     names: list[str] = []
@@ -119,9 +125,6 @@ def read_case(request: DiagnosisRequest, note: Callable[[str], None], stop: Call
         names.append(name)
         drives[i] = replace(drive, name=name)
     active = tuple(i < len(request.bags) for i in range(len(drives)))
-    rates = {round(d.rate) for d in drives}
-    if len(rates) > 1:
-        raise InputError("drives", f"come at different rates ({sorted(rates)} Hz): diagnose them one by one")
     warnings = [f"{d.name}: {text}" for d in drives for text in d.warnings]
     if not on_road:
         warnings.append(
