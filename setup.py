@@ -20,6 +20,7 @@ REQUIRED = [
     "suspension-twin-interfaces",  # brings rclpy and the ROS messages, see suspension_twin_interfaces/setup.py
     "numpy>=1.26",
     "scipy>=1.11",
+    "threadpoolctl>=3.1",
     "llvmlite>=0.41",
     "numba>=0.58",
     "pydantic>=2.7",

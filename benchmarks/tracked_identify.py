@@ -18,7 +18,7 @@ import numpy as np
 
 from suspension_twin.calibration.tracked_identify import BOUNDS_ALONE, fisher, profile
 from suspension_twin.calibration.tracked_paper import PUBLISHED, simulate_runs
-from suspension_twin.calibration.tracked_runs import read_run
+from suspension_twin.gap.marker_runs import read_run
 from suspension_twin.vehicle.tracked import BOUNDS, load_tracked
 
 ROOT = Path(__file__).resolve().parents[1] / "config" / "tracked"

@@ -14,7 +14,10 @@ from suspension_twin.calibration.pattern import PatternSettings
 from suspension_twin.effects.registry import effect
 from suspension_twin.errors import InputError
 from suspension_twin.identification.gauss_newton import GaussNewtonSettings
+from suspension_twin.identification.priors import prior_of
 from suspension_twin.identification.space import CURVES, Parameter, Space, bounds_of, curve_keys, twin_value
+from suspension_twin.models.parameters import layout
+from suspension_twin.vehicle.tracked import BOUNDS
 from suspension_twin.vehicle.twin import EffectSpec, Twin
 
 __all__ = ["PRESETS", "TABLE_2", "Preset", "build_space", "preset_named", "with_effects", "with_table_2"]
@@ -35,22 +38,6 @@ TABLE_2: Mapping[str, tuple[tuple[float, ...], tuple[tuple[float, float], ...]]]
     "vehicle.rear.damper_pull": (_VELOCITY, _PULL),
 }
 
-# How far a parameter may go and is expected to go: factor or distance of the bounds, standard deviation of
-# the logarithm or of the value. What is on a weighbridge's slip moves less than what nobody measures.
-_KNOWLEDGE: Mapping[str, tuple[bool, float, float]] = {
-    "vehicle.mass": (True, 1.4, 0.05),
-    "vehicle.cog.0": (False, 0.6, 0.10),
-    "vehicle.cog.1": (False, 0.2, 0.02),
-    "vehicle.cog.2": (True, 1.6, 0.10),
-    "vehicle.sprung_inertia.roll": (True, 2.5, 0.15),
-    "vehicle.sprung_inertia.pitch": (True, 2.5, 0.15),
-    "vehicle.tyre.vertical_stiffness": (True, 3.0, 0.10),
-    "vehicle.front.unsprung_mass": (True, 2.5, 0.10),
-    "vehicle.rear.unsprung_mass": (True, 2.5, 0.10),
-    "imu.position.0": (False, 0.5, 0.05),
-    "imu.position.1": (False, 0.5, 0.05),
-    "imu.position.2": (False, 0.5, 0.05),
-}
 _POINT_FACTOR, _POINT_SPREAD = 20.0, 0.5
 
 
@@ -59,8 +46,8 @@ class Preset:
     """``search`` "genetic" (GA, then pattern search) or "squares" (Gauss-Newton, CMA-ES where the objective
     is no sum of squares). ``synchronise``: each candidate is aligned in time on its own before it is
     judged, as the car paper does; otherwise offsets are unknowns like others. ``also``: what is free beside
-    the points of the characteristics. ``reach``: by which factor a point may move either way where nobody
-    gave bounds."""
+    the points of the characteristics; ``keys``: what is free instead, of a vehicle that has it. ``reach``: by which
+    factor a point may move either way where nobody gave bounds."""
 
     name: str
     about: str
@@ -73,6 +60,7 @@ class Preset:
     pattern: PatternSettings = field(default_factory=PatternSettings)
     squares: GaussNewtonSettings = field(default_factory=lambda: GaussNewtonSettings(tolerance=1e-4))
     also: tuple[str, ...] = ()
+    keys: tuple[str, ...] = ()
     reach: float = _POINT_FACTOR
 
 
@@ -110,6 +98,7 @@ PRESETS: Mapping[str, Preset] = {
         table_2=False,
         genetic=GaSettings(population=40, generations=30, stall_generations=30, elite_share=0.05),
         pattern=PatternSettings(evaluations=0),
+        keys=tuple(f"vehicle.{key}" for key in BOUNDS),
         reach=3.0,
     ),
 }
@@ -152,7 +141,7 @@ def build_space(
     ``known`` parameters, where nothing else is known of them, stay as they are.
     """
     bounds = bounds or {}
-    own = [*curve_keys(twin), *preset.also]
+    own = _usual(twin, preset)
     wanted = [*(_expanded(twin, free) if free else own), *_expanded(twin, also)]
     frozen = set(_expanded(twin, freeze))
     keys = [k for k in dict.fromkeys(wanted) if k not in frozen]
@@ -160,9 +149,21 @@ def build_space(
         if key not in keys and not any(k.startswith(f"{key}.") for k in keys):
             raise InputError("bounds", key, "is not free")
     have = {
-        p.key: p for p in known if p.key not in _KNOWLEDGE and p.key.rpartition(".force.")[0] not in CURVES
+        p.key: p for p in known if prior_of(p.key) is None and p.key.rpartition(".force.")[0] not in CURVES
     }
     return Space(twin, [have.get(key) or _parameter(twin, key, preset, bounds) for key in keys])
+
+
+def _usual(twin: Twin, preset: Preset) -> list[str]:
+    """What is searched where nobody says: what the preset names of this vehicle; its characteristics; or what one
+    specimen differs by from the next."""
+    there = layout(twin).names
+    named = [key for key in preset.keys if key in there]
+    curves = curve_keys(twin)
+    if named or curves:
+        return named or [*curves, *(key for key in preset.also if key in there)]
+    usual = [(key, prior_of(key)) for key in there]
+    return [key for key, prior in usual if prior is not None and prior.usual and twin_value(twin, key) != 0]
 
 
 def _expanded(twin: Twin, keys: Sequence[str]) -> list[str]:
@@ -172,7 +173,9 @@ def _expanded(twin: Twin, keys: Sequence[str]) -> list[str]:
         if base in CURVES:
             found += curve_keys(twin, [base])
         elif key.startswith("effects.") and key.count(".") == 1:
-            found += [f"{key}.{p.name}" for p in effect(key.split(".")[1]).parameters if not p.choices]
+            found += [
+                f"{key}.{p.name}" for p in effect(key.split(".")[1], twin.model).parameters if not p.choices
+            ]
         else:
             found.append(key)
     return found
@@ -190,21 +193,21 @@ def _parameter(twin: Twin, key: str, preset: Preset, bounds: Mapping[str, tuple[
         low, high = given or (nominal / preset.reach, max(nominal * preset.reach, 1.0))
         return Parameter(key, nominal, low, high, log=True, spread=_POINT_SPREAD)
     if key.startswith("effects."):
-        return _effect_parameter(key, nominal, given)
-    if key not in _KNOWLEDGE:
+        return _effect_parameter(key, nominal, given, twin.model)
+    prior = prior_of(key)
+    if prior is None:
         if given is None:
             raise InputError("free parameters", key, "needs bounds: nothing is known of how far it may go")
         log, spread = given[0] > 0 and nominal > 0, 0.25 * (given[1] - given[0])
         return Parameter(key, nominal, *given, log=log, spread=0.3 if log else spread)
-    log, reach, spread = _KNOWLEDGE[key]
-    low, high = given or ((nominal / reach, nominal * reach) if log else (nominal - reach, nominal + reach))
-    return Parameter(key, nominal, low, high, log=log, spread=spread)
+    low, high = given or prior.around(nominal)
+    return Parameter(key, nominal, low, high, log=prior.log, spread=prior.spread)
 
 
-def _effect_parameter(key: str, nominal: float, given: tuple[float, float] | None) -> Parameter:
+def _effect_parameter(key: str, nominal: float, given: tuple[float, float] | None, model: str) -> Parameter:
     """As the effect describes it; one that has to be above zero starts from what is typical."""
     _, name, parameter = key.split(".")
-    known = effect(name).parameter(parameter)
+    known = effect(name, model).parameter(parameter)
     low, high = given or (known.low, known.high)
     if known.log and low > 0:
         start = nominal if nominal > 0 else known.typical

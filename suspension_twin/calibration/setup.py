@@ -146,7 +146,8 @@ def assemble(
         if lag
     ]
     wander = [_wander(d, priors) for d in drives]
-    problem = Problem(twin, space, parts, drive_of, terms, priors, wander, settings)
+    rows = [fit_rows(part, settings) for part in parts]
+    problem = Problem(twin, space, parts, drive_of, terms, priors, wander, rows)
     return problem, tuple(lags), tuple(warnings)
 
 

@@ -18,8 +18,8 @@ from suspension_twin.calibration.tracked_paper import (
     compare,
     simulate_runs,
 )
-from suspension_twin.calibration.tracked_runs import MarkerRun, read_run
 from suspension_twin.errors import InputError, WorkError
+from suspension_twin.gap.marker_runs import MarkerRun, read_run
 from suspension_twin.vehicle.tracked import TrackedTwin, TrackedVehicle
 from suspension_twin.vehicle.twin import load_twin, save_twin
 

@@ -15,8 +15,8 @@ import numpy as np
 
 from suspension_twin.arrays import Floats
 from suspension_twin.calibration.tracked_paper import simulate_runs, unit_values, values_at
-from suspension_twin.calibration.tracked_runs import MarkerRun
 from suspension_twin.errors import WorkError
+from suspension_twin.gap.marker_runs import MarkerRun
 from suspension_twin.vehicle.tracked import BOUNDS, TrackedVehicle
 
 __all__ = ["BOUNDS_ALONE", "STEPS", "Profile", "fisher", "profile"]

@@ -22,8 +22,8 @@ import numpy as np
 from suspension_twin.arrays import Floats
 from suspension_twin.calibration.genetic import GaSettings, GeneticSearch
 from suspension_twin.calibration.request import Progress
-from suspension_twin.calibration.tracked_runs import MarkerRun, low_pass
 from suspension_twin.errors import InputError, WorkError
+from suspension_twin.gap.marker_runs import MarkerRun, low_pass
 from suspension_twin.models.tracked import TrackedResponse, simulate_tracked_lanes
 from suspension_twin.vehicle.tracked import BOUNDS, TrackedVehicle
 

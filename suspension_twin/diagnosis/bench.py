@@ -113,12 +113,15 @@ class Excitations:
 
 @dataclass(eq=False)
 class Bench:
-    """A problem over all drives; ``active`` (drives,) True where the gap is. ``precision`` (d + q, d + q)
-    and ``centre`` (d + q,) are the prior of characteristics and nuisances. ``excitations`` (drives,) are what else may
-    excite the vehicle, ``turn`` roll, pitch and yaw in rad by which the sensor is turned, ``level`` whether the vehicle
-    of the problem does not lean on average. ``heard`` limits the residuals to some drives, ``there`` (R,) to some of
-    them; ``fused`` whether poses come from receiver and IMU together; ``barred`` names nuisances that stay at
-    nothing."""
+    """A problem over all observations; ``active`` (drives,) True where the gap is.
+
+    ``precision`` (d + q, d + q) and ``centre`` (d + q,) are the prior of characteristics and nuisances.
+    ``excitations`` (drives,) are what else may excite the vehicle on drives, none for controlled runs; ``turn`` roll,
+    pitch and yaw in rad by which the sensor is turned, ``level`` whether the vehicle of the problem stands upright on
+    average. ``heard`` limits the residuals to some drives, ``there`` (R,) to some of them; ``fused`` whether poses come
+    from receiver and IMU together; ``barred`` names nuisances that stay at nothing; ``expected`` (m, C) is the
+    discrepancy that a run with the same excitation has left before.
+    """
 
     problem: Problem
     excitations: tuple[Excitations, ...]
@@ -133,6 +136,7 @@ class Bench:
     fused: bool = True
     barred: tuple[str, ...] = ()
     level: bool = False
+    expected: tuple[Floats | None, ...] = ()
     _known_plain: dict[str, Any] = field(default_factory=dict)
 
     @property
@@ -172,7 +176,9 @@ class Bench:
         return replace(self, problem=self.problem.on(parts), level=True)
 
     def coarser(self, max_step: float) -> Bench:
-        """The same in steps of up to ``max_step`` s."""
+        """The same in steps of up to ``max_step`` s; controlled runs are as they are."""
+        if not self.excitations:
+            return self
         parts = [replace(p, excitation=coarser(p.excitation, max_step)) for p in self.problem.parts]
         known = tuple(e.coarser(max_step) for e in self.excitations)
         return replace(self, problem=self.problem.on(parts), excitations=known)
@@ -185,16 +191,19 @@ class Bench:
         reference reads of a lean is its mount's. Taken for the vehicle's there, antenna and wheels would lie a
         centimetre apart before and after.
         """
-        own = [e.id for e in self.problem.twin.effects]
-        known, level = self.excitations[number], self.level or upright_with([*effects, *own])
+        if not self.excitations:
+            plain: Excitation = self.problem.parts[number].excitation
+            return plain
+        own, model = [e.id for e in self.problem.twin.effects], self.problem.twin.model
+        known, level = self.excitations[number], self.level or upright_with([*effects, *own], model)
         plain = known.upright if level else self.problem.parts[number].excitation
         here = effects if self.active[self.problem.drive_of[number]] else everywhere
-        if turns_with(here):
+        if turns_with(here, model):
             return known.turned
         # what the twin file has of it the motion knows already: nothing is regained then
-        if gains_with([*here, *own]) and level in known.regained:
+        if gains_with([*here, *own], model) and level in known.regained:
             return known.regained[level]
-        return known.reclocked.get(level, plain) if clocks_with(here) else plain
+        return known.reclocked.get(level, plain) if clocks_with(here, model) else plain
 
     # -- simulation ----------------------------------------------------------------------------
 
@@ -215,22 +224,34 @@ class Bench:
         quiet = before.twin(problem.twin)
         plain = lanes(quiet, (*problem.space.keys, *before.keys), earlier.T)
 
-        def driven(number: int) -> tuple[Floats, np.ndarray]:
+        def driven(numbers: list[int]) -> tuple[list[Floats], np.ndarray]:
             if self.stop():
                 raise Interrupted
-            excitation = self.excitation(number, hypothesis.effects, hypothesis.everywhere)
-            if self.active[problem.drive_of[number]] and hypothesis.effects:
+            excitation = self.excitation(numbers[0], hypothesis.effects, hypothesis.everywhere)
+            if self.active[problem.drive_of[numbers[0]]] and hypothesis.effects:
                 stacked, bad = self._simulated(twin, with_effects, excitation)
             else:
                 stacked, bad = self._simulated(quiet, plain, excitation)
-            conditioned = problem.parts[number].conditioner.apply(stacked)
+            conditioned = [problem.parts[number].conditioner.apply(stacked) for number in numbers]
             if problem.channels[0] == "vertical_acceleration":
-                # a gain of the sensor multiplies gravity too, and standing still the filter takes that for a bias
-                conditioned[:, 0] -= conditioned[:, 0].mean(axis=0)
+                for one in conditioned:
+                    # a gain of the sensor multiplies gravity too, and standing still the filter takes that for a bias
+                    one[:, 0] -= one[:, 0].mean(axis=0)
             return conditioned, bad
 
-        out, failed = zip(*side_by_side(driven, range(len(problem.parts))), strict=True)
-        return list(out), np.any(np.broadcast_arrays(np.zeros(values.shape[1], dtype=bool), *failed), axis=0)
+        # repeats of a run are one simulation
+        alike: dict[tuple[int, bool], list[int]] = {}
+        for number, part in enumerate(problem.parts):
+            key = id(part.excitation), self.active[problem.drive_of[number]]
+            alike.setdefault(key, []).append(number)
+        groups = list(alike.values())
+        found = side_by_side(driven, groups)
+        signals: list[Floats] = [np.empty(0)] * len(problem.parts)
+        for numbers, (conditioned, _) in zip(groups, found, strict=True):
+            for number, one in zip(numbers, conditioned, strict=True):
+                signals[number] = one
+        failed = [bad for _, bad in found]
+        return signals, np.any(np.broadcast_arrays(np.zeros(values.shape[1], dtype=bool), *failed), axis=0)
 
     def carry(self, x: Floats) -> None:
         """Learn what the planar motion alone brings about in the vehicle of ``x``, by driving it over a flat road.
@@ -253,7 +274,8 @@ class Bench:
         """Channels (n, C, L) and failed lanes (L,); a batch that breaks off is taken lane by lane."""
         channels = self.problem.channels
         try:
-            response = simulate_lanes(twin, candidates, excitation, fused=self.fused)
+            options = {"fused": True} if self.fused else {}
+            response = simulate_lanes(twin, candidates, excitation, **options)
             return response.stacked(channels), response.failed
         except np.linalg.LinAlgError:
             if candidates.shape[1] == 1:
@@ -265,7 +287,10 @@ class Bench:
             return np.concatenate([h[0] for h in halves], axis=2), np.concatenate([h[1] for h in halves])
 
     def compared(self, signals: Sequence[Floats], nuisance: Floats) -> Floats:
-        """(M, C, L) what the sensors would have delivered."""
+        """(M, C, L) what the sensors would have delivered, with the discrepancy that is to be expected of each run."""
+        if self.expected:
+            expected = zip(signals, self.expected, strict=True)
+            signals = [s if e is None else s + e[:, :, None] for s, e in expected]
         return self.problem.compared(signals, nuisance)
 
     def white(self, signals: Sequence[Floats], nuisance: Floats) -> Floats:

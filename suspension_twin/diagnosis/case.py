@@ -6,8 +6,10 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any, Literal
 
 import numpy as np
+from numpy.typing import NDArray
 
 from suspension_twin.arrays import Floats
 from suspension_twin.calibration.checks import check_drive, check_parts, check_recording
@@ -33,15 +35,19 @@ from suspension_twin.gap.prepare import (
 )
 from suspension_twin.identification.excited_segments import TrimSettings, fit_rows
 from suspension_twin.identification.noise import USUAL_SHARE, Whitener, shares
+from suspension_twin.identification.nuisance import NuisancePriors
 from suspension_twin.identification.objectives import parse_objective
+from suspension_twin.identification.observations import Run, observe, renamed
 from suspension_twin.identification.parallel import side_by_side
 from suspension_twin.identification.posterior import CORRELATION
 from suspension_twin.identification.problem import Interrupted, Problem
+from suspension_twin.models.parameters import has_number
+from suspension_twin.models.registry import model_of
 from suspension_twin.road import flat_road
 from suspension_twin.signals.filters import FilterSpec
 from suspension_twin.vehicle.twin import Twin, load_twin
 
-__all__ = ["PLANAR", "VERTICAL", "Case", "baseline", "build", "read_case", "taught_by"]
+__all__ = ["PLANAR", "VERTICAL", "Case", "baseline", "build", "read_case", "with_noise_of"]
 
 VERTICAL = ("vertical_acceleration", "roll_rate", "pitch_rate")
 PLANAR = ("longitudinal_acceleration", "lateral_acceleration", "yaw_rate")
@@ -53,6 +59,12 @@ _ON_ROAD = PrepareSettings(saturated=True)
 _BARE = replace(
     NORMAL, clock=0.0, common_clock=0.0, map_position=0.0, tilt=0.0, pivot=0.0, slip=0.005, drive_map=0.0
 )
+#: s by which the clocks of two cameras are off, and share by which a driver misses a speed: of a controlled run.
+_OF_A_RUN = NuisancePriors(
+    clock=0.015, map_position=0.0, gain=0.0, tilt=0.0, force_bias=0.0, rate_bias=0.0, wander=0.0, speed=0.01
+)
+#: Error of a change that a model predicts, over its error about the sound vehicle there and then.
+_DOUBT = 0.5
 #: The best in m that a map and a pose agree to.
 _MAP_LEAST = 0.002
 #: Seconds of compared driving below which nothing can be held back from the fit.
@@ -71,21 +83,42 @@ _LEANING = ("vehicle.cog.2",)
 
 @dataclass(frozen=True, eq=False)
 class Case:
-    """Drives ready to compare; ``active`` True where the gap is shown, ``road`` False without a road file;
-    ``excitations`` what else may excite the vehicle on each drive, and ``turn`` (roll, pitch, yaw; rad) by how much the
-    sensor is turned on those with the gap."""
+    """Observations ready to compare; ``active`` True where the gap is shown.
+
+    ``kind``: drives on a known ``road``, drives whose ``planar`` motion alone is known, or controlled runs (``run``).
+    Of drives ``excitations`` are what else may excite the vehicle on each, and ``turn`` (roll, pitch, yaw; rad) is by
+    how much the sensor is turned on those with the gap.
+    """
 
     twin: Twin
-    drives: tuple[Prepared, ...]
+    drives: tuple[Any, ...]
     excitations: tuple[Excitations, ...]
     turn: tuple[float, float, float]
     active: tuple[bool, ...]
-    road: bool
+    kind: Literal["road", "planar", "run"]
     warnings: tuple[str, ...]
 
     @property
+    def road(self) -> bool:
+        """Whether the vehicle drives on a known road."""
+        return self.kind == "road"
+
+    @property
+    def excited(self) -> bool:
+        """Whether it is known what excites the vehicle."""
+        return self.kind != "planar"
+
+    @property
     def channels(self) -> tuple[str, ...]:
+        """What is compared: of controlled runs what all of them measured."""
+        if self.kind == "run":
+            return tuple(c for c in self.drives[0].measured if all(c in d.measured for d in self.drives))
         return CHANNELS if self.road else PLANAR
+
+    @property
+    def driven(self) -> tuple[str, ...]:
+        """Channels by which the vehicle itself is judged: what its excitation brings about."""
+        return VERTICAL if self.road else self.channels
 
 
 def read_case(request: DiagnosisRequest, note: Callable[[str], None], stop: Callable[[], bool]) -> Case:
@@ -96,6 +129,8 @@ def read_case(request: DiagnosisRequest, note: Callable[[str], None], stop: Call
     same = {Path(b).resolve() for b in request.bags} & {Path(b).resolve() for b in request.reference}
     if same:
         raise InputError(min(same).name, "is given as a drive with the gap and as one from before it")
+    if model_of(twin).recordings != "drive":
+        return _runs(twin, request)
     on_road = twin.road is not None
     road = road_of(twin) if on_road else flat_road()
 
@@ -117,13 +152,8 @@ def read_case(request: DiagnosisRequest, note: Callable[[str], None], stop: Call
     bags = (*request.bags, *request.reference)
     recordings = side_by_side(recording, bags, lambda _, bag: note(f"reading {Path(bag).name}"))
     found = side_by_side(ready, on_common_rate(recordings, FilterSpec()))
-    drives = [prepared for prepared, _, _ in found]
+    drives = renamed([prepared for prepared, _, _ in found])
     excitations, turns = [known for _, known, _ in found], [turn for _, _, turn in found]
-    names: list[str] = []
-    for i, drive in enumerate(drives):
-        name = drive.name if drive.name not in names else f"{drive.name}_{i + 1}"
-        names.append(name)
-        drives[i] = replace(drive, name=name)
     active = tuple(i < len(request.bags) for i in range(len(drives)))
     warnings = [f"{d.name}: {text}" for d in drives for text in d.warnings]
     if not on_road:
@@ -132,7 +162,28 @@ def read_case(request: DiagnosisRequest, note: Callable[[str], None], stop: Call
             "and mount can be judged"
         )
     roll, pitch, yaw = np.angle(np.exp(1j * np.array(turns[: len(request.bags)])).sum(axis=0)).tolist()
-    return Case(twin, tuple(drives), tuple(excitations), (roll, pitch, yaw), active, on_road, tuple(warnings))
+    kind: Literal["road", "planar"] = "road" if on_road else "planar"
+    return Case(twin, tuple(drives), tuple(excitations), (roll, pitch, yaw), active, kind, tuple(warnings))
+
+
+def _runs(twin: Twin, request: DiagnosisRequest) -> Case:
+    """Controlled runs, of a vehicle with somebody who drives it."""
+    runs = observe(twin, [*request.bags, *request.reference])
+    active = tuple(i < len(request.bags) for i in range(len(runs)))
+    lone = {r.name for r, a in zip(runs, active, strict=True) if a and not _alike(runs, active, r)}
+    warnings = [w for r in runs for w in r.warnings]
+    if lone and not all(active):
+        warnings.append(
+            f"no reference with the excitation of {', '.join(sorted(lone))}: the model alone is expected"
+        )
+    return Case(
+        model_of(twin).prepared(twin), tuple(runs), (), (0.0, 0.0, 0.0), active, "run", tuple(warnings)
+    )
+
+
+def _alike(runs: Sequence[Run], active: Sequence[bool], one: Run) -> list[Run]:
+    """Reference runs with the excitation of a run."""
+    return [r for r, a in zip(runs, active, strict=True) if not a and r.excitation is one.excitation]
 
 
 def _excitations(prepared: Prepared, drive: Drive) -> tuple[Excitations, tuple[float, float, float]]:
@@ -147,43 +198,51 @@ def _excitations(prepared: Prepared, drive: Drive) -> tuple[Excitations, tuple[f
 
 def build(case: Case, stop: Callable[[], bool]) -> Bench:
     """The bench of a case with the noise model for a share of the motion that nobody knows yet."""
-    settings = TrimSettings() if case.road else TrimSettings(threshold=0.0)
-    for drive in case.drives:
-        samples = fit_rows(drive, settings).size
-        if case.road:
-            check_parts(drive, samples, settings)
-    for wanted, what in ((True, "drives that show the gap"), (False, "reference drives")):
-        own = [d for d, a in zip(case.drives, case.active, strict=True) if a == wanted]
-        seconds = sum(fit_rows(d, settings).size / d.rate for d in own)
-        if own and seconds < SHORTEST:
-            raise InputError(
-                own[0].name,
-                f"{seconds:.1f} s of excited driving in the {what} cannot be split into stretches to fit and stretches "
-                f"to judge on: at least {SHORTEST:.0f} s are needed",
-            )
-    preset = preset_named("fast")
-    twin = case.twin
-    if case.road:
-        space = build_space(twin, replace(preset, also=_ALSO))
+    twin, preset = case.twin, preset_named("fast")
+    rows = _compared(case)
+    if case.excited:
+        space = build_space(twin, replace(preset, also=()), also=[k for k in _ALSO if has_number(twin, k)])
     else:
         space = build_space(twin, replace(preset, also=()), free=_LEANING)
-    terms = parse_objective("euclidean", dict.fromkeys(case.channels, 1.0))
+    terms = parse_objective("euclidean", dict.fromkeys(case.channels, 1.0), case.channels)
     wander = [0.5 * d.position_sigma if d.position_sigma >= 0.1 else 0.0 for d in case.drives]
-    numbers = list(range(len(case.drives)))
-    normal = replace(NORMAL, map_position=_map_spread(case.drives)) if case.road else _BARE
-    problem = Problem(twin, space, case.drives, numbers, terms, normal, wander, settings)
+    normal = {"planar": _BARE, "run": _OF_A_RUN}.get(case.kind) or replace(
+        NORMAL, map_position=_map_spread(case.drives)
+    )
+    problem = Problem(twin, space, case.drives, range(len(case.drives)), terms, normal, wander, rows)
     problem.interrupt = stop
     d, q = len(space), len(problem.nuisances)
     precision = np.zeros((d + q, d + q))
     precision[:d, :d] = space.prior_precision(CORRELATION)
     precision[np.arange(d, d + q), np.arange(d, d + q)] = 1.0 / problem.nuisances.spread**2
     centre = np.concatenate([space.z0, np.zeros(q)])
-    share = np.full((len(case.channels), 129), USUAL_SHARE)
-    floors = [dict(p.noise_rms) for p in case.drives]
-    whitener = Whitener.designed(problem.measured, share, floors)
+    whitener = Whitener.designed(problem.measured, np.full(len(case.channels), USUAL_SHARE), _floors(case))
     return Bench(
         problem, case.excitations, case.turn, case.active, whitener, precision, centre, stop, fused=case.road
     )
+
+
+def _compared(case: Case) -> list[NDArray[np.intp]]:
+    """Samples of each observation that are compared; InputError where they are too few to hold any back."""
+    settings = TrimSettings() if case.road else TrimSettings(threshold=0.0)
+    rows = [np.arange(d.t.size) if case.kind == "run" else fit_rows(d, settings) for d in case.drives]
+    if case.road:
+        for drive, own in zip(case.drives, rows, strict=True):
+            check_parts(drive, own.size, settings)
+    for wanted, what in ((True, "drives that show the gap"), (False, "reference drives")):
+        known = [(d, r) for d, r, a in zip(case.drives, rows, case.active, strict=True) if a == wanted]
+        seconds = sum(r.size / d.rate for d, r in known)
+        if known and case.kind != "run" and seconds < SHORTEST:
+            raise InputError(
+                known[0][0].name,
+                f"{seconds:.1f} s of excited driving in the {what} cannot be split into stretches to fit and stretches "
+                f"to judge on: at least {SHORTEST:.0f} s are needed",
+            )
+    return rows
+
+
+def _floors(case: Case) -> list[dict[str, float]]:
+    return [dict(d.noise_rms) for d in case.drives]
 
 
 def _map_spread(drives: Sequence[Prepared]) -> float:
@@ -197,13 +256,15 @@ def _map_spread(drives: Sequence[Prepared]) -> float:
     )
 
 
-def baseline(case: Case, bench: Bench) -> tuple[Linear, Linear]:
-    """The vehicle without any effect: on all drives, and where searches for effects start from.
+def baseline(case: Case, bench: Bench) -> tuple[Bench, Linear, Linear]:
+    """The bench with the noise that is found, and the vehicle without any effect: on all drives, and where searches
+    for effects start from.
 
     With a reference, what the calibrated model leaves there, band by band, is what it leaves of the same
     car anyway, and searches start from the vehicle that the reference shows. Planar accelerations come
     from GNSS and not from the model: their noise is what they leave. Whether vehicle or sensor leans by the little
-    that any does is as the fit has it.
+    that any does is as the fit has it. A controlled run leaves the same where it is done again: with a reference of the
+    same excitation, its residual is the discrepancy to be expected of the run after the change.
     """
     quiet = [i for i, a in enumerate(bench.active) if not a] or list(range(len(bench.active)))
     referenced = len(quiet) < len(bench.active)
@@ -217,44 +278,82 @@ def baseline(case: Case, bench: Bench) -> tuple[Linear, Linear]:
             level = trial.levelled()
             y, other = refit(level, BASELINE, [x], None, 5)
             if other < cost:
-                x, bench.problem, bench.level = y, level.problem, True
-        taught_by(case, bench, BASELINE, x, quiet, () if referenced else VERTICAL)
+                x, bench = y, replace(bench, problem=level.problem, level=True)
+        bench = with_noise_of(
+            case, bench, BASELINE, x, quiet, () if referenced or not case.road else VERTICAL
+        )
+    if referenced and case.kind == "run":
+        bench = _repeated(case, bench, x)
     anchor = finished(bench, BASELINE, x)
-    return (fitted(bench, BASELINE, [x], 6), anchor) if referenced else (anchor, anchor)
+    return (bench, fitted(bench, BASELINE, [x], 6), anchor) if referenced else (bench, anchor, anchor)
 
 
-def taught_by(
+def with_noise_of(
     case: Case,
     bench: Bench,
     hypothesis: Hypothesis,
     x: Floats,
     drives: Sequence[int],
     usual: Sequence[str] = (),
-) -> None:
-    """Give the bench the noise that a fit leaves on some drives; ``usual`` channels keep the usual share of it."""
-    d, q = bench.d, bench.q
-    signals, _ = bench.signals(hypothesis, x[:d, None], x[d + q :, None])
-    simulated = bench.compared(signals, x[d : d + q, None])[:, :, 0]
-    left = shares(bench.problem.measured, simulated - bench.problem.measured.values, drives)
+) -> Bench:
+    """The bench with the noise that a fit leaves on some drives; ``usual`` channels keep the usual share of it."""
+    left, simulated = _missed(bench, hypothesis, x, drives)
     for c, channel in enumerate(bench.problem.channels):
         if channel in usual:
             left[c] = USUAL_SHARE
-    whitener = Whitener.designed(bench.problem.measured, left, [dict(p.noise_rms) for p in case.drives])
+    return _scaled(bench, Whitener.designed(bench.problem.measured, left, _floors(case)), simulated, drives)
+
+
+def _missed(bench: Bench, hypothesis: Hypothesis, x: Floats, drives: Sequence[int]) -> tuple[Floats, Floats]:
+    """(C, F) share of the motion that a fit leaves on some drives, and the signals (M, C) that it compares."""
+    d, q = bench.d, bench.q
+    signals, _ = bench.signals(hypothesis, x[:d, None], x[d + q :, None])
+    simulated = bench.compared(signals, x[d : d + q, None])[:, :, 0]
+    return shares(bench.problem.measured, simulated - bench.problem.measured.values, drives), simulated
+
+
+def _scaled(bench: Bench, whitener: Whitener, simulated: Floats, drives: Sequence[int]) -> Bench:
+    """The bench with a noise model whose size in each channel is that of the residuals on some drives."""
     white = whitener.residuals(simulated[:, :, None])[:, 0]
-    bench.whitener = _scaled(whitener, white, np.isin(whitener.drive, drives))
-
-
-def _scaled(whitener: Whitener, white: Floats, rows: np.ndarray) -> Whitener:
-    scale = whitener.scale.copy()
+    rows, scale = np.isin(whitener.drive, drives), whitener.scale.copy()
     for c in range(scale.size):
         own = white[rows & (whitener.channel == c)]
         scale[c] *= float(np.clip(np.sqrt(np.mean(own**2)), 1e-2, 1e3)) if own.size else 1.0
-    return replace(whitener, scale=scale)
+    return replace(bench, whitener=replace(whitener, scale=scale))
+
+
+def _repeated(case: Case, bench: Bench, x: Floats) -> Bench:
+    """The bench of controlled runs whose expected discrepancy is what their references leave.
+
+    The model reproduces a change no better than the sound vehicle: half of what it misses there is noise of the
+    change, beside the scatter of repeats.
+    """
+    problem, d, q = bench.problem, bench.d, bench.q
+    signals, _ = bench.signals(BASELINE, x[:d, None], np.zeros((0, 1)))
+    parts = list(problem.parts)
+    expected: list[Floats | None] = [None] * len(parts)
+    read = problem.compared(signals, x[d : d + q, None])[:, :, 0] - problem.measured.values
+    ends = np.cumsum([0, *(r.size for r in problem.rows)])
+    for i, part in enumerate(parts):
+        same = [j for j, p in enumerate(parts) if p.excitation is part.excitation and not bench.active[j]]
+        if same:
+            offs = [
+                np.stack([np.interp(part.t, parts[j].t, c) for c in -read[ends[j] : ends[j + 1]].T], axis=1)
+                for j in same
+            ]
+            expected[i] = np.mean(offs, axis=0)
+    share = _DOUBT * shares(problem.measured, read, [j for j, a in enumerate(bench.active) if not a])
+    bench = replace(
+        bench, expected=tuple(expected), whitener=Whitener.designed(problem.measured, share, _floors(case))
+    )
+    return bench
 
 
 def _many(bench: Bench, x: Floats) -> Sequence[Floats]:
     """The twin as it stands and stiffer, softer, harder and weaker versions of it."""
     found = [x]
+    if not bench.problem.space.curves:
+        return found
     for springs in (-0.7, 0.0, 0.7, 1.4):
         for dampers in (-0.7, 0.0, 0.7):
             y = x.copy()

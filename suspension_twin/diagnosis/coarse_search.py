@@ -17,7 +17,6 @@ from suspension_twin.arrays import Floats
 from suspension_twin.diagnosis.bench import Bench
 from suspension_twin.diagnosis.fit import refit
 from suspension_twin.diagnosis.hypotheses import SETTINGS, Hypothesis
-from suspension_twin.effects.registry import EFFECTS
 
 __all__ = ["LOST", "PRICE", "about", "found", "jointly", "waived"]
 
@@ -79,7 +78,7 @@ def jointly(bench: Bench, together: Hypothesis) -> Floats:
 
 def _everywhere(bench: Bench, hypothesis: Hypothesis) -> Floats | None:
     """(k, n) coordinates: each severity in turn all over its bounds, and as far as a sensor is seen to be turned."""
-    effect = EFFECTS[hypothesis.effects[-1]]
+    effect = hypothesis.effect(hypothesis.effects[-1])
     if effect.where not in SETTINGS or hypothesis.scan(1) is not None:
         return None
     severe = [i for i, (_, p) in enumerate(hypothesis.searched) if p.name in effect.severity and not p.log]

@@ -4,7 +4,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -14,110 +13,84 @@ from suspension_twin.diagnosis import shrink as gaps
 from suspension_twin.diagnosis import verdict
 from suspension_twin.diagnosis.bench import Bench
 from suspension_twin.diagnosis.case import Case
-from suspension_twin.diagnosis.evidence import Blocks, Evidence, intervals
+from suspension_twin.diagnosis.evidence import Blocks, intervals
 from suspension_twin.diagnosis.experiment import next_experiment
-from suspension_twin.diagnosis.fit import Fit, finished
+from suspension_twin.diagnosis.fit import Fit, finished, twin_of
 from suspension_twin.diagnosis.hypotheses import library
 from suspension_twin.diagnosis.local_road_error import Likeness, as_surveyed, gathered, likenesses, spread_out
 from suspension_twin.diagnosis.localisation import localise, signature
 from suspension_twin.diagnosis.request import DiagnosisRequest, DiagnosisResult, DriveView
-from suspension_twin.diagnosis.search import Single
+from suspension_twin.diagnosis.selection import Findings
 from suspension_twin.effects.registry import EFFECTS
-from suspension_twin.models.simulate import simulate_twin
+from suspension_twin.models.parameters import pack
+from suspension_twin.models.simulate import simulate_lanes, simulate_twin
 from suspension_twin.vehicle.twin import Twin
 
-__all__ = ["Findings", "conclude", "twin_of"]
+__all__ = ["conclude"]
 
 _WORTH_ASKING = 0.01  # probability of a runner-up that a further drive could still turn to
 _WORTH_SAYING = 0.1  # probability of what an unknown looks like
 _TIED = 0.05  # how often the second has to win for the two not to be told apart
 
 
-@dataclass(frozen=True, eq=False)
-class Findings:
-    """``left``, ``weights`` and ``gates`` count the baseline first, then ``singles``; ``chosen`` is what
-    the written twin has, ``chosen_left``, ``chosen_gate`` and ``chosen_gone`` belong to it; ``gone`` (E,), ``unseen``
-    and ``alone`` as in ``verdict.masses``. ``strange`` (W,) is the probability that each of ``witnesses`` is what the
-    gap is like, ``strange_left`` what they leave."""
-
-    blocks: Blocks
-    noise: dict[str, float]
-    standing: gaps.Remainder
-    base: Evidence
-    singles: list[Single]
-    left: list[gaps.Remainder]
-    weights: Floats
-    gone: Floats
-    unseen: Floats
-    alone: Floats
-    beats: Floats
-    gates: list[verdict.Gates]
-    chosen: Evidence
-    chosen_left: gaps.Remainder
-    chosen_gate: verdict.Gates
-    chosen_gone: float
-    reference: float | None
-    temper: float
-    witnesses: list[Single]
-    strange: Floats
-    strange_left: list[gaps.Remainder]
-
-
-def twin_of(case: Case, bench: Bench, fit: Fit) -> Twin:
-    """The twin with a fit's characteristics and effects, checked like any twin file."""
-    values = bench.problem.space.from_slopes(fit.x[: bench.d])
-    changes = {k: float(v) for k, v in zip(bench.problem.space.keys, values, strict=True)}
-    twin = case.twin.with_changes(changes)
-    specs = fit.hypothesis.spec(fit.effects(bench)) if fit.hypothesis.effects else ()
-    return twin.model_copy(update={"effects": (*case.twin.effects, *specs), "road": case.twin.road})
-
-
-def conclude(
-    request: DiagnosisRequest, case: Case, bench: Bench, found: Findings, seconds: float
-) -> DiagnosisResult:
+def conclude(request: DiagnosisRequest, case: Case, found: Findings, seconds: float) -> DiagnosisResult:
     """The document of diagnosis.json, the twin with what was found, and what the report shows."""
+    judged, bench = found.judged, found.judged.bench
     channel = bench.problem.channels[0]
-    base_shrink = _shrink(bench, found, found.left[0], request.seed)
+    base_shrink = _shrink(bench, found, judged.left[0], request.seed)
     beyond = np.array(
         [
             gaps.shrink_of(
-                bench, found.left[0], r, found.blocks, found.noise[channel], 0, request.seed
+                bench,
+                judged.left[0],
+                r,
+                judged.blocks,
+                judged.noise[channel],
+                0,
+                request.seed,
             ).shrink
-            for r in found.left[1:]
+            for r in judged.left[1:]
         ]
     )
-    alone, foreign = found.alone, None
-    if found.reference is not None:
-        foreign = 1.0 - np.sqrt(1.0 - found.gone)  # of the rms, as the other shrinks
+    alone, foreign = judged.alone, None
+    if judged.reference is not None:
+        foreign = 1.0 - np.sqrt(1.0 - found.gone_alone)  # of the rms, as the other shrinks
         alone = (
-            alone * found.gone
+            alone * found.gone_alone
         )  # what is measured to be there still is not explained by gaining more than others
-    effects, no_gap, unknown = verdict.masses(found.weights, found.gates, found.gone, found.unseen, alone)
-    unknown += float(found.strange.sum())
-    chosen = found.chosen.fit.hypothesis.effects
+    effects, no_gap, unknown = verdict.masses(
+        judged.weights, judged.gates, found.gone_alone, judged.unseen, alone
+    )
+    unknown += float(judged.decoys.probability.sum())
+    chosen = found.chosen.found.fit.hypothesis.effects
     if len(chosen) > 1:
-        effects, unknown = _shared(found, effects, unknown, chosen, found.chosen_gone)
+        effects, unknown = _shared(found, effects, unknown, chosen, found.gone)
     # members of a set are all there: by themselves they may look alike, but nothing has to tell them apart
     groups = _groups(found, effects) if len(chosen) < 2 else []
-    left = 1.0 - _shrink(bench, found, found.chosen_left, request.seed).shrink
-    adequate = found.chosen_gate.adequate
-    told, known = [*groups, list(_places(found, chosen))], found.reference is not None
+    left = 1.0 - _shrink(bench, found, found.chosen.left, request.seed).shrink
+    adequate = found.gates.adequate
+    told, known = [*groups, list(_places(found, chosen))], judged.reference is not None
     answer, stretch = verdict.verdict_of(effects, no_gap, unknown, adequate, left, told, known), None
     if answer in ("no_gap", "unknown") and case.road:
         stretch, surveyed = _stretch(case, bench, found, request.effects)
         no_gap, unknown = no_gap * surveyed, unknown + no_gap * (1.0 - surveyed)
         answer = verdict.verdict_of(effects, no_gap, unknown, adequate, left, told, known)
-    kept = found.chosen if answer in ("effect", "partly") else found.base
-    kept_left = found.chosen_left if kept is found.chosen else found.left[0]
-    twin = twin_of(case, bench, kept.fit)
+    kept = found.chosen.found if answer in ("effect", "partly") else judged.base
+    kept_left = found.chosen.left if kept is found.chosen.found else judged.left[0]
+    twin = twin_of(bench, kept.fit)
     shrink = _shrink(bench, found, kept_left, request.seed)
     causes = _causes(bench, found, effects, beyond, foreign, groups, request.seed)
     # without a road no block shows the model what another has shown it
-    _add_intervals(bench, found.blocks, kept.fit, found.temper if case.road else 1.0, causes)
+    _add_intervals(bench, judged.blocks, kept.fit, judged.temper if case.road else 1.0, causes)
     document: dict[str, Any] = {
         "verdict": answer,
         "gap": _gap(bench, found),
-        "where": localise(bench, found.left[0].difference, found.noise, twin_of(case, bench, found.base.fit)),
+        "where": localise(
+            bench,
+            judged.left[0].difference,
+            judged.noise,
+            twin_of(bench, judged.base.fit),
+        ),
         "causes": causes,
         "no_gap_probability": round(float(no_gap), 6),
         "unknown_probability": round(float(unknown), 6),
@@ -130,11 +103,13 @@ def conclude(
             "shrink_interval": [_round(v) for v in base_shrink.interval],
         },
         "background": {
-            "share_of_motion_left": _round(verdict.level_of(bench, kept_left, found.noise, shown=True)),
-            "share_left_on_reference": None if found.reference is None else _round(found.reference),
-            "noise_share_of_the_rest": _round(found.temper),
+            "share_of_motion_left": _round(
+                verdict.level_of(bench, kept_left, judged.noise, case.driven, shown=True)
+            ),
+            "share_left_on_reference": None if judged.reference is None else _round(judged.reference),
+            "noise_share_of_the_rest": _round(judged.temper),
         },
-        "cannot_be_judged": [s.effect for s in found.singles if not s.judged],
+        "cannot_be_judged": [s.effect for s in judged.singles if not s.judged],
         "warnings": list(case.warnings),
     }
     if answer in ("unknown", "partly"):
@@ -143,18 +118,18 @@ def conclude(
         document["signature"].update(_periodic(case, bench, kept_left))
         if stretch is not None:
             document["signature"]["stretch"] = stretch
-    tied = [found.singles[i] for i in (groups[0] if groups else [])]
+    tied = [judged.singles[i] for i in (groups[0] if groups else [])]
     if len(tied) < 2 and len(chosen) < 2:
         named = [c["effect"] for c in causes[:2] if c["probability"] > _WORTH_ASKING]
-        tied = [s for name in named for s in found.singles if s.effect == name]
+        tied = [s for name in named for s in judged.singles if s.effect == name]
     document["next_experiment"] = (
         f"Survey the road from {stretch['start_m']:.0f} to {stretch['end_m']:.0f} m again: no drive changes its file."
         if stretch is not None and answer == "unknown" and _takes_much(stretch)
-        else next_experiment(case, bench, tied, answer, found)
+        else next_experiment(case, tied, answer, judged)
     )
     document["seed"] = request.seed
     document["message"] = _message(answer, document, shrink)
-    views = _views(case, bench, twin, twin_of(case, bench, found.base.fit))
+    views = _views(case, bench, twin, twin_of(bench, judged.base.fit))
     return DiagnosisResult(document, twin, views, seconds, case.warnings)
 
 
@@ -172,13 +147,13 @@ def _stretch(
 ) -> tuple[dict[str, Any] | None, float]:
     """The stretch of road that holds what recalibration leaves, where one does, with the errors of the road file that
     make up for it there; and the probability that the file has none of them there."""
-    there = gathered(bench, found.left[0], found.noise)
+    there = gathered(bench, found.judged.left[0], found.judged.noise)
     if there is None:
         return None, 1.0
     of_the_road = [e for e, effect in EFFECTS.items() if effect.where == "road" and (not only or e in only)]
     offered = library(case.twin, True, of_the_road) if of_the_road else {}
-    x = found.base.fit.x[: bench.d + bench.q]
-    like = likenesses(bench, x, there, [h for v in offered.values() for h in v], found.temper)
+    x = found.judged.base.fit.x[: bench.d + bench.q]
+    like = likenesses(bench, x, there, [h for v in offered.values() for h in v], found.judged.temper)
     surveyed = as_surveyed(like)
     if min(spread_out(there), surveyed) > 0.5:
         return None, surveyed
@@ -207,16 +182,16 @@ def _takes_much(stretch: dict[str, Any]) -> bool:
 def _resembles(bench: Bench, found: Findings, seed: int) -> list[dict[str, Any]]:
     """What the unknown looks like, the likeliest first: an effect that would give it to the twin, not its cause."""
     like = []
-    for i in np.argsort(-found.strange, kind="stable"):
-        if found.strange[i] > _WORTH_SAYING:
-            fit = found.witnesses[i].fit
+    for i in np.argsort(-found.judged.decoys.probability, kind="stable"):
+        if found.judged.decoys.probability[i] > _WORTH_SAYING:
+            fit = found.judged.decoys.singles[i].fit
             values = dict(zip(fit.hypothesis.keys, fit.effects(bench), strict=True))
             like.append(
                 {
-                    "effect": found.witnesses[i].effect,
-                    "probability": round(float(found.strange[i]), 6),
+                    "effect": found.judged.decoys.singles[i].effect,
+                    "probability": round(float(found.judged.decoys.probability[i]), 6),
                     "parameters": {k.split(".")[2]: float(f"{float(v):.6g}") for k, v in values.items()},
-                    "shrink": _round(_shrink(bench, found, found.strange_left[i], seed).shrink),
+                    "shrink": _round(_shrink(bench, found, found.judged.decoys.left[i], seed).shrink),
                 }
             )
     return like
@@ -225,21 +200,28 @@ def _resembles(bench: Bench, found: Findings, seed: int) -> list[dict[str, Any]]
 def _shrink(bench: Bench, found: Findings, after: gaps.Remainder, seed: int) -> gaps.Shrink:
     channel = bench.problem.channels[0]
     return gaps.shrink_of(
-        bench, found.standing, after, found.blocks, found.noise[channel], 0, seed, another=True
+        bench,
+        found.judged.standing,
+        after,
+        found.judged.blocks,
+        found.judged.noise[channel],
+        0,
+        seed,
+        another=True,
     )
 
 
 def _gap(bench: Bench, found: Findings) -> dict[str, Any]:
     rows = gaps.shown_rows(bench)
     rms = {
-        name: _round(float(np.sqrt(np.mean(found.standing.difference[rows, c] ** 2))))
+        name: _round(float(np.sqrt(np.mean(found.judged.standing.difference[rows, c] ** 2))))
         for c, name in enumerate(bench.problem.channels)
     }
     first = bench.problem.channels[0]
     return {
         "rms": rms[first],
         "mse": _round(rms[first] ** 2),
-        "noise_rms": _round(found.noise[first]),
+        "noise_rms": _round(found.judged.noise[first]),
         "channel": first,
         "channels": rms,
     }
@@ -254,21 +236,24 @@ def _causes(
     groups: list[list[int]],
     seed: int,
 ) -> list[dict[str, Any]]:
-    names = [s.effect for s in found.singles]
-    together = dict(zip(found.chosen.fit.hypothesis.keys, found.chosen.fit.effects(bench), strict=True))
+    names = [s.effect for s in found.judged.singles]
+    together = dict(
+        zip(found.chosen.found.fit.hypothesis.keys, found.chosen.found.fit.effects(bench), strict=True)
+    )
     causes = []
     for i in sorted(
-        range(len(names)), key=lambda i: (-round(float(effects[i]), 9), -float(found.weights[1 + i]), i)
+        range(len(names)),
+        key=lambda i: (-round(float(effects[i]), 9), -float(found.judged.weights[1 + i]), i),
     ):
-        single = found.singles[i]
-        shrink = _shrink(bench, found, found.left[1 + i], seed)
+        single = found.judged.singles[i]
+        shrink = _shrink(bench, found, found.judged.left[1 + i], seed)
         held = dict(single.fit.hypothesis.fixed)
         values = {
             **held,
             **dict(zip(single.fit.hypothesis.keys, single.fit.effects(bench), strict=True)),
             **{k: v for k, v in together.items() if k.split(".")[1] == names[i]},
         }
-        gate = found.gates[1 + i]
+        gate = found.judged.gates[1 + i]
         causes.append(
             {
                 "effect": names[i],
@@ -287,7 +272,7 @@ def _causes(
                     "plausible": _round(gate.plausible),
                 },
                 "judged": single.judged,
-                "log_evidence": round(single.evidence.over(found.base), 2),
+                "log_evidence": round(single.evidence.over(found.judged.base), 2),
             }
         )
     return causes
@@ -311,18 +296,22 @@ def _groups(found: Findings, effects: Floats) -> list[list[int]]:
     """Sets of effects whose evidence cannot be told apart from the leader's."""
     if not effects.size:
         return []
-    lead = int(np.argmax(found.weights[1:]))
+    lead = int(np.argmax(found.judged.weights[1:]))
     tied = [
         i
-        for i, s in enumerate(found.singles)
+        for i, s in enumerate(found.judged.singles)
         if i == lead
-        or (s.judged and found.beats[1 + i, 1 + lead] > _TIED and found.gates[1 + i].material > 0.3)
+        or (
+            s.judged
+            and found.judged.beats[1 + i, 1 + lead] > _TIED
+            and found.judged.gates[1 + i].material > 0.3
+        )
     ]
-    return [tied] if len(tied) > 1 and found.gates[1 + lead].material > 0.3 else []
+    return [tied] if len(tied) > 1 and found.judged.gates[1 + lead].material > 0.3 else []
 
 
 def _places(found: Findings, chosen: tuple[str, ...]) -> list[int]:
-    return [i for i, s in enumerate(found.singles) if s.effect in chosen]
+    return [i for i, s in enumerate(found.judged.singles) if s.effect in chosen]
 
 
 def _shared(
@@ -330,7 +319,7 @@ def _shared(
 ) -> tuple[Floats, float]:
     """With a combination its members carry what all effects carry, in equal parts, and the part of unknown
     that the combination has explained; ``gone`` is the share of the recalibrated gap that it takes away."""
-    good = verdict.explained(found.chosen_gate, gone)
+    good = verdict.explained(found.gates, gone)
     out = np.zeros_like(effects)
     places = _places(found, chosen)
     out[places] = (float(effects.sum()) + unknown * good) / len(places)
@@ -346,7 +335,9 @@ def _views(case: Case, bench: Bench, after: Twin, recalibrated: Twin) -> tuple[D
         if not active:
             continue
         before, middle, found = (
-            part.condition(simulate_twin(twin, bench.excitation(i, [e.id for e in twin.effects])))[channel]
+            _simulated(
+                part, twin, bench.excitation(i, [e.id for e in twin.effects]), channel, case.kind != "run"
+            )
             for twin in (case.twin, recalibrated, after)
         )
         compared = np.zeros(part.t.size, dtype=bool)
@@ -358,13 +349,21 @@ def _views(case: Case, bench: Bench, after: Twin, recalibrated: Twin) -> tuple[D
     return tuple(views)
 
 
+def _simulated(part: Any, twin: Twin, excitation: Any, channel: str, on_road: bool) -> Floats:
+    """(m,) what a twin gives of one channel of a drive or a run."""
+    if on_road:
+        return np.asarray(part.condition(simulate_twin(twin, excitation))[channel])
+    response = simulate_lanes(twin, pack(twin)[:, None], excitation)
+    return np.asarray(part.conditioner.apply(response.stacked([channel]))[:, 0, 0])
+
+
 def _message(answer: str, document: dict[str, Any], shrink: gaps.Shrink) -> str:
     gap = document["gap"]["rms"]
     if answer == "no_gap":
         return f"no gap: recalibrated, the twin leaves nothing material of {gap:.3g} m/s² that a sound model would not"
     if answer == "unknown":
         like, there = document["signature"]["resembles"], document["signature"].get("stretch")
-        word = f"; it is like {_words(like[0]['effect'])}" if like else ""
+        word = f"; it resembles {_words(like[0]['effect'])}" if like else ""
         if there:
             word += f"; {100 * there['share']:.0f} % of it lies from {there['start_m']:.0f} to {there['end_m']:.0f} m"
             word += f", like {_words(there['resembles'][0]['effect'])} there" if _takes_much(there) else ""
@@ -372,7 +371,7 @@ def _message(answer: str, document: dict[str, Any], shrink: gaps.Shrink) -> str:
     names = " and ".join(_words(e) for e in document["combination"])
     word = "partly " if answer == "partly" else ""
     low, high = (100.0 * v for v in shrink.interval)
-    where = f"({low:.0f} to {high:.0f} %) on road that the fit has not seen"
+    where = f"({low:.0f} to {high:.0f} %) on held-out data"
     if shrink.shrink < 0.005:
         return f"{word}{names}: it shows, but adding it does not shrink the gap {where}"
     return f"{word}{names}: the gap shrinks by {100 * shrink.shrink:.0f} % {where}"

@@ -35,7 +35,7 @@ _DRAWS = 4000
 #: How many times what it gains in the fit an effect may gain where it is held out: a vehicle without it, which has made
 #: up for it elsewhere, is the worse there.
 _BEYOND_THE_FIT = 2.0
-_METRES, _SECONDS = 8.0, 4.0
+_METRES, _METRES_OF_A_RUN, _SECONDS = 8.0, 0.5, 4.0
 #: Nuisances that say when: a few sharp edges tell them. Without these they go wherever the model's own error takes
 #: them, and that would speak against those hypotheses whose clocks no limit holds.
 _TIMES = ("clock_offset", "map_position")
@@ -54,13 +54,14 @@ class Blocks:
         return np.asarray(which % FOLDS)
 
 
-def blocks_of(bench: Bench, road: bool) -> Blocks:
-    """Blocks of road or time over all drives."""
+def blocks_of(bench: Bench, kind: str) -> Blocks:
+    """Blocks of road over all drives, of a run over its obstacle, or, of ``planar`` motion, of time."""
     problem = bench.problem
     keys = []
     for part, rows, drive in zip(problem.parts, problem.rows, problem.drive_of, strict=True):
-        if road:
-            keys.append(np.floor(part.position[rows] / _METRES).astype(int))
+        if kind != "planar":
+            length = _METRES if kind == "road" else _METRES_OF_A_RUN
+            keys.append(np.floor(part.position[rows] / length).astype(int))
         else:
             keys.append(np.floor((part.t[rows] - part.t[0]) / _SECONDS).astype(int) + 100_000 * drive)
     _, sample = np.unique(np.concatenate(keys), return_inverse=True)

@@ -5,12 +5,12 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 
-from suspension_twin.diagnosis.bench import Bench
 from suspension_twin.diagnosis.case import Case
+from suspension_twin.diagnosis.fit import twin_of
+from suspension_twin.diagnosis.judge import Judged
 from suspension_twin.diagnosis.search import Single
 from suspension_twin.errors import SuspensionTwinError
 from suspension_twin.gap.synthetic import path_along
@@ -20,9 +20,6 @@ from suspension_twin.road import Road, add_bump, bump_road, half_sine
 from suspension_twin.signals.conditioner import Conditioner
 from suspension_twin.signals.filters import FilterSpec
 from suspension_twin.vehicle.twin import Twin
-
-if TYPE_CHECKING:
-    from suspension_twin.diagnosis.conclude import Findings
 
 __all__ = ["Manoeuvre", "menu", "next_experiment", "separation"]
 
@@ -90,21 +87,21 @@ def separation(first: Twin, second: Twin, what: Manoeuvre, noise: dict[str, floa
     return total
 
 
-def next_experiment(case: Case, bench: Bench, tied: Sequence[Single], answer: str, found: Findings) -> str:
+def next_experiment(case: Case, tied: Sequence[Single], answer: str, judged: Judged) -> str:
     """One sentence: what to drive, which candidates it separates and how well."""
-    from suspension_twin.diagnosis.conclude import twin_of
-
-    weak = [s.effect.replace("_", " ") for s in found.singles if not s.judged]
+    weak = [s.effect.replace("_", " ") for s in judged.singles if not s.judged]
     tail = f" Not excited so far: {', '.join(weak)}." if weak else ""
     if len(tied) < 2:
         return f"None is needed to tell candidates apart.{tail}"
-    twins = [replace_road(twin_of(case, bench, s.fit)) for s in tied[:2]]
     names = [s.effect.replace("_", " ") for s in tied[:2]]
-    share = max(found.reference or 0.15, 0.05)
+    if case.kind == "run":
+        return f"Repeat the run with another excitation to separate {names[0]} from {names[1]}.{tail}"
+    twins = [replace_road(twin_of(judged.bench, s.fit)) for s in tied[:2]]
+    share = max(judged.reference or 0.15, 0.05)
     gains = []
     for manoeuvre in menu():
         try:
-            gains.append((separation(twins[0], twins[1], manoeuvre, found.noise, share), manoeuvre.name))
+            gains.append((separation(twins[0], twins[1], manoeuvre, judged.noise, share), manoeuvre.name))
         except SuspensionTwinError:
             continue
     if {"mount_resonance"} & {s.effect for s in tied[:2]}:

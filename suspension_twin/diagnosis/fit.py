@@ -24,6 +24,7 @@ from suspension_twin.identification.gauss_newton import (
     Quadratic,
     bounded_step,
 )
+from suspension_twin.vehicle.twin import Twin
 
 __all__ = [
     "SETTINGS",
@@ -37,6 +38,7 @@ __all__ = [
     "scanned",
     "screened",
     "swept",
+    "twin_of",
 ]
 
 _LARGEST_STEP = 2.0
@@ -292,6 +294,17 @@ def _solved(
     solver.begin(np.stack(list(starts), axis=1))
     solver.run()
     return solver, problem
+
+
+def twin_of(bench: Bench, fit: Fit) -> Twin:
+    """The twin with a fit's characteristics and effects, checked like any twin file."""
+    values = bench.problem.space.from_slopes(fit.x[: bench.d])
+    changes = {k: float(v) for k, v in zip(bench.problem.space.keys, values, strict=True)}
+    twin = bench.problem.twin.with_changes(changes)
+    specs = fit.hypothesis.spec(fit.effects(bench)) if fit.hypothesis.effects else ()
+    return twin.model_copy(
+        update={"effects": (*bench.problem.twin.effects, *specs), "road": bench.problem.twin.road}
+    )
 
 
 def finished(bench: Bench, hypothesis: Hypothesis, x: Floats) -> Linear:

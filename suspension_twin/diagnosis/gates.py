@@ -11,7 +11,7 @@ from scipy.stats import norm
 from suspension_twin.diagnosis import shrink as gaps
 from suspension_twin.diagnosis import verdict
 from suspension_twin.diagnosis.bench import Bench
-from suspension_twin.diagnosis.case import VERTICAL
+from suspension_twin.diagnosis.case import Case
 from suspension_twin.diagnosis.evidence import Blocks, Evidence
 from suspension_twin.diagnosis.local_road_error import gathered, spread_out
 
@@ -32,15 +32,15 @@ class Gatekeeper:
     noise: dict[str, float]
     reference: float | None
     temper: float
-    road: bool
+    case: Case
     seed: int
     base: Evidence
     recalibrated: gaps.Remainder
 
     @property
     def driven(self) -> list[int]:
-        """Columns of the channels that speak for the vehicle: with a road what the road drives."""
-        return [c for c, name in enumerate(self.bench.problem.channels) if name in VERTICAL or not self.road]
+        """Columns of the channels by which the vehicle itself is judged."""
+        return [c for c, name in enumerate(self.bench.problem.channels) if name in self.case.driven]
 
     def gates(
         self, found: Evidence, left: gaps.Remainder, least: float = verdict.MATERIAL, alone: float = 0.0
@@ -60,8 +60,10 @@ class Gatekeeper:
                 adequate *= verdict.even(bench, left, self.noise)
         else:
             adequate = verdict.sound(found, driven)
-        if self.road:
-            adequate *= verdict.free_of_lines(bench, left)[0] * verdict.punctual(bench, found, self.temper)
+        if self.case.excited:
+            adequate *= verdict.punctual(bench, found, self.temper)
+        if self.case.road:
+            adequate *= verdict.free_of_lines(bench, left)[0]
             adequate *= spread_out(gathered(bench, left, self.noise))
         if found is self.base:
             return verdict.Gates(1.0, adequate, 1.0)
@@ -77,15 +79,15 @@ class Gatekeeper:
         ``left``, of the mean square; without a road of the first channel's rms."""
         if self.reference is not None:
             return verdict.gone(found, self.base, self.driven)
-        if self.road:
+        if self.case.excited:
             return verdict.closed(self.level(left), self.level(self.recalibrated))
         return float(np.clip(self.shrink(self.recalibrated, left).shrink, 0.0, 1.0))
 
     def level(self, left: gaps.Remainder) -> float:
         """What is left as a share of the motion: where no reference says by what clocks and map are off, with them
         where they were fitted."""
-        settled = self.road and self.reference is None
-        return verdict.level_of(self.bench, left, self.noise, shown=True, settled=settled)
+        settled = self.case.excited and self.reference is None
+        return verdict.level_of(self.bench, left, self.noise, self.case.driven, shown=True, settled=settled)
 
     def shrink(
         self, before: gaps.Remainder, after: gaps.Remainder, column: int = 0, settled: bool = False
@@ -102,7 +104,7 @@ class Gatekeeper:
         may ask clocks and map for something, and one of theirs spares it."""
         if column not in self.driven:
             return (True,)
-        return (False, True) if self.road or self.reference is not None else (False,)
+        return (False, True) if self.case.excited or self.reference is not None else (False,)
 
     def _material(self, column: int, seen: list[gaps.Shrink], least: float) -> float:
         """Probability that a share ``least`` of a channel's gap is gone beyond recalibration.
@@ -134,7 +136,7 @@ class Gatekeeper:
         """Share of the recalibrated gap's mean square that reference drives do not show as well."""
         if self.reference is None:
             return 1.0
-        level = verdict.level_of(self.bench, self.recalibrated, self.noise, shown=True)
+        level = verdict.level_of(self.bench, self.recalibrated, self.noise, self.case.driven, shown=True)
         return float(np.clip(1.0 - (self.reference / max(level, 1e-9)) ** 2, _LEAST_EXCESS, 1.0))
 
     def _noise_share(self) -> float:

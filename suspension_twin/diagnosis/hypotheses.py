@@ -21,7 +21,7 @@ from suspension_twin.effects.base import Effect, Parameter
 from suspension_twin.effects.registry import EFFECTS
 from suspension_twin.vehicle.twin import EffectSpec, Twin
 
-__all__ = ["BASELINE", "NORMAL_PART", "SETTINGS", "Hypothesis", "combined", "library", "witnesses"]
+__all__ = ["BASELINE", "NORMAL_PART", "SETTINGS", "Hypothesis", "combined", "decoys", "library"]
 
 _WIDTH = 1.4  # of the starting points, in spreads of the prior
 #: Where effects act that any size of is a matter of what was set, not of what a part can be like.
@@ -37,7 +37,7 @@ NORMAL_PART = {
 WITHOUT_ROAD = ("time_offset", "clock_drift", "sensor_tilt", "sensor_scale")
 #: Shapes that many things have: coils, rubber, air, worn bushes, torn oil. One that explains the gap best says that no
 #: effect with a name does, and what the unknown one looks like. Named only where they are asked for.
-WITNESSES = ("progressive_spring", "damper_play")
+DECOYS = ("progressive_spring", "damper_play")
 
 
 @dataclass(frozen=True)
@@ -53,6 +53,11 @@ class Hypothesis:
     fixed: tuple[tuple[str, float], ...] = ()
     around: tuple[float, ...] = ()
     everywhere: tuple[str, ...] = ()
+    model: str = "full_car"
+
+    def effect(self, name: str) -> Effect:
+        """One of its effects, as it is on the model."""
+        return EFFECTS[name].on(self.model)
 
     @property
     def name(self) -> str:
@@ -65,7 +70,7 @@ class Hypothesis:
         return tuple(
             (f"effects.{e}.{p.name}", p)
             for e in self.effects
-            for p in EFFECTS[e].parameters
+            for p in self.effect(e).parameters
             if f"effects.{e}.{p.name}" not in held
         )
 
@@ -98,6 +103,7 @@ class Hypothesis:
             tuple(pair for pair in self.fixed if pair[0].split(".")[1] in kept),
             tuple(u for i, u in enumerate(self.around) if self._owner(i) in kept),
             tuple(e for e in self.everywhere if e in kept),
+            self.model,
         )
 
     def rows(self, part: Hypothesis) -> list[int]:
@@ -129,7 +135,7 @@ class Hypothesis:
         low, high = self.bounds()
         at = np.zeros(len(self))
         for i, (_, p) in enumerate(self.searched):
-            if p.name in EFFECTS[self._owner(i)].severity and not p.log:
+            if p.name in self.effect(self._owner(i)).severity and not p.log:
                 at[i] = (p.neutral - p.typical) / p.spread
         return np.clip(at, low, high)
 
@@ -139,7 +145,7 @@ class Hypothesis:
         low, high = self.bounds()
         ends = np.repeat(self.neutral()[:, None], 2, axis=1)
         for i, (_, p) in enumerate(self.searched):
-            if p.name in EFFECTS[self._owner(i)].severity and p.log:
+            if p.name in self.effect(self._owner(i)).severity and p.log:
                 ends[i] = low[i], high[i]
         return np.unique(ends, axis=1)
 
@@ -153,7 +159,7 @@ class Hypothesis:
         low, high = self.bounds()
         at = self.neutral()
         for i, (_, p) in enumerate(self.searched):
-            if p.name in EFFECTS[self._owner(i)].severity and not p.log:
+            if p.name in self.effect(self._owner(i)).severity and not p.log:
                 at[i] += far
             elif p.log and p.unit == "m":
                 at[i] = -far
@@ -163,7 +169,7 @@ class Hypothesis:
         """For an effect that resonates: the row of its strength, and ``count`` points (k, count) with resonances all
         over their bounds; None for any other effect."""
         names = [p.name for _, p in self.searched]
-        severe = [i for i, n in enumerate(names) if n in EFFECTS[self._owner(i)].severity]
+        severe = [i for i, n in enumerate(names) if n in self.effect(self._owner(i)).severity]
         if "frequency" not in names or len(severe) != 1:
             return None
         low, high = self.bounds()
@@ -182,7 +188,7 @@ class Hypothesis:
         return tuple(
             EffectSpec(
                 id=e,
-                parameters={p.name: known[f"effects.{e}.{p.name}"] for p in EFFECTS[e].parameters},
+                parameters={p.name: known[f"effects.{e}.{p.name}"] for p in self.effect(e).parameters},
             )
             for e in self.effects
         )
@@ -215,7 +221,7 @@ class Hypothesis:
         at = self.neutral()
         out = normal.copy()
         for i, (_, p) in enumerate(self.searched):
-            if p.name in EFFECTS[self._owner(i)].severity and not p.log and low[i] >= at[i] - 1e-12:
+            if p.name in self.effect(self._owner(i)).severity and not p.log and low[i] >= at[i] - 1e-12:
                 out[i] = at[i] + np.abs(normal[i])
         return np.clip(out, low[:, None], high[:, None])
 
@@ -223,37 +229,40 @@ class Hypothesis:
 BASELINE = Hypothesis()
 
 
-def variants(effect: Effect) -> list[Hypothesis]:
-    """The hypotheses that an effect stands for: one, or one for each combination of its choices."""
+def variants(effect: Effect, twin: Twin) -> list[Hypothesis]:
+    """The hypotheses that an effect stands for on a twin: one, or one for each combination of its choices that the
+    twin can have."""
     counting = [p for p in effect.parameters if p.choices]
     keys = [f"effects.{effect.id}.{p.name}" for p in counting]
+    possible = effect.hook.possible or (lambda twin, given: True)
     return [
-        Hypothesis((effect.id,), tuple(zip(keys, chosen, strict=True)))
+        Hypothesis((effect.id,), tuple(zip(keys, chosen, strict=True)), model=twin.model)
         for chosen in product(*(p.choices for p in counting))
+        if possible(twin, {p.name: c for p, c in zip(counting, chosen, strict=True)})
     ]
 
 
-def library(twin: Twin, road: bool, only: Sequence[str] = ()) -> dict[str, list[Hypothesis]]:
-    """The hypotheses of every effect that this twin can be given, by id.
+def library(twin: Twin, excited: bool, only: Sequence[str] = ()) -> dict[str, list[Hypothesis]]:
+    """The hypotheses of every effect that this twin can be given, by id; ``excited``: what excites it is known.
 
     An effect that the twin already has is its own: it is not offered twice.
     """
-    return _offered(twin, road, only or [name for name in EFFECTS if name not in WITNESSES])
+    return _offered(twin, excited, only or [name for name in EFFECTS if name not in DECOYS])
 
 
-def witnesses(twin: Twin, road: bool, only: Sequence[str] = ()) -> dict[str, list[Hypothesis]]:
-    """Those of ``WITNESSES`` that this twin can be given and ``only`` does not name."""
-    return _offered(twin, road, [name for name in WITNESSES if name not in only])
+def decoys(twin: Twin, excited: bool, only: Sequence[str] = ()) -> dict[str, list[Hypothesis]]:
+    """Those of ``DECOYS`` that this twin can be given and ``only`` does not name."""
+    return _offered(twin, excited, [name for name in DECOYS if name not in only])
 
 
-def _offered(twin: Twin, road: bool, names: Sequence[str]) -> dict[str, list[Hypothesis]]:
+def _offered(twin: Twin, excited: bool, names: Sequence[str]) -> dict[str, list[Hypothesis]]:
     own = {e.id for e in twin.effects}
     return {
-        name: variants(effect)
+        name: variants(effect.on(twin.model), twin)
         for name, effect in EFFECTS.items()
-        if twin.model in effect.hook.models
+        if twin.model in effect.models
         and name not in own
-        and (road or name in WITHOUT_ROAD)
+        and (excited or name in WITHOUT_ROAD)
         and name in names
     }
 
@@ -266,4 +275,5 @@ def combined(*parts: Hypothesis) -> Hypothesis:
         tuple(pair for p in parts for pair in p.fixed),
         around,
         tuple(e for p in parts for e in p.everywhere),
+        parts[0].model,
     )

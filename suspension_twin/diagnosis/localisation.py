@@ -52,7 +52,7 @@ def localise(bench: Bench, difference: Floats, noise: dict[str, float], twin: Tw
     }
     where.update(
         by_motion(_shown(bench), excess, twin)
-        if "vertical_acceleration" in names
+        if "vertical_acceleration" in names and bench.excitations
         else {"corner": [], "operating_point": []}
     )
     return where
@@ -283,7 +283,7 @@ def signature(bench: Bench, difference: Floats, twin: Twin) -> dict[str, Any]:
         "peak_hz": round(float(f[1 + np.argmax(power[1:])]), 2),
         **repeatable(bench, difference, column),
     }
-    if column or "vertical_acceleration" not in names:
+    if column or "vertical_acceleration" not in names or not bench.excitations:
         return out
     linear: list[Floats] = []
     for part, rows in _shown(bench):

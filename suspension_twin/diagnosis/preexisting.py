@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What the vehicle had before already: traits, which the reference drives show as well as those with the gap.
+"""Pre-existing effects: those that the reference drives show as well as those with the gap.
 
-A model's own error comes again on every drive, and some effects make up for a part of it: a low-pass, a contact patch,
-a little friction. Fitted to the drives with the gap alone, such an effect looks as if it had come since, and gains more
-than a faint one that has. So whatever speaks for itself on all drives is fitted to all of them first, and what counts
-for an effect is what it gains beyond that.
+The discrepancy of a model comes again on every drive, and some effects make up for a part of it: a low-pass, a contact
+patch, a little friction. Fitted to the drives with the gap alone, such an effect looks as if it had come since, and
+gains more than a faint one that has. So whatever improves the prediction of all drives is fitted to all of them first,
+and what counts for an effect is what it gains beyond that.
 """
 
 from __future__ import annotations
@@ -22,17 +22,17 @@ from suspension_twin.diagnosis.fit import Fit, finished, fitted, refit
 from suspension_twin.diagnosis.hypotheses import BASELINE, Hypothesis, combined
 from suspension_twin.identification.parallel import side_by_side
 
-__all__ = ["as_trait", "since"]
+__all__ = ["as_preexisting", "beyond_preexisting"]
 
-#: Nats, counted by the share of what is left that is noise, that a trait gains at least on all drives and loses at
-#: most on those from before: of effects that came since, tried as traits, these lost 4 to 13, of others less than 1.
+#: Nats, counted by the share of the remaining residual that is noise, that a pre-existing effect gains at least on all
+#: drives and loses at most on those from before: of effects that came since these lost 4 to 13, of others less than 1.
 _SPEAKS = 1.0
 _ROUGH, _LONG, _FINE = 4, 8, 6
 _BEHIND = 1.0  # -2 log posterior by which a baseline has to be better for what was compared with it to go on
 
 
-def as_trait(bench: Bench, hypothesis: Hypothesis, x: Floats, base: Fit, blocks: Blocks) -> Evidence:
-    """An effect, at unknowns ``x`` (d + q + k,) on the drives with the gap, as a trait of the vehicle on all drives.
+def as_preexisting(bench: Bench, hypothesis: Hypothesis, x: Floats, base: Fit, blocks: Blocks) -> Evidence:
+    """An effect, at unknowns ``x`` (d + q + k,) on the drives with the gap, as a pre-existing effect on all drives.
 
     Not for a clock, a place on the map or a lean: that there always was one is a nuisance already.
     """
@@ -41,7 +41,7 @@ def as_trait(bench: Bench, hypothesis: Hypothesis, x: Floats, base: Fit, blocks:
     return evidence(bench, fitted(bench, always, starts, _ROUGH), blocks)
 
 
-def since(
+def beyond_preexisting(
     bench: Bench,
     base: Evidence,
     found: dict[int, Fit],
@@ -50,9 +50,9 @@ def since(
     blocks: Blocks,
     tell: Callable[[float, int], None],
 ) -> tuple[Evidence, dict[int, Evidence]] | None:
-    """The baseline of a vehicle that has the traits of ``always``, and what each effect of ``found`` does on the drives
-    with the gap beyond them; None where no trait speaks for itself or nothing is asked. An effect that is a trait as
-    well may have another size there than on those from before."""
+    """The baseline of a vehicle that has the pre-existing effects of ``always``, and what each effect of ``found`` does
+    on the drives with the gap beyond them; None where there is none of either. An effect that is pre-existing as well
+    may have another size there than on those from before."""
     having, x, cost = _settled(bench, base, always if found else (), temper)
     if having is bench:
         return None
@@ -81,9 +81,9 @@ def since(
     return evidence(having, finished(having, BASELINE, y), blocks), dict(zip(found, told, strict=True))
 
 
-def _before(bench: Bench, trait: Evidence, base: Evidence) -> float:
-    """Nats that a trait gains on the drives from before: an effect that has come since is pulled at by all drives, and
-    these lose by it."""
+def _before(bench: Bench, existing: Evidence, base: Evidence) -> float:
+    """Nats that a pre-existing effect gains on the drives from before: one that has come since is pulled at by all
+    drives, and these lose by it."""
     whitener, gain = bench.whitener, 0.0
     before = ~np.array(bench.active)[whitener.drive]
     for (c, shown), level in base.level.items():
@@ -91,15 +91,15 @@ def _before(bench: Bench, trait: Evidence, base: Evidence) -> float:
             count = bench.problem.measured.independent * float(
                 np.count_nonzero(before & (whitener.channel == c))
             )
-            gain += 0.5 * count * float(np.log(level / trait.level[c, shown]))
+            gain += 0.5 * count * float(np.log(level / existing.level[c, shown]))
     return gain
 
 
 def _settled(
     bench: Bench, base: Evidence, always: Sequence[Evidence], temper: float
 ) -> tuple[Bench, Floats, float]:
-    """The bench of a vehicle that has all traits that speak for themselves and that the drives from before do not speak
-    against, and its unknowns and cost."""
+    """The bench of a vehicle that has all effects that improve the prediction of all drives and do not worsen that of
+    the drives from before, and its unknowns and cost."""
     speaking = [
         e for e in always if temper * e.over(base) > _SPEAKS and temper * _before(bench, e, base) > -_SPEAKS
     ]

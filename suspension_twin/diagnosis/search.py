@@ -15,8 +15,7 @@ from suspension_twin.diagnosis.bench import Bench
 from suspension_twin.diagnosis.evidence import Blocks, Evidence, evidence
 from suspension_twin.diagnosis.fit import Fit, Linear, finished, fitted, refit, scanned, screened, swept
 from suspension_twin.diagnosis.hypotheses import BASELINE, NORMAL_PART, Hypothesis, combined
-from suspension_twin.diagnosis.preexisting import as_trait
-from suspension_twin.effects.registry import EFFECTS
+from suspension_twin.diagnosis.preexisting import as_preexisting
 from suspension_twin.errors import WorkError
 from suspension_twin.identification.parallel import side_by_side
 
@@ -115,7 +114,7 @@ def singles(
         starts = [r.x, np.concatenate([base.x, r.x[bench.d + bench.q :]])]
         at = fitted(bench, v, starts, _FINE if i in finalists else 0)
         if i in finalists and not all(bench.active) and r.effect not in NORMAL_PART:
-            always = as_trait(bench, v, at.x, base, blocks)
+            always = as_preexisting(bench, v, at.x, base, blocks)
         if at.cost >= base.cost:
             ends = v.slightest()
             none = np.concatenate([np.repeat(base.x[:, None], ends.shape[1], axis=1), ends])
@@ -204,7 +203,7 @@ def _caught_up(bench: Bench, base: Linear, moved: bool, rough: _Rough, seed: int
     if rough.cost >= base.cost:
         starts += screened(bench, base, v, v.starts(_STARTS, seed)).x[:_TRIED]
     found = [refit(bench, v, starts, base.at, _ROUGH)] if moved else [(rough.x, rough.cost)]
-    if EFFECTS[rough.effect].where in ("time", "road", "sensor"):
+    if rough.hypothesis.effect(rough.effect).where in ("time", "road", "sensor"):
         alone = replace(bench, barred=tuple(n for n in bench.problem.nuisances.names if n.endswith(_SHARED)))
         begun, _ = refit(alone, v, starts, base.at, _ROUGH)
         found.append(refit(bench, v, [begun], base.at, _ROUGH))
@@ -219,7 +218,7 @@ def _wide(bench: Bench, base: Fit, hypothesis: Hypothesis, seed: int) -> list[tu
     A calibration that never saw friction, a stop or a bar has made up for it elsewhere, too far for a
     linear step to undo. Only for effects that act where characteristics do.
     """
-    if EFFECTS[hypothesis.effects[-1]].where not in ("strut", "tyre", "body"):
+    if hypothesis.effect(hypothesis.effects[-1]).where not in ("strut", "tyre", "body"):
         return []
     p = bench.d + bench.q
 

@@ -17,7 +17,6 @@ import numpy as np
 from scipy.signal import welch
 
 from suspension_twin.arrays import Floats
-from suspension_twin.calibration.tracked_runs import MARKERS, MarkerRun, read_run
 from suspension_twin.diagnosis.request import Progress
 from suspension_twin.diagnosis.tracked_fit import (
     NOTHING,
@@ -33,6 +32,7 @@ from suspension_twin.diagnosis.tracked_fit import (
 from suspension_twin.diagnosis.tracked_visible import Visible, as_table, visible_from, words
 from suspension_twin.effects.tracked_effects import TRACKED_EFFECTS, apply_tracked
 from suspension_twin.errors import InputError, WorkError
+from suspension_twin.gap.marker_runs import MARKERS, MarkerRun, read_run
 from suspension_twin.vehicle.tracked import TrackedTwin
 from suspension_twin.vehicle.twin import EffectSpec, Twin, load_twin
 

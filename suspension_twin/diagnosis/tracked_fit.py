@@ -18,7 +18,6 @@ import numpy as np
 
 from suspension_twin.arrays import Floats
 from suspension_twin.calibration.tracked_paper import simulate_runs
-from suspension_twin.calibration.tracked_runs import MarkerRun
 from suspension_twin.diagnosis.tracked_own import (
     OWN_HIGH,
     OWN_LOW,
@@ -29,6 +28,7 @@ from suspension_twin.diagnosis.tracked_own import (
 )
 from suspension_twin.effects.tracked_effects import TRACKED_EFFECTS, apply_tracked, camera_of
 from suspension_twin.errors import InputError, WorkError
+from suspension_twin.gap.marker_runs import MarkerRun
 from suspension_twin.identification.gauss_newton import bounded_step
 from suspension_twin.vehicle.tracked import TrackedVehicle
 

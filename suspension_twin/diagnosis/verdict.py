@@ -15,7 +15,6 @@ from suspension_twin.diagnosis.evidence import Evidence
 from suspension_twin.diagnosis.hypotheses import SETTINGS
 from suspension_twin.diagnosis.shrink import Remainder, shown_rows
 from suspension_twin.diagnosis.tonal import Line, strongest
-from suspension_twin.effects.registry import EFFECTS
 from suspension_twin.identification.noise import density
 
 __all__ = [
@@ -93,21 +92,27 @@ class Gates:
 
 
 def level_of(
-    bench: Bench, left: Remainder, noise: dict[str, float], shown: bool, settled: bool = False
+    bench: Bench,
+    left: Remainder,
+    noise: dict[str, float],
+    driven: Sequence[str],
+    shown: bool,
+    settled: bool = False,
 ) -> float:
-    """What is left above the noise as a share of the motion's rms, over the channels that the road drives; ``settled``
+    """What is left above the noise as a share of the motion's rms, over the ``driven`` channels; ``settled``
     with the nuisances where they were fitted."""
     rows, rest_of = shown_rows(bench) == shown, left.settled if settled else left.difference
     measured = bench.problem.measured
-    shares, counts = [], []
+    shares, counts, floors = [], [], []
     for c, name in enumerate(measured.channels):
-        if name in ("vertical_acceleration", "pitch_rate", "roll_rate") or len(measured.channels) == 3:
+        if name in driven:
             motion = float(np.var(measured.values[rows, c]))
             rest = max(float(np.var(rest_of[rows, c])) - noise[name] ** 2, 0.0)
             shares.append(rest)
             counts.append(max(motion - noise[name] ** 2, 1e-12))
-    # the loudest channel in units of its own noise speaks for the vehicle
-    weight = np.array(counts) / np.array([noise[n] ** 2 for n in measured.channels[: len(counts)]])
+            floors.append(noise[name] ** 2)
+    # the loudest channel in units of its own noise counts most
+    weight = np.array(counts) / np.array(floors)
     ratio = np.array(shares) / np.array(counts)
     return float(np.sqrt(np.sum(weight * ratio) / weight.sum()))
 
@@ -202,7 +207,7 @@ def plausible(bench: Bench, found: Evidence) -> float:
     low, high = hypothesis.bounds()
     worst = 1.0
     for i, (key, parameter) in enumerate(hypothesis.searched):
-        far = 0.0 if EFFECTS[key.split(".")[1]].where in SETTINGS else abs(u[i])
+        far = 0.0 if hypothesis.effect(key.split(".")[1]).where in SETTINGS else abs(u[i])
         worst *= float(np.clip(np.exp(-0.5 * max(far - 4.0, 0.0) ** 2 / 16.0), 0.02, 1.0))
         two_sided = not parameter.log and parameter.neutral not in (parameter.low, parameter.high)
         if two_sided and not low[i] + 1e-9 < u[i] < high[i] - 1e-9:
@@ -220,7 +225,7 @@ def uncommon(bench: Bench, found: Evidence, changed: bool = False) -> float:
     hypothesis = found.fit.hypothesis
     values = hypothesis.values(found.fit.x[bench.d + bench.q :, None])[:, 0]
     given, likely = dict(zip(hypothesis.keys, values, strict=True)), 1.0
-    for effect in (EFFECTS[e] for e in hypothesis.effects):
+    for effect in (hypothesis.effect(e) for e in hypothesis.effects):
         weighed = effect.usual_share * bench.problem.twin.vehicle.mass
         usual = {name: effect.parameter(name).usual or weighed for name in effect.severity}
         if effect.id == "clock_drift":

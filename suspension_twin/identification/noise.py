@@ -163,7 +163,8 @@ class Whitener:
 
     @classmethod
     def designed(cls, measured: Measured, share: Floats, floors: Sequence[dict[str, float]]) -> Whitener:
-        """For the share (C, F) of the motion that is missed and each drive's ``floors`` by channel."""
+        """For the share (C, F), or (C,) of all bands, of the motion that is missed and each drive's ``floors`` by
+        channel."""
         drives, rate = sorted(set(measured.drives)), measured.rate
         filters = np.empty((len(drives), len(measured.channels), DESIGN_ORDER + 1))
         sigma = np.empty((len(drives), len(measured.channels)))

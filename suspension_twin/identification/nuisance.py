@@ -12,13 +12,13 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from suspension_twin.arrays import Floats
 from suspension_twin.errors import InputError
-from suspension_twin.gap.prepare import Prepared
 from suspension_twin.identification.sensor_reading import read_alike, read_any, read_steady
 from suspension_twin.models.blocks import cores, share_out
 from suspension_twin.models.sinc_interpolation import TABLE
@@ -50,7 +50,7 @@ class NuisancePriors:
     rad/s, ``pivot`` m (how far a real suspension's kinematics shift the axes about which the body rolls and
     pitches), ``slip`` rad per m/s² (slip angle of the rear tyres: where the heading is told from the course, it
     runs ahead of that), ``holder`` of the share (f / 70 Hz)² by which a sensor's holder, which gives a little, adds
-    to vertical motion at f.
+    to vertical motion at f, ``speed`` share by which a run was driven faster than it says, its time stretched.
     """
 
     clock: float = 0.1
@@ -66,6 +66,7 @@ class NuisancePriors:
     slip: float = 0.0
     holder: float = 0.0
     drive_map: float = 0.0
+    speed: float = 0.0
 
     def without(self, keys: Iterable[str]) -> NuisancePriors:
         """Those of ``keys`` (``nuisances.gain``) left out; raises InputError for one that is not known."""
@@ -89,7 +90,7 @@ class Nuisances:
 
     def __init__(
         self,
-        parts: Sequence[Prepared],
+        parts: Sequence[Any],
         drive_of: Sequence[int],
         channels: Sequence[str],
         priors: NuisancePriors,
@@ -132,6 +133,7 @@ class Nuisances:
             if drive not in drives:
                 drives[drive] = part.name
                 add(f"{part.name}.clock_offset", priors.clock)
+                add(f"{part.name}.speed", priors.speed)
                 add(f"{part.name}.map_position", priors.drive_map)
                 for channel, force in zip(self.channels, self._force, strict=True):
                     add(f"{part.name}.bias.{channel}", priors.force_bias if force else priors.rate_bias)
@@ -150,7 +152,10 @@ class Nuisances:
         self._row = {name: i for i, name in enumerate(names)}
         self._parts = tuple(parts)
         self._drive_names = tuple(drives[d] for d in drive_of)
-        self._regressors = [self._tilt(part) for part in parts]
+        self._regressors = [
+            self._tilt(part) if "tilt_roll" in names else np.zeros((2, part.t.size, len(self.channels)))
+            for part in parts
+        ]
 
     def __len__(self) -> int:
         return len(self.names)
@@ -175,7 +180,7 @@ class Nuisances:
         """(q,) those that add what does not depend on the simulation: biases and small tilts."""
         return np.array([".bias." in name or name.startswith("tilt_") for name in self.names], dtype=np.bool_)
 
-    def _tilt(self, part: Prepared) -> Floats:
+    def _tilt(self, part: Any) -> Floats:
         """(2, m, C) what a small tilt about x and about y adds, from the measured signals."""
         m = part.measured
         g = part.signals.gravity
@@ -221,7 +226,10 @@ class Nuisances:
             wander = np.stack([value(f"{drive}.wander.{number}.{k}") for k in range(knots.size)])
             metres = metres + sense * np.einsum("rk,kl->rl", hats, wander, optimize=False)
         late = value(f"{drive}.clock_offset") + value("clock_offset")
-        shift = (late[None, :] + metres / along[:, None]) * part.rate
+        late = late[None, :]
+        if f"{drive}.speed" in self._row:
+            late = late + value(f"{drive}.speed") * (part.t[rows] - part.t[0])[:, None]
+        shift = (late + metres / along[:, None]) * part.rate
         gain = np.ones((len(self.channels), lanes))
         gain[self._force] += value("gain")
         bias = np.stack([value(f"{drive}.bias.{c}") for c in self.channels])
@@ -273,7 +281,7 @@ class Nuisances:
         return np.concatenate([simulated, slope[:, None]], axis=1)
 
 
-def _knots(part: Prepared, seconds: float) -> Floats:
+def _knots(part: Any, seconds: float) -> Floats:
     """Times between which the position's error is taken as linear: one knot for a short pass."""
     t = part.t
     count = int((t[-1] - t[0]) // seconds) + 1

@@ -64,15 +64,17 @@ class Measured:
         return self.channels.index(channel)
 
 
-def parse_objective(text: str, channels: Mapping[str, float]) -> tuple[Term, ...]:
-    """``mse+0.5*spectral`` over ``channels`` (name to weight) as terms.
+def parse_objective(
+    text: str, channels: Mapping[str, float], known: Sequence[str] = CHANNELS
+) -> tuple[Term, ...]:
+    """``mse+0.5*spectral`` over ``channels`` (name to weight; those that are ``known``) as terms.
 
     Raises InputError that names the kind or channel it does not know.
     """
     terms: list[Any] = []
     for channel in channels:
-        if channel not in CHANNELS:
-            raise InputError("objective", channel, f"no such channel: one of {', '.join(CHANNELS)}")
+        if channel not in known:
+            raise InputError("objective", channel, f"no such channel: one of {', '.join(known)}")
     if not channels:
         raise InputError("objective", "compares no channel")
     for part in text.split("+"):

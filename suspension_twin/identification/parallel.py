@@ -6,16 +6,24 @@ from __future__ import annotations
 import threading
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from typing import TypeVar
+from typing import Any, TypeVar
+
+from threadpoolctl import threadpool_limits
 
 from suspension_twin.models.blocks import cores
 
-__all__ = ["quietly", "side_by_side"]
+__all__ = ["one_blas_thread", "quietly", "side_by_side"]
 
 Item = TypeVar("Item")
 Found = TypeVar("Found")
 
 _here = threading.local()
+
+
+def one_blas_thread() -> Any:
+    """A context in which BLAS uses one thread: work is shared out by items, and the bits are the same whatever else the
+    machine does."""
+    return threadpool_limits(1, "blas")
 
 
 def quietly(done: float, item: object) -> None:

@@ -9,20 +9,21 @@ over everything is one.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from copy import copy
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from suspension_twin.arrays import Floats
 from suspension_twin.errors import InputError
-from suspension_twin.gap.prepare import Prepared
-from suspension_twin.identification.excited_segments import TrimSettings, fit_rows
 from suspension_twin.identification.gauss_newton import Quadratic
 from suspension_twin.identification.nuisance import NuisancePriors, Nuisances
 from suspension_twin.identification.objectives import Measured, Objective, Term
 from suspension_twin.identification.space import Space
 from suspension_twin.models.parameters import lanes
 from suspension_twin.models.simulate import simulate_lanes
+from suspension_twin.models.types import LaneResponse
 from suspension_twin.vehicle.twin import Twin
 
 __all__ = ["FitProblem", "Interrupted", "Problem", "stretches_of"]
@@ -52,20 +53,21 @@ def stretches_of(rows: NDArray[np.intp], offset: int) -> list[slice]:
 class Problem:
     """One vehicle, its drives, and how far a candidate is from them.
 
-    ``drive_of`` tells which drive each part belongs to, ``wander`` (m) each drive's own position
-    error (0 for none). ``M`` samples in ``C`` channels are compared.
+    ``parts`` are observations or parts of them, ``drive_of`` the drive that each belongs to, ``rows`` the samples of
+    each that are compared, ``wander`` (m) each drive's own position error (0 for none). ``M`` samples in ``C``
+    channels are compared.
     """
 
     def __init__(
         self,
         twin: Twin,
         space: Space,
-        parts: Sequence[Prepared],
+        parts: Sequence[Any],
         drive_of: Sequence[int],
         terms: Sequence[Term],
         priors: NuisancePriors,
         wander: Sequence[float],
-        trim: TrimSettings | None = None,
+        rows: Sequence[NDArray[np.intp]],
     ) -> None:
         self.twin, self.space = twin, space
         self.parts, self.drive_of = tuple(parts), tuple(drive_of)
@@ -74,18 +76,18 @@ class Problem:
         self.channel_weights = np.array(
             [max(t.weight for t in terms if t.channel == c) for c in self.channels]
         )
-        self.rows = [fit_rows(part, trim) for part in self.parts]
+        self.rows = list(rows)
         self.nuisances = Nuisances(self.parts, self.drive_of, self.channels, priors, wander)
         measured: list[Floats] = []
         stretches: list[slice] = []
         drives: list[int] = []
         offset = 0
-        for part, rows, drive in zip(self.parts, self.rows, self.drive_of, strict=True):
-            measured.append(np.stack([part.measured[c][rows] for c in self.channels], axis=1))
-            runs = stretches_of(rows, offset)
+        for part, own, drive in zip(self.parts, self.rows, self.drive_of, strict=True):
+            measured.append(np.stack([part.measured[c][own] for c in self.channels], axis=1))
+            runs = stretches_of(own, offset)
             stretches += runs
             drives += [drive] * len(runs)
-            offset += rows.size
+            offset += own.size
         if offset == 0:
             raise InputError("drives", "nothing is left to compare after trimming")
         self.measured = Measured(
@@ -98,6 +100,9 @@ class Problem:
         )
         self.objective = Objective(self.terms, self.measured)
         self.evaluations = 0
+        driven = [id(part.excitation) for part in self.parts]
+        #: Excitations that several runs share: they are simulated once for all of them.
+        self.repeated = {e for e in driven if driven.count(e) > 1}
         #: Asked between pieces of work; True ends them with :class:`Interrupted`.
         self.interrupt: Callable[[], bool] = _never
 
@@ -122,10 +127,9 @@ class Problem:
         parts = [p.moved(late + found.get(f"{p.name}.clock_offset", 0.0), metres) for p in self.parts]
         return self.on(parts)
 
-    def on(self, parts: Sequence[Prepared]) -> Problem:
+    def on(self, parts: Sequence[Any]) -> Problem:
         """The same problem with the same samples of ``parts`` that excite the vehicle otherwise."""
-        clone = object.__new__(Problem)
-        clone.__dict__.update(self.__dict__)
+        clone = copy(self)
         clone.parts = tuple(parts)
         return clone
 
@@ -136,10 +140,15 @@ class Problem:
         candidates = lanes(self.twin, self.space.keys, values.T)
         failed = np.zeros(values.shape[1], dtype=bool)
         signals = []
+        known: dict[int, LaneResponse] = {}
         for part in self.parts:
             if self.interrupt():
                 raise Interrupted
-            response = simulate_lanes(self.twin, candidates, part.excitation)
+            response = known.get(id(part.excitation))
+            if response is None:
+                response = simulate_lanes(self.twin, candidates, part.excitation)
+            if id(part.excitation) in self.repeated:
+                known[id(part.excitation)] = response
             failed |= response.failed
             signals.append(part.conditioner.apply(response.stacked(self.channels)))
         self.evaluations += values.shape[1]

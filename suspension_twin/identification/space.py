@@ -29,7 +29,7 @@ from suspension_twin.vehicle.twin import Twin
 
 __all__ = ["CURVES", "Curve", "Parameter", "Space", "curve_keys", "twin_value"]
 
-#: The six characteristics, in the order of the car paper's Table 2.
+#: The six characteristics of a car, in the order of the car paper's Table 2, and the three of a single corner.
 CURVES = (
     "vehicle.front.spring",
     "vehicle.rear.spring",
@@ -37,8 +37,11 @@ CURVES = (
     "vehicle.front.damper_pull",
     "vehicle.rear.damper_push",
     "vehicle.rear.damper_pull",
+    "vehicle.spring",
+    "vehicle.damper_push",
+    "vehicle.damper_pull",
 )
-_POINT = re.compile(r"^(vehicle\.(?:front|rear)\.(?:spring|damper_push|damper_pull))\.force\.(\d+)$")
+_POINT = re.compile(r"^(vehicle\.(?:(?:front|rear)\.)?(?:spring|damper_push|damper_pull))\.force\.(\d+)$")
 
 # Logarithms beyond this are no suspension's; it keeps exp() finite whatever a search proposes.
 _LARGEST_LOG = 40.0
@@ -87,10 +90,13 @@ class Curve:
 
 
 def curve_keys(twin: Twin, curves: Sequence[str] = CURVES) -> tuple[str, ...]:
-    """The dotted keys of every point of the given characteristics."""
+    """The dotted keys of every point of those of the given characteristics that the twin has."""
     keys: list[str] = []
     for curve in curves:
-        points = twin_value(twin, f"{curve}.force")
+        try:
+            points = twin_value(twin, f"{curve}.force")
+        except InputError:  # a vehicle without axles, or with some
+            continue
         keys.extend(f"{curve}.force.{i}" for i in range(len(points)))
     return tuple(keys)
 
@@ -112,7 +118,7 @@ def _effect_value(twin: Twin, key: str) -> float:
     _, name, *parameter = key.split(".")
     for spec in twin.effects:
         if spec.id == name and len(parameter) == 1:
-            values = effect(name).values(spec.parameters)
+            values = effect(name, twin.model).values(spec.parameters)
             if parameter[0] in values:
                 return values[parameter[0]]
     raise InputError("free parameters", key, "the twin has no such effect parameter")
@@ -155,8 +161,7 @@ class Space:
                 rows.setdefault(match[1], {})[int(match[2])] = row
         curves = []
         for key in sorted(rows, key=CURVES.index):
-            axle, part = key.split(".")[1:]
-            x, force = getattr(getattr(twin.vehicle, axle), part).points
+            x, force = twin_value(twin, key).points
             for index in rows[key]:
                 if index >= x.size:
                     raise InputError(

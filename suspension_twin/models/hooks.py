@@ -166,25 +166,25 @@ def load_hook(effect: str, model: str = "full_car") -> Hook:
     return hook
 
 
-def turns_with(effects: Iterable[str]) -> bool:
+def turns_with(effects: Iterable[str], model: str = "full_car") -> bool:
     """Whether one of these effects, by id, turns the sensor on its mount."""
-    return any(load_hook(effect).turned is not None for effect in effects)
+    return any(load_hook(effect, model).turned is not None for effect in effects)
 
 
-def clocks_with(effects: Iterable[str]) -> bool:
+def clocks_with(effects: Iterable[str], model: str = "full_car") -> bool:
     """Whether one of these effects, by id, is a late clock."""
     change = ClockChange(np.zeros(1), np.zeros(1))
-    for hook in map(load_hook, effects):
+    for hook in (load_hook(effect, model) for effect in effects):
         if hook.clock is not None:
             hook.clock(change, dict.fromkeys(hook.neutral, np.ones(1)))
     return bool(change.delay[0])
 
 
-def gains_with(effects: Iterable[str]) -> bool:
+def gains_with(effects: Iterable[str], model: str = "full_car") -> bool:
     """Whether one of these effects, by id, is a gain of the sensor."""
-    return any(load_hook(effect).gained is not None for effect in effects)
+    return any(load_hook(effect, model).gained is not None for effect in effects)
 
 
-def upright_with(effects: Iterable[str]) -> bool:
+def upright_with(effects: Iterable[str], model: str = "full_car") -> bool:
     """Whether it is known how a vehicle with these effects, by id, leans."""
-    return any(load_hook(effect).upright for effect in effects)
+    return any(load_hook(effect, model).upright for effect in effects)

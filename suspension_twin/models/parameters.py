@@ -20,7 +20,7 @@ from suspension_twin.models.hooks import Hook, load_hook
 from suspension_twin.models.registry import model_of
 from suspension_twin.vehicle.twin import Twin
 
-__all__ = ["Layout", "lanes", "layout", "pack"]
+__all__ = ["Layout", "has_number", "lanes", "layout", "pack"]
 
 
 @dataclass(frozen=True)
@@ -73,6 +73,11 @@ def _value(twin: Twin, shape: Layout, key: str) -> float:
     for part in key.split("."):
         node = node[int(part)] if part.isdigit() else getattr(node, part)
     return float(node)
+
+
+def has_number(twin: Twin, key: str) -> bool:
+    """Whether the twin has a number of that key."""
+    return key in layout(twin).index
 
 
 def pack(twin: Twin) -> Floats:

@@ -53,6 +53,8 @@ class Model:
         Simulates one twin with everything recorded, or None where there is nothing more than ``lanes`` gives.
     live
         Makes the model that follows its vehicle stamp by stamp on a road, or None where it cannot.
+    prepared
+        The twin as a measured vehicle is: what its file may leave out and no real one lacks is put in.
     """
 
     name: str
@@ -64,6 +66,7 @@ class Model:
     fixed: tuple[str, ...] = ()
     respond: Callable[[Twin, Any], Response] | None = None
     live: Callable[[Twin, HeightField], Any] | None = None
+    prepared: Callable[[Twin], Twin] = lambda twin: twin
 
 
 def deferred(module: str, name: str) -> Any:

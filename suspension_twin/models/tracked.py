@@ -452,6 +452,13 @@ def _lanes(twin: Twin, params: Floats, excitation: ObstacleRun, threads: int | N
     return LaneResponse(t, _CHANNELS, signals, failed)
 
 
+def _driven(twin: Twin) -> Twin:
+    """Nobody moves a tank along a prescribed way."""
+    if twin.vehicle.driver is not None:
+        return twin
+    return twin.model_copy(update={"vehicle": twin.vehicle.model_copy(update={"driver": Driver()})})
+
+
 _CHANNELS = tuple(
     f"marker_{name}_{kind}"
     for kind in ("displacement", "velocity", "acceleration")
@@ -467,4 +474,5 @@ MODEL = Model(
     lanes=_lanes,
     respond=deferred("tracked_live", "simulate_tracked_drive"),
     live=deferred("tracked_live", "LiveTracked"),
+    prepared=_driven,
 )

@@ -11,8 +11,8 @@ from matplotlib.figure import Figure
 
 from suspension_twin.arrays import Floats
 from suspension_twin.calibration.tracked_paper import PUBLISHED, PUBLISHED_CORRELATION, TrackedResult, compare
-from suspension_twin.calibration.tracked_runs import MARKERS, MarkerRun
 from suspension_twin.diagnosis.tracked import TrackedDiagnosis
+from suspension_twin.gap.marker_runs import MARKERS, MarkerRun
 from suspension_twin.report import style
 from suspension_twin.report.page import Cell, Mark, Page, Section, Table
 

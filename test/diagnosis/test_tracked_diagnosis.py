@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from suspension_twin.calibration.tracked_paper import simulate_runs
-from suspension_twin.calibration.tracked_runs import MarkerRun
+from suspension_twin.gap.marker_runs import MarkerRun
 from suspension_twin.diagnosis import tracked
 from suspension_twin.diagnosis.tracked import diagnose_tracked, diagnose_tracked_files
 from suspension_twin.diagnosis.tracked_fit import NOTHING, evidence, fit, hypotheses_for, make_bench

@@ -22,14 +22,27 @@ from suspension_twin.drive.recording import decode_topic, read_recording
 from suspension_twin.errors import InputError
 from suspension_twin.vehicle.tracked import TrackedVehicle
 
-__all__ = ["MARKERS", "RATE", "MarkerRun", "low_pass", "read_markers", "read_poses", "read_run", "run_speed"]
+__all__ = [
+    "CUTOFF",
+    "FLOORS",
+    "MARKERS",
+    "RATE",
+    "MarkerRun",
+    "low_pass",
+    "read_markers",
+    "read_poses",
+    "read_run",
+    "run_speed",
+]
 
 MARKERS: Final = ("A", "B", "C")
 RATE: Final = 50.0  # Hz, of the grid that runs are compared on
 _KINDS: Final = {"displacement_mm": 1e-3, "velocity_m_s": 1.0, "acceleration_m_s2": 1.0}
 _POSE_TYPE: Final = "geometry_msgs/msg/PoseStamped"
 #: Hz: what a camera's tool tells of accelerations above that is noise. Measured and simulated pass through the same.
-_CUTOFF: Final = 6.0
+CUTOFF: Final = 6.0
+#: m, m/s, m/s² of displacement, velocity and acceleration of A, B, C: no photogrammetry tool has less noise.
+FLOORS: Final = np.repeat([0.8e-3, 0.01, 0.15], 3)
 
 
 @dataclass(frozen=True)
@@ -144,14 +157,14 @@ def _derivative(t: Floats, values: Floats, order: int) -> Floats:
     if order == 0:
         return values
     step = float(np.median(np.diff(t)))
-    return np.asarray(make_smoothing_spline(t, values, lam=1.0 / step / (4 * np.pi * _CUTOFF) ** 4)(t, order))
+    return np.asarray(make_smoothing_spline(t, values, lam=1.0 / step / (4 * np.pi * CUTOFF) ** 4)(t, order))
 
 
 def low_pass(motion: Floats, rate: float) -> Floats:
     """Motion (n, k) at ``rate`` Hz without what is above 6 Hz, not shifted in time."""
-    if rate <= 2.5 * _CUTOFF:
+    if rate <= 2.5 * CUTOFF:
         return motion
-    sos = butter(2, _CUTOFF, fs=rate, output="sos")
+    sos = butter(2, CUTOFF, fs=rate, output="sos")
     return np.asarray(sosfiltfilt(sos, motion, axis=0, padlen=min(30, motion.shape[0] - 1)))
 
 
