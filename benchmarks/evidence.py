@@ -32,13 +32,13 @@ from blind.plan import Spec, plan  # noqa: E402
 from suspension_twin.arrays import Floats  # noqa: E402
 from suspension_twin.diagnosis import evidence as judge  # noqa: E402
 from suspension_twin.diagnosis import fit as fits  # noqa: E402
-from suspension_twin.diagnosis import shrink as gaps  # noqa: E402
 from suspension_twin.diagnosis import verdict  # noqa: E402
 from suspension_twin.diagnosis.bench import Bench  # noqa: E402
 from suspension_twin.diagnosis.case import baseline, build, read_case  # noqa: E402
 from suspension_twin.diagnosis.fit import Linear, fitted, refit  # noqa: E402
 from suspension_twin.diagnosis.hypotheses import BASELINE, Hypothesis, library  # noqa: E402
 from suspension_twin.diagnosis.request import DiagnosisRequest  # noqa: E402
+from suspension_twin.diagnosis.shrink import remainder  # noqa: E402
 
 EFFECTS = ("sensor_bandwidth", "strut_friction")
 BESIDE, FURTHER = 0.1, 0.6  # of a coordinate, by which fits begin beside the best and further off
@@ -98,13 +98,13 @@ def case_of(folder: Path, count: int) -> list[dict[str, Any]]:
     request = DiagnosisRequest(str(folder / "twin.yaml"), shown, tuple(d for d in drives if d not in shown))
     case = read_case(request, lambda note: None, lambda: False)
     bench = build(case, lambda: False)
-    base, _ = baseline(case, bench)
-    blocks = judge.blocks_of(bench, case.road)
+    bench, base, _ = baseline(case, bench)
+    blocks = judge.blocks_of(bench, case.kind)
     seen = [d for d, a in zip(case.drives, bench.active, strict=True) if a]
     noise = {c: float(np.sqrt(np.mean([d.noise_rms[c] ** 2 for d in seen]))) for c in bench.problem.channels}
-    left = gaps.remainder(bench, BASELINE, judge.evidence(bench, base, blocks).unknowns, blocks)
+    left = remainder(bench, BASELINE, judge.evidence(bench, base, blocks).unknowns, blocks)
     temper = verdict.temper_of(bench, left, noise)
-    known = library(case.twin, case.road, ())
+    known = library(case.twin, case.excited, ())
     tried = [(BASELINE, base.x)]
     tried += [(h, np.concatenate([base.x, h.starts(1, 0)[:, 0]])) for h in (known[e][0] for e in EFFECTS)]
     out = []

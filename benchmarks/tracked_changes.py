@@ -24,10 +24,10 @@ from tracked_reality import Faults, simulate
 
 from suspension_twin.arrays import Floats
 from suspension_twin.calibration.tracked_paper import simulate_runs
-from suspension_twin.gap.marker_runs import RATE, MarkerRun, low_pass
 from suspension_twin.diagnosis.tracked_fit import calibrate_to, signals
 from suspension_twin.diagnosis.tracked_own import driven
 from suspension_twin.effects.tracked_effects import apply_tracked
+from suspension_twin.gap.marker_runs import RATE, MarkerRun, low_pass
 from suspension_twin.vehicle.tracked import TrackedVehicle, load_tracked
 
 FILE = Path(__file__).resolve().parents[1] / "config" / "tracked" / "pt91.yaml"

@@ -125,7 +125,7 @@ def ask(folder: Path, answer: Path, seal: str, starter: Sequence[str] = ()) -> d
 def main(folder: Path, out: Path) -> None:
     """Diagnose with a part of the library."""
     sys.path.insert(0, str(ROOT))
-    from suspension_twin.diagnosis.hypotheses import WITNESSES
+    from suspension_twin.diagnosis.hypotheses import DECOYS
     from suspension_twin.diagnosis.output import write
     from suspension_twin.diagnosis.request import DiagnosisRequest
     from suspension_twin.diagnosis.run import diagnose
@@ -133,8 +133,8 @@ def main(folder: Path, out: Path) -> None:
 
     without = json.loads((folder / REQUEST).read_text())["without"]
     shown, before = _drives(folder)
-    # a witness that is asked for by name would be a cause
-    kept = tuple(e for e in EFFECTS if e not in without and e not in WITNESSES)
+    # a decoy that is asked for by name would be a cause
+    kept = tuple(e for e in EFFECTS if e not in without and e not in DECOYS)
     write(
         diagnose(DiagnosisRequest(str(folder / "twin.yaml"), tuple(shown), tuple(before), effects=kept)), out
     )

@@ -9,7 +9,6 @@ from typing import Any
 import numpy as np
 
 from suspension_twin.arrays import Floats
-from suspension_twin.diagnosis import shrink as gaps
 from suspension_twin.diagnosis import verdict
 from suspension_twin.diagnosis.bench import Bench
 from suspension_twin.diagnosis.case import Case
@@ -21,6 +20,7 @@ from suspension_twin.diagnosis.local_road_error import Likeness, as_surveyed, ga
 from suspension_twin.diagnosis.localisation import localise, signature
 from suspension_twin.diagnosis.request import DiagnosisRequest, DiagnosisResult, DriveView
 from suspension_twin.diagnosis.selection import Findings
+from suspension_twin.diagnosis.shrink import Remainder, Shrink, shown_rows, shrink_of
 from suspension_twin.effects.registry import EFFECTS
 from suspension_twin.models.parameters import pack
 from suspension_twin.models.simulate import simulate_lanes, simulate_twin
@@ -40,7 +40,7 @@ def conclude(request: DiagnosisRequest, case: Case, found: Findings, seconds: fl
     base_shrink = _shrink(bench, found, judged.left[0], request.seed)
     beyond = np.array(
         [
-            gaps.shrink_of(
+            shrink_of(
                 bench,
                 judged.left[0],
                 r,
@@ -133,7 +133,7 @@ def conclude(request: DiagnosisRequest, case: Case, found: Findings, seconds: fl
     return DiagnosisResult(document, twin, views, seconds, case.warnings)
 
 
-def _periodic(case: Case, bench: Bench, left: gaps.Remainder) -> dict[str, Any]:
+def _periodic(case: Case, bench: Bench, left: Remainder) -> dict[str, Any]:
     """What is periodic in the rest, by turns of a wheel or in Hz, where there is something."""
     free, line = verdict.free_of_lines(bench, left) if case.road else (1.0, None)
     if line is None or free > 0.5:
@@ -197,9 +197,9 @@ def _resembles(bench: Bench, found: Findings, seed: int) -> list[dict[str, Any]]
     return like
 
 
-def _shrink(bench: Bench, found: Findings, after: gaps.Remainder, seed: int) -> gaps.Shrink:
+def _shrink(bench: Bench, found: Findings, after: Remainder, seed: int) -> Shrink:
     channel = bench.problem.channels[0]
-    return gaps.shrink_of(
+    return shrink_of(
         bench,
         found.judged.standing,
         after,
@@ -212,7 +212,7 @@ def _shrink(bench: Bench, found: Findings, after: gaps.Remainder, seed: int) -> 
 
 
 def _gap(bench: Bench, found: Findings) -> dict[str, Any]:
-    rows = gaps.shown_rows(bench)
+    rows = shown_rows(bench)
     rms = {
         name: _round(float(np.sqrt(np.mean(found.judged.standing.difference[rows, c] ** 2))))
         for c, name in enumerate(bench.problem.channels)
@@ -357,7 +357,7 @@ def _simulated(part: Any, twin: Twin, excitation: Any, channel: str, on_road: bo
     return np.asarray(part.conditioner.apply(response.stacked([channel]))[:, 0, 0])
 
 
-def _message(answer: str, document: dict[str, Any], shrink: gaps.Shrink) -> str:
+def _message(answer: str, document: dict[str, Any], shrink: Shrink) -> str:
     gap = document["gap"]["rms"]
     if answer == "no_gap":
         return f"no gap: recalibrated, the twin leaves nothing material of {gap:.3g} m/s² that a sound model would not"

@@ -8,12 +8,12 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.stats import norm
 
-from suspension_twin.diagnosis import shrink as gaps
 from suspension_twin.diagnosis import verdict
 from suspension_twin.diagnosis.bench import Bench
 from suspension_twin.diagnosis.case import Case
 from suspension_twin.diagnosis.evidence import Blocks, Evidence
 from suspension_twin.diagnosis.local_road_error import gathered, spread_out
+from suspension_twin.diagnosis.shrink import Remainder, Shrink, shown_rows, shrink_of
 
 __all__ = ["Gatekeeper"]
 
@@ -35,7 +35,7 @@ class Gatekeeper:
     case: Case
     seed: int
     base: Evidence
-    recalibrated: gaps.Remainder
+    recalibrated: Remainder
 
     @property
     def driven(self) -> list[int]:
@@ -43,7 +43,7 @@ class Gatekeeper:
         return [c for c, name in enumerate(self.bench.problem.channels) if name in self.case.driven]
 
     def gates(
-        self, found: Evidence, left: gaps.Remainder, least: float = verdict.MATERIAL, alone: float = 0.0
+        self, found: Evidence, left: Remainder, least: float = verdict.MATERIAL, alone: float = 0.0
     ) -> verdict.Gates:
         """Probabilities that ``found``, which leaves ``left``, passes each gate; material from a share ``least``, where
         it stands ``alone`` whatever other channels lose."""
@@ -74,7 +74,7 @@ class Gatekeeper:
         material *= verdict.uncommon(bench, found, self.reference is not None)
         return verdict.Gates(material, adequate, verdict.plausible(bench, found))
 
-    def gone(self, found: Evidence, left: gaps.Remainder) -> float:
+    def gone(self, found: Evidence, left: Remainder) -> float:
         """Share of what recalibration leaves beyond what a sound model would that is gone with ``found``, which leaves
         ``left``, of the mean square; without a road of the first channel's rms."""
         if self.reference is not None:
@@ -83,20 +83,16 @@ class Gatekeeper:
             return verdict.closed(self.level(left), self.level(self.recalibrated))
         return float(np.clip(self.shrink(self.recalibrated, left).shrink, 0.0, 1.0))
 
-    def level(self, left: gaps.Remainder) -> float:
+    def level(self, left: Remainder) -> float:
         """What is left as a share of the motion: where no reference says by what clocks and map are off, with them
         where they were fitted."""
         settled = self.case.excited and self.reference is None
         return verdict.level_of(self.bench, left, self.noise, self.case.driven, shown=True, settled=settled)
 
-    def shrink(
-        self, before: gaps.Remainder, after: gaps.Remainder, column: int = 0, settled: bool = False
-    ) -> gaps.Shrink:
+    def shrink(self, before: Remainder, after: Remainder, column: int = 0, settled: bool = False) -> Shrink:
         """The shrink in one channel, with the nuisances where they were fitted if ``settled``."""
         noise = self.noise[self.bench.problem.channels[column]]
-        return gaps.shrink_of(
-            self.bench, before, after, self.blocks, noise, column, self.seed, settled=settled
-        )
+        return shrink_of(self.bench, before, after, self.blocks, noise, column, self.seed, settled=settled)
 
     def _ways(self, column: int) -> tuple[bool, ...]:
         """Whether a channel's gap is looked at where the nuisances were fitted: the planar ones, since biases and the
@@ -106,12 +102,12 @@ class Gatekeeper:
             return (True,)
         return (False, True) if self.case.excited or self.reference is not None else (False,)
 
-    def _material(self, column: int, seen: list[gaps.Shrink], least: float) -> float:
+    def _material(self, column: int, seen: list[Shrink], least: float) -> float:
         """Probability that a share ``least`` of a channel's gap is gone beyond recalibration.
 
         With a reference the gap to explain is what exceeds that which the model leaves of this car anyway.
         """
-        motion = float(np.std(self.bench.problem.measured.values[gaps.shown_rows(self.bench), column]))
+        motion = float(np.std(self.bench.problem.measured.values[shown_rows(self.bench), column]))
         floor = max(self.noise[self.bench.problem.channels[column]], verdict.SLIGHT * motion)
         wanted = (1.0 - (1.0 - least) ** 2) * (self._excess() if column in self.driven else 1.0)
         likely = 0.0
@@ -121,7 +117,7 @@ class Gatekeeper:
                 likely = max(likely, float(norm.cdf((shrink - wanted) / max((high - low) / 3.29, 1e-3))))
         return likely
 
-    def _unspoilt(self, column: int, seen: list[gaps.Shrink], most: float) -> float:
+    def _unspoilt(self, column: int, seen: list[Shrink], most: float) -> float:
         """Probability that a channel's gap is not larger than recalibration alone leaves it by more than a tenth and,
         where another shrinks by much, a quarter of the square of the ``most`` that one does."""
         allowed, likely = verdict.MATERIAL + _TRADED * max(most, 0.0) ** 2, 0.0
@@ -141,6 +137,6 @@ class Gatekeeper:
 
     def _noise_share(self) -> float:
         """Level at which nothing but the sensor's noise is left."""
-        rows = gaps.shown_rows(self.bench)
+        rows = shown_rows(self.bench)
         motion = float(np.std(self.bench.problem.measured.values[rows, 0]))
         return 0.7 * self.noise[self.bench.problem.channels[0]] / max(motion, 1e-12)

@@ -24,7 +24,7 @@ from suspension_twin.diagnosis.shrink import Remainder, remainder, shown_rows, s
 from suspension_twin.errors import InputError
 from suspension_twin.identification.parallel import side_by_side
 
-__all__ = ["Decoys", "Judged", "judge", "without_late_clocks"]
+__all__ = ["Decoys", "Judged", "judge", "weighed", "without_late_clocks"]
 
 #: Prior probability that some effect of the library is behind a gap; all are alike at first.
 _EFFECT_PRIOR = 0.65
@@ -129,7 +129,7 @@ def judge(
     # what takes nothing material away cannot be the finding, however sure it is: it must not hide another
     each = _EFFECT_PRIOR / len(found)
     prior = np.array([1.0 - _EFFECT_PRIOR, *(each if g.material > _MAYBE else 0.0 for g in gates[1:])])
-    weight, beats = _weighed(bench, blocks, seed, temper, own, everything, prior, found, report)
+    weight, beats = weighed(bench, blocks, seed, temper, own, everything, prior, found, report)
     weight[1:][[not s.judged for s in found]] = 0.0
     weight /= weight.sum()
     # what decoys explain is unknown: it is taken from the library
@@ -156,7 +156,7 @@ def judge(
     )
 
 
-def _weighed(
+def weighed(
     bench: Bench,
     blocks: Blocks,
     seed: int,

@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from suspension_twin.arrays import Floats
-from suspension_twin.diagnosis import coarse_search as gross
+from suspension_twin.diagnosis import coarse_search
 from suspension_twin.diagnosis.bench import Bench
 from suspension_twin.diagnosis.evidence import Blocks, Evidence, evidence
 from suspension_twin.diagnosis.fit import Fit, Linear, finished, fitted, refit, scanned, screened, swept
@@ -163,7 +163,7 @@ def _rough(
             # a baseline that made up for what no vehicle can may be one that nothing can be added to
             starts = [np.concatenate([bench.centre, u]) for u in (v.neutral(), *v.starts(_STARTS, seed).T)]
             x, cost = refit(bench, v, starts, None, _DEEP)
-        far = gross.found(bench, v, lost)
+        far = coarse_search.found(bench, v, lost)
         if far is not None and far[2] < cost:
             v, x, cost = far
         for begun, start in _wide(bench, base, v, seed):
@@ -298,16 +298,19 @@ def jointly(bench: Bench, parts: Sequence[Hypothesis], base: Fit, seed: int) -> 
     """All of ``parts`` at once: from nothing, and from the best of many starts, gross ones among them."""
     p = bench.d + bench.q
     together = combined(*parts)
-    far = gross.jointly(bench, together)
+    far = coarse_search.jointly(bench, together)
     many = np.concatenate([together.neutral()[:, None], together.starts(_JOINT_STARTS, seed), far], axis=1)
     starts = np.concatenate([np.repeat(base.x[:p, None], many.shape[1], axis=1), many])
     # without what is grossly wrong the vehicle has gone astray
     starts[:p, many.shape[1] - far.shape[1] :] = bench.centre[:, None]
-    order = np.argsort(bench.costs(together, starts) - gross.waived(many), kind="stable")
-    tried = [(gross.about(together, many[:, i]), starts[:, i]) for i in sorted({0, *order[:_TRIED].tolist()})]
+    order = np.argsort(bench.costs(together, starts) - coarse_search.waived(many), kind="stable")
+    tried = [
+        (coarse_search.about(together, many[:, i]), starts[:, i])
+        for i in sorted({0, *order[:_TRIED].tolist()})
+    ]
     fits = side_by_side(lambda at: refit(bench, at[0], [at[1]], None, _LONG), tried)
     found = [(h, *fit) for (h, _), fit in zip(tried, fits, strict=True)]
-    best, x, _ = min(found, key=lambda f: f[2] + gross.PRICE * bool(f[0].around))
+    best, x, _ = min(found, key=lambda f: f[2] + coarse_search.PRICE * bool(f[0].around))
     return finished(bench, best, x)
 
 

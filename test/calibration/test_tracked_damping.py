@@ -12,8 +12,8 @@ from suspension_twin.calibration import tracked_damping
 from suspension_twin.calibration.tracked_damping import DAMPINGS, SPEEDS, pitch_variances, select_damping
 from suspension_twin.calibration.tracked_identify import BOUNDS_ALONE, fisher, profile
 from suspension_twin.calibration.tracked_paper import simulate_runs
-from suspension_twin.gap.marker_runs import MarkerRun
 from suspension_twin.errors import InputError, WorkError
+from suspension_twin.gap.marker_runs import MarkerRun
 from suspension_twin.models.tracked import simulate_tracked
 from suspension_twin.vehicle.tracked import BOUNDS, TrackedVehicle, load_tracked
 

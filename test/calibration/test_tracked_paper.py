@@ -19,8 +19,8 @@ from suspension_twin.calibration.tracked_paper import (
     unit_values,
     values_at,
 )
-from suspension_twin.gap.marker_runs import MarkerRun
 from suspension_twin.errors import InputError, WorkError
+from suspension_twin.gap.marker_runs import MarkerRun
 from suspension_twin.models.tracked import simulate_tracked
 from suspension_twin.vehicle.tracked import BOUNDS, TrackedVehicle, load_tracked
 

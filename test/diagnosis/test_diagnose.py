@@ -89,7 +89,7 @@ def test_wrong_characteristics_alone_are_no_gap_and_twice_the_same(make: Any) ->
     assert json.dumps(first) == json.dumps(second)
 
 
-def test_what_only_a_witness_explains_is_unknown_unless_it_is_asked_for(make: Any) -> None:
+def test_what_only_a_decoy_explains_is_unknown_unless_it_is_asked_for(make: Any) -> None:
     case = make("progressive_spring", {f"{axle}_square": 4e7 for axle in ("front", "rear")}, reference=True)
     result = diagnose(ask(case))
     document = result.document

@@ -3,25 +3,38 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+from typing import Any
+
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
 from suspension_twin.diagnosis.hypotheses import (
+    DECOYS,
     WITHOUT_ROAD,
-    WITNESSES,
+    Hypothesis,
     combined,
+    decoys,
     library,
     variants,
-    witnesses,
 )
 from suspension_twin.effects.registry import EFFECTS
-from suspension_twin.vehicle.twin import EffectSpec, Twin
+from suspension_twin.vehicle.twin import EffectSpec, Twin, load_twin
 
 
-@pytest.mark.parametrize("name", sorted(EFFECTS))
-def test_starts_lie_in_the_bounds_and_away_from_nothing(name: str) -> None:
-    for hypothesis in variants(EFFECTS[name]):
+@pytest.fixture(params=[(n, m) for n in sorted(EFFECTS) for m in EFFECTS[n].models], ids="-".join)
+def offered(request: Any, car: Twin, repository: Path) -> tuple[str, list[Hypothesis]]:
+    """An effect and its hypotheses on a model that it applies to."""
+    name, model = request.param
+    tracked = load_twin(repository / "config" / "tracked" / "pt91.yaml")
+    twin = tracked if model == "tracked" else car.model_copy(update={"model": model})
+    return name, variants(EFFECTS[name].on(model), twin)
+
+
+def test_starts_lie_in_the_bounds_and_away_from_nothing(offered: tuple[str, list[Hypothesis]]) -> None:
+    name, hypotheses = offered
+    for hypothesis in hypotheses:
         starts = hypothesis.starts(16, 0)
         low, high = hypothesis.bounds()
         assert starts.shape == (len(hypothesis), 16)
@@ -33,30 +46,30 @@ def test_starts_lie_in_the_bounds_and_away_from_nothing(name: str) -> None:
         assert (np.ptp(values[severe], axis=1) > 0).all()
         for values_of_one in values.T:
             for spec in hypothesis.spec(values_of_one):
-                EFFECTS[name].values(spec.parameters)  # raises where the twin file would be refused
+                hypothesis.effect(name).values(spec.parameters)  # raises where the twin file would be refused
 
 
-def test_every_choice_is_a_hypothesis() -> None:
-    corners = [dict(v.fixed)["effects.corner_damper.corner"] for v in variants(EFFECTS["corner_damper"])]
+def test_every_choice_is_a_hypothesis(car: Twin) -> None:
+    corners = [dict(v.fixed)["effects.corner_damper.corner"] for v in variants(EFFECTS["corner_damper"], car)]
     assert corners == [0.0, 1.0, 2.0, 3.0]
 
 
 def test_the_library_leaves_out_what_the_twin_has_and_what_needs_a_road(car: Twin) -> None:
     everything = {n for n, e in EFFECTS.items() if "full_car" in e.hook.models}
-    assert set(library(car, road=True)) == everything - set(WITNESSES)
-    assert set(library(car, road=False)) == set(WITHOUT_ROAD)
+    assert set(library(car, excited=True)) == everything - set(DECOYS)
+    assert set(library(car, excited=False)) == set(WITHOUT_ROAD)
     having = car.model_copy(update={"effects": (EffectSpec(id="time_offset", parameters={"offset": 0.1}),)})
-    assert "time_offset" not in library(having, road=True)
+    assert "time_offset" not in library(having, excited=True)
 
 
-def test_a_witness_is_named_only_where_it_is_asked_for(car: Twin) -> None:
+def test_a_decoy_is_named_only_where_it_is_asked_for(car: Twin) -> None:
     asked = ("progressive_spring", "payload")
     assert set(library(car, True, asked)) == set(asked)
-    assert set(witnesses(car, True, asked)) == set(WITNESSES) - set(asked)
-    assert set(witnesses(car, True, ("payload",))) == set(witnesses(car, True)) == set(WITNESSES)
-    assert not witnesses(car, road=False)
+    assert set(decoys(car, True, asked)) == set(DECOYS) - set(asked)
+    assert set(decoys(car, True, ("payload",))) == set(decoys(car, True)) == set(DECOYS)
+    assert not decoys(car, excited=False)
     having = car.model_copy(update={"effects": (EffectSpec(id="damper_play", parameters={"front": 0.001}),)})
-    assert "damper_play" not in witnesses(having, True)
+    assert "damper_play" not in decoys(having, True)
 
 
 def test_a_resonance_is_looked_for_everywhere(car: Twin) -> None:
@@ -79,15 +92,15 @@ def test_a_resonance_is_looked_for_everywhere(car: Twin) -> None:
 
 
 def test_combined_hypotheses_keep_their_order(car: Twin) -> None:
-    first, second = variants(EFFECTS["payload"])[0], variants(EFFECTS["corner_spring"])[2]
+    first, second = variants(EFFECTS["payload"], car)[0], variants(EFFECTS["corner_spring"], car)[2]
     both = combined(first, second)
     assert both.effects == ("payload", "corner_spring")
     assert both.keys == (*first.keys, *second.keys)
     assert [s.id for s in both.twin(car).effects] == ["payload", "corner_spring"]
 
 
-def test_next_to_nothing_is_zero_or_either_end_of_what_goes_by_factors() -> None:
-    effects = {e: variants(EFFECTS[e]) for e in ("strut_friction", "sensor_bandwidth", "top_mount")}
+def test_next_to_nothing_is_zero_or_either_end_of_what_goes_by_factors(car: Twin) -> None:
+    effects = {e: variants(EFFECTS[e], car) for e in ("strut_friction", "sensor_bandwidth", "top_mount")}
     friction, band, mount = (effects[e][0] for e in ("strut_friction", "sensor_bandwidth", "top_mount"))
     np.testing.assert_array_equal(friction.slightest()[:, 0], friction.neutral())
     assert friction.slightest().shape[1] == 1
@@ -96,9 +109,9 @@ def test_next_to_nothing_is_zero_or_either_end_of_what_goes_by_factors() -> None
     assert ends.shape == (2, 2) and (ends[0] == ends[1]).all() and ends[0, 0] != ends[0, 1]
 
 
-@pytest.mark.parametrize("name", sorted(EFFECTS))
-def test_an_effect_of_a_twin_file_has_its_place(name: str, car: Twin) -> None:
-    for hypothesis in variants(EFFECTS[name]):
+def test_an_effect_of_a_twin_file_has_its_place(offered: tuple[str, list[Hypothesis]], car: Twin) -> None:
+    name, hypotheses = offered
+    for hypothesis in hypotheses:
         values = hypothesis.values(hypothesis.starts(4, 1))[:, 3]
         (spec,) = hypothesis.spec(values)
         assert_allclose(hypothesis.values(hypothesis.at(spec)[:, None])[:, 0], values, rtol=1e-9, atol=1e-12)
@@ -106,7 +119,7 @@ def test_an_effect_of_a_twin_file_has_its_place(name: str, car: Twin) -> None:
         assert [e.id for e in having.effects] == [name]  # in place of its own
 
 
-def test_traits_are_there_before_and_what_came_since_is_not(car: Twin) -> None:
+def test_preexisting_effects_are_there_before_and_what_came_since_is_not(car: Twin) -> None:
     known = library(car, True)
     late, trait, other = (
         known["strut_friction"][0],

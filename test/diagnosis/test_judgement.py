@@ -12,7 +12,6 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.signal import butter, lfilter, sosfilt
 
-from suspension_twin.diagnosis import shrink as gaps
 from suspension_twin.diagnosis import verdict
 from suspension_twin.diagnosis.conclude import _message
 from suspension_twin.diagnosis.evidence import Blocks, Evidence, weights
@@ -20,7 +19,7 @@ from suspension_twin.diagnosis.gates import Gatekeeper
 from suspension_twin.diagnosis.hypotheses import Hypothesis
 from suspension_twin.diagnosis.localisation import _frequency, _usual
 from suspension_twin.diagnosis.operating import _corners, _points
-from suspension_twin.diagnosis.shrink import Remainder, Shrink
+from suspension_twin.diagnosis.shrink import Remainder, Shrink, shrink_of
 from suspension_twin.diagnosis.verdict import Gates
 
 RATE, CHANNEL = 100.0, "vertical_acceleration"
@@ -373,7 +372,7 @@ def test_another_drive_is_less_sure_where_drives_differ() -> None:
     blocks = Blocks(np.tile(np.arange(n) // 100, 2), np.zeros(0, dtype=int), n // 100)
     there, args = bench([n, n], before), (blocks, 0.0, 0, 0)
     one = Remainder(before, before), Remainder(after, after)
-    same, another = gaps.shrink_of(there, *one, *args), gaps.shrink_of(there, *one, *args, another=True)
+    same, another = shrink_of(there, *one, *args), shrink_of(there, *one, *args, another=True)
     expected = 1 - np.sqrt(np.mean(after**2) / np.mean(before**2))
     assert same.shrink == another.shrink == pytest.approx(expected)
     assert another.interval[0] < 0.25 and another.interval[1] > 0.75  # it may be like either
@@ -391,7 +390,7 @@ def test_the_interval_holds_for_one_more_drive(drives: int) -> None:
         before = rng.standard_normal((drives * n, 1))
         after = np.repeat(there, n)[:, None] * rng.standard_normal((drives * n, 1))
         some = bench([n] * drives, before)
-        found = gaps.shrink_of(
+        found = shrink_of(
             some, Remainder(before, before), Remainder(after, after), blocks, 0.0, 0, seed, True
         )
         held += found.interval[0] <= 1 - further <= found.interval[1]
@@ -404,7 +403,7 @@ def test_a_drive_whose_gap_is_gone_leaves_the_interval_finite() -> None:
     after = before * np.repeat([0.3, 1e-9], 1000)[:, None]
     blocks = Blocks(np.tile(np.arange(1000) // 50, 2), np.zeros(0, dtype=int), 20)
     some = bench([1000, 1000], before)
-    found = gaps.shrink_of(
+    found = shrink_of(
         some, Remainder(before, before), Remainder(after, after), blocks, 1e-3, 0, 0, another=True
     )
     assert np.isfinite(found.interval).all() and found.interval[0] <= found.shrink <= found.interval[1] <= 1.0
@@ -415,8 +414,8 @@ def test_settled_differences_are_compared_where_asked() -> None:
     blocks = Blocks(np.arange(1000) // 50, np.zeros(0, dtype=int), 20)
     before, after = Remainder(x, x), Remainder(x, 0.5 * x)
     args = (bench([1000], x), before, after, blocks, 0.0, 0, 0)
-    assert gaps.shrink_of(*args).shrink == pytest.approx(0.0)
-    assert gaps.shrink_of(*args, settled=True).shrink == pytest.approx(0.5)
+    assert shrink_of(*args).shrink == pytest.approx(0.0)
+    assert shrink_of(*args, settled=True).shrink == pytest.approx(0.5)
 
 
 def test_how_much_is_left_is_told_with_nuisances_where_they_were_fitted_where_asked() -> None:

@@ -11,7 +11,6 @@ import numpy as np
 import pytest
 
 from suspension_twin.calibration.tracked_paper import simulate_runs
-from suspension_twin.gap.marker_runs import MarkerRun
 from suspension_twin.diagnosis import tracked
 from suspension_twin.diagnosis.tracked import diagnose_tracked, diagnose_tracked_files
 from suspension_twin.diagnosis.tracked_fit import NOTHING, evidence, fit, hypotheses_for, make_bench
@@ -19,6 +18,7 @@ from suspension_twin.diagnosis.tracked_own import OWN_SPREAD, driven, own_places
 from suspension_twin.diagnosis.tracked_visible import SHOWS, changes_of, visible_from
 from suspension_twin.effects.tracked_effects import TRACKED_EFFECTS, apply_tracked, camera_of
 from suspension_twin.errors import InputError
+from suspension_twin.gap.marker_runs import MarkerRun
 from suspension_twin.report.tracked import diagnosis_page
 from suspension_twin.vehicle.tracked import TrackedTwin
 from suspension_twin.vehicle.twin import load_twin

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Weights of what came since, where the vehicle may have traits."""
+"""Weights of effects that came since, where the vehicle may have pre-existing ones."""
 
 from __future__ import annotations
 
@@ -10,15 +10,15 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from suspension_twin.diagnosis import evidence as judge
-from suspension_twin.diagnosis import run
+from suspension_twin.diagnosis import evidence as held_out
+from suspension_twin.diagnosis import judge
 from suspension_twin.diagnosis.evidence import Evidence
 from suspension_twin.diagnosis.fit import Fit
 from suspension_twin.diagnosis.hypotheses import Hypothesis
 from suspension_twin.diagnosis.search import Single
 
 
-def told(effect: str, gain: float) -> Evidence:
+def gained(effect: str, gain: float) -> Evidence:
     """Evidence of ``gain`` nats over all else being nothing, spread evenly over ten blocks."""
     hypothesis = Hypothesis((effect,) if effect else ())
     score = np.full(10, gain / 10)
@@ -28,32 +28,34 @@ def told(effect: str, gain: float) -> Evidence:
 def weighed(
     monkeypatch: pytest.MonkeyPatch, plain: tuple[float, float], base: float | None, late: tuple[float, float]
 ) -> Any:
-    """A payload and a late clock, which gain ``plain`` by themselves and ``late`` where the vehicle has traits that
+    """A payload and a late clock, which gain ``plain`` by themselves and ``late`` beside pre-existing effects that
     gain ``base``."""
     effects = ("payload", "time_offset")
-    beside = {i: told(e, g) for i, (e, g) in enumerate(zip(effects, late, strict=True))}
-    monkeypatch.setattr(run, "since", lambda *given: None if base is None else (told("", base), beside))
-    monkeypatch.setattr(judge, "penalty_gains", lambda strains, temper: np.zeros(len(strains)))
-    search: Any = SimpleNamespace(
-        bench=None, blocks=None, request=SimpleNamespace(seed=0), base=told("", 0.0), temper=1.0, tell=None
+    beside = {i: gained(e, g) for i, (e, g) in enumerate(zip(effects, late, strict=True))}
+    monkeypatch.setattr(
+        judge, "beyond_preexisting", lambda *given: None if base is None else (gained("", base), beside)
     )
-    everything = [search.base, *(told(e, g) for e, g in zip(effects, plain, strict=True))]
+    monkeypatch.setattr(held_out, "penalty_gains", lambda penalties, temper: np.zeros(len(penalties)))
+    base_alone: Any = gained("", 0.0)
+    everything = [base_alone, *(gained(e, g) for e, g in zip(effects, plain, strict=True))]
     found = [
         Single(e, one, np.ones(1), finalist=False) for e, one in zip(effects, everything[1:], strict=True)
     ]
-    run._Search._weigh(search, everything, np.array([0.4, 0.3, 0.3]), found)
-    assert search.weights.sum() == pytest.approx(1.0)
-    assert search.beats.shape == (3, 3)
-    return search
+    nothing: Any = None
+    prior = np.array([0.4, 0.3, 0.3])
+    weights, beats = judge.weighed(nothing, nothing, 0, 1.0, base_alone, everything, prior, found, nothing)
+    assert weights.sum() == pytest.approx(1.0)
+    assert beats.shape == (3, 3)
+    return SimpleNamespace(weights=weights, beats=beats)
 
 
-def test_what_is_small_counts_beside_the_traits_that_the_vehicle_had(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_what_is_small_counts_beside_preexisting_effects(monkeypatch: pytest.MonkeyPatch) -> None:
     search = weighed(monkeypatch, plain=(8.0, 4.0), base=20.0, late=(22.0, 35.0))
     assert search.weights[2] > 0.99
     assert search.beats[2, 1] == 1.0
 
 
-def test_what_is_large_bends_the_traits_and_counts_without(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_what_is_large_bends_preexisting_effects_and_counts_without(monkeypatch: pytest.MonkeyPatch) -> None:
     search = weighed(monkeypatch, plain=(190.0, 40.0), base=60.0, late=(70.0, 90.0))
     assert search.weights[1] > 0.99
     assert search.beats[1, 2] == 1.0
@@ -64,6 +66,6 @@ def test_either_is_as_likely_at_first(monkeypatch: pytest.MonkeyPatch) -> None:
     assert_allclose(search.weights, [0.0, 0.5, 0.5], atol=1e-6)
 
 
-def test_without_traits_nothing_changes(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_without_preexisting_effects_nothing_changes(monkeypatch: pytest.MonkeyPatch) -> None:
     search = weighed(monkeypatch, plain=(0.0, np.log(2.0)), base=None, late=(0.0, 0.0))
     assert_allclose(search.weights, np.array([0.4, 0.3, 0.6]) / 1.3, rtol=1e-9)

@@ -8,9 +8,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from suspension_twin.gap.marker_runs import read_markers, read_run, run_speed
 from suspension_twin.drive.write import BagWriter
 from suspension_twin.errors import InputError
+from suspension_twin.gap.marker_runs import read_markers, read_run, run_speed
 from suspension_twin.vehicle.tracked import TrackedVehicle, load_tracked
 
 HEADER = "time_s,A_displacement_mm,B_displacement_mm"
