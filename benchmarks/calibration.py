@@ -104,7 +104,7 @@ def accuracy(folder: Path, seeds: Sequence[int]) -> dict[str, Any]:
     """``fast`` from a preset 30 % off on two drives, checked on a third and against the truth."""
     rows: list[dict[str, Any]] = []
     errors: list[float] = []
-    hits: dict[str, list[bool]] = {"excited points": [], "other points": [], "other parameters": []}
+    hits: dict[str, list[bool]] = {"identified points": [], "other points": [], "other parameters": []}
     for seed in seeds:
         truth, start = thirty_per_cent_off(seed)
         knots = {"slow": SLOW, "brisk": BRISK, "unseen": UNSEEN}
@@ -118,9 +118,13 @@ def accuracy(folder: Path, seeds: Sequence[int]) -> dict[str, Any]:
             hit = bool(e.low <= true <= e.high)
             point = ".force." in e.key
             hits[
-                "other parameters" if not point else "excited points" if e.excited else "other points"
+                "other parameters"
+                if not point
+                else "identified points"
+                if e.status == "identified"
+                else "other points"
             ].append(hit)
-            if e.excited and point:
+            if e.status == "identified" and point:
                 own_errors.append(abs(e.value / true - 1))
                 own_hits.append(hit)
         errors += own_errors
@@ -133,7 +137,7 @@ def accuracy(folder: Path, seeds: Sequence[int]) -> dict[str, Any]:
                 "force_error_excited_range": float(
                     np.median([force_error_along(result, known, k) for k in range(len(result.curves))])
                 ),
-                "excited_points": len(own_hits),
+                "identified_points": len(own_hits),
                 "covered": sum(own_hits),
                 "evaluations": result.evaluations,
             }
@@ -143,7 +147,7 @@ def accuracy(folder: Path, seeds: Sequence[int]) -> dict[str, Any]:
         "vehicles": len(rows),
         "residual_ratio_unseen_worst": max(r["residual_ratio_unseen"] for r in rows),
         "residual_ratio_unseen_median": float(np.median([r["residual_ratio_unseen"] for r in rows])),
-        "force_error_median_at_excited_points": float(np.median(errors)),
+        "force_error_median_at_identified_points": float(np.median(errors)),
         "force_error_median_worst_vehicle": max(r["force_error_points"] for r in rows),
         "force_error_median_along_excited_range": float(
             np.median([r["force_error_excited_range"] for r in rows])

@@ -3,16 +3,17 @@
 
 from __future__ import annotations
 
+import json
 import time
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-import yaml
 from calibration_cases import Case
 
 from suspension_twin.arrays import Floats
+from suspension_twin.calibration.checkpoint import STATE
 from suspension_twin.calibration.request import CalibrationRequest, CalibrationResult, Progress
 from suspension_twin.calibration.run import calibrate
 from suspension_twin.calibration.setup import set_up
@@ -69,14 +70,13 @@ def traced(
         nonlocal judging
         now = time.perf_counter()
         try:
-            plain = yaml.safe_load((Path(request.state) / "state.yaml").read_text())
+            with np.load(Path(request.state) / STATE) as arrays:
+                at = int(json.loads(str(arrays["index"]))["plain"]["all_evaluations"])
+                x = arrays["x"]
         except OSError:
             return
-        at = int(plain["plain"]["all_evaluations"])
         if not trace or trace[-1][0] != at:
-            with np.load(Path(request.state) / plain["arrays"]) as arrays:
-                cost = judge(space.from_slopes(arrays["x"][: len(space)]))
-            trace.append((at, cost, now - began - judging))
+            trace.append((at, judge(space.from_slopes(x[: len(space)])), now - began - judging))
         judging += time.perf_counter() - now
 
     result = calibrate(request, look)

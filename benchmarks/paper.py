@@ -104,7 +104,7 @@ def car(out: Path, seed: int) -> dict[str, Any]:
         "cost_eq_1": result.cost,
         "cost_at_start": result.initial_cost,
         "on_a_bound": sum(bool(e.on_bound) for e in result.estimates),
-        "not_excited": sum(not e.excited for e in result.estimates),
+        "not_identified": sum(e.status == "not identified" for e in result.estimates),
         "calibration_mse": float(np.mean((a - b) ** 2)),
         "calibration_correlation": float(correlation(a, b)),
         "fast": {"evaluations": fast.evaluations, "gap_rms": fast.drives[0].gap_after.rms},
@@ -287,7 +287,7 @@ def show(console: Console, results: dict[str, Any]) -> None:
             f"Calibration on the bump: {found['evaluations']} evaluations (the paper: {PUBLISHED_EVALUATIONS}), cost "
             f"{found['cost_at_start']:.3f} to {found['cost_eq_1']:.3f} m/s², MSE {found['calibration_mse']:.5f} m²/s⁴, "
             f"correlation {found['calibration_correlation']:.4f}; {found['on_a_bound']} of 24 points on a bound, "
-            f"{found['not_excited']} not excited. Front spring stiffer than rear: "
+            f"{found['not_identified']} not identified. Front spring stiffer than rear: "
             f"{_yes(found['front_spring_stiffer_than_rear'])} (the paper: yes); rear dampers firmer than front: "
             f"{_yes(found['rear_dampers_firmer_than_front'])} (the paper: yes)."
         )

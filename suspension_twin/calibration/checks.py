@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Drives that cannot tell what is asked of them: each gets a reason and a way out, not a calibration."""
+"""Drives that a calibration cannot use are refused, with the reason and what to do."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ LEAST_CORRELATION = 0.5
 
 
 def check_recording(drive: Drive) -> None:
-    """Refuse a recording without positions, or of a car that stands, before anything is made of it."""
+    """Refuse a recording without positions, or of a parked car."""
     if not len(drive.fix):
         raise InputError(
             drive.name,
@@ -95,7 +95,7 @@ def check_parts(drive: Prepared, samples: int, settings: TrimSettings) -> None:
 
 
 def check_agreement(names: Sequence[str], correlations: Sequence[float], road: str) -> None:
-    """Refuse the result where the fitted twin has nothing in common with a drive."""
+    """Refuse the result where measured and simulated acceleration hardly correlate."""
     for name, correlation in zip(names, correlations, strict=True):
         if not correlation >= LEAST_CORRELATION:
             raise WorkError(

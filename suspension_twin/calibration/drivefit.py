@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Each drive before and after a calibration: gaps over the whole of it, and what the nuisances leave."""
+"""Each drive before and after a calibration: gaps, residuals with the nuisances corrected, eq. (1)."""
 
 from __future__ import annotations
 
@@ -12,38 +12,35 @@ from suspension_twin.calibration.request import DriveFit
 from suspension_twin.calibration.setup import Setup
 from suspension_twin.gap.measure import CHANNELS
 from suspension_twin.gap.prepare import Prepared
+from suspension_twin.identification.nuisance import NuisancePriors
+from suspension_twin.identification.objectives import Term
 from suspension_twin.identification.problem import Interrupted, Problem
+from suspension_twin.identification.space import Parameter, Space
 from suspension_twin.models.parameters import pack
 from suspension_twin.models.simulate import simulate_lanes
 from suspension_twin.models.types import LaneResponse
 from suspension_twin.vehicle.twin import Twin
 
-__all__ = ["drive_fits"]
+__all__ = ["drive_fits", "paper_distance"]
 
 
 def drive_fits(setup: Setup, outcome: Outcome, after: Twin, values: Floats) -> tuple[DriveFit, ...]:
     """Compare every drive of a calibration with the twin as it was and as it is ``after``."""
     found = []
-    base = pack(setup.original)
-    same = base.size == pack(after).size
     for number, drive in enumerate(setup.drives):
         if setup.problem.interrupt():
             raise Interrupted
-        if same:
-            pair = simulate_lanes(setup.original, np.stack([base, pack(after)], axis=1), drive.excitation)
-            sides = [_conditioned(drive, pair, lane) for lane in (0, 1)]
-        else:
-            sides = [
-                _conditioned(drive, simulate_lanes(t, pack(t)[:, None], drive.excitation), 0)
-                for t in (setup.original, after)
-            ]
-        left, correlation = _left_over(outcome, number, values)
+        sides = [
+            _conditioned(drive, simulate_lanes(t, pack(t)[:, None], drive.excitation), 0)
+            for t in (setup.original, after)
+        ]
+        residual, correlation = _corrected(outcome, number, values)
         found.append(
             DriveFit(
                 name=drive.name,
                 gap_before=drive.gap(sides[0]),
                 gap_after=drive.gap(sides[1]),
-                nuisance_free=left,
+                nuisance_free=residual,
                 correlation=correlation,
                 rate=drive.rate,
                 t=drive.t,
@@ -78,8 +75,25 @@ def _conditioned(drive: Prepared, response: LaneResponse, lane: int) -> dict[str
     return {name: filtered[:, i] for i, name in enumerate(CHANNELS)}
 
 
-def _left_over(outcome: Outcome, number: int, values: Floats) -> tuple[float, float]:
-    """Rms of the vertical acceleration that physics and nuisances leave of one drive, and the correlation."""
+def paper_distance(setup: Setup, twin: Twin) -> float:
+    """The car paper's eq. (1) for ``twin``: Euclidean distance in m/s² between measured and simulated vertical
+    acceleration over the compared samples, each drive aligned in time and no other nuisance corrected."""
+    whole, mass = setup.problem, twin.vehicle.mass
+    problem = Problem(
+        twin,
+        Space(twin, (Parameter("vehicle.mass", mass, 0.5 * mass, 2.0 * mass),)),
+        whole.parts,
+        whole.drive_of,
+        (Term("euclidean", "vertical_acceleration"),),
+        NuisancePriors(),
+        (0.0,) * len(setup.drives),
+    )
+    quiet = np.zeros(len(problem.nuisances))
+    return float(problem.costs(np.array([[mass]]), quiet, synchronise=True)[0])
+
+
+def _corrected(outcome: Outcome, number: int, values: Floats) -> tuple[float, float]:
+    """Residual rms of one drive's vertical acceleration with the nuisances corrected, and the correlation."""
     problem = outcome.problem
     signals, _ = problem.simulate(values[:, None])
     nuisance = (outcome.nuisance - outcome.placed)[:, None]

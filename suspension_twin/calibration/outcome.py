@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""From where a search ended to a result: the calibrated twin, intervals, marks, gaps."""
+"""From the end of a search to a result: the calibrated twin, intervals, status of each parameter, gaps."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import numpy as np
 
 from suspension_twin.arrays import Floats
 from suspension_twin.calibration.checks import check_agreement
-from suspension_twin.calibration.drivefit import drive_fits
+from suspension_twin.calibration.drivefit import drive_fits, paper_distance
 from suspension_twin.calibration.recorder import Outcome, Recorder
 from suspension_twin.calibration.request import (
     CalibrationRequest,
@@ -20,16 +20,13 @@ from suspension_twin.calibration.request import (
     NuisanceEstimate,
 )
 from suspension_twin.calibration.setup import Setup
-from suspension_twin.calibration.uncertainty import Told, curve_estimates, tell
-from suspension_twin.identification.posterior import span_of
+from suspension_twin.calibration.uncertainty import Uncertainty, assess, curve_estimates
 from suspension_twin.identification.problem import Interrupted
 from suspension_twin.vehicle.twin import Twin
 
 __all__ = ["conclude", "unfinished"]
 
 _DIGITS = 7
-#: A parameter is determined when half the logarithm of its interval's ends is below this (about 25 %).
-_DETERMINED = 0.22
 
 
 def unfinished(request: CalibrationRequest, twin: Twin, seconds: float) -> CalibrationResult:
@@ -46,6 +43,8 @@ def unfinished(request: CalibrationRequest, twin: Twin, seconds: float) -> Calib
         drives=(),
         cost=float("nan"),
         initial_cost=float("nan"),
+        distance=float("nan"),
+        initial_distance=float("nan"),
         evaluations=0,
         generations=0,
         history=np.empty((0, 4)),
@@ -56,20 +55,20 @@ def unfinished(request: CalibrationRequest, twin: Twin, seconds: float) -> Calib
 
 
 def conclude(recorder: Recorder, outcome: Outcome, start: float, began: float) -> CalibrationResult:
-    """Everything that is said about the best candidate; what takes time is left out once told to stop.
+    """The result with its uncertainty and its drives; a stopped calibration goes without both.
 
     ``start`` is the cost that the twin began with, ``began`` the monotonic clock then.
     """
     request, setup = recorder.request, recorder.setup
     space = setup.space
     drives: tuple[DriveFit, ...] = ()
-    told: Told | None = None
+    found: Uncertainty | None = None
     stopped = outcome.stopped
-    evaluations = recorder.evaluations
+    evaluations, nan = recorder.evaluations, float("nan")
     try:
         if not stopped:
-            told = tell(setup, outcome, request.seed)
-            outcome = _settled(outcome, told)
+            found = assess(setup, outcome, request.seed)
+            outcome = _settled(outcome, found)
     except Interrupted:
         stopped = True
     values = np.clip(_rounded(outcome.values), space.lower, space.upper)
@@ -88,35 +87,35 @@ def conclude(recorder: Recorder, outcome: Outcome, start: float, began: float) -
         preset=setup.preset.name,
         objective=recorder.objective,
         seed=request.seed,
-        estimates=_estimates(setup, values, told),
-        nuisances=_nuisances(outcome, told),
-        curves=curve_estimates(setup, twin, told) if told else (),
+        estimates=_estimates(setup, values, found),
+        nuisances=_nuisances(outcome, found),
+        curves=curve_estimates(setup, twin, found) if found else (),
         drives=drives,
         cost=outcome.cost,
         initial_cost=start,
+        distance=nan if stopped else paper_distance(setup, twin),
+        initial_distance=nan if stopped else paper_distance(setup, setup.original),
         evaluations=evaluations,
         generations=recorder.generations,
         history=np.array(recorder.history).reshape(-1, 4),
         stopped=stopped,
         seconds=time.monotonic() - began,
-        warnings=(*setup.warnings, *_remarks(drives, setup, values)),
+        warnings=(*setup.warnings, *_remarks(drives, setup, values), *_absorbed(found)),
     )
 
 
-def _settled(outcome: Outcome, told: Told) -> Outcome:
-    """Where the likelihood was searched and looking around found a better place for a spring, that is it."""
-    if outcome.likelihood is None or outcome.x is None:
+def _settled(outcome: Outcome, found: Uncertainty) -> Outcome:
+    """The outcome at the coordinates that the uncertainty was taken around, if those are its search's."""
+    if outcome.x is None or (outcome.likelihood is None and np.array_equal(outcome.x, found.x)):
         return outcome
-    d = len(told.space)
-    values = np.clip(
-        told.space.from_slopes(told.x[:d]), outcome.problem.space.lower, outcome.problem.space.upper
-    )
-    cost = float(outcome.problem.costs(values[:, None], told.x[d:])[0])
-    return replace(outcome, values=values, nuisance=told.x[d:] + outcome.placed, x=told.x, cost=cost)
+    d, space = len(found.space), outcome.problem.space
+    values = np.clip(found.space.from_slopes(found.x[:d]), space.lower, space.upper)
+    cost = float(outcome.problem.costs(values[:, None], found.x[d:])[0])
+    return replace(outcome, values=values, nuisance=found.x[d:] + outcome.placed, x=found.x, cost=cost)
 
 
 def _remarks(drives: tuple[DriveFit, ...], setup: Setup, values: Floats) -> list[str]:
-    """What a user should not overlook."""
+    """Warnings about drives whose gap did not shrink."""
     bound = int(np.count_nonzero(setup.space.on_bound(values)))
     tail = f": {bound} parameters ended on their bounds, let them go further" if bound else ""
     remarks = []
@@ -125,8 +124,8 @@ def _remarks(drives: tuple[DriveFit, ...], setup: Setup, values: Floats) -> list
             continue
         if d.nuisance_free < 0.5 * d.gap_after.rms:
             remarks.append(
-                f"{d.name}: {d.gap_after.rms:.3f} m/s² are left, {d.nuisance_free:.3f} without the nuisances: the "
-                "clocks or the map are off by what is found there"
+                f"{d.name}: the gap is {d.gap_after.rms:.3f} m/s², {d.nuisance_free:.3f} with the nuisances corrected: "
+                "clocks or map are off by the values found for them"
             )
         else:
             remarks.append(f"the calibrated twin is farther from {d.name} than the one it started from{tail}")
@@ -134,52 +133,48 @@ def _remarks(drives: tuple[DriveFit, ...], setup: Setup, values: Floats) -> list
 
 
 def _rounded(values: Floats) -> Floats:
-    """To seven digits: what is written is what was found, and a file can be read by people."""
+    """To seven digits, as they are written."""
     return np.array([float(f"{v:.{_DIGITS}g}") for v in values])
 
 
-def _estimates(setup: Setup, values: Floats, told: Told | None) -> tuple[Estimate, ...]:
+def _absorbed(found: Uncertainty | None) -> list[str]:
+    """Warnings about parameters that made up for an error elsewhere while they were free."""
+    if found is None:
+        return []
+    return [
+        f"{key} is kept at its start: left free it went to {value:.4g}, outside its prior's 90 % interval though the "
+        "drives carry less information on it than the prior: it made up for an error of another kind"
+        for key, value in zip(found.space.keys, found.absorbed, strict=True)
+        if np.isfinite(value)
+    ]
+
+
+def _estimates(setup: Setup, values: Floats, found: Uncertainty | None) -> tuple[Estimate, ...]:
     space = setup.space
     bound = space.on_bound(values)
     upper_half = values > 0.5 * (space.lower + space.upper)
-    spans = {c.key: (c, span_of(c, told.where)) for c in space.curves} if told else {}
-    estimates = []
-    for i, key in enumerate(space.keys):
-        low, high = (float(told.low[i]), float(told.high[i])) if told else (float("nan"), float("nan"))
-        determined = bool(told) and _is_determined(
-            low, high, space.parameters[i].log, space.parameters[i].spread
+    unknown = np.full(len(space), float("nan"))
+    low, high = (found.low, found.high) if found else (unknown, unknown)
+    status = found.status if found else ("not identified",) * len(space)
+    return tuple(
+        Estimate(
+            key=key,
+            start=float(space.parameters[i].nominal),
+            value=float(values[i]),
+            low=float(low[i]),
+            high=float(high[i]),
+            lower=float(space.lower[i]),
+            upper=float(space.upper[i]),
+            on_bound=("upper" if upper_half[i] else "lower") if bound[i] else "",
+            status="on bound" if bound[i] else status[i],
         )
-        excited = determined
-        curve_key, _, index = key.rpartition(".force.")
-        if curve_key in spans:
-            curve, (least, most) = spans[curve_key]
-            excited = bool(least <= curve.x[int(index)] <= most)
-        estimates.append(
-            Estimate(
-                key=key,
-                start=float(setup.space.parameters[i].nominal),
-                value=float(values[i]),
-                low=low,
-                high=high,
-                lower=float(space.lower[i]),
-                upper=float(space.upper[i]),
-                on_bound=("upper" if upper_half[i] else "lower") if bound[i] else "",
-                excited=excited,
-                determined=determined,
-            )
-        )
-    return tuple(estimates)
+        for i, key in enumerate(space.keys)
+    )
 
 
-def _is_determined(low: float, high: float, log: bool, spread: float) -> bool:
-    if log:
-        return low > 0 and 0.5 * float(np.log(high / low)) < _DETERMINED
-    return 0.5 * (high - low) < 0.5 * 1.645 * spread
-
-
-def _nuisances(outcome: Outcome, told: Told | None) -> tuple[NuisanceEstimate, ...]:
+def _nuisances(outcome: Outcome, found: Uncertainty | None) -> tuple[NuisanceEstimate, ...]:
     nuisances = outcome.problem.nuisances
-    sigma = told.posterior.sigma if told else np.full(len(nuisances), float("nan"))
+    sigma = found.posterior.sigma if found else np.full(len(nuisances), float("nan"))
     return tuple(
         NuisanceEstimate(name, float(value), float(s), float(prior), _unit(name))
         for name, value, s, prior in zip(

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The files of a calibration: the twin, and beside it what was found and how sure it is."""
+"""The files of a calibration: the twin, and beside it the estimates with their uncertainty."""
 
 from __future__ import annotations
 
@@ -51,7 +51,7 @@ def _heading(result: CalibrationResult, details: Path) -> str:
     drives = ", ".join(d.name for d in result.drives) or "no drive to the end"
     lines = [
         f"suspension-twin {__version__}: calibrated on {drives}",
-        f"preset {result.preset}, seed {result.seed}; intervals and what was not excited: {details.name}",
+        f"preset {result.preset}, seed {result.seed}; intervals and what the drives identify: {details.name}",
     ]
     return "".join(f"# {line}\n" for line in lines)
 
@@ -65,6 +65,12 @@ def describe(result: CalibrationResult) -> dict[str, Any]:
         "stopped": result.stopped,
         "cost": _number(result.cost),
         "initial_cost": _number(result.initial_cost),
+        "paper_objective": {
+            "name": "Euclidean distance of the vertical acceleration, eq. (1)",
+            "unit": "m/s²",
+            "initial": _number(result.initial_distance),
+            "result": _number(result.distance),
+        },
         "evaluations": result.evaluations,
         "generations": result.generations,
         "drives": [
@@ -72,7 +78,7 @@ def describe(result: CalibrationResult) -> dict[str, Any]:
                 "name": d.name,
                 "gap_before": _plain(d.gap_before.as_dict()),
                 "gap_after": _plain(d.gap_after.as_dict()),
-                "left_without_nuisances": _number(d.nuisance_free),
+                "residual_with_nuisances_corrected": _number(d.nuisance_free),
                 "correlation": _number(d.correlation),
             }
             for d in result.drives
@@ -85,8 +91,7 @@ def describe(result: CalibrationResult) -> dict[str, Any]:
                 "interval_90": [_number(e.low), _number(e.high)],
                 "bounds": [_number(e.lower), _number(e.upper)],
                 "on_bound": e.on_bound or None,
-                "excited": e.excited,
-                "determined": e.determined,
+                "status": e.status,
             }
             for e in result.estimates
         ],

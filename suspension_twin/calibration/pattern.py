@@ -2,9 +2,9 @@
 """Pattern search after the genetic algorithm (the car paper's hybrid function, section 4.3).
 
 MATLAB's ``patternsearch`` defaults: generalised pattern search on the positive basis 2N, mesh
-expansion 2, contraction 0.5, tolerances 1e-6. One difference, said plainly: all 2N points of a
-poll are simulated in one batch and the best is taken (MATLAB's ``UseCompletePoll``), because a
-batch of 48 lanes costs little more than one; every point counts as an evaluation.
+expansion 2, contraction 0.5, tolerances 1e-6. One difference: all 2N points of a poll are simulated
+in one batch and the best is taken (MATLAB's ``UseCompletePoll``), because a batch of 48 lanes costs
+little more than one; every point counts as an evaluation.
 """
 
 from __future__ import annotations
@@ -18,6 +18,8 @@ import numpy as np
 from suspension_twin.arrays import Floats
 
 __all__ = ["PatternSearch", "PatternSettings"]
+
+_PLAIN = ("cost", "mesh", "evaluations", "converged")
 
 
 @dataclass(frozen=True)
@@ -41,7 +43,6 @@ class PatternSearch:
         self.x = np.clip(np.asarray(start, dtype=float), 0.0, 1.0)
         self.cost = float(cost)
         self.mesh = settings.mesh
-        self.iteration = 0
         self.evaluations = 0
         self.converged = False
         self._asked = np.empty((0, self.x.size))
@@ -57,7 +58,6 @@ class PatternSearch:
     def tell(self, costs: Floats) -> None:
         """Move to the best point where it improves and widen the mesh, else halve it."""
         s = self.settings
-        self.iteration += 1
         self.evaluations += len(costs)
         best = int(np.argmin(costs)) if len(costs) else -1
         if best >= 0 and costs[best] < self.cost:
@@ -76,25 +76,22 @@ class PatternSearch:
     def finished(self) -> bool:
         return self.converged or self.evaluations + 2 * self.x.size > self.settings.evaluations
 
+    @property
+    def best_point(self) -> tuple[Floats, float]:
+        """Unit coordinates and cost of the best point so far."""
+        return self.x, self.cost
+
+    @property
+    def mean_cost(self) -> float:
+        """The best cost: a pattern search has no population."""
+        return self.cost
+
     def state(self) -> tuple[dict[str, Floats], dict[str, Any]]:
         """Arrays and plain values for ``restore``."""
-        plain = {
-            "cost": self.cost,
-            "mesh": self.mesh,
-            "iteration": self.iteration,
-            "evaluations": self.evaluations,
-            "converged": self.converged,
-        }
-        return {"x": self.x}, plain
+        return {"x": self.x}, {name: getattr(self, name) for name in _PLAIN}
 
-    @classmethod
-    def restore(
-        cls, arrays: Mapping[str, Floats], plain: Mapping[str, Any], settings: PatternSettings
-    ) -> PatternSearch:
+    def restore(self, arrays: Mapping[str, Floats], plain: Mapping[str, Any]) -> None:
         """Continue where ``state`` was taken."""
-        search = cls(arrays["x"], float(plain["cost"]), settings)
-        search.mesh = float(plain["mesh"])
-        search.iteration = int(plain["iteration"])
-        search.evaluations = int(plain["evaluations"])
-        search.converged = bool(plain["converged"])
-        return search
+        self.x = np.array(arrays["x"])
+        for name in _PLAIN:
+            setattr(self, name, plain[name])

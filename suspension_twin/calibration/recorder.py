@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What every search shares: reporting, stopping, saving its state and taking it up again."""
+"""What every search shares: progress, stopping, checkpoints and resuming from them."""
 
 from __future__ import annotations
 
@@ -27,7 +27,8 @@ _SAVE_EVERY = 5  # generations
 @dataclass
 class Outcome:
     """Where a search ended: the ``values`` (d,), the nuisances (q,) with the share of them that is
-    ``placed`` (simulated, not interpolated), and for least squares the solver's coordinates ``x``."""
+    ``placed`` (simulated, not interpolated), and for least squares the solver's coordinates ``x`` and the
+    weight that the prior had beside the objective (0: the search knew no prior)."""
 
     values: Floats
     nuisance: Floats
@@ -36,11 +37,12 @@ class Outcome:
     placed: Floats
     x: Floats | None = None
     likelihood: Whitener | None = None
+    prior_weight: float = 0.0
     stopped: bool = False
 
 
 def fingerprint(request: CalibrationRequest, setup: Setup) -> str:
-    """What a state has to have been saved for: the same question about the same data."""
+    """Digest of request, twin and data: a checkpoint is resumed only where it is the same."""
     digest = hashlib.sha256(__version__.encode())
     digest.update(repr(replace(request, state="", bags=(), twin="")).encode())
     digest.update(setup.twin.model_dump_json(exclude={"road"}).encode())
@@ -54,12 +56,12 @@ def fingerprint(request: CalibrationRequest, setup: Setup) -> str:
 class Recorder:
     """One calibration under way. ``history`` rows: evaluations, best cost, mean cost, 0 search or 1 refine.
 
-    ``resumed`` is the state found on disk, until the stage that it is of takes it.
+    ``resumed`` is the state found on disk, until its stage takes it.
     """
 
     request: CalibrationRequest
     setup: Setup
-    tell: Callable[[Progress], None]
+    on_progress: Callable[[Progress], None]
     should_stop: Callable[[], bool]
     store: Checkpoint | None
     history: list[tuple[float, float, float, float]] = field(default_factory=list)
@@ -89,7 +91,7 @@ class Recorder:
         return 0 < self.request.max_generations <= self.generations
 
     def check(self) -> None:
-        """End the search here if it was told to stop."""
+        """Raise :class:`Interrupted` if the search has to stop."""
         if self.should_stop():
             raise Interrupted
 
@@ -100,7 +102,7 @@ class Recorder:
         done = max(self.evaluations - self._begun, 1)
         left = (time.monotonic() - self._started) / done * max(expected - self.evaluations, 0.0)
         stage = "refine" if refine else "search"
-        self.tell(Progress(stage, self.generations, self.evaluations, best, mean, left))
+        self.on_progress(Progress(stage, self.generations, self.evaluations, best, mean, left))
 
     def save(self, stage: str, arrays: dict[str, Floats], plain: dict[str, Any], now: bool = False) -> None:
         """Write the state every few generations, or ``now``."""
@@ -119,5 +121,5 @@ class Recorder:
         return None
 
     def waits_for(self, *stages: str) -> bool:
-        """Whether a saved state is of one of these later stages, so that earlier ones are over."""
+        """Whether the saved state is of one of these stages, so that earlier ones are over."""
         return self.resumed is not None and self.resumed.stage in stages

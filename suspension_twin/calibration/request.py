@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What is asked of a calibration, what it says on the way and what it hands back: plain, picklable data."""
+"""Request, progress and result of a calibration: plain, picklable data."""
 
 from __future__ import annotations
 
@@ -14,6 +14,7 @@ from suspension_twin.gap.measure import Gap
 from suspension_twin.vehicle.twin import Twin
 
 __all__ = [
+    "STATUSES",
     "CalibrationRequest",
     "CalibrationResult",
     "CurveEstimate",
@@ -22,6 +23,10 @@ __all__ = [
     "NuisanceEstimate",
     "Progress",
 ]
+
+
+#: What an :class:`Estimate` can be.
+STATUSES = ("identified", "extrapolated", "kept", "not identified", "on bound")
 
 
 @dataclass(frozen=True)
@@ -70,8 +75,13 @@ class Estimate:
     """One parameter found, in the units of the twin file.
 
     ``low`` and ``high`` bound its 90 % interval, NaN where none could be had; ``on_bound`` "lower",
-    "upper" or ""; ``excited``: the drives took the suspension there; ``determined``: the drives, not
-    the prior, say what it is.
+    "upper" or "". ``status`` (one of ``STATUSES``; the criterion is in ``calibration.uncertainty``):
+
+    - ``identified``: the data carry at least as much information on it as its prior;
+    - ``extrapolated``: it follows identified neighbours on its characteristic by the prior of smooth slopes;
+    - ``kept``: at its start, for the data do not show that it differs from it;
+    - ``on bound``: the search wanted to go further;
+    - ``not identified``: the search knew no prior, and the value is arbitrary within its interval.
     """
 
     key: str
@@ -82,14 +92,13 @@ class Estimate:
     lower: float
     upper: float
     on_bound: str = ""
-    excited: bool = True
-    determined: bool = True
+    status: str = "identified"
 
 
 @dataclass(frozen=True)
 class NuisanceEstimate:
-    """One nuisance: not the vehicle's, found on the way. ``sigma`` its standard deviation; ``prior`` that
-    of what was allowed: where both are alike the drives say nothing of it."""
+    """One nuisance parameter (clock, map, mount, bias). ``sigma`` is its standard deviation, ``prior`` that of its
+    prior: where both are alike the data do not identify it."""
 
     name: str
     value: float
@@ -103,9 +112,8 @@ class CurveEstimate:
     """A characteristic with its band: ``grid`` (g,) abscissae, ``force``, ``low``, ``high``, ``start`` (g,) N;
     ``span`` the range that the drives excited, m or m/s (NaN, NaN where nothing was).
 
-    A spring has ``static``, the compression that the vehicle stands at (else NaN), and ``rest_low``,
-    ``rest_high`` (g,) N over ``rest_grid`` (g,) m of travel from there: what a drive can see of it, wherever
-    the free length lies.
+    A spring has ``static``, its compression at rest in m (else NaN), and ``rest_low``, ``rest_high`` (g,) N over
+    ``rest_grid`` (g,) m of travel from there, which do not depend on where its free length lies.
     """
 
     key: str
@@ -126,8 +134,8 @@ class CurveEstimate:
 class DriveFit:
     """One drive, compared: gaps over the whole of it, and every channel (m,) on its grid ``t``.
 
-    ``before`` and ``after`` are the twin as it was and as it is; ``nuisance_free`` what is left of the
-    gap's rms on the compared samples (``compared`` (m,)) once the nuisances are taken out. ``profile`` are
+    ``before`` and ``after`` are the signals of the twin before and after; ``nuisance_free`` is the residual's rms in
+    m/s² on the compared samples (``compared`` (m,)) with the nuisances corrected. ``profile`` are
     distances (k,) m along the road and the heights (k, 2) m of the left and right track.
     """
 
@@ -148,10 +156,15 @@ class DriveFit:
 
 @dataclass(frozen=True, eq=False)
 class CalibrationResult:
-    """What came out: ``twin`` calibrated from ``start``. ``history`` (k, 4): evaluations, best cost, mean cost
-    and stage number (0 search,
-    1 refine) after each generation. ``stopped``: it was told to stop, this is the best until then,
-    and what takes time (intervals, drives) is missing."""
+    """``twin`` calibrated from ``start``.
+
+    ``cost`` and ``initial_cost`` (of the start, moved into the bounds) are of the ``objective`` that was searched
+    and compare with no other objective's.
+    ``distance`` and ``initial_distance`` are the same for every preset: the car paper's eq. (1), the Euclidean
+    distance in m/s² between measured and simulated vertical acceleration over the compared samples, each drive
+    aligned in time and no other nuisance corrected. ``history`` (k, 4): evaluations, best cost, mean cost and
+    stage number (0 search, 1 refine) after each generation. ``stopped``: this is the best until the stop, without
+    intervals, drives and distances."""
 
     twin: Twin
     start: Twin
@@ -164,6 +177,8 @@ class CalibrationResult:
     drives: tuple[DriveFit, ...]
     cost: float
     initial_cost: float
+    distance: float
+    initial_distance: float
     evaluations: int
     generations: int
     history: Floats
@@ -172,15 +187,21 @@ class CalibrationResult:
     warnings: tuple[str, ...]
 
     @property
+    def counts(self) -> dict[str, int]:
+        """How many parameters have which status, those that none has left out."""
+        found = {s: sum(e.status == s for e in self.estimates) for s in STATUSES}
+        return {s: count for s, count in found.items() if count}
+
+    @property
     def message(self) -> str:
-        """One line: what came out."""
+        """One line: costs, gaps and how many parameters were identified."""
         state = "stopped, the best so far: " if self.stopped else ""
-        change = f"cost {self.initial_cost:.4g} to {self.cost:.4g} in {self.evaluations} evaluations"
+        change = f"cost ({self.objective}) {self.initial_cost:.4g} to {self.cost:.4g} in {self.evaluations} evaluations"
         if not self.drives:
             return f"{state}{change}"
         gaps = ", ".join(
             f"{d.name} {d.gap_before.rms:.3g} to {d.gap_after.rms:.3g} m/s²" for d in self.drives
         )
-        dark = sum(not e.excited for e in self.estimates)
-        tail = f"; {dark} of {len(self.estimates)} parameters not excited" if dark else ""
-        return f"{state}{change}; gap {gaps}{tail}"
+        counts = ", ".join(f"{count} {status}" for status, count in self.counts.items())
+        distance = f"distance (eq. 1) {self.initial_distance:.4g} to {self.distance:.4g} m/s²"
+        return f"{state}{change}; {distance}; gap {gaps}; {counts} of {len(self.estimates)} parameters"

@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """``calibrate``: from a request to a result. A pure function of picklable arguments.
 
-It may run in a spawned process: whatever it reads is named in the request, and nothing is written
-but the checkpoints of ``request.state``. It asks ``should_stop`` between pieces of work that take a
-fraction of a second, and then hands back the best so far.
+It may run in a spawned process: the request names all that it reads, and it writes nothing but the
+checkpoints of ``request.state``. It asks ``should_stop`` between pieces of work that take a
+fraction of a second, and then returns the best so far.
 """
 
 from __future__ import annotations
@@ -39,41 +39,43 @@ def calibrate(
     WorkError where the fit fails. A stopped calibration returns with ``stopped`` set.
     """
     began = time.monotonic()
-    tell = on_progress or _quiet
-    stop = should_stop or _never
-    tell(Progress("reading", note="twin and road"))
+    report = on_progress or (lambda progress: None)
+    stop = should_stop or (lambda: False)
+    report(Progress("reading", note="twin and road"))
     try:
-        setup = set_up(request, lambda note: tell(Progress("reading", note=note)), stop)
+        setup = set_up(request, lambda note: report(Progress("reading", note=note)), stop)
     except Interrupted:
         return unfinished(request, load_twin(request.twin), time.monotonic() - began)
-    return solve(request, setup, tell, stop, began)
+    return solve(request, setup, report, stop, began)
 
 
 def solve(
     request: CalibrationRequest,
     setup: Setup,
-    tell: Callable[[Progress], None],
+    on_progress: Callable[[Progress], None],
     stop: Callable[[], bool],
     began: float,
 ) -> CalibrationResult:
-    """Search and conclude on a problem that is set up."""
+    """Search, then assess the result, on a problem that is set up."""
     store = Checkpoint(Path(request.state), fingerprint(request, setup)) if request.state else None
-    recorder = Recorder(request, setup, tell, stop, store)
+    recorder = Recorder(request, setup, on_progress, stop, store)
     problem = setup.problem
-    start = float(problem.costs(problem.space.nominal[:, None], np.zeros(len(problem.nuisances)))[0])
+    aligned = setup.preset.synchronise or not problem.objective.is_least_squares
+    quiet = np.zeros(len(problem.nuisances))
+    start = float(problem.costs(problem.space.nominal[:, None], quiet, aligned)[0])
     outcome = _search(recorder)
     if not np.isfinite(outcome.cost) and not outcome.stopped:
         raise WorkError(
             "no candidate could be simulated: are the twin's masses and the road's heights right?"
         )
-    tell(
+    on_progress(
         Progress(
             "writing",
             recorder.generations,
             recorder.evaluations,
             outcome.cost,
             outcome.cost,
-            note="what the drives tell",
+            note="uncertainty",
         )
     )
     return conclude(recorder, outcome, start, began)
@@ -85,11 +87,3 @@ def _search(recorder: Recorder) -> Outcome:
     if not recorder.setup.problem.objective.is_least_squares:
         return run_evolution(recorder)
     return run_squares(recorder)
-
-
-def _quiet(progress: Progress) -> None:
-    """Nobody listens."""
-
-
-def _never() -> bool:
-    return False

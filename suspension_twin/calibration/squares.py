@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The fast way: Levenberg-Marquardt on the objective, from a start and by hops that physics suggests.
+"""Search by bounded Gauss-Newton (Levenberg-Marquardt), with restarts at the corners of the springs.
 
-Where a vehicle stands on its springs' curves is what such a fit goes wrong by: a corner of the
-curve at the place it stands at, or far from it, are two valleys of the cost, and no slope leads
-from one to the other. So after the first descent every corner near enough is tried as that place.
+The cost has several local minima: one for each corner of a spring's characteristic that the static
+compression can lie at, and no gradient leads from one to the other. So after the first descent
+every corner near the static compression is tried as a start.
 """
 
 from __future__ import annotations
@@ -29,19 +29,19 @@ _EXPECTED = 700.0  # evaluations, for the time left
 _STARTS = 24
 #: Weight of the prior beside an objective that was asked for by name.
 _FAINT = 1e-3
-#: Residuals in floors (the median of the channels) up to which there is nothing to hop for.
+#: Residuals in floors (the median of the channels) up to which no other corner is tried.
 _AT_FLOOR = 1.3
 #: Offsets that are simulated from here on instead of interpolated: s and m.
 _PLACE_CLOCK, _PLACE_MAP = 2e-3, 2e-2
-#: By how many standard deviations a search of a named objective is shaken, time by time.
+#: Standard deviations of the random restarts of a search with a named objective.
 _SHAKES = (2.0, 4.0, 4.0)
 _FARTHEST_CORNER, _NEAREST_CORNER = 0.15, 0.003  # m
 
 
 @dataclass(frozen=True)
 class _Round:
-    """One minimisation. ``faint``: the prior only settles what the objective does not see, unless the
-    fit is meant to be a balance of both; ``hop``: the corner to stand at (spring, corner), or None."""
+    """One minimisation. ``faint``: the prior has the weight ``_FAINT`` (it settles what the objective does not
+    depend on), unless the objective is the likelihood; ``hop``: (spring, corner) to start at, or None."""
 
     stage: str
     number: int
@@ -68,9 +68,8 @@ def full_precision(problem: Problem) -> Floats:
 def run_squares(recorder: Recorder) -> Outcome:
     """Levenberg-Marquardt on the objective, then, unless one was asked for by name, on the likelihood.
 
-    The likelihood makes the most of drives whose residual is noise. Where much more is left than
-    noise, the model lacks something, and explaining that as coloured noise would give up on it:
-    then the least squares fit stands.
+    The likelihood is efficient where the residual is noise. A larger residual is model discrepancy, which
+    the likelihood would take for coloured noise: then the least squares fit stands.
     """
     fit = _Fit(recorder)
     stopped = False
@@ -86,11 +85,14 @@ def run_squares(recorder: Recorder) -> Outcome:
         stopped = True
     values = fit.base.space.from_slopes(fit.x[: fit.d])
     nuisance = fit.x[fit.d :] + fit.placed
-    return Outcome(values, nuisance, fit.cost, fit.problem, fit.placed, fit.x, fit.likelihood, stopped)
+    weight = 1.0 if fit.balanced else _FAINT
+    return Outcome(
+        values, nuisance, fit.cost, fit.problem, fit.placed, fit.x, fit.likelihood, weight, stopped=stopped
+    )
 
 
 class _Fit:
-    """Where the fit is: the best coordinates ``x``, and how far its offsets are already simulated."""
+    """The best coordinates ``x`` so far, and the offsets ``placed`` that are simulated, not interpolated."""
 
     def __init__(self, recorder: Recorder) -> None:
         self.recorder = recorder
@@ -107,7 +109,7 @@ class _Fit:
     # -- the plan ------------------------------------------------------------------------------
 
     def plan(self) -> Iterator[_Round]:
-        """The rounds; which of them are worth it is decided on the way."""
+        """The rounds; each is decided on when its turn comes."""
         yield _Round("squares", 0, _DESCENT, faint=False)
         yield _Round("squares", 1, _DESCENT)
         if not self.balanced:
@@ -174,7 +176,7 @@ class _Fit:
     _pending: Floats | None = None
 
     def _start(self, planned: _Round) -> Floats | None:
-        """Where a round starts from; None where it has nothing to do."""
+        """Coordinates that a round starts from; None where it has nothing to do."""
         if planned.stage == "hop":
             if planned.hop is not None:
                 return self._at_corner(*planned.hop)
@@ -186,8 +188,8 @@ class _Fit:
         return self.x
 
     def _shaken(self, number: int) -> Floats:
-        """The best of two dozen draws around the fit, wide where the drives leave it open: a corner of a curve
-        makes a valley of its own, and those lie side by side in such directions."""
+        """The best of two dozen draws around the fit, wide in directions of little information: local minima of
+        the corners lie side by side there."""
         fit = FitProblem(self.problem)
         before = self.problem.evaluations
         residual, jacobian = fit.linearise(self.x)
@@ -204,7 +206,7 @@ class _Fit:
         return np.asarray(starts[:, int(np.argmin(costs))])
 
     def _note(self, solver: GaussNewton, planned: _Round, scale: float) -> None:
-        """Keep what is better, report, save."""
+        """Keep a better point, report, save."""
         recorder = self.recorder
         whitened = planned.stage == "likelihood"
         # The squares of the objective order candidates as its costs do; those of the likelihood do not.
@@ -243,7 +245,7 @@ class _Fit:
         return moved
 
     def _scale(self, fit: FitProblem, planned: _Round, start: Floats) -> float:
-        """How the prior weighs against the sum of squares: by the variance of an independent residual."""
+        """Weight of the prior beside the sum of squares: the variance of an independent residual."""
         if planned.stage == "likelihood":
             return 1.0
         residual = fit.residuals(self.compared(start)[:, :, None])
@@ -262,7 +264,7 @@ class _Fit:
             self.x[self.d :][offset] = 0.0
             self.problem = self.base.moved(self.placed)
 
-    # -- looking -------------------------------------------------------------------------------
+    # -- evaluation -------------------------------------------------------------------------------
 
     def compared(self, x: Floats) -> Floats:
         """(M, C) signals at coordinates ``x``, nuisances included."""
@@ -276,12 +278,12 @@ class _Fit:
         return float(self.problem.costs(self.base.space.from_slopes(x[: self.d, None]), x[self.d :])[0])
 
     def floors(self) -> float:
-        """What is left of the channels in units of their floors; the median of the channels."""
+        """Residual rms in units of the noise floor; the median of the channels."""
         return in_floors(self.recorder.setup, self.problem, self.compared(self.x))
 
 
 def in_floors(setup: Setup, problem: Problem, compared: Floats) -> float:
-    """What ``compared`` signals (M, C) leave of the channels in units of their floors; the median of the channels."""
-    left = np.sqrt(np.mean((compared - problem.measured.values) ** 2, axis=0))
+    """Residual rms of ``compared`` signals (M, C) in units of the noise floor; the median of the channels."""
+    residual = np.sqrt(np.mean((compared - problem.measured.values) ** 2, axis=0))
     floors = [float(np.mean([d.noise_rms[c] for d in setup.drives])) for c in problem.channels]
-    return float(np.median(left / np.array(floors)))
+    return float(np.median(residual / np.array(floors)))

@@ -1,5 +1,19 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What the drives tell: intervals around the result, and bands around its characteristics."""
+"""Uncertainty of a calibration: intervals, bands of the characteristics, and which parameters the data identify.
+
+Let C be the posterior covariance in the solver's coordinates and P the prior's precision. Parameter i
+is *identified* if the data carry at least as much information on it as the prior does, alone and
+given all others:
+
+    C_ii <= 1/2 (P^-1)_ii    and    1 / (C^-1)_ii <= 1/2 (1 / P_ii).
+
+Up to this limit of one half (a gain of ln(2)/2 nats) the estimate is more the prior's than the data's,
+for a Gaussian posterior weighs the two by their precisions. What is not identified follows the prior:
+*extrapolated* from identified parameters that the prior correlates with it (neighbouring segments of a
+characteristic), else *kept* at its start. A parameter that the prior correlates with no other is kept
+as well if its 90 % interval holds its start and a likelihood ratio test does not reject the start. What
+is kept is held there and the rest is fitted once more.
+"""
 
 from __future__ import annotations
 
@@ -7,6 +21,8 @@ import copy
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
+from scipy.special import chdtri, ndtri
 
 from suspension_twin.arrays import Floats
 from suspension_twin.calibration.presets import PRESETS, build_space
@@ -16,23 +32,32 @@ from suspension_twin.calibration.setup import Setup
 from suspension_twin.calibration.squares import full_precision, in_floors
 from suspension_twin.identification.gauss_newton import GaussNewton, GaussNewtonSettings
 from suspension_twin.identification.noise import NEAR_FLOOR, ScaledObjective, Whitener
+from suspension_twin.identification.objectives import Objective, Term
 from suspension_twin.identification.posterior import Posterior, Travel, Weighing, posterior, span_of, travel
 from suspension_twin.identification.problem import FitProblem, Problem
 from suspension_twin.identification.space import Curve, Space
 from suspension_twin.vehicle.twin import Twin
 
-__all__ = ["INTERVAL", "Told", "curve_estimates", "tell"]
+__all__ = ["INTERVAL", "Uncertainty", "assess", "curve_estimates"]
 
 #: Quantiles of the intervals.
 INTERVAL = (0.05, 0.95)
+#: Half the width of that interval in standard deviations of a Gaussian.
+_HALF_WIDTH = float(ndtri(INTERVAL[1]))
+#: Level of the likelihood ratio test, the interval's.
+_LEVEL = 1.0 - (INTERVAL[1] - INTERVAL[0])
+#: Posterior over prior variance at which data and prior are worth the same.
+_EQUAL_INFORMATION = 0.5
 _GRID = 120
 _POLISH = GaussNewtonSettings(iterations=12, tolerance=0.0, absolute=0.1, patience=1)
 
 
 @dataclass(frozen=True, eq=False)
-class Told:
-    """The posterior in a space without narrow bounds, where the drives went, the intervals of the parameters
-    (d,), and the coordinates ``x`` (d + q,) of the best fit of the likelihood."""
+class Uncertainty:
+    """``space`` has wide bounds, ``posterior`` is taken in it around the coordinates ``x`` (d + q,) of the fit, whose
+    kept parameters are at their start. ``where`` the drives took the suspension; ``low``, ``high`` (d,) ends of the
+    90 % intervals; ``status`` of each parameter; ``absorbed`` (d,) the value that a kept parameter had while it was
+    free, where that lies outside its prior's 90 % interval, else NaN."""
 
     space: Space
     posterior: Posterior
@@ -40,49 +65,110 @@ class Told:
     low: Floats
     high: Floats
     x: Floats
+    status: tuple[str, ...]
+    absorbed: Floats
 
 
-def tell(setup: Setup, outcome: Outcome, seed: int) -> Told:
-    """Look around the result, in a space with wide bounds.
+def assess(setup: Setup, outcome: Outcome, seed: int) -> Uncertainty:
+    """The uncertainty around the result of a search, in a space with wide bounds.
 
-    Where noise is what is left, by the likelihood fitted from the result on. Where more is left (or the
-    search kept to another objective), by least squares with what is left as the scale; that the likelihood,
-    which weighs the same residuals in another way, would have ended elsewhere counts as doubt of that
-    size: what two ways of weighing disagree on, no statistics of the residual knows.
+    Where the residual is noise, by the likelihood fitted from the result on. Where it is larger (or the
+    search minimised another objective), by least squares with the residual's size as the scale; the distance
+    to the likelihood's own optimum, which weighs the same residuals in another way, then counts as one more
+    standard deviation: model discrepancy that no statistics of the residual shows.
     """
     problem = _widened(setup, outcome)
     precision = full_precision(problem)
-    searched = outcome.x is not None and outcome.likelihood is not None
-    if searched:
-        assert outcome.x is not None and outcome.likelihood is not None
-        x, likelihood = outcome.x.copy(), outcome.likelihood
-    else:
-        x = np.concatenate([problem.space.to_slopes(outcome.values), outcome.nuisance - outcome.placed])
-        if outcome.x is not None:
-            x = outcome.x.copy()
-        likelihood = _likelihood_at(problem, x)
-        x = _polished(problem, likelihood, x, precision, outcome.placed)
-        likelihood = _likelihood_at(problem, x)
-    x = _polished(problem, likelihood, x, precision, outcome.placed)
-    if searched or (outcome.x is None and in_floors(setup, problem, _compared(problem, x)) < NEAR_FLOOR):
-        for _ in range(3):
-            where = _travel_at(setup, problem, x)
-            found = posterior(problem, likelihood, x, precision, where, seed)
-            if found.better is None:
-                break
-            x = _polished(problem, likelihood, found.better, precision, outcome.placed)
-    else:
-        other = x
-        squares = ScaledObjective.at(
-            problem.objective, _compared(problem, other if outcome.x is None else outcome.x)
-        )
-        x = _polished(problem, squares, other, precision, outcome.placed) if outcome.x is None else outcome.x
-        found = posterior(
-            problem, squares, x, precision, _travel_at(setup, problem, x), seed, doubt=other - x
-        )
+    d = len(problem.space)
+    x, weighing, doubt = _best_fit(setup, problem, outcome, precision)
+    for _ in range(3):
+        found = posterior(problem, weighing, x, precision, _travel_at(setup, problem, x), seed, doubt)
+        if doubt is not None or found.better is None:
+            break
+        x = _polished(problem, weighing, found.better, precision, outcome.placed)
+    status = np.where(_identified(found.covariance, precision)[:d], "identified", "not identified")
+    absorbed = np.full(d, np.nan)
+    if outcome.prior_weight > 0:
+        status, absorbed, held = _settle(problem, outcome, weighing, x, found.covariance, precision, status)
+        if held is not x:
+            x = held
+            found = posterior(problem, weighing, x, precision, _travel_at(setup, problem, x), seed, doubt)
     low, high = np.quantile(found.draws, INTERVAL, axis=1)
-    twin = setup.space.applied(setup.twin, outcome.values)
-    return Told(problem.space, found, travel(twin, problem), low, high, x)
+    where = _travel_at(setup, problem, x)
+    return Uncertainty(problem.space, found, where, low, high, x, tuple(map(str, status)), absorbed)
+
+
+def _best_fit(
+    setup: Setup, problem: Problem, outcome: Outcome, precision: Floats
+) -> tuple[Floats, Whitener | ScaledObjective, Floats | None]:
+    """Coordinates (d + q,) of the fit that the posterior is taken around, what weighs its residuals, and the
+    standard deviation (d + q,) that model discrepancy adds, or None where the residual is noise."""
+    if outcome.x is not None and outcome.likelihood is not None:
+        x = _polished(problem, outcome.likelihood, outcome.x, precision, outcome.placed)
+        return x, outcome.likelihood, None
+    start = np.concatenate([problem.space.to_slopes(outcome.values), outcome.nuisance - outcome.placed])
+    x = start if outcome.x is None else outcome.x
+    x = _polished(problem, _likelihood_at(problem, x), x, precision, outcome.placed)
+    likelihood = _likelihood_at(problem, x)
+    x = _polished(problem, likelihood, x, precision, outcome.placed)
+    if outcome.x is None and in_floors(setup, problem, _compared(problem, x)) < NEAR_FLOOR:
+        return x, likelihood, None
+    squares = ScaledObjective.at(problem.objective, _compared(problem, x if outcome.x is None else outcome.x))
+    fit = _polished(problem, squares, x, precision, outcome.placed) if outcome.x is None else outcome.x
+    return fit, squares, x - fit
+
+
+def _identified(covariance: Floats, precision: Floats) -> NDArray[np.bool_]:
+    """(d + q,) True where the data carry more information than the prior, alone and given all others."""
+    alone = np.diag(covariance) / np.diag(np.linalg.inv(precision))
+    given_others = np.diag(precision) / np.diag(np.linalg.inv(covariance))
+    return np.asarray((alone <= _EQUAL_INFORMATION) & (given_others <= _EQUAL_INFORMATION))
+
+
+def _settle(
+    problem: Problem,
+    outcome: Outcome,
+    weighing: Weighing,
+    x: Floats,
+    covariance: Floats,
+    precision: Floats,
+    status: NDArray[np.str_],
+) -> tuple[NDArray[np.str_], Floats, Floats]:
+    """Status (d,), absorbed values (d,) and coordinates (d + q,) of the fit with the kept parameters at their start
+    (``x`` itself if there are none)."""
+    d = len(problem.space)
+    identified = status == "identified"
+    prior = np.linalg.inv(precision)[:d, :d]
+    coupled = np.abs(prior) > 1e-9 * np.sqrt(np.outer(np.diag(prior), np.diag(prior)))
+    status = np.where(
+        identified, status, np.where(coupled[:, identified].any(axis=1), "extrapolated", "kept")
+    )
+    z0 = outcome.problem.space.z0
+    away = np.abs(x[:d] - z0)
+    fit = FitProblem(outcome.problem, weighing.residuals)
+
+    def held(keep: NDArray[np.bool_]) -> tuple[Floats, float]:
+        """The fit with some coordinates at their start, and its sum of squares."""
+        at = x
+        if keep.any():
+            at = x.copy()
+            at[:d][keep] = z0[keep]
+            fixed = np.append(keep, np.zeros(x.size - d, dtype=bool))
+            weighted = outcome.prior_weight * precision
+            at = _polished(outcome.problem, weighing, at, weighted, outcome.placed, fixed)
+        return at, float(fit.sums_of_squares(at[:, None])[0])
+
+    kept = status == "kept"
+    far = kept & (away > _HALF_WIDTH * np.sqrt(np.diag(prior)))
+    absorbed = np.where(far, problem.space.from_slopes(x[:d]), np.nan)
+    result, squares = held(kept)
+    near = away <= _HALF_WIDTH * np.sqrt(np.diag(covariance)[:d])
+    tested = identified & near & (coupled.sum(axis=1) == 1)
+    if tested.any():
+        other, more = held(kept | tested)
+        if more - squares < chdtri(int(tested.sum()), _LEVEL):
+            status, result = np.where(tested, "kept", status), other
+    return status, absorbed, result
 
 
 def _travel_at(setup: Setup, problem: Problem, x: Floats) -> Travel:
@@ -97,9 +183,12 @@ def _compared(problem: Problem, x: Floats) -> Floats:
 
 
 def _widened(setup: Setup, outcome: Outcome) -> Problem:
-    """The problem in a space whose bounds are nobody's, so that an interval may reach beyond them."""
+    """The problem in a space with wide bounds, so that an interval may reach beyond those of the search."""
     problem = copy.copy(outcome.problem)
     problem.space = build_space(setup.twin, PRESETS["fast"], setup.space.keys, known=setup.space.parameters)
+    if any(t.kind == "iso18571" for t in problem.terms):  # no sum of squares: by the distance instead
+        distance = tuple(Term("euclidean", t.channel, t.weight) for t in problem.terms)
+        problem.objective = Objective(distance, problem.measured)
     return problem
 
 
@@ -107,34 +196,43 @@ def _likelihood_at(problem: Problem, x: Floats) -> Whitener:
     return Whitener.of_residual(problem.measured, _compared(problem, x))
 
 
-def _polished(problem: Problem, likelihood: Weighing, x: Floats, precision: Floats, placed: Floats) -> Floats:
+def _polished(
+    problem: Problem,
+    weighing: Weighing,
+    x: Floats,
+    precision: Floats,
+    placed: Floats,
+    fixed: NDArray[np.bool_] | None = None,
+) -> Floats:
+    """The optimum near ``x`` (d + q,) with the prior's ``precision``, coordinates ``fixed`` left where they are."""
     centre = np.concatenate([problem.space.z0, -placed])
-    fit = FitProblem(problem, likelihood.residuals)
-    solver = GaussNewton(fit, x, precision, centre, settings=_POLISH)
+    low, high = (None, None) if fixed is None else (np.where(fixed, x, side) for side in (-np.inf, np.inf))
+    fit = FitProblem(problem, weighing.residuals)
+    solver = GaussNewton(fit, x, precision, centre, low, high, settings=_POLISH)
     solver.run()
     return solver.x
 
 
-def curve_estimates(setup: Setup, twin: Twin, told: Told) -> tuple[CurveEstimate, ...]:
+def curve_estimates(setup: Setup, twin: Twin, found: Uncertainty) -> tuple[CurveEstimate, ...]:
     """Every characteristic with at least one free point, and its band."""
-    return tuple(_curve(setup, twin, told, curve) for curve in setup.space.curves)
+    return tuple(_curve(setup, twin, found, curve) for curve in setup.space.curves)
 
 
-def _curve(setup: Setup, twin: Twin, told: Told, curve: Curve) -> CurveEstimate:
+def _curve(setup: Setup, twin: Twin, found: Uncertainty, curve: Curve) -> CurveEstimate:
     _, axle, part = curve.key.split(".")
-    span = span_of(curve, told.where)
+    span = span_of(curve, found.where)
     grid = np.linspace(0.0, curve.x[-1], _GRID)
     value = getattr(getattr(twin.vehicle, axle), part).points[1]
     before_x, before = getattr(getattr(setup.original.vehicle, axle), part).points
-    draws = np.repeat(value[:, None], told.posterior.draws.shape[1], axis=1)
+    draws = np.repeat(value[:, None], found.posterior.draws.shape[1], axis=1)
     free = [(i, r) for i, r in enumerate(curve.rows) if r >= 0]
     for i, row in free:
-        draws[i] = told.posterior.draws[row]
+        draws[i] = found.posterior.draws[row]
     low, high = np.quantile(_interpolated(grid, curve.x, draws), INTERVAL, axis=1)
     static, nothing = float("nan"), np.empty(0)
     rest = (nothing, nothing, nothing)
     if part == "spring" and np.isfinite(span[0]):
-        static = told.where.static[axle]
+        static = found.where.static[axle]
         rest = _from_rest(curve.x, value, draws, static, span)
     return CurveEstimate(
         key=curve.key,

@@ -104,8 +104,8 @@ def command(
 ) -> None:
     """Find a twin's characteristics from recorded drives over a known road.
 
-    Writes the calibrated twin, beside it CALIBRATED.calibration.yaml with intervals, nuisances and what the drives
-    did not excite, and with --report a page with plots. Interrupted, it goes on where it was when started again.
+    Writes the calibrated twin, beside it CALIBRATED.calibration.yaml with intervals, nuisances and which parameters the
+    drives identify, and with --report a page with plots. Interrupted, it goes on where it was when started again.
     """
     from suspension_twin.cli._tracked import calibrate_runs, is_tracked
 
@@ -213,20 +213,14 @@ def _print_result(console: Console, result: CalibrationResult) -> None:
     table.add_column("")
     for e in result.estimates:
         interval = f"{e.low:.4g} to {e.high:.4g}" if math.isfinite(e.low) else ""
-        marks = []
-        if e.on_bound:
-            marks.append(f"[bold red]on its {e.on_bound} bound[/]")
-        if not e.excited:
-            marks.append("[dim]not excited[/]")
-        elif not e.determined:
-            marks.append("[dim]not determined[/]")
-        style = "dim" if not e.excited else ""
+        mark = f"[bold red]on its {e.on_bound} bound[/]" if e.on_bound else e.status
+        style = "" if e.status == "identified" or e.on_bound else "dim"
         table.add_row(
             e.key.removeprefix("vehicle."),
             f"{e.start:.4g}",
             f"{e.value:.4g}",
             interval,
-            ", ".join(marks),
+            mark,
             style=style,
         )
     console.print(table)

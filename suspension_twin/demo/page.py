@@ -11,6 +11,7 @@ from scipy.ndimage import uniform_filter1d
 
 from suspension_twin.arrays import Floats
 from suspension_twin.demo.steps import DRIVES, LEARNT, UNSEEN, DemoResult, Outcome
+from suspension_twin.identification.space import twin_value
 from suspension_twin.pose.local_map import LocalMap
 from suspension_twin.report import Cell, Page, Section, Table, plots
 from suspension_twin.report.characteristics import AxleEvidence, characteristics, force
@@ -21,8 +22,8 @@ __all__ = ["demo_page", "figures"]
 
 _CUTOFF = 20.0  # Hz, the nodes' default low-pass
 _WAVE = 4.0  # m, what is longer moves the car and not its struts
-_EXCITED = Cell("yes", "good")
-_NOT_EXCITED = Cell("no", "warn", "the drive says nothing about this point")
+_IDENTIFIED = Cell("yes", "good")
+_NOT_IDENTIFIED = Cell("no", "warn", "extrapolated from its neighbours, or kept at its start")
 
 
 def demo_page(result: DemoResult) -> Page:
@@ -244,30 +245,32 @@ def _calibration(result: DemoResult, convergence: Figure | None) -> Section:
     rows: list[list[object]] = []
     for key, value in answer.values.items():
         _, axle, curve, name, index = (*key.split("."), "", "", "", "")[:5]
-        if name != "force":
-            continue
-        mine, true = (getattr(getattr(result.twins[who].vehicle, axle), curve) for who in ("before", "truth"))
-        x, started = (points[int(index)] for points in mine.points)
-        truth = float(force(true.points, np.array([x]))[0])
-        unit = "m" if curve == "spring" else "m/s"
-        mark = _EXCITED if answer.excited.get(key, True) else _NOT_EXCITED
-        label = f"{axle} {curve.replace('_', ', ')}, {x:g} {unit}"
+        started = float(twin_value(result.twins["before"], key))
+        if name == "force":
+            mine, true = (getattr(getattr(result.twins[w].vehicle, axle), curve) for w in ("before", "truth"))
+            x = mine.points[0][int(index)]
+            truth = float(force(true.points, np.array([x]))[0])
+            label = f"{axle} {curve.replace('_', ', ')}, {x:g} {'m' if curve == 'spring' else 'm/s'} [N]"
+        else:
+            truth = float(twin_value(result.twins["truth"], key))
+            label = key.removeprefix("vehicle.").replace("_", " ").replace(".", " ") + " [kg m²]"
+        mark = _IDENTIFIED if answer.excited.get(key, True) else _NOT_IDENTIFIED
         rows.append(
             [
                 label,
-                float(started),
+                started,
                 value,
                 truth,
                 f"{100 * (value / truth - 1):+.0f} %".replace("-", "−"),
                 mark,
             ]
         )
-    columns = ["point", "started as [N]", "found [N]", "truth [N]", "off by", "excited by the drive"]
-    idle = sum(not answer.excited.get(key, True) for key in answer.values)
+    columns = ["parameter", "started as", "found", "truth", "off by", "identified"]
+    identified = sum(answer.excited.get(key, True) for key in answer.values)
     text = (
         f"The action `calibrate` brought the cost from {short(answer.initial_cost)} to {short(answer.cost)} with "
-        f"{answer.evaluations} simulated candidates in {answer.wall:.0f} s. {idle} of {len(answer.values)} "
-        "parameters were not excited by the drive."
+        f"{answer.evaluations} simulated candidates in {answer.wall:.0f} s. {identified} of {len(answer.values)} "
+        "parameters are identified by the drive; the others are extrapolated from their neighbours or kept."
     )
     return Section(
         "The calibration", text, convergence, Table(columns, rows, "Forces at the wheel, for one wheel.")

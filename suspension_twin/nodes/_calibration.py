@@ -138,7 +138,7 @@ def calibrate_job(
         generations=result.generations,
         names=tuple(e.key for e in result.estimates),
         values=tuple(e.value for e in result.estimates),
-        excited=tuple(e.excited for e in result.estimates),
+        excited=tuple(e.status == "identified" for e in result.estimates),
     )
 
 

@@ -75,7 +75,7 @@ def left_by_calibration(twin_file: str) -> Left:
     try:
         drives = yaml.safe_load(details.read_text(encoding="utf-8"))["drives"]
         # Live nothing takes clock, gain and tilt out: the larger of the two is what will be seen.
-        left = [max(d["gap_after"]["rms"], d["left_without_nuisances"] or 0.0) for d in drives]
+        left = [max(d["gap_after"]["rms"], d["residual_with_nuisances_corrected"] or 0.0) for d in drives]
         share = [math.sqrt(1.0 - min(abs(d["correlation"] or 1.0), 1.0) ** 2) for d in drives]
     except (OSError, ValueError, RecursionError, yaml.YAMLError, KeyError, TypeError):
         raise InputError(details, "drives", "does not say what gap the calibration left") from None

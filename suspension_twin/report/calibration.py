@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The page of a calibration: what was measured, what the twin makes of it, and what the drives could tell."""
+"""The page of a calibration: measured and simulated signals, estimates and their uncertainty."""
 
 from __future__ import annotations
 
@@ -11,10 +11,10 @@ from matplotlib.figure import Figure
 from scipy.ndimage import uniform_filter1d
 
 from suspension_twin.arrays import Floats
-from suspension_twin.calibration.request import CalibrationResult, CurveEstimate, DriveFit, Estimate
+from suspension_twin.calibration.request import CalibrationResult, CurveEstimate, DriveFit
 from suspension_twin.report import plots
 from suspension_twin.report.characteristics import AxleEvidence, Band, characteristics
-from suspension_twin.report.page import Cell, Page, Section, Table, short
+from suspension_twin.report.page import Cell, Mark, Page, Section, Table, short
 from suspension_twin.signals.metrics import (
     correlation,
     iso18571,
@@ -30,6 +30,22 @@ _WINDOW = 4.0  # s of a panel in time
 _PANELS = 3
 _WAVE = 3.0  # m: longer waves of the road are left out of its profile
 _LONGEST_RATED = 20.0  # s of a drive that ISO/TS 18571 rates: its time warping costs with the square
+#: What each status means, and its colour in the table.
+_MEANINGS = {
+    "identified": "the drives carry at least as much information on it as its prior",
+    "extrapolated": "it follows identified neighbours on its characteristic by the prior of smooth slopes; a faster "
+    "drive or a higher bump would identify it",
+    "kept": "at its start: the drives do not show that it differs from it",
+    "not identified": "the search knew no prior: the value is arbitrary within its interval",
+    "on bound": "the search wanted to go further",
+}
+_COLOURS: dict[str, Mark] = {
+    "identified": "good",
+    "extrapolated": "soft",
+    "kept": "soft",
+    "not identified": "warn",
+    "on bound": "bad",
+}
 _NAMES = {
     "simulated": "twin, calibrated",
     "before": "twin as it started",
@@ -38,15 +54,13 @@ _NAMES = {
 
 
 def calibration_page(result: CalibrationResult) -> Page:
-    """The page; ``write`` it where it shall be."""
+    """The page of a result; ``write`` saves it."""
     drives = ", ".join(d.name for d in result.drives)
     page = Page(
         "Calibration", f"{result.twin.vehicle.name} on {drives}, preset {result.preset}, seed {result.seed}"
     )
     _cards(page, result)
-    page.add(
-        Section("What came of it", _summary(result), _agreement_table(result), plots.agreement(_bars(result)))
-    )
+    page.add(Section("Result", _summary(result), _agreement_table(result), plots.agreement(_bars(result))))
     for drive in result.drives:
         page.add(_drive_section(drive))
     if result.curves:
@@ -77,19 +91,21 @@ def _cards(page: Page, result: CalibrationResult) -> None:
             f"was {d.gap_before.rms:.3f}, floor {d.gap_after.noise_rms:.3f}",
             "good" if closed > 0.3 else "bad" if closed < 0 else "warn",
         )
-    dark = [e for e in result.estimates if not e.excited]
-    bound = [e for e in result.estimates if e.on_bound]
-    excited = len(result.estimates) - len(dark)
-    page.card("Excited", f"{excited} of {len(result.estimates)}", "parameters", "" if not dark else "warn")
-    page.card("On a bound", str(len(bound)), "parameters", "bad" if bound else "good")
+    total, counts = len(result.estimates), result.counts
+    identified, bound = counts.pop("identified", 0), counts.pop("on bound", 0)
+    others = ", ".join(f"{count} {status}" for status, count in counts.items())
+    page.card("Identified", f"{identified} of {total}", others or "parameters", "warn" if others else "good")
+    page.card("On a bound", f"{bound} of {total}", "parameters", "bad" if bound else "good")
     page.card("Simulated", f"{result.evaluations}", f"candidates in {result.seconds:.1f} s")
 
 
 def _summary(result: CalibrationResult) -> str:
     lines = [
-        f"The cost (`{result.objective}`) went from {short(result.initial_cost)} to {short(result.cost)}. Both "
-        "sides of "
-        "every comparison on this page went through the same zero-phase low-pass."
+        f"The searched objective, `{result.objective}`, went from {short(result.initial_cost)} to "
+        f"{short(result.cost)}; costs of different objectives do not compare. The car paper's objective, eq. (1), "
+        "the same for every preset (Euclidean distance of the vertical acceleration, each drive aligned in time), "
+        f"went from {short(result.initial_distance)} to {short(result.distance)} m/s². Measured and simulated signals "
+        "on this page went through the same zero-phase low-pass."
     ]
     worse = [
         d.name
@@ -99,20 +115,12 @@ def _summary(result: CalibrationResult) -> str:
     if worse:
         lines.append(
             f"**On {', '.join(worse)} the twin is farther from the car than before.** Parameters on their bounds below "
-            "say which way they want to go; `--preset fast` or wider `--bound`s let them."
+            "show in which direction the bounds hold them back; use `--preset fast` or wider `--bound`s."
         )
-    bound = [parameter_label(result, e.key) for e in result.estimates if e.on_bound]
-    if bound:
-        lines.append(f"On a bound: {', '.join(bound)}.")
-    dark = [parameter_label(result, e.key) for e in result.estimates if not e.excited]
-    if dark:
-        kept = "The prior kept them near where they started."
-        if result.preset != "fast":
-            kept = "The search knows no prior: where they ended is chance."
-        lines.append(
-            f"Not excited by the drives: {', '.join(dark)}. {kept} A faster drive, a higher bump or a deeper hole "
-            "would tell more of them."
-        )
+    for status, count in result.counts.items():
+        keys = [parameter_label(result, e.key) for e in result.estimates if e.status == status]
+        which = "" if status == "identified" else f": {', '.join(keys)}"
+        lines.append(f"{count} of {len(result.estimates)} {status} ({_MEANINGS[status]}){which}.")
     lines += [f"Warning: {w}." for w in result.warnings]
     return "\n\n".join(lines)
 
@@ -157,9 +165,9 @@ def _drive_section(drive: DriveFit) -> Section:
         names=_NAMES,
     )
     text = (
-        f"{drive.gap_after.seconds:.1f} s compared. Without the nuisances (clock, map, biases) "
-        f"{drive.nuisance_free:.3f} m/s² "
-        f"are left where the road excites the car; the sensor's floor is {drive.gap_after.noise_rms:.3f} m/s²."
+        f"{drive.gap_after.seconds:.1f} s compared. With the nuisances corrected (clock, map, biases) the residual is "
+        f"{drive.nuisance_free:.3f} m/s² where the road excites the car; the sensor's noise floor is "
+        f"{drive.gap_after.noise_rms:.3f} m/s²."
     )
     return Section(
         drive.name,
@@ -174,7 +182,7 @@ def _drive_section(drive: DriveFit) -> Section:
             "Pitch rate in the same seconds.",
             "Power spectral densities.",
             "Amplitude spectra as the car paper's Fig. 11 has them.",
-            "What is left, by road position of the rear axle.",
+            "Residual by road position of the rear axle.",
         ),
     )
 
@@ -261,9 +269,10 @@ def _characteristics_section(result: CalibrationResult) -> Section:
     figure = characteristics(vehicles, evidence=evidence, from_rest=True)
     whole = characteristics(vehicles, evidence=_whole_evidence(result))
     text = (
-        "Bands hold the force with a probability of 90 %. What lies outside the shaded range was not excited by the "
-        "drives. A spring is drawn over the travel from standstill first: where its free length lies a drive hardly "
-        "sees, since at rest every spring carries the same load; the second picture shows what that leaves open."
+        "Bands hold the force with a probability of 90 %. The drives excited the shaded range; beyond it a "
+        "characteristic is extrapolated from its neighbouring points by a prior of smooth slopes. A spring is drawn "
+        "over the travel from standstill first: its free length is hardly identifiable, since at rest every spring "
+        "carries the same load; the second picture includes that uncertainty."
     )
     return Section(
         "Characteristics",
@@ -293,7 +302,7 @@ def _evidence(result: CalibrationResult, axle: str) -> AxleEvidence:
         if spring and seen
         else None,
         velocity=_velocity(curves),
-        unexcited=[(kind, x) for kind, x in _dark(result, axle) if kind != "spring"],
+        unexcited=[(kind, x) for kind, x in _unidentified(result, axle) if kind != "spring"],
     )
 
 
@@ -308,7 +317,7 @@ def _whole_evidence(result: CalibrationResult) -> dict[str, AxleEvidence]:
             pull=_band(curves.get("damper_pull")),
             compression=spring.span if spring and math.isfinite(spring.span[0]) else None,
             velocity=_velocity(curves),
-            unexcited=_dark(result, axle),
+            unexcited=_unidentified(result, axle),
         )
     return found
 
@@ -326,12 +335,12 @@ def _velocity(curves: dict[str, CurveEstimate]) -> tuple[float, float] | None:
     return (-reach[0], reach[1]) if all(map(math.isfinite, reach)) else None
 
 
-def _dark(result: CalibrationResult, axle: str) -> list[tuple[str, float]]:
-    """Kind and abscissa of the points of an axle that were not excited."""
+def _unidentified(result: CalibrationResult, axle: str) -> list[tuple[str, float]]:
+    """Kind and abscissa of the points of an axle that the drives do not identify."""
     found = []
     for e in result.estimates:
         curve_key, _, index = e.key.rpartition(".force.")
-        if curve_key and not e.excited:
+        if curve_key and e.status in ("extrapolated", "kept", "not identified"):
             _, where, part = curve_key.split(".")
             if where == axle:
                 x = getattr(getattr(result.twin.vehicle, axle), part).points[0][int(index)]
@@ -354,45 +363,35 @@ def _parameter_section(result: CalibrationResult) -> Section:
                 value,
                 interval,
                 f"{short(e.lower)} to {short(e.upper)}",
-                _told(e),
+                Cell(e.status, _COLOURS[e.status], _MEANINGS[e.status]),
             ]
         )
-    columns = ["parameter", "started as", "found", "90 % interval", "bounds", "what the drives tell"]
+    columns = ["parameter", "started as", "found", "90 % interval", "bounds", "status"]
     text = (
-        "Values on a bound are coloured. An interval that does not hold its value says that the bounds or the search "
-        "kept it from where the drives want it."
+        "Values on a bound are coloured. An interval that does not hold its value shows that the bounds or the search "
+        "held it back."
     )
     return Section(
         "Parameters", text, Table(columns, rows, "Forces in N at the wheel, for one wheel; else SI units.")
     )
 
 
-def _told(e: Estimate) -> Cell:
-    if not e.excited:
-        return Cell("not excited", "soft", "the drives did not take the suspension there")
-    if not e.determined:
-        return Cell("little", "warn", "excited, and still the interval is wide")
-    if math.isfinite(e.low) and not e.low <= e.value <= e.high:
-        return Cell("something else", "bad", "the value lies outside the interval that the drives give")
-    return Cell("determined", "good")
-
-
 def _nuisance_section(result: CalibrationResult) -> Section:
     rows: list[Sequence[object]] = []
     for n in result.nuisances:
-        known = math.isfinite(n.sigma) and n.sigma < 0.7 * n.prior
+        identified = math.isfinite(n.sigma) and n.sigma**2 <= 0.5 * n.prior**2
         rows.append(
             [
                 n.name.replace("_", " "),
                 n.value,
                 n.sigma,
                 n.unit,
-                Cell("", "") if known else Cell("prior alone", "soft"),
+                Cell("", "") if identified else Cell("not identified", "soft"),
             ]
         )
     text = (
-        "Not the vehicle's: found on the way, so that the characteristics need not explain them. "
-        "They are not in the twin file."
+        "Errors of clock, map, mount and sensor, estimated together with the vehicle's parameters. They are not in "
+        "the twin file."
     )
     return Section("Nuisances", text, Table(["what", "found", "± (one sigma)", "unit", ""], rows))
 
@@ -400,7 +399,7 @@ def _nuisance_section(result: CalibrationResult) -> Section:
 def _search_section(result: CalibrationResult) -> Section:
     history = result.history
     if len(history) < 2:
-        return Section("The search", "It was over before it began.")
+        return Section("The search", "It ended before its first generation.")
     stages = []
     refined = np.flatnonzero(history[:, 3] == 1)
     if refined.size:

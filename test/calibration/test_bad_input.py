@@ -150,13 +150,13 @@ def test_in_g_is_converted_and_said(rough_case: Any, drive: Drive, calibrated: R
 
 
 def near_the_truth(case: Any, out: Path) -> None:
-    """What came out is no wrong calibration: its determined dampers are the true ones."""
+    """What came out is no wrong calibration: its identified dampers are the true ones."""
     found = load_twin(out).vehicle
     details = yaml.safe_load(details_path(out).read_text())
-    told = [p["key"] for p in details["parameters"] if p["determined"] and "damper" in p["key"]]
-    assert len(told) >= 6
+    sure = [p["key"] for p in details["parameters"] if p["status"] == "identified" and "damper" in p["key"]]
+    assert len(sure) >= 6
     errors = []
-    for key in told:
+    for key in sure:
         _, axle, part, _, index = key.split(".")
         ours, true = (getattr(getattr(v, axle), part).force[int(index)] for v in (found, case.truth.vehicle))
         errors.append(abs(ours / true - 1))

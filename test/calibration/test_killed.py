@@ -15,7 +15,7 @@ from suspension_twin.calibration.output import details_path
 
 THREADS = ("NUMBA_NUM_THREADS", "OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS")
 #: What of the state's folder has to be seen, how often, before the process is killed.
-MOMENTS = (("*.part", 2), ("state.yaml", 3))
+MOMENTS = (("*.part", 2), ("state.npz", 3))
 
 
 def command(case: Any, out: Path, *more: str) -> list[str]:
@@ -67,7 +67,7 @@ def test_killed_and_started_again_it_ends_with_the_same_bits(
     for (pattern, count), threads in zip(MOMENTS, (two, one), strict=True):
         assert killed(command(pass_case, broken, *more), state, pattern, count, threads)
         assert not broken.exists()
-    assert (state / "state.yaml").exists()
+    assert (state / "state.npz").exists()
     subprocess.run(command(pass_case, broken, *more), check=True, capture_output=True, env=two)
     assert not state.exists()
     assert broken.read_bytes() == whole.read_bytes()

@@ -3,21 +3,16 @@
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
-import yaml
 
-from suspension_twin.calibration.checkpoint import Checkpoint, State
-from suspension_twin.calibration.genetic import (
-    GaSettings,
-    GeneticSearch,
-    adaptive_feasible,
-    rank_expectation,
-    stochastic_uniform,
-)
+from suspension_twin.calibration.checkpoint import STATE, Checkpoint, State
+from suspension_twin.calibration.evolution import CmaSearch
+from suspension_twin.calibration.genetic import GaSettings, GeneticSearch
 from suspension_twin.calibration.pattern import PatternSearch, PatternSettings
 
 TARGET = np.linspace(0.2, 0.8, 6)
@@ -38,8 +33,9 @@ def test_the_papers_generation_is_15_parents_and_85_children() -> None:
     settings = GaSettings()
     assert settings.elite == 15
     search = GeneticSearch(6, settings, seed=3)
-    assert search.ask().shape == (100, 6)
-    search.tell(bowl(search._asked.get("X")))
+    first = search.ask()
+    assert first.shape == (100, 6)
+    search.tell(bowl(first))
     before, _ = search.state()
     order = np.argsort(before["costs"], kind="stable")[:15]
     children = search.ask()
@@ -101,23 +97,52 @@ def test_ga_continues_to_the_same_bits(tmp_path: Path) -> None:
         assert np.array_equal(second.state()[0][name], whole.state()[0][name])
 
 
-def test_selection_gives_each_its_share() -> None:
-    rng = np.random.default_rng(0)
-    expectation = rank_expectation(np.array([3.0, 1.0, 2.0, np.inf]))
-    np.testing.assert_allclose(expectation[[1, 2, 0, 3]] / expectation[1], 1 / np.sqrt([1, 2, 3, 4]))
-    counts = np.bincount(stochastic_uniform(expectation, 10_000, rng), minlength=4)
-    np.testing.assert_allclose(counts, 10_000 * expectation, atol=1.5)
+def test_children_stay_within_the_bounds_and_differ_from_each_other() -> None:
+    search = GeneticSearch(5, GaSettings(), seed=0)
+    search.tell(search.ask().sum(axis=1))  # the best lie in a corner of the bounds
+    for _ in range(10):
+        children = search.ask()
+        assert np.all((children >= 0) & (children <= 1))
+        assert len(np.unique(children, axis=0)) > 40
+        search.tell(children.sum(axis=1))
 
 
-def test_mutation_moves_and_stays_within_the_bounds() -> None:
-    rng = np.random.default_rng(0)
-    x = rng.random((50, 5))
-    x[0] = 0.0
-    for step in (1.0, 1e-2, 1e-5):
-        mutants = adaptive_feasible(x, step, rng)
-        assert np.all((mutants >= 0) & (mutants <= 1))
-        assert np.all(np.any(mutants != x, axis=1))
-        assert np.abs(mutants - x).max() <= 1.0 * np.sqrt(step) + step
+def test_cma_finds_the_minimum_and_ends() -> None:
+    search = CmaSearch(np.full(6, 0.5), 0.3, seed=1, population=12)
+    generations = 0
+    while not search.finished:
+        search.tell(bowl(search.ask()))
+        generations += 1
+    assert generations < 300 and search.best_point[1] < 1e-5 * bowl(np.full((1, 6), 0.5))[0]
+
+
+def test_cma_continues_to_the_same_bits_from_plain_arrays(tmp_path: Path) -> None:
+    def run(search: CmaSearch, generations: int) -> None:
+        for _ in range(generations):
+            costs = bowl(search.ask())
+            costs[3] = np.inf  # a failed candidate in every generation
+            search.tell(costs)
+
+    whole, first, second = (CmaSearch(np.full(6, 0.5), 0.3, seed=5, population=12) for _ in range(3))
+    run(whole, 12)
+    run(first, 5)
+    store = Checkpoint(tmp_path / "state", "problem")
+    store.save(State("evolution", *first.state()))
+    loaded = store.load()
+    assert loaded is not None
+    second.restore(loaded.arrays, loaded.plain)
+    run(second, 7)
+    assert np.array_equal(second.best_point[0], whole.best_point[0])
+    assert second.best_point[1] == whole.best_point[1]
+    assert np.array_equal(second.ask(), whole.ask())
+
+
+def test_cma_survives_a_generation_of_failures() -> None:
+    search = CmaSearch(np.full(6, 0.5), 0.3, seed=2, population=12)
+    search.tell(np.full(len(search.ask()), np.inf))
+    assert not np.isfinite(search.best_point[1])
+    search.tell(bowl(search.ask()))
+    assert np.isfinite(search.best_point[1])
 
 
 def test_pattern_search_reaches_a_corner_and_an_inner_minimum() -> None:
@@ -144,7 +169,8 @@ def test_pattern_search_keeps_to_its_evaluations_and_continues() -> None:
     part = PatternSearch(start, float(bowl(start[None])[0]), settings)
     for _ in range(3):
         part.tell(bowl(part.ask()))
-    again = PatternSearch.restore(*part.state(), settings)
+    again = PatternSearch(start, np.inf, settings)
+    again.restore(*part.state())
     while not again.finished:
         again.tell(bowl(again.ask()))
     assert np.array_equal(again.x, whole.x) and again.cost == whole.cost
@@ -160,15 +186,16 @@ def test_a_checkpoint_is_whole_or_not_there(tmp_path: Path) -> None:
     assert state is not None
     np.testing.assert_array_equal(state.arrays["x"], [np.e, np.nan])
     assert state.plain == {"number": 0.1 + 0.2, "large": 2**127, "none": np.inf, "list": [1, [2, 3]]}
-    assert len(list((tmp_path / "state").iterdir())) == 2
+    assert [p.name for p in (tmp_path / "state").iterdir()] == [STATE]
     assert Checkpoint(tmp_path / "state", "another").load() is None
-    for damage in (
-        "format: 1\n",
-        "- [",
-        "format: 1\nfingerprint: one\nstage: x\narrays: no.npz\nplain: {}\n",
-    ):
-        (tmp_path / "state" / "state.yaml").write_text(damage)
+    whole = (tmp_path / "state" / STATE).read_bytes()
+    for damage in (b"", b"PK", whole[: len(whole) // 2], b"format: 1"):
+        (tmp_path / "state" / STATE).write_bytes(damage)
         assert store.load() is None
+    np.savez(tmp_path / "state" / STATE, index=np.array('{"format": 1}'))
+    assert store.load() is None
+    np.savez(tmp_path / "state" / STATE, x=np.array([{"an": "object"}], dtype=object))
+    assert store.load() is None  # a pickle is not loaded
     store.remove()
     assert not (tmp_path / "state").exists()
 
@@ -177,10 +204,10 @@ def test_a_state_can_be_read_with_plain_tools(tmp_path: Path) -> None:
     search = GeneticSearch(6, GaSettings(population=10), seed=5)
     run_ga(search, 2)
     Checkpoint(tmp_path, "x").save(State("search", *search.state()))
-    index = yaml.safe_load((tmp_path / "state.yaml").read_text())
-    with np.load(tmp_path / index["arrays"], allow_pickle=False) as arrays:
+    with np.load(tmp_path / STATE, allow_pickle=False) as arrays:
         assert arrays["population"].shape == (10, 6)
-    assert index["plain"]["generation"] == 2
+        index = json.loads(str(arrays["index"]))
+    assert index["stage"] == "search" and index["plain"]["evaluations"] == 10 + 8
 
 
 def test_a_folder_that_cannot_be_is_named(tmp_path: Path) -> None:

@@ -95,8 +95,8 @@ def test_the_colours_go_from_green_over_yellow_to_red():
 def test_diagnostics_warn_while_the_gap_is_beyond_what_the_calibration_left(bench, flat_twin):
     details(
         flat_twin,
-        {"gap_after": {"rms": 0.05}, "left_without_nuisances": 0.10, "correlation": 0.999},
-        {"gap_after": {"rms": 0.07}, "left_without_nuisances": None, "correlation": None},
+        {"gap_after": {"rms": 0.05}, "residual_with_nuisances_corrected": 0.10, "correlation": 0.999},
+        {"gap_after": {"rms": 0.07}, "residual_with_nuisances_corrected": None, "correlation": None},
     )
     model = bench.make(SuspensionModelNode, twin=str(flat_twin), gap__window=4.0)
     drive_over(model, bad=(0.0, 0.0), seconds=4.0)
