@@ -19,10 +19,11 @@ from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from rclpy.clock import Clock, JumpThreshold, TimeJump
 from rclpy.clock_type import ClockType
 from rclpy.duration import Duration
-from rclpy.event_handler import PublisherEventCallbacks
+from rclpy.event_handler import PublisherEventCallbacks, SubscriptionEventCallbacks
 from rclpy.node import Node
 from rclpy.publisher import Publisher
 from rclpy.qos_overriding_options import QoSOverridingOptions
+from rclpy.subscription import Subscription
 
 from suspension_twin.nodes.parameters import Param, ParameterSet, Values
 from suspension_twin.nodes.topics import (
@@ -189,10 +190,15 @@ class TwinNode(Node):  # type: ignore[misc]
     # What a subclass uses
 
     def create_publisher(self, *args: Any, **keywords: Any) -> Publisher:
-        """As in the base class, without events of the quality of service: rclpy serves each of them in Python for
-        every callback. A subscriber that asks for another quality reports that itself."""
+        """As in the base class, without events of the quality of service, which rclpy handles in Python at every
+        callback: half of its time. Of incompatible profiles the node at the other end warns."""
         events = PublisherEventCallbacks(use_default_callbacks=False)
         return super().create_publisher(*args, event_callbacks=events, **keywords)
+
+    def create_subscription(self, *args: Any, **keywords: Any) -> Subscription:
+        """As in the base class, without events of the quality of service, see :meth:`create_publisher`."""
+        events = SubscriptionEventCallbacks(use_default_callbacks=False)
+        return super().create_subscription(*args, event_callbacks=events, **keywords)
 
     def listen(
         self, kind: type, topic: str, handler: Callable[[Any, int], None], *, expected: bool = True
