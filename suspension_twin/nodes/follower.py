@@ -106,7 +106,7 @@ def _interpolated(a: PlanarRow, b: PlanarRow, ns: int) -> PlanarRow:
     share = (ns - a.ns) / (b.ns - a.ns)
     b = b._replace(yaw=a.yaw + math.remainder(b.yaw - a.yaw, 2.0 * math.pi))
     between = (p + share * (q - p) for p, q in zip(a[1:-1], b[1:-1], strict=True))
-    return PlanarRow(ns, *between, known=a.known and b.known)
+    return PlanarRow._make((ns, *between, a.known and b.known))
 
 
 class Follower:

@@ -97,7 +97,7 @@ def test_alone_and_over_the_wire_the_nodes_say_the_same(composed, bench, twin_pa
     end = time.monotonic() + 60.0
     while len(outer["twin"]) < len(inner["twin"]):
         assert time.monotonic() < end, f"{len(outer['twin'])} of {len(inner['twin'])}"
-        bench.executor.spin_once(timeout_sec=min(player.play(), 0.01))
+        bench.spin(min(player.play(), 0.01))
     assert outer["measured"] == inner["measured"]
     assert [s for s, _ in outer["twin"]] == [s for s, _ in inner["twin"]]
     # A fix may come before or after the sample it belongs to, which moves the pose by millimetres.
