@@ -68,8 +68,8 @@ def relay(control: Connection) -> None:
 
 def twin(control: Connection) -> None:
     """The four nodes in one process."""
-    from suspension_twin.nodes._main import ros_context
     from suspension_twin.nodes.composed import Composed
+    from suspension_twin.nodes.process import ros_context
 
     with ros_context(QUIET) as context:
         composed = Composed(context, twin_file(), namespace="twin")
@@ -97,12 +97,11 @@ class Driver:
     def __init__(self, system: str) -> None:
         import rclpy
         from geometry_msgs.msg import AccelStamped, TwistStamped
+        from rclpy.executors import SingleThreadedExecutor
         from sensor_msgs.msg import Imu, NavSatFix, NavSatStatus
 
-        from suspension_twin.nodes._executor import TwinExecutor
-
         self.node = rclpy.create_node("driver", namespace=system)
-        self.executor = TwinExecutor()
+        self.executor = SingleThreadedExecutor()
         self.executor.add_node(self.node)
         self.imu, self.fix, self.vel = Imu(), NavSatFix(), TwistStamped()
         self.imu.header.frame_id, self.fix.header.frame_id = "imu_link", "gps_link"
@@ -173,10 +172,10 @@ def listen_to_all(control: Connection) -> None:
     import rclpy
     from geometry_msgs.msg import AccelStamped, PoseStamped
     from nav_msgs.msg import Odometry
+    from rclpy.executors import SingleThreadedExecutor
     from sensor_msgs.msg import Imu, JointState
     from tf2_msgs.msg import TFMessage
 
-    from suspension_twin.nodes._executor import TwinExecutor
     from suspension_twin_interfaces.msg import Gap
 
     rclpy.init(args=[])
@@ -192,7 +191,7 @@ def listen_to_all(control: Connection) -> None:
         (Gap, "twin/gap"),
     ):
         node.create_subscription(kind, topic, lambda _: None, 100)
-    executor = TwinExecutor()
+    executor = SingleThreadedExecutor()
     executor.add_node(node)
     _serve(control, lambda: executor.spin_once(timeout_sec=0.1))
 
@@ -303,8 +302,8 @@ def synthetic_hour(seconds: float, rate: float = 100.0) -> Any:
 
 def measure_memory(seconds: float) -> dict[str, Any]:
     """Resident memory while ``seconds`` of driving are replayed at full speed."""
-    from suspension_twin.nodes._main import ros_context
     from suspension_twin.nodes.composed import Composed, Playback
+    from suspension_twin.nodes.process import ros_context
 
     drive = synthetic_hour(seconds)
     marks: list[tuple[float, float]] = []

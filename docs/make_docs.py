@@ -43,7 +43,7 @@ def _commands() -> str:
 
 
 def _parameters() -> str:
-    from suspension_twin.nodes._base import COMMON
+    from suspension_twin.nodes.base import COMMON
     from suspension_twin.nodes.calibrator import CalibratorNode
     from suspension_twin.nodes.imu_ingest import ImuIngestNode
     from suspension_twin.nodes.pose_injector import PoseInjectorNode

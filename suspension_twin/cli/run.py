@@ -61,9 +61,9 @@ def command(
     from suspension_twin.vehicle.twin import load_twin
 
     load_twin(twin)
-    from suspension_twin.nodes._main import check_arguments, ros_context, stopping
-    from suspension_twin.nodes._param_file import check_names, read_param_file
     from suspension_twin.nodes.composed import Composed, check_namespace
+    from suspension_twin.nodes.parameters import check_names, read_param_file
+    from suspension_twin.nodes.process import check_arguments, ros_context, stopping
 
     check_namespace(namespace)
     wanted = {} if params is None else read_param_file(params)

@@ -17,13 +17,13 @@ from suspension_twin.arrays import Floats
 from suspension_twin.drive.read import read_drive
 from suspension_twin.drive.types import Drive
 from suspension_twin.errors import InputError, WorkError
-from suspension_twin.nodes.answers import CalibrateAnswer, Feedback, Replay
 from suspension_twin.report.characteristics import static_compression
 from suspension_twin.road import Road, load_road
 from suspension_twin.vehicle.twin import Datum, RoadFile, Twin, load_twin, save_twin
 
 if TYPE_CHECKING:
-    from suspension_twin.nodes.session import Session
+    from suspension_twin.calibration.request import Progress as CalibrationProgress
+    from suspension_twin.nodes.session import CalibrateAnswer, Replay, Session
 
 __all__ = ["DRIVES", "LEARNT", "UNSEEN", "DemoResult", "Outcome", "Progress", "run_demo"]
 
@@ -80,7 +80,7 @@ class DemoResult:
     after: dict[str, Outcome] = field(default_factory=dict)
     truth: dict[str, Outcome] = field(default_factory=dict)
     excited: dict[str, tuple[tuple[float, float], tuple[float, float]]] = field(default_factory=dict)
-    history: list[Feedback] = field(default_factory=list)
+    history: list[CalibrationProgress] = field(default_factory=list)
     calibration: CalibrateAnswer | None = None
     seconds: float = 0.0
 
@@ -196,14 +196,14 @@ def _calibrate(
 ) -> CalibrateAnswer:
     began = time.monotonic()
 
-    def heard(word: Feedback) -> None:
+    def heard(word: CalibrationProgress) -> None:
         result.history.append(word)
         spent = time.monotonic() - began
         share = spent / (spent + word.seconds_left) if np.isfinite(word.seconds_left) else 0.0
         cost = f", best cost {word.best_cost:.4g}" if np.isfinite(word.best_cost) else ""
         progress.share(share, f"{word.stage}, generation {word.generation}{cost}")
 
-    return ros.calibrate(twin, [bag], output, seed=seed, on_feedback=heard)
+    return ros.calibrate(twin, [bag], output, seed=seed, on_progress=heard)
 
 
 def _excited(result: DemoResult) -> dict[str, tuple[tuple[float, float], tuple[float, float]]]:

@@ -7,7 +7,7 @@ import math
 import sys
 import time
 from collections import deque
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from functools import partial
 from typing import Any
@@ -17,48 +17,97 @@ from rclpy.clock import Clock
 from rclpy.clock_type import ClockType
 from rclpy.task import Future
 
+from suspension_twin.calibration.request import Progress
 from suspension_twin.errors import SuspensionTwinError
-from suspension_twin.nodes._actions import CALIBRATE, DIAGNOSE, Action
-from suspension_twin.nodes._base import Embedding, TwinNode
-from suspension_twin.nodes._files import TWIN, twin_of
-from suspension_twin.nodes._health import OK, WARN
-from suspension_twin.nodes._main import run_alone
-from suspension_twin.nodes._parameters import Param, Values
-from suspension_twin.nodes._worker import Work, Worker
+from suspension_twin.nodes.base import TwinNode
+from suspension_twin.nodes.jobs import (
+    DiagnosisStep,
+    Job,
+    Outcome,
+    Work,
+    Worker,
+    calibration_job,
+    diagnosis_job,
+    run_calibration,
+    run_diagnosis,
+)
+from suspension_twin.nodes.parameters import TWIN, Param, Values, twin_of
+from suspension_twin.nodes.process import run_alone
+from suspension_twin.nodes.topics import OK, WARN, Embedding
+from suspension_twin_interfaces.action import Calibrate, Diagnose
 
 __all__ = ["CalibratorNode", "main"]
 
-#: How often the worker is listened to, in s.
+#: Period in s at which the worker's messages are read.
 _TICK = 0.02
+
+
+@dataclass(frozen=True)
+class Action:
+    """One action. ``job_of(goal, twin file, threads)`` raises InputError for a wrong goal; ``work`` turns the job
+    into the fields of the action's result and reports one ``step`` after the other, which have the fields of its
+    feedback. ``describe`` puts a step in words. ``has_partial``: a cancelled job returns its best result so far."""
+
+    kind: Any
+    name: str
+    job_of: Callable[[Any, str, int], Job]
+    work: Work
+    step: Callable[..., Any]
+    describe: Callable[[Any], str]
+    has_partial: bool
+
+
+ACTIONS = (
+    Action(
+        Calibrate,
+        "calibrate",
+        calibration_job,
+        run_calibration,
+        Progress,
+        lambda step: f"generation {step.generation}, best cost {step.best_cost:.4g}",
+        has_partial=True,
+    ),
+    Action(
+        Diagnose,
+        "diagnose",
+        diagnosis_job,
+        run_diagnosis,
+        DiagnosisStep,
+        lambda step: f"{100 * step.progress:.0f} %",
+        has_partial=False,
+    ),
+)
 
 
 @dataclass
 class _Running:
-    """One goal on its way. What the worker says in one breath is told tick by tick, and the outcome after
-    it: a client that gets several at once loses those that the result overtakes."""
+    """The goal being worked on. Steps that the worker reports at once are sent tick by tick, and the outcome after
+    them: a client that gets several messages at once loses those that the result overtakes."""
 
     action: Action
     goal: ServerGoalHandle
     worker: Worker
     finished: Future
-    untold: deque[Any] = field(default_factory=deque)
-    outcome: Any = None
+    steps: deque[Any] = field(default_factory=deque)
+    outcome: Outcome | None = None
     give_up_at: float = math.inf
+
+    def fail(self, message: str) -> None:
+        """End without a result."""
+        self.outcome = {"success": False, "message": message}
 
 
 class CalibratorNode(TwinNode):
-    """One goal at a time, calibration or diagnosis, in a process of its own."""
+    """One goal at a time, calibration or diagnosis, in a worker process."""
 
     parameters = (
         TWIN,
-        Param(
-            "threads", 0, "Threads that a calibration or diagnosis may use; 0: all of the machine's.", 0, 1024
-        ),
+        Param("threads", 0, "Threads that a calibration or diagnosis may use; 0: one per core.", 0, 1024),
         Param(
             "cancel_patience",
             10.0,
-            "Seconds that a cancelled calibration is given to hand over its best so far; then it is ended. A "
-            "cancelled diagnosis has nothing to hand over and is ended at once.",
+            "Time in s that a cancelled calibration is given to return its best result so far; then its process is "
+            "ended. A cancelled diagnosis has no partial result and is ended at once.",
             0.0,
             600.0,
         ),
@@ -67,28 +116,28 @@ class CalibratorNode(TwinNode):
     def __init__(self, embedding: Embedding | None = None, works: Mapping[str, Work] | None = None) -> None:
         super().__init__("calibrator", embedding)
         #: What the worker does for a goal, by the name of the action.
-        self.works: dict[str, Work] = {a.name: a.work for a in (CALIBRATE, DIAGNOSE)} | dict(works or {})
+        self.works: dict[str, Work] = {a.name: a.work for a in ACTIONS} | dict(works or {})
         self._running: _Running | None = None
         self._timer: Any = None
-        self._servers = [self._serve(action) for action in (CALIBRATE, DIAGNOSE)]
+        self._servers = [
+            ActionServer(
+                self,
+                action.kind,
+                action.name,
+                partial(self._execute, action),
+                goal_callback=partial(self._on_goal, action),
+                cancel_callback=self._on_cancel,
+            )
+            for action in ACTIONS
+        ]
         self.health.values["state"] = "idle"
-
-    def _serve(self, action: Action) -> ActionServer:
-        return ActionServer(
-            self,
-            action.kind,
-            action.name,
-            partial(self._execute, action),
-            goal_callback=partial(self._on_goal, action),
-            cancel_callback=self._on_cancel,
-        )
 
     def check(self, values: Values) -> None:
         """See the base class."""
         twin_of(values)
 
     def destroy_node(self) -> None:
-        """See the base class; what is on its way is given up."""
+        """See the base class; a running worker is ended."""
         if self._running is not None:
             self._running.worker.kill()
             self._running = None
@@ -97,35 +146,31 @@ class CalibratorNode(TwinNode):
         super().destroy_node()  # type: ignore[no-untyped-call]
 
     def _busy(self) -> str:
-        running = self._running
-        return (
-            ""
-            if running is None
-            else f"one {running.action.noun} is running: cancel it or wait for its result"
-        )
+        name = "" if self._running is None else self._running.action.name
+        return f"a goal of {name} is running: cancel it or wait for its result"
 
     def _on_goal(self, action: Action, _goal: Any) -> GoalResponse:
-        if self._running is not None:
-            self.note("refused goal", WARN, f"{action.name}: refused a second goal, {self._busy()}")
-            return GoalResponse.REJECT
-        return GoalResponse.ACCEPT
+        if self._running is None:
+            return GoalResponse.ACCEPT
+        self.note("rejected goals", WARN, f"{action.name}: goal rejected, {self._busy()}")
+        return GoalResponse.REJECT
 
     def _on_cancel(self, goal: ServerGoalHandle) -> CancelResponse:
         running = self._running
         if running is not None and running.goal.goal_id == goal.goal_id:
             running.worker.stop()
-            patience = self.values["cancel_patience"] if running.action.hands_over else 0.0
+            patience = self.values["cancel_patience"] if running.action.has_partial else 0.0
             running.give_up_at = time.monotonic() + patience
         return CancelResponse.ACCEPT
 
     async def _execute(self, action: Action, goal: ServerGoalHandle) -> Any:
-        if self._running is not None:  # two goals in one breath, both accepted before either began
+        if self._running is not None:  # two goals accepted before either began
             goal.abort()
             return action.kind.Result(message=self._busy())
         try:
             job = action.job_of(goal.request, self.values["twin"], self.values["threads"])
         except SuspensionTwinError as error:
-            self.note("refused goal", WARN, f"{action.name}: {error}")
+            self.note("rejected goals", WARN, f"{action.name}: {error}")
             goal.abort()
             return action.kind.Result(message=str(error))
         worker = Worker(self.works[action.name], job)
@@ -135,13 +180,14 @@ class CalibratorNode(TwinNode):
         outcome = await self._running.finished
         if goal.is_cancel_requested:
             goal.canceled()
-        elif outcome.success:
+        elif outcome["success"]:
             goal.succeed()
         else:
             goal.abort()
-        self.note(action.noun, OK if outcome.success else WARN, f"{action.name}: {outcome.message}")
+        level = OK if outcome["success"] else WARN
+        self.note(f"goals of {action.name}", level, f"{action.name}: {outcome['message']}")
         self.health.values["state"] = "idle"
-        return action.result(outcome)
+        return action.kind.Result(**outcome)
 
     def _tick(self) -> None:
         running = self._running
@@ -149,46 +195,47 @@ class CalibratorNode(TwinNode):
             return
         try:
             self._listen(running)
-            told = bool(running.untold)
-            for _ in range(min(len(running.untold), 1 + len(running.untold) // 10)):
-                self._feed_back(running, running.untold.popleft())
-        except Exception as error:  # whatever happens, the client gets its answer
-            running.outcome, told = running.action.failed(f"{type(error).__name__}: {error}"), False
-        if running.outcome is not None and not told:
-            self._finish(running, running.outcome)
+            pending = bool(running.steps)
+            for _ in range(min(len(running.steps), 1 + len(running.steps) // 10)):
+                self._feed_back(running, running.steps.popleft())
+        except Exception as error:  # the client gets a result in any case
+            running.fail(f"{type(error).__name__}: {error}")
+            pending = False
+        if running.outcome is not None and not pending:
+            self._finish(running)
 
     def _listen(self, running: _Running) -> None:
-        if running.outcome is not None:
-            return
-        for news in running.worker.news():
+        for news in running.worker.news() if running.outcome is None else ():
             if news.kind == "progress":
-                running.untold.append(news.content)
-                continue
-            running.outcome = news.content if news.kind == "done" else running.action.failed(news.content)
-            return
-        if time.monotonic() >= running.give_up_at:
-            running.untold.clear()
-            running.outcome = running.action.failed(running.action.given_up)
+                running.steps.append(news.content)
+            elif news.kind == "done":
+                running.outcome = news.content
+            elif running.outcome is None:
+                running.fail(news.content)
+        if running.outcome is None and time.monotonic() >= running.give_up_at:
+            running.steps.clear()
+            late = "no result within cancel_patience" if running.action.has_partial else "nothing was written"
+            running.fail(f"cancelled: {late}")
 
     def _feed_back(self, running: _Running, step: Any) -> None:
-        self.health.values["state"] = running.action.said(step)
-        feedback = running.action.feedback(step)
+        note = f" ({step.note})" if step.note else ""
+        self.health.values["state"] = f"{step.stage}{note}, {running.action.describe(step)}"
+        feedback = running.action.kind.Feedback()
         feedback.header.stamp = self.stamp_now()
+        for name in feedback.get_fields_and_field_types().keys() - {"header"}:
+            setattr(feedback, name, getattr(step, name))
         running.goal.publish_feedback(feedback)
 
-    def _finish(self, running: _Running, outcome: Any) -> None:
+    def _finish(self, running: _Running) -> None:
         self._running = None
         self.destroy_timer(self._timer)
         running.worker.kill()
-        running.finished.set_result(outcome)
+        running.finished.set_result(running.outcome)
         if self.executor is not None:
             self.executor.wake()
 
 
-def main(args: list[str] | None = None) -> Any:
-    """Run the node in a process of its own."""
-    return run_alone(CalibratorNode, args)
-
+main = partial(run_alone, CalibratorNode)
 
 if __name__ == "__main__":
     sys.exit(main())

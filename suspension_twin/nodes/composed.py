@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The four nodes in one process, on one thread, handing each other their messages directly."""
+"""The four nodes in one process, on one thread, passing their messages on directly."""
 
 from __future__ import annotations
 
@@ -10,21 +10,20 @@ from pathlib import Path
 
 from rclpy.context import Context
 from rclpy.exceptions import InvalidNamespaceException
+from rclpy.executors import SingleThreadedExecutor
 from rclpy.parameter import Parameter
 from rclpy.validate_namespace import validate_namespace
 
 from suspension_twin.drive.types import Drive
 from suspension_twin.errors import InputError
-from suspension_twin.nodes._base import Embedding, TwinNode
-from suspension_twin.nodes._executor import TwinExecutor
-from suspension_twin.nodes._health import ERROR
-from suspension_twin.nodes._links import Outbox
-from suspension_twin.nodes._main import WAIT
+from suspension_twin.nodes.base import TwinNode
 from suspension_twin.nodes.calibrator import CalibratorNode
 from suspension_twin.nodes.imu_ingest import ImuIngestNode
 from suspension_twin.nodes.player import BagPlayer
 from suspension_twin.nodes.pose_injector import PoseInjectorNode
+from suspension_twin.nodes.process import WAIT
 from suspension_twin.nodes.suspension_model import SuspensionModelNode
+from suspension_twin.nodes.topics import ERROR, Embedding, Outbox
 
 __all__ = ["LINKS", "Composed", "Condition", "Playback", "check_namespace"]
 
@@ -34,14 +33,14 @@ KINDS = {
     "suspension_model": SuspensionModelNode,
     "calibrator": CalibratorNode,
 }
-#: What is handed on within the process: topic, from whom, to whom. No subscription is made for
-#: these, so a publisher outside that uses the same topic is not heard.
+#: Topics passed on within the process: topic, sender, receiver. No subscription is made for them, so
+#: another publisher of the same topic is ignored.
 LINKS = (
     ("imu/data", "imu_ingest", "pose_injector"),
     ("twin/odom", "pose_injector", "suspension_model"),
     ("imu/vertical_acceleration", "imu_ingest", "suspension_model"),
 )
-#: With a recording the player takes the place of the sensors.
+#: In a playback the player takes the place of the sensors.
 PLAYED = (
     ("imu/data_raw", "bag_player", "imu_ingest"),
     ("fix", "bag_player", "pose_injector"),
@@ -52,8 +51,8 @@ PLAYED = (
 
 @dataclass(frozen=True)
 class Playback:
-    """A drive to play, at ``rate`` times real time (``math.inf``: full speed), once or for ever, the first
-    time after ``delay`` s."""
+    """A drive to play at ``rate`` times real time (``math.inf``: full speed), once or in a ``loop``, beginning
+    after ``delay`` s."""
 
     drive: Drive
     rate: float = 1.0
@@ -63,9 +62,9 @@ class Playback:
 
 @dataclass(frozen=True)
 class Condition:
-    """How a running twin fares: ``rates`` Hz by short name; ``gap`` m/s² and ``normalised``, None while not
-    known; ``complaints`` worst first, ``failing`` whether one is an error; ``position`` and ``duration`` s of a
-    playback and its ``rounds`` done, None when live."""
+    """State of a running twin: ``rates`` Hz by short name; ``gap`` m/s² and ``normalised``, None while not
+    known; ``complaints`` errors first, ``failing`` whether one is an error; ``position`` and ``duration`` s of a
+    playback, None when live, and its ``rounds`` done."""
 
     rates: dict[str, float]
     samples: int
@@ -80,7 +79,7 @@ class Condition:
 
 
 def check_namespace(namespace: str) -> None:
-    """Raise InputError for what cannot be a namespace."""
+    """Raise InputError for an invalid namespace."""
     try:
         validate_namespace(f"/{namespace.strip('/')}")
     except InvalidNamespaceException as error:
@@ -96,7 +95,7 @@ class Composed:
     ) -> None:
         outbox = Outbox()
         links = LINKS + (PLAYED if playback else ())
-        self.executor = TwinExecutor(context=context)
+        self.executor = SingleThreadedExecutor(context=context)
         self.nodes: dict[str, TwinNode] = {}
         self.player: BagPlayer | None = None
         parameters = [Parameter("twin", value=str(twin_file))]
@@ -108,38 +107,29 @@ class Composed:
                 embedding = Embedding(
                     context, namespace, tuple(parameters), linked, outbox, clock_jumps=playback is None
                 )
-                self._add(name, kind(embedding))
+                self.nodes[name] = kind(embedding)
+                self.executor.add_node(self.nodes[name])
+            senders: dict[str, TwinNode | BagPlayer] = dict(self.nodes)
             if playback:
                 embedding = Embedding(context, namespace, outbox=outbox)
-                self.player = BagPlayer(
+                self.player = senders["bag_player"] = BagPlayer(
                     playback.drive, playback.rate, playback.loop, embedding, playback.delay
                 )
+                self.player.watched = [o.publisher for n in self.nodes.values() for o in n.outputs.values()]
                 self.executor.add_node(self.player)
-            self._link(links)
+            for topic, sender, receiver in links:
+                senders[sender].outputs[topic].links.append(self.nodes[receiver].inputs[topic].deliver)
         except BaseException:
             self.close()
             raise
 
-    def _add(self, name: str, node: TwinNode) -> None:
-        self.nodes[name] = node
-        self.executor.add_node(node)
-
-    def _link(self, links: tuple[tuple[str, str, str], ...]) -> None:
-        for topic, sender, receiver in links:
-            outputs = (
-                self.player.outputs if sender == "bag_player" and self.player else self.nodes[sender].outputs
-            )
-            outputs[topic].links.append(self.nodes[receiver].inputs[topic].deliver)
-        if self.player is not None:
-            self.player.watched = [o.publisher for n in self.nodes.values() for o in n.outputs.values()]
-
     @property
     def finished(self) -> bool:
-        """Whether a playback has come to its end."""
+        """Whether a playback has reached its end."""
         return self.player is not None and self.player.done
 
     def step(self, most: float = WAIT) -> None:
-        """Play what is due and serve what has come in; returns after ``most`` s at the latest."""
+        """Play the messages that are due and serve one callback; returns after ``most`` s at the latest."""
         pause = math.inf if self.player is None else self.player.play()
         self.executor.spin_once(timeout_sec=min(most, pause))
 
@@ -148,7 +138,7 @@ class Composed:
         return {name: node.list_parameters([], 0).names for name, node in self.nodes.items()}
 
     def condition(self) -> Condition:
-        """How it fares now; the rates are those of the last second."""
+        """The present state; the rates are those of the last second."""
         model, ingest = self.nodes["suspension_model"], self.nodes["imu_ingest"]
         assert isinstance(model, SuspensionModelNode)
         inputs = {t: i.state for node in self.nodes.values() for t, i in node.inputs.items()}
@@ -172,13 +162,13 @@ class Composed:
         )
 
     def settle_memory(self) -> None:
-        """What has been loaded stays: keep the garbage collector from walking through it, which takes
-        tens of milliseconds, in the middle of a drive."""
+        """Exclude the objects loaded so far from garbage collection, whose runs would take tens of milliseconds
+        during a drive."""
         gc.collect()
         gc.freeze()
 
     def close(self) -> None:
-        """Take everything down."""
+        """Shut everything down."""
         self.executor.shutdown()
         for node in (*self.nodes.values(), *([self.player] if self.player else [])):
             node.destroy_node()

@@ -1,26 +1,24 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The node that takes the IMU in: ``imu/data_raw`` to ``imu/data`` and ``imu/vertical_acceleration``.
+"""The node of the IMU: ``imu/data_raw`` to ``imu/data`` and ``imu/vertical_acceleration``.
 
-All that it knows about signals is :class:`~suspension_twin.signals.ingest.ImuIngest`.
+The signal processing is :class:`~suspension_twin.signals.ingest.ImuIngest`.
 """
 
 from __future__ import annotations
 
 import sys
 from collections.abc import Set as AbstractSet
-from typing import Any
+from functools import cache, partial
 
 from geometry_msgs.msg import AccelStamped
 from sensor_msgs.msg import Imu
 
 from suspension_twin.errors import InputError
 from suspension_twin.gap.mounting import turn_of
-from suspension_twin.nodes._base import Embedding, TwinNode
-from suspension_twin.nodes._files import FILTER, TWIN, filter_of, twin_of
-from suspension_twin.nodes._health import WARN
-from suspension_twin.nodes._main import run_alone
-from suspension_twin.nodes._parameters import Param, Values
-from suspension_twin.nodes._warm_up import warm_up_ingest
+from suspension_twin.nodes.base import TwinNode
+from suspension_twin.nodes.parameters import FILTER, TWIN, Param, Values, filter_of, twin_of
+from suspension_twin.nodes.process import run_alone
+from suspension_twin.nodes.topics import Embedding
 from suspension_twin.signals.ingest import ImuIngest, ImuSettings
 from suspension_twin.signals.standstill import StillLimits
 from suspension_twin.vehicle.twin import Place
@@ -29,6 +27,15 @@ __all__ = ["ImuIngestNode", "main"]
 
 _DEFAULT = ImuSettings()
 _STILL = StillLimits()
+#: Counters of the ingest that are reported while they grow.
+_COUNTED = {
+    "invalid": "IMU messages with a value that is not finite, dropped",
+    "saturated": "IMU samples at the end of the sensor's range (set a larger range)",
+    "late": "late IMU samples, dropped",
+    "duplicate": "IMU samples with a repeated stamp, dropped",
+    "missing": "missing IMU samples, interpolated",
+    "gaps": "gaps in the IMU samples, the filter restarted",
+}
 
 
 class ImuIngestNode(TwinNode):
@@ -37,26 +44,28 @@ class ImuIngestNode(TwinNode):
     parameters = (
         TWIN,
         *FILTER,
-        Param("base_frame", "base_link", "Frame of what is published.", read_only=True),
+        Param("base_frame", "base_link", "Frame of the published messages.", read_only=True),
         Param(
             "convert_units",
             _DEFAULT.convert_units,
-            "Take a sensor that sends g instead of m/s² times 9.80665.",
+            "Convert the data of a sensor that sends g instead of m/s² (factor 9.80665).",
         ),
         Param(
-            "restore_gravity", _DEFAULT.restore_gravity, "Put gravity back where the phone has removed it."
+            "restore_gravity",
+            _DEFAULT.restore_gravity,
+            "Add gravity to the data of a phone that has removed it.",
         ),
         Param(
             "level",
             _DEFAULT.level,
-            "Turn the sensor's axes upright by gravity: never (the twin file's mounting is the truth), gross (only "
-            "where it is more than 45 degrees off), always (any tilt seen at standstill).",
+            "Rotate the sensor's axes upright by gravity: never (the twin file's mounting is right), gross (only if "
+            "more than 45 degrees off), always (any tilt seen at standstill).",
             choices=("never", "gross", "always"),
         ),
         Param(
             "max_bias",
             _DEFAULT.max_bias,
-            "Horizontal reading at rest in m/s² up to which it is taken for a bias; more is a tilt.",
+            "Horizontal reading at rest in m/s² up to which it is treated as a bias; above, as a tilt.",
             0.001,
             5.0,
         ),
@@ -69,25 +78,25 @@ class ImuIngestNode(TwinNode):
             0.1,
             1000.0,
         ),
-        Param("still.window", _STILL.window, "Window in s over which a standstill is judged.", 0.1, 10.0),
+        Param("still.window", _STILL.window, "Window in s over which standstill is detected.", 0.1, 10.0),
         Param(
             "still.force",
             _STILL.force,
-            "Standard deviation in m/s² that a standing car stays below.",
+            "Standstill: largest standard deviation of the specific force in m/s².",
             0.001,
             5.0,
         ),
         Param(
             "still.rate",
             _STILL.rate,
-            "Standard deviation in rad/s that a standing car stays below.",
+            "Standstill: largest standard deviation of the angular rate in rad/s.",
             1e-5,
             1.0,
         ),
         Param(
             "still.turn",
             _STILL.turn,
-            "Mean rate in rad/s of a standing car: the gyroscope's bias.",
+            "Standstill: largest mean angular rate in rad/s, the gyroscope's bias.",
             1e-5,
             1.0,
         ),
@@ -95,13 +104,12 @@ class ImuIngestNode(TwinNode):
 
     def __init__(self, embedding: Embedding | None = None) -> None:
         super().__init__("imu_ingest", embedding)
-        warm_up_ingest()
+        _compile()
         self._data = Imu()
         self._data.header.frame_id = self.values["base_frame"]
         self._data.orientation_covariance[0] = -1.0
         self._vertical = AccelStamped()
         self._vertical.header.frame_id = self.values["base_frame"]
-        self._seen: dict[str, int] = {}
         self._data_out = self.offer(Imu, "imu/data")
         self._vertical_out = self.offer(AccelStamped, "imu/vertical_acceleration")
         self._start()
@@ -112,14 +120,14 @@ class ImuIngestNode(TwinNode):
         _settings(values)
 
     def changed(self, names: AbstractSet[str]) -> None:
-        """See the base class: the settings shape everything, so it starts afresh with them."""
+        """See the base class: any new setting resets the node."""
         if names & {p.name for p in self.parameters}:
             self._start()
 
     def _start(self) -> None:
         twin = twin_of(self.values)
         self._frame = None if twin is None else twin.imu.frame
-        # a tilt that the twin simulates is to be seen in the measured signals, and no news
+        # a tilt that the twin simulates is expected in the measured signals
         self._silent = (*_COUNTED, *(() if twin is None or turn_of(twin) is None else ("tilted",)))
         self._ingest = ImuIngest(_settings(self.values), Place() if twin is None else twin.imu)
         self.reset()
@@ -127,14 +135,15 @@ class ImuIngestNode(TwinNode):
     def reset(self) -> None:
         """See the base class."""
         self._ingest.reset()
-        self._seen.clear()
+        self._counted.clear()
 
     def _on_imu(self, message: Imu, ns: int) -> None:
         if message.header.frame_id != self._frame and self._frame is not None:
             self.note_frame("imu/data_raw", message.header.frame_id, self._frame)
         if message.linear_acceleration_covariance[0] == -1.0:
             raise InputError(
-                "imu/data_raw", "linear_acceleration is not reported (its covariance begins with -1)"
+                "imu/data_raw",
+                "message dropped: no linear_acceleration (linear_acceleration_covariance[0] is -1)",
             )
         a, w = message.linear_acceleration, message.angular_velocity
         out = self._ingest.push(ns / 1e9, (a.x, a.y, a.z), (w.x, w.y, w.z))
@@ -152,29 +161,12 @@ class ImuIngestNode(TwinNode):
 
     def report(self) -> None:
         """See the base class."""
-        ingest, health = self._ingest, self.health
-        found = [f for f in ingest.findings if f.code not in self._silent]
-        self.show_findings(found)
-        for code, text in _COUNTED.items():
-            count = ingest.counts[code]
-            new = count - self._seen.get(code, 0)
-            if new > 0:
-                self.note(code, WARN, f"imu/data_raw: {text}: {new}")
-            self._seen[code] = count
-        health.values["sample rate (Hz)"] = f"{ingest.rate:.2f}" if ingest.rate else "not known yet"
-        health.values["standing"] = str(ingest.standing)
-        health.values |= {f"samples {code}": str(count) for code, count in sorted(ingest.counts.items())}
-
-
-#: Counters of the ingest that are told while they grow.
-_COUNTED = {
-    "invalid": "messages with a number that is not finite, dropped",
-    "saturated": "samples at the end of the sensor's range (set a larger range)",
-    "late": "samples that came late, dropped",
-    "duplicate": "samples that repeat a stamp, dropped",
-    "missing": "missing samples, filled in",
-    "gaps": "pauses after which the filter started anew",
-}
+        ingest, values = self._ingest, self.health.values
+        self.show_findings(f for f in ingest.findings if f.code not in self._silent)
+        self.note_counts(ingest.counts, _COUNTED)
+        values["sample rate (Hz)"] = f"{ingest.rate:.2f}" if ingest.rate else "not known yet"
+        values["vehicle standing"] = str(ingest.standing)
+        values["IMU samples"] = str(ingest.counts["samples"])
 
 
 def _settings(values: Values) -> ImuSettings:
@@ -194,10 +186,15 @@ def _settings(values: Values) -> ImuSettings:
     )
 
 
-def main(args: list[str] | None = None) -> Any:
-    """Run the node in a process of its own."""
-    return run_alone(ImuIngestNode, args)
+@cache
+def _compile() -> None:
+    """Compile before the first message: a second of standstill."""
+    ingest = ImuIngest(ImuSettings(), Place())
+    for k in range(120):
+        ingest.push(1.0 + 0.01 * k, (0.0, 0.0, 9.81), (0.0, 0.0, 0.0))
 
+
+main = partial(run_alone, ImuIngestNode)
 
 if __name__ == "__main__":
     sys.exit(main())

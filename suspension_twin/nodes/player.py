@@ -1,10 +1,12 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Plays a recorded drive into the topics it came from, with ``/clock``, at any speed."""
+"""The node that replays a recorded drive on the topics of the sensors, with ``/clock``, at any speed."""
 
 from __future__ import annotations
 
 import math
 import time
+from collections.abc import Callable
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -19,17 +21,14 @@ from sensor_msgs.msg import Imu, NavSatFix
 from suspension_twin.arrays import Floats
 from suspension_twin.drive.repair import nanoseconds
 from suspension_twin.drive.types import Drive
-from suspension_twin.nodes._base import STREAM_QOS, Embedding
-from suspension_twin.nodes._links import Outbox, Output
-from suspension_twin.nodes._recorded import Fill, fill_fix, fill_heading, fill_imu, fill_velocity
+from suspension_twin.nodes.topics import NS, STREAM_QOS, Embedding, Outbox, Output
 
 __all__ = ["BagPlayer"]
 
-_NS = 1_000_000_000
-#: Most messages a second of real time on /clock.
+#: Largest rate of /clock in Hz of real time.
 _CLOCK_RATE = 100.0
-#: At full speed: seconds of work before the executor gets its turn, and samples before
-#: subscribers outside are waited for.
+#: At full speed: time in s before the executor gets its turn, and messages before the
+#: acknowledgement of subscribers is waited for.
 _SLICE = 0.02
 _UNACKNOWLEDGED = STREAM_QOS.depth // 2
 
@@ -37,9 +36,9 @@ _UNACKNOWLEDGED = STREAM_QOS.depth // 2
 class BagPlayer(Node):  # type: ignore[misc]
     """Publishes ``imu/data_raw``, ``fix``, ``vel``, ``heading`` in the order of their stamps.
 
-    ``rate`` times real time; ``math.inf`` as fast as the linked nodes take the messages and
-    subscribers outside acknowledge them, so that nothing is lost. With ``loop`` it begins again at
-    the end, and time jumps back. The first message waits for ``delay`` s, in which others find it.
+    ``rate`` times real time; ``math.inf`` as fast as the linked nodes take the messages and other
+    subscribers acknowledge them, so that nothing is lost. With ``loop`` it begins again at the end,
+    and time jumps back. The first message is sent after ``delay`` s, in which subscribers connect.
     """
 
     def __init__(
@@ -49,34 +48,31 @@ class BagPlayer(Node):  # type: ignore[misc]
             "bag_player",
             context=embedding.context,
             namespace=embedding.namespace or None,
-            use_global_arguments=embedding.use_global_arguments,
         )
         self.rate = rate
         self.loop = loop
         self.loops = 0
         self.done = False
-        #: Publishers whose subscribers full speed waits for.
+        #: Further publishers whose subscribers are waited for at full speed.
         self.watched: list[Publisher] = []
         self._outbox = embedding.outbox or Outbox()
         self._clock_out = self.create_publisher(Clock, "/clock", 10)
         self.outputs: dict[str, Output] = {}
-        fills = (
-            self._role(Imu, "imu/data_raw", fill_imu(drive)),
-            self._role(NavSatFix, "fix", fill_fix(drive)),
-            self._role(TwistStamped, "vel", fill_velocity(drive)),
-            self._role(QuaternionStamped, "heading", fill_heading(drive)),
+        heading = drive.heading
+        self._roles = (
+            self._role(Imu, "imu/data_raw", partial(_fill_imu, drive)),
+            self._role(NavSatFix, "fix", partial(_fill_fix, drive)),
+            self._role(TwistStamped, "vel", partial(_fill_velocity, drive)),
+            self._role(QuaternionStamped, "heading", partial(_fill_heading, drive)),
         )
-        stamps = [drive.imu.t, drive.fix.t, drive.velocity.t]
-        stamps.append(np.empty(0) if drive.heading is None else drive.heading.t)
-        self._fills = fills
+        stamps = [drive.imu.t, drive.fix.t, drive.velocity.t, np.empty(0) if heading is None else heading.t]
         self._ns, self._kind, self._index = _schedule(stamps)
         self.start = int(self._ns[0])
         self.end = int(self._ns[-1])
         self.reset(delay)
 
-    def _role(self, kind: type, topic: str, fill: Fill) -> tuple[Output, Any, Any]:
-        output = Output(self.create_publisher(kind, topic, STREAM_QOS), self._outbox)
-        self.outputs[topic] = output
+    def _role(self, kind: type, topic: str, fill: Callable[[Any, int], None]) -> tuple[Output, Any, Any]:
+        output = self.outputs[topic] = Output(self.create_publisher(kind, topic, STREAM_QOS), self._outbox)
         return output, kind(), fill
 
     def reset(self, delay: float = 0.0) -> None:
@@ -89,15 +85,16 @@ class BagPlayer(Node):  # type: ignore[misc]
     @property
     def position(self) -> float:
         """Seconds of the drive played so far."""
-        return (int(self._ns[min(self._next, self._ns.size - 1)]) - self.start) / _NS
+        return (int(self._ns[min(self._next, self._ns.size - 1)]) - self.start) / NS
 
     @property
     def duration(self) -> float:
         """Seconds of the whole drive."""
-        return (self.end - self.start) / _NS
+        return (self.end - self.start) / NS
 
     def play(self) -> float:
-        """Send what is due; seconds until something is due again (0 at full speed, inf at the end)."""
+        """Send all messages that are due; returns the time in s until the next one (0 at full speed, inf at the
+        end)."""
         if self.done:
             return math.inf
         until = time.monotonic() + _SLICE
@@ -106,7 +103,7 @@ class BagPlayer(Node):  # type: ignore[misc]
         while self._next < self._ns.size:
             now = time.monotonic()
             if self.rate < math.inf:
-                due = self._began + (int(self._ns[self._next]) - self.start) / _NS / self.rate
+                due = self._began + (int(self._ns[self._next]) - self.start) / NS / self.rate
                 if due > now:
                     self._send_clock(now)
                     return due - now
@@ -120,9 +117,9 @@ class BagPlayer(Node):  # type: ignore[misc]
 
     def _send(self, number: int) -> None:
         ns = int(self._ns[number])
-        output, message, fill = self._fills[self._kind[number]]
+        output, message, fill = self._roles[self._kind[number]]
         stamp = message.header.stamp
-        stamp.sec, stamp.nanosec = divmod(ns, _NS)
+        stamp.sec, stamp.nanosec = divmod(ns, NS)
         fill(message, int(self._index[number]))
         output.send(message)
         self._unacknowledged += 1
@@ -130,7 +127,7 @@ class BagPlayer(Node):  # type: ignore[misc]
             self.settle(1.0)
 
     def settle(self, patience: float) -> None:
-        """Wait until subscribers outside have acknowledged everything, at most ``patience`` s each."""
+        """Wait until all subscribers have acknowledged all messages, at most ``patience`` s per publisher."""
         self._unacknowledged = 0
         for publisher in (*self.watched, *(o.publisher for o in self.outputs.values())):
             if publisher.get_subscription_count():
@@ -141,12 +138,11 @@ class BagPlayer(Node):  # type: ignore[misc]
             return
         self._clock_due = now + 1.0 / _CLOCK_RATE
         if self.rate < math.inf:
-            ns = self.start + int((now - self._began) * self.rate * _NS)
-            ns = min(ns, self.end)
+            ns = min(self.start + int((now - self._began) * self.rate * NS), self.end)
         else:
             ns = int(self._ns[min(self._next, self._ns.size - 1)])
         message = Clock()
-        message.clock.sec, message.clock.nanosec = divmod(ns, _NS)
+        message.clock.sec, message.clock.nanosec = divmod(ns, NS)
         self._clock_out.publish(message)
 
     def _end(self) -> None:
@@ -160,7 +156,7 @@ class BagPlayer(Node):  # type: ignore[misc]
 
 
 def _schedule(stamps: list[Floats]) -> tuple[NDArray[np.int64], NDArray[np.int8], NDArray[np.int64]]:
-    """All messages in the order of their stamps; what was recorded late is sent late."""
+    """Stamps in ns, kinds and indices of all messages in the order in which they are sent: by stamp, late ones late."""
     ns = [nanoseconds(t) for t in stamps]
     when = [np.maximum.accumulate(part) if part.size else part for part in ns]
     kind = np.concatenate([np.full(part.size, k, dtype=np.int8) for k, part in enumerate(ns)])
@@ -168,3 +164,41 @@ def _schedule(stamps: list[Floats]) -> tuple[NDArray[np.int64], NDArray[np.int8]
     # The slower topics first: a fix belongs before the sample of the same stamp.
     order = np.lexsort((-kind, np.concatenate(when)))
     return np.concatenate(ns)[order], kind[order], index[order]
+
+
+def _fill_imu(drive: Drive, message: Imu, i: int) -> None:
+    imu = drive.imu
+    message.header.frame_id = imu.frame
+    a, w, q = message.linear_acceleration, message.angular_velocity, message.orientation
+    a.x, a.y, a.z = imu.specific_force[i].tolist()
+    w.x, w.y, w.z = imu.angular_rate[i].tolist()
+    if imu.orientation is None:
+        message.orientation_covariance[0] = -1.0
+    else:
+        q.x, q.y, q.z, q.w = imu.orientation[i].tolist()
+
+
+def _fill_fix(drive: Drive, message: NavSatFix, i: int) -> None:
+    fix = drive.fix
+    message.header.frame_id = fix.frame
+    message.latitude, message.longitude = float(fix.latitude[i]), float(fix.longitude[i])
+    message.altitude = float(fix.altitude[i])
+    message.status.status = int(fix.status[i])
+    variance = np.square(fix.sigma[i])
+    known = bool(np.isfinite(variance[:2]).all())
+    kind = NavSatFix.COVARIANCE_TYPE_DIAGONAL_KNOWN if known else NavSatFix.COVARIANCE_TYPE_UNKNOWN
+    message.position_covariance_type = kind
+    message.position_covariance[::4] = np.where(np.isfinite(variance), variance, 0.0) if known else 0.0
+
+
+def _fill_velocity(drive: Drive, message: TwistStamped, i: int) -> None:
+    message.header.frame_id = "enu"
+    v = message.twist.linear
+    v.x, v.y, v.z = drive.velocity.enu[i].tolist()
+
+
+def _fill_heading(drive: Drive, message: QuaternionStamped, i: int) -> None:
+    assert drive.heading is not None
+    message.header.frame_id = "map"
+    yaw = float(drive.heading.yaw[i])
+    message.quaternion.z, message.quaternion.w = math.sin(yaw / 2), math.cos(yaw / 2)

@@ -1,8 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The four nodes used as a client would use them: topics listened to, the action called.
-
-For programs that want the nodes' answers as arrays and have no business with ROS themselves.
-"""
+"""The four nodes for programs that want arrays and have no business with ROS: replays and calibrations."""
 
 from __future__ import annotations
 
@@ -11,29 +8,65 @@ import os
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+import rclpy
 from rclpy.action.client import ActionClient
 from rclpy.context import Context
 from rclpy.impl.logging_severity import LoggingSeverity
 from rclpy.logging import set_logger_level
-from rclpy.task import Future
 
+from suspension_twin.arrays import Floats
+from suspension_twin.calibration.request import Progress
 from suspension_twin.drive.types import Drive
 from suspension_twin.errors import WorkError
-from suspension_twin.nodes._listener import DEPTH, Listener
-from suspension_twin.nodes._main import ros_context
-from suspension_twin.nodes.answers import CalibrateAnswer, Feedback, Replay
 from suspension_twin.nodes.composed import Composed, Playback
+from suspension_twin.nodes.process import ros_context
 from suspension_twin_interfaces.action import Calibrate
 
-__all__ = ["Session", "session"]
+__all__ = ["CalibrateAnswer", "Replay", "Session", "session"]
 
-#: Seconds that the middleware is given to bring nodes or messages of one process together.
+#: Time in s that the middleware is given to connect client and server of one process.
 _PATIENCE = 20.0
 _DISCOVERY = "ROS_AUTOMATIC_DISCOVERY_RANGE"
+
+
+@dataclass(frozen=True, eq=False)
+class Replay:
+    """What the nodes published while a drive was played.
+
+    ``t`` (n,) s stamps that both signals have; ``measured`` and ``simulated`` (n,) m/s² from
+    ``imu/vertical_acceleration`` and ``twin/vertical_acceleration``. ``path`` (m, 6) from ``twin/odom``:
+    stamp, x and y (m), yaw (rad), speed (m/s), and the standard deviation of the yaw (rad), infinite
+    while it is not known. ``gap`` (k, 2) from ``twin/gap``: stamp, rms (m/s²). ``wall`` is the time in s
+    that it took.
+    """
+
+    t: Floats
+    measured: Floats
+    simulated: Floats
+    path: Floats
+    gap: Floats
+    wall: float
+
+
+@dataclass(frozen=True)
+class CalibrateAnswer:
+    """The result of the action ``calibrate``; ``values`` and ``excited`` by dotted key."""
+
+    message: str
+    output: Path
+    cost: float
+    initial_cost: float
+    evaluations: int
+    generations: int
+    values: dict[str, float]
+    excited: dict[str, bool]
+    wall: float
 
 
 class Session:
@@ -47,44 +80,30 @@ class Session:
         self,
         drive: Drive,
         twin_file: Path | str,
-        on_progress: Callable[[float], None] | None = None,
+        on_progress: Callable[[float], None] = lambda _: None,
         rate: float = math.inf,
     ) -> Replay:
-        """Play ``drive`` through the four nodes and listen; ``on_progress`` gets shares from 0 to 1.
+        """Play ``drive`` through the four nodes; ``on_progress`` gets shares from 0 to 1.
 
-        Raises InputError for a wrong twin file, WorkError where the nodes said nothing comparable.
+        Raises InputError for a wrong twin file, WorkError where nothing was simulated.
         """
         began = time.monotonic()
-        with self._composed(twin_file, Playback(drive, rate)) as (composed, client):
+        rows: dict[str, list[tuple[float, ...]]] = {topic: [] for topic in _COLUMNS}
+        with self._composed(twin_file, Playback(drive, rate)) as composed:
+            for node in composed.nodes.values():
+                for topic in rows.keys() & node.outputs.keys():
+                    node.outputs[topic].links.append(partial(_keep, rows[topic], _COLUMNS[topic]))
             player = composed.player
             assert player is not None
-            outputs = {
-                t: o for n in composed.nodes.values() for t, o in n.outputs.items() if t in client.rows
-            }
-            met = [o.publisher.get_subscription_count for o in outputs.values()]
-            self._serve(
-                composed, lambda: all(count() for count in met), "the middleware brought nobody together"
-            )
-
-            def behind() -> int:
-                return max(o.sent - len(client.rows[t]) for t, o in outputs.items())
-
-            lost = "messages of the nodes got lost"
-            player.reset()
             while not composed.finished:
                 composed.step()
-                # Full speed waits for messages to arrive, not for this client to take them.
-                self._serve(composed, lambda: behind() < DEPTH // 2, lost)
-                if on_progress is not None:
-                    on_progress(min(player.position / max(player.duration, 1e-9), 1.0))
-            self._serve(composed, lambda: behind() <= 0, lost)
-            measured = client.table("imu/vertical_acceleration", 2)
-            simulated = client.table("twin/vertical_acceleration", 2)
-            path = client.table("twin/odom", 6)
-            gap = client.table("twin/gap", 2)
+                on_progress(min(player.position / max(player.duration, 1e-9), 1.0))
+        tables = {topic: np.array(kept, dtype=np.float64) for topic, kept in rows.items()}
+        measured, simulated = tables["imu/vertical_acceleration"], tables["twin/vertical_acceleration"]
+        if not simulated.size:
+            raise WorkError(f"{drive.name}: none of {len(drive.imu)} IMU samples was simulated")
         t, at, also = np.intersect1d(measured[:, 0], simulated[:, 0], return_indices=True)
-        if not t.size:
-            raise WorkError(f"{drive.name}: the twin answered to none of {len(drive.imu)} samples")
+        path, gap = tables["twin/odom"], tables["twin/gap"].reshape(-1, 2)
         return Replay(t, measured[at, 1], simulated[also, 1], path, gap, time.monotonic() - began)
 
     def calibrate(
@@ -95,96 +114,98 @@ class Session:
         *,
         preset: str = "fast",
         seed: int = 0,
-        on_feedback: Callable[[Feedback], None] | None = None,
+        on_progress: Callable[[Progress], None] = lambda _: None,
     ) -> CalibrateAnswer:
         """Call the action ``calibrate`` and wait; interrupted, the goal is cancelled.
 
-        Raises WorkError with the action's own words where it does not succeed.
+        Raises WorkError with the action's message where it does not succeed.
         """
         began = time.monotonic()
+        steps = ("stage", "generation", "evaluations", "best_cost", "mean_cost", "seconds_left")
 
-        def heard(message: Any) -> None:
-            said = message.feedback
-            if on_feedback is not None:
-                on_feedback(
-                    Feedback(
-                        said.stage,
-                        said.generation,
-                        said.evaluations,
-                        said.best_cost,
-                        said.mean_cost,
-                        said.seconds_left,
-                    )
-                )
+        def on_feedback(message: Any) -> None:
+            on_progress(Progress(*(getattr(message.feedback, name) for name in steps)))
 
-        with self._composed(twin_file, None) as (composed, client):
+        goal = Calibrate.Goal(
+            twin=str(twin_file), bags=[str(b) for b in bags], output=str(output), preset=preset, seed=seed
+        )
+        with self._composed(twin_file, None) as composed:
+            client: Any = rclpy.create_node(
+                "session", context=self._context, namespace=self._namespace, use_global_arguments=False
+            )
+            composed.executor.add_node(client)
             action: Any = ActionClient(client, Calibrate, "calibrate")
             try:
-                self._serve(composed, action.server_is_ready, "the action calibrate was not found")
-                goal = Calibrate.Goal(
-                    twin=str(twin_file),
-                    bags=[str(b) for b in bags],
-                    output=str(output),
-                    preset=preset,
-                    seed=seed,
-                )
-                handle = self._wait(composed, action.send_goal_async(goal, feedback_callback=heard))
+                until = time.monotonic() + _PATIENCE
+                while not action.server_is_ready():
+                    if time.monotonic() > until:
+                        raise WorkError(f"the action calibrate was not found within {_PATIENCE:g} s")
+                    composed.step()
+                handle = _wait(composed, action.send_goal_async(goal, feedback_callback=on_feedback))
                 if not handle.accepted:
-                    raise WorkError("calibrate: the goal was refused, another calibration is running")
+                    raise WorkError("calibrate: the goal was rejected, another goal is running")
                 try:
-                    answer = self._wait(composed, handle.get_result_async()).result
+                    answer = _wait(composed, handle.get_result_async()).result
                 except KeyboardInterrupt:
-                    self._wait(composed, handle.cancel_goal_async())
+                    _wait(composed, handle.cancel_goal_async())
                     raise
             finally:
                 action.destroy()
+                composed.executor.remove_node(client)
+                client.destroy_node()
         if not answer.success:
             raise WorkError(f"calibrate: {answer.message}")
-        names = list(answer.names)
         return CalibrateAnswer(
-            message=answer.message,
-            output=Path(answer.output),
-            cost=answer.cost,
-            initial_cost=answer.initial_cost,
-            evaluations=answer.evaluations,
-            generations=answer.generations,
-            values=dict(zip(names, answer.values, strict=True)),
-            excited=dict(zip(names, answer.excited, strict=True)),
+            answer.message,
+            Path(answer.output),
+            answer.cost,
+            answer.initial_cost,
+            answer.evaluations,
+            answer.generations,
+            values=dict(zip(answer.names, answer.values, strict=True)),
+            excited=dict(zip(answer.names, answer.excited, strict=True)),
             wall=time.monotonic() - began,
         )
 
     @contextmanager
-    def _composed(
-        self, twin_file: Path | str, playback: Playback | None
-    ) -> Iterator[tuple[Composed, Listener]]:
+    def _composed(self, twin_file: Path | str, playback: Playback | None) -> Iterator[Composed]:
         composed = Composed(self._context, twin_file, self._namespace, playback)
-        client: Any = Listener(self._context, self._namespace)
-        composed.executor.add_node(client)
         try:
-            yield composed, client
+            yield composed
         finally:
-            composed.executor.remove_node(client)
-            client.destroy_node()
             composed.close()
 
-    def _serve(self, composed: Composed, ready: Callable[[], bool], otherwise: str) -> None:
-        """Serve the nodes until ``ready``; WorkError where that takes too long."""
-        until = time.monotonic() + _PATIENCE
-        while not ready():
-            if time.monotonic() > until:
-                raise WorkError(f"{otherwise} within {_PATIENCE:g} s")
-            composed.executor.spin_once(timeout_sec=0.02)
 
-    def _wait(self, composed: Composed, future: Future) -> Any:
-        while not future.done():
-            composed.step()
-        return future.result()
+def _wait(composed: Composed, future: Any) -> Any:
+    while not future.done():
+        composed.step()
+    return future.result()
+
+
+def _keep(rows: list[tuple[float, ...]], columns: Callable[[Any], tuple[float, ...]], message: Any) -> None:
+    stamp = message.header.stamp
+    rows.append((stamp.sec + 1e-9 * stamp.nanosec, *columns(message)))
+
+
+def _odometry(message: Any) -> tuple[float, ...]:
+    p, q, variance = message.pose.pose.position, message.pose.pose.orientation, message.pose.covariance[35]
+    sigma = math.sqrt(variance) if 0.0 <= variance < 1.0 else math.inf
+    return p.x, p.y, 2.0 * math.atan2(q.z, q.w), message.twist.twist.linear.x, sigma
+
+
+#: What is kept of a message beside its stamp, by topic.
+_COLUMNS: dict[str, Callable[[Any], tuple[float, ...]]] = {
+    "imu/vertical_acceleration": lambda m: (m.accel.linear.z,),
+    "twin/vertical_acceleration": lambda m: (m.accel.linear.z,),
+    "twin/odom": _odometry,
+    "twin/gap": lambda m: (m.rms,),
+}
 
 
 @contextmanager
 def session(namespace: str = "session") -> Iterator[Session]:
-    """A ROS context of its own for replays and calibrations, which nobody else hears or is heard by:
-    a replay publishes ``/clock``, and a real car may be on the same network. The nodes' log is not shown."""
+    """A ROS context for replays and calibrations, isolated from the network: a replay publishes ``/clock``, and a
+    live vehicle may be on the same network. The nodes' log is not shown."""
     before = os.environ.get(_DISCOVERY)
     os.environ[_DISCOVERY] = "OFF"
     set_logger_level(namespace, LoggingSeverity.FATAL)

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The node that is the twin: ``twin/odom`` over the road, into everything the twin says.
+"""The node that simulates the twin: ``twin/odom`` over the road to the twin's motion, signals and gap.
 
-All that it knows about vehicles is :class:`~suspension_twin.models.live.LiveTwin`.
+The vehicle model is :class:`~suspension_twin.models.live.LiveTwin`.
 """
 
 from __future__ import annotations
@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 import sys
 from collections.abc import Set as AbstractSet
+from functools import cache, partial
 from typing import Any
 
 from geometry_msgs.msg import AccelStamped
@@ -18,25 +19,23 @@ from std_srvs.srv import Trigger
 
 from suspension_twin.errors import InputError
 from suspension_twin.gap.sliding_window import GapNow
-from suspension_twin.nodes._base import Embedding, TwinNode
-from suspension_twin.nodes._files import FILTER, TWIN, filter_of, twin_of
-from suspension_twin.nodes._follow import Follower
-from suspension_twin.nodes._gap_parameters import GAP, beyond, gap_of, left_of
-from suspension_twin.nodes._health import ERROR, OK, WARN
-from suspension_twin.nodes._main import run_alone
-from suspension_twin.nodes._pairing import Pairing, PlanarRow, Yielded
-from suspension_twin.nodes._parameters import Param, Values
-from suspension_twin.nodes._twin_out import TwinOut
-from suspension_twin.nodes._warm_up import warm_up_low_pass
+from suspension_twin.nodes.base import TwinNode
+from suspension_twin.nodes.follower import Follower, Paired, Pairing, PlanarRow
+from suspension_twin.nodes.live_gap import GAP, calibration_gap, gap_of, gap_warning
+from suspension_twin.nodes.parameters import FILTER, TWIN, Param, Values, filter_of, twin_of
+from suspension_twin.nodes.process import run_alone
+from suspension_twin.nodes.topics import ERROR, OK, WARN, Embedding
+from suspension_twin.nodes.twin_outputs import TwinOutputs
 from suspension_twin.signals.checks import Finding
+from suspension_twin.signals.filters import FilterSpec
 from suspension_twin.signals.live import LiveLowPass
 from suspension_twin_interfaces.srv import LoadTwin
 
 __all__ = ["SuspensionModelNode", "main"]
 
-#: Above this variance of the yaw (rad²) the heading is a guess and the road under the wheels too.
+#: Above this variance of the yaw (rad²) the heading and the road under the wheels are unknown.
 _YAW_KNOWN = 1.0
-#: No vehicle is this far from its datum (m), moves or turns this fast (m/s, rad/s) or is shaken this hard (m/s²).
+#: Limits of plausible input: distance from the datum (m), speeds (m/s, rad/s), acceleration (m/s²).
 _FARTHEST, _FASTEST, _HARDEST = 1e8, 1e3, 1e5
 
 
@@ -46,19 +45,19 @@ class SuspensionModelNode(TwinNode):
     parameters = (
         TWIN,
         *FILTER,
-        Param("map_frame", "map", "Frame that twin/odom is in.", read_only=True),
-        Param("base_frame", "base_link", "Frame of the twin's body.", read_only=True),
+        Param("map_frame", "map", "Frame of twin/odom.", read_only=True),
+        Param("base_frame", "base_link", "Frame of the vehicle's body.", read_only=True),
         Param(
             "visual_rate",
             100.0,
-            "Most messages a second on twin/pose, joint_states and /tf; every sample up to that.",
+            "Largest rate in Hz of twin/pose, joint_states and /tf; up to it there is one message per sample.",
             0.1,
             2000.0,
         ),
         Param(
             "acceleration_time",
             0.1,
-            "Time constant in s with which the planar acceleration is taken from the speeds of twin/odom.",
+            "Time constant in s of the planar acceleration, the low-passed derivative of the speeds in twin/odom.",
             0.0,
             2.0,
         ),
@@ -68,9 +67,9 @@ class SuspensionModelNode(TwinNode):
     def __init__(self, embedding: Embedding | None = None) -> None:
         self._prepared: tuple[Any, Follower | None] = (None, None)
         super().__init__("suspension_model", embedding)
-        warm_up_low_pass()
+        _compile()
         self._pairing = Pairing()
-        self._out = TwinOut(self, self.values["map_frame"], self.values["base_frame"])
+        self._out = TwinOutputs(self, self.values["map_frame"], self.values["base_frame"])
         self._start()
         self.listen(Odometry, "twin/odom", self._on_odom)
         self.listen(AccelStamped, "imu/vertical_acceleration", self._on_vertical)
@@ -78,7 +77,7 @@ class SuspensionModelNode(TwinNode):
         self.create_service(LoadTwin, "~/load_twin", self._on_load)
 
     def check(self, values: Values) -> None:
-        """See the base class. The twin is made here, where a wrong one can still be refused."""
+        """See the base class. The model is made here, where a wrong twin can still be refused."""
         gap_of(values)
         filter_of(values)
         twin = twin_of(values)
@@ -86,7 +85,7 @@ class SuspensionModelNode(TwinNode):
             self._prepared = (twin, None if twin is None else Follower(twin))
 
     def changed(self, names: AbstractSet[str]) -> None:
-        """See the base class: whatever changes, the twin starts afresh with it."""
+        """See the base class: any new setting resets the node."""
         if names & {p.name for p in self.parameters}:
             self._start()
 
@@ -94,18 +93,19 @@ class SuspensionModelNode(TwinNode):
         values = self.values
         self._follower = self._prepared[1]
         self._low_pass = LiveLowPass(filter_of(values))
-        self._gap, self._left = gap_of(values), left_of(values)
+        self._gap, self._expected = gap_of(values), calibration_gap(values)
         self._out.marker.floor = self._gap.floor
         self._out.configure(self._follower, values["visual_rate"], values["gap.rate"])
         if self._follower is None:
-            self.health.finding("no twin", WARN, "no twin yet: set the parameter twin or call ~/load_twin")
+            text = "no twin loaded: set the parameter twin or call ~/load_twin"
+            self.health.findings["no twin"] = WARN, text
         else:
             self._follower.acceleration_time = values["acceleration_time"]
-            self.health.clear("no twin")
+            self.health.findings.pop("no twin", None)
         self.reset()
 
     def reset(self) -> None:
-        """See the base class: the twin stands still in its static equilibrium again."""
+        """See the base class: the twin is back in static equilibrium."""
         self._pairing.reset()
         self._low_pass.reset()
         self._gap.reset()
@@ -124,29 +124,31 @@ class SuspensionModelNode(TwinNode):
         if not (
             near and abs(v.x) < _FASTEST and abs(v.y) < _FASTEST and abs(w) < _FASTEST and math.isfinite(yaw)
         ):
-            raise InputError("twin/odom", "holds a number that is not finite or beyond belief: dropped")
+            raise InputError("twin/odom", "message dropped: a value is not finite or out of range")
         known = message.pose.covariance[35] < _YAW_KNOWN
         self._follow(self._pairing.pose(PlanarRow(ns, p.x, p.y, yaw, v.x, v.y, w, known)))
 
     def _on_vertical(self, message: AccelStamped, ns: int) -> None:
         measured = message.accel.linear.z
         if not abs(measured) < _HARDEST:
-            raise InputError("imu/vertical_acceleration", "linear.z is not finite or beyond belief: dropped")
+            raise InputError(
+                "imu/vertical_acceleration", "message dropped: linear.z is not finite or out of range"
+            )
         self._follow(self._pairing.sample(ns, measured))
 
-    def _follow(self, ready: list[Yielded]) -> None:
+    def _follow(self, ready: list[Paired]) -> None:
         if self._follower is None:
             return
         for number, (row, measured) in enumerate(ready):
             if number:
-                self.outbox.flush()  # the messages are filled anew for every sample
+                self.outbox.flush()  # the same message objects are filled for the next sample
             t = row.ns / 1e9
             state = self._follower.step(t, row)
             if state.event:
-                self._tell(state.event)
+                self._note_event(state.event)
                 self._gap.restart(t)
-            if not abs(state.vertical_acceleration) < _HARDEST:  # the poses were of no vehicle
-                self._tell("diverged: starting afresh")
+            if not abs(state.vertical_acceleration) < _HARDEST:  # impossible poses
+                self._note_event("diverged: restarted")
                 self._follower.reset()
                 self._low_pass.reset()
                 self._gap.restart(t)
@@ -158,57 +160,62 @@ class SuspensionModelNode(TwinNode):
                 self._out.locate(row, state.z, measured - filtered)
             self._out.send_rest(row, state, self._gap)
 
-    def _tell(self, event: str) -> None:
-        kind = event.partition(" ")[0].rstrip(":")
+    def _note_event(self, event: str) -> None:
+        kind = event.removeprefix("the ").partition(" ")[0].rstrip(":")
         if kind != "start":
             level = {"heading": OK, "diverged": ERROR}.get(kind, WARN)
-            self.note(f"twin {kind}", level, f"twin: {event}")
+            self.note(f"simulation events: {kind}", level, f"simulation: {event}")
 
     def _on_reset(self, _request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
         self.reset()
-        response.success, response.message = True, "the twin starts afresh from its static equilibrium"
+        response.success, response.message = True, "the simulation restarts from static equilibrium"
         return response
 
     def _on_load(self, request: LoadTwin.Request, response: LoadTwin.Response) -> LoadTwin.Response:
         before = None if self._follower is None else self._follower.twin
         if not request.path:
-            response.success, response.message = False, "path: is empty"
+            response.success, response.message = False, "path: is empty, give the path of a twin file"
             return response
-        self._prepared = (None, None)  # the same path again means: read the file again
+        self._prepared = (None, None)  # the file is read again even if the path is the same
         result = self.set_parameters([Parameter("twin", value=request.path)])[0]
         response.success, response.message = result.successful, result.reason
         if result.successful and self._follower is not None:
             twin = self._follower.twin
-            response.message = f"follows with {twin.vehicle.name} ({twin.model})"
+            response.message = f"loaded {twin.vehicle.name} ({twin.model})"
             moved = [k for k in ("imu", "gps", "datum") if before and getattr(before, k) != getattr(twin, k)]
             if moved:
-                response.message += (
-                    f"; {', '.join(moved)} differ: set the parameter twin of the other nodes too"
-                )
+                names = ", ".join(moved)
+                response.message += f"; {names} changed: set the parameter twin of the other nodes as well"
         return response
 
     def gap_now(self) -> GapNow | None:
-        """The live gap; None while there is too little to tell."""
+        """The live gap; None while the window holds fewer than two samples."""
         return self._gap.now()
 
     def report(self) -> None:
         """See the base class."""
         if self._pairing.lost:
-            self.note("no pose", WARN, f"samples without a pose, not answered: {self._pairing.lost}")
+            text = "samples without a pose of the same time on twin/odom, not simulated"
+            self.note(text, WARN, text, self._pairing.lost)
             self._pairing.lost = 0
         found = [] if self._follower is None else self._follower.findings
         gap = self._gap.now()
         if gap is not None:
-            self.health.values["gap (m/s²)"] = f"{gap.rms:.3f}"
+            self.health.values["gap, rms (m/s²)"] = f"{gap.rms:.3f}"
             self.health.values["gap, normalised"] = f"{gap.normalised:.2f}"
-        warning = beyond(gap, self._left, self.values["gap.warn"])
+        warning = gap_warning(gap, self._expected, self.values["gap.warn"])
         self.show_findings([*found, *([Finding("warn", "gap", warning)] if warning else [])])
 
 
-def main(args: list[str] | None = None) -> Any:
-    """Run the node in a process of its own."""
-    return run_alone(SuspensionModelNode, args)
+@cache
+def _compile() -> None:
+    """Compile before the first message: a few samples, one of them missing."""
+    low_pass = LiveLowPass(FilterSpec())
+    for k in (0, 1, 2, 4):
+        low_pass.push(1.0 + 0.01 * k, 0.0)
 
+
+main = partial(run_alone, SuspensionModelNode)
 
 if __name__ == "__main__":
     sys.exit(main())

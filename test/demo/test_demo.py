@@ -18,7 +18,7 @@ from suspension_twin.cli.common import bundled
 from suspension_twin.demo.steps import DRIVES, LEARNT, UNSEEN, _outcome, run_demo
 from suspension_twin.drive.read import read_drive
 from suspension_twin.errors import InputError, WorkError
-from suspension_twin.nodes.answers import Replay
+from suspension_twin.nodes.session import Replay
 from suspension_twin.report.characteristics import force
 from suspension_twin.road import flat_road
 from suspension_twin.vehicle.twin import load_twin

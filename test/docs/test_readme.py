@@ -268,8 +268,8 @@ def test_topics_of_the_table_are_those_of_the_nodes():
     """Inputs, outputs, services and actions of the nodes themselves."""
     from rclpy.action import get_action_server_names_and_types_by_node
 
-    from suspension_twin.nodes._main import ros_context
     from suspension_twin.nodes.composed import Composed
+    from suspension_twin.nodes.process import ros_context
 
     text = README.read_text(encoding="utf-8")
     rows = re.findall(r"^\| `(\w+)` \|(.*?)\|(.*?)\|(.*?)\|$", text, re.MULTILINE)

@@ -9,14 +9,13 @@ from typing import Any
 
 import rclpy
 from rclpy.action import ActionClient
+from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 from rclpy.qos import QoSProfile
 
-from suspension_twin.nodes._base import Embedding, TwinNode
-from suspension_twin.nodes._executor import TwinExecutor
-
-NS = 1_000_000_000
+from suspension_twin.nodes.base import TwinNode
+from suspension_twin.nodes.topics import NS, Embedding
 
 
 class Bench:
@@ -24,7 +23,7 @@ class Bench:
 
     def __init__(self, context: rclpy.Context) -> None:
         self.context = context
-        self.executor = TwinExecutor(context=context)
+        self.executor = SingleThreadedExecutor(context=context)
         self.nodes: list[Node] = []
         self.side = self.add(rclpy.create_node("side", context=context))
 

@@ -9,8 +9,15 @@ from pathlib import Path
 
 from suspension_twin.calibration.request import Progress
 from suspension_twin.errors import InputError
-from suspension_twin.nodes._calibration import Outcome
-from suspension_twin.nodes._diagnosis import DiagnosisOutcome, DiagnosisStep
+from suspension_twin.nodes.jobs import DiagnosisStep
+
+
+def outcome(job, message, generations):
+    """The fields of the result of a calibration."""
+    counts = {"evaluations": generations, "generations": generations}
+    found = {"names": ["vehicle.mass"], "values": [1700.0], "excited": [True]}
+    costs = {"cost": 0.5, "initial_cost": 2.0}
+    return {"success": True, "message": message, "output": job.output, **counts, **costs, **found}
 
 
 def search_until_stopped(job, progress, should_stop):
@@ -21,25 +28,14 @@ def search_until_stopped(job, progress, should_stop):
         progress(Progress("search", generation, 10 * generation, 100.0 / generation, 200.0 / generation, 1.0))
         time.sleep(0.02)
     Path(job.output).write_text("best so far")
-    return Outcome(
-        True,
-        f"stopped in generation {generation}",
-        job.output,
-        1.0,
-        2.0,
-        10 * generation,
-        generation,
-        ("a",),
-        (3.0,),
-        (True,),
-    )
+    return outcome(job, f"stopped in generation {generation}", generation)
 
 
 def five_generations(job, progress, should_stop):
     """Five at once, to see that all of them arrive before the result."""
     for generation in range(1, 6):
         progress(Progress("search", generation, generation, 1.0, 2.0, float("nan")))
-    return Outcome(True, "found", job.output, 0.5, 2.0, 5, 5, ("vehicle.mass",), (1700.0,), (True,))
+    return outcome(job, "found", 5)
 
 
 def cannot(job, progress, should_stop):
@@ -69,4 +65,5 @@ def judge_until_stopped(job, progress, should_stop):
 def judged(job, progress, should_stop):
     progress(DiagnosisStep("effects", 0.5, 1.0))
     Path(job.output).mkdir(exist_ok=True)
-    return DiagnosisOutcome(True, f"{job.output}: friction", '{"verdict": "effect"}', job.output)
+    document = '{"verdict": "effect"}'
+    return {"success": True, "message": "friction", "diagnosis": document, "output": job.output}

@@ -15,9 +15,9 @@ from nodes_bench import Client, PlainPage, worst
 from stand_ins import cannot, five_generations, judge_until_stopped, judged
 
 from suspension_twin.diagnosis.request import DiagnosisResult, Progress
-from suspension_twin.nodes import _diagnosis
-from suspension_twin.nodes._diagnosis import DiagnosisJob, diagnose_job, diagnosis_job_of
+from suspension_twin.nodes import jobs
 from suspension_twin.nodes.calibrator import CalibratorNode
+from suspension_twin.nodes.jobs import diagnosis_job, run_diagnosis
 from suspension_twin.vehicle.twin import load_twin
 from suspension_twin_interfaces.action import Calibrate, Diagnose
 
@@ -65,10 +65,10 @@ def test_one_goal_at_a_time_whichever_action_it_is_of(bench, goal, tmp_path):
     client, other = Client(bench, Diagnose, "diagnose"), Client(bench, Calibrate, "calibrate")
     handle = client.send(goal)
     assert not client.send(goal).accepted
-    assert "diagnose: refused a second goal, one diagnosis is running" in worst(node)[1]
+    assert "diagnose: goal rejected, a goal of diagnose is running" in worst(node)[1]
     second = Calibrate.Goal(twin=goal.twin, bags=goal.bags, output=str(tmp_path / "calibrated.yaml"))
     assert not other.send(second).accepted
-    assert "calibrate: refused a second goal, one diagnosis is running" in worst(node)[1]
+    assert "calibrate: goal rejected, a goal of diagnose is running" in worst(node)[1]
     handle.cancel_goal_async()
     client.result(handle)
     assert other.result(other.send(second))[0] == GoalStatus.STATUS_SUCCEEDED
@@ -107,7 +107,7 @@ def test_work_that_fails_is_told_in_a_line(bench, goal):
 
 def test_the_nodes_twin_and_a_folder_beside_the_bag_are_the_defaults(goal, twin_path, recorded):
     goal.twin = goal.output = ""
-    job = diagnosis_job_of(goal, str(twin_path), 2)
+    job = diagnosis_job(goal, str(twin_path), 2)
     assert (
         job.request.twin == str(twin_path) and job.request.bags == (str(recorded),) and job.request.seed == 7
     )
@@ -123,13 +123,12 @@ def test_the_work_hands_on_the_stages_and_leaves_the_three_files(goal, twin_path
             tell(Progress("effects", done, "top_mount"))
         return result
 
-    monkeypatch.setattr(_diagnosis, "diagnose", diagnose)
-    monkeypatch.setattr(_diagnosis, "diagnosis_page", lambda found: PlainPage())
+    monkeypatch.setattr(jobs, "diagnose", diagnose)
+    monkeypatch.setattr(jobs, "diagnosis_page", lambda found: PlainPage())
     told = []
-    job = DiagnosisJob(diagnosis_job_of(goal, "", 0).request, goal.output, 0)
-    outcome = diagnose_job(job, told.append, lambda: False)
-    assert outcome.success and outcome.message == f"{goal.output}: nothing to see"
-    assert json.loads(outcome.diagnosis) == document
+    outcome = run_diagnosis(diagnosis_job(goal, "", 0), told.append, lambda: False)
+    assert outcome["success"] and outcome["message"] == f"{goal.output}: nothing to see"
+    assert json.loads(outcome["diagnosis"]) == document
     assert sorted(p.name for p in Path(goal.output).iterdir()) == [
         "diagnosis.json",
         "report.html",

@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from suspension_twin.nodes._links import Outbox, Output
+from suspension_twin.nodes.topics import Outbox, Output
 
 
 class FakePublisher:

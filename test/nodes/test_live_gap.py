@@ -14,9 +14,7 @@ from visualization_msgs.msg import Marker
 
 from suspension_twin.errors import InputError
 from suspension_twin.gap.sliding_window import GapNow
-from suspension_twin.nodes._files import Left, left_by_calibration
-from suspension_twin.nodes._gap_marker import GapTiles, colour
-from suspension_twin.nodes._gap_parameters import beyond
+from suspension_twin.nodes.live_gap import CalibrationGap, GapTiles, calibration_gap, colour, gap_warning
 from suspension_twin.nodes.suspension_model import SuspensionModelNode
 from suspension_twin.vehicle.twin import load_twin, save_twin
 
@@ -100,44 +98,51 @@ def test_diagnostics_warn_while_the_gap_is_beyond_what_the_calibration_left(benc
     )
     model = bench.make(SuspensionModelNode, twin=str(flat_twin), gap__window=4.0)
     drive_over(model, bad=(0.0, 0.0), seconds=4.0)
-    assert "calibration left" not in worst(model)[1]
+    assert "residual of the calibration" not in worst(model)[1]
     model.reset()
     drive_over(model, seconds=8.0)
     level, text = worst(model)
     rms = model.gap_now().rms
     assert rms == pytest.approx(3.0 * math.sqrt(5.0 / 8.0 / 4.0), rel=0.05)
     assert level == 1 and text.startswith(
-        f"the gap of {rms:.3g} m/s² is {rms / 0.1:.1f} times what the calibration left: diagnose it"
+        f"the gap is {rms:.3g} m/s², {rms / 0.1:.1f} times the residual of the calibration (0.1 m/s²): run"
     )
     model.reset()
     drive_over(model, bad=(0.0, 0.0), seconds=4.0)
-    assert "calibration left" not in worst(model)[1]
+    assert "residual of the calibration" not in worst(model)[1]
 
 
 def test_on_a_rougher_road_more_is_left():
     gap = GapNow(1.0, 4.0, 0.01, 10.0, (), 100)
-    assert beyond(gap, Left(0.1, 0.0), 5.0) and not beyond(gap, Left(0.1, 0.0), 10.0)
-    assert not beyond(gap, Left(0.1, 0.05), 5.0) and beyond(gap, Left(0.1, 0.05), 4.9)
-    assert not beyond(gap, Left(0.0, 0.0), 1.0) and not beyond(None, Left(0.1, 0.0), 1.0)
+    assert gap_warning(gap, CalibrationGap(0.1, 0.0), 5.0) and not gap_warning(
+        gap, CalibrationGap(0.1, 0.0), 10.0
+    )
+    assert not gap_warning(gap, CalibrationGap(0.1, 0.05), 5.0) and gap_warning(
+        gap, CalibrationGap(0.1, 0.05), 4.9
+    )
+    assert not gap_warning(gap, CalibrationGap(0.0, 0.0), 1.0) and not gap_warning(
+        None, CalibrationGap(0.1, 0.0), 1.0
+    )
 
 
 def test_without_a_calibration_there_is_nothing_to_warn_of_and_a_parameter_can_say_it(bench, flat_twin):
     model = bench.make(SuspensionModelNode, twin=str(flat_twin))
     drive_over(model, bad=(20.0, 60.0))
-    assert "calibration left" not in worst(model)[1]
+    assert "residual of the calibration" not in worst(model)[1]
     said = bench.make(
         SuspensionModelNode, namespace="other", twin=str(flat_twin), gap__floor=0.2, gap__warn=100.0
     )
     drive_over(said, bad=(20.0, 60.0))
-    assert "calibration left" not in worst(said)[1]
+    assert "residual of the calibration" not in worst(said)[1]
 
 
 @pytest.mark.parametrize("text", ["[1, 2", "drives: 7", "drives: [{gap_after: {}}]", "other: 1", "[" * 3000])
 def test_details_that_say_nothing_are_named(flat_twin, text):
     flat_twin.with_name("twin.calibration.yaml").write_text(text)
-    with pytest.raises(InputError, match=r"twin\.calibration\.yaml: drives: does not say"):
-        left_by_calibration(str(flat_twin))
+    with pytest.raises(InputError, match=r"twin\.calibration\.yaml: drives: has no residual"):
+        calibration_gap({"gap.floor": 0.0, "twin": str(flat_twin)})
 
 
 def test_no_details_no_floor(tmp_path):
-    assert left_by_calibration("") == Left(0.0, 0.0) == left_by_calibration(str(tmp_path / "twin.yaml"))
+    for twin in ("", str(tmp_path / "twin.yaml")):
+        assert calibration_gap({"gap.floor": 0.0, "twin": twin}) == CalibrationGap(0.0, 0.0)

@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from suspension_twin.nodes._pairing import Pairing, PlanarRow
+from suspension_twin.nodes.follower import Pairing, PlanarRow
 
 MS = 1_000_000
 

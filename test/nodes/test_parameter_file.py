@@ -9,10 +9,10 @@ import pytest
 import yaml
 from nodes_bench import Bench
 
-from suspension_twin.nodes._base import Embedding
-from suspension_twin.nodes._main import ros_context
-from suspension_twin.nodes._param_file import read_param_file
 from suspension_twin.nodes.composed import KINDS
+from suspension_twin.nodes.parameters import read_param_file
+from suspension_twin.nodes.process import ros_context
+from suspension_twin.nodes.topics import Embedding
 
 NOT_IN_THE_FILE = {"twin", "use_sim_time", "start_type_description_service"}
 

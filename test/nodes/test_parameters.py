@@ -66,7 +66,7 @@ def test_a_wrong_value_is_refused_with_the_reason_and_changes_nothing(bench, kin
 @pytest.mark.parametrize(
     ("kind", "name", "value", "words"),
     [
-        (ImuIngestNode, "filter.cutoff", 20, "a number with a point"),
+        (ImuIngestNode, "filter.cutoff", 20, "a number with a decimal point"),
         (ImuIngestNode, "filter.cutoff", 2000.0, "800"),
         (ImuIngestNode, "level", "up", "never, gross, always"),
         (SuspensionModelNode, "gap.bands", ["a"], "in a list"),

@@ -19,8 +19,8 @@ from suspension_twin.cli._status import Status, line
 from suspension_twin.cli.main import main
 from suspension_twin.drive.write import write_drive
 from suspension_twin.errors import InputError
-from suspension_twin.nodes._param_file import check_names, read_param_file
 from suspension_twin.nodes.composed import Condition
+from suspension_twin.nodes.parameters import check_names, read_param_file
 
 NODES = ("imu_ingest", "pose_injector", "suspension_model", "calibrator")
 
@@ -80,7 +80,7 @@ def test_it_ends_within_a_second_with_status_0(bench, twin_path, recorded, mode,
 def test_a_signal_that_is_lost_in_a_destructor_ends_it_without_a_word():
     script = """
 import os, signal, time, weakref
-from suspension_twin.nodes._main import stopping
+from suspension_twin.nodes.process import stopping
 
 class Thing:
     pass
@@ -104,7 +104,7 @@ with stopping():
 def test_it_ends_in_time_even_from_within_compiled_code():
     script = """
 import numba
-from suspension_twin.nodes._main import stopping
+from suspension_twin.nodes.process import stopping
 
 @numba.njit(nogil=True)
 def compute(n):
@@ -152,9 +152,7 @@ def test_a_node_names_an_argument_that_it_does_not_know(given, capsys):
     from suspension_twin.nodes.calibrator import main as alone
 
     assert alone(["calibrator", *given]) == 2
-    assert (
-        capsys.readouterr().err == f"{given[-1]}: is no argument here: those for ROS begin with --ros-args\n"
-    )
+    assert capsys.readouterr().err == f"{given[-1]}: unknown argument: arguments for ROS follow --ros-args\n"
 
 
 def test_a_recording_is_replayed_at_full_speed_to_its_end(recorded, twin_path, drive):
@@ -208,8 +206,8 @@ WRONG = [
     (["--params", "absent.yaml"], "absent.yaml"),
     (["--params", "PARAMS"], "imu_ingest: filter.cutof: no such parameter"),
     (["--", "--ros-args", "-r", "half"], "half"),
-    (["--", "stray"], "stray: is no argument here"),
-    (["--", "--ros-args", "-r", "a:=b", "--", "--late"], "--late: is no argument here"),
+    (["--", "stray"], "stray: unknown argument"),
+    (["--", "--ros-args", "-r", "a:=b", "--", "--late"], "--late: unknown argument"),
     (["--twin", "EFFECT"], "effect.yaml: effects: there is no effect magic"),
     (["--twin", "DEEP"], "deep.yaml: not YAML"),
     (["--twin", "DATE"], "date.yaml: not YAML"),

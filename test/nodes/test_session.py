@@ -92,7 +92,7 @@ def test_a_drive_without_samples_is_an_error(drive):
             angular_rate=drive.imu.angular_rate[:1],
         ),
     )
-    with session() as ros, pytest.raises(WorkError, match="answered to none"):
+    with session() as ros, pytest.raises(WorkError, match="none of 1 IMU samples was simulated"):
         ros.replay(silent, BAG / "twin.yaml")
 
 

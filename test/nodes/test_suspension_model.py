@@ -161,7 +161,7 @@ def test_a_twin_shaken_beyond_belief_starts_afresh_and_hands_nothing_on(bench, t
     )
     drive(node, 5, start=50)
     monkeypatch.undo()
-    assert len(rows) == 50 and "diverged: starting afresh" in worst(node)[1]
+    assert len(rows) == 50 and "diverged: restarted" in worst(node)[1]
     drive(node, 300, start=55)
     assert len(rows) == 350 and np.isfinite(rows).all() and max(np.abs(rows)) < 50
     assert math.isfinite(node.gap_now().rms)
@@ -183,7 +183,7 @@ def test_what_is_not_a_number_is_dropped_and_told(bench, twin_path):
     assert level == 1 and "not finite" in text
     drive(node, 50, start=51)
     assert len(rows) == 100 and np.isfinite(rows).all()
-    assert node.health.count("fresh start") == 0
+    assert node.health.count("resets after a jump back in time") == 0
 
 
 def test_a_pose_that_jumps_starts_afresh_instead_of_sweeping_over_the_road(bench, twin_path):
@@ -228,7 +228,7 @@ def test_no_twin_no_answer_until_one_is_loaded(bench, twin_path):
     node = bench.make(SuspensionModelNode)
     rows = tap(node, "twin/vertical_acceleration", stamp_of)
     drive(node, 20)
-    assert rows == [] and "no twin yet" in worst(node)[1]
+    assert rows == [] and "no twin loaded" in worst(node)[1]
     response = bench.call(LoadTwin, "/suspension_model/load_twin", LoadTwin.Request(path=str(twin_path)))
     assert response.success and "Mondeo" in response.message
     assert node.get_parameter("twin").value == str(twin_path)
@@ -258,7 +258,7 @@ def test_loading_says_what_the_other_nodes_have_to_be_told(bench, twin_path, tmp
     twin = load_twin(twin_path).with_changes({"imu.position.0": 1.0, "vehicle.mass": 1800.0})
     save_twin(twin, tmp_path / "other.yaml")
     request = LoadTwin.Request(path=str(tmp_path / "other.yaml"))
-    assert "imu differ" in bench.call(LoadTwin, "/suspension_model/load_twin", request).message
+    assert "imu changed" in bench.call(LoadTwin, "/suspension_model/load_twin", request).message
 
 
 def test_a_file_that_has_changed_is_read_again(bench, twin_path, tmp_path):
@@ -289,7 +289,7 @@ def test_beside_the_road_is_told(bench, twin_path):
     node = bench.make(SuspensionModelNode, twin=str(twin_path))
     node.inputs["twin/odom"].deliver(odom(T0, 50.0, y=80.0))
     node.inputs["imu/vertical_acceleration"].deliver(vertical(T0))
-    assert "4 of 4 wheels are beside the road" in worst(node)[1]
+    assert "4 of 4 wheels are outside the road file" in worst(node)[1]
 
 
 def test_a_pose_in_another_frame_is_told(bench, twin_path):

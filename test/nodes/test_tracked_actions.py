@@ -12,10 +12,9 @@ from action_msgs.msg import GoalStatus
 from nodes_bench import Client, PlainPage
 from stand_ins import five_generations, judged
 
-from suspension_twin.nodes import _diagnosis
-from suspension_twin.nodes._calibration import job_of
-from suspension_twin.nodes._diagnosis import diagnose_job, diagnosis_job_of
+from suspension_twin.nodes import jobs
 from suspension_twin.nodes.calibrator import CalibratorNode
+from suspension_twin.nodes.jobs import calibration_job, diagnosis_job, run_diagnosis
 from suspension_twin.vehicle.tracked import BOUNDS, TrackedTwin
 from suspension_twin.vehicle.twin import load_twin
 from suspension_twin_interfaces.action import Calibrate, Diagnose
@@ -50,8 +49,8 @@ def test_a_calibration_finds_the_tracks_parameters_and_writes_a_twin(bench, give
 @pytest.mark.parametrize(
     ("change", "words"),
     [
-        ({"preset": "paper"}, "preset: must be tracked_paper for a twin on tracks, is 'paper'"),
-        ({"free": ["vehicle.mass"]}, "free: tracked_paper searches five parameters"),
+        ({"preset": "paper"}, "preset: must be one of tracked_paper for a tracked vehicle, is 'paper'"),
+        ({"free": ["vehicle.mass"]}, "free: tracked_paper searches its own five parameters"),
         ({"bags": ["/nowhere/13kmh_1.csv"]}, "/nowhere/13kmh_1.csv: no such recording"),
     ],
 )
@@ -73,11 +72,11 @@ def test_a_drive_that_is_no_marker_run_is_answered_in_a_line(bench, given, recor
 
 
 def test_goals_become_jobs_of_their_own_kind(given, twin_path, recorded):
-    assert job_of(Calibrate.Goal(**given), "", 0).request.preset == "tracked_paper"
-    assert diagnosis_job_of(Diagnose.Goal(**given), "", 0).tracked
+    assert calibration_job(Calibrate.Goal(**given), "", 0).request.preset == "tracked_paper"
+    assert diagnosis_job(Diagnose.Goal(**given), "", 0).tracked
     car = {"twin": str(twin_path), "bags": [str(recorded)]}
-    assert job_of(Calibrate.Goal(**car), "", 0).request.preset == "fast"
-    assert not diagnosis_job_of(Diagnose.Goal(**car), "", 0).tracked
+    assert calibration_job(Calibrate.Goal(**car), "", 0).request.preset == "fast"
+    assert not diagnosis_job(Diagnose.Goal(**car), "", 0).tracked
 
 
 def test_a_diagnosis_goes_through_what_the_command_line_uses(given, tmp_path, monkeypatch):
@@ -94,13 +93,13 @@ def test_a_diagnosis_goes_through_what_the_command_line_uses(given, tmp_path, mo
         asked.append((twin, list(runs), list(reference), seed))
         return Found
 
-    monkeypatch.setattr(_diagnosis, "diagnose_tracked_files", diagnose)
-    monkeypatch.setattr(_diagnosis, "tracked_page", lambda found: PlainPage())
+    monkeypatch.setattr(jobs, "diagnose_tracked_files", diagnose)
+    monkeypatch.setattr(jobs, "tracked_page", lambda found: PlainPage())
     goal = Diagnose.Goal(**given, reference=given["bags"][:1], output=str(tmp_path / "found"), seed=5)
-    outcome = diagnose_job(diagnosis_job_of(goal, "", 0), lambda _: None, lambda: False)
+    outcome = run_diagnosis(diagnosis_job(goal, "", 0), lambda _: None, lambda: False)
     assert asked == [(given["twin"], given["bags"], given["bags"][:1], 5)]
-    assert outcome.success and outcome.message == f"{goal.output}: nothing to see"
-    assert json.loads(outcome.diagnosis) == document
+    assert outcome["success"] and outcome["message"] == f"{goal.output}: nothing to see"
+    assert json.loads(outcome["diagnosis"]) == document
     assert sorted(p.name for p in Path(goal.output).iterdir()) == [
         "diagnosis.json",
         "report.html",

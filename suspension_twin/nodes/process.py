@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A process around nodes: it ends within a moment of Ctrl-C or SIGTERM, with exit status 0."""
+"""A process around nodes: it ends within a second of Ctrl-C or SIGTERM, with exit status 0."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from typing import Any
 
 import rclpy
 from rclpy.context import Context
-from rclpy.executors import ExternalShutdownException
+from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
 from rclpy.impl.logging_severity import LoggingSeverity
 from rclpy.logging import set_logger_level
 from rclpy.node import Node
@@ -26,14 +26,13 @@ from rclpy.signals import SignalHandlerOptions
 from rclpy.utilities import remove_ros_args
 
 from suspension_twin.errors import InputError, SuspensionTwinError
-from suspension_twin.nodes._base import Embedding
-from suspension_twin.nodes._executor import TwinExecutor
+from suspension_twin.nodes.topics import Embedding
 
-__all__ = ["Stop", "check_arguments", "ros_context", "run_alone", "stopping"]
+__all__ = ["WAIT", "Stop", "check_arguments", "ros_context", "run_alone", "stopping"]
 
-#: Longest wait in C, in which Python does not see a signal, in s.
+#: Longest wait in C, during which Python does not see a signal, in s.
 WAIT = 0.1
-#: What is left to do when asked to end takes less than this, in s.
+#: Time in s from a signal to the end of the process, at most.
 _DEADLINE = 0.7
 _ENDINGS = (signal.SIGINT, signal.SIGTERM)
 
@@ -46,14 +45,14 @@ class Stop:
 
     def __call__(self, _signal: int, _frame: FrameType | None) -> None:
         if not self.asked:
-            # Both: the exception cuts a long computation short, and the flag is there
-            # should it be lost in a destructor or a callback from C.
+            # Both: the exception interrupts a long computation; the flag remains if the exception
+            # is lost in a destructor or a callback from C.
             self.asked = True
             raise KeyboardInterrupt
 
     def leave(self) -> None:
-        """End the process here if it has been asked to: the interpreter's own way of ending takes half
-        a second with a compiler loaded, and there is nothing left to tidy up."""
+        """End the process here if it has been asked to: the interpreter's regular exit takes half
+        a second with a compiler loaded, and there is nothing to clean up."""
         if self.asked:
             for stream in (sys.stdout, sys.stderr):
                 with contextlib.suppress(OSError, ValueError):
@@ -63,44 +62,14 @@ class Stop:
 
 @contextmanager
 def stopping() -> Iterator[Stop]:
-    """SIGINT and SIGTERM raise KeyboardInterrupt within, once, and then end the process with status 0."""
-    stop = Stop()
+    """SIGINT and SIGTERM raise KeyboardInterrupt within, once, and then end the process with status 0, at the latest
+    ``_DEADLINE`` s after the signal. Python's handlers wait for the main thread, which may be in compiled code; the
+    byte that a signal writes to the wake-up descriptor does not."""
+    stop, lost = Stop(), sys.unraisablehook
     before = {number: signal.signal(number, stop) for number in _ENDINGS}
-    try:
-        with _deadline(), _quietly_lost():
-            yield stop
-    except KeyboardInterrupt:
-        stop.asked = True
-    finally:
-        stop.leave()
-    for number, handler in before.items():
-        signal.signal(number, handler)
-
-
-@contextmanager
-def _quietly_lost() -> Iterator[None]:
-    """The interpreter says nothing of a KeyboardInterrupt that came up in a destructor and was lost there: the flag
-    and the deadline end the process all the same."""
-    previous = sys.unraisablehook
-
-    def hook(lost: sys.UnraisableHookArgs) -> None:
-        if not isinstance(lost.exc_value, KeyboardInterrupt):
-            previous(lost)
-
-    sys.unraisablehook = hook
-    try:
-        yield
-    finally:
-        sys.unraisablehook = previous
-
-
-@contextmanager
-def _deadline() -> Iterator[None]:
-    """From a signal on the process has ``_DEADLINE`` s left. Python's handlers wait for the main thread, which
-    may be deep in a compiler; the byte that a signal writes does not."""
     here, there = socket.socketpair()
     there.setblocking(False)
-    previous = signal.set_wakeup_fd(there.fileno(), warn_on_full_buffer=False)
+    wakeup = signal.set_wakeup_fd(there.fileno(), warn_on_full_buffer=False)
 
     def watch() -> None:
         while numbers := here.recv(64):
@@ -108,26 +77,38 @@ def _deadline() -> Iterator[None]:
                 time.sleep(_DEADLINE)
                 os._exit(0)
 
+    def hook(unraisable: sys.UnraisableHookArgs) -> None:
+        # No traceback of a KeyboardInterrupt lost in a destructor: flag and deadline end the process nevertheless.
+        if not isinstance(unraisable.exc_value, KeyboardInterrupt):
+            lost(unraisable)
+
+    sys.unraisablehook = hook
     threading.Thread(target=watch, daemon=True).start()
     try:
-        yield
+        yield stop
+    except KeyboardInterrupt:
+        stop.asked = True
     finally:
-        signal.set_wakeup_fd(previous)
+        sys.unraisablehook = lost
+        signal.set_wakeup_fd(wakeup)
         there.close()
+        stop.leave()
+    for number, handler in before.items():
+        signal.signal(number, handler)
 
 
 @contextmanager
 def ros_context(args: list[str] | None) -> Iterator[Context]:
-    """A context of its own, shut down at the end; ``args`` as after the program's name.
+    """A ROS context, shut down at the end; ``args`` are those after the program's name.
 
-    Raises InputError where ROS does not understand them.
+    Raises InputError for arguments that ROS does not accept.
     """
     context = Context()
-    set_logger_level("rcl", LoggingSeverity.FATAL)  # it would say in a line of its own what is raised here
+    set_logger_level("rcl", LoggingSeverity.FATAL)  # it would log what is raised here
     try:
         rclpy.init(args=args, context=context, signal_handler_options=SignalHandlerOptions.NO)
     except RuntimeError as error:
-        # The text ends in places in rcl's sources, which help nobody.
+        # The text names places in rcl's sources.
         text = re.sub(r",? at /\S+", "", " ".join(str(error).split()))
         raise InputError("ROS arguments", text.removeprefix("failed to initialize rcl: ")) from None
     finally:
@@ -139,13 +120,13 @@ def ros_context(args: list[str] | None) -> Iterator[Context]:
 
 
 def check_arguments(args: list[str]) -> None:
-    """Raise InputError for what is no argument of ROS, which would pass over it in silence."""
+    """Raise InputError for an argument that is not ROS's: ROS would ignore it without a word."""
     try:
         strange = [a for a in remove_ros_args(["", *args])[1:] if a != "--"]
     except RuntimeError:  # half a ROS argument, which the context refuses
         return
     if strange:
-        raise InputError(strange[0], "is no argument here: those for ROS begin with --ros-args")
+        raise InputError(strange[0], "unknown argument: arguments for ROS follow --ros-args")
 
 
 def run_alone(make: Callable[[Embedding], Node], args: list[str] | None = None) -> Any:
@@ -155,7 +136,7 @@ def run_alone(make: Callable[[Embedding], Node], args: list[str] | None = None) 
         check_arguments(arguments[1:])
         with stopping() as stop, ros_context(arguments) as context:
             node = make(Embedding(context=context))
-            executor = TwinExecutor(context=context)
+            executor = SingleThreadedExecutor(context=context)
             executor.add_node(node)
             try:
                 while not stop.asked and context.ok():

@@ -1,10 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What the twin publishes: messages filled from its state."""
+"""The topics that the suspension model publishes, filled from the state of the model."""
 
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING
 
 from builtin_interfaces.msg import Time
 from geometry_msgs.msg import AccelStamped, PoseStamped, TransformStamped
@@ -13,25 +12,20 @@ from tf2_msgs.msg import TFMessage
 
 from suspension_twin.gap.sliding_window import RunningGap
 from suspension_twin.models.live import LiveState
-from suspension_twin.nodes._follow import Follower
-from suspension_twin.nodes._gap_marker import GapMarker
-from suspension_twin.nodes._pairing import PlanarRow
+from suspension_twin.nodes.base import TwinNode
+from suspension_twin.nodes.follower import Follower, PlanarRow
+from suspension_twin.nodes.live_gap import GapMarker
+from suspension_twin.nodes.topics import NS
 from suspension_twin.signals.attitude import rpy_matrix
-from suspension_twin.vehicle.corners import CORNERS
 from suspension_twin_interfaces.msg import Gap
 
-if TYPE_CHECKING:
-    from suspension_twin.nodes._base import TwinNode
+__all__ = ["TwinOutputs"]
 
-__all__ = ["TwinOut"]
-
-_NS = 1_000_000_000
 Quaternion = tuple[float, float, float, float]
 
 
-class TwinOut:
-    """The outputs of the suspension model. One set of messages, filled anew for every sample; all
-    share one stamp."""
+class TwinOutputs:
+    """One set of messages with one common stamp, filled anew for every sample."""
 
     def __init__(self, node: TwinNode, map_frame: str, base_frame: str) -> None:
         self.map_frame = map_frame
@@ -40,7 +34,6 @@ class TwinOut:
         self._pose, self._joints, self._gap = PoseStamped(), JointState(), Gap()
         self._transform = TransformStamped(child_frame_id=base_frame)
         self._tf = TFMessage(transforms=[self._transform])
-        self._joints.name = [f"{corner}_suspension" for corner in CORNERS]
         for message, frame in (
             (self._vertical, base_frame),
             (self._imu, ""),
@@ -58,20 +51,19 @@ class TwinOut:
         self._tf_out = node.offer(TFMessage, "/tf")
         self._gap_out = node.offer(Gap, "twin/gap")
         self.marker = GapMarker(node, map_frame)
-        self.configure(None, 100.0, 5.0)
 
     def configure(self, follower: Follower | None, visual_rate: float, gap_rate: float) -> None:
-        """Take the imu's place of another twin, and other rates in Hz."""
-        # A tenth of a period of slack: samples at just the rate shall not be halved by their jitter.
-        self._visual_pause = int(0.9 * _NS / visual_rate)
-        self._gap_pause = int(_NS / gap_rate)
+        """Take joint names and the IMU's mounting from another twin, and new rates in Hz."""
+        # A tenth of a period of tolerance: jitter must not halve samples that come at just this rate.
+        self._visual_period = int(0.9 * NS / visual_rate)
+        self._gap_period = int(NS / gap_rate)
         if follower is not None:
-            place = follower.twin.imu
+            imu = follower.twin.imu
             self._joints.name = list(follower.twin.joint_names)
-            self._imu.header.frame_id = place.frame
-            self._to_sensor = [[float(v) for v in row] for row in rpy_matrix(place.rpy).T]
-            self._mounting = _quaternion(*place.rpy)
-            self._sensor = place.position[0], place.position[1]
+            self._imu.header.frame_id = imu.frame
+            self._to_sensor = [[float(v) for v in row] for row in rpy_matrix(imu.rpy).T]
+            self._mounting = _quaternion(*imu.rpy)
+            self._sensor = imu.position[0], imu.position[1]
         self.reset()
 
     def reset(self) -> None:
@@ -80,38 +72,39 @@ class TwinOut:
         self.marker.reset()
 
     def send_acceleration(self, ns: int, filtered: float) -> None:
-        """What is waited for most: published at once."""
-        self._stamp.sec, self._stamp.nanosec = divmod(ns, _NS)
+        """The filtered vertical acceleration in m/s², published at once."""
+        self._stamp.sec, self._stamp.nanosec = divmod(ns, NS)
         self._vertical.accel.linear.z = filtered
         self._vertical_out.send(self._vertical, urgent=True)
 
     def send_rest(self, row: PlanarRow, state: LiveState, gap: RunningGap) -> None:
-        """Everything else about the same sample, as often as it is due and if anybody listens."""
+        """All other topics of the same sample, at their rates and if there is a subscriber."""
         if self._imu_out.wanted:
             self._send_imu(row, state)
         if row.ns >= self._visual_due:
-            self._visual_due = row.ns + self._visual_pause
+            self._visual_due = row.ns + self._visual_period
             self._send_visual(row, state)
         if row.ns >= self._gap_due:
-            self._gap_due = row.ns + self._gap_pause
+            self._gap_due = row.ns + self._gap_period
             if self._gap_out.wanted:
                 self._send_gap(gap)
             self.marker.send(row.ns)
 
     def locate(self, row: PlanarRow, z: float, difference: float) -> None:
-        """A gap of ``difference`` m/s² was felt where the sensor is now."""
+        """Add a gap of ``difference`` m/s² at the present position of the sensor to the marker."""
         ahead, left = self._sensor
         c, s = math.cos(row.yaw), math.sin(row.yaw)
         self.marker.tiles.push(row.x + c * ahead - s * left, row.y + s * ahead + c * left, z, difference)
 
     def _send_imu(self, row: PlanarRow, state: LiveState) -> None:
         imu, turn = self._imu, self._to_sensor
-        a, w = imu.linear_acceleration, imu.angular_velocity
-        for vector, (x, y, z) in ((a, state.force.tolist()), (w, state.rate.tolist())):
+        for vector, (x, y, z) in (
+            (imu.linear_acceleration, state.force.tolist()),
+            (imu.angular_velocity, state.rate.tolist()),
+        ):
             vector.x, vector.y, vector.z = (r[0] * x + r[1] * y + r[2] * z for r in turn)
-        body = _quaternion(state.roll, state.pitch, row.yaw)
         q = imu.orientation
-        q.x, q.y, q.z, q.w = _product(body, self._mounting)
+        q.x, q.y, q.z, q.w = _product(_quaternion(state.roll, state.pitch, row.yaw), self._mounting)
         self._imu_out.send(imu)
 
     def _send_visual(self, row: PlanarRow, state: LiveState) -> None:
@@ -133,10 +126,9 @@ class TwinOut:
         self._tf_out.send(self._tf)
 
     def _send_gap(self, gap: RunningGap) -> None:
-        now = gap.now()
+        now, message = gap.now(), self._gap
         if now is None:
             return
-        message = self._gap
         message.window = gap.window
         message.rms, message.measured_rms = now.rms, now.measured_rms
         message.noise_rms, message.normalised = now.noise_rms, now.normalised

@@ -1,0 +1,326 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What the four nodes have in common: parameters, inputs, outputs, diagnostics, reset.
+
+No message stops a node: an exception in a handler becomes a diagnostics entry, a count and one line
+in the log.
+"""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Set as AbstractSet
+from dataclasses import dataclass, field
+from typing import Any
+
+from builtin_interfaces.msg import Time as TimeMessage
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
+from rclpy.clock import Clock, JumpThreshold, TimeJump
+from rclpy.clock_type import ClockType
+from rclpy.duration import Duration
+from rclpy.event_handler import PublisherEventCallbacks, SubscriptionEventCallbacks
+from rclpy.node import Node
+from rclpy.publisher import Publisher
+from rclpy.qos_overriding_options import QoSOverridingOptions
+from rclpy.subscription import Subscription
+
+from suspension_twin.nodes.parameters import Param, ParameterSet, Values
+from suspension_twin.nodes.topics import (
+    ERROR,
+    OK,
+    SENSOR_QOS,
+    STREAM_QOS,
+    WARN,
+    Embedding,
+    Input,
+    InputState,
+    Outbox,
+    Output,
+)
+from suspension_twin.signals.checks import Finding
+from suspension_twin.signals.clock import JUMP_BACK
+
+__all__ = ["COMMON", "Health", "TwinNode"]
+
+_LEVELS = {"ok": OK, "warn": WARN, "error": ERROR}
+#: Seconds for which a past event stays in the diagnostics message.
+RECENT = 5.0
+
+COMMON = (
+    Param(
+        "silence_timeout",
+        2.0,
+        "Time in s without a message after which a topic is reported as silent.",
+        0.1,
+        3600.0,
+    ),
+    Param(
+        "jump_back",
+        JUMP_BACK,
+        "A header stamp that is older than the newest one by more than this time in s resets the node (a looped bag); "
+        "one that is less old is treated as a late message.",
+        0.1,
+        JUMP_BACK,
+    ),
+)
+
+
+@dataclass
+class _Event:
+    text: str
+    level: bytes
+    count: int = 0
+    at: float = -math.inf
+
+
+@dataclass
+class Health:
+    """The condition of a node: ``values`` shown in the diagnostics, findings that hold until they are cleared,
+    events that are counted. ``name`` is the node's, ``clock`` gives s."""
+
+    name: str
+    clock: Callable[[], float]
+    inputs: dict[str, InputState] = field(default_factory=dict)
+    values: dict[str, str] = field(default_factory=dict)
+    findings: dict[str, tuple[bytes, str]] = field(default_factory=dict)
+    events: dict[str, _Event] = field(default_factory=dict)
+
+    def event(self, code: str, level: bytes, text: str, times: int = 1) -> bool:
+        """Count an event and report it for a few seconds. True if it is to be logged: the first time, and
+        when it comes again after a pause."""
+        event = self.events.setdefault(code, _Event(text, level))
+        now = self.clock()
+        fresh = now - event.at > RECENT
+        event.text, event.level, event.at = text, level, now
+        event.count += times
+        return fresh
+
+    def count(self, code: str) -> int:
+        """How often the event ``code`` has happened."""
+        return self.events[code].count if code in self.events else 0
+
+    def complaints(self) -> list[tuple[bytes, str]]:
+        """Level and text of every present warning and error, errors first."""
+        now = self.clock()
+        found = [(level, text) for level, text in self.findings.values() if level != OK]
+        for state in self.inputs.values():
+            if state.warned:
+                found.append((WARN, f"no message on {state.topic} for {state.silent_for:.0f} s"))
+        for event in self.events.values():
+            if now - event.at <= RECENT and event.level != OK:
+                times = f" ({event.count} times)" if event.count > 1 else ""
+                found.append((event.level, event.text + times))
+        return sorted(found, key=lambda entry: entry[0], reverse=True)
+
+    def statuses(self) -> list[DiagnosticStatus]:
+        """One status of the node, one of each subscribed topic."""
+        counts = {f"{code} (count)": str(event.count) for code, event in self.events.items()}
+        out = [_status(self.name, self.complaints(), self.values | counts)]
+        for state in self.inputs.values():
+            about = [(WARN, f"no message for {state.silent_for:.0f} s")] if state.warned else []
+            rate = "" if math.isnan(state.rate) else f"{state.rate:.1f}"
+            values = {"messages": str(state.received), "rate (Hz)": rate}
+            out.append(_status(f"{self.name}: {state.topic}", about, values))
+        return out
+
+
+def _status(name: str, complaints: list[tuple[bytes, str]], values: dict[str, str]) -> DiagnosticStatus:
+    return DiagnosticStatus(
+        name=name,
+        hardware_id="suspension_twin",
+        level=complaints[0][0] if complaints else OK,
+        message="; ".join(text for _, text in complaints) or "ok",
+        values=[KeyValue(key=k, value=v) for k, v in values.items()],
+    )
+
+
+class TwinNode(Node):  # type: ignore[misc]
+    """Base of the nodes. A subclass sets ``parameters``, makes its inputs and outputs, and may override
+    ``check``, ``changed``, ``reset`` and ``report``."""
+
+    parameters: tuple[Param, ...] = ()
+
+    def __init__(self, name: str, embedding: Embedding | None = None) -> None:
+        self.embedding = embedding or Embedding()
+        super().__init__(
+            name,
+            context=self.embedding.context,
+            namespace=self.embedding.namespace or None,
+            parameter_overrides=list(self.embedding.parameters),
+        )
+        self.log: Any = Node.get_logger(self)
+        self.outbox = self.embedding.outbox or Outbox()
+        self.inputs: dict[str, Input] = {}
+        self.outputs: dict[str, Output] = {}
+        self.health = Health(self.get_fully_qualified_name().lstrip("/"), time.monotonic)
+        self._shown: set[str] = set()
+        self._counted: dict[str, int] = {}
+        self._set = ParameterSet(self, (*COMMON, *self.parameters), self.check, self._on_change)
+        self.jump_back_ns = int(self.values["jump_back"] * 1e9)
+        self._diagnostics = self.create_publisher(DiagnosticArray, "/diagnostics", 10)
+        self._measured_at = time.monotonic()
+        self._clock_at, self._clock_still = -1.0, 0.0
+        self.create_timer(1.0, self._diagnose, clock=Clock(clock_type=ClockType.STEADY_TIME))
+        if self.embedding.clock_jumps:
+            self._jumps = self.get_clock().create_jump_callback(
+                JumpThreshold(min_forward=None, min_backward=Duration(nanoseconds=-1), on_clock_change=False),
+                post_callback=self._on_clock_jump,
+            )
+
+    @property
+    def values(self) -> Values:
+        """The present values of the parameters."""
+        return self._set.values
+
+    # What a subclass may override
+
+    def check(self, values: Values) -> None:
+        """Raise InputError for ``values`` that cannot be used together."""
+
+    def changed(self, names: AbstractSet[str]) -> None:
+        """The parameters ``names`` have new values."""
+
+    def reset(self) -> None:
+        """Discard all data received so far."""
+
+    def report(self) -> None:
+        """Bring ``health`` up to date; called before every diagnostics message."""
+
+    # What a subclass uses
+
+    def create_publisher(self, *args: Any, **keywords: Any) -> Publisher:
+        """As in the base class, without events of the quality of service, which rclpy handles in Python at every
+        callback: half of its time. Of incompatible profiles the node at the other end warns."""
+        events = PublisherEventCallbacks(use_default_callbacks=False)
+        return super().create_publisher(*args, event_callbacks=events, **keywords)
+
+    def create_subscription(self, *args: Any, **keywords: Any) -> Subscription:
+        """As in the base class, without events of the quality of service, see :meth:`create_publisher`."""
+        events = SubscriptionEventCallbacks(use_default_callbacks=False)
+        return super().create_subscription(*args, event_callbacks=events, **keywords)
+
+    def listen(
+        self, kind: type, topic: str, handler: Callable[[Any, int], None], *, expected: bool = True
+    ) -> Input:
+        """Call ``handler(message, stamp in ns)`` for every message of ``topic``."""
+        state = self.health.inputs[topic] = InputState(topic, expected)
+        taken = self.inputs[topic] = Input(self, state, handler)
+        if topic not in self.embedding.linked:
+            options = QoSOverridingOptions.with_default_policies()
+            taken.subscription = self.create_subscription(
+                kind, topic, taken.receive, SENSOR_QOS, qos_overriding_options=options
+            )
+        return taken
+
+    def offer(self, kind: type, topic: str) -> Output:
+        """An output published on ``topic``."""
+        options = QoSOverridingOptions.with_default_policies()
+        publisher = self.create_publisher(kind, topic, STREAM_QOS, qos_overriding_options=options)
+        out = self.outputs[topic] = Output(publisher, self.outbox)
+        return out
+
+    def note(self, code: str, level: bytes, text: str, times: int = 1) -> None:
+        """Count an event, show it in the diagnostics, and log it unless it was just logged."""
+        if self.health.event(code, level, text, times):
+            self.say(level, text)
+
+    def say(self, level: bytes, text: str) -> None:
+        """Log a line. (rclpy refuses two severities from one place in the code.)"""
+        if level == ERROR:
+            self.log.error(text)
+        elif level == WARN:
+            self.log.warning(text)
+        else:
+            self.log.info(text)
+
+    def note_frame(self, topic: str, got: str, wanted: str) -> None:
+        """Warn of a message that is not in the frame of the twin file; it is used as if it were."""
+        text = f"{topic}: frame_id is '{got}', expected '{wanted}' from the twin file: used as '{wanted}'"
+        self.note(f"wrong frame_id on {topic}", WARN, text)
+
+    def note_counts(self, counts: Mapping[str, int], texts: Mapping[str, str]) -> None:
+        """Warn of every counter that has grown since the last call; ``texts`` says what it counts."""
+        for code, text in texts.items():
+            new = counts[code] - self._counted.get(code, 0)
+            if new > 0:
+                self.note(text, WARN, text, new)
+            self._counted[code] = counts[code]
+
+    def show_findings(self, found: Iterable[Finding]) -> None:
+        """Replace the findings shown before by ``found``; log the new ones."""
+        listed = {f"finding {f.code}": f for f in found}
+        for code in self._shown - listed.keys():
+            del self.health.findings[code]
+        for code, finding in listed.items():
+            level = _LEVELS[finding.level]
+            self.health.findings[code] = level, finding.text
+            if code not in self._shown and level != OK:
+                self.say(level, finding.text)
+        self._shown = set(listed)
+
+    def start_afresh(self, why: str, ns: int) -> None:
+        """Reset the node: time has jumped back to ``ns``."""
+        for known in self.inputs.values():
+            known.newest = min(known.newest, ns)
+        self.reset()
+        self.note("resets after a jump back in time", OK, f"{why}: the node is reset")
+
+    def stamp_now(self) -> TimeMessage:
+        """The node's time, simulated if ``use_sim_time`` is set."""
+        return self.get_clock().now().to_msg()
+
+    # Inner workings
+
+    def _on_change(self, names: set[str]) -> None:
+        self.jump_back_ns = int(self.values["jump_back"] * 1e9)
+        self.changed(names)
+
+    def _on_clock_jump(self, jump: TimeJump) -> None:
+        # The stamps jump as the clock does; the node is reset by whichever comes first, and only once.
+        now = self.get_clock().now().nanoseconds
+        if now > 0 and any(known.newest > now + self.jump_back_ns for known in self.inputs.values()):
+            self.start_afresh(f"the ROS clock jumped back by {-jump.delta.nanoseconds / 1e9:.1f} s", now)
+
+    def _diagnose(self) -> None:
+        try:
+            self._measure_inputs()
+            self.report()
+        except Exception as error:
+            self.note("errors in the diagnostics", ERROR, f"{type(error).__name__}: {error}")
+        message = DiagnosticArray(status=self.health.statuses())
+        message.header.stamp = self.stamp_now()
+        self._diagnostics.publish(message)
+
+    def _find(self, code: str, holds: bool, text: str) -> None:
+        """Show a warning while it holds."""
+        if holds:
+            self.health.findings[code] = WARN, text
+        else:
+            self.health.findings.pop(code, None)
+
+    def _measure_inputs(self) -> None:
+        """Rates in real time; silence in the node's own time, in which a paused replay is no silence."""
+        wall = time.monotonic()
+        interval, self._measured_at = wall - self._measured_at, wall
+        now = self.get_clock().now().nanoseconds / 1e9
+        timeout = self.values["silence_timeout"]
+        self._clock_still = 0.0 if now != self._clock_at else self._clock_still + interval
+        self._clock_at = now
+        still = f"use_sim_time is true, but /clock has not advanced for {self._clock_still:.0f} s"
+        self._find("clock", self._clock_still > timeout, still)
+        for name, known in self.inputs.items():
+            state, resolved = known.state, self.resolve_topic_name(name)
+            state.measure(now, interval)
+            silent = state.expected and state.silent_for > timeout
+            if silent and not state.warned:
+                self.log.warning(f"no message on {resolved} for {state.silent_for:.0f} s")
+            elif state.warned and not silent:
+                self.log.info(f"messages on {resolved} again")
+            state.warned = silent
+            foreign = name in self.embedding.linked and self.count_publishers(name) > 1
+            text = (
+                f"another publisher on {resolved} is ignored: nodes of one process pass this topic on directly; "
+                "start them as separate processes to use it"
+            )
+            self._find(f"foreign publisher on {name}", foreign, text)

@@ -1,0 +1,298 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Calibration and diagnosis as jobs of the calibrator node, each in a worker process. No ROS in here.
+
+A worker process is spawned, not forked: a child that inherits the middleware's threads hangs. It has
+a lower priority than the live twin, ignores the terminal's Ctrl-C, which is its parent's to handle,
+and ends with its parent.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import math
+import multiprocessing
+import os
+import signal
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from multiprocessing.connection import Connection
+from multiprocessing.synchronize import Event
+from pathlib import Path
+from typing import Any, Literal, NamedTuple
+
+import numba
+
+from suspension_twin.calibration import request as calibration
+from suspension_twin.calibration.output import write_result
+from suspension_twin.calibration.presets import PRESETS
+from suspension_twin.calibration.run import calibrate
+from suspension_twin.calibration.tracked_files import PRESET as TRACKED
+from suspension_twin.calibration.tracked_files import calibrate_tracked_files
+from suspension_twin.diagnosis import request as diagnosis
+from suspension_twin.diagnosis.output import write
+from suspension_twin.diagnosis.run import diagnose
+from suspension_twin.diagnosis.tracked import diagnose_tracked_files
+from suspension_twin.drive.read import drive_name
+from suspension_twin.errors import InputError, SuspensionTwinError
+from suspension_twin.report.diagnosis import diagnosis_page
+from suspension_twin.report.tracked import diagnosis_page as tracked_page
+from suspension_twin.vehicle.tracked import TrackedTwin
+from suspension_twin.vehicle.twin import load_twin
+
+__all__ = [
+    "DiagnosisStep",
+    "Job",
+    "News",
+    "Outcome",
+    "Work",
+    "Worker",
+    "calibration_job",
+    "diagnosis_job",
+    "run_calibration",
+    "run_diagnosis",
+]
+
+#: Fraction of a diagnosis from which on its remaining time is extrapolated.
+_EXTRAPOLATED = 0.05
+
+
+@dataclass(frozen=True)
+class Job:
+    """A request, the path of its result, the number of threads it may use (0: all), and whether it is of a tracked
+    vehicle, whose drives are marker runs."""
+
+    request: Any
+    output: str
+    threads: int = 0
+    tracked: bool = False
+
+
+#: Fields of an action's result, without those that keep their defaults; ``message`` is one line for the user.
+Outcome = dict[str, Any]
+
+
+@dataclass(frozen=True)
+class DiagnosisStep:
+    """Progress of a diagnosis: ``progress`` 0 to 1 of the whole, ``seconds_left`` NaN while unknown."""
+
+    stage: str
+    progress: float = 0.0
+    seconds_left: float = math.nan
+    note: str = ""
+
+
+def _twin_of(goal: Any, twin_file: str) -> tuple[str, bool]:
+    """Path of the twin file, which is loaded to check it, and whether it is of a tracked vehicle."""
+    path = goal.twin or twin_file
+    if not path:
+        raise InputError("twin", "is empty: give the path of a twin file")
+    return path, isinstance(load_twin(path), TrackedTwin)
+
+
+def _recordings(paths: Sequence[str], name: str, needed: bool = True) -> tuple[str, ...]:
+    """Paths of recordings, checked to exist; ``name`` is the goal's field."""
+    if needed and not paths:
+        raise InputError(name, "is empty: give at least one recorded drive")
+    for path in paths:
+        if not path or not Path(path).exists():
+            raise InputError(path or name, "no such recording")
+    return tuple(paths)
+
+
+def _output(given: str, first: str, suffix: str) -> Path:
+    """The path of the result: as given, else beside the first recording."""
+    recording = Path(first)
+    return Path(given) if given else recording.parent / f"{drive_name(recording)}_{suffix}"
+
+
+def _writable(folder: Path) -> bool:
+    return folder.is_dir() and os.access(folder, os.W_OK)
+
+
+def calibration_job(goal: Any, twin_file: str, threads: int) -> Job:
+    """The job of a goal of ``calibrate``; raises InputError that names the wrong field of the goal."""
+    twin, tracked = _twin_of(goal, twin_file)
+    bags = _recordings(goal.bags, "bags")
+    presets, kind = ((TRACKED,), "a tracked vehicle") if tracked else (tuple(PRESETS), "a car")
+    preset = goal.preset or (TRACKED if tracked else "fast")
+    if preset not in presets:
+        raise InputError("preset", f"must be one of {', '.join(presets)} for {kind}, is {preset!r}")
+    if tracked and goal.free:
+        raise InputError("free", f"{TRACKED} searches its own five parameters: leave it empty")
+    output = _output(goal.output, bags[0], "calibrated.yaml")
+    if output.is_dir() or not _writable(output.parent):
+        raise InputError(output, "cannot be written: name a file in a folder that exists")
+    request = calibration.CalibrationRequest(
+        twin=twin,
+        bags=bags,
+        preset=preset,
+        seed=int(goal.seed),
+        free=tuple(goal.free),
+        max_generations=int(goal.max_generations),
+    )
+    return Job(request, str(output), threads, tracked)
+
+
+def diagnosis_job(goal: Any, twin_file: str, threads: int) -> Job:
+    """The job of a goal of ``diagnose``; raises InputError that names the wrong field of the goal."""
+    twin, tracked = _twin_of(goal, twin_file)
+    bags = _recordings(goal.bags, "bags")
+    reference = _recordings(goal.reference, "reference", needed=False)
+    folder = _output(goal.output, bags[0], "diagnosis")
+    if not _writable(folder if folder.exists() else folder.parent):
+        raise InputError(folder, "cannot be written: name a folder, in one that exists")
+    request = diagnosis.DiagnosisRequest(twin, bags, reference, int(goal.seed))
+    return Job(request, str(folder), threads, tracked)
+
+
+def run_calibration(
+    job: Job, on_progress: Callable[[calibration.Progress], None], should_stop: Callable[[], bool]
+) -> Outcome:
+    """Calibrate in this process and write the twin and its details; stopped early, the best so far."""
+    if job.tracked:
+        return _calibrate_tracked(job, on_progress, should_stop)
+    result = calibrate(job.request, on_progress, should_stop)
+    if not result.estimates:
+        return {"success": False, "message": "stopped before the search began"}
+    write_result(result, Path(job.output))
+    return {
+        "success": True,
+        "message": f"{job.output}: {result.message}",
+        "output": job.output,
+        "cost": result.cost,
+        "initial_cost": result.initial_cost,
+        "evaluations": result.evaluations,
+        "generations": result.generations,
+        "names": [e.key for e in result.estimates],
+        "values": [e.value for e in result.estimates],
+        "excited": [e.excited for e in result.estimates],
+    }
+
+
+def _calibrate_tracked(
+    job: Job, on_progress: Callable[[calibration.Progress], None], should_stop: Callable[[], bool]
+) -> Outcome:
+    asked = job.request
+    done = calibrate_tracked_files(
+        asked.twin,
+        asked.bags,
+        Path(job.output),
+        seed=asked.seed,
+        generations=asked.max_generations,
+        tell=on_progress,
+        should_stop=should_stop,
+    )
+    result = done.result
+    return {
+        "success": True,
+        "message": f"{job.output}: {done.message}",
+        "output": job.output,
+        "cost": float(result.best[-1]),
+        "initial_cost": done.initial_cost,
+        "evaluations": result.evaluations,
+        "generations": len(result.best) - 1,
+        "names": [f"vehicle.{key}" for key in result.values],
+        "values": list(result.values.values()),
+        "excited": [True] * len(result.values),
+    }
+
+
+def run_diagnosis(
+    job: Job, on_progress: Callable[[DiagnosisStep], None], should_stop: Callable[[], bool]
+) -> Outcome:
+    """Diagnose in this process and write ``diagnosis.json``, ``twin.yaml`` and ``report.html``."""
+    began = time.monotonic()
+
+    def step(stage: diagnosis.Progress) -> None:
+        done = min(max(stage.done, 0.0), 1.0)
+        left = (time.monotonic() - began) * (1.0 - done) / done if done >= _EXTRAPOLATED else math.nan
+        on_progress(DiagnosisStep(stage.stage, done, left, stage.note))
+
+    folder, asked = Path(job.output), job.request
+    result: Any
+    if job.tracked:
+        result = diagnose_tracked_files(asked.twin, asked.bags, asked.reference, asked.seed, step)
+        page = tracked_page(result)
+    else:
+        result = diagnose(asked, step, should_stop)
+        page = diagnosis_page(result)
+    write(result, folder)
+    page.write(folder / "report.html")
+    return {
+        "success": True,
+        "message": f"{folder}: {result.document['message']}",
+        "diagnosis": json.dumps(result.document, ensure_ascii=False, allow_nan=False),
+        "output": str(folder),
+    }
+
+
+#: What runs in the worker process: the job, a function for progress, a function that says whether to stop.
+Work = Callable[[Job, Callable[[Any], None], Callable[[], bool]], Outcome]
+
+
+class News(NamedTuple):
+    """A message of the worker process: progress, and in the end the outcome or one line of what went wrong."""
+
+    kind: Literal["progress", "done", "failed"]
+    content: Any
+
+
+class Worker:
+    """``work(job, on_progress, should_stop)`` in a process of its own; ``work`` and ``job`` are pickled."""
+
+    def __init__(self, work: Work, job: Job) -> None:
+        context = multiprocessing.get_context("spawn")
+        self._here, there = context.Pipe(duplex=False)
+        self._stop = context.Event()
+        self._process = context.Process(target=_run, args=(work, job, there, self._stop), daemon=True)
+        self._process.start()
+        there.close()
+
+    def news(self) -> list[News]:
+        """All messages since the last call; the end of the process without an outcome is a failure."""
+        found = []
+        try:
+            while self._here.poll():
+                found.append(self._here.recv())
+        except (EOFError, OSError):
+            self._process.join(0.1)
+            found.append(News("failed", f"the worker process ended (exit status {self._process.exitcode})"))
+        return found
+
+    def stop(self) -> None:
+        """Ask it to end with the best result so far."""
+        self._stop.set()
+
+    def kill(self) -> None:
+        """End it now."""
+        self._process.kill()
+        self._process.join(1.0)
+        self._here.close()
+
+
+def _run(work: Work, job: Job, out: Connection, stop: Event) -> None:
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, signal.SIG_IGN)
+    with contextlib.suppress(OSError):
+        os.nice(10)
+    parent = multiprocessing.parent_process()
+    if job.threads:
+        numba.set_num_threads(min(job.threads, numba.config.NUMBA_NUM_THREADS))
+
+    def should_stop() -> bool:
+        if parent is not None and not parent.is_alive():
+            os._exit(1)
+        return stop.is_set()
+
+    try:
+        outcome = work(job, lambda content: out.send(News("progress", content)), should_stop)
+        last = News("done", outcome)
+    except SuspensionTwinError as error:
+        last = News("failed", str(error))
+    except Exception as error:
+        last = News("failed", f"unexpected error, {type(error).__name__}: {error}")
+    with contextlib.suppress(OSError):  # the parent no longer listens
+        out.send(last)
+        out.close()

@@ -1,0 +1,244 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Parameters of the nodes: declared with a description and a range, checked, read from parameter files."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from dataclasses import dataclass
+from functools import lru_cache
+from pathlib import Path
+from typing import Any
+
+import yaml
+from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescriptor, SetParametersResult
+from rclpy.exceptions import InvalidParameterTypeException, ParameterException
+from rclpy.node import Node
+from rclpy.parameter import Parameter
+
+from suspension_twin.errors import InputError
+from suspension_twin.signals.filters import FilterSpec
+from suspension_twin.vehicle.twin import Twin, load_twin
+
+__all__ = [
+    "FILTER",
+    "TWIN",
+    "Param",
+    "ParameterSet",
+    "Values",
+    "check_names",
+    "filter_of",
+    "read_param_file",
+    "twin_of",
+]
+
+Values = dict[str, Any]
+
+_TYPES = {
+    bool: "true or false",
+    int: "an integer",
+    float: "a number with a decimal point (20.0)",
+    str: "a string",
+}
+_KEY = "ros__parameters"
+
+
+@dataclass(frozen=True)
+class Param:
+    """One parameter. ``low`` and ``high`` bound a number, ``choices`` a string. A ``read_only`` one cannot be
+    set while the node runs, all others can."""
+
+    name: str
+    default: bool | int | float | str | list[float]
+    text: str
+    low: float | None = None
+    high: float | None = None
+    read_only: bool = False
+    choices: tuple[str, ...] = ()
+
+    def descriptor(self) -> ParameterDescriptor:
+        """What ``ros2 param describe`` shows."""
+        out = ParameterDescriptor(name=self.name, description=self.text, read_only=self.read_only)
+        if self.low is not None and self.high is not None:
+            if isinstance(self.default, float):
+                out.floating_point_range = [FloatingPointRange(from_value=self.low, to_value=self.high)]
+            elif isinstance(self.default, int):
+                out.integer_range = [IntegerRange(from_value=int(self.low), to_value=int(self.high), step=1)]
+        if self.choices:
+            out.additional_constraints = "one of " + ", ".join(self.choices)
+        return out
+
+    def refuse(self, value: Any) -> str | None:
+        """Why ``value`` is not accepted; None if it is."""
+        numbers = value if isinstance(self.default, list) else [value]
+        for number in numbers if isinstance(self.default, (float, list)) else ():
+            if not math.isfinite(number):
+                return f"must be a finite number, is {number}"
+            if self.low is not None and self.high is not None and not self.low <= number <= self.high:
+                return f"must be between {self.low:g} and {self.high:g}, is {number:g}"
+        if self.choices and value not in self.choices:
+            return f"must be one of {', '.join(self.choices)}, is {value!r}"
+        return None
+
+
+class ParameterSet:
+    """The parameters of one node and their present ``values``.
+
+    ``check`` gets the whole set before anything changes and raises InputError to refuse it;
+    ``changed`` gets the names after a change.
+    """
+
+    def __init__(
+        self,
+        node: Node,
+        params: Iterable[Param],
+        check: Callable[[Values], None],
+        changed: Callable[[set[str]], None],
+    ) -> None:
+        self._node = node
+        self._params = {p.name: p for p in params}
+        self._check = check
+        self._changed = changed
+        self.values: Values = {p.name: self._declare(p) for p in self._params.values()}
+        self._refuse_unusable(self.values)
+        node.add_on_set_parameters_callback(self._on_set)
+        node.add_post_set_parameters_callback(self._after_set)
+
+    def _declare(self, param: Param) -> Any:
+        node = self._node
+        try:
+            value = node.declare_parameter(param.name, param.default, param.descriptor()).value
+        except InvalidParameterTypeException:
+            many = isinstance(param.default, list)
+            wanted = "numbers with a decimal point in a list" if many else _TYPES[type(param.default)]
+            raise InputError(node.get_name(), param.name, f"must be {wanted}") from None
+        except ParameterException as error:
+            reason = str(error).rpartition("Reason: ")[2].rstrip(".")
+            bounds = "" if param.low is None else f" (from {param.low:g} to {param.high:g})"
+            raise InputError(node.get_name(), param.name, reason + bounds) from None
+        return list(value) if isinstance(param.default, list) else value
+
+    def _refuse_unusable(self, values: Values) -> None:
+        for name, value in values.items():
+            reason = self._params[name].refuse(value)
+            if reason is not None:
+                raise InputError(self._node.get_name(), name, reason)
+        self._check(values)
+
+    def _merged(self, parameters: list[Parameter]) -> Values:
+        return self.values | {p.name: p.value for p in parameters if p.name in self._params}
+
+    def _on_set(self, parameters: list[Parameter]) -> SetParametersResult:
+        try:
+            for parameter in parameters:
+                if parameter.name in self._params and parameter.value is None:
+                    raise InputError(parameter.name, "cannot be unset")
+            self._refuse_unusable(self._merged(parameters))
+        except InputError as error:
+            return SetParametersResult(successful=False, reason=str(error))
+        return SetParametersResult(successful=True)
+
+    def _after_set(self, parameters: list[Parameter]) -> None:
+        self.values = self._merged(parameters)
+        names = {p.name for p in parameters} & self._params.keys()
+        if names:
+            self._changed(names)
+
+
+# Parameters that several nodes share
+
+TWIN = Param("twin", "", "Path of the twin file; setting it resets the node. Empty: none.")
+
+_FILTER = FilterSpec()
+#: The same in imu_ingest and suspension_model, or measured and simulated signals cannot be compared.
+FILTER = (
+    Param("filter.order", _FILTER.order, "Order of the Butterworth low-pass.", 1, 8),
+    Param("filter.cutoff", _FILTER.cutoff, "Cut-off frequency (-3 dB) of the low-pass in Hz.", 0.1, 800.0),
+)
+
+
+@lru_cache(maxsize=16)
+def _load(path: str, _changed: int) -> Twin:
+    return load_twin(path)
+
+
+def twin_of(values: Values) -> Twin | None:
+    """The twin of the parameter ``twin``, read again when the file has changed; None if not set.
+
+    Raises InputError that names the file and the key.
+    """
+    path = values["twin"]
+    if not path:
+        return None
+    try:
+        changed = Path(path).stat().st_mtime_ns
+    except OSError as error:
+        raise InputError(path, error.strerror or "cannot be read") from None
+    return _load(path, changed)
+
+
+def filter_of(values: Values) -> FilterSpec:
+    """The low-pass that the parameters describe."""
+    return FilterSpec(values["filter.order"], values["filter.cutoff"])
+
+
+# Parameter files, checked before ROS reads them: rcl ignores a name that no node has
+
+
+def read_param_file(path: Path) -> dict[str, dict[str, Any]]:
+    """Values by node (as the file names it: a name, a path or a pattern) and dotted parameter name.
+
+    Raises InputError that says what is wrong with the file.
+    """
+    try:
+        data = yaml.safe_load(path.read_text(encoding="utf-8"))
+    except OSError as error:
+        raise InputError(path, error.strerror or "cannot be read") from None
+    except (yaml.YAMLError, UnicodeDecodeError) as error:
+        mark = getattr(error, "problem_mark", None)
+        where = f"line {mark.line + 1}: " if mark else ""
+        raise InputError(path, f"{where}{getattr(error, 'problem', None) or 'not YAML'}") from None
+    except (RecursionError, ValueError):  # brackets nested too deep, an impossible date
+        raise InputError(path, "not YAML that can be read") from None
+    if not isinstance(data, dict):
+        raise InputError(path, f"not a parameter file: a mapping of nodes with '{_KEY}' is expected")
+    return {node: dict(_flat(values)) for node, values in _sections(path, data, "")}
+
+
+def _sections(path: Path, data: Mapping[Any, Any], prefix: str) -> Iterator[tuple[str, Mapping[Any, Any]]]:
+    """Nodes and their parameters, namespaces nested or written out."""
+    for name, inner in data.items():
+        full = f"{prefix}/{name}" if prefix else str(name)
+        if not isinstance(inner, dict):
+            raise InputError(path, full, f"has no '{_KEY}'")
+        if _KEY in inner:
+            if not isinstance(inner[_KEY], dict):
+                raise InputError(path, f"{full}: {_KEY}", "must be a mapping of parameters")
+            yield full, inner[_KEY]
+        else:
+            yield from _sections(path, inner, full)
+
+
+def _flat(values: Mapping[Any, Any], prefix: str = "") -> Iterator[tuple[str, Any]]:
+    for name, value in values.items():
+        if isinstance(value, dict):
+            yield from _flat(value, f"{prefix}{name}.")
+        else:
+            yield f"{prefix}{name}", value
+
+
+def check_names(
+    path: Path, wanted: Mapping[str, Mapping[str, Any]], known: Mapping[str, Iterable[str]]
+) -> None:
+    """Raise InputError for a parameter that none of the nodes it is meant for has.
+
+    ``known`` are the parameters of each node by the node's name. The file may name nodes of other
+    packages; a parameter given by a pattern must be one of ours.
+    """
+    names = {node: set(parameters) for node, parameters in known.items()}
+    for section, parameters in wanted.items():
+        own = section.rpartition("/")[2]
+        have = set().union(*names.values()) if "*" in own else names.get(own, set(parameters))
+        for name in parameters.keys() - have:
+            if not name.startswith("qos_overrides."):
+                raise InputError(path, f"{section}: {name}", "no such parameter")

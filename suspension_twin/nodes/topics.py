@@ -1,0 +1,201 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Inputs and outputs of a node: subscriptions, publishers, and direct links within one process.
+
+In the composed process the four nodes pass each other the message objects that they publish. A hop
+through the middleware costs more than all that the twin computes, so there is none between a
+measurement and the simulated value of the same stamp. Rules that make this safe:
+
+* A linked receiver copies what it needs and keeps no reference: the sender fills the same message
+  object again for the next sample.
+* Links are called first, publishing follows: the computation comes before the serialisation.
+* A publisher without matched subscriptions is skipped. Nothing is lost by that, since a volatile
+  publisher keeps no history for later subscriptions.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+from diagnostic_msgs.msg import DiagnosticStatus
+from rclpy.context import Context
+from rclpy.parameter import Parameter
+from rclpy.publisher import Publisher
+from rclpy.qos import HistoryPolicy, QoSProfile, ReliabilityPolicy
+
+from suspension_twin.errors import InputError
+
+if TYPE_CHECKING:
+    from suspension_twin.nodes.base import TwinNode
+
+__all__ = [
+    "ERROR",
+    "NS",
+    "OK",
+    "SENSOR_QOS",
+    "STREAM_QOS",
+    "WARN",
+    "Embedding",
+    "Input",
+    "InputState",
+    "Outbox",
+    "Output",
+]
+
+OK, WARN, ERROR = DiagnosticStatus.OK, DiagnosticStatus.WARN, DiagnosticStatus.ERROR
+#: Nanoseconds in a second.
+NS = 1_000_000_000
+#: As qos_profile_sensor_data, with a queue that covers a pause of the process of 0.6 s at 1.6 kHz.
+SENSOR_QOS = QoSProfile(
+    history=HistoryPolicy.KEEP_LAST, depth=1000, reliability=ReliabilityPolicy.BEST_EFFORT
+)
+#: Messages of one topic taken in one callback, so that waiting ones do not cost a wait of the executor each.
+_BURST = 50
+#: Reliable: game engines and dashboards do not connect to best-effort publishers.
+STREAM_QOS = QoSProfile(history=HistoryPolicy.KEEP_LAST, depth=100, reliability=ReliabilityPolicy.RELIABLE)
+
+
+class Outbox:
+    """Messages to be published at the end of the callback that filled them. One for each thread of nodes."""
+
+    def __init__(self) -> None:
+        self._depth = 0
+        self._waiting: list[tuple[Publisher, Any]] = []
+
+    def enter(self) -> None:
+        """A callback begins."""
+        self._depth += 1
+
+    def leave(self) -> None:
+        """A callback has ended; at the end of the outermost one all waiting messages are published."""
+        self._depth -= 1
+        if self._waiting and not self._depth:
+            self.flush()
+
+    def add(self, publisher: Publisher, message: Any) -> None:
+        """Publish ``message`` when the outermost callback ends; at once outside of any callback."""
+        self._waiting.append((publisher, message))
+        if not self._depth:
+            self.flush()
+
+    def flush(self) -> None:
+        """Publish all waiting messages in the order in which they were added."""
+        waiting, self._waiting = self._waiting, []
+        for publisher, message in waiting:
+            publisher.publish(message)
+
+
+class Output:
+    """One topic that a node publishes, and the handlers linked to it."""
+
+    def __init__(self, publisher: Publisher, outbox: Outbox) -> None:
+        self.publisher = publisher
+        # Called for every message: the handle itself, without the publisher's lock around it.
+        self._listeners: Callable[[], int] = publisher.handle.get_subscription_count
+        self.links: list[Callable[[Any], None]] = []
+        self.sent = 0
+        self._outbox = outbox
+
+    def send(self, message: Any, urgent: bool = False) -> None:
+        """Call the links with ``message``, then publish it at the end of the outermost callback, until
+        which it must not change; an ``urgent`` message is published at once, before the links."""
+        self.sent += 1
+        if urgent and self._listeners():
+            self.publisher.publish(message)
+        for link in self.links:
+            link(message)
+        if not urgent and self._listeners():
+            self._outbox.add(self.publisher, message)
+
+    @property
+    def wanted(self) -> bool:
+        """Whether there is any link or matched subscription."""
+        return bool(self.links) or self._listeners() > 0
+
+
+@dataclass(frozen=True)
+class Embedding:
+    """How a node is put into a process; the defaults are for a process of its own.
+
+    ``linked`` names the inputs that another node of the process delivers directly, so that no
+    subscription is made for them; ``outbox`` is shared by all nodes of the process. ``clock_jumps``:
+    reset the node when the ROS clock jumps back. Not wanted where the stamps are passed on directly
+    and the clock follows behind them.
+    """
+
+    context: Context | None = None
+    namespace: str = ""
+    parameters: tuple[Parameter, ...] = ()
+    linked: frozenset[str] = frozenset()
+    outbox: Outbox | None = None
+    clock_jumps: bool = True
+
+
+@dataclass
+class InputState:
+    """Statistics of one subscribed topic: ``rate`` Hz, ``silent_for`` s since the last message. A warning is
+    given for a silent topic if it is ``expected``."""
+
+    topic: str
+    expected: bool
+    received: int = 0
+    rate: float = math.nan
+    silent_for: float = 0.0
+    warned: bool = False
+    _counted: int = 0
+    _last: float = math.nan
+
+    def measure(self, now: float, interval: float) -> None:
+        """Update ``silent_for`` at ``now`` s and ``rate`` over the last ``interval`` s."""
+        new = self.received - self._counted
+        self._counted = self.received
+        self.rate = new / interval if interval > 0 else math.nan
+        if new or math.isnan(self._last) or now < self._last:
+            self._last = now
+        self.silent_for = now - self._last
+
+
+class Input:
+    """One subscribed topic. ``deliver`` takes a message from a subscription or from a linked output."""
+
+    def __init__(self, node: TwinNode, state: InputState, handler: Callable[[Any, int], None]) -> None:
+        self.state = state
+        self.newest = 0
+        #: None where a linked output delivers.
+        self.subscription: Any = None
+        self._node = node
+        self._outbox = node.outbox
+        self._handler = handler
+
+    def receive(self, message: Any) -> None:
+        """Deliver ``message`` and those that wait behind it in the queue of the subscription."""
+        self.deliver(message)
+        for _ in range(_BURST):
+            taken = self.subscription.handle.take_message(self.subscription.msg_type, False)
+            if taken is None:
+                break
+            self.deliver(taken[0])
+
+    def deliver(self, message: Any) -> None:
+        """Call the handler with ``message`` and its stamp in ns; never raises because of a message."""
+        node, topic = self._node, self.state.topic
+        self.state.received += 1
+        self._outbox.enter()
+        try:
+            stamp = message.header.stamp
+            ns = stamp.sec * NS + stamp.nanosec
+            if ns <= 0:
+                raise InputError(topic, "message dropped: header.stamp is zero")
+            if ns < self.newest - node.jump_back_ns:
+                node.start_afresh(f"the stamps of {topic} jumped back by {(self.newest - ns) / NS:.1f} s", ns)
+            if ns > self.newest:
+                self.newest = ns
+            self._handler(message, ns)
+        except InputError as error:
+            node.note(f"messages dropped on {topic}", WARN, str(error))
+        except Exception as error:  # whatever a message causes, the next one is handled
+            node.note(f"errors on {topic}", ERROR, f"{topic}: {type(error).__name__}: {error}")
+        finally:
+            self._outbox.leave()
