@@ -7,9 +7,8 @@ folder holds one whole state or none. No pickles.
 
 from __future__ import annotations
 
-import contextlib
 import hashlib
-import os
+import re
 import shutil
 import zipfile
 from collections.abc import Mapping
@@ -22,11 +21,14 @@ import yaml
 
 from suspension_twin.arrays import Floats
 from suspension_twin.errors import InputError
+from suspension_twin.files import check_writable, replacing, write_text
 
-__all__ = ["Checkpoint", "State"]
+__all__ = ["STATE_FILE", "Checkpoint", "State"]
 
-_INDEX = "state.yaml"
+STATE_FILE = "state.yaml"
 _FORMAT = 1
+#: The files of a state, whole or in the making: what else is in the folder is not touched.
+_OWN = re.compile(r"state\.yaml|\w+-[0-9a-f]{16}\.npz|\..*\.part\.(npz|yaml)")
 #: The same text, written by C where PyYAML was built with it.
 _DUMPER = getattr(yaml, "CSafeDumper", yaml.SafeDumper)
 
@@ -46,15 +48,17 @@ class Checkpoint:
     def __init__(self, folder: Path, fingerprint: str) -> None:
         self.folder = folder
         self.fingerprint = fingerprint
-        try:
-            folder.mkdir(parents=True, exist_ok=True)
-        except OSError as error:
-            raise InputError(folder, f"no state can be kept here: {error.strerror}") from None
+        check_writable(folder / STATE_FILE)
+        strange = [p.name for p in folder.iterdir() if not _OWN.fullmatch(p.name)] if folder.is_dir() else []
+        if strange:
+            raise InputError(
+                folder, f"holds {strange[0]}, which is no state of a calibration: name another folder"
+            )
 
     def load(self) -> State | None:
         """The last whole state of this very problem, or None: then the search starts anew."""
         try:
-            index = yaml.safe_load((self.folder / _INDEX).read_text(encoding="utf-8"))
+            index = yaml.safe_load((self.folder / STATE_FILE).read_text(encoding="utf-8"))
             if index["format"] != _FORMAT or index["fingerprint"] != self.fingerprint:
                 return None
             with np.load(self.folder / index["arrays"], allow_pickle=False) as stored:
@@ -70,12 +74,8 @@ class Checkpoint:
             digest.update(name.encode())
             digest.update(np.ascontiguousarray(state.arrays[name]).tobytes())
         arrays = f"{state.stage}-{digest.hexdigest()[:16]}.npz"
-        target = self.folder / arrays
-        part = self.folder / f"{arrays}.part"
-        with part.open("wb") as stream:
+        with replacing(self.folder / arrays) as part, part.open("wb") as stream:
             np.savez(stream, **state.arrays)  # type: ignore[arg-type]
-            _flush(stream.fileno())
-        os.replace(part, target)
         index = {
             "format": _FORMAT,
             "fingerprint": self.fingerprint,
@@ -83,24 +83,17 @@ class Checkpoint:
             "arrays": arrays,
             "plain": _plain(state.plain),
         }
-        part = self.folder / f"{_INDEX}.part"
-        with part.open("w", encoding="utf-8") as text:
-            yaml.dump(index, text, Dumper=_DUMPER, sort_keys=False)
-            text.flush()
-            _flush(text.fileno())
-        os.replace(part, self.folder / _INDEX)
+        write_text(self.folder / STATE_FILE, yaml.dump(index, Dumper=_DUMPER, sort_keys=False))
         for old in self.folder.iterdir():
-            if old.name not in (arrays, _INDEX) and old.suffix in (".npz", ".part"):
+            if old.name not in (
+                arrays,
+                STATE_FILE,
+            ):  # the state before this one, or parts of a process that was killed
                 old.unlink(missing_ok=True)
 
     def remove(self) -> None:
         """Forget the state: the calibration is done and its result written."""
         shutil.rmtree(self.folder, ignore_errors=True)
-
-
-def _flush(descriptor: int) -> None:
-    with contextlib.suppress(OSError):
-        os.fsync(descriptor)
 
 
 def _plain(value: Any) -> Any:

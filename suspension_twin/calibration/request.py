@@ -175,7 +175,7 @@ class CalibrationResult:
     def message(self) -> str:
         """One line: what came out."""
         state = "stopped, the best so far: " if self.stopped else ""
-        change = f"cost {self.initial_cost:.4g} to {self.cost:.4g} in {self.evaluations} evaluations"
+        change = f"cost ({self.objective}) {self.initial_cost:.4g} to {self.cost:.4g} in {self.evaluations} evaluations"
         if not self.drives:
             return f"{state}{change}"
         gaps = ", ".join(

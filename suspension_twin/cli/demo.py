@@ -9,9 +9,8 @@ from typing import Annotated
 import typer
 from rich.console import Console
 from rich.progress import BarColumn, Progress, SpinnerColumn, TaskID, TextColumn, TimeElapsedColumn
-from rich.table import Table
 
-from suspension_twin.cli.common import Seed, bundled
+from suspension_twin.cli.common import Force, Outputs, Seed, bundled, output, print_table
 
 __all__ = ["command"]
 
@@ -21,17 +20,20 @@ Out = Annotated[
 ]
 
 
-def command(out: Out = Path("suspension_twin_demo"), seed: Seed = 0) -> None:
+def command(out: Out = Path("suspension_twin_demo"), seed: Seed = 0, force: Force = False) -> None:
     """The whole way, live to calibrated, on the bundled drive.
 
     Replays a drive over a speed bump through the four nodes, calibrates the twin on it by the
-    `calibrate` action, validates it on a second drive, and leaves a page with plots and the
-    calibrated twin file.
+    calibrate action, validates it on a second drive, and writes a page with plots (index.html),
+    the calibrated twin (twin.yaml) and the files that they refer to.
     """
     from suspension_twin.demo.page import demo_page
-    from suspension_twin.demo.steps import DRIVES, run_demo
+    from suspension_twin.demo.steps import DRIVES, run_demo, written_files
 
-    console = Console(highlight=False)
+    page = out / "index.html"
+    outputs = Outputs(page, *written_files(out), force=force)
+    outputs.announce()
+    console = output()
     progress = Progress(
         SpinnerColumn(),
         TextColumn("{task.description}"),
@@ -41,24 +43,21 @@ def command(out: Out = Path("suspension_twin_demo"), seed: Seed = 0) -> None:
         console=console,
         transient=True,
     )
-    with progress:
+    with outputs, progress:
         steps = _Steps(console, progress)
         result = run_demo(bundled("bags"), out, steps, seed=seed)
         steps.begin("Drawing the page")
-        page = demo_page(result).write(out / "index.html")
+        demo_page(result).write(page)
         steps.end("")
-    table = Table(title="Gap between car and twin, rms m/s²", title_justify="left", title_style="bold")
-    for column in ("drive", "measured", "at first", "calibrated", "truth"):
-        table.add_column(column, justify="left" if column == "drive" else "right", no_wrap=True)
+    rows = []
     for name, title in DRIVES.items():
         before, after, truth = result.before[name], result.after[name], result.truth[name]
         cells = (after.measured_rms, before.rms, after.rms, truth.rms)
-        table.add_row(title, *(f"{v:.3f}" for v in cells))
-    console.print(table)
-    console.print(
-        f"{result.seconds:.0f} s in all. The calibrated twin is {out / 'twin.yaml'}", soft_wrap=True
-    )
-    console.print(f"Look at [bold]{page}[/bold]", soft_wrap=True)
+        rows.append((title, *(f"{v:.3f}" for v in cells)))
+    columns = "drive", "measured", "at first", "calibrated", "true parameters"
+    print_table(console, "Gap: rms of measured minus simulated vertical acceleration, m/s²", columns, rows)
+    console.print(f"{result.seconds:.0f} s in all. The calibrated twin is {out / 'twin.yaml'}")
+    console.print(f"Look at [bold]{page}[/bold]")
 
 
 class _Steps:
@@ -86,4 +85,4 @@ class _Steps:
             self._progress.remove_task(self._task)
             self._task = None
         outcome = f"  [dim]{text}[/dim]" if text else ""
-        self._console.print(f"[green]✓[/green] {self._text}{outcome}", soft_wrap=True)
+        self._console.print(f"[green]✓[/green] {self._text}{outcome}")

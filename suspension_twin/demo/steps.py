@@ -17,6 +17,7 @@ from suspension_twin.arrays import Floats
 from suspension_twin.drive.read import read_drive
 from suspension_twin.drive.types import Drive
 from suspension_twin.errors import InputError, WorkError
+from suspension_twin.files import replacing
 from suspension_twin.nodes.answers import CalibrateAnswer, Feedback, Replay
 from suspension_twin.report.characteristics import static_compression
 from suspension_twin.road import Road, load_road
@@ -25,7 +26,7 @@ from suspension_twin.vehicle.twin import Datum, RoadFile, Twin, load_twin, save_
 if TYPE_CHECKING:
     from suspension_twin.nodes.session import Session
 
-__all__ = ["DRIVES", "LEARNT", "UNSEEN", "DemoResult", "Outcome", "Progress", "run_demo"]
+__all__ = ["DRIVES", "LEARNT", "UNSEEN", "DemoResult", "Outcome", "Progress", "run_demo", "written_files"]
 
 #: Calibrated on the one, validated on the other.
 LEARNT, UNSEEN = "bump_15kmh", "crg_road"
@@ -88,12 +89,11 @@ class DemoResult:
 def run_demo(bags: Path, out: Path, progress: Progress, *, seed: int = 0) -> DemoResult:
     """Replay, calibrate and validate; twin files and roads are left in ``out``.
 
-    ``bags`` is the folder of the bundled drives. Raises InputError where ``out`` cannot be used.
+    ``bags`` is the folder of the bundled drives. Raises WorkError where ``out`` cannot be written.
     """
     from suspension_twin.nodes.session import session
 
     began = time.monotonic()
-    _prepare_folder(out)
     start = {name: _settle_in(bags / name, out, name) for name in DRIVES}
     twins = {"before": load_twin(start[LEARNT]), "truth": load_twin(bags / LEARNT / "truth.yaml")}
     result = DemoResult(twins)
@@ -134,14 +134,10 @@ def _step(progress: Progress, text: str) -> Iterator[list[str]]:
     progress.end(said[-1] if said else "")
 
 
-def _prepare_folder(out: Path) -> None:
-    try:
-        out.mkdir(parents=True, exist_ok=True)
-        (out / "twin.yaml").touch()
-    except FileExistsError:
-        raise InputError(out, "is a file, a folder is wanted") from None
-    except OSError as error:
-        raise InputError(out, error.strerror or "cannot be written") from None
+def written_files(out: Path) -> list[Path]:
+    """What :func:`run_demo` leaves in ``out``."""
+    names = ["twin", f"twin_{UNSEEN}", "start", f"start_{UNSEEN}", "twin.calibration"]
+    return [*(out / f"{name}.yaml" for name in names), *(out / f"{name}.crg" for name in DRIVES)]
 
 
 def _settle_in(bag: Path, out: Path, name: str) -> Path:
@@ -150,7 +146,8 @@ def _settle_in(bag: Path, out: Path, name: str) -> Path:
     if twin.road is None or twin.datum is None:
         raise InputError(bag / "twin.yaml", "road", "and datum are needed by the demo")
     road = out / f"{name}.crg"
-    shutil.copyfile(twin.road.file, road)
+    with replacing(road) as temporary:
+        shutil.copyfile(twin.road.file, temporary)
     start = out / ("start.yaml" if name == LEARNT else f"start_{name}.yaml")
     save_twin(twin.model_copy(update={"road": RoadFile(file=road.resolve())}), start)
     return start
