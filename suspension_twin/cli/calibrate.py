@@ -165,7 +165,7 @@ def command(
         store.remove()
     console = output()
     for warning in result.warnings:
-        console.print(f"[yellow]{warning}[/]")
+        console.print(warning, style="yellow", markup=False)
     _print_result(console, result)
     console.print(f"Written to {out} and {details_path(out)}" + "".join(f", page {path}" for path in page))
 
@@ -221,7 +221,7 @@ def _print_result(console: Console, result: CalibrationResult) -> None:
     ]
     columns = "drive", "before", "after", "nuisances removed", "sensor noise"
     print_table(console, "Gap: rms of measured minus simulated vertical acceleration, m/s²", columns, gaps)
-    console.print(f"{result.message}; {result.seconds:.1f} s")
+    console.print(f"{result.message}; {result.seconds:.1f} s", markup=False)
 
 
 def _note(e: Estimate) -> str:

@@ -69,7 +69,7 @@ def print_table(
         table.add_column(name, justify="right" if numbers else "left", overflow="fold", no_wrap=numbers)
     for row in rows:
         table.add_row(*row)
-    console.print(f"[bold]{title}[/]")
+    console.print(title, style="bold", markup=False)
     console.print(table)
     console.print()
 
@@ -92,7 +92,7 @@ class Outputs:
     def announce(self) -> None:
         """The first line of a command's output, if it writes anything."""
         if self._paths:
-            print("Writes", ", ".join(map(str, self._paths)), flush=True)
+            output().print(f"Writes {', '.join(map(str, self._paths))}", markup=False)
 
     def __enter__(self) -> Outputs:
         return self
@@ -169,8 +169,8 @@ def print_diagnosis(document: Mapping[str, Any], out: Path) -> None:
 
     console = output()
     for warning in document["warnings"]:
-        console.print(f"[yellow]{warning}[/]")
-    console.print(f"[bold]{document['verdict']}[/]: {document['message']}")
+        console.print(warning, style="yellow", markup=False)
+    console.print(f"{document['verdict']}: {document['message']}", style="bold", markup=False)
     rows = []
     for cause in document["causes"][:5]:
         low, high = cause["shrink_interval"]
@@ -187,6 +187,7 @@ def print_diagnosis(document: Mapping[str, Any], out: Path) -> None:
     print_table(console, "The most probable causes", columns, rows, words=2)
     console.print(
         f"no gap {document['no_gap_probability']:.3f}, unknown {document['unknown_probability']:.3f}. "
-        f"{document['next_experiment']}"
+        f"{document['next_experiment']}",
+        markup=False,
     )
-    console.print(f"Written to {out}")
+    console.print(f"Written to {out}", markup=False)

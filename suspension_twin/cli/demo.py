@@ -3,14 +3,14 @@
 
 from __future__ import annotations
 
+from contextlib import ExitStack
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, final
 
 import typer
 from rich.console import Console
-from rich.progress import BarColumn, Progress, SpinnerColumn, TaskID, TextColumn, TimeElapsedColumn
 
-from suspension_twin.cli.common import Force, Outputs, Seed, bundled, output, print_table
+from suspension_twin.cli.common import Force, Outputs, ProgressLine, Seed, bundled, output, print_table
 
 __all__ = ["command"]
 
@@ -34,17 +34,7 @@ def command(out: Out = Path("suspension_twin_demo"), seed: Seed = 0, force: Forc
     outputs = Outputs(page, *written_files(out), force=force)
     outputs.announce()
     console = output()
-    progress = Progress(
-        SpinnerColumn(),
-        TextColumn("{task.description}"),
-        BarColumn(bar_width=24),
-        TimeElapsedColumn(),
-        TextColumn("{task.fields[note]}", style="dim"),
-        console=console,
-        transient=True,
-    )
-    with outputs, progress:
-        steps = _Steps(console, progress)
+    with outputs, _Steps(console) as steps:
         result = run_demo(bundled("bags"), out, steps, seed=seed)
         steps.begin("Drawing the page")
         demo_page(result).write(page)
@@ -60,29 +50,33 @@ def command(out: Out = Path("suspension_twin_demo"), seed: Seed = 0, force: Forc
     console.print(f"Look at [bold]{page}[/bold]")
 
 
+@final
 class _Steps:
-    """One line a step: a bar while it runs, a tick and what came out once it is done."""
+    """A progress line while a step runs, a tick and what came out once it is done."""
 
-    def __init__(self, console: Console, progress: Progress) -> None:
+    def __init__(self, console: Console) -> None:
         self._console = console
-        self._progress = progress
-        self._task: TaskID | None = None
         self._text = ""
+        self._running = ExitStack()
+
+    def __enter__(self) -> _Steps:
+        return self
+
+    def __exit__(self, *exception: object) -> None:
+        self._running.close()
 
     def begin(self, text: str) -> None:
         """See suspension_twin.demo.steps.Progress."""
         self._text = text
-        self._task = self._progress.add_task(text, total=1.0, note="")
+        self._line = self._running.enter_context(ProgressLine())
+        self._line.show(text)
 
     def share(self, done: float, note: str = "") -> None:
         """See suspension_twin.demo.steps.Progress."""
-        if self._task is not None:
-            self._progress.update(self._task, completed=done, note=note)
+        self._line.show(note or self._text, done)
 
     def end(self, text: str) -> None:
         """See suspension_twin.demo.steps.Progress."""
-        if self._task is not None:
-            self._progress.remove_task(self._task)
-            self._task = None
+        self._running.close()
         outcome = f"  [dim]{text}[/dim]" if text else ""
         self._console.print(f"[green]✓[/green] {self._text}{outcome}")

@@ -7,6 +7,8 @@ from pathlib import Path
 from typing import Annotated
 
 import typer
+from rich.padding import Padding
+from rich.text import Text
 
 from suspension_twin.cli.common import Force, Outputs, output
 from suspension_twin.drive.importing import Imported, import_drive
@@ -68,18 +70,14 @@ def command(
     with outputs:
         imported = import_drive(files, mapping=mapping, topics=topics)
         outputs.announce()
+        console.print(f"{imported.drive.name}: {imported.origin}", markup=False)
         for line in _report(imported):
-            console.print(line, markup=False)
+            console.print(Padding(Text(line), (0, 0, 0, 2), expand=False))
         write_drive(imported.drive, out, overwrite=force)
     console.print(f"Written to {out}", markup=False)
 
 
 def _report(imported: Imported) -> list[str]:
     """What was recognised, a line each."""
-    drive = imported.drive
-    return [
-        f"{drive.name}: {imported.origin}",
-        *(f"  {line}" for line in summarise(drive).lines()),
-        *(f"  {line}" for line in imported.notes),
-        *(f"  warning: {line}" for line in drive.warnings),
-    ]
+    warnings = (f"warning: {text}" for text in imported.drive.warnings)
+    return [*summarise(imported.drive).lines(), *imported.notes, *warnings]

@@ -134,12 +134,12 @@ def check(
         }
         write_text(out, json.dumps(record, indent=2) + "\n")
     console = output()
-    for rows in (checked.facts.items(), (("wrong" if f.fault else "note", f.text) for f in checked.findings)):
-        lines = Table.grid(padding=(0, 2, 0, 0))
-        for row in rows:
-            lines.add_row(*map(escape, row))
-        console.print(lines)
-        console.print()
+    lines = Table.grid(padding=(0, 2, 0, 0))
+    for name, fact in checked.facts.items():
+        lines.add_row(escape(name), escape(fact))
+    for finding in checked.findings:
+        lines.add_row("wrong" if finding.fault else "note", escape(finding.text))
+    console.print(lines)
     console.print("sound" if checked.sound else "not sound: see the lines that begin with 'wrong'")
     if not checked.sound:
         raise typer.Exit(1)

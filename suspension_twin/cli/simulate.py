@@ -57,7 +57,7 @@ def command(
         write_simulated(result, out)
     console = output()
     for warning in result.prepared.warnings:
-        console.print(f"[yellow]{result.drive.name}: {warning}[/]")
+        console.print(f"{result.drive.name}: {warning}", style="yellow", markup=False)
     gap = result.gap
     rows = []
     for name, rms in gap.channels.items():

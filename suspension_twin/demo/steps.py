@@ -105,7 +105,7 @@ def run_demo(bags: Path, out: Path, progress: Progress, *, seed: int = 0) -> Dem
         result.roads[name] = load_road(bags / name / "road.crg")
     with session() as ros:
         for name, title in DRIVES.items():
-            text = f"The {title}, live through the four nodes, twin as it starts"
+            text = f"Live: {title}, starting twin"
             result.before[name] = _live(ros, result, name, start[name], progress, text)
         with _step(progress, "Calibrating on the speed bump by the action") as done:
             answer = _calibrate(ros, result, start[LEARNT], bags / LEARNT, out / "twin.yaml", progress, seed)
@@ -115,11 +115,10 @@ def run_demo(bags: Path, out: Path, progress: Progress, *, seed: int = 0) -> Dem
         files = {LEARNT: answer.output, UNSEEN: out / f"twin_{UNSEEN}.yaml"}
         _on_road(result.twins["simulated"], load_twin(start[UNSEEN]), files[UNSEEN])
         for name, title in DRIVES.items():
-            unseen = ", not seen so far" if name == UNSEEN else ""
-            text = f"The {title}{unseen}, calibrated twin"
+            text = f"{'Held out' if name == UNSEEN else 'Live'}: {title}, calibrated twin"
             result.after[name] = _live(ros, result, name, files[name], progress, text)
         for name, title in DRIVES.items():
-            text = f"The {title}, true parameters for comparison"
+            text = f"Live: {title}, true parameters"
             result.truth[name] = _live(ros, result, name, bags / name / "truth.yaml", progress, text)
     result.excited = _excited(result)
     result.seconds = time.monotonic() - began
@@ -163,7 +162,7 @@ def _live(ros: Session, result: DemoResult, name: str, twin: Path, progress: Pro
     with _step(progress, text) as done:
         replay = ros.replay(result.drives[name], twin, progress.share)
         outcome = _outcome(name, replay, result.roads[name])
-        done.append(f"gap {outcome.rms:.2f} m/s² of {outcome.measured_rms:.2f} measured")
+        done.append(f"gap {outcome.rms:.2f} of {outcome.measured_rms:.2f} m/s²")
     return outcome
 
 
@@ -197,8 +196,8 @@ def _calibrate(
         result.history.append(word)
         spent = time.monotonic() - began
         share = spent / (spent + word.seconds_left) if np.isfinite(word.seconds_left) else 0.0
-        cost = f", best cost {word.best_cost:.4g}" if np.isfinite(word.best_cost) else ""
-        progress.share(share, f"{word.stage}, generation {word.generation}{cost}")
+        cost = f", cost {word.best_cost:.4g}" if np.isfinite(word.best_cost) else ""
+        progress.share(share, f"Calibrating: {word.stage}, generation {word.generation}{cost}")
 
     return ros.calibrate(twin, [bag], output, seed=seed, on_feedback=heard)
 
