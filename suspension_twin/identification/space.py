@@ -105,7 +105,8 @@ def twin_value(twin: Twin, key: str) -> Any:
         try:
             node = node[int(part)] if isinstance(node, tuple | list) else getattr(node, part)
         except (AttributeError, IndexError, ValueError):
-            near = nearest(part, type(node).model_fields) if isinstance(node, Strict) else ""
+            known = type(node).model_fields if isinstance(node, Strict) else {}
+            near = nearest(part, known) or (f" ({', '.join(known)})" if known else "")
             raise InputError("parameters", key, f"no such key in the twin file{near}") from None
     return node
 
