@@ -23,9 +23,9 @@ from suspension_twin.arrays import Floats
 from suspension_twin.errors import InputError
 from suspension_twin.files import check_writable, replacing, write_text
 
-__all__ = ["STATE_FILE", "Checkpoint", "State"]
+__all__ = ["STATE", "Checkpoint", "State"]
 
-STATE_FILE = "state.yaml"
+STATE = "state.yaml"
 _FORMAT = 1
 #: The files of a state, whole or in the making: what else is in the folder is not touched.
 _OWN = re.compile(r"state\.yaml|\w+-[0-9a-f]{16}\.npz|\..*\.part\.(npz|yaml)")
@@ -48,7 +48,7 @@ class Checkpoint:
     def __init__(self, folder: Path, fingerprint: str) -> None:
         self.folder = folder
         self.fingerprint = fingerprint
-        check_writable(folder / STATE_FILE)
+        check_writable(folder / STATE)
         strange = [p.name for p in folder.iterdir() if not _OWN.fullmatch(p.name)] if folder.is_dir() else []
         if strange:
             raise InputError(
@@ -58,7 +58,7 @@ class Checkpoint:
     def load(self) -> State | None:
         """The last whole state of this very problem, or None: then the search starts anew."""
         try:
-            index = yaml.safe_load((self.folder / STATE_FILE).read_text(encoding="utf-8"))
+            index = yaml.safe_load((self.folder / STATE).read_text(encoding="utf-8"))
             if index["format"] != _FORMAT or index["fingerprint"] != self.fingerprint:
                 return None
             with np.load(self.folder / index["arrays"], allow_pickle=False) as stored:
@@ -83,11 +83,11 @@ class Checkpoint:
             "arrays": arrays,
             "plain": _plain(state.plain),
         }
-        write_text(self.folder / STATE_FILE, yaml.dump(index, Dumper=_DUMPER, sort_keys=False))
+        write_text(self.folder / STATE, yaml.dump(index, Dumper=_DUMPER, sort_keys=False))
         for old in self.folder.iterdir():
             if old.name not in (
                 arrays,
-                STATE_FILE,
+                STATE,
             ):  # the state before this one, or parts of a process that was killed
                 old.unlink(missing_ok=True)
 

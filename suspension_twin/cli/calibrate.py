@@ -129,7 +129,7 @@ def command(
             outputs.announce()
             calibrate_runs(twin, bags, out, preset, report, seed, objective, max_generations)
         return
-    from suspension_twin.calibration.checkpoint import STATE_FILE, Checkpoint
+    from suspension_twin.calibration.checkpoint import STATE, Checkpoint
     from suspension_twin.calibration.output import write_result
     from suspension_twin.calibration.request import CalibrationRequest
     from suspension_twin.calibration.run import calibrate
@@ -150,7 +150,7 @@ def command(
         max_generations=max_generations,
         state=str(folder),
     )
-    outputs = Outputs(out, details_path(out), *page, force=force, resumed_from=folder / STATE_FILE)
+    outputs = Outputs(out, details_path(out), *page, force=force, resumed_from=folder / STATE)
     store = Checkpoint(folder, "")  # refuses a folder that is no state's
     load_twin(twin)
     outputs.announce()

@@ -11,6 +11,7 @@ from matplotlib.figure import Figure
 from scipy.ndimage import uniform_filter1d
 
 from suspension_twin.arrays import Floats
+from suspension_twin.calibration.labels import parameter_label, parameter_unit
 from suspension_twin.calibration.request import CalibrationResult, CurveEstimate, DriveFit, Estimate
 from suspension_twin.report import plots
 from suspension_twin.report.characteristics import AxleEvidence, Band, characteristics
@@ -24,7 +25,7 @@ from suspension_twin.signals.metrics import (
 )
 from suspension_twin.signals.spectra import power_density, power_spectrum
 
-__all__ = ["calibration_page", "parameter_label"]
+__all__ = ["calibration_page"]
 
 _WINDOW = 4.0  # s of a panel in time
 _PANELS = 3
@@ -55,17 +56,6 @@ def calibration_page(result: CalibrationResult) -> Page:
     page.add(_nuisance_section(result))
     page.add(_search_section(result))
     return page
-
-
-def parameter_label(result: CalibrationResult, key: str) -> str:
-    """``vehicle.front.damper_push.force.2`` as ``front damper push, 0.35 m/s``."""
-    curve_key, _, index = key.rpartition(".force.")
-    for curve in result.curves:
-        if curve.key == curve_key:
-            _, axle, part = curve_key.split(".")
-            x = getattr(getattr(result.twin.vehicle, axle), part).points[0][int(index)]
-            return f"{axle} {part.replace('_', ' ')}, {x:g} {curve.unit}"
-    return key.removeprefix("vehicle.").replace("_", " ").replace(".", " ")
 
 
 def _cards(page: Page, result: CalibrationResult) -> None:
@@ -101,10 +91,10 @@ def _summary(result: CalibrationResult) -> str:
             f"**On {', '.join(worse)} the twin is farther from the car than before.** Parameters on their bounds below "
             "say which way they want to go; `--preset fast` or wider `--bound`s let them."
         )
-    bound = [parameter_label(result, e.key) for e in result.estimates if e.on_bound]
+    bound = [parameter_label(result.twin, e.key) for e in result.estimates if e.on_bound]
     if bound:
         lines.append(f"On a bound: {', '.join(bound)}.")
-    dark = [parameter_label(result, e.key) for e in result.estimates if not e.excited]
+    dark = [parameter_label(result.twin, e.key) for e in result.estimates if not e.excited]
     if dark:
         kept = "The prior kept them near where they started."
         if result.preset != "fast":
@@ -349,7 +339,8 @@ def _parameter_section(result: CalibrationResult) -> Section:
         value = Cell(e.value, "bad", f"on its {e.on_bound} bound") if e.on_bound else Cell(e.value)
         rows.append(
             [
-                parameter_label(result, e.key),
+                parameter_label(result.twin, e.key),
+                parameter_unit(e.key),
                 e.start,
                 value,
                 interval,
@@ -357,14 +348,12 @@ def _parameter_section(result: CalibrationResult) -> Section:
                 _told(e),
             ]
         )
-    columns = ["parameter", "started as", "found", "90 % interval", "bounds", "what the drives tell"]
+    columns = ["parameter", "unit", "start", "found", "90 % interval", "bounds", "what the drives tell"]
     text = (
         "Values on a bound are coloured. An interval that does not hold its value says that the bounds or the search "
         "kept it from where the drives want it."
     )
-    return Section(
-        "Parameters", text, Table(columns, rows, "Forces in N at the wheel, for one wheel; else SI units.")
-    )
+    return Section("Parameters", text, Table(columns, rows, "Forces are at the wheel, for one wheel."))
 
 
 def _told(e: Estimate) -> Cell:
