@@ -133,7 +133,6 @@ def _application(chosen: Subcommand | None) -> typer.Typer:
     """Every subcommand by name and help, the chosen one in full."""
     app = typer.Typer(
         add_completion=False,
-        no_args_is_help=True,
         rich_markup_mode=None,
         context_settings={"help_option_names": ["-h", "--help"]},
         help="A live digital twin of a vehicle's suspension: follow a real car, calibrate, and find why they differ.",
@@ -193,7 +192,9 @@ def _explain(error: Exception, twin: str | None) -> tuple[int, str]:
     if format_message is not None:  # typer's own errors, all about the arguments
         where: Any = getattr(error, "ctx", None)
         path = where.command_path if where is not None else PROGRAM
-        message = format_message().rstrip(". ") or "Missing command"  # empty where the help was shown instead
+        message = format_message().rstrip(". ")
+        if message == "Missing command":
+            print(where.get_help())
         return UNUSABLE, f"{path}: {message} (see {path} --help)"
     if isinstance(error, SuspensionTwinError):
         text = str(error)

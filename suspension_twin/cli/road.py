@@ -17,7 +17,7 @@ from suspension_twin.errors import InputError
 
 __all__ = ["app"]
 
-app = typer.Typer(no_args_is_help=True, context_settings={"help_option_names": ["-h", "--help"]})
+app = typer.Typer(context_settings={"help_option_names": ["-h", "--help"]})
 
 RoadFile = Annotated[Path, typer.Argument(help="An OpenCRG road.", metavar="ROAD", show_default=False)]
 

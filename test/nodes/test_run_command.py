@@ -212,7 +212,7 @@ WRONG = [
     (["--", "--ros-args", "-r", "a:=b", "--", "--late"], "--late: is no argument here"),
     (["--twin", "EFFECT"], "effect.yaml: effects: there is no effect magic"),
     (["--twin", "DEEP"], "deep.yaml: not YAML"),
-    (["--twin", "DATE"], "date.yaml: not YAML"),
+    (["--twin", "DATE"], "date.yaml: model: must be one of full_car, msd, tracked"),
     (["--twin=EFFECT"], "effect.yaml: effects: there is no effect magic"),
 ]
 
@@ -289,8 +289,8 @@ CONDITION = Condition(
 
 def test_the_status_line_says_where_it_is_and_what_is_wrong():
     text = line(CONDITION).plain
-    assert "12.0 of 44.9 s, round 2" in text and "imu 100 Hz" in text
-    assert "gap 0.18 m/s² (2.7 × floor)" in text and "imu_ingest: too loud (+1)" in text
+    assert "12.0 of 44.9 s, round 2" in text and "imu 100, fix 10 Hz" in text
+    assert "gap 0.18 m/s² (2.7 × noise)" in text and "imu_ingest: too loud (+1)" in text
     from dataclasses import replace
 
     live = line(replace(CONDITION, position=None, gap=None, complaints=[], rates={"imu": float("nan")})).plain
