@@ -87,7 +87,7 @@ class Status:
             self._due = now + _LOG_PERIOD
 
     def conclude(self) -> None:
-        """The last line, in place of the one that lived."""
+        """The last line, in place of the one that was updated."""
         if self._live is not None:
             self._live.update(Text(""), refresh=True)
             self._live.stop()

@@ -195,8 +195,8 @@ def _show(line: ProgressLine, step: Progress) -> None:
     text = f"{step.stage}: generation {step.generation}, cost {step.best_cost:.4g}"
     if math.isfinite(step.mean_cost) and step.mean_cost != step.best_cost:
         text += f", mean {step.mean_cost:.4g}"
-    left = step.seconds_left
-    line.show(text, line.elapsed / (line.elapsed + left) if left < math.inf else None)
+    total = line.elapsed + step.seconds_left
+    line.show(text, line.elapsed / total if total < math.inf else None)
 
 
 def _print_result(console: Console, result: CalibrationResult) -> None:

@@ -83,7 +83,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         status = _invoke(args, chosen)
         sys.stdout.flush()
     except BrokenPipeError:
-        # The reader has gone (| head): nobody is left to tell. The interpreter's own flush at exit would complain.
+        # The reader has gone (| head). The interpreter's own flush at exit would complain.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         status = FAILED
     except KeyboardInterrupt as end:

@@ -22,7 +22,7 @@ __all__ = ["demo_page", "figures"]
 _CUTOFF = 20.0  # Hz, the nodes' default low-pass
 _WAVE = 4.0  # m, what is longer moves the car and not its struts
 _EXCITED = Cell("yes", "good")
-_NOT_EXCITED = Cell("no", "warn", "the drive says nothing about this point")
+_NOT_EXCITED = Cell("no", "warn", "the drive does not excite this point")
 
 
 def demo_page(result: DemoResult) -> Page:
