@@ -209,18 +209,12 @@ def _print_result(console: Console, result: CalibrationResult) -> None:
         rows.append((name, unit, _number(e.start), _number(e.value), interval, _note(e)))
     columns = "parameter", "unit", "start", "found", "90 % interval", ""
     print_table(console, "What was found", columns, rows, words=2)
-    gaps = [
-        (
-            d.name,
-            *(
-                f"{v:.4f}"
-                for v in (d.gap_before.rms, d.gap_after.rms, d.nuisance_free, d.gap_after.noise_rms)
-            ),
-        )
-        for d in result.drives
-    ]
-    columns = "drive", "before", "after", "nuisances removed", "sensor noise"
-    print_table(console, "Gap: rms of measured minus simulated vertical acceleration, m/s²", columns, gaps)
+    gaps = []
+    for d in result.drives:
+        values = (d.gap_before.rms, d.gap_after.rms, d.nuisance_free, d.gap_after.noise_rms)
+        gaps.append((d.name, *(f"{v:.4f}" for v in values)))
+    title = "Gap: rms of measured minus simulated vertical acceleration, m/s²"
+    print_table(console, title, ("drive", "before", "after", "nuisances removed", "sensor noise"), gaps)
     console.print(f"{result.message}; {result.seconds:.1f} s", markup=False)
 
 
