@@ -7,14 +7,19 @@ import time
 from dataclasses import dataclass
 from typing import Any
 
-import mujoco
 import numpy as np
-from mujoco import rollout
+from extras import missing
 from scipy.linalg import expm
 
 from suspension_twin.arrays import Floats
 from suspension_twin.models.types import Excitation
 from suspension_twin.vehicle.twin import Twin
+
+try:
+    import mujoco
+    from mujoco import rollout
+except ModuleNotFoundError:
+    missing("mujoco")
 
 G = 9.80665
 

@@ -9,9 +9,11 @@ line maps them to exit status 2 and 1; a node turns them into a diagnostics entr
 
 from __future__ import annotations
 
+from collections.abc import Iterable
+from difflib import get_close_matches
 from os import PathLike, fspath
 
-__all__ = ["InputError", "SuspensionTwinError", "WorkError"]
+__all__ = ["InputError", "SuspensionTwinError", "WorkError", "nearest"]
 
 
 class SuspensionTwinError(Exception):
@@ -35,3 +37,9 @@ class InputError(SuspensionTwinError):
 
 class WorkError(SuspensionTwinError):
     """The input was usable and the work failed all the same."""
+
+
+def nearest(word: str, known: Iterable[str]) -> str:
+    """``", did you mean mass?"`` for a mistyped ``word``, to end an error's text with; empty if nothing is near."""
+    found = get_close_matches(word, list(known), n=1)
+    return f", did you mean {found[0]}?" if found else ""

@@ -10,13 +10,18 @@ no model of seven degrees has.
 
 from __future__ import annotations
 
-import mujoco
 import numpy as np
+from extras import missing
 
 from blind import linkage_forces as lf
 from blind import multibody as mb
 from blind.newton import Faults, Motion
 from blind.world import DAMPER_REACH, SPRING_REACH, Car, Floats, Plan, World
+
+try:
+    import mujoco
+except ModuleNotFoundError:
+    missing("mujoco")
 
 #: Per axle: m from the wheel to the instant centre seen from the front (towards the other side) and seen from the side
 #: (behind the front wheels, ahead of the rear ones), and the centres' heights above the wheel's.

@@ -11,13 +11,18 @@ import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
-import mujoco
 import numpy as np
+from extras import missing
 from scipy.signal import lfilter
 
 from blind import multibody_forces as mf
 from blind.newton import Faults, Motion, rotate
 from blind.world import DAMPER_REACH, SPRING_N, SPRING_REACH, START, Car, Floats, G, Plan, World
+
+try:
+    import mujoco
+except ModuleNotFoundError:
+    missing("mujoco")
 
 STEP = 5e-4
 SETTLE = 3.0

@@ -6,9 +6,8 @@ It is put in place by rename: at any moment the folder holds one whole state or 
 
 from __future__ import annotations
 
-import contextlib
 import json
-import os
+import re
 import shutil
 import zipfile
 from dataclasses import dataclass
@@ -19,6 +18,7 @@ import numpy as np
 
 from suspension_twin.arrays import Floats
 from suspension_twin.errors import InputError
+from suspension_twin.files import check_writable, replacing
 
 __all__ = ["STATE", "Checkpoint", "State"]
 
@@ -26,6 +26,8 @@ __all__ = ["STATE", "Checkpoint", "State"]
 STATE = "state.npz"
 _FORMAT = 2
 _INDEX = "index"
+#: The files of a state, whole or in the making: what else is in the folder is not touched.
+_OWN = re.compile(r"state\.npz|\..*\.part(\.\w+)?")
 
 
 @dataclass(frozen=True, eq=False)
@@ -43,10 +45,12 @@ class Checkpoint:
     def __init__(self, folder: Path, fingerprint: str) -> None:
         self.folder = folder
         self.fingerprint = fingerprint
-        try:
-            folder.mkdir(parents=True, exist_ok=True)
-        except OSError as error:
-            raise InputError(folder, f"no state can be kept here: {error.strerror}") from None
+        check_writable(folder / STATE)
+        strange = [p.name for p in folder.iterdir() if not _OWN.fullmatch(p.name)] if folder.is_dir() else []
+        if strange:
+            raise InputError(
+                folder, f"holds {strange[0]}, which is no state of a calibration: name another folder"
+            )
 
     def load(self) -> State | None:
         """The last whole state of this very problem, or None: then the search starts anew."""
@@ -68,13 +72,8 @@ class Checkpoint:
             "stage": state.stage,
             "plain": state.plain,
         }
-        part = self.folder / f"{STATE}.part"
-        with part.open("wb") as stream:
+        with replacing(self.folder / STATE) as part, part.open("wb") as stream:
             np.savez(stream, **{**state.arrays, _INDEX: np.array(json.dumps(index, default=_plain))})  # type: ignore[arg-type]
-            stream.flush()
-            with contextlib.suppress(OSError):
-                os.fsync(stream.fileno())
-        os.replace(part, self.folder / STATE)
 
     def remove(self) -> None:
         """Forget the state: the calibration is done and its result written."""

@@ -87,6 +87,7 @@ def paper_distance(setup: Setup, twin: Twin) -> float:
         (Term("euclidean", "vertical_acceleration"),),
         NuisancePriors(),
         (0.0,) * len(setup.drives),
+        whole.rows,
     )
     quiet = np.zeros(len(problem.nuisances))
     return float(problem.costs(np.array([[mass]]), quiet, synchronise=True)[0])

@@ -4,7 +4,6 @@
 from __future__ import annotations
 
 import math
-import os
 from pathlib import Path
 from typing import Any
 
@@ -12,7 +11,7 @@ import yaml
 
 from suspension_twin import __version__
 from suspension_twin.calibration.request import CalibrationResult
-from suspension_twin.errors import InputError
+from suspension_twin.files import write_text
 from suspension_twin.vehicle.twin import save_twin
 
 __all__ = ["describe", "details_path", "write_result"]
@@ -29,21 +28,11 @@ def write_result(result: CalibrationResult, path: Path) -> tuple[Path, Path]:
     Neither holds a time of day or a duration: the same question gives the same files.
     """
     details = details_path(path)
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        part = path.with_name(f".{path.name}.part")
-        save_twin(result.twin, part)
-        text = part.read_text(encoding="utf-8")
-        part.write_text(_heading(result, details) + text, encoding="utf-8")
-        os.replace(part, path)
-        part = path.with_name(f".{details.name}.part")
-        body = yaml.safe_dump(
-            describe(result), sort_keys=False, default_flow_style=None, width=110, allow_unicode=True
-        )
-        part.write_text(body, encoding="utf-8")
-        os.replace(part, details)
-    except OSError as error:
-        raise InputError(path, f"cannot be written: {error.strerror}") from None
+    save_twin(result.twin, path, _heading(result, details))
+    body = yaml.safe_dump(
+        describe(result), sort_keys=False, default_flow_style=None, width=110, allow_unicode=True
+    )
+    write_text(details, body)
     return path, details
 
 

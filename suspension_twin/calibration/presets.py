@@ -12,7 +12,7 @@ import numpy as np
 from suspension_twin.calibration.genetic import GaSettings
 from suspension_twin.calibration.pattern import PatternSettings
 from suspension_twin.effects.registry import effect
-from suspension_twin.errors import InputError
+from suspension_twin.errors import InputError, nearest
 from suspension_twin.identification.gauss_newton import GaussNewtonSettings
 from suspension_twin.identification.priors import prior_of
 from suspension_twin.identification.space import CURVES, Parameter, Space, bounds_of, curve_keys, twin_value
@@ -107,7 +107,9 @@ PRESETS: Mapping[str, Preset] = {
 def preset_named(name: str) -> Preset:
     """The preset of that name; raises InputError that lists them."""
     if name not in PRESETS:
-        raise InputError("preset", name or "(empty)", f"one of {', '.join(PRESETS)} is expected")
+        raise InputError(
+            "preset", name or "(empty)", f"one of {', '.join(PRESETS)} is expected{nearest(name, PRESETS)}"
+        )
     return PRESETS[name]
 
 
@@ -144,10 +146,12 @@ def build_space(
     own = _usual(twin, preset)
     wanted = [*(_expanded(twin, free) if free else own), *_expanded(twin, also)]
     frozen = set(_expanded(twin, freeze))
+    for key in frozen:
+        _value(twin, key)
     keys = [k for k in dict.fromkeys(wanted) if k not in frozen]
     for key in bounds:
         if key not in keys and not any(k.startswith(f"{key}.") for k in keys):
-            raise InputError("bounds", key, "is not free")
+            raise InputError("bounds", key, f"is not free{nearest(key, keys)}")
     have = {
         p.key: p for p in known if prior_of(p.key) is None and p.key.rpartition(".force.")[0] not in CURVES
     }
@@ -181,11 +185,15 @@ def _expanded(twin: Twin, keys: Sequence[str]) -> list[str]:
     return found
 
 
-def _parameter(twin: Twin, key: str, preset: Preset, bounds: Mapping[str, tuple[float, float]]) -> Parameter:
+def _value(twin: Twin, key: str) -> float:
     value = twin_value(twin, key)
     if isinstance(value, bool) or not isinstance(value, int | float):
-        raise InputError("free parameters", key, "is not a number")
-    nominal, given = float(value), bounds_of(bounds, key)
+        raise InputError("parameters", key, "is not a number of the twin file")
+    return float(value)
+
+
+def _parameter(twin: Twin, key: str, preset: Preset, bounds: Mapping[str, tuple[float, float]]) -> Parameter:
+    nominal, given = _value(twin, key), bounds_of(bounds, key)
     curve, _, index = key.rpartition(".force.")
     if curve in CURVES:
         if given is None and preset.table_2:

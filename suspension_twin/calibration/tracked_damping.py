@@ -2,12 +2,12 @@
 """Selection of a tracked vehicle's damping, section 6 of the tracked paper: Table 1 and Fig. 13.
 
 Variance of the pitch over 15 s for speeds of 5 to 55 km/h in steps of 5 and the seven dampings of
-Table 1: 77 runs in one batch, and the damping to take for a range of speeds.
+Table 1, 77 runs, and the damping to take for a range of speeds.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Final
 
@@ -44,24 +44,39 @@ class Selection:
 
 
 def pitch_variances(
-    vehicle: TrackedVehicle, dampings: Sequence[float] = DAMPINGS, speeds: Sequence[float] = SPEEDS
+    vehicle: TrackedVehicle,
+    dampings: Sequence[float] = DAMPINGS,
+    speeds: Sequence[float] = SPEEDS,
+    tell: Callable[[str, float], None] = lambda text, share: None,
 ) -> Floats:
-    """Variance of the pitch in rad² (dampings, speeds); NaN for a run that diverged."""
-    lanes = [(vehicle.with_dampers(c), v / 3.6) for c in dampings for v in speeds]
-    runs = simulate_tracked_lanes([v for v, _ in lanes], [s for _, s in lanes], DURATION)
-    values = [np.nan if r.failed else float(r.pitch.var()) for r in runs]
-    return np.reshape(values, (len(dampings), len(speeds)))
+    """Variance of the pitch in rad² (dampings, speeds); NaN for a run that diverged.
+
+    ``tell`` is called before each damping's runs with a text and the share of the runs that is done.
+    """
+    rows = []
+    for i, damping in enumerate(dampings):
+        tell(f"simulating {len(speeds)} runs with {damping:.0f} N m s/rad", i / len(dampings))
+        vehicles = [vehicle.with_dampers(damping)] * len(speeds)
+        runs = simulate_tracked_lanes(vehicles, [v / 3.6 for v in speeds], DURATION)
+        rows.append([np.nan if r.failed else float(r.pitch.var()) for r in runs])
+    return np.array(rows)
 
 
-def select_damping(vehicle: TrackedVehicle, low: float = 5.0, high: float = 55.0) -> Selection:
+def select_damping(
+    vehicle: TrackedVehicle,
+    low: float = 5.0,
+    high: float = 55.0,
+    tell: Callable[[str, float], None] = lambda text, share: None,
+) -> Selection:
     """The damping of Table 1 with the least mean variance of the pitch from ``low`` to ``high`` km/h.
 
-    Raises InputError where no speed of the table lies within, WorkError where every damping diverged.
+    ``tell`` as for :func:`pitch_variances`. Raises InputError where no speed of the table lies within, WorkError
+    where every damping diverged.
     """
     within = np.array([low <= v <= high for v in SPEEDS])
     if not within.any():
         raise InputError("--range", f"no speed of 5, 10 ... 55 km/h lies between {low:g} and {high:g}")
-    table = pitch_variances(vehicle)
+    table = pitch_variances(vehicle, tell=tell)
     part = table[:, within]
     mean = part.mean(axis=1)
     if np.isnan(mean).all():

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""How a running twin fares, in a line on the terminal."""
+"""The condition of a running twin, in a line on the terminal."""
 
 from __future__ import annotations
 
@@ -27,18 +27,17 @@ def say(text: str) -> None:
 
 
 def line(condition: Condition) -> Text:
-    """``condition`` in one line; what is wrong comes last and in colour."""
+    """``condition`` in one line, on a narrow terminal in two; what is wrong comes last and in colour."""
     parts = []
     if condition.position is not None:
         again = f", round {condition.rounds + 1}" if condition.rounds else ""
         parts.append(f"{condition.position:.1f} of {condition.duration:.1f} s{again}")
-    parts.append(
-        "  ".join(f"{n} {'-' if math.isnan(r) else f'{r:.0f}'} Hz" for n, r in condition.rates.items())
-    )
+    rates = (f"{n} {'-' if math.isnan(r) else f'{r:.0f}'}" for n, r in condition.rates.items())
+    parts.append(f"{', '.join(rates)} Hz")
     if condition.gap is None:
         parts.append("gap -")
     else:
-        times = "" if condition.normalised is None else f" ({condition.normalised:.1f} × floor)"
+        times = "" if condition.normalised is None else f" ({condition.normalised:.1f} × noise)"
         parts.append(f"gap {condition.gap:.2f} m/s²{times}")
     text = Text(" | ".join(parts))
     if condition.complaints:
@@ -81,7 +80,6 @@ class Status:
             return
         text = line(self._composed.condition())
         if self._live is not None:
-            text.no_wrap, text.overflow = True, "ellipsis"
             self._live.update(text, refresh=True)
             self._due = now + _PERIOD
         else:
@@ -89,7 +87,7 @@ class Status:
             self._due = now + _LOG_PERIOD
 
     def conclude(self) -> None:
-        """The last line, in place of the one that lived."""
+        """The last line, in place of the one that was updated."""
         if self._live is not None:
             self._live.update(Text(""), refresh=True)
             self._live.stop()

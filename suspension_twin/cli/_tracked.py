@@ -7,10 +7,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import yaml
-from rich.console import Console
-from rich.table import Table
 
-from suspension_twin.cli.common import print_diagnosis, stage_bar
+from suspension_twin.cli.common import ProgressLine, output, print_diagnosis, print_table
 from suspension_twin.errors import InputError
 
 if TYPE_CHECKING:
@@ -48,16 +46,12 @@ def calibrate_runs(
     wanted = objective or "correlation"
     if wanted not in OBJECTIVES:
         raise InputError("--objective", wanted, f"one of {', '.join(OBJECTIVES)} is expected")
-    with stage_bar() as bar:
-        task = bar.add_task("reading", total=generations or SETTINGS.generations)
+    with ProgressLine() as line:
 
         def show(step: Progress) -> None:
-            text = (
-                f"generation {step.generation}, best {step.best_cost:.4g}"
-                if step.stage == "search"
-                else step.stage
-            )
-            bar.update(task, completed=step.generation, description=text)
+            text = f"generation {step.generation}, cost {step.best_cost:.4g}"
+            share = step.generation / (generations or SETTINGS.generations)
+            line.show(text if step.stage == "search" else step.stage, share)
 
         done = calibrate_tracked_files(
             twin,
@@ -78,33 +72,31 @@ def calibrate_runs(
         fastest = int(np.argmax([r.speed for r in done.runs]))
         calibration_page(done.result, done.runs, done.told, fastest).write(report / "report.html")
         page = f", page {report / 'report.html'}"
-    Console(highlight=False, soft_wrap=True).print(f"Written to {out}{page}")
+    output().print(f"Written to {out}{page}")
 
 
 def _print_calibration(done: TrackedCalibration) -> None:
     from suspension_twin.calibration import tracked_paper as paper
 
-    console = Console(highlight=False, soft_wrap=True)
-    table = Table(title="What was found", title_justify="left", title_style="bold")
-    for name in ("parameter", "start", "found", "the paper's"):
-        table.add_column(name, justify="left" if name == "parameter" else "right")
+    console = output()
+    rows: list[tuple[str, ...]] = []
     for key, value in done.result.values.items():
         part, name = key.split(".")
         start = getattr(getattr(done.start, part), name)
-        table.add_row(key, f"{start:.4g}", f"{value:.4g}", f"{paper.PUBLISHED[key]:.4g}")
-    console.print(table)
-    table = Table(title="Fit and validation", title_justify="left", title_style="bold")
-    for name in ("run", "km/h", "", "correlation A", "B", "left over A", "B", "gain A", "B"):
-        table.add_column(name, justify="left" if name in ("run", "") else "right")
+        rows.append((key, f"{start:.4g}", f"{value:.4g}", f"{paper.PUBLISHED[key]:.4g}"))
+    print_table(console, "What was found", ("parameter", "start", "found", "the paper's"), rows)
+    rows = []
     for run, own, used in zip(done.runs, done.told, done.fitted, strict=True):
         w = paper.compare(run, own)
         numbers = (f"{v:.3f}" for pair in (w.correlation, w.residual, w.gain) for v in pair)
-        table.add_row(run.name, f"{3.6 * run.speed:.0f}", "fitted" if used else "validation", *numbers)
-    console.print(table)
+        rows.append((run.name, "fitted" if used else "validation", f"{3.6 * run.speed:.0f}", *numbers))
+    title = "Correlation, residual (rms over the measured rms) and gain of markers A and B"
+    columns = "run", "", "km/h", "corr. A", "B", "resid. A", "B", "gain A", "B"
+    print_table(console, title, columns, rows, words=2)
     a, b = paper.PUBLISHED_CORRELATION
     console.print(
-        f"The paper's correlations at 13 km/h are {a} and {b}. Correlation says nothing of amplitude: 'left over' (rms "
-        "of the difference over the measured rms) and 'gain' do; --objective motion fits those."
+        f"The paper's correlations at 13 km/h are {a} and {b}. Correlation says nothing of amplitude: residual "
+        "and gain do; --objective motion fits those."
     )
 
 
@@ -114,14 +106,13 @@ def diagnose_runs(twin: Path, runs: list[Path], reference: list[Path], out: Path
     from suspension_twin.diagnosis.tracked import diagnose_tracked_files
     from suspension_twin.report.tracked import diagnosis_page
 
-    with stage_bar() as bar:
-        task = bar.add_task("reading", total=1.0)
+    with ProgressLine() as line:
         result = diagnose_tracked_files(
             str(twin),
             [str(p) for p in runs],
             [str(p) for p in reference],
             seed,
-            lambda s: bar.update(task, completed=s.done, description=f"{s.stage} {s.note}".strip()),
+            lambda s: line.show(f"{s.stage} {s.note}".strip(), s.done),
         )
     write(result, out)
     diagnosis_page(result).write(out / "report.html")

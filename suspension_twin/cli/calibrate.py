@@ -9,11 +9,8 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 from rich.console import Console
-from rich.progress import Progress as Bar
-from rich.progress import SpinnerColumn, TextColumn, TimeElapsedColumn
-from rich.table import Table
 
-from suspension_twin.cli.common import Bags, Seed, TwinFile
+from suspension_twin.cli.common import Bags, Force, Outputs, ProgressLine, Seed, TwinFile, output, print_table
 from suspension_twin.errors import InputError
 
 if TYPE_CHECKING:
@@ -29,11 +26,14 @@ Preset = Annotated[
     typer.Option(
         "--preset",
         help="fast; paper: the car paper's section 4.3 exactly; tracked_paper: the tracked paper's search.",
+        metavar="NAME",
     ),
 ]
 Report = Annotated[
     Path | None,
-    typer.Option("--report", help="Folder for a page with plots.", metavar="DIR", file_okay=False),
+    typer.Option(
+        "--report", help="Folder for report.html, a page with plots.", metavar="DIR", file_okay=False
+    ),
 ]
 Free = Annotated[
     list[str] | None,
@@ -61,7 +61,9 @@ Objective = Annotated[
     str,
     typer.Option(
         "--objective",
-        help="euclidean, mse, correlation, spectral, iso18571 or a sum such as mse+0.5*spectral; empty: the preset's.",
+        help="euclidean, mse, correlation, spectral, iso18571 or a sum such as mse+0.5*spectral.  "
+        "[default: the preset's]",
+        metavar="NAME",
         show_default=False,
     ),
 ]
@@ -69,16 +71,25 @@ Channel = Annotated[
     list[str] | None,
     typer.Option(
         "--channel",
-        help="Compare this channel, weighed by its noise or as given; repeatable. Empty: the preset's.",
+        help="Compare this channel, weighted by its noise or as given; repeatable.  [default: the preset's]",
         metavar="NAME[=WEIGHT]",
     ),
 ]
-Generations = Annotated[int, typer.Option("--max-generations", help="0: as many as the preset says.", min=0)]
+Generations = Annotated[
+    int,
+    typer.Option(
+        "--max-generations",
+        help="Stop the search after so many.  [default: as many as the preset says]",
+        metavar="N",
+        min=0,
+        show_default=False,
+    ),
+]
 StateFolder = Annotated[
     Path | None,
     typer.Option(
         "--state",
-        help="Folder for the state of the search, to go on from after an interruption. [default: beside --out]",
+        help="Folder for the state of the search, from which an interrupted one goes on.  [default: beside --out]",
         metavar="DIR",
         file_okay=False,
         show_default=False,
@@ -101,20 +112,28 @@ def command(
     channel: Channel = None,
     max_generations: Generations = 0,
     state: StateFolder = None,
+    force: Force = False,
 ) -> None:
     """Find a twin's characteristics from recorded drives over a known road.
 
-    Writes the calibrated twin, beside it CALIBRATED.calibration.yaml with intervals, nuisances and which parameters the
-    drives identify, and with --report a page with plots. Interrupted, it goes on where it was when started again.
+    Writes the calibrated twin, beside it CALIBRATED.calibration.yaml with intervals, nuisance parameters and which
+    parameters the drives identify, and with --report a page with plots. After an interruption the same command goes on
+    where it was.
     """
+    from suspension_twin.calibration.output import details_path
     from suspension_twin.cli._tracked import calibrate_runs, is_tracked
 
+    page = () if report is None else (report / "report.html",)
     if is_tracked(twin):
-        calibrate_runs(twin, bags, out, preset, report, seed, objective, max_generations)
+        with Outputs(out, *page, force=force) as outputs:
+            outputs.announce()
+            calibrate_runs(twin, bags, out, preset, report, seed, objective, max_generations)
         return
+    from suspension_twin.calibration.checkpoint import STATE, Checkpoint
     from suspension_twin.calibration.output import write_result
     from suspension_twin.calibration.request import CalibrationRequest
     from suspension_twin.calibration.run import calibrate
+    from suspension_twin.vehicle.twin import load_twin
 
     folder = state or out.with_name(f".{out.name}.state")
     request = CalibrationRequest(
@@ -131,21 +150,24 @@ def command(
         max_generations=max_generations,
         state=str(folder),
     )
-    out.parent.mkdir(parents=True, exist_ok=True)
-    console = Console(highlight=False, soft_wrap=True)
-    with _Display(Console(stderr=True)) as display:
-        result = calibrate(request, display.show)
-        written, details = write_result(result, out)
-        if report is not None:
+    outputs = Outputs(out, details_path(out), *page, force=force, resumed_from=folder / STATE)
+    store = Checkpoint(folder, "")  # refuses a folder that is no state's
+    load_twin(twin)
+    outputs.announce()
+    with outputs, ProgressLine() as line:
+        result = calibrate(request, lambda step: _show(line, step))
+        write_result(result, out)
+        for path in page:
             from suspension_twin.report.calibration import calibration_page
 
-            display.note("drawing the page")
-            page = calibration_page(result).write(report / "report.html")
-    _forget(folder)
+            line.show("drawing the page")
+            calibration_page(result).write(path)
+        store.remove()
+    console = output()
     for warning in result.warnings:
-        console.print(f"[yellow]{warning}[/]")
+        console.print(warning, style="yellow", markup=False)
     _print_result(console, result)
-    console.print(f"Written to {written} and {details}" + (f", page {page}" if report is not None else ""))
+    console.print(f"Written to {out} and {details_path(out)}" + "".join(f", page {path}" for path in page))
 
 
 def _bound(text: str) -> tuple[str, float, float]:
@@ -165,73 +187,38 @@ def _channel(text: str) -> tuple[str, float]:
         raise InputError("--channel", text, "must read NAME or NAME=WEIGHT") from None
 
 
-def _forget(folder: Path) -> None:
-    """Remove a finished search's state, and nothing but that."""
-    from suspension_twin.calibration.checkpoint import Checkpoint
-
-    if folder.is_dir():
-        Checkpoint(folder, "").remove()
-
-
-class _Display:
-    """One line that follows the search, gone when it is over."""
-
-    def __init__(self, console: Console) -> None:
-        columns = (SpinnerColumn(), TextColumn("{task.description}"), TimeElapsedColumn())
-        self._bar = Bar(*columns, console=console, transient=True, disable=not console.is_terminal)
-        self._task = self._bar.add_task("starting", total=None)
-
-    def __enter__(self) -> _Display:
-        self._bar.start()
-        return self
-
-    def __exit__(self, *exception: object) -> None:
-        self._bar.stop()
-
-    def note(self, text: str) -> None:
-        self._bar.update(self._task, description=text)
-
-    def show(self, progress: Progress) -> None:
-        """What a calibration reports, in words."""
-        if progress.stage in ("reading", "writing"):
-            self.note(progress.note or progress.stage)
-            return
-        text = f"{progress.stage}: generation {progress.generation}, {progress.evaluations} evaluations"
-        text += f", best {progress.best_cost:.4g}"
-        if math.isfinite(progress.mean_cost) and progress.mean_cost != progress.best_cost:
-            text += f", mean {progress.mean_cost:.4g}"
-        if math.isfinite(progress.seconds_left):
-            text += f", about {progress.seconds_left:.0f} s left"
-        self.note(text)
+def _show(line: ProgressLine, step: Progress) -> None:
+    """What a calibration reports, in words."""
+    if step.stage in ("reading", "writing"):
+        line.show(step.note or step.stage)
+        return
+    text = f"{step.stage}: generation {step.generation}, cost {step.best_cost:.4g}"
+    if math.isfinite(step.mean_cost) and step.mean_cost != step.best_cost:
+        text += f", mean {step.mean_cost:.4g}"
+    total = line.elapsed + step.seconds_left
+    line.show(text, line.elapsed / total if total < math.inf else None)
 
 
 def _print_result(console: Console, result: CalibrationResult) -> None:
-    table = Table(title="What was found", title_justify="left", title_style="bold")
-    table.add_column("parameter")
-    for name in ("start", "found", "90 % interval"):
-        table.add_column(name, justify="right")
-    table.add_column("")
+    from suspension_twin.calibration.labels import parameter_label, parameter_unit
+
+    rows = []
     for e in result.estimates:
-        interval = f"{e.low:.4g} to {e.high:.4g}" if math.isfinite(e.low) else ""
-        mark = f"[bold red]on its {e.on_bound} bound[/]" if e.on_bound else e.status
-        style = "" if e.status == "identified" or e.on_bound else "dim"
-        table.add_row(
-            e.key.removeprefix("vehicle."),
-            f"{e.start:.4g}",
-            f"{e.value:.4g}",
-            interval,
-            mark,
-            style=style,
-        )
-    console.print(table)
-    gaps = Table(
-        title="Gap, rms of the vertical acceleration in m/s²", title_justify="left", title_style="bold"
-    )
-    gaps.add_column("drive")
-    for name in ("before", "after", "without nuisances", "floor"):
-        gaps.add_column(name, justify="right")
+        interval = f"{_number(e.low)} to {_number(e.high)}" if math.isfinite(e.low) else ""
+        name, unit = parameter_label(result.twin, e.key), parameter_unit(e.key)
+        note = f"[bold red]{e.on_bound} bound[/]" if e.on_bound else e.status
+        rows.append((name, unit, _number(e.start), _number(e.value), interval, note))
+    columns = "parameter", "unit", "start", "found", "90 % interval", "status"
+    print_table(console, "What was found", columns, rows, words=2)
+    gaps = []
     for d in result.drives:
         values = (d.gap_before.rms, d.gap_after.rms, d.nuisance_free, d.gap_after.noise_rms)
-        gaps.add_row(d.name, *(f"{v:.4f}" for v in values))
-    console.print(gaps)
-    console.print(f"{result.message}; {result.seconds:.1f} s")
+        gaps.append((d.name, *(f"{v:.4f}" for v in values)))
+    title = "Gap: rms of measured minus simulated vertical acceleration, m/s²"
+    print_table(console, title, ("drive", "before", "after", "nuisances removed", "sensor noise"), gaps)
+    console.print(f"{result.message}; {result.seconds:.1f} s", markup=False)
+
+
+def _number(value: float) -> str:
+    """Four digits, and no powers of ten for a stiffness in N/m."""
+    return f"{value:.0f}" if abs(value) >= 1000 else f"{value:.4g}"

@@ -1,22 +1,36 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What several subcommands share: their common arguments, and where the bundled files are."""
+"""What several subcommands share: common arguments, what they write, progress, and the bundled files."""
 
 from __future__ import annotations
 
 import sys
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
-from typing import Annotated, Any
+from types import TracebackType
+from typing import Annotated, Any, final
 
 import typer
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
-from rich.table import Table
+from rich.table import Column, Table
 
 import suspension_twin
 from suspension_twin.errors import InputError
+from suspension_twin.files import check_writable
 
-__all__ = ["Bag", "Bags", "Seed", "TwinFile", "bundled", "print_diagnosis", "stage_bar"]
+__all__ = [
+    "Bag",
+    "Bags",
+    "Force",
+    "Outputs",
+    "ProgressLine",
+    "Seed",
+    "TwinFile",
+    "bundled",
+    "output",
+    "print_diagnosis",
+    "print_table",
+]
 
 TwinFile = Annotated[
     Path, typer.Option("--twin", help="The twin file.", metavar="TWIN.YAML", show_default=False)
@@ -31,7 +45,69 @@ Bags = Annotated[
     list[Path],
     typer.Argument(help="Recorded drives: rosbag2 folders or bare files.", metavar="BAG", show_default=False),
 ]
-Seed = Annotated[int, typer.Option("--seed", help="Seed of every random choice.", min=0)]
+Seed = Annotated[int, typer.Option("--seed", help="Seed of every random choice.", metavar="N", min=0)]
+Force = Annotated[bool, typer.Option("--force", help="Overwrite what exists.")]
+
+_UNBROKEN = 10_000  # characters: a line that is not for a terminal is never wrapped
+
+
+def output() -> Console:
+    """Standard output: lines are wrapped between words on a terminal, and left whole in a pipe or file."""
+    return Console(highlight=False, width=None if sys.stdout.isatty() else _UNBROKEN)
+
+
+def print_table(
+    console: Console, title: str, columns: Sequence[str], rows: Iterable[Sequence[str]], words: int = 1
+) -> None:
+    """A table of which nothing is cut off: ``words`` columns of words, wrapped if need be, then columns of numbers.
+
+    Columns without a name hold words too.
+    """
+    table = Table(box=None, pad_edge=False, padding=(0, 2, 0, 0))
+    for i, name in enumerate(columns):
+        numbers = i >= words and name != ""
+        table.add_column(name, justify="right" if numbers else "left", overflow="fold", no_wrap=numbers)
+    for row in rows:
+        table.add_row(*row)
+    console.print(title, style="bold", markup=False)
+    console.print(table)
+    console.print()
+
+
+@final
+class Outputs:
+    """The files or folders that a command writes: checked before the work, announced, and guarded against Ctrl-C.
+
+    Raises InputError for one that exists (unless ``force``) or cannot be written. As a context manager it ends an
+    interrupt with how to go on; ``resumed_from`` is a file from which the same command goes on where it was.
+    """
+
+    def __init__(self, *paths: Path, force: bool, resumed_from: Path | None = None) -> None:
+        self._paths, self._force, self._resumed_from = paths, force, resumed_from
+        for path in paths:
+            if path.exists() and not force:
+                raise InputError(path, "exists already: --force overwrites it")
+            check_writable(path)
+
+    def announce(self) -> None:
+        """The first line of a command's output, if it writes anything."""
+        if self._paths:
+            output().print(f"Writes {', '.join(map(str, self._paths))}", markup=False)
+
+    def __enter__(self) -> Outputs:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        if kind is not KeyboardInterrupt:
+            return
+        force = " with --force" if not self._force and any(p.exists() for p in self._paths) else ""
+        if self._resumed_from is not None and self._resumed_from.exists():
+            text = f"the same command{force} goes on from what is kept in {self._resumed_from.parent}"
+        else:
+            text = f"start the same command{force} again"
+        raise KeyboardInterrupt(text) from None
 
 
 def bundled(*parts: str) -> Path:
@@ -52,36 +128,66 @@ def bundled(*parts: str) -> Path:
     )
 
 
-def stage_bar() -> Progress:
-    """A bar with the stage of the work on it, on standard error, gone when it is over; nothing where no one looks."""
-    errors = Console(stderr=True)
-    columns = TextColumn("{task.description:<44}"), BarColumn(), TimeElapsedColumn()
-    return Progress(*columns, console=errors, disable=not errors.is_terminal, transient=True)
+@final
+class ProgressLine:
+    """The stage of the work and a bar, on standard error; gone when it is over, nothing where it is no terminal."""
+
+    def __init__(self) -> None:
+        console = Console(stderr=True)
+        text = TextColumn("{task.description}", table_column=Column(ratio=1, no_wrap=True))
+        self._bar = Progress(
+            text,
+            BarColumn(bar_width=20),
+            TimeElapsedColumn(),
+            console=console,
+            disable=not console.is_terminal,
+            transient=True,
+            expand=True,
+        )
+        self._task = self._bar.add_task("reading", total=None)
+
+    def __enter__(self) -> ProgressLine:
+        self._bar.start()
+        return self
+
+    def __exit__(self, *exception: object) -> None:
+        self._bar.stop()
+
+    @property
+    def elapsed(self) -> float:
+        """Seconds since the work began."""
+        return self._bar.tasks[0].elapsed or 0.0
+
+    def show(self, text: str, share: float | None = None) -> None:
+        """The stage, and the share of the work that is done, 0 to 1; None: not known."""
+        self._bar.update(self._task, description=text, total=None if share is None else 1.0, completed=share)
 
 
 def print_diagnosis(document: Mapping[str, Any], out: Path) -> None:
     """What ``diagnosis.json`` holds in a few lines: warnings, verdict, the first causes, and the folder ``out``."""
     from suspension_twin.diagnosis.output import values_of
 
-    console = Console(highlight=False, soft_wrap=True)
+    console = output()
     for warning in document["warnings"]:
-        console.print(f"[yellow]{warning}[/]")
-    console.print(f"[bold]{document['verdict']}[/]: {document['message']}")
-    table = Table()
-    for name in ("cause", "probability", "shrink", "interval", "parameters"):
-        table.add_column(name)
+        console.print(warning, style="yellow", markup=False)
+    console.print(f"{document['verdict']}: {document['message']}", style="bold", markup=False)
+    rows = []
     for cause in document["causes"][:5]:
         low, high = cause["shrink_interval"]
-        table.add_row(
-            cause["effect"],
-            f"{cause['probability']:.3f}",
-            f"{cause['shrink']:.2f}",
-            f"{low:.2f} to {high:.2f}",
-            values_of(cause),
+        rows.append(
+            (
+                cause["effect"],
+                values_of(cause),
+                f"{cause['probability']:.3f}",
+                f"{cause['shrink']:.2f}",
+                f"{low:.2f} to {high:.2f}",
+            )
         )
-    console.print(table)
+    columns = "cause", "parameters", "probability", "shrink", "90 % interval"
+    print_table(console, "The most probable causes", columns, rows, words=2)
     console.print(
         f"no gap {document['no_gap_probability']:.3f}, unknown {document['unknown_probability']:.3f}. "
-        f"{document['next_experiment']}"
+        f"{document['next_experiment']}",
+        markup=False,
     )
-    console.print(f"Written to {out}")
+    console.print(f"Written to {out}", markup=False)

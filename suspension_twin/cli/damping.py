@@ -8,11 +8,10 @@ from pathlib import Path
 from typing import Annotated
 
 import typer
-from rich.console import Console
-from rich.table import Table
 
-from suspension_twin.cli.common import TwinFile
+from suspension_twin.cli.common import Force, Outputs, ProgressLine, TwinFile, output, print_table
 from suspension_twin.errors import InputError
+from suspension_twin.files import write_text
 
 __all__ = ["command"]
 
@@ -25,53 +24,53 @@ Out = Annotated[
 ]
 
 
-def command(twin: TwinFile, speeds: Range = (5.0, 55.0), out: Out = None) -> None:
+def command(twin: TwinFile, speeds: Range = (5.0, 55.0), out: Out = None, force: Force = False) -> None:
     """Which damping a tracked vehicle should have: variance of the pitch over speed for the tracked paper's Table 1.
 
     Runs the vehicle over its obstacle with seven dampings at 5 to 55 km/h, 15 s each, and names the damping with
-    the least mean variance within --range. With --out also the picture and the whole table.
+    the least mean variance within --range. With --out writes DIR/pitch_variance.png and DIR/pitch_variance.json.
     """
     from suspension_twin.calibration.tracked_damping import PAPER_CURVE, select_damping
     from suspension_twin.vehicle.tracked import TrackedTwin
     from suspension_twin.vehicle.twin import load_twin
 
+    picture, figures = (None, None) if out is None else (out / f"pitch_variance.{s}" for s in ("png", "json"))
+    outputs = Outputs(*(p for p in (picture, figures) if p is not None), force=force)
     loaded = load_twin(twin)
     if not isinstance(loaded, TrackedTwin):
         raise InputError(
             twin, "model", f"is {loaded.model}: the dampers of a tracked vehicle are chosen here"
         )
-    chosen = select_damping(loaded.vehicle, *speeds)
-    console = Console(highlight=False, soft_wrap=True)
-    table = Table(
-        title="Variance of the pitch, 1e-4 rad², by damping", title_justify="left", title_style="bold"
-    )
-    table.add_column("km/h \\ N m s/rad", justify="right")
-    for i, damping in enumerate(chosen.dampings):
-        table.add_column(f"{damping:.0f}", justify="right", style="bold" if i == chosen.best else "")
-    for k, speed in enumerate(chosen.speeds):
-        table.add_row(f"{speed:.0f}", *(f"{1e4 * row[k]:.2f}" for row in chosen.table))
-    table.add_section()
-    table.add_row("mean in range", *(f"{1e4 * v:.2f}" for v in chosen.mean))
-    table.add_row("worst over least", *(f"{v:.2f}" for v in chosen.regret))
-    console.print(table)
+    outputs.announce()
+    with outputs, ProgressLine() as line:
+        chosen = select_damping(loaded.vehicle, *speeds, tell=line.show)
+    console = output()
+    rows = [
+        (f"{speed:.0f}", *(f"{1e4 * row[k]:.2f}" for row in chosen.table))
+        for k, speed in enumerate(chosen.speeds)
+    ]
+    rows.append(("mean in range", *(f"{1e4 * v:.2f}" for v in chosen.mean)))
+    rows.append(("worst over least", *(f"{v:.2f}" for v in chosen.regret)))
+    title = "Variance of the pitch in 1e-4 rad², by damping in N m s/rad"
+    print_table(console, title, ("km/h", *map("{:.0f}".format, chosen.dampings)), rows)
     others = [f"{chosen.dampings[i]:.0f}" for i in chosen.near if i != chosen.best]
     also = f"; within a tenth of it: {', '.join(others)}" if others else ""
     console.print(
         f"From {chosen.low:g} to {chosen.high:g} km/h take {chosen.dampings[chosen.best]:.0f} N m s/rad (curve "
         f"{chosen.best + 1}; the paper, over all speeds: curve {PAPER_CURVE}){also}. It depends on the obstacle."
     )
-    if out is not None:
-        from suspension_twin.report import style
-        from suspension_twin.report.tracked import damping_picture
+    if picture is None or figures is None:
+        return
+    from suspension_twin.report import style
+    from suspension_twin.report.tracked import damping_picture
 
-        out.mkdir(parents=True, exist_ok=True)
-        style.save(damping_picture(chosen.speeds, chosen.dampings, chosen.table), out / "pitch_variance.png")
-        document = {
-            "speeds_kmh": chosen.speeds,
-            "dampings": chosen.dampings,
-            "range_kmh": speeds,
-            "variance_rad2": [[None if v != v else v for v in row] for row in chosen.table.tolist()],
-            "recommended": {"curve": chosen.best + 1, "damping": chosen.dampings[chosen.best]},
-        }
-        (out / "pitch_variance.json").write_text(json.dumps(document, indent=1) + "\n", encoding="utf-8")
-        console.print(f"Written to {out}")
+    style.save(damping_picture(chosen.speeds, chosen.dampings, chosen.table), picture)
+    document = {
+        "speeds_kmh": chosen.speeds,
+        "dampings": chosen.dampings,
+        "range_kmh": speeds,
+        "variance_rad2": [[None if v != v else v for v in row] for row in chosen.table.tolist()],
+        "recommended": {"curve": chosen.best + 1, "damping": chosen.dampings[chosen.best]},
+    }
+    write_text(figures, json.dumps(document, indent=1) + "\n")
+    console.print(f"Written to {picture} and {figures}")

@@ -3,15 +3,14 @@
 
 from __future__ import annotations
 
+from contextlib import ExitStack
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, final
 
 import typer
 from rich.console import Console
-from rich.progress import BarColumn, Progress, SpinnerColumn, TaskID, TextColumn, TimeElapsedColumn
-from rich.table import Table
 
-from suspension_twin.cli.common import Seed, bundled
+from suspension_twin.cli.common import Force, Outputs, ProgressLine, Seed, bundled, output, print_table
 
 __all__ = ["command"]
 
@@ -21,69 +20,63 @@ Out = Annotated[
 ]
 
 
-def command(out: Out = Path("suspension_twin_demo"), seed: Seed = 0) -> None:
+def command(out: Out = Path("suspension_twin_demo"), seed: Seed = 0, force: Force = False) -> None:
     """The whole way, live to calibrated, on the bundled drive.
 
     Replays a drive over a speed bump through the four nodes, calibrates the twin on it by the
-    `calibrate` action, validates it on a second drive, and leaves a page with plots and the
-    calibrated twin file.
+    calibrate action, validates it on a second drive, and writes a page with plots (index.html),
+    the calibrated twin (twin.yaml) and the files that they refer to.
     """
     from suspension_twin.demo.page import demo_page
-    from suspension_twin.demo.steps import DRIVES, run_demo
+    from suspension_twin.demo.steps import DRIVES, run_demo, written_files
 
-    console = Console(highlight=False)
-    progress = Progress(
-        SpinnerColumn(),
-        TextColumn("{task.description}"),
-        BarColumn(bar_width=24),
-        TimeElapsedColumn(),
-        TextColumn("{task.fields[note]}", style="dim"),
-        console=console,
-        transient=True,
-    )
-    with progress:
-        steps = _Steps(console, progress)
+    page = out / "index.html"
+    outputs = Outputs(page, *written_files(out), force=force)
+    outputs.announce()
+    console = output()
+    with outputs, _Steps(console) as steps:
         result = run_demo(bundled("bags"), out, steps, seed=seed)
         steps.begin("Drawing the page")
-        page = demo_page(result).write(out / "index.html")
+        demo_page(result).write(page)
         steps.end("")
-    table = Table(title="Gap between car and twin, rms m/s²", title_justify="left", title_style="bold")
-    for column in ("drive", "measured", "at first", "calibrated", "truth"):
-        table.add_column(column, justify="left" if column == "drive" else "right", no_wrap=True)
+    rows = []
     for name, title in DRIVES.items():
         before, after, truth = result.before[name], result.after[name], result.truth[name]
         cells = (after.measured_rms, before.rms, after.rms, truth.rms)
-        table.add_row(title, *(f"{v:.3f}" for v in cells))
-    console.print(table)
-    console.print(
-        f"{result.seconds:.0f} s in all. The calibrated twin is {out / 'twin.yaml'}", soft_wrap=True
-    )
-    console.print(f"Look at [bold]{page}[/bold]", soft_wrap=True)
+        rows.append((title, *(f"{v:.3f}" for v in cells)))
+    columns = "drive", "measured", "at first", "calibrated", "true parameters"
+    print_table(console, "Gap: rms of measured minus simulated vertical acceleration, m/s²", columns, rows)
+    console.print(f"{result.seconds:.0f} s in all. The calibrated twin is {out / 'twin.yaml'}")
+    console.print(f"Look at [bold]{page}[/bold]")
 
 
+@final
 class _Steps:
-    """One line a step: a bar while it runs, a tick and what came out once it is done."""
+    """A progress line while a step runs, a tick and what came out once it is done."""
 
-    def __init__(self, console: Console, progress: Progress) -> None:
+    def __init__(self, console: Console) -> None:
         self._console = console
-        self._progress = progress
-        self._task: TaskID | None = None
         self._text = ""
+        self._running = ExitStack()
+
+    def __enter__(self) -> _Steps:
+        return self
+
+    def __exit__(self, *exception: object) -> None:
+        self._running.close()
 
     def begin(self, text: str) -> None:
         """See suspension_twin.demo.steps.Progress."""
         self._text = text
-        self._task = self._progress.add_task(text, total=1.0, note="")
+        self._line = self._running.enter_context(ProgressLine())
+        self._line.show(text)
 
     def share(self, done: float, note: str = "") -> None:
         """See suspension_twin.demo.steps.Progress."""
-        if self._task is not None:
-            self._progress.update(self._task, completed=done, note=note)
+        self._line.show(note or self._text, done)
 
     def end(self, text: str) -> None:
         """See suspension_twin.demo.steps.Progress."""
-        if self._task is not None:
-            self._progress.remove_task(self._task)
-            self._task = None
+        self._running.close()
         outcome = f"  [dim]{text}[/dim]" if text else ""
-        self._console.print(f"[green]✓[/green] {self._text}{outcome}", soft_wrap=True)
+        self._console.print(f"[green]✓[/green] {self._text}{outcome}")

@@ -8,8 +8,8 @@ from typing import Annotated
 
 import typer
 
-from suspension_twin.cli.common import Bags, Seed, TwinFile, print_diagnosis, stage_bar
-from suspension_twin.errors import InputError
+from suspension_twin.cli.common import Bags, Force, Outputs, ProgressLine, Seed, TwinFile, print_diagnosis
+from suspension_twin.errors import InputError, nearest
 
 __all__ = ["command"]
 
@@ -17,7 +17,7 @@ Reference = Annotated[
     list[Path] | None,
     typer.Option(
         "--reference",
-        help="A drive of the same vehicle from before the gap; may be given more than once.",
+        help="A drive of the same vehicle from before the gap; repeatable.",
         metavar="BAG",
         show_default=False,
     ),
@@ -26,7 +26,7 @@ Effects = Annotated[
     list[str] | None,
     typer.Option(
         "--effect",
-        help="Look at this effect alone; may be given more than once.",
+        help="Try this effect alone; repeatable.",
         metavar="ID",
         show_default=False,
     ),
@@ -38,7 +38,13 @@ Out = Annotated[
 
 
 def command(
-    twin: TwinFile, bags: Bags, out: Out, reference: Reference = None, effect: Effects = None, seed: Seed = 0
+    twin: TwinFile,
+    bags: Bags,
+    out: Out,
+    reference: Reference = None,
+    effect: Effects = None,
+    seed: Seed = 0,
+    force: Force = False,
 ) -> None:
     """Where twin and car disagree, why, and what closes the gap.
 
@@ -46,10 +52,14 @@ def command(
     """
     from suspension_twin.cli._tracked import diagnose_runs, is_tracked
 
+    page = out / "report.html"
+    outputs = Outputs(out / "diagnosis.json", page, out / "twin.yaml", force=force)
     if is_tracked(twin):
         if effect:
             raise InputError("--effect", "is for cars: a tracked vehicle's few effects are all tried")
-        diagnose_runs(twin, bags, list(reference or ()), out, seed)
+        with outputs:
+            outputs.announce()
+            diagnose_runs(twin, bags, list(reference or ()), out, seed)
         return
     from suspension_twin.diagnosis.output import write
     from suspension_twin.diagnosis.request import DiagnosisRequest
@@ -57,10 +67,13 @@ def command(
     from suspension_twin.diagnosis.run import diagnose
     from suspension_twin.effects.registry import EFFECTS
     from suspension_twin.report.diagnosis import diagnosis_page
+    from suspension_twin.vehicle.twin import load_twin
 
     for name in effect or ():
         if name not in EFFECTS:
-            raise InputError("--effect", name, f"is not an effect ({', '.join(EFFECTS)})")
+            raise InputError(
+                "--effect", name, f"is not an effect{nearest(name, EFFECTS)} ({', '.join(EFFECTS)})"
+            )
     request = DiagnosisRequest(
         str(twin),
         tuple(str(b) for b in bags),
@@ -68,14 +81,14 @@ def command(
         seed,
         tuple(effect or ()),
     )
-    with stage_bar() as bar:
-        task = bar.add_task("reading", total=1.0)
+    load_twin(twin)
+    outputs.announce()
+    with outputs, ProgressLine() as line:
 
         def show(stage: Stage) -> None:
-            text = f"{stage.stage}: {stage.note}" if stage.note else stage.stage
-            bar.update(task, completed=stage.done, description=text[:44])
+            line.show(f"{stage.stage}: {stage.note}" if stage.note else stage.stage, stage.done)
 
         result = diagnose(request, show)
-    write(result, out)
-    diagnosis_page(result).write(out / "report.html")
+        write(result, out)
+        diagnosis_page(result).write(page)
     print_diagnosis(result.document, out)

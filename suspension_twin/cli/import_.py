@@ -7,7 +7,10 @@ from pathlib import Path
 from typing import Annotated
 
 import typer
+from rich.padding import Padding
+from rich.text import Text
 
+from suspension_twin.cli.common import Force, Outputs, output
 from suspension_twin.drive.importing import Imported, import_drive
 from suspension_twin.drive.read import Topics
 from suspension_twin.drive.summary import summarise
@@ -22,7 +25,7 @@ def command(
     files: Annotated[
         list[Path],
         typer.Argument(
-            metavar="FILE...",
+            metavar="FILE",
             help="Files, a folder or a zip of one recording: Sensor Logger, phyphox, MATLAB Mobile, RTKLIB .pos, "
             "comma2k19, or a bag (MCAP, sqlite3, ROS 1). Several are parts of one drive.",
         ),
@@ -41,34 +44,40 @@ def command(
             help="What the columns of any other file are (see config/import).",
         ),
     ] = None,
-    overwrite: Annotated[bool, typer.Option("--overwrite", help="Replace the bag if there is one.")] = False,
-    imu_topic: Annotated[str, typer.Option(help="Of a bag: the topic of the IMU.")] = _DEFAULT.imu,
-    fix_topic: Annotated[str, typer.Option(help="Of a bag: the topic of the positions.")] = _DEFAULT.fix,
-    vel_topic: Annotated[str, typer.Option(help="Of a bag: the topic of the velocities.")] = _DEFAULT.vel,
+    imu_topic: Annotated[
+        str, typer.Option(help="Of a bag: the topic of the IMU.", metavar="TOPIC")
+    ] = _DEFAULT.imu,
+    fix_topic: Annotated[
+        str, typer.Option(help="Of a bag: the topic of the positions.", metavar="TOPIC")
+    ] = _DEFAULT.fix,
+    vel_topic: Annotated[
+        str, typer.Option(help="Of a bag: the topic of the velocities.", metavar="TOPIC")
+    ] = _DEFAULT.vel,
     heading_topic: Annotated[
-        str, typer.Option(help="Of a bag: the topic of the heading.")
+        str, typer.Option(help="Of a bag: the topic of the heading.", metavar="TOPIC")
     ] = _DEFAULT.heading,
+    force: Force = False,
 ) -> None:
     """A phone's or logger's recording into a bag.
 
     Says what it recognised: source, rate, units, gravity's axis, gaps, path and top speed. Axes stay those of the
     sensor: how it is mounted belongs into the twin file (imu.rpy).
     """
-    BagWriter(out, overwrite=overwrite)  # a target that cannot be written is said before the work
+    console = output()
+    outputs = Outputs(out, force=force)
+    BagWriter(out, overwrite=force)  # replaces nothing but a recording
     topics = Topics(imu=imu_topic, fix=fix_topic, vel=vel_topic, heading=heading_topic)
-    imported = import_drive(files, mapping=mapping, topics=topics)
-    for line in _report(imported):
-        print(line)
-    write_drive(imported.drive, out, overwrite=overwrite)
-    print(f"written: {out}")
+    with outputs:
+        imported = import_drive(files, mapping=mapping, topics=topics)
+        outputs.announce()
+        console.print(f"{imported.drive.name}: {imported.origin}", markup=False)
+        for line in _report(imported):
+            console.print(Padding(Text(line), (0, 0, 0, 2), expand=False))
+        write_drive(imported.drive, out, overwrite=force)
+    console.print(f"Written to {out}", markup=False)
 
 
 def _report(imported: Imported) -> list[str]:
     """What was recognised, a line each."""
-    drive = imported.drive
-    return [
-        f"{drive.name}: {imported.origin}",
-        *(f"  {line}" for line in summarise(drive).lines()),
-        *(f"  {line}" for line in imported.notes),
-        *(f"  warning: {line}" for line in drive.warnings),
-    ]
+    warnings = (f"warning: {text}" for text in imported.drive.warnings)
+    return [*summarise(imported.drive).lines(), *imported.notes, *warnings]

@@ -77,19 +77,19 @@ def main(arguments: Sequence[str] | None = None) -> int:
     thresholds = gc.get_threshold()
     gc.set_threshold(_COLLECT_EVERY, *thresholds[1:])
     try:
-        if (
-            endless
-        ):  # SIGTERM is a service manager's way of saying Ctrl-C, which a shell's background job would ignore
+        if endless:  # a service manager ends with SIGTERM, and a shell's background job would ignore SIGINT
             for number in endings:
                 signal.signal(number, signal.default_int_handler)
         status = _invoke(args, chosen)
         sys.stdout.flush()
     except BrokenPipeError:
-        # The reader has gone (| head): nobody is left to tell. The interpreter's own flush at exit would complain.
+        # The reader has gone (| head). The interpreter's own flush at exit would complain.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         status = FAILED
-    except KeyboardInterrupt:
+    except KeyboardInterrupt as end:
         status = DONE if endless else INTERRUPTED
+        if not endless:
+            print(f"{PROGRAM}: interrupted{f', {end}' if str(end) else ''}", file=sys.stderr)
     except SystemExit as error:
         status = error.code if isinstance(error.code, int) else FAILED if error.code else DONE
     except Exception as error:
@@ -133,10 +133,10 @@ def _application(chosen: Subcommand | None) -> typer.Typer:
     """Every subcommand by name and help, the chosen one in full."""
     app = typer.Typer(
         add_completion=False,
-        no_args_is_help=True,
+        rich_markup_mode=None,
         context_settings={"help_option_names": ["-h", "--help"]},
         help="A live digital twin of a vehicle's suspension: follow a real car, calibrate, and find why they differ.",
-        epilog="Each command tells more about itself: suspension-twin COMMAND --help",
+        epilog="More about a command: suspension-twin COMMAND --help",
     )
     app.callback()(_root)
     for row in SUBCOMMANDS:
@@ -192,7 +192,9 @@ def _explain(error: Exception, twin: str | None) -> tuple[int, str]:
     if format_message is not None:  # typer's own errors, all about the arguments
         where: Any = getattr(error, "ctx", None)
         path = where.command_path if where is not None else PROGRAM
-        message = format_message().rstrip(". ") or "Missing command"  # empty where the help was shown instead
+        message = format_message().rstrip(". ")
+        if message == "Missing command":
+            print(where.get_help())
         return UNUSABLE, f"{path}: {message} (see {path} --help)"
     if isinstance(error, SuspensionTwinError):
         text = str(error)

@@ -4,18 +4,20 @@
 from __future__ import annotations
 
 import json
-import sys
 from enum import Enum
 from pathlib import Path
 from typing import Annotated
 
 import typer
+from rich.markup import escape
+from rich.table import Table
 
+from suspension_twin.cli.common import Force, Outputs, output
 from suspension_twin.errors import InputError
 
 __all__ = ["app"]
 
-app = typer.Typer(no_args_is_help=True, context_settings={"help_option_names": ["-h", "--help"]})
+app = typer.Typer(context_settings={"help_option_names": ["-h", "--help"]})
 
 RoadFile = Annotated[Path, typer.Argument(help="An OpenCRG road.", metavar="ROAD", show_default=False)]
 
@@ -39,28 +41,37 @@ def show(
     road: RoadFile,
     out: Annotated[
         Path | None,
-        typer.Option(help="The picture: .png, .svg or .pdf.  [default: ROAD.png]", show_default=False),
+        typer.Option(
+            help="The picture: .png, .svg or .pdf.  [default: ROAD.png]", metavar="FILE", show_default=False
+        ),
     ] = None,
-    track: Annotated[float, typer.Option(help="Distance of the two wheel tracks, m.", min=0.1)] = 1.5,
+    track: Annotated[
+        float, typer.Option(help="Distance of the two wheel paths, m.", metavar="M", min=0.1)
+    ] = 1.5,
+    force: Force = False,
 ) -> None:
-    """Draw a road: height map, wheel tracks, spectrum beside the ISO 8608 classes, place in map."""
+    """Draw a road: height map, wheel paths, spectrum beside the ISO 8608 classes, place in map."""
     from suspension_twin.road.check import check_file
     from suspension_twin.road.plots import save_road_picture
 
-    checked = check_file(road)
     path = _beside(road, ".png") if out is None else out
-    save_road_picture(checked, path, track)
-    print(path)
+    outputs = Outputs(path, force=force)
+    checked = check_file(road)
+    outputs.announce()
+    with outputs:
+        save_road_picture(checked, path, track)
 
 
 @app.command()
 def mesh(
     road: RoadFile,
     out: Annotated[
-        Path | None, typer.Option(help="The mesh: .stl or .obj.  [default: ROAD.obj]", show_default=False)
+        Path | None,
+        typer.Option(help="The mesh: .stl or .obj.  [default: ROAD.obj]", metavar="FILE", show_default=False),
     ] = None,
     spacing: Annotated[
-        float, typer.Option(help="Leave out points closer than this, m; 0 keeps every one.", min=0.0)
+        float,
+        typer.Option(help="Leave out points closer than this, m; 0 keeps every one.", metavar="M", min=0.0),
     ] = 0.0,
     up: Annotated[
         Up,
@@ -70,17 +81,21 @@ def mesh(
         Origin,
         typer.Option(help="Count places from the map's origin, or from the road's start (far-off roads)."),
     ] = Origin.map,
+    force: Force = False,
 ) -> None:
     """Write a road as triangles for a game engine: binary STL, or OBJ with normals and tiles."""
     from suspension_twin.road.crg import load_road
     from suspension_twin.road.mesh import write_mesh
 
+    path = _beside(road, ".obj") if out is None else out
+    outputs = Outputs(path, force=force)
     surface = load_road(road)
     shift = (0.0, 0.0, 0.0)
     if origin is Origin.start:
         shift = float(surface.x[0]), float(surface.y[0]), float(surface.ref_z[0])
-    path = _beside(road, ".obj") if out is None else out
-    count = write_mesh(surface, path, spacing=spacing, up=up.value, shift=shift)
+    outputs.announce()
+    with outputs:
+        count = write_mesh(surface, path, spacing=spacing, up=up.value, shift=shift)
     place = (
         "" if origin is Origin.map else ", start of the road at {:.3f} {:.3f} {:.3f} in map".format(*shift)
     )
@@ -91,18 +106,24 @@ def mesh(
 def check(
     road: RoadFile,
     out: Annotated[
-        Path | None, typer.Option(help="Write the figures and findings there as JSON.", show_default=False)
+        Path | None,
+        typer.Option(
+            help="Write the figures and findings there as JSON.", metavar="FILE", show_default=False
+        ),
     ] = None,
+    force: Force = False,
 ) -> None:
     """Say what a road is like and what is wrong with it.
 
     Exit status 0: nothing is wrong. 1: it can be driven, but something would spoil a simulation.
     2: it cannot be read.
     """
+    from suspension_twin.files import write_text
     from suspension_twin.road.check import check_file
-    from suspension_twin.road.files import replacing
 
+    outputs = Outputs(*([] if out is None else [out]), force=force)
     checked = check_file(road)
+    outputs.announce()
     if out is not None:
         record = {
             "road": checked.road.name,
@@ -111,16 +132,15 @@ def check(
             "findings": [{"text": f.text, "fault": f.fault} for f in checked.findings],
             "spikes": [vars(s) for s in checked.spikes.found],
         }
-        with replacing(out) as temporary:
-            temporary.write_text(json.dumps(record, indent=2) + "\n", encoding="utf-8")
-    width = max(len(name) for name in checked.facts)
+        write_text(out, json.dumps(record, indent=2) + "\n")
+    console = output()
+    lines = Table.grid(padding=(0, 2, 0, 0))
     for name, fact in checked.facts.items():
-        print(f"{name:<{width}}  {fact}")
-    print()
+        lines.add_row(escape(name), escape(fact))
     for finding in checked.findings:
-        print(f"{'wrong' if finding.fault else 'note':<6} {finding.text}")
-    print("sound" if checked.sound else "not sound: see the lines that begin with 'wrong'")
-    sys.stdout.flush()
+        lines.add_row("wrong" if finding.fault else "note", escape(finding.text))
+    console.print(lines)
+    console.print("sound" if checked.sound else "not sound: see the lines that begin with 'wrong'")
     if not checked.sound:
         raise typer.Exit(1)
 

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from suspension_twin.cli.common import TwinFile
-from suspension_twin.errors import InputError
+from suspension_twin.errors import InputError, WorkError
 
 if TYPE_CHECKING:
     from suspension_twin.nodes.composed import Composed, Playback
@@ -34,7 +34,7 @@ def command(
     rate: Annotated[
         str,
         typer.Option(
-            "--rate", help="Times real time; 'max' or 0: as fast as nothing gets lost.", metavar="X"
+            "--rate", help="Times real time; 'max' or 0: as fast as no message gets lost.", metavar="X"
         ),
     ] = "1",
     loop: Annotated[bool, typer.Option("--loop", help="Begin the recording again at its end.")] = False,
@@ -48,8 +48,8 @@ def command(
     ros_args: Annotated[
         list[str] | None,
         typer.Argument(
-            help="After '--': arguments for ROS, as in -- --ros-args -r imu/data_raw:=/phone/imu",
-            metavar="[-- ROS_ARGS]",
+            help="Arguments for ROS, after '--', such as -- --ros-args -r imu/data_raw:=/phone/imu",
+            metavar="ROS_ARGS",
         ),
     ] = None,
 ) -> None:
@@ -79,7 +79,7 @@ def command(
                 if params is not None:
                     check_names(params, wanted, composed.parameter_names())
                 composed.settle_memory()
-                _run(composed, lambda: stop.asked or not context.ok())
+                _run(composed, lambda: stop.asked or not context.ok(), bag)
             finally:
                 composed.close()
 
@@ -107,7 +107,7 @@ def _playback(bag: Path, speed: float, loop: bool) -> Playback:
     return Playback(drive, speed, loop, _DISCOVERY)
 
 
-def _run(composed: Composed, stop_asked: Callable[[], bool]) -> None:
+def _run(composed: Composed, stop_asked: Callable[[], bool], bag: Path | None) -> None:
     from suspension_twin.cli._status import Status
 
     with Status(composed) as status:
@@ -117,4 +117,8 @@ def _run(composed: Composed, stop_asked: Callable[[], bool]) -> None:
         until = time.monotonic() + 0.2
         while composed.finished and not stop_asked() and time.monotonic() < until:
             composed.step()
+        end = composed.condition()
+        if composed.finished and not end.answers:
+            why = f": {end.complaints[0]}" if end.complaints else ""
+            raise WorkError(f"{bag}: the twin answered none of {end.samples} IMU samples{why}")
         status.conclude()

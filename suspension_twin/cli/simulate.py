@@ -8,10 +8,8 @@ from pathlib import Path
 from typing import Annotated
 
 import typer
-from rich.console import Console
-from rich.table import Table
 
-from suspension_twin.cli.common import Bag, TwinFile
+from suspension_twin.cli.common import Bag, Force, Outputs, TwinFile, output, print_table
 
 __all__ = ["command"]
 
@@ -35,33 +33,36 @@ OffRoad = Annotated[
 ]
 
 
-def command(twin: TwinFile, bag: Bag, out: Out, off_road: OffRoad = Policy.ROAD) -> None:
+def command(
+    twin: TwinFile, bag: Bag, out: Out, off_road: OffRoad = Policy.ROAD, force: Force = False
+) -> None:
     """The twin over a recorded drive, without ROS.
 
     Writes DIR/simulated, a recording of what the twin's topics carry for every IMU sample, and DIR/gap.json,
     how far that is from what was measured.
     """
     from suspension_twin.drive.read import read_drive
+    from suspension_twin.drive.write import BagWriter
     from suspension_twin.gap.prepare import PrepareSettings
     from suspension_twin.gap.simulated import simulate_drive, write_simulated
     from suspension_twin.vehicle.twin import load_twin
 
-    loaded = load_twin(twin)
-    result = simulate_drive(read_drive(bag), loaded, settings=PrepareSettings(outside=off_road.value))
-    out.mkdir(parents=True, exist_ok=True)
-    write_simulated(result, out)
-    console = Console(highlight=False, soft_wrap=True)
+    written = out / "simulated", out / "gap.json"
+    outputs = Outputs(*written, force=force)
+    BagWriter(written[0], overwrite=force)  # replaces nothing but a recording
+    loaded, drive = load_twin(twin), read_drive(bag)
+    outputs.announce()
+    with outputs:
+        result = simulate_drive(drive, loaded, settings=PrepareSettings(outside=off_road.value))
+        write_simulated(result, out)
+    console = output()
     for warning in result.prepared.warnings:
-        console.print(f"[yellow]{result.drive.name}: {warning}[/]")
+        console.print(f"{result.drive.name}: {warning}", style="yellow", markup=False)
     gap = result.gap
-    table = Table(
-        title=f"Gap over {gap.seconds:.1f} s of {result.drive.name}", title_justify="left", title_style="bold"
-    )
-    table.add_column("channel")
-    for name in ("rms", "floor", "unit"):
-        table.add_column(name, justify="right")
+    rows = []
     for name, rms in gap.channels.items():
         unit = "rad/s" if name.endswith("rate") else "m/s²"
-        table.add_row(name.replace("_", " "), f"{rms:.4f}", f"{result.prepared.noise_rms[name]:.4f}", unit)
-    console.print(table)
-    console.print(f"Written to {out / 'simulated'} and {out / 'gap.json'}")
+        rows.append((name.replace("_", " "), unit, f"{rms:.4f}", f"{result.prepared.noise_rms[name]:.4f}"))
+    title = f"Gap over {gap.seconds:.1f} s of {result.drive.name}: measured minus simulated"
+    print_table(console, title, ("channel", "unit", "rms", "noise"), rows, words=2)
+    console.print(f"Written to {written[0]} and {written[1]}")

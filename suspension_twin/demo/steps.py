@@ -17,6 +17,7 @@ from suspension_twin.arrays import Floats
 from suspension_twin.drive.read import read_drive
 from suspension_twin.drive.types import Drive
 from suspension_twin.errors import InputError, WorkError
+from suspension_twin.files import replacing
 from suspension_twin.report.characteristics import static_compression
 from suspension_twin.road import Road, load_road
 from suspension_twin.vehicle.twin import Datum, RoadFile, Twin, load_twin, save_twin
@@ -25,7 +26,7 @@ if TYPE_CHECKING:
     from suspension_twin.calibration.request import Progress as CalibrationProgress
     from suspension_twin.nodes.session import CalibrateAnswer, Replay, Session
 
-__all__ = ["DRIVES", "LEARNT", "UNSEEN", "DemoResult", "Outcome", "Progress", "run_demo"]
+__all__ = ["DRIVES", "LEARNT", "UNSEEN", "DemoResult", "Outcome", "Progress", "run_demo", "written_files"]
 
 #: Calibrated on the one, validated on the other.
 LEARNT, UNSEEN = "bump_15kmh", "crg_road"
@@ -88,12 +89,11 @@ class DemoResult:
 def run_demo(bags: Path, out: Path, progress: Progress, *, seed: int = 0) -> DemoResult:
     """Replay, calibrate and validate; twin files and roads are left in ``out``.
 
-    ``bags`` is the folder of the bundled drives. Raises InputError where ``out`` cannot be used.
+    ``bags`` is the folder of the bundled drives. Raises WorkError where ``out`` cannot be written.
     """
     from suspension_twin.nodes.session import session
 
     began = time.monotonic()
-    _prepare_folder(out)
     start = {name: _settle_in(bags / name, out, name) for name in DRIVES}
     twins = {"before": load_twin(start[LEARNT]), "truth": load_twin(bags / LEARNT / "truth.yaml")}
     result = DemoResult(twins)
@@ -105,7 +105,7 @@ def run_demo(bags: Path, out: Path, progress: Progress, *, seed: int = 0) -> Dem
         result.roads[name] = load_road(bags / name / "road.crg")
     with session() as ros:
         for name, title in DRIVES.items():
-            text = f"The {title}, live through the four nodes, twin as it starts"
+            text = f"Live: {title}, starting twin"
             result.before[name] = _live(ros, result, name, start[name], progress, text)
         with _step(progress, "Calibrating on the speed bump by the action") as done:
             answer = _calibrate(ros, result, start[LEARNT], bags / LEARNT, out / "twin.yaml", progress, seed)
@@ -115,11 +115,10 @@ def run_demo(bags: Path, out: Path, progress: Progress, *, seed: int = 0) -> Dem
         files = {LEARNT: answer.output, UNSEEN: out / f"twin_{UNSEEN}.yaml"}
         _on_road(result.twins["simulated"], load_twin(start[UNSEEN]), files[UNSEEN])
         for name, title in DRIVES.items():
-            unseen = ", not seen so far" if name == UNSEEN else ""
-            text = f"The {title}{unseen}, calibrated twin"
+            text = f"{'Held out' if name == UNSEEN else 'Live'}: {title}, calibrated twin"
             result.after[name] = _live(ros, result, name, files[name], progress, text)
         for name, title in DRIVES.items():
-            text = f"The {title}, true parameters for comparison"
+            text = f"Live: {title}, true parameters"
             result.truth[name] = _live(ros, result, name, bags / name / "truth.yaml", progress, text)
     result.excited = _excited(result)
     result.seconds = time.monotonic() - began
@@ -134,14 +133,10 @@ def _step(progress: Progress, text: str) -> Iterator[list[str]]:
     progress.end(said[-1] if said else "")
 
 
-def _prepare_folder(out: Path) -> None:
-    try:
-        out.mkdir(parents=True, exist_ok=True)
-        (out / "twin.yaml").touch()
-    except FileExistsError:
-        raise InputError(out, "is a file, a folder is wanted") from None
-    except OSError as error:
-        raise InputError(out, error.strerror or "cannot be written") from None
+def written_files(out: Path) -> list[Path]:
+    """What :func:`run_demo` leaves in ``out``."""
+    names = ["twin", f"twin_{UNSEEN}", "start", f"start_{UNSEEN}", "twin.calibration"]
+    return [*(out / f"{name}.yaml" for name in names), *(out / f"{name}.crg" for name in DRIVES)]
 
 
 def _settle_in(bag: Path, out: Path, name: str) -> Path:
@@ -150,7 +145,8 @@ def _settle_in(bag: Path, out: Path, name: str) -> Path:
     if twin.road is None or twin.datum is None:
         raise InputError(bag / "twin.yaml", "road", "and datum are needed by the demo")
     road = out / f"{name}.crg"
-    shutil.copyfile(twin.road.file, road)
+    with replacing(road) as temporary:
+        shutil.copyfile(twin.road.file, temporary)
     start = out / ("start.yaml" if name == LEARNT else f"start_{name}.yaml")
     save_twin(twin.model_copy(update={"road": RoadFile(file=road.resolve())}), start)
     return start
@@ -166,7 +162,7 @@ def _live(ros: Session, result: DemoResult, name: str, twin: Path, progress: Pro
     with _step(progress, text) as done:
         replay = ros.replay(result.drives[name], twin, progress.share)
         outcome = _outcome(name, replay, result.roads[name])
-        done.append(f"gap {outcome.rms:.2f} m/s² of {outcome.measured_rms:.2f} measured")
+        done.append(f"gap {outcome.rms:.2f} of {outcome.measured_rms:.2f} m/s²")
     return outcome
 
 
@@ -200,8 +196,8 @@ def _calibrate(
         result.history.append(word)
         spent = time.monotonic() - began
         share = spent / (spent + word.seconds_left) if np.isfinite(word.seconds_left) else 0.0
-        cost = f", best cost {word.best_cost:.4g}" if np.isfinite(word.best_cost) else ""
-        progress.share(share, f"{word.stage}, generation {word.generation}{cost}")
+        cost = f", cost {word.best_cost:.4g}" if np.isfinite(word.best_cost) else ""
+        progress.share(share, f"Calibrating: {word.stage}, generation {word.generation}{cost}")
 
     return ros.calibrate(twin, [bag], output, seed=seed, on_progress=heard)
 

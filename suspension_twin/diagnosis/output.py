@@ -8,7 +8,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, Protocol
 
-from suspension_twin.errors import WorkError
+from suspension_twin.files import write_text
 from suspension_twin.vehicle.twin import Twin, save_twin
 
 __all__ = ["Found", "values_of", "write"]
@@ -27,12 +27,8 @@ class Found(Protocol):
 def write(result: Found, folder: Path) -> None:
     """``diagnosis.json`` and ``twin.yaml`` in ``folder``, which is made."""
     text = json.dumps(result.document, indent=2, ensure_ascii=False, allow_nan=False)
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-        (folder / "diagnosis.json").write_text(text + "\n", encoding="utf-8")
-        save_twin(result.twin, folder / "twin.yaml")
-    except OSError as error:
-        raise WorkError(f"{folder}: {error.strerror or 'cannot be written'}") from None
+    write_text(folder / "diagnosis.json", text + "\n")
+    save_twin(result.twin, folder / "twin.yaml")
 
 
 def values_of(cause: Mapping[str, Any]) -> str:

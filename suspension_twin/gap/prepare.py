@@ -339,6 +339,9 @@ def road_of(twin: Twin) -> Road:
 
     if twin.road is None:
         raise InputError("twin", "road", "is missing: name the road that was driven, road: {file: road.crg}")
+    if not twin.road.file.exists():
+        where = "it is looked for from the folder of the twin file, unless its path is absolute"
+        raise InputError("twin", "road.file", f"there is no {twin.road.file}: {where}")
     return load_road(twin.road.file)
 
 

@@ -14,7 +14,8 @@ from scipy.spatial.transform import Rotation
 from suspension_twin.arrays import Floats
 from suspension_twin.drive.types import Drive
 from suspension_twin.drive.write import BagWriter
-from suspension_twin.errors import InputError, WorkError
+from suspension_twin.errors import InputError
+from suspension_twin.files import write_text
 from suspension_twin.gap.measure import Gap
 from suspension_twin.gap.prepare import Prepared, PrepareSettings, prepare, road_of
 from suspension_twin.models.sensor import to_sensor_axes
@@ -83,10 +84,7 @@ def write_simulated(result: SimulatedDrive, folder: Path) -> None:
     gap = json.dumps(result.as_dict(), indent=2, ensure_ascii=False, allow_nan=False)
     with BagWriter(folder / "simulated", overwrite=True) as bag:
         _write_topics(bag, result)
-    try:
-        (folder / "gap.json").write_text(gap + "\n", encoding="utf-8")
-    except OSError as error:
-        raise WorkError(f"{folder / 'gap.json'}: {error.strerror or 'cannot be written'}") from None
+    write_text(folder / "gap.json", gap + "\n")
 
 
 def _write_topics(bag: BagWriter, result: SimulatedDrive) -> None:

@@ -24,7 +24,8 @@ import numpy as np
 
 from suspension_twin.arrays import Floats
 from suspension_twin.effects.registry import effect
-from suspension_twin.errors import InputError
+from suspension_twin.errors import InputError, nearest
+from suspension_twin.schema import Strict
 from suspension_twin.vehicle.twin import Twin
 
 __all__ = ["CURVES", "Curve", "Parameter", "Space", "curve_keys", "twin_value"]
@@ -110,7 +111,9 @@ def twin_value(twin: Twin, key: str) -> Any:
         try:
             node = node[int(part)] if isinstance(node, tuple | list) else getattr(node, part)
         except (AttributeError, IndexError, ValueError):
-            raise InputError("free parameters", key, "no such key in the twin file") from None
+            known = type(node).model_fields if isinstance(node, Strict) else {}
+            near = nearest(part, known) or (f" ({', '.join(known)})" if known else "")
+            raise InputError("parameters", key, f"no such key in the twin file{near}") from None
     return node
 
 
@@ -121,7 +124,7 @@ def _effect_value(twin: Twin, key: str) -> float:
             values = effect(name, twin.model).values(spec.parameters)
             if parameter[0] in values:
                 return values[parameter[0]]
-    raise InputError("free parameters", key, "the twin has no such effect parameter")
+    raise InputError("parameters", key, "the twin has no such effect parameter")
 
 
 class Space:

@@ -10,10 +10,10 @@ from typing import NamedTuple
 
 import numpy as np
 
+from suspension_twin.gap.prepare import road_of
 from suspension_twin.models.live import LiveState, live_twin
 from suspension_twin.nodes.topics import NS
 from suspension_twin.road.build import flat_road
-from suspension_twin.road.crg import load_road
 from suspension_twin.road.road import Road
 from suspension_twin.signals.checks import Finding
 from suspension_twin.vehicle.twin import Twin
@@ -118,7 +118,7 @@ class Follower:
 
     def __init__(self, twin: Twin, acceleration_time: float = 0.1) -> None:
         self.twin = twin
-        self.road: Road = flat_road() if twin.road is None else load_road(twin.road.file)
+        self.road: Road = flat_road() if twin.road is None else road_of(twin)
         self.acceleration_time = acceleration_time
         self._live = live_twin(twin, self.road)
         # compiled now, not at the first samples

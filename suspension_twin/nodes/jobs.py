@@ -167,7 +167,7 @@ def run_calibration(
         "generations": result.generations,
         "names": [e.key for e in result.estimates],
         "values": [e.value for e in result.estimates],
-        "excited": [e.excited for e in result.estimates],
+        "excited": [e.status == "identified" for e in result.estimates],
     }
 
 

@@ -86,7 +86,9 @@ def calibration_gap(values: Values) -> CalibrationGap:
     try:
         drives = yaml.safe_load(details.read_text(encoding="utf-8"))["drives"]
         # The live gap includes clock, gain and tilt errors: the larger of the two values is to be expected.
-        residuals = [max(d["gap_after"]["rms"], d["left_without_nuisances"] or 0.0) for d in drives]
+        residuals = [
+            max(d["gap_after"]["rms"], d["residual_with_nuisances_corrected"] or 0.0) for d in drives
+        ]
         shares = [math.sqrt(1.0 - min(abs(d["correlation"] or 1.0), 1.0) ** 2) for d in drives]
     except (OSError, ValueError, RecursionError, yaml.YAMLError, KeyError, TypeError):
         raise InputError(details, "drives", "has no residual of the calibration") from None

@@ -11,6 +11,7 @@ from matplotlib.figure import Figure
 from scipy.ndimage import uniform_filter1d
 
 from suspension_twin.arrays import Floats
+from suspension_twin.calibration.labels import parameter_label, parameter_unit
 from suspension_twin.calibration.request import CalibrationResult, CurveEstimate, DriveFit
 from suspension_twin.report import plots
 from suspension_twin.report.characteristics import AxleEvidence, Band, characteristics
@@ -24,7 +25,7 @@ from suspension_twin.signals.metrics import (
 )
 from suspension_twin.signals.spectra import power_density, power_spectrum
 
-__all__ = ["calibration_page", "parameter_label"]
+__all__ = ["calibration_page"]
 
 _WINDOW = 4.0  # s of a panel in time
 _PANELS = 3
@@ -71,17 +72,6 @@ def calibration_page(result: CalibrationResult) -> Page:
     return page
 
 
-def parameter_label(result: CalibrationResult, key: str) -> str:
-    """``vehicle.front.damper_push.force.2`` as ``front damper push, 0.35 m/s``."""
-    curve_key, _, index = key.rpartition(".force.")
-    for curve in result.curves:
-        if curve.key == curve_key:
-            _, axle, part = curve_key.split(".")
-            x = getattr(getattr(result.twin.vehicle, axle), part).points[0][int(index)]
-            return f"{axle} {part.replace('_', ' ')}, {x:g} {curve.unit}"
-    return key.removeprefix("vehicle.").replace("_", " ").replace(".", " ")
-
-
 def _cards(page: Page, result: CalibrationResult) -> None:
     for d in result.drives:
         closed = 1 - d.gap_after.rms / d.gap_before.rms
@@ -118,7 +108,7 @@ def _summary(result: CalibrationResult) -> str:
             "show in which direction the bounds hold them back; use `--preset fast` or wider `--bound`s."
         )
     for status, count in result.counts.items():
-        keys = [parameter_label(result, e.key) for e in result.estimates if e.status == status]
+        keys = [parameter_label(result.twin, e.key) for e in result.estimates if e.status == status]
         which = "" if status == "identified" else f": {', '.join(keys)}"
         lines.append(f"{count} of {len(result.estimates)} {status} ({_MEANINGS[status]}){which}.")
     lines += [f"Warning: {w}." for w in result.warnings]
@@ -358,7 +348,8 @@ def _parameter_section(result: CalibrationResult) -> Section:
         value = Cell(e.value, "bad", f"on its {e.on_bound} bound") if e.on_bound else Cell(e.value)
         rows.append(
             [
-                parameter_label(result, e.key),
+                parameter_label(result.twin, e.key),
+                parameter_unit(e.key),
                 e.start,
                 value,
                 interval,
@@ -366,14 +357,12 @@ def _parameter_section(result: CalibrationResult) -> Section:
                 Cell(e.status, _COLOURS[e.status], _MEANINGS[e.status]),
             ]
         )
-    columns = ["parameter", "started as", "found", "90 % interval", "bounds", "status"]
+    columns = ["parameter", "unit", "start", "found", "90 % interval", "bounds", "status"]
     text = (
         "Values on a bound are coloured. An interval that does not hold its value shows that the bounds or the search "
         "held it back."
     )
-    return Section(
-        "Parameters", text, Table(columns, rows, "Forces in N at the wheel, for one wheel; else SI units.")
-    )
+    return Section("Parameters", text, Table(columns, rows, "Forces are at the wheel, for one wheel."))
 
 
 def _nuisance_section(result: CalibrationResult) -> Section:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Springs and dampers of one or several vehicles over each other, with what a drive can tell."""
+"""Springs and dampers of one or several vehicles over each other, with their uncertainty."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ class Band:
 
 @dataclass(frozen=True)
 class AxleEvidence:
-    """What a drive told about one axle: bands, the ranges it excited and the points it did not.
+    """What a drive identifies of one axle: bands, the ranges it excited and the points it did not.
 
     ``spring``, ``push`` and ``pull`` are bands (or None); ``compression`` m and ``velocity`` m/s
     the excited ranges (push positive, pull negative); ``unexcited`` the (kind, abscissa) of
@@ -68,7 +68,7 @@ def characteristics(
     """Front and rear, springs above and dampers below; forces of one wheel at the wheel.
 
     ``vehicles`` maps a role ("before", "simulated", "truth") to a vehicle; ``evidence`` maps
-    "front" and "rear" to what the drive told. Jounce (push) is drawn to the right and upwards,
+    "front" and "rear" to what the drive identifies. Jounce (push) is drawn to the right and upwards,
     rebound (pull) to the left and downwards. ``compression`` m and ``velocity`` m/s limit the
     axes; by default they cover what the drive excited, else the vehicles' points.
 
@@ -84,12 +84,12 @@ def characteristics(
         fig = style.figure(9.2, 6.2)
         grid = fig.subplots(2, 2, sharey="row", sharex="row")
         for column, axle in enumerate(("front", "rear")):
-            told = evidence.get(axle, AxleEvidence())
+            found = evidence.get(axle, AxleEvidence())
             spring, damper = grid[0, column], grid[1, column]
             spring.set_title(f"{axle} spring")
             damper.set_title(f"{axle} damper")
-            _range(spring, told.compression, "excited by the drive")
-            _range(damper, told.velocity)
+            _range(spring, found.compression, "excited by the drive")
+            _range(damper, found.velocity)
             for role, vehicle in vehicles.items():
                 part: Axle = getattr(vehicle, axle)
                 rest = static_compression(vehicle, axle) if from_rest else 0.0
@@ -100,8 +100,8 @@ def characteristics(
             simulated = vehicles.get("simulated")
             if simulated is not None:
                 rest = static_compression(simulated, axle) if from_rest else 0.0
-                _unexcited(spring, damper, told, getattr(simulated, axle), rest)
-            _bands(spring, damper, told)
+                _unexcited(spring, damper, found, getattr(simulated, axle), rest)
+            _bands(spring, damper, found)
             spring.set_xlabel(
                 "travel from standstill [m]" if from_rest else "compression from free length [m]"
             )
@@ -183,8 +183,12 @@ def _range(axes: Axes, span: tuple[float, float] | None, label: str | None = Non
         axes.axvspan(span[0], span[1], color=COLOURS["extra"], alpha=0.13, linewidth=0, label=label)
 
 
-def _bands(spring: Axes, damper: Axes, told: AxleEvidence) -> None:
-    for axes, band, sign in ((spring, told.spring, 1.0), (damper, told.push, 1.0), (damper, told.pull, -1.0)):
+def _bands(spring: Axes, damper: Axes, found: AxleEvidence) -> None:
+    for axes, band, sign in (
+        (spring, found.spring, 1.0),
+        (damper, found.push, 1.0),
+        (damper, found.pull, -1.0),
+    ):
         if band is not None:
             axes.fill_between(
                 sign * band.x,
@@ -198,13 +202,13 @@ def _bands(spring: Axes, damper: Axes, told: AxleEvidence) -> None:
             )
 
 
-def _unexcited(spring: Axes, damper: Axes, told: AxleEvidence, part: Axle, rest: float) -> None:
+def _unexcited(spring: Axes, damper: Axes, found: AxleEvidence, part: Axle, rest: float) -> None:
     curves = {
         "spring": (spring, part.spring.points, 1.0, rest),
         "push": (damper, part.damper_push.points, 1.0, 0.0),
         "pull": (damper, part.damper_pull.points, -1.0, 0.0),
     }
-    for kind, x in told.unexcited:
+    for kind, x in found.unexcited:
         axes, points, sign, shift = curves[kind]
         y = float(force(points, np.array([x]))[0])
         axes.plot(

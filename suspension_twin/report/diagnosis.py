@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The page of a diagnosis: the answer first, then why, where, how far and what to drive next."""
+"""The page of a diagnosis: the verdict first, then causes, localisation, residuals and the next experiment."""
 
 from __future__ import annotations
 
@@ -19,14 +19,14 @@ __all__ = ["diagnosis_page"]
 _VERDICTS: dict[str, tuple[str, Mark]] = {
     "effect": ("a cause is named", "good"),
     "partly": ("a cause is named, a gap beyond it remains", "warn"),
-    "no_gap": ("no gap that matters", "good"),
+    "no_gap": ("no gap above noise and model discrepancy", "good"),
     "unknown": ("there is a gap, nothing in the library explains it", "bad"),
 }
 _SHOWN_SECONDS = 6.0
 _GATES = ("material", "adequate", "plausible")
 _REFERENCED = (
-    ' What decides is "beyond reference": of all that the recalibrated twin leaves in vertical, roll and pitch above '
-    "what the reference drives taught, after the change and before it, the share that the cause takes."
+    ' The decision uses "beyond reference": the share by which the cause lowers the residual of the recalibrated twin '
+    "in vertical acceleration, roll and pitch rate, above the model discrepancy found on the reference drives."
 )
 
 
@@ -43,10 +43,12 @@ def diagnosis_page(result: DiagnosisResult) -> Page:
         page.card("Cause", names, f"probability {share:.2f}")
     unit = "rad/s" if d["gap"]["channel"].endswith("rate") else "m/s²"
     page.card(
-        "Gap as it stands", f"{d['gap']['rms']:.3g} {unit}", f"floor {d['gap']['noise_rms']:.2g} {unit}"
+        "Gap of the twin as given",
+        f"{d['gap']['rms']:.3g} {unit}",
+        f"floor {d['gap']['noise_rms']:.2g} {unit}",
     )
     page.card(
-        "Left unexplained", f"{100 * d['unexplained']:.0f} %", "of the gap above the noise, on unseen road"
+        "Unexplained", f"{100 * d['unexplained']:.0f} %", "of the gap above the noise, on held-out road"
     )
     page.add(_answer(d))
     page.add(_causes(d))
@@ -66,19 +68,17 @@ def _answer(d: dict[str, Any]) -> Section:
     r, b = d["recalibration"], d["background"]
     lines = [
         d["message"][0].upper() + d["message"][1:] + ".",
-        f"Recalibration alone, without any effect, takes the gap from {r['gap_before']:.3g} to {r['gap_after']:.3g} "
-        f"above the noise ({100 * r['shrink']:.0f} %).",
+        f"Recalibration alone, without any effect, lowers the gap above the noise from {r['gap_before']:.3g} to "
+        f"{r['gap_after']:.3g} ({100 * r['shrink']:.0f} %).",
     ]
-    left = f"What is written to twin.yaml misses {100 * b['share_of_motion_left']:.0f} % of the motion's rms"
+    text = f"The residual of the written twin.yaml is {100 * b['share_of_motion_left']:.0f} % of the motion's rms"
     if b["share_left_on_reference"] is not None:
-        left += (
-            f"; on the reference drives the same car is missed by {100 * b['share_left_on_reference']:.0f} %"
-        )
-    lines.append(left + ".")
+        text += f"; on the reference drives it is {100 * b['share_left_on_reference']:.0f} %"
+    lines.append(text + ".")
     if d["cannot_be_judged"]:
         weak = ", ".join(e.replace("_", " ") for e in d["cannot_be_judged"])
         lines.append(f"**Cannot be judged**, as the drives do not excite them: {weak}.")
-    return Section("The answer", "\n\n".join(lines))
+    return Section("Verdict", "\n\n".join(lines))
 
 
 def _causes(d: dict[str, Any]) -> Section:
@@ -115,12 +115,12 @@ def _causes(d: dict[str, Any]) -> Section:
     for name, key in (("no gap", "no_gap_probability"), ("unknown", "unknown_probability")):
         rows.append((name, Cell(round(d[key], 3)), *[""] * (len(columns) - 2)))
     return Section(
-        "Which",
-        "Every effect was fitted together with the characteristics, the clocks, the map, the tilt and the biases. A "
-        "cause is named if it is material (a tenth of some channel's gap), adequate (what is left is what a sound "
-        "model leaves) and plausible (inside its prior and the same on every stretch). The shrinks are of the vertical "
-        "acceleration alone, with the calibration and beyond it: what shows in roll or braking may have none."
-        + (_REFERENCED if referenced else ""),
+        "Causes",
+        "Every effect was fitted together with the characteristics and the nuisance parameters (clocks, map, tilt, "
+        "biases). A cause is named if it is material (a tenth of some channel's gap), adequate (the remaining residual "
+        "is within the model discrepancy) and plausible (within its prior and the same in every fold). The shrinks are "
+        "of the vertical acceleration alone, with the calibration and beyond it: an effect on roll or braking may have "
+        "none." + (_REFERENCED if referenced else ""),
         _bars(d),
         Table(columns, rows),
     )
@@ -156,14 +156,14 @@ def _where(d: dict[str, Any]) -> Section:
     ]
     return Section(
         "Where",
-        "What recalibration leaves, on stretches that it has not seen: places that hold significantly more of it than "
-        "their length asks for.",
+        "Where the residual after recalibration is concentrated, on held-out road: each entry holds significantly more "
+        "of it than its length does on average.",
         *parts,
     )
 
 
 def _places(items: list[dict[str, Any]], caption: str, **columns: str) -> Table | None:
-    """One kind of place as a table, ``columns`` naming heading and key; None where nothing stands out."""
+    """One kind of entry as a table, ``columns`` naming heading and key; None where there is none."""
     if not items:
         return None
     rows = [[_plain(i[key]) for key in columns.values()] + [i["share"]] for i in items]
@@ -185,7 +185,7 @@ def _drive(view: DriveView, d: dict[str, Any]) -> Section:
     start = int(np.argmax(energy))
     cut = rows[start : start + window]
     label = d["gap"]["channel"].replace("_", " ")
-    names = {"before": "as it stands", "simulated": "with what was found"}
+    names = {"before": "twin as given", "simulated": "twin with causes"}
     figure = plots.in_time(
         view.t[cut],
         view.measured[cut],
@@ -204,9 +204,9 @@ def _drive(view: DriveView, d: dict[str, Any]) -> Section:
     ):
         f, densities[role] = signal.welch(series[rows], view.rate, nperseg=size)
     spectrum = plots.in_frequency(
-        f, densities, names={"before": "gap as it stands", "residual": "gap with what was found"}
+        f, densities, names={"before": "gap, twin as given", "residual": "gap, twin with causes"}
     )
-    captions = ("The worst seconds.", "The gap over frequency.")
+    captions = ("The seconds with the largest gap.", "The gap over frequency.")
     return Section(f"Drive {view.name}", "", figure, spectrum, captions=captions)
 
 
@@ -214,7 +214,7 @@ def _signature(s: dict[str, Any]) -> Section:
     channel = s["channel"].replace("_", " ")
     lines = [f"- band {s['low_hz']} to {s['high_hz']} Hz, strongest at {s['peak_hz']} Hz ({channel})"]
     if "in_space" in s:
-        lines.append(f"- the same place on the road on every pass: correlation {s['in_space']}")
+        lines.append(f"- repeats by road position on every pass: correlation {s['in_space']}")
     if "goes_with" in s:
         lines.append(f"- goes with {s['goes_with']['what']} (correlation {s['goes_with']['correlation']})")
         lines.append(f"- a loop over travel: {s['hysteresis']} correlated with the sign of the velocity")
@@ -223,15 +223,17 @@ def _signature(s: dict[str, Any]) -> Section:
             lines.append(f"- appears above a {key.rsplit('_', 1)[1]} of {value['value']} {value['unit']}")
     if "periodic" in s:
         p = s["periodic"]
-        every = f"every {p['every_m']:.3g} m of the way" if "every_m" in p else f"at {p['hz']:.3g} Hz"
+        every = f"every {p['every_m']:.3g} m" if "every_m" in p else f"at {p['hz']:.3g} Hz"
         channel = p["channel"].replace("_", " ")
-        lines.append(f"- comes again {every}: {100 * p['share']:.0f} % of what is left of the {channel}")
+        lines.append(
+            f"- periodic {every}: {100 * p['share']:.0f} % of the remaining residual of the {channel}"
+        )
     if "stretch" in s:
         there = s["stretch"]
         lines.append(
             f"- on every pass {100 * there['share']:.0f} % of it lies from {there['start_m']:.0f} to "
-            f"{there['end_m']:.0f} m of the road, which holds less of the motion: "
-            "its file is wrong there, or something acts that only this place sets off"
+            f"{there['end_m']:.0f} m of the road, which holds a smaller share of the motion: a local road error, or "
+            "something that only this part of the road excites"
         )
         for like in there["resembles"]:
             values = ", ".join(f"{k} {v:.4g}" for k, v in like["parameters"].items())
@@ -245,14 +247,14 @@ def _signature(s: dict[str, Any]) -> Section:
             f"- is like {like['effect'].replace('_', ' ')} ({values}; probability {like['probability']:.2f}): a shape "
             f"that many things have, no cause; with it the gap would shrink by {100 * like['shrink']:.0f} %"
         )
-    return Section("What the rest looks like", "\n".join(lines))
+    return Section("Signature of the remaining residual", "\n".join(lines))
 
 
 def _how(d: dict[str, Any]) -> Section:
     return Section(
-        "How this was found",
-        "The gap before is that of the twin as it stands, the gap after that of the written twin, its clock, map and "
-        "biases as the file has them; both on stretches of road that the fit has not seen. Probabilities come from "
-        "held-out stretches weighed anew many times; what the model misses anyway counts as little new evidence from "
-        f"sample to sample (factor {d['background']['noise_share_of_the_rest']:.2g}). Seed {d['seed']}.",
+        "Method",
+        "The gap before is that of the twin as given, the gap after that of the written twin, with the file's clock, "
+        "map and biases; both on road that the fit has not used. Probabilities come from cross-validation, its folds "
+        "resampled many times. Model discrepancy is correlated from sample to sample: the effective sample size is "
+        f"reduced accordingly (factor {d['background']['noise_share_of_the_rest']:.2g}). Seed {d['seed']}.",
     )

@@ -26,7 +26,7 @@ from markupsafe import Markup
 from matplotlib.figure import Figure
 
 from suspension_twin import __version__
-from suspension_twin.errors import InputError
+from suspension_twin.files import write_text
 from suspension_twin.report import style
 
 __all__ = ["Card", "Cell", "Content", "Html", "Mark", "Page", "Section", "Table", "short"]
@@ -144,13 +144,8 @@ class Page:
 
     def write(self, path: str | Path) -> Path:
         """Write the page and return where it is; missing folders are made."""
-        path = Path(path)
-        try:
-            path.parent.mkdir(parents=True, exist_ok=True)
-            path.write_text(self.render(), encoding="utf-8")
-        except OSError as error:
-            raise InputError(path, error.strerror or "cannot be written") from None
-        return path
+        write_text(path, self.render())
+        return Path(path)
 
 
 @cache

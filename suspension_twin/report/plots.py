@@ -2,7 +2,7 @@
 """The plots that every report draws from: arrays in, a figure out, nothing kept.
 
 Blue is measured, orange is simulated, grey dashes are the twin as it was before, green dots
-are a truth that is known (a simulated drive's). Shapes: a signal is (n,), its stamps (n,) s.
+are the true values (of a simulated drive). Shapes: a signal is (n,), its stamps (n,) s.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ ACCELERATION = "vertical acceleration [m/s²]"
 
 @dataclass(frozen=True)
 class Window:
-    """A stretch of a signal that deserves a panel of its own, s on the drive's clock."""
+    """An interval of a signal with a panel of its own, s on the drive's clock."""
 
     start: float
     end: float
@@ -64,9 +64,9 @@ def in_time(
     label: str = ACCELERATION,
     names: Mapping[str, str] | None = None,
 ) -> Figure:
-    """Measured and simulated over each other, and in a strip below what is left between them.
+    """Measured and simulated over each other, and in a strip below the residual.
 
-    With ``windows`` each stretch has its own column, all on one scale; without, the whole drive
+    With ``windows`` each interval has its own column, all on one scale; without, the whole drive
     is shown. ``origin`` is the stamp called 0 s (the first one). ``names`` renames "measured",
     "simulated" and "before" in the legend. A NaN leaves a gap.
     """
@@ -99,8 +99,8 @@ def in_time(
             if before is not None:
                 _line(strip, "before", x, (measured - before)[keep], linewidth=0.9)
             strip.axhline(0.0, color=COLOURS["soft"], linewidth=0.7)
-            left = (measured - simulated)[keep]
-            strip.plot(x, left, color=COLOURS["ink"], linewidth=0.9, zorder=6)
+            residual = (measured - simulated)[keep]
+            strip.plot(x, residual, color=COLOURS["ink"], linewidth=0.9, zorder=6)
             top.set_xlim(window.start - start, window.end - start)
             top.set_title(window.label)
             strip.set_xlabel("time [s]")

@@ -21,6 +21,8 @@ import matplotlib as mpl
 from cycler import cycler
 from matplotlib.figure import Figure
 
+from suspension_twin.files import replacing
+
 __all__ = [
     "COLOURS",
     "DARK",
@@ -189,11 +191,9 @@ def png(fig: Figure, *, dpi: int = 160) -> bytes:
 
 def save(fig: Figure, path: str | Path, *, dpi: int = 160) -> None:
     """Write the figure; the format follows from the name's suffix."""
-    path = Path(path)
-    path.parent.mkdir(parents=True, exist_ok=True)
-    with using():
+    with using(), replacing(path) as temporary:
         _arranged(fig)
-        fig.savefig(path, dpi=dpi)
+        fig.savefig(temporary, dpi=dpi)
 
 
 def html(fig: Figure, *, salt: str, label: str) -> str:

@@ -104,9 +104,7 @@ def calibration_page(
         " and ".join(f"{v:.3f}" for v in last.correlation),
         f"{runs[shown].name}; the paper {PUBLISHED_CORRELATION[0]} and {PUBLISHED_CORRELATION[1]}",
     )
-    page.card(
-        "Left over A, B", " and ".join(f"{100 * v:.1f} %" for v in last.residual), "of the measured rms"
-    )
+    page.card("Residual A, B", " and ".join(f"{100 * v:.1f} %" for v in last.residual), "of the measured rms")
     page.card(
         "Simulated over measured", " and ".join(f"{v:.3f}" for v in last.gain), "rms: what correlation misses"
     )
@@ -116,8 +114,18 @@ def calibration_page(
         (r.name, f"{3.6 * r.speed:.1f}", *(float(v) for v in (*w.correlation, *w.residual, *w.gain)), w.late)
         for r, w in zip(runs, worth, strict=True)
     ]
-    columns = ("run", "km/h", "corr. A", "corr. B", "left A", "left B", "gain A", "gain B", "clock late [s]")
-    text = "Correlation does not see amplitude: twice the motion correlates as well. What is left over and the gain do."
+    columns = (
+        "run",
+        "km/h",
+        "corr. A",
+        "corr. B",
+        "resid. A",
+        "resid. B",
+        "gain A",
+        "gain B",
+        "clock offset [s]",
+    )
+    text = "Correlation does not see amplitude: twice the motion correlates as well. The residual and the gain do."
     page.add(Section("Run by run", text, Table(columns, lines)))
     figures = [
         marker_figure(runs[shown], {"simulated": told[shown]}, kind[0], marker)
@@ -131,7 +139,7 @@ def calibration_page(
 _VERDICTS: dict[str, tuple[str, Mark]] = {
     "effect": ("a cause is named", "good"),
     "partly": ("a cause is named, a gap beyond it remains", "warn"),
-    "no_gap": ("no gap that matters", "good"),
+    "no_gap": ("no gap above noise and model discrepancy", "good"),
     "unknown": ("there is a gap, nothing in the library explains it", "bad"),
 }
 
@@ -144,8 +152,8 @@ def diagnosis_page(result: TrackedDiagnosis) -> Page:
     page.card("Verdict", d["verdict"].replace("_", " "), text, mark)
     if d["combination"]:
         page.card("Cause", " + ".join(e.replace("_", " ") for e in d["combination"]))
-    page.card("Left unexplained", f"{100 * d['unexplained']:.0f} %", "of the gap above the noise")
-    page.add(Section("The answer", f"{d['message'][0].upper()}{d['message'][1:]}.\n\n{d['next_experiment']}"))
+    page.card("Unexplained", f"{100 * d['unexplained']:.0f} %", "of the gap above the noise")
+    page.add(Section("Verdict", f"{d['message'][0].upper()}{d['message'][1:]}.\n\n{d['next_experiment']}"))
     rows = [
         (
             c["effect"].replace("_", " ") + ("" if c["judged"] else " (cannot be judged)"),
@@ -160,7 +168,7 @@ def diagnosis_page(result: TrackedDiagnosis) -> Page:
         (name, Cell(round(d[f"{name.replace(' ', '_')}_probability"], 3)), "", "", "")
         for name in ("no gap", "unknown")
     ]
-    page.add(Section("Which", "", Table(("cause", "probability", "shrink", "parameters", "like"), rows)))
+    page.add(Section("Causes", "", Table(("cause", "probability", "shrink", "parameters", "like"), rows)))
     places = [(i["bag"], i["start"], i["end"], i["share"]) for i in d["where"]["time"]]
     if places:
         page.add(Section("Where", "", Table(("run", "from [s]", "to [s]", "share"), places)))
@@ -170,15 +178,15 @@ def diagnosis_page(result: TrackedDiagnosis) -> Page:
 
 
 def _rest(run: MarkerRun, before: Floats, after: Floats) -> Figure:
-    """What is left of the velocities of A, B and C before and after, m/s."""
+    """The residual of the velocities of A, B and C before and after, m/s."""
     with style.using():
         fig = style.figure(9.2, 4.2)
         rows = fig.subplots(3, 1, sharex=True)
         for k, axes in enumerate(rows):
-            axes.plot(run.t, before[:, 3 + k], color=style.colour("before"), label="as it stands")
-            axes.plot(run.t, after[:, 3 + k], color=style.colour("simulated"), label="with what was found")
+            axes.plot(run.t, before[:, 3 + k], color=style.colour("before"), label="twin as given")
+            axes.plot(run.t, after[:, 3 + k], color=style.colour("simulated"), label="twin with causes")
             axes.set_ylabel(f"{MARKERS[k]}, m/s")
         rows[0].legend(ncols=2)
         rows[2].set_xlabel("time, s")
-        rows[0].set_title("What is left of the markers' velocities")
+        rows[0].set_title("Residual of the markers' velocities")
     return fig

@@ -17,8 +17,8 @@ import pycrg
 from pycrg import constants as c
 
 from suspension_twin.errors import InputError
+from suspension_twin.files import replacing
 from suspension_twin.road.crg_format import CrgText, examine
-from suspension_twin.road.files import replacing
 from suspension_twin.road.road import Borders, Road
 
 __all__ = ["load_road", "write_road"]

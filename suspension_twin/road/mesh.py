@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 
 from suspension_twin.arrays import Floats
 from suspension_twin.errors import InputError
-from suspension_twin.road.files import replacing
+from suspension_twin.files import replacing
 from suspension_twin.road.road import Road
 
 __all__ = ["RoadMesh", "Tile", "road_mesh", "write_mesh", "write_obj", "write_stl"]

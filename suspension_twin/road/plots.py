@@ -15,8 +15,8 @@ from matplotlib.ticker import FuncFormatter
 
 from suspension_twin.arrays import Floats
 from suspension_twin.errors import InputError
+from suspension_twin.files import replacing
 from suspension_twin.road.check import RoadCheck, check_road, wheel_tracks
-from suspension_twin.road.files import replacing
 from suspension_twin.road.iso8608 import CLASSES, N0, road_psd, roughness, smoothed_psd
 from suspension_twin.road.road import Road
 

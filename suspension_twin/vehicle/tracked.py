@@ -8,17 +8,17 @@ axis of the sprocket, at which marker C is taken to be.
 
 from __future__ import annotations
 
-import math
 from pathlib import Path
 from typing import Annotated, Any, Final, Literal
 
 import numpy as np
-import yaml
-from pydantic import AfterValidator, Field, ValidationError, model_validator
+from pydantic import AfterValidator, Field, model_validator
 
 from suspension_twin.arrays import Floats
 from suspension_twin.errors import InputError
-from suspension_twin.vehicle.twin import Place, Strict, Twin
+from suspension_twin.files import read_yaml
+from suspension_twin.schema import Strict, assign, checked, within
+from suspension_twin.vehicle.twin import Place, Twin
 
 __all__ = [
     "BOUNDS",
@@ -42,24 +42,14 @@ BOUNDS: Final[dict[str, tuple[float, float]]] = {
 }
 
 
-def _between(low: float, high: float, unit: str, hint: str = "") -> AfterValidator:
-    def check(value: float) -> float:
-        if not (math.isfinite(value) and low <= value <= high):
-            tail = f" ({hint})" if hint else ""
-            raise ValueError(f"must lie between {low:g} and {high:g} {unit}, is {value:g}{tail}")
-        return value
-
-    return AfterValidator(check)
-
-
 def _bounded(key: str, unit: str) -> AfterValidator:
-    return _between(*BOUNDS[key], unit)
+    return within(*BOUNDS[key], unit)
 
 
-Length = Annotated[float, _between(0.01, 12.0, "m", "is it in mm?")]
-Position = Annotated[float, _between(-12.0, 12.0, "m", "is it in mm?")]
-PaperPlace = Annotated[float, _between(-12_000.0, 12_000.0, "mm")]
-Angle = Annotated[float, _between(-1.2, 1.2, "rad", "is it in degrees?")]
+Length = Annotated[float, within(0.01, 12.0, "m", "is it in mm?")]
+Position = Annotated[float, within(-12.0, 12.0, "m", "is it in mm?")]
+PaperPlace = Annotated[float, within(-12_000.0, 12_000.0, "mm")]
+Angle = Annotated[float, within(-1.2, 1.2, "rad", "is it in degrees?")]
 
 
 class Markers(Strict):
@@ -90,16 +80,16 @@ class Idler(Strict):
     height: Position
     radius: Length
     setting: Annotated[float, _bounded("idler.setting", "mm")]
-    taut_at: Annotated[float, _between(-5700.0, -5450.0, "mm")]
+    taut_at: Annotated[float, within(-5700.0, -5450.0, "mm")]
 
 
 class Track(Strict):
     """Stiffness and damping are those of the joint between two links, eqs (10) to (13)."""
 
     links: Annotated[int, Field(ge=20, le=400)]
-    pitch: Annotated[float, _between(0.05, 0.4, "m")]
-    thickness: Annotated[float, _between(0.0, 0.2, "m")]
-    link_mass: Annotated[float, _between(1.0, 200.0, "kg")]
+    pitch: Annotated[float, within(0.05, 0.4, "m")]
+    thickness: Annotated[float, within(0.0, 0.2, "m")]
+    link_mass: Annotated[float, within(1.0, 200.0, "kg")]
     stiffness: Annotated[float, _bounded("track.stiffness", "N/m")]
     damping: Annotated[float, _bounded("track.damping", "N s/m")]
     bending_stiffness: Annotated[float, _bounded("track.bending_stiffness", "N m/rad")]
@@ -109,10 +99,10 @@ class Track(Strict):
 class Wheel(Strict):
     """``mass`` has the outer half of the arm; ``rubber`` is N/m, its damping N s/m, per m of contact."""
 
-    radius: Annotated[float, _between(0.1, 1.0, "m")]
-    mass: Annotated[float, _between(10.0, 2000.0, "kg")]
-    rubber: Annotated[float, _between(1.0e6, 3.0e8, "N/m²")]
-    rubber_damping: Annotated[float, _between(0.0, 1.0e5, "N s/m²")]
+    radius: Annotated[float, within(0.1, 1.0, "m")]
+    mass: Annotated[float, within(10.0, 2000.0, "kg")]
+    rubber: Annotated[float, within(1.0e6, 3.0e8, "N/m²")]
+    rubber_damping: Annotated[float, within(0.0, 1.0e5, "N s/m²")]
 
 
 class Arm(Strict):
@@ -121,13 +111,13 @@ class Arm(Strict):
     The pivots are placed so that the wheels are where ``stations`` says at ``standing_angle``.
     """
 
-    length: Annotated[float, _between(0.1, 1.0, "m")]
+    length: Annotated[float, within(0.1, 1.0, "m")]
     standing_angle: Angle
     free_angle: Angle
-    stiffness: Annotated[float, _between(1.0e3, 2.0e6, "N m/rad")]
+    stiffness: Annotated[float, within(1.0e3, 2.0e6, "N m/rad")]
     jounce_stop: Angle
     rebound_stop: Angle
-    stop_stiffness: Annotated[float, _between(1.0e4, 5.0e6, "N m/rad")]
+    stop_stiffness: Annotated[float, within(1.0e4, 5.0e6, "N m/rad")]
 
     @model_validator(mode="after")
     def _check(self) -> Arm:
@@ -140,21 +130,21 @@ class Station(Strict):
     """A road wheel: ``x`` of its axis on the standing vehicle; ``sag`` of its torsion bar in rad."""
 
     x: Position
-    damping: Annotated[float, _between(0.0, 1.0e6, "N m s/rad")] = 0.0
-    sag: Annotated[float, _between(-0.2, 0.3, "rad")] = 0.0
+    damping: Annotated[float, within(0.0, 1.0e6, "N m s/rad")] = 0.0
+    sag: Annotated[float, within(-0.2, 0.3, "rad")] = 0.0
 
 
 class Ground(Strict):
-    stiffness: Annotated[float, _between(1.0e6, 3.0e8, "N/m²")]
-    damping: Annotated[float, _between(0.0, 1.0e5, "N s/m²")]
+    stiffness: Annotated[float, within(1.0e6, 3.0e8, "N/m²")]
+    damping: Annotated[float, within(0.0, 1.0e5, "N s/m²")]
 
 
 class Obstacle(Strict):
     """A trapezoid across the way: ``ramp`` up, ``top``, ``ramp`` down, m."""
 
-    height: Annotated[float, _between(0.0, 2.0, "m", "is it in mm?")]
-    ramp: Annotated[float, _between(0.05, 50.0, "m")]
-    top: Annotated[float, _between(0.0, 50.0, "m")]
+    height: Annotated[float, within(0.0, 2.0, "m", "is it in mm?")]
+    ramp: Annotated[float, within(0.05, 50.0, "m")]
+    top: Annotated[float, within(0.0, 50.0, "m")]
 
     @property
     def length(self) -> float:
@@ -166,17 +156,17 @@ class Driver(Strict):
     behind by; ``droop`` m/s per N by which engine and gearbox give way to the pull of one track. All 0: a sprocket
     that turns evenly. Nobody publishes them; the defaults hold 13 km/h within 0.1 m over a 0.4 m obstacle."""
 
-    gain: Annotated[float, _between(0.0, 20.0, "")] = 1.5
-    reset: Annotated[float, _between(0.0, 60.0, "1/s")] = 4.0
-    droop: Annotated[float, _between(0.0, 1.0e-4, "m/s per N")] = 2.0e-6
+    gain: Annotated[float, within(0.0, 20.0, "")] = 1.5
+    reset: Annotated[float, within(0.0, 60.0, "1/s")] = 4.0
+    droop: Annotated[float, within(0.0, 1.0e-4, "m/s per N")] = 2.0e-6
 
 
 class TrackedVehicle(Strict):
     name: str = "tracked vehicle"
-    mass: Annotated[float, _between(1000.0, 100_000.0, "kg", "is it in t?")]
+    mass: Annotated[float, within(1000.0, 100_000.0, "kg", "is it in t?")]
     cog: tuple[Position, Position]
-    gyration: Annotated[float, _between(0.3, 6.0, "m")]
-    tread: Annotated[float, _between(0.5, 6.0, "m", "is it in mm?")] = 2.79
+    gyration: Annotated[float, within(0.3, 6.0, "m")]
+    tread: Annotated[float, within(0.5, 6.0, "m", "is it in mm?")] = 2.79
     markers: Markers
     sprocket: Sprocket
     idler: Idler
@@ -237,19 +227,7 @@ class TrackedVehicle(Strict):
         """A checked copy with dotted keys replaced: ``{"track.stiffness": 1e7, "stations.0.damping": 0}``."""
         data: Any = self.model_dump(mode="json")
         for key, value in changes.items():
-            node = data
-            *path, last = key.split(".")
-            try:
-                for part in path:
-                    node = node[int(part)] if isinstance(node, list) else node[part]
-                if isinstance(node, list):
-                    node[int(last)] = value
-                elif last in node:
-                    node[last] = value
-                else:
-                    raise KeyError(last)
-            except (KeyError, IndexError, ValueError, TypeError):
-                raise InputError("tracked vehicle", key, "no such key") from None
+            assign(data, key, value, "tracked vehicle")
         return parse_tracked(data)
 
     def with_dampers(self, damping: float) -> TrackedVehicle:
@@ -288,26 +266,9 @@ def parse_tracked(data: Any, source: str | Path = "tracked vehicle") -> TrackedV
         raise InputError(source, "not the file of a tracked vehicle: a mapping is expected")
     if data.get("model") == "tracked" and isinstance(data.get("vehicle"), dict):
         data = data["vehicle"]
-    try:
-        return TrackedVehicle.model_validate(data)
-    except ValidationError as error:
-        first = error.errors(include_url=False)[0]
-        text = str(first["msg"]).removeprefix("Value error, ")
-        if first["type"] == "missing":
-            text = "is missing"
-        elif first["type"] == "extra_forbidden":
-            text = "is not a key of this file"
-        key = ".".join(str(part) for part in first["loc"])
-        raise InputError(*(p for p in (str(source), key, text) if p)) from None
+    return checked(TrackedVehicle, data, source, "a tracked vehicle's file")
 
 
 def load_tracked(path: str | Path) -> TrackedVehicle:
     """Read and check a file such as ``config/tracked/pt91.yaml``; InputError names file and key."""
-    path = Path(path)
-    try:
-        data = yaml.safe_load(path.read_text(encoding="utf-8"))
-    except OSError as error:
-        raise InputError(path, error.strerror or "cannot be read") from None
-    except (UnicodeDecodeError, yaml.YAMLError):
-        raise InputError(path, "not YAML") from None
-    return parse_tracked(data, path)
+    return parse_tracked(read_yaml(path), path)

@@ -8,25 +8,19 @@ one :class:`~suspension_twin.errors.InputError` that names the file and the key.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
+import os
 from importlib import import_module
 from pathlib import Path
 from typing import Annotated, Any, Final, Literal
 
 import numpy as np
 import yaml
-from pydantic import (
-    AfterValidator,
-    BaseModel,
-    ConfigDict,
-    Field,
-    ValidationError,
-    field_validator,
-    model_validator,
-)
+from pydantic import Field, field_validator, model_validator
 
 from suspension_twin.arrays import Floats
-from suspension_twin.errors import InputError
+from suspension_twin.errors import InputError, nearest
+from suspension_twin.files import read_yaml, write_text
+from suspension_twin.schema import Strict, assign, checked, problems, within
 from suspension_twin.vehicle.corners import CORNERS
 
 __all__ = [
@@ -39,7 +33,6 @@ __all__ = [
     "Place",
     "RoadFile",
     "Spring",
-    "Strict",
     "Twin",
     "Tyre",
     "Vehicle",
@@ -49,39 +42,16 @@ __all__ = [
 ]
 
 
-def _finite(value: float) -> float:
-    if not math.isfinite(value):
-        raise ValueError("must be a finite number")
-    return value
+_KIND = "a twin file"
 
-
-def _within(low: float, high: float, unit: str, hint: str = "") -> AfterValidator:
-    """A bound that no road vehicle leaves; outside it the unit is wrong, and that is said."""
-
-    def check(value: float) -> float:
-        _finite(value)
-        if not low <= value <= high:
-            tail = f" ({hint})" if hint else ""
-            raise ValueError(f"must lie between {low:g} and {high:g} {unit}, is {value:g}{tail}")
-        return value
-
-    return AfterValidator(check)
-
-
-Length = Annotated[float, _within(0.3, 12.0, "m", "is it in mm?")]
-Coordinate = Annotated[float, _within(-20.0, 20.0, "m", "is it in mm?")]
-Angle = Annotated[float, _within(-2 * math.pi, 2 * math.pi, "rad", "is it in degrees?")]
-Mass = Annotated[float, _within(50.0, 100_000.0, "kg", "is it in t?")]
-WheelMass = Annotated[float, _within(2.0, 2_000.0, "kg")]
-Inertia = Annotated[float, _within(10.0, 1.0e6, "kg m²")]
-Radius = Annotated[float, _within(0.1, 1.5, "m", "is it in mm?")]
-TyreStiffness = Annotated[float, _within(1.0e4, 1.0e7, "N/m", "is it in N/mm?")]
-
-
-class Strict(BaseModel):
-    """A part of a twin file: no key but its own, no number that is not finite, never changed in place."""
-
-    model_config = ConfigDict(extra="forbid", frozen=True, validate_default=True)
+Length = Annotated[float, within(0.3, 12.0, "m", "is it in mm?")]
+Coordinate = Annotated[float, within(-20.0, 20.0, "m", "is it in mm?")]
+Angle = Annotated[float, within(-2 * math.pi, 2 * math.pi, "rad", "is it in degrees?")]
+Mass = Annotated[float, within(50.0, 100_000.0, "kg", "is it in t?")]
+WheelMass = Annotated[float, within(2.0, 2_000.0, "kg")]
+Inertia = Annotated[float, within(10.0, 1.0e6, "kg m²")]
+Radius = Annotated[float, within(0.1, 1.5, "m", "is it in mm?")]
+TyreStiffness = Annotated[float, within(1.0e4, 1.0e7, "N/m", "is it in N/mm?")]
 
 
 class _Characteristic(Strict):
@@ -210,9 +180,9 @@ class Place(Strict):
 class Datum(Strict):
     """Origin of ``map`` on WGS 84, degrees and m."""
 
-    latitude: Annotated[float, _within(-90, 90, "degrees")]
-    longitude: Annotated[float, _within(-180, 180, "degrees")]
-    altitude: Annotated[float, _within(-1000, 20_000, "m")] = 0.0
+    latitude: Annotated[float, within(-90, 90, "degrees")]
+    longitude: Annotated[float, within(-180, 180, "degrees")]
+    altitude: Annotated[float, within(-1000, 20_000, "m")] = 0.0
 
 
 class RoadFile(Strict):
@@ -275,7 +245,7 @@ class Twin(Strict):
         """
         data = self.model_dump(mode="python")
         for key, value in changes.items():
-            _assign(data, key, value)
+            assign(data, key, value, "twin")
         return parse_twin(data, source="twin")
 
 
@@ -294,31 +264,6 @@ class CarTwin(Twin):
         return self.vehicle.cog[2]
 
 
-def _assign(data: Any, key: str, value: Any) -> None:
-    *path, last = key.split(".")
-    node = data
-    try:
-        for part in path:
-            if isinstance(node, dict) and isinstance(node[part], tuple):
-                node[part] = list(node[part])
-            node = node[int(part)] if isinstance(node, list) else node[part]
-        if isinstance(node, list):
-            node[int(last)] = value
-        elif last in node:
-            node[last] = value
-        else:
-            raise KeyError(last)
-    except (KeyError, IndexError, ValueError, TypeError):
-        raise InputError("twin", key, "no such key") from None
-
-
-def _key(location: Iterable[int | str]) -> str:
-    text = ""
-    for part in location:
-        text += f"[{part}]" if isinstance(part, int) else f".{part}" if text else part
-    return text
-
-
 #: For each model the class that says what its twin file holds: module in this package and name.
 SCHEMAS: Final = {
     "full_car": ("twin", "CarTwin"),
@@ -327,35 +272,22 @@ SCHEMAS: Final = {
 }
 
 
-def _schema(data: dict[str, Any], source: str | Path) -> type[Twin]:
-    model = data.get("model", "full_car")
-    if model not in SCHEMAS:
-        raise InputError(source, "model", f"must be one of {', '.join(SCHEMAS)}, is {model!r}")
+def _schema(model: str) -> type[Twin]:
     module, name = SCHEMAS[model]
     found: type[Twin] = getattr(import_module(f"suspension_twin.vehicle.{module}"), name)
     return found
 
 
 def parse_twin(data: Any, source: str | Path = "twin") -> Twin:
-    """Check ``data`` (the mapping a twin file holds); raise InputError naming source and key."""
+    """Check ``data`` (the mapping a twin file holds); raise InputError naming source and every wrong key."""
     if not isinstance(data, dict):
         raise InputError(source, "not a twin file: a mapping with 'vehicle' and 'imu' is expected")
-    try:
-        return _schema(data, source).model_validate(data)
-    except ValidationError as error:
-        first = error.errors(include_url=False)[0]
-        text = str(first["msg"]).removeprefix("Value error, ")
-        if first["type"] == "missing":
-            text = "is missing"
-        elif first["type"] == "extra_forbidden":
-            text = "is not a key of a twin file"
-        elif not isinstance(first.get("input"), dict) and first["type"] != "value_error":
-            text = f"{text[0].lower()}{text[1:]}, is {first.get('input')!r}"
-        more = error.error_count() - 1
-        if more:
-            text += f" (and {more} more)"
-        key = _key(first["loc"])
-        raise InputError(*(p for p in (str(source), key, text) if p)) from None
+    model = str(data.get("model", "full_car"))
+    if model in SCHEMAS:
+        return checked(_schema(model), data, source, _KIND)
+    wrong = f"model: must be one of {', '.join(SCHEMAS)}, is {model!r}{nearest(model, SCHEMAS)}"
+    rest = problems(CarTwin, {**data, "model": "full_car"}, _KIND)
+    raise InputError(source, "; ".join([wrong, *rest]))
 
 
 def load_twin(path: str | Path) -> Twin:
@@ -364,35 +296,23 @@ def load_twin(path: str | Path) -> Twin:
     Raises InputError that names the file and the key.
     """
     path = Path(path)
-    try:
-        data = yaml.safe_load(path.read_text(encoding="utf-8"))
-    except OSError as error:
-        raise InputError(path, error.strerror or "cannot be read") from None
-    except UnicodeDecodeError:
-        raise InputError(path, "not a text file") from None
-    except yaml.YAMLError as error:
-        mark = getattr(error, "problem_mark", None)
-        where = f"line {mark.line + 1}: " if mark else ""
-        raise InputError(path, f"{where}{getattr(error, 'problem', None) or 'not YAML'}") from None
-    except (RecursionError, ValueError):  # brackets without end, an impossible date
-        raise InputError(path, "not YAML that can be read") from None
-    twin = parse_twin(data, source=path)
+    twin = parse_twin(read_yaml(path), source=path)
     if twin.road is not None and not twin.road.file.is_absolute():
         road = RoadFile(file=(path.parent / twin.road.file).resolve())
         twin = twin.model_copy(update={"road": road})
     return twin
 
 
-def save_twin(twin: Twin, path: str | Path) -> None:
-    """Write a twin file that ``load_twin`` reads back equal; the road is kept relative if it can be."""
+def save_twin(twin: Twin, path: str | Path, heading: str = "") -> None:
+    """Write a twin file that ``load_twin`` reads back equal, after a ``heading`` of comments.
+
+    The road is written relative to the file's folder, so that both can be moved together.
+    """
     path = Path(path)
     data = twin.model_dump(mode="json", exclude_none=True)
     if twin.road is not None:
-        folder = path.parent.resolve()
         road = twin.road.file
-        if road.is_absolute() and road.is_relative_to(folder):
-            road = road.relative_to(folder)
+        if road.is_absolute() and road.anchor == path.absolute().anchor:  # Windows: on the same drive
+            road = Path(os.path.relpath(road, path.parent.resolve()))
         data["road"] = {"file": road.as_posix()}
-    path.parent.mkdir(parents=True, exist_ok=True)
-    text = yaml.safe_dump(data, sort_keys=False, default_flow_style=None, width=100)
-    path.write_text(text, encoding="utf-8")
+    write_text(path, heading + yaml.safe_dump(data, sort_keys=False, default_flow_style=None, width=100))

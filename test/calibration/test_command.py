@@ -55,6 +55,7 @@ def test_every_option_reaches_the_calibration(
     )
     said = capsys.readouterr()
     assert status == 0, said.err
+    assert said.out.startswith(f"Writes {out}, {details_path(out)}, ")
     assert "What was found" in said.out and str(out) in said.out
     details = yaml.safe_load(details_path(out).read_text())
     keys = [p["key"] for p in details["parameters"]]
@@ -105,6 +106,17 @@ def test_the_estimate_lies_within_its_interval_and_centrally_where_identified(
         (("--channel", "noise"), "objective: noise: no such channel"),
         (("--objective", "nearest"), "objective: nearest: one of euclidean"),
         (("--free", "vehicle.wings"), "vehicle.wings"),
+        (("--freeze", "vehicle.foo"), "vehicle.foo: no such key in the twin file (name, mass, "),
+        (
+            ("--freeze", "vehicle.front.damper_psh"),
+            "did you mean damper_push?",
+        ),
+        (("--freeze", "vehicle.front"), "vehicle.front: is not a number of the twin file"),
+        (
+            ("--bound", "vehicle.rear.damper_pul.force.0=1:2"),
+            "did you mean vehicle.rear.damper_pull.force.0?",
+        ),
+        (("--preset", "fats"), "is expected, did you mean fast?"),
         (("--freeze", "nuisances.luck"), "freeze: nuisances.luck: one of nuisances.clock_offset"),
     ],
 )

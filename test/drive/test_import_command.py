@@ -40,7 +40,7 @@ def test_it_says_what_it_recognised(
     out = tmp_path / "drives" / "phone"
     assert main(["import", str(upside_down_in_g), "--out", str(out)]) == 0
     printed, errors = capsys.readouterr()
-    assert errors == ""
+    assert errors == "" and printed.splitlines()[0] == f"Writes {out}"
     for words in (
         "Sensor Logger, Android",
         "950 samples at 100.00 Hz over 10.0 s, from 2024-05-01 10:00:00 UTC",
@@ -49,7 +49,7 @@ def test_it_says_what_it_recognised(
         "upside down",
         "so in g",
         "no GPS positions",
-        f"written: {out}",
+        f"Written to {out}",
     ):
         assert words in printed
     drive = read_drive(out)
@@ -79,16 +79,16 @@ def test_topics_by_option(
     assert (len(read.imu), len(read.fix)) == (50, 5)
 
 
-def test_an_existing_bag_is_kept_unless_told(
+def test_an_existing_bag_is_kept_unless_forced(
     upside_down_in_g: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     arguments = ["import", str(upside_down_in_g), "--out", str(tmp_path / "bag")]
     assert main(arguments) == 0
     before = sorted((p.name, p.read_bytes()) for p in (tmp_path / "bag").iterdir())
     assert main(arguments) == 2
-    assert "exists already" in capsys.readouterr().err
+    assert "bag: exists already: --force overwrites it" in capsys.readouterr().err
     assert sorted((p.name, p.read_bytes()) for p in (tmp_path / "bag").iterdir()) == before
-    assert main([*arguments, "--overwrite"]) == 0
+    assert main([*arguments, "--force"]) == 0
 
 
 def test_every_failure_is_one_line_and_status_2(

@@ -138,12 +138,13 @@ def test_pose_and_joints_follow_the_road(written: Path, bumps: Road) -> None:
 def test_it_writes_over_its_own_result_and_nothing_else(case: Path, written: Path) -> None:
     arguments = ["simulate", "--twin", str(case / "twin.yaml"), str(case / "drive"), "--out"]
     before = (written / "gap.json").read_bytes()
-    assert main([*arguments, str(written)]) == 0
+    assert main([*arguments, str(written)]) == 2
+    assert main([*arguments, str(written), "--force"]) == 0
     assert (written / "gap.json").read_bytes() == before
     other = case / "other"
     (other / "simulated").mkdir(parents=True)
     (other / "simulated" / "precious.txt").write_text("mine")
-    assert main([*arguments, str(other)]) == 2
+    assert main([*arguments, str(other), "--force"]) == 2
     assert (other / "simulated" / "precious.txt").read_text() == "mine"
 
 

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import io
 import signal
 import subprocess
 import sys
@@ -15,12 +16,16 @@ from typing import Annotated
 
 import pytest
 import typer
+from rich.console import Console
 
 import suspension_twin
+from suspension_twin.calibration.labels import parameter_label, parameter_unit
 from suspension_twin.cli import main as program
-from suspension_twin.cli.common import bundled
+from suspension_twin.cli.common import Outputs, bundled, output, print_table
 from suspension_twin.cli.main import SUBCOMMANDS, Subcommand, main
 from suspension_twin.errors import InputError, WorkError
+from suspension_twin.identification.space import curve_keys
+from suspension_twin.vehicle.twin import load_twin
 
 COMMAND = [sys.executable, "-m", "suspension_twin"]
 CONTRACT = {"demo", "run", "calibrate", "simulate", "import", "road"}
@@ -221,7 +226,7 @@ def test_exit_and_interrupt(with_command: Callable[..., None], capsys: pytest.Ca
     with_command(failing(SystemExit(3)))
     assert run(["work"], capsys) == (3, "", "")
     with_command(failing(KeyboardInterrupt()))
-    assert run(["work"], capsys) == (130, "", "")
+    assert run(["work"], capsys) == (130, "", "suspension-twin: interrupted\n")
     with_command(failing(KeyboardInterrupt()), endless=True)
     assert run(["work"], capsys) == (0, "", "")
 
@@ -300,7 +305,7 @@ def test_a_reader_that_leaves_is_no_trouble(size: int, tmp_path: Path) -> None:
     [(signal.SIGINT, False, 130), (signal.SIGINT, True, 0), (signal.SIGTERM, True, 0)],
     ids=["Ctrl-C", "Ctrl-C endless", "SIGTERM endless"],
 )
-def test_a_signal_ends_a_command_quietly(
+def test_a_signal_ends_a_command_in_a_line_or_quietly(
     end: signal.Signals, endless: bool, status: int, tmp_path: Path
 ) -> None:
     """Also while it still imports, which takes seconds: the program's own handlers are in place before."""
@@ -322,7 +327,8 @@ def test_a_signal_ends_a_command_quietly(
         start = time.monotonic()
         child.send_signal(end)
         _, err = child.communicate(timeout=20)
-        assert (child.returncode, err) == (status, "")
+        said = "" if endless else "suspension-twin: interrupted\n"
+        assert (child.returncode, err) == (status, said)
         assert time.monotonic() - start < 5
     finally:
         child.kill()
@@ -332,3 +338,177 @@ def test_bundled_files_are_found_and_a_missing_one_is_named(repository: Path) ->
     assert bundled("package.xml") == repository / "package.xml"
     with pytest.raises(InputError, match="config/no-such-file"):
         bundled("config", "no-such-file")
+
+
+BUMP = "bags/bump_15kmh"
+#: A quick way to each command that writes, and the files that it then writes into the folder OUT.
+WRITING = (
+    (
+        ["calibrate", "--twin", f"{BUMP}/twin.yaml", BUMP, "--out", "OUT/c.yaml"],
+        ["c.yaml", "c.calibration.yaml"],
+    ),
+    (
+        ["calibrate", "--twin", f"{BUMP}/twin.yaml", BUMP, "--out", "OUT/c.yaml", "--report", "OUT"],
+        ["report.html"],
+    ),
+    (
+        ["diagnose", "--twin", f"{BUMP}/twin.yaml", BUMP, "--out", "OUT"],
+        ["diagnosis.json", "report.html", "twin.yaml"],
+    ),
+    (["simulate", "--twin", f"{BUMP}/twin.yaml", BUMP, "--out", "OUT"], ["gap.json", "simulated"]),
+    (["import", BUMP, "--out", "OUT/bag"], ["bag"]),
+    (["import", BUMP, "--out", "OUT/bag.mcap"], ["bag.mcap"]),
+    (
+        ["damping", "--twin", "config/tracked/pt91.yaml", "--out", "OUT"],
+        ["pitch_variance.png", "pitch_variance.json"],
+    ),
+    (["road", "show", f"{BUMP}/road.crg", "--out", "OUT/a.png"], ["a.png"]),
+    (["road", "mesh", f"{BUMP}/road.crg", "--out", "OUT/a.obj"], ["a.obj"]),
+    (["road", "check", f"{BUMP}/road.crg", "--out", "OUT/a.json"], ["a.json"]),
+    (["demo", "--out", "OUT"], ["index.html", "twin.yaml"]),
+)
+ONE_BY_ONE = [(arguments, name) for arguments, names in WRITING for name in names]
+
+
+def put_in(arguments: list[str], out: Path, repository: Path, monkeypatch: pytest.MonkeyPatch) -> list[str]:
+    monkeypatch.chdir(repository)
+    return [a.replace("OUT", str(out)) for a in arguments]
+
+
+@pytest.mark.parametrize(("arguments", "name"), ONE_BY_ONE, ids=lambda v: v if isinstance(v, str) else v[0])
+def test_what_exists_is_overwritten_only_by_force(
+    arguments: list[str],
+    name: str,
+    repository: Path,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    (tmp_path / name).write_text("mine")
+    status, out, err = run(put_in(arguments, tmp_path, repository, monkeypatch), capsys)
+    assert (status, out) == (2, "")
+    assert err == f"suspension-twin: {tmp_path / name}: exists already: --force overwrites it\n"
+    assert [(p.name, p.read_text()) for p in tmp_path.iterdir()] == [(name, "mine")]
+
+
+@pytest.mark.parametrize("arguments", [a for a, _ in WRITING], ids=lambda v: v[0])
+def test_an_output_that_cannot_be_written_is_said_before_the_work(
+    arguments: list[str],
+    repository: Path,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    (tmp_path / "file").write_text("mine")
+    began = time.monotonic()
+    status, out, err = run(put_in(arguments, tmp_path / "file" / "x", repository, monkeypatch), capsys)
+    assert (status, out) == (2, "")
+    assert "cannot be written: Not a directory" in err and err.count("\n") == 1
+    assert time.monotonic() - began < 10
+
+
+@pytest.mark.parametrize("what", ["show", "mesh", "check"])
+def test_the_first_line_says_what_is_written(
+    what: str, repository: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = tmp_path / {"show": "a.png", "mesh": "a.stl", "check": "a.json"}[what]
+    arguments = ["road", what, str(repository / BUMP / "road.crg"), "--out", str(path)]
+    for more in ([], ["--force"]):
+        status, out, err = run([*arguments, *more], capsys)
+        assert (status, err) == (0, "")
+        assert out.splitlines()[0] == f"Writes {path}"
+
+
+@pytest.mark.parametrize(
+    ("made", "kept", "words"),
+    [
+        (False, False, "start the same command again"),
+        (True, False, "start the same command with --force again"),
+        (False, True, "the same command goes on from what is kept in "),
+    ],
+)
+def test_an_interrupt_says_how_to_go_on(
+    made: bool,
+    kept: bool,
+    words: str,
+    tmp_path: Path,
+    with_command: Callable[..., None],
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    def command() -> None:
+        with Outputs(tmp_path / "a", force=False, resumed_from=tmp_path / "state" / "s"):
+            if made:
+                (tmp_path / "a").write_text("")
+            if kept:
+                (tmp_path / "state").mkdir()
+                (tmp_path / "state" / "s").write_text("")
+            raise KeyboardInterrupt
+
+    with_command(command)
+    status, out, err = run(["work"], capsys)
+    assert (status, out) == (130, "")
+    assert err.startswith(f"suspension-twin: interrupted, {words}") and err.count("\n") == 1
+
+
+PAGES = [
+    [row.name, *more]
+    for row in SUBCOMMANDS
+    for more in ([[], ["show"], ["mesh"], ["check"]] if row.name == "road" else [[]])
+]
+
+
+@pytest.mark.parametrize("command", [[], *PAGES], ids=" ".join)
+def test_help_fits_80_columns(
+    command: list[str], capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("COLUMNS", "80")
+    status, out, _ = run([*command, "--help"], capsys)
+    assert status == 0
+    assert max(map(len, out.splitlines())) <= 80
+    assert "…" not in out and "<bool>" not in out
+
+
+def on_terminal(width: int) -> Console:
+    return Console(file=io.StringIO(), width=width, force_terminal=True, color_system=None)
+
+
+def shown(console: Console) -> str:
+    file = console.file
+    assert isinstance(file, io.StringIO)
+    return file.getvalue()
+
+
+def test_a_calibration_s_table_is_whole_at_80_columns_and_in_a_pipe(
+    repository: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """The longest names, units and numbers of a car."""
+    twin = load_twin(repository / "config" / "twins" / "ford_mondeo_mk4.yaml")
+    keys = [
+        *curve_keys(twin),
+        "vehicle.sprung_inertia.pitch",
+        "vehicle.tyre.vertical_stiffness",
+        "vehicle.front.unsprung_mass",
+        "imu.position.0",
+    ]
+    columns = "parameter", "unit", "start", "found", "90 % interval", ""
+    rows = [
+        (parameter_label(twin, k), parameter_unit(k), "11500", "12192", "10975 to 15566", "not determined")
+        for k in keys
+    ]
+    console = on_terminal(80)
+    print_table(console, "What was found", columns, rows, words=2)
+    lines = shown(console).splitlines()
+    assert len(lines) == len(rows) + 3 and max(map(len, lines)) <= 80
+    print_table(output(), "What was found", columns, rows, words=2)
+    piped = capsys.readouterr().out
+    for text in (shown(console), piped):
+        assert "…" not in text
+        for row in (columns, *rows):
+            assert all(cell in text for cell in row)
+    assert {"N", "kg m²", "N/m", "kg", "m"} == {row[1] for row in rows}
+
+
+def test_a_table_wraps_words_and_never_numbers() -> None:
+    console = on_terminal(40)
+    print_table(console, "T", ("name", "value"), [("a name that is far too long for this terminal", "12345")])
+    assert "12345" in shown(console) and "terminal" in shown(console) and "…" not in shown(console)

@@ -18,7 +18,7 @@ from suspension_twin.vehicle.twin import SCHEMAS
 
 # From the left of the design's picture to its right: a package imports from its own row and the rows before it.
 ROWS = (
-    {"arrays", "errors", "compiled", "units"},
+    {"arrays", "errors", "compiled", "files", "schema", "units"},
     {"drive"},
     {"vehicle"},
     {"signals"},

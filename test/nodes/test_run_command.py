@@ -11,6 +11,7 @@ import sys
 import time
 from pathlib import Path
 
+import numpy as np
 import pytest
 import yaml
 from rich.console import Console
@@ -210,7 +211,7 @@ WRONG = [
     (["--", "--ros-args", "-r", "a:=b", "--", "--late"], "--late: unknown argument"),
     (["--twin", "EFFECT"], "effect.yaml: effects: there is no effect magic"),
     (["--twin", "DEEP"], "deep.yaml: not YAML"),
-    (["--twin", "DATE"], "date.yaml: not YAML"),
+    (["--twin", "DATE"], "date.yaml: model: must be one of full_car, msd, tracked"),
     (["--twin=EFFECT"], "effect.yaml: effects: there is no effect magic"),
 ]
 
@@ -287,8 +288,8 @@ CONDITION = Condition(
 
 def test_the_status_line_says_where_it_is_and_what_is_wrong():
     text = line(CONDITION).plain
-    assert "12.0 of 44.9 s, round 2" in text and "imu 100 Hz" in text
-    assert "gap 0.18 m/s² (2.7 × floor)" in text and "imu_ingest: too loud (+1)" in text
+    assert "12.0 of 44.9 s, round 2" in text and "imu 100, fix 10 Hz" in text
+    assert "gap 0.18 m/s² (2.7 × noise)" in text and "imu_ingest: too loud (+1)" in text
     from dataclasses import replace
 
     live = line(replace(CONDITION, position=None, gap=None, complaints=[], rates={"imu": float("nan")})).plain
@@ -310,3 +311,16 @@ def test_the_status_is_shown_on_a_terminal_and_in_a_log(terminal, monkeypatch):
     shown = out.getvalue()
     assert "gap 0.18" in shown and "484 answers to 500 IMU samples" in shown
     assert shown.count("too loud") == (2 if terminal else 1) or terminal
+
+
+def test_a_bag_without_an_answer_ends_with_status_1_and_one_line(twin_path, drive, tmp_path, capfd):
+    """No fix is usable, so the twin never learns where it is."""
+    from dataclasses import replace
+
+    lost = replace(drive.fix, status=np.full(len(drive.fix), -1, dtype=np.int8))
+    write_drive(replace(drive, fix=lost), tmp_path / "lost")
+    assert main(["run", "--twin", str(twin_path), "--bag", str(tmp_path / "lost"), "--rate", "max"]) == 1
+    _, errors = capfd.readouterr()
+    last = errors.strip().splitlines()[-1]
+    assert last.startswith(f"suspension-twin: {tmp_path / 'lost'}: the twin answered none of ")
+    assert "answers to" not in errors

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from matplotlib.figure import Figure
 
-from suspension_twin.errors import InputError
+from suspension_twin.errors import WorkError
 from suspension_twin.report import Card, Cell, Html, Page, Section, Table, style
 from suspension_twin.report.page import short
 
@@ -166,7 +166,7 @@ def test_page_is_written_with_its_folders(tmp_path):
 
 def test_a_place_that_cannot_be_written_is_one_line(tmp_path):
     (tmp_path / "file").write_text("")
-    with pytest.raises(InputError) as caught:
+    with pytest.raises(WorkError) as caught:
         page().write(tmp_path / "file" / "index.html")
     assert "\n" not in str(caught.value)
     assert "file" in str(caught.value)

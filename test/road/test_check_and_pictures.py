@@ -137,7 +137,7 @@ def test_a_picture_shows_what_it_says(
 ) -> None:
     picture = tmp_path / "road.png"
     assert main(["road", "show", str(folder / "spiky.crg"), "--out", str(picture)]) == 0
-    assert capsys.readouterr().out.strip() == str(picture)
+    assert capsys.readouterr().out.strip() == f"Writes {picture}"
     pixels = matplotlib.image.imread(picture)[..., :3]
     assert pixels.shape == (1380, 1950, 3)
     assert 0.05 < (pixels.min(axis=2) < 0.8).mean() < 0.7
@@ -186,7 +186,6 @@ def test_mesh_command(folder: Path, tmp_path: Path, capsys: pytest.CaptureFixtur
         (["show", "none.crg"], "none.crg: no such file"),
         (["show", "ROAD", "--out", "a.gif"], "written as .png, .svg or .pdf"),
         (["mesh", "ROAD", "--out", "a.fbx"], "written as .stl or .obj"),
-        (["mesh", "ROAD", "--out", "none/a.stl"], "the folder none does not exist"),
         (["mesh", "ROAD", "--spacing", "-1"], "--spacing"),
         (["check"], "ROAD"),
     ],

@@ -61,7 +61,7 @@ def test_files_that_are_none(tmp_path: Path) -> None:
         load_tracked(tmp_path / "bad.yaml")
     with pytest.raises(InputError, match="a mapping"):
         parse_tracked([1])
-    with pytest.raises(InputError, match="is missing"):
+    with pytest.raises(InputError, match="cog, gyration, .*: are missing"):
         parse_tracked({"name": "x"})
 
 

@@ -10,11 +10,12 @@ import math
 from pathlib import Path
 from typing import Annotated, Any, Final, Literal
 
-import yaml
-from pydantic import AfterValidator, BaseModel, ConfigDict, ValidationError, model_validator
+from pydantic import AfterValidator, Field, model_validator
 
 from suspension_twin.drive.intake.clocks import TIME_UNITS, iso_to_posix
 from suspension_twin.errors import InputError
+from suspension_twin.files import parse_yaml, read_yaml
+from suspension_twin.schema import Strict, checked
 from suspension_twin.units import STANDARD_GRAVITY
 
 __all__ = [
@@ -61,20 +62,10 @@ def _one_of(units: dict[str, float]) -> AfterValidator:
     return AfterValidator(check)
 
 
-def _finite(value: float) -> float:
-    if not math.isfinite(value):
-        raise ValueError("must be a finite number")
-    return value
+Number = Annotated[float, Field(allow_inf_nan=False)]
 
 
-Number = Annotated[float, AfterValidator(_finite)]
-
-
-class _Strict(BaseModel):
-    model_config = ConfigDict(extra="forbid", frozen=True, populate_by_name=True)
-
-
-class FileSpec(_Strict):
+class FileSpec(Strict):
     """A file and how it is laid out. None: recognised; without ``file``, as in the section around it."""
 
     file: str | None = None
@@ -256,7 +247,7 @@ class HeadingSpec(ReceivedSpec):
         return self
 
 
-class BagSpec(_Strict):
+class BagSpec(Strict):
     """A recording: which of its topics is which."""
 
     file: str | None = None
@@ -267,7 +258,7 @@ class BagSpec(_Strict):
     lag: Number = 0.0  # of the IMU's stamps against the others, s
 
 
-class Mapping(_Strict):
+class Mapping(Strict):
     """One recording: ``imu`` (and ``fix``, ``vel``, ``heading``) from tables, or ``bag``."""
 
     name: str | None = None
@@ -292,38 +283,15 @@ TimeSpec.model_rebuild()
 
 def load_mapping(path: str | Path) -> Mapping:
     """Read and check a mapping file; InputError names the file and the key."""
-    path = Path(path)
-    try:
-        text = path.read_text(encoding="utf-8")
-    except OSError as error:
-        raise InputError(path, error.strerror or "cannot be read") from None
-    except UnicodeDecodeError:
-        raise InputError(path, "not a text file") from None
-    return parse_mapping(text, path)
+    return _checked(read_yaml(path), path)
 
 
 def parse_mapping(text: str, source: str | Path = "mapping") -> Mapping:
     """Check the text of a mapping file; InputError names ``source`` and the key."""
-    try:
-        data: Any = yaml.safe_load(text)
-    except yaml.YAMLError as error:
-        mark = getattr(error, "problem_mark", None)
-        where = f"line {mark.line + 1}: " if mark else ""
-        raise InputError(source, f"{where}{getattr(error, 'problem', None) or 'not YAML'}") from None
-    except (RecursionError, ValueError):  # brackets without end, an impossible date
-        raise InputError(source, "not YAML that can be read") from None
+    return _checked(parse_yaml(text, source), source)
+
+
+def _checked(data: Any, source: str | Path) -> Mapping:
     if not isinstance(data, dict):
         raise InputError(source, "not a mapping file: keys imu, fix, vel or bag are expected")
-    try:
-        return Mapping.model_validate(data)
-    except ValidationError as error:
-        first = error.errors(include_url=False)[0]
-        problem = str(first["msg"]).removeprefix("Value error, ")
-        if first["type"] == "missing":
-            problem = "is missing"
-        elif first["type"] == "extra_forbidden":
-            problem = "is not a key of a mapping file"
-        elif first["type"] != "value_error" and not isinstance(first.get("input"), dict):
-            problem = f"{problem[0].lower()}{problem[1:]}, is {first.get('input')!r}"
-        key = ".".join(str(part) for part in first["loc"])
-        raise InputError(*(part for part in (str(source), key, problem) if part)) from None
+    return checked(Mapping, data, source, "a mapping file")

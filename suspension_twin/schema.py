@@ -1,0 +1,107 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What a YAML file may hold, as pydantic models; whatever is wrong becomes one line that names the keys."""
+
+from __future__ import annotations
+
+import math
+from os import PathLike
+from typing import Any, TypeVar, get_args
+
+from pydantic import AfterValidator, BaseModel, ConfigDict, ValidationError
+from pydantic_core import ErrorDetails
+
+from suspension_twin.errors import InputError, nearest
+
+__all__ = ["Strict", "assign", "checked", "problems", "within"]
+
+
+class Strict(BaseModel):
+    """A part of a file: unknown keys are errors, values do not change."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True, validate_default=True)
+
+
+def within(low: float, high: float, unit: str, hint: str = "") -> AfterValidator:
+    """Bounds of a value in ``unit`` that nothing real leaves; outside them the unit is wrong, and ``hint`` says so."""
+
+    def check(value: float) -> float:
+        if not (math.isfinite(value) and low <= value <= high):
+            tail = f" ({hint})" if hint else ""
+            raise ValueError(f"must lie between {low:g} and {high:g} {unit}, is {value:g}{tail}")
+        return value
+
+    return AfterValidator(check)
+
+
+Model = TypeVar("Model", bound=BaseModel)
+
+
+def checked(model: type[Model], data: Any, source: str | PathLike[str], kind: str) -> Model:
+    """``data`` as a ``model``; raises InputError with every problem. ``kind`` is what ``source`` is: "a twin file"."""
+    found = problems(model, data, kind)
+    if found:
+        raise InputError(source, "; ".join(found))
+    return model.model_validate(data)
+
+
+def problems(model: type[BaseModel], data: Any, kind: str) -> list[str]:
+    """Everything that is wrong with ``data``: unknown keys, wrong values, and in one text what is missing."""
+    try:
+        model.model_validate(data)
+    except ValidationError as error:
+        details = error.errors(include_url=False)
+        missing = [_dotted(d) for d in details if d["type"] == "missing"]
+        present = [d for d in details if d["type"] != "missing"]
+        present.sort(key=lambda d: d["type"] != "extra_forbidden")
+        texts = [_problem(model, d, kind) for d in present]
+        if missing:
+            texts.append(f"{', '.join(missing)}: {'is' if len(missing) == 1 else 'are'} missing")
+        return texts
+    return []
+
+
+def _problem(model: type[BaseModel], detail: ErrorDetails, kind: str) -> str:
+    text = detail["msg"].removeprefix("Value error, ")
+    if detail["type"] == "extra_forbidden":
+        *path, last = detail["loc"]
+        text = f"is not a key of {kind}{nearest(str(last), _keys(model, path))}"
+    elif detail["type"] != "value_error" and not isinstance(detail["input"], dict):
+        text = f"{text[0].lower()}{text[1:]}, is {detail['input']!r}"
+    return ": ".join(part for part in (_dotted(detail), text) if part)
+
+
+def _dotted(detail: ErrorDetails) -> str:
+    return ".".join(str(part) for part in detail["loc"])
+
+
+def _keys(model: type[BaseModel], path: list[int | str]) -> list[str]:
+    """The keys that a file may have at ``path``."""
+    for part in path:
+        field = model.model_fields.get(str(part))
+        if field is None:  # a place in a list
+            continue
+        kinds = (field.annotation, *get_args(field.annotation))
+        models = [k for k in kinds if isinstance(k, type) and issubclass(k, BaseModel)]
+        if not models:
+            return []
+        model = models[0]
+    return list(model.model_fields)
+
+
+def assign(data: Any, key: str, value: Any, source: str) -> None:
+    """Put ``value`` at a dotted ``key`` of nested plain values that has one already; lists by number: ``force.2``."""
+    *path, last = key.split(".")
+    node = data
+    try:
+        for part in path:
+            if isinstance(node, dict) and isinstance(node[part], tuple):
+                node[part] = list(node[part])
+            node = node[int(part)] if isinstance(node, list) else node[part]
+        if isinstance(node, list):
+            node[int(last)] = value
+        elif last in node:
+            node[last] = value
+        else:
+            raise KeyError(last)
+    except (KeyError, IndexError, ValueError, TypeError):
+        raise InputError(source, key, "no such key") from None
