@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from suspension_twin.drive.containers.contents import Contents
-from suspension_twin.drive.containers.sqlite_file import MAGIC, read_sqlite
+from suspension_twin.drive.containers.salvage_sqlite import MAGIC, salvage_sqlite
 from suspension_twin.drive.read import read_drive
 from suspension_twin.drive.types import Drive
 from suspension_twin.errors import InputError
@@ -121,7 +121,7 @@ def test_pages_of_a_database_hold_large_messages_too(tmp_path: Path) -> None:
     for share in (0.3, 0.6, 0.95):
         path.write_bytes(data[: int(share * len(data))])
         contents = Contents("cdr", None)
-        read_sqlite(path, contents)
+        salvage_sqlite(path, contents)
         topic = contents.topics["/camera"]
         assert len(topic.data) > 0.8 * share * len(blobs)
         assert topic.data == blobs[: len(topic.data)]

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -228,9 +229,7 @@ def _fix(files: _Files, spec: FixSpec) -> None:
             raise InputError(spec.file or files.sources[0].path, "holds no positions")
         files.streams.notes += found.notes
         files.streams.warnings += found.warnings
-        files.streams.fix = FixData(
-            fix.t - spec.lag, fix.latitude, fix.longitude, fix.altitude, fix.status, fix.sigma, spec.frame
-        )
+        files.streams.fix = replace(fix, t=fix.t - spec.lag, frame=spec.frame)
         return
     table = files.table(spec, None)
     assert spec.latitude is not None and spec.longitude is not None
@@ -255,7 +254,7 @@ def _velocity(files: _Files, spec: VelocitySpec) -> None:
             raise InputError(
                 spec.file or files.sources[0].path, "holds no velocities: give derive: true instead"
             )
-        files.streams.velocity = VelocityData(found.t - spec.lag, found.enu)
+        files.streams.velocity = replace(found, t=found.t - spec.lag)
         return
     table = files.table(spec, None)
     t, scale = _received_time(files, spec), SPEED_UNITS[spec.unit]
