@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Recordings on disk: which format a path is in, and its raw messages whatever the format.
 
-The format is told from a file's first bytes, never from its name: a rosbag2 folder called
+The format is recognised by a file's first bytes, never by its name: a rosbag2 folder called
 ``drive.bag`` is a rosbag2 folder.
 """
 

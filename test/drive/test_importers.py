@@ -155,7 +155,7 @@ def test_sensor_logger_as_zip_with_and_without_a_folder_in_it(tmp_path: Path) ->
 
 def test_sensor_logger_without_metadata_says_so(tmp_path: Path) -> None:
     imported = check(sensor_logger(tmp_path / "rec", None))
-    assert any("Android from iOS" in line for line in imported.drive.warnings)
+    assert any("names the platform" in line for line in imported.drive.warnings)
 
 
 def test_sensor_logger_without_gravity_is_refused(tmp_path: Path) -> None:

@@ -26,7 +26,7 @@ __all__ = ["Series", "Streams", "assemble", "merge"]
 Received = TypeVar("Received", FixData, VelocityData)
 
 
-#: Median of |specific force| by which its unit is told: a quiet sensor reads 1 g.
+#: Median of |specific force| by which its unit is recognised: a sensor at rest reads 1 g.
 _IN_G = (0.5, 2.0)
 _IN_SI = (5.0, 20.0)
 
@@ -170,7 +170,7 @@ def _timed(t: Floats, what: str, warnings: list[str]) -> NDArray[np.bool_]:
 
 
 def _in_si(values: Floats, unit: str | None, notes: list[str], warnings: list[str]) -> Floats:
-    """Specific force in m/s²; the unit given, or the one its size tells."""
+    """Specific force in m/s²; the unit given, or the one its magnitude suggests."""
     size = float(np.median(np.linalg.norm(values, axis=1)))
     if unit is None:
         unit = "g" if _IN_G[0] <= size <= _IN_G[1] else "m/s²"
