@@ -9,7 +9,6 @@ Format: "Database File Format", sections 1.6 (b-tree pages) and 2.1 (records), s
 from __future__ import annotations
 
 import mmap
-import struct
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -22,9 +21,9 @@ MAGIC = b"SQLite format 3\0"
 
 _TABLE_LEAF = 0x0D
 _LEAF_HEADER = 8  # bytes before the pointers to the cells of a leaf page
-_INTEGER_BYTES = (0, 1, 2, 3, 4, 6, 8)  # by serial type
+_INTEGER_BYTES = (0, 1, 2, 3, 4, 6, 8, 8, 0, 0)  # by serial type; 8 and 9 are the constants 0 and 1
 
-Value = int | float | str | bytes | None
+Value = int | str | bytes | None
 
 
 class _Damaged(Exception):
@@ -90,12 +89,12 @@ class _Pages:
                 try:
                     row, payload = self.payload(page, int.from_bytes(page[at : at + 2], "big"))
                     yield row, _values(payload)
-                except (_Damaged, IndexError, struct.error):
+                except (_Damaged, IndexError):
                     continue
 
 
 def _values(payload: bytes) -> list[Value]:
-    """Columns of a record."""
+    """Columns of a record; of the tables of a recording none holds floating-point numbers."""
     header, at = _varint(payload, 0)
     kinds = []
     while at < header:
@@ -103,19 +102,15 @@ def _values(payload: bytes) -> list[Value]:
         kinds.append(kind)
     values: list[Value] = []
     for kind in kinds:
-        size = _INTEGER_BYTES[kind] if kind < 7 else 8 if kind == 7 else max(kind - 12, 0) // 2
+        size = _INTEGER_BYTES[kind] if kind < 10 else (kind - 12) // 2
         data = payload[at : at + size]
         at += size
-        if kind == 0:
-            values.append(None)
-        elif kind < 7:
-            values.append(int.from_bytes(data, "big", signed=True))
-        elif kind == 7:
-            values.append(float(struct.unpack(">d", data)[0]))
-        elif kind < 10:
-            values.append(kind - 8)
-        else:
+        if kind >= 12:
             values.append(data.decode("utf-8", "replace") if kind % 2 else data)
+        elif kind == 0:
+            values.append(None)
+        else:
+            values.append(int.from_bytes(data, "big", signed=True) if size else kind - 8)
     if at != len(payload):
         raise _Damaged
     return values

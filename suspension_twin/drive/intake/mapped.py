@@ -47,31 +47,13 @@ from suspension_twin.errors import InputError
 __all__ = ["read_mapped"]
 
 
-class _Array:
-    """An array with the face of a :class:`Table`."""
-
-    def __init__(self, label: str, values: Floats) -> None:
-        self.label = label
-        self.values = values
-
-    def numbers(self, key: str | int) -> Floats:
-        if not isinstance(key, int) or not 0 <= key < self.values.shape[1]:
-            raise InputError(
-                self.label, f"column {key}", f"an array has columns 0 to {self.values.shape[1] - 1}"
-            )
-        return self.values[:, key]
-
-    def text(self, key: str | int) -> tuple[str, ...]:
-        raise InputError(self.label, f"column {key}", "an array of numbers holds no text")
-
-
 class _Files:
     """The files given, and tables parsed from them once each."""
 
     def __init__(self, sources: Sequence[Source], streams: Streams) -> None:
         self.sources = sources
         self.streams = streams
-        self.tables: dict[tuple[object, ...], Table | _Array] = {}
+        self.tables: dict[tuple[object, ...], Table] = {}
 
     def content(self, name: str | None) -> tuple[bytes, str]:
         """Bytes and label of a file: among those given, or beside one of them."""
@@ -90,14 +72,14 @@ class _Files:
                 return Source(beside).read(beside.name), str(beside)
         raise InputError(self.sources[0].path, name, "is not there (the mapping asks for it)")
 
-    def table(self, spec: FileSpec, outer: FileSpec | None) -> Table | _Array:
+    def table(self, spec: FileSpec, outer: FileSpec | None) -> Table:
         """The table of a section."""
         chosen = spec.within(outer)
         key = (chosen.file, chosen.header, chosen.delimiter, chosen.decimal, chosen.comment)
         if key not in self.tables:
             data, label = self.content(chosen.file)
             if data.startswith(ARRAY_MAGIC):
-                self.tables[key] = _Array(label, read_array(data, label))
+                self.tables[key] = Table(label, [], values=read_array(data, label))
             else:
                 table = read_table(
                     data,
