@@ -35,10 +35,14 @@ class _Samples:
     @classmethod
     def joined(cls, parts: Sequence[Self]) -> Self:
         """One after the other; an optional array is kept where all of them have it."""
-        arrays = {f.name: [getattr(part, f.name) for part in parts] for f in fields(cls)}
-        whole = {k: all(isinstance(v, np.ndarray) for v in values) for k, values in arrays.items()}
-        first = {k: None if any(v is None for v in values) else values[0] for k, values in arrays.items()}
-        return cls(**{k: np.concatenate(v) if whole[k] else first[k] for k, v in arrays.items()})
+        whole: dict[str, Any] = {}
+        for name in (f.name for f in fields(cls)):
+            values = [getattr(part, name) for part in parts]
+            if any(value is None for value in values):
+                whole[name] = None
+            else:
+                whole[name] = np.concatenate(values) if isinstance(values[0], np.ndarray) else values[0]
+        return cls(**whole)
 
 
 @dataclass(frozen=True, eq=False)

@@ -1,7 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Complete recordings (MCAP, sqlite3, ROS 1), read by ``rosbags``.
 
-``rosbags`` refuses a file with any damage; :mod:`suspension_twin.drive.recording` then salvages it.
+``rosbags`` refuses a file with any damage; :mod:`suspension_twin.drive.recording` then salvages it record
+by record, as fast but without index, order and check sums to rely on.
 """
 
 from __future__ import annotations
