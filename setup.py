@@ -24,6 +24,7 @@ REQUIRED = [
     "numba>=0.68",
     "pydantic>=2.7",
     "pyyaml>=6",
+    "typing-extensions>=4.5",
     "rosbags>=0.11,<0.12",
     "mcap>=1.2",
     "mat-io>=1.0.2",
@@ -47,6 +48,7 @@ TEST = [
     # Later ones refuse Python 3.10, and an old pip that finds out late tries all of numpy's releases for a way out.
     "etils<1.14; python_version < '3.11'",
     "objective-rating-metrics>=1.3",
+    "pandas>=2.2",
     "colcon-ros>=0.4",
     "colcon-package-information>=0.3",
     "ruff>=0.9",

@@ -41,9 +41,9 @@ def _live_row(
     antenna: Floats,
     out: Floats,
 ) -> None:  # pragma: no cover - compiled
-    """Soften ``sample`` (6,), carry ``up`` on by what is left less the vehicle's own planar acceleration, fill
-    ``out`` (11,): the planar inputs, the antenna's sway in m/s, and the yaw rate as it is without the
-    softening; and the running mean and variance ``mean`` (12,) that standstill is judged by."""
+    """Low-pass ``sample`` (6,), update ``up`` by the result less the vehicle's own planar acceleration, fill
+    ``out`` (11,): the planar inputs, the antenna's sway in m/s, and the yaw rate without the low-pass; update
+    the running mean and variance ``mean`` (12,) that standstill is judged by."""
     last = soft[2].copy()
     standstill_filter_step(soft, sample, dt)
     now = soft[2]

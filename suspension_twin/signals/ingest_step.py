@@ -51,7 +51,7 @@ def ingest_step(
     block[0] += 1.0
     for k in range(6):
         block[1 + k] += row[k]
-        off = soft[2, k] - block[13 + k]  # Welford's recurrence for the softened signal's variance
+        off = soft[2, k] - block[13 + k]  # Welford's recurrence for the filtered signal's variance
         block[13 + k] += off / block[0]
         block[7 + k] += off * (soft[2, k] - block[13 + k])
     if removed:
