@@ -1,28 +1,37 @@
 # SPDX-License-Identifier: Apache-2.0
-"""How every kernel of this package is compiled, and when machine code on disk still counts.
+"""How every kernel of this package is compiled, and where its machine code is kept.
 
 No fast-math; a division by zero gives infinity or NaN, which the caller deals with, instead of
-raising from the middle of a loop. Code is kept on disk, so that a second start compiles nothing.
-Numba drops it when the one file that holds the function has changed and would go on with stale
-helpers from other files; here it counts as long as that file *and* every file of the package that it
-imports, however far down, have the same contents. A file that was only touched or copied compiles nothing.
+raising from the middle of a loop. Code is kept on disk by numba's own cache, so that a second start
+compiles nothing. Numba compares the contents of the one file that holds the function and would go on
+with stale helpers from other files; so the cache of a module lies in a folder named by a hash of that
+file *and* every file of the package that it imports, however far down.
 """
 
 from __future__ import annotations
 
 import hashlib
+import os
 import re
+import shutil
 import sys
+import tempfile
+import time
 from collections.abc import Callable, Iterator
+from contextlib import suppress
 from functools import cache
 from pathlib import Path
 from typing import Any, TypeVar
 
-from numba import njit
+import numba
+from numba import config, njit
 
 __all__ = ["compiled", "inlined", "pasted", "sources"]
 
 Function = TypeVar("Function", bound=Callable[..., Any])
+
+#: Machine code of other sources is deleted when it has not been loaded for so long, in s.
+_UNUSED = 30 * 86_400.0
 
 
 def compiled(function: Function) -> Function:
@@ -31,13 +40,13 @@ def compiled(function: Function) -> Function:
     Where no folder can be written at all (no home, read-only installation) every process compiles
     anew instead of failing.
     """
+    folder = _cache_folder(function.__module__)
+    given = config.CACHE_DIR
+    config.CACHE_DIR = str(folder)  # numba reads it while it decorates
     try:
-        out: Any = njit(cache=True, nogil=True, error_model="numpy")(function)
-    except RuntimeError:  # numba: "no locator available"
-        out = njit(nogil=True, error_model="numpy")(function)
-    file = getattr(getattr(out, "_cache", None), "_cache_file", None)
-    if file is not None and hasattr(file, "_source_stamp"):
-        file._source_stamp = _stamp(function.__module__)
+        out: Any = njit(cache=folder is not None, nogil=True, error_model="numpy")(function)
+    finally:
+        config.CACHE_DIR = given
     return out  # type: ignore[no-any-return]
 
 
@@ -59,20 +68,37 @@ def pasted(function: Function) -> Function:
     return out  # type: ignore[no-any-return]
 
 
-def _stamp(module: str) -> tuple[str, str]:
-    """What has to be the same for machine code of a module's functions to count."""
-    package, _, below = module.partition(".")
-    loaded = sys.modules.get(package)
-    if not below or loaded is None or not loaded.__file__:
-        return "no package", ""
-    root = Path(loaded.__file__).parent
-    file = root.joinpath(*below.split(".")).with_suffix(".py")
-    if not file.is_file():
-        return "no file", ""
-    digest = hashlib.blake2b(digest_size=16)
-    for source in sources(file, root):
-        digest.update(f"{source.relative_to(root)}\0".encode() + _digest(source))
-    return "contents", digest.hexdigest()
+@cache
+def _cache_folder(module: str) -> Path | None:
+    """Folder for the machine code of a module's functions, None where none can be written.
+
+    In ``NUMBA_CACHE_DIR`` if it is set, else in the package's ``__pycache__``, else in the user's cache.
+    """
+    package = sys.modules[module.partition(".")[0]]
+    file = sys.modules[module].__file__
+    if file is None or package.__file__ is None:
+        return None
+    root = Path(package.__file__).parent
+    digest = hashlib.blake2b(numba.__version__.encode(), digest_size=16)
+    for source in sources(Path(file), root):
+        digest.update(f"{os.path.relpath(source, root)}\0".encode() + _digest(source))
+    given = config.CACHE_DIR
+    user = Path(os.environ.get("XDG_CACHE_HOME") or "~/.cache").expanduser()
+    for base in [Path(given)] if given else [root / "__pycache__", user / root.name]:
+        folder = base / "kernels" / f"{module}.{digest.hexdigest()}"
+        try:
+            known = folder.is_dir()
+            folder.mkdir(parents=True, exist_ok=True)
+            tempfile.TemporaryFile(dir=folder).close()
+            os.utime(folder)
+        except OSError:
+            continue
+        with suppress(OSError):  # another process may be deleting the same
+            for other in () if known else folder.parent.glob(f"{module}.*"):
+                if time.time() - other.stat().st_mtime > _UNUSED:
+                    shutil.rmtree(other, ignore_errors=True)
+        return folder
+    return None
 
 
 @cache

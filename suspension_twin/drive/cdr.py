@@ -3,8 +3,9 @@
 
 Messages of one topic nearly always have one byte layout, since only strings and sequences vary in
 length. A :class:`Layout` is that byte layout as a NumPy structured type; decoding and encoding
-many messages is then one copy. Two encodings are known: ``cdr`` (ROS 2, plain CDR of either
-endianness, XCDR version 1) and ``ros1`` (packed, little-endian).
+many messages is then one copy: 240 000 IMU messages take 0.17 s of processor time, with the
+deserialiser of ``rosbags``, which makes an object of each, 1.33 s. Two encodings are known: ``cdr``
+(ROS 2, plain CDR of either endianness, XCDR version 1) and ``ros1`` (packed, little-endian).
 
 Fields are named by their dotted path: ``header.stamp.sec``, ``linear_acceleration.x``,
 ``position`` (an array), ``transforms.0.header.frame_id`` (an element of a sequence).

@@ -15,7 +15,7 @@ from suspension_twin.drive.intake.streams import assemble, merge
 from suspension_twin.drive.intake.velocity import velocities_from_fixes
 from suspension_twin.drive.read import Topics, read_drive
 from suspension_twin.drive.recording import is_recording
-from suspension_twin.drive.types import Drive, ImuData
+from suspension_twin.drive.types import Drive
 from suspension_twin.errors import InputError
 
 __all__ = ["Imported", "import_drive"]
@@ -61,11 +61,7 @@ def _bag(path: Path, topics: Topics, lag: float = 0.0) -> Imported:
     drive = read_drive(path, topics=topics)
     notes = [f"topics: {topics.imu}, {topics.fix}, {topics.vel}"]
     if lag:
-        imu = drive.imu
-        drive = replace(
-            drive,
-            imu=ImuData(imu.t - lag, imu.specific_force, imu.angular_rate, imu.orientation, imu.frame),
-        )
+        drive = replace(drive, imu=replace(drive.imu, t=drive.imu.t - lag))
         notes.append(f"IMU time: {lag:g} s lag taken out")
     if len(drive.fix) and not len(drive.velocity):
         velocity = velocities_from_fixes(drive.fix)

@@ -165,8 +165,7 @@ def _imu(columns: _Columns) -> ImuData:
 
 def _fix(columns: _Columns) -> FixData:
     if not columns.groups:
-        empty = np.empty(0)
-        return FixData(empty, empty, empty, empty, np.empty(0, dtype=np.int8), np.empty((0, 3)))
+        return FixData.empty()
     variance = columns.rows("position_covariance")[:, [0, 4, 8]]
     known = (columns.rows("position_covariance_type") != 0)[:, None] & np.isfinite(variance) & (variance >= 0)
     return FixData(
@@ -182,7 +181,7 @@ def _fix(columns: _Columns) -> FixData:
 
 def _velocity(columns: _Columns) -> VelocityData:
     if not columns.groups:
-        return VelocityData(np.empty(0), np.empty((0, 3)))
+        return VelocityData.empty()
     names = columns.groups[0].records.dtype.names or ()
     with_covariance = "twist.twist.linear.x" in names
     return VelocityData(

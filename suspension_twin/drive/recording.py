@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Recordings on disk: which format a path is in, and its raw messages whatever the format.
 
-The format is told from a file's first bytes, never from its name: a rosbag2 folder called
+The format is recognised by a file's first bytes, never by its name: a rosbag2 folder called
 ``drive.bag`` is a rosbag2 folder.
 """
 
@@ -9,26 +9,32 @@ from __future__ import annotations
 
 import re
 import tempfile
-from collections.abc import Collection, Mapping
+from collections.abc import Collection
 from pathlib import Path
 from typing import Any
 
 import yaml
 
 from suspension_twin.drive.cdr import Decoded, decode, ros1_types, types_with
-from suspension_twin.drive.containers.contents import Contents, RawTopic, topic_name
+from suspension_twin.drive.containers.contents import Contents, topic_name
 from suspension_twin.drive.containers.inflate import ZSTD_MAGIC, inflate
-from suspension_twin.drive.containers.mcap_file import MAGIC as MCAP_MAGIC
-from suspension_twin.drive.containers.mcap_file import read_mcap
-from suspension_twin.drive.containers.ros1_file import MAGIC as ROS1_MAGIC
-from suspension_twin.drive.containers.ros1_file import read_ros1
-from suspension_twin.drive.containers.sqlite_file import MAGIC as SQLITE_MAGIC
-from suspension_twin.drive.containers.sqlite_file import read_sqlite
+from suspension_twin.drive.containers.salvage_mcap import MAGIC as MCAP_MAGIC
+from suspension_twin.drive.containers.salvage_mcap import salvage_mcap
+from suspension_twin.drive.containers.salvage_ros1 import MAGIC as ROS1_MAGIC
+from suspension_twin.drive.containers.salvage_ros1 import salvage_ros1
+from suspension_twin.drive.containers.salvage_sqlite import MAGIC as SQLITE_MAGIC
+from suspension_twin.drive.containers.salvage_sqlite import salvage_sqlite
+from suspension_twin.drive.containers.whole import Incomplete, read_whole, with_pending_writes
 from suspension_twin.errors import InputError
 
 __all__ = ["decode_topic", "is_recording", "read_recording"]
 
-_READERS = {MCAP_MAGIC: read_mcap, SQLITE_MAGIC: read_sqlite, ROS1_MAGIC: read_ros1}
+#: By a file's first bytes: what rosbags calls its storage, and what reads it where it is damaged.
+_FORMATS = {
+    MCAP_MAGIC: ("mcap", salvage_mcap),
+    SQLITE_MAGIC: ("db3", salvage_sqlite),
+    ROS1_MAGIC: ("bag", salvage_ros1),
+}
 _BAG_NAME = re.compile(r"\.(mcap|db3)(\.zstd)?$")
 
 
@@ -38,7 +44,7 @@ def _magic(path: Path) -> bytes:
 
 
 def _format(head: bytes) -> bytes | None:
-    return next((magic for magic in _READERS if head.startswith(magic)), None)
+    return next((magic for magic in _FORMATS if head.startswith(magic)), None)
 
 
 def is_recording(path: str | Path) -> bool:
@@ -87,7 +93,7 @@ def read_recording(path: str | Path, topics: Collection[str] | None = None) -> C
             raise unreadable[0]
     except OSError as error:
         raise InputError(path, error.strerror or "cannot be read") from None
-    contents.sort()
+    contents.finish()
     return contents
 
 
@@ -150,7 +156,16 @@ def _read_file(path: Path, contents: Contents) -> None:
         raise InputError(path, _not_a_bag(path, head))
     if kind == ROS1_MAGIC:
         contents.encoding = "ros1"
-    _READERS[kind](path, contents)
+    _read_as(kind, path, contents)
+
+
+def _read_as(kind: bytes, path: Path, contents: Contents) -> None:
+    storage, salvage = _FORMATS[kind]
+    with with_pending_writes(path, contents) as readable:
+        try:
+            read_whole(readable, storage, contents)
+        except Incomplete:
+            salvage(readable, contents)
 
 
 def _read_compressed(path: Path, contents: Contents) -> None:
@@ -164,11 +179,11 @@ def _read_compressed(path: Path, contents: Contents) -> None:
     with tempfile.TemporaryDirectory() as folder:
         bare = Path(folder) / path.name.removesuffix(".zstd")
         bare.write_bytes(data)
-        _READERS[kind](bare, contents)
+        _read_as(kind, bare, contents)
 
 
 def _not_a_bag(path: Path, head: bytes) -> str:
-    if any(magic.startswith(head) for magic in _READERS):
+    if any(magic.startswith(head) for magic in _FORMATS):
         return "cut off before its first message"
     if head.startswith(b"#ROSBAG V1"):
         return "a ROS bag of format 1, which is not read: convert it with 'rosbag fix' first"
@@ -184,15 +199,14 @@ def decode_topic(contents: Contents, name: str) -> list[Decoded]:
 
     Empty where the topic has no messages; damaged ones are left out with a warning.
     """
-    topic: RawTopic | None = contents.topics.get(topic_name(name))
+    topic = contents.topics.get(topic_name(name))
     if topic is None or not topic.data:
         return []
     if contents.encoding == "ros1":
         store = ros1_types()
     else:
-        definitions: Mapping[str, str] = contents.definitions
-        own = topic.msgtype in definitions
-        store = types_with({topic.msgtype: definitions[topic.msgtype]} if own else {})
+        own = {k: text for k, text in contents.definitions.items() if k == topic.msgtype}
+        store = types_with(own)
     groups = list(decode(store, topic.msgtype, topic.data, contents.encoding))
     lost = len(topic.data) - sum(group.index.size for group in groups)
     if lost:

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from scipy.ndimage import median_filter
 
 from suspension_twin.arrays import Floats
-from suspension_twin.drive.types import Drive, FixData, HeadingData, ImuData, VelocityData
+from suspension_twin.drive.types import Drive, FixData, ImuData
 
 __all__ = ["clean_drive", "measured", "nanoseconds", "repair_stamps", "seconds"]
 
@@ -94,23 +94,21 @@ def clean_drive(drive: Drive) -> Drive:
     good = measured(velocity.enu) & np.isfinite(velocity.t)
     if not good.all():
         warnings.append(f"{_count(int((~good).sum()), len(velocity), 'velocities')} are no numbers: left out")
-        velocity = VelocityData(velocity.t[good], velocity.enu[good])
+        velocity = velocity.select(good)
     if heading is not None:
         good = np.isfinite(heading.yaw) & np.isfinite(heading.t)
         if not good.all():
             warnings.append(f"{_count(int((~good).sum()), len(heading), 'headings')} are not valid: left out")
-            heading = HeadingData(heading.t[good], heading.yaw[good])
+            heading = heading.select(good)
     return replace(drive, imu=imu, fix=fix, velocity=velocity, heading=heading, warnings=tuple(warnings))
 
 
 def _clean_imu(imu: ImuData, warnings: list[str]) -> ImuData:
-    good = np.isfinite(imu.t)
-    good &= measured(imu.specific_force) & measured(imu.angular_rate)
+    good = np.isfinite(imu.t) & measured(imu.specific_force) & measured(imu.angular_rate)
     if good.all():
         return imu
     warnings.append(f"{_count(int((~good).sum()), len(imu), 'IMU samples')} are no numbers: left out")
-    orientation = None if imu.orientation is None else imu.orientation[good]
-    return ImuData(imu.t[good], imu.specific_force[good], imu.angular_rate[good], orientation, imu.frame)
+    return imu.select(good)
 
 
 def _clean_fix(fix: FixData, warnings: list[str]) -> FixData:
@@ -120,15 +118,7 @@ def _clean_fix(fix: FixData, warnings: list[str]) -> FixData:
     good &= ~((fix.latitude == 0) & (fix.longitude == 0))
     if not good.all():
         warnings.append(f"{_count(int((~good).sum()), len(fix), 'fixes')} have no valid position: left out")
-        fix = FixData(
-            fix.t[good],
-            fix.latitude[good],
-            fix.longitude[good],
-            fix.altitude[good],
-            fix.status[good],
-            fix.sigma[good],
-            fix.frame,
-        )
+        fix = fix.select(good)
     known = np.abs(fix.altitude) < 1e5  # m; NaN and infinity are not
     if not known.all():
         if known.any():

@@ -61,7 +61,7 @@ class Summary:
     def lines(self) -> list[str]:
         """The figures in words, a line each."""
         begin = ""
-        if self.imu.start > 1e8:  # a clock that was never set has nothing to tell
+        if self.imu.start > 1e8:  # else the clock was never set
             moment = datetime.fromtimestamp(self.imu.start, tz=timezone.utc)
             begin = f", from {moment:%Y-%m-%d %H:%M:%S} UTC"
         gaps = f"{_gaps(self.imu)} {_gap_word(self.imu)}"

@@ -3,18 +3,50 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from collections.abc import Sequence
+from dataclasses import dataclass, field, fields, replace
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from suspension_twin.arrays import Floats
+
 __all__ = ["Drive", "FixData", "HeadingData", "ImuData", "VelocityData"]
 
-from suspension_twin.arrays import Floats
+if TYPE_CHECKING:
+    from typing_extensions import Self
 
 
 @dataclass(frozen=True, eq=False)
-class ImuData:
+class _Samples:
+    """Arrays with one row a sample, ``t`` (n,) s among them."""
+
+    t: Floats
+
+    def __len__(self) -> int:
+        return int(self.t.size)
+
+    def select(self, rows: NDArray[Any]) -> Self:
+        """These rows of every array; ``rows`` is a mask (n,) or indices."""
+        arrays = {f.name: getattr(self, f.name) for f in fields(self)}
+        return replace(self, **{k: v[rows] for k, v in arrays.items() if isinstance(v, np.ndarray)})
+
+    @classmethod
+    def joined(cls, parts: Sequence[Self]) -> Self:
+        """One after the other; an optional array is kept where all of them have it."""
+        whole: dict[str, Any] = {}
+        for name in (f.name for f in fields(cls)):
+            values = [getattr(part, name) for part in parts]
+            if any(value is None for value in values):
+                whole[name] = None
+            else:
+                whole[name] = np.concatenate(values) if isinstance(values[0], np.ndarray) else values[0]
+        return cls(**whole)
+
+
+@dataclass(frozen=True, eq=False)
+class ImuData(_Samples):
     """IMU samples in the sensor's own axes, in the order they were recorded.
 
     ``t`` (n,) s since the epoch (header stamps), ``specific_force`` (n, 3) m/s²,
@@ -22,23 +54,18 @@ class ImuData:
     in ``map`` or None where the recorder gave none.
     """
 
-    t: Floats
     specific_force: Floats
     angular_rate: Floats
     orientation: Floats | None = None
     frame: str = "imu_link"
 
-    def __len__(self) -> int:
-        return int(self.t.size)
-
 
 @dataclass(frozen=True, eq=False)
-class FixData:
+class FixData(_Samples):
     """GNSS fixes: ``t`` (m,) s, ``latitude`` and ``longitude`` (m,) degrees, ``altitude`` (m,) m,
     ``status`` (m,) of sensor_msgs/NavSatStatus (-1 is no fix), ``sigma`` (m, 3) standard
     deviations east, north, up in m, NaN where the receiver gave no covariance."""
 
-    t: Floats
     latitude: Floats
     longitude: Floats
     altitude: Floats
@@ -46,30 +73,30 @@ class FixData:
     sigma: Floats
     frame: str = "gps_link"
 
-    def __len__(self) -> int:
-        return int(self.t.size)
+    @classmethod
+    def empty(cls) -> FixData:
+        """No fix."""
+        none = np.empty(0)
+        return cls(none, none, none, none, np.empty(0, dtype=np.int8), np.empty((0, 3)))
 
 
 @dataclass(frozen=True, eq=False)
-class VelocityData:
+class VelocityData(_Samples):
     """GNSS velocities: ``t`` (k,) s, ``enu`` (k, 3) m/s east, north, up at the antenna."""
 
-    t: Floats
     enu: Floats
 
-    def __len__(self) -> int:
-        return int(self.t.size)
+    @classmethod
+    def empty(cls) -> VelocityData:
+        """No velocity."""
+        return cls(np.empty(0), np.empty((0, 3)))
 
 
 @dataclass(frozen=True, eq=False)
-class HeadingData:
+class HeadingData(_Samples):
     """Headings: ``t`` (k,) s, ``yaw`` (k,) rad from east, counter-clockwise."""
 
-    t: Floats
     yaw: Floats
-
-    def __len__(self) -> int:
-        return int(self.t.size)
 
 
 @dataclass(frozen=True, eq=False)

@@ -11,15 +11,14 @@ import os
 import shutil
 import tempfile
 from collections.abc import Mapping, Sequence
-from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from types import TracebackType
-from typing import Any, BinaryIO, final
+from typing import Any, final
 
 import numpy as np
-import yaml
-from mcap.writer import CompressionType, Writer
 from numpy.typing import NDArray
+from rosbags.interfaces import Connection
+from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer
 
 from suspension_twin.arrays import Floats
 from suspension_twin.drive.cdr import encode, ros2_types
@@ -31,22 +30,8 @@ from suspension_twin.errors import InputError, WorkError
 
 __all__ = ["BagWriter", "write_drive"]
 
-#: What ROS 2 Jazzy's rosbag2 writes: metadata version and an offered quality of service.
-_METADATA_VERSION = 9
-
 #: ns: the seconds of a stamp are 32 bits long.
 _LAST_STAMP = (1 << 31) * 1_000_000_000
-_QOS: dict[str, Any] = {
-    "history": "keep_last",
-    "depth": 10,
-    "reliability": "reliable",
-    "durability": "volatile",
-    "deadline": {"sec": 9223372036, "nsec": 854775807},
-    "lifespan": {"sec": 9223372036, "nsec": 854775807},
-    "liveliness": "automatic",
-    "liveliness_lease_duration": {"sec": 9223372036, "nsec": 854775807},
-    "avoid_ros_namespace_conventions": False,
-}
 
 
 @final
@@ -66,11 +51,8 @@ class BagWriter:
         self.bare = self.path.suffix == ".mcap"
         self.overwrite = overwrite
         self._store = ros2_types()
-        self._counts: dict[str, int] = {}
-        self._channels: dict[str, tuple[int, str]] = {}
-        self._schemas: dict[str, int] = {}
-        self._pending: list[tuple[int, NDArray[np.int64], list[bytes]]] = []
-        self._span: tuple[int, int] | None = None
+        self._connections: dict[str, Connection] = {}
+        self._pending: list[tuple[Connection, NDArray[np.int64], list[bytes]]] = []
         self._check()
 
     def _check(self) -> None:
@@ -96,15 +78,16 @@ class BagWriter:
     def __enter__(self) -> BagWriter:
         try:
             self.path.parent.mkdir(parents=True, exist_ok=True)
-            self._folder = Path(tempfile.mkdtemp(prefix=f".{self.path.name}.", dir=self.path.parent))
-            self._folder.chmod(0o755)
-            name = self.path.name if self.bare else f"{self.path.name}_0.mcap"
-            self._file = self._folder / name
-            self._stream: BinaryIO = self._file.open("wb")
+            self._hidden = Path(tempfile.mkdtemp(prefix=f".{self.path.name}.", dir=self.path.parent))
+            self._bag = Writer(
+                self._hidden / (self.path.stem if self.bare else self.path.name),
+                version=9,  # what ROS 2 Jazzy writes
+                storage_plugin=StoragePlugin.MCAP,
+            )
+            self._bag.set_compression(CompressionMode.STORAGE, CompressionFormat.ZSTD)
+            self._bag.open()
         except OSError as error:
             raise WorkError(f"{self.path}: {error.strerror or 'cannot be written'}") from None
-        self._writer = Writer(self._stream, compression=CompressionType.ZSTD)
-        self._writer.start("ros2", library=f"suspension_twin {_version()}")
         return self
 
     def __exit__(
@@ -113,11 +96,12 @@ class BagWriter:
         try:
             if kind is None:
                 self._finish()
+            else:
+                self._bag.abort()
         except OSError as failure:
             raise WorkError(f"{self.path}: {failure.strerror or 'cannot be written'}") from None
         finally:
-            self._stream.close()
-            shutil.rmtree(self._folder, ignore_errors=True)
+            shutil.rmtree(self._hidden, ignore_errors=True)
 
     def write(
         self,
@@ -152,134 +136,50 @@ class BagWriter:
         self, topic: str, msgtype: str, stamps: NDArray[np.int64], messages: Sequence[bytes]
     ) -> None:
         """Add messages that are CDR already; ``stamps`` (n,) ns."""
-        topic = topic_name(topic)
-        channel = self._channel(topic, type_name(msgtype))
+        topic, msgtype = topic_name(topic), type_name(msgtype)
+        connection = self._connections.get(topic)
+        if connection is None:
+            connection = self._bag.add_connection(topic, msgtype, typestore=self._store)
+            self._connections[topic] = connection
+        if connection.msgtype != msgtype:
+            raise ValueError(f"{topic} is {connection.msgtype}, not {msgtype}")
         if len(messages):
             # the time of recording never goes back, so that a reader keeps the order
             recorded = np.maximum(np.maximum.accumulate(stamps), 0)
-            self._pending.append((channel, recorded, list(messages)))
-            self._counts[topic] += len(messages)
+            self._pending.append((connection, recorded, list(messages)))
 
     def flush(self) -> None:
         """Write out what was given so far; messages given later are recorded after it."""
         if not self._pending:
             return
-        stamps = np.concatenate([block[1] for block in self._pending])
-        channels = np.concatenate([np.full(len(data), channel) for channel, _, data in self._pending])
-        messages = [message for _, _, data in self._pending for message in data]
+        order = np.argsort(np.concatenate([stamps for _, stamps, _ in self._pending]), kind="stable")
+        rows = [
+            (connection, stamp, message)
+            for connection, stamps, messages in self._pending
+            for stamp, message in zip(stamps.tolist(), messages, strict=True)
+        ]
         self._pending.clear()
-        order = np.argsort(stamps, kind="stable")
-        first, last = int(stamps[order[0]]), int(stamps[order[-1]])
-        self._span = (
-            (first, last) if self._span is None else (min(first, self._span[0]), max(last, self._span[1]))
-        )
-        add = self._writer.add_message
-        rows = zip(order.tolist(), stamps[order].tolist(), channels[order].tolist(), strict=True)
-        for i, stamp, channel in rows:
-            add(channel, stamp, messages[i], stamp)
-
-    def _channel(self, topic: str, msgtype: str) -> int:
-        if topic in self._channels:
-            channel, known = self._channels[topic]
-            if known != msgtype:
-                raise ValueError(f"{topic} is {known}, not {msgtype}")
-            return channel
-        if msgtype not in self._schemas:
-            definition, _ = self._store.generate_msgdef(msgtype, ros_version=2)
-            self._schemas[msgtype] = self._writer.register_schema(msgtype, "ros2msg", definition.encode())
-        metadata = {
-            "offered_qos_profiles": _yaml([_QOS]).strip(),
-            "topic_type_hash": self._store.hash_rihs01(msgtype),
-        }
-        channel = self._writer.register_channel(topic, "cdr", self._schemas[msgtype], metadata)
-        self._channels[topic] = (channel, msgtype)
-        self._counts[topic] = 0
-        return channel
+        for i in order.tolist():
+            self._bag.write(*rows[i])
 
     def _finish(self) -> None:
         self.flush()
-        information = self._information()
-        self._writer.add_metadata("rosbag2", {"serialized_metadata": _yaml(information)})
-        self._writer.finish()  # type: ignore[no-untyped-call]
-        self._stream.flush()
-        os.fsync(self._stream.fileno())
-        self._stream.close()
+        self._bag.close()
+        written = self._bag.path
+        (file,) = written.glob("*.mcap")
+        with file.open("rb") as stream:
+            os.fsync(stream.fileno())
         if self.bare:
-            if self.overwrite:
-                os.replace(self._file, self.path)
-            else:
-                _move(self._file, self.path)
-            return
-        text = _yaml({"rosbag2_bagfile_information": information})
-        (self._folder / "metadata.yaml").write_text(text, encoding="utf-8")
-        if self.overwrite and self.path.exists():
-            old = Path(tempfile.mkdtemp(prefix=f".{self.path.name}.", dir=self.path.parent))
-            os.rename(self.path, old / "old")
-            os.rename(self._folder, self.path)
-            shutil.rmtree(old, ignore_errors=True)
-        else:
-            _move(self._folder, self.path)
-
-    def _information(self) -> dict[str, Any]:
-        start, end = self._span or (0, 0)
-        count = sum(self._counts.values())
-        span = {
-            "duration": {"nanoseconds": end - start},
-            "starting_time": {"nanoseconds_since_epoch": start},
-            "message_count": count,
-        }
-        return {
-            "version": _METADATA_VERSION,
-            "storage_identifier": "mcap",
-            **span,
-            "topics_with_message_count": [
-                {
-                    "topic_metadata": {
-                        "name": topic,
-                        "type": msgtype,
-                        "serialization_format": "cdr",
-                        "offered_qos_profiles": [_QOS],
-                        "type_description_hash": self._store.hash_rihs01(msgtype),
-                    },
-                    "message_count": self._counts[topic],
-                }
-                for topic, (_, msgtype) in self._channels.items()
-            ],
-            "compression_format": "",
-            "compression_mode": "",
-            "relative_file_paths": [self._file.name],
-            "files": [{"path": self._file.name, **span}],
-            "custom_data": None,
-            "ros_distro": "jazzy",
-        }
-
-
-class _Plain(yaml.SafeDumper):
-    """Repeats what occurs twice instead of referring to it, as rosbag2 does."""
-
-    def ignore_aliases(self, data: Any) -> bool:
-        return True
-
-
-def _yaml(data: Any) -> str:
-    return yaml.dump(data, Dumper=_Plain, sort_keys=False)
+            written = file
+        if self.path.exists():
+            if not self.overwrite:  # made by someone else while this was written
+                raise InputError(self.path, "exists already: choose another name or remove it")
+            os.rename(self.path, self._hidden / "replaced")
+        os.rename(written, self.path)
 
 
 def _part_of_bag(path: Path) -> bool:
     return path.name == "metadata.yaml" or path.suffix in (".mcap", ".db3", ".zstd", ".db3-wal", ".db3-shm")
-
-
-def _move(source: Path, target: Path) -> None:
-    if target.exists():  # made by someone else while this was written
-        raise InputError(target, "exists already: choose another name or remove it")
-    os.rename(source, target)
-
-
-def _version() -> str:
-    try:
-        return version("suspension-twin")
-    except PackageNotFoundError:  # a source tree that was never installed, as under colcon
-        return "0"
 
 
 def write_drive(

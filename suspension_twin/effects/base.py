@@ -100,7 +100,10 @@ class Effect:
         own = self.variants.get(model)
         if own is None:
             return self
-        return replace(self, parameters=own.parameters, hook=own.hook, usual_share=0.0, variants={})
+        severity = tuple(s for s in self.severity if s in own.hook.neutral)
+        return replace(
+            self, parameters=own.parameters, severity=severity, hook=own.hook, usual_share=0.0, variants={}
+        )
 
     def parameter(self, name: str) -> Parameter:
         """The parameter called ``name``."""

@@ -37,7 +37,7 @@ from suspension_twin.gap.planar_denoising import quiet_motion
 from suspension_twin.models.excitation import excitation
 from suspension_twin.models.hooks import upright_with
 from suspension_twin.models.types import Excitation, Response
-from suspension_twin.pose.nodes import MOST_SLOPE, mean_lean
+from suspension_twin.pose.nodes import MAX_MEAN_SLOPE, mean_tilt
 from suspension_twin.pose.satellites import satellite_motion
 from suspension_twin.pose.smoothed import locked_trajectory
 from suspension_twin.pose.types import Trajectory
@@ -255,7 +255,7 @@ def _locked(
 def upright_excitation(prepared: Prepared, drive: Drive) -> Excitation:
     """What a prepared ``drive`` excites a vehicle with that does not lean on average: what leans is its sensor."""
     twin, settings, signals = prepared.twin, prepared.settings, prepared.signals
-    if settings.satellites or _upright(twin) or mean_lean(signals.up) > MOST_SLOPE:
+    if settings.satellites or _upright(twin) or mean_tilt(signals.up) > MAX_MEAN_SLOPE:
         return prepared.excitation
     mounted = _as_mounted(drive, twin, signals, settings)
     trajectory = _locked(drive, twin, mounted, settings, twin.datum or _first_fix(drive), True)

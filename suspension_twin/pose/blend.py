@@ -1,18 +1,18 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Corrections of the filter bled into the output instead of jumped to."""
+"""Gradual output of the filter's corrections, without steps."""
 
 from __future__ import annotations
 
 import math
 
 from suspension_twin.arrays import Floats
-from suspension_twin.pose.ekf import YAW, V, X, Y
+from suspension_twin.pose.ekf import SPEED, YAW, X, Y
 
 __all__ = ["Blend"]
 
 
 class Blend:
-    """What the output still lacks of the filter's state: x, y, yaw and speed.
+    """Offsets between the output and the filter's state: x, y, yaw and speed.
 
     Each dies away like a critically damped second-order system of ``time`` s, so the output has no
     step in position and, from a correction of the speed, none in velocity. A position's share moves
@@ -37,11 +37,11 @@ class Blend:
         offset[0] += float(before[X] - after[X])
         offset[1] += float(before[Y] - after[Y])
         offset[2] += float(before[YAW] - after[YAW])
-        offset[3] += float(before[V] - after[V])
+        offset[3] += float(before[SPEED] - after[SPEED])
         c0, s0 = math.cos(before[YAW]), math.sin(before[YAW])
         c1, s1 = math.cos(after[YAW]), math.sin(after[YAW])
-        self._rate[0] += float(before[V] * c0 - after[V] * c1)
-        self._rate[1] += float(before[V] * s0 - after[V] * s1)
+        self._rate[0] += float(before[SPEED] * c0 - after[SPEED] * c1)
+        self._rate[1] += float(before[SPEED] * s0 - after[SPEED] * s1)
         if math.hypot(offset[0], offset[1]) > self._snap or abs(offset[2]) > 0.5:
             self.clear()
 

@@ -1,13 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The planar filter: eight states, predicted with the gyro, corrected by everything else.
+"""Extended Kalman filter of the planar pose: eight states, predicted with the gyro, corrected by all else.
 
 States: x, y of ``base_link`` in ``map`` m, yaw rad, forward speed m/s, forward acceleration m/s²,
 lateral speed m/s, gyro bias rad/s, accelerometer bias m/s². The yaw rate is an input; the forward
 acceleration is a state with the accelerometer as its measurement, so that it comes out smooth and
 in step with speed and position. The rear axle hardly slips: the lateral speed is a first-order
-Markov process whose size grows with the cornering.
-
-An extended Kalman filter.
+Markov process whose variance grows with the lateral acceleration.
 """
 
 from __future__ import annotations
@@ -19,17 +17,28 @@ import numpy as np
 from suspension_twin.arrays import Floats
 from suspension_twin.compiled import compiled
 
-__all__ = ["FIX", "HEADING", "RESET", "STATES", "VELOCITY", "advance", "forward", "measure"]
+__all__ = ["FIX", "HEADING", "RESET", "STATES", "VELOCITY", "advance", "forward", "measurement_update"]
 
 STATES = 8
-X, Y, YAW, V, A, SIDE, GYRO, FORCE = range(8)
+X, Y, YAW, SPEED, ACCELERATION, LATERAL_SPEED, GYRO_BIAS, ACCELEROMETER_BIAS = range(8)
+#: Inputs of a sample: yaw rate rad/s; forward specific force without gravity m/s²; 1 where the vehicle stands;
+#: factor on the gyro's noise, above 1 where samples are missing; antenna ahead and to the left of
+#: ``base_link`` on level ground m, and its velocity against it m/s.
+YAW_RATE, FORWARD_FORCE, STANDING, GYRO_LOOSENESS, ANTENNA_X, ANTENNA_Y, ANTENNA_VX, ANTENNA_VY = range(8)
+#: Noise, as :meth:`~suspension_twin.pose.settings.PoseSettings.noise` orders it: densities, then the distances
+#: in standard deviations from which a measurement weighs less (Huber) and beyond which it is refused.
+FORCE_DENSITY, JERK_DENSITY, GYRO_DENSITY, GYRO_SCALE, SLIP, FORCE_BIAS_WALK, GYRO_BIAS_WALK, HUBER, GATE = (
+    range(9)
+)
 #: Kinds of measurement: a fix, a fix that the position jumps to, a velocity, a heading.
 FIX, RESET, VELOCITY, HEADING = 0, 1, 2, 3
-SIDE_TIME = 0.5  # s, the time constant of the lateral speed
+LATERAL_SPEED_TIME = 0.5  # s, the time constant of the lateral speed
 
 
 @compiled
-def sandwich(f: Floats, p: Floats, work: Floats, out: Floats) -> None:  # pragma: no cover - compiled
+def propagate_covariance(
+    f: Floats, p: Floats, work: Floats, out: Floats
+) -> None:  # pragma: no cover - compiled
     """out = f p f' for (8, 8)."""
     for i in range(8):
         for j in range(8):
@@ -49,59 +58,61 @@ def sandwich(f: Floats, p: Floats, work: Floats, out: Floats) -> None:  # pragma
 
 
 @compiled
-def transition(x: Floats, u: Floats, dt: float, f: Floats) -> None:  # pragma: no cover - compiled
+def predict_state(x: Floats, u: Floats, dt: float, f: Floats) -> None:  # pragma: no cover - compiled
     """Move ``x`` (8,) on by ``dt`` s under the inputs ``u`` and leave the Jacobian in ``f``."""
-    standing = u[2] > 0.5
-    turn = 0.0 if standing else u[0] - x[GYRO]
-    v, side, a = x[V], x[SIDE], x[A]
-    keep = math.exp(-dt / SIDE_TIME)
+    standing = u[STANDING] > 0.5
+    turn = 0.0 if standing else u[YAW_RATE] - x[GYRO_BIAS]
+    v, side, a = x[SPEED], x[LATERAL_SPEED], x[ACCELERATION]
+    keep = math.exp(-dt / LATERAL_SPEED_TIME)
     half = x[YAW] + 0.5 * turn * dt
     c, s = math.cos(half), math.sin(half)
     for i in range(8):
         for j in range(8):
             f[i, j] = 1.0 if i == j else 0.0
     ahead = across = 0.0
-    f[V, A] = dt
-    f[V, SIDE] = turn * dt
+    f[SPEED, ACCELERATION] = dt
+    f[SPEED, LATERAL_SPEED] = turn * dt
     if not standing:
         ahead = v * dt + 0.5 * a * dt * dt
         across = side * dt
         f[X, YAW] = -ahead * s - across * c
         f[Y, YAW] = ahead * c - across * s
-        f[X, V], f[Y, V] = dt * c, dt * s
-        f[X, A], f[Y, A] = 0.5 * dt * dt * c, 0.5 * dt * dt * s
-        f[X, SIDE], f[Y, SIDE] = -dt * s, dt * c
-        f[X, GYRO] = -0.5 * dt * f[X, YAW]
-        f[Y, GYRO] = -0.5 * dt * f[Y, YAW]
-        f[YAW, GYRO] = -dt
-        f[V, GYRO] = -side * dt
-    f[SIDE, SIDE] = keep
+        f[X, SPEED], f[Y, SPEED] = dt * c, dt * s
+        f[X, ACCELERATION], f[Y, ACCELERATION] = 0.5 * dt * dt * c, 0.5 * dt * dt * s
+        f[X, LATERAL_SPEED], f[Y, LATERAL_SPEED] = -dt * s, dt * c
+        f[X, GYRO_BIAS] = -0.5 * dt * f[X, YAW]
+        f[Y, GYRO_BIAS] = -0.5 * dt * f[Y, YAW]
+        f[YAW, GYRO_BIAS] = -dt
+        f[SPEED, GYRO_BIAS] = -side * dt
+    f[LATERAL_SPEED, LATERAL_SPEED] = keep
     x[X] += ahead * c - across * s
     x[Y] += ahead * s + across * c
     x[YAW] += turn * dt
-    x[V] += a * dt + turn * side * dt
-    x[SIDE] = side * keep
+    x[SPEED] += a * dt + turn * side * dt
+    x[LATERAL_SPEED] = side * keep
 
 
 @compiled
-def add_noise(
+def add_process_noise(
     p: Floats, noise: Floats, x: Floats, u: Floats, dt: float
 ) -> None:  # pragma: no cover - compiled
     """Process noise of ``dt`` s."""
-    q = noise[1]
-    v, omega = x[V], u[0] - x[GYRO]
-    p[A, A] += q * dt
-    p[V, V] += q * dt**3 / 3.0
-    p[V, A] += q * dt * dt / 2.0
-    p[A, V] += q * dt * dt / 2.0
-    if u[2] < 0.5:
-        p[YAW, YAW] += (noise[2] + (noise[3] * omega) ** 2) * max(u[3], 1.0) * dt
-    slip = 0.01 + noise[4] * abs(v * omega) * abs(v)
-    p[SIDE, SIDE] += slip * slip * (1.0 - math.exp(-2.0 * dt / SIDE_TIME))
-    p[FORCE, FORCE] += noise[5] * dt
-    p[GYRO, GYRO] += noise[6] * dt
+    q = noise[JERK_DENSITY]
+    v, omega = x[SPEED], u[YAW_RATE] - x[GYRO_BIAS]
+    p[ACCELERATION, ACCELERATION] += q * dt
+    p[SPEED, SPEED] += q * dt**3 / 3.0
+    p[SPEED, ACCELERATION] += q * dt * dt / 2.0
+    p[ACCELERATION, SPEED] += q * dt * dt / 2.0
+    if u[STANDING] < 0.5:
+        p[YAW, YAW] += (
+            (noise[GYRO_DENSITY] + (noise[GYRO_SCALE] * omega) ** 2) * max(u[GYRO_LOOSENESS], 1.0) * dt
+        )
+    slip = 0.01 + noise[SLIP] * abs(v * omega) * abs(v)
+    p[LATERAL_SPEED, LATERAL_SPEED] += slip * slip * (1.0 - math.exp(-2.0 * dt / LATERAL_SPEED_TIME))
+    p[ACCELEROMETER_BIAS, ACCELEROMETER_BIAS] += noise[FORCE_BIAS_WALK] * dt
+    p[GYRO_BIAS, GYRO_BIAS] += noise[GYRO_BIAS_WALK] * dt
     # A car that stands may creep or settle by a few millimetres; one that drives is led by its speed.
-    place = 2.5e-5 if u[2] > 0.5 else 1.0e-6
+    place = 2.5e-5 if u[STANDING] > 0.5 else 1.0e-6
     p[X, X] += place * dt
     p[Y, Y] += place * dt
 
@@ -110,8 +121,8 @@ def add_noise(
 def scalar_update(
     x: Floats, p: Floats, h: Floats, residual: float, variance: float, yaw_held: bool
 ) -> None:  # pragma: no cover - compiled
-    """Kalman update by one number. With ``yaw_held`` the yaw is taken as it is, its doubt with it (Schmidt's
-    consider state): a car that stands does not turn because its antenna's fix moves."""
+    """Kalman update by one number. With ``yaw_held`` the yaw and its variance stay (Schmidt's consider
+    state): a car that stands does not turn because its antenna's fix moves."""
     ph = np.zeros(8)
     for i in range(8):
         for k in range(8):
@@ -133,16 +144,14 @@ def scalar_update(
 
 
 @compiled
-def measure(
+def measurement_update(
     x: Floats, p: Floats, kind: int, z: Floats, u: Floats, noise: Floats
 ) -> float:  # pragma: no cover - compiled
-    """Update by a measurement ``z`` (3,): two numbers and a standard deviation. Of the inputs ``u`` (8,) it
-    takes the last four, the antenna ahead and to the left of ``base_link`` on level ground m, and its
-    velocity against it m/s, and whether the vehicle stands.
+    """Update by a measurement ``z`` (3,): two numbers and a standard deviation, under the inputs ``u`` (8,).
 
-    Returns the weight it got: 1 in full, less where it was doubtful, 0 where it was refused.
+    Returns its weight: 1, less beyond the Huber distance, 0 beyond the gate (refused).
     """
-    soft, gate = noise[7], noise[8]
+    soft, gate = noise[HUBER], noise[GATE]
     h = np.zeros((2, 8))
     r = np.zeros(2)
     c, s = math.cos(x[YAW]), math.sin(x[YAW])
@@ -153,11 +162,11 @@ def measure(
         r[0] = z[0] - x[YAW]
         r[0] -= 2.0 * math.pi * math.floor(r[0] / (2.0 * math.pi) + 0.5)
     else:
-        ahead, left = u[4], u[5]
+        ahead, left = u[ANTENNA_X], u[ANTENNA_Y]
         if kind == VELOCITY:
-            ahead, left = x[V] + u[6], x[SIDE] + u[7]
-            h[0, V], h[1, V] = c, s
-            h[0, SIDE], h[1, SIDE] = -s, c
+            ahead, left = x[SPEED] + u[ANTENNA_VX], x[LATERAL_SPEED] + u[ANTENNA_VY]
+            h[0, SPEED], h[1, SPEED] = c, s
+            h[0, LATERAL_SPEED], h[1, LATERAL_SPEED] = -s, c
             r[0], r[1] = z[0], z[1]
         else:
             h[0, X] = h[1, Y] = 1.0
@@ -187,7 +196,7 @@ def measure(
             return 0.0
         weight = min(1.0, soft / math.sqrt(d2 + 1e-12))  # Huber's
     variance /= weight * weight
-    hold = u[2] > 0.5 and kind != HEADING
+    hold = u[STANDING] > 0.5 and kind != HEADING
     before = np.empty(8)
     for i in range(8):
         before[i] = x[i]
@@ -199,40 +208,43 @@ def measure(
 
 
 @compiled
-def imu_update(
+def imu_measurement_update(
     x: Floats, p: Floats, noise: Floats, u: Floats, dt: float
 ) -> None:  # pragma: no cover - compiled
-    """The accelerometer's word, and at standstill that speed and yaw rate are nought. ``u`` (8,): yaw
-    rate rad/s, forward specific force without gravity m/s², standing (1 or 0), looseness (above 1 where
-    samples are missing and the gyro is to be believed less), arm (4,)."""
-    standing = u[2] > 0.5
+    """Update by the accelerometer, and at standstill by zero speed, acceleration and yaw rate; ``u`` (8,)."""
+    standing = u[STANDING] > 0.5
     span = max(dt, 1e-4)
     h = np.zeros(8)
     for k in range(5 if standing else 1):
         for i in range(8):
             h[i] = 0.0
         if k == 0:
-            if u[3] > 1.0:
+            if u[GYRO_LOOSENESS] > 1.0:
                 continue
-            h[A] = h[FORCE] = 1.0
-            residual, density = u[1] - x[A] - x[FORCE], noise[0]
+            h[ACCELERATION] = h[ACCELEROMETER_BIAS] = 1.0
+            residual, density = (
+                u[FORWARD_FORCE] - x[ACCELERATION] - x[ACCELEROMETER_BIAS],
+                noise[FORCE_DENSITY],
+            )
         elif k == 1:
-            h[V] = 1.0
-            residual, density = -x[V], 1.0e-7
+            h[SPEED] = 1.0
+            residual, density = -x[SPEED], 1.0e-7
         elif k == 2:
-            h[A] = 1.0
-            residual, density = -x[A], 1.0e-4
+            h[ACCELERATION] = 1.0
+            residual, density = -x[ACCELERATION], 1.0e-4
         elif k == 3:
-            h[SIDE] = 1.0
-            residual, density = -x[SIDE], 1.0e-6
+            h[LATERAL_SPEED] = 1.0
+            residual, density = -x[LATERAL_SPEED], 1.0e-6
         else:
-            h[GYRO] = 1.0
-            residual, density = u[0] - x[GYRO], 1.0e-6
+            h[GYRO_BIAS] = 1.0
+            residual, density = u[YAW_RATE] - x[GYRO_BIAS], 1.0e-6
         scalar_update(x, p, h, residual, density / span, standing)
 
 
 @compiled
-def put(x: Floats, p: Floats, state: Floats, covariance: Floats) -> None:  # pragma: no cover - compiled
+def copy_state(
+    x: Floats, p: Floats, state: Floats, covariance: Floats
+) -> None:  # pragma: no cover - compiled
     """Copy ``x`` (8,) and ``p`` (8, 8) into ``state`` and ``covariance``."""
     for i in range(8):
         state[i] = x[i]
@@ -245,9 +257,9 @@ def predict(
     x: Floats, p: Floats, noise: Floats, u: Floats, dt: float, f: Floats, work: Floats
 ) -> None:  # pragma: no cover - compiled
     """State and covariance on by ``dt`` s under the inputs ``u``."""
-    transition(x, u, dt, f)
-    sandwich(f, p, work, p)
-    add_noise(p, noise, x, u, dt)
+    predict_state(x, u, dt, f)
+    propagate_covariance(f, p, work, p)
+    add_process_noise(p, noise, x, u, dt)
 
 
 @compiled
@@ -265,8 +277,8 @@ def advance(
     count: int,
     noise: Floats,
 ) -> None:  # pragma: no cover - compiled
-    """Run a ring of samples from index ``first``, whose state stands, to ``last``, both counted without
-    end, and take every one of ``count`` measurements (sorted by ``times``) on its way.
+    """Filter a ring of samples from index ``first``, whose state is given, to ``last`` (both counted on without
+    wrapping) with the ``count`` measurements between them, sorted by ``times``.
 
     ``t`` (r,), ``inputs`` (r, 8), ``states`` (r, 8), ``covariances`` (r, 8, 8); ``values`` (m, 3);
     ``weights`` (m,) gets what each measurement was given.
@@ -275,7 +287,7 @@ def advance(
     f = np.empty((8, 8))
     work = np.empty((8, 8))
     x, p = np.empty(8), np.empty((8, 8))
-    put(states[first % size], covariances[first % size], x, p)
+    copy_state(states[first % size], covariances[first % size], x, p)
     now = t[first % size]
     m = 0
     while m < count and times[m] <= now:
@@ -288,13 +300,13 @@ def advance(
             if times[m] > now:
                 predict(x, p, noise, u, times[m] - now, f, work)
                 now = times[m]
-            weights[m] = measure(x, p, int(kinds[m]), values[m], u, noise)
+            weights[m] = measurement_update(x, p, int(kinds[m]), values[m], u, noise)
             m += 1
         if t[k] > now:
             predict(x, p, noise, u, t[k] - now, f, work)
         now = t[k]
-        imu_update(x, p, noise, u, now - start)
-        put(x, p, states[k], covariances[k])
+        imu_measurement_update(x, p, noise, u, now - start)
+        copy_state(x, p, states[k], covariances[k])
 
 
 @compiled
@@ -316,12 +328,12 @@ def forward(
     f = np.empty((8, 8))
     work = np.empty((8, 8))
     x, p = np.empty(8), np.empty((8, 8))
-    put(start, spread, x, p)
+    copy_state(start, spread, x, p)
     for i in range(t.size):
         if i > 0 and t[i] > t[i - 1]:
             dt = t[i] - t[i - 1]
             predict(x, p, noise, inputs[i], dt, f, work)
-            imu_update(x, p, noise, inputs[i], dt)
+            imu_measurement_update(x, p, noise, inputs[i], dt)
         if kinds[i] >= 0:
-            weights[i] = measure(x, p, int(kinds[i]), values[i], inputs[i], noise)
-        put(x, p, states[i], covariances[i])
+            weights[i] = measurement_update(x, p, int(kinds[i]), values[i], inputs[i], noise)
+        copy_state(x, p, states[i], covariances[i])

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The last seconds of the live filter, so that a late measurement can be taken at its own stamp."""
+"""The last seconds of the live filter, so that a delayed measurement is used at its own stamp."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from bisect import bisect_right
 import numpy as np
 
 from suspension_twin.arrays import Floats
-from suspension_twin.pose import ekf as kernel
+from suspension_twin.pose import ekf
 
 __all__ = ["History", "Measurement"]
 
@@ -29,8 +29,8 @@ class History:
         size = int(seconds * _MAX_RATE) + 2
         self._t = np.zeros(size)
         self._inputs = np.zeros((size, 11))
-        self._states = np.zeros((size, kernel.STATES))
-        self._covariances = np.zeros((size, kernel.STATES, kernel.STATES))
+        self._states = np.zeros((size, ekf.STATES))
+        self._covariances = np.zeros((size, ekf.STATES, ekf.STATES))
         self._noise = noise
         self._kinds = np.zeros(_SLOTS)
         self._times = np.zeros(_SLOTS)
@@ -111,7 +111,7 @@ class History:
         return float(self._weights[slot]) if slot >= 0 else 0.0
 
     def _advance(self, first: int, count: int) -> None:
-        kernel.advance(
+        ekf.advance(
             self._t,
             self._inputs,
             self._states,

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""From a body's signals to the plane: yaw rate, forward pull, where the antenna hangs."""
+"""Planar inputs of the pose filter: yaw rate, forward specific force, lever arm of the antenna."""
 
 from __future__ import annotations
 
@@ -36,10 +36,10 @@ def planar_row(
     antenna: Floats,
     out: Floats,
 ) -> None:  # pragma: no cover - compiled
-    """``out`` (8,): yaw rate about the vertical, forward pull of ``base_link``, two left alone, then the
+    """``out`` (8,): yaw rate about the vertical, forward acceleration of ``base_link``, two left alone, then the
     ``antenna`` (3,) ahead and left of ``base_link`` on level ground, and its velocity there.
 
-    The pull is the specific force without gravity and without what turning and its change ``faster``
+    The acceleration is the specific force without gravity and without what turning and its change ``faster``
     (3,) rad/s² add at the sensor's place ``imu`` (3,). ``slow_up`` is the vertical that slopes alone tilt; the
     antenna's quick sway beyond it counts by the share ``sway``.
     """

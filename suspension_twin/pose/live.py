@@ -10,12 +10,12 @@ import numpy as np
 
 from suspension_twin.arrays import Floats
 from suspension_twin.compiled import compiled
-from suspension_twin.pose.ekf import SIDE, YAW, V
+from suspension_twin.pose.ekf import LATERAL_SPEED, SPEED, YAW
 from suspension_twin.pose.inputs import planar_row
 from suspension_twin.pose.nodes import SLOPE_TIME
 from suspension_twin.pose.smoothed import SWAY_SIGMA
 from suspension_twin.signals.attitude import up_step
-from suspension_twin.signals.standstill import MAX_LEAN, StillLimits, soften
+from suspension_twin.signals.standstill import MAX_TILT_DIFFERENCE, StillLimits, standstill_filter_step
 from suspension_twin.vehicle.twin import Place
 
 __all__ = ["LiveInputs"]
@@ -33,7 +33,7 @@ def _live_row(
     mean: Floats,
     sample: Floats,
     speed: float,
-    pull: float,
+    acceleration: float,
     sway: float,
     dt: float,
     gain: float,
@@ -41,18 +41,18 @@ def _live_row(
     antenna: Floats,
     out: Floats,
 ) -> None:  # pragma: no cover - compiled
-    """Soften ``sample`` (6,), carry ``up`` on by what is left less the vehicle's own planar acceleration, fill
-    ``out`` (11,): the planar inputs, the antenna's sway in m/s, and the yaw rate as it is without the
-    softening; and the running mean and variance ``mean`` (12,) that standstill is judged by."""
+    """Low-pass ``sample`` (6,), update ``up`` by the result less the vehicle's own planar acceleration, fill
+    ``out`` (11,): the planar inputs, the antenna's sway in m/s, and the yaw rate without the low-pass; update
+    the running mean and variance ``mean`` (12,) that standstill is judged by."""
     last = soft[2].copy()
-    soften(soft, sample, dt)
+    standstill_filter_step(soft, sample, dt)
     now = soft[2]
     faster = np.zeros(3)
     if dt > 0.0:
         faster[:] = (now[3:6] - last[3:6]) / dt
     own = now[0:3].copy()
     turn = now[5] - up_bias[2]
-    own[0] -= pull - turn * turn * imu[0] - faster[2] * imu[1]
+    own[0] -= acceleration - turn * turn * imu[0] - faster[2] * imu[1]
     own[1] -= speed * turn + faster[2] * imu[0] - turn * turn * imu[1]
     up_step(up, up_bias, own, now[3:6], dt, GRAVITY, gain, 0.02)
     slow = min(1.0, dt / SLOPE_TIME)
@@ -89,7 +89,7 @@ class LiveInputs:
         self._omega = 0.0
         self._quiet_since = math.nan
         self.standing = False
-        self._pull = 0.0  # forward speed by the accelerometer since standstill, m/s
+        self._imu_speed = 0.0  # forward speed since standstill by integrating the accelerometer, m/s
         self._stood = -math.inf  # when it last stood, s
         self._velocity: tuple[float, float, float] | None = None
         self._heading: tuple[float, float] | None = None
@@ -101,11 +101,11 @@ class LiveInputs:
         force: Sequence[float],
         rate: Sequence[float],
         speed: float,
-        pull: float,
+        acceleration: float,
         known: bool,
         out: Floats,
     ) -> bool:
-        """Fill ``out`` (11,) for a sample; ``speed`` m/s and ``pull`` m/s² are the filter's where ``known``.
+        """Fill ``out`` (11,) for a sample; ``speed`` m/s and ``acceleration`` m/s² are the filter's where ``known``.
         True after a gap."""
         sample = np.array((*force, *rate), dtype=np.float64)
         dt = t - self._t
@@ -128,7 +128,7 @@ class LiveInputs:
             self._mean,
             sample,
             speed,
-            pull,
+            acceleration,
             self._sway_sum / self._sway_weight,
             step,
             gain,
@@ -144,12 +144,12 @@ class LiveInputs:
         self._omega = omega
         out[2] = 1.0 if self.standing else 0.0
         out[3] = 1000.0 if gap else 1.0
-        self._pull = 0.0 if self.standing else self._pull + float(out[1]) * step
+        self._imu_speed = 0.0 if self.standing else self._imu_speed + float(out[1]) * step
         self._stood = t if self.standing else self._stood
         return gap
 
     def _judge(self, t: float, speed: float, known: bool) -> None:
-        """Standing: quiet for half a second, not leaning away from the vertical, and slow as far as known.
+        """Standing: quiet for half a second, no specific force off the vertical, and slow as far as known.
         One loud sample ends it."""
         mean, limits = self._mean.tolist(), self._limits
         variance = max(mean[6], mean[7], mean[8])
@@ -163,7 +163,9 @@ class LiveInputs:
             and abs(soft[5] - mean[5]) < 2.5 * limits.rate
         )
         up = self._up.tolist()
-        quiet = quiet and math.hypot(mean[0] / GRAVITY - up[0], mean[1] / GRAVITY - up[1]) < MAX_LEAN
+        quiet = (
+            quiet and math.hypot(mean[0] / GRAVITY - up[0], mean[1] / GRAVITY - up[1]) < MAX_TILT_DIFFERENCE
+        )
         quiet = quiet and (not known or abs(speed) < 0.3) and self._gps_slow(t)
         if not quiet:
             self._quiet_since = math.nan
@@ -180,12 +182,12 @@ class LiveInputs:
         return t - at > 1.5 or math.hypot(east, north) < 0.3
 
     def learn_sway(self, state: Floats, row: Floats, z: tuple[float, float, float]) -> None:
-        """How much of the body's roll and pitch does the antenna's velocity ``z`` show? A receiver that
-        averages shows less than the arm would have it. ``state`` (8,), ``row`` (10,) at its stamp."""
+        """Estimate the share of the antenna's sway (lever arm times roll and pitch rate) in its velocity ``z``: a
+        receiver that averages shows less than all of it. ``state`` (8,), ``row`` (10,) at its stamp."""
         s = row[8:10].tolist()
         if math.hypot(*s) < 0.05:
             return
-        yaw, speed, side = float(state[YAW]), float(state[V]), float(state[SIDE])
+        yaw, speed, side = float(state[YAW]), float(state[SPEED]), float(state[LATERAL_SPEED])
         c, sn = math.cos(yaw), math.sin(yaw)
         share = self._sway_sum / self._sway_weight
         ahead = z[0] * c + z[1] * sn - speed - float(row[6]) + share * s[0]
@@ -204,7 +206,7 @@ class LiveInputs:
         self._velocity = (t, east, north)
 
     def forget_course(self) -> None:
-        """What came so far misled: wait for new velocities."""
+        """Discard what gave the yaw so far: wait for new velocities."""
         self._velocity = None
         self._heading = None
         self._fixed_course = None
@@ -228,11 +230,11 @@ class LiveInputs:
         dx, dy = east - last[1], north - last[2]
         far = math.hypot(dx, dy)
         if far > max(1.0, 6.0 * math.hypot(sigma, last[3])):
-            doubt = math.hypot(sigma, last[3]) / far + 0.05
-            self._fixed_course = (math.atan2(dy, dx), doubt, far / (t - last[0]))
+            sigma_yaw = math.hypot(sigma, last[3]) / far + 0.05
+            self._fixed_course = (math.atan2(dy, dx), sigma_yaw, far / (t - last[0]))
 
     def course(self, least_speed: float) -> tuple[float, float, float] | None:
-        """Yaw rad, its standard deviation and the signed speed m/s, once they can be told."""
+        """Yaw rad, its standard deviation and the signed speed m/s, once they are known."""
         if self._heading is not None:
             yaw = self._heading[1]
             if self._velocity is None:
@@ -244,12 +246,12 @@ class LiveInputs:
             speed = math.hypot(east, north)
             if speed < least_speed:
                 return None
-            course, doubt = math.atan2(north, east), 0.1 / speed + 0.02
+            course, sigma_yaw = math.atan2(north, east), 0.1 / speed + 0.02
         elif self._fixed_course is not None:
-            course, doubt, speed = self._fixed_course
+            course, sigma_yaw, speed = self._fixed_course
         else:
             return None
-        # The accelerometer has pulled backwards all the way from a rest not long ago: the vehicle reverses.
-        if self._t - self._stood < 10.0 and self._pull < -0.4 * speed:
-            return course + math.pi, doubt, -speed
-        return course, doubt, speed
+        # By the accelerometer the speed since a recent standstill is negative: the vehicle reverses.
+        if self._t - self._stood < 10.0 and self._imu_speed < -0.4 * speed:
+            return course + math.pi, sigma_yaw, -speed
+        return course, sigma_yaw, speed

@@ -15,7 +15,7 @@ __all__ = ["LocalMap"]
 
 class LocalMap:
     """The tangent plane at ``datum``. Exact: no flat-earth shortcut, so ``up`` falls away with the
-    square of the distance and a height above the datum leans outwards by the earth's curvature."""
+    square of the distance and a height above the datum is tilted outwards by the earth's curvature."""
 
     def __init__(self, datum: Datum) -> None:
         self.datum = datum

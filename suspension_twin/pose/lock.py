@@ -10,7 +10,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from suspension_twin.pose import ekf as kernel
+from suspension_twin.pose import ekf
 from suspension_twin.pose.blend import Blend
 from suspension_twin.pose.history import History, Measurement
 from suspension_twin.pose.initial_state import REVERSE_SPEED, REVERSE_TIME
@@ -20,7 +20,7 @@ from suspension_twin.pose.settings import PoseSettings, fix_sigma
 from suspension_twin.signals.attitude import rpy_matrix
 from suspension_twin.signals.checks import Finding
 from suspension_twin.signals.clock import JUMP_BACK, MAX_STAMP
-from suspension_twin.signals.standstill import SOFT_DELAY
+from suspension_twin.signals.standstill import STANDSTILL_FILTER_DELAY
 from suspension_twin.vehicle.twin import Datum, Place
 
 __all__ = ["PlanarState", "PoseLock"]
@@ -51,8 +51,8 @@ class PlanarState(NamedTuple):
 class PoseLock:
     """Feed it every sample of ``imu/data`` and every fix, velocity and heading, in any order of arrival.
 
-    A fix that comes late is taken at its own stamp: the filter goes back to it and runs again over
-    the samples since. What that changes is bled into the output, not jumped to. A stamp set back by
+    A delayed fix is used at its own stamp: the filter goes back to it and runs again over
+    the samples since. The output takes the correction over gradually, without a step. A stamp set back by
     more than a second resets everything. Never raises on a message.
     """
 
@@ -73,7 +73,7 @@ class PoseLock:
         self._turn = None if imu_turn is None else rpy_matrix(imu_turn)
         self._gain = imu_gain
         self._given_datum = datum
-        self._late = self.settings.imu_delay + SOFT_DELAY
+        self._filter_delay = self.settings.imu_delay + STANDSTILL_FILTER_DELAY
         self._history = History(self.settings.history, self.settings.noise())
         self.reset()
 
@@ -93,7 +93,7 @@ class PoseLock:
         self._last_good_fix = -math.inf
         self._last_fix = -math.inf
         self._place: tuple[float, float, float, float] | None = None
-        self._delay = math.nan
+        self._fix_latency = math.nan
 
     @property
     def datum(self) -> Datum | None:
@@ -108,7 +108,7 @@ class PoseLock:
     @property
     def latency(self) -> float:
         """How old fixes are when they arrive, in s on the IMU's clock, averaged; NaN before the first."""
-        return self._delay
+        return self._fix_latency
 
     @property
     def fix_age(self) -> float:
@@ -127,7 +127,7 @@ class PoseLock:
 
     @property
     def findings(self) -> list[Finding]:
-        """What keeps the pose from being locked, or made it doubtful."""
+        """What keeps the pose from being locked, or makes it unreliable."""
         if self._history.head < 0:
             return [Finding("warn", "no_imu", "no IMU samples yet: is imu/data published?")]
         found = []
@@ -148,8 +148,10 @@ class PoseLock:
         ):
             if self.counts[count]:
                 found.append(Finding("warn", code, f"{self.counts[count]} {text}"))
-        if self._delay > 0.5:
-            found.append(Finding("warn", "latency", f"fixes come {self._delay:.2f} s after their stamps"))
+        if self._fix_latency > 0.5:
+            found.append(
+                Finding("warn", "latency", f"fixes come {self._fix_latency:.2f} s after their stamps")
+            )
         return found
 
     # -- what comes in ------------------------------------------------------------------------
@@ -166,7 +168,7 @@ class PoseLock:
             force, rate = (self._turn @ force).tolist(), (self._turn @ rate).tolist()
         if self._gain != 1.0:  # the excess of its vertical has gone with the bias at rest
             force = (force[0] / self._gain, force[1] / self._gain, force[2])
-        t -= self._late  # what the low-passes let out now happened that long ago
+        t -= self._filter_delay  # what the low-passes let out now happened that long ago
         history = self._history
         if history.head >= 0:
             dt = t - history.stamp(history.head)
@@ -176,12 +178,12 @@ class PoseLock:
             elif dt <= 0.0:
                 self.counts["late"] += 1
                 return None
-        speed, pull = 0.0, 0.0
+        speed, acceleration = 0.0, 0.0
         if self._aligned:
             before = history.state(history.head)
-            speed, pull = float(before[kernel.V]), float(before[kernel.A])
+            speed, acceleration = float(before[ekf.SPEED]), float(before[ekf.ACCELERATION])
         row = history.append(t)
-        if self._live.row(t, force, rate, speed, pull, self._aligned, row):
+        if self._live.row(t, force, rate, speed, acceleration, self._aligned, row):
             self.counts["gaps"] += 1
         if self._aligned:
             history.step()
@@ -215,30 +217,32 @@ class PoseLock:
         height = altitude if math.isfinite(altitude) else self._map.datum.altitude
         east, north, _ = (float(c) for c in self._map.to_map(latitude, longitude, height))
         if self._history.head >= 0:
-            late = self._now() - t
-            self._delay = late if math.isnan(self._delay) else self._delay + 0.1 * (late - self._delay)
+            age = self._now() - t
+            self._fix_latency = (
+                age if math.isnan(self._fix_latency) else self._fix_latency + 0.1 * (age - self._fix_latency)
+            )
         self._last_fix = max(self._last_fix, t)
-        self._arrive(t, kernel.FIX, (east, north, sigma))
+        self._arrive(t, ekf.FIX, (east, north, sigma))
 
     def on_velocity(self, t: float, east: float, north: float) -> None:
         """One GPS velocity of the antenna in m/s."""
         if not all(map(math.isfinite, (t, east, north))) or math.hypot(east, north) > 150.0:
             self.counts["unusable"] += 1
             return
-        self._arrive(t, kernel.VELOCITY, (east, north, self.settings.velocity_sigma))
+        self._arrive(t, ekf.VELOCITY, (east, north, self.settings.velocity_sigma))
 
     def on_heading(self, t: float, yaw: float) -> None:
         """One heading: yaw of ``base_link`` in ``map`` in rad."""
         if not (math.isfinite(t) and math.isfinite(yaw)):
             self.counts["unusable"] += 1
             return
-        self._arrive(t, kernel.HEADING, (yaw, 0.0, self.settings.heading_sigma))
+        self._arrive(t, ekf.HEADING, (yaw, 0.0, self.settings.heading_sigma))
 
     # -- what it does -------------------------------------------------------------------------
 
     def _now(self) -> float:
         """The newest IMU stamp."""
-        return self._history.stamp(self._history.head) + self._late
+        return self._history.stamp(self._history.head) + self._filter_delay
 
     def _arrive(self, t: float, kind: int, z: Measurement) -> None:
         head = self._history.head
@@ -251,7 +255,7 @@ class PoseLock:
             self.counts["from_the_future"] += 1
 
     def _take(self, t: float, kind: int, z: Measurement) -> None:
-        if kind == kernel.VELOCITY:
+        if kind == ekf.VELOCITY:
             self._live.note_velocity(t, z[0], z[1])
         if not self._aligned:
             self._align(t, kind, z)
@@ -261,35 +265,35 @@ class PoseLock:
         if first < 0 or history.stamp(history.head) - t > self.settings.history:
             self.counts["too_late"] += 1
             return
-        if kind == kernel.FIX and self._refused >= 3 and t - self._refused_since >= 1.0:
-            kind = kernel.RESET  # refused for so long, it is the pose that is wrong
-        elif kind == kernel.VELOCITY:
+        if kind == ekf.FIX and self._refused >= 3 and t - self._refused_since >= 1.0:
+            kind = ekf.RESET  # refused for so long, it is the pose that is wrong
+        elif kind == ekf.VELOCITY:
             self._live.learn_sway(history.state(first), history.inputs(first), z)
         before = history.state(history.head).copy()
         weight = history.take(first, t, kind, z)
         self._blend.correct(before, history.state(history.head))
         self.counts["refused"] += weight == 0.0
-        if kind == kernel.VELOCITY:
+        if kind == ekf.VELOCITY:
             self._misled = 0 if weight > 0.0 else self._misled + 1
             return
-        if kind == kernel.HEADING:
+        if kind == ekf.HEADING:
             return
-        if kind == kernel.RESET and self._misled >= 3:
+        if kind == ekf.RESET and self._misled >= 3:
             # Neither place nor velocity was right: the yaw is not.
             self._begin_again()
         if weight > 0.0:
             self._refused = 0
             self._last_good_fix = max(self._last_good_fix, t)
-            self.counts["relocated"] += kind == kernel.RESET
+            self.counts["relocated"] += kind == ekf.RESET
         else:
             self._refused_since = t if self._refused == 0 else self._refused_since
             self._refused += 1
 
     def _align(self, t: float, kind: int, z: Measurement) -> None:
         """Wait for a fix and a yaw: from a heading, from the course, or from two fixes apart."""
-        if kind == kernel.HEADING:
+        if kind == ekf.HEADING:
             self._live.note_heading(t, z[0])
-        elif kind == kernel.FIX:
+        elif kind == ekf.FIX:
             self._live.note_fix(t, *z, self._place)
             self._place = (t, *z)
         found = self._live.course(self.settings.align_speed)
@@ -300,18 +304,20 @@ class PoseLock:
         first = history.before(min(t, when))
         if first < 0:
             return
-        yaw, doubt, speed = found
+        yaw, yaw_sigma, speed = found
         c, s = math.cos(yaw), math.sin(yaw)
         ahead, left = history.inputs(first)[4:6]
         back = history.stamp(first) - when
-        x = np.zeros(kernel.STATES)
-        x[kernel.X] = east - (ahead * c - left * s) + back * speed * c
-        x[kernel.Y] = north - (ahead * s + left * c) + back * speed * s
-        x[kernel.YAW] = yaw
-        x[kernel.V] = speed
+        x = np.zeros(ekf.STATES)
+        x[ekf.X] = east - (ahead * c - left * s) + back * speed * c
+        x[ekf.Y] = north - (ahead * s + left * c) + back * speed * s
+        x[ekf.YAW] = yaw
+        x[ekf.SPEED] = speed
         place = sigma + abs(back)
         history.state(first)[:] = x
-        history.covariance(first)[:] = np.diag(np.array([place, place, doubt, 0.5, 1.0, 0.1, 0.01, 0.2]) ** 2)
+        history.covariance(first)[:] = np.diag(
+            np.array([place, place, yaw_sigma, 0.5, 1.0, 0.1, 0.01, 0.2]) ** 2
+        )
         self._aligned = True
         self._last_good_fix = when
         history.run(first)
@@ -319,7 +325,7 @@ class PoseLock:
 
     def _face_forward(self, t: float) -> None:
         """Nothing on the road reverses this fast for this long: it was aligned the wrong way round."""
-        if self._history.state(self._history.head)[kernel.V] > -REVERSE_SPEED:
+        if self._history.state(self._history.head)[ekf.SPEED] > -REVERSE_SPEED:
             self._backwards_since = math.nan
         elif math.isnan(self._backwards_since):
             self._backwards_since = t
@@ -336,7 +342,7 @@ class PoseLock:
         self.counts["turned_round"] += 1
 
     def _output(self) -> PlanarState | None:
-        history, delay = self._history, self._late
+        history, delay = self._history, self._filter_delay
         t = history.stamp(history.head)
         if not self._aligned:
             if self._place is None:
@@ -344,13 +350,13 @@ class PoseLock:
             _, x, y, sigma = self._place
             unknown = (sigma**2, 0.0, 0.0, sigma**2, 0.0, math.pi**2)
             return PlanarState(t + delay, x, y, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, False, unknown)
-        x, y, yaw, v, pull, side, gyro, _ = history.state(history.head).tolist()
+        x, y, yaw, v, acceleration, side, gyro, _ = history.state(history.head).tolist()
         u = history.inputs(history.head)
         omega = 0.0 if u[2] > 0.5 else float(u[10]) - gyro
         dx, dy, dyaw, dv = self._blend.step(t)
         yaw += delay * omega + dyaw
         c, s = math.cos(yaw), math.sin(yaw)
-        speed = v + delay * pull + dv
+        speed = v + delay * acceleration + dv
         p = history.covariance(history.head)
         return PlanarState(
             t + delay,
@@ -360,7 +366,7 @@ class PoseLock:
             speed,
             side,
             omega,
-            pull,
+            acceleration,
             speed * omega,
             t - self._last_good_fix <= self.settings.outage,
             (

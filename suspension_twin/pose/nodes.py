@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A recorded drive as the planar filter wants it: nodes in time, their inputs and measurements."""
+"""A recorded drive as nodes of the pose filter: times, inputs, measurements."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from scipy.ndimage import gaussian_filter1d
 from suspension_twin.arrays import Floats
 from suspension_twin.drive.types import Drive
 from suspension_twin.errors import InputError
-from suspension_twin.pose import ekf as kernel
+from suspension_twin.pose import ekf
 from suspension_twin.pose.inputs import planar_inputs
 from suspension_twin.pose.local_map import LocalMap
 from suspension_twin.pose.settings import PoseSettings, fix_sigma
@@ -21,20 +21,20 @@ from suspension_twin.signals.offline import ImuSignals
 from suspension_twin.vehicle.twin import Datum, Place
 
 __all__ = [
-    "MOST_SLOPE",
+    "MAX_MEAN_SLOPE",
     "SLOPE_TIME",
     "Measurements",
     "Nodes",
     "gather",
     "make_nodes",
-    "mean_lean",
+    "mean_tilt",
     "planar_rows",
 ]
 
 #: Hz to which yaw rate and forward pull are smoothed before they meet the filter's nodes.
 PLANAR = FilterSpec(2, 12.0)
 STEP = 0.01  # s between nodes at most
-MOST_SLOPE = 3.0  # degrees on average of a drive; a sensor that leans more is mounted so
+MAX_MEAN_SLOPE = 3.0  # degrees on average of a drive; a larger mean tilt is the sensor's mounting
 SLOPE_TIME = 5.0  # s; what tilts the vehicle for longer is a slope, not a sway
 
 
@@ -76,15 +76,15 @@ def gather(drive: Drive, datum: Datum, settings: PoseSettings) -> Measurements:
         raise InputError(drive.name, "fix", "has no usable GPS fix: the pose cannot be found")
     height = np.where(np.isfinite(fix.altitude), fix.altitude, datum.altitude)
     enu = LocalMap(datum).to_map(fix.latitude[usable], fix.longitude[usable], height[usable])
-    parts = [(fix.t[usable], kernel.FIX, np.column_stack([enu[:, :2], sigma[usable]]))]
+    parts = [(fix.t[usable], ekf.FIX, np.column_stack([enu[:, :2], sigma[usable]]))]
     good = np.isfinite(velocity.t) & np.isfinite(velocity.enu[:, :2]).all(axis=1)
     spread = max(settings.velocity_sigma, 0.05 * float(np.median(sigma[usable])))
-    parts.append((velocity.t[good], kernel.VELOCITY, _with(velocity.enu[good, :2], spread)))
+    parts.append((velocity.t[good], ekf.VELOCITY, _with(velocity.enu[good, :2], spread)))
     if drive.heading is not None:
         good = np.isfinite(drive.heading.t) & np.isfinite(drive.heading.yaw)
         yaw = drive.heading.yaw[good]
         pair = np.column_stack([yaw, np.zeros_like(yaw)])
-        parts.append((drive.heading.t[good], kernel.HEADING, _with(pair, settings.heading_sigma)))
+        parts.append((drive.heading.t[good], ekf.HEADING, _with(pair, settings.heading_sigma)))
     t = np.concatenate([part[0] for part in parts])
     kind = np.concatenate([np.full(len(part[0]), float(part[1])) for part in parts])
     z = np.vstack([part[2] for part in parts])
@@ -101,7 +101,7 @@ def _with(pair: Floats, sigma: float) -> Floats:
 
 def planar_rows(signals: ImuSignals, gps_place: Place, upright: bool = False) -> tuple[Floats, Floats]:
     """(n, 8) planar inputs at the IMU's stamps without the antenna's sway, and (n, 4) what it adds; ``upright``: on
-    average it is the sensor that leans and not the vehicle with its antenna."""
+    average the tilt is that of the sensor's mounting, not of the vehicle with its antenna."""
     spec = FilterSpec(PLANAR.order, min(PLANAR.cutoff, 0.4 * signals.rate_hz))
     force = zero_phase(spec, signals.rate_hz, signals.force)
     rate = zero_phase(spec, signals.rate_hz, signals.rate)
@@ -113,8 +113,8 @@ def planar_rows(signals: ImuSignals, gps_place: Place, upright: bool = False) ->
         planar_inputs(force, rate, faster, signals.up, slow, share, signals.gravity, imu, antenna)
         for share in (0.0, 1.0)
     )
-    # the antenna hangs where the vehicle leans, not where its sensor does
-    if upright or mean_lean(signals.up) > MOST_SLOPE:
+    # the antenna tilts with the vehicle, not with the sensor's mounting
+    if upright or mean_tilt(signals.up) > MAX_MEAN_SLOPE:
         up, slow = _upright(signals.up), _upright(slow)
         for share, out in ((0.0, still), (1.0, swaying)):
             right = planar_inputs(force, rate, faster, up, slow, share, signals.gravity, imu, antenna)
@@ -123,7 +123,7 @@ def planar_rows(signals: ImuSignals, gps_place: Place, upright: bool = False) ->
     return still, swaying[:, 4:] - still[:, 4:]
 
 
-def mean_lean(up: Floats) -> float:
+def mean_tilt(up: Floats) -> float:
     """Degrees by which the mean of verticals (n, 3) is off the z axis."""
     mean = up.mean(axis=0)
     return math.degrees(math.atan2(math.hypot(mean[0], mean[1]), mean[2]))
@@ -143,7 +143,7 @@ def _upright(up: Floats) -> Floats:
 def make_nodes(signals: ImuSignals, rows: Floats, sway: Floats, measured: Measurements) -> Nodes:
     """An even grid of nodes and one more for each measurement, at its very stamp."""
     inside = (measured.t >= signals.t[0]) & (measured.t <= signals.t[-1])
-    if np.count_nonzero(inside & (measured.kind == kernel.FIX)) < 2:
+    if np.count_nonzero(inside & (measured.kind == ekf.FIX)) < 2:
         raise InputError("fix", "fewer than two fixes within the time of the IMU: do the clocks agree?")
     step = max(STEP, 1.0 / signals.rate_hz)
     count = max(2, math.ceil((signals.t[-1] - signals.t[0]) / step) + 1)

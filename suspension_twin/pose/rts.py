@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The smoother behind the planar filter: Rauch, Tung and Striebel's ("Maximum likelihood estimates of
+"""Fixed-interval smoother of the pose filter: Rauch, Tung and Striebel's ("Maximum likelihood estimates of
 linear dynamic systems", AIAA J. 3, 1965)."""
 
 from __future__ import annotations
@@ -10,7 +10,7 @@ import numpy as np
 
 from suspension_twin.arrays import Floats
 from suspension_twin.compiled import compiled
-from suspension_twin.pose.ekf import add_noise, put, sandwich, transition
+from suspension_twin.pose.ekf import add_process_noise, copy_state, predict_state, propagate_covariance
 
 __all__ = ["smooth"]
 
@@ -57,14 +57,14 @@ def smooth(
         dt = t[i + 1] - t[i]
         p = covariances[i]
         if dt <= 0.0:
-            put(states[i + 1], covariances[i + 1], states[i], p)
+            copy_state(states[i + 1], covariances[i + 1], states[i], p)
             continue
         for k in range(8):
             x[k] = states[i, k]
         u = inputs[i + 1]
-        transition(x, u, dt, f)
-        sandwich(f, p, work, ahead)
-        add_noise(ahead, noise, x, u, dt)
+        predict_state(x, u, dt, f)
+        propagate_covariance(f, p, work, ahead)
+        add_process_noise(ahead, noise, x, u, dt)
         # gain = ahead^-1 f p, with each state scaled to its spread: metres beside micro-radians.
         for k in range(8):
             scale[k] = 1.0 / math.sqrt(ahead[k, k])

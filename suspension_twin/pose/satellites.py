@@ -2,7 +2,7 @@
 """The planar motion that the receiver alone has seen, and the IMU as slowly beside it.
 
 The locked pose is fused from receiver and IMU: a comparison with that IMU would find it right whatever
-its clock and its mounting are. Where no road tells the two apart, the path comes from the fixes alone,
+its clock and its mounting are. Where no road separates the two, the path comes from the fixes alone,
 and both sides are brought down to what fixes at a few hertz can hold.
 """
 
@@ -57,7 +57,7 @@ def satellite_motion(
     good = good[np.concatenate([[True], np.diff(fix.t[good]) > 1e-3])] if good.size else good
     if good.size < 20:
         raise InputError(
-            drive.name, "fix", f"has {good.size} usable positions: too few to tell accelerations from"
+            drive.name, "fix", f"has {good.size} usable positions: too few to derive accelerations from"
         )
     at = fix.t[good]
     places = LocalMap(datum).to_map(
@@ -76,7 +76,7 @@ def satellite_motion(
     path = slow(np.asarray(CubicSpline(at, places[:, :2])(inside)))
     arm = np.asarray(gps_place.position[:2])
     own = path
-    # a course told too slowly reaches as far as the filter does
+    # the filter spreads an error of the course this far
     margin = round(rate / spec.cutoff)
     # the antenna's course is not the vehicle's where it sits ahead of the rear axle: once more from there
     for _ in range(2):
@@ -85,13 +85,13 @@ def satellite_motion(
         fast = minimum_filter1d(speed, 2 * margin + 1) > _SLOWEST
         if not fast.any():
             raise InputError(
-                drive.name, "fix", f"never moves faster than {_SLOWEST:g} m/s: no course can be told"
+                drive.name, "fix", f"never moves faster than {_SLOWEST:g} m/s: the course is undefined"
             )
         yaw = np.unwrap(np.arctan2(velocity[fast, 1], velocity[fast, 0]))
         yaw = slow(np.interp(t, t[fast], yaw))
         c, s = np.cos(yaw), np.sin(yaw)
         own = path - np.stack([c * arm[0] - s * arm[1], s * arm[0] + c * arm[1]], axis=1)
-    turn, pull = np.gradient(yaw, t), np.gradient(speed, t)
+    turn, acceleration = np.gradient(yaw, t), np.gradient(speed, t)
     wide = np.flatnonzero(np.diff(at) > _GAP)
     near = (t >= at[0]) & (t <= at[-1])
     for i in wide:
@@ -106,7 +106,7 @@ def satellite_motion(
         speed=speed[cut],
         lateral_speed=np.zeros_like(speed[cut]),
         yaw_rate=turn[cut],
-        ax=pull[cut],
+        ax=acceleration[cut],
         ay=(speed * turn)[cut],
         valid=minimum_filter1d(fast & near, 2 * margin + 1)[cut],
     )
@@ -142,7 +142,7 @@ def _hills(
     slow: Callable[[Floats], Floats],
 ) -> Floats:
     """(n,) m/s² what gravity adds to the longitudinal specific force where the road climbs, which no flat
-    road shows; zero where the receiver does not know its height well enough to tell."""
+    road shows; zero where the receiver's height is too uncertain."""
     good = good[np.isfinite(fix.altitude[good])]
     sigma = fix.sigma[good, 2]
     if good.size < 2:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""How the pose is locked: what to believe of each sensor."""
+"""Noise, gates and time constants of the pose filter."""
 
 from __future__ import annotations
 
@@ -60,7 +60,7 @@ class PoseSettings:
             raise InputError("pose", "imu_delay", f"must be below 0.2 s, is {self.imu_delay}")
 
     def noise(self, hard: bool = True) -> Floats:
-        """(9,) densities in the order that the kernel reads, then the distance in standard deviations from
+        """(9,) densities in the order of :mod:`suspension_twin.pose.ekf`, then the distance in standard deviations from
         which a measurement weighs less and, if ``hard``, the one beyond which it is refused."""
         return np.array(
             [
@@ -80,7 +80,7 @@ class PoseSettings:
 def fix_sigma(settings: PoseSettings, status: int, east: float, north: float) -> float:
     """Standard deviation in m to use for a fix; NaN where the fix is of no use.
 
-    ``status`` of sensor_msgs/NavSatStatus, where a receiver that does not tell (-2) counts as one with a
+    ``status`` of sensor_msgs/NavSatStatus, where a receiver that does not report it (-2) counts as one with a
     plain fix; ``east`` and ``north`` m, NaN or 0 where not given.
     """
     if status == NO_FIX:

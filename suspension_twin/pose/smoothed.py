@@ -11,7 +11,7 @@ from scipy.interpolate import CubicHermiteSpline
 
 from suspension_twin.arrays import Floats
 from suspension_twin.drive.types import Drive
-from suspension_twin.pose import ekf as kernel
+from suspension_twin.pose import ekf
 from suspension_twin.pose.initial_state import first_state
 from suspension_twin.pose.nodes import Nodes, gather, make_nodes, planar_rows
 from suspension_twin.pose.rts import smooth
@@ -23,7 +23,7 @@ from suspension_twin.vehicle.twin import Datum, Place
 __all__ = ["locked_trajectory"]
 
 PASSES = 4
-#: How sure the twin file's antenna height is of telling the sway: 1 with this standard deviation.
+#: Prior of the share of the antenna's sway: 1 with this standard deviation.
 SWAY_SIGMA = 0.3
 FAR = 50.0  # factor on a measurement's standard deviation beyond which it no longer supports a pose
 
@@ -39,10 +39,10 @@ def locked_trajectory(
 ) -> Trajectory:
     """Where ``base_link`` was at stamps ``t`` (n,) s, strictly rising.
 
-    Forward filter and backward smoother over the whole drive, repeated with what the residuals
-    teach: the receiver's true noise, which measurements are outliers, and how much of the body's
-    roll and pitch its antenna shows (a receiver that averages shows less). ``upright``: where the sensor leans all
-    the way the vehicle does not. Raises InputError where no fix or no motion lets the pose be found.
+    Forward filter and backward smoother over the whole drive, repeated with what the residuals show:
+    the receiver's noise, outliers among the measurements, and the share of the antenna's sway that the
+    receiver reports (less where it averages). ``upright``: a mean tilt is the sensor's mounting.
+    Raises InputError where no fix or no motion lets the pose be found.
     """
     settings = settings or PoseSettings()
     measured = gather(drive, datum, settings)
@@ -50,14 +50,14 @@ def locked_trajectory(
     nodes = make_nodes(signals, rows, sway, measured)
     start, spread = first_state(measured, signals.t, rows)
     noise = settings.noise(hard=False)
-    states = np.empty((nodes.t.size, kernel.STATES))
-    covariances = np.empty((nodes.t.size, kernel.STATES, kernel.STATES))
+    states = np.empty((nodes.t.size, ekf.STATES))
+    covariances = np.empty((nodes.t.size, ekf.STATES, ekf.STATES))
     weights = np.zeros(nodes.t.size)
     factor = np.ones(nodes.t.size)
     share = 1.0
     for _ in range(PASSES):
         now = _with(nodes, share, factor)
-        kernel.forward(now.t, now.inputs, now.kind, now.z, start, spread, noise, states, covariances, weights)
+        ekf.forward(now.t, now.inputs, now.kind, now.z, start, spread, noise, states, covariances, weights)
         smooth(now.t, now.inputs, noise, states, covariances)
         share = _sway_share(now, states, share)
         factor = _noise_factors(_with(nodes, share, np.ones(nodes.t.size)), states)
@@ -76,21 +76,21 @@ def _residuals(nodes: Nodes, states: Floats, which: int) -> Floats:
     """(j, 2) measured less expected, ahead and to the left, of the measurements of one kind."""
     at = nodes.kind == which
     x, u, z = states[at], nodes.inputs[at], nodes.z[at]
-    c, s = np.cos(x[:, kernel.YAW]), np.sin(x[:, kernel.YAW])
+    c, s = np.cos(x[:, ekf.YAW]), np.sin(x[:, ekf.YAW])
     east, north = z[:, 0], z[:, 1]
-    if which == kernel.FIX:
-        east, north = east - x[:, kernel.X], north - x[:, kernel.Y]
+    if which == ekf.FIX:
+        east, north = east - x[:, ekf.X], north - x[:, ekf.Y]
         ahead, left = u[:, 4], u[:, 5]
     else:
-        ahead, left = x[:, kernel.V] + u[:, 6], x[:, kernel.SIDE] + u[:, 7]
+        ahead, left = x[:, ekf.SPEED] + u[:, 6], x[:, ekf.LATERAL_SPEED] + u[:, 7]
     return np.column_stack([east * c + north * s - ahead, north * c - east * s - left])
 
 
 def _sway_share(nodes: Nodes, states: Floats, share: float) -> float:
-    """Least squares of what the residuals have of the antenna's sway, with the twin file's say."""
+    """Share of the antenna's sway in the residuals, by least squares with its prior."""
     weight = 1.0 / SWAY_SIGMA**2
     total = weight
-    for which, columns in ((kernel.FIX, slice(0, 2)), (kernel.VELOCITY, slice(2, 4))):
+    for which, columns in ((ekf.FIX, slice(0, 2)), (ekf.VELOCITY, slice(2, 4))):
         at = nodes.kind == which
         if not at.any():
             continue
@@ -105,7 +105,7 @@ def _noise_factors(nodes: Nodes, states: Floats) -> Floats:
     """(k,) factors on the standard deviations: the noise that the residuals show for each kind of
     measurement, and more for each that lies further off than its kind does."""
     factor = np.ones(nodes.kind.size)
-    for which in (kernel.FIX, kernel.VELOCITY):
+    for which in (ekf.FIX, ekf.VELOCITY):
         at = nodes.kind == which
         if not at.any():
             continue
@@ -129,22 +129,22 @@ def _evaluate(
     """Between the nodes: cubics through position and velocity, so both stay in step."""
     last = np.append(np.diff(nodes.t) > 1e-7, True)  # of nodes that share a stamp the last has it all
     at, x = nodes.t[last], states[last]
-    turn = np.interp(at, signals.t, rows[:, 0]) - x[:, kernel.GYRO]
+    turn = np.interp(at, signals.t, rows[:, 0]) - x[:, ekf.GYRO_BIAS]
     turn = np.where(np.interp(at, signals.t, signals.standing) > 0.5, 0.0, turn)
-    c, s = np.cos(x[:, kernel.YAW]), np.sin(x[:, kernel.YAW])
-    v, side, pull = x[:, kernel.V], x[:, kernel.SIDE], x[:, kernel.A]
+    c, s = np.cos(x[:, ekf.YAW]), np.sin(x[:, ekf.YAW])
+    v, side, acceleration = x[:, ekf.SPEED], x[:, ekf.LATERAL_SPEED], x[:, ekf.ACCELERATION]
     inside = np.clip(t, at[0], at[-1])
-    speed = CubicHermiteSpline(at, v, pull + turn * side)(inside)
+    speed = CubicHermiteSpline(at, v, acceleration + turn * side)(inside)
     yaw_rate = np.interp(inside, at, turn)
     return Trajectory(
         t=t,
-        x=CubicHermiteSpline(at, x[:, kernel.X], v * c - side * s)(inside),
-        y=CubicHermiteSpline(at, x[:, kernel.Y], v * s + side * c)(inside),
-        yaw=CubicHermiteSpline(at, x[:, kernel.YAW], turn)(inside),
+        x=CubicHermiteSpline(at, x[:, ekf.X], v * c - side * s)(inside),
+        y=CubicHermiteSpline(at, x[:, ekf.Y], v * s + side * c)(inside),
+        yaw=CubicHermiteSpline(at, x[:, ekf.YAW], turn)(inside),
         speed=speed,
         lateral_speed=np.interp(inside, at, side),
         yaw_rate=yaw_rate,
-        ax=np.interp(inside, at, pull),
+        ax=np.interp(inside, at, acceleration),
         ay=speed * yaw_rate,
         valid=_valid(t, nodes, factor, settings) & (t >= at[0]) & (t <= at[-1]),
     )
@@ -153,7 +153,7 @@ def _evaluate(
 def _valid(t: Floats, nodes: Nodes, factor: Floats, settings: PoseSettings) -> NDArray[np.bool_]:
     """(n,) True within ``outage`` s of a fix on either side that was not thrown out, half of that before the
     first and after the last."""
-    used = nodes.t[(nodes.kind == kernel.FIX) & (factor < FAR)]
+    used = nodes.t[(nodes.kind == ekf.FIX) & (factor < FAR)]
     if not used.size:
         return np.zeros(t.size, dtype=np.bool_)
     after = np.searchsorted(used, t)

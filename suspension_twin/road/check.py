@@ -18,7 +18,7 @@ from suspension_twin.road.iso8608 import class_of, road_psd
 from suspension_twin.road.road import Road
 from suspension_twin.road.spikes import Spikes, find_spikes
 
-__all__ = ["Finding", "RoadCheck", "check_file", "check_road", "wheel_tracks"]
+__all__ = ["RoadCheck", "RoadFinding", "check_file", "check_road", "wheel_tracks"]
 
 #: A jump this high (m) and this steep (m/m) between neighbours is a step, unless a spike makes it.
 _STEP, _STEP_SLOPE = 0.05, 1.0
@@ -28,7 +28,7 @@ _TRACK = 1.5
 
 
 @dataclass(frozen=True)
-class Finding:
+class RoadFinding:
     """One thing worth knowing: ``fault`` True where a simulation would suffer from it."""
 
     text: str
@@ -41,7 +41,7 @@ class RoadCheck:
 
     road: Road
     facts: dict[str, str]
-    findings: tuple[Finding, ...]
+    findings: tuple[RoadFinding, ...]
     spikes: Spikes
 
     @property
@@ -58,7 +58,7 @@ def check_file(path: str | os.PathLike[str]) -> RoadCheck:
     start = [text.road.get(f"reference_line_start_{k}", 0.0) for k in ("x", "y", "phi")]
     if text.mods is None and any(start):
         extra.append(
-            Finding(
+            RoadFinding(
                 "the file has no $ROAD_CRG_MODS section, so OpenCRG's default moves its start from "
                 f"({start[0]:.2f}, {start[1]:.2f}) m, heading {math.degrees(start[2]):.1f} deg, to the origin of map; "
                 "an empty section would keep it there",
@@ -69,20 +69,22 @@ def check_file(path: str | os.PathLike[str]) -> RoadCheck:
         held = (
             f"{100 * text.missing:.2g} % of the heights are missing in the file, filled as its modifiers say"
         )
-        extra.append(Finding(held, fault=False))
+        extra.append(RoadFinding(held, fault=False))
     return check_road(road, tuple(extra))
 
 
-def check_road(road: Road, also: tuple[Finding, ...] = ()) -> RoadCheck:
+def check_road(road: Road, also: tuple[RoadFinding, ...] = ()) -> RoadCheck:
     """Figures and findings of a road; ``also`` is put before them."""
     spikes = find_spikes(road)
-    findings = [*also, *(Finding(f"the OpenCRG library warns: {note}", True) for note in road.notes)]
+    findings = [*also, *(RoadFinding(f"the OpenCRG library warns: {note}", True) for note in road.notes)]
     facts = _facts(road, spikes)
     missing = np.isnan(road.z)
     if missing.any():
         inner = int(_enclosed(missing).sum())
         share = f"{100 * missing.mean():.2g} % of the heights are missing"
-        findings.append(Finding(f"{share}, {inner} of them between data; wheels there are held", inner > 0))
+        findings.append(
+            RoadFinding(f"{share}, {inner} of them between data; wheels there are held", inner > 0)
+        )
     for spike in spikes.found[:5]:
         across = (
             f"v {spike.v:.2f} m"
@@ -91,14 +93,14 @@ def check_road(road: Road, also: tuple[Finding, ...] = ()) -> RoadCheck:
         )
         kind = "spike" if spike.height > 0 else "pit"
         findings.append(
-            Finding(
+            RoadFinding(
                 f"{kind} of {1e3 * abs(spike.height):.0f} mm, with a step of {1e3 * spike.step:.0f} mm, "
                 f"at u {spike.u:.2f} m, {across}",
                 True,
             )
         )
     if len(spikes) > 5:
-        findings.append(Finding(f"and {len(spikes) - 5} smaller spikes", True))
+        findings.append(RoadFinding(f"and {len(spikes) - 5} smaller spikes", True))
     findings += _steps(road, spikes) + _shape(road)
     return RoadCheck(road, facts, tuple(findings), spikes)
 
@@ -177,7 +179,7 @@ def _enclosed(missing: object) -> np.ndarray[tuple[int, ...], np.dtype[np.bool_]
     return gone & ((left & right) | empty)
 
 
-def _steps(road: Road, spikes: Spikes) -> list[Finding]:
+def _steps(road: Road, spikes: Spikes) -> list[RoadFinding]:
     grid = road.heights_grid
     jump = np.abs(np.diff(grid, axis=0))
     high = (jump > _STEP) & (jump > _STEP_SLOPE * road.u_step) & ~spikes.mask[1:] & ~spikes.mask[:-1]
@@ -189,28 +191,28 @@ def _steps(road: Road, spikes: Spikes) -> list[Finding]:
     sized = [(float(np.where(high[p], jump[p], 0.0).max()), float(road.u[p[0]])) for p in places]
     sized.sort(reverse=True)
     found = [
-        Finding(
+        RoadFinding(
             f"step of {1e3 * size:.0f} mm at u {u:.2f} m; a wheel that touches at one point jumps it", True
         )
         for size, u in sized[:3]
     ]
     if len(sized) > 3:
-        found.append(Finding(f"and steps at {len(sized) - 3} more places", True))
+        found.append(RoadFinding(f"and steps at {len(sized) - 3} more places", True))
     return found
 
 
-def _shape(road: Road) -> list[Finding]:
+def _shape(road: Road) -> list[RoadFinding]:
     found = []
     if road.u_step > _COARSE:
         text = (
             f"a cross section every {road.u_step:g} m: waves shorter than {2 * road.u_step:g} m are missing"
         )
-        found.append(Finding(text, road.u_step > 4 * _COARSE))
+        found.append(RoadFinding(text, road.u_step > 4 * _COARSE))
     slope = np.abs(np.diff(road.ref_z) / road.u_step)
     if slope.max() > _STEEP_ROAD:
-        found.append(Finding(f"the reference line climbs up to {100 * slope.max():.0f} %", True))
+        found.append(RoadFinding(f"the reference line climbs up to {100 * slope.max():.0f} %", True))
     if np.abs(road.bank).max() > _STEEP_BANK:
-        found.append(Finding(f"banked up to {100 * np.abs(road.bank).max():.0f} %", True))
+        found.append(RoadFinding(f"banked up to {100 * np.abs(road.bank).max():.0f} %", True))
     turns = _turns(road)
     if turns.size:
         reach = np.where(turns > 0.0, road.v[-1], -road.v[0])
@@ -218,5 +220,5 @@ def _shape(road: Road) -> list[Finding]:
         if folded.any():
             u = float(road.u[1 + int(np.flatnonzero(folded)[0])])
             text = f"the centre of a bend lies on the road at u {u:.2f} m: its inner border runs backwards"
-            found.append(Finding(text, True))
+            found.append(RoadFinding(text, True))
     return found

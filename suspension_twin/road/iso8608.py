@@ -20,7 +20,6 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.fft import next_fast_len
 from scipy.signal import detrend, welch
-from scipy.special import gamma, kv
 
 from suspension_twin.arrays import Floats
 from suspension_twin.errors import InputError
@@ -31,9 +30,7 @@ __all__ = [
     "CLASSES",
     "N0",
     "class_of",
-    "class_psd",
     "iso8608_road",
-    "isotropic_coherence",
     "road_psd",
     "roughness",
     "smoothed_psd",
@@ -51,24 +48,6 @@ def roughness(road_class: str) -> float:
     if len(road_class) != 1 or road_class.upper() not in CLASSES:
         raise InputError("road class", f"must be one letter from A to H, is {road_class!r}")
     return float(16e-6 * 4.0 ** CLASSES.index(road_class.upper()))
-
-
-def class_psd(road_class: str, n: ArrayLike, waviness: float = 2.0) -> Floats:
-    """Displacement PSD (one-sided, m³) of a class at spatial frequencies ``n`` (cycles/m)."""
-    psd: Floats = roughness(road_class) * (np.asarray(n, dtype=np.float64) / N0) ** -waviness
-    return psd
-
-
-def isotropic_coherence(n: ArrayLike, distance: float, waviness: float = 2.0) -> Floats:
-    """Coherence (the real, positive ratio of cross to auto PSD) of two tracks of an isotropic road.
-
-    ``n`` cycles/m, ``distance`` m between the tracks; 1 at distance 0.
-    """
-    a = 2.0 * math.pi * np.asarray(n, dtype=np.float64) * abs(distance)
-    order = 0.5 * waviness
-    with np.errstate(invalid="ignore", over="ignore"):
-        value = 2.0 ** (1.0 - order) / gamma(order) * a**order * kv(order, a)
-    return np.where(a < 1e-9, 1.0, value)
 
 
 def iso8608_road(

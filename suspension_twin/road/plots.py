@@ -224,7 +224,7 @@ def _limits(axes: Axes, drawn: list[Floats]) -> None:
     low, high = 1e-9, 1e-2
     values = np.concatenate(drawn) if drawn else np.zeros(0)
     if values.size:
-        # A level road's spectrum is rounding; nobody wants to see forty decades of it.
+        # A level road's spectrum is rounding noise, forty decades down.
         low = max(min(low, 0.3 * float(np.quantile(values, 0.02))), 1e-13)
         high = max(high, 3.0 * float(values.max()))
     axes.set_ylim(low, high)

@@ -14,19 +14,12 @@ from typing import Literal
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+from scipy.spatial import cKDTree
 
 from suspension_twin.arrays import Floats
 from suspension_twin.errors import InputError, WorkError
 from suspension_twin.road import kernels
-from suspension_twin.road.place import (
-    FOLLOW,
-    FOLLOW_STEPS,
-    box_tree,
-    sure_reach,
-    uv_to_xy,
-    xy_to_uv,
-    xy_to_uv_from,
-)
+from suspension_twin.road.place import uv_to_xy, xy_to_uv
 from suspension_twin.road.surface import Grid, Line, held
 
 __all__ = ["Borders", "Outside", "Road", "RoadTracker", "Samples"]
@@ -35,6 +28,9 @@ __all__ = ["Borders", "Outside", "Road", "RoadTracker", "Samples"]
 #: unless it says otherwise; ``hold``: the height of the nearest point of the border, across
 #: the road where data are missing; ``zero``: height 0; ``error``: an :class:`InputError`.
 Outside = Literal["road", "hold", "zero", "error"]
+
+#: A position is followed from the one before within this many steps, or metres (as in OpenCRG).
+_FOLLOW_STEPS, _FOLLOW = 20.0, 1.5
 
 _MODES = {"hold": (2, 2), "zero": (1, 1), "error": (2, 2)}
 
@@ -71,11 +67,6 @@ class Samples:
     z: Floats
     inside: NDArray[np.bool_]
     outside: Outside
-
-    @property
-    def share_outside(self) -> float:
-        """Share of the positions that are off the road, 0 to 1."""
-        return 1.0 - float(self.inside.mean()) if self.inside.size else 0.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -173,22 +164,20 @@ class Road:
     @cached_property
     def line(self) -> Line:
         """The reference line as the compiled kernels take it."""
-        boxes, levels = box_tree(self.x, self.y)
-        cap = 1.5 * float(np.abs(self.v).max()) + 2.0
-        sure = np.zeros((0, 2)) if self.straight else sure_reach(self.x, self.y, boxes, levels, cap)
         ends = np.array([f(h) for h in self.headings for f in (np.cos, np.sin)], dtype=np.float64)
         u = (self.u_first, self.u_last, self.u_step)
-        return (
-            self.x,
-            self.y,
-            boxes,
-            levels,
-            sure,
-            ends,
-            *u,
-            self.straight,
-            self.borders.close_span is not None,
-        )
+        return self.x, self.y, ends, *u, self.straight, self.borders.close_span is not None
+
+    @cached_property
+    def _tree(self) -> cKDTree:
+        return cKDTree(np.column_stack([self.x, self.y]))
+
+    def nearest_point(self, x: Floats, y: Floats) -> NDArray[np.int64]:
+        """Index (n,) of the reference point nearest to each map position (n,); 0 on a straight line."""
+        if self.straight:
+            return np.zeros(x.size, dtype=np.int64)
+        found = self._tree.query(np.nan_to_num(np.column_stack([x, y]), posinf=0.0, neginf=0.0))[1]
+        return np.asarray(found, dtype=np.int64)
 
     @cached_property
     def grid(self) -> Grid:
@@ -286,7 +275,7 @@ class Road:
         """
         first, second, shape = _pair(x, y)
         u, v = np.empty(first.size), np.empty(first.size)
-        xy_to_uv(self.line, first, second, u, v)
+        xy_to_uv(self.line, self.nearest_point(first, second), first, second, u, v)
         return u.reshape(shape), v.reshape(shape)
 
     def uv_to_xy(self, u: ArrayLike, v: ArrayLike) -> tuple[Floats, Floats]:
@@ -345,7 +334,7 @@ class RoadTracker:
 
     def __init__(self, road: Road, size: int = 4, outside: Outside = "road") -> None:
         self.road, self.size, self.outside = road, size, outside
-        self._reach2 = max(FOLLOW, FOLLOW_STEPS * road.u_step) ** 2
+        self._reach = max(_FOLLOW, _FOLLOW_STEPS * road.u_step)
         self._at = np.zeros(size, dtype=np.int64)
         self._u, self._v = np.zeros(size), np.zeros(size)
         self._inside = np.zeros(size, dtype=np.bool_)
@@ -361,7 +350,11 @@ class RoadTracker:
                 f"a tracker of {self.size} positions got arrays of shapes {x.shape} and {y.shape}"
             )
         first, second, _ = _pair(x, y)
-        xy_to_uv_from(self.road.line, first, second, self._reach2, self._at, self._u, self._v)
+        road, at = self.road, self._at
+        lost = (at < 1) | ~(np.hypot(first - road.x[at], second - road.y[at]) <= self._reach)
+        if lost.any():
+            at[lost] = road.nearest_point(first[lost], second[lost])
+        xy_to_uv(road.line, at, first, second, self._u, self._v)
         z, seen = self.road._evaluate(self._u, self._v, self.outside)
         self._inside = seen == kernels.INSIDE
         return z

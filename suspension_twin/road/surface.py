@@ -14,12 +14,10 @@ __all__ = ["Grid", "Line", "held"]
 
 from suspension_twin.arrays import Floats
 
-#: The reference line: its points x and y (nu,); boxes and levels of
-#: :func:`~suspension_twin.road.place.box_tree`; the sure reach (nu, 2) of
-#: :func:`~suspension_twin.road.place.sure_reach`; cos and sin of the heading before the start, then
+#: The reference line: its points x and y (nu,); cos and sin of the heading before the start, then
 #: after the end (4,); u of the first and the last point and the step between them; whether the line
 #: is straight; whether it could be closed into a track.
-Line = tuple[Floats, Floats, Floats, NDArray[np.int64], Floats, Floats, float, float, float, bool, bool]
+Line = tuple[Floats, Floats, Floats, float, float, float, bool, bool]
 
 #: The heights over the line: z (nu, nv) without a NaN; True (nu-1, nv-1) where a corner of the cell
 #: had no data, or (0, 0) if there is none; v (nv,) and its step, 0 where it is uneven; height and

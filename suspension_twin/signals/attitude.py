@@ -51,7 +51,7 @@ def rpy_matrix(rpy: tuple[float, float, float]) -> Floats:
 
 
 def matrix_rpy(matrix: Floats) -> tuple[float, float, float]:
-    """Roll, pitch, yaw in rad of a rotation; yaw is 0 where roll and yaw cannot be told apart."""
+    """Roll, pitch, yaw in rad of a rotation; yaw is 0 at gimbal lock."""
     sp = -float(matrix[2, 0])
     if abs(sp) > 1.0 - 1e-12:
         roll = math.atan2(-math.copysign(1.0, -sp) * float(matrix[0, 1]), float(matrix[1, 1]))
@@ -136,7 +136,7 @@ def _run(
         up[k] = out[0, k] = start[k]
     for i in range(1, n):
         dt = t[i] - t[i - 1]
-        # Over a pause the gyro says nothing; lean on the accelerometer instead.
+        # Across a gap the gyro has no data; the accelerometer is used over at most half a second.
         if abs(dt) > 0.5:
             dt = math.copysign(0.5, dt)
         for k in range(3):

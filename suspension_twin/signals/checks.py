@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What is odd about an IMU's signal, each finding in one line with what to do about it."""
+"""Plausibility checks of an IMU's signal: units, rate, mounting, dead axes, saturation."""
 
 from __future__ import annotations
 
@@ -96,7 +96,7 @@ def check_rate(rate: float) -> Finding | None:
 
 def check_mounting(mean_force: Floats, rpy: tuple[float, float, float], small: float) -> Finding | None:
     """Is ``mean_force`` (3,), the specific force at rest in what the twin file calls ``base_link`` axes,
-    upright? ``rpy`` is the file's; tilts up to ``small`` rad are nobody's business."""
+    upright? ``rpy`` is the file's; tilts up to ``small`` rad are accepted."""
     tilt = tilt_of(mean_force)
     if tilt <= small:
         return None
@@ -115,7 +115,7 @@ def check_mounting(mean_force: Floats, rpy: tuple[float, float, float], small: f
             "error",
             "axes_wrong",
             f"gravity lies {degrees:.0f}° off z: the sensor's axes are not as the twin file says; set {suggestion} "
-            "(its yaw cannot be told from gravity)",
+            "(gravity does not determine its yaw)",
         )
     return Finding(
         "warn",

@@ -98,7 +98,7 @@ def nominal_rate(stamps: Floats) -> float:
     dt = np.diff(stamps)
     dt = dt[dt > 0]
     if not dt.size:
-        raise InputError("stamps", "fewer than two samples with different stamps: no rate can be told")
+        raise InputError("stamps", "fewer than two samples with different stamps: the rate is undefined")
     middle = float(np.median(dt))
     return 1.0 / float(np.mean(dt[(dt > 0.5 * middle) & (dt < 1.5 * middle)]))
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What the GPS says of the vehicle's motion, as far as the IMU's signals need it: roughly, and early."""
+"""Approximate speed, course and planar acceleration from GNSS, before the pose is estimated."""
 
 from __future__ import annotations
 
@@ -21,12 +21,12 @@ NEAR = 1.5  # s beyond which a stamp says nothing of another
 
 @dataclass(frozen=True, eq=False)
 class Ground:
-    """``t`` (m,) s rising, ``east`` and ``north`` (m,) m/s over ground, ``doubt`` m/s of which may be noise."""
+    """``t`` (m,) s rising, ``east`` and ``north`` (m,) m/s over ground, ``noise`` m/s their uncertainty."""
 
     t: Floats
     east: Floats
     north: Floats
-    doubt: float
+    noise: float
 
     @property
     def known(self) -> bool:
@@ -39,14 +39,14 @@ class Ground:
 
     def least_speed(self, t: Floats) -> Floats:
         """(n,) m/s at stamps ``t`` that the vehicle has at least, NaN far from any message."""
-        speed = np.maximum(np.hypot(self.east, self.north) - self.doubt, 0.0)
+        speed = np.maximum(np.hypot(self.east, self.north) - self.noise, 0.0)
         return np.where(self._near(t) < NEAR, np.interp(t, self.t, speed), np.nan)
 
     def acceleration(self, t: Floats, yaw_rate: Floats, place: tuple[float, float, float]) -> Floats:
         """(n, 3) m/s² in the plane at ``place`` in ``base_link``, ahead and to the left, by the vehicle's motion
         and the ``yaw_rate`` (n,) rad/s; zero where the motion is not known."""
         out = np.zeros((t.size, 3))
-        if self.doubt > 0.5:
+        if self.noise > 0.5:
             return out
         # On an even grid at 10 Hz, smoothed over about half a second: braking, not noise.
         span = self.t[-1] - self.t[0]
@@ -63,7 +63,7 @@ class Ground:
 
     def yaw_rate_bias(self, t: Floats, yaw_rate: Floats) -> float | None:
         """What the gyro turns more than the course does, in rad/s, over ten seconds of driving at least."""
-        fast = np.hypot(self.east, self.north) > FAST + self.doubt
+        fast = np.hypot(self.east, self.north) > FAST + self.noise
         pair = fast[1:] & fast[:-1] & (np.diff(self.t) < NEAR)
         pair &= (self.t[:-1] >= t[0]) & (self.t[1:] <= t[-1])
         time = float(np.sum(np.diff(self.t)[pair]))
@@ -93,8 +93,8 @@ def ground_motion(drive: Drive) -> Ground:
     # A sphere will do: a thousandth of a speed does not matter here.
     north = 111_200.0 * (latitude - latitude[0])
     east = 111_200.0 * math.cos(math.radians(latitude[0])) * (longitude - longitude[0])
-    told = fix.sigma[good, :2]
-    sigma = float(np.median(told[np.isfinite(told)])) if np.isfinite(told).any() else 2.5
+    reported = fix.sigma[good, :2]
+    sigma = float(np.median(reported[np.isfinite(reported)])) if np.isfinite(reported).any() else 2.5
     apart = float(np.clip(14.0 * sigma, 0.1, 1.0))  # s that make 0.1 m/s of the noise
     later = np.minimum(np.searchsorted(stamps, stamps + 0.99 * apart), stamps.size - 1)
     ok = later > np.arange(stamps.size)

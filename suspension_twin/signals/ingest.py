@@ -27,7 +27,7 @@ from suspension_twin.signals.clock import LiveClock, Stamp
 from suspension_twin.signals.filters import FilterSpec, settle, steady_state
 from suspension_twin.signals.ingest_step import ingest_step
 from suspension_twin.signals.settings import ImuSettings
-from suspension_twin.signals.standstill import MAX_LEAN, is_still, rest_bias
+from suspension_twin.signals.standstill import MAX_TILT_DIFFERENCE, is_still, rest_bias
 from suspension_twin.units import STANDARD_GRAVITY
 from suspension_twin.vehicle.twin import Place
 
@@ -104,7 +104,7 @@ class ImuIngest:
         self._pending: list[tuple[float, ...]] = []
         self._window: list[tuple[float, ...]] = []
         self._units: Units = "m/s2"
-        self._doubt = 0
+        self._unit_mismatches = 0
         self._scale = 1.0
         self._gravity = normal_gravity(self.settings.latitude)
         self._max_bias = self.settings.max_bias
@@ -328,12 +328,12 @@ class ImuIngest:
         limits = self.settings.still
         force_std, rate_std, turn = float(std[:3].max()), float(std[3:].max()), float(np.abs(rest[3:]).max())
         still = is_still(force_std, rate_std, turn, limits)
-        # A steady pull looks still too, but the force leans away from where the gyro has carried the
-        # vertical. A gyro of unknown bias carries it astray: three very quiet seconds count all the same.
-        lean = float(np.linalg.norm((self._block[1:3] / n) / self._gravity - self._up[:2]))
+        # Constant acceleration looks like standstill, but the force is tilted against the vertical that the gyro
+        # gives. With an unknown gyro bias that vertical drifts: three very quiet seconds count all the same.
+        tilt = float(np.linalg.norm((self._block[1:3] / n) / self._gravity - self._up[:2]))
         very_quiet = still and force_std < 0.5 * limits.force and rate_std < 0.5 * limits.rate
-        self._quiet_blocks = self._quiet_blocks + 1 if very_quiet and lean < 0.1 else 0
-        if self._units != "gravity removed" and lean > MAX_LEAN:
+        self._quiet_blocks = self._quiet_blocks + 1 if very_quiet and tilt < 0.1 else 0
+        if self._units != "gravity removed" and tilt > MAX_TILT_DIFFERENCE:
             still = self._quiet_blocks * limits.window >= 3.0
         if not still:
             self._still_blocks = 0
@@ -354,9 +354,11 @@ class ImuIngest:
         dead = check_axes(rows[:, :3], rows[:, 3:])
         self._note("axes", dead[0] if dead else None)
         units = recognise_units(rows[:, :3])
-        self._doubt = self._doubt + 1 if units != self._units and units != "unknown" else 0
-        if self._doubt >= 2:
+        self._unit_mismatches = (
+            self._unit_mismatches + 1 if units != self._units and units != "unknown" else 0
+        )
+        if self._unit_mismatches >= 2:
             self._set_units(units, rows[:, :3])
             self._bias[:] = 0.0
             self._rest_count = 0.0
-            self._doubt = 0
+            self._unit_mismatches = 0

@@ -9,7 +9,7 @@ from suspension_twin.arrays import Floats
 from suspension_twin.compiled import compiled
 from suspension_twin.signals.attitude import up_step
 from suspension_twin.signals.filters import filter_row, settle
-from suspension_twin.signals.standstill import soften
+from suspension_twin.signals.standstill import standstill_filter_step
 
 __all__ = ["ingest_step"]
 
@@ -47,11 +47,11 @@ def ingest_step(
             w += turn[3 + k, j] * raw[3 + j]
         row[k] = f - bias[k]
         row[3 + k] = w - bias[3 + k]
-    soften(soft, row[0:6], dt)
+    standstill_filter_step(soft, row[0:6], dt)
     block[0] += 1.0
     for k in range(6):
         block[1 + k] += row[k]
-        off = soft[2, k] - block[13 + k]  # Welford's recurrence for the softened signal's variance
+        off = soft[2, k] - block[13 + k]  # Welford's recurrence for the filtered signal's variance
         block[13 + k] += off / block[0]
         block[7 + k] += off * (soft[2, k] - block[13 + k])
     if removed:

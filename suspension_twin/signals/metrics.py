@@ -19,9 +19,7 @@ from suspension_twin.signals.spectra import power_density
 __all__ = [
     "IsoRating",
     "correlation",
-    "euclidean_distance",
     "iso18571",
-    "mean_correlation",
     "mean_squared_error",
     "rms_error",
     "spectral_distance",
@@ -52,12 +50,6 @@ def _given(values: Floats) -> Floats:
     return np.asarray(values, dtype=np.float64)
 
 
-def euclidean_distance(measured: Floats, simulated: Floats) -> Floats:
-    """The car paper's cost, eq. (1): root of the sum of squared differences."""
-    m, s = _pair(measured, simulated)
-    return _given(np.sqrt(np.sum((m - s) ** 2, axis=0)))
-
-
 def mean_squared_error(measured: Floats, simulated: Floats) -> Floats:
     """The car paper's validation figure (section 5); unit squared."""
     m, s = _pair(measured, simulated)
@@ -79,13 +71,6 @@ def correlation(measured: Floats, simulated: Floats) -> Floats:
     covariance = np.mean(dm * ds, axis=0)
     spread = np.sqrt(np.mean(dm**2, axis=0) * np.mean(ds**2, axis=0))
     return _given(np.where(spread > 0, covariance / np.where(spread > 0, spread, 1.0), 0.0))
-
-
-def mean_correlation(measured: list[Floats], simulated: list[Floats]) -> Floats:
-    """The tracked paper's eq. (15): arithmetic mean of the correlations of several channels."""
-    if not measured or len(measured) != len(simulated):
-        raise InputError("agreement", "needs the same channels measured and simulated, at least one")
-    return _given(np.mean([correlation(m, s) for m, s in zip(measured, simulated, strict=True)], axis=0))
 
 
 def spectral_distance(

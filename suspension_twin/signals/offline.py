@@ -33,7 +33,7 @@ from suspension_twin.signals.checks import (
 from suspension_twin.signals.clock import Cleaned, clean_stamps, find_gaps, nominal_rate
 from suspension_twin.signals.ground import NO_FIX, Ground, ground_motion
 from suspension_twin.signals.settings import ImuSettings
-from suspension_twin.signals.standstill import MAX_LEAN, rest_bias, still_samples
+from suspension_twin.signals.standstill import MAX_TILT_DIFFERENCE, rest_bias, standstill_mask
 from suspension_twin.units import STANDARD_GRAVITY
 from suspension_twin.vehicle.twin import Place
 
@@ -107,9 +107,9 @@ def ingest_drive(drive: Drive, place: Place, settings: ImuSettings | None = None
     force, rate = scale * raw_force @ turn.T, raw_rate @ turn.T
     ground = ground_motion(drive)
     speed = ground.least_speed(t) if ground.known else None
-    standing = still_samples(rate_hz, force, rate, settings.still, speed)
+    standing = standstill_mask(rate_hz, force, rate, settings.still, speed)
     if len(drive.velocity) < 4:
-        standing &= ~_leaning(t, force, rate, rate_hz, settings.attitude_time)
+        standing &= ~_accelerating(t, force, rate, rate_hz, settings.attitude_time)
     stands = int(standing.sum()) >= 0.5 * rate_hz
     rate_bias = rate[standing].mean(axis=0) if stands else _driving_bias(ground, t, rate)
     rate = rate - rate_bias
@@ -161,15 +161,15 @@ def ingest_drive(drive: Drive, place: Place, settings: ImuSettings | None = None
     )
 
 
-def _leaning(t: Floats, force: Floats, rate: Floats, rate_hz: float, time: float) -> NDArray[np.bool_]:
-    """(n,) True where the force leans away from the vertical that the gyro has carried there: a steady pull,
-    which looks still. Roll and pitch rates average to their bias."""
+def _accelerating(t: Floats, force: Floats, rate: Floats, rate_hz: float, time: float) -> NDArray[np.bool_]:
+    """(n,) True where the specific force is tilted against the vertical that the gyro gives: a constant
+    acceleration, which looks like standstill. Roll and pitch rates average to their bias."""
     steady = rate - rate.mean(axis=0) * np.array([1.0, 1.0, 0.0])
     gravity = float(np.median(np.linalg.norm(force, axis=1)))
     mean = gaussian_filter1d(force, 0.25 * rate_hz, axis=0, mode="nearest")
     mean /= np.maximum(np.linalg.norm(mean, axis=1, keepdims=True), 1e-9)
     up, _ = carried_up(t, force, steady, gravity, np.full(t.size, time))
-    return np.asarray(np.linalg.norm(mean - up, axis=1) > MAX_LEAN, dtype=np.bool_)
+    return np.asarray(np.linalg.norm(mean - up, axis=1) > MAX_TILT_DIFFERENCE, dtype=np.bool_)
 
 
 def _driving_bias(ground: Ground, t: Floats, rate: Floats) -> Floats:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Is the vehicle standing, and what does the sensor read then: its biases."""
+"""Standstill detection, and the accelerometer's bias at standstill."""
 
 from __future__ import annotations
 
@@ -15,22 +15,21 @@ from suspension_twin.compiled import compiled
 from suspension_twin.signals.filters import FilterSpec, zero_phase
 
 __all__ = [
-    "MAX_LEAN",
-    "SOFT",
-    "SOFT_DELAY",
+    "MAX_TILT_DIFFERENCE",
+    "STANDSTILL_FILTER",
+    "STANDSTILL_FILTER_DELAY",
     "StillLimits",
     "is_still",
     "rest_bias",
-    "soften",
-    "still_samples",
+    "standstill_filter_step",
+    "standstill_mask",
 ]
 
-#: Hz of the low-pass that hides an idling engine from the judgement: its shaking lies above 20 Hz, a
-#: moving car's below 10.
-SOFT = FilterSpec(2, 10.0)
-SOFT_DELAY = 2.0 / (2.0 * math.pi * 10.0)  # s
+#: Low-pass before standstill is judged: an idling engine shakes above 20 Hz, a moving car below 10 Hz.
+STANDSTILL_FILTER = FilterSpec(2, 10.0)
+STANDSTILL_FILTER_DELAY = 2.0 / (2.0 * math.pi * 10.0)  # s
 #: rad between the specific force and the gyro's vertical beyond which the vehicle accelerates.
-MAX_LEAN = 0.03
+MAX_TILT_DIFFERENCE = 0.03
 
 
 @dataclass(frozen=True)
@@ -50,12 +49,12 @@ class StillLimits:
 
 
 @compiled
-def soften(stages: Floats, sample: Floats, dt: float) -> None:  # pragma: no cover - compiled
-    """The live stand-in for ``SOFT`` that needs no rate: two poles at 10 Hz, ``SOFT_DELAY`` late at any rate.
+def standstill_filter_step(stages: Floats, sample: Floats, dt: float) -> None:  # pragma: no cover - compiled
+    """``STANDSTILL_FILTER`` for live samples of any rate: two poles at 10 Hz, delay ``STANDSTILL_FILTER_DELAY``.
 
     ``stages`` (3, k): the sample before, the first pole, the second pole, which is the result.
     """
-    keep = math.exp(-2.0 * dt / SOFT_DELAY)
+    keep = math.exp(-2.0 * dt / STANDSTILL_FILTER_DELAY)
     share = 0.5 * (1.0 - keep)
     for k in range(sample.size):
         first = keep * stages[1, k] + share * (sample[k] + stages[0, k])
@@ -69,7 +68,7 @@ def is_still(force_std: float, rate_std: float, turn: float, limits: StillLimits
     return force_std < limits.force and rate_std < limits.rate and turn < limits.turn
 
 
-def still_samples(
+def standstill_mask(
     rate_hz: float, force: Floats, rate: Floats, limits: StillLimits, speed: Floats | None = None
 ) -> NDArray[np.bool_]:
     """(n,) True where the vehicle stands for at least two windows; ``speed`` (n,) m/s, NaN where not
@@ -77,7 +76,7 @@ def still_samples(
     size = max(round(limits.window * rate_hz), 5)
     if len(force) < size:
         return np.zeros(len(force), dtype=np.bool_)
-    soft = FilterSpec(SOFT.order, min(SOFT.cutoff, 0.4 * rate_hz))
+    soft = FilterSpec(STANDSTILL_FILTER.order, min(STANDSTILL_FILTER.cutoff, 0.4 * rate_hz))
     force, rate = zero_phase(soft, rate_hz, force), zero_phase(soft, rate_hz, rate)
 
     def spread(values: Floats) -> tuple[Floats, Floats]:

@@ -155,7 +155,7 @@ def test_sensor_logger_as_zip_with_and_without_a_folder_in_it(tmp_path: Path) ->
 
 def test_sensor_logger_without_metadata_says_so(tmp_path: Path) -> None:
     imported = check(sensor_logger(tmp_path / "rec", None))
-    assert any("Android from iOS" in line for line in imported.drive.warnings)
+    assert any("names the platform" in line for line in imported.drive.warnings)
 
 
 def test_sensor_logger_without_gravity_is_refused(tmp_path: Path) -> None:
@@ -481,8 +481,24 @@ def test_matlab_files_that_cannot_be_read(tmp_path: Path) -> None:
         with pytest.raises(InputError):
             import_drive([path])
     path.write_bytes(b"MATLAB 7.3 MAT-file".ljust(124, b" ") + b"\x00\x02IM" + bytes(400))
-    with pytest.raises(InputError, match=r"version 7\.3: .*writetimetable"):
+    with pytest.raises(InputError, match="damaged"):
         import_drive([path])
+
+
+def test_matlab_timetables_of_version_73(tmp_path: Path) -> None:
+    """HDF5, as ``save -v7.3`` writes it."""
+    import matio
+    import pandas
+
+    logs = {}
+    for name, t, values in (("Acceleration", T, FORCE), ("AngularVelocity", TG, RATE)):
+        stamps = pandas.to_datetime(np.rint((START + t) * 1e6).astype(np.int64), unit="us")
+        index = pandas.Index(stamps.astype("datetime64[ns]"), name="Timestamp")
+        logs[name] = pandas.DataFrame(values, columns=list("XYZ"), index=index)
+    matio.save_to_mat(str(tmp_path / "log.mat"), logs, version="v7.3")
+    drive = import_drive([tmp_path / "log.mat"]).drive
+    np.testing.assert_allclose(drive.imu.t - START, T[: len(drive.imu)], atol=2e-6)
+    np.testing.assert_allclose(drive.imu.specific_force, FORCE[: len(drive.imu)])
 
 
 # --- RTKLIB

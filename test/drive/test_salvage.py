@@ -8,8 +8,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from suspension_twin.drive.cdr import Encoding
 from suspension_twin.drive.containers.contents import Contents
-from suspension_twin.drive.containers.sqlite_file import MAGIC, read_sqlite
+from suspension_twin.drive.containers.salvage_mcap import salvage_mcap
+from suspension_twin.drive.containers.salvage_ros1 import salvage_ros1
+from suspension_twin.drive.containers.salvage_sqlite import MAGIC, salvage_sqlite
+from suspension_twin.drive.containers.whole import read_whole
 from suspension_twin.drive.read import read_drive
 from suspension_twin.drive.types import Drive
 from suspension_twin.errors import InputError
@@ -18,6 +22,29 @@ KINDS = ["mcap", "mcap_unchunked", "mcap_zstd", "mcap_lz4", "sqlite3", "ros1", "
 
 #: The most of the samples before the cut that may be lost: a page, a compressed block, a chunk.
 LOST = {"mcap": 0.01, "mcap_unchunked": 0.01, "ros1": 0.02, "sqlite3": 0.05}
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_salvage_of_a_complete_recording_finds_what_rosbags_reads(
+    kind: str, containers: dict[str, Path]
+) -> None:
+    storage, salvage = {
+        "m": ("mcap", salvage_mcap),
+        "s": ("db3", salvage_sqlite),
+        "r": ("bag", salvage_ros1),
+    }[kind[0]]
+    encoding: Encoding = "ros1" if storage == "bag" else "cdr"
+    whole, salvaged = Contents(encoding, None), Contents(encoding, None)
+    read_whole(containers[kind], storage, whole)
+    salvage(containers[kind], salvaged)
+    assert whole.types == salvaged.types and len(whole.types) == 4
+    assert whole.definitions == salvaged.definitions
+    for name, topic in whole.topics.items():
+        assert topic.data and (topic.stamps, topic.data) == (
+            salvaged.topics[name].stamps,
+            salvaged.topics[name].data,
+        )
+    assert whole.warnings == []
 
 
 @pytest.mark.parametrize("kind", KINDS)
@@ -121,7 +148,7 @@ def test_pages_of_a_database_hold_large_messages_too(tmp_path: Path) -> None:
     for share in (0.3, 0.6, 0.95):
         path.write_bytes(data[: int(share * len(data))])
         contents = Contents("cdr", None)
-        read_sqlite(path, contents)
+        salvage_sqlite(path, contents)
         topic = contents.topics["/camera"]
         assert len(topic.data) > 0.8 * share * len(blobs)
         assert topic.data == blobs[: len(topic.data)]

@@ -5,8 +5,10 @@ from __future__ import annotations
 
 import json
 import os
+import shutil
 import subprocess
 import sys
+import time
 from pathlib import Path
 
 import pytest
@@ -53,12 +55,12 @@ def factor(folder: Path, value: float) -> None:
     (folder / "deep.py").write_text(text.format(value=value))
 
 
-def start(house: Path) -> tuple[float, int]:
-    """What a new process computes, and how often it found its code on disk."""
-    environment = os.environ | {
+def start(house: Path, **places: str) -> tuple[float, int]:
+    """What a new process computes, and how often it found its code on disk; ``places`` for the code."""
+    environment = {k: v for k, v in os.environ.items() if k != "NUMBA_CACHE_DIR"} | {
         "PYTHONPATH": f"{house.parent}{os.pathsep}{ROOT.parent}",
-        "NUMBA_CACHE_DIR": str(house.parent / "cache"),
         "PYTHONDONTWRITEBYTECODE": "1",
+        **(places or {"NUMBA_CACHE_DIR": str(house.parent / "cache")}),
     }
     run = subprocess.run(
         [sys.executable, "-c", START],
@@ -82,11 +84,46 @@ def test_a_change_in_another_file_is_noticed_and_a_touch_is_not(house: Path) -> 
     assert start(house) == (6.0, 1)
 
 
+def test_code_of_older_sources_is_deleted_when_nothing_has_used_it_for_a_month(house: Path) -> None:
+    kernels = house.parent / "cache" / "kernels"
+    ages = {"house.kernel.old": 40, "house.kernel.recent": 20, "house.other.old": 40}
+    for name, days in ages.items():
+        (kernels / name).mkdir(parents=True)
+        os.utime(kernels / name, (time.time() - days * 86_400,) * 2)
+    start(house)
+    left = {folder.name for folder in kernels.iterdir()}
+    assert "house.kernel.old" not in left
+    assert {"house.kernel.recent", "house.other.old"} < left
+
+
+def test_without_a_writable_package_the_users_folder_is_taken_and_without_that_none(house: Path) -> None:
+    places = {"XDG_CACHE_HOME": str(house.parent / "user")}
+    assert start(house, **places) == (2.0, 0)
+    assert (house / "__pycache__" / "kernels").is_dir()
+    shutil.rmtree(house / "__pycache__")
+    (house / "__pycache__").write_text("a file, so that no folder can be made here")
+    assert start(house, **places) == (2.0, 0)
+    assert start(house, **places) == (2.0, 1)
+    shutil.rmtree(house.parent / "user")
+    (house.parent / "user").write_text("nor here")
+    assert start(house, **places) == (2.0, 0)
+
+
 def test_a_kernel_rests_on_what_it_imports_and_nothing_else() -> None:
     names = {
         path.relative_to(ROOT).as_posix() for path in sources(ROOT / "models" / "full_car_effects.py", ROOT)
     }
-    helpers = {"corner", "curves", "equilibrium", "full_car", "numerics", "rows", "sensor", "settle", "terms"}
+    helpers = {
+        "corner",
+        "curves",
+        "equilibrium",
+        "full_car",
+        "numerics",
+        "rows",
+        "sensor",
+        "settle",
+        "effect_terms",
+    }
     assert {f"models/{name}.py" for name in helpers} <= names
     assert (
         not {"models/simulate.py", "models/msd.py", "models/tracked_kernel.py", "identification/problem.py"}

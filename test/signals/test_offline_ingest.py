@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A whole recording: what is removed, what is put right, what is only told."""
+"""A whole recording: what is removed, what is put right, what is only reported."""
 
 from __future__ import annotations
 
@@ -108,10 +108,10 @@ def test_upside_down_is_an_error_and_turned_unless_told_otherwise(make_drive: Ma
 def test_a_small_tilt_is_told_and_left_in_unless_asked(make_drive: Maker) -> None:
     tilt = math.radians(6.0)
     drive, truth = make_drive(rpy=(0.0, tilt, 0.0))
-    told = ingest_drive(drive, Place())
-    assert codes(told) == {"tilted": "warn"}
-    assert told.force[:300].mean(axis=0)[0] == pytest.approx(-9.8 * math.sin(tilt), abs=0.05)
-    assert abs(told.vertical_acceleration.mean()) < 0.02  # free of gravity all the same
+    reported = ingest_drive(drive, Place())
+    assert codes(reported) == {"tilted": "warn"}
+    assert reported.force[:300].mean(axis=0)[0] == pytest.approx(-9.8 * math.sin(tilt), abs=0.05)
+    assert abs(reported.vertical_acceleration.mean()) < 0.02  # free of gravity all the same
     turned = ingest_drive(drive, Place(), ImuSettings(level="always"))
     assert np.std(turned.force - truth.force) < 0.035
     given = ingest_drive(drive, Place(rpy=(0.0, tilt, 0.0)))

@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Recordings as raw messages: one reader for each file format, all of them read what is whole."""
+"""Recordings as raw messages: whole files through ``rosbags``, damaged ones record by record."""

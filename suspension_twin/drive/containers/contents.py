@@ -7,6 +7,7 @@ from collections.abc import Collection
 from dataclasses import dataclass, field
 
 from suspension_twin.drive.cdr import Encoding
+from suspension_twin.drive.containers.inflate import ZSTD_MAGIC, inflate
 
 __all__ = ["Contents", "RawTopic", "topic_name", "type_name"]
 
@@ -50,24 +51,32 @@ class Contents:
     definitions: dict[str, str] = field(default_factory=dict)
     warnings: list[str] = field(default_factory=list)
 
-    def open_topic(self, name: str, msgtype: str) -> RawTopic | None:
-        """Announce a topic; where to put its messages, or None if they are not wanted.
+    def wants(self, name: str) -> bool:
+        """Whether the messages of a topic are to be read."""
+        return self.wanted is None or topic_name(name) in self.wanted
 
-        Two types on one topic are kept as the first one: messages of the other are not wanted.
+    def open_topic(self, name: str, msgtype: str, encoding: str) -> RawTopic | None:
+        """Announce a topic; where to put its messages, or None if they are not read.
+
+        Of two types on one topic the first is read. Messages in another encoding than the recording's
+        are not read; the type then names the encoding.
         """
-        # the names of a damaged file may hold anything, and are told to a user
+        # the names in a damaged file may hold anything, and are shown to the user
         name, msgtype = topic_name(_printable(name)), type_name(_printable(msgtype))
+        if encoding != self.encoding:
+            msgtype = f"{_printable(encoding)} messages"
         if self.types.setdefault(name, msgtype) != msgtype:
             self.warnings.append(f"{name} carries a second type, {msgtype}: left out")
             return None
-        if self.wanted is not None and name not in self.wanted:
+        if encoding != self.encoding or not self.wants(name):
             return None
         return self.topics.setdefault(name, RawTopic(msgtype))
 
-    def sort(self) -> None:
-        """Put every topic in the order it was recorded (files may interleave)."""
+    def finish(self) -> None:
+        """Sort every topic by time of recording (files may interleave) and decompress its messages."""
         for topic in self.topics.values():
-            if any(b < a for a, b in zip(topic.stamps, topic.stamps[1:], strict=False)):
-                order = sorted(range(len(topic.stamps)), key=topic.stamps.__getitem__)
-                topic.stamps = [topic.stamps[i] for i in order]
-                topic.data = [topic.data[i] for i in order]
+            order = sorted(range(len(topic.stamps)), key=topic.stamps.__getitem__)
+            topic.stamps = [topic.stamps[i] for i in order]
+            topic.data = [topic.data[i] for i in order]
+            if topic.data and topic.data[0].startswith(ZSTD_MAGIC):  # rosbag2's compression mode MESSAGE
+                topic.data = [inflate("zstd", data)[0] for data in topic.data]

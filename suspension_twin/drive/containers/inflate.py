@@ -1,10 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Decompression that gives what it can of a block that is cut off or damaged."""
+"""Decompression of a block that may be cut off or damaged: the bytes before the damage are returned."""
 
 from __future__ import annotations
 
 import bz2
-from typing import Protocol
+from contextlib import suppress
+from typing import Any
 
 import lz4.frame  # type: ignore[import-untyped]
 import zstandard
@@ -12,44 +13,31 @@ import zstandard
 __all__ = ["ZSTD_MAGIC", "inflate"]
 
 ZSTD_MAGIC = b"\x28\xb5\x2f\xfd"
+
+#: Bytes fed at a time: a decompressor that fails returns nothing of the bytes it was given last.
 _PIECE = 1 << 16
-_LARGEST = 1 << 32
-
-
-class _Stream(Protocol):
-    def decompress(self, data: bytes, /) -> bytes: ...
-
-
-def _stream(compression: str) -> _Stream:
-    if compression == "zstd":
-        return zstandard.ZstdDecompressor().decompressobj()
-    if compression == "lz4":
-        stream: _Stream = lz4.frame.LZ4FrameDecompressor()
-        return stream
-    if compression == "bz2":
-        return bz2.BZ2Decompressor()
-    raise ValueError(f"compression {compression!r} is not known")
 
 
 def inflate(compression: str, data: bytes) -> tuple[bytes, bool]:
-    """The bytes that can be had, and whether the block is whole.
+    """The decompressed bytes up to the first damage, and whether the block is complete.
 
     ``compression`` is ``zstd``, ``lz4``, ``bz2``, or empty or ``none``; ValueError for another.
     """
+    stream: Any
     if compression in ("", "none"):
         return data, True
-    stream = _stream(compression)
+    if compression == "zstd":
+        stream = zstandard.ZstdDecompressor().decompressobj()
+    elif compression == "lz4":
+        stream = lz4.frame.LZ4FrameDecompressor()
+    elif compression == "bz2":
+        stream = bz2.BZ2Decompressor()
+    else:
+        raise ValueError(f"compression {compression!r} is not known")
     pieces: list[bytes] = []
-    total = 0
-    try:
+    with suppress(zstandard.ZstdError, RuntimeError, OSError, EOFError, MemoryError):
         for at in range(0, len(data), _PIECE):
-            piece = stream.decompress(data[at : at + _PIECE])
-            pieces.append(piece)
-            total += len(piece)
-            if total > _LARGEST:
-                return b"".join(pieces), False
-            if getattr(stream, "eof", False):
-                return b"".join(pieces), True
-    except (zstandard.ZstdError, RuntimeError, OSError, EOFError, MemoryError):
-        return b"".join(pieces), False
-    return b"".join(pieces), bool(getattr(stream, "eof", False))
+            pieces.append(stream.decompress(data[at : at + _PIECE]))
+            if stream.eof:
+                break
+    return b"".join(pieces), bool(stream.eof)

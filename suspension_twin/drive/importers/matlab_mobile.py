@@ -4,27 +4,23 @@
 Source: MathWorks documentation of ``mobiledev``, ``accellog``, ``angvellog``, ``poslog`` and "Logging
 Accelerometer Data". The app logs the timetables ``Acceleration`` (X, Y, Z in m/s², gravity included),
 ``AngularVelocity`` (X, Y, Z in rad/s) and ``Position`` (latitude, longitude, altitude, speed, course,
-hacc) with row times ``Timestamp``. Read are ``.mat`` files up to version 7 with these timetables, with
-structs of those fields, or with arrays (n, 3) that have a time vector beside them or (n, 4) with the
-time first; and ``writetimetable``'s CSV files.
+hacc) with row times ``Timestamp``. Read are ``.mat`` files (through ``mat-io``, which reads timetables and
+version 7.3, unlike SciPy) with these timetables, with structs of those fields, or with arrays (n, 3) that
+have a time vector beside them or (n, 4) with the time first; and ``writetimetable``'s CSV files.
 """
 
 from __future__ import annotations
 
 import re
+import tempfile
 import warnings
-from collections.abc import Iterable
-from io import BytesIO
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-import scipy.io
-from scipy.io.matlab import MatReadError
 
 from suspension_twin.arrays import Floats
 from suspension_twin.drive.intake.clocks import text_to_posix
-from suspension_twin.drive.intake.matlab_objects import UnreadableObject, timetables
 from suspension_twin.drive.intake.source import Source
 from suspension_twin.drive.intake.streams import Series, Streams
 from suspension_twin.drive.intake.table import read_table
@@ -45,11 +41,6 @@ _LOGS = {
 _TIMES = ("timestamp", "timestamps", "time", "t")
 _XYZ = ("x", "y", "z")
 _POSITION = ("latitude", "longitude", "altitude", "speed", "course", "hacc")
-
-_INSTEAD = (
-    "in MATLAB, writetimetable(Acceleration,'Acceleration.csv'), the same for AngularVelocity and Position, "
-    "and import the folder"
-)
 
 Columns = dict[str, Any]
 
@@ -114,21 +105,16 @@ def _logs_of_csv(source: Source, streams: Streams) -> dict[str, Columns]:
 
 
 def _logs_of_mat(data: bytes, label: str) -> dict[str, Columns]:
-    try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # several timetables in one file have the same name to SciPy
-            variables = scipy.io.loadmat(BytesIO(data), squeeze_me=True, struct_as_record=False)  # type: ignore[arg-type]
-    except NotImplementedError:
-        raise InputError(label, f"saved as version 7.3: {_INSTEAD}") from None
-    except (MatReadError, ValueError, TypeError, KeyError, IndexError, OSError, EOFError):
-        raise InputError(label, "not a .mat file, or cut off") from None
-    except Exception as error:  # zlib's and NumPy's own, for bytes that are damaged
-        raise InputError(label, f"damaged ({type(error).__name__})") from None
-    if any(type(value).__name__ == "MatlabOpaque" for value in variables.values()):
+    import matio  # brings pandas, half a second that no other format needs
+
+    with tempfile.NamedTemporaryFile(suffix=".mat") as file, warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # of variables that it cannot read, which are not the logs
+        file.write(data)
+        file.flush()
         try:
-            variables |= timetables(data, variables["__function_workspace__"].tobytes())
-        except (UnreadableObject, KeyError) as error:
-            raise InputError(label, f"its timetables cannot be read ({error}): {_INSTEAD}") from None
+            variables: dict[str, Any] = matio.load_from_mat(file.name)
+        except Exception as error:  # damage shows as an exception of any kind
+            raise InputError(label, f"not a .mat file, cut off or damaged ({type(error).__name__})") from None
     named = {name.lower(): value for name, value in variables.items() if not name.startswith("__")}
     for value in list(named.values()):  # readMobileSensorData gives one struct of all logs
         fields = _fields(value)
@@ -149,9 +135,11 @@ def _logs_of_mat(data: bytes, label: str) -> dict[str, Columns]:
 
 def _fields(value: Any) -> Columns:
     """Fields of a struct or columns of a timetable, by lower-case name; empty for anything else."""
-    if hasattr(value, "_fieldnames"):
-        return {name.lower(): getattr(value, name) for name in value._fieldnames}
-    return value if isinstance(value, dict) else {}
+    if hasattr(value, "columns") and hasattr(value, "index"):  # a timetable, as a pandas.DataFrame
+        columns = {str(name).lower(): value[name].to_numpy() for name in value.columns}
+        return {"timestamp": value.index.to_numpy(), **columns}
+    names = getattr(getattr(value, "dtype", None), "names", None)
+    return {name.lower(): value[name].ravel()[0] for name in names} if names and value.size == 1 else {}
 
 
 def _columns(named: Columns, name: str, label: str) -> Columns:
@@ -184,17 +172,17 @@ def _number_column(columns: Columns, name: str, label: str) -> Floats:
 
 
 def _times(columns: Columns, label: str) -> Floats:
-    """POSIX times from text, datetimes, serial day numbers or seconds, told by their size."""
+    """POSIX times from text, datetimes, serial day numbers or seconds, recognised by their size."""
     name = next((key for key in _TIMES if key in columns), None)
     if name is None:
         raise InputError(label, f"has no Timestamp; there are {', '.join(columns)}")
-    values = columns[name]
-    array = np.asarray(values)
-    if array.dtype.kind == "M":
+    array = np.asarray(columns[name])
+    if array.dtype.kind == "M":  # dates
         return np.asarray(array.astype("datetime64[ns]").astype(np.int64) * 1e-9, dtype=np.float64).ravel()
+    if array.dtype.kind == "m":  # durations
+        return np.asarray(array / np.timedelta64(1, "s"), dtype=np.float64).ravel()
     if array.dtype.kind not in "fiu":
-        texts: Iterable[Any] = values if isinstance(values, list) else array.ravel()
-        t = text_to_posix([str(text) for text in texts])
+        t = text_to_posix([str(np.asarray(text).ravel()[0]) for text in array.ravel()])
         if not np.isfinite(t).any():
             raise InputError(label, name, "holds neither numbers nor dates")
         return t

@@ -12,6 +12,7 @@ the clock said at each START and PAUSE. On iOS the app itself turns values to An
 from __future__ import annotations
 
 import re
+from dataclasses import replace
 
 import numpy as np
 
@@ -144,15 +145,7 @@ def _to_epoch(source: Source, streams: Streams) -> None:
         segment = np.clip(np.searchsorted(begin, t, side="left") - 1, 0, len(starts) - 1)
         return np.asarray(t + offset[segment])
 
-    if streams.force is not None:
-        streams.force = Series(epoch(streams.force.t), streams.force.values)
-    if streams.rate is not None:
-        streams.rate = Series(epoch(streams.rate.t), streams.rate.values)
-    if streams.fix is not None:
-        fix = streams.fix
-        streams.fix = FixData(
-            epoch(fix.t), fix.latitude, fix.longitude, fix.altitude, fix.status, fix.sigma, fix.frame
-        )
-    if streams.velocity is not None:
-        velocity = streams.velocity
-        streams.velocity = type(velocity)(epoch(velocity.t), velocity.enu)
+    for name in ("force", "rate", "fix", "velocity"):
+        stream = getattr(streams, name)
+        if stream is not None:
+            setattr(streams, name, replace(stream, t=epoch(stream.t)))

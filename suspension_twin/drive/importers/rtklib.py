@@ -12,16 +12,15 @@ off-diagonal one carries the sign of its covariance. Q: 1 fix, 2 float, 3 SBAS, 
 from __future__ import annotations
 
 import re
-from datetime import datetime, timezone
-from functools import lru_cache
 
 import numpy as np
 import pymap3d
 
 from suspension_twin.arrays import Floats
-from suspension_twin.drive.intake.clocks import gps_to_posix, week_to_posix
+from suspension_twin.drive.intake.clocks import gps_to_posix, text_to_posix, week_to_posix
 from suspension_twin.drive.intake.source import Source
 from suspension_twin.drive.intake.streams import Streams
+from suspension_twin.drive.intake.table import number
 from suspension_twin.drive.types import FixData, VelocityData
 from suspension_twin.errors import InputError
 
@@ -36,7 +35,6 @@ _DEFAULT = (
 # sensor_msgs/NavSatStatus by Q: fix and float are ground-based augmentation
 _STATUS = {1: 2, 2: 2, 3: 1, 4: 2, 5: 0, 6: 0}
 _QUALITY = {1: "fix", 2: "float", 3: "SBAS", 4: "DGPS", 5: "single", 6: "PPP", 7: "dead reckoning"}
-_TIME = re.compile(r"^(\d{4})/(\d\d?)/(\d\d?)$")
 
 
 def recognises(source: Source) -> bool:
@@ -71,7 +69,7 @@ def read_solution(data: bytes, label: str) -> Streams:
     if not timed.all():
         streams.warnings.append(f"{label}: {int((~timed).sum())} lines begin with no time: left out")
         t, rows = t[timed], [row for row, good in zip(rows, timed, strict=True) if good]
-    values = np.array([[_number(v) for v in row[2 : 2 + len(names)]] for row in rows], dtype=np.float64)
+    values = np.array([[number(v) for v in row[2 : 2 + len(names)]] for row in rows], dtype=np.float64)
     columns = {re.sub(r"\(.*\)", "", name).lower(): values[:, i] for i, name in enumerate(names)}
     quality = columns.get("q", np.full(t.size, 5.0))
     if {"latitude", "longitude", "height"} <= columns.keys():
@@ -94,13 +92,6 @@ def read_solution(data: bytes, label: str) -> Streams:
     if streams.velocity is None:
         streams.notes.append("RTKLIB: no velocities put out")
     return streams
-
-
-def _number(text: str) -> float:
-    try:
-        return float(text)
-    except ValueError:
-        return float("nan")
 
 
 def _parse(text: str, label: str, streams: Streams) -> tuple[str, list[str], list[list[str]]]:
@@ -134,7 +125,7 @@ def _degrees(row: list[str]) -> list[str]:
         return []
     angles = []
     for at in (2, 5):
-        degrees, minutes, seconds = (_number(value) for value in row[at : at + 3])
+        degrees, minutes, seconds = (number(value) for value in row[at : at + 3])
         sign = -1.0 if row[at].startswith("-") else 1.0
         angles.append(repr(sign * (abs(degrees) + minutes / 60 + seconds / 3600)))
     return row[:2] + angles + row[8:]
@@ -142,34 +133,15 @@ def _degrees(row: list[str]) -> list[str]:
 
 def _times(rows: list[list[str]], system: str, label: str) -> Floats:
     """POSIX times of date and time or of week and second; NaN where a line has neither."""
-    if any(_TIME.match(row[0]) for row in rows[:100]):
-        t = np.array([_date(row[0]) + _clock(row[1]) for row in rows])
-        zone = 9 * 3600.0 if system == "JST" else 0.0
-        posix = gps_to_posix(t) if system == "GPST" else t - zone
+    posix = text_to_posix([f"{row[0]} {row[1]}" for row in rows])
+    if np.isfinite(posix).any():
+        posix = gps_to_posix(posix) if system == "GPST" else posix - (9 * 3600.0 if system == "JST" else 0.0)
     else:
-        week, seconds = (np.array([_number(row[i]) for row in rows]) for i in (0, 1))
+        week, seconds = (np.array([number(row[i]) for row in rows]) for i in (0, 1))
         posix = np.where((week > 0) & (week < 10_000), week_to_posix(week, seconds), np.nan)
     if not np.isfinite(posix).any():
         raise InputError(label, "lines begin neither with a date nor with a GPS week")
     return posix
-
-
-@lru_cache(maxsize=16)
-def _date(text: str) -> float:
-    match = _TIME.match(text)
-    try:
-        year, month, day = map(int, match.groups() if match else ())
-        return datetime(year, month, day, tzinfo=timezone.utc).timestamp()
-    except (ValueError, OverflowError):
-        return float("nan")
-
-
-def _clock(text: str) -> float:
-    try:
-        hours, minutes, seconds = text.split(":")
-        return int(hours) * 3600 + int(minutes) * 60 + float(seconds)
-    except ValueError:
-        return float("nan")
 
 
 def _sigma(columns: dict[str, Floats], names: tuple[str, str, str]) -> Floats:

@@ -94,7 +94,7 @@ def read(source: Source) -> Streams:
             )
             streams.notes.append("velocity: from speed and bearing")
     if platform is None:
-        streams.warnings.append(f"{label}: no Metadata file tells Android from iOS: taken as Android")
+        streams.warnings.append(f"{label}: no Metadata file names the platform: taken as Android")
     else:
         named = {"ios": "iOS", "android": "Android"}.get(platform, platform)
         streams.origin = f"{TITLE}, {named}{', standardised frames' if standardised else ''}"

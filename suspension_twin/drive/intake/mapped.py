@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -46,31 +47,13 @@ from suspension_twin.errors import InputError
 __all__ = ["read_mapped"]
 
 
-class _Array:
-    """An array with the face of a :class:`Table`."""
-
-    def __init__(self, label: str, values: Floats) -> None:
-        self.label = label
-        self.values = values
-
-    def numbers(self, key: str | int) -> Floats:
-        if not isinstance(key, int) or not 0 <= key < self.values.shape[1]:
-            raise InputError(
-                self.label, f"column {key}", f"an array has columns 0 to {self.values.shape[1] - 1}"
-            )
-        return self.values[:, key]
-
-    def text(self, key: str | int) -> tuple[str, ...]:
-        raise InputError(self.label, f"column {key}", "an array of numbers holds no text")
-
-
 class _Files:
     """The files given, and tables parsed from them once each."""
 
     def __init__(self, sources: Sequence[Source], streams: Streams) -> None:
         self.sources = sources
         self.streams = streams
-        self.tables: dict[tuple[object, ...], Table | _Array] = {}
+        self.tables: dict[tuple[object, ...], Table] = {}
 
     def content(self, name: str | None) -> tuple[bytes, str]:
         """Bytes and label of a file: among those given, or beside one of them."""
@@ -89,14 +72,14 @@ class _Files:
                 return Source(beside).read(beside.name), str(beside)
         raise InputError(self.sources[0].path, name, "is not there (the mapping asks for it)")
 
-    def table(self, spec: FileSpec, outer: FileSpec | None) -> Table | _Array:
+    def table(self, spec: FileSpec, outer: FileSpec | None) -> Table:
         """The table of a section."""
         chosen = spec.within(outer)
         key = (chosen.file, chosen.header, chosen.delimiter, chosen.decimal, chosen.comment)
         if key not in self.tables:
             data, label = self.content(chosen.file)
             if data.startswith(ARRAY_MAGIC):
-                self.tables[key] = _Array(label, read_array(data, label))
+                self.tables[key] = Table(label, [], values=read_array(data, label))
             else:
                 table = read_table(
                     data,
@@ -228,9 +211,7 @@ def _fix(files: _Files, spec: FixSpec) -> None:
             raise InputError(spec.file or files.sources[0].path, "holds no positions")
         files.streams.notes += found.notes
         files.streams.warnings += found.warnings
-        files.streams.fix = FixData(
-            fix.t - spec.lag, fix.latitude, fix.longitude, fix.altitude, fix.status, fix.sigma, spec.frame
-        )
+        files.streams.fix = replace(fix, t=fix.t - spec.lag, frame=spec.frame)
         return
     table = files.table(spec, None)
     assert spec.latitude is not None and spec.longitude is not None
@@ -255,7 +236,7 @@ def _velocity(files: _Files, spec: VelocitySpec) -> None:
             raise InputError(
                 spec.file or files.sources[0].path, "holds no velocities: give derive: true instead"
             )
-        files.streams.velocity = VelocityData(found.t - spec.lag, found.enu)
+        files.streams.velocity = replace(found, t=found.t - spec.lag)
         return
     table = files.table(spec, None)
     t, scale = _received_time(files, spec), SPEED_UNITS[spec.unit]

@@ -8,8 +8,8 @@ order, into SI units and onto common stamps, and everything that was decided is 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
-from typing import Literal
+from dataclasses import dataclass, field, replace
+from typing import Literal, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,8 +23,10 @@ from suspension_twin.units import STANDARD_GRAVITY
 
 __all__ = ["Series", "Streams", "assemble", "merge"]
 
+Received = TypeVar("Received", FixData, VelocityData)
 
-#: Median of |specific force| by which its unit is told: a quiet sensor reads 1 g.
+
+#: Median of |specific force| by which its unit is recognised: a sensor at rest reads 1 g.
 _IN_G = (0.5, 2.0)
 _IN_SI = (5.0, 20.0)
 
@@ -114,8 +116,8 @@ def assemble(streams: Streams, name: str, source: str) -> tuple[Drive, list[str]
     drive = Drive(
         name=name,
         imu=ImuData(t, values, rates, None, streams.frame),
-        fix=_fix_in_order(streams.fix, warnings),
-        velocity=_velocity_in_order(velocity, warnings),
+        fix=_in_time_order(streams.fix or FixData.empty(), "fixes", warnings),
+        velocity=_in_time_order(velocity or VelocityData.empty(), "velocities", warnings),
         heading=streams.heading,
         warnings=tuple(warnings),
     )
@@ -126,9 +128,7 @@ def assemble(streams: Streams, name: str, source: str) -> tuple[Drive, list[str]
         overlap = min(drive.fix.t[-1], drive.imu.t[-1]) - max(drive.fix.t[0], drive.imu.t[0])
         if overlap <= 0:
             text = f"IMU and GPS do not overlap in time: {_apart(drive)}"
-            drive = Drive(
-                drive.name, drive.imu, drive.fix, drive.velocity, drive.heading, (*drive.warnings, text)
-            )
+            drive = replace(drive, warnings=(*drive.warnings, text))
     return drive, notes
 
 
@@ -170,7 +170,7 @@ def _timed(t: Floats, what: str, warnings: list[str]) -> NDArray[np.bool_]:
 
 
 def _in_si(values: Floats, unit: str | None, notes: list[str], warnings: list[str]) -> Floats:
-    """Specific force in m/s²; the unit given, or the one its size tells."""
+    """Specific force in m/s²; the unit given, or the one its magnitude suggests."""
     size = float(np.median(np.linalg.norm(values, axis=1)))
     if unit is None:
         unit = "g" if _IN_G[0] <= size <= _IN_G[1] else "m/s²"
@@ -207,34 +207,12 @@ def _on_common_stamps(
     return t, force.values[inside], rates
 
 
-def _fix_in_order(fix: FixData | None, warnings: list[str]) -> FixData:
-    if fix is None:
-        empty = np.empty(0)
-        return FixData(empty, empty, empty, empty, np.empty(0, dtype=np.int8), np.empty((0, 3)))
-    keep = _rising(fix.t, "fixes", warnings)
-    return FixData(
-        fix.t[keep],
-        fix.latitude[keep],
-        fix.longitude[keep],
-        fix.altitude[keep],
-        fix.status[keep],
-        fix.sigma[keep],
-        fix.frame,
-    )
-
-
-def _velocity_in_order(velocity: VelocityData | None, warnings: list[str]) -> VelocityData:
-    if velocity is None:
-        return VelocityData(np.empty(0), np.empty((0, 3)))
-    keep = _rising(velocity.t, "velocities", warnings)
-    return VelocityData(velocity.t[keep], velocity.enu[keep])
-
-
-def _rising(t: Floats, what: str, warnings: list[str]) -> NDArray[np.intp]:
-    """Indices that put the usable stamps in rising order, each once."""
+def _in_time_order(samples: Received, what: str, warnings: list[str]) -> Received:
+    """The samples with a usable stamp in rising order, each stamp once."""
+    t = samples.t
     order = np.argsort(t, kind="stable")
     order = order[_timed(t, what, warnings)[order]]
     fresh = np.concatenate([[True], np.diff(t[order]) > 0]) if order.size else np.empty(0, dtype=np.bool_)
     if not fresh.all():
         warnings.append(f"{int((~fresh).sum())} of {t.size} {what} repeat a stamp: left out")
-    return np.asarray(order[fresh])
+    return samples.select(order[fresh])

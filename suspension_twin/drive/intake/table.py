@@ -14,7 +14,7 @@ from suspension_twin.arrays import Floats
 from suspension_twin.drive.intake.source import decode_text
 from suspension_twin.errors import InputError
 
-__all__ = ["Table", "read_table"]
+__all__ = ["Table", "number", "read_table"]
 
 _NUMBER = re.compile(
     r"\s*([-+]?(\d+([.,]\d*)?|[.,]\d+)(e[-+]?\d+)?|[-+]?(nan|inf(inity)?))\s*$", re.IGNORECASE
@@ -27,7 +27,7 @@ _SAMPLE_LINES = 50
 class Table:
     """Columns of one file, of text or, where every field of it is one, of numbers (rows, columns).
 
-    ``label`` names it in errors; ``lines`` are those that ``values`` came of, between ``delimiter``.
+    ``label`` names it in errors; ``lines`` are those that ``values`` were parsed from, if any.
     """
 
     label: str
@@ -72,6 +72,8 @@ class Table:
     def text(self, key: str | int) -> tuple[str, ...]:
         """A column as it stands."""
         i = self.index(key)
+        if not self.columns and not self.lines:
+            raise InputError(self.label, f"column {key}", "an array of numbers holds no text")
         if not self.columns:
             self.columns = list(zip(*_split(self.lines, self.delimiter), strict=True))
         return self.columns[i]
@@ -86,14 +88,15 @@ class Table:
         try:
             return np.array(column, dtype=np.float64)
         except ValueError:
-            return np.array([_number(value) for value in column], dtype=np.float64)
+            return np.array([number(value) for value in column], dtype=np.float64)
 
     def vector(self, keys: Sequence[str | int]) -> Floats:
         """Columns side by side (rows, len(keys))."""
         return np.stack([self.numbers(key) for key in keys], axis=1)
 
 
-def _number(text: str) -> float:
+def number(text: str) -> float:
+    """A field as a number, NaN where it is none."""
     try:
         return float(text)
     except ValueError:

@@ -38,7 +38,7 @@ def velocities_from_fixes(fix: FixData) -> VelocityData:
     good = (fix.status >= 0) & np.isfinite(fix.latitude) & np.isfinite(fix.longitude) & np.isfinite(fix.t)
     t, fresh = np.unique(fix.t[good], return_index=True)
     if t.size < 3:
-        return VelocityData(np.empty(0), np.empty((0, 3)))
+        return VelocityData.empty()
     latitude, longitude = fix.latitude[good][fresh], fix.longitude[good][fresh]
     altitude = np.nan_to_num(fix.altitude[good][fresh])
     origin = (latitude[0], longitude[0], altitude[0])
@@ -50,7 +50,7 @@ def velocities_from_fixes(fix: FixData) -> VelocityData:
             stamps.append(t[first:last])
             slopes.append(_slopes(t[first:last], place[first:last]))
     if not stamps:
-        return VelocityData(np.empty(0), np.empty((0, 3)))
+        return VelocityData.empty()
     return VelocityData(np.concatenate(stamps), np.concatenate(slopes))
 
 

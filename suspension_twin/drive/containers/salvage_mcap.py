@@ -1,0 +1,109 @@
+# SPDX-License-Identifier: Apache-2.0
+"""MCAP, record by record, so that a file without its end is read as far as it goes.
+
+Format: the MCAP specification, version 0. The records themselves are parsed by the ``mcap`` library.
+"""
+
+from __future__ import annotations
+
+import mmap
+import struct
+import zlib
+from io import BytesIO
+from pathlib import Path
+
+from mcap.data_stream import ReadDataStream
+from mcap.exceptions import McapError
+from mcap.opcode import Opcode
+from mcap.records import Channel, Chunk, Message, Schema
+
+from suspension_twin.drive.containers.contents import Contents, RawTopic
+from suspension_twin.drive.containers.inflate import inflate
+
+__all__ = ["MAGIC", "salvage_mcap"]
+
+MAGIC = b"\x89MCAP0\r\n"
+
+_HEAD = struct.Struct("<BQ")
+
+
+class _Salvage:
+    def __init__(self, contents: Contents, name: str) -> None:
+        self.contents = contents
+        self.name = name
+        self.schemas: dict[int, str] = {}
+        self.sinks: dict[int, RawTopic | None] = {}
+        self.complete = False
+        self.damaged = 0
+        self.doubtful = 0
+        self.messages = 0
+
+    def walk(self, data: bytes | mmap.mmap, at: int, *, inside_chunk: bool = False) -> bool:
+        """Take the records from offset ``at`` on; False where the last one is not complete."""
+        while at + _HEAD.size <= len(data):
+            opcode, size = _HEAD.unpack_from(data, at)
+            if not opcode:
+                return False  # no record: the zeros that a power cut leaves behind
+            body = data[at + _HEAD.size : at + _HEAD.size + size]
+            at += _HEAD.size + size
+            try:
+                if opcode == Opcode.CHUNK and not inside_chunk:
+                    self.chunk(Chunk.read(ReadDataStream(BytesIO(body))), at <= len(data))
+                elif at <= len(data):
+                    self.record(opcode, body)
+            except (McapError, struct.error, ValueError, OverflowError):
+                self.damaged += at <= len(data)
+            if opcode == Opcode.FOOTER:
+                return True
+        return at == len(data)
+
+    def record(self, opcode: int, body: bytes) -> None:
+        stream = ReadDataStream(BytesIO(body))
+        if opcode == Opcode.MESSAGE:
+            message = Message.read(stream, len(body))
+            self.messages += 1
+            sink = self.sinks.get(message.channel_id)
+            if sink is not None:
+                sink.stamps.append(message.log_time)
+                sink.data.append(message.data)
+        elif opcode == Opcode.SCHEMA:
+            schema = Schema.read(stream)
+            self.schemas[schema.id] = schema.name
+            if schema.encoding == "ros2msg":
+                self.contents.definitions[schema.name] = schema.data.decode("utf-8", "replace")
+        elif opcode == Opcode.CHANNEL:
+            channel = Channel.read(stream)
+            if channel.id not in self.sinks:
+                msgtype = self.schemas.get(channel.schema_id, "unknown")
+                sink = self.contents.open_topic(channel.topic, msgtype, channel.message_encoding)
+                self.sinks[channel.id] = sink
+        elif opcode == Opcode.DATA_END:
+            self.complete = True  # the summary that follows names the topics without messages
+
+    def chunk(self, chunk: Chunk, whole: bool) -> None:
+        try:
+            records, inflated = inflate(chunk.compression, chunk.data)
+        except ValueError as error:
+            self.contents.warnings.append(f"{self.name}: a chunk was left out: {error}")
+            return
+        sound = self.walk(records, 0, inside_chunk=True) and inflated
+        if whole:  # else it is cut off, which is said of the file
+            self.damaged += not sound
+            self.doubtful += sound and chunk.uncompressed_crc not in (0, zlib.crc32(records))
+
+
+def salvage_mcap(path: Path, contents: Contents) -> None:
+    """Add the messages of a file to ``contents``, and a warning for each kind of damage."""
+    salvage = _Salvage(contents, path.name)
+    with path.open("rb") as file, mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) as data:
+        salvage.walk(data, len(MAGIC))
+    if not salvage.complete:
+        contents.warnings.append(
+            f"{path.name} is cut off or damaged: {salvage.messages} whole messages were read"
+        )
+    if salvage.damaged:
+        contents.warnings.append(f"{path.name}: {salvage.damaged} damaged records were left out")
+    if salvage.doubtful:
+        contents.warnings.append(
+            f"{path.name}: {salvage.doubtful} chunks fail their check sum: values may be wrong"
+        )
