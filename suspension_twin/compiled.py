@@ -13,21 +13,23 @@ from __future__ import annotations
 import hashlib
 import re
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from functools import cache
 from pathlib import Path
+from types import FunctionType
 from typing import Any, TypeVar
 
 from numba import njit
 
-__all__ = ["compiled", "inlined", "pasted", "sources"]
+__all__ = ["compiled", "inlined", "linked", "sources", "specialised"]
 
 Function = TypeVar("Function", bound=Callable[..., Any])
 
 
-def compiled(function: Function) -> Function:
+def compiled(function: Function, modules: Iterable[str] = ()) -> Function:
     """Compile on first call, without the GIL, and keep the machine code on disk.
 
+    ``modules`` are names of loaded modules, beside those imported by the function's own, that the code is made of.
     Where no folder can be written at all (no home, read-only installation) every process compiles
     anew instead of failing.
     """
@@ -37,7 +39,21 @@ def compiled(function: Function) -> Function:
         out = njit(nogil=True, error_model="numpy")(function)
     file = getattr(getattr(out, "_cache", None), "_cache_file", None)
     if file is not None and hasattr(file, "_source_stamp"):
-        file._source_stamp = _stamp(function.__module__)
+        file._source_stamp = _stamp(function.__module__, modules)
+    return out  # type: ignore[no-any-return]
+
+
+def specialised(function: Any, name: str, **constants: Any) -> Any:
+    """A copy of ``function`` called ``name`` in which some globals of its module are ``constants``: numbers that the
+    compiler takes as such, or compiled functions. To be compiled by one of the functions here."""
+    out = FunctionType(function.__code__, function.__globals__ | constants, name)
+    out.__qualname__, out.__module__ = name, function.__module__
+    return out
+
+
+def linked(function: Function) -> Function:
+    """A function that is made in a process, compiled once there and linked to its callers; they are what is kept."""
+    out: Any = njit(nogil=True, error_model="numpy")(function)
     return out  # type: ignore[no-any-return]
 
 
@@ -50,16 +66,7 @@ def inlined(function: Function) -> Function:
     return out  # type: ignore[no-any-return]
 
 
-def pasted(function: Function) -> Function:
-    """A body that is pasted into its only caller, as the kernels' are for each number of hinges.
-
-    Numba does it before it compiles anything, so that a body this long is not optimised twice.
-    """
-    out: Any = njit(inline="always", error_model="numpy")(function)
-    return out  # type: ignore[no-any-return]
-
-
-def _stamp(module: str) -> tuple[str, str]:
+def _stamp(module: str, modules: Iterable[str] = ()) -> tuple[str, str]:
     """What has to be the same for machine code of a module's functions to count."""
     package, _, below = module.partition(".")
     loaded = sys.modules.get(package)
@@ -70,8 +77,10 @@ def _stamp(module: str) -> tuple[str, str]:
     if not file.is_file():
         return "no file", ""
     digest = hashlib.blake2b(digest_size=16)
-    for source in sources(file, root):
-        digest.update(f"{source.relative_to(root)}\0".encode() + _digest(source))
+    for start in (file, *(Path(str(sys.modules[name].__file__)) for name in modules)):
+        for source in sources(start, root):
+            place = source.relative_to(root) if source.is_relative_to(root) else source.name
+            digest.update(f"{place}\0".encode() + _digest(source))
     return "contents", digest.hexdigest()
 
 

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from suspension_twin.arrays import Floats
 from suspension_twin.compiled import compiled
 from suspension_twin.effects._signal import STATES, second_order
-from suspension_twin.effects.base import Effect, Parameter, Values, neutral
+from suspension_twin.effects.base import Effect, Parameter, Values
 from suspension_twin.models.hooks import Hook, SignalStage
 
 __all__ = ["EFFECT"]
@@ -39,11 +39,11 @@ EFFECT = Effect(
     where="sensor",
     doc="The sensor filters all its axes with a second-order Butterworth low-pass. 0 is no low-pass.",
     parameters=_PARAMETERS,
+    order=270,
     severity=("cutoff",),
     excited_by=("wheel hop", "sharp edges", "anything quick"),
     confused_with=("time_offset", "tyre_envelope", "road_smoothing"),
     hook=Hook(
-        neutral(_PARAMETERS),
         signal=SignalStage(_signal, states=6 * STATES, order=40),
         lag=_lag,
         models=("full_car", "msd"),

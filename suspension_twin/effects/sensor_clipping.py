@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from suspension_twin.arrays import Floats
 from suspension_twin.compiled import compiled
-from suspension_twin.effects.base import Effect, Parameter, neutral
+from suspension_twin.effects.base import Effect, Parameter
 from suspension_twin.models.hooks import Hook, SignalStage
 
 __all__ = ["EFFECT"]
@@ -32,10 +32,9 @@ EFFECT = Effect(
     where="sensor",
     doc="Specific force beyond the range reads as the range, on each of the sensor's own axes. 0 is no limit.",
     parameters=_PARAMETERS,
+    order=280,
     severity=("range",),
     excited_by=("peaks: bumps and potholes at speed",),
     confused_with=("bump_stop", "sensor_bandwidth"),
-    hook=Hook(
-        neutral(_PARAMETERS), signal=SignalStage(_signal, order=50, own_axes=True), models=("full_car", "msd")
-    ),
+    hook=Hook(signal=SignalStage(_signal, order=50, own_axes=True), models=("full_car", "msd")),
 )

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from suspension_twin.arrays import Floats
 from suspension_twin.compiled import compiled
-from suspension_twin.effects.base import Effect, Parameter, Values, Variant, neutral
+from suspension_twin.effects.base import Effect, Parameter, Values, Variant
 from suspension_twin.models.hooks import Hook, SignalStage
 
 __all__ = ["EFFECT"]
@@ -44,14 +44,14 @@ EFFECT = Effect(
     where="sensor",
     doc="The accelerometer reads (1 + scale) times the specific force on all axes, gravity included.",
     parameters=_PARAMETERS,
+    order=260,
     severity=("scale",),
     excited_by=("gravity: standing still", "every acceleration"),
     confused_with=("road_scale", "accelerometer bias"),
     hook=Hook(
-        neutral(_PARAMETERS),
         signal=SignalStage(_signal, order=30),
         models=("full_car", "msd"),
         gained=lambda p: 1.0 + p.get("scale", 0.0),
     ),
-    variants={"tracked": Variant(_CAMERA, Hook(neutral(_CAMERA), reading=_reading, models=("tracked",)))},
+    variants={"tracked": Variant(_CAMERA, Hook(reading=_reading, models=("tracked",)))},
 )

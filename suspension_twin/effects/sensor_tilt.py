@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from suspension_twin.arrays import Floats
 from suspension_twin.compiled import compiled
-from suspension_twin.effects.base import Effect, Parameter, Values, Variant, neutral
+from suspension_twin.effects.base import Effect, Parameter, Values, Variant
 from suspension_twin.models.hooks import Hook, SignalStage
 
 __all__ = ["EFFECT"]
@@ -79,15 +79,15 @@ EFFECT = Effect(
     doc="The sensor is turned against the mounting in the file (z-y-x Euler angles): gravity and the planar "
     "accelerations leak into the other axes.",
     parameters=_PARAMETERS,
+    order=250,
     severity=("roll", "pitch", "yaw"),
     excited_by=("braking", "cornering", "standing still"),
     confused_with=("accelerometer bias", "sensor_scale"),
     hook=Hook(
-        neutral(_PARAMETERS),
         signal=SignalStage(_signal, order=20),
         models=("full_car", "msd"),
         upright=True,
         turned=lambda p: (p.get("roll", 0.0), p.get("pitch", 0.0), p.get("yaw", 0.0)),
     ),
-    variants={"tracked": Variant(_CAMERA, Hook(neutral(_CAMERA), reading=_reading, models=("tracked",)))},
+    variants={"tracked": Variant(_CAMERA, Hook(reading=_reading, models=("tracked",)))},
 )

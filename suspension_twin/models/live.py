@@ -14,7 +14,7 @@ import numpy as np
 
 from suspension_twin.arrays import Floats
 from suspension_twin.errors import InputError
-from suspension_twin.models.blocks import Blocks
+from suspension_twin.models.blocks import LaneBlocks
 from suspension_twin.models.candidate_road import ahead_of, own_road, reach_of
 from suspension_twin.models.constants import constants
 from suspension_twin.models.excitation import MAX_STEP, check_step, substeps
@@ -69,7 +69,7 @@ class LiveTwin:
         self._known = known
         self._chain = Chain(known)
         self._values = known.values[:, 0].copy()
-        self._fresh, self._blocks = Blocks(known), Blocks(known)
+        self._fresh, self._blocks = LaneBlocks(known), LaneBlocks(known)
         self._radius = twin.vehicle.tyre.radius
         self._wheels = twin.vehicle.wheel_positions
         # stamp 0 is the last one, stamp 1 the one to come

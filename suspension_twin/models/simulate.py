@@ -12,7 +12,7 @@ import numpy as np
 from suspension_twin.arrays import Floats
 from suspension_twin.errors import InputError, WorkError
 from suspension_twin.models import rows
-from suspension_twin.models.blocks import Blocks, cores
+from suspension_twin.models.blocks import LaneBlocks, cores
 from suspension_twin.models.candidate_road import own_road, tracks_of
 from suspension_twin.models.constants import Constants, constants
 from suspension_twin.models.observe import COLUMNS, OBSERVED, observe
@@ -101,7 +101,7 @@ def car_lanes(
     """
     shape = layout(twin)
     known = constants(params, shape, excitation.max_step, fused, excitation.antenna, excitation.late)
-    blocks = Blocks(known)
+    blocks = LaneBlocks(known)
     full = not vertical_only or bool(known.stages)
     signals = np.empty((len(excitation), 7 if full else 1, blocks.width))
     for begin, end in _stretches(known, excitation):
@@ -131,10 +131,10 @@ def car_lanes(
 
 def car_response(twin: Twin, excitation: Excitation) -> Response:
     """``full_car`` and ``msd``, one twin with everything recorded."""
-    most, antenna, late = excitation.max_step, excitation.antenna, excitation.late
-    known = constants(pack(twin)[:, None], layout(twin), most, antenna=antenna, late=late)
+    antenna, offset = excitation.antenna, excitation.late
+    known = constants(pack(twin)[:, None], layout(twin), excitation.max_step, False, antenna, offset)
     known.raise_first()
-    blocks = Blocks(known)
+    blocks = LaneBlocks(known)
     n = len(excitation)
     out = np.empty((n, OBSERVED))
     values = np.ascontiguousarray(known.values[:, 0])
@@ -167,7 +167,7 @@ def _stretches(
 
 
 def _roads(
-    known: Constants, blocks: Blocks, excitation: Excitation, begin: int, end: int, strict: bool = True
+    known: Constants, blocks: LaneBlocks, excitation: Excitation, begin: int, end: int, strict: bool = True
 ) -> tuple[Floats, Callable[[int], tuple[Floats, Floats]] | None]:
     """Road heights of a stretch, and a maker of every block's own where lanes see different roads;
     ``strict`` as in ``own_road``."""
