@@ -2,7 +2,8 @@
 """``full_car`` with effects: the same step, with the terms of all effects in it.
 
 The terms come from the files of the effects (``hooks.KernelTerms``). ``effect_kernels`` lays out their fields one
-after the other, gives each effect a bit and chains the terms of each stage, in the order of the effects. A block runs
+after the other, gives each effect a bit, and writes a function for each stage that runs the terms of the effects in
+their order: a loop over corners or axles and lanes each, with the rows of their fields as constants. A block runs
 only the terms that one of its lanes has, and a term is exactly nothing for a lane that has it not: with all of them at
 zero the numbers are those of ``full_car`` to the last bit. Every corner has curves of its own here, every lane
 may have a road of its own.
@@ -10,13 +11,13 @@ may have a road of its own.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cache
-from typing import Any
+from typing import Any, get_args
 
 from suspension_twin.arrays import Floats
-from suspension_twin.compiled import compiled, inlined, linked, specialised
+from suspension_twin.compiled import compiled, linked, specialised
 from suspension_twin.models import rows
 from suspension_twin.models.corner import (
     close_interval,
@@ -30,7 +31,7 @@ from suspension_twin.models.corner import (
 from suspension_twin.models.damper_tables import retable
 from suspension_twin.models.equilibrium import stand
 from suspension_twin.models.full_car import moments, open_lanes, record, watch
-from suspension_twin.models.hooks import KernelTerms
+from suspension_twin.models.hooks import KernelTerms, Stage
 from suspension_twin.models.numerics import four, put
 from suspension_twin.models.rows import WIDTH
 from suspension_twin.models.sensor import sense
@@ -42,19 +43,10 @@ __all__ = ["COMPLIANT", "EffectKernels", "effect_kernels"]
 #: Bit of the flags of a block in which a damper has an elastic mount. Effects have the bits above it.
 COMPLIANT = 1
 
-Chain = Callable[..., Any]
-
-
-@inlined
-def _nothing(w: Floats, flag: int, h: float) -> None:
-    """The chain of a stage without terms."""
-
-
 #: What each assembly of the kernel has of its own: hinges of a curve, first row of the curves, flags of blocks whose
-#: damper tables change, static equilibrium, and the chains of the stages.
+#: damper tables change, static equilibrium, and the terms of the stages.
 _HINGES, _CURVES, _RETABLED = 0, 0, 0
-_SETTLE: Chain = settle
-_DAMPERS = _STRUT = _TYRE = _BODY = _AFTER = _STAMP = _nothing
+_SETTLE = _DAMPERS = _STRUT = _TYRE = _BODY = _AFTER = _STAMP = settle
 
 
 @compiled
@@ -87,9 +79,10 @@ def _run(
     ``blocks`` holds one block.
     """
     stride = 5 + 6 * _HINGES
-    c0 = _CURVES + 2 * stride
-    c1, c2, c3 = c0 + stride, c0 + 2 * stride, c0 + 3 * stride
     beta, lag = rows.CORNER_IMPLICIT, rows.LAG
+    c0 = _CURVES + 2 * stride
+    curves = c0 - 2 * stride  # of the type that the plain kernel has it in: what both call is compiled once
+    c1, c2, c3 = c0 + stride, c0 + 2 * stride, c0 + 3 * stride
     for block in range(blocks.shape[0]):
         w = blocks[block]
         flag = flags[block]
@@ -102,15 +95,15 @@ def _run(
                 _ground(w, road, candidate_road, row, 0.0)
                 for i in range(WIDTH):
                     mx, my = moments(w, i, ax, ay, yaw * yaw, dyaw)
-                    stand(w, i, mx, my, motion[k, 5], motion[k, 6], _CURVES, _HINGES)
-                    _SETTLE(w, i, mx, my, _CURVES, _HINGES)
+                    stand(w, i, mx, my, motion[k, 5], motion[k, 6], curves, _HINGES)
+                    _SETTLE(w, i, mx, my, curves, _HINGES)
                 row += 1
             else:
                 if flag & _RETABLED:
                     for i in range(WIDTH):
                         put(w, rows.DAMPER_SHARE, i, 1.0, 1.0, 1.0, 1.0)
                     _DAMPERS(w, flag, h)
-                    retable(w, h, _CURVES, _HINGES)
+                    retable(w, h, curves, _HINGES)
                 open_lanes(w, k, motion, beta, beta + 1, beta + 2, beta + 3)
                 for j in range(n):
                     share = (j + 1.0) / n
@@ -159,63 +152,30 @@ def _run(
             record(w, lane0 + block * WIDTH, k - begin, signals, states)
 
 
-def _everywhere(term: Chain, e: int, count: int) -> Chain:
-    """A term at ``count`` corners or axles, or once, of every lane."""
-
-    def run(w: Floats, h: float) -> None:
-        for c in range(count):
-            for i in range(WIDTH):
-                term(w, e, c, i, h)
-
-    return linked(run)
-
-
-def _strut_of(law: Chain, e: int, count: int) -> Chain:
-    """An elastic element in the stage ``strut``."""
-
-    def corners(w: Floats, h: float) -> None:
-        for c in range(4):
-            for i in range(WIDTH):
-                w[(rows.STRUT + c) * WIDTH + i] += law(w, e, c, i, travel(w, c, i))[0]
-
-    def axles(w: Floats, h: float) -> None:
-        for a in range(2):
-            for i in range(WIDTH):
-                force = law(w, e, a, i, travel(w, 2 * a, i) - travel(w, 2 * a + 1, i))[0]
-                w[(rows.STRUT + 2 * a) * WIDTH + i] += force
-                w[(rows.STRUT + 2 * a + 1) * WIDTH + i] -= force
-
-    return linked(corners if count == rows.CORNER else axles)
+_AT_CORNERS = "        for c in range({count}):\n            for i in range(WIDTH):\n"
+#: Source of a term in its stage, and of an elastic element of a corner and of an axle in the stage ``strut``.
+_TERM = _AT_CORNERS + "                {call}h)\n"
+_AT_CORNER = _AT_CORNERS + "                w[(STRUT + c) * WIDTH + i] += {call}travel(w, c, i))[0]\n"
+_AT_AXLE = (
+    _AT_CORNERS
+    + "                force = {call}travel(w, 2 * c, i) - travel(w, 2 * c + 1, i))[0]\n"
+    + "                w[(STRUT + 2 * c) * WIDTH + i] += force\n"
+    + "                w[(STRUT + 2 * c + 1) * WIDTH + i] -= force\n"
+)
+#: And of either in the static equilibrium of a lane.
+_STATIC = (
+    "    for c in range({count}):\n"
+    "        f, k = {call}travel[{first} + c])\n"
+    "        force[{first} + c] += f\n"
+    "        stiffness[{first} + c] += k\n"
+)
 
 
-def _then(before: Chain, run: Chain, bit: int) -> Chain:
-    """The chain ``before`` and then ``run`` in blocks that have the effect."""
-
-    def both(w: Floats, flag: int, h: float) -> None:
-        before(w, flag, h)
-        if flag & bit:
-            run(w, h)
-
-    return inlined(both)
-
-
-@linked
-def _no_force(w: Floats, i: int, travel: Floats, force: Floats, stiffness: Floats) -> None:
-    """The elastic elements of no effect."""
-
-
-def _static(before: Chain, law: Chain, e: int, count: int) -> Chain:
-    """``before`` and the force and stiffness of an elastic element, for ``settle``."""
-    first = 0 if count == rows.CORNER else 4
-
-    def both(w: Floats, i: int, travel: Floats, force: Floats, stiffness: Floats) -> None:
-        before(w, i, travel, force, stiffness)
-        for c in range(count):
-            f, k = law(w, e, c, i, travel[first + c])
-            force[first + c] += f
-            stiffness[first + c] += k
-
-    return linked(both)
+def _made(arguments: str, lines: list[str], names: dict[str, Any]) -> Any:
+    """The compiled function with a body of ``lines`` in which ``names`` are known."""
+    scope = dict(names)
+    exec(f"def stage({arguments}):\n" + "".join(lines or ["    pass\n"]), scope)
+    return linked(scope["stage"])
 
 
 @dataclass(frozen=True, eq=False)
@@ -243,26 +203,31 @@ def effect_kernels() -> EffectKernels:
     from suspension_twin.effects.registry import EFFECTS  # whose files import models.hooks
 
     terms = {name: effect.hook.kernel for name, effect in EFFECTS.items() if effect.hook.kernel is not None}
-    first, bit, end = {}, {}, rows.CURVES
-    chains = dict.fromkeys(("dampers", "strut", "tyre", "body", "after", "stamp"), _nothing)
-    static = _no_force
+    first, bit, end, retabled = {}, {}, rows.CURVES, COMPLIANT
+    stages: dict[str, list[str]] = {stage: [] for stage in get_args(Stage)}
+    static: list[str] = []
     restarted: list[int] = []
-    retabled = COMPLIANT
+    names: dict[str, Any] = {"WIDTH": WIDTH, "STRUT": rows.STRUT, "travel": travel}
     for index, (name, own) in enumerate(terms.items(), 1):
-        e = first[name] = end
-        bit[name] = COMPLIANT << index
+        e, first[name], bit[name] = end, end, COMPLIANT << index
         end += own.fields.count
         restarted += [e + f + j for f in own.fields.restarted for j in range(own.fields.sizes[f])]
         if own.elastic is not None:
-            law, count = own.elastic
-            static = _static(static, law, e, count)
-            chains["strut"] = _then(chains["strut"], _strut_of(law, e, count), bit[name])
+            names[name], count = own.elastic
+            call = f"{name}(w, {e}, c, i, "
+            corner = count == rows.CORNER
+            source = _AT_CORNER if corner else _AT_AXLE
+            stages["strut"].append(f"    if flag & {bit[name]}:\n{source.format(count=count, call=call)}")
+            static.append(_STATIC.format(count=count, call=call, first=0 if corner else 4))
         for stage, (term, count) in own.terms.items():
-            chains[stage] = _then(chains[stage], _everywhere(term, e, count), bit[name])
+            names[f"{name}_{stage}"] = term
+            source = _TERM.format(count=count, call=f"{name}_{stage}(w, {e}, c, i, ")
+            stages[stage].append(f"    if flag & {bit[name]}:\n{source}")
         if "dampers" in own.terms:
             retabled |= bit[name]
-    settled = linked(specialised(settle, "settle", _ELASTIC=static, _RESTARTED=tuple(restarted)))
-    parts = {f"_{stage.upper()}": chain for stage, chain in chains.items()}
+    elastic = _made("w, i, travel, force, stiffness", static, names)
+    settled = linked(specialised(settle, "settle", _ELASTIC=elastic, _RESTARTED=tuple(restarted)))
+    parts = {f"_{stage.upper()}": _made("w, flag, h", lines, names) for stage, lines in stages.items()}
     modules = [f"suspension_twin.effects.{name}" for name in terms]
     kernels = {
         hinges: compiled(

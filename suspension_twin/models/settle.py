@@ -70,7 +70,8 @@ def settle(w: Floats, lane: int, mx: float, my: float, curves: int, hinges: int)
         g[c, 2] = -w[(rows.ARM_X + c // 2) * WIDTH + lane]
         g[c, 3 + c] = -1.0
     for a in range(2):
-        g[4 + a] = g[2 * a] - g[2 * a + 1]
+        for j in range(7):
+            g[4 + a, j] = g[2 * a, j] - g[2 * a + 1, j]
     small = 1e-10 * weight
     error = 2 * small
     for attempt in range(_ROUNDS):
