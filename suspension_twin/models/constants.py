@@ -29,6 +29,7 @@ from numpy.typing import NDArray
 from suspension_twin.arrays import Floats
 from suspension_twin.errors import InputError
 from suspension_twin.models import rows
+from suspension_twin.models.car import CURVES
 from suspension_twin.models.characteristics import (
     Check,
     Curves,
@@ -42,7 +43,7 @@ from suspension_twin.models.characteristics import (
 from suspension_twin.models.effect_constants import with_effects
 from suspension_twin.models.hooks import ClockChange, CornerChange, RoadChange, SignalStage, Values
 from suspension_twin.models.msd_constants import msd_rows
-from suspension_twin.models.parameters import CURVES, Layout
+from suspension_twin.models.parameters import Layout
 from suspension_twin.models.static_attitude import static_attitude
 from suspension_twin.models.types import Ints
 from suspension_twin.units import STANDARD_GRAVITY as G
