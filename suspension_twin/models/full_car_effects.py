@@ -3,7 +3,7 @@
 
 The terms come from the files of the effects (``hooks.KernelTerms``). ``effect_kernels`` lays out their fields one
 after the other, gives each effect a bit, and writes a function for each stage that runs the terms of the effects in
-their order: a loop over corners or axles and lanes each, with the rows of their fields as constants. A block runs
+their order: a loop over lanes and corners or axles each, with the rows of their fields as constants. A block runs
 only the terms that one of its lanes has, and a term is exactly nothing for a lane that has it not: with all of them at
 zero the numbers are those of ``full_car`` to the last bit. Every corner has curves of its own here, every lane
 may have a road of its own.
@@ -103,7 +103,7 @@ def _run(
                     for i in range(WIDTH):
                         put(w, rows.DAMPER_SHARE, i, 1.0, 1.0, 1.0, 1.0)
                     _DAMPERS(w, flag, h)
-                    retable(w, h, curves, _HINGES)
+                    retable(w, h, _CURVES, _HINGES)
                 open_lanes(w, k, motion, beta, beta + 1, beta + 2, beta + 3)
                 for j in range(n):
                     share = (j + 1.0) / n
@@ -152,7 +152,7 @@ def _run(
             record(w, lane0 + block * WIDTH, k - begin, signals, states)
 
 
-_AT_CORNERS = "        for c in range({count}):\n            for i in range(WIDTH):\n"
+_AT_CORNERS = "        for i in range(WIDTH):\n            for c in range({count}):\n"
 #: Source of a term in its stage, and of an elastic element of a corner and of an axle in the stage ``strut``.
 _TERM = _AT_CORNERS + "                {call}h)\n"
 _AT_CORNER = _AT_CORNERS + "                w[(STRUT + c) * WIDTH + i] += {call}travel(w, c, i))[0]\n"
