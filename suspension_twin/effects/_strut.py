@@ -3,17 +3,25 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from typing import Literal
 
 import numpy as np
 
-from suspension_twin.arrays import Floats
-from suspension_twin.compiled import inlined
-from suspension_twin.effects.base import Effect, Parameter, Values, by_corner
-from suspension_twin.models.hooks import CornerChange, Hook, KernelTerms
-from suspension_twin.models.numerics import fma
-from suspension_twin.models.rows import CORNER, WIDTH, Fields
+from suspension_twin.effects.base import (
+    CORNER,
+    WIDTH,
+    CornerChange,
+    Effect,
+    Fields,
+    Floats,
+    Hook,
+    KernelTerms,
+    Parameter,
+    Values,
+    by_corner,
+    fma,
+    inlined,
+)
 
 __all__ = ["odd_corner", "stop"]
 
@@ -54,14 +62,6 @@ def odd_corner(
         confused_with=(f"the axle's {part}", f"corner_{other}", "payload on one side", "lateral_offset"),
         hook=Hook(corners=corners, upright=upright),
     )
-
-
-def _constants(p: Values) -> Mapping[int, Floats]:
-    return {
-        _CLEARANCE: by_corner(p["front_clearance"], p["rear_clearance"]),
-        _STIFFNESS: p["stiffness"],
-        _RISE: p["stiffness"] / _DOUBLING,
-    }
 
 
 @inlined
@@ -106,5 +106,16 @@ def stop(
         severity=("stiffness",),
         excited_by=(f"large {end}", "bumps and potholes at speed"),
         confused_with=("the last points of the spring", f"{valve} at high velocity"),
-        hook=Hook(kernel=KernelTerms(_FIELDS, _constants, elastic=(law, CORNER), stiffness=(_STIFFNESS,))),
+        hook=Hook(
+            kernel=KernelTerms(
+                _FIELDS,
+                lambda p: {
+                    _CLEARANCE: by_corner(p["front_clearance"], p["rear_clearance"]),
+                    _STIFFNESS: p["stiffness"],
+                    _RISE: p["stiffness"] / _DOUBLING,
+                },
+                elastic=(law, CORNER),
+                stiffness=(_STIFFNESS,),
+            )
+        ),
     )

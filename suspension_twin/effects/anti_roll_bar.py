@@ -3,15 +3,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-
 import numpy as np
 
-from suspension_twin.arrays import Floats
-from suspension_twin.compiled import inlined
-from suspension_twin.effects.base import Effect, Parameter, Values
-from suspension_twin.models.hooks import Hook, KernelTerms
-from suspension_twin.models.rows import AXLE, WIDTH, Fields
+from suspension_twin.effects.base import (
+    AXLE,
+    WIDTH,
+    Effect,
+    Fields,
+    Floats,
+    Hook,
+    KernelTerms,
+    Parameter,
+    inlined,
+)
 
 __all__ = ["EFFECT"]
 
@@ -25,10 +29,6 @@ _PARAMETERS = (
 
 _FIELDS = Fields()
 _STIFFNESS = _FIELDS.add(AXLE)  # force per difference of compression, N/m
-
-
-def _constants(p: Values) -> Mapping[int, Floats]:
-    return {_STIFFNESS: np.stack([p["front_stiffness"], p["rear_stiffness"]])}
 
 
 @inlined
@@ -49,5 +49,12 @@ EFFECT = Effect(
     severity=("front_stiffness", "rear_stiffness"),
     excited_by=("roll", "one-sided bumps", "cornering"),
     confused_with=("sprung_inertia.roll", "corner_spring"),
-    hook=Hook(kernel=KernelTerms(_FIELDS, _constants, elastic=(_bar, AXLE), stiffness=(_STIFFNESS,))),
+    hook=Hook(
+        kernel=KernelTerms(
+            _FIELDS,
+            lambda p: {_STIFFNESS: np.stack([p["front_stiffness"], p["rear_stiffness"]])},
+            elastic=(_bar, AXLE),
+            stiffness=(_STIFFNESS,),
+        )
+    ),
 )

@@ -4,7 +4,7 @@
 An effect is an object ``EFFECT`` in a file of its own in this folder, of the same name. It has an id, parameters
 with their units, bounds and priors, signals that excite it and causes that it is easily confused with; how it
 changes a model is its ``hook`` (see ``models.hooks``). With its severity at the neutral value an
-effect changes no bit of any result.
+effect changes no bit of any result. This module also hands on what the files of effects are written with.
 """
 
 from __future__ import annotations
@@ -14,12 +14,53 @@ from dataclasses import dataclass, field, replace
 from typing import Literal
 
 import numpy as np
+from numpy.typing import NDArray
 
 from suspension_twin.arrays import Floats
+from suspension_twin.compiled import compiled, inlined
 from suspension_twin.errors import InputError
-from suspension_twin.models.hooks import Hook, Values
+from suspension_twin.models import rows
+from suspension_twin.models.corner import travel_rate
+from suspension_twin.models.hooks import (
+    ClockChange,
+    CornerChange,
+    Hook,
+    KernelTerms,
+    RoadChange,
+    SignalStage,
+    Values,
+)
+from suspension_twin.models.numerics import fma
+from suspension_twin.models.rows import AXLE, CORNER, LANE, WIDTH, Fields
 
-__all__ = ["Effect", "Parameter", "Values", "Variant", "Where", "by_corner"]
+__all__ = [
+    "AXLE",
+    "CORNER",
+    "LANE",
+    "WIDTH",
+    "Bools",
+    "ClockChange",
+    "CornerChange",
+    "Effect",
+    "Fields",
+    "Floats",
+    "Hook",
+    "KernelTerms",
+    "Parameter",
+    "RoadChange",
+    "SignalStage",
+    "Values",
+    "Variant",
+    "Where",
+    "by_corner",
+    "compiled",
+    "fma",
+    "inlined",
+    "rows",
+    "travel_rate",
+]
+
+Bools = NDArray[np.bool_]
 
 Where = Literal["strut", "tyre", "track", "body", "sensor", "time", "road"]
 

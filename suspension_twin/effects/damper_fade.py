@@ -3,14 +3,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-
-from suspension_twin.arrays import Floats
-from suspension_twin.compiled import inlined
-from suspension_twin.effects.base import Effect, Parameter, Values
-from suspension_twin.models import rows
-from suspension_twin.models.hooks import Hook, KernelTerms
-from suspension_twin.models.rows import CORNER, LANE, WIDTH, Fields
+from suspension_twin.effects.base import (
+    CORNER,
+    LANE,
+    WIDTH,
+    Effect,
+    Fields,
+    Floats,
+    Hook,
+    KernelTerms,
+    Parameter,
+    inlined,
+    rows,
+)
 
 __all__ = ["EFFECT"]
 
@@ -24,10 +29,6 @@ _FIELDS = Fields()
 _LOSS = _FIELDS.add()  # share of the damping lost at last
 _PACE = _FIELDS.add()  # growth of the heat, 1/s
 _HEAT = _FIELDS.add()  # in units of the heat at which half of the loss is reached; a pause does not cool
-
-
-def _constants(p: Values) -> Mapping[int, Floats]:
-    return {_LOSS: p["loss"], _PACE: 1 / p["time_constant"]}
 
 
 @inlined
@@ -54,6 +55,10 @@ EFFECT = Effect(
     excited_by=("long drives", "the same road early and late"),
     confused_with=("the whole damper curve", "clock_drift"),
     hook=Hook(
-        kernel=KernelTerms(_FIELDS, _constants, {"dampers": (_fade, CORNER), "after": (_heat, LANE)}),
+        kernel=KernelTerms(
+            _FIELDS,
+            lambda p: {_LOSS: p["loss"], _PACE: 1 / p["time_constant"]},
+            {"dampers": (_fade, CORNER), "after": (_heat, LANE)},
+        ),
     ),
 )

@@ -3,16 +3,21 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-
-from suspension_twin.arrays import Floats
-from suspension_twin.compiled import inlined
-from suspension_twin.effects.base import Effect, Parameter, Values, by_corner
-from suspension_twin.models import rows
-from suspension_twin.models.corner import travel_rate
-from suspension_twin.models.hooks import Hook, KernelTerms
-from suspension_twin.models.numerics import fma
-from suspension_twin.models.rows import CORNER, WIDTH, Fields
+from suspension_twin.effects.base import (
+    CORNER,
+    WIDTH,
+    Effect,
+    Fields,
+    Floats,
+    Hook,
+    KernelTerms,
+    Parameter,
+    by_corner,
+    fma,
+    inlined,
+    rows,
+    travel_rate,
+)
 
 __all__ = ["EFFECT"]
 
@@ -25,10 +30,6 @@ _PARAMETERS = (
 _FIELDS = Fields()
 _HALF = _FIELDS.add(CORNER)  # half of the play, m
 _PLACE = _FIELDS.state(CORNER)  # of the damper in its play, m
-
-
-def _constants(p: Values) -> Mapping[int, Floats]:
-    return {_HALF: by_corner(0.5 * p["front"], 0.5 * p["rear"])}
 
 
 @inlined
@@ -54,5 +55,11 @@ EFFECT = Effect(
     severity=("front", "rear"),
     excited_by=("many reversals of small travel", "rough road at medium speed"),
     confused_with=("top_mount", "damper_fade", "the first points of the dampers"),
-    hook=Hook(kernel=KernelTerms(_FIELDS, _constants, {"strut": (_play, CORNER)})),
+    hook=Hook(
+        kernel=KernelTerms(
+            _FIELDS,
+            lambda p: {_HALF: by_corner(0.5 * p["front"], 0.5 * p["rear"])},
+            {"strut": (_play, CORNER)},
+        )
+    ),
 )

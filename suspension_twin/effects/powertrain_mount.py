@@ -7,14 +7,21 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from suspension_twin.arrays import Floats
-from suspension_twin.compiled import inlined
-from suspension_twin.effects.base import Effect, Parameter, Values
-from suspension_twin.models import rows
+from suspension_twin.effects.base import (
+    LANE,
+    WIDTH,
+    Effect,
+    Fields,
+    Floats,
+    Hook,
+    KernelTerms,
+    Parameter,
+    Values,
+    fma,
+    inlined,
+    rows,
+)
 from suspension_twin.models.characteristics import Check
-from suspension_twin.models.hooks import Hook, KernelTerms
-from suspension_twin.models.numerics import fma
-from suspension_twin.models.rows import LANE, WIDTH, Fields
 
 __all__ = ["EFFECT"]
 

@@ -3,14 +3,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-
-from suspension_twin.arrays import Floats
-from suspension_twin.compiled import inlined
-from suspension_twin.effects.base import Effect, Parameter, Values, by_corner
-from suspension_twin.models.hooks import Hook, KernelTerms
-from suspension_twin.models.numerics import fma
-from suspension_twin.models.rows import CORNER, WIDTH, Fields
+from suspension_twin.effects.base import (
+    CORNER,
+    WIDTH,
+    Effect,
+    Fields,
+    Floats,
+    Hook,
+    KernelTerms,
+    Parameter,
+    by_corner,
+    fma,
+    inlined,
+)
 
 __all__ = ["EFFECT"]
 
@@ -28,13 +33,6 @@ _PARAMETERS = (
 _FIELDS = Fields()
 _RISE = _FIELDS.add(CORNER)  # growth of the rate with jounce from static, N/m²
 _SQUARE = _FIELDS.add(CORNER)  # and with its square, N/m³
-
-
-def _constants(p: Values) -> Mapping[int, Floats]:
-    return {
-        _RISE: by_corner(p["front_rise"], p["rear_rise"]),
-        _SQUARE: by_corner(p["front_square"], p["rear_square"]),
-    }
 
 
 @inlined
@@ -55,5 +53,14 @@ EFFECT = Effect(
     severity=("front_rise", "rear_rise", "front_square", "rear_square"),
     excited_by=("large travel both ways", "braking and cornering on top of a rough road"),
     confused_with=("bump_stop", "rebound_stop", "the points of the spring"),
-    hook=Hook(kernel=KernelTerms(_FIELDS, _constants, elastic=(_spring, CORNER))),
+    hook=Hook(
+        kernel=KernelTerms(
+            _FIELDS,
+            lambda p: {
+                _RISE: by_corner(p["front_rise"], p["rear_rise"]),
+                _SQUARE: by_corner(p["front_square"], p["rear_square"]),
+            },
+            elastic=(_spring, CORNER),
+        )
+    ),
 )

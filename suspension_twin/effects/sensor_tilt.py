@@ -7,12 +7,18 @@ import math
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from suspension_twin.arrays import Floats
-from suspension_twin.compiled import compiled
-from suspension_twin.effects.base import Effect, Parameter, Values, Variant
-from suspension_twin.models.hooks import Hook, SignalStage
+from suspension_twin.effects.base import (
+    Bools,
+    Effect,
+    Floats,
+    Hook,
+    Parameter,
+    SignalStage,
+    Values,
+    Variant,
+    compiled,
+)
 
 __all__ = ["EFFECT"]
 
@@ -46,7 +52,7 @@ def _turn(roll: float, pitch: float, yaw: float) -> Floats:
 
 
 @compiled
-def _signal(signals: Floats, t: Floats, fresh: NDArray[np.bool_], values: Floats, state: Floats) -> None:
+def _signal(signals: Floats, t: Floats, fresh: Bools, values: Floats, state: Floats) -> None:
     for i in range(signals.shape[2]):
         if values[0, i] != 0.0 or values[1, i] != 0.0 or values[2, i] != 0.0:
             turn = _turn(values[0, i], values[1, i], values[2, i])

@@ -8,10 +8,8 @@ from typing import Any
 
 import numpy as np
 
-from suspension_twin.arrays import Floats
 from suspension_twin.effects._station import STATION, add, exists
-from suspension_twin.effects.base import Effect, Parameter, Values
-from suspension_twin.models.hooks import Hook
+from suspension_twin.effects.base import Effect, Floats, Hook, Parameter, Values
 
 __all__ = ["EFFECT"]
 

@@ -3,16 +3,21 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-
-from suspension_twin.arrays import Floats
-from suspension_twin.compiled import inlined
-from suspension_twin.effects.base import Effect, Parameter, Values, by_corner
-from suspension_twin.models import rows
-from suspension_twin.models.corner import travel_rate
-from suspension_twin.models.hooks import Hook, KernelTerms
-from suspension_twin.models.numerics import fma
-from suspension_twin.models.rows import CORNER, WIDTH, Fields
+from suspension_twin.effects.base import (
+    CORNER,
+    WIDTH,
+    Effect,
+    Fields,
+    Floats,
+    Hook,
+    KernelTerms,
+    Parameter,
+    by_corner,
+    fma,
+    inlined,
+    rows,
+    travel_rate,
+)
 
 __all__ = ["EFFECT"]
 
@@ -31,10 +36,6 @@ _FIELDS = Fields()
 _LIMIT = _FIELDS.add(CORNER)  # dry friction, N
 _STIFFNESS = _FIELDS.add(CORNER)  # before it slips, N/m
 _FORCE = _FIELDS.state(CORNER)  # of the friction element, N
-
-
-def _constants(p: Values) -> Mapping[int, Floats | float]:
-    return {_LIMIT: by_corner(p["front_force"], p["rear_force"]), _STIFFNESS: STICKING}
 
 
 @inlined
@@ -63,6 +64,11 @@ EFFECT = Effect(
     excited_by=("small and slow suspension travel", "smooth road", "reversals of damper velocity"),
     confused_with=("damper_pull and damper_push at low velocity", "top_mount", "tyre_damping"),
     hook=Hook(
-        kernel=KernelTerms(_FIELDS, _constants, {"strut": (_friction, CORNER)}, stiffness=(_STIFFNESS,)),
+        kernel=KernelTerms(
+            _FIELDS,
+            lambda p: {_LIMIT: by_corner(p["front_force"], p["rear_force"]), _STIFFNESS: STICKING},
+            {"strut": (_friction, CORNER)},
+            stiffness=(_STIFFNESS,),
+        ),
     ),
 )

@@ -5,8 +5,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from suspension_twin.effects.base import Effect, Parameter, Values, by_corner
-from suspension_twin.models.hooks import CornerChange, Hook
+from suspension_twin.effects.base import CornerChange, Effect, Hook, Parameter, Values, by_corner
 
 __all__ = ["EFFECT"]
 

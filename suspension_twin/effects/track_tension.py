@@ -5,16 +5,12 @@ from __future__ import annotations
 
 import numpy as np
 
-from suspension_twin.arrays import Floats
-from suspension_twin.effects.base import Effect, Parameter, Values
-from suspension_twin.models.hooks import Hook
+from suspension_twin.effects.base import Effect, Floats, Hook, Parameter, Values
 from suspension_twin.vehicle.tracked import BOUNDS
 
 __all__ = ["EFFECT"]
 
-_PARAMETERS = (
-    Parameter("tighter", "mm", -40.0, 40.0, 0.0, 0.0, 10.0, "how much further out the idler stands"),
-)
+_PARAMETERS = (Parameter("tighter", "mm", -40.0, 40.0, 0.0, 0.0, 10.0, "displacement of the idler outwards"),)
 _KEY = "vehicle.idler.setting"
 
 

@@ -5,9 +5,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from suspension_twin.arrays import Floats
-from suspension_twin.effects.base import Effect, Parameter, Values
-from suspension_twin.models.hooks import Hook
+from suspension_twin.effects.base import Effect, Floats, Hook, Parameter, Values
 from suspension_twin.vehicle.tracked import BOUNDS
 
 __all__ = ["EFFECT"]

@@ -3,14 +3,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-
-from suspension_twin.arrays import Floats
-from suspension_twin.compiled import inlined
-from suspension_twin.effects.base import Effect, Parameter, Values
-from suspension_twin.models import rows
-from suspension_twin.models.hooks import Hook, KernelTerms
-from suspension_twin.models.rows import CORNER, WIDTH, Fields
+from suspension_twin.effects.base import (
+    CORNER,
+    WIDTH,
+    Effect,
+    Fields,
+    Floats,
+    Hook,
+    KernelTerms,
+    Parameter,
+    inlined,
+    rows,
+)
 
 __all__ = ["EFFECT"]
 
@@ -21,10 +25,6 @@ _PARAMETERS = (
 
 _FIELDS = Fields()
 _DAMPING = _FIELDS.add()  # of each tyre, N s/m
-
-
-def _constants(p: Values) -> Mapping[int, Floats]:
-    return {_DAMPING: p["damping"]}
 
 
 @inlined
@@ -44,5 +44,5 @@ EFFECT = Effect(
     severity=("damping",),
     excited_by=("wheel hop", "sharp edges"),
     confused_with=("damper points at high velocity", "tyre_envelope", "top_mount"),
-    hook=Hook(kernel=KernelTerms(_FIELDS, _constants, {"tyre": (_damp, CORNER)})),
+    hook=Hook(kernel=KernelTerms(_FIELDS, lambda p: {_DAMPING: p["damping"]}, {"tyre": (_damp, CORNER)})),
 )

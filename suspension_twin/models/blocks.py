@@ -92,7 +92,7 @@ class LaneBlocks:
 
     @property
     def failed(self) -> NDArray[np.bool_]:
-        """(L,) lanes that could not stand or have diverged."""
+        """(L,) lanes without a static equilibrium, and lanes that have diverged."""
         out: NDArray[np.bool_] = self._view[:, rows.FAILED].reshape(-1)[: self.lanes] > 0
         return out
 

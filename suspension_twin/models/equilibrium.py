@@ -26,7 +26,7 @@ def stand(
     The vehicle moves with
     ``forward`` and ``sideways`` m/s along the plane through its four contact points, so that a
     drive that begins on a slope begins without a jolt. Newton on a convex piecewise quadratic
-    energy: a few rounds, then exact. A lane that finds no place to stand is marked failed.
+    energy: a few rounds, then exact. A lane without an equilibrium is marked failed.
     """
     axle_stride = 5 + 6 * hinges
     road = [w[(rows.ROAD + c) * WIDTH + lane] for c in range(4)]

@@ -78,13 +78,13 @@ class KernelTerms:
     constants
         Values of constants by field, from the parameters (L,): (rows, L), (L,) or a number.
     terms
-        By stage a function ``(w, e, c, i, h)`` that is inlined, and how often it runs in a step: for every CORNER, every
-        AXLE or once for the LANE. ``w`` is the block, ``e`` the effect's first row, ``c`` the corner or axle, ``i`` the
+        By stage an inlined function ``(w, e, c, i, h)``, and how often it runs in a step: for every CORNER, every AXLE
+        or once for the LANE. ``w`` is the block, ``e`` the effect's first row, ``c`` the corner or axle, ``i`` the
         lane and ``h`` the step in s: its field F of corner c is ``w[(e + F + c) * WIDTH + i]``, the block's field F
         ``w[(rows.F + c) * WIDTH + i]``. With all constants zero a term must change no bit.
     elastic
-        A function ``(w, e, c, i, x)``, inlined, that gives the force in N and the stiffness in N/m of an elastic element
-        at x m of compression beyond the static one, and CORNER for the compression of a corner or AXLE for the
+        An inlined function ``(w, e, c, i, x)`` that gives force in N and stiffness in N/m of an elastic element at
+        x m of compression beyond the static one, and CORNER for the compression of a corner or AXLE for the
         difference between left and right. It acts in the stage ``strut`` and in the static equilibrium.
     stiffness
         Constants in N/m that stiffen a wheel's suspension, for the check of the step.

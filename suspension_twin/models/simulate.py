@@ -13,7 +13,7 @@ from suspension_twin.arrays import Floats
 from suspension_twin.errors import InputError, WorkError
 from suspension_twin.models import rows
 from suspension_twin.models.blocks import LaneBlocks, cores
-from suspension_twin.models.candidate_road import own_road, tracks_of
+from suspension_twin.models.candidate_road import candidate_heights, wheel_paths_of
 from suspension_twin.models.constants import Constants, constants
 from suspension_twin.models.observe import COLUMNS, OBSERVED, observe
 from suspension_twin.models.parameters import layout, pack
@@ -61,7 +61,7 @@ def simulate_lanes(
     Returns
     -------
     LaneResponse
-        A candidate that cannot stand, is unstable or diverges comes back as failed.
+        A candidate that has no static equilibrium, is unstable or diverges comes back as failed.
 
     Raises
     ------
@@ -97,7 +97,7 @@ def car_lanes(
 ) -> LaneResponse:
     """``full_car`` and ``msd``, many candidates in blocks of lanes. With ``vertical_only`` the vertical acceleration
     is the only channel: less to write, the same numbers. ``fused``: the pose was fused with the sensor's own readings,
-    so that the motion that it has is as late as the sensor is; late by that clock is then the road alone.
+    so that the planar motion has the clock offset of the sensor; the offset then delays the road alone.
     """
     shape = layout(twin)
     known = constants(params, shape, excitation.max_step, fused, excitation.antenna, excitation.late)
@@ -170,19 +170,19 @@ def _roads(
     known: Constants, blocks: LaneBlocks, excitation: Excitation, begin: int, end: int, strict: bool = True
 ) -> tuple[Floats, Callable[[int], tuple[Floats, Floats]] | None]:
     """Road heights of a stretch, and a maker of every block's own where lanes see different roads;
-    ``strict`` as in ``own_road``."""
+    ``strict`` as in ``candidate_heights``."""
     part = slice(int(excitation.first[begin]), int(excitation.first[end]))
     road, change = excitation.road[part], known.road
     if change is None:
         return road, None
-    tracks = tracks_of(excitation)
-    distance = tracks.distance[part]
+    paths = wheel_paths_of(excitation)
+    distance = paths.distance[part]
 
     def own(block: int) -> tuple[Floats, Floats]:
         lane0 = block * rows.WIDTH
         count = min(rows.WIDTH, blocks.lanes - lane0)
-        return own_road(
-            tracks,
+        return candidate_heights(
+            paths,
             change,
             lane0,
             count,
@@ -190,7 +190,7 @@ def _roads(
             distance,
             excitation.road[0],
             strict,
-            partial(tracks.earlier, part),
+            partial(paths.earlier, part),
         )
 
     return road, own

@@ -22,8 +22,8 @@ def static_attitude(loaded: Floats, stance: Floats, springs: Floats, curves: Cur
     its effects.
 
     ``loaded`` and ``stance`` are rows of blocks with and without the load that effects add, ``springs`` (4, L) is the
-    share that they add to the force of single springs. A rigid body on four springs with tyres: what each corner has to carry more, less
-    what it does carry, over the rates there. Exactly 0 where there is nothing of the kind.
+    share that they add to the force of single springs. A rigid body on four springs in series with tyres: the
+    unbalanced loads of the corners over the rates there. Exactly 0 without any.
     """
     count = loaded.shape[1]
     force, stiffness = np.zeros((3, count)), np.zeros((3, 3, count))
