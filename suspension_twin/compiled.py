@@ -17,16 +17,17 @@ import shutil
 import sys
 import tempfile
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import suppress
 from functools import cache
 from pathlib import Path
+from types import FunctionType
 from typing import Any, TypeVar
 
 import numba
 from numba import config, njit
 
-__all__ = ["compiled", "inlined", "pasted", "sources"]
+__all__ = ["compiled", "inlined", "linked", "sources", "specialised"]
 
 Function = TypeVar("Function", bound=Callable[..., Any])
 
@@ -34,19 +35,34 @@ Function = TypeVar("Function", bound=Callable[..., Any])
 _UNUSED = 30 * 86_400.0
 
 
-def compiled(function: Function) -> Function:
+def compiled(function: Function, modules: Iterable[str] = ()) -> Function:
     """Compile on first call, without the GIL, and keep the machine code on disk.
 
+    ``modules`` are names of loaded modules, beside those imported by the function's own, that the code is made of.
     Where no folder can be written at all (no home, read-only installation) every process compiles
     anew instead of failing.
     """
-    folder = _cache_folder(function.__module__)
+    folder = _cache_folder(function.__module__, tuple(modules))
     given = config.CACHE_DIR
     config.CACHE_DIR = str(folder)  # numba reads it while it decorates
     try:
         out: Any = njit(cache=folder is not None, nogil=True, error_model="numpy")(function)
     finally:
         config.CACHE_DIR = given
+    return out  # type: ignore[no-any-return]
+
+
+def specialised(function: Any, name: str, **constants: Any) -> Any:
+    """A copy of ``function`` called ``name`` in which some globals of its module are ``constants``: numbers that the
+    compiler takes as such, or compiled functions. To be compiled by one of the functions here."""
+    out = FunctionType(function.__code__, function.__globals__ | constants, name)
+    out.__qualname__, out.__module__ = name, function.__module__
+    return out
+
+
+def linked(function: Function) -> Function:
+    """A function that is made in a process, compiled once there and linked to its callers; they are what is kept."""
+    out: Any = njit(nogil=True, error_model="numpy")(function)
     return out  # type: ignore[no-any-return]
 
 
@@ -59,29 +75,22 @@ def inlined(function: Function) -> Function:
     return out  # type: ignore[no-any-return]
 
 
-def pasted(function: Function) -> Function:
-    """A body that is pasted into its only caller, as the kernels' are for each number of hinges.
-
-    Numba does it before it compiles anything, so that a body this long is not optimised twice.
-    """
-    out: Any = njit(inline="always", error_model="numpy")(function)
-    return out  # type: ignore[no-any-return]
-
-
 @cache
-def _cache_folder(module: str) -> Path | None:
-    """Folder for the machine code of a module's functions, None where none can be written.
+def _cache_folder(module: str, more: tuple[str, ...] = ()) -> Path | None:
+    """Folder for the machine code of a module's functions, which ``more`` modules are a part of; None where none can be
+    written.
 
     In ``NUMBA_CACHE_DIR`` if it is set, else in the package's ``__pycache__``, else in the user's cache.
     """
     package = sys.modules[module.partition(".")[0]]
-    file = sys.modules[module].__file__
-    if file is None or package.__file__ is None:
+    files = [sys.modules[name].__file__ for name in (module, *more)]
+    if files[0] is None or package.__file__ is None:
         return None
     root = Path(package.__file__).parent
     digest = hashlib.blake2b(numba.__version__.encode(), digest_size=16)
-    for source in sources(Path(file), root):
-        digest.update(f"{os.path.relpath(source, root)}\0".encode() + _digest(source))
+    for file in files:
+        for source in sources(Path(str(file)), root):
+            digest.update(f"{os.path.relpath(source, root)}\0".encode() + _digest(source))
     given = config.CACHE_DIR
     user = Path(os.environ.get("XDG_CACHE_HOME") or "~/.cache").expanduser()
     for base in [Path(given)] if given else [root / "__pycache__", user / root.name]:

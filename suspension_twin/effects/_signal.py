@@ -5,11 +5,7 @@ from __future__ import annotations
 
 import math
 
-import numpy as np
-from numpy.typing import NDArray
-
-from suspension_twin.arrays import Floats
-from suspension_twin.compiled import compiled
+from suspension_twin.effects.base import Bools, Floats, compiled
 
 __all__ = ["STATES", "second_order"]
 
@@ -20,7 +16,7 @@ STATES = 6  # of one axis
 def second_order(
     signals: Floats,
     t: Floats,
-    fresh: NDArray[np.bool_],
+    fresh: Bools,
     axis: int,
     axes: int,
     lane: int,

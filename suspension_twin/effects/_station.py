@@ -8,8 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from suspension_twin.arrays import Floats
-from suspension_twin.effects.base import Parameter
+from suspension_twin.effects.base import Floats, Parameter
 
 __all__ = ["STATION", "add", "exists"]
 

@@ -3,13 +3,25 @@
 
 from __future__ import annotations
 
-from functools import partial
+from typing import Literal
 
 import numpy as np
 
-from suspension_twin.arrays import Floats
-from suspension_twin.effects.base import Effect, Parameter, Values, neutral, per_corner
-from suspension_twin.models.hooks import Hook
+from suspension_twin.effects.base import (
+    CORNER,
+    WIDTH,
+    CornerChange,
+    Effect,
+    Fields,
+    Floats,
+    Hook,
+    KernelTerms,
+    Parameter,
+    Values,
+    by_corner,
+    fma,
+    inlined,
+)
 
 __all__ = ["odd_corner", "stop"]
 
@@ -17,14 +29,26 @@ _CORNERS = "0 front left, 1 front right, 2 rear left, 3 rear right"
 #: Compression of a stop in m that doubles its stiffness' share in the force: progressive foam.
 _DOUBLING = 0.02
 
+_FIELDS = Fields()
+_CLEARANCE = _FIELDS.add(CORNER)  # travel from static until the stop touches, m
+_STIFFNESS = _FIELDS.add(CORNER)  # of the stop at first touch, N/m
+_RISE = _FIELDS.add(CORNER)  # growth of its force with the square of its compression, N/m²
 
-def odd_corner(part: str, other: str, scale: int, usual: float, upright: bool = False) -> Effect:
-    """One corner whose ``part`` (spring, damper) has another force; ``scale`` the first of the rows that multiply it,
-    ``other`` the part that is easily confused with it, ``usual`` what new parts of one kind differ by."""
+
+def odd_corner(
+    part: Literal["spring", "damper"], other: str, usual: float, order: int, upright: bool = False
+) -> Effect:
+    """One corner whose ``part`` has another force; ``other`` is the part that is easily confused with it, ``usual``
+    what new parts of one kind differ by."""
     parameters = (
         Parameter("corner", "", 0.0, 3.0, 0.0, 0.0, 3.0, _CORNERS, choices=(0.0, 1.0, 2.0, 3.0)),
         Parameter("change", "", -0.98, 2.0, 0.0, 0.0, 0.4, "of its force, as a share", usual=usual),
     )
+
+    def corners(change: CornerChange, p: Values) -> None:
+        for corner, share in enumerate(getattr(change, part)):
+            share += np.where(p["corner"] == corner, p["change"], 0.0)
+
     return Effect(
         id=f"corner_{part}",
         title=f"one odd {part}",
@@ -32,50 +56,66 @@ def odd_corner(part: str, other: str, scale: int, usual: float, upright: bool = 
         doc=f"The {part} of one corner has (1 + change) times the force of its axle's characteristic: worn, broken or "
         "the wrong part.",
         parameters=parameters,
+        order=order,
         severity=("change",),
         excited_by=("one-sided bumps", "heave coupled with roll", "roll rate on a straight even road"),
         confused_with=(f"the axle's {part}", f"corner_{other}", "payload on one side", "lateral_offset"),
-        hook=Hook(
-            neutral(parameters), terms=partial(_scale_one, scale), models=("full_car",), upright=upright
-        ),
+        hook=Hook(corners=corners, upright=upright),
     )
 
 
-def _scale_one(scale: int, rows: Floats, p: Values) -> None:
-    for corner in range(4):
-        rows[scale + corner] += np.where(p["corner"] == corner, p["change"], 0.0)
+@inlined
+def _jounce(w: Floats, e: int, c: int, i: int, x: float) -> tuple[float, float]:
+    """Force in N and stiffness in N/m of the stop of a strut that is compressed by x m from static."""
+    y = x - w[(e + _CLEARANCE + c) * WIDTH + i]
+    y = y if y > 0.0 else 0.0
+    rate, rise = w[(e + _STIFFNESS + c) * WIDTH + i], w[(e + _RISE + c) * WIDTH + i]
+    return y * fma(rise, y, rate), (rate + 2.0 * rise * y if y > 0.0 else 0.0)
+
+
+@inlined
+def _rebound(w: Floats, e: int, c: int, i: int, x: float) -> tuple[float, float]:
+    """The same at the other end of the travel."""
+    force, stiffness = _jounce(w, e, c, i, -x)
+    return -force, stiffness
 
 
 def stop(
-    name: str, travel: str, moves: str, valve: str, farthest: float, rows: tuple[int, int, int]
+    name: str, end: Literal["jounce", "rebound"], moves: str, valve: str, farthest: float, order: int
 ) -> Effect:
-    """A progressive stop at the end of ``travel`` (jounce, rebound), at most ``farthest`` m away; ``rows`` the first of
-    clearance, stiffness and its rise, ``moves`` what the strut does then, ``valve`` the damper's that is confused."""
+    """A progressive stop at one ``end`` of the travel, at most ``farthest`` m away; ``moves`` is what the strut does
+    then, ``valve`` the damper's that is confused with it."""
     gap = ("m", 0.002, farthest, 0.06, 0.05, 2.0)
     parameters = (
-        Parameter("front_clearance", *gap, f"{travel} at the wheel until it touches, front", log=True),
+        Parameter("front_clearance", *gap, f"{end} at the wheel until it touches, front", log=True),
         Parameter("rear_clearance", *gap, "the same at the rear", log=True),
         # softer is what bushings and kinematics add to any spring as it is compressed, not a stop
         Parameter(
             "stiffness", "N/m", 0.0, 1.0e6, 0.0, 0.0, 8.0e4, "at first touch, at the wheel", usual=8.0e3
         ),
     )
+    law = {"jounce": _jounce, "rebound": _rebound}[end]
     return Effect(
         id=f"{name}_stop",
         title=f"{name} stop",
         where="strut",
-        doc=f"Beyond a clearance of {travel} from standing the strut {moves} against a stop: "
+        doc=f"Beyond a clearance of {end} from standing the strut {moves} against a stop: "
         "stiffness times its compression, twice that at 20 mm and growing with the square.",
         parameters=parameters,
+        order=order,
         severity=("stiffness",),
-        excited_by=(f"large {travel}", "bumps and potholes at speed"),
+        excited_by=(f"large {end}", "bumps and potholes at speed"),
         confused_with=("the last points of the spring", f"{valve} at high velocity"),
-        hook=Hook(neutral(parameters), terms=partial(_press, rows), models=("full_car",)),
+        hook=Hook(
+            kernel=KernelTerms(
+                _FIELDS,
+                lambda p: {
+                    _CLEARANCE: by_corner(p["front_clearance"], p["rear_clearance"]),
+                    _STIFFNESS: p["stiffness"],
+                    _RISE: p["stiffness"] / _DOUBLING,
+                },
+                elastic=(law, CORNER),
+                stiffness=(_STIFFNESS,),
+            )
+        ),
     )
-
-
-def _press(first: tuple[int, int, int], rows: Floats, p: Values) -> None:
-    gap, rate, rise = first
-    per_corner(rows, gap, p["front_clearance"], p["rear_clearance"])
-    rows[rate : rate + 4] += p["stiffness"]
-    rows[rise : rise + 4] += p["stiffness"] / _DOUBLING

@@ -3,10 +3,19 @@
 
 from __future__ import annotations
 
-from suspension_twin.arrays import Floats
-from suspension_twin.effects.base import Effect, Parameter, Values, neutral
-from suspension_twin.models.hooks import Hook
-from suspension_twin.models.rows import BAR
+import numpy as np
+
+from suspension_twin.effects.base import (
+    AXLE,
+    WIDTH,
+    Effect,
+    Fields,
+    Floats,
+    Hook,
+    KernelTerms,
+    Parameter,
+    inlined,
+)
 
 __all__ = ["EFFECT"]
 
@@ -18,9 +27,15 @@ _PARAMETERS = (
 )
 
 
-def _terms(rows: Floats, p: Values) -> None:
-    rows[BAR] += p["front_stiffness"]
-    rows[BAR + 1] += p["rear_stiffness"]
+_FIELDS = Fields()
+_STIFFNESS = _FIELDS.add(AXLE)  # force per difference of compression, N/m
+
+
+@inlined
+def _bar(w: Floats, e: int, a: int, i: int, x: float) -> tuple[float, float]:
+    """Force for a difference of x m between the compressions of left and right."""
+    stiffness = w[(e + _STIFFNESS + a) * WIDTH + i]
+    return stiffness * x, stiffness
 
 
 EFFECT = Effect(
@@ -30,8 +45,16 @@ EFFECT = Effect(
     doc="A torsion bar pulls the more compressed side of an axle up and the other down, in proportion to the "
     "difference of the two compressions. Nothing where both sides move together.",
     parameters=_PARAMETERS,
+    order=80,
     severity=("front_stiffness", "rear_stiffness"),
     excited_by=("roll", "one-sided bumps", "cornering"),
     confused_with=("sprung_inertia.roll", "corner_spring"),
-    hook=Hook(neutral(_PARAMETERS), terms=_terms, models=("full_car",)),
+    hook=Hook(
+        kernel=KernelTerms(
+            _FIELDS,
+            lambda p: {_STIFFNESS: np.stack([p["front_stiffness"], p["rear_stiffness"]])},
+            elastic=(_bar, AXLE),
+            stiffness=(_STIFFNESS,),
+        )
+    ),
 )

@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
 """What an effect is: something a model can be given that it did not have.
 
-An effect is one object in a file of its own. It says what it is called, which parameters it has
-with their units, bounds and priors, what excites it and what it is easily confused with; how it
+An effect is an object ``EFFECT`` in a file of its own in this folder, of the same name. It has an id, parameters
+with their units, bounds and priors, signals that excite it and causes that it is easily confused with; how it
 changes a model is its ``hook`` (see ``models.hooks``). With its severity at the neutral value an
-effect changes no bit of any result.
+effect changes no bit of any result. This module also hands on what the files of effects are written with.
 """
 
 from __future__ import annotations
@@ -13,15 +13,56 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from typing import Literal
 
-from suspension_twin.arrays import Floats
-from suspension_twin.errors import InputError
-from suspension_twin.models.hooks import Hook
+import numpy as np
+from numpy.typing import NDArray
 
-__all__ = ["Effect", "Parameter", "Values", "Variant", "Where", "neutral", "per_corner"]
+from suspension_twin.arrays import Floats
+from suspension_twin.compiled import compiled, inlined
+from suspension_twin.errors import InputError
+from suspension_twin.models import rows
+from suspension_twin.models.corner import travel_rate
+from suspension_twin.models.hooks import (
+    ClockChange,
+    CornerChange,
+    Hook,
+    KernelTerms,
+    RoadChange,
+    SignalStage,
+    Values,
+)
+from suspension_twin.models.numerics import fma
+from suspension_twin.models.rows import AXLE, CORNER, LANE, WIDTH, Fields
+
+__all__ = [
+    "AXLE",
+    "CORNER",
+    "LANE",
+    "WIDTH",
+    "Bools",
+    "ClockChange",
+    "CornerChange",
+    "Effect",
+    "Fields",
+    "Floats",
+    "Hook",
+    "KernelTerms",
+    "Parameter",
+    "RoadChange",
+    "SignalStage",
+    "Values",
+    "Variant",
+    "Where",
+    "by_corner",
+    "compiled",
+    "fma",
+    "inlined",
+    "rows",
+    "travel_rate",
+]
+
+Bools = NDArray[np.bool_]
 
 Where = Literal["strut", "tyre", "track", "body", "sensor", "time", "road"]
-#: One array (L,) for each parameter.
-Values = Mapping[str, Floats]
 
 
 @dataclass(frozen=True)
@@ -30,8 +71,8 @@ class Parameter:
 
     ``low`` and ``high`` are physical bounds in ``unit``. ``neutral`` is what it is where the twin
     file says nothing. The prior is normal about ``typical`` with ``spread``, in the logarithm
-    where ``log`` (then ``spread`` is a factor). ``choices`` lists the values of one that counts. ``usual`` is how far
-    from neutral any vehicle, sensor or clock is anyway: what is found has to be more to be worth a word.
+    where ``log`` (then ``spread`` is a factor). ``choices`` lists the values of a discrete one. ``usual`` is how far
+    from neutral it lies in sound vehicles, sensors and clocks.
     """
 
     name: str
@@ -70,9 +111,10 @@ class Variant:
 class Effect:
     """One effect. ``severity`` names the parameters that switch it off when all are neutral.
 
-    ``excited_by`` says which signals move it, ``confused_with`` what looks alike. ``usual_share`` is the severity by
-    which a weighed vehicle differs from its twin file anyway (a driver, a tank), as a share of its mass. ``variants``
-    by model hold what is different on models that ``hook`` is not for.
+    ``excited_by`` lists signals that move it, ``confused_with`` causes with similar symptoms. ``usual_share`` is the
+    severity that a sound vehicle has (a driver, a tank), as a share of its mass. ``order`` places it among the effects:
+    terms of one stage of the kernel act in this order, and lists are in it. ``variants`` by model
+    hold what is different on models that ``hook`` is not for.
     """
 
     id: str
@@ -85,10 +127,13 @@ class Effect:
     confused_with: tuple[str, ...]
     hook: Hook
     usual_share: float = 0.0
+    order: int = 1000
     variants: Mapping[str, Variant] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "hook", replace(self.hook, check=self.values))
+        neutral = {p.name: p.neutral for p in self.parameters}
+        hook = replace(self.hook, neutral=neutral, severity=self.severity, check=self.values)
+        object.__setattr__(self, "hook", hook)
 
     @property
     def models(self) -> tuple[str, ...]:
@@ -120,12 +165,6 @@ class Effect:
         return {name: p.check(self.id, float(given.get(name, p.neutral))) for name, p in known.items()}
 
 
-def per_corner(rows: Floats, first: int, front: Floats, rear: Floats) -> None:
-    """Add the axles' values (L,) to the four rows of the corners from ``first`` on."""
-    rows[first : first + 2] += front
-    rows[first + 2 : first + 4] += rear
-
-
-def neutral(parameters: tuple[Parameter, ...]) -> dict[str, float]:
-    """Neutral value of each parameter, as a Hook wants them."""
-    return {p.name: p.neutral for p in parameters}
+def by_corner(front: Floats, rear: Floats) -> Floats:
+    """(4, L) the axles' values (L,) at each corner."""
+    return np.stack([front, front, rear, rear])

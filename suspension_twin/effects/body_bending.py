@@ -3,12 +3,25 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+
 import numpy as np
 
-from suspension_twin.arrays import Floats
-from suspension_twin.effects.base import Effect, Parameter, Values, neutral
-from suspension_twin.models.hooks import Hook
-from suspension_twin.models.rows import BEND_DAMPING, BEND_GAIN, BEND_STIFFNESS
+from suspension_twin.effects.base import (
+    LANE,
+    WIDTH,
+    Effect,
+    Fields,
+    Floats,
+    Hook,
+    KernelTerms,
+    Parameter,
+    Values,
+    fma,
+    inlined,
+    rows,
+)
+from suspension_twin.models.full_car import BAD_ACCELERATION
 
 __all__ = ["EFFECT"]
 
@@ -19,11 +32,41 @@ _PARAMETERS = (
 )
 
 
-def _terms(rows: Floats, p: Values) -> None:
+_FIELDS = Fields()
+_STIFFNESS = _FIELDS.add()  # square of the mode's angular frequency, 1/s²
+_DAMPING = _FIELDS.add()  # 2 zeta omega, 1/s
+_GAIN = _FIELDS.add()  # share of the body's acceleration that drives it
+_PLACE, _RATE, _ACCELERATION = (
+    _FIELDS.state(),
+    _FIELDS.state(),
+    _FIELDS.state(),
+)  # of the sensor against the body
+
+
+def _constants(p: Values) -> Mapping[int, Floats]:
     omega = 2 * np.pi * p["frequency"]
-    rows[BEND_STIFFNESS] += omega**2
-    rows[BEND_DAMPING] += 2 * p["damping_ratio"] * omega
-    rows[BEND_GAIN] += p["gain"]
+    return {_STIFFNESS: omega**2, _DAMPING: 2 * p["damping_ratio"] * omega, _GAIN: p["gain"]}
+
+
+@inlined
+def _bend(w: Floats, e: int, c: int, i: int, h: float) -> None:
+    """The mode is driven by the body's heave; its reaction on the body is neglected."""
+    rate = w[(e + _RATE) * WIDTH + i]
+    place = fma(h, rate, w[(e + _PLACE) * WIDTH + i])
+    push = w[(e + _GAIN) * WIDTH + i] * w[rows.HEAVE_ACCELERATION * WIDTH + i]
+    push = fma(w[(e + _DAMPING) * WIDTH + i], rate, push)
+    acceleration = -fma(w[(e + _STIFFNESS) * WIDTH + i], place, push)
+    w[(e + _PLACE) * WIDTH + i], w[(e + _RATE) * WIDTH + i] = place, fma(h, acceleration, rate)
+    w[(e + _ACCELERATION) * WIDTH + i] = acceleration
+
+
+@inlined
+def _read(w: Floats, e: int, c: int, i: int, h: float) -> None:
+    """The sensor reads the mode's acceleration too, in specific force z and vertical acceleration."""
+    more = w[(e + _ACCELERATION) * WIDTH + i]
+    w[rows.FAILED * WIDTH + i] = w[rows.FAILED * WIDTH + i] if abs(more) < BAD_ACCELERATION else 1.0
+    w[(rows.SIGNAL + 2) * WIDTH + i] += more
+    w[(rows.SIGNAL + 6) * WIDTH + i] += more
 
 
 EFFECT = Effect(
@@ -33,8 +76,13 @@ EFFECT = Effect(
     doc="The first bending mode of the body, driven by the forces of the struts: the sensor rides on it and "
     "feels its acceleration on top of the rigid body's.",
     parameters=_PARAMETERS,
+    order=140,
     severity=("gain",),
     excited_by=("wheel hop", "sharp edges", "rough road at speed"),
     confused_with=("mount_resonance", "powertrain_mount"),
-    hook=Hook(neutral(_PARAMETERS), terms=_terms, models=("full_car",)),
+    hook=Hook(
+        kernel=KernelTerms(
+            _FIELDS, _constants, {"after": (_bend, LANE), "stamp": (_read, LANE)}, modes=(_STIFFNESS,)
+        )
+    ),
 )

@@ -3,8 +3,7 @@
 
 from __future__ import annotations
 
-from suspension_twin.effects.base import Effect, Parameter, Values, neutral
-from suspension_twin.models.hooks import ClockChange, Hook
+from suspension_twin.effects.base import ClockChange, Effect, Hook, Parameter, Values
 
 __all__ = ["EFFECT"]
 
@@ -26,8 +25,9 @@ EFFECT = Effect(
     doc="The clock that stamps the IMU runs fast by so many parts in a million: the offset against the GPS "
     "receiver's clock is 0 at the start of each drive and grows.",
     parameters=_PARAMETERS,
+    order=230,
     severity=("drift_ppm",),
     excited_by=("long drives", "bumps early and late"),
     confused_with=("time_offset", "damper_fade"),
-    hook=Hook(neutral(_PARAMETERS), clock=_clock, models=("full_car", "msd", "tracked")),
+    hook=Hook(clock=_clock, models=("full_car", "msd", "tracked")),
 )

@@ -4,8 +4,7 @@
 from __future__ import annotations
 
 from suspension_twin.effects._strut import odd_corner
-from suspension_twin.models.rows import DAMPER_SCALE
 
 __all__ = ["EFFECT"]
 
-EFFECT = odd_corner("damper", "spring", DAMPER_SCALE, 0.1)
+EFFECT = odd_corner("damper", "spring", 0.1, order=100)

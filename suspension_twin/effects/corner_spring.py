@@ -4,8 +4,7 @@
 from __future__ import annotations
 
 from suspension_twin.effects._strut import odd_corner
-from suspension_twin.models.rows import SPRING_SCALE
 
 __all__ = ["EFFECT"]
 
-EFFECT = odd_corner("spring", "damper", SPRING_SCALE, 0.05, upright=True)
+EFFECT = odd_corner("spring", "damper", 0.05, order=110, upright=True)

@@ -3,10 +3,19 @@
 
 from __future__ import annotations
 
-from suspension_twin.arrays import Floats
-from suspension_twin.effects.base import Effect, Parameter, Values, neutral
-from suspension_twin.models.hooks import Hook
-from suspension_twin.models.rows import FADE_LOSS, FADE_TIME
+from suspension_twin.effects.base import (
+    CORNER,
+    LANE,
+    WIDTH,
+    Effect,
+    Fields,
+    Floats,
+    Hook,
+    KernelTerms,
+    Parameter,
+    inlined,
+    rows,
+)
 
 __all__ = ["EFFECT"]
 
@@ -16,9 +25,22 @@ _PARAMETERS = (
 )
 
 
-def _terms(rows: Floats, p: Values) -> None:
-    rows[FADE_LOSS : FADE_LOSS + 4] += p["loss"]
-    rows[FADE_TIME] += 1 / p["time_constant"]
+_FIELDS = Fields()
+_LOSS = _FIELDS.add()  # share of the damping lost at last
+_PACE = _FIELDS.add()  # growth of the heat, 1/s
+_HEAT = _FIELDS.add()  # in units of the heat at which half of the loss is reached; a pause does not cool
+
+
+@inlined
+def _fade(w: Floats, e: int, c: int, i: int, h: float) -> None:
+    """Share 1 - loss q / (1 + q) of the damping at heat q."""
+    q = w[(e + _HEAT) * WIDTH + i]
+    w[(rows.DAMPER_SHARE + c) * WIDTH + i] *= 1.0 - w[(e + _LOSS) * WIDTH + i] * (q / (1.0 + q))
+
+
+@inlined
+def _heat(w: Floats, e: int, c: int, i: int, h: float) -> None:
+    w[(e + _HEAT) * WIDTH + i] += h * w[(e + _PACE) * WIDTH + i]
 
 
 EFFECT = Effect(
@@ -28,8 +50,15 @@ EFFECT = Effect(
     doc="All damper forces fall from their cold value towards (1 - loss) of it, with a time constant, from the "
     "start of each drive.",
     parameters=_PARAMETERS,
+    order=90,
     severity=("loss",),
     excited_by=("long drives", "the same road early and late"),
     confused_with=("the whole damper curve", "clock_drift"),
-    hook=Hook(neutral(_PARAMETERS), terms=_terms, models=("full_car",)),
+    hook=Hook(
+        kernel=KernelTerms(
+            _FIELDS,
+            lambda p: {_LOSS: p["loss"], _PACE: 1 / p["time_constant"]},
+            {"dampers": (_fade, CORNER), "after": (_heat, LANE)},
+        ),
+    ),
 )

@@ -3,10 +3,21 @@
 
 from __future__ import annotations
 
-from suspension_twin.arrays import Floats
-from suspension_twin.effects.base import Effect, Parameter, Values, neutral, per_corner
-from suspension_twin.models.hooks import Hook
-from suspension_twin.models.rows import PLAY
+from suspension_twin.effects.base import (
+    CORNER,
+    WIDTH,
+    Effect,
+    Fields,
+    Floats,
+    Hook,
+    KernelTerms,
+    Parameter,
+    by_corner,
+    fma,
+    inlined,
+    rows,
+    travel_rate,
+)
 
 __all__ = ["EFFECT"]
 
@@ -16,8 +27,21 @@ _PARAMETERS = (
 )
 
 
-def _terms(rows: Floats, p: Values) -> None:
-    per_corner(rows, PLAY, 0.5 * p["front"], 0.5 * p["rear"])
+_FIELDS = Fields()
+_HALF = _FIELDS.add(CORNER)  # half of the play, m
+_PLACE = _FIELDS.state(CORNER)  # of the damper in its play, m
+
+
+@inlined
+def _play(w: Floats, e: int, c: int, i: int, h: float) -> None:
+    """Inside the play the damper's force of the last step is subtracted, which leaves its change within a step: first
+    order in the step, and the dampers stay implicit."""
+    half = w[(e + _HALF + c) * WIDTH + i]
+    y = fma(h, travel_rate(w, c, i), w[(e + _PLACE + c) * WIDTH + i])
+    loose = w[(rows.DAMPER + c) * WIDTH + i] if abs(y) < half else 0.0
+    y = y if y < half else half
+    w[(e + _PLACE + c) * WIDTH + i] = y if y > -half else -half
+    w[(rows.STRUT + c) * WIDTH + i] -= loose
 
 
 EFFECT = Effect(
@@ -27,8 +51,15 @@ EFFECT = Effect(
     doc="After each reversal a damper holds only once the play is taken up: worn bushes and joints, a loose piston "
     "rod, oil that has torn and leaves a void.",
     parameters=_PARAMETERS,
+    order=70,
     severity=("front", "rear"),
     excited_by=("many reversals of small travel", "rough road at medium speed"),
     confused_with=("top_mount", "damper_fade", "the first points of the dampers"),
-    hook=Hook(neutral(_PARAMETERS), terms=_terms, models=("full_car",)),
+    hook=Hook(
+        kernel=KernelTerms(
+            _FIELDS,
+            lambda p: {_HALF: by_corner(0.5 * p["front"], 0.5 * p["rear"])},
+            {"strut": (_play, CORNER)},
+        )
+    ),
 )

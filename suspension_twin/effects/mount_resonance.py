@@ -5,14 +5,8 @@ from __future__ import annotations
 
 import math
 
-import numpy as np
-from numpy.typing import NDArray
-
-from suspension_twin.arrays import Floats
-from suspension_twin.compiled import compiled
 from suspension_twin.effects._signal import STATES, second_order
-from suspension_twin.effects.base import Effect, Parameter, neutral
-from suspension_twin.models.hooks import Hook, SignalStage
+from suspension_twin.effects.base import Bools, Effect, Floats, Hook, Parameter, SignalStage, compiled
 
 __all__ = ["EFFECT"]
 
@@ -24,7 +18,7 @@ _PARAMETERS = (
 
 
 @compiled
-def _signal(signals: Floats, t: Floats, fresh: NDArray[np.bool_], values: Floats, state: Floats) -> None:
+def _signal(signals: Floats, t: Floats, fresh: Bools, values: Floats, state: Floats) -> None:
     for i in range(signals.shape[2]):
         if values[0, i] != 0.0:
             omega, zeta = 2.0 * math.pi * values[1, i], values[2, i]
@@ -38,10 +32,9 @@ EFFECT = Effect(
     doc="The sensor hangs on a mass-spring-damper that is shaken at its foot; the vertical specific force that "
     "it reads is amplified near the resonance. Gain 1 is a sensor that rides on the holder wholly.",
     parameters=_PARAMETERS,
+    order=240,
     severity=("gain",),
     excited_by=("everything near its frequency", "a tap on the holder"),
     confused_with=("body_bending", "sensor_bandwidth", "powertrain_mount"),
-    hook=Hook(
-        neutral(_PARAMETERS), signal=SignalStage(_signal, states=STATES, order=10), models=("full_car", "msd")
-    ),
+    hook=Hook(signal=SignalStage(_signal, states=STATES, order=10), models=("full_car", "msd")),
 )

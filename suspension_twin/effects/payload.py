@@ -5,9 +5,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from suspension_twin.arrays import Floats
-from suspension_twin.effects.base import Effect, Parameter, Values, Variant, neutral
-from suspension_twin.models.hooks import Hook
+from suspension_twin.effects.base import Effect, Floats, Hook, Parameter, Values, Variant
 
 __all__ = ["EFFECT"]
 
@@ -68,10 +66,11 @@ EFFECT = Effect(
     doc="A point mass on the body, 0.75 m above the ground: people or luggage that the mass in the file leaves "
     "out. Mass, centre of gravity, inertia and standing compression all change.",
     parameters=_PARAMETERS,
+    order=10,
     severity=("mass",),
     excited_by=("body resonance, 1 to 2 Hz", "braking and accelerating"),
     confused_with=("spring points", "sprung_inertia.pitch"),
     usual_share=0.04,
-    hook=Hook(neutral(_PARAMETERS), vehicle=_vehicle, models=("full_car", "msd"), upright=True),
-    variants={"tracked": Variant(_TRACKED, Hook(neutral(_TRACKED), vehicle=_hull, models=("tracked",)))},
+    hook=Hook(vehicle=_vehicle, models=("full_car", "msd"), upright=True),
+    variants={"tracked": Variant(_TRACKED, Hook(vehicle=_hull, models=("tracked",)))},
 )

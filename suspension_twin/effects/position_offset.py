@@ -3,8 +3,7 @@
 
 from __future__ import annotations
 
-from suspension_twin.effects.base import Effect, Parameter, Values, neutral
-from suspension_twin.models.hooks import Hook, RoadChange
+from suspension_twin.effects.base import Effect, Hook, Parameter, RoadChange, Values
 
 __all__ = ["EFFECT"]
 
@@ -21,8 +20,9 @@ EFFECT = Effect(
     where="road",
     doc="The vehicle is, on the road of the file, this much further along than its pose says.",
     parameters=_PARAMETERS,
+    order=200,
     severity=("offset",),
     excited_by=("bumps at several speeds",),
     confused_with=("time_offset (at one speed they are the same)",),
-    hook=Hook(neutral(_PARAMETERS), road=_road, models=("full_car", "msd")),
+    hook=Hook(road=_road, models=("full_car", "msd")),
 )

@@ -3,12 +3,25 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+
 import numpy as np
 
-from suspension_twin.arrays import Floats
-from suspension_twin.effects.base import Effect, Parameter, Values, neutral
-from suspension_twin.models.hooks import Hook
-from suspension_twin.models.rows import ENGINE_DAMPING, ENGINE_MASS, ENGINE_STIFFNESS, ENGINE_X
+from suspension_twin.effects.base import (
+    LANE,
+    WIDTH,
+    Effect,
+    Fields,
+    Floats,
+    Hook,
+    KernelTerms,
+    Parameter,
+    Values,
+    fma,
+    inlined,
+    rows,
+)
+from suspension_twin.models.characteristics import Check
 
 __all__ = ["EFFECT"]
 
@@ -22,12 +35,49 @@ _PARAMETERS = (
 )
 
 
-def _terms(rows: Floats, p: Values) -> None:
+_FIELDS = Fields()
+_MASS = _FIELDS.add()  # kg
+_STIFFNESS = _FIELDS.add()  # square of its angular frequency on the mounts, 1/s²
+_DAMPING = _FIELDS.add()  # 2 zeta omega, 1/s
+_X = _FIELDS.add()  # ahead of the sprung centre of gravity, m
+_PLACE, _RATE = _FIELDS.state(), _FIELDS.state()  # against the body, m and m/s
+
+
+def _constants(p: Values) -> Mapping[int, Floats]:
     omega = 2 * np.pi * p["frequency"]
-    rows[ENGINE_MASS] += p["mass"]
-    rows[ENGINE_STIFFNESS] += omega**2
-    rows[ENGINE_DAMPING] += 2 * DAMPING_RATIO * omega
-    rows[ENGINE_X] += p["x"]
+    return {_MASS: p["mass"], _STIFFNESS: omega**2, _DAMPING: 2 * DAMPING_RATIO * omega, _X: p["x"]}
+
+
+def _check(block: Floats, e: int, report: Check) -> None:
+    give = block[rows.INV_MASS] + block[e + _X] ** 2 * block[rows.INV_PITCH]
+    heavy = ~(block[e + _MASS] * give < 0.8)
+    report(heavy, "effects.powertrain_mount", "the engine is too heavy for the sprung mass")
+
+
+@inlined
+def _absorb(w: Floats, e: int, c: int, i: int, h: float) -> None:
+    """The engine as a mass on soft mounts, out of the sprung mass that it was rigidly part of.
+
+    With M the rigid body's inertia, m the engine's mass at g = (1, 0, -x), e its displacement
+    against the body and f = m (omega² e + 2 zeta omega e') its mounts' force on the body,
+    ``(M - m g g^T) q'' = Q + g f``; by Sherman and Morrison the rigid answer q0'' only gains
+    ``M^-1 g (f + m g.q0'') / (1 - m g^T M^-1 g)``.
+    """
+    mass, x = w[(e + _MASS) * WIDTH + i], w[(e + _X) * WIDTH + i]
+    rate = w[(e + _RATE) * WIDTH + i]
+    place = fma(h, rate, w[(e + _PLACE) * WIDTH + i])
+    inv_m, inv_p = w[rows.INV_MASS * WIDTH + i], w[rows.INV_PITCH * WIDTH + i]
+    give = fma(x * x, inv_p, inv_m)
+    mount = fma(w[(e + _STIFFNESS) * WIDTH + i], place, w[(e + _DAMPING) * WIDTH + i] * rate)
+    there = fma(-x, w[rows.PITCH_ACCELERATION * WIDTH + i], w[rows.HEAVE_ACCELERATION * WIDTH + i])
+    f = mass * (mount + there) / (1.0 - mass * give)
+    heave, pitch = f * inv_m, -(x * f) * inv_p
+    w[rows.HEAVE_ACCELERATION * WIDTH + i] += heave
+    w[rows.PITCH_ACCELERATION * WIDTH + i] += pitch
+    w[rows.HEAVE_RATE * WIDTH + i] += h * heave
+    w[rows.PITCH_RATE * WIDTH + i] += h * pitch
+    w[(e + _PLACE) * WIDTH + i] = place
+    w[(e + _RATE) * WIDTH + i] = fma(h, -mount - fma(give, f, there), rate)
 
 
 EFFECT = Effect(
@@ -37,8 +87,11 @@ EFFECT = Effect(
     doc="A part of the sprung mass, the powertrain, moves in the vertical on mounts of its own and works as an "
     "absorber on the body. The whole mass stays as the file has it.",
     parameters=_PARAMETERS,
+    order=150,
     severity=("mass",),
     excited_by=("pitch and heave between 5 and 15 Hz",),
     confused_with=("body_bending", "mount_resonance", "unsprung_mass of the file"),
-    hook=Hook(neutral(_PARAMETERS), terms=_terms, models=("full_car",)),
+    hook=Hook(
+        kernel=KernelTerms(_FIELDS, _constants, {"body": (_absorb, LANE)}, modes=(_STIFFNESS,), check=_check)
+    ),
 )

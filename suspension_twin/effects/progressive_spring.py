@@ -3,10 +3,19 @@
 
 from __future__ import annotations
 
-from suspension_twin.arrays import Floats
-from suspension_twin.effects.base import Effect, Parameter, Values, neutral, per_corner
-from suspension_twin.models.hooks import Hook
-from suspension_twin.models.rows import RATE_RISE, RATE_SQUARE
+from suspension_twin.effects.base import (
+    CORNER,
+    WIDTH,
+    Effect,
+    Fields,
+    Floats,
+    Hook,
+    KernelTerms,
+    Parameter,
+    by_corner,
+    fma,
+    inlined,
+)
 
 __all__ = ["EFFECT"]
 
@@ -21,9 +30,16 @@ _PARAMETERS = (
 )
 
 
-def _terms(rows: Floats, p: Values) -> None:
-    per_corner(rows, RATE_RISE, p["front_rise"], p["rear_rise"])
-    per_corner(rows, RATE_SQUARE, p["front_square"], p["rear_square"])
+_FIELDS = Fields()
+_RISE = _FIELDS.add(CORNER)  # growth of the rate with jounce from static, N/m²
+_SQUARE = _FIELDS.add(CORNER)  # and with its square, N/m³
+
+
+@inlined
+def _spring(w: Floats, e: int, c: int, i: int, x: float) -> tuple[float, float]:
+    """A rate of a x + b x² more at travel x from static, so a x²/2 + b x³/3 more force."""
+    rise, square = w[(e + _RISE + c) * WIDTH + i], w[(e + _SQUARE + c) * WIDTH + i]
+    return x * x * fma(square / 3.0, x, 0.5 * rise), x * (rise + square * x)
 
 
 EFFECT = Effect(
@@ -33,8 +49,18 @@ EFFECT = Effect(
     doc="The rate of an axle's springs is (rise x + square x²) more than its characteristic says, x the jounce from "
     "standing: coils of a varying pitch, a rubber or air spring, both stops in one.",
     parameters=_PARAMETERS,
+    order=50,
     severity=("front_rise", "rear_rise", "front_square", "rear_square"),
     excited_by=("large travel both ways", "braking and cornering on top of a rough road"),
     confused_with=("bump_stop", "rebound_stop", "the points of the spring"),
-    hook=Hook(neutral(_PARAMETERS), terms=_terms, models=("full_car",)),
+    hook=Hook(
+        kernel=KernelTerms(
+            _FIELDS,
+            lambda p: {
+                _RISE: by_corner(p["front_rise"], p["rear_rise"]),
+                _SQUARE: by_corner(p["front_square"], p["rear_square"]),
+            },
+            elastic=(_spring, CORNER),
+        )
+    ),
 )

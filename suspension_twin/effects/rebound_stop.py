@@ -4,8 +4,7 @@
 from __future__ import annotations
 
 from suspension_twin.effects._strut import stop
-from suspension_twin.models.rows import REBOUND_GAP, REBOUND_RATE, REBOUND_RISE
 
 __all__ = ["EFFECT"]
 
-EFFECT = stop("rebound", "rebound", "extends", "damper_pull", 0.3, (REBOUND_GAP, REBOUND_RATE, REBOUND_RISE))
+EFFECT = stop("rebound", "rebound", "extends", "damper_pull", 0.3, order=40)

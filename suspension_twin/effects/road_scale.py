@@ -3,8 +3,7 @@
 
 from __future__ import annotations
 
-from suspension_twin.effects.base import Effect, Parameter, Values, neutral
-from suspension_twin.models.hooks import Hook, RoadChange
+from suspension_twin.effects.base import Effect, Hook, Parameter, RoadChange, Values
 
 __all__ = ["EFFECT"]
 
@@ -21,8 +20,9 @@ EFFECT = Effect(
     where="road",
     doc="The road is (1 + scale) times as high as its file says.",
     parameters=_PARAMETERS,
+    order=190,
     severity=("scale",),
     excited_by=("every unevenness",),
     confused_with=("sensor_scale (which gravity gives away)",),
-    hook=Hook(neutral(_PARAMETERS), road=_road, models=("full_car", "msd")),
+    hook=Hook(road=_road, models=("full_car", "msd")),
 )

@@ -3,8 +3,7 @@
 
 from __future__ import annotations
 
-from suspension_twin.effects.base import Effect, Parameter, Values, neutral
-from suspension_twin.models.hooks import Hook, RoadChange
+from suspension_twin.effects.base import Effect, Hook, Parameter, RoadChange, Values
 
 __all__ = ["EFFECT"]
 
@@ -22,8 +21,9 @@ EFFECT = Effect(
     doc="The file was smoothed along the road with a Gaussian of this standard deviation; the effect undoes it "
     "as far as that can be done, short waves by a factor of ten at most.",
     parameters=_PARAMETERS,
+    order=170,
     severity=("sigma",),
     excited_by=("short bumps", "rough road"),
     confused_with=("road_scale", "tyre_envelope (the other way round)", "sensor_bandwidth"),
-    hook=Hook(neutral(_PARAMETERS), road=_road, models=("full_car", "msd")),
+    hook=Hook(road=_road, models=("full_car", "msd")),
 )

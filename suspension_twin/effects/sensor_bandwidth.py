@@ -6,13 +6,9 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numpy.typing import NDArray
 
-from suspension_twin.arrays import Floats
-from suspension_twin.compiled import compiled
 from suspension_twin.effects._signal import STATES, second_order
-from suspension_twin.effects.base import Effect, Parameter, Values, neutral
-from suspension_twin.models.hooks import Hook, SignalStage
+from suspension_twin.effects.base import Bools, Effect, Floats, Hook, Parameter, SignalStage, Values, compiled
 
 __all__ = ["EFFECT"]
 
@@ -20,7 +16,7 @@ _PARAMETERS = (Parameter("cutoff", "Hz", 0.5, 500.0, 0.0, 15.0, 2.0, "its -3 dB 
 
 
 @compiled
-def _signal(signals: Floats, t: Floats, fresh: NDArray[np.bool_], values: Floats, state: Floats) -> None:
+def _signal(signals: Floats, t: Floats, fresh: Bools, values: Floats, state: Floats) -> None:
     for i in range(signals.shape[2]):
         if values[0, i] != 0.0:
             omega = 2.0 * math.pi * values[0, i]
@@ -39,11 +35,11 @@ EFFECT = Effect(
     where="sensor",
     doc="The sensor filters all its axes with a second-order Butterworth low-pass. 0 is no low-pass.",
     parameters=_PARAMETERS,
+    order=270,
     severity=("cutoff",),
     excited_by=("wheel hop", "sharp edges", "anything quick"),
     confused_with=("time_offset", "tyre_envelope", "road_smoothing"),
     hook=Hook(
-        neutral(_PARAMETERS),
         signal=SignalStage(_signal, states=6 * STATES, order=40),
         lag=_lag,
         models=("full_car", "msd"),

@@ -3,13 +3,7 @@
 
 from __future__ import annotations
 
-import numpy as np
-from numpy.typing import NDArray
-
-from suspension_twin.arrays import Floats
-from suspension_twin.compiled import compiled
-from suspension_twin.effects.base import Effect, Parameter, neutral
-from suspension_twin.models.hooks import Hook, SignalStage
+from suspension_twin.effects.base import Bools, Effect, Floats, Hook, Parameter, SignalStage, compiled
 
 __all__ = ["EFFECT"]
 
@@ -17,7 +11,7 @@ _PARAMETERS = (Parameter("range", "m/s²", 9.9, 400.0, 0.0, 15.0, 1.5, "largest 
 
 
 @compiled
-def _signal(signals: Floats, t: Floats, fresh: NDArray[np.bool_], values: Floats, state: Floats) -> None:
+def _signal(signals: Floats, t: Floats, fresh: Bools, values: Floats, state: Floats) -> None:
     for i in range(signals.shape[2]):
         limit = values[0, i]
         if limit != 0.0:
@@ -32,10 +26,9 @@ EFFECT = Effect(
     where="sensor",
     doc="Specific force beyond the range reads as the range, on each of the sensor's own axes. 0 is no limit.",
     parameters=_PARAMETERS,
+    order=280,
     severity=("range",),
     excited_by=("peaks: bumps and potholes at speed",),
     confused_with=("bump_stop", "sensor_bandwidth"),
-    hook=Hook(
-        neutral(_PARAMETERS), signal=SignalStage(_signal, order=50, own_axes=True), models=("full_car", "msd")
-    ),
+    hook=Hook(signal=SignalStage(_signal, order=50, own_axes=True), models=("full_car", "msd")),
 )

@@ -3,9 +3,7 @@
 
 from __future__ import annotations
 
-from suspension_twin.arrays import Floats
-from suspension_twin.effects.base import Effect, Parameter, Values, neutral
-from suspension_twin.models.hooks import Hook
+from suspension_twin.effects.base import Effect, Floats, Hook, Parameter, Values
 
 __all__ = ["EFFECT"]
 
@@ -28,8 +26,9 @@ EFFECT = Effect(
     where="sensor",
     doc="The sensor's place in base_link is off by this much: pitch and roll reach it through another arm.",
     parameters=_PARAMETERS,
+    order=160,
     severity=("x", "y", "z"),
     excited_by=("pitch", "roll"),
     confused_with=("cog", "sprung_inertia.pitch"),
-    hook=Hook(neutral(_PARAMETERS), vehicle=_vehicle, models=("full_car", "msd")),
+    hook=Hook(vehicle=_vehicle, models=("full_car", "msd")),
 )

@@ -5,13 +5,17 @@ from __future__ import annotations
 
 from typing import Any
 
-import numpy as np
-from numpy.typing import NDArray
-
-from suspension_twin.arrays import Floats
-from suspension_twin.compiled import compiled
-from suspension_twin.effects.base import Effect, Parameter, Values, Variant, neutral
-from suspension_twin.models.hooks import Hook, SignalStage
+from suspension_twin.effects.base import (
+    Bools,
+    Effect,
+    Floats,
+    Hook,
+    Parameter,
+    SignalStage,
+    Values,
+    Variant,
+    compiled,
+)
 
 __all__ = ["EFFECT"]
 
@@ -19,7 +23,7 @@ _PARAMETERS = (Parameter("scale", "", -0.6, 1.0, 0.0, 0.0, 0.05, "gain less one"
 
 
 @compiled
-def _signal(signals: Floats, t: Floats, fresh: NDArray[np.bool_], values: Floats, state: Floats) -> None:
+def _signal(signals: Floats, t: Floats, fresh: Bools, values: Floats, state: Floats) -> None:
     for i in range(signals.shape[2]):
         if values[0, i] != 0.0:
             for k in range(t.size):
@@ -44,14 +48,14 @@ EFFECT = Effect(
     where="sensor",
     doc="The accelerometer reads (1 + scale) times the specific force on all axes, gravity included.",
     parameters=_PARAMETERS,
+    order=260,
     severity=("scale",),
     excited_by=("gravity: standing still", "every acceleration"),
     confused_with=("road_scale", "accelerometer bias"),
     hook=Hook(
-        neutral(_PARAMETERS),
         signal=SignalStage(_signal, order=30),
         models=("full_car", "msd"),
         gained=lambda p: 1.0 + p.get("scale", 0.0),
     ),
-    variants={"tracked": Variant(_CAMERA, Hook(neutral(_CAMERA), reading=_reading, models=("tracked",)))},
+    variants={"tracked": Variant(_CAMERA, Hook(reading=_reading, models=("tracked",)))},
 )

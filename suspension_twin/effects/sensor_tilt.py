@@ -7,12 +7,18 @@ import math
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from suspension_twin.arrays import Floats
-from suspension_twin.compiled import compiled
-from suspension_twin.effects.base import Effect, Parameter, Values, Variant, neutral
-from suspension_twin.models.hooks import Hook, SignalStage
+from suspension_twin.effects.base import (
+    Bools,
+    Effect,
+    Floats,
+    Hook,
+    Parameter,
+    SignalStage,
+    Values,
+    Variant,
+    compiled,
+)
 
 __all__ = ["EFFECT"]
 
@@ -46,7 +52,7 @@ def _turn(roll: float, pitch: float, yaw: float) -> Floats:
 
 
 @compiled
-def _signal(signals: Floats, t: Floats, fresh: NDArray[np.bool_], values: Floats, state: Floats) -> None:
+def _signal(signals: Floats, t: Floats, fresh: Bools, values: Floats, state: Floats) -> None:
     for i in range(signals.shape[2]):
         if values[0, i] != 0.0 or values[1, i] != 0.0 or values[2, i] != 0.0:
             turn = _turn(values[0, i], values[1, i], values[2, i])
@@ -79,15 +85,15 @@ EFFECT = Effect(
     doc="The sensor is turned against the mounting in the file (z-y-x Euler angles): gravity and the planar "
     "accelerations leak into the other axes.",
     parameters=_PARAMETERS,
+    order=250,
     severity=("roll", "pitch", "yaw"),
     excited_by=("braking", "cornering", "standing still"),
     confused_with=("accelerometer bias", "sensor_scale"),
     hook=Hook(
-        neutral(_PARAMETERS),
         signal=SignalStage(_signal, order=20),
         models=("full_car", "msd"),
         upright=True,
         turned=lambda p: (p.get("roll", 0.0), p.get("pitch", 0.0), p.get("yaw", 0.0)),
     ),
-    variants={"tracked": Variant(_CAMERA, Hook(neutral(_CAMERA), reading=_reading, models=("tracked",)))},
+    variants={"tracked": Variant(_CAMERA, Hook(reading=_reading, models=("tracked",)))},
 )

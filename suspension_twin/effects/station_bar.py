@@ -3,10 +3,8 @@
 
 from __future__ import annotations
 
-from suspension_twin.arrays import Floats
 from suspension_twin.effects._station import STATION, add, exists
-from suspension_twin.effects.base import Effect, Parameter, Values, neutral
-from suspension_twin.models.hooks import Hook
+from suspension_twin.effects.base import Effect, Floats, Hook, Parameter, Values
 
 __all__ = ["EFFECT"]
 
@@ -26,8 +24,9 @@ EFFECT = Effect(
     where="strut",
     doc="The torsion bar of one road wheel's arm has set: its free angle is higher.",
     parameters=_PARAMETERS,
+    order=134,
     severity=("sag",),
     excited_by=("edges of obstacles",),
     confused_with=("payload", "station_bar of another station"),
-    hook=Hook(neutral(_PARAMETERS), vehicle=_vehicle, models=("tracked",), possible=exists),
+    hook=Hook(vehicle=_vehicle, models=("tracked",), possible=exists),
 )

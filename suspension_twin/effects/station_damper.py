@@ -8,10 +8,8 @@ from typing import Any
 
 import numpy as np
 
-from suspension_twin.arrays import Floats
 from suspension_twin.effects._station import STATION, add, exists
-from suspension_twin.effects.base import Effect, Parameter, Values, neutral
-from suspension_twin.models.hooks import Hook
+from suspension_twin.effects.base import Effect, Floats, Hook, Parameter, Values
 
 __all__ = ["EFFECT"]
 
@@ -37,8 +35,9 @@ EFFECT = Effect(
     where="strut",
     doc="The damper of one road wheel's arm has (1 + change) times its damping.",
     parameters=_PARAMETERS,
+    order=133,
     severity=("change",),
     excited_by=("speed over an obstacle",),
     confused_with=("station_damper of another station",),
-    hook=Hook(neutral(_PARAMETERS), vehicle=_vehicle, models=("tracked",), possible=_possible),
+    hook=Hook(vehicle=_vehicle, models=("tracked",), possible=_possible),
 )

@@ -3,10 +3,21 @@
 
 from __future__ import annotations
 
-from suspension_twin.arrays import Floats
-from suspension_twin.effects.base import Effect, Parameter, Values, neutral, per_corner
-from suspension_twin.models.hooks import Hook
-from suspension_twin.models.rows import FRICTION_LIMIT, FRICTION_RATE
+from suspension_twin.effects.base import (
+    CORNER,
+    WIDTH,
+    Effect,
+    Fields,
+    Floats,
+    Hook,
+    KernelTerms,
+    Parameter,
+    by_corner,
+    fma,
+    inlined,
+    rows,
+    travel_rate,
+)
 
 __all__ = ["EFFECT"]
 
@@ -21,9 +32,24 @@ _PARAMETERS = (
 )
 
 
-def _terms(rows: Floats, p: Values) -> None:
-    per_corner(rows, FRICTION_LIMIT, p["front_force"], p["rear_force"])
-    rows[FRICTION_RATE : FRICTION_RATE + 4] += STICKING
+_FIELDS = Fields()
+_LIMIT = _FIELDS.add(CORNER)  # dry friction, N
+_STIFFNESS = _FIELDS.add(CORNER)  # before it slips, N/m
+_FORCE = _FIELDS.state(CORNER)  # of the friction element, N
+
+
+@inlined
+def _friction(w: Floats, e: int, c: int, i: int, h: float) -> None:
+    """A spring that slips at its limit (Prandtl), so that a strut at rest can stick.
+
+    Needs no velocity at the end of the step, has no stiffness beyond its own, cannot chatter.
+    """
+    limit, stiffness = w[(e + _LIMIT + c) * WIDTH + i], w[(e + _STIFFNESS + c) * WIDTH + i]
+    f = fma(stiffness * h, travel_rate(w, c, i), w[(e + _FORCE + c) * WIDTH + i])
+    f = f if f < limit else limit
+    f = f if f > -limit else -limit
+    w[(e + _FORCE + c) * WIDTH + i] = f
+    w[(rows.STRUT + c) * WIDTH + i] += f
 
 
 EFFECT = Effect(
@@ -33,8 +59,16 @@ EFFECT = Effect(
     doc="A force of fixed size against the motion of each strut, at the wheel; below it the strut sticks and "
     "only its bushings (300 N/mm) give way. Its loop of force over travel has an area at any speed.",
     parameters=_PARAMETERS,
+    order=20,
     severity=("front_force", "rear_force"),
     excited_by=("small and slow suspension travel", "smooth road", "reversals of damper velocity"),
     confused_with=("damper_pull and damper_push at low velocity", "top_mount", "tyre_damping"),
-    hook=Hook(neutral(_PARAMETERS), terms=_terms, models=("full_car",)),
+    hook=Hook(
+        kernel=KernelTerms(
+            _FIELDS,
+            lambda p: {_LIMIT: by_corner(p["front_force"], p["rear_force"]), _STIFFNESS: STICKING},
+            {"strut": (_friction, CORNER)},
+            stiffness=(_STIFFNESS,),
+        ),
+    ),
 )

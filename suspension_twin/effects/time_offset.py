@@ -3,8 +3,7 @@
 
 from __future__ import annotations
 
-from suspension_twin.effects.base import Effect, Parameter, Values, neutral
-from suspension_twin.models.hooks import ClockChange, Hook
+from suspension_twin.effects.base import ClockChange, Effect, Hook, Parameter, Values
 
 __all__ = ["EFFECT"]
 
@@ -22,8 +21,9 @@ EFFECT = Effect(
     doc="IMU stamps are later than they should be by the offset: what is stamped t happened, on the clock of "
     "the GPS receiver, at t - offset.",
     parameters=_PARAMETERS,
+    order=220,
     severity=("offset",),
     excited_by=("bumps at several speeds", "accelerating and braking"),
     confused_with=("position_offset (at one speed they are the same)", "sensor_bandwidth"),
-    hook=Hook(neutral(_PARAMETERS), clock=_clock, models=("full_car", "msd", "tracked")),
+    hook=Hook(clock=_clock, models=("full_car", "msd", "tracked")),
 )

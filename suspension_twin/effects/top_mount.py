@@ -5,10 +5,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from suspension_twin.arrays import Floats
-from suspension_twin.effects.base import Effect, Parameter, Values, neutral, per_corner
-from suspension_twin.models.hooks import Hook
-from suspension_twin.models.rows import MOUNT
+from suspension_twin.effects.base import CornerChange, Effect, Hook, Parameter, Values, by_corner
 
 __all__ = ["EFFECT"]
 
@@ -20,10 +17,9 @@ _PARAMETERS = (
 )
 
 
-def _terms(rows: Floats, p: Values) -> None:
-    with np.errstate(divide="ignore"):
-        soft = [np.where(p[name] > 0, 1 / p[name], 0.0) for name in ("front_stiffness", "rear_stiffness")]
-    per_corner(rows, MOUNT, *soft)
+def _corners(change: CornerChange, p: Values) -> None:
+    soft = [np.where(p[name] > 0, 1 / p[name], 0.0) for name in ("front_stiffness", "rear_stiffness")]
+    change.compliance[:] += by_corner(*soft)
 
 
 EFFECT = Effect(
@@ -33,8 +29,9 @@ EFFECT = Effect(
     doc="The damper ends in a rubber mount: at high frequency the mount moves instead of the damper. "
     "0 is a rigid mount.",
     parameters=_PARAMETERS,
+    order=60,
     severity=("front_stiffness", "rear_stiffness"),
     excited_by=("sharp edges", "wheel hop", "high damper velocity that changes quickly"),
     confused_with=("damper points at high velocity", "strut_friction", "tyre_envelope"),
-    hook=Hook(neutral(_PARAMETERS), terms=_terms, models=("full_car",)),
+    hook=Hook(corners=_corners),
 )

@@ -5,16 +5,12 @@ from __future__ import annotations
 
 import numpy as np
 
-from suspension_twin.arrays import Floats
-from suspension_twin.effects.base import Effect, Parameter, Values, neutral
-from suspension_twin.models.hooks import Hook
+from suspension_twin.effects.base import Effect, Floats, Hook, Parameter, Values
 from suspension_twin.vehicle.tracked import BOUNDS
 
 __all__ = ["EFFECT"]
 
-_PARAMETERS = (
-    Parameter("tighter", "mm", -40.0, 40.0, 0.0, 0.0, 10.0, "how much further out the idler stands"),
-)
+_PARAMETERS = (Parameter("tighter", "mm", -40.0, 40.0, 0.0, 0.0, 10.0, "displacement of the idler outwards"),)
 _KEY = "vehicle.idler.setting"
 
 
@@ -29,8 +25,9 @@ EFFECT = Effect(
     where="track",
     doc="The idler is set further out (tighter) or in than the file says.",
     parameters=_PARAMETERS,
+    order=131,
     severity=("tighter",),
     excited_by=("an approach to an obstacle", "ends of obstacles"),
     confused_with=("track_wear",),
-    hook=Hook(neutral(_PARAMETERS), vehicle=_vehicle, models=("tracked",)),
+    hook=Hook(vehicle=_vehicle, models=("tracked",)),
 )

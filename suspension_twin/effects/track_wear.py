@@ -5,9 +5,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from suspension_twin.arrays import Floats
-from suspension_twin.effects.base import Effect, Parameter, Values, neutral
-from suspension_twin.models.hooks import Hook
+from suspension_twin.effects.base import Effect, Floats, Hook, Parameter, Values
 from suspension_twin.vehicle.tracked import BOUNDS
 
 __all__ = ["EFFECT"]
@@ -32,8 +30,9 @@ EFFECT = Effect(
     where="track",
     doc="Links softer than the file says, in pull and in bending, and a longer track.",
     parameters=_PARAMETERS,
+    order=132,
     severity=("stiffness", "elongation"),
     excited_by=("an approach to an obstacle",),
     confused_with=("track_tension",),
-    hook=Hook(neutral(_PARAMETERS), vehicle=_vehicle, models=("tracked",)),
+    hook=Hook(vehicle=_vehicle, models=("tracked",)),
 )

@@ -3,10 +3,18 @@
 
 from __future__ import annotations
 
-from suspension_twin.arrays import Floats
-from suspension_twin.effects.base import Effect, Parameter, Values, neutral
-from suspension_twin.models.hooks import Hook
-from suspension_twin.models.rows import TYRE_DAMPING
+from suspension_twin.effects.base import (
+    CORNER,
+    WIDTH,
+    Effect,
+    Fields,
+    Floats,
+    Hook,
+    KernelTerms,
+    Parameter,
+    inlined,
+    rows,
+)
 
 __all__ = ["EFFECT"]
 
@@ -15,8 +23,15 @@ _PARAMETERS = (
 )
 
 
-def _terms(rows: Floats, p: Values) -> None:
-    rows[TYRE_DAMPING : TYRE_DAMPING + 2] += p["damping"]
+_FIELDS = Fields()
+_DAMPING = _FIELDS.add()  # of each tyre, N s/m
+
+
+@inlined
+def _damp(w: Floats, e: int, c: int, i: int, h: float) -> None:
+    """Force by the rate at which road and wheel approach each other in the middle of the step."""
+    closing = w[(rows.ROAD_RATE + c) * WIDTH + i] - w[(rows.WHEEL_RATE + c) * WIDTH + i]
+    w[(rows.GROUND + c) * WIDTH + i] += w[(e + _DAMPING) * WIDTH + i] * closing
 
 
 EFFECT = Effect(
@@ -25,8 +40,9 @@ EFFECT = Effect(
     where="tyre",
     doc="A damper beside the tyre's spring, between wheel and road; the two together cannot pull.",
     parameters=_PARAMETERS,
+    order=120,
     severity=("damping",),
     excited_by=("wheel hop", "sharp edges"),
     confused_with=("damper points at high velocity", "tyre_envelope", "top_mount"),
-    hook=Hook(neutral(_PARAMETERS), terms=_terms, models=("full_car",)),
+    hook=Hook(kernel=KernelTerms(_FIELDS, lambda p: {_DAMPING: p["damping"]}, {"tyre": (_damp, CORNER)})),
 )

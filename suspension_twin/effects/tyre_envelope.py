@@ -3,8 +3,7 @@
 
 from __future__ import annotations
 
-from suspension_twin.effects.base import Effect, Parameter, Values, neutral
-from suspension_twin.models.hooks import Hook, RoadChange
+from suspension_twin.effects.base import Effect, Hook, Parameter, RoadChange, Values
 
 __all__ = ["EFFECT"]
 
@@ -23,8 +22,9 @@ EFFECT = Effect(
     where="tyre",
     doc="The wheel follows the mean height over the length of its contact patch instead of the height at a point.",
     parameters=_PARAMETERS,
+    order=180,
     severity=("length",),
     excited_by=("short bumps", "sharp edges"),
     confused_with=("tyre_damping", "sensor_bandwidth", "road_smoothing (the other way round)"),
-    hook=Hook(neutral(_PARAMETERS), road=_road, models=("full_car", "msd")),
+    hook=Hook(road=_road, models=("full_car", "msd")),
 )

@@ -3,18 +3,15 @@
 
 from __future__ import annotations
 
-from suspension_twin.arrays import Floats
-from suspension_twin.effects.base import Effect, Parameter, Values, neutral
-from suspension_twin.models.hooks import Hook
-from suspension_twin.models.rows import UNSPRUNG
+from suspension_twin.effects.base import CornerChange, Effect, Hook, Parameter, Values
 
 __all__ = ["EFFECT"]
 
 _PARAMETERS = (Parameter("mass", "kg", 0.0, 300.0, 0.0, 40.0, 20.0, "of one wheel with hub and brake"),)
 
 
-def _terms(rows: Floats, p: Values) -> None:
-    rows[UNSPRUNG] += p["mass"]
+def _corners(change: CornerChange, p: Values) -> None:
+    change.wheel_mass[:] += p["mass"]
 
 
 EFFECT = Effect(
@@ -24,8 +21,9 @@ EFFECT = Effect(
     doc="Each spring and damper of the model stands on a wheel of this mass, and the wheel on the vehicle's tyre "
     "stiffness, instead of on the road itself.",
     parameters=_PARAMETERS,
+    order=130,
     severity=("mass",),
     excited_by=("sharp edges", "wheel hop, 8 to 16 Hz"),
     confused_with=("damper points at high velocity", "road_smoothing", "tyre_envelope"),
-    hook=Hook(neutral(_PARAMETERS), terms=_terms, models=("msd",)),
+    hook=Hook(corners=_corners, models=("msd",)),
 )

@@ -15,13 +15,12 @@ from suspension_twin.arrays import Floats
 from suspension_twin.compiled import compiled
 from suspension_twin.models import rows
 from suspension_twin.models.constants import Constants
-from suspension_twin.models.effect_terms import FLAGS
 from suspension_twin.models.full_car import KERNELS
-from suspension_twin.models.full_car_effects import EFFECT_KERNELS
+from suspension_twin.models.full_car_effects import effect_kernels
 from suspension_twin.models.msd import MSD_KERNELS
 from suspension_twin.models.types import Ints
 
-__all__ = ["Blocks", "cores", "share_out"]
+__all__ = ["LaneBlocks", "cores", "share_out"]
 
 _NONE = np.zeros((0, 0, 0))
 
@@ -69,7 +68,7 @@ def _fill(blocks: Floats, values: Floats, bad: NDArray[np.bool_]) -> None:
                 blocks[block, rows.FAILED, i] = 1.0
 
 
-class Blocks:
+class LaneBlocks:
     """L lanes, WIDTH to a block, with their state; the last block is filled up with its last lane.
 
     Lanes that cannot be simulated are all zero and marked failed, so that they stay finite.
@@ -83,10 +82,8 @@ class Blocks:
         self._data = _aligned(self.count, values.shape[0] * rows.WIDTH)
         self._view = self._data.reshape(self.count, -1, rows.WIDTH)
         _fill(self._view, values, bad)
-        self._flags = np.zeros(self.count, dtype=np.int64)
-        if known.has_terms:
-            for bit, first, size in FLAGS:
-                self._flags[self._view[:, first : first + size].any(axis=(1, 2))] |= bit
+        flags = np.zeros(self.lanes, dtype=np.int64) if known.flags is None else known.flags
+        self._flags = np.bitwise_or.reduceat(flags, np.arange(0, self.lanes, rows.WIDTH))
 
     @property
     def width(self) -> int:
@@ -95,18 +92,18 @@ class Blocks:
 
     @property
     def failed(self) -> NDArray[np.bool_]:
-        """(L,) lanes that could not stand or have diverged."""
+        """(L,) lanes without a static equilibrium, and lanes that have diverged."""
         out: NDArray[np.bool_] = self._view[:, rows.FAILED].reshape(-1)[: self.lanes] > 0
         return out
 
-    def restart(self, fresh: Blocks) -> None:
+    def restart(self, fresh: LaneBlocks) -> None:
         """Take over constants and state of blocks made from the same constants."""
         self._data[:] = fresh._data
 
     def walk(
         self,
         road: Floats,
-        own_road: Callable[[int], tuple[Floats, Floats]] | None,
+        candidate_road: Callable[[int], tuple[Floats, Floats]] | None,
         substeps: Ints,
         motion: Floats,
         begin: int,
@@ -117,22 +114,22 @@ class Blocks:
     ) -> None:
         """All lanes through the stamps begin..end-1; arguments as in ``full_car._run``.
 
-        ``own_road`` makes the heights that the lanes of a block see, by its number: (rows, 4) of all, or
+        ``candidate_road`` makes the heights that the lanes of a block see, by its number: (rows, 4) of all, or
         (rows, 4, WIDTH) of each.
         """
 
         def part(low: int, high: int) -> None:
             data, lane0, hinges = self._data[low:high], low * rows.WIDTH, self.known.hinges
-            shared, own = (road, _NONE) if own_road is None else own_road(low)
+            shared, own = (road, _NONE) if candidate_road is None else candidate_road(low)
             where = substeps, motion, begin, end, signals, states, lane0
             if self.known.model == "msd":
                 MSD_KERNELS[hinges](data, shared, own, *where)
-            elif self.known.has_terms:
-                EFFECT_KERNELS[hinges](data, self._flags[low:high], shared, own, *where)
+            elif self.known.flags is not None:
+                effect_kernels().kernels[hinges](data, self._flags[low:high], shared, own, *where)
             else:
                 KERNELS[hinges](data, shared, *where)
 
-        pieces = self.count if own_road is not None else min(self.count, max(1, threads))
+        pieces = self.count if candidate_road is not None else min(self.count, max(1, threads))
         cuts = np.linspace(0, self.count, pieces + 1).astype(int)
         parts = list(zip(cuts[:-1].tolist(), cuts[1:].tolist(), strict=True))
         share_out(part, parts, threads)

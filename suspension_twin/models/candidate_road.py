@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Roads that differ between candidates: shifted, scaled, smoothed, averaged over a tyre's patch.
 
-The road is sampled once along the four wheels' tracks, over the distance driven and, where the
-map is shifted sideways, on tracks beside them. A candidate's heights are the exact ones plus the
+The road is sampled once along the paths of the four wheels, over the distance driven and, where the
+map is shifted sideways, along paths beside them. A candidate's heights are the exact ones plus the
 difference of two profiles interpolated from these samples, its own and the plain one: what the
 sampling loses cancels as the change goes to zero, and no change is no change to the last bit.
 """
@@ -23,17 +23,17 @@ from suspension_twin.models.rows import WIDTH
 from suspension_twin.models.types import Excitation, HeightField
 from suspension_twin.models.wheel_paths import walk
 
-__all__ = ["SPACING", "Samples", "Tracks", "ahead_of", "own_road", "reach_of", "tracks_of"]
+__all__ = ["SPACING", "Samples", "WheelPaths", "ahead_of", "candidate_heights", "reach_of", "wheel_paths_of"]
 
-#: Distance in m between samples along a track.
+#: Distance in m between samples along a path.
 SPACING = 0.02
-#: Distance in m between tracks side by side.
+#: Distance in m between paths side by side.
 BESIDE = 0.05
 #: Distance in m that the samples go on beyond both ends of the drive, the last heights held.
 MARGIN = 8.0
 _REACH = 4.0  # of a Gaussian, in sigmas
 _NONE = np.empty((0, 4, WIDTH))
-#: What a short wave that smoothing took out of a road file is raised by at most.
+#: Largest gain by which waves are raised that smoothing has damped in a road file.
 LARGEST_GAIN = 10.0
 
 
@@ -49,7 +49,7 @@ class Samples:
         self._columns: dict[int, Floats] = {}
 
     def column(self, index: int) -> Floats:
-        """(4, count) m heights along the tracks ``index * BESIDE`` m left of the wheels'."""
+        """(4, count) m heights along paths ``index * BESIDE`` m left of the wheels."""
         known = self._columns.get(index)
         if known is None:
             shifted = self._wheels + np.array([0.0, index * BESIDE])
@@ -63,7 +63,7 @@ class Samples:
         return known
 
 
-class Tracks(Samples):
+class WheelPaths(Samples):
     """The road along the way of one excitation, sampled as it is asked for."""
 
     def __init__(self, excitation: Excitation) -> None:
@@ -103,15 +103,15 @@ class Tracks(Samples):
         return np.ascontiguousarray(out[:, 0])
 
 
-_known: WeakKeyDictionary[Excitation, Tracks] = WeakKeyDictionary()
+_known: WeakKeyDictionary[Excitation, WheelPaths] = WeakKeyDictionary()
 
 
-def tracks_of(excitation: Excitation) -> Tracks:
-    """The tracks of an excitation, sampled once as long as it lives."""
-    tracks = _known.get(excitation)
-    if tracks is None:
-        tracks = _known[excitation] = Tracks(excitation)
-    return tracks
+def wheel_paths_of(excitation: Excitation) -> WheelPaths:
+    """The wheel paths of an excitation, sampled once as long as it lives."""
+    paths = _known.get(excitation)
+    if paths is None:
+        paths = _known[excitation] = WheelPaths(excitation)
+    return paths
 
 
 def ahead_of(
@@ -138,8 +138,8 @@ def reach_of(change: RoadChange) -> float:
     return float(widest.max()) + 4 * SPACING
 
 
-def own_road(
-    tracks: Samples,
+def candidate_heights(
+    paths: Samples,
     change: RoadChange,
     lane0: int,
     count: int,
@@ -155,7 +155,8 @@ def own_road(
     ``change`` of all L lanes, of which lanes ``lane0``.. (``count`` of them) are in this block;
     ``road`` (rows, 4) and ``distance`` (rows,) of the stretch; ``reference`` (4,) m is what heights
     are scaled about. A lane that looks where the ground has no height raises InputError where ``strict``;
-    else it gets no heights at all, and fails alone. ``earlier`` gives distances (rows,) a delay and a drift ago.
+    else it gets no heights at all, and fails alone. ``earlier`` gives the distances (rows,) at a time less a
+    delay and a drift.
     """
     low_distance, high_distance = float(distance.min()), float(distance.max())
     need, alike = change.changed, change.alike(lane0, count)
@@ -176,11 +177,11 @@ def own_road(
         sharp = float(change.sharpening[lane])
         if ahead.any() or left or sigma or sharp or patch:
             reach = _REACH * (sigma + 2 * sharp) + patch / 2 + float(np.abs(ahead).max()) + 3 * SPACING
-            low = max(0, int((low_distance - tracks.start - reach) / SPACING))
-            high = min(tracks.count, int((high_distance - tracks.start + reach) / SPACING) + 2)
-            plain = tracks.column(0)[:, low:high]
+            low = max(0, int((low_distance - paths.start - reach) / SPACING))
+            high = min(paths.count, int((high_distance - paths.start + reach) / SPACING) + 2)
+            plain = paths.column(0)[:, low:high]
             try:
-                own = _beside(tracks, left)[:, low:high]
+                own = _beside(paths, left)[:, low:high]
             except InputError:
                 if strict:
                     raise
@@ -189,7 +190,7 @@ def own_road(
             own = _smoothed(_sharpened(own, sharp), sigma)
             if patch > 0:
                 own = _averaged(own, patch / 2 / SPACING)
-            first = tracks.start + low * SPACING
+            first = paths.start + low * SPACING
             _with_difference(road, plain, own, distance, first, ahead / SPACING, heights[i])
         else:
             heights[i] = road.T
@@ -203,12 +204,12 @@ def own_road(
     return road, out
 
 
-def _beside(tracks: Samples, left: float) -> Floats:
-    """(4, n) m heights ``left`` m beside the wheels' tracks, between the two tracks next to there."""
+def _beside(paths: Samples, left: float) -> Floats:
+    """(4, n) m heights ``left`` m beside the wheels' paths, interpolated between the two sampled paths next to it."""
     index = math.floor(left / BESIDE)
     share = left / BESIDE - index
-    own = tracks.column(index)
-    return (1 - share) * own + share * tracks.column(index + 1) if share else own
+    own = paths.column(index)
+    return (1 - share) * own + share * paths.column(index + 1) if share else own
 
 
 def _smoothed(profile: Floats, sigma: float) -> Floats:
@@ -223,10 +224,10 @@ def _smoothed(profile: Floats, sigma: float) -> Floats:
 
 
 def _sharpened(profile: Floats, sigma: float) -> Floats:
-    """Profiles (4, n) before a Gaussian of ``sigma`` m went over them, as far as that can be told.
+    """Profiles (4, n) before a Gaussian of ``sigma`` m was applied, as far as that can be estimated.
 
-    The regularised inverse of the Gaussian: short waves come back, raised by at most LARGEST_GAIN, and
-    what the Gaussian left nothing of stays as it is. Odd extension at both ends: no edge to ring.
+    The regularised inverse of the Gaussian: short waves are raised by at most LARGEST_GAIN, and waves
+    that the Gaussian removed stay as they are. Odd extension at both ends: no edge to ring.
     """
     if sigma <= 0:
         return profile

@@ -7,7 +7,7 @@ from suspension_twin.models.registry import Model, deferred
 from suspension_twin.vehicle.corners import AXLES
 from suspension_twin.vehicle.twin import Twin
 
-__all__ = ["CHANNELS", "car_model"]
+__all__ = ["CHANNELS", "CURVES", "car_model"]
 
 #: What an IMU in a car measures, in base_link axes; vertical acceleration without gravity.
 CHANNELS = (
@@ -38,7 +38,8 @@ _SCALARS = (
 )
 #: The road heights were looked up for these: a candidate cannot differ in them.
 _FIXED = ("vehicle.wheelbase", "vehicle.front_track", "vehicle.rear_track")
-_CURVES = tuple(
+#: Axle, part and abscissa of every characteristic.
+CURVES = tuple(
     (axle, part, abscissa)
     for axle in AXLES
     for part, abscissa in (
@@ -52,7 +53,7 @@ _CURVES = tuple(
 def numbers(twin: Twin) -> tuple[str, ...]:
     """Keys of the numbers of a car: scalars, then the points of its characteristics."""
     names = list(_SCALARS)
-    for axle, part, abscissa in _CURVES:
+    for axle, part, abscissa in CURVES:
         curve = getattr(getattr(twin.vehicle, axle), part)
         for quantity in (abscissa, "force"):
             names += [f"vehicle.{axle}.{part}.{quantity}.{j}" for j in range(len(curve.force))]

@@ -21,7 +21,7 @@ once per lane; in the kernel an implicit damper costs what an explicit one would
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -29,6 +29,7 @@ from numpy.typing import NDArray
 from suspension_twin.arrays import Floats
 from suspension_twin.errors import InputError
 from suspension_twin.models import rows
+from suspension_twin.models.car import CURVES
 from suspension_twin.models.characteristics import (
     Check,
     Curves,
@@ -39,11 +40,12 @@ from suspension_twin.models.characteristics import (
     read_curve,
     write_curves,
 )
-from suspension_twin.models.effect_constants import with_terms
-from suspension_twin.models.hooks import ClockChange, RoadChange, SignalStage
+from suspension_twin.models.effect_constants import with_effects
+from suspension_twin.models.hooks import ClockChange, CornerChange, RoadChange, SignalStage, Values
 from suspension_twin.models.msd_constants import msd_rows
 from suspension_twin.models.parameters import Layout
-from suspension_twin.models.static_attitude import lean
+from suspension_twin.models.static_attitude import static_attitude
+from suspension_twin.models.types import Ints
 from suspension_twin.units import STANDARD_GRAVITY as G
 from suspension_twin.vehicle.corners import AXLES
 
@@ -63,17 +65,17 @@ FARTHEST, WIDEST = 100.0, 20.0
 class Constants:
     """``values`` (rows, L) in the order of a block, ``hinges`` its number of hinges per curve.
 
-    ``problems`` lists what is wrong with which lanes: mask (L,), key, sentence. With ``has_terms``
-    the rows are those of a block with effects; ``road`` is what lanes see of the road where it is
-    not the plain one, ``stages`` the sensor's chain in order, with the parameters of each (k, L), ``clock`` its stamps,
-    ``mounting`` how its axes lie.
+    ``problems`` lists what is wrong with which lanes: mask (L,), key, sentence. ``flags`` (L,) are bits of the terms
+    that each lane needs where the rows are those of a block with effects, else None. ``road`` is what lanes see of
+    the road where it is not the plain one, ``stages`` the sensor's chain in order, with the parameters of each
+    (k, L), ``clock`` its stamps, ``mounting`` how its axes lie.
     """
 
     values: Floats
     hinges: int
     problems: tuple[tuple[NDArray[np.bool_], str, str], ...]
     model: str = "full_car"
-    has_terms: bool = False
+    flags: Ints | None = None
     road: RoadChange | None = None
     stages: tuple[tuple[SignalStage, Floats], ...] = ()
     clock: ClockChange | None = None
@@ -105,90 +107,117 @@ def constants(
     max_step: float,
     fused: bool = False,
     antenna: float = 0.0,
-    late: float = 0.0,
+    clock_offset: float = 0.0,
 ) -> Constants:
     """Constants of the kernel for candidates ``params`` (P, L) and steps up to ``max_step`` s.
 
-    ``fused``: a late clock delays what is seen of the road instead of the sensor's stamps. ``antenna`` m is how high
-    that hangs which tells where the vehicle is: leaning takes it along. ``late`` s of a late clock are in the
-    excitation already.
+    ``fused``: a clock offset delays the road instead of the sensor's stamps. ``antenna`` m is the height of the antenna
+    whose position gives the vehicle's: roll and pitch of the static attitude displace it. ``clock_offset`` s of the
+    sensor's clock are in the excitation already.
     """
     numbers = {name: params[row] for name, row in layout.index.items()}
     count = params.shape[1]
     with np.errstate(all="ignore"):
-        changed, terms, road, clock, stages, lag = _hooked(numbers, layout, count)
-    clock.delay[:] -= late
+        change = _Changes.of(numbers, layout, count)
+    changed, road, clock, corners = change.numbers, change.road, change.clock, change.corners
+    clock.delay[:] -= clock_offset
     if fused:
-        # what a slow sensor feels of the planar motion is as late as the pose: it is put back by what its filter takes
-        road = replace(road, delay=clock.delay + lag, drift=clock.drift)
-        clock = ClockChange(-lag, np.zeros(count))
+        # low frequencies of the planar motion have the delay of the sensor's filter, as the pose has: it is taken out
+        road = replace(road, delay=clock.delay + change.lag, drift=clock.drift)
+        clock = ClockChange(-change.lag, np.zeros(count))
 
     curves, problems = _read_curves(changed)
-    has_terms = bool(terms[rows.TERMS].any())
+    flags: Ints | None = None
     if layout.model == "msd":
-        out = msd_rows(changed, numbers, terms[rows.UNSPRUNG], curves, problems, max_step)
+        out = msd_rows(changed, numbers, corners.wheel_mass, curves, problems, max_step)
     else:
         out = stance = _full_car(changed, curves, problems, max_step)
         if any(changed[name] is not numbers[name] for name in numbers):
-            # heights count from where the vehicle stands without what effects put on it
+            # heights count from the static equilibrium without the load that effects add
             stance = _full_car(numbers, _read_curves(numbers)[0], problems, max_step)
-        if antenna and (has_terms or stance is not out):
+        has_effects = corners.changed or any(armed.any() for _, armed in change.kernel.values())
+        if antenna and (has_effects or stance is not out):
             with np.errstate(all="ignore"):
-                pitch, roll = lean(out, stance, terms, curves)
+                pitch, roll = static_attitude(out, stance, corners.spring, curves)
             road = replace(road, ahead=road.ahead - antenna * pitch, left=road.left + antenna * roll)
         if stance is not out:
-            out[rows.STATIC : rows.LOAD + 4] = stance[rows.STATIC : rows.LOAD + 4]
-        for c in range(4):
-            out[rows.TOUCH + c] = out[rows.LOAD + c] + out[rows.TYRE] * out[rows.STATIC + c]
-        if has_terms or road.changed.any():
-            out = with_terms(out, terms, curves, problems, max_step)
+            for row in (rows.STATIC, rows.LOAD):
+                out[row : row + 4] = stance[row : row + 4]
+        out[rows.TOUCH : rows.TOUCH + 4] = (
+            out[rows.LOAD : rows.LOAD + 4] + out[rows.TYRE] * out[rows.STATIC : rows.STATIC + 4]
+        )
+        if has_effects or road.changed.any():
+            out, flags = with_effects(out, corners, change.kernel, curves, problems, max_step)
     _check_road(road, checker(problems))
-    own_road = bool(road.changed.any())
     bad = _union(problems, count)
     if bad.any():
-        _spare(bad, road, clock, stages)
+        change.clear(bad, road, clock)
+        if flags is not None:
+            flags[bad] = 0
     return Constants(
         out,
         hinges_of(curves),
         tuple(problems),
         layout.model,
-        has_terms or own_road,
-        road if own_road else None,
-        tuple((stage, values) for stage, values, _ in stages),
+        flags,
+        road if road.changed.any() else None,
+        tuple((stage, values) for stage, values, _ in change.stages),
         clock if clock.delay.any() or clock.drift.any() else None,
         layout.mounting,
     )
 
 
-def _hooked(
-    numbers: Numbers, layout: Layout, count: int
-) -> tuple[Numbers, Floats, RoadChange, ClockChange, list[Stage], Floats]:
-    """What the effects make of ``numbers``: the numbers changed, terms, road, clock, stages in order, their lag."""
-    changed = dict(numbers)
-    terms = np.zeros((rows.CURVES, count))
-    road = RoadChange.neutral(count)
-    clock = ClockChange(np.zeros(count), np.zeros(count))
-    stages: list[Stage] = []
-    lag = np.zeros(count)
-    for effect, hook in layout.hooks.items():
-        values = {name: numbers[f"effects.{effect}.{name}"] for name in hook.neutral}
-        if hook.vehicle is not None:
-            hook.vehicle(changed, values)
-        if hook.terms is not None:
-            hook.terms(terms, values)
-        if hook.road is not None:
-            hook.road(road, values)
-        if hook.clock is not None:
-            hook.clock(clock, values)
-        if hook.signal is not None:
-            given = np.stack([values[name] for name in hook.neutral])
-            neutral = np.array(list(hook.neutral.values()))[:, None]
-            if (given != neutral).any():
-                stages.append((hook.signal, given, neutral))
-        if hook.lag is not None:
-            lag += hook.lag(values)
-    stages.sort(key=lambda stage: stage[0].order)
-    return changed, terms, road, clock, stages, lag
+@dataclass(eq=False)
+class _Changes:
+    """What the effects change for L candidates: numbers of the twin, corners, road and clock, the parameters of terms
+    in the kernel and which lanes have them, by effect, the sensor's chain in order and its delay (L,) in s."""
+
+    numbers: Numbers
+    corners: CornerChange
+    road: RoadChange
+    clock: ClockChange
+    lag: Floats
+    kernel: dict[str, tuple[Values, NDArray[np.bool_]]] = field(default_factory=dict)
+    stages: list[Stage] = field(default_factory=list)
+
+    @classmethod
+    def of(cls, numbers: Numbers, layout: Layout, count: int) -> _Changes:
+        """All changes by the effects of ``layout``."""
+        clock = ClockChange(np.zeros(count), np.zeros(count))
+        out = cls(
+            dict(numbers), CornerChange.neutral(count), RoadChange.neutral(count), clock, np.zeros(count)
+        )
+        for effect, hook in layout.hooks.items():
+            values = {name: numbers[f"effects.{effect}.{name}"] for name in hook.neutral}
+            parts = (
+                (hook.vehicle, out.numbers),
+                (hook.corners, out.corners),
+                (hook.road, out.road),
+                (hook.clock, clock),
+            )
+            for part, target in parts:
+                if part is not None:
+                    part(target, values)  # type: ignore[arg-type]
+            if hook.kernel is not None:
+                out.kernel[effect] = values, hook.armed(values)
+            if hook.signal is not None:
+                given = np.stack([values[name] for name in hook.neutral])
+                neutral = np.array(list(hook.neutral.values()))[:, None]
+                if (given != neutral).any():
+                    out.stages.append((hook.signal, given, neutral))
+            if hook.lag is not None:
+                out.lag += hook.lag(values)
+        out.stages.sort(key=lambda stage: stage[0].order)
+        return out
+
+    def clear(self, bad: NDArray[np.bool_], road: RoadChange, clock: ClockChange) -> None:
+        """Lanes that cannot be simulated (L,) get the plain road, sensor and clock."""
+        plain = RoadChange.neutral(1)
+        for name in vars(plain):
+            getattr(road, name)[bad] = getattr(plain, name)
+        clock.delay[bad] = clock.drift[bad] = 0.0
+        for _, values, neutral in self.stages:
+            values[:, bad] = neutral
 
 
 def _check_road(road: RoadChange, check: Check) -> None:
@@ -200,16 +229,6 @@ def _check_road(road: RoadChange, check: Check) -> None:
     check(~np.isfinite(road.scale), "effects", "scale the road by what is not finite")
 
 
-def _spare(bad: NDArray[np.bool_], road: RoadChange, clock: ClockChange, stages: list[Stage]) -> None:
-    """Lanes that cannot be simulated (L,) see the plain road with the plain sensor and clock."""
-    plain = RoadChange.neutral(1)
-    for name in vars(plain):
-        getattr(road, name)[bad] = getattr(plain, name)
-    clock.delay[bad] = clock.drift[bad] = 0.0
-    for _, values, neutral in stages:
-        values[:, bad] = neutral
-
-
 def _read_curves(numbers: Numbers) -> tuple[Curves, Problems]:
     """Curves by axle and part, and what is wrong with them or with any number."""
     problems: Problems = []
@@ -218,18 +237,13 @@ def _read_curves(numbers: Numbers) -> tuple[Curves, Problems]:
         for name, values in numbers.items():
             check(~np.isfinite(values), name, "is not finite")
     curves: Curves = {}
-    for axle in AXLES:
-        for part, abscissa in (
-            ("spring", "compression"),
-            ("damper_push", "velocity"),
-            ("damper_pull", "velocity"),
-        ):
-            prefix = f"vehicle.{axle}.{part}"
-            curve = curves[axle, part] = read_curve(numbers, prefix, abscissa)
-            rising = (curve.x[0] > 0) & (curve.x[1:] > curve.x[:-1]).all(axis=0)
-            check(~rising, f"{prefix}.{abscissa}", "must rise from above 0")
-            falling = (curve.f[0] < 0) | (curve.f[1:] < curve.f[:-1]).any(axis=0)
-            check(falling, f"{prefix}.force", "must not be negative or fall")
+    for axle, part, abscissa in CURVES:
+        prefix = f"vehicle.{axle}.{part}"
+        curve = curves[axle, part] = read_curve(numbers, prefix, abscissa)
+        rising = (curve.x[0] > 0) & (curve.x[1:] > curve.x[:-1]).all(axis=0)
+        check(~rising, f"{prefix}.{abscissa}", "must rise from above 0")
+        falling = (curve.f[0] < 0) | (curve.f[1:] < curve.f[:-1]).any(axis=0)
+        check(falling, f"{prefix}.force", "must not be negative or fall")
     return curves, problems
 
 

@@ -16,12 +16,25 @@ __all__ = ["damper_forces", "spring_force", "spring_forces", "spring_slope"]
 
 
 @inlined
+def _above(w: Floats, row: int, hinges: int, lane: int, x: float, force: float) -> float:
+    """``force`` with the hinge at ``row`` of a curve whose slope changes above it."""
+    at = w[row * WIDTH + lane]
+    return fma(w[(row + hinges) * WIDTH + lane], x if x > at else at, force)
+
+
+@inlined
+def _below(w: Floats, row: int, hinges: int, lane: int, x: float, force: float) -> float:
+    """The same with a curve whose slope changes below it."""
+    at = w[row * WIDTH + lane]
+    return fma(w[(row + hinges) * WIDTH + lane], x if x < at else at, force)
+
+
+@inlined
 def spring_force(w: Floats, first: int, hinges: int, lane: int, x: float) -> float:
     """Force in N of the spring whose rows begin at ``first``, compressed by ``x`` m."""
     force = fma(w[first * WIDTH + lane], x, w[(first + 1) * WIDTH + lane])
     for j in range(hinges):
-        at: float = w[(first + 2 + j) * WIDTH + lane]
-        force = fma(w[(first + 2 + hinges + j) * WIDTH + lane], x if x > at else at, force)
+        force = _above(w, first + 2 + j, hinges, lane, x, force)
     return force
 
 
@@ -58,15 +71,11 @@ def spring_forces(
     f1 = fma(w[c1 * WIDTH + lane], x1, w[(c1 + 1) * WIDTH + lane])
     f2 = fma(w[c2 * WIDTH + lane], x2, w[(c2 + 1) * WIDTH + lane])
     f3 = fma(w[c3 * WIDTH + lane], x3, w[(c3 + 1) * WIDTH + lane])
-    for j in range(hinges):
-        a0: float = w[(c0 + 2 + j) * WIDTH + lane]
-        a1: float = w[(c1 + 2 + j) * WIDTH + lane]
-        a2: float = w[(c2 + 2 + j) * WIDTH + lane]
-        a3: float = w[(c3 + 2 + j) * WIDTH + lane]
-        f0 = fma(w[(c0 + 2 + hinges + j) * WIDTH + lane], x0 if x0 > a0 else a0, f0)
-        f1 = fma(w[(c1 + 2 + hinges + j) * WIDTH + lane], x1 if x1 > a1 else a1, f1)
-        f2 = fma(w[(c2 + 2 + hinges + j) * WIDTH + lane], x2 if x2 > a2 else a2, f2)
-        f3 = fma(w[(c3 + 2 + hinges + j) * WIDTH + lane], x3 if x3 > a3 else a3, f3)
+    for j in range(2, 2 + hinges):
+        f0 = _above(w, c0 + j, hinges, lane, x0, f0)
+        f1 = _above(w, c1 + j, hinges, lane, x1, f1)
+        f2 = _above(w, c2 + j, hinges, lane, x2, f2)
+        f3 = _above(w, c3 + j, hinges, lane, x3, f3)
     return f0, f1, f2, f3
 
 
@@ -94,21 +103,13 @@ def damper_forces(
     f2 = fma(w[(c2 + 1) * WIDTH + lane], b2 if b2 > 0.0 else 0.0, f2)
     f3 = fma(w[(c3 + 1) * WIDTH + lane], b3 if b3 > 0.0 else 0.0, f3)
     for j in range(3, 3 + hinges):  # push
-        a0: float = w[(c0 + j) * WIDTH + lane]
-        a1: float = w[(c1 + j) * WIDTH + lane]
-        a2: float = w[(c2 + j) * WIDTH + lane]
-        a3: float = w[(c3 + j) * WIDTH + lane]
-        f0 = fma(w[(c0 + hinges + j) * WIDTH + lane], b0 if b0 > a0 else a0, f0)
-        f1 = fma(w[(c1 + hinges + j) * WIDTH + lane], b1 if b1 > a1 else a1, f1)
-        f2 = fma(w[(c2 + hinges + j) * WIDTH + lane], b2 if b2 > a2 else a2, f2)
-        f3 = fma(w[(c3 + hinges + j) * WIDTH + lane], b3 if b3 > a3 else a3, f3)
+        f0 = _above(w, c0 + j, hinges, lane, b0, f0)
+        f1 = _above(w, c1 + j, hinges, lane, b1, f1)
+        f2 = _above(w, c2 + j, hinges, lane, b2, f2)
+        f3 = _above(w, c3 + j, hinges, lane, b3, f3)
     for j in range(3 + 2 * hinges, 3 + 3 * hinges):  # pull
-        a0 = w[(c0 + j) * WIDTH + lane]
-        a1 = w[(c1 + j) * WIDTH + lane]
-        a2 = w[(c2 + j) * WIDTH + lane]
-        a3 = w[(c3 + j) * WIDTH + lane]
-        f0 = fma(w[(c0 + hinges + j) * WIDTH + lane], b0 if b0 < a0 else a0, f0)
-        f1 = fma(w[(c1 + hinges + j) * WIDTH + lane], b1 if b1 < a1 else a1, f1)
-        f2 = fma(w[(c2 + hinges + j) * WIDTH + lane], b2 if b2 < a2 else a2, f2)
-        f3 = fma(w[(c3 + hinges + j) * WIDTH + lane], b3 if b3 < a3 else a3, f3)
+        f0 = _below(w, c0 + j, hinges, lane, b0, f0)
+        f1 = _below(w, c1 + j, hinges, lane, b1, f1)
+        f2 = _below(w, c2 + j, hinges, lane, b2, f2)
+        f3 = _below(w, c3 + j, hinges, lane, b3, f3)
     return f0, f1, f2, f3

@@ -1,83 +1,88 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Constants of a block with effects: every corner's own curves, and the terms of the effects."""
+"""Constants of a block with effects: every corner's own curves, and the constants of the effects' terms."""
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+
 import numpy as np
+from numpy.typing import NDArray
 
 from suspension_twin.arrays import Floats
 from suspension_twin.models import rows
-from suspension_twin.models.characteristics import (
-    Check,
-    Curve,
-    Curves,
-    Problems,
-    checker,
-    hinges_of,
-    write_curves,
-)
+from suspension_twin.models.characteristics import Curves, Problems, checker, hinges_of, write_curves
+from suspension_twin.models.full_car_effects import COMPLIANT, effect_kernels
+from suspension_twin.models.hooks import CornerChange, Values
+from suspension_twin.models.types import Ints
 from suspension_twin.vehicle.corners import AXLES
 
-__all__ = ["with_terms"]
+__all__ = ["with_effects"]
 
 #: Largest product of step and frequency with everything that a term can add to a wheel's stiffness.
 _MAX_PHASE = 1.5
 
 
-def with_terms(base: Floats, terms: Floats, curves: Curves, problems: Problems, max_step: float) -> Floats:
-    """Rows (effect_rows, L) of lanes with ``terms`` (CURVES, L) on top of ``base`` (block_rows, L)."""
-    hinges, check = hinges_of(curves), checker(problems)
-    out = np.zeros((rows.effect_rows(hinges), base.shape[1]))
-    out[: base.shape[0]] = base
-    out[rows.TERMS] = terms[rows.TERMS]
-    out[rows.FADE : rows.FADE + 4] = 1.0
+def with_effects(
+    base: Floats,
+    corners: CornerChange,
+    effects: Mapping[str, tuple[Values, NDArray[np.bool_]]],
+    curves: Curves,
+    problems: Problems,
+    max_step: float,
+) -> tuple[Floats, Ints]:
+    """Rows of a block with effects (rows, L) from those without (block_rows, L), and the flags (L,) of the lanes.
+
+    ``effects`` gives the parameters (L,) of those effects that have terms in the kernel, and which lanes have them.
+    """
+    kernels, hinges, check = effect_kernels(), hinges_of(curves), checker(problems)
+    count = base.shape[1]
+    out, flags = np.zeros((kernels.rows(hinges), count)), np.zeros(count, dtype=np.int64)
+    stride = rows.axle_rows(hinges)
+    first, master = kernels.curves + 2 * stride, kernels.curves + 6 * stride
+    out[: rows.CURVES], out[kernels.curves : first] = base[: rows.CURVES], base[rows.CURVES :]
+    out[rows.DAMPER_SHARE : rows.DAMPER_SHARE + 4] = 1.0
+    out[rows.COMPLIANCE : rows.COMPLIANCE + 4] = corners.compliance
+    flags[corners.compliance.any(axis=0)] |= COMPLIANT
     for c in range(4):
         axle = AXLES[c // 2]
-        spring = curves[axle, "spring"].scaled(1 + terms[rows.SPRING_SCALE + c])
-        factor = 1 + terms[rows.DAMPER_SCALE + c]
-        push = curves[axle, "damper_push"].scaled(factor)
-        pull = curves[axle, "damper_pull"].scaled(factor)
-        beta = base[rows.IMPLICIT + c // 2]
-        out[rows.CORNER_IMPLICIT + c] = beta
-        first = rows.corner_curves(hinges) + c * rows.axle_rows(hinges)
+        spring = curves[axle, "spring"].scaled(1 + corners.spring[c])
+        push, pull = (
+            curves[axle, side].scaled(1 + corners.damper[c]) for side in ("damper_push", "damper_pull")
+        )
+        beta = out[rows.CORNER_IMPLICIT + c] = base[rows.IMPLICIT + c // 2]
         with np.errstate(all="ignore"):
-            write_curves(out, first, hinges, spring, push, pull, beta)
-        master = rows.master_rows(hinges) + c * 6 * (hinges + 1)
-        for side, curve in enumerate((push, pull)):
-            _write_master(out, master + side * 3 * (hinges + 1), hinges + 1, curve)
+            write_curves(out, first + c * stride, hinges, spring, push, pull, beta)
+        for curve in (push, pull):
+            for values in (
+                curve.x,
+                curve.f,
+                curve.slope,
+            ):  # the last point repeated up to the number of hinges
+                out[master : master + len(values)] = values
+                out[master + len(values) : master + hinges + 1] = values[-1]
+                master += hinges + 1
 
     with np.errstate(all="ignore"):
-        _check(out, terms, curves, check, max_step)
-    return out
-
-
-def _check(out: Floats, terms: Floats, curves: Curves, check: Check, max_step: float) -> None:
-    """What no step of ``max_step`` s can follow."""
-    check(~np.isfinite(terms).all(axis=0), "effects", "a parameter is not finite")
-    give = out[rows.INV_MASS] + out[rows.ENGINE_X] ** 2 * out[rows.INV_MASS + 2]
-    check(
-        ~(out[rows.ENGINE_MASS] * give < 0.8),
-        "effects.powertrain_mount",
-        "the engine is too heavy for the sprung mass",
-    )
-    springs = [curves[axle, "spring"].slope.max(axis=0) for axle in AXLES]
-    stiff = out[rows.TYRE] + np.maximum(*springs)
-    for row in (rows.FRICTION_RATE, rows.BUMP_RATE, rows.REBOUND_RATE):
-        stiff = stiff + out[row : row + 4].max(axis=0)
-    stiff = stiff + 2 * out[rows.BAR : rows.BAR + 2].max(axis=0)
-    phase = np.sqrt(stiff * out[rows.INV_WHEEL : rows.INV_WHEEL + 2].max(axis=0)) * max_step
-    check(~(phase < _MAX_PHASE), "effects", f"too stiff for a step of {max_step:g} s: take a smaller step")
-    check(
-        ~(np.sqrt(np.maximum(out[rows.BEND_STIFFNESS], out[rows.ENGINE_STIFFNESS])) * max_step < 1.0),
-        "effects",
-        f"a mode is too fast for a step of {max_step:g} s: take a smaller step",
-    )
-
-
-def _write_master(out: Floats, first: int, points: int, curve: Curve) -> None:
-    """Speeds, forces and slopes of one damper curve, its last point repeated up to ``points``."""
-    known = curve.x.shape[0]
-    for k, values in enumerate((curve.x, curve.f, curve.slope)):
-        at = first + k * points
-        out[at : at + known] = values
-        out[at + known : at + points] = values[-1]
+        springs = [curves[axle, "spring"].slope.max(axis=0) for axle in AXLES]
+        stiff, fastest = out[rows.TYRE] + np.maximum(*springs), np.zeros(count)
+        finite = np.isfinite([*corners.spring, *corners.damper, *corners.compliance]).all(axis=0)
+        for name, (given, armed) in effects.items():
+            terms, e = kernels.terms[name], kernels.first[name]
+            flags[armed] |= kernels.bit[name]
+            for field, value in terms.constants(given).items():
+                size = terms.fields.sizes[field]
+                own = out[e + field : e + field + size]
+                own[:] = value
+                finite &= np.isfinite(own).all(axis=0)
+                if field in terms.stiffness:  # of an axle: between left and right, which feel it twice
+                    stiff = stiff + (2 if size == rows.AXLE else 1) * own.max(axis=0)
+                if field in terms.modes:
+                    fastest = np.maximum(fastest, own[0])
+            if terms.check is not None:
+                terms.check(out, e, check)
+        check(~finite, "effects", "a parameter is not finite")
+        phase = np.sqrt(stiff * out[rows.INV_WHEEL : rows.INV_WHEEL + 2].max(axis=0)) * max_step
+        smaller = f"for a step of {max_step:g} s: take a smaller step"
+        check(~(phase < _MAX_PHASE), "effects", f"too stiff {smaller}")
+        check(~(np.sqrt(fastest) * max_step < 1.0), "effects", f"a mode is too fast {smaller}")
+    return out, flags

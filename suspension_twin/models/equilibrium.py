@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Where a lane stands still: exact through the piecewise linear springs and the tyres."""
+"""Static equilibrium of a lane without effects: exact through the piecewise linear springs and the tyres."""
 
 from __future__ import annotations
 
@@ -17,13 +17,16 @@ _SOFT = 1.0  # N/m: what a corner without any stiffness (airborne, flat spring) 
 
 
 @compiled
-def stand(w: Floats, lane: int, mx: float, my: float, forward: float, sideways: float, hinges: int) -> None:
+def stand(
+    w: Floats, lane: int, mx: float, my: float, forward: float, sideways: float, curves: int, hinges: int
+) -> None:
     """Put one lane of a block in equilibrium on the road heights in its rows ROAD.
 
-    ``mx``, ``my`` N m are the moments of the planar accelerations. The vehicle moves with
+    ``mx``, ``my`` N m are the moments of the planar accelerations, ``curves`` the first row of the axles' curves.
+    The vehicle moves with
     ``forward`` and ``sideways`` m/s along the plane through its four contact points, so that a
     drive that begins on a slope begins without a jolt. Newton on a convex piecewise quadratic
-    energy: a few rounds, then exact. A lane that finds no place to stand is marked failed.
+    energy: a few rounds, then exact. A lane without an equilibrium is marked failed.
     """
     axle_stride = 5 + 6 * hinges
     road = [w[(rows.ROAD + c) * WIDTH + lane] for c in range(4)]
@@ -50,7 +53,7 @@ def stand(w: Floats, lane: int, mx: float, my: float, forward: float, sideways: 
         for i in range(4):
             a = i // 2
             x, y = w[(rows.ARM_X + a) * WIDTH + lane], w[(rows.ARM_Y + i) * WIDTH + lane]
-            first = rows.CURVES + a * axle_stride
+            first = curves + a * axle_stride
             body = heave + y * roll - x * pitch
             c = w[(rows.STATIC + i) * WIDTH + lane] + wheel[i] - body
             f = spring_force(w, first, hinges, lane, c)
@@ -102,11 +105,11 @@ def stand(w: Floats, lane: int, mx: float, my: float, forward: float, sideways: 
             wheel[i] += move / (stiffness[i] + tyres[i])
     if not error <= 1e3 * small:
         w[rows.FAILED * WIDTH + lane] = 1.0
-    w[rows.POSITION * WIDTH + lane] = heave
-    w[(rows.POSITION + 1) * WIDTH + lane] = roll
-    w[(rows.POSITION + 2) * WIDTH + lane] = pitch
+    w[rows.HEAVE * WIDTH + lane] = heave
+    w[rows.ROLL * WIDTH + lane] = roll
+    w[rows.PITCH * WIDTH + lane] = pitch
     for i in range(4):
-        w[(rows.POSITION + 3 + i) * WIDTH + lane] = wheel[i] + w[(rows.STATIC + i) * WIDTH + lane]
+        w[(rows.WHEEL + i) * WIDTH + lane] = wheel[i] + w[(rows.STATIC + i) * WIDTH + lane]
         w[(rows.DAMPER + i) * WIDTH + lane] = 0.0
     for q in range(7):
         w[(rows.ACCELERATION + q) * WIDTH + lane] = 0.0

@@ -28,7 +28,7 @@ the step by (frequency x step) < 2. Between steps the moments M run linearly.
 from __future__ import annotations
 
 from suspension_twin.arrays import Floats
-from suspension_twin.compiled import compiled, inlined, pasted
+from suspension_twin.compiled import compiled, inlined, specialised
 from suspension_twin.models import rows
 from suspension_twin.models.car import car_model
 from suspension_twin.models.corner import (
@@ -41,12 +41,22 @@ from suspension_twin.models.corner import (
     velocities,
 )
 from suspension_twin.models.equilibrium import stand
-from suspension_twin.models.numerics import fma, prefetch
+from suspension_twin.models.numerics import fma, four, prefetch
 from suspension_twin.models.rows import STRETCH, WIDTH
 from suspension_twin.models.sensor import sense
 from suspension_twin.models.types import Ints
 
-__all__ = ["BAD_ACCELERATION", "BAD_ANGLE", "BAD_TRAVEL", "KERNELS", "MODEL", "moments", "record", "watch"]
+__all__ = [
+    "BAD_ACCELERATION",
+    "BAD_ANGLE",
+    "BAD_TRAVEL",
+    "KERNELS",
+    "MODEL",
+    "moments",
+    "open_lanes",
+    "record",
+    "watch",
+]
 
 #: A lane has diverged when an angle (rad), a suspension or tyre travel (m) or an acceleration (m/s²,
 #: rad/s²) passes these.
@@ -59,17 +69,15 @@ BAD_ACCELERATION = 1e6
 def watch(w: Floats, r0: float, r1: float, r2: float, r3: float) -> None:
     """Mark lanes that have left what the model means anything for; NaN counts as outside."""
     for i in range(WIDTH):
-        bad = 0.0
-        bad = bad if abs(w[1 * WIDTH + i]) < BAD_ANGLE else 1.0
-        bad = bad if abs(w[2 * WIDTH + i]) < BAD_ANGLE else 1.0
-        bad = bad if abs(w[3 * WIDTH + i] - r0) < BAD_TRAVEL else 1.0
-        bad = bad if abs(w[4 * WIDTH + i] - r1) < BAD_TRAVEL else 1.0
-        bad = bad if abs(w[5 * WIDTH + i] - r2) < BAD_TRAVEL else 1.0
-        bad = bad if abs(w[6 * WIDTH + i] - r3) < BAD_TRAVEL else 1.0
-        bad = bad if abs(w[i] - 0.25 * (r0 + r1 + r2 + r3)) < BAD_TRAVEL else 1.0
-        for q in range(14, 17):  # what the last step made of it, before it shows in a position
-            bad = bad if abs(w[q * WIDTH + i]) < BAD_ACCELERATION else 1.0
-        w[rows.FAILED * WIDTH + i] = bad if bad > 0.0 else w[rows.FAILED * WIDTH + i]
+        good = abs(w[rows.ROLL * WIDTH + i]) < BAD_ANGLE
+        good &= abs(w[rows.PITCH * WIDTH + i]) < BAD_ANGLE
+        u0, u1, u2, u3 = four(w, rows.WHEEL, i)
+        good &= (abs(u0 - r0) < BAD_TRAVEL) & (abs(u1 - r1) < BAD_TRAVEL)
+        good &= (abs(u2 - r2) < BAD_TRAVEL) & (abs(u3 - r3) < BAD_TRAVEL)
+        good &= abs(w[rows.HEAVE * WIDTH + i] - 0.25 * (r0 + r1 + r2 + r3)) < BAD_TRAVEL
+        for q in range(3):  # what the last step made of it, before it shows in a position
+            good &= abs(w[(rows.ACCELERATION + q) * WIDTH + i]) < BAD_ACCELERATION
+        w[rows.FAILED * WIDTH + i] = w[rows.FAILED * WIDTH + i] if good else 1.0
 
 
 @inlined
@@ -110,7 +118,20 @@ def ask_ahead(signals: Floats, k: int, at: int) -> None:
                 prefetch(signals, (k * signals.shape[1] + q) * signals.shape[2] + at + i)
 
 
-@pasted
+@inlined
+def open_lanes(w: Floats, k: int, motion: Floats, b0: int, b1: int, b2: int, b3: int) -> None:
+    """``open_interval`` of all lanes, for the interval that ends at stamp k."""
+    yaw0, yaw = motion[k - 1, 3], motion[k, 3]
+    for i in range(WIDTH):
+        mx, my = moments(w, i, motion[k - 1, 1], motion[k - 1, 2], yaw0 * yaw0, motion[k - 1, 4])
+        to_x, to_y = moments(w, i, motion[k, 1], motion[k, 2], yaw * yaw, motion[k, 4])
+        open_interval(w, i, motion[k, 0], b0, b1, b2, b3, mx, my, to_x - mx, to_y - my)
+
+
+#: Hinges of a curve, of each kernel its own.
+_HINGES = 0
+
+
 def _run(
     blocks: Floats,
     road: Floats,
@@ -121,7 +142,6 @@ def _run(
     signals: Floats,
     states: Floats,
     lane0: int,
-    hinges: int,
 ) -> None:
     """Walk blocks (B, rows * WIDTH) through the stamps begin..end-1 of an excitation.
 
@@ -130,8 +150,8 @@ def _run(
     ``lane0`` on; ``states`` the first rows of a block, (end - begin, STATES, lanes), or nothing
     where its length is 0.
     """
-    front = rows.CURVES
-    rear = rows.CURVES + 5 + 6 * hinges
+    front, lag = rows.CURVES, rows.LAG
+    rear = front + 5 + 6 * _HINGES
     done = 0
     for start in range(begin, end, STRETCH):
         row = done
@@ -148,38 +168,18 @@ def _run(
                         for c in range(4):
                             w[(rows.ROAD + c) * WIDTH + i] = road[row, c]
                         mx, my = moments(w, i, ax, ay, yaw * yaw, dyaw)
-                        stand(w, i, mx, my, motion[k, 5], motion[k, 6], hinges)
+                        stand(w, i, mx, my, motion[k, 5], motion[k, 6], front, _HINGES)
                     row += 1
                 else:
-                    ax0, ay0, yaw0, dyaw0 = (
-                        motion[k - 1, 1],
-                        motion[k - 1, 2],
-                        motion[k - 1, 3],
-                        motion[k - 1, 4],
-                    )
-                    for i in range(WIDTH):
-                        mx, my = moments(w, i, ax0, ay0, yaw0 * yaw0, dyaw0)
-                        to_x, to_y = moments(w, i, ax, ay, yaw * yaw, dyaw)
-                        open_interval(
-                            w,
-                            i,
-                            h,
-                            rows.IMPLICIT,
-                            rows.IMPLICIT,
-                            rows.IMPLICIT + 1,
-                            rows.IMPLICIT + 1,
-                            mx,
-                            my,
-                            to_x - mx,
-                            to_y - my,
-                        )
+                    beta = rows.IMPLICIT
+                    open_lanes(w, k, motion, beta, beta, beta + 1, beta + 1)
                     for j in range(n):
                         share = (j + 1.0) / n
                         r0, r1, r2, r3 = road[row, 0], road[row, 1], road[row, 2], road[row, 3]
                         row += 1
                         for i in range(WIDTH):
                             move(w, i, h)
-                            strut_forces(w, i, front, front, rear, rear, hinges)
+                            strut_forces(w, i, front, front, rear, rear, _HINGES)
                         for i in range(WIDTH):
                             n0, n1, n2, n3 = tyre_forces(w, i, r0, r1, r2, r3)
                             velocities(
@@ -191,73 +191,29 @@ def _run(
                                 n1,
                                 n2,
                                 n3,
-                                rows.LAG,
-                                rows.LAG,
-                                rows.LAG + 2,
-                                rows.LAG + 2,
+                                lag,
+                                lag,
+                                lag + 2,
+                                lag + 2,
                                 front,
                                 front,
                                 rear,
                                 rear,
-                                hinges,
+                                _HINGES,
                             )
                     for i in range(WIDTH):
                         close_interval(w, i, h)
                 r0, r1, r2, r3 = road[row - 1, 0], road[row - 1, 1], road[row - 1, 2], road[row - 1, 3]
                 watch(w, r0, r1, r2, r3)
                 for i in range(WIDTH):
-                    touch(w, i, r0, r1, r2, r3)
+                    n0, n1, n2, n3 = tyre_forces(w, i, r0, r1, r2, r3)
+                    touch(w, i, n0, n1, n2, n3)
                     sense(w, i, ax, ay, yaw, dyaw)
                 record(w, lane0 + block * WIDTH, k - begin, signals, states)
         done = row
 
 
-@compiled
-def _run_3(
-    blocks: Floats,
-    road: Floats,
-    substeps: Ints,
-    motion: Floats,
-    begin: int,
-    end: int,
-    signals: Floats,
-    states: Floats,
-    lane0: int,
-) -> None:
-    _run(blocks, road, substeps, motion, begin, end, signals, states, lane0, 3)
-
-
-@compiled
-def _run_7(
-    blocks: Floats,
-    road: Floats,
-    substeps: Ints,
-    motion: Floats,
-    begin: int,
-    end: int,
-    signals: Floats,
-    states: Floats,
-    lane0: int,
-) -> None:
-    _run(blocks, road, substeps, motion, begin, end, signals, states, lane0, 7)
-
-
-@compiled
-def _run_31(
-    blocks: Floats,
-    road: Floats,
-    substeps: Ints,
-    motion: Floats,
-    begin: int,
-    end: int,
-    signals: Floats,
-    states: Floats,
-    lane0: int,
-) -> None:
-    _run(blocks, road, substeps, motion, begin, end, signals, states, lane0, 31)
-
-
 #: The kernel for each number of hinges per curve.
-KERNELS = {3: _run_3, 7: _run_7, 31: _run_31}
+KERNELS = {hinges: compiled(specialised(_run, f"_run_{hinges}", _HINGES=hinges)) for hinges in rows.HINGES}
 
 MODEL = car_model("full_car", "seven degrees of freedom: heave, roll and pitch of the body and four wheels")

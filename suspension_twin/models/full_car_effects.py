@@ -1,52 +1,71 @@
 # SPDX-License-Identifier: Apache-2.0
-"""``full_car`` with effects: the same step, with the terms of effects in it.
+"""``full_car`` with effects: the same step, with the terms of all effects in it.
 
-A block runs only the terms that one of its lanes has, and a term is exactly nothing for a lane
-that has it not: with all of them at zero the numbers are those of ``full_car`` to the last bit.
-Every corner has curves of its own here, every lane may have a road of its own.
+The terms come from the files of the effects (``hooks.KernelTerms``). ``effect_kernels`` lays out their fields one
+after the other, gives each effect a bit, and writes a function for each stage that runs the terms of the effects in
+their order: a loop over lanes and corners or axles each, with the rows of their fields as constants. A block runs
+only the terms that one of its lanes has, and a term is exactly nothing for a lane that has it not: with all of them at
+zero the numbers are those of ``full_car`` to the last bit. Every corner has curves of its own here, every lane
+may have a road of its own.
 """
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cache
+from typing import Any, get_args
+
 from suspension_twin.arrays import Floats
-from suspension_twin.compiled import compiled, pasted
-from suspension_twin.models import effect_terms as terms
+from suspension_twin.compiled import compiled, linked, specialised
 from suspension_twin.models import rows
 from suspension_twin.models.corner import (
     close_interval,
     move,
-    open_interval,
     strut_forces,
+    touch,
+    travel,
     tyre_forces,
     velocities,
 )
+from suspension_twin.models.damper_tables import retable
 from suspension_twin.models.equilibrium import stand
-from suspension_twin.models.full_car import BAD_ACCELERATION, moments, record, watch
+from suspension_twin.models.full_car import moments, open_lanes, record, watch
+from suspension_twin.models.hooks import KernelTerms, Stage
+from suspension_twin.models.numerics import four, put
 from suspension_twin.models.rows import WIDTH
 from suspension_twin.models.sensor import sense
 from suspension_twin.models.settle import settle
 from suspension_twin.models.types import Ints
 
-__all__ = ["EFFECT_KERNELS"]
+__all__ = ["COMPLIANT", "EffectKernels", "effect_kernels"]
+
+#: Bit of the flags of a block in which a damper has an elastic mount. Effects have the bits above it.
+COMPLIANT = 1
+
+#: What each assembly of the kernel has of its own: hinges of a curve, first row of the curves, flags of blocks whose
+#: damper tables change, static equilibrium, and the terms of the stages.
+_HINGES, _CURVES, _RETABLED = 0, 0, 0
+_SETTLE: Any = settle
+_DAMPERS = _STRUT = _TYRE = _BODY = _AFTER = _STAMP = _SETTLE
 
 
 @compiled
-def _ground(w: Floats, road: Floats, lane_road: Floats, row: int, per_second: float) -> None:
+def _ground(w: Floats, road: Floats, candidate_road: Floats, row: int, per_second: float) -> None:
     """Bring the road heights of ``row`` into the block, and how fast they rose."""
-    own = lane_road.shape[0] > 0
+    own = candidate_road.shape[0] > 0
     for c in range(4):
         for i in range(WIDTH):
-            z = lane_road[row, c, i] if own else road[row, c]
+            z = candidate_road[row, c, i] if own else road[row, c]
             w[(rows.ROAD_RATE + c) * WIDTH + i] = (z - w[(rows.ROAD + c) * WIDTH + i]) * per_second
             w[(rows.ROAD + c) * WIDTH + i] = z
 
 
-@pasted
 def _run(
     blocks: Floats,
     flags: Ints,
     road: Floats,
-    lane_road: Floats,
+    candidate_road: Floats,
     substeps: Ints,
     motion: Floats,
     begin: int,
@@ -54,17 +73,17 @@ def _run(
     signals: Floats,
     states: Floats,
     lane0: int,
-    hinges: int,
 ) -> None:
-    """As ``full_car._run``; ``flags`` (B,) say which terms each block needs.
+    """As ``full_car._run``; ``flags`` (B,) says which terms each block needs.
 
-    ``lane_road`` (rows, 4, WIDTH) gives every lane heights of its own, or has length 0; with it
+    ``candidate_road`` (rows, 4, WIDTH) gives every lane heights of its own, or has length 0; with it
     ``blocks`` holds one block.
     """
-    stride = 5 + 6 * hinges
-    c0 = rows.CURVES + 2 * stride
+    stride = 5 + 6 * _HINGES
+    beta, lag = rows.CORNER_IMPLICIT, rows.LAG
+    c0 = _CURVES + 2 * stride
+    curves = c0 - 2 * stride  # of the type that the plain kernel has it in: what both call is compiled once
     c1, c2, c3 = c0 + stride, c0 + 2 * stride, c0 + 3 * stride
-    b0 = rows.CORNER_IMPLICIT
     for block in range(blocks.shape[0]):
         w = blocks[block]
         flag = flags[block]
@@ -74,150 +93,156 @@ def _run(
             h = motion[k, 0]
             ax, ay, yaw, dyaw = motion[k, 1], motion[k, 2], motion[k, 3], motion[k, 4]
             if n == 0:
-                _ground(w, road, lane_road, row, 0.0)
+                _ground(w, road, candidate_road, row, 0.0)
                 for i in range(WIDTH):
                     mx, my = moments(w, i, ax, ay, yaw * yaw, dyaw)
-                    stand(w, i, mx, my, motion[k, 5], motion[k, 6], hinges)
-                    settle(w, i, mx, my, hinges)
+                    stand(w, i, mx, my, motion[k, 5], motion[k, 6], curves, _HINGES)
+                    _SETTLE(w, i, mx, my, curves, _HINGES)
                 row += 1
             else:
-                if flag & terms.FADE:
-                    terms.fade(w)
-                if flag & terms.RETABLE:
-                    terms.retable(w, h, hinges)
-                ax0, ay0, yaw0, dyaw0 = motion[k - 1, 1], motion[k - 1, 2], motion[k - 1, 3], motion[k - 1, 4]
-                for i in range(WIDTH):
-                    mx, my = moments(w, i, ax0, ay0, yaw0 * yaw0, dyaw0)
-                    to_x, to_y = moments(w, i, ax, ay, yaw * yaw, dyaw)
-                    open_interval(w, i, h, b0, b0 + 1, b0 + 2, b0 + 3, mx, my, to_x - mx, to_y - my)
+                if flag & _RETABLED:
+                    for i in range(WIDTH):
+                        put(w, rows.DAMPER_SHARE, i, 1.0, 1.0, 1.0, 1.0)
+                    _DAMPERS(w, flag, h)
+                    retable(w, h, _CURVES, _HINGES)
+                open_lanes(w, k, motion, beta, beta + 1, beta + 2, beta + 3)
                 for j in range(n):
                     share = (j + 1.0) / n
-                    _ground(w, road, lane_road, row, 1.0 / h)
+                    _ground(w, road, candidate_road, row, 1.0 / h)
                     row += 1
                     for i in range(WIDTH):
                         move(w, i, h)
-                        strut_forces(w, i, c0, c1, c2, c3, hinges)
-                        n0, n1, n2, n3 = tyre_forces(
-                            w,
-                            i,
-                            w[rows.ROAD * WIDTH + i],
-                            w[(rows.ROAD + 1) * WIDTH + i],
-                            w[(rows.ROAD + 2) * WIDTH + i],
-                            w[(rows.ROAD + 3) * WIDTH + i],
-                        )
-                        w[rows.GROUND * WIDTH + i], w[(rows.GROUND + 1) * WIDTH + i] = n0, n1
-                        w[(rows.GROUND + 2) * WIDTH + i], w[(rows.GROUND + 3) * WIDTH + i] = n2, n3
-                    if flag & terms.FRICTION:
-                        terms.friction(w, h)
-                    if flag & terms.BUMP:
-                        terms.stops(w, rows.BUMP_GAP, rows.BUMP_RATE, rows.BUMP_RISE, 1.0)
-                    if flag & terms.REBOUND:
-                        terms.stops(w, rows.REBOUND_GAP, rows.REBOUND_RATE, rows.REBOUND_RISE, -1.0)
-                    if flag & terms.PROGRESSION:
-                        terms.progression(w)
-                    if flag & terms.PLAY:
-                        terms.play(w, h)
-                    if flag & terms.BAR:
-                        terms.anti_roll_bars(w)
-                    if flag & terms.TYRE_DAMPING:
-                        terms.viscous_tyres(w)
+                        strut_forces(w, i, c0, c1, c2, c3, _HINGES)
+                        r0, r1, r2, r3 = four(w, rows.ROAD, i)
+                        n0, n1, n2, n3 = tyre_forces(w, i, r0, r1, r2, r3)
+                        put(w, rows.GROUND, i, n0, n1, n2, n3)
+                    _STRUT(w, flag, h)
+                    _TYRE(w, flag, h)
                     for i in range(WIDTH):
+                        n0, n1, n2, n3 = four(w, rows.GROUND, i)
                         velocities(
                             w,
                             i,
                             h,
                             share,
-                            w[rows.GROUND * WIDTH + i],
-                            w[(rows.GROUND + 1) * WIDTH + i],
-                            w[(rows.GROUND + 2) * WIDTH + i],
-                            w[(rows.GROUND + 3) * WIDTH + i],
-                            rows.LAG,
-                            rows.LAG + 1,
-                            rows.LAG + 2,
-                            rows.LAG + 3,
+                            n0,
+                            n1,
+                            n2,
+                            n3,
+                            lag,
+                            lag + 1,
+                            lag + 2,
+                            lag + 3,
                             c0,
                             c1,
                             c2,
                             c3,
-                            hinges,
+                            _HINGES,
                         )
-                    if flag & terms.ENGINE:
-                        terms.engine(w, h)
-                    if flag & terms.BEND:
-                        terms.bending(w, h)
-                    if flag & terms.FADE:
-                        terms.heat(w, h)
+                    _BODY(w, flag, h)
+                    _AFTER(w, flag, h)
                 for i in range(WIDTH):
                     close_interval(w, i, h)
             last = row - 1
             watch(w, road[last, 0], road[last, 1], road[last, 2], road[last, 3])
-            for c in range(4):
-                for i in range(WIDTH):
-                    f = w[(rows.GROUND + c) * WIDTH + i]
-                    w[(rows.CONTACT + c) * WIDTH + i] = f if f > 0.0 else 0.0
             for i in range(WIDTH):
+                n0, n1, n2, n3 = four(w, rows.GROUND, i)
+                touch(w, i, n0, n1, n2, n3)
                 sense(w, i, ax, ay, yaw, dyaw)
-            if flag & terms.BEND:
-                for i in range(WIDTH):
-                    more = w[(rows.BEND + 2) * WIDTH + i]
-                    w[rows.FAILED * WIDTH + i] = (
-                        w[rows.FAILED * WIDTH + i] if abs(more) < BAD_ACCELERATION else 1.0
-                    )
-                    w[(rows.SIGNAL + 2) * WIDTH + i] += more
-                    w[(rows.SIGNAL + 6) * WIDTH + i] += more
+            _STAMP(w, flag, h)
             record(w, lane0 + block * WIDTH, k - begin, signals, states)
 
 
-@compiled
-def _run_3(
-    blocks: Floats,
-    flags: Ints,
-    road: Floats,
-    lane_road: Floats,
-    substeps: Ints,
-    motion: Floats,
-    begin: int,
-    end: int,
-    signals: Floats,
-    states: Floats,
-    lane0: int,
-) -> None:
-    _run(blocks, flags, road, lane_road, substeps, motion, begin, end, signals, states, lane0, 3)
+_AT_CORNERS = "        for i in range(WIDTH):\n            for c in range({count}):\n"
+#: Source of a term in its stage, and of an elastic element of a corner and of an axle in the stage ``strut``.
+_TERM = _AT_CORNERS + "                {call}h)\n"
+_AT_CORNER = _AT_CORNERS + "                w[(STRUT + c) * WIDTH + i] += {call}travel(w, c, i))[0]\n"
+_AT_AXLE = (
+    _AT_CORNERS
+    + "                force = {call}travel(w, 2 * c, i) - travel(w, 2 * c + 1, i))[0]\n"
+    + "                w[(STRUT + 2 * c) * WIDTH + i] += force\n"
+    + "                w[(STRUT + 2 * c + 1) * WIDTH + i] -= force\n"
+)
+#: And of either in the static equilibrium of a lane.
+_STATIC = (
+    "    for c in range({count}):\n"
+    "        f, k = {call}travel[{first} + c])\n"
+    "        force[{first} + c] += f\n"
+    "        stiffness[{first} + c] += k\n"
+)
 
 
-@compiled
-def _run_7(
-    blocks: Floats,
-    flags: Ints,
-    road: Floats,
-    lane_road: Floats,
-    substeps: Ints,
-    motion: Floats,
-    begin: int,
-    end: int,
-    signals: Floats,
-    states: Floats,
-    lane0: int,
-) -> None:
-    _run(blocks, flags, road, lane_road, substeps, motion, begin, end, signals, states, lane0, 7)
+def _made(arguments: str, lines: list[str], names: dict[str, Any]) -> Any:
+    """The compiled function with a body of ``lines`` in which ``names`` are known."""
+    scope = dict(names)
+    exec(f"def stage({arguments}):\n" + "".join(lines or ["    pass\n"]), scope)
+    return linked(scope["stage"])
 
 
-@compiled
-def _run_31(
-    blocks: Floats,
-    flags: Ints,
-    road: Floats,
-    lane_road: Floats,
-    substeps: Ints,
-    motion: Floats,
-    begin: int,
-    end: int,
-    signals: Floats,
-    states: Floats,
-    lane0: int,
-) -> None:
-    _run(blocks, flags, road, lane_road, substeps, motion, begin, end, signals, states, lane0, 31)
+@dataclass(frozen=True, eq=False)
+class EffectKernels:
+    """The kernel with all effects.
+
+    ``terms``, ``first`` and ``bit`` give by id of an effect its terms, the first row of its fields and its bit in the
+    flags of a block; ``curves`` is the first row of the curves and ``kernels`` has a kernel for each number of hinges.
+    """
+
+    terms: Mapping[str, KernelTerms]
+    first: Mapping[str, int]
+    bit: Mapping[str, int]
+    curves: int
+    kernels: Mapping[int, Any]
+
+    def rows(self, hinges: int) -> int:
+        """Rows of a block."""
+        return self.curves + 6 * rows.axle_rows(hinges) + 4 * 2 * 3 * (hinges + 1)
 
 
-#: The kernel for each number of hinges per curve.
-EFFECT_KERNELS = {3: _run_3, 7: _run_7, 31: _run_31}
+@cache
+def effect_kernels() -> EffectKernels:
+    """The kernel with the effects of the registry, compiled when it is first run."""
+    from suspension_twin.effects.registry import EFFECTS  # whose files import models.hooks
+
+    terms = {name: effect.hook.kernel for name, effect in EFFECTS.items() if effect.hook.kernel is not None}
+    first, bit, end, retabled = {}, {}, rows.CURVES, COMPLIANT
+    stages: dict[str, list[str]] = {stage: [] for stage in get_args(Stage)}
+    static: list[str] = []
+    restarted: list[int] = []
+    names: dict[str, Any] = {"WIDTH": WIDTH, "STRUT": rows.STRUT, "travel": travel}
+    for index, (name, own) in enumerate(terms.items(), 1):
+        e, first[name], bit[name] = end, end, COMPLIANT << index
+        end += own.fields.count
+        restarted += [e + f + j for f in own.fields.restarted for j in range(own.fields.sizes[f])]
+        if own.elastic is not None:
+            names[name], count = own.elastic
+            call = f"{name}(w, {e}, c, i, "
+            corner = count == rows.CORNER
+            source = _AT_CORNER if corner else _AT_AXLE
+            stages["strut"].append(f"    if flag & {bit[name]}:\n{source.format(count=count, call=call)}")
+            static.append(_STATIC.format(count=count, call=call, first=0 if corner else 4))
+        for stage, (term, count) in own.terms.items():
+            names[f"{name}_{stage}"] = term
+            source = _TERM.format(count=count, call=f"{name}_{stage}(w, {e}, c, i, ")
+            stages[stage].append(f"    if flag & {bit[name]}:\n{source}")
+        if "dampers" in own.terms:
+            retabled |= bit[name]
+    elastic = _made("w, i, travel, force, stiffness", static, names)
+    settled = linked(specialised(settle, "settle", _ELASTIC=elastic, _RESTARTED=tuple(restarted)))
+    parts = {f"_{stage.upper()}": _made("w, flag, h", lines, names) for stage, lines in stages.items()}
+    modules = [f"suspension_twin.effects.{name}" for name in terms]
+    kernels = {
+        hinges: compiled(
+            specialised(
+                _run,
+                f"_run_{hinges}",
+                _HINGES=hinges,
+                _CURVES=end,
+                _RETABLED=retabled,
+                _SETTLE=settled,
+                **parts,
+            ),
+            modules,
+        )
+        for hinges in rows.HINGES
+    }
+    return EffectKernels(terms, first, bit, end, kernels)

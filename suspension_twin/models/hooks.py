@@ -3,27 +3,28 @@
 
 An effect is a module ``suspension_twin/effects/<id>.py`` with an object ``EFFECT`` whose ``hook``
 is a :class:`Hook`. Its parameters appear in the parameter vector as ``effects.<id>.<name>``, so
-that candidates may differ in them as in anything else. A hook has up to five parts; each gets
+that candidates may differ in them as in anything else. A hook has up to six parts; each gets
 the parameters of all L candidates at once and must be exactly nothing where they are neutral:
 
 ``vehicle(numbers, values)``
     changes numbers of the twin, e.g. mass and centre of gravity by a payload or ``imu.position.0``
     by a misplaced sensor. ``numbers`` maps dotted keys to (L,) arrays; the geometry of the stance
     (static compression, what heights are counted from) stays that of the twin without it.
-``terms(rows, values)``
-    sets constants of terms in the kernel (``models.rows``, ``models.effect_terms``): dry friction, stops,
-    anti-roll bars, top mounts, fading, one corner's spring or damper, viscous tyres, engine, body
-    bending; for ``msd`` there is only the mass of its wheels, ``rows.UNSPRUNG``. ``rows`` is (rows, L),
-    all zero at first; add to it, another effect may have been there.
-``road(change, values)``
+``corners(change, values)``
+    changes springs, dampers and damper mounts corner by corner (:class:`CornerChange`).
+``kernel``
+    compiled terms with fields of their own in a block (:class:`KernelTerms`): forces of struts and tyres, masses
+    on the body, what the sensor reads of them.
+`road(change, values)``
     what each candidate sees of the road (:class:`RoadChange`).
 ``signal``
     a :class:`SignalStage` that the sensor's readings pass, in the order of ``SignalStage.order``.
 ``clock(change, values)``
     how the sensor's stamps differ from those of the pose (:class:`ClockChange`).
 
-Cost: the kernel with terms runs only where a candidate has one, and then only the loops of those
-terms; roads of their own and signal stages cost only the candidates that have them.
+The kernel with effects runs only where a candidate has an effect that needs it, and in each block of
+lanes only the terms of effects that one of these lanes has; roads and signal stages cost only the
+candidates that have them.
 """
 
 from __future__ import annotations
@@ -31,18 +32,24 @@ from __future__ import annotations
 import importlib
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field, fields
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 
 from suspension_twin.arrays import Floats
 from suspension_twin.errors import InputError
+from suspension_twin.models.characteristics import Check
+from suspension_twin.models.rows import Fields
 
 __all__ = [
     "ClockChange",
+    "CornerChange",
     "Hook",
+    "KernelTerms",
     "RoadChange",
     "SignalStage",
+    "Stage",
+    "clocks_with",
     "gains_with",
     "load_hook",
     "turns_with",
@@ -50,6 +57,72 @@ __all__ = [
 ]
 
 Values = Mapping[str, Floats]
+
+
+#: Where in a step a term of the kernel acts, in this order. ``dampers``: at the start of an interval, before the tables
+#: of the dampers are made; multiply DAMPER_SHARE. ``strut``: add to STRUT, with positions at the end of the step and
+#: velocities in its middle. ``tyre``: add to GROUND. ``body``: once the accelerations are known; may change those of
+#: the body and its velocities. ``after``: the step is complete; change own states only. ``stamp``: the ideal sensor
+#: has read; add to SIGNAL.
+Stage = Literal["dampers", "strut", "tyre", "body", "after", "stamp"]
+
+
+@dataclass(frozen=True, eq=False)
+class KernelTerms:
+    """What an effect adds to the kernel of ``full_car``.
+
+    Parameters
+    ----------
+    fields
+        The rows of its constants and states. All are zero at first, for lanes without the effect for ever.
+    constants
+        Values of constants by field, from the parameters (L,): (rows, L), (L,) or a number.
+    terms
+        By stage an inlined function ``(w, e, c, i, h)``, and how often it runs in a step: for every CORNER, every AXLE
+        or once for the LANE. ``w`` is the block, ``e`` the effect's first row, ``c`` the corner or axle, ``i`` the
+        lane and ``h`` the step in s: its field F of corner c is ``w[(e + F + c) * WIDTH + i]``, the block's field F
+        ``w[(rows.F + c) * WIDTH + i]``. With all constants zero a term must change no bit.
+    elastic
+        An inlined function ``(w, e, c, i, x)`` that gives force in N and stiffness in N/m of an elastic element at
+        x m of compression beyond the static one, and CORNER for the compression of a corner or AXLE for the
+        difference between left and right. It acts in the stage ``strut`` and in the static equilibrium.
+    stiffness
+        Constants in N/m that stiffen a wheel's suspension, for the check of the step.
+    modes
+        Constants that are the square of an angular frequency in 1/s², for the same.
+    check
+        ``check(rows, e, report)`` reports what else no kernel can simulate.
+    """
+
+    fields: Fields
+    constants: Callable[[Values], Mapping[int, Floats | float]]
+    terms: Mapping[Stage, tuple[Callable[..., Any], int]] = field(default_factory=dict)
+    elastic: tuple[Callable[..., Any], int] | None = None
+    stiffness: tuple[int, ...] = ()
+    modes: tuple[int, ...] = ()
+    check: Callable[[Floats, int, Check], None] | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class CornerChange:
+    """What effects change at single corners: ``spring`` and ``damper`` (4, L) share added to the force of the corner's
+    characteristic (0), ``compliance`` (4, L) m/N of an elastic mount in series with its damper (0), ``wheel_mass``
+    (L,) kg of each wheel of ``msd`` (0)."""
+
+    spring: Floats
+    damper: Floats
+    compliance: Floats
+    wheel_mass: Floats
+
+    @classmethod
+    def neutral(cls, count: int) -> CornerChange:
+        """No change for ``count`` candidates."""
+        return cls(np.zeros((4, count)), np.zeros((4, count)), np.zeros((4, count)), np.zeros(count))
+
+    @property
+    def changed(self) -> bool:
+        """Whether any candidate's struts differ from those of its axles' characteristics."""
+        return bool(self.spring.any() or self.damper.any() or self.compliance.any())
 
 
 @dataclass(frozen=True, eq=False)
@@ -92,7 +165,7 @@ class RoadChange:
 
 @dataclass(frozen=True, eq=False)
 class ClockChange:
-    """How late the sensor's stamps are, (L,) each: ``delay`` s (0), ``drift`` s/s from the first stamp on (0).
+    """Clock offset of the sensor's stamps, (L,) each: ``delay`` s (0), ``drift`` s/s from the first stamp on (0).
 
     A reading stamped t was taken at ``t - delay - drift (t - t0)`` on the clock of the pose. A whole
     drive is read between its stamps; a live twin goes back along its velocity instead, as it
@@ -126,21 +199,22 @@ class SignalStage:
 class Hook:
     """What one effect does to a model. ``neutral`` names its parameters and their neutral values."""
 
-    neutral: Mapping[str, float]
+    neutral: Mapping[str, float] = field(default_factory=dict)
     vehicle: Callable[[dict[str, Floats], Values], None] | None = None
-    terms: Callable[[Floats, Values], None] | None = None
+    corners: Callable[[CornerChange, Values], None] | None = None
+    kernel: KernelTerms | None = None
     road: Callable[[RoadChange, Values], None] | None = None
     signal: SignalStage | None = None
     clock: Callable[[ClockChange, Values], None] | None = None
-    #: (L,) s by which ``signal`` delays what is slow: a pose that is fused with such a sensor is as late.
+    #: (L,) s by which ``signal`` delays low frequencies: a pose that is fused with such a sensor has the same delay.
     lag: Callable[[Values], Floats] | None = None
-    models: tuple[str, ...] = field(default=("full_car",))
-    #: With the effect it is known how the vehicle leans: what more the sensor leans by is its own.
+    models: tuple[str, ...] = ("full_car",)
+    #: The parameters give the static attitude of the vehicle: further roll and pitch of the sensor are its mount's.
     upright: bool = False
     #: Roll, pitch and yaw in rad by which the effect turns the sensor on its mount: such a sensor takes braking for a
-    #: push to the side, and what moves the vehicle has to be read from it turned back.
+    #: lateral acceleration, so the planar motion has to be read from it turned back.
     turned: Callable[[Mapping[str, float]], tuple[float, float, float]] | None = None
-    #: How many times the specific force the sensor reads with the effect: what moves the vehicle is so much less.
+    #: Gain of the specific force that the sensor reads with the effect; the planar motion is read divided by it.
     gained: Callable[[Mapping[str, float]], float] | None = None
     #: Changes readings (n, C, L) in place of a model whose sensors are no IMU: signals, excitation, parameters.
     reading: Callable[[Floats, Any, Values], None] | None = None
@@ -148,6 +222,12 @@ class Hook:
     possible: Callable[[Any, Mapping[str, float]], bool] | None = None
     #: Raises InputError for parameters (of a twin file) that the effect cannot have.
     check: Callable[[Mapping[str, float]], object] | None = None
+    #: Parameters that switch the effect off when all are neutral.
+    severity: tuple[str, ...] = ()
+
+    def armed(self, values: Values) -> Any:
+        """(L,) bool: candidates that have the effect."""
+        return np.any([values[name] != self.neutral[name] for name in self.severity], axis=0)
 
 
 def load_hook(effect: str, model: str = "full_car") -> Hook:
@@ -172,7 +252,7 @@ def turns_with(effects: Iterable[str], model: str = "full_car") -> bool:
 
 
 def clocks_with(effects: Iterable[str], model: str = "full_car") -> bool:
-    """Whether one of these effects, by id, is a late clock."""
+    """Whether one of these effects, by id, is a clock offset."""
     change = ClockChange(np.zeros(1), np.zeros(1))
     for hook in (load_hook(effect, model) for effect in effects):
         if hook.clock is not None:
@@ -186,5 +266,5 @@ def gains_with(effects: Iterable[str], model: str = "full_car") -> bool:
 
 
 def upright_with(effects: Iterable[str], model: str = "full_car") -> bool:
-    """Whether it is known how a vehicle with these effects, by id, leans."""
+    """Whether one of these effects, by id, gives the static attitude of the vehicle."""
     return any(load_hook(effect, model).upright for effect in effects)

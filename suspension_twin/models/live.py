@@ -8,14 +8,14 @@ the batch bit for bit.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from suspension_twin.arrays import Floats
 from suspension_twin.errors import InputError
-from suspension_twin.models.blocks import Blocks
-from suspension_twin.models.candidate_road import ahead_of, own_road, reach_of
+from suspension_twin.models.blocks import LaneBlocks
+from suspension_twin.models.candidate_road import ahead_of, candidate_heights, reach_of
 from suspension_twin.models.constants import constants
 from suspension_twin.models.excitation import MAX_STEP, check_step, substeps
 from suspension_twin.models.observe import OBSERVED, observe
@@ -69,7 +69,7 @@ class LiveTwin:
         self._known = known
         self._chain = Chain(known)
         self._values = known.values[:, 0].copy()
-        self._fresh, self._blocks = Blocks(known), Blocks(known)
+        self._fresh, self._blocks = LaneBlocks(known), LaneBlocks(known)
         self._radius = twin.vehicle.tyre.radius
         self._wheels = twin.vehicle.wheel_positions
         # stamp 0 is the last one, stamp 1 the one to come
@@ -77,7 +77,7 @@ class LiveTwin:
         self._motion = np.zeros((2, 7))
         self._count = np.zeros(2, dtype=np.int64)
         self._first = np.array([0, 1, 2])
-        self._tracks = np.zeros((2, 16, 4))
+        self._paths = np.zeros((2, 16, 4))
         self._ground = np.zeros((1, 4))
         self._signals = np.zeros((1, 7, WIDTH))
         self._states = np.zeros((1, STATES, WIDTH))
@@ -130,10 +130,10 @@ class LiveTwin:
         pose[:, 0] = pose[:, 1]
         motion[0] = motion[1]
         if self._known.clock is not None:
-            late = self._known.clock.delay[0] + self._known.clock.drift[0] * (t - self._t0)
-            x -= late * (speed * math.cos(yaw) - lateral_speed * math.sin(yaw))
-            y -= late * (speed * math.sin(yaw) + lateral_speed * math.cos(yaw))
-            yaw -= late * yaw_rate
+            offset = self._known.clock.delay[0] + self._known.clock.drift[0] * (t - self._t0)
+            x -= offset * (speed * math.cos(yaw) - lateral_speed * math.sin(yaw))
+            y -= offset * (speed * math.sin(yaw) + lateral_speed * math.cos(yaw))
+            yaw -= offset * yaw_rate
         if n:
             yaw += 2 * math.pi * round((float(pose[2, 0]) - yaw) / (2 * math.pi))
             rate = next_yaw_acceleration(float(motion[0, 4]), yaw_rate - float(motion[0, 3]), interval)
@@ -144,9 +144,9 @@ class LiveTwin:
         rows = max(n, 1)
         self._count[1] = n
         self._first[2] = 1 + rows
-        if rows > self._tracks.shape[1]:
-            self._tracks = np.zeros((2, rows, 4))
-        wheel_x, wheel_y = self._tracks[0, :rows], self._tracks[1, :rows]
+        if rows > self._paths.shape[1]:
+            self._paths = np.zeros((2, rows, 4))
+        wheel_x, wheel_y = self._paths[0, :rows], self._paths[1, :rows]
         walk(pose[0], pose[1], pose[2], self._count, self._first, 1, 2, self._wheels, wheel_x, wheel_y)
         ground = np.asarray(self._road.heights(wheel_x, wheel_y), dtype=np.float64)
         if not math.isfinite(float(ground.sum())):
@@ -180,7 +180,7 @@ class LiveTwin:
         around = ahead_of((x0, x1), (y0, y1), yaw, reach_of(change), self._wheels, self._road)
         if self._reference is None:
             self._reference = ground[0].copy()
-        return own_road(around, change, 0, 1, ground, distance, self._reference)[0]
+        return candidate_heights(around, change, 0, 1, ground, distance, self._reference)[0]
 
     def _state(self, t: float, event: str) -> LiveState:
         out = np.empty((1, OBSERVED))
@@ -209,9 +209,7 @@ class LiveTwin:
     def _same(self, event: str) -> LiveState:
         if self._last is None:
             raise InputError("live twin", event, "and there was no usable one before it")
-        last = self._last
-        fields = {name: getattr(last, name) for name in last.__dataclass_fields__}
-        return LiveState(**{**fields, "event": event})
+        return replace(self._last, event=event)
 
 
 def live_twin(twin: Twin, road: HeightField) -> LiveTwin:

@@ -47,12 +47,12 @@ y' is the difference over the last step.
 from __future__ import annotations
 
 from suspension_twin.arrays import Floats
-from suspension_twin.compiled import compiled, inlined, pasted
+from suspension_twin.compiled import compiled, inlined, specialised
 from suspension_twin.models import rows
 from suspension_twin.models.car import car_model
 from suspension_twin.models.curves import damper_forces, spring_force, spring_forces, spring_slope
 from suspension_twin.models.full_car import record, watch
-from suspension_twin.models.numerics import fma
+from suspension_twin.models.numerics import fma, four, put
 from suspension_twin.models.rows import WIDTH
 from suspension_twin.models.sensor import sense
 from suspension_twin.models.types import Ints
@@ -129,21 +129,20 @@ def _stand(
             x -= f / max(spring_slope(w, first, hinges, i, x), 1.0)
         else:
             w[rows.FAILED * WIDTH + i] = 1.0
-        w[(3 + c) * WIDTH + i] = static + wheel - x
-        w[(10 + c) * WIDTH + i] = climb
-        w[(17 + c) * WIDTH + i] = 0.0
+        w[(rows.WHEEL + c) * WIDTH + i] = static + wheel - x
+        w[(rows.WHEEL_RATE + c) * WIDTH + i] = climb
+        w[(rows.WHEEL_ACCELERATION + c) * WIDTH + i] = 0.0
         w[(rows.DAMPER + c) * WIDTH + i] = 0.0
-        w[(rows.WHEEL + c) * WIDTH + i] = wheel
-        w[(rows.WHEEL + 4 + c) * WIDTH + i] = climb
-        w[(rows.WHEEL + 8 + c) * WIDTH + i] = 0.0
+        w[(rows.HUB + c) * WIDTH + i] = wheel
+        w[(rows.HUB_RATE + c) * WIDTH + i] = climb
+        w[(rows.HUB_ACCELERATION + c) * WIDTH + i] = 0.0
         w[(rows.CONTACT + c) * WIDTH + i] = weights[c]
 
 
 @inlined
 def _plane(w: Floats, i: int, q: int) -> None:
     """Heave, roll and pitch (rows q..) of the plane through the four corners (rows q + 3..)."""
-    a, b = w[(q + 3) * WIDTH + i], w[(q + 4) * WIDTH + i]
-    c, d = w[(q + 5) * WIDTH + i], w[(q + 6) * WIDTH + i]
+    a, b, c, d = four(w, q + 3, i)
     length = w[rows.ARM_X * WIDTH + i] - w[(rows.ARM_X + 1) * WIDTH + i]
     tf = w[rows.ARM_Y * WIDTH + i] - w[(rows.ARM_Y + 1) * WIDTH + i]
     tr = w[(rows.ARM_Y + 2) * WIDTH + i] - w[(rows.ARM_Y + 3) * WIDTH + i]
@@ -153,21 +152,21 @@ def _plane(w: Floats, i: int, q: int) -> None:
 
 
 @compiled
-def _wheels(w: Floats, h: float, road: Floats, lane_road: Floats, row: int) -> None:
+def _wheels(w: Floats, h: float, road: Floats, candidate_road: Floats, row: int) -> None:
     """Wheels to the end of the step: their heights and, less the damper, their accelerations.
 
     A wheel without mass is where the road is, and as fast as it was over the step.
     """
-    own = lane_road.shape[0] > 0
+    own = candidate_road.shape[0] > 0
     for c in range(4):
         for i in range(WIDTH):
-            r = lane_road[row, c, i] if own else road[row, c]
+            r = candidate_road[row, c, i] if own else road[row, c]
             inv = w[rows.INV_UNSPRUNG * WIDTH + i]
-            u, v = w[(rows.WHEEL + c) * WIDTH + i], w[(rows.WHEEL + 4 + c) * WIDTH + i]
-            half = fma(0.5 * h, w[(rows.WHEEL + 8 + c) * WIDTH + i], v)
+            u, v = w[(rows.HUB + c) * WIDTH + i], w[(rows.HUB_RATE + c) * WIDTH + i]
+            half = fma(0.5 * h, w[(rows.HUB_ACCELERATION + c) * WIDTH + i], v)
             last = w[(rows.ROAD + c) * WIDTH + i]
-            w[(rows.WHEEL + c) * WIDTH + i] = fma(h, half, u) if inv > 0.0 else r
-            w[(rows.WHEEL + 4 + c) * WIDTH + i] = half if inv > 0.0 else (r - last) / h
+            w[(rows.HUB + c) * WIDTH + i] = fma(h, half, u) if inv > 0.0 else r
+            w[(rows.HUB_RATE + c) * WIDTH + i] = half if inv > 0.0 else (r - last) / h
             w[(rows.ROAD + c) * WIDTH + i] = r
 
 
@@ -179,75 +178,53 @@ def _corners(w: Floats, i: int, h: float, w0: float, w1: float, w2: float, w3: f
     damper = 2 + 2 * hinges
     inv, unsprung = w[rows.INV_CORNER * WIDTH + i], w[rows.INV_UNSPRUNG * WIDTH + i]
     tyre = w[rows.TYRE * WIDTH + i]
-    v0 = fma(h2, w[17 * WIDTH + i], w[10 * WIDTH + i])
-    v1 = fma(h2, w[18 * WIDTH + i], w[11 * WIDTH + i])
-    v2 = fma(h2, w[19 * WIDTH + i], w[12 * WIDTH + i])
-    v3 = fma(h2, w[20 * WIDTH + i], w[13 * WIDTH + i])
-    x0, x1 = fma(h, v0, w[3 * WIDTH + i]), fma(h, v1, w[4 * WIDTH + i])
-    x2, x3 = fma(h, v2, w[5 * WIDTH + i]), fma(h, v3, w[6 * WIDTH + i])
-    u0, u1 = w[rows.WHEEL * WIDTH + i], w[(rows.WHEEL + 1) * WIDTH + i]
-    u2, u3 = w[(rows.WHEEL + 2) * WIDTH + i], w[(rows.WHEEL + 3) * WIDTH + i]
-    s0, s1, s2, s3 = spring_forces(
-        w,
-        front,
-        front,
-        rear,
-        rear,
-        hinges,
-        i,
-        w[rows.STATIC * WIDTH + i] + (u0 - x0),
-        w[(rows.STATIC + 1) * WIDTH + i] + (u1 - x1),
-        w[(rows.STATIC + 2) * WIDTH + i] + (u2 - x2),
-        w[(rows.STATIC + 3) * WIDTH + i] + (u3 - x3),
-    )
+    a0, a1, a2, a3 = four(w, rows.WHEEL_ACCELERATION, i)
+    v0, v1, v2, v3 = four(w, rows.WHEEL_RATE, i)
+    x0, x1, x2, x3 = four(w, rows.WHEEL, i)
+    v0, v1, v2, v3 = fma(h2, a0, v0), fma(h2, a1, v1), fma(h2, a2, v2), fma(h2, a3, v3)
+    x0, x1, x2, x3 = fma(h, v0, x0), fma(h, v1, x1), fma(h, v2, x2), fma(h, v3, x3)
+    u0, u1, u2, u3 = four(w, rows.HUB, i)
+    c0, c1, c2, c3 = four(w, rows.STATIC, i)
+    c0, c1, c2, c3 = c0 + (u0 - x0), c1 + (u1 - x1), c2 + (u2 - x2), c3 + (u3 - x3)
+    s0, s1, s2, s3 = spring_forces(w, front, front, rear, rear, hinges, i, c0, c1, c2, c3)
     # what wheels with a mass feel but for their dampers; the others have unsprung = 0
-    n0 = fma(tyre, w[rows.ROAD * WIDTH + i] - u0, w[rows.LOAD * WIDTH + i])
-    n1 = fma(tyre, w[(rows.ROAD + 1) * WIDTH + i] - u1, w[(rows.LOAD + 1) * WIDTH + i])
-    n2 = fma(tyre, w[(rows.ROAD + 2) * WIDTH + i] - u2, w[(rows.LOAD + 2) * WIDTH + i])
-    n3 = fma(tyre, w[(rows.ROAD + 3) * WIDTH + i] - u3, w[(rows.LOAD + 3) * WIDTH + i])
+    r0, r1, r2, r3 = four(w, rows.ROAD, i)
+    n0, n1, n2, n3 = four(w, rows.LOAD, i)
+    n0, n1, n2, n3 = (
+        fma(tyre, r0 - u0, n0),
+        fma(tyre, r1 - u1, n1),
+        fma(tyre, r2 - u2, n2),
+        fma(tyre, r3 - u3, n3),
+    )
+    n0, n1 = n0 if n0 > 0.0 else 0.0, n1 if n1 > 0.0 else 0.0
+    n2, n3 = n2 if n2 > 0.0 else 0.0, n3 if n3 > 0.0 else 0.0
     fall = G if unsprung > 0.0 else 0.0
     load = fall / unsprung if unsprung > 0.0 else 0.0
-    g0 = fma((n0 if n0 > 0.0 else 0.0) - s0, unsprung, -fall)
-    g1 = fma((n1 if n1 > 0.0 else 0.0) - s1, unsprung, -fall)
-    g2 = fma((n2 if n2 > 0.0 else 0.0) - s2, unsprung, -fall)
-    g3 = fma((n3 if n3 > 0.0 else 0.0) - s3, unsprung, -fall)
+    g0, g1 = fma(n0 - s0, unsprung, -fall), fma(n1 - s1, unsprung, -fall)
+    g2, g3 = fma(n2 - s2, unsprung, -fall), fma(n3 - s3, unsprung, -fall)
     a0, a1 = (s0 - (w0 - load)) * inv, (s1 - (w1 - load)) * inv
     a2, a3 = (s2 - (w2 - load)) * inv, (s3 - (w3 - load)) * inv
     lag0 = fma(-h2, inv + unsprung, w[rows.IMPLICIT * WIDTH + i])
     lag1 = fma(-h2, inv + unsprung, w[(rows.IMPLICIT + 1) * WIDTH + i])
-    e0, e1 = w[(rows.WHEEL + 4) * WIDTH + i], w[(rows.WHEEL + 5) * WIDTH + i]
-    e2, e3 = w[(rows.WHEEL + 6) * WIDTH + i], w[(rows.WHEEL + 7) * WIDTH + i]
-    d0, d1, d2, d3 = damper_forces(
-        w,
-        front + damper,
-        front + damper,
-        rear + damper,
-        rear + damper,
-        hinges,
-        i,
-        fma(lag0, w[rows.DAMPER * WIDTH + i], fma(h2, g0 - a0, e0 - v0)),
-        fma(lag0, w[(rows.DAMPER + 1) * WIDTH + i], fma(h2, g1 - a1, e1 - v1)),
-        fma(lag1, w[(rows.DAMPER + 2) * WIDTH + i], fma(h2, g2 - a2, e2 - v2)),
-        fma(lag1, w[(rows.DAMPER + 3) * WIDTH + i], fma(h2, g3 - a3, e3 - v3)),
-    )
-    massless = not unsprung > 0.0
-    w[rows.CONTACT * WIDTH + i] = s0 + d0 if massless else (n0 if n0 > 0.0 else 0.0)
-    w[(rows.CONTACT + 1) * WIDTH + i] = s1 + d1 if massless else (n1 if n1 > 0.0 else 0.0)
-    w[(rows.CONTACT + 2) * WIDTH + i] = s2 + d2 if massless else (n2 if n2 > 0.0 else 0.0)
-    w[(rows.CONTACT + 3) * WIDTH + i] = s3 + d3 if massless else (n3 if n3 > 0.0 else 0.0)
+    e0, e1, e2, e3 = four(w, rows.HUB_RATE, i)
+    d0, d1, d2, d3 = four(w, rows.DAMPER, i)
+    d0, d1 = fma(lag0, d0, fma(h2, g0 - a0, e0 - v0)), fma(lag0, d1, fma(h2, g1 - a1, e1 - v1))
+    d2, d3 = fma(lag1, d2, fma(h2, g2 - a2, e2 - v2)), fma(lag1, d3, fma(h2, g3 - a3, e3 - v3))
+    front, rear = front + damper, rear + damper
+    d0, d1, d2, d3 = damper_forces(w, front, front, rear, rear, hinges, i, d0, d1, d2, d3)
+    rigid = not unsprung > 0.0
+    n0, n1 = s0 + d0 if rigid else n0, s1 + d1 if rigid else n1
+    n2, n3 = s2 + d2 if rigid else n2, s3 + d3 if rigid else n3
+    put(w, rows.CONTACT, i, n0, n1, n2, n3)
     a0, a1, a2, a3 = fma(d0, inv, a0), fma(d1, inv, a1), fma(d2, inv, a2), fma(d3, inv, a3)
     g0, g1 = fma(-d0, unsprung, g0), fma(-d1, unsprung, g1)
     g2, g3 = fma(-d2, unsprung, g2), fma(-d3, unsprung, g3)
-    w[3 * WIDTH + i], w[4 * WIDTH + i], w[5 * WIDTH + i], w[6 * WIDTH + i] = x0, x1, x2, x3
-    w[10 * WIDTH + i], w[11 * WIDTH + i] = fma(h2, a0, v0), fma(h2, a1, v1)
-    w[12 * WIDTH + i], w[13 * WIDTH + i] = fma(h2, a2, v2), fma(h2, a3, v3)
-    w[17 * WIDTH + i], w[18 * WIDTH + i], w[19 * WIDTH + i], w[20 * WIDTH + i] = a0, a1, a2, a3
-    w[rows.DAMPER * WIDTH + i], w[(rows.DAMPER + 1) * WIDTH + i] = d0, d1
-    w[(rows.DAMPER + 2) * WIDTH + i], w[(rows.DAMPER + 3) * WIDTH + i] = d2, d3
-    w[(rows.WHEEL + 4) * WIDTH + i], w[(rows.WHEEL + 5) * WIDTH + i] = fma(h2, g0, e0), fma(h2, g1, e1)
-    w[(rows.WHEEL + 6) * WIDTH + i], w[(rows.WHEEL + 7) * WIDTH + i] = fma(h2, g2, e2), fma(h2, g3, e3)
-    w[(rows.WHEEL + 8) * WIDTH + i], w[(rows.WHEEL + 9) * WIDTH + i] = g0, g1
-    w[(rows.WHEEL + 10) * WIDTH + i], w[(rows.WHEEL + 11) * WIDTH + i] = g2, g3
+    put(w, rows.WHEEL, i, x0, x1, x2, x3)
+    put(w, rows.WHEEL_RATE, i, fma(h2, a0, v0), fma(h2, a1, v1), fma(h2, a2, v2), fma(h2, a3, v3))
+    put(w, rows.WHEEL_ACCELERATION, i, a0, a1, a2, a3)
+    put(w, rows.DAMPER, i, d0, d1, d2, d3)
+    put(w, rows.HUB_RATE, i, fma(h2, g0, e0), fma(h2, g1, e1), fma(h2, g2, e2), fma(h2, g3, e3))
+    put(w, rows.HUB_ACCELERATION, i, g0, g1, g2, g3)
 
 
 @compiled
@@ -255,19 +232,22 @@ def _record_corners(w: Floats, at: int, state: Floats) -> None:
     """Wheels where ``full_car`` has them, then compressions beyond the static ones and their rates."""
     for c in range(4):
         for i in range(WIDTH):
-            u, v = w[(rows.WHEEL + c) * WIDTH + i], w[(rows.WHEEL + 4 + c) * WIDTH + i]
-            state[3 + c, at + i] = u
-            state[10 + c, at + i] = v
-            state[17 + c, at + i] = w[(rows.WHEEL + 8 + c) * WIDTH + i]
-            state[rows.DAMPER + c, at + i] = u - w[(3 + c) * WIDTH + i]
-            state[rows.CONTACT + 4 + c, at + i] = v - w[(10 + c) * WIDTH + i]
+            u, v = w[(rows.HUB + c) * WIDTH + i], w[(rows.HUB_RATE + c) * WIDTH + i]
+            state[rows.WHEEL + c, at + i] = u
+            state[rows.WHEEL_RATE + c, at + i] = v
+            state[rows.WHEEL_ACCELERATION + c, at + i] = w[(rows.HUB_ACCELERATION + c) * WIDTH + i]
+            state[rows.DAMPER + c, at + i] = u - w[(rows.WHEEL + c) * WIDTH + i]
+            state[rows.DEFLECTION_RATE + c, at + i] = v - w[(rows.WHEEL_RATE + c) * WIDTH + i]
 
 
-@pasted
+#: Hinges of a curve, of each kernel its own.
+_HINGES = 0
+
+
 def _run(
     blocks: Floats,
     road: Floats,
-    lane_road: Floats,
+    candidate_road: Floats,
     substeps: Ints,
     motion: Floats,
     begin: int,
@@ -275,7 +255,6 @@ def _run(
     signals: Floats,
     states: Floats,
     lane0: int,
-    hinges: int,
 ) -> None:
     """Walk blocks through the stamps begin..end-1; arguments as in ``full_car_effects._run``."""
     for block in range(blocks.shape[0]):
@@ -288,23 +267,23 @@ def _run(
             if n == 0:
                 for i in range(WIDTH):
                     for c in range(4):
-                        own = lane_road.shape[0] > 0
-                        w[(rows.ROAD + c) * WIDTH + i] = lane_road[row, c, i] if own else road[row, c]
+                        own = candidate_road.shape[0] > 0
+                        w[(rows.ROAD + c) * WIDTH + i] = candidate_road[row, c, i] if own else road[row, c]
                     w0, w1, w2, w3 = _weights(w, i, ax, ay, yaw * yaw, dyaw)
-                    _stand(w, i, w0, w1, w2, w3, motion[k, 5], motion[k, 6], hinges)
+                    _stand(w, i, w0, w1, w2, w3, motion[k, 5], motion[k, 6], _HINGES)
                 row += 1
             else:
                 ax0, ay0, yaw0, dyaw0 = motion[k - 1, 1], motion[k - 1, 2], motion[k - 1, 3], motion[k - 1, 4]
                 from2, to2 = yaw0 * yaw0, yaw * yaw
                 for j in range(n):
                     s = (j + 1.0) / n
-                    _wheels(w, h, road, lane_road, row)
+                    _wheels(w, h, road, candidate_road, row)
                     row += 1
                     sx, sy = fma(s, ax - ax0, ax0), fma(s, ay - ay0, ay0)
                     yaw2, sd = fma(s, to2 - from2, from2), fma(s, dyaw - dyaw0, dyaw0)
                     for i in range(WIDTH):
                         w0, w1, w2, w3 = _weights(w, i, sx, sy, yaw2, sd)
-                        _corners(w, i, h, w0, w1, w2, w3, hinges)
+                        _corners(w, i, h, w0, w1, w2, w3, _HINGES)
             for i in range(WIDTH):
                 _plane(w, i, rows.POSITION)
                 _plane(w, i, rows.VELOCITY)
@@ -318,55 +297,9 @@ def _run(
                 _record_corners(w, at, states[k - begin])
 
 
-@compiled
-def _run_3(
-    blocks: Floats,
-    road: Floats,
-    lane_road: Floats,
-    substeps: Ints,
-    motion: Floats,
-    begin: int,
-    end: int,
-    signals: Floats,
-    states: Floats,
-    lane0: int,
-) -> None:
-    _run(blocks, road, lane_road, substeps, motion, begin, end, signals, states, lane0, 3)
-
-
-@compiled
-def _run_7(
-    blocks: Floats,
-    road: Floats,
-    lane_road: Floats,
-    substeps: Ints,
-    motion: Floats,
-    begin: int,
-    end: int,
-    signals: Floats,
-    states: Floats,
-    lane0: int,
-) -> None:
-    _run(blocks, road, lane_road, substeps, motion, begin, end, signals, states, lane0, 7)
-
-
-@compiled
-def _run_31(
-    blocks: Floats,
-    road: Floats,
-    lane_road: Floats,
-    substeps: Ints,
-    motion: Floats,
-    begin: int,
-    end: int,
-    signals: Floats,
-    states: Floats,
-    lane0: int,
-) -> None:
-    _run(blocks, road, lane_road, substeps, motion, begin, end, signals, states, lane0, 31)
-
-
 #: The kernel for each number of hinges per curve.
-MSD_KERNELS = {3: _run_3, 7: _run_7, 31: _run_31}
+MSD_KERNELS = {
+    hinges: compiled(specialised(_run, f"_run_{hinges}", _HINGES=hinges)) for hinges in rows.HINGES
+}
 
 MODEL = car_model("msd", "the game-engine model of the car paper: a body on four massless wheels")

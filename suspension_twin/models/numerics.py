@@ -16,9 +16,11 @@ from numba.core import cgutils, types
 from numba.extending import intrinsic
 from numpy.typing import NDArray
 
+from suspension_twin.arrays import Floats
 from suspension_twin.compiled import inlined
+from suspension_twin.models.rows import WIDTH
 
-__all__ = ["fma", "prefetch", "sin_cos"]
+__all__ = ["fma", "four", "prefetch", "put", "sin_cos"]
 
 if TYPE_CHECKING:
 
@@ -60,56 +62,29 @@ else:
 
 
 @inlined
+def four(w: Floats, row: int, i: int) -> tuple[float, float, float, float]:
+    """The rows ``row``.. of the four corners, of lane ``i``."""
+    return w[row * WIDTH + i], w[(row + 1) * WIDTH + i], w[(row + 2) * WIDTH + i], w[(row + 3) * WIDTH + i]
+
+
+@inlined
+def put(w: Floats, row: int, i: int, v0: float, v1: float, v2: float, v3: float) -> None:
+    """Write the rows ``row``.. of the four corners, of lane ``i``."""
+    w[row * WIDTH + i], w[(row + 1) * WIDTH + i] = v0, v1
+    w[(row + 2) * WIDTH + i], w[(row + 3) * WIDTH + i] = v2, v3
+
+
+@inlined
 def sin_cos(x: float) -> tuple[float, float]:
     """Sine and cosine without a branch, to 1e-15 for |x| <= 0.8 and 1e-11 up to 1.2 rad.
 
     Roll and pitch of a lane that has not been failed stay below 1 rad.
     """
     q = x * x
-    s = fma(
-        q,
-        fma(
-            q,
-            fma(
-                q,
-                fma(
-                    q,
-                    fma(
-                        q,
-                        fma(q, fma(q, -1 / 1307674368000.0, 1 / 6227020800.0), -1 / 39916800.0),
-                        1 / 362880.0,
-                    ),
-                    -1 / 5040.0,
-                ),
-                1 / 120.0,
-            ),
-            -1 / 6.0,
-        ),
-        1.0,
-    )
-    c = fma(
-        q,
-        fma(
-            q,
-            fma(
-                q,
-                fma(
-                    q,
-                    fma(
-                        q,
-                        fma(
-                            q,
-                            fma(q, fma(q, 1 / 20922789888000.0, -1 / 87178291200.0), 1 / 479001600.0),
-                            -1 / 3628800.0,
-                        ),
-                        1 / 40320.0,
-                    ),
-                    -1 / 720.0,
-                ),
-                1 / 24.0,
-            ),
-            -0.5,
-        ),
-        1.0,
-    )
+    s = fma(q, fma(q, -1 / 1307674368000.0, 1 / 6227020800.0), -1 / 39916800.0)
+    s = fma(q, fma(q, fma(q, s, 1 / 362880.0), -1 / 5040.0), 1 / 120.0)
+    s = fma(q, fma(q, s, -1 / 6.0), 1.0)
+    c = fma(q, fma(q, 1 / 20922789888000.0, -1 / 87178291200.0), 1 / 479001600.0)
+    c = fma(q, fma(q, fma(q, c, -1 / 3628800.0), 1 / 40320.0), -1 / 720.0)
+    c = fma(q, fma(q, fma(q, c, 1 / 24.0), -0.5), 1.0)
     return s * x, c

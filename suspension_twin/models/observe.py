@@ -7,7 +7,8 @@ import math
 
 from suspension_twin.arrays import Floats
 from suspension_twin.compiled import compiled
-from suspension_twin.models.rows import ARM_X, ARM_Y, CONTACT, DAMPER, SPRUNG, STATIC
+from suspension_twin.models import rows
+from suspension_twin.models.rows import ARM_X, ARM_Y, DAMPER, SPRUNG, STATIC
 
 __all__ = ["COLUMNS", "OBSERVED", "observe"]
 
@@ -34,25 +35,28 @@ def observe(states: Floats, signals: Floats, values: Floats, radius: float, msd:
     """Fill ``out`` (n, OBSERVED) from one lane, the first of its block.
 
     ``states`` (n, STATES, lanes) and ``signals`` (n, 7, lanes) as the kernel wrote them, ``values``
-    (rows,) the lane's constants, ``radius`` m of the tyre. The states of ``msd`` tell the springs'
+    (rows,) the lane's constants, ``radius`` m of the tyre. The states of ``msd`` hold the springs'
     compressions themselves, since its corners need not lie in a plane.
     """
     sx, sy, sz = values[SPRUNG], values[SPRUNG + 1], values[SPRUNG + 2]
     for k in range(states.shape[0]):
-        heave, roll, pitch = states[k, 0, 0], states[k, 1, 0], states[k, 2, 0]
+        state = states[k, :, 0]
+        heave, roll, pitch = state[rows.HEAVE], state[rows.ROLL], state[rows.PITCH]
         out[k, 0], out[k, 1], out[k, 2] = heave, roll, pitch
         # base_link's origin hangs under the sprung centre of gravity of the turned body
         above = math.cos(pitch) * (math.sin(roll) * sy + math.cos(roll) * sz) - math.sin(pitch) * sx
         out[k, 3] = heave + sz - above
         for i in range(4):
             x, y = values[ARM_X + i // 2], values[ARM_Y + i]
-            wheel = states[k, 3 + i, 0]
+            wheel = state[rows.WHEEL + i]
             out[k, 4 + i] = wheel + radius if msd else wheel - values[STATIC + i] + radius
             body = heave + y * roll - x * pitch
-            body_rate = states[k, 7, 0] + y * states[k, 8, 0] - x * states[k, 9, 0]
-            out[k, 8 + i] = values[STATIC + i] + states[k, DAMPER + i, 0] if msd else wheel - body
-            out[k, 12 + i] = states[k, CONTACT + 4 + i, 0] if msd else states[k, 10 + i, 0] - body_rate
-            out[k, 16 + i] = states[k, CONTACT + i, 0]
+            body_rate = state[rows.HEAVE_RATE] + y * state[rows.ROLL_RATE] - x * state[rows.PITCH_RATE]
+            out[k, 8 + i] = values[STATIC + i] + state[DAMPER + i] if msd else wheel - body
+            out[k, 12 + i] = (
+                state[rows.DEFLECTION_RATE + i] if msd else state[rows.WHEEL_RATE + i] - body_rate
+            )
+            out[k, 16 + i] = state[rows.CONTACT + i]
         for q in range(7):
             out[k, 20 + q] = signals[k, q, 0]
-            out[k, 27 + q] = states[k, 14 + q, 0]
+            out[k, 27 + q] = state[rows.ACCELERATION + q]

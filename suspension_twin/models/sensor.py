@@ -27,10 +27,10 @@ __all__ = ["rotation", "sense", "to_sensor_axes"]
 @inlined
 def sense(w: Floats, lane: int, ax: float, ay: float, yaw_rate: float, yaw_acceleration: float) -> None:
     """Write what the sensor of one lane reads into the block's signal rows."""
-    roll, pitch = w[(rows.POSITION + 1) * WIDTH + lane], w[(rows.POSITION + 2) * WIDTH + lane]
-    droll, dpitch = w[(rows.VELOCITY + 1) * WIDTH + lane], w[(rows.VELOCITY + 2) * WIDTH + lane]
+    roll, pitch = w[rows.ROLL * WIDTH + lane], w[rows.PITCH * WIDTH + lane]
+    droll, dpitch = w[rows.ROLL_RATE * WIDTH + lane], w[rows.PITCH_RATE * WIDTH + lane]
     ddheave = w[rows.ACCELERATION * WIDTH + lane]
-    ddroll, ddpitch = w[(rows.ACCELERATION + 1) * WIDTH + lane], w[(rows.ACCELERATION + 2) * WIDTH + lane]
+    ddroll, ddpitch = w[rows.ROLL_ACCELERATION * WIDTH + lane], w[rows.PITCH_ACCELERATION * WIDTH + lane]
     sx = w[rows.SENSOR * WIDTH + lane]
     sy = w[(rows.SENSOR + 1) * WIDTH + lane]
     sz = w[(rows.SENSOR + 2) * WIDTH + lane]

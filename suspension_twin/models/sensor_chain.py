@@ -94,14 +94,14 @@ def _restamp(
     w = np.empty(taps)
     begin = 0
     while begin < out.shape[2]:
-        # lanes that are as late share their weights, and the loop over them vectorises
-        late, pace = delay[begin], drift[begin]
+        # lanes of one clock offset share their weights, and the loop over them vectorises
+        offset, pace = delay[begin], drift[begin]
         end = begin + 1
-        while end < out.shape[2] and delay[end] == late and drift[end] == pace:
+        while end < out.shape[2] and delay[end] == offset and drift[end] == pace:
             end += 1
         k = 0
-        for row in range(n if late != 0.0 or pace != 0.0 else 0):
-            at = t[row] - late - pace * (t[row] - t[0])
+        for row in range(n if offset != 0.0 or pace != 0.0 else 0):
+            at = t[row] - offset - pace * (t[row] - t[0])
             while k < n - 2 and t[k + 1] <= at:
                 k += 1
             while k > 0 and t[k] > at:

@@ -12,8 +12,8 @@ import numpy as np
 from suspension_twin.arrays import Floats
 from suspension_twin.errors import InputError, WorkError
 from suspension_twin.models import rows
-from suspension_twin.models.blocks import Blocks, cores
-from suspension_twin.models.candidate_road import own_road, tracks_of
+from suspension_twin.models.blocks import LaneBlocks, cores
+from suspension_twin.models.candidate_road import candidate_heights, wheel_paths_of
 from suspension_twin.models.constants import Constants, constants
 from suspension_twin.models.observe import COLUMNS, OBSERVED, observe
 from suspension_twin.models.parameters import layout, pack
@@ -61,7 +61,7 @@ def simulate_lanes(
     Returns
     -------
     LaneResponse
-        A candidate that cannot stand, is unstable or diverges comes back as failed.
+        A candidate that has no static equilibrium, is unstable or diverges comes back as failed.
 
     Raises
     ------
@@ -97,11 +97,11 @@ def car_lanes(
 ) -> LaneResponse:
     """``full_car`` and ``msd``, many candidates in blocks of lanes. With ``vertical_only`` the vertical acceleration
     is the only channel: less to write, the same numbers. ``fused``: the pose was fused with the sensor's own readings,
-    so that the motion that it has is as late as the sensor is; late by that clock is then the road alone.
+    so that the planar motion has the clock offset of the sensor; the offset then delays the road alone.
     """
     shape = layout(twin)
     known = constants(params, shape, excitation.max_step, fused, excitation.antenna, excitation.late)
-    blocks = Blocks(known)
+    blocks = LaneBlocks(known)
     full = not vertical_only or bool(known.stages)
     signals = np.empty((len(excitation), 7 if full else 1, blocks.width))
     for begin, end in _stretches(known, excitation):
@@ -131,10 +131,10 @@ def car_lanes(
 
 def car_response(twin: Twin, excitation: Excitation) -> Response:
     """``full_car`` and ``msd``, one twin with everything recorded."""
-    most, antenna, late = excitation.max_step, excitation.antenna, excitation.late
-    known = constants(pack(twin)[:, None], layout(twin), most, antenna=antenna, late=late)
+    antenna, offset = excitation.antenna, excitation.late
+    known = constants(pack(twin)[:, None], layout(twin), excitation.max_step, False, antenna, offset)
     known.raise_first()
-    blocks = Blocks(known)
+    blocks = LaneBlocks(known)
     n = len(excitation)
     out = np.empty((n, OBSERVED))
     values = np.ascontiguousarray(known.values[:, 0])
@@ -167,22 +167,22 @@ def _stretches(
 
 
 def _roads(
-    known: Constants, blocks: Blocks, excitation: Excitation, begin: int, end: int, strict: bool = True
+    known: Constants, blocks: LaneBlocks, excitation: Excitation, begin: int, end: int, strict: bool = True
 ) -> tuple[Floats, Callable[[int], tuple[Floats, Floats]] | None]:
     """Road heights of a stretch, and a maker of every block's own where lanes see different roads;
-    ``strict`` as in ``own_road``."""
+    ``strict`` as in ``candidate_heights``."""
     part = slice(int(excitation.first[begin]), int(excitation.first[end]))
     road, change = excitation.road[part], known.road
     if change is None:
         return road, None
-    tracks = tracks_of(excitation)
-    distance = tracks.distance[part]
+    paths = wheel_paths_of(excitation)
+    distance = paths.distance[part]
 
     def own(block: int) -> tuple[Floats, Floats]:
         lane0 = block * rows.WIDTH
         count = min(rows.WIDTH, blocks.lanes - lane0)
-        return own_road(
-            tracks,
+        return candidate_heights(
+            paths,
             change,
             lane0,
             count,
@@ -190,7 +190,7 @@ def _roads(
             distance,
             excitation.road[0],
             strict,
-            partial(tracks.earlier, part),
+            partial(paths.earlier, part),
         )
 
     return road, own

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""How far a vehicle leans at rest by what its effects put on it or take from its springs."""
+"""Static roll and pitch of a vehicle that its effects load or whose springs they change."""
 
 from __future__ import annotations
 
@@ -11,24 +11,24 @@ from suspension_twin.models.characteristics import Curves, compression_at
 from suspension_twin.units import STANDARD_GRAVITY as G
 from suspension_twin.vehicle.corners import AXLES
 
-__all__ = ["lean"]
+__all__ = ["static_attitude"]
 
 #: Share of its load by which a spring's rate about it is taken.
 _ABOUT = 0.1
 
 
-def lean(loaded: Floats, stance: Floats, terms: Floats, curves: Curves) -> tuple[Floats, Floats]:
+def static_attitude(loaded: Floats, stance: Floats, springs: Floats, curves: Curves) -> tuple[Floats, Floats]:
     """Pitch (nose down positive) and roll (right side down positive) in rad, (L,) each, against the vehicle without
     its effects.
 
-    ``loaded`` and ``stance`` are rows of blocks with and without what effects put on the vehicle, ``terms`` holds
-    what they do to single springs. A rigid body on four springs with tyres: what each corner has to carry more, less
-    what it does carry, over the rates there. Exactly 0 where there is nothing of the kind.
+    ``loaded`` and ``stance`` are rows of blocks with and without the load that effects add, ``springs`` (4, L) is the
+    share that they add to the force of single springs. A rigid body on four springs in series with tyres: the
+    unbalanced loads of the corners over the rates there. Exactly 0 without any.
     """
     count = loaded.shape[1]
     force, stiffness = np.zeros((3, count)), np.zeros((3, 3, count))
     for i in range(4):
-        spring, scale = curves[AXLES[i // 2], "spring"], 1.0 + terms[rows.SPRING_SCALE + i]
+        spring, scale = curves[AXLES[i // 2], "spring"], 1.0 + springs[i]
         carried = stance[rows.LOAD + i] - G / stance[rows.INV_WHEEL + i // 2]
         wanted = loaded[rows.LOAD + i] - G / loaded[rows.INV_WHEEL + i // 2]
         more = wanted - scale * carried

@@ -18,7 +18,7 @@ Ints = NDArray[np.int64]
 
 
 class HeightField(Protocol):
-    """Anything that knows the height of the ground."""
+    """Anything that gives the height of the ground."""
 
     def heights(self, x: Floats, y: Floats) -> Floats:
         """Heights in m at ``map`` positions x, y in m, arrays of any one shape."""
@@ -40,9 +40,9 @@ class Excitation:
     ``speed`` and ``lateral_speed`` m/s;
     ``max_step`` s is the largest step that any interval may take. ``x``, ``y``, ``yaw`` (n,),
     ``wheels`` (4, 2) and ``ground`` are what the road heights came from, for those that look again.
-    ``antenna`` m is the height of the antenna that the path is from, 0 where it is the vehicle's own: what makes
-    the vehicle lean takes the antenna along, and wheels and road are elsewhere. ``late`` s by which the sensor's stamps
-    were known to be late when all this was made: that much of a late clock is in it.
+    ``antenna`` m is the height of the antenna that the path is of, 0 where it is the path of base_link: static roll
+    and pitch displace an antenna against the wheels. ``late`` s is the clock offset of the sensor's stamps that has
+    been taken off already.
     """
 
     t: Floats
@@ -100,7 +100,7 @@ class Excitation:
 
 @dataclass(frozen=True, eq=False)
 class Response:
-    """Everything that one run of a model tells, at the n stamps of its excitation.
+    """Everything that one run of a model gives, at the n stamps of its excitation.
 
     ``heave`` (n,) m height of the sprung centre of gravity above its place on a level road at
     height 0; ``roll``, ``pitch`` (n,) rad (left side up, nose down positive); ``z`` (n,) m height
@@ -130,7 +130,7 @@ class Response:
 class LaneResponse:
     """Sensor signals of L candidates: ``signals`` (n, C, L) in SI units, in the order of the channels' ``names``.
 
-    ``failed`` (L,) marks candidates that diverged or cannot stand; their signals are zero and
+    ``failed`` (L,) marks candidates that diverged or have no static equilibrium; their signals are zero and
     their cost is to be taken as infinite.
     """
 

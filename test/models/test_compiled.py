@@ -116,13 +116,13 @@ def test_a_kernel_rests_on_what_it_imports_and_nothing_else() -> None:
     helpers = {
         "corner",
         "curves",
+        "damper_tables",
         "equilibrium",
         "full_car",
         "numerics",
         "rows",
         "sensor",
         "settle",
-        "effect_terms",
     }
     assert {f"models/{name}.py" for name in helpers} <= names
     assert (

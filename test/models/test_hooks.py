@@ -4,41 +4,18 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from functools import partial
 from typing import Any
 
 import numpy as np
 import pytest
 
 from suspension_twin.errors import InputError
-from suspension_twin.models import parameters, rows
+from suspension_twin.models import parameters
 from suspension_twin.models.excitation import excitation
-from suspension_twin.models.hooks import Hook, SignalStage
+from suspension_twin.models.hooks import CornerChange, Hook, SignalStage
 from suspension_twin.models.parameters import lanes
 from suspension_twin.models.simulate import simulate_lanes, simulate_twin
 
-#: Every term of the kernel: first row, how many, and their values at full.
-TERMS: dict[str, list[tuple[int, int, float]]] = {
-    "friction": [(rows.FRICTION_LIMIT, 4, 200.0), (rows.FRICTION_RATE, 4, 4e5)],
-    "bump": [(rows.BUMP_GAP, 4, 0.01), (rows.BUMP_RATE, 4, 5e4), (rows.BUMP_RISE, 4, 2e6)],
-    "rebound": [(rows.REBOUND_GAP, 4, 0.01), (rows.REBOUND_RATE, 4, 5e4), (rows.REBOUND_RISE, 4, 1e6)],
-    "progression": [(rows.RATE_RISE, 4, 1e5), (rows.RATE_SQUARE, 4, 3e6)],
-    "play": [(rows.PLAY, 4, 0.002)],
-    "bar": [(rows.BAR, 2, 1.5e4)],
-    "tyre_damping": [(rows.TYRE_DAMPING, 2, 300.0)],
-    "mount": [(rows.MOUNT, 4, 3e-6)],
-    "fade": [(rows.FADE_LOSS, 4, 0.6), (rows.FADE_TIME, 1, 1.0)],
-    "hot": [(rows.FADE_LOSS, 4, 0.6), (rows.FADE_ENERGY, 1, 1 / 500)],
-    "bend": [(rows.BEND_GAIN, 1, 0.3), (rows.BEND_STIFFNESS, 1, 2.5e4), (rows.BEND_DAMPING, 1, 10.0)],
-    "engine": [
-        (rows.ENGINE_MASS, 1, 200.0),
-        (rows.ENGINE_STIFFNESS, 1, 4e3),
-        (rows.ENGINE_DAMPING, 1, 12.0),
-        (rows.ENGINE_X, 1, 1.2),
-    ],
-    "corner_damper": [(rows.DAMPER_SCALE, 1, -0.5)],
-    "corner_spring": [(rows.SPRING_SCALE, 1, -0.3)],
-}
 ROADS: dict[str, Callable[[Any, Any], None]] = {
     "scale": lambda c, v: c.scale.__iadd__(0.3 * v),
     "ahead": lambda c, v: c.ahead.__iadd__(0.5 * v),
@@ -46,11 +23,6 @@ ROADS: dict[str, Callable[[Any, Any], None]] = {
     "smooth": lambda c, v: c.smoothing.__iadd__(0.15 * v),
     "patch": lambda c, v: c.patch.__iadd__(0.2 * v),
 }
-
-
-def _terms(rows_at_full: list[tuple[int, int, float]], terms: Any, values: Any) -> None:
-    for first, count, full in rows_at_full:
-        terms[first : first + count] += full * values["amount"]
 
 
 def _payload(numbers: Any, values: Any) -> None:
@@ -61,19 +33,25 @@ def _rescale(signals: Any, t: Any, fresh: Any, values: Any, state: Any) -> None:
     signals *= 1 + values[0]
 
 
+def _odd(change: CornerChange, values: Any) -> None:
+    change.spring[0] += -0.3 * values["amount"]
+    change.damper[1] += -0.5 * values["amount"]
+    change.compliance[2] += 3e-6 * values["amount"]
+
+
 HOOKS = {
-    **{f"term_{name}": Hook({"amount": 0.0}, terms=partial(_terms, full)) for name, full in TERMS.items()},
     **{
         f"road_{k}": Hook({"amount": 0.0}, road=lambda c, v, f=f: f(c, v["amount"])) for k, f in ROADS.items()
     },
     "payload": Hook({"amount": 0.0}, vehicle=_payload),
+    "corners": Hook({"amount": 0.0}, corners=_odd),
     "signal": Hook({"amount": 0.0}, signal=SignalStage(_rescale)),
 }
 
 
 @pytest.fixture(autouse=True)
 def _effects(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(parameters, "load_hook", HOOKS.__getitem__)
+    monkeypatch.setattr(parameters, "load_hook", lambda name, model: HOOKS[name])
 
 
 def with_effect(twin: Any, *names: str, amount: float = 0.0) -> Any:

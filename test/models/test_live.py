@@ -134,7 +134,7 @@ HOOKS = {
 
 
 def test_sensor_stages_live(mondeo: Any, drive: Any, rough: Any, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(parameters, "load_hook", HOOKS.__getitem__)
+    monkeypatch.setattr(parameters, "load_hook", lambda name, model: HOOKS[name])
     twin = mondeo.with_changes({"effects": [{"id": "slow", "parameters": {"share": 0.3}}]})
     way = drive(seconds=1, jitter=0.3)
     batch = simulate_twin(twin, excitation(way, twin.vehicle, rough))
@@ -158,7 +158,7 @@ def test_roads_and_clocks_live_are_those_of_the_batch(
     mondeo: Any, drive: Any, rough: Any, monkeypatch: pytest.MonkeyPatch, effect: Any
 ) -> None:
     """Not bit for bit: a live twin knows the way only as far as it has come."""
-    monkeypatch.setattr(parameters, "load_hook", HOOKS.__getitem__)
+    monkeypatch.setattr(parameters, "load_hook", lambda name, model: HOOKS[name])
     twin = mondeo.with_changes({"effects": [effect]})
     way = drive(seconds=3)
     batch = simulate_twin(twin, excitation(way, twin.vehicle, rough)).vertical_acceleration
