@@ -18,10 +18,10 @@ from typing import Any
 
 import numpy as np
 
-from suspension_twin.calibration.tracked_damping import DAMPINGS, PAPER_CURVE, SPEEDS, select_damping
+from suspension_twin.calibration.damping import DAMPINGS, PAPER_CURVE, SPEEDS, select_damping
 from suspension_twin.models.tracked import simulate_tracked, simulate_tracked_lanes
 from suspension_twin.report import style
-from suspension_twin.report.tracked import damping_picture
+from suspension_twin.report.markers import damping_picture
 from suspension_twin.vehicle.tracked import TrackedVehicle, load_tracked
 
 FILE = Path(__file__).resolve().parents[1] / "config" / "tracked" / "pt91.yaml"

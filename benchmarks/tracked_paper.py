@@ -27,7 +27,7 @@ from suspension_twin.calibration.tracked_paper import (
     simulate_runs,
 )
 from suspension_twin.gap.marker_runs import read_run
-from suspension_twin.report.tracked import marker_pictures
+from suspension_twin.report.markers import marker_pictures
 from suspension_twin.vehicle.tracked import BOUNDS, load_tracked
 
 ROOT = Path(__file__).resolve().parents[1] / "config" / "tracked"

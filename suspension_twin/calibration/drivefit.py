@@ -3,6 +3,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -10,7 +12,7 @@ from suspension_twin.arrays import Floats
 from suspension_twin.calibration.recorder import Outcome
 from suspension_twin.calibration.request import DriveFit
 from suspension_twin.calibration.setup import Setup
-from suspension_twin.gap.measure import CHANNELS
+from suspension_twin.gap.measure import main_channel
 from suspension_twin.gap.prepare import Prepared
 from suspension_twin.identification.nuisance import NuisancePriors
 from suspension_twin.identification.objectives import Term
@@ -34,10 +36,13 @@ def drive_fits(setup: Setup, outcome: Outcome, after: Twin, values: Floats) -> t
             _conditioned(drive, simulate_lanes(t, pack(t)[:, None], drive.excitation), 0)
             for t in (setup.original, after)
         ]
+        if not setup.on_road:  # some may validate
+            number = next((k for k, part in enumerate(setup.problem.parts) if part is drive), -1)
         residual, correlation = _corrected(outcome, number, values)
         found.append(
             DriveFit(
                 name=drive.name,
+                channel=main_channel(drive.measured),
                 gap_before=drive.gap(sides[0]),
                 gap_after=drive.gap(sides[1]),
                 nuisance_free=residual,
@@ -45,11 +50,13 @@ def drive_fits(setup: Setup, outcome: Outcome, after: Twin, values: Floats) -> t
                 rate=drive.rate,
                 t=drive.t,
                 position=drive.position,
-                profile=_profile(drive),
+                profile=_profile(drive) if setup.on_road else (drive.position, np.zeros((drive.t.size, 2))),
                 measured=drive.measured,
                 before=sides[0],
                 after=sides[1],
-                compared=_compared_mask(setup.problem, drive, number),
+                compared=_compared_mask(setup.problem, drive, number)
+                if setup.on_road
+                else np.ones(drive.t.size, dtype=np.bool_),
             )
         )
     return tuple(found)
@@ -69,15 +76,17 @@ def _profile(drive: Prepared) -> tuple[Floats, Floats]:
     )
 
 
-def _conditioned(drive: Prepared, response: LaneResponse, lane: int) -> dict[str, Floats]:
-    stacked = response.stacked(CHANNELS)[:, :, lane]
-    filtered = drive.conditioner.apply(stacked)
-    return {name: filtered[:, i] for i, name in enumerate(CHANNELS)}
+def _conditioned(drive: Any, response: LaneResponse, lane: int) -> dict[str, Floats]:
+    filtered = drive.conditioner.apply(response.stacked(tuple(drive.measured))[:, :, lane])
+    return {name: filtered[:, i] for i, name in enumerate(drive.measured)}
 
 
 def paper_distance(setup: Setup, twin: Twin) -> float:
     """The car paper's eq. (1) for ``twin``: Euclidean distance in m/s² between measured and simulated vertical
-    acceleration over the compared samples, each drive aligned in time and no other nuisance corrected."""
+    acceleration over the compared samples, each drive aligned in time and no other nuisance corrected;
+    NaN of controlled runs."""
+    if not setup.on_road:
+        return float("nan")
     whole, mass = setup.problem, twin.vehicle.mass
     problem = Problem(
         twin,
@@ -96,12 +105,12 @@ def paper_distance(setup: Setup, twin: Twin) -> float:
 def _corrected(outcome: Outcome, number: int, values: Floats) -> tuple[float, float]:
     """Residual rms of one drive's vertical acceleration with the nuisances corrected, and the correlation."""
     problem = outcome.problem
+    if number not in problem.drive_of:  # it validates
+        return float("nan"), float("nan")
     signals, _ = problem.simulate(values[:, None])
     nuisance = (outcome.nuisance - outcome.placed)[:, None]
     simulated = problem.compared(signals, nuisance)[:, :, 0]
-    column = (
-        problem.channels.index("vertical_acceleration") if "vertical_acceleration" in problem.channels else 0
-    )
+    column = problem.channels.index(main_channel(problem.channels))
     own = np.concatenate(
         [
             np.full(rows.size, drive == number)

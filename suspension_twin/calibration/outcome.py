@@ -21,6 +21,7 @@ from suspension_twin.calibration.request import (
 )
 from suspension_twin.calibration.setup import Setup
 from suspension_twin.calibration.uncertainty import Uncertainty, assess, curve_estimates
+from suspension_twin.gap.measure import channel_unit
 from suspension_twin.identification.problem import Interrupted
 from suspension_twin.vehicle.twin import Twin
 
@@ -76,9 +77,10 @@ def conclude(recorder: Recorder, outcome: Outcome, start: float, began: float) -
     try:
         if not stopped:
             drives = drive_fits(setup, outcome, twin, values)
-            check_agreement(
-                [d.name for d in drives], [d.correlation for d in drives], setup.drives[0].road.name
-            )
+            if setup.on_road:
+                check_agreement(
+                    [d.name for d in drives], [d.correlation for d in drives], setup.drives[0].road.name
+                )
     except Interrupted:
         stopped = True
     return CalibrationResult(
@@ -124,7 +126,8 @@ def _remarks(drives: tuple[DriveFit, ...], setup: Setup, values: Floats) -> list
             continue
         if d.nuisance_free < 0.5 * d.gap_after.rms:
             remarks.append(
-                f"{d.name}: the gap is {d.gap_after.rms:.3f} m/s², {d.nuisance_free:.3f} with the nuisances corrected: "
+                f"{d.name}: the gap is {d.gap_after.rms:.3g} {channel_unit(d.channel)}, "
+                f"{d.nuisance_free:.3g} with the nuisances corrected: "
                 "clocks or map are off by the values found for them"
             )
         else:

@@ -46,7 +46,8 @@ class Preset:
     """``search`` "genetic" (GA, then pattern search) or "squares" (Gauss-Newton, CMA-ES where the objective
     is no sum of squares). ``synchronise``: each candidate is aligned in time on its own before it is
     judged, as the car paper does; otherwise offsets are unknowns like others. ``also``: what is free beside
-    the points of the characteristics; ``keys``: what is free instead, of a vehicle that has it. ``reach``: by which
+    the points of the characteristics; ``keys``: what is free instead, of a vehicle that has it. ``slowest``: of
+    controlled runs the slowest are fitted alone, the others validate. ``reach``: by which
     factor a point may move either way where nobody gave bounds."""
 
     name: str
@@ -61,6 +62,7 @@ class Preset:
     squares: GaussNewtonSettings = field(default_factory=lambda: GaussNewtonSettings(tolerance=1e-4))
     also: tuple[str, ...] = ()
     keys: tuple[str, ...] = ()
+    slowest: bool = False
     reach: float = _POINT_FACTOR
 
 
@@ -93,12 +95,18 @@ PRESETS: Mapping[str, Preset] = {
         search="genetic",
         objective="correlation",
         # Its markers' vertical motion, front and rear, is what heave and pitch are together.
-        channels={"vertical_acceleration": 0.5, "pitch_rate": 0.5},
+        channels={
+            "vertical_acceleration": 0.5,
+            "pitch_rate": 0.5,
+            "marker_A_displacement": 0.5,
+            "marker_B_displacement": 0.5,
+        },
         synchronise=True,
         table_2=False,
         genetic=GaSettings(population=40, generations=30, stall_generations=30, elite_share=0.05),
         pattern=PatternSettings(evaluations=0),
         keys=tuple(f"vehicle.{key}" for key in BOUNDS),
+        slowest=True,
         reach=3.0,
     ),
 }

@@ -6,7 +6,7 @@ from __future__ import annotations
 import hashlib
 import time
 from collections.abc import Callable
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field, fields, replace
 from typing import Any
 
 import numpy as np
@@ -48,7 +48,9 @@ def fingerprint(request: CalibrationRequest, setup: Setup) -> str:
     digest.update(setup.twin.model_dump_json(exclude={"road"}).encode())
     digest.update(setup.problem.measured.values.tobytes())
     for part in setup.problem.parts:
-        digest.update(part.excitation.road.tobytes())
+        driven = part.excitation
+        arrays = (getattr(driven, f.name) for f in fields(driven))
+        digest.update(b"".join(a.tobytes() for a in arrays if isinstance(a, np.ndarray)))
     return digest.hexdigest()
 
 

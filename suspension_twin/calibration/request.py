@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from suspension_twin.arrays import Floats
 from suspension_twin.drive.read import Topics
-from suspension_twin.gap.measure import Gap
+from suspension_twin.gap.measure import Gap, channel_unit
 from suspension_twin.vehicle.twin import Twin
 
 __all__ = [
@@ -132,7 +132,8 @@ class CurveEstimate:
 
 @dataclass(frozen=True, eq=False)
 class DriveFit:
-    """One drive, compared: gaps over the whole of it, and every channel (m,) on its grid ``t``.
+    """One drive or run, compared: gaps over the whole of it in its main ``channel``, and every channel (m,) on its grid
+    ``t``.
 
     ``before`` and ``after`` are the signals of the twin before and after; ``nuisance_free`` is the residual's rms in
     m/s² on the compared samples (``compared`` (m,)) with the nuisances corrected. ``profile`` are
@@ -140,6 +141,7 @@ class DriveFit:
     """
 
     name: str
+    channel: str
     gap_before: Gap
     gap_after: Gap
     nuisance_free: float
@@ -200,8 +202,11 @@ class CalibrationResult:
         if not self.drives:
             return f"{state}{change}"
         gaps = ", ".join(
-            f"{d.name} {d.gap_before.rms:.3g} to {d.gap_after.rms:.3g} m/s²" for d in self.drives
+            f"{d.name} {d.gap_before.rms:.3g} to {d.gap_after.rms:.3g} {channel_unit(d.channel)}"
+            for d in self.drives
         )
         counts = ", ".join(f"{count} {status}" for status, count in self.counts.items())
-        distance = f"distance (eq. 1) {self.initial_distance:.4g} to {self.distance:.4g} m/s²"
-        return f"{state}{change}; {distance}; gap {gaps}; {counts} of {len(self.estimates)} parameters"
+        distance = ""
+        if np.isfinite(self.distance):
+            distance = f"; distance (eq. 1) {self.initial_distance:.4g} to {self.distance:.4g} m/s²"
+        return f"{state}{change}{distance}; gap {gaps}; {counts} of {len(self.estimates)} parameters"

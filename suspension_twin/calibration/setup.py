@@ -3,9 +3,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -17,13 +18,16 @@ from suspension_twin.drive.read import read_drive
 from suspension_twin.drive.types import Drive
 from suspension_twin.errors import InputError
 from suspension_twin.gap.common_rate import on_common_rate
+from suspension_twin.gap.measure import CHANNELS
 from suspension_twin.gap.prepare import Prepared, PrepareSettings, prepare, road_of
 from suspension_twin.identification.coarse_alignment import coarse_lag
 from suspension_twin.identification.excited_segments import TrimSettings, fit_rows, trim
-from suspension_twin.identification.nuisance import NuisancePriors
+from suspension_twin.identification.nuisance import OF_A_RUN, NuisancePriors
 from suspension_twin.identification.objectives import parse_objective
+from suspension_twin.identification.observations import observe, renamed
 from suspension_twin.identification.problem import Interrupted, Problem
 from suspension_twin.identification.space import Space
+from suspension_twin.models.registry import model_of
 from suspension_twin.models.simulate import simulate_twin
 from suspension_twin.road import Road
 from suspension_twin.signals.filters import FilterSpec
@@ -32,6 +36,7 @@ from suspension_twin.vehicle.twin import Twin, load_twin
 __all__ = ["Setup", "set_up"]
 
 _LONGEST_LAG = 1.0  # s
+_ALIKE = 1.02  # factor by which speeds of repeats differ
 _SURE = 0.02  # how much better the correlation has to become before a drive is moved in time
 
 
@@ -45,9 +50,14 @@ class Setup:
     preset: Preset
     space: Space
     problem: Problem
-    drives: tuple[Prepared, ...]
+    drives: tuple[Any, ...]
     lags: tuple[float, ...]
     warnings: tuple[str, ...]
+
+    @property
+    def on_road(self) -> bool:
+        """Whether the vehicle drives on a road; else its recordings are controlled runs."""
+        return model_of(self.twin).recordings == "drive"
 
 
 def set_up(
@@ -56,10 +66,6 @@ def set_up(
     """Read, check and align everything; raises InputError that names the file or the drive."""
     preset = preset_named(request.preset)
     given = load_twin(request.twin)
-    if str(given.model) == "tracked":
-        raise InputError(
-            request.twin, "model", "tracked is calibrated on marker runs, not on recorded drives"
-        )
     original = with_effects(given, [*request.free, *request.also])
     if not request.bags:
         raise InputError("drives", "none are given: name at least one recorded drive")
@@ -69,6 +75,8 @@ def set_up(
     priors = NuisancePriors().without(nuisances)
     frozen = [k for k in request.freeze if k not in nuisances]
     space = build_space(twin, preset, request.free, request.also, frozen, bounds)
+    if model_of(twin).recordings != "drive":
+        return _of_runs(request, preset, original, twin, space, nuisances, should_stop)
     road = road_of(twin)
     recordings = []
     for bag in request.bags:
@@ -77,7 +85,7 @@ def set_up(
         note(f"reading {Path(bag).name}")
         recordings.append(read_drive(bag, topics=request.topics))
         check_recording(recordings[-1])
-    drives = _renamed([prepare_checked(d, twin, road) for d in on_common_rate(recordings, FilterSpec())])
+    drives = renamed([prepare_checked(d, twin, road) for d in on_common_rate(recordings, FilterSpec())])
     problem, lags, warnings = assemble(twin, space, preset, request, drives, priors)
     problem.interrupt = should_stop
     return Setup(twin, original, preset, space, problem, tuple(drives), lags, warnings)
@@ -93,15 +101,44 @@ def prepare_checked(
     return prepared
 
 
-def _renamed(drives: list[Prepared]) -> list[Prepared]:
-    """Drives of one name get a number, so that each nuisance has a name of its own."""
-    names: list[str] = []
-    for drive in drives:
-        name, k = drive.name, 2
-        while name in names:
-            name, k = f"{drive.name}_{k}", k + 1
-        names.append(name)
-    return [d if d.name == n else replace(d, name=n) for d, n in zip(drives, names, strict=True)]
+def _of_runs(
+    request: CalibrationRequest,
+    preset: Preset,
+    original: Twin,
+    twin: Twin,
+    space: Space,
+    frozen: Sequence[str],
+    should_stop: Callable[[], bool],
+) -> Setup:
+    """The problem over controlled runs; with a preset that says so the slowest are fitted, the others validate."""
+    runs = observe(twin, request.bags)
+    slowest = min(float(np.abs(r.along).mean()) for r in runs)
+    fitted = [r for r in runs if not preset.slowest or float(np.abs(r.along).mean()) <= _ALIKE * slowest]
+    measured = [c for c in fitted[0].measured if all(c in r.measured for r in fitted)]
+    channels = dict(request.channels) or {c: w for c, w in preset.channels.items() if c in measured}
+    weighted = _weighted(channels or dict.fromkeys(measured, 0.0), fitted)
+    objective = request.objective or preset.objective
+    terms = parse_objective(
+        "euclidean" if objective == "likelihood" else objective, weighted, model_of(twin).channels
+    )
+    # a genetic search compares what was measured as it was measured
+    priors = (OF_A_RUN if preset.search == "squares" else replace(OF_A_RUN, clock=0.0, speed=0.0)).without(
+        frozen
+    )
+    rows = [np.arange(r.t.size) for r in fitted]
+    problem = Problem(twin, space, fitted, range(len(fitted)), terms, priors, [0.0] * len(fitted), rows)
+    problem.interrupt = should_stop
+    warnings = tuple(f"{r.name}: {text}" for r in runs for text in r.warnings)
+    return Setup(twin, original, preset, space, problem, tuple(runs), (0.0,) * len(runs), warnings)
+
+
+def _weighted(channels: dict[str, float], drives: Sequence[Any]) -> dict[str, float]:
+    """Weights of channels; 0 stands for "by the channels' floors", in units of the first's."""
+    floors = {
+        c: float(np.mean([d.noise_rms[c] for d in drives])) for c in channels if c in drives[0].noise_rms
+    }
+    unit = floors.get("vertical_acceleration", next(iter(floors.values()), 1.0))
+    return {c: w if w > 0 else unit / max(floors.get(c, unit), 1e-12) for c, w in channels.items()}
 
 
 def assemble(
@@ -117,12 +154,9 @@ def assemble(
     priors = priors or NuisancePriors()
     settings = settings or TrimSettings()
     rates = {round(d.rate, 3) for d in drives}
-    channels = dict(request.channels) or dict(preset.channels)
-    floors = {
-        c: float(np.mean([d.noise_rms[c] for d in drives])) for c in channels if c in drives[0].noise_rms
-    }
-    unit = floors.get("vertical_acceleration", 1.0)
-    weighted = {c: w if w > 0 else unit / max(floors.get(c, unit), 1e-12) for c, w in channels.items()}
+    weighted = _weighted(
+        dict(request.channels) or {c: w for c, w in preset.channels.items() if c in CHANNELS}, drives
+    )
     objective = request.objective or preset.objective
     terms = parse_objective("euclidean" if objective == "likelihood" else objective, weighted)
     parts: list[Prepared] = []

@@ -121,14 +121,8 @@ def command(
     where it was.
     """
     from suspension_twin.calibration.output import details_path
-    from suspension_twin.cli._tracked import calibrate_runs, is_tracked
 
     page = () if report is None else (report / "report.html",)
-    if is_tracked(twin):
-        with Outputs(out, *page, force=force) as outputs:
-            outputs.announce()
-            calibrate_runs(twin, bags, out, preset, report, seed, objective, max_generations)
-        return
     from suspension_twin.calibration.checkpoint import STATE, Checkpoint
     from suspension_twin.calibration.output import write_result
     from suspension_twin.calibration.request import CalibrationRequest
@@ -201,6 +195,7 @@ def _show(line: ProgressLine, step: Progress) -> None:
 
 def _print_result(console: Console, result: CalibrationResult) -> None:
     from suspension_twin.calibration.labels import parameter_label, parameter_unit
+    from suspension_twin.gap.measure import channel_unit
 
     rows = []
     for e in result.estimates:
@@ -213,8 +208,9 @@ def _print_result(console: Console, result: CalibrationResult) -> None:
     gaps = []
     for d in result.drives:
         values = (d.gap_before.rms, d.gap_after.rms, d.nuisance_free, d.gap_after.noise_rms)
-        gaps.append((d.name, *(f"{v:.4f}" for v in values)))
-    title = "Gap: rms of measured minus simulated vertical acceleration, m/s²"
+        gaps.append((d.name, *(f"{v:.4f}" if math.isfinite(v) else "" for v in values)))
+    channel = result.drives[0].channel if result.drives else ""
+    title = f"Gap: rms of measured minus simulated {channel.replace('_', ' ')}, {channel_unit(channel)}"
     print_table(console, title, ("drive", "before", "after", "nuisances removed", "sensor noise"), gaps)
     console.print(f"{result.message}; {result.seconds:.1f} s", markup=False)
 

@@ -30,7 +30,7 @@ def command(twin: TwinFile, speeds: Range = (5.0, 55.0), out: Out = None, force:
     Runs the vehicle over its obstacle with seven dampings at 5 to 55 km/h, 15 s each, and names the damping with
     the least mean variance within --range. With --out writes DIR/pitch_variance.png and DIR/pitch_variance.json.
     """
-    from suspension_twin.calibration.tracked_damping import PAPER_CURVE, select_damping
+    from suspension_twin.calibration.damping import PAPER_CURVE, select_damping
     from suspension_twin.vehicle.tracked import TrackedTwin
     from suspension_twin.vehicle.twin import load_twin
 
@@ -62,7 +62,7 @@ def command(twin: TwinFile, speeds: Range = (5.0, 55.0), out: Out = None, force:
     if picture is None or figures is None:
         return
     from suspension_twin.report import style
-    from suspension_twin.report.tracked import damping_picture
+    from suspension_twin.report.markers import damping_picture
 
     style.save(damping_picture(chosen.speeds, chosen.dampings, chosen.table), picture)
     document = {

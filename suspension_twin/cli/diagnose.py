@@ -50,17 +50,8 @@ def command(
 
     Writes DIR/diagnosis.json, DIR/report.html and DIR/twin.yaml, the twin with what was found added.
     """
-    from suspension_twin.cli._tracked import diagnose_runs, is_tracked
-
     page = out / "report.html"
     outputs = Outputs(out / "diagnosis.json", page, out / "twin.yaml", force=force)
-    if is_tracked(twin):
-        if effect:
-            raise InputError("--effect", "is for cars: a tracked vehicle's few effects are all tried")
-        with outputs:
-            outputs.announce()
-            diagnose_runs(twin, bags, list(reference or ()), out, seed)
-        return
     from suspension_twin.diagnosis.output import write
     from suspension_twin.diagnosis.request import DiagnosisRequest
     from suspension_twin.diagnosis.request import Progress as Stage

@@ -15,7 +15,7 @@ from suspension_twin.arrays import Floats
 from suspension_twin.calibration.checks import check_drive, check_parts, check_recording
 from suspension_twin.calibration.presets import build_space, preset_named
 from suspension_twin.diagnosis.bench import NORMAL, Bench, Excitations
-from suspension_twin.diagnosis.fit import Linear, finished, fitted, refit
+from suspension_twin.diagnosis.fit import Fit, Linear, finished, fitted, refit, twin_of
 from suspension_twin.diagnosis.hypotheses import BASELINE, Hypothesis
 from suspension_twin.diagnosis.request import DiagnosisRequest
 from suspension_twin.drive.read import read_drive
@@ -35,7 +35,7 @@ from suspension_twin.gap.prepare import (
 )
 from suspension_twin.identification.excited_segments import TrimSettings, fit_rows
 from suspension_twin.identification.noise import USUAL_SHARE, Whitener, shares
-from suspension_twin.identification.nuisance import NuisancePriors
+from suspension_twin.identification.nuisance import OF_A_RUN
 from suspension_twin.identification.objectives import parse_objective
 from suspension_twin.identification.observations import Run, observe, renamed
 from suspension_twin.identification.parallel import side_by_side
@@ -58,10 +58,6 @@ _ON_ROAD = PrepareSettings(saturated=True)
 #: Rear tyres of cars slip by about 0.005 rad for each m/s²; a course that lags by that would pass for a clock's.
 _BARE = replace(
     NORMAL, clock=0.0, common_clock=0.0, map_position=0.0, tilt=0.0, pivot=0.0, slip=0.005, drive_map=0.0
-)
-#: s by which the clocks of two cameras are off, and share by which a driver misses a speed: of a controlled run.
-_OF_A_RUN = NuisancePriors(
-    clock=0.015, map_position=0.0, gain=0.0, tilt=0.0, force_bias=0.0, rate_bias=0.0, wander=0.0, speed=0.01
 )
 #: Error of a change that a model predicts, over its error about the sound vehicle there and then.
 _DOUBT = 0.5
@@ -196,17 +192,20 @@ def _excitations(prepared: Prepared, drive: Drive) -> tuple[Excitations, tuple[f
     return Excitations(upright_excitation(prepared, drive), turned, regained, reclocked), turn
 
 
-def build(case: Case, stop: Callable[[], bool]) -> Bench:
-    """The bench of a case with the noise model for a share of the motion that nobody knows yet."""
+def build(case: Case, stop: Callable[[], bool], free: Sequence[str] = ()) -> Bench:
+    """The bench of a case with the noise model for a share of the motion that nobody knows yet; ``free`` are the
+    vehicle's keys that are fitted, those of the preset and what no weighbridge shows if there are none."""
     twin, preset = case.twin, preset_named("fast")
     rows = _compared(case)
-    if case.excited:
+    if free:
+        space = build_space(twin, preset, free=free)
+    elif case.excited:
         space = build_space(twin, replace(preset, also=()), also=[k for k in _ALSO if has_number(twin, k)])
     else:
         space = build_space(twin, replace(preset, also=()), free=_LEANING)
     terms = parse_objective("euclidean", dict.fromkeys(case.channels, 1.0), case.channels)
     wander = [0.5 * d.position_sigma if d.position_sigma >= 0.1 else 0.0 for d in case.drives]
-    normal = {"planar": _BARE, "run": _OF_A_RUN}.get(case.kind) or replace(
+    normal = {"planar": _BARE, "run": OF_A_RUN}.get(case.kind) or replace(
         NORMAL, map_position=_map_spread(case.drives)
     )
     problem = Problem(twin, space, case.drives, range(len(case.drives)), terms, normal, wander, rows)
@@ -284,6 +283,7 @@ def baseline(case: Case, bench: Bench) -> tuple[Bench, Linear, Linear]:
         )
     if referenced and case.kind == "run":
         bench = _repeated(case, bench, x)
+        x = bench.centre
     anchor = finished(bench, BASELINE, x)
     return (bench, fitted(bench, BASELINE, [x], 6), anchor) if referenced else (bench, anchor, anchor)
 
@@ -325,28 +325,33 @@ def _scaled(bench: Bench, whitener: Whitener, simulated: Floats, drives: Sequenc
 def _repeated(case: Case, bench: Bench, x: Floats) -> Bench:
     """The bench of controlled runs whose expected discrepancy is what their references leave.
 
-    The model reproduces a change no better than the sound vehicle: half of what it misses there is noise of the
-    change, beside the scatter of repeats.
+    What a sound vehicle leaves is known, so the vehicle is held as the references show it. The model reproduces a
+    change no better than the sound vehicle: half of what it misses there is noise of the change, beside the scatter of
+    repeats.
     """
     problem, d, q = bench.problem, bench.d, bench.q
     signals, _ = bench.signals(BASELINE, x[:d, None], np.zeros((0, 1)))
-    parts = list(problem.parts)
-    expected: list[Floats | None] = [None] * len(parts)
-    read = problem.compared(signals, x[d : d + q, None])[:, :, 0] - problem.measured.values
+    missed = problem.measured.values - problem.compared(signals, x[d : d + q, None])[:, :, 0]
     ends = np.cumsum([0, *(r.size for r in problem.rows)])
-    for i, part in enumerate(parts):
-        same = [j for j, p in enumerate(parts) if p.excitation is part.excitation and not bench.active[j]]
-        if same:
-            offs = [
-                np.stack([np.interp(part.t, parts[j].t, c) for c in -read[ends[j] : ends[j + 1]].T], axis=1)
-                for j in same
-            ]
-            expected[i] = np.mean(offs, axis=0)
-    share = _DOUBT * shares(problem.measured, read, [j for j, a in enumerate(bench.active) if not a])
-    bench = replace(
-        bench, expected=tuple(expected), whitener=Whitener.designed(problem.measured, share, _floors(case))
+    expected: list[Floats | None] = []
+    for part in problem.parts:
+        same = [
+            j for j, p in enumerate(problem.parts) if p.excitation is part.excitation and not bench.active[j]
+        ]
+        off = [
+            np.stack(
+                [np.interp(part.t, problem.parts[j].t, c) for c in missed[ends[j] : ends[j + 1]].T], axis=1
+            )
+            for j in same
+        ]
+        expected.append(np.mean(off, axis=0) if off else None)
+    quiet = [j for j, active in enumerate(bench.active) if not active]
+    share = _DOUBT * shares(problem.measured, missed, quiet)
+    held = replace(case, twin=twin_of(bench, Fit(BASELINE, x, 0.0)))
+    fresh = build(held, bench.stop, problem.space.keys[:1])
+    return replace(
+        fresh, expected=tuple(expected), whitener=Whitener.designed(problem.measured, share, _floors(case))
     )
-    return bench
 
 
 def _many(bench: Bench, x: Floats) -> Sequence[Floats]:

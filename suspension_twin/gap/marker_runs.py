@@ -8,6 +8,7 @@ tool. A clock of a run counts from where the idler's front edge stands 0.5 m bef
 from __future__ import annotations
 
 import re
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
@@ -20,6 +21,7 @@ from suspension_twin.arrays import Floats
 from suspension_twin.drive.containers.contents import topic_name
 from suspension_twin.drive.recording import decode_topic, read_recording
 from suspension_twin.errors import InputError
+from suspension_twin.models.tracked import TrackedResponse, simulate_tracked_lanes
 from suspension_twin.vehicle.tracked import TrackedVehicle
 
 __all__ = [
@@ -28,11 +30,14 @@ __all__ = [
     "MARKERS",
     "RATE",
     "MarkerRun",
+    "Worth",
+    "compare",
     "low_pass",
     "read_markers",
     "read_poses",
     "read_run",
     "run_speed",
+    "simulate_runs",
 ]
 
 MARKERS: Final = ("A", "B", "C")
@@ -40,6 +45,7 @@ RATE: Final = 50.0  # Hz, of the grid that runs are compared on
 _KINDS: Final = {"displacement_mm": 1e-3, "velocity_m_s": 1.0, "acceleration_m_s2": 1.0}
 _POSE_TYPE: Final = "geometry_msgs/msg/PoseStamped"
 #: Hz: what a camera's tool tells of accelerations above that is noise. Measured and simulated pass through the same.
+_LATEST: Final = 0.2  # s that a run's clock may be off
 CUTOFF: Final = 6.0
 #: m, m/s, m/s² of displacement, velocity and acceleration of A, B, C: no photogrammetry tool has less noise.
 FLOORS: Final = np.repeat([0.8e-3, 0.01, 0.15], 3)
@@ -220,3 +226,88 @@ def read_poses(
     height = height - height[0]
     motion = [np.stack([_derivative(t, column, k) for column in height.T], axis=1) for k in (1, 2)]
     return _resampled(t, [height, *motion], rate, speed, Path(path).stem, (True, True, True))
+
+
+@dataclass(frozen=True)
+class Worth:
+    """How alike two runs are. For A and B (2,): ``correlation`` of the displacements, eqs (7), (8); ``residual``
+    rms of what is left over the measured rms; ``gain`` simulated over measured rms. ``motion`` (3, k): residuals
+    of displacement, velocity and acceleration of each marker seen with the clock moved by ``late`` s."""
+
+    correlation: Floats
+    residual: Floats
+    gain: Floats
+    motion: Floats
+    late: float
+
+
+def compare(measured: MarkerRun, simulated: MarkerRun) -> Worth:
+    """Both at the same stamps; everything about its mean. InputError where a marker does not move."""
+    m, s = (_centred(r.markers[:, :2]) for r in (measured, simulated))
+    size, other = _rms(m), _rms(s)
+    if not (size > 0).all():
+        raise InputError(measured.name, "markers", "do not move: nothing to compare with")
+    correlation = (m * s).mean(axis=0) / np.maximum(size * other, np.finfo(float).tiny)
+    seen = np.array(measured.seen)
+    pairs = [
+        (getattr(measured, kind)[:, seen], getattr(simulated, kind)[:, seen])
+        for kind in ("markers", "velocity", "acceleration")
+    ]
+    late = _late(measured, simulated, seen)
+    motion = []
+    for have, told in pairs:
+        moved = np.stack([np.interp(measured.t - late, measured.t, c) for c in told.T], axis=1)
+        motion.append(_rms(_centred(have) - _centred(moved)) / np.maximum(_rms(_centred(have)), 1e-12))
+    return Worth(correlation, _rms(m - s) / size, other / size, np.array(motion), late)
+
+
+def _late(measured: MarkerRun, simulated: MarkerRun, seen: Floats) -> float:
+    """Seconds by which the measured displacements come after the simulated ones: least squares, three steps."""
+    late = 0.0
+    have = _centred(measured.markers[:, seen])
+    for _ in range(3):
+        at = measured.t - late
+        told = np.stack([np.interp(at, measured.t, c) for c in simulated.markers[:, seen].T], axis=1)
+        slope = np.stack([np.interp(at, measured.t, c) for c in simulated.velocity[:, seen].T], axis=1)
+        slope = _centred(slope)
+        step = -float((slope * (have - _centred(told))).sum() / max(float((slope**2).sum()), 1e-12))
+        late = float(np.clip(late + step, -_LATEST, _LATEST))
+    return late
+
+
+def _centred(x: Floats) -> Floats:
+    return np.asarray(x - x.mean(axis=0))
+
+
+def _rms(x: Floats) -> Floats:
+    return np.asarray(np.sqrt((x**2).mean(axis=0)))
+
+
+def _cut(response: TrackedResponse, run: MarkerRun) -> MarkerRun:
+    first = round(run.t[0] * run.rate)
+    part = slice(first, first + run.t.size)
+    motion = (response.markers, response.marker_velocity, response.marker_acceleration)
+    z, v, a = (low_pass(m, run.rate)[part] for m in motion)
+    return MarkerRun(run.t, z, v, a, run.speed, run.name)
+
+
+def simulate_runs(
+    vehicles: Sequence[TrackedVehicle], runs: Sequence[MarkerRun], phase: float = 0.0
+) -> list[list[MarkerRun] | None]:
+    """For each vehicle its motion at the stamps of each run; None where one diverged.
+
+    Repeats at one speed and rate are one simulation. ``phase`` m: where the joints of the links lie.
+    """
+    kinds = {(r.speed, r.rate): 0.0 for r in runs}
+    for run in runs:
+        kinds[run.speed, run.rate] = max(kinds[run.speed, run.rate], float(run.t[-1]))
+    known = {
+        kind: simulate_tracked_lanes(vehicles, [kind[0]] * len(vehicles), seconds, rate=kind[1], phase=phase)
+        for kind, seconds in kinds.items()
+    }
+    out: list[list[MarkerRun] | None] = []
+    for i in range(len(vehicles)):
+        responses = [known[r.speed, r.rate][i] for r in runs]
+        failed = any(r.failed for r in responses)
+        out.append(None if failed else [_cut(a, b) for a, b in zip(responses, runs, strict=True)])
+    return out

@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -14,14 +14,14 @@ from suspension_twin.arrays import Floats
 from suspension_twin.errors import WorkError
 from suspension_twin.models.car import CHANNELS
 
-__all__ = ["CHANNELS", "Gap", "measure_gap"]
+__all__ = ["CHANNELS", "Gap", "channel_unit", "main_channel", "measure_gap"]
 
 
 @dataclass(frozen=True)
 class Gap:
     """What separates two signals that went through the same filter.
 
-    ``rms`` m/s² and ``mse`` m²/s⁴ of the vertical acceleration, ``noise_rms`` m/s² its floor,
+    ``rms`` and ``mse`` of the main channel (m/s² and m²/s⁴ of the vertical acceleration), ``noise_rms`` its floor,
     ``channels`` the rms of each channel (m/s² and rad/s), ``seconds`` how much was compared.
     """
 
@@ -57,11 +57,23 @@ def measure_gap(
     if count == 0:
         raise WorkError("nothing to compare: no sample has a pose, a road and a whole signal")
     rms: dict[str, float] = {}
-    for channel in CHANNELS:
+    for channel in measured:
         difference = (np.asarray(measured[channel]) - np.asarray(simulated[channel]))[mask]
         value = float(np.sqrt(np.mean(difference**2)))
         if not np.isfinite(value):
             raise WorkError(f"the gap of {channel} is not a number: the simulation has failed")
         rms[channel] = value
-    vertical = rms["vertical_acceleration"]
-    return Gap(vertical, vertical**2, noise_rms, rms, count / rate)
+    main = rms[main_channel(measured)]
+    return Gap(main, main**2, noise_rms, rms, count / rate)
+
+
+def main_channel(names: Iterable[str]) -> str:
+    """The channel that speaks for all: the vertical acceleration, or the first where that is not measured."""
+    known = list(names)
+    return CHANNELS[0] if CHANNELS[0] in known else known[0]
+
+
+def channel_unit(name: str) -> str:
+    """SI unit of a channel, by the last word of its name."""
+    units = {"acceleration": "m/s²", "rate": "rad/s", "velocity": "m/s", "force": "N"}
+    return units.get(name.rpartition("_")[2], "m")

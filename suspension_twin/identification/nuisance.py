@@ -23,7 +23,7 @@ from suspension_twin.identification.sensor_reading import read_alike, read_any, 
 from suspension_twin.models.blocks import cores, share_out
 from suspension_twin.models.sinc_interpolation import TABLE
 
-__all__ = ["NUISANCES", "NuisancePriors", "Nuisances"]
+__all__ = ["NUISANCES", "OF_A_RUN", "NuisancePriors", "Nuisances"]
 
 #: What each nuisance that can be frozen leaves out.
 NUISANCES: Mapping[str, tuple[str, ...]] = {
@@ -79,6 +79,12 @@ class NuisancePriors:
                 )
             gone |= dict.fromkeys(NUISANCES[name], 0.0)
         return replace(self, **gone)
+
+
+#: s by which the clocks of two cameras are off, and share by which a driver misses a speed: of a controlled run.
+OF_A_RUN = NuisancePriors(
+    clock=0.015, map_position=0.0, gain=0.0, tilt=0.0, force_bias=0.0, rate_bias=0.0, wander=0.0, speed=0.01
+)
 
 
 class Nuisances:

@@ -17,6 +17,7 @@ from numpy.typing import ArrayLike
 from suspension_twin.arrays import Floats
 from suspension_twin.errors import InputError
 from suspension_twin.gap.marker_runs import CUTOFF, FLOORS, MARKERS, MarkerRun, low_pass, read_run
+from suspension_twin.gap.measure import Gap, main_channel, measure_gap
 from suspension_twin.models.registry import model_of
 from suspension_twin.models.tracked import ObstacleRun
 from suspension_twin.vehicle.twin import Twin
@@ -105,6 +106,13 @@ class Run:
     along: Floats
     warnings: tuple[str, ...] = ()
     position_sigma: float = 0.0
+
+    def gap(self, simulated: Mapping[str, Floats]) -> Gap:
+        """The gap to conditioned channels."""
+        everything = np.ones(self.t.size, dtype=np.bool_)
+        return measure_gap(
+            self.measured, simulated, everything, self.rate, self.noise_rms[main_channel(self.measured)]
+        )
 
 
 def marker_observation(run: MarkerRun, known: Sequence[Run] = ()) -> Run:

@@ -58,7 +58,10 @@ class Posterior:
 
 
 def travel(twin: Twin, problem: Problem) -> Travel:
-    """Simulate ``twin`` over the problem's parts and collect where its suspension went."""
+    """Simulate ``twin`` over the problem's parts and collect where its suspension went; nothing of a vehicle without
+    characteristics."""
+    if not problem.space.curves:
+        return Travel({}, {}, {}, problem.measured.rate)
     compression: dict[str, list[Floats]] = {"front": [], "rear": []}
     velocity: dict[str, list[Floats]] = {"front": [], "rear": []}
     static = {"front": 0.0, "rear": 0.0}

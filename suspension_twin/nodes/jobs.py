@@ -26,19 +26,14 @@ import numba
 
 from suspension_twin.calibration import request as calibration
 from suspension_twin.calibration.output import write_result
-from suspension_twin.calibration.presets import PRESETS
+from suspension_twin.calibration.presets import preset_named
 from suspension_twin.calibration.run import calibrate
-from suspension_twin.calibration.tracked_files import PRESET as TRACKED
-from suspension_twin.calibration.tracked_files import calibrate_tracked_files
 from suspension_twin.diagnosis import request as diagnosis
 from suspension_twin.diagnosis.output import write
 from suspension_twin.diagnosis.run import diagnose
-from suspension_twin.diagnosis.tracked import diagnose_tracked_files
 from suspension_twin.drive.read import drive_name
 from suspension_twin.errors import InputError, SuspensionTwinError
 from suspension_twin.report.diagnosis import diagnosis_page
-from suspension_twin.report.tracked import diagnosis_page as tracked_page
-from suspension_twin.vehicle.tracked import TrackedTwin
 from suspension_twin.vehicle.twin import load_twin
 
 __all__ = [
@@ -60,13 +55,11 @@ _EXTRAPOLATED = 0.05
 
 @dataclass(frozen=True)
 class Job:
-    """A request, the path of its result, the number of threads it may use (0: all), and whether it is of a tracked
-    vehicle, whose drives are marker runs."""
+    """A request, the path of its result and the number of threads it may use (0: all)."""
 
     request: Any
     output: str
     threads: int = 0
-    tracked: bool = False
 
 
 #: Fields of an action's result, without those that keep their defaults; ``message`` is one line for the user.
@@ -83,12 +76,13 @@ class DiagnosisStep:
     note: str = ""
 
 
-def _twin_of(goal: Any, twin_file: str) -> tuple[str, bool]:
-    """Path of the twin file, which is loaded to check it, and whether it is of a tracked vehicle."""
+def _twin_of(goal: Any, twin_file: str) -> str:
+    """Path of the twin file, which is loaded to check it."""
     path = goal.twin or twin_file
     if not path:
         raise InputError("twin", "is empty: give the path of a twin file")
-    return path, isinstance(load_twin(path), TrackedTwin)
+    load_twin(path)
+    return path
 
 
 def _recordings(paths: Sequence[str], name: str, needed: bool = True) -> tuple[str, ...]:
@@ -113,14 +107,9 @@ def _writable(folder: Path) -> bool:
 
 def calibration_job(goal: Any, twin_file: str, threads: int) -> Job:
     """The job of a goal of ``calibrate``; raises InputError that names the wrong field of the goal."""
-    twin, tracked = _twin_of(goal, twin_file)
+    twin = _twin_of(goal, twin_file)
     bags = _recordings(goal.bags, "bags")
-    presets, kind = ((TRACKED,), "a tracked vehicle") if tracked else (tuple(PRESETS), "a car")
-    preset = goal.preset or (TRACKED if tracked else "fast")
-    if preset not in presets:
-        raise InputError("preset", f"must be one of {', '.join(presets)} for {kind}, is {preset!r}")
-    if tracked and goal.free:
-        raise InputError("free", f"{TRACKED} searches its own five parameters: leave it empty")
+    preset = preset_named(goal.preset or "fast").name
     output = _output(goal.output, bags[0], "calibrated.yaml")
     if output.is_dir() or not _writable(output.parent):
         raise InputError(output, "cannot be written: name a file in a folder that exists")
@@ -132,27 +121,25 @@ def calibration_job(goal: Any, twin_file: str, threads: int) -> Job:
         free=tuple(goal.free),
         max_generations=int(goal.max_generations),
     )
-    return Job(request, str(output), threads, tracked)
+    return Job(request, str(output), threads)
 
 
 def diagnosis_job(goal: Any, twin_file: str, threads: int) -> Job:
     """The job of a goal of ``diagnose``; raises InputError that names the wrong field of the goal."""
-    twin, tracked = _twin_of(goal, twin_file)
+    twin = _twin_of(goal, twin_file)
     bags = _recordings(goal.bags, "bags")
     reference = _recordings(goal.reference, "reference", needed=False)
     folder = _output(goal.output, bags[0], "diagnosis")
     if not _writable(folder if folder.exists() else folder.parent):
         raise InputError(folder, "cannot be written: name a folder, in one that exists")
     request = diagnosis.DiagnosisRequest(twin, bags, reference, int(goal.seed))
-    return Job(request, str(folder), threads, tracked)
+    return Job(request, str(folder), threads)
 
 
 def run_calibration(
     job: Job, on_progress: Callable[[calibration.Progress], None], should_stop: Callable[[], bool]
 ) -> Outcome:
     """Calibrate in this process and write the twin and its details; stopped early, the best so far."""
-    if job.tracked:
-        return _calibrate_tracked(job, on_progress, should_stop)
     result = calibrate(job.request, on_progress, should_stop)
     if not result.estimates:
         return {"success": False, "message": "stopped before the search began"}
@@ -171,34 +158,6 @@ def run_calibration(
     }
 
 
-def _calibrate_tracked(
-    job: Job, on_progress: Callable[[calibration.Progress], None], should_stop: Callable[[], bool]
-) -> Outcome:
-    asked = job.request
-    done = calibrate_tracked_files(
-        asked.twin,
-        asked.bags,
-        Path(job.output),
-        seed=asked.seed,
-        generations=asked.max_generations,
-        tell=on_progress,
-        should_stop=should_stop,
-    )
-    result = done.result
-    return {
-        "success": True,
-        "message": f"{job.output}: {done.message}",
-        "output": job.output,
-        "cost": float(result.best[-1]),
-        "initial_cost": done.initial_cost,
-        "evaluations": result.evaluations,
-        "generations": len(result.best) - 1,
-        "names": [f"vehicle.{key}" for key in result.values],
-        "values": list(result.values.values()),
-        "excited": [True] * len(result.values),
-    }
-
-
 def run_diagnosis(
     job: Job, on_progress: Callable[[DiagnosisStep], None], should_stop: Callable[[], bool]
 ) -> Outcome:
@@ -211,15 +170,9 @@ def run_diagnosis(
         on_progress(DiagnosisStep(stage.stage, done, left, stage.note))
 
     folder, asked = Path(job.output), job.request
-    result: Any
-    if job.tracked:
-        result = diagnose_tracked_files(asked.twin, asked.bags, asked.reference, asked.seed, step)
-        page = tracked_page(result)
-    else:
-        result = diagnose(asked, step, should_stop)
-        page = diagnosis_page(result)
+    result = diagnose(asked, step, should_stop)
     write(result, folder)
-    page.write(folder / "report.html")
+    diagnosis_page(result).write(folder / "report.html")
     return {
         "success": True,
         "message": f"{folder}: {result.document['message']}",

@@ -13,6 +13,7 @@ from scipy.ndimage import uniform_filter1d
 from suspension_twin.arrays import Floats
 from suspension_twin.calibration.labels import parameter_label, parameter_unit
 from suspension_twin.calibration.request import CalibrationResult, CurveEstimate, DriveFit
+from suspension_twin.gap.measure import channel_unit
 from suspension_twin.report import plots
 from suspension_twin.report.characteristics import AxleEvidence, Band, characteristics
 from suspension_twin.report.page import Cell, Mark, Page, Section, Table, short
@@ -77,8 +78,8 @@ def _cards(page: Page, result: CalibrationResult) -> None:
         closed = 1 - d.gap_after.rms / d.gap_before.rms
         page.card(
             f"Gap on {d.name}",
-            f"{d.gap_after.rms:.3f} m/s²",
-            f"was {d.gap_before.rms:.3f}, floor {d.gap_after.noise_rms:.3f}",
+            f"{d.gap_after.rms:.3g} {channel_unit(d.channel)}",
+            f"was {d.gap_before.rms:.3g}, floor {d.gap_after.noise_rms:.3g}",
             "good" if closed > 0.3 else "bad" if closed < 0 else "warn",
         )
     total, counts = len(result.estimates), result.counts
@@ -92,11 +93,15 @@ def _cards(page: Page, result: CalibrationResult) -> None:
 def _summary(result: CalibrationResult) -> str:
     lines = [
         f"The searched objective, `{result.objective}`, went from {short(result.initial_cost)} to "
-        f"{short(result.cost)}; costs of different objectives do not compare. The car paper's objective, eq. (1), "
-        "the same for every preset (Euclidean distance of the vertical acceleration, each drive aligned in time), "
-        f"went from {short(result.initial_distance)} to {short(result.distance)} m/s². Measured and simulated signals "
-        "on this page went through the same zero-phase low-pass."
+        f"{short(result.cost)}; costs of different objectives do not compare. Measured and simulated signals on this "
+        "page went through the same zero-phase low-pass."
     ]
+    if np.isfinite(result.distance):
+        lines.append(
+            "The car paper's objective, eq. (1), the same for every preset (Euclidean distance of the vertical "
+            "acceleration, each drive aligned in time), went from "
+            f"{short(result.initial_distance)} to {short(result.distance)} m/s²."
+        )
     worse = [
         d.name
         for d in result.drives
@@ -120,9 +125,11 @@ def _summary(result: CalibrationResult) -> str:
 
 def _agreement_table(result: CalibrationResult) -> Table:
     rows: list[list[object]] = []
+    main = result.drives[0].channel if result.drives else ""
+    unit = channel_unit(main)
     for d in result.drives:
         for name, simulated in (("as it started", d.before), ("calibrated", d.after)):
-            a, b = (s["vertical_acceleration"][d.compared] for s in (d.measured, simulated))
+            a, b = (s[d.channel][d.compared] for s in (d.measured, simulated))
             rated = slice(0, int(_LONGEST_RATED * d.rate))
             rows.append(
                 [
@@ -134,8 +141,15 @@ def _agreement_table(result: CalibrationResult) -> Table:
                     float(spectral_distance(a, b, d.rate)),
                 ]
             )
-    columns = ["twin", "rms [m/s²]", "MSE [m²/s⁴]", "correlation", "ISO/TS 18571", "spectra apart [dB]"]
-    return Table(columns, rows, "Vertical acceleration where the road excites the car.")
+    columns = [
+        "twin",
+        f"rms [{unit}]",
+        f"MSE [({unit})²]",
+        "correlation",
+        "ISO/TS 18571",
+        "spectra apart [dB]",
+    ]
+    return Table(columns, rows, f"{main.replace('_', ' ')}, on the compared samples")
 
 
 def _bars(result: CalibrationResult) -> dict[str, dict[str, float]]:
@@ -143,7 +157,7 @@ def _bars(result: CalibrationResult) -> dict[str, dict[str, float]]:
 
 
 def _drive_section(drive: DriveFit) -> Section:
-    channel = "vertical_acceleration"
+    channel, unit = drive.channel, channel_unit(drive.channel)
     measured, before, after = (s[channel] for s in (drive.measured, drive.before, drive.after))
     time = plots.in_time(
         drive.t,
@@ -156,31 +170,24 @@ def _drive_section(drive: DriveFit) -> Section:
     )
     text = (
         f"{drive.gap_after.seconds:.1f} s compared. With the nuisances corrected (clock, map, biases) the residual is "
-        f"{drive.nuisance_free:.3f} m/s² where the road excites the car; the sensor's noise floor is "
-        f"{drive.gap_after.noise_rms:.3f} m/s²."
+        f"{drive.nuisance_free:.3g} {unit} on the compared samples; the sensor's noise floor is "
+        f"{drive.gap_after.noise_rms:.3g} {unit}."
     )
-    return Section(
-        drive.name,
-        text,
-        time,
-        _pitch(drive),
-        _spectra(drive),
-        _two_sided(drive),
-        _by_road(drive),
-        captions=(
-            "The seconds with the strongest motion.",
-            "Pitch rate in the same seconds.",
-            "Power spectral densities.",
-            "Amplitude spectra as the car paper's Fig. 11 has them.",
-            "Residual by road position of the rear axle.",
-        ),
-    )
+    figures = [(time, "The seconds with the strongest motion.")]
+    if "pitch_rate" in drive.measured:
+        figures.append((_pitch(drive), "Pitch rate in the same seconds."))
+    figures += [
+        (_spectra(drive), "Power spectral densities."),
+        (_two_sided(drive), "Amplitude spectra as the car paper's Fig. 11 has them."),
+        (_by_road(drive), "Residual by position along the road."),
+    ]
+    return Section(drive.name, text, *(f for f, _ in figures), captions=tuple(c for _, c in figures))
 
 
 def _windows(drive: DriveFit) -> list[plots.Window]:
     """The strongest few seconds, apart from each other, in their order."""
     size = int(_WINDOW * drive.rate)
-    power = np.where(drive.compared, drive.measured["vertical_acceleration"] ** 2, 0.0)
+    power = np.where(drive.compared, drive.measured[drive.channel] ** 2, 0.0)
     energy = uniform_filter1d(power, size, mode="constant")
     found: list[float] = []
     while len(found) < _PANELS and energy.max() > 0:
@@ -211,7 +218,7 @@ def _stacked(drive: DriveFit) -> Floats:
     rows = np.flatnonzero(drive.compared)
     cuts = np.split(rows, np.flatnonzero(np.diff(rows) > 1) + 1)
     longest = max(cuts, key=len)
-    channel = "vertical_acceleration"
+    channel = drive.channel
     a, b, c = (s[channel][longest] for s in (drive.measured, drive.after, drive.before))
     return np.column_stack([a, b, c, a - b])
 
@@ -235,7 +242,7 @@ def _two_sided(drive: DriveFit) -> Figure:
 
 
 def _by_road(drive: DriveFit) -> Figure:
-    channel = "vertical_acceleration"
+    channel = drive.channel
     rows = drive.compared
     along, heights = drive.profile
     step = max(float(np.median(np.diff(along))), 1e-3) if along.size > 1 else 1.0
@@ -277,7 +284,7 @@ def _characteristics_section(result: CalibrationResult) -> Section:
 
 
 def _of_axle(result: CalibrationResult, axle: str) -> dict[str, CurveEstimate]:
-    return {c.key.split(".")[2]: c for c in result.curves if c.key.split(".")[1] == axle}
+    return {c.key.split(".")[-1]: c for c in result.curves if axle in c.key.split(".")}
 
 
 def _evidence(result: CalibrationResult, axle: str) -> AxleEvidence:

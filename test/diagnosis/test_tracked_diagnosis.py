@@ -19,7 +19,7 @@ from suspension_twin.diagnosis.tracked_visible import SHOWS, changes_of, visible
 from suspension_twin.effects.tracked_effects import TRACKED_EFFECTS, apply_tracked, camera_of
 from suspension_twin.errors import InputError
 from suspension_twin.gap.marker_runs import MarkerRun
-from suspension_twin.report.tracked import diagnosis_page
+from suspension_twin.report.markers import diagnosis_page
 from suspension_twin.vehicle.tracked import TrackedTwin
 from suspension_twin.vehicle.twin import load_twin
 
