@@ -15,7 +15,7 @@ from suspension_twin.calibration.output import details_path
 
 THREADS = ("NUMBA_NUM_THREADS", "OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS")
 #: What of the state's folder has to be seen, how often, before the process is killed.
-MOMENTS = (("*.part", 2), ("state.npz", 3))
+MOMENTS = ((".*.part.*", 2), ("state.npz", 3))
 
 
 def command(case: Any, out: Path, *more: str) -> list[str]:
