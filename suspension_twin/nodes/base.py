@@ -259,7 +259,7 @@ class TwinNode(Node):  # type: ignore[misc]
                 self.say(level, finding.text)
         self._shown = set(listed)
 
-    def start_afresh(self, why: str, ns: int) -> None:
+    def reset_to(self, why: str, ns: int) -> None:
         """Reset the node: time has jumped back to ``ns``."""
         for known in self.inputs.values():
             known.newest = min(known.newest, ns)
@@ -280,7 +280,7 @@ class TwinNode(Node):  # type: ignore[misc]
         # The stamps jump as the clock does; the node is reset by whichever comes first, and only once.
         now = self.get_clock().now().nanoseconds
         if now > 0 and any(known.newest > now + self.jump_back_ns for known in self.inputs.values()):
-            self.start_afresh(f"the ROS clock jumped back by {-jump.delta.nanoseconds / 1e9:.1f} s", now)
+            self.reset_to(f"the ROS clock jumped back by {-jump.delta.nanoseconds / 1e9:.1f} s", now)
 
     def _diagnose(self) -> None:
         try:

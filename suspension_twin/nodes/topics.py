@@ -189,7 +189,7 @@ class Input:
             if ns <= 0:
                 raise InputError(topic, "message dropped: header.stamp is zero")
             if ns < self.newest - node.jump_back_ns:
-                node.start_afresh(f"the stamps of {topic} jumped back by {(self.newest - ns) / NS:.1f} s", ns)
+                node.reset_to(f"the stamps of {topic} jumped back by {(self.newest - ns) / NS:.1f} s", ns)
             if ns > self.newest:
                 self.newest = ns
             self._handler(message, ns)

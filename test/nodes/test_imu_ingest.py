@@ -128,7 +128,7 @@ def test_a_sensor_in_g_and_one_upside_down_are_recognised(bench, twin_path):
     feed(node, [T0 + k / 100.0 for k in range(300)], scale=1 / 9.80665)
     assert "come in g" in worst(node)[1]
     assert np.mean([row[3] for row in data]) == pytest.approx(9.81, abs=0.2)
-    node.start_afresh("test", 0)
+    node.reset_to("test", 0)
     feed(node, [T0 + k / 100.0 for k in range(300)], scale=-1.0)
     assert "upside" in worst(node)[1].lower()
 
