@@ -17,7 +17,6 @@ from typing import Any
 
 import numpy as np
 import yaml
-
 from suspension_twin.calibration.tracked_paper import (
     PUBLISHED,
     PUBLISHED_CORRELATION,
@@ -26,6 +25,7 @@ from suspension_twin.calibration.tracked_paper import (
     compare,
     simulate_runs,
 )
+
 from suspension_twin.gap.marker_runs import read_run
 from suspension_twin.report.markers import marker_pictures
 from suspension_twin.vehicle.tracked import BOUNDS, load_tracked

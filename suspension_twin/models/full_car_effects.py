@@ -43,11 +43,12 @@ __all__ = ["COMPLIANT", "EffectKernels", "effect_kernels"]
 #: Bit of the flags of a block in which a damper has an elastic mount. Effects have the bits above it.
 COMPLIANT = 1
 
-#: What each assembly of the kernel has of its own: hinges of a curve, first row of the curves, flags of blocks whose
-#: damper tables change, static equilibrium, and the terms of the stages.
-_HINGES, _CURVES, _RETABLED = 0, 0, 0
+#: What each assembly of the kernel has of its own: hinges of a curve, first row of the curves, static equilibrium, the
+#: terms of the stages, and the flags of blocks that have one.
+_HINGES = _CURVES = 0
 _SETTLE: Any = settle
 _DAMPERS = _STRUT = _TYRE = _BODY = _AFTER = _STAMP = _SETTLE
+_DAMPERS_OF = _STRUT_OF = _TYRE_OF = _BODY_OF = _AFTER_OF = _STAMP_OF = 0
 
 
 @compiled
@@ -100,7 +101,7 @@ def _run(
                     _SETTLE(w, i, mx, my, curves, _HINGES)
                 row += 1
             else:
-                if flag & _RETABLED:
+                if flag & (_DAMPERS_OF | COMPLIANT):
                     for i in range(WIDTH):
                         put(w, rows.DAMPER_SHARE, i, 1.0, 1.0, 1.0, 1.0)
                     _DAMPERS(w, flag, h)
@@ -116,8 +117,10 @@ def _run(
                         r0, r1, r2, r3 = four(w, rows.ROAD, i)
                         n0, n1, n2, n3 = tyre_forces(w, i, r0, r1, r2, r3)
                         put(w, rows.GROUND, i, n0, n1, n2, n3)
-                    _STRUT(w, flag, h)
-                    _TYRE(w, flag, h)
+                    if flag & _STRUT_OF:
+                        _STRUT(w, flag, h)
+                    if flag & _TYRE_OF:
+                        _TYRE(w, flag, h)
                     for i in range(WIDTH):
                         n0, n1, n2, n3 = four(w, rows.GROUND, i)
                         velocities(
@@ -139,8 +142,10 @@ def _run(
                             c3,
                             _HINGES,
                         )
-                    _BODY(w, flag, h)
-                    _AFTER(w, flag, h)
+                    if flag & _BODY_OF:
+                        _BODY(w, flag, h)
+                    if flag & _AFTER_OF:
+                        _AFTER(w, flag, h)
                 for i in range(WIDTH):
                     close_interval(w, i, h)
             last = row - 1
@@ -149,7 +154,8 @@ def _run(
                 n0, n1, n2, n3 = four(w, rows.GROUND, i)
                 touch(w, i, n0, n1, n2, n3)
                 sense(w, i, ax, ay, yaw, dyaw)
-            _STAMP(w, flag, h)
+            if flag & _STAMP_OF:
+                _STAMP(w, flag, h)
             record(w, lane0 + block * WIDTH, k - begin, signals, states)
 
 
@@ -204,8 +210,9 @@ def effect_kernels() -> EffectKernels:
     from suspension_twin.effects.registry import EFFECTS  # whose files import models.hooks
 
     terms = {name: effect.hook.kernel for name, effect in EFFECTS.items() if effect.hook.kernel is not None}
-    first, bit, end, retabled = {}, {}, rows.CURVES, COMPLIANT
+    first, bit, end = {}, {}, rows.CURVES
     stages: dict[str, list[str]] = {stage: [] for stage in get_args(Stage)}
+    flags = dict.fromkeys(stages, 0)
     static: list[str] = []
     restarted: list[int] = []
     names: dict[str, Any] = {"WIDTH": WIDTH, "STRUT": rows.STRUT, "travel": travel}
@@ -218,17 +225,18 @@ def effect_kernels() -> EffectKernels:
             call = f"{name}(w, {e}, c, i, "
             corner = count == rows.CORNER
             source = _AT_CORNER if corner else _AT_AXLE
+            flags["strut"] |= bit[name]
             stages["strut"].append(f"    if flag & {bit[name]}:\n{source.format(count=count, call=call)}")
             static.append(_STATIC.format(count=count, call=call, first=0 if corner else 4))
         for stage, (term, count) in own.terms.items():
             names[f"{name}_{stage}"] = term
             source = _TERM.format(count=count, call=f"{name}_{stage}(w, {e}, c, i, ")
+            flags[stage] |= bit[name]
             stages[stage].append(f"    if flag & {bit[name]}:\n{source}")
-        if "dampers" in own.terms:
-            retabled |= bit[name]
     elastic = _made("w, i, travel, force, stiffness", static, names)
     settled = linked(specialised(settle, "settle", _ELASTIC=elastic, _RESTARTED=tuple(restarted)))
     parts = {f"_{stage.upper()}": _made("w, flag, h", lines, names) for stage, lines in stages.items()}
+    parts |= {f"_{stage.upper()}_OF": own for stage, own in flags.items()}
     modules = [f"suspension_twin.effects.{name}" for name in terms]
     kernels = {
         hinges: compiled(
@@ -237,7 +245,6 @@ def effect_kernels() -> EffectKernels:
                 f"_run_{hinges}",
                 _HINGES=hinges,
                 _CURVES=end,
-                _RETABLED=retabled,
                 _SETTLE=settled,
                 **parts,
             ),

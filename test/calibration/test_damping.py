@@ -7,11 +7,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from suspension_twin.calibration.tracked_identify import BOUNDS_ALONE, fisher, profile
+from suspension_twin.calibration.tracked_paper import simulate_runs
 
 from suspension_twin.calibration import tracked_damping
 from suspension_twin.calibration.damping import DAMPINGS, SPEEDS, pitch_variances, select_damping
-from suspension_twin.calibration.tracked_identify import BOUNDS_ALONE, fisher, profile
-from suspension_twin.calibration.tracked_paper import simulate_runs
 from suspension_twin.errors import InputError, WorkError
 from suspension_twin.gap.marker_runs import MarkerRun
 from suspension_twin.models.tracked import simulate_tracked

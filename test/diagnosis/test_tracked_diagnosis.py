@@ -9,14 +9,14 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-
 from suspension_twin.calibration.tracked_paper import simulate_runs
-from suspension_twin.diagnosis import tracked
 from suspension_twin.diagnosis.tracked import diagnose_tracked, diagnose_tracked_files
 from suspension_twin.diagnosis.tracked_fit import NOTHING, evidence, fit, hypotheses_for, make_bench
 from suspension_twin.diagnosis.tracked_own import OWN_SPREAD, driven, own_places, own_vehicle
 from suspension_twin.diagnosis.tracked_visible import SHOWS, changes_of, visible_from
 from suspension_twin.effects.tracked_effects import TRACKED_EFFECTS, apply_tracked, camera_of
+
+from suspension_twin.diagnosis import tracked
 from suspension_twin.errors import InputError
 from suspension_twin.gap.marker_runs import MarkerRun
 from suspension_twin.report.markers import diagnosis_page
