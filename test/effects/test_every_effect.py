@@ -40,7 +40,11 @@ def model_of(e: Effect, twin: Twin) -> Twin:
     return twin if "full_car" in e.hook.models else twin.model_copy(update={"model": e.hook.models[0]})
 
 
-@pytest.mark.parametrize("name", EFFECTS)
+#: Effects of cars; those of a tracked vehicle alone have tests of their own.
+CAR_EFFECTS = [name for name, e in EFFECTS.items() if set(e.hook.models) & {"full_car", "msd"}]
+
+
+@pytest.mark.parametrize("name", CAR_EFFECTS)
 def test_neutral_is_bit_identical(twin: Twin, name: str) -> None:
     base = model_of(EFFECTS[name], twin)
     neutral = {p.name: p.typical for p in EFFECTS[name].parameters}
@@ -59,7 +63,7 @@ def test_neutral_is_bit_identical(twin: Twin, name: str) -> None:
         assert np.array_equal(getattr(plain, field), getattr(same, field)), field
 
 
-@pytest.mark.parametrize("name", EFFECTS)
+@pytest.mark.parametrize("name", CAR_EFFECTS)
 def test_full_moves_what_the_sensor_reads(twin: Twin, name: str) -> None:
     base = model_of(EFFECTS[name], twin)
     plain, other = respond(base), respond(given(base, **{name: full(EFFECTS[name])}))
@@ -69,7 +73,7 @@ def test_full_moves_what_the_sensor_reads(twin: Twin, name: str) -> None:
         assert np.isfinite(getattr(other, field)).all()
 
 
-@pytest.mark.parametrize("name", EFFECTS)
+@pytest.mark.parametrize("name", CAR_EFFECTS)
 def test_lanes_beside_an_effect_stay_as_they_are(twin: Twin, name: str) -> None:
     """One lane with the effect among lanes without it: neither knows of the other."""
     e = EFFECTS[name]
@@ -89,7 +93,7 @@ def test_lanes_beside_an_effect_stay_as_they_are(twin: Twin, name: str) -> None:
         assert np.array_equal(a[..., 1], b[..., 0]), field
 
 
-@pytest.mark.parametrize("name", EFFECTS)
+@pytest.mark.parametrize("name", CAR_EFFECTS)
 def test_an_impossible_candidate_fails_alone(twin: Twin, name: str) -> None:
     """Parameters that no car has, in lanes beside a sound one: theirs fail or stay finite, none stops anything."""
     e = EFFECTS[name]
@@ -157,14 +161,14 @@ def test_candidates_that_see_the_same_are_as_alone(
             assert np.array_equal(run.rate[..., lane], alone.rate[..., 0])
 
 
-@pytest.mark.parametrize("name", EFFECTS)
+@pytest.mark.parametrize("name", CAR_EFFECTS)
 def test_a_twin_file_keeps_it(twin: Twin, name: str, tmp_path: Path) -> None:
     saved = given(model_of(EFFECTS[name], twin), **{name: full(EFFECTS[name])})
     save_twin(saved, tmp_path / "twin.yaml")
     assert load_twin(tmp_path / "twin.yaml") == saved
 
 
-@pytest.mark.parametrize("name", EFFECTS)
+@pytest.mark.parametrize("name", CAR_EFFECTS)
 def test_its_description_is_whole(name: str) -> None:
     e = EFFECTS[name]
     assert e.id == name and e.title and len(e.doc) > 40 and e.excited_by and e.confused_with
