@@ -58,6 +58,7 @@ TEST = [
     "scipy-stubs",
     "types-PyYAML",
 ]
+DOCS = ["mkdocs>=1.6", "mkdocs-material>=9.5", "mkdocstrings[python]>=0.26", "latex2mathml>=3.77"]
 
 
 def data_files() -> list[tuple[str, list[str]]]:
@@ -86,7 +87,7 @@ setup(
     maintainer_email=maintainer.get("email"),
     python_requires=">=3.10,<3.14",
     install_requires=REQUIRED,
-    extras_require={"test": TEST},
+    extras_require={"test": TEST + DOCS, "docs": DOCS},
     packages=find_packages(include=["suspension_twin", "suspension_twin.*"]),
     package_data={"": ["py.typed", "*.html", "*.j2", "*.css", "*.js", "*.yaml"]},
     data_files=data_files(),

@@ -1,80 +1,274 @@
 #!/usr/bin/env python3
 # SPDX-License-Identifier: Apache-2.0
-"""Makes what README.md shows of the program: ``python docs/make_docs.py tables|pictures``.
+"""Makes what the documentation shows of the program itself: ``python docs/make_docs.py tables|pictures``.
 
-``tables`` writes the commands and the nodes' parameters between their marks in README.md, as the
-program itself declares them; a test says when they have fallen behind. ``pictures`` runs the demo
-and keeps its figures in this folder.
+``tables`` writes the generated parts, each between its marks: commands and nodes in README.md, topics, services,
+actions and message definitions in interfaces.md, node parameters in parameters.md, effects in effects.md. A test
+says when one has fallen behind. ``pictures`` draws the pictures of this folder, which takes some minutes.
 """
 
 from __future__ import annotations
 
+import json
 import re
+import shutil
+import subprocess
 import sys
 import tempfile
+from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import Any
 
 HERE = Path(__file__).resolve().parent
-README = HERE.parent / "README.md"
+ROOT = HERE.parent
+INTERFACES = ROOT / "suspension_twin_interfaces"
 PICTURES = {"bump_time": "bump.png", "characteristics": "characteristics.png", "road_map": "map.png"}
+#: What each node does, in a few words.
+DOES = {
+    "imu_ingest": "axes, biases and units of the IMU; low-pass",
+    "pose_injector": "GPS and gyroscope to a smooth pose at the IMU's rate",
+    "suspension_model": "the twin along that pose over the road; the gap",
+    "calibrator": "calibration and diagnosis of recorded drives",
+}
+_HEADS = ("parameter", "unit", "range", "neutral", "prior", "what")
+#: Titles of the sections of effects.md, by where an effect acts.
+WHERE = {
+    "strut": "In the struts",
+    "tyre": "In the tyres",
+    "track": "In the track",
+    "body": "In the body",
+    "sensor": "In the sensor",
+    "time": "In the clocks",
+    "road": "In the road file",
+}
 
 
-def tables() -> dict[str, str]:
-    """Every generated part of the README by the name of its mark."""
-    return {"commands": _commands(), "parameters": _parameters()}
+def parts() -> dict[Path, dict[str, Callable[[], str]]]:
+    """Makers of the generated parts, by the page and the name of their mark."""
+    return {
+        ROOT / "README.md": {"commands": commands, "nodes": nodes},
+        HERE / "interfaces.md": {"topics": topics, "calls": calls, "definitions": definitions},
+        HERE / "parameters.md": {"parameters": parameters},
+        HERE / "effects.md": {"effects": effects},
+    }
 
 
-def with_tables(text: str) -> str:
-    """The README with its generated parts brought up to date."""
-    for name, table in tables().items():
+def brought_up_to_date(page: Path) -> str:
+    """The text of a page with its generated parts as the program declares them now."""
+    text = page.read_text(encoding="utf-8")
+    for name, make in parts()[page].items():
         begin, end = f"<!-- {name}: begin -->\n", f"<!-- {name}: end -->"
         if text.count(begin) != 1 or text.count(end) != 1:
-            raise SystemExit(f"README.md: the marks of {name} are missing")
-        text = text[: text.index(begin) + len(begin)] + table + text[text.index(end) :]
+            raise SystemExit(f"{page.name}: the marks of {name} are missing")
+        text = text[: text.index(begin) + len(begin)] + make() + text[text.index(end) :]
     return text
 
 
-def _commands() -> str:
+def table(heads: Iterable[str], rows: Iterable[Iterable[str]]) -> str:
+    """A table in Markdown."""
+    lines = [list(heads), *map(list, rows)]
+    lines.insert(1, ["---"] * len(lines[0]))
+    return "".join(f"| {' | '.join(line)} |\n" for line in lines)
+
+
+def commands() -> str:
+    """The subcommands of ``suspension-twin``."""
     from suspension_twin.cli.main import SUBCOMMANDS
 
-    rows = [f"| `suspension-twin {row.name}` | {row.help} |" for row in SUBCOMMANDS]
-    return "\n".join(["| command | what it does |", "| --- | --- |", *rows]) + "\n"
+    return table(
+        ["command", "what it does"], [[f"`suspension-twin {row.name}`", row.help] for row in SUBCOMMANDS]
+    )
 
 
-def _parameters() -> str:
-    from suspension_twin.nodes.base import COMMON
+# -- nodes ---------------------------------------------------------------------------------------
+
+
+def _node_classes() -> dict[str, Any]:
     from suspension_twin.nodes.calibrator import CalibratorNode
     from suspension_twin.nodes.imu_ingest import ImuIngestNode
     from suspension_twin.nodes.pose_injector import PoseInjectorNode
     from suspension_twin.nodes.suspension_model import SuspensionModelNode
 
-    groups = (
-        ("every node", COMMON),
-        ("imu_ingest", ImuIngestNode.parameters),
-        ("pose_injector", PoseInjectorNode.parameters),
-        ("suspension_model", SuspensionModelNode.parameters),
-        ("calibrator", CalibratorNode.parameters),
-    )
-    lines = ["| node | parameter | default | from, to | what |", "| --- | --- | --- | --- | --- |"]
-    for node, parameters in groups:
-        for p in parameters:
-            shown = node if p is parameters[0] else ""
-            bounds = f"{p.low:g}, {p.high:g}" if p.low is not None else "fixed" if p.read_only else ""
-            lines.append(f"| {shown} | `{p.name}` | {_default(p.default)} | {bounds} | {p.text} |")
-    return "\n".join(lines) + "\n"
+    return {
+        "imu_ingest": ImuIngestNode,
+        "pose_injector": PoseInjectorNode,
+        "suspension_model": SuspensionModelNode,
+        "calibrator": CalibratorNode,
+    }
+
+
+def _graph() -> dict[str, dict[str, list[tuple[str, str]]]]:
+    """Of each node its own ``in`` and ``out`` topics, ``services`` and ``actions``, each with its type."""
+    import rclpy
+    from rclpy.action import get_action_server_names_and_types_by_node
+
+    found = {}
+    rclpy.init(args=[])
+    try:
+        for name, kind in _node_classes().items():
+            node = kind()
+            served = get_action_server_names_and_types_by_node(node, name, "/")
+            found[name] = {
+                "in": [(s.topic, _type(s.msg_type)) for s in node.subscriptions if _own(s.topic)],
+                "out": [(p.topic, _type(p.msg_type)) for p in node.publishers if _own(p.topic)],
+                "services": [
+                    (s.srv_name, _type(s.srv_type)) for s in node.services if s.srv_name.startswith("~")
+                ],
+                "actions": [(action.removeprefix("/"), types[0]) for action, types in served],
+            }
+            node.destroy_node()
+    finally:
+        rclpy.try_shutdown()
+    return found
+
+
+def _own(topic: str) -> bool:
+    """Whether a topic is not one that every node has."""
+    return not re.search(r"/(rosout|clock|parameter_events|diagnostics)$|/_action/", topic)
+
+
+def _type(kind: type) -> str:
+    package, group, *_ = kind.__module__.split(".")
+    return f"{package}/{group}/{kind.__name__}"
+
+
+def _topic(name: str) -> str:
+    return f"`{name if name == '/tf' else name.removeprefix('/')}`"
+
+
+def nodes() -> str:
+    """The nodes, each with its topics, services and actions."""
+    rows = []
+    for name, of in _graph().items():
+        given = [f"`{service}`" for service, _ in of["services"]]
+        served = ", ".join(given + [f"action `{action}`" for action, _ in of["actions"]])
+        rows.append(
+            [
+                f"`{name}`",
+                DOES[name],
+                ", ".join(_topic(t) for t, _ in of["in"]),
+                ", ".join(_topic(t) for t, _ in of["out"]),
+                served,
+            ]
+        )
+    return table(["node", "does", "subscribes", "publishes", "services and actions"], rows)
+
+
+def topics() -> str:
+    """Every topic with its type and the nodes at both of its ends."""
+    kinds: dict[str, str] = {}
+    ends: dict[str, tuple[list[str], list[str]]] = {}
+    for name, of in _graph().items():
+        for side, way in enumerate(("in", "out")):
+            for topic, kind in of[way]:
+                kinds[topic] = kind
+                ends.setdefault(topic, ([], []))[side].append(name)
+    rows = []
+    for topic, kind in kinds.items():
+        into, out = (", ".join(f"`{n}`" for n in names) for names in ends[topic])
+        rows.append([_topic(topic), f"`{kind}`", out or "sensors", into or "for you"])
+    return table(["topic", "type", "from", "to"], rows)
+
+
+def calls() -> str:
+    """Services and actions."""
+    rows = []
+    for name, of in _graph().items():
+        for what in ("services", "actions"):
+            rows += [[f"`{name}`", what[:-1], f"`{call}`", f"`{kind}`"] for call, kind in of[what]]
+    return table(["node", "what", "name", "type"], rows)
+
+
+def definitions() -> str:
+    """The project's own messages, services and actions as they are defined."""
+    text = ""
+    for folder in ("msg", "srv", "action"):
+        for path in sorted((INTERFACES / folder).glob(f"*.{folder}")):
+            text += f"\n### {path.stem}\n\n```text\n{path.read_text(encoding='utf-8').strip()}\n```\n"
+    return text + "\n"
+
+
+def parameters() -> str:
+    """The parameters of every node."""
+    from suspension_twin.nodes.base import COMMON
+
+    text, classes = "", _node_classes()
+    groups = {"every node": COMMON} | {name: kind.parameters for name, kind in classes.items()}
+    for name, declared in groups.items():
+        rows = []
+        for p in declared:
+            bounds = f"{p.low:g} to {p.high:g}" if p.low is not None else "fixed" if p.read_only else ""
+            rows.append([f"`{p.name}`", _default(p.default), bounds, p.text])
+        title = name if name == "every node" else f"`{name}`"
+        text += (
+            f"\n## {title[0].upper()}{title[1:]}\n\n{table(['parameter', 'default', 'range', 'what'], rows)}"
+        )
+    return text + "\n"
 
 
 def _default(value: Any) -> str:
     if isinstance(value, bool):
         return f"`{str(value).lower()}`"
-    if isinstance(value, float):
-        return f"`{value!r}`"
-    return f"`{value}`" if value != "" else "`''`"
+    return "`''`" if value == "" else f"`{value}`"
+
+
+# -- effects -------------------------------------------------------------------------------------
+
+
+def effects() -> str:
+    """Every effect as it describes itself, by where it acts."""
+    from suspension_twin.effects.registry import EFFECTS
+
+    text = ""
+    for where, title in WHERE.items():
+        own = [_effect(e) for e in EFFECTS.values() if e.where == where]
+        text += f"\n## {title}\n" + "".join(own) if own else ""
+    return text + "\n"
+
+
+def _effect(e: Any) -> str:
+    from suspension_twin.diagnosis.hypotheses import DECOYS
+
+    tables = table(_HEADS, [_parameter(p, p.name in e.severity) for p in e.parameters])
+    for model, variant in e.variants.items():
+        rows = [_parameter(p, p.name in e.severity) for p in variant.parameters]
+        tables += f"\nOn `{model}`:\n\n{table(_HEADS, rows)}" if variant.parameters != e.parameters else ""
+    decoy = " Used by the diagnosis as a [decoy hypothesis](diagnosis.md#decoy-hypotheses)."
+    return (
+        f"\n### `{e.id}`: {e.title}\n\n{e.doc}\n\n{tables}\n"
+        f"Excited by {'; '.join(e.excited_by)}. Easily confused with {'; '.join(e.confused_with)}. "
+        f"For {', '.join(f'`{m}`' for m in e.models)}.{_common(e)}{decoy if e.id in DECOYS else ''}\n"
+    )
+
+
+def _common(e: Any) -> str:
+    """What of an effect any vehicle has: no finding."""
+    if e.usual_share:
+        return f" Up to {100 * e.usual_share:g} % of the mass is normal."
+    usual = next((p for p in e.parameters if p.usual), None)
+    return "" if usual is None else f" Up to {usual.usual:g} {usual.unit or 'of change'} is normal."
+
+
+def _parameter(p: Any, severe: bool) -> list[str]:
+    prior = f"{p.typical:g} ×/÷ {p.spread:g}" if p.log else f"{p.typical:g} ± {p.spread:g}"
+    name = f"**`{p.name}`**" if severe else f"`{p.name}`"
+    bounds = f"{p.low:g} to {p.high:g}"
+    return [name, p.unit or "–", bounds, f"{p.neutral:g}", "each value" if p.choices else prior, p.doc]
+
+
+# -- pictures ------------------------------------------------------------------------------------
 
 
 def pictures() -> None:
-    """Run the demo as its command does, and keep three of its figures."""
+    """Every picture of the documentation, as commands and benchmarks make them."""
+    demo_pictures()
+    effects_picture()
+    damping_picture()
+    diagnosis_picture()
+
+
+def demo_pictures() -> None:
+    """Run the demo as its command does and keep three of its figures."""
     from suspension_twin.cli.common import bundled
     from suspension_twin.demo.page import figures
     from suspension_twin.demo.steps import run_demo
@@ -96,12 +290,137 @@ def pictures() -> None:
         style.save(drawn[name], HERE / file, dpi=130)
 
 
+def effects_picture() -> None:
+    """What each effect of a car changes of the vertical acceleration over the bundled speed bump, by frequency."""
+    import numpy as np
+
+    from suspension_twin.drive.read import read_drive
+    from suspension_twin.effects.registry import EFFECTS
+    from suspension_twin.gap.prepare import prepare, road_of
+    from suspension_twin.models.simulate import simulate_twin
+    from suspension_twin.report import style
+    from suspension_twin.signals.spectra import power_density
+    from suspension_twin.vehicle.twin import EffectSpec, load_twin
+
+    twin = load_twin(ROOT / "bags" / "bump_15kmh" / "truth.yaml")
+    prepared = prepare(read_drive(ROOT / "bags" / "bump_15kmh"), twin, road_of(twin))
+    edges = 0.5 * 2.0 ** (0.5 * np.arange(12))  # Hz
+
+    def bands(taken: Any, *given: EffectSpec) -> Any:
+        response = simulate_twin(twin.model_copy(update={"effects": given}), prepared.excitation)
+        f, density = power_density(
+            prepared.condition(response)["vertical_acceleration"] - taken, prepared.rate, 4.0
+        )
+        return np.array([density[(f >= a) & (f < b)].mean() for a, b in zip(edges, edges[1:], strict=False)])
+
+    undisturbed = prepared.condition(simulate_twin(twin, prepared.excitation))["vertical_acceleration"]
+    motion, rows = bands(0.0), {}
+    for name, e in EFFECTS.items():
+        if "full_car" not in e.models:
+            continue
+        values = {p.name: _typical(p, p.name in e.severity) for p in e.parameters}
+        rows[name] = np.sqrt(bands(undisturbed, EffectSpec(id=name, parameters=values)) / motion)
+    names = sorted(rows, key=lambda n: float(np.average(np.arange(11), weights=rows[n] + 1e-9)))
+    shares = np.clip([rows[n] for n in names], 1e-3, None)
+    with style.using():
+        fig = style.figure(8.0, 6.2)
+        axes = fig.subplots()
+        drawn = axes.imshow(np.log10(shares), aspect="auto", cmap="viridis", vmin=-2.0, vmax=0.0)
+        centres = np.sqrt(edges[1:] * edges[:-1])
+        axes.set_xticks(range(len(centres))[::2], [f"{c:.2g}" for c in centres[::2]])
+        axes.set_yticks(range(len(names)), names)
+        axes.set_xlabel("frequency [Hz]")
+        axes.grid(False)
+        bar = fig.colorbar(drawn, ticks=[-2, -1, 0], label="change as a share of the motion in the band")
+        bar.ax.set_yticklabels(["0.01", "0.1", "1"])
+    style.save(fig, HERE / "effects.png", dpi=110)
+
+
+def _typical(p: Any, severe: bool) -> float:
+    """A typical value of an effect's parameter: one standard deviation of its prior where the mean is neutral."""
+    if p.choices:
+        return float(p.choices[0])
+    value = p.typical + p.spread if severe and not p.log and p.typical == p.neutral else p.typical
+    return float(min(max(value, p.low), p.high))
+
+
+def damping_picture() -> None:
+    """Variance of the pitch over speed for the seven dampings of the tracked paper, as the command draws it."""
+    twin = ROOT / "config" / "tracked" / "pt91.yaml"
+    with tempfile.TemporaryDirectory() as folder:
+        _run("-m", "suspension_twin", "damping", "--twin", str(twin), "--out", folder)
+        shutil.copy(Path(folder) / "pitch_variance.png", HERE / "tracked_damping.png")
+
+
+def diagnosis_picture() -> None:
+    """Probabilities, and the gap before and after, of a development case of ``benchmarks/blind.py``: dry friction."""
+    wanted = "--full --seeds dev --only strut_friction --severity 5 --limit 2 --stage generate --out"
+    with tempfile.TemporaryDirectory() as folder:
+        _run("benchmarks/blind.py", *wanted.split(), folder)
+        case = next(p for p in (Path(folder) / "cases").iterdir() if (p / "reference").is_dir())
+        answer, drives = Path(folder) / "answer", [str(case / d) for d in ("drive_fast", "drive_slow")]
+        given = [
+            "--twin",
+            str(case / "twin.yaml"),
+            "--reference",
+            str(case / "reference"),
+            "--out",
+            str(answer),
+        ]
+        _run("-m", "suspension_twin", "diagnose", *given, *drives)
+        draw_diagnosis(case, answer)
+
+
+def draw_diagnosis(case: Path, answer: Path) -> None:
+    """Bars of the likeliest answers beside the density of the gap."""
+    from suspension_twin.drive.read import read_drive
+    from suspension_twin.gap.prepare import prepare
+    from suspension_twin.models.simulate import simulate_twin
+    from suspension_twin.report import style
+    from suspension_twin.signals.spectra import power_density
+    from suspension_twin.vehicle.twin import load_twin
+
+    document = json.loads((answer / "diagnosis.json").read_text(encoding="utf-8"))
+    answers = [(c["effect"], c["probability"]) for c in document["causes"][:5]]
+    answers += [("no gap", document["no_gap_probability"]), ("unknown", document["unknown_probability"])]
+    prepared = prepare(read_drive(case / "drive_fast"), load_twin(case / "twin.yaml"))
+    measured = prepared.measured["vertical_acceleration"]
+    series = {"motion": ("measured", measured)}
+    for label, role, twin in (
+        ("gap before", "before", case),
+        ("gap with the cause added", "simulated", answer),
+    ):
+        response = simulate_twin(load_twin(twin / "twin.yaml"), prepared.excitation)
+        series[label] = (role, prepared.condition(response)["vertical_acceleration"] - measured)
+    with style.using():
+        fig = style.figure(8.6, 2.9)
+        left, right = fig.subplots(1, 2, width_ratios=(1, 1.4))
+        names, values = zip(*reversed(answers), strict=True)
+        left.barh(names, values, color=style.colour("simulated"), height=0.6)
+        left.set_xlim(0, 1)
+        left.set_xlabel("probability")
+        for label, (role, signal) in series.items():
+            f, density = power_density(signal[prepared.mask], prepared.rate)
+            right.loglog(f[1:], density[1:], color=style.colour(role), label=label)
+        right.set_xlim(0.5, 25.0)
+        right.set_ylim(1e-5, None)
+        right.set_xlabel("frequency [Hz]")
+        right.set_ylabel("density [m²/s⁴/Hz]")
+        right.legend()
+    style.save(fig, HERE / "diagnosis.png", dpi=130)
+
+
+def _run(*arguments: str) -> None:
+    subprocess.run([sys.executable, *arguments], cwd=ROOT, check=True)
+
+
 def main() -> None:
     wanted = sys.argv[1:]
     if not wanted or not set(wanted) <= {"tables", "pictures"}:
         raise SystemExit(re.sub(r"\s+", " ", __doc__ or "").strip())
     if "tables" in wanted:
-        README.write_text(with_tables(README.read_text(encoding="utf-8")), encoding="utf-8")
+        for page in parts():
+            page.write_text(brought_up_to_date(page), encoding="utf-8")
     if "pictures" in wanted:
         pictures()
 

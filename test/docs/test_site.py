@@ -1,0 +1,105 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The documentation: the site builds without a warning, pages are up to date, their examples and links are right."""
+
+from __future__ import annotations
+
+import importlib.util
+import os
+import re
+import shlex
+import subprocess
+import sys
+from pathlib import Path
+from types import ModuleType
+
+import pytest
+
+ROOT = Path(__file__).resolve().parents[2]
+PAGES = sorted((ROOT / "docs").glob("*.md"))
+#: Pages whose length is limited, in words.
+LONGEST = {"diagnosis.md": 1800}
+
+
+def blocks(page: Path, language: str) -> list[str]:
+    return re.findall(
+        rf"^```{language}\n(.*?)^```$", page.read_text(encoding="utf-8"), re.MULTILINE | re.DOTALL
+    )
+
+
+@pytest.fixture(scope="module")
+def make_docs() -> ModuleType:
+    spec = importlib.util.spec_from_file_location("make_docs", ROOT / "docs" / "make_docs.py")
+    assert spec and spec.loader
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
+def test_the_site_is_built_without_a_warning(tmp_path: Path) -> None:
+    pytest.importorskip("mkdocs")
+    command = [sys.executable, "-m", "mkdocs", "build", "--strict", "--site-dir", str(tmp_path)]
+    environment = {**os.environ, "NO_MKDOCS_2_WARNING": "1"}
+    done = subprocess.run(command, cwd=ROOT, env=environment, capture_output=True, text=True, timeout=300)
+    assert done.returncode == 0, done.stderr[-3000:]
+    home, page = (
+        (tmp_path / "index.html").read_text("utf-8"),
+        (tmp_path / "diagnosis.html").read_text("utf-8"),
+    )
+    assert "suspension_twin_demo" in home
+    assert page.count("<math") > 20
+    assert "arithmatex" not in page, "a formula is left as it was written"
+    for text in (home, page):
+        outside = re.findall(r'(?:src|href)="(https?://[^"]+)"', text)
+        assert not [link for link in outside if link.endswith((".js", ".css"))], "a page needs a network"
+
+
+@pytest.mark.parametrize("name", ["interfaces.md", "parameters.md", "effects.md"])
+def test_generated_parts_are_up_to_date(name: str, make_docs: ModuleType) -> None:
+    page = ROOT / "docs" / name
+    assert make_docs.brought_up_to_date(page) == page.read_text(encoding="utf-8"), (
+        "run: python docs/make_docs.py tables"
+    )
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda p: p.name)
+def test_links_and_pictures_lead_somewhere(page: Path) -> None:
+    for link in re.findall(r"\]\(([^)\s]+)\)", page.read_text(encoding="utf-8")):
+        if not link.startswith(("#", "http")):
+            assert (page.parent / link.partition("#")[0]).exists(), link
+
+
+@pytest.mark.parametrize("page", [*PAGES, ROOT / "CONTRIBUTING.md"], ids=lambda p: p.name)
+def test_files_that_a_page_names_are_there(page: Path) -> None:
+    for name in re.findall(
+        r"`(?:python )?((?:[a-z_0-9]+/)+[a-z_0-9]+\.py)[` ]", page.read_text(encoding="utf-8")
+    ):
+        assert (ROOT / name).exists() or (ROOT / "suspension_twin" / name).exists(), name
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda p: p.name)
+def test_examples_in_python_run(
+    page: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(ROOT)
+    for code in blocks(page, "python"):
+        exec(compile(code, page.name, "exec"), {})
+        assert capsys.readouterr().out
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda p: p.name)
+def test_commands_take_their_arguments(page: Path, tmp_path: Path) -> None:
+    """In an empty folder each of ours gets as far as missing its first file."""
+    lines = [line for block in blocks(page, "bash") for line in block.splitlines()]
+    for line in lines:
+        if line.startswith("suspension-twin "):
+            command = [sys.executable, "-m", "suspension_twin", *shlex.split(line)[1:]]
+            done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, timeout=120)
+            assert done.returncode == 2, line
+            assert re.search(r"No such file or directory|is not there", done.stderr), done.stderr
+        elif line.startswith("python "):
+            assert (ROOT / line.split()[1]).exists(), line
+
+
+@pytest.mark.parametrize("name", LONGEST)
+def test_a_page_is_no_longer_than_it_should_be(name: str) -> None:
+    assert len((ROOT / "docs" / name).read_text(encoding="utf-8").split()) < LONGEST[name]
