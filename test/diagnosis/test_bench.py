@@ -102,11 +102,12 @@ def test_known_columns_and_those_of_effects_are_the_whole_jacobian(leaning: Benc
     whole = leaning.linearise(effect, x)
     residual, columns = leaning.effects_alone(effect, x)
     assert_allclose(residual, whole.residual, atol=1e-9)
-    squares, slope = whole.first(leaning.d + leaning.q).beyond(residual, columns)
-    assert_allclose(squares, whole.squares, rtol=1e-6, atol=1e-6 * np.abs(whole.squares).max())
-    assert_allclose(slope, whole.slope, rtol=1e-6, atol=1e-6 * np.abs(whole.slope).max())
-    assert_allclose(whole.squares, whole.jacobian.T @ whole.jacobian, atol=1e-9 * np.abs(whole.squares).max())
-    assert_allclose(whole.slope, whole.jacobian.T @ whole.residual, atol=1e-9 * np.abs(whole.slope).max())
+    model = whole.first(leaning.d + leaning.q).beyond(residual, columns)
+    for name in ("value", "squares", "slope"):
+        found, expected = getattr(model, name), getattr(whole.model, name)
+        assert_allclose(found, expected, rtol=1e-6, atol=1e-6 * np.abs(expected).max())
+    squares = whole.jacobian.T @ whole.jacobian
+    assert_allclose(whole.model.squares, squares, atol=1e-9 * np.abs(squares).max())
 
 
 @pytest.mark.parametrize("heard", [None, (1,)])

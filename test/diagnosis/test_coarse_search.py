@@ -14,6 +14,7 @@ from suspension_twin.diagnosis.hypotheses import SETTINGS, combined, variants
 from suspension_twin.diagnosis.request import DiagnosisRequest
 from suspension_twin.diagnosis.run import diagnose
 from suspension_twin.effects.registry import EFFECTS
+from suspension_twin.vehicle.twin import Twin
 
 SOME = ("time_offset", "sensor_tilt", "position_offset", "tyre_damping", "corner_spring")
 
@@ -40,8 +41,8 @@ def test_a_gross_fault_is_named_with_its_size(
     assert all(low <= lead["parameters"][name] <= high for name, (low, high) in intervals.items())
 
 
-def test_a_prior_moves_to_what_is_far_and_stays_for_what_is_near() -> None:
-    tilt, clock = variants(EFFECTS["sensor_tilt"])[0], variants(EFFECTS["time_offset"])[0]
+def test_a_prior_moves_to_what_is_far_and_stays_for_what_is_near(car: Twin) -> None:
+    tilt, clock = variants(EFFECTS["sensor_tilt"], car)[0], variants(EFFECTS["time_offset"], car)[0]
     moved = coarse_search.about(tilt, np.array([0.5, -1.0, 31.0]))
     assert moved.centre().tolist() == [0.0, 0.0, 31.0]
     assert coarse_search.about(tilt, np.array([0.5, -1.0, 2.9])) is tilt
@@ -53,21 +54,21 @@ def test_a_prior_moves_to_what_is_far_and_stays_for_what_is_near() -> None:
     assert charged.tolist() == [0.0, 31.0**2 - coarse_search.PRICE]
 
 
-def test_only_what_can_be_set_wrong_is_looked_for_everywhere() -> None:
+def test_only_what_can_be_set_wrong_is_looked_for_everywhere(car: Twin) -> None:
     for name, effect in EFFECTS.items():
         if "full_car" not in effect.hook.models:
             continue
-        points = coarse_search._everywhere(turned_by(1.5), variants(effect)[0])
+        points = coarse_search._everywhere(turned_by(1.5), variants(effect, car)[0])
         if effect.where not in SETTINGS:
             assert points is None, name
         elif points is not None:
-            low, high = variants(effect)[0].bounds()
+            low, high = variants(effect, car)[0].bounds()
             assert (points >= low[:, None] - 1e-9).all() and (points <= high[:, None] + 1e-9).all()
-    assert np.shape(coarse_search._everywhere(turned_by(1.5), variants(EFFECTS["time_offset"])[0])) == (
+    assert np.shape(coarse_search._everywhere(turned_by(1.5), variants(EFFECTS["time_offset"], car)[0])) == (
         1,
         201,
     )
-    assert coarse_search._seen(turned_by(0.1), variants(EFFECTS["sensor_tilt"])[0]) is None
+    assert coarse_search._seen(turned_by(0.1), variants(EFFECTS["sensor_tilt"], car)[0]) is None
 
 
 def turned_by(yaw: float) -> Any:

@@ -31,7 +31,12 @@ def bench(lengths: list[int], values: np.ndarray, active: tuple[bool, ...] | Non
     ends = np.cumsum([0, *lengths])
     stretches = [slice(int(a), int(b)) for a, b in zip(ends[:-1], ends[1:], strict=True)]
     measured = SimpleNamespace(
-        channels=(CHANNEL,), stretches=stretches, drives=list(range(len(lengths))), rate=RATE, values=values
+        channels=(CHANNEL,),
+        stretches=stretches,
+        drives=list(range(len(lengths))),
+        rate=RATE,
+        independent=0.4,
+        values=values,
     )
     problem = SimpleNamespace(measured=measured, channels=measured.channels)
     return SimpleNamespace(active=active or (True,) * len(lengths), problem=problem)
@@ -423,8 +428,10 @@ def test_how_much_is_left_is_told_with_nuisances_where_they_were_fitted_where_as
     left = Remainder(0.4 * x, 0.1 * x)
     at = bench([1000], x)
     noise = dict.fromkeys(at.problem.measured.channels, 1e-6)
-    assert verdict.level_of(at, left, noise, shown=True) == pytest.approx(0.4, rel=1e-3)
-    assert verdict.level_of(at, left, noise, shown=True, settled=True) == pytest.approx(0.1, rel=1e-3)
+    assert verdict.level_of(at, left, noise, list(noise), shown=True) == pytest.approx(0.4, rel=1e-3)
+    assert verdict.level_of(at, left, noise, list(noise), shown=True, settled=True) == pytest.approx(
+        0.1, rel=1e-3
+    )
 
 
 def test_what_is_gone_counts_from_what_a_sound_model_leaves() -> None:
@@ -446,7 +453,8 @@ def test_a_cars_own_effect_may_ask_clocks_for_something() -> None:
 
     def gates(road: bool, after: Remainder) -> tuple[bool, float]:
         nothing: Any = None
-        keeper = Gatekeeper(at, blocks, dict.fromkeys(names, 1e-3), None, 1.0, road, 0, nothing, base)
+        case: Any = SimpleNamespace(excited=road, road=road, driven=names)
+        keeper = Gatekeeper(at, blocks, dict.fromkeys(names, 1e-3), None, 1.0, case, 0, nothing, base)
         seen = [keeper.shrink(base, after, 0, way) for way in keeper._ways(0)]
         return keeper._unspoilt(0, seen, 0.0) > 0.5, keeper.level(after)
 
@@ -465,10 +473,7 @@ def test_a_cause_that_shows_without_closing_the_gap_is_not_said_to_shrink_it() -
         found = Shrink(before=1.0, after=1.0 - shrink, shrink=shrink, interval=(shrink - 0.1, shrink + 0.1))
         return _message("partly", document, found)
 
-    assert (
-        told(0.3)
-        == "partly road smoothing: the gap shrinks by 30 % (20 to 40 %) on road that the fit has not seen"
-    )
+    assert told(0.3) == "partly road smoothing: the gap shrinks by 30 % (20 to 40 %) on held-out data"
     assert "does not shrink the gap (-11 to 9 %)" in told(-0.01)
 
 

@@ -124,4 +124,4 @@ def test_a_road_file_that_is_wrong_on_one_stretch_is_unknown_and_said_to_be_so(m
     assert "like road scale there" in document["message"]
     assert document["next_experiment"].startswith("Survey the road from ")
     assert document["no_gap_probability"] < 0.1
-    assert "which holds less of the motion" in diagnosis_page(result).render()
+    assert "which holds a smaller share of the motion" in diagnosis_page(result).render()
