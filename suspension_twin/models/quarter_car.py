@@ -11,9 +11,6 @@ under all four wheels: it cannot roll or pitch. So the kernels of ``full_car`` s
 and four times the masses, and every effect of a corner, of the sensor and of its clock acts by the same code.
 The inertias of that car move no body; they are chosen so that the effective mass at each of its dampers is that of
 the corner, m_s m_u / (m_s + m_u), which the implicit damper needs.
-
-A record of a rig excites it as a drive does: the displacement of the road at t seconds is the height of a road at
-t metres, along which the model moves at 1 m/s.
 """
 
 from __future__ import annotations
@@ -23,28 +20,25 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
-from scipy.interpolate import CubicSpline
 
 from suspension_twin.arrays import Floats
-from suspension_twin.errors import InputError
 from suspension_twin.models import rows
 from suspension_twin.models.blocks import Blocks, cores
 from suspension_twin.models.constants import Constants, constants
-from suspension_twin.models.excitation import MAX_STEP, excitation
 from suspension_twin.models.hooks import Hook, Values
 from suspension_twin.models.parameters import Layout, layout, pack
 from suspension_twin.models.registry import Model
 from suspension_twin.models.sensor_chain import pass_chain
 from suspension_twin.models.simulate import full_response
 from suspension_twin.models.types import Excitation, LaneResponse, Response
-from suspension_twin.pose.types import Trajectory
 from suspension_twin.vehicle.corners import AXLES
 from suspension_twin.vehicle.twin import Twin
 
-__all__ = ["CHANNELS", "MODEL", "rig_run"]
+__all__ = ["CHANNELS", "MODEL"]
 
-#: Body and wheel acceleration in m/s² upwards, without gravity; compression of the suspension in m from standing.
-CHANNELS = ("body_acceleration", "wheel_acceleration", "suspension_deflection")
+#: Body and wheel acceleration in m/s² upwards, without gravity; compression of the suspension in m from standing; force
+#: of the road on the tyre in N.
+CHANNELS = ("body_acceleration", "wheel_acceleration", "suspension_deflection", "tyre_force")
 _CURVES = (("spring", "compression"), ("damper_push", "velocity"), ("damper_pull", "velocity"))
 _SCALARS = ("vehicle.sprung_mass", "vehicle.unsprung_mass", "vehicle.tyre.vertical_stiffness")
 #: The car with four such corners that is no number of the twin: a square, 2 m by 2 m, with everything at 1 m.
@@ -62,50 +56,6 @@ _SQUARE = {
 }
 #: Stamps whose states are kept at once.
 _CHUNK = 1024
-
-
-class _Actuator:
-    """A road that is the same under all wheels: its height at x m is the displacement at x s."""
-
-    wheel_positions = np.zeros((4, 2))
-
-    def __init__(self, curve: CubicSpline) -> None:
-        self._curve = curve
-
-    def heights(self, x: Floats, y: Floats) -> Floats:
-        return np.asarray(self._curve(x), dtype=np.float64)
-
-
-def rig_run(
-    t: Floats, displacement: Floats | None = None, velocity: Floats | None = None, max_step: float = MAX_STEP
-) -> Excitation:
-    """What a recorded rig run excites a corner with.
-
-    Parameters
-    ----------
-    t
-        (n,) s, rising stamps. After a pause of more than 0.5 s the corner starts again from rest.
-    displacement, velocity
-        (n,) m of the road under the tyre, or its rate in m/s where the displacement was not recorded. Between the
-        stamps it follows a cubic spline.
-    max_step
-        s, the largest step of the simulation.
-
-    Raises
-    ------
-    InputError
-        Where there are fewer than four stamps, stamps that do not rise, or values that are not finite.
-    """
-    t, given = np.asarray(t, dtype=np.float64), displacement if displacement is not None else velocity
-    if t.ndim != 1 or t.size < 4 or given is None or np.shape(given) != t.shape:
-        raise InputError("rig run", "needs displacement or velocity of the road at four stamps or more")
-    if not (np.isfinite(t).all() and np.isfinite(given).all() and (np.diff(t) > 0).all()):
-        raise InputError("rig run", "stamps and road must be finite, and stamps must rise")
-    s, zero = t - t[0], np.zeros(t.size)
-    curve = CubicSpline(s, given)
-    road = _Actuator(curve if displacement is not None else curve.antiderivative())
-    way = Trajectory(t, s, zero, zero, zero + 1.0, zero, zero, zero, zero, np.ones(t.size, dtype=np.bool_))
-    return excitation(way, road, road, max_step)
 
 
 def _numbers(twin: Twin) -> Sequence[str]:
@@ -160,7 +110,7 @@ def _lanes(twin: Twin, params: Floats, run: Excitation, threads: int | None = No
     known = _constants(twin, params, run)
     blocks = Blocks(known)
     n, count = len(run), blocks.lanes
-    signals = np.empty((n, 9, count))
+    signals = np.empty((n, 10, count))
     for begin in range(0, n, _CHUNK):
         end = min(begin + _CHUNK, n)
         read = np.empty((end - begin, 7, blocks.width))
@@ -172,6 +122,7 @@ def _lanes(twin: Twin, params: Floats, run: Excitation, threads: int | None = No
         signals[begin:end, :7] = read[:, :, :count]
         signals[begin:end, 7] = states[:, rows.ACCELERATION + 3, :count]
         signals[begin:end, 8] = wheel - body - known.values[rows.STATIC]
+        signals[begin:end, 9] = states[:, rows.CONTACT, :count]
     # the chain changes what the accelerometer on the body reads; the clock stamps all channels
     pass_chain(known, run, signals)
     failed = blocks.failed | ~np.isfinite(signals).all(axis=(0, 1))

@@ -14,8 +14,9 @@ from scipy.interpolate import CubicSpline
 from scipy.optimize import brentq
 
 from suspension_twin.errors import InputError, WorkError
+from suspension_twin.gap.rig import rig_run
 from suspension_twin.models.parameters import lanes
-from suspension_twin.models.quarter_car import CHANNELS, rig_run
+from suspension_twin.models.quarter_car import CHANNELS
 from suspension_twin.models.simulate import simulate_lanes, simulate_twin
 from suspension_twin.vehicle.twin import Twin, load_twin, parse_twin, save_twin
 
@@ -116,7 +117,9 @@ def test_transmissibility_is_the_transfer_function(twin: Twin, frequency: float)
     body, wheel = np.linalg.solve(matrix, [0.0, kt])
     last = slice(-6 * rate, None)
     basis = np.c_[np.sin(omega * t[last]), np.cos(omega * t[last]), np.ones(6 * rate)]
-    for name, expected in zip(CHANNELS, (s**2 * body, s**2 * wheel, wheel - body), strict=True):
+    for name, expected in zip(
+        CHANNELS, (s**2 * body, s**2 * wheel, wheel - body, kt * (1.0 - wheel)), strict=True
+    ):
         a, b, _ = np.linalg.lstsq(basis, read.channel(name)[last, 0], rcond=None)[0]
         assert complex(a, b) / 0.001 == pytest.approx(expected, rel=0.005)
 
