@@ -23,7 +23,7 @@ import numpy as np
 
 from suspension_twin.arrays import Floats
 from suspension_twin.models import rows
-from suspension_twin.models.blocks import Blocks, cores
+from suspension_twin.models.blocks import LaneBlocks, cores
 from suspension_twin.models.constants import Constants, constants
 from suspension_twin.models.hooks import Hook, Values
 from suspension_twin.models.parameters import Layout, layout, pack
@@ -108,7 +108,7 @@ def _constants(twin: Twin, params: Floats, run: Excitation) -> Constants:
 
 def _lanes(twin: Twin, params: Floats, run: Excitation, threads: int | None = None) -> LaneResponse:
     known = _constants(twin, params, run)
-    blocks = Blocks(known)
+    blocks = LaneBlocks(known)
     n, count = len(run), blocks.lanes
     signals = np.empty((n, 10, count))
     for begin in range(0, n, _CHUNK):
@@ -118,9 +118,9 @@ def _lanes(twin: Twin, params: Floats, run: Excitation, threads: int | None = No
         road = run.road[run.first[begin] : run.first[end]]
         where = run.substeps, run.motion, begin, end, read, states
         blocks.walk(road, None, *where, threads=threads or cores())
-        body, wheel = states[:, rows.POSITION, :count], states[:, rows.POSITION + 3, :count]
+        body, wheel = states[:, rows.HEAVE, :count], states[:, rows.WHEEL, :count]
         signals[begin:end, :7] = read[:, :, :count]
-        signals[begin:end, 7] = states[:, rows.ACCELERATION + 3, :count]
+        signals[begin:end, 7] = states[:, rows.WHEEL_ACCELERATION, :count]
         signals[begin:end, 8] = wheel - body - known.values[rows.STATIC]
         signals[begin:end, 9] = states[:, rows.CONTACT, :count]
     # the chain changes what the accelerometer on the body reads; the clock stamps all channels
