@@ -15,7 +15,7 @@ the corner, m_s m_u / (m_s + m_u), which the implicit damper needs.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -25,7 +25,7 @@ from suspension_twin.arrays import Floats
 from suspension_twin.models import rows
 from suspension_twin.models.blocks import LaneBlocks, cores
 from suspension_twin.models.constants import Constants, constants
-from suspension_twin.models.hooks import Hook, Values
+from suspension_twin.models.hooks import Values
 from suspension_twin.models.parameters import Layout, layout, pack
 from suspension_twin.models.registry import Model
 from suspension_twin.models.sensor_chain import pass_chain
@@ -54,6 +54,7 @@ _SQUARE = {
     "imu.position.1": 0.0,
     "imu.position.2": 1.0,
 }
+VehicleChange = Callable[[dict[str, Floats], Values], None]
 #: Stamps whose states are kept at once.
 _CHUNK = 1024
 
@@ -80,24 +81,32 @@ def _car(numbers: dict[str, Floats]) -> dict[str, Floats]:
     return car
 
 
+def _on_car(change: VehicleChange, own: Sequence[str]) -> VehicleChange:
+    """What an effect changes of the corner's ``own`` numbers, as a change of the car's."""
+
+    def vehicle(numbers: dict[str, Floats], values: Values) -> None:
+        change(numbers, values)
+        numbers.update(_car({key: numbers[key] for key in own}))
+
+    return vehicle
+
+
 def _constants(twin: Twin, params: Floats, run: Excitation) -> Constants:
     """Constants of the kernel for candidates (P, L); what is wrong with one is named by the keys of this twin."""
     shape = layout(twin)
     given = dict(zip(shape.names, params, strict=True))
     numbers = {**given, **_car(given)}
-
-    def on_car(hook: Hook) -> Hook:
-        change = hook.vehicle
-        if change is None:
-            return hook
-
-        def vehicle(numbers: dict[str, Floats], values: Values) -> None:
-            change(numbers, values)
-            numbers.update(_car({key: numbers[key] for key in given}))
-
-        return replace(hook, vehicle=vehicle)
-
-    hooks = {effect: on_car(hook) for effect, hook in shape.hooks.items()}
+    hooks = {}
+    for effect, hook in shape.hooks.items():
+        neutral = dict(hook.neutral)
+        for name in hook.neutral:  # what an effect does at the front it does at the rear
+            if name.startswith("front"):
+                rear = name.replace("front", "rear", 1)
+                neutral[rear] = hook.neutral[name]
+                numbers[f"effects.{effect}.{rear}"] = given[f"effects.{effect}.{name}"]
+        hooks[effect] = replace(
+            hook, neutral=neutral, vehicle=hook.vehicle and _on_car(hook.vehicle, tuple(given))
+        )
     car = Layout(tuple(numbers), "full_car", hooks, shape.mounting)
     known = constants(np.stack(list(numbers.values())), car, run.max_step)
     problems = tuple(
