@@ -18,9 +18,11 @@ from suspension_twin.effects.base import (
     KernelTerms,
     Parameter,
     Values,
+    Variant,
     by_corner,
     fma,
     inlined,
+    of_one_corner,
 )
 
 __all__ = ["odd_corner", "stop"]
@@ -49,6 +51,9 @@ def odd_corner(
         for corner, share in enumerate(getattr(change, part)):
             share += np.where(p["corner"] == corner, p["change"], 0.0)
 
+    def every_corner(change: CornerChange, p: Values) -> None:
+        getattr(change, part)[:] += p["change"]
+
     return Effect(
         id=f"corner_{part}",
         title=f"one odd {part}",
@@ -61,6 +66,7 @@ def odd_corner(
         excited_by=("one-sided bumps", "heave coupled with roll", "roll rate on a straight even road"),
         confused_with=(f"the axle's {part}", f"corner_{other}", "payload on one side", "lateral_offset"),
         hook=Hook(corners=corners, upright=upright),
+        variants={"quarter_car": Variant(parameters[1:], Hook(corners=every_corner, upright=upright))},
     )
 
 
@@ -118,4 +124,5 @@ def stop(
                 stiffness=(_STIFFNESS,),
             )
         ),
+        variants={"quarter_car": Variant(of_one_corner(parameters))},
     )

@@ -56,6 +56,7 @@ __all__ = [
     "compiled",
     "fma",
     "inlined",
+    "of_one_corner",
     "rows",
     "travel_rate",
 ]
@@ -101,10 +102,11 @@ class Parameter:
 
 @dataclass(frozen=True)
 class Variant:
-    """What differs of an effect on one more model: parameters of the same names and meaning, and the hook."""
+    """What differs of an effect on one more model: parameters of the same names and meaning, and the hook where it is
+    not the effect's own."""
 
     parameters: tuple[Parameter, ...]
-    hook: Hook
+    hook: Hook | None = None
 
 
 @dataclass(frozen=True)
@@ -145,9 +147,14 @@ class Effect:
         own = self.variants.get(model)
         if own is None:
             return self
-        severity = tuple(s for s in self.severity if s in own.hook.neutral)
+        names = {p.name for p in own.parameters}
         return replace(
-            self, parameters=own.parameters, severity=severity, hook=own.hook, usual_share=0.0, variants={}
+            self,
+            parameters=own.parameters,
+            severity=tuple(name for name in self.severity if name in names),
+            hook=replace(own.hook or self.hook, models=(model,)),
+            usual_share=0.0,
+            variants={},
         )
 
     def parameter(self, name: str) -> Parameter:
@@ -163,6 +170,11 @@ class Effect:
                     "twin", f"effects.{self.id}.{name}", f"is not a parameter of it: {', '.join(known)}"
                 )
         return {name: p.check(self.id, float(given.get(name, p.neutral))) for name, p in known.items()}
+
+
+def of_one_corner(parameters: tuple[Parameter, ...]) -> tuple[Parameter, ...]:
+    """Of the ``parameters`` of two axles those of one corner: the front's, and what both share."""
+    return tuple(p for p in parameters if not p.name.startswith("rear"))
 
 
 def by_corner(front: Floats, rear: Floats) -> Floats:

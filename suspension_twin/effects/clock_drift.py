@@ -29,5 +29,5 @@ EFFECT = Effect(
     severity=("drift_ppm",),
     excited_by=("long drives", "bumps early and late"),
     confused_with=("time_offset", "damper_fade"),
-    hook=Hook(clock=_clock, models=("full_car", "msd", "tracked")),
+    hook=Hook(clock=_clock, models=("full_car", "msd", "tracked", "quarter_car")),
 )

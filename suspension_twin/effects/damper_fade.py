@@ -60,5 +60,6 @@ EFFECT = Effect(
             lambda p: {_LOSS: p["loss"], _PACE: 1 / p["time_constant"]},
             {"dampers": (_fade, CORNER), "after": (_heat, LANE)},
         ),
+        models=("full_car", "quarter_car"),
     ),
 )

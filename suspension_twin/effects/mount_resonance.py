@@ -36,5 +36,7 @@ EFFECT = Effect(
     severity=("gain",),
     excited_by=("everything near its frequency", "a tap on the holder"),
     confused_with=("body_bending", "sensor_bandwidth", "powertrain_mount"),
-    hook=Hook(signal=SignalStage(_signal, states=STATES, order=10), models=("full_car", "msd")),
+    hook=Hook(
+        signal=SignalStage(_signal, states=STATES, order=10), models=("full_car", "msd", "quarter_car")
+    ),
 )

@@ -59,6 +59,14 @@ def _hull(numbers: dict[str, Floats], p: Values) -> None:
         numbers["vehicle.gyration"] = np.sqrt(inertia / (hull + lump))
 
 
+#: A quarter of a car's.
+_CORNER = (Parameter("mass", "kg", 0.0, 375.0, 0.0, 0.0, 37.5, "of the load on the corner"),)
+
+
+def _corner(numbers: dict[str, Floats], p: Values) -> None:
+    numbers["vehicle.sprung_mass"] = numbers["vehicle.sprung_mass"] + p["mass"]
+
+
 EFFECT = Effect(
     id="payload",
     title="unlisted payload",
@@ -72,5 +80,8 @@ EFFECT = Effect(
     confused_with=("spring points", "sprung_inertia.pitch"),
     usual_share=0.04,
     hook=Hook(vehicle=_vehicle, models=("full_car", "msd"), upright=True),
-    variants={"tracked": Variant(_TRACKED, Hook(vehicle=_hull, models=("tracked",)))},
+    variants={
+        "tracked": Variant(_TRACKED, Hook(vehicle=_hull)),
+        "quarter_car": Variant(_CORNER, Hook(vehicle=_corner)),
+    },
 )

@@ -12,9 +12,11 @@ from suspension_twin.effects.base import (
     Hook,
     KernelTerms,
     Parameter,
+    Variant,
     by_corner,
     fma,
     inlined,
+    of_one_corner,
 )
 
 __all__ = ["EFFECT"]
@@ -63,4 +65,5 @@ EFFECT = Effect(
             elastic=(_spring, CORNER),
         )
     ),
+    variants={"quarter_car": Variant(of_one_corner(_PARAMETERS))},
 )

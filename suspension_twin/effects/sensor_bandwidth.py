@@ -42,6 +42,6 @@ EFFECT = Effect(
     hook=Hook(
         signal=SignalStage(_signal, states=6 * STATES, order=40),
         lag=_lag,
-        models=("full_car", "msd"),
+        models=("full_car", "msd", "quarter_car"),
     ),
 )

@@ -30,5 +30,7 @@ EFFECT = Effect(
     severity=("range",),
     excited_by=("peaks: bumps and potholes at speed",),
     confused_with=("bump_stop", "sensor_bandwidth"),
-    hook=Hook(signal=SignalStage(_signal, order=50, own_axes=True), models=("full_car", "msd")),
+    hook=Hook(
+        signal=SignalStage(_signal, order=50, own_axes=True), models=("full_car", "msd", "quarter_car")
+    ),
 )

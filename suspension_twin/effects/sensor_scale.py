@@ -54,8 +54,8 @@ EFFECT = Effect(
     confused_with=("road_scale", "accelerometer bias"),
     hook=Hook(
         signal=SignalStage(_signal, order=30),
-        models=("full_car", "msd"),
+        models=("full_car", "msd", "quarter_car"),
         gained=lambda p: 1.0 + p.get("scale", 0.0),
     ),
-    variants={"tracked": Variant(_CAMERA, Hook(reading=_reading, models=("tracked",)))},
+    variants={"tracked": Variant(_CAMERA, Hook(reading=_reading))},
 )

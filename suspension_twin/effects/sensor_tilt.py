@@ -95,5 +95,5 @@ EFFECT = Effect(
         upright=True,
         turned=lambda p: (p.get("roll", 0.0), p.get("pitch", 0.0), p.get("yaw", 0.0)),
     ),
-    variants={"tracked": Variant(_CAMERA, Hook(reading=_reading, models=("tracked",)))},
+    variants={"tracked": Variant(_CAMERA, Hook(reading=_reading))},
 )

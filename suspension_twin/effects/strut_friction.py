@@ -12,9 +12,11 @@ from suspension_twin.effects.base import (
     Hook,
     KernelTerms,
     Parameter,
+    Variant,
     by_corner,
     fma,
     inlined,
+    of_one_corner,
     rows,
     travel_rate,
 )
@@ -71,4 +73,5 @@ EFFECT = Effect(
             stiffness=(_STIFFNESS,),
         ),
     ),
+    variants={"quarter_car": Variant(of_one_corner(_PARAMETERS))},
 )

@@ -25,5 +25,5 @@ EFFECT = Effect(
     severity=("offset",),
     excited_by=("bumps at several speeds", "accelerating and braking"),
     confused_with=("position_offset (at one speed they are the same)", "sensor_bandwidth"),
-    hook=Hook(clock=_clock, models=("full_car", "msd", "tracked")),
+    hook=Hook(clock=_clock, models=("full_car", "msd", "tracked", "quarter_car")),
 )

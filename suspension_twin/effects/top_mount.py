@@ -5,7 +5,16 @@ from __future__ import annotations
 
 import numpy as np
 
-from suspension_twin.effects.base import CornerChange, Effect, Hook, Parameter, Values, by_corner
+from suspension_twin.effects.base import (
+    CornerChange,
+    Effect,
+    Hook,
+    Parameter,
+    Values,
+    Variant,
+    by_corner,
+    of_one_corner,
+)
 
 __all__ = ["EFFECT"]
 
@@ -34,4 +43,5 @@ EFFECT = Effect(
     excited_by=("sharp edges", "wheel hop", "high damper velocity that changes quickly"),
     confused_with=("damper points at high velocity", "strut_friction", "tyre_envelope"),
     hook=Hook(corners=_corners),
+    variants={"quarter_car": Variant(of_one_corner(_PARAMETERS))},
 )

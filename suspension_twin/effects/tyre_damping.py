@@ -44,5 +44,8 @@ EFFECT = Effect(
     severity=("damping",),
     excited_by=("wheel hop", "sharp edges"),
     confused_with=("damper points at high velocity", "tyre_envelope", "top_mount"),
-    hook=Hook(kernel=KernelTerms(_FIELDS, lambda p: {_DAMPING: p["damping"]}, {"tyre": (_damp, CORNER)})),
+    hook=Hook(
+        kernel=KernelTerms(_FIELDS, lambda p: {_DAMPING: p["damping"]}, {"tyre": (_damp, CORNER)}),
+        models=("full_car", "quarter_car"),
+    ),
 )

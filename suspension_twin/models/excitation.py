@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
+from typing import Protocol
 
 import numpy as np
 
@@ -17,7 +18,6 @@ from suspension_twin.errors import InputError
 from suspension_twin.models.types import Excitation, HeightField, Ints
 from suspension_twin.models.wheel_paths import walk, yaw_accelerations
 from suspension_twin.pose.types import Trajectory
-from suspension_twin.vehicle.twin import Vehicle
 
 __all__ = ["MAX_GAP", "MAX_STEP", "MOTION", "check_step", "coarser", "excitation", "substeps"]
 
@@ -30,6 +30,13 @@ _SLACK = 2e-3
 #: Columns of Excitation.motion.
 MOTION = ("step", "ax", "ay", "yaw_rate", "yaw_acceleration", "speed", "lateral_speed")
 _CHUNK = 20_000  # stamps whose heights are looked up at once
+
+
+class OnWheels(Protocol):
+    """Anything with four wheels at (4, 2) m in base_link."""
+
+    @property
+    def wheel_positions(self) -> Floats: ...
 
 
 def check_step(max_step: float) -> float:
@@ -48,7 +55,7 @@ def substeps(interval: float, max_step: float) -> int:
 
 def excitation(
     trajectory: Trajectory,
-    vehicle: Vehicle,
+    vehicle: OnWheels,
     road: HeightField,
     max_step: float = MAX_STEP,
     antenna: float = 0.0,

@@ -19,7 +19,7 @@ from suspension_twin.vehicle.twin import Twin
 __all__ = ["MODELS", "Model", "deferred", "model_of"]
 
 #: The files of this folder that hold a model.
-_FILES: Final = ("full_car", "msd", "tracked")
+_FILES: Final = ("full_car", "msd", "tracked", "quarter_car")
 
 
 class SimulateLanes(Protocol):

@@ -22,7 +22,7 @@ from suspension_twin.models.sensor_chain import pass_chain
 from suspension_twin.models.types import Excitation, LaneResponse, Response
 from suspension_twin.vehicle.twin import Twin
 
-__all__ = ["CAR_SIGNALS", "car_lanes", "car_response", "simulate_lanes", "simulate_twin"]
+__all__ = ["CAR_SIGNALS", "car_lanes", "car_response", "full_response", "simulate_lanes", "simulate_twin"]
 
 #: Channels of a car's lanes: specific force and angular rate at the imu's place in base_link axes, and the vertical
 #: specific force less gravity's part.
@@ -133,6 +133,11 @@ def car_response(twin: Twin, excitation: Excitation) -> Response:
     """``full_car`` and ``msd``, one twin with everything recorded."""
     antenna, offset = excitation.antenna, excitation.late
     known = constants(pack(twin)[:, None], layout(twin), excitation.max_step, False, antenna, offset)
+    return full_response(known, excitation, twin.vehicle.tyre.radius)
+
+
+def full_response(known: Constants, excitation: Excitation, radius: float) -> Response:
+    """Everything that the first lane of ``known`` does; ``radius`` m of the tyre. Raises as ``simulate_twin`` does."""
     known.raise_first()
     blocks = LaneBlocks(known)
     n = len(excitation)
@@ -143,7 +148,7 @@ def car_response(twin: Twin, excitation: Excitation) -> Response:
         states = np.empty((end - begin, rows.STATES, rows.WIDTH))
         road, own = _roads(known, blocks, excitation, begin, end)
         blocks.walk(road, own, excitation.substeps, excitation.motion, begin, end, signals, states)
-        observe(states, signals, values, twin.vehicle.tyre.radius, twin.model == "msd", out[begin:end])
+        observe(states, signals, values, radius, known.model == "msd", out[begin:end])
         if blocks.failed[0]:
             raise WorkError(
                 f"the simulation diverges by t = {excitation.t[end - 1]:.3f} s: are the road's heights in m?"

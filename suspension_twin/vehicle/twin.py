@@ -30,12 +30,16 @@ __all__ = [
     "Damper",
     "Datum",
     "EffectSpec",
+    "Mass",
     "Place",
+    "Radius",
     "RoadFile",
     "Spring",
     "Twin",
     "Tyre",
+    "TyreStiffness",
     "Vehicle",
+    "WheelMass",
     "load_twin",
     "parse_twin",
     "save_twin",
@@ -269,6 +273,7 @@ SCHEMAS: Final = {
     "full_car": ("twin", "CarTwin"),
     "msd": ("twin", "CarTwin"),
     "tracked": ("tracked", "TrackedTwin"),
+    "quarter_car": ("quarter_car", "QuarterCarTwin"),
 }
 
 

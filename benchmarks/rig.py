@@ -1,0 +1,237 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A corner on a test rig in MuJoCo: runs for a twin that has not seen it, with an effect drawn by a seed.
+
+    python benchmarks/rig.py --out DIR [--seed N] [--effect ID] [--json]
+
+Wheel, sprung mass and the road's plate are MuJoCo's slide joints; tyre and stops are its tendons with a dead band,
+so that a wheel can leave the plate; dry friction is its constraint; the mount of a damper is a body of its own. The
+spring stiffens, the damper is a smooth curve with more in rebound than in jounce: no point of a twin's characteristics
+is exact. Written are ``DIR/reference`` (the corner as it was) and ``DIR/gap`` (with the effect), each a sine sweep,
+drops and a random road, ``DIR/twin.yaml`` with generic characteristics, and ``DIR/answer.json``, which no
+command reads. Then, as with any rig:
+
+    suspension-twin diagnose --twin DIR/twin.yaml DIR/gap/*.csv --reference DIR/reference/*.csv --out DIR/found
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+from rich.console import Console
+from rich.table import Table
+from scipy.interpolate import CubicSpline
+from scipy.signal import butter, lfilter, sosfilt, sosfilt_zi
+
+from suspension_twin.drive.rig import RigRecord, read_rig, write_rig
+from suspension_twin.gap.rig import simulate_rig
+from suspension_twin.vehicle.twin import load_twin, save_twin
+
+try:
+    import mujoco
+except ImportError:
+    sys.exit("benchmarks/rig.py needs MuJoCo: pip install 'suspension-twin[test]'")
+
+ROOT = Path(__file__).resolve().parents[1]
+KINDS = ("sweep", "drops", "random")
+GRAVITY, STEP, RATE, SETTLE = 9.80665, 1e-4, 250.0, 3.0
+#: Noise of the transducers: what a capacitive accelerometer, a string potentiometer and a load cell have.
+NOISE = {
+    "road_displacement": 2e-5,
+    "body_acceleration": 0.03,
+    "wheel_acceleration": 0.1,
+    "suspension_deflection": 1e-4,
+}
+
+
+@dataclass(frozen=True)
+class Corner:
+    """One corner, and what an effect changes of it; at the neutral values there is none. SI units."""
+
+    sprung: float = 400.0
+    unsprung: float = 42.0
+    tyre: float = 2.1e5
+    spring: float = 2.3e4
+    stiffening: float = 6.0e5  # N/m³
+    push: float = 1500.0  # N s/m at rest, falling to a third beyond `knee`
+    pull: float = 3200.0
+    knee: float = 0.25
+    friction: float = 0.0
+    bump: tuple[float, float] = (0.05, 0.0)  # m of travel from standing, N/m
+    rebound: tuple[float, float] = (0.05, 0.0)
+    mount: float = 0.0  # N/m, 0 for a damper that ends on the body itself
+    tyre_damping: float = 0.0
+    payload: float = 0.0
+    gain: float = 1.0
+    cutoff: float = 0.0
+    late: float = 0.0
+    drift: float = 0.0
+
+    def damper(self, v: float) -> float:
+        """Force in N against the extension speed ``v`` m/s."""
+        slope = self.pull if v > 0.0 else self.push
+        return slope * v * (1 / 3 + 2 / 3 / np.sqrt(1.0 + (v / self.knee) ** 2))
+
+
+#: What the seed draws from, by the id of the effect in the twin file: how a corner gets it, from a severity of 0 to 1.
+EFFECTS: dict[str, Callable[[Corner, float], Corner]] = {
+    "none": lambda c, s: c,
+    "strut_friction": lambda c, s: replace(c, friction=60.0 + 140.0 * s),
+    "bump_stop": lambda c, s: replace(c, bump=(0.02 - 0.01 * s, 6e4 + 6e4 * s)),
+    "rebound_stop": lambda c, s: replace(c, rebound=(0.02 - 0.01 * s, 6e4 + 6e4 * s)),
+    "top_mount": lambda c, s: replace(c, mount=1.5e5 - 1e5 * s),
+    "tyre_damping": lambda c, s: replace(c, tyre_damping=400.0 + 800.0 * s),
+    "payload": lambda c, s: replace(c, payload=50.0 + 70.0 * s),
+    "sensor_scale": lambda c, s: replace(c, gain=1.1 + 0.15 * s),
+    "sensor_bandwidth": lambda c, s: replace(c, cutoff=20.0 - 10.0 * s),
+    "time_offset": lambda c, s: replace(c, late=0.01 + 0.03 * s),
+    "clock_drift": lambda c, s: replace(c, drift=1e-3 + 2e-3 * s),
+}
+
+
+def model_of(c: Corner) -> mujoco.MjModel:
+    """Coordinates: plate, wheel, body against wheel and, where the damper has a mount, its end against the body."""
+    mount = f"""<body name="top"><joint name="mount" type="slide" axis="0 0 1" stiffness="{c.mount}" damping="50"/>
+        <geom type="sphere" size=".02" mass="0.5" contype="0" conaffinity="0"/></body>"""
+    return mujoco.MjModel.from_xml_string(
+        f"""
+        <mujoco><option timestep="{STEP}" gravity="0 0 {-GRAVITY}" integrator="implicitfast"/><worldbody>
+        <body name="plate"><joint name="plate" type="slide" axis="0 0 1"/>
+          <geom type="box" size=".2 .2 .02" mass="1000" contype="0" conaffinity="0"/></body>
+        <body name="wheel"><joint name="wheel" type="slide" axis="0 0 1"/>
+          <geom type="sphere" size=".1" mass="{c.unsprung}" contype="0" conaffinity="0"/><site name="wheel"/>
+          <body name="body" pos="0 0 .5"><joint name="strut" type="slide" axis="0 0 1"
+              frictionloss="{c.friction}"/>
+            <geom type="box" size=".2 .2 .1" mass="{c.sprung + c.payload}" contype="0" conaffinity="0"/>
+            <site name="body"/>
+            {mount if c.mount else ""}</body></body></worldbody>
+        <tendon>
+          <fixed name="tyre" stiffness="{c.tyre}" damping="{c.tyre_damping}" springlength="0 9">
+            <joint joint="wheel" coef="1"/><joint joint="plate" coef="-1"/></fixed>
+          <fixed name="bump" stiffness="{c.bump[1]}" springlength="{-c.bump[0]} 9">
+            <joint joint="strut" coef="1"/></fixed>
+          <fixed name="rebound" stiffness="{c.rebound[1]}" springlength="-9 {c.rebound[0]}">
+            <joint joint="strut" coef="1"/></fixed>
+        </tendon>
+        <sensor><accelerometer site="body"/><accelerometer site="wheel"/></sensor></mujoco>"""
+    )
+
+
+def road(kind: str, seconds: float, rng: np.random.Generator) -> CubicSpline:
+    """Displacement in m of the plate over t from 0 s, from rest."""
+    t = np.arange(0.0, seconds + 0.5, 1e-3)
+    if kind == "sweep":  # 0.5 to 20 Hz, the amplitude falling with the frequency
+        rise = np.log(40.0) / seconds
+        f = 0.5 * np.exp(rise * t)
+        z = 0.02 * (0.5 / f) ** 0.75 * np.sin(2 * np.pi * (f - 0.5) / rise)
+    elif kind == "drops":  # every 2 s up or down within 15 ms
+        z, n = np.zeros(t.size), int(seconds / 2.0)
+        for k, height in enumerate(rng.uniform(0.02, 0.06, n) * (-1.0) ** np.arange(n)):
+            s = np.clip((t - 1.0 - 2.0 * k) / 0.015, 0.0, 1.0)
+            z += height * s * s * (3.0 - 2.0 * s)
+    else:  # ISO 8608 class C at 15 m/s, above 0.1 Hz
+        rate = 2 * np.pi * 0.1 * np.sqrt(256e-6 * 15.0) * rng.standard_normal(t.size) / np.sqrt(1e-3)
+        z = lfilter([1e-3], [1.0, -np.exp(-2 * np.pi * 0.1e-3)], rate)
+        z = lfilter(*butter(2, 40.0, fs=1e3), z)
+    return CubicSpline(t, z * np.clip(t / 0.5, 0.0, 1.0) ** 2)
+
+
+def run_of(c: Corner, kind: str, seconds: float, rng: np.random.Generator) -> RigRecord:
+    """One run as its transducers record it."""
+    model, curve = model_of(c), road(kind, seconds, rng)
+    data = mujoco.MjData(model)
+    t, every, rest = np.arange(0.0, seconds, 1.0 / RATE), round(1.0 / RATE / STEP), round(SETTLE / STEP)
+    dense = np.arange(t.size * every) * STEP
+    height, speed = curve(dense).tolist(), curve.derivative()(dense).tolist()
+    weight = c.sprung * GRAVITY
+    data.qpos[1] = -(weight + c.unsprung * GRAVITY) / c.tyre
+    read = np.empty((dense.size, 3))
+    for k in range(-rest, dense.size):
+        data.qpos[0], data.qvel[0] = height[max(k, 0)], speed[max(k, 0)]
+        travel, rate = float(data.qpos[2]), float(data.qvel[2:].sum())
+        damper = -c.damper(rate)
+        data.qfrc_applied[2:] = damper
+        data.qfrc_applied[2] += weight - c.spring * travel - c.stiffening * travel**3
+        mujoco.mj_step(model, data)
+        if k >= 0:  # the sensors show where the step began
+            read[k] = data.sensordata[2], data.sensordata[5], -travel
+    read[:, 0] *= c.gain
+    if c.cutoff:
+        sos = butter(2, c.cutoff, fs=1.0 / STEP, output="sos")
+        read[:, 0] = sosfilt(sos, read[:, 0], zi=sosfilt_zi(sos) * read[0, 0])[0]
+    at = t - c.late - c.drift * t
+    columns = {"road_displacement": curve(t)}
+    for i, name in enumerate(("body_acceleration", "wheel_acceleration", "suspension_deflection")):
+        columns[name] = np.interp(at, dense, read[:, i])
+    noisy = {name: values + NOISE[name] * rng.standard_normal(t.size) for name, values in columns.items()}
+    return RigRecord(kind, t, noisy)
+
+
+def make(out: Path, seed: int, effect: str | None = None, seconds: float = 20.0) -> dict[str, float | str]:
+    """Write a case to ``out``; returns its answer."""
+    rng = np.random.default_rng(seed)
+    unlike = {
+        "unsprung": 0.1,
+        "tyre": 0.1,
+        "spring": 0.1,
+        "stiffening": 0.5,
+        "push": 0.2,
+        "pull": 0.2,
+        "knee": 0.3,
+    }
+    plain = replace(
+        Corner(),
+        **{name: getattr(Corner, name) * (1.0 + s * rng.uniform(-1, 1)) for name, s in unlike.items()},
+    )
+    chosen, severity = str(rng.choice(list(EFFECTS))), float(rng.uniform())
+    chosen = effect or chosen
+    for folder, corner in (("reference", plain), ("gap", EFFECTS[chosen](plain, severity))):
+        for kind in KINDS:
+            write_rig(
+                run_of(corner, kind, seconds, rng),
+                out / folder / f"{kind}.csv",
+                f"{kind}, simulated by benchmarks/rig.py",
+            )
+    twin = load_twin(ROOT / "config" / "twins" / "quarter_car.yaml")
+    save_twin(
+        twin.with_changes({"vehicle.sprung_mass": plain.sprung * rng.uniform(0.99, 1.01)}), out / "twin.yaml"
+    )
+    answer: dict[str, float | str] = {"effect": chosen, "severity": severity, "seed": seed}
+    (out / "answer.json").write_text(json.dumps(answer) + "\n", encoding="utf-8")
+    return answer
+
+
+def main() -> int:
+    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+    parser.add_argument("--out", type=Path, required=True, help="folder for the case")
+    parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--effect", choices=EFFECTS, help="instead of one that the seed draws")
+    parser.add_argument("--seconds", type=float, default=20.0, help="length of a run")
+    parser.add_argument("--json", action="store_true", help="figures as JSON on standard output")
+    given = parser.parse_args()
+    make(given.out, given.seed, given.effect, given.seconds)
+    twin = load_twin(given.out / "twin.yaml")
+    figures = {
+        f"{folder}/{kind}": simulate_rig(read_rig(given.out / folder / f"{kind}.csv"), twin).gap.channels
+        for folder in ("reference", "gap")
+        for kind in KINDS
+    }
+    table = Table(title="Gap of the twin as it is written", title_justify="left", title_style="bold")
+    table.add_column("run")
+    for name in next(iter(figures.values())):
+        table.add_column(name.replace("_", " "), justify="right")
+    for name, gap in figures.items():
+        table.add_row(name, *(f"{value:.4g}" for value in gap.values()))
+    Console(stderr=given.json).print(table)
+    if given.json:
+        print(json.dumps(figures))
+    return 0
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())

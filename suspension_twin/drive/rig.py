@@ -1,0 +1,170 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Recorded runs of a test rig: what its actuator did, and what was measured of the corner on it.
+
+A run is a CSV with a column for the time and one for each quantity, units in the header
+(``road_displacement_mm``, ``body_acceleration [m/s^2]``), or a recording in which ``/joint_states`` holds the joints
+``road`` (position, velocity) and ``suspension`` (position as compression, effort of an actuator in it) and the
+accelerometers are ``/imu/data_raw`` on the body and ``/wheel/imu/data_raw`` on the wheel.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Final
+
+import numpy as np
+from scipy.interpolate import CubicSpline
+
+from suspension_twin.arrays import Floats
+from suspension_twin.drive.containers.contents import Contents
+from suspension_twin.drive.intake.table import Table, read_table
+from suspension_twin.drive.recording import decode_topic, is_recording, read_recording
+from suspension_twin.errors import InputError, WorkError
+from suspension_twin.units import STANDARD_GRAVITY
+
+__all__ = ["QUANTITIES", "RigRecord", "read_rig", "write_rig"]
+
+_LENGTH: Final = {"m": 1.0, "mm": 1e-3}
+_SPEED: Final = {"m_s": 1.0, "mm_s": 1e-3}
+_ACCELERATION: Final = {"m_s2": 1.0, "g": STANDARD_GRAVITY}
+_FORCE: Final = {"n": 1.0, "kn": 1e3}
+#: Units of each quantity, the SI unit first, and the largest range on any rig: beyond it the unit is another.
+QUANTITIES: Final[Mapping[str, tuple[Mapping[str, float], float]]] = {
+    "time": ({"s": 1.0, "ms": 1e-3}, np.inf),
+    "road_displacement": (_LENGTH, 2.0),
+    "road_velocity": (_SPEED, 20.0),
+    "body_acceleration": (_ACCELERATION, 500.0),
+    "wheel_acceleration": (_ACCELERATION, 5000.0),
+    "suspension_deflection": (_LENGTH, 2.0),
+    "tyre_force": (_FORCE, 1e6),
+    "actuator_force": (_FORCE, 1e6),
+}
+_ROAD: Final = ("road_displacement", "road_velocity")
+_ACCELEROMETERS: Final = {"/imu/data_raw": "body_acceleration", "/wheel/imu/data_raw": "wheel_acceleration"}
+_JOINTS: Final = "/joint_states"
+_FIELDS: Final = {
+    ("road", "position"): "road_displacement",
+    ("road", "velocity"): "road_velocity",
+    ("suspension", "position"): "suspension_deflection",
+    ("suspension", "effort"): "actuator_force",
+}
+
+
+@dataclass(frozen=True, eq=False)
+class RigRecord:
+    """One run of a rig: rising stamps ``t`` (n,) s and ``columns`` (n,) in SI units by quantity.
+
+    Upwards is positive, so is compression, and so is an actuator's force that pushes the body up. Accelerations may
+    contain gravity or not, displacements may count from anywhere: only what changes is compared.
+    """
+
+    name: str
+    t: Floats
+    columns: Mapping[str, Floats]
+    warnings: tuple[str, ...] = ()
+
+
+def read_rig(path: str | Path) -> RigRecord:
+    """A run from a CSV or a recording; InputError names the file and what is wrong or missing."""
+    path = Path(path)
+    if path.is_dir() or is_recording(path):
+        columns, warnings = _of_recording(path)
+    else:
+        columns, warnings = _of_table(path)
+    for name in ("time", "body_acceleration"):
+        if name not in columns:
+            raise InputError(path, name, f"is missing, there are {', '.join(columns) or 'no known columns'}")
+    if not set(_ROAD) & set(columns):
+        raise InputError(
+            path, "road_displacement", "is missing, and so is road_velocity: one of them is needed"
+        )
+    for name, values in columns.items():
+        bad = np.flatnonzero(~np.isfinite(values))
+        if bad.size:
+            raise InputError(path, name, f"is no number in row {bad[0] + 1}: cut or fill the gap")
+        if np.ptp(values) > QUANTITIES[name][1]:
+            unit = next(iter(QUANTITIES[name][0]))
+            raise InputError(path, name, f"ranges over {np.ptp(values):.3g} {unit}: is its unit another?")
+    t = columns.pop("time")
+    back = np.flatnonzero(np.diff(t) <= 0)
+    if back.size:
+        raise InputError(path, "time", f"does not rise in row {back[0] + 2}")
+    return RigRecord(path.stem, t, columns, tuple(warnings))
+
+
+def write_rig(record: RigRecord, path: Path, comment: str = "") -> None:
+    """Write a run as a CSV that ``read_rig`` reads back, SI units, ``comment`` in its first line."""
+    table = {"time": record.t, **record.columns}
+    names = [f"{name}_{next(iter(QUANTITIES[name][0]))}" for name in table]
+    head = ("# " + comment + "\n" if comment else "") + ",".join(names)
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        digits = ["%.15g", *["%.6g"] * len(record.columns)]
+        np.savetxt(path, np.stack(list(table.values()), axis=1), digits, ",", header=head, comments="")
+    except OSError as error:
+        raise WorkError(f"{path}: {error.strerror or 'cannot be written'}") from None
+
+
+def _of_table(path: Path) -> tuple[dict[str, Floats], list[str]]:
+    try:
+        table: Table = read_table(path.read_bytes(), str(path), header=True)
+    except OSError as error:
+        raise InputError(path, error.strerror or "cannot be read") from None
+    columns: dict[str, Floats] = {}
+    unused = []
+    for index, title in enumerate(table.names):
+        text = title.casefold().replace("²", "2").replace("^", "").replace("/", "_")
+        name = next((q for q in QUANTITIES if text.startswith(q)), None)
+        if name is None:
+            unused.append(title)
+            continue
+        units, unit = QUANTITIES[name][0], re.sub(r"[\s\[\]()]|^_+", "", text.removeprefix(name).lstrip(" _"))
+        if unit not in units:
+            raise InputError(path, title[:60], f"needs a unit: {' or '.join(f'{name}_{u}' for u in units)}")
+        if name in columns:
+            raise InputError(path, name, "has two columns")
+        columns[name] = units[unit] * table.numbers(index)
+    return columns, [*table.warnings, *([f"columns not used: {', '.join(unused)}"] if unused else [])]
+
+
+def _of_recording(path: Path) -> tuple[dict[str, Floats], list[str]]:
+    """Everything at the stamps of the body's accelerometer, between which the other topics follow cubic splines."""
+    contents = read_recording(path, {*_ACCELEROMETERS, _JOINTS})
+    found: dict[str, tuple[Floats, Floats]] = {}
+    for topic, name in _ACCELEROMETERS.items():
+        if topic in contents.topics:
+            found[name] = _stamped(contents, topic, "linear_acceleration.z")
+    if "body_acceleration" not in found:
+        there = ", ".join(sorted(contents.types)[:8]) or "no topics"
+        raise InputError(path, "/imu/data_raw", f"is missing, there are {there}")
+    joints = decode_topic(contents, _JOINTS)
+    names = (
+        [joints[0].text(f"name.{i}") for i in range(8) if f"name.{i}" in joints[0].layout.strings]
+        if joints
+        else []
+    )
+    for (joint, quantity), name in _FIELDS.items():
+        if joint in names and quantity in (joints[0].records.dtype.names or ()):
+            t, values = _stamped(contents, _JOINTS, quantity)
+            if np.isfinite(values[:, names.index(joint)]).all():
+                found[name] = t, values[:, names.index(joint)]
+    begin, end = (f([t[i] for t, _ in found.values()]) for f, i in ((max, 0), (min, -1)))
+    t = found["body_acceleration"][0]
+    t = t[(t >= begin) & (t <= end)]
+    columns = {name: CubicSpline(own, values)(t) for name, (own, values) in found.items()}
+    return {"time": t, **columns}, contents.warnings
+
+
+def _stamped(contents: Contents, topic: str, name: str) -> tuple[Floats, Floats]:
+    """Rising header stamps in s and a field's values in their order."""
+    groups = decode_topic(contents, topic)
+    if not groups:
+        raise InputError(topic, "no message could be read")
+    ns, first = np.unique(np.concatenate([g.stamp_ns for g in groups]), return_index=True)
+    values = np.concatenate([g[name] for g in groups]).astype(np.float64)[first]
+    if ns.size < 4:
+        raise InputError(topic, f"holds {ns.size} messages with stamps of their own, which are too few")
+    return ns / 1e9, values

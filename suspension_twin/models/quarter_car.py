@@ -1,0 +1,160 @@
+# SPDX-License-Identifier: Apache-2.0
+"""``quarter_car``: one corner of a vehicle on a test rig, the sprung over the unsprung mass.
+
+With z and u the heights of the sprung mass m_s and of the unsprung mass m_u above where they stand on a road at
+height 0, r the road under the tyre and ``c = static + u - z`` the compression of the spring,
+
+``m_s z'' = F - m_s g``, ``m_u u'' = N - F - m_u g``, ``F = spring(c) + damper(c')``, ``N = max(0, load + k (r - u))``.
+
+This is what each corner of a full car does that is symmetric about its middle, on a road that is the same
+under all four wheels: it cannot roll or pitch. So the kernels of ``full_car`` simulate it, with four corners alike
+and four times the masses, and every effect of a corner, of the sensor and of its clock acts by the same code.
+The inertias of that car move no body; they are chosen so that the effective mass at each of its dampers is that of
+the corner, m_s m_u / (m_s + m_u), which the implicit damper needs.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from suspension_twin.arrays import Floats
+from suspension_twin.models import rows
+from suspension_twin.models.blocks import LaneBlocks, cores
+from suspension_twin.models.constants import Constants, constants
+from suspension_twin.models.hooks import Values
+from suspension_twin.models.parameters import Layout, layout, pack
+from suspension_twin.models.registry import Model
+from suspension_twin.models.sensor_chain import pass_chain
+from suspension_twin.models.simulate import full_response
+from suspension_twin.models.types import Excitation, LaneResponse, Response
+from suspension_twin.vehicle.corners import AXLES
+from suspension_twin.vehicle.twin import Twin
+
+__all__ = ["CHANNELS", "MODEL"]
+
+#: Body and wheel acceleration in m/s² upwards, without gravity; compression of the suspension in m from standing; force
+#: of the road on the tyre in N.
+CHANNELS = ("body_acceleration", "wheel_acceleration", "suspension_deflection", "tyre_force")
+_CURVES = (("spring", "compression"), ("damper_push", "velocity"), ("damper_pull", "velocity"))
+_SCALARS = ("vehicle.sprung_mass", "vehicle.unsprung_mass", "vehicle.tyre.vertical_stiffness")
+#: The car with four such corners that is no number of the twin: a square, 2 m by 2 m, with everything at 1 m.
+_SQUARE = {
+    "vehicle.wheelbase": 2.0,
+    "vehicle.front_track": 2.0,
+    "vehicle.rear_track": 2.0,
+    "vehicle.cog.0": 1.0,
+    "vehicle.cog.1": 0.0,
+    "vehicle.cog.2": 1.0,
+    "vehicle.tyre.radius": 1.0,
+    "imu.position.0": 1.0,
+    "imu.position.1": 0.0,
+    "imu.position.2": 1.0,
+}
+VehicleChange = Callable[[dict[str, Floats], Values], None]
+#: Stamps whose states are kept at once.
+_CHUNK = 1024
+
+
+def _numbers(twin: Twin) -> Sequence[str]:
+    names = list(_SCALARS)
+    for part, abscissa in _CURVES:
+        points = range(len(getattr(twin.vehicle, part).force))
+        names += [f"vehicle.{part}.{quantity}.{j}" for quantity in (abscissa, "force") for j in points]
+    return names
+
+
+def _car(numbers: dict[str, Floats]) -> dict[str, Floats]:
+    """Numbers (L,) of the car with four such corners."""
+    sprung, unsprung = numbers["vehicle.sprung_mass"], numbers["vehicle.unsprung_mass"]
+    car = {key: np.full(sprung.size, value) for key, value in _SQUARE.items()}
+    car["vehicle.mass"] = 4.0 * (sprung + unsprung)
+    car["vehicle.sprung_inertia.roll"] = car["vehicle.sprung_inertia.pitch"] = 8.0 / 3.0 * sprung
+    for axle in AXLES:
+        car[f"vehicle.{axle}.unsprung_mass"] = unsprung
+        for key, values in numbers.items():
+            if key.startswith(("vehicle.spring.", "vehicle.damper_")):
+                car[key.replace("vehicle.", f"vehicle.{axle}.", 1)] = values
+    return car
+
+
+def _on_car(change: VehicleChange, own: Sequence[str]) -> VehicleChange:
+    """What an effect changes of the corner's ``own`` numbers, as a change of the car's."""
+
+    def vehicle(numbers: dict[str, Floats], values: Values) -> None:
+        change(numbers, values)
+        numbers.update(_car({key: numbers[key] for key in own}))
+
+    return vehicle
+
+
+def _constants(twin: Twin, params: Floats, run: Excitation) -> Constants:
+    """Constants of the kernel for candidates (P, L); what is wrong with one is named by the keys of this twin."""
+    shape = layout(twin)
+    given = dict(zip(shape.names, params, strict=True))
+    numbers = {**given, **_car(given)}
+    hooks = {}
+    for effect, hook in shape.hooks.items():
+        neutral = dict(hook.neutral)
+        for name in hook.neutral:  # what an effect does at the front it does at the rear
+            if name.startswith("front"):
+                rear = name.replace("front", "rear", 1)
+                neutral[rear] = hook.neutral[name]
+                numbers[f"effects.{effect}.{rear}"] = given[f"effects.{effect}.{name}"]
+        hooks[effect] = replace(
+            hook, neutral=neutral, vehicle=hook.vehicle and _on_car(hook.vehicle, tuple(given))
+        )
+    car = Layout(tuple(numbers), "full_car", hooks, shape.mounting)
+    known = constants(np.stack(list(numbers.values())), car, run.max_step)
+    problems = tuple(
+        (mask, key.replace(".front", "").replace(".rear", ""), text) for mask, key, text in known.problems
+    )
+    return replace(known, problems=problems)
+
+
+def _lanes(twin: Twin, params: Floats, run: Excitation, threads: int | None = None) -> LaneResponse:
+    known = _constants(twin, params, run)
+    blocks = LaneBlocks(known)
+    n, count = len(run), blocks.lanes
+    signals = np.empty((n, 10, count))
+    for begin in range(0, n, _CHUNK):
+        end = min(begin + _CHUNK, n)
+        read = np.empty((end - begin, 7, blocks.width))
+        states = np.empty((end - begin, rows.STATES, blocks.width))
+        road = run.road[run.first[begin] : run.first[end]]
+        where = run.substeps, run.motion, begin, end, read, states
+        blocks.walk(road, None, *where, threads=threads or cores())
+        body, wheel = states[:, rows.HEAVE, :count], states[:, rows.WHEEL, :count]
+        signals[begin:end, :7] = read[:, :, :count]
+        signals[begin:end, 7] = states[:, rows.WHEEL_ACCELERATION, :count]
+        signals[begin:end, 8] = wheel - body - known.values[rows.STATIC]
+        signals[begin:end, 9] = states[:, rows.CONTACT, :count]
+    # the chain changes what the accelerometer on the body reads; the clock stamps all channels
+    pass_chain(known, run, signals)
+    failed = blocks.failed | ~np.isfinite(signals).all(axis=(0, 1))
+    signals[:, :, failed] = 0.0
+    return LaneResponse(run.t, CHANNELS, np.ascontiguousarray(signals[:, 6:]), failed)
+
+
+def _respond(twin: Twin, run: Excitation) -> Response:
+    known = _constants(twin, pack(twin)[:, None], run)
+    whole = full_response(known, run, twin.vehicle.tyre.radius or 0.0)
+    corner: dict[str, Any] = {
+        name: getattr(whole, name)[:, :1]
+        for name in ("wheel_z", "deflection", "deflection_rate", "tyre_force")
+    }
+    return replace(whole, acceleration=whole.acceleration[:, [0, 3]], **corner)
+
+
+MODEL = Model(
+    name="quarter_car",
+    title="one corner on a rig: a sprung over an unsprung mass",
+    recordings="rig",
+    channels=CHANNELS,
+    numbers=_numbers,
+    lanes=_lanes,
+    respond=_respond,
+)
