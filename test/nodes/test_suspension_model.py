@@ -8,6 +8,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+import yaml
 from geometry_msgs.msg import AccelStamped, PoseStamped
 from nav_msgs.msg import Odometry
 from nodes_bench import put_stamp, stamp_of, worst
@@ -242,8 +243,8 @@ def test_a_wrong_twin_is_refused_by_name_and_the_old_one_goes_on(bench, twin_pat
     (tmp_path / "broken.yaml").write_text("model: full_car\nvehicle: {mass: 3}\n")
     (tmp_path / "text.yaml").write_text(": : :")
     save_twin(load_twin(twin_path), tmp_path / "roadless.yaml")
-    text = (tmp_path / "roadless.yaml").read_text()
-    (tmp_path / "roadless.yaml").write_text(text.replace(str(twin_path.parent / "road.crg"), "gone.crg"))
+    roadless = yaml.safe_load((tmp_path / "roadless.yaml").read_text()) | {"road": {"file": "gone.crg"}}
+    (tmp_path / "roadless.yaml").write_text(yaml.safe_dump(roadless))
     for name in ("broken.yaml", "text.yaml", "absent.yaml", "roadless.yaml", ""):
         path = str(tmp_path / name) if name else ""
         response = bench.call(LoadTwin, "/suspension_model/load_twin", LoadTwin.Request(path=path))
