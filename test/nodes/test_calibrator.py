@@ -117,7 +117,7 @@ def test_a_worker_that_does_not_listen_is_ended(bench, goal):
         ({"twin": ""}, "twin: is empty"),
         ({"bags": []}, "bags: is empty"),
         ({"bags": ["/nowhere/bag"]}, "/nowhere/bag: no such recording"),
-        ({"preset": "best"}, "preset: must be one of"),
+        ({"preset": "best"}, "preset: best: one of fast, paper"),
         ({"output": "/nowhere/out.yaml"}, "/nowhere/out.yaml"),
     ],
 )
