@@ -1,15 +1,19 @@
 # SPDX-License-Identifier: Apache-2.0
-"""``suspension-twin simulate``: the twin over a recorded drive, without ROS."""
+"""``suspension-twin simulate``: the twin over a recorded drive or run of a rig, without ROS."""
 
 from __future__ import annotations
 
 from enum import Enum
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from suspension_twin.cli.common import Bag, Force, Outputs, TwinFile, output, print_table
+
+if TYPE_CHECKING:
+    from suspension_twin.gap.rig import SimulatedRun
+    from suspension_twin.gap.simulated import SimulatedDrive
 
 __all__ = ["command"]
 
@@ -36,33 +40,48 @@ OffRoad = Annotated[
 def command(
     twin: TwinFile, bag: Bag, out: Out, off_road: OffRoad = Policy.ROAD, force: Force = False
 ) -> None:
-    """The twin over a recorded drive, without ROS.
+    """The twin over a recorded drive or run of a rig, without ROS.
 
-    Writes DIR/simulated, a recording of what the twin's topics carry for every IMU sample, and DIR/gap.json,
-    how far that is from what was measured.
+    Writes DIR/gap.json, how far the twin is from what was measured, and of a drive DIR/simulated, a recording of what
+    the twin's topics carry for every IMU sample, of a run of a rig DIR/simulated.csv.
     """
-    from suspension_twin.drive.read import read_drive
     from suspension_twin.drive.write import BagWriter
-    from suspension_twin.gap.prepare import PrepareSettings
-    from suspension_twin.gap.simulated import simulate_drive, write_simulated
+    from suspension_twin.gap.measure import channel_unit
+    from suspension_twin.models.registry import model_of
     from suspension_twin.vehicle.twin import load_twin
 
-    written = out / "simulated", out / "gap.json"
+    loaded = load_twin(twin)
+    on_rig = model_of(loaded).recordings == "rig"
+    written = out / ("simulated.csv" if on_rig else "simulated"), out / "gap.json"
     outputs = Outputs(*written, force=force)
-    BagWriter(written[0], overwrite=force)  # replaces nothing but a recording
-    loaded, drive = load_twin(twin), read_drive(bag)
-    outputs.announce()
+    if not on_rig:
+        BagWriter(written[0], overwrite=force)  # replaces nothing but a recording
+    result: SimulatedDrive | SimulatedRun
     with outputs:
-        result = simulate_drive(drive, loaded, settings=PrepareSettings(outside=off_road.value))
-        write_simulated(result, out)
+        if on_rig:
+            from suspension_twin.drive.rig import read_rig
+            from suspension_twin.gap.rig import simulate_rig
+
+            record = read_rig(bag)
+            outputs.announce()
+            result = simulate_rig(record, loaded)
+        else:
+            from suspension_twin.drive.read import read_drive
+            from suspension_twin.gap.prepare import PrepareSettings
+            from suspension_twin.gap.simulated import simulate_drive
+
+            drive = read_drive(bag)
+            outputs.announce()
+            result = simulate_drive(drive, loaded, settings=PrepareSettings(outside=off_road.value))
+        result.write(out)
     console = output()
-    for warning in result.prepared.warnings:
-        console.print(f"{result.drive.name}: {warning}", style="yellow", markup=False)
+    for warning in result.warnings:
+        console.print(f"{result.name}: {warning}", style="yellow", markup=False)
     gap = result.gap
-    rows = []
-    for name, rms in gap.channels.items():
-        unit = "rad/s" if name.endswith("rate") else "m/s²"
-        rows.append((name.replace("_", " "), unit, f"{rms:.4f}", f"{result.prepared.noise_rms[name]:.4f}"))
-    title = f"Gap over {gap.seconds:.1f} s of {result.drive.name}: measured minus simulated"
+    rows = [
+        (name.replace("_", " "), channel_unit(name), f"{rms:.4g}", f"{result.noise_rms[name]:.4g}")
+        for name, rms in gap.channels.items()
+    ]
+    title = f"Gap over {gap.seconds:.1f} s of {result.name}: measured minus simulated"
     print_table(console, title, ("channel", "unit", "rms", "noise"), rows, words=2)
     console.print(f"Written to {written[0]} and {written[1]}")

@@ -22,7 +22,8 @@ from suspension_twin.arrays import Floats
 from suspension_twin.drive.containers.contents import Contents
 from suspension_twin.drive.intake.table import Table, read_table
 from suspension_twin.drive.recording import decode_topic, is_recording, read_recording
-from suspension_twin.errors import InputError, WorkError
+from suspension_twin.errors import InputError
+from suspension_twin.files import replacing
 from suspension_twin.units import STANDARD_GRAVITY
 
 __all__ = ["QUANTITIES", "RigRecord", "read_rig", "write_rig"]
@@ -100,12 +101,9 @@ def write_rig(record: RigRecord, path: Path, comment: str = "") -> None:
     table = {"time": record.t, **record.columns}
     names = [f"{name}_{next(iter(QUANTITIES[name][0]))}" for name in table]
     head = ("# " + comment + "\n" if comment else "") + ",".join(names)
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        digits = ["%.15g", *["%.6g"] * len(record.columns)]
-        np.savetxt(path, np.stack(list(table.values()), axis=1), digits, ",", header=head, comments="")
-    except OSError as error:
-        raise WorkError(f"{path}: {error.strerror or 'cannot be written'}") from None
+    digits = ["%.15g", *["%.6g"] * len(record.columns)]
+    with replacing(path) as temporary:
+        np.savetxt(temporary, np.stack(list(table.values()), axis=1), digits, ",", header=head, comments="")
 
 
 def _of_table(path: Path) -> tuple[dict[str, Floats], list[str]]:

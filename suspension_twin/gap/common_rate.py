@@ -20,10 +20,10 @@ from suspension_twin.signals.clock import clean_stamps, find_gaps, nominal_rate
 from suspension_twin.signals.conditioner import Conditioner
 from suspension_twin.signals.filters import FilterSpec
 
-__all__ = ["on_common_rate", "resampled"]
+__all__ = ["PER_PERIOD", "on_common_rate", "resampled"]
 
 #: Samples for each period of the cut-off: a second-order low-pass is 14 dB down at Nyquist of that grid.
-_PER_PERIOD = 5.0
+PER_PERIOD = 5.0
 #: Times the grid's rate from which on resampling saves anything.
 _WORTHWHILE = 1.5
 #: Rates that differ by less than this share are those of one sensor whose stamps jitter.
@@ -48,7 +48,7 @@ def on_common_rate(drives: Sequence[Drive], filter: FilterSpec) -> list[Drive]:
         In the same order; a drive whose rate cannot be told is left as it is, for others to refuse.
     """
     rates = [_rate(drive) for drive in drives]
-    grid = _PER_PERIOD * filter.cutoff
+    grid = PER_PERIOD * filter.cutoff
     wanted = [grid if rate > _WORTHWHILE * grid else rate for rate in rates]
     known = [rate for rate in wanted if rate > 0]
     if not known or max(known) <= (1.0 + _SAME) * min(known):

@@ -3,8 +3,10 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -12,9 +14,10 @@ from numpy.typing import NDArray
 
 from suspension_twin.arrays import Floats
 from suspension_twin.errors import WorkError
+from suspension_twin.files import write_text
 from suspension_twin.models.car import CHANNELS
 
-__all__ = ["CHANNELS", "Gap", "channel_unit", "main_channel", "measure_gap"]
+__all__ = ["CHANNELS", "Gap", "channel_unit", "main_channel", "measure_gap", "write_gap"]
 
 
 @dataclass(frozen=True)
@@ -77,3 +80,10 @@ def channel_unit(name: str) -> str:
     """SI unit of a channel, by the last word of its name."""
     units = {"acceleration": "m/s²", "rate": "rad/s", "velocity": "m/s", "force": "N"}
     return units.get(name.rpartition("_")[2], "m")
+
+
+def write_gap(document: Mapping[str, Any], folder: Path) -> None:
+    """Write ``folder/gap.json``."""
+    write_text(
+        folder / "gap.json", json.dumps(document, indent=2, ensure_ascii=False, allow_nan=False) + "\n"
+    )

@@ -3,19 +3,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike
 from scipy.interpolate import CubicSpline
 
 from suspension_twin.arrays import Floats
 from suspension_twin.drive.rig import RigRecord, write_rig
 from suspension_twin.errors import InputError, WorkError
-from suspension_twin.gap.measure import Gap, measure_gap, write_gap
+from suspension_twin.gap.common_rate import PER_PERIOD
+from suspension_twin.gap.measure import Gap, main_channel, measure_gap, write_gap
 from suspension_twin.gap.noise import floor_rms
 from suspension_twin.models.excitation import MAX_STEP, excitation
 from suspension_twin.models.parameters import pack
@@ -27,7 +28,7 @@ from suspension_twin.signals.conditioner import Conditioner
 from suspension_twin.signals.filters import FilterSpec
 from suspension_twin.vehicle.twin import Twin
 
-__all__ = ["CentredConditioner", "RigObservation", "SimulatedRun", "observe_rig", "rig_run", "simulate_rig"]
+__all__ = ["RigObservation", "RigPath", "SimulatedRun", "observe_rig", "rig_run", "simulate_rig"]
 
 
 class _Actuator:
@@ -43,7 +44,11 @@ class _Actuator:
 
 
 def rig_run(
-    t: Floats, displacement: Floats | None = None, velocity: Floats | None = None, max_step: float = MAX_STEP
+    t: Floats,
+    displacement: Floats | None = None,
+    velocity: Floats | None = None,
+    force: Floats | None = None,
+    max_step: float = MAX_STEP,
 ) -> Excitation:
     """What a recorded run excites a model with: a road along which it moves at 1 m/s without turning.
 
@@ -54,6 +59,8 @@ def rig_run(
     displacement, velocity
         (n,) m of the road under the tyre, or its rate in m/s where the displacement was not recorded. Between the
         stamps it follows a cubic spline.
+    force
+        (n,) N of an actuator between the masses, pushing them apart; linear between the stamps.
     max_step
         s, the largest step of the simulation.
 
@@ -63,83 +70,92 @@ def rig_run(
         Where there are fewer than four stamps, stamps that do not rise, or values that are not finite.
     """
     t, given = np.asarray(t, dtype=np.float64), displacement if displacement is not None else velocity
-    if t.ndim != 1 or t.size < 4 or given is None or np.shape(given) != t.shape:
+    inputs = [given, *([] if force is None else [force])]
+    if t.ndim != 1 or t.size < 4 or any(x is None or np.shape(x) != t.shape for x in inputs):
         raise InputError("rig run", "needs displacement or velocity of the road at four stamps or more")
-    if not (np.isfinite(t).all() and np.isfinite(given).all() and (np.diff(t) > 0).all()):
-        raise InputError("rig run", "stamps and road must be finite, and stamps must rise")
+    if not (np.isfinite([t, *inputs]).all() and (np.diff(t) > 0).all()):
+        raise InputError("rig run", "stamps, road and force must be finite, and stamps must rise")
     s, zero = t - t[0], np.zeros(t.size)
     curve = CubicSpline(s, given)
     road = _Actuator(curve if displacement is not None else curve.antiderivative())
     way = Trajectory(t, s, zero, zero, zero + 1.0, zero, zero, zero, zero, np.ones(t.size, dtype=np.bool_))
-    return excitation(way, road, road, max_step)
+    run = excitation(way, road, road, max_step)
+    return run if force is None else replace(run, motion=np.column_stack([run.motion, force]))
 
 
 @dataclass(frozen=True, eq=False)
-class CentredConditioner:
-    """A low-pass, and of every signal its mean taken out: zeros of transducers and gravity are not compared."""
+class RigPath:
+    """A low-pass, ``rows`` of its grid, and of every signal its mean taken out: zeros of transducers and gravity are
+    not compared."""
 
     path: Conditioner
+    rows: slice
 
-    def apply(self, x: Floats) -> Floats:
-        """(n, ...) samples at the stamps to (m, ...) on the uniform grid. Linear; every lane on its own."""
-        filtered = self.path.apply(x)
-        return np.asarray(filtered - filtered[self.path.valid].mean(axis=0))
+    def apply(self, x: ArrayLike) -> Floats:
+        """(n, ...) samples at the stamps to (m, ...) on the grid of comparison. Linear; every lane on its own."""
+        filtered = self.path.apply(x)[self.rows]
+        return np.asarray(filtered - filtered.mean(axis=0))
 
 
 @dataclass(frozen=True, eq=False)
 class RigObservation:
     """One run of a rig, ready for comparison on a uniform grid of m samples.
 
-    ``t`` (m,) s; ``rate`` Hz; ``excitation`` what drives the model; ``conditioner`` what simulated channels
-    (n, C, L) pass, as ``measured`` (m,) of each channel did; ``noise_rms`` its floor; ``position`` (m,) s since the
-    start; ``mask`` (m,) where a comparison means something.
+    ``t`` (m,) s since the run's first stamp; ``excitation`` what drives the model; ``conditioner`` what simulated
+    channels (n, C, L) pass, as ``measured`` (m,) of each channel did; ``noise_rms`` its floor.
     """
 
     name: str
     t: Floats
     rate: float
+    bandwidth: float
     excitation: Excitation
-    conditioner: CentredConditioner
+    conditioner: RigPath
     measured: dict[str, Floats]
     noise_rms: dict[str, float]
-    position: Floats
-    mask: NDArray[np.bool_]
     warnings: tuple[str, ...] = ()
 
 
 def observe_rig(
     record: RigRecord,
-    channels: tuple[str, ...],
+    channels: Sequence[str],
     spec: FilterSpec | None = None,
     max_step: float = MAX_STEP,
 ) -> RigObservation:
     """A run as an observation of those of a model's ``channels`` that were measured, through the low-pass ``spec``.
 
-    Raises InputError that names the run: too short, or too slow for the filter.
+    Raises InputError that names the run: too short, too slow for the filter, or with samples missing.
     """
-    road, speed = (record.columns.get(f"road_{kind}") for kind in ("displacement", "velocity"))
-    run = rig_run(record.t, road, speed, max_step)
+    t, columns, spec = record.t - record.t[0], record.columns, spec or FilterSpec()
+    road, speed, force = (
+        columns.get(f"{q}") for q in ("road_displacement", "road_velocity", "actuator_force")
+    )
+    run = rig_run(t, road, speed, force, max_step)
     try:
-        path = Conditioner.for_stamps(record.t, spec or FilterSpec())
+        path = Conditioner.for_stamps(t, spec)
     except InputError as error:
         raise InputError(record.name, str(error)) from None
-    if not path.valid.any():
+    valid = np.flatnonzero(path.valid)
+    if valid.size < 2:
+        raise InputError(record.name, f"lasts {t[-1]:.2f} s, which is too short for the filter to settle")
+    missing = np.flatnonzero(np.diff(valid) > 1)
+    if missing.size:
         raise InputError(
-            record.name, f"lasts {np.ptp(record.t):.2f} s, which is too short for the filter to settle"
+            record.name, f"misses samples at {record.t[0] + path.grid[valid[missing[0]]]:.3f} s: cut it"
         )
-    conditioner = CentredConditioner(path)
-    raw = {name: record.columns[name] for name in channels if name in record.columns}
-    still = np.zeros(record.t.size, dtype=np.bool_)
+    every = max(1, int(path.rate / (PER_PERIOD * spec.cutoff) + 1e-6))
+    conditioner = RigPath(path, slice(int(valid[0]), int(valid[-1]) + 1, every))
+    raw = {name: columns[name] for name in channels if name in columns}
+    still = np.zeros(t.size, dtype=np.bool_)
     return RigObservation(
         record.name,
-        path.grid,
-        path.rate,
+        path.grid[conditioner.rows],
+        path.rate / every,
+        spec.cutoff,
         run,
         conditioner,
         {name: conditioner.apply(values) for name, values in raw.items()},
         {name: floor_rms(values, path, still) for name, values in raw.items()},
-        path.grid - path.grid[0],
-        path.valid,
         record.warnings,
     )
 
@@ -175,16 +191,13 @@ class SimulatedRun:
         }
         return {**self.gap.as_dict(), "run": self.name, "filter": low_pass, "warnings": list(self.warnings)}
 
-    def write(self, folder: Path) -> Path:
+    def write(self, folder: Path) -> None:
         """Write ``gap.json``, and ``simulated.csv`` with the run's own inputs and every simulated channel."""
-        write_gap(self.as_dict(), folder)
         inputs = {k: v for k, v in self.record.columns.items() if k not in self.response.names}
         simulated = {name: self.response.channel(name)[:, 0] for name in self.response.names}
-        file = folder / "simulated.csv"
-        write_rig(
-            RigRecord(self.name, self.record.t, {**inputs, **simulated}), file, f"simulated over {self.name}"
-        )
-        return file
+        record = RigRecord(self.name, self.record.t, {**inputs, **simulated})
+        write_rig(record, folder / "simulated.csv", f"simulated over {self.name}")
+        write_gap(self.as_dict(), folder)
 
 
 def simulate_rig(record: RigRecord, twin: Twin) -> SimulatedRun:
@@ -194,14 +207,13 @@ def simulate_rig(record: RigRecord, twin: Twin) -> SimulatedRun:
     if response.failed[0]:
         simulate_twin(twin, observation.excitation)  # says why
         raise WorkError(f"{record.name}: the simulation has failed")
-    simulated = {
-        name: observation.conditioner.apply(response.channel(name)[:, 0]) for name in observation.measured
-    }
-    gap = measure_gap(
-        observation.measured, simulated, observation.mask, observation.rate, observation.noise_rms
-    )
+    measured = observation.measured
+    simulated = {name: observation.conditioner.apply(response.channel(name)[:, 0]) for name in measured}
+    everything = np.ones(observation.t.size, dtype=np.bool_)
+    floor = observation.noise_rms[main_channel(measured)]
+    gap = measure_gap(measured, simulated, everything, observation.rate, floor)
     warnings = list(record.warnings)
-    for name, values in observation.measured.items():
+    for name, values in measured.items():
         if (
             np.corrcoef(values, simulated[name])[0, 1] < -0.5
         ):  # half or more of it would be explained upside down

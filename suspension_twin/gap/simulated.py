@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-import json
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -15,8 +15,7 @@ from suspension_twin.arrays import Floats
 from suspension_twin.drive.types import Drive
 from suspension_twin.drive.write import BagWriter
 from suspension_twin.errors import InputError
-from suspension_twin.files import write_text
-from suspension_twin.gap.measure import Gap
+from suspension_twin.gap.measure import Gap, write_gap
 from suspension_twin.gap.prepare import Prepared, PrepareSettings, prepare, road_of
 from suspension_twin.models.sensor import to_sensor_axes
 from suspension_twin.models.simulate import simulate_twin
@@ -25,7 +24,7 @@ from suspension_twin.road import Road
 from suspension_twin.signals.filters import CausalLowPass
 from suspension_twin.vehicle.twin import Twin
 
-__all__ = ["SimulatedDrive", "simulate_drive", "write_simulated"]
+__all__ = ["SimulatedDrive", "simulate_drive"]
 
 _LEAST_ON_ROAD = 0.02  # share of the moving drive
 
@@ -38,6 +37,21 @@ class SimulatedDrive:
     prepared: Prepared
     response: Response
     gap: Gap
+
+    @property
+    def name(self) -> str:
+        """Of the drive."""
+        return self.drive.name
+
+    @property
+    def noise_rms(self) -> Mapping[str, float]:
+        """Floor of each channel of the gap."""
+        return self.prepared.noise_rms
+
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """What was found of the drive while it was prepared."""
+        return self.prepared.warnings
 
     def as_dict(self) -> dict[str, Any]:
         """What ``gap.json`` holds: the gap, and how it was measured."""
@@ -52,6 +66,17 @@ class SimulatedDrive:
             "off_road": self.prepared.off_road.as_dict(),
             "warnings": list(self.prepared.warnings),
         }
+
+    def write(self, folder: Path) -> None:
+        """Write ``folder/simulated`` (a rosbag2 folder, MCAP) and ``folder/gap.json``.
+
+        One message of each topic for every IMU sample of the recording, at its own stamp. ``twin/imu`` is in
+        the sensor's axes, gravity included, unfiltered; ``twin/vertical_acceleration`` in base_link axes
+        through the live low-pass, as ``imu/vertical_acceleration`` is.
+        """
+        with BagWriter(folder / "simulated", overwrite=True) as bag:
+            _write_topics(bag, self)
+        write_gap(self.as_dict(), folder)
 
 
 def simulate_drive(
@@ -72,19 +97,6 @@ def simulate_drive(
         )
     response = simulate_twin(twin, prepared.excitation)
     return SimulatedDrive(drive, prepared, response, prepared.gap(prepared.condition(response)))
-
-
-def write_simulated(result: SimulatedDrive, folder: Path) -> None:
-    """Write ``folder/simulated`` (a rosbag2 folder, MCAP) and ``folder/gap.json``.
-
-    One message of each topic for every IMU sample of the recording, at its own stamp. ``twin/imu`` is in
-    the sensor's axes, gravity included, unfiltered; ``twin/vertical_acceleration`` in base_link axes
-    through the live low-pass, as ``imu/vertical_acceleration`` is.
-    """
-    gap = json.dumps(result.as_dict(), indent=2, ensure_ascii=False, allow_nan=False)
-    with BagWriter(folder / "simulated", overwrite=True) as bag:
-        _write_topics(bag, result)
-    write_text(folder / "gap.json", gap + "\n")
 
 
 def _write_topics(bag: BagWriter, result: SimulatedDrive) -> None:
