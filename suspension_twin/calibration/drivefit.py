@@ -11,14 +11,13 @@ from suspension_twin.calibration.recorder import Outcome
 from suspension_twin.calibration.request import DriveFit
 from suspension_twin.calibration.setup import Setup
 from suspension_twin.gap.measure import CHANNELS
-from suspension_twin.gap.prepare import Prepared
+from suspension_twin.gap.prepare import Prepared, prepare
 from suspension_twin.identification.nuisance import NuisancePriors
 from suspension_twin.identification.objectives import Term
 from suspension_twin.identification.problem import Interrupted, Problem
 from suspension_twin.identification.space import Parameter, Space
 from suspension_twin.models.parameters import pack
 from suspension_twin.models.simulate import simulate_lanes
-from suspension_twin.models.types import LaneResponse
 from suspension_twin.vehicle.twin import Twin
 
 __all__ = ["drive_fits", "paper_distance"]
@@ -27,26 +26,25 @@ __all__ = ["drive_fits", "paper_distance"]
 def drive_fits(setup: Setup, outcome: Outcome, after: Twin, values: Floats) -> tuple[DriveFit, ...]:
     """Compare every drive of a calibration with the twin as it was and as it is ``after``."""
     found = []
-    for number, drive in enumerate(setup.drives):
+    for number, (recorded, drive) in enumerate(zip(setup.recorded, setup.drives, strict=True)):
         if setup.problem.interrupt():
             raise Interrupted
-        sides = [
-            _conditioned(drive, simulate_lanes(t, pack(t)[:, None], drive.excitation), 0)
-            for t in (setup.original, after)
-        ]
+        # another latency or mounting gives other measured signals and another motion
+        seen = drive if after.imu == drive.twin.imu else prepare(recorded, after, drive.road, drive.settings)
+        sides = [_simulated(p, twin) for p, twin in ((drive, setup.original), (seen, after))]
         residual, correlation = _corrected(outcome, number, values)
         found.append(
             DriveFit(
                 name=drive.name,
                 gap_before=drive.gap(sides[0]),
-                gap_after=drive.gap(sides[1]),
+                gap_after=seen.gap(sides[1]),
                 nuisance_free=residual,
                 correlation=correlation,
                 rate=drive.rate,
                 t=drive.t,
                 position=drive.position,
                 profile=_profile(drive),
-                measured=drive.measured,
+                measured=seen.measured,
                 before=sides[0],
                 after=sides[1],
                 compared=_compared_mask(setup.problem, drive, number),
@@ -69,9 +67,9 @@ def _profile(drive: Prepared) -> tuple[Floats, Floats]:
     )
 
 
-def _conditioned(drive: Prepared, response: LaneResponse, lane: int) -> dict[str, Floats]:
-    stacked = response.stacked(CHANNELS)[:, :, lane]
-    filtered = drive.conditioner.apply(stacked)
+def _simulated(drive: Prepared, twin: Twin) -> dict[str, Floats]:
+    response = simulate_lanes(twin, pack(twin)[:, None], drive.excitation)
+    filtered = drive.conditioner.apply(response.stacked(CHANNELS)[:, :, 0])
     return {name: filtered[:, i] for i, name in enumerate(CHANNELS)}
 
 

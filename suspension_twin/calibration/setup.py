@@ -20,7 +20,7 @@ from suspension_twin.gap.common_rate import on_common_rate
 from suspension_twin.gap.prepare import Prepared, PrepareSettings, prepare, road_of
 from suspension_twin.identification.coarse_alignment import coarse_lag
 from suspension_twin.identification.excited_segments import TrimSettings, fit_rows, trim
-from suspension_twin.identification.nuisance import NuisancePriors
+from suspension_twin.identification.nuisance import NuisancePriors, slow_position_error
 from suspension_twin.identification.objectives import parse_objective
 from suspension_twin.identification.problem import Interrupted, Problem
 from suspension_twin.identification.space import Space
@@ -37,14 +37,15 @@ _SURE = 0.02  # how much better the correlation has to become before a drive is 
 
 @dataclass(frozen=True, eq=False)
 class Setup:
-    """A problem ready to search. ``drives`` are whole, ``problem.parts`` what is simulated of them;
-    ``lags`` s by which each drive's pose was moved before the search."""
+    """A problem ready to search. ``drives`` are whole, as they were ``recorded`` and prepared, ``problem.parts`` what is
+    simulated of them; ``lags`` s by which each drive's pose was moved before the search."""
 
     twin: Twin
     original: Twin
     preset: Preset
     space: Space
     problem: Problem
+    recorded: tuple[Drive, ...]
     drives: tuple[Prepared, ...]
     lags: tuple[float, ...]
     warnings: tuple[str, ...]
@@ -77,10 +78,11 @@ def set_up(
         note(f"reading {Path(bag).name}")
         recordings.append(read_drive(bag, topics=request.topics))
         check_recording(recordings[-1])
-    drives = _renamed([prepare_checked(d, twin, road) for d in on_common_rate(recordings, FilterSpec())])
+    recorded = on_common_rate(recordings, FilterSpec())
+    drives = _renamed([prepare_checked(d, twin, road) for d in recorded])
     problem, lags, warnings = assemble(twin, space, preset, request, drives, priors)
     problem.interrupt = should_stop
-    return Setup(twin, original, preset, space, problem, tuple(drives), lags, warnings)
+    return Setup(twin, original, preset, space, problem, tuple(recorded), tuple(drives), lags, warnings)
 
 
 def prepare_checked(
@@ -164,7 +166,7 @@ def _lag(twin: Twin, pieces: list[Prepared], settings: TrimSettings) -> float:
 
 
 def _wander(drive: Prepared, priors: NuisancePriors) -> float:
-    """Standard deviation in m of the slow error of a drive's smoothed positions."""
+    """Standard deviation in m of the slow error of a drive's smoothed positions, 0 where it is not worth a nuisance."""
     if priors.wander is not None:
         return priors.wander
-    return 0.5 * drive.position_sigma if drive.position_sigma >= 0.1 else 0.0
+    return slow_position_error(drive) if drive.position_sigma >= 0.1 else 0.0

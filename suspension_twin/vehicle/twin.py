@@ -30,6 +30,7 @@ __all__ = [
     "Damper",
     "Datum",
     "EffectSpec",
+    "Imu",
     "Place",
     "RoadFile",
     "Spring",
@@ -177,6 +178,13 @@ class Place(Strict):
     rpy: tuple[Angle, Angle, Angle] = (0.0, 0.0, 0.0)
 
 
+class Imu(Place):
+    """The IMU's place and its ``latency`` s: a sample stamped t was taken at t - latency on the clock of the
+    receiver. It sums up the offset between the two clocks and the delay of the sensor's own low-pass."""
+
+    latency: Latency = 0.0
+
+
 class Datum(Strict):
     """Origin of ``map`` on WGS 84, degrees and m."""
 
@@ -213,7 +221,7 @@ class Twin(Strict):
     model: str
     effects: tuple[EffectSpec, ...] = ()
     vehicle: Any
-    imu: Place
+    imu: Imu
     gps: Place = Place(frame="gps_link")
     datum: Datum | None = None
     road: RoadFile | None = None
