@@ -1,13 +1,14 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a calibrated twin leaves of a held-out drive, beside the best twin with a sensor and a map refitted to that drive.
+"""What a calibrated twin leaves of a held-out drive, beside the same twin with sensor and map refitted to that drive.
 
-    python benchmarks/blind.py --stage generate --only null --out DIR     # null drives of both realities
-    python benchmarks/sensor.py --nulls DIR [--limit N] [--one] [--late S] [--json]   # without --nulls: the bundled bags
+    python benchmarks/blind.py --stage generate --full --only null --limit N --out DIR   # null drives
+    python benchmarks/sensor.py --nulls DIR [--limit N] [--one] [--late S] [--json]      # without: the bundled bags
 
 A twin is calibrated on the drives of a case (``--one``: on the first alone) and simulated over a drive that the
-calibration has not used. ``--late`` adds so many seconds to the stamps of every IMU sample first. ``refitted`` is the same calibrated vehicle with clock offset, map (along the road) and mount
-(roll and pitch) fitted to the held-out drive itself. ``kept`` is the calibrated vehicle with the sensor as the starting
-file has it (``--keep-sensor``). All are rms of the vertical acceleration.
+calibration has not used. ``--late`` adds so many seconds to the stamps of every IMU sample first. ``refitted`` is the
+same calibrated vehicle with clock offset, map (along the road) and mount (roll and pitch) fitted to the held-out drive
+itself. ``kept`` is the calibrated vehicle with the sensor as the starting file has it (``--keep-sensor``). All are rms
+of the vertical acceleration.
 """
 
 from __future__ import annotations
@@ -126,11 +127,18 @@ def judged(case: Case, late: float) -> dict[str, object]:
         "ratio": left.rms / best.gap.rms,
     }
     settings = {"latency": twin.imu.latency, "rpy": list(twin.imu.rpy), "refit": found.tolist()}
-    return {"case": case.name, "drives": len(case.drives), **{k: round(v, 4) for k, v in rows.items()}, **settings}
+    return {
+        "case": case.name,
+        "drives": len(case.drives),
+        **{k: round(v, 4) for k, v in rows.items()},
+        **settings,
+    }
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("--nulls", type=Path, help="folder of benchmarks/blind.py with null cases")
     parser.add_argument("--limit", type=int, default=0, help="null cases to take; 0: all")
     parser.add_argument("--one", action="store_true", help="calibrate on one drive of a null case alone")

@@ -10,9 +10,9 @@ says (chi² above its degrees of freedom), the variance grows by chi² per degre
 
 A value x replaces the start x0 where that lowers the expected error of the calibrated vehicle on another drive. The
 vehicle was fitted together with x and is not fitted again without it, so what counts is the standard deviation s of x
-given the vehicle: leaving x out adds (x - x0)² and saves 2 s², in units of the sensitivity of the signals to x (Mallows'
-Cp for one regressor that is dropped and the others kept). The criterion is (x - x0)² > 2 s². The 90 % interval that is
-reported is wider: it holds whatever the vehicle is.
+given the vehicle: leaving x out adds (x - x0)² and saves 2 s², in units of the sensitivity of the signals to x
+(Mallows' Cp for one regressor that is dropped while the others are kept). The criterion is (x - x0)² > 2 s². The 90 %
+interval that is reported is wider: it holds whatever the vehicle is.
 """
 
 from __future__ import annotations
@@ -49,7 +49,9 @@ def sensor_estimates(
     marginal = whole[d:, d:]
     given = marginal - whole[d:, :d] @ np.linalg.solve(whole[:d, :d], whole[:d, d:])
     found = []
-    clocks = [names.index(f"{d.name}.clock_offset") for d in setup.drives if f"{d.name}.clock_offset" in names]
+    clocks = [
+        names.index(f"{d.name}.clock_offset") for d in setup.drives if f"{d.name}.clock_offset" in names
+    ]
     if clocks:
         start = setup.original.imu.latency
         (offset, s, p), (_, sigma, _) = (
@@ -61,7 +63,9 @@ def sensor_estimates(
             row = names.index(f"tilt_{axis}")
             s, sigma = (float(np.sqrt(v[row, row])) for v in (given, marginal))
             # what turns the measured signals by an angle is a sensor that is turned by its opposite
-            found.append(_estimate(f"mount.{axis}", "rad", 0.0, -float(outcome.nuisance[row]), s, sigma, keep))
+            found.append(
+                _estimate(f"mount.{axis}", "rad", 0.0, -float(outcome.nuisance[row]), s, sigma, keep)
+            )
     return tuple(found)
 
 

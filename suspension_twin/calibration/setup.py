@@ -37,7 +37,7 @@ _SURE = 0.02  # how much better the correlation has to become before a drive is 
 
 @dataclass(frozen=True, eq=False)
 class Setup:
-    """A problem ready to search. ``drives`` are whole, as they were ``recorded`` and prepared, ``problem.parts`` what is
+    """A problem ready to search. ``drives`` are whole, prepared from what was ``recorded``, ``problem.parts`` what is
     simulated of them; ``lags`` s by which each drive's pose was moved before the search."""
 
     twin: Twin

@@ -215,7 +215,7 @@ def prepare(
     # a known clock offset is taken off the stamps before IMU and receiver are fused
     late = 0.0 if settings.satellites else late_of(twin)
     timed = punctual(drive, late)
-    same = settings.satellites or not late and turn_of(twin) is None and gain_of(twin) == 1.0
+    same = settings.satellites or (not late and turn_of(twin) is None and gain_of(twin) == 1.0)
     mounted = signals if same else _read(timed, twin, gain_of(twin), settings)
     datum = twin.datum or _first_fix(drive)
     noticed = [*mounted.findings, *findings(timed, mounted, twin.gps, datum)]
@@ -258,7 +258,9 @@ def upright_excitation(prepared: Prepared, drive: Drive) -> Excitation:
     if settings.satellites or _upright(twin) or mean_tilt(signals.up) > MAX_MEAN_SLOPE:
         return prepared.excitation
     timed = punctual(drive, prepared.excitation.late)
-    return _excited(prepared, timed, _read(timed, twin, gain_of(twin), settings), True, prepared.excitation.late)
+    return _excited(
+        prepared, timed, _read(timed, twin, gain_of(twin), settings), True, prepared.excitation.late
+    )
 
 
 def turned_excitation(prepared: Prepared, drive: Drive) -> tuple[Excitation, tuple[float, float, float]]:
@@ -309,9 +311,7 @@ def reclocked_excitation(prepared: Prepared, drive: Drive, upright: bool = False
     return _excited(prepared, timed, signals, upright or _upright(twin), late + more)
 
 
-def _excited(
-    prepared: Prepared, timed: Drive, signals: ImuSignals, upright: bool, late: float
-) -> Excitation:
+def _excited(prepared: Prepared, timed: Drive, signals: ImuSignals, upright: bool, late: float) -> Excitation:
     """What excites the vehicle by a drive that is ``timed`` as a sensor without ``late`` s of clock offset would have
     stamped it, and by its ``signals``."""
     twin, settings = prepared.twin, prepared.settings

@@ -115,7 +115,9 @@ class CalibratorNode(TwinNode):
             600.0,
         ),
         Param(
-            "keep_sensor", False, "Whether a calibration leaves latency and mounting of the IMU as the file has them."
+            "keep_sensor",
+            False,
+            "Whether a calibration leaves latency and mounting of the IMU as the file has them.",
         ),
     )
 

@@ -374,8 +374,9 @@ def _sensor_section(result: CalibrationResult) -> Section:
         rows.append([s.key, s.start, s.value, f"{short(s.low)} to {short(s.high)}", s.unit, written])
     text = (
         "The latency of the IMU, its low-pass included, and how its mounting is turned against the starting file. A "
-        "value goes into the twin file where it lowers the expected error of the calibrated vehicle on another drive: where "
-        "it is off the start by more than 1.4 standard deviations given that vehicle. The interval holds for any vehicle."
+        "value goes into the twin file where that lowers the expected error of the calibrated vehicle on another "
+        "drive: where it is off the start by more than 1.4 standard deviations given that vehicle. The interval holds "
+        "for any vehicle."
     )
     return Section("Sensor", text, Table(["property", "start", "found", "90 % interval", "unit", ""], rows))
 
@@ -394,8 +395,8 @@ def _nuisance_section(result: CalibrationResult) -> Section:
             ]
         )
     text = (
-        "Errors of clock, map, mount and sensor, estimated together with the vehicle's parameters. Only what the section "
-        "above says is in the twin file."
+        "Errors of clock, map, mount and sensor, estimated together with the vehicle's parameters. Only what the "
+        "section above names is in the twin file."
     )
     return Section("Nuisances", text, Table(["what", "found", "± (one sigma)", "unit", ""], rows))
 

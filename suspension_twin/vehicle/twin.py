@@ -52,6 +52,7 @@ Mass = Annotated[float, within(50.0, 100_000.0, "kg", "is it in t?")]
 WheelMass = Annotated[float, within(2.0, 2_000.0, "kg")]
 Inertia = Annotated[float, within(10.0, 1.0e6, "kg m²")]
 Radius = Annotated[float, within(0.1, 1.5, "m", "is it in mm?")]
+Latency = Annotated[float, within(-2.0, 2.0, "s", "is it in ms?")]
 TyreStiffness = Annotated[float, within(1.0e4, 1.0e7, "N/m", "is it in N/mm?")]
 
 

@@ -63,7 +63,10 @@ def test_latency_and_tilt_are_written_with_intervals_that_hold_the_truth(
 
 
 def test_a_held_out_drive_is_left_with_the_noise(late_case: Any, result: CalibrationResult) -> None:
-    drive, true = read_drive(late_case.folder / "held_out"), late_case.truth.with_changes({"imu.latency": LATE})
+    drive, true = (
+        read_drive(late_case.folder / "held_out"),
+        late_case.truth.with_changes({"imu.latency": LATE}),
+    )
     ours, best, before = (
         simulate_drive(drive, t).gap.rms
         for t in (result.twin, true, result.twin.model_copy(update={"imu": late_case.start.imu}))
@@ -72,7 +75,9 @@ def test_a_held_out_drive_is_left_with_the_noise(late_case: Any, result: Calibra
     assert before > 2 * best
 
 
-def test_the_gap_after_is_that_of_the_twin_as_it_is_written(late_case: Any, result: CalibrationResult) -> None:
+def test_the_gap_after_is_that_of_the_twin_as_it_is_written(
+    late_case: Any, result: CalibrationResult
+) -> None:
     (fit,) = result.drives
     again = simulate_drive(read_drive(late_case.folder / "learnt"), result.twin).gap
     assert fit.gap_after.rms == pytest.approx(again.rms, rel=1e-3)
