@@ -33,7 +33,7 @@ from suspension_twin.drive.importing import import_drive
 from suspension_twin.drive.types import Drive
 from suspension_twin.drive.write import write_drive
 from suspension_twin.signals.offline import ingest_drive
-from suspension_twin.vehicle.twin import Datum, Place, Twin, load_twin, save_twin
+from suspension_twin.vehicle.twin import Datum, Imu, Place, Twin, load_twin, save_twin
 
 ROOT = Path(__file__).resolve().parents[1]
 MAPPING = ROOT / "config" / "import" / "rtklibexplorer_gnss_imu_raw.yaml"
@@ -48,7 +48,7 @@ def described(drive: Drive) -> Twin:
     fix = drive.fix
     return load_twin(ROOT / "config" / "twins" / "ford_mondeo_mk4.yaml").model_copy(
         update={
-            "imu": Place(position=(0.0, 0.0, 1.5), rpy=(0.0, 0.0, np.pi)),
+            "imu": Imu(position=(0.0, 0.0, 1.5), rpy=(0.0, 0.0, np.pi)),
             "gps": Place(frame="gps_link", position=(0.0, 0.0, 2.15)),
             "datum": Datum(latitude=fix.latitude[0], longitude=fix.longitude[0], altitude=fix.altitude[0]),
             "road": None,
@@ -116,7 +116,7 @@ def halves(drive: Drive, folder: Path) -> dict[str, Any]:
 
 def repeat_floor(drive: Drive) -> dict[str, float]:
     """Vertical acceleration of two passes over one bump: what differs, by road position, over the root of two."""
-    signals = ingest_drive(drive, Place(position=(0.0, 0.0, 1.5), rpy=(0.0, 0.0, np.pi)))
+    signals = ingest_drive(drive, Imu(position=(0.0, 0.0, 1.5), rpy=(0.0, 0.0, np.pi)))
     way = np.concatenate(
         [
             [0.0],

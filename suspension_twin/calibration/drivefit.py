@@ -13,14 +13,13 @@ from suspension_twin.calibration.recorder import Outcome
 from suspension_twin.calibration.request import DriveFit
 from suspension_twin.calibration.setup import Setup
 from suspension_twin.gap.measure import main_channel
-from suspension_twin.gap.prepare import Prepared
+from suspension_twin.gap.prepare import Prepared, prepare
 from suspension_twin.identification.nuisance import NuisancePriors
 from suspension_twin.identification.objectives import Term
 from suspension_twin.identification.problem import Interrupted, Problem
 from suspension_twin.identification.space import Parameter, Space
 from suspension_twin.models.parameters import pack
 from suspension_twin.models.simulate import simulate_lanes
-from suspension_twin.models.types import LaneResponse
 from suspension_twin.vehicle.twin import Twin
 
 __all__ = ["drive_fits", "paper_distance"]
@@ -29,13 +28,14 @@ __all__ = ["drive_fits", "paper_distance"]
 def drive_fits(setup: Setup, outcome: Outcome, after: Twin, values: Floats) -> tuple[DriveFit, ...]:
     """Compare every drive of a calibration with the twin as it was and as it is ``after``."""
     found = []
-    for number, drive in enumerate(setup.drives):
+    for number, (recorded, drive) in enumerate(zip(setup.recorded, setup.drives, strict=True)):
         if setup.problem.interrupt():
             raise Interrupted
-        sides = [
-            _conditioned(drive, simulate_lanes(t, pack(t)[:, None], drive.excitation), 0)
-            for t in (setup.original, after)
-        ]
+        seen = drive
+        if setup.on_road and after.imu != drive.twin.imu:
+            # another latency or mounting gives other measured signals and another motion
+            seen = prepare(recorded, after, drive.road, drive.settings)
+        sides = [_simulated(p, twin) for p, twin in ((drive, setup.original), (seen, after))]
         if not setup.on_road:  # some may validate
             number = next((k for k, part in enumerate(setup.problem.parts) if part is drive), -1)
         residual, correlation = _corrected(outcome, number, values)
@@ -44,14 +44,14 @@ def drive_fits(setup: Setup, outcome: Outcome, after: Twin, values: Floats) -> t
                 name=drive.name,
                 channel=main_channel(drive.measured),
                 gap_before=drive.gap(sides[0]),
-                gap_after=drive.gap(sides[1]),
+                gap_after=seen.gap(sides[1]),
                 nuisance_free=residual,
                 correlation=correlation,
                 rate=drive.rate,
                 t=drive.t,
                 position=drive.position,
                 profile=_profile(drive) if setup.on_road else (drive.position, np.zeros((drive.t.size, 2))),
-                measured=drive.measured,
+                measured=seen.measured,
                 before=sides[0],
                 after=sides[1],
                 compared=_compared_mask(setup.problem, drive, number)
@@ -76,8 +76,9 @@ def _profile(drive: Prepared) -> tuple[Floats, Floats]:
     )
 
 
-def _conditioned(drive: Any, response: LaneResponse, lane: int) -> dict[str, Floats]:
-    filtered = drive.conditioner.apply(response.stacked(tuple(drive.measured))[:, :, lane])
+def _simulated(drive: Any, twin: Twin) -> dict[str, Floats]:
+    response = simulate_lanes(twin, pack(twin)[:, None], drive.excitation)
+    filtered = drive.conditioner.apply(response.stacked(tuple(drive.measured))[:, :, 0])
     return {name: filtered[:, i] for i, name in enumerate(drive.measured)}
 
 

@@ -19,6 +19,7 @@ from suspension_twin.calibration.request import (
     Estimate,
     NuisanceEstimate,
 )
+from suspension_twin.calibration.sensor import sensor_estimates, with_sensor
 from suspension_twin.calibration.setup import Setup
 from suspension_twin.calibration.uncertainty import Uncertainty, assess, curve_estimates
 from suspension_twin.gap.measure import channel_unit
@@ -40,6 +41,7 @@ def unfinished(request: CalibrationRequest, twin: Twin, seconds: float) -> Calib
         seed=request.seed,
         estimates=(),
         nuisances=(),
+        sensor=(),
         curves=(),
         drives=(),
         cost=float("nan"),
@@ -73,7 +75,8 @@ def conclude(recorder: Recorder, outcome: Outcome, start: float, began: float) -
     except Interrupted:
         stopped = True
     values = np.clip(_rounded(outcome.values), space.lower, space.upper)
-    twin = space.applied(setup.twin, values)
+    sensor = sensor_estimates(setup, outcome, found, request.keep_sensor) if found and setup.on_road else ()
+    twin = with_sensor(space.applied(setup.twin, values), sensor)
     try:
         if not stopped:
             drives = drive_fits(setup, outcome, twin, values)
@@ -91,6 +94,7 @@ def conclude(recorder: Recorder, outcome: Outcome, start: float, began: float) -
         seed=request.seed,
         estimates=_estimates(setup, values, found),
         nuisances=_nuisances(outcome, found),
+        sensor=sensor,
         curves=curve_estimates(setup, twin, found) if found else (),
         drives=drives,
         cost=outcome.cost,

@@ -98,6 +98,18 @@ def describe(result: CalibrationResult) -> dict[str, Any]:
             }
             for n in result.nuisances
         ],
+        "sensor": [
+            {
+                "key": s.key,
+                "start": _number(s.start),
+                "value": _number(s.value),
+                "interval_90": [_number(s.low), _number(s.high)],
+                "unit": s.unit,
+                "written": s.written,
+                "consistency": _number(s.consistency),
+            }
+            for s in result.sensor
+        ],
         "warnings": list(result.warnings),
     }
 

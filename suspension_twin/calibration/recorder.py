@@ -44,7 +44,7 @@ class Outcome:
 def fingerprint(request: CalibrationRequest, setup: Setup) -> str:
     """Digest of request, twin and data: a checkpoint is resumed only where it is the same."""
     digest = hashlib.sha256(__version__.encode())
-    digest.update(repr(replace(request, state="", bags=(), twin="")).encode())
+    digest.update(repr(replace(request, state="", bags=(), twin="", keep_sensor=False)).encode())
     digest.update(setup.twin.model_dump_json(exclude={"road"}).encode())
     digest.update(setup.problem.measured.values.tobytes())
     for part in setup.problem.parts:

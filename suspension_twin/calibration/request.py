@@ -22,6 +22,7 @@ __all__ = [
     "Estimate",
     "NuisanceEstimate",
     "Progress",
+    "SensorEstimate",
 ]
 
 
@@ -38,7 +39,8 @@ class CalibrationRequest:
     (``vehicle.front.spring``); ``freeze`` takes keys out again, nuisances too
     (``nuisances.gain``; the names of ``nuisance.NUISANCES``). ``bounds`` (key, lower, upper).
     ``objective`` and ``channels`` (name, weight) as in ``objectives``; empty for the preset's own.
-    ``max_generations`` 0 is the preset's. ``state`` is a folder for checkpoints, empty for none.
+    ``max_generations`` 0 is the preset's. ``state`` is a folder for checkpoints, empty for none. ``keep_sensor`` leaves
+    latency and mounting of the twin file's ``imu`` as they are.
     """
 
     twin: str
@@ -53,6 +55,7 @@ class CalibrationRequest:
     channels: tuple[tuple[str, float], ...] = ()
     max_generations: int = 0
     state: str = ""
+    keep_sensor: bool = False
     topics: Topics = Topics()
 
 
@@ -105,6 +108,24 @@ class NuisanceEstimate:
     sigma: float
     prior: float
     unit: str
+
+
+@dataclass(frozen=True)
+class SensorEstimate:
+    """One property of the sensor: ``imu.latency`` s, or ``mount.roll`` or ``mount.pitch`` rad by which its mounting is
+    turned about the vehicle's axes against the starting file.
+
+    ``low`` and ``high`` bound its 90 % interval; ``written``: the calibrated twin has it. ``consistency`` is the
+    probability that drives with one common value scatter as much as these, NaN for one drive."""
+
+    key: str
+    unit: str
+    start: float
+    value: float
+    low: float
+    high: float
+    written: bool
+    consistency: float = float("nan")
 
 
 @dataclass(frozen=True, eq=False)
@@ -175,6 +196,7 @@ class CalibrationResult:
     seed: int
     estimates: tuple[Estimate, ...]
     nuisances: tuple[NuisanceEstimate, ...]
+    sensor: tuple[SensorEstimate, ...]
     curves: tuple[CurveEstimate, ...]
     drives: tuple[DriveFit, ...]
     cost: float

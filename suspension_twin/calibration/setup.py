@@ -22,7 +22,7 @@ from suspension_twin.gap.measure import CHANNELS
 from suspension_twin.gap.prepare import Prepared, PrepareSettings, prepare, road_of
 from suspension_twin.identification.coarse_alignment import coarse_lag
 from suspension_twin.identification.excited_segments import TrimSettings, fit_rows, trim
-from suspension_twin.identification.nuisance import OF_A_RUN, NuisancePriors
+from suspension_twin.identification.nuisance import OF_A_RUN, NuisancePriors, slow_position_error
 from suspension_twin.identification.objectives import parse_objective
 from suspension_twin.identification.observations import observe, renamed
 from suspension_twin.identification.problem import Interrupted, Problem
@@ -42,14 +42,15 @@ _SURE = 0.02  # how much better the correlation has to become before a drive is 
 
 @dataclass(frozen=True, eq=False)
 class Setup:
-    """A problem ready to search. ``drives`` are whole, ``problem.parts`` what is simulated of them;
-    ``lags`` s by which each drive's pose was moved before the search."""
+    """A problem ready to search. ``drives`` are whole, prepared from what was ``recorded``, ``problem.parts`` what is
+    simulated of them; ``lags`` s by which each drive's pose was moved before the search."""
 
     twin: Twin
     original: Twin
     preset: Preset
     space: Space
     problem: Problem
+    recorded: tuple[Any, ...]
     drives: tuple[Any, ...]
     lags: tuple[float, ...]
     warnings: tuple[str, ...]
@@ -85,10 +86,11 @@ def set_up(
         note(f"reading {Path(bag).name}")
         recordings.append(read_drive(bag, topics=request.topics))
         check_recording(recordings[-1])
-    drives = renamed([prepare_checked(d, twin, road) for d in on_common_rate(recordings, FilterSpec())])
+    recorded = on_common_rate(recordings, FilterSpec())
+    drives = renamed([prepare_checked(d, twin, road) for d in recorded])
     problem, lags, warnings = assemble(twin, space, preset, request, drives, priors)
     problem.interrupt = should_stop
-    return Setup(twin, original, preset, space, problem, tuple(drives), lags, warnings)
+    return Setup(twin, original, preset, space, problem, tuple(recorded), tuple(drives), lags, warnings)
 
 
 def prepare_checked(
@@ -129,7 +131,9 @@ def _of_runs(
     problem = Problem(twin, space, fitted, range(len(fitted)), terms, priors, [0.0] * len(fitted), rows)
     problem.interrupt = should_stop
     warnings = tuple(f"{r.name}: {text}" for r in runs for text in r.warnings)
-    return Setup(twin, original, preset, space, problem, tuple(runs), (0.0,) * len(runs), warnings)
+    return Setup(
+        twin, original, preset, space, problem, tuple(runs), tuple(runs), (0.0,) * len(runs), warnings
+    )
 
 
 def _weighted(channels: dict[str, float], drives: Sequence[Any]) -> dict[str, float]:
@@ -198,7 +202,7 @@ def _lag(twin: Twin, pieces: list[Prepared], settings: TrimSettings) -> float:
 
 
 def _wander(drive: Prepared, priors: NuisancePriors) -> float:
-    """Standard deviation in m of the slow error of a drive's smoothed positions."""
+    """Standard deviation in m of the slow error of a drive's smoothed positions, 0 where it is not worth a nuisance."""
     if priors.wander is not None:
         return priors.wander
-    return 0.5 * drive.position_sigma if drive.position_sigma >= 0.1 else 0.0
+    return slow_position_error(drive) if drive.position_sigma >= 0.1 else 0.0

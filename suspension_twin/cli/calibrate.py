@@ -85,6 +85,9 @@ Generations = Annotated[
         show_default=False,
     ),
 ]
+KeepSensor = Annotated[
+    bool, typer.Option("--keep-sensor", help="Leave latency and mounting of the IMU as the file has them.")
+]
 StateFolder = Annotated[
     Path | None,
     typer.Option(
@@ -112,6 +115,7 @@ def command(
     channel: Channel = None,
     max_generations: Generations = 0,
     state: StateFolder = None,
+    keep_sensor: KeepSensor = False,
     force: Force = False,
 ) -> None:
     """Find a twin's characteristics from recorded drives over a known road.
@@ -143,6 +147,7 @@ def command(
         channels=tuple(_channel(text) for text in channel or ()),
         max_generations=max_generations,
         state=str(folder),
+        keep_sensor=keep_sensor,
     )
     outputs = Outputs(out, details_path(out), *page, force=force, resumed_from=folder / STATE)
     store = Checkpoint(folder, "")  # refuses a folder that is no state's
@@ -205,6 +210,13 @@ def _print_result(console: Console, result: CalibrationResult) -> None:
         rows.append((name, unit, _number(e.start), _number(e.value), interval, note))
     columns = "parameter", "unit", "start", "found", "90 % interval", "status"
     print_table(console, "What was found", columns, rows, words=2)
+    sensor = []
+    for s in result.sensor:
+        factor, unit = (1e3, "ms") if s.unit == "s" else (math.degrees(1.0), "°")
+        start, value, low, high = (f"{factor * v:.2f}" for v in (s.start, s.value, s.low, s.high))
+        sensor.append((s.key, unit, start, value, f"{low} to {high}", "written" if s.written else "kept"))
+    if sensor:
+        print_table(console, "Sensor", ("property", *columns[1:]), sensor, words=2)
     gaps = []
     for d in result.drives:
         values = (d.gap_before.rms, d.gap_after.rms, d.nuisance_free, d.gap_after.noise_rms)

@@ -153,8 +153,8 @@ def _settle_in(bag: Path, out: Path, name: str) -> Path:
 
 
 def _on_road(vehicle: Twin, place: Twin, path: Path) -> None:
-    """The vehicle of one twin on the road of another."""
-    changes = {"datum": place.datum, "road": place.road, "imu": place.imu, "gps": place.gps}
+    """The vehicle of one twin, with its sensors, on the road of another."""
+    changes = {"datum": place.datum, "road": place.road}
     save_twin(vehicle.model_copy(update=changes), path)
 
 

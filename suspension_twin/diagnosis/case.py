@@ -35,7 +35,7 @@ from suspension_twin.gap.prepare import (
 )
 from suspension_twin.identification.excited_segments import TrimSettings, fit_rows
 from suspension_twin.identification.noise import USUAL_SHARE, Whitener, shares
-from suspension_twin.identification.nuisance import OF_A_RUN
+from suspension_twin.identification.nuisance import OF_A_RUN, map_spread
 from suspension_twin.identification.objectives import parse_objective
 from suspension_twin.identification.observations import Run, observe, renamed
 from suspension_twin.identification.parallel import side_by_side
@@ -61,8 +61,6 @@ _BARE = replace(
 )
 #: Error of a change that a model predicts, over its error about the sound vehicle there and then.
 _DOUBT = 0.5
-#: The best in m that a map and a pose agree to.
-_MAP_LEAST = 0.002
 #: Seconds of compared driving below which nothing can be held back from the fit.
 SHORTEST = 8.0
 #: Free beside the characteristics: what no weighbridge tells.
@@ -206,7 +204,7 @@ def build(case: Case, stop: Callable[[], bool], free: Sequence[str] = ()) -> Ben
     terms = parse_objective("euclidean", dict.fromkeys(case.channels, 1.0), case.channels)
     wander = [0.5 * d.position_sigma if d.position_sigma >= 0.1 else 0.0 for d in case.drives]
     normal = {"planar": _BARE, "run": OF_A_RUN}.get(case.kind) or replace(
-        NORMAL, map_position=_map_spread(case.drives)
+        NORMAL, map_position=min(map_spread(case.drives), NORMAL.map_position)
     )
     problem = Problem(twin, space, case.drives, range(len(case.drives)), terms, normal, wander, rows)
     problem.interrupt = stop
@@ -242,17 +240,6 @@ def _compared(case: Case) -> list[NDArray[np.intp]]:
 
 def _floors(case: Case) -> list[dict[str, float]]:
     return [dict(d.noise_rms) for d in case.drives]
-
-
-def _map_spread(drives: Sequence[Prepared]) -> float:
-    """m of standard deviation by which all drives' poses may be off the map along the road.
-
-    The mean of drives goes no further than the receiver says of single fixes: that is the limit, three spreads.
-    """
-    told = [d.position_sigma for d in drives if d.position_sigma > 0]
-    return (
-        float(np.clip(np.mean(told) / 3.0, _MAP_LEAST, NORMAL.map_position)) if told else NORMAL.map_position
-    )
 
 
 def baseline(case: Case, bench: Bench) -> tuple[Bench, Linear, Linear]:

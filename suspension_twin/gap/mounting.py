@@ -90,13 +90,13 @@ def gain_of(twin: Twin) -> float:
 
 
 def late_of(twin: Twin) -> float:
-    """Seconds by which the twin's effects have the sensor's stamps late from the first on."""
+    """Clock offset in s of the sensor at the first stamp: ``imu.latency`` and what the twin's effects add to it."""
     change = ClockChange(np.zeros(1), np.zeros(1))
     for effect in twin.effects:
         hook = load_hook(effect.id, twin.model)
         if hook.clock is not None:
             hook.clock(change, {name: np.array([value]) for name, value in effect.parameters.items()})
-    return float(change.delay[0])
+    return float(change.delay[0]) + twin.imu.latency
 
 
 def punctual(drive: Drive, late: float) -> Drive:

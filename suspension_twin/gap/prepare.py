@@ -35,7 +35,7 @@ from suspension_twin.gap.noise import floor_rms
 from suspension_twin.gap.off_road import Ground, OffRoad, off_road
 from suspension_twin.gap.planar_denoising import quiet_motion
 from suspension_twin.models.excitation import excitation
-from suspension_twin.models.hooks import upright_with
+from suspension_twin.models.hooks import clocks_with, upright_with
 from suspension_twin.models.types import Excitation, Response
 from suspension_twin.pose.nodes import MAX_MEAN_SLOPE, mean_tilt
 from suspension_twin.pose.satellites import satellite_motion
@@ -212,11 +212,11 @@ def prepare(
     if road is None:
         road = road_of(twin)
     signals = ingest_drive(drive, twin.imu, settings.imu)
-    # what is known to be late is stamped anew for the motion: no filter makes one of both
+    # a known clock offset is taken off the stamps before IMU and receiver are fused
     late = 0.0 if settings.satellites else late_of(twin)
     timed = punctual(drive, late)
-    mounted = ingest_drive(timed, twin.imu, settings.imu) if late else signals
-    mounted = mounted if settings.satellites else _as_mounted(timed, twin, mounted, settings)
+    same = settings.satellites or (not late and turn_of(twin) is None and gain_of(twin) == 1.0)
+    mounted = signals if same else _read(timed, twin, gain_of(twin), settings)
     datum = twin.datum or _first_fix(drive)
     noticed = [*mounted.findings, *findings(timed, mounted, twin.gps, datum)]
     if strict:
@@ -257,9 +257,10 @@ def upright_excitation(prepared: Prepared, drive: Drive) -> Excitation:
     twin, settings, signals = prepared.twin, prepared.settings, prepared.signals
     if settings.satellites or _upright(twin) or mean_tilt(signals.up) > MAX_MEAN_SLOPE:
         return prepared.excitation
-    mounted = _as_mounted(drive, twin, signals, settings)
-    trajectory = _locked(drive, twin, mounted, settings, twin.datum or _first_fix(drive), True)
-    return _excitation(trajectory, twin, Ground(prepared.road, settings.outside), settings)
+    timed = punctual(drive, prepared.excitation.late)
+    return _excited(
+        prepared, timed, _read(timed, twin, gain_of(twin), settings), True, prepared.excitation.late
+    )
 
 
 def turned_excitation(prepared: Prepared, drive: Drive) -> tuple[Excitation, tuple[float, float, float]]:
@@ -271,8 +272,9 @@ def turned_excitation(prepared: Prepared, drive: Drive) -> tuple[Excitation, tup
     if settings.satellites:
         return prepared.excitation, turn_seen(signals, prepared.trajectory)
     trajectory, datum = prepared.trajectory, twin.datum or _first_fix(drive)
+    late = prepared.excitation.late
     roll, pitch, yaw = level_rpy(signals.up.mean(axis=0))
-    drive = regained(drive, gain_of(twin))
+    drive = regained(punctual(drive, late), gain_of(twin))
     signals = ingest_drive(drive, turned(twin.imu, (roll, pitch, yaw)), settings.imu)
     # a path that is made with a sensor which faces backwards speeds up as that says: by then it is too late to ask
     far = facing(drive, signals, twin.gps, datum)
@@ -280,50 +282,48 @@ def turned_excitation(prepared: Prepared, drive: Drive) -> tuple[Excitation, tup
         yaw, far = yaw + (far or heading_off(signals, trajectory)), 0.0
         signals = ingest_drive(drive, turned(twin.imu, (roll, pitch, yaw)), settings.imu)
         trajectory = _locked(drive, twin, signals, settings, datum, True)
-    return _excitation(trajectory, twin, Ground(prepared.road, settings.outside), settings), (
-        roll,
-        pitch,
-        yaw,
-    )
+    return _excited(prepared, drive, signals, True, late), (roll, pitch, yaw)
 
 
 def regained_excitation(prepared: Prepared, drive: Drive, upright: bool = False) -> Excitation | None:
     """What excites the vehicle, ``upright`` one that does not lean on average, where all that the sensor reads beside
     gravity at rest is its gain; None where the drive shows none."""
-    twin, settings = prepared.twin, prepared.settings
+    twin, settings, late = prepared.twin, prepared.settings, prepared.excitation.late
     gain = gain_at_rest(prepared.signals)
     if settings.satellites or gain_of(twin) != 1.0 or gain == 1.0:
         return None
-    signals, upright = _read(drive, twin, gain, settings), upright or _upright(twin)
-    trajectory = _locked(drive, twin, signals, settings, twin.datum or _first_fix(drive), upright)
-    return _excitation(trajectory, twin, Ground(prepared.road, settings.outside), settings)
+    timed = punctual(drive, late)
+    return _excited(prepared, timed, _read(timed, twin, gain, settings), upright or _upright(twin), late)
 
 
 def reclocked_excitation(prepared: Prepared, drive: Drive, upright: bool = False) -> Excitation | None:
     """What excites the vehicle, ``upright`` one that does not lean on average, where all that the IMU's stamps are
-    after the receiver's is its clock's; None where that is not much."""
-    twin, settings, datum = prepared.twin, prepared.settings, prepared.twin.datum or _first_fix(drive)
-    late = 0.0 if settings.satellites else lateness(drive, prepared.signals, twin.gps, datum)
-    if not late or late_of(twin):
+    after the receiver's is its clock's; None where that is not much more than the twin file says."""
+    twin, settings, late = prepared.twin, prepared.settings, prepared.excitation.late
+    if settings.satellites or clocks_with(e.id for e in twin.effects):
         return None
-    timed = punctual(drive, late)
-    signals = _as_mounted(timed, twin, ingest_drive(timed, twin.imu, settings.imu), settings)
-    trajectory = _locked(timed, twin, signals, settings, datum, upright or _upright(twin))
+    timed, signals = punctual(drive, late), replace(prepared.signals, t=prepared.signals.t - late)
+    more = lateness(timed, signals, twin.gps, twin.datum or _first_fix(drive))
+    if not more:
+        return None
+    timed = punctual(drive, late + more)
+    signals = _read(timed, twin, gain_of(twin), settings)
+    return _excited(prepared, timed, signals, upright or _upright(twin), late + more)
+
+
+def _excited(prepared: Prepared, timed: Drive, signals: ImuSignals, upright: bool, late: float) -> Excitation:
+    """What excites the vehicle by a drive that is ``timed`` as a sensor without ``late`` s of clock offset would have
+    stamped it, and by its ``signals``."""
+    twin, settings = prepared.twin, prepared.settings
+    trajectory = _locked(timed, twin, signals, settings, twin.datum or _first_fix(timed), upright)
     trajectory = replace(trajectory, t=prepared.signals.t)
-    return replace(
-        _excitation(trajectory, twin, Ground(prepared.road, settings.outside), settings), late=late
-    )
-
-
-def _as_mounted(drive: Drive, twin: Twin, signals: ImuSignals, settings: PrepareSettings) -> ImuSignals:
-    """The signals for what moves the vehicle: a mount that is known to be turned is no turn of the vehicle, and what
-    a sensor reads too much is no push."""
-    gain = gain_of(twin)
-    return signals if turn_of(twin) is None and gain == 1.0 else _read(drive, twin, gain, settings)
+    found = _excitation(trajectory, twin, Ground(prepared.road, settings.outside), settings)
+    return replace(found, late=late)
 
 
 def _read(drive: Drive, twin: Twin, gain: float, settings: PrepareSettings) -> ImuSignals:
-    """The signals of a sensor that is turned as the twin's effects say, less what it reads too much by ``gain``."""
+    """The signals for what moves the vehicle: those of a sensor that is turned as the twin's effects say, less what it
+    reads too much by ``gain``."""
     turn = turn_of(twin)
     place = twin.imu if turn is None else turned(twin.imu, turn)
     return ingest_drive(regained(drive, gain), place, settings.imu)

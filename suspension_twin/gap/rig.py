@@ -70,8 +70,8 @@ def rig_run(
         Where there are fewer than four stamps, stamps that do not rise, or values that are not finite.
     """
     t, given = np.asarray(t, dtype=np.float64), displacement if displacement is not None else velocity
-    inputs = [given, *([] if force is None else [force])]
-    if t.ndim != 1 or t.size < 4 or any(x is None or np.shape(x) != t.shape for x in inputs):
+    inputs = [x for x in (given, force) if x is not None]
+    if given is None or t.ndim != 1 or t.size < 4 or any(np.shape(x) != t.shape for x in inputs):
         raise InputError("rig run", "needs displacement or velocity of the road at four stamps or more")
     if not (np.isfinite([t, *inputs]).all() and (np.diff(t) > 0).all()):
         raise InputError("rig run", "stamps, road and force must be finite, and stamps must rise")

@@ -23,7 +23,7 @@ from suspension_twin.identification.sensor_reading import read_alike, read_any, 
 from suspension_twin.models.blocks import cores, share_out
 from suspension_twin.models.sinc_interpolation import TABLE
 
-__all__ = ["NUISANCES", "OF_A_RUN", "NuisancePriors", "Nuisances"]
+__all__ = ["NUISANCES", "OF_A_RUN", "NuisancePriors", "Nuisances", "map_spread", "slow_position_error"]
 
 #: What each nuisance that can be frozen leaves out.
 NUISANCES: Mapping[str, tuple[str, ...]] = {
@@ -37,6 +37,8 @@ NUISANCES: Mapping[str, tuple[str, ...]] = {
 #: Values from which on several threads are quicker than one.
 _WORTH_SHARING = 50_000
 _HOLDER = 70.0  # Hz at which a holder of one standard deviation would ring
+#: The best in m that a map and a pose agree to.
+_MAP_LEAST = 0.002
 _SLOWEST = 0.5  # m/s: below this a place on the road says nothing of a time
 
 
@@ -285,6 +287,21 @@ class Nuisances:
             return simulated
         slope = np.gradient(simulated[:, self._held], axis=0)
         return np.concatenate([simulated, slope[:, None]], axis=1)
+
+
+def slow_position_error(drive: Any) -> float:
+    """Standard deviation in m of the slow error of a drive's smoothed positions, by what its receiver says of a fix:
+    half of it averages out."""
+    return 0.5 * float(drive.position_sigma)
+
+
+def map_spread(drives: Sequence[Any]) -> float:
+    """Standard deviation in m by which all drives' poses may be off the map along the road.
+
+    The mean of drives goes no further than the receiver says of single fixes: that is the limit, three spreads.
+    """
+    given = [d.position_sigma for d in drives if d.position_sigma > 0]
+    return max(float(np.mean(given)) / 3.0, _MAP_LEAST) if given else NuisancePriors.map_position
 
 
 def _knots(part: Any, seconds: float) -> Floats:

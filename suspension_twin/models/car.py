@@ -35,6 +35,7 @@ _SCALARS = (
     "imu.position.0",
     "imu.position.1",
     "imu.position.2",
+    "imu.latency",
 )
 #: The road heights were looked up for these: a candidate cannot differ in them.
 _FIXED = ("vehicle.wheelbase", "vehicle.front_track", "vehicle.rear_track")

@@ -120,6 +120,7 @@ def constants(
     with np.errstate(all="ignore"):
         change = _Changes.of(numbers, layout, count)
     changed, road, clock, corners = change.numbers, change.road, change.clock, change.corners
+    clock.delay[:] += numbers["imu.latency"]
     clock.delay[:] -= clock_offset
     if fused:
         # low frequencies of the planar motion have the delay of the sensor's filter, as the pose has: it is taken out

@@ -27,7 +27,7 @@ from suspension_twin.models.types import HeightField
 from suspension_twin.models.wheel_paths import next_yaw_acceleration, walk
 from suspension_twin.vehicle.twin import Twin
 
-__all__ = ["LiveState", "LiveTwin", "live_twin"]
+__all__ = ["LiveState", "LiveTwin", "earlier_pose", "live_twin"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -131,9 +131,7 @@ class LiveTwin:
         motion[0] = motion[1]
         if self._known.clock is not None:
             offset = self._known.clock.delay[0] + self._known.clock.drift[0] * (t - self._t0)
-            x -= offset * (speed * math.cos(yaw) - lateral_speed * math.sin(yaw))
-            y -= offset * (speed * math.sin(yaw) + lateral_speed * math.cos(yaw))
-            yaw -= offset * yaw_rate
+            x, y, yaw = earlier_pose(offset, x, y, yaw, speed, lateral_speed, yaw_rate)
         if n:
             yaw += 2 * math.pi * round((float(pose[2, 0]) - yaw) / (2 * math.pi))
             rate = next_yaw_acceleration(float(motion[0, 4]), yaw_rate - float(motion[0, 3]), interval)
@@ -210,6 +208,16 @@ class LiveTwin:
         if self._last is None:
             raise InputError("live twin", event, "and there was no usable one before it")
         return replace(self._last, event=event)
+
+
+def earlier_pose(
+    seconds: float, x: float, y: float, yaw: float, speed: float, lateral_speed: float, yaw_rate: float
+) -> tuple[float, float, float]:
+    """x, y in m and yaw in rad ``seconds`` before a pose, at the velocity of now: where a sensor was when it took a
+    sample that comes so much later."""
+    x -= seconds * (speed * math.cos(yaw) - lateral_speed * math.sin(yaw))
+    y -= seconds * (speed * math.sin(yaw) + lateral_speed * math.cos(yaw))
+    return x, y, yaw - seconds * yaw_rate
 
 
 def live_twin(twin: Twin, road: HeightField) -> LiveTwin:

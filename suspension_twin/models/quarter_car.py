@@ -115,8 +115,8 @@ def _constants(twin: Twin, params: Floats, run: Excitation) -> Constants:
     return replace(known, problems=problems)
 
 
-def _lanes(twin: Twin, params: Floats, run: Excitation, threads: int | None = None) -> LaneResponse:
-    known = _constants(twin, params, run)
+def _lanes(twin: Twin, params: Floats, excitation: Excitation, threads: int | None = None) -> LaneResponse:
+    run, known = excitation, _constants(twin, params, excitation)
     blocks = LaneBlocks(known)
     n, count = len(run), blocks.lanes
     signals = np.empty((n, 10, count))

@@ -16,7 +16,7 @@ import numpy as np
 from suspension_twin.arrays import Floats
 from suspension_twin.errors import InputError, WorkError
 from suspension_twin.models.excitation import MAX_GAP, MAX_STEP
-from suspension_twin.models.live import LiveState
+from suspension_twin.models.live import LiveState, earlier_pose
 from suspension_twin.models.tracked import (
     CONTACTS,
     SETTLE,
@@ -40,9 +40,13 @@ class LiveTracked:
 
     Left and right road wheels move alike: arrays of a state hold the left side's wheels front to rear, then
     the right side's. ``deflection`` is an arm's turn in rad from its free angle, up positive; ``roll`` is 0.
+    ``late`` s of the sensor's clock offset are in the poses already.
     """
 
-    def __init__(self, twin: TrackedTwin, road: HeightField, max_step: float = MAX_STEP) -> None:
+    def __init__(
+        self, twin: TrackedTwin, road: HeightField, max_step: float = MAX_STEP, late: float = 0.0
+    ) -> None:
+        self._late = twin.imu.latency - late
         vehicle = changed_vehicle(twin)
         self.twin = twin
         self._road = road
@@ -98,7 +102,8 @@ class LiveTracked:
             event = f"time went back by {-interval:.3f} s: started afresh"
         elif interval > MAX_GAP:
             event = f"gap of {interval:.2f} s: started afresh"
-        self._pose, self._t = (x, y, yaw), t
+        self._pose = earlier_pose(self._late, x, y, yaw, speed, lateral_speed, yaw_rate)
+        self._t = t
         if event:
             sound = self._start()
             turning = 0.0
@@ -252,7 +257,7 @@ class LiveTracked:
 
 def simulate_tracked_drive(twin: TrackedTwin, excitation: Excitation) -> Response:
     """One twin over an excitation: the live twin over its stamps. Raises WorkError where it diverges."""
-    live = LiveTracked(twin, excitation.ground, excitation.max_step)
+    live = LiveTracked(twin, excitation.ground, excitation.max_step, excitation.late)
     names = [f.name for f in fields(LiveState) if f.name not in ("t", "event")]
     columns: dict[str, list[object]] = {name: [] for name in names}
     motion = excitation.motion

@@ -44,17 +44,19 @@ _TICK = 0.02
 
 @dataclass(frozen=True)
 class Action:
-    """One action. ``job_of(goal, twin file, threads)`` raises InputError for a wrong goal; ``work`` turns the job
+    """One action. ``job_of(goal, twin file, threads)`` takes the node's parameters that ``options`` names as well and
+    raises InputError for a wrong goal; ``work`` turns the job
     into the fields of the action's result and reports one ``step`` after the other, which have the fields of its
     feedback. ``describe`` puts a step in words. ``has_partial``: a cancelled job returns its best result so far."""
 
     kind: Any
     name: str
-    job_of: Callable[[Any, str, int], Job]
+    job_of: Callable[..., Job]
     work: Work
     step: Callable[..., Any]
     describe: Callable[[Any], str]
     has_partial: bool
+    options: tuple[str, ...] = ()
 
 
 ACTIONS = (
@@ -66,6 +68,7 @@ ACTIONS = (
         Progress,
         lambda step: f"generation {step.generation}, best cost {step.best_cost:.4g}",
         has_partial=True,
+        options=("keep_sensor",),
     ),
     Action(
         Diagnose,
@@ -110,6 +113,11 @@ class CalibratorNode(TwinNode):
             "ended. A cancelled diagnosis has no partial result and is ended at once.",
             0.0,
             600.0,
+        ),
+        Param(
+            "keep_sensor",
+            False,
+            "Whether a calibration leaves latency and mounting of the IMU as the file has them.",
         ),
     )
 
@@ -168,7 +176,8 @@ class CalibratorNode(TwinNode):
             goal.abort()
             return action.kind.Result(message=self._busy())
         try:
-            job = action.job_of(goal.request, self.values["twin"], self.values["threads"])
+            options = {name: self.values[name] for name in action.options}
+            job = action.job_of(goal.request, self.values["twin"], self.values["threads"], **options)
         except SuspensionTwinError as error:
             self.note("rejected goals", WARN, f"{action.name}: {error}")
             goal.abort()

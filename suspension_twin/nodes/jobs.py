@@ -105,7 +105,7 @@ def _writable(folder: Path) -> bool:
     return folder.is_dir() and os.access(folder, os.W_OK)
 
 
-def calibration_job(goal: Any, twin_file: str, threads: int) -> Job:
+def calibration_job(goal: Any, twin_file: str, threads: int, keep_sensor: bool = False) -> Job:
     """The job of a goal of ``calibrate``; raises InputError that names the wrong field of the goal."""
     twin = _twin_of(goal, twin_file)
     bags = _recordings(goal.bags, "bags")
@@ -120,6 +120,7 @@ def calibration_job(goal: Any, twin_file: str, threads: int) -> Job:
         seed=int(goal.seed),
         free=tuple(goal.free),
         max_generations=int(goal.max_generations),
+        keep_sensor=keep_sensor,
     )
     return Job(request, str(output), threads)
 

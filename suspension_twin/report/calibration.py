@@ -68,6 +68,8 @@ def calibration_page(result: CalibrationResult) -> Page:
     if result.curves:
         page.add(_characteristics_section(result))
     page.add(_parameter_section(result))
+    if result.sensor:
+        page.add(_sensor_section(result))
     page.add(_nuisance_section(result))
     page.add(_search_section(result))
     return page
@@ -372,6 +374,20 @@ def _parameter_section(result: CalibrationResult) -> Section:
     return Section("Parameters", text, Table(columns, rows, "Forces are at the wheel, for one wheel."))
 
 
+def _sensor_section(result: CalibrationResult) -> Section:
+    rows: list[Sequence[object]] = []
+    for s in result.sensor:
+        written = Cell("in the twin file", "good") if s.written else Cell("left as it was", "soft")
+        rows.append([s.key, s.start, s.value, f"{short(s.low)} to {short(s.high)}", s.unit, written])
+    text = (
+        "The latency of the IMU, its low-pass included, and how its mounting is turned against the starting file. A "
+        "value goes into the twin file where that lowers the expected error of the calibrated vehicle on another "
+        "drive: where it is off the start by more than 1.4 standard deviations given that vehicle. The interval holds "
+        "for any vehicle."
+    )
+    return Section("Sensor", text, Table(["property", "start", "found", "90 % interval", "unit", ""], rows))
+
+
 def _nuisance_section(result: CalibrationResult) -> Section:
     rows: list[Sequence[object]] = []
     for n in result.nuisances:
@@ -386,8 +402,8 @@ def _nuisance_section(result: CalibrationResult) -> Section:
             ]
         )
     text = (
-        "Errors of clock, map, mount and sensor, estimated together with the vehicle's parameters. They are not in "
-        "the twin file."
+        "Errors of clock, map, mount and sensor, estimated together with the vehicle's parameters. Only what the "
+        "section above names is in the twin file."
     )
     return Section("Nuisances", text, Table(["what", "found", "± (one sigma)", "unit", ""], rows))
 

@@ -5,13 +5,13 @@ from __future__ import annotations
 
 from typing import Literal
 
+from suspension_twin.schema import Strict
 from suspension_twin.vehicle.twin import (
     Damper,
+    Imu,
     Mass,
-    Place,
     Radius,
     Spring,
-    Strict,
     Twin,
     TyreStiffness,
     WheelMass,
@@ -42,7 +42,7 @@ class QuarterCarTwin(Twin):
 
     model: Literal["quarter_car"]
     vehicle: QuarterCar
-    imu: Place = Place()
+    imu: Imu = Imu()
 
     @property
     def joint_names(self) -> tuple[str, ...]:

@@ -18,7 +18,7 @@ from suspension_twin.arrays import Floats
 from suspension_twin.errors import InputError
 from suspension_twin.files import read_yaml
 from suspension_twin.schema import Strict, assign, checked, within
-from suspension_twin.vehicle.twin import Place, Twin
+from suspension_twin.vehicle.twin import Imu, Twin
 
 __all__ = [
     "BOUNDS",
@@ -247,7 +247,7 @@ class TrackedTwin(Twin):
 
     model: Literal["tracked"] = "tracked"
     vehicle: TrackedVehicle
-    imu: Place = Place(position=(2.1, 0.0, 1.1))
+    imu: Imu = Imu(position=(2.1, 0.0, 1.1))
 
     @property
     def joint_names(self) -> tuple[str, ...]:

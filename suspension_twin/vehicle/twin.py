@@ -30,6 +30,7 @@ __all__ = [
     "Damper",
     "Datum",
     "EffectSpec",
+    "Imu",
     "Mass",
     "Place",
     "Radius",
@@ -55,6 +56,7 @@ Mass = Annotated[float, within(50.0, 100_000.0, "kg", "is it in t?")]
 WheelMass = Annotated[float, within(2.0, 2_000.0, "kg")]
 Inertia = Annotated[float, within(10.0, 1.0e6, "kg m²")]
 Radius = Annotated[float, within(0.1, 1.5, "m", "is it in mm?")]
+Latency = Annotated[float, within(-2.0, 2.0, "s", "is it in ms?")]
 TyreStiffness = Annotated[float, within(1.0e4, 1.0e7, "N/m", "is it in N/mm?")]
 
 
@@ -181,6 +183,13 @@ class Place(Strict):
     rpy: tuple[Angle, Angle, Angle] = (0.0, 0.0, 0.0)
 
 
+class Imu(Place):
+    """The IMU's place and its ``latency`` s: a sample stamped t was taken at t - latency on the clock of the
+    receiver. It sums up the offset between the two clocks and the delay of the sensor's own low-pass."""
+
+    latency: Latency = 0.0
+
+
 class Datum(Strict):
     """Origin of ``map`` on WGS 84, degrees and m."""
 
@@ -217,7 +226,7 @@ class Twin(Strict):
     model: str
     effects: tuple[EffectSpec, ...] = ()
     vehicle: Any
-    imu: Place
+    imu: Imu
     gps: Place = Place(frame="gps_link")
     datum: Datum | None = None
     road: RoadFile | None = None

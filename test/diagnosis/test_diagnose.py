@@ -19,9 +19,10 @@ from suspension_twin.diagnosis.run import diagnose
 from suspension_twin.drive.read import read_drive
 from suspension_twin.drive.write import write_drive
 from suspension_twin.errors import InputError
+from suspension_twin.gap.mounting import punctual
 from suspension_twin.gap.simulated import simulate_drive
 from suspension_twin.report.diagnosis import diagnosis_page
-from suspension_twin.vehicle.twin import EffectSpec, Twin, load_twin
+from suspension_twin.vehicle.twin import EffectSpec, Twin, load_twin, save_twin
 
 FEW = ("strut_friction", "tyre_damping", "time_offset")
 
@@ -87,6 +88,19 @@ def test_wrong_characteristics_alone_are_no_gap_and_twice_the_same(make: Any) ->
     assert first["verdict"] == "no_gap", first["message"]
     assert first["combination"] == []
     assert json.dumps(first) == json.dumps(second)
+
+
+def test_a_clock_offset_that_the_twin_file_has_is_no_gap(make: Any, tmp_path: Path) -> None:
+    """Without it in the file 60 ms are named as a clock offset, as another test shows."""
+    twin, bags, _ = make()
+    save_twin(load_twin(twin).with_changes({"imu.latency": 0.06}), tmp_path / "twin.yaml")
+    late = [tmp_path / Path(bag).name for bag in bags]
+    for bag, folder in zip(bags, late, strict=True):
+        write_drive(punctual(read_drive(bag), -0.06), folder)
+    document = diagnose(ask((tmp_path / "twin.yaml", [str(folder) for folder in late], []))).document
+    check(document)
+    assert document["verdict"] == "no_gap", document["message"]
+    assert "time_offset" not in document["combination"]
 
 
 def test_what_only_a_decoy_explains_is_unknown_unless_it_is_asked_for(make: Any) -> None:

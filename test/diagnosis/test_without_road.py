@@ -12,7 +12,7 @@ from suspension_twin.diagnosis.request import DiagnosisRequest
 from suspension_twin.diagnosis.run import diagnose
 from suspension_twin.drive.importing import import_drive
 from suspension_twin.drive.write import write_drive
-from suspension_twin.vehicle.twin import Datum, Place, Twin, save_twin
+from suspension_twin.vehicle.twin import Datum, Imu, Place, Twin, save_twin
 
 
 @pytest.mark.parametrize("told", [np.pi, 0.0], ids=["it looks backwards", "nothing of it"])
@@ -29,7 +29,7 @@ def test_tilt_and_clock_of_a_real_roof_imu_are_named(
     twin = car.model_copy(
         update={
             # all that its owner saw: it looks backwards; or not even that
-            "imu": Place(position=(0.0, 0.0, 1.5), rpy=(0.0, 0.0, told)),
+            "imu": Imu(position=(0.0, 0.0, 1.5), rpy=(0.0, 0.0, told)),
             "gps": Place(frame="gps_link", position=(0.0, 0.0, 2.15)),
             "datum": Datum(latitude=fix.latitude[0], longitude=fix.longitude[0], altitude=fix.altitude[0]),
         }

@@ -20,7 +20,7 @@ from suspension_twin.drive.types import Drive, ImuData
 from suspension_twin.drive.write import write_drive
 from suspension_twin.gap.synthetic import SensorErrors, synthetic_drive
 from suspension_twin.road import Road, flat_road, write_road
-from suspension_twin.vehicle.twin import Place, RoadFile, Twin, save_twin
+from suspension_twin.vehicle.twin import Imu, RoadFile, Twin, save_twin
 
 KNOTS = [(0.0, 0.0), (3.0, 0.0), (6.0, 5.0), (10.0, 5.0), (12.0, 0.0), (14.0, 0.0)]
 RPY = (0.02, -0.03, 1.2)
@@ -33,7 +33,7 @@ def case(tmp_path_factory: pytest.TempPathFactory, twin: Twin, bumps: Road) -> P
     write_road(bumps, folder / "road.crg")
     askew = twin.model_copy(
         update={
-            "imu": Place(position=(1.9, 0.1, 1.2), rpy=RPY),
+            "imu": Imu(position=(1.9, 0.1, 1.2), rpy=RPY),
             "road": RoadFile(file=folder / "road.crg"),
         }
     )

@@ -31,6 +31,11 @@ def search_until_stopped(job, progress, should_stop):
     return outcome(job, f"stopped in generation {generation}", generation)
 
 
+def repeats_its_job(job, progress, should_stop):
+    """Says what it was asked to do with the sensor."""
+    return outcome(job, f"keep_sensor={job.request.keep_sensor}", 0)
+
+
 def five_generations(job, progress, should_stop):
     """Five at once, to see that all of them arrive before the result."""
     for generation in range(1, 6):

@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 from action_msgs.msg import GoalStatus
 from nodes_bench import Client, worst
-from stand_ins import breaks, cannot, deaf, dies, five_generations, search_until_stopped
+from stand_ins import breaks, cannot, deaf, dies, five_generations, repeats_its_job, search_until_stopped
 
 from suspension_twin.nodes.calibrator import CalibratorNode
 from suspension_twin.nodes.live_gap import calibration_gap
@@ -40,6 +40,13 @@ def test_a_goal_is_taken_followed_and_answered(bench, goal):
     )
     assert [f.generation for f in client.feedback if f.stage == "search"] == [1, 2, 3, 4, 5]
     assert client.feedback[0].stage == "reading"
+
+
+@pytest.mark.parametrize("keep", [False, True])
+def test_the_sensor_is_kept_where_the_node_says_so(bench, goal, keep):
+    bench.make(CalibratorNode, {"calibrate": repeats_its_job}, keep_sensor=keep)
+    client = Client(bench, Calibrate, "calibrate")
+    assert client.result(client.send(goal))[1].message == f"keep_sensor={keep}"
 
 
 def test_while_it_works_the_node_answers_refuses_a_second_goal_and_cancels_at_once(bench, goal):

@@ -17,8 +17,11 @@ from sensor_msgs.msg import Imu, JointState
 from std_srvs.srv import Trigger
 from tf2_msgs.msg import TFMessage
 
+from suspension_twin.models.excitation import excitation
 from suspension_twin.models.live import LiveTwin
+from suspension_twin.models.simulate import simulate_twin
 from suspension_twin.nodes.suspension_model import SuspensionModelNode
+from suspension_twin.pose.types import Trajectory
 from suspension_twin.road import load_road
 from suspension_twin.signals.attitude import rpy_matrix
 from suspension_twin.signals.filters import FilterSpec
@@ -100,6 +103,27 @@ def test_it_says_what_the_model_says(bench, twin_path, tmp_path):
     assert joints[0][0] == [
         f"{c}_suspension" for c in ("front_left", "front_right", "rear_left", "rear_right")
     ]
+
+
+def test_a_sensor_with_latency_reads_the_road_as_late_live_as_offline(bench, twin_path, tmp_path):
+    latency = 0.02
+    prompt = load_twin(twin_path)
+    late = prompt.with_changes({"imu.latency": latency})
+    save_twin(late, tmp_path / "twin.yaml")
+    node = bench.make(SuspensionModelNode, twin=str(tmp_path / "twin.yaml"))
+    live = tap(node, "twin/imu", lambda m: m.linear_acceleration.z)
+    drive(node, 600)
+
+    t = T0 + np.arange(600) / 100.0
+    zero = np.zeros(600)
+    speed = np.full(600, SPEED)
+    path = Trajectory(t, 5.0 + SPEED * (t - T0), zero, zero, speed, *(zero,) * 4, np.ones(600, dtype=bool))
+    road = excitation(path, late.vehicle, load_road(prompt.road.file))
+    offline, without = (simulate_twin(twin, road).force[:, 2] for twin in (late, prompt))
+    loudest = np.abs(offline - 9.81).max()
+    assert loudest > 0.5
+    np.testing.assert_allclose(live, offline, atol=1e-3 * loudest)
+    np.testing.assert_allclose(offline[2:], without[:-2], atol=1e-3 * loudest)  # two samples later
 
 
 def test_over_the_wire_everything_of_the_contract_comes(bench, twin_path):
