@@ -15,14 +15,14 @@ __all__ = ["retable"]
 def retable(w: Floats, h: float, curves: int, hinges: int) -> None:
     """Make the tables of the four corners for steps of ``h`` s, from DAMPER_SHARE and COMPLIANCE.
 
-    ``curves`` is the first row of the axles' curves. A mount of compliance C in series with the damper deflects by
+    ``curves`` is the first row of the corners' curves. A mount of compliance C in series with the damper deflects by
     C (F - F') within a step, which is as if beta were C / h larger. The arithmetic is that of ``constants``, so that
     a lane with neither keeps its table to the last bit.
     """
     points, stride = hinges + 1, 5 + 6 * hinges
     for c in range(4):
-        table = curves + (2 + c) * stride + 2 + 2 * hinges
-        master = curves + 6 * stride + c * 6 * points
+        table = curves + c * stride + 2 + 2 * hinges
+        master = curves + 4 * stride + c * 6 * points
         for i in range(WIDTH):
             share = w[(rows.DAMPER_SHARE + c) * WIDTH + i]
             beta = w[(rows.IMPLICIT + c // 2) * WIDTH + i] + w[(rows.COMPLIANCE + c) * WIDTH + i] / h

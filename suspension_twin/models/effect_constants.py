@@ -38,8 +38,8 @@ def with_effects(
     count = base.shape[1]
     out, flags = np.zeros((kernels.rows(hinges), count)), np.zeros(count, dtype=np.int64)
     stride = rows.axle_rows(hinges)
-    first, master = kernels.curves + 2 * stride, kernels.curves + 6 * stride
-    out[: rows.CURVES], out[kernels.curves : first] = base[: rows.CURVES], base[rows.CURVES :]
+    first, master = kernels.curves, kernels.curves + 4 * stride
+    out[: rows.CURVES] = base[: rows.CURVES]
     out[rows.DAMPER_SHARE : rows.DAMPER_SHARE + 4] = 1.0
     out[rows.COMPLIANCE : rows.COMPLIANCE + 4] = corners.compliance
     flags[corners.compliance.any(axis=0)] |= COMPLIANT

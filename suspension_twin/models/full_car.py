@@ -168,7 +168,7 @@ def _run(
                         for c in range(4):
                             w[(rows.ROAD + c) * WIDTH + i] = road[row, c]
                         mx, my = moments(w, i, ax, ay, yaw * yaw, dyaw)
-                        stand(w, i, mx, my, motion[k, 5], motion[k, 6], front, _HINGES)
+                        stand(w, i, mx, my, motion[k, 5], motion[k, 6], front, front, rear, rear, _HINGES)
                     row += 1
                 else:
                     beta = rows.IMPLICIT

@@ -29,13 +29,12 @@ from suspension_twin.models.corner import (
     velocities,
 )
 from suspension_twin.models.damper_tables import retable
-from suspension_twin.models.equilibrium import stand
+from suspension_twin.models.equilibrium import stand, stand_with
 from suspension_twin.models.full_car import moments, open_lanes, record, watch
 from suspension_twin.models.hooks import KernelTerms, Stage
 from suspension_twin.models.numerics import four, put
 from suspension_twin.models.rows import WIDTH
 from suspension_twin.models.sensor import sense
-from suspension_twin.models.settle import settle
 from suspension_twin.models.types import Ints
 
 __all__ = ["COMPLIANT", "EffectKernels", "effect_kernels"]
@@ -46,8 +45,8 @@ COMPLIANT = 1
 #: What each assembly of the kernel has of its own: hinges of a curve, first row of the curves, static equilibrium, the
 #: terms of the stages, and the flags of blocks that have one.
 _HINGES = _CURVES = 0
-_SETTLE: Any = settle
-_DAMPERS = _STRUT = _TYRE = _BODY = _AFTER = _STAMP = _SETTLE
+_STAND: Any = stand
+_DAMPERS = _STRUT = _TYRE = _BODY = _AFTER = _STAMP = _STAND
 _DAMPERS_OF = _STRUT_OF = _TYRE_OF = _BODY_OF = _AFTER_OF = _STAMP_OF = 0
 
 
@@ -82,9 +81,7 @@ def _run(
     """
     stride = 5 + 6 * _HINGES
     beta, lag = rows.CORNER_IMPLICIT, rows.LAG
-    c0 = _CURVES + 2 * stride
-    curves = c0 - 2 * stride  # of the type that the plain kernel has it in: what both call is compiled once
-    c1, c2, c3 = c0 + stride, c0 + 2 * stride, c0 + 3 * stride
+    c0, c1, c2, c3 = _CURVES, _CURVES + stride, _CURVES + 2 * stride, _CURVES + 3 * stride
     for block in range(blocks.shape[0]):
         w = blocks[block]
         flag = flags[block]
@@ -97,8 +94,7 @@ def _run(
                 _ground(w, road, candidate_road, row, 0.0)
                 for i in range(WIDTH):
                     mx, my = moments(w, i, ax, ay, yaw * yaw, dyaw)
-                    stand(w, i, mx, my, motion[k, 5], motion[k, 6], curves, _HINGES)
-                    _SETTLE(w, i, mx, my, curves, _HINGES)
+                    _STAND(w, i, mx, my, motion[k, 5], motion[k, 6], c0, c1, c2, c3, _HINGES)
                 row += 1
             else:
                 if flag & (_DAMPERS_OF | COMPLIANT):
@@ -201,7 +197,7 @@ class EffectKernels:
 
     def rows(self, hinges: int) -> int:
         """Rows of a block."""
-        return self.curves + 6 * rows.axle_rows(hinges) + 4 * 2 * 3 * (hinges + 1)
+        return self.curves + 4 * rows.axle_rows(hinges) + 4 * 2 * 3 * (hinges + 1)
 
 
 @cache
@@ -214,12 +210,16 @@ def effect_kernels() -> EffectKernels:
     stages: dict[str, list[str]] = {stage: [] for stage in get_args(Stage)}
     flags = dict.fromkeys(stages, 0)
     static: list[str] = []
-    restarted: list[int] = []
+    restart: list[str] = []
     names: dict[str, Any] = {"WIDTH": WIDTH, "STRUT": rows.STRUT, "travel": travel}
     for index, (name, own) in enumerate(terms.items(), 1):
         e, first[name], bit[name] = end, end, COMPLIANT << index
         end += own.fields.count
-        restarted += [e + f + j for f in own.fields.restarted for j in range(own.fields.sizes[f])]
+        for field in own.fields.restarted:
+            last = e + field + own.fields.sizes[field]
+            restart.append(
+                f"    for row in range({e + field}, {last}):\n        w[row * WIDTH + lane] = 0.0\n"
+            )
         if own.elastic is not None:
             names[name], count = own.elastic
             call = f"{name}(w, {e}, c, i, "
@@ -234,7 +234,7 @@ def effect_kernels() -> EffectKernels:
             flags[stage] |= bit[name]
             stages[stage].append(f"    if flag & {bit[name]}:\n{source}")
     elastic = _made("w, i, travel, force, stiffness", static, names)
-    settled = linked(specialised(settle, "settle", _ELASTIC=elastic, _RESTARTED=tuple(restarted)))
+    standing = stand_with(_made("w, lane", restart, names), elastic)
     parts = {f"_{stage.upper()}": _made("w, flag, h", lines, names) for stage, lines in stages.items()}
     parts |= {f"_{stage.upper()}_OF": own for stage, own in flags.items()}
     modules = [f"suspension_twin.effects.{name}" for name in terms]
@@ -245,7 +245,7 @@ def effect_kernels() -> EffectKernels:
                 f"_run_{hinges}",
                 _HINGES=hinges,
                 _CURVES=end,
-                _SETTLE=settled,
+                _STAND=standing,
                 **parts,
             ),
             modules,

@@ -130,8 +130,8 @@ INV_UNSPRUNG = _core.add()  # 1 / mass of each wheel, 0 where it has none, 1/kg
 #: First row after these fields. A block without effects has the curves of the axles here, front then rear; with K
 #: hinges: first slope and constant of the spring, K abscissae and K changes of slope; then the damper's table: slope
 #: of the first pull segment, change of slope at rest, constant, K abscissae and K changes of slope of push, and of
-#: pull. A block with effects has their fields here; then the curves of the axles, those of the four corners, laid out
-#: alike, and the dampers as they are, from which tables that change on the way are made: for each corner, push then
+#: pull. A block with effects has their fields here; then the curves of the four corners, laid
+#: out alike, and the dampers as they are, from which tables that change on the way are made: for each corner, push then
 #: pull, K + 1 speeds, K + 1 forces and K + 1 slopes.
 CURVES = _core.count
 #: Kernels are compiled for these numbers of hinges; a curve of k points has k - 1.
