@@ -92,7 +92,7 @@ def _print_calibration(done: TrackedCalibration) -> None:
         rows.append((run.name, "fitted" if used else "validation", f"{3.6 * run.speed:.0f}", *numbers))
     title = "Correlation, residual (rms over the measured rms) and gain of markers A and B"
     columns = "run", "", "km/h", "corr. A", "B", "resid. A", "B", "gain A", "B"
-    print_table(console, title, columns, rows, words=2)
+    print_table(console, title, columns, rows, words=("run", ""))
     a, b = paper.PUBLISHED_CORRELATION
     console.print(
         f"The paper's correlations at 13 km/h are {a} and {b}. Correlation says nothing of amplitude: residual "

@@ -209,7 +209,7 @@ def _print_result(console: Console, result: CalibrationResult) -> None:
         note = f"[bold red]{e.on_bound} bound[/]" if e.on_bound else e.status
         rows.append((name, unit, _number(e.start), _number(e.value), interval, note))
     columns = "parameter", "unit", "start", "found", "90 % interval", "status"
-    print_table(console, "What was found", columns, rows, words=2)
+    print_table(console, "What was found", columns, rows, words=("parameter", "unit", "status"))
     gaps = []
     for d in result.drives:
         values = (d.gap_before.rms, d.gap_after.rms, d.nuisance_free, d.gap_after.noise_rms)

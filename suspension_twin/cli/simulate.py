@@ -64,5 +64,5 @@ def command(
         unit = "rad/s" if name.endswith("rate") else "m/s²"
         rows.append((name.replace("_", " "), unit, f"{rms:.4f}", f"{result.prepared.noise_rms[name]:.4f}"))
     title = f"Gap over {gap.seconds:.1f} s of {result.drive.name}: measured minus simulated"
-    print_table(console, title, ("channel", "unit", "rms", "noise"), rows, words=2)
+    print_table(console, title, ("channel", "unit", "rms", "noise"), rows, words=("channel", "unit"))
     console.print(f"Written to {written[0]} and {written[1]}")
