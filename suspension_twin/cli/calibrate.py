@@ -209,14 +209,16 @@ def _print_result(console: Console, result: CalibrationResult) -> None:
         note = f"[bold red]{e.on_bound} bound[/]" if e.on_bound else e.status
         rows.append((name, unit, _number(e.start), _number(e.value), interval, note))
     columns = "parameter", "unit", "start", "found", "90 % interval", "status"
-    print_table(console, "What was found", columns, rows, words=2)
+    print_table(console, "What was found", columns, rows, words=("parameter", "unit", "status"))
     sensor = []
     for s in result.sensor:
         factor, unit = (1e3, "ms") if s.unit == "s" else (math.degrees(1.0), "°")
         start, value, low, high = (f"{factor * v:.2f}" for v in (s.start, s.value, s.low, s.high))
         sensor.append((s.key, unit, start, value, f"{low} to {high}", "written" if s.written else "kept"))
     if sensor:
-        print_table(console, "Sensor", ("property", *columns[1:]), sensor, words=2)
+        print_table(
+            console, "Sensor", ("property", *columns[1:]), sensor, words=("property", "unit", "status")
+        )
     gaps = []
     for d in result.drives:
         values = (d.gap_before.rms, d.gap_after.rms, d.nuisance_free, d.gap_after.noise_rms)

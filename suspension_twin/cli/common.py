@@ -57,15 +57,16 @@ def output() -> Console:
 
 
 def print_table(
-    console: Console, title: str, columns: Sequence[str], rows: Iterable[Sequence[str]], words: int = 1
+    console: Console,
+    title: str,
+    columns: Sequence[str],
+    rows: Iterable[Sequence[str]],
+    words: Sequence[str] | None = None,
 ) -> None:
-    """A table of which nothing is cut off: ``words`` columns of words, wrapped if need be, then columns of numbers.
-
-    Columns without a name hold words too.
-    """
+    """A table of which nothing is cut off: the columns ``words`` (the first) may wrap, the others hold numbers."""
     table = Table(box=None, pad_edge=False, padding=(0, 2, 0, 0))
-    for i, name in enumerate(columns):
-        numbers = i >= words and name != ""
+    for name in columns:
+        numbers = name not in (columns[:1] if words is None else words)
         table.add_column(name, justify="right" if numbers else "left", overflow="fold", no_wrap=numbers)
     for row in rows:
         table.add_row(*row)
@@ -184,7 +185,7 @@ def print_diagnosis(document: Mapping[str, Any], out: Path) -> None:
             )
         )
     columns = "cause", "parameters", "probability", "shrink", "90 % interval"
-    print_table(console, "The most probable causes", columns, rows, words=2)
+    print_table(console, "The most probable causes", columns, rows, words=("cause", "parameters"))
     console.print(
         f"no gap {document['no_gap_probability']:.3f}, unknown {document['unknown_probability']:.3f}. "
         f"{document['next_experiment']}",

@@ -83,5 +83,5 @@ def command(
         for name, rms in gap.channels.items()
     ]
     title = f"Gap over {gap.seconds:.1f} s of {result.name}: measured minus simulated"
-    print_table(console, title, ("channel", "unit", "rms", "noise"), rows, words=2)
+    print_table(console, title, ("channel", "unit", "rms", "noise"), rows, words=("channel", "unit"))
     console.print(f"Written to {written[0]} and {written[1]}")

@@ -490,16 +490,16 @@ def test_a_calibration_s_table_is_whole_at_80_columns_and_in_a_pipe(
         "vehicle.front.unsprung_mass",
         "imu.position.0",
     ]
-    columns = "parameter", "unit", "start", "found", "90 % interval", ""
+    columns = "parameter", "unit", "start", "found", "90 % interval", "status"
     rows = [
-        (parameter_label(twin, k), parameter_unit(k), "11500", "12192", "10975 to 15566", "not determined")
+        (parameter_label(twin, k), parameter_unit(k), "11500", "12192", "10975 to 15566", "not identified")
         for k in keys
     ]
     console = on_terminal(80)
-    print_table(console, "What was found", columns, rows, words=2)
+    print_table(console, "What was found", columns, rows, words=("parameter", "unit", "status"))
     lines = shown(console).splitlines()
     assert len(lines) == len(rows) + 3 and max(map(len, lines)) <= 80
-    print_table(output(), "What was found", columns, rows, words=2)
+    print_table(output(), "What was found", columns, rows, words=("parameter", "unit", "status"))
     piped = capsys.readouterr().out
     for text in (shown(console), piped):
         assert "…" not in text
