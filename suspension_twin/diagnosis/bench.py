@@ -67,7 +67,7 @@ class Linearised:
         """The quadratic model of the residuals' sum of squares about ``x``."""
         return _quadratic(self.residual, self.jacobian)
 
-    def by(self, label: NDArray[np.intp]) -> list[Quadratic]:
+    def grouped(self, label: NDArray[np.intp]) -> list[Quadratic]:
         """That of the rows of each ``label`` (R,), which count from nothing on."""
         order = np.argsort(label, kind="stable")
         jacobian, residual = self.jacobian[order], self.residual[order]
@@ -78,7 +78,7 @@ class Linearised:
         """That of the first ``count`` unknowns alone."""
         return Linearised(self.x[:count], self.residual, np.ascontiguousarray(self.jacobian[:, :count]))
 
-    def beyond(self, residual: Floats, effects: Floats) -> Quadratic:
+    def with_effects(self, residual: Floats, effects: Floats) -> Quadratic:
         """The model where ``effects`` (R, k) are the columns of a few more unknowns and the residuals are others, but
         this Jacobian is taken to hold."""
         beside = effects.T @ self.jacobian
@@ -105,10 +105,10 @@ class Excitations:
 
     def coarser(self, max_step: float) -> Excitations:
         """The same in steps of up to ``max_step`` s."""
-        gross = (
+        longer_steps = (
             {u: coarser(e, max_step) for u, e in known.items()} for known in (self.regained, self.reclocked)
         )
-        return Excitations(coarser(self.upright, max_step), coarser(self.turned, max_step), *gross)
+        return Excitations(coarser(self.upright, max_step), coarser(self.turned, max_step), *longer_steps)
 
 
 @dataclass(eq=False)
@@ -118,7 +118,7 @@ class Bench:
     ``precision`` (d + q, d + q) and ``centre`` (d + q,) are the prior of characteristics and nuisances.
     ``excitations`` (drives,) are what else may excite the vehicle on drives, none for controlled runs; ``turn`` roll,
     pitch and yaw in rad by which the sensor is turned, ``level`` whether the vehicle of the problem stands upright on
-    average. ``heard`` limits the residuals to some drives, ``there`` (R,) to some of them; ``fused`` whether poses come
+    average. ``heard`` limits the residuals to some drives, ``counted_rows`` (R,) to some of them; ``fused`` whether poses come
     from receiver and IMU together; ``barred`` names nuisances that stay at nothing; ``expected`` (m, C) is the
     discrepancy that a run with the same excitation has left before.
     """
@@ -131,10 +131,10 @@ class Bench:
     precision: Floats
     centre: Floats
     stop: Callable[[], bool] = lambda: False
-    heard: tuple[int, ...] | None = None
-    there: NDArray[np.bool_] | None = None
+    counted_drives: tuple[int, ...] | None = None
+    counted_rows: NDArray[np.bool_] | None = None
     fused: bool = True
-    barred: tuple[str, ...] = ()
+    frozen_nuisances: tuple[str, ...] = ()
     level: bool = False
     expected: tuple[Floats | None, ...] = ()
     _known_plain: dict[str, Any] = field(default_factory=dict)
@@ -159,7 +159,7 @@ class Bench:
         over what is a finding: a clock that is 60 ms late pays for itself on any drive."""
         low, high = hypothesis.bounds()
         free = np.full(self.d, np.inf)
-        allowed = [name not in self.barred for name in self.problem.nuisances.names]
+        allowed = [name not in self.frozen_nuisances for name in self.problem.nuisances.names]
         nuisance = _NORMAL_LIMIT * self.problem.nuisances.spread * allowed
         least = np.where(self.problem.nuisances.one_sided, 0.0, -nuisance)
         return np.concatenate([-free, least, low]), np.concatenate([free, nuisance, high])
@@ -183,7 +183,7 @@ class Bench:
         known = tuple(e.coarser(max_step) for e in self.excitations)
         return replace(self, problem=self.problem.on(parts), excitations=known)
 
-    def excitation(self, number: int, effects: Sequence[str], everywhere: Sequence[str] = ()) -> Excitation:
+    def excitation(self, number: int, effects: Sequence[str], preexisting: Sequence[str] = ()) -> Excitation:
         """What excites a vehicle on a drive, by the effects that there are on those with the gap, by those of them that
         there are ``everywhere`` and by those that it has anyway.
 
@@ -197,7 +197,7 @@ class Bench:
         own, model = [e.id for e in self.problem.twin.effects], self.problem.twin.model
         known, level = self.excitations[number], self.level or upright_with([*effects, *own], model)
         plain = known.upright if level else self.problem.parts[number].excitation
-        here = effects if self.active[self.problem.drive_of[number]] else everywhere
+        here = effects if self.active[self.problem.drive_of[number]] else preexisting
         if turns_with(here, model):
             return known.turned
         # what the twin file has of it the motion knows already: nothing is regained then
@@ -217,21 +217,21 @@ class Bench:
         twin = hypothesis.twin(problem.twin)
         keys = (*problem.space.keys, *hypothesis.keys)
         with_effects = lanes(twin, keys, np.concatenate([values, hypothesis.values(u)]).T)
-        before = hypothesis.before()
+        before = hypothesis.on_reference()
         earlier = np.concatenate([values, before.values(u[hypothesis.rows(before)])])
         if (earlier == earlier[:, :1]).all():
             earlier = earlier[:, :1]
-        quiet = before.twin(problem.twin)
-        plain = lanes(quiet, (*problem.space.keys, *before.keys), earlier.T)
+        reference_twin = before.twin(problem.twin)
+        plain = lanes(reference_twin, (*problem.space.keys, *before.keys), earlier.T)
 
         def driven(numbers: list[int]) -> tuple[list[Floats], np.ndarray]:
             if self.stop():
                 raise Interrupted
-            excitation = self.excitation(numbers[0], hypothesis.effects, hypothesis.everywhere)
+            excitation = self.excitation(numbers[0], hypothesis.effects, hypothesis.preexisting)
             if self.active[problem.drive_of[numbers[0]]] and hypothesis.effects:
                 stacked, bad = self._simulated(twin, with_effects, excitation)
             else:
-                stacked, bad = self._simulated(quiet, plain, excitation)
+                stacked, bad = self._simulated(reference_twin, plain, excitation)
             conditioned = [problem.parts[number].conditioner.apply(stacked) for number in numbers]
             if problem.channels[0] == "vertical_acceleration":
                 for one in conditioned:
@@ -300,10 +300,10 @@ class Bench:
     def _counted(self, white: Floats) -> Floats:
         """Whitened residuals (R, L), changed in place, as independent samples of what the bench listens to."""
         white *= np.sqrt(self.problem.measured.independent)
-        if self.heard is not None:
-            white[~np.isin(self.whitener.drive, self.heard)] = 0.0
-        if self.there is not None:
-            white[~self.there] = 0.0
+        if self.counted_drives is not None:
+            white[~np.isin(self.whitener.drive, self.counted_drives)] = 0.0
+        if self.counted_rows is not None:
+            white[~self.counted_rows] = 0.0
         return white
 
     def _plain(self) -> Floats:
@@ -353,7 +353,7 @@ class Bench:
         _columns(d, white, per_step, moved, 1.0 / nuisances.steps[free], d + free, given, d + plain, jacobian)
         return Linearised(x, white[:, 0].copy(), jacobian)
 
-    def effects_alone(self, hypothesis: Hypothesis, x: Floats) -> tuple[Floats, Floats]:
+    def effect_columns(self, hypothesis: Hypothesis, x: Floats) -> tuple[Floats, Floats]:
         """Residuals (R,) at ``x`` (d + q + k,) and the columns (R, k) of their Jacobian that are the effects'."""
         white, per_step, _ = self._stepped(hypothesis, x, 0)
         return white[:, 0].copy(), (white[:, 1:] - white[:, :1]) * per_step

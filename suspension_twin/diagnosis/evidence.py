@@ -20,7 +20,7 @@ from scipy.stats import norm
 
 from suspension_twin.arrays import Floats
 from suspension_twin.diagnosis.bench import Bench
-from suspension_twin.diagnosis.fit import Fit, Linear
+from suspension_twin.diagnosis.fit import Fit, LinearisedFit
 from suspension_twin.diagnosis.nuisance_penalty import NuisancePenalty, penalty_gains, penalty_of
 from suspension_twin.identification.gauss_newton import Quadratic
 
@@ -30,11 +30,11 @@ FOLDS = 5
 #: How many times more the prior holds vehicle and nuisances while a fold is held back: what suits the others best.
 #: What one fold alone tells of them, the end of a spring that is visited there, all hypotheses would lose with it, by
 #: thousands of nats and as chance has it: held by a tenth of its spread it is none's to win.
-_HELD = (1e2, 1e3, 1e4)
+_PRIOR_FACTORS = (1e2, 1e3, 1e4)
 _DRAWS = 4000
 #: How many times what it gains in the fit an effect may gain where it is held out: a vehicle without it, which has made
 #: up for it elsewhere, is the worse there.
-_BEYOND_THE_FIT = 2.0
+_LARGEST_HELD_OUT_GAIN = 2.0
 _METRES, _METRES_OF_A_RUN, _SECONDS = 8.0, 0.5, 4.0
 #: Nuisances that say when: a few sharp edges tell them. Without these they go wherever the model's own error takes
 #: them, and that would speak against those hypotheses whose clocks no limit holds.
@@ -74,12 +74,12 @@ class HeldOut:
     (R,) those where clocks and map stay as the whole recording has them; the fit ``by_group`` of rows."""
 
     unknowns: Floats
-    left: Floats
+    remaining: Floats
     timed: Floats
     by_group: list[Quadratic]
 
 
-def held_out(bench: Bench, fit: Linear, blocks: Blocks, group: np.ndarray | None = None) -> HeldOut:
+def held_out(bench: Bench, fit: LinearisedFit, blocks: Blocks, group: np.ndarray | None = None) -> HeldOut:
     """A fit on stretches that it has not seen; ``group`` (R,) of each row, one if not given.
 
     A Gauss-Newton step from the fit to all undoes what a fold pulled on it; of those that the prior holds more or less
@@ -90,11 +90,11 @@ def held_out(bench: Bench, fit: Linear, blocks: Blocks, group: np.ndarray | None
     group = np.zeros(fold.size, dtype=np.intp) if group is None else group
     groups = int(group.max()) + 1
     # every group and fold has its rows, however few
-    parts = fit.at.by(fold * groups + group)
+    parts = fit.at.grouped(fold * groups + group)
     parts += [Quadratic(0.0, np.zeros_like(precision), np.zeros_like(fit.x))] * (FOLDS * groups - len(parts))
-    folds = [_together(parts[f * groups : (f + 1) * groups]) for f in range(FOLDS)]
-    by_group = [_together(parts[g::groups]) for g in range(groups)]
-    whole = _together(folds)
+    folds = [_summed(parts[f * groups : (f + 1) * groups]) for f in range(FOLDS)]
+    by_group = [_summed(parts[g::groups]) for g in range(groups)]
+    whole = _summed(folds)
     total, slope = whole.squares + precision, whole.slope + precision @ (fit.x - centre)
     # a severity on its bound, usually at nothing, stays there: the step knows no bounds
     low, high = bench.limits(fit.hypothesis)
@@ -106,7 +106,7 @@ def held_out(bench: Bench, fit: Linear, blocks: Blocks, group: np.ndarray | None
     for free in (np.flatnonzero(inside), np.flatnonzero(inside & ~known)):
         for f in range(FOLDS):
             rest, pull = (total - folds[f].squares)[np.ix_(free, free)], (slope - folds[f].slope)[free]
-            for times in _HELD:
+            for times in _PRIOR_FACTORS:
                 held = rest + np.diag(1e-9 * np.diag(rest) + times * shared[free])
                 step = np.zeros(fit.x.size)
                 step[free] = -linalg.solve(held, pull, assume_a="sym")
@@ -117,7 +117,7 @@ def held_out(bench: Bench, fit: Linear, blocks: Blocks, group: np.ndarray | None
     away = tried - centre[:, None]
     penalty = np.einsum("il,ij,jl->l", away, precision, away, optimize=False)
     unknowns = np.repeat(fit.x[:, None], FOLDS, axis=1)
-    left, timed = residual.copy(), residual.copy()
+    remaining, timed = residual.copy(), residual.copy()
     rows = [fold == f for f in range(FOLDS)]
     squares = np.stack(
         [np.einsum("rl,rl->l", r, r, optimize=False) for r in (residuals[own] for own in rows)]
@@ -125,17 +125,17 @@ def held_out(bench: Bench, fit: Linear, blocks: Blocks, group: np.ndarray | None
     for f, own in enumerate(rows):
         costs = np.delete(squares, f, axis=0).sum(axis=0) + penalty
         costs = np.where(failed, np.inf, costs)
-        for number, out in enumerate((left, timed)):
-            first = 1 + (number * FOLDS + f) * len(_HELD)
-            lanes = [*range(first, first + len(_HELD)), 0]
+        for number, out in enumerate((remaining, timed)):
+            first = 1 + (number * FOLDS + f) * len(_PRIOR_FACTORS)
+            lanes = [*range(first, first + len(_PRIOR_FACTORS)), 0]
             best = lanes[int(np.argmin(costs[lanes]))]
             out[own] = residuals[own, best]
-            if out is left:
+            if out is remaining:
                 unknowns[:, f] = tried[:, best]
-    return HeldOut(unknowns, left, timed, by_group)
+    return HeldOut(unknowns, remaining, timed, by_group)
 
 
-def _together(parts: Sequence[Quadratic]) -> Quadratic:
+def _summed(parts: Sequence[Quadratic]) -> Quadratic:
     return Quadratic(
         sum(p.value for p in parts),
         np.sum([p.squares for p in parts], axis=0),
@@ -154,7 +154,7 @@ class Evidence:
     score: Floats
     occam: float
     level: dict[tuple[int, bool], float]
-    left: Floats
+    remaining: Floats
     unknowns: Floats
     fitted: float
     penalty: NuisancePenalty | None = None
@@ -164,7 +164,7 @@ class Evidence:
         return float(self.score.sum() - base.score.sum()) - 0.5 * (self.occam - base.occam)
 
 
-def evidence(bench: Bench, fit: Linear, blocks: Blocks) -> Evidence:
+def evidence(bench: Bench, fit: LinearisedFit, blocks: Blocks) -> Evidence:
     """Held-out evidence of a fit."""
     whitener, independent = bench.whitener, bench.problem.measured.independent
     group = 2 * whitener.channel + ~np.array(bench.active)[whitener.drive]
@@ -176,7 +176,7 @@ def evidence(bench: Bench, fit: Linear, blocks: Blocks) -> Evidence:
     for number in np.unique(group).tolist():
         c, side, rows = number // 2, number % 2 == 0, group == number
         counts = independent * np.bincount(blocks.row[rows], minlength=blocks.count)
-        level[c, side] = max(float(np.sum(out.left[rows] ** 2) / counts.sum()), 1e-6)
+        level[c, side] = max(float(np.sum(out.remaining[rows] ** 2) / counts.sum()), 1e-6)
         squares = np.bincount(blocks.row[rows], out.timed[rows] ** 2, blocks.count)
         noise[number] = max(float(squares.sum() / counts.sum()), 1e-6)
         fitted -= (
@@ -184,7 +184,7 @@ def evidence(bench: Bench, fit: Linear, blocks: Blocks) -> Evidence:
         )
         score -= 0.5 * (counts * np.log(noise[number]) + squares / noise[number])
     precision, centre = bench.prior(fit.hypothesis)
-    scaled = _together(
+    scaled = _summed(
         [Quadratic(p.value / v, p.squares / v, p.slope / v) for p, v in zip(out.by_group, noise, strict=True)]
     )
     hessian = scaled.squares + precision
@@ -194,10 +194,10 @@ def evidence(bench: Bench, fit: Linear, blocks: Blocks) -> Evidence:
     occam += 0.5 * float(away @ precision @ away) / max(float(np.mean(noise[group])), 1.0)
     plain = Fit(fit.hypothesis, fit.x, fit.cost)
     penalty = penalty_of(bench, fit, scaled)
-    return Evidence(plain, score, float(occam), level, out.left, out.unknowns, float(fitted), penalty)
+    return Evidence(plain, score, float(occam), level, out.remaining, out.unknowns, float(fitted), penalty)
 
 
-def intervals(bench: Bench, fit: Linear, blocks: Blocks, temper: float) -> Floats:
+def intervals(bench: Bench, fit: LinearisedFit, blocks: Blocks, temper: float) -> Floats:
     """(k, 2) 90 % intervals of the effects' parameters, in their units and inside their bounds.
 
     How much a fit would move with other stretches is told by what each block pulls it: residuals that
@@ -229,7 +229,7 @@ def weights(found: list[Evidence], prior: Floats, temper: float, seed: int) -> t
     """
     scores = np.stack([e.score for e in found])
     gains = scores.sum(axis=1) - scores[0].sum()
-    most = _BEYOND_THE_FIT * np.array([max(e.fitted - found[0].fitted, 0.0) for e in found])
+    most = _LARGEST_HELD_OUT_GAIN * np.array([max(e.fitted - found[0].fitted, 0.0) for e in found])
     share = np.where(gains > most, most / np.maximum(gains, 1e-12), 1.0)
     scores = scores[0] + share[:, None] * (scores - scores[0])
     occam = np.array([e.occam for e in found])
@@ -239,5 +239,5 @@ def weights(found: list[Evidence], prior: Floats, temper: float, seed: int) -> t
     with np.errstate(divide="ignore"):  # a prior of nothing
         total = temper * total + penalty_gains([e.penalty for e in found], temper) + np.log(prior)
     probabilities = np.exp(total - logsumexp(total, axis=1)[:, None]).mean(axis=0)
-    beats = (total[:, :, None] > total[:, None, :]).mean(axis=0)
-    return probabilities, beats
+    win_rate = (total[:, :, None] > total[:, None, :]).mean(axis=0)
+    return probabilities, win_rate

@@ -21,13 +21,21 @@ from suspension_twin.effects.base import Effect, Parameter
 from suspension_twin.effects.registry import EFFECTS
 from suspension_twin.vehicle.twin import EffectSpec, Twin
 
-__all__ = ["BASELINE", "NORMAL_PART", "SETTINGS", "Hypothesis", "combined", "decoys", "library"]
+__all__ = [
+    "BASELINE",
+    "NUISANCE_COUNTERPART",
+    "SETUP_CATEGORIES",
+    "Hypothesis",
+    "combined",
+    "decoys",
+    "library",
+]
 
 _WIDTH = 1.4  # of the starting points, in spreads of the prior
 #: Where effects act that any size of is a matter of what was set, not of what a part can be like.
-SETTINGS = ("time", "road", "sensor")
+SETUP_CATEGORIES = ("time", "road", "sensor")
 #: Nuisances that are in small what an effect is in large.
-NORMAL_PART = {
+NUISANCE_COUNTERPART = {
     "sensor_tilt": ("tilt_roll", "tilt_pitch"),
     "time_offset": ("clock_offset",),
     "position_offset": ("map_position",),
@@ -52,7 +60,7 @@ class Hypothesis:
     effects: tuple[str, ...] = ()
     fixed: tuple[tuple[str, float], ...] = ()
     around: tuple[float, ...] = ()
-    everywhere: tuple[str, ...] = ()
+    preexisting: tuple[str, ...] = ()
     model: str = "full_car"
 
     def effect(self, name: str) -> Effect:
@@ -89,20 +97,20 @@ class Hypothesis:
         """The others of its effects."""
         return self._with(tuple(e for e in self.effects if e != effect))
 
-    def before(self) -> Hypothesis:
+    def on_reference(self) -> Hypothesis:
         """What of it there is on the drives from before."""
-        return self._with(self.everywhere)
+        return self._with(self.preexisting)
 
-    def always(self) -> Hypothesis:
+    def on_all_drives(self) -> Hypothesis:
         """The same as traits of the vehicle, on all drives."""
-        return replace(self, everywhere=self.effects)
+        return replace(self, preexisting=self.effects)
 
     def _with(self, kept: tuple[str, ...]) -> Hypothesis:
         return Hypothesis(
             kept,
             tuple(pair for pair in self.fixed if pair[0].split(".")[1] in kept),
             tuple(u for i, u in enumerate(self.around) if self._owner(i) in kept),
-            tuple(e for e in self.everywhere if e in kept),
+            tuple(e for e in self.preexisting if e in kept),
             self.model,
         )
 
@@ -139,7 +147,7 @@ class Hypothesis:
                 at[i] = (p.neutral - p.typical) / p.spread
         return np.clip(at, low, high)
 
-    def slightest(self) -> Floats:
+    def negligible(self) -> Floats:
         """(k, n) where the effect may be next to none: severities of zero, and those that go by factors at either
         end: a low-pass is least at its highest cutoff, a contact patch at its shortest."""
         low, high = self.bounds()
@@ -150,11 +158,11 @@ class Hypothesis:
         return np.unique(ends, axis=1)
 
     @property
-    def touches(self) -> bool:
+    def has_clearance(self) -> bool:
         """Whether an effect acts only past a distance."""
         return any(p.log and p.unit == "m" and "clearance" in p.name for _, p in self.searched)
 
-    def early(self, far: float) -> Floats:
+    def early_contact(self, far: float) -> Floats:
         """(k,) an effect that acts early and strongly, ``far`` spreads of its prior from what is typical."""
         low, high = self.bounds()
         at = self.neutral()
@@ -274,6 +282,6 @@ def combined(*parts: Hypothesis) -> Hypothesis:
         tuple(e for p in parts for e in p.effects),
         tuple(pair for p in parts for pair in p.fixed),
         around,
-        tuple(e for p in parts for e in p.everywhere),
+        tuple(e for p in parts for e in p.preexisting),
         parts[0].model,
     )

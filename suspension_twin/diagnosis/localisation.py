@@ -28,7 +28,7 @@ __all__ = ["localise", "repeatable", "signature"]
 
 _WINDOW = 0.5  # s
 _METRES = 1.0
-_FALSE = 0.1
+_FALSE_DISCOVERY_RATE = 0.1
 _SEGMENT, _LOWEST, _DRAWS = 256, 0.5, 1000
 
 
@@ -46,12 +46,15 @@ def localise(bench: Bench, difference: Floats, noise: dict[str, float], twin: Tw
         "time": _time(bench, excess, total),
         "road": _road(bench, excess, total),
         "frequency": _frequency(
-            bench, [d[:, main] for d in _parts(bench, difference)], floor, _usual(bench, difference, main)
+            bench,
+            [d[:, main] for d in _parts(bench, difference)],
+            floor,
+            _expected_density(bench, difference, main),
         ),
         "channel": _channels(bench, difference, noise),
     }
     where.update(
-        by_motion(_shown(bench), excess, twin)
+        by_motion(_gap_drives(bench), excess, twin)
         if "vertical_acceleration" in names and bench.excitations
         else {"corner": [], "operating_point": []}
     )
@@ -68,7 +71,7 @@ def _parts(bench: Bench, values: Floats) -> list[Floats]:
     return out
 
 
-def _shown(bench: Bench) -> list[Any]:
+def _gap_drives(bench: Bench) -> list[Any]:
     """Prepared drive and its compared samples, for every drive with the gap."""
     return [
         (part, rows)
@@ -87,7 +90,7 @@ def _significant(means: Floats, all_means: Floats) -> np.ndarray:
     spread = max(1.4826 * float(np.median(np.abs(usual - centre))), 0.1)
     p = norm.sf((logs - centre) / spread)
     return (
-        np.asarray(false_discovery_control(np.clip(p, 1e-12, 1.0)) < _FALSE)
+        np.asarray(false_discovery_control(np.clip(p, 1e-12, 1.0)) < _FALSE_DISCOVERY_RATE)
         if p.size
         else np.zeros(0, dtype=bool)
     )
@@ -95,7 +98,7 @@ def _significant(means: Floats, all_means: Floats) -> np.ndarray:
 
 def _time(bench: Bench, excess: Sequence[Floats], total: float) -> list[dict[str, Any]]:
     items = []
-    for (part, rows), energy in zip(_shown(bench), excess, strict=True):
+    for (part, rows), energy in zip(_gap_drives(bench), excess, strict=True):
         size = max(4, int(_WINDOW * part.rate))
         count = energy.size // size
         if count < 4:
@@ -115,7 +118,7 @@ def _time(bench: Bench, excess: Sequence[Floats], total: float) -> list[dict[str
 
 
 def _road(bench: Bench, excess: Sequence[Floats], total: float) -> list[dict[str, Any]]:
-    place = np.concatenate([part.position[rows] for part, rows in _shown(bench)])
+    place = np.concatenate([part.position[rows] for part, rows in _gap_drives(bench)])
     energy = np.concatenate(list(excess))
     bins = np.floor(place / _METRES).astype(int)
     first = bins.min()
@@ -163,14 +166,14 @@ def _segments(bench: Bench, series: Sequence[Floats]) -> tuple[Floats, Floats]:
     return f, np.array(found)
 
 
-def _usual(bench: Bench, difference: Floats, column: int) -> Floats:
+def _expected_density(bench: Bench, difference: Floats, column: int) -> Floats:
     """(F,) power density that the model would leave of the drives with the gap if it left the share of the motion
     that it leaves of the others; nothing without such drives."""
     problem = bench.problem
     measured, others = problem.measured, [d for d, a in enumerate(bench.active) if not a]
     if not others:
         return np.zeros(_SEGMENT // 2 + 1)
-    own = [s for s, d in zip(measured.stretches, measured.drives, strict=True) if bench.active[d]]
+    own = [s for s, d in zip(measured.segments, measured.drives, strict=True) if bench.active[d]]
     motion = density(measured.values[:, column], own, measured.rate)
     return np.asarray(shares(measured, difference, others)[column] ** 2 * motion)
 
@@ -199,25 +202,29 @@ def _frequency(bench: Bench, series: Sequence[Floats], floor: float, usual: Floa
     if even[0] <= 0:
         return []
     fewer = (above[1:] / octaves <= even[1:, None]).mean(axis=0)
-    left = np.asarray(false_discovery_control(np.clip(fewer, 0.5 / _DRAWS, 1.0)) < _FALSE)
+    remaining = np.asarray(false_discovery_control(np.clip(fewer, 0.5 / _DRAWS, 1.0)) < _FALSE_DISCOVERY_RATE)
     density, total, half = above[0], float(above[0].sum()), 0.5 * (f[1] - f[0])
     items = []
-    while left.any():
-        peak = int(np.flatnonzero(left)[np.argmax(density[left])])
+    while remaining.any():
+        peak = int(np.flatnonzero(remaining)[np.argmax(density[remaining])])
         ends = []
         for step in (-1, 1):
             at = peak
-            while 0 <= at + step < f.size and left[at + step] and density[at + step] >= 0.5 * density[peak]:
+            while (
+                0 <= at + step < f.size and remaining[at + step] and density[at + step] >= 0.5 * density[peak]
+            ):
                 at += step
             ends.append(at)
             # what goes on falling from there is the same peak's foot
             while (
-                0 <= at < f.size and left[at] and density[at] <= density[max(min(at - step, f.size - 1), 0)]
+                0 <= at < f.size
+                and remaining[at]
+                and density[at] <= density[max(min(at - step, f.size - 1), 0)]
             ):
-                left[at] = False
+                remaining[at] = False
                 at += step
         low, high = ends
-        left[low : high + 1] = False
+        remaining[low : high + 1] = False
         items.append(
             {
                 "low_hz": round(float(f[low] - half), 2),
@@ -249,7 +256,7 @@ def repeatable(bench: Bench, difference: Floats, column: int) -> dict[str, float
     Speeds differ, so envelopes over a metre are compared, not wave forms. Empty for a single drive.
     """
     profiles = []
-    for (part, rows), d in zip(_shown(bench), _parts(bench, difference), strict=True):
+    for (part, rows), d in zip(_gap_drives(bench), _parts(bench, difference), strict=True):
         bins = np.floor(part.position[rows] / _METRES).astype(int)
         profiles.append((bins, d[:, column] ** 2))
     if len(profiles) < 2:
@@ -286,7 +293,7 @@ def signature(bench: Bench, difference: Floats, twin: Twin) -> dict[str, Any]:
     if column or "vertical_acceleration" not in names or not bench.excitations:
         return out
     linear: list[Floats] = []
-    for part, rows in _shown(bench):
+    for part, rows in _gap_drives(bench):
         response = simulate_twin(twin, part.excitation)
         at = np.clip(np.searchsorted(response.t, part.t[rows]), 0, response.t.size - 1)
         x = response.deflection[at] - response.deflection[0]

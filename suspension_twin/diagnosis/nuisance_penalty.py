@@ -14,7 +14,7 @@ import numpy as np
 
 from suspension_twin.arrays import Floats
 from suspension_twin.diagnosis.bench import Bench
-from suspension_twin.diagnosis.fit import Linear, room
+from suspension_twin.diagnosis.fit import LinearisedFit, room
 from suspension_twin.identification.gauss_newton import Quadratic, bounded_step
 
 __all__ = ["NuisancePenalty", "penalty_gains", "penalty_of"]
@@ -50,7 +50,7 @@ class NuisancePenalty:
         return max(spent, 0.0), float(freedom)
 
 
-def penalty_of(bench: Bench, fit: Linear, at: Quadratic) -> NuisancePenalty:
+def penalty_of(bench: Bench, fit: LinearisedFit, at: Quadratic) -> NuisancePenalty:
     """That of a fit, ``at`` its place, with every residual in units of the remaining residual."""
     precision, centre = bench.prior(fit.hypothesis)
     low, high = room(bench, fit.hypothesis, fit.x)

@@ -21,15 +21,15 @@ from suspension_twin.vehicle.twin import Twin
 
 __all__ = ["by_motion", "ranked", "runs"]
 
-_SECONDS, _DRAWS, _FALSE = 1.0, 1000, 0.1
-_BINS, _STANDS_OUT, _WORTH_A_WORD, _MOST = 10, 1.25, 0.02, 8
+_SECONDS, _DRAWS, _FALSE_DISCOVERY_RATE = 1.0, 1000, 0.1
+_BINS, _STANDS_OUT, _LEAST_SHARE, _MOST = 10, 1.25, 0.02, 8
 
 
-def by_motion(shown: Sequence[Any], excess: Sequence[Floats], twin: Twin, seed: int = 0) -> dict[str, Any]:
+def by_motion(with_gap: Sequence[Any], excess: Sequence[Floats], twin: Twin, seed: int = 0) -> dict[str, Any]:
     """``corner`` and ``operating_point`` of diagnosis.json for drives (prepared, compared rows) and the energy of
     the gap (r,) of each; ``twin`` tells how the suspension moved."""
     travel, speed, driven, blocks, first = [], [], [], [], 0
-    for part, rows in shown:
+    for part, rows in with_gap:
         response = simulate_twin(twin, part.excitation)
         at = np.clip(np.searchsorted(response.t, part.t[rows]), 0, response.t.size - 1)
         travel.append(response.deflection[at] - response.deflection[0])
@@ -61,7 +61,7 @@ def runs(flags: np.ndarray) -> list[tuple[int, int]]:
 
 def ranked(items: list[dict[str, Any]]) -> list[dict[str, Any]]:
     """The largest shares first, those that are worth a word."""
-    return sorted((i for i in items if i["share"] >= _WORTH_A_WORD), key=lambda i: -float(i["share"]))[:_MOST]
+    return sorted((i for i in items if i["share"] >= _LEAST_SHARE), key=lambda i: -float(i["share"]))[:_MOST]
 
 
 def _larger(values: Floats) -> Floats:
@@ -84,9 +84,7 @@ def _corners(velocity: Floats, amount: Floats, block: np.ndarray, drawn: Floats)
         return np.asarray(weight / np.maximum(weight.sum(axis=1, keepdims=True), 1e-12))
 
     found = shares(sums.sum(axis=2)[None])[0]
-    sure = (shares(np.einsum("kb,pcb->kpc", drawn, sums, optimize=False)) > _WORTH_A_WORD).mean(
-        axis=0
-    ) >= 0.95
+    sure = (shares(np.einsum("kb,pcb->kpc", drawn, sums, optimize=False)) > _LEAST_SHARE).mean(axis=0) >= 0.95
     order = np.argsort(-found, kind="stable")
     return [
         {"name": CORNERS[i], "share": round(float(found[i]), 4)}
@@ -121,7 +119,7 @@ def _points(
         tried.append((name, unit, edges, sums.sum(axis=0), whole, chance))
     if not tried:
         return []
-    kept = false_discovery_control(np.concatenate([t[-1] for t in tried])) < _FALSE
+    kept = false_discovery_control(np.concatenate([t[-1] for t in tried])) < _FALSE_DISCOVERY_RATE
     points: list[dict[str, Any]] = []
     first, total = 0, max(float(amount.sum()), 1e-30)
     for name, unit, edges, energy, whole, chance in tried:

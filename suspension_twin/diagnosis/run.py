@@ -17,7 +17,7 @@ from collections.abc import Callable
 
 from suspension_twin.diagnosis.case import baseline, build, read_case
 from suspension_twin.diagnosis.conclude import conclude
-from suspension_twin.diagnosis.judge import judge, without_late_clocks
+from suspension_twin.diagnosis.judge import judge, with_joint_noise
 from suspension_twin.diagnosis.request import DiagnosisRequest, DiagnosisResult, Progress
 from suspension_twin.diagnosis.selection import select
 from suspension_twin.identification.parallel import one_blas_thread
@@ -70,7 +70,7 @@ def diagnose(
         report(Progress("calibrating", 0.08, "the vehicle without any effect"))
         bench, base, anchor = baseline(case, bench)
         if not case.excited:
-            bench, base = without_late_clocks(request, case, bench, base)
+            bench, base = with_joint_noise(request, case, bench, base)
             anchor = base
         judged = judge(request, case, bench, base, anchor, report)
         found = select(request, case, judged, report)

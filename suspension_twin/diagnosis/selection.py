@@ -13,12 +13,12 @@ from suspension_twin.diagnosis import verdict
 from suspension_twin.diagnosis.case import Case
 from suspension_twin.diagnosis.evidence import Evidence, evidence, weights
 from suspension_twin.diagnosis.fit import fitted
-from suspension_twin.diagnosis.hypotheses import NORMAL_PART, library
+from suspension_twin.diagnosis.hypotheses import NUISANCE_COUNTERPART, library
 from suspension_twin.diagnosis.judge import Judged
 from suspension_twin.diagnosis.nuisance_penalty import penalty_gains
 from suspension_twin.diagnosis.request import DiagnosisRequest, Progress
-from suspension_twin.diagnosis.search import jointly, pairs, without_one
-from suspension_twin.diagnosis.shrink import Remainder, remainder
+from suspension_twin.diagnosis.search import joint_fit, pairs, without_one
+from suspension_twin.diagnosis.shrink import RemainingResidual, remaining_residual
 
 __all__ = ["Candidate", "Findings", "pays", "select"]
 
@@ -42,7 +42,7 @@ class Candidate:
     """A set of effects with its held-out evidence, and what it ``left``."""
 
     found: Evidence
-    left: Remainder
+    remaining: RemainingResidual
 
     @property
     def effects(self) -> tuple[str, ...]:
@@ -58,8 +58,8 @@ class Findings:
     judged: Judged
     chosen: Candidate
     gates: verdict.Gates
-    gone: float
-    gone_alone: Floats
+    explained_share: float
+    explained_shares: Floats
 
 
 def select(
@@ -67,28 +67,28 @@ def select(
 ) -> Findings:
     """The set of effects that is named, if any is."""
     if case.excited:
-        chosen = _with_normal_part(judged, _combined(request, case, judged, report))
+        chosen = _with_nuisance_part(judged, _best_set(request, case, judged, report))
     else:
-        chosen = _eliminated(request, case, judged)
-        judged = _carried_by(request, judged, chosen)
+        chosen = _backward_elimination(request, case, judged)
+        judged = _weights_of_set(request, judged, chosen)
     keeper = judged.keeper
-    singles = zip(judged.singles, judged.left[1:], strict=True)
+    singles = zip(judged.singles, judged.remaining[1:], strict=True)
     return Findings(
         judged,
         chosen,
-        keeper.gates(chosen.found, chosen.left),
-        keeper.gone(chosen.found, chosen.left),
-        np.array([keeper.gone(s.evidence, left) for s, left in singles]),
+        keeper.gates(chosen.found, chosen.remaining),
+        keeper.explained_share(chosen.found, chosen.remaining),
+        np.array([keeper.explained_share(s.evidence, remaining) for s, remaining in singles]),
     )
 
 
-def _combined(
+def _best_set(
     request: DiagnosisRequest, case: Case, judged: Judged, report: Callable[[Progress], None]
 ) -> Candidate:
     """The best set that grows from the likeliest effects: of two causes the one that shows most by itself may be
     neither, or too little of the gap while the other is not there."""
     missing, seed = judged.gates[0].adequate < 0.5, request.seed
-    none = best = Candidate(judged.base, judged.left[0])
+    none = best = Candidate(judged.base, judged.remaining[0])
     for place, at in enumerate(np.argsort(-judged.weights[1:], kind="stable")[: len(_LEADS)]):
         single, gates = judged.singles[at], judged.gates[1 + at]
         material = gates.material >= 0.5
@@ -98,8 +98,8 @@ def _combined(
             or single.effect in best.effects
         ):
             continue
-        lead = Candidate(single.evidence, judged.left[1 + at])
-        chosen = _grown(request, case, judged, lead, gates, report)
+        lead = Candidate(single.evidence, judged.remaining[1 + at])
+        chosen = _forward_selection(request, case, judged, lead, gates, report)
         size, largest = len(chosen.effects), len(best.effects)
         if size == 1 and not (material and best is none):
             continue
@@ -112,7 +112,7 @@ def _combined(
     return best
 
 
-def _grown(
+def _forward_selection(
     request: DiagnosisRequest,
     case: Case,
     judged: Judged,
@@ -137,21 +137,23 @@ def _grown(
             weak,
         )
         # the one that gains most may make up for a little everywhere and close nothing: then the next
-        joined = next(_joining(request, case, judged, chosen, tried), None)
+        joined = next(_additions(request, case, judged, chosen, tried), None)
         if joined is None:
             break
         chosen = joined
-        gates = judged.keeper.gates(chosen.found, chosen.left)
+        gates = judged.keeper.gates(chosen.found, chosen.remaining)
     return chosen
 
 
-def _joining(
+def _additions(
     request: DiagnosisRequest, case: Case, judged: Judged, few: Candidate, tried: list[Evidence]
 ) -> Iterator[Candidate]:
     """Those of ``tried`` that pay, the best first."""
     for more in tried:
-        if verdict.uncommon(judged.bench, more, judged.reference is not None) > 0.5:
-            many = Candidate(more, remainder(judged.bench, more.fit.hypothesis, more.unknowns, judged.blocks))
+        if verdict.beyond_usual(judged.bench, more, judged.reference is not None) > 0.5:
+            many = Candidate(
+                more, remaining_residual(judged.bench, more.fit.hypothesis, more.unknowns, judged.blocks)
+            )
             if pays(case, judged, few, many, request.seed):
                 yield many
 
@@ -160,51 +162,54 @@ def pays(case: Case, judged: Judged, few: Candidate, many: Candidate, seed: int)
     """Whether one more effect is sure to be better, and by enough of some channel's recalibrated gap; without a road
     of what the fewer leave there: each channel is another effect's to show."""
     bench, keeper, temper = judged.bench, judged.keeper, judged.temper
-    _, beats = weights([few.found, many.found], np.array([0.5, 0.5]), temper, seed)
-    if beats[1, 0] < _SURE:
+    _, win_rate = weights([few.found, many.found], np.array([0.5, 0.5]), temper, seed)
+    if win_rate[1, 0] < _SURE:
         return False
-    alone = case.excited and judged.reference is None
-    if case.excited and not alone:
-        still = [np.sqrt(1.0 - keeper.gone(one.found, one.left)) for one in (few, many)]
+    unreferenced = case.excited and judged.reference is None
+    if case.excited and not unreferenced:
+        still = [np.sqrt(1.0 - keeper.explained_share(one.found, one.remaining)) for one in (few, many)]
         # what makes up for a little of the model's discrepancy takes little of what the reference does not show
         if still[0] - still[1] < _WORTH:
             return False
-    saved = penalty_gains([few.found.penalty, many.found.penalty], temper)[1] if alone else 0.0
+    saved = penalty_gains([few.found.penalty, many.found.penalty], temper)[1] if unreferenced else 0.0
     # clocks that are all on their bounds make up for something: what frees them is worth it, if that is worth it
     if saved > _SAVED and (
-        verdict.punctual(bench, few.found, temper) < 0.5 <= verdict.punctual(bench, many.found, temper)
+        verdict.clocks_within_limits(bench, few.found, temper)
+        < 0.5
+        <= verdict.clocks_within_limits(bench, many.found, temper)
     ):
         return True
     for column, channel in enumerate(bench.problem.channels):
-        before = judged.left[0] if case.excited else few.left
-        one, two = (keeper.shrink(before, left, column) for left in (few.left, many.left))
+        before = judged.remaining[0] if case.excited else few.remaining
+        one, two = (keeper.shrink(before, remaining, column) for remaining in (few.remaining, many.remaining))
         if column not in keeper.driven or one.after < judged.noise[channel]:
             continue
         if one.after - two.after >= (_WORTH if case.excited else _WORTH_BARE) * one.before and (
-            not alone
+            not unreferenced
             or saved > _SAVED_MUCH  # no model discrepancy asks that of clocks and map
-            or keeper.shrink(few.left, many.left, column, settled=True).shrink >= _WORTH_OF_THE_REMAINING
+            or keeper.shrink(few.remaining, many.remaining, column, with_nuisances=True).shrink
+            >= _WORTH_OF_THE_REMAINING
         ):
             return True
     return False
 
 
-def _with_normal_part(judged: Judged, chosen: Candidate) -> Candidate:
+def _with_nuisance_part(judged: Judged, chosen: Candidate) -> Candidate:
     """What is named with all of it: the part that is normal of any clock, map or mount went to the nuisances while
     causes were compared. With a reference that part is the vehicle's before the change."""
     bench, hypothesis = judged.bench, chosen.found.fit.hypothesis
-    barred = tuple(n for e in hypothesis.effects for n in NORMAL_PART.get(e, ()))
-    if judged.reference is not None or not barred:
+    frozen_nuisances = tuple(n for e in hypothesis.effects for n in NUISANCE_COUNTERPART.get(e, ()))
+    if judged.reference is not None or not frozen_nuisances:
         return chosen
-    alone = replace(bench, barred=barred)
-    fit = fitted(alone, hypothesis, [chosen.found.fit.x], 10)
+    unreferenced = replace(bench, frozen_nuisances=frozen_nuisances)
+    fit = fitted(unreferenced, hypothesis, [chosen.found.fit.x], 10)
     if fit.cost > chosen.found.fit.cost + _SAME_FIT:
         return chosen
-    whole = evidence(alone, fit, judged.blocks)
-    return Candidate(whole, remainder(bench, hypothesis, whole.unknowns, judged.blocks))
+    whole = evidence(unreferenced, fit, judged.blocks)
+    return Candidate(whole, remaining_residual(bench, hypothesis, whole.unknowns, judged.blocks))
 
 
-def _eliminated(request: DiagnosisRequest, case: Case, judged: Judged) -> Candidate:
+def _backward_elimination(request: DiagnosisRequest, case: Case, judged: Judged) -> Candidate:
     """Without a road: all effects that can be judged jointly, then one less for as long as nothing is lost.
 
     There are few of them, and they hide each other: a clock drift looks like a clock offset, and
@@ -215,29 +220,29 @@ def _eliminated(request: DiagnosisRequest, case: Case, judged: Judged) -> Candid
     known = library(case.twin, False, request.effects)
     possible = [s for s in judged.singles if s.judged]
     if not possible:
-        return Candidate(judged.base, judged.left[0])
+        return Candidate(judged.base, judged.remaining[0])
 
     def candidate(found: Evidence) -> Candidate:
-        return Candidate(found, remainder(bench, found.fit.hypothesis, found.unknowns, blocks))
+        return Candidate(found, remaining_residual(bench, found.fit.hypothesis, found.unknowns, blocks))
 
-    fit = jointly(bench, [known[s.effect][0] for s in possible], judged.base.fit, request.seed)
+    fit = joint_fit(bench, [known[s.effect][0] for s in possible], judged.base.fit, request.seed)
     chosen = candidate(evidence(bench, fit, blocks))
     while chosen.effects:
         fewer = [candidate(e) for e in without_one(bench, chosen.found, blocks)]
-        spare = [one for one in fewer if not pays(case, judged, one, chosen, request.seed)]
-        if not spare:
+        dispensable = [one for one in fewer if not pays(case, judged, one, chosen, request.seed)]
+        if not dispensable:
             break
-        chosen = max(spare, key=lambda one: float(one.found.score.sum()) - 0.5 * one.found.occam)
+        chosen = max(dispensable, key=lambda one: float(one.found.score.sum()) - 0.5 * one.found.occam)
     return chosen
 
 
-def _carried_by(request: DiagnosisRequest, judged: Judged, chosen: Candidate) -> Judged:
+def _weights_of_set(request: DiagnosisRequest, judged: Judged, chosen: Candidate) -> Judged:
     """Weights and gates of effects that were judged together: each stands for all of them."""
-    _, beats = weights([judged.base, chosen.found], np.array([0.5, 0.5]), judged.temper, request.seed)
+    _, win_rate = weights([judged.base, chosen.found], np.array([0.5, 0.5]), judged.temper, request.seed)
     members = [1 + i for i, s in enumerate(judged.singles) if s.effect in chosen.effects]
     weight, gates = np.zeros_like(judged.weights), list(judged.gates)
-    weight[members] = beats[1, 0] / max(len(members), 1)
+    weight[members] = win_rate[1, 0] / max(len(members), 1)
     weight[0] = 1.0 - weight.sum()
     for i in members:
-        gates[i] = judged.keeper.gates(chosen.found, chosen.left)
+        gates[i] = judged.keeper.gates(chosen.found, chosen.remaining)
     return replace(judged, weights=weight, gates=gates)
