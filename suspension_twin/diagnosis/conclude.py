@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""From findings to the document, and the twin that goes with it."""
+"""From findings to the document of diagnosis.json and the twin with the named effects."""
 
 from __future__ import annotations
 
@@ -34,9 +34,9 @@ from suspension_twin.vehicle.twin import Twin
 
 __all__ = ["conclude"]
 
-_RUNNER_UP = 0.01  # probability of a runner-up that a further drive could still turn to
-_LEAST_RESEMBLANCE = 0.1  # probability of what an unknown looks like
-_TIED = 0.05  # how often the second has to win for the two not to be told apart
+_RUNNER_UP = 0.01  # probability of a second cause from which on a drive is proposed to separate it
+_LEAST_RESEMBLANCE = 0.1  # probability of a decoy from which on it is reported
+_TIED = 0.05  # win rate of the second cause from which on both are indistinguishable
 
 
 def conclude(request: DiagnosisRequest, case: Case, found: Findings, seconds: float) -> DiagnosisResult:
@@ -71,7 +71,7 @@ def conclude(request: DiagnosisRequest, case: Case, found: Findings, seconds: fl
     chosen = found.chosen.found.fit.hypothesis.effects
     if len(chosen) > 1:
         effects, unknown = _split_over_set(found, effects, unknown, chosen, found.explained_share)
-    # members of a set are all there: by themselves they may look alike, but nothing has to tell them apart
+    # all members of a set are present: they need not be distinguishable one by one
     groups = _groups(found, effects) if len(chosen) < 2 else []
     remaining = 1.0 - _shrink(bench, found, found.chosen.remaining, request.seed).shrink
     adequate = found.gates.adequate
@@ -86,7 +86,7 @@ def conclude(request: DiagnosisRequest, case: Case, found: Findings, seconds: fl
     twin = twin_of(bench, kept.fit)
     shrink = _shrink(bench, found, kept_remaining, request.seed)
     causes = _causes(bench, found, effects, beyond, foreign, groups, request.seed)
-    # without a road no block shows the model what another has shown it
+    # without a road blocks do not repeat: the discrepancy is independent from block to block
     _add_intervals(bench, judged.blocks, kept.fit, judged.temper if case.road else 1.0, causes)
     document: dict[str, Any] = {
         "verdict": answer,
@@ -113,7 +113,7 @@ def conclude(request: DiagnosisRequest, case: Case, found: Findings, seconds: fl
                 verdict.relative_residual(bench, kept_remaining, judged.noise, case.driven, with_gap=True)
             ),
             "share_left_on_reference": None if judged.reference is None else _round(judged.reference),
-            "noise_share_of_the_rest": _round(judged.temper),
+            "noise_share_of_residual": _round(judged.temper),
         },
         "cannot_be_judged": [s.effect for s in judged.singles if not s.judged],
         "warnings": list(case.warnings),
@@ -140,7 +140,7 @@ def conclude(request: DiagnosisRequest, case: Case, found: Findings, seconds: fl
 
 
 def _periodic(case: Case, bench: Bench, remaining: RemainingResidual) -> dict[str, Any]:
-    """What is periodic in the rest, by turns of a wheel or in Hz, where there is something."""
+    """The strongest tonal component of the remaining residual, by period in m or by frequency in Hz; empty if none."""
     free, tone = verdict.free_of_tones(bench, remaining) if case.road else (1.0, None)
     if tone is None or free > 0.5:
         return {}
@@ -151,8 +151,8 @@ def _periodic(case: Case, bench: Bench, remaining: RemainingResidual) -> dict[st
 def _road_section(
     case: Case, bench: Bench, found: Findings, only: Sequence[str]
 ) -> tuple[dict[str, Any] | None, float]:
-    """The stretch of road that holds what recalibration leaves, where one does, with the errors of the road file that
-    make up for it there; and the probability that the file has none of them there."""
+    """The section of road where the recalibrated residual is concentrated, with the errors of the road file that would
+    explain it there (None without one), and the probability that the road file is right there."""
     there = concentrated_section(bench, found.judged.remaining[0], found.judged.noise)
     if there is None:
         return None, 1.0
@@ -180,13 +180,13 @@ def _road_section(
 
 
 def _has_road_error(section: dict[str, Any]) -> bool:
-    """Whether an error of the road file makes up for enough of the rest on a stretch to be told in a word."""
+    """Whether an error of the road file explains enough of the residual on the section."""
     found = [RoadErrorMatch(one["effect"], {}, one["shrink"]) for one in section["resembles"]]
     return no_road_error(found) < 0.5
 
 
 def _resembles(bench: Bench, found: Findings, seed: int) -> list[dict[str, Any]]:
-    """What the unknown looks like, the likeliest first: an effect that would give it to the twin, not its cause."""
+    """Decoy hypotheses that resemble an unexplained gap, the most probable first."""
     like = []
     for i in np.argsort(-found.judged.decoys.probability, kind="stable"):
         if found.judged.decoys.probability[i] > _LEAST_RESEMBLANCE:
@@ -287,7 +287,7 @@ def _causes(
 def _add_intervals(
     bench: Bench, blocks: Blocks, fit: Fit, temper: float, causes: list[dict[str, Any]]
 ) -> None:
-    """90 % intervals of the parameters of what the written twin has."""
+    """Add the 90 % intervals of the parameters of the written twin to ``causes``."""
     if not fit.hypothesis.effects:
         return
     ends = intervals(bench, linearised_fit(bench, fit.hypothesis, fit.x), blocks, temper)
@@ -299,7 +299,7 @@ def _add_intervals(
 
 
 def _groups(found: Findings, effects: Floats) -> list[list[int]]:
-    """Sets of effects whose evidence cannot be told apart from the leader's."""
+    """Sets of effects that the evidence does not separate from the most probable one."""
     if not effects.size:
         return []
     lead = int(np.argmax(found.judged.weights[1:]))
@@ -323,8 +323,8 @@ def _places(found: Findings, chosen: tuple[str, ...]) -> list[int]:
 def _split_over_set(
     found: Findings, effects: Floats, unknown: float, chosen: tuple[str, ...], explained_share: float
 ) -> tuple[Floats, float]:
-    """With a combination its members carry what all effects carry, in equal parts, and the part of unknown
-    that the combination has explained; ``gone`` is the share of the recalibrated gap that it takes away."""
+    """Probabilities where a set is named: its members carry the mass of all effects in equal parts, plus the share of
+    ``unknown`` that the set explains. ``explained_share`` is that of the recalibrated gap."""
     good = verdict.retained_share(found.gates, explained_share)
     out = np.zeros_like(effects)
     places = _places(found, chosen)
@@ -356,7 +356,7 @@ def _views(case: Case, bench: Bench, after: Twin, recalibrated: Twin) -> tuple[D
 
 
 def _simulated(part: Any, twin: Twin, excitation: Any, channel: str, on_road: bool) -> Floats:
-    """(m,) what a twin gives of one channel of a drive or a run."""
+    """(m,) one simulated channel of a drive or a run."""
     if on_road:
         return np.asarray(part.condition(simulate_twin(twin, excitation))[channel])
     response = simulate_lanes(twin, pack(twin)[:, None], excitation)
@@ -366,7 +366,7 @@ def _simulated(part: Any, twin: Twin, excitation: Any, channel: str, on_road: bo
 def _message(answer: str, document: dict[str, Any], shrink: Shrink) -> str:
     gap = document["gap"]["rms"]
     if answer == "no_gap":
-        return f"no gap: recalibrated, the twin leaves nothing material of {gap:.3g} m/s² that a sound model would not"
+        return f"no gap: after recalibration the residual of {gap:.3g} m/s² is within noise and model discrepancy"
     if answer == "unknown":
         like, there = document["signature"]["resembles"], document["signature"].get("stretch")
         word = f"; it resembles {_label(like[0]['effect'])}" if like else ""

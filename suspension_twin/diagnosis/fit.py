@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The joint fit of characteristics, nuisances and effects.
+"""The joint fit of characteristics, nuisance parameters and effects.
 
-A hypothesis is screened first: its effects are simulated all over their prior with the vehicle as
-the baseline has it, and what the characteristics and nuisances can take back is taken back by linear
-algebra. From the best of these, Gauss-Newton runs on everything jointly.
+A hypothesis is screened first: its effects are simulated at points over their prior with the baseline vehicle, and one
+linear least squares step refits characteristics and nuisance parameters. From the best points, bounded Gauss-Newton
+(``identification.gauss_newton``) fits all unknowns jointly.
 """
 
 from __future__ import annotations
@@ -42,9 +42,8 @@ __all__ = [
 ]
 
 _LARGEST_STEP = 2.0
-#: Dampings tried at once; a step is held 1e4 times more by the prior than by the curvature, so that the end of a spring
-#: that a drive hardly visits, which has no curvature and a wall behind it, holds back nothing else. A step that lowers
-#: -2 log posterior by less than 0.3 is the last: what decides differs by several.
+#: The prior damps a step 1e4 times more than the curvature does, so that a parameter that the drive hardly excites does
+#: not limit the step of the others. A step that lowers -2 log posterior by less than 0.3 ends the search.
 FIT_SETTINGS = GaussNewtonSettings(
     tolerance=0.0,
     absolute=0.3,
@@ -59,7 +58,7 @@ FIT_SETTINGS = GaussNewtonSettings(
     raised=100.0,
     worthwhile=0.3,
 )
-#: Places of each coordinate of an effect, out to so many spreads of its prior, and how many of them are simulated anew.
+#: Scan of an effect coordinate: points, range in standard deviations of its prior, and points simulated after refit.
 _SWEPT, _FAR, _TRIED = 9, 2.5, 4
 
 
@@ -78,7 +77,7 @@ class Fit:
 
 @dataclass(frozen=True, eq=False)
 class LinearisedFit(Fit):
-    """A fit with the linearisation ``at`` its place: tens of megabytes, so only while it is worked with."""
+    """A fit with the linearisation ``at`` its unknowns: tens of megabytes, kept only while it is used."""
 
     at: Linearised
 
@@ -86,8 +85,8 @@ class LinearisedFit(Fit):
 @dataclass(frozen=True, eq=False)
 class Screening:
     """Linearised joint ``cost`` and unknowns ``x`` of starts, the best first, and the ``power`` (S,) of each in the
-    order given: half the squared change of the whitened signals that characteristics and nuisances cannot imitate,
-    in nats."""
+    order given: half the squared change of the whitened signals that characteristics and nuisance parameters cannot
+    reproduce, in nats."""
 
     cost: list[float]
     x: list[Floats]
@@ -95,7 +94,7 @@ class Screening:
 
 
 def _curvature(bench: Bench, base: LinearisedFit) -> tuple[Floats, Floats, float]:
-    """Of the posterior about ``base``: its curvature, the prior's gradient, and what the prior costs."""
+    """Curvature of the posterior about ``base``, half gradient of the prior, and cost of the prior."""
     precision, centre = bench.prior(base.hypothesis)
     hessian = base.at.model.squares + precision
     away = base.x - centre
@@ -110,13 +109,13 @@ def room(bench: Bench, hypothesis: Hypothesis, x: Floats) -> tuple[Floats, Float
 
 
 def _at_active_bound(bench: Bench, hypothesis: Hypothesis, x: Floats, gradient: Floats) -> NDArray[np.bool_]:
-    """(p,) coordinates on a limit that want out: they stay there."""
+    """(p,) True for coordinates on a bound whose gradient points outwards."""
     low, high = bench.limits(hypothesis)
     return np.asarray(((x <= low) & (gradient > 0)) | ((x >= high) & (gradient < 0)))
 
 
 def screen(bench: Bench, base: LinearisedFit, hypothesis: Hypothesis, starts: Floats) -> Screening:
-    """Try every start (k, S) of a hypothesis' last effects with the vehicle of ``base``.
+    """Evaluate every start (k, S) of the last effects of a hypothesis with the vehicle of ``base``.
 
     ``base`` may be a hypothesis of fewer effects: its coordinates are the first of those of ``hypothesis``.
     """
@@ -150,11 +149,10 @@ def screen(bench: Bench, base: LinearisedFit, hypothesis: Hypothesis, starts: Fl
 def resonance_scan(
     bench: Bench, base: LinearisedFit, hypothesis: Hypothesis, scan: tuple[int, Floats]
 ) -> Floats | None:
-    """Unknowns of the best point of a ``scan`` of the hypothesis' last effect: coordinates (k, S) all over where
-    its resonance may lie, each with the strength, in the given row, that suits it best.
+    """Unknowns of the best point of a ``scan`` (row of the strength, coordinates (k, S)) over resonance frequencies.
 
-    A narrow resonance is missed by starts here and there; what it adds grows with its strength, so one simulation
-    tells the best strength of either sign by linear algebra.
+    Scattered starts miss a narrow resonance. Its response is linear in its strength, so that one simulation per
+    frequency gives the best strength, of either sign, by linear least squares.
     """
     row, points = scan
     p, kept = bench.d + bench.q, base.x.size - bench.d - bench.q
@@ -191,11 +189,10 @@ def resonance_scan(
 
 
 def coordinate_scan(bench: Bench, at: LinearisedFit) -> Floats | None:
-    """Unknowns that cost less than those of a fit, one coordinate of its effects anywhere else in its prior and the
-    rest moved to what suits it best by linear algebra; None where there are none.
+    """Unknowns of lower cost than a fit, found by scanning each effect coordinate over its prior; None if there are none.
 
-    A stop that touches at one axle alone, a mass in front instead of behind: such fits lie in valleys of their own,
-    and no descent leads from one to the next.
+    At each point all other unknowns are refitted by linear least squares. This finds separate local minima: a stop that
+    touches at one axle only, a mass in front instead of behind.
     """
     hypothesis, p = at.hypothesis, bench.d + bench.q
     low, high = hypothesis.bounds()
@@ -226,10 +223,10 @@ def coordinate_scan(bench: Bench, at: LinearisedFit) -> Floats | None:
 
 
 class _HypothesisResiduals:
-    """The residuals of a hypothesis as the solver sees them.
+    """The residuals of a hypothesis for the solver.
 
-    ``known`` columns of the Jacobian, the vehicle's and the nuisances', are taken to hold; with ``sparing`` those of
-    one iteration are, for one more.
+    ``fixed_columns`` are Jacobian columns of characteristics and nuisance parameters that are reused in all iterations;
+    with ``alternate_jacobian`` those of one iteration are reused in the next.
     """
 
     def __init__(
@@ -267,14 +264,14 @@ def refit(
     iterations: int,
     alternate_jacobian: bool = False,
 ) -> tuple[Floats, float]:
-    """Gauss-Newton from the best of ``starts``: unknowns and -2 log posterior; ``known`` and ``sparing`` as in
-    :class:`_Joint`."""
+    """Bounded Gauss-Newton from the best of ``starts``: unknowns and -2 log posterior; ``fixed_columns`` and
+    ``alternate_jacobian`` as in :class:`_HypothesisResiduals`."""
     solver, _ = _solved(bench, hypothesis, starts, fixed_columns, iterations, alternate_jacobian)
     return solver.x, solver.cost
 
 
 def fitted(bench: Bench, hypothesis: Hypothesis, starts: Sequence[Floats], iterations: int) -> LinearisedFit:
-    """As ``refit``, with the linearisation where it comes to."""
+    """As ``refit``, with the linearisation at the result."""
     solver, problem = _solved(bench, hypothesis, starts, None, iterations)
     there = problem.at is not None and np.array_equal(problem.at.x, solver.x)
     at = problem.at if there else bench.linearise(hypothesis, solver.x)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The gates that a hypothesis has to pass before it is named: material, adequate, plausible."""
+"""Probabilities that a hypothesis passes the gates: material, adequate, plausible."""
 
 from __future__ import annotations
 
@@ -23,9 +23,9 @@ _TRADED_SHARE = 0.25  # what a channel may lose, over the square of the most tha
 
 @dataclass(frozen=True, eq=False)
 class Gatekeeper:
-    """What hypotheses are measured against: ``base`` and what it leaves (``recalibrated``), ``noise`` by channel in its
-    units, ``reference`` the share of the motion that is left on reference drives (None without), ``temper`` the share
-    of what is left that is noise."""
+    """What hypotheses are compared with: ``base``, the evidence of recalibration alone, and its held-out residual
+    ``recalibrated``; ``noise`` rms by channel in its units; ``reference`` the residual on reference drives as a share of
+    the motion (None without); ``temper`` the share of the remaining residual that is noise."""
 
     bench: Bench
     blocks: Blocks
@@ -39,7 +39,7 @@ class Gatekeeper:
 
     @property
     def driven(self) -> list[int]:
-        """Columns of the channels by which the vehicle itself is judged."""
+        """Columns of the channels that the excitation of the vehicle drives."""
         return [c for c, name in enumerate(self.bench.problem.channels) if name in self.case.driven]
 
     def gates(
@@ -49,15 +49,18 @@ class Gatekeeper:
         least: float = verdict.MATERIAL,
         dominance: float = 0.0,
     ) -> verdict.Gates:
-        """Probabilities that ``found``, which leaves ``left``, passes each gate; material from a share ``least``, where
-        it stands ``alone`` whatever other channels lose."""
+        """Probabilities that ``found`` with the held-out residual ``remaining`` passes each gate.
+
+        It is material from the explained share ``least`` on. ``dominance`` (0 to 1) over all other hypotheses overrides
+        losses in other channels.
+        """
         bench, driven, columns = self.bench, self.driven, range(len(self.bench.problem.channels))
         seen = {
             (c, way): self.shrink(self.recalibrated, remaining, c, way)
             for c in columns
             for way in self._nuisance_options(c)
         }
-        # what is gained in one channel and lost in another is traded, not explained, unless nothing else gains alike
+        # a gain in one channel that is lost in another does not count, except for a dominant hypothesis
         most = max(seen[c, way].shrink for c in driven for way in self._nuisance_options(c))
         level, noise_level = self.level(remaining), self._noise_share()
         if self.reference is None or level < noise_level:
@@ -88,8 +91,8 @@ class Gatekeeper:
         return verdict.Gates(material, adequate, verdict.plausible(bench, found))
 
     def explained_share(self, found: Evidence, remaining: RemainingResidual) -> float:
-        """Share of what recalibration leaves beyond what a sound model would that is gone with ``found``, which leaves
-        ``left``, of the mean square; without a road of the first channel's rms."""
+        """Share of the recalibrated residual beyond the model discrepancy that ``found`` explains, of the mean square;
+        without a road, of the rms of the first channel."""
         if self.reference is not None:
             return verdict.explained_share(found, self.base, self.driven)
         if self.case.excited:
@@ -97,8 +100,7 @@ class Gatekeeper:
         return float(np.clip(self.shrink(self.recalibrated, remaining).shrink, 0.0, 1.0))
 
     def level(self, remaining: RemainingResidual) -> float:
-        """What is left as a share of the motion: where no reference says by what clocks and map are off, with them
-        where they were fitted."""
+        """Remaining residual as a share of the motion; without a reference with the nuisance parameters as fitted."""
         with_nuisances = self.case.excited and self.reference is None
         return verdict.relative_residual(
             self.bench, remaining, self.noise, self.case.driven, with_gap=True, with_nuisances=with_nuisances
@@ -111,24 +113,26 @@ class Gatekeeper:
         column: int = 0,
         with_nuisances: bool = False,
     ) -> Shrink:
-        """The shrink in one channel, with the nuisances where they were fitted if ``settled``."""
+        """The shrink in one channel, ``with_nuisances`` as fitted or at zero."""
         noise = self.noise[self.bench.problem.channels[column]]
         return shrink_of(
             self.bench, before, after, self.blocks, noise, column, self.seed, with_nuisances=with_nuisances
         )
 
     def _nuisance_options(self, column: int) -> tuple[bool, ...]:
-        """Whether a channel's gap is looked at where the nuisances were fitted: the planar ones, since biases and the
-        mount's normal lean make most of any gap there. What the road drives counts both ways: a vehicle's own effect
-        may ask clocks and map for something, and one of theirs spares it."""
+        """With which nuisance parameters (at zero: False, as fitted: True) the gap of a channel is measured.
+
+        Planar channels: as fitted, because biases and tilt make most of the gap there. Channels that the road drives:
+        both, because an effect may increase or decrease the clock and map offsets that the fit needs.
+        """
         if column not in self.driven:
             return (True,)
         return (False, True) if self.case.excited or self.reference is not None else (False,)
 
     def _material(self, column: int, seen: list[Shrink], least: float) -> float:
-        """Probability that a share ``least`` of a channel's gap is gone beyond recalibration.
+        """Probability that a share ``least`` of the recalibrated gap of a channel is explained.
 
-        With a reference the gap to explain is what exceeds that which the model leaves of this car anyway.
+        With a reference, the gap to explain is the excess over the model discrepancy found there.
         """
         motion = float(np.std(self.bench.problem.measured.values[gap_rows(self.bench), column]))
         floor = max(self.noise[self.bench.problem.channels[column]], verdict.SLIGHT * motion)
@@ -141,8 +145,8 @@ class Gatekeeper:
         return likely
 
     def _not_traded(self, column: int, seen: list[Shrink], most: float) -> float:
-        """Probability that a channel's gap is not larger than recalibration alone leaves it by more than a tenth and,
-        where another shrinks by much, a quarter of the square of the ``most`` that one does."""
+        """Probability that the gap of a channel grows by less than a tenth over recalibration alone, plus a quarter of
+        the square of ``most``, the largest shrink of any channel."""
         allowed, likely = verdict.MATERIAL + _TRADED_SHARE * max(most, 0.0) ** 2, 0.0
         for found in seen:
             if max(found.before, found.after) < self.noise[self.bench.problem.channels[column]]:
@@ -152,7 +156,7 @@ class Gatekeeper:
         return likely
 
     def _excess(self) -> float:
-        """Share of the recalibrated gap's mean square that reference drives do not show as well."""
+        """Share of the mean square of the recalibrated gap that exceeds that on reference drives."""
         if self.reference is None:
             return 1.0
         level = verdict.relative_residual(
@@ -161,7 +165,7 @@ class Gatekeeper:
         return float(np.clip(1.0 - (self.reference / max(level, 1e-9)) ** 2, _LEAST_EXCESS, 1.0))
 
     def _noise_share(self) -> float:
-        """Level at which nothing but the sensor's noise is left."""
+        """Residual as a share of the motion at which it is sensor noise only."""
         rows = gap_rows(self.bench)
         motion = float(np.std(self.bench.problem.measured.values[rows, 0]))
         return 0.7 * self.noise[self.bench.problem.channels[0]] / max(motion, 1e-12)

@@ -1,5 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""One stretch of road that holds what is left: what a model gets wrong of a car it gets wrong wherever that moves."""
+"""Local road errors: a remaining residual that is concentrated on one section of road.
+
+Model discrepancy follows the motion and is spread over the road. A residual concentrated on one section, on every pass,
+is an error of the road file there.
+"""
 
 from __future__ import annotations
 
@@ -23,24 +27,25 @@ __all__ = [
     "road_error_matches",
 ]
 
+#: Length in m of the cells of a section.
 _METRES = 4.0
-#: Share of what is left that one stretch holds beyond its share of the motion, on every pass, at which it is as likely
-#: as not that the road is another there: up to 0.27 on cars and roads that lack nothing.
+#: Excess of the share of the residual on a section over its share of the motion, on every pass, with a probability of a
+#: local road error of 0.5 (up to 0.27 on cars and roads without any error), and factor of one standard deviation.
 _CONCENTRATED, _CONCENTRATED_SPREAD = 0.38, 1.15
 _TOLERANCE = 0.1
-#: m before a stretch from which on its front wheels are on it, and behind it until the body has come to rest.
+#: m before a section where the front wheels reach it, and after it until the free oscillation has decayed.
 _BEFORE, _REBASE_GAIN = 4.0, 15.0
 _COARSE, _FINE, _LONG = 201, 21, 6
-#: Share of the rest of a stretch that an error of the road file takes there, at which it is as likely as not that the
-#: file has it: none did in twelve cases where nothing is wrong; and nats by which one may be worse than the best.
+#: Shrink of the residual on a section by an error of the road file, with a probability of that error of 0.5, and factor
+#: of one standard deviation; nats by which a reported error may be worse than the best.
 _TAKEN, _TAKEN_SPREAD, _AS_GOOD = 0.25, 1.3, 3.0
-_LEAST_SHARE = 0.05  # share of the rest of a stretch
+_LEAST_SHARE = 0.05  # shrink from which on an error is reported
 
 
 @dataclass(frozen=True)
 class RoadSection:
-    """``start`` and ``end`` in m along the road, the ``share`` of what is left there that it holds, and by how much
-    that is ``beyond`` its share of the motion on the drive where it is least."""
+    """``start`` and ``end`` in m along the road, the ``share`` of the remaining residual on it (mean square), and its
+    excess ``beyond`` the share of the motion there, on the drive where that is smallest."""
 
     start: float
     end: float
@@ -50,8 +55,8 @@ class RoadSection:
 
 @dataclass(frozen=True)
 class RoadErrorMatch:
-    """What the rest of a stretch is like: an ``effect`` of the road there, its parameters by key, and the ``shrink`` of
-    the rest of the vertical acceleration there."""
+    """An ``effect`` of the road on a section only: its parameter ``values`` by key, and the ``shrink`` of the residual of
+    the vertical acceleration there."""
 
     effect: str
     values: dict[str, float]
@@ -61,9 +66,11 @@ class RoadErrorMatch:
 def concentrated_section(
     bench: Bench, remaining: RemainingResidual, noise: dict[str, float]
 ) -> RoadSection | None:
-    """The stretch, at most half of the road, that holds most of what is left of the vertical acceleration beyond its
-    share of the motion on every drive with the gap; where there are drives from before it, beyond what these leave
-    there as well. None without a vertical acceleration or where the drives have no stretch in common."""
+    """The section, at most half of the road, with the largest excess of residual over motion in vertical acceleration.
+
+    The excess is the smallest of all drives with the gap, less the mean of the reference drives. None without a vertical
+    acceleration or where the drives have no section in common.
+    """
     measured = bench.problem.measured
     if "vertical_acceleration" not in measured.channels:
         return None
@@ -94,7 +101,7 @@ def concentrated_section(
     if not seen.any():
         return None
     most = float(beyond[seen].max())
-    # the shortest that holds nearly as much: what lies beside it is as the file says
+    # the shortest section within the tolerance of the largest excess
     near = np.flatnonzero(seen & (beyond >= most - _TOLERANCE * abs(most)))
     best = int(near[np.lexsort((-beyond[near], (ends - starts)[near]))[0]])
     low, high = int(starts[best]), int(ends[best])
@@ -103,14 +110,14 @@ def concentrated_section(
 
 
 def no_concentration(found: RoadSection | None) -> float:
-    """Probability that what is left is spread over the road as a sound model's error is."""
+    """Probability that the residual is spread over the road as model discrepancy is."""
     if found is None:
         return 1.0
     return float(norm.sf(np.log(max(found.beyond, 1e-3) / _CONCENTRATED) / np.log(_CONCENTRATED_SPREAD)))
 
 
 def no_road_error(found: list[RoadErrorMatch]) -> float:
-    """Probability that no error of the road file is on the stretch that these are of."""
+    """Probability that the road file has no error on the section of these matches, best first."""
     most = max((one.shrink for one in found[:1]), default=0.0)
     return float(norm.sf(np.log(max(most, 1e-3) / _TAKEN) / np.log(_TAKEN_SPREAD)))
 
@@ -118,11 +125,10 @@ def no_road_error(found: list[RoadErrorMatch]) -> float:
 def road_error_matches(
     bench: Bench, x: Floats, there: RoadSection, effects: list[Hypothesis], temper: float
 ) -> list[RoadErrorMatch]:
-    """Which of ``effects`` of the road, on the stretch alone, make up for what is left of it, the best first.
+    """The ``effects`` of the road, applied on the section only, that explain its residual, the best first.
 
-    Vehicle and nuisances are as the rest of the road shows them, from ``x`` (d + q,) on: a stretch of some tens of
-    metres has nothing to say of them. Each effect has one parameter, which is tried all over its range. ``temper``
-    is the share of the rest that is noise.
+    Vehicle and nuisance parameters are fitted to the other sections of the road, from ``x`` (d + q,). Each effect has
+    one parameter, which is evaluated on a grid over its range. ``temper`` is the share of the residual that is noise.
     """
     row = _positions(bench)[bench.whitener.row]
     near = (row > there.start - _BEFORE) & (row < there.end + _REBASE_GAIN)
@@ -132,7 +138,7 @@ def road_error_matches(
     vertical = bench.whitener.channel == bench.problem.channels.index("vertical_acceleration")
 
     def remaining(hypothesis: Hypothesis, points: Floats) -> tuple[Floats, Floats]:
-        """Sums of squares (n,) on the stretch, of all channels and of the vertical one."""
+        """Sums of squares (n,) on the section, of all channels and of the vertical acceleration."""
         residual, failed = inside.residuals(
             hypothesis, np.vstack([np.repeat(x[:, None], points.size, axis=1), points])
         )
@@ -169,6 +175,6 @@ def _positions(bench: Bench) -> Floats:
 
 
 def _cumulated(values: Floats) -> Floats:
-    """(n + 1,) shares of the sum up to each place."""
+    """(n + 1,) cumulative share of the sum; zeros where the sum is zero."""
     total = float(values.sum())
     return np.concatenate([[0.0], np.cumsum(values) / total if total > 0.0 else np.zeros(values.size)])

@@ -1,10 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Where the gap lies: in time, on the road, in frequency, by channel, corner and operating point.
+"""Localisation of the gap: in time, on the road, in frequency, by channel, corner and operating point.
 
-A place is reported that holds significantly more of the gap than its length asks for: its mean square
-is compared with the spread of blocks of a second over the whole drives, and of all places tried, false
-discoveries are held to a tenth (Benjamini and Hochberg 1995). Shares are of the gap's energy above the noise;
-in frequency, also above what the model leaves of the motion on drives from before the gap, where there are any.
+An interval is reported if its mean square is significantly above that of the other intervals, with a false discovery
+rate of 0.1 over all that are tested (Benjamini and Hochberg 1995). Shares are of the energy of the gap above the noise;
+in frequency, also above the model discrepancy found on reference drives.
 """
 
 from __future__ import annotations
@@ -35,7 +34,7 @@ _SEGMENT, _LOWEST, _DRAWS = 256, 0.5, 1000
 def localise(bench: Bench, difference: Floats, noise: dict[str, float], twin: Twin) -> dict[str, Any]:
     """The object ``where`` of diagnosis.json for differences (M, C) of the drives with the gap.
 
-    ``twin`` tells how the suspension moved, for corners and operating points.
+    ``twin`` is simulated for the motion of the suspension, for corners and operating points.
     """
     names = bench.problem.channels
     main = names.index("vertical_acceleration") if "vertical_acceleration" in names else 0
@@ -83,7 +82,7 @@ def _gap_drives(bench: Bench) -> list[Any]:
 
 
 def _significant(means: Floats, all_means: Floats) -> np.ndarray:
-    """Which windows' mean squares stand out of their drive's, false discoveries held."""
+    """True for mean squares significantly above the median of ``all_means``, as log-normal."""
     logs = np.log(np.maximum(means, 1e-12))
     usual = np.log(np.maximum(all_means, 1e-12))
     centre = np.median(usual)
@@ -153,8 +152,8 @@ def _spectrum(bench: Bench, series: Sequence[Floats]) -> tuple[Floats, Floats]:
 
 
 def _segments(bench: Bench, series: Sequence[Floats]) -> tuple[Floats, Floats]:
-    """Frequencies (F,) and the power density (N, F) of every stretch of ``_SEGMENT`` samples of the drives, half of
-    each in the next; a shorter drive is one stretch."""
+    """Frequencies (F,) and periodograms (N, F) of half overlapping segments of ``_SEGMENT`` samples; a shorter drive is
+    one segment."""
     rate = bench.problem.measured.rate
     found = []
     for x in series:
@@ -167,8 +166,8 @@ def _segments(bench: Bench, series: Sequence[Floats]) -> tuple[Floats, Floats]:
 
 
 def _expected_density(bench: Bench, difference: Floats, column: int) -> Floats:
-    """(F,) power density that the model would leave of the drives with the gap if it left the share of the motion
-    that it leaves of the others; nothing without such drives."""
+    """(F,) power density of the model discrepancy to be expected on drives with the gap: the share of the motion found on
+    reference drives, band by band; zeros without a reference."""
     problem = bench.problem
     measured, others = problem.measured, [d for d, a in enumerate(bench.active) if not a]
     if not others:
@@ -179,9 +178,11 @@ def _expected_density(bench: Bench, difference: Floats, column: int) -> Floats:
 
 
 def _frequency(bench: Bench, series: Sequence[Floats], floor: float, usual: Floats) -> list[dict[str, Any]]:
-    """Bands that hold more of the gap than their width in octaves asks for, each about a peak and down to half of
-    its density. How sure that is comes from drawing pairs of stretches anew, neighbours together. ``usual`` (F,) is
-    the power density that is there without the gap."""
+    """Bands with significantly more of the gap per octave than the mean, each from a peak down to half of its density.
+
+    Significance is by bootstrap over pairs of neighbouring segments. ``usual`` (F,) is the power density of the expected
+    model discrepancy, ``floor`` the noise rms.
+    """
     f, power = _segments(bench, series)
     inside = (f >= _LOWEST) & (f < 30.0)
     f, power = f[inside], gaussian_filter1d(power[:, inside], 1.0, axis=1, mode="nearest")
@@ -215,7 +216,7 @@ def _frequency(bench: Bench, series: Sequence[Floats], floor: float, usual: Floa
             ):
                 at += step
             ends.append(at)
-            # what goes on falling from there is the same peak's foot
+            # the falling flank belongs to the same peak
             while (
                 0 <= at < f.size
                 and remaining[at]
@@ -236,7 +237,7 @@ def _frequency(bench: Bench, series: Sequence[Floats], floor: float, usual: Floa
 
 
 def _channels(bench: Bench, difference: Floats, noise: dict[str, float]) -> list[dict[str, Any]]:
-    """Each channel's share of the gap counted in floors, so that rates and accelerations compare."""
+    """Share of each channel in the gap, each in units of its noise."""
     parts = np.concatenate(_parts(bench, difference))
     energy = [
         max(float(np.mean(parts[:, c] ** 2)) / max(noise[name], 1e-9) ** 2 - 1.0, 0.0)
@@ -251,9 +252,8 @@ def _channels(bench: Bench, difference: Floats, noise: dict[str, float]) -> list
 
 
 def repeatable(bench: Bench, difference: Floats, column: int) -> dict[str, float]:
-    """Correlation of two drives' gaps by place on the road: near 1 for road and tyre, near 0 for clock and noise.
-
-    Speeds differ, so envelopes over a metre are compared, not wave forms. Empty for a single drive.
+    """Correlation over road position of the log mean square per metre of two drives: near 1 for road and tyre effects,
+    near 0 for clock effects and noise. Empty for a single drive.
     """
     profiles = []
     for (part, rows), d in zip(_gap_drives(bench), _parts(bench, difference), strict=True):
@@ -275,8 +275,8 @@ def repeatable(bench: Bench, difference: Floats, column: int) -> dict[str, float
 
 
 def signature(bench: Bench, difference: Floats, twin: Twin) -> dict[str, Any]:
-    """What a gap that nothing explains looks like: its band, whether it goes with motion or its square,
-    whether it has a loop over travel, and from which velocity and travel on it appears."""
+    """Features of an unexplained gap: its band, the regressor of travel and velocity with the highest correlation, its
+    hysteresis, and the velocity and travel from which on it appears."""
     names = bench.problem.channels
     column = names.index("vertical_acceleration") if "vertical_acceleration" in names else 0
     series = [d[:, column] for d in _parts(bench, difference)]

@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Pre-existing effects: those that the reference drives show as well as those with the gap.
+"""Pre-existing effects: those that act on reference drives and on drives with the gap alike.
 
-The discrepancy of a model comes again on every drive, and some effects make up for a part of it: a low-pass, a contact
-patch, a little friction. Fitted to the drives with the gap alone, such an effect looks as if it had come since, and
-gains more than a faint one that has. So whatever improves the prediction of all drives is fitted to all of them first,
-and what counts for an effect is what it gains beyond that.
+Model discrepancy repeats on every drive, and some effects explain a part of it: a low-pass, a contact patch, a little
+friction. Fitted to the drives with the gap alone, such an effect can gain more evidence than a small new effect. Effects
+that improve the prediction of all drives are therefore fitted to all of them first, and the evidence of an effect is
+its gain beyond these.
 """
 
 from __future__ import annotations
@@ -24,19 +24,17 @@ from suspension_twin.identification.parallel import side_by_side
 
 __all__ = ["as_preexisting", "beyond_preexisting"]
 
-#: Nats, counted by the share of the remaining residual that is noise, that a pre-existing effect gains at least on all
-#: drives and loses at most on those from before: of effects that came since these lost 4 to 13, of others less than 1.
+#: Tempered nats that a pre-existing effect has to gain on all drives and may lose on reference drives: new effects lose
+#: 4 to 13 there, pre-existing ones less than 1.
 _LEAST_GAIN = 1.0
 _ROUGH, _LONG, _FINE = 4, 8, 6
-_REBASE_GAIN = (
-    1.0  # -2 log posterior by which a baseline has to be better for what was compared with it to go on
-)
+_REBASE_GAIN = 1.0  # -2 log posterior that a baseline has to improve by for the other fits to be repeated
 
 
 def as_preexisting(bench: Bench, hypothesis: Hypothesis, x: Floats, base: Fit, blocks: Blocks) -> Evidence:
-    """An effect, at unknowns ``x`` (d + q + k,) on the drives with the gap, as a pre-existing effect on all drives.
+    """Evidence of an effect, fitted at ``x`` (d + q + k,) to drives with the gap, as a pre-existing effect of all drives.
 
-    Not for a clock, a place on the map or a lean: that there always was one is a nuisance already.
+    Not for clock offset, map position and tilt: on all drives these are nuisance parameters.
     """
     existing, u = hypothesis.existing(), x[bench.d + bench.q :]
     starts = [x, np.concatenate([base.x, u]), np.concatenate([base.x, hypothesis.neutral()])]
@@ -52,9 +50,10 @@ def beyond_preexisting(
     blocks: Blocks,
     on_progress: Callable[[float, int], None],
 ) -> tuple[Evidence, dict[int, Evidence]] | None:
-    """The baseline of a vehicle that has the pre-existing effects of ``always``, and what each effect of ``found`` does
-    on the drives with the gap beyond them; None where there is none of either. An effect that is pre-existing as well
-    may have another size there than on those from before."""
+    """Evidence of the baseline with the pre-existing effects of ``existing``, and of each effect of ``found`` beyond them.
+
+    None where there are none. An effect that is pre-existing as well may have another size on drives with the gap.
+    """
     extended, x, cost = _with_preexisting(bench, base, existing if found else (), temper)
     if extended is bench:
         return None
@@ -69,7 +68,7 @@ def beyond_preexisting(
         return refit(extended, own, starts, None, _FINE)[0]
 
     fits = dict(zip(found, side_by_side(beside, list(found), on_progress), strict=True))
-    # the baseline takes over any vehicle that an effect's fit has come to, and the others go on from there
+    # the baseline is refitted from the vehicle of each effect, and if it improves the others follow
     y, better = refit(extended, BASELINE, [x, *(z[:p] for z in fits.values())], None, _LONG)
 
     def judged(i: int) -> Evidence:
@@ -86,8 +85,7 @@ def beyond_preexisting(
 
 
 def _gain_on_reference(bench: Bench, existing: Evidence, base: Evidence) -> float:
-    """Nats that a pre-existing effect gains on the drives from before: one that has come since is pulled at by all
-    drives, and these lose by it."""
+    """Nats that a pre-existing effect gains on reference drives; a new effect, fitted to all drives, loses there."""
     whitener, gain = bench.whitener, 0.0
     before = ~np.array(bench.active)[whitener.drive]
     for (c, with_gap), level in base.level.items():
@@ -102,8 +100,8 @@ def _gain_on_reference(bench: Bench, existing: Evidence, base: Evidence) -> floa
 def _with_preexisting(
     bench: Bench, base: Evidence, existing: Sequence[Evidence], temper: float
 ) -> tuple[Bench, Floats, float]:
-    """The bench of a vehicle that has all effects that improve the prediction of all drives and do not worsen that of
-    the drives from before, and its unknowns and cost."""
+    """The bench of a vehicle with all effects that improve the prediction of all drives and do not degrade that of
+    reference drives; unknowns and cost of its baseline."""
     existing_effects = [
         e
         for e in existing

@@ -22,24 +22,24 @@ from suspension_twin.diagnosis.shrink import RemainingResidual, remaining_residu
 
 __all__ = ["Candidate", "Findings", "pays", "select"]
 
-#: How surely one more effect has to beat the smaller set, and by which share of a channel's gap, to join it; and by
-#: which share of what the smaller set leaves there, its nuisances where they were fitted, while no reference says what
-#: a sound model leaves: some effect makes up for a part of any model's discrepancy.
+#: For one more effect to join a set: win rate over the smaller set, and share of the gap of a channel that it explains;
+#: without a reference also its share of the remaining residual there with the nuisance parameters as fitted, because
+#: some effect explains a part of any model discrepancy.
 _SURE, _WORTH, _WORTH_OF_THE_REMAINING = 0.95, verdict.MATERIAL, 0.2
-#: Without a road, of a channel's gap: a clock drift passes almost whole for a clock offset.
+#: The same share without a road: a clock offset explains most of a clock drift.
 _WORTH_BARE = 0.5 * _WORTH
 _MOST_EFFECTS = 3
-_LEADS = (0.2, 0.1)  # weights from which on the likeliest effects and the next are tried with others
-#: By how much -2 log posterior may differ if an effect takes over from the nuisances that are the same thing.
+_LEADS = (0.2, 0.1)  # weights from which on the first and the second effect start a set
+#: -2 log posterior by which the fit may be worse with the nuisance parameters of the same action frozen.
 _SAME_FIT = 20.0
-#: Nats of nuisance penalty that one more effect has to save where it frees clocks from their bounds, and where it makes
-#: up for what clocks, map and mount are asked for more than for the remaining residual.
+#: Nats of nuisance penalty that one more effect has to save where it takes clocks off their bounds, and where it reduces
+#: the nuisance penalty more than the remaining residual.
 _SAVED, _SAVED_MUCH = 1.0, float(np.log(_SURE / (1.0 - _SURE)))
 
 
 @dataclass(frozen=True, eq=False)
 class Candidate:
-    """A set of effects with its held-out evidence, and what it ``left``."""
+    """A set of effects with its cross-validated evidence and its ``remaining`` residual."""
 
     found: Evidence
     remaining: RemainingResidual
@@ -52,8 +52,8 @@ class Candidate:
 
 @dataclass(frozen=True, eq=False)
 class Findings:
-    """All that the answer is made of: the library ``judged``, the set ``chosen`` with its ``gates`` and the share that
-    is ``gone`` with it, and the share ``gone_alone`` (E,) with each effect of the library."""
+    """Input of the verdict: the library ``judged``, the set ``chosen`` with its ``gates`` and its ``explained_share`` of
+    the recalibrated residual, and the ``explained_shares`` (E,) of each effect of the library."""
 
     judged: Judged
     chosen: Candidate
@@ -65,7 +65,7 @@ class Findings:
 def select(
     request: DiagnosisRequest, case: Case, judged: Judged, report: Callable[[Progress], None]
 ) -> Findings:
-    """The set of effects that is named, if any is."""
+    """Choose the set of effects that can be named."""
     if case.excited:
         chosen = _with_nuisance_part(judged, _best_set(request, case, judged, report))
     else:
@@ -85,8 +85,10 @@ def select(
 def _best_set(
     request: DiagnosisRequest, case: Case, judged: Judged, report: Callable[[Progress], None]
 ) -> Candidate:
-    """The best set that grows from the likeliest effects: of two causes the one that shows most by itself may be
-    neither, or too little of the gap while the other is not there."""
+    """The best set grown from the most probable effects.
+
+    With two causes, the effect of highest evidence may be neither of them, and each may explain too little by itself.
+    """
     missing, seed = judged.gates[0].adequate < 0.5, request.seed
     none = best = Candidate(judged.base, judged.remaining[0])
     for place, at in enumerate(np.argsort(-judged.weights[1:], kind="stable")[: len(_LEADS)]):
@@ -120,10 +122,10 @@ def _forward_selection(
     gates: verdict.Gates,
     report: Callable[[Progress], None],
 ) -> Candidate:
-    """What a lead becomes, greedily, one more effect at a time, as long as it pays."""
+    """Greedy forward selection from one effect, as long as one more pays."""
     effects = library(case.twin, case.excited, request.effects)
     weak = [s.effect for s in judged.singles if not s.judged]
-    # without a reference nobody knows what is left of a sound model: what pays is taken
+    # without a reference the model discrepancy is unknown: growth ends where no effect pays
     while len(chosen.effects) < min(_MOST_EFFECTS, len(effects)) and (
         judged.reference is None or gates.adequate < 0.5
     ):
@@ -136,7 +138,7 @@ def _forward_selection(
             lambda done, note: report(Progress("combinations", 0.76 + 0.18 * done, note)),
             weak,
         )
-        # the one that gains most may make up for a little everywhere and close nothing: then the next
+        # the pair of highest evidence may explain a little everywhere and not pay: then the next
         joined = next(_additions(request, case, judged, chosen, tried), None)
         if joined is None:
             break
@@ -148,7 +150,7 @@ def _forward_selection(
 def _additions(
     request: DiagnosisRequest, case: Case, judged: Judged, few: Candidate, tried: list[Evidence]
 ) -> Iterator[Candidate]:
-    """Those of ``tried`` that pay, the best first."""
+    """The candidates of ``tried`` that pay, the best first."""
     for more in tried:
         if verdict.beyond_usual(judged.bench, more, judged.reference is not None) > 0.5:
             many = Candidate(
@@ -159,8 +161,10 @@ def _additions(
 
 
 def pays(case: Case, judged: Judged, few: Candidate, many: Candidate, seed: int) -> bool:
-    """Whether one more effect is sure to be better, and by enough of some channel's recalibrated gap; without a road
-    of what the fewer leave there: each channel is another effect's to show."""
+    """Whether the larger set ``many`` has surely the higher evidence than ``few`` and explains enough more of the gap.
+
+    Enough is a share of the recalibrated gap of some channel; without a road, of the remaining residual of ``few``.
+    """
     bench, keeper, temper = judged.bench, judged.keeper, judged.temper
     _, win_rate = weights([few.found, many.found], np.array([0.5, 0.5]), temper, seed)
     if win_rate[1, 0] < _SURE:
@@ -168,11 +172,11 @@ def pays(case: Case, judged: Judged, few: Candidate, many: Candidate, seed: int)
     unreferenced = case.excited and judged.reference is None
     if case.excited and not unreferenced:
         still = [np.sqrt(1.0 - keeper.explained_share(one.found, one.remaining)) for one in (few, many)]
-        # what makes up for a little of the model's discrepancy takes little of what the reference does not show
+        # an effect that only explains model discrepancy explains little of the excess over the reference
         if still[0] - still[1] < _WORTH:
             return False
     saved = penalty_gains([few.found.penalty, many.found.penalty], temper)[1] if unreferenced else 0.0
-    # clocks that are all on their bounds make up for something: what frees them is worth it, if that is worth it
+    # clocks that are all on their bounds compensate for a missing effect
     if saved > _SAVED and (
         verdict.clocks_within_limits(bench, few.found, temper)
         < 0.5
@@ -186,7 +190,7 @@ def pays(case: Case, judged: Judged, few: Candidate, many: Candidate, seed: int)
             continue
         if one.after - two.after >= (_WORTH if case.excited else _WORTH_BARE) * one.before and (
             not unreferenced
-            or saved > _SAVED_MUCH  # no model discrepancy asks that of clocks and map
+            or saved > _SAVED_MUCH  # model discrepancy does not move clocks and map by that much
             or keeper.shrink(few.remaining, many.remaining, column, with_nuisances=True).shrink
             >= _WORTH_OF_THE_REMAINING
         ):
@@ -195,8 +199,10 @@ def pays(case: Case, judged: Judged, few: Candidate, many: Candidate, seed: int)
 
 
 def _with_nuisance_part(judged: Judged, chosen: Candidate) -> Candidate:
-    """What is named with all of it: the part that is normal of any clock, map or mount went to the nuisances while
-    causes were compared. With a reference that part is the vehicle's before the change."""
+    """The set refitted with the nuisance parameters of the same action frozen, so that its parameters hold the whole error.
+
+    With a reference that part belongs to the state before the change and is left to the nuisance parameters.
+    """
     bench, hypothesis = judged.bench, chosen.found.fit.hypothesis
     frozen_nuisances = tuple(n for e in hypothesis.effects for n in NUISANCE_COUNTERPART.get(e, ()))
     if judged.reference is not None or not frozen_nuisances:
@@ -210,11 +216,10 @@ def _with_nuisance_part(judged: Judged, chosen: Candidate) -> Candidate:
 
 
 def _backward_elimination(request: DiagnosisRequest, case: Case, judged: Judged) -> Candidate:
-    """Without a road: all effects that can be judged jointly, then one less for as long as nothing is lost.
+    """Backward elimination, without a road: the joint fit of all effects, then one less as long as that loses nothing.
 
-    There are few of them, and they hide each other: a clock drift looks like a clock offset, and
-    a tilt is not seen before the clock is right. Starting from one would end with the wrong one. No
-    background is known that a remaining residual could be measured by.
+    The few effects mask each other (a clock drift resembles a clock offset; a tilt shows only with the right clock), so
+    that forward selection would start from a wrong one. The model discrepancy is unknown there.
     """
     bench, blocks = judged.bench, judged.blocks
     known = library(case.twin, False, request.effects)
@@ -237,7 +242,7 @@ def _backward_elimination(request: DiagnosisRequest, case: Case, judged: Judged)
 
 
 def _weights_of_set(request: DiagnosisRequest, judged: Judged, chosen: Candidate) -> Judged:
-    """Weights and gates of effects that were judged together: each stands for all of them."""
+    """Weights and gates of a set that was judged jointly: each member has those of the set."""
     _, win_rate = weights([judged.base, chosen.found], np.array([0.5, 0.5]), judged.temper, request.seed)
     members = [1 + i for i, s in enumerate(judged.singles) if s.effect in chosen.effects]
     weight, gates = np.zeros_like(judged.weights), list(judged.gates)

@@ -1,9 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
-"""How far the gap shrinks, on stretches of road that the fit has not seen.
+"""The shrink of the gap on held-out road.
 
-The twin with a hypothesis is fitted without each fold in turn and then simulated, not extrapolated,
-over it. Clock, map and biases are left as the twin file has them: what is measured is what the written
-twin will show.
+The twin with a hypothesis is fitted without each fold in turn and simulated over that fold. With clock, map and biases
+of the twin file, the shrink is that of the written twin:
+
+    shrink = 1 - after / before,   of the rms above the noise, sqrt(max(mean(r^2) - sigma^2, 0)).
 """
 
 from __future__ import annotations
@@ -20,16 +21,16 @@ from suspension_twin.diagnosis.hypotheses import BASELINE, Hypothesis
 __all__ = ["RemainingResidual", "Shrink", "remaining_residual", "shrink_of", "uncalibrated_residual"]
 
 _DRAWS = 2000
-#: Standard deviation of the logarithm of the share of a gap that a twin leaves, from one drive to another of the same
-#: car on the same road, and how many drives this knowledge counts as.
+#: Prior of the standard deviation of log(after / before) from drive to drive of one car on one road, and its degrees of
+#: freedom; lower limit of after / before, below which the residual is noise.
 _FROM_DRIVE_TO_DRIVE, _COUNTS_AS = 0.15, 4
 _LEAST_SHARE_LEFT = 0.02
 
 
 @dataclass(frozen=True, eq=False)
 class RemainingResidual:
-    """Held-out differences (M, C) between a twin and the drives, in the channels' units; ``settled`` with clocks, map,
-    biases and mount where they were fitted, ``difference`` with all of them at nothing."""
+    """Held-out simulated minus measured signals (M, C) in the units of the channels: ``difference`` with all nuisance
+    parameters at zero, ``with_nuisances`` with clocks, map, biases and mount as fitted."""
 
     difference: Floats
     with_nuisances: Floats
@@ -46,7 +47,7 @@ class Shrink:
 
 
 def uncalibrated_residual(bench: Bench) -> RemainingResidual:
-    """What the twin as it stands leaves; nothing was fitted, so all of it counts as unseen."""
+    """The residual of the twin as given; nothing was fitted, so that all of it is held out."""
     z = bench.problem.space.z0[:, None]
     signals, _ = bench.signals(BASELINE, z, np.zeros((0, 1)))
     plain = bench.compared(signals, np.zeros((bench.q, 1)))[:, :, 0]
@@ -57,7 +58,7 @@ def uncalibrated_residual(bench: Bench) -> RemainingResidual:
 def remaining_residual(
     bench: Bench, hypothesis: Hypothesis, unknowns: Floats, blocks: Blocks
 ) -> RemainingResidual:
-    """Simulated at the unknowns (d + q + k, FOLDS) that have not seen each fold."""
+    """The residual at the unknowns (d + q + k, FOLDS) fitted without each fold."""
     d, q = bench.d, bench.q
     signals, _ = bench.signals(hypothesis, unknowns[:d], unknowns[d + q :])
     full = [s if s.shape[2] == FOLDS else np.repeat(s, FOLDS, axis=2) for s in signals]
@@ -81,7 +82,7 @@ def drives_of(bench: Bench) -> np.ndarray:
 
 
 def gap_rows(bench: Bench) -> np.ndarray:
-    """(M,) True on samples of drives that show the gap."""
+    """(M,) True for samples of drives with the gap."""
     return np.asarray(np.array(bench.active)[drives_of(bench)])
 
 
@@ -96,10 +97,12 @@ def shrink_of(
     new_drive: bool = False,
     with_nuisances: bool = False,
 ) -> Shrink:
-    """The shrink in one channel over the drives with the gap; interval by resampling blocks of road, with
-    ``another`` for one more drive: what it leaves differs as these do among each other, or as drives do (Student's t
-    of normal values with a scaled inverse chi-squared prior of their variance: Gelman et al., Bayesian Data Analysis,
-    3rd ed., section 3.3). ``settled`` with the nuisances where they were fitted."""
+    """The shrink in one channel over the drives with the gap, with a 90 % interval by bootstrap over blocks of road.
+
+    With ``new_drive`` the interval is predictive for one more drive: the scatter between drives is added, by Student's t
+    with a scaled inverse chi-squared prior of the variance (Gelman et al., Bayesian Data Analysis, 3rd ed., section
+    3.3). ``with_nuisances`` as fitted or at zero.
+    """
     rows = gap_rows(bench)
     with_gap = [i for i, active in enumerate(bench.active) if active]
     drive = (
@@ -140,9 +143,9 @@ def shrink_of(
 
 
 def _new_drive_scatter(before: Floats, after: Floats, rng: np.random.Generator) -> Floats:
-    """(_DRAWS,) logarithms of how much more or less of the gap one more drive leaves than all of these (D,) do."""
+    """(_DRAWS,) draws of log(after / before) of one more drive, about that of these drives (D,)."""
     known = before > 1e-12
-    # what lies in the noise is as good as gone, by how much is not known
+    # below the noise the ratio is undetermined
     remaining = np.log(np.maximum(after[known] / before[known], _LEAST_SHARE_LEFT))
     apart = float(np.sum((remaining - remaining.mean()) ** 2)) if remaining.size else 0.0
     freedom = _COUNTS_AS + max(remaining.size - 1, 0)

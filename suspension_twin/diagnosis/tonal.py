@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Lines in what is left: periods of the wheels or of an engine, which no sound model's error has.
+"""Tonal components of the remaining residual: wheel orders and engine frequencies.
 
-What a model gets wrong of road and vehicle is broad. A wheel that is out of balance or round comes again with every
-turn, the same over distance at any speed; an engine or a fan with a frequency. Pieces of a drive are each taken apart
-into a spectrum, over distance and over time; a line stands out of its neighbourhood in their mean.
+Model discrepancy is broadband. Imbalance or runout of a wheel is periodic in distance at any speed (an order), an engine
+or a fan in time. The spectra of segments of a drive, over distance and over time, are divided by the level of their
+neighbouring bins and averaged: a tonal component exceeds its neighbourhood.
 """
 
 from __future__ import annotations
@@ -20,21 +20,20 @@ from suspension_twin.diagnosis.shrink import RemainingResidual, drives_of
 
 __all__ = ["Tone", "strongest_tone"]
 
-#: Over distance and over time: length of a piece, step of its grid, lowest and highest that is looked at. Wheels of
-#: 0.2 to 0.5 m, once to thrice a turn.
+#: By domain (m or s): segment length, grid step, lowest and highest frequency. Wheels of 0.2 to 0.5 m radius, orders 1
+#: to 3.
 _DOMAINS = {"distance": (120.0, 0.05, 0.3, 1.6), "time": (10.0, 0.01, 2.0, 20.0)}
-_LEAST = 0.7  # of a piece that has to be there
-#: Bins, two to a resolution, from a line to the end of its neighbourhood and of itself.
+_LEAST = 0.7  # share of a segment that has to be covered by samples
+#: Bins (two per resolution) from a component to the end of its neighbourhood, and of the component itself.
 _NEAR, _SELF = 25, 3
-#: How much more a line has to stand out of what is left than out of what the model makes there: a periodic road's
-#: are in both.
+#: Prominence in the residual over that in the simulated signal: a component of a periodic road is in both.
 _OWN = 2.0
 
 
 @dataclass(frozen=True)
 class Tone:
-    """``at`` in 1/m or Hz; how often ``strength`` it is what its neighbourhood has; ``share`` of the channel's mean
-    square that it holds."""
+    """A tonal component ``at`` a frequency in 1/m or Hz: ``strength`` is its ratio to the neighbouring bins, ``share`` that
+    of the mean square of the channel."""
 
     domain: Literal["distance", "time"]
     channel: str
@@ -44,8 +43,8 @@ class Tone:
 
 
 def strongest_tone(bench: Bench, remaining: RemainingResidual, least_share: float) -> Tone | None:
-    """The line in what is left of the drives with the gap, of those that hold ``least_share`` of a channel's mean
-    square, that stands out most; not one that reference drives have as well."""
+    """The most prominent tonal component on drives with the gap that has ``least_share`` of the mean square of a channel
+    and that reference drives do not show; None without one."""
     problem, found = bench.problem, []
     for domain, (length, step, low, high) in _DOMAINS.items():
         u = np.concatenate(
@@ -86,8 +85,8 @@ def strongest_tone(bench: Bench, remaining: RemainingResidual, least_share: floa
 def _prominence(
     bench: Bench, residual: Floats, measured: Floats, u: Floats, length: float, step: float, with_gap: bool
 ) -> tuple[Floats, Floats, Floats] | None:
-    """(F,) how far each frequency stands out of what is left and of what the model made, and its share in what is
-    left, means over the pieces of the drives that show the gap or do not; None where there are no pieces."""
+    """(F,) prominence of each frequency in the residual and in the simulated signal, and its share of the residual: means
+    over segments of the drives with or without the gap. None without segments."""
     of = drives_of(bench)
     ratios, made, tones, total = [], [], [], 0.0
     for drive in (d for d, active in enumerate(bench.active) if active == with_gap):
@@ -115,7 +114,7 @@ def _prominence(
 
 
 def _neighbourhood(power: Floats) -> Floats:
-    """(F,) the mean that the neighbours of each frequency would have were they noise, the frequency itself left out."""
+    """(F,) mean level of the neighbouring bins: median / log(2), for exponentially distributed powers."""
     beside = np.ones(2 * _NEAR + 1, dtype=bool)
     beside[_NEAR - _SELF : _NEAR + _SELF + 1] = False
     return np.asarray(median_filter(power, footprint=beside, mode="nearest") / np.log(2.0) + 1e-300)

@@ -188,7 +188,7 @@ def test_two_causes_are_named_together_and_nothing_has_to_tell_them_apart(make: 
         first["probability"] == pytest.approx(second["probability"], abs=1e-4) and other["probability"] < 0.01
     )
     assert not any(c["indistinguishable_from"] for c in document["causes"])
-    assert document["next_experiment"].startswith("None is needed to tell candidates apart.")
+    assert document["next_experiment"].startswith("None is needed to separate candidates.")
 
 
 def test_what_a_converter_cuts_off_is_compared(make: Any) -> None:
