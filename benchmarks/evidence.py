@@ -35,10 +35,10 @@ from suspension_twin.diagnosis import fit as fits  # noqa: E402
 from suspension_twin.diagnosis import verdict  # noqa: E402
 from suspension_twin.diagnosis.bench import Bench  # noqa: E402
 from suspension_twin.diagnosis.case import baseline, build, read_case  # noqa: E402
-from suspension_twin.diagnosis.fit import Linear, fitted, refit  # noqa: E402
+from suspension_twin.diagnosis.fit import LinearisedFit, fitted, refit  # noqa: E402
 from suspension_twin.diagnosis.hypotheses import BASELINE, Hypothesis, library  # noqa: E402
 from suspension_twin.diagnosis.request import DiagnosisRequest  # noqa: E402
-from suspension_twin.diagnosis.shrink import remainder  # noqa: E402
+from suspension_twin.diagnosis.shrink import remaining_residual  # noqa: E402
 
 EFFECTS = ("sensor_bandwidth", "strut_friction")
 BESIDE, FURTHER = 0.1, 0.6  # of a coordinate, by which fits begin beside the best and further off
@@ -58,7 +58,7 @@ def chosen(count: int) -> list[Spec]:
     return [s for pair in zip(nulls, faulty, strict=False) for s in pair][:count]
 
 
-def evidences(bench: Bench, blocks: judge.Blocks, found: Sequence[Linear], temper: float) -> Floats:
+def evidences(bench: Bench, blocks: judge.Blocks, found: Sequence[LinearisedFit], temper: float) -> Floats:
     """(n,) nats that speak for each of some fits, as the probabilities count them."""
     out = [judge.evidence(bench, f, blocks) for f in found]
     return temper * np.array([float(e.score.sum()) - 0.5 * e.occam for e in out])
@@ -102,7 +102,7 @@ def case_of(folder: Path, count: int) -> list[dict[str, Any]]:
     blocks = judge.blocks_of(bench, case.kind)
     seen = [d for d, a in zip(case.drives, bench.active, strict=True) if a]
     noise = {c: float(np.sqrt(np.mean([d.noise_rms[c] ** 2 for d in seen]))) for c in bench.problem.channels}
-    left = remainder(bench, BASELINE, judge.evidence(bench, base, blocks).unknowns, blocks)
+    left = remaining_residual(bench, BASELINE, judge.evidence(bench, base, blocks).unknowns, blocks)
     temper = verdict.temper_of(bench, left, noise)
     known = library(case.twin, case.excited, ())
     tried = [(BASELINE, base.x)]

@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Where hypotheses are tried: drives with the gap, drives from before it, one vehicle under both.
+"""The joint problem of a diagnosis: residuals, Jacobian and prior of a hypothesis over all drives.
 
-The unknowns of a hypothesis are the vehicle's characteristics (slope coordinates, d), the nuisances
-(q) and the effects' coordinates (k), in this order. Characteristics and nuisances hold for all drives,
-the effects for those that show the gap alone: what changed is the evidence.
+The unknowns x of a hypothesis are, in this order, the characteristics of the vehicle (slope coordinates, d), the
+nuisance parameters (q) and the coordinates of the effects (k). Characteristics and nuisance parameters are shared by
+all drives. Effects act on the drives with the gap only, or on all drives where they are pre-existing.
 """
 
 from __future__ import annotations
@@ -33,9 +33,9 @@ from suspension_twin.vehicle.twin import Twin
 
 __all__ = ["NORMAL", "Bench", "Excitations", "Linearised"]
 
-#: What is normal of clocks, maps and mounts: more than that is a finding, not a nuisance.
-#: A receiver that knows a place to a centimetre is off by some of it for a whole drive.
-#: A gain is none: a phone's is within half a per cent, and a free one takes the blame for any model's error.
+#: Standard deviations of the nuisance parameters. A larger error of clock, map or mount is an effect.
+#: An RTK position is accurate to a centimetre, a part of which is constant over a drive (``drive_map``).
+#: The gain is fixed: that of a phone is within 0.5 %, and a free gain would absorb model discrepancy.
 NORMAL = NuisancePriors(
     clock=0.0005,
     common_clock=0.002,
@@ -48,8 +48,9 @@ NORMAL = NuisancePriors(
     holder=1.0,
     drive_map=0.006,
 )
-#: Standard deviations beyond which no nuisance goes.
+#: Bound of a nuisance parameter in standard deviations of its prior.
 _NORMAL_LIMIT = 3.0
+#: Finite-difference steps of characteristics and of effects, in their search coordinates.
 _STEP = 1e-3
 _STEP_EFFECT = 1e-2
 
@@ -67,20 +68,20 @@ class Linearised:
         """The quadratic model of the residuals' sum of squares about ``x``."""
         return _quadratic(self.residual, self.jacobian)
 
-    def by(self, label: NDArray[np.intp]) -> list[Quadratic]:
-        """That of the rows of each ``label`` (R,), which count from nothing on."""
+    def grouped(self, label: NDArray[np.intp]) -> list[Quadratic]:
+        """One quadratic model for the rows of each ``label`` (R,), labels 0, 1, ..."""
         order = np.argsort(label, kind="stable")
         jacobian, residual = self.jacobian[order], self.residual[order]
         ends = np.cumsum(np.bincount(label))
         return [_quadratic(residual[a:b], jacobian[a:b]) for a, b in zip([0, *ends[:-1]], ends, strict=True)]
 
     def first(self, count: int) -> Linearised:
-        """That of the first ``count`` unknowns alone."""
+        """The linearisation in the first ``count`` unknowns."""
         return Linearised(self.x[:count], self.residual, np.ascontiguousarray(self.jacobian[:, :count]))
 
-    def beyond(self, residual: Floats, effects: Floats) -> Quadratic:
-        """The model where ``effects`` (R, k) are the columns of a few more unknowns and the residuals are others, but
-        this Jacobian is taken to hold."""
+    def with_effects(self, residual: Floats, effects: Floats) -> Quadratic:
+        """The quadratic model at another ``residual`` (R,) with the columns ``effects`` (R, k) of further unknowns; the
+        Jacobian of the other unknowns is reused."""
         beside = effects.T @ self.jacobian
         squares = np.block([[self.model.squares, beside.T], [beside, effects.T @ effects]])
         slope = np.concatenate([self.jacobian.T @ residual, effects.T @ residual])
@@ -93,10 +94,13 @@ def _quadratic(residual: Floats, jacobian: Floats) -> Quadratic:
 
 @dataclass(frozen=True, eq=False)
 class Excitations:
-    """What else may excite the vehicle on a drive: ``upright`` one that does not lean on average (antenna and wheels
-    are elsewhere if it is the sensor alone), ``turned`` one whose motion was measured by a sensor turned as far as the
-    drive shows. ``regained`` and ``reclocked``, by whether the vehicle is upright: by one that reads as much too much,
-    by one as late as it shows; empty where it shows neither."""
+    """Alternative excitations of one drive, for hypotheses that change how the recorded motion has to be read.
+
+    ``upright``: zero static attitude of the vehicle, so that a static tilt is that of the sensor (this moves antenna
+    and wheel paths). ``turned``: motion measured by a sensor with the mounting error that the drive shows.
+    ``regained`` and ``reclocked``, keyed by whether the vehicle is upright: corrected for the gain error and for the
+    clock offset that the drive shows; empty where it shows none.
+    """
 
     upright: Excitation
     turned: Excitation
@@ -104,23 +108,23 @@ class Excitations:
     reclocked: dict[bool, Excitation]
 
     def coarser(self, max_step: float) -> Excitations:
-        """The same in steps of up to ``max_step`` s."""
-        gross = (
+        """The same with time steps of up to ``max_step`` s."""
+        longer_steps = (
             {u: coarser(e, max_step) for u, e in known.items()} for known in (self.regained, self.reclocked)
         )
-        return Excitations(coarser(self.upright, max_step), coarser(self.turned, max_step), *gross)
+        return Excitations(coarser(self.upright, max_step), coarser(self.turned, max_step), *longer_steps)
 
 
 @dataclass(eq=False)
 class Bench:
-    """A problem over all observations; ``active`` (drives,) True where the gap is.
+    """A problem over all drives or runs; ``active`` (drives,) is True for drives with the gap.
 
     ``precision`` (d + q, d + q) and ``centre`` (d + q,) are the prior of characteristics and nuisances.
-    ``excitations`` (drives,) are what else may excite the vehicle on drives, none for controlled runs; ``turn`` roll,
-    pitch and yaw in rad by which the sensor is turned, ``level`` whether the vehicle of the problem stands upright on
-    average. ``heard`` limits the residuals to some drives, ``there`` (R,) to some of them; ``fused`` whether poses come
-    from receiver and IMU together; ``barred`` names nuisances that stay at nothing; ``expected`` (m, C) is the
-    discrepancy that a run with the same excitation has left before.
+    ``excitations`` (drives,) are the alternative excitations of drives, empty for controlled runs; ``turn`` is the
+    mounting error of the sensor (roll, pitch, yaw; rad); ``level`` whether the vehicle has zero static attitude.
+    ``heard`` limits the residuals to some drives, ``counted_rows`` (R,) to some of them; ``fused`` whether poses are
+    fused from GNSS and IMU; ``barred`` names nuisances that stay at nothing; ``expected`` (m, C) is the discrepancy
+    found on a reference run with the same excitation.
     """
 
     problem: Problem
@@ -131,10 +135,10 @@ class Bench:
     precision: Floats
     centre: Floats
     stop: Callable[[], bool] = lambda: False
-    heard: tuple[int, ...] | None = None
-    there: NDArray[np.bool_] | None = None
+    counted_drives: tuple[int, ...] | None = None
+    counted_rows: NDArray[np.bool_] | None = None
     fused: bool = True
-    barred: tuple[str, ...] = ()
+    frozen_nuisances: tuple[str, ...] = ()
     level: bool = False
     expected: tuple[Floats | None, ...] = ()
     _known_plain: dict[str, Any] = field(default_factory=dict)
@@ -148,18 +152,22 @@ class Bench:
         return len(self.problem.nuisances)
 
     def prior(self, hypothesis: Hypothesis) -> tuple[Floats, Floats]:
-        """Precision and centre with the hypothesis' own coordinates, whose prior is normal with a spread of one."""
+        """Precision (p, p) and centre (p,) of the prior of all unknowns; that of an effect coordinate is N(centre,
+        1)."""
         p, k = self.d + self.q, len(hypothesis)
         precision = np.eye(p + k)
         precision[:p, :p] = self.precision
         return precision, np.concatenate([self.centre, hypothesis.centre()])
 
     def limits(self, hypothesis: Hypothesis) -> tuple[Floats, Floats]:
-        """(d + q + k,) lowest and highest unknowns. A nuisance that could go on without end would take
-        over what is a finding: a clock that is 60 ms late pays for itself on any drive."""
+        """(d + q + k,) lowest and highest unknowns.
+
+        Nuisance parameters are bounded, because an unbounded one absorbs the effect of the same kind: a free clock
+        offset of 60 ms lowers the cost of any drive by more than its prior adds.
+        """
         low, high = hypothesis.bounds()
         free = np.full(self.d, np.inf)
-        allowed = [name not in self.barred for name in self.problem.nuisances.names]
+        allowed = [name not in self.frozen_nuisances for name in self.problem.nuisances.names]
         nuisance = _NORMAL_LIMIT * self.problem.nuisances.spread * allowed
         least = np.where(self.problem.nuisances.one_sided, 0.0, -nuisance)
         return np.concatenate([-free, least, low]), np.concatenate([free, nuisance, high])
@@ -170,26 +178,25 @@ class Bench:
         return np.asarray(np.clip(x, low[:, None], high[:, None]))
 
     def levelled(self) -> Bench:
-        """The same with vehicles that do not lean on average of a drive: what lies off the vertical is the sensor."""
+        """The same with zero static attitude of the vehicle: a static tilt is attributed to the sensor."""
         pairs = zip(self.problem.parts, self.excitations, strict=True)
         parts = [replace(part, excitation=known.upright) for part, known in pairs]
         return replace(self, problem=self.problem.on(parts), level=True)
 
     def coarser(self, max_step: float) -> Bench:
-        """The same in steps of up to ``max_step`` s; controlled runs are as they are."""
+        """The same with time steps of up to ``max_step`` s; controlled runs are unchanged."""
         if not self.excitations:
             return self
         parts = [replace(p, excitation=coarser(p.excitation, max_step)) for p in self.problem.parts]
         known = tuple(e.coarser(max_step) for e in self.excitations)
         return replace(self, problem=self.problem.on(parts), excitations=known)
 
-    def excitation(self, number: int, effects: Sequence[str], everywhere: Sequence[str] = ()) -> Excitation:
-        """What excites a vehicle on a drive, by the effects that there are on those with the gap, by those of them that
-        there are ``everywhere`` and by those that it has anyway.
+    def excitation(self, number: int, effects: Sequence[str], preexisting: Sequence[str] = ()) -> Excitation:
+        """The excitation of a part, given the ``effects`` on drives with the gap and those of them that are
+        ``preexisting``.
 
-        Where it is known how far the vehicle leans with them it is known that it does not lean without: what the
-        reference reads of a lean is its mount's. Taken for the vehicle's there, antenna and wheels would lie a
-        centimetre apart before and after.
+        If a hypothesis attributes the static tilt to the sensor, the vehicle is upright on all drives, the reference
+        included. Otherwise antenna and wheel paths would differ by about a centimetre before and after the change.
         """
         if not self.excitations:
             plain: Excitation = self.problem.parts[number].excitation
@@ -197,10 +204,10 @@ class Bench:
         own, model = [e.id for e in self.problem.twin.effects], self.problem.twin.model
         known, level = self.excitations[number], self.level or upright_with([*effects, *own], model)
         plain = known.upright if level else self.problem.parts[number].excitation
-        here = effects if self.active[self.problem.drive_of[number]] else everywhere
+        here = effects if self.active[self.problem.drive_of[number]] else preexisting
         if turns_with(here, model):
             return known.turned
-        # what the twin file has of it the motion knows already: nothing is regained then
+        # a gain in the twin file is already corrected in the prepared motion
         if gains_with([*here, *own], model) and level in known.regained:
             return known.regained[level]
         return known.reclocked.get(level, plain) if clocks_with(here, model) else plain
@@ -208,38 +215,39 @@ class Bench:
     # -- simulation ----------------------------------------------------------------------------
 
     def signals(self, hypothesis: Hypothesis, z: Floats, u: Floats) -> tuple[list[Floats], np.ndarray]:
-        """Conditioned signals (m, C, L) of every drive for slope coordinates (d, L) and effects (k, L).
+        """Conditioned signals (m, C, L) of every part for slope coordinates (d, L) and effects (k, L); failed lanes
+        (L,).
 
-        A drive from before the effects, on which all lanes are alike, comes back with one lane.
+        A reference drive on which all lanes are equal is simulated once and has one lane.
         """
         problem = self.problem
         values = problem.space.from_slopes(z)
         twin = hypothesis.twin(problem.twin)
         keys = (*problem.space.keys, *hypothesis.keys)
         with_effects = lanes(twin, keys, np.concatenate([values, hypothesis.values(u)]).T)
-        before = hypothesis.before()
+        before = hypothesis.on_reference()
         earlier = np.concatenate([values, before.values(u[hypothesis.rows(before)])])
         if (earlier == earlier[:, :1]).all():
             earlier = earlier[:, :1]
-        quiet = before.twin(problem.twin)
-        plain = lanes(quiet, (*problem.space.keys, *before.keys), earlier.T)
+        reference_twin = before.twin(problem.twin)
+        plain = lanes(reference_twin, (*problem.space.keys, *before.keys), earlier.T)
 
         def driven(numbers: list[int]) -> tuple[list[Floats], np.ndarray]:
             if self.stop():
                 raise Interrupted
-            excitation = self.excitation(numbers[0], hypothesis.effects, hypothesis.everywhere)
+            excitation = self.excitation(numbers[0], hypothesis.effects, hypothesis.preexisting)
             if self.active[problem.drive_of[numbers[0]]] and hypothesis.effects:
                 stacked, bad = self._simulated(twin, with_effects, excitation)
             else:
-                stacked, bad = self._simulated(quiet, plain, excitation)
+                stacked, bad = self._simulated(reference_twin, plain, excitation)
             conditioned = [problem.parts[number].conditioner.apply(stacked) for number in numbers]
             if problem.channels[0] == "vertical_acceleration":
                 for one in conditioned:
-                    # a gain of the sensor multiplies gravity too, and standing still the filter takes that for a bias
+                    # a sensor gain also scales gravity: at standstill that is a bias
                     one[:, 0] -= one[:, 0].mean(axis=0)
             return conditioned, bad
 
-        # repeats of a run are one simulation
+        # repeats of a run share one simulation
         alike: dict[tuple[int, bool], list[int]] = {}
         for number, part in enumerate(problem.parts):
             key = id(part.excitation), self.active[problem.drive_of[number]]
@@ -254,10 +262,10 @@ class Bench:
         return signals, np.any(np.broadcast_arrays(np.zeros(values.shape[1], dtype=bool), *failed), axis=0)
 
     def carry(self, x: Floats) -> None:
-        """Learn what the planar motion alone brings about in the vehicle of ``x``, by driving it over a flat road.
+        """Simulate the vehicle at ``x`` on a flat road and store its response to the planar motion alone.
 
-        Clock and map move what comes from the road; braking pitches the body when the pose brakes. Both add up
-        but for what is not linear, so one vehicle's share serves for those near it.
+        Clock and map offsets shift the response to the road, but not that to the planar motion of the pose. The
+        response is the sum of both up to nonlinearity, so that the share of one vehicle serves for similar ones.
         """
         problem = self.problem
         values = problem.space.from_slopes(x[: self.d, None])
@@ -271,7 +279,8 @@ class Bench:
         problem.nuisances.carried = carried
 
     def _simulated(self, twin: Twin, candidates: Floats, excitation: Excitation) -> tuple[Floats, np.ndarray]:
-        """Channels (n, C, L) and failed lanes (L,); a batch that breaks off is taken lane by lane."""
+        """Channels (n, C, L) and failed lanes (L,); a batch that raises LinAlgError is halved until the lane is
+        isolated."""
         channels = self.problem.channels
         try:
             options = {"fused": True} if self.fused else {}
@@ -287,7 +296,7 @@ class Bench:
             return np.concatenate([h[0] for h in halves], axis=2), np.concatenate([h[1] for h in halves])
 
     def compared(self, signals: Sequence[Floats], nuisance: Floats) -> Floats:
-        """(M, C, L) what the sensors would have delivered, with the discrepancy that is to be expected of each run."""
+        """(M, C, L) simulated sensor readings plus the expected discrepancy of each run."""
         if self.expected:
             expected = zip(signals, self.expected, strict=True)
             signals = [s if e is None else s + e[:, :, None] for s, e in expected]
@@ -298,16 +307,16 @@ class Bench:
         return self._counted(self.whitener.residuals(self.compared(signals, nuisance)))
 
     def _counted(self, white: Floats) -> Floats:
-        """Whitened residuals (R, L), changed in place, as independent samples of what the bench listens to."""
+        """Whitened residuals (R, L) in place: scaled by the effective sample size, zero outside the counted rows."""
         white *= np.sqrt(self.problem.measured.independent)
-        if self.heard is not None:
-            white[~np.isin(self.whitener.drive, self.heard)] = 0.0
-        if self.there is not None:
-            white[~self.there] = 0.0
+        if self.counted_drives is not None:
+            white[~np.isin(self.whitener.drive, self.counted_drives)] = 0.0
+        if self.counted_rows is not None:
+            white[~self.counted_rows] = 0.0
         return white
 
     def _plain(self) -> Floats:
-        """(R, n) what a unit of each of the problem's plain nuisances adds, whatever is simulated."""
+        """(R, n) constant Jacobian columns of the nuisance parameters that do not depend on the simulation."""
         if self._known_plain.get("whitener") is not self.whitener:
             problem = self.problem
             still = [np.zeros((part.t.size, len(problem.channels), 1)) for part in problem.parts]
@@ -353,20 +362,21 @@ class Bench:
         _columns(d, white, per_step, moved, 1.0 / nuisances.steps[free], d + free, given, d + plain, jacobian)
         return Linearised(x, white[:, 0].copy(), jacobian)
 
-    def effects_alone(self, hypothesis: Hypothesis, x: Floats) -> tuple[Floats, Floats]:
-        """Residuals (R,) at ``x`` (d + q + k,) and the columns (R, k) of their Jacobian that are the effects'."""
+    def effect_columns(self, hypothesis: Hypothesis, x: Floats) -> tuple[Floats, Floats]:
+        """Residuals (R,) at ``x`` (d + q + k,) and the Jacobian columns (R, k) of the effects."""
         white, per_step, _ = self._stepped(hypothesis, x, 0)
         return white[:, 0].copy(), (white[:, 1:] - white[:, :1]) * per_step
 
     def _stepped(
         self, hypothesis: Hypothesis, x: Floats, physics: int
     ) -> tuple[Floats, Floats, list[Floats]]:
-        """Residuals (R, 1 + physics + k) at ``x`` and a step further in the first ``physics`` unknowns and in those of
-        the effects, what a difference counts by each step (physics + k,), and the signals."""
+        """Residuals (R, 1 + physics + k) at ``x`` and one step away in the first ``physics`` unknowns and in those of
+        the effects, the factor (physics + k,) from difference to derivative (0 where a lane failed), and the
+        signals."""
         d, q, k = self.d, self.q, len(hypothesis)
         _, high = hypothesis.bounds()
         u = x[d + q :]
-        # away from the nearer bound, so that every difference is one
+        # backwards near the upper bound
         own = np.where(u + _STEP_EFFECT > high, -_STEP_EFFECT, _STEP_EFFECT)
         steps = np.concatenate([np.full(physics, _STEP), own])
         stepped = np.repeat(np.concatenate([x[:d], u])[:, None], 1 + physics + k, axis=1)
@@ -388,8 +398,11 @@ def _columns(
     plain: NDArray[np.intp],
     out: Floats,
 ) -> None:  # pragma: no cover - compiled
-    """The Jacobian (R, d + q + k) in one pass: of ``stepped`` (R, 1 + d + k) and ``moved`` (R, m) the differences to
-    the first column of ``stepped``, and what is ``given`` (R, n); nuisances have the columns ``free`` and ``plain``."""
+    """Fill the Jacobian ``out`` (R, d + q + k) in one pass.
+
+    Differences to the first column of ``stepped`` (R, 1 + d + k) and of ``moved`` (R, m), and the constant columns
+    ``given`` (R, n). The nuisance parameters have the columns ``free`` and ``plain``.
+    """
     nuisances = free.size + plain.size
     for r in range(out.shape[0]):
         base = stepped[r, 0]

@@ -15,7 +15,7 @@ from suspension_twin.arrays import Floats
 from suspension_twin.calibration.checks import check_drive, check_parts, check_recording
 from suspension_twin.calibration.presets import build_space, preset_named
 from suspension_twin.diagnosis.bench import NORMAL, Bench, Excitations
-from suspension_twin.diagnosis.fit import Fit, Linear, finished, fitted, refit, twin_of
+from suspension_twin.diagnosis.fit import Fit, LinearisedFit, fitted, linearised_fit, refit, twin_of
 from suspension_twin.diagnosis.hypotheses import BASELINE, Hypothesis
 from suspension_twin.diagnosis.request import DiagnosisRequest
 from suspension_twin.drive.read import read_drive
@@ -242,7 +242,7 @@ def _floors(case: Case) -> list[dict[str, float]]:
     return [dict(d.noise_rms) for d in case.drives]
 
 
-def baseline(case: Case, bench: Bench) -> tuple[Bench, Linear, Linear]:
+def baseline(case: Case, bench: Bench) -> tuple[Bench, LinearisedFit, LinearisedFit]:
     """The bench with the noise that is found, and the vehicle without any effect: on all drives, and where searches
     for effects start from.
 
@@ -258,7 +258,7 @@ def baseline(case: Case, bench: Bench) -> tuple[Bench, Linear, Linear]:
     for number in range(2):
         if case.road:
             bench.carry(x)
-        trial = replace(bench, heard=tuple(quiet))
+        trial = replace(bench, counted_drives=tuple(quiet))
         x, cost = refit(trial, BASELINE, [x] if number else _many(bench, x), None, 8 if number == 0 else 5)
         if case.road and number == 0:
             level = trial.levelled()
@@ -271,7 +271,7 @@ def baseline(case: Case, bench: Bench) -> tuple[Bench, Linear, Linear]:
     if referenced and case.kind == "run":
         bench = _repeated(case, bench, x)
         x = bench.centre
-    anchor = finished(bench, BASELINE, x)
+    anchor = linearised_fit(bench, BASELINE, x)
     return (bench, fitted(bench, BASELINE, [x], 6), anchor) if referenced else (bench, anchor, anchor)
 
 

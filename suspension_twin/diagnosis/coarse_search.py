@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Gross faults: a sensor that stands sideways, a clock half a second late, a map metres off.
+"""Coarse search for set-up errors: a sensor mounted sideways, a clock offset of 0.5 s, a map that is metres off.
 
-With one of these the twin follows nothing of the motion, and from there no slope leads anywhere: the fault's valley is
-some 50 ms or 20 cm wide, and a calibration has gone astray on what it could not follow. So where the recalibrated twin
-leaves most of the motion, whatever a user may have set wrong is tried all over its range, with the vehicle as the file
-has it.
+With such an error the simulated signal is uncorrelated with the measured one, and a local search fails: the basin of
+attraction is about 50 ms or 20 cm wide, and the calibration that came before has moved the vehicle to wrong values.
+Where the remaining residual of the recalibrated twin is most of the motion, each set-up parameter is therefore
+evaluated on a grid over its range, with the vehicle of the twin file.
 """
 
 from __future__ import annotations
@@ -16,52 +16,57 @@ import numpy as np
 from suspension_twin.arrays import Floats
 from suspension_twin.diagnosis.bench import Bench
 from suspension_twin.diagnosis.fit import refit
-from suspension_twin.diagnosis.hypotheses import SETTINGS, Hypothesis
+from suspension_twin.diagnosis.hypotheses import SETUP_CATEGORIES, Hypothesis
 
-__all__ = ["LOST", "PRICE", "about", "found", "jointly", "waived"]
+__all__ = ["MISALIGNMENT_PENALTY", "NO_MATCH", "coarse_fit", "joint_grid", "recentred", "waived_penalty"]
 
-#: Share of the motion's rms that a twin leaves on stretches it has not seen, from which on it follows nothing.
-LOST = 0.7
-#: Places of a coordinate all over its range, by how many of them an effect has.
-_PLACES, _PLACES_OF_MANY = 201, 41
+#: Held-out residual as a share of the rms of the motion, from which on simulation and measurement do not match.
+NO_MATCH = 0.7
+#: Grid points of a coordinate where an effect has one severity, and where it has several.
+_GRID, _GRID_OF_SEVERAL = 201, 41
 _LONG = 12
-#: Spreads of its prior beyond which a setting is not one that is off but another altogether. Its prior then lies where
-#: it is found, and -2 log of the probability that anything is so wrong is the price.
-_FAR, PRICE = 3.0, 12.0
-_TIMES = 41  # of a clock, where everything is looked for at once
+#: Beyond so many standard deviations of its prior a set-up parameter counts as misset: its prior is centred where it is
+#: found, and -2 log of the probability of a misset parameter is added to the cost.
+_FAR, MISALIGNMENT_PENALTY = 3.0, 12.0
+_TIMES = 41  # grid points of a clock offset in the joint search
 
 
-def about(hypothesis: Hypothesis, u: Floats) -> Hypothesis:
-    """The hypothesis with its prior about those of the coordinates (k,) that no prior about zero allows."""
+def recentred(hypothesis: Hypothesis, u: Floats) -> Hypothesis:
+    """The hypothesis with its prior centred at those of the coordinates (k,) that are beyond ``_FAR``."""
     far = np.where(np.abs(u) > _FAR, u, 0.0)
     return replace(hypothesis, around=tuple(far.tolist())) if far.any() else hypothesis
 
 
-def waived(u: Floats) -> Floats:
-    """(n,) what a prior about zero charges coordinates (k, n) for being far from there, less its price."""
+def waived_penalty(u: Floats) -> Floats:
+    """(n,) prior cost of coordinates (k, n) beyond ``_FAR``, less ``MISALIGNMENT_PENALTY`` that replaces it."""
     far = np.where(np.abs(u) > _FAR, u, 0.0)
-    return np.asarray(np.sum(far**2, axis=0) - PRICE * far.any(axis=0))
+    return np.asarray(np.sum(far**2, axis=0) - MISALIGNMENT_PENALTY * far.any(axis=0))
 
 
-def found(bench: Bench, hypothesis: Hypothesis, lost: bool) -> tuple[Hypothesis, Floats, float] | None:
-    """Hypothesis, unknowns and cost of a fit from the best of all strengths of a fault, however large, of a twin that
-    is ``lost``; else from how far the sensor is seen to be turned, if that is far. None for what is no setting."""
-    points = _everywhere(bench, hypothesis) if lost else _seen(bench, hypothesis)
+def coarse_fit(
+    bench: Bench, hypothesis: Hypothesis, no_match: bool
+) -> tuple[Hypothesis, Floats, float] | None:
+    """Hypothesis, unknowns and cost of a fit from the best grid point; None for effects that are no set-up error.
+
+    The grid covers the whole range if there is ``no_match``; otherwise it is the measured mounting error alone, where
+    that is large.
+    """
+    points = _severity_grid(bench, hypothesis) if no_match else _measured_turn(bench, hypothesis)
     if points is None:
         return None
     x = np.concatenate([np.repeat(bench.centre[:, None], points.shape[1], axis=1), points])
-    costs = bench.costs(hypothesis, x) - waived(points)
+    costs = bench.costs(hypothesis, x) - waived_penalty(points)
     best = int(np.argmin(costs))
     if not np.isfinite(costs[best]):
         return None
-    there = about(hypothesis, points[:, best])
+    there = recentred(hypothesis, points[:, best])
     y, cost = refit(bench, there, [x[:, best]], None, _LONG)
-    return there, y, cost + PRICE * bool(there.around)
+    return there, y, cost + MISALIGNMENT_PENALTY * bool(there.around)
 
 
-def jointly(bench: Bench, together: Hypothesis) -> Floats:
-    """(k, n) coordinates of several effects: clocks all over their range, a sensor turned as far as it is seen to
-    be, and nothing else."""
+def joint_grid(bench: Bench, together: Hypothesis) -> Floats:
+    """(k, n) grid for several effects together: the clock offset over its range, the sensor at its measured mounting
+    error, all other coordinates neutral."""
     keys = list(together.keys)
     low, high = together.bounds()
     points = together.neutral()[:, None]
@@ -76,25 +81,25 @@ def jointly(bench: Bench, together: Hypothesis) -> Floats:
     return np.asarray(np.clip(points, low[:, None], high[:, None]))
 
 
-def _everywhere(bench: Bench, hypothesis: Hypothesis) -> Floats | None:
-    """(k, n) coordinates: each severity in turn all over its bounds, and as far as a sensor is seen to be turned."""
+def _severity_grid(bench: Bench, hypothesis: Hypothesis) -> Floats | None:
+    """(k, n) coordinates: each severity in turn over its bounds, and the measured mounting error."""
     effect = hypothesis.effect(hypothesis.effects[-1])
-    if effect.where not in SETTINGS or hypothesis.scan(1) is not None:
+    if effect.where not in SETUP_CATEGORIES or hypothesis.scan(1) is not None:
         return None
     severe = [i for i, (_, p) in enumerate(hypothesis.searched) if p.name in effect.severity and not p.log]
     if not severe:
         return None
     low, high = hypothesis.bounds()
-    count = _PLACES if len(severe) == 1 else _PLACES_OF_MANY
+    count = _GRID if len(severe) == 1 else _GRID_OF_SEVERAL
     points = np.repeat(hypothesis.neutral()[:, None], count * len(severe), axis=1)
     for place, i in enumerate(severe):
         points[i, place * count : (place + 1) * count] = np.linspace(low[i], high[i], count)
-    seen = _seen(bench, hypothesis)
+    seen = _measured_turn(bench, hypothesis)
     return points if seen is None else np.column_stack([points, seen])
 
 
-def _seen(bench: Bench, hypothesis: Hypothesis) -> Floats | None:
-    """(k, 1) a sensor turned as far as gravity and the path show, if that is far."""
+def _measured_turn(bench: Bench, hypothesis: Hypothesis) -> Floats | None:
+    """(k, 1) mounting error of the sensor measured by gravity and path; None where it is within ``_FAR``."""
     if hypothesis.effects[-1] != "sensor_tilt":
         return None
     turn = np.array(bench.turn) / [p.spread for _, p in hypothesis.searched]

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""From findings to the document, and the twin that goes with it."""
+"""From findings to the document of diagnosis.json and the twin with the named effects."""
 
 from __future__ import annotations
 
@@ -14,13 +14,19 @@ from suspension_twin.diagnosis.bench import Bench
 from suspension_twin.diagnosis.case import Case
 from suspension_twin.diagnosis.evidence import Blocks, intervals
 from suspension_twin.diagnosis.experiment import next_experiment
-from suspension_twin.diagnosis.fit import Fit, finished, twin_of
+from suspension_twin.diagnosis.fit import Fit, linearised_fit, twin_of
 from suspension_twin.diagnosis.hypotheses import library
-from suspension_twin.diagnosis.local_road_error import Likeness, as_surveyed, gathered, likenesses, spread_out
+from suspension_twin.diagnosis.local_road_error import (
+    RoadErrorMatch,
+    concentrated_section,
+    no_concentration,
+    no_road_error,
+    road_error_matches,
+)
 from suspension_twin.diagnosis.localisation import localise, signature
 from suspension_twin.diagnosis.request import DiagnosisRequest, DiagnosisResult, DriveView
 from suspension_twin.diagnosis.selection import Findings
-from suspension_twin.diagnosis.shrink import Remainder, Shrink, shown_rows, shrink_of
+from suspension_twin.diagnosis.shrink import RemainingResidual, Shrink, gap_rows, shrink_of
 from suspension_twin.effects.registry import EFFECTS
 from suspension_twin.models.parameters import pack
 from suspension_twin.models.simulate import simulate_lanes, simulate_twin
@@ -28,66 +34,66 @@ from suspension_twin.vehicle.twin import Twin
 
 __all__ = ["conclude"]
 
-_WORTH_ASKING = 0.01  # probability of a runner-up that a further drive could still turn to
-_WORTH_SAYING = 0.1  # probability of what an unknown looks like
-_TIED = 0.05  # how often the second has to win for the two not to be told apart
+_RUNNER_UP = 0.01  # probability of a second cause from which on a drive is proposed to separate it
+_LEAST_RESEMBLANCE = 0.1  # probability of a decoy from which on it is reported
+_TIED = 0.05  # win rate of the second cause from which on both are indistinguishable
 
 
 def conclude(request: DiagnosisRequest, case: Case, found: Findings, seconds: float) -> DiagnosisResult:
     """The document of diagnosis.json, the twin with what was found, and what the report shows."""
     judged, bench = found.judged, found.judged.bench
     channel = bench.problem.channels[0]
-    base_shrink = _shrink(bench, found, judged.left[0], request.seed)
+    base_shrink = _shrink(bench, found, judged.remaining[0], request.seed)
     beyond = np.array(
         [
             shrink_of(
                 bench,
-                judged.left[0],
+                judged.remaining[0],
                 r,
                 judged.blocks,
                 judged.noise[channel],
                 0,
                 request.seed,
             ).shrink
-            for r in judged.left[1:]
+            for r in judged.remaining[1:]
         ]
     )
-    alone, foreign = judged.alone, None
+    dominance, foreign = judged.dominance, None
     if judged.reference is not None:
-        foreign = 1.0 - np.sqrt(1.0 - found.gone_alone)  # of the rms, as the other shrinks
-        alone = (
-            alone * found.gone_alone
+        foreign = 1.0 - np.sqrt(1.0 - found.explained_shares)  # of the rms, as the other shrinks
+        dominance = (
+            dominance * found.explained_shares
         )  # what is measured to be there still is not explained by gaining more than others
     effects, no_gap, unknown = verdict.masses(
-        judged.weights, judged.gates, found.gone_alone, judged.unseen, alone
+        judged.weights, judged.gates, found.explained_shares, judged.undetectable, dominance
     )
     unknown += float(judged.decoys.probability.sum())
     chosen = found.chosen.found.fit.hypothesis.effects
     if len(chosen) > 1:
-        effects, unknown = _shared(found, effects, unknown, chosen, found.gone)
-    # members of a set are all there: by themselves they may look alike, but nothing has to tell them apart
+        effects, unknown = _split_over_set(found, effects, unknown, chosen, found.explained_share)
+    # all members of a set are present: they need not be distinguishable one by one
     groups = _groups(found, effects) if len(chosen) < 2 else []
-    left = 1.0 - _shrink(bench, found, found.chosen.left, request.seed).shrink
+    remaining = 1.0 - _shrink(bench, found, found.chosen.remaining, request.seed).shrink
     adequate = found.gates.adequate
-    told, known = [*groups, list(_places(found, chosen))], judged.reference is not None
-    answer, stretch = verdict.verdict_of(effects, no_gap, unknown, adequate, left, told, known), None
+    named, known = [*groups, list(_places(found, chosen))], judged.reference is not None
+    answer, section = verdict.verdict_of(effects, no_gap, unknown, adequate, remaining, named, known), None
     if answer in ("no_gap", "unknown") and case.road:
-        stretch, surveyed = _stretch(case, bench, found, request.effects)
+        section, surveyed = _road_section(case, bench, found, request.effects)
         no_gap, unknown = no_gap * surveyed, unknown + no_gap * (1.0 - surveyed)
-        answer = verdict.verdict_of(effects, no_gap, unknown, adequate, left, told, known)
+        answer = verdict.verdict_of(effects, no_gap, unknown, adequate, remaining, named, known)
     kept = found.chosen.found if answer in ("effect", "partly") else judged.base
-    kept_left = found.chosen.left if kept is found.chosen.found else judged.left[0]
+    kept_remaining = found.chosen.remaining if kept is found.chosen.found else judged.remaining[0]
     twin = twin_of(bench, kept.fit)
-    shrink = _shrink(bench, found, kept_left, request.seed)
+    shrink = _shrink(bench, found, kept_remaining, request.seed)
     causes = _causes(bench, found, effects, beyond, foreign, groups, request.seed)
-    # without a road no block shows the model what another has shown it
+    # without a road blocks do not repeat: the discrepancy is independent from block to block
     _add_intervals(bench, judged.blocks, kept.fit, judged.temper if case.road else 1.0, causes)
     document: dict[str, Any] = {
         "verdict": answer,
         "gap": _gap(bench, found),
         "where": localise(
             bench,
-            judged.left[0].difference,
+            judged.remaining[0].difference,
             judged.noise,
             twin_of(bench, judged.base.fit),
         ),
@@ -104,27 +110,27 @@ def conclude(request: DiagnosisRequest, case: Case, found: Findings, seconds: fl
         },
         "background": {
             "share_of_motion_left": _round(
-                verdict.level_of(bench, kept_left, judged.noise, case.driven, shown=True)
+                verdict.relative_residual(bench, kept_remaining, judged.noise, case.driven, with_gap=True)
             ),
             "share_left_on_reference": None if judged.reference is None else _round(judged.reference),
-            "noise_share_of_the_rest": _round(judged.temper),
+            "noise_share_of_residual": _round(judged.temper),
         },
         "cannot_be_judged": [s.effect for s in judged.singles if not s.judged],
         "warnings": list(case.warnings),
     }
     if answer in ("unknown", "partly"):
-        document["signature"] = signature(bench, kept_left.difference, twin)
+        document["signature"] = signature(bench, kept_remaining.difference, twin)
         document["signature"]["resembles"] = _resembles(bench, found, request.seed)
-        document["signature"].update(_periodic(case, bench, kept_left))
-        if stretch is not None:
-            document["signature"]["stretch"] = stretch
+        document["signature"].update(_periodic(case, bench, kept_remaining))
+        if section is not None:
+            document["signature"]["stretch"] = section
     tied = [judged.singles[i] for i in (groups[0] if groups else [])]
     if len(tied) < 2 and len(chosen) < 2:
-        named = [c["effect"] for c in causes[:2] if c["probability"] > _WORTH_ASKING]
-        tied = [s for name in named for s in judged.singles if s.effect == name]
+        leading = [c["effect"] for c in causes[:2] if c["probability"] > _RUNNER_UP]
+        tied = [s for name in leading for s in judged.singles if s.effect == name]
     document["next_experiment"] = (
-        f"Survey the road from {stretch['start_m']:.0f} to {stretch['end_m']:.0f} m again: no drive changes its file."
-        if stretch is not None and answer == "unknown" and _takes_much(stretch)
+        f"Survey the road from {section['start_m']:.0f} to {section['end_m']:.0f} m again: no drive changes its file."
+        if section is not None and answer == "unknown" and _has_road_error(section)
         else next_experiment(case, tied, answer, judged)
     )
     document["seed"] = request.seed
@@ -133,31 +139,31 @@ def conclude(request: DiagnosisRequest, case: Case, found: Findings, seconds: fl
     return DiagnosisResult(document, twin, views, seconds, case.warnings)
 
 
-def _periodic(case: Case, bench: Bench, left: Remainder) -> dict[str, Any]:
-    """What is periodic in the rest, by turns of a wheel or in Hz, where there is something."""
-    free, line = verdict.free_of_lines(bench, left) if case.road else (1.0, None)
-    if line is None or free > 0.5:
+def _periodic(case: Case, bench: Bench, remaining: RemainingResidual) -> dict[str, Any]:
+    """The strongest tonal component of the remaining residual, by period in m or by frequency in Hz; empty if none."""
+    free, tone = verdict.free_of_tones(bench, remaining) if case.road else (1.0, None)
+    if tone is None or free > 0.5:
         return {}
-    at = {"every_m": _round(1.0 / line.at)} if line.domain == "distance" else {"hz": _round(line.at)}
-    return {"periodic": {"channel": line.channel, **at, "share": _round(line.share)}}
+    at = {"every_m": _round(1.0 / tone.at)} if tone.domain == "distance" else {"hz": _round(tone.at)}
+    return {"periodic": {"channel": tone.channel, **at, "share": _round(tone.share)}}
 
 
-def _stretch(
+def _road_section(
     case: Case, bench: Bench, found: Findings, only: Sequence[str]
 ) -> tuple[dict[str, Any] | None, float]:
-    """The stretch of road that holds what recalibration leaves, where one does, with the errors of the road file that
-    make up for it there; and the probability that the file has none of them there."""
-    there = gathered(bench, found.judged.left[0], found.judged.noise)
+    """The section of road where the recalibrated residual is concentrated, with the errors of the road file that would
+    explain it there (None without one), and the probability that the road file is right there."""
+    there = concentrated_section(bench, found.judged.remaining[0], found.judged.noise)
     if there is None:
         return None, 1.0
     of_the_road = [e for e, effect in EFFECTS.items() if effect.where == "road" and (not only or e in only)]
     offered = library(case.twin, True, of_the_road) if of_the_road else {}
     x = found.judged.base.fit.x[: bench.d + bench.q]
-    like = likenesses(bench, x, there, [h for v in offered.values() for h in v], found.judged.temper)
-    surveyed = as_surveyed(like)
-    if min(spread_out(there), surveyed) > 0.5:
+    like = road_error_matches(bench, x, there, [h for v in offered.values() for h in v], found.judged.temper)
+    surveyed = no_road_error(like)
+    if min(no_concentration(there), surveyed) > 0.5:
         return None, surveyed
-    told = [
+    named = [
         {
             "effect": one.effect,
             "shrink": _round(one.shrink),
@@ -169,21 +175,21 @@ def _stretch(
         "start_m": there.start,
         "end_m": there.end,
         "share": _round(there.share),
-        "resembles": told,
+        "resembles": named,
     }, surveyed
 
 
-def _takes_much(stretch: dict[str, Any]) -> bool:
-    """Whether an error of the road file makes up for enough of the rest on a stretch to be told in a word."""
-    found = [Likeness(one["effect"], {}, one["shrink"]) for one in stretch["resembles"]]
-    return as_surveyed(found) < 0.5
+def _has_road_error(section: dict[str, Any]) -> bool:
+    """Whether an error of the road file explains enough of the residual on the section."""
+    found = [RoadErrorMatch(one["effect"], {}, one["shrink"]) for one in section["resembles"]]
+    return no_road_error(found) < 0.5
 
 
 def _resembles(bench: Bench, found: Findings, seed: int) -> list[dict[str, Any]]:
-    """What the unknown looks like, the likeliest first: an effect that would give it to the twin, not its cause."""
+    """Decoy hypotheses that resemble an unexplained gap, the most probable first."""
     like = []
     for i in np.argsort(-found.judged.decoys.probability, kind="stable"):
-        if found.judged.decoys.probability[i] > _WORTH_SAYING:
+        if found.judged.decoys.probability[i] > _LEAST_RESEMBLANCE:
             fit = found.judged.decoys.singles[i].fit
             values = dict(zip(fit.hypothesis.keys, fit.effects(bench), strict=True))
             like.append(
@@ -191,30 +197,30 @@ def _resembles(bench: Bench, found: Findings, seed: int) -> list[dict[str, Any]]
                     "effect": found.judged.decoys.singles[i].effect,
                     "probability": round(float(found.judged.decoys.probability[i]), 6),
                     "parameters": {k.split(".")[2]: float(f"{float(v):.6g}") for k, v in values.items()},
-                    "shrink": _round(_shrink(bench, found, found.judged.decoys.left[i], seed).shrink),
+                    "shrink": _round(_shrink(bench, found, found.judged.decoys.remaining[i], seed).shrink),
                 }
             )
     return like
 
 
-def _shrink(bench: Bench, found: Findings, after: Remainder, seed: int) -> Shrink:
+def _shrink(bench: Bench, found: Findings, after: RemainingResidual, seed: int) -> Shrink:
     channel = bench.problem.channels[0]
     return shrink_of(
         bench,
-        found.judged.standing,
+        found.judged.uncalibrated_residual,
         after,
         found.judged.blocks,
         found.judged.noise[channel],
         0,
         seed,
-        another=True,
+        new_drive=True,
     )
 
 
 def _gap(bench: Bench, found: Findings) -> dict[str, Any]:
-    rows = shown_rows(bench)
+    rows = gap_rows(bench)
     rms = {
-        name: _round(float(np.sqrt(np.mean(found.judged.standing.difference[rows, c] ** 2))))
+        name: _round(float(np.sqrt(np.mean(found.judged.uncalibrated_residual.difference[rows, c] ** 2))))
         for c, name in enumerate(bench.problem.channels)
     }
     first = bench.problem.channels[0]
@@ -246,7 +252,7 @@ def _causes(
         key=lambda i: (-round(float(effects[i]), 9), -float(found.judged.weights[1 + i]), i),
     ):
         single = found.judged.singles[i]
-        shrink = _shrink(bench, found, found.judged.left[1 + i], seed)
+        shrink = _shrink(bench, found, found.judged.remaining[1 + i], seed)
         held = dict(single.fit.hypothesis.fixed)
         values = {
             **held,
@@ -281,10 +287,10 @@ def _causes(
 def _add_intervals(
     bench: Bench, blocks: Blocks, fit: Fit, temper: float, causes: list[dict[str, Any]]
 ) -> None:
-    """90 % intervals of the parameters of what the written twin has."""
+    """Add the 90 % intervals of the parameters of the written twin to ``causes``."""
     if not fit.hypothesis.effects:
         return
-    ends = intervals(bench, finished(bench, fit.hypothesis, fit.x), blocks, temper)
+    ends = intervals(bench, linearised_fit(bench, fit.hypothesis, fit.x), blocks, temper)
     for key, (low, high) in zip(fit.hypothesis.keys, ends, strict=True):
         _, effect, name = key.split(".")
         for cause in causes:
@@ -293,7 +299,7 @@ def _add_intervals(
 
 
 def _groups(found: Findings, effects: Floats) -> list[list[int]]:
-    """Sets of effects whose evidence cannot be told apart from the leader's."""
+    """Sets of effects that the evidence does not separate from the most probable one."""
     if not effects.size:
         return []
     lead = int(np.argmax(found.judged.weights[1:]))
@@ -303,7 +309,7 @@ def _groups(found: Findings, effects: Floats) -> list[list[int]]:
         if i == lead
         or (
             s.judged
-            and found.judged.beats[1 + i, 1 + lead] > _TIED
+            and found.judged.win_rate[1 + i, 1 + lead] > _TIED
             and found.judged.gates[1 + i].material > 0.3
         )
     ]
@@ -314,12 +320,12 @@ def _places(found: Findings, chosen: tuple[str, ...]) -> list[int]:
     return [i for i, s in enumerate(found.judged.singles) if s.effect in chosen]
 
 
-def _shared(
-    found: Findings, effects: Floats, unknown: float, chosen: tuple[str, ...], gone: float
+def _split_over_set(
+    found: Findings, effects: Floats, unknown: float, chosen: tuple[str, ...], explained_share: float
 ) -> tuple[Floats, float]:
-    """With a combination its members carry what all effects carry, in equal parts, and the part of unknown
-    that the combination has explained; ``gone`` is the share of the recalibrated gap that it takes away."""
-    good = verdict.explained(found.gates, gone)
+    """Probabilities where a set is named: its members carry the mass of all effects in equal parts, plus the share of
+    ``unknown`` that the set explains. ``explained_share`` is that of the recalibrated gap."""
+    good = verdict.retained_share(found.gates, explained_share)
     out = np.zeros_like(effects)
     places = _places(found, chosen)
     out[places] = (float(effects.sum()) + unknown * good) / len(places)
@@ -350,7 +356,7 @@ def _views(case: Case, bench: Bench, after: Twin, recalibrated: Twin) -> tuple[D
 
 
 def _simulated(part: Any, twin: Twin, excitation: Any, channel: str, on_road: bool) -> Floats:
-    """(m,) what a twin gives of one channel of a drive or a run."""
+    """(m,) one simulated channel of a drive or a run."""
     if on_road:
         return np.asarray(part.condition(simulate_twin(twin, excitation))[channel])
     response = simulate_lanes(twin, pack(twin)[:, None], excitation)
@@ -360,15 +366,17 @@ def _simulated(part: Any, twin: Twin, excitation: Any, channel: str, on_road: bo
 def _message(answer: str, document: dict[str, Any], shrink: Shrink) -> str:
     gap = document["gap"]["rms"]
     if answer == "no_gap":
-        return f"no gap: recalibrated, the twin leaves nothing material of {gap:.3g} m/s² that a sound model would not"
+        return f"no gap: after recalibration the residual of {gap:.3g} m/s² is within noise and model discrepancy"
     if answer == "unknown":
         like, there = document["signature"]["resembles"], document["signature"].get("stretch")
-        word = f"; it resembles {_words(like[0]['effect'])}" if like else ""
+        word = f"; it resembles {_label(like[0]['effect'])}" if like else ""
         if there:
             word += f"; {100 * there['share']:.0f} % of it lies from {there['start_m']:.0f} to {there['end_m']:.0f} m"
-            word += f", like {_words(there['resembles'][0]['effect'])} there" if _takes_much(there) else ""
+            word += (
+                f", like {_label(there['resembles'][0]['effect'])} there" if _has_road_error(there) else ""
+            )
         return f"unknown: a gap remains ({shrink.after:.3g} m/s²) that nothing in the library explains{word}"
-    names = " and ".join(_words(e) for e in document["combination"])
+    names = " and ".join(_label(e) for e in document["combination"])
     word = "partly " if answer == "partly" else ""
     low, high = (100.0 * v for v in shrink.interval)
     where = f"({low:.0f} to {high:.0f} %) on held-out data"
@@ -377,7 +385,7 @@ def _message(answer: str, document: dict[str, Any], shrink: Shrink) -> str:
     return f"{word}{names}: the gap shrinks by {100 * shrink.shrink:.0f} % {where}"
 
 
-def _words(effect: str) -> str:
+def _label(effect: str) -> str:
     return effect.replace("_", " ")
 
 

@@ -1,11 +1,14 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Evidence on stretches that a fit has not seen, and the probabilities that follow.
+"""Cross-validated evidence of hypotheses, and their posterior probabilities.
 
-Blocks are pieces of road, the same in all drives, so that a model's own error, which comes again on
-every pass, is not counted as confirming itself; without a road they are pieces of time. Every fifth
-block is held back in turn. Each hypothesis predicts the held-back blocks with the noise level it left
-elsewhere; how sure a difference is comes from weighing the blocks anew many times (pseudo-BMA with the
-Bayesian bootstrap: Yao, Vehtari, Simpson, Gelman 2018, section 3.4), so correlated blocks temper themselves.
+Blocks are segments of road, the same in all drives: model discrepancy repeats on every pass, so that the passes over
+one segment are not independent. Without a road, blocks are segments of time. Every fifth block belongs to one fold,
+and each fold is held out in turn. The score of a block b in channel c is its log predictive density
+
+    score_b = -0.5 sum_c (n_bc log v_c + S_bc / v_c),
+
+with the effective number of samples n, the held-out sum of squares S and the variance v of all blocks. Probabilities
+are pseudo-BMA weights with the Bayesian bootstrap over blocks (Yao, Vehtari, Simpson, Gelman 2018, section 3.4).
 """
 
 from __future__ import annotations
@@ -20,30 +23,30 @@ from scipy.stats import norm
 
 from suspension_twin.arrays import Floats
 from suspension_twin.diagnosis.bench import Bench
-from suspension_twin.diagnosis.fit import Fit, Linear
+from suspension_twin.diagnosis.fit import Fit, LinearisedFit
 from suspension_twin.diagnosis.nuisance_penalty import NuisancePenalty, penalty_gains, penalty_of
 from suspension_twin.identification.gauss_newton import Quadratic
 
 __all__ = ["Blocks", "Evidence", "blocks_of", "evidence", "held_out", "intervals", "weights"]
 
 FOLDS = 5
-#: How many times more the prior holds vehicle and nuisances while a fold is held back: what suits the others best.
-#: What one fold alone tells of them, the end of a spring that is visited there, all hypotheses would lose with it, by
-#: thousands of nats and as chance has it: held by a tenth of its spread it is none's to win.
-_HELD = (1e2, 1e3, 1e4)
+#: Factors on the prior precision of characteristics and nuisance parameters while a fold is held out; the one that fits
+#: the other folds best is used. A parameter that only one fold excites (the end of a spring curve) is otherwise free in
+#: the others, which costs every hypothesis thousands of nats at random.
+_PRIOR_FACTORS = (1e2, 1e3, 1e4)
 _DRAWS = 4000
-#: How many times what it gains in the fit an effect may gain where it is held out: a vehicle without it, which has made
-#: up for it elsewhere, is the worse there.
-_BEYOND_THE_FIT = 2.0
+#: Largest held-out gain of an effect, as a multiple of its gain in the fit to all blocks.
+_LARGEST_HELD_OUT_GAIN = 2.0
 _METRES, _METRES_OF_A_RUN, _SECONDS = 8.0, 0.5, 4.0
-#: Nuisances that say when: a few sharp edges tell them. Without these they go wherever the model's own error takes
-#: them, and that would speak against those hypotheses whose clocks no limit holds.
+#: Nuisance parameters of timing, which a few sharp edges determine. In a fold without edges they would follow model
+#: discrepancy, which penalises hypotheses with unbounded clocks.
 _TIMES = ("clock_offset", "map_position")
 
 
 @dataclass(frozen=True, eq=False)
 class Blocks:
-    """``sample`` (M,) the block of every compared sample, ``row`` (R,) that of every whitened residual."""
+    """Blocks of cross-validation: ``sample`` (M,) that of every compared sample, ``row`` (R,) that of every whitened
+    residual, ``count`` of them."""
 
     sample: np.ndarray
     row: np.ndarray
@@ -55,7 +58,7 @@ class Blocks:
 
 
 def blocks_of(bench: Bench, kind: str) -> Blocks:
-    """Blocks of road over all drives, of a run over its obstacle, or, of ``planar`` motion, of time."""
+    """Blocks of road over all drives, of the distance of a run, or of time for ``planar`` motion."""
     problem = bench.problem
     keys = []
     for part, rows, drive in zip(problem.parts, problem.rows, problem.drive_of, strict=True):
@@ -70,33 +73,33 @@ def blocks_of(bench: Bench, kind: str) -> Blocks:
 
 @dataclass(frozen=True, eq=False)
 class HeldOut:
-    """Unknowns (d + q + k, FOLDS) without each fold and the residuals ``left`` (R,) that they leave in it; ``timed``
-    (R,) those where clocks and map stay as the whole recording has them; the fit ``by_group`` of rows."""
+    """Cross-validation of a fit: ``unknowns`` (d + q + k, FOLDS) fitted without each fold; ``residual`` (R,) held-out
+    residuals; ``timed`` (R,) the same with timing as fitted to all folds; quadratic models ``by_group`` of rows."""
 
     unknowns: Floats
-    left: Floats
+    remaining: Floats
     timed: Floats
     by_group: list[Quadratic]
 
 
-def held_out(bench: Bench, fit: Linear, blocks: Blocks, group: np.ndarray | None = None) -> HeldOut:
-    """A fit on stretches that it has not seen; ``group`` (R,) of each row, one if not given.
+def held_out(bench: Bench, fit: LinearisedFit, blocks: Blocks, group: np.ndarray | None = None) -> HeldOut:
+    """Cross-validate a fit; ``group`` (R,) of each row, one if not given.
 
-    A Gauss-Newton step from the fit to all undoes what a fold pulled on it; of those that the prior holds more or less
-    the one that suits the other folds best is taken, simulated.
+    One Gauss-Newton step from the fit to all data removes a fold. The step is tried with several factors on the prior,
+    and the simulated one that fits the other folds best is used.
     """
     precision, centre = bench.prior(fit.hypothesis)
     residual, fold = fit.at.residual, blocks.fold(blocks.row)
     group = np.zeros(fold.size, dtype=np.intp) if group is None else group
     groups = int(group.max()) + 1
     # every group and fold has its rows, however few
-    parts = fit.at.by(fold * groups + group)
+    parts = fit.at.grouped(fold * groups + group)
     parts += [Quadratic(0.0, np.zeros_like(precision), np.zeros_like(fit.x))] * (FOLDS * groups - len(parts))
-    folds = [_together(parts[f * groups : (f + 1) * groups]) for f in range(FOLDS)]
-    by_group = [_together(parts[g::groups]) for g in range(groups)]
-    whole = _together(folds)
+    folds = [_summed(parts[f * groups : (f + 1) * groups]) for f in range(FOLDS)]
+    by_group = [_summed(parts[g::groups]) for g in range(groups)]
+    whole = _summed(folds)
     total, slope = whole.squares + precision, whole.slope + precision @ (fit.x - centre)
-    # a severity on its bound, usually at nothing, stays there: the step knows no bounds
+    # this step is unbounded: unknowns on a bound are held there
     low, high = bench.limits(fit.hypothesis)
     inside = (fit.x > low) & (fit.x < high)
     known, p = np.zeros(fit.x.size, dtype=bool), bench.d + bench.q
@@ -106,7 +109,7 @@ def held_out(bench: Bench, fit: Linear, blocks: Blocks, group: np.ndarray | None
     for free in (np.flatnonzero(inside), np.flatnonzero(inside & ~known)):
         for f in range(FOLDS):
             rest, pull = (total - folds[f].squares)[np.ix_(free, free)], (slope - folds[f].slope)[free]
-            for times in _HELD:
+            for times in _PRIOR_FACTORS:
                 held = rest + np.diag(1e-9 * np.diag(rest) + times * shared[free])
                 step = np.zeros(fit.x.size)
                 step[free] = -linalg.solve(held, pull, assume_a="sym")
@@ -117,7 +120,7 @@ def held_out(bench: Bench, fit: Linear, blocks: Blocks, group: np.ndarray | None
     away = tried - centre[:, None]
     penalty = np.einsum("il,ij,jl->l", away, precision, away, optimize=False)
     unknowns = np.repeat(fit.x[:, None], FOLDS, axis=1)
-    left, timed = residual.copy(), residual.copy()
+    remaining, timed = residual.copy(), residual.copy()
     rows = [fold == f for f in range(FOLDS)]
     squares = np.stack(
         [np.einsum("rl,rl->l", r, r, optimize=False) for r in (residuals[own] for own in rows)]
@@ -125,17 +128,17 @@ def held_out(bench: Bench, fit: Linear, blocks: Blocks, group: np.ndarray | None
     for f, own in enumerate(rows):
         costs = np.delete(squares, f, axis=0).sum(axis=0) + penalty
         costs = np.where(failed, np.inf, costs)
-        for number, out in enumerate((left, timed)):
-            first = 1 + (number * FOLDS + f) * len(_HELD)
-            lanes = [*range(first, first + len(_HELD)), 0]
+        for number, out in enumerate((remaining, timed)):
+            first = 1 + (number * FOLDS + f) * len(_PRIOR_FACTORS)
+            lanes = [*range(first, first + len(_PRIOR_FACTORS)), 0]
             best = lanes[int(np.argmin(costs[lanes]))]
             out[own] = residuals[own, best]
-            if out is left:
+            if out is remaining:
                 unknowns[:, f] = tried[:, best]
-    return HeldOut(unknowns, left, timed, by_group)
+    return HeldOut(unknowns, remaining, timed, by_group)
 
 
-def _together(parts: Sequence[Quadratic]) -> Quadratic:
+def _summed(parts: Sequence[Quadratic]) -> Quadratic:
     return Quadratic(
         sum(p.value for p in parts),
         np.sum([p.squares for p in parts], axis=0),
@@ -154,7 +157,7 @@ class Evidence:
     score: Floats
     occam: float
     level: dict[tuple[int, bool], float]
-    left: Floats
+    remaining: Floats
     unknowns: Floats
     fitted: float
     penalty: NuisancePenalty | None = None
@@ -164,8 +167,8 @@ class Evidence:
         return float(self.score.sum() - base.score.sum()) - 0.5 * (self.occam - base.occam)
 
 
-def evidence(bench: Bench, fit: Linear, blocks: Blocks) -> Evidence:
-    """Held-out evidence of a fit."""
+def evidence(bench: Bench, fit: LinearisedFit, blocks: Blocks) -> Evidence:
+    """The cross-validated evidence of a fit."""
     whitener, independent = bench.whitener, bench.problem.measured.independent
     group = 2 * whitener.channel + ~np.array(bench.active)[whitener.drive]
     out = held_out(bench, fit, blocks, group)
@@ -176,7 +179,7 @@ def evidence(bench: Bench, fit: Linear, blocks: Blocks) -> Evidence:
     for number in np.unique(group).tolist():
         c, side, rows = number // 2, number % 2 == 0, group == number
         counts = independent * np.bincount(blocks.row[rows], minlength=blocks.count)
-        level[c, side] = max(float(np.sum(out.left[rows] ** 2) / counts.sum()), 1e-6)
+        level[c, side] = max(float(np.sum(out.remaining[rows] ** 2) / counts.sum()), 1e-6)
         squares = np.bincount(blocks.row[rows], out.timed[rows] ** 2, blocks.count)
         noise[number] = max(float(squares.sum() / counts.sum()), 1e-6)
         fitted -= (
@@ -184,26 +187,25 @@ def evidence(bench: Bench, fit: Linear, blocks: Blocks) -> Evidence:
         )
         score -= 0.5 * (counts * np.log(noise[number]) + squares / noise[number])
     precision, centre = bench.prior(fit.hypothesis)
-    scaled = _together(
+    scaled = _summed(
         [Quadratic(p.value / v, p.squares / v, p.slope / v) for p, v in zip(out.by_group, noise, strict=True)]
     )
     hessian = scaled.squares + precision
     away = fit.x - centre
-    away[bench.d : bench.d + bench.q] = 0.0  # counted in full elsewhere
+    away[bench.d : bench.d + bench.q] = 0.0  # part of the nuisance penalty
     occam = 0.5 * (np.linalg.slogdet(hessian)[1] - np.linalg.slogdet(precision)[1])
     occam += 0.5 * float(away @ precision @ away) / max(float(np.mean(noise[group])), 1.0)
     plain = Fit(fit.hypothesis, fit.x, fit.cost)
     penalty = penalty_of(bench, fit, scaled)
-    return Evidence(plain, score, float(occam), level, out.left, out.unknowns, float(fitted), penalty)
+    return Evidence(plain, score, float(occam), level, out.remaining, out.unknowns, float(fitted), penalty)
 
 
-def intervals(bench: Bench, fit: Linear, blocks: Blocks, temper: float) -> Floats:
+def intervals(bench: Bench, fit: LinearisedFit, blocks: Blocks, temper: float) -> Floats:
     """(k, 2) 90 % intervals of the effects' parameters, in their units and inside their bounds.
 
-    How much a fit would move with other stretches is told by what each block pulls it: residuals that
-    belong together count once (sandwich covariance: White 1982, by clusters). But a model's own error pulls every
-    block the same way, and more road does not average it out: as for the evidence, of what is left only the share
-    ``temper`` that is noise counts as many pieces.
+    Clustered sandwich covariance over blocks (White 1982): H^-1 (sum_b g_b g_b^T + P) H^-1 with the gradient g_b of
+    each block. Model discrepancy is correlated over blocks and does not average out: the covariance is divided by
+    ``temper``, the share of the remaining residual that is noise.
     """
     precision, _ = bench.prior(fit.hypothesis)
     jacobian, p = fit.at.jacobian, bench.d + bench.q
@@ -219,25 +221,25 @@ def intervals(bench: Bench, fit: Linear, blocks: Blocks, temper: float) -> Float
 
 
 def weights(found: list[Evidence], prior: Floats, temper: float, seed: int) -> tuple[Floats, Floats]:
-    """(K,) probabilities of the hypotheses, and (K, K) how often one beats another.
+    """(K,) probabilities of the hypotheses, and (K, K) the rate at which one has the higher evidence in the bootstrap.
 
-    Half of the freedom's cost counts: held-out scores have paid for it once already, in what freedom
-    spoils on unseen road, and the evidence of the whole prior would have it in full. ``temper`` is the
-    share of what is left that is noise: a model's own error is no new evidence at every sample. What is normal of
-    clocks, map and mount is no such evidence and counts in full. The first of ``found`` is part of all others: what
-    these gain on unseen road beyond twice of what they gain in the fit is chance.
+    The log evidence of a draw is ``temper`` (sum_b w_b score_b - occam / 2) + nuisance penalty gain + log prior. Half
+    of the Occam term counts, because held-out scores contain the cost of freedom already. ``temper`` is the share of
+    the remaining residual that is noise: model discrepancy is no independent evidence at every sample. The prior of
+    the nuisance parameters is independent of it and not tempered. The first of ``found`` is nested in all others; a
+    held-out gain beyond twice the gain in the fit is cut.
     """
     scores = np.stack([e.score for e in found])
     gains = scores.sum(axis=1) - scores[0].sum()
-    most = _BEYOND_THE_FIT * np.array([max(e.fitted - found[0].fitted, 0.0) for e in found])
+    most = _LARGEST_HELD_OUT_GAIN * np.array([max(e.fitted - found[0].fitted, 0.0) for e in found])
     share = np.where(gains > most, most / np.maximum(gains, 1e-12), 1.0)
     scores = scores[0] + share[:, None] * (scores - scores[0])
     occam = np.array([e.occam for e in found])
     count = scores.shape[1]
     draws = np.random.default_rng(seed).dirichlet(np.ones(count), _DRAWS) * count
     total = np.einsum("db,kb->dk", draws, scores, optimize=False) - 0.5 * (occam - occam.min())[None, :]
-    with np.errstate(divide="ignore"):  # a prior of nothing
+    with np.errstate(divide="ignore"):  # priors of zero
         total = temper * total + penalty_gains([e.penalty for e in found], temper) + np.log(prior)
     probabilities = np.exp(total - logsumexp(total, axis=1)[:, None]).mean(axis=0)
-    beats = (total[:, :, None] > total[:, None, :]).mean(axis=0)
-    return probabilities, beats
+    win_rate = (total[:, :, None] > total[:, None, :]).mean(axis=0)
+    return probabilities, win_rate

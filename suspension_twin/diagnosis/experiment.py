@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What to drive next: the manoeuvre in which the candidates differ most, simulated."""
+"""The next experiment: the manoeuvre whose simulated response differs most between the candidates."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ _CHANNELS = ("vertical_acceleration", "roll_rate", "pitch_rate", "longitudinal_a
 
 @dataclass(frozen=True, eq=False)
 class Manoeuvre:
-    """Something to drive: a road and knots (s, m/s) of the speed, starting ``u`` m on the road."""
+    """A road and knots (s, m/s) of the speed on it."""
 
     name: str
     road: Road
@@ -37,7 +37,7 @@ class Manoeuvre:
 
 
 def menu() -> list[Manoeuvre]:
-    """The manoeuvres there are to choose from; each is short and needs no test track."""
+    """The manoeuvres to choose from; each is short and needs no test track."""
     bump = bump_road(half_sine(0.9, 0.07), at=30.0, length=140.0)
     sharp = bump_road(half_sine(0.25, 0.03), at=30.0, length=140.0)
     wave = bump_road(half_sine(6.0, 0.08), at=30.0, length=140.0)
@@ -69,8 +69,11 @@ def menu() -> list[Manoeuvre]:
 
 
 def separation(first: Twin, second: Twin, what: Manoeuvre, noise: dict[str, float], share: float) -> float:
-    """Expected gain in nats: half the squared difference of what the two predict, over noise and the share
-    of its motion that a sound model misses."""
+    """Expected log likelihood ratio in nats between two twins on a manoeuvre.
+
+    0.5 n_eff / n sum((y_1 - y_2)^2 / (sigma^2 + (``share`` s)^2)) over the channels, with the noise sigma and the model
+    discrepancy, a ``share`` of the standard deviation s of the motion.
+    """
     t = np.arange(what.knots[0][0], what.knots[-1][0], 1.0 / _RATE)
     trajectory = path_along(what.road, t, what.knots, 5.0)
     conditioner = Conditioner.for_stamps(t, FilterSpec(), zero_phase=True)
@@ -88,11 +91,11 @@ def separation(first: Twin, second: Twin, what: Manoeuvre, noise: dict[str, floa
 
 
 def next_experiment(case: Case, tied: Sequence[Single], answer: str, judged: Judged) -> str:
-    """One sentence: what to drive, which candidates it separates and how well."""
+    """One sentence: the manoeuvre, the candidates that it separates, and the expected gain."""
     weak = [s.effect.replace("_", " ") for s in judged.singles if not s.judged]
     tail = f" Not excited so far: {', '.join(weak)}." if weak else ""
     if len(tied) < 2:
-        return f"None is needed to tell candidates apart.{tail}"
+        return f"None is needed to separate candidates.{tail}"
     names = [s.effect.replace("_", " ") for s in tied[:2]]
     if case.kind == "run":
         return f"Repeat the run with another excitation to separate {names[0]} from {names[1]}.{tail}"
@@ -105,7 +108,7 @@ def next_experiment(case: Case, tied: Sequence[Single], answer: str, judged: Jud
         except SuspensionTwinError:
             continue
     if {"mount_resonance"} & {s.effect for s in tied[:2]}:
-        tail = f" A tap on the phone's holder at standstill shows whether it is the holder that rings.{tail}"
+        tail = f" A tap on the phone holder at standstill excites the mount resonance alone.{tail}"
     if not gains:
         return f"None of the menu can be simulated with {names[0]} and {names[1]}.{tail}"
     gain, name = max(gains)

@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The joint fit of characteristics, nuisances and effects.
+"""The joint fit of characteristics, nuisance parameters and effects.
 
-A hypothesis is screened first: its effects are simulated all over their prior with the vehicle as
-the baseline has it, and what the characteristics and nuisances can take back is taken back by linear
-algebra. From the best of these, Gauss-Newton runs on everything jointly.
+A hypothesis is screened first: its effects are simulated at points over their prior with the baseline vehicle, and one
+linear least squares step refits characteristics and nuisance parameters. From the best points, bounded Gauss-Newton
+(``identification.gauss_newton``) fits all unknowns jointly.
 """
 
 from __future__ import annotations
@@ -27,25 +27,24 @@ from suspension_twin.identification.gauss_newton import (
 from suspension_twin.vehicle.twin import Twin
 
 __all__ = [
-    "SETTINGS",
+    "FIT_SETTINGS",
     "Fit",
-    "Linear",
+    "LinearisedFit",
     "Screening",
-    "finished",
+    "coordinate_scan",
     "fitted",
+    "linearised_fit",
     "refit",
+    "resonance_scan",
     "room",
-    "scanned",
-    "screened",
-    "swept",
+    "screen",
     "twin_of",
 ]
 
 _LARGEST_STEP = 2.0
-#: Dampings tried at once; a step is held 1e4 times more by the prior than by the curvature, so that the end of a spring
-#: that a drive hardly visits, which has no curvature and a wall behind it, holds back nothing else. A step that lowers
-#: -2 log posterior by less than 0.3 is the last: what decides differs by several.
-SETTINGS = GaussNewtonSettings(
+#: The prior damps a step 1e4 times more than the curvature does, so that a parameter that the drive hardly excites does
+#: not limit the step of the others. A step that lowers -2 log posterior by less than 0.3 ends the search.
+FIT_SETTINGS = GaussNewtonSettings(
     tolerance=0.0,
     absolute=0.3,
     patience=1,
@@ -59,7 +58,7 @@ SETTINGS = GaussNewtonSettings(
     raised=100.0,
     worthwhile=0.3,
 )
-#: Places of each coordinate of an effect, out to so many spreads of its prior, and how many of them are simulated anew.
+#: Scan of an effect coordinate: points, range in standard deviations of its prior, and points simulated after refit.
 _SWEPT, _FAR, _TRIED = 9, 2.5, 4
 
 
@@ -77,8 +76,8 @@ class Fit:
 
 
 @dataclass(frozen=True, eq=False)
-class Linear(Fit):
-    """A fit with the linearisation ``at`` its place: tens of megabytes, so only while it is worked with."""
+class LinearisedFit(Fit):
+    """A fit with the linearisation ``at`` its unknowns: tens of megabytes, kept only while it is used."""
 
     at: Linearised
 
@@ -86,16 +85,16 @@ class Linear(Fit):
 @dataclass(frozen=True, eq=False)
 class Screening:
     """Linearised joint ``cost`` and unknowns ``x`` of starts, the best first, and the ``power`` (S,) of each in the
-    order given: half the squared change of the whitened signals that characteristics and nuisances cannot imitate,
-    in nats."""
+    order given: half the squared change of the whitened signals that characteristics and nuisance parameters cannot
+    reproduce, in nats."""
 
     cost: list[float]
     x: list[Floats]
     power: Floats
 
 
-def _curvature(bench: Bench, base: Linear) -> tuple[Floats, Floats, float]:
-    """Of the posterior about ``base``: its curvature, the prior's gradient, and what the prior costs."""
+def _curvature(bench: Bench, base: LinearisedFit) -> tuple[Floats, Floats, float]:
+    """Curvature of the posterior about ``base``, half gradient of the prior, and cost of the prior."""
     precision, centre = bench.prior(base.hypothesis)
     hessian = base.at.model.squares + precision
     away = base.x - centre
@@ -109,14 +108,14 @@ def room(bench: Bench, hypothesis: Hypothesis, x: Floats) -> tuple[Floats, Float
     return np.minimum(low - x, 0.0), np.maximum(high - x, 0.0)
 
 
-def _stuck(bench: Bench, hypothesis: Hypothesis, x: Floats, gradient: Floats) -> NDArray[np.bool_]:
-    """(p,) coordinates on a limit that want out: they stay there."""
+def _at_active_bound(bench: Bench, hypothesis: Hypothesis, x: Floats, gradient: Floats) -> NDArray[np.bool_]:
+    """(p,) True for coordinates on a bound whose gradient points outwards."""
     low, high = bench.limits(hypothesis)
     return np.asarray(((x <= low) & (gradient > 0)) | ((x >= high) & (gradient < 0)))
 
 
-def screened(bench: Bench, base: Linear, hypothesis: Hypothesis, starts: Floats) -> Screening:
-    """Try every start (k, S) of a hypothesis' last effects with the vehicle of ``base``.
+def screen(bench: Bench, base: LinearisedFit, hypothesis: Hypothesis, starts: Floats) -> Screening:
+    """Evaluate every start (k, S) of the last effects of a hypothesis with the vehicle of ``base``.
 
     ``base`` may be a hypothesis of fewer effects: its coordinates are the first of those of ``hypothesis``.
     """
@@ -136,8 +135,8 @@ def screened(bench: Bench, base: Linear, hypothesis: Hypothesis, starts: Floats)
     costs = np.where(failed | ~np.isfinite(costs), np.inf, costs)
     change = residual - base.at.residual[:, None]
     seen = jacobian.T @ change
-    lost = np.einsum("il,il->l", seen, linalg.cho_solve(linalg.cho_factor(hessian), seen), optimize=False)
-    power = 0.5 * (np.einsum("rl,rl->l", change, change, optimize=False) - lost)
+    no_match = np.einsum("il,il->l", seen, linalg.cho_solve(linalg.cho_factor(hessian), seen), optimize=False)
+    power = 0.5 * (np.einsum("rl,rl->l", change, change, optimize=False) - no_match)
     order = np.argsort(costs, kind="stable")
     unknowns = []
     for i in order:
@@ -147,30 +146,31 @@ def screened(bench: Bench, base: Linear, hypothesis: Hypothesis, starts: Floats)
     return Screening(costs[order].tolist(), unknowns, np.where(failed, 0.0, power))
 
 
-def scanned(bench: Bench, base: Linear, hypothesis: Hypothesis, scan: tuple[int, Floats]) -> Floats | None:
-    """Unknowns of the best point of a ``scan`` of the hypothesis' last effect: coordinates (k, S) all over where
-    its resonance may lie, each with the strength, in the given row, that suits it best.
+def resonance_scan(
+    bench: Bench, base: LinearisedFit, hypothesis: Hypothesis, scan: tuple[int, Floats]
+) -> Floats | None:
+    """Unknowns of the best point of a ``scan`` (row of the strength, coordinates (k, S)) over resonance frequencies.
 
-    A narrow resonance is missed by starts here and there; what it adds grows with its strength, so one simulation
-    tells the best strength of either sign by linear algebra.
+    Scattered starts miss a narrow resonance. Its response is linear in its strength, so that one simulation per
+    frequency gives the best strength, of either sign, by linear least squares.
     """
     row, points = scan
     p, kept = bench.d + bench.q, base.x.size - bench.d - bench.q
     nothing = hypothesis.neutral()[kept + row]
     x = np.concatenate([np.repeat(base.x[:, None], points.shape[1], axis=1), points])
     residual, failed = bench.residuals(hypothesis, x)
-    jacobian, rest = base.at.jacobian, base.at.residual
+    jacobian, base_residual = base.at.jacobian, base.at.residual
     hessian, pull, _ = _curvature(bench, base)
     gradient = base.at.model.slope + pull
-    change = residual - rest[:, None]
-    free = np.flatnonzero(~_stuck(bench, base.hypothesis, base.x, gradient))
+    change = residual - base_residual[:, None]
+    free = np.flatnonzero(~_at_active_bound(bench, base.hypothesis, base.x, gradient))
     seen = (jacobian.T @ change)[free]
     factor = linalg.cho_factor(hessian[np.ix_(free, free)])
     taken = linalg.cho_solve(factor, np.column_stack([seen, gradient[free]]))
     far = points[row] - nothing
     curve = np.einsum("rl,rl->l", change, change, optimize=False) + far**2
     curve -= np.einsum("il,il->l", seen, taken[:, :-1], optimize=False)
-    slope = np.einsum("r,rl->l", rest, change, optimize=False) + nothing * far
+    slope = np.einsum("r,rl->l", base_residual, change, optimize=False) + nothing * far
     slope -= np.einsum("il,i->l", seen, taken[:, -1], optimize=False)
     low, high = (b[kept + row] for b in hypothesis.bounds())
     with np.errstate(divide="ignore", invalid="ignore"):
@@ -188,12 +188,12 @@ def scanned(bench: Bench, base: Linear, hypothesis: Hypothesis, scan: tuple[int,
     return np.asarray(bench.clipped(hypothesis, found[:, None])[:, 0])
 
 
-def swept(bench: Bench, at: Linear) -> Floats | None:
-    """Unknowns that cost less than those of a fit, one coordinate of its effects anywhere else in its prior and the
-    rest moved to what suits it best by linear algebra; None where there are none.
+def coordinate_scan(bench: Bench, at: LinearisedFit) -> Floats | None:
+    """Unknowns of lower cost than a fit, found by scanning each effect coordinate over its prior; None if there are
+    none.
 
-    A stop that touches at one axle alone, a mass in front instead of behind: such fits lie in valleys of their own,
-    and no descent leads from one to the next.
+    At each point all other unknowns are refitted by linear least squares. This finds separate local minima: a stop that
+    touches at one axle only, a mass in front instead of behind.
     """
     hypothesis, p = at.hypothesis, bench.d + bench.q
     low, high = hypothesis.bounds()
@@ -223,25 +223,32 @@ def swept(bench: Bench, at: Linear) -> Floats | None:
     return tried[:, best].copy() if found[best] < at.cost else None
 
 
-class _Joint:
-    """The residuals of a hypothesis as the solver sees them.
+class _HypothesisResiduals:
+    """The residuals of a hypothesis for the solver.
 
-    ``known`` columns of the Jacobian, the vehicle's and the nuisances', are taken to hold; with ``sparing`` those of
-    one iteration are, for one more.
+    ``fixed_columns`` are Jacobian columns of characteristics and nuisance parameters that are reused in all iterations;
+    with ``alternate_jacobian`` those of one iteration are reused in the next.
     """
 
-    def __init__(self, bench: Bench, hypothesis: Hypothesis, known: Linearised | None, sparing: bool) -> None:
-        self.bench, self.hypothesis, self.known, self.sparing = bench, hypothesis, known, sparing
+    def __init__(
+        self, bench: Bench, hypothesis: Hypothesis, fixed_columns: Linearised | None, alternate_jacobian: bool
+    ) -> None:
+        self.bench, self.hypothesis, self.fixed_columns, self.alternate_jacobian = (
+            bench,
+            hypothesis,
+            fixed_columns,
+            alternate_jacobian,
+        )
         self.at: Linearised | None = None
         self._last: Linearised | None = None
 
     def quadratic(self, x: Floats) -> Quadratic:
-        held, self.at = self.known or self._last, None
+        held, self.at = self.fixed_columns or self._last, None
         if held is not None:
             self._last = None
-            return held.beyond(*self.bench.effects_alone(self.hypothesis, x))
+            return held.with_effects(*self.bench.effect_columns(self.hypothesis, x))
         self.at = self.bench.linearise(self.hypothesis, x)
-        self._last = self.at.first(self.bench.d + self.bench.q) if self.sparing else None
+        self._last = self.at.first(self.bench.d + self.bench.q) if self.alternate_jacobian else None
         return self.at.model
 
     def sums_of_squares(self, x: Floats) -> Floats:
@@ -254,35 +261,35 @@ def refit(
     bench: Bench,
     hypothesis: Hypothesis,
     starts: Sequence[Floats],
-    known: Linearised | None,
+    fixed_columns: Linearised | None,
     iterations: int,
-    sparing: bool = False,
+    alternate_jacobian: bool = False,
 ) -> tuple[Floats, float]:
-    """Gauss-Newton from the best of ``starts``: unknowns and -2 log posterior; ``known`` and ``sparing`` as in
-    :class:`_Joint`."""
-    solver, _ = _solved(bench, hypothesis, starts, known, iterations, sparing)
+    """Bounded Gauss-Newton from the best of ``starts``: unknowns and -2 log posterior; ``fixed_columns`` and
+    ``alternate_jacobian`` as in :class:`_HypothesisResiduals`."""
+    solver, _ = _solved(bench, hypothesis, starts, fixed_columns, iterations, alternate_jacobian)
     return solver.x, solver.cost
 
 
-def fitted(bench: Bench, hypothesis: Hypothesis, starts: Sequence[Floats], iterations: int) -> Linear:
-    """As ``refit``, with the linearisation where it comes to."""
+def fitted(bench: Bench, hypothesis: Hypothesis, starts: Sequence[Floats], iterations: int) -> LinearisedFit:
+    """As ``refit``, with the linearisation at the result."""
     solver, problem = _solved(bench, hypothesis, starts, None, iterations)
     there = problem.at is not None and np.array_equal(problem.at.x, solver.x)
     at = problem.at if there else bench.linearise(hypothesis, solver.x)
     assert at is not None
-    return Linear(hypothesis, solver.x, solver.cost, at)
+    return LinearisedFit(hypothesis, solver.x, solver.cost, at)
 
 
 def _solved(
     bench: Bench,
     hypothesis: Hypothesis,
     starts: Sequence[Floats],
-    known: Linearised | None,
+    fixed_columns: Linearised | None,
     iterations: int,
-    sparing: bool = False,
-) -> tuple[GaussNewton, _Joint]:
-    problem = _Joint(bench, hypothesis, known, sparing)
-    settings = replace(SETTINGS, iterations=iterations)
+    alternate_jacobian: bool = False,
+) -> tuple[GaussNewton, _HypothesisResiduals]:
+    problem = _HypothesisResiduals(bench, hypothesis, fixed_columns, alternate_jacobian)
+    settings = replace(FIT_SETTINGS, iterations=iterations)
     solver = GaussNewton(
         problem,
         starts[0],
@@ -307,8 +314,8 @@ def twin_of(bench: Bench, fit: Fit) -> Twin:
     )
 
 
-def finished(bench: Bench, hypothesis: Hypothesis, x: Floats) -> Linear:
+def linearised_fit(bench: Bench, hypothesis: Hypothesis, x: Floats) -> LinearisedFit:
     """The fit at ``x`` with its linearisation."""
     at = bench.linearise(hypothesis, x)
     cost = float(bench.costs(hypothesis, x[:, None])[0])
-    return Linear(hypothesis, x, cost, at)
+    return LinearisedFit(hypothesis, x, cost, at)

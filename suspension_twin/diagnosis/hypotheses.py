@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Effects as hypotheses: search coordinates of their parameters, and where a search starts.
+"""Effects as hypotheses: search coordinates of their parameters, and starting points of a search.
 
-A coordinate is the parameter's distance from its typical value in spreads of its prior, so that the
-prior is a standard normal in each. A parameter that counts (``choices``) is no coordinate: every value
-of it is a hypothesis of its own, a variant, and the best speaks for the effect.
+The coordinate of a parameter is u = (p - typical) / spread, or u = log(p / typical) / log(spread) for a logarithmic
+one, so that its prior is N(0, 1). A discrete parameter (``choices``) has no coordinate: each of its values is a
+hypothesis of its own, a variant, and the best variant represents the effect.
 """
 
 from __future__ import annotations
@@ -21,22 +21,30 @@ from suspension_twin.effects.base import Effect, Parameter
 from suspension_twin.effects.registry import EFFECTS
 from suspension_twin.vehicle.twin import EffectSpec, Twin
 
-__all__ = ["BASELINE", "NORMAL_PART", "SETTINGS", "Hypothesis", "combined", "decoys", "library"]
+__all__ = [
+    "BASELINE",
+    "NUISANCE_COUNTERPART",
+    "SETUP_CATEGORIES",
+    "Hypothesis",
+    "combined",
+    "decoys",
+    "library",
+]
 
-_WIDTH = 1.4  # of the starting points, in spreads of the prior
-#: Where effects act that any size of is a matter of what was set, not of what a part can be like.
-SETTINGS = ("time", "road", "sensor")
-#: Nuisances that are in small what an effect is in large.
-NORMAL_PART = {
+_WIDTH = 1.4  # standard deviation of the starting points, in that of the prior
+#: Categories of effects that are set-up errors: any size within their range is possible.
+SETUP_CATEGORIES = ("time", "road", "sensor")
+#: Nuisance parameters that have the same action as an effect.
+NUISANCE_COUNTERPART = {
     "sensor_tilt": ("tilt_roll", "tilt_pitch"),
     "time_offset": ("clock_offset",),
     "position_offset": ("map_position",),
 }
-#: Effects that the planar motion shows without any road under the wheels. What fixes at a few hertz can
-#: hold says nothing of a sensor's bandwidth or range.
+#: Effects that the planar motion shows without a road. Positions at a few hertz show neither bandwidth nor range of a
+#: sensor.
 WITHOUT_ROAD = ("time_offset", "clock_drift", "sensor_tilt", "sensor_scale")
-#: Shapes that many things have: coils, rubber, air, worn bushes, torn oil. One that explains the gap best says that no
-#: effect with a name does, and what the unknown one looks like. Named only where they are asked for.
+#: Decoy hypotheses: generic shapes of progressive stiffness and play that many mechanisms share. If one explains the
+#: gap best, no effect of the library does, and the answer is unknown. They are causes only where a request names them.
 DECOYS = ("progressive_spring", "damper_play")
 
 
@@ -44,15 +52,15 @@ DECOYS = ("progressive_spring", "damper_play")
 class Hypothesis:
     """Some effects, possibly none, with the parameters that are searched and those that are fixed.
 
-    ``fixed`` (key, value) holds choices; ``keys`` the dotted keys of the searched ones. ``around`` are the
-    coordinates about which the prior lies, where something is off by far more than what is typical; empty for zeros.
-    ``everywhere`` names those of its effects that the vehicle has on the drives from before as well.
+    ``fixed`` (key, value) holds choices; ``keys`` are the dotted keys of the searched parameters. ``around`` is the
+    centre of the prior in search coordinates after a coarse search; empty for zero. ``preexisting`` names the effects
+    that act on reference drives as well.
     """
 
     effects: tuple[str, ...] = ()
     fixed: tuple[tuple[str, float], ...] = ()
     around: tuple[float, ...] = ()
-    everywhere: tuple[str, ...] = ()
+    preexisting: tuple[str, ...] = ()
     model: str = "full_car"
 
     def effect(self, name: str) -> Effect:
@@ -82,32 +90,32 @@ class Hypothesis:
         return len(self.searched)
 
     def centre(self) -> Floats:
-        """(k,) coordinates about which the prior lies."""
+        """(k,) centre of the prior."""
         return np.array(self.around) if self.around else np.zeros(len(self))
 
     def without(self, effect: str) -> Hypothesis:
-        """The others of its effects."""
+        """The hypothesis without one of its effects."""
         return self._with(tuple(e for e in self.effects if e != effect))
 
-    def before(self) -> Hypothesis:
-        """What of it there is on the drives from before."""
-        return self._with(self.everywhere)
+    def on_reference(self) -> Hypothesis:
+        """The hypothesis on reference drives: its pre-existing effects."""
+        return self._with(self.preexisting)
 
-    def always(self) -> Hypothesis:
-        """The same as traits of the vehicle, on all drives."""
-        return replace(self, everywhere=self.effects)
+    def on_all_drives(self) -> Hypothesis:
+        """The same with all effects pre-existing."""
+        return replace(self, preexisting=self.effects)
 
     def _with(self, kept: tuple[str, ...]) -> Hypothesis:
         return Hypothesis(
             kept,
             tuple(pair for pair in self.fixed if pair[0].split(".")[1] in kept),
             tuple(u for i, u in enumerate(self.around) if self._owner(i) in kept),
-            tuple(e for e in self.everywhere if e in kept),
+            tuple(e for e in self.preexisting if e in kept),
             self.model,
         )
 
     def rows(self, part: Hypothesis) -> list[int]:
-        """Which of its coordinates are those of ``part``."""
+        """Rows of the coordinates of ``part``."""
         return [self.keys.index(key) for key in part.keys]
 
     def bounds(self) -> tuple[Floats, Floats]:
@@ -139,9 +147,9 @@ class Hypothesis:
                 at[i] = (p.neutral - p.typical) / p.spread
         return np.clip(at, low, high)
 
-    def slightest(self) -> Floats:
-        """(k, n) where the effect may be next to none: severities of zero, and those that go by factors at either
-        end: a low-pass is least at its highest cutoff, a contact patch at its shortest."""
+    def negligible(self) -> Floats:
+        """(k, n) coordinates at which the effect is smallest: severities of zero, logarithmic ones at either bound (a
+        low-pass at its highest cutoff, a contact patch at its shortest)."""
         low, high = self.bounds()
         ends = np.repeat(self.neutral()[:, None], 2, axis=1)
         for i, (_, p) in enumerate(self.searched):
@@ -150,12 +158,12 @@ class Hypothesis:
         return np.unique(ends, axis=1)
 
     @property
-    def touches(self) -> bool:
-        """Whether an effect acts only past a distance."""
+    def has_clearance(self) -> bool:
+        """Whether an effect acts only beyond a clearance."""
         return any(p.log and p.unit == "m" and "clearance" in p.name for _, p in self.searched)
 
-    def early(self, far: float) -> Floats:
-        """(k,) an effect that acts early and strongly, ``far`` spreads of its prior from what is typical."""
+    def early_contact(self, far: float) -> Floats:
+        """(k,) an effect with small clearance and large severity, ``far`` standard deviations from typical."""
         low, high = self.bounds()
         at = self.neutral()
         for i, (_, p) in enumerate(self.searched):
@@ -166,8 +174,8 @@ class Hypothesis:
         return np.clip(at, low, high)
 
     def scan(self, count: int) -> tuple[int, Floats] | None:
-        """For an effect that resonates: the row of its strength, and ``count`` points (k, count) with resonances all
-        over their bounds; None for any other effect."""
+        """For an effect with a resonance: the row of its strength, and ``count`` points (k, count) over the bounds of
+        its frequency; None for any other effect."""
         names = [p.name for _, p in self.searched]
         severe = [i for i, n in enumerate(names) if n in self.effect(self._owner(i)).severity]
         if "frequency" not in names or len(severe) != 1:
@@ -212,7 +220,7 @@ class Hypothesis:
         )
 
     def starts(self, count: int, seed: int) -> Floats:
-        """(k, count) coordinates spread over the prior, severities away from zero and from small to large."""
+        """(k, count) Sobol points over the prior, severities on the side of their bound."""
         if not len(self):
             return np.zeros((0, 1))
         low, high = self.bounds()
@@ -230,8 +238,7 @@ BASELINE = Hypothesis()
 
 
 def variants(effect: Effect, twin: Twin) -> list[Hypothesis]:
-    """The hypotheses that an effect stands for on a twin: one, or one for each combination of its choices that the
-    twin can have."""
+    """The hypotheses of an effect on a twin: one, or one for each possible combination of its choices."""
     counting = [p for p in effect.parameters if p.choices]
     keys = [f"effects.{effect.id}.{p.name}" for p in counting]
     possible = effect.hook.possible or (lambda twin, given: True)
@@ -243,15 +250,15 @@ def variants(effect: Effect, twin: Twin) -> list[Hypothesis]:
 
 
 def library(twin: Twin, excited: bool, only: Sequence[str] = ()) -> dict[str, list[Hypothesis]]:
-    """The hypotheses of every effect that this twin can be given, by id; ``excited``: what excites it is known.
+    """The hypotheses of every applicable effect, by id; ``excited``: whether the excitation is known.
 
-    An effect that the twin already has is its own: it is not offered twice.
+    Effects that the twin file has already are left out.
     """
     return _offered(twin, excited, only or [name for name in EFFECTS if name not in DECOYS])
 
 
 def decoys(twin: Twin, excited: bool, only: Sequence[str] = ()) -> dict[str, list[Hypothesis]]:
-    """Those of ``DECOYS`` that this twin can be given and ``only`` does not name."""
+    """The applicable decoy hypotheses that ``only`` does not name."""
     return _offered(twin, excited, [name for name in DECOYS if name not in only])
 
 
@@ -268,12 +275,12 @@ def _offered(twin: Twin, excited: bool, names: Sequence[str]) -> dict[str, list[
 
 
 def combined(*parts: Hypothesis) -> Hypothesis:
-    """Several effects at once."""
+    """The hypothesis of several effects together."""
     around = tuple(float(u) for p in parts for u in p.centre()) if any(p.around for p in parts) else ()
     return Hypothesis(
         tuple(e for p in parts for e in p.effects),
         tuple(pair for p in parts for pair in p.fixed),
         around,
-        tuple(e for p in parts for e in p.everywhere),
+        tuple(e for p in parts for e in p.preexisting),
         parts[0].model,
     )

@@ -1,5 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""One stretch of road that holds what is left: what a model gets wrong of a car it gets wrong wherever that moves."""
+"""Local road errors: a remaining residual that is concentrated on one section of road.
+
+Model discrepancy follows the motion and is spread over the road. A residual concentrated on one section, on every pass,
+is an error of the road file there.
+"""
 
 from __future__ import annotations
 
@@ -12,28 +16,36 @@ from suspension_twin.arrays import Floats
 from suspension_twin.diagnosis.bench import Bench
 from suspension_twin.diagnosis.fit import refit
 from suspension_twin.diagnosis.hypotheses import BASELINE, Hypothesis
-from suspension_twin.diagnosis.shrink import Remainder, drives_of
+from suspension_twin.diagnosis.shrink import RemainingResidual, drives_of
 
-__all__ = ["Likeness", "Stretch", "as_surveyed", "gathered", "likenesses", "spread_out"]
+__all__ = [
+    "RoadErrorMatch",
+    "RoadSection",
+    "concentrated_section",
+    "no_concentration",
+    "no_road_error",
+    "road_error_matches",
+]
 
+#: Length in m of the cells of a section.
 _METRES = 4.0
-#: Share of what is left that one stretch holds beyond its share of the motion, on every pass, at which it is as likely
-#: as not that the road is another there: up to 0.27 on cars and roads that lack nothing.
-_GATHERED, _GATHERED_SPREAD = 0.38, 1.15
-_HARDLY = 0.1
-#: m before a stretch from which on its front wheels are on it, and behind it until the body has come to rest.
-_BEFORE, _BEHIND = 4.0, 15.0
+#: Excess of the share of the residual on a section over its share of the motion, on every pass, with a probability of a
+#: local road error of 0.5 (up to 0.27 on cars and roads without any error), and factor of one standard deviation.
+_CONCENTRATED, _CONCENTRATED_SPREAD = 0.38, 1.15
+_TOLERANCE = 0.1
+#: m before a section where the front wheels reach it, and after it until the free oscillation has decayed.
+_BEFORE, _REBASE_GAIN = 4.0, 15.0
 _COARSE, _FINE, _LONG = 201, 21, 6
-#: Share of the rest of a stretch that an error of the road file takes there, at which it is as likely as not that the
-#: file has it: none did in twelve cases where nothing is wrong; and nats by which one may be worse than the best.
+#: Shrink of the residual on a section by an error of the road file, with a probability of that error of 0.5, and factor
+#: of one standard deviation; nats by which a reported error may be worse than the best.
 _TAKEN, _TAKEN_SPREAD, _AS_GOOD = 0.25, 1.3, 3.0
-_WORTH_A_WORD = 0.05  # share of the rest of a stretch
+_LEAST_SHARE = 0.05  # shrink from which on an error is reported
 
 
 @dataclass(frozen=True)
-class Stretch:
-    """``start`` and ``end`` in m along the road, the ``share`` of what is left there that it holds, and by how much
-    that is ``beyond`` its share of the motion on the drive where it is least."""
+class RoadSection:
+    """``start`` and ``end`` in m along the road, the ``share`` of the remaining residual on it (mean square), and its
+    excess ``beyond`` the share of the motion there, on the drive where that is smallest."""
 
     start: float
     end: float
@@ -42,19 +54,23 @@ class Stretch:
 
 
 @dataclass(frozen=True)
-class Likeness:
-    """What the rest of a stretch is like: an ``effect`` of the road there, its parameters by key, and the ``shrink`` of
-    the rest of the vertical acceleration there."""
+class RoadErrorMatch:
+    """An ``effect`` of the road on a section only: its parameter ``values`` by key, and the ``shrink`` of the
+    residual of the vertical acceleration there."""
 
     effect: str
     values: dict[str, float]
     shrink: float
 
 
-def gathered(bench: Bench, left: Remainder, noise: dict[str, float]) -> Stretch | None:
-    """The stretch, at most half of the road, that holds most of what is left of the vertical acceleration beyond its
-    share of the motion on every drive with the gap; where there are drives from before it, beyond what these leave
-    there as well. None without a vertical acceleration or where the drives have no stretch in common."""
+def concentrated_section(
+    bench: Bench, remaining: RemainingResidual, noise: dict[str, float]
+) -> RoadSection | None:
+    """The section, at most half of the road, with the largest excess of residual over motion in vertical acceleration.
+
+    The excess is the smallest of all drives with the gap, less the mean of the reference drives. None without a
+    vertical acceleration or where the drives have no section in common.
+    """
     measured = bench.problem.measured
     if "vertical_acceleration" not in measured.channels:
         return None
@@ -63,67 +79,66 @@ def gathered(bench: Bench, left: Remainder, noise: dict[str, float]) -> Stretch 
     first = float(np.floor(position.min() / _METRES))
     cell = (np.floor(position / _METRES) - first).astype(int)
     count, drive, floor = int(cell.max()) + 1, drives_of(bench), noise["vertical_acceleration"] ** 2
-    shown: list[tuple[Floats, Floats, Floats]] = []
+    with_gap: list[tuple[Floats, Floats, Floats]] = []
     before: list[tuple[Floats, Floats, Floats]] = []
     for number, active in enumerate(bench.active):
         own = drive == number
         passed = np.bincount(cell[own], minlength=count).astype(float)
         squares, motion = (
             np.bincount(cell[own], v[own, c] ** 2, count).astype(float)
-            for v in (left.difference, measured.values)
+            for v in (remaining.difference, measured.values)
         )
         rest = np.maximum(squares - passed * floor, 0.0)
         holds = _cumulated(rest)
-        (shown if active else before).append((_cumulated(passed), holds, holds - _cumulated(motion)))
+        (with_gap if active else before).append((_cumulated(passed), holds, holds - _cumulated(motion)))
     starts, ends = np.triu_indices(count + 1, 1)
     short = ends - starts <= max(count // 2, 1)
     starts, ends = starts[short], ends[short]
-    beyond = np.min([b[ends] - b[starts] for _, _, b in shown], axis=0)
+    beyond = np.min([b[ends] - b[starts] for _, _, b in with_gap], axis=0)
     for _, _, b in before:
         beyond -= np.maximum(b[ends] - b[starts], 0.0) / len(before)
-    seen = np.all([p[ends] > p[starts] for p, _, _ in shown], axis=0)
+    seen = np.all([p[ends] > p[starts] for p, _, _ in with_gap], axis=0)
     if not seen.any():
         return None
     most = float(beyond[seen].max())
-    # the shortest that holds nearly as much: what lies beside it is as the file says
-    near = np.flatnonzero(seen & (beyond >= most - _HARDLY * abs(most)))
+    # the shortest section within the tolerance of the largest excess
+    near = np.flatnonzero(seen & (beyond >= most - _TOLERANCE * abs(most)))
     best = int(near[np.lexsort((-beyond[near], (ends - starts)[near]))[0]])
     low, high = int(starts[best]), int(ends[best])
-    share = float(np.mean([holds[high] - holds[low] for _, holds, _ in shown]))
-    return Stretch(_METRES * (first + low), _METRES * (first + high), share, most)
+    share = float(np.mean([holds[high] - holds[low] for _, holds, _ in with_gap]))
+    return RoadSection(_METRES * (first + low), _METRES * (first + high), share, most)
 
 
-def spread_out(found: Stretch | None) -> float:
-    """Probability that what is left is spread over the road as a sound model's error is."""
+def no_concentration(found: RoadSection | None) -> float:
+    """Probability that the residual is spread over the road as model discrepancy is."""
     if found is None:
         return 1.0
-    return float(norm.sf(np.log(max(found.beyond, 1e-3) / _GATHERED) / np.log(_GATHERED_SPREAD)))
+    return float(norm.sf(np.log(max(found.beyond, 1e-3) / _CONCENTRATED) / np.log(_CONCENTRATED_SPREAD)))
 
 
-def as_surveyed(found: list[Likeness]) -> float:
-    """Probability that no error of the road file is on the stretch that these are of."""
+def no_road_error(found: list[RoadErrorMatch]) -> float:
+    """Probability that the road file has no error on the section of these matches, best first."""
     most = max((one.shrink for one in found[:1]), default=0.0)
     return float(norm.sf(np.log(max(most, 1e-3) / _TAKEN) / np.log(_TAKEN_SPREAD)))
 
 
-def likenesses(
-    bench: Bench, x: Floats, there: Stretch, effects: list[Hypothesis], temper: float
-) -> list[Likeness]:
-    """Which of ``effects`` of the road, on the stretch alone, make up for what is left of it, the best first.
+def road_error_matches(
+    bench: Bench, x: Floats, there: RoadSection, effects: list[Hypothesis], temper: float
+) -> list[RoadErrorMatch]:
+    """The ``effects`` of the road, applied on the section only, that explain its residual, the best first.
 
-    Vehicle and nuisances are as the rest of the road shows them, from ``x`` (d + q,) on: a stretch of some tens of
-    metres has nothing to say of them. Each effect has one parameter, which is tried all over its range. ``temper``
-    is the share of the rest that is noise.
+    Vehicle and nuisance parameters are fitted to the other sections of the road, from ``x`` (d + q,). Each effect has
+    one parameter, which is evaluated on a grid over its range. ``temper`` is the share of the residual that is noise.
     """
     row = _positions(bench)[bench.whitener.row]
-    near = (row > there.start - _BEFORE) & (row < there.end + _BEHIND)
+    near = (row > there.start - _BEFORE) & (row < there.end + _REBASE_GAIN)
     own = (row >= there.start) & (row < there.end) & np.array(bench.active)[bench.whitener.drive]
-    x, _ = refit(replace(bench, there=~near), BASELINE, [x], None, _LONG)
-    inside = replace(bench, there=own)
+    x, _ = refit(replace(bench, counted_rows=~near), BASELINE, [x], None, _LONG)
+    inside = replace(bench, counted_rows=own)
     vertical = bench.whitener.channel == bench.problem.channels.index("vertical_acceleration")
 
-    def left(hypothesis: Hypothesis, points: Floats) -> tuple[Floats, Floats]:
-        """Sums of squares (n,) on the stretch, of all channels and of the vertical one."""
+    def remaining(hypothesis: Hypothesis, points: Floats) -> tuple[Floats, Floats]:
+        """Sums of squares (n,) on the section, of all channels and of the vertical acceleration."""
         residual, failed = inside.residuals(
             hypothesis, np.vstack([np.repeat(x[:, None], points.size, axis=1), points])
         )
@@ -135,21 +150,21 @@ def likenesses(
     for hypothesis in (h for h in effects if len(h) == 1):
         (low,), (high,) = hypothesis.bounds()
         points = np.linspace(low, high, _COARSE)
-        best = points[int(np.argmin(left(hypothesis, points)[0]))]
+        best = points[int(np.argmin(remaining(hypothesis, points)[0]))]
         step = points[1] - points[0]
         points = np.clip(np.linspace(best - step, best + step, _FINE), low, high)
-        every, upright = left(hypothesis, points)
+        every, upright = remaining(hypothesis, points)
         at = int(np.argmin(every))
         values = dict(
             zip(hypothesis.keys, hypothesis.values(points[at : at + 1, None].T)[:, 0].tolist(), strict=True)
         )
         shrink = 1.0 - float(np.sqrt(upright[at] / max(base, 1e-12)))
-        found.append((float(every[at]), Likeness(hypothesis.effects[0], values, shrink)))
+        found.append((float(every[at]), RoadErrorMatch(hypothesis.effects[0], values, shrink)))
     if not found:
         return []
     least = min(cost for cost, _ in found)
     ranked = sorted(found, key=lambda f: f[0])
-    return [f for cost, f in ranked if 0.5 * temper * (cost - least) < _AS_GOOD and f.shrink > _WORTH_A_WORD]
+    return [f for cost, f in ranked if 0.5 * temper * (cost - least) < _AS_GOOD and f.shrink > _LEAST_SHARE]
 
 
 def _positions(bench: Bench) -> Floats:
@@ -160,6 +175,6 @@ def _positions(bench: Bench) -> Floats:
 
 
 def _cumulated(values: Floats) -> Floats:
-    """(n + 1,) shares of the sum up to each place."""
+    """(n + 1,) cumulative share of the sum; zeros where the sum is zero."""
     total = float(values.sum())
     return np.concatenate([[0.0], np.cumsum(values) / total if total > 0.0 else np.zeros(values.size)])

@@ -1,10 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Where the gap lies: in time, on the road, in frequency, by channel, corner and operating point.
+"""Localisation of the gap: in time, on the road, in frequency, by channel, corner and operating point.
 
-A place is reported that holds significantly more of the gap than its length asks for: its mean square
-is compared with the spread of blocks of a second over the whole drives, and of all places tried, false
-discoveries are held to a tenth (Benjamini and Hochberg 1995). Shares are of the gap's energy above the noise;
-in frequency, also above what the model leaves of the motion on drives from before the gap, where there are any.
+An interval is reported if its mean square is significantly above that of the other intervals, with a false discovery
+rate of 0.1 over all that are tested (Benjamini and Hochberg 1995). Shares are of the energy of the gap above the noise;
+in frequency, also above the model discrepancy found on reference drives.
 """
 
 from __future__ import annotations
@@ -28,14 +27,14 @@ __all__ = ["localise", "repeatable", "signature"]
 
 _WINDOW = 0.5  # s
 _METRES = 1.0
-_FALSE = 0.1
+_FALSE_DISCOVERY_RATE = 0.1
 _SEGMENT, _LOWEST, _DRAWS = 256, 0.5, 1000
 
 
 def localise(bench: Bench, difference: Floats, noise: dict[str, float], twin: Twin) -> dict[str, Any]:
     """The object ``where`` of diagnosis.json for differences (M, C) of the drives with the gap.
 
-    ``twin`` tells how the suspension moved, for corners and operating points.
+    ``twin`` is simulated for the motion of the suspension, for corners and operating points.
     """
     names = bench.problem.channels
     main = names.index("vertical_acceleration") if "vertical_acceleration" in names else 0
@@ -46,12 +45,15 @@ def localise(bench: Bench, difference: Floats, noise: dict[str, float], twin: Tw
         "time": _time(bench, excess, total),
         "road": _road(bench, excess, total),
         "frequency": _frequency(
-            bench, [d[:, main] for d in _parts(bench, difference)], floor, _usual(bench, difference, main)
+            bench,
+            [d[:, main] for d in _parts(bench, difference)],
+            floor,
+            _expected_density(bench, difference, main),
         ),
         "channel": _channels(bench, difference, noise),
     }
     where.update(
-        by_motion(_shown(bench), excess, twin)
+        by_motion(_gap_drives(bench), excess, twin)
         if "vertical_acceleration" in names and bench.excitations
         else {"corner": [], "operating_point": []}
     )
@@ -68,7 +70,7 @@ def _parts(bench: Bench, values: Floats) -> list[Floats]:
     return out
 
 
-def _shown(bench: Bench) -> list[Any]:
+def _gap_drives(bench: Bench) -> list[Any]:
     """Prepared drive and its compared samples, for every drive with the gap."""
     return [
         (part, rows)
@@ -80,14 +82,14 @@ def _shown(bench: Bench) -> list[Any]:
 
 
 def _significant(means: Floats, all_means: Floats) -> np.ndarray:
-    """Which windows' mean squares stand out of their drive's, false discoveries held."""
+    """True for mean squares significantly above the median of ``all_means``, as log-normal."""
     logs = np.log(np.maximum(means, 1e-12))
     usual = np.log(np.maximum(all_means, 1e-12))
     centre = np.median(usual)
     spread = max(1.4826 * float(np.median(np.abs(usual - centre))), 0.1)
     p = norm.sf((logs - centre) / spread)
     return (
-        np.asarray(false_discovery_control(np.clip(p, 1e-12, 1.0)) < _FALSE)
+        np.asarray(false_discovery_control(np.clip(p, 1e-12, 1.0)) < _FALSE_DISCOVERY_RATE)
         if p.size
         else np.zeros(0, dtype=bool)
     )
@@ -95,7 +97,7 @@ def _significant(means: Floats, all_means: Floats) -> np.ndarray:
 
 def _time(bench: Bench, excess: Sequence[Floats], total: float) -> list[dict[str, Any]]:
     items = []
-    for (part, rows), energy in zip(_shown(bench), excess, strict=True):
+    for (part, rows), energy in zip(_gap_drives(bench), excess, strict=True):
         size = max(4, int(_WINDOW * part.rate))
         count = energy.size // size
         if count < 4:
@@ -115,7 +117,7 @@ def _time(bench: Bench, excess: Sequence[Floats], total: float) -> list[dict[str
 
 
 def _road(bench: Bench, excess: Sequence[Floats], total: float) -> list[dict[str, Any]]:
-    place = np.concatenate([part.position[rows] for part, rows in _shown(bench)])
+    place = np.concatenate([part.position[rows] for part, rows in _gap_drives(bench)])
     energy = np.concatenate(list(excess))
     bins = np.floor(place / _METRES).astype(int)
     first = bins.min()
@@ -150,8 +152,8 @@ def _spectrum(bench: Bench, series: Sequence[Floats]) -> tuple[Floats, Floats]:
 
 
 def _segments(bench: Bench, series: Sequence[Floats]) -> tuple[Floats, Floats]:
-    """Frequencies (F,) and the power density (N, F) of every stretch of ``_SEGMENT`` samples of the drives, half of
-    each in the next; a shorter drive is one stretch."""
+    """Frequencies (F,) and periodograms (N, F) of half overlapping segments of ``_SEGMENT`` samples; a shorter drive is
+    one segment."""
     rate = bench.problem.measured.rate
     found = []
     for x in series:
@@ -163,22 +165,24 @@ def _segments(bench: Bench, series: Sequence[Floats]) -> tuple[Floats, Floats]:
     return f, np.array(found)
 
 
-def _usual(bench: Bench, difference: Floats, column: int) -> Floats:
-    """(F,) power density that the model would leave of the drives with the gap if it left the share of the motion
-    that it leaves of the others; nothing without such drives."""
+def _expected_density(bench: Bench, difference: Floats, column: int) -> Floats:
+    """(F,) power density of the model discrepancy to be expected on drives with the gap: the share of the motion
+    found on reference drives, band by band; zeros without a reference."""
     problem = bench.problem
     measured, others = problem.measured, [d for d, a in enumerate(bench.active) if not a]
     if not others:
         return np.zeros(_SEGMENT // 2 + 1)
-    own = [s for s, d in zip(measured.stretches, measured.drives, strict=True) if bench.active[d]]
+    own = [s for s, d in zip(measured.segments, measured.drives, strict=True) if bench.active[d]]
     motion = density(measured.values[:, column], own, measured.rate)
     return np.asarray(shares(measured, difference, others)[column] ** 2 * motion)
 
 
 def _frequency(bench: Bench, series: Sequence[Floats], floor: float, usual: Floats) -> list[dict[str, Any]]:
-    """Bands that hold more of the gap than their width in octaves asks for, each about a peak and down to half of
-    its density. How sure that is comes from drawing pairs of stretches anew, neighbours together. ``usual`` (F,) is
-    the power density that is there without the gap."""
+    """Bands with significantly more of the gap per octave than the mean, each from a peak down to half of its density.
+
+    Significance is by bootstrap over pairs of neighbouring segments. ``usual`` (F,) is the power density of the
+    expected model discrepancy, ``floor`` the noise rms.
+    """
     f, power = _segments(bench, series)
     inside = (f >= _LOWEST) & (f < 30.0)
     f, power = f[inside], gaussian_filter1d(power[:, inside], 1.0, axis=1, mode="nearest")
@@ -199,25 +203,29 @@ def _frequency(bench: Bench, series: Sequence[Floats], floor: float, usual: Floa
     if even[0] <= 0:
         return []
     fewer = (above[1:] / octaves <= even[1:, None]).mean(axis=0)
-    left = np.asarray(false_discovery_control(np.clip(fewer, 0.5 / _DRAWS, 1.0)) < _FALSE)
+    remaining = np.asarray(false_discovery_control(np.clip(fewer, 0.5 / _DRAWS, 1.0)) < _FALSE_DISCOVERY_RATE)
     density, total, half = above[0], float(above[0].sum()), 0.5 * (f[1] - f[0])
     items = []
-    while left.any():
-        peak = int(np.flatnonzero(left)[np.argmax(density[left])])
+    while remaining.any():
+        peak = int(np.flatnonzero(remaining)[np.argmax(density[remaining])])
         ends = []
         for step in (-1, 1):
             at = peak
-            while 0 <= at + step < f.size and left[at + step] and density[at + step] >= 0.5 * density[peak]:
+            while (
+                0 <= at + step < f.size and remaining[at + step] and density[at + step] >= 0.5 * density[peak]
+            ):
                 at += step
             ends.append(at)
-            # what goes on falling from there is the same peak's foot
+            # the falling flank belongs to the same peak
             while (
-                0 <= at < f.size and left[at] and density[at] <= density[max(min(at - step, f.size - 1), 0)]
+                0 <= at < f.size
+                and remaining[at]
+                and density[at] <= density[max(min(at - step, f.size - 1), 0)]
             ):
-                left[at] = False
+                remaining[at] = False
                 at += step
         low, high = ends
-        left[low : high + 1] = False
+        remaining[low : high + 1] = False
         items.append(
             {
                 "low_hz": round(float(f[low] - half), 2),
@@ -229,7 +237,7 @@ def _frequency(bench: Bench, series: Sequence[Floats], floor: float, usual: Floa
 
 
 def _channels(bench: Bench, difference: Floats, noise: dict[str, float]) -> list[dict[str, Any]]:
-    """Each channel's share of the gap counted in floors, so that rates and accelerations compare."""
+    """Share of each channel in the gap, each in units of its noise."""
     parts = np.concatenate(_parts(bench, difference))
     energy = [
         max(float(np.mean(parts[:, c] ** 2)) / max(noise[name], 1e-9) ** 2 - 1.0, 0.0)
@@ -244,12 +252,11 @@ def _channels(bench: Bench, difference: Floats, noise: dict[str, float]) -> list
 
 
 def repeatable(bench: Bench, difference: Floats, column: int) -> dict[str, float]:
-    """Correlation of two drives' gaps by place on the road: near 1 for road and tyre, near 0 for clock and noise.
-
-    Speeds differ, so envelopes over a metre are compared, not wave forms. Empty for a single drive.
+    """Correlation over road position of the log mean square per metre of two drives: near 1 for road and tyre effects,
+    near 0 for clock effects and noise. Empty for a single drive.
     """
     profiles = []
-    for (part, rows), d in zip(_shown(bench), _parts(bench, difference), strict=True):
+    for (part, rows), d in zip(_gap_drives(bench), _parts(bench, difference), strict=True):
         bins = np.floor(part.position[rows] / _METRES).astype(int)
         profiles.append((bins, d[:, column] ** 2))
     if len(profiles) < 2:
@@ -268,8 +275,8 @@ def repeatable(bench: Bench, difference: Floats, column: int) -> dict[str, float
 
 
 def signature(bench: Bench, difference: Floats, twin: Twin) -> dict[str, Any]:
-    """What a gap that nothing explains looks like: its band, whether it goes with motion or its square,
-    whether it has a loop over travel, and from which velocity and travel on it appears."""
+    """Features of an unexplained gap: its band, the regressor of travel and velocity with the highest correlation, its
+    hysteresis, and the velocity and travel from which on it appears."""
     names = bench.problem.channels
     column = names.index("vertical_acceleration") if "vertical_acceleration" in names else 0
     series = [d[:, column] for d in _parts(bench, difference)]
@@ -286,7 +293,7 @@ def signature(bench: Bench, difference: Floats, twin: Twin) -> dict[str, Any]:
     if column or "vertical_acceleration" not in names or not bench.excitations:
         return out
     linear: list[Floats] = []
-    for part, rows in _shown(bench):
+    for part, rows in _gap_drives(bench):
         response = simulate_twin(twin, part.excitation)
         at = np.clip(np.searchsorted(response.t, part.t[rows]), 0, response.t.size - 1)
         x = response.deflection[at] - response.deflection[0]

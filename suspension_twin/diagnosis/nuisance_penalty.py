@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What it costs a hypothesis that its nuisance parameters (clocks, map, mount) depart from their priors.
+"""The nuisance penalty: log prior probability of the nuisance parameters (clocks, map, mount) that a hypothesis needs.
 
-The remaining residual is mostly model discrepancy, which is alike at every sample and therefore counts by the share
-``temper`` of it that is noise. The priors of the nuisance parameters are independent of it and count in full.
+The remaining residual is mostly model discrepancy, which is correlated over samples: its likelihood is tempered by the
+share ``temper`` that is noise. The priors of the nuisance parameters are independent of it and not tempered.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ import numpy as np
 
 from suspension_twin.arrays import Floats
 from suspension_twin.diagnosis.bench import Bench
-from suspension_twin.diagnosis.fit import Linear, room
+from suspension_twin.diagnosis.fit import LinearisedFit, room
 from suspension_twin.identification.gauss_newton import Quadratic, bounded_step
 
 __all__ = ["NuisancePenalty", "penalty_gains", "penalty_of"]
@@ -35,14 +35,13 @@ class NuisancePenalty:
     high: Floats
 
     def at(self, temper: float) -> tuple[float, float]:
-        """Nats that the departure of the nuisance parameters costs where residuals count by ``temper``, at the
-        nuisance parameters that minimise both together, and nats that the freedom of all unknowns costs there."""
+        """Nuisance penalty in nats at the minimum of the tempered cost, and the Occam term of all unknowns there."""
         own, given = self.nuisances, temper * self.precision
         given[own, own] = self.precision[own, own]
         hessian = temper * self.curvature + given
         gradient = temper * self.slope + given @ self.away
         step = bounded_step(hessian, gradient[:, None], self.low, self.high)[:, 0]
-        # what the residuals lose by it is part of the price
+        # includes the change of the residuals
         changed = float(gradient @ step + 0.5 * step @ hessian @ step)
         spent = 0.5 * float(self.away[own] @ self.precision[own, own] @ self.away[own]) + changed
         full = temper * self.curvature + self.precision
@@ -50,21 +49,21 @@ class NuisancePenalty:
         return max(spent, 0.0), float(freedom)
 
 
-def penalty_of(bench: Bench, fit: Linear, at: Quadratic) -> NuisancePenalty:
-    """That of a fit, ``at`` its place, with every residual in units of the remaining residual."""
+def penalty_of(bench: Bench, fit: LinearisedFit, at: Quadratic) -> NuisancePenalty:
+    """The nuisance penalty of a fit; ``at`` is its quadratic model in units of the remaining residual."""
     precision, centre = bench.prior(fit.hypothesis)
     low, high = room(bench, fit.hypothesis, fit.x)
     pulled = precision @ (fit.x - centre)
     outward = ((low >= 0) & (at.slope + pulled > 0)) | ((high <= 0) & (at.slope + pulled < 0))
-    # at the optimum residuals and prior balance, but for what a bound holds
+    # at the optimum the gradients of residuals and prior cancel, except on an active bound
     slope = np.where(outward, at.slope, -pulled)
     nuisances = slice(bench.d, bench.d + bench.q)
     return NuisancePenalty(at.squares, slope, precision, fit.x - centre, nuisances, low, high)
 
 
 def penalty_gains(penalties: Sequence[NuisancePenalty | None], temper: float) -> Floats:
-    """(K,) nats that each hypothesis gains over the first, which is part of all, by a smaller nuisance penalty: as far
-    as that is more than its own freedom costs."""
+    """(K,) nats that each hypothesis gains over the first, which is nested in all, by a smaller nuisance penalty, less
+    its larger Occam term."""
     if any(p is None for p in penalties):
         return np.zeros(len(penalties))
     spent, freedom = np.array([p.at(temper) for p in penalties if p is not None]).T

@@ -1,9 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Where the gap lies by corner and by operating point: spring travel, damper velocity with its sign, speed.
+"""Localisation of the gap by corner and by operating point: spring travel, signed damper velocity, speed.
 
-Shares are of the gap's energy above the noise. What is reported stands out in resampled stretches of a second (block
-bootstrap; Künsch 1989), and of everything that is tried false discoveries are held to a tenth (Benjamini and
-Hochberg 1995).
+Shares are of the energy of the gap above the noise. Significance is by block bootstrap over segments of a second
+(Künsch 1989), with a false discovery rate of 0.1 over all intervals tested (Benjamini and Hochberg 1995).
 """
 
 from __future__ import annotations
@@ -21,15 +20,15 @@ from suspension_twin.vehicle.twin import Twin
 
 __all__ = ["by_motion", "ranked", "runs"]
 
-_SECONDS, _DRAWS, _FALSE = 1.0, 1000, 0.1
-_BINS, _STANDS_OUT, _WORTH_A_WORD, _MOST = 10, 1.25, 0.02, 8
+_SECONDS, _DRAWS, _FALSE_DISCOVERY_RATE = 1.0, 1000, 0.1
+_BINS, _STANDS_OUT, _LEAST_SHARE, _MOST = 10, 1.25, 0.02, 8
 
 
-def by_motion(shown: Sequence[Any], excess: Sequence[Floats], twin: Twin, seed: int = 0) -> dict[str, Any]:
-    """``corner`` and ``operating_point`` of diagnosis.json for drives (prepared, compared rows) and the energy of
-    the gap (r,) of each; ``twin`` tells how the suspension moved."""
+def by_motion(with_gap: Sequence[Any], excess: Sequence[Floats], twin: Twin, seed: int = 0) -> dict[str, Any]:
+    """``corner`` and ``operating_point`` of diagnosis.json for drives (prepared, compared rows) and the energy of the
+    gap (r,) of each; ``twin`` is simulated for the motion of the suspension."""
     travel, speed, driven, blocks, first = [], [], [], [], 0
-    for part, rows in shown:
+    for part, rows in with_gap:
         response = simulate_twin(twin, part.excitation)
         at = np.clip(np.searchsorted(response.t, part.t[rows]), 0, response.t.size - 1)
         travel.append(response.deflection[at] - response.deflection[0])
@@ -54,24 +53,24 @@ def by_motion(shown: Sequence[Any], excess: Sequence[Floats], twin: Twin, seed: 
 
 
 def runs(flags: np.ndarray) -> list[tuple[int, int]]:
-    """Where neighbours are all flagged: from, to (not included)."""
+    """Runs of consecutive True flags: start, end (exclusive)."""
     edges = np.flatnonzero(np.diff(np.concatenate([[0], flags.astype(int), [0]])))
     return list(zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True))
 
 
 def ranked(items: list[dict[str, Any]]) -> list[dict[str, Any]]:
-    """The largest shares first, those that are worth a word."""
-    return sorted((i for i in items if i["share"] >= _WORTH_A_WORD), key=lambda i: -float(i["share"]))[:_MOST]
+    """The ``_MOST`` largest shares of at least ``_LEAST_SHARE``, largest first."""
+    return sorted((i for i in items if i["share"] >= _LEAST_SHARE), key=lambda i: -float(i["share"]))[:_MOST]
 
 
 def _larger(values: Floats) -> Floats:
-    """(n,) of two wheels (n, 2) the one that moves more, with its sign."""
+    """(n,) signed value of the wheel with the larger magnitude, of (n, 2)."""
     return np.asarray(values[np.arange(len(values)), np.argmax(np.abs(values), axis=1)])
 
 
 def _corners(velocity: Floats, amount: Floats, block: np.ndarray, drawn: Floats) -> list[dict[str, Any]]:
-    """How much of the gap goes with each corner's motion: a regression of its envelope on theirs. Corners whose
-    part is sure, and at least the first."""
+    """Share of the gap by corner: regression of its envelope on the damper speeds of the corners. Corners with a
+    significant share, and always the largest."""
     drive = np.abs(velocity) / np.maximum(np.std(velocity, axis=0), 1e-9)
     count = drawn.shape[1]
     products = (*(drive * drive[:, i : i + 1] for i in range(4)), drive * np.sqrt(amount)[:, None])
@@ -84,9 +83,7 @@ def _corners(velocity: Floats, amount: Floats, block: np.ndarray, drawn: Floats)
         return np.asarray(weight / np.maximum(weight.sum(axis=1, keepdims=True), 1e-12))
 
     found = shares(sums.sum(axis=2)[None])[0]
-    sure = (shares(np.einsum("kb,pcb->kpc", drawn, sums, optimize=False)) > _WORTH_A_WORD).mean(
-        axis=0
-    ) >= 0.95
+    sure = (shares(np.einsum("kb,pcb->kpc", drawn, sums, optimize=False)) > _LEAST_SHARE).mean(axis=0) >= 0.95
     order = np.argsort(-found, kind="stable")
     return [
         {"name": CORNERS[i], "share": round(float(found[i]), 4)}
@@ -98,7 +95,7 @@ def _corners(velocity: Floats, amount: Floats, block: np.ndarray, drawn: Floats)
 def _points(
     quantities: Sequence[tuple[str, Floats, str]], amount: Floats, block: np.ndarray, drawn: Floats
 ) -> list[dict[str, Any]]:
-    """Ranges of each quantity (tenths of its samples) in which the gap is larger than elsewhere."""
+    """Ranges of each quantity, by deciles of its samples, in which the gap is significantly above its mean."""
     tried = []
     for name, values, unit in quantities:
         edges = np.unique(np.quantile(values, np.linspace(0.0, 1.0, _BINS + 1)))
@@ -121,7 +118,7 @@ def _points(
         tried.append((name, unit, edges, sums.sum(axis=0), whole, chance))
     if not tried:
         return []
-    kept = false_discovery_control(np.concatenate([t[-1] for t in tried])) < _FALSE
+    kept = false_discovery_control(np.concatenate([t[-1] for t in tried])) < _FALSE_DISCOVERY_RATE
     points: list[dict[str, Any]] = []
     first, total = 0, max(float(amount.sum()), 1e-30)
     for name, unit, edges, energy, whole, chance in tried:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a diagnosis leaves in its folder."""
+"""Files of a diagnosis: ``diagnosis.json`` and ``twin.yaml``."""
 
 from __future__ import annotations
 

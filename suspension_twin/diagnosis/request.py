@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What is asked of a diagnosis and what it says on the way: plain, picklable data."""
+"""Request, progress and result of a diagnosis: plain, picklable data."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ __all__ = ["DiagnosisRequest", "DiagnosisResult", "DriveView", "Progress"]
 
 @dataclass(frozen=True)
 class DiagnosisRequest:
-    """Paths of a twin file, of the drives that show the gap and of drives from before it.
+    """Paths of a twin file, of the drives that show the gap and of reference drives from before it.
 
     ``effects`` limits the library to some ids, for tests and quick looks; empty for all of it.
     """
@@ -30,7 +30,7 @@ class DiagnosisRequest:
 
 @dataclass(frozen=True)
 class Progress:
-    """Where a diagnosis stands: ``stage`` "reading", "calibrating", "effects", "refining",
+    """Progress of a diagnosis: ``stage`` "reading", "calibrating", "effects", "refining",
     "combinations", "judging"; ``done`` 0 to 1 of the whole."""
 
     stage: str
@@ -40,8 +40,8 @@ class Progress:
 
 @dataclass(frozen=True, eq=False)
 class DriveView:
-    """One drive for the report: channels (m,) on its grid, ``before`` by the twin as it stands, ``after``
-    by the twin with what was found."""
+    """One drive for the report: channels (m,) on its grid, ``before`` simulated by the twin as given, ``after``
+    by the twin with the named effects."""
 
     name: str
     t: Floats
@@ -56,7 +56,7 @@ class DriveView:
 
 @dataclass(frozen=True, eq=False)
 class DiagnosisResult:
-    """``document`` is what diagnosis.json holds, ``twin`` the twin with what was found added."""
+    """``document`` is the content of diagnosis.json, ``twin`` the twin with the named effects."""
 
     document: dict[str, Any]
     twin: Twin
@@ -66,5 +66,5 @@ class DiagnosisResult:
 
     @property
     def message(self) -> str:
-        """One line: what came out."""
+        """The result in one line."""
         return str(self.document["message"])

@@ -1,13 +1,13 @@
 # SPDX-License-Identifier: Apache-2.0
 """``diagnose``: from a request to a result. A pure function of picklable arguments.
 
-It may run in a spawned process: whatever it reads is named in the request, and nothing is written. The way through it:
+It may run in a spawned process: it reads only files named in the request and writes none. The pipeline:
 
 1. ``case``: observations, and the vehicle calibrated without any effect (the baseline);
 2. ``search``: every effect of the library fitted jointly with vehicle and nuisance parameters;
-3. ``judge``: held-out evidence, gates and weights of each;
+3. ``judge``: cross-validated evidence, gates and weight of each;
 4. ``selection``: the smallest set of effects that closes the gap;
-5. ``conclude``: the verdict and the document.
+5. ``conclude``: the verdict (made in ``verdict``) and the document.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from collections.abc import Callable
 
 from suspension_twin.diagnosis.case import baseline, build, read_case
 from suspension_twin.diagnosis.conclude import conclude
-from suspension_twin.diagnosis.judge import judge, without_late_clocks
+from suspension_twin.diagnosis.judge import judge, with_joint_noise
 from suspension_twin.diagnosis.request import DiagnosisRequest, DiagnosisResult, Progress
 from suspension_twin.diagnosis.selection import select
 from suspension_twin.identification.parallel import one_blas_thread
@@ -30,7 +30,7 @@ def diagnose(
     on_progress: Callable[[Progress], None] | None = None,
     should_stop: Callable[[], bool] | None = None,
 ) -> DiagnosisResult:
-    """Say where twin and vehicle disagree, why, and how far the gap shrinks.
+    """Find the causes of the gap between twin and vehicle, its location, and the shrink by each cause.
 
     Parameters
     ----------
@@ -44,7 +44,7 @@ def diagnose(
     Returns
     -------
     DiagnosisResult
-        The document of ``diagnosis.json``, the twin with what was found, and what a report shows.
+        The document of ``diagnosis.json``, the twin with the named effects, and the signals for the report.
 
     Raises
     ------
@@ -53,7 +53,7 @@ def diagnose(
     WorkError
         Where the work fails.
     Interrupted
-        Where it was told to stop.
+        Where ``should_stop`` asked for it.
 
     Examples
     --------
@@ -70,7 +70,7 @@ def diagnose(
         report(Progress("calibrating", 0.08, "the vehicle without any effect"))
         bench, base, anchor = baseline(case, bench)
         if not case.excited:
-            bench, base = without_late_clocks(request, case, bench, base)
+            bench, base = with_joint_noise(request, case, bench, base)
             anchor = base
         judged = judge(request, case, bench, base, anchor, report)
         found = select(request, case, judged, report)

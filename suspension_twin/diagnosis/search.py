@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The search through the library: every effect alone, then what has to be added to the best."""
+"""The search through the library: every effect by itself, then pairs with the best."""
 
 from __future__ import annotations
 
@@ -13,48 +13,61 @@ from suspension_twin.arrays import Floats
 from suspension_twin.diagnosis import coarse_search
 from suspension_twin.diagnosis.bench import Bench
 from suspension_twin.diagnosis.evidence import Blocks, Evidence, evidence
-from suspension_twin.diagnosis.fit import Fit, Linear, finished, fitted, refit, scanned, screened, swept
-from suspension_twin.diagnosis.hypotheses import BASELINE, NORMAL_PART, Hypothesis, combined
+from suspension_twin.diagnosis.fit import (
+    Fit,
+    LinearisedFit,
+    coordinate_scan,
+    fitted,
+    linearised_fit,
+    refit,
+    resonance_scan,
+    screen,
+)
+from suspension_twin.diagnosis.hypotheses import BASELINE, NUISANCE_COUNTERPART, Hypothesis, combined
 from suspension_twin.diagnosis.preexisting import as_preexisting
 from suspension_twin.errors import WorkError
 from suspension_twin.identification.parallel import side_by_side
 
-__all__ = ["Single", "again", "jointly", "pairs", "singles", "without_one"]
+__all__ = ["Single", "joint_fit", "pairs", "refitted_under_noise", "singles", "without_one"]
 
 _STARTS, _TRIED, _JOINT_STARTS = 16, 3, 128
 _WIDE_STARTS = 16
-_SCANNED = 32  # places of a resonance
-#: Slopes of springs and dampers, in their search coordinates, beside the baseline's.
+_SCANNED = 32  # frequencies of a resonance scan
+#: Changes of the log slopes of springs and dampers from the baseline, as starting vehicles.
 _VEHICLES = ((0.0, 0.0), (-0.3, 0.0), (-0.6, 0.0), (0.0, -0.25), (0.0, -0.6), (-0.3, -0.6), (0.0, -1.2))
-#: Vehicles, and how early and strong the effect is in spreads of its prior, that are always tried.
+#: Starting vehicles for effects with a clearance, and how small that is, in standard deviations of its prior.
 _EARLY = (((-0.6, 0.0), 1.0), ((0.0, -0.3), 0.6))
-#: s of simulation until the finalists are known; their last digits take the drives' own step.
+#: Time step in s of the first search; finalists are fitted with the time step of the drives.
 _STEP = 2.5e-3
 _ROUGH, _DEEP, _FINE, _LONG = 4, 6, 5, 15
-#: How much worse than the best so far a start may be that a fit is begun from.
-_WORTH_A_LOOK = 3.0
-_BEHIND = 3.0  # -2 log posterior by which a baseline has to be better for all effects to go on from there
-#: Effects whose Jacobian is simulated anew before they are judged: the best by the rough fit.
+#: Ratio of the cost of a start to the best cost so far up to which a fit is run from it.
+_COST_RATIO = 3.0
+_REBASE_GAIN = (
+    3.0  # -2 log posterior that a baseline has to improve by for all effects to be refitted from it
+)
+#: Number of effects, the best of the first search, whose Jacobian is simulated again.
 _FINALISTS = 7
 _BEST_PAIRS = 3
-_VARIANTS = 2  # of an effect that are fitted: the corners that suit best by linear algebra
-#: Nuisances that are in small what an effect is in large.
+_VARIANTS = 2  # of an effect that are fitted: the best by screening
+#: Nuisance parameters that have the same action as an effect.
 _SHARED = ("clock_offset", "map_position", "tilt_roll", "tilt_pitch")
-#: Nats that an effect has to be able to change the signals by at prior strength, to be judged at all.
+#: Nats by which an effect has to change the signals, somewhere over its prior, to be judged.
 LEAST_POWER = 5.0
 
 
 @dataclass(frozen=True, eq=False)
 class Single:
-    """One effect at its best; ``powers`` (S,) how many nats it shows at strengths all over its prior; whether it is one
-    of the ``finalists``, whose Jacobian was simulated anew; ``always`` the same effect as a trait that the vehicle had
-    on the reference drives already."""
+    """The best fit of one effect.
+
+    ``powers`` (S,): detectability in nats at sizes over its prior; ``finalist``: whether its Jacobian was simulated
+    again; ``preexisting``: evidence of the same effect on all drives.
+    """
 
     effect: str
     evidence: Evidence
     powers: Floats
     finalist: bool = True
-    always: Evidence | None = None
+    preexisting: Evidence | None = None
 
     @property
     def fit(self) -> Fit:
@@ -62,17 +75,17 @@ class Single:
 
     @property
     def judged(self) -> bool:
-        """Whether the drives excited the effect enough to say anything of it."""
+        """Whether the drives excite the effect enough for a judgement."""
         return bool(self.powers.max() >= LEAST_POWER)
 
-    def hidden(self, temper: float) -> float:
-        """Share of the effect's prior at which these drives would not show it; ``temper`` as for the weights."""
+    def undetectable_share(self, temper: float) -> float:
+        """Share of the prior of the effect at which the drives would not show it; ``temper`` as for the weights."""
         return float(np.mean(temper * self.powers < LEAST_POWER))
 
 
 @dataclass(frozen=True, eq=False)
-class _Rough:
-    """Where an effect's search has come to before it is refined."""
+class _FirstSearch:
+    """Result of the first search of an effect."""
 
     cost: float
     effect: str
@@ -83,140 +96,151 @@ class _Rough:
 
 def singles(
     bench: Bench,
-    base: Linear,
-    anchor: Linear,
+    base: LinearisedFit,
+    anchor: LinearisedFit,
     library: dict[str, list[Hypothesis]],
     blocks: Blocks,
     seed: int,
-    lost: bool,
-    tell: Callable[[float, str], None],
-) -> tuple[Linear, list[Single]]:
-    """Every effect of the library, refitted jointly with characteristics and nuisances; and the baseline,
-    which may take over any vehicle that an effect's fit has come to. A twin that is ``lost`` follows nothing."""
+    no_match: bool,
+    on_progress: Callable[[float, str], None],
+) -> tuple[LinearisedFit, list[Single]]:
+    """Fit every effect of the library jointly with characteristics and nuisance parameters.
+
+    Returns the baseline, which is refitted from the vehicle of each effect, and the effects. ``no_match``: the
+    simulation does not match the motion, and set-up errors are searched over their whole range.
+    """
     coarse = _coarser(bench, base)
-    begun, from_anchor = (finished(coarse, BASELINE, one.x) for one in (base, anchor))
+    begun, from_anchor = (linearised_fit(coarse, BASELINE, one.x) for one in (base, anchor))
 
-    def look(effect: str) -> _Rough:
-        return _rough(coarse, begun, from_anchor, effect, library[effect], seed, lost)
+    def look(effect: str) -> _FirstSearch:
+        return _first_search(coarse, begun, from_anchor, effect, library[effect], seed, no_match)
 
-    rough = side_by_side(look, list(library), lambda done, name: tell(0.65 * done, name.replace("_", " ")))
-    base, known = _rebased(bench, base, [r.x for r in rough]), base
-    moved = base.cost < known.cost - _BEHIND
-    then = begun if base is known else finished(coarse, BASELINE, base.x)
     rough = side_by_side(
-        lambda r: _caught_up(coarse, then, moved, r, seed), rough, lambda done, _: tell(0.6, "baseline")
+        look, list(library), lambda done, name: on_progress(0.65 * done, name.replace("_", " "))
+    )
+    base, known = _rebased_baseline(bench, base, [r.x for r in rough]), base
+    moved = base.cost < known.cost - _REBASE_GAIN
+    then = begun if base is known else linearised_fit(coarse, BASELINE, base.x)
+    rough = side_by_side(
+        lambda r: _restarted(coarse, then, moved, r, seed),
+        rough,
+        lambda done, _: on_progress(0.6, "baseline"),
     )
     order = sorted(range(len(rough)), key=lambda i: rough[i].cost)
     finalists = set(order[:_FINALISTS])
 
     def judge(i: int) -> Single:
-        r, v, always = rough[i], rough[i].hypothesis, None
+        r, v, preexisting = rough[i], rough[i].hypothesis, None
         starts = [r.x, np.concatenate([base.x, r.x[bench.d + bench.q :]])]
         at = fitted(bench, v, starts, _FINE if i in finalists else 0)
-        if i in finalists and not all(bench.active) and r.effect not in NORMAL_PART:
-            always = as_preexisting(bench, v, at.x, base, blocks)
+        if i in finalists and not all(bench.active) and r.effect not in NUISANCE_COUNTERPART:
+            preexisting = as_preexisting(bench, v, at.x, base, blocks)
         if at.cost >= base.cost:
-            ends = v.slightest()
+            ends = v.negligible()
             none = np.concatenate([np.repeat(base.x[:, None], ends.shape[1], axis=1), ends])
             at = fitted(bench, v, list(none.T), 0)
-        other = swept(bench, at) if i in finalists else None
+        other = coordinate_scan(bench, at) if i in finalists else None
         if other is not None:
             at = fitted(bench, v, [other], _DEEP)
-        return Single(r.effect, evidence(bench, at, blocks), r.powers, i in finalists, always)
+        return Single(r.effect, evidence(bench, at, blocks), r.powers, i in finalists, preexisting)
 
     judged = side_by_side(
         judge,
         order,
-        lambda done, i: tell(0.65 + 0.35 * done, f"{rough[i].effect.replace('_', ' ')}, once more"),
+        lambda done, i: on_progress(0.65 + 0.35 * done, f"{rough[i].effect.replace('_', ' ')}, once more"),
     )
     found = dict(zip(order, judged, strict=True))
     return base, [found[i] for i in range(len(rough))]
 
 
 def _coarser(bench: Bench, base: Fit) -> Bench:
-    """The bench in longer steps, where these can follow the vehicle."""
+    """The bench with longer time steps, if the baseline is stable with them."""
     coarse = bench.coarser(_STEP)
     return coarse if np.isfinite(coarse.costs(BASELINE, base.x[:, None])).all() else bench
 
 
-def _rough(
+def _first_search(
     bench: Bench,
-    base: Linear,
-    anchor: Linear,
+    base: LinearisedFit,
+    anchor: LinearisedFit,
     effect: str,
     variants: Sequence[Hypothesis],
     seed: int,
-    lost: bool,
-) -> _Rough:
-    """The best of an effect's variants, from many starts, its vehicle's Jacobian mostly the reference's; where the
-    twin is ``lost``, gross faults are looked for, too."""
-    screens = [screened(bench, anchor, v, v.starts(_STARTS, seed)) for v in variants]
+    no_match: bool,
+) -> _FirstSearch:
+    """The best variant of an effect from many starts, mostly with the vehicle Jacobian at ``anchor``; includes the
+    coarse search for set-up errors."""
+    screens = [screen(bench, anchor, v, v.starts(_STARTS, seed)) for v in variants]
     powers = np.concatenate([s.power for s in screens])
     order = sorted(range(len(variants)), key=lambda i: screens[i].cost[0])
     found = []
-    # a damper too weak at one corner looks like one too strong at the other: which it is, a fit tells
+    # a weak damper at one corner and a strong one at the other are similar to first order: both are fitted
     for i in order[:_VARIANTS]:
         v, tried = variants[i], screens[i]
         starts = [*tried.x[:_TRIED], *_resonant(bench, anchor, v, v), np.concatenate([base.x, v.neutral()])]
         x, cost = refit(bench, v, starts, anchor.at, _ROUGH)
         if not math.isfinite(cost):
-            # a baseline that made up for what no vehicle can may be one that nothing can be added to
+            # a recalibrated baseline may be so far off that no effect can be simulated on it
             starts = [np.concatenate([bench.centre, u]) for u in (v.neutral(), *v.starts(_STARTS, seed).T)]
             x, cost = refit(bench, v, starts, None, _DEEP)
-        far = coarse_search.found(bench, v, lost)
+        far = coarse_search.coarse_fit(bench, v, no_match)
         if far is not None and far[2] < cost:
             v, x, cost = far
-        for begun, start in _wide(bench, base, v, seed):
-            if begun < _WORTH_A_LOOK * cost:
-                y, other = refit(bench, v, [start], None, _DEEP, sparing=True)
+        for begun, start in _softened_starts(bench, base, v, seed):
+            if begun < _COST_RATIO * cost:
+                y, other = refit(bench, v, [start], None, _DEEP, alternate_jacobian=True)
                 x, cost = (y, other) if other < cost else (x, cost)
         found.append((cost, v, x))
     cost, v, x = min(found, key=lambda f: f[0])
     if not math.isfinite(cost):
         raise WorkError(f"the twin cannot be simulated with {effect}")
-    return _Rough(cost, effect, v, x, powers)
+    return _FirstSearch(cost, effect, v, x, powers)
 
 
-def _resonant(bench: Bench, base: Linear, hypothesis: Hypothesis, added: Hypothesis) -> list[Floats]:
-    """Where the resonance of ``added``, the last of the hypothesis' effects, suits best, if it has one."""
+def _resonant(bench: Bench, base: LinearisedFit, hypothesis: Hypothesis, added: Hypothesis) -> list[Floats]:
+    """The start at the best resonance frequency of ``added``, the last effect of the hypothesis; empty without one."""
     scan = added.scan(_SCANNED)
-    found = None if scan is None else scanned(bench, base, hypothesis, scan)
+    found = None if scan is None else resonance_scan(bench, base, hypothesis, scan)
     return [] if found is None else [found]
 
 
-def _rebased(bench: Bench, base: Linear, found: Sequence[Floats]) -> Linear:
-    """The baseline from wherever effects' fits have taken the vehicle, so that none is credited with that."""
+def _rebased_baseline(bench: Bench, base: LinearisedFit, found: Sequence[Floats]) -> LinearisedFit:
+    """The baseline refitted from the vehicle of each effect, so that no effect is credited with a better vehicle."""
     p = bench.d + bench.q
     better = fitted(bench, BASELINE, [base.x, *(y[:p] for y in found)], 2 * _ROUGH)
     return better if better.cost < base.cost else base
 
 
-def _caught_up(bench: Bench, base: Linear, moved: bool, rough: _Rough, seed: int) -> _Rough:
-    """An effect's search from where the baseline has come to since, if it has ``moved``: it has all that the baseline
-    has and must not be behind for having begun from less.
+def _restarted(
+    bench: Bench, base: LinearisedFit, moved: bool, rough: _FirstSearch, seed: int
+) -> _FirstSearch:
+    """Repeat the search of an effect from the improved baseline, if that has ``moved``.
 
-    Many small shares of what is normal of clocks, map and mount can hide a late clock whole, and between them and the
-    effect lies a ridge: it is also begun from where it has all of it.
+    Set-up effects are also fitted with the nuisance parameters of the same action frozen: these can share a clock
+    offset among them and form a separate local minimum.
     """
     v, u = rough.hypothesis, rough.x[bench.d + bench.q :]
     starts = [np.concatenate([base.x, u]), np.concatenate([base.x, v.neutral()])]
     if rough.cost >= base.cost:
-        starts += screened(bench, base, v, v.starts(_STARTS, seed)).x[:_TRIED]
+        starts += screen(bench, base, v, v.starts(_STARTS, seed)).x[:_TRIED]
     found = [refit(bench, v, starts, base.at, _ROUGH)] if moved else [(rough.x, rough.cost)]
     if rough.hypothesis.effect(rough.effect).where in ("time", "road", "sensor"):
-        alone = replace(bench, barred=tuple(n for n in bench.problem.nuisances.names if n.endswith(_SHARED)))
-        begun, _ = refit(alone, v, starts, base.at, _ROUGH)
+        frozen = replace(
+            bench, frozen_nuisances=tuple(n for n in bench.problem.nuisances.names if n.endswith(_SHARED))
+        )
+        begun, _ = refit(frozen, v, starts, base.at, _ROUGH)
         found.append(refit(bench, v, [begun], base.at, _ROUGH))
     x, cost = min(found, key=lambda f: f[1])
     return replace(rough, x=x, cost=cost) if cost < rough.cost else rough
 
 
-def _wide(bench: Bench, base: Fit, hypothesis: Hypothesis, seed: int) -> list[tuple[float, Floats]]:
-    """Costs and unknowns of a few strengths of an effect, each with what suits it best of softer springs and
-    weaker dampers than the baseline has.
+def _softened_starts(
+    bench: Bench, base: Fit, hypothesis: Hypothesis, seed: int
+) -> list[tuple[float, Floats]]:
+    """Costs and unknowns of starts with softer springs and weaker dampers than the baseline.
 
-    A calibration that never saw friction, a stop or a bar has made up for it elsewhere, too far for a
-    linear step to undo. Only for effects that act where characteristics do.
+    A calibration without friction, stop or anti-roll bar compensates for them in the characteristics, further than a
+    linear step corrects. Only for effects of strut, tyre and body.
     """
     if hypothesis.effect(hypothesis.effects[-1]).where not in ("strut", "tyre", "body"):
         return []
@@ -234,12 +258,12 @@ def _wide(bench: Bench, base: Fit, hypothesis: Hypothesis, seed: int) -> list[tu
     x = np.concatenate(
         [np.concatenate([np.repeat(z[:, None], _WIDE_STARTS, axis=1), starts]) for z in many], axis=1
     )
-    # a stop that hardly touches costs least at first and leads nowhere: one that touches early gets its tries too
-    ways = _EARLY if hypothesis.touches else ()
-    early = [np.concatenate([vehicle(*v), hypothesis.early(far)])[:, None] for v, far in ways]
-    x = bench.clipped(hypothesis, np.concatenate([x, *early], axis=1))
+    # a stop that hardly touches has the lowest cost but no gradient: starts with small clearance are added
+    ways = _EARLY if hypothesis.has_clearance else ()
+    early_contact = [np.concatenate([vehicle(*v), hypothesis.early_contact(far)])[:, None] for v, far in ways]
+    x = bench.clipped(hypothesis, np.concatenate([x, *early_contact], axis=1))
     costs = bench.costs(hypothesis, x)
-    first = costs.size - len(early)
+    first = costs.size - len(early_contact)
     tried = [int(np.argmin(costs[:first])), *range(first, costs.size)]
     return [(float(costs[i]), x[:, i]) for i in tried if np.isfinite(costs[i])]
 
@@ -250,20 +274,20 @@ def pairs(
     library: dict[str, list[Hypothesis]],
     blocks: Blocks,
     seed: int,
-    tell: Callable[[float, str], None],
+    on_progress: Callable[[float, str], None],
     skip: Sequence[str] = (),
 ) -> list[Evidence]:
-    """The best additions of one more effect to what is there, the best first."""
+    """Evidence of the best sets with one more effect than ``first``, the best first."""
     there = first.fit.hypothesis
-    start = finished(bench, there, first.fit.x)
+    start = linearised_fit(bench, there, first.fit.x)
     known = start.at.first(bench.d + bench.q)
     others = [e for e in library if e not in there.effects and e not in skip]
 
     def look(effect: str) -> list[tuple[float, Hypothesis, list[Floats]]]:
         tried = [(combined(there, v), v.starts(_STARTS // 2, seed)) for v in library[effect]]
-        screens = [(both, screened(bench, start, both, starts)) for both, starts in tried]
+        screens = [(both, screen(bench, start, both, starts)) for both, starts in tried]
         more = [_resonant(bench, start, both, v) for (both, _), v in zip(tried, library[effect], strict=True)]
-        # a start that is only told by linear algebra ranks by what it costs
+        # resonance starts are ranked by their simulated cost
         costs = [
             [float(bench.costs(both, x[:, None])[0]) for x in found]
             for (both, _), found in zip(tried, more, strict=True)
@@ -274,7 +298,7 @@ def pairs(
         ]
 
     looked = side_by_side(
-        look, others, lambda done, name: tell(0.7 * done, f"{there.name} and {name}".replace("_", " "))
+        look, others, lambda done, name: on_progress(0.7 * done, f"{there.name} and {name}".replace("_", " "))
     )
     rough = sorted((r for some in looked for r in some), key=lambda r: r[0])
     best: dict[tuple[str, ...], tuple[Hypothesis, list[Floats]]] = {}
@@ -289,38 +313,38 @@ def pairs(
     found = side_by_side(
         join,
         list(best.values())[:_BEST_PAIRS],
-        lambda done, at: tell(0.7 + 0.3 * done, f"{at[0].name}, jointly".replace("_", " ")),
+        lambda done, at: on_progress(0.7 + 0.3 * done, f"{at[0].name}, jointly".replace("_", " ")),
     )
     return sorted(found, key=lambda e: -float(e.score.sum()) + 0.5 * e.occam)
 
 
-def jointly(bench: Bench, parts: Sequence[Hypothesis], base: Fit, seed: int) -> Linear:
-    """All of ``parts`` at once: from nothing, and from the best of many starts, gross ones among them."""
+def joint_fit(bench: Bench, parts: Sequence[Hypothesis], base: Fit, seed: int) -> LinearisedFit:
+    """Joint fit of all ``parts``: from neutral, and from the best of many starts, those of a coarse search included."""
     p = bench.d + bench.q
     together = combined(*parts)
-    far = coarse_search.jointly(bench, together)
+    far = coarse_search.joint_grid(bench, together)
     many = np.concatenate([together.neutral()[:, None], together.starts(_JOINT_STARTS, seed), far], axis=1)
     starts = np.concatenate([np.repeat(base.x[:p, None], many.shape[1], axis=1), many])
-    # without what is grossly wrong the vehicle has gone astray
+    # with a large set-up error the baseline vehicle is wrong: start from the twin file
     starts[:p, many.shape[1] - far.shape[1] :] = bench.centre[:, None]
-    order = np.argsort(bench.costs(together, starts) - coarse_search.waived(many), kind="stable")
+    order = np.argsort(bench.costs(together, starts) - coarse_search.waived_penalty(many), kind="stable")
     tried = [
-        (coarse_search.about(together, many[:, i]), starts[:, i])
+        (coarse_search.recentred(together, many[:, i]), starts[:, i])
         for i in sorted({0, *order[:_TRIED].tolist()})
     ]
     fits = side_by_side(lambda at: refit(bench, at[0], [at[1]], None, _LONG), tried)
     found = [(h, *fit) for (h, _), fit in zip(tried, fits, strict=True)]
-    best, x, _ = min(found, key=lambda f: f[2] + coarse_search.PRICE * bool(f[0].around))
-    return finished(bench, best, x)
+    best, x, _ = min(found, key=lambda f: f[2] + coarse_search.MISALIGNMENT_PENALTY * bool(f[0].around))
+    return linearised_fit(bench, best, x)
 
 
-def again(bench: Bench, fit: Linear) -> Linear:
-    """The same hypothesis from where it was, under the noise of now."""
+def refitted_under_noise(bench: Bench, fit: LinearisedFit) -> LinearisedFit:
+    """Refit a hypothesis with the noise model of the bench."""
     return fitted(bench, fit.hypothesis, [fit.x], _LONG)
 
 
 def without_one(bench: Bench, whole: Evidence, blocks: Blocks) -> list[Evidence]:
-    """The best fits with one effect of ``whole`` less, in the order of its effects."""
+    """Evidence without each effect of ``whole`` in turn, in the order of its effects."""
     there, p = whole.fit.hypothesis, bench.d + bench.q
 
     def less(effect: str) -> Evidence:

@@ -13,36 +13,36 @@ from suspension_twin.diagnosis import verdict
 from suspension_twin.diagnosis.case import Case
 from suspension_twin.diagnosis.evidence import Evidence, evidence, weights
 from suspension_twin.diagnosis.fit import fitted
-from suspension_twin.diagnosis.hypotheses import NORMAL_PART, library
+from suspension_twin.diagnosis.hypotheses import NUISANCE_COUNTERPART, library
 from suspension_twin.diagnosis.judge import Judged
 from suspension_twin.diagnosis.nuisance_penalty import penalty_gains
 from suspension_twin.diagnosis.request import DiagnosisRequest, Progress
-from suspension_twin.diagnosis.search import jointly, pairs, without_one
-from suspension_twin.diagnosis.shrink import Remainder, remainder
+from suspension_twin.diagnosis.search import joint_fit, pairs, without_one
+from suspension_twin.diagnosis.shrink import RemainingResidual, remaining_residual
 
 __all__ = ["Candidate", "Findings", "pays", "select"]
 
-#: How surely one more effect has to beat the smaller set, and by which share of a channel's gap, to join it; and by
-#: which share of what the smaller set leaves there, its nuisances where they were fitted, while no reference says what
-#: a sound model leaves: some effect makes up for a part of any model's discrepancy.
+#: For one more effect to join a set: win rate over the smaller set, and share of the gap of a channel that it explains;
+#: without a reference also its share of the remaining residual there with the nuisance parameters as fitted, because
+#: some effect explains a part of any model discrepancy.
 _SURE, _WORTH, _WORTH_OF_THE_REMAINING = 0.95, verdict.MATERIAL, 0.2
-#: Without a road, of a channel's gap: a clock drift passes almost whole for a clock offset.
+#: The same share without a road: a clock offset explains most of a clock drift.
 _WORTH_BARE = 0.5 * _WORTH
 _MOST_EFFECTS = 3
-_LEADS = (0.2, 0.1)  # weights from which on the likeliest effects and the next are tried with others
-#: By how much -2 log posterior may differ if an effect takes over from the nuisances that are the same thing.
+_LEADS = (0.2, 0.1)  # weights from which on the first and the second effect start a set
+#: -2 log posterior by which the fit may be worse with the nuisance parameters of the same action frozen.
 _SAME_FIT = 20.0
-#: Nats of nuisance penalty that one more effect has to save where it frees clocks from their bounds, and where it makes
-#: up for what clocks, map and mount are asked for more than for the remaining residual.
+#: Nats of nuisance penalty that one more effect has to save where it takes clocks off their bounds, and where it
+#: reduces the nuisance penalty more than the remaining residual.
 _SAVED, _SAVED_MUCH = 1.0, float(np.log(_SURE / (1.0 - _SURE)))
 
 
 @dataclass(frozen=True, eq=False)
 class Candidate:
-    """A set of effects with its held-out evidence, and what it ``left``."""
+    """A set of effects with its cross-validated evidence and its ``remaining`` residual."""
 
     found: Evidence
-    left: Remainder
+    remaining: RemainingResidual
 
     @property
     def effects(self) -> tuple[str, ...]:
@@ -52,43 +52,45 @@ class Candidate:
 
 @dataclass(frozen=True, eq=False)
 class Findings:
-    """All that the answer is made of: the library ``judged``, the set ``chosen`` with its ``gates`` and the share that
-    is ``gone`` with it, and the share ``gone_alone`` (E,) with each effect of the library."""
+    """Input of the verdict: the library ``judged``, the set ``chosen`` with its ``gates`` and its ``explained_share``
+    of the recalibrated residual, and the ``explained_shares`` (E,) of each effect of the library."""
 
     judged: Judged
     chosen: Candidate
     gates: verdict.Gates
-    gone: float
-    gone_alone: Floats
+    explained_share: float
+    explained_shares: Floats
 
 
 def select(
     request: DiagnosisRequest, case: Case, judged: Judged, report: Callable[[Progress], None]
 ) -> Findings:
-    """The set of effects that is named, if any is."""
+    """Choose the set of effects that can be named."""
     if case.excited:
-        chosen = _with_normal_part(judged, _combined(request, case, judged, report))
+        chosen = _with_nuisance_part(judged, _best_set(request, case, judged, report))
     else:
-        chosen = _eliminated(request, case, judged)
-        judged = _carried_by(request, judged, chosen)
+        chosen = _backward_elimination(request, case, judged)
+        judged = _weights_of_set(request, judged, chosen)
     keeper = judged.keeper
-    singles = zip(judged.singles, judged.left[1:], strict=True)
+    singles = zip(judged.singles, judged.remaining[1:], strict=True)
     return Findings(
         judged,
         chosen,
-        keeper.gates(chosen.found, chosen.left),
-        keeper.gone(chosen.found, chosen.left),
-        np.array([keeper.gone(s.evidence, left) for s, left in singles]),
+        keeper.gates(chosen.found, chosen.remaining),
+        keeper.explained_share(chosen.found, chosen.remaining),
+        np.array([keeper.explained_share(s.evidence, remaining) for s, remaining in singles]),
     )
 
 
-def _combined(
+def _best_set(
     request: DiagnosisRequest, case: Case, judged: Judged, report: Callable[[Progress], None]
 ) -> Candidate:
-    """The best set that grows from the likeliest effects: of two causes the one that shows most by itself may be
-    neither, or too little of the gap while the other is not there."""
+    """The best set grown from the most probable effects.
+
+    With two causes, the effect of highest evidence may be neither of them, and each may explain too little by itself.
+    """
     missing, seed = judged.gates[0].adequate < 0.5, request.seed
-    none = best = Candidate(judged.base, judged.left[0])
+    none = best = Candidate(judged.base, judged.remaining[0])
     for place, at in enumerate(np.argsort(-judged.weights[1:], kind="stable")[: len(_LEADS)]):
         single, gates = judged.singles[at], judged.gates[1 + at]
         material = gates.material >= 0.5
@@ -98,8 +100,8 @@ def _combined(
             or single.effect in best.effects
         ):
             continue
-        lead = Candidate(single.evidence, judged.left[1 + at])
-        chosen = _grown(request, case, judged, lead, gates, report)
+        lead = Candidate(single.evidence, judged.remaining[1 + at])
+        chosen = _forward_selection(request, case, judged, lead, gates, report)
         size, largest = len(chosen.effects), len(best.effects)
         if size == 1 and not (material and best is none):
             continue
@@ -112,7 +114,7 @@ def _combined(
     return best
 
 
-def _grown(
+def _forward_selection(
     request: DiagnosisRequest,
     case: Case,
     judged: Judged,
@@ -120,10 +122,10 @@ def _grown(
     gates: verdict.Gates,
     report: Callable[[Progress], None],
 ) -> Candidate:
-    """What a lead becomes, greedily, one more effect at a time, as long as it pays."""
+    """Greedy forward selection from one effect, as long as one more pays."""
     effects = library(case.twin, case.excited, request.effects)
     weak = [s.effect for s in judged.singles if not s.judged]
-    # without a reference nobody knows what is left of a sound model: what pays is taken
+    # without a reference the model discrepancy is unknown: growth ends where no effect pays
     while len(chosen.effects) < min(_MOST_EFFECTS, len(effects)) and (
         judged.reference is None or gates.adequate < 0.5
     ):
@@ -136,108 +138,117 @@ def _grown(
             lambda done, note: report(Progress("combinations", 0.76 + 0.18 * done, note)),
             weak,
         )
-        # the one that gains most may make up for a little everywhere and close nothing: then the next
-        joined = next(_joining(request, case, judged, chosen, tried), None)
+        # the pair of highest evidence may explain a little everywhere and not pay: then the next
+        joined = next(_additions(request, case, judged, chosen, tried), None)
         if joined is None:
             break
         chosen = joined
-        gates = judged.keeper.gates(chosen.found, chosen.left)
+        gates = judged.keeper.gates(chosen.found, chosen.remaining)
     return chosen
 
 
-def _joining(
+def _additions(
     request: DiagnosisRequest, case: Case, judged: Judged, few: Candidate, tried: list[Evidence]
 ) -> Iterator[Candidate]:
-    """Those of ``tried`` that pay, the best first."""
+    """The candidates of ``tried`` that pay, the best first."""
     for more in tried:
-        if verdict.uncommon(judged.bench, more, judged.reference is not None) > 0.5:
-            many = Candidate(more, remainder(judged.bench, more.fit.hypothesis, more.unknowns, judged.blocks))
+        if verdict.beyond_usual(judged.bench, more, judged.reference is not None) > 0.5:
+            many = Candidate(
+                more, remaining_residual(judged.bench, more.fit.hypothesis, more.unknowns, judged.blocks)
+            )
             if pays(case, judged, few, many, request.seed):
                 yield many
 
 
 def pays(case: Case, judged: Judged, few: Candidate, many: Candidate, seed: int) -> bool:
-    """Whether one more effect is sure to be better, and by enough of some channel's recalibrated gap; without a road
-    of what the fewer leave there: each channel is another effect's to show."""
+    """Whether the larger set ``many`` has surely the higher evidence than ``few`` and explains enough more of the gap.
+
+    Enough is a share of the recalibrated gap of some channel; without a road, of the remaining residual of ``few``.
+    """
     bench, keeper, temper = judged.bench, judged.keeper, judged.temper
-    _, beats = weights([few.found, many.found], np.array([0.5, 0.5]), temper, seed)
-    if beats[1, 0] < _SURE:
+    _, win_rate = weights([few.found, many.found], np.array([0.5, 0.5]), temper, seed)
+    if win_rate[1, 0] < _SURE:
         return False
-    alone = case.excited and judged.reference is None
-    if case.excited and not alone:
-        still = [np.sqrt(1.0 - keeper.gone(one.found, one.left)) for one in (few, many)]
-        # what makes up for a little of the model's discrepancy takes little of what the reference does not show
+    unreferenced = case.excited and judged.reference is None
+    if case.excited and not unreferenced:
+        still = [np.sqrt(1.0 - keeper.explained_share(one.found, one.remaining)) for one in (few, many)]
+        # an effect that only explains model discrepancy explains little of the excess over the reference
         if still[0] - still[1] < _WORTH:
             return False
-    saved = penalty_gains([few.found.penalty, many.found.penalty], temper)[1] if alone else 0.0
-    # clocks that are all on their bounds make up for something: what frees them is worth it, if that is worth it
+    saved = penalty_gains([few.found.penalty, many.found.penalty], temper)[1] if unreferenced else 0.0
+    # clocks that are all on their bounds compensate for a missing effect
     if saved > _SAVED and (
-        verdict.punctual(bench, few.found, temper) < 0.5 <= verdict.punctual(bench, many.found, temper)
+        verdict.clocks_within_limits(bench, few.found, temper)
+        < 0.5
+        <= verdict.clocks_within_limits(bench, many.found, temper)
     ):
         return True
     for column, channel in enumerate(bench.problem.channels):
-        before = judged.left[0] if case.excited else few.left
-        one, two = (keeper.shrink(before, left, column) for left in (few.left, many.left))
+        before = judged.remaining[0] if case.excited else few.remaining
+        one, two = (keeper.shrink(before, remaining, column) for remaining in (few.remaining, many.remaining))
         if column not in keeper.driven or one.after < judged.noise[channel]:
             continue
         if one.after - two.after >= (_WORTH if case.excited else _WORTH_BARE) * one.before and (
-            not alone
-            or saved > _SAVED_MUCH  # no model discrepancy asks that of clocks and map
-            or keeper.shrink(few.left, many.left, column, settled=True).shrink >= _WORTH_OF_THE_REMAINING
+            not unreferenced
+            or saved > _SAVED_MUCH  # model discrepancy does not move clocks and map by that much
+            or keeper.shrink(few.remaining, many.remaining, column, with_nuisances=True).shrink
+            >= _WORTH_OF_THE_REMAINING
         ):
             return True
     return False
 
 
-def _with_normal_part(judged: Judged, chosen: Candidate) -> Candidate:
-    """What is named with all of it: the part that is normal of any clock, map or mount went to the nuisances while
-    causes were compared. With a reference that part is the vehicle's before the change."""
+def _with_nuisance_part(judged: Judged, chosen: Candidate) -> Candidate:
+    """The set refitted with the nuisance parameters of the same action frozen, so that its parameters hold the whole
+    error.
+
+    With a reference that part belongs to the state before the change and is left to the nuisance parameters.
+    """
     bench, hypothesis = judged.bench, chosen.found.fit.hypothesis
-    barred = tuple(n for e in hypothesis.effects for n in NORMAL_PART.get(e, ()))
-    if judged.reference is not None or not barred:
+    frozen_nuisances = tuple(n for e in hypothesis.effects for n in NUISANCE_COUNTERPART.get(e, ()))
+    if judged.reference is not None or not frozen_nuisances:
         return chosen
-    alone = replace(bench, barred=barred)
-    fit = fitted(alone, hypothesis, [chosen.found.fit.x], 10)
+    unreferenced = replace(bench, frozen_nuisances=frozen_nuisances)
+    fit = fitted(unreferenced, hypothesis, [chosen.found.fit.x], 10)
     if fit.cost > chosen.found.fit.cost + _SAME_FIT:
         return chosen
-    whole = evidence(alone, fit, judged.blocks)
-    return Candidate(whole, remainder(bench, hypothesis, whole.unknowns, judged.blocks))
+    whole = evidence(unreferenced, fit, judged.blocks)
+    return Candidate(whole, remaining_residual(bench, hypothesis, whole.unknowns, judged.blocks))
 
 
-def _eliminated(request: DiagnosisRequest, case: Case, judged: Judged) -> Candidate:
-    """Without a road: all effects that can be judged jointly, then one less for as long as nothing is lost.
+def _backward_elimination(request: DiagnosisRequest, case: Case, judged: Judged) -> Candidate:
+    """Backward elimination, without a road: the joint fit of all effects, then one less as long as that loses nothing.
 
-    There are few of them, and they hide each other: a clock drift looks like a clock offset, and
-    a tilt is not seen before the clock is right. Starting from one would end with the wrong one. No
-    background is known that a remaining residual could be measured by.
+    The few effects mask each other (a clock drift resembles a clock offset; a tilt shows only with the right clock), so
+    that forward selection would start from a wrong one. The model discrepancy is unknown there.
     """
     bench, blocks = judged.bench, judged.blocks
     known = library(case.twin, False, request.effects)
     possible = [s for s in judged.singles if s.judged]
     if not possible:
-        return Candidate(judged.base, judged.left[0])
+        return Candidate(judged.base, judged.remaining[0])
 
     def candidate(found: Evidence) -> Candidate:
-        return Candidate(found, remainder(bench, found.fit.hypothesis, found.unknowns, blocks))
+        return Candidate(found, remaining_residual(bench, found.fit.hypothesis, found.unknowns, blocks))
 
-    fit = jointly(bench, [known[s.effect][0] for s in possible], judged.base.fit, request.seed)
+    fit = joint_fit(bench, [known[s.effect][0] for s in possible], judged.base.fit, request.seed)
     chosen = candidate(evidence(bench, fit, blocks))
     while chosen.effects:
         fewer = [candidate(e) for e in without_one(bench, chosen.found, blocks)]
-        spare = [one for one in fewer if not pays(case, judged, one, chosen, request.seed)]
-        if not spare:
+        dispensable = [one for one in fewer if not pays(case, judged, one, chosen, request.seed)]
+        if not dispensable:
             break
-        chosen = max(spare, key=lambda one: float(one.found.score.sum()) - 0.5 * one.found.occam)
+        chosen = max(dispensable, key=lambda one: float(one.found.score.sum()) - 0.5 * one.found.occam)
     return chosen
 
 
-def _carried_by(request: DiagnosisRequest, judged: Judged, chosen: Candidate) -> Judged:
-    """Weights and gates of effects that were judged together: each stands for all of them."""
-    _, beats = weights([judged.base, chosen.found], np.array([0.5, 0.5]), judged.temper, request.seed)
+def _weights_of_set(request: DiagnosisRequest, judged: Judged, chosen: Candidate) -> Judged:
+    """Weights and gates of a set that was judged jointly: each member has those of the set."""
+    _, win_rate = weights([judged.base, chosen.found], np.array([0.5, 0.5]), judged.temper, request.seed)
     members = [1 + i for i, s in enumerate(judged.singles) if s.effect in chosen.effects]
     weight, gates = np.zeros_like(judged.weights), list(judged.gates)
-    weight[members] = beats[1, 0] / max(len(members), 1)
+    weight[members] = win_rate[1, 0] / max(len(members), 1)
     weight[0] = 1.0 - weight.sum()
     for i in members:
-        gates[i] = judged.keeper.gates(chosen.found, chosen.left)
+        gates[i] = judged.keeper.gates(chosen.found, chosen.remaining)
     return replace(judged, weights=weight, gates=gates)

@@ -1,9 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
-"""How far the gap shrinks, on stretches of road that the fit has not seen.
+"""The shrink of the gap on held-out road.
 
-The twin with a hypothesis is fitted without each fold in turn and then simulated, not extrapolated,
-over it. Clock, map and biases are left as the twin file has them: what is measured is what the written
-twin will show.
+The twin with a hypothesis is fitted without each fold in turn and simulated over that fold. With clock, map and biases
+of the twin file, the shrink is that of the written twin:
+
+    shrink = 1 - after / before,   of the rms above the noise, sqrt(max(mean(r^2) - sigma^2, 0)).
 """
 
 from __future__ import annotations
@@ -17,22 +18,22 @@ from suspension_twin.diagnosis.bench import Bench
 from suspension_twin.diagnosis.evidence import FOLDS, Blocks
 from suspension_twin.diagnosis.hypotheses import BASELINE, Hypothesis
 
-__all__ = ["Remainder", "Shrink", "remainder", "shrink_of", "standing"]
+__all__ = ["RemainingResidual", "Shrink", "remaining_residual", "shrink_of", "uncalibrated_residual"]
 
 _DRAWS = 2000
-#: Standard deviation of the logarithm of the share of a gap that a twin leaves, from one drive to another of the same
-#: car on the same road, and how many drives this knowledge counts as.
+#: Prior of the standard deviation of log(after / before) from drive to drive of one car on one road, and its degrees of
+#: freedom; lower limit of after / before, below which the residual is noise.
 _FROM_DRIVE_TO_DRIVE, _COUNTS_AS = 0.15, 4
-_GONE = 0.02
+_LEAST_SHARE_LEFT = 0.02
 
 
 @dataclass(frozen=True, eq=False)
-class Remainder:
-    """Held-out differences (M, C) between a twin and the drives, in the channels' units; ``settled`` with clocks, map,
-    biases and mount where they were fitted, ``difference`` with all of them at nothing."""
+class RemainingResidual:
+    """Held-out simulated minus measured signals (M, C) in the units of the channels: ``difference`` with all nuisance
+    parameters at zero, ``with_nuisances`` with clocks, map, biases and mount as fitted."""
 
     difference: Floats
-    settled: Floats
+    with_nuisances: Floats
 
 
 @dataclass(frozen=True)
@@ -45,65 +46,71 @@ class Shrink:
     interval: tuple[float, float]
 
 
-def standing(bench: Bench) -> Remainder:
-    """What the twin as it stands leaves; nothing was fitted, so all of it counts as unseen."""
+def uncalibrated_residual(bench: Bench) -> RemainingResidual:
+    """The residual of the twin as given; nothing was fitted, so that all of it is held out."""
     z = bench.problem.space.z0[:, None]
     signals, _ = bench.signals(BASELINE, z, np.zeros((0, 1)))
     plain = bench.compared(signals, np.zeros((bench.q, 1)))[:, :, 0]
     difference = plain - bench.problem.measured.values
-    return Remainder(difference, difference)
+    return RemainingResidual(difference, difference)
 
 
-def remainder(bench: Bench, hypothesis: Hypothesis, unknowns: Floats, blocks: Blocks) -> Remainder:
-    """Simulated at the unknowns (d + q + k, FOLDS) that have not seen each fold."""
+def remaining_residual(
+    bench: Bench, hypothesis: Hypothesis, unknowns: Floats, blocks: Blocks
+) -> RemainingResidual:
+    """The residual at the unknowns (d + q + k, FOLDS) fitted without each fold."""
     d, q = bench.d, bench.q
     signals, _ = bench.signals(hypothesis, unknowns[:d], unknowns[d + q :])
     full = [s if s.shape[2] == FOLDS else np.repeat(s, FOLDS, axis=2) for s in signals]
     fold = blocks.fold(blocks.sample)[:, None, None]
 
-    def left(nuisance: Floats) -> Floats:
+    def remaining(nuisance: Floats) -> Floats:
         compared = bench.compared(full, nuisance)
         chosen = np.take_along_axis(compared, fold, axis=2)[:, :, 0]
         return np.asarray(chosen - bench.problem.measured.values)
 
-    return Remainder(left(np.zeros((q, FOLDS))), left(unknowns[d : d + q]))
+    return RemainingResidual(remaining(np.zeros((q, FOLDS))), remaining(unknowns[d : d + q]))
 
 
 def drives_of(bench: Bench) -> np.ndarray:
     """(M,) the drive of every compared sample."""
     measured = bench.problem.measured
     out = np.zeros(len(measured.values), dtype=int)
-    for s, drive in zip(measured.stretches, measured.drives, strict=True):
+    for s, drive in zip(measured.segments, measured.drives, strict=True):
         out[s] = drive
     return out
 
 
-def shown_rows(bench: Bench) -> np.ndarray:
-    """(M,) True on samples of drives that show the gap."""
+def gap_rows(bench: Bench) -> np.ndarray:
+    """(M,) True for samples of drives with the gap."""
     return np.asarray(np.array(bench.active)[drives_of(bench)])
 
 
 def shrink_of(
     bench: Bench,
-    before: Remainder,
-    after: Remainder,
+    before: RemainingResidual,
+    after: RemainingResidual,
     blocks: Blocks,
     noise: float,
     column: int,
     seed: int,
-    another: bool = False,
-    settled: bool = False,
+    new_drive: bool = False,
+    with_nuisances: bool = False,
 ) -> Shrink:
-    """The shrink in one channel over the drives with the gap; interval by resampling blocks of road, with
-    ``another`` for one more drive: what it leaves differs as these do among each other, or as drives do (Student's t
-    of normal values with a scaled inverse chi-squared prior of their variance: Gelman et al., Bayesian Data Analysis,
-    3rd ed., section 3.3). ``settled`` with the nuisances where they were fitted."""
-    rows = shown_rows(bench)
-    shown = [i for i, active in enumerate(bench.active) if active]
+    """The shrink in one channel over the drives with the gap, with a 90 % interval by bootstrap over blocks of road.
+
+    With ``new_drive`` the interval is predictive for one more drive: the scatter between drives is added, by
+    Student's t with a scaled inverse chi-squared prior of the variance (Gelman et al., Bayesian Data Analysis, 3rd
+    ed., section 3.3). ``with_nuisances`` as fitted or at zero.
+    """
+    rows = gap_rows(bench)
+    with_gap = [i for i, active in enumerate(bench.active) if active]
     drive = (
-        np.searchsorted(shown, drives_of(bench)[rows]) if another else np.zeros(int(rows.sum()), dtype=int)
+        np.searchsorted(with_gap, drives_of(bench)[rows])
+        if new_drive
+        else np.zeros(int(rows.sum()), dtype=int)
     )
-    drives = len(shown) if another else 1
+    drives = len(with_gap) if new_drive else 1
     cell = drive * blocks.count + blocks.sample[rows]
 
     def by_cell(values: Floats | None = None) -> Floats:
@@ -111,7 +118,10 @@ def shrink_of(
 
     count, first, second = (
         by_cell(),
-        *(by_cell((r.settled if settled else r.difference)[rows, column] ** 2) for r in (before, after)),
+        *(
+            by_cell((r.with_nuisances if with_nuisances else r.difference)[rows, column] ** 2)
+            for r in (before, after)
+        ),
     )
 
     def above(squares: Floats, samples: Floats) -> Floats:
@@ -123,21 +133,21 @@ def shrink_of(
     blocks_drawn = rng.multinomial(used.size, np.full(used.size, 1.0 / used.size), _DRAWS).astype(float)
     n, f, s = (np.sum(v[:, used].sum(axis=0) * blocks_drawn, axis=1) for v in (count, first, second))
     share = above(s, n) / np.maximum(above(f, n), 1e-12)
-    if another:
+    if new_drive:
         before_after = [above(v.sum(axis=1), count.sum(axis=1)) for v in (first, second)]
-        share *= np.exp(_of_another(before_after[0], before_after[1], rng))
+        share *= np.exp(_new_drive_scatter(before_after[0], before_after[1], rng))
     ratio = 1.0 - share
     low, high = np.quantile(ratio, [0.05, 0.95])
     shrink = 1.0 - float(b) / float(a) if a > 1e-12 else 0.0
     return Shrink(float(a), float(b), shrink, (float(min(low, shrink)), float(max(high, shrink))))
 
 
-def _of_another(before: Floats, after: Floats, rng: np.random.Generator) -> Floats:
-    """(_DRAWS,) logarithms of how much more or less of the gap one more drive leaves than all of these (D,) do."""
+def _new_drive_scatter(before: Floats, after: Floats, rng: np.random.Generator) -> Floats:
+    """(_DRAWS,) draws of log(after / before) of one more drive, about that of these drives (D,)."""
     known = before > 1e-12
-    # what lies in the noise is as good as gone, by how much is not known
-    left = np.log(np.maximum(after[known] / before[known], _GONE))
-    apart = float(np.sum((left - left.mean()) ** 2)) if left.size else 0.0
-    freedom = _COUNTS_AS + max(left.size - 1, 0)
-    variance = (_COUNTS_AS * _FROM_DRIVE_TO_DRIVE**2 + apart) / freedom * (1.0 + 1.0 / max(left.size, 1))
+    # below the noise the ratio is undetermined
+    remaining = np.log(np.maximum(after[known] / before[known], _LEAST_SHARE_LEFT))
+    apart = float(np.sum((remaining - remaining.mean()) ** 2)) if remaining.size else 0.0
+    freedom = _COUNTS_AS + max(remaining.size - 1, 0)
+    variance = (_COUNTS_AS * _FROM_DRIVE_TO_DRIVE**2 + apart) / freedom * (1.0 + 1.0 / max(remaining.size, 1))
     return np.asarray(np.sqrt(variance) * rng.standard_t(freedom, _DRAWS))

@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Lines in what is left: periods of the wheels or of an engine, which no sound model's error has.
+"""Tonal components of the remaining residual: wheel orders and engine frequencies.
 
-What a model gets wrong of road and vehicle is broad. A wheel that is out of balance or round comes again with every
-turn, the same over distance at any speed; an engine or a fan with a frequency. Pieces of a drive are each taken apart
-into a spectrum, over distance and over time; a line stands out of its neighbourhood in their mean.
+Model discrepancy is broadband. Imbalance or runout of a wheel is periodic in distance at any speed (an order), an
+engine or a fan in time. The spectra of segments of a drive, over distance and over time, are divided by the level of
+their neighbouring bins and averaged: a tonal component exceeds its neighbourhood.
 """
 
 from __future__ import annotations
@@ -16,25 +16,24 @@ from scipy.ndimage import median_filter
 
 from suspension_twin.arrays import Floats
 from suspension_twin.diagnosis.bench import Bench
-from suspension_twin.diagnosis.shrink import Remainder, drives_of
+from suspension_twin.diagnosis.shrink import RemainingResidual, drives_of
 
-__all__ = ["Line", "strongest"]
+__all__ = ["Tone", "strongest_tone"]
 
-#: Over distance and over time: length of a piece, step of its grid, lowest and highest that is looked at. Wheels of
-#: 0.2 to 0.5 m, once to thrice a turn.
+#: By domain (m or s): segment length, grid step, lowest and highest frequency. Wheels of 0.2 to 0.5 m radius, orders 1
+#: to 3.
 _DOMAINS = {"distance": (120.0, 0.05, 0.3, 1.6), "time": (10.0, 0.01, 2.0, 20.0)}
-_LEAST = 0.7  # of a piece that has to be there
-#: Bins, two to a resolution, from a line to the end of its neighbourhood and of itself.
+_LEAST = 0.7  # share of a segment that has to be covered by samples
+#: Bins (two per resolution) from a component to the end of its neighbourhood, and of the component itself.
 _NEAR, _SELF = 25, 3
-#: How much more a line has to stand out of what is left than out of what the model makes there: a periodic road's
-#: are in both.
+#: Prominence in the residual over that in the simulated signal: a component of a periodic road is in both.
 _OWN = 2.0
 
 
 @dataclass(frozen=True)
-class Line:
-    """``at`` in 1/m or Hz; how often ``strength`` it is what its neighbourhood has; ``share`` of the channel's mean
-    square that it holds."""
+class Tone:
+    """A tonal component ``at`` a frequency in 1/m or Hz: ``strength`` is its ratio to the neighbouring bins,
+    ``share`` that of the mean square of the channel."""
 
     domain: Literal["distance", "time"]
     channel: str
@@ -43,9 +42,9 @@ class Line:
     share: float
 
 
-def strongest(bench: Bench, left: Remainder, least_share: float) -> Line | None:
-    """The line in what is left of the drives with the gap, of those that hold ``least_share`` of a channel's mean
-    square, that stands out most; not one that reference drives have as well."""
+def strongest_tone(bench: Bench, remaining: RemainingResidual, least_share: float) -> Tone | None:
+    """The most prominent tonal component on drives with the gap that has ``least_share`` of the mean square of a
+    channel and that reference drives do not show; None without one."""
     problem, found = bench.problem, []
     for domain, (length, step, low, high) in _DOMAINS.items():
         u = np.concatenate(
@@ -59,30 +58,38 @@ def strongest(bench: Bench, left: Remainder, least_share: float) -> Line | None:
         for c, channel in enumerate(problem.channels):
             if not channel.endswith(("vertical_acceleration", "roll_rate", "pitch_rate")):
                 continue
-            shown, before = (
-                _standing_out(bench, left.settled[:, c], problem.measured.values[:, c], u, length, step, side)
+            with_gap, before = (
+                _prominence(
+                    bench,
+                    remaining.with_nuisances[:, c],
+                    problem.measured.values[:, c],
+                    u,
+                    length,
+                    step,
+                    side,
+                )
                 for side in (True, False)
             )
-            if shown is None:
+            if with_gap is None:
                 continue
-            strength, made, share = shown
+            strength, made, share = with_gap
             good = inside & (strength > _OWN * made) & (share >= least_share)
             if before is not None:
                 good &= strength > _OWN * before[0]
             if good.any():
                 i = int(np.argmax(np.where(good, strength, 0.0)))
-                found.append(Line(domain, channel, float(k[i]), float(strength[i]), float(share[i])))  # type: ignore[arg-type]
-    return max(found, key=lambda line: line.strength, default=None)
+                found.append(Tone(domain, channel, float(k[i]), float(strength[i]), float(share[i])))  # type: ignore[arg-type]
+    return max(found, key=lambda tone: tone.strength, default=None)
 
 
-def _standing_out(
-    bench: Bench, rest: Floats, measured: Floats, u: Floats, length: float, step: float, shown: bool
+def _prominence(
+    bench: Bench, residual: Floats, measured: Floats, u: Floats, length: float, step: float, with_gap: bool
 ) -> tuple[Floats, Floats, Floats] | None:
-    """(F,) how far each frequency stands out of what is left and of what the model made, and its share in what is
-    left, means over the pieces of the drives that show the gap or do not; None where there are no pieces."""
+    """(F,) prominence of each frequency in the residual and in the simulated signal, and its share of the residual:
+    means over segments of the drives with or without the gap. None without segments."""
     of = drives_of(bench)
-    ratios, made, lines, total = [], [], [], 0.0
-    for drive in (d for d, active in enumerate(bench.active) if active == shown):
+    ratios, made, tones, total = [], [], [], 0.0
+    for drive in (d for d, active in enumerate(bench.active) if active == with_gap):
         rows = np.flatnonzero(of == drive)
         way = np.maximum.accumulate(u[rows])
         for begin in np.arange(way[0], way[-1], length):
@@ -93,21 +100,21 @@ def _standing_out(
             at = np.maximum.accumulate(u[own])
             window = np.hanning(grid.size) * (grid <= at[-1])
             powers = []
-            for values in (rest[own], rest[own] + measured[own]):
-                even = np.interp(grid, at, values - values.mean())
-                powers.append(np.abs(np.fft.rfft(even * window, 2 * grid.size)) ** 2)
-            around = [_around(p) for p in powers]
+            for values in (residual[own], residual[own] + measured[own]):
+                resampled = np.interp(grid, at, values - values.mean())
+                powers.append(np.abs(np.fft.rfft(resampled * window, 2 * grid.size)) ** 2)
+            around = [_neighbourhood(p) for p in powers]
             ratios.append(powers[0] / around[0])
             made.append(powers[1] / around[1])
-            lines.append(2.0 * np.maximum(powers[0] - around[0], 0.0) / window.sum() ** 2)
-            total += float(np.var(rest[own]))
+            tones.append(2.0 * np.maximum(powers[0] - around[0], 0.0) / window.sum() ** 2)
+            total += float(np.var(residual[own]))
     if not ratios:
         return None
-    return np.mean(ratios, axis=0), np.mean(made, axis=0), np.sum(lines, axis=0) / max(total, 1e-300)
+    return np.mean(ratios, axis=0), np.mean(made, axis=0), np.sum(tones, axis=0) / max(total, 1e-300)
 
 
-def _around(power: Floats) -> Floats:
-    """(F,) the mean that the neighbours of each frequency would have were they noise, the frequency itself left out."""
+def _neighbourhood(power: Floats) -> Floats:
+    """(F,) mean level of the neighbouring bins: median / log(2), for exponentially distributed powers."""
     beside = np.ones(2 * _NEAR + 1, dtype=bool)
     beside[_NEAR - _SELF : _NEAR + _SELF + 1] = False
     return np.asarray(median_filter(power, footprint=beside, mode="nearest") / np.log(2.0) + 1e-300)

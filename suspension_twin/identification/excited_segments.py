@@ -55,7 +55,7 @@ def _widened(active: NDArray[np.bool_], before: int, after: int) -> NDArray[np.b
 
 
 def trim(prepared: Prepared, settings: TrimSettings | None = None) -> list[Prepared]:
-    """The drive cut to its excited stretches, each with its lead; the whole drive if nothing is won."""
+    """The drive cut to its excited segments, each with its lead; the whole drive if nothing is won."""
     s = settings or TrimSettings()
     active = excited(prepared, s)
     rows = np.flatnonzero(active)

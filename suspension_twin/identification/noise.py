@@ -74,10 +74,10 @@ def _predictor(power: Floats, rate: float) -> tuple[Floats, float]:
     return _yule_walker(covariance)
 
 
-def density(values: Floats, stretches: Sequence[slice], rate: float) -> Floats:
-    """(F,) one-sided power density of one channel (M,), its stretches' means taken out."""
+def density(values: Floats, segments: Sequence[slice], rate: float) -> Floats:
+    """(F,) one-sided power density of one channel (M,), its segments' means taken out."""
     total, weight = np.zeros(_SEGMENT // 2 + 1), 0.0
-    for s in stretches:
+    for s in segments:
         part = values[s]
         if part.size >= 32:
             _, power = signal.welch(
@@ -91,7 +91,7 @@ def density(values: Floats, stretches: Sequence[slice], rate: float) -> Floats:
 
 def shares(measured: Measured, residual: Floats, drives: Sequence[int]) -> Floats:
     """(C, F) share of the motion's amplitude that a residual (M, C) is in the given drives."""
-    own = [s for s, d in zip(measured.stretches, measured.drives, strict=True) if d in drives]
+    own = [s for s, d in zip(measured.segments, measured.drives, strict=True) if d in drives]
     out = np.empty((len(measured.channels), _SEGMENT // 2 + 1))
     for c in range(out.shape[0]):
         left, motion = (density(v[:, c], own, measured.rate) for v in (residual, measured.values))
@@ -124,9 +124,9 @@ class Whitener:
         """From filters that are known; WorkError where every segment is too short for them."""
         order = filters.shape[2] - 1
         rows, channels, of = [], [], []
-        drives = measured.drives or (0,) * len(measured.stretches)
+        drives = measured.drives or (0,) * len(measured.segments)
         for c in range(len(measured.channels)):
-            for s, d in zip(measured.stretches, drives, strict=True):
+            for s, d in zip(measured.segments, drives, strict=True):
                 if s.stop - s.start > 2 * order:
                     rows.append(np.arange(s.start + order, s.stop))
                     channels.append(np.full(rows[-1].size, c))
@@ -140,7 +140,7 @@ class Whitener:
     def of_residual(cls, measured: Measured, simulated: Floats, order: int = ORDER) -> Whitener:
         """From the residuals that ``simulated`` (M, C) leaves; a drive too short for a model of its own shares one
         with all."""
-        segments = measured.stretches
+        segments = measured.segments
         drives = measured.drives or (0,) * len(segments)
         length = {
             d: sum(s.stop - s.start for s, e in zip(segments, drives, strict=True) if e == d) for d in drives
@@ -169,7 +169,7 @@ class Whitener:
         filters = np.empty((len(drives), len(measured.channels), DESIGN_ORDER + 1))
         sigma = np.empty((len(drives), len(measured.channels)))
         for g, d in enumerate(drives):
-            own = [s for s, e in zip(measured.stretches, measured.drives, strict=True) if e == d]
+            own = [s for s, e in zip(measured.segments, measured.drives, strict=True) if e == d]
             for c, name in enumerate(measured.channels):
                 motion = density(measured.values[:, c], own, rate)
                 # white up to Nyquist although the low-pass took the noise's upper band: what lies there
@@ -185,7 +185,7 @@ class Whitener:
         out = np.empty((self.row.size, simulated.shape[2]))
         at = 0
         for c in range(len(measured.channels)):
-            for s, g in zip(measured.stretches, self.group, strict=True):
+            for s, g in zip(measured.segments, self.group, strict=True):
                 if s.stop - s.start > 2 * order:
                     taps = self.filters[g, c, ::-1] / (self.sigma[g, c] * self.scale[c])
                     end = at + s.stop - s.start - order

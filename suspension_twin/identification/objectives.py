@@ -44,13 +44,13 @@ class Term:
 
 @dataclass(frozen=True, eq=False)
 class Measured:
-    """The measured side: ``values`` (M, C), one column a channel, ``rate`` Hz, the stretches (slices of
+    """The measured side: ``values`` (M, C), one column a channel, ``rate`` Hz, the segments (slices of
     the M samples) within which samples follow each other without a gap, and the number of the drive
-    that each stretch belongs to. ``bandwidth`` Hz: the cut-off of the low-pass that both sides went through."""
+    that each segment belongs to. ``bandwidth`` Hz: the cut-off of the low-pass that both sides went through."""
 
     channels: tuple[str, ...]
     values: Floats
-    stretches: tuple[slice, ...]
+    segments: tuple[slice, ...]
     rate: float
     drives: tuple[int, ...] = ()
     bandwidth: float = 20.0
@@ -158,19 +158,19 @@ class Objective:
         return float(np.sqrt(squares)) if self._distance else float(squares)
 
     def _levels(self, x: Floats, channel: str) -> Floats:
-        """(B, L) decimal logarithms of the power in sixth-octave bands, averaged over the stretches."""
+        """(B, L) decimal logarithms of the power in sixth-octave bands, averaged over the segments."""
         from scipy import signal  # half a second to import, and no preset needs it
 
         rate = self.measured.rate
-        longest = max(s.stop - s.start for s in self.measured.stretches)
+        longest = max(s.stop - s.start for s in self.measured.segments)
         window = min(longest, 4 * int(rate))
         density, weight = 0.0, 0
-        for stretch in self.measured.stretches:
-            length = stretch.stop - stretch.start
+        for segment in self.measured.segments:
+            length = segment.stop - segment.start
             if length < window // 2:
                 continue
             frequency, part = signal.welch(
-                x[stretch], rate, nperseg=min(window, length), nfft=window, axis=0, detrend="constant"
+                x[segment], rate, nperseg=min(window, length), nfft=window, axis=0, detrend="constant"
             )
             density, weight = density + length * part, weight + length
         edges = 0.5 * 2.0 ** (np.arange(0, int(6 * np.log2(0.4 * rate / 0.5)) + 1) / 6)
@@ -190,7 +190,7 @@ class Objective:
         costs = np.empty(candidates.shape[1])
         for lane in range(candidates.shape[1]):
             rating, samples = 0.0, 0
-            for s in self.measured.stretches:
+            for s in self.measured.segments:
                 length = s.stop - s.start
                 rating += length * float(
                     iso18571(measured[s], candidates[s, lane], self.measured.rate).overall

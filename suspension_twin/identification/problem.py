@@ -26,7 +26,7 @@ from suspension_twin.models.simulate import simulate_lanes
 from suspension_twin.models.types import LaneResponse
 from suspension_twin.vehicle.twin import Twin
 
-__all__ = ["FitProblem", "Interrupted", "Problem", "stretches_of"]
+__all__ = ["FitProblem", "Interrupted", "Problem", "segments_of"]
 
 _SYNC_STEP, _SYNC_LIMIT = 1e-3, 0.1  # s
 # Simulated signals kept at once, in numbers: 25 million are 200 MB.
@@ -41,7 +41,7 @@ def _never() -> bool:
     return False
 
 
-def stretches_of(rows: NDArray[np.intp], offset: int) -> list[slice]:
+def segments_of(rows: NDArray[np.intp], offset: int) -> list[slice]:
     """Runs of consecutive samples in ``rows``, as slices of their own numbering from ``offset`` on."""
     if not rows.size:
         return []
@@ -79,13 +79,13 @@ class Problem:
         self.rows = list(rows)
         self.nuisances = Nuisances(self.parts, self.drive_of, self.channels, priors, wander)
         measured: list[Floats] = []
-        stretches: list[slice] = []
+        segments: list[slice] = []
         drives: list[int] = []
         offset = 0
         for part, own, drive in zip(self.parts, self.rows, self.drive_of, strict=True):
             measured.append(np.stack([part.measured[c][own] for c in self.channels], axis=1))
-            runs = stretches_of(own, offset)
-            stretches += runs
+            runs = segments_of(own, offset)
+            segments += runs
             drives += [drive] * len(runs)
             offset += own.size
         if offset == 0:
@@ -93,7 +93,7 @@ class Problem:
         self.measured = Measured(
             self.channels,
             np.concatenate(measured),
-            tuple(stretches),
+            tuple(segments),
             self.parts[0].rate,
             tuple(drives),
             self.parts[0].bandwidth,

@@ -104,7 +104,7 @@ def car_lanes(
     blocks = LaneBlocks(known)
     full = not vertical_only or bool(known.stages)
     signals = np.empty((len(excitation), 7 if full else 1, blocks.width))
-    for begin, end in _stretches(known, excitation):
+    for begin, end in _segments(known, excitation):
         road, own = _roads(known, blocks, excitation, begin, end, strict=False)
         blocks.walk(
             road,
@@ -143,7 +143,7 @@ def full_response(known: Constants, excitation: Excitation, radius: float) -> Re
     n = len(excitation)
     out = np.empty((n, OBSERVED))
     values = np.ascontiguousarray(known.values[:, 0])
-    for begin, end in _stretches(known, excitation, _CHUNK):
+    for begin, end in _segments(known, excitation, _CHUNK):
         signals = np.empty((end - begin, 7, rows.WIDTH))
         states = np.empty((end - begin, rows.STATES, rows.WIDTH))
         road, own = _roads(known, blocks, excitation, begin, end)
@@ -160,9 +160,7 @@ def full_response(known: Constants, excitation: Excitation, radius: float) -> Re
     return Response(t=excitation.t, **{name: out[:, column] for name, column in COLUMNS.items()})
 
 
-def _stretches(
-    known: Constants, excitation: Excitation, most: int | None = None
-) -> Iterator[tuple[int, int]]:
+def _segments(known: Constants, excitation: Excitation, most: int | None = None) -> Iterator[tuple[int, int]]:
     """Parts of the drive, begin and end, that are walked at once."""
     n = len(excitation)
     if known.road is not None:

@@ -256,5 +256,5 @@ def _how(d: dict[str, Any]) -> Section:
         "The gap before is that of the twin as given, the gap after that of the written twin, with the file's clock, "
         "map and biases; both on road that the fit has not used. Probabilities come from cross-validation, its folds "
         "resampled many times. Model discrepancy is correlated from sample to sample: the effective sample size is "
-        f"reduced accordingly (factor {d['background']['noise_share_of_the_rest']:.2g}). Seed {d['seed']}.",
+        f"reduced accordingly (factor {d['background']['noise_share_of_residual']:.2g}). Seed {d['seed']}.",
     )

@@ -84,14 +84,14 @@ def test_an_effect_everywhere_is_one_of_the_vehicle(leaning: Bench) -> None:
     before = ~np.array(leaning.active)[leaning.whitener.drive]
     own, _ = replace(leaning, problem=problem).residuals(BASELINE, z)
     plain, _ = leaning.residuals(BASELINE, z)
-    always, _ = leaning.residuals(stiff.always(), np.concatenate([z, u]))
+    always, _ = leaning.residuals(stiff.on_all_drives(), np.concatenate([z, u]))
     shown, _ = leaning.residuals(stiff, np.concatenate([z, u]))
     assert_allclose(always, own, atol=1e-9)
     assert_allclose(shown[before], plain[before], atol=1e-9)
     assert_allclose(shown[~before], own[~before], atol=1e-9)
     assert np.abs(own - plain)[before].max() > 0.05
-    both = combined(Hypothesis(("strut_friction",)), stiff.always())
-    assert both.before() == stiff.always() and both.rows(stiff) == [len(both) - 1]
+    both = combined(Hypothesis(("strut_friction",)), stiff.on_all_drives())
+    assert both.on_reference() == stiff.on_all_drives() and both.rows(stiff) == [len(both) - 1]
     mixed, _ = leaning.residuals(both, np.concatenate([z, both.neutral()[:-1, None], u]))
     assert_allclose(mixed, own, atol=1e-9)
 
@@ -100,9 +100,9 @@ def test_known_columns_and_those_of_effects_are_the_whole_jacobian(leaning: Benc
     effect = Hypothesis(("tyre_damping",))
     x = np.concatenate([leaning.centre, [0.7]])
     whole = leaning.linearise(effect, x)
-    residual, columns = leaning.effects_alone(effect, x)
+    residual, columns = leaning.effect_columns(effect, x)
     assert_allclose(residual, whole.residual, atol=1e-9)
-    model = whole.first(leaning.d + leaning.q).beyond(residual, columns)
+    model = whole.first(leaning.d + leaning.q).with_effects(residual, columns)
     for name in ("value", "squares", "slope"):
         found, expected = getattr(model, name), getattr(whole.model, name)
         assert_allclose(found, expected, rtol=1e-6, atol=1e-6 * np.abs(expected).max())
@@ -113,7 +113,7 @@ def test_known_columns_and_those_of_effects_are_the_whole_jacobian(leaning: Benc
 @pytest.mark.parametrize("heard", [None, (1,)])
 def test_the_jacobian_is_what_every_unknown_changes(leaning: Bench, heard: tuple[int, ...] | None) -> None:
     """Each column anew by a step of its own, whether it is simulated, shifted or known beforehand."""
-    bench = replace(leaning, heard=heard)
+    bench = replace(leaning, counted_drives=heard)
     effect, d = Hypothesis(("tyre_damping",)), bench.d
     x = np.concatenate([bench.centre, [0.7]])
     x[d : d + bench.q] = 0.3 * bench.problem.nuisances.spread
@@ -148,7 +148,7 @@ def test_what_changed_is_told_from_what_was_there_before(make: Any) -> None:
     """A low-pass that the sensor always had makes a low-pass on the drives with the gap gain more than the late clock
     that came since."""
     low = EffectSpec(id="sensor_bandwidth", parameters={"cutoff": 16.0})
-    twin, bags, reference = make("time_offset", {"offset": 0.009}, reference=True, always=(low,))
+    twin, bags, reference = make("time_offset", {"offset": 0.009}, reference=True, preexisting=(low,))
     effects = ("sensor_bandwidth", "time_offset", "strut_friction", "tyre_damping")
     document = diagnose(DiagnosisRequest(str(twin), tuple(bags), tuple(reference), effects=effects)).document
     assert document["combination"] == ["time_offset"], document["message"]

@@ -43,32 +43,34 @@ def test_a_gross_fault_is_named_with_its_size(
 
 def test_a_prior_moves_to_what_is_far_and_stays_for_what_is_near(car: Twin) -> None:
     tilt, clock = variants(EFFECTS["sensor_tilt"], car)[0], variants(EFFECTS["time_offset"], car)[0]
-    moved = coarse_search.about(tilt, np.array([0.5, -1.0, 31.0]))
+    moved = coarse_search.recentred(tilt, np.array([0.5, -1.0, 31.0]))
     assert moved.centre().tolist() == [0.0, 0.0, 31.0]
-    assert coarse_search.about(tilt, np.array([0.5, -1.0, 2.9])) is tilt
+    assert coarse_search.recentred(tilt, np.array([0.5, -1.0, 2.9])) is tilt
     both = combined(moved, clock)
     assert both.centre().tolist() == [0.0, 0.0, 31.0, 0.0]
     assert both.without("time_offset") == moved
     assert both.without("sensor_tilt").centre().tolist() == [0.0]
-    charged = coarse_search.waived(np.array([[0.5, 31.0], [2.0, 0.0]]))
-    assert charged.tolist() == [0.0, 31.0**2 - coarse_search.PRICE]
+    charged = coarse_search.waived_penalty(np.array([[0.5, 31.0], [2.0, 0.0]]))
+    assert charged.tolist() == [0.0, 31.0**2 - coarse_search.MISALIGNMENT_PENALTY]
 
 
 def test_only_what_can_be_set_wrong_is_looked_for_everywhere(car: Twin) -> None:
     for name, effect in EFFECTS.items():
         if "full_car" not in effect.hook.models:
             continue
-        points = coarse_search._everywhere(turned_by(1.5), variants(effect, car)[0])
+        points = coarse_search._severity_grid(turned_by(1.5), variants(effect, car)[0])
         if effect.where not in SETTINGS:
             assert points is None, name
         elif points is not None:
             low, high = variants(effect, car)[0].bounds()
             assert (points >= low[:, None] - 1e-9).all() and (points <= high[:, None] + 1e-9).all()
-    assert np.shape(coarse_search._everywhere(turned_by(1.5), variants(EFFECTS["time_offset"], car)[0])) == (
+    assert np.shape(
+        coarse_search._severity_grid(turned_by(1.5), variants(EFFECTS["time_offset"], car)[0])
+    ) == (
         1,
         201,
     )
-    assert coarse_search._seen(turned_by(0.1), variants(EFFECTS["sensor_tilt"], car)[0]) is None
+    assert coarse_search._measured_turn(turned_by(0.1), variants(EFFECTS["sensor_tilt"], car)[0]) is None
 
 
 def turned_by(yaw: float) -> Any:

@@ -193,7 +193,7 @@ def test_effects_asked_for_by_name_on_the_command_line(
 
 def test_two_causes_are_named_together_and_nothing_has_to_tell_them_apart(make: Any) -> None:
     elsewhere = EffectSpec(id="sensor_offset", parameters={"x": 0.8, "y": 0.0, "z": 0.0})
-    case = make("strut_friction", {"front_force": 250.0, "rear_force": 250.0}, always=(elsewhere,))
+    case = make("strut_friction", {"front_force": 250.0, "rear_force": 250.0}, preexisting=(elsewhere,))
     effects = ("strut_friction", "sensor_offset", "payload")
     document = diagnose(replace(ask(case), effects=effects)).document
     assert set(document["combination"]) == {"strut_friction", "sensor_offset"}, document["message"]
@@ -202,7 +202,7 @@ def test_two_causes_are_named_together_and_nothing_has_to_tell_them_apart(make: 
         first["probability"] == pytest.approx(second["probability"], abs=1e-4) and other["probability"] < 0.01
     )
     assert not any(c["indistinguishable_from"] for c in document["causes"])
-    assert document["next_experiment"].startswith("None is needed to tell candidates apart.")
+    assert document["next_experiment"].startswith("None is needed to separate candidates.")
 
 
 def test_what_a_converter_cuts_off_is_compared(make: Any) -> None:

@@ -16,7 +16,7 @@ from suspension_twin.diagnosis import evidence as judge
 from suspension_twin.diagnosis import fit
 from suspension_twin.diagnosis.bench import Linearised
 from suspension_twin.diagnosis.evidence import FOLDS, Blocks, held_out, intervals
-from suspension_twin.diagnosis.fit import Linear, fitted, refit, screened, swept
+from suspension_twin.diagnosis.fit import LinearisedFit, coordinate_scan, fitted, refit, screen
 from suspension_twin.diagnosis.hypotheses import BASELINE, Hypothesis
 
 STOP = Hypothesis(("rebound_stop",))
@@ -77,14 +77,14 @@ def bench() -> Any:
     )
 
 
-def at(bench: Any, x: np.ndarray) -> Linear:
-    return Linear(STOP, x, float(bench.costs(STOP, x[:, None])[0]), bench.linearise(STOP, x))
+def at(bench: Any, x: np.ndarray) -> LinearisedFit:
+    return LinearisedFit(STOP, x, float(bench.costs(STOP, x[:, None])[0]), bench.linearise(STOP, x))
 
 
 def test_a_coordinate_that_nothing_touches_is_swept_into_the_valley(bench: Any) -> None:
     stuck, cost = refit(bench, STOP, [np.array([0.0, 0.6, 1.0, 0.0])], None, 30)
     assert stuck[2] > 0.3 and cost > 500, "no descent gets out of there"
-    begun = swept(bench, at(bench, stuck))
+    begun = coordinate_scan(bench, at(bench, stuck))
     assert begun is not None
     found, cost = refit(bench, STOP, [begun], None, 30)
     assert_allclose(found[1:], TRUTH, atol=0.02)
@@ -115,11 +115,11 @@ def test_a_sparing_fit_linearises_half_as_often(bench: Any) -> None:
         return here.residual, np.ascontiguousarray(here.jacobian[:, 1:])
 
     bench.linearise = lambda hypothesis, x: (places.append(tuple(x)), linearise(hypothesis, x))[1]
-    bench.effects_alone = alone
+    bench.effect_columns = alone
     start = np.array([0.0, 0.6, 0.2, 0.0])
     whole, _ = refit(bench, STOP, [start], None, 30)
     often = len(places)
-    spared, _ = refit(bench, STOP, [start], None, 30, sparing=True)
+    spared, _ = refit(bench, STOP, [start], None, 30, alternate_jacobian=True)
     assert_allclose(spared, whole, atol=0.02)
     assert often > 1 and len(places) - often <= (often + 1) // 2
 
@@ -137,14 +137,14 @@ def test_a_step_that_fails_is_tried_shorter_from_the_same_linearisation(bench: A
 
 def test_what_is_best_stays(bench: Any) -> None:
     best, _ = refit(bench, STOP, [np.array([0.5, *TRUTH])], None, 30)
-    assert swept(bench, at(bench, best)) is None
+    assert coordinate_scan(bench, at(bench, best)) is None
 
 
 def test_candidates_that_fail_are_passed_over(bench: Any) -> None:
     stuck, _ = refit(bench, STOP, [np.array([0.0, 0.6, 1.0, 0.0])], None, 30)
     bench.residuals = lambda hypothesis, x: (np.zeros((4, x.shape[1])), np.ones(x.shape[1], dtype=bool))
     bench.costs = lambda hypothesis, x: np.full(x.shape[1], np.inf)
-    assert swept(bench, at(bench, stuck)) is None
+    assert coordinate_scan(bench, at(bench, stuck)) is None
 
 
 def walled(x: np.ndarray) -> np.ndarray:
@@ -206,17 +206,17 @@ def test_what_one_fold_alone_tells_of_the_vehicle_is_not_lost_with_it(
 
     bench = hilly(shape, 1, np.eye(2), hypothesis)
     x, cost = refit(bench, hypothesis, [np.array([0.5, 1.0])], None, 60)
-    at = Linear(hypothesis, x, cost, bench.linearise(hypothesis, x))
+    at = LinearisedFit(hypothesis, x, cost, bench.linearise(hypothesis, x))
     blocks = Blocks(rows, rows, FOLDS)
     fitted = np.sum(at.at.residual**2)
     out = held_out(bench, at, blocks)
     assert_allclose(out.unknowns[0], x[0], atol=0.02)
     assert out.unknowns[1, 2] == pytest.approx(0.0, abs=1e-6) and x[1] > 0.8
     moved = shape(np.array([[x[0]], [0.0]]))
-    assert np.sum(out.left**2) < 1.2 * np.sum(moved**2)
+    assert np.sum(out.residual**2) < 1.2 * np.sum(moved**2)
     monkeypatch.setattr(judge, "_HELD", (0.0,))
     free = held_out(bench, at, blocks)
-    assert np.sum(free.left**2) > 10 * np.sum(out.left**2) > 10 * fitted
+    assert np.sum(free.residual**2) > 10 * np.sum(out.residual**2) > 10 * fitted
 
 
 @pytest.mark.parametrize("seed", range(5))
@@ -248,9 +248,9 @@ def test_no_start_ranks_by_a_clock_beyond_its_limit(seed: int) -> None:
     )
     x, cost = best(0.0)
     assert (np.abs(x[1:]) > 3.0 - 1e-6).any(), "a nuisance is at its limit"
-    base = Linear(BASELINE, x, cost, Linearised(x, a[:, :5] @ x - b, a[:, :5]))
+    base = LinearisedFit(BASELINE, x, cost, Linearised(x, a[:, :5] @ x - b, a[:, :5]))
     starts = np.array([[-1.5, 0.3, 2.0]])
-    tried = screened(bench, base, effect, starts)
+    tried = screen(bench, base, effect, starts)
     assert_allclose(tried.cost, sorted(best(u)[1] for u in starts[0]), rtol=0.01)
     assert all((np.abs(found[1:5]) <= 3.0 + 1e-9).all() for found in tried.x)
 
@@ -260,7 +260,7 @@ def test_a_models_own_error_widens_intervals_up_to_the_bounds() -> None:
     effect = Hypothesis(("tyre_damping",))
     a, rest = rng.normal(size=(60, 2)), rng.normal(size=60)
     bench: Any = SimpleNamespace(d=1, q=0, prior=lambda hypothesis: (np.eye(2), np.zeros(2)))
-    fit = Linear(effect, np.array([0.0, 2.0]), 0.0, Linearised(np.array([0.0, 2.0]), rest, a))
+    fit = LinearisedFit(effect, np.array([0.0, 2.0]), 0.0, Linearised(np.array([0.0, 2.0]), rest, a))
     blocks = Blocks(np.arange(60) // 6, np.arange(60) // 6, 10)
     (low, high), (lower, higher), (least, _) = (
         intervals(bench, fit, blocks, t)[0] for t in (1.0, 0.25, 0.001)

@@ -102,10 +102,10 @@ def test_combined_hypotheses_keep_their_order(car: Twin) -> None:
 def test_next_to_nothing_is_zero_or_either_end_of_what_goes_by_factors(car: Twin) -> None:
     effects = {e: variants(EFFECTS[e], car) for e in ("strut_friction", "sensor_bandwidth", "top_mount")}
     friction, band, mount = (effects[e][0] for e in ("strut_friction", "sensor_bandwidth", "top_mount"))
-    np.testing.assert_array_equal(friction.slightest()[:, 0], friction.neutral())
-    assert friction.slightest().shape[1] == 1
-    assert sorted(band.values(band.slightest())[0]) == pytest.approx([0.5, 500.0])
-    ends = mount.values(mount.slightest())
+    np.testing.assert_array_equal(friction.negligible()[:, 0], friction.neutral())
+    assert friction.negligible().shape[1] == 1
+    assert sorted(band.values(band.negligible())[0]) == pytest.approx([0.5, 500.0])
+    ends = mount.values(mount.negligible())
     assert ends.shape == (2, 2) and (ends[0] == ends[1]).all() and ends[0, 0] != ends[0, 1]
 
 
@@ -123,12 +123,12 @@ def test_preexisting_effects_are_there_before_and_what_came_since_is_not(car: Tw
     known = library(car, True)
     late, trait, other = (
         known["strut_friction"][0],
-        known["corner_damper"][2].always(),
-        known["payload"][0].always(),
+        known["corner_damper"][2].preexisting(),
+        known["payload"][0].preexisting(),
     )
     whole = combined(late, trait, other)
     assert whole.effects == ("strut_friction", "corner_damper", "payload")
-    assert whole.before() == combined(trait, other)
-    assert whole.without("payload").before() == trait
+    assert whole.on_reference() == combined(trait, other)
+    assert whole.without("payload").on_reference() == trait
     assert [whole.keys[i] for i in whole.rows(other)] == list(other.keys)
-    assert not late.before().effects and not late.before().keys
+    assert not late.on_reference().effects and not late.on_reference().keys

@@ -17,9 +17,9 @@ from suspension_twin.diagnosis.conclude import _message
 from suspension_twin.diagnosis.evidence import Blocks, Evidence, weights
 from suspension_twin.diagnosis.gates import Gatekeeper
 from suspension_twin.diagnosis.hypotheses import Hypothesis
-from suspension_twin.diagnosis.localisation import _frequency, _usual
+from suspension_twin.diagnosis.localisation import _expected_density, _frequency
 from suspension_twin.diagnosis.operating import _corners, _points
-from suspension_twin.diagnosis.shrink import Remainder, Shrink, shrink_of
+from suspension_twin.diagnosis.shrink import RemainingResidual, Shrink, shrink_of
 from suspension_twin.diagnosis.verdict import Gates
 
 RATE, CHANNEL = 100.0, "vertical_acceleration"
@@ -32,7 +32,7 @@ def bench(lengths: list[int], values: np.ndarray, active: tuple[bool, ...] | Non
     stretches = [slice(int(a), int(b)) for a, b in zip(ends[:-1], ends[1:], strict=True)]
     measured = SimpleNamespace(
         channels=(CHANNEL,),
-        stretches=stretches,
+        segments=stretches,
         drives=list(range(len(lengths))),
         rate=RATE,
         independent=0.4,
@@ -94,9 +94,12 @@ def test_a_share_of_the_motion_is_even_and_an_order_is_not(seed: int) -> None:
     order = 0.3 * np.sin(2 * np.pi * 7.0 * np.arange(n) / RATE)
     there = bench([n], motion[:, None])
     left = (0.1 * own)[:, None]
-    assert verdict.even(there, Remainder(left, left), noise) > 0.9
+    assert verdict.smooth_spectrum(there, RemainingResidual(left, left), noise) > 0.9
     loud = left + order[:, None]
-    assert verdict.even(bench([n], (motion + order)[:, None]), Remainder(loud, loud), noise) < 0.1
+    assert (
+        verdict.smooth_spectrum(bench([n], (motion + order)[:, None]), RemainingResidual(loud, loud), noise)
+        < 0.1
+    )
 
 
 @given(st.floats(3.0, 16.0), st.floats(0.02, 0.06), st.integers(0, 1000))
@@ -137,12 +140,12 @@ def test_what_a_reference_shows_as_well_is_no_band_of_the_gap() -> None:
         one += 0.12 * resonance(rng.standard_normal(k), 11.0, 0.04)
     there = bench(n, np.concatenate(motion)[:, None], (True, True, False))
     there.problem.channels = (CHANNEL,)
-    usual = _usual(there, np.concatenate(left)[:, None], 0)
+    usual = _expected_density(there, np.concatenate(left)[:, None], 0)
     band = _frequency(there, left[:2], 0.01, usual)[0]
     assert band["low_hz"] < 11.0 < band["high_hz"]
     # without the reference the larger band is the answer
     alone = bench(n[:2], np.concatenate(motion[:2])[:, None])
-    plain = _usual(alone, np.concatenate(left[:2])[:, None], 0)
+    plain = _expected_density(alone, np.concatenate(left[:2])[:, None], 0)
     assert not plain.any()
     band = _frequency(alone, left[:2], 0.01, plain)[0]
     assert band["low_hz"] < 4.0 < band["high_hz"]
@@ -169,8 +172,8 @@ def fitted(hypothesis: Hypothesis, nuisances: dict[str, float], values: dict[str
 @pytest.mark.parametrize(("mass", "low", "high"), [(30.0, 0.0, 0.05), (60.0, 0.45, 0.55), (150.0, 0.99, 1.0)])
 def test_a_payload_has_to_be_more_than_a_file_is_off_by(mass: float, low: float, high: float) -> None:
     found = fitted(Hypothesis(("payload",)), {}, {"mass": mass, "x": 0.5, "y": 0.0})
-    assert low <= verdict.uncommon(*found) <= high
-    assert verdict.uncommon(*fitted(Hypothesis(("tyre_envelope",)), {}, {"length": 0.02})) == 1.0
+    assert low <= verdict.beyond_usual(*found) <= high
+    assert verdict.beyond_usual(*fitted(Hypothesis(("tyre_envelope",)), {}, {"length": 0.02})) == 1.0
 
 
 @pytest.mark.parametrize(
@@ -202,17 +205,19 @@ def test_a_payload_has_to_be_more_than_a_file_is_off_by(mass: float, low: float,
 )
 def test_what_every_car_has_is_no_finding(effect: str, values: dict[str, float], usual: bool) -> None:
     found = fitted(Hypothesis((effect,)), {}, values)
-    assert (verdict.uncommon(*found) < 0.01) == usual and (verdict.uncommon(*found) > 0.99) == (not usual)
+    assert (verdict.beyond_usual(*found) < 0.01) == usual and (verdict.beyond_usual(*found) > 0.99) == (
+        not usual
+    )
     # where a reference shows the same car, what it had before is in both; a clock is another on every drive
-    with_reference = verdict.uncommon(*found, changed=True)
-    assert with_reference == (verdict.uncommon(*found) if effect == "clock_drift" else 1.0)
+    with_reference = verdict.beyond_usual(*found, changed=True)
+    assert with_reference == (verdict.beyond_usual(*found) if effect == "clock_drift" else 1.0)
 
 
 def test_a_clock_that_is_late_within_what_is_normal_at_either_end_does_not_drift() -> None:
     hypothesis = Hypothesis(("clock_drift",))
 
     def uncommon(ppm: float, clocks: dict[str, float]) -> float:
-        return verdict.uncommon(*fitted(hypothesis, clocks, {"drift_ppm": ppm}), changed=True)
+        return verdict.beyond_usual(*fitted(hypothesis, clocks, {"drift_ppm": ppm}), changed=True)
 
     one = {"drive_fast.clock_offset": 0.0, "clock_offset": 0.0}  # 40 s and 2 ms: four of these are 200 ppm
     assert uncommon(-200.0, one) == pytest.approx(0.5)
@@ -224,10 +229,10 @@ def test_a_clock_that_is_late_within_what_is_normal_at_either_end_does_not_drift
 
 def test_what_is_named_in_part_is_shared_with_unknown_by_how_much_is_gone() -> None:
     half = verdict.Gates(1.0, 0.5, 1.0)
-    assert verdict.explained(half, 0.0) == 0.5 and verdict.explained(half, 1.0) == 1.0
-    assert verdict.explained(half, -0.3) == 0.5
-    assert verdict.explained(half, 0.8) == pytest.approx(0.5 + 0.5 * 0.64)
-    assert verdict.explained(half, 0.2, 0.7) == pytest.approx(0.5 + 0.5 * 0.7)
+    assert verdict.retained_share(half, 0.0) == 0.5 and verdict.retained_share(half, 1.0) == 1.0
+    assert verdict.retained_share(half, -0.3) == 0.5
+    assert verdict.retained_share(half, 0.8) == pytest.approx(0.5 + 0.5 * 0.64)
+    assert verdict.retained_share(half, 0.2, 0.7) == pytest.approx(0.5 + 0.5 * 0.7)
 
 
 def test_what_is_gone_is_counted_above_what_a_sound_model_leaves() -> None:
@@ -237,26 +242,26 @@ def test_what_is_gone_is_counted_above_what_a_sound_model_leaves() -> None:
         )
 
     base = left(6.5, 2.5, 3.5, 1.2)
-    assert verdict.gone(base, base, [0, 1]) == 0.0
-    assert verdict.gone(left(1.5, 1.4, 1.0, 1.5), base, [0, 1]) == 1.0
+    assert verdict.explained_share(base, base, [0, 1]) == 0.0
+    assert verdict.explained_share(left(1.5, 1.4, 1.0, 1.5), base, [0, 1]) == 1.0
     # of 5 + 1 + 2 beyond what a sound model has, 1 stays
-    assert verdict.gone(left(2.5, 1.0, 1.0, 1.0), base, [0, 1]) == pytest.approx(1.0 - 1.0 / 8.0)
+    assert verdict.explained_share(left(2.5, 1.0, 1.0, 1.0), base, [0, 1]) == pytest.approx(1.0 - 1.0 / 8.0)
     # drives from before that are the worse for it count against it, other channels do not count
-    assert verdict.gone(left(2.5, 5.5, 1.0, 1.0), base, [0, 1]) == pytest.approx(1.0 - 5.0 / 8.0)
-    assert verdict.gone(left(6.5, 2.5, 1.0, 1.0), base, [0]) == 0.0
+    assert verdict.explained_share(left(2.5, 5.5, 1.0, 1.0), base, [0, 1]) == pytest.approx(1.0 - 5.0 / 8.0)
+    assert verdict.explained_share(left(6.5, 2.5, 1.0, 1.0), base, [0]) == 0.0
     # worse than nothing is nothing; where nothing is beyond, nothing is gone
-    assert verdict.gone(left(9.0, 9.0, 9.0, 9.0), base, [0, 1]) == 0.0
-    assert verdict.gone(left(1.0, 1.0, 1.0, 1.0), left(1.4, 1.1, 1.0, 1.0), [0, 1]) == 0.0
+    assert verdict.explained_share(left(9.0, 9.0, 9.0, 9.0), base, [0, 1]) == 0.0
+    assert verdict.explained_share(left(1.0, 1.0, 1.0, 1.0), left(1.4, 1.1, 1.0, 1.0), [0, 1]) == 0.0
 
 
 def test_a_reference_that_two_vehicles_pull_at_is_disturbed() -> None:
     def told(there: float) -> Any:
         return SimpleNamespace(level={(0, True): 9.0, (0, False): 1.1, (1, True): 9.0, (1, False): there})
 
-    assert verdict.undisturbed(told(1.2), [0, 1]) > 0.99
-    assert verdict.undisturbed(told(2.0), [0, 1]) == pytest.approx(0.5)
-    assert verdict.undisturbed(told(3.0), [0, 1]) < 0.02
-    assert verdict.undisturbed(SimpleNamespace(level={(0, True): 9.0}), [0]) == 1.0  # type: ignore[arg-type]
+    assert verdict.reference_unaffected(told(1.2), [0, 1]) > 0.99
+    assert verdict.reference_unaffected(told(2.0), [0, 1]) == pytest.approx(0.5)
+    assert verdict.reference_unaffected(told(3.0), [0, 1]) < 0.02
+    assert verdict.reference_unaffected(SimpleNamespace(level={(0, True): 9.0}), [0]) == 1.0  # type: ignore[arg-type]
 
 
 @pytest.mark.parametrize(
@@ -294,15 +299,15 @@ def test_with_a_reference_a_cause_is_named_where_it_is_likelier_than_none(named:
 def test_what_gains_many_times_as_much_as_any_other_stands_alone() -> None:
     gains, none = np.full(12, 10.0), np.zeros(2)
     gains[3] = 300.0
-    assert verdict.unmatched(gains, none) == pytest.approx(np.where(np.arange(12) == 3, 0.9, 0.0))
+    assert verdict.dominance_of(gains, none) == pytest.approx(np.where(np.arange(12) == 3, 0.9, 0.0))
     # a second one that gains nearly as much, or a shape that many things have: neither is what it is for sure
     gains[4] = 250.0
-    assert not verdict.unmatched(gains, none).any()
+    assert not verdict.dominance_of(gains, none).any()
     gains[4] = 10.0
-    assert not verdict.unmatched(gains, np.array([0.0, 150.0])).any()
+    assert not verdict.dominance_of(gains, np.array([0.0, 150.0])).any()
     # with few effects to choose from the best of them says little, and losses are no gains
-    assert not verdict.unmatched(gains[:9], none).any()
-    assert not verdict.unmatched(np.full(12, -5.0), none).any()
+    assert not verdict.dominance_of(gains[:9], none).any()
+    assert not verdict.dominance_of(np.full(12, -5.0), none).any()
 
 
 def test_what_is_gained_on_unseen_road_alone_is_chance() -> None:
@@ -324,7 +329,7 @@ def test_clocks_that_are_all_at_their_limit_make_up_for_something() -> None:
     def punctual(*own: float) -> float:
         nuisances = {"map_position": 3.0, "clock_offset": -3.0}
         nuisances |= {f"drive_{i}.clock_offset": v for i, v in enumerate(own)}
-        return verdict.punctual(*fitted(Hypothesis(), nuisances, {}), 1.0)
+        return verdict.clocks_within_limits(*fitted(Hypothesis(), nuisances, {}), 1.0)
 
     assert punctual(3.0, 3.0, -3.0) < 0.05
     assert punctual(-3.0, 0.5, 1.0) > 0.99 and punctual(0.1, 0.2) > 0.99
@@ -376,8 +381,8 @@ def test_another_drive_is_less_sure_where_drives_differ() -> None:
     after = before * np.repeat([0.2, 0.8], n)[:, None]
     blocks = Blocks(np.tile(np.arange(n) // 100, 2), np.zeros(0, dtype=int), n // 100)
     there, args = bench([n, n], before), (blocks, 0.0, 0, 0)
-    one = Remainder(before, before), Remainder(after, after)
-    same, another = shrink_of(there, *one, *args), shrink_of(there, *one, *args, another=True)
+    one = RemainingResidual(before, before), RemainingResidual(after, after)
+    same, another = shrink_of(there, *one, *args), shrink_of(there, *one, *args, new_drive=True)
     expected = 1 - np.sqrt(np.mean(after**2) / np.mean(before**2))
     assert same.shrink == another.shrink == pytest.approx(expected)
     assert another.interval[0] < 0.25 and another.interval[1] > 0.75  # it may be like either
@@ -396,7 +401,14 @@ def test_the_interval_holds_for_one_more_drive(drives: int) -> None:
         after = np.repeat(there, n)[:, None] * rng.standard_normal((drives * n, 1))
         some = bench([n] * drives, before)
         found = shrink_of(
-            some, Remainder(before, before), Remainder(after, after), blocks, 0.0, 0, seed, True
+            some,
+            RemainingResidual(before, before),
+            RemainingResidual(after, after),
+            blocks,
+            0.0,
+            0,
+            seed,
+            True,
         )
         held += found.interval[0] <= 1 - further <= found.interval[1]
     assert 0.84 <= held / 200 <= 0.99
@@ -409,7 +421,14 @@ def test_a_drive_whose_gap_is_gone_leaves_the_interval_finite() -> None:
     blocks = Blocks(np.tile(np.arange(1000) // 50, 2), np.zeros(0, dtype=int), 20)
     some = bench([1000, 1000], before)
     found = shrink_of(
-        some, Remainder(before, before), Remainder(after, after), blocks, 1e-3, 0, 0, another=True
+        some,
+        RemainingResidual(before, before),
+        RemainingResidual(after, after),
+        blocks,
+        1e-3,
+        0,
+        0,
+        new_drive=True,
     )
     assert np.isfinite(found.interval).all() and found.interval[0] <= found.shrink <= found.interval[1] <= 1.0
 
@@ -417,29 +436,31 @@ def test_a_drive_whose_gap_is_gone_leaves_the_interval_finite() -> None:
 def test_settled_differences_are_compared_where_asked() -> None:
     x = np.random.default_rng(2).standard_normal((1000, 1))
     blocks = Blocks(np.arange(1000) // 50, np.zeros(0, dtype=int), 20)
-    before, after = Remainder(x, x), Remainder(x, 0.5 * x)
+    before, after = RemainingResidual(x, x), RemainingResidual(x, 0.5 * x)
     args = (bench([1000], x), before, after, blocks, 0.0, 0, 0)
     assert shrink_of(*args).shrink == pytest.approx(0.0)
-    assert shrink_of(*args, settled=True).shrink == pytest.approx(0.5)
+    assert shrink_of(*args, with_nuisances=True).shrink == pytest.approx(0.5)
 
 
 def test_how_much_is_left_is_told_with_nuisances_where_they_were_fitted_where_asked() -> None:
     x = np.random.default_rng(3).standard_normal((1000, 1))
-    left = Remainder(0.4 * x, 0.1 * x)
+    left = RemainingResidual(0.4 * x, 0.1 * x)
     at = bench([1000], x)
     noise = dict.fromkeys(at.problem.measured.channels, 1e-6)
-    assert verdict.level_of(at, left, noise, list(noise), shown=True) == pytest.approx(0.4, rel=1e-3)
-    assert verdict.level_of(at, left, noise, list(noise), shown=True, settled=True) == pytest.approx(
-        0.1, rel=1e-3
+    assert verdict.relative_residual(at, left, noise, list(noise), with_gap=True) == pytest.approx(
+        0.4, rel=1e-3
     )
+    assert verdict.relative_residual(
+        at, left, noise, list(noise), with_gap=True, with_nuisances=True
+    ) == pytest.approx(0.1, rel=1e-3)
 
 
 def test_what_is_gone_counts_from_what_a_sound_model_leaves() -> None:
-    assert verdict.closed(0.3, 0.3) == 0.0
-    assert verdict.closed(0.14, 0.3) == verdict.closed(0.05, 0.3) == 1.0
-    assert verdict.closed(0.4, 0.3) == 0.0  # what makes it worse takes nothing
-    assert verdict.closed(0.05, 0.13) == 0.0  # there was nothing to take
-    assert verdict.closed(0.22, 0.3) == pytest.approx((0.3**2 - 0.22**2) / (0.3**2 - 0.14**2))
+    assert verdict.explained_level_share(0.3, 0.3) == 0.0
+    assert verdict.explained_level_share(0.14, 0.3) == verdict.explained_level_share(0.05, 0.3) == 1.0
+    assert verdict.explained_level_share(0.4, 0.3) == 0.0  # what makes it worse takes nothing
+    assert verdict.explained_level_share(0.05, 0.13) == 0.0  # there was nothing to take
+    assert verdict.explained_level_share(0.22, 0.3) == pytest.approx((0.3**2 - 0.22**2) / (0.3**2 - 0.14**2))
 
 
 def test_a_cars_own_effect_may_ask_clocks_for_something() -> None:
@@ -449,16 +470,16 @@ def test_a_cars_own_effect_may_ask_clocks_for_something() -> None:
     x = rng.standard_normal((1000, 1)) + noise
     at, blocks = bench([1000], x), Blocks(np.arange(1000) // 50, np.zeros(0, dtype=int), 20)
     names = at.problem.measured.channels
-    base = Remainder(0.3 * x, 0.3 * x)
+    base = RemainingResidual(0.3 * x, 0.3 * x)
 
-    def gates(road: bool, after: Remainder) -> tuple[bool, float]:
+    def gates(road: bool, after: RemainingResidual) -> tuple[bool, float]:
         nothing: Any = None
         case: Any = SimpleNamespace(excited=road, road=road, driven=names)
         keeper = Gatekeeper(at, blocks, dict.fromkeys(names, 1e-3), None, 1.0, case, 0, nothing, base)
-        seen = [keeper.shrink(base, after, 0, way) for way in keeper._ways(0)]
-        return keeper._unspoilt(0, seen, 0.0) > 0.5, keeper.level(after)
+        seen = [keeper.shrink(base, after, 0, way) for way in keeper._nuisance_options(0)]
+        return keeper._not_traded(0, seen, 0.0) > 0.5, keeper.level(after)
 
-    spoilt = Remainder(0.4 * x, 0.1 * x)
+    spoilt = RemainingResidual(0.4 * x, 0.1 * x)
     assert gates(True, spoilt) == (True, pytest.approx(0.1, rel=1e-2))
     assert gates(False, spoilt) == (
         False,
@@ -479,12 +500,18 @@ def test_a_cause_that_shows_without_closing_the_gap_is_not_said_to_shrink_it() -
 
 def test_what_stands_in_takes_little_where_much_is_left() -> None:
     much, little = 0.17, 0.05  # of the motion
-    assert verdict.background(much, 0.01, 0.1) < 0.75 * verdict.background(much, 0.01)
-    assert verdict.background(much, 0.01, 0.8) > 0.95 > verdict.background(much, 0.01)
+    assert verdict.adequate_without_reference(much, 0.01, 0.1) < 0.75 * verdict.adequate_without_reference(
+        much, 0.01
+    )
     assert (
-        verdict.background(little, 0.01, 0.1) > 0.95
+        verdict.adequate_without_reference(much, 0.01, 0.8)
+        > 0.95
+        > verdict.adequate_without_reference(much, 0.01)
+    )
+    assert (
+        verdict.adequate_without_reference(little, 0.01, 0.1) > 0.95
     )  # what is so quiet lacks nothing, however it came about
-    shares = [verdict.background(much, 0.01, s) for s in np.linspace(-0.2, 1.1, 40)]
+    shares = [verdict.adequate_without_reference(much, 0.01, s) for s in np.linspace(-0.2, 1.1, 40)]
     assert (np.diff(shares) >= 0).all() and min(shares) > 0.0 and max(shares) < 1.0
     # both densities are ones: averaged over what stand-ins take, the odds are those of the level alone
     s = (np.arange(20000) + 0.5) / 20000
@@ -492,7 +519,9 @@ def test_what_stands_in_takes_little_where_much_is_left() -> None:
     of_a_stand_in = shape * (1.0 - s) ** (shape - 1.0)
     assert np.mean(of_a_stand_in) == pytest.approx(1.0, abs=1e-3)
     assert np.mean(s * of_a_stand_in) == pytest.approx(0.23, abs=1e-3)
-    told = verdict.background(much, 0.01, 0.4)
+    told = verdict.adequate_without_reference(much, 0.01, 0.4)
     odds = told / (1.0 - told)
-    alone = verdict.background(much, 0.01) / (1.0 - verdict.background(much, 0.01))
+    alone = verdict.adequate_without_reference(much, 0.01) / (
+        1.0 - verdict.adequate_without_reference(much, 0.01)
+    )
     assert odds / alone == pytest.approx(1.0 / (shape * 0.6 ** (shape - 1.0)))

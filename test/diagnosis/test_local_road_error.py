@@ -10,10 +10,15 @@ from typing import Any
 import numpy as np
 import pytest
 
-from suspension_twin.diagnosis.local_road_error import Likeness, as_surveyed, gathered, spread_out
+from suspension_twin.diagnosis.local_road_error import (
+    RoadErrorMatch,
+    concentrated_section,
+    no_concentration,
+    no_road_error,
+)
 from suspension_twin.diagnosis.request import DiagnosisRequest
 from suspension_twin.diagnosis.run import diagnose
-from suspension_twin.diagnosis.shrink import Remainder
+from suspension_twin.diagnosis.shrink import RemainingResidual
 from suspension_twin.report.diagnosis import diagnosis_page
 from suspension_twin.road import load_road, write_road
 
@@ -32,7 +37,7 @@ def bench(active: tuple[bool, ...], seed: int = 0) -> tuple[Any, list[np.ndarray
         channels=(CHANNEL,),
         values=np.concatenate(motion)[:, None],
         drives=list(range(len(active))),
-        stretches=[slice(int(a), int(b)) for a, b in zip(ends[:-1], ends[1:], strict=True)],
+        segments=[slice(int(a), int(b)) for a, b in zip(ends[:-1], ends[1:], strict=True)],
     )
     problem = SimpleNamespace(
         measured=measured,
@@ -45,7 +50,7 @@ def bench(active: tuple[bool, ...], seed: int = 0) -> tuple[Any, list[np.ndarray
 
 def rest(
     seen: Any, positions: list[np.ndarray], wrong: list[tuple[float, float] | None], seed: int = 1
-) -> Remainder:
+) -> RemainingResidual:
     """A fifth of the motion everywhere, and on the ``wrong`` stretch of a drive two or three times all of that."""
     rng = np.random.default_rng(seed)
     left = 0.2 * seen.problem.measured.values[:, 0]
@@ -55,54 +60,57 @@ def rest(
         size = np.sqrt(x.size / max(own.sum(), 1.0)) * 0.4
         more.append(size * own * rng.standard_normal(x.size))
     left = (left + np.concatenate(more))[:, None]
-    return Remainder(left, left)
+    return RemainingResidual(left, left)
 
 
 @pytest.mark.parametrize("seed", range(5))
 def test_a_share_of_the_motion_is_spread_out(seed: int) -> None:
     seen, positions = bench((True, True), seed)
-    found = gathered(seen, rest(seen, positions, [None, None], seed), NOISE)
-    assert found is not None and found.beyond < 0.1 and spread_out(found) > 0.99
+    found = concentrated_section(seen, rest(seen, positions, [None, None], seed), NOISE)
+    assert found is not None and found.beyond < 0.1 and no_concentration(found) > 0.99
 
 
 @pytest.mark.parametrize(("start", "end"), [(0.0, 20.0), (61.0, 97.0), (170.0, 199.0)])
 def test_what_every_pass_leaves_on_one_stretch_lies_there(start: float, end: float) -> None:
     seen, positions = bench((True, True))
-    found = gathered(seen, rest(seen, positions, [(start, end)] * 2), NOISE)
-    assert found is not None and spread_out(found) < 0.05
+    found = concentrated_section(seen, rest(seen, positions, [(start, end)] * 2), NOISE)
+    assert found is not None and no_concentration(found) < 0.05
     assert start - 4.0 <= found.start < found.end <= end + 4.0
     assert found.end - found.start > 0.7 * (end - start) and found.share > 0.5
 
 
 def test_what_one_pass_leaves_is_no_road() -> None:
     seen, positions = bench((True, True))
-    found = gathered(seen, rest(seen, positions, [(60.0, 90.0), None]), NOISE)
-    assert found is not None and spread_out(found) > 0.9
-    elsewhere = gathered(seen, rest(seen, positions, [(20.0, 50.0), (140.0, 170.0)]), NOISE)
-    assert elsewhere is not None and spread_out(elsewhere) > 0.9
+    found = concentrated_section(seen, rest(seen, positions, [(60.0, 90.0), None]), NOISE)
+    assert found is not None and no_concentration(found) > 0.9
+    elsewhere = concentrated_section(seen, rest(seen, positions, [(20.0, 50.0), (140.0, 170.0)]), NOISE)
+    assert elsewhere is not None and no_concentration(elsewhere) > 0.9
 
 
 def test_what_was_there_before_is_none_of_the_gap() -> None:
     seen, positions = bench((True, True, False))
-    before = gathered(seen, rest(seen, positions, [(60.0, 90.0)] * 3), NOISE)
-    assert before is not None and spread_out(before) > 0.9
-    now = gathered(seen, rest(seen, positions, [(60.0, 90.0), (60.0, 90.0), None]), NOISE)
-    assert now is not None and spread_out(now) < 0.05
+    before = concentrated_section(seen, rest(seen, positions, [(60.0, 90.0)] * 3), NOISE)
+    assert before is not None and no_concentration(before) > 0.9
+    now = concentrated_section(seen, rest(seen, positions, [(60.0, 90.0), (60.0, 90.0), None]), NOISE)
+    assert now is not None and no_concentration(now) < 0.05
 
 
 def test_a_rest_within_the_noise_and_a_bench_without_the_vertical_say_nothing() -> None:
     seen, positions = bench((True, True))
-    quiet = Remainder(*(np.full((sum(x.size for x in positions), 1), 0.01),) * 2)
-    assert spread_out(gathered(seen, quiet, NOISE)) == pytest.approx(1.0)
+    quiet = RemainingResidual(*(np.full((sum(x.size for x in positions), 1), 0.01),) * 2)
+    assert no_concentration(concentrated_section(seen, quiet, NOISE)) == pytest.approx(1.0)
     seen.problem.measured.channels = ("yaw_rate",)
-    assert gathered(seen, quiet, NOISE) is None and spread_out(None) == 1.0
+    assert concentrated_section(seen, quiet, NOISE) is None and no_concentration(None) == 1.0
 
 
 def test_a_road_is_as_surveyed_where_no_error_of_its_file_takes_much() -> None:
-    assert as_surveyed([]) == pytest.approx(1.0)
-    assert as_surveyed([Likeness("road_scale", {}, 0.1)]) > 0.99
-    assert as_surveyed([Likeness("road_scale", {}, 0.25)]) == pytest.approx(0.5)
-    assert as_surveyed([Likeness("road_scale", {}, 0.5), Likeness("lateral_offset", {}, 0.1)]) < 0.01
+    assert no_road_error([]) == pytest.approx(1.0)
+    assert no_road_error([RoadErrorMatch("road_scale", {}, 0.1)]) > 0.99
+    assert no_road_error([RoadErrorMatch("road_scale", {}, 0.25)]) == pytest.approx(0.5)
+    assert (
+        no_road_error([RoadErrorMatch("road_scale", {}, 0.5), RoadErrorMatch("lateral_offset", {}, 0.1)])
+        < 0.01
+    )
 
 
 def test_a_road_file_that_is_wrong_on_one_stretch_is_unknown_and_said_to_be_so(make: Any) -> None:

@@ -13,7 +13,7 @@ from scipy.optimize import minimize
 from suspension_twin.diagnosis import verdict
 from suspension_twin.diagnosis.bench import Linearised
 from suspension_twin.diagnosis.evidence import Evidence, weights
-from suspension_twin.diagnosis.fit import Linear, refit
+from suspension_twin.diagnosis.fit import LinearisedFit, refit
 from suspension_twin.diagnosis.hypotheses import BASELINE, Hypothesis
 from suspension_twin.diagnosis.nuisance_penalty import penalty_gains, penalty_of
 
@@ -52,10 +52,10 @@ class Line:
     def linearise(self, hypothesis: Hypothesis, x: np.ndarray) -> Linearised:
         return Linearised(x, self.residuals(hypothesis, x[:, None])[0][:, 0], self.a[:, : x.size])
 
-    def fit(self, hypothesis: Hypothesis) -> Linear:
+    def fit(self, hypothesis: Hypothesis) -> LinearisedFit:
         bench: Any = self
         x, cost = refit(bench, hypothesis, [np.zeros(1 + self.q + len(hypothesis))], None, 50)
-        return Linear(hypothesis, x, cost, self.linearise(hypothesis, x))
+        return LinearisedFit(hypothesis, x, cost, self.linearise(hypothesis, x))
 
 
 def clocks(late: float, seed: int = 0, rows: int = 200, louder: float = 3.0) -> Line:
@@ -101,9 +101,9 @@ def test_clocks_at_their_ends_are_chance_where_little_asks_for_it() -> None:
         fit = bench.fit(BASELINE)
         assert (fit.x[2:4] > 2.95).all()
         found: Any = SimpleNamespace(fit=fit, penalty=penalty_of(bench, fit, fit.at.model))
-        assert (verdict.punctual(bench, found, 0.01) > 0.5) == (late < 10.0)
+        assert (verdict.clocks_within_limits(bench, found, 0.01) > 0.5) == (late < 10.0)
         found.penalty = None
-        assert verdict.punctual(bench, found, 0.01) < 0.5
+        assert verdict.clocks_within_limits(bench, found, 0.01) < 0.5
 
 
 def told(bench: Any, *hypotheses: Hypothesis) -> np.ndarray:

@@ -48,7 +48,9 @@ def pays(
         left=["base"],
         noise={"vertical_acceleration": 0.01},
         temper=1.0,
-        keeper=SimpleNamespace(shrink=shrink, driven=[0], gone=lambda found, left: gone[found == "many"]),
+        keeper=SimpleNamespace(
+            shrink=shrink, driven=[0], explained_share=lambda found, left: gone[found == "many"]
+        ),
     )
     few, many = (selection.Candidate(Named(n), n) for n in ("few", "many"))  # type: ignore[arg-type]
     case: Any = SimpleNamespace(excited=True)
@@ -74,9 +76,9 @@ def test_what_frees_clocks_at_their_ends_joins_where_no_reference_says_what_is_n
 def test_with_a_reference_a_tenth_of_what_it_does_not_show_has_to_go(monkeypatch: pytest.MonkeyPatch) -> None:
     assert pays(monkeypatch, (1.0, 1.0), after=0.5, reference=0.1)
     # 0.40 of the rms stays with few, 0.39 or 0.28 with many
-    assert not pays(monkeypatch, (1.0, 1.0), after=0.5, reference=0.1, gone=(0.84, 0.85))
-    assert pays(monkeypatch, (1.0, 1.0), after=0.5, reference=0.1, gone=(0.84, 0.92))
-    assert pays(monkeypatch, (1.0, 1.0), after=0.5, gone=(0.84, 0.85))  # nobody knows without one
+    assert not pays(monkeypatch, (1.0, 1.0), after=0.5, reference=0.1, explained_share=(0.84, 0.85))
+    assert pays(monkeypatch, (1.0, 1.0), after=0.5, reference=0.1, explained_share=(0.84, 0.92))
+    assert pays(monkeypatch, (1.0, 1.0), after=0.5, explained_share=(0.84, 0.85))  # nobody knows without one
 
 
 def test_what_saves_much_nuisance_penalty_has_not_to_take_a_fifth_of_the_rest(

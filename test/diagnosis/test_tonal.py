@@ -11,8 +11,8 @@ import pytest
 from scipy.signal import butter, lfilter, sosfilt
 
 from suspension_twin.diagnosis import verdict
-from suspension_twin.diagnosis.shrink import Remainder
-from suspension_twin.diagnosis.tonal import strongest
+from suspension_twin.diagnosis.shrink import RemainingResidual
+from suspension_twin.diagnosis.tonal import strongest_tone
 
 RATE = 100.0
 
@@ -34,7 +34,7 @@ def drives(
     motion = lfilter([1.0], [1.0, -1.6, 0.8], rng.normal(size=(ends[-1], 3)), axis=0)
     measured = SimpleNamespace(
         values=motion,
-        stretches=[slice(int(a), int(b)) for a, b in zip(ends[:-1], ends[1:], strict=True)],
+        segments=[slice(int(a), int(b)) for a, b in zip(ends[:-1], ends[1:], strict=True)],
         drives=list(range(len(speeds))),
         rate=RATE,
     )
@@ -50,7 +50,7 @@ def drives(
 
 
 def judged(bench: Any, rest: np.ndarray) -> tuple[float, Any]:
-    return verdict.free_of_lines(bench, Remainder(rest, rest))
+    return verdict.free_of_tones(bench, RemainingResidual(rest, rest))
 
 
 @pytest.mark.parametrize("seed", range(20))
@@ -109,5 +109,5 @@ def test_too_short_a_drive_has_no_lines() -> None:
     bench, _, _, rest = drives([8.0], (True,), 0)
     bench.problem.rows = [r[:300] for r in bench.problem.rows]
     bench.problem.measured.values = bench.problem.measured.values[:300]
-    bench.problem.measured.stretches = [slice(0, 300)]
-    assert strongest(bench, Remainder(rest[:300], rest[:300]), 0.0) is None
+    bench.problem.measured.segments = [slice(0, 300)]
+    assert strongest_tone(bench, RemainingResidual(rest[:300], rest[:300]), 0.0) is None

@@ -43,22 +43,24 @@ def weighed(
     ]
     nothing: Any = None
     prior = np.array([0.4, 0.3, 0.3])
-    weights, beats = judge.weighed(nothing, nothing, 0, 1.0, base_alone, everything, prior, found, nothing)
+    weights, beats = judge.model_weights(
+        nothing, nothing, 0, 1.0, base_alone, everything, prior, found, nothing
+    )
     assert weights.sum() == pytest.approx(1.0)
     assert beats.shape == (3, 3)
-    return SimpleNamespace(weights=weights, beats=beats)
+    return SimpleNamespace(weights=weights, win_rate=beats)
 
 
 def test_what_is_small_counts_beside_preexisting_effects(monkeypatch: pytest.MonkeyPatch) -> None:
     search = weighed(monkeypatch, plain=(8.0, 4.0), base=20.0, late=(22.0, 35.0))
     assert search.weights[2] > 0.99
-    assert search.beats[2, 1] == 1.0
+    assert search.win_rate[2, 1] == 1.0
 
 
 def test_what_is_large_bends_preexisting_effects_and_counts_without(monkeypatch: pytest.MonkeyPatch) -> None:
     search = weighed(monkeypatch, plain=(190.0, 40.0), base=60.0, late=(70.0, 90.0))
     assert search.weights[1] > 0.99
-    assert search.beats[1, 2] == 1.0
+    assert search.win_rate[1, 2] == 1.0
 
 
 def test_either_is_as_likely_at_first(monkeypatch: pytest.MonkeyPatch) -> None:
