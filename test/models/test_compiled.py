@@ -122,7 +122,6 @@ def test_a_kernel_rests_on_what_it_imports_and_nothing_else() -> None:
         "numerics",
         "rows",
         "sensor",
-        "settle",
     }
     assert {f"models/{name}.py" for name in helpers} <= names
     assert (
