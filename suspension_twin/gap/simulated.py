@@ -82,9 +82,36 @@ class SimulatedDrive:
 def simulate_drive(
     drive: Drive, twin: Twin, road: Road | None = None, settings: PrepareSettings | None = None
 ) -> SimulatedDrive:
-    """Simulate ``twin`` over the whole of ``drive`` and measure the gap.
+    """Simulate a twin over the whole of a drive and measure the gap.
 
-    Raises InputError that names the drive and what it lacks: samples, fixes, or the road under it.
+    Parameters
+    ----------
+    drive : Drive
+        The recording.
+    twin : Twin
+        The twin.
+    road : Road, optional
+        The road; that of the twin file by default.
+    settings : PrepareSettings, optional
+        Filter, step, policy beyond the road's borders.
+
+    Returns
+    -------
+    SimulatedDrive
+        The prepared drive, the response and the gap.
+
+    Raises
+    ------
+    InputError
+        Naming the drive and what it lacks: samples, fixes, or the road under it.
+
+    Examples
+    --------
+    >>> from suspension_twin.drive.read import read_drive
+    >>> from suspension_twin.vehicle.twin import load_twin
+    >>> result = simulate_drive(read_drive("bags/crg_road"), load_twin("bags/crg_road/twin.yaml"))
+    >>> bool(result.gap.rms > 0.1)
+    True
     """
     road = road_of(twin) if road is None else road
     prepared = prepare(drive, twin, road, settings)
