@@ -46,14 +46,15 @@ class Hypothesis:
 
     ``fixed`` (key, value) holds choices; ``keys`` the dotted keys of the searched ones. ``around`` are the
     coordinates about which the prior lies, where something is off by far more than what is typical; empty for zeros.
-    ``everywhere`` names those of its effects that the vehicle has on the drives from before as well.
+    ``everywhere`` names those of its effects that the vehicle has on the drives from before as well. ``model``: whose
+    variants of the effects these are.
     """
 
     effects: tuple[str, ...] = ()
     fixed: tuple[tuple[str, float], ...] = ()
     around: tuple[float, ...] = ()
     everywhere: tuple[str, ...] = ()
-    model: str = "full_car"
+    model: str = ""
 
     def effect(self, name: str) -> Effect:
         """One of its effects, as it is on the model."""

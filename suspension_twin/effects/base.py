@@ -145,7 +145,7 @@ class Effect:
         own = self.variants.get(model)
         if own is None:
             return self
-        severity = tuple(s for s in self.severity if s in own.hook.neutral)
+        severity = tuple(p.name for p in own.parameters if p.name in self.severity)
         return replace(
             self, parameters=own.parameters, severity=severity, hook=own.hook, usual_share=0.0, variants={}
         )
