@@ -24,27 +24,28 @@ from typing import Any
 from blind.ask import commit
 from tracked_cases import FILE, KINDS, SEVERITIES, make_cases
 
-from suspension_twin.diagnosis.tracked import diagnose_tracked_files
+from suspension_twin.diagnosis.request import DiagnosisRequest
+from suspension_twin.diagnosis.run import diagnose
 
 RESULTS = Path(__file__).resolve().parent / "results" / "tracked_blind.json"
 SEEDS = {"development": (110, 111), "reporting": (954,)}
-#: In what parameter a fault's strength is, and what it is without one.
+#: In what parameter a fault's strength is.
 STRENGTH = {
-    "track_tension": ("tighter", 0.0),
-    "track_wear": ("stiffness", 1.0),
-    "station_damper": ("share", 1.0),
-    "station_bar": ("sag", 0.0),
-    "payload": ("mass", 0.0),
-    "sensor_scale": ("gain", 1.0),
-    "sensor_tilt": ("roll", 0.0),
-    "time_offset": ("seconds", 0.0),
+    "track_tension": "tighter",
+    "track_wear": "stiffness",
+    "station_damper": "change",
+    "station_bar": "sag",
+    "payload": "mass",
+    "sensor_scale": "scale",
+    "sensor_tilt": "pitch",
+    "time_offset": "offset",
 }
 OUTCOMES = ("right", "in_set", "another", "unknown", "said_unseen", "no_gap")
 
 
 def outcome(truth: dict[str, Any], document: dict[str, Any]) -> str:
     """``right``; ``in_set``: one of those that cannot be told apart from what is named; ``said_unseen``: no gap, with
-    a word that such a fault of this strength would not show; else ``another``, ``unknown`` or ``no_gap``."""
+    a word that such a fault cannot be judged on these runs; else ``another``, ``unknown`` or ``no_gap``."""
     kind, named = truth["kind"], document["combination"]
     if kind == "none":
         return "right" if document["verdict"] == "no_gap" else ("another" if named else "unknown")
@@ -55,11 +56,7 @@ def outcome(truth: dict[str, Any], document: dict[str, Any]) -> str:
         return "in_set" if kind in tied and len(named) == 1 else "another"
     if document["verdict"] == "unknown":
         return "unknown"
-    key, neutral = STRENGTH[kind]
-    start = document["visible_from"].get(kind, {}).get(key)
-    unseen = kind in document["cannot_be_judged"]
-    unseen = unseen or (start is not None and abs(truth[key] - neutral) < abs(start - neutral))
-    return "said_unseen" if unseen else "no_gap"
+    return "said_unseen" if kind in document["cannot_be_judged"] else "no_gap"
 
 
 def judge(task: tuple[str, int, Path | None]) -> list[dict[str, Any]]:
@@ -74,7 +71,9 @@ def judge_one(truth: dict[str, Any], folder: Path) -> dict[str, Any]:
     began = time.perf_counter()
     after = folder / f"after_{truth['severity']:g}"
     runs, reference = (sorted(str(p) for p in f.glob("*.csv")) for f in (after, folder / "before"))
-    document = diagnose_tracked_files(str(FILE), runs, reference, seed=truth["seed"]).document
+    document = diagnose(
+        DiagnosisRequest(str(FILE), tuple(runs), tuple(reference), seed=truth["seed"])
+    ).document
     top = document["causes"][0]
     own = next((c for c in document["causes"] if c["effect"] == truth["kind"]), top)
     return {
@@ -91,7 +90,6 @@ def judge_one(truth: dict[str, Any], folder: Path) -> dict[str, Any]:
         "tied": top["indistinguishable_from"],
         "message": document["message"],
         "cannot_be_judged": document["cannot_be_judged"],
-        "visible_from": document["visible_from"],
         "evidence": {c["effect"]: [c["log_evidence"], c["shrink"]] for c in document["causes"]},
         "took_s": round(time.perf_counter() - began, 1),
     }

@@ -22,8 +22,6 @@ from tracked_reality import Faults, photogrammetry, simulate
 from tracked_runs import write_run
 
 from suspension_twin.arrays import Floats
-from suspension_twin.diagnosis.tracked_fit import signals
-from suspension_twin.effects.tracked_effects import Camera
 from suspension_twin.gap.marker_runs import RATE, MarkerRun, low_pass
 from suspension_twin.vehicle.tracked import TrackedVehicle, load_tracked
 
@@ -45,6 +43,26 @@ FLOOR = np.repeat([1.5e-3, 0.01, 0.16], 3)  # m, m/s, m/s² by which repeats of 
 _CLOCK = np.array([0.03, 0.02])  # s and share: more no start and no driver is off by
 _AMOUNTS = (0.2, 0.5, 1.0)  # of the most that is believed, at which the reality is asked
 _REPEATS = 2
+
+
+@dataclass(frozen=True)
+class Camera:
+    """What a camera makes of motion, as ``tracked_reality.photogrammetry`` has it: heights times ``scale``, a clock
+    ``late`` s, and ``tilt`` rad about the axis of view, by which travel lessens heights."""
+
+    scale: float = 1.0
+    late: float = 0.0
+    tilt: float = 0.0
+
+    def see(self, t: Floats, z: Floats, speed: float) -> Floats:
+        """(n, k) heights m of markers on a run at ``speed`` m/s, without noise."""
+        moved = np.stack([np.interp(t - self.late, t, c) for c in z.T], axis=1)
+        return np.asarray(self.scale * (moved - self.tilt * speed * (t - self.late)[:, None]))
+
+
+def signals(run: MarkerRun) -> Floats:
+    """(n, 9) displacement, velocity and acceleration of A, B and C."""
+    return np.concatenate([run.markers, run.velocity, run.acceleration], axis=1)
 
 
 @dataclass(frozen=True)
@@ -97,7 +115,7 @@ def knob(kind: str, vehicle: TrackedVehicle, rng: np.random.Generator) -> Callab
 
         def made(a: float) -> Made:
             factor = tuple(1.0 - a if i == place - 1 else 1.0 for i in range(6))
-            return Made({"station": place, "share": 1.0 - a}, vehicle, Faults(damper=factor))
+            return Made({"station": place, "change": -a}, vehicle, Faults(damper=factor))
 
     elif kind == "station_bar":
         place = int(rng.choice([1, 2, 5, 6]))
@@ -111,22 +129,24 @@ def knob(kind: str, vehicle: TrackedVehicle, rng: np.random.Generator) -> Callab
 
         def made(a: float) -> Made:
             mass = 8000.0 * a
-            return Made({"mass": mass, "x": x}, vehicle, Faults(payload=mass, payload_x=vehicle.cog[0] + x))
+            ahead = vehicle.cog[0] + x - vehicle.stations[-1].x  # of the rearmost road wheels
+            faults = Faults(payload=mass, payload_x=vehicle.cog[0] + x)
+            return Made({"mass": mass, "x": ahead}, vehicle, faults)
 
     elif kind == "sensor_scale":
 
         def made(a: float) -> Made:
-            return Made({"gain": 1.0 + sign * 0.3 * a}, vehicle, camera=Camera(scale=1.0 + sign * 0.3 * a))
+            return Made({"scale": sign * 0.3 * a}, vehicle, camera=Camera(scale=1.0 + sign * 0.3 * a))
 
     elif kind == "sensor_tilt":
 
         def made(a: float) -> Made:
-            return Made({"roll": sign * 0.03 * a}, vehicle, camera=Camera(tilt=sign * 0.03 * a))
+            return Made({"pitch": -sign * 0.03 * a}, vehicle, camera=Camera(tilt=sign * 0.03 * a))
 
     elif kind == "time_offset":
 
         def made(a: float) -> Made:
-            return Made({"seconds": sign * 0.3 * a}, vehicle, camera=Camera(late=sign * 0.3 * a))
+            return Made({"offset": sign * 0.3 * a}, vehicle, camera=Camera(late=sign * 0.3 * a))
 
     else:
 
@@ -146,9 +166,9 @@ def filmed(made: Made, kmh: int) -> MarkerRun:
     motion = _moved(made.vehicle, made.faults, kmh)
     t = np.arange(0.0, SPEEDS[kmh], 1.0 / RATE)
     z = low_pass(np.stack([np.interp(t, motion["t"], c) for c in motion["markers"].T], axis=1), RATE)
+    z = made.camera.see(t, z, kmh / 3.6)
     v = np.gradient(z, t, axis=0)
-    seen = made.camera.see(t, z, v, np.gradient(v, t, axis=0), kmh / 3.6)
-    return MarkerRun(t, *seen, kmh / 3.6, f"{kmh:02d}kmh")
+    return MarkerRun(t, z, v, np.gradient(v, t, axis=0), kmh / 3.6, f"{kmh:02d}kmh")
 
 
 def left_over(change: Floats, sound: Floats, t: Floats) -> Floats:

@@ -8,15 +8,43 @@ from suspension_twin.vehicle.twin import Twin
 
 __all__ = ["parameter_label", "parameter_unit"]
 
-#: By a part of the key; what is not named here is a length.
+#: By the end of the key, the first that fits; a number that is not named here is a length.
 _UNITS = {
     "force": "N",
     "mass": "kg",
     "unsprung_mass": "kg",
-    "sprung_inertia": "kg m²",
+    "sprung_mass": "kg",
+    "link_mass": "kg",
+    "sprung_inertia.roll": "kg m²",
+    "sprung_inertia.pitch": "kg m²",
     "vertical_stiffness": "N/m",
     "rpy": "rad",
     "latency": "s",
+    "track.links": "",
+    "track.stiffness": "N/m",
+    "track.damping": "N s/m",
+    "track.bending_stiffness": "N m/rad",
+    "track.bending_damping": "N m s/rad",
+    "idler.setting": "mm",
+    "idler.taut_at": "mm",
+    "wheel.rubber": "N/m²",
+    "wheel.rubber_damping": "N s/m²",
+    "arm.stiffness": "N m/rad",
+    "arm.stop_stiffness": "N m/rad",
+    "arm.standing_angle": "rad",
+    "arm.free_angle": "rad",
+    "arm.jounce_stop": "rad",
+    "arm.rebound_stop": "rad",
+    "stations.damping": "N m s/rad",
+    "stations.sag": "rad",
+    "ground.stiffness": "N/m²",
+    "ground.damping": "N s/m²",
+    "driver.gain": "",
+    "driver.reset": "1/s",
+    "driver.droop": "m/s per N",
+    "markers.A": "mm",
+    "markers.B": "mm",
+    "markers.C": "mm",
 }
 
 
@@ -35,4 +63,5 @@ def parameter_unit(key: str) -> str:
     parts = key.split(".")
     if parts[0] == "effects":
         return effect(parts[1]).parameter(parts[2]).unit
-    return next((unit for part, unit in _UNITS.items() if part in parts), "m")
+    named = "." + ".".join(part for part in parts if not part.isdigit())
+    return next((unit for end, unit in _UNITS.items() if named.endswith(f".{end}")), "m")

@@ -191,7 +191,7 @@ def _nuisances(outcome: Outcome, found: Uncertainty | None) -> tuple[NuisanceEst
 
 
 def _unit(name: str) -> str:
-    if name == "gain":
+    if name == "gain" or name.endswith(".speed"):
         return ""
     if name.startswith("tilt"):
         return "rad"

@@ -31,13 +31,13 @@ def command(twin: TwinFile, speeds: Range = (5.0, 55.0), out: Out = None, force:
     the least mean variance within --range. With --out writes DIR/pitch_variance.png and DIR/pitch_variance.json.
     """
     from suspension_twin.calibration.damping import PAPER_CURVE, select_damping
-    from suspension_twin.vehicle.tracked import TrackedTwin
+    from suspension_twin.models.registry import model_of
     from suspension_twin.vehicle.twin import load_twin
 
     picture, figures = (None, None) if out is None else (out / f"pitch_variance.{s}" for s in ("png", "json"))
     outputs = Outputs(*(p for p in (picture, figures) if p is not None), force=force)
     loaded = load_twin(twin)
-    if not isinstance(loaded, TrackedTwin):
+    if model_of(loaded).recordings != "markers":
         raise InputError(
             twin, "model", f"is {loaded.model}: the dampers of a tracked vehicle are chosen here"
         )

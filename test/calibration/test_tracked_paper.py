@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The preset ``tracked_paper``: its objectives and its search."""
+"""Calibration on marker runs: the preset ``tracked_paper`` with its objective, and ``fast``."""
 
 from __future__ import annotations
 
@@ -9,29 +9,38 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from suspension_twin.calibration.request import Progress
-from suspension_twin.calibration.tracked_paper import (
-    PUBLISHED,
-    SETTINGS,
-    calibrate_tracked,
-    compare,
-    simulate_runs,
-    unit_values,
-    values_at,
-)
+from suspension_twin.calibration.labels import parameter_unit
+from suspension_twin.calibration.presets import PRESETS, build_space
+from suspension_twin.calibration.request import CalibrationRequest, CalibrationResult, Progress
+from suspension_twin.calibration.run import calibrate
 from suspension_twin.errors import InputError, WorkError
-from suspension_twin.gap.marker_runs import MarkerRun
+from suspension_twin.gap.marker_runs import MarkerRun, compare, simulate_runs
 from suspension_twin.models.tracked import simulate_tracked
 from suspension_twin.vehicle.tracked import BOUNDS, TrackedVehicle, load_tracked
+from suspension_twin.vehicle.twin import load_twin
+
+KEYS = tuple(f"vehicle.{key}" for key in BOUNDS)
 
 
 @pytest.fixture(scope="module")
-def vehicle(repository: Path) -> TrackedVehicle:
-    return load_tracked(repository / "config" / "tracked" / "pt91.yaml")
+def file(repository: Path) -> str:
+    return str(repository / "config" / "tracked" / "pt91.yaml")
 
 
 @pytest.fixture(scope="module")
-def run(vehicle: TrackedVehicle) -> MarkerRun:
+def runs(repository: Path, tmp_path_factory: pytest.TempPathFactory) -> tuple[str, str, str]:
+    """Two seconds of two bundled runs at 13 km/h, over the obstacle's first edge, and of one at 8 km/h."""
+    folder = tmp_path_factory.mktemp("runs")
+    for name in ("13kmh_1", "13kmh_2", "08kmh_1"):
+        lines = (repository / "config" / "tracked" / "runs" / f"{name}.csv").read_text("utf-8").splitlines()
+        (folder / f"{name}.csv").write_text("\n".join(lines[:101]) + "\n", encoding="utf-8")
+    one, two, slow = (str(folder / f"{name}.csv") for name in ("13kmh_1", "13kmh_2", "08kmh_1"))
+    return one, two, slow
+
+
+@pytest.fixture(scope="module")
+def run(file: str) -> MarkerRun:
+    vehicle: TrackedVehicle = load_tracked(file)
     r = simulate_tracked(vehicle, 13 / 3.6, 3.0, rate=50.0)
     whole = MarkerRun(r.t, r.markers, r.marker_velocity, r.marker_acceleration, 13 / 3.6)
     return simulate_runs([vehicle], [whole])[0][0]  # type: ignore[index]
@@ -47,15 +56,17 @@ def times(run: MarkerRun, factor: float) -> MarkerRun:
 
 
 def test_the_papers_settings() -> None:
-    assert (SETTINGS.population, SETTINGS.generations) == (40, 30)
-    assert all(BOUNDS[key][0] <= value <= BOUNDS[key][1] for key, value in PUBLISHED.items())
+    preset = PRESETS["tracked_paper"]
+    assert (preset.genetic.population, preset.genetic.generations) == (40, 30)
+    assert preset.keys == KEYS and preset.objective == "correlation" and preset.slowest
+    assert preset.channels["marker_A_displacement"] == preset.channels["marker_B_displacement"]
 
 
 def test_correlation_is_blind_to_amplitude_and_the_others_are_not(run: MarkerRun) -> None:
     twice = compare(run, times(run, 2.0))
-    assert twice.cost("correlation") == pytest.approx(0.0, abs=1e-12)
-    assert twice.cost("amplitude") == pytest.approx(1.0)
-    assert twice.cost("motion") > 0.9
+    assert twice.correlation == pytest.approx([1.0, 1.0])
+    assert twice.residual.mean() == pytest.approx(1.0)
+    assert twice.motion.mean() > 0.9
     assert twice.gain == pytest.approx([2.0, 2.0])
     assert compare(run, times(run, -1.0)).correlation == pytest.approx([-1.0, -1.0])
 
@@ -66,7 +77,7 @@ def test_correlation_is_that_of_numpy(run: MarkerRun) -> None:
     assert compare(run, swapped).correlation == pytest.approx(expected)
 
 
-def test_motion_does_not_mind_a_clock_that_is_late(run: MarkerRun) -> None:
+def test_motion_is_compared_with_the_clock_set_right(run: MarkerRun) -> None:
     def late(values: np.ndarray) -> np.ndarray:
         return np.stack([np.interp(run.t - 0.05, run.t, c) for c in values.T], axis=1)
 
@@ -75,7 +86,7 @@ def test_motion_does_not_mind_a_clock_that_is_late(run: MarkerRun) -> None:
     )
     worth = compare(shifted, run)
     assert worth.late == pytest.approx(0.05, abs=0.003)
-    assert worth.cost("motion") < 0.3 * compare(shifted, run).residual.mean() + 0.05
+    assert worth.motion.mean() < 0.3 * worth.residual.mean() + 0.05
 
 
 def test_markers_that_stand_still_are_refused(run: MarkerRun) -> None:
@@ -83,62 +94,132 @@ def test_markers_that_stand_still_are_refused(run: MarkerRun) -> None:
         compare(times(run, 0.0), run)
 
 
-def test_places_in_the_bounds_are_decades(vehicle: TrackedVehicle) -> None:
-    assert values_at(np.full(5, 0.5))["track.stiffness"] == pytest.approx(1e7)
-    # the paper's b_gl lies in the middle of its range, in logarithms
-    assert unit_values(vehicle)[2] == pytest.approx(2 / 3)
-    back = values_at(unit_values(vehicle))
-    assert all(back[k] == pytest.approx(v) for k, v in PUBLISHED.items())
+def test_the_five_parameters_are_searched_in_decades(file: str) -> None:
+    space = build_space(load_twin(file), PRESETS["tracked_paper"])
+    assert space.keys == KEYS
+    middle = dict(zip(KEYS, space.from_unit(np.full((5, 1), 0.5))[:, 0], strict=True))
+    assert middle["vehicle.track.stiffness"] == pytest.approx(1e7)
+    assert middle["vehicle.idler.setting"] == pytest.approx(-5570.0)
+    # the file's b_gl of 1e4 lies two thirds of the way from 1 to 1e6
+    place = space.to_unit(space.nominal[:, None])[:, 0]
+    assert place[KEYS.index("vehicle.track.damping")] == pytest.approx(2 / 3)
+    assert space.from_unit(place[:, None])[:, 0] == pytest.approx(space.nominal)
 
 
-@pytest.mark.parametrize("objective", ["correlation", "motion"])
-def test_the_search_comes_near(vehicle: TrackedVehicle, run: MarkerRun, objective: str) -> None:
-    start = vehicle.with_changes({"track.stiffness": 1e5, "track.bending_stiffness": 10.0})
-    settings = replace(SETTINGS, population=10, generations=4)
-    first = calibrate_tracked(start, [run], objective=objective, seed=3, settings=settings)  # type: ignore[arg-type]
-    assert (np.diff(first.best) <= 0).all() and first.evaluations > 40
-    assert first.worth[0].cost(objective) == pytest.approx(first.best[-1])  # type: ignore[arg-type]
-    assert first.worth[0].correlation.mean() > 0.9
-    assert all(BOUNDS[key][0] <= value <= BOUNDS[key][1] for key, value in first.values.items())
+def test_parameters_have_their_units() -> None:
+    units = {
+        "track.stiffness": "N/m",
+        "track.bending_stiffness": "N m/rad",
+        "track.damping": "N s/m",
+        "track.bending_damping": "N m s/rad",
+        "idler.setting": "mm",
+        "idler.taut_at": "mm",
+        "arm.stiffness": "N m/rad",
+        "stations.0.damping": "N m s/rad",
+        "stations.5.sag": "rad",
+        "gyration": "m",
+        "driver.gain": "",
+        "mass": "kg",
+        "cog.0": "m",
+        "front.unsprung_mass": "kg",
+        "sprung_inertia.roll": "kg m²",
+        "tyre.vertical_stiffness": "N/m",
+        "front.spring.force.2": "N",
+    }
+    assert {key: parameter_unit(f"vehicle.{key}") for key in units} == units
+    assert parameter_unit("imu.rpy.1") == "rad" and parameter_unit("imu.position.0") == "m"
+    assert parameter_unit("effects.track_tension.tighter") == "mm"
+
+
+def searched(file: str, runs: tuple[str, ...], **given: object) -> CalibrationResult:
+    request = CalibrationRequest(file, runs, preset="tracked_paper", seed=3, max_generations=2)
+    return calibrate(replace(request, **given))  # type: ignore[arg-type]
+
+
+@pytest.fixture(scope="module")
+def found(file: str, runs: tuple[str, str, str]) -> CalibrationResult:
+    return searched(file, (runs[2], runs[0]))
+
+
+def test_the_search_improves_from_generation_to_generation(found: CalibrationResult) -> None:
+    """On runs of a specimen that other code simulated."""
+    best = found.history[:, 1]
+    assert (np.diff(best) <= 0).all() and best[-1] < best[0] and found.evaluations == 40 + 2 * 38
+    assert found.objective == "correlation" and found.cost < found.initial_cost
+    assert tuple(e.key for e in found.estimates) == KEYS
+    for e, (low, high) in zip(found.estimates, BOUNDS.values(), strict=True):
+        assert (e.lower, e.upper) == (low, high) and low <= e.value <= high
+    assert found.twin.vehicle.track.stiffness == found.estimates[0].value
+
+
+def test_the_slowest_run_is_fitted_and_the_others_validate(found: CalibrationResult) -> None:
+    slow, fast = found.drives
+    assert (slow.name, fast.name) == ("08kmh_1", "13kmh_1")
+    assert slow.correlation > 0.98 and np.isnan(fast.correlation)
+    assert set(slow.measured) == set(fast.measured) and len(slow.measured) == 9
+    after = np.corrcoef(fast.measured["marker_A_displacement"], fast.after["marker_A_displacement"])[0, 1]
+    assert after > 0.95
 
 
 def test_the_search_is_repeatable_and_stops_with_the_best_so_far(
-    vehicle: TrackedVehicle, run: MarkerRun
+    file: str, runs: tuple[str, str, str]
 ) -> None:
-    settings = replace(SETTINGS, population=6, generations=2)
-    told: list[Progress] = []
-    first = calibrate_tracked(vehicle, [run], seed=3, settings=settings, tell=told.append)
-    assert [p.generation for p in told] == [0, 1, 2] and told[-1].best_cost == first.best[-1]
-    again = calibrate_tracked(vehicle, [run], seed=3, settings=settings)
-    assert first.values == again.values
-    asked = iter([False, False, True])
-    stopped = calibrate_tracked(vehicle, [run], seed=3, settings=settings, should_stop=lambda: next(asked))
-    assert list(stopped.best) == list(first.best[:2])
-    with pytest.raises(WorkError, match="stopped before the search began"):
-        calibrate_tracked(vehicle, [run], should_stop=lambda: True)
+    heard: list[Progress] = []
+    request = CalibrationRequest(file, runs[:1], preset="tracked_paper", seed=3, max_generations=1)
+    first = calibrate(request, heard.append)
+    search = [p for p in heard if p.stage == "search"]
+    assert [p.generation for p in search] == [1, 2] and search[-1].best_cost == first.history[-1, 1]
+    assert [e.value for e in calibrate(request).estimates] == [e.value for e in first.estimates]
+    generations: list[int] = []
+    stopped = calibrate(
+        replace(request, max_generations=30),
+        lambda p: generations.append(p.generation),
+        lambda: max(generations, default=0) >= 1,
+    )
+    assert stopped.stopped and 1 <= stopped.generations <= 3 and stopped.cost <= first.history[0, 1]
+    none = calibrate(request, should_stop=lambda: True)
+    assert none.stopped and none.estimates == ()
 
 
-def test_a_candidate_that_diverges_is_the_worst_and_not_the_end(
-    vehicle: TrackedVehicle, run: MarkerRun, monkeypatch: pytest.MonkeyPatch
+def test_a_candidate_that_cannot_be_is_the_worst_and_not_the_end(
+    file: str, runs: tuple[str, str, str]
 ) -> None:
-    from suspension_twin.calibration import tracked_paper
-
-    def fragile(vehicles: list[TrackedVehicle], runs: list[MarkerRun]) -> list[list[MarkerRun] | None]:
-        told = simulate_runs(vehicles, runs)
-        return [None if v.track.stiffness > limit else t for v, t in zip(vehicles, told, strict=True)]
-
-    limit = 1e7
-    monkeypatch.setattr(tracked_paper, "simulate_runs", fragile)
-    settings = replace(SETTINGS, population=8, generations=1)
-    found = calibrate_tracked(vehicle, [run], settings=settings)
-    assert np.isfinite(found.best[-1]) and found.values["track.stiffness"] <= limit
-    limit = 0.0
-    with pytest.raises(WorkError, match="every candidate diverged"):
-        calibrate_tracked(vehicle, [run], settings=settings)
+    """A centre of gravity ahead of the foremost wheels is no vehicle's."""
+    key, first = "vehicle.cog.0", load_tracked(file).stations[0].x
+    some = searched(
+        file, runs[:1], free=(key,), bounds=((key, 2.0, 9.0),), max_generations=1, objective="mse"
+    )
+    assert np.isfinite(some.cost) and 2.0 <= some.estimates[0].value < first
+    with pytest.raises(WorkError, match="no candidate could be simulated"):
+        searched(file, runs[:1], free=(key,), bounds=((key, first, 9.0),), max_generations=1)
 
 
-def test_no_run_and_no_objective_are_refused(vehicle: TrackedVehicle, run: MarkerRun) -> None:
-    with pytest.raises(InputError, match="none is given"):
-        calibrate_tracked(vehicle, [])
-    with pytest.raises(InputError, match="must be one of correlation, amplitude, motion"):
-        calibrate_tracked(vehicle, [run], objective="beauty")  # type: ignore[arg-type]
+def test_fast_fits_every_run_and_says_what_it_identified(file: str, runs: tuple[str, str, str]) -> None:
+    result = calibrate(CalibrationRequest(file, runs[:2], max_generations=2))
+    assert set(KEYS) < {e.key for e in result.estimates}
+    assert "vehicle.gyration" in {e.key for e in result.estimates}
+    assert result.cost < result.initial_cost and len(result.drives) == 2
+    for e in result.estimates:
+        if e.status == "identified":
+            assert e.low < e.value < e.high and e.low < e.high
+    assert any(e.status == "identified" for e in result.estimates)
+    units = {n.name.split(".")[-1]: n.unit for n in result.nuisances}
+    assert units == {"clock_offset": "s", "speed": ""}
+
+
+@pytest.mark.parametrize(
+    ("given", "words"),
+    [
+        ({"bags": ()}, "drives: none are given"),
+        ({"objective": "beauty"}, "objective: beauty: one of euclidean, mse, correlation"),
+        ({"channels": (("roll_rate", 1.0),)}, "objective: roll_rate: no such channel: one of marker_A"),
+        ({"free": ("vehicle.wings",)}, "vehicle.wings"),
+        ({"bags": ("13kmh_none.csv",)}, "13kmh_none.csv: No such file"),
+    ],
+)
+def test_what_no_calibration_can_use_is_named(
+    given: dict[str, object], words: str, file: str, runs: tuple[str, str, str]
+) -> None:
+    with pytest.raises(InputError) as error:
+        searched(file, runs[:1], **given)
+    assert words in str(error.value)
