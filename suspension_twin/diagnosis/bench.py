@@ -121,9 +121,10 @@ class Bench:
 
     ``precision`` (d + q, d + q) and ``centre`` (d + q,) are the prior of characteristics and nuisances.
     ``excitations`` (drives,) are the alternative excitations of drives, empty for controlled runs; ``turn`` is the
-    mounting error of the sensor (roll, pitch, yaw; rad); ``level`` whether the vehicle has zero static attitude. ``heard`` limits the residuals to some drives, ``counted_rows`` (R,) to some of them; ``fused`` whether poses are fused from GNSS and IMU; ``barred`` names nuisances that stay at nothing; ``expected`` (m, C) is the
-    discrepancy found on a reference run with the same excitation.
-    """
+    mounting error of the sensor (roll, pitch, yaw; rad); ``level`` whether the vehicle has zero static attitude.
+    ``heard`` limits the residuals to some drives, ``counted_rows`` (R,) to some of them; ``fused`` whether poses are
+    fused from GNSS and IMU; ``barred`` names nuisances that stay at nothing; ``expected`` (m, C) is the discrepancy
+    found on a reference run with the same excitation."""
 
     problem: Problem
     excitations: tuple[Excitations, ...]
@@ -150,7 +151,8 @@ class Bench:
         return len(self.problem.nuisances)
 
     def prior(self, hypothesis: Hypothesis) -> tuple[Floats, Floats]:
-        """Precision (p, p) and centre (p,) of the prior of all unknowns; that of an effect coordinate is N(centre, 1)."""
+        """Precision (p, p) and centre (p,) of the prior of all unknowns; that of an effect coordinate is N(centre,
+        1)."""
         p, k = self.d + self.q, len(hypothesis)
         precision = np.eye(p + k)
         precision[:p, :p] = self.precision
@@ -189,7 +191,8 @@ class Bench:
         return replace(self, problem=self.problem.on(parts), excitations=known)
 
     def excitation(self, number: int, effects: Sequence[str], preexisting: Sequence[str] = ()) -> Excitation:
-        """The excitation of a part, given the ``effects`` on drives with the gap and those of them that are ``preexisting``.
+        """The excitation of a part, given the ``effects`` on drives with the gap and those of them that are
+        ``preexisting``.
 
         If a hypothesis attributes the static tilt to the sensor, the vehicle is upright on all drives, the reference
         included. Otherwise antenna and wheel paths would differ by about a centimetre before and after the change.
@@ -211,7 +214,8 @@ class Bench:
     # -- simulation ----------------------------------------------------------------------------
 
     def signals(self, hypothesis: Hypothesis, z: Floats, u: Floats) -> tuple[list[Floats], np.ndarray]:
-        """Conditioned signals (m, C, L) of every part for slope coordinates (d, L) and effects (k, L); failed lanes (L,).
+        """Conditioned signals (m, C, L) of every part for slope coordinates (d, L) and effects (k, L); failed lanes
+        (L,).
 
         A reference drive on which all lanes are equal is simulated once and has one lane.
         """
@@ -274,7 +278,8 @@ class Bench:
         problem.nuisances.carried = carried
 
     def _simulated(self, twin: Twin, candidates: Floats, excitation: Excitation) -> tuple[Floats, np.ndarray]:
-        """Channels (n, C, L) and failed lanes (L,); a batch that raises LinAlgError is halved until the lane is isolated."""
+        """Channels (n, C, L) and failed lanes (L,); a batch that raises LinAlgError is halved until the lane is
+        isolated."""
         channels = self.problem.channels
         try:
             options = {"fused": True} if self.fused else {}
@@ -364,8 +369,9 @@ class Bench:
     def _stepped(
         self, hypothesis: Hypothesis, x: Floats, physics: int
     ) -> tuple[Floats, Floats, list[Floats]]:
-        """Residuals (R, 1 + physics + k) at ``x`` and one step away in the first ``physics`` unknowns and in those of the
-        effects, the factor (physics + k,) from difference to derivative (0 where a lane failed), and the signals."""
+        """Residuals (R, 1 + physics + k) at ``x`` and one step away in the first ``physics`` unknowns and in those of
+        the effects, the factor (physics + k,) from difference to derivative (0 where a lane failed), and the
+        signals."""
         d, q, k = self.d, self.q, len(hypothesis)
         _, high = hypothesis.bounds()
         u = x[d + q :]

@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """Cross-validated evidence of hypotheses, and their posterior probabilities.
 
-Blocks are segments of road, the same in all drives: model discrepancy repeats on every pass, so that the passes over one
-segment are not independent. Without a road, blocks are segments of time. Every fifth block belongs to one fold, and
-each fold is held out in turn. The score of a block b in channel c is its log predictive density
+Blocks are segments of road, the same in all drives: model discrepancy repeats on every pass, so that the passes over
+one segment are not independent. Without a road, blocks are segments of time. Every fifth block belongs to one fold,
+and each fold is held out in turn. The score of a block b in channel c is its log predictive density
 
     score_b = -0.5 sum_c (n_bc log v_c + S_bc / v_c),
 
@@ -223,12 +223,11 @@ def intervals(bench: Bench, fit: LinearisedFit, blocks: Blocks, temper: float) -
 def weights(found: list[Evidence], prior: Floats, temper: float, seed: int) -> tuple[Floats, Floats]:
     """(K,) probabilities of the hypotheses, and (K, K) the rate at which one has the higher evidence in the bootstrap.
 
-    The log evidence of a draw is ``temper`` (sum_b w_b score_b - occam / 2) + nuisance penalty gain + log prior. Half of
-    the Occam term counts, because held-out scores contain the cost of freedom already. ``temper`` is the share of the
-    remaining residual that is noise: model discrepancy is no independent evidence at every sample. The prior of the
-    nuisance parameters is independent of it and not tempered. The first of ``found`` is nested in all others; a held-out
-    gain beyond twice the gain in the fit is cut.
-    """
+    The log evidence of a draw is ``temper`` (sum_b w_b score_b - occam / 2) + nuisance penalty gain + log prior. Half
+    of the Occam term counts, because held-out scores contain the cost of freedom already. ``temper`` is the share of
+    the remaining residual that is noise: model discrepancy is no independent evidence at every sample. The prior of
+    the nuisance parameters is independent of it and not tempered. The first of ``found`` is nested in all others; a
+    held-out gain beyond twice the gain in the fit is cut."""
     scores = np.stack([e.score for e in found])
     gains = scores.sum(axis=1) - scores[0].sum()
     most = _LARGEST_HELD_OUT_GAIN * np.array([max(e.fitted - found[0].fitted, 0.0) for e in found])

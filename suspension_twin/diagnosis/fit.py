@@ -189,7 +189,8 @@ def resonance_scan(
 
 
 def coordinate_scan(bench: Bench, at: LinearisedFit) -> Floats | None:
-    """Unknowns of lower cost than a fit, found by scanning each effect coordinate over its prior; None if there are none.
+    """Unknowns of lower cost than a fit, found by scanning each effect coordinate over its prior; None if there are
+    none.
 
     At each point all other unknowns are refitted by linear least squares. This finds separate local minima: a stop that
     touches at one axle only, a mass in front instead of behind.

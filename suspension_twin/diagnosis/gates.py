@@ -24,8 +24,8 @@ _TRADED_SHARE = 0.25  # what a channel may lose, over the square of the most tha
 @dataclass(frozen=True, eq=False)
 class Gatekeeper:
     """What hypotheses are compared with: ``base``, the evidence of recalibration alone, and its held-out residual
-    ``recalibrated``; ``noise`` rms by channel in its units; ``reference`` the residual on reference drives as a share of
-    the motion (None without); ``temper`` the share of the remaining residual that is noise."""
+    ``recalibrated``; ``noise`` rms by channel in its units; ``reference`` the residual on reference drives as a share
+    of the motion (None without); ``temper`` the share of the remaining residual that is noise."""
 
     bench: Bench
     blocks: Blocks

@@ -55,8 +55,8 @@ class RoadSection:
 
 @dataclass(frozen=True)
 class RoadErrorMatch:
-    """An ``effect`` of the road on a section only: its parameter ``values`` by key, and the ``shrink`` of the residual of
-    the vertical acceleration there."""
+    """An ``effect`` of the road on a section only: its parameter ``values`` by key, and the ``shrink`` of the
+    residual of the vertical acceleration there."""
 
     effect: str
     values: dict[str, float]
@@ -68,9 +68,8 @@ def concentrated_section(
 ) -> RoadSection | None:
     """The section, at most half of the road, with the largest excess of residual over motion in vertical acceleration.
 
-    The excess is the smallest of all drives with the gap, less the mean of the reference drives. None without a vertical
-    acceleration or where the drives have no section in common.
-    """
+    The excess is the smallest of all drives with the gap, less the mean of the reference drives. None without a
+    vertical acceleration or where the drives have no section in common."""
     measured = bench.problem.measured
     if "vertical_acceleration" not in measured.channels:
         return None

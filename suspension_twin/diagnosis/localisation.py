@@ -16,9 +16,9 @@ from scipy import signal
 from scipy.ndimage import gaussian_filter1d
 from scipy.stats import false_discovery_control, norm
 
-from suspension_twin.arrays import Floats
+from suspension_twin.arrays import Floats, runs
 from suspension_twin.diagnosis.bench import Bench
-from suspension_twin.diagnosis.operating import by_motion, ranked, runs
+from suspension_twin.diagnosis.operating import by_motion, ranked
 from suspension_twin.identification.noise import density, shares
 from suspension_twin.models.simulate import simulate_twin
 from suspension_twin.vehicle.twin import Twin
@@ -62,12 +62,9 @@ def localise(bench: Bench, difference: Floats, noise: dict[str, float], twin: Tw
 
 def _parts(bench: Bench, values: Floats) -> list[Floats]:
     """Samples (r, C) of every drive with the gap."""
-    out, start = [], 0
-    for rows, drive in zip(bench.problem.rows, bench.problem.drive_of, strict=True):
-        if bench.active[drive]:
-            out.append(values[start : start + rows.size])
-        start += rows.size
-    return out
+    ends = np.cumsum([0, *(rows.size for rows in bench.problem.rows)])
+    of = zip(ends[:-1], ends[1:], bench.problem.drive_of, strict=True)
+    return [values[a:b] for a, b, drive in of if bench.active[drive]]
 
 
 def _gap_drives(bench: Bench) -> list[Any]:
@@ -166,8 +163,8 @@ def _segments(bench: Bench, series: Sequence[Floats]) -> tuple[Floats, Floats]:
 
 
 def _expected_density(bench: Bench, difference: Floats, column: int) -> Floats:
-    """(F,) power density of the model discrepancy to be expected on drives with the gap: the share of the motion found on
-    reference drives, band by band; zeros without a reference."""
+    """(F,) power density of the model discrepancy to be expected on drives with the gap: the share of the motion
+    found on reference drives, band by band; zeros without a reference."""
     problem = bench.problem
     measured, others = problem.measured, [d for d, a in enumerate(bench.active) if not a]
     if not others:
@@ -180,9 +177,8 @@ def _expected_density(bench: Bench, difference: Floats, column: int) -> Floats:
 def _frequency(bench: Bench, series: Sequence[Floats], floor: float, usual: Floats) -> list[dict[str, Any]]:
     """Bands with significantly more of the gap per octave than the mean, each from a peak down to half of its density.
 
-    Significance is by bootstrap over pairs of neighbouring segments. ``usual`` (F,) is the power density of the expected
-    model discrepancy, ``floor`` the noise rms.
-    """
+    Significance is by bootstrap over pairs of neighbouring segments. ``usual`` (F,) is the power density of the
+    expected model discrepancy, ``floor`` the noise rms."""
     f, power = _segments(bench, series)
     inside = (f >= _LOWEST) & (f < 30.0)
     f, power = f[inside], gaussian_filter1d(power[:, inside], 1.0, axis=1, mode="nearest")

@@ -2,10 +2,9 @@
 """Pre-existing effects: those that act on reference drives and on drives with the gap alike.
 
 Model discrepancy repeats on every drive, and some effects explain a part of it: a low-pass, a contact patch, a little
-friction. Fitted to the drives with the gap alone, such an effect can gain more evidence than a small new effect. Effects
-that improve the prediction of all drives are therefore fitted to all of them first, and the evidence of an effect is
-its gain beyond these.
-"""
+friction. Fitted to the drives with the gap alone, such an effect can gain more evidence than a small new effect.
+Effects that improve the prediction of all drives are therefore fitted to all of them first, and the evidence of an
+effect is its gain beyond these."""
 
 from __future__ import annotations
 
@@ -32,7 +31,8 @@ _REBASE_GAIN = 1.0  # -2 log posterior that a baseline has to improve by for the
 
 
 def as_preexisting(bench: Bench, hypothesis: Hypothesis, x: Floats, base: Fit, blocks: Blocks) -> Evidence:
-    """Evidence of an effect, fitted at ``x`` (d + q + k,) to drives with the gap, as a pre-existing effect of all drives.
+    """Evidence of an effect, fitted at ``x`` (d + q + k,) to drives with the gap, as a pre-existing effect of all
+    drives.
 
     Not for clock offset, map position and tilt: on all drives these are nuisance parameters.
     """
@@ -50,7 +50,8 @@ def beyond_preexisting(
     blocks: Blocks,
     on_progress: Callable[[float, int], None],
 ) -> tuple[Evidence, dict[int, Evidence]] | None:
-    """Evidence of the baseline with the pre-existing effects of ``existing``, and of each effect of ``found`` beyond them.
+    """Evidence of the baseline with the pre-existing effects of ``existing``, and of each effect of ``found`` beyond
+    them.
 
     None where there are none. An effect that is pre-existing as well may have another size on drives with the gap.
     """

@@ -106,9 +106,8 @@ def singles(
 ) -> tuple[LinearisedFit, list[Single]]:
     """Fit every effect of the library jointly with characteristics and nuisance parameters.
 
-    Returns the baseline, which is refitted from the vehicle of each effect, and the effects. ``no_match``: the simulation
-    does not match the motion, and set-up errors are searched over their whole range.
-    """
+    Returns the baseline, which is refitted from the vehicle of each effect, and the effects. ``no_match``: the
+    simulation does not match the motion, and set-up errors are searched over their whole range."""
     coarse = _coarser(bench, base)
     begun, from_anchor = (linearised_fit(coarse, BASELINE, one.x) for one in (base, anchor))
 
@@ -168,8 +167,8 @@ def _first_search(
     seed: int,
     no_match: bool,
 ) -> _FirstSearch:
-    """The best variant of an effect from many starts, mostly with the vehicle Jacobian at ``anchor``; includes the coarse
-    search for set-up errors."""
+    """The best variant of an effect from many starts, mostly with the vehicle Jacobian at ``anchor``; includes the
+    coarse search for set-up errors."""
     screens = [screen(bench, anchor, v, v.starts(_STARTS, seed)) for v in variants]
     powers = np.concatenate([s.power for s in screens])
     order = sorted(range(len(variants)), key=lambda i: screens[i].cost[0])
@@ -216,9 +215,8 @@ def _restarted(
 ) -> _FirstSearch:
     """Repeat the search of an effect from the improved baseline, if that has ``moved``.
 
-    Set-up effects are also fitted with the nuisance parameters of the same action frozen: these can share a clock offset
-    among them and form a separate local minimum.
-    """
+    Set-up effects are also fitted with the nuisance parameters of the same action frozen: these can share a clock
+    offset among them and form a separate local minimum."""
     v, u = rough.hypothesis, rough.x[bench.d + bench.q :]
     starts = [np.concatenate([base.x, u]), np.concatenate([base.x, v.neutral()])]
     if rough.cost >= base.cost:

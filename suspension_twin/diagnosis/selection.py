@@ -32,8 +32,8 @@ _MOST_EFFECTS = 3
 _LEADS = (0.2, 0.1)  # weights from which on the first and the second effect start a set
 #: -2 log posterior by which the fit may be worse with the nuisance parameters of the same action frozen.
 _SAME_FIT = 20.0
-#: Nats of nuisance penalty that one more effect has to save where it takes clocks off their bounds, and where it reduces
-#: the nuisance penalty more than the remaining residual.
+#: Nats of nuisance penalty that one more effect has to save where it takes clocks off their bounds, and where it
+#: reduces the nuisance penalty more than the remaining residual.
 _SAVED, _SAVED_MUCH = 1.0, float(np.log(_SURE / (1.0 - _SURE)))
 
 
@@ -52,14 +52,20 @@ class Candidate:
 
 @dataclass(frozen=True, eq=False)
 class Findings:
-    """Input of the verdict: the library ``judged``, the set ``chosen`` with its ``gates`` and its ``explained_share`` of
-    the recalibrated residual, and the ``explained_shares`` (E,) of each effect of the library."""
+    """Input of the verdict: the library ``judged``, the set ``chosen`` with its ``gates`` and its ``explained_share``
+    of the recalibrated residual, and the ``explained_shares`` (E,) of each effect of the library."""
 
     judged: Judged
     chosen: Candidate
     gates: verdict.Gates
     explained_share: float
     explained_shares: Floats
+
+
+def _candidate(judged: Judged, found: Evidence) -> Candidate:
+    """A set with its remaining residual on the bench of the library."""
+    fit = found.fit
+    return Candidate(found, remaining_residual(judged.bench, fit.hypothesis, found.unknowns, judged.blocks))
 
 
 def select(
@@ -153,9 +159,7 @@ def _additions(
     """The candidates of ``tried`` that pay, the best first."""
     for more in tried:
         if verdict.beyond_usual(judged.bench, more, judged.reference is not None) > 0.5:
-            many = Candidate(
-                more, remaining_residual(judged.bench, more.fit.hypothesis, more.unknowns, judged.blocks)
-            )
+            many = _candidate(judged, more)
             if pays(case, judged, few, many, request.seed):
                 yield many
 
@@ -199,7 +203,8 @@ def pays(case: Case, judged: Judged, few: Candidate, many: Candidate, seed: int)
 
 
 def _with_nuisance_part(judged: Judged, chosen: Candidate) -> Candidate:
-    """The set refitted with the nuisance parameters of the same action frozen, so that its parameters hold the whole error.
+    """The set refitted with the nuisance parameters of the same action frozen, so that its parameters hold the whole
+    error.
 
     With a reference that part belongs to the state before the change and is left to the nuisance parameters.
     """
@@ -212,7 +217,7 @@ def _with_nuisance_part(judged: Judged, chosen: Candidate) -> Candidate:
     if fit.cost > chosen.found.fit.cost + _SAME_FIT:
         return chosen
     whole = evidence(unreferenced, fit, judged.blocks)
-    return Candidate(whole, remaining_residual(bench, hypothesis, whole.unknowns, judged.blocks))
+    return _candidate(judged, whole)
 
 
 def _backward_elimination(request: DiagnosisRequest, case: Case, judged: Judged) -> Candidate:
@@ -227,13 +232,10 @@ def _backward_elimination(request: DiagnosisRequest, case: Case, judged: Judged)
     if not possible:
         return Candidate(judged.base, judged.remaining[0])
 
-    def candidate(found: Evidence) -> Candidate:
-        return Candidate(found, remaining_residual(bench, found.fit.hypothesis, found.unknowns, blocks))
-
     fit = joint_fit(bench, [known[s.effect][0] for s in possible], judged.base.fit, request.seed)
-    chosen = candidate(evidence(bench, fit, blocks))
+    chosen = _candidate(judged, evidence(bench, fit, blocks))
     while chosen.effects:
-        fewer = [candidate(e) for e in without_one(bench, chosen.found, blocks)]
+        fewer = [_candidate(judged, e) for e in without_one(bench, chosen.found, blocks)]
         dispensable = [one for one in fewer if not pays(case, judged, one, chosen, request.seed)]
         if not dispensable:
             break

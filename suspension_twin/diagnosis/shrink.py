@@ -99,10 +99,9 @@ def shrink_of(
 ) -> Shrink:
     """The shrink in one channel over the drives with the gap, with a 90 % interval by bootstrap over blocks of road.
 
-    With ``new_drive`` the interval is predictive for one more drive: the scatter between drives is added, by Student's t
-    with a scaled inverse chi-squared prior of the variance (Gelman et al., Bayesian Data Analysis, 3rd ed., section
-    3.3). ``with_nuisances`` as fitted or at zero.
-    """
+    With ``new_drive`` the interval is predictive for one more drive: the scatter between drives is added, by
+    Student's t with a scaled inverse chi-squared prior of the variance (Gelman et al., Bayesian Data Analysis, 3rd
+    ed., section 3.3). ``with_nuisances`` as fitted or at zero."""
     rows = gap_rows(bench)
     with_gap = [i for i, active in enumerate(bench.active) if active]
     drive = (

@@ -1,10 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """Tonal components of the remaining residual: wheel orders and engine frequencies.
 
-Model discrepancy is broadband. Imbalance or runout of a wheel is periodic in distance at any speed (an order), an engine
-or a fan in time. The spectra of segments of a drive, over distance and over time, are divided by the level of their
-neighbouring bins and averaged: a tonal component exceeds its neighbourhood.
-"""
+Model discrepancy is broadband. Imbalance or runout of a wheel is periodic in distance at any speed (an order), an
+engine or a fan in time. The spectra of segments of a drive, over distance and over time, are divided by the level of
+their neighbouring bins and averaged: a tonal component exceeds its neighbourhood."""
 
 from __future__ import annotations
 
@@ -32,8 +31,8 @@ _OWN = 2.0
 
 @dataclass(frozen=True)
 class Tone:
-    """A tonal component ``at`` a frequency in 1/m or Hz: ``strength`` is its ratio to the neighbouring bins, ``share`` that
-    of the mean square of the channel."""
+    """A tonal component ``at`` a frequency in 1/m or Hz: ``strength`` is its ratio to the neighbouring bins,
+    ``share`` that of the mean square of the channel."""
 
     domain: Literal["distance", "time"]
     channel: str
@@ -43,8 +42,8 @@ class Tone:
 
 
 def strongest_tone(bench: Bench, remaining: RemainingResidual, least_share: float) -> Tone | None:
-    """The most prominent tonal component on drives with the gap that has ``least_share`` of the mean square of a channel
-    and that reference drives do not show; None without one."""
+    """The most prominent tonal component on drives with the gap that has ``least_share`` of the mean square of a
+    channel and that reference drives do not show; None without one."""
     problem, found = bench.problem, []
     for domain, (length, step, low, high) in _DOMAINS.items():
         u = np.concatenate(
@@ -85,8 +84,8 @@ def strongest_tone(bench: Bench, remaining: RemainingResidual, least_share: floa
 def _prominence(
     bench: Bench, residual: Floats, measured: Floats, u: Floats, length: float, step: float, with_gap: bool
 ) -> tuple[Floats, Floats, Floats] | None:
-    """(F,) prominence of each frequency in the residual and in the simulated signal, and its share of the residual: means
-    over segments of the drives with or without the gap. None without segments."""
+    """(F,) prominence of each frequency in the residual and in the simulated signal, and its share of the residual:
+    means over segments of the drives with or without the gap. None without segments."""
     of = drives_of(bench)
     ratios, made, tones, total = [], [], [], 0.0
     for drive in (d for d, active in enumerate(bench.active) if active == with_gap):

@@ -57,8 +57,8 @@ _ADEQUATE_WITH_GAP, _ADEQUATE_REFERENCE, _ADEQUATE_SPREAD, _USUAL_LEVEL = 2.3, 2
 _STANDS_OUT, _STANDS_OUT_SPREAD = 2.8, 1.15
 #: Prominence of a tonal component with a probability of 0.5 that it is model discrepancy, which has up to 10.
 _TONE, _TONE_SPREAD = 16.0, 1.2
-#: Rms of the clock offsets of the drives in standard deviations of their prior (bound: 3) with a probability of 0.5 that
-#: they compensate for an effect.
+#: Rms of the clock offsets of the drives in standard deviations of their prior (bound: 3) with a probability of 0.5
+#: that they compensate for an effect.
 _CLOCKS_AT_LIMIT, _CLOCKS_AT_LIMIT_SPREAD = 2.92, 0.04
 #: Prior tail probability of the clock and map offsets at which compensation and chance are equally probable.
 _CHANCE = 0.01
@@ -70,8 +70,8 @@ _DOMINANT_RATIO, _LEAST_LIBRARY = 3.0, 10
 #: Odds against no gap and unknown together from which on a cause is named without a reference: of seven causes between
 #: even odds and these, five were wrong.
 _NAMED_FROM = 1.5
-#: Change of clock and position errors over a drive, from +2 to -2 standard deviations: a slow drift of the GNSS position
-#: resembles a clock drift.
+#: Change of clock and position errors over a drive, from +2 to -2 standard deviations: a slow drift of the GNSS
+#: position resembles a clock drift.
 _BETWEEN_ENDS = 4.0
 _WANDERS = (".clock_offset", ".map_position")
 #: Factor of one standard deviation of the usual error of a twin file.
@@ -102,26 +102,20 @@ def relative_residual(
         remaining.with_nuisances if with_nuisances else remaining.difference,
     )
     measured = bench.problem.measured
-    shares, counts, floors = [], [], []
-    for c, name in enumerate(measured.channels):
-        if name in driven:
-            motion = float(np.var(measured.values[rows, c]))
-            rest = max(float(np.var(rest_of[rows, c])) - noise[name] ** 2, 0.0)
-            shares.append(rest)
-            counts.append(max(motion - noise[name] ** 2, 1e-12))
-            floors.append(noise[name] ** 2)
+    columns = [(c, noise[name] ** 2) for c, name in enumerate(measured.channels) if name in driven]
+    floors = np.array([floor for _, floor in columns])
+    excess = np.array([max(float(np.var(rest_of[rows, c])) - floor, 0.0) for c, floor in columns])
+    motion = np.array([max(float(np.var(measured.values[rows, c])) - floor, 1e-12) for c, floor in columns])
     # channels are weighted by their signal to noise ratio
-    weight = np.array(counts) / np.array(floors)
-    ratio = np.array(shares) / np.array(counts)
-    return float(np.sqrt(np.sum(weight * ratio) / weight.sum()))
+    weight = motion / floors
+    return float(np.sqrt(np.sum(weight * (excess / motion)) / weight.sum()))
 
 
 def adequate_without_reference(level: float, noise_share: float, taken: float | None = None) -> float:
     """Probability that a residual ``level`` (share of the motion) is model discrepancy, without a reference.
 
-    By the distributions of the level with and without a missing effect, and by ``taken``, the largest shrink of a channel
-    by the cause: a substitute for the true effect has a small one.
-    """
+    By the distributions of the level with and without a missing effect, and by ``taken``, the largest shrink of a
+    channel by the cause: a substitute for the true effect has a small one."""
     level = max(level, 1e-3)
     if level < noise_share:
         return 1.0
@@ -168,7 +162,8 @@ def smooth_spectrum(bench: Bench, remaining: RemainingResidual, noise: dict[str,
 
 
 def free_of_tones(bench: Bench, remaining: RemainingResidual) -> tuple[float, Tone | None]:
-    """Probability that the residual has no tonal component, and the most prominent one of at least a tenth of the gap."""
+    """Probability that the residual has no tonal component, and the most prominent one of at least a tenth of the
+    gap."""
     tone = strongest_tone(bench, remaining, MATERIAL)
     if tone is None:
         return 1.0, None
@@ -192,8 +187,8 @@ def clocks_within_limits(bench: Bench, found: Evidence, temper: float) -> float:
 
 
 def adequate_with_reference(found: Evidence, channels: Sequence[int]) -> float:
-    """Probability that no further effect is missing, with a reference: the held-out residual is within the noise model of
-    the reference, on drives with the gap and on the reference itself."""
+    """Probability that no further effect is missing, with a reference: the held-out residual is within the noise
+    model of the reference, on drives with the gap and on the reference itself."""
     with_gap = max(found.level[c, True] for c in channels)
     return float(
         norm.sf(np.log(with_gap / _ADEQUATE_WITH_GAP) / np.log(_ADEQUATE_SPREAD))
@@ -210,8 +205,8 @@ def temper_of(bench: Bench, best: RemainingResidual, noise: dict[str, float]) ->
 
 
 def plausible(bench: Bench, found: Evidence) -> float:
-    """Probability that the parameters are within their prior, off their bounds, and of the same sign in all folds. Set-up
-    errors (clock, map, mount) may have any size within their range."""
+    """Probability that the parameters are within their prior, off their bounds, and of the same sign in all folds.
+    Set-up errors (clock, map, mount) may have any size within their range."""
     hypothesis = found.fit.hypothesis
     p = bench.d + bench.q
     u = found.fit.x[p:]
@@ -251,8 +246,8 @@ def beyond_usual(bench: Bench, found: Evidence, changed: bool = False) -> float:
 
 
 def _apparent_drift(bench: Bench) -> float:
-    """Apparent clock drift in ppm by clock and position errors of opposite sign at both ends of the longest drive with the
-    gap, within their priors; 0 where neither is fitted."""
+    """Apparent clock drift in ppm by clock and position errors of opposite sign at both ends of the longest drive
+    with the gap, within their priors; 0 where neither is fitted."""
     problem = bench.problem
     normal = list(zip(problem.nuisances.names, problem.nuisances.spread, strict=True))
     clock, place = (max((float(v) for n, v in normal if n.endswith(e)), default=0.0) for e in _WANDERS)
@@ -281,8 +276,8 @@ def dominance_of(gains: Floats, decoy_gains: Floats) -> Floats:
 
 
 def retained_share(gate: Gates, explained_share: float, dominance: float = 0.0) -> float:
-    """Share of the weight of a hypothesis that it retains: a + (1 - a) max(e^2, dominance), with the probability a that it
-    is adequate and the explained share e of the recalibrated gap. Unknown has the other part."""
+    """Share of the weight of a hypothesis that it retains: a + (1 - a) max(e^2, dominance), with the probability a
+    that it is adequate and the explained share e of the recalibrated gap. Unknown has the other part."""
     kept = max(float(np.clip(explained_share, 0.0, 1.0)) ** 2, dominance)
     return gate.adequate + (1.0 - gate.adequate) * kept
 
@@ -299,8 +294,8 @@ def explained_share(found: Evidence, base: Evidence, channels: Sequence[int]) ->
 
 
 def explained_level_share(level: float, before: float) -> float:
-    """The same without a reference: ``before`` and ``level`` are residuals as shares of the rms of the motion, the excess
-    is that over the usual model discrepancy."""
+    """The same without a reference: ``before`` and ``level`` are residuals as shares of the rms of the motion, the
+    excess is that over the usual model discrepancy."""
     beyond = max(before**2 - _DISCREPANCY**2, 0.0)
     return (
         float(np.clip(1.0 - max(level**2 - _DISCREPANCY**2, 0.0) / beyond, 0.0, 1.0)) if beyond > 0.0 else 0.0
@@ -308,8 +303,8 @@ def explained_level_share(level: float, before: float) -> float:
 
 
 def reference_unaffected(found: Evidence, channels: Sequence[int]) -> float:
-    """Probability that the residual on reference drives is within their noise model: else the drives with the gap, fitted
-    jointly, need another vehicle. 1 without a reference."""
+    """Probability that the residual on reference drives is within their noise model: else the drives with the gap,
+    fitted jointly, need another vehicle. 1 without a reference."""
     there = max(found.level.get((c, False), 0.0) for c in channels)
     return float(norm.sf(np.log(max(there, 1e-12) / _ADEQUATE_REFERENCE) / np.log(_ADEQUATE_SPREAD)))
 
@@ -320,9 +315,9 @@ def masses(
     """Probabilities of the effects (E,), of no gap and of unknown, from weights (1 + E,), baseline first.
 
     The weight of an effect that is not material or not plausible goes to the answers without a cause. That of an effect
-    that is not adequate is shared with unknown by ``retained_share``, from its ``explained_share`` (E,) and ``dominance``
-    (E,). ``undetectable`` (E,) are the prior odds, to no effect, of each effect at a size that the drives do not show.
-    """
+    that is not adequate is shared with unknown by ``retained_share``, from its ``explained_share`` (E,) and
+    ``dominance`` (E,). ``undetectable`` (E,) are the prior odds, to no effect, of each effect at a size that the
+    drives do not show."""
     effects = np.zeros(len(gates) - 1)
     rest, unknown = float(weights[0]), 0.0
     for i, gate in enumerate(gates[1:]):
@@ -349,8 +344,8 @@ def verdict_of(
     referenced: bool,
 ) -> str:
     """The decision: effect or partly where a cause has more probability than no gap and unknown together (1.5 times as
-    much without a reference); else the more probable of no_gap and unknown. Indistinguishable effects (``groups``) count
-    together. ``remaining`` is the share of the gap that the named twin does not explain."""
+    much without a reference); else the more probable of no_gap and unknown. Indistinguishable effects (``groups``)
+    count together. ``remaining`` is the share of the gap that the named twin does not explain."""
     named = max((float(sum(effects[i] for i in g)) for g in groups), default=0.0)
     if named <= (1.0 if referenced else _NAMED_FROM) * (no_gap + unknown):
         return "no_gap" if no_gap >= unknown else "unknown"

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""How far a simulated signal is from the measured one: interchangeable, combinable objectives.
+"""Objectives: distances of simulated from measured signals, which can be combined.
 
 An objective is a sum of terms, each a kind over one channel with a weight, written
 ``euclidean`` or ``mse+0.5*spectral``. Most kinds are sums of squares and say so, which lets
@@ -44,20 +44,20 @@ class Term:
 
 @dataclass(frozen=True, eq=False)
 class Measured:
-    """The measured side: ``values`` (M, C), one column a channel, ``rate`` Hz, the stretches (slices of
-    the M samples) within which samples follow each other without a gap, and the number of the drive
-    that each stretch belongs to. ``bandwidth`` Hz: the cut-off of the low-pass that both sides went through."""
+    """The measured signals: ``values`` (M, C), one column per channel, at ``rate`` Hz; the ``segments`` (slices of
+    the M samples) without gaps, and the number of the drive of each segment. ``bandwidth`` Hz: the cut-off of the
+    low-pass of measured and simulated signals."""
 
     channels: tuple[str, ...]
     values: Floats
-    stretches: tuple[slice, ...]
+    segments: tuple[slice, ...]
     rate: float
     drives: tuple[int, ...] = ()
     bandwidth: float = 20.0
 
     @property
     def independent(self) -> float:
-        """Independent samples for each sample: the share of the band up to Nyquist that the low-pass passes."""
+        """Effective sample size per sample: 2 f_c / rate, the pass band of the low-pass as a share of Nyquist."""
         return min(1.0, 2.0 * self.bandwidth / self.rate)
 
     def column(self, channel: str) -> int:
@@ -158,14 +158,14 @@ class Objective:
         return float(np.sqrt(squares)) if self._distance else float(squares)
 
     def _levels(self, x: Floats, channel: str) -> Floats:
-        """(B, L) decimal logarithms of the power in sixth-octave bands, averaged over the stretches."""
+        """(B, L) decimal logarithms of the power in sixth-octave bands, averaged over the segments."""
         from scipy import signal  # half a second to import, and no preset needs it
 
         rate = self.measured.rate
-        longest = max(s.stop - s.start for s in self.measured.stretches)
+        longest = max(s.stop - s.start for s in self.measured.segments)
         window = min(longest, 4 * int(rate))
         density, weight = 0.0, 0
-        for stretch in self.measured.stretches:
+        for stretch in self.measured.segments:
             length = stretch.stop - stretch.start
             if length < window // 2:
                 continue
@@ -190,7 +190,7 @@ class Objective:
         costs = np.empty(candidates.shape[1])
         for lane in range(candidates.shape[1]):
             rating, samples = 0.0, 0
-            for s in self.measured.stretches:
+            for s in self.measured.segments:
                 length = s.stop - s.start
                 rating += length * float(
                     iso18571(measured[s], candidates[s, lane], self.measured.rate).overall

@@ -488,7 +488,7 @@ def test_a_cause_that_shows_without_closing_the_gap_is_not_said_to_shrink_it() -
 
     assert (
         told(0.3)
-        == "partly road smoothing: the gap shrinks by 30 % (20 to 40 %) on road that the fit has not seen"
+        == "partly road smoothing: the gap shrinks by 30 % (20 to 40 %) on held-out data"
     )
     assert "does not shrink the gap (-11 to 9 %)" in told(-0.01)
 
