@@ -38,34 +38,30 @@ class Manoeuvre:
 
 def menu() -> list[Manoeuvre]:
     """The manoeuvres to choose from; each is short and needs no test track."""
-    bump = bump_road(half_sine(0.9, 0.07), at=30.0, length=140.0)
-    sharp = bump_road(half_sine(0.25, 0.03), at=30.0, length=140.0)
-    wave = bump_road(half_sine(6.0, 0.08), at=30.0, length=140.0)
-    pothole = bump_road(half_sine(0.7, -0.06), at=30.0, length=140.0)
+
+    def bumped(length: float, height: float) -> Road:
+        return bump_road(half_sine(length, height), at=30.0, length=140.0)
+
+    bump = bumped(0.9, 0.07)
     ripple = bump_road(half_sine(2.0, 0.004), at=[20.0 + 6.0 * i for i in range(10)], length=140.0)
-    wide = bump_road(half_sine(0.9, 1e-6), at=30.0, length=140.0)
-    left = add_bump(wide, half_sine(0.9, 0.06), 40.0, v_low=0.1)
-    found = [Manoeuvre("standing still for ten seconds", bump, ((0.0, 0.0), (10.0, 0.0)))]
-    for kmh in (10, 20, 40):
-        v = kmh / 3.6
-        found.append(
-            Manoeuvre(f"a speed bump (7 cm high, 0.9 m long) at {kmh} km/h", bump, ((0.0, v), (60.0 / v, v)))
-        )
-    for name, road, kmh in (
-        ("a low sharp edge (3 cm high, 0.25 m long) at 30 km/h", sharp, 30),
-        ("a long wave (8 cm high, 6 m long) at 40 km/h", wave, 40),
-        ("a pothole (6 cm deep, 0.7 m long) at 30 km/h", pothole, 30),
-        ("a bump under the left wheels only at 20 km/h", left, 20),
-        ("a smooth road (ripples of 4 mm) at 40 km/h", ripple, 40),
-    ):
-        v = kmh / 3.6
-        found.append(Manoeuvre(name, road, ((0.0, v), (min(60.0 / v, 12.0), v))))
-    found.append(
-        Manoeuvre(
-            "braking from 40 km/h over a speed bump", bump, ((0.0, 11.1), (2.0, 11.1), (4.5, 3.0), (8.0, 1.0))
-        )
-    )
-    return found
+    left = add_bump(bumped(0.9, 1e-6), half_sine(0.9, 0.06), 40.0, v_low=0.1)
+    passes = [
+        *((f"a speed bump (7 cm high, 0.9 m long) at {v} km/h", bump, v, np.inf) for v in (10, 20, 40)),
+        ("a low sharp edge (3 cm high, 0.25 m long) at 30 km/h", bumped(0.25, 0.03), 30, 12.0),
+        ("a long wave (8 cm high, 6 m long) at 40 km/h", bumped(6.0, 0.08), 40, 12.0),
+        ("a pothole (6 cm deep, 0.7 m long) at 30 km/h", bumped(0.7, -0.06), 30, 12.0),
+        ("a bump under the left wheels only at 20 km/h", left, 20, 12.0),
+        ("a smooth road (ripples of 4 mm) at 40 km/h", ripple, 40, 12.0),
+    ]
+    braking = ((0.0, 11.1), (2.0, 11.1), (4.5, 3.0), (8.0, 1.0))
+    return [
+        Manoeuvre("standing still for ten seconds", bump, ((0.0, 0.0), (10.0, 0.0))),
+        *(
+            Manoeuvre(name, road, ((0.0, kmh / 3.6), (min(60.0 / (kmh / 3.6), longest), kmh / 3.6)))
+            for name, road, kmh, longest in passes
+        ),
+        Manoeuvre("braking from 40 km/h over a speed bump", bump, braking),
+    ]
 
 
 def separation(first: Twin, second: Twin, what: Manoeuvre, noise: dict[str, float], share: float) -> float:
@@ -86,7 +82,12 @@ def separation(first: Twin, second: Twin, what: Manoeuvre, noise: dict[str, floa
     for c, name in enumerate(_CHANNELS):
         motion = float(np.std(seen[0][:, c]))
         sigma2 = noise.get(name, 0.03 if name.endswith("acceleration") else 2e-3) ** 2 + (share * motion) ** 2
-        total += 0.5 * 0.4 * float(np.sum((seen[0][:, c] - seen[1][:, c]) ** 2)) / sigma2
+        total += (
+            0.5
+            * (2.0 * FilterSpec().cutoff / _RATE)
+            * float(np.sum((seen[0][:, c] - seen[1][:, c]) ** 2))
+            / sigma2
+        )
     return total
 
 

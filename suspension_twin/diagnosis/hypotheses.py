@@ -118,17 +118,19 @@ class Hypothesis:
         """Rows of the coordinates of ``part``."""
         return [self.keys.index(key) for key in part.keys]
 
+    @property
+    def _severe(self) -> list[bool]:
+        """(k,) whether each coordinate is a severity of its effect."""
+        return [p.name in self.effect(key.split(".")[1]).severity for key, p in self.searched]
+
     def bounds(self) -> tuple[Floats, Floats]:
         """(k,) lowest and highest coordinates."""
-        low, high = [], []
-        for _, p in self.searched:
-            if p.log:
-                ends = [np.log(v / p.typical) / np.log(p.spread) for v in (p.low, p.high)]
-            else:
-                ends = [(v - p.typical) / p.spread for v in (p.low, p.high)]
-            low.append(ends[0])
-            high.append(ends[1])
-        return np.array(low), np.array(high)
+        low, high = (
+            np.array([[_coordinate(p, v) for v in (p.low, p.high)] for _, p in self.searched], dtype=float)
+            .reshape(-1, 2)
+            .T.copy()
+        )
+        return low, high
 
     def values(self, u: Floats) -> Floats:
         """(k, L) parameters for coordinates (k, L), inside their bounds."""
@@ -140,21 +142,17 @@ class Hypothesis:
 
     def neutral(self) -> Floats:
         """(k,) coordinates of a severity of zero; others at their typical value."""
-        low, high = self.bounds()
-        at = np.zeros(len(self))
-        for i, (_, p) in enumerate(self.searched):
-            if p.name in self.effect(self._owner(i)).severity and not p.log:
-                at[i] = (p.neutral - p.typical) / p.spread
-        return np.clip(at, low, high)
+        searched = zip(self.searched, self._severe, strict=True)
+        at = [_coordinate(p, p.neutral) if severe and not p.log else 0.0 for (_, p), severe in searched]
+        return np.clip(np.array(at, dtype=float), *self.bounds())
 
     def negligible(self) -> Floats:
         """(k, n) coordinates at which the effect is smallest: severities of zero, logarithmic ones at either bound (a
         low-pass at its highest cutoff, a contact patch at its shortest)."""
         low, high = self.bounds()
         ends = np.repeat(self.neutral()[:, None], 2, axis=1)
-        for i, (_, p) in enumerate(self.searched):
-            if p.name in self.effect(self._owner(i)).severity and p.log:
-                ends[i] = low[i], high[i]
+        free = [severe and p.log for (_, p), severe in zip(self.searched, self._severe, strict=True)]
+        ends[free] = np.stack([low, high], axis=1)[free]
         return np.unique(ends, axis=1)
 
     @property
@@ -164,20 +162,19 @@ class Hypothesis:
 
     def early_contact(self, far: float) -> Floats:
         """(k,) an effect with small clearance and large severity, ``far`` standard deviations from typical."""
-        low, high = self.bounds()
         at = self.neutral()
-        for i, (_, p) in enumerate(self.searched):
-            if p.name in self.effect(self._owner(i)).severity and not p.log:
+        for i, ((_, p), severe) in enumerate(zip(self.searched, self._severe, strict=True)):
+            if severe and not p.log:
                 at[i] += far
             elif p.log and p.unit == "m":
                 at[i] = -far
-        return np.clip(at, low, high)
+        return np.clip(at, *self.bounds())
 
     def scan(self, count: int) -> tuple[int, Floats] | None:
         """For an effect with a resonance: the row of its strength, and ``count`` points (k, count) over the bounds of
         its frequency; None for any other effect."""
         names = [p.name for _, p in self.searched]
-        severe = [i for i, n in enumerate(names) if n in self.effect(self._owner(i)).severity]
+        severe = np.flatnonzero(self._severe).tolist()
         if "frequency" not in names or len(severe) != 1:
             return None
         low, high = self.bounds()
@@ -211,13 +208,7 @@ class Hypothesis:
 
     def at(self, spec: EffectSpec) -> Floats:
         """(k,) coordinates of an effect as a twin file has it."""
-        known = [(p, spec.parameters[p.name]) for _, p in self.searched]
-        return np.array(
-            [
-                np.log(v / p.typical) / np.log(p.spread) if p.log else (v - p.typical) / p.spread
-                for p, v in known
-            ]
-        )
+        return np.array([_coordinate(p, spec.parameters[p.name]) for _, p in self.searched])
 
     def starts(self, count: int, seed: int) -> Floats:
         """(k, count) Sobol points over the prior, severities on the side of their bound."""
@@ -227,11 +218,15 @@ class Hypothesis:
         cube = qmc.Sobol(len(self), scramble=True, seed=seed).random(count).T
         normal = _WIDTH * ndtri(np.clip(cube, 1e-3, 1 - 1e-3))
         at = self.neutral()
-        out = normal.copy()
-        for i, (_, p) in enumerate(self.searched):
-            if p.name in self.effect(self._owner(i)).severity and not p.log and low[i] >= at[i] - 1e-12:
-                out[i] = at[i] + np.abs(normal[i])
-        return np.clip(out, low[:, None], high[:, None])
+        searched = zip(self.searched, self._severe, strict=True)
+        one_sided = [s and not p.log and low[i] >= at[i] - 1e-12 for i, ((_, p), s) in enumerate(searched)]
+        normal[one_sided] = at[one_sided, None] + np.abs(normal[one_sided])
+        return np.clip(normal, low[:, None], high[:, None])
+
+
+def _coordinate(p: Parameter, value: float) -> float:
+    """The search coordinate of a value of a parameter."""
+    return float(np.log(value / p.typical) / np.log(p.spread) if p.log else (value - p.typical) / p.spread)
 
 
 BASELINE = Hypothesis()

@@ -16,9 +16,9 @@ from scipy import signal
 from scipy.ndimage import gaussian_filter1d
 from scipy.stats import false_discovery_control, norm
 
-from suspension_twin.arrays import Floats
+from suspension_twin.arrays import Floats, runs
 from suspension_twin.diagnosis.bench import Bench
-from suspension_twin.diagnosis.operating import by_motion, ranked, runs
+from suspension_twin.diagnosis.operating import by_motion, ranked
 from suspension_twin.identification.noise import density, shares
 from suspension_twin.models.simulate import simulate_twin
 from suspension_twin.vehicle.twin import Twin
@@ -62,12 +62,9 @@ def localise(bench: Bench, difference: Floats, noise: dict[str, float], twin: Tw
 
 def _parts(bench: Bench, values: Floats) -> list[Floats]:
     """Samples (r, C) of every drive with the gap."""
-    out, start = [], 0
-    for rows, drive in zip(bench.problem.rows, bench.problem.drive_of, strict=True):
-        if bench.active[drive]:
-            out.append(values[start : start + rows.size])
-        start += rows.size
-    return out
+    ends = np.cumsum([0, *(rows.size for rows in bench.problem.rows)])
+    of = zip(ends[:-1], ends[1:], bench.problem.drive_of, strict=True)
+    return [values[a:b] for a, b, drive in of if bench.active[drive]]
 
 
 def _gap_drives(bench: Bench) -> list[Any]:

@@ -13,12 +13,12 @@ from typing import Any
 import numpy as np
 from scipy.stats import false_discovery_control
 
-from suspension_twin.arrays import Floats
+from suspension_twin.arrays import Floats, runs
 from suspension_twin.models.simulate import simulate_twin
 from suspension_twin.vehicle.corners import CORNERS
 from suspension_twin.vehicle.twin import Twin
 
-__all__ = ["by_motion", "ranked", "runs"]
+__all__ = ["by_motion", "ranked"]
 
 _SECONDS, _DRAWS, _FALSE_DISCOVERY_RATE = 1.0, 1000, 0.1
 _BINS, _STANDS_OUT, _LEAST_SHARE, _MOST = 10, 1.25, 0.02, 8
@@ -50,12 +50,6 @@ def by_motion(with_gap: Sequence[Any], excess: Sequence[Floats], twin: Twin, see
         "corner": _corners(velocity, amount, block, drawn),
         "operating_point": _points(quantities, amount, block, drawn),
     }
-
-
-def runs(flags: np.ndarray) -> list[tuple[int, int]]:
-    """Runs of consecutive True flags: start, end (exclusive)."""
-    edges = np.flatnonzero(np.diff(np.concatenate([[0], flags.astype(int), [0]])))
-    return list(zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True))
 
 
 def ranked(items: list[dict[str, Any]]) -> list[dict[str, Any]]:

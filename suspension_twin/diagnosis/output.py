@@ -6,25 +6,16 @@ from __future__ import annotations
 import json
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any
 
+from suspension_twin.diagnosis.request import DiagnosisResult
 from suspension_twin.files import write_text
-from suspension_twin.vehicle.twin import Twin, save_twin
+from suspension_twin.vehicle.twin import save_twin
 
-__all__ = ["Found", "values_of", "write"]
-
-
-class Found(Protocol):
-    """What a diagnosis hands back, of a car or of a tracked vehicle: the document, and the twin with what was found."""
-
-    @property
-    def document(self) -> dict[str, Any]: ...
-
-    @property
-    def twin(self) -> Twin: ...
+__all__ = ["values_of", "write"]
 
 
-def write(result: Found, folder: Path) -> None:
+def write(result: DiagnosisResult, folder: Path) -> None:
     """``diagnosis.json`` and ``twin.yaml`` in ``folder``, which is made."""
     text = json.dumps(result.document, indent=2, ensure_ascii=False, allow_nan=False)
     write_text(folder / "diagnosis.json", text + "\n")

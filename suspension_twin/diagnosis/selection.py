@@ -62,6 +62,12 @@ class Findings:
     explained_shares: Floats
 
 
+def _candidate(judged: Judged, found: Evidence) -> Candidate:
+    """A set with its remaining residual on the bench of the library."""
+    fit = found.fit
+    return Candidate(found, remaining_residual(judged.bench, fit.hypothesis, found.unknowns, judged.blocks))
+
+
 def select(
     request: DiagnosisRequest, case: Case, judged: Judged, report: Callable[[Progress], None]
 ) -> Findings:
@@ -153,9 +159,7 @@ def _additions(
     """The candidates of ``tried`` that pay, the best first."""
     for more in tried:
         if verdict.beyond_usual(judged.bench, more, judged.reference is not None) > 0.5:
-            many = Candidate(
-                more, remaining_residual(judged.bench, more.fit.hypothesis, more.unknowns, judged.blocks)
-            )
+            many = _candidate(judged, more)
             if pays(case, judged, few, many, request.seed):
                 yield many
 
@@ -213,7 +217,7 @@ def _with_nuisance_part(judged: Judged, chosen: Candidate) -> Candidate:
     if fit.cost > chosen.found.fit.cost + _SAME_FIT:
         return chosen
     whole = evidence(unreferenced, fit, judged.blocks)
-    return Candidate(whole, remaining_residual(bench, hypothesis, whole.unknowns, judged.blocks))
+    return _candidate(judged, whole)
 
 
 def _backward_elimination(request: DiagnosisRequest, case: Case, judged: Judged) -> Candidate:
@@ -228,13 +232,10 @@ def _backward_elimination(request: DiagnosisRequest, case: Case, judged: Judged)
     if not possible:
         return Candidate(judged.base, judged.remaining[0])
 
-    def candidate(found: Evidence) -> Candidate:
-        return Candidate(found, remaining_residual(bench, found.fit.hypothesis, found.unknowns, blocks))
-
     fit = joint_fit(bench, [known[s.effect][0] for s in possible], judged.base.fit, request.seed)
-    chosen = candidate(evidence(bench, fit, blocks))
+    chosen = _candidate(judged, evidence(bench, fit, blocks))
     while chosen.effects:
-        fewer = [candidate(e) for e in without_one(bench, chosen.found, blocks)]
+        fewer = [_candidate(judged, e) for e in without_one(bench, chosen.found, blocks)]
         dispensable = [one for one in fewer if not pays(case, judged, one, chosen, request.seed)]
         if not dispensable:
             break

@@ -102,18 +102,13 @@ def relative_residual(
         remaining.with_nuisances if with_nuisances else remaining.difference,
     )
     measured = bench.problem.measured
-    shares, counts, floors = [], [], []
-    for c, name in enumerate(measured.channels):
-        if name in driven:
-            motion = float(np.var(measured.values[rows, c]))
-            rest = max(float(np.var(rest_of[rows, c])) - noise[name] ** 2, 0.0)
-            shares.append(rest)
-            counts.append(max(motion - noise[name] ** 2, 1e-12))
-            floors.append(noise[name] ** 2)
+    columns = [(c, noise[name] ** 2) for c, name in enumerate(measured.channels) if name in driven]
+    floors = np.array([floor for _, floor in columns])
+    excess = np.array([max(float(np.var(rest_of[rows, c])) - floor, 0.0) for c, floor in columns])
+    motion = np.array([max(float(np.var(measured.values[rows, c])) - floor, 1e-12) for c, floor in columns])
     # channels are weighted by their signal to noise ratio
-    weight = np.array(counts) / np.array(floors)
-    ratio = np.array(shares) / np.array(counts)
-    return float(np.sqrt(np.sum(weight * ratio) / weight.sum()))
+    weight = motion / floors
+    return float(np.sqrt(np.sum(weight * (excess / motion)) / weight.sum()))
 
 
 def adequate_without_reference(level: float, noise_share: float, taken: float | None = None) -> float:

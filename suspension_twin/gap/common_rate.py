@@ -1,11 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
 """Drives of any IMU rate on one grid for comparison.
 
-Both sides of a comparison pass a low-pass of cut-off f_c, so that a grid of 5 f_c holds all that is left of them:
-100 Hz for the default of 20 Hz. A phone at 400 Hz or a BMI160 at 1600 Hz is low-passed and resampled to that before
-anything else is done with it, at a cost that does not grow with its rate, and drives of different rates meet on the
-lowest of their grids. What comes near enough to the grid already is left as it was recorded.
-"""
+Measured and simulated signals pass a low-pass of cut-off f_c, so that a grid of 5 f_c holds them: 100 Hz for the
+default of 20 Hz. Recordings at higher rates (400 Hz phone, 1600 Hz BMI160) are low-passed and resampled to that grid
+first. Drives of different rates are compared on the lowest of their grids. Recordings near the rate of the grid are
+unchanged."""
 
 from __future__ import annotations
 
@@ -33,7 +32,7 @@ _ANTI_ALIASING, _ORDER = 0.42, 4
 
 
 def on_common_rate(drives: Sequence[Drive], filter: FilterSpec) -> list[Drive]:
-    """The drives at rates that agree, each at its own where all are near the comparison grid's already.
+    """The drives on one rate; unchanged where all are near that of the comparison grid.
 
     Parameters
     ----------
@@ -45,21 +44,18 @@ def on_common_rate(drives: Sequence[Drive], filter: FilterSpec) -> list[Drive]:
     Returns
     -------
     list of Drive
-        In the same order; a drive whose rate cannot be told is left as it is, for others to refuse.
+        In the same order; a drive with too few stamps for a rate is unchanged.
     """
     rates = [_rate(drive) for drive in drives]
     grid = PER_PERIOD * filter.cutoff
     wanted = [grid if rate > _WORTHWHILE * grid else rate for rate in rates]
     known = [rate for rate in wanted if rate > 0]
-    if not known or max(known) <= (1.0 + _SAME) * min(known):
-        lowest = 0.0
-    else:
-        lowest = min(known)
-    out = []
-    for drive, rate, own in zip(drives, rates, wanted, strict=True):
-        target = lowest if lowest and own > (1.0 + _SAME) * lowest else own
-        out.append(resampled(drive, target) if 0 < target < rate * (1.0 - _SAME) else drive)
-    return out
+    lowest = min(known) if known and max(known) > (1.0 + _SAME) * min(known) else np.inf
+    targets = [lowest if own > (1.0 + _SAME) * lowest else own for own in wanted]
+    return [
+        resampled(drive, target) if 0 < target < rate * (1.0 - _SAME) else drive
+        for drive, rate, target in zip(drives, rates, targets, strict=True)
+    ]
 
 
 def _rate(drive: Drive) -> float:
@@ -77,7 +73,7 @@ def resampled(drive: Drive, rate: float) -> Drive:
     path = Conditioner.for_stamps(cleaned.stamps, spec, zero_phase=True)
     kept = cleaned.keep[path.keep]
     signals = np.hstack([imu.specific_force, imu.angular_rate])[kept]
-    # a filter starts from nothing: the mean is put back afterwards
+    # the filter starts from zero: filter the deviation from the mean
     mean = signals.mean(axis=0)
     smooth = path.apply(signals - mean) + mean
     count = int((path.grid[-1] - path.grid[0]) * rate) + 1

@@ -1,12 +1,13 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Do IMU and receiver tell of the same motion? Clocks that differ, a sensor that faces elsewhere, mirrored axes, rates
-in degrees or of the other sign.
+"""IMU/GNSS consistency: clock offset, yaw of the mounting, mirrored axes, sign and unit of the gyro.
 
-The receiver alone says how the vehicle speeds up and turns, slowly; the IMU feels the same, later if its clock is late,
-and in its own axes. As complex numbers, ahead and to the left, the two correlate as well whichever way the sensor
-faces: the delay at which they do best is the clocks', the angle that is left the mount's. Of a sensor whose axes are
-left-handed it is the complex conjugate that correlates.
-"""
+Planar acceleration a of the GNSS path and specific force f of the IMU, both as complex numbers (forward + 1j left),
+have the correlation
+
+    c(k) = sum f(n + k) conj(a(n)) / (|f| |a|),
+
+whose magnitude does not depend on the yaw of the sensor. The lag of the largest |c| is the clock offset, and the
+angle of c there the yaw of the mounting. For left-handed sensor axes the conjugate of f correlates."""
 
 from __future__ import annotations
 
@@ -24,37 +25,37 @@ from suspension_twin.signals.checks import Finding
 from suspension_twin.signals.offline import ImuSignals
 from suspension_twin.vehicle.twin import Datum, Place
 
-__all__ = ["Agreement", "agreement", "facing", "findings", "lateness"]
+__all__ = ["Consistency", "consistency", "facing", "findings", "lateness"]
 
 Complexes = NDArray[np.complex128]
 
-_FARTHEST = 40.0  # s
-#: Correlation from which a delay is told, and by how much one that is far has to beat those that are near.
-_SURE, _BETTER = 0.75, 0.15
+_LARGEST_LAG = 40.0  # s
+#: Least correlation of a result, and by how much that of a long lag has to exceed that of the short ones.
+_LEAST_CORRELATION, _LEAST_MARGIN = 0.75, 0.15
 _LEAST = 0.2  # m/s² rms of the path's acceleration
-#: s and rad of which a user should know, and s beyond which nothing that is made of the drive means anything.
-_LATE, _TURNED, _APART = 0.3, 0.35, 2.0
-#: rad/s rms of turning from which the sign of a gyro shows.
-_TURNS = 0.02
-#: rad/s that no vehicle turns by for a hundredth of a drive; in °/s, which is 57 times as much, any does.
-_QUICK = 4.0
-_LEAPS = "GPS time is 18 s ahead of UTC"
+#: Limits in s and rad from which on a finding is reported, and clock offset in s from which on it is an error.
+_CLOCK_OFFSET, _TURNED, _CLOCK_OFFSET_ERROR = 0.3, 0.35, 2.0
+#: Least rms yaw rate in rad/s for a check of the sign of the gyro.
+_LEAST_YAW_RATE = 0.02
+#: Largest plausible 99th percentile of the rate in rad/s; in °/s any drive exceeds it.
+_LARGEST_RATE = 4.0
+_LEAP_SECONDS = "GPS time is 18 s ahead of UTC"
 
 
 @dataclass(frozen=True)
-class Agreement:
-    """``late`` s by which the IMU's stamps are after the receiver's, ``yaw`` rad by which the sensor is turned against
-    the mounting of the twin file, 0 where its axes are ``mirrored``; ``reversed`` whether its gyro turns the other way
-    about the vertical than the path does."""
+class Consistency:
+    """``clock_offset`` s of the IMU stamps against those of the receiver (positive: later); ``yaw`` rad of the sensor
+    against the mounting of the twin file, 0 where its axes are ``mirrored``; ``reversed``: the yaw rate has the wrong
+    sign."""
 
-    late: float
+    clock_offset: float
     yaw: float
     mirrored: bool = False
     reversed: bool = False
 
 
-def agreement(drive: Drive, signals: ImuSignals, gps: Place, datum: Datum) -> Agreement | None:
-    """What the two say of each other; None where the drive hardly tells."""
+def consistency(drive: Drive, signals: ImuSignals, gps: Place, datum: Datum) -> Consistency | None:
+    """Compare IMU and GNSS; None where the drive has too little planar acceleration."""
     try:
         slow, path = satellite_motion(drive, signals, gps, datum)
     except InputError:
@@ -62,32 +63,36 @@ def agreement(drive: Drive, signals: ImuSignals, gps: Place, datum: Datum) -> Ag
     used = path.valid
     if np.count_nonzero(used) < 5 * RATE:
         return None
-    # less its mean instead of gravity's part: what is vertical a gyro in other units hides
-    pull = slow.force @ np.array([1.0, 1.0j, 0.0])
-    told = np.where(used, path.ax + 1.0j * path.speed * path.yaw_rate, 0.0)
-    told[used] -= told[used].mean()
-    if math.sqrt(float(np.mean(np.abs(told[used]) ** 2))) < _LEAST:
+    # the mean is removed instead of gravity, whose direction a gyro in wrong units would spoil
+    force = slow.force @ np.array([1.0, 1.0j, 0.0])
+    reference = np.where(used, path.ax + 1.0j * path.speed * path.yaw_rate, 0.0)
+    reference[used] -= reference[used].mean()
+    if math.sqrt(float(np.mean(np.abs(reference[used]) ** 2))) < _LEAST:
         return None
-    plain, mirrored = (_best_delay(p, told, used) for p in (pull, pull.conj()))
-    # a bend to the left is one to the right some time before or after, not quite
+    plain, mirrored = (_best_delay(p, reference, used) for p in (force, force.conj()))
+    # mirrored axes may also correlate by chance at a long lag
     better = abs(mirrored[1]) - abs(plain[1])
-    handed = better > _BETTER or (better > 0.0 and abs(mirrored[0]) <= _APART < abs(plain[0]))
-    late, value = mirrored if handed else plain
-    if abs(value) < _SURE:
+    handed = better > _LEAST_MARGIN or (
+        better > 0.0 and abs(mirrored[0]) <= _CLOCK_OFFSET_ERROR < abs(plain[0])
+    )
+    clock_offset, value = mirrored if handed else plain
+    if abs(value) < _LEAST_CORRELATION:
         return None
     yaw = 0.0 if handed else float(-np.angle(value))
-    return Agreement(late, yaw, handed, _reversed(slow.rate[:, 2], path.yaw_rate, used, round(late * RATE)))
+    return Consistency(
+        clock_offset, yaw, handed, _reversed(slow.rate[:, 2], path.yaw_rate, used, round(clock_offset * RATE))
+    )
 
 
-def _best_delay(pull: Complexes, told: Complexes, used: NDArray[np.bool_]) -> tuple[float, complex]:
-    """Seconds by which what is felt is after what is told, and their correlation there."""
-    most = min(round(_FARTHEST * RATE), told.size - 1)
-    values = np.array([_correlation(pull, told, used, k) for k in range(-most, most + 1)])
+def _best_delay(force: Complexes, reference: Complexes, used: NDArray[np.bool_]) -> tuple[float, complex]:
+    """Lag in s of the force against the path with the largest correlation, and the correlation there."""
+    most = min(round(_LARGEST_LAG * RATE), reference.size - 1)
+    values = np.array([_correlation(force, reference, used, k) for k in range(-most, most + 1)])
     size = np.abs(values)
     best = int(np.argmax(size))
-    reach = min(round(_APART * RATE), most)
+    reach = min(round(_CLOCK_OFFSET_ERROR * RATE), most)
     near = most - reach + int(np.argmax(size[most - reach : most + reach + 1]))
-    if size[best] - size[near] < _BETTER:
+    if size[best] - size[near] < _LEAST_MARGIN:
         best = near
     between = 0.0
     if 0 < best < size.size - 1:
@@ -96,71 +101,62 @@ def _best_delay(pull: Complexes, told: Complexes, used: NDArray[np.bool_]) -> tu
     return (best - most + between) / RATE, complex(values[best])
 
 
-def _reversed(rate: Floats, told: Floats, used: NDArray[np.bool_], k: int) -> bool:
-    """Whether rates (n,) rad/s felt ``k`` samples later are surely those told with the other sign."""
-    if math.sqrt(float(np.mean(told[used] ** 2))) < _TURNS:
+def _reversed(rate: Floats, reference: Floats, used: NDArray[np.bool_], k: int) -> bool:
+    """Whether the yaw rates (n,) rad/s, ``k`` samples later, surely have the opposite sign of the path."""
+    if math.sqrt(float(np.mean(reference[used] ** 2))) < _LEAST_YAW_RATE:
         return False
-    return _correlation(rate.astype(complex), told.astype(complex), used, k).real < -_SURE
+    return _correlation(rate.astype(complex), reference.astype(complex), used, k).real < -_LEAST_CORRELATION
 
 
-def _correlation(pull: Complexes, told: Complexes, used: NDArray[np.bool_], k: int) -> complex:
-    """Of what is felt ``k`` samples later with what is told; 0 where less than half of that is left to compare."""
-    first, last = max(-k, 0), min(told.size - k, told.size)
+def _correlation(force: Complexes, reference: Complexes, used: NDArray[np.bool_], k: int) -> complex:
+    """Correlation of the ``force``, ``k`` samples later, with the path; 0 where they overlap by less than half of its
+    energy."""
+    first, last = max(-k, 0), min(reference.size - k, reference.size)
     own = np.flatnonzero(used[first:last]) + first
-    a, p = told[own], pull[own + k]
-    if own.size < 5 * RATE or np.linalg.norm(a) ** 2 < 0.5 * np.linalg.norm(told) ** 2:
+    a, p = reference[own], force[own + k]
+    if own.size < 5 * RATE or np.linalg.norm(a) ** 2 < 0.5 * np.linalg.norm(reference) ** 2:
         return 0.0j
     a, p = a - a.mean(), p - p.mean()
     return complex(np.sum(p * a.conj()) / max(float(np.linalg.norm(a) * np.linalg.norm(p)), 1e-12))
 
 
 def facing(drive: Drive, signals: ImuSignals, gps: Place, datum: Datum) -> float:
-    """Yaw in rad by which the sensor is turned against its mounting, where that is far; else 0."""
-    told = agreement(drive, signals, gps, datum)
-    return told.yaw if told is not None and abs(told.yaw) > _TURNED else 0.0
+    """Yaw in rad of the sensor against its mounting, where beyond ``_TURNED``; else 0."""
+    known = consistency(drive, signals, gps, datum)
+    return known.yaw if known is not None and abs(known.yaw) > _TURNED else 0.0
 
 
 def lateness(drive: Drive, signals: ImuSignals, gps: Place, datum: Datum) -> float:
-    """Seconds by which the IMU's stamps are after the receiver's, where that is far; else 0."""
-    told = agreement(drive, signals, gps, datum)
-    return told.late if told is not None and abs(told.late) > _LATE else 0.0
+    """Clock offset in s of the IMU against the receiver, where beyond ``_CLOCK_OFFSET``; else 0."""
+    known = consistency(drive, signals, gps, datum)
+    return known.clock_offset if known is not None and abs(known.clock_offset) > _CLOCK_OFFSET else 0.0
 
 
 def findings(drive: Drive, signals: ImuSignals, gps: Place, datum: Datum) -> list[Finding]:
-    """What of it a user should know, in a line each."""
-    found = []
-    rates = drive.imu.angular_rate
-    quick = float(np.percentile(np.linalg.norm(rates[np.isfinite(rates).all(axis=1)], axis=1), 99))
-    if quick > _QUICK:
-        text = (
-            f"the gyro reads more than {quick:.0f} rad/s for a hundredth of the drive: are its rates in °/s?"
-        )
+    """Findings for the user, one line each."""
+    rates, found = drive.imu.angular_rate, []
+    largest = float(np.percentile(np.linalg.norm(rates[np.isfinite(rates).all(axis=1)], axis=1), 99))
+    if largest > _LARGEST_RATE:
+        text = f"the gyro reads more than {largest:.0f} rad/s for a hundredth of the drive: are its rates in °/s?"
         found.append(Finding("error", "degrees", text))
-    told = agreement(drive, signals, gps, datum)
-    if told is None:
+    known = consistency(drive, signals, gps, datum)
+    if known is None:
         return found
-    if told.mirrored:
-        text = "what the IMU feels to the left is to the right of the path: its axes are mirrored, turn the sign of one"
+    if known.mirrored:
+        text = "the lateral acceleration of the IMU is opposite to that of the path: its axes are mirrored, invert one"
         found.append(Finding("error", "mirrored", text))
-    elif told.reversed:
+    elif known.reversed:
         text = "the gyro turns the other way about the vertical than the path: turn the sign of its rates"
         found.append(Finding("error", "reversed", text))
-    if abs(told.late) > _LATE:
-        after = "after" if told.late > 0 else "before"
-        text = (
-            f"the IMU's stamps are about {abs(told.late):.1f} s {after} the receiver's: give both one clock"
-        )
-        if abs(told.late) > _APART:
-            found.append(Finding("error", "clocks", f"{text} ({_LEAPS})"))
-        else:
-            found.append(Finding("warn", "clocks", text))
-    if abs(told.yaw) > _TURNED:
+    if abs(known.clock_offset) > _CLOCK_OFFSET:
+        after = "after" if known.clock_offset > 0 else "before"
+        far = abs(known.clock_offset) > _CLOCK_OFFSET_ERROR
+        seconds = f"{abs(known.clock_offset):.1f} s"
+        text = f"the IMU's stamps are about {seconds} {after} the receiver's: give both one clock"
         found.append(
-            Finding(
-                "warn",
-                "facing",
-                f"by what it feels of braking and turning the sensor is turned by {math.degrees(told.yaw):.0f}° "
-                "about the vertical against imu.rpy of the twin file",
-            )
+            Finding("error" if far else "warn", "clocks", text + (f" ({_LEAP_SECONDS})" if far else ""))
         )
+    if abs(known.yaw) > _TURNED:
+        text = f"by braking and turning the sensor is turned by {math.degrees(known.yaw):.0f}° about the vertical "
+        found.append(Finding("warn", "facing", text + "against imu.rpy of the twin file"))
     return found

@@ -1,14 +1,12 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What is measured of a tracked vehicle: markers on the hull over time, from a CSV or from poses in a bag.
+"""Marker runs of a tracked vehicle: motion of markers on the hull, from a CSV or from poses in a bag.
 
-The paper films three markers and takes displacement, velocity and acceleration from a photogrammetry
-tool. A clock of a run counts from where the idler's front edge stands 0.5 m before the obstacle.
-"""
+The paper films three markers and takes displacement, velocity and acceleration from a photogrammetry tool. The time
+of a run is zero where the front edge of the idler is 0.5 m before the obstacle."""
 
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
@@ -21,7 +19,6 @@ from suspension_twin.arrays import Floats
 from suspension_twin.drive.containers.contents import topic_name
 from suspension_twin.drive.recording import decode_topic, read_recording
 from suspension_twin.errors import InputError
-from suspension_twin.models.tracked import TrackedResponse, simulate_tracked_lanes
 from suspension_twin.vehicle.tracked import TrackedVehicle
 
 __all__ = [
@@ -30,24 +27,20 @@ __all__ = [
     "MARKERS",
     "RATE",
     "MarkerRun",
-    "Worth",
-    "compare",
     "low_pass",
     "read_markers",
     "read_poses",
     "read_run",
     "run_speed",
-    "simulate_runs",
 ]
 
 MARKERS: Final = ("A", "B", "C")
 RATE: Final = 50.0  # Hz, of the grid that runs are compared on
 _KINDS: Final = {"displacement_mm": 1e-3, "velocity_m_s": 1.0, "acceleration_m_s2": 1.0}
 _POSE_TYPE: Final = "geometry_msgs/msg/PoseStamped"
-#: Hz: what a camera's tool tells of accelerations above that is noise. Measured and simulated pass through the same.
-_LATEST: Final = 0.2  # s that a run's clock may be off
+#: Hz, cut-off of the low-pass of measured and simulated signals: accelerations by photogrammetry are noise above it.
 CUTOFF: Final = 6.0
-#: m, m/s, m/s² of displacement, velocity and acceleration of A, B, C: no photogrammetry tool has less noise.
+#: Least noise (standard deviation) of displacement m, velocity m/s and acceleration m/s² of A, B, C by photogrammetry.
 FLOORS: Final = np.repeat([0.8e-3, 0.01, 0.15], 3)
 
 
@@ -74,10 +67,10 @@ class MarkerRun:
 
 
 def run_speed(path: str | Path) -> float:
-    """Speed in m/s from a name such as ``13kmh_2.csv``; InputError where the name tells none."""
+    """Speed in m/s from a name such as ``13kmh_2.csv``; InputError where the name has none."""
     found = re.search(r"(\d+(?:\.\d+)?)\s*_?km_?h", Path(path).name, re.IGNORECASE)
     if found is None:
-        raise InputError(path, "speed", "the name tells none: call it such as 13kmh_1.csv")
+        raise InputError(path, "speed", "the name has none: call it such as 13kmh_1.csv")
     return float(found.group(1)) / 3.6
 
 
@@ -159,7 +152,7 @@ def _check_header(path: Path, names: list[str]) -> None:
 
 
 def _derivative(t: Floats, values: Floats, order: int) -> Floats:
-    """Of a smoothing spline that passes twice the frequency that is looked at."""
+    """Derivative of a smoothing spline with a cut-off of twice ``CUTOFF``."""
     if order == 0:
         return values
     step = float(np.median(np.diff(t)))
@@ -167,7 +160,7 @@ def _derivative(t: Floats, values: Floats, order: int) -> Floats:
 
 
 def low_pass(motion: Floats, rate: float) -> Floats:
-    """Motion (n, k) at ``rate`` Hz without what is above 6 Hz, not shifted in time."""
+    """Motion (n, k) at ``rate`` Hz through the zero-phase low-pass of ``CUTOFF`` Hz."""
     if rate <= 2.5 * CUTOFF:
         return motion
     sos = butter(2, CUTOFF, fs=rate, output="sos")
@@ -226,88 +219,3 @@ def read_poses(
     height = height - height[0]
     motion = [np.stack([_derivative(t, column, k) for column in height.T], axis=1) for k in (1, 2)]
     return _resampled(t, [height, *motion], rate, speed, Path(path).stem, (True, True, True))
-
-
-@dataclass(frozen=True)
-class Worth:
-    """How alike two runs are. For A and B (2,): ``correlation`` of the displacements, eqs (7), (8); ``residual``
-    rms of what is left over the measured rms; ``gain`` simulated over measured rms. ``motion`` (3, k): residuals
-    of displacement, velocity and acceleration of each marker seen with the clock moved by ``late`` s."""
-
-    correlation: Floats
-    residual: Floats
-    gain: Floats
-    motion: Floats
-    late: float
-
-
-def compare(measured: MarkerRun, simulated: MarkerRun) -> Worth:
-    """Both at the same stamps; everything about its mean. InputError where a marker does not move."""
-    m, s = (_centred(r.markers[:, :2]) for r in (measured, simulated))
-    size, other = _rms(m), _rms(s)
-    if not (size > 0).all():
-        raise InputError(measured.name, "markers", "do not move: nothing to compare with")
-    correlation = (m * s).mean(axis=0) / np.maximum(size * other, np.finfo(float).tiny)
-    seen = np.array(measured.seen)
-    pairs = [
-        (getattr(measured, kind)[:, seen], getattr(simulated, kind)[:, seen])
-        for kind in ("markers", "velocity", "acceleration")
-    ]
-    late = _late(measured, simulated, seen)
-    motion = []
-    for have, told in pairs:
-        moved = np.stack([np.interp(measured.t - late, measured.t, c) for c in told.T], axis=1)
-        motion.append(_rms(_centred(have) - _centred(moved)) / np.maximum(_rms(_centred(have)), 1e-12))
-    return Worth(correlation, _rms(m - s) / size, other / size, np.array(motion), late)
-
-
-def _late(measured: MarkerRun, simulated: MarkerRun, seen: Floats) -> float:
-    """Seconds by which the measured displacements come after the simulated ones: least squares, three steps."""
-    late = 0.0
-    have = _centred(measured.markers[:, seen])
-    for _ in range(3):
-        at = measured.t - late
-        told = np.stack([np.interp(at, measured.t, c) for c in simulated.markers[:, seen].T], axis=1)
-        slope = np.stack([np.interp(at, measured.t, c) for c in simulated.velocity[:, seen].T], axis=1)
-        slope = _centred(slope)
-        step = -float((slope * (have - _centred(told))).sum() / max(float((slope**2).sum()), 1e-12))
-        late = float(np.clip(late + step, -_LATEST, _LATEST))
-    return late
-
-
-def _centred(x: Floats) -> Floats:
-    return np.asarray(x - x.mean(axis=0))
-
-
-def _rms(x: Floats) -> Floats:
-    return np.asarray(np.sqrt((x**2).mean(axis=0)))
-
-
-def _cut(response: TrackedResponse, run: MarkerRun) -> MarkerRun:
-    first = round(run.t[0] * run.rate)
-    part = slice(first, first + run.t.size)
-    motion = (response.markers, response.marker_velocity, response.marker_acceleration)
-    z, v, a = (low_pass(m, run.rate)[part] for m in motion)
-    return MarkerRun(run.t, z, v, a, run.speed, run.name)
-
-
-def simulate_runs(
-    vehicles: Sequence[TrackedVehicle], runs: Sequence[MarkerRun], phase: float = 0.0
-) -> list[list[MarkerRun] | None]:
-    """For each vehicle its motion at the stamps of each run; None where one diverged.
-
-    Repeats at one speed and rate are one simulation. ``phase`` m: where the joints of the links lie.
-    """
-    kinds = {(r.speed, r.rate): 0.0 for r in runs}
-    for run in runs:
-        kinds[run.speed, run.rate] = max(kinds[run.speed, run.rate], float(run.t[-1]))
-    known = {
-        kind: simulate_tracked_lanes(vehicles, [kind[0]] * len(vehicles), seconds, rate=kind[1], phase=phase)
-        for kind, seconds in kinds.items()
-    }
-    out: list[list[MarkerRun] | None] = []
-    for i in range(len(vehicles)):
-        responses = [known[r.speed, r.rate][i] for r in runs]
-        failed = any(r.failed for r in responses)
-        out.append(None if failed else [_cut(a, b) for a, b in zip(responses, runs, strict=True)])
-    return out

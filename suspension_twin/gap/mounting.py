@@ -1,12 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A sensor that is turned on its mount, reads too much or is late, and by how much a drive shows.
+"""Mounting error, gain error and clock offset of the IMU: their estimates, and recordings corrected for them.
 
-What shakes a vehicle quickly its IMU alone knows. One that is turned by ten degrees takes a sixth of the braking for
-a push to the side, and a vehicle that is simulated with that push rolls when its driver brakes. So where the mount is
-to blame, the recording is read once more as that of a sensor that stands so, for the motion that drives the model.
-The same goes for one that reads a fifth too much: at rest it reads a fifth more than gravity; and for one that is half
-a second late.
-"""
+The fast part of the planar motion that excites the model comes from the IMU. A yaw of 10° of the sensor turns a sixth
+of the braking into a lateral acceleration, and the simulated vehicle rolls under braking. A hypothesis with such an
+error is therefore simulated with the motion of a corrected recording."""
 
 from __future__ import annotations
 
@@ -36,17 +33,15 @@ __all__ = [
     "turned",
 ]
 
-#: Below this the path alone says how the vehicle is accelerated, Hz.
+#: Low-pass below which the path gives the planar acceleration.
 _SLOW = FilterSpec(2, 0.4)
-_LEAST = 0.2  # m/s² rms of slow acceleration that tells a heading
-_BIASED = 0.02  # of gravity: what a sound accelerometer may be off by at rest
+_LEAST = 0.2  # m/s² rms of the slow acceleration needed for a yaw
+_BIASED = 0.02  # of gravity: bias of an accelerometer without fault
 
 
 def heading_off(signals: ImuSignals, trajectory: Trajectory) -> float:
-    """Yaw in rad by which an upright sensor is turned against the vehicle, 0 where the drive hardly tells.
-
-    The path says how the vehicle speeds up and turns, slowly; the sensor feels the same, in its own axes.
-    """
+    """Yaw in rad of an upright sensor against the vehicle, by its slow planar acceleration against that of the path; 0
+    where the drive has too little of it."""
     pull = zero_phase(_SLOW, signals.rate_hz, signals.force - signals.gravity * signals.up)
     path = np.column_stack([trajectory.ax, trajectory.speed * trajectory.yaw_rate])
     path = zero_phase(_SLOW, signals.rate_hz, path)
@@ -54,14 +49,14 @@ def heading_off(signals: ImuSignals, trajectory: Trajectory) -> float:
     pull, path = pull[used], path[used]
     if not used.any() or math.sqrt(float(np.mean(np.sum(path**2, axis=1)))) < _LEAST:
         return 0.0
-    # the turn that takes one best to the other: least squares in closed form
+    # rotation by least squares, in closed form
     along = float(np.sum(pull[:, :2] * path))
     across = float(np.sum(pull[:, 0] * path[:, 1] - pull[:, 1] * path[:, 0]))
     return math.atan2(across, along)
 
 
 def turn_seen(signals: ImuSignals, trajectory: Trajectory) -> tuple[float, float, float]:
-    """Roll, pitch and yaw in rad by which a sensor is turned: gravity tells two of them, the path the third."""
+    """Roll, pitch (from gravity) and yaw (from the path) in rad of the mounting error of the sensor."""
     roll, pitch, _ = level_rpy(signals.up.mean(axis=0))
     level = rpy_matrix((roll, pitch, 0.0)).T
     upright = replace(signals, force=signals.force @ level, up=signals.up @ level)
@@ -69,13 +64,14 @@ def turn_seen(signals: ImuSignals, trajectory: Trajectory) -> tuple[float, float
 
 
 def ahead_of(turn: tuple[float, float, float]) -> tuple[float, float, float]:
-    """The vehicle's own axis in the axes of a sensor that is turned by roll, pitch and yaw in rad."""
+    """The x axis of the vehicle in the axes of a sensor turned by roll, pitch and yaw in rad."""
     x, y, z = rpy_matrix(turn)[0]
     return float(x), float(y), float(z)
 
 
 def gain_at_rest(signals: ImuSignals) -> float:
-    """How many times gravity the sensor reads standing still; 1 where it is its bias or the drive never stands."""
+    """Gain of the accelerometer from its reading at standstill over gravity; 1 within the usual bias or without
+    standstill."""
     if not signals.standing.any():
         return 1.0
     rest = signals.force[signals.standing].mean(axis=0) + signals.force_bias
@@ -84,13 +80,13 @@ def gain_at_rest(signals: ImuSignals) -> float:
 
 
 def gain_of(twin: Twin) -> float:
-    """How many times the specific force the twin's effects have the sensor read."""
+    """Gain of the accelerometer by the effects of the twin."""
     hooks = ((load_hook(e.id, twin.model), e.parameters) for e in twin.effects)
     return math.prod(hook.gained(parameters) for hook, parameters in hooks if hook.gained is not None)
 
 
 def late_of(twin: Twin) -> float:
-    """Clock offset in s of the sensor at the first stamp: ``imu.latency`` and what the twin's effects add to it."""
+    """Clock offset in s at the first stamp by the effects of the twin."""
     change = ClockChange(np.zeros(1), np.zeros(1))
     for effect in twin.effects:
         hook = load_hook(effect.id, twin.model)
@@ -100,12 +96,12 @@ def late_of(twin: Twin) -> float:
 
 
 def punctual(drive: Drive, late: float) -> Drive:
-    """The drive as a sensor would have stamped it whose clock is ``late`` s earlier."""
+    """The drive with the clock offset ``late`` s taken out of the IMU stamps."""
     return replace(drive, imu=replace(drive.imu, t=drive.imu.t - late)) if late else drive
 
 
 def regained(drive: Drive, gain: float) -> Drive:
-    """The drive as a sensor would have recorded it that reads no more than there is."""
+    """The drive with the ``gain`` taken out of the specific force."""
     if gain == 1.0:
         return drive
     return replace(drive, imu=replace(drive.imu, specific_force=drive.imu.specific_force / gain))

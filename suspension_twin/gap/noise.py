@@ -1,22 +1,21 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The floor of a channel: what its sensor's noise leaves after the filter."""
+"""The noise rms of a channel after the filter."""
 
 from __future__ import annotations
 
 from functools import lru_cache
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from suspension_twin.arrays import Floats
+from suspension_twin.arrays import Floats, runs
 from suspension_twin.signals.conditioner import Conditioner
 
 __all__ = ["floor_rms", "white_noise_sigma"]
 
-_STANDSTILL = 3.0  # s of standing still that are believed before any other sign
+_STANDSTILL = 3.0  # s of standstill needed for an estimate there
 _WINDOW = 1.0  # s
-_QUIETEST = 0.2  # share of the windows that are taken as free of what the road does near Nyquist
+_QUIETEST = 0.2  # quantile of the windows that have little road excitation near Nyquist
 
 
 def floor_rms(
@@ -25,8 +24,8 @@ def floor_rms(
     """Rms of the noise in ``conditioner.apply(raw)``, in the unit of ``raw`` (n,).
 
     From standstill where there are three seconds of it: the filtered signal's spread around its
-    mean. Else from the signal's fourth differences, which see what lies near the Nyquist
-    frequency: there the road is weak and white noise as strong as anywhere.
+    mean. Else from the fourth differences of the signal, a high-pass at the Nyquist frequency,
+    where the road excitation is weak.
     """
     still = _still_on_grid(conditioner, standing)
     if np.count_nonzero(still) >= _STANDSTILL * conditioner.rate:
@@ -50,7 +49,7 @@ def _quiet_power(raw: Floats, size: int) -> float:
 
 @lru_cache(maxsize=16)
 def _quiet_power_of_one(size: int) -> float:
-    """The same for noise of rms one: the quieter windows of any noise lie below its power."""
+    """The same for white noise of unit rms: the bias of the low quantile."""
     return _quiet_power(np.random.default_rng(0).standard_normal(400 * size), size)
 
 
@@ -66,10 +65,9 @@ def _still_on_grid(conditioner: Conditioner, standing: NDArray[np.bool_]) -> NDA
 
 
 def _spread_within(values: Floats, still: NDArray[np.bool_]) -> float:
-    """Rms around the mean of each stop, so that a slope or a drifting bias is not taken for noise."""
-    edges: NDArray[Any] = np.flatnonzero(np.diff(still.astype(np.int8), prepend=0, append=0))
+    """Rms about the mean of each standstill, so that grade and bias drift are not part of it."""
     squares, freedom = 0.0, 0
-    for start, end in zip(edges[::2], edges[1::2], strict=True):
+    for start, end in runs(still):
         part = values[start:end]
         squares += float(np.sum((part - part.mean()) ** 2))
         freedom += part.size - 1

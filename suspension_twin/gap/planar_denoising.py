@@ -1,13 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Planar motion without the sensors' noise, before it drives a model.
+"""Denoising of the planar motion that excites a model.
 
-What shifts the load is how the centre of gravity is accelerated, ahead and sideways. The smoothed path
-knows that slowly; what is quick, the edge of a bump or a tyre that is pushed aside, the IMU knows: its
-specific force, less gravity, brought down from the sensor to the height of the centre of gravity. A
-gyro's noise times the speed shakes the simulated body in roll as much as a smooth road does; what
-a least squares fit then makes of it is a body too heavy to be shaken. Where the noise is known,
-each short piece of such a signal is cleaned by a Wiener filter: what stands out of the noise
-stays as it is, what does not goes.
+Load transfer follows the planar acceleration of the centre of gravity. Its slow part is that of the smoothed path, its
+fast part that of the IMU: specific force less gravity, transformed from the sensor to the centre of gravity. Gyro noise
+times speed would excite the roll of the simulated body as much as a smooth road does, and a fit would compensate for it
+with too large an inertia. Short segments of these signals are therefore Wiener filtered with the known noise density.
 """
 
 from __future__ import annotations
@@ -26,13 +23,13 @@ from suspension_twin.signals.offline import ImuSignals
 
 __all__ = ["quiet_motion", "wiener"]
 
-#: Below this the locked pose knows the pull better, above the accelerometer does.
+#: Crossover from the acceleration of the path to that of the accelerometer.
 _SLOW = FilterSpec(2, 0.4)
-#: Beyond this no vehicle as a whole accelerates, Hz.
+#: Bandwidth of the planar motion of the vehicle as a whole.
 _PLANAR = FilterSpec(2, 12.0)
 _PIECE = 4.0  # s
 _SMOOTH = 5  # bins over which a piece's spectrum is averaged
-_OVER = 2.0  # the spectrum of a short piece scatters: what is less than this many times the noise goes
+_OVER = 2.0  # oversubtraction: the spectrum of a short segment scatters
 
 
 def quiet_motion(trajectory: Trajectory, signals: ImuSignals, centre: float) -> Trajectory:
@@ -46,28 +43,27 @@ def quiet_motion(trajectory: Trajectory, signals: ImuSignals, centre: float) -> 
     roll, pitch, yaw = (white_noise_sigma(signals.rate[:, axis], rate) for axis in range(3))
     force = [white_noise_sigma(signals.force[:, axis], rate) for axis in range(2)]
 
-    def of_yaw(f: Floats) -> Floats:
-        return np.full_like(f, yaw**2 / nyquist)
-
-    # the levers from the sensor to the centre of gravity bring the derivatives of the gyro's noise
-    def of_pull(f: Floats) -> Floats:
-        return np.asarray((force[0] ** 2 + (above * 2 * np.pi * f * pitch) ** 2) / nyquist)
-
-    def of_push(f: Floats) -> Floats:
-        return np.asarray(
-            (force[1] ** 2 + (2 * np.pi * f) ** 2 * ((above * roll) ** 2 + (ahead * yaw) ** 2)) / nyquist
-        )
-
-    yaw_rate = wiener(trajectory.yaw_rate, rate, of_yaw)
+    yaw_rate = wiener(trajectory.yaw_rate, rate, lambda f: np.full_like(f, yaw**2 / nyquist))
     turned = trajectory.ay + trajectory.speed * (yaw_rate - trajectory.yaw_rate)
     pull, push = _quick(signals, centre)
-    ax = wiener(zero_phase(_SLOW, rate, trajectory.ax - pull) + pull, rate, of_pull)
-    ay = wiener(zero_phase(_SLOW, rate, turned - push) + push, rate, of_push)
+    # the lever arms from the sensor to the centre of gravity add the derivatives of the gyro noise
+    ax = wiener(
+        zero_phase(_SLOW, rate, trajectory.ax - pull) + pull,
+        rate,
+        lambda f: (force[0] ** 2 + (above * 2 * np.pi * f * pitch) ** 2) / nyquist,
+    )
+    ay = wiener(
+        zero_phase(_SLOW, rate, turned - push) + push,
+        rate,
+        lambda f: (
+            (force[1] ** 2 + (2 * np.pi * f) ** 2 * ((above * roll) ** 2 + (ahead * yaw) ** 2)) / nyquist
+        ),
+    )
     return replace(trajectory, yaw_rate=yaw_rate, ax=ax, ay=ay)
 
 
 def _quick(signals: ImuSignals, centre: float) -> tuple[Floats, Floats]:
-    """(n,) m/s² ahead and to the left above base_link's origin at the height ``centre`` m, by the IMU alone."""
+    """(n,) m/s² forward and left at the height ``centre`` m above the origin of base_link, by the IMU alone."""
     spec = FilterSpec(_PLANAR.order, min(_PLANAR.cutoff, 0.4 * signals.rate_hz))
     rate = zero_phase(spec, signals.rate_hz, signals.rate)
     force = zero_phase(spec, signals.rate_hz, signals.force - signals.gravity * signals.up)
@@ -85,9 +81,10 @@ def wiener(
     noise: Callable[[Floats], Floats],
     seconds: float = _PIECE,
 ) -> Floats:
-    """``x`` (n,) at ``rate`` Hz without noise of the one-sided density ``noise(f)``, in overlapping pieces.
+    """``x`` (n,) at ``rate`` Hz, Wiener filtered in overlapping segments for noise of the one-sided density
+    ``noise(f)``.
 
-    Straight lines pass; so does what stands well above the noise. Without any noise nothing changes.
+    Straight lines pass unchanged, and so does ``x`` for zero noise.
     """
     size = 4 * max(8, round(seconds * rate / 4))
     hop = size // 4

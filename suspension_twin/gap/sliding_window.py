@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The gap while driving: over a sliding window, sample by sample."""
+"""The live gap over a sliding window, sample by sample."""
 
 from __future__ import annotations
 
@@ -37,10 +37,9 @@ class GapNow:
 class RunningGap:
     """Measured minus simulated vertical acceleration, both through the same filter.
 
-    ``window`` s; ``edges`` Hz of adjoining bands, rising; ``floor`` m/s² that the calibration left, 0
-    where not known (then the noise seen at standstill takes its place); ``settle`` s after a fresh
-    start of the twin that do not count, because it begins from rest.
-    """
+    ``window`` s; ``edges`` Hz of adjoining bands, rising; ``floor`` m/s² residual rms of the calibration, 0
+    where unknown (then the noise at standstill is used); ``settle`` s after a restart of the twin that do not count,
+    for the transient from rest to decay."""
 
     def __init__(
         self,
@@ -66,7 +65,7 @@ class RunningGap:
         self.reset()
 
     def reset(self) -> None:
-        """Forget everything, the noise too."""
+        """Clear the window and the noise estimate."""
         self._head = 0  # rows written, counted without end
         self._tail = 0  # oldest row in the window
         self._from = -math.inf
@@ -74,7 +73,7 @@ class RunningGap:
         self._noise: list[float] = [0.0, 0.0, 0.0]  # count, mean, sum of squared deviations
 
     def restart(self, t: float) -> None:
-        """The twin has begun anew at ``t`` s: what it says until it has settled does not count."""
+        """The twin was restarted at ``t`` s: samples do not count until it has settled."""
         self._tail = self._head
         self._from = t + self._settle
 
@@ -109,7 +108,7 @@ class RunningGap:
 
     @property
     def settled(self) -> bool:
-        """Whether the newest sample counts: the twin has settled after its last fresh start."""
+        """Whether the newest sample counts: the twin has settled after its last restart."""
         return self._head > self._tail
 
     @property
@@ -137,13 +136,7 @@ class RunningGap:
         )
 
     def _rows(self) -> Floats:
-        size = len(self._ring)
-        start, stop = self._tail % size, self._head % size
-        if self._head - self._tail == 0:
-            return self._ring[:0]
-        if start < stop:
-            return self._ring[start:stop]
-        return np.concatenate([self._ring[start:], self._ring[:stop]])
+        return np.asarray(self._ring[np.arange(self._tail, self._head) % len(self._ring)])
 
     def _bands(self, t: Floats, difference: Floats) -> tuple[float, ...]:
         """Rms in each band, by Parseval over a Hann window, so that the squares of all bands add up

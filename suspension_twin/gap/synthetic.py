@@ -1,9 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A drive that a known twin would record: what would this road and speed tell of a vehicle?
+"""Synthetic drives: the recording that a known twin would produce on a road.
 
-For checks with a known truth and for planning a measurement. The twin's own model makes the
-motion; a phone's noise, jitter, lost samples and biases and a GNSS receiver's errors are added.
-"""
+For checks with a known truth and for planning a measurement. The motion is that of the model of the twin; noise,
+jitter, lost samples and biases of a phone and the errors of a GNSS receiver are added."""
 
 from __future__ import annotations
 
@@ -32,7 +31,7 @@ __all__ = ["SensorErrors", "path_along", "synthetic_drive"]
 class SensorErrors:
     """A phone and an RTK receiver. Noise as standard deviations: ``force`` m/s², ``rate`` rad/s,
     ``position`` m, ``velocity`` m/s; biases in sensor axes; ``jitter`` s of the IMU's stamps;
-    ``lost`` share of its samples; rates in Hz; ``clock_offset`` s by which IMU stamps are late."""
+    ``lost`` share of its samples; rates in Hz; ``clock_offset`` s of the IMU stamps (positive: later)."""
 
     force: float = 0.05
     rate: float = 0.003
@@ -180,7 +179,7 @@ def synthetic_drive(
     cos, sin = np.cos(at.yaw), np.sin(at.yaw)
     arm = truth.gps.position
     height, roll, pitch = (np.interp(fixes, t, c) for c in (response.z, response.roll, response.pitch))
-    # the body takes its antenna along when it leans
+    # roll and pitch displace the antenna
     ahead, left = arm[0] + arm[2] * pitch, arm[1] - arm[2] * roll
     antenna = np.column_stack(
         [at.x + cos * ahead - sin * left, at.y + sin * ahead + cos * left, height + arm[2]]

@@ -15,11 +15,11 @@ __all__ = ["coarse_lag"]
 def coarse_lag(
     pairs: Sequence[tuple[Floats, Floats]], rate: float, longest: float
 ) -> tuple[float, float, float]:
-    """Seconds by which simulated signals have to be read later to fit the measured ones.
+    """Lag in s of the largest cross-correlation of measured and simulated signals.
 
-    ``pairs`` of measured and simulated signals on one grid at ``rate`` Hz, all of one drive; lags up
-    to ``longest`` s. Returns the lag, the correlation there and that without any lag.
-    """
+    ``pairs`` of measured and simulated signals of one drive, on one grid at ``rate`` Hz; lags up to ``longest`` s,
+    refined by a parabola. Returns the lag (positive: simulated signals come later), the correlation there and at zero
+    lag."""
     limit = int(longest * rate)
     total = np.zeros(2 * limit + 1)
     energy = 0.0

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Where the road excites the vehicle: the parts of a drive worth simulating again and again."""
+"""Excited segments: the parts of a drive where the road excites the vehicle enough for identification."""
 
 from __future__ import annotations
 
@@ -17,10 +17,11 @@ __all__ = ["TrimSettings", "excited", "fit_rows", "trim"]
 
 @dataclass(frozen=True)
 class TrimSettings:
-    """``threshold``: the vertical acceleration's local rms in floors; ``window`` s of that rms;
-    ``before`` and ``after`` s kept around what exceeds it (free oscillation tells of damping);
-    ``bridge`` s of calm that are not worth a cut; ``lead`` s simulated and not compared, in
-    which the start from rest is forgotten; ``slowest`` m/s."""
+    """Criteria of an excited segment.
+
+    ``threshold``: local rms of the vertical acceleration in units of its noise; ``window`` s of that rms; ``before``
+    and ``after`` s kept around it (free oscillation shows damping); ``bridge`` s: shorter gaps are not cut; ``lead``
+    s simulated but not compared, for the transient from rest to decay; ``slowest`` m/s."""
 
     threshold: float = 4.0
     window: float = 0.5
@@ -38,7 +39,7 @@ def excited(prepared: Prepared, settings: TrimSettings | None = None) -> NDArray
     vertical = prepared.measured["vertical_acceleration"]
     floor = max(prepared.noise_rms["vertical_acceleration"], 1e-3)
     window = max(3, int(s.window * rate))
-    # The mean of a second is slope and bias, not excitation.
+    # the mean of two seconds is road grade and bias, not excitation
     wave = vertical - uniform_filter1d(vertical, max(3, int(2.0 * rate)), mode="nearest")
     rms = np.sqrt(np.maximum(uniform_filter1d(wave**2, window, mode="nearest"), 0.0))
     moving = (np.abs(prepared.speed) > s.slowest) & prepared.mask
@@ -55,7 +56,7 @@ def _widened(active: NDArray[np.bool_], before: int, after: int) -> NDArray[np.b
 
 
 def trim(prepared: Prepared, settings: TrimSettings | None = None) -> list[Prepared]:
-    """The drive cut to its excited segments, each with its lead; the whole drive if nothing is won."""
+    """The drive cut to its excited segments, each with its lead; the whole drive if one segment covers 90 % of it."""
     s = settings or TrimSettings()
     active = excited(prepared, s)
     rows = np.flatnonzero(active)
@@ -64,7 +65,7 @@ def trim(prepared: Prepared, settings: TrimSettings | None = None) -> list[Prepa
     t = prepared.t
     starts = [rows[0], *rows[1:][np.diff(rows) > s.bridge * prepared.rate]]
     ends = [*rows[:-1][np.diff(rows) > s.bridge * prepared.rate], rows[-1]]
-    pad = 1.0  # the filter's ends
+    pad = 1.0  # transients of the filter
     spans: list[tuple[Floats, Floats]] = [
         (max(t[a] - s.lead - pad, t[0]), min(t[b] + pad, t[-1])) for a, b in zip(starts, ends, strict=True)
     ]
@@ -80,7 +81,7 @@ def fit_rows(part: Prepared, settings: TrimSettings | None = None) -> NDArray[np
     active = excited(part, s)
     rows = np.flatnonzero(active)
     if rows.size:
-        # everything between the first and the last, calm moments included: they are evidence too
+        # from the first to the last excited sample, calm samples between included
         between = np.zeros_like(active)
         between[rows[0] : rows[-1] + 1] = True
         active = between & part.mask & (np.abs(part.speed) > s.slowest)

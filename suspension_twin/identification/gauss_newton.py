@@ -10,8 +10,8 @@ gradient is g = J^T r + P (x - c). A step solves the damped quadratic model with
 
     min_s  s^T (H + D) s + 2 g^T s,   low <= x + s <= high,
 
-by a primal-dual active set (Hintermueller, Ito, Kunisch 2003). A batched simulator prices an iteration by batches, not
-by lanes, so every iteration tries several dampings at once and takes the best.
+by a primal-dual active set (Hintermueller, Ito, Kunisch 2003), in ``bounded_step``. The cost of a simulation is by
+batch, not by candidate: every iteration tries several dampings in one batch and takes the best.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ from suspension_twin.arrays import Floats
 
 __all__ = ["GaussNewton", "GaussNewtonSettings", "Quadratic", "Residuals", "bounded_step", "solve_positive"]
 
-_ROUNDS = 12  # of holding coordinates at their bounds and letting them go: more were never needed
+_ROUNDS = 12  # of the active set iteration
 
 
 @dataclass(frozen=True, eq=False)
@@ -39,7 +39,7 @@ class Quadratic:
 
 
 class Residuals(Protocol):
-    """What the solver needs of a problem with p unknowns."""
+    """Interface of a least squares problem with p unknowns."""
 
     def quadratic(self, x: Floats) -> Quadratic:
         """The quadratic model of the sum of squares about ``x`` (p,)."""
@@ -54,11 +54,11 @@ class GaussNewtonSettings:
     one. An iteration is calm that lowers the cost by less than the share ``tolerance`` or by less than ``absolute``;
     ``patience`` of them in a row end the search.
 
-    ``prior_damping``: how many times more a step is held by the prior than by the curvature. What the data hardly
-    excite has no curvature of its own and a wall behind it, which would hold back all other coordinates. ``shortened``:
-    the share of the step of the current damping that is tried as well, 0 for none. ``relaxed``: factor of the damping
-    after a success, None for the damping that succeeded. ``raised``: factor after a failure. The search ends where the
-    undamped step (0 in the ladder) cannot lower the cost by ``worthwhile``.
+    ``prior_damping``: weight of the prior precision, over that of the curvature, in the damping matrix D. It limits
+    steps in coordinates that the data hardly excite without limiting the others. ``shortened``: share of the step of
+    the current damping that is tried as well, 0 for none. ``relaxed``: factor on the damping after a success, None for
+    the damping that succeeded. ``raised``: factor after a failure. The search ends where the undamped step (0 in the
+    ladder) is predicted to lower the cost by less than ``worthwhile``.
     """
 
     iterations: int = 30
@@ -90,8 +90,8 @@ def solve_positive(matrix: Floats, right: Floats) -> Floats:
 def bounded_step(hessian: Floats, gradient: Floats, low: Floats, high: Floats) -> Floats:
     """(p, S) steps that minimise s^T H s + 2 g^T s for half gradients (p, S), between ``low`` <= 0 and ``high`` >= 0.
 
-    What would go beyond its bound is held there, what is held and pulled back is let go, until neither happens: a
-    parameter on its bound takes nothing off the others.
+    Primal-dual active set: coordinates beyond a bound are fixed on it, fixed ones whose gradient points inwards are
+    released, until the set is stable. The free coordinates are solved for given the fixed ones.
     """
     steps = -solve_positive(hessian, gradient)
     for i in np.flatnonzero(((steps < low[:, None]) | (steps > high[:, None])).any(axis=0)):
@@ -135,7 +135,7 @@ class GaussNewton:
             self.damping = self.settings.damping
 
     def penalty(self, x: Floats) -> Floats:
-        """The prior's share of the cost, (L,) for candidates (p, L)."""
+        """(L,) cost of the prior, (x - c)^T P (x - c), for candidates (p, L)."""
         away = x - self.centre[:, None]
         return np.asarray(np.einsum("il,il->l", away, self.precision @ away))
 
@@ -152,7 +152,7 @@ class GaussNewton:
         self.x, self.cost, self.fit = starts[:, best].copy(), float(costs[best]), float(fits[best])
 
     def step(self) -> None:
-        """One iteration: linearise, try the ladder, take the best step or raise the damping and try again."""
+        """One iteration: linearise, try the ladder of dampings, take the best step or raise the damping and repeat."""
         s, model = self.settings, self.problem.quadratic(self.x)
         if not np.isfinite(self.cost):
             self.fit = model.value
@@ -187,7 +187,7 @@ class GaussNewton:
             self.finished = self.damping > s.largest_damping or self.iteration >= s.iterations
 
     def _candidates(self, hessian: Floats, gradient: Floats) -> Floats | None:
-        """(p, S) what the ladder leads to; None where no step is worth a simulation."""
+        """(p, S) candidates of the ladder of dampings; None where the predicted decrease is not ``worthwhile``."""
         s = self.settings
         low, high = self.room(self.x)
         weight = np.diag(hessian) + s.prior_damping * np.diag(self.precision)
@@ -218,7 +218,7 @@ class GaussNewton:
     def run(
         self, stop: Callable[[], bool] = lambda: False, each: Callable[[GaussNewton], None] | None = None
     ) -> None:
-        """Iterate until converged, out of iterations or told to stop."""
+        """Iterate until convergence, the last iteration or ``stop``."""
         while not self.finished and not stop():
             self.step()
             if each is not None:

@@ -1,21 +1,21 @@
 # SPDX-License-Identifier: Apache-2.0
-"""One model of noise and model discrepancy: an autoregressive process in each channel of each drive.
+"""Noise and model discrepancy as an autoregressive process; residuals are whitened in ``Whitener.residuals``.
 
-The residual of a sound twin is not white. It is filtered sensor noise plus the discrepancy of the model, which is of
-the same kind of spectrum as the motion itself and comes again on every pass. A prediction-error filter a of each
-channel makes it white,
+The residual of a calibrated twin is not white. It is filtered sensor noise plus model discrepancy, whose spectrum is
+like that of the motion and which repeats on every pass. A prediction-error filter a for each channel of each drive
+whitens the residual r,
 
     e_k = (r_k + a_1 r_(k-1) + ... + a_n r_(k-n)) / sigma,
 
 and the sum of e^2 is -2 log likelihood up to a constant: generalised least squares. The filter comes either from a
-residual itself (Yule-Walker), where what remains is taken for noise, or from a design density
+residual itself (Yule-Walker), where the remaining residual is noise, or from a design density
 
     S(f) = (c(f) s_motion(f))^2 + S_floor,
 
-a share c of the measured motion's amplitude that the model misses plus the sensor's floor. With reference drives c is
-estimated on them, band by band; without, it starts as the same for all bands and its size stays unknown.
+with the model discrepancy as a share c of the amplitude of the motion and the noise of the sensor. With reference
+drives c is estimated on them, band by band; without, c is the same for all bands and its scale unknown.
 
-A low-pass of cut-off f_c leaves 2 f_c / rate independent samples for each one: the effective sample size.
+Effective sample size: a low-pass of cut-off f_c leaves 2 f_c / rate independent samples per sample.
 """
 
 from __future__ import annotations
@@ -37,10 +37,10 @@ __all__ = ["NEAR_FLOOR", "USUAL_SHARE", "ScaledObjective", "Whitener", "autoregr
 #: Coefficients of a filter taken from a residual, and of one designed: their spectra agree within a decibel.
 ORDER, DESIGN_ORDER = 16, 24
 _SEGMENT = 256
-#: Share of the motion that a twin misses where no reference says how much.
+#: Model discrepancy as a share of the motion, without a reference.
 USUAL_SHARE = 0.15
 _LEAST_SHARE, _MOST_SHARE = 0.02, 3.0
-#: Residuals in floors (the median of the channels) up to which the residual is taken for noise.
+#: Residual rms over noise rms (median of the channels) up to which the residual counts as noise.
 NEAR_FLOOR = 3.0
 _ENOUGH = 30  # samples for each coefficient
 
@@ -75,7 +75,7 @@ def _predictor(power: Floats, rate: float) -> tuple[Floats, float]:
 
 
 def density(values: Floats, segments: Sequence[slice], rate: float) -> Floats:
-    """(F,) one-sided power density of one channel (M,), its segments' means taken out."""
+    """(F,) one-sided power density of one channel (M,) by Welch over ``segments``, smoothed over frequency."""
     total, weight = np.zeros(_SEGMENT // 2 + 1), 0.0
     for s in segments:
         part = values[s]
@@ -90,7 +90,7 @@ def density(values: Floats, segments: Sequence[slice], rate: float) -> Floats:
 
 
 def shares(measured: Measured, residual: Floats, drives: Sequence[int]) -> Floats:
-    """(C, F) share of the motion's amplitude that a residual (M, C) is in the given drives."""
+    """(C, F) amplitude of a residual (M, C) as a share of that of the motion, on the given drives."""
     own = [s for s, d in zip(measured.segments, measured.drives, strict=True) if d in drives]
     out = np.empty((len(measured.channels), _SEGMENT // 2 + 1))
     for c in range(out.shape[0]):
@@ -101,7 +101,7 @@ def shares(measured: Measured, residual: Floats, drives: Sequence[int]) -> Float
 
 @dataclass(frozen=True, eq=False)
 class Whitener:
-    """Residuals (M, C, L) made white, of unit variance where the noise model holds.
+    """Whitens residuals (M, C, L): unit variance where the noise model holds.
 
     ``filters`` (G, C, order + 1) and ``sigma`` (G, C) by group of drives and channel, ``group`` of each segment;
     ``scale`` (C,) a common factor on each channel's noise. ``row``, ``channel`` and ``drive`` (R,) are the sample,
@@ -121,7 +121,7 @@ class Whitener:
     def with_filters(
         cls, measured: Measured, group: Sequence[int], filters: Floats, sigma: Floats
     ) -> Whitener:
-        """From filters that are known; WorkError where every segment is too short for them."""
+        """From given filters; WorkError where every segment is too short for them."""
         order = filters.shape[2] - 1
         rows, channels, of = [], [], []
         drives = measured.drives or (0,) * len(measured.segments)
@@ -138,8 +138,8 @@ class Whitener:
 
     @classmethod
     def of_residual(cls, measured: Measured, simulated: Floats, order: int = ORDER) -> Whitener:
-        """From the residuals that ``simulated`` (M, C) leaves; a drive too short for a model of its own shares one
-        with all."""
+        """Estimated from the residuals of ``simulated`` (M, C), by drive, or for all drives together where one is too
+        short."""
         segments = measured.segments
         drives = measured.drives or (0,) * len(segments)
         length = {
@@ -163,8 +163,8 @@ class Whitener:
 
     @classmethod
     def designed(cls, measured: Measured, share: Floats, floors: Sequence[dict[str, float]]) -> Whitener:
-        """For the share (C, F), or (C,) of all bands, of the motion that is missed and each drive's ``floors`` by
-        channel."""
+        """Designed for a model discrepancy of ``share`` (C, F) or (C,) of the motion and the noise rms ``floors`` of
+        each drive, by channel."""
         drives, rate = sorted(set(measured.drives)), measured.rate
         filters = np.empty((len(drives), len(measured.channels), DESIGN_ORDER + 1))
         sigma = np.empty((len(drives), len(measured.channels)))
@@ -172,8 +172,7 @@ class Whitener:
             own = [s for s, e in zip(measured.segments, measured.drives, strict=True) if e == d]
             for c, name in enumerate(measured.channels):
                 motion = density(measured.values[:, c], own, rate)
-                # white up to Nyquist although the low-pass took the noise's upper band: what lies there
-                # is no information and must not be raised
+                # white up to Nyquist, although the low-pass removed the upper band: whitening must not amplify it
                 floor = 2.0 * floors[d][name] ** 2 / rate / measured.independent
                 filters[g, c], sigma[g, c] = _predictor(share[c] ** 2 * motion + floor, rate)
         return cls.with_filters(measured, [drives.index(d) for d in measured.drives], filters, sigma)
@@ -196,14 +195,14 @@ class Whitener:
 
 @dataclass(frozen=True, eq=False)
 class ScaledObjective:
-    """An objective's residuals in units of the remaining residual: least squares as a rough likelihood."""
+    """Residuals of an objective in units of the remaining residual: least squares as an approximate likelihood."""
 
     objective: Objective
     scale: float
 
     @classmethod
     def at(cls, objective: Objective, compared: Floats) -> ScaledObjective:
-        """With the scale that the residuals of ``compared`` signals (M, C) have."""
+        """With the scale of the residuals of ``compared`` signals (M, C)."""
         residual = objective.residuals(compared[:, :, None])
         variance = float(np.mean(residual**2)) / objective.measured.independent
         return cls(objective, float(np.sqrt(max(variance, 1e-300))))
@@ -217,7 +216,8 @@ class ScaledObjective:
 def _filtered(
     simulated: Floats, measured: Floats, c: int, start: int, taps: Floats, out: Floats
 ) -> None:  # pragma: no cover - compiled
-    """``out`` (n - ORDER, L): the difference in channel c from ``start`` on by taps, the oldest sample's first."""
+    """``out`` (n - order, L): the residual in channel c from ``start`` on, filtered by ``taps`` (oldest sample
+    first)."""
     n, lanes = out.shape
     order = taps.size - 1
     wide = lanes + (-lanes) % 8  # whole vectors
@@ -229,7 +229,7 @@ def _filtered(
     t[: taps.size] = taps
     one, two = np.empty(wide), np.empty(wide)
     for i in range(0, n, 2):
-        # two at a time: what is loaded for the one serves the other by the tap before
+        # two outputs at a time share their loads
         one[:] = 0.0
         two[:] = 0.0
         for k in range(0, taps.size + 1, 4):

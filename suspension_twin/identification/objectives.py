@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""How far a simulated signal is from the measured one: interchangeable, combinable objectives.
+"""Objectives: distances of simulated from measured signals, which can be combined.
 
 An objective is a sum of terms, each a kind over one channel with a weight, written
 ``euclidean`` or ``mse+0.5*spectral``. Most kinds are sums of squares and say so, which lets
@@ -57,7 +57,7 @@ class Measured:
 
     @property
     def independent(self) -> float:
-        """Independent samples for each sample: the share of the band up to Nyquist that the low-pass passes."""
+        """Effective sample size per sample: 2 f_c / rate, the pass band of the low-pass as a share of Nyquist."""
         return min(1.0, 2.0 * self.bandwidth / self.rate)
 
     def column(self, channel: str) -> int:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Work on several items at once."""
+"""Parallel work on several items."""
 
 from __future__ import annotations
 
@@ -12,33 +12,36 @@ from threadpoolctl import threadpool_limits
 
 from suspension_twin.models.blocks import cores
 
-__all__ = ["one_blas_thread", "quietly", "side_by_side"]
+__all__ = ["no_progress", "one_blas_thread", "side_by_side"]
 
 Item = TypeVar("Item")
 Found = TypeVar("Found")
 
-_here = threading.local()
+_thread = threading.local()
 
 
 def one_blas_thread() -> Any:
-    """A context in which BLAS uses one thread: work is shared out by items, and the bits are the same whatever else the
-    machine does."""
+    """A context in which BLAS uses one thread: items are parallel, and results do not depend on the load."""
     return threadpool_limits(1, "blas")
 
 
-def quietly(done: float, item: object) -> None:
+def no_progress(done: float, item: object) -> None:
     """Tells nobody how far the work is."""
 
 
 def side_by_side(
-    work: Callable[[Item], Found], items: Sequence[Item], tell: Callable[[float, Item], None] = quietly
+    work: Callable[[Item], Found],
+    items: Sequence[Item],
+    on_progress: Callable[[float, Item], None] = no_progress,
 ) -> list[Found]:
-    """``work`` on every item, as many at once as there are cores; each by itself, so their number changes nothing.
-    Work that is one of several itself does its own one after the other."""
-    if getattr(_here, "one_of_several", False) or len(items) < 2:
+    """Results of ``work`` on every item, in parallel on all cores; nested calls run serially.
+
+    ``on_progress`` gets the finished share (0 to 1) and the item that comes next.
+    """
+    if getattr(_thread, "one_of_several", False) or len(items) < 2:
         found = []
         for number, item in enumerate(items):
-            tell(number / len(items), item)
+            on_progress(number / len(items), item)
             found.append(work(item))
         return found
     with ThreadPoolExecutor(cores(), "effects", _begin) as pool:
@@ -46,7 +49,7 @@ def side_by_side(
         found = []
         try:
             for number, (item, future) in enumerate(zip(items, waiting, strict=True)):
-                tell(number / len(items), item)
+                on_progress(number / len(items), item)
                 found.append(future.result())
         finally:
             pool.shutdown(cancel_futures=True)
@@ -54,4 +57,4 @@ def side_by_side(
 
 
 def _begin() -> None:
-    _here.one_of_several = True
+    _thread.in_pool = True

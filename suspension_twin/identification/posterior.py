@@ -1,12 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What the drives can tell: intervals, excited ranges, and the marks on what was not excited.
+"""Uncertainty: posterior, intervals and excited ranges of the parameters.
 
-Around the best fit the posterior is taken as Gaussian (Laplace) in slope coordinates, its
-curvature from whitened residuals, widened where the scores of blocks of a second scatter more
-than that curvature allows. Along the one direction where that is known to fail, a spring's place
-on its curve, the likelihood is evaluated slide by slide (see ``springs``). Intervals of the forces
-are quantiles of draws.
-"""
+The posterior about the best fit is Gaussian in slope coordinates (Laplace), with the curvature of whitened residuals.
+It is widened where the scores of blocks of a second scatter more (sandwich covariance). The static compression of a
+spring is a direction in which Laplace fails: the likelihood is evaluated on a grid there (``spring_position``).
+Intervals of forces are quantiles of draws."""
 
 from __future__ import annotations
 
@@ -17,17 +15,15 @@ from typing import Protocol
 import numpy as np
 
 from suspension_twin.arrays import Floats
-from suspension_twin.identification.gauss_newton import GaussNewton, GaussNewtonSettings, Quadratic
-from suspension_twin.identification.noise import Whitener
 from suspension_twin.identification.problem import FitProblem, Problem
 from suspension_twin.identification.space import Curve
 from suspension_twin.identification.spring_position import Slide, slides
 from suspension_twin.models.simulate import simulate_twin
 from suspension_twin.vehicle.twin import Twin
 
-__all__ = ["CORRELATION", "Posterior", "Travel", "Weighing", "posterior", "profile", "span_of", "travel"]
+__all__ = ["CORRELATION", "Posterior", "Travel", "Weighing", "posterior", "span_of", "travel"]
 
-#: Of the logarithms of neighbouring slopes in the prior.
+#: Prior correlation of the logarithms of neighbouring slopes.
 CORRELATION = 0.8
 _DRAWS = 4000
 _BLOCK_SECONDS = 1.0
@@ -36,8 +32,8 @@ _REACHED = 0.05  # s that have to lie beyond a point before it counts as excited
 
 @dataclass(frozen=True, eq=False)
 class Travel:
-    """Where the suspension was on the compared samples, by axle (both wheels): ``compression`` m,
-    ``velocity`` m/s (jounce positive) and the ``static`` compression m."""
+    """Motion of the suspension on the compared samples, by axle (both wheels): ``compression`` m, ``velocity`` m/s
+    (jounce positive), ``static`` compression m; sampled at ``rate`` Hz."""
 
     compression: dict[str, Floats]
     velocity: dict[str, Floats]
@@ -58,7 +54,7 @@ class Posterior:
 
 
 def travel(twin: Twin, problem: Problem) -> Travel:
-    """Simulate ``twin`` over the problem's parts and collect where its suspension went; nothing of a vehicle without
+    """Simulate ``twin`` over the parts of a problem and collect its suspension travel; empty for a vehicle without
     characteristics."""
     if not problem.space.curves:
         return Travel({}, {}, {}, problem.measured.rate)
@@ -97,7 +93,7 @@ def span_of(curve: Curve, where: Travel) -> tuple[float, float]:
 
 
 class Weighing(Protocol):
-    """What turns compared signals into residuals whose sum of squares is -2 log likelihood."""
+    """Interface of a likelihood: the sum of squares of its residuals is -2 log likelihood."""
 
     def residuals(self, simulated: Floats) -> Floats:
         """(R, L) of candidates (M, C, L)."""
@@ -194,10 +190,10 @@ def _mix(
     covariance: Floats,
     rng: np.random.Generator,
 ) -> None:
-    """Let the draws ``z`` (d, N) slide where the likelihood allows it; ``worse`` (s,) what a slide costs."""
+    """Replace a share of the draws ``z`` (d, N) by slides, by their posterior weight; ``worse`` (s,) is their cost."""
     weights = np.where(np.isfinite(worse), np.exp(-0.5 * np.maximum(worse, 0.0)), 0.0)
     weights = weights * np.array([s.density for s in found])
-    # The best fit's own place counts for one step of the ladder, as dense as its nearest slide.
+    # the best fit counts as one grid step with the density of its nearest slide
     nearest = int(np.argmin([abs(s.shift) for s in found]))
     total = float(weights.sum()) + found[nearest].density
     share = float(weights.sum()) / total
@@ -207,7 +203,7 @@ def _mix(
     chosen = rng.random(count) < share
     slide = rng.choice(len(found), size=count, p=weights / weights.sum())
     low = rows[0]
-    # Given where the curve lies, the unseen segment's slope tells nothing of the others any more.
+    # given the static compression, the slope of the unexcited segment is independent of the others
     regression = covariance[: z.shape[0], low] / covariance[low, low]
     free = noise - regression[:, None] * noise[low]
     moved = np.stack([s.z for s in found], axis=1)
@@ -216,57 +212,3 @@ def _mix(
     target = x[: z.shape[0], None] + free
     target[rows] = moved[:, slide] + step[:, slide] * jitter + free[rows]
     z[:, chosen] = target[:, chosen]
-
-
-def profile(
-    problem: Problem, likelihood: Whitener, x: Floats, precision: Floats, row: int, offsets: Floats
-) -> Floats:
-    """(k,) rise of -2 log posterior with coordinate ``row`` held ``offsets`` away from ``x`` and all
-    others fitted again: what the Laplace approximation is checked against."""
-    fit = FitProblem(problem, likelihood.residuals)
-    centre = np.concatenate([problem.space.z0, np.zeros(x.size - len(problem.space))])
-
-    def posterior_cost(at: Floats) -> float:
-        sums = fit.sums_of_squares(at[:, None])
-        away = at - centre
-        return float(sums[0]) + float(np.einsum("i,ij,j->", away, precision, away, optimize=False))
-
-    lowest = posterior_cost(x)
-    others = np.delete(np.arange(x.size), row)
-    rises = np.empty(offsets.size)
-    for k, offset in enumerate(offsets):
-        held = x.copy()
-        held[row] += offset
-        inner = precision[np.ix_(others, others)]
-        pull = precision[others, row] * (held[row] - centre[row])
-        solver = GaussNewton(
-            _Held(fit, held, others),
-            x[others],
-            inner,
-            centre[others] - np.linalg.solve(inner, pull),
-            settings=GaussNewtonSettings(iterations=10),
-        )
-        solver.run()
-        held[others] = solver.x
-        rises[k] = posterior_cost(held) - lowest
-    return rises
-
-
-class _Held:
-    """A fit with some coordinates held where ``at`` has them; the ``others`` are the unknowns."""
-
-    def __init__(self, fit: FitProblem, at: Floats, others: np.ndarray) -> None:
-        self.fit, self.at, self.others = fit, at, others
-
-    def quadratic(self, x: Floats) -> Quadratic:
-        full = self.at.copy()
-        full[self.others] = x
-        model = self.fit.quadratic(full)
-        return Quadratic(
-            model.value, model.squares[np.ix_(self.others, self.others)], model.slope[self.others]
-        )
-
-    def sums_of_squares(self, x: Floats) -> Floats:
-        full = np.repeat(self.at[:, None], x.shape[1], axis=1)
-        full[self.others] = x
-        return self.fit.sums_of_squares(full)

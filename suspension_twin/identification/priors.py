@@ -1,8 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What is known of a twin's numbers before anything is measured, by their keys in the twin file.
+"""Priors of the parameters, by their keys in the twin file.
 
-A prior is normal about the twin file's value, of the logarithm where a number is positive by nature. What is on a
-weighbridge's slip is known better than what nobody measures. Where a paper gives bounds they are its bounds.
+A prior is normal about the value of the twin file, in the logarithm for positive quantities. Quantities from a
+weighbridge have a smaller standard deviation than those that are rarely measured. Bounds from a paper are used as they
+are.
 """
 
 from __future__ import annotations
@@ -22,7 +23,7 @@ __all__ = ["PRIORS", "Prior", "prior_of"]
 @dataclass(frozen=True)
 class Prior:
     """``spread``: standard deviation, of the logarithm where ``log``; ``reach``: factor or distance of the bounds, or
-    the ``bounds`` themselves; ``usual``: searched of a vehicle that has no characteristics to search."""
+    the ``bounds`` themselves; ``usual``: free by default on a vehicle without characteristics."""
 
     log: bool
     reach: float
@@ -40,7 +41,7 @@ class Prior:
 
 
 def _of_the_track(key: str) -> Prior:
-    """The tracked paper gives bounds alone, eqs (10) to (14): a specimen lies within 15 % of their range."""
+    """Bounds of the tracked paper, eqs (10) to (14); standard deviation 15 % of their range."""
     low, high = BOUNDS[key]
     log = low > 0
     width = float(np.log(high / low)) if log else high - low
@@ -60,7 +61,7 @@ PRIORS: Final[Mapping[str, Prior]] = {
     "imu.position.0": Prior(False, 0.5, 0.05),
     "imu.position.1": Prior(False, 0.5, 0.05),
     "imu.position.2": Prior(False, 0.5, 0.05),
-    # of a tracked vehicle: by what one specimen differs from the file of its type (oil ages, steel and loads differ)
+    # of a tracked vehicle: scatter of specimens of one type (age of the oil, steel, load)
     **{f"vehicle.{key}": _of_the_track(key) for key in BOUNDS},
     "vehicle.stations.*.damping": Prior(True, 2.5, 0.15, usual=True),
     "vehicle.arm.stiffness": Prior(True, 1.5, 0.05, usual=True),
@@ -71,5 +72,5 @@ PRIORS: Final[Mapping[str, Prior]] = {
 
 
 def prior_of(key: str) -> Prior | None:
-    """The prior of a key; None where nothing is known of it."""
+    """The prior of a key; None where there is none."""
     return PRIORS.get(key) or PRIORS.get(re.sub(r"\.\d+\.", ".*.", key))

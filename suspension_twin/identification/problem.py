@@ -1,9 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The calibration problem: candidates in, costs or residuals out, all drives in one batch.
+"""The identification problem: costs and residuals of candidates over all drives, in batches.
 
-``Problem`` holds the prepared parts of every drive, what is searched, what is compared and the
-nuisances. It counts evaluations the way the car paper counts its 10 842: one candidate simulated
-over everything is one.
+``Problem`` holds the parts of all drives, the search space, the compared channels and the nuisance parameters. One
+evaluation is one candidate simulated over all parts, as the car paper counts its 10 842.
 """
 
 from __future__ import annotations
@@ -34,7 +33,7 @@ _LARGEST_BATCH = 25_000_000
 
 
 class Interrupted(Exception):
-    """The calibration was told to stop while it simulated."""
+    """Raised where a caller asked to stop during a simulation."""
 
 
 def _never() -> bool:
@@ -51,7 +50,7 @@ def segments_of(rows: NDArray[np.intp], offset: int) -> list[slice]:
 
 
 class Problem:
-    """One vehicle, its drives, and how far a candidate is from them.
+    """One vehicle, its drives, and the distance of candidates from them.
 
     ``parts`` are observations or parts of them, ``drive_of`` the drive that each belongs to, ``rows`` the samples of
     each that are compared, ``wander`` (m) each drive's own position error (0 for none). ``M`` samples in ``C``
@@ -117,9 +116,9 @@ class Problem:
         return float(sum(p.t[-1] - p.t[0] for p in self.parts))
 
     def moved(self, nuisance: Floats) -> Problem:
-        """The same problem with the clocks' and the map's offsets simulated instead of interpolated.
+        """The same problem with clock and map offsets applied to the excitation instead of by interpolation.
 
-        The fitted biases, gains and tilts stay what they are; offsets count from the new place.
+        Fitted biases, gains and tilts are unchanged; further offsets are relative to these.
         """
         found = dict(zip(self.nuisances.names, nuisance, strict=True))
         metres = found.get("map_position", 0.0)
@@ -128,7 +127,7 @@ class Problem:
         return self.on(parts)
 
     def on(self, parts: Sequence[Any]) -> Problem:
-        """The same problem with the same samples of ``parts`` that excite the vehicle otherwise."""
+        """The same problem and samples with other excitations in ``parts``."""
         clone = copy(self)
         clone.parts = tuple(parts)
         return clone
@@ -155,7 +154,7 @@ class Problem:
         return signals, failed
 
     def compared(self, signals: Sequence[Floats], nuisance: Floats) -> Floats:
-        """(M, C, L) what the sensors would have delivered; ``nuisance`` (q, L)."""
+        """(M, C, L) simulated sensor readings; ``nuisance`` (q, L)."""
         return np.concatenate(
             [
                 self.nuisances.apply(number, part, rows, nuisance)
@@ -164,9 +163,9 @@ class Problem:
         )
 
     def costs(self, values: Floats, nuisance: Floats, synchronise: bool = False) -> Floats:
-        """(L,) costs of candidates (d, L) with the nuisances (q,) held; infinite where a lane failed.
+        """(L,) costs of candidates (d, L) at fixed nuisance parameters (q,); infinite where a lane failed.
 
-        ``synchronise``: each candidate is first moved in time to where it fits best, drive by drive.
+        ``synchronise``: the clock offset of each drive is first fitted for each candidate.
         """
         costs = np.empty(values.shape[1])
         for cut in self.batches(values.shape[1]):
@@ -203,17 +202,17 @@ class Problem:
         return nuisance
 
     def batches(self, lane_count: int) -> list[slice]:
-        """Lanes cut into pieces whose signals fit in memory."""
+        """Slices of the lanes whose signals fit in memory."""
         samples = sum(len(p.excitation) for p in self.parts)
         size = max(1, _LARGEST_BATCH // (7 * samples))
         return [slice(i, min(i + size, lane_count)) for i in range(0, lane_count, size)]
 
 
 class FitProblem:
-    """A problem as the solver sees it: d search coordinates, then q nuisances.
+    """A problem for the solver: d search coordinates, then q nuisance parameters.
 
-    ``residuals`` turns compared signals (M, C, L) into (R, L); those of the objective by default. The physics columns
-    of the Jacobian are differences of simulated lanes; those of the nuisances cost no simulation.
+    ``residuals`` turns compared signals (M, C, L) into (R, L); those of the objective by default. The Jacobian
+    columns of characteristics are differences of simulated lanes; those of nuisance parameters need no simulation.
     """
 
     step = 1e-3

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What sensors would have read of simulated signals: shifted in time, amplified, tilted, biased. Compiled."""
+"""Simulated sensor readings: time shift, gain, tilt and bias applied to simulated signals. Compiled."""
 
 from __future__ import annotations
 
@@ -85,10 +85,10 @@ def read_alike(
     low: int,
     high: int,
 ) -> None:  # pragma: no cover - compiled
-    """As ``read_any`` where all lanes are shifted alike, by shift (r,). What is ``carried`` (m, C; none: (0, C)) is not
-    shifted. ``turned`` C stands for a channel's own slope of the slope.
+    """As ``read_any`` for one shift (r,) of all lanes. The response ``carried`` (m, C; none: (0, C)) to the planar
+    motion is not shifted. ``turned`` = C stands for the second derivative of the channel itself.
 
-    All channels of all lanes then lie side by side, and one loop over them vectorises.
+    One loop over all channels and lanes vectorises.
     """
     m, channels, lanes = simulated.shape
     phases, taps = table.shape[0] - 1, table.shape[1]
@@ -159,9 +159,9 @@ def read_steady(
     low: int,
     high: int,
 ) -> None:  # pragma: no cover - compiled
-    """As ``read_any`` where shift (L,) lasts the whole part and no channel leans on another's slope.
+    """As ``read_any`` for a constant shift (L,) of each lane and no lever arms.
 
-    Every lane's weights are then made once; a population of which each has a clock of its own lives on this.
+    The weights of each lane are computed once: the case of a population whose candidates have their own clock offsets.
     """
     m, channels, _ = simulated.shape
     phases, taps, lanes = table.shape[0] - 1, table.shape[1], out.shape[2]

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a calibration searches: free parameters, their bounds and two sets of coordinates.
+"""The search space of a calibration: free parameters, their bounds and two sets of coordinates.
 
 ``Space`` maps search coordinates to the values of the twin file and back, in such a way that
 every characteristic stays monotone by construction:
@@ -8,16 +8,15 @@ every characteristic stays monotone by construction:
   A curve's points are made to rise by a running maximum (with bounds that do not overlap, as in
   Table 2 of the car paper, that changes nothing);
 - *slope* coordinates, the logarithm of the slope of the segment that ends at a point, for
-  Gauss-Newton and CMA-ES. A drive sees slopes: the force in a spring at rest follows from the
-  load whatever the curve, so the slope of the segment in use is what the data determine, and
-  any value of its logarithm is a rising curve.
+  Gauss-Newton and CMA-ES. The static force of a spring follows from the load whatever the curve, so
+  that the data determine the slopes of the excited segments; any value of a logarithm is a rising curve.
 """
 
 from __future__ import annotations
 
 import re
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -44,9 +43,9 @@ CURVES = (
 )
 _POINT = re.compile(r"^(vehicle\.(?:(?:front|rear)\.)?(?:spring|damper_push|damper_pull))\.force\.(\d+)$")
 
-# Logarithms beyond this are no suspension's; it keeps exp() finite whatever a search proposes.
+# Keeps exp() finite whatever a search proposes.
 _LARGEST_LOG = 40.0
-# A flat segment has no logarithm: it is searched from this share of its curve's mean slope.
+# Least slope of a segment as a share of the mean slope of its curve: a flat segment has no logarithm.
 _FLAT = 1e-3
 
 
@@ -288,8 +287,8 @@ class Space:
     def prior_precision(self, correlation: float = 0.8) -> Floats:
         """(d, d) inverse covariance of the slope coordinates around ``z0``.
 
-        Neighbouring segments of a curve move together (``correlation`` from one to the next):
-        what a drive never excited goes with what it did, relative to the preset.
+        The log slopes of neighbouring segments have the ``correlation``, so that segments that a drive does not excite
+        follow the excited ones, relative to the preset.
         """
         covariance = np.diag(np.where(self._on_curve | self._log, self._spread**2, 1.0))
         for curve in self.curves:
@@ -303,11 +302,6 @@ class Space:
         """(d,) True where a value lies within ``share`` of the bounds' distance from one."""
         u = self.to_unit(values)
         return np.asarray((u <= share) | (u >= 1 - share))
-
-    def with_nominal(self, twin: Twin, values: Floats) -> Space:
-        """The same space around other nominal values."""
-        changed = (replace(p, nominal=float(v)) for p, v in zip(self.parameters, values, strict=True))
-        return Space(twin, tuple(changed))
 
     def applied(self, twin: Twin, values: Floats) -> Twin:
         """A checked copy of ``twin`` with the values (d,) in it."""

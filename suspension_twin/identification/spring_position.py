@@ -1,12 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a drive cannot tell of a spring: where on its curve the vehicle stands.
+"""The static compression of a spring, which a drive does not determine.
 
-At rest a spring carries its load whatever its curve is, and a drive sees the curve only around
-that place. Slide the seen piece along the compression, let the unseen segment below make up the
-force, and every sensor reads the same. A local approximation around the best fit does not know
-that: where a corner of the curve lies just outside the range that was driven, it takes the wall on
-one side for a valley. So these slides are tried one by one.
-"""
+A spring at rest carries its load whatever its curve is, and a drive excites the curve only about the static
+compression. If the excited piece is moved along the compression and the unexcited segment below makes up the force,
+all sensors read the same. A Laplace approximation does not have this direction where a point of the curve is just
+outside the excited range. These slides are therefore evaluated on a grid of shifts."""
 
 from __future__ import annotations
 
@@ -20,13 +18,13 @@ __all__ = ["Slide", "slides", "standing_at"]
 
 _STEP = 0.004  # m between slides
 _FARTHEST = 0.16  # m
-_MISFIT = 0.01  # of the load: how well a curve must end in (0, 0)
+_MISFIT = 0.01  # share of the load by which a curve may miss (0, 0)
 
 
 @dataclass(frozen=True, eq=False)
 class Slide:
-    """The curve slid by ``shift`` m: logarithms of its slopes (k,), and how densely the prior's
-    coordinate of the unseen segment runs over ``shift``, per m."""
+    """The curve moved by ``shift`` m: logarithms of its slopes (k,), and the density per m of the prior coordinate of
+    the unexcited segment over ``shift``."""
 
     shift: float
     z: Floats
@@ -36,7 +34,8 @@ class Slide:
 def slides(
     x: Floats, z: Floats, prior: Floats, correlation: float, static: float, seen: Floats
 ) -> list[Slide]:
-    """Curves that act alike around the standing place ``static`` m over the ``seen`` compressions (s,) m.
+    """Curves with the same response about the static compression ``static`` m over the excited compressions ``seen``
+    (s,) m.
 
     ``x`` (k,) m abscissae, ``z`` (k,) logarithms of the slopes, ``prior`` (k,) those of the preset.
     """
@@ -60,7 +59,7 @@ def slides(
             found.append(
                 Slide(float(shift), np.log(new), float(slope[_segment(x, np.array([static]))[0]]) / below)
             )
-    # With the lowest segment in sight the curve has to end in (0, 0) by itself: a few places at most.
+    # with the lowest segment excited, the curve has to pass (0, 0): a few shifts at most
     for (shift, below, new), (_, following, _) in zip(remainders, remainders[1:], strict=False):
         if below * following <= 0 or abs(below) < _MISFIT * load:
             found.append(Slide(shift, np.log(new), 1.0 / max(static + shift, _STEP)))
@@ -83,7 +82,8 @@ def _force(x: Floats, slope: Floats, at: float) -> float:
 def _slid(
     x: Floats, old: Floats, prior: Floats, z: Floats, correlation: float, place: Floats
 ) -> tuple[Floats, int]:
-    """Slopes (k,) after the slide and the lowest segment in sight; unseen ones follow their neighbours."""
+    """Slopes (k,) after the slide and the lowest excited segment; unexcited ones follow their neighbours by the
+    prior."""
     at = _segment(x, place)
     new = np.exp(z).copy()
     sight = np.unique(at)
@@ -97,8 +97,8 @@ def _slid(
 
 
 def standing_at(x: Floats, z: Floats, static: float, corner: int) -> Floats:
-    """Logarithms of slopes (k,) of a curve that bears the same load at its point ``corner`` instead of at
-    ``static`` m, and goes on from there as steeply as it did where the vehicle stood."""
+    """Logarithms of slopes (k,) of a curve with the same load at its point ``corner`` instead of at ``static`` m, and
+    beyond it with the slope at the static compression."""
     slope = np.exp(z)
     below = _force(x, slope, float(x[corner]))
     new = slope.copy()

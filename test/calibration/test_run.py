@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 import yaml
 
+from suspension_twin.arrays import Floats
 from suspension_twin.calibration.output import describe, details_path, write_result
 from suspension_twin.calibration.request import CalibrationRequest, CalibrationResult, Progress
 from suspension_twin.calibration.run import calibrate
@@ -21,13 +22,66 @@ from suspension_twin.calibration.squares import full_precision
 from suspension_twin.drive.read import read_drive
 from suspension_twin.errors import InputError
 from suspension_twin.gap.prepare import prepare
-from suspension_twin.identification.gauss_newton import GaussNewton
+from suspension_twin.identification.gauss_newton import GaussNewton, GaussNewtonSettings, Quadratic
 from suspension_twin.identification.noise import Whitener
-from suspension_twin.identification.posterior import profile
-from suspension_twin.identification.problem import FitProblem
+from suspension_twin.identification.problem import FitProblem, Problem
 from suspension_twin.identification.space import curve_keys, twin_value
 from suspension_twin.models.simulate import simulate_twin
 from suspension_twin.vehicle.twin import load_twin, save_twin
+
+
+def profile(
+    problem: Problem, likelihood: Whitener, x: Floats, precision: Floats, row: int, offsets: Floats
+) -> Floats:
+    """(k,) rise of -2 log posterior with coordinate ``row`` held ``offsets`` away from ``x`` and all
+    others fitted again: what the Laplace approximation is checked against."""
+    fit = FitProblem(problem, likelihood.residuals)
+    centre = np.concatenate([problem.space.z0, np.zeros(x.size - len(problem.space))])
+
+    def posterior_cost(at: Floats) -> float:
+        sums = fit.sums_of_squares(at[:, None])
+        away = at - centre
+        return float(sums[0]) + float(np.einsum("i,ij,j->", away, precision, away, optimize=False))
+
+    lowest = posterior_cost(x)
+    others = np.delete(np.arange(x.size), row)
+    rises = np.empty(offsets.size)
+    for k, offset in enumerate(offsets):
+        held = x.copy()
+        held[row] += offset
+        inner = precision[np.ix_(others, others)]
+        pull = precision[others, row] * (held[row] - centre[row])
+        solver = GaussNewton(
+            _Held(fit, held, others),
+            x[others],
+            inner,
+            centre[others] - np.linalg.solve(inner, pull),
+            settings=GaussNewtonSettings(iterations=10),
+        )
+        solver.run()
+        held[others] = solver.x
+        rises[k] = posterior_cost(held) - lowest
+    return rises
+
+
+class _Held:
+    """A fit with some coordinates held where ``at`` has them; the ``others`` are the unknowns."""
+
+    def __init__(self, fit: FitProblem, at: Floats, others: np.ndarray) -> None:
+        self.fit, self.at, self.others = fit, at, others
+
+    def quadratic(self, x: Floats) -> Quadratic:
+        full = self.at.copy()
+        full[self.others] = x
+        model = self.fit.quadratic(full)
+        return Quadratic(
+            model.value, model.squares[np.ix_(self.others, self.others)], model.slope[self.others]
+        )
+
+    def sums_of_squares(self, x: Floats) -> Floats:
+        full = np.repeat(self.at[:, None], x.shape[1], axis=1)
+        full[self.others] = x
+        return self.fit.sums_of_squares(full)
 
 
 @pytest.fixture(scope="module")

@@ -11,7 +11,7 @@ import pytest
 
 from suspension_twin.drive.types import Drive
 from suspension_twin.errors import InputError
-from suspension_twin.gap.imu_gnss_consistency import agreement
+from suspension_twin.gap.imu_gnss_consistency import consistency
 from suspension_twin.gap.prepare import prepare, reclocked_excitation, turned_excitation
 from suspension_twin.gap.synthetic import SensorErrors, synthetic_drive
 from suspension_twin.models.simulate import simulate_twin
@@ -75,9 +75,9 @@ def mirrored(drive: Drive, force: tuple[float, ...], rate: tuple[float, ...]) ->
 def test_delay_and_facing_are_told_apart(drive: Drive, twin: Twin, seconds: float, yaw: float) -> None:
     spoilt = late(facing(drive, yaw), seconds)
     assert twin.datum is not None
-    told = agreement(spoilt, ingest_drive(spoilt, twin.imu), twin.gps, twin.datum)
+    told = consistency(spoilt, ingest_drive(spoilt, twin.imu), twin.gps, twin.datum)
     assert told is not None
-    assert told.late == pytest.approx(seconds, abs=0.1)
+    assert told.clock_offset == pytest.approx(seconds, abs=0.1)
     assert math.cos(told.yaw - yaw) > 0.99
     assert not told.mirrored and not told.reversed
 
@@ -109,9 +109,9 @@ def test_wrong_signs_are_told_from_a_turned_sensor(
     imu, axes = winding.imu, list(order)
     swapped = replace(imu, specific_force=imu.specific_force[:, axes], angular_rate=imu.angular_rate[:, axes])
     spoilt = late(mirrored(replace(winding, imu=swapped), force, rate), seconds)
-    told = agreement(spoilt, ingest_drive(spoilt, twin.imu), twin.gps, twin.datum)
+    told = consistency(spoilt, ingest_drive(spoilt, twin.imu), twin.gps, twin.datum)
     assert told is not None and (told.mirrored, told.reversed) == (handed, back)
-    assert told.late == pytest.approx(seconds, abs=0.1)
+    assert told.clock_offset == pytest.approx(seconds, abs=0.1)
 
 
 @pytest.mark.parametrize(
@@ -180,7 +180,7 @@ def test_a_clock_that_is_known_to_be_late_costs_nothing(
     )
     sound, known = prepare(drive, twin, bumps), prepare(spoilt, knowing, bumps)
     assert not any("after" in w or "before" in w for w in known.warnings)
-    assert known.excitation.late == pytest.approx(seconds)
+    assert known.excitation.clock_offset == pytest.approx(seconds)
     assert np.array_equal(known.excitation.t, known.signals.t)
     gaps = [p.gap(p.condition(simulate_twin(p.twin, p.excitation))).rms for p in (sound, known)]
     assert gaps[1] == pytest.approx(gaps[0], rel=5e-3)
@@ -195,7 +195,7 @@ def test_how_late_a_clock_is_seen_to_be_is_taken_off_the_motion(
 ) -> None:
     spoilt = late(drive, seconds)
     seen = reclocked_excitation(prepare(spoilt, twin, bumps), spoilt, upright)
-    assert seen is not None and seen.late == pytest.approx(seconds, abs=0.05)
+    assert seen is not None and seen.clock_offset == pytest.approx(seconds, abs=0.05)
     sound, bent = prepare(drive, twin, bumps).excitation, prepare(spoilt, twin, bumps).excitation
     off, more = (float(np.std(e.speed - sound.speed)) for e in (seen, bent))
     assert off < 0.3 * more
@@ -215,4 +215,4 @@ def test_a_drive_that_hardly_moves_tells_nothing(drive: Drive, twin: Twin) -> No
     )
     assert twin.datum is not None
     short = replace(drive, imu=imu)
-    assert agreement(short, ingest_drive(short, twin.imu), twin.gps, twin.datum) is None
+    assert consistency(short, ingest_drive(short, twin.imu), twin.gps, twin.datum) is None

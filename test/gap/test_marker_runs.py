@@ -84,7 +84,7 @@ def test_poses_in_a_recording_are_markers(tmp_path: Path, vehicle: TrackedVehicl
 def test_the_speed_is_in_the_name() -> None:
     assert run_speed("a/13kmh_1.csv") == pytest.approx(13 / 3.6)
     assert run_speed("run_4.5_km_h.csv") == pytest.approx(4.5 / 3.6)
-    with pytest.raises(InputError, match="the name tells none"):
+    with pytest.raises(InputError, match="the name has none"):
         run_speed("run.csv")
 
 

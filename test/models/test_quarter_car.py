@@ -212,7 +212,9 @@ def test_what_cannot_be_simulated_is_named(twin: Twin) -> None:
         simulate_twin(twin, rig_run(t, 1e3 * t))
     with pytest.raises(InputError, match="rig run: needs displacement or velocity"):
         rig_run(t)
-    with pytest.raises(InputError, match="rig run: stamps, road and force must be finite, and stamps must rise"):
+    with pytest.raises(
+        InputError, match="rig run: stamps, road and force must be finite, and stamps must rise"
+    ):
         rig_run(t[::-1], 0.0 * t)
     with pytest.raises(InputError, match="vehicle.mass: is not a number of this twin"):
         lanes(twin, ["vehicle.mass"], np.ones((1, 1)))
