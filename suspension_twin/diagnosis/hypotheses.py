@@ -143,8 +143,11 @@ class Hypothesis:
     def neutral(self) -> Floats:
         """(k,) coordinates of a severity of zero; others at their typical value."""
         searched = zip(self.searched, self._severe, strict=True)
-        at = [_coordinate(p, p.neutral) if severe and not p.log else 0.0 for (_, p), severe in searched]
-        return np.clip(np.array(at, dtype=float), *self.bounds())
+        at: list[float] = [
+            _coordinate(p, p.neutral) if severe and not p.log else 0.0 for (_, p), severe in searched
+        ]
+        low, high = self.bounds()
+        return np.asarray(np.clip(np.array(at), low, high))
 
     def negligible(self) -> Floats:
         """(k, n) coordinates at which the effect is smallest: severities of zero, logarithmic ones at either bound (a

@@ -148,7 +148,7 @@ def test_what_changed_is_told_from_what_was_there_before(make: Any) -> None:
     """A low-pass that the sensor always had makes a low-pass on the drives with the gap gain more than the late clock
     that came since."""
     low = EffectSpec(id="sensor_bandwidth", parameters={"cutoff": 16.0})
-    twin, bags, reference = make("time_offset", {"offset": 0.009}, reference=True, preexisting=(low,))
+    twin, bags, reference = make("time_offset", {"offset": 0.009}, reference=True, always=(low,))
     effects = ("sensor_bandwidth", "time_offset", "strut_friction", "tyre_damping")
     document = diagnose(DiagnosisRequest(str(twin), tuple(bags), tuple(reference), effects=effects)).document
     assert document["combination"] == ["time_offset"], document["message"]

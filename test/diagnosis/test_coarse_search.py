@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from suspension_twin.diagnosis import coarse_search
-from suspension_twin.diagnosis.hypotheses import SETTINGS, combined, variants
+from suspension_twin.diagnosis.hypotheses import SETUP_CATEGORIES, combined, variants
 from suspension_twin.diagnosis.request import DiagnosisRequest
 from suspension_twin.diagnosis.run import diagnose
 from suspension_twin.effects.registry import EFFECTS
@@ -59,7 +59,7 @@ def test_only_what_can_be_set_wrong_is_looked_for_everywhere(car: Twin) -> None:
         if "full_car" not in effect.hook.models:
             continue
         points = coarse_search._severity_grid(turned_by(1.5), variants(effect, car)[0])
-        if effect.where not in SETTINGS:
+        if effect.where not in SETUP_CATEGORIES:
             assert points is None, name
         elif points is not None:
             low, high = variants(effect, car)[0].bounds()

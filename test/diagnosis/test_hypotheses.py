@@ -123,8 +123,8 @@ def test_preexisting_effects_are_there_before_and_what_came_since_is_not(car: Tw
     known = library(car, True)
     late, trait, other = (
         known["strut_friction"][0],
-        known["corner_damper"][2].preexisting(),
-        known["payload"][0].preexisting(),
+        known["corner_damper"][2].on_all_drives(),
+        known["payload"][0].on_all_drives(),
     )
     whole = combined(late, trait, other)
     assert whole.effects == ("strut_friction", "corner_damper", "payload")
