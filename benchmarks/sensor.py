@@ -28,7 +28,7 @@ from suspension_twin.calibration.run import calibrate
 from suspension_twin.drive.read import read_drive
 from suspension_twin.drive.types import Drive
 from suspension_twin.drive.write import write_drive
-from suspension_twin.gap.mounting import punctual, turned
+from suspension_twin.gap.mounting import turned, without_clock_offset
 from suspension_twin.gap.prepare import road_of
 from suspension_twin.gap.simulated import SimulatedDrive, simulate_drive
 from suspension_twin.road import Road
@@ -104,14 +104,14 @@ def refitted(drive: Drive, twin: Twin, road: Road) -> tuple[SimulatedDrive, np.n
 
 def judged(case: Case, late: float) -> dict[str, object]:
     """One row of the table."""
-    place, drive = load_twin(case.place), punctual(read_drive(case.held_out), -late)
+    place, drive = load_twin(case.place), without_clock_offset(read_drive(case.held_out), -late)
     road = road_of(place)
     with tempfile.TemporaryDirectory() as folder:
         drives = [str(bag) for bag in case.drives]
         if late:
             drives = [str(Path(folder) / bag.name) for bag in case.drives]
             for bag, copy in zip(case.drives, drives, strict=True):
-                write_drive(punctual(read_drive(bag), -late), Path(copy))
+                write_drive(without_clock_offset(read_drive(bag), -late), Path(copy))
         request = CalibrationRequest(twin=str(case.twin), bags=tuple(drives))
         path, _ = write_result(calibrate(request), Path(folder) / "calibrated.yaml")
         twin = load_twin(path).model_copy(update={"datum": place.datum, "road": place.road})

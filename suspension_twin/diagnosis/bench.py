@@ -122,9 +122,9 @@ class Bench:
     ``precision`` (d + q, d + q) and ``centre`` (d + q,) are the prior of characteristics and nuisances.
     ``excitations`` (drives,) are the alternative excitations of drives, empty for controlled runs; ``turn`` is the
     mounting error of the sensor (roll, pitch, yaw; rad); ``level`` whether the vehicle has zero static attitude.
-    ``heard`` limits the residuals to some drives, ``counted_rows`` (R,) to some of them; ``fused`` whether poses are
-    fused from GNSS and IMU; ``barred`` names nuisances that stay at nothing; ``expected`` (m, C) is the discrepancy
-    found on a reference run with the same excitation.
+    ``counted_drives`` limits the residuals to some drives, ``counted_rows`` (R,) to some of them; ``fused`` whether
+    poses are fused from GNSS and IMU; ``frozen_nuisances`` names nuisance parameters held at zero; ``expected`` (m,
+    C) is the discrepancy found on a reference run with the same excitation.
     """
 
     problem: Problem

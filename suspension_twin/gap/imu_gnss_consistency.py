@@ -25,7 +25,7 @@ from suspension_twin.signals.checks import Finding
 from suspension_twin.signals.offline import ImuSignals
 from suspension_twin.vehicle.twin import Datum, Place
 
-__all__ = ["Consistency", "consistency", "facing", "findings", "lateness"]
+__all__ = ["Consistency", "clock_offset_beyond", "consistency", "findings", "yaw_beyond"]
 
 Complexes = NDArray[np.complex128]
 
@@ -120,13 +120,13 @@ def _correlation(force: Complexes, reference: Complexes, used: NDArray[np.bool_]
     return complex(np.sum(p * a.conj()) / max(float(np.linalg.norm(a) * np.linalg.norm(p)), 1e-12))
 
 
-def facing(drive: Drive, signals: ImuSignals, gps: Place, datum: Datum) -> float:
+def yaw_beyond(drive: Drive, signals: ImuSignals, gps: Place, datum: Datum) -> float:
     """Yaw in rad of the sensor against its mounting, where beyond ``_TURNED``; else 0."""
     known = consistency(drive, signals, gps, datum)
     return known.yaw if known is not None and abs(known.yaw) > _TURNED else 0.0
 
 
-def lateness(drive: Drive, signals: ImuSignals, gps: Place, datum: Datum) -> float:
+def clock_offset_beyond(drive: Drive, signals: ImuSignals, gps: Place, datum: Datum) -> float:
     """Clock offset in s of the IMU against the receiver, where beyond ``_CLOCK_OFFSET``; else 0."""
     known = consistency(drive, signals, gps, datum)
     return known.clock_offset if known is not None and abs(known.clock_offset) > _CLOCK_OFFSET else 0.0

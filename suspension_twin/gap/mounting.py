@@ -22,15 +22,15 @@ from suspension_twin.vehicle.twin import Place, Twin
 
 __all__ = [
     "ahead_of",
+    "clock_offset_of",
     "gain_at_rest",
     "gain_of",
     "heading_off",
-    "late_of",
-    "punctual",
+    "mounting_error",
     "regained",
     "turn_of",
-    "turn_seen",
     "turned",
+    "without_clock_offset",
 ]
 
 #: Low-pass below which the path gives the planar acceleration.
@@ -55,7 +55,7 @@ def heading_off(signals: ImuSignals, trajectory: Trajectory) -> float:
     return math.atan2(across, along)
 
 
-def turn_seen(signals: ImuSignals, trajectory: Trajectory) -> tuple[float, float, float]:
+def mounting_error(signals: ImuSignals, trajectory: Trajectory) -> tuple[float, float, float]:
     """Roll, pitch (from gravity) and yaw (from the path) in rad of the mounting error of the sensor."""
     roll, pitch, _ = level_rpy(signals.up.mean(axis=0))
     level = rpy_matrix((roll, pitch, 0.0)).T
@@ -85,8 +85,8 @@ def gain_of(twin: Twin) -> float:
     return math.prod(hook.gained(parameters) for hook, parameters in hooks if hook.gained is not None)
 
 
-def late_of(twin: Twin) -> float:
-    """Clock offset in s at the first stamp by the effects of the twin."""
+def clock_offset_of(twin: Twin) -> float:
+    """Clock offset in s of the sensor at the first stamp: ``imu.latency`` and what the twin's effects add to it."""
     change = ClockChange(np.zeros(1), np.zeros(1))
     for effect in twin.effects:
         hook = load_hook(effect.id, twin.model)
@@ -95,7 +95,7 @@ def late_of(twin: Twin) -> float:
     return float(change.delay[0]) + twin.imu.latency
 
 
-def punctual(drive: Drive, late: float) -> Drive:
+def without_clock_offset(drive: Drive, late: float) -> Drive:
     """The drive with the clock offset ``late`` s taken out of the IMU stamps."""
     return replace(drive, imu=replace(drive.imu, t=drive.imu.t - late)) if late else drive
 

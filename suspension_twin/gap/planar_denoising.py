@@ -21,7 +21,7 @@ from suspension_twin.pose.types import Trajectory
 from suspension_twin.signals.filters import FilterSpec, zero_phase
 from suspension_twin.signals.offline import ImuSignals
 
-__all__ = ["quiet_motion", "wiener"]
+__all__ = ["denoised_motion", "wiener"]
 
 #: Crossover from the acceleration of the path to that of the accelerometer.
 _SLOW = FilterSpec(2, 0.4)
@@ -32,7 +32,7 @@ _SMOOTH = 5  # bins over which a piece's spectrum is averaged
 _OVER = 2.0  # oversubtraction: the spectrum of a short segment scatters
 
 
-def quiet_motion(trajectory: Trajectory, signals: ImuSignals, centre: float) -> Trajectory:
+def denoised_motion(trajectory: Trajectory, signals: ImuSignals, centre: float) -> Trajectory:
     """The trajectory with yaw rate and planar accelerations freed of the IMU's white noise.
 
     ``centre`` m is the height of the centre of gravity.

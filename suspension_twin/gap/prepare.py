@@ -17,23 +17,23 @@ from numpy.typing import NDArray
 from suspension_twin.arrays import Floats
 from suspension_twin.drive.types import Drive
 from suspension_twin.errors import InputError
-from suspension_twin.gap.imu_gnss_consistency import facing, findings, lateness
+from suspension_twin.gap.imu_gnss_consistency import clock_offset_beyond, findings, yaw_beyond
 from suspension_twin.gap.measure import CHANNELS, Gap, measure_gap
 from suspension_twin.gap.mounting import (
     ahead_of,
+    clock_offset_of,
     gain_at_rest,
     gain_of,
     heading_off,
-    late_of,
-    punctual,
+    mounting_error,
     regained,
     turn_of,
-    turn_seen,
     turned,
+    without_clock_offset,
 )
 from suspension_twin.gap.noise import floor_rms
 from suspension_twin.gap.off_road import Ground, OffRoad, off_road
-from suspension_twin.gap.planar_denoising import quiet_motion
+from suspension_twin.gap.planar_denoising import denoised_motion
 from suspension_twin.models.excitation import excitation
 from suspension_twin.models.hooks import clocks_with, upright_with
 from suspension_twin.models.types import Excitation, Response
@@ -284,8 +284,8 @@ def prepare(
         road = road_of(twin)
     signals = ingest_drive(drive, twin.imu, settings.imu)
     # a known clock offset is taken off the stamps before IMU and receiver are fused
-    late = 0.0 if settings.satellites else late_of(twin)
-    timed = punctual(drive, late)
+    late = 0.0 if settings.satellites else clock_offset_of(twin)
+    timed = without_clock_offset(drive, late)
     same = settings.satellites or (not late and turn_of(twin) is None and gain_of(twin) == 1.0)
     mounted = signals if same else _read(timed, twin, gain_of(twin), settings)
     datum = twin.datum or _first_fix(drive)
@@ -296,7 +296,7 @@ def prepare(
                 raise InputError(drive.name, "imu", finding.text)
     if settings.satellites:
         slow = satellite_motion(drive, signals, twin.gps, datum)
-        turn = turn_of(twin) or turn_seen(*slow)
+        turn = turn_of(twin) or mounting_error(*slow)
         signals, trajectory = satellite_motion(drive, signals, twin.gps, datum, ahead_of(turn))
     else:
         try:
@@ -320,7 +320,7 @@ def _locked(
     drive: Drive, twin: Twin, signals: ImuSignals, settings: PrepareSettings, datum: Datum, upright: bool
 ) -> Trajectory:
     trajectory = locked_trajectory(drive, signals, twin.gps, datum, signals.t, upright=upright)
-    return quiet_motion(trajectory, signals, twin.cog_height) if settings.quiet else trajectory
+    return denoised_motion(trajectory, signals, twin.cog_height) if settings.quiet else trajectory
 
 
 def upright_excitation(prepared: Prepared, drive: Drive) -> Excitation:
@@ -328,7 +328,7 @@ def upright_excitation(prepared: Prepared, drive: Drive) -> Excitation:
     twin, settings, signals = prepared.twin, prepared.settings, prepared.signals
     if settings.satellites or _upright(twin) or mean_tilt(signals.up) > MAX_MEAN_SLOPE:
         return prepared.excitation
-    timed = punctual(drive, prepared.excitation.late)
+    timed = without_clock_offset(drive, prepared.excitation.late)
     return _excited(
         prepared, timed, _read(timed, twin, gain_of(twin), settings), True, prepared.excitation.late
     )
@@ -341,14 +341,14 @@ def turned_excitation(prepared: Prepared, drive: Drive) -> tuple[Excitation, tup
     if turn_of(twin) is not None:
         return prepared.excitation, (0.0, 0.0, 0.0)
     if settings.satellites:
-        return prepared.excitation, turn_seen(signals, prepared.trajectory)
+        return prepared.excitation, mounting_error(signals, prepared.trajectory)
     trajectory, datum = prepared.trajectory, twin.datum or _first_fix(drive)
     late = prepared.excitation.late
     roll, pitch, yaw = level_rpy(signals.up.mean(axis=0))
-    drive = regained(punctual(drive, late), gain_of(twin))
+    drive = regained(without_clock_offset(drive, late), gain_of(twin))
     signals = ingest_drive(drive, turned(twin.imu, (roll, pitch, yaw)), settings.imu)
     # a path that is made with a sensor which faces backwards speeds up as that says: by then it is too late to ask
-    far = facing(drive, signals, twin.gps, datum)
+    far = yaw_beyond(drive, signals, twin.gps, datum)
     for _ in range(_TURNS):
         yaw, far = yaw + (far or heading_off(signals, trajectory)), 0.0
         signals = ingest_drive(drive, turned(twin.imu, (roll, pitch, yaw)), settings.imu)
@@ -363,7 +363,7 @@ def regained_excitation(prepared: Prepared, drive: Drive, upright: bool = False)
     gain = gain_at_rest(prepared.signals)
     if settings.satellites or gain_of(twin) != 1.0 or gain == 1.0:
         return None
-    timed = punctual(drive, late)
+    timed = without_clock_offset(drive, late)
     return _excited(prepared, timed, _read(timed, twin, gain, settings), upright or _upright(twin), late)
 
 
@@ -373,11 +373,11 @@ def reclocked_excitation(prepared: Prepared, drive: Drive, upright: bool = False
     twin, settings, late = prepared.twin, prepared.settings, prepared.excitation.late
     if settings.satellites or clocks_with(e.id for e in twin.effects):
         return None
-    timed, signals = punctual(drive, late), replace(prepared.signals, t=prepared.signals.t - late)
-    more = lateness(timed, signals, twin.gps, twin.datum or _first_fix(drive))
+    timed, signals = without_clock_offset(drive, late), replace(prepared.signals, t=prepared.signals.t - late)
+    more = clock_offset_beyond(timed, signals, twin.gps, twin.datum or _first_fix(drive))
     if not more:
         return None
-    timed = punctual(drive, late + more)
+    timed = without_clock_offset(drive, late + more)
     signals = _read(timed, twin, gain_of(twin), settings)
     return _excited(prepared, timed, signals, upright or _upright(twin), late + more)
 

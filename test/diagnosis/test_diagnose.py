@@ -19,7 +19,7 @@ from suspension_twin.diagnosis.run import diagnose
 from suspension_twin.drive.read import read_drive
 from suspension_twin.drive.write import write_drive
 from suspension_twin.errors import InputError
-from suspension_twin.gap.mounting import punctual
+from suspension_twin.gap.mounting import without_clock_offset
 from suspension_twin.gap.simulated import simulate_drive
 from suspension_twin.report.diagnosis import diagnosis_page
 from suspension_twin.vehicle.twin import EffectSpec, Twin, load_twin, save_twin
@@ -96,7 +96,7 @@ def test_a_clock_offset_that_the_twin_file_has_is_no_gap(make: Any, tmp_path: Pa
     save_twin(load_twin(twin).with_changes({"imu.latency": 0.06}), tmp_path / "twin.yaml")
     late = [tmp_path / Path(bag).name for bag in bags]
     for bag, folder in zip(bags, late, strict=True):
-        write_drive(punctual(read_drive(bag), -0.06), folder)
+        write_drive(without_clock_offset(read_drive(bag), -0.06), folder)
     document = diagnose(ask((tmp_path / "twin.yaml", [str(folder) for folder in late], []))).document
     check(document)
     assert document["verdict"] == "no_gap", document["message"]

@@ -188,7 +188,7 @@ def test_a_wall_beside_what_nothing_tells_does_not_hold_back_the_rest(
     start = [np.array([-0.5, -1.0])]
     _, cost = refit(bench, BASELINE, start, None, 3)
     assert cost < best + 1.0
-    monkeypatch.setattr(fit, "SETTINGS", replace(fit.SETTINGS, prior_damping=0.0))
+    monkeypatch.setattr(fit, "FIT_SETTINGS", replace(fit.FIT_SETTINGS, prior_damping=0.0))
     _, cost = refit(bench, BASELINE, start, None, 3)
     assert cost > best + 10.0
 
@@ -214,7 +214,7 @@ def test_what_one_fold_alone_tells_of_the_vehicle_is_not_lost_with_it(
     assert out.unknowns[1, 2] == pytest.approx(0.0, abs=1e-6) and x[1] > 0.8
     moved = shape(np.array([[x[0]], [0.0]]))
     assert np.sum(out.residual**2) < 1.2 * np.sum(moved**2)
-    monkeypatch.setattr(judge, "_HELD", (0.0,))
+    monkeypatch.setattr(judge, "_PRIOR_FACTORS", (0.0,))
     free = held_out(bench, at, blocks)
     assert np.sum(free.residual**2) > 10 * np.sum(out.residual**2) > 10 * fitted
 

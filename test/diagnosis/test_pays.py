@@ -33,7 +33,9 @@ def pays(
     monkeypatch.setattr(
         selection, "weights", lambda *given: (None, np.array([[0.0, 1.0 - sure], [sure, 0.0]]))
     )
-    monkeypatch.setattr(verdict, "punctual", lambda bench, found, temper: punctual[found == "many"])
+    monkeypatch.setattr(
+        verdict, "clocks_within_limits", lambda bench, found, temper: punctual[found == "many"]
+    )
 
     monkeypatch.setattr(selection, "penalty_gains", lambda penalties, temper: np.array([0.0, saved]))
 
