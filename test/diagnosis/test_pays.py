@@ -26,7 +26,7 @@ def pays(
     reference: float | None = None,
     sure: float = 1.0,
     saved: float = 5.0,
-    gone: tuple[float, float] = (0.2, 0.9),
+    explained_share: tuple[float, float] = (0.2, 0.9),
 ) -> bool:
     """Whether ``many`` joins: clocks of few and many, what many leave of a gap of 1 of which few leave 0.8, what each
     takes of what a reference does not show."""
@@ -39,7 +39,7 @@ def pays(
 
     monkeypatch.setattr(selection, "penalty_gains", lambda penalties, temper: np.array([0.0, saved]))
 
-    def shrink(before: Any, found: str, column: int = 0, settled: bool = False) -> Shrink:
+    def shrink(before: Any, found: str, column: int = 0, with_nuisances: bool = False) -> Shrink:
         left = {"few": 0.8, "many": after}[found]
         start = 0.8 if before == "few" else 1.0
         return Shrink(start, left, 1.0 - left / start, (0.0, 1.0))
@@ -47,11 +47,11 @@ def pays(
     judged: Any = SimpleNamespace(
         bench=SimpleNamespace(problem=SimpleNamespace(channels=["vertical_acceleration"])),
         reference=reference,
-        left=["base"],
+        remaining=["base"],
         noise={"vertical_acceleration": 0.01},
         temper=1.0,
         keeper=SimpleNamespace(
-            shrink=shrink, driven=[0], explained_share=lambda found, left: gone[found == "many"]
+            shrink=shrink, driven=[0], explained_share=lambda found, left: explained_share[found == "many"]
         ),
     )
     few, many = (selection.Candidate(Named(n), n) for n in ("few", "many"))  # type: ignore[arg-type]
