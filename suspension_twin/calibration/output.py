@@ -23,9 +23,33 @@ def details_path(path: Path) -> Path:
 
 
 def write_result(result: CalibrationResult, path: Path) -> tuple[Path, Path]:
-    """Write the calibrated twin and its details; returns both paths. Each file is whole or not there.
+    """Write the calibrated twin, and beside it ``<name>.calibration.yaml`` with intervals, nuisances and
+    excited ranges.
 
-    Neither holds a time of day or a duration: the same question gives the same files.
+    Each file is whole or not there; neither holds a time or a duration, so the same request gives the same
+    files.
+
+    Parameters
+    ----------
+    result : CalibrationResult
+        What :func:`~suspension_twin.calibration.run.calibrate` returned.
+    path : Path
+        The twin file to write.
+
+    Returns
+    -------
+    tuple of Path
+        Twin file and details.
+
+    Raises
+    ------
+    InputError
+        A file cannot be written.
+
+    Examples
+    --------
+    >>> write_result(result, Path("calibrated.yaml"))  # doctest: +SKIP
+    (PosixPath('calibrated.yaml'), PosixPath('calibrated.calibration.yaml'))
     """
     details = details_path(path)
     save_twin(result.twin, path, _heading(result, details))

@@ -32,15 +32,44 @@ STATUSES = ("identified", "extrapolated", "kept", "not identified", "on bound")
 
 @dataclass(frozen=True)
 class CalibrationRequest:
-    """One calibration. Only ``twin`` and ``bags`` are needed.
+    """What to calibrate, on what, and how. Only ``twin`` and ``bags`` are needed.
 
-    ``preset`` names what ``presets.PRESETS`` holds. ``free`` replaces what the preset searches and
-    ``also`` adds to it: dotted keys, or the key of a whole characteristic
-    (``vehicle.front.spring``); ``freeze`` takes keys out again, nuisances too
-    (``nuisances.gain``; the names of ``nuisance.NUISANCES``). ``bounds`` (key, lower, upper).
-    ``objective`` and ``channels`` (name, weight) as in ``objectives``; empty for the preset's own.
-    ``max_generations`` 0 is the preset's. ``state`` is a folder for checkpoints, empty for none. ``keep_sensor`` leaves
-    latency and mounting of the twin file's ``imu`` as they are.
+    Parameters
+    ----------
+    twin : str
+        Path of the twin file.
+    bags : tuple of str
+        Paths of the recorded drives.
+    preset : str
+        ``fast`` (Gauss-Newton), ``paper`` (the car paper's genetic algorithm) or ``tracked_paper``.
+    seed : int
+        Seed of every random choice.
+    free : tuple of str
+        Dotted keys, or keys of whole characteristics, to search in place of the preset's.
+    also : tuple of str
+        Keys to search as well.
+    freeze : tuple of str
+        Keys to leave as they are, nuisance parameters (``nuisances.gain``) included.
+    bounds : tuple of (str, float, float)
+        Key, lower and upper bound in the units of the twin file.
+    objective : str
+        As :func:`~suspension_twin.identification.objectives.parse_objective` takes it; empty for the
+        preset's.
+    channels : tuple of (str, float)
+        Channels compared and their weights; empty for the preset's.
+    max_generations : int
+        0 for the preset's.
+    state : str
+        Folder for checkpoints, to continue after an interruption; empty for none.
+    keep_sensor : bool
+        Leave latency and mounting of the IMU as the file has them.
+    topics : Topics
+        Names of the topics in the bags.
+
+    Examples
+    --------
+    >>> CalibrationRequest(twin="bags/bump_15kmh/twin.yaml", bags=("bags/bump_15kmh",)).preset
+    'fast'
     """
 
     twin: str

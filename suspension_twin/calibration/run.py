@@ -35,8 +35,34 @@ def calibrate(
 ) -> CalibrationResult:
     """Calibrate a twin on recorded drives.
 
-    Raises InputError for what cannot be used (naming file, drive or key, and what to do) and
-    WorkError where the fit fails. A stopped calibration returns with ``stopped`` set.
+    Parameters
+    ----------
+    request : CalibrationRequest
+        Twin file, drives and choices.
+    on_progress : callable, optional
+        Called with a :class:`~suspension_twin.calibration.request.Progress`.
+    should_stop : callable, optional
+        Asked between pieces of work of a fraction of a second; True ends the search with the best so far.
+
+    Returns
+    -------
+    CalibrationResult
+        The calibrated twin, an interval for every parameter, the gap before and after; ``stopped`` is set
+        if it was stopped.
+
+    Raises
+    ------
+    InputError
+        What cannot be used: names file, drive or key.
+    WorkError
+        No candidate can be simulated.
+
+    Examples
+    --------
+    >>> request = CalibrationRequest(twin="bags/bump_15kmh/twin.yaml", bags=("bags/bump_15kmh",))
+    >>> result = calibrate(request)  # doctest: +SKIP
+    >>> result.drives[0].gap_after.rms < result.drives[0].gap_before.rms  # doctest: +SKIP
+    True
     """
     began = time.monotonic()
     report = on_progress or (lambda progress: None)

@@ -15,9 +15,27 @@ __all__ = ["DiagnosisRequest", "DiagnosisResult", "DriveView", "Progress"]
 
 @dataclass(frozen=True)
 class DiagnosisRequest:
-    """Paths of a twin file, of the drives that show the gap and of reference drives from before it.
+    """What to diagnose, on what.
 
-    ``effects`` limits the library to some ids, for tests and quick looks; empty for all of it.
+    Parameters
+    ----------
+    twin : str
+        Path of the twin file.
+    bags : tuple of str
+        Paths of the drives that show the gap.
+    reference : tuple of str
+        Paths of drives of the same vehicle from before the gap.
+    seed : int
+        Seed of every random choice.
+    effects : tuple of str
+        Ids to which the library is limited; empty for all of it.
+    topics : Topics
+        Names of the topics in the bags.
+
+    Examples
+    --------
+    >>> DiagnosisRequest(twin="calibrated.yaml", bags=("drive",), reference=("before",)).seed
+    0
     """
 
     twin: str

@@ -30,35 +30,37 @@ def diagnose(
     on_progress: Callable[[Progress], None] | None = None,
     should_stop: Callable[[], bool] | None = None,
 ) -> DiagnosisResult:
-    """Find the causes of the gap between twin and vehicle, its location, and the shrink by each cause.
+    """Diagnose the gap between twin and car: where, why, how sure, and what closes it.
 
     Parameters
     ----------
-    request
-        The twin file, recordings that show the gap and, if there are any, reference recordings from before it.
-    on_progress
-        Called with the stage and the share that is done.
-    should_stop
-        Asked between pieces of work of a fraction of a second.
+    request : DiagnosisRequest
+        Twin file and drives.
+    on_progress : callable, optional
+        Called with a :class:`~suspension_twin.diagnosis.request.Progress`.
+    should_stop : callable, optional
+        Asked between pieces of work; True ends it.
 
     Returns
     -------
     DiagnosisResult
-        The document of ``diagnosis.json``, the twin with the named effects, and the signals for the report.
+        ``document`` is the content of ``diagnosis.json``, ``twin`` the twin with the cause added.
 
     Raises
     ------
     InputError
-        For what cannot be used, naming the file or the field.
+        What cannot be used: names file, drive or key.
     WorkError
-        Where the work fails.
+        A hypothesis cannot be simulated.
     Interrupted
-        Where ``should_stop`` asked for it.
+        It was stopped.
 
     Examples
     --------
-    >>> diagnose(DiagnosisRequest("twin.yaml", ("drive",))).document["verdict"]  # doctest: +SKIP
-    'no_gap'
+    >>> from suspension_twin.diagnosis.request import DiagnosisRequest
+    >>> request = DiagnosisRequest(twin="out/calibrated.yaml", bags=("bags/bump_15kmh",))
+    >>> diagnose(request).document["verdict"]  # doctest: +SKIP
+    'effect'
     """
     began = time.monotonic()
     report = on_progress or (lambda progress: None)

@@ -15,16 +15,62 @@ _STREAMS = ("imu", "fix", "velocity", "heading")
 
 
 def cut(drive: Drive, start: float, stop: float) -> Drive:
-    """What was stamped at ``start`` <= t < ``stop`` (s since the epoch); it may be empty."""
+    """Cut a piece out of a drive.
+
+    Parameters
+    ----------
+    drive : Drive
+        The recording.
+    start, stop : float
+        Stamps in s since the epoch; samples with ``start`` <= t < ``stop`` are kept.
+
+    Returns
+    -------
+    Drive
+        The piece; it may be empty.
+
+    Examples
+    --------
+    >>> from suspension_twin.drive.read import read_drive
+    >>> drive = read_drive("bags/bump_15kmh")
+    >>> begin = drive.imu.t[0]
+    >>> piece = cut(drive, begin + 10.0, begin + 20.0)
+    >>> 990 < len(piece.imu) <= 1001
+    True
+    """
     streams = {name: getattr(drive, name) for name in _STREAMS}
     inside = {k: s.select((s.t >= start) & (s.t < stop)) for k, s in streams.items() if s is not None}
     return replace(drive, **inside)
 
 
 def concatenate(drives: Sequence[Drive], name: str | None = None) -> Drive:
-    """One drive after the other, as a recorder that was switched off between them would have it.
+    """Join drives as a recorder that was switched off between them would have recorded them.
 
-    Raises InputError where one begins before the one before it ends, or there is none.
+    Parameters
+    ----------
+    drives : sequence of Drive
+        In the order of time.
+    name : str, optional
+        Name of the result; that of the first by default.
+
+    Returns
+    -------
+    Drive
+        All samples, one drive after the other.
+
+    Raises
+    ------
+    InputError
+        No drive, or one that begins before the one before it ends.
+
+    Examples
+    --------
+    >>> from suspension_twin.drive.read import read_drive
+    >>> drive = read_drive("bags/bump_15kmh")
+    >>> middle = drive.imu.t[0] + 30.0
+    >>> whole = concatenate([cut(drive, 0.0, middle), cut(drive, middle, float("inf"))])
+    >>> len(whole.imu) == len(drive.imu)
+    True
     """
     if not drives:
         raise InputError("drives", "none given")

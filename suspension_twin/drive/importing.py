@@ -23,7 +23,23 @@ __all__ = ["Imported", "import_drive"]
 
 @dataclass(frozen=True, eq=False)
 class Imported:
-    """A drive, the format it came in, and what was decided on the way."""
+    """An imported drive, its format, and what was decided.
+
+    Parameters
+    ----------
+    drive : Drive
+        The recording in SI units.
+    origin : str
+        Title of the importer that recognised it, or ``bag``.
+    notes : tuple of str
+        One line for every decision: units, stamps, derived velocities.
+
+    Examples
+    --------
+    >>> imported = import_drive(["bags/crg_road"])
+    >>> imported.notes[0]
+    'topics: /imu/data_raw, /fix, /vel'
+    """
 
     drive: Drive
     origin: str
@@ -33,11 +49,33 @@ class Imported:
 def import_drive(
     paths: Sequence[str | Path], *, mapping: str | Path | None = None, topics: Topics | None = None
 ) -> Imported:
-    """One drive from files, folders or archives of any known format; a mapping file decides if given.
+    """Import a recording of any known format as one drive.
 
-    Several paths are parts of one drive (an IMU's log and a receiver's); of a stream that more than
-    one holds, the last one's is taken. A bag is read by its ``topics``. Raises InputError naming the
-    file.
+    Parameters
+    ----------
+    paths : sequence of str or Path
+        Files, folders or archives. Several are parts of one drive (the log of an IMU, that of a receiver);
+        of a stream that more than one holds, the last one's is taken.
+    mapping : str or Path, optional
+        A mapping file that states what the columns are; it then decides alone (see ``config/import``).
+    topics : Topics, optional
+        Of a bag: the names of its topics.
+
+    Returns
+    -------
+    Imported
+        The drive, the format recognised, and a line for every decision.
+
+    Raises
+    ------
+    InputError
+        Naming the file: missing, of no known format, or without accelerometer or gyroscope.
+
+    Examples
+    --------
+    >>> imported = import_drive(["bags/crg_road"])
+    >>> imported.origin
+    'bag'
     """
     if not paths:
         raise InputError("import", "no file given")

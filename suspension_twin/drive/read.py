@@ -26,7 +26,24 @@ _LAST_STAMP = 1 << 62  # ns: the year 2116
 
 @dataclass(frozen=True)
 class Topics:
-    """Names of the topics a drive is read from; a name is absolute with or without its slash."""
+    """Names of the topics that a drive is read from, absolute with or without the leading slash.
+
+    Parameters
+    ----------
+    imu : str
+        ``sensor_msgs/Imu``, specific force and angular rate in the sensor's axes.
+    fix : str
+        ``sensor_msgs/NavSatFix``.
+    vel : str
+        ``geometry_msgs/TwistStamped``, east, north, up in m/s.
+    heading : str
+        ``geometry_msgs/QuaternionStamped``, may be absent.
+
+    Examples
+    --------
+    >>> Topics(imu="/phone/imu").fix
+    '/fix'
+    """
 
     imu: str = "/imu/data_raw"
     fix: str = "/fix"
@@ -44,14 +61,36 @@ TYPES: dict[str, tuple[str, ...]] = {
 
 
 def read_drive(path: str | Path, *, topics: Topics | None = None) -> Drive:
-    """Read one drive from a rosbag2 folder (MCAP or sqlite3), a bare ``.mcap`` or ``.db3`` file or
-    a ROS 1 bag.
+    """Read one drive from a recording.
 
-    Times are header stamps; where a topic's header stamps are missing (zero) its record stamps
-    are taken. Samples that are not finite and stamps that stand far out are left out. Everything
-    that was lost or repaired is a line in ``warnings``. Only the IMU's topic must be there.
-    Raises InputError: no recording, no IMU topic (naming those there are), a topic of a wrong
-    type, no sample left.
+    Times are header stamps; where those of a topic are missing (zero) its record stamps are taken. Samples
+    that are not finite and outlying stamps are removed.
+
+    Parameters
+    ----------
+    path : str or Path
+        A rosbag2 folder (MCAP or sqlite3), a bare ``.mcap`` or ``.db3`` file, or a ROS 1 bag, truncated or
+        not.
+    topics : Topics, optional
+        Names of the topics; those of the contract by default. Only that of the IMU must be there.
+
+    Returns
+    -------
+    Drive
+        SI units, stamps in s since the epoch; ``warnings`` has a line for everything that was lost or
+        repaired.
+
+    Raises
+    ------
+    InputError
+        No recording, no IMU topic (the message names those there are), a topic of a wrong type, or no
+        sample.
+
+    Examples
+    --------
+    >>> drive = read_drive("bags/bump_15kmh")
+    >>> drive.name, len(drive.imu), len(drive.fix)
+    ('bump_15kmh', 6954, 694)
     """
     topics = topics or Topics()
     names = {role: topic_name(name) for role, name in asdict(topics).items()}

@@ -47,11 +47,26 @@ class _Samples:
 
 @dataclass(frozen=True, eq=False)
 class ImuData(_Samples):
-    """IMU samples in the sensor's own axes, in the order they were recorded.
+    """IMU samples in the sensor's own axes, in the order in which they were recorded.
 
-    ``t`` (n,) s since the epoch (header stamps), ``specific_force`` (n, 3) m/s²,
-    ``angular_rate`` (n, 3) rad/s, ``orientation`` (n, 4) quaternion x, y, z, w of the sensor
-    in ``map`` or None where the recorder gave none.
+    Parameters
+    ----------
+    t : (n,) array
+        Header stamps, s since the epoch.
+    specific_force : (n, 3) array
+        m/s²; at rest, upright, z = +9.81.
+    angular_rate : (n, 3) array
+        rad/s.
+    orientation : (n, 4) array, optional
+        Quaternion x, y, z, w of the sensor in ``map``, or None.
+    frame : str
+        ``frame_id`` of the messages.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> len(ImuData(np.array([0.0]), np.array([[0.0, 0.0, 9.81]]), np.zeros((1, 3))))
+    1
     """
 
     specific_force: Floats
@@ -62,9 +77,29 @@ class ImuData(_Samples):
 
 @dataclass(frozen=True, eq=False)
 class FixData(_Samples):
-    """GNSS fixes: ``t`` (m,) s, ``latitude`` and ``longitude`` (m,) degrees, ``altitude`` (m,) m,
-    ``status`` (m,) of sensor_msgs/NavSatStatus (-1 is no fix), ``sigma`` (m, 3) standard
-    deviations east, north, up in m, NaN where the receiver gave no covariance."""
+    """GNSS positions.
+
+    Parameters
+    ----------
+    t : (m,) array
+        s since the epoch.
+    latitude, longitude : (m,) array
+        Degrees on WGS 84.
+    altitude : (m,) array
+        m.
+    status : (m,) array of int8
+        Of ``sensor_msgs/NavSatStatus``; -1 is no fix.
+    sigma : (m, 3) array
+        Standard deviations east, north, up in m; NaN where the receiver gave no covariance.
+    frame : str
+        ``frame_id`` of the messages.
+
+    Examples
+    --------
+    >>> from suspension_twin.drive.read import read_drive
+    >>> read_drive("bags/bump_15kmh").fix.sigma.shape[1]
+    3
+    """
 
     latitude: Floats
     longitude: Floats
@@ -82,7 +117,21 @@ class FixData(_Samples):
 
 @dataclass(frozen=True, eq=False)
 class VelocityData(_Samples):
-    """GNSS velocities: ``t`` (k,) s, ``enu`` (k, 3) m/s east, north, up at the antenna."""
+    """GNSS velocities of the antenna.
+
+    Parameters
+    ----------
+    t : (k,) array
+        s since the epoch.
+    enu : (k, 3) array
+        East, north, up in m/s.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> len(VelocityData(np.array([0.0]), np.array([[10.0, 0.0, 0.0]])))
+    1
+    """
 
     enu: Floats
 
@@ -101,9 +150,30 @@ class HeadingData(_Samples):
 
 @dataclass(frozen=True, eq=False)
 class Drive:
-    """One recorded drive. Absent topics are empty arrays, never None, but for ``heading``.
+    """One recorded drive in SI units. Topics that are absent are empty arrays, but for ``heading``.
 
-    ``warnings`` holds one line for everything that was lost or repaired while reading.
+    Parameters
+    ----------
+    name : str
+        Name of the recording.
+    imu : ImuData
+        Samples of the IMU.
+    fix : FixData
+        Positions of the receiver.
+    velocity : VelocityData
+        Velocities of the receiver.
+    heading : HeadingData, optional
+        Headings, or None.
+    warnings : tuple of str
+        One line for everything that was lost or repaired while reading.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> t = np.arange(0.0, 1.0, 0.01)
+    >>> at_rest = ImuData(t, np.tile([0.0, 0.0, 9.81], (100, 1)), np.zeros((100, 3)))
+    >>> len(at_rest)
+    100
     """
 
     name: str

@@ -185,9 +185,37 @@ def _part_of_bag(path: Path) -> bool:
 def write_drive(
     drive: Drive, path: str | Path, *, topics: Topics | None = None, overwrite: bool = False
 ) -> None:
-    """Write a drive as a rosbag2 folder (or a bare ``.mcap`` file): the contract's topics and types.
+    """Write a drive as a rosbag2 recording with the types of the contract.
 
-    Raises InputError where ``path`` is taken, WorkError where it cannot be written.
+    Parameters
+    ----------
+    drive : Drive
+        What to write.
+    path : str or Path
+        A folder to make, or a bare file where it ends in ``.mcap``.
+    topics : Topics, optional
+        Names of the topics.
+    overwrite : bool
+        Replace a recording that is there (and nothing but a recording).
+
+    Raises
+    ------
+    InputError
+        ``path`` exists, or would be taken for a ROS 1 bag.
+    WorkError
+        It cannot be written.
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> from suspension_twin.drive.edit import cut
+    >>> from suspension_twin.drive.read import read_drive
+    >>> drive = read_drive("bags/bump_15kmh")
+    >>> first = cut(drive, drive.imu.t[0], drive.imu.t[0] + 5.0)
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     write_drive(first, f"{folder}/first")
+    ...     len(read_drive(f"{folder}/first").imu) == len(first.imu)
+    True
     """
     topics = topics or Topics()
     with BagWriter(path, overwrite=overwrite) as bag:

@@ -26,7 +26,30 @@ EFFECTS: Final = _found()
 
 
 def effect(name: str, model: str = "full_car") -> Effect:
-    """The effect called ``name`` as it is on a model; InputError names it where there is none."""
+    """An effect of the library.
+
+    Parameters
+    ----------
+    name : str
+        Its id.
+    model : str
+        The model on which it is wanted: parameters may differ.
+
+    Returns
+    -------
+    Effect
+        Parameters with bounds and priors, what excites it, what it is confused with.
+
+    Raises
+    ------
+    InputError
+        There is no such effect.
+
+    Examples
+    --------
+    >>> effect("strut_friction").severity
+    ('front_force', 'rear_force')
+    """
     try:
         return EFFECTS[name].on(model)
     except KeyError:

@@ -22,10 +22,25 @@ __all__ = ["CHANNELS", "Gap", "channel_unit", "main_channel", "measure_gap", "wr
 
 @dataclass(frozen=True)
 class Gap:
-    """What separates two signals that went through the same filter.
+    """What separates two signals after the same filter.
 
-    ``rms`` and ``mse`` of the main channel (m/s² and m²/s⁴ of the vertical acceleration), ``noise_rms`` its floor,
-    ``channels`` the rms of each channel (m/s² and rad/s), ``seconds`` how much was compared.
+    Parameters
+    ----------
+    rms : float
+        m/s², of the vertical acceleration at the sensor.
+    mse : float
+        m²/s⁴, its square.
+    noise_rms : float
+        m/s², its noise floor.
+    channels : dict of str to float
+        Root mean square of each channel, m/s² and rad/s.
+    seconds : float
+        How much was compared.
+
+    Examples
+    --------
+    >>> Gap(0.4, 0.16, 0.05, {"vertical_acceleration": 0.4}, 60.0).as_dict()["mse"]
+    0.16
     """
 
     rms: float
@@ -52,9 +67,40 @@ def measure_gap(
     rate: float,
     noise_rms: float,
 ) -> Gap:
-    """The gap over the samples of ``mask`` (m,) at ``rate`` Hz; signals (m,) by channel name.
+    """Measure the gap between measured and simulated channels after the same filter.
 
-    Raises WorkError if there is nothing to compare or a signal is not finite there.
+    Parameters
+    ----------
+    measured, simulated : mapping of str to (m,) array
+        Signals by the name of the channel, m/s² and rad/s.
+    mask : (m,) array of bool
+        Samples that are compared.
+    rate : float
+        Samples a second.
+    noise_rms : float
+        Noise floor of the vertical acceleration in m/s².
+
+    Returns
+    -------
+    Gap
+        Root mean square by channel.
+
+    Raises
+    ------
+    WorkError
+        Nothing to compare, or a signal that is not finite.
+
+    Examples
+    --------
+    >>> from suspension_twin.drive.read import read_drive
+    >>> from suspension_twin.gap.simulated import simulate_drive
+    >>> from suspension_twin.vehicle.twin import load_twin
+    >>> result = simulate_drive(read_drive("bags/crg_road"), load_twin("bags/crg_road/twin.yaml"))
+    >>> prepared = result.prepared
+    >>> simulated = prepared.condition(result.response)
+    >>> gap = measure_gap(prepared.measured, simulated, prepared.mask, prepared.rate, 0.02)
+    >>> gap.rms == result.gap.rms
+    True
     """
     count = int(np.count_nonzero(mask))
     if count == 0:

@@ -84,13 +84,55 @@ class PrepareSettings:
 class Prepared:
     """One drive, or a part of one, ready for comparison.
 
-    On the n kept IMU stamps: ``signals`` (unfiltered, base_link axes), ``trajectory``,
-    ``excitation``. On the conditioner's uniform grid of m samples: ``measured`` channels (m,),
-    ``speed`` m/s, ``position`` m of base_link along the road (or along the path where there is no
-    road) and its rate ``along`` m/s, ``inside`` where all wheels have a road under them (``off_road``
-    tells where not, and what they get there), ``mask`` where a comparison means something.
-    ``noise_rms`` is each channel's floor,
-    ``position_sigma`` m the receiver's own horizontal standard deviation (0 where it gives none).
+    Parameters
+    ----------
+    name : str
+        Of the drive.
+    twin : Twin
+        The twin it was prepared for.
+    road : Road
+        The road.
+    settings : PrepareSettings
+        How it was prepared.
+    signals : ImuSignals
+        On the n kept IMU stamps, unfiltered, ``base_link`` axes.
+    trajectory : Trajectory
+        On the same stamps.
+    excitation : Excitation
+        On the same stamps.
+    conditioner : Conditioner
+        To the uniform grid of m samples on which everything below is given.
+    measured : dict of str to (m,) array
+        Filtered measured channels.
+    noise_rms : dict of str to float
+        Noise floor of each channel.
+    speed : (m,) array
+        m/s.
+    position : (m,) array
+        m of ``base_link`` along the road, or along the path without a road.
+    along : (m,) array
+        Its rate in m/s.
+    inside : (m,) array of bool
+        All wheels have a road under them.
+    mask : (m,) array of bool
+        A comparison is meaningful.
+    position_sigma : float
+        The receiver's own horizontal standard deviation in m, 0 where it gives none.
+    warnings : tuple of str
+        What was found while preparing.
+    off_road : OffRoad
+        Where the drive leaves the road, and the policy there.
+
+    Examples
+    --------
+    >>> from suspension_twin.drive.read import read_drive
+    >>> from suspension_twin.models.simulate import simulate_twin
+    >>> from suspension_twin.vehicle.twin import load_twin
+    >>> twin = load_twin("bags/crg_road/twin.yaml")
+    >>> prepared = prepare(read_drive("bags/crg_road"), twin)
+    >>> gap = prepared.gap(prepared.condition(simulate_twin(twin, prepared.excitation)))
+    >>> bool(gap.rms > gap.noise_rms)
+    True
     """
 
     name: str
@@ -203,10 +245,39 @@ def prepare(
     settings: PrepareSettings | None = None,
     strict: bool = False,
 ) -> Prepared:
-    """Everything that a comparison of ``twin`` with ``drive`` needs, computed once.
+    """Prepare a drive for comparison with a twin: everything that does not depend on the candidate,
+    computed once.
 
-    ``road`` None loads the twin file's. ``strict`` refuses signals that must not be trusted (an IMU
-    upside down, too slow, dead). Raises InputError that names the drive and what it lacks.
+    Parameters
+    ----------
+    drive : Drive
+        The recording.
+    twin : Twin
+        Places of the sensors, datum, geometry.
+    road : Road, optional
+        The road; that of the twin file by default.
+    settings : PrepareSettings, optional
+        Filter, step, policy beyond the road's borders.
+    strict : bool
+        Refuse signals that must not be used for calibration (an IMU upside down, too slow, dead).
+
+    Returns
+    -------
+    Prepared
+        Locked pose, excitation, filtered measured channels and their noise floors.
+
+    Raises
+    ------
+    InputError
+        Naming the drive and what it lacks.
+
+    Examples
+    --------
+    >>> from suspension_twin.drive.read import read_drive
+    >>> from suspension_twin.vehicle.twin import load_twin
+    >>> prepared = prepare(read_drive("bags/crg_road"), load_twin("bags/crg_road/twin.yaml"))
+    >>> sorted(prepared.measured)[0]
+    'lateral_acceleration'
     """
     settings = settings or PrepareSettings()
     if road is None:

@@ -31,7 +31,27 @@ _LEAST_ON_ROAD = 0.02  # share of the moving drive
 
 @dataclass(frozen=True, eq=False)
 class SimulatedDrive:
-    """A twin over a drive: ``prepared`` and ``response`` on the IMU stamps kept, and the ``gap``."""
+    """A twin over a drive: what :func:`simulate_drive` returns.
+
+    Parameters
+    ----------
+    drive : Drive
+        The recording.
+    prepared : Prepared
+        What it was compared in.
+    response : Response
+        The twin on the n kept IMU stamps.
+    gap : Gap
+        The gap over the whole drive.
+
+    Examples
+    --------
+    >>> from suspension_twin.drive.read import read_drive
+    >>> from suspension_twin.vehicle.twin import load_twin
+    >>> result = simulate_drive(read_drive("bags/crg_road"), load_twin("bags/crg_road/twin.yaml"))
+    >>> result.as_dict()["drive"]
+    'crg_road'
+    """
 
     drive: Drive
     prepared: Prepared
@@ -82,9 +102,36 @@ class SimulatedDrive:
 def simulate_drive(
     drive: Drive, twin: Twin, road: Road | None = None, settings: PrepareSettings | None = None
 ) -> SimulatedDrive:
-    """Simulate ``twin`` over the whole of ``drive`` and measure the gap.
+    """Simulate a twin over the whole of a drive and measure the gap.
 
-    Raises InputError that names the drive and what it lacks: samples, fixes, or the road under it.
+    Parameters
+    ----------
+    drive : Drive
+        The recording.
+    twin : Twin
+        The twin.
+    road : Road, optional
+        The road; that of the twin file by default.
+    settings : PrepareSettings, optional
+        Filter, step, policy beyond the road's borders.
+
+    Returns
+    -------
+    SimulatedDrive
+        The prepared drive, the response and the gap.
+
+    Raises
+    ------
+    InputError
+        Naming the drive and what it lacks: samples, fixes, or the road under it.
+
+    Examples
+    --------
+    >>> from suspension_twin.drive.read import read_drive
+    >>> from suspension_twin.vehicle.twin import load_twin
+    >>> result = simulate_drive(read_drive("bags/crg_road"), load_twin("bags/crg_road/twin.yaml"))
+    >>> bool(result.gap.rms > 0.1)
+    True
     """
     road = road_of(twin) if road is None else road
     prepared = prepare(drive, twin, road, settings)

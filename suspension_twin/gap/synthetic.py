@@ -51,9 +51,39 @@ class SensorErrors:
 def path_along(
     road: Road, t: Floats, knots: Sequence[tuple[float, float]], u: float, v: float = 0.0
 ) -> Trajectory:
-    """Driving along a road at lateral offset ``v`` m, from ``u`` m on, base_link's origin on the path.
+    """A drive along a road, as a trajectory.
 
-    ``knots`` (s, m/s) of the speed, smoothly joined; ``t`` (n,) s in the knots' time.
+    Parameters
+    ----------
+    road : Road
+        The road.
+    t : (n,) array
+        Stamps in s, in the time of the knots.
+    knots : sequence of tuple
+        (s, m/s) of the speed, joined smoothly.
+    u : float
+        m on the road at which the origin of ``base_link`` starts.
+    v : float
+        Lateral offset in m.
+
+    Returns
+    -------
+    Trajectory
+        With the origin of ``base_link`` on the path.
+
+    Raises
+    ------
+    InputError
+        Fewer than two knots.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from suspension_twin.road import bump_road, half_sine
+    >>> road = bump_road(half_sine(0.9, 0.05), length=40.0)
+    >>> path = path_along(road, np.arange(0.0, 2.0, 0.01), ((0.0, 5.0), (2.0, 5.0)), 4.0)
+    >>> round(float(path.x[0]), 6)
+    4.0
     """
     if len(knots) < 2:
         raise InputError("speed", "needs at least two knots of time and speed")
@@ -92,9 +122,43 @@ def synthetic_drive(
     v: float = 0.0,
     name: str = "synthetic",
 ) -> Drive:
-    """What the sensors of ``truth`` record on ``road`` at the speed of ``knots`` (s, m/s).
+    """What the sensors of a known twin would record, to test a method on.
 
-    Raises InputError where the twin has no datum: the fixes need one.
+    Parameters
+    ----------
+    truth : Twin
+        The twin that drives; it needs a datum.
+    road : Road
+        The road.
+    knots : sequence of tuple
+        (s, m/s) of the speed.
+    seed : int
+        Seed of the noise.
+    errors : SensorErrors, optional
+        Noise, biases, rates and clock offset of phone and receiver.
+    u, v : float
+        Start on the road in m.
+    name : str
+        Name of the drive.
+
+    Returns
+    -------
+    Drive
+        As a recorder would have written it.
+
+    Raises
+    ------
+    InputError
+        The twin has no datum.
+
+    Examples
+    --------
+    >>> from suspension_twin.road import bump_road, half_sine
+    >>> from suspension_twin.vehicle.twin import load_twin
+    >>> twin, road = load_twin("bags/bump_15kmh/twin.yaml"), bump_road(half_sine(0.9, 0.05))
+    >>> drive = synthetic_drive(twin, road, ((0.0, 0.0), (2.0, 0.0), (4.0, 5.0), (8.0, 5.0)), seed=1)
+    >>> len(drive.imu)
+    800
     """
     e = errors or SensorErrors()
     if truth.datum is None:

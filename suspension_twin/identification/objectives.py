@@ -67,9 +67,31 @@ class Measured:
 def parse_objective(
     text: str, channels: Mapping[str, float], known: Sequence[str] = CHANNELS
 ) -> tuple[Term, ...]:
-    """``mse+0.5*spectral`` over ``channels`` (name to weight; those that are ``known``) as terms.
+    """Parse an objective such as ``mse+0.5*spectral``.
 
-    Raises InputError that names the kind or channel it does not know.
+    Parameters
+    ----------
+    text : str
+        Kinds (``euclidean``, ``mse``, ``correlation``, ``spectral``, ``iso18571``) with weights.
+    channels : mapping of str to float
+        Weight of each channel.
+    known : sequence of str
+        Channels that the vehicle's model has.
+
+    Returns
+    -------
+    tuple of Term
+        One for each kind and channel.
+
+    Raises
+    ------
+    InputError
+        Naming a kind or channel that is not known.
+
+    Examples
+    --------
+    >>> [term.kind for term in parse_objective("mse+0.5*spectral", {"vertical_acceleration": 1.0})]
+    ['mse', 'spectral']
     """
     terms: list[Any] = []
     for channel in channels:

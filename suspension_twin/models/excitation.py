@@ -60,11 +60,42 @@ def excitation(
     max_step: float = MAX_STEP,
     antenna: float = 0.0,
 ) -> Excitation:
-    """Excitation of ``vehicle`` on ``road`` along ``trajectory``, that of an ``antenna`` so many m above base_link of
-    a vehicle that was taken for upright, or the vehicle's own.
+    """Prepare what excites a car: its planar motion, and the road under its wheels in between.
 
-    Stamps may jitter. Raises InputError for stamps that do not rise, for anything that is not
-    finite, and for a road that gives no finite height under a wheel.
+    Parameters
+    ----------
+    trajectory : Trajectory
+        Planar motion at n stamps; stamps may jitter.
+    vehicle : Vehicle
+        Its wheelbase and tracks place the wheels.
+    road : HeightField
+        Anything with ``heights(x, y)`` in m.
+    max_step : float
+        Longest step of the integration in s.
+    antenna : float
+        Height in m of the antenna whose path this is, if the vehicle was taken for upright; 0 for the
+        vehicle's own path.
+
+    Returns
+    -------
+    Excitation
+        For :func:`~suspension_twin.models.simulate.simulate_twin`.
+
+    Raises
+    ------
+    InputError
+        Stamps that do not rise, values that are not finite, a road without a height under a wheel.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from suspension_twin.gap.synthetic import path_along
+    >>> from suspension_twin.road import bump_road, half_sine
+    >>> from suspension_twin.vehicle.twin import load_twin
+    >>> road = bump_road(half_sine(0.9, 0.05), at=10.0, length=40.0)
+    >>> path = path_along(road, np.arange(0.0, 3.0, 0.01), ((0.0, 5.0), (3.0, 5.0)), 3.0)
+    >>> len(excitation(path, load_twin("bags/bump_15kmh/twin.yaml").vehicle, road))
+    300
     """
     max_step = check_step(max_step)
     t = np.asarray(trajectory.t, dtype=np.float64)

@@ -102,5 +102,22 @@ MODELS: Final[Mapping[str, Model]] = _Models()
 
 
 def model_of(twin: Twin) -> Model:
-    """The model of a twin."""
+    """The model of a twin.
+
+    Parameters
+    ----------
+    twin : Twin
+        The twin.
+
+    Returns
+    -------
+    Model
+        Its entry in :data:`MODELS`: what is measured of such a vehicle, its channels, how it is simulated.
+
+    Examples
+    --------
+    >>> from suspension_twin.vehicle.twin import load_twin
+    >>> model_of(load_twin("bags/bump_15kmh/twin.yaml")).recordings
+    'drive'
+    """
     return MODELS[twin.model]

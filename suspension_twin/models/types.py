@@ -102,13 +102,40 @@ class Excitation:
 class Response:
     """Everything that one run of a model gives, at the n stamps of its excitation.
 
-    ``heave`` (n,) m height of the sprung centre of gravity above its place on a level road at
-    height 0; ``roll``, ``pitch`` (n,) rad (left side up, nose down positive); ``z`` (n,) m height
-    of base_link's origin; ``wheel_z`` (n, 4) m wheel centres; ``deflection`` (n, 4) m compression
-    of the springs from their free length, ``deflection_rate`` (n, 4) m/s; ``tyre_force`` (n, 4) N;
-    ``force`` (n, 3) m/s² specific force and ``rate`` (n, 3) rad/s at the imu's place in base_link
-    axes; ``vertical_acceleration`` (n,) m/s² = ``force`` z less gravity's part. ``acceleration``
-    (n, 7) second derivatives of heave, roll, pitch and the four wheel heights.
+    Parameters
+    ----------
+    t : (n,) array
+        s.
+    heave : (n,) array
+        Height in m of the sprung centre of gravity above its place on a level road at height 0.
+    roll, pitch : (n,) array
+        rad, left side up and nose down positive.
+    z : (n,) array
+        Height in m of the origin of ``base_link``.
+    wheel_z : (n, 4) array
+        Heights of the wheel centres in m; corners in the order front left, front right, rear left, rear
+        right.
+    deflection, deflection_rate : (n, 4) array
+        Compression of the springs from their free length in m, and m/s.
+    tyre_force : (n, 4) array
+        N.
+    force : (n, 3) array
+        Specific force in m/s² at the IMU's place in ``base_link`` axes.
+    rate : (n, 3) array
+        Angular rate in rad/s.
+    vertical_acceleration : (n,) array
+        m/s², ``force`` z without gravity.
+    acceleration : (n, 7) array
+        Second derivatives of heave, roll, pitch and the four wheel heights.
+
+    Examples
+    --------
+    >>> from suspension_twin.drive.read import read_drive
+    >>> from suspension_twin.gap.simulated import simulate_drive
+    >>> from suspension_twin.vehicle.twin import load_twin
+    >>> result = simulate_drive(read_drive("bags/crg_road"), load_twin("bags/crg_road/twin.yaml"))
+    >>> result.response.force.shape == (result.response.t.size, 3)
+    True
     """
 
     t: Floats

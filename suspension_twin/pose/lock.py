@@ -49,11 +49,34 @@ class PlanarState(NamedTuple):
 
 
 class PoseLock:
-    """Feed it every sample of ``imu/data`` and every fix, velocity and heading, in any order of arrival.
+    """The live pose: GNSS and IMU fused to x, y and yaw of ``base_link`` at the rate of the IMU.
 
-    A delayed fix is used at its own stamp: the filter goes back to it and runs again over
-    the samples since. The output takes the correction over gradually, without a step. A stamp set back by
-    more than a second resets everything. Never raises on a message.
+    Give it every sample of ``imu/data`` and every fix, velocity and heading, in any order of arrival. A
+    delayed fix is used at its own stamp; the output takes corrections over gradually. A stamp set back by
+    more than a second resets everything. No message raises an error.
+
+    Parameters
+    ----------
+    settings : PoseSettings, optional
+        Noise, gates and time constants.
+    gps_place : Place, optional
+        Position of the antenna in ``base_link``.
+    datum : Datum, optional
+        Origin of ``map``; the first fix by default.
+    imu_place : Place, optional
+        Position and mounting of the IMU.
+    imu_turn : tuple of float, optional
+        Roll, pitch and yaw in rad by which the sensor is turned beyond its mounting.
+    imu_gain : float
+        Gain of the specific force that it reads.
+
+    Examples
+    --------
+    >>> lock = PoseLock()
+    >>> lock.on_fix(0.0, 47.4, 19.2, 110.0)
+    >>> states = [lock.on_imu(0.01 * k, (0.0, 0.0, 9.81), (0.0, 0.0, 0.0)) for k in range(1, 50)]
+    >>> states[-1].valid  # not before the vehicle has moved: its yaw is not known
+    False
     """
 
     def __init__(

@@ -37,12 +37,45 @@ def locked_trajectory(
     settings: PoseSettings | None = None,
     upright: bool = False,
 ) -> Trajectory:
-    """Where ``base_link`` was at stamps ``t`` (n,) s, strictly rising.
+    """Estimate the path of ``base_link`` over a whole drive, forward and backward (RTS smoother).
 
-    Forward filter and backward smoother over the whole drive, repeated with what the residuals show:
-    the receiver's noise, outliers among the measurements, and the share of the antenna's sway that the
-    receiver reports (less where it averages). ``upright``: a mean tilt is the sensor's mounting.
-    Raises InputError where no fix or no motion lets the pose be found.
+    Parameters
+    ----------
+    drive : Drive
+        The recording, with fixes.
+    signals : ImuSignals
+        Its IMU, cleaned by :func:`~suspension_twin.signals.offline.ingest_drive`.
+    gps_place : Place
+        Position of the antenna in ``base_link``.
+    datum : Datum
+        Origin of ``map``.
+    t : (n,) array
+        Stamps in s, strictly rising, at which the path is wanted.
+    settings : PoseSettings, optional
+        Noise and gates of the filter.
+    upright : bool
+        Take a mean tilt for the sensor's mounting and not for the vehicle's.
+
+    Returns
+    -------
+    Trajectory
+        x, y, yaw, speeds, yaw rate and planar accelerations at ``t``.
+
+    Raises
+    ------
+    InputError
+        No fix, or no motion from which the yaw follows.
+
+    Examples
+    --------
+    >>> from suspension_twin.drive.read import read_drive
+    >>> from suspension_twin.signals.offline import ingest_drive
+    >>> from suspension_twin.vehicle.twin import load_twin
+    >>> drive, twin = read_drive("bags/crg_road"), load_twin("bags/crg_road/twin.yaml")
+    >>> signals = ingest_drive(drive, twin.imu)
+    >>> path = locked_trajectory(drive, signals, twin.gps, twin.datum, signals.t)
+    >>> round(float(path.speed.max()), 1)
+    7.0
     """
     settings = settings or PoseSettings()
     measured = gather(drive, datum, settings)

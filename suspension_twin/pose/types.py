@@ -17,11 +17,33 @@ __all__ = ["Trajectory"]
 class Trajectory:
     """Planar motion of ``base_link`` in ``map``; every array (n,).
 
-    ``t`` s, strictly rising; ``x``, ``y`` m; ``yaw`` rad, continuous (not wrapped), from east,
-    counter-clockwise; ``speed`` and ``lateral_speed`` m/s along base_link x and y; ``yaw_rate``
-    rad/s; ``ax``, ``ay`` m/s² the acceleration along base_link's x and y of the body above its origin,
-    at the height of the centre of gravity (centripetal part included, gravity not); ``valid`` False
-    where no fix supports the pose.
+    Parameters
+    ----------
+    t : (n,) array
+        s, strictly rising.
+    x, y : (n,) array
+        m.
+    yaw : (n,) array
+        rad from east, counter-clockwise, continuous.
+    speed, lateral_speed : (n,) array
+        m/s along x and y of ``base_link``.
+    yaw_rate : (n,) array
+        rad/s.
+    ax, ay : (n,) array
+        m/s² along x and y of ``base_link`` of the body above its origin, at the height of the centre of
+        gravity, the centripetal part included, gravity not.
+    valid : (n,) array of bool
+        False where no fix supports the pose.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from suspension_twin.gap.synthetic import path_along
+    >>> from suspension_twin.road import flat_road
+    >>> t = np.arange(0.0, 2.0, 0.1)
+    >>> path = path_along(flat_road(), t, ((0.0, 10.0), (2.0, 10.0)), 100.0)
+    >>> round(float(path.x[-1] - path.x[0]), 1)
+    19.0
     """
 
     t: Floats

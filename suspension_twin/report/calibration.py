@@ -56,7 +56,23 @@ _NAMES = {
 
 
 def calibration_page(result: CalibrationResult) -> Page:
-    """The page of a result; ``write`` saves it."""
+    """Make the page of a calibration: characteristics, parameters, gaps, search.
+
+    Parameters
+    ----------
+    result : CalibrationResult
+        What :func:`~suspension_twin.calibration.run.calibrate` returned.
+
+    Returns
+    -------
+    Page
+        ``write(path)`` saves it as one HTML file without scripts and links.
+
+    Examples
+    --------
+    >>> calibration_page(result).write("report/index.html")  # doctest: +SKIP
+    PosixPath('report/index.html')
+    """
     drives = ", ".join(d.name for d in result.drives)
     page = Page(
         "Calibration", f"{result.twin.vehicle.name} on {drives}, preset {result.preset}, seed {result.seed}"

@@ -31,7 +31,23 @@ _REFERENCED = (
 
 
 def diagnosis_page(result: DiagnosisResult) -> Page:
-    """The whole page; ``page.write(path)`` makes the file."""
+    """Make the page of a diagnosis: answer, causes, where, drives, next experiment.
+
+    Parameters
+    ----------
+    result : DiagnosisResult
+        What :func:`~suspension_twin.diagnosis.run.diagnose` returned.
+
+    Returns
+    -------
+    Page
+        ``write(path)`` saves it as one HTML file without scripts and links.
+
+    Examples
+    --------
+    >>> diagnosis_page(result).write("report.html")  # doctest: +SKIP
+    PosixPath('report.html')
+    """
     d = result.document
     text, mark = _VERDICTS[d["verdict"]]
     page = Page("Diagnosis of the gap", f"{', '.join(v.name for v in result.drives)}")

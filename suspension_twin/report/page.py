@@ -98,7 +98,25 @@ class Section:
 
 @dataclass
 class Page:
-    """A page in the making; ``add`` and ``card`` return the page itself."""
+    """A report page; ``add`` and ``card`` return the page itself.
+
+    Parameters
+    ----------
+    title : str
+        Heading.
+    subtitle : str
+        Line below it.
+    sections : list of Section
+        Text, figures and tables.
+    cards : list of Card
+        Key figures in the row at the top.
+
+    Examples
+    --------
+    >>> page = Page("Gap").card("rms", "0.11 m/s²")
+    >>> "0.11 m/s²" in page.render()
+    True
+    """
 
     title: str
     subtitle: str = ""

@@ -27,10 +27,38 @@ def grid_road(
     heading: float = 0.0,
     name: str = "road",
 ) -> Road:
-    """A straight road from heights ``z`` (nu, nv) m, cross sections ``u_step`` m apart, at ``v`` (nv,) m.
+    """Make a straight road from a grid of heights.
 
-    It starts at (x, y) in ``map`` and runs along ``heading`` rad. The heights are rounded to single
-    precision, what an OpenCRG file can hold, so that a road written is read back equal.
+    Parameters
+    ----------
+    z : (nu, nv) array
+        Heights in m, rounded to single precision, which is what an OpenCRG file can hold.
+    u_step : float
+        Distance of the cross sections in m.
+    v : (nv,) array
+        Lateral positions in m, rising.
+    x, y : float
+        Start in ``map`` in m.
+    heading : float
+        Direction in rad from east, counter-clockwise.
+    name : str
+        Name of the road.
+
+    Returns
+    -------
+    Road
+        The road.
+
+    Raises
+    ------
+    InputError
+        The heights do not fit the positions.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> grid_road(np.zeros((101, 3)), 0.1, [-2.0, 0.0, 2.0]).length
+    10.0
     """
     heights = np.atleast_2d(np.asarray(z, dtype=np.float64)).astype(np.float32).astype(np.float64)
     nu = heights.shape[0]
@@ -65,7 +93,34 @@ def flat_road(
     heading: float = 0.0,
     name: str = "flat",
 ) -> Road:
-    """A level plane at height 0; as it stands 20 km by 20 km about the origin of ``map``."""
+    """Make a level plane at height 0, by default 20 km by 20 km about the origin of ``map``.
+
+    Parameters
+    ----------
+    length, width : float
+        m.
+    x, y : float
+        Start of its reference line in ``map`` in m.
+    heading : float
+        Direction in rad.
+    name : str
+        Name of the road.
+
+    Returns
+    -------
+    Road
+        The plane.
+
+    Raises
+    ------
+    InputError
+        A length or width that is not positive.
+
+    Examples
+    --------
+    >>> float(flat_road().heights(100.0, -50.0))
+    0.0
+    """
     if not (math.isfinite(length) and length > 0.0):
         raise InputError(name, "length", f"must be above 0 m, is {length}")
     v = lateral_grid(width, width)

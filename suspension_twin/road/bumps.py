@@ -38,7 +38,31 @@ class Bump:
 
 
 def half_sine(length: float, height: float) -> Bump:
-    """Half a sine wave; a negative height makes a dip, as in every shape."""
+    """A bump of the shape of half a sine wave.
+
+    Parameters
+    ----------
+    length : float
+        m along the road.
+    height : float
+        m; a negative height makes a dip.
+
+    Returns
+    -------
+    Bump
+        The cross section, for :func:`bump_road` and :func:`add_bump`.
+
+    Raises
+    ------
+    InputError
+        For a length that is not positive.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> half_sine(0.9, 0.05).profile(np.array([0.45])).round(3).tolist()
+    [0.05]
+    """
     _check(length, height)
     return Bump("half sine", length, height, lambda s: height * np.sin(math.pi * s / length))
 
@@ -94,11 +118,36 @@ def add_bump(
     v_high: float = math.inf,
     angle: float = 0.0,
 ) -> Road:
-    """The road with a bump on it that starts at u = ``at`` m.
+    """Put a bump on a road.
 
-    ``v_low``, ``v_high`` m its extent across, as for one track only; ``angle`` rad by which it lies
-    askew, positive with the left side farther on. Raises InputError where it would not lie on the
-    road or the road's grid is too coarse to hold its shape.
+    Parameters
+    ----------
+    road : Road
+        The road without it.
+    bump : Bump
+        The cross section.
+    at : float
+        u in m at which it starts.
+    v_low, v_high : float
+        Its extent across in m, as for one wheel path only.
+    angle : float
+        rad by which it lies askew, positive with the left side farther on.
+
+    Returns
+    -------
+    Road
+        The road with it.
+
+    Raises
+    ------
+    InputError
+        It does not lie on the road, or the grid is too coarse for its shape.
+
+    Examples
+    --------
+    >>> road = add_bump(bump_road(half_sine(0.9, 0.05)), half_sine(0.5, -0.03), 40.0, v_low=0.1)
+    >>> bool(road.z.min() < -0.029)
+    True
     """
     if not (road.u_first <= at and at + bump.length <= road.u_last + 1e-9):
         raise InputError(
@@ -134,7 +183,41 @@ def bump_road(
     heading: float = 0.0,
     name: str | None = None,
 ) -> Road:
-    """A level straight road with the bump at one or several places ``at`` (u of its start, m)."""
+    """Make a level straight road with a bump at one or several places.
+
+    Parameters
+    ----------
+    bump : Bump
+        The cross section.
+    at : float or sequence of float
+        Distance of each bump's start from the start of the road in m.
+    length, width : float
+        Of the road in m.
+    step : float
+        Distance of the cross sections in m.
+    x, y : float
+        Start in ``map`` in m.
+    heading : float
+        Direction in rad.
+    name : str, optional
+        Name of the road.
+
+    Returns
+    -------
+    Road
+        The road.
+
+    Raises
+    ------
+    InputError
+        The bump does not lie on the road, or the grid is too coarse for its shape.
+
+    Examples
+    --------
+    >>> road = bump_road(half_sine(0.9, 0.05), at=[10.0, 30.0], length=50.0)
+    >>> round(float(road.z.max()), 3)
+    0.05
+    """
     v = lateral_grid(width, 0.5)
     count = round(length / step) + 1
     title = name or f"{bump.name} bump"

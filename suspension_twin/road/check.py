@@ -74,7 +74,26 @@ def check_file(path: str | os.PathLike[str]) -> RoadCheck:
 
 
 def check_road(road: Road, also: tuple[RoadFinding, ...] = ()) -> RoadCheck:
-    """Figures and findings of a road; ``also`` is put before them."""
+    """Check a road: spikes, missing data, roughness, what a simulation would suffer from.
+
+    Parameters
+    ----------
+    road : Road
+        The road.
+    also : tuple of RoadFinding
+        Findings to put before those of the check.
+
+    Returns
+    -------
+    RoadCheck
+        Figures, findings and spikes; ``sound`` is True if nothing is wrong.
+
+    Examples
+    --------
+    >>> from suspension_twin.road import bump_road, half_sine
+    >>> check_road(bump_road(half_sine(0.9, 0.05))).sound
+    True
+    """
     spikes = find_spikes(road)
     findings = [*also, *(RoadFinding(f"the OpenCRG library warns: {note}", True) for note in road.notes)]
     facts = _facts(road, spikes)

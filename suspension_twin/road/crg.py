@@ -29,11 +29,29 @@ _LOGGER = logging.getLogger("pycrg")
 def load_road(path: str | os.PathLike[str]) -> Road:
     """Read an OpenCRG file, its modifiers and options honoured.
 
-    A file without a ``$ROAD_CRG_MODS`` section gets OpenCRG's own default: the start of its
-    reference line moves to x = y = z = 0 with heading 0, and missing heights at the borders are
-    held; an empty section leaves everything where the file has it. What the library warned of
-    stands in the road's ``notes``. Raises InputError, one line that names the file and the
-    fault, for whatever cannot be read or evaluated.
+    A file without a ``$ROAD_CRG_MODS`` section gets OpenCRG's own default: the start of its reference line
+    moves to x = y = z = 0 with heading 0. An empty section leaves everything where the file has it.
+
+    Parameters
+    ----------
+    path : str or path-like
+        The file.
+
+    Returns
+    -------
+    Road
+        ``notes`` holds the warnings of the OpenCRG library.
+
+    Raises
+    ------
+    InputError
+        One line that names the file and the fault.
+
+    Examples
+    --------
+    >>> road = load_road("bags/bump_15kmh/road.crg")
+    >>> round(road.length)
+    80
     """
     path = Path(path)
     text = examine(path)
@@ -119,9 +137,33 @@ def _borders(
 def write_road(road: Road, path: str | os.PathLike[str], comment: str = "") -> None:
     """Write a road as OpenCRG (binary, double precision), to be read back equal.
 
-    OpenCRG readers keep the grid of heights in single precision (60 nm at 1 m); everything else
-    is kept exactly, the place in ``map`` too. The file appears whole or not at all. Raises
-    InputError where the format cannot hold the road, WorkError where the file cannot be written.
+    OpenCRG readers keep the heights in single precision (60 nm at 1 m). The file appears whole or not at
+    all.
+
+    Parameters
+    ----------
+    road : Road
+        What to write.
+    path : str or path-like
+        The file.
+    comment : str
+        Text for its header.
+
+    Raises
+    ------
+    InputError
+        The format cannot hold the road.
+    WorkError
+        The file cannot be written.
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> from suspension_twin.road import bump_road, half_sine
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     write_road(bump_road(half_sine(0.9, 0.05)), f"{folder}/bump.crg")
+    ...     round(float(load_road(f"{folder}/bump.crg").z.max()), 3)
+    0.05
     """
     b = road.borders
     options: dict[str | int, float] = {}

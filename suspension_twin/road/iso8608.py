@@ -67,11 +67,50 @@ def iso8608_road(
     heading: float = 0.0,
     name: str | None = None,
 ) -> Road:
-    """A straight random road of an ISO 8608 class; the same seed gives the same road.
+    """Make a straight random road of an ISO 8608 class; the same seed gives the same road.
 
-    Every long section is a Gaussian process with the class's PSD between the spatial frequencies
-    ``band`` (cycles/m; no waves outside, and none shorter than two steps) and mean 0.
-    ``roughness_n0`` (m³) takes the place of the class's G(n0). Raises InputError.
+    Every long section is a Gaussian process with the class's power spectral density.
+
+    Parameters
+    ----------
+    road_class : str
+        "A" to "H".
+    length, width : float
+        m.
+    seed : int
+        Seed of the random numbers.
+    step, v_step : float
+        Distance of the nodes along and across in m.
+    roughness_n0 : float, optional
+        m³ at 0.1 cycles/m, in place of the class's.
+    waviness : float
+        Slope of the density, 2 in the standard.
+    coherence : "isotropic" or float
+        Between long sections.
+    band : tuple of float
+        Lowest and highest spatial frequency in cycles/m.
+    x, y : float
+        Start in ``map`` in m.
+    heading : float
+        Direction in rad.
+    name : str, optional
+        Name of the road.
+
+    Returns
+    -------
+    Road
+        The road, mean height 0.
+
+    Raises
+    ------
+    InputError
+        For a class, length or band that is impossible.
+
+    Examples
+    --------
+    >>> rough, smooth = (iso8608_road(c, 50.0, width=2.0) for c in "CA")
+    >>> bool(rough.z.std() > 2.0 * smooth.z.std())
+    True
     """
     g0 = roughness(road_class) if roughness_n0 is None else float(roughness_n0)
     for what, value in (("length", length), ("step", step), ("roughness_n0", g0)):

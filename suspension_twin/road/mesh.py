@@ -133,7 +133,39 @@ def write_mesh(
     up: Up = "z",
     shift: tuple[float, float, float] = (0.0, 0.0, 0.0),
 ) -> int:
-    """Write ``.stl`` or ``.obj``, by the file's name, and return the number of triangles."""
+    """Write the surface of a road as a mesh.
+
+    Parameters
+    ----------
+    road : Road
+        The road.
+    path : str or path-like
+        A ``.stl`` or ``.obj`` file.
+    spacing : float
+        m; nodes that are closer are left out (0: none).
+    up : {"z", "y"}
+        Axis that points up; "y" gives Unity's axes.
+    shift : tuple of float
+        m taken off every position, since STL keeps only seven digits.
+
+    Returns
+    -------
+    int
+        Number of triangles.
+
+    Raises
+    ------
+    InputError
+        For a path of another kind or a spacing that leaves nothing.
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> from suspension_twin.road import bump_road, half_sine
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     write_mesh(bump_road(half_sine(0.9, 0.05), width=2.0), f"{folder}/road.obj", spacing=1.0) > 50
+    True
+    """
     suffix = os.path.splitext(os.fspath(path))[1].lower()
     if suffix not in (".stl", ".obj"):
         raise InputError(path, "a mesh is written as .stl or .obj; name the file so")

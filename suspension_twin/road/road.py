@@ -71,15 +71,45 @@ class Samples:
 
 @dataclass(frozen=True, eq=False)
 class Road:
-    """A road: heights on a grid along a reference line in ``map``.
+    """A road: heights on a grid along a reference line in ``map``. It is never changed: what alters a road
+    returns a new one.
 
-    ``z`` (nu, nv) m, NaN where there are no data; ``v`` (nv,) m, rising; ``x``, ``y`` (nu,) m the
-    reference line at the cross sections, ``u_step`` apart from ``u_first`` on; ``ref_z`` (nu,) m
-    its height; ``bank`` (nu,) m/m the cross slope, positive with the left side high; ``headings``
-    rad before the first and after the last cross section. Never changed: what alters a road
-    gives a new one.
+    Parameters
+    ----------
+    name : str
+        Name of the road.
+    z : (nu, nv) array
+        Heights in m at the nodes, NaN where there are no data.
+    v : (nv,) array
+        Lateral positions of the long sections in m, rising.
+    u_step : float
+        Distance of the cross sections in m.
+    x, y : (nu,) array
+        The reference line at the cross sections in m.
+    ref_z : (nu,) array
+        Its height in m.
+    bank : (nu,) array
+        Cross slope in m/m, positive with the left side high.
+    headings : tuple of float
+        rad before the first and after the last cross section.
+    u_first : float
+        u of the first cross section in m.
+    borders : Borders
+        What OpenCRG's options state beyond the borders.
+    notes : tuple of str
+        Warnings of the reader.
 
-    Raises InputError if the arrays do not fit each other or hold what cannot be evaluated.
+    Raises
+    ------
+    InputError
+        The arrays do not fit each other or hold what cannot be evaluated.
+
+    Examples
+    --------
+    >>> from suspension_twin.road import bump_road, half_sine
+    >>> road = bump_road(half_sine(0.9, 0.05), at=20.0)
+    >>> round(float(road.heights(20.45, 0.0)), 3)
+    0.05
     """
 
     name: str

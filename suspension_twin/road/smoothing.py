@@ -19,11 +19,36 @@ _REACH = 5.0  # standard deviations; what lies beyond is below a millionth of th
 
 
 def smooth(road: Road, along: float, across: float | None = None) -> Road:
-    """The road under a Gaussian window of ``along`` m (sigma) along and ``across`` m across it.
+    """Smooth a road with a Gaussian window.
 
-    ``across`` None: as along; 0 leaves that direction as it is. A wave of n cycles/m keeps
-    exp(-2 (pi n sigma)²) of its height. Missing heights stay missing and weigh nothing; slopes go
-    through unchanged, at the ends of the road too. Raises InputError for a negative sigma.
+    A wave of n cycles/m keeps exp(-2 (pi n sigma)²) of its height. Missing heights stay missing; slopes are
+    kept.
+
+    Parameters
+    ----------
+    road : Road
+        The road.
+    along : float
+        Standard deviation along it in m.
+    across : float, optional
+        Standard deviation across it in m: None as along, 0 not at all.
+
+    Returns
+    -------
+    Road
+        The smoothed road.
+
+    Raises
+    ------
+    InputError
+        For a negative standard deviation.
+
+    Examples
+    --------
+    >>> from suspension_twin.road import bump_road, half_sine
+    >>> road = bump_road(half_sine(0.9, 0.05), width=2.0)
+    >>> bool(smooth(road, 0.2).z.max() < 0.045)
+    True
     """
     sigma_v = along if across is None else across
     for what, sigma in (("along", along), ("across", sigma_v)):

@@ -78,11 +78,35 @@ def _resample(x: Floats, index: NDArray[np.int64], weight: Floats) -> Floats:  #
 
 @dataclass(frozen=True, eq=False)
 class Conditioner:
-    """The path of one recording: make it with :meth:`for_stamps`, use it with :meth:`apply`.
+    """The filter of one recording, the same for measured and simulated signals: to a uniform grid, then the
+    low-pass.
 
-    ``stamps`` (n,) s strictly rising, ``keep`` (n,) their indices in what was given, ``grid`` (m,) s
-    uniform at ``rate`` Hz, ``valid`` (m,) False in gaps and while the filter settles at their edges
-    and at both ends.
+    Make it with :meth:`for_stamps`, use it with :meth:`apply`.
+
+    Parameters
+    ----------
+    spec : FilterSpec
+        The low-pass.
+    zero_phase : bool
+        Forward and backward, or causal.
+    stamps : (n,) array
+        s, strictly rising.
+    keep : (n,) array of int
+        Indices of the stamps in what was given.
+    grid : (m,) array
+        s, uniform.
+    rate : float
+        Hz of the grid.
+    valid : (m,) array of bool
+        False in gaps and while the filter settles at their edges and at both ends.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> t = np.arange(0.0, 3.0, 0.01)
+    >>> conditioner = Conditioner.for_stamps(t, FilterSpec())
+    >>> conditioner.apply(np.zeros((t.size, 2))).shape == (conditioner.grid.size, 2)
+    True
     """
 
     spec: FilterSpec

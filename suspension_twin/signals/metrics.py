@@ -51,7 +51,26 @@ def _given(values: Floats) -> Floats:
 
 
 def mean_squared_error(measured: Floats, simulated: Floats) -> Floats:
-    """The car paper's validation figure (section 5); unit squared."""
+    """Mean squared error, the car paper's validation figure (its section 5).
+
+    Parameters
+    ----------
+    measured : (n,) array
+        The measured signal.
+    simulated : (n,) or (n, L) array
+        One simulated signal or L of them.
+
+    Returns
+    -------
+    float or (L,) array
+        In the unit of the signals squared.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> float(mean_squared_error(np.zeros(4), np.full(4, 2.0)))
+    4.0
+    """
     m, s = _pair(measured, simulated)
     return _given(np.mean((m - s) ** 2, axis=0))
 
@@ -62,9 +81,26 @@ def rms_error(measured: Floats, simulated: Floats) -> Floats:
 
 
 def correlation(measured: Floats, simulated: Floats) -> Floats:
-    """The tracked paper's eqs (7) and (8): covariance over the product of the standard deviations.
+    """Correlation coefficient, the tracked paper's eqs (7) and (8).
 
-    0 where one of the signals is constant: such a signal says nothing about the other.
+    Parameters
+    ----------
+    measured : (n,) array
+        The measured signal.
+    simulated : (n,) or (n, L) array
+        One simulated signal or L of them.
+
+    Returns
+    -------
+    float or (L,) array
+        -1 to 1; 0 where one of the signals is constant.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> x = np.sin(np.arange(50.0))
+    >>> round(float(correlation(x, -2.0 * x)), 6)
+    -1.0
     """
     m, s = _pair(measured, simulated)
     dm, ds = m - np.mean(m, axis=0), s - np.mean(s, axis=0)
@@ -81,10 +117,39 @@ def spectral_distance(
     high: float = 25.0,
     segment: float = 2.0,
 ) -> Floats:
-    """rms difference in dB of the power spectral densities between ``low`` and ``high`` Hz.
+    """Root mean square difference of two power spectral densities in dB.
 
-    Blind to phase, so to clocks and to the position along the road. Welch segments of ``segment`` s;
-    densities below a thousandth of the measured peak do not count.
+    It does not depend on phase, so neither on clocks nor on the position along the road.
+
+    Parameters
+    ----------
+    measured : (n,) array
+        The measured signal.
+    simulated : (n,) or (n, L) array
+        One simulated signal or L of them.
+    rate : float
+        Samples a second.
+    low, high : float
+        Range of frequencies in Hz.
+    segment : float
+        Length of the Welch segments in s.
+
+    Returns
+    -------
+    float or (L,) array
+        dB; densities below a thousandth of the measured peak do not count.
+
+    Raises
+    ------
+    InputError
+        No frequency of the spectra lies in the band.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> x = np.random.default_rng(0).normal(size=1000)
+    >>> round(float(spectral_distance(x, 2.0 * x, 100.0)), 2)
+    6.02
     """
     m, s = _pair(measured, simulated)
     frequency, a = power_density(m, rate, segment)
@@ -112,9 +177,33 @@ class IsoRating:
 
 
 def iso18571(measured: Floats, simulated: Floats, rate: float) -> IsoRating:
-    """Rate simulated signals (n,) or (n, L) against the measured one (n,), all at ``rate`` Hz.
+    """Rate simulated signals against a measured one by ISO/TS 18571.
 
-    The standard means whole events of a few seconds: time and memory grow with the square of n.
+    Parameters
+    ----------
+    measured : (n,) array
+        The measured signal, an event of a few seconds: time and memory grow with the square of n.
+    simulated : (n,) or (n, L) array
+        One simulated signal or L of them.
+    rate : float
+        Samples a second.
+
+    Returns
+    -------
+    IsoRating
+        Scores of corridor, phase, magnitude and slope and their weighted sum ``overall``, each 0 to 1.
+
+    Raises
+    ------
+    InputError
+        Fewer than ten samples, or a measured signal that is constant.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> x = np.sin(np.arange(0.0, 6.0, 0.02))
+    >>> float(iso18571(x, x, 50.0).overall)
+    1.0
     """
     m, s = _pair(measured, simulated)
     m = m.reshape(-1)

@@ -73,11 +73,35 @@ class ImuSignals:
 
 
 def ingest_drive(drive: Drive, place: Place, settings: ImuSettings | None = None) -> ImuSignals:
-    """Clean, turn, unbias and find the vertical of a whole drive.
+    """Clean the IMU of a whole drive: axes, units, biases, the vertical.
 
-    ``place`` is the sensor's of the twin file. Raises InputError where no usable IMU samples are left;
-    everything less is a finding. A finding of level "error" means that the signals must not be
-    trusted for calibration until it is put right.
+    Parameters
+    ----------
+    drive : Drive
+        The recording.
+    place : Place
+        Position and mounting of the sensor in ``base_link``, from the twin file.
+    settings : ImuSettings, optional
+        How the IMU is treated.
+
+    Returns
+    -------
+    ImuSignals
+        Specific force and rates in ``base_link`` axes at the sensor's place, unfiltered. ``findings`` of
+        level "error" mean that the signals must not be used for calibration.
+
+    Raises
+    ------
+    InputError
+        No usable IMU samples.
+
+    Examples
+    --------
+    >>> from suspension_twin.drive.read import read_drive
+    >>> from suspension_twin.vehicle.twin import load_twin
+    >>> signals = ingest_drive(read_drive("bags/bump_15kmh"), load_twin("bags/bump_15kmh/twin.yaml").imu)
+    >>> round(signals.rate_hz)
+    100
     """
     settings = settings or ImuSettings()
     imu = drive.imu

@@ -18,16 +18,34 @@ __all__ = ["ImuSettings"]
 class ImuSettings:
     """How an IMU is treated, the same live and offline.
 
-    ``filter`` the low-pass. ``convert_units`` takes a sensor in g times 9.80665; ``restore_gravity`` puts
-    gravity back where the phone has removed it; both are reported. ``level``: "never" takes the twin
-    file's mounting as the truth whatever gravity says (a disagreement is reported); "gross", the
-    default, turns the axes upright only where gravity lies more than 45° off z, where the signs would
-    be wrong otherwise; "always" turns out any tilt seen at standstill. A small tilt is left in by
-    default because it is a fact about the sensor that calibration and diagnosis are to see; the
-    vertical acceleration is free of gravity all the same.
-    ``max_bias`` m/s² how much of a horizontal reading at rest counts as bias, more is tilt;
-    ``latitude`` degrees for normal gravity; ``full_scale`` m/s² and ``full_scale_rate`` rad/s the sensor's
-    ranges where known; ``attitude_time`` s the accelerometer's time constant against the gyro.
+    Parameters
+    ----------
+    filter : FilterSpec
+        The low-pass.
+    convert_units : bool
+        Multiply a sensor in g by 9.80665.
+    restore_gravity : bool
+        Add gravity where the phone has removed it.
+    level : {"gross", "never", "always"}
+        Whether axes are turned upright by gravity: only where they are more than 45° off, never (the twin
+        file's mounting is the truth), or at any tilt seen at standstill. A small tilt is kept by default:
+        it is a fact about the sensor that calibration and diagnosis need. The vertical acceleration is free
+        of gravity in any case.
+    max_bias : float
+        Horizontal reading at rest in m/s² up to which it counts as bias; more is a tilt.
+    latitude : float, optional
+        Degrees, for normal gravity.
+    full_scale, full_scale_rate : float, optional
+        Ranges of the sensor in m/s² and rad/s where known.
+    attitude_time : float
+        Time constant in s with which the accelerometer corrects the gyroscope's attitude.
+    still : StillLimits
+        When a vehicle counts as standing.
+
+    Examples
+    --------
+    >>> ImuSettings(full_scale=4 * 9.81).level
+    'gross'
     """
 
     filter: FilterSpec = field(default_factory=FilterSpec)

@@ -12,10 +12,35 @@ __all__ = ["power_density", "power_spectrum"]
 
 
 def power_density(x: Floats, rate: float, segment: float = 2.0) -> tuple[Floats, Floats]:
-    """Welch's one-sided power spectral density of (n, ...) along its first axis.
+    """Estimate the one-sided power spectral density along the first axis (Welch).
 
-    Hann segments of ``segment`` s (the whole signal if it is shorter), half overlapping, mean removed.
-    Returns ``frequency`` (k,) Hz and ``density`` (k, ...) in unit² / Hz; their integral is the variance.
+    Parameters
+    ----------
+    x : (n, ...) array
+        Signals, evenly sampled; their means are removed.
+    rate : float
+        Samples a second.
+    segment : float
+        Length of the Hann segments in s, half overlapping; the whole signal if it is shorter.
+
+    Returns
+    -------
+    frequency : (k,) array
+        Hz.
+    density : (k, ...) array
+        unit²/Hz; its integral is the variance.
+
+    Raises
+    ------
+    InputError
+        Too few samples.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> f, density = power_density(np.sin(2 * np.pi * 5.0 * np.arange(0.0, 10.0, 0.01)), 100.0)
+    >>> float(f[np.argmax(density)])
+    5.0
     """
     x = np.asarray(x, dtype=np.float64)
     if len(x) < 8:

@@ -218,9 +218,33 @@ class EffectSpec(Strict):
 
 
 class Twin(Strict):
-    """One digital twin as its file describes it, whatever its model. Immutable: use ``with_changes``.
+    """One digital twin as its file describes it, whatever its model. Immutable: use :meth:`with_changes`.
 
-    A model's own subclass says what ``vehicle`` holds.
+    The subclass of a model states what ``vehicle`` holds.
+
+    Attributes
+    ----------
+    model : str
+        Name of the model in :data:`suspension_twin.models.registry.MODELS`.
+    effects : tuple of EffectSpec
+        Effects added to the model.
+    vehicle : object
+        Masses, geometry, characteristics; SI units.
+    imu : Place
+        Position (m) and mounting (rad) of the IMU in ``base_link``.
+    gps : Place
+        Position of the antenna.
+    datum : Datum, optional
+        Origin of ``map`` on WGS 84.
+    road : RoadFile, optional
+        The OpenCRG file.
+
+    Examples
+    --------
+    >>> twin = load_twin("bags/bump_15kmh/twin.yaml")
+    >>> heavier = twin.with_changes({"vehicle.mass": 1800.0})
+    >>> twin.vehicle.mass, heavier.vehicle.mass
+    (1725.0, 1800.0)
     """
 
     model: str
@@ -293,7 +317,34 @@ def _schema(model: str) -> type[Twin]:
 
 
 def parse_twin(data: Any, source: str | Path = "twin") -> Twin:
-    """Check ``data`` (the mapping a twin file holds); raise InputError naming source and every wrong key."""
+    """Check the data of a twin file.
+
+    Parameters
+    ----------
+    data : mapping
+        What the file holds.
+    source : str or Path
+        Name of the file for the messages of errors.
+
+    Returns
+    -------
+    Twin
+        The twin.
+
+    Raises
+    ------
+    InputError
+        Naming source and key.
+
+    Examples
+    --------
+    >>> from suspension_twin.errors import InputError
+    >>> try:
+    ...     parse_twin({"vehicle": {}, "imu": {"position": [0, 0, 1]}}, source="mine.yaml")
+    ... except InputError as error:
+    ...     str(error).startswith("mine.yaml")
+    True
+    """
     if not isinstance(data, dict):
         raise InputError(source, "not a twin file: a mapping with 'vehicle' and 'imu' is expected")
     model = str(data.get("model", "full_car"))
@@ -305,9 +356,28 @@ def parse_twin(data: Any, source: str | Path = "twin") -> Twin:
 
 
 def load_twin(path: str | Path) -> Twin:
-    """Read and check a twin file; ``road.file`` comes back absolute.
+    """Read and check a twin file.
 
-    Raises InputError that names the file and the key.
+    Parameters
+    ----------
+    path : str or Path
+        The YAML file.
+
+    Returns
+    -------
+    Twin
+        With ``road.file`` as an absolute path.
+
+    Raises
+    ------
+    InputError
+        Naming the file and the key: an unknown or missing key, a value out of its physical range, a
+        characteristic that does not rise.
+
+    Examples
+    --------
+    >>> load_twin("bags/bump_15kmh/twin.yaml").model
+    'full_car'
     """
     path = Path(path)
     twin = parse_twin(read_yaml(path), source=path)
@@ -318,9 +388,30 @@ def load_twin(path: str | Path) -> Twin:
 
 
 def save_twin(twin: Twin, path: str | Path, heading: str = "") -> None:
-    """Write a twin file that ``load_twin`` reads back equal, after a ``heading`` of comments.
+    """Write a twin file that :func:`load_twin` reads back equal.
 
-    The road is written relative to the file's folder, so that both can be moved together.
+    Parameters
+    ----------
+    twin : Twin
+        What to write.
+    path : str or Path
+        The YAML file; the path of the road is kept relative to it if it can be.
+    heading : str
+        Comment lines to put before it.
+
+    Raises
+    ------
+    InputError
+        The file cannot be written.
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> twin = load_twin("bags/bump_15kmh/twin.yaml")
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     save_twin(twin, f"{folder}/twin.yaml")
+    ...     load_twin(f"{folder}/twin.yaml") == twin
+    True
     """
     path = Path(path)
     data = twin.model_dump(mode="json", exclude_none=True)
