@@ -61,6 +61,8 @@ class CalibrationRequest:
         0 for the preset's.
     state : str
         Folder for checkpoints, to continue after an interruption; empty for none.
+    keep_sensor : bool
+        Leave latency and mounting of the IMU as the file has them.
     topics : Topics
         Names of the topics in the bags.
 

@@ -15,7 +15,7 @@ __all__ = ["DiagnosisRequest", "DiagnosisResult", "DriveView", "Progress"]
 
 @dataclass(frozen=True)
 class DiagnosisRequest:
-    """Paths of a twin file, of the drives that show the gap and of reference drives from before it.
+    """What to diagnose, on what.
 
     Parameters
     ----------

@@ -30,7 +30,7 @@ def diagnose(
     on_progress: Callable[[Progress], None] | None = None,
     should_stop: Callable[[], bool] | None = None,
 ) -> DiagnosisResult:
-    """Find the causes of the gap between twin and vehicle, its location, and the shrink by each cause.
+    """Diagnose the gap between twin and car: where, why, how sure, and what closes it.
 
     Parameters
     ----------
@@ -44,7 +44,7 @@ def diagnose(
     Returns
     -------
     DiagnosisResult
-        The document of ``diagnosis.json``, the twin with the named effects, and the signals for the report.
+        ``document`` is the content of ``diagnosis.json``, ``twin`` the twin with the cause added.
 
     Raises
     ------
@@ -53,7 +53,7 @@ def diagnose(
     WorkError
         A hypothesis cannot be simulated.
     Interrupted
-        Where ``should_stop`` asked for it.
+        It was stopped.
 
     Examples
     --------

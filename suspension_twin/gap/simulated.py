@@ -31,7 +31,27 @@ _LEAST_ON_ROAD = 0.02  # share of the moving drive
 
 @dataclass(frozen=True, eq=False)
 class SimulatedDrive:
-    """A twin over a drive: ``prepared`` and ``response`` on the IMU stamps kept, and the ``gap``."""
+    """A twin over a drive: what :func:`simulate_drive` returns.
+
+    Parameters
+    ----------
+    drive : Drive
+        The recording.
+    prepared : Prepared
+        What it was compared in.
+    response : Response
+        The twin on the n kept IMU stamps.
+    gap : Gap
+        The gap over the whole drive.
+
+    Examples
+    --------
+    >>> from suspension_twin.drive.read import read_drive
+    >>> from suspension_twin.vehicle.twin import load_twin
+    >>> result = simulate_drive(read_drive("bags/crg_road"), load_twin("bags/crg_road/twin.yaml"))
+    >>> result.as_dict()["drive"]
+    'crg_road'
+    """
 
     drive: Drive
     prepared: Prepared

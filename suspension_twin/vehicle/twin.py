@@ -396,6 +396,8 @@ def save_twin(twin: Twin, path: str | Path, heading: str = "") -> None:
         What to write.
     path : str or Path
         The YAML file; the path of the road is kept relative to it if it can be.
+    heading : str
+        Comment lines to put before it.
 
     Raises
     ------
