@@ -53,6 +53,7 @@ _SQUARE = {
     "imu.position.0": 1.0,
     "imu.position.1": 0.0,
     "imu.position.2": 1.0,
+    "imu.latency": 0.0,
 }
 VehicleChange = Callable[[dict[str, Floats], Values], None]
 #: Stamps whose states are kept at once.
