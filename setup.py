@@ -25,7 +25,6 @@ REQUIRED = [
     "numba>=0.68",
     "pydantic>=2.7",
     "pyyaml>=6",
-    "typing-extensions>=4.5",
     "rosbags>=0.11,<0.12",
     "mcap>=1.2",
     "mat-io>=1.0.2",

@@ -15,7 +15,7 @@ from suspension_twin.arrays import Floats
 __all__ = ["Drive", "FixData", "HeadingData", "ImuData", "VelocityData"]
 
 if TYPE_CHECKING:
-    from typing_extensions import Self
+    from typing import Self  # of Python 3.11
 
 
 @dataclass(frozen=True, eq=False)
