@@ -17,6 +17,7 @@ from suspension_twin.identification.gauss_newton import GaussNewtonSettings
 from suspension_twin.identification.priors import prior_of
 from suspension_twin.identification.space import CURVES, Parameter, Space, bounds_of, curve_keys, twin_value
 from suspension_twin.models.parameters import layout
+from suspension_twin.models.registry import model_of
 from suspension_twin.vehicle.tracked import BOUNDS
 from suspension_twin.vehicle.twin import EffectSpec, Twin
 
@@ -121,12 +122,20 @@ def preset_named(name: str) -> Preset:
     return PRESETS[name]
 
 
+def _of_table_2(curve: str) -> tuple[tuple[float, ...], tuple[tuple[float, float], ...]]:
+    """Abscissae and bounds of a characteristic; a single corner has those of the front."""
+    return TABLE_2.get(curve) or TABLE_2[curve.replace("vehicle.", "vehicle.front.", 1)]
+
+
 def with_table_2(twin: Twin) -> Twin:
     """The twin with its characteristics on Table 2's abscissae, through the points they had there."""
     changes: dict[str, object] = {}
-    for key, (abscissae, _) in TABLE_2.items():
-        _, axle, part = key.split(".")
-        x, force = getattr(getattr(twin.vehicle, axle), part).points
+    for key in CURVES:
+        if not curve_keys(twin, [key]):
+            continue
+        abscissae, _ = _of_table_2(key)
+        part = key.rpartition(".")[2]
+        x, force = twin_value(twin, key).points
         slope = (force[-1] - (force[-2] if x.size > 1 else 0.0)) / (x[-1] - (x[-2] if x.size > 1 else 0.0))
         at = np.array(abscissae)
         inside = np.interp(at, np.concatenate([[0.0], x]), np.concatenate([[0.0], force]))
@@ -173,7 +182,7 @@ def _usual(twin: Twin, preset: Preset) -> list[str]:
     named = [key for key in preset.keys if key in there]
     curves = curve_keys(twin)
     if named or curves:
-        return named or [*curves, *(key for key in preset.also if key in there)]
+        return named or [*curves, *(key for key in (*preset.also, *model_of(twin).also) if key in there)]
     usual = [(key, prior_of(key)) for key in there]
     return [key for key, prior in usual if prior is not None and prior.usual and twin_value(twin, key) != 0]
 
@@ -205,7 +214,7 @@ def _parameter(twin: Twin, key: str, preset: Preset, bounds: Mapping[str, tuple[
     curve, _, index = key.rpartition(".force.")
     if curve in CURVES:
         if given is None and preset.table_2:
-            given = TABLE_2[curve][1][int(index)]
+            given = _of_table_2(curve)[1][int(index)]
         low, high = given or (nominal / preset.reach, max(nominal * preset.reach, 1.0))
         return Parameter(key, nominal, low, high, log=True, spread=_POINT_SPREAD)
     if key.startswith("effects."):

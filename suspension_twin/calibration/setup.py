@@ -22,7 +22,7 @@ from suspension_twin.gap.measure import CHANNELS
 from suspension_twin.gap.prepare import Prepared, PrepareSettings, prepare, road_of
 from suspension_twin.identification.coarse_alignment import coarse_lag
 from suspension_twin.identification.excited_segments import TrimSettings, fit_rows, trim
-from suspension_twin.identification.nuisance import OF_A_RUN, NuisancePriors, slow_position_error
+from suspension_twin.identification.nuisance import NuisancePriors, slow_position_error
 from suspension_twin.identification.objectives import parse_objective
 from suspension_twin.identification.observations import observe, renamed
 from suspension_twin.identification.problem import Interrupted, Problem
@@ -124,9 +124,10 @@ def _of_runs(
         "euclidean" if objective == "likelihood" else objective, weighted, model_of(twin).channels
     )
     # a genetic search compares what was measured as it was measured
-    priors = (OF_A_RUN if preset.search == "squares" else replace(OF_A_RUN, clock=0.0, speed=0.0)).without(
-        frozen
+    priors = (
+        fitted[0].priors if preset.search == "squares" else replace(fitted[0].priors, clock=0.0, speed=0.0)
     )
+    priors = priors.without(frozen)
     rows = [np.arange(r.t.size) for r in fitted]
     problem = Problem(twin, space, fitted, range(len(fitted)), terms, priors, [0.0] * len(fitted), rows)
     problem.interrupt = should_stop

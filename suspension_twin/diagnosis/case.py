@@ -35,7 +35,7 @@ from suspension_twin.gap.prepare import (
 )
 from suspension_twin.identification.excited_segments import TrimSettings, fit_rows
 from suspension_twin.identification.noise import USUAL_SHARE, Whitener, shares
-from suspension_twin.identification.nuisance import OF_A_RUN, map_spread
+from suspension_twin.identification.nuisance import map_spread
 from suspension_twin.identification.objectives import parse_objective
 from suspension_twin.identification.observations import Run, observe, renamed
 from suspension_twin.identification.parallel import side_by_side
@@ -70,6 +70,7 @@ _ALSO = (
     "vehicle.tyre.vertical_stiffness",
     "vehicle.front.unsprung_mass",
     "vehicle.rear.unsprung_mass",
+    "vehicle.unsprung_mass",
 )
 #: Without a road nothing speaks for the characteristics; how far the body leans is all that its motion shows.
 _LEANING = ("vehicle.cog.2",)
@@ -203,9 +204,12 @@ def build(case: Case, stop: Callable[[], bool], free: Sequence[str] = ()) -> Ben
         space = build_space(twin, replace(preset, also=()), free=_LEANING)
     terms = parse_objective("euclidean", dict.fromkeys(case.channels, 1.0), case.channels)
     wander = [0.5 * d.position_sigma if d.position_sigma >= 0.1 else 0.0 for d in case.drives]
-    normal = {"planar": _BARE, "run": OF_A_RUN}.get(case.kind) or replace(
-        NORMAL, map_position=min(map_spread(case.drives), NORMAL.map_position)
-    )
+    if case.kind == "run":
+        normal = case.drives[0].priors
+    elif case.road:
+        normal = replace(NORMAL, map_position=min(map_spread(case.drives), NORMAL.map_position))
+    else:
+        normal = _BARE
     problem = Problem(twin, space, case.drives, range(len(case.drives)), terms, normal, wander, rows)
     problem.interrupt = stop
     d, q = len(space), len(problem.nuisances)

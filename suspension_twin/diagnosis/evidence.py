@@ -37,7 +37,7 @@ _PRIOR_FACTORS = (1e2, 1e3, 1e4)
 _DRAWS = 4000
 #: Largest held-out gain of an effect, as a multiple of its gain in the fit to all blocks.
 _LARGEST_HELD_OUT_GAIN = 2.0
-_METRES, _METRES_OF_A_RUN, _SECONDS = 8.0, 0.5, 4.0
+_METRES, _SECONDS = 8.0, 4.0
 #: Nuisance parameters of timing, which a few sharp edges determine. In a fold without edges they would follow model
 #: discrepancy, which penalises hypotheses with unbounded clocks.
 _TIMES = ("clock_offset", "map_position")
@@ -63,7 +63,7 @@ def blocks_of(bench: Bench, kind: str) -> Blocks:
     keys = []
     for part, rows, drive in zip(problem.parts, problem.rows, problem.drive_of, strict=True):
         if kind != "planar":
-            length = _METRES if kind == "road" else _METRES_OF_A_RUN
+            length = _METRES if kind == "road" else part.block
             keys.append(np.floor(part.position[rows] / length).astype(int))
         else:
             keys.append(np.floor((part.t[rows] - part.t[0]) / _SECONDS).astype(int) + 100_000 * drive)

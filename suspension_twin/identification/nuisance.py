@@ -23,7 +23,15 @@ from suspension_twin.identification.sensor_reading import read_alike, read_any, 
 from suspension_twin.models.blocks import cores, share_out
 from suspension_twin.models.sinc_interpolation import TABLE
 
-__all__ = ["NUISANCES", "OF_A_RUN", "NuisancePriors", "Nuisances", "map_spread", "slow_position_error"]
+__all__ = [
+    "NUISANCES",
+    "OF_A_RIG",
+    "OF_A_RUN",
+    "NuisancePriors",
+    "Nuisances",
+    "map_spread",
+    "slow_position_error",
+]
 
 #: What each nuisance that can be frozen leaves out.
 NUISANCES: Mapping[str, tuple[str, ...]] = {
@@ -87,6 +95,8 @@ class NuisancePriors:
 OF_A_RUN = NuisancePriors(
     clock=0.015, map_position=0.0, gain=0.0, tilt=0.0, force_bias=0.0, rate_bias=0.0, wander=0.0, speed=0.01
 )
+#: s between the clocks of an actuator and of transducers that one device samples, filters of theirs included.
+OF_A_RIG = replace(OF_A_RUN, clock=0.001, speed=0.0)
 
 
 class Nuisances:

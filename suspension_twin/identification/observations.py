@@ -15,14 +15,23 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from suspension_twin.arrays import Floats
+from suspension_twin.drive.rig import read_rig
 from suspension_twin.errors import InputError
 from suspension_twin.gap.marker_runs import CUTOFF, FLOORS, MARKERS, MarkerRun, low_pass, read_run
 from suspension_twin.gap.measure import Gap, main_channel, measure_gap
+from suspension_twin.gap.rig import observe_rig
+from suspension_twin.identification.nuisance import OF_A_RIG, OF_A_RUN, NuisancePriors
 from suspension_twin.models.registry import model_of
 from suspension_twin.models.tracked import ObstacleRun
+from suspension_twin.models.types import Excitation
 from suspension_twin.vehicle.twin import Twin
 
 __all__ = ["OBSERVERS", "Observation", "Run", "marker_observation", "observe", "renamed"]
+
+#: Share of an input's rms by which transducers let two runs of one program differ: 0.1 mm of 10 mm.
+_SAME_INPUT = 0.01
+#: s of a run that are held out together, two periods of a body's resonance; m between the places of two programs.
+_BLOCK, _APART = 2.0, 1e4
 
 
 class Conditioning(Protocol):
@@ -92,19 +101,24 @@ class RunPath:
 
 @dataclass(frozen=True, eq=False)
 class Run:
-    """A controlled run: the same excitation can be had again, so that runs before and after a change differ by it."""
+    """A controlled run: the same excitation can be had again, so that runs before and after a change differ by it.
+
+    ``priors`` of its nuisance parameters; ``block`` m of ``position`` whose samples are held out together.
+    """
 
     name: str
     t: Floats
     rate: float
     bandwidth: float
     excitation: Any
-    conditioner: RunPath
+    conditioner: Conditioning
     measured: Mapping[str, Floats]
     noise_rms: Mapping[str, float]
     position: Floats
     along: Floats
     warnings: tuple[str, ...] = ()
+    priors: NuisancePriors = OF_A_RUN
+    block: float = 0.5
     position_sigma: float = 0.0
 
     def gap(self, simulated: Mapping[str, Floats]) -> Gap:
@@ -150,8 +164,47 @@ def _markers(twin: Twin, paths: Sequence[str]) -> list[Run]:
     return [runs[i] for i in range(len(read))]
 
 
+def _rig(twin: Twin, paths: Sequence[str]) -> list[Run]:
+    """Runs of one program share an excitation; all inputs and transducers have one clock."""
+    found: list[Run] = []
+    programs: list[Excitation] = []
+    for path in paths:
+        one = observe_rig(read_rig(path), model_of(twin).channels)
+        program = next(
+            (k for k, known in enumerate(programs) if _one_program(known, one.excitation)), len(programs)
+        )
+        if program == len(programs):
+            programs.append(one.excitation)
+        found.append(
+            Run(
+                name=one.name,
+                t=one.t,
+                rate=one.rate,
+                bandwidth=one.bandwidth,
+                excitation=programs[program],
+                conditioner=one.conditioner,
+                measured=one.measured,
+                noise_rms=one.noise_rms,
+                position=one.t + program * _APART,
+                along=np.ones(one.t.size),
+                warnings=one.warnings,
+                priors=OF_A_RIG,
+                block=_BLOCK,
+            )
+        )
+    return found
+
+
+def _one_program(one: Excitation, other: Excitation) -> bool:
+    """Whether two runs had the same inputs but for the noise of their transducers."""
+    if one.road.shape != other.road.shape or one.motion.shape != other.motion.shape:
+        return False
+    inputs = ([run.road[:, 0], *run.motion.T[7:]] for run in (one, other))
+    return all(float(np.std(a - b)) <= _SAME_INPUT * float(np.std(a)) for a, b in zip(*inputs, strict=True))
+
+
 #: How runs of each kind of recording are read: a model says which kind it has.
-OBSERVERS: Final[dict[str, Callable[[Twin, Sequence[str]], list[Run]]]] = {"markers": _markers}
+OBSERVERS: Final[dict[str, Callable[[Twin, Sequence[str]], list[Run]]]] = {"markers": _markers, "rig": _rig}
 
 
 def observe(twin: Twin, paths: Sequence[str]) -> list[Run]:

@@ -58,6 +58,8 @@ PRIORS: Final[Mapping[str, Prior]] = {
     "vehicle.tyre.vertical_stiffness": Prior(True, 3.0, 0.10),
     "vehicle.front.unsprung_mass": Prior(True, 2.5, 0.10),
     "vehicle.rear.unsprung_mass": Prior(True, 2.5, 0.10),
+    "vehicle.sprung_mass": Prior(True, 1.4, 0.05),
+    "vehicle.unsprung_mass": Prior(True, 2.5, 0.10),
     "imu.position.0": Prior(False, 0.5, 0.05),
     "imu.position.1": Prior(False, 0.5, 0.05),
     "imu.position.2": Prior(False, 0.5, 0.05),

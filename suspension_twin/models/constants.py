@@ -108,12 +108,13 @@ def constants(
     fused: bool = False,
     antenna: float = 0.0,
     clock_offset: float = 0.0,
+    actuated: bool = False,
 ) -> Constants:
     """Constants of the kernel for candidates ``params`` (P, L) and steps up to ``max_step`` s.
 
     ``fused``: a clock offset delays the road instead of the sensor's stamps. ``antenna`` m is the height of the antenna
     whose position gives the vehicle's: roll and pitch of the static attitude displace it. ``clock_offset`` s of the
-    sensor's clock are in the excitation already.
+    sensor's clock are in the excitation already. ``actuated``: the excitation has forces of actuators.
     """
     numbers = {name: params[row] for name, row in layout.index.items()}
     count = params.shape[1]
@@ -147,7 +148,7 @@ def constants(
         out[rows.TOUCH : rows.TOUCH + 4] = (
             out[rows.LOAD : rows.LOAD + 4] + out[rows.TYRE] * out[rows.STATIC : rows.STATIC + 4]
         )
-        if has_effects or road.changed.any():
+        if has_effects or actuated or road.changed.any():
             out, flags = with_effects(out, corners, change.kernel, curves, problems, max_step)
     _check_road(road, checker(problems))
     bad = _union(problems, count)

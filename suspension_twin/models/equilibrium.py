@@ -103,7 +103,7 @@ def _stand(
             x = -(g[c, 0] * q[0] + g[c, 1] * q[1] + g[c, 2] * q[2] + g[c, 3 + c] * q[3 + c])
             free = w[(rows.STATIC + c) * WIDTH + lane] + x
             travel[c] = x
-            force[c] = spring_force(w, curves[c], hinges, lane, free)
+            force[c] = spring_force(w, curves[c], hinges, lane, free) + w[rows.ACTUATOR * WIDTH + lane]
             stiffness[c] = max(spring_slope(w, curves[c], hinges, lane, free), 0.0)
         for a in range(2):
             travel[4 + a] = travel[2 * a] - travel[2 * a + 1]

@@ -61,6 +61,14 @@ def _ground(w: Floats, road: Floats, candidate_road: Floats, row: int, per_secon
             w[(rows.ROAD + c) * WIDTH + i] = z
 
 
+@compiled
+def _push(w: Floats, force: float) -> None:
+    """The force in N of an actuator in every strut."""
+    for c in range(4):
+        for i in range(WIDTH):
+            w[(rows.STRUT + c) * WIDTH + i] += force
+
+
 def _run(
     blocks: Floats,
     flags: Ints,
@@ -82,6 +90,7 @@ def _run(
     stride = 5 + 6 * _HINGES
     beta, lag = rows.CORNER_IMPLICIT, rows.LAG
     c0, c1, c2, c3 = _CURVES, _CURVES + stride, _CURVES + 2 * stride, _CURVES + 3 * stride
+    actuated = motion.shape[1] > 7
     for block in range(blocks.shape[0]):
         w = blocks[block]
         flag = flags[block]
@@ -93,6 +102,7 @@ def _run(
             if n == 0:
                 _ground(w, road, candidate_road, row, 0.0)
                 for i in range(WIDTH):
+                    w[rows.ACTUATOR * WIDTH + i] = motion[k, 7] if actuated else 0.0
                     mx, my = moments(w, i, ax, ay, yaw * yaw, dyaw)
                     _STAND(w, i, mx, my, motion[k, 5], motion[k, 6], c0, c1, c2, c3, _HINGES)
                 row += 1
@@ -115,6 +125,8 @@ def _run(
                         put(w, rows.GROUND, i, n0, n1, n2, n3)
                     if flag & _STRUT_OF:
                         _STRUT(w, flag, h)
+                    if actuated:
+                        _push(w, motion[k - 1, 7] + share * (motion[k, 7] - motion[k - 1, 7]))
                     if flag & _TYRE_OF:
                         _TYRE(w, flag, h)
                     for i in range(WIDTH):

@@ -4,7 +4,10 @@
 With z and u the heights of the sprung mass m_s and of the unsprung mass m_u above where they stand on a road at
 height 0, r the road under the tyre and ``c = static + u - z`` the compression of the spring,
 
-``m_s z'' = F - m_s g``, ``m_u u'' = N - F - m_u g``, ``F = spring(c) + damper(c')``, ``N = max(0, load + k (r - u))``.
+``m_s z'' = F - m_s g``, ``m_u u'' = N - F - m_u g``,
+``F = spring(c) + damper(c') + f``, ``N = max(0, load + k (r - u))``
+
+with f the known force of an actuator between the masses.
 
 This is what each corner of a full car does that is symmetric about its middle, on a road that is the same
 under all four wheels: it cannot roll or pitch. So the kernels of ``full_car`` simulate it, with four corners alike
@@ -109,7 +112,7 @@ def _constants(twin: Twin, params: Floats, run: Excitation) -> Constants:
             hook, neutral=neutral, vehicle=hook.vehicle and _on_car(hook.vehicle, tuple(given))
         )
     car = Layout(tuple(numbers), "full_car", hooks, shape.mounting)
-    known = constants(np.stack(list(numbers.values())), car, run.max_step)
+    known = constants(np.stack(list(numbers.values())), car, run.max_step, actuated=run.motion.shape[1] > 7)
     problems = tuple(
         (mask, key.replace(".front", "").replace(".rear", ""), text) for mask, key, text in known.problems
     )
@@ -157,5 +160,6 @@ MODEL = Model(
     channels=CHANNELS,
     numbers=_numbers,
     lanes=_lanes,
+    also=("vehicle.unsprung_mass", "vehicle.tyre.vertical_stiffness"),
     respond=_respond,
 )

@@ -45,6 +45,8 @@ class Model:
         Names of the signals that a :class:`~suspension_twin.models.types.LaneResponse` of it has.
     numbers
         Dotted keys of all numbers of a twin that its kernel uses, effects apart.
+    also
+        Keys that are calibrated beside the characteristics.
     fixed
         Keys in which candidates cannot differ, because the excitation was made for them.
     lanes
@@ -63,6 +65,7 @@ class Model:
     channels: tuple[str, ...]
     numbers: Callable[[Twin], Sequence[str]]
     lanes: SimulateLanes
+    also: tuple[str, ...] = ()
     fixed: tuple[str, ...] = ()
     respond: Callable[[Twin, Any], Response] | None = None
     live: Callable[[Twin, HeightField], Any] | None = None

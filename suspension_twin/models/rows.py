@@ -91,6 +91,7 @@ LAG = _core.add(CORNER)  # within an interval: weight of the last damper force i
 MOMENT = _core.add(4)
 ROAD = _core.add(CORNER)  # height under each wheel at this step, m
 ROAD_RATE = _core.add(CORNER)  # and how fast it rises, m/s
+ACTUATOR = _core.add()  # at a fresh start: force of an actuator in every strut, N
 
 # -- constants of a lane
 INV_MASS, INV_ROLL, INV_PITCH = _core.add(), _core.add(), _core.add()  # 1 / sprung mass and inertias

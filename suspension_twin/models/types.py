@@ -37,7 +37,8 @@ class Excitation:
     ``t`` (n,) s; ``substeps`` (n,); ``first`` (n + 1,); ``road`` (m, 4) m, corners in the usual
     order; ``motion`` (n, 7): the step in s, ``ax``, ``ay`` m/s² in base_link's axes of the point above
     its origin at the height of the centre of gravity, ``yaw_rate`` rad/s, ``yaw_acceleration`` rad/s²,
-    ``speed`` and ``lateral_speed`` m/s;
+    ``speed`` and ``lateral_speed`` m/s; where there are actuators (n, 8), with the force in N that one in every strut
+    pushes body and wheel apart with, linear between the stamps;
     ``max_step`` s is the largest step that any interval may take. ``x``, ``y``, ``yaw`` (n,),
     ``wheels`` (4, 2) and ``ground`` are what the road heights came from, for those that look again.
     ``antenna`` m is the height of the antenna that the path is of, 0 where it is the path of base_link: static roll
