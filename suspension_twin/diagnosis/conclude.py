@@ -28,6 +28,7 @@ from suspension_twin.diagnosis.request import DiagnosisRequest, DiagnosisResult,
 from suspension_twin.diagnosis.selection import Findings
 from suspension_twin.diagnosis.shrink import RemainingResidual, Shrink, gap_rows, shrink_of
 from suspension_twin.effects.registry import EFFECTS
+from suspension_twin.gap.measure import channel_unit
 from suspension_twin.models.parameters import pack
 from suspension_twin.models.simulate import simulate_lanes, simulate_twin
 from suspension_twin.vehicle.twin import Twin
@@ -364,9 +365,9 @@ def _simulated(part: Any, twin: Twin, excitation: Any, channel: str, on_road: bo
 
 
 def _message(answer: str, document: dict[str, Any], shrink: Shrink) -> str:
-    gap = document["gap"]["rms"]
+    gap, unit = document["gap"]["rms"], channel_unit(document["gap"]["channel"])
     if answer == "no_gap":
-        return f"no gap: after recalibration the residual of {gap:.3g} m/s² is within noise and model discrepancy"
+        return f"no gap: after recalibration the residual of {gap:.3g} {unit} is within noise and model discrepancy"
     if answer == "unknown":
         like, there = document["signature"]["resembles"], document["signature"].get("stretch")
         word = f"; it resembles {_label(like[0]['effect'])}" if like else ""
@@ -375,7 +376,9 @@ def _message(answer: str, document: dict[str, Any], shrink: Shrink) -> str:
             word += (
                 f", like {_label(there['resembles'][0]['effect'])} there" if _has_road_error(there) else ""
             )
-        return f"unknown: a gap remains ({shrink.after:.3g} m/s²) that nothing in the library explains{word}"
+        return (
+            f"unknown: a gap remains ({shrink.after:.3g} {unit}) that nothing in the library explains{word}"
+        )
     names = " and ".join(_label(e) for e in document["combination"])
     word = "partly " if answer == "partly" else ""
     low, high = (100.0 * v for v in shrink.interval)

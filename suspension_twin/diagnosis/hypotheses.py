@@ -61,7 +61,7 @@ class Hypothesis:
     fixed: tuple[tuple[str, float], ...] = ()
     around: tuple[float, ...] = ()
     preexisting: tuple[str, ...] = ()
-    model: str = "full_car"
+    model: str = ""
 
     def effect(self, name: str) -> Effect:
         """One of its effects, as it is on the model."""

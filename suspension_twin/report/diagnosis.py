@@ -11,6 +11,7 @@ from scipy import signal
 
 from suspension_twin.diagnosis.output import values_of
 from suspension_twin.diagnosis.request import DiagnosisResult, DriveView
+from suspension_twin.gap.measure import channel_unit
 from suspension_twin.report import plots, style
 from suspension_twin.report.page import Card, Cell, Mark, Page, Section, Table
 
@@ -57,7 +58,7 @@ def diagnosis_page(result: DiagnosisResult) -> Page:
         share = sum(c["probability"] for c in d["causes"] if c["effect"] in d["combination"])
         names = " + ".join(e.replace("_", " ") for e in d["combination"])
         page.card("Cause", names, f"probability {share:.2f}")
-    unit = "rad/s" if d["gap"]["channel"].endswith("rate") else "m/s²"
+    unit = channel_unit(d["gap"]["channel"])
     page.card(
         "Gap of the twin as given",
         f"{d['gap']['rms']:.3g} {unit}",

@@ -77,6 +77,56 @@ def test_imports_go_from_right_to_left(repository: Path) -> None:
     assert found == []
 
 
+def on_import(tree: ast.Module) -> Iterator[ast.Import | ast.ImportFrom]:
+    """Import statements that run when the module is imported."""
+    for node in tree.body:
+        if isinstance(node, ast.Import | ast.ImportFrom):
+            yield node
+        elif isinstance(node, ast.If | ast.Try) and "TYPE_CHECKING" not in ast.dump(node):
+            yield from on_import(ast.Module(node.body, []))
+
+
+def test_no_import_goes_in_a_circle(repository: Path) -> None:
+    graph: dict[str, set[str]] = {}
+    for path, tree in modules(repository):
+        name = ".".join(path.with_suffix("").parts).removesuffix(".__init__")
+        graph[name] = imports(ast.Module(list(on_import(tree)), []))
+    for own, names in graph.items():  # a name is a module, or of one
+        graph[own] = {n if n in graph else n.rpartition(".")[0] for n in names} & set(graph) - {own}
+    while ends := {name for name, names in graph.items() if not names}:
+        graph = {name: names - ends for name, names in graph.items() if name not in ends}
+    assert graph == {}, f"each of these waits for another: {sorted(graph)}"
+
+
+def test_models_are_asked_for_by_the_registry(repository: Path) -> None:
+    """Only the folders of models, their effects and their files know one model from another."""
+    twins = {name for model in SCHEMAS.values() for name in model} | {"TrackedVehicle", "QuarterCar", "Car"}
+    found = []
+    for path, tree in modules(repository):
+        if path.parts[1] in ("models", "effects", "vehicle"):
+            continue
+        if path.stem.startswith("tracked_"):
+            found.append(f"{path}: is a world of its own")
+        docstrings = {
+            id(node.body[0].value)
+            for node in ast.walk(tree)
+            if isinstance(node, ast.Module | ast.ClassDef | ast.FunctionDef)
+            and node.body
+            and isinstance(node.body[0], ast.Expr)
+        }
+        for node in ast.walk(tree):
+            if isinstance(node, ast.Constant) and node.value in MODELS and id(node) not in docstrings:
+                found.append(f"{path}:{node.lineno}: names the model {node.value}")
+            if (
+                isinstance(node, ast.Call)
+                and isinstance(node.func, ast.Name)
+                and node.func.id == "isinstance"
+            ):
+                asked = {n.id for n in ast.walk(node.args[1]) if isinstance(n, ast.Name)} & twins
+                found += [f"{path}:{node.lineno}: asks for the class {name}" for name in asked]
+    assert found == []
+
+
 def test_every_package_has_its_place(repository: Path) -> None:
     packages = {p.parent.name for p in (repository / "suspension_twin").glob("*/__init__.py")}
     assert packages <= set(RANK)
@@ -157,7 +207,7 @@ def test_an_effect_is_whole(name: str, repository: Path) -> None:
 
 
 def test_every_effect_is_registered(repository: Path) -> None:
-    assert files_of(repository, "effects") - {"base", "registry", "tracked_effects"} == set(EFFECTS)
+    assert files_of(repository, "effects") - {"base", "registry"} == set(EFFECTS)
     strut = "strut_friction bump_stop rebound_stop top_mount anti_roll_bar damper_fade corner_damper corner_spring"
     tyre_and_body = "tyre_damping tyre_envelope unsprung_mass payload body_bending powertrain_mount"
     sensor = "mount_resonance sensor_offset sensor_tilt sensor_bandwidth sensor_clipping sensor_scale"

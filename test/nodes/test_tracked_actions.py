@@ -11,7 +11,9 @@ from action_msgs.msg import GoalStatus
 from nodes_bench import Client
 from stand_ins import judged
 
+from suspension_twin.identification.problem import Interrupted
 from suspension_twin.nodes.calibrator import CalibratorNode
+from suspension_twin.nodes.jobs import calibration_job, diagnosis_job, run_calibration, run_diagnosis
 from suspension_twin.vehicle.twin import load_twin
 from suspension_twin_interfaces.action import Calibrate, Diagnose
 
@@ -38,6 +40,24 @@ def test_a_calibration_finds_the_tracks_parameters_and_writes_a_twin(bench, give
     found = dict(zip(result.names, result.values, strict=True))
     assert twin.model == "tracked" and twin.vehicle.track.stiffness == found["vehicle.track.stiffness"]
     assert [f.generation for f in client.feedback if f.stage == "search"]
+
+
+def test_a_calibration_ends_when_asked_with_the_best_so_far(given, tmp_path):
+    goal = Calibrate.Goal(**given, preset="tracked_paper", output=str(tmp_path / "calibrated.yaml"))
+    heard: list[Any] = []
+    job = calibration_job(goal, "", 0)
+    outcome = run_calibration(job, heard.append, lambda: any(p.stage == "search" for p in heard))
+    assert outcome["success"] and "stopped" in outcome["message"] and 1 <= outcome["generations"] <= 2
+    assert load_twin(outcome["output"]).vehicle.track.stiffness == outcome["values"][0]
+
+
+def test_a_diagnosis_ends_when_asked_and_writes_nothing(given, tmp_path):
+    goal = Diagnose.Goal(twin=given["twin"], bags=given["bags"][:1], output=str(tmp_path / "found"))
+    heard: list[Any] = []
+    job = diagnosis_job(goal, "", 0)
+    with pytest.raises(Interrupted):
+        run_diagnosis(job, heard.append, lambda: any(step.stage == "calibrating" for step in heard))
+    assert heard[-1].stage == "calibrating" and not Path(goal.output).exists()
 
 
 def test_a_drive_that_is_no_marker_run_is_answered_in_a_line(bench, given, recorded, tmp_path):
