@@ -148,10 +148,13 @@ def _summed(parts: Sequence[Quadratic]) -> Quadratic:
 
 @dataclass(frozen=True, eq=False)
 class Evidence:
-    """One hypothesis: ``score`` (B,) log predictive density of each block, clocks and map as the whole recording has
-    them, ``occam`` nats that its freedom costs, ``level`` (groups,) mean square of what it leaves (1 where the noise
-    model holds), ``residual`` (R,) held-out residuals, ``unknowns`` (d + q + k, FOLDS), ``fitted`` log density of all
-    blocks where all are fitted, ``penalty`` what it asks of the nuisances."""
+    """The evidence of one hypothesis.
+
+    ``score`` (B,): log predictive density of each held-out block, timing as fitted to all folds; ``occam``: Occam term in
+    nats; ``level``: held-out mean square by channel and side (1 where the noise model holds); ``residual`` (R,):
+    held-out residuals; ``unknowns`` (d + q + k, FOLDS); ``fitted``: log density of all blocks in the fit to all of them;
+    ``penalty``: the nuisance penalty.
+    """
 
     fit: Fit
     score: Floats
@@ -163,7 +166,7 @@ class Evidence:
     penalty: NuisancePenalty | None = None
 
     def over(self, base: Evidence) -> float:
-        """Nats that the hypothesis gains over ``base``."""
+        """Gain of log evidence over ``base`` in nats."""
         return float(self.score.sum() - base.score.sum()) - 0.5 * (self.occam - base.occam)
 
 
