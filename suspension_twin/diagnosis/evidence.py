@@ -77,7 +77,7 @@ class HeldOut:
     residuals; ``timed`` (R,) the same with timing as fitted to all folds; quadratic models ``by_group`` of rows."""
 
     unknowns: Floats
-    remaining: Floats
+    residual: Floats
     timed: Floats
     by_group: list[Quadratic]
 
@@ -120,7 +120,7 @@ def held_out(bench: Bench, fit: LinearisedFit, blocks: Blocks, group: np.ndarray
     away = tried - centre[:, None]
     penalty = np.einsum("il,ij,jl->l", away, precision, away, optimize=False)
     unknowns = np.repeat(fit.x[:, None], FOLDS, axis=1)
-    remaining, timed = residual.copy(), residual.copy()
+    held, timed = residual.copy(), residual.copy()
     rows = [fold == f for f in range(FOLDS)]
     squares = np.stack(
         [np.einsum("rl,rl->l", r, r, optimize=False) for r in (residuals[own] for own in rows)]
@@ -128,14 +128,14 @@ def held_out(bench: Bench, fit: LinearisedFit, blocks: Blocks, group: np.ndarray
     for f, own in enumerate(rows):
         costs = np.delete(squares, f, axis=0).sum(axis=0) + penalty
         costs = np.where(failed, np.inf, costs)
-        for number, out in enumerate((remaining, timed)):
+        for number, out in enumerate((held, timed)):
             first = 1 + (number * FOLDS + f) * len(_PRIOR_FACTORS)
             lanes = [*range(first, first + len(_PRIOR_FACTORS)), 0]
             best = lanes[int(np.argmin(costs[lanes]))]
             out[own] = residuals[own, best]
-            if out is remaining:
+            if out is held:
                 unknowns[:, f] = tried[:, best]
-    return HeldOut(unknowns, remaining, timed, by_group)
+    return HeldOut(unknowns, held, timed, by_group)
 
 
 def _summed(parts: Sequence[Quadratic]) -> Quadratic:
@@ -148,22 +148,25 @@ def _summed(parts: Sequence[Quadratic]) -> Quadratic:
 
 @dataclass(frozen=True, eq=False)
 class Evidence:
-    """One hypothesis: ``score`` (B,) log predictive density of each block, clocks and map as the whole recording has
-    them, ``occam`` nats that its freedom costs, ``level`` (groups,) mean square of what it leaves (1 where the noise
-    model holds), ``left`` (R,) held-out residuals, ``unknowns`` (d + q + k, FOLDS), ``fitted`` log density of all
-    blocks where all are fitted, ``penalty`` what it asks of the nuisances."""
+    """The evidence of one hypothesis.
+
+    ``score`` (B,): log predictive density of each held-out block, timing as fitted to all folds; ``occam``: Occam term in
+    nats; ``level``: held-out mean square by channel and side (1 where the noise model holds); ``residual`` (R,):
+    held-out residuals; ``unknowns`` (d + q + k, FOLDS); ``fitted``: log density of all blocks in the fit to all of them;
+    ``penalty``: the nuisance penalty.
+    """
 
     fit: Fit
     score: Floats
     occam: float
     level: dict[tuple[int, bool], float]
-    remaining: Floats
+    residual: Floats
     unknowns: Floats
     fitted: float
     penalty: NuisancePenalty | None = None
 
     def over(self, base: Evidence) -> float:
-        """Nats that the hypothesis gains over ``base``."""
+        """Gain of log evidence over ``base`` in nats."""
         return float(self.score.sum() - base.score.sum()) - 0.5 * (self.occam - base.occam)
 
 
@@ -179,7 +182,7 @@ def evidence(bench: Bench, fit: LinearisedFit, blocks: Blocks) -> Evidence:
     for number in np.unique(group).tolist():
         c, side, rows = number // 2, number % 2 == 0, group == number
         counts = independent * np.bincount(blocks.row[rows], minlength=blocks.count)
-        level[c, side] = max(float(np.sum(out.remaining[rows] ** 2) / counts.sum()), 1e-6)
+        level[c, side] = max(float(np.sum(out.residual[rows] ** 2) / counts.sum()), 1e-6)
         squares = np.bincount(blocks.row[rows], out.timed[rows] ** 2, blocks.count)
         noise[number] = max(float(squares.sum() / counts.sum()), 1e-6)
         fitted -= (
@@ -197,7 +200,7 @@ def evidence(bench: Bench, fit: LinearisedFit, blocks: Blocks) -> Evidence:
     occam += 0.5 * float(away @ precision @ away) / max(float(np.mean(noise[group])), 1.0)
     plain = Fit(fit.hypothesis, fit.x, fit.cost)
     penalty = penalty_of(bench, fit, scaled)
-    return Evidence(plain, score, float(occam), level, out.remaining, out.unknowns, float(fitted), penalty)
+    return Evidence(plain, score, float(occam), level, out.residual, out.unknowns, float(fitted), penalty)
 
 
 def intervals(bench: Bench, fit: LinearisedFit, blocks: Blocks, temper: float) -> Floats:

@@ -180,7 +180,7 @@ def test_a_clock_that_is_known_to_be_late_costs_nothing(
     )
     sound, known = prepare(drive, twin, bumps), prepare(spoilt, knowing, bumps)
     assert not any("after" in w or "before" in w for w in known.warnings)
-    assert known.excitation.clock_offset == pytest.approx(seconds)
+    assert known.excitation.late == pytest.approx(seconds)
     assert np.array_equal(known.excitation.t, known.signals.t)
     gaps = [p.gap(p.condition(simulate_twin(p.twin, p.excitation))).rms for p in (sound, known)]
     assert gaps[1] == pytest.approx(gaps[0], rel=5e-3)
@@ -195,7 +195,7 @@ def test_how_late_a_clock_is_seen_to_be_is_taken_off_the_motion(
 ) -> None:
     spoilt = late(drive, seconds)
     seen = reclocked_excitation(prepare(spoilt, twin, bumps), spoilt, upright)
-    assert seen is not None and seen.clock_offset == pytest.approx(seconds, abs=0.05)
+    assert seen is not None and seen.late == pytest.approx(seconds, abs=0.05)
     sound, bent = prepare(drive, twin, bumps).excitation, prepare(spoilt, twin, bumps).excitation
     off, more = (float(np.std(e.speed - sound.speed)) for e in (seen, bent))
     assert off < 0.3 * more
