@@ -150,10 +150,10 @@ def _summed(parts: Sequence[Quadratic]) -> Quadratic:
 class Evidence:
     """The evidence of one hypothesis.
 
-    ``score`` (B,): log predictive density of each held-out block, timing as fitted to all folds; ``occam``: Occam term in
-    nats; ``level``: held-out mean square by channel and side (1 where the noise model holds); ``residual`` (R,):
-    held-out residuals; ``unknowns`` (d + q + k, FOLDS); ``fitted``: log density of all blocks in the fit to all of them;
-    ``penalty``: the nuisance penalty.
+    ``score`` (B,): log predictive density of each held-out block, timing as fitted to all folds; ``occam``: Occam
+    term in nats; ``level``: held-out mean square by channel and side (1 where the noise model holds); ``residual``
+    (R,): held-out residuals; ``unknowns`` (d + q + k, FOLDS); ``fitted``: log density of all blocks in the fit to all
+    of them; ``penalty``: the nuisance penalty.
     """
 
     fit: Fit
