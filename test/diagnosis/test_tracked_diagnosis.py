@@ -68,7 +68,7 @@ def test_the_document_is_that_of_a_car(scaled: dict[str, Any]) -> None:
     assert total + scaled["no_gap_probability"] + scaled["unknown_probability"] == pytest.approx(
         1.0, abs=1e-4
     )
-    assert {"where", "unexplained", "next_experiment", "candidates", "seed"} <= set(scaled)
+    assert {"where", "unexplained", "next_experiment", "recalibration", "seed"} <= set(scaled)
     assert scaled["gap"]["channel"] == "marker_A_displacement" and len(scaled["gap"]["channels"]) == 9
     assert scaled["gap"]["rms"] > 0.003  # m
     json.dumps(scaled, allow_nan=False)
