@@ -42,9 +42,13 @@ def straight(rig: ModuleType, repository: Path, monkeypatch: pytest.MonkeyPatch)
 
 @pytest.mark.parametrize("kind", ["sweep", "drops", "random"])
 def test_a_corner_with_straight_characteristics_is_the_twins(
-    rig: ModuleType, straight: tuple[Any, Twin], kind: str
+    rig: ModuleType, straight: tuple[Any, Twin], kind: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Within half a per cent in every channel, wheels in the air after the drops."""
+    """Within half a per cent in every channel, wheels in the air after the drops, at a quarter of the rig's step.
+
+    MuJoCo's integrator is of first order: at its usual step it is off by as much itself.
+    """
+    monkeypatch.setattr(rig, "step_of", lambda corner: 5e-5)
     corner, twin = straight
     result = simulate_rig(rig.run_of(corner, kind, 5.0, np.random.default_rng(0)), twin)
     assert (result.response.channel("tyre_force").min() == 0.0) == (kind == "drops")
