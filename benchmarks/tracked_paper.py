@@ -18,10 +18,11 @@ from typing import Any, Final
 
 import numpy as np
 import yaml
+from tracked_agreement import compare, simulate_runs
 
 from suspension_twin.calibration.request import CalibrationRequest
 from suspension_twin.calibration.run import calibrate
-from suspension_twin.gap.marker_runs import compare, read_run, simulate_runs
+from suspension_twin.gap.marker_runs import read_run
 from suspension_twin.report.markers import marker_pictures
 from suspension_twin.vehicle.tracked import BOUNDS, load_tracked
 

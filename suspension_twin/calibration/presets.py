@@ -192,7 +192,10 @@ def _expanded(twin: Twin, keys: Sequence[str]) -> list[str]:
     for key in keys:
         base = key.removesuffix(".force")
         if base in CURVES:
-            found += curve_keys(twin, [base])
+            points = curve_keys(twin, [base])
+            if not points:
+                raise InputError("free parameters", key, "is no characteristic of this vehicle")
+            found += points
         elif key.startswith("effects.") and key.count(".") == 1:
             found += [
                 f"{key}.{p.name}" for p in effect(key.split(".")[1], twin.model).parameters if not p.choices

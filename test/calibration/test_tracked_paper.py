@@ -14,9 +14,7 @@ from suspension_twin.calibration.presets import PRESETS, build_space
 from suspension_twin.calibration.request import CalibrationRequest, CalibrationResult, Progress
 from suspension_twin.calibration.run import calibrate
 from suspension_twin.errors import InputError, WorkError
-from suspension_twin.gap.marker_runs import MarkerRun, compare, simulate_runs
-from suspension_twin.models.tracked import simulate_tracked
-from suspension_twin.vehicle.tracked import BOUNDS, TrackedVehicle, load_tracked
+from suspension_twin.vehicle.tracked import BOUNDS, load_tracked
 from suspension_twin.vehicle.twin import load_twin
 
 KEYS = tuple(f"vehicle.{key}" for key in BOUNDS)
@@ -38,60 +36,11 @@ def runs(repository: Path, tmp_path_factory: pytest.TempPathFactory) -> tuple[st
     return one, two, slow
 
 
-@pytest.fixture(scope="module")
-def run(file: str) -> MarkerRun:
-    vehicle: TrackedVehicle = load_tracked(file)
-    r = simulate_tracked(vehicle, 13 / 3.6, 3.0, rate=50.0)
-    whole = MarkerRun(r.t, r.markers, r.marker_velocity, r.marker_acceleration, 13 / 3.6)
-    return simulate_runs([vehicle], [whole])[0][0]  # type: ignore[index]
-
-
-def times(run: MarkerRun, factor: float) -> MarkerRun:
-    return replace(
-        run,
-        markers=factor * run.markers,
-        velocity=factor * run.velocity,
-        acceleration=factor * run.acceleration,
-    )
-
-
 def test_the_papers_settings() -> None:
     preset = PRESETS["tracked_paper"]
     assert (preset.genetic.population, preset.genetic.generations) == (40, 30)
     assert preset.keys == KEYS and preset.objective == "correlation" and preset.slowest
     assert preset.channels["marker_A_displacement"] == preset.channels["marker_B_displacement"]
-
-
-def test_correlation_is_blind_to_amplitude_and_the_others_are_not(run: MarkerRun) -> None:
-    twice = compare(run, times(run, 2.0))
-    assert twice.correlation == pytest.approx([1.0, 1.0])
-    assert twice.residual.mean() == pytest.approx(1.0)
-    assert twice.motion.mean() > 0.9
-    assert twice.gain == pytest.approx([2.0, 2.0])
-    assert compare(run, times(run, -1.0)).correlation == pytest.approx([-1.0, -1.0])
-
-
-def test_correlation_is_that_of_numpy(run: MarkerRun) -> None:
-    swapped = replace(run, markers=run.markers[:, [1, 0, 2]])
-    expected = [np.corrcoef(run.markers[:, k], run.markers[:, 1 - k])[0, 1] for k in (0, 1)]
-    assert compare(run, swapped).correlation == pytest.approx(expected)
-
-
-def test_motion_is_compared_with_the_clock_set_right(run: MarkerRun) -> None:
-    def late(values: np.ndarray) -> np.ndarray:
-        return np.stack([np.interp(run.t - 0.05, run.t, c) for c in values.T], axis=1)
-
-    shifted = replace(
-        run, markers=late(run.markers), velocity=late(run.velocity), acceleration=late(run.acceleration)
-    )
-    worth = compare(shifted, run)
-    assert worth.late == pytest.approx(0.05, abs=0.003)
-    assert worth.motion.mean() < 0.3 * worth.residual.mean() + 0.05
-
-
-def test_markers_that_stand_still_are_refused(run: MarkerRun) -> None:
-    with pytest.raises(InputError, match="do not move"):
-        compare(times(run, 0.0), run)
 
 
 def test_the_five_parameters_are_searched_in_decades(file: str) -> None:
