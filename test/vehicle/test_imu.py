@@ -20,7 +20,7 @@ def test_a_latency_is_read_back_as_it_was_written(mondeo: Twin, tmp_path: Path) 
 def test_a_latency_in_milliseconds_is_refused(mondeo: Twin) -> None:
     with pytest.raises(InputError, match=r"imu.latency: must lie between -2 and 2 s, is 6 \(is it in ms\?\)"):
         mondeo.with_changes({"imu.latency": 6.0})
-    with pytest.raises(InputError, match="imu.latency: must be a finite number"):
+    with pytest.raises(InputError, match="imu.latency: must lie between -2 and 2 s, is nan"):
         mondeo.with_changes({"imu.latency": float("nan")})
 
 
