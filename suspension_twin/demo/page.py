@@ -160,20 +160,16 @@ def _at(t: Floats, y: Floats, stamps: Floats) -> Floats:
     return np.where(t[place] == stamps, y[place], np.nan)
 
 
-def _uniform(outcome: Outcome) -> tuple[Floats, Floats, float]:
-    """Measured and simulated on an even grid over what is compared, and its rate."""
-    t = outcome.replay.t
-    inside = t[outcome.compared]
-    rate = 1.0 / float(np.median(np.diff(t)))
-    grid = np.arange(inside[0], inside[-1], 1.0 / rate)
-    return np.interp(grid, t, outcome.replay.measured), np.interp(grid, t, outcome.replay.simulated), rate
-
-
 def _in_frequency(result: DemoResult, name: str) -> Figure:
-    measured, simulated, rate = _uniform(result.after[name])
-    _, before, _ = _uniform(result.before[name])
+    before, after = result.before[name].replay, result.after[name].replay
+    both = np.isin(after.t, before.t[result.before[name].compared])
+    t = after.t[np.logical_and(result.after[name].compared, both)]
+    rate = 1.0 / float(np.median(np.diff(after.t)))
+    grid = np.arange(t[0], t[-1], 1.0 / rate)
+    measured, simulated = (np.interp(grid, after.t, x) for x in (after.measured, after.simulated))
+    before_there = np.interp(grid, before.t, before.simulated)
     frequency, density = power_density(
-        np.column_stack([measured, simulated, before, measured - simulated]), rate, 4.0
+        np.column_stack([measured, simulated, before_there, measured - simulated]), rate, 4.0
     )
     roles = ("measured", "simulated", "before", "residual")
     order = ("residual", "before", "measured", "simulated")

@@ -13,7 +13,6 @@ from typing import Final
 
 import numpy as np
 from scipy.interpolate import make_smoothing_spline
-from scipy.signal import butter, sosfiltfilt
 
 from suspension_twin.arrays import Floats
 from suspension_twin.drive.containers.contents import topic_name
@@ -163,6 +162,8 @@ def low_pass(motion: Floats, rate: float) -> Floats:
     """Motion (n, k) at ``rate`` Hz through the zero-phase low-pass of ``CUTOFF`` Hz."""
     if rate <= 2.5 * CUTOFF:
         return motion
+    from scipy.signal import butter, sosfiltfilt  # half a second, which a car's calibration does not wait for
+
     sos = butter(2, CUTOFF, fs=rate, output="sos")
     return np.asarray(sosfiltfilt(sos, motion, axis=0, padlen=min(30, motion.shape[0] - 1)))
 

@@ -38,7 +38,7 @@ def side_by_side(
 
     ``on_progress`` gets the finished share (0 to 1) and the item that comes next.
     """
-    if getattr(_thread, "one_of_several", False) or len(items) < 2:
+    if getattr(_thread, "in_pool", False) or len(items) < 2:
         found = []
         for number, item in enumerate(items):
             on_progress(number / len(items), item)

@@ -20,7 +20,7 @@ from suspension_twin.calibration.run import calibrate
 from suspension_twin.calibration.setup import set_up
 from suspension_twin.calibration.squares import full_precision
 from suspension_twin.drive.read import read_drive
-from suspension_twin.errors import InputError
+from suspension_twin.errors import WorkError
 from suspension_twin.gap.prepare import prepare
 from suspension_twin.identification.gauss_newton import GaussNewton, GaussNewtonSettings, Quadratic
 from suspension_twin.identification.noise import Whitener
@@ -461,5 +461,5 @@ def test_the_files_say_what_was_found(fast: Any, tmp_path: Path) -> None:
 
 def test_a_file_that_cannot_be_written_is_named(fast: Any, tmp_path: Path) -> None:
     (tmp_path / "file").write_text("")
-    with pytest.raises(InputError, match="file"):
+    with pytest.raises(WorkError, match="file/calibrated.yaml: cannot be written"):
         write_result(fast[0], tmp_path / "file" / "calibrated.yaml")

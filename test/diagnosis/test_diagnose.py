@@ -112,7 +112,7 @@ def test_what_only_a_decoy_explains_is_unknown_unless_it_is_asked_for(make: Any)
     like = document["signature"]["resembles"][0]
     assert like["effect"] == "progressive_spring" and like["probability"] > 0.8 and like["shrink"] > 0.5
     assert like["parameters"]["front_square"] == pytest.approx(4e7, rel=0.4)
-    assert document["message"].endswith("it is like progressive spring")
+    assert document["message"].endswith("it resembles progressive spring")
     assert "is like progressive spring" in diagnosis_page(result).render()
     named = diagnose(replace(ask(case), effects=(*FEW, "progressive_spring"))).document
     assert named["verdict"] == "effect" and named["combination"] == ["progressive_spring"]
@@ -193,7 +193,7 @@ def test_effects_asked_for_by_name_on_the_command_line(
 
 def test_two_causes_are_named_together_and_nothing_has_to_tell_them_apart(make: Any) -> None:
     elsewhere = EffectSpec(id="sensor_offset", parameters={"x": 0.8, "y": 0.0, "z": 0.0})
-    case = make("strut_friction", {"front_force": 250.0, "rear_force": 250.0}, preexisting=(elsewhere,))
+    case = make("strut_friction", {"front_force": 250.0, "rear_force": 250.0}, always=(elsewhere,))
     effects = ("strut_friction", "sensor_offset", "payload")
     document = diagnose(replace(ask(case), effects=effects)).document
     assert set(document["combination"]) == {"strut_friction", "sensor_offset"}, document["message"]

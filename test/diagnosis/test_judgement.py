@@ -488,7 +488,7 @@ def test_a_cars_own_effect_may_ask_clocks_for_something() -> None:
 
 
 def test_a_cause_that_shows_without_closing_the_gap_is_not_said_to_shrink_it() -> None:
-    document = {"gap": {"rms": 1.0}, "combination": ["road_smoothing"]}
+    document = {"gap": {"rms": 1.0, "channel": "vertical_acceleration"}, "combination": ["road_smoothing"]}
 
     def told(shrink: float) -> str:
         found = Shrink(before=1.0, after=1.0 - shrink, shrink=shrink, interval=(shrink - 0.1, shrink + 0.1))
