@@ -88,7 +88,10 @@ def solve(
     problem = setup.problem
     aligned = setup.preset.synchronise or not problem.objective.is_least_squares
     quiet = np.zeros(len(problem.nuisances))
-    start = float(problem.costs(problem.space.nominal[:, None], quiet, aligned)[0])
+    try:
+        start = float(problem.costs(problem.space.nominal[:, None], quiet, aligned)[0])
+    except Interrupted:
+        return unfinished(request, setup.original, time.monotonic() - began)
     outcome = _search(recorder)
     if not np.isfinite(outcome.cost) and not outcome.stopped:
         raise WorkError(

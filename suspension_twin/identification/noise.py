@@ -24,7 +24,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy import linalg, signal
+from scipy import linalg
 from scipy.ndimage import gaussian_filter1d
 
 from suspension_twin.arrays import Floats
@@ -76,6 +76,8 @@ def _predictor(power: Floats, rate: float) -> tuple[Floats, float]:
 
 def density(values: Floats, segments: Sequence[slice], rate: float) -> Floats:
     """(F,) one-sided power density of one channel (M,) by Welch over ``segments``, smoothed over frequency."""
+    from scipy import signal  # half a second of imports, which a calibration does not wait for
+
     total, weight = np.zeros(_SEGMENT // 2 + 1), 0.0
     for s in segments:
         part = values[s]
