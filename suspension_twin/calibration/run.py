@@ -70,9 +70,9 @@ def calibrate(
     report(Progress("reading", note="twin and road"))
     try:
         setup = set_up(request, lambda note: report(Progress("reading", note=note)), stop)
+        return solve(request, setup, report, stop, began)
     except Interrupted:
         return unfinished(request, load_twin(request.twin), time.monotonic() - began)
-    return solve(request, setup, report, stop, began)
 
 
 def solve(
