@@ -20,6 +20,7 @@ from mkdocs.structure.files import File, Files
 HERE = Path(__file__).resolve().parent
 AT_ROOT = {"index.md": "README.md", "contributing.md": "CONTRIBUTING.md", "changelog.md": "CHANGELOG.md"}
 _LINK = re.compile(r"(!?)\[((?:[^\[\]]|\[[^\]]*\])*)\]\(([^)\s]+)\)")
+_ROLE = re.compile(r":(?:func|class|meth|data|mod|attr):<code>(~?)([\w.]+)</code>")
 _FORMULA = re.compile(
     r'<(span|div) class="arithmatex">\s*\\(?P<open>[(\[])(?P<latex>.*?)\\[)\]]\s*</\1>', re.DOTALL
 )
@@ -88,10 +89,14 @@ def on_page_markdown(markdown: str, page: Any, config: Any, files: Files) -> str
 
 
 def on_page_content(content: str, page: Any, config: Any, files: Files) -> str:
-    """Formulas as MathML."""
+    """Formulas as MathML, and the roles of docstrings as the names that they refer to."""
 
     def drawn(found: re.Match[str]) -> str:
         display = "block" if found["open"] == "[" else "inline"
         return str(convert(html.unescape(found["latex"]), display=display))
 
-    return _FORMULA.sub(drawn, content)
+    def named(found: re.Match[str]) -> str:
+        short, name = found.groups()
+        return f"<code>{name.rpartition('.')[2] if short else name}</code>"
+
+    return _ROLE.sub(named, _FORMULA.sub(drawn, content))
