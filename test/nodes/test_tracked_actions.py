@@ -31,13 +31,15 @@ def given(repository: Path, tmp_path: Path) -> dict[str, Any]:
 def test_a_calibration_finds_the_tracks_parameters_and_writes_a_twin(bench, given, tmp_path):
     bench.make(CalibratorNode)
     client = Client(bench, Calibrate, "calibrate")
-    goal = Calibrate.Goal(**given, output=str(tmp_path / "calibrated.yaml"), max_generations=1, seed=3)
+    free = ["vehicle.track.stiffness", "vehicle.idler.setting"]
+    goal = Calibrate.Goal(**given, free=free, output=str(tmp_path / "calibrated.yaml"), max_generations=1)
     status, result = client.result(client.send(goal), 120.0)
     assert status == GoalStatus.STATUS_SUCCEEDED, result.message
     assert "13kmh_2" in result.message and "\n" not in result.message
     assert result.cost < result.initial_cost and result.evaluations > 0
     twin = load_twin(result.output)
     found = dict(zip(result.names, result.values, strict=True))
+    assert list(found) == free
     assert twin.model == "tracked" and twin.vehicle.track.stiffness == found["vehicle.track.stiffness"]
     assert [f.generation for f in client.feedback if f.stage == "search"]
 
