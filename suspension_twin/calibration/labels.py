@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 from suspension_twin.effects.registry import effect
+from suspension_twin.identification.space import twin_value
 from suspension_twin.vehicle.twin import Twin
 
 __all__ = ["parameter_label", "parameter_unit"]
@@ -53,9 +54,9 @@ def parameter_label(twin: Twin, key: str) -> str:
     curve, _, index = key.rpartition(".force.")
     if not curve:
         return key.removeprefix("vehicle.").removeprefix("effects.").replace("_", " ").replace(".", " ")
-    _, axle, part = curve.split(".")
-    x = getattr(getattr(twin.vehicle, axle), part).points[0][int(index)]
-    return f"{axle} {part.replace('_', ' ')} {x:g} {'m' if part == 'spring' else 'm/s'}"
+    x = twin_value(twin, curve).points[0][int(index)]
+    name = curve.removeprefix("vehicle.").replace("_", " ").replace(".", " ")
+    return f"{name} {x:g} {'m' if curve.endswith('spring') else 'm/s'}"
 
 
 def parameter_unit(key: str) -> str:

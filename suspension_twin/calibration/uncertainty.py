@@ -219,11 +219,10 @@ def curve_estimates(setup: Setup, twin: Twin, found: Uncertainty) -> tuple[Curve
 
 
 def _curve(setup: Setup, twin: Twin, found: Uncertainty, curve: Curve) -> CurveEstimate:
-    _, axle, part = curve.key.split(".")
     span = span_of(curve, found.where)
     grid = np.linspace(0.0, curve.x[-1], _GRID)
-    value = getattr(getattr(twin.vehicle, axle), part).points[1]
-    before_x, before = getattr(getattr(setup.original.vehicle, axle), part).points
+    value = twin_value(twin, curve.key).points[1]
+    before_x, before = twin_value(setup.original, curve.key).points
     draws = np.repeat(value[:, None], found.posterior.draws.shape[1], axis=1)
     free = [(i, r) for i, r in enumerate(curve.rows) if r >= 0]
     for i, row in free:
@@ -231,8 +230,8 @@ def _curve(setup: Setup, twin: Twin, found: Uncertainty, curve: Curve) -> CurveE
     low, high = np.quantile(_interpolated(grid, curve.x, draws), INTERVAL, axis=1)
     static, nothing = float("nan"), np.empty(0)
     rest = (nothing, nothing, nothing)
-    if part == "spring" and np.isfinite(span[0]):
-        static = found.where.static[axle]
+    if curve.part == "spring" and np.isfinite(span[0]):
+        static = found.where.static[curve.axle]
         rest = _from_rest(curve.x, value, draws, static, span)
     return CurveEstimate(
         key=curve.key,

@@ -18,7 +18,6 @@ from suspension_twin.drive.read import read_drive
 from suspension_twin.drive.types import Drive
 from suspension_twin.errors import InputError, WorkError
 from suspension_twin.files import replacing
-from suspension_twin.report.characteristics import static_compression
 from suspension_twin.road import Road, load_road
 from suspension_twin.vehicle.twin import Datum, RoadFile, Twin, load_twin, save_twin
 
@@ -211,8 +210,8 @@ def _excited(result: DemoResult) -> dict[str, tuple[tuple[float, float], tuple[f
     prepared = prepare(result.drives[LEARNT], twin, result.roads[LEARNT])
     response = simulate_twin(twin, prepared.excitation)
     spans = {}
-    for axle, wheels in (("front", slice(0, 2)), ("rear", slice(2, 4))):
-        travel = response.deflection[:, wheels] - static_compression(twin.vehicle, axle)
-        rate = response.deflection_rate[:, wheels]
+    for axle, own in twin.axles.items():
+        travel = response.deflection[:, own.columns] - own.static_compression
+        rate = response.deflection_rate[:, own.columns]
         spans[axle] = ((float(travel.min()), float(travel.max())), (float(rate.min()), float(rate.max())))
     return spans

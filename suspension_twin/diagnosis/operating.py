@@ -41,13 +41,13 @@ def by_motion(with_gap: Sequence[Any], excess: Sequence[Floats], twin: Twin, see
     drawn = np.random.default_rng(seed).multinomial(first, np.full(first, 1.0 / first), _DRAWS).astype(float)
     deflection, velocity = np.concatenate(travel), np.concatenate(speed)
     quantities = [("speed", np.concatenate(driven), "m/s")]
-    for axle, wheels in (("front", slice(0, 2)), ("rear", slice(2, 4))):
+    for axle, own in twin.axles.items():
         quantities += [
-            (f"{axle} damper velocity", _larger(velocity[:, wheels]), "m/s"),
-            (f"{axle} spring travel", _larger(deflection[:, wheels]), "m"),
+            (f"{axle} damper velocity".strip(), _larger(velocity[:, own.columns]), "m/s"),
+            (f"{axle} spring travel".strip(), _larger(deflection[:, own.columns]), "m"),
         ]
     return {
-        "corner": _corners(velocity, amount, block, drawn),
+        "corner": _corners(velocity, amount, block, drawn) if velocity.shape[1] == len(CORNERS) else [],
         "operating_point": _points(quantities, amount, block, drawn),
     }
 
@@ -58,7 +58,7 @@ def ranked(items: list[dict[str, Any]]) -> list[dict[str, Any]]:
 
 
 def _larger(values: Floats) -> Floats:
-    """(n,) signed value of the wheel with the larger magnitude, of (n, 2)."""
+    """(n,) signed value of the wheel with the larger magnitude, of (n, wheels)."""
     return np.asarray(values[np.arange(len(values)), np.argmax(np.abs(values), axis=1)])
 
 

@@ -58,16 +58,16 @@ def travel(twin: Twin, problem: Problem) -> Travel:
     characteristics."""
     if not problem.space.curves:
         return Travel({}, {}, {}, problem.measured.rate)
-    compression: dict[str, list[Floats]] = {"front": [], "rear": []}
-    velocity: dict[str, list[Floats]] = {"front": [], "rear": []}
-    static = {"front": 0.0, "rear": 0.0}
+    compression: dict[str, list[Floats]] = {axle: [] for axle in twin.axles}
+    velocity: dict[str, list[Floats]] = {axle: [] for axle in twin.axles}
+    static = dict.fromkeys(twin.axles, 0.0)
     for part, rows in zip(problem.parts, problem.rows, strict=True):
         response = simulate_twin(twin, part.excitation)
         at = np.clip(np.searchsorted(response.t, part.t[rows]), 0, response.t.size - 1)
-        for axle, wheels in (("front", slice(0, 2)), ("rear", slice(2, 4))):
-            compression[axle].append(response.deflection[at, wheels].ravel())
-            velocity[axle].append(response.deflection_rate[at, wheels].ravel())
-            static[axle] = float(response.deflection[0, wheels].mean())
+        for axle, own in twin.axles.items():
+            compression[axle].append(response.deflection[at, own.columns].ravel())
+            velocity[axle].append(response.deflection_rate[at, own.columns].ravel())
+            static[axle] = float(response.deflection[0, own.columns].mean())
     return Travel(
         {k: np.concatenate(v) for k, v in compression.items()},
         {k: np.concatenate(v) for k, v in velocity.items()},
@@ -78,17 +78,16 @@ def travel(twin: Twin, problem: Problem) -> Travel:
 
 def span_of(curve: Curve, where: Travel) -> tuple[float, float]:
     """The range of a curve's abscissa that the drives excited; (NaN, NaN) if none was."""
-    _, axle, part = curve.key.split(".")
-    if part == "spring":
-        values = where.compression[axle]
+    if curve.part == "spring":
+        values = where.compression[curve.axle]
     else:
-        values = where.velocity[axle] * (1.0 if part == "damper_push" else -1.0)
+        values = where.velocity[curve.axle] * (1.0 if curve.part == "damper_push" else -1.0)
         values = values[values > 0]
     beyond = max(1, round(2 * _REACHED * where.rate))
     if values.size < 3 * beyond:
         return float("nan"), float("nan")
     ordered = np.sort(values)
-    low = float(ordered[beyond - 1]) if part == "spring" else 0.0
+    low = float(ordered[beyond - 1]) if curve.part == "spring" else 0.0
     return low, float(ordered[-beyond])
 
 
@@ -131,9 +130,8 @@ def posterior(
         if not curve.key.endswith("spring") or min(curve.rows) < 0:
             continue
         rows = list(curve.rows)
-        axle = curve.key.split(".")[1]
-        seen = np.quantile(where.compression[axle], np.linspace(0.002, 0.998, 200))
-        found = slides(curve.x, x[rows], problem.space.z0[rows], CORRELATION, where.static[axle], seen)
+        seen = np.quantile(where.compression[curve.axle], np.linspace(0.002, 0.998, 200))
+        found = slides(curve.x, x[rows], problem.space.z0[rows], CORRELATION, where.static[curve.axle], seen)
         if not found:
             continue
         costs = _slide_costs(problem, fit, x, rows, found, precision)

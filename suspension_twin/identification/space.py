@@ -77,6 +77,16 @@ class Curve:
     rows: tuple[int, ...]
 
     @property
+    def axle(self) -> str:
+        """``front`` of ``vehicle.front.spring``, nothing of ``vehicle.spring``."""
+        return self.key.removeprefix("vehicle.").rpartition(".")[0]
+
+    @property
+    def part(self) -> str:
+        """``spring``, ``damper_push`` or ``damper_pull``."""
+        return self.key.rpartition(".")[2]
+
+    @property
     def label(self) -> str:
         return self.key.removeprefix("vehicle.").replace(".", " ").replace("_", " ")
 

@@ -279,7 +279,7 @@ def _by_road(drive: DriveFit) -> Figure:
 
 
 def _characteristics_section(result: CalibrationResult) -> Section:
-    evidence = {axle: _evidence(result, axle) for axle in ("front", "rear")}
+    evidence = {axle: _evidence(result, axle) for axle in result.twin.axles}
     vehicles = {"before": result.start.vehicle, "simulated": result.twin.vehicle}
     figure = characteristics(vehicles, evidence=evidence, from_rest=True)
     whole = characteristics(vehicles, evidence=_whole_evidence(result))
@@ -302,7 +302,8 @@ def _characteristics_section(result: CalibrationResult) -> Section:
 
 
 def _of_axle(result: CalibrationResult, axle: str) -> dict[str, CurveEstimate]:
-    return {c.key.split(".")[-1]: c for c in result.curves if axle in c.key.split(".")}
+    own = ".".join(word for word in ("vehicle", axle) if word)
+    return {c.key.removeprefix(f"{own}."): c for c in result.curves if c.key.rpartition(".")[0] == own}
 
 
 def _evidence(result: CalibrationResult, axle: str) -> AxleEvidence:
@@ -323,7 +324,7 @@ def _evidence(result: CalibrationResult, axle: str) -> AxleEvidence:
 
 def _whole_evidence(result: CalibrationResult) -> dict[str, AxleEvidence]:
     found = {}
-    for axle in ("front", "rear"):
+    for axle in result.twin.axles:
         curves = _of_axle(result, axle)
         spring = curves.get("spring")
         found[axle] = AxleEvidence(
@@ -356,9 +357,9 @@ def _unidentified(result: CalibrationResult, axle: str) -> list[tuple[str, float
     for e in result.estimates:
         curve_key, _, index = e.key.rpartition(".force.")
         if curve_key and e.status in ("extrapolated", "kept", "not identified"):
-            _, where, part = curve_key.split(".")
+            where, _, part = curve_key.removeprefix("vehicle.").rpartition(".")
             if where == axle:
-                x = getattr(getattr(result.twin.vehicle, axle), part).points[0][int(index)]
+                x = getattr(result.twin.axles[axle].part, part).points[0][int(index)]
                 found.append((part.removeprefix("damper_"), float(x)))
     return found
 

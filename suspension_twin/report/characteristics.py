@@ -5,6 +5,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from typing import Any, Protocol
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -13,10 +14,16 @@ from matplotlib.figure import Figure
 from suspension_twin.arrays import Floats
 from suspension_twin.report import style
 from suspension_twin.report.style import COLOURS, LINES
-from suspension_twin.units import STANDARD_GRAVITY as G
-from suspension_twin.vehicle.twin import Axle, Vehicle
+from suspension_twin.vehicle.twin import Suspension
 
-__all__ = ["AxleEvidence", "Band", "characteristics", "force", "static_compression"]
+__all__ = ["AxleEvidence", "Band", "HasAxles", "characteristics", "force"]
+
+
+class HasAxles(Protocol):
+    """A vehicle with springs and dampers."""
+
+    @property
+    def axles(self) -> Mapping[str, Suspension]: ...
 
 
 @dataclass(frozen=True)
@@ -57,7 +64,7 @@ def force(points: tuple[Floats, Floats], x: Floats) -> Floats:
 
 
 def characteristics(
-    vehicles: Mapping[str, Vehicle],
+    vehicles: Mapping[str, HasAxles],
     *,
     evidence: Mapping[str, AxleEvidence] | None = None,
     names: Mapping[str, str] | None = None,
@@ -65,10 +72,10 @@ def characteristics(
     velocity: float | None = None,
     from_rest: bool = False,
 ) -> Figure:
-    """Front and rear, springs above and dampers below; forces of one wheel at the wheel.
+    """An axle beside the other, springs above and dampers below; forces of one wheel at the wheel.
 
     ``vehicles`` maps a role ("before", "simulated", "truth") to a vehicle; ``evidence`` maps
-    "front" and "rear" to what the drive identifies. Jounce (push) is drawn to the right and upwards,
+    the axles to what the drive identifies. Jounce (push) is drawn to the right and upwards,
     rebound (pull) to the left and downwards. ``compression`` m and ``velocity`` m/s limit the
     axes; by default they cover what the drive excited, else the vehicles' points.
 
@@ -82,25 +89,31 @@ def characteristics(
     reach_v = velocity or _reach([e.velocity for e in evidence.values()], vehicles, "damper")
     with style.using():
         fig = style.figure(9.2, 6.2)
-        grid = fig.subplots(2, 2, sharey="row", sharex="row")
-        for column, axle in enumerate(("front", "rear")):
+        axles = list(next(iter(vehicles.values())).axles)
+        grid = fig.subplots(2, len(axles), sharey="row", sharex="row", squeeze=False)
+        for column, axle in enumerate(axles):
             found = evidence.get(axle, AxleEvidence())
             spring, damper = grid[0, column], grid[1, column]
-            spring.set_title(f"{axle} spring")
-            damper.set_title(f"{axle} damper")
+            spring.set_title(f"{axle} spring".strip())
+            damper.set_title(f"{axle} damper".strip())
             _range(spring, found.compression, "excited by the drive")
             _range(damper, found.velocity)
             for role, vehicle in vehicles.items():
-                part: Axle = getattr(vehicle, axle)
-                rest = static_compression(vehicle, axle) if from_rest else 0.0
+                own = vehicle.axles[axle]
+                rest = own.static_compression if from_rest else 0.0
                 _spring(
-                    spring, role, part, (-reach_x if from_rest else 0.0, reach_x), rest, names.get(role, role)
+                    spring,
+                    role,
+                    own.part,
+                    (-reach_x if from_rest else 0.0, reach_x),
+                    rest,
+                    names.get(role, role),
                 )
-                _damper(damper, role, part, reach_v)
+                _damper(damper, role, own.part, reach_v)
             simulated = vehicles.get("simulated")
             if simulated is not None:
-                rest = static_compression(simulated, axle) if from_rest else 0.0
-                _unexcited(spring, damper, found, getattr(simulated, axle), rest)
+                own = simulated.axles[axle]
+                _unexcited(spring, damper, found, own.part, own.static_compression if from_rest else 0.0)
             _bands(spring, damper, found)
             spring.set_xlabel(
                 "travel from standstill [m]" if from_rest else "compression from free length [m]"
@@ -117,37 +130,20 @@ def characteristics(
     return fig
 
 
-def _reach(ranges: Sequence[tuple[float, float] | None], vehicles: Mapping[str, Vehicle], kind: str) -> float:
+def _reach(
+    ranges: Sequence[tuple[float, float] | None], vehicles: Mapping[str, HasAxles], kind: str
+) -> float:
     """How far an axis goes: 15 % beyond what was excited, else the last point of any vehicle."""
     excited = [max(abs(r[0]), abs(r[1])) for r in ranges if r is not None]
     if excited:
         return 1.15 * max(excited)
+    parts = [own.part for vehicle in vehicles.values() for own in vehicle.axles.values()]
     if kind == "spring":
-        return max(part.spring.compression[-1] for v in vehicles.values() for part in (v.front, v.rear))
-    return max(
-        d.velocity[-1]
-        for v in vehicles.values()
-        for p in (v.front, v.rear)
-        for d in (p.damper_push, p.damper_pull)
-    )
+        return max(part.spring.compression[-1] for part in parts)
+    return max(d.velocity[-1] for part in parts for d in (part.damper_push, part.damper_pull))
 
 
-def static_compression(vehicle: Vehicle, axle: str) -> float:
-    """Compression in m of one wheel's spring at standstill, left and right alike.
-
-    What an axle carries follows from the whole vehicle's centre of gravity, less its own wheels.
-    """
-    share = vehicle.cog[0] / vehicle.wheelbase
-    part: Axle = getattr(vehicle, axle)
-    carried = vehicle.mass * (share if axle == "front" else 1.0 - share) / 2.0 - part.unsprung_mass
-    x, f = (np.concatenate([[0.0], points]) for points in part.spring.points)
-    load = G * carried
-    if load <= f[-1]:
-        return float(np.interp(load, f, x))
-    return float(x[-1] + (load - f[-1]) * (x[-1] - x[-2]) / (f[-1] - f[-2]))
-
-
-def _spring(axes: Axes, role: str, part: Axle, span: tuple[float, float], rest: float, label: str) -> None:
+def _spring(axes: Axes, role: str, part: Any, span: tuple[float, float], rest: float, label: str) -> None:
     points = part.spring.points
     low, high = max(span[0] + rest, 0.0), span[1] + rest
     inside = (points[0] > low) & (points[0] < high)
@@ -156,7 +152,7 @@ def _spring(axes: Axes, role: str, part: Axle, span: tuple[float, float], rest: 
     _dots(axes, role, (points[0][inside] - rest, points[1][inside]), 1.0)
 
 
-def _damper(axes: Axes, role: str, part: Axle, reach: float) -> None:
+def _damper(axes: Axes, role: str, part: Any, reach: float) -> None:
     for damper, sign in ((part.damper_push, 1.0), (part.damper_pull, -1.0)):
         points = damper.points
         v = np.unique(np.concatenate([[0.0, reach], points[0][points[0] < reach]]))
@@ -202,7 +198,7 @@ def _bands(spring: Axes, damper: Axes, found: AxleEvidence) -> None:
             )
 
 
-def _unexcited(spring: Axes, damper: Axes, found: AxleEvidence, part: Axle, rest: float) -> None:
+def _unexcited(spring: Axes, damper: Axes, found: AxleEvidence, part: Any, rest: float) -> None:
     curves = {
         "spring": (spring, part.spring.points, 1.0, rest),
         "push": (damper, part.damper_push.points, 1.0, 0.0),

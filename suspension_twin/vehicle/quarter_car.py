@@ -36,6 +36,11 @@ class QuarterCar(Strict):
     damper_push: Damper
     damper_pull: Damper
 
+    @property
+    def axles(self) -> dict[str, Suspension]:
+        """The corner itself."""
+        return {"": Suspension(self, slice(0, 1), G * self.sprung_mass)}
+
 
 class QuarterCarTwin(Twin):
     """The twin of a corner on a rig. ``imu`` is the accelerometer on the sprung mass; its place has no effect."""
@@ -47,3 +52,7 @@ class QuarterCarTwin(Twin):
     @property
     def joint_names(self) -> tuple[str, ...]:
         return ("suspension",)
+
+    @property
+    def axles(self) -> dict[str, Suspension]:
+        return self.vehicle.axles

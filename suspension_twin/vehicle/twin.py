@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import math
 import os
+from dataclasses import dataclass
 from importlib import import_module
 from pathlib import Path
 from typing import Annotated, Any, Final, Literal
@@ -21,6 +22,7 @@ from suspension_twin.arrays import Floats
 from suspension_twin.errors import InputError, nearest
 from suspension_twin.files import read_yaml, write_text
 from suspension_twin.schema import Strict, assign, checked, problems, within
+from suspension_twin.units import STANDARD_GRAVITY as G
 from suspension_twin.vehicle.corners import CORNERS
 
 __all__ = [
@@ -36,6 +38,7 @@ __all__ = [
     "Radius",
     "RoadFile",
     "Spring",
+    "Suspension",
     "Twin",
     "Tyre",
     "TyreStiffness",
@@ -127,6 +130,27 @@ class Axle(Strict):
     damper_pull: Damper
 
 
+@dataclass(frozen=True)
+class Suspension:
+    """Springs and dampers of one characteristic: those of an axle, or of a single corner.
+
+    ``part`` has ``spring``, ``damper_push`` and ``damper_pull``; ``columns`` are its wheels among the deflections of a
+    response; ``load`` N is what each of its springs carries at standstill.
+    """
+
+    part: Any
+    columns: slice
+    load: float
+
+    @property
+    def static_compression(self) -> float:
+        """m of each spring at standstill, left and right alike."""
+        x, f = (np.concatenate([[0.0], points]) for points in self.part.spring.points)
+        if self.load <= f[-1]:
+            return float(np.interp(self.load, f, x))
+        return float(x[-1] + (self.load - f[-1]) * (x[-1] - x[-2]) / (f[-1] - f[-2]))
+
+
 class Tyre(Strict):
     radius: Radius
     vertical_stiffness: TyreStiffness
@@ -167,6 +191,18 @@ class Vehicle(Strict):
         if unsprung >= 0.6 * self.mass:
             raise ValueError(f"mass: {self.mass:g} kg leaves no sprung mass above {unsprung:g} kg of wheels")
         return self
+
+    @property
+    def axles(self) -> dict[str, Suspension]:
+        """Front and rear; what an axle carries follows from the centre of gravity, less its own wheels."""
+        share = self.cog[0] / self.wheelbase
+        return {
+            name: Suspension(part, wheels, G * (self.mass * part_of / 2.0 - part.unsprung_mass))
+            for name, part, wheels, part_of in (
+                ("front", self.front, slice(0, 2), share),
+                ("rear", self.rear, slice(2, 4), 1.0 - share),
+            )
+        }
 
     @property
     def wheel_positions(self) -> Floats:
@@ -270,6 +306,11 @@ class Twin(Strict):
         return ()
 
     @property
+    def axles(self) -> dict[str, Suspension]:
+        """Springs and dampers with characteristics, by the word that their keys have after ``vehicle``, if any."""
+        return {}
+
+    @property
     def cog_height(self) -> float:
         """Height in m of the centre of gravity above the ground."""
         return 0.0
@@ -295,6 +336,10 @@ class CarTwin(Twin):
     @property
     def joint_names(self) -> tuple[str, ...]:
         return tuple(f"{corner}_suspension" for corner in CORNERS)
+
+    @property
+    def axles(self) -> dict[str, Suspension]:
+        return self.vehicle.axles
 
     @property
     def cog_height(self) -> float:

@@ -15,7 +15,6 @@ from suspension_twin.report.characteristics import (
     Band,
     characteristics,
     force,
-    static_compression,
 )
 from suspension_twin.vehicle.twin import Vehicle
 
@@ -159,14 +158,14 @@ def test_force_passes_through_its_points_and_goes_on_with_the_last_slope(steps, 
 def test_standing_springs_carry_the_weight(vehicle):
     """Front 1725 kg x 1.5 / 2.85 on two wheels less 40 kg each; the curve is 2300 N at 0.1 m, 23.5 kN/m beyond."""
     load = (1725.0 * 1.5 / 2.85 / 2 - 40.0) * 9.80665
-    assert static_compression(vehicle, "front") == pytest.approx(0.1 + (load - 2300.0) / 23_500.0)
+    assert vehicle.axles["front"].static_compression == pytest.approx(0.1 + (load - 2300.0) / 23_500.0)
     total = sum(
-        2 * force(vehicle.front.spring.points, np.array([static_compression(vehicle, a)]))[0]
+        2 * force(vehicle.front.spring.points, np.array([vehicle.axles[a].static_compression]))[0]
         for a in ("front", "rear")
     )
     assert total == pytest.approx((1725.0 - 160.0) * 9.80665)
     heavy = vehicle.model_copy(update={"mass": 4000.0})
-    x = static_compression(heavy, "front")
+    x = heavy.axles["front"].static_compression
     assert x > 0.3
     assert force(heavy.front.spring.points, np.array([x]))[0] == pytest.approx(
         (4000.0 * 1.5 / 2.85 / 2 - 40.0) * 9.80665
