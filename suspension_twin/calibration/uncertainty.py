@@ -35,7 +35,7 @@ from suspension_twin.identification.noise import NEAR_FLOOR, ScaledObjective, Wh
 from suspension_twin.identification.objectives import Objective, Term
 from suspension_twin.identification.posterior import Posterior, Travel, Weighing, posterior, span_of, travel
 from suspension_twin.identification.problem import FitProblem, Problem
-from suspension_twin.identification.space import Curve, Space
+from suspension_twin.identification.space import Curve, Space, twin_value
 from suspension_twin.vehicle.twin import Twin
 
 __all__ = ["INTERVAL", "Uncertainty", "assess", "curve_estimates"]

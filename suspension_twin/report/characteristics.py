@@ -139,8 +139,8 @@ def _reach(
         return 1.15 * max(excited)
     parts = [own.part for vehicle in vehicles.values() for own in vehicle.axles.values()]
     if kind == "spring":
-        return max(part.spring.compression[-1] for part in parts)
-    return max(d.velocity[-1] for part in parts for d in (part.damper_push, part.damper_pull))
+        return float(max(part.spring.compression[-1] for part in parts))
+    return float(max(d.velocity[-1] for part in parts for d in (part.damper_push, part.damper_pull)))
 
 
 def _spring(axes: Axes, role: str, part: Any, span: tuple[float, float], rest: float, label: str) -> None:

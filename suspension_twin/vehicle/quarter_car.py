@@ -6,12 +6,14 @@ from __future__ import annotations
 from typing import Literal
 
 from suspension_twin.schema import Strict
+from suspension_twin.units import STANDARD_GRAVITY
 from suspension_twin.vehicle.twin import (
     Damper,
     Imu,
     Mass,
     Radius,
     Spring,
+    Suspension,
     Twin,
     TyreStiffness,
     WheelMass,
@@ -39,7 +41,7 @@ class QuarterCar(Strict):
     @property
     def axles(self) -> dict[str, Suspension]:
         """The corner itself."""
-        return {"": Suspension(self, slice(0, 1), G * self.sprung_mass)}
+        return {"": Suspension(self, slice(0, 1), STANDARD_GRAVITY * self.sprung_mass)}
 
 
 class QuarterCarTwin(Twin):
