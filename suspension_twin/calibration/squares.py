@@ -253,7 +253,9 @@ class _Fit:
         return variance * (_FAINT if planned.faint and not self.balanced else 1.0)
 
     def _place(self) -> None:
-        """Simulate the offsets found so far where they are too large to interpolate."""
+        """Simulate the offsets found so far where they are too large to interpolate; a controlled run is its own clock."""
+        if not self.recorder.setup.on_road:
+            return
         names = self.base.nuisances.names
         offset = np.array([n == "map_position" or n.endswith(".clock_offset") for n in names], dtype=bool)
         small = np.array([_PLACE_MAP if n == "map_position" else _PLACE_CLOCK for n in names])

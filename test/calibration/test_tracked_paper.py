@@ -156,6 +156,20 @@ def test_fast_fits_every_run_and_says_what_it_identified(file: str, runs: tuple[
     assert units == {"clock_offset": "s", "speed": ""}
 
 
+def test_a_late_camera_is_the_runs_clock(file: str, runs: tuple[str, str, str], tmp_path: Path) -> None:
+    header, *lines = Path(runs[0]).read_text(encoding="utf-8").splitlines()
+    table = np.loadtxt(lines, delimiter=",")
+    table[:, 0] += 0.02
+    np.savetxt(tmp_path / "13kmh_1.csv", table, delimiter=",", header=header, comments="", fmt="%.6g")
+    key = "vehicle.idler.setting"
+    asked = CalibrationRequest(file, runs[:1], free=(key,))
+    plain, late = (
+        {n.name.split(".")[-1]: n.value for n in calibrate(request).nuisances}["clock_offset"]
+        for request in (asked, replace(asked, bags=(str(tmp_path / "13kmh_1.csv"),)))
+    )
+    assert abs(late - plain) == pytest.approx(0.02, abs=0.008)
+
+
 @pytest.mark.parametrize(
     ("given", "words"),
     [
