@@ -253,7 +253,7 @@ class _Fit:
         return variance * (_FAINT if planned.faint and not self.balanced else 1.0)
 
     def _place(self) -> None:
-        """Simulate the offsets found so far where they are too large to interpolate; a controlled run is its own clock."""
+        """Simulate the offsets found so far where they are too large to interpolate; not of controlled runs."""
         if not self.recorder.setup.on_road:
             return
         names = self.base.nuisances.names
