@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """A corner on a test rig in MuJoCo: runs for a twin that has not seen it, with an effect drawn by a seed.
 
-    python benchmarks/rig.py --out DIR [--seed N] [--effect ID] [--json]
+    python benchmarks/rig.py --out DIR [--seed N] [--effect ID] [--diagnose N] [--json]
 
 Wheel, sprung mass and the road's plate are MuJoCo's slide joints; tyre and stops are its tendons with a dead band,
 so that a wheel can leave the plate; dry friction is its constraint; the mount of a damper is a body of its own. The
@@ -10,7 +10,9 @@ is exact. Written are ``DIR/reference`` (the corner as it was) and ``DIR/gap`` (
 drops and a random road, ``DIR/twin.yaml`` with generic characteristics, and ``DIR/answer.json``, which no
 command reads. Then, as with any rig:
 
-    suspension-twin diagnose --twin DIR/twin.yaml DIR/gap/*.csv --reference DIR/reference/*.csv --out DIR/found
+    suspension-twin diagnose --twin DIR/twin.yaml DIR/gap/*.csv --reference DIR/reference/drops.csv --out DIR/found
+
+``--diagnose N`` makes N cases and diagnoses each, all effects in turn.
 """
 
 from __future__ import annotations
@@ -18,6 +20,7 @@ from __future__ import annotations
 import argparse
 import json
 import sys
+import time
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -28,6 +31,8 @@ from rich.table import Table
 from scipy.interpolate import CubicSpline
 from scipy.signal import butter, lfilter, sosfilt, sosfilt_zi
 
+from suspension_twin.diagnosis.request import DiagnosisRequest
+from suspension_twin.diagnosis.run import diagnose
 from suspension_twin.drive.rig import RigRecord, read_rig, write_rig
 from suspension_twin.gap.rig import simulate_rig
 from suspension_twin.vehicle.twin import load_twin, save_twin
@@ -111,7 +116,8 @@ def model_of(c: Corner) -> mujoco.MjModel:
         <body name="wheel"><joint name="wheel" type="slide" axis="0 0 1"/>
           <geom type="sphere" size=".1" mass="{c.unsprung}" contype="0" conaffinity="0"/><site name="wheel"/>
           <body name="body" pos="0 0 .5"><joint name="strut" type="slide" axis="0 0 1"
-              frictionloss="{c.friction}"/>
+              frictionloss="{c.friction}"
+              solreffriction="0.001 1" solimpfriction="0.99 0.99 0.001"/>
             <geom type="box" size=".2 .2 .1" mass="{c.sprung + c.payload}" contype="0" conaffinity="0"/>
             <site name="body"/>
             {mount if c.mount else ""}</body></body></worldbody>
@@ -211,14 +217,54 @@ def make(out: Path, seed: int, effect: str | None = None, seconds: float = 20.0)
     return answer
 
 
+def diagnosed(out: Path, seed: int, count: int, seconds: float) -> list[dict[str, float | str]]:
+    """What the diagnosis says of each of ``count`` cases, beside what each has."""
+    found = []
+    order = np.random.default_rng(seed).permutation(list(EFFECTS))
+    for number in range(count):
+        case = out / f"case_{number:02}"
+        truth = make(case, seed + number, str(order[number % order.size]), seconds)
+        began = time.perf_counter()
+        after, before = (tuple(str(case / f / f"{kind}.csv") for kind in KINDS) for f in ("gap", "reference"))
+        document = diagnose(DiagnosisRequest(str(case / "twin.yaml"), after, before, seed)).document
+        first = document["causes"][0]
+        row: dict[str, float | str] = {
+            "effect": truth["effect"],
+            "severity": f"{truth['severity']:.2f}",
+            "verdict": document["verdict"],
+            "named": ", ".join(document["combination"]),
+            "first": first["effect"],
+            "probability": f"{first['probability']:.2f}",
+            "shrink": f"{first['shrink']:.2f}",
+            "seconds": f"{time.perf_counter() - began:.0f}",
+        }
+        found.append(row)
+        print(json.dumps(row), file=sys.stderr, flush=True)
+    return found
+
+
 def main() -> int:
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("--out", type=Path, required=True, help="folder for the case")
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--effect", choices=EFFECTS, help="instead of one that the seed draws")
     parser.add_argument("--seconds", type=float, default=20.0, help="length of a run")
+    parser.add_argument(
+        "--diagnose", type=int, metavar="N", help="make N cases, each effect in turn, and diagnose them"
+    )
     parser.add_argument("--json", action="store_true", help="figures as JSON on standard output")
     given = parser.parse_args()
+    if given.diagnose:
+        answers = diagnosed(given.out, given.seed, given.diagnose, given.seconds)
+        table = Table(title="Diagnoses", title_justify="left", title_style="bold")
+        for name in answers[0]:
+            table.add_column(name.replace("_", " "))
+        for row in answers:
+            table.add_row(*(str(value) for value in row.values()))
+        Console(stderr=given.json).print(table)
+        if given.json:
+            print(json.dumps(answers))
+        return 0
     make(given.out, given.seed, given.effect, given.seconds)
     twin = load_twin(given.out / "twin.yaml")
     figures = {

@@ -54,7 +54,7 @@ def localise(bench: Bench, difference: Floats, noise: dict[str, float], twin: Tw
     }
     where.update(
         by_motion(_gap_drives(bench), excess, twin)
-        if "vertical_acceleration" in names and bench.excitations
+        if twin.axles and ("vertical_acceleration" in names or not bench.excitations)
         else {"corner": [], "operating_point": []}
     )
     return where

@@ -235,7 +235,8 @@ def beyond_usual(bench: Bench, found: Evidence, changed: bool = False) -> float:
     values = hypothesis.values(found.fit.x[bench.d + bench.q :, None])[:, 0]
     given, likely = dict(zip(hypothesis.keys, values, strict=True)), 1.0
     for effect in (hypothesis.effect(e) for e in hypothesis.effects):
-        model_weights = effect.usual_share * bench.problem.twin.vehicle.mass
+        share = effect.usual_share
+        model_weights = share * bench.problem.twin.vehicle.mass if share else 0.0
         usual = {name: effect.parameter(name).usual or model_weights for name in effect.severity}
         if effect.id == "clock_drift":
             usual = {name: max(least, _apparent_drift(bench)) for name, least in usual.items()}
