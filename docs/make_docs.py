@@ -265,6 +265,7 @@ def pictures() -> None:
     effects_picture()
     damping_picture()
     diagnosis_picture()
+    rig_picture()
 
 
 def demo_pictures() -> None:
@@ -408,6 +409,39 @@ def draw_diagnosis(case: Path, answer: Path) -> None:
         right.set_ylabel("density [m²/s⁴/Hz]")
         right.legend()
     style.save(fig, HERE / "diagnosis.png", dpi=130)
+
+
+def rig_picture() -> None:
+    """A drop of the bundled rig: the body as measured and as its twin has it, calibrated on the other run or not."""
+    from suspension_twin.drive.rig import read_rig
+    from suspension_twin.gap.rig import simulate_rig
+    from suspension_twin.report import style
+    from suspension_twin.vehicle.twin import load_twin
+
+    twin, runs = ROOT / "config" / "twins" / "quarter_car.yaml", ROOT / "config" / "rig"
+    with tempfile.TemporaryDirectory() as folder:
+        found = Path(folder) / "found.yaml"
+        options = ["--twin", str(twin), str(runs / "random.csv"), "--out", str(found)]
+        _run("-m", "suspension_twin", "calibrate", *options)
+        twins = {"before": load_twin(twin), "simulated": load_twin(found)}
+    results = {role: simulate_rig(read_rig(runs / "drops.csv"), one) for role, one in twins.items()}
+    seen = results["before"].observation
+    name = next(iter(seen.measured))
+    series = {"measured": ("measured", seen.measured[name])}
+    for role, label in (("before", "twin as written"), ("simulated", "calibrated on another run")):
+        series[label] = (role, seen.conditioner.apply(results[role].response.channel(name)[:, 0]))
+    with style.using():
+        fig = style.figure(8.6, 2.6)
+        axes = fig.subplots()
+        for label, (role, signal) in series.items():
+            line = {**style.LINES[role], **({"linewidth": 4.0, "alpha": 0.5} if role == "measured" else {})}
+            axes.plot(seen.t, signal, color=style.colour(role), label=label, **line)
+        axes.set_xlim(2.9, 3.7)
+        axes.set_ylim(-8.5, 2.5)
+        axes.set_xlabel("time [s]")
+        axes.set_ylabel("body acceleration [m/s²]")
+        axes.legend(loc="lower right")
+    style.save(fig, HERE / "quarter_car.png", dpi=130)
 
 
 def _run(*arguments: str) -> None:

@@ -1,0 +1,73 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A corner on a rig of other code: calibrated and diagnosed by the commands, its effect withheld."""
+
+from __future__ import annotations
+
+import json
+import sys
+from importlib import import_module
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from suspension_twin.cli.main import main
+from suspension_twin.identification.observations import observe
+from suspension_twin.vehicle.twin import load_twin
+
+
+@pytest.fixture(scope="module")
+def rig(repository: Path) -> Any:
+    before = list(sys.path)
+    sys.path.insert(0, str(repository / "benchmarks"))
+    yield import_module("rig")
+    sys.path[:] = before
+
+
+def test_a_corner_is_calibrated_to_the_noise_of_its_transducers(repository: Path, tmp_path: Path) -> None:
+    """On a run that the fit has not used, with stiffness of the tyre and mass of the wheel found on the way."""
+    twin, runs = repository / "config" / "twins" / "quarter_car.yaml", repository / "config" / "rig"
+    found = tmp_path / "found.yaml"
+    assert main(["calibrate", "--twin", str(twin), str(runs / "random.csv"), "--out", str(found)]) == 0
+    gaps = []
+    for file in (twin, found):
+        out = tmp_path / file.stem
+        assert main(["simulate", "--twin", str(file), str(runs / "drops.csv"), "--out", str(out)]) == 0
+        gaps.append(json.loads((out / "gap.json").read_text(encoding="utf-8"))["rms"])
+    assert gaps[1] < 0.1 * gaps[0]
+    corner = load_twin(found).vehicle
+    assert corner.unsprung_mass == pytest.approx(42.0, rel=0.1)
+    assert corner.tyre.vertical_stiffness == pytest.approx(2.1e5, rel=0.15)
+
+
+def test_a_withheld_stop_is_named(rig: Any, tmp_path: Path) -> None:
+    """Stops of a stiffness and clearance that the seed draws, on a road like that of the reference."""
+    rig.make(tmp_path, seed=5, effect="rebound_stop", seconds=12.0)
+    runs = [str(tmp_path / "gap" / f"{kind}.csv") for kind in ("drops", "random")]
+    reference = [str(tmp_path / "reference" / f"{kind}.csv") for kind in ("drops", "random")]
+    arguments = ["diagnose", "--twin", str(tmp_path / "twin.yaml"), *runs, "--out", str(tmp_path / "answer")]
+    for path in reference:
+        arguments += ["--reference", path]
+    for effect in ("rebound_stop", "bump_stop", "strut_friction", "corner_spring", "sensor_scale"):
+        arguments += ["--effect", effect]
+    assert main(arguments) == 0
+    document = json.loads((tmp_path / "answer" / "diagnosis.json").read_text(encoding="utf-8"))
+    assert document["verdict"] in ("effect", "partly") and "rebound_stop" in document["combination"]
+    named = next(cause for cause in document["causes"] if cause["effect"] == "rebound_stop")
+    assert named["probability"] >= 0.5 and named["shrink_interval"][0] > 0.5
+    assert "rebound_stop" in [e.id for e in load_twin(tmp_path / "answer" / "twin.yaml").effects]
+    assert document["where"]["operating_point"] and not document["where"]["corner"]
+
+
+def test_runs_of_one_program_share_an_excitation(repository: Path, tmp_path: Path) -> None:
+    twin, runs = (
+        load_twin(repository / "config" / "twins" / "quarter_car.yaml"),
+        repository / "config" / "rig",
+    )
+    text = (runs / "drops.csv").read_text(encoding="utf-8").splitlines()
+    again = tmp_path / "drops.csv"
+    again.write_text("\n".join([text[1], *text[2:]]) + "\n", encoding="utf-8")
+    first, other, repeat = observe(twin, [str(runs / "drops.csv"), str(runs / "random.csv"), str(again)])
+    assert repeat.excitation is first.excitation and other.excitation is not first.excitation
+    assert [first.name, repeat.name] == ["drops", "drops_2"]
+    assert abs(float(first.position[0]) - float(other.position[0])) > 1e3 and first.rate == 125.0
