@@ -80,6 +80,13 @@ def test_an_accelerometer_upside_down_is_reported(corner: Twin, drops: RigRecord
     assert simulate_rig(drops, corner).warnings == ()
 
 
+def test_an_actuator_that_was_recorded_is_an_input(corner: Twin, drops: RigRecord) -> None:
+    pushed = {**drops.columns, "actuator_force": 300.0 * np.sin(2 * np.pi * 3.0 * drops.t)}
+    plain, moved = (simulate_rig(replace(drops, columns=c), corner).response for c in (drops.columns, pushed))
+    change = (moved.signals - plain.signals)[500:, 0, 0]  # of the body: 300 N on 390 kg, above its resonance
+    assert 0.8 < np.sqrt(2) * np.std(change) / (300.0 / corner.vehicle.sprung_mass) < 1.6
+
+
 def test_runs_that_cannot_be_used(corner: Twin, drops: RigRecord) -> None:
     def cut(part: Any, name: str = "short") -> RigRecord:
         return RigRecord(name, drops.t[part], {k: v[part] for k, v in drops.columns.items()})
