@@ -55,10 +55,8 @@ class Side:
     twin: Floats
 
 
-def sides(truth: Truth, run: Response) -> dict[str, Side]:
-    """Every signal that both have, by name; heights and loads without their means."""
-    t = run.t - truth.start
-    at = truth.at(t)
+def sides(at: dict[str, Floats], truth: Truth, run: Response) -> dict[str, Side]:
+    """Every signal that both have, by name, the truth ``at`` the run's times; heights and loads without their means."""
 
     def four(name: str) -> Floats:
         return np.stack([at[f"{name}_{c}"] for c in CORNERS], axis=1)
@@ -111,8 +109,9 @@ def compare(
     """One drive under one twin: figures of every signal, the signals, and where along the road (n,) m."""
     prepared = prepare(read_drive(folder / name), twin)
     run = simulate_twin(twin, prepared.excitation)
-    both = sides(truth, run)
-    at = truth.at(run.t - truth.start)
+    # stamps are those of the IMU: what a stamp t shows happened at t - latency
+    at = truth.at(run.t - prepared.excitation.late - truth.start)
+    both = sides(at, truth, run)
     moving = at["v_fwd"] > MOVING
     ends = prepared.excitation.first[1:] - 1
     under = np.stack([at[f"zr_{c}"] for c in CORNERS], axis=1)
