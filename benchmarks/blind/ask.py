@@ -130,11 +130,13 @@ def main(folder: Path, out: Path) -> None:
     from suspension_twin.diagnosis.request import DiagnosisRequest
     from suspension_twin.diagnosis.run import diagnose
     from suspension_twin.effects.registry import EFFECTS
+    from suspension_twin.vehicle.twin import load_twin
 
+    model = load_twin(folder / "twin.yaml").model
     without = json.loads((folder / REQUEST).read_text())["without"]
     shown, before = _drives(folder)
     # a decoy that is asked for by name would be a cause
-    kept = tuple(e for e in EFFECTS if e not in without and e not in DECOYS)
+    kept = tuple(e for e in EFFECTS if model in EFFECTS[e].models and e not in without and e not in DECOYS)
     write(
         diagnose(DiagnosisRequest(str(folder / "twin.yaml"), tuple(shown), tuple(before), effects=kept)), out
     )

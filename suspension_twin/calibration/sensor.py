@@ -24,17 +24,15 @@ from suspension_twin.arrays import Floats
 from suspension_twin.calibration.recorder import Outcome
 from suspension_twin.calibration.request import SensorEstimate
 from suspension_twin.calibration.setup import Setup
-from suspension_twin.calibration.uncertainty import Uncertainty
+from suspension_twin.calibration.uncertainty import HALF_WIDTH, Uncertainty
 from suspension_twin.gap.mounting import turned
 from suspension_twin.identification.nuisance import map_spread, slow_position_error
 from suspension_twin.vehicle.twin import Twin
 
 __all__ = ["common_offset", "sensor_estimates", "with_sensor"]
 
-#: Standard deviations from the middle of a 90 % interval to its ends.
-_HALF = 1.645
 #: Variances that a regressor has to explain to be kept: Mallows' Cp.
-_PRICE = 2.0
+_CP_PENALTY = 2.0
 #: Standard deviations beyond which a map's offset contradicts its prior: the usual gate of three.
 _GATE = 3.0
 
@@ -91,8 +89,8 @@ def _estimate(
     p: float = float("nan"),
 ) -> SensorEstimate:
     """``given`` is the standard deviation of ``value`` given the vehicle, ``sigma`` that whatever the vehicle is."""
-    low, high = value - _HALF * sigma, value + _HALF * sigma
-    written = not keep and (value - start) ** 2 > _PRICE * given**2
+    low, high = value - HALF_WIDTH * sigma, value + HALF_WIDTH * sigma
+    written = not keep and (value - start) ** 2 > _CP_PENALTY * given**2
     return SensorEstimate(key, unit, start, float(f"{value:.6g}"), low, high, written, p)
 
 

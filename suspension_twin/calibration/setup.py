@@ -36,7 +36,7 @@ from suspension_twin.vehicle.twin import Twin, load_twin
 __all__ = ["Setup", "set_up"]
 
 _LONGEST_LAG = 1.0  # s
-_ALIKE = 1.02  # factor by which speeds of repeats differ
+_ALIKE = 1.02  # largest ratio of the speeds of repeats: drivers hold a speed within 2 % (a prior)
 _SURE = 0.02  # how much better the correlation has to become before a drive is moved in time
 
 

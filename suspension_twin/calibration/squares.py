@@ -237,7 +237,7 @@ class _Fit:
         rows = list(curve.rows)
         values = self.base.space.from_slopes(self.x[: self.d])
         where = travel(self.base.space.applied(self.recorder.setup.twin, values), self.problem)
-        static = where.static[curve.key.split(".")[1]]
+        static = where.static[curve.axle]
         if not _NEAREST_CORNER < abs(curve.x[corner] - static) < _FARTHEST_CORNER:
             return None
         moved = self.x.copy()

@@ -38,12 +38,12 @@ from suspension_twin.identification.problem import FitProblem, Problem
 from suspension_twin.identification.space import Curve, Space, twin_value
 from suspension_twin.vehicle.twin import Twin
 
-__all__ = ["INTERVAL", "Uncertainty", "assess", "curve_estimates"]
+__all__ = ["HALF_WIDTH", "INTERVAL", "Uncertainty", "assess", "curve_estimates"]
 
 #: Quantiles of the intervals.
 INTERVAL = (0.05, 0.95)
 #: Half the width of that interval in standard deviations of a Gaussian.
-_HALF_WIDTH = float(ndtri(INTERVAL[1]))
+HALF_WIDTH = float(ndtri(INTERVAL[1]))
 #: Level of the likelihood ratio test, the interval's.
 _LEVEL = 1.0 - (INTERVAL[1] - INTERVAL[0])
 #: Posterior over prior variance at which data and prior are worth the same.
@@ -159,10 +159,10 @@ def _settle(
         return at, float(fit.sums_of_squares(at[:, None])[0])
 
     kept = status == "kept"
-    far = kept & (away > _HALF_WIDTH * np.sqrt(np.diag(prior)))
+    far = kept & (away > HALF_WIDTH * np.sqrt(np.diag(prior)))
     absorbed = np.where(far, problem.space.from_slopes(x[:d]), np.nan)
     result, squares = held(kept)
-    near = away <= _HALF_WIDTH * np.sqrt(np.diag(covariance)[:d])
+    near = away <= HALF_WIDTH * np.sqrt(np.diag(covariance)[:d])
     tested = identified & near & (coupled.sum(axis=1) == 1)
     if tested.any():
         other, more = held(kept | tested)

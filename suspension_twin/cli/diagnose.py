@@ -17,7 +17,7 @@ Reference = Annotated[
     list[Path] | None,
     typer.Option(
         "--reference",
-        help="A drive of the same vehicle from before the gap; repeatable.",
+        help="Drives of the same vehicle from before the gap, after those with it.",
         metavar="BAG",
         show_default=False,
     ),

@@ -42,13 +42,19 @@ class Subcommand:
     module: str
     help: str
     endless: bool = False  # runs until it is interrupted, so an interrupt is success
+    several: str = ""  # an option that takes all values up to the next option, as a shell's *.csv gives them
 
 
 SUBCOMMANDS = (
     Subcommand("demo", "demo", "The whole way, live to calibrated, on the bundled drive."),
     Subcommand("run", "run", "The four nodes, live or replaying a bag.", endless=True),
     Subcommand("calibrate", "calibrate", "Find a twin's characteristics from recorded drives."),
-    Subcommand("diagnose", "diagnose", "Where twin and car disagree, why, and what closes the gap."),
+    Subcommand(
+        "diagnose",
+        "diagnose",
+        "Where twin and car disagree, why, and what closes the gap.",
+        several="--reference",
+    ),
     Subcommand("simulate", "simulate", "The twin over a recorded drive, without ROS."),
     Subcommand("import", "import_", "A phone's or logger's recording into a bag."),
     Subcommand("damping", "damping", "Which dampers a tracked vehicle should have, by speed."),
@@ -71,6 +77,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """
     args, debug = _take_debug(sys.argv[1:] if arguments is None else arguments)
     chosen = _chosen(args)
+    if chosen is not None and chosen.several:
+        args = _repeated(args, chosen.several)
     endless = chosen is not None and chosen.endless
     endings = (signal.SIGINT, signal.SIGTERM)
     previous = {number: signal.getsignal(number) for number in endings}
@@ -111,6 +119,19 @@ def _take_debug(arguments: Sequence[str]) -> tuple[list[str], bool]:
     end = args.index("--") if "--" in args else len(args)
     own = [a for a in args[:end] if a != "--debug"]
     return own + args[end:], len(own) < end
+
+
+def _repeated(args: Sequence[str], option: str) -> list[str]:
+    """``--reference a b`` as ``--reference a --reference b``: the command line parser takes one value an option."""
+    found: list[str] = []
+    taking = False
+    for argument in args:
+        more = taking and not argument.startswith("-")
+        if more and found[-1] != option:
+            found.append(option)
+        taking = argument == option or argument.startswith(f"{option}=") or more
+        found.append(argument)
+    return found
 
 
 def _chosen(args: Sequence[str]) -> Subcommand | None:

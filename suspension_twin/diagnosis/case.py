@@ -20,6 +20,7 @@ from suspension_twin.diagnosis.hypotheses import BASELINE, Hypothesis
 from suspension_twin.diagnosis.request import DiagnosisRequest
 from suspension_twin.drive.read import read_drive
 from suspension_twin.drive.types import Drive
+from suspension_twin.effects.registry import EFFECTS
 from suspension_twin.errors import InputError
 from suspension_twin.gap.common_rate import on_common_rate
 from suspension_twin.gap.measure import CHANNELS
@@ -59,7 +60,7 @@ _ON_ROAD = PrepareSettings(saturated=True)
 _BARE = replace(
     NORMAL, clock=0.0, common_clock=0.0, map_position=0.0, tilt=0.0, pivot=0.0, slip=0.005, drive_map=0.0
 )
-#: Error of a change that a model predicts, over its error about the sound vehicle there and then.
+#: Error of a change that a model predicts, over its error about the sound vehicle there and then: a prior.
 _DOUBT = 0.5
 #: Seconds of compared driving below which nothing can be held back from the fit.
 SHORTEST = 8.0
@@ -124,6 +125,9 @@ def read_case(request: DiagnosisRequest, note: Callable[[str], None], stop: Call
     same = {Path(b).resolve() for b in request.bags} & {Path(b).resolve() for b in request.reference}
     if same:
         raise InputError(min(same).name, "is given as a drive with the gap and as one from before it")
+    for name in request.effects:
+        if name in EFFECTS and twin.model not in EFFECTS[name].models:
+            raise InputError("effects", name, f"does not apply to a vehicle of the model {twin.model}")
     if model_of(twin).recordings != "drive":
         return _runs(twin, request)
     on_road = twin.road is not None

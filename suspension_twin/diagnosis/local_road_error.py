@@ -32,6 +32,7 @@ _METRES = 4.0
 #: Excess of the share of the residual on a section over its share of the motion, on every pass, with a probability of a
 #: local road error of 0.5 (up to 0.27 on cars and roads without any error), and factor of one standard deviation.
 _CONCENTRATED, _CONCENTRATED_SPREAD = 0.38, 1.15
+#: Share of the largest excess within which a shorter section is preferred.
 _TOLERANCE = 0.1
 #: m before a section where the front wheels reach it, and after it until the free oscillation has decayed.
 _BEFORE, _REBASE_GAIN = 4.0, 15.0

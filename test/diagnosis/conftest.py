@@ -13,39 +13,16 @@ from suspension_twin.gap.synthetic import synthetic_drive
 from suspension_twin.road import half_sine, write_road
 from suspension_twin.road.bumps import add_bump
 from suspension_twin.road.iso8608 import iso8608_road
-from suspension_twin.vehicle.twin import EffectSpec, RoadFile, Twin, parse_twin, save_twin
+from suspension_twin.vehicle.twin import EffectSpec, RoadFile, Twin, save_twin
 
-_AXLE = {
-    "unsprung_mass": 40.0,
-    "spring": {"compression": [0.1, 0.3, 0.5, 1.0], "force": [2300.0, 6900.0, 11500.0, 23000.0]},
-    "damper_push": {"velocity": [0.125, 0.25, 0.35, 0.4], "force": [200.0, 420.0, 620.0, 720.0]},
-    "damper_pull": {"velocity": [0.125, 0.25, 0.35, 0.4], "force": [450.0, 900.0, 1250.0, 1430.0]},
-}
 KNOTS = ((0.0, 0.0), (0.5, 0.0), (3.0, 7.0), (11.0, 8.0))
 
 Make = Callable[..., tuple[Path, list[str], list[str]]]
 
 
 @pytest.fixture(scope="session")
-def car() -> Twin:
-    return parse_twin(
-        {
-            "vehicle": {
-                "name": "car",
-                "mass": 1725.0,
-                "wheelbase": 2.85,
-                "front_track": 1.588,
-                "rear_track": 1.605,
-                "cog": [1.5, 0.0, 0.55],
-                "sprung_inertia": {"roll": 550.0, "pitch": 2600.0},
-                "tyre": {"radius": 0.316, "vertical_stiffness": 210000.0},
-                "front": _AXLE,
-                "rear": _AXLE,
-            },
-            "imu": {"position": [1.9, 0.0, 1.2]},
-            "datum": {"latitude": 47.4025, "longitude": 19.284},
-        }
-    )
+def car(mondeo: Twin) -> Twin:
+    return mondeo
 
 
 @pytest.fixture(scope="session")

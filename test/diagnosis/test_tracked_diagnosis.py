@@ -96,6 +96,8 @@ def test_what_cannot_be_diagnosed_is_named(file: str, cut: Cut, repository: Path
     run = cut(1)
     with pytest.raises(InputError, match="is given as a drive with the gap and as one from before it"):
         diagnose(DiagnosisRequest(file, (run,), (run,)))
+    with pytest.raises(InputError, match="strut_friction: does not apply to a vehicle of the model tracked"):
+        diagnose(DiagnosisRequest(file, (run,), effects=("payload", "strut_friction")))
     unnamed = tmp_path / "run.csv"
     unnamed.write_bytes(Path(run).read_bytes())
     with pytest.raises(InputError, match=r"run\.csv: speed"):

@@ -12,8 +12,10 @@ import numpy as np
 import pytest
 from scipy.signal import butter, sosfiltfilt
 
+from suspension_twin.calibration.request import CalibrationRequest
+from suspension_twin.calibration.run import calibrate
 from suspension_twin.cli.main import main
-from suspension_twin.drive.rig import RigRecord, read_rig
+from suspension_twin.drive.rig import RigRecord, read_rig, write_rig
 from suspension_twin.errors import InputError, WorkError
 from suspension_twin.gap.rig import observe_rig, simulate_rig
 from suspension_twin.models.registry import model_of
@@ -100,3 +102,20 @@ def test_runs_that_cannot_be_used(corner: Twin, drops: RigRecord) -> None:
     high = {**drops.columns, "road_displacement": 1e3 * drops.columns["road_displacement"]}
     with pytest.raises(WorkError, match="the simulation diverges by t = "):
         simulate_rig(replace(drops, columns=high), corner)
+
+
+def test_a_road_in_too_large_a_unit_teaches_nothing(
+    corner: Twin, drops: RigRecord, repository: Path, tmp_path: Path
+) -> None:
+    """Millimetres under a header of metres are refused; metres under one of millimetres move nothing."""
+    file = tmp_path / "still.csv"
+    write_rig(
+        replace(
+            drops, columns=drops.columns | {"road_displacement": drops.columns["road_displacement"] / 1e3}
+        ),
+        file,
+    )
+    twin = str(repository / "config" / "twins" / "quarter_car.yaml")
+    result = calibrate(CalibrationRequest(twin, (str(file),)))
+    assert {e.status for e in result.estimates} == {"kept"}
+    assert [e.value for e in result.estimates] == [e.start for e in result.estimates]

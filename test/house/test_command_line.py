@@ -12,7 +12,7 @@ from collections.abc import Callable, Iterator
 from enum import Enum
 from pathlib import Path
 from types import ModuleType
-from typing import Annotated
+from typing import Annotated, Any
 
 import pytest
 import typer
@@ -512,3 +512,26 @@ def test_a_table_wraps_words_and_never_numbers() -> None:
     console = on_terminal(40)
     print_table(console, "T", ("name", "value"), [("a name that is far too long for this terminal", "12345")])
     assert "12345" in shown(console) and "terminal" in shown(console) and "…" not in shown(console)
+
+
+def test_reference_takes_all_that_follow_it(repository: Path, tmp_path: Path, capsys: Any) -> None:
+    """As a shell's ``before/*`` gives them: none of them becomes a drive with the gap."""
+    seen: list[Any] = []
+
+    def diagnose(request: Any, *given: Any) -> Any:
+        seen.append(request)
+        raise WorkError("enough")
+
+    twin = str(repository / "bags" / "bump_15kmh" / "twin.yaml")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("suspension_twin.diagnosis.run.diagnose", diagnose)
+        for line in (
+            ["a", "b", "--reference", "c", "d", "--seed", "1"],
+            ["--reference", "c", "--reference", "d", "--seed", "1", "a", "b"],
+            ["a", "b", "--seed", "1", "--reference=c", "d"],
+        ):
+            assert main(["diagnose", "--twin", twin, *line, "--out", str(tmp_path / "out")]) == 1
+    capsys.readouterr()
+    assert [(r.bags, r.reference, r.seed) for r in seen] == [(("a", "b"), ("c", "d"), 1)] * 3
+    assert main(["diagnose", "--twin", twin, "--reference", "c", "a", "--out", str(tmp_path / "out")]) == 2
+    assert "BAG" in capsys.readouterr().err
