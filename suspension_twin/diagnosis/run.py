@@ -14,6 +14,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
+from dataclasses import replace
 
 from suspension_twin.diagnosis.case import baseline, build, read_case
 from suspension_twin.diagnosis.conclude import conclude
@@ -23,6 +24,9 @@ from suspension_twin.diagnosis.selection import select
 from suspension_twin.identification.parallel import one_blas_thread
 
 __all__ = ["diagnose"]
+
+#: Longest time step in s: signals differ by 0.2 % of their rms from those in steps of 1 ms.
+_STEP = 2.5e-3
 
 
 def diagnose(
@@ -68,7 +72,7 @@ def diagnose(
     with one_blas_thread():
         report(Progress("reading", 0.0))
         case = read_case(request, lambda note: report(Progress("reading", 0.02, note)), stop)
-        bench = build(case, stop)
+        bench = replace(build(case, stop), step=_STEP)
         report(Progress("calibrating", 0.08, "the vehicle without any effect"))
         bench, base, anchor = baseline(case, bench)
         if not case.excited:

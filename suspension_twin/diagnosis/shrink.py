@@ -9,6 +9,7 @@ of the twin file, the shrink is that of the written twin:
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -18,7 +19,14 @@ from suspension_twin.diagnosis.bench import Bench
 from suspension_twin.diagnosis.evidence import FOLDS, Blocks
 from suspension_twin.diagnosis.hypotheses import BASELINE, Hypothesis
 
-__all__ = ["RemainingResidual", "Shrink", "remaining_residual", "shrink_of", "uncalibrated_residual"]
+__all__ = [
+    "RemainingResidual",
+    "Shrink",
+    "relative_residual",
+    "remaining_residual",
+    "shrink_of",
+    "uncalibrated_residual",
+]
 
 _DRAWS = 2000
 #: Prior of the standard deviation of log(after / before) from drive to drive of one car on one road, and its degrees of
@@ -84,6 +92,30 @@ def drives_of(bench: Bench) -> np.ndarray:
 def gap_rows(bench: Bench) -> np.ndarray:
     """(M,) True for samples of drives with the gap."""
     return np.asarray(np.array(bench.active)[drives_of(bench)])
+
+
+def relative_residual(
+    bench: Bench,
+    remaining: RemainingResidual,
+    noise: dict[str, float],
+    driven: Sequence[str],
+    with_gap: bool,
+    with_nuisances: bool = False,
+) -> float:
+    """Rms of the residual above the noise as a share of that of the motion, over the ``driven`` channels, on drives
+    ``with_gap`` or on the others; ``with_nuisances`` as fitted or at zero."""
+    rows, rest_of = (
+        gap_rows(bench) == with_gap,
+        remaining.with_nuisances if with_nuisances else remaining.difference,
+    )
+    measured = bench.problem.measured
+    columns = [(c, noise[name] ** 2) for c, name in enumerate(measured.channels) if name in driven]
+    floors = np.array([floor for _, floor in columns])
+    excess = np.array([max(float(np.var(rest_of[rows, c])) - floor, 0.0) for c, floor in columns])
+    motion = np.array([max(float(np.var(measured.values[rows, c])) - floor, 1e-12) for c, floor in columns])
+    # channels are weighted by their signal to noise ratio
+    weight = motion / floors
+    return float(np.sqrt(np.sum(weight * (excess / motion)) / weight.sum()))
 
 
 def shrink_of(
