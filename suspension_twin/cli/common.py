@@ -164,31 +164,37 @@ class ProgressLine:
         self._bar.update(self._task, description=text, total=None if share is None else 1.0, completed=share)
 
 
-def print_diagnosis(document: Mapping[str, Any], out: Path) -> None:
-    """What ``diagnosis.json`` holds in a few lines: warnings, verdict, the first causes, and the folder ``out``."""
+def print_diagnosis(document: Mapping[str, Any], out: Path | None) -> None:
+    """What ``diagnosis.json`` holds in a few lines: warnings, verdict, first causes, and the folder ``out`` if any."""
     from suspension_twin.diagnosis.output import values_of
 
     console = output()
     for warning in document["warnings"]:
         console.print(warning, style="yellow", markup=False)
-    console.print(f"{document['verdict']}: {document['message']}", style="bold", markup=False)
+    message = document["message"]
+    console.print(message[0].upper() + message[1:] + ".", style="bold", markup=False)
     rows = []
     for cause in document["causes"][:5]:
-        low, high = cause["shrink_interval"]
+        low, high = cause["shrink_beyond_recalibration_interval"]
         rows.append(
             (
                 cause["effect"],
                 values_of(cause),
                 f"{cause['probability']:.3f}",
-                f"{cause['shrink']:.2f}",
+                cause["channel"].replace("_", " "),
+                f"{cause['shrink_beyond_recalibration']:.2f}",
                 f"{low:.2f} to {high:.2f}",
             )
         )
-    columns = "cause", "parameters", "probability", "shrink", "90 % interval"
-    print_table(console, "The most probable causes", columns, rows, words=("cause", "parameters"))
+    columns = "cause", "parameters", "probability", "in", "shrink", "90 % interval"
+    title = "The most probable causes; shrink of the gap beyond recalibration"
+    print_table(console, title, columns, rows, words=("cause", "parameters", "in"))
     console.print(
-        f"no gap {document['no_gap_probability']:.3f}, unknown {document['unknown_probability']:.3f}. "
-        f"{document['next_experiment']}",
+        f"No gap {document['no_gap_probability']:.3f}, unknown {document['unknown_probability']:.3f}. "
+        f"With 90 % confidence it is one of: {', '.join(document['candidates'])}.",
         markup=False,
     )
-    console.print(f"Written to {out}", markup=False)
+    if document.get("next_experiment"):
+        console.print(document["next_experiment"], markup=False)
+    if out is not None:
+        console.print(f"Written to {out}", markup=False)

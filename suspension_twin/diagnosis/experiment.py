@@ -10,8 +10,7 @@ import numpy as np
 
 from suspension_twin.diagnosis.case import Case
 from suspension_twin.diagnosis.fit import twin_of
-from suspension_twin.diagnosis.judge import Judged
-from suspension_twin.diagnosis.search import Single
+from suspension_twin.diagnosis.judge import Candidate, Judged, detectable
 from suspension_twin.errors import SuspensionTwinError
 from suspension_twin.gap.synthetic import path_along
 from suspension_twin.models.excitation import excitation
@@ -91,16 +90,20 @@ def separation(first: Twin, second: Twin, what: Manoeuvre, noise: dict[str, floa
     return total
 
 
-def next_experiment(case: Case, tied: Sequence[Single], answer: str, judged: Judged) -> str:
+def next_experiment(case: Case, tied: Sequence[Candidate], answer: str, judged: Judged) -> str:
     """One sentence: the manoeuvre, the candidates that it separates, and the expected gain."""
-    weak = [s.effect.replace("_", " ") for s in judged.singles if not s.judged]
+    weak = [
+        c.effects[0].replace("_", " ")
+        for c in judged.singles
+        if not c.decoy and c.powers is not None and not detectable(c.powers)
+    ]
     tail = f" Not excited so far: {', '.join(weak)}." if weak else ""
     if len(tied) < 2:
         return f"None is needed to separate candidates.{tail}"
-    names = [s.effect.replace("_", " ") for s in tied[:2]]
+    names = [c.effects[0].replace("_", " ") for c in tied[:2]]
     if case.kind == "run":
         return f"Repeat the run with another excitation to separate {names[0]} from {names[1]}.{tail}"
-    twins = [replace_road(twin_of(judged.bench, s.fit)) for s in tied[:2]]
+    twins = [replace_road(twin_of(judged.bench, c.found.fit)) for c in tied[:2]]
     share = max(judged.reference or 0.15, 0.05)
     gains = []
     for manoeuvre in menu():
@@ -108,17 +111,17 @@ def next_experiment(case: Case, tied: Sequence[Single], answer: str, judged: Jud
             gains.append((separation(twins[0], twins[1], manoeuvre, judged.noise, share), manoeuvre.name))
         except SuspensionTwinError:
             continue
-    if {"mount_resonance"} & {s.effect for s in tied[:2]}:
+    if {"mount_resonance"} & {c.effects[0] for c in tied[:2]}:
         tail = f" A tap on the phone holder at standstill excites the mount resonance alone.{tail}"
     if not gains:
         return f"None of the menu can be simulated with {names[0]} and {names[1]}.{tail}"
     gain, name = max(gains)
     if gain < 1.0:
-        return f"No manoeuvre of the menu separates {names[0]} from {names[1]} (best: {name}, {gain:.2g} nats).{tail}"
-    why = "if there is a gap at all and " if answer == "no_gap" else ""
+        return f"No manoeuvre of the menu separates {names[0]} from {names[1]}; the best is {name}.{tail}"
+    why = ", if there is a gap at all" if answer == "no_gap" else ""
     return (
-        f"Drive {name}: it separates {names[0]} from {names[1]} best ({why}with an expected gain of {gain:.3g} nats "
-        f"a pass, odds of {_odds(gain)}).{tail}"
+        f"Drive {name}: it separates {names[0]} from {names[1]} best{why}: one pass "
+        f"gives odds of {_odds(gain)}.{tail}"
     )
 
 

@@ -38,7 +38,7 @@ from suspension_twin.errors import InputError
 from suspension_twin.identification.noise import USUAL_SHARE
 from suspension_twin.identification.parallel import side_by_side
 
-__all__ = ["Candidate", "Judged", "judge", "with_joint_noise"]
+__all__ = ["Candidate", "Judged", "candidate", "detectable", "judge", "tempered_gain", "with_joint_noise"]
 
 #: Nats of tempered evidence below which an effect starts no set: odds of 3 to 1.
 _LEAST_LEAD = 1.1
@@ -200,7 +200,8 @@ def _expected(judged: Judged) -> float:
     return USUAL_SHARE if judged.reference is None else judged.reference
 
 
-def _candidate(judged: Judged, found: Evidence) -> Candidate:
+def candidate(judged: Judged, found: Evidence) -> Candidate:
+    """A hypothesis with its remaining residual."""
     remaining = remaining_residual(judged.bench, found.fit.hypothesis, found.unknowns, judged.blocks)
     return Candidate(found, remaining)
 
@@ -238,7 +239,7 @@ def _grown(
             if not tried:
                 break
             for one in tried:
-                found.setdefault(tuple(sorted(one.fit.hypothesis.effects)), _candidate(judged, one))
+                found.setdefault(tuple(sorted(one.fit.hypothesis.effects)), candidate(judged, one))
             better = tempered_gain(judged, tried[0])
             if better < gain + _ADDED:
                 break
@@ -270,11 +271,11 @@ def _shrunk(request: DiagnosisRequest, case: Case, judged: Judged) -> list[Candi
         return []
     fit = joint_fit(bench, [known[e][0] for e in possible], judged.base.found.fit, request.seed)
     chosen = evidence(bench, fit, blocks)
-    found = [_candidate(judged, chosen)]
+    found = [candidate(judged, chosen)]
     while len(chosen.fit.hypothesis.effects) > 1:
         fewer = without_one(bench, chosen, blocks)
         chosen = max(fewer, key=lambda one: tempered_gain(judged, one))
-        found.append(_candidate(judged, chosen))
+        found.append(candidate(judged, chosen))
     return found
 
 

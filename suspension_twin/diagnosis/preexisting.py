@@ -83,9 +83,7 @@ def beyond_preexisting(
         return evidence(extended, approximated(extended, own, [z], fresh), blocks)
 
     evidences = side_by_side(judged, list(found), on_progress)
-    return evidence(extended, fresh, blocks), dict(
-        zip(found, evidences, strict=True)
-    )
+    return evidence(extended, fresh, blocks), dict(zip(found, evidences, strict=True))
 
 
 def _gain_on_reference(bench: Bench, existing: Evidence, base: Evidence) -> float:
