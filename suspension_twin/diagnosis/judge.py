@@ -169,7 +169,10 @@ def tempered_gain(judged: Judged, found: Evidence, base: Evidence | None = None)
     prior is not tempered."""
     base = base or judged.base.found
     saved = float(penalty_gains([base.penalty, found.penalty], judged.temper)[1])
-    return judged.temper * found.over(base) + saved
+    # a held-out gain of more than twice the gain in the fit is chance
+    held = min(float(found.score.sum() - base.score.sum()), 2.0 * max(found.fitted - base.fitted, 0.0))
+    # half of the Occam term counts, because held-out scores contain the cost of freedom already
+    return judged.temper * (held - 0.5 * (found.occam - base.occam)) + saved
 
 
 def _since(
