@@ -13,8 +13,6 @@ from collections.abc import Collection
 from pathlib import Path
 from typing import Any
 
-import yaml
-
 from suspension_twin.drive.cdr import Decoded, decode, ros1_types, types_with
 from suspension_twin.drive.containers.contents import Contents, topic_name
 from suspension_twin.drive.containers.inflate import ZSTD_MAGIC, inflate
@@ -26,6 +24,7 @@ from suspension_twin.drive.containers.salvage_sqlite import MAGIC as SQLITE_MAGI
 from suspension_twin.drive.containers.salvage_sqlite import salvage_sqlite
 from suspension_twin.drive.containers.whole import Incomplete, read_whole, with_pending_writes
 from suspension_twin.errors import InputError
+from suspension_twin.files import read_yaml
 
 __all__ = ["decode_topic", "is_recording", "read_recording"]
 
@@ -135,11 +134,10 @@ def _listed(folder: Path, warnings: list[str]) -> list[str] | None:
             warnings.append("metadata.yaml is missing (the recorder was not closed): read without it")
         return None
     try:
-        data = yaml.safe_load(metadata.read_text(encoding="utf-8"))
-        names = data["rosbag2_bagfile_information"]["relative_file_paths"]
+        names = read_yaml(metadata)["rosbag2_bagfile_information"]["relative_file_paths"]
         # before Foxy the paths held the folder's name
         return [Path(str(name)).name for name in names]
-    except (yaml.YAMLError, ValueError, RecursionError, KeyError, TypeError):
+    except (InputError, KeyError, TypeError):
         warnings.append("metadata.yaml is damaged: read without it")
         return None
 

@@ -23,7 +23,7 @@ from suspension_twin.drive.containers.contents import Contents
 from suspension_twin.drive.intake.table import Table, read_table
 from suspension_twin.drive.recording import decode_topic, is_recording, read_recording
 from suspension_twin.errors import InputError
-from suspension_twin.files import replacing
+from suspension_twin.files import comment_lines, replacing
 from suspension_twin.units import STANDARD_GRAVITY
 
 __all__ = ["QUANTITIES", "RigRecord", "read_rig", "write_rig"]
@@ -100,7 +100,7 @@ def write_rig(record: RigRecord, path: Path, comment: str = "") -> None:
     """Write a run as a CSV that ``read_rig`` reads back, SI units, ``comment`` in its first line."""
     table = {"time": record.t, **record.columns}
     names = [f"{name}_{next(iter(QUANTITIES[name][0]))}" for name in table]
-    head = ("# " + comment + "\n" if comment else "") + ",".join(names)
+    head = (comment_lines(comment) if comment else "") + ",".join(names)
     digits = ["%.15g", *["%.6g"] * len(record.columns)]
     with replacing(path) as temporary:
         np.savetxt(temporary, np.stack(list(table.values()), axis=1), digits, ",", header=head, comments="")
