@@ -65,5 +65,5 @@ class WorkError(SuspensionTwinError):
 
 def nearest(word: str, known: Iterable[str]) -> str:
     """``", did you mean mass?"`` for a mistyped ``word``, to end an error's text with; empty if nothing is near."""
-    found = get_close_matches(word, list(known), n=1)
+    found = get_close_matches(word[:60], list(known), n=1)
     return f", did you mean {found[0]}?" if found else ""

@@ -54,14 +54,17 @@ def reading(source: str | os.PathLike[str], kind: str) -> Iterator[None]:
     except OSError as error:
         if error.errno in _NO_SPACE:
             raise WorkError(f"{os.fspath(source)}: no space left for temporary files") from error
-        raise InputError(source, error.strerror or "cannot be read") from error
+        raise InputError(source, error.strerror or _damaged(kind, error)) from error  # h5py's have no number
     except MemoryError as error:
         raise InputError(source, f"is not {kind} that fits into memory: damaged, or too large") from error
     except RecursionError as error:
         raise InputError(source, f"is not {kind} that can be read: nested too deep") from error
     except Exception as error:
-        what = type(error).__name__
-        raise InputError(source, f"is not {kind} that can be read: cut off or damaged ({what})") from error
+        raise InputError(source, _damaged(kind, error)) from error
+
+
+def _damaged(kind: str, error: Exception) -> str:
+    return f"is not {kind} that can be read: cut off or damaged ({type(error).__name__})"
 
 
 def read_bytes(path: str | os.PathLike[str], most: int) -> bytes:

@@ -36,7 +36,7 @@ class _Salvage:
         self.messages = 0
         self.index_at = 0
 
-    def walk(self, file: BinaryIO) -> bool:
+    def walk(self, file: BinaryIO, *, inside_chunk: bool = False) -> bool:
         """Take the records up to the end; False where the last one is not complete."""
         while True:
             head, whole = _sized(file)
@@ -46,7 +46,9 @@ class _Salvage:
             try:
                 header = Header.read(BytesIO(head))
                 kind = header.get_uint8("op")
-                if kind == RecordType.CHUNK:
+                if kind == RecordType.CHUNK and inside_chunk:
+                    self.damaged += 1  # a chunk in a chunk is none
+                elif kind == RecordType.CHUNK:
                     self.chunk(header, body[4:], whole)
                 elif whole:
                     self.record(kind, header, body)
@@ -71,11 +73,11 @@ class _Salvage:
 
     def chunk(self, header: Header, data: bytes, whole: bool) -> None:
         try:
-            records, inflated = inflate(header.get_string("compression"), data)
+            records, inflated = inflate(header.get_string("compression"), data, self.contents.budget)
         except ValueError as error:
             self.contents.warnings.append(f"{self.name}: a chunk was left out: {error}")
             return
-        sound = self.walk(BytesIO(records)) and inflated
+        sound = self.walk(BytesIO(records), inside_chunk=True) and inflated
         self.damaged += whole and not sound
 
 
