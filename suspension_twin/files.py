@@ -73,10 +73,9 @@ def read_bytes(path: str | os.PathLike[str], most: int) -> bytes:
         status = os.fstat(file.fileno())
         if not stat.S_ISREG(status.st_mode):
             raise InputError(path, "is not a regular file")
-        data = file.read(most + 1) if status.st_size <= most else b""
-        if status.st_size > most or len(data) > most:
+        if status.st_size > most:
             raise InputError(path, f"is larger than {_size(most)}")
-        return data
+        return file.read(status.st_size)
 
 
 def _size(count: int) -> str:

@@ -13,7 +13,7 @@ import zstandard
 
 from suspension_twin.drive.budget import Budget
 
-__all__ = ["ZSTD_MAGIC", "Inflated", "inflate"]
+__all__ = ["ZSTD_MAGIC", "Inflated", "end_of", "inflate"]
 
 ZSTD_MAGIC = b"\x28\xb5\x2f\xfd"
 
@@ -63,3 +63,11 @@ def inflate(compression: str, data: bytes, budget: Budget) -> tuple[bytes, bool]
         return data, True
     pieces = Inflated(compression, BytesIO(data), budget)
     return b"".join(pieces), pieces.complete
+
+
+def end_of(file: BinaryIO) -> int:
+    """Where a file ends now; it stays where it stands."""
+    at = file.tell()
+    end = file.seek(0, 2)
+    file.seek(at)
+    return end

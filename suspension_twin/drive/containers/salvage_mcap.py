@@ -10,7 +10,7 @@ import struct
 import zlib
 from io import BytesIO
 from pathlib import Path
-from typing import BinaryIO, Final
+from typing import BinaryIO
 
 from mcap.data_stream import ReadDataStream
 from mcap.exceptions import McapError
@@ -18,14 +18,13 @@ from mcap.opcode import Opcode
 from mcap.records import Channel, Chunk, Message, Schema
 
 from suspension_twin.drive.containers.contents import Contents, RawTopic
-from suspension_twin.drive.containers.inflate import inflate
+from suspension_twin.drive.containers.inflate import end_of, inflate
 
 __all__ = ["MAGIC", "salvage_mcap"]
 
 MAGIC = b"\x89MCAP0\r\n"
 
 _HEAD = struct.Struct("<BQ")
-_LONGEST: Final = 1 << 40  # bytes of a record; a longer one ends with the file
 
 
 class _Salvage:
@@ -44,11 +43,14 @@ class _Salvage:
 
         The file may shrink meanwhile: it is read, not mapped, and ends where a read ends.
         """
+        end = end_of(file)
         while len(head := file.read(_HEAD.size)) == _HEAD.size:
             opcode, size = _HEAD.unpack(head)
             if not opcode:
                 return False  # no record: the zeros that a power cut leaves behind
-            body = file.read(min(size, _LONGEST))
+            body = file.read(
+                min(size, end - file.tell())
+            )  # Python takes memory for what is asked, not what is there
             whole = len(body) == size
             try:
                 if opcode == Opcode.CHUNK and not inside_chunk:

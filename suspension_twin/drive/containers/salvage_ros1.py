@@ -12,18 +12,18 @@ from rosbags.rosbag1 import ReaderError
 from rosbags.rosbag1.reader import Header, RecordType
 
 from suspension_twin.drive.containers.contents import Contents, RawTopic
-from suspension_twin.drive.containers.inflate import inflate
+from suspension_twin.drive.containers.inflate import end_of, inflate
 
 __all__ = ["MAGIC", "salvage_ros1"]
 
 MAGIC = b"#ROSBAG V2.0\n"
 
 
-def _sized(file: BinaryIO) -> tuple[bytes, bool]:
+def _sized(file: BinaryIO, end: int) -> tuple[bytes, bool]:
     """A length word and the bytes it counts, and whether they are all there."""
     word = file.read(4)
     size = int.from_bytes(word, "little")
-    data = file.read(size)
+    data = file.read(min(size, max(end - file.tell(), 0)))
     return word + data, len(word) == 4 and len(data) == size
 
 
@@ -38,11 +38,12 @@ class _Salvage:
 
     def walk(self, file: BinaryIO, *, inside_chunk: bool = False) -> bool:
         """Take the records up to the end; False where the last one is not complete."""
+        end = end_of(file)
         while True:
-            head, whole = _sized(file)
+            head, whole = _sized(file, end)
             if not whole or len(head) == 4:
                 return not head  # else no record: cut off, or the zeros that a power cut leaves behind
-            body, whole = _sized(file)
+            body, whole = _sized(file, end)
             try:
                 header = Header.read(BytesIO(head))
                 kind = header.get_uint8("op")
