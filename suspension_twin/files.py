@@ -7,6 +7,7 @@ import errno
 import itertools
 import os
 import re
+import shutil
 import stat
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
@@ -24,19 +25,23 @@ except ImportError:  # PyYAML was built without libyaml
 from suspension_twin.errors import InputError, SuspensionTwinError, WorkError, printable
 
 __all__ = [
+    "NO_SPACE",
     "check_writable",
     "comment_lines",
     "parse_yaml",
     "read_bytes",
     "read_yaml",
     "reading",
+    "remove_leftovers",
     "replacing",
+    "synchronise",
+    "temporary_beside",
     "together",
     "write_text",
 ]
 
 #: A disk or quota that is full: the input was usable, so the work failed.
-_NO_SPACE: Final = (errno.ENOSPC, errno.EDQUOT)
+NO_SPACE: Final = (errno.ENOSPC, errno.EDQUOT)
 
 
 @contextmanager
@@ -52,7 +57,7 @@ def reading(source: str | os.PathLike[str], kind: str) -> Iterator[None]:
     except SuspensionTwinError:
         raise
     except OSError as error:
-        if error.errno in _NO_SPACE:
+        if error.errno in NO_SPACE:
             raise WorkError(f"{os.fspath(source)}: no space left for temporary files") from error
         raise InputError(source, error.strerror or _damaged(kind, error)) from error  # h5py's have no number
     except MemoryError as error:
@@ -219,15 +224,14 @@ def replacing(path: str | os.PathLike[str]) -> Iterator[Path]:
     process that was killed while it wrote this file are removed.
     """
     path = Path(path)
-    temporary = _temporary(path)
+    temporary = temporary_beside(path)
     staged = _STAGED.get()
     try:
         with _writing(path):
             path.parent.mkdir(parents=True, exist_ok=True)
-            _remove_leftovers(path)
+            remove_leftovers(path)
             yield temporary
-            with temporary.open("rb+") as stream:
-                os.fsync(stream.fileno())  # some disks say only now that they are full
+            synchronise(temporary)  # some disks say only now that they are full
             if staged is None:
                 _put(temporary, path)
         if staged is not None:
@@ -237,7 +241,7 @@ def replacing(path: str | os.PathLike[str]) -> Iterator[Path]:
         raise
 
 
-def _temporary(path: Path) -> Path:
+def temporary_beside(path: Path) -> Path:
     """A name beside ``path`` that no other process and no other thread writes to; the ending stays."""
     return path.with_name(f".{path.stem}.{os.getpid()}.{next(_COUNT)}.part{path.suffix}")
 
@@ -253,11 +257,16 @@ def _writing(path: Path) -> Iterator[None]:
 def _put(temporary: Path, path: Path) -> None:
     temporary.replace(path)
     with suppress(OSError):  # a folder cannot be synchronised everywhere
-        folder = os.open(path.parent, os.O_RDONLY)
-        try:
-            os.fsync(folder)
-        finally:
-            os.close(folder)
+        synchronise(path.parent)
+
+
+def synchronise(path: Path) -> None:
+    """Return when what a file holds, or which names a folder holds, is on the disk; OSError where it is full."""
+    opened = os.open(path, os.O_RDONLY)
+    try:
+        os.fsync(opened)
+    finally:
+        os.close(opened)
 
 
 def _remove(temporary: Path) -> None:
@@ -265,13 +274,16 @@ def _remove(temporary: Path) -> None:
         temporary.unlink(missing_ok=True)
 
 
-def _remove_leftovers(path: Path) -> None:
-    """What processes that are no more left of writing ``path``."""
+def remove_leftovers(path: Path) -> None:
+    """Remove the files and folders that processes that are no more left of writing ``path``."""
     own = re.compile(rf"\.{re.escape(path.stem)}\.(\d+)\.\d+\.part{re.escape(path.suffix)}")
     for entry in os.scandir(path.parent):
         found = own.fullmatch(entry.name)
         if found and not _runs(int(found[1])):
-            _remove(Path(entry.path))
+            if entry.is_dir(follow_symlinks=False):
+                shutil.rmtree(entry.path, ignore_errors=True)
+            else:
+                _remove(Path(entry.path))
 
 
 def _runs(process: int) -> bool:
@@ -311,12 +323,12 @@ def check_writable(path: str | os.PathLike[str]) -> None:
             missing.append(folder.name)
             folder = folder.parent
         for name in missing:
-            trial = _temporary(folder / name)
+            trial = temporary_beside(folder / name)
             trial.write_bytes(b"0")
             trial.unlink()
     except (OSError, ValueError) as error:  # ValueError: a zero byte in a name
         if trial is not target:
             _remove(trial)
-        kind = WorkError if getattr(error, "errno", None) in _NO_SPACE else InputError
+        kind = WorkError if getattr(error, "errno", None) in NO_SPACE else InputError
         why = getattr(error, "strerror", None) or str(error)
         raise kind(f"{os.fspath(path)}: cannot be written: {why}") from None

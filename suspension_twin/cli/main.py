@@ -12,7 +12,6 @@ a command that Ctrl-C is the normal end of.
 
 from __future__ import annotations
 
-import errno
 import gc
 import os
 import signal
@@ -222,10 +221,12 @@ def _explain(error: Exception, twin: str | None) -> tuple[int, str]:
         if twin and text.startswith("twin: "):  # said of a twin in memory, which knows of no file
             text = twin + text.removeprefix("twin")
         return error.exit_status, f"{PROGRAM}: {text}"
+    from suspension_twin.files import NO_SPACE
+
     if isinstance(error, OSError) and error.filename is not None:
         status = UNUSABLE if isinstance(error, _PATH_ERRORS) else FAILED
         return status, f"{PROGRAM}: {os.fsdecode(error.filename)}: {error.strerror}"
-    if isinstance(error, OSError) and error.errno in (errno.ENOSPC, errno.EDQUOT):
+    if isinstance(error, OSError) and error.errno in NO_SPACE:
         return FAILED, f"{PROGRAM}: no space left to write the results"
     if isinstance(error, MemoryError):
         return FAILED, f"{PROGRAM}: out of memory"
