@@ -232,6 +232,73 @@ def make(
     _print_figures(check_road(made))
 
 
+@app.command()
+def profile(
+    files: Annotated[
+        list[Path],
+        typer.Argument(
+            help="ERD or CSV files (several: one line each), or one OpenDRIVE file.",
+            metavar="FILE",
+            show_default=False,
+        ),
+    ],
+    out: RoadOut,
+    unit: Annotated[
+        str | None,
+        typer.Option(
+            help="Unit of heights in a CSV that names none.  [default: m]", metavar="UNIT", show_default=False
+        ),
+    ] = None,
+    v: Annotated[
+        str | None,
+        typer.Option(
+            help="Place of each line across, m, left positive: 0.75,0,-0.75.",
+            metavar="V,V",
+            show_default=False,
+        ),
+    ] = None,
+    track: Annotated[float, typer.Option(help="Distance of two wheel paths, m.", metavar="M", min=0.1)] = 1.5,
+    width: Annotated[float, typer.Option(help="Width of the road, m.", metavar="M", min=0.1)] = 4.0,
+    road: Annotated[
+        str | None,
+        typer.Option(help="Id of the road in an OpenDRIVE file.", metavar="ID", show_default=False),
+    ] = None,
+    at: Annotated[
+        tuple[float, float, float],
+        typer.Option(help="Start of the road in map, m, and its heading from east, deg.", metavar="X Y DEG"),
+    ] = (0.0, 0.0, 0.0),
+    force: Force = False,
+) -> None:
+    """Make a road of a profiler's file: ERD, CSV of one to many lines, OpenDRIVE with OpenCRG surfaces."""
+    import math
+
+    from suspension_twin.road.check import check_road
+    from suspension_twin.road.crg import write_road
+    from suspension_twin.road.opendrive import read_opendrive
+    from suspension_twin.road.profile import profile_road, read_profile, together
+
+    outputs = Outputs(out, force=force)
+    if files[0].suffix.lower() == ".xodr":
+        if len(files) > 1:
+            raise InputError(files[1], "an OpenDRIVE file is read alone")
+        made = read_opendrive(files[0], road)
+    else:
+        lines = together([read_profile(file, unit) for file in files])
+        places = None
+        if v is not None:
+            try:
+                places = [float(part) for part in v.split(",")]
+            except ValueError:
+                raise InputError("--v", f"{v!r} are not numbers with commas between") from None
+        made = profile_road(
+            lines, track=track, width=width, v=places, x=at[0], y=at[1], heading=math.radians(at[2])
+        )
+    outputs.announce()
+    with outputs:
+        write_road(made, out)
+    _print_figures(check_road(made))
+
+
 def _print_figures(checked: RoadCheck) -> None:
     """What a road is like, in a few lines."""
     console = output()
