@@ -14,6 +14,7 @@ from typing import Any, Final
 from suspension_twin.effects._phrases import listed
 from suspension_twin.effects.base import Parameter
 from suspension_twin.effects.registry import EFFECTS
+from suspension_twin.gap.measure import channel_unit
 from suspension_twin.units import plain
 
 __all__ = [
@@ -21,6 +22,7 @@ __all__ = [
     "UNKNOWN",
     "answer",
     "capital",
+    "chance",
     "channel_name",
     "channel_of",
     "effect_name",
@@ -58,10 +60,17 @@ def capital(text: str) -> str:
 
 
 def percent(share: float) -> str:
-    """A probability or share in per cent; never 100 % of what is not certain."""
-    if 0.995 <= share < 1.0:
+    """A share in per cent, with a true minus sign."""
+    if 0.0 < share < 0.005:
+        return "less than 1 %"
+    return f"{round(100.0 * share) + 0.0:.0f} %".replace("-", "\N{MINUS SIGN}")
+
+
+def chance(probability: float) -> str:
+    """A probability in per cent; nothing is certain or impossible."""
+    if probability >= 0.995:
         return "more than 99 %"
-    return "less than 1 %" if 0.0 < share < 0.005 else f"{100 * share:.0f} %".replace("-", "\N{MINUS SIGN}")
+    return percent(max(probability, 1e-9))
 
 
 def how_likely(probability: float) -> str:
@@ -130,10 +139,23 @@ def parameters_of(cause: Document) -> list[tuple[str, str]]:
 def finding(effect: str, parameters: Mapping[str, float]) -> str:
     """What an effect with its parameters is: "the front left damper has lost 40 % of its force"."""
     known = EFFECTS.get(effect)
+    if known is not None and _nothing(effect, parameters):
+        return f"no sign of this: {known.title}"
     if known is not None and known.finding is not None:
         return known.finding(parameters)
     values = [f"{parameter_name(effect, k)} {parameter_value(effect, k, v)}" for k, v in parameters.items()]
     return effect_name(effect) + (f" ({', '.join(values)})" if values else "")
+
+
+def _nothing(effect: str, parameters: Mapping[str, float]) -> bool:
+    """Whether what was found of an effect is a hundredth of its usual size, or less."""
+    severities = [_parameter(effect, name) for name in EFFECTS[effect].severity if name in parameters]
+    return bool(severities) and all(
+        p is not None
+        and not p.log
+        and abs(parameters[p.name] - p.neutral) <= 0.01 * max(p.spread, abs(p.typical - p.neutral))
+        for p in severities
+    )
 
 
 def channel_of(document: Document, cause: Document | None = None) -> str:
@@ -168,7 +190,7 @@ def subject(document: Document) -> str:
 def answer(document: Document) -> str:
     """The answer and how sure it is, in one sentence."""
     verdict, probability = document["verdict"], probability_of(document)
-    sure = f"{capital(how_likely(probability))} ({percent(probability)})"
+    sure = f"{capital(how_likely(probability))} ({chance(probability)})"
     named = _named(document)
     if verdict in ("effect", "partly") and named:
         found = "; and ".join(finding(c["effect"], c["parameters"]) for c in named)
@@ -181,24 +203,11 @@ def answer(document: Document) -> str:
 
 def remarks(document: Document) -> list[str]:
     """Sentences below the answer: how far it closes the gap, what else it could be, what was there before."""
-    from suspension_twin.gap.measure import channel_unit
-
     verdict, named = document["verdict"], _named(document)
     lines: list[str] = []
     own = re.sub(r"^(no gap|unknown|partly [^:]*): ", "", str(document.get("message", "")))
     if named and verdict in ("effect", "partly"):
-        lead = max(named, key=lambda c: float(c["probability"]))
-        channel = channel_of(document, lead)
-        low, high = (percent(v) for v in lead["shrink_interval"])
-        before, after = (f"{lead[k]:.2g}" for k in ("gap_before", "gap_after"))
-        lines.append(
-            f"With it in the twin the gap in {channel_name(channel)} falls from {before} to {after} "
-            f"{channel_unit(channel)}, by {percent(lead['shrink'])} ({low} to {high} at 90 % confidence), on road "
-            "that the fit has not used."
-        )
-        like = listed([effect_name(e) for e in lead["indistinguishable_from"]] or [""])
-        if like:
-            lines.append(f"These drives cannot tell it from: {like}.")
+        lines += _closing(document, named)
     elif verdict == "no_gap":
         r = document["recalibration"]
         text = "Twin and car differ by no more than sensor noise and the usual error of a model"
@@ -209,8 +218,33 @@ def remarks(document: Document) -> list[str]:
     elif own:
         lines.append(capital(own.rstrip(".")) + ".")
     if verdict == "partly":
-        lines.append(f"{capital(percent(document['unexplained']))} of the gap stay unexplained.")
+        lines.append(f"{percent(document['unexplained'])} of the gap stay unexplained.")
     lines += _kept(document)
+    return lines
+
+
+def _closing(document: Document, named: list[Document]) -> list[str]:
+    """How far the causes that are named close the gap, and what they cannot be told from."""
+    lead = max(named, key=lambda c: float(c["probability"]))
+    channel = channel_of(document, lead)
+    where = f"the gap in {channel_name(channel)}"
+    before = float(lead["gap_before"])
+    if len(named) > 1:
+        share = 1.0 - float(document["unexplained"])
+        words, after, interval = "With them", before * (1.0 - share), ""
+    else:
+        share, after = float(lead["shrink"]), float(lead["gap_after"])
+        low, high = (percent(v) for v in lead["shrink_interval"])
+        words, interval = "With it", f" ({low} to {high} at 90 % confidence)"
+    change = "falls" if share > 0.0 else "does not fall: it goes"
+    by = f", by {percent(share)}{interval}" if share > 0.0 else ""
+    lines = [
+        f"{words} in the twin {where} {change} from {before:.2g} to {after:.2g} {channel_unit(channel)}{by}, on road "
+        "that the fit has not used."
+    ]
+    like = [effect_name(e) for c in named for e in c.get("indistinguishable_from", ())]
+    if like:
+        lines.append(f"These drives cannot tell it from: {listed(list(dict.fromkeys(like)))}.")
     return lines
 
 

@@ -123,7 +123,28 @@ def test_parameters_have_names_units_and_intervals():
 
 
 @pytest.mark.parametrize(
-    ("share", "text"), [(0.93, "93 %"), (0.999, "more than 99 %"), (1.0, "100 %"), (0.002, "less than 1 %")]
+    ("probability", "text"),
+    [(0.93, "93 %"), (0.999, "more than 99 %"), (1.0, "more than 99 %"), (0.0, "less than 1 %")],
 )
-def test_what_is_not_certain_is_never_100_percent(share, text):
-    assert wording.percent(share) == text
+def test_nothing_is_certain_or_impossible(probability, text):
+    assert wording.chance(probability) == text
+
+
+def test_an_effect_of_no_size_is_not_called_a_finding():
+    text = wording.finding("strut_friction", {"front_force": 0.3, "rear_force": 0.0})
+    assert text == "no sign of this: dry friction in the struts"
+
+
+def test_several_causes_close_the_gap_together():
+    second = {
+        **document()["causes"][0],
+        "effect": "payload",
+        "parameters": {"mass": 90.0, "x": 1.0, "y": 0.0},
+    }
+    d = document(combination=["corner_damper", "payload"], unexplained=0.25, probability=0.8)
+    d["causes"].append(second)
+    assert "its force; and the vehicle carries 90 kg more" in wording.answer(d)
+    assert (
+        "With them in the twin the gap in vertical acceleration falls from 0.41 to 0.1 m/s², by 75 %,"
+        in (wording.remarks(d)[0])
+    )
