@@ -10,9 +10,9 @@ from typing import Any
 
 import numpy as np
 
+from suspension_twin.diagnosis import wording
 from suspension_twin.diagnosis.decision import Costs, Decision, Row, decide, usual_level
 from suspension_twin.errors import InputError
-from suspension_twin.gap.measure import channel_unit
 from suspension_twin.vehicle.twin import EffectSpec, Twin, load_twin
 
 __all__ = ["answer_of", "decided_anew", "leading_channel", "twin_with"]
@@ -65,7 +65,7 @@ def answer_of(evidence: Mapping[str, Any], decision: Decision) -> dict[str, Any]
         },
         "cannot_be_judged": [r["effects"][0] for r in rows if len(r["effects"]) == 1 and not _judged(r)],
     }
-    document["message"] = message_of(document)
+    document["message"] = wording.message(document)
     return document
 
 
@@ -154,44 +154,6 @@ def _named(causes: tuple[str, ...]) -> str:
     return " + ".join(causes) if causes else "no_gap"
 
 
-def message_of(document: Mapping[str, Any]) -> str:
-    """The answer in one plain sentence."""
-    gap, unit = document["gap"], channel_unit(document["gap"]["channel"])
-    p = document["probability"]
-    if document["verdict"] == "no_gap":
-        return (
-            f"nothing is wrong that these drives could show (probability {p:.2f}): what the recalibrated twin leaves "
-            f"of the gap of {gap['rms']:.3g} {unit} is noise and usual model error"
-        )
-    if document["verdict"] == "unknown":
-        signature = document.get("signature", {})
-        like, there = signature.get("resembles", []), signature.get("stretch")
-        word = f"; it resembles {_label(like[0]['effect'])}" if like else ""
-        if there:
-            word += f"; {100 * there['share']:.0f} % of it lies from {there['start_m']:.0f} to {there['end_m']:.0f} m"
-            if there["like"]:
-                word += f" of the road, where it is like {_label(there['resembles'][0]['effect'])}"
-        return (
-            f"something is wrong that nothing in the library explains (probability {p:.2f}): "
-            f"{document['gap_after']:.3g} {unit} remain{word}"
-        )
-    names = " and ".join(_label(e) for e in document["combination"])
-    lead = next(c for c in document["causes"] if c["effect"] in document["combination"])
-    low, high = (100.0 * v for v in lead["shrink_beyond_recalibration_interval"])
-    rest = ", but a gap beyond it remains" if document["verdict"] == "partly" else ""
-    if document.get("before_and_after"):
-        rest += "; it is so before and after alike, so it is not what changed"
-    return (
-        f"{names} (probability {p:.2f}): with it the gap in {_label(lead['channel'])} is "
-        f"{100 * lead['shrink_beyond_recalibration']:.0f} % smaller ({low:.0f} to {high:.0f} %) than by recalibration "
-        f"alone, on held-out data{rest}"
-    )
-
-
-def _label(name: str) -> str:
-    return name.replace("_", " ")
-
-
 def _round(value: float) -> float:
     return float(f"{float(value):.6g}")
 
@@ -235,7 +197,7 @@ def decided_anew(folder: Path, costs: Costs) -> tuple[dict[str, Any], Twin | Non
         document["signature"] = before["signature"]
     if before.get("before_and_after"):
         document["before_and_after"] = True
-    document["seed"], document["message"] = evidence["seed"], message_of(document)
+    document["seed"], document["message"] = evidence["seed"], wording.message(document)
     path = Path(evidence["twin"])
     if not path.is_file():
         return document, None

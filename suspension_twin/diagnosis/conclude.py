@@ -11,7 +11,8 @@ from typing import Any
 import numpy as np
 
 from suspension_twin.arrays import Floats
-from suspension_twin.diagnosis.answer import answer_of, message_of
+from suspension_twin.diagnosis import wording
+from suspension_twin.diagnosis.answer import answer_of
 from suspension_twin.diagnosis.bench import Bench
 from suspension_twin.diagnosis.case import Case
 from suspension_twin.diagnosis.decision import Decision, decide
@@ -71,7 +72,7 @@ def conclude(request: DiagnosisRequest, case: Case, judged: Judged, seconds: flo
             document["signature"]["stretch"] = section
     document["next_experiment"] = _next(case, judged, document, section)
     document["warnings"] = list(case.warnings)
-    document["seed"], document["message"] = request.seed, message_of(document)
+    document["seed"], document["message"] = request.seed, wording.message(document)
     views = _views(case, judged.bench, twin, recalibrated)
     return DiagnosisResult(document, rows, twin, views, seconds, case.warnings)
 

@@ -17,7 +17,7 @@ import time
 from collections.abc import Callable
 from dataclasses import replace
 
-from suspension_twin.diagnosis.answer import message_of
+from suspension_twin.diagnosis import wording
 from suspension_twin.diagnosis.case import Case, baseline, build, read_case
 from suspension_twin.diagnosis.conclude import conclude
 from suspension_twin.diagnosis.hypotheses import SETUP_CATEGORIES
@@ -134,5 +134,5 @@ def _before_and_after(
     if result.document["verdict"] not in ("effect", "partly"):
         return None
     document = {**result.document, "before_and_after": True}
-    document["message"] = message_of(document)
+    document["message"] = wording.message(document)
     return replace(result, document=document)
