@@ -71,6 +71,7 @@ FEATURES: Mapping[str, int] = {
     "size": -1,  # effects beyond the first
     "added": 1,  # evidence over the best smaller set
     "added_explained": 1,
+    "added_proven": 1,  # lower end of the shrink that each of its effects adds
     "decoy": 0,
     # of no gap
     "none_excess": -1,
@@ -246,8 +247,9 @@ def decide(
 
 
 def shrinks(row: Row) -> bool:
-    """Whether the shrink beyond recalibration has, in some channel, an interval that excludes zero."""
-    return any(c["low"] > 0.0 for c in row["channels"].values())
+    """Whether the shrink beyond recalibration has, in some channel, an interval that excludes zero; of a set also the
+    shrink that each of its effects adds."""
+    return any(c["low"] > 0.0 for c in row["channels"].values()) and row.get("added_low", 1.0) > 0.0
 
 
 def answers_of(evidence: Mapping[str, Any]) -> list[Answer]:
@@ -317,6 +319,7 @@ def answers_of(evidence: Mapping[str, Any]) -> list[Answer]:
             parts = [members[e] for e in own if e in members]
             smaller = [j for j, r in enumerate(rows) if set(r["effects"]) < own] or parts
             values["size"] = float(len(own) - 1)
+            values["added_proven"] = float(np.clip(row.get("added_low", 0.0), 0.0, 1.0))
             values["added"] = float(np.arcsinh(gains[i] - max([0.0, *(gains[j] for j in smaller)])))
             values["added_explained"] = max(
                 explained - max([0.0, *(_explained(case, base, rows[j]) for j in smaller)]), 0.0

@@ -181,11 +181,25 @@ class _Known:
             row["undetectable"] = float(np.mean(temper * one.powers < LEAST_POWER))
         if not is_base:
             row |= self._parameters(one)
+        if len(one.effects) > 1:
+            row["added_low"] = self._added(one)
         if is_base or detailed:
             row |= self._pattern(one.remaining)
             row["vehicle"] = _vehicle(bench, one)
         plain: Row = _plain(row)
         return plain
+
+    def _added(self, one: Candidate) -> float:
+        """Lower end of the shrink, in the best channel, that each effect of a set adds to the others; the least."""
+        own, ends = set(one.effects), []
+        squares = [self.draws.squares(r) for r in (one.remaining.difference, one.remaining.with_nuisances)]
+        for fewer in (*self.judged.singles, *self.judged.sets):
+            if set(fewer.effects) < own and len(fewer.effects) == len(own) - 1:
+                before = (fewer.remaining.difference, fewer.remaining.with_nuisances)
+                pairs = zip(before, squares, strict=True)
+                found = [s for b, a in pairs for s in self.draws.shrinks(self.draws.squares(b), a)]
+                ends.append(max(s.interval[0] for s in found))
+        return float(min(ends, default=0.0))
 
     def _folds(self, gains: Floats) -> float:
         """Share of the folds that gain."""

@@ -18,6 +18,8 @@ from suspension_twin.diagnosis.answer import answer_of
 from suspension_twin.diagnosis.decision import FEATURES, Costs, Weights, answers_of, decide, learnt
 from suspension_twin.errors import InputError
 
+PARAMETERS = {"strut_friction": ("front_force", "rear_force"), "payload": ("mass", "x", "y")}
+SIZE = {"value": 200.0, "z": 0.5, "far": 0.5, "bound": False}
 CHANNELS = ("vertical_acceleration", "pitch_rate")
 
 
@@ -44,7 +46,8 @@ def row(*effects: str, gain: float = 0.0, left: float = 1.0, decoy: bool = False
         "level_fitted": 0.4 * left,
         "mean_squares": dict.fromkeys(CHANNELS, 8.0 * left**2 + 1.0),
         "channels": {name: dict(channel) for name in CHANNELS},
-        "parameters": {e: {"size": {"value": 2.0, "z": 0.5, "far": 0.5, "bound": False}} for e in effects},
+        "parameters": {e: {p: dict(SIZE) for p in PARAMETERS.get(e, ("size",))} for e in effects},
+        "added_low": shrink - 0.05,
         "usual": None,
         "where": ["strut"],
         "resonance": False,
@@ -121,6 +124,14 @@ def test_probabilities_are_ones_whatever_the_weights(
         total = sum(found.effects.values()) + found.no_gap + found.unknown
         assert total == pytest.approx(1.0) and min(found.effects.values()) >= 0.0
         assert found.candidates
+
+
+def test_no_set_is_named_whose_member_may_add_nothing() -> None:
+    both = row("strut_friction", "payload", gain=90.0, left=0.2)
+    rows = (row("strut_friction", gain=20.0, left=0.7), row("payload", gain=15.0, left=0.75), both, *others())
+    assert len(decide(evidence(*rows)).chosen) == 2
+    both["added_low"] = -0.01
+    assert len(decide(evidence(*rows)).chosen) < 2
 
 
 @given(st.floats(0.0, 100.0), st.floats(0.0, 50.0), st.booleans())

@@ -69,7 +69,9 @@ def test_friction_is_found_with_its_size_and_the_written_twin_closes_the_gap(
     # the answer follows from the file of evidence alone, the twin file too
     anew, again = decided_anew(tmp_path, Costs())
     assert {**anew, "next_experiment": document["next_experiment"]} == {**document, **anew}
-    assert again is not None and again.effects == load_twin(tmp_path / "twin.yaml").effects
+    (spec,) = load_twin(tmp_path / "twin.yaml").effects
+    assert again is not None and [e.id for e in again.effects] == [spec.id]
+    assert again.effects[0].parameters == pytest.approx(spec.parameters, rel=1e-5)
     told = (tmp_path / "report.html").read_text()
     assert "strut friction" in told
     twin = load_twin(tmp_path / "twin.yaml")
@@ -118,7 +120,7 @@ def test_what_only_a_decoy_explains_is_unknown_unless_it_is_asked_for(make: Any)
     like = document["signature"]["resembles"][0]
     assert like["effect"] == "progressive_spring" and like["probability"] > 0.8 and like["shrink"] > 0.5
     assert like["parameters"]["front_square"] == pytest.approx(4e7, rel=0.4)
-    assert document["message"].endswith("it resembles progressive spring")
+    assert document["message"].endswith("they resemble progressive spring")
     assert "is like progressive spring" in diagnosis_page(result).render()
     named = diagnose(replace(ask(case), effects=(*FEW, "progressive_spring"))).document
     assert named["verdict"] == "effect" and named["combination"] == ["progressive_spring"]
