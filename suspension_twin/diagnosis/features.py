@@ -91,9 +91,9 @@ def _add_intervals(case: Case, judged: Judged, one: Candidate, row: Row) -> None
     temper = judged.temper if case.road else 1.0
     fit = linearised_fit(judged.bench, one.hypothesis, one.found.fit.x)
     ends = intervals(judged.bench, fit, judged.blocks, temper)
-    for key, (low, high) in zip(one.hypothesis.keys, ends, strict=True):
+    for key, i in zip(*one.hypothesis.on_drive(0), strict=True):
         _, effect, name = key.split(".")
-        row["parameters"][effect][name]["interval"] = _plain([low, high])
+        row["parameters"][effect][name]["interval"] = _plain(ends[i].tolist())
 
 
 class _Known:
@@ -266,8 +266,9 @@ class _Known:
         for key, value in hypothesis.fixed:
             _, effect, name = key.split(".")
             parameters[effect][name] = {"value": float(value)}
-        for i, (key, parameter) in enumerate(hypothesis.searched):
+        for key, i in zip(*hypothesis.on_drive(0), strict=True):
             _, effect, name = key.split(".")
+            parameter = hypothesis.searched[i][1]
             two_sided = not parameter.log and parameter.neutral not in (parameter.low, parameter.high)
             setup = hypothesis.effect(effect).where in SETUP_CATEGORIES
             parameters[effect][name] = {

@@ -114,7 +114,7 @@ def judge(
 
     Searches start from ``anchor``, the vehicle fitted to the reference drives.
     """
-    seed, effects = request.seed, library(case.twin, case.excited, request.effects)
+    seed, effects = request.seed, library(case.twin, case.excited, request.effects, len(case.drives))
     if not effects:
         raise InputError("effects", "none of the library is left to try on this twin")
     blocks = blocks_of(bench, case.kind)
@@ -217,7 +217,7 @@ def _grown(
     With two causes, the effect of highest evidence may be neither of them. A set is not grown where its first effect
     leaves no more than a complete model does.
     """
-    effects = library(case.twin, case.excited, request.effects)
+    effects = library(case.twin, case.excited, request.effects, len(case.drives))
     known = [c for c in judged.singles if not c.decoy]
     gains = np.array([tempered_gain(judged, c.found) for c in known])
     weak = [c.effects[0] for c in known if c.powers is not None and not detectable(c.powers)]
@@ -268,7 +268,7 @@ def _shrunk(request: DiagnosisRequest, case: Case, judged: Judged) -> list[Candi
     so that sets grown from one effect would start from a wrong one.
     """
     bench, blocks = judged.bench, judged.blocks
-    known = library(case.twin, False, request.effects)
+    known = library(case.twin, False, request.effects, len(case.drives))
     possible = [c.effects[0] for c in judged.singles if c.powers is not None and detectable(c.powers)]
     if not possible:
         return []
@@ -307,7 +307,7 @@ def with_joint_noise(
 
     The residual of the baseline contains the effects, for example a clock offset, and would overestimate the noise.
     """
-    effects = [v[0] for v in library(case.twin, case.excited, request.effects).values()]
+    effects = [v[0] for v in library(case.twin, case.excited, request.effects, len(case.drives)).values()]
     every, fit = range(len(bench.active)), base
     for number in range(_NOISE_ROUNDS_COARSE if effects else 0):
         fit = refitted_under_noise(bench, fit) if number else joint_fit(bench, effects, base, request.seed)
