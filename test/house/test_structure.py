@@ -30,6 +30,7 @@ ROWS = (
     {"calibration"},
     {"diagnosis"},
     {"report"},
+    {"view"},
     {"nodes"},
     {"demo"},
     {"demo"},
