@@ -196,7 +196,7 @@ def test_it_records_and_calibrates(page, running, drive):
     page.click("#calibrate")
     until(lambda: "still running" in page.inner_text("#said"), "a refusal")
     seek(page, 0.0)
-    until(lambda: 2.0 < page.evaluate("twin.head.t") < 8.0, "two seconds")
+    until(lambda: page.evaluate("twin.head.t") > 2.0, "two seconds")
     page.click("#mark")
     until(lambda: page.evaluate("twin.state.events.length") == 1, "the mark")
     until(lambda: page.inner_text("#pause") == "Again", "the end")
