@@ -27,6 +27,7 @@ REQUIRED = [
     "pyyaml>=6",
     "rosbags>=0.11,<0.12",
     "mcap>=1.2",
+    "h5py>=3.10",
     "mat-io>=1.0.2",
     "lz4>=4",
     "zstandard>=0.20",

@@ -12,7 +12,6 @@ a command that Ctrl-C is the normal end of.
 
 from __future__ import annotations
 
-import errno
 import gc
 import os
 import signal
@@ -26,7 +25,7 @@ from typing import Annotated, Any
 import typer
 
 from suspension_twin import __version__
-from suspension_twin.errors import SuspensionTwinError
+from suspension_twin.errors import SuspensionTwinError, printable
 
 __all__ = ["SUBCOMMANDS", "Subcommand", "main"]
 
@@ -106,14 +105,14 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except KeyboardInterrupt as end:
         status = DONE if endless else INTERRUPTED
         if not endless:
-            print(f"{PROGRAM}: interrupted{f', {end}' if str(end) else ''}", file=sys.stderr)
+            print(printable(f"{PROGRAM}: interrupted{f', {end}' if str(end) else ''}"), file=sys.stderr)
     except SystemExit as error:
         status = error.code if isinstance(error.code, int) else FAILED if error.code else DONE
     except Exception as error:
         if debug:
             traceback.print_exc()
         status, text = _explain(error, _option(args, "--twin"))
-        print(" ".join(text.split()), file=sys.stderr)
+        print(printable(" ".join(text.split())), file=sys.stderr)
     finally:
         gc.set_threshold(*thresholds)
         if endless:
@@ -243,10 +242,12 @@ def _explain(error: Exception, twin: str | None) -> tuple[int, str]:
         if twin and text.startswith("twin: "):  # said of a twin in memory, which knows of no file
             text = twin + text.removeprefix("twin")
         return error.exit_status, f"{PROGRAM}: {text}"
+    from suspension_twin.files import NO_SPACE
+
     if isinstance(error, OSError) and error.filename is not None:
         status = UNUSABLE if isinstance(error, _PATH_ERRORS) else FAILED
         return status, f"{PROGRAM}: {os.fsdecode(error.filename)}: {error.strerror}"
-    if isinstance(error, OSError) and error.errno == errno.ENOSPC:
+    if isinstance(error, OSError) and error.errno in NO_SPACE:
         return FAILED, f"{PROGRAM}: no space left to write the results"
     if isinstance(error, MemoryError):
         return FAILED, f"{PROGRAM}: out of memory"
