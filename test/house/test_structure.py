@@ -31,6 +31,7 @@ ROWS = (
     {"calibration"},
     {"diagnosis"},
     {"report"},
+    {"view"},
     {"nodes"},
     {"demo"},
     {"cli"},
