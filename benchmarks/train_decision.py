@@ -9,9 +9,9 @@ Kept evidence is ``benchmarks/results/evidence.jsonl.xz``: a line a case, its la
 of seeds for reporting do not belong there before they were reported on. From every case with one effect a second one
 is made by taking the rows of that effect away: its right answer is unknown. The weights minimise
 
-    -sum_i c_i log sum_(a right) p_a + ridge / 2 |w|^2
+    -sum_i c_i log sum_(a right) p_a + ridge / 2 |w - w_0|^2
 
-under the signs of ``FEATURES``; the classes cause, no gap and unknown have the weights of ``PRIOR``. All figures are of
+with the prior means w_0 of ``FEATURES`` and under their signs; the classes cause, no gap and unknown have the weights of ``PRIOR``. All figures are of
 cases whose reality was left out of the learning; so is the conformal threshold.
 """
 
@@ -40,7 +40,7 @@ FILE = HERE.parent / "suspension_twin" / "diagnosis" / "decision.json"
 PRIOR = {"cause": 0.5, "no_gap": 0.3, "unknown": 0.2}
 #: Severity in floors from which on an effect has to be named; below, no gap is right as well.
 PLAIN = 1.3
-RIDGES = (0.1, 0.3, 1.0, 3.0)
+RIDGES = (0.3, 1.0, 3.0, 10.0)
 _COVERED = 0.9
 
 
@@ -104,6 +104,7 @@ def fit(cases: Sequence[Example], ridge: float) -> np.ndarray:
     features = np.concatenate([c.features for c in cases])
     right = np.concatenate([c.right for c in cases])
     first = np.concatenate([[0], np.cumsum(size)[:-1]])
+    usual = np.array(list(FEATURES.values()))
     of = np.repeat(np.arange(len(cases)), size)
 
     def objective(w: np.ndarray) -> tuple[float, np.ndarray]:
@@ -114,12 +115,12 @@ def fit(cases: Sequence[Example], ridge: float) -> np.ndarray:
         good = np.maximum(good, 1e-300)
         loss = float(np.sum(share * (np.log(total) - np.log(good))))
         pull = share[of] * (e / total[of] - e * right / good[of])
-        return loss + 0.5 * ridge * float(w @ w), features.T @ pull + ridge * w
+        return loss + 0.5 * ridge * float((w - usual) @ (w - usual)), features.T @ pull + ridge * (w - usual)
 
-    bounds = [{1: (0, None), -1: (None, 0), 0: (None, None)}[s] for s in FEATURES.values()]
+    bounds = [{1: (0, None), -1: (None, 0), 0: (None, None)}[int(np.sign(s))] for s in usual]
     found = minimize(
         objective,
-        np.zeros(len(FEATURES)),
+        usual,
         jac=True,
         method="L-BFGS-B",
         bounds=bounds,

@@ -43,48 +43,49 @@ Row = dict[str, Any]
 
 #: Version of the rows of ``evidence.json``: others are refused.
 FORMAT = 1
-#: Features by name and the sign of their weight: 1 and -1 are dictated by physics, 0 is free.
-FEATURES: Mapping[str, int] = {
+#: Features by name and the prior mean of their weight. Physics dictates the sign, which learning keeps; 0 is free.
+#: Evidence in nats counts as it is (a log posterior), and what speaks as clearly as a few nats has a weight of a few.
+FEATURES: Mapping[str, float] = {
     # of a cause or a set
-    "gain": 1,  # evidence over recalibration
-    "margin": 1,  # evidence over the next best
-    "proven": 1,  # lower end of the shrink beyond recalibration in the best channel
-    "explained": 1,  # share of the residual beyond the expected discrepancy
-    "excess": -1,  # what remains beside the expected discrepancy
-    "lost": -1,  # growth of the gap in another channel
-    "usual": -1,  # as small as errors of twin files are
-    "far": -1,  # beyond its prior
-    "bound": -1,  # on a bound
-    "folds": -1,  # folds that do not gain
-    "signs": -1,  # folds in which it has another sign
-    "pattern": -1,  # tone, place or band that remains
-    "clocks": -1,  # clocks that compensate
-    "resonance": -1,  # may stand in for any other resonance
-    "setup": 0,  # error of sensor, clock or map
-    "faint": -1,  # share of its prior that the drives would not show
-    "preexisting": -1,  # evidence on all drives
-    "blind": 0,  # without a reference
-    "blind_gain": 0,
-    "blind_proven": 0,
-    "blind_explained": 0,
-    "blind_excess": 0,
-    "size": -1,  # effects beyond the first
-    "added": 1,  # evidence over the best smaller set
-    "added_explained": 1,
-    "added_proven": 1,  # lower end of the shrink that each of its effects adds
-    "decoy": 0,
+    "gain": 1.0,  # evidence over recalibration
+    "margin": 0.5,  # evidence over the next best
+    "proven": 2.0,  # lower end of the shrink beyond recalibration in the best channel
+    "explained": 2.0,  # share of the residual beyond the expected discrepancy
+    "excess": -1.0,  # what remains beside the expected discrepancy
+    "lost": -2.0,  # growth of the gap in another channel
+    "usual": -1.0,  # as small as errors of twin files are
+    "far": -0.5,  # beyond its prior
+    "bound": -0.5,  # on a bound
+    "folds": -2.0,  # folds that do not gain
+    "signs": -1.0,  # folds in which it has another sign
+    "pattern": -1.0,  # tone, place or band that remains
+    "clocks": -1.0,  # clocks that compensate
+    "resonance": -0.3,  # may stand in for any other resonance
+    "setup": 0.0,  # error of sensor, clock or map
+    "faint": -1.0,  # share of its prior that the drives would not show
+    "preexisting": -0.3,  # evidence on all drives
+    "blind": 0.0,  # without a reference
+    "blind_gain": 0.0,
+    "blind_proven": 0.0,
+    "blind_explained": 0.0,
+    "blind_excess": 0.0,
+    "size": -2.0,  # effects beyond the first
+    "added": 0.7,  # evidence over the best smaller set
+    "added_explained": 1.0,
+    "added_proven": 2.0,  # lower end of the shrink that each of its effects adds
+    "decoy": -0.5,
     # of no gap
-    "none_excess": -1,
-    "none_pattern": -1,
-    "none_clocks": -1,
-    "none_blind": 0,
+    "none_excess": -3.0,
+    "none_pattern": -1.0,
+    "none_clocks": -1.0,
+    "none_blind": 0.0,
     # of unknown
-    "unknown": 0,
-    "unknown_blind": 0,
-    "unknown_excess": 1,  # what recalibration leaves
-    "unknown_best_excess": 1,  # what the best cause leaves
-    "unknown_pattern": 1,
-    "unknown_clocks": 1,
+    "unknown": -1.0,
+    "unknown_blind": 0.0,
+    "unknown_excess": 2.0,  # what recalibration leaves
+    "unknown_best_excess": 1.0,  # what the best cause leaves
+    "unknown_pattern": 1.0,
+    "unknown_clocks": 0.5,
 }
 #: Held-out mean square in units of the noise model of the reference, and residual as a share of the motion without a
 #: reference, that a complete model leaves: medians over cars without any fault.
@@ -247,9 +248,8 @@ def decide(
 
 
 def shrinks(row: Row) -> bool:
-    """Whether the shrink beyond recalibration has, in some channel, an interval that excludes zero; of a set also the
-    shrink that each of its effects adds."""
-    return any(c["low"] > 0.0 for c in row["channels"].values()) and row.get("added_low", 1.0) > 0.0
+    """Whether the shrink beyond recalibration has, in some channel, an interval that excludes zero."""
+    return any(c["low"] > 0.0 for c in row["channels"].values())
 
 
 def answers_of(evidence: Mapping[str, Any]) -> list[Answer]:
@@ -258,7 +258,9 @@ def answers_of(evidence: Mapping[str, Any]) -> list[Answer]:
         raise InputError(
             "evidence.json", f"is of format {evidence.get('format')}, not {FORMAT}: diagnose again"
         )
-    case, base, rows = evidence["case"], evidence["base"], evidence["hypotheses"]
+    case, base = evidence["case"], evidence["base"]
+    # a set with an effect that may add nothing is no answer of its own
+    rows = [r for r in evidence["hypotheses"] if r.get("added_low", 1.0) > 0.0]
     blind = float(not case["reference"])
     since = base.get("since")
     gains = [_gain(r, since) for r in rows]

@@ -147,7 +147,7 @@ def test_weights_have_the_signs_that_physics_dictates_and_say_where_they_come_fr
     known = learnt()
     assert len(FEATURES) <= 40
     for value, (name, sign) in zip(known.values, FEATURES.items(), strict=True):
-        assert sign == 0 or value * sign >= 0.0, name
+        assert sign == 0.0 or value * sign >= 0.0, name
     assert 0.0 < known.conformal < 0.5
     assert {"cases", "commit", "seeds", "evidence_sha256"} <= set(known.source)
 
