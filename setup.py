@@ -14,7 +14,7 @@ from setuptools import find_packages, setup
 
 HERE = Path(__file__).resolve().parent
 SHARE = Path("share/suspension_twin")
-NODES = ("imu_ingest", "pose_injector", "suspension_model", "calibrator")
+NODES = ("imu_ingest", "pose_injector", "suspension_model", "calibrator", "source")
 
 REQUIRED = [
     "suspension-twin-interfaces",  # brings rclpy and the ROS messages, see suspension_twin_interfaces/setup.py
@@ -40,6 +40,7 @@ REQUIRED = [
     "markupsafe>=2.1",
     "typer>=0.24",
     "rich>=13",
+    "aiohttp>=3.10",
 ]
 TEST = [
     "pytest>=8",

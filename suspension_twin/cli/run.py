@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from suspension_twin.cli.common import TwinFile
+from suspension_twin.cli.common import SourceUrls, TwinFile
 from suspension_twin.errors import InputError, WorkError
 
 if TYPE_CHECKING:
@@ -38,6 +38,7 @@ def command(
         ),
     ] = "1",
     loop: Annotated[bool, typer.Option("--loop", help="Begin the recording again at its end.")] = False,
+    source: SourceUrls = None,
     namespace: Annotated[
         str, typer.Option("--namespace", help="Put everything below this name.", metavar="NS")
     ] = "",
@@ -55,12 +56,21 @@ def command(
 ) -> None:
     """The four nodes in one process, live or replaying a bag. Ctrl-C ends them."""
     speed = _speed(rate)
+    urls = list(source or ())
+    if bag is not None and urls:
+        raise InputError("--source", "goes without --bag: a drive is replayed or followed live")
     if bag is None and (loop or rate != "1"):
         raise InputError("--loop" if loop else "--rate", "needs --bag: only a recording can be replayed")
     # What is wrong with a file is to be said before ROS is started, which takes a second.
     from suspension_twin.vehicle.twin import load_twin
 
     load_twin(twin)
+    if urls:
+        from suspension_twin.sources import make_sources
+        from suspension_twin.sources.common.hub import Hub
+
+        make_sources(urls, Hub())
+    from suspension_twin.cli._status import say
     from suspension_twin.nodes.composed import Composed, check_namespace
     from suspension_twin.nodes.parameters import check_names, read_param_file
     from suspension_twin.nodes.process import check_arguments, ros_context, stopping
@@ -74,11 +84,13 @@ def command(
     with stopping() as stop:
         playback = None if bag is None else _playback(bag, speed, loop)
         with ros_context(arguments) as context:
-            composed = Composed(context, twin, namespace, playback)
+            composed = Composed(context, twin, namespace, playback, urls)
             try:
                 if params is not None:
                     check_names(params, wanted, composed.parameter_names())
                 composed.settle_memory()
+                for note in composed.notes:
+                    say(note)
                 _run(composed, lambda: stop.asked or not context.ok(), bag)
             finally:
                 composed.close()
