@@ -26,6 +26,7 @@ __all__ = [
     "Outputs",
     "ProgressLine",
     "Seed",
+    "SourceUrls",
     "TwinFile",
     "bundled",
     "output",
@@ -47,6 +48,16 @@ Bags = Annotated[
     typer.Argument(help="Recorded drives: rosbag2 folders or bare files.", metavar="BAG", show_default=False),
 ]
 Seed = Annotated[int, typer.Option("--seed", help="Seed of every random choice.", metavar="N", min=0)]
+SourceUrls = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--source",
+        help="A live phone, receiver or IMU, such as sensorlogger://0.0.0.0:8000; several: the option again. "
+        "All kinds: docs/sources.md.",
+        metavar="URL",
+        show_default=False,
+    ),
+]
 Force = Annotated[bool, typer.Option("--force", help="Overwrite what exists.")]
 
 _UNBROKEN = 10_000  # characters: a line that is not for a terminal is never wrapped

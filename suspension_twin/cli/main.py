@@ -62,6 +62,7 @@ SUBCOMMANDS = (
         several="--reference",
     ),
     Subcommand("simulate", "simulate", "The twin over a recorded drive, without ROS."),
+    Subcommand("record", "record", "Live phones, receivers and IMUs into a bag.", endless=True),
     Subcommand("import", "import_", "A phone's or logger's recording into a bag."),
     Subcommand("damping", "damping", "Which dampers a tracked vehicle should have, by speed."),
     Subcommand("road", "road", "A picture or a mesh of a road, or what is wrong with it."),
