@@ -10,11 +10,13 @@ effect leaves ``APART`` of the other whatever its own parameters are.
 
 from __future__ import annotations
 
+import json
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from functools import reduce
 from operator import add
-from typing import Final
+from pathlib import Path
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,6 +26,7 @@ from suspension_twin.diagnosis.hypotheses import Hypothesis, library
 from suspension_twin.diagnosis.sensitivity import Change, PlannedDrive, Products, planned_drive, products
 from suspension_twin.effects.base import Parameter
 from suspension_twin.errors import InputError, SuspensionTwinError
+from suspension_twin.files import write_text
 from suspension_twin.gap.prepare import road_of
 from suspension_twin.identification.parallel import side_by_side
 from suspension_twin.models.registry import model_of
@@ -103,8 +106,8 @@ class Ray:
 class Shown:
     """How well a parameter of an effect shows: the smallest detectable ``size``, in the parameter's unit (a change
     from neutral, or the value of a logarithmic one), None where even the largest plausible size is below the
-    threshold; the ``channel`` that shows it first; ``ratio`` of the ``largest`` size; ``usual`` is what sound vehicles
-    have."""
+    threshold; the ``channel`` that shows it first; ``ratio`` of the ``largest`` size; no ``size`` is below the
+    ``usual`` one, which sound vehicles have."""
 
     effect: str
     place: str
@@ -172,6 +175,33 @@ class Plan:
     effects: tuple[str, ...]
     angles: Floats
     pairs: tuple[Pair, ...]
+
+    def as_dict(self) -> dict[str, Any]:
+        """What ``plan.json`` holds."""
+        return {
+            "vehicle": getattr(self.twin.vehicle, "name", ""),
+            "road": self.road,
+            "drives": [
+                {"speed_kmh": kmh, "seconds": round(s, 2)}
+                for kmh, s in zip(self.speeds, self.seconds, strict=True)
+            ],
+            "thresholds": {"detectable": DETECTABLE, "apart": APART, "unit": "expected residual, rms"},
+            "effects": [asdict(row) for row in self.shown],
+            "pairs": [{k: v for k, v in asdict(pair).items() if k != "ray"} for pair in self.pairs],
+            "angles_deg": {
+                effect: {
+                    rival: round(float(angle), 2)
+                    for rival, angle in zip(self.effects, row, strict=True)
+                    if np.isfinite(angle)
+                }
+                for effect, row in zip(self.effects, self.angles, strict=True)
+            },
+        }
+
+    def write(self, folder: Path) -> None:
+        """Write ``folder/plan.json``."""
+        text = json.dumps(self.as_dict(), indent=2, ensure_ascii=False, allow_nan=False)
+        write_text(folder / "plan.json", text + "\n")
 
 
 @dataclass(frozen=True, eq=False)
