@@ -42,7 +42,7 @@ SPEEDS: Final = (20.0, 40.0)
 DETECTABLE: Final = 0.5
 APART: Final = 0.25
 #: Sizes of an effect, in the scale of its prior; the last is its largest plausible size.
-_SIZES: Final = (0.1, 0.3, 1.0, 3.0)
+_SIZES: Final = (0.1, 0.2, 0.45, 1.0, 3.0)
 #: The same of a logarithmic one, in standard deviations from typical, weak to strong.
 _LOG_SIZES: Final = (-3.0, -2.0, -1.0, 0.0, 1.0, 2.0)
 #: km/h that are tried where a pair cannot be told apart.
@@ -247,7 +247,7 @@ def rays(hypothesis: Hypothesis, weak: float = 1.0) -> list[Ray]:
     >>> from suspension_twin.vehicle.twin import load_twin
     >>> friction = library(load_twin("bags/bump_15kmh/twin.yaml"), True)["strut_friction"][0]
     >>> [ray.sizes.tolist() for ray in rays(friction)]
-    [[20.0, 60.0, 200.0, 600.0], [20.0, 60.0, 200.0, 600.0]]
+    [[20.0, 40.0, 90.0, 200.0, 600.0], [20.0, 40.0, 90.0, 200.0, 600.0]]
     """
     low, high = hypothesis.bounds()
     severe = hypothesis.effect(hypothesis.effects[0]).severity
@@ -285,11 +285,8 @@ def _rivals(hypothesis: Hypothesis, own: Sequence[Ray]) -> tuple[list[_Rival], l
         return _resonances(hypothesis, own[0], tone, [i for i in shapes if i != tone])
     names, scale = list[str](), list[float]()
     for ray in own:
-        kept = [
-            i for i in range(ray.sizes.size) if ray.parameter.log or _SIZES[i] in (_SIZES[0], *_SIZES[2:])
-        ]
-        names += [ray.names[i] for i in kept]
-        scale += [1.0 if ray.parameter.log else 1.0 / _SIZES[i] for i in kept]
+        names += ray.names
+        scale += [1.0 if ray.parameter.log else 1.0 / _SIZES[i] for i in range(ray.sizes.size)]
     changes = []
     if shapes:
         points = _moved(hypothesis, own[0].points[:, own[0].typical], shapes)[:, 1:]

@@ -94,8 +94,8 @@ def test_a_low_pass_grows_as_its_cutoff_falls(mondeo):
 
 def test_a_drive_stays_on_the_road_at_its_speed(mondeo):
     road = across()
-    drive = planned_drive(mondeo, road, 18.0)
-    assert drive.along.max() == pytest.approx(5.0, rel=1e-3)
+    drive = planned_drive(mondeo, road, 9.0)
+    assert drive.along.max() == pytest.approx(2.5, rel=1e-3)
     assert drive.along[0] == 0.0 and drive.along[-1] < 0.1  # it stands at both ends
     assert road.u_first < drive.position.min() and drive.position.max() + 2.85 < road.u_last
     assert planned_drive(mondeo, road, 72.0).along.min() > 19.0  # too short a road to speed up on
@@ -110,13 +110,17 @@ def clocks(mondeo):
 
 def test_at_one_speed_a_late_clock_is_a_shifted_map_and_other_speeds_separate_them(clocks):
     one, several = clocks
-    assert {(p.effect, p.rival) for p in one.pairs if p.size is None} == {
+    assert {(p.effect, p.rival) for p in one.pairs} == {
         ("time_offset", "position_offset"),
         ("position_offset", "time_offset"),
     }
-    assert all("km/h" in p.remedy and p.remedy_size is not None for p in one.pairs)
-    assert not [p for p in several.pairs if p.size is None]
-    assert several.angles[0, 1] > 2.0 * one.angles[0, 1]
+    for pair in one.pairs:
+        assert pair.angle < 3.0
+        assert pair.size is None or pair.size > 4.0 * pair.shown.size
+        assert "km/h" in pair.remedy
+        assert pair.remedy_size < 0.5 * (pair.size or np.inf)
+    assert not several.pairs
+    assert several.angles[0, 1] > 20.0
 
 
 def test_a_clock_shows_beyond_what_any_clock_is_off(clocks):
@@ -135,14 +139,15 @@ def test_what_needs_roll_shows_on_a_bump_under_one_side_alone(mondeo):
     assert seen["sensor_offset", "y"].channel == "vertical_acceleration"
 
 
-def test_a_higher_bump_shows_a_smaller_fault_of_the_road_only_up_to_its_share(mondeo):
-    """Noise counts for less, the model's error for as much."""
+def test_a_higher_bump_shows_a_smaller_fault_until_the_models_error_counts(mondeo):
+    """Both the fault's mark and the model's error grow with the bump, the noise does not."""
     sizes = [
         next(s.size for s in plan(mondeo, across(h), (20.0,), ("sensor_offset",)).shown if s.parameter == "x")
-        for h in (0.006, 0.03, 0.06)
+        for h in (0.006, 0.024, 0.096)
     ]
-    assert sizes[0] > 1.3 * sizes[1]
-    assert sizes[1] == pytest.approx(sizes[2], rel=0.35)
+    gains = sizes[0] / sizes[1], sizes[1] / sizes[2]
+    assert gains[0] > 1.5
+    assert 1.0 < gains[1] < 0.7 * gains[0]
 
 
 def test_what_cannot_be_planned_is_one_line(mondeo, repository):
