@@ -61,7 +61,7 @@ SUBCOMMANDS = (
         "Where twin and car disagree, why, and what closes the gap.",
         several="--reference",
     ),
-    Subcommand("plan", "plan", "What this set-up could show, and never tell apart, before anyone drives."),
+    Subcommand("plan", "plan", "Which effects this set-up could show, and never tell apart."),
     Subcommand("simulate", "simulate", "The twin over a recorded drive, without ROS."),
     Subcommand("record", "record", "Live phones, receivers and IMUs into a bag.", endless=True),
     Subcommand("import", "import_", "A phone's or logger's recording into a bag."),

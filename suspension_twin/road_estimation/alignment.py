@@ -86,4 +86,5 @@ def lags_along(reference: Floats, other: Floats, step: float, reach: float) -> t
     for k in range(starts.size - 1, 0, -1):
         path[k - 1] = origin[k, path[k]]
     at = (starts + 0.5 * window) * d
-    return at, lags[path] * d, scores[np.arange(starts.size), path]
+    shift: Floats = np.asarray(lags[path] * d, dtype=np.float64)
+    return at, shift, scores[np.arange(starts.size), path]

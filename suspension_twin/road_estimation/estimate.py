@@ -86,7 +86,7 @@ class Estimate:
     @property
     def u(self) -> Floats:
         """(n,) m along the line."""
-        return STEP * np.arange(self.line.x.size)
+        return np.asarray(STEP * np.arange(self.line.x.size), dtype=np.float64)
 
     @property
     def covered(self) -> NDArray[np.bool_]:
