@@ -11,8 +11,8 @@ is made by taking the rows of that effect away: its right answer is unknown. The
 
     -sum_i c_i log sum_(a right) p_a + ridge / 2 |w - w_0|^2
 
-with the prior means w_0 of ``FEATURES`` and under their signs; the classes cause, no gap and unknown have the weights of ``PRIOR``. All figures are of
-cases whose reality was left out of the learning; so is the conformal threshold.
+with the prior means w_0 of ``FEATURES`` and under their signs; the classes cause, no gap and unknown have the weights
+of ``PRIOR``. All figures are of cases whose reality was left out of the learning; so is the conformal threshold.
 """
 
 from __future__ import annotations

@@ -12,7 +12,7 @@ from suspension_twin.diagnosis.request import DiagnosisResult
 from suspension_twin.files import write_text
 from suspension_twin.vehicle.twin import save_twin
 
-__all__ = ["values_of", "write", "write_document"]
+__all__ = ["write", "write_document"]
 
 
 def write(result: DiagnosisResult, folder: Path) -> None:
@@ -26,17 +26,3 @@ def write_document(document: Mapping[str, Any], folder: Path) -> None:
     """``diagnosis.json`` in ``folder``."""
     text = json.dumps(document, indent=2, ensure_ascii=False, allow_nan=False)
     write_text(folder / "diagnosis.json", text + "\n")
-
-
-def values_of(cause: Mapping[str, Any]) -> str:
-    """A cause's parameters in a line, with their 90 % intervals where there are any."""
-    ends = cause.get("parameter_intervals", {})
-    return ", ".join(
-        f"{name} {_plain(value)}" + (f" ({' to '.join(map(_plain, ends[name]))})" if name in ends else "")
-        for name, value in cause["parameters"].items()
-    )
-
-
-def _plain(value: float) -> str:
-    """Four digits, and no powers of ten for a stiffness in N/m."""
-    return f"{value:.0f}" if abs(value) >= 1000 else f"{value:.4g}"
