@@ -74,7 +74,7 @@ def conclude(request: DiagnosisRequest, case: Case, judged: Judged, seconds: flo
     document["warnings"] = list(case.warnings)
     document["seed"], document["message"] = request.seed, wording.message(document)
     views = _views(case, judged.bench, twin, recalibrated)
-    return DiagnosisResult(document, rows, twin, views, seconds, case.warnings)
+    return DiagnosisResult(document, twin, views, seconds, case.warnings, rows)
 
 
 def _of_row(judged: Judged, rows: dict[str, Any], decision: Decision) -> Candidate:

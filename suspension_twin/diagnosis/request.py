@@ -83,11 +83,11 @@ class DiagnosisResult:
     with the named effects."""
 
     document: dict[str, Any]
-    evidence: dict[str, Any]
     twin: Twin
     drives: tuple[DriveView, ...]
     seconds: float
     warnings: tuple[str, ...] = field(default_factory=tuple)
+    evidence: dict[str, Any] = field(default_factory=dict)
 
     @property
     def message(self) -> str:

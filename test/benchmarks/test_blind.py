@@ -274,7 +274,7 @@ def test_changing_the_labels_changes_no_byte_of_a_diagnosis(tmp_path: Path, repo
         record = ask.ask(case, answer, "seal")
         assert record["status"] == 0, record["error"]
         answers.append({p.name: p.read_bytes() for p in answer.iterdir() if p.name != "record.json"})
-    assert set(answers[0]) == {"diagnosis.json", "twin.yaml"}
+    assert set(answers[0]) == {"diagnosis.json", "evidence.json", "twin.yaml"}
     assert answers[0] == answers[1]
 
 
