@@ -24,6 +24,7 @@ from suspension_twin.files import read_yaml, reading, write_text
 from suspension_twin.schema import Strict, assign, checked, problems, within
 from suspension_twin.units import STANDARD_GRAVITY as G
 from suspension_twin.vehicle.corners import CORNERS
+from suspension_twin.vehicle.joints import Joint
 
 __all__ = [
     "SCHEMAS",
@@ -306,6 +307,11 @@ class Twin(Strict):
         return ()
 
     @property
+    def joints(self) -> tuple[Joint, ...]:
+        """Where the wheels hang, in the order of ``joint_names``; empty for a vehicle without a place on a road."""
+        return ()
+
+    @property
     def axles(self) -> dict[str, Suspension]:
         """Springs and dampers with characteristics, by the word that their keys have after ``vehicle``, if any."""
         return {}
@@ -336,6 +342,19 @@ class CarTwin(Twin):
     @property
     def joint_names(self) -> tuple[str, ...]:
         return tuple(f"{corner}_suspension" for corner in CORNERS)
+
+    @property
+    def joints(self) -> tuple[Joint, ...]:
+        vehicle = self.vehicle
+        radius = vehicle.tyre.radius
+        standing = [a.static_compression for a in vehicle.axles.values() for _ in range(2)]
+        places = vehicle.wheel_positions.tolist()
+        return tuple(
+            Joint(
+                name, "prismatic", (x, y, radius - rest), (0.0, 0.0, 1.0), (0.0, 0.0, 0.0), rest, radius, 0.2
+            )
+            for name, (x, y), rest in zip(self.joint_names, places, standing, strict=True)
+        )
 
     @property
     def axles(self) -> dict[str, Suspension]:
