@@ -27,6 +27,7 @@ ROWS = (
     {"models", "effects"},
     {"gap"},
     {"identification"},
+    {"road_estimation"},
     {"calibration"},
     {"diagnosis"},
     {"report"},
