@@ -10,7 +10,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
-from rich.markup import escape
 from rich.table import Table
 
 from suspension_twin.cli.common import Force, Outputs, ProgressLine, Seed, TwinFile, output, print_table
@@ -109,7 +108,7 @@ def mesh(
     place = (
         "" if origin is Origin.map else ", start of the road at {:.3f} {:.3f} {:.3f} in map".format(*shift)
     )
-    print(f"{path}: {count} triangles{place}")
+    output().print(f"{path}: {count} triangles{place}")
 
 
 @app.command()
@@ -147,9 +146,9 @@ def check(
     console = output()
     lines = Table.grid(padding=(0, 2, 0, 0))
     for name, fact in checked.facts.items():
-        lines.add_row(escape(name), escape(fact))
+        lines.add_row(name, fact)
     for finding in checked.findings:
-        lines.add_row("wrong" if finding.fault else "note", escape(finding.text))
+        lines.add_row("wrong" if finding.fault else "note", finding.text)
     console.print(lines)
     console.print("sound" if checked.sound else "not sound: see the lines that begin with 'wrong'")
     if not checked.sound:

@@ -106,9 +106,10 @@ def read_profile(path: Path, unit: str | None = None) -> Profile:
     Examples
     --------
     >>> import tempfile
+    >>> from suspension_twin.files import write_text
     >>> with tempfile.TemporaryDirectory() as folder:
     ...     file = Path(folder) / "a.csv"
-    ...     _ = file.write_text("distance [m],left [mm],right [mm]\\n" + "\\n".join(f"{i},{i},0" for i in range(9)))
+    ...     write_text(file, "distance [m],left [mm],right [mm]\\n" + "\\n".join(f"{i},{i},0" for i in range(9)))
     ...     read_profile(file).z[:, 3].round(6).tolist()
     [0.003, 0.0]
     """
