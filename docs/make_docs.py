@@ -29,6 +29,7 @@ DOES = {
     "pose_injector": "GPS and gyroscope to a smooth pose at the IMU's rate",
     "suspension_model": "the twin along that pose over the road; the gap",
     "calibrator": "calibration and diagnosis of recorded drives",
+    "source": "live phones, receivers and IMUs ([docs/sources.md](docs/sources.md)); only where it is given sources",
 }
 _HEADS = ("parameter", "unit", "range", "neutral", "prior", "what")
 #: Titles of the sections of effects.md, by where an effect acts.
@@ -87,6 +88,7 @@ def _node_classes() -> dict[str, Any]:
     from suspension_twin.nodes.calibrator import CalibratorNode
     from suspension_twin.nodes.imu_ingest import ImuIngestNode
     from suspension_twin.nodes.pose_injector import PoseInjectorNode
+    from suspension_twin.nodes.source import SourceNode
     from suspension_twin.nodes.suspension_model import SuspensionModelNode
 
     return {
@@ -94,7 +96,12 @@ def _node_classes() -> dict[str, Any]:
         "pose_injector": PoseInjectorNode,
         "suspension_model": SuspensionModelNode,
         "calibrator": CalibratorNode,
+        "source": SourceNode,
     }
+
+
+#: Nodes that do not start without a parameter.
+_NEEDED = {"source": ("sources", "sensorlogger://127.0.0.1:0")}
 
 
 def _graph() -> dict[str, dict[str, list[tuple[str, str]]]]:
@@ -106,7 +113,7 @@ def _graph() -> dict[str, dict[str, list[tuple[str, str]]]]:
     rclpy.init(args=[])
     try:
         for name, kind in _node_classes().items():
-            node = kind()
+            node = _make(name, kind)
             served = get_action_server_names_and_types_by_node(node, name, "/")
             found[name] = {
                 "in": [(s.topic, _type(s.msg_type)) for s in node.subscriptions if _own(s.topic)],
@@ -120,6 +127,15 @@ def _graph() -> dict[str, dict[str, list[tuple[str, str]]]]:
     finally:
         rclpy.try_shutdown()
     return found
+
+
+def _make(name: str, kind: Any) -> Any:
+    from rclpy.parameter import Parameter
+
+    from suspension_twin.nodes.topics import Embedding
+
+    needed = [_NEEDED[name]] if name in _NEEDED else []
+    return kind(Embedding(parameters=tuple(Parameter(key, value=value) for key, value in needed)))
 
 
 def _own(topic: str) -> bool:
@@ -166,7 +182,8 @@ def topics() -> str:
     rows = []
     for topic, kind in kinds.items():
         into, out = (", ".join(f"`{n}`" for n in names) for names in ends[topic])
-        rows.append([_topic(topic), f"`{kind}`", out or "sensors", into or "for you"])
+        sensors = out in ("", "`source`")
+        rows.append([_topic(topic), f"`{kind}`", "sensors, `source`" if sensors else out, into or "for you"])
     return table(["topic", "type", "from", "to"], rows)
 
 
