@@ -54,6 +54,7 @@ SUBCOMMANDS = (
         endless=True,
         bare=(("--view", "8080"),),
     ),
+    Subcommand("new", "new", "A twin file, by a few questions or from a ready one."),
     Subcommand("calibrate", "calibrate", "Find a twin's characteristics from recorded drives."),
     Subcommand(
         "diagnose",

@@ -30,6 +30,7 @@ ROWS = (
     {"gap"},
     {"road_estimation"},
     {"identification"},
+    {"road_estimation"},
     {"calibration"},
     {"diagnosis"},
     {"report"},
