@@ -48,6 +48,7 @@ FORMAT = 1
 FEATURES: Mapping[str, float] = {
     # of a cause or a set
     "gain": 1.0,  # evidence over recalibration
+    "freedom": -0.5,  # Occam's factor
     "margin": 0.5,  # evidence over the next best
     "proven": 2.0,  # lower end of the shrink beyond recalibration in the best channel
     "explained": 2.0,  # share of the residual beyond the expected discrepancy
@@ -290,6 +291,7 @@ def answers_of(evidence: Mapping[str, Any]) -> list[Answer]:
         gain = float(np.arcsinh(gains[i]))
         values = {
             "gain": gain,
+            "freedom": float(np.clip(row.get("freedom", 0.0), 0.0, 30.0)),
             "margin": float(np.arcsinh(gains[i] - max([0.0, *others]))),
             "proven": proven,
             "explained": explained,

@@ -160,6 +160,7 @@ class _Known:
             "spread": float(np.sqrt(gains.size * np.var(gains))),
             "occam": found.occam - judged.base.found.occam,
             "tempered_gain": tempered_gain(judged, found),
+            "freedom": self._freedom(found),
             "folds": self._folds(gains),
             "level": self._level(one.remaining, False),
             "level_fitted": self._level(one.remaining, True),
@@ -205,6 +206,13 @@ class _Known:
         """Share of the folds that gain."""
         fold = self.judged.blocks.fold(np.arange(gains.size))
         return float(np.mean(np.bincount(fold, gains) > 0.0))
+
+    def _freedom(self, found: Evidence) -> float:
+        """Nats of Occam's factor beyond that of recalibration: how much of the prior the tempered data rule out."""
+        own, base = found.penalty, self.judged.base.found.penalty
+        if own is None or base is None:
+            return 0.0
+        return own.at(self.judged.temper)[1] - base.at(self.judged.temper)[1]
 
     def _level(self, remaining: RemainingResidual, with_nuisances: bool) -> float:
         """Residual on the drives with the gap as a share of the motion."""
