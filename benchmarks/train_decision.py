@@ -40,7 +40,7 @@ FILE = HERE.parent / "suspension_twin" / "diagnosis" / "decision.json"
 PRIOR = {"cause": 0.5, "no_gap": 0.3, "unknown": 0.2}
 #: Severity in floors from which on an effect has to be named; below, no gap is right as well.
 PLAIN = 1.3
-RIDGES = (0.3, 1.0, 3.0, 10.0)
+RIDGES = (1.0, 3.0, 10.0)
 _COVERED = 0.9
 
 

@@ -48,7 +48,6 @@ FORMAT = 1
 FEATURES: Mapping[str, float] = {
     # of a cause or a set
     "gain": 1.0,  # evidence over recalibration
-    "freedom": -0.5,  # Occam's factor
     "margin": 0.5,  # evidence over the next best
     "proven": 2.0,  # lower end of the shrink beyond recalibration in the best channel
     "explained": 2.0,  # share of the residual beyond the expected discrepancy
@@ -83,7 +82,7 @@ FEATURES: Mapping[str, float] = {
     # of unknown
     "unknown": -1.0,
     "unknown_blind": 0.0,
-    "unknown_excess": 2.0,  # what recalibration leaves
+    "unknown_excess": 2.0,  # what recalibration leaves, as far as no cause explains it
     "unknown_best_excess": 1.0,  # what the best cause leaves
     "unknown_pattern": 1.0,
     "unknown_clocks": 0.5,
@@ -275,7 +274,7 @@ def answers_of(evidence: Mapping[str, Any]) -> list[Answer]:
     unknown = {
         "unknown": 1.0,
         "unknown_blind": blind,
-        "unknown_excess": _excess(case, base),
+        "unknown_excess": _excess(case, base) * (1.0 - _explained(case, base, best)),
         "unknown_best_excess": min(_excess(case, best), _excess(case, base)),
         "unknown_pattern": _pattern(base),
         "unknown_clocks": _clocks(base),
@@ -284,14 +283,18 @@ def answers_of(evidence: Mapping[str, Any]) -> list[Answer]:
     members = {r["effects"][0]: i for i, r in enumerate(rows) if len(r["effects"]) == 1}
     for i, row in enumerate(rows):
         own = set(row["effects"])
-        others = [g for j, g in enumerate(gains) if j != i and not set(rows[j]["effects"]) < own]
+        # a hypothesis is nested in one of more effects: neither is a rival of the other
+        others = [
+            g
+            for g, r in zip(gains, rows, strict=True)
+            if not (own <= set(r["effects"]) or set(r["effects"]) < own)
+        ]
         explained = _explained(case, base, row)
         proven = float(np.clip(max(c["low"] for c in row["channels"].values()), 0.0, 1.0))
-        excess = _excess(case, row)
+        excess = _excess(case, row) * (1.0 - explained)
         gain = float(np.arcsinh(gains[i]))
         values = {
             "gain": gain,
-            "freedom": float(np.clip(row.get("freedom", 0.0), 0.0, 30.0)),
             "margin": float(np.arcsinh(gains[i] - max([0.0, *others]))),
             "proven": proven,
             "explained": explained,
@@ -306,7 +309,7 @@ def answers_of(evidence: Mapping[str, Any]) -> list[Answer]:
             "bound": float(any(p.get("bound") for e in row["parameters"].values() for p in e.values())),
             "folds": 1.0 - row["folds"],
             "signs": 1.0 - row.get("signs", 1.0),
-            "pattern": _pattern(row if "tone" in row else base),
+            "pattern": _pattern(row if "tone" in row else base) * (1.0 - explained),
             "clocks": _clocks(row),
             "resonance": float(row["resonance"]),
             "setup": float(any(w in ("time", "road", "sensor") for w in row["where"])),

@@ -15,7 +15,6 @@ from suspension_twin.diagnosis.coarse_search import NO_MATCH
 from suspension_twin.diagnosis.evidence import Blocks, Evidence, blocks_of, evidence, held_out
 from suspension_twin.diagnosis.fit import LinearisedFit, fitted, linearised_fit
 from suspension_twin.diagnosis.hypotheses import BASELINE, Hypothesis, decoys, library
-from suspension_twin.diagnosis.nuisance_penalty import penalty_gains
 from suspension_twin.diagnosis.preexisting import beyond_preexisting
 from suspension_twin.diagnosis.request import DiagnosisRequest, Progress
 from suspension_twin.diagnosis.search import (
@@ -165,14 +164,19 @@ def judge(
 
 
 def tempered_gain(judged: Judged, found: Evidence, base: Evidence | None = None) -> float:
-    """Nats of tempered evidence over ``base`` (recalibration alone if not given), with the nuisance penalty, whose
-    prior is not tempered."""
+    """Nats of tempered evidence over ``base`` (recalibration alone if not given).
+
+    T = temper (held-out gain) + nuisance penalty saved - freedom / 2. The freedom is Occam's factor at the tempered
+    curvature; half of it counts, because held-out scores contain the cost of freedom already. The prior of nuisance
+    parameters is independent of model discrepancy and not tempered.
+    """
     base = base or judged.base.found
-    saved = float(penalty_gains([base.penalty, found.penalty], judged.temper)[1])
     # a held-out gain of more than twice the gain in the fit is chance
     held = min(float(found.score.sum() - base.score.sum()), 2.0 * max(found.fitted - base.fitted, 0.0))
-    # half of the Occam term counts, because held-out scores contain the cost of freedom already
-    return judged.temper * (held - 0.5 * (found.occam - base.occam)) + saved
+    if found.penalty is None or base.penalty is None:
+        return judged.temper * held
+    (spent, free), (spent_before, free_before) = (p.at(judged.temper) for p in (found.penalty, base.penalty))
+    return judged.temper * held + spent_before - spent - 0.5 * max(free - free_before, 0.0)
 
 
 def _since(
