@@ -25,7 +25,7 @@ from typing import Annotated, Any
 import typer
 
 from suspension_twin import __version__
-from suspension_twin.errors import SuspensionTwinError, printable
+from suspension_twin.errors import SuspensionTwinError, one_line, printable
 
 __all__ = ["SUBCOMMANDS", "Subcommand", "main"]
 
@@ -115,7 +115,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         if debug:
             traceback.print_exc()
         status, text = _explain(error, _option(args, "--twin"))
-        print(printable(" ".join(text.split())), file=sys.stderr)
+        print(one_line(" ".join(text.split())), file=sys.stderr)
     finally:
         gc.set_threshold(*thresholds)
         if endless:
