@@ -14,7 +14,15 @@ from setuptools import find_packages, setup
 
 HERE = Path(__file__).resolve().parent
 SHARE = Path("share/suspension_twin")
-NODES = ("imu_ingest", "pose_injector", "suspension_model", "calibrator", "viewer", "foxglove_bridge")
+NODES = (
+    "imu_ingest",
+    "pose_injector",
+    "suspension_model",
+    "calibrator",
+    "source",
+    "viewer",
+    "foxglove_bridge",
+)
 
 REQUIRED = [
     "suspension-twin-interfaces",  # brings rclpy and the ROS messages, see suspension_twin_interfaces/setup.py
@@ -37,7 +45,7 @@ REQUIRED = [
     "cma>=4.0",
     "matplotlib>=3.6",
     "cycler>=0.11",
-    "aiohttp>=3.9",
+    "aiohttp>=3.10",
     "jinja2>=3.1",
     "markupsafe>=2.1",
     "typer>=0.24",

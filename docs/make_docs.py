@@ -29,6 +29,7 @@ DOES = {
     "pose_injector": "GPS and gyroscope to a smooth pose at the IMU's rate",
     "suspension_model": "the twin along that pose over the road; the gap",
     "calibrator": "calibration and diagnosis of recorded drives",
+    "source": "live phones, receivers and IMUs ([docs/sources.md](docs/sources.md)); only where it is given sources",
 }
 _BASE = "`base_link`"
 #: Frame and content of each topic, with units.
@@ -126,6 +127,7 @@ def _node_classes() -> dict[str, Any]:
     from suspension_twin.nodes.calibrator import CalibratorNode
     from suspension_twin.nodes.imu_ingest import ImuIngestNode
     from suspension_twin.nodes.pose_injector import PoseInjectorNode
+    from suspension_twin.nodes.source import SourceNode
     from suspension_twin.nodes.suspension_model import SuspensionModelNode
 
     return {
@@ -133,7 +135,12 @@ def _node_classes() -> dict[str, Any]:
         "pose_injector": PoseInjectorNode,
         "suspension_model": SuspensionModelNode,
         "calibrator": CalibratorNode,
+        "source": SourceNode,
     }
+
+
+#: Nodes that do not start without a parameter.
+_NEEDED = {"source": ("sources", "sensorlogger://127.0.0.1:0")}
 
 
 def _graph() -> dict[str, dict[str, list[tuple[str, str]]]]:
@@ -145,7 +152,7 @@ def _graph() -> dict[str, dict[str, list[tuple[str, str]]]]:
     rclpy.init(args=[])
     try:
         for name, kind in _node_classes().items():
-            node = kind()
+            node = _make(name, kind)
             served = get_action_server_names_and_types_by_node(node, name, "/")
             found[name] = {
                 "latched": [(p.topic, "") for p in node.publishers if _latched(p)],
@@ -160,6 +167,15 @@ def _graph() -> dict[str, dict[str, list[tuple[str, str]]]]:
     finally:
         rclpy.try_shutdown()
     return found
+
+
+def _make(name: str, kind: Any) -> Any:
+    from rclpy.parameter import Parameter
+
+    from suspension_twin.nodes.topics import Embedding
+
+    needed = [_NEEDED[name]] if name in _NEEDED else []
+    return kind(Embedding(parameters=tuple(Parameter(key, value=value) for key, value in needed)))
 
 
 def _own(topic: str) -> bool:
@@ -214,9 +230,10 @@ def topics() -> str:
     rows = []
     for topic, kind in kinds.items():
         into, out = (", ".join(f"`{n}`" for n in names) for names in ends[topic])
-        quality = "latched" if topic in latched else "reliable" if out else "best effort"
+        sensor = out in ("", "`source`")
+        quality = "latched" if topic in latched else "best effort" if sensor else "reliable"
         frame, content = CARRIES[topic.removeprefix("/")]
-        ends_of = f"{out or 'sensors'} → {into or 'you'}"
+        ends_of = f"{'sensors, `source`' if sensor else out} → {into or 'you'}"
         rows.append([_topic(topic), f"`{kind.replace('/msg', '')}`", ends_of, quality, frame, content])
     return table(["topic", "type", "from → to", "QoS", "frame", "content and units"], rows)
 

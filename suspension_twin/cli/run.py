@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
 
 import typer
 
-from suspension_twin.cli.common import TwinFile
+from suspension_twin.cli.common import SourceUrls, TwinFile
 from suspension_twin.errors import InputError, WorkError
 
 if TYPE_CHECKING:
@@ -56,6 +56,7 @@ def command(
         ),
     ] = "1",
     loop: Annotated[bool, typer.Option("--loop", help="Begin the recording again at its end.")] = False,
+    source: SourceUrls = None,
     namespace: Annotated[
         str, typer.Option("--namespace", help="Put everything below this name.", metavar="NS")
     ] = "",
@@ -89,6 +90,9 @@ def command(
 ) -> None:
     """The four nodes in one process, live or replaying a bag. Ctrl-C ends them."""
     speed = _speed(rate)
+    urls = list(source or ())
+    if bag is not None and urls:
+        raise InputError("--source", "goes without --bag: a drive is replayed or followed live")
     if bag is None and (loop or rate != "1"):
         raise InputError("--loop" if loop else "--rate", "needs --bag: only a recording can be replayed")
     # What is wrong with a file is to be said before ROS is started, which takes a second.
@@ -97,6 +101,12 @@ def command(
     load_twin(twin)
     page = None if view is None else _place("--view", view)
     bridge = None if foxglove is None else _bridge(foxglove)
+    if urls:
+        from suspension_twin.sources import make_sources
+        from suspension_twin.sources.common.hub import Hub
+
+        make_sources(urls, Hub())
+    from suspension_twin.cli._status import say
     from suspension_twin.nodes.composed import Composed, check_namespace
     from suspension_twin.nodes.parameters import check_names, read_param_file
     from suspension_twin.nodes.process import check_arguments, ros_context, stopping
@@ -110,11 +120,13 @@ def command(
     with stopping() as stop:
         playback = None if bag is None else _playback(bag, speed, loop, page is not None)
         with ros_context(arguments) as context:
-            composed = Composed(context, twin, namespace, playback)
+            composed = Composed(context, twin, namespace, playback, urls)
             try:
                 if params is not None:
                     check_names(params, wanted, composed.parameter_names())
                 composed.settle_memory()
+                for note in composed.notes:
+                    say(note)
                 with ExitStack() as stack:
                     if page is not None:
                         values = page._asdict() | {"twin": str(twin), "bag": "" if bag is None else str(bag)}

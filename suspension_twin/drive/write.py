@@ -25,11 +25,11 @@ from suspension_twin.drive.cdr import encode, ros2_types
 from suspension_twin.drive.containers.contents import topic_name, type_name
 from suspension_twin.drive.read import TYPES, Topics
 from suspension_twin.drive.repair import nanoseconds
-from suspension_twin.drive.types import Drive
+from suspension_twin.drive.types import Drive, FixData, ImuData, Samples, VelocityData
 from suspension_twin.errors import InputError, WorkError
 from suspension_twin.files import check_writable, remove_leftovers, synchronise, temporary_beside
 
-__all__ = ["BagWriter", "write_drive"]
+__all__ = ["BagWriter", "write_drive", "write_samples"]
 
 #: ns: the seconds of a stamp are 32 bits long.
 _LAST_STAMP = (1 << 31) * 1_000_000_000
@@ -238,36 +238,51 @@ def write_drive(
     """
     topics = topics or Topics()
     with BagWriter(path, overwrite=overwrite) as bag:
-        imu, fix, velocity, heading = drive.imu, drive.fix, drive.velocity, drive.heading
-        values = {
-            **_vector("linear_acceleration", imu.specific_force),
-            **_vector("angular_velocity", imu.angular_rate),
-        }
-        if imu.orientation is None:
-            # REP-145: this sensor reports no orientation
-            values |= {"orientation.w": 1.0, "orientation_covariance": [-1.0] + [0.0] * 8}
-        else:
-            values |= _vector("orientation", imu.orientation, "xyzw")
-        bag.write(topics.imu, TYPES["imu"][0], imu.t, values, frame=imu.frame)
+        for samples in (drive.imu, drive.fix, drive.velocity, drive.heading):
+            if samples is not None:
+                write_samples(bag, samples, topics)
 
-        covariance = np.zeros((len(fix), 9))
-        known = np.asarray(np.isfinite(fix.sigma).all(axis=1))
-        covariance[:, [0, 4, 8]] = np.where(known[:, None], fix.sigma, 0.0) ** 2
-        values = {
-            "latitude": fix.latitude,
-            "longitude": fix.longitude,
-            "altitude": fix.altitude,
-            "status.status": fix.status,
-            "status.service": 1,
-            "position_covariance": covariance,
-            "position_covariance_type": np.where(known, 2, 0),  # diagonal known, or unknown
-        }
-        bag.write(topics.fix, TYPES["fix"][0], fix.t, values, frame=fix.frame)
-        values = _vector("twist.linear", velocity.enu)
-        bag.write(topics.vel, TYPES["vel"][0], velocity.t, values, frame="map")
-        if heading is not None:
-            values = {"quaternion.z": np.sin(heading.yaw / 2), "quaternion.w": np.cos(heading.yaw / 2)}
-            bag.write(topics.heading, TYPES["heading"][0], heading.t, values, frame="map")
+
+def write_samples(bag: BagWriter, samples: Samples, topics: Topics) -> None:
+    """Add samples of one kind to a recording, as messages of the type of the contract, on the topic of their kind."""
+    if isinstance(samples, ImuData):
+        _write_imu(bag, samples, topics.imu)
+    elif isinstance(samples, FixData):
+        _write_fixes(bag, samples, topics.fix)
+    elif isinstance(samples, VelocityData):
+        bag.write(topics.vel, TYPES["vel"][0], samples.t, _vector("twist.linear", samples.enu), frame="map")
+    else:
+        values = {"quaternion.z": np.sin(samples.yaw / 2), "quaternion.w": np.cos(samples.yaw / 2)}
+        bag.write(topics.heading, TYPES["heading"][0], samples.t, values, frame="map")
+
+
+def _write_imu(bag: BagWriter, imu: ImuData, topic: str) -> None:
+    values = {
+        **_vector("linear_acceleration", imu.specific_force),
+        **_vector("angular_velocity", imu.angular_rate),
+    }
+    if imu.orientation is None:
+        # REP-145: this sensor reports no orientation
+        values |= {"orientation.w": 1.0, "orientation_covariance": [-1.0] + [0.0] * 8}
+    else:
+        values |= _vector("orientation", imu.orientation, "xyzw")
+    bag.write(topic, TYPES["imu"][0], imu.t, values, frame=imu.frame)
+
+
+def _write_fixes(bag: BagWriter, fix: FixData, topic: str) -> None:
+    covariance = np.zeros((len(fix), 9))
+    known = np.asarray(np.isfinite(fix.sigma).all(axis=1))
+    covariance[:, [0, 4, 8]] = np.where(known[:, None], fix.sigma, 0.0) ** 2
+    values = {
+        "latitude": fix.latitude,
+        "longitude": fix.longitude,
+        "altitude": fix.altitude,
+        "status.status": fix.status,
+        "status.service": 1,
+        "position_covariance": covariance,
+        "position_covariance_type": np.where(known, 2, 0),  # diagonal known, or unknown
+    }
+    bag.write(topic, TYPES["fix"][0], fix.t, values, frame=fix.frame)
 
 
 def _vector(prefix: str, rows: Floats, names: str = "xyz") -> dict[str, Any]:

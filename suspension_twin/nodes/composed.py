@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import gc
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -22,6 +23,7 @@ from suspension_twin.nodes.imu_ingest import ImuIngestNode
 from suspension_twin.nodes.player import BagPlayer
 from suspension_twin.nodes.pose_injector import PoseInjectorNode
 from suspension_twin.nodes.process import WAIT
+from suspension_twin.nodes.source import SourceNode
 from suspension_twin.nodes.suspension_model import SuspensionModelNode
 from suspension_twin.nodes.topics import ERROR, Embedding, Outbox
 
@@ -47,6 +49,10 @@ PLAYED = (
     ("vel", "bag_player", "pose_injector"),
     ("heading", "bag_player", "pose_injector"),
 )
+
+
+#: And so does the node of live sources.
+LIVE = tuple((topic, "source", receiver) for topic, _, receiver in PLAYED)
 
 
 @dataclass(frozen=True)
@@ -92,13 +98,19 @@ def check_namespace(namespace: str) -> None:
 
 
 class Composed:
-    """All nodes of one twin. Call :meth:`step` until :attr:`finished`, then :meth:`close`."""
+    """All nodes of one twin, with a ``playback`` or with live ``sources`` (URLs) if it is given any. Call
+    :meth:`step` until :attr:`finished`, then :meth:`close`."""
 
     def __init__(
-        self, context: Context, twin_file: Path | str, namespace: str = "", playback: Playback | None = None
+        self,
+        context: Context,
+        twin_file: Path | str,
+        namespace: str = "",
+        playback: Playback | None = None,
+        sources: Sequence[str] = (),
     ) -> None:
         outbox = Outbox()
-        links = LINKS + (PLAYED if playback else ())
+        links = LINKS + (PLAYED if playback else LIVE if sources else ())
         self.executor = SingleThreadedExecutor(context=context)
         self.nodes: dict[str, TwinNode] = {}
         self.player: BagPlayer | None = None
@@ -113,6 +125,11 @@ class Composed:
                 )
                 self.nodes[name] = kind(embedding)
                 self.executor.add_node(self.nodes[name])
+            if sources:
+                urls = Parameter("sources", value=" ".join(sources))
+                embedding = Embedding(context, namespace, (*parameters, urls), outbox=outbox)
+                self.nodes["source"] = SourceNode(embedding)
+                self.executor.add_node(self.nodes["source"])
             senders: dict[str, TwinNode | BagPlayer] = dict(self.nodes)
             if playback:
                 embedding = Embedding(context, namespace, outbox=outbox)
@@ -141,6 +158,12 @@ class Composed:
             for node in self.nodes.values():
                 node.clock_rests = resting
         self.executor.spin_once(timeout_sec=min(most, pause))
+
+    @property
+    def notes(self) -> list[str]:
+        """What the live sources have to tell the user."""
+        source = self.nodes.get("source")
+        return source.notes if isinstance(source, SourceNode) else []
 
     def parameter_names(self) -> dict[str, list[str]]:
         """The names of all parameters, by node."""

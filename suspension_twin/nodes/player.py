@@ -25,7 +25,8 @@ from sensor_msgs.msg import Imu, NavSatFix
 
 from suspension_twin.arrays import Floats
 from suspension_twin.drive.repair import nanoseconds
-from suspension_twin.drive.types import Drive
+from suspension_twin.drive.types import Drive, HeadingData
+from suspension_twin.nodes.messages import fill_fix, fill_heading, fill_imu, fill_velocity
 from suspension_twin.nodes.topics import NS, STREAM_QOS, Embedding, Outbox, Output
 
 __all__ = ["BagPlayer"]
@@ -86,10 +87,14 @@ class BagPlayer(Node):  # type: ignore[misc]
         self.outputs: dict[str, Output] = {}
         heading = drive.heading
         self._roles = (
-            self._role(Imu, "imu/data_raw", partial(_fill_imu, drive)),
-            self._role(NavSatFix, "fix", partial(_fill_fix, drive)),
-            self._role(TwistStamped, "vel", partial(_fill_velocity, drive)),
-            self._role(QuaternionStamped, "heading", partial(_fill_heading, drive)),
+            self._role(Imu, "imu/data_raw", partial(fill_imu, drive.imu)),
+            self._role(NavSatFix, "fix", partial(fill_fix, drive.fix)),
+            self._role(TwistStamped, "vel", partial(fill_velocity, drive.velocity)),
+            self._role(
+                QuaternionStamped,
+                "heading",
+                partial(fill_heading, heading or HeadingData(np.empty(0), np.empty(0))),
+            ),
         )
         stamps = [drive.imu.t, drive.fix.t, drive.velocity.t, np.empty(0) if heading is None else heading.t]
         self._ns, self._kind, self._index = _schedule(stamps)
@@ -266,41 +271,3 @@ def _schedule(stamps: list[Floats]) -> tuple[NDArray[np.int64], NDArray[np.int8]
     # The slower topics first: a fix belongs before the sample of the same stamp.
     order = np.lexsort((-kind, np.concatenate(when)))
     return np.concatenate(ns)[order], kind[order], index[order]
-
-
-def _fill_imu(drive: Drive, message: Imu, i: int) -> None:
-    imu = drive.imu
-    message.header.frame_id = imu.frame
-    a, w, q = message.linear_acceleration, message.angular_velocity, message.orientation
-    a.x, a.y, a.z = imu.specific_force[i].tolist()
-    w.x, w.y, w.z = imu.angular_rate[i].tolist()
-    if imu.orientation is None:
-        message.orientation_covariance[0] = -1.0
-    else:
-        q.x, q.y, q.z, q.w = imu.orientation[i].tolist()
-
-
-def _fill_fix(drive: Drive, message: NavSatFix, i: int) -> None:
-    fix = drive.fix
-    message.header.frame_id = fix.frame
-    message.latitude, message.longitude = float(fix.latitude[i]), float(fix.longitude[i])
-    message.altitude = float(fix.altitude[i])
-    message.status.status = int(fix.status[i])
-    variance = np.square(fix.sigma[i])
-    known = bool(np.isfinite(variance[:2]).all())
-    kind = NavSatFix.COVARIANCE_TYPE_DIAGONAL_KNOWN if known else NavSatFix.COVARIANCE_TYPE_UNKNOWN
-    message.position_covariance_type = kind
-    message.position_covariance[::4] = np.where(np.isfinite(variance), variance, 0.0) if known else 0.0
-
-
-def _fill_velocity(drive: Drive, message: TwistStamped, i: int) -> None:
-    message.header.frame_id = "enu"
-    v = message.twist.linear
-    v.x, v.y, v.z = drive.velocity.enu[i].tolist()
-
-
-def _fill_heading(drive: Drive, message: QuaternionStamped, i: int) -> None:
-    assert drive.heading is not None
-    message.header.frame_id = "map"
-    yaw = float(drive.heading.yaw[i])
-    message.quaternion.z, message.quaternion.w = math.sin(yaw / 2), math.cos(yaw / 2)

@@ -17,11 +17,11 @@ from dataclasses import replace
 import numpy as np
 
 from suspension_twin.arrays import Floats
+from suspension_twin.drive.intake.phones import phone_fix
 from suspension_twin.drive.intake.source import Source
 from suspension_twin.drive.intake.streams import Series, Streams
 from suspension_twin.drive.intake.table import Table, read_table
 from suspension_twin.drive.intake.velocity import velocities_from_course
-from suspension_twin.drive.types import FixData
 from suspension_twin.errors import InputError
 
 __all__ = ["TITLE", "read", "recognises"]
@@ -108,12 +108,8 @@ def _location(table: Table, t: Floats, degrees: list[int], streams: Streams) -> 
     def metre(number: int) -> Floats:
         return table.numbers(metres[number]) if len(metres) > number else np.full(t.size, np.nan)
 
-    horizontal, vertical = metre(1), metre(2)
-    with np.errstate(invalid="ignore"):
-        sigma = np.stack([horizontal / np.sqrt(2), horizontal / np.sqrt(2), vertical], axis=1)
-        sigma = np.where(sigma > 0, sigma, np.nan)
     latitude, longitude = table.numbers(degrees[0]), table.numbers(degrees[1])
-    streams.fix = FixData(t, latitude, longitude, metre(0), np.zeros(t.size, dtype=np.int8), sigma)
+    streams.fix = phone_fix(t, latitude, longitude, metre(0), metre(1), metre(2))
     if speeds and len(degrees) >= 3:
         streams.velocity = velocities_from_course(t, table.numbers(speeds[0]), table.numbers(degrees[2]))
         streams.notes.append("velocity: from speed and direction")
