@@ -52,7 +52,7 @@ SUBCOMMANDS = (
         "run",
         "The four nodes, live or replaying a bag.",
         endless=True,
-        bare=(("--view", "8080"),),
+        bare=(("--view", "8080"), ("--foxglove", "8765")),
     ),
     Subcommand("new", "new", "A twin file, by a few questions or from a ready one."),
     Subcommand("calibrate", "calibrate", "Find a twin's characteristics from recorded drives."),
