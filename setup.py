@@ -14,7 +14,7 @@ from setuptools import find_packages, setup
 
 HERE = Path(__file__).resolve().parent
 SHARE = Path("share/suspension_twin")
-NODES = ("imu_ingest", "pose_injector", "suspension_model", "calibrator", "source")
+NODES = ("imu_ingest", "pose_injector", "suspension_model", "calibrator", "source", "viewer")
 
 REQUIRED = [
     "suspension-twin-interfaces",  # brings rclpy and the ROS messages, see suspension_twin_interfaces/setup.py
@@ -27,6 +27,7 @@ REQUIRED = [
     "pyyaml>=6",
     "rosbags>=0.11,<0.12",
     "mcap>=1.2",
+    "h5py>=3.10",
     "mat-io>=1.0.2",
     "lz4>=4",
     "zstandard>=0.20",
@@ -36,16 +37,19 @@ REQUIRED = [
     "cma>=4.0",
     "matplotlib>=3.6",
     "cycler>=0.11",
+    "aiohttp>=3.9",
+    "paho-mqtt>=2.1",
     "jinja2>=3.1",
     "markupsafe>=2.1",
     "typer>=0.24",
     "rich>=13",
-    "aiohttp>=3.10",
 ]
 TEST = [
     "pytest>=8",
     "pytest-xdist>=3.7",
     "hypothesis>=6.100",
+    "amqtt>=0.11",
+    "playwright>=1.49",
     "mujoco>=3.3",
     # Later ones refuse Python 3.10, and an old pip that finds out late tries all of numpy's releases for a way out.
     "etils<1.14; python_version < '3.11'",

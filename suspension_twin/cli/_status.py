@@ -12,6 +12,8 @@ from rich.console import Console
 from rich.live import Live
 from rich.text import Text
 
+from suspension_twin.errors import printable
+
 if TYPE_CHECKING:
     from suspension_twin.nodes.composed import Composed, Condition
 
@@ -23,7 +25,7 @@ _PERIOD, _LOG_PERIOD = 1.0, 10.0
 
 def say(text: str) -> None:
     """One line for the user that is not a result."""
-    Console(stderr=True, highlight=False, soft_wrap=True).print(Text(text))
+    Console(stderr=True, highlight=False, soft_wrap=True).print(Text(printable(text)))
 
 
 def line(condition: Condition) -> Text:
@@ -43,7 +45,9 @@ def line(condition: Condition) -> Text:
     if condition.complaints:
         more = f" (+{len(condition.complaints) - 1})" if len(condition.complaints) > 1 else ""
         text.append(" | ")
-        text.append(condition.complaints[0] + more, style="bold red" if condition.failing else "yellow")
+        text.append(
+            printable(condition.complaints[0]) + more, style="bold red" if condition.failing else "yellow"
+        )
     return text
 
 

@@ -13,9 +13,10 @@ import typer
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 from rich.table import Column, Table
+from rich.text import Text
 
 import suspension_twin
-from suspension_twin.errors import InputError
+from suspension_twin.errors import InputError, printable
 from suspension_twin.files import check_writable
 
 __all__ = [
@@ -62,16 +63,28 @@ Force = Annotated[bool, typer.Option("--force", help="Overwrite what exists.")]
 _UNBROKEN = 10_000  # characters: a line that is not for a terminal is never wrapped
 
 
+@final
+class _Plain(Console):
+    """A console on which a text is a text: names of files and topics may hold ``[/a]`` or the codes of a terminal.
+
+    Style is given beside a text (``style=``, or :class:`rich.text.Text`), never within it.
+    """
+
+    def render_str(self, text: str, **options: Any) -> Text:
+        """A string of anybody, as it stands, control characters as escapes."""
+        return super().render_str(printable(text), **{**options, "markup": False, "emoji": False})
+
+
 def output() -> Console:
     """Standard output: lines are wrapped between words on a terminal, and left whole in a pipe or file."""
-    return Console(highlight=False, width=None if sys.stdout.isatty() else _UNBROKEN)
+    return _Plain(highlight=False, width=None if sys.stdout.isatty() else _UNBROKEN)
 
 
 def print_table(
     console: Console,
     title: str,
     columns: Sequence[str],
-    rows: Iterable[Sequence[str]],
+    rows: Iterable[Sequence[str | Text]],
     words: Sequence[str] | None = None,
 ) -> None:
     """A table of which nothing is cut off: the columns ``words`` (the first) may wrap, the others hold numbers."""
@@ -81,7 +94,7 @@ def print_table(
         table.add_column(name, justify="right" if numbers else "left", overflow="fold", no_wrap=numbers)
     for row in rows:
         table.add_row(*row)
-    console.print(title, style="bold", markup=False)
+    console.print(title, style="bold")
     console.print(table)
     console.print()
 
@@ -104,7 +117,7 @@ class Outputs:
     def announce(self) -> None:
         """The first line of a command's output, if it writes anything."""
         if self._paths:
-            output().print(f"Writes {', '.join(map(str, self._paths))}", markup=False)
+            output().print(f"Writes {', '.join(map(str, self._paths))}")
 
     def __enter__(self) -> Outputs:
         return self
@@ -146,7 +159,7 @@ class ProgressLine:
 
     def __init__(self) -> None:
         console = Console(stderr=True)
-        text = TextColumn("{task.description}", table_column=Column(ratio=1, no_wrap=True))
+        text = TextColumn("{task.description}", markup=False, table_column=Column(ratio=1, no_wrap=True))
         self._bar = Progress(
             text,
             BarColumn(bar_width=20),
@@ -172,7 +185,9 @@ class ProgressLine:
 
     def show(self, text: str, share: float | None = None) -> None:
         """The stage, and the share of the work that is done, 0 to 1; None: not known."""
-        self._bar.update(self._task, description=text, total=None if share is None else 1.0, completed=share)
+        self._bar.update(
+            self._task, description=printable(text), total=None if share is None else 1.0, completed=share
+        )
 
 
 def print_diagnosis(document: Mapping[str, Any], out: Path) -> None:
@@ -181,8 +196,8 @@ def print_diagnosis(document: Mapping[str, Any], out: Path) -> None:
 
     console = output()
     for warning in document["warnings"]:
-        console.print(warning, style="yellow", markup=False)
-    console.print(f"{document['verdict']}: {document['message']}", style="bold", markup=False)
+        console.print(warning, style="yellow")
+    console.print(f"{document['verdict']}: {document['message']}", style="bold")
     rows = []
     for cause in document["causes"][:5]:
         low, high = cause["shrink_interval"]
@@ -202,4 +217,4 @@ def print_diagnosis(document: Mapping[str, Any], out: Path) -> None:
         f"{document['next_experiment']}",
         markup=False,
     )
-    console.print(f"Written to {out}", markup=False)
+    console.print(f"Written to {out}")

@@ -3,11 +3,19 @@
 
 from __future__ import annotations
 
+import json
 import math
+import os
+import secrets
+import shutil
+import socket
+import subprocess
+import sys
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, nullcontext, suppress
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, NamedTuple
 
 import typer
 
@@ -21,6 +29,16 @@ __all__ = ["command"]
 
 #: Seconds before a recording begins, in which subscribers find the topics.
 _DISCOVERY = 0.5
+#: The same where a page is to be opened first.
+_VIEWED = 3.0
+
+
+class Page(NamedTuple):
+    """Where the page is served, and what its address ends in for others than this machine."""
+
+    host: str
+    port: int
+    token: str
 
 
 def command(
@@ -42,6 +60,14 @@ def command(
     namespace: Annotated[
         str, typer.Option("--namespace", help="Put everything below this name.", metavar="NS")
     ] = "",
+    view: Annotated[
+        str | None,
+        typer.Option(
+            "--view",
+            help="Show the twin on a page in the browser: a port (8080), or HOST:PORT to let others look on.",
+            metavar="[PORT]",
+        ),
+    ] = None,
     params: Annotated[
         Path | None,
         typer.Option("--params", help="Parameters of the nodes, a ROS 2 YAML file.", metavar="FILE"),
@@ -70,6 +96,7 @@ def command(
         from suspension_twin.sources.common.hub import Hub
 
         make_sources(urls, Hub())
+    page = None if view is None else _page(view)
     from suspension_twin.cli._status import say
     from suspension_twin.nodes.composed import Composed, check_namespace
     from suspension_twin.nodes.parameters import check_names, read_param_file
@@ -82,7 +109,7 @@ def command(
     if params is not None:
         arguments += ["--ros-args", "--params-file", str(params)]
     with stopping() as stop:
-        playback = None if bag is None else _playback(bag, speed, loop)
+        playback = None if bag is None else _playback(bag, speed, loop, page is not None)
         with ros_context(arguments) as context:
             composed = Composed(context, twin, namespace, playback, urls)
             try:
@@ -91,7 +118,9 @@ def command(
                 composed.settle_memory()
                 for note in composed.notes:
                     say(note)
-                _run(composed, lambda: stop.asked or not context.ok(), bag)
+                shown = nullcontext() if page is None else _shown(page, twin, bag, namespace, arguments)
+                with shown:
+                    _run(composed, lambda: stop.asked or not context.ok(), bag)
             finally:
                 composed.close()
 
@@ -108,7 +137,52 @@ def _speed(rate: str) -> float:
     return number or math.inf
 
 
-def _playback(bag: Path, speed: float, loop: bool) -> Playback:
+def _page(view: str) -> Page:
+    """Where the page is to be; raises InputError for a wrong or taken place."""
+    from suspension_twin.view.server import is_local
+
+    host, _, number = view.rpartition(":")
+    host = host.strip("[]") or "127.0.0.1"
+    if not (number.isdecimal() and int(number) < 65536):
+        raise InputError("--view", f"must be a port or HOST:PORT, is '{view}'")
+    port = int(number)
+    try:
+        with socket.create_server(
+            (host, port), family=socket.AF_INET6 if ":" in host else socket.AF_INET
+        ) as taken:
+            port = taken.getsockname()[1]
+    except OSError as error:
+        raise InputError(
+            "--view", f"cannot listen on {host}, port {port}: {error.strerror or error}"
+        ) from None
+    return Page(host, port, "" if is_local(host) else secrets.token_urlsafe(9))
+
+
+@contextmanager
+def _shown(page: Page, twin: Path, bag: Path | None, namespace: str, arguments: list[str]) -> Iterator[None]:
+    """The node of the page in a process of its own, which computes when the others do not."""
+
+    values = {
+        "twin": str(twin),
+        "host": page.host,
+        "port": page.port,
+        "token": page.token,
+        "parent": os.getpid(),
+    }
+    values["bag"] = "" if bag is None else str(bag)
+    given = [w for name, value in values.items() for w in ("-p", f"{name}:={json.dumps(value)}")]
+    place = ["-r", f"__ns:=/{namespace.strip('/')}"] if namespace else []
+    command = [sys.executable, "-m", "suspension_twin.nodes.viewer", *arguments, "--ros-args", *place, *given]
+    process = subprocess.Popen(["nice", "-n", "5", *command] if shutil.which("nice") else command)
+    try:
+        yield
+    finally:
+        process.terminate()
+        with suppress(subprocess.TimeoutExpired):
+            process.wait(1.0)
+
+
+def _playback(bag: Path, speed: float, loop: bool, stay: bool) -> Playback:
     from suspension_twin.cli._status import say
     from suspension_twin.drive.read import read_drive
     from suspension_twin.nodes.composed import Playback
@@ -116,7 +190,7 @@ def _playback(bag: Path, speed: float, loop: bool) -> Playback:
     drive = read_drive(bag)
     for warning in drive.warnings:
         say(f"{bag}: {warning}")
-    return Playback(drive, speed, loop, _DISCOVERY)
+    return Playback(drive, speed, loop, _VIEWED if stay else _DISCOVERY, stay)
 
 
 def _run(composed: Composed, stop_asked: Callable[[], bool], bag: Path | None) -> None:

@@ -178,7 +178,7 @@ class Hypothesis:
         its frequency; None for any other effect."""
         names = [p.name for _, p in self.searched]
         severe = np.flatnonzero(self._severe).tolist()
-        if "frequency" not in names or len(severe) != 1:
+        if "frequency" not in names or "phase" in names or len(severe) != 1:
             return None
         low, high = self.bounds()
         tone, row = names.index("frequency"), severe[0]

@@ -9,7 +9,7 @@ effect changes no bit of any result. This module also hands on what the files of
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from typing import Literal
 
@@ -116,7 +116,8 @@ class Effect:
     ``excited_by`` lists signals that move it, ``confused_with`` causes with similar symptoms. ``usual_share`` is the
     severity that a sound vehicle has (a driver, a tank), as a share of its mass. ``order`` places it among the effects:
     terms of one stage of the kernel act in this order, and lists are in it. ``variants`` by model
-    hold what is different on models that ``hook`` is not for.
+    hold what is different on models that ``hook`` is not for. ``finding`` says in words what the effect with given
+    parameters is, as the end of a sentence: "the front left damper has lost 40 % of its force".
     """
 
     id: str
@@ -131,6 +132,7 @@ class Effect:
     usual_share: float = 0.0
     order: int = 1000
     variants: Mapping[str, Variant] = field(default_factory=dict)
+    finding: Callable[[Mapping[str, float]], str] | None = None
 
     def __post_init__(self) -> None:
         neutral = {p.name: p.neutral for p in self.parameters}

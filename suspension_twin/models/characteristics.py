@@ -22,6 +22,7 @@ __all__ = [
     "compression_at",
     "hinges_of",
     "read_curve",
+    "shorten_spring",
     "write_curves",
 ]
 
@@ -118,3 +119,12 @@ def write_curves(
         out, damper + 3 + 2 * hinges, hinges, Curve(-pull.x, pull.f, pull.slope)
     )
     out[damper + 2] = -constant
+
+
+def shorten_spring(out: Floats, first: int, hinges: int, sag: Floats) -> None:
+    """Shift the spring whose rows begin at ``first`` by ``sag`` (L,) m: it carries nothing until it is compressed so
+    far. A lane whose sag is 0 keeps its rows to the last bit."""
+    abscissae, changes = (out[first + 2 + k * hinges : first + 2 + (k + 1) * hinges] for k in range(2))
+    # without branches the force is k0 x + sum of changes max(x, x_j) + constant: the sum of products goes along
+    out[first + 1] -= sag * (out[first] + changes.sum(axis=0))
+    abscissae += sag

@@ -131,7 +131,7 @@ def constants(
     curves, problems = _read_curves(changed)
     flags: Ints | None = None
     if layout.model == "msd":
-        out = msd_rows(changed, numbers, corners.wheel_mass, curves, problems, max_step)
+        out = msd_rows(changed, numbers, corners, curves, problems, max_step)
     else:
         out = stance = _full_car(changed, curves, problems, max_step)
         if any(changed[name] is not numbers[name] for name in numbers):
@@ -140,7 +140,7 @@ def constants(
         has_effects = corners.changed or any(armed.any() for _, armed in change.kernel.values())
         if antenna and (has_effects or stance is not out):
             with np.errstate(all="ignore"):
-                pitch, roll = static_attitude(out, stance, corners.spring, curves)
+                pitch, roll = static_attitude(out, stance, corners, curves)
             road = replace(road, ahead=road.ahead - antenna * pitch, left=road.left + antenna * roll)
         if stance is not out:
             for row in (rows.STATIC, rows.LOAD):

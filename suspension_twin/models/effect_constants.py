@@ -10,8 +10,15 @@ from numpy.typing import NDArray
 
 from suspension_twin.arrays import Floats
 from suspension_twin.models import rows
-from suspension_twin.models.characteristics import Curves, Problems, checker, hinges_of, write_curves
-from suspension_twin.models.full_car_effects import COMPLIANT, effect_kernels
+from suspension_twin.models.characteristics import (
+    Curves,
+    Problems,
+    checker,
+    hinges_of,
+    shorten_spring,
+    write_curves,
+)
+from suspension_twin.models.full_car_effects import COMPLIANT, SOFT, effect_kernels
 from suspension_twin.models.hooks import CornerChange, Values
 from suspension_twin.models.types import Ints
 from suspension_twin.vehicle.corners import AXLES
@@ -42,7 +49,9 @@ def with_effects(
     out[: rows.CURVES] = base[: rows.CURVES]
     out[rows.DAMPER_SHARE : rows.DAMPER_SHARE + 4] = 1.0
     out[rows.COMPLIANCE : rows.COMPLIANCE + 4] = corners.compliance
+    out[rows.TYRE_CHANGE : rows.TYRE_CHANGE + 4] = corners.tyre
     flags[corners.compliance.any(axis=0)] |= COMPLIANT
+    flags[corners.tyre.any(axis=0)] |= SOFT
     for c in range(4):
         axle = AXLES[c // 2]
         spring = curves[axle, "spring"].scaled(1 + corners.spring[c])
@@ -52,24 +61,24 @@ def with_effects(
         beta = out[rows.CORNER_IMPLICIT + c] = base[rows.IMPLICIT + c // 2]
         with np.errstate(all="ignore"):
             write_curves(out, first + c * stride, hinges, spring, push, pull, beta)
+            shorten_spring(out, first + c * stride, hinges, corners.sag[c])
         for curve in (push, pull):
-            for values in (
-                curve.x,
-                curve.f,
-                curve.slope,
-            ):  # the last point repeated up to the number of hinges
-                out[master : master + len(values)] = values
-                out[master + len(values) : master + hinges + 1] = values[-1]
+            for row in (curve.x, curve.f, curve.slope):  # the last point repeated up to the number of hinges
+                out[master : master + len(row)] = row
+                out[master + len(row) : master + hinges + 1] = row[-1]
                 master += hinges + 1
 
     with np.errstate(all="ignore"):
         springs = [curves[axle, "spring"].slope.max(axis=0) for axle in AXLES]
-        stiff, fastest = out[rows.TYRE] + np.maximum(*springs), np.zeros(count)
-        finite = np.isfinite([*corners.spring, *corners.damper, *corners.compliance]).all(axis=0)
-        for name, (given, armed) in effects.items():
+        tyre = out[rows.TYRE] * (1.0 + np.maximum(corners.tyre.max(axis=0), 0.0))
+        stiff, fastest = tyre + np.maximum(*springs), np.zeros(count)
+        given = (corners.spring, corners.damper, corners.compliance, corners.tyre, corners.sag)
+        finite = np.isfinite(np.concatenate(given)).all(axis=0)
+        check(~(corners.tyre > -1.0).all(axis=0), "effects", "leave a tyre no stiffness")
+        for name, (values, armed) in effects.items():
             terms, e = kernels.terms[name], kernels.first[name]
             flags[armed] |= kernels.bit[name]
-            for field, value in terms.constants(given).items():
+            for field, value in terms.constants(values).items():
                 size = terms.fields.sizes[field]
                 own = out[e + field : e + field + size]
                 own[:] = value

@@ -115,10 +115,12 @@ def _stand(
         for j in range(7):
             k[j, j] = _SOFT
         for c in range(4):
+            share = 1.0 + w[(rows.TYRE_CHANGE + c) * WIDTH + lane]
             pull = w[(rows.LOAD + c) * WIDTH + lane] + tyre * (w[(rows.ROAD + c) * WIDTH + lane] - q[3 + c])
+            pull *= share
             if pull > 0.0:
                 rest[3 + c] += pull
-                k[3 + c, 3 + c] += tyre
+                k[3 + c, 3 + c] += share * tyre
             rest[3 + c] -= G / w[(rows.INV_WHEEL + c // 2) * WIDTH + lane]
         for c in range(6):
             stiff = max(stiffness[c], 0.0)
@@ -143,7 +145,8 @@ def _stand(
     for c in range(4):
         w[(rows.DAMPER + c) * WIDTH + lane] = 0.0
         above = w[(rows.ROAD + c) * WIDTH + lane] - w[(rows.WHEEL + c) * WIDTH + lane]
-        w[(rows.GROUND + c) * WIDTH + lane] = fma(tyre, above, w[(rows.TOUCH + c) * WIDTH + lane])
+        share = 1.0 + w[(rows.TYRE_CHANGE + c) * WIDTH + lane]
+        w[(rows.GROUND + c) * WIDTH + lane] = share * fma(tyre, above, w[(rows.TOUCH + c) * WIDTH + lane])
 
 
 #: ``_stand`` of lanes without effects.

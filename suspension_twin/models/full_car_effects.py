@@ -37,10 +37,11 @@ from suspension_twin.models.rows import WIDTH
 from suspension_twin.models.sensor import sense
 from suspension_twin.models.types import Ints
 
-__all__ = ["COMPLIANT", "EffectKernels", "effect_kernels"]
+__all__ = ["COMPLIANT", "SOFT", "EffectKernels", "effect_kernels"]
 
-#: Bit of the flags of a block in which a damper has an elastic mount. Effects have the bits above it.
-COMPLIANT = 1
+#: Bits of the flags of a block in which a damper has an elastic mount, and in which a tyre has a stiffness of its own.
+#: Effects have the bits above them.
+COMPLIANT, SOFT = 1, 2
 
 #: What each assembly of the kernel has of its own: hinges of a curve, first row of the curves, static equilibrium, the
 #: terms of the stages, and the flags of blocks that have one.
@@ -67,6 +68,14 @@ def _push(w: Floats, force: float) -> None:
     for c in range(4):
         for i in range(WIDTH):
             w[(rows.STRUT + c) * WIDTH + i] += force
+
+
+@compiled
+def _soften(w: Floats) -> None:
+    """Each tyre with the stiffness of its own."""
+    for c in range(4):
+        for i in range(WIDTH):
+            w[(rows.GROUND + c) * WIDTH + i] *= 1.0 + w[(rows.TYRE_CHANGE + c) * WIDTH + i]
 
 
 def _run(
@@ -117,12 +126,16 @@ def _run(
                     share = (j + 1.0) / n
                     _ground(w, road, candidate_road, row, 1.0 / h)
                     row += 1
+                    speed = motion[k - 1, 5] + (share - 0.5 / n) * (motion[k, 5] - motion[k - 1, 5])
                     for i in range(WIDTH):
+                        w[rows.SPEED * WIDTH + i] = speed
                         move(w, i, h)
                         strut_forces(w, i, c0, c1, c2, c3, _HINGES)
                         r0, r1, r2, r3 = four(w, rows.ROAD, i)
                         n0, n1, n2, n3 = tyre_forces(w, i, r0, r1, r2, r3)
                         put(w, rows.GROUND, i, n0, n1, n2, n3)
+                    if flag & SOFT:
+                        _soften(w)
                     if flag & _STRUT_OF:
                         _STRUT(w, flag, h)
                     if actuated:
@@ -225,7 +238,7 @@ def effect_kernels() -> EffectKernels:
     restart: list[str] = []
     names: dict[str, Any] = {"WIDTH": WIDTH, "STRUT": rows.STRUT, "travel": travel}
     for index, (name, own) in enumerate(terms.items(), 1):
-        e, first[name], bit[name] = end, end, COMPLIANT << index
+        e, first[name], bit[name] = end, end, SOFT << index
         end += own.fields.count
         for field in own.fields.restarted:
             last = e + field + own.fields.sizes[field]

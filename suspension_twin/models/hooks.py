@@ -11,7 +11,7 @@ the parameters of all L candidates at once and must be exactly nothing where the
     by a misplaced sensor. ``numbers`` maps dotted keys to (L,) arrays; the geometry of the stance
     (static compression, what heights are counted from) stays that of the twin without it.
 ``corners(change, values)``
-    changes springs, dampers and damper mounts corner by corner (:class:`CornerChange`).
+    changes springs, dampers, damper mounts and tyres corner by corner (:class:`CornerChange`).
 ``kernel``
     compiled terms with fields of their own in a block (:class:`KernelTerms`): forces of struts and tyres, masses
     on the body, what the sensor reads of them.
@@ -107,22 +107,27 @@ class KernelTerms:
 class CornerChange:
     """What effects change at single corners: ``spring`` and ``damper`` (4, L) share added to the force of the corner's
     characteristic (0), ``compliance`` (4, L) m/N of an elastic mount in series with its damper (0), ``wheel_mass``
-    (L,) kg of each wheel of ``msd`` (0)."""
+    (L,) kg of each wheel of ``msd`` (0), ``tyre`` (4, L) share added to the stiffness of the corner's tyre (0) and
+    ``sag`` (4, L) m by which its spring is shorter when free (0)."""
 
     spring: Floats
     damper: Floats
     compliance: Floats
     wheel_mass: Floats
+    tyre: Floats
+    sag: Floats
 
     @classmethod
     def neutral(cls, count: int) -> CornerChange:
         """No change for ``count`` candidates."""
-        return cls(np.zeros((4, count)), np.zeros((4, count)), np.zeros((4, count)), np.zeros(count))
+        spring, damper, compliance, tyre, sag = np.zeros((5, 4, count))
+        return cls(spring, damper, compliance, np.zeros(count), tyre, sag)
 
     @property
     def changed(self) -> bool:
-        """Whether any candidate's struts differ from those of its axles' characteristics."""
-        return bool(self.spring.any() or self.damper.any() or self.compliance.any())
+        """Whether any candidate's struts or tyres differ from those of its axles."""
+        parts = (self.spring, self.damper, self.compliance, self.tyre, self.sag)
+        return any(bool(part.any()) for part in parts)
 
 
 @dataclass(frozen=True, eq=False)

@@ -13,8 +13,10 @@ from suspension_twin.models.characteristics import (
     checker,
     compression_at,
     hinges_of,
+    shorten_spring,
     write_curves,
 )
+from suspension_twin.models.hooks import CornerChange
 from suspension_twin.units import STANDARD_GRAVITY as G
 from suspension_twin.vehicle.corners import AXLES
 
@@ -26,7 +28,7 @@ _SPRING_PHASE = 1.0
 def msd_rows(
     numbers: dict[str, Floats],
     stance: dict[str, Floats],
-    unsprung: Floats,
+    corners: CornerChange,
     curves: Curves,
     problems: Problems,
     max_step: float,
@@ -34,8 +36,9 @@ def msd_rows(
     """Rows of a block (rows, L) of ``msd``.
 
     ``numbers`` of the twin as changed by effects, ``stance`` of the twin from whose standing heights
-    are counted; ``unsprung`` (L,) kg the mass of each wheel, 0 for none.
+    are counted; of ``corners`` the mass of each wheel, 0 for none, and the sag of each axle's springs.
     """
+    unsprung = corners.wheel_mass
     hinges, check = hinges_of(curves), checker(problems)
     out = np.zeros((rows.block_rows(hinges), unsprung.size))
 
@@ -90,7 +93,9 @@ def msd_rows(
             beta = max_step / 2 * (out[rows.INV_CORNER] + out[rows.INV_UNSPRUNG])
             out[rows.IMPLICIT + a] = beta
             push, pull = curves[axle, "damper_push"], curves[axle, "damper_pull"]
-            write_curves(out, rows.CURVES + a * rows.axle_rows(hinges), hinges, spring, push, pull, beta)
+            first = rows.CURVES + a * rows.axle_rows(hinges)
+            write_curves(out, first, hinges, spring, push, pull, beta)
+            shorten_spring(out, first, hinges, corners.sag[2 * a])
             stiff = spring.slope.max(axis=0) * (out[rows.INV_CORNER] + out[rows.INV_UNSPRUNG])
             stiff = np.maximum(stiff, (out[rows.TYRE] + spring.slope.max(axis=0)) * out[rows.INV_UNSPRUNG])
             check(

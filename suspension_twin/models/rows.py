@@ -91,6 +91,7 @@ LAG = _core.add(CORNER)  # within an interval: weight of the last damper force i
 MOMENT = _core.add(4)
 ROAD = _core.add(CORNER)  # height under each wheel at this step, m
 ROAD_RATE = _core.add(CORNER)  # and how fast it rises, m/s
+SPEED = _core.add()  # forward speed in the middle of this step, m/s, in blocks with effects
 ACTUATOR = _core.add()  # at a fresh start: force of an actuator in every strut, N
 
 # -- constants of a lane
@@ -103,6 +104,7 @@ STATIC = _core.add(CORNER)  # static compression of the springs, m
 LOAD = _core.add(CORNER)  # static tyre load, N
 TOUCH = _core.add(CORNER)  # tyre force on a road at height 0 of a wheel whose row of POSITION is 0, N
 TYRE = _core.add()  # tyre stiffness, N/m
+TYRE_CHANGE = _core.add(CORNER)  # share by which the stiffness of one tyre is more, in blocks with effects
 TRANSFER = _core.add()  # mass times height of the centre of gravity, kg m
 COG = _core.add(2)  # centre of gravity of the whole vehicle: x, y in base_link, m
 HEIGHT = _core.add()  # and its height above base_link, m

@@ -8,6 +8,7 @@ import numpy as np
 from suspension_twin.arrays import Floats
 from suspension_twin.models import rows
 from suspension_twin.models.characteristics import Curves, compression_at
+from suspension_twin.models.hooks import CornerChange
 from suspension_twin.units import STANDARD_GRAVITY as G
 from suspension_twin.vehicle.corners import AXLES
 
@@ -17,18 +18,20 @@ __all__ = ["static_attitude"]
 _ABOUT = 0.1
 
 
-def static_attitude(loaded: Floats, stance: Floats, springs: Floats, curves: Curves) -> tuple[Floats, Floats]:
+def static_attitude(
+    loaded: Floats, stance: Floats, change: CornerChange, curves: Curves
+) -> tuple[Floats, Floats]:
     """Pitch (nose down positive) and roll (right side down positive) in rad, (L,) each, against the vehicle without
     its effects.
 
-    ``loaded`` and ``stance`` are rows of blocks with and without the load that effects add, ``springs`` (4, L) is the
-    share that they add to the force of single springs. A rigid body on four springs in series with tyres: the
-    unbalanced loads of the corners over the rates there. Exactly 0 without any.
+    ``loaded`` and ``stance`` are rows of blocks with and without the load that effects add, ``change`` what they
+    change of single springs and tyres. A rigid body on four springs in series with tyres: the unbalanced loads of the
+    corners over the rates there. Exactly 0 without any.
     """
     count = loaded.shape[1]
     force, stiffness = np.zeros((3, count)), np.zeros((3, 3, count))
     for i in range(4):
-        spring, scale = curves[AXLES[i // 2], "spring"], 1.0 + springs[i]
+        spring, scale = curves[AXLES[i // 2], "spring"], 1.0 + change.spring[i]
         carried = stance[rows.LOAD + i] - G / stance[rows.INV_WHEEL + i // 2]
         wanted = loaded[rows.LOAD + i] - G / loaded[rows.INV_WHEEL + i // 2]
         more = wanted - scale * carried
@@ -36,7 +39,10 @@ def static_attitude(loaded: Floats, stance: Floats, springs: Floats, curves: Cur
         middle = carried + 0.5 * more / scale
         low, high = (compression_at(spring, (1.0 + s * _ABOUT) * middle) for s in (-1.0, 1.0))
         rate = scale * 2.0 * _ABOUT * middle / (high - low)
-        rate = 1.0 / (1.0 / rate + 1.0 / loaded[rows.TYRE])
+        tyre = loaded[rows.TYRE] * (1.0 + change.tyre[i])
+        rate = 1.0 / (1.0 / rate + 1.0 / tyre)
+        # a shorter spring and a softer tyre let the corner down by as much as they give more
+        more = more + rate * (change.sag[i] - change.tyre[i] * loaded[rows.LOAD + i] / tyre)
         arm = np.stack([np.ones(count), stance[rows.ARM_X + i // 2], -stance[rows.ARM_Y + i]])
         force += more * arm
         stiffness += rate * arm[:, None] * arm[None]

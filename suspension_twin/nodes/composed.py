@@ -58,12 +58,13 @@ LIVE = tuple((topic, "source", receiver) for topic, _, receiver in PLAYED)
 @dataclass(frozen=True)
 class Playback:
     """A drive to play at ``rate`` times real time (``math.inf``: full speed), once or in a ``loop``, beginning
-    after ``delay`` s."""
+    after ``delay`` s. With ``stay`` it waits at the end to be sent back, and never finishes."""
 
     drive: Drive
     rate: float = 1.0
     loop: bool = False
     delay: float = 0.0
+    stay: bool = False
 
 
 @dataclass(frozen=True)
@@ -130,7 +131,7 @@ class Composed:
             if playback:
                 embedding = Embedding(context, namespace, outbox=outbox)
                 self.player = senders["bag_player"] = BagPlayer(
-                    playback.drive, playback.rate, playback.loop, embedding, playback.delay
+                    playback.drive, playback.rate, playback.loop, embedding, playback.delay, playback.stay
                 )
                 self.player.watched = [o.publisher for n in self.nodes.values() for o in n.outputs.values()]
                 self.executor.add_node(self.player)
@@ -147,7 +148,12 @@ class Composed:
 
     def step(self, most: float = WAIT) -> None:
         """Play the messages that are due and serve one callback; returns after ``most`` s at the latest."""
-        pause = math.inf if self.player is None else self.player.play()
+        pause = math.inf
+        if self.player is not None:
+            pause = self.player.play()
+            resting = self.player.paused or self.player.ended
+            for node in self.nodes.values():
+                node.clock_rests = resting
         self.executor.spin_once(timeout_sec=min(most, pause))
 
     @property

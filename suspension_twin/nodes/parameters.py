@@ -10,13 +10,13 @@ from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
-import yaml
 from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescriptor, SetParametersResult
 from rclpy.exceptions import InvalidParameterTypeException, ParameterException
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 
 from suspension_twin.errors import InputError
+from suspension_twin.files import read_yaml
 from suspension_twin.signals.filters import FilterSpec
 from suspension_twin.vehicle.twin import Twin, load_twin
 
@@ -190,16 +190,7 @@ def read_param_file(path: Path) -> dict[str, dict[str, Any]]:
 
     Raises InputError that says what is wrong with the file.
     """
-    try:
-        data = yaml.safe_load(path.read_text(encoding="utf-8"))
-    except OSError as error:
-        raise InputError(path, error.strerror or "cannot be read") from None
-    except (yaml.YAMLError, UnicodeDecodeError) as error:
-        mark = getattr(error, "problem_mark", None)
-        where = f"line {mark.line + 1}: " if mark else ""
-        raise InputError(path, f"{where}{getattr(error, 'problem', None) or 'not YAML'}") from None
-    except (RecursionError, ValueError):  # brackets nested too deep, an impossible date
-        raise InputError(path, "not YAML that can be read") from None
+    data = read_yaml(path)
     if not isinstance(data, dict):
         raise InputError(path, f"not a parameter file: a mapping of nodes with '{_KEY}' is expected")
     return {node: dict(_flat(values)) for node, values in _sections(path, data, "")}

@@ -10,10 +10,15 @@ from functools import partial
 from typing import Any
 
 import numpy as np
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from geometry_msgs.msg import QuaternionStamped, TwistStamped
 from numpy.typing import NDArray
+from rcl_interfaces.msg import FloatingPointRange, ParameterDescriptor, SetParametersResult
+from rclpy.clock import Clock as SystemClock
+from rclpy.clock_type import ClockType
 from rclpy.duration import Duration
 from rclpy.node import Node
+from rclpy.parameter import Parameter
 from rclpy.publisher import Publisher
 from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import Imu, NavSatFix
@@ -32,6 +37,13 @@ _CLOCK_RATE = 100.0
 #: acknowledgement of subscribers is waited for.
 _SLICE = 0.02
 _UNACKNOWLEDGED = STREAM_QOS.depth // 2
+#: A jump back of less than this in s is made one of this, for the nodes take stamps that are a little older for late
+#: ones, see the parameter jump_back.
+_LEAST_BACK = 1.5
+#: Range of the parameter ``rate``; 0 is full speed.
+_FASTEST = 1000.0
+#: s between two messages on /diagnostics.
+_TOLD_EVERY = 0.5
 
 
 class BagPlayer(Node):  # type: ignore[misc]
@@ -39,11 +51,21 @@ class BagPlayer(Node):  # type: ignore[misc]
 
     ``rate`` times real time; ``math.inf`` as fast as the linked nodes take the messages and other
     subscribers acknowledge them, so that nothing is lost. With ``loop`` it begins again at the end,
-    and time jumps back. The first message is sent after ``delay`` s, in which subscribers connect.
+    and time jumps back. The first message is sent after ``delay`` s, in which subscribers connect. With ``stay`` the
+    player waits at the end to be sent back.
+
+    While it plays it is led by its parameters: ``rate``, ``paused``, and ``seek``, which goes to a position in s. Where
+    it is, it says on ``/diagnostics``.
     """
 
     def __init__(
-        self, drive: Drive, rate: float, loop: bool, embedding: Embedding, delay: float = 0.0
+        self,
+        drive: Drive,
+        rate: float,
+        loop: bool,
+        embedding: Embedding,
+        delay: float = 0.0,
+        stay: bool = False,
     ) -> None:
         super().__init__(
             "bag_player",
@@ -52,6 +74,10 @@ class BagPlayer(Node):  # type: ignore[misc]
         )
         self.rate = rate
         self.loop = loop
+        self.stay = stay
+        self.paused = False
+        #: Whether it waits at the end.
+        self.ended = False
         self.loops = 0
         self.done = False
         #: Further publishers whose subscribers are waited for at full speed.
@@ -72,9 +98,83 @@ class BagPlayer(Node):  # type: ignore[misc]
         )
         stamps = [drive.imu.t, drive.fix.t, drive.velocity.t, np.empty(0) if heading is None else heading.t]
         self._ns, self._kind, self._index = _schedule(stamps)
+        self._when = np.maximum.accumulate(self._ns)
         self.start = int(self._ns[0])
         self.end = int(self._ns[-1])
+        self._stopped_at = 0.0
         self.reset(delay)
+        self._declare()
+
+    def _declare(self) -> None:
+        def number(name: str, value: float, text: str, high: float) -> None:
+            bounds = FloatingPointRange(from_value=0.0, to_value=high)
+            self.declare_parameter(
+                name, value, ParameterDescriptor(description=text, floating_point_range=[bounds])
+            )
+
+        rate = min(self.rate, _FASTEST) if math.isfinite(self.rate) else 0.0
+        number("rate", rate, "Times real time; 0: as fast as no message gets lost.", _FASTEST)
+        number("seek", 0.0, "Setting it goes to this position in s.", self.duration)
+        self.declare_parameter("paused", False, ParameterDescriptor(description="Whether the replay rests."))
+        self.add_on_set_parameters_callback(self._on_set)
+        self._diagnostics = self.create_publisher(DiagnosticArray, "/diagnostics", 10)
+        self.create_timer(_TOLD_EVERY, self._tell, clock=SystemClock(clock_type=ClockType.STEADY_TIME))
+
+    def _tell(self) -> None:
+        values = {
+            "start (ns)": str(self.start),
+            "position": f"{self.position:.3f}",
+            "duration": f"{self.duration:.3f}",
+            "rate": f"{self.rate:g}",
+            "paused": str(self.paused),
+            "ended": str(self.ended),
+        }
+        status = DiagnosticStatus(
+            name=self.get_fully_qualified_name().lstrip("/"),
+            hardware_id="suspension_twin",
+            message="paused" if self.paused else "at the end" if self.ended else "playing",
+            values=[KeyValue(key=k, value=v) for k, v in values.items()],
+        )
+        message = DiagnosticArray(status=[status])
+        message.header.stamp = self.get_clock().now().to_msg()
+        self._diagnostics.publish(message)
+
+    def _on_set(self, parameters: list[Parameter]) -> SetParametersResult:
+        for parameter in parameters:
+            if parameter.name == "rate":
+                self.set_rate(parameter.value or math.inf)
+            elif parameter.name == "paused":
+                self.pause(parameter.value)
+            elif parameter.name == "seek":
+                self.seek(parameter.value)
+        return SetParametersResult(successful=True)
+
+    def set_rate(self, rate: float) -> None:
+        """Go on from here at ``rate`` times real time, ``math.inf`` at full speed."""
+        self.rate = rate
+        self._go_on_from(self.position)
+
+    def pause(self, paused: bool) -> None:
+        """Rest, or go on."""
+        if paused and not self.paused:
+            self._stopped_at = self.position
+        elif self.paused and not paused:
+            self._go_on_from(self._stopped_at)
+        self.paused = paused
+
+    def seek(self, position: float) -> None:
+        """Go to ``position`` s of the drive; backwards at least so far that the nodes see a jump."""
+        if 0.0 < self.position - position < _LEAST_BACK:
+            position = self.position - _LEAST_BACK
+        position = min(max(position, 0.0), self.duration)
+        self._next = int(np.searchsorted(self._when, self.start + int(position * NS)))
+        self.ended = False
+        self._stopped_at = position
+        self._go_on_from(position)
+
+    def _go_on_from(self, position: float) -> None:
+        self._began = time.monotonic() - (position / self.rate if self.rate < math.inf else 0.0)
+        self._clock_due = 0.0
 
     def _role(self, kind: type, topic: str, fill: Callable[[Any, int], None]) -> tuple[Output, Any, Any]:
         output = self.outputs[topic] = Output(self.create_publisher(kind, topic, STREAM_QOS), self._outbox)
@@ -100,7 +200,7 @@ class BagPlayer(Node):  # type: ignore[misc]
     def play(self) -> float:
         """Send all messages that are due; returns the time in s until the next one (0 at full speed, inf at the
         end)."""
-        if self.done:
+        if self.done or self.paused or self.ended:
             return math.inf
         until = time.monotonic() + _SLICE
         if until < self._began:
@@ -156,6 +256,8 @@ class BagPlayer(Node):  # type: ignore[misc]
         self.loops += 1
         if self.loop:
             self.reset()
+        elif self.stay:
+            self.ended = True
         else:
             self.done = True
 

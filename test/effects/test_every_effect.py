@@ -24,6 +24,7 @@ VISIBLE = {
     "sensor_clipping": {"range": 11.0},
     "clock_drift": {"drift_ppm": 5000.0},
     "damper_fade": {"time_constant": 3.0},
+    "spring_sag": {"front": 0.03, "rate": 4.0},
 }
 
 

@@ -149,7 +149,7 @@ def test_every_folder_of_code_is_a_package(repository: Path, setup_arguments: di
 
 def test_entry_points_resolve(setup_arguments: dict[str, Any]) -> None:
     scripts = dict(line.split(" = ") for line in setup_arguments["entry_points"]["console_scripts"])
-    assert set(scripts) == {"suspension-twin", *NODES}
+    assert set(scripts) == {"suspension-twin", *NODES, "viewer"}
     for target in scripts.values():
         module, attribute = target.split(":")
         assert callable(getattr(import_module(module), attribute))
@@ -197,7 +197,11 @@ def test_colcon_builds_the_package(
     folders = ["--build-base", tmp_path / "build", "--install-base", install]
     colcon("build", *options, "--base-paths", ".", *folders, cwd=source, log=tmp_path / "log")
     prefix = install / "suspension_twin"
-    assert {p.name for p in (prefix / "lib/suspension_twin").iterdir()} == {"suspension-twin", *NODES}
+    assert {p.name for p in (prefix / "lib/suspension_twin").iterdir()} == {
+        "suspension-twin",
+        *NODES,
+        "viewer",
+    }
     for name in ("package.xml", "launch/suspension_twin.launch.py"):
         assert (prefix / "share/suspension_twin" / name).is_file()
     assert (prefix / "share/ament_index/resource_index/packages/suspension_twin").exists()

@@ -28,12 +28,13 @@ ROWS = (
     {"road"},
     {"models", "effects"},
     {"gap"},
+    {"road_estimation"},
     {"identification"},
     {"calibration"},
     {"diagnosis"},
     {"report"},
+    {"view"},
     {"nodes"},
-    {"demo"},
     {"demo"},
     {"cli"},
     {"__main__"},
@@ -228,7 +229,9 @@ def test_an_effect_is_whole(name: str, repository: Path) -> None:
 def test_every_effect_is_registered(repository: Path) -> None:
     assert files_of(repository, "effects") - {"base", "registry"} == set(EFFECTS)
     strut = "strut_friction bump_stop rebound_stop top_mount anti_roll_bar damper_fade corner_damper corner_spring"
+    strut += " worn_dampers spring_sag semi_active_damper"
     tyre_and_body = "tyre_damping tyre_envelope unsprung_mass payload body_bending powertrain_mount"
+    tyre_and_body += " tyre_pressure wheel_imbalance engine_order"
     sensor = "mount_resonance sensor_offset sensor_tilt sensor_bandwidth sensor_clipping sensor_scale"
     time_and_road = "time_offset clock_drift road_scale road_smoothing position_offset lateral_offset"
     assert set(EFFECTS) >= set(f"{strut} {tyre_and_body} {sensor} {time_and_road}".split())

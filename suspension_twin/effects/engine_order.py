@@ -1,0 +1,95 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A tone of the engine in the body."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+
+import numpy as np
+
+from suspension_twin.effects.base import (
+    LANE,
+    WIDTH,
+    Effect,
+    Fields,
+    Floats,
+    Hook,
+    KernelTerms,
+    Parameter,
+    Values,
+    fma,
+    inlined,
+    rows,
+)
+
+__all__ = ["EFFECT"]
+
+_PARAMETERS = (
+    Parameter(
+        "force",
+        "N",
+        0.0,
+        6000.0,
+        0.0,
+        0.0,
+        300.0,
+        "amplitude, in the vertical above the front axle",
+        usual=5.0,
+    ),
+    Parameter(
+        "frequency", "Hz", 0.0, 50.0, 0.0, 10.0, 8.0, "at standstill, and at any speed of a fixed tone"
+    ),
+    Parameter(
+        "per_metre", "1/m", 0.0, 4.0, 0.0, 0.5, 0.5, "by which the frequency rises with the speed in m/s"
+    ),
+    Parameter("phase", "rad", -7.0, 7.0, 0.0, 0.0, math.pi, "at the drive's start"),
+)
+
+
+_FIELDS = Fields()
+_SIZE = _FIELDS.add()  # N
+_OMEGA = _FIELDS.add()  # at standstill, rad/s
+_PER_METRE = _FIELDS.add()  # rad/m
+_PHASE = _FIELDS.add()  # rad
+_ANGLE = _FIELDS.state()  # since the start, rad
+
+
+def _constants(p: Values) -> Mapping[int, Floats]:
+    turn = 2.0 * np.pi
+    return {
+        _SIZE: p["force"],
+        _OMEGA: turn * p["frequency"],
+        _PER_METRE: turn * p["per_metre"],
+        _PHASE: p["phase"],
+    }
+
+
+@inlined
+def _hum(w: Floats, e: int, c: int, i: int, h: float) -> None:
+    omega = fma(w[(e + _PER_METRE) * WIDTH + i], w[rows.SPEED * WIDTH + i], w[(e + _OMEGA) * WIDTH + i])
+    angle = fma(h, omega, w[(e + _ANGLE) * WIDTH + i])
+    w[(e + _ANGLE) * WIDTH + i] = angle
+    f = w[(e + _SIZE) * WIDTH + i] * math.sin(angle + w[(e + _PHASE) * WIDTH + i])
+    heave = f * w[rows.INV_MASS * WIDTH + i]
+    pitch = -(w[rows.ARM_X * WIDTH + i] * f) * w[rows.INV_PITCH * WIDTH + i]
+    w[rows.HEAVE_ACCELERATION * WIDTH + i] += heave
+    w[rows.PITCH_ACCELERATION * WIDTH + i] += pitch
+    w[rows.HEAVE_RATE * WIDTH + i] += h * heave
+    w[rows.PITCH_RATE * WIDTH + i] += h * pitch
+
+
+EFFECT = Effect(
+    id="engine_order",
+    title="tone of the engine",
+    where="body",
+    doc="A harmonic force on the body above the front axle, whose frequency is one part that is fixed and one that is "
+    "proportional to the speed: an idling engine or a fan, an order of the engine in one gear, or both. A pause of "
+    "more than 0.5 s in a recording begins a new phase.",
+    parameters=_PARAMETERS,
+    order=145,
+    severity=("force",),
+    excited_by=("the engine itself", "a smooth road", "standing still"),
+    confused_with=("wheel_imbalance", "mount_resonance", "powertrain_mount"),
+    hook=Hook(kernel=KernelTerms(_FIELDS, _constants, {"body": (_hum, LANE)})),
+)

@@ -1,0 +1,50 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Springs of an axle that have set."""
+
+from __future__ import annotations
+
+from suspension_twin.effects.base import (
+    CornerChange,
+    Effect,
+    Floats,
+    Hook,
+    Parameter,
+    Values,
+    Variant,
+    by_corner,
+    of_one_corner,
+)
+
+__all__ = ["EFFECT"]
+
+_sag = ("m", 0.0, 0.12, 0.0, 0.0, 0.02)
+_PARAMETERS = (
+    Parameter("front", *_sag, "by which the front springs are shorter when free, at the wheel", usual=0.005),
+    Parameter("rear", *_sag, "the same at the rear", usual=0.005),
+    # a spring that has set keeps its rate; one without the last of its seven coils is a sixth stiffer and 40 mm shorter
+    Parameter(
+        "rate", "1/m", -6.0, 6.0, 0.0, 0.0, 2.0, "share by which their rate is more, for each m of sag"
+    ),
+)
+
+
+def _corners(change: CornerChange, p: Values) -> None:
+    sag: Floats = by_corner(p["front"], p["rear"])
+    change.sag[:] += sag
+    change.spring[:] += p["rate"] * sag
+
+
+EFFECT = Effect(
+    id="spring_sag",
+    title="sagged springs",
+    where="strut",
+    doc="The springs of an axle are shorter when free than their characteristic says, so that the axle stands lower, "
+    "and their rate has changed a little with that: set, or an end coil that is broken off.",
+    parameters=_PARAMETERS,
+    order=115,
+    severity=("front", "rear"),
+    excited_by=("standing still", "the static pitch before and after", "points of the springs in reach"),
+    confused_with=("sensor_tilt", "payload", "the points of the spring"),
+    hook=Hook(corners=_corners, models=("full_car", "msd"), upright=True),
+    variants={"quarter_car": Variant(of_one_corner(_PARAMETERS), Hook(corners=_corners, upright=True))},
+)

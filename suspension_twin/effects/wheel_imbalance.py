@@ -1,0 +1,96 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A wheel that is out of balance."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+
+import numpy as np
+
+from suspension_twin.effects.base import (
+    CORNER,
+    LANE,
+    WIDTH,
+    Effect,
+    Fields,
+    Floats,
+    Hook,
+    KernelTerms,
+    Parameter,
+    Values,
+    fma,
+    inlined,
+    rows,
+)
+
+__all__ = ["EFFECT"]
+
+_CORNERS = "0 front left, 1 front right, 2 rear left, 3 rear right"
+_PARAMETERS = (
+    Parameter("corner", "", 0.0, 3.0, 0.0, 0.0, 3.0, _CORNERS, choices=(0.0, 1.0, 2.0, 3.0)),
+    # a new wheel is balanced to 5 g at the rim of 0.2 m
+    Parameter(
+        "moment", "kg m", 0.0, 5.0, 0.0, 0.0, 0.2, "mass of the unbalance times its radius", usual=0.001
+    ),
+    Parameter("rolling_radius", "m", 0.2, 0.6, 0.31, 0.31, 0.03, "travelled distance for each radian"),
+    Parameter(
+        "phase", "rad", -7.0, 7.0, 0.0, 0.0, math.pi, "of the unbalance from straight up at the drive's start"
+    ),
+)
+
+
+_FIELDS = Fields()
+_MOMENT = _FIELDS.add(CORNER)  # kg m
+_PER_METRE = _FIELDS.add()  # 1 / rolling radius, 1/m
+_PHASE = _FIELDS.add()  # rad
+_FORCE = _FIELDS.state(CORNER)  # on the wheel at the last step, N
+_WAY = _FIELDS.state()  # travelled, m
+
+
+def _constants(p: Values) -> Mapping[int, Floats]:
+    moment = np.stack([np.where(p["corner"] == corner, p["moment"], 0.0) for corner in range(4)])
+    return {_MOMENT: moment, _PER_METRE: 1.0 / p["rolling_radius"], _PHASE: p["phase"]}
+
+
+@inlined
+def _swing(w: Floats, e: int, c: int, i: int, h: float) -> None:
+    """The force acts on the wheel whether its tyre touches the road or not, and never makes a tyre pull."""
+    moment, per_metre = w[(e + _MOMENT + c) * WIDTH + i], w[(e + _PER_METRE) * WIDTH + i]
+    speed = w[rows.SPEED * WIDTH + i]
+    spin, way = speed * per_metre, fma(h, speed, w[(e + _WAY) * WIDTH + i])
+    f = moment * spin * spin * math.cos(fma(per_metre, way, w[(e + _PHASE) * WIDTH + i]))
+    n = w[(rows.GROUND + c) * WIDTH + i]
+    w[(rows.GROUND + c) * WIDTH + i] = (n if n > 0.0 or moment == 0.0 else 0.0) + f
+    w[(e + _FORCE + c) * WIDTH + i] = f
+
+
+@inlined
+def _roll(w: Floats, e: int, c: int, i: int, h: float) -> None:
+    w[(e + _WAY) * WIDTH + i] = fma(h, w[rows.SPEED * WIDTH + i], w[(e + _WAY) * WIDTH + i])
+
+
+@inlined
+def _touch(w: Floats, e: int, c: int, i: int, h: float) -> None:
+    """The road does not carry what the unbalance pulls."""
+    n = w[(rows.CONTACT + c) * WIDTH + i]
+    w[(rows.CONTACT + c) * WIDTH + i] = n - w[(e + _FORCE + c) * WIDTH + i] if n > 0.0 else n
+
+
+EFFECT = Effect(
+    id="wheel_imbalance",
+    title="wheel out of balance",
+    where="tyre",
+    doc="An unbalance turns with one wheel: a vertical force moment times spin squared, once a turn, where the spin is "
+    "the speed over the rolling radius. A pause of more than 0.5 s in a recording begins a new phase.",
+    parameters=_PARAMETERS,
+    order=125,
+    severity=("moment",),
+    excited_by=("high speed", "a smooth road"),
+    confused_with=("engine_order", "wheel_imbalance of another wheel", "a periodic road"),
+    hook=Hook(
+        kernel=KernelTerms(
+            _FIELDS, _constants, {"tyre": (_swing, CORNER), "after": (_roll, LANE), "stamp": (_touch, CORNER)}
+        )
+    ),
+)
