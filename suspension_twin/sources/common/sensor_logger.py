@@ -334,6 +334,7 @@ class Phones:
             device = self._hub.device(name, rank=self._rank)
             if device is None:
                 return message
+            self._hub.say("ok", f"device {device.name}", f"{device.name}: connected")
             axes = _Axes(self._wanted, device.name, self._hub)
             phone = self._phones[message.device] = _Phone(device, axes)
         phone.take(message)
