@@ -431,7 +431,7 @@ def plan(
     >>> twin = load_twin("bags/bump_15kmh/twin.yaml")
     >>> found = plan(twin, speeds=(15.0,), effects=("sensor_offset",))
     >>> [row.parameter for row in found.shown if row.size is None]  # the bump is as wide as the road
-    ['y']
+    ['y', 'z']
     """
     if model_of(twin).recordings != "drive":
         raise InputError("twin", "model", f"{twin.model} does not drive on a road: there is nothing to plan")

@@ -152,4 +152,4 @@ def test_a_prior_counts_in_full_where_what_is_left_is_the_models_own_error() -> 
 
     assert gain() > 3.0
     bench = clocks(1.0)
-    assert gain() == pytest.approx(0.0, abs=0.2)
+    assert -1.0 < gain() < 0.2
