@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """The four nodes, each in a process of its own: ``ros2 launch suspension_twin suspension_twin.launch.py twin:=...``.
 
+With ``sources:="sensorlogger://0.0.0.0:8000 ubx:/dev/ttyACM0"`` a fifth one connects phones, receivers and IMUs.
+
 ``suspension-twin run`` starts the same nodes in one process, which costs less.
 """
 
@@ -11,11 +13,12 @@ from pathlib import Path
 from ament_index_python.packages import get_package_share_directory
 from launch import LaunchDescription
 from launch.actions import DeclareLaunchArgument
-from launch.substitutions import LaunchConfiguration
+from launch.conditions import IfCondition
+from launch.substitutions import LaunchConfiguration, NotEqualsSubstitution
 from launch_ros.actions import Node
 from launch_ros.parameter_descriptions import ParameterValue
 
-NODES = ("imu_ingest", "pose_injector", "suspension_model", "calibrator")
+FOUR = ("imu_ingest", "pose_injector", "suspension_model", "calibrator")
 
 
 def generate_launch_description() -> LaunchDescription:
@@ -34,6 +37,9 @@ def generate_launch_description() -> LaunchDescription:
         DeclareLaunchArgument(
             "namespace", default_value="", description="A namespace that holds the whole twin."
         ),
+        DeclareLaunchArgument(
+            "sources", default_value="", description="URLs of live sources, separated by spaces."
+        ),
     ]
     parameters = [
         LaunchConfiguration("params"),
@@ -51,6 +57,18 @@ def generate_launch_description() -> LaunchDescription:
             parameters=parameters,
             output="screen",
         )
-        for name in NODES
+        for name in FOUR
     ]
+    sources = LaunchConfiguration("sources")
+    nodes.append(
+        Node(
+            package="suspension_twin",
+            executable="source",
+            name="source",
+            namespace=LaunchConfiguration("namespace"),
+            parameters=[parameters[0], {**parameters[1], "sources": ParameterValue(sources, value_type=str)}],
+            output="screen",
+            condition=IfCondition(NotEqualsSubstitution(sources, "")),
+        )
+    )
     return LaunchDescription([*arguments, *nodes])

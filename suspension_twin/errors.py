@@ -9,17 +9,49 @@ line maps them to exit status 2 and 1; a node turns them into a diagnostics entr
 
 from __future__ import annotations
 
+import reprlib
 from collections.abc import Iterable
 from difflib import get_close_matches
 from os import PathLike, fspath
+from typing import Any, Final
 
-__all__ = ["InputError", "SuspensionTwinError", "WorkError", "nearest"]
+__all__ = ["InputError", "SuspensionTwinError", "WorkError", "nearest", "one_line", "printable", "shown"]
+
+#: Characters of a line of error text; whatever a file holds, a message stays readable.
+_LONGEST: Final = 2000
+
+
+def printable(text: str) -> str:
+    """``text`` as one line that a terminal shows and does not obey: control characters become escapes, ``\\n``.
+
+    So do bytes of a file name that are no text, and marks that turn the direction of writing.
+    """
+    if text.isprintable():
+        return text
+    return "".join(c if c.isprintable() else repr(c)[1:-1] for c in text)
+
+
+def one_line(text: str) -> str:
+    """``text`` printable, and of a length that can be read."""
+    text = printable(text)
+    return text if len(text) <= _LONGEST else f"{text[: _LONGEST - 500]} … {text[-500:]}"
+
+
+def shown(value: Any, most: int = 80) -> str:
+    """``repr(value)`` in at most ``most`` characters, of nested values the first few: to quote in an error."""
+    short = reprlib.Repr()
+    short.maxstring = short.maxother = short.maxlong = most
+    text = printable(short.repr(value))
+    return text if len(text) <= most else f"{text[: most - 1]}…"
 
 
 class SuspensionTwinError(Exception):
-    """Base of every error of this package; its text is one line fit for a user."""
+    """Base of every error of this package; its text is one printable line fit for a user."""
 
     exit_status = 1
+
+    def __init__(self, *parts: str | PathLike[str]) -> None:
+        super().__init__(one_line(": ".join(fspath(p) for p in parts)))
 
 
 class InputError(SuspensionTwinError):
@@ -31,9 +63,6 @@ class InputError(SuspensionTwinError):
 
     exit_status = 2
 
-    def __init__(self, *parts: str | PathLike[str]) -> None:
-        super().__init__(": ".join(fspath(p) for p in parts))
-
 
 class WorkError(SuspensionTwinError):
     """The input was usable and the work failed all the same."""
@@ -41,5 +70,5 @@ class WorkError(SuspensionTwinError):
 
 def nearest(word: str, known: Iterable[str]) -> str:
     """``", did you mean mass?"`` for a mistyped ``word``, to end an error's text with; empty if nothing is near."""
-    found = get_close_matches(word, list(known), n=1)
+    found = get_close_matches(word[:60], list(known), n=1)
     return f", did you mean {found[0]}?" if found else ""

@@ -1,54 +1,218 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Files: YAML read with errors that name the file, and every file written whole or not at all."""
+"""Files: one boundary around what reads them, YAML within limits, and every file written whole or not at all."""
 
 from __future__ import annotations
 
 import errno
+import itertools
 import os
-import tempfile
+import re
+import shutil
+import stat
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
+from contextvars import ContextVar
 from pathlib import Path
-from typing import Any
+from typing import Any, Final
 
 import yaml
 
-from suspension_twin.errors import InputError, WorkError
+try:  # ten times as fast, with a limit to nesting
+    from yaml import CSafeLoader as SafeLoader
+except ImportError:  # PyYAML was built without libyaml
+    from yaml import SafeLoader  # type: ignore[assignment]
 
-__all__ = ["check_writable", "parse_yaml", "read_yaml", "replacing", "write_text"]
+from suspension_twin.errors import InputError, SuspensionTwinError, WorkError, printable
+
+__all__ = [
+    "NO_SPACE",
+    "check_writable",
+    "comment_lines",
+    "parse_yaml",
+    "read_bytes",
+    "read_yaml",
+    "reading",
+    "remove_leftovers",
+    "replacing",
+    "synchronise",
+    "temporary_beside",
+    "together",
+    "write_text",
+]
+
+#: A disk or quota that is full: the input was usable, so the work failed.
+NO_SPACE: Final = (errno.ENOSPC, errno.EDQUOT)
 
 
-class _Loader(yaml.SafeLoader):
+@contextmanager
+def reading(source: str | os.PathLike[str], kind: str) -> Iterator[None]:
+    """The boundary around a reader: whatever a parser raises becomes one line about ``source``.
+
+    Parsers of other people raise anything on bytes that they were not made for. Errors of this package pass; a full
+    disk (of temporary files) is a WorkError; everything else is an InputError that says that ``source`` is not
+    ``kind`` ("a recording"), with the cause kept for ``--debug``.
+    """
+    try:
+        yield
+    except SuspensionTwinError:
+        raise
+    except OSError as error:
+        if error.errno in NO_SPACE:
+            raise WorkError(f"{os.fspath(source)}: no space left for temporary files") from error
+        raise InputError(source, error.strerror or _damaged(kind, error)) from error  # h5py's have no number
+    except MemoryError as error:
+        raise InputError(source, f"is not {kind} that fits into memory: damaged, or too large") from error
+    except RecursionError as error:
+        raise InputError(source, f"is not {kind} that can be read: nested too deep") from error
+    except Exception as error:
+        raise InputError(source, _damaged(kind, error)) from error
+
+
+def _damaged(kind: str, error: Exception) -> str:
+    return f"is not {kind} that can be read: cut off or damaged ({type(error).__name__})"
+
+
+def read_bytes(path: str | os.PathLike[str], most: int) -> bytes:
+    """Content of a regular file of at most ``most`` bytes; InputError for a larger one, a device or a pipe."""
+    with reading(path, "a file"), Path(path).open("rb") as file:
+        status = os.fstat(file.fileno())
+        if not stat.S_ISREG(status.st_mode):
+            raise InputError(path, "is not a regular file")
+        if status.st_size > most:
+            raise InputError(path, f"is larger than {_size(most)}")
+        return file.read(status.st_size)
+
+
+def _size(count: int) -> str:
+    return f"{count >> 20} MiB" if count >= 1 << 20 else f"{count >> 10} KiB"
+
+
+# YAML. A twin file has 2 kB, the details of a calibration 20 kB.
+
+_LARGEST: Final = 1 << 20  # bytes
+_MOST_VALUES: Final = 100_000  # aliases written out
+_DIGITS: Final = 64  # of a number: the time to read one grows with the square of it
+
+
+class _Loader(SafeLoader):
     """A date stays the text it is, so that ``start: 2024-05-01T12:00:00Z`` needs no quotes."""
+
+    def construct_object(self, node: Any, deep: bool = False) -> Any:
+        number = node.tag in ("tag:yaml.org,2002:int", "tag:yaml.org,2002:float")
+        if number and isinstance(node, yaml.ScalarNode) and len(node.value) > _DIGITS:
+            raise yaml.constructor.ConstructorError(
+                None, None, "a number of too many digits", node.start_mark
+            )
+        return super().construct_object(node, deep)
 
 
 _Loader.yaml_implicit_resolvers = {
     first: [(tag, pattern) for tag, pattern in pairs if tag != "tag:yaml.org,2002:timestamp"]
-    for first, pairs in yaml.SafeLoader.yaml_implicit_resolvers.items()
+    for first, pairs in SafeLoader.yaml_implicit_resolvers.items()
 }
 
 
 def parse_yaml(text: str, source: str | os.PathLike[str]) -> Any:
-    """What a text in YAML holds; raises InputError that names ``source`` and the line."""
+    """What a text in YAML holds; raises InputError that names ``source`` and the line.
+
+    A text larger than 1 MiB, an alias that refers to what it stands in, and aliases that make more than 100 000
+    values are refused before anything is made of them.
+    """
+    if len(text) > _LARGEST:
+        raise InputError(source, f"is larger than {_size(_LARGEST)}: no such file is")
     try:
-        return yaml.load(text, _Loader)  # a safe loader
+        loader = _Loader(text)
+        try:
+            node = loader.get_single_node()
+            if node is None:
+                return None
+            count = _values(node)
+            if count is None:
+                raise InputError(source, "an alias refers to what it stands in")
+            if count > _MOST_VALUES:
+                raise InputError(
+                    source, f"holds more than {_MOST_VALUES} values with its aliases written out"
+                )
+            return loader.construct_document(node)
+        finally:
+            loader.dispose()
     except yaml.YAMLError as error:
         mark = getattr(error, "problem_mark", None)
         where = f", line {mark.line + 1}" if mark else ""
         raise InputError(source, f"not YAML{where}: {getattr(error, 'problem', None) or error}") from None
-    except (RecursionError, ValueError):  # brackets without end
+    except (
+        RecursionError,
+        ValueError,
+        OverflowError,
+        TypeError,
+    ):  # brackets without end, a key that is a list
         raise InputError(source, "not YAML that can be read") from None
+
+
+def _values(root: yaml.Node) -> int | None:
+    """How many values a document has with its aliases written out; None if one of them holds itself.
+
+    Each node is counted once: the time grows with the text, not with what it unfolds to.
+    """
+    counts: dict[int, int] = {}
+    open_nodes: set[int] = set()
+    stack: list[tuple[yaml.Node, bool]] = [(root, False)]
+    while stack:
+        node, done = stack.pop()
+        parts: list[yaml.Node] = []
+        if isinstance(node, yaml.MappingNode):
+            parts = [part for pair in node.value for part in pair]
+        elif isinstance(node, yaml.SequenceNode):
+            parts = node.value
+        if done:
+            open_nodes.discard(id(node))
+            counts[id(node)] = min(1 + sum(counts[id(part)] for part in parts), _MOST_VALUES + 1)
+        elif id(node) in open_nodes:
+            return None
+        elif id(node) not in counts:
+            open_nodes.add(id(node))
+            stack.append((node, True))
+            stack += [(part, False) for part in parts]
+    return counts[id(root)]
 
 
 def read_yaml(path: str | os.PathLike[str]) -> Any:
     """What a YAML file holds; raises InputError that names the file."""
     try:
-        text = Path(path).read_text(encoding="utf-8")
-    except OSError as error:
-        raise InputError(path, error.strerror or "cannot be read") from None
+        text = read_bytes(path, _LARGEST).decode("utf-8-sig")
     except UnicodeDecodeError:
         raise InputError(path, "not a text file") from None
-    return parse_yaml(text, path)
+    return parse_yaml(text.replace("\r\n", "\n"), path)
+
+
+# Writing
+
+_COUNT = itertools.count()
+_STAGED: ContextVar[list[tuple[Path, Path]] | None] = ContextVar("staged", default=None)
+
+
+@contextmanager
+def together() -> Iterator[None]:
+    """Files written within take their places only when the block ends well: all of them, or none.
+
+    A power cut between two renames can still leave some new and some old; each is whole.
+    """
+    if _STAGED.get() is not None:  # part of a larger set
+        yield
+        return
+    staged: list[tuple[Path, Path]] = []
+    token = _STAGED.set(staged)
+    try:
+        yield
+        while staged:
+            temporary, path = staged[0]
+            with _writing(path):
+                _put(temporary, path)
+            staged.pop(0)
+    finally:
+        _STAGED.reset(token)
+        for temporary, _ in staged:
+            _remove(temporary)
 
 
 @contextmanager
@@ -56,37 +220,115 @@ def replacing(path: str | os.PathLike[str]) -> Iterator[Path]:
     """A temporary file in the folder of ``path`` that takes its place if the block ends well.
 
     Missing folders are made. Raises WorkError where it cannot be written, such as on a full disk; then whatever
-    ``path`` held is still there.
+    ``path`` held is still there, and nothing else. What it held is on the disk when the block ends. Leftovers of a
+    process that was killed while it wrote this file are removed.
     """
     path = Path(path)
-    temporary = path.with_name(f".{path.stem}.{os.getpid()}.part{path.suffix}")
+    temporary = temporary_beside(path)
+    staged = _STAGED.get()
     try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        yield temporary
-        with temporary.open("rb+") as stream:
-            os.fsync(stream.fileno())  # some disks say only now that they are full
-        temporary.replace(path)
+        with _writing(path):
+            path.parent.mkdir(parents=True, exist_ok=True)
+            remove_leftovers(path)
+            yield temporary
+            synchronise(temporary)  # some disks say only now that they are full
+            if staged is None:
+                _put(temporary, path)
+        if staged is not None:
+            staged.append((temporary, path))
+    except BaseException:
+        _remove(temporary)
+        raise
+
+
+def temporary_beside(path: Path) -> Path:
+    """A name beside ``path`` that no other process and no other thread writes to; the ending stays."""
+    return path.with_name(f".{path.stem}.{os.getpid()}.{next(_COUNT)}.part{path.suffix}")
+
+
+@contextmanager
+def _writing(path: Path) -> Iterator[None]:
+    try:
+        yield
     except OSError as error:
         raise WorkError(f"{path}: cannot be written: {error.strerror or error}") from error
+
+
+def _put(temporary: Path, path: Path) -> None:
+    temporary.replace(path)
+    with suppress(OSError):  # a folder cannot be synchronised everywhere
+        synchronise(path.parent)
+
+
+def synchronise(path: Path) -> None:
+    """Return when what a file holds, or which names a folder holds, is on the disk; OSError where it is full."""
+    opened = os.open(path, os.O_RDONLY)
+    try:
+        os.fsync(opened)
     finally:
-        if temporary.parent.is_dir():
-            temporary.unlink(missing_ok=True)
+        os.close(opened)
+
+
+def _remove(temporary: Path) -> None:
+    with suppress(OSError, ValueError):
+        temporary.unlink(missing_ok=True)
+
+
+def remove_leftovers(path: Path) -> None:
+    """Remove the files and folders that processes that are no more left of writing ``path``."""
+    own = re.compile(rf"\.{re.escape(path.stem)}\.(\d+)\.\d+\.part{re.escape(path.suffix)}")
+    for entry in os.scandir(path.parent):
+        found = own.fullmatch(entry.name)
+        if found and not _runs(int(found[1])):
+            if entry.is_dir(follow_symlinks=False):
+                shutil.rmtree(entry.path, ignore_errors=True)
+            else:
+                _remove(Path(entry.path))
+
+
+def _runs(process: int) -> bool:
+    if os.name != "posix":  # elsewhere the question ends the process
+        return True
+    try:
+        os.kill(process, 0)
+    except ProcessLookupError:
+        return False
+    except (OSError, OverflowError):
+        return True
+    return True
 
 
 def write_text(path: str | os.PathLike[str], text: str) -> None:
-    """Write a text file by :func:`replacing`."""
+    """Write a text file by :func:`replacing`; bytes of file names that are no text are written as escapes."""
     with replacing(path) as temporary:
-        temporary.write_text(text, encoding="utf-8")
+        temporary.write_text(text, encoding="utf-8", errors="backslashreplace")
+
+
+def comment_lines(*lines: str) -> str:
+    """Lines of a comment in YAML, CSV and the like, ``# `` before each; no text in them begins a line of its own."""
+    return "".join(f"# {printable(line)}\n" for line in lines)
 
 
 def check_writable(path: str | os.PathLike[str]) -> None:
-    """Raise InputError if nothing can be made at ``path``, WorkError if the disk is full. Leaves nothing behind."""
-    folder = Path(path).absolute().parent
-    while not folder.exists():
-        folder = folder.parent
+    """Raise InputError if nothing can be made at ``path``, WorkError if the disk is full. Leaves nothing behind.
+
+    Every name that has to be made, of missing folders too, is tried with what is put around it while it is written.
+    """
+    target = Path(path).absolute()
+    trial = target
     try:
-        with tempfile.TemporaryFile(dir=folder):
-            pass
-    except OSError as error:
-        kind = WorkError if error.errno == errno.ENOSPC else InputError
-        raise kind(f"{path}: cannot be written: {error.strerror or error}") from None
+        missing = [target.name]
+        folder = target.parent
+        while not folder.exists():
+            missing.append(folder.name)
+            folder = folder.parent
+        for name in missing:
+            trial = temporary_beside(folder / name)
+            trial.write_bytes(b"0")
+            trial.unlink()
+    except (OSError, ValueError) as error:  # ValueError: a zero byte in a name
+        if trial is not target:
+            _remove(trial)
+        kind = WorkError if getattr(error, "errno", None) in NO_SPACE else InputError
+        why = getattr(error, "strerror", None) or str(error)
+        raise kind(f"{os.fspath(path)}: cannot be written: {why}") from None

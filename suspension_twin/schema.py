@@ -10,7 +10,7 @@ from typing import Any, TypeVar, get_args
 
 from pydantic import AfterValidator, BaseModel, ConfigDict, ValidationError
 
-from suspension_twin.errors import InputError, nearest
+from suspension_twin.errors import InputError, nearest, shown
 
 __all__ = ["Strict", "assign", "checked", "problems", "within"]
 
@@ -66,7 +66,7 @@ def _problem(model: type[BaseModel], detail: Mapping[str, Any], kind: str) -> st
         *path, last = detail["loc"]
         text = f"is not a key of {kind}{nearest(str(last), _keys(model, path))}"
     elif detail["type"] != "value_error" and not isinstance(detail["input"], dict):
-        text = f"{text[0].lower()}{text[1:]}, is {detail['input']!r}"
+        text = f"{text[0].lower()}{text[1:]}, is {shown(detail['input'])}"
     return ": ".join(part for part in (_dotted(detail), text) if part)
 
 

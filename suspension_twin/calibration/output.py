@@ -11,7 +11,7 @@ import yaml
 
 from suspension_twin import __version__
 from suspension_twin.calibration.request import CalibrationResult
-from suspension_twin.files import write_text
+from suspension_twin.files import comment_lines, together, write_text
 from suspension_twin.vehicle.twin import save_twin
 
 __all__ = ["describe", "details_path", "write_result"]
@@ -26,7 +26,7 @@ def write_result(result: CalibrationResult, path: Path) -> tuple[Path, Path]:
     """Write the calibrated twin, and beside it ``<name>.calibration.yaml`` with intervals, nuisances and
     excited ranges.
 
-    Each file is whole or not there; neither holds a time or a duration, so the same request gives the same
+    Both files are there, whole, or neither is; neither holds a time or a duration, so the same request gives the same
     files.
 
     Parameters
@@ -52,11 +52,12 @@ def write_result(result: CalibrationResult, path: Path) -> tuple[Path, Path]:
     (PosixPath('calibrated.yaml'), PosixPath('calibrated.calibration.yaml'))
     """
     details = details_path(path)
-    save_twin(result.twin, path, _heading(result, details))
     body = yaml.safe_dump(
         describe(result), sort_keys=False, default_flow_style=None, width=110, allow_unicode=True
     )
-    write_text(details, body)
+    with together():
+        save_twin(result.twin, path, _heading(result, details))
+        write_text(details, body)
     return path, details
 
 
@@ -66,7 +67,7 @@ def _heading(result: CalibrationResult, details: Path) -> str:
         f"suspension-twin {__version__}: calibrated on {drives}",
         f"preset {result.preset}, seed {result.seed}; intervals and what the drives identify: {details.name}",
     ]
-    return "".join(f"# {line}\n" for line in lines)
+    return comment_lines(*lines)
 
 
 def describe(result: CalibrationResult) -> dict[str, Any]:

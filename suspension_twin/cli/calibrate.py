@@ -9,9 +9,11 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 from rich.console import Console
+from rich.text import Text
 
 from suspension_twin.cli.common import Bags, Force, Outputs, ProgressLine, Seed, TwinFile, output, print_table
 from suspension_twin.errors import InputError
+from suspension_twin.files import together
 
 if TYPE_CHECKING:
     from suspension_twin.calibration.request import CalibrationResult, Progress
@@ -155,16 +157,17 @@ def command(
     outputs.announce()
     with outputs, ProgressLine() as line:
         result = calibrate(request, lambda step: _show(line, step))
-        write_result(result, out)
-        for path in page:
-            from suspension_twin.report.calibration import calibration_page
+        with together():
+            write_result(result, out)
+            for path in page:
+                from suspension_twin.report.calibration import calibration_page
 
-            line.show("drawing the page")
-            calibration_page(result).write(path)
+                line.show("drawing the page")
+                calibration_page(result).write(path)
         store.remove()
     console = output()
     for warning in result.warnings:
-        console.print(warning, style="yellow", markup=False)
+        console.print(warning, style="yellow")
     _print_result(console, result)
     console.print(f"Written to {out} and {details_path(out)}" + "".join(f", page {path}" for path in page))
 
@@ -202,11 +205,11 @@ def _print_result(console: Console, result: CalibrationResult) -> None:
     from suspension_twin.calibration.labels import parameter_label, parameter_unit
     from suspension_twin.gap.measure import channel_unit
 
-    rows = []
+    rows: list[tuple[str | Text, ...]] = []
     for e in result.estimates:
         interval = f"{_number(e.low)} to {_number(e.high)}" if math.isfinite(e.low) else ""
         name, unit = parameter_label(result.twin, e.key), parameter_unit(e.key)
-        note = f"[bold red]{e.on_bound} bound[/]" if e.on_bound else e.status
+        note = Text(f"{e.on_bound} bound", style="bold red") if e.on_bound else e.status
         rows.append((name, unit, _number(e.start), _number(e.value), interval, note))
     columns = "parameter", "unit", "start", "found", "90 % interval", "status"
     print_table(console, "What was found", columns, rows, words=("parameter", "unit", "status"))
@@ -226,7 +229,7 @@ def _print_result(console: Console, result: CalibrationResult) -> None:
     channel = result.drives[0].channel if result.drives else ""
     title = f"Gap: rms of measured minus simulated {channel.replace('_', ' ')}, {channel_unit(channel)}"
     print_table(console, title, ("drive", "before", "after", "nuisances removed", "sensor noise"), gaps)
-    console.print(f"{result.message}; {result.seconds:.1f} s", markup=False)
+    console.print(f"{result.message}; {result.seconds:.1f} s")
 
 
 def _number(value: float) -> str:

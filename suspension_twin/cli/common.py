@@ -13,9 +13,10 @@ import typer
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 from rich.table import Column, Table
+from rich.text import Text
 
 import suspension_twin
-from suspension_twin.errors import InputError
+from suspension_twin.errors import InputError, printable
 from suspension_twin.files import check_writable
 
 __all__ = [
@@ -25,6 +26,7 @@ __all__ = [
     "Outputs",
     "ProgressLine",
     "Seed",
+    "SourceUrls",
     "TwinFile",
     "bundled",
     "output",
@@ -46,21 +48,43 @@ Bags = Annotated[
     typer.Argument(help="Recorded drives: rosbag2 folders or bare files.", metavar="BAG", show_default=False),
 ]
 Seed = Annotated[int, typer.Option("--seed", help="Seed of every random choice.", metavar="N", min=0)]
+SourceUrls = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--source",
+        help="A live phone, receiver or IMU, such as sensorlogger://0.0.0.0:8000; several: the option again. "
+        "All kinds: docs/sources.md.",
+        metavar="URL",
+        show_default=False,
+    ),
+]
 Force = Annotated[bool, typer.Option("--force", help="Overwrite what exists.")]
 
 _UNBROKEN = 10_000  # characters: a line that is not for a terminal is never wrapped
 
 
+@final
+class _Plain(Console):
+    """A console on which a text is a text: names of files and topics may hold ``[/a]`` or the codes of a terminal.
+
+    Style is given beside a text (``style=``, or :class:`rich.text.Text`), never within it.
+    """
+
+    def render_str(self, text: str, **options: Any) -> Text:
+        """A string of anybody, as it stands, control characters as escapes."""
+        return super().render_str(printable(text), **{**options, "markup": False, "emoji": False})
+
+
 def output() -> Console:
     """Standard output: lines are wrapped between words on a terminal, and left whole in a pipe or file."""
-    return Console(highlight=False, width=None if sys.stdout.isatty() else _UNBROKEN)
+    return _Plain(highlight=False, width=None if sys.stdout.isatty() else _UNBROKEN)
 
 
 def print_table(
     console: Console,
     title: str,
     columns: Sequence[str],
-    rows: Iterable[Sequence[str]],
+    rows: Iterable[Sequence[str | Text]],
     words: Sequence[str] | None = None,
 ) -> None:
     """A table of which nothing is cut off: the columns ``words`` (the first) may wrap, the others hold numbers."""
@@ -70,7 +94,7 @@ def print_table(
         table.add_column(name, justify="right" if numbers else "left", overflow="fold", no_wrap=numbers)
     for row in rows:
         table.add_row(*row)
-    console.print(title, style="bold", markup=False)
+    console.print(title, style="bold")
     console.print(table)
     console.print()
 
@@ -93,7 +117,7 @@ class Outputs:
     def announce(self) -> None:
         """The first line of a command's output, if it writes anything."""
         if self._paths:
-            output().print(f"Writes {', '.join(map(str, self._paths))}", markup=False)
+            output().print(f"Writes {', '.join(map(str, self._paths))}")
 
     def __enter__(self) -> Outputs:
         return self
@@ -135,7 +159,7 @@ class ProgressLine:
 
     def __init__(self) -> None:
         console = Console(stderr=True)
-        text = TextColumn("{task.description}", table_column=Column(ratio=1, no_wrap=True))
+        text = TextColumn("{task.description}", markup=False, table_column=Column(ratio=1, no_wrap=True))
         self._bar = Progress(
             text,
             BarColumn(bar_width=20),
@@ -161,34 +185,38 @@ class ProgressLine:
 
     def show(self, text: str, share: float | None = None) -> None:
         """The stage, and the share of the work that is done, 0 to 1; None: not known."""
-        self._bar.update(self._task, description=text, total=None if share is None else 1.0, completed=share)
+        self._bar.update(
+            self._task, description=printable(text), total=None if share is None else 1.0, completed=share
+        )
 
 
 def print_diagnosis(document: Mapping[str, Any], out: Path) -> None:
     """What ``diagnosis.json`` holds in a few lines: warnings, verdict, the first causes, and the folder ``out``."""
-    from suspension_twin.diagnosis.output import values_of
+    from suspension_twin.diagnosis import wording
 
     console = output()
     for warning in document["warnings"]:
-        console.print(warning, style="yellow", markup=False)
-    console.print(f"{document['verdict']}: {document['message']}", style="bold", markup=False)
+        console.print(warning, style="yellow")
+    console.print(wording.answer(document), style="bold")
+    for remark in wording.remarks(document):
+        console.print(remark)
     rows = []
     for cause in document["causes"][:5]:
         low, high = cause["shrink_interval"]
         rows.append(
             (
                 cause["effect"],
-                values_of(cause),
+                "; ".join(f"{name} {value}" for name, value in wording.parameters_of(cause)),
+                wording.channel_name(wording.channel_of(document, cause)),
                 f"{cause['probability']:.3f}",
                 f"{cause['shrink']:.2f}",
                 f"{low:.2f} to {high:.2f}",
             )
         )
-    columns = "cause", "parameters", "probability", "shrink", "90 % interval"
-    print_table(console, "The most probable causes", columns, rows, words=("cause", "parameters"))
+    columns = "cause", "parameters", "channel", "probability", "shrink", "90 % interval"
+    print_table(console, "The likeliest causes", columns, rows, words=("cause", "parameters", "channel"))
     console.print(
         f"no gap {document['no_gap_probability']:.3f}, unknown {document['unknown_probability']:.3f}. "
-        f"{document['next_experiment']}",
-        markup=False,
+        f"{document['next_experiment']}"
     )
-    console.print(f"Written to {out}", markup=False)
+    console.print(f"Written to {out}")

@@ -11,7 +11,7 @@ import typer
 
 from suspension_twin.cli.common import Force, Outputs, ProgressLine, TwinFile, output, print_table
 from suspension_twin.errors import InputError
-from suspension_twin.files import write_text
+from suspension_twin.files import together, write_text
 
 __all__ = ["command"]
 
@@ -64,7 +64,6 @@ def command(twin: TwinFile, speeds: Range = (5.0, 55.0), out: Out = None, force:
     from suspension_twin.report import style
     from suspension_twin.report.markers import damping_picture
 
-    style.save(damping_picture(chosen.speeds, chosen.dampings, chosen.table), picture)
     document = {
         "speeds_kmh": chosen.speeds,
         "dampings": chosen.dampings,
@@ -72,5 +71,7 @@ def command(twin: TwinFile, speeds: Range = (5.0, 55.0), out: Out = None, force:
         "variance_rad2": [[None if v != v else v for v in row] for row in chosen.table.tolist()],
         "recommended": {"curve": chosen.best + 1, "damping": chosen.dampings[chosen.best]},
     }
-    write_text(figures, json.dumps(document, indent=1) + "\n")
+    with together():
+        style.save(damping_picture(chosen.speeds, chosen.dampings, chosen.table), picture)
+        write_text(figures, json.dumps(document, indent=1) + "\n")
     console.print(f"Written to {picture} and {figures}")

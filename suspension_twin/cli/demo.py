@@ -9,8 +9,10 @@ from typing import Annotated, final
 
 import typer
 from rich.console import Console
+from rich.text import Text
 
 from suspension_twin.cli.common import Force, Outputs, ProgressLine, Seed, bundled, output, print_table
+from suspension_twin.errors import printable
 
 __all__ = ["command"]
 
@@ -47,7 +49,7 @@ def command(out: Out = Path("suspension_twin_demo"), seed: Seed = 0, force: Forc
     columns = "drive", "measured", "at first", "calibrated", "true parameters"
     print_table(console, "Gap: rms of measured minus simulated vertical acceleration, m/s²", columns, rows)
     console.print(f"{result.seconds:.0f} s in all. The calibrated twin is {out / 'twin.yaml'}")
-    console.print(f"Look at [bold]{page}[/bold]")
+    console.print(f"Look at {page}", style="bold")
 
 
 @final
@@ -78,5 +80,5 @@ class _Steps:
     def end(self, text: str) -> None:
         """See suspension_twin.demo.steps.Progress."""
         self._running.close()
-        outcome = f"  [dim]{text}[/dim]" if text else ""
-        self._console.print(f"[green]✓[/green] {self._text}{outcome}")
+        outcome = (f"  {printable(text)}", "dim") if text else ""
+        self._console.print(Text.assemble(("✓", "green"), f" {printable(self._text)}", outcome))

@@ -10,6 +10,7 @@ import typer
 
 from suspension_twin.cli.common import Bags, Force, Outputs, ProgressLine, Seed, TwinFile, print_diagnosis
 from suspension_twin.errors import InputError, nearest
+from suspension_twin.files import together
 
 __all__ = ["command"]
 
@@ -80,6 +81,7 @@ def command(
             line.show(f"{stage.stage}: {stage.note}" if stage.note else stage.stage, stage.done)
 
         result = diagnose(request, show)
-        write(result, out)
-        diagnosis_page(result).write(page)
+        with together():
+            write(result, out)
+            diagnosis_page(result).write(page)
     print_diagnosis(result.document, out)

@@ -8,7 +8,6 @@ from typing import Annotated
 
 import typer
 from rich.padding import Padding
-from rich.text import Text
 
 from suspension_twin.cli.common import Force, Outputs, output
 from suspension_twin.drive.importing import Imported, import_drive
@@ -70,11 +69,11 @@ def command(
     with outputs:
         imported = import_drive(files, mapping=mapping, topics=topics)
         outputs.announce()
-        console.print(f"{imported.drive.name}: {imported.origin}", markup=False)
+        console.print(f"{imported.drive.name}: {imported.origin}")
         for line in _report(imported):
-            console.print(Padding(Text(line), (0, 0, 0, 2), expand=False))
+            console.print(Padding(line, (0, 0, 0, 2), expand=False))
         write_drive(imported.drive, out, overwrite=force)
-    console.print(f"Written to {out}", markup=False)
+    console.print(f"Written to {out}")
 
 
 def _report(imported: Imported) -> list[str]:

@@ -12,7 +12,6 @@ a command that Ctrl-C is the normal end of.
 
 from __future__ import annotations
 
-import errno
 import gc
 import os
 import signal
@@ -26,7 +25,7 @@ from typing import Annotated, Any
 import typer
 
 from suspension_twin import __version__
-from suspension_twin.errors import SuspensionTwinError
+from suspension_twin.errors import SuspensionTwinError, one_line, printable
 
 __all__ = ["SUBCOMMANDS", "Subcommand", "main"]
 
@@ -43,11 +42,19 @@ class Subcommand:
     help: str
     endless: bool = False  # runs until it is interrupted, so an interrupt is success
     several: str = ""  # an option that takes all values up to the next option, as a shell's *.csv gives them
+    bare: tuple[tuple[str, str], ...] = ()  # options whose value may be left out, and what it is then
 
 
 SUBCOMMANDS = (
     Subcommand("demo", "demo", "The whole way, live to calibrated, on the bundled drive."),
-    Subcommand("run", "run", "The four nodes, live or replaying a bag.", endless=True),
+    Subcommand(
+        "run",
+        "run",
+        "The four nodes, live or replaying a bag.",
+        endless=True,
+        bare=(("--view", "8080"), ("--foxglove", "8765")),
+    ),
+    Subcommand("new", "new", "A twin file, by a few questions or from a ready one."),
     Subcommand("calibrate", "calibrate", "Find a twin's characteristics from recorded drives."),
     Subcommand(
         "diagnose",
@@ -55,10 +62,12 @@ SUBCOMMANDS = (
         "Where twin and car disagree, why, and what closes the gap.",
         several="--reference",
     ),
+    Subcommand("plan", "plan", "Which effects this set-up could show, and never tell apart."),
     Subcommand("simulate", "simulate", "The twin over a recorded drive, without ROS."),
+    Subcommand("record", "record", "Live phones, receivers and IMUs into a bag.", endless=True),
     Subcommand("import", "import_", "A phone's or logger's recording into a bag."),
     Subcommand("damping", "damping", "Which dampers a tracked vehicle should have, by speed."),
-    Subcommand("road", "road", "A picture or a mesh of a road, or what is wrong with it."),
+    Subcommand("road", "road", "Roads from numbers, profiles and drives; pictures, meshes, checks."),
 )
 
 # Importing makes a hundred thousand objects that all stay: at Python's own 700 the collector takes a tenth of a short
@@ -79,6 +88,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     chosen = _chosen(args)
     if chosen is not None and chosen.several:
         args = _repeated(args, chosen.several)
+    for option, value in chosen.bare if chosen is not None else ():
+        args = _completed(args, option, value)
     endless = chosen is not None and chosen.endless
     endings = (signal.SIGINT, signal.SIGTERM)
     previous = {number: signal.getsignal(number) for number in endings}
@@ -97,14 +108,14 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except KeyboardInterrupt as end:
         status = DONE if endless else INTERRUPTED
         if not endless:
-            print(f"{PROGRAM}: interrupted{f', {end}' if str(end) else ''}", file=sys.stderr)
+            print(printable(f"{PROGRAM}: interrupted{f', {end}' if str(end) else ''}"), file=sys.stderr)
     except SystemExit as error:
         status = error.code if isinstance(error.code, int) else FAILED if error.code else DONE
     except Exception as error:
         if debug:
             traceback.print_exc()
         status, text = _explain(error, _option(args, "--twin"))
-        print(" ".join(text.split()), file=sys.stderr)
+        print(one_line(" ".join(text.split())), file=sys.stderr)
     finally:
         gc.set_threshold(*thresholds)
         if endless:
@@ -131,6 +142,18 @@ def _repeated(args: Sequence[str], option: str) -> list[str]:
             found.append(option)
         taking = argument == option or argument.startswith(f"{option}=") or more
         found.append(argument)
+    return found
+
+
+def _completed(args: Sequence[str], option: str, value: str) -> list[str]:
+    """``--view`` without a value as ``--view 8080``: the command line parser wants one."""
+    found: list[str] = []
+    for argument, following in zip(args, [*args[1:], "-"], strict=True):
+        found.append(argument)
+        if argument == "--":
+            return [*found, *args[args.index("--") + 1 :]]
+        if argument == option and following.startswith("-"):
+            found.append(value)
     return found
 
 
@@ -222,10 +245,12 @@ def _explain(error: Exception, twin: str | None) -> tuple[int, str]:
         if twin and text.startswith("twin: "):  # said of a twin in memory, which knows of no file
             text = twin + text.removeprefix("twin")
         return error.exit_status, f"{PROGRAM}: {text}"
+    from suspension_twin.files import NO_SPACE
+
     if isinstance(error, OSError) and error.filename is not None:
         status = UNUSABLE if isinstance(error, _PATH_ERRORS) else FAILED
         return status, f"{PROGRAM}: {os.fsdecode(error.filename)}: {error.strerror}"
-    if isinstance(error, OSError) and error.errno == errno.ENOSPC:
+    if isinstance(error, OSError) and error.errno in NO_SPACE:
         return FAILED, f"{PROGRAM}: no space left to write the results"
     if isinstance(error, MemoryError):
         return FAILED, f"{PROGRAM}: out of memory"

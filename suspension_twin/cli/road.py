@@ -1,24 +1,32 @@
 # SPDX-License-Identifier: Apache-2.0
-"""``suspension-twin road``: a picture, a mesh, or what is wrong with an OpenCRG road."""
+"""``suspension-twin road``: roads made of numbers; a picture, a mesh, or what is wrong with an OpenCRG road."""
 
 from __future__ import annotations
 
 import json
+import re
 from enum import Enum
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
-from rich.markup import escape
 from rich.table import Table
 
-from suspension_twin.cli.common import Force, Outputs, output
+from suspension_twin.cli.common import Force, Outputs, ProgressLine, Seed, TwinFile, output, print_table
 from suspension_twin.errors import InputError
+
+if TYPE_CHECKING:
+    from suspension_twin.drive.types import Drive
+    from suspension_twin.road.check import RoadCheck
+    from suspension_twin.road_estimation.drives import Part
 
 __all__ = ["app"]
 
 app = typer.Typer(context_settings={"help_option_names": ["-h", "--help"]})
 
+RoadOut = Annotated[
+    Path, typer.Option("--out", help="The road to write (OpenCRG).", metavar="ROAD", show_default=False)
+]
 RoadFile = Annotated[Path, typer.Argument(help="An OpenCRG road.", metavar="ROAD", show_default=False)]
 
 
@@ -60,6 +68,7 @@ def show(
     outputs.announce()
     with outputs:
         save_road_picture(checked, path, track)
+    _print_figures(checked)
 
 
 @app.command()
@@ -99,7 +108,7 @@ def mesh(
     place = (
         "" if origin is Origin.map else ", start of the road at {:.3f} {:.3f} {:.3f} in map".format(*shift)
     )
-    print(f"{path}: {count} triangles{place}")
+    output().print(f"{path}: {count} triangles{place}")
 
 
 @app.command()
@@ -129,6 +138,7 @@ def check(
             "road": checked.road.name,
             "sound": checked.sound,
             "facts": checked.facts,
+            "wheel_paths": [p.as_record() for p in checked.wheel_paths],
             "findings": [{"text": f.text, "fault": f.fault} for f in checked.findings],
             "spikes": [vars(s) for s in checked.spikes.found],
         }
@@ -136,13 +146,254 @@ def check(
     console = output()
     lines = Table.grid(padding=(0, 2, 0, 0))
     for name, fact in checked.facts.items():
-        lines.add_row(escape(name), escape(fact))
+        lines.add_row(name, fact)
     for finding in checked.findings:
-        lines.add_row("wrong" if finding.fault else "note", escape(finding.text))
+        lines.add_row("wrong" if finding.fault else "note", finding.text)
     console.print(lines)
     console.print("sound" if checked.sound else "not sound: see the lines that begin with 'wrong'")
     if not checked.sound:
         raise typer.Exit(1)
+
+
+@app.command()
+def make(
+    out: RoadOut,
+    bump: Annotated[
+        list[str] | None,
+        typer.Option(
+            help="A half sine: LENGTHxHEIGHT@U[:SIDE]. SIDE is left, right or LOW..HIGH (v, m).",
+            metavar="SIZE@U",
+            show_default=False,
+        ),
+    ] = None,
+    hump: Annotated[
+        list[str] | None,
+        typer.Option(
+            help="A round top, LENGTHxHEIGHT@U, or a level one, LENGTHxHEIGHTxTOP@U.",
+            metavar="SIZE@U",
+            show_default=False,
+        ),
+    ] = None,
+    pothole: Annotated[
+        list[str] | None,
+        typer.Option(help="A hole: LENGTHxDEPTH@U[:SIDE].", metavar="SIZE@U", show_default=False),
+    ] = None,
+    ramp: Annotated[
+        list[str] | None,
+        typer.Option(help="A lasting change of height: LENGTHxRISE@U.", metavar="SIZE@U", show_default=False),
+    ] = None,
+    iso: Annotated[
+        str | None,
+        typer.Option(help="A random profile of this ISO 8608 class, A to H.", metavar="A..H"),
+    ] = None,
+    length: Annotated[float, typer.Option(help="Length, m.", metavar="M")] = 200.0,
+    width: Annotated[float, typer.Option(help="Width, m.", metavar="M")] = 6.0,
+    step: Annotated[float, typer.Option(help="Distance of the cross sections, m.", metavar="M")] = 0.02,
+    at: Annotated[
+        tuple[float, float, float],
+        typer.Option(help="Start of the road in map, m, and its heading from east, deg.", metavar="X Y DEG"),
+    ] = (0.0, 0.0, 0.0),
+    seed: Seed = 0,
+    force: Force = False,
+) -> None:
+    """Make a road from numbers: bumps, humps, potholes, ramps, an ISO 8608 class, and sums of them.
+
+    All dimensions in m, each option as often as needed: --bump 0.9x0.05@40 --pothole 0.6x0.07@80:left.
+    """
+    import math
+
+    from suspension_twin.road.check import check_road
+    from suspension_twin.road.crg import write_road
+    from suspension_twin.road.recipe import Kind, make_road, parse_feature
+
+    outputs = Outputs(out, force=force)
+    asked: tuple[tuple[Kind, list[str] | None], ...] = (
+        ("bump", bump),
+        ("hump", hump),
+        ("pothole", pothole),
+        ("ramp", ramp),
+    )
+    features = [parse_feature(kind, text) for kind, texts in asked for text in texts or []]
+    if not features and iso is None:
+        raise InputError("road make", "give --iso, or one of --bump, --hump, --pothole and --ramp")
+    made = make_road(
+        length,
+        width,
+        features=features,
+        iso=iso,
+        seed=seed,
+        step=step,
+        x=at[0],
+        y=at[1],
+        heading=math.radians(at[2]),
+        name=out.stem,
+    )
+    outputs.announce()
+    with outputs:
+        write_road(made, out)
+    _print_figures(check_road(made))
+
+
+@app.command()
+def profile(
+    files: Annotated[
+        list[Path],
+        typer.Argument(
+            help="ERD or CSV files (several: one line each), or one OpenDRIVE file.",
+            metavar="FILE",
+            show_default=False,
+        ),
+    ],
+    out: RoadOut,
+    unit: Annotated[
+        str | None,
+        typer.Option(
+            help="Unit of heights in a CSV that names none.  [default: m]", metavar="UNIT", show_default=False
+        ),
+    ] = None,
+    v: Annotated[
+        str | None,
+        typer.Option(
+            help="Place of each line across, m, left positive: 0.75,0,-0.75.",
+            metavar="V,V",
+            show_default=False,
+        ),
+    ] = None,
+    track: Annotated[float, typer.Option(help="Distance of two wheel paths, m.", metavar="M", min=0.1)] = 1.5,
+    width: Annotated[float, typer.Option(help="Width of the road, m.", metavar="M", min=0.1)] = 4.0,
+    road: Annotated[
+        str | None,
+        typer.Option(help="Id of the road in an OpenDRIVE file.", metavar="ID", show_default=False),
+    ] = None,
+    at: Annotated[
+        tuple[float, float, float],
+        typer.Option(help="Start of the road in map, m, and its heading from east, deg.", metavar="X Y DEG"),
+    ] = (0.0, 0.0, 0.0),
+    force: Force = False,
+) -> None:
+    """Make a road of a profiler's file: ERD, CSV of one to many lines, OpenDRIVE with OpenCRG surfaces."""
+    import math
+
+    from suspension_twin.road.check import check_road
+    from suspension_twin.road.crg import write_road
+    from suspension_twin.road.opendrive import read_opendrive
+    from suspension_twin.road.profile import profile_road, read_profile, together
+
+    outputs = Outputs(out, force=force)
+    if files[0].suffix.lower() == ".xodr":
+        if len(files) > 1:
+            raise InputError(files[1], "an OpenDRIVE file is read alone")
+        made = read_opendrive(files[0], road)
+    else:
+        lines = together([read_profile(file, unit) for file in files])
+        places = None
+        if v is not None:
+            try:
+                places = [float(part) for part in v.split(",")]
+            except ValueError:
+                raise InputError("--v", f"{v!r} are not numbers with commas between") from None
+        made = profile_road(
+            lines, track=track, width=width, v=places, x=at[0], y=at[1], heading=math.radians(at[2])
+        )
+    outputs.announce()
+    with outputs:
+        write_road(made, out)
+    _print_figures(check_road(made))
+
+
+@app.command()
+def drives(
+    drive: Annotated[
+        list[str],
+        typer.Argument(
+            help="Recorded drives over one road in one direction; DRIVE@START..END is a part of one, "
+            "in s from its first sample.",
+            metavar="DRIVE",
+            show_default=False,
+        ),
+    ],
+    twin: TwinFile,
+    out: RoadOut,
+    iterations: Annotated[int, typer.Option(help="Of simulation and inverse.", metavar="N", min=1)] = 5,
+    picture: Annotated[
+        Path | None,
+        typer.Option(help="Draw heights and intervals there.", metavar="FILE", show_default=False),
+    ] = None,
+    seed: Seed = 0,
+    force: Force = False,
+) -> None:
+    """Estimate the road under both wheel paths from drives with a calibrated vehicle.
+
+    Writes the road, and beside it ROAD.json with its uncertainty by wavelength and for every metre.
+    """
+    from suspension_twin.road.origin import record_path
+    from suspension_twin.road_estimation.drives import road_from_drives, write_estimate
+    from suspension_twin.road_estimation.estimate import Settings
+    from suspension_twin.vehicle.twin import load_twin
+
+    written = [out, record_path(out), *([] if picture is None else [picture])]
+    outputs = Outputs(*written, force=force)
+    loaded = load_twin(twin)
+    parts = _parts(drive)
+    outputs.announce()
+    with outputs, ProgressLine() as line:
+        found = road_from_drives(parts, loaded, Settings(iterations=iterations, seed=seed), line.show)
+        record = write_estimate(found, loaded, out)
+        if picture is not None:
+            from suspension_twin.road_estimation.picture import save_estimate_picture
+
+            save_estimate_picture(found, picture)
+    console = output()
+    for warning in record["warnings"]:
+        console.print(warning, style="yellow", markup=False)
+    rows = [
+        (
+            f"{w['shortest']:.3g} to {w['longest']:.3g}",
+            f"{1e3 * w['rms']:.2f}",
+            f"{1e3 * w['sigma']:.2f}",
+            "seen" if w["known"] > 0.8 else "partly seen" if w["known"] > 0.3 else "not seen",
+        )
+        for w in record["wavelengths"]
+    ]
+    columns = ("waves [m]", "height rms [mm]", "uncertainty [mm]", "")
+    print_table(console, "Wheel paths by wavelength", columns, rows, words=("waves [m]", ""))
+    if loaded.datum is None:
+        d = record["datum"]
+        text = f"{{latitude: {d['latitude']}, longitude: {d['longitude']}, altitude: {d['altitude']}}}"
+        console.print(f"The twin file has no datum; this road needs datum: {text}", markup=False)
+    console.print(
+        "What was the same in all of these drives (an error of the vehicle, of the sensor) is in the road.",
+        markup=False,
+    )
+
+
+def _parts(texts: list[str]) -> list[Part]:
+    """Drives and parts of drives; one that is named twice is read once."""
+    import math
+
+    from suspension_twin.drive.read import read_drive
+    from suspension_twin.road_estimation.drives import Part
+
+    known: dict[str, Drive] = {}
+    parts = []
+    for text in texts:
+        name, start, end = text, 0.0, math.inf
+        found = re.fullmatch(r"(.+)@(\d+(?:\.\d*)?)\.\.(\d+(?:\.\d*)?)", text)
+        if found is not None and not Path(text).exists():
+            name, start, end = found[1], float(found[2]), float(found[3])
+            if not start < end:
+                raise InputError(text, "the part ends before it starts")
+        if name not in known:
+            known[name] = read_drive(Path(name))
+        parts.append(Part(known[name], start, end))
+    return parts
+
+
+def _print_figures(checked: RoadCheck) -> None:
+    """What a road is like, in a few lines."""
+    console = output()
+    for name in ("length", "width", "roughness", "IRI", "events"):
+        console.print(f"{name}: {checked.facts[name]}", markup=False)
 
 
 def _beside(road: Path, suffix: str) -> Path:

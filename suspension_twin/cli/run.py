@@ -3,15 +3,23 @@
 
 from __future__ import annotations
 
+import json
 import math
+import os
+import secrets
+import shutil
+import socket
+import subprocess
+import sys
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
 
 import typer
 
-from suspension_twin.cli.common import TwinFile
+from suspension_twin.cli.common import SourceUrls, TwinFile
 from suspension_twin.errors import InputError, WorkError
 
 if TYPE_CHECKING:
@@ -21,6 +29,16 @@ __all__ = ["command"]
 
 #: Seconds before a recording begins, in which subscribers find the topics.
 _DISCOVERY = 0.5
+#: The same where a page is to be opened first.
+_VIEWED = 3.0
+
+
+class Page(NamedTuple):
+    """Where the page is served, and what its address ends in for others than this machine."""
+
+    host: str
+    port: int
+    token: str
 
 
 def command(
@@ -38,9 +56,26 @@ def command(
         ),
     ] = "1",
     loop: Annotated[bool, typer.Option("--loop", help="Begin the recording again at its end.")] = False,
+    source: SourceUrls = None,
     namespace: Annotated[
         str, typer.Option("--namespace", help="Put everything below this name.", metavar="NS")
     ] = "",
+    view: Annotated[
+        str | None,
+        typer.Option(
+            "--view",
+            help="Show the twin on a page in the browser: a port (8080), or HOST:PORT to let others look on.",
+            metavar="[PORT]",
+        ),
+    ] = None,
+    foxglove: Annotated[
+        str | None,
+        typer.Option(
+            "--foxglove",
+            help="Serve all topics to Foxglove or Lichtblick: a port (8765), or HOST:PORT for others.",
+            metavar="[PORT]",
+        ),
+    ] = None,
     params: Annotated[
         Path | None,
         typer.Option("--params", help="Parameters of the nodes, a ROS 2 YAML file.", metavar="FILE"),
@@ -55,12 +90,23 @@ def command(
 ) -> None:
     """The four nodes in one process, live or replaying a bag. Ctrl-C ends them."""
     speed = _speed(rate)
+    urls = list(source or ())
+    if bag is not None and urls:
+        raise InputError("--source", "goes without --bag: a drive is replayed or followed live")
     if bag is None and (loop or rate != "1"):
         raise InputError("--loop" if loop else "--rate", "needs --bag: only a recording can be replayed")
     # What is wrong with a file is to be said before ROS is started, which takes a second.
     from suspension_twin.vehicle.twin import load_twin
 
     load_twin(twin)
+    page = None if view is None else _place("--view", view)
+    bridge = None if foxglove is None else _bridge(foxglove)
+    if urls:
+        from suspension_twin.sources import make_sources
+        from suspension_twin.sources.common.hub import Hub
+
+        make_sources(urls, Hub())
+    from suspension_twin.cli._status import say
     from suspension_twin.nodes.composed import Composed, check_namespace
     from suspension_twin.nodes.parameters import check_names, read_param_file
     from suspension_twin.nodes.process import check_arguments, ros_context, stopping
@@ -72,14 +118,23 @@ def command(
     if params is not None:
         arguments += ["--ros-args", "--params-file", str(params)]
     with stopping() as stop:
-        playback = None if bag is None else _playback(bag, speed, loop)
+        playback = None if bag is None else _playback(bag, speed, loop, page is not None)
         with ros_context(arguments) as context:
-            composed = Composed(context, twin, namespace, playback)
+            composed = Composed(context, twin, namespace, playback, urls)
             try:
                 if params is not None:
                     check_names(params, wanted, composed.parameter_names())
                 composed.settle_memory()
-                _run(composed, lambda: stop.asked or not context.ok(), bag)
+                for note in composed.notes:
+                    say(note)
+                with ExitStack() as stack:
+                    if page is not None:
+                        values = page._asdict() | {"twin": str(twin), "bag": "" if bag is None else str(bag)}
+                        stack.enter_context(_beside("viewer", values, namespace, arguments))
+                    if bridge is not None:
+                        values = {"host": bridge.host, "port": bridge.port, "use_sim_time": bag is not None}
+                        stack.enter_context(_beside("foxglove_bridge", values, namespace, arguments))
+                    _run(composed, lambda: stop.asked or not context.ok(), bag)
             finally:
                 composed.close()
 
@@ -96,7 +151,58 @@ def _speed(rate: str) -> float:
     return number or math.inf
 
 
-def _playback(bag: Path, speed: float, loop: bool) -> Playback:
+def _place(option: str, given: str) -> Page:
+    """Where to listen; raises InputError for a wrong or taken place."""
+    from suspension_twin.view.server import is_local
+
+    host, _, number = given.rpartition(":")
+    host = host.strip("[]") or "127.0.0.1"
+    if not (number.isdecimal() and int(number) < 65536):
+        raise InputError(option, f"must be a port or HOST:PORT, is '{given}'")
+    port = int(number)
+    family = socket.AF_INET6 if ":" in host else socket.AF_INET
+    try:
+        with socket.create_server((host, port), family=family) as taken:
+            port = taken.getsockname()[1]
+    except OSError as error:
+        raise InputError(option, f"cannot listen on {host}, port {port}: {error.strerror or error}") from None
+    return Page(host, port, "" if is_local(host) else secrets.token_urlsafe(9))
+
+
+def _bridge(given: str) -> Page:
+    """Where Foxglove's WebSocket is to be; raises InputError where its library is missing."""
+    from importlib.util import find_spec
+
+    if find_spec("foxglove") is None:
+        raise InputError("--foxglove", 'needs foxglove-sdk: pip install "suspension-twin[foxglove]"')
+    return _place("--foxglove", given)
+
+
+@contextmanager
+def _beside(node: str, values: dict[str, Any], namespace: str, arguments: list[str]) -> Iterator[None]:
+    """A node in a process of its own, which computes when the others do not, and ends with this one."""
+    values = values | {"parent": os.getpid()}
+    given = [w for name, value in values.items() for w in ("-p", f"{name}:={json.dumps(value)}")]
+    place = ["-r", f"__ns:=/{namespace.strip('/')}"] if namespace else []
+    command = [
+        sys.executable,
+        "-m",
+        f"suspension_twin.nodes.{node}",
+        *arguments,
+        "--ros-args",
+        *place,
+        *given,
+    ]
+    process = subprocess.Popen(["nice", "-n", "5", *command] if shutil.which("nice") else command)
+    try:
+        yield
+    finally:
+        process.terminate()
+        with suppress(subprocess.TimeoutExpired):
+            process.wait(1.0)
+
+
+def _playback(bag: Path, speed: float, loop: bool, stay: bool) -> Playback:
     from suspension_twin.cli._status import say
     from suspension_twin.drive.read import read_drive
     from suspension_twin.nodes.composed import Playback
@@ -104,7 +210,7 @@ def _playback(bag: Path, speed: float, loop: bool) -> Playback:
     drive = read_drive(bag)
     for warning in drive.warnings:
         say(f"{bag}: {warning}")
-    return Playback(drive, speed, loop, _DISCOVERY)
+    return Playback(drive, speed, loop, _VIEWED if stay else _DISCOVERY, stay)
 
 
 def _run(composed: Composed, stop_asked: Callable[[], bool], bag: Path | None) -> None:

@@ -76,7 +76,7 @@ def command(
         result.write(out)
     console = output()
     for warning in result.warnings:
-        console.print(f"{result.name}: {warning}", style="yellow", markup=False)
+        console.print(f"{result.name}: {warning}", style="yellow")
     gap = result.gap
     rows = [
         (name.replace("_", " "), channel_unit(name), f"{rms:.4g}", f"{result.noise_rms[name]:.4g}")

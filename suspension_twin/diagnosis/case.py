@@ -48,7 +48,7 @@ from suspension_twin.road import flat_road
 from suspension_twin.signals.filters import FilterSpec
 from suspension_twin.vehicle.twin import Twin, load_twin
 
-__all__ = ["PLANAR", "VERTICAL", "Case", "baseline", "build", "read_case", "with_noise_of"]
+__all__ = ["ALSO", "PLANAR", "VERTICAL", "Case", "baseline", "build", "read_case", "with_noise_of"]
 
 VERTICAL = ("vertical_acceleration", "roll_rate", "pitch_rate")
 PLANAR = ("longitudinal_acceleration", "lateral_acceleration", "yaw_rate")
@@ -65,7 +65,7 @@ _DOUBT = 0.5
 #: Seconds of compared driving below which nothing can be held back from the fit.
 SHORTEST = 8.0
 #: Free beside the characteristics: what no weighbridge tells.
-_ALSO = (
+ALSO = (
     "vehicle.sprung_inertia.roll",
     "vehicle.sprung_inertia.pitch",
     "vehicle.tyre.vertical_stiffness",
@@ -203,7 +203,7 @@ def build(case: Case, stop: Callable[[], bool], free: Sequence[str] = ()) -> Ben
     if free:
         space = build_space(twin, preset, free=free)
     elif case.excited:
-        space = build_space(twin, replace(preset, also=()), also=[k for k in _ALSO if has_number(twin, k)])
+        space = build_space(twin, replace(preset, also=()), also=[k for k in ALSO if has_number(twin, k)])
     else:
         space = build_space(twin, replace(preset, also=()), free=_LEANING)
     terms = parse_objective("euclidean", dict.fromkeys(case.channels, 1.0), case.channels)

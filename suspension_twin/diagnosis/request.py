@@ -59,7 +59,7 @@ class Progress:
 @dataclass(frozen=True, eq=False)
 class DriveView:
     """One drive for the report: channels (m,) on its grid, ``before`` simulated by the twin as given, ``after``
-    by the twin with the named effects."""
+    by the twin with the named effects. ``channel`` is the id of the channel, empty for the one of ``gap``."""
 
     name: str
     t: Floats
@@ -70,6 +70,7 @@ class DriveView:
     recalibrated: Floats
     after: Floats
     compared: Any
+    channel: str = ""
 
 
 @dataclass(frozen=True, eq=False)

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from suspension_twin.drive.importers import importer_of
+from suspension_twin.drive.importers import read_source
 from suspension_twin.drive.intake.mapped import read_mapped
 from suspension_twin.drive.intake.mapping import BagSpec, load_mapping
 from suspension_twin.drive.intake.source import Source
@@ -17,6 +17,7 @@ from suspension_twin.drive.read import Topics, read_drive
 from suspension_twin.drive.recording import is_recording
 from suspension_twin.drive.types import Drive
 from suspension_twin.errors import InputError
+from suspension_twin.files import reading
 
 __all__ = ["Imported", "import_drive"]
 
@@ -82,6 +83,11 @@ def import_drive(
     for path in paths:
         if not Path(path).exists():
             raise InputError(path, "is not there")
+    with reading(", ".join(map(str, paths)), "a recording"):
+        return _import(paths, mapping, topics)
+
+
+def _import(paths: Sequence[str | Path], mapping: str | Path | None, topics: Topics | None) -> Imported:
     if mapping is not None:
         return _by_mapping([Path(path) for path in paths], Path(mapping))
     bags = [Path(path) for path in paths if is_recording(path)]
@@ -90,7 +96,7 @@ def import_drive(
             raise InputError(bags[0], "is a recording of its own: import it alone")
         return _bag(bags[0], topics or Topics())
     sources = [Source(path) for path in paths]
-    streams = merge([importer_of(source).read(source) for source in sources])
+    streams = merge([read_source(source) for source in sources])
     drive, notes = assemble(streams, sources[0].name, ", ".join(str(path) for path in paths))
     return Imported(drive, streams.origin, tuple(notes))
 

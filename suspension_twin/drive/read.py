@@ -17,6 +17,7 @@ from suspension_twin.drive.recording import decode_topic, read_recording
 from suspension_twin.drive.repair import clean_drive, repair_stamps
 from suspension_twin.drive.types import Drive, FixData, HeadingData, ImuData, VelocityData
 from suspension_twin.errors import InputError
+from suspension_twin.files import reading
 
 __all__ = ["TYPES", "Topics", "read_drive"]
 
@@ -92,7 +93,11 @@ def read_drive(path: str | Path, *, topics: Topics | None = None) -> Drive:
     >>> drive.name, len(drive.imu), len(drive.fix)
     ('bump_15kmh', 6954, 694)
     """
-    topics = topics or Topics()
+    with reading(path, "a recorded drive"):
+        return _read(path, topics or Topics())
+
+
+def _read(path: str | Path, topics: Topics) -> Drive:
     names = {role: topic_name(name) for role, name in asdict(topics).items()}
     contents = read_recording(path, set(names.values()))
     for role, name in names.items():

@@ -13,11 +13,10 @@ from collections.abc import Collection
 from pathlib import Path
 from typing import Any
 
-import yaml
-
+from suspension_twin.drive.budget import Budget, TooLarge
 from suspension_twin.drive.cdr import Decoded, decode, ros1_types, types_with
 from suspension_twin.drive.containers.contents import Contents, topic_name
-from suspension_twin.drive.containers.inflate import ZSTD_MAGIC, inflate
+from suspension_twin.drive.containers.inflate import ZSTD_MAGIC, Inflated
 from suspension_twin.drive.containers.salvage_mcap import MAGIC as MCAP_MAGIC
 from suspension_twin.drive.containers.salvage_mcap import salvage_mcap
 from suspension_twin.drive.containers.salvage_ros1 import MAGIC as ROS1_MAGIC
@@ -26,6 +25,7 @@ from suspension_twin.drive.containers.salvage_sqlite import MAGIC as SQLITE_MAGI
 from suspension_twin.drive.containers.salvage_sqlite import salvage_sqlite
 from suspension_twin.drive.containers.whole import Incomplete, read_whole, with_pending_writes
 from suspension_twin.errors import InputError
+from suspension_twin.files import read_yaml, reading
 
 __all__ = ["decode_topic", "is_recording", "read_recording"]
 
@@ -72,27 +72,32 @@ def read_recording(path: str | Path, topics: Collection[str] | None = None) -> C
     if path.name == "metadata.yaml":
         path = path.parent
     wanted = None if topics is None else {topic_name(name) for name in topics}
-    contents = Contents("cdr", wanted)
-    try:
-        if path.is_dir():
-            files = _files(path, contents.warnings)
-            if not files:
-                raise InputError(path, _no_recording(path))
-        else:
-            files = [path]
-        unreadable: list[InputError] = []
-        for file in files:
-            try:
+    with reading(path, "a recording"):
+        return _read(path, Contents("cdr", wanted))
+
+
+def _read(path: Path, contents: Contents) -> Contents:
+    if path.is_dir():
+        files = _files(path, contents.warnings)
+        if not files:
+            raise InputError(path, _no_recording(path))
+    else:
+        files = [path]
+    contents.budget = Budget(path, sum(file.stat().st_size for file in files))
+    unreadable: list[InputError] = []
+    for file in files:
+        try:
+            with reading(file, "a recording"):
                 _read_file(file, contents)
-            except InputError as error:
-                if len(files) == 1:
-                    raise
-                unreadable.append(error)
-                contents.warnings.append(f"left out {error}")
-        if len(unreadable) == len(files):
-            raise unreadable[0]
-    except OSError as error:
-        raise InputError(path, error.strerror or "cannot be read") from None
+        except TooLarge:
+            raise
+        except InputError as error:
+            if len(files) == 1:
+                raise
+            unreadable.append(error)
+            contents.warnings.append(f"left out {error}")
+    if len(unreadable) == len(files):
+        raise unreadable[0]
     contents.finish()
     return contents
 
@@ -135,16 +140,17 @@ def _listed(folder: Path, warnings: list[str]) -> list[str] | None:
             warnings.append("metadata.yaml is missing (the recorder was not closed): read without it")
         return None
     try:
-        data = yaml.safe_load(metadata.read_text(encoding="utf-8"))
-        names = data["rosbag2_bagfile_information"]["relative_file_paths"]
+        names = read_yaml(metadata)["rosbag2_bagfile_information"]["relative_file_paths"]
         # before Foxy the paths held the folder's name
         return [Path(str(name)).name for name in names]
-    except (yaml.YAMLError, ValueError, RecursionError, KeyError, TypeError):
+    except (InputError, KeyError, TypeError):
         warnings.append("metadata.yaml is damaged: read without it")
         return None
 
 
 def _read_file(path: Path, contents: Contents) -> None:
+    if path.exists() and not path.is_file():
+        raise InputError(path, "is not a regular file")
     head = _magic(path)
     if not head:
         raise InputError(path, "empty")
@@ -170,15 +176,17 @@ def _read_as(kind: bytes, path: Path, contents: Contents) -> None:
 
 def _read_compressed(path: Path, contents: Contents) -> None:
     """A file compressed as a whole (rosbag2's compression mode FILE)."""
-    data, whole = inflate("zstd", path.read_bytes())
-    if not whole:
-        contents.warnings.append(f"{path.name} is cut off or damaged")
-    kind = _format(data[:16])
-    if kind is None or kind == ROS1_MAGIC:
-        raise InputError(path, "not a compressed rosbag2 file")
     with tempfile.TemporaryDirectory() as folder:
         bare = Path(folder) / path.name.removesuffix(".zstd")
-        bare.write_bytes(data)
+        with path.open("rb") as packed, bare.open("wb") as out:
+            pieces = Inflated("zstd", packed, Budget(path, path.stat().st_size))
+            for piece in pieces:
+                out.write(piece)
+        if not pieces.complete:
+            contents.warnings.append(f"{path.name} is cut off or damaged")
+        kind = _format(_magic(bare))
+        if kind is None or kind == ROS1_MAGIC:
+            raise InputError(path, "not a compressed rosbag2 file")
         _read_as(kind, bare, contents)
 
 

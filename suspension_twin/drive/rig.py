@@ -23,7 +23,7 @@ from suspension_twin.drive.containers.contents import Contents
 from suspension_twin.drive.intake.table import Table, read_table
 from suspension_twin.drive.recording import decode_topic, is_recording, read_recording
 from suspension_twin.errors import InputError
-from suspension_twin.files import replacing
+from suspension_twin.files import comment_lines, read_bytes, reading, replacing
 from suspension_twin.units import STANDARD_GRAVITY
 
 __all__ = ["QUANTITIES", "RigRecord", "read_rig", "write_rig"]
@@ -43,6 +43,7 @@ QUANTITIES: Final[Mapping[str, tuple[Mapping[str, float], float]]] = {
     "tyre_force": (_FORCE, 1e6),
     "actuator_force": (_FORCE, 1e6),
 }
+_LARGEST: Final = 1 << 30  # bytes of a table
 _ROAD: Final = ("road_displacement", "road_velocity")
 _ACCELEROMETERS: Final = {"/imu/data_raw": "body_acceleration", "/wheel/imu/data_raw": "wheel_acceleration"}
 _JOINTS: Final = "/joint_states"
@@ -70,7 +71,11 @@ class RigRecord:
 
 def read_rig(path: str | Path) -> RigRecord:
     """A run from a CSV or a recording; InputError names the file and what is wrong or missing."""
-    path = Path(path)
+    with reading(path, "a run of a rig"):
+        return _read(Path(path))
+
+
+def _read(path: Path) -> RigRecord:
     if path.is_dir() or is_recording(path):
         columns, warnings = _of_recording(path)
     else:
@@ -100,17 +105,14 @@ def write_rig(record: RigRecord, path: Path, comment: str = "") -> None:
     """Write a run as a CSV that ``read_rig`` reads back, SI units, ``comment`` in its first line."""
     table = {"time": record.t, **record.columns}
     names = [f"{name}_{next(iter(QUANTITIES[name][0]))}" for name in table]
-    head = ("# " + comment + "\n" if comment else "") + ",".join(names)
+    head = (comment_lines(comment) if comment else "") + ",".join(names)
     digits = ["%.15g", *["%.6g"] * len(record.columns)]
     with replacing(path) as temporary:
         np.savetxt(temporary, np.stack(list(table.values()), axis=1), digits, ",", header=head, comments="")
 
 
 def _of_table(path: Path) -> tuple[dict[str, Floats], list[str]]:
-    try:
-        table: Table = read_table(path.read_bytes(), str(path), header=True)
-    except OSError as error:
-        raise InputError(path, error.strerror or "cannot be read") from None
+    table: Table = read_table(read_bytes(path, _LARGEST), str(path), header=True)
     columns: dict[str, Floats] = {}
     unused = []
     for index, title in enumerate(table.names):

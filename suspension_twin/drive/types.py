@@ -5,14 +5,14 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, fields, replace
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
 
 from suspension_twin.arrays import Floats
 
-__all__ = ["Drive", "FixData", "HeadingData", "ImuData", "VelocityData"]
+__all__ = ["Drive", "FixData", "HeadingData", "ImuData", "Samples", "VelocityData"]
 
 if TYPE_CHECKING:
     from typing import Self  # of Python 3.11
@@ -146,6 +146,10 @@ class HeadingData(_Samples):
     """Headings: ``t`` (k,) s, ``yaw`` (k,) rad from east, counter-clockwise."""
 
     yaw: Floats
+
+
+#: Measurements of one kind.
+Samples: TypeAlias = ImuData | FixData | VelocityData | HeadingData
 
 
 @dataclass(frozen=True, eq=False)

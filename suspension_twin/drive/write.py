@@ -9,8 +9,8 @@ from __future__ import annotations
 
 import os
 import shutil
-import tempfile
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from pathlib import Path
 from types import TracebackType
 from typing import Any, final
@@ -25,10 +25,11 @@ from suspension_twin.drive.cdr import encode, ros2_types
 from suspension_twin.drive.containers.contents import topic_name, type_name
 from suspension_twin.drive.read import TYPES, Topics
 from suspension_twin.drive.repair import nanoseconds
-from suspension_twin.drive.types import Drive
+from suspension_twin.drive.types import Drive, FixData, ImuData, Samples, VelocityData
 from suspension_twin.errors import InputError, WorkError
+from suspension_twin.files import check_writable, remove_leftovers, synchronise, temporary_beside
 
-__all__ = ["BagWriter", "write_drive"]
+__all__ = ["BagWriter", "write_drive", "write_samples"]
 
 #: ns: the seconds of a stamp are 32 bits long.
 _LAST_STAMP = (1 << 31) * 1_000_000_000
@@ -62,6 +63,7 @@ class BagWriter:
             )
         if not self.path.name:
             raise InputError(self.path, "names no recording")
+        check_writable(self.path)
         if not self.path.exists():
             return
         if not self.overwrite:
@@ -76,9 +78,11 @@ class BagWriter:
                 )
 
     def __enter__(self) -> BagWriter:
+        self._hidden = temporary_beside(self.path)
         try:
             self.path.parent.mkdir(parents=True, exist_ok=True)
-            self._hidden = Path(tempfile.mkdtemp(prefix=f".{self.path.name}.", dir=self.path.parent))
+            remove_leftovers(self.path)
+            self._hidden.mkdir()
             self._bag = Writer(
                 self._hidden / (self.path.stem if self.bare else self.path.name),
                 version=9,  # what ROS 2 Jazzy writes
@@ -87,8 +91,12 @@ class BagWriter:
             self._bag.set_compression(CompressionMode.STORAGE, CompressionFormat.ZSTD)
             self._bag.open()
         except OSError as error:
-            raise WorkError(f"{self.path}: {error.strerror or 'cannot be written'}") from None
+            shutil.rmtree(self._hidden, ignore_errors=True)
+            raise self._failed(error) from error
         return self
+
+    def _failed(self, error: OSError) -> WorkError:
+        return WorkError(f"{self.path}: cannot be written: {error.strerror or error}")
 
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
@@ -97,11 +105,14 @@ class BagWriter:
             if kind is None:
                 self._finish()
             else:
-                self._bag.abort()
+                with suppress(Exception):  # what ended the block is what is said
+                    self._bag.abort()
         except OSError as failure:
-            raise WorkError(f"{self.path}: {failure.strerror or 'cannot be written'}") from None
+            raise self._failed(failure) from failure
         finally:
             shutil.rmtree(self._hidden, ignore_errors=True)
+        if isinstance(error, OSError):
+            raise self._failed(error) from error
 
     def write(
         self,
@@ -166,16 +177,24 @@ class BagWriter:
         self.flush()
         self._bag.close()
         written = self._bag.path
-        (file,) = written.glob("*.mcap")
-        with file.open("rb") as stream:
-            os.fsync(stream.fileno())
+        for file in written.iterdir():
+            synchronise(file)
         if self.bare:
-            written = file
+            (written,) = written.glob("*.mcap")
+        before = self._hidden / "replaced"
         if self.path.exists():
             if not self.overwrite:  # made by someone else while this was written
                 raise InputError(self.path, "exists already: choose another name or remove it")
-            os.rename(self.path, self._hidden / "replaced")
-        os.rename(written, self.path)
+            if not self.bare:  # a folder does not take another's place: for an instant there is none
+                os.rename(self.path, before)
+        try:
+            os.replace(written, self.path)
+        except OSError:
+            if before.exists():
+                os.rename(before, self.path)
+            raise
+        with suppress(OSError):
+            synchronise(self.path.parent)
 
 
 def _part_of_bag(path: Path) -> bool:
@@ -219,36 +238,51 @@ def write_drive(
     """
     topics = topics or Topics()
     with BagWriter(path, overwrite=overwrite) as bag:
-        imu, fix, velocity, heading = drive.imu, drive.fix, drive.velocity, drive.heading
-        values = {
-            **_vector("linear_acceleration", imu.specific_force),
-            **_vector("angular_velocity", imu.angular_rate),
-        }
-        if imu.orientation is None:
-            # REP-145: this sensor reports no orientation
-            values |= {"orientation.w": 1.0, "orientation_covariance": [-1.0] + [0.0] * 8}
-        else:
-            values |= _vector("orientation", imu.orientation, "xyzw")
-        bag.write(topics.imu, TYPES["imu"][0], imu.t, values, frame=imu.frame)
+        for samples in (drive.imu, drive.fix, drive.velocity, drive.heading):
+            if samples is not None:
+                write_samples(bag, samples, topics)
 
-        covariance = np.zeros((len(fix), 9))
-        known = np.asarray(np.isfinite(fix.sigma).all(axis=1))
-        covariance[:, [0, 4, 8]] = np.where(known[:, None], fix.sigma, 0.0) ** 2
-        values = {
-            "latitude": fix.latitude,
-            "longitude": fix.longitude,
-            "altitude": fix.altitude,
-            "status.status": fix.status,
-            "status.service": 1,
-            "position_covariance": covariance,
-            "position_covariance_type": np.where(known, 2, 0),  # diagonal known, or unknown
-        }
-        bag.write(topics.fix, TYPES["fix"][0], fix.t, values, frame=fix.frame)
-        values = _vector("twist.linear", velocity.enu)
-        bag.write(topics.vel, TYPES["vel"][0], velocity.t, values, frame="map")
-        if heading is not None:
-            values = {"quaternion.z": np.sin(heading.yaw / 2), "quaternion.w": np.cos(heading.yaw / 2)}
-            bag.write(topics.heading, TYPES["heading"][0], heading.t, values, frame="map")
+
+def write_samples(bag: BagWriter, samples: Samples, topics: Topics) -> None:
+    """Add samples of one kind to a recording, as messages of the type of the contract, on the topic of their kind."""
+    if isinstance(samples, ImuData):
+        _write_imu(bag, samples, topics.imu)
+    elif isinstance(samples, FixData):
+        _write_fixes(bag, samples, topics.fix)
+    elif isinstance(samples, VelocityData):
+        bag.write(topics.vel, TYPES["vel"][0], samples.t, _vector("twist.linear", samples.enu), frame="map")
+    else:
+        values = {"quaternion.z": np.sin(samples.yaw / 2), "quaternion.w": np.cos(samples.yaw / 2)}
+        bag.write(topics.heading, TYPES["heading"][0], samples.t, values, frame="map")
+
+
+def _write_imu(bag: BagWriter, imu: ImuData, topic: str) -> None:
+    values = {
+        **_vector("linear_acceleration", imu.specific_force),
+        **_vector("angular_velocity", imu.angular_rate),
+    }
+    if imu.orientation is None:
+        # REP-145: this sensor reports no orientation
+        values |= {"orientation.w": 1.0, "orientation_covariance": [-1.0] + [0.0] * 8}
+    else:
+        values |= _vector("orientation", imu.orientation, "xyzw")
+    bag.write(topic, TYPES["imu"][0], imu.t, values, frame=imu.frame)
+
+
+def _write_fixes(bag: BagWriter, fix: FixData, topic: str) -> None:
+    covariance = np.zeros((len(fix), 9))
+    known = np.asarray(np.isfinite(fix.sigma).all(axis=1))
+    covariance[:, [0, 4, 8]] = np.where(known[:, None], fix.sigma, 0.0) ** 2
+    values = {
+        "latitude": fix.latitude,
+        "longitude": fix.longitude,
+        "altitude": fix.altitude,
+        "status.status": fix.status,
+        "status.service": 1,
+        "position_covariance": covariance,
+        "position_covariance_type": np.where(known, 2, 0),  # diagonal known, or unknown
+    }
+    bag.write(topic, TYPES["fix"][0], fix.t, values, frame=fix.frame)
 
 
 def _vector(prefix: str, rows: Floats, names: str = "xyz") -> dict[str, Any]:

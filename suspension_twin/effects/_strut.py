@@ -7,6 +7,7 @@ from typing import Literal
 
 import numpy as np
 
+from suspension_twin.effects._phrases import axles, changed, of_wheel
 from suspension_twin.effects.base import (
     CORNER,
     WIDTH,
@@ -67,6 +68,7 @@ def odd_corner(
         confused_with=(f"the axle's {part}", f"corner_{other}", "payload on one side", "lateral_offset"),
         hook=Hook(corners=corners, upright=upright),
         variants={"quarter_car": Variant(parameters[1:], Hook(corners=every_corner, upright=upright))},
+        finding=lambda p: f"{of_wheel(p, part)} {changed(p['change'], 'force')}",
     )
 
 
@@ -125,4 +127,7 @@ def stop(
             )
         ),
         variants={"quarter_car": Variant(of_one_corner(parameters))},
+        finding=lambda p: (
+            f"the struts hit their {name} stops: they touch after {axles(p, '_clearance', 'm')}"
+        ),
     )

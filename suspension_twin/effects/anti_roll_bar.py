@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from suspension_twin.effects._phrases import Given, axles
 from suspension_twin.effects.base import (
     AXLE,
     WIDTH,
@@ -38,6 +39,10 @@ def _bar(w: Floats, e: int, a: int, i: int, x: float) -> tuple[float, float]:
     return stiffness * x, stiffness
 
 
+def _finding(p: Given) -> str:
+    return f"the car has an anti-roll bar that its file lacks: {axles(p, '_stiffness', 'N/m')}"
+
+
 EFFECT = Effect(
     id="anti_roll_bar",
     title="anti-roll bar",
@@ -57,4 +62,5 @@ EFFECT = Effect(
             stiffness=(_STIFFNESS,),
         )
     ),
+    finding=_finding,
 )

@@ -136,7 +136,9 @@ class Effect:
     ``excited_by`` lists signals that move it, ``confused_with`` causes with similar symptoms. ``usual_share`` is the
     severity that a sound vehicle has (a driver, a tank), as a share of its mass. ``order`` places it among the effects:
     terms of one stage of the kernel act in this order, and lists are in it. ``variants`` by model
-    hold what is different on models that ``hook`` is not for. ``tone`` says what is harmonic in it.
+    hold what is different on models that ``hook`` is not for. ``tone`` says what is harmonic in it. ``finding`` says in
+    words what the effect with given parameters is, as the end of a sentence: "the front left damper has lost 40 % of
+    its force".
     """
 
     id: str
@@ -151,6 +153,7 @@ class Effect:
     usual_share: float = 0.0
     order: int = 1000
     variants: Mapping[str, Variant] = field(default_factory=dict)
+    finding: Callable[[Mapping[str, float]], str] | None = None
     tone: Tone | None = None
 
     def __post_init__(self) -> None:

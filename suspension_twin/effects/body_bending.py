@@ -7,6 +7,7 @@ from collections.abc import Mapping
 
 import numpy as np
 
+from suspension_twin.effects._phrases import Given
 from suspension_twin.effects.base import (
     LANE,
     WIDTH,
@@ -22,6 +23,7 @@ from suspension_twin.effects.base import (
     rows,
 )
 from suspension_twin.models.full_car import BAD_ACCELERATION
+from suspension_twin.units import plain
 
 __all__ = ["EFFECT"]
 
@@ -69,6 +71,10 @@ def _read(w: Floats, e: int, c: int, i: int, h: float) -> None:
     w[(rows.SIGNAL + 6) * WIDTH + i] += more
 
 
+def _finding(p: Given) -> str:
+    return f"the body bends under the sensor, at {plain(p['frequency'], 'Hz')}"
+
+
 EFFECT = Effect(
     id="body_bending",
     title="body bending",
@@ -85,4 +91,5 @@ EFFECT = Effect(
             _FIELDS, _constants, {"after": (_bend, LANE), "stamp": (_read, LANE)}, modes=(_STIFFNESS,)
         )
     ),
+    finding=_finding,
 )

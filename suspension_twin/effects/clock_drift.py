@@ -3,7 +3,9 @@
 
 from __future__ import annotations
 
+from suspension_twin.effects._phrases import Given
 from suspension_twin.effects.base import ClockChange, Effect, Hook, Parameter, Values
+from suspension_twin.units import plain
 
 __all__ = ["EFFECT"]
 
@@ -18,6 +20,11 @@ def _clock(change: ClockChange, p: Values) -> None:
     change.drift[:] += 1e-6 * p["drift_ppm"]
 
 
+def _finding(p: Given) -> str:
+    late = 6e-5 * p["drift_ppm"]  # s after a minute
+    return f"the sensor's clock runs {'fast' if late >= 0 else 'slow'}: by {plain(abs(late), 's')} a minute"
+
+
 EFFECT = Effect(
     id="clock_drift",
     title="clock drift",
@@ -30,4 +37,5 @@ EFFECT = Effect(
     excited_by=("long drives", "bumps early and late"),
     confused_with=("time_offset", "damper_fade"),
     hook=Hook(clock=_clock, models=("full_car", "msd", "tracked", "quarter_car")),
+    finding=_finding,
 )

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+from suspension_twin.effects._phrases import Given
 from suspension_twin.effects.base import (
     CORNER,
     LANE,
@@ -16,6 +17,7 @@ from suspension_twin.effects.base import (
     inlined,
     rows,
 )
+from suspension_twin.units import plain
 
 __all__ = ["EFFECT"]
 
@@ -43,6 +45,13 @@ def _heat(w: Floats, e: int, c: int, i: int, h: float) -> None:
     w[(e + _HEAT) * WIDTH + i] += h * w[(e + _PACE) * WIDTH + i]
 
 
+def _finding(p: Given) -> str:
+    return (
+        f"the dampers lose {plain(p['loss'], '')} of their force as the drive goes on, "
+        f"within about {plain(p['time_constant'], 's')}"
+    )
+
+
 EFFECT = Effect(
     id="damper_fade",
     title="damper fade",
@@ -62,4 +71,5 @@ EFFECT = Effect(
         ),
         models=("full_car", "quarter_car"),
     ),
+    finding=_finding,
 )

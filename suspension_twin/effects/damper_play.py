@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+from suspension_twin.effects._phrases import Given, axles
 from suspension_twin.effects.base import (
     CORNER,
     WIDTH,
@@ -46,6 +47,10 @@ def _play(w: Floats, e: int, c: int, i: int, h: float) -> None:
     w[(rows.STRUT + c) * WIDTH + i] -= loose
 
 
+def _finding(p: Given) -> str:
+    return f"the dampers have play: {axles(p, '', 'm')}"
+
+
 EFFECT = Effect(
     id="damper_play",
     title="play in the dampers",
@@ -65,4 +70,5 @@ EFFECT = Effect(
         )
     ),
     variants={"quarter_car": Variant(of_one_corner(_PARAMETERS))},
+    finding=_finding,
 )

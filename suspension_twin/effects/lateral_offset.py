@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+from suspension_twin.effects._phrases import Given, more
 from suspension_twin.effects.base import Effect, Hook, Parameter, RoadChange, Values
 
 __all__ = ["EFFECT"]
@@ -16,6 +17,10 @@ def _road(change: RoadChange, p: Values) -> None:
     change.left[:] += p["offset"]
 
 
+def _finding(p: Given) -> str:
+    return f"the car drives {more(p['offset'], 'm', 'further left', 'further right')} on the road than its pose says"
+
+
 EFFECT = Effect(
     id="lateral_offset",
     title="map shifted across the road",
@@ -27,4 +32,5 @@ EFFECT = Effect(
     excited_by=("roads whose wheel tracks differ",),
     confused_with=("corner_damper", "road_scale"),
     hook=Hook(road=_road, models=("full_car", "msd")),
+    finding=_finding,
 )

@@ -5,8 +5,10 @@ from __future__ import annotations
 
 import math
 
+from suspension_twin.effects._phrases import Given
 from suspension_twin.effects._signal import STATES, second_order
 from suspension_twin.effects.base import Bools, Effect, Floats, Hook, Parameter, SignalStage, compiled
+from suspension_twin.units import plain
 
 __all__ = ["EFFECT"]
 
@@ -25,6 +27,10 @@ def _signal(signals: Floats, t: Floats, fresh: Bools, values: Floats, state: Flo
             second_order(signals, t, fresh, 2, 1, i, omega, zeta, 2.0 * zeta * omega, values[0, i], state)
 
 
+def _finding(p: Given) -> str:
+    return f"the sensor's holder rings at {plain(p['frequency'], 'Hz')}"
+
+
 EFFECT = Effect(
     id="mount_resonance",
     title="resonance of the sensor's holder",
@@ -39,4 +45,5 @@ EFFECT = Effect(
     hook=Hook(
         signal=SignalStage(_signal, states=STATES, order=10), models=("full_car", "msd", "quarter_car")
     ),
+    finding=_finding,
 )

@@ -5,7 +5,9 @@ from __future__ import annotations
 
 import numpy as np
 
+from suspension_twin.effects._phrases import Given, more
 from suspension_twin.effects.base import Effect, Floats, Hook, Parameter, Values, Variant
+from suspension_twin.units import plain
 
 __all__ = ["EFFECT"]
 
@@ -67,6 +69,16 @@ def _corner(numbers: dict[str, Floats], p: Values) -> None:
     numbers["vehicle.sprung_mass"] = numbers["vehicle.sprung_mass"] + p["mass"]
 
 
+def _finding(p: Given) -> str:
+    x, y = p.get("x"), p.get("y", 0.0)
+    load = "more" if p["mass"] >= 0 else "less"
+    text = f"the vehicle carries {plain(abs(p['mass']), 'kg')} {load} than its file says"
+    if x is None:
+        return text
+    side = f" and {more(y, 'm', 'to the left', 'to the right')}" if abs(y) >= 0.1 else ""
+    return f"{text}, {more(x, 'm', 'ahead of', 'behind')} the rear wheels{side}"
+
+
 EFFECT = Effect(
     id="payload",
     title="unlisted payload",
@@ -84,4 +96,5 @@ EFFECT = Effect(
         "tracked": Variant(_TRACKED, Hook(vehicle=_hull)),
         "quarter_car": Variant(_CORNER, Hook(vehicle=_corner)),
     },
+    finding=_finding,
 )

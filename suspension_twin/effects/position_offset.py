@@ -3,7 +3,9 @@
 
 from __future__ import annotations
 
+from suspension_twin.effects._phrases import Given
 from suspension_twin.effects.base import Effect, Hook, Parameter, RoadChange, Values
+from suspension_twin.units import plain
 
 __all__ = ["EFFECT"]
 
@@ -12,6 +14,10 @@ _PARAMETERS = (Parameter("offset", "m", -10.0, 10.0, 0.0, 0.0, 0.3, "along the r
 
 def _road(change: RoadChange, p: Values) -> None:
     change.ahead[:] += p["offset"]
+
+
+def _finding(p: Given) -> str:
+    return f"the road map is off by {plain(abs(p['offset']), 'm')} along the road"
 
 
 EFFECT = Effect(
@@ -25,4 +31,5 @@ EFFECT = Effect(
     excited_by=("bumps at several speeds",),
     confused_with=("time_offset (at one speed they are the same)",),
     hook=Hook(road=_road, models=("full_car", "msd")),
+    finding=_finding,
 )

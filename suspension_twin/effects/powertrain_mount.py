@@ -7,6 +7,7 @@ from collections.abc import Mapping
 
 import numpy as np
 
+from suspension_twin.effects._phrases import Given
 from suspension_twin.effects.base import (
     LANE,
     WIDTH,
@@ -22,6 +23,7 @@ from suspension_twin.effects.base import (
     rows,
 )
 from suspension_twin.models.characteristics import Check
+from suspension_twin.units import plain
 
 __all__ = ["EFFECT"]
 
@@ -80,6 +82,11 @@ def _absorb(w: Floats, e: int, c: int, i: int, h: float) -> None:
     w[(e + _RATE) * WIDTH + i] = fma(h, -mount - fma(give, f, there), rate)
 
 
+def _finding(p: Given) -> str:
+    mass, frequency = plain(p["mass"], "kg"), plain(p["frequency"], "Hz")
+    return f"the engine moves on its mounts: {mass} at {frequency}"
+
+
 EFFECT = Effect(
     id="powertrain_mount",
     title="engine on soft mounts",
@@ -94,4 +101,5 @@ EFFECT = Effect(
     hook=Hook(
         kernel=KernelTerms(_FIELDS, _constants, {"body": (_absorb, LANE)}, modes=(_STIFFNESS,), check=_check)
     ),
+    finding=_finding,
 )

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+from suspension_twin.effects._phrases import Given
 from suspension_twin.effects.base import (
     CORNER,
     WIDTH,
@@ -44,6 +45,10 @@ def _spring(w: Floats, e: int, c: int, i: int, x: float) -> tuple[float, float]:
     return x * x * fma(square / 3.0, x, 0.5 * rise), x * (rise + square * x)
 
 
+def _finding(p: Given) -> str:
+    return "the springs get stiffer with travel than their file says"
+
+
 EFFECT = Effect(
     id="progressive_spring",
     title="progressive spring",
@@ -66,4 +71,5 @@ EFFECT = Effect(
         )
     ),
     variants={"quarter_car": Variant(of_one_corner(_PARAMETERS))},
+    finding=_finding,
 )

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+from suspension_twin.effects._phrases import Given, more
 from suspension_twin.effects.base import Effect, Hook, Parameter, RoadChange, Values
 
 __all__ = ["EFFECT"]
@@ -12,6 +13,10 @@ _PARAMETERS = (Parameter("scale", "", -0.8, 2.0, 0.0, 0.0, 0.15, "factor less on
 
 def _road(change: RoadChange, p: Values) -> None:
     change.scale[:] *= 1 + p["scale"]
+
+
+def _finding(p: Given) -> str:
+    return f"the road is {more(p['scale'], '', 'higher', 'lower')} than its file says"
 
 
 EFFECT = Effect(
@@ -25,4 +30,5 @@ EFFECT = Effect(
     excited_by=("every unevenness",),
     confused_with=("sensor_scale (which gravity gives away)",),
     hook=Hook(road=_road, models=("full_car", "msd")),
+    finding=_finding,
 )

@@ -3,7 +3,9 @@
 
 from __future__ import annotations
 
+from suspension_twin.effects._phrases import Given
 from suspension_twin.effects.base import Effect, Hook, Parameter, RoadChange, Values
+from suspension_twin.units import plain
 
 __all__ = ["EFFECT"]
 
@@ -12,6 +14,10 @@ _PARAMETERS = (Parameter("sigma", "m", 0.005, 2.0, 0.0, 0.1, 2.0, "of the Gaussi
 
 def _road(change: RoadChange, p: Values) -> None:
     change.sharpening[:] += p["sigma"]
+
+
+def _finding(p: Given) -> str:
+    return f"the road file is too smooth: it was averaged over about {plain(2.0 * p['sigma'], 'm')}"
 
 
 EFFECT = Effect(
@@ -26,4 +32,5 @@ EFFECT = Effect(
     excited_by=("short bumps", "rough road"),
     confused_with=("road_scale", "tyre_envelope (the other way round)", "sensor_bandwidth"),
     hook=Hook(road=_road, models=("full_car", "msd")),
+    finding=_finding,
 )

@@ -7,8 +7,10 @@ import math
 
 import numpy as np
 
+from suspension_twin.effects._phrases import Given
 from suspension_twin.effects._signal import STATES, second_order
 from suspension_twin.effects.base import Bools, Effect, Floats, Hook, Parameter, SignalStage, Values, compiled
+from suspension_twin.units import plain
 
 __all__ = ["EFFECT"]
 
@@ -29,6 +31,10 @@ def _lag(p: Values) -> Floats:
     return np.asarray(math.sqrt(2.0) / np.where(omega > 0.0, omega, np.inf))
 
 
+def _finding(p: Given) -> str:
+    return f"the sensor loses what is faster than {plain(p['cutoff'], 'Hz')}"
+
+
 EFFECT = Effect(
     id="sensor_bandwidth",
     title="low-pass in the sensor",
@@ -44,4 +50,5 @@ EFFECT = Effect(
         lag=_lag,
         models=("full_car", "msd", "quarter_car"),
     ),
+    finding=_finding,
 )

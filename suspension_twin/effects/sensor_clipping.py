@@ -3,7 +3,9 @@
 
 from __future__ import annotations
 
+from suspension_twin.effects._phrases import Given
 from suspension_twin.effects.base import Bools, Effect, Floats, Hook, Parameter, SignalStage, compiled
+from suspension_twin.units import plain
 
 __all__ = ["EFFECT"]
 
@@ -20,6 +22,10 @@ def _signal(signals: Floats, t: Floats, fresh: Bools, values: Floats, state: Flo
                     signals[k, axis, i] = min(max(signals[k, axis, i], -limit), limit)
 
 
+def _finding(p: Given) -> str:
+    return f"the sensor clips at {plain(p['range'], 'm/s²')}"
+
+
 EFFECT = Effect(
     id="sensor_clipping",
     title="sensor clips",
@@ -33,4 +39,5 @@ EFFECT = Effect(
     hook=Hook(
         signal=SignalStage(_signal, order=50, own_axes=True), models=("full_car", "msd", "quarter_car")
     ),
+    finding=_finding,
 )

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+from suspension_twin.effects._phrases import Given, listed, more
 from suspension_twin.effects.base import Effect, Floats, Hook, Parameter, Values
 
 __all__ = ["EFFECT"]
@@ -20,6 +21,13 @@ def _vehicle(numbers: dict[str, Floats], p: Values) -> None:
         numbers[key] = numbers[key] + p[name]
 
 
+def _finding(p: Given) -> str:
+    ways = (("x", "ahead", "behind"), ("y", "left", "right"), ("z", "above", "below"))
+    largest = max(abs(p[axis]) for axis, *_ in ways)
+    off = [more(p[axis], "m", *way) for axis, *way in ways if abs(p[axis]) >= max(0.01, 0.2 * largest)]
+    return f"the sensor is not where its file says: {listed(off) if off else 'a few mm off'}"
+
+
 EFFECT = Effect(
     id="sensor_offset",
     title="sensor elsewhere",
@@ -31,4 +39,5 @@ EFFECT = Effect(
     excited_by=("pitch", "roll"),
     confused_with=("cog", "sprung_inertia.pitch"),
     hook=Hook(vehicle=_vehicle, models=("full_car", "msd")),
+    finding=_finding,
 )

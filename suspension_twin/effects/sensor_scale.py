@@ -5,6 +5,7 @@ from __future__ import annotations
 
 from typing import Any
 
+from suspension_twin.effects._phrases import Given, more
 from suspension_twin.effects.base import (
     Bools,
     Effect,
@@ -42,6 +43,10 @@ def _reading(signals: Floats, run: Any, p: Values) -> None:
 _CAMERA = (Parameter("scale", "", -0.5, 1.0, 0.0, 0.0, 0.08, "gain less one"),)
 
 
+def _finding(p: Given) -> str:
+    return f"the sensor reads {more(p['scale'], '', 'too much', 'too little')}"
+
+
 EFFECT = Effect(
     id="sensor_scale",
     title="gain of the accelerometer",
@@ -58,4 +63,5 @@ EFFECT = Effect(
         gained=lambda p: 1.0 + p.get("scale", 0.0),
     ),
     variants={"tracked": Variant(_CAMERA, Hook(reading=_reading))},
+    finding=_finding,
 )

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from suspension_twin.effects._phrases import Given, listed
 from suspension_twin.effects.base import (
     Bools,
     Effect,
@@ -19,6 +20,7 @@ from suspension_twin.effects.base import (
     Variant,
     compiled,
 )
+from suspension_twin.units import plain
 
 __all__ = ["EFFECT"]
 
@@ -78,6 +80,13 @@ def _reading(signals: Floats, run: Any, p: Values) -> None:
     signals[:, 3:6] += leak * run.speed
 
 
+def _finding(p: Given) -> str:
+    known = {axis: p[axis] for axis in ("roll", "pitch", "yaw") if axis in p}
+    largest = max(abs(v) for v in known.values())
+    parts = [f"{plain(v, 'rad')} in {axis}" for axis, v in known.items() if abs(v) >= 0.2 * largest]
+    return f"the sensor is turned against its file: {listed(parts)}"
+
+
 EFFECT = Effect(
     id="sensor_tilt",
     title="sensor tilted",
@@ -96,4 +105,5 @@ EFFECT = Effect(
         turned=lambda p: (p.get("roll", 0.0), p.get("pitch", 0.0), p.get("yaw", 0.0)),
     ),
     variants={"tracked": Variant(_CAMERA, Hook(reading=_reading))},
+    finding=_finding,
 )

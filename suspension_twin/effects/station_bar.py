@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+from suspension_twin.effects._phrases import Given, more
 from suspension_twin.effects._station import STATION, add, exists
 from suspension_twin.effects.base import Effect, Floats, Hook, Parameter, Values
 
@@ -18,6 +19,13 @@ def _vehicle(numbers: dict[str, Floats], p: Values) -> None:
     add(numbers, "sag", p["station"], p["sag"])
 
 
+def _finding(p: Given) -> str:
+    return (
+        f"the torsion bar of road wheel {p['station']:.0f} has set: its arm stands "
+        f"{more(p['sag'], 'rad', 'higher', 'lower')}"
+    )
+
+
 EFFECT = Effect(
     id="station_bar",
     title="sagged torsion bar",
@@ -29,4 +37,5 @@ EFFECT = Effect(
     excited_by=("edges of obstacles",),
     confused_with=("payload", "station_bar of another station"),
     hook=Hook(vehicle=_vehicle, models=("tracked",), possible=exists),
+    finding=_finding,
 )

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from suspension_twin.effects._phrases import Given, changed
 from suspension_twin.effects._station import STATION, add, exists
 from suspension_twin.effects.base import Effect, Floats, Hook, Parameter, Values
 
@@ -29,6 +30,10 @@ def _possible(twin: Any, p: Mapping[str, float]) -> bool:
     return exists(twin, p) and twin.vehicle.stations[int(p["station"]) - 1].damping > 0
 
 
+def _finding(p: Given) -> str:
+    return f"the damper of road wheel {p['station']:.0f} {changed(p['change'], 'damping')}"
+
+
 EFFECT = Effect(
     id="station_damper",
     title="one odd station's damper",
@@ -40,4 +45,5 @@ EFFECT = Effect(
     excited_by=("speed over an obstacle",),
     confused_with=("station_damper of another station",),
     hook=Hook(vehicle=_vehicle, models=("tracked",), possible=_possible),
+    finding=_finding,
 )

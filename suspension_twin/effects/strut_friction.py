@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+from suspension_twin.effects._phrases import Given, axles
 from suspension_twin.effects.base import (
     CORNER,
     WIDTH,
@@ -54,6 +55,10 @@ def _friction(w: Floats, e: int, c: int, i: int, h: float) -> None:
     w[(rows.STRUT + c) * WIDTH + i] += f
 
 
+def _finding(p: Given) -> str:
+    return f"the struts stick: dry friction of {axles(p, '_force', 'N')}, at each wheel"
+
+
 EFFECT = Effect(
     id="strut_friction",
     title="dry friction in the struts",
@@ -74,4 +79,5 @@ EFFECT = Effect(
         ),
     ),
     variants={"quarter_car": Variant(of_one_corner(_PARAMETERS))},
+    finding=_finding,
 )

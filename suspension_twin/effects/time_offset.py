@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+from suspension_twin.effects._phrases import Given, more
 from suspension_twin.effects.base import ClockChange, Effect, Hook, Parameter, Values
 
 __all__ = ["EFFECT"]
@@ -12,6 +13,10 @@ _PARAMETERS = (Parameter("offset", "s", -2.0, 2.0, 0.0, 0.0, 0.05, "IMU stamp le
 
 def _clock(change: ClockChange, p: Values) -> None:
     change.delay[:] += p["offset"]
+
+
+def _finding(p: Given) -> str:
+    return f"the sensor's time stamps are {more(p['offset'], 's', 'late', 'early')}"
 
 
 EFFECT = Effect(
@@ -26,4 +31,5 @@ EFFECT = Effect(
     excited_by=("bumps at several speeds", "accelerating and braking"),
     confused_with=("position_offset (at one speed they are the same)", "sensor_bandwidth"),
     hook=Hook(clock=_clock, models=("full_car", "msd", "tracked", "quarter_car")),
+    finding=_finding,
 )

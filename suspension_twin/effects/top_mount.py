@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from suspension_twin.effects._phrases import Given, axles
 from suspension_twin.effects.base import (
     CornerChange,
     Effect,
@@ -31,6 +32,10 @@ def _corners(change: CornerChange, p: Values) -> None:
     change.compliance[:] += by_corner(*soft)
 
 
+def _finding(p: Given) -> str:
+    return f"the rubber mounts of the dampers give way: a stiffness of {axles(p, '_stiffness', 'N/m')}"
+
+
 EFFECT = Effect(
     id="top_mount",
     title="elastic damper mount",
@@ -44,4 +49,5 @@ EFFECT = Effect(
     confused_with=("damper points at high velocity", "strut_friction", "tyre_envelope"),
     hook=Hook(corners=_corners),
     variants={"quarter_car": Variant(of_one_corner(_PARAMETERS))},
+    finding=_finding,
 )

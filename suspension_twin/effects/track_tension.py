@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from suspension_twin.effects._phrases import Given, more
 from suspension_twin.effects.base import Effect, Floats, Hook, Parameter, Values
 from suspension_twin.vehicle.tracked import BOUNDS
 
@@ -19,6 +20,10 @@ def _vehicle(numbers: dict[str, Floats], p: Values) -> None:
     numbers[_KEY] = np.clip(numbers[_KEY] - p["tighter"], *BOUNDS["idler.setting"])
 
 
+def _finding(p: Given) -> str:
+    return f"the track is {more(1e-3 * p['tighter'], 'm', 'tighter', 'slacker')} than its file says"
+
+
 EFFECT = Effect(
     id="track_tension",
     title="track tension off",
@@ -30,4 +35,5 @@ EFFECT = Effect(
     excited_by=("an approach to an obstacle", "ends of obstacles"),
     confused_with=("track_wear",),
     hook=Hook(vehicle=_vehicle, models=("tracked",)),
+    finding=_finding,
 )

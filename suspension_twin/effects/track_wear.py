@@ -5,7 +5,9 @@ from __future__ import annotations
 
 import numpy as np
 
+from suspension_twin.effects._phrases import Given
 from suspension_twin.effects.base import Effect, Floats, Hook, Parameter, Values
+from suspension_twin.units import plain
 from suspension_twin.vehicle.tracked import BOUNDS
 
 __all__ = ["EFFECT"]
@@ -24,6 +26,11 @@ def _vehicle(numbers: dict[str, Floats], p: Values) -> None:
     numbers[taut] = numbers[taut] - 0.5e3 * p["elongation"]
 
 
+def _finding(p: Given) -> str:
+    stiff, longer = plain(p["stiffness"], ""), plain(p["elongation"], "m")
+    return f"the track is worn: its links keep {stiff} of their stiffness, and it is {longer} longer"
+
+
 EFFECT = Effect(
     id="track_wear",
     title="worn track",
@@ -35,4 +42,5 @@ EFFECT = Effect(
     excited_by=("an approach to an obstacle",),
     confused_with=("track_tension",),
     hook=Hook(vehicle=_vehicle, models=("tracked",)),
+    finding=_finding,
 )

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+from suspension_twin.effects._phrases import Given
 from suspension_twin.effects.base import (
     CORNER,
     WIDTH,
@@ -15,6 +16,7 @@ from suspension_twin.effects.base import (
     inlined,
     rows,
 )
+from suspension_twin.units import plain
 
 __all__ = ["EFFECT"]
 
@@ -34,6 +36,10 @@ def _damp(w: Floats, e: int, c: int, i: int, h: float) -> None:
     w[(rows.GROUND + c) * WIDTH + i] += w[(e + _DAMPING) * WIDTH + i] * closing
 
 
+def _finding(p: Given) -> str:
+    return f"the tyres damp more than their file says: {plain(p['damping'], 'N s/m')} each"
+
+
 EFFECT = Effect(
     id="tyre_damping",
     title="viscous tyre",
@@ -48,4 +54,5 @@ EFFECT = Effect(
         kernel=KernelTerms(_FIELDS, lambda p: {_DAMPING: p["damping"]}, {"tyre": (_damp, CORNER)}),
         models=("full_car", "quarter_car"),
     ),
+    finding=_finding,
 )

@@ -3,7 +3,9 @@
 
 from __future__ import annotations
 
+from suspension_twin.effects._phrases import Given
 from suspension_twin.effects.base import Effect, Hook, Parameter, RoadChange, Values
+from suspension_twin.units import plain
 
 __all__ = ["EFFECT"]
 
@@ -14,6 +16,10 @@ _PARAMETERS = (
 
 def _road(change: RoadChange, p: Values) -> None:
     change.patch[:] += p["length"]
+
+
+def _finding(p: Given) -> str:
+    return f"the tyres roll over short bumps with a contact patch of {plain(p['length'], 'm')}"
 
 
 EFFECT = Effect(
@@ -27,4 +33,5 @@ EFFECT = Effect(
     excited_by=("short bumps", "sharp edges"),
     confused_with=("tyre_damping", "sensor_bandwidth", "road_smoothing (the other way round)"),
     hook=Hook(road=_road, models=("full_car", "msd")),
+    finding=_finding,
 )

@@ -3,7 +3,9 @@
 
 from __future__ import annotations
 
+from suspension_twin.effects._phrases import Given
 from suspension_twin.effects.base import CornerChange, Effect, Hook, Parameter, Values
+from suspension_twin.units import plain
 
 __all__ = ["EFFECT"]
 
@@ -12,6 +14,10 @@ _PARAMETERS = (Parameter("mass", "kg", 0.0, 300.0, 0.0, 40.0, 20.0, "of one whee
 
 def _corners(change: CornerChange, p: Values) -> None:
     change.wheel_mass[:] += p["mass"]
+
+
+def _finding(p: Given) -> str:
+    return f"the wheels have a mass that the file leaves out: {plain(p['mass'], 'kg')} each"
 
 
 EFFECT = Effect(
@@ -26,4 +32,5 @@ EFFECT = Effect(
     excited_by=("sharp edges", "wheel hop, 8 to 16 Hz"),
     confused_with=("damper points at high velocity", "road_smoothing", "tyre_envelope"),
     hook=Hook(corners=_corners, models=("msd",)),
+    finding=_finding,
 )

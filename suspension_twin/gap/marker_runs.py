@@ -18,6 +18,7 @@ from suspension_twin.arrays import Floats
 from suspension_twin.drive.containers.contents import topic_name
 from suspension_twin.drive.recording import decode_topic, read_recording
 from suspension_twin.errors import InputError
+from suspension_twin.files import reading
 from suspension_twin.vehicle.tracked import TrackedVehicle
 
 __all__ = [
@@ -75,7 +76,11 @@ def run_speed(path: str | Path) -> float:
 
 def read_run(path: str | Path, vehicle: TrackedVehicle, speed: float | None = None) -> MarkerRun:
     """A run from a CSV of marker tracks, or from the poses in a recording (folder, ``.mcap``, ``.db3``)."""
-    path = Path(path)
+    with reading(path, "a run"):
+        return _read(Path(path), vehicle, speed)
+
+
+def _read(path: Path, vehicle: TrackedVehicle, speed: float | None) -> MarkerRun:
     speed = run_speed(path) if speed is None else speed
     if path.is_dir() or path.suffix in (".mcap", ".db3", ".bag"):
         return read_poses(path, vehicle, speed)

@@ -15,6 +15,7 @@ from scipy.interpolate import CubicSpline
 from suspension_twin.arrays import Floats
 from suspension_twin.drive.rig import RigRecord, write_rig
 from suspension_twin.errors import InputError, WorkError
+from suspension_twin.files import together
 from suspension_twin.gap.common_rate import PER_PERIOD
 from suspension_twin.gap.measure import Gap, main_channel, measure_gap, write_gap
 from suspension_twin.gap.noise import floor_rms
@@ -196,8 +197,9 @@ class SimulatedRun:
         inputs = {k: v for k, v in self.record.columns.items() if k not in self.response.names}
         simulated = {name: self.response.channel(name)[:, 0] for name in self.response.names}
         record = RigRecord(self.name, self.record.t, {**inputs, **simulated})
-        write_rig(record, folder / "simulated.csv", f"simulated over {self.name}")
-        write_gap(self.as_dict(), folder)
+        with together():
+            write_rig(record, folder / "simulated.csv", f"simulated over {self.name}")
+            write_gap(self.as_dict(), folder)
 
 
 def simulate_rig(record: RigRecord, twin: Twin) -> SimulatedRun:

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import gc
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -22,6 +23,7 @@ from suspension_twin.nodes.imu_ingest import ImuIngestNode
 from suspension_twin.nodes.player import BagPlayer
 from suspension_twin.nodes.pose_injector import PoseInjectorNode
 from suspension_twin.nodes.process import WAIT
+from suspension_twin.nodes.source import SourceNode
 from suspension_twin.nodes.suspension_model import SuspensionModelNode
 from suspension_twin.nodes.topics import ERROR, Embedding, Outbox
 
@@ -49,27 +51,35 @@ PLAYED = (
 )
 
 
+#: And so does the node of live sources.
+LIVE = tuple((topic, "source", receiver) for topic, _, receiver in PLAYED)
+
+
 @dataclass(frozen=True)
 class Playback:
     """A drive to play at ``rate`` times real time (``math.inf``: full speed), once or in a ``loop``, beginning
-    after ``delay`` s."""
+    after ``delay`` s. With ``stay`` it waits at the end to be sent back, and never finishes."""
 
     drive: Drive
     rate: float = 1.0
     loop: bool = False
     delay: float = 0.0
+    stay: bool = False
 
 
 @dataclass(frozen=True)
 class Condition:
-    """State of a running twin: ``rates`` Hz by short name; ``gap`` m/s² and ``normalised``, None while not
-    known; ``complaints`` errors first, ``failing`` whether one is an error; ``position`` and ``duration`` s of a
-    playback, None when live, and its ``rounds`` done."""
+    """State of a running twin.
+
+    ``rates`` Hz by short name; ``gap`` m/s² of the sliding window and ``normalised``, ``whole_gap`` m/s² since the
+    beginning, None while not known; ``complaints`` errors first, ``failing`` whether one is an error; ``position`` and
+    ``duration`` s of a playback, None when live, and its ``rounds`` done."""
 
     rates: dict[str, float]
     samples: int
     answers: int
     gap: float | None
+    whole_gap: float | None
     normalised: float | None
     complaints: list[str]
     failing: bool
@@ -88,13 +98,19 @@ def check_namespace(namespace: str) -> None:
 
 
 class Composed:
-    """All nodes of one twin. Call :meth:`step` until :attr:`finished`, then :meth:`close`."""
+    """All nodes of one twin, with a ``playback`` or with live ``sources`` (URLs) if it is given any. Call
+    :meth:`step` until :attr:`finished`, then :meth:`close`."""
 
     def __init__(
-        self, context: Context, twin_file: Path | str, namespace: str = "", playback: Playback | None = None
+        self,
+        context: Context,
+        twin_file: Path | str,
+        namespace: str = "",
+        playback: Playback | None = None,
+        sources: Sequence[str] = (),
     ) -> None:
         outbox = Outbox()
-        links = LINKS + (PLAYED if playback else ())
+        links = LINKS + (PLAYED if playback else LIVE if sources else ())
         self.executor = SingleThreadedExecutor(context=context)
         self.nodes: dict[str, TwinNode] = {}
         self.player: BagPlayer | None = None
@@ -109,11 +125,16 @@ class Composed:
                 )
                 self.nodes[name] = kind(embedding)
                 self.executor.add_node(self.nodes[name])
+            if sources:
+                urls = Parameter("sources", value=" ".join(sources))
+                embedding = Embedding(context, namespace, (*parameters, urls), outbox=outbox)
+                self.nodes["source"] = SourceNode(embedding)
+                self.executor.add_node(self.nodes["source"])
             senders: dict[str, TwinNode | BagPlayer] = dict(self.nodes)
             if playback:
                 embedding = Embedding(context, namespace, outbox=outbox)
                 self.player = senders["bag_player"] = BagPlayer(
-                    playback.drive, playback.rate, playback.loop, embedding, playback.delay
+                    playback.drive, playback.rate, playback.loop, embedding, playback.delay, playback.stay
                 )
                 self.player.watched = [o.publisher for n in self.nodes.values() for o in n.outputs.values()]
                 self.executor.add_node(self.player)
@@ -130,8 +151,19 @@ class Composed:
 
     def step(self, most: float = WAIT) -> None:
         """Play the messages that are due and serve one callback; returns after ``most`` s at the latest."""
-        pause = math.inf if self.player is None else self.player.play()
+        pause = math.inf
+        if self.player is not None:
+            pause = self.player.play()
+            resting = self.player.paused or self.player.ended
+            for node in self.nodes.values():
+                node.clock_rests = resting
         self.executor.spin_once(timeout_sec=min(most, pause))
+
+    @property
+    def notes(self) -> list[str]:
+        """What the live sources have to tell the user."""
+        source = self.nodes.get("source")
+        return source.notes if isinstance(source, SourceNode) else []
 
     def parameter_names(self) -> dict[str, list[str]]:
         """The names of all parameters, by node."""
@@ -147,12 +179,13 @@ class Composed:
             (level, f"{n}: {text}") for n, o in self.nodes.items() for level, text in o.health.complaints()
         ]
         complaints.sort(key=lambda c: c[0], reverse=True)
-        gap = model.gap_now()
+        gap, whole = model.gap_now(), model.whole_gap()
         return Condition(
             rates={short: inputs[topic].rate for short, topic in shown.items()},
             samples=ingest.inputs["imu/data_raw"].state.received,
             answers=model.outputs["twin/vertical_acceleration"].sent,
             gap=None if gap is None else gap.rms,
+            whole_gap=None if math.isnan(whole) else whole,
             normalised=None if gap is None or math.isnan(gap.normalised) else gap.normalised,
             complaints=[text for _, text in complaints],
             failing=any(level == ERROR for level, _ in complaints),

@@ -32,7 +32,8 @@ from suspension_twin.diagnosis import request as diagnosis
 from suspension_twin.diagnosis.output import write
 from suspension_twin.diagnosis.run import diagnose
 from suspension_twin.drive.read import drive_name
-from suspension_twin.errors import InputError, SuspensionTwinError
+from suspension_twin.errors import InputError, SuspensionTwinError, printable
+from suspension_twin.files import together
 from suspension_twin.report.diagnosis import diagnosis_page
 from suspension_twin.vehicle.twin import load_twin
 
@@ -172,8 +173,9 @@ def run_diagnosis(
 
     folder, asked = Path(job.output), job.request
     result = diagnose(asked, step, should_stop)
-    write(result, folder)
-    diagnosis_page(result).write(folder / "report.html")
+    with together():
+        write(result, folder)
+        diagnosis_page(result).write(folder / "report.html")
     return {
         "success": True,
         "message": f"{folder}: {result.document['message']}",
@@ -246,7 +248,7 @@ def _run(work: Work, job: Job, out: Connection, stop: Event) -> None:
     except SuspensionTwinError as error:
         last = News("failed", str(error))
     except Exception as error:
-        last = News("failed", f"unexpected error, {type(error).__name__}: {error}")
+        last = News("failed", printable(f"unexpected error, {type(error).__name__}: {error}"))
     with contextlib.suppress(OSError):  # the parent no longer listens
         out.send(last)
         out.close()

@@ -8,13 +8,13 @@ from collections import OrderedDict
 from pathlib import Path
 from typing import NamedTuple
 
-import yaml
 from geometry_msgs.msg import Point
 from std_msgs.msg import ColorRGBA
 from visualization_msgs.msg import Marker
 
 from suspension_twin.calibration.output import details_path
 from suspension_twin.errors import InputError
+from suspension_twin.files import read_yaml, reading
 from suspension_twin.gap.sliding_window import GapNow, RunningGap
 from suspension_twin.nodes.base import TwinNode
 from suspension_twin.nodes.parameters import Param, Values
@@ -81,16 +81,20 @@ def calibration_gap(values: Values) -> CalibrationGap:
     Raises InputError for details that cannot be read.
     """
     given, twin_file = values["gap.floor"], values["twin"]
-    if given or not twin_file or not (details := details_path(Path(twin_file))).is_file():
+    if given or not twin_file:
         return CalibrationGap(given, 0.0)
+    with reading(twin_file, "a twin file"):
+        details = details_path(Path(twin_file))
+        if not details.is_file():
+            return CalibrationGap(given, 0.0)
     try:
-        drives = yaml.safe_load(details.read_text(encoding="utf-8"))["drives"]
+        drives = read_yaml(details)["drives"]
         # The live gap includes clock, gain and tilt errors: the larger of the two values is to be expected.
         residuals = [
             max(d["gap_after"]["rms"], d["residual_with_nuisances_corrected"] or 0.0) for d in drives
         ]
         shares = [math.sqrt(1.0 - min(abs(d["correlation"] or 1.0), 1.0) ** 2) for d in drives]
-    except (OSError, ValueError, RecursionError, yaml.YAMLError, KeyError, TypeError):
+    except (InputError, ValueError, KeyError, TypeError):
         raise InputError(details, "drives", "has no residual of the calibration") from None
     finite = filter(math.isfinite, residuals)
     return CalibrationGap(max(finite, default=0.0), max(shares, default=0.0))

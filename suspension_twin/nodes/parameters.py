@@ -10,24 +10,26 @@ from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
-import yaml
 from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescriptor, SetParametersResult
 from rclpy.exceptions import InvalidParameterTypeException, ParameterException
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 
 from suspension_twin.errors import InputError
+from suspension_twin.files import read_yaml, reading
 from suspension_twin.signals.filters import FilterSpec
 from suspension_twin.vehicle.twin import Twin, load_twin
 
 __all__ = [
     "FILTER",
+    "LOW_PASS",
     "TWIN",
     "Param",
     "ParameterSet",
     "Values",
     "check_names",
     "filter_of",
+    "low_pass_text",
     "read_param_file",
     "twin_of",
 ]
@@ -130,10 +132,11 @@ class ParameterSet:
 
     def _on_set(self, parameters: list[Parameter]) -> SetParametersResult:
         try:
-            for parameter in parameters:
-                if parameter.name in self._params and parameter.value is None:
-                    raise InputError(parameter.name, "cannot be unset")
-            self._refuse_unusable(self._merged(parameters))
+            with reading("parameters", "a set of values"):  # anybody may set them: no value ends the node
+                for parameter in parameters:
+                    if parameter.name in self._params and parameter.value is None:
+                        raise InputError(parameter.name, "cannot be unset")
+                self._refuse_unusable(self._merged(parameters))
         except InputError as error:
             return SetParametersResult(successful=False, reason=str(error))
         return SetParametersResult(successful=True)
@@ -170,16 +173,23 @@ def twin_of(values: Values) -> Twin | None:
     path = values["twin"]
     if not path:
         return None
-    try:
-        changed = Path(path).stat().st_mtime_ns
-    except OSError as error:
-        raise InputError(path, error.strerror or "cannot be read") from None
-    return _load(path, changed)
+    with reading(path, "a twin file"):
+        return _load(path, Path(path).stat().st_mtime_ns)
 
 
 def filter_of(values: Values) -> FilterSpec:
     """The low-pass that the parameters describe."""
     return FilterSpec(values["filter.order"], values["filter.cutoff"])
+
+
+#: Key of the low-pass in the diagnostics.
+LOW_PASS = "low-pass"
+
+
+def low_pass_text(values: Values) -> str:
+    """The low-pass in words, equal for equal ones."""
+    spec = filter_of(values)
+    return f"{spec.cutoff:g} Hz, order {spec.order}"
 
 
 # Parameter files, checked before ROS reads them: rcl ignores a name that no node has
@@ -190,16 +200,7 @@ def read_param_file(path: Path) -> dict[str, dict[str, Any]]:
 
     Raises InputError that says what is wrong with the file.
     """
-    try:
-        data = yaml.safe_load(path.read_text(encoding="utf-8"))
-    except OSError as error:
-        raise InputError(path, error.strerror or "cannot be read") from None
-    except (yaml.YAMLError, UnicodeDecodeError) as error:
-        mark = getattr(error, "problem_mark", None)
-        where = f"line {mark.line + 1}: " if mark else ""
-        raise InputError(path, f"{where}{getattr(error, 'problem', None) or 'not YAML'}") from None
-    except (RecursionError, ValueError):  # brackets nested too deep, an impossible date
-        raise InputError(path, "not YAML that can be read") from None
+    data = read_yaml(path)
     if not isinstance(data, dict):
         raise InputError(path, f"not a parameter file: a mapping of nodes with '{_KEY}' is expected")
     return {node: dict(_flat(values)) for node, values in _sections(path, data, "")}

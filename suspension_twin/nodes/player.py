@@ -10,17 +10,23 @@ from functools import partial
 from typing import Any
 
 import numpy as np
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from geometry_msgs.msg import QuaternionStamped, TwistStamped
 from numpy.typing import NDArray
+from rcl_interfaces.msg import FloatingPointRange, ParameterDescriptor, SetParametersResult
+from rclpy.clock import Clock as SystemClock
+from rclpy.clock_type import ClockType
 from rclpy.duration import Duration
 from rclpy.node import Node
+from rclpy.parameter import Parameter
 from rclpy.publisher import Publisher
 from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import Imu, NavSatFix
 
 from suspension_twin.arrays import Floats
 from suspension_twin.drive.repair import nanoseconds
-from suspension_twin.drive.types import Drive
+from suspension_twin.drive.types import Drive, HeadingData
+from suspension_twin.nodes.messages import fill_fix, fill_heading, fill_imu, fill_velocity
 from suspension_twin.nodes.topics import NS, STREAM_QOS, Embedding, Outbox, Output
 
 __all__ = ["BagPlayer"]
@@ -31,6 +37,13 @@ _CLOCK_RATE = 100.0
 #: acknowledgement of subscribers is waited for.
 _SLICE = 0.02
 _UNACKNOWLEDGED = STREAM_QOS.depth // 2
+#: A jump back of less than this in s is made one of this, for the nodes take stamps that are a little older for late
+#: ones, see the parameter jump_back.
+_LEAST_BACK = 1.5
+#: Range of the parameter ``rate``; 0 is full speed.
+_FASTEST = 1000.0
+#: s between two messages on /diagnostics.
+_TOLD_EVERY = 0.5
 
 
 class BagPlayer(Node):  # type: ignore[misc]
@@ -38,11 +51,21 @@ class BagPlayer(Node):  # type: ignore[misc]
 
     ``rate`` times real time; ``math.inf`` as fast as the linked nodes take the messages and other
     subscribers acknowledge them, so that nothing is lost. With ``loop`` it begins again at the end,
-    and time jumps back. The first message is sent after ``delay`` s, in which subscribers connect.
+    and time jumps back. The first message is sent after ``delay`` s, in which subscribers connect. With ``stay`` the
+    player waits at the end to be sent back.
+
+    While it plays it is led by its parameters: ``rate``, ``paused``, and ``seek``, which goes to a position in s. Where
+    it is, it says on ``/diagnostics``.
     """
 
     def __init__(
-        self, drive: Drive, rate: float, loop: bool, embedding: Embedding, delay: float = 0.0
+        self,
+        drive: Drive,
+        rate: float,
+        loop: bool,
+        embedding: Embedding,
+        delay: float = 0.0,
+        stay: bool = False,
     ) -> None:
         super().__init__(
             "bag_player",
@@ -51,6 +74,10 @@ class BagPlayer(Node):  # type: ignore[misc]
         )
         self.rate = rate
         self.loop = loop
+        self.stay = stay
+        self.paused = False
+        #: Whether it waits at the end.
+        self.ended = False
         self.loops = 0
         self.done = False
         #: Further publishers whose subscribers are waited for at full speed.
@@ -60,16 +87,94 @@ class BagPlayer(Node):  # type: ignore[misc]
         self.outputs: dict[str, Output] = {}
         heading = drive.heading
         self._roles = (
-            self._role(Imu, "imu/data_raw", partial(_fill_imu, drive)),
-            self._role(NavSatFix, "fix", partial(_fill_fix, drive)),
-            self._role(TwistStamped, "vel", partial(_fill_velocity, drive)),
-            self._role(QuaternionStamped, "heading", partial(_fill_heading, drive)),
+            self._role(Imu, "imu/data_raw", partial(fill_imu, drive.imu)),
+            self._role(NavSatFix, "fix", partial(fill_fix, drive.fix)),
+            self._role(TwistStamped, "vel", partial(fill_velocity, drive.velocity)),
+            self._role(
+                QuaternionStamped,
+                "heading",
+                partial(fill_heading, heading or HeadingData(np.empty(0), np.empty(0))),
+            ),
         )
         stamps = [drive.imu.t, drive.fix.t, drive.velocity.t, np.empty(0) if heading is None else heading.t]
         self._ns, self._kind, self._index = _schedule(stamps)
+        self._when = np.maximum.accumulate(self._ns)
         self.start = int(self._ns[0])
         self.end = int(self._ns[-1])
+        self._stopped_at = 0.0
         self.reset(delay)
+        self._declare()
+
+    def _declare(self) -> None:
+        def number(name: str, value: float, text: str, high: float) -> None:
+            bounds = FloatingPointRange(from_value=0.0, to_value=high)
+            self.declare_parameter(
+                name, value, ParameterDescriptor(description=text, floating_point_range=[bounds])
+            )
+
+        rate = min(self.rate, _FASTEST) if math.isfinite(self.rate) else 0.0
+        number("rate", rate, "Times real time; 0: as fast as no message gets lost.", _FASTEST)
+        number("seek", 0.0, "Setting it goes to this position in s.", self.duration)
+        self.declare_parameter("paused", False, ParameterDescriptor(description="Whether the replay rests."))
+        self.add_on_set_parameters_callback(self._on_set)
+        self._diagnostics = self.create_publisher(DiagnosticArray, "/diagnostics", 10)
+        self.create_timer(_TOLD_EVERY, self._tell, clock=SystemClock(clock_type=ClockType.STEADY_TIME))
+
+    def _tell(self) -> None:
+        values = {
+            "start (ns)": str(self.start),
+            "position": f"{self.position:.3f}",
+            "duration": f"{self.duration:.3f}",
+            "rate": f"{self.rate:g}",
+            "paused": str(self.paused),
+            "ended": str(self.ended),
+        }
+        status = DiagnosticStatus(
+            name=self.get_fully_qualified_name().lstrip("/"),
+            hardware_id="suspension_twin",
+            message="paused" if self.paused else "at the end" if self.ended else "playing",
+            values=[KeyValue(key=k, value=v) for k, v in values.items()],
+        )
+        message = DiagnosticArray(status=[status])
+        message.header.stamp = self.get_clock().now().to_msg()
+        self._diagnostics.publish(message)
+
+    def _on_set(self, parameters: list[Parameter]) -> SetParametersResult:
+        for parameter in parameters:
+            if parameter.name == "rate":
+                self.set_rate(parameter.value or math.inf)
+            elif parameter.name == "paused":
+                self.pause(parameter.value)
+            elif parameter.name == "seek":
+                self.seek(parameter.value)
+        return SetParametersResult(successful=True)
+
+    def set_rate(self, rate: float) -> None:
+        """Go on from here at ``rate`` times real time, ``math.inf`` at full speed."""
+        self.rate = rate
+        self._go_on_from(self.position)
+
+    def pause(self, paused: bool) -> None:
+        """Rest, or go on."""
+        if paused and not self.paused:
+            self._stopped_at = self.position
+        elif self.paused and not paused:
+            self._go_on_from(self._stopped_at)
+        self.paused = paused
+
+    def seek(self, position: float) -> None:
+        """Go to ``position`` s of the drive; backwards at least so far that the nodes see a jump."""
+        if 0.0 < self.position - position < _LEAST_BACK:
+            position = self.position - _LEAST_BACK
+        position = min(max(position, 0.0), self.duration)
+        self._next = int(np.searchsorted(self._when, self.start + int(position * NS)))
+        self.ended = False
+        self._stopped_at = position
+        self._go_on_from(position)
+
+    def _go_on_from(self, position: float) -> None:
+        self._began = time.monotonic() - (position / self.rate if self.rate < math.inf else 0.0)
+        self._clock_due = 0.0
 
     def _role(self, kind: type, topic: str, fill: Callable[[Any, int], None]) -> tuple[Output, Any, Any]:
         output = self.outputs[topic] = Output(self.create_publisher(kind, topic, STREAM_QOS), self._outbox)
@@ -95,7 +200,7 @@ class BagPlayer(Node):  # type: ignore[misc]
     def play(self) -> float:
         """Send all messages that are due; returns the time in s until the next one (0 at full speed, inf at the
         end)."""
-        if self.done:
+        if self.done or self.paused or self.ended:
             return math.inf
         until = time.monotonic() + _SLICE
         if until < self._began:
@@ -151,6 +256,8 @@ class BagPlayer(Node):  # type: ignore[misc]
         self.loops += 1
         if self.loop:
             self.reset()
+        elif self.stay:
+            self.ended = True
         else:
             self.done = True
 
@@ -164,41 +271,3 @@ def _schedule(stamps: list[Floats]) -> tuple[NDArray[np.int64], NDArray[np.int8]
     # The slower topics first: a fix belongs before the sample of the same stamp.
     order = np.lexsort((-kind, np.concatenate(when)))
     return np.concatenate(ns)[order], kind[order], index[order]
-
-
-def _fill_imu(drive: Drive, message: Imu, i: int) -> None:
-    imu = drive.imu
-    message.header.frame_id = imu.frame
-    a, w, q = message.linear_acceleration, message.angular_velocity, message.orientation
-    a.x, a.y, a.z = imu.specific_force[i].tolist()
-    w.x, w.y, w.z = imu.angular_rate[i].tolist()
-    if imu.orientation is None:
-        message.orientation_covariance[0] = -1.0
-    else:
-        q.x, q.y, q.z, q.w = imu.orientation[i].tolist()
-
-
-def _fill_fix(drive: Drive, message: NavSatFix, i: int) -> None:
-    fix = drive.fix
-    message.header.frame_id = fix.frame
-    message.latitude, message.longitude = float(fix.latitude[i]), float(fix.longitude[i])
-    message.altitude = float(fix.altitude[i])
-    message.status.status = int(fix.status[i])
-    variance = np.square(fix.sigma[i])
-    known = bool(np.isfinite(variance[:2]).all())
-    kind = NavSatFix.COVARIANCE_TYPE_DIAGONAL_KNOWN if known else NavSatFix.COVARIANCE_TYPE_UNKNOWN
-    message.position_covariance_type = kind
-    message.position_covariance[::4] = np.where(np.isfinite(variance), variance, 0.0) if known else 0.0
-
-
-def _fill_velocity(drive: Drive, message: TwistStamped, i: int) -> None:
-    message.header.frame_id = "enu"
-    v = message.twist.linear
-    v.x, v.y, v.z = drive.velocity.enu[i].tolist()
-
-
-def _fill_heading(drive: Drive, message: QuaternionStamped, i: int) -> None:
-    assert drive.heading is not None
-    message.header.frame_id = "map"
-    yaw = float(drive.heading.yaw[i])
-    message.quaternion.z, message.quaternion.w = math.sin(yaw / 2), math.cos(yaw / 2)

@@ -3,6 +3,6 @@
 
 from __future__ import annotations
 
-from suspension_twin.report.page import Card, Cell, Html, Page, Section, Table
+from suspension_twin.report.page import Card, Cell, Html, Lead, Page, Row, Section, Table
 
-__all__ = ["Card", "Cell", "Html", "Page", "Section", "Table"]
+__all__ = ["Card", "Cell", "Html", "Lead", "Page", "Row", "Section", "Table"]

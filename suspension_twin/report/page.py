@@ -29,10 +29,12 @@ from suspension_twin import __version__
 from suspension_twin.files import write_text
 from suspension_twin.report import style
 
-__all__ = ["Card", "Cell", "Content", "Html", "Mark", "Page", "Section", "Table", "short"]
+__all__ = ["Card", "Cell", "Content", "Html", "Lead", "Mark", "Page", "Row", "Section", "Table", "short"]
 
 #: Colour of a cell or card: "good", "warn" (look at it), "bad" (on a bound, not excited), "soft" (aside).
 Mark = Literal["", "good", "warn", "bad", "soft"]
+#: Columns from which on a table is scrolled sideways on a narrow screen instead of squeezed.
+_WIDE = 5
 
 
 @dataclass(frozen=True)
@@ -70,7 +72,24 @@ class Card:
     mark: Mark = ""
 
 
-Content = Figure | Table | Html
+@dataclass(frozen=True)
+class Row:
+    """Small figures side by side, below each other where the page is narrow, and their captions."""
+
+    figures: Sequence[Figure]
+    captions: Sequence[str] = ()
+
+
+@dataclass(frozen=True)
+class Lead:
+    """What a page has to say, above everything: one sentence, and a few more below it in smaller letters."""
+
+    sentence: str
+    remarks: Sequence[str] = ()
+    mark: Mark = ""
+
+
+Content = Figure | Table | Row | Html
 
 
 @dataclass(frozen=True)
@@ -79,21 +98,28 @@ class Section:
 
     In ``text`` a blank line parts paragraphs, lines that begin with "- " make a list,
     ``**bold**`` and backticked code work; everything else is escaped. ``captions`` go under
-    the figures, in their order.
+    the figures, in their order. A ``folded`` section shows its heading until it is opened.
     """
 
     title: str
     text: str = ""
     content: tuple[Content, ...] = ()
     captions: tuple[str, ...] = ()
+    folded: bool = False
 
     def __init__(
-        self, title: str, text: str = "", *content: Content | None, captions: Sequence[str] = ()
+        self,
+        title: str,
+        text: str = "",
+        *content: Content | None,
+        captions: Sequence[str] = (),
+        folded: bool = False,
     ) -> None:
         object.__setattr__(self, "title", title)
         object.__setattr__(self, "text", text)
         object.__setattr__(self, "content", tuple(c for c in content if c is not None))
         object.__setattr__(self, "captions", tuple(captions))
+        object.__setattr__(self, "folded", folded)
 
 
 @dataclass
@@ -110,6 +136,8 @@ class Page:
         Text, figures and tables.
     cards : list of Card
         Key figures in the row at the top.
+    lead : Lead, optional
+        What the page has to say, in a sentence above everything.
 
     Examples
     --------
@@ -122,6 +150,7 @@ class Page:
     subtitle: str = ""
     sections: list[Section] = field(default_factory=list)
     cards: list[Card] = field(default_factory=list)
+    lead: Lead | None = None
 
     def add(self, section: Section) -> Page:
         """Append a section."""
@@ -148,12 +177,14 @@ class Page:
                     "title": section.title,
                     "text": _prose(section.text),
                     "content": _content(section, number),
+                    "folded": section.folded,
                 }
             )
         return _template().render(
             title=self.title,
             subtitle=self.subtitle,
             cards=self.cards,
+            lead=self.lead,
             sections=sections,
             light=Markup(style.css_variables(style.COLOURS)),
             dark=Markup(style.css_variables(style.DARK)),
@@ -181,15 +212,26 @@ def _content(section: Section, number: int) -> list[Markup]:
         if isinstance(item, Figure):
             caption = section.captions[figures] if figures < len(section.captions) else ""
             figures += 1
-            label = _html.escape(caption or section.title, quote=True)
-            body = style.html(item, salt=f"{number}-{index}", label=label)
-            note = f"<figcaption>{_inline(caption)}</figcaption>" if caption else ""
-            out.append(Markup(f"<figure>{body}{note}</figure>"))
+            out.append(_figure(item, caption, section.title, f"{number}-{index}"))
+        elif isinstance(item, Row):
+            captions = [*item.captions, *[""] * len(item.figures)]
+            drawn = [
+                _figure(fig, caption, section.title, f"{number}-{index}-{k}")
+                for k, (fig, caption) in enumerate(zip(item.figures, captions, strict=False))
+            ]
+            out.append(Markup(f'<div class="row">{"".join(drawn)}</div>'))
         elif isinstance(item, Table):
             out.append(_table(item))
         else:
             out.append(Markup(item.text))
     return out
+
+
+def _figure(fig: Figure, caption: str, title: str, salt: str) -> Markup:
+    label = _html.escape(caption or title, quote=True)
+    body = style.html(fig, salt=salt, label=label)
+    note = f"<figcaption>{_inline(caption)}</figcaption>" if caption else ""
+    return Markup(f"<figure>{body}{note}</figure>")
 
 
 def _table(table: Table) -> Markup:
@@ -201,7 +243,8 @@ def _table(table: Table) -> Markup:
         bool(cells) and all(isinstance(row[i].value, (int, float)) or row[i].value is None for row in cells)
         for i in range(len(table.columns))
     ]
-    parts = ['<div class="scroll"><table>']
+    wide = ' class="wide"' if len(table.columns) >= _WIDE else ""
+    parts = [f'<div class="scroll"><table{wide}>']
     if table.caption:
         parts.append(f"<caption>{_inline(table.caption)}</caption>")
     heads = "".join(

@@ -119,18 +119,19 @@ def in_frequency(
     cutoff: float | None = None,
     unit: str = "(m/s²)²/Hz",
     names: Mapping[str, str] | None = None,
+    width: float = 9.2,
 ) -> Figure:
     """Power spectral densities, one-sided, over frequency (f,) in Hz.
 
     ``densities`` maps a role ("measured", "simulated", "before", "residual") to its PSD (f,);
-    ``cutoff`` marks where the common low-pass begins to take the signal away.
+    ``cutoff`` marks where the common low-pass begins to take the signal away. ``width`` in inches.
     """
     names = {"before": "before calibration", "residual": "measured − simulated", **(names or {})}
     keep = (frequency > 0.999 * limits[0]) & (
         frequency < 1.001 * limits[1]
     )  # a bin just beside its round value
     with style.using():
-        fig = style.figure(9.2, 3.6)
+        fig = style.figure(width, min(3.6, 0.72 * width))
         axes = fig.subplots()
         largest = 0.0
         for role, density in densities.items():

@@ -14,11 +14,12 @@ from suspension_twin.arrays import Floats
 from suspension_twin.errors import InputError
 from suspension_twin.road.crg import load_road
 from suspension_twin.road.crg_format import examine
-from suspension_twin.road.iso8608 import class_of, road_psd
+from suspension_twin.road.events import Roughness, profile_roughness
+from suspension_twin.road.iri import iri
 from suspension_twin.road.road import Road
 from suspension_twin.road.spikes import Spikes, find_spikes
 
-__all__ = ["RoadCheck", "RoadFinding", "check_file", "check_road", "wheel_tracks"]
+__all__ = ["PathFigures", "RoadCheck", "RoadFinding", "check_file", "check_road", "wheel_tracks"]
 
 #: A jump this high (m) and this steep (m/m) between neighbours is a step, unless a spike makes it.
 _STEP, _STEP_SLOPE = 0.05, 1.0
@@ -36,13 +37,52 @@ class RoadFinding:
 
 
 @dataclass(frozen=True, eq=False)
+class PathFigures:
+    """One wheel path: ``side``, ``v`` m, its ISO 8608 roughness and its IRI in m/m; None where it is too short."""
+
+    side: str
+    v: float
+    roughness: Roughness | None
+    iri: float | None
+
+    @property
+    def iso8608(self) -> str:
+        """The class in words."""
+        if self.roughness is None:
+            return "too short to say"
+        r = self.roughness
+        text = f"ISO 8608 class {r.letter} (G(n0) {1e6 * r.g0:.3g}e-6 m^3)"
+        if not r.events:
+            return text
+        count = "1 event" if len(r.events) == 1 else f"{len(r.events)} events"
+        if r.letter == r.letter_with_events:
+            return f"{text} with and without {count}"
+        return f"{text} without {count}, {r.letter_with_events} with"
+
+    def as_record(self) -> dict[str, object]:
+        """Numbers for a file."""
+        r = self.roughness
+        known = r is not None and np.isfinite(r.g0)
+        return {
+            "side": self.side,
+            "v": self.v,
+            "iri": self.iri,
+            "iso8608": r.letter if r is not None and known else None,
+            "g0": r.g0 if r is not None and known else None,
+            "iso8608_with_events": r.letter_with_events if r is not None and known else None,
+            "events": [vars(e) for e in r.events] if r is not None else [],
+        }
+
+
+@dataclass(frozen=True, eq=False)
 class RoadCheck:
-    """A road with its figures (name to text), its findings and its spikes."""
+    """A road with its figures (name to text), its findings, its spikes and its two wheel paths."""
 
     road: Road
     facts: dict[str, str]
     findings: tuple[RoadFinding, ...]
     spikes: Spikes
+    wheel_paths: tuple[PathFigures, ...]
 
     @property
     def sound(self) -> bool:
@@ -96,7 +136,8 @@ def check_road(road: Road, also: tuple[RoadFinding, ...] = ()) -> RoadCheck:
     """
     spikes = find_spikes(road)
     findings = [*also, *(RoadFinding(f"the OpenCRG library warns: {note}", True) for note in road.notes)]
-    facts = _facts(road, spikes)
+    paths = _wheel_paths(road)
+    facts = _facts(road, spikes, paths)
     missing = np.isnan(road.z)
     if missing.any():
         inner = int(_enclosed(missing).sum())
@@ -121,7 +162,7 @@ def check_road(road: Road, also: tuple[RoadFinding, ...] = ()) -> RoadCheck:
     if len(spikes) > 5:
         findings.append(RoadFinding(f"and {len(spikes) - 5} smaller spikes", True))
     findings += _steps(road, spikes) + _shape(road)
-    return RoadCheck(road, facts, tuple(findings), spikes)
+    return RoadCheck(road, facts, tuple(findings), spikes, paths)
 
 
 def wheel_tracks(road: Road, track: float = _TRACK) -> tuple[tuple[float, float], Floats, Floats]:
@@ -135,13 +176,28 @@ def wheel_tracks(road: Road, track: float = _TRACK) -> tuple[tuple[float, float]
     return (left, right), road.heights_uv(road.u, left, "hold"), road.heights_uv(road.u, right, "hold")
 
 
-def _facts(road: Road, spikes: Spikes) -> dict[str, str]:
+def _wheel_paths(road: Road) -> tuple[PathFigures, ...]:
+    places, left, right = wheel_tracks(road)
+    out = []
+    for side, v, z in zip(("left", "right"), places, (left, right), strict=True):
+        try:
+            roughness = profile_roughness(z, road.u_step, road.u_first)
+        except InputError:
+            roughness = None
+        try:
+            index = iri(z, road.u_step)
+        except InputError:
+            index = None
+        out.append(PathFigures(side, v, roughness, index))
+    return tuple(out)
+
+
+def _facts(road: Road, spikes: Spikes, paths: tuple[PathFigures, ...]) -> dict[str, str]:
     grid = road.heights_grid
     x, y = road.uv_to_xy(road.u[:, None], road.v[None, [0, -1]])
     step = np.abs(np.diff(grid, axis=0))
     sections = np.diff(road.v)
     even = float(np.ptp(sections)) < 1e-9 * road.width
-    _, left, right = wheel_tracks(road)
     facts = {
         "length": f"{road.length:.2f} m, {road.z.shape[0]} cross sections every {road.u_step:.6g} m",
         "width": f"{road.width:.2f} m (v {road.v[0]:g} to {road.v[-1]:g} m), {road.v.size} long sections "
@@ -153,9 +209,11 @@ def _facts(road: Road, spikes: Spikes) -> dict[str, str]:
         "slope": _range(np.diff(road.ref_z) / road.u_step),
         "banking": _range(road.bank),
         "curvature": _curvature(road),
-        "roughness": ", ".join(
-            f"{side} {_class(z, road.u_step)}" for side, z in (("left", left), ("right", right))
+        "roughness": ", ".join(f"{p.side} {p.iso8608}" for p in paths),
+        "IRI": ", ".join(
+            f"{p.side} " + ("not defined" if p.iri is None else f"{1e3 * p.iri:.2f} m/km") for p in paths
         ),
+        "events": _events(paths),
         "spikes": str(len(spikes)),
     }
     return facts
@@ -180,12 +238,20 @@ def _turns(road: Road) -> Floats:
     return turn
 
 
-def _class(z: Floats, step: float) -> str:
-    try:
-        letter, g0 = class_of(*road_psd(z, step))
-    except InputError:
-        return "too short to say"
-    return f"ISO 8608 class {letter} (G(n0) {1e6 * g0:.0f}e-6 m^3)"
+def _events(paths: tuple[PathFigures, ...]) -> str:
+    """The largest events of each wheel path; what both paths have in common once."""
+    texts = []
+    for path in paths:
+        events = () if path.roughness is None else path.roughness.events
+        largest = sorted(events, key=lambda e: -max(abs(e.height), abs(e.rise)))[:4]
+        if largest:
+            more = f" and {len(events) - 4} more" if len(events) > 4 else ""
+            texts.append("; ".join(str(e) for e in sorted(largest, key=lambda e: e.start)) + more)
+        else:
+            texts.append("none")
+    if texts[0] == texts[1]:
+        return texts[0]
+    return " | ".join(f"{path.side} {text}" for path, text in zip(paths, texts, strict=True))
 
 
 def _enclosed(missing: object) -> np.ndarray[tuple[int, ...], np.dtype[np.bool_]]:

@@ -17,7 +17,7 @@ import pycrg
 from pycrg import constants as c
 
 from suspension_twin.errors import InputError
-from suspension_twin.files import replacing
+from suspension_twin.files import reading, replacing
 from suspension_twin.road.crg_format import CrgText, examine
 from suspension_twin.road.road import Borders, Road
 
@@ -54,6 +54,11 @@ def load_road(path: str | os.PathLike[str]) -> Road:
     80
     """
     path = Path(path)
+    with reading(path, "an OpenCRG road"):
+        return _load(path)
+
+
+def _load(path: Path) -> Road:
     text = examine(path)
     with _quietly() as notes:
         try:

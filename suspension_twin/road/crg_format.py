@@ -17,7 +17,8 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from suspension_twin.errors import InputError
+from suspension_twin.errors import InputError, shown
+from suspension_twin.files import read_bytes
 
 __all__ = ["CrgText", "examine"]
 
@@ -38,6 +39,12 @@ _RECORD = 80
 _PLAUSIBLE = {"long section": 1e4, "phi": 1e3, "banking": 10.0, "slope": 100.0}
 
 
+#: Points 1 µm apart are finer than any scan; a section spans no more than 10 km across, and steps of 10 km along it
+#: leave no road. A file of 1 GiB holds 300 km of the finest scans.
+_FINEST, _WIDEST, _LONGEST = 1e-6, 1e4, 1e4
+_LARGEST = 1 << 30
+
+
 @dataclass
 class CrgText:
     """What one file says: header values by section, its channels, where its data begin."""
@@ -51,6 +58,7 @@ class CrgText:
     refers_to: Path | None = None
     comment: list[str] = field(default_factory=list)
     data_at: int | None = None
+    before: int = 0  # lines before the data
     rows: int = 0
     missing: float = 0.0  # share of the heights
 
@@ -74,12 +82,14 @@ def examine(path: Path) -> CrgText:
 
 def _examine_one(path: Path, seen: tuple[Path, ...]) -> CrgText:
     if seen and any(path.resolve() == s.resolve() for s in seen):
-        raise InputError(seen[-1], "$ROAD_CRG_FILE", f"refers to {path.name}, which refers back to it")
+        raise InputError(seen[-1], "$ROAD_CRG_FILE", f"refers to {path.name[:80]}, which refers back to it")
     raw = _bytes(path)
     text = _header(path, raw)
     if text.refers_to is not None:
         if not text.refers_to.is_file():
-            raise InputError(path, "$ROAD_CRG_FILE", f"refers to {text.refers_to}, which does not exist")
+            raise InputError(
+                path, "$ROAD_CRG_FILE", f"refers to {str(text.refers_to)[:200]}, which does not exist"
+            )
         return text
     if text.data_at is None:
         raise InputError(path, "no data section (no line of $$$$): not an OpenCRG file, or cut off")
@@ -89,14 +99,11 @@ def _examine_one(path: Path, seen: tuple[Path, ...]) -> CrgText:
 
 
 def _bytes(path: Path) -> bytes:
-    try:
-        raw = path.read_bytes()
-    except FileNotFoundError:
-        raise InputError(path, "no such file") from None
-    except IsADirectoryError:
-        raise InputError(path, "is a folder, not an OpenCRG file") from None
-    except OSError as error:
-        raise InputError(path, f"cannot be read: {error.strerror or error}") from None
+    if not path.exists():
+        raise InputError(path, "no such file")
+    if path.is_dir():
+        raise InputError(path, "is a folder, not an OpenCRG file")
+    raw = read_bytes(path, _LARGEST)
     if not raw:
         raise InputError(path, "is empty")
     return raw
@@ -122,7 +129,7 @@ def _header(path: Path, raw: bytes) -> CrgText:
             if line.startswith("$"):
                 section = next((s for key, s in _SECTIONS.items() if line.upper().startswith(key)), None)
                 if section == "data":
-                    text.data_at = at
+                    text.data_at, text.before = at, number
                     return text
                 if section == "opts":
                     text.opts = {}
@@ -155,12 +162,12 @@ def _entry(path: Path, content: str, number: int) -> tuple[str, float]:
     key, equals, value = (part.strip() for part in content.partition("="))
     where = f"line {number}"
     if not equals or not key:
-        raise InputError(path, where, f"expected a line of the form name = number, found {content!r}")
+        raise InputError(path, where, f"expected a line of the form name = number, found {shown(content)}")
     if not _NUMBER.fullmatch(value):
-        raise InputError(path, f"{where}: {key.lower()}", f"{value!r} is not a number")
+        raise InputError(path, f"{where}: {key.lower()[:40]}", f"{shown(value)} is not a number")
     result = float(value.lower().replace("d", "e"))
     if not np.isfinite(result):
-        raise InputError(path, f"{where}: {key.lower()}", f"{value} is too large")
+        raise InputError(path, f"{where}: {key.lower()[:40]}", f"{shown(value)} is too large")
     return key.lower(), result
 
 
@@ -170,14 +177,14 @@ def _definition(text: CrgText, content: str, number: int) -> None:
         text.format = content[2:].strip().upper()[:4]
         if text.format not in _FORMATS:
             raise InputError(
-                text.path, where, f"data format {text.format!r} is none of {', '.join(_FORMATS)}"
+                text.path, where, f"data format {shown(text.format)} is none of {', '.join(_FORMATS)}"
             )
     elif content[:2].upper() == "D:":
         name = " ".join(content[2:].lower().split())
         if not name.startswith(("long section", "reference line")):
-            raise InputError(text.path, where, f"unknown channel {content[2:].strip()!r}")
+            raise InputError(text.path, where, f"unknown channel {shown(content[2:].strip())}")
         if "," not in name:
-            raise InputError(text.path, where, f"channel {content[2:].strip()!r} has no unit")
+            raise InputError(text.path, where, f"channel {shown(content[2:].strip())} has no unit")
         text.channels.append(name)
 
 
@@ -190,7 +197,6 @@ def _resolve(path: Path, reference: str) -> Path:
 
 
 def _check_header(text: CrgText) -> None:
-    road = text.road
     if text.format is None:
         raise InputError(text.path, "$KD_DEFINITION", "names no data format (no line #:KRBI or the like)")
     sections = [c for c in text.channels if c.startswith("long section")]
@@ -203,11 +209,19 @@ def _check_header(text: CrgText) -> None:
         positions = [_NUMBER.search(c.split("=", 1)[-1]) for c in sections]
         if any("=" not in c or p is None for c, p in zip(sections, positions, strict=True)):
             raise InputError(text.path, "$KD_DEFINITION", "a long section's v is not a number")
-    elif road.get("long_section_v_increment", 0.0) <= 0.0:
-        raise InputError(text.path, "long_section_v_increment", "must be given and above 0 m")
+    else:
+        _check_increment(text, "long_section_v_increment", _WIDEST / (len(sections) - 1))
     # Channels of x, y or u in the data are older than the format; the increment rules.
-    if road.get("reference_line_increment", 0.0) <= 0.0:
-        raise InputError(text.path, "reference_line_increment", "must be given and above 0 m")
+    _check_increment(text, "reference_line_increment", _LONGEST)
+
+
+def _check_increment(text: CrgText, key: str, most: float) -> None:
+    value = text.road.get(key, 0.0)
+    if value <= 0.0:
+        raise InputError(text.path, key, "must be given and above 0 m")
+    if not _FINEST <= value <= most:
+        spacing = "far apart" if value > 1.0 else "close"
+        raise InputError(text.path, key, f"is {value:g} m: no road has its points so {spacing}")
 
 
 def _check_data(text: CrgText, payload: bytes) -> None:
@@ -292,7 +306,7 @@ def _formatted(text: CrgText, payload: bytes) -> NDArray[np.float64]:
     count = len(text.channels)
     per_line = _RECORD // width
     lines_a_row = -(-count // per_line)
-    first_line = 1 + text.path.read_bytes()[: text.data_at].count(b"\n")
+    first_line = 1 + text.before
     lines = payload.decode("latin-1").splitlines()
     numbered = [(first_line + i, line) for i, line in enumerate(lines) if line.strip()]
     rows, rest = divmod(len(numbered), lines_a_row)
@@ -321,5 +335,5 @@ def _formatted(text: CrgText, payload: bytes) -> NDArray[np.float64]:
             elif _NUMBER.fullmatch(stripped):
                 values[row, begin + k] = float(stripped.lower().replace("d", "e"))
             else:
-                raise InputError(text.path, where, f"{content!r} is not a number")
+                raise InputError(text.path, where, f"{shown(content)} is not a number")
     return values

@@ -16,7 +16,7 @@ from matplotlib.ticker import FuncFormatter
 from suspension_twin.arrays import Floats
 from suspension_twin.errors import InputError
 from suspension_twin.files import replacing
-from suspension_twin.road.check import RoadCheck, check_road, wheel_tracks
+from suspension_twin.road.check import PathFigures, RoadCheck, check_road, wheel_tracks
 from suspension_twin.road.iso8608 import CLASSES, N0, road_psd, roughness, smoothed_psd
 from suspension_twin.road.road import Road
 
@@ -64,14 +64,14 @@ def road_figure(road: Road | RoadCheck, track: float = 1.5) -> Figure:
         _height_map(figure, top, checked, (left_v, right_v))
         _tracks(middle, checked, (left_v, right_v), left, right)
         middle.sharex(top)
-        _spectrum(spectrum, road, left, right)
+        _spectrum(spectrum, checked, left, right)
         _place(place, road)
         facts = checked.facts
         figure.suptitle(f"{road.name}\n", x=0.012, ha="left", fontsize=15, fontweight="bold", color=_INK)
         figure.text(
             0.012,
             0.957,
-            f"{facts['length']}   |   {facts['width']}   |   {_spike_text(checked)}",
+            f"{facts['length']}   |   {facts['width']}   |   {_spike_text(checked)}   |   IRI {facts['IRI']}",
             fontsize=9.5,
             color="#555c64",
             va="top",
@@ -168,7 +168,10 @@ def _tracks(axes: Axes, checked: RoadCheck, at: tuple[float, float], left: Float
         u, v = np.array(met).T
         z = road.heights_uv(u, v, "hold") * factor
         axes.plot(u, z, "o", mfc="none", mec=_SPIKE, ms=6, mew=1.3, label="spikes in a track")
-    axes.set_title("Wheel tracks")
+    for path, v_colour in zip(checked.wheel_paths, (_LEFT, _RIGHT), strict=True):
+        for event in () if path.roughness is None else path.roughness.events:
+            axes.axvspan(event.start, event.end, color=v_colour, alpha=0.10, lw=0)
+    axes.set_title("Wheel tracks" + (", events shaded" if _any_events(checked) else ""))
     axes.set_xlabel("u along the reference line [m]")
     axes.set_ylabel(f"height [{unit}]")
     axes.grid(alpha=0.25)
@@ -176,7 +179,9 @@ def _tracks(axes: Axes, checked: RoadCheck, at: tuple[float, float], left: Float
     axes.legend(loc="lower right", bbox_to_anchor=(1.0, 0.99), ncols=3, frameon=False, fontsize=8.5)
 
 
-def _spectrum(axes: Axes, road: Road, left: Floats, right: Floats) -> None:
+def _spectrum(axes: Axes, checked: RoadCheck, left: Floats, right: Floats) -> None:
+    road = checked.road
+    paths = {p.side: p for p in checked.wheel_paths}
     axes.set_title("Spectrum of the wheel tracks beside the ISO 8608 classes")
     axes.set_xlabel("spatial frequency [cycles/m]")
     axes.set_ylabel("displacement PSD [m³]")
@@ -192,7 +197,15 @@ def _spectrum(axes: Axes, road: Road, left: Floats, right: Floats) -> None:
         drawn.append(psd[psd > 0.0])
         axes.plot(n, psd, color=colour, lw=0.5, alpha=0.3)
         centres, means = smoothed_psd(n, psd)
-        axes.plot(centres, means, color=colour, lw=1.9, marker="o", ms=2.6, label=f"{side}, band means")
+        axes.plot(
+            centres,
+            means,
+            color=colour,
+            lw=1.9,
+            marker="o",
+            ms=2.6,
+            label=f"{side}, {_class_text(paths[side])}",
+        )
     edge = np.array([min(span[0], 0.01), max(span[1], 10.0)])
     for k, letter in enumerate(CLASSES):
         low, high = (f * roughness(letter) * (edge / N0) ** -2.0 for f in (0.5, 2.0))
@@ -217,6 +230,17 @@ def _spectrum(axes: Axes, road: Road, left: Floats, right: Floats) -> None:
         axes.legend(loc="lower left", frameon=True, framealpha=0.85, edgecolor="none", fontsize=8.5)
     else:
         axes.text(0.5, 0.5, "too short for a spectrum", transform=axes.transAxes, ha="center", color=_FAINT)
+
+
+def _any_events(checked: RoadCheck) -> bool:
+    return any(p.roughness is not None and p.roughness.events for p in checked.wheel_paths)
+
+
+def _class_text(path: PathFigures) -> str:
+    if path.roughness is None:
+        return "band means"
+    r = path.roughness
+    return f"class {r.letter}" + (f" without events, {r.letter_with_events} with" if r.events else "")
 
 
 def _limits(axes: Axes, drawn: list[Floats]) -> None:

@@ -8,6 +8,7 @@ axis of the sprocket, at which marker C is taken to be.
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
 from typing import Annotated, Any, Final, Literal
 
@@ -18,6 +19,7 @@ from suspension_twin.arrays import Floats
 from suspension_twin.errors import InputError
 from suspension_twin.files import read_yaml
 from suspension_twin.schema import Strict, assign, checked, within
+from suspension_twin.vehicle.joints import Joint
 from suspension_twin.vehicle.twin import Imu, Twin
 
 __all__ = [
@@ -254,6 +256,23 @@ class TrackedTwin(Twin):
         """One joint for each road wheel, front to rear, left side first."""
         count = len(self.vehicle.stations)
         return tuple(f"{side}_road_wheel_{i + 1}" for side in ("left", "right") for i in range(count))
+
+    @property
+    def joints(self) -> tuple[Joint, ...]:
+        v = self.vehicle
+        arm, height, first = v.arm, v.wheel_height - v.ground_height, v.stations[-1].x
+        pivot = arm.length * math.cos(arm.standing_angle), arm.length * math.sin(arm.standing_angle)
+        free = -arm.length * math.cos(arm.free_angle), 0.0, -arm.length * math.sin(arm.free_angle)
+        places = [
+            (s.x - first + pivot[0], y, height + pivot[1])
+            for y in (v.tread / 2, -v.tread / 2)
+            for s in v.stations
+        ]
+        standing = arm.free_angle - arm.standing_angle
+        return tuple(
+            Joint(name, "revolute", place, (0.0, 1.0, 0.0), free, standing, v.wheel.radius, 0.3)
+            for name, place in zip(self.joint_names, places, strict=True)
+        )
 
     @property
     def cog_height(self) -> float:

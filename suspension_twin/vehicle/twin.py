@@ -19,11 +19,12 @@ import yaml
 from pydantic import Field, field_validator, model_validator
 
 from suspension_twin.arrays import Floats
-from suspension_twin.errors import InputError, nearest
-from suspension_twin.files import read_yaml, write_text
+from suspension_twin.errors import InputError, nearest, shown
+from suspension_twin.files import read_yaml, reading, write_text
 from suspension_twin.schema import Strict, assign, checked, problems, within
 from suspension_twin.units import STANDARD_GRAVITY as G
 from suspension_twin.vehicle.corners import CORNERS
+from suspension_twin.vehicle.joints import Joint
 
 __all__ = [
     "SCHEMAS",
@@ -306,6 +307,11 @@ class Twin(Strict):
         return ()
 
     @property
+    def joints(self) -> tuple[Joint, ...]:
+        """Where the wheels hang, in the order of ``joint_names``; empty for a vehicle without a place on a road."""
+        return ()
+
+    @property
     def axles(self) -> dict[str, Suspension]:
         """Springs and dampers with characteristics, by the word that their keys have after ``vehicle``, if any."""
         return {}
@@ -336,6 +342,19 @@ class CarTwin(Twin):
     @property
     def joint_names(self) -> tuple[str, ...]:
         return tuple(f"{corner}_suspension" for corner in CORNERS)
+
+    @property
+    def joints(self) -> tuple[Joint, ...]:
+        vehicle = self.vehicle
+        radius = vehicle.tyre.radius
+        standing = [a.static_compression for a in vehicle.axles.values() for _ in range(2)]
+        places = vehicle.wheel_positions.tolist()
+        return tuple(
+            Joint(
+                name, "prismatic", (x, y, radius - rest), (0.0, 0.0, 1.0), (0.0, 0.0, 0.0), rest, radius, 0.2
+            )
+            for name, (x, y), rest in zip(self.joint_names, places, standing, strict=True)
+        )
 
     @property
     def axles(self) -> dict[str, Suspension]:
@@ -395,7 +414,7 @@ def parse_twin(data: Any, source: str | Path = "twin") -> Twin:
     model = str(data.get("model", "full_car"))
     if model in SCHEMAS:
         return checked(_schema(model), data, source, _KIND)
-    wrong = f"model: must be one of {', '.join(SCHEMAS)}, is {model!r}{nearest(model, SCHEMAS)}"
+    wrong = f"model: must be one of {', '.join(SCHEMAS)}, is {shown(model)}{nearest(model, SCHEMAS)}"
     rest = problems(CarTwin, {**data, "model": "full_car"}, _KIND)
     raise InputError(source, "; ".join([wrong, *rest]))
 
@@ -425,11 +444,12 @@ def load_twin(path: str | Path) -> Twin:
     'full_car'
     """
     path = Path(path)
-    twin = parse_twin(read_yaml(path), source=path)
-    if twin.road is not None and not twin.road.file.is_absolute():
-        road = RoadFile(file=(path.parent / twin.road.file).resolve())
-        twin = twin.model_copy(update={"road": road})
-    return twin
+    with reading(path, "a twin file"):
+        twin = parse_twin(read_yaml(path), source=path)
+        if twin.road is not None and not twin.road.file.is_absolute():
+            road = RoadFile(file=(path.parent / twin.road.file).resolve())
+            twin = twin.model_copy(update={"road": road})
+        return twin
 
 
 def save_twin(twin: Twin, path: str | Path, heading: str = "") -> None:

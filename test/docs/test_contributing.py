@@ -23,7 +23,7 @@ COPIED = (
     "README.md",
     "pyproject.toml",
 )
-STEPS = ["Add an effect", "Add an importer", "Add a model"]
+STEPS = ["Add an effect", "Add an importer", "Add a model", "Add a source"]
 _BLOCK = re.compile(r"^( *)```(python|bash)\n(.*?)^\1```$", re.MULTILINE | re.DOTALL)
 
 

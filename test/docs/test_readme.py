@@ -13,9 +13,11 @@ import re
 import shlex
 import shutil
 import signal
+import socket
 import subprocess
 import sys
 import time
+import urllib.request
 import xml.etree.ElementTree as ElementTree
 import zipfile
 from pathlib import Path
@@ -136,7 +138,12 @@ def ours(command: str) -> list[str]:
 
 
 def is_live(command: str) -> bool:
-    return " run " in command and "--bag" not in command
+    return " run " in command and "--bag" not in command and not is_received(command)
+
+
+def is_received(command: str) -> bool:
+    """Waits for a phone."""
+    return "--source" in command
 
 
 def is_long(command: str) -> bool:
@@ -153,7 +160,7 @@ def test_every_command_is_of_a_kind_that_is_run():
 def test_the_commands_do_what_they_say(workspace):
     """One after the other, as a reader would: later ones use what earlier ones wrote."""
     for command in OURS:
-        if is_live(command) or is_long(command) or "--mapping" in command:
+        if is_live(command) or is_received(command) or is_long(command) or "--mapping" in command:
             continue
         run(ours(command), workspace)
     drive = read_drive(workspace / "drive")
@@ -202,6 +209,52 @@ def test_the_live_commands_run_until_they_are_asked_to_end(command, workspace):
         process.kill()
     assert process.returncode == 0
     assert "Traceback" not in errors
+
+
+@pytest.mark.parametrize("command", [c for c in OURS if is_received(c)])
+def test_the_commands_for_a_phone_hear_it(command, workspace):
+    """They print an address; what is pushed there arrives."""
+    is_run = " run " in command
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        port = probe.getsockname()[1]
+    process = subprocess.Popen(
+        ours(command.replace(":8000", f":{port}")),
+        cwd=workspace,
+        env={**environment(), "XDG_STATE_HOME": str(workspace)},
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+    )
+    try:
+        address = process.stderr.readline().strip()
+        found = re.search(r"push to http://[\d.]+(:\d+/\?token=\S+)$", address)
+        assert found, address
+        for number in range(10):
+            sent = json.dumps(
+                {"messageId": number, "sessionId": "s", "deviceId": "d", "payload": second(number)}
+            )
+            request = urllib.request.Request(f"http://127.0.0.1{found[1]}", sent.encode())
+            assert urllib.request.urlopen(request, timeout=20).status == 200
+        time.sleep(1)
+        process.send_signal(signal.SIGINT)
+        out, errors = process.communicate(timeout=20)
+    finally:
+        process.kill()
+    assert process.returncode == 0, errors
+    assert "phone d: connected" in errors
+    assert is_run or "1000 samples" in out
+
+
+def second(number: int) -> list[dict]:
+    """A second of standing, as Sensor Logger sends it."""
+    t = [1_700_000_000_000_000_000 + number * 1_000_000_000 + k * 10_000_000 for k in range(100)]
+    sensors = {"totalacceleration": 9.81, "gyroscope": 0.0}
+    return [
+        {"name": name, "time": at, "values": {"x": 0.0, "y": 0.0, "z": z}}
+        for name, z in sensors.items()
+        for at in t
+    ]
 
 
 @pytest.mark.parametrize("command", PYTHON)
@@ -264,7 +317,7 @@ def test_tables_are_the_program_s():
 
 
 def test_it_is_short():
-    assert len(README.read_text(encoding="utf-8").splitlines()) < 250
+    assert len(README.read_text(encoding="utf-8").splitlines()) < 275
 
 
 def test_links_and_pictures_lead_somewhere():

@@ -14,6 +14,9 @@ from types import ModuleType
 
 import pytest
 
+from suspension_twin.sources import make_sources
+from suspension_twin.sources.common.hub import Hub
+
 ROOT = Path(__file__).resolve().parents[2]
 PAGES = sorted((ROOT / "docs").glob("*.md"))
 #: Pages whose length is limited, in words.
@@ -91,7 +94,10 @@ def test_commands_take_their_arguments(page: Path, tmp_path: Path) -> None:
     """In an empty folder each of ours gets as far as missing its first file."""
     lines = [line for block in blocks(page, "bash") for line in block.splitlines()]
     for line in lines:
-        if line.startswith("suspension-twin "):
+        if "--source" in line:  # it would wait for what is to send
+            for url in re.findall(r"--source (\S+)", line):
+                assert make_sources([url.strip('"')], Hub())
+        elif line.startswith("suspension-twin "):
             command = [sys.executable, "-m", "suspension_twin", *shlex.split(line)[1:]]
             done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, timeout=120)
             assert done.returncode == 2, line

@@ -3,8 +3,12 @@
 
 from __future__ import annotations
 
+import errno
+import os
 import shutil
 import struct
+import subprocess
+import sys
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -19,6 +23,7 @@ from mcap.writer import Writer
 from rosbags.highlevel import AnyReader
 from rosbags.rosbag2 import CompressionMode, StoragePlugin
 
+from suspension_twin.cli.main import main
 from suspension_twin.drive.cdr import encode, ros2_types
 from suspension_twin.drive.edit import concatenate, cut
 from suspension_twin.drive.read import Topics, read_drive
@@ -507,3 +512,44 @@ def test_topics_of_types_of_their_own_are_decoded_by_the_definition_in_the_file(
     assert decode_topic(contents, "/broken") == []
     assert "3 of 3 messages are damaged" in contents.warnings[-1]
     assert decode_topic(contents, "/absent") == []
+
+
+@pytest.mark.parametrize("name", ["bag", "bag.mcap"])
+@pytest.mark.parametrize(
+    "call", ["suspension_twin.drive.write.os.replace", "suspension_twin.drive.write.synchronise"]
+)
+def test_a_full_disk_leaves_the_recording_that_was_there(
+    name: str, call: str, make: MakeDrive, same: Same, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def full(*_: object) -> None:
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    old, new = make(200), make(300)
+    write_drive(old, tmp_path / name)
+    with monkeypatch.context() as patch:
+        patch.setattr(call, full)
+        with pytest.raises(WorkError, match=rf"{name}: cannot be written: No space left") as caught:
+            write_drive(new, tmp_path / name, overwrite=True)
+    assert caught.value.exit_status == 1
+    assert [p.name for p in tmp_path.iterdir()] == [name]
+    same(read_drive(tmp_path / name), old)
+
+
+def test_what_a_killed_recorder_left_is_removed(make: MakeDrive, tmp_path: Path) -> None:
+    ended = subprocess.Popen([sys.executable, "-c", ""])
+    ended.wait()
+    left = tmp_path / f".bag.{ended.pid}.0.part"
+    (left / "bag").mkdir(parents=True)
+    (left / "bag" / "bag.mcap").write_bytes(b"half")
+    write_drive(make(200), tmp_path / "bag")
+    assert [p.name for p in tmp_path.iterdir()] == ["bag"]
+
+
+def test_a_recording_that_cannot_be_made_is_refused_before_anything_is_read(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "file").write_text("")
+    for out in (tmp_path / ("x" * 250), tmp_path / "file" / "bag"):
+        assert main(["import", "/dev/zero", "--out", str(out)]) == 2
+        error = capsys.readouterr().err
+        assert "cannot be written" in error and error.count("\n") == 1

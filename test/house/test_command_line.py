@@ -3,7 +3,9 @@
 
 from __future__ import annotations
 
+import errno
 import io
+import os
 import signal
 import subprocess
 import sys
@@ -171,7 +173,7 @@ def test_a_bad_choice_and_a_bad_number_are_one_line(
     [
         (InputError("t.yaml", "vehicle.mass", "must be above 0"), 2, "t.yaml: vehicle.mass: must be above 0"),
         (WorkError("the search found nothing"), 1, "the search found nothing"),
-        (InputError("a", "several\nlines\n  of it"), 2, "a: several lines of it"),
+        (InputError("a", "several\nlines\n  of it"), 2, r"a: several\nlines\n of it"),
         (FileNotFoundError(2, "No such file", "x.csv"), 2, "x.csv: No such file"),
         (PermissionError(13, "Permission denied", "/out"), 2, "/out: Permission denied"),
         (OSError(5, "Input/output error", "disk"), 1, "disk: Input/output error"),
@@ -535,3 +537,45 @@ def test_reference_takes_all_that_follow_it(repository: Path, tmp_path: Path, ca
     assert [(r.bags, r.reference, r.seed) for r in seen] == [(("a", "b"), ("c", "d"), 1)] * 3
     assert main(["diagnose", "--twin", twin, "--reference", "c", "a", "--out", str(tmp_path / "out")]) == 2
     assert "BAG" in capsys.readouterr().err
+
+
+STRANGE = "run[/a]\x1b[31m\nverdict: no_gap [bold]x[/] :smile: \udcff"
+
+
+def test_names_of_files_are_shown_and_not_obeyed(capsys: pytest.CaptureFixture[str]) -> None:
+    console = output()
+    console.print(f"Written to {STRANGE}", style="bold")
+    print_table(console, STRANGE, ("name", "value"), [(STRANGE, "1")])
+    out, _ = capsys.readouterr()
+    assert out.count(r"run[/a]\x1b[31m\nverdict: no_gap [bold]x[/] :smile: \udcff") == 3
+    assert "\x1b" not in out
+
+
+def test_a_failure_is_one_line_whatever_the_file_is_called(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    road = tmp_path / STRANGE
+    road.parent.mkdir(parents=True)
+    road.write_text("$CT\n")
+    status, _, err = run(["road", "check", str(road)], capsys)
+    assert status == 2 and err.count("\n") == 1 and "\x1b" not in err and "[bold]x[/]" in err
+
+
+@pytest.mark.parametrize("command", ["show", "mesh", "check"])
+def test_a_folder_with_brackets_is_written_to(
+    command: str, repository: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out = tmp_path / "run[" / "a][/b]" / {"show": "a.png", "mesh": "a.obj", "check": "a.json"}[command]
+    road = repository / "bags" / "bump_15kmh" / "road.crg"
+    status, said, err = run(["road", command, str(road), "--out", str(out)], capsys)
+    assert (status, err) == (0, "") and str(out) in said and out.stat().st_size > 0
+
+
+@pytest.mark.parametrize("number", [errno.ENOSPC, errno.EDQUOT])
+def test_no_space_is_a_failure_of_the_work(
+    number: int, with_command: Callable[..., None], capsys: pytest.CaptureFixture[str]
+) -> None:
+    with_command(failing(OSError(number, os.strerror(number))))
+    assert run(["work"], capsys)[0] == 1
+    with_command(failing(OSError(number, os.strerror(number), "x.yaml")))
+    assert run(["work"], capsys)[0] == 1

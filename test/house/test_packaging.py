@@ -21,7 +21,7 @@ from catkin_pkg.package import parse_package
 
 import suspension_twin
 
-NODES = ("imu_ingest", "pose_injector", "suspension_model", "calibrator")
+NODES = ("imu_ingest", "pose_injector", "suspension_model", "calibrator", "source")
 INTERFACES = Path("suspension_twin_interfaces")
 
 
@@ -85,7 +85,7 @@ def test_setup_requires_what_is_imported(repository: Path, setup_arguments: dict
     modules = imported(repository / "suspension_twin")
     outside = modules - ros_only(modules)
     missing = {m for m in outside if not required & {canonical(d) for d in providers.get(m, ["nowhere"])}}
-    assert missing == set()
+    assert missing == {"foxglove"}, "an extra, of which a command says how to install it"
     unused = {r for r in required if not any(r in map(canonical, providers.get(m, [])) for m in modules)}
     assert unused == set()
 
@@ -149,7 +149,7 @@ def test_every_folder_of_code_is_a_package(repository: Path, setup_arguments: di
 
 def test_entry_points_resolve(setup_arguments: dict[str, Any]) -> None:
     scripts = dict(line.split(" = ") for line in setup_arguments["entry_points"]["console_scripts"])
-    assert set(scripts) == {"suspension-twin", *NODES}
+    assert set(scripts) == {"suspension-twin", *NODES, "viewer", "foxglove_bridge"}
     for target in scripts.values():
         module, attribute = target.split(":")
         assert callable(getattr(import_module(module), attribute))
@@ -197,7 +197,12 @@ def test_colcon_builds_the_package(
     folders = ["--build-base", tmp_path / "build", "--install-base", install]
     colcon("build", *options, "--base-paths", ".", *folders, cwd=source, log=tmp_path / "log")
     prefix = install / "suspension_twin"
-    assert {p.name for p in (prefix / "lib/suspension_twin").iterdir()} == {"suspension-twin", *NODES}
+    assert {p.name for p in (prefix / "lib/suspension_twin").iterdir()} == {
+        "suspension-twin",
+        *NODES,
+        "viewer",
+        "foxglove_bridge",
+    }
     for name in ("package.xml", "launch/suspension_twin.launch.py"):
         assert (prefix / "share/suspension_twin" / name).is_file()
     assert (prefix / "share/ament_index/resource_index/packages/suspension_twin").exists()
@@ -217,12 +222,13 @@ class Recorded:
         self.arguments, self.named = arguments, named
 
 
-def test_the_launch_file_makes_four_nodes(repository: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_launch_file_makes_the_nodes(repository: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Executed with stand-ins, since there are no wheels of launch: it lives with an apt ROS 2 alone."""
     kinds = {
         "launch": ("LaunchDescription",),
         "launch.actions": ("DeclareLaunchArgument",),
-        "launch.substitutions": ("LaunchConfiguration",),
+        "launch.conditions": ("IfCondition",),
+        "launch.substitutions": ("LaunchConfiguration", "NotEqualsSubstitution"),
         "launch_ros": (),
         "launch_ros.actions": ("Node",),
         "launch_ros.parameter_descriptions": ("ParameterValue",),
@@ -241,7 +247,7 @@ def test_the_launch_file_makes_four_nodes(repository: Path, monkeypatch: pytest.
     entities = launch["generate_launch_description"]().arguments[0]
 
     arguments = {e.arguments[0]: e.named for e in entities if isinstance(e, made["DeclareLaunchArgument"])}
-    assert set(arguments) == {"twin", "params", "use_sim_time", "namespace"}
+    assert set(arguments) == {"twin", "params", "use_sim_time", "namespace", "sources"}
     assert all(a["description"] for a in arguments.values())
     assert "default_value" not in arguments["twin"]
     assert Path(arguments["params"]["default_value"]).is_file()
@@ -254,7 +260,9 @@ def test_the_launch_file_makes_four_nodes(repository: Path, monkeypatch: pytest.
         file, values = node["parameters"]
         assert file.arguments == ("params",)
         types = {name: value.named["value_type"] for name, value in values.items()}
-        assert types == {"twin": str, "use_sim_time": bool}
+        source = node["name"] == "source"
+        assert types == {"twin": str, "use_sim_time": bool} | ({"sources": str} if source else {})
+        assert ("condition" in node) == source
 
 
 def test_interfaces_name_their_dependencies(repository: Path) -> None:

@@ -14,6 +14,7 @@ import pytest
 from suspension_twin.drive.importers import IMPORTERS
 from suspension_twin.effects.registry import EFFECTS
 from suspension_twin.models.registry import MODELS
+from suspension_twin.sources import SOURCES, load_source
 from suspension_twin.vehicle.twin import SCHEMAS
 
 # From the left of the design's picture to its right: a package imports from its own row and the rows before it.
@@ -22,16 +23,18 @@ ROWS = (
     {"drive"},
     {"vehicle"},
     {"signals"},
+    {"sources"},
     {"pose"},
     {"road"},
     {"models", "effects"},
     {"gap"},
+    {"road_estimation"},
     {"identification"},
     {"calibration"},
     {"diagnosis"},
     {"report"},
+    {"view"},
     {"nodes"},
-    {"demo"},
     {"demo"},
     {"cli"},
     {"__main__"},
@@ -185,6 +188,23 @@ def test_an_importer_is_whole(name: str, repository: Path) -> None:
 
 def test_every_importer_is_registered(repository: Path) -> None:
     assert files_of(repository, "drive/importers") == set(IMPORTERS)
+
+
+@pytest.mark.parametrize("name", SOURCES)
+def test_a_source_is_whole(name: str, repository: Path) -> None:
+    assert name in files_of(repository, "sources")
+    assert (repository / "test" / "sources" / f"test_{name}.py").is_file(), f"no test of the source {name}"
+    module = load_source(name)
+    assert module.EXAMPLE.startswith(f"{name}:")
+    page = (repository / "docs" / "sources.md").read_text(encoding="utf-8")
+    row = next((line for line in page.splitlines() if line.startswith(f"| `{module.EXAMPLE}`")), "")
+    assert module.TITLE in row, (
+        f"{name} has no line in docs/sources.md: | `{module.EXAMPLE}` | {module.TITLE}..."
+    )
+
+
+def test_every_source_is_registered(repository: Path) -> None:
+    assert files_of(repository, "sources") == set(SOURCES)
 
 
 @pytest.mark.parametrize("name", MODELS)

@@ -10,6 +10,7 @@ from pathlib import Path
 from suspension_twin.calibration.request import Progress
 from suspension_twin.errors import InputError
 from suspension_twin.nodes.jobs import DiagnosisStep
+from suspension_twin.vehicle.twin import load_twin, save_twin
 
 
 def outcome(job, message, generations):
@@ -72,3 +73,20 @@ def judged(job, progress, should_stop):
     Path(job.output).mkdir(exist_ok=True)
     document = '{"verdict": "effect"}'
     return {"success": True, "message": "friction", "diagnosis": document, "output": job.output}
+
+
+def lighter(job, progress, should_stop):
+    """A calibrated twin of less mass."""
+    twin = load_twin(job.request.twin)
+    progress(Progress("search", 1, 10, 0.5, 1.0, 3.0))
+    save_twin(twin.with_changes({"vehicle.mass": 1700.0}), job.output)
+    return outcome(job, "the mass", 1)
+
+
+def reported(job, progress, should_stop):
+    """A diagnosis with a twin and a page."""
+    folder = Path(job.output)
+    folder.mkdir()
+    save_twin(load_twin(job.request.twin), folder / "twin.yaml")
+    (folder / "report.html").write_text("<p>friction</p>")
+    return {"success": True, "message": "friction", "diagnosis": "{}", "output": job.output}

@@ -137,7 +137,9 @@ def test_a_picture_shows_what_it_says(
 ) -> None:
     picture = tmp_path / "road.png"
     assert main(["road", "show", str(folder / "spiky.crg"), "--out", str(picture)]) == 0
-    assert capsys.readouterr().out.strip() == f"Writes {picture}"
+    said = capsys.readouterr().out
+    assert said.startswith(f"Writes {picture}\n")
+    assert "IRI: left " in said
     pixels = matplotlib.image.imread(picture)[..., :3]
     assert pixels.shape == (1380, 1950, 3)
     assert 0.05 < (pixels.min(axis=2) < 0.8).mean() < 0.7

@@ -58,6 +58,10 @@ def test_the_text_itself_is_sound(tmp_path: Path) -> None:
         ("_increment = 1.0", "_increment = 1.0 m", "'1.0 m' is not a number"),
         ("_increment = 1.0", "_increment = nan", "'nan' is not a number"),
         ("_increment = 1.0", "_increment = 1e999", "too large"),
+        ("_increment = 1.0", "_increment = 1e300", "reference_line_increment: is 1e\\+300 m: no road"),
+        ("_increment = 1.0", "_increment = 1e-9", "reference_line_increment: is 1e-09 m: no road"),
+        ("_increment = 1\n", "_increment = 1e300\n", "long_section_v_increment: is 1e\\+300 m: no road"),
+        ("_increment = 1\n", "_increment = 6e3\n", "long_section_v_increment: is 6000 m: no road"),
         ("_increment = 1.0", "_increment = 0", "reference_line_increment: must be given and above 0"),
         ("_increment = 1.0", "_increment 1.0", "expected a line of the form name = number"),
         ("long_section_v_increment = 1", "", "long_section_v_increment: must be given"),
@@ -139,3 +143,22 @@ def test_a_road_of_nothing_but_missing_heights(tmp_path: Path) -> None:
             tmp_path,
             TEXT.split("$$$$\n", maxsplit=1)[0] + "$$$$\n" + 4 * " 0.0000000*missing***missing***missing**\n",
         )
+
+
+@pytest.mark.parametrize(
+    ("old", "new"),
+    [
+        ("_start_u = 0", "_start_u = " + "9" * 20_000),
+        ("_start_u = 0", "x" * 20_000 + " = a"),
+        ("_start_u = 0", "x" * 20_000),
+        ("#:LRFI", "#:" + "Q" * 20_000),
+        ("D:long section 1,m", "D:" + "wide " * 5000),
+        ("D:long section 1,m", "D:long section " + "1" * 20_000),
+        ("$CT\nmade by hand\n$\n", "$ROAD_CRG_FILE\n" + "other" * 5000 + "\n$\n"),
+        (" 0.0000000 0.0000000 0.0200000", "x" * 20_000),
+    ],
+)
+def test_a_fault_in_a_long_line_is_a_short_line(tmp_path: Path, old: str, new: str) -> None:
+    with pytest.raises(InputError) as caught:
+        _load(tmp_path, TEXT.replace(old, new, 1))
+    assert len(str(caught.value)) < 400 + len(str(tmp_path))

@@ -6,8 +6,10 @@ from __future__ import annotations
 from collections.abc import Collection
 from dataclasses import dataclass, field
 
+from suspension_twin.drive.budget import Budget
 from suspension_twin.drive.cdr import Encoding
 from suspension_twin.drive.containers.inflate import ZSTD_MAGIC, inflate
+from suspension_twin.errors import printable
 
 __all__ = ["Contents", "RawTopic", "topic_name", "type_name"]
 
@@ -21,10 +23,6 @@ def type_name(name: str) -> str:
     """Full name of a type: ``sensor_msgs/Imu`` and ``sensor_msgs/msg/Imu`` are one."""
     parts = name.split("/")
     return "/".join((parts[0], "msg", parts[1])) if len(parts) == 2 else name
-
-
-def _printable(text: str) -> str:
-    return text if text.isprintable() else "".join(c if c.isprintable() else "?" for c in text)
 
 
 @dataclass
@@ -41,7 +39,8 @@ class Contents:
     """Messages of the topics wanted, and the names and types of all.
 
     ``types`` maps every topic of the recording to its type, ``definitions`` a type to its text
-    where the file embeds it as ROS 2 ``.msg`` text, ``warnings`` says what was lost.
+    where the file embeds it as ROS 2 ``.msg`` text, ``warnings`` says what was lost, ``budget`` limits what
+    is unpacked.
     """
 
     encoding: Encoding
@@ -50,6 +49,7 @@ class Contents:
     types: dict[str, str] = field(default_factory=dict)
     definitions: dict[str, str] = field(default_factory=dict)
     warnings: list[str] = field(default_factory=list)
+    budget: Budget = field(default_factory=lambda: Budget("recording", 0))
 
     def wants(self, name: str) -> bool:
         """Whether the messages of a topic are to be read."""
@@ -62,9 +62,9 @@ class Contents:
         are not read; the type then names the encoding.
         """
         # the names in a damaged file may hold anything, and are shown to the user
-        name, msgtype = topic_name(_printable(name)), type_name(_printable(msgtype))
+        name, msgtype = topic_name(printable(name)), type_name(printable(msgtype))
         if encoding != self.encoding:
-            msgtype = f"{_printable(encoding)} messages"
+            msgtype = f"{printable(encoding[:40])} messages"
         if self.types.setdefault(name, msgtype) != msgtype:
             self.warnings.append(f"{name} carries a second type, {msgtype}: left out")
             return None
@@ -79,4 +79,4 @@ class Contents:
             topic.stamps = [topic.stamps[i] for i in order]
             topic.data = [topic.data[i] for i in order]
             if topic.data and topic.data[0].startswith(ZSTD_MAGIC):  # rosbag2's compression mode MESSAGE
-                topic.data = [inflate("zstd", data)[0] for data in topic.data]
+                topic.data = [inflate("zstd", data, self.budget)[0] for data in topic.data]

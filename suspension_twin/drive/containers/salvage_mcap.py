@@ -6,11 +6,11 @@ Format: the MCAP specification, version 0. The records themselves are parsed by 
 
 from __future__ import annotations
 
-import mmap
 import struct
 import zlib
 from io import BytesIO
 from pathlib import Path
+from typing import BinaryIO
 
 from mcap.data_stream import ReadDataStream
 from mcap.exceptions import McapError
@@ -18,7 +18,7 @@ from mcap.opcode import Opcode
 from mcap.records import Channel, Chunk, Message, Schema
 
 from suspension_twin.drive.containers.contents import Contents, RawTopic
-from suspension_twin.drive.containers.inflate import inflate
+from suspension_twin.drive.containers.inflate import end_of, inflate
 
 __all__ = ["MAGIC", "salvage_mcap"]
 
@@ -38,24 +38,32 @@ class _Salvage:
         self.doubtful = 0
         self.messages = 0
 
-    def walk(self, data: bytes | mmap.mmap, at: int, *, inside_chunk: bool = False) -> bool:
-        """Take the records from offset ``at`` on; False where the last one is not complete."""
-        while at + _HEAD.size <= len(data):
-            opcode, size = _HEAD.unpack_from(data, at)
+    def walk(self, file: BinaryIO, *, inside_chunk: bool = False) -> bool:
+        """Take the records of ``file`` from where it stands; False where the last one is not complete.
+
+        The file may shrink meanwhile: it is read, not mapped, and ends where a read ends.
+        """
+        end = end_of(file)
+        while len(head := file.read(_HEAD.size)) == _HEAD.size:
+            opcode, size = _HEAD.unpack(head)
             if not opcode:
                 return False  # no record: the zeros that a power cut leaves behind
-            body = data[at + _HEAD.size : at + _HEAD.size + size]
-            at += _HEAD.size + size
+            body = file.read(
+                min(size, end - file.tell())
+            )  # Python takes memory for what is asked, not what is there
+            whole = len(body) == size
             try:
                 if opcode == Opcode.CHUNK and not inside_chunk:
-                    self.chunk(Chunk.read(ReadDataStream(BytesIO(body))), at <= len(data))
-                elif at <= len(data):
+                    self.chunk(Chunk.read(ReadDataStream(BytesIO(body))), whole)
+                elif whole:
                     self.record(opcode, body)
             except (McapError, struct.error, ValueError, OverflowError):
-                self.damaged += at <= len(data)
+                self.damaged += whole
             if opcode == Opcode.FOOTER:
                 return True
-        return at == len(data)
+            if not whole:
+                return False
+        return not head
 
     def record(self, opcode: int, body: bytes) -> None:
         stream = ReadDataStream(BytesIO(body))
@@ -82,11 +90,11 @@ class _Salvage:
 
     def chunk(self, chunk: Chunk, whole: bool) -> None:
         try:
-            records, inflated = inflate(chunk.compression, chunk.data)
+            records, inflated = inflate(chunk.compression, chunk.data, self.contents.budget)
         except ValueError as error:
             self.contents.warnings.append(f"{self.name}: a chunk was left out: {error}")
             return
-        sound = self.walk(records, 0, inside_chunk=True) and inflated
+        sound = self.walk(BytesIO(records), inside_chunk=True) and inflated
         if whole:  # else it is cut off, which is said of the file
             self.damaged += not sound
             self.doubtful += sound and chunk.uncompressed_crc not in (0, zlib.crc32(records))
@@ -95,8 +103,9 @@ class _Salvage:
 def salvage_mcap(path: Path, contents: Contents) -> None:
     """Add the messages of a file to ``contents``, and a warning for each kind of damage."""
     salvage = _Salvage(contents, path.name)
-    with path.open("rb") as file, mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) as data:
-        salvage.walk(data, len(MAGIC))
+    with path.open("rb") as file:
+        file.seek(len(MAGIC))
+        salvage.walk(file)
     if not salvage.complete:
         contents.warnings.append(
             f"{path.name} is cut off or damaged: {salvage.messages} whole messages were read"

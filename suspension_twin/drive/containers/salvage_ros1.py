@@ -12,18 +12,18 @@ from rosbags.rosbag1 import ReaderError
 from rosbags.rosbag1.reader import Header, RecordType
 
 from suspension_twin.drive.containers.contents import Contents, RawTopic
-from suspension_twin.drive.containers.inflate import inflate
+from suspension_twin.drive.containers.inflate import end_of, inflate
 
 __all__ = ["MAGIC", "salvage_ros1"]
 
 MAGIC = b"#ROSBAG V2.0\n"
 
 
-def _sized(file: BinaryIO) -> tuple[bytes, bool]:
+def _sized(file: BinaryIO, end: int) -> tuple[bytes, bool]:
     """A length word and the bytes it counts, and whether they are all there."""
     word = file.read(4)
     size = int.from_bytes(word, "little")
-    data = file.read(size)
+    data = file.read(min(size, max(end - file.tell(), 0)))
     return word + data, len(word) == 4 and len(data) == size
 
 
@@ -36,17 +36,20 @@ class _Salvage:
         self.messages = 0
         self.index_at = 0
 
-    def walk(self, file: BinaryIO) -> bool:
+    def walk(self, file: BinaryIO, *, inside_chunk: bool = False) -> bool:
         """Take the records up to the end; False where the last one is not complete."""
+        end = end_of(file)
         while True:
-            head, whole = _sized(file)
+            head, whole = _sized(file, end)
             if not whole or len(head) == 4:
                 return not head  # else no record: cut off, or the zeros that a power cut leaves behind
-            body, whole = _sized(file)
+            body, whole = _sized(file, end)
             try:
                 header = Header.read(BytesIO(head))
                 kind = header.get_uint8("op")
-                if kind == RecordType.CHUNK:
+                if kind == RecordType.CHUNK and inside_chunk:
+                    self.damaged += 1  # a chunk in a chunk is none
+                elif kind == RecordType.CHUNK:
                     self.chunk(header, body[4:], whole)
                 elif whole:
                     self.record(kind, header, body)
@@ -71,11 +74,11 @@ class _Salvage:
 
     def chunk(self, header: Header, data: bytes, whole: bool) -> None:
         try:
-            records, inflated = inflate(header.get_string("compression"), data)
+            records, inflated = inflate(header.get_string("compression"), data, self.contents.budget)
         except ValueError as error:
             self.contents.warnings.append(f"{self.name}: a chunk was left out: {error}")
             return
-        sound = self.walk(BytesIO(records)) and inflated
+        sound = self.walk(BytesIO(records), inside_chunk=True) and inflated
         self.damaged += whole and not sound
 
 

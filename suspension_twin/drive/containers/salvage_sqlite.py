@@ -8,10 +8,11 @@ Format: "Database File Format", sections 1.6 (b-tree pages) and 2.1 (records), s
 
 from __future__ import annotations
 
-import mmap
 from collections.abc import Iterator
 from pathlib import Path
+from typing import BinaryIO
 
+from suspension_twin.drive.budget import Budget
 from suspension_twin.drive.containers.contents import Contents, RawTopic
 from suspension_twin.errors import InputError
 
@@ -44,23 +45,32 @@ def _varint(data: bytes, at: int) -> tuple[int, int]:
 
 
 class _Pages:
-    def __init__(self, data: mmap.mmap) -> None:
-        self.data = data
-        size = int.from_bytes(data[16:18], "big")
+    def __init__(self, file: BinaryIO, length: int, budget: Budget) -> None:
+        self.file, self.length, self.budget = file, length, budget
+        file.seek(0)
+        head = file.read(100)
+        size = int.from_bytes(head[16:18], "big")
         self.size = 65536 if size == 1 else max(size, 512)
-        self.usable = self.size - data[20]
-        self.count = len(data) // self.size  # an incomplete page at the end is not one
+        self.usable = self.size - head[20]
+        self.count = length // self.size  # an incomplete page at the end is not one
 
     def page(self, number: int) -> bytes:
         """Page ``number``, counted from 1."""
         if not 1 <= number <= self.count:
             raise _Damaged
-        return self.data[(number - 1) * self.size : number * self.size]
+        self.file.seek((number - 1) * self.size)
+        page = self.file.read(self.size)
+        if len(page) < self.size:  # the file shrank
+            raise _Damaged
+        return page
 
     def payload(self, page: bytes, at: int) -> tuple[int, bytes]:
         """Row id and payload of the cell at ``at``, with what overflowed onto other pages."""
         total, at = _varint(page, at)
         row, at = _varint(page, at)
+        if total > self.length or self.usable < 36:
+            raise _Damaged
+        self.budget.take(total)  # cells may share the pages that they flow over to
         most = self.usable - 35
         least = (self.usable - 12) * 32 // 255 - 23
         local = total
@@ -81,7 +91,10 @@ class _Pages:
     def rows(self) -> Iterator[tuple[int, list[Value]]]:
         """Row id and values of every row on a complete leaf page, in the order of the pages."""
         for number in range(2, self.count + 1):
-            page = self.page(number)
+            try:
+                page = self.page(number)
+            except _Damaged:
+                return
             if page[0] != _TABLE_LEAF:
                 continue
             for i in range(int.from_bytes(page[3:5], "big")):
@@ -123,10 +136,11 @@ def salvage_sqlite(path: Path, contents: Contents) -> None:
     """
     sinks: dict[int, RawTopic | None] = {}
     found: dict[int, tuple[int, int, bytes]] = {}
-    with path.open("rb") as file, mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) as data:
-        if len(data) >= 512 and b"CREATE TABLE topics" not in data[: 1 << 16]:
+    length = path.stat().st_size
+    with path.open("rb") as file:
+        if length >= 512 and b"CREATE TABLE topics" not in file.read(1 << 16):
             raise InputError(path, "a database, but not a rosbag2 recording (it has no topics)")
-        for row, values in _Pages(data).rows() if len(data) >= 512 else ():
+        for row, values in _Pages(file, length, contents.budget).rows() if length >= 512 else ():
             match values:
                 case [None, int(topic), int(stamp), bytes(message)]:
                     found[row] = topic, stamp, message

@@ -13,8 +13,9 @@ from typing import Protocol, cast
 from suspension_twin.drive.intake.source import Source
 from suspension_twin.drive.intake.streams import Streams
 from suspension_twin.errors import InputError
+from suspension_twin.files import reading
 
-__all__ = ["IMPORTERS", "Importer", "importer_of", "load_importer"]
+__all__ = ["IMPORTERS", "Importer", "importer_of", "load_importer", "read_source"]
 
 #: Asked in this order; the first that recognises a source reads it.
 IMPORTERS = ("sensor_logger", "phyphox", "matlab_mobile", "rtklib", "comma2k19")
@@ -45,10 +46,18 @@ def importer_of(source: Source) -> Importer:
     """The importer that recognises the source; InputError if none does."""
     for name in IMPORTERS:
         importer = load_importer(name)
-        if importer.recognises(source):
-            return importer
+        with reading(source.path, "a recording"):
+            if importer.recognises(source):
+                return importer
     titles = ", ".join(load_importer(name).TITLE for name in IMPORTERS)
     raise InputError(
         source.path,
         f"format not recognised (known: {titles}; bags); describe its columns in a file and give it as --mapping",
     )
+
+
+def read_source(source: Source, importer: Importer | None = None) -> Streams:
+    """Every stream of a source by the importer that recognises it, or the one given; InputError otherwise."""
+    chosen = importer or importer_of(source)
+    with reading(source.path, f"a recording of {chosen.TITLE}"):
+        return chosen.read(source)

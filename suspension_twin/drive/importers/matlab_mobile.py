@@ -11,15 +11,19 @@ have a time vector beside them or (n, 4) with the time first; and ``writetimetab
 
 from __future__ import annotations
 
+import math
 import re
+import struct
 import tempfile
 import warnings
+import zlib
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from suspension_twin.arrays import Floats
+from suspension_twin.drive.budget import Budget
 from suspension_twin.drive.intake.clocks import text_to_posix
 from suspension_twin.drive.intake.source import Source
 from suspension_twin.drive.intake.streams import Series, Streams
@@ -27,6 +31,7 @@ from suspension_twin.drive.intake.table import read_table
 from suspension_twin.drive.intake.velocity import velocities_from_course
 from suspension_twin.drive.types import FixData
 from suspension_twin.errors import InputError
+from suspension_twin.files import reading
 
 __all__ = ["TITLE", "read", "recognises"]
 
@@ -41,6 +46,10 @@ _LOGS = {
 _TIMES = ("timestamp", "timestamps", "time", "t")
 _XYZ = ("x", "y", "z")
 _POSITION = ("latitude", "longitude", "altitude", "speed", "course", "hacc")
+
+_V73 = b"MATLAB 7.3"
+_COMPRESSED = 15
+_PIECE = 1 << 20
 
 Columns = dict[str, Any]
 
@@ -107,14 +116,17 @@ def _logs_of_csv(source: Source, streams: Streams) -> dict[str, Columns]:
 def _logs_of_mat(data: bytes, label: str) -> dict[str, Columns]:
     import matio  # brings pandas, half a second that no other format needs
 
+    budget = Budget(label, len(data))
     with tempfile.NamedTemporaryFile(suffix=".mat") as file, warnings.catch_warnings():
         warnings.simplefilter("ignore")  # of variables that it cannot read, which are not the logs
         file.write(data)
         file.flush()
-        try:
+        with reading(label, "a .mat file"):
+            if data.startswith(_V73):
+                _check_hdf5(file.name, budget)
+            else:
+                _check_compressed(data, budget)
             variables: dict[str, Any] = matio.load_from_mat(file.name)
-        except Exception as error:  # damage shows as an exception of any kind
-            raise InputError(label, f"not a .mat file, cut off or damaged ({type(error).__name__})") from None
     named = {name.lower(): value for name, value in variables.items() if not name.startswith("__")}
     for value in list(named.values()):  # readMobileSensorData gives one struct of all logs
         fields = _fields(value)
@@ -131,6 +143,38 @@ def _logs_of_mat(data: bytes, label: str) -> dict[str, Columns]:
         known = ", ".join(named) or "none"
         raise InputError(label, f"holds neither Acceleration nor AngularVelocity; its variables are {known}")
     return logs
+
+
+def _check_compressed(data: bytes, budget: Budget) -> None:
+    """Unpack the compressed variables of a file of version 5 within ``budget``, and forget them.
+
+    Format: "MAT-File Format", The MathWorks: 128 bytes, then elements of u32 type, u32 size and content.
+    """
+    order = ">" if data[126:128] == b"MI" else "<"
+    at = 128
+    while at + 8 <= len(data):
+        kind, size = struct.unpack_from(f"{order}II", data, at)
+        at += 8
+        if kind == _COMPRESSED:
+            stream, piece = zlib.decompressobj(), data[at : at + size]
+            while piece and not stream.eof:
+                budget.take(len(stream.decompress(piece, _PIECE)))
+                piece = stream.unconsumed_tail
+        at += size if kind == _COMPRESSED else -(-size // 8) * 8
+
+
+def _check_hdf5(path: str, budget: Budget) -> None:
+    """Count what a file of version 7.3 declares: a dataset may declare anything and store nothing."""
+    import h5py  # comes with mat-io
+
+    def count(name: str, item: Any) -> None:
+        if isinstance(item, h5py.Dataset):
+            if item.external:
+                raise InputError(budget.source, "keeps its data in another file")
+            budget.take(math.prod(item.shape or ()) * item.dtype.itemsize)
+
+    with h5py.File(path) as file:
+        file.visititems(count)
 
 
 def _fields(value: Any) -> Columns:

@@ -17,6 +17,7 @@ from typing import Any
 import numpy as np
 
 from suspension_twin.arrays import Floats
+from suspension_twin.drive.intake.phones import IOS_FORCE_SIGN, force_sensors, phone_fix
 from suspension_twin.drive.intake.source import Source
 from suspension_twin.drive.intake.streams import Series, Streams
 from suspension_twin.drive.intake.table import Table, read_table
@@ -66,20 +67,20 @@ def read(source: Source) -> Streams:
     for table in tables.values():
         streams.warnings += table.warnings
 
-    if "TotalAcceleration" in tables:
-        streams.force = _vector(tables["TotalAcceleration"])
-    elif "Accelerometer" in tables and "Gravity" in tables:
-        streams.force = _sum(_vector(tables["Accelerometer"]), _vector(tables["Gravity"]))
-        streams.notes.append("specific force: Accelerometer + Gravity")
-    elif "AccelerometerUncalibrated" in tables:
-        streams.force = _vector(tables["AccelerometerUncalibrated"])
-        streams.notes.append("specific force: AccelerometerUncalibrated")
+    named = {sensor.lower(): sensor for sensor in tables}
+    chosen = [named[sensor] for sensor in force_sensors(named)]
+    if chosen:
+        streams.force = _vector(tables[chosen[0]])
+        if chosen[1:]:
+            streams.force = _sum(streams.force, _vector(tables[chosen[1]]))
+        if chosen != ["TotalAcceleration"]:
+            streams.notes.append(f"specific force: {' + '.join(chosen)}")
     elif "Accelerometer" in tables:
         raise InputError(
             label, "Accelerometer is without gravity: record TotalAcceleration (Android) or Gravity (iOS) too"
         )
     if ios and streams.force is not None:
-        streams.force = Series(streams.force.t, -streams.force.values)
+        streams.force = Series(streams.force.t, IOS_FORCE_SIGN * streams.force.values)
         streams.notes.append("iOS: all three accelerometer axes negated")
     for sensor in ("Gyroscope", "GyroscopeUncalibrated"):
         if streams.rate is None and sensor in tables:
@@ -96,8 +97,8 @@ def read(source: Source) -> Streams:
     if platform is None:
         streams.warnings.append(f"{label}: no Metadata file names the platform: taken as Android")
     else:
-        named = {"ios": "iOS", "android": "Android"}.get(platform, platform)
-        streams.origin = f"{TITLE}, {named}{', standardised frames' if standardised else ''}"
+        system = {"ios": "iOS", "android": "Android"}.get(platform, platform)
+        streams.origin = f"{TITLE}, {system}{', standardised frames' if standardised else ''}"
     return streams
 
 
@@ -194,12 +195,7 @@ def _fix(table: Table, t: Floats) -> FixData:
     def column(name: str) -> Floats:
         return table.numbers(name) if table.has(name) else np.full(t.size, np.nan)
 
-    horizontal, vertical = column("horizontalAccuracy"), column("verticalAccuracy")
-    with np.errstate(invalid="ignore"):
-        # the accuracy is the radius of a 1 sigma circle, so √2 sigma of each axis; negative: invalid
-        sigma = np.stack([horizontal / np.sqrt(2), horizontal / np.sqrt(2), vertical], axis=1)
-        sigma = np.where(sigma > 0, sigma, np.nan)
-        status = np.where(horizontal < 0, -1, 0).astype(np.int8)
-    return FixData(
-        t, table.numbers("latitude"), table.numbers("longitude"), column("altitude"), status, sigma
+    accuracies = column("horizontalAccuracy"), column("verticalAccuracy")
+    return phone_fix(
+        t, table.numbers("latitude"), table.numbers("longitude"), column("altitude"), *accuracies
     )

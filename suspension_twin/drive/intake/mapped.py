@@ -11,7 +11,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from suspension_twin.arrays import Floats
-from suspension_twin.drive.importers import load_importer
+from suspension_twin.drive.importers import load_importer, read_source
 from suspension_twin.drive.intake.arrays import MAGIC as ARRAY_MAGIC
 from suspension_twin.drive.intake.arrays import read_array
 from suspension_twin.drive.intake.clocks import (
@@ -189,12 +189,12 @@ def _imported(files: _Files, spec: ReceivedSpec) -> Streams:
     for source in files.sources:
         found = source.find(name) if name else None
         if found is not None and source.path.is_dir():
-            return importer.read(Source(source.path / found))
+            return read_source(Source(source.path / found), importer)
         if found is not None or name is None:
-            return importer.read(source)
+            return read_source(source, importer)
     beside = files.sources[0].path.parent / str(name)
     if beside.is_file():
-        return importer.read(Source(beside))
+        return read_source(Source(beside), importer)
     raise InputError(files.sources[0].path, str(name), "is not there (the mapping asks for it)")
 
 

@@ -14,7 +14,7 @@ from pydantic import AfterValidator, Field, model_validator
 
 from suspension_twin.drive.intake.clocks import TIME_UNITS, iso_to_posix
 from suspension_twin.errors import InputError
-from suspension_twin.files import parse_yaml, read_yaml
+from suspension_twin.files import parse_yaml, read_yaml, reading
 from suspension_twin.schema import Strict, checked
 from suspension_twin.units import STANDARD_GRAVITY
 
@@ -283,7 +283,8 @@ TimeSpec.model_rebuild()
 
 def load_mapping(path: str | Path) -> Mapping:
     """Read and check a mapping file; InputError names the file and the key."""
-    return _checked(read_yaml(path), path)
+    with reading(path, "a mapping file"):
+        return _checked(read_yaml(path), path)
 
 
 def parse_mapping(text: str, source: str | Path = "mapping") -> Mapping:

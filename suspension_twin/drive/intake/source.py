@@ -4,16 +4,19 @@
 from __future__ import annotations
 
 import zipfile
-import zlib
 from collections.abc import Mapping
 from pathlib import Path, PurePosixPath
 
+from suspension_twin.drive.budget import Budget
 from suspension_twin.errors import InputError
+from suspension_twin.files import read_bytes, reading
 
 __all__ = ["Source", "decode_text"]
 
-_LARGEST = 2 << 30  # bytes of one member: beyond this an archive is a trap, not a recording
+_LARGEST = 2 << 30  # bytes of one file
 _MOST_FILES = 20_000
+_PIECE = 1 << 20  # bytes of a member of an archive that are unpacked at a time
+_ITEM = 48  # bytes of memory that a line of text, a list or an object takes beside its characters
 
 
 def decode_text(data: bytes) -> tuple[str, bool]:
@@ -38,21 +41,25 @@ class Source:
         self.path = Path(path)
         self._archive: zipfile.ZipFile | None = None
         self._members: Mapping[str, str | Path]
-        try:
+        self._budget = Budget(self.path, 0)
+        with reading(self.path, "a recording"):
             if self.path.is_dir():
                 self._members = self._folder()
-            elif zipfile.is_zipfile(self.path):
-                self._archive = zipfile.ZipFile(self.path)
-                self._members = self._zip(self._archive)
-            else:
-                with self.path.open("rb") as file:
-                    if file.read(4) == b"PK\x03\x04":
-                        raise InputError(self.path, "the zip archive is cut off: copy it again")
-                self._members = {self.path.name: self.path}
-        except zipfile.BadZipFile:
-            raise InputError(self.path, "the zip archive is damaged") from None
-        except OSError as error:
-            raise InputError(self.path, error.strerror or "cannot be read") from None
+                return
+            if not self.path.is_file() and self.path.exists():
+                raise InputError(self.path, "is not a regular file")
+            try:
+                if zipfile.is_zipfile(self.path):
+                    self._archive = zipfile.ZipFile(self.path)
+                    self._members = self._zip(self._archive)
+                    self._budget = Budget(self.path, self.path.stat().st_size)
+                    return
+            except zipfile.BadZipFile:
+                raise InputError(self.path, "the zip archive is damaged") from None
+            with self.path.open("rb") as file:
+                if file.read(4) == b"PK\x03\x04":
+                    raise InputError(self.path, "the zip archive is cut off: copy it again")
+            self._members = {self.path.name: self.path}
 
     def _folder(self) -> dict[str, str | Path]:
         members: dict[str, str | Path] = {}
@@ -66,6 +73,8 @@ class Source:
     @staticmethod
     def _zip(archive: zipfile.ZipFile) -> dict[str, str | Path]:
         names = [i.filename for i in archive.infolist() if not i.is_dir() and not _shadow(i.filename)]
+        if len(names) > _MOST_FILES:
+            raise InputError(str(archive.filename), f"holds more than {_MOST_FILES} files")
         tops = {name.split("/", 1)[0] for name in names}
         wrapped = len(tops) == 1 and all("/" in name for name in names)
         return {name.split("/", 1)[1] if wrapped else name: name for name in names}
@@ -94,21 +103,18 @@ class Source:
         return str(self.path) if str(self.path.name) == name else f"{self.path}/{name}"
 
     def read(self, name: str) -> bytes:
-        """Content of one file; InputError if it cannot be read."""
+        """Content of one file; InputError if it cannot be read, TooLarge if it unpacks to more than it may."""
         member = self._members[name]
-        try:
-            if isinstance(member, Path):
-                if member.stat().st_size > _LARGEST:
-                    raise InputError(self.label(name), "larger than 2 GiB")
-                return member.read_bytes()
-            assert self._archive is not None
-            if self._archive.getinfo(member).file_size > _LARGEST:
-                raise InputError(self.label(name), "larger than 2 GiB")
-            return self._archive.read(member)
-        except OSError as error:
-            raise InputError(self.label(name), error.strerror or "cannot be read") from None
-        except (zipfile.BadZipFile, zlib.error, RuntimeError, NotImplementedError, EOFError):
-            raise InputError(self.label(name), "damaged or encrypted in the archive") from None
+        if isinstance(member, Path):
+            return read_bytes(member, _LARGEST)
+        assert self._archive is not None
+        pieces = []
+        readable = reading(self.label(name), "a file of an archive (or it is encrypted)")
+        with readable, self._archive.open(member) as entry:
+            while piece := entry.read(_PIECE):
+                self._budget.take(len(piece) + _ITEM * sum(map(piece.count, (b"\n", b"[", b"{"))))
+                pieces.append(piece)
+        return b"".join(pieces)
 
     def text(self, name: str) -> str:
         """Content of one text file."""
@@ -118,13 +124,14 @@ class Source:
         """The first bytes of one file, empty if it cannot be read (used to recognise a format)."""
         member = self._members[name]
         try:
-            if isinstance(member, Path):
-                with member.open("rb") as file:
-                    return file.read(size)
-            assert self._archive is not None
-            with self._archive.open(member) as entry:
-                return entry.read(size)
-        except (OSError, zipfile.BadZipFile, zlib.error, RuntimeError, NotImplementedError, EOFError):
+            with reading(self.label(name), "a file"):
+                if isinstance(member, Path):
+                    with member.open("rb") as file:
+                        return file.read(size)
+                assert self._archive is not None
+                with self._archive.open(member) as entry:
+                    return entry.read(size)
+        except InputError:
             return b""
 
 

@@ -13,6 +13,7 @@ import numpy as np
 from suspension_twin.arrays import Floats
 from suspension_twin.drive.intake.source import decode_text
 from suspension_twin.errors import InputError
+from suspension_twin.files import reading
 
 __all__ = ["Table", "number", "read_table"]
 
@@ -21,6 +22,7 @@ _NUMBER = re.compile(
 )
 _COMMA_NUMBER = re.compile(r"^\s*[-+]?\d*,\d+([eE][-+]?\d+)?\s*$")
 _SAMPLE_LINES = 50
+_LONGEST = 1 << 18  # characters of a line
 
 
 @dataclass
@@ -61,7 +63,7 @@ class Table:
         for i, name in enumerate(self.names):
             if name.casefold() == wanted:
                 return i
-        known = ", ".join(self.names) if self.names else "none: the file has no header, give numbers from 0"
+        known = _some(self.names) if self.names else "none: the file has no header, give numbers from 0"
         raise InputError(self.label, f"column {key}", f"is not there; the columns are {known}")
 
     def has(self, *keys: str) -> bool:
@@ -95,6 +97,12 @@ class Table:
         return np.stack([self.numbers(key) for key in keys], axis=1)
 
 
+def _some(names: Sequence[str]) -> str:
+    """Names to choose from, the first of many."""
+    more = f" and {len(names) - 40} more" if len(names) > 40 else ""
+    return ", ".join(name[:40] for name in names[:40]) + more
+
+
 def number(text: str) -> float:
     """A field as a number, NaN where it is none."""
     try:
@@ -119,15 +127,31 @@ def read_table(
     where None. Rows of another width than the table (a first or last line that is partial) are
     dropped and counted. Raises InputError if there is no table.
     """
+    with reading(label, "a table"):
+        return _read_table(data, label, header, delimiter, decimal, comment)
+
+
+def _read_table(
+    data: bytes,
+    label: str,
+    header: bool | int | None,
+    delimiter: str | None,
+    decimal: str | None,
+    comment: str,
+) -> Table:
     text, legacy = decode_text(data)
     if "\0" in text[:4096]:
         raise InputError(label, "not a text file")
     lines = [line for line in text.splitlines() if line.strip() and not line.lstrip().startswith(comment)]
     if not lines:
         raise InputError(label, "empty")
+    if max(map(len, lines)) > _LONGEST:
+        raise InputError(label, f"holds a line of {max(map(len, lines))} characters: not a table")
     if isinstance(header, int) and not isinstance(header, bool):
         lines = lines[header:]
         header = True
+        if not lines:
+            raise InputError(label, "holds no row of names after those to skip")
     sample = lines[:_SAMPLE_LINES]
     if delimiter is None:
         delimiter = _delimiter(sample)

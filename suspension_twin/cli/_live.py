@@ -1,0 +1,70 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Live sources on the terminal: what is to be said at once, and how each device is doing."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Sequence
+from types import TracebackType
+from typing import final
+
+from rich.console import Console, Group
+from rich.live import Live
+from rich.text import Text
+
+from suspension_twin.sources.common.hub import Hub
+from suspension_twin.sources.common.report import device_line, findings
+
+__all__ = ["LiveLines"]
+
+#: Seconds between lines on a terminal, and in a log.
+_PERIOD, _LOG_PERIOD = 0.5, 10.0
+_STYLES = {"ok": "", "warn": "yellow", "error": "bold red"}
+
+
+@final
+class LiveLines:
+    """Shows the devices of a hub while they send; ``notes`` are said first."""
+
+    def __init__(self, hub: Hub, notes: Sequence[str], console: Console | None = None) -> None:
+        self._hub = hub
+        self._notes = notes
+        self._console = console or Console(stderr=True, highlight=False, soft_wrap=True)
+        self._live = (
+            Live(console=self._console, auto_refresh=False, redirect_stdout=False, redirect_stderr=False)
+            if self._console.is_terminal
+            else None
+        )
+        self._due = time.monotonic() + _PERIOD
+
+    def __enter__(self) -> LiveLines:
+        for note in self._notes:
+            self._console.print(Text(note))
+        if self._live is not None:
+            self._live.start()
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        if self._live is not None:
+            self._live.stop()
+
+    def show(self, head: str) -> None:
+        """Say what has happened, and bring the lines up to date if it is time to."""
+        for event in self._hub.heard():
+            self._console.print(Text(event.text, style=_STYLES[event.level]))
+        now = time.monotonic()
+        if now < self._due:
+            return
+        host = self._hub.now()
+        lines = [Text(head)]
+        lines += [Text(f"  {device_line(device, host)}") for device in self._hub.devices.values()]
+        lines += [Text(f"  {f.text}", style=_STYLES[f.level]) for f in findings(self._hub, host)]
+        if self._live is not None:
+            self._live.update(Group(*lines), refresh=True)
+            self._due = now + _PERIOD
+        else:
+            for line in lines:
+                self._console.print(line)
+            self._due = now + _LOG_PERIOD

@@ -1,0 +1,86 @@
+# SPDX-License-Identifier: Apache-2.0
+"""``suspension-twin record``: what live sources send becomes a bag."""
+
+from __future__ import annotations
+
+import asyncio
+import signal
+import time
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Annotated
+
+import typer
+from rich.padding import Padding
+from rich.text import Text
+
+from suspension_twin.cli._live import LiveLines
+from suspension_twin.cli.common import Force, Outputs, SourceUrls, output
+from suspension_twin.drive.read import read_drive
+from suspension_twin.drive.summary import summarise
+from suspension_twin.drive.write import BagWriter
+from suspension_twin.errors import InputError
+from suspension_twin.sources import Source, make_sources
+from suspension_twin.sources.common.hub import Hub
+from suspension_twin.sources.common.recorder import Recorder
+from suspension_twin.sources.common.runner import running
+
+__all__ = ["command"]
+
+#: s between looks for samples.
+_PERIOD = 0.05
+
+
+def command(
+    out: Annotated[
+        Path,
+        typer.Option(
+            "--out", metavar="BAG", help="The bag to write: a folder, or a file if it ends in .mcap."
+        ),
+    ],
+    source: SourceUrls = None,
+    seconds: Annotated[
+        float | None,
+        typer.Option(
+            "--seconds", metavar="S", help="End after so many seconds.", min=0.1, show_default=False
+        ),
+    ] = None,
+    force: Force = False,
+) -> None:
+    """Live phones, receivers and IMUs into a bag, without a twin and without ROS. Ctrl-C ends it.
+
+    The bag is what calibrate takes. Stand still for some seconds before you drive off.
+    """
+    if not source:
+        raise InputError("--source", "is missing: name what to record, such as sensorlogger://0.0.0.0:8000")
+    outputs = Outputs(out, force=force)
+    BagWriter(out, overwrite=force)  # replaces nothing but a recording
+    hub = Hub()
+    sources = make_sources(source, hub)
+    console = output()
+    outputs.announce()
+    with Recorder(out, overwrite=force) as recorder:
+        asyncio.run(_record(sources, hub, recorder, seconds))
+    drive = read_drive(out)
+    for line in [*summarise(drive).lines(), *(f"warning: {text}" for text in drive.warnings)]:
+        console.print(Padding(Text(line), (0, 0, 0, 2), expand=False))
+    console.print(f"Written to {out}", markup=False)
+
+
+async def _record(sources: Sequence[Source], hub: Hub, recorder: Recorder, seconds: float | None) -> None:
+    """Until Ctrl-C, SIGTERM or the end of the time."""
+    end = asyncio.Event()
+    loop = asyncio.get_running_loop()
+    for number in (signal.SIGINT, signal.SIGTERM):
+        loop.add_signal_handler(number, end.set)
+    began = time.monotonic()
+    async with running(sources, hub):
+        with LiveLines(hub, [note for source in sources for note in source.notes]) as lines:
+            while not end.is_set() and (seconds is None or time.monotonic() - began < seconds):
+                recorder.write(hub.take())
+                lines.show(f"{recorder.counts['imu']} IMU samples, {recorder.counts['fix']} positions")
+                try:
+                    await asyncio.wait_for(end.wait(), _PERIOD)
+                except asyncio.TimeoutError:
+                    continue
+    recorder.write(hub.take())

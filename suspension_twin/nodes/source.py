@@ -1,0 +1,129 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The node of live phones, receivers and IMUs: their samples on ``imu/data_raw``, ``fix``, ``vel``, ``heading``.
+
+What they are, how they are reached and how their clocks are brought together is
+:mod:`suspension_twin.sources`.
+"""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable
+from dataclasses import replace
+from functools import partial
+from typing import Any
+
+from geometry_msgs.msg import QuaternionStamped, TwistStamped
+from sensor_msgs.msg import Imu, NavSatFix
+
+from suspension_twin.drive.repair import nanoseconds
+from suspension_twin.drive.types import FixData, ImuData
+from suspension_twin.nodes.base import TwinNode
+from suspension_twin.nodes.messages import fill_fix, fill_heading, fill_imu, fill_velocity
+from suspension_twin.nodes.parameters import TWIN, Param, twin_of
+from suspension_twin.nodes.process import run_alone
+from suspension_twin.nodes.topics import ERROR, NS, OK, WARN, Embedding, Output
+from suspension_twin.sources.common.clock import host_time
+from suspension_twin.sources.common.device import Stream
+from suspension_twin.sources.common.hub import Hub
+from suspension_twin.sources.common.report import device_line, device_values, findings
+from suspension_twin.sources.common.runner import SourceThread
+
+__all__ = ["SourceNode", "main"]
+
+_LEVELS = {"ok": OK, "warn": WARN, "error": ERROR}
+#: By stream: topic, type, and what puts a sample into a message.
+_TOPICS: dict[Stream, tuple[str, type, Callable[[Any, Any, int], None]]] = {
+    "imu": ("imu/data_raw", Imu, fill_imu),
+    "fix": ("fix", NavSatFix, fill_fix),
+    "vel": ("vel", TwistStamped, fill_velocity),
+    "heading": ("heading", QuaternionStamped, fill_heading),
+}
+
+
+class SourceNode(TwinNode):
+    """Live sources in; messages of sensors out."""
+
+    parameters = (
+        TWIN,
+        Param(
+            "sources",
+            "",
+            "URLs of the sources, separated by spaces, such as sensorlogger://0.0.0.0:8000 ubx:/dev/ttyACM0.",
+            read_only=True,
+        ),
+    )
+
+    def __init__(self, embedding: Embedding | None = None) -> None:
+        super().__init__("source", embedding)
+        twin = twin_of(self.values)
+        self._frames = ("imu_link", "gps_link") if twin is None else (twin.imu.frame, twin.gps.frame)
+        self._ways: dict[Stream, tuple[Output, Any, Callable[[Any, Any, int], None]]] = {
+            stream: (self.offer(kind, topic), kind(), fill) for stream, (topic, kind, fill) in _TOPICS.items()
+        }
+        #: What has been received is handed to this, too, if it is set: a recorder.
+        self.tap: Callable[[Any], None] | None = None
+        guard = self.create_guard_condition(self._deliver)
+        self.hub = Hub(wake=guard.trigger)
+        try:
+            self._thread = SourceThread(self.values["sources"].split(), self.hub)
+        except BaseException:
+            self.destroy_node()
+            raise
+        for note in self._thread.notes:
+            self.log.info(note)
+
+    @property
+    def notes(self) -> list[str]:
+        """What the sources have to tell the user."""
+        return self._thread.notes
+
+    def destroy_node(self) -> None:
+        """Stop the sources, then as in the base class."""
+        if hasattr(self, "_thread"):
+            self._thread.close()
+        super().destroy_node()  # type: ignore[no-untyped-call]
+
+    def _deliver(self) -> None:
+        """Publish what has come."""
+        for finding in self.hub.heard():
+            self.note(
+                f"{finding.code}: {finding.text.partition(':')[0]}", _LEVELS[finding.level], finding.text
+            )
+        for packet in self.hub.take():
+            if self.tap is not None:
+                self.tap(packet)
+            samples, (output, message, fill) = packet.samples, self._ways[packet.stream]
+            if isinstance(samples, ImuData):
+                samples = replace(samples, frame=self._frames[0])
+            elif isinstance(samples, FixData):
+                samples = replace(samples, frame=self._frames[1])
+            stamp = message.header.stamp
+            for i, ns in enumerate(nanoseconds(samples.t).tolist()):
+                self.outbox.enter()
+                try:
+                    stamp.sec, stamp.nanosec = divmod(ns, NS)
+                    fill(samples, message, i)
+                    output.send(message)
+                finally:
+                    self.outbox.leave()
+
+    def report(self) -> None:
+        """See the base class."""
+        now = host_time()
+        self.show_findings(findings(self.hub, now))
+        values = self.health.values
+        if self.hub.dropped:
+            values["samples dropped, this process was too slow"] = str(self.hub.dropped)
+        for stream, device in list(self.hub.chosen.items()):
+            values[f"{stream} from"] = device.name
+        for device in list(self.hub.devices.values()):
+            values[device.name] = device_line(device, now)
+            for name, value in device_values(device, now).items():
+                values[f"{device.name}: {name}"] = value
+
+
+main = partial(run_alone, SourceNode)
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,319 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Longitudinal profiles: lines of heights along a road, read from files and made into a road.
+
+CSV is read here, ERD in ``erd.py``, OpenDRIVE with its OpenCRG files in ``opendrive.py``.
+"""
+
+from __future__ import annotations
+
+import csv
+import io
+import math
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from suspension_twin.arrays import Floats
+from suspension_twin.errors import InputError
+from suspension_twin.road.build import grid_road
+from suspension_twin.road.road import Road
+
+__all__ = ["UNITS", "Profile", "profile_road", "read_profile", "together", "unit_of"]
+
+#: m for one unit of length.
+UNITS: dict[str, float] = {
+    "m": 1.0,
+    "cm": 1e-2,
+    "mm": 1e-3,
+    "um": 1e-6,
+    "km": 1e3,
+    "in": 0.0254,
+    "mil": 2.54e-5,
+    "ft": 0.3048,
+    "yd": 0.9144,
+    "mi": 1609.344,
+}
+_ALIASES: dict[str, str] = {
+    "metre": "m",
+    "metres": "m",
+    "meter": "m",
+    "meters": "m",
+    "inch": "in",
+    "inches": "in",
+    '"': "in",
+    "feet": "ft",
+    "foot": "ft",
+    "'": "ft",
+    "mils": "mil",
+    "miles": "mi",
+    "mile": "mi",
+    "µm": "um",
+    "μm": "um",
+}
+#: A wheel path is as high as its line this far to its left and right, m: a tyre's width and the driver's wander.
+_HELD = 0.35
+
+
+@dataclass(frozen=True, eq=False)
+class Profile:
+    """Lines along a road: ``z`` (lines, n) m every ``step`` m, their ``names``, and ``v`` m of each, if known."""
+
+    name: str
+    step: float
+    z: Floats
+    names: tuple[str, ...]
+    v: tuple[float, ...] | None = None
+
+    @property
+    def length(self) -> float:
+        """m from the first to the last point."""
+        return self.step * (int(self.z.shape[1]) - 1)
+
+
+def unit_of(text: str, source: Path, field: str) -> float:
+    """m for one of a unit of length, by its name; raises InputError for another unit."""
+    word = text.strip().strip(".").lower()
+    word = _ALIASES.get(word, word)
+    if word not in UNITS:
+        raise InputError(source, field, f"{text.strip()!r} is not a length; known are {', '.join(UNITS)}")
+    return float(UNITS[word])
+
+
+def read_profile(path: Path, unit: str | None = None) -> Profile:
+    """Read a profile file: ERD by its first line, otherwise CSV.
+
+    Parameters
+    ----------
+    path : Path
+        The file. CSV: the distance, then the heights of one line or more; comma, semicolon, tab or
+        blanks between; a heading may name the columns, with a unit in brackets.
+    unit : str, optional
+        Unit of the heights where the file names none (m).
+
+    Returns
+    -------
+    Profile
+        Evenly spaced, heights in m.
+
+    Raises
+    ------
+    InputError
+        The file cannot be read as a profile; the line names what is wrong.
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> from suspension_twin.files import write_text
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     file = Path(folder) / "a.csv"
+    ...     write_text(file, "distance [m],left [mm],right [mm]\\n" + "\\n".join(f"{i},{i},0" for i in range(9)))
+    ...     read_profile(file).z[:, 3].round(6).tolist()
+    [0.003, 0.0]
+    """
+    try:
+        raw = path.read_bytes()
+    except OSError as error:
+        raise InputError(path, error.strerror or "cannot be read") from None
+    if raw[:3].upper() == b"ERD":
+        from suspension_twin.road.erd import read_erd
+
+        return read_erd(path, raw)
+    if raw[:4] == b"PPF\x00" or path.suffix.lower() == ".ppf":
+        raise InputError(path, "PPF (ASTM E2560) is not read; export it from ProVAL as ERD")
+    try:
+        text = raw.decode("utf-8-sig")
+    except UnicodeDecodeError:
+        raise InputError(path, "neither ERD nor a text file") from None
+    return _read_csv(path, text, unit)
+
+
+def _read_csv(path: Path, text: str, unit: str | None) -> Profile:
+    lines = [line for line in text.splitlines() if line.strip() and not line.lstrip().startswith("#")]
+    if not lines:
+        raise InputError(path, "is empty")
+    # A decimal comma goes with semicolons; blanks separate where nothing else does.
+    mark = next((m for m in (";", "\t", ",") if m in lines[-1]), None)
+    rows = (
+        list(csv.reader(io.StringIO("\n".join(lines)), delimiter=mark))
+        if mark
+        else [s.split() for s in lines]
+    )
+    decimal_comma = mark == ";" and any("," in cell for cell in rows[-1])
+
+    def number(cell: str) -> float:
+        cell = cell.strip()
+        if not cell:
+            return math.nan
+        return float(cell.replace(",", ".") if decimal_comma else cell)
+
+    head: list[str] = []
+    try:
+        [number(cell) for cell in rows[0]]
+    except ValueError:
+        head = [cell.strip() for cell in rows.pop(0)]
+    width = len(head) or (len(rows[0]) if rows else 0)
+    if width < 2 or len(rows) < 2:
+        raise InputError(path, "needs a column of distances, one of heights or more, and two rows or more")
+    table = np.empty((len(rows), width))
+    for i, row in enumerate(rows):
+        if len(row) != width:
+            raise InputError(path, f"row {i + 1 + bool(head)}", f"has {len(row)} columns instead of {width}")
+        for j, cell in enumerate(row):
+            try:
+                table[i, j] = number(cell)
+            except ValueError:
+                where = f"row {i + 1 + bool(head)}, column {j + 1}"
+                raise InputError(path, where, f"{cell.strip()!r} is not a number") from None
+    names, scales = _columns(path, head or ["distance", *[f"line {j}" for j in range(1, width)]], unit)
+    table = table * scales
+    places = [re.fullmatch(r"v?\s*=?\s*([-+]?\d+(?:\.\d*)?)(?:\s*m)?", name) for name in names[1:]]
+    v = tuple(float(p[1]) for p in places if p) if head and all(places) else None
+    return replace(_even(path, table[:, 0], table[:, 1:].T), names=tuple(names[1:]), v=v)
+
+
+def _columns(path: Path, head: Sequence[str], unit: str | None) -> tuple[list[str], Floats]:
+    """Names without their units, and m for one of each column."""
+    fallback = 1.0 if unit is None else unit_of(unit, path, "--unit")
+    names, scales = [], []
+    for j, cell in enumerate(head):
+        found = re.fullmatch(r"(.*?)\s*[\[(]\s*([^\])]*)\s*[\])]\s*", cell)
+        names.append((found[1] if found else cell).strip())
+        known = unit_of(found[2], path, f"column {cell!r}") if found else (1.0 if j == 0 else fallback)
+        scales.append(known)
+    return names, np.array(scales)
+
+
+def _even(path: Path, s: Floats, z: Floats) -> Profile:
+    """Lines (lines, n) over rising distances, on even steps."""
+    if not np.isfinite(s).all():
+        raise InputError(path, "distance", "is missing in a row")
+    step = np.diff(s)
+    if not (step > 0.0).all():
+        i = int(np.flatnonzero(~(step > 0.0))[0])
+        raise InputError(path, "distance", f"must rise; after {s[i]:g} m comes {s[i + 1]:g} m")
+    if np.isinf(z).any() or np.isnan(z).all():
+        raise InputError(path, "heights", "none that is finite" if np.isnan(z).all() else "one is infinite")
+    typical = float(np.median(step))
+    if float(np.ptp(step)) <= 2e-3 * typical:
+        return Profile(path.name, float(s[-1] - s[0]) / (s.size - 1), z, ())
+    # Uneven: the finest of the usual steps, linear between the points of each line.
+    fine = float(np.quantile(step, 0.1))
+    at = np.arange(s[0], s[-1] + 1e-9, fine)
+    lines = []
+    for line in z:
+        good = np.isfinite(line)
+        if good.sum() < 2:
+            raise InputError(path, "heights", "a line has fewer than two")
+        lines.append(np.interp(at, s[good], line[good]))
+    return Profile(path.name, fine, np.array(lines), ())
+
+
+def together(profiles: Sequence[Profile]) -> Profile:
+    """The lines of several files of the same step, side by side, as long as the shortest; raises InputError."""
+    first = profiles[0]
+    if len(profiles) == 1:
+        return first
+    for other in profiles[1:]:
+        if not math.isclose(other.step, first.step, rel_tol=1e-3):
+            raise InputError(other.name, f"has a step of {other.step:g} m, {first.name} of {first.step:g} m")
+    count = min(p.z.shape[1] for p in profiles)
+    places = [p.v for p in profiles]
+    v = None if any(p is None for p in places) else tuple(at for p in places if p is not None for at in p)
+    single = all(p.z.shape[0] == 1 for p in profiles)
+    names = [Path(p.name).stem for p in profiles] if single else [name for p in profiles for name in p.names]
+    return Profile(first.name, first.step, np.vstack([p.z[:, :count] for p in profiles]), tuple(names), v)
+
+
+def profile_road(
+    profile: Profile,
+    *,
+    track: float = 1.5,
+    width: float = 4.0,
+    v: Sequence[float] | None = None,
+    x: float = 0.0,
+    y: float = 0.0,
+    heading: float = 0.0,
+) -> Road:
+    """A straight road of a profile.
+
+    Parameters
+    ----------
+    profile : Profile
+        One line: the same across the whole road. Two: the left and the right wheel path, in that
+        order or as their names say. More: at the places ``v`` or that the file gives.
+    track : float
+        Distance of the two wheel paths in m.
+    width : float
+        Of the road in m; beyond the outermost lines their heights are held.
+    v : sequence of float, optional
+        Lateral place of each line in m, positive to the left.
+    x, y, heading : float
+        Start in ``map`` in m, and direction in rad.
+
+    Returns
+    -------
+    Road
+        Each of two wheel paths is level across 0.35 m on both sides of its line, and the road
+        linear between them.
+
+    Raises
+    ------
+    InputError
+        The places do not fit the lines.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> road = profile_road(Profile("a", 0.1, np.array([[0.0, 0.0], [0.02, 0.02]]), ("left", "right")))
+    >>> road.heights_uv(0.0, [1.0, 0.0, -1.0]).round(3).tolist()
+    [0.0, 0.01, 0.02]
+    """
+    z = profile.z
+    count = z.shape[0]
+    places = _places(profile, track, v)
+    if not width > 0.0:
+        raise InputError(profile.name, "width", f"must be above 0 m, is {width}")
+    order = np.argsort(places)
+    at, lines = np.array(places)[order], z[order]
+    half = 0.5 * width
+    if count == 1:
+        grid, heights = np.array([-half, half]), np.repeat(lines, 2, axis=0)
+    else:
+        if (np.diff(at) <= 0.0).any():
+            raise InputError(profile.name, "v", "two lines lie at the same place")
+        if count == 2:
+            held = min(_HELD, 0.4 * float(at[1] - at[0]))
+            spread = np.array([-held, held])
+            grid, heights = (at[:, None] + spread).ravel(), np.repeat(lines, 2, axis=0)
+        else:
+            grid, heights = at, lines
+        low, high = int(-half < grid[0] - 1e-6), int(half > grid[-1] + 1e-6)
+        grid = np.concatenate([[-half] * low, grid, [half] * high])
+        heights = np.concatenate([heights[:1]] * low + [heights] + [heights[-1:]] * high)
+    return grid_road(heights.T, profile.step, grid, x=x, y=y, heading=heading, name=profile.name)
+
+
+def _places(profile: Profile, track: float, v: Sequence[float] | None) -> list[float]:
+    """v of each line in m."""
+    count = profile.z.shape[0]
+    given = profile.v if v is None else tuple(v)
+    if given is not None:
+        if len(given) != count:
+            raise InputError(profile.name, "--v", f"{len(given)} places for {count} lines")
+        return list(given)
+    if count == 1:
+        return [0.0]
+    sides = {"l": 0.5, "c": 0.0, "m": 0.0, "r": -0.5}
+    named = [sides.get(name[:1].lower()) for name in profile.names]
+    words = [side for side in named if side is not None]
+    plain = all(re.match(r"l[^i]|r|c|m", name.lower()) for name in profile.names)
+    if plain and len(words) == count and len(set(words)) == count:
+        return [track * side for side in words]
+    if count == 2:
+        return [0.5 * track, -0.5 * track]
+    raise InputError(
+        profile.name, f"{count} lines ({', '.join(profile.names)}): --v says where each of them lies across"
+    )

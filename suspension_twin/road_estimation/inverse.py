@@ -1,0 +1,218 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The linear inverse: a Gaussian road seen through the twin by several passes at once.
+
+Unknown are the mean and the half difference of the heights of both wheel paths on a grid, and a
+shift along the road of each pass at its knots. A priori the road is a filtered white noise,
+``x = S w`` with ``|S|²`` the spectrum, and the noise of each channel of a pass is stationary with a
+spectrum of its own. What is solved is (I + Aᵀ A) w = Aᵀ r with A the whitened chain from w to the
+channels, by conjugate gradients; every factor is a Fourier transform or a sparse matrix, so the
+cost grows with the length of the road and not with its square. The posterior is sampled by solving
+the same equations for a road drawn from the prior and channels that it would have given with noise
+(Papandreou and Yuille, NIPS 23 (2010) 1858; the error of that estimate has the posterior's covariance).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.fft import irfft, next_fast_len, rfft
+from scipy.sparse import csr_matrix
+
+from suspension_twin.arrays import Floats
+from suspension_twin.road_estimation.passes import FINE, Pass
+
+__all__ = ["Inverse", "RoadPrior", "Seen", "Unknown"]
+
+Complex = NDArray[np.complex128]
+
+#: Relative residual of the equations, of the mean and of draws, whose errors are known to a tenth anyway.
+_TOLERANCE, _ROUGH = 1e-3, 5e-3
+_MOST = 400  # iterations
+
+
+@dataclass(frozen=True, eq=False)
+class Unknown:
+    """``road`` (2, period): white noise of mean and half difference; ``shifts``: each pass's (j,) in prior sigmas."""
+
+    road: Floats
+    shifts: tuple[Floats, ...]
+
+    def plus(self, factor: float, other: Unknown) -> Unknown:
+        """This plus ``factor`` times another."""
+        shifts = tuple(a + factor * b for a, b in zip(self.shifts, other.shifts, strict=True))
+        return Unknown(self.road + factor * other.road, shifts)
+
+    def dot(self, other: Unknown) -> float:
+        """Inner product."""
+        shifts = sum(float(a @ b) for a, b in zip(self.shifts, other.shifts, strict=True))
+        return float(np.vdot(self.road, other.road)) + shifts
+
+
+@dataclass(frozen=True, eq=False)
+class RoadPrior:
+    """The road a priori: ``spectrum`` (2, k) m³, one-sided, of mean and half difference at ``n`` (k,) cycles/m;
+    ``scale`` (2, period) by which the white noise is larger in places; ``count`` heights every ``step`` m."""
+
+    count: int
+    period: int
+    step: float
+    spectrum: Floats
+    scale: Floats
+
+    @property
+    def n(self) -> Floats:
+        """(k,) cycles/m."""
+        return np.asarray(np.fft.rfftfreq(self.period, self.step), dtype=np.float64)
+
+    @property
+    def factor(self) -> Complex:
+        """(2, k): the gain from white noise to heights. Its phase is that of an integrator, so that a change of
+        scale at one place changes the slopes there."""
+        gain: Complex = np.sqrt(self.spectrum / (2.0 * self.step)) * -1j
+        gain[:, 0] = 0.0
+        return gain
+
+    def heights(self, white: Floats) -> Floats:
+        """Heights (2, count) m of mean and half difference."""
+        out: Floats = irfft(self.factor * rfft(self.scale * white, axis=1), self.period, axis=1)[
+            :, : self.count
+        ]
+        return out
+
+    def back(self, heights: Floats) -> Floats:
+        """The adjoint: (2, period)."""
+        padded = np.zeros((2, self.period))
+        padded[:, : self.count] = heights
+        out: Floats = self.scale * irfft(np.conj(self.factor) * rfft(padded, axis=1), self.period, axis=1)
+        return out
+
+
+def period_of(count: int, step: float) -> int:
+    """Samples of a period that holds ``count`` heights and 60 m for them to forget each other."""
+    return int(next_fast_len(count + round(60.0 / step), real=True))
+
+
+class Seen:
+    """One pass's chain from heights to whitened channels, about a road and a shift."""
+
+    def __init__(
+        self, one: Pass, gain: Complex, noise: Floats, wheels: Sequence[csr_matrix], slope: Floats
+    ) -> None:
+        """``gain`` (k, 3, 4) at the pass's frequencies, filter included; ``noise`` (3, k) one-sided PSD, infinite
+        where nothing is compared; ``slope`` (4, FINE n) of the road under each wheel."""
+        self.one, self.wheels, self.slope = one, wheels, slope
+        self.gain = np.ascontiguousarray(gain.transpose(1, 2, 0))  # (3, 4, k)
+        self.n = one.t.size
+        self.whitening = 1.0 / np.sqrt(noise * 0.5 * one.rate)
+        self.back = [w.T.tocsr() for w in wheels]
+        edge = np.zeros(FINE * self.n)
+        edge[:] = 1.0
+        rise = 0.5 - 0.5 * np.cos(np.pi * np.arange(round(FINE * one.rate)) / (FINE * one.rate))
+        edge[: rise.size] = rise[: edge.size]
+        edge[-rise.size :] = np.minimum(edge[-rise.size :], rise[::-1])
+        self.edge = edge  # the start of a period must not see its end as a step
+
+    def channels(self, heights: Floats, shift: Floats) -> Floats:
+        """Channels (3, n), not whitened, of changes of heights (2, count) and shift (j,) m."""
+        moved = shift @ self.one.knots
+        sides = (heights[0] + heights[1], heights[0] - heights[1])
+        z = np.array([w @ sides[i % 2] for i, w in enumerate(self.wheels)]) + self.slope * moved
+        spectrum = rfft(z * self.edge, axis=1)[:, : self.n // 2 + 1] / FINE
+        out: Floats = irfft((self.gain * spectrum).sum(axis=1), self.n, axis=1)
+        return out
+
+    def forward(self, heights: Floats, shift: Floats) -> Floats:
+        """Whitened channels (3, n)."""
+        return self.whiten(self.channels(heights, shift))
+
+    def whiten(self, channels: Floats) -> Floats:
+        """Channels (3, n) with their weights, at unit variance a sample where there is noise alone."""
+        out: Floats = irfft(self.whitening * rfft(channels * self.one.weight, axis=1), self.n, axis=1)
+        return out
+
+    def coloured(self, rng: np.random.Generator) -> Floats:
+        """Noise (3, n) with the spectrum that is assumed; none where nothing is compared."""
+        white = rfft(rng.standard_normal((3, self.n)), axis=1)
+        used = self.whitening > 0.0
+        colour = np.divide(1.0, self.whitening, out=np.zeros_like(self.whitening), where=used)
+        out: Floats = irfft(colour * white, self.n, axis=1)
+        return out
+
+    def adjoint(self, white: Floats) -> tuple[Floats, Floats]:
+        """Of ``forward``: heights (2, count) and shift (j,)."""
+        channels = self.one.weight * irfft(self.whitening * rfft(white, axis=1), self.n, axis=1)
+        spectrum = np.zeros((4, FINE * self.n // 2 + 1), dtype=np.complex128)
+        half = self.n // 2 + 1
+        spectrum[:, :half] = (np.conj(self.gain) * rfft(channels, axis=1)[:, None]).sum(axis=0)
+        if self.n % 2 == 0 and spectrum.shape[1] > half:
+            spectrum[:, half - 1] *= 0.5  # the last of the coarse is one of a pair in the fine
+        z = self.edge * irfft(spectrum, FINE * self.n, axis=1)
+        parts = [b @ z[i] for i, b in enumerate(self.back)]
+        left, right = parts[0] + parts[2], parts[1] + parts[3]
+        return np.array([left + right, left - right]), self.one.knots @ (self.slope * z).sum(axis=0)
+
+
+class Inverse:
+    """The posterior of road and shifts given what several passes saw."""
+
+    def __init__(self, prior: RoadPrior, seen: Sequence[Seen]) -> None:
+        self.prior, self.seen = prior, list(seen)
+
+    def zero(self) -> Unknown:
+        """Nothing."""
+        shifts = tuple(np.zeros(s.one.knots.shape[0]) for s in self.seen)
+        return Unknown(np.zeros((2, self.prior.period)), shifts)
+
+    def shift(self, i: int, white: Floats) -> Floats:
+        """Shift (j,) m of pass i at its knots."""
+        return white * self.seen[i].one.shift_sigma
+
+    def forward(self, unknown: Unknown) -> list[Floats]:
+        """Whitened channels of every pass."""
+        heights = self.prior.heights(unknown.road)
+        return [s.forward(heights, self.shift(i, unknown.shifts[i])) for i, s in enumerate(self.seen)]
+
+    def adjoint(self, white: Sequence[Floats]) -> Unknown:
+        """Of ``forward``."""
+        heights = np.zeros((2, self.prior.count))
+        shifts = []
+        for s, w in zip(self.seen, white, strict=True):
+            own, moved = s.adjoint(w)
+            heights += own
+            shifts.append(moved * s.one.shift_sigma)
+        return Unknown(self.prior.back(heights), tuple(shifts))
+
+    def solve(self, residuals: Sequence[Floats], tolerance: float = _TOLERANCE) -> Unknown:
+        """The posterior mean for whitened residuals (3, n) of every pass, by conjugate gradients."""
+        x, r = self.zero(), self.adjoint(residuals)
+        p, rr = r, r.dot(r)
+        goal = tolerance**2 * rr
+        for _ in range(_MOST):
+            if rr <= goal:
+                break
+            ap = self._normal(p)
+            alpha = rr / p.dot(ap)
+            x, r = x.plus(alpha, p), r.plus(-alpha, ap)
+            new = r.dot(r)
+            p, rr = r.plus(new / rr, p), new
+        return x
+
+    def _normal(self, x: Unknown) -> Unknown:
+        return x.plus(1.0, self.adjoint(self.forward(x)))
+
+    def error_sample(self, rng: np.random.Generator) -> Unknown:
+        """A draw of the posterior about its mean."""
+        truth, white = self.imagined(rng)
+        return truth.plus(-1.0, self.solve(white, _ROUGH))
+
+    def imagined(self, rng: np.random.Generator) -> tuple[Unknown, list[Floats]]:
+        """A road and shifts drawn from the prior, and the whitened channels that they would give, with noise."""
+        zero = self.zero()
+        truth = Unknown(
+            rng.standard_normal(zero.road.shape), tuple(rng.standard_normal(s.shape) for s in zero.shifts)
+        )
+        white = [y + s.whiten(s.coloured(rng)) for s, y in zip(self.seen, self.forward(truth), strict=True)]
+        return truth, white

@@ -1,0 +1,207 @@
+# SPDX-License-Identifier: Apache-2.0
+"""One drive over the road that is sought: its measured channels, and where its wheels were on the road's line."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.fft import next_fast_len
+from scipy.signal import freqz_sos
+from scipy.sparse import csr_matrix
+
+from suspension_twin.arrays import Floats
+from suspension_twin.errors import InputError
+from suspension_twin.gap.prepare import Prepared
+from suspension_twin.models.excitation import excitation
+from suspension_twin.models.simulate import simulate_twin
+from suspension_twin.pose.types import Trajectory
+from suspension_twin.road.centreline import Centreline
+from suspension_twin.road.road import Road
+from suspension_twin.road_estimation.transfer import CHANNELS
+from suspension_twin.vehicle.twin import Twin
+
+__all__ = ["FINE", "LANE_SIGMA", "Pass", "line_of", "make_pass"]
+
+#: Wheels are placed on the line so many times in each sample.
+FINE = 2
+#: A pass is on the move above this, m/s: below, clocks and maps blur what little the wheels meet.
+_MOVING = 1.0
+#: s at both ends of a pass over which its weight rises: the road before it is not known.
+_TAPER = 1.5
+_SHORTEST = 4.0
+#: Receivers that are less certain than this, m, cannot tell in which lane they are.
+LANE_SIGMA = 0.3
+#: Drives farther apart than this, m, have other wheel paths.
+LANE = 0.6
+_OTHER_ROAD = 30.0
+#: Time in s between the knots of a pass's shift along the road.
+KNOT = 4.0
+
+
+@dataclass(frozen=True, eq=False)
+class Pass:
+    """A part of a drive on uniform samples.
+
+    n is a number of samples that Fourier transforms are fast at: after the ``recorded`` ones their weight is zero.
+    ``t`` (n,) s; ``measured`` (3, n) the channels; ``u`` (4, FINE n) m of the wheels on the line, at FINE times the
+    rate; ``weight`` (n,) 0 to 1 of each sample; ``shaped`` (k,) gain of the filter that the channels went through;
+    ``base`` (FINE n,) m by which the pass lies farther on than its receiver says;
+    ``knots`` (j, FINE n) shares of the knots of a shift along the road; ``shift_sigma`` m, its prior.
+    """
+
+    name: str
+    prepared: Prepared
+    t: Floats
+    measured: Floats
+    u: Floats
+    weight: Floats
+    shaped: Floats
+    base: Floats
+    knots: Floats
+    shift_sigma: float
+
+    @property
+    def recorded(self) -> int:
+        """Samples that were recorded."""
+        return int(self.prepared.t.size)
+
+    @property
+    def rate(self) -> float:
+        """Samples per second."""
+        return self.prepared.rate
+
+    @property
+    def speed(self) -> float:
+        """Median speed in m/s."""
+        return float(np.median(self.prepared.speed[self.prepared.speed > _MOVING]))
+
+    def placed(self, shift: Floats, u0: float, du: float, count: int) -> list[csr_matrix]:
+        """For each wheel a matrix (FINE n, count) from heights on a grid to heights under the wheel.
+
+        ``shift`` (j,) m by which the pass lies farther on at its knots; linear between the heights.
+        """
+        moved = self.u + self.base + shift @ self.knots
+        out = []
+        for row in moved:
+            at = np.clip((row - u0) / du, 0.0, count - 1.001)
+            left = np.floor(at).astype(np.int64)
+            part = at - left
+            rows = np.arange(row.size)
+            data = np.concatenate([1.0 - part, part])
+            where = (np.concatenate([rows, rows]), np.concatenate([left, left + 1]))
+            out.append(csr_matrix((data, where), shape=(row.size, count)))
+        return out
+
+    def simulated(self, twin: Twin, road: Road, shift: Floats) -> Floats:
+        """The channels (3, n) of the twin over a road, through the same filter."""
+        path = self.prepared.trajectory
+        fine = self.t[0] + np.arange(self.u.shape[1]) / (FINE * self.rate)
+        along = np.interp(path.t, fine, self.base + shift @ self.knots)
+        moved = replace(path, x=path.x + along * np.cos(path.yaw), y=path.y + along * np.sin(path.yaw))
+        driven = excitation(moved, twin.vehicle, road, self.prepared.settings.max_step, twin.gps.position[2])
+        found = self.prepared.condition(simulate_twin(twin, driven))
+        return np.array([_padded(found[name], self.t.size) for name in CHANNELS])
+
+
+def line_of(paths: Sequence[Trajectory], step: float, margin: float) -> Centreline:
+    """A line along the drives: the longest one's own path on the move, ``margin`` m longer at both ends."""
+    lines = []
+    for path in paths:
+        on = path.speed > _MOVING
+        if on.sum() > 10:
+            lines.append((path.x[on], path.y[on]))
+    if not lines:
+        raise InputError("drives", f"none of them moves faster than {_MOVING:g} m/s")
+    x, y = max(lines, key=lambda p: float(np.hypot(np.diff(p[0]), np.diff(p[1])).sum()))
+    rough = Centreline(x, y, 1.0)
+    px, py = rough.x, rough.y
+    ends = []
+    for sign, i in ((-1.0, 0), (1.0, -1)):
+        heading = rough.headings[i]
+        ends.append((px[i] + sign * margin * np.cos(heading), py[i] + sign * margin * np.sin(heading)))
+    return Centreline(np.r_[ends[0][0], px, ends[1][0]], np.r_[ends[0][1], py, ends[1][1]], step)
+
+
+def make_pass(prepared: Prepared, line: Road) -> Pass:
+    """A prepared drive as a pass over the road whose line ``line`` has."""
+    prepared, across = _snapped(prepared, line)
+    path = prepared.trajectory
+    n = int(next_fast_len(prepared.t.size, real=True))
+    grid = prepared.t[0] + np.arange(n) / prepared.rate
+    fine = grid[0] + np.arange(FINE * n) / (FINE * prepared.rate)
+    x, y, yaw = (np.interp(fine, path.t, getattr(path, name)) for name in ("x", "y", "yaw"))
+    wheels = prepared.twin.vehicle.wheel_positions
+    u = np.array(
+        [
+            line.xy_to_uv(x + np.cos(yaw) * a - np.sin(yaw) * b, y + np.sin(yaw) * a + np.cos(yaw) * b)[0]
+            for a, b in wheels
+        ]
+    )
+    on = (u.min(axis=0) > line.u_first) & (u.max(axis=0) < line.u_last)
+    recorded = on[::FINE][: prepared.t.size] & (prepared.speed > _MOVING) & prepared.mask
+    usable = np.concatenate([recorded, np.zeros(n - recorded.size, dtype=np.bool_)])
+    if prepared.position_sigma < LANE_SIGMA and abs(across) > LANE:
+        raise InputError(
+            prepared.name,
+            f"was driven {abs(across):.2f} m beside the first drive: its wheels met another road",
+        )
+    weight = _tapered(usable, prepared.rate)
+    if weight.sum() < _SHORTEST * prepared.rate:
+        raise InputError(prepared.name, f"has less than {_SHORTEST:g} s on the road of the other drives")
+    _, gain = freqz_sos(
+        prepared.settings.filter.sections(prepared.rate),
+        worN=np.fft.rfftfreq(n, 1.0 / prepared.rate),
+        fs=prepared.rate,
+    )
+    count = max(2, round((grid[-1] - grid[0]) / KNOT) + 1)
+    at = np.linspace(fine[0], fine[-1], count)
+    knots = np.array([np.interp(fine, at, row) for row in np.eye(count)])
+    return Pass(
+        name=prepared.name,
+        prepared=prepared,
+        t=grid,
+        measured=np.array([_padded(prepared.measured[name], n) for name in CHANNELS]),
+        u=u,
+        weight=weight,
+        shaped=np.abs(gain) ** 2,
+        base=np.zeros(FINE * n),
+        knots=knots,
+        shift_sigma=max(prepared.position_sigma, 0.01),
+    )
+
+
+def _snapped(prepared: Prepared, line: Road) -> tuple[Prepared, float]:
+    """A drive whose receiver cannot tell lanes apart, moved onto the line; and how far beside it (m) the drive was."""
+    path = prepared.trajectory
+    u, v = line.xy_to_uv(path.x, path.y)
+    on = (u > line.u_first) & (u < line.u_last) & (path.speed > _MOVING)
+    if not on.any():
+        raise InputError(prepared.name, "is nowhere on the road of the other drives")
+    across = float(np.median(v[on]))
+    if abs(across) > _OTHER_ROAD:
+        raise InputError(
+            prepared.name, f"is nowhere on the road of the other drives, but {abs(across):.0f} m off"
+        )
+    if prepared.position_sigma < LANE_SIGMA:
+        return prepared, across
+    x, y = line.uv_to_xy(u, np.zeros(u.size))
+    return replace(prepared, trajectory=replace(path, x=x, y=y)), across
+
+
+def _padded(values: Floats, n: int) -> Floats:
+    """Values (m,) with zeros after them, (n,)."""
+    return np.concatenate([values, np.zeros(n - values.size)])
+
+
+def _tapered(usable: NDArray[np.bool_], rate: float) -> Floats:
+    """Weights (n,) that rise over the taper from each edge of what is usable."""
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], usable, [False]]).astype(np.int8)))
+    weight = np.zeros(usable.size)
+    for low, high in edges.reshape(-1, 2):
+        i = np.arange(high - low)
+        near = np.minimum(i, high - low - 1 - i) / (_TAPER * rate)
+        weight[low:high] = 0.5 - 0.5 * np.cos(np.pi * np.clip(near, 0.0, 1.0))
+    return weight

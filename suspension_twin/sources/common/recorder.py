@@ -1,0 +1,55 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Live samples into a recording, as the nodes would have got them."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterable
+from pathlib import Path
+from types import TracebackType
+
+from suspension_twin.drive.read import Topics
+from suspension_twin.drive.write import BagWriter, write_samples
+from suspension_twin.errors import WorkError
+from suspension_twin.sources.common.hub import Packet
+
+__all__ = ["Recorder"]
+
+#: Samples after which what was given is written out.
+_FLUSH = 500
+
+
+class Recorder:
+    """Writes packets into a new recording; use it as a context manager.
+
+    ``counts`` are the samples so far by stream. Leaving the context without any IMU sample raises WorkError and
+    leaves nothing behind. InputError and WorkError as of :class:`~suspension_twin.drive.write.BagWriter`.
+    """
+
+    def __init__(self, path: str | Path, *, overwrite: bool = False) -> None:
+        self.counts: Counter[str] = Counter()
+        self._bag = BagWriter(path, overwrite=overwrite)
+        self._pending = 0
+
+    def __enter__(self) -> Recorder:
+        self._bag.__enter__()
+        return self
+
+    def write(self, packets: Iterable[Packet]) -> None:
+        """Add samples."""
+        for packet in packets:
+            write_samples(self._bag, packet.samples, Topics())
+            self.counts[packet.stream] += len(packet.samples)
+            self._pending += len(packet.samples)
+        if self._pending > _FLUSH:
+            self._bag.flush()
+            self._pending = 0
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        if kind is None and not self.counts["imu"]:
+            nothing = WorkError(f"{self._bag.path}: nothing recorded, no IMU sample arrived")
+            self._bag.__exit__(WorkError, nothing, None)
+            raise nothing
+        self._bag.__exit__(kind, error, trace)

@@ -1,0 +1,57 @@
+# SPDX-License-Identifier: Apache-2.0
+"""``sensorlogger://HOST:PORT``: phones with the app Sensor Logger push to this address, over HTTP or a WebSocket.
+
+Options: ``token`` (needed where the address is open to a network; made and kept if it is not given), ``axes``
+(``android`` or ``ios``, found out by itself otherwise), ``device`` (the beginning of the one deviceId to be taken).
+"""
+
+from __future__ import annotations
+
+import asyncio
+
+from suspension_twin.errors import InputError
+from suspension_twin.sources.common.address import Address
+from suspension_twin.sources.common.clock import host_time
+from suspension_twin.sources.common.hub import Hub
+from suspension_twin.sources.common.sensor_logger import Phones, axes_of
+from suspension_twin.sources.common.server import PushServer
+
+__all__ = ["EXAMPLE", "TITLE", "SensorLogger", "make"]
+
+TITLE = "Sensor Logger"
+EXAMPLE = "sensorlogger://0.0.0.0:8000"
+
+#: s between looks for messages that have not come.
+_TICK = 0.1
+
+
+class SensorLogger:
+    """The server and its phones."""
+
+    def __init__(self, address: Address, hub: Hub, rank: int) -> None:
+        address.check_options(("token", "axes", "device"))
+        if address.path.strip("/"):
+            raise InputError(str(address), "has a path: write sensorlogger://HOST:PORT")
+        self.phones = Phones(hub, rank, axes=axes_of(address), only=address.options.get("device", ""))
+        self.server = PushServer(address, self.phones.feed)
+        self.notes: list[str] = []
+
+    async def start(self) -> None:
+        """Listen; InputError where the port is taken."""
+        await self.server.start()
+        self.notes = [f"Sensor Logger: push to {self.server.url()}"]
+
+    async def run(self) -> None:
+        """See :class:`~suspension_twin.sources.Source`."""
+        while True:
+            await asyncio.sleep(_TICK)
+            self.phones.tick(host_time())
+
+    async def stop(self) -> None:
+        """See :class:`~suspension_twin.sources.Source`."""
+        await self.server.stop()
+
+
+def make(address: Address, hub: Hub, rank: int) -> SensorLogger:
+    """See :class:`~suspension_twin.sources.SourceModule`."""
+    return SensorLogger(address, hub, rank)

@@ -1,0 +1,326 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What the page shows of a running twin: the last seconds of its signals, its path, its gap, the health of the nodes.
+
+A thread of the node adds, the thread of the server takes. Everything that leaves is ready for JSON: times in s since
+the first sample, SI units, no NaN.
+"""
+
+from __future__ import annotations
+
+import math
+import threading
+from collections import deque
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from functools import wraps
+from typing import Any, TypeVar
+
+import numpy as np
+
+from suspension_twin.signals.spectra import power_density
+from suspension_twin.vehicle.twin import Twin
+
+__all__ = ["LiveView", "Status", "advice", "scene"]
+
+_F = TypeVar("_F", bound=Callable[..., Any])
+
+#: Seconds of the signals that are kept, and of those the spectrum is taken over; s between two spectra.
+_KEPT, _SPECTRUM, _SPECTRUM_EVERY = 12.0, 10.0, 1.0
+#: Segments of the spectrum in s and its highest frequency in Hz.
+_SEGMENT, _HIGHEST = 4.0, 50.0
+#: A point of the path every so many m, and the number of points kept.
+_STEP, _POINTS = 0.5, 6000
+#: Stamps that go back by more than this begin anew, in s: as the nodes reset.
+_BACK = 1.0
+_DAY = 86_400 * 10**9  # ns
+#: Standard deviation of the position in m up to which single bumps lie under the right wheel, and up to which
+#: a stretch of road is still the right one.
+_GOOD, _FAIR = 0.1, 0.5
+
+
+@dataclass(frozen=True)
+class Status:
+    """Health of a node or of one of its inputs: ``level`` 0 ok, 1 warning, 2 error, 3 stale."""
+
+    name: str
+    level: int
+    message: str
+    values: Mapping[str, str]
+
+
+def _locked(method: _F) -> _F:
+    @wraps(method)
+    def call(self: LiveView, *args: Any, **keywords: Any) -> Any:
+        with self._lock:
+            return method(self, *args, **keywords)
+
+    return call  # type: ignore[return-value]
+
+
+class LiveView:
+    """The state of the page. Stamps are ns of the messages."""
+
+    def __init__(self) -> None:
+        self._lock = threading.RLock()
+        self._scene: dict[str, Any] = {}
+        self._health: dict[str, Status] = {}
+        self._about: dict[str, Any] = {}
+        self._origin = 0
+        self._clear()
+
+    def _clear(self) -> None:
+        self._t0: int | None = None
+        self._newest = 0
+        self._rows: dict[str, deque[list[float]]] = {
+            "pose": deque(),
+            "joints": deque(),
+            "measured": deque(),
+            "simulated": deque(),
+        }
+        self._fresh: dict[str, list[list[float]]] = {name: [] for name in self._rows}
+        self._path: deque[list[float]] = deque(maxlen=_POINTS)
+        self._new_path: list[list[float]] = []
+        self._events: list[dict[str, Any]] = []
+        self._waiting: dict[int, float] = {}
+        self._squares, self._count, self._last_gap = 0.0, 0, -1.0
+        self._spectrum_at = -math.inf
+        self._changed: dict[str, Any] = {}
+        self._state: dict[str, Any] = {}
+        self._restarted = True
+
+    # What a node adds
+
+    @_locked
+    def show(self, twin: Twin) -> None:
+        """A twin was loaded."""
+        self._scene = scene(twin)
+        self._restarted = True
+
+    @_locked
+    def count_from(self, ns: int) -> None:
+        """Stamp of the first sample of a recording, from which the seconds shown are counted."""
+        if ns != self._origin:
+            self._origin = ns
+            self._clear()
+
+    @_locked
+    def clear(self) -> None:
+        """Begin anew: the recording was wound to another place."""
+        self._clear()
+
+    @_locked
+    def pose(self, ns: int, place: Sequence[float], turn: Sequence[float]) -> None:
+        """``place`` x, y, z in m and ``turn`` the quaternion x, y, z, w of ``base_link`` in ``map``."""
+        if self._keep("pose", ns, [*place, *turn]):
+            self._extend_path(place)
+
+    @_locked
+    def joints(self, ns: int, positions: Sequence[float]) -> None:
+        """Positions of the joints, in the order of the twin's."""
+        self._keep("joints", ns, list(positions))
+
+    @_locked
+    def measured(self, ns: int, value: float) -> None:
+        """Measured vertical acceleration in m/s²."""
+        if self._keep("measured", ns, [value]):
+            self._waiting[ns] = value
+            while len(self._waiting) > 4000:
+                del self._waiting[next(iter(self._waiting))]
+
+    @_locked
+    def simulated(self, ns: int, value: float) -> None:
+        """Simulated vertical acceleration in m/s²."""
+        if self._keep("simulated", ns, [value]) and (measured := self._waiting.pop(ns, None)) is not None:
+            self._squares += (measured - value) ** 2
+            self._count += 1
+
+    @_locked
+    def tell(self, name: str, value: Any) -> None:
+        """Any other value of the page, shown until it changes: ``gap``, ``motion``, ``player``, ``job``, ``record``."""
+        value = _finite(value)
+        if self._about.get(name) != value:
+            self._about[name] = self._changed[name] = value
+
+    @_locked
+    def health(self, status: Status) -> None:
+        """The health of a node or of an input, by its name."""
+        if self._health.get(status.name) != status:
+            self._health[status.name] = status
+            self._changed["health"] = None
+
+    @_locked
+    def mark(self, text: str) -> None:
+        """An event at the newest stamp and place."""
+        pose = self._rows["pose"]
+        event = {"t": self._seconds(self._newest), "text": text, "x": None, "y": None}
+        if pose:
+            event |= {"x": pose[-1][1], "y": pose[-1][2]}
+        self._events.append(event)
+        self._changed["events"] = None
+
+    # What the server takes
+
+    @_locked
+    def frame(self) -> dict[str, Any]:
+        """What is new since the last call, or everything after a restart; empty if nothing is."""
+        if self._restarted:
+            self._restarted = False
+            self._changed.clear()
+            for rows in self._fresh.values():
+                rows.clear()
+            self._new_path.clear()
+            return self.snapshot()
+        out: dict[str, Any] = {name: rows for name, rows in self._fresh.items() if rows}
+        self._fresh = {name: [] for name in self._rows}
+        if self._new_path:
+            out["path"], self._new_path = self._new_path, []
+        out |= self._changed
+        if "health" in out:
+            out["health"] = self._statuses()
+        if "events" in out:
+            out["events"] = self._events
+        self._changed = {}
+        now = self._seconds(self._newest)
+        if now - self._spectrum_at >= _SPECTRUM_EVERY:
+            self._spectrum_at = now
+            spectrum = self._spectrum()
+            if spectrum:
+                out["spectrum"] = self._state["spectrum"] = spectrum
+        return out
+
+    @_locked
+    def snapshot(self) -> dict[str, Any]:
+        """Everything, for a page that was just opened."""
+        return {
+            "reset": True,
+            "scene": self._scene,
+            **{name: list(rows) for name, rows in self._rows.items()},
+            "path": list(self._path),
+            "events": self._events,
+            "health": self._statuses(),
+            **self._about,
+            **self._state,
+        }
+
+    # Inner workings
+
+    def _seconds(self, ns: int) -> float:
+        return 0.0 if self._t0 is None else (ns - self._t0) / 1e9
+
+    def _keep(self, name: str, ns: int, row: list[float]) -> bool:
+        if not all(map(math.isfinite, row)):
+            return False
+        if ns < self._newest - _BACK * 1e9:
+            self._clear()
+        if self._t0 is None:
+            self._t0 = self._origin if self._origin <= ns < self._origin + _DAY else ns
+        self._newest = max(self._newest, ns)
+        t = self._seconds(ns)
+        kept = [round(t, 4), *(round(v, 5) for v in row)]
+        rows = self._rows[name]
+        rows.append(kept)
+        while rows and rows[0][0] < t - _KEPT:
+            rows.popleft()
+        self._fresh[name].append(kept)
+        if len(self._fresh[name]) > 20_000:  # nobody takes it
+            del self._fresh[name][:10_000]
+        return True
+
+    def _extend_path(self, place: Sequence[float]) -> None:
+        x, y = place[:2]
+        if self._path and math.hypot(x - self._path[-1][0], y - self._path[-1][1]) < _STEP:
+            return
+        if self._count:
+            self._last_gap = math.sqrt(self._squares / self._count)
+        self._squares, self._count = 0.0, 0
+        point = [round(x, 2), round(y, 2), round(self._last_gap, 4)]
+        self._path.append(point)
+        self._new_path.append(point)
+        del self._new_path[:-_POINTS]
+
+    def _statuses(self) -> list[dict[str, Any]]:
+        return [
+            {"name": s.name, "level": s.level, "message": s.message, "values": dict(s.values)}
+            for _, s in sorted(self._health.items())
+        ]
+
+    def _spectrum(self) -> dict[str, list[float]] | None:
+        """Density of both signals over the last seconds, on a common grid."""
+        tables = [np.array(self._rows[name]) for name in ("measured", "simulated")]
+        if any(len(table) < 100 for table in tables):
+            return None
+        first, last = max(t[0, 0] for t in tables), min(t[-1, 0] for t in tables)
+        first = max(first, last - _SPECTRUM)
+        rate = 1.0 / float(np.median(np.diff(tables[0][:, 0]))) if len(tables[0]) > 1 else 0.0
+        if last - first < _SEGMENT or not math.isfinite(rate) or rate <= 0:
+            return None
+        grid = np.arange(first, last, 1.0 / rate)
+        signals = np.column_stack([np.interp(grid, t[:, 0], t[:, 1]) for t in tables])
+        f, density = power_density(signals, rate, _SEGMENT)
+        shown = (f >= 0.5) & (f <= min(_HIGHEST, 0.45 * rate))
+        columns = f[shown], density[shown, 0], density[shown, 1]
+        names = "f", "measured", "simulated"
+        return {n: [float(f"{v:.4g}") for v in c] for n, c in zip(names, columns, strict=True)}
+
+
+def _finite(value: Any) -> Any:
+    """The value with None for every number that JSON cannot say."""
+    if isinstance(value, float):
+        return value if math.isfinite(value) else None
+    if isinstance(value, Mapping):
+        return {key: _finite(v) for key, v in value.items()}
+    if isinstance(value, (list, tuple)):
+        return [_finite(v) for v in value]
+    return value
+
+
+def scene(twin: Twin) -> dict[str, Any]:
+    """Geometry of the vehicle for the picture in 3D: wheels with their joints, sensors, and names."""
+    joints = twin.joints
+    return {
+        "name": twin.vehicle.name,
+        "model": twin.model,
+        "effects": [e.id for e in twin.effects],
+        "road": twin.road is not None,
+        "imu": list(twin.imu.position),
+        "gps": list(twin.gps.position),
+        "wheels": [
+            {
+                "name": joint.name.removesuffix("_suspension").replace("_", " "),
+                "kind": joint.kind,
+                "origin": list(joint.origin),
+                "axis": list(joint.axis),
+                "wheel": list(joint.wheel),
+                "standing": joint.standing,
+                "radius": joint.radius,
+                "width": joint.width,
+            }
+            for joint in joints
+        ],
+    }
+
+
+def advice(sigma: float, on_road: bool) -> tuple[int, str]:
+    """Level and words on what can be concluded with a position known to ``sigma`` m (standard deviation).
+
+    The limits are those of the wheel on the road: a bump is some decimetres long, and position errors of some
+    centimetres alone make the gap two or three times the residual of a calibration.
+    """
+    if not on_road:
+        return 1, (
+            "The twin file names no road: the twin drives on a plane. Its motion from braking and cornering is right, "
+            "bumps are missing, and the gap is that of the whole road. Do not calibrate on this."
+        )
+    if not math.isfinite(sigma):
+        return 1, "The position is not known yet: drive a few metres with a view of the sky."
+    if sigma <= _GOOD:
+        return 0, f"Position known to {sigma:.2f} m: bumps lie under the right wheel. Good for a calibration."
+    if sigma <= _FAIR:
+        return 1, (
+            f"Position known to {sigma:.2f} m only: long waves and the spectrum hold, single bumps come early or late. "
+            "A calibration will blame the suspension for part of that."
+        )
+    return 1, (
+        f"Position known to {sigma:.1f} m only, as from a phone without RTK: speed, the spectrum and the size of the "
+        "vibration hold; where a bump is does not, so the gap in time and a calibration on it mean nothing."
+    )

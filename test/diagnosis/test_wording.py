@@ -1,0 +1,150 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Plain words: every effect says what it is with its parameters, and an answer is one sentence."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import pytest
+
+from suspension_twin.diagnosis import wording
+from suspension_twin.effects.registry import EFFECTS
+
+ON_MODELS = [(e, model) for e, effect in EFFECTS.items() for model in effect.models]
+
+
+def severe(effect, model):
+    """Parameters of an effect that is plain to see."""
+    own = EFFECTS[effect].on(model)
+    more = {p.name: p.typical for p in own.parameters}
+    for name in own.severity:
+        p = own.parameter(name)
+        if not p.log:
+            more[name] = p.typical + p.spread
+    return more
+
+
+def document(verdict="effect", **changes):
+    cause = {
+        "effect": "corner_damper",
+        "probability": 0.93,
+        "parameters": {"corner": 2.0, "change": -0.4},
+        "parameter_intervals": {"change": [-0.45, -0.35]},
+        "gap_before": 0.41,
+        "gap_after": 0.09,
+        "shrink": 0.78,
+        "shrink_interval": [0.74, 0.81],
+        "indistinguishable_from": [],
+    }
+    return {
+        "verdict": verdict,
+        "gap": {"rms": 0.41, "noise_rms": 0.05, "channel": "vertical_acceleration"},
+        "causes": [cause],
+        "combination": ["corner_damper"] if verdict in ("effect", "partly") else [],
+        "no_gap_probability": 0.6,
+        "unknown_probability": 0.07,
+        "unexplained": 0.3,
+        "recalibration": {"gap_before": 0.4, "gap_after": 0.3, "shrink": 0.25},
+        "message": f"{verdict}: 0.3 m/s² remain",
+        **changes,
+    }
+
+
+@pytest.mark.parametrize(("effect", "model"), ON_MODELS)
+def test_every_effect_says_what_it_is(effect, model):
+    values = severe(effect, model)
+    text = wording.finding(effect, values)
+    assert not set(text) & set("_{}\n")
+    assert " nan" not in text
+    assert "corner" not in text
+    choices = [p.name for p in EFFECTS[effect].on(model).parameters if p.choices]
+    other = {k: v if k in choices else 1.5 * v for k, v in values.items()}
+    assert (
+        wording.finding(effect, other) != text or effect == "progressive_spring"
+    )  # of N/m² nobody has a notion
+
+
+def test_a_damper_that_has_lost_force():
+    text = wording.finding("corner_damper", {"corner": 0.0, "change": -0.4})
+    assert text == "the front left damper has lost 40 % of its force"
+    assert "gained 20 %" in wording.finding("corner_damper", {"corner": 3.0, "change": 0.2})
+
+
+def test_an_effect_without_a_phrase_is_named_with_its_parameters(monkeypatch):
+    plain = replace(EFFECTS["corner_damper"], finding=None)
+    monkeypatch.setitem(EFFECTS, "corner_damper", plain)
+    text = wording.finding("corner_damper", {"corner": 1.0, "change": -0.4})
+    assert text == "one odd damper (wheel front right, change −40 %)"
+    assert wording.finding("not_yet_known", {"size": 0.25}) == "not yet known (size 0.25)"
+
+
+@pytest.mark.parametrize(
+    ("verdict", "sentence"),
+    [
+        ("effect", "Very likely (93 %): the rear left damper has lost 40 % of its force."),
+        (
+            "partly",
+            "Very likely (93 %): the rear left damper has lost 40 % of its force, but that is not all.",
+        ),
+        ("no_gap", "More likely than not (60 %): nothing is wrong that these drives could show."),
+        (
+            "unknown",
+            "Unlikely (7 %): something is wrong, but nothing in the library of causes explains it.",
+        ),
+    ],
+)
+def test_the_answer_is_one_sentence(verdict, sentence):
+    assert wording.answer(document(verdict)) == sentence
+
+
+def test_the_keys_to_come_are_used():
+    d = document(probability=0.97, candidates=["corner_damper", "no_gap"], before_and_after=["road_scale"])
+    d["causes"][0]["channel"] = "roll_rate"
+    assert wording.answer(d).startswith("Extremely likely (97 %)")
+    text = " ".join(wording.remarks(d))
+    assert "gap in roll rate falls from 0.41 to 0.09 rad/s" in text
+    assert "among: one odd damper, nothing is wrong." in text
+    assert "before and after alike: road heights off by a factor" in text
+
+
+@pytest.mark.parametrize("verdict", ["no_gap", "unknown", "partly"])
+def test_nothing_is_said_twice(verdict):
+    text = " ".join([wording.subject(document(verdict)), wording.answer(document(verdict))])
+    assert "no gap: no gap" not in text
+    assert "unknown: unknown" not in text
+    assert all("unknown:" not in line and "no_gap" not in line for line in wording.remarks(document(verdict)))
+
+
+def test_parameters_have_names_units_and_intervals():
+    cause = document()["causes"][0]
+    assert wording.parameters_of(cause) == [("wheel", "rear left"), ("change", "−40 % (−45 % to −35 %)")]
+    assert wording.parameter_name("bump_stop", "front_clearance") == "clearance, front"
+    assert wording.parameter_name("clock_drift", "drift_ppm") == "drift"
+
+
+@pytest.mark.parametrize(
+    ("probability", "text"),
+    [(0.93, "93 %"), (0.999, "more than 99 %"), (1.0, "more than 99 %"), (0.0, "less than 1 %")],
+)
+def test_nothing_is_certain_or_impossible(probability, text):
+    assert wording.chance(probability) == text
+
+
+def test_an_effect_of_no_size_is_not_called_a_finding():
+    text = wording.finding("strut_friction", {"front_force": 0.3, "rear_force": 0.0})
+    assert text == "no sign of this: dry friction in the struts"
+
+
+def test_several_causes_close_the_gap_together():
+    second = {
+        **document()["causes"][0],
+        "effect": "payload",
+        "parameters": {"mass": 90.0, "x": 1.0, "y": 0.0},
+    }
+    d = document(combination=["corner_damper", "payload"], unexplained=0.25, probability=0.8)
+    d["causes"].append(second)
+    assert "its force; and the vehicle carries 90 kg more" in wording.answer(d)
+    assert (
+        "With them in the twin the gap in vertical acceleration falls from 0.41 to 0.1 m/s², by 75 %,"
+        in (wording.remarks(d)[0])
+    )

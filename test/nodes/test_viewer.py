@@ -1,0 +1,253 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The page of a running twin in a real browser: what it shows, and that its buttons do what they say."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import signal
+import socket
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from suspension_twin.drive.read import read_drive
+
+CHROMIUM = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None)
+pytestmark = pytest.mark.skipif(CHROMIUM is None, reason="no Chromium here: apt-get install chromium")
+
+
+def free_port() -> int:
+    with socket.create_server(("127.0.0.1", 0)) as server:
+        return int(server.getsockname()[1])
+
+
+def until(condition: Callable[[], Any], what: str, seconds: float = 60.0) -> Any:
+    """Wait until ``condition`` holds; what it gave."""
+    end = time.monotonic() + seconds
+    while not (found := condition()):
+        assert time.monotonic() < end, f"waited {seconds:g} s for {what}"
+        time.sleep(0.05)
+    return found
+
+
+@pytest.fixture(scope="module")
+def running(twin_path, recorded, tmp_path_factory) -> Iterator[tuple[str, Path]]:
+    """``run --bag --view``: the page's address and the folder it records into."""
+    folder, port = tmp_path_factory.mktemp("viewed"), free_port()
+    given = ["--twin", twin_path, "--bag", recorded, "--rate", "2", "--view", str(port)]
+    command = [sys.executable, "-m", "suspension_twin", "run", *map(str, given)]
+    process = subprocess.Popen(command, cwd=folder, stderr=subprocess.PIPE, text=True, env=dict(os.environ))
+    url = f"http://127.0.0.1:{port}/"
+    assert process.stderr is not None
+    try:
+        for line in process.stderr:
+            if line.strip() == f"Watch on {url}":
+                break
+        else:
+            pytest.fail("the page was never announced")
+        yield url, folder
+        process.send_signal(signal.SIGINT)
+        _, errors = process.communicate(timeout=10.0)
+        assert process.returncode == 0 and "Traceback" not in errors, errors
+    finally:
+        if process.poll() is None:
+            process.kill()
+            process.communicate()
+    until(lambda: not listens(port), "the page's own process to end", 10.0)
+
+
+def listens(port: int) -> bool:
+    with socket.socket() as probe:
+        return probe.connect_ex(("127.0.0.1", port)) == 0
+
+
+@pytest.fixture(scope="module")
+def browser() -> Iterator[Any]:
+    from playwright.sync_api import sync_playwright
+
+    software = [
+        "--no-sandbox",
+        "--use-angle=swiftshader",
+        "--enable-unsafe-swiftshader",
+        "--ignore-gpu-blocklist",
+    ]
+    with sync_playwright() as play:
+        browser = play.chromium.launch(executable_path=CHROMIUM, args=software)
+        yield browser
+        browser.close()
+
+
+@pytest.fixture
+def page(browser, running) -> Iterator[Any]:
+    """The page on a laptop; it must not have raised or logged an error when the test is over."""
+    page = browser.new_page(viewport={"width": 1366, "height": 768})
+    wrong: list[str] = []
+    page.on("pageerror", lambda error: wrong.append(str(error)))
+    page.on("console", lambda m: wrong.append(m.text) if m.type == "error" else None)
+    page.goto(running[0])
+    yield page
+    page.close()
+    assert wrong == []
+
+
+def number(page: Any, element: str) -> float:
+    return float(page.inner_text(element).partition(" ")[0].replace("–", "nan"))
+
+
+def seek(page: Any, position: float) -> None:
+    """As a hand would that drags the time bar."""
+    script = "(at) => { const b = document.getElementById('bar'); b.value = at; b.dispatchEvent(new Event('change')); }"
+    page.evaluate(script, position)
+
+
+def pause(page: Any) -> None:
+    """Have the replay rest, wherever it is: its end may come first."""
+
+    def rests() -> bool:
+        says = page.inner_text("#pause")
+        if says != "Play":
+            page.click("#pause")
+            time.sleep(1.0)
+        return says == "Play"
+
+    until(rests, "the pause")
+
+
+def lit(page: Any, canvas: str) -> int:
+    """Number of colours in a 2D picture: an empty one has one."""
+    return int(
+        page.evaluate(
+            """(id) => {
+            const c = document.getElementById(id), d = c.getContext('2d').getImageData(0, 0, c.width, c.height).data;
+            const seen = new Set();
+            for (let i = 0; i < d.length; i += 4) seen.add(d[i] * 65536 + d[i + 1] * 256 + d[i + 2]);
+            return seen.size; }""",
+            canvas,
+        )
+    )
+
+
+def test_it_shows_the_moving_twin(page):
+    until(lambda: page.evaluate("twin.head.t") or 0.0 > 0, "samples")
+    seek(page, 3.0)
+    until(lambda: number(page, "#speed") > 20, "the vehicle's speed")
+    until(lambda: number(page, "#gap") > 0.0, "a gap")
+    assert page.inner_text("#name") == "Ford Mondeo Mk IV estate"
+    first = page.evaluate("[twin.head.t, twin.frames()]")
+    until(lambda: page.evaluate("twin.head.t") > first[0] + 1.0, "time to go on")
+    assert page.evaluate("twin.frames()") > first[1]
+    assert len(page.query_selector_all("#travel > div")) == 4
+    assert any(abs(float(e.inner_text())) > 0 for e in page.query_selector_all("#travel b"))
+    assert len(page.query_selector_all(".band")) == 3
+    until(lambda: page.evaluate("twin.state.path.length") > 20, "a path")
+    for canvas in ("chart", "map"):
+        until(lambda name=canvas: lit(page, name) > 3, f"a drawing in {canvas}")
+    until(lambda: page.evaluate("twin.state.spectrum !== null"), "a spectrum")
+    names = until(lambda: page.inner_text("#health").split("\n"), "health")
+    for node in ("imu_ingest", "pose_injector", "suspension_model", "calibrator", "viewer"):
+        assert node in names
+    assert "Position known to 0.0" in page.inner_text("#advice")
+
+
+def test_the_3d_picture_has_road_and_car_and_moves(page):
+    seek(page, 4.0)
+    until(lambda: page.evaluate("twin.state.pose.length") > 50, "poses")
+    time.sleep(1.0)
+    assert page.is_hidden("#no3d")
+    first = page.locator("#scene").screenshot()
+    time.sleep(0.5)
+    assert len(first) > 8000 and page.locator("#scene").screenshot() != first
+    assert (
+        int(
+            page.evaluate(
+                "performance.getEntriesByType('resource').filter((e) => e.name.includes('/road/')).length"
+            )
+        )
+        > 4
+    )
+
+
+def test_the_replay_is_paused_wound_and_slowed(page):
+    seek(page, 2.0)
+    until(lambda: page.evaluate("twin.head.t") >= 2.0, "the place sought")
+    pause(page)
+    stands = page.inner_text("#position")
+    time.sleep(1.2)
+    assert page.inner_text("#position") == stands
+    page.select_option("#pace", "0.5")
+    page.click("#pause")
+    until(lambda: page.inner_text("#pause") == "Pause", "it to go on")
+    before, began = page.evaluate("twin.state.pose.at(-1)[0]"), time.monotonic()
+    time.sleep(3.0)
+    pace = (page.evaluate("twin.state.pose.at(-1)[0]") - before) / (time.monotonic() - began)
+    assert 0.3 < pace < 0.75
+    page.select_option("#pace", "5")
+    until(lambda: page.inner_text("#pause") == "Again", "the end")
+    page.select_option("#pace", "2")
+    page.click("#pause")
+    until(
+        lambda: page.inner_text("#pause") == "Pause" and page.evaluate("twin.head.t") < 5.0, "a new beginning"
+    )
+
+
+def test_it_records_and_calibrates(page, running, drive):
+    """A drive is recorded with a mark in it, and a calibration on it begins; its end is in test_viewer_actions.py."""
+    _, folder = running
+    assert page.is_disabled("#stop") and page.is_disabled("#load")
+    pause(page)
+    page.click("#record")
+    until(lambda: page.is_enabled("#stop"), "the recording")
+    page.click("#calibrate")
+    until(lambda: "still running" in page.inner_text("#said"), "a refusal")
+    seek(page, 0.0)
+    until(lambda: page.evaluate("twin.head.t") > 2.0, "two seconds")
+    page.click("#mark")
+    until(lambda: page.evaluate("twin.state.events.length") == 1, "the mark")
+    until(lambda: page.inner_text("#pause") == "Again", "the end")
+    page.click("#stop")
+    until(lambda: page.inner_text("#said").startswith("Recorded"), "the end of the recording")
+    (recording,) = folder.glob("drive_*")
+    kept = read_drive(recording)
+    assert len(kept.imu) > 0.95 * len(drive.imu) and len(kept.fix) > 0.9 * len(drive.fix)
+    assert (
+        b"mark " in next(recording.glob("*.mcap")).read_bytes()
+        or "events" in (recording / "metadata.yaml").read_text()
+    )
+    page.click("#calibrate")
+    until(lambda: page.is_visible("#jobbar"), "the calibration's progress")
+    until(lambda: "starting" not in page.inner_text("#jobtext"), "its first stage")
+
+
+def test_it_fits_a_phone(browser, running):
+    page = browser.new_page(viewport={"width": 390, "height": 844}, has_touch=True, is_mobile=True)
+    page.goto(running[0])
+    until(lambda: page.inner_text("#name") == "Ford Mondeo Mk IV estate", "the twin's name")
+    assert page.evaluate("document.documentElement.scrollWidth") <= 390
+    for button in ("#record", "#mark", "#calibrate", "#diagnose"):
+        box = page.locator(button).bounding_box()
+        assert box["x"] >= 0 and box["x"] + box["width"] <= 390 and box["height"] >= 36
+        assert page.locator(button).is_visible()
+    page.close()
+
+
+def test_a_page_that_lost_its_program_says_so_and_finds_it_again(browser, running):
+    page = browser.new_page()
+    page.goto(running[0])
+    until(lambda: page.evaluate("document.getElementById('link').classList.contains('ok')"), "a connection")
+    page.context.set_offline(True)
+    page.evaluate("twin.drop()")
+    until(lambda: not page.evaluate("document.getElementById('link').classList.contains('ok')"), "the loss")
+    page.click("#mark")
+    assert page.inner_text("#said").startswith("Not connected")
+    page.context.set_offline(False)
+    until(
+        lambda: page.evaluate("document.getElementById('link').classList.contains('ok')"),
+        "the connection again",
+    )
+    page.close()
