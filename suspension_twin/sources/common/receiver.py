@@ -18,7 +18,7 @@ from suspension_twin.sources.common.client import keep_connected
 from suspension_twin.sources.common.clock import host_time
 from suspension_twin.sources.common.hub import Hub
 
-__all__ = ["RECEIVER_RANK", "ByteStream", "Receiver", "open_stream"]
+__all__ = ["RECEIVER_RANK", "ByteStream", "DescriptorStream", "Receiver", "open_stream"]
 
 #: A receiver's positions count before those of any phone.
 RECEIVER_RANK: Final = 100
@@ -46,12 +46,15 @@ class ByteStream:
         raise NotImplementedError
 
 
-class _Tty(ByteStream):
+class DescriptorStream(ByteStream):
+    """An open device file that does not block."""
+
     def __init__(self, descriptor: int) -> None:
         super().__init__()
         self._descriptor = descriptor
 
     async def read(self) -> bytes:
+        """See the base class."""
         loop, ready = asyncio.get_running_loop(), asyncio.Event()
         loop.add_reader(self._descriptor, ready.set)
         try:
@@ -69,6 +72,7 @@ class _Tty(ByteStream):
             loop.remove_reader(self._descriptor)
 
     def write(self, data: bytes) -> None:
+        """See the base class."""
         try:
             written = os.write(self._descriptor, data)
         except OSError:
@@ -111,7 +115,7 @@ async def open_stream(address: Address, baud: int) -> AsyncIterator[ByteStream]:
             settings = termios.tcgetattr(descriptor)
             settings[4] = settings[5] = _BAUDS[baud]
             termios.tcsetattr(descriptor, termios.TCSANOW, settings)
-        yield _Tty(descriptor)
+        yield DescriptorStream(descriptor)
     finally:
         os.close(descriptor)
 
