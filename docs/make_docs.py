@@ -333,6 +333,7 @@ def pictures() -> None:
     effects_picture()
     damping_picture()
     diagnosis_picture()
+    plan_picture()
     rig_picture()
 
 
@@ -477,6 +478,17 @@ def draw_diagnosis(case: Path, answer: Path) -> None:
         right.set_ylabel("density [m²/s⁴/Hz]")
         right.legend()
     style.save(fig, HERE / "diagnosis.png", dpi=130)
+
+
+def plan_picture() -> None:
+    """The smallest sizes that two drives over the bundled bump could show."""
+    from suspension_twin.diagnosis.plan import plan
+    from suspension_twin.report import style
+    from suspension_twin.report.plan import sizes_picture
+    from suspension_twin.vehicle.twin import load_twin
+
+    found = plan(load_twin(ROOT / "bags" / "bump_15kmh" / "twin.yaml"))
+    style.save(sizes_picture(found.shown), HERE / "plan.png", dpi=110)
 
 
 def rig_picture() -> None:

@@ -25,7 +25,7 @@ from typing import Annotated, Any
 import typer
 
 from suspension_twin import __version__
-from suspension_twin.errors import SuspensionTwinError, printable
+from suspension_twin.errors import SuspensionTwinError, one_line, printable
 
 __all__ = ["SUBCOMMANDS", "Subcommand", "main"]
 
@@ -67,7 +67,7 @@ SUBCOMMANDS = (
     Subcommand("record", "record", "Live phones, receivers and IMUs into a bag.", endless=True),
     Subcommand("import", "import_", "A phone's or logger's recording into a bag."),
     Subcommand("damping", "damping", "Which dampers a tracked vehicle should have, by speed."),
-    Subcommand("road", "road", "A picture or a mesh of a road, or what is wrong with it."),
+    Subcommand("road", "road", "Roads from numbers, profiles and drives; pictures, meshes, checks."),
 )
 
 # Importing makes a hundred thousand objects that all stay: at Python's own 700 the collector takes a tenth of a short
@@ -115,7 +115,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         if debug:
             traceback.print_exc()
         status, text = _explain(error, _option(args, "--twin"))
-        print(printable(" ".join(text.split())), file=sys.stderr)
+        print(one_line(" ".join(text.split())), file=sys.stderr)
     finally:
         gc.set_threshold(*thresholds)
         if endless:

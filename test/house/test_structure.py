@@ -30,7 +30,6 @@ ROWS = (
     {"gap"},
     {"road_estimation"},
     {"identification"},
-    {"road_estimation"},
     {"calibration"},
     {"diagnosis"},
     {"report"},

@@ -271,6 +271,9 @@ def test_a_wrong_twin_is_refused_by_name_and_the_old_one_goes_on(bench, twin_pat
     save_twin(load_twin(twin_path), tmp_path / "roadless.yaml")
     roadless = yaml.safe_load((tmp_path / "roadless.yaml").read_text()) | {"road": {"file": "gone.crg"}}
     (tmp_path / "roadless.yaml").write_text(yaml.safe_dump(roadless))
+    for path in ("x" * 100_000, "/", "/dev/zero"):  # no path ends the node
+        response = bench.call(LoadTwin, "/suspension_model/load_twin", LoadTwin.Request(path=path))
+        assert not response.success and response.message.isprintable() and len(response.message) < 2100
     for name in ("broken.yaml", "text.yaml", "absent.yaml", "roadless.yaml", ""):
         path = str(tmp_path / name) if name else ""
         response = bench.call(LoadTwin, "/suspension_model/load_twin", LoadTwin.Request(path=path))
