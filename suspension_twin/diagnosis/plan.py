@@ -33,7 +33,19 @@ from suspension_twin.models.registry import model_of
 from suspension_twin.road import Road, add_bump, bump_road, half_sine
 from suspension_twin.vehicle.twin import Twin
 
-__all__ = ["APART", "DETECTABLE", "SPEEDS", "Pair", "Plan", "Ray", "Shown", "plan", "rays"]
+__all__ = [
+    "APART",
+    "DETECTABLE",
+    "SPEEDS",
+    "Pair",
+    "Plan",
+    "Ray",
+    "Rival",
+    "Shown",
+    "alternatives",
+    "plan",
+    "rays",
+]
 
 #: km/h if none are given.
 SPEEDS: Final = (20.0, 40.0)
@@ -164,7 +176,9 @@ class Plan:
     Examples
     --------
     >>> from suspension_twin.vehicle.twin import load_twin
-    >>> found = plan(load_twin("bags/bump_15kmh/twin.yaml"), speeds=(15.0,))  # doctest: +SKIP
+    >>> found = plan(load_twin("bags/bump_15kmh/twin.yaml"), speeds=(15.0,), effects=("sensor_scale",))
+    >>> [row.channel for row in found.shown]
+    ['vertical_acceleration']
     """
 
     twin: Twin
@@ -205,8 +219,8 @@ class Plan:
 
 
 @dataclass(frozen=True, eq=False)
-class _Rival:
-    """What a rival can make: ``names`` of its columns and how large a multiple of each is plausible."""
+class Rival:
+    """What an effect can make: ``names`` of its columns and how large a multiple of each is plausible."""
 
     hypothesis: Hypothesis
     names: tuple[str, ...]
@@ -214,6 +228,7 @@ class _Rival:
 
     @property
     def effect(self) -> str:
+        """Id of the effect."""
         return self.hypothesis.effects[0]
 
 
@@ -275,7 +290,7 @@ def rays(hypothesis: Hypothesis, weak: float = 1.0) -> list[Ray]:
     return found
 
 
-def _rivals(hypothesis: Hypothesis, own: Sequence[Ray]) -> tuple[list[_Rival], list[Change]]:
+def _rivals(hypothesis: Hypothesis, own: Sequence[Ray]) -> tuple[list[Rival], list[Change]]:
     """What a hypothesis can make, and the columns that this needs beside its ``own`` rays: of these rays, and of a
     typical size with each other parameter moved."""
     severe = hypothesis.effect(hypothesis.effects[0]).severity
@@ -294,12 +309,12 @@ def _rivals(hypothesis: Hypothesis, own: Sequence[Ray]) -> tuple[list[_Rival], l
         changes.append(Change(hypothesis, points, shape_names))
         names += shape_names
         scale += [_SIZES[-1]] * len(shape_names)
-    return [_Rival(hypothesis, tuple(names), np.array(scale))], changes
+    return [Rival(hypothesis, tuple(names), np.array(scale))], changes
 
 
 def _resonances(
     hypothesis: Hypothesis, ray: Ray, tone: int, shapes: Sequence[int]
-) -> tuple[list[_Rival], list[Change]]:
+) -> tuple[list[Rival], list[Change]]:
     """A rival for each few neighbouring frequencies of a resonance: what it makes at one is nothing like what it makes
     at another, and both at once it cannot make."""
     changes = []
@@ -312,7 +327,7 @@ def _resonances(
     rivals = []
     for first in range(0, len(changes) - _TOGETHER + 1, _TOGETHER - 1):
         names = tuple(n for change in changes[first : first + _TOGETHER] for n in change.names)
-        rivals.append(_Rival(hypothesis, names, np.full(len(names), _SIZES[-1])))
+        rivals.append(Rival(hypothesis, names, np.full(len(names), _SIZES[-1])))
     return rivals, changes
 
 
@@ -330,7 +345,7 @@ class _Asked:
     """Everything that is asked of every drive."""
 
     rays: tuple[Ray, ...]
-    rivals: tuple[_Rival, ...]
+    rivals: tuple[Rival, ...]
     changes: tuple[Change, ...]
 
     @property
@@ -342,7 +357,7 @@ class _Asked:
 def _asked(twin: Twin, drive: PlannedDrive, effects: Sequence[str]) -> _Asked:
     """Rays and rivals of the library; which way logarithmic severities vanish is seen on a ``drive``."""
     own: list[Ray] = []
-    rivals: list[_Rival] = []
+    rivals: list[Rival] = []
     changes: list[Change] = []
     offered = [h for variants in library(twin, True, effects).values() for h in variants]
     weak = _vanishing(twin, drive, offered)
@@ -354,6 +369,13 @@ def _asked(twin: Twin, drive: PlannedDrive, effects: Sequence[str]) -> _Asked:
         points = np.concatenate([ray.points for ray in mine], axis=1)
         changes += [Change(hypothesis, points, tuple(n for ray in mine for n in ray.names)), *needed]
     return _Asked(tuple(own), tuple(rivals), tuple(changes))
+
+
+def alternatives(twin: Twin, drive: PlannedDrive) -> tuple[list[Rival], list[Change]]:
+    """All rivals of the library on a twin, and the changes whose columns they need; ``drive`` shows which way
+    logarithmic severities vanish."""
+    asked = _asked(twin, drive, ())
+    return list(asked.rivals), list(asked.changes)
 
 
 def _vanishing(twin: Twin, drive: PlannedDrive, offered: Sequence[Hypothesis]) -> list[float]:
@@ -406,9 +428,10 @@ def plan(
     Examples
     --------
     >>> from suspension_twin.vehicle.twin import load_twin
-    >>> found = plan(load_twin("bags/bump_15kmh/twin.yaml"), speeds=(15.0,))  # doctest: +SKIP
-    >>> next(s.size for s in found.shown if s.effect == "strut_friction")  # doctest: +SKIP
-    61.2
+    >>> twin = load_twin("bags/bump_15kmh/twin.yaml")
+    >>> found = plan(twin, speeds=(15.0,), effects=("sensor_offset",))
+    >>> [row.parameter for row in found.shown if row.size is None]  # the bump is as wide as the road
+    ['y']
     """
     if model_of(twin).recordings != "drive":
         raise InputError("twin", "model", f"{twin.model} does not drive on a road: there is nothing to plan")
@@ -505,7 +528,7 @@ class _Seen:
         return [self.ray.names[i] for i in self.points]
 
 
-def _apart(found: Products, seen: Sequence[_Seen], rival: _Rival) -> tuple[list[float | None], Floats]:
+def _apart(found: Products, seen: Sequence[_Seen], rival: Rival) -> tuple[list[float | None], Floats]:
     """For each ray the size from which on a rival leaves enough of it (the first that is detected, a larger one, or
     None), and the whitened squares that it leaves of the first."""
     columns = _columns(found, seen)
@@ -529,7 +552,7 @@ class _Alike:
 
     pair: Pair
     seen: _Seen
-    rivals: tuple[_Rival, ...]
+    rivals: tuple[Rival, ...]
 
     @property
     def names(self) -> list[str]:
@@ -548,7 +571,7 @@ def _pairs(found: Products, asked: _Asked, seen: Sequence[_Seen]) -> tuple[Float
     rivals that are nearest."""
     effects = asked.effects
     angles = np.full((len(effects), len(effects)), np.nan)
-    near: dict[tuple[str, str], list[tuple[_Seen, _Rival, float, float | None]]] = {}
+    near: dict[tuple[str, str], list[tuple[_Seen, Rival, float, float | None]]] = {}
     if not seen:
         return angles, []
     _, squares = found.left(_columns(found, seen))

@@ -22,12 +22,14 @@ from suspension_twin.vehicle.twin import Twin, load_twin
 
 __all__ = [
     "FILTER",
+    "LOW_PASS",
     "TWIN",
     "Param",
     "ParameterSet",
     "Values",
     "check_names",
     "filter_of",
+    "low_pass_text",
     "read_param_file",
     "twin_of",
 ]
@@ -178,6 +180,16 @@ def twin_of(values: Values) -> Twin | None:
 def filter_of(values: Values) -> FilterSpec:
     """The low-pass that the parameters describe."""
     return FilterSpec(values["filter.order"], values["filter.cutoff"])
+
+
+#: Key of the low-pass in the diagnostics.
+LOW_PASS = "low-pass"
+
+
+def low_pass_text(values: Values) -> str:
+    """The low-pass in words, equal for equal ones."""
+    spec = filter_of(values)
+    return f"{spec.cutoff:g} Hz, order {spec.order}"
 
 
 # Parameter files, checked before ROS reads them: rcl ignores a name that no node has

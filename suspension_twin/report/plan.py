@@ -14,7 +14,7 @@ from suspension_twin.report import style
 from suspension_twin.report.page import Cell, Lead, Mark, Page, Section, Table
 from suspension_twin.report.style import COLOURS
 
-__all__ = ["plan_page", "size_text"]
+__all__ = ["plan_page", "size_text", "sizes_picture"]
 
 _NEVER = "never"
 
@@ -63,7 +63,7 @@ def plan_page(plan: Plan) -> Page:
             "From which size on",
             "The smallest size that a diagnosis would name, beside the typical size of the fault. Left of the line, "
             "less than a typical fault is enough.",
-            _sizes(plan.shown),
+            sizes_picture(plan.shown),
             Table(("fault", "quantity", "shows from", "typical", "first in"), [_row(s) for s in plan.shown]),
         )
     )
@@ -107,7 +107,7 @@ def _less(s: Shown) -> float:
     return float(np.log10(s.size / s.typical)) * (1.0 if s.largest >= s.typical else -1.0)
 
 
-def _sizes(shown: Sequence[Shown]) -> Figure:
+def sizes_picture(shown: Sequence[Shown]) -> Figure:
     """A row for every fault: the smallest size over the typical one."""
     rows = sorted(shown, key=lambda s: (s.size is None, 0.0 if s.size is None else _less(s)))
     with style.using():

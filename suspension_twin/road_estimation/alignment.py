@@ -85,5 +85,6 @@ def lags_along(reference: Floats, other: Floats, step: float, reach: float) -> t
     path[-1] = int(best.argmax())
     for k in range(starts.size - 1, 0, -1):
         path[k - 1] = origin[k, path[k]]
-    at = (starts + 0.5 * window) * d
-    return at, lags[path] * d, scores[np.arange(starts.size), path]
+    at: Floats = np.asarray((starts + 0.5 * window) * d, dtype=np.float64)
+    lag: Floats = np.asarray(lags[path] * d, dtype=np.float64)
+    return at, lag, scores[np.arange(starts.size), path]

@@ -86,7 +86,7 @@ class Estimate:
     @property
     def u(self) -> Floats:
         """(n,) m along the line."""
-        return STEP * np.arange(self.line.x.size)
+        return np.asarray(STEP * np.arange(self.line.x.size), dtype=np.float64)
 
     @property
     def covered(self) -> NDArray[np.bool_]:
@@ -138,7 +138,7 @@ def lanes_road(line: Centreline, heights: Floats, track: float, name: str = "roa
     """A road whose wheel paths, ``track`` m apart about the line, have heights (2, n) m of left and right."""
     held = min(0.35, 0.4 * track)
     half = 0.5 * track
-    v = np.array([-half - 1.0, -half - held, -half + held, half - held, half + held, half + 1.0])
+    v = np.array([-half - 0.6, -half - held, -half + held, half - held, half + held, half + 0.6])
     left, right = heights
     return road_over(line, np.column_stack([right, right, right, left, left, left]), v, name)
 

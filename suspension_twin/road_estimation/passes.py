@@ -36,6 +36,7 @@ _SHORTEST = 4.0
 LANE_SIGMA = 0.3
 #: Drives farther apart than this, m, have other wheel paths.
 LANE = 0.6
+_OTHER_ROAD = 30.0
 #: Time in s between the knots of a pass's shift along the road.
 KNOT = 4.0
 
@@ -180,6 +181,10 @@ def _snapped(prepared: Prepared, line: Road) -> tuple[Prepared, float]:
     if not on.any():
         raise InputError(prepared.name, "is nowhere on the road of the other drives")
     across = float(np.median(v[on]))
+    if abs(across) > _OTHER_ROAD:
+        raise InputError(
+            prepared.name, f"is nowhere on the road of the other drives, but {abs(across):.0f} m off"
+        )
     if prepared.position_sigma < LANE_SIGMA:
         return prepared, across
     x, y = line.uv_to_xy(u, np.zeros(u.size))
