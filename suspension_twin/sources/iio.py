@@ -257,7 +257,7 @@ class Iio:
                 scans = np.frombuffer(data, dtype=self._scan.dtype, count=whole)
                 rest = data[whole * size :]
                 if whole:
-                    t = self._scan.values(scans, "in_timestamp") * 1e-9
+                    t = np.asarray(self._scan.values(scans, "in_timestamp") * 1e-9, dtype=np.float64)
                     raw = [self._scan.values(scans, axis).astype(np.float64) for axis in _AXES]
                     self._hand_on(t, raw, arrival)
         finally:
