@@ -46,6 +46,9 @@ REQUIRED = [
     "matplotlib>=3.6",
     "cycler>=0.11",
     "aiohttp>=3.10",
+    "paho-mqtt>=2.1",
+    "pyubx2>=1.2.48",
+    "pynmeagps>=1.0.40",
     "jinja2>=3.1",
     "markupsafe>=2.1",
     "typer>=0.24",
@@ -55,6 +58,7 @@ TEST = [
     "pytest>=8",
     "pytest-xdist>=3.7",
     "hypothesis>=6.100",
+    "amqtt>=0.11",
     "playwright>=1.49",
     "mujoco>=3.3",
     # Later ones refuse Python 3.10, and an old pip that finds out late tries all of numpy's releases for a way out.
