@@ -14,7 +14,15 @@ from setuptools import find_packages, setup
 
 HERE = Path(__file__).resolve().parent
 SHARE = Path("share/suspension_twin")
-NODES = ("imu_ingest", "pose_injector", "suspension_model", "calibrator", "source", "viewer")
+NODES = (
+    "imu_ingest",
+    "pose_injector",
+    "suspension_model",
+    "calibrator",
+    "source",
+    "viewer",
+    "foxglove_bridge",
+)
 
 REQUIRED = [
     "suspension-twin-interfaces",  # brings rclpy and the ROS messages, see suspension_twin_interfaces/setup.py
@@ -38,6 +46,9 @@ REQUIRED = [
     "matplotlib>=3.6",
     "cycler>=0.11",
     "aiohttp>=3.10",
+    "paho-mqtt>=2.1",
+    "pyubx2>=1.2.48",
+    "pynmeagps>=1.0.40",
     "jinja2>=3.1",
     "markupsafe>=2.1",
     "typer>=0.24",
@@ -47,6 +58,7 @@ TEST = [
     "pytest>=8",
     "pytest-xdist>=3.7",
     "hypothesis>=6.100",
+    "amqtt>=0.11",
     "playwright>=1.49",
     "mujoco>=3.3",
     # Later ones refuse Python 3.10, and an old pip that finds out late tries all of numpy's releases for a way out.
@@ -60,6 +72,7 @@ TEST = [
     "scipy-stubs",
     "types-PyYAML",
 ]
+FOXGLOVE = ["foxglove-sdk>=0.14"]
 DOCS = ["mkdocs>=1.6", "mkdocs-material>=9.5", "mkdocstrings[python]>=0.26", "latex2mathml>=3.77"]
 
 
@@ -89,7 +102,7 @@ setup(
     maintainer_email=maintainer.get("email"),
     python_requires=">=3.10,<3.14",
     install_requires=REQUIRED,
-    extras_require={"test": TEST + DOCS, "docs": DOCS},
+    extras_require={"test": TEST + DOCS + FOXGLOVE, "foxglove": FOXGLOVE, "docs": DOCS},
     packages=find_packages(include=["suspension_twin", "suspension_twin.*"]),
     package_data={"": ["py.typed", "*.html", "*.j2", "*.css", "*.js", "*.yaml"]},
     data_files=data_files(),

@@ -217,7 +217,6 @@ def print_diagnosis(document: Mapping[str, Any], out: Path) -> None:
     print_table(console, "The likeliest causes", columns, rows, words=("cause", "parameters", "channel"))
     console.print(
         f"no gap {document['no_gap_probability']:.3f}, unknown {document['unknown_probability']:.3f}. "
-        f"{document['next_experiment']}",
-        markup=False,
+        f"{document['next_experiment']}"
     )
     console.print(f"Written to {out}")

@@ -19,7 +19,7 @@ from suspension_twin.sources.common.hub import Hub
 __all__ = ["SOURCES", "Source", "SourceModule", "load_source", "make_sources"]
 
 #: Schemes, each with the file of its name.
-SOURCES = ("sensorlogger", "sensorserver")
+SOURCES = ("sensorlogger", "sensorserver", "phyphox", "mqtt", "nmea", "ubx", "gpsd", "ntrip")
 
 
 class Source(Protocol):

@@ -13,7 +13,7 @@ from suspension_twin.errors import InputError
 from suspension_twin.sources.common.address import Address
 from suspension_twin.sources.common.clock import host_time
 from suspension_twin.sources.common.hub import Hub
-from suspension_twin.sources.common.sensor_logger import AXES, Phones
+from suspension_twin.sources.common.sensor_logger import Phones, axes_of
 from suspension_twin.sources.common.server import PushServer
 
 __all__ = ["EXAMPLE", "TITLE", "SensorLogger", "make"]
@@ -30,12 +30,9 @@ class SensorLogger:
 
     def __init__(self, address: Address, hub: Hub, rank: int) -> None:
         address.check_options(("token", "axes", "device"))
-        axes = address.options.get("axes", "auto")
-        if axes not in AXES:
-            raise InputError(str(address), "axes", f"must be one of {', '.join(AXES)}, is '{axes}'")
         if address.path.strip("/"):
             raise InputError(str(address), "has a path: write sensorlogger://HOST:PORT")
-        self.phones = Phones(hub, rank, axes=axes, only=address.options.get("device", ""))
+        self.phones = Phones(hub, rank, axes=axes_of(address), only=address.options.get("device", ""))
         self.server = PushServer(address, self.phones.feed)
         self.notes: list[str] = []
 

@@ -22,7 +22,7 @@ from suspension_twin.drive.intake.phones import phone_fix
 from suspension_twin.drive.intake.velocity import velocities_from_course
 from suspension_twin.errors import InputError
 from suspension_twin.sources.common.address import Address
-from suspension_twin.sources.common.client import Stay, keep_connected
+from suspension_twin.sources.common.client import Stay, keep_connected, url_host
 from suspension_twin.sources.common.clock import host_time
 from suspension_twin.sources.common.fields import number, read_object
 from suspension_twin.sources.common.hub import Hub
@@ -53,7 +53,7 @@ class SensorServer:
             raise InputError(
                 str(address), "names no host: write sensorserver://HOST:PORT as the app shows it"
             )
-        self._base = f"ws://{_host(address.host)}:{address.port or _PORT}"
+        self._base = f"ws://{url_host(address.host)}:{address.port or _PORT}"
         self._name = f"phone {address.host}"
         self._hub = hub
         device = hub.device(self._name, rank=rank, epoch=False)
@@ -128,10 +128,6 @@ class SensorServer:
         t = np.array([stamp])
         device.fix(phone_fix(t, *found[:5]), arrival)
         device.velocity(velocities_from_course(t, found[5], found[6]), arrival)
-
-
-def _host(host: str) -> str:
-    return f"[{host}]" if ":" in host else host
 
 
 def make(address: Address, hub: Hub, rank: int) -> SensorServer:

@@ -96,7 +96,7 @@ def test_commands_take_their_arguments(page: Path, tmp_path: Path) -> None:
     for line in lines:
         if "--source" in line:  # it would wait for what is to send
             for url in re.findall(r"--source (\S+)", line):
-                assert make_sources([url], Hub())
+                assert make_sources([url.strip('"')], Hub())
         elif line.startswith("suspension-twin "):
             command = [sys.executable, "-m", "suspension_twin", *shlex.split(line)[1:]]
             done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, timeout=120)

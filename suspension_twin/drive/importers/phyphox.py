@@ -17,7 +17,7 @@ from dataclasses import replace
 import numpy as np
 
 from suspension_twin.arrays import Floats
-from suspension_twin.drive.intake.phones import phone_fix
+from suspension_twin.drive.intake.phones import ExperimentTime, phone_fix
 from suspension_twin.drive.intake.source import Source
 from suspension_twin.drive.intake.streams import Series, Streams
 from suspension_twin.drive.intake.table import Table, read_table
@@ -126,22 +126,13 @@ def _to_epoch(source: Source, streams: Streams) -> None:
     table = read_table(source.read(name), source.label(name), header=True)
     events = [value.strip().strip('"').upper() for value in table.text(0)]
     experiment, system = table.numbers(1), table.numbers(2)
-    known = np.isfinite(experiment) & np.isfinite(system)
-    starts = [i for i, event in enumerate(events) if event == "START" and known[i]]
-    if not starts:
+    clock = ExperimentTime.of_events(events, experiment, system)
+    if not clock.begin.size:
         raise InputError(source.label(name), "holds no START")
-    begin = experiment[starts]
-    offset = system[starts] - begin
-    pauses = len(starts) - 1
+    pauses = clock.begin.size - 1
     if pauses:
         streams.notes.append(f"time: the recording was paused {pauses} times")
-
-    def epoch(t: Floats) -> Floats:
-        # a sample at the very moment of a pause belongs to what was before it
-        segment = np.clip(np.searchsorted(begin, t, side="left") - 1, 0, len(starts) - 1)
-        return np.asarray(t + offset[segment])
-
     for name in ("force", "rate", "fix", "velocity"):
         stream = getattr(streams, name)
         if stream is not None:
-            setattr(streams, name, replace(stream, t=epoch(stream.t)))
+            setattr(streams, name, replace(stream, t=clock.utc(stream.t)))

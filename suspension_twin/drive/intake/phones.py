@@ -7,7 +7,8 @@ Sources: UNITS.md, COORDINATES.md and CROSSPLATFORM.md of tszheichoi/awesome-sen
 
 from __future__ import annotations
 
-from collections.abc import Collection
+from collections.abc import Collection, Sequence
+from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
@@ -15,7 +16,7 @@ import numpy as np
 from suspension_twin.arrays import Floats
 from suspension_twin.drive.types import FixData
 
-__all__ = ["FORCE_CHOICES", "IOS_FORCE_SIGN", "force_sensors", "phone_fix"]
+__all__ = ["FORCE_CHOICES", "IOS_FORCE_SIGN", "ExperimentTime", "force_sensors", "phone_fix"]
 
 #: Sensor Logger's sensors whose sum is the specific force, the best first.
 FORCE_CHOICES: Final = (
@@ -46,3 +47,25 @@ def phone_fix(
         sigma = np.where(sigma > 0, sigma, np.nan)
         status = np.where(horizontal < 0, -1, 0).astype(np.int8)
     return FixData(t, latitude, longitude, altitude, status, sigma)
+
+
+@dataclass(frozen=True, eq=False)
+class ExperimentTime:
+    """phyphox's time of an experiment, which stands still during pauses, beside UTC: at ``begin`` (k,) s, when it was
+    started or went on, UTC was ``offset`` (k,) s more."""
+
+    begin: Floats
+    offset: Floats
+
+    @classmethod
+    def of_events(cls, events: Sequence[str], experiment: Floats, system: Floats) -> ExperimentTime:
+        """From the events START and PAUSE, and what both clocks showed at each in s; others are left out."""
+        known = np.isfinite(experiment) & np.isfinite(system)
+        starts = [i for i, event in enumerate(events) if event == "START" and known[i]]
+        return cls(experiment[starts], system[starts] - experiment[starts])
+
+    def utc(self, t: Floats) -> Floats:
+        """UTC in s of experiment times ``t`` (n,) s."""
+        # a sample at the very moment of a pause belongs to what was before it
+        segment = np.clip(np.searchsorted(self.begin, t, side="left") - 1, 0, self.begin.size - 1)
+        return np.asarray(t + self.offset[segment])

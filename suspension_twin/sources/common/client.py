@@ -12,12 +12,31 @@ import aiohttp
 from suspension_twin.errors import InputError
 from suspension_twin.sources.common.hub import Hub
 
-__all__ = ["Stay", "keep_connected"]
+__all__ = ["Stay", "fetch", "keep_connected", "url_host"]
 
 #: s between attempts, at first and at most.
 _FIRST, _LONGEST = 0.5, 5.0
 #: s that a connection has to last for the next attempt to be a first one.
 _GOOD = 5.0
+
+
+def url_host(host: str) -> str:
+    """A host as it stands in a URL."""
+    return f"[{host}]" if ":" in host else host
+
+
+async def fetch(session: aiohttp.ClientSession, url: str, most: int) -> bytes:
+    """The answer to a GET; InputError where it is no success or has more than ``most`` bytes."""
+    async with session.get(url) as answer:
+        if answer.status != 200:
+            raise InputError(url.partition("?")[0], f"answers {answer.status} {answer.reason}")
+        parts, size = [], 0
+        async for part in answer.content.iter_chunked(65536):
+            size += len(part)
+            if size > most:
+                raise InputError(url.partition("?")[0], f"answers with more than {most} bytes")
+            parts.append(part)
+        return b"".join(parts)
 
 
 class Stay(Exception):

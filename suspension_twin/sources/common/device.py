@@ -55,6 +55,8 @@ class Device:
         self.counts: Counter[str] = Counter()
         #: Standard deviation east in m of the last fix, NaN while not known.
         self.accuracy = math.nan
+        #: Latitude, longitude in degrees and height in m of the last fix.
+        self.place: tuple[float, float, float] | None = None
         #: The host's time in s when it was first heard of.
         self.since = hub.now()
         self._force = _Buffer()
@@ -115,6 +117,7 @@ class Device:
         if not len(fix):
             return
         self.accuracy = float(fix.sigma[-1, 0])
+        self.place = float(fix.latitude[-1]), float(fix.longitude[-1]), float(fix.altitude[-1])
         self._send(fix, self.position_clock, arrival)
 
     def velocity(self, velocity: VelocityData, arrival: float) -> None:

@@ -76,6 +76,8 @@ class Hub:
     devices: dict[str, Device] = field(default_factory=dict)
     #: The device in charge of each stream.
     chosen: dict[Stream, Device] = field(default_factory=dict)
+    #: What passes corrections (RTCM) on to the receivers.
+    correctors: list[Callable[[bytes], None]] = field(default_factory=list)
     #: Samples dropped because nobody took them in time.
     dropped: int = 0
 
@@ -104,7 +106,6 @@ class Hub:
                 return None
             found = Device(self, name, rank=rank, epoch=epoch)
             self.devices[name] = found
-            self.say("ok", f"device {name}", f"{name}: connected")
         return found
 
     def say(self, level: Literal["ok", "warn", "error"], code: str, text: str) -> None:

@@ -21,15 +21,15 @@ from suspension_twin.arrays import Floats
 from suspension_twin.drive.intake.phones import IOS_FORCE_SIGN, force_sensors, phone_fix
 from suspension_twin.drive.intake.velocity import velocities_from_course
 from suspension_twin.errors import InputError
+from suspension_twin.sources.common.address import Address
 from suspension_twin.sources.common.device import Device
 from suspension_twin.sources.common.fields import number, read_object
 from suspension_twin.sources.common.hub import Hub
 from suspension_twin.units import STANDARD_GRAVITY
 
-__all__ = ["AXES", "Phones", "parse_message"]
+__all__ = ["Phones", "axes_of", "parse_message"]
 
-#: Choices of the option ``axes``.
-AXES: Final = ("auto", "android", "ios")
+_AXES: Final = ("auto", "android", "ios")
 
 _VECTORS: Final = (
     "totalacceleration",
@@ -58,6 +58,14 @@ _OVERTAKEN, _UNDECIDED = 0.5, 3.0
 _FIRST_OVERTAKEN = 4
 #: A message this much older than the newest is the first of a new count.
 _RECOUNT = 1000
+
+
+def axes_of(address: Address) -> str:
+    """The option ``axes``; InputError for one that is none."""
+    axes = address.options.get("axes", "auto")
+    if axes not in _AXES:
+        raise InputError(str(address), "axes", f"must be one of {', '.join(_AXES)}, is '{axes}'")
+    return axes
 
 
 @dataclass
@@ -326,6 +334,7 @@ class Phones:
             device = self._hub.device(name, rank=self._rank)
             if device is None:
                 return message
+            self._hub.say("ok", f"device {device.name}", f"{device.name}: connected")
             axes = _Axes(self._wanted, device.name, self._hub)
             phone = self._phones[message.device] = _Phone(device, axes)
         phone.take(message)
