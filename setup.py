@@ -39,6 +39,7 @@ REQUIRED = [
     "cycler>=0.11",
     "aiohttp>=3.9",
     "paho-mqtt>=2.1",
+    "segno>=1.6",
     "pyubx2>=1.2.48",
     "pynmeagps>=1.0.40",
     "jinja2>=3.1",
