@@ -47,6 +47,7 @@ REQUIRED = [
     "cycler>=0.11",
     "aiohttp>=3.10",
     "paho-mqtt>=2.1",
+    "segno>=1.6",
     "pyubx2>=1.2.48",
     "pynmeagps>=1.0.40",
     "jinja2>=3.1",

@@ -3,23 +3,49 @@
 
 from __future__ import annotations
 
+import io
 import time
 from collections.abc import Sequence
 from types import TracebackType
 from typing import final
 
+import segno
 from rich.console import Console, Group
 from rich.live import Live
 from rich.text import Text
 
+from suspension_twin.sources import Source
 from suspension_twin.sources.common.hub import Hub
 from suspension_twin.sources.common.report import device_line, findings
 
-__all__ = ["LiveLines"]
+__all__ = ["DEFAULT_SOURCE", "STYLES", "LiveLines", "show_guide"]
+
+#: What connect and record listen to if nothing is named: any phone with Sensor Logger.
+DEFAULT_SOURCE = "sensorlogger://0.0.0.0:8000"
 
 #: Seconds between lines on a terminal, and in a log.
 _PERIOD, _LOG_PERIOD = 0.5, 10.0
-_STYLES = {"ok": "", "warn": "yellow", "error": "bold red"}
+STYLES = {"ok": "", "warn": "yellow", "error": "bold red"}
+
+
+async def show_guide(console: Console, sources: Sequence[Source], urls: Sequence[str]) -> None:
+    """How to connect: what each source says, its QR code on a terminal, the app's settings step by step, and how
+    the same is recorded and followed."""
+    for source in sources:
+        console.print()
+        for note in source.notes:
+            console.print(Text(note, style="bold"))
+        if source.code and console.is_terminal:
+            buffer = io.StringIO()
+            segno.make(source.code, error="m").terminal(out=buffer, compact=True)
+            console.print(Text(buffer.getvalue()), no_wrap=True)
+        for number, step in enumerate(source.steps, 1):
+            console.print(Text(f"  {number}. {step}"))
+    given = " ".join(f"--source '{url}'" for url in urls)
+    console.print()
+    console.print(Text(f"Record: suspension-twin record {given} --out drive"))
+    console.print(Text(f"Follow: suspension-twin run --twin TWIN.YAML {given}"))
+    console.print()
 
 
 @final
@@ -53,14 +79,14 @@ class LiveLines:
     def show(self, head: str) -> None:
         """Say what has happened, and bring the lines up to date if it is time to."""
         for event in self._hub.heard():
-            self._console.print(Text(event.text, style=_STYLES[event.level]))
+            self._console.print(Text(event.text, style=STYLES[event.level]))
         now = time.monotonic()
         if now < self._due:
             return
         host = self._hub.now()
         lines = [Text(head)]
         lines += [Text(f"  {device_line(device, host)}") for device in self._hub.devices.values()]
-        lines += [Text(f"  {f.text}", style=_STYLES[f.level]) for f in findings(self._hub, host)]
+        lines += [Text(f"  {f.text}", style=STYLES[f.level]) for f in findings(self._hub, host)]
         if self._live is not None:
             self._live.update(Group(*lines), refresh=True)
             self._due = now + _PERIOD

@@ -64,6 +64,9 @@ SUBCOMMANDS = (
     ),
     Subcommand("plan", "plan", "Which effects this set-up could show, and never tell apart."),
     Subcommand("simulate", "simulate", "The twin over a recorded drive, without ROS."),
+    Subcommand(
+        "connect", "connect", "Connect a phone, a receiver or an IMU, and see what arrives.", endless=True
+    ),
     Subcommand("record", "record", "Live phones, receivers and IMUs into a bag.", endless=True),
     Subcommand("import", "import_", "A phone's or logger's recording into a bag."),
     Subcommand("damping", "damping", "Which dampers a tracked vehicle should have, by speed."),

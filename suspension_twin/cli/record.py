@@ -14,12 +14,11 @@ import typer
 from rich.padding import Padding
 from rich.text import Text
 
-from suspension_twin.cli._live import LiveLines
+from suspension_twin.cli._live import DEFAULT_SOURCE, LiveLines, show_guide
 from suspension_twin.cli.common import Force, Outputs, SourceUrls, output
 from suspension_twin.drive.read import read_drive
 from suspension_twin.drive.summary import summarise
 from suspension_twin.drive.write import BagWriter
-from suspension_twin.errors import InputError
 from suspension_twin.sources import Source, make_sources
 from suspension_twin.sources.common.hub import Hub
 from suspension_twin.sources.common.recorder import Recorder
@@ -49,33 +48,38 @@ def command(
 ) -> None:
     """Live phones, receivers and IMUs into a bag, without a twin and without ROS. Ctrl-C ends it.
 
-    The bag is what calibrate takes. Stand still for some seconds before you drive off.
+    Without --source it listens to phones with Sensor Logger and shows how to connect one. The bag is what calibrate
+    takes. Stand still for some seconds before you drive off.
     """
-    if not source:
-        raise InputError("--source", "is missing: name what to record, such as sensorlogger://0.0.0.0:8000")
+    urls = source or [DEFAULT_SOURCE]
     outputs = Outputs(out, force=force)
     BagWriter(out, overwrite=force)  # replaces nothing but a recording
     hub = Hub()
-    sources = make_sources(source, hub)
+    sources = make_sources(urls, hub)
     console = output()
     outputs.announce()
     with Recorder(out, overwrite=force) as recorder:
-        asyncio.run(_record(sources, hub, recorder, seconds))
+        asyncio.run(_record(sources, hub, recorder, seconds, [] if source else urls))
     drive = read_drive(out)
     for line in [*summarise(drive).lines(), *(f"warning: {text}" for text in drive.warnings)]:
         console.print(Padding(Text(line), (0, 0, 0, 2), expand=False))
     console.print(f"Written to {out}", markup=False)
 
 
-async def _record(sources: Sequence[Source], hub: Hub, recorder: Recorder, seconds: float | None) -> None:
-    """Until Ctrl-C, SIGTERM or the end of the time."""
+async def _record(
+    sources: Sequence[Source], hub: Hub, recorder: Recorder, seconds: float | None, guide: Sequence[str]
+) -> None:
+    """Until Ctrl-C, SIGTERM or the end of the time; how to connect what ``guide`` names is shown first."""
     end = asyncio.Event()
     loop = asyncio.get_running_loop()
     for number in (signal.SIGINT, signal.SIGTERM):
         loop.add_signal_handler(number, end.set)
     began = time.monotonic()
     async with running(sources, hub):
-        with LiveLines(hub, [note for source in sources for note in source.notes]) as lines:
+        if guide:
+            await show_guide(output(), sources, guide)
+        notes = [] if guide else [note for source in sources for note in source.notes]
+        with LiveLines(hub, notes) as lines:
             while not end.is_set() and (seconds is None or time.monotonic() - began < seconds):
                 recorder.write(hub.take())
                 lines.show(f"{recorder.counts['imu']} IMU samples, {recorder.counts['fix']} positions")

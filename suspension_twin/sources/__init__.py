@@ -27,6 +27,10 @@ class Source(Protocol):
 
     #: What to tell the user, a line each: where to send to, what to set.
     notes: list[str]
+    #: How to set up what is connected, a line each.
+    steps: Sequence[str]
+    #: What a QR code shows for it, once it is open; empty: none.
+    code: str
 
     async def start(self) -> None:
         """Open what can fail for good: InputError for a port that is taken, a device that is not there."""

@@ -8,6 +8,7 @@ position, velocity and their error estimates, ATT the heading.
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any, Final
 
@@ -22,10 +23,11 @@ from suspension_twin.sources.common.fields import number, read_object
 from suspension_twin.sources.common.hub import Hub
 from suspension_twin.sources.common.receiver import ByteStream, Receiver
 
-__all__ = ["EXAMPLE", "TITLE", "Gpsd", "make"]
+__all__ = ["EXAMPLE", "STEPS", "TITLE", "Gpsd", "make"]
 
 TITLE = "gpsd"
 EXAMPLE = "gpsd://localhost:2947"
+STEPS: Final = ("Antenna on the roof; its place belongs into the twin file (gps.position).",)
 
 _PORT: Final = 2947
 _LONGEST: Final = 65536  # bytes of a line: SKY of many satellites has some thousand
@@ -35,6 +37,9 @@ _STATUS: Final = {2: 1, 3: 2, 4: 2}
 
 class Gpsd(Receiver):
     """One daemon; with several receivers behind it, all of them."""
+
+    steps: Sequence[str] = STEPS
+    code = ""
 
     def __init__(self, address: Address, hub: Hub, rank: int) -> None:
         if not address.host:

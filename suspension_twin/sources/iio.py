@@ -14,6 +14,7 @@ from __future__ import annotations
 import asyncio
 import os
 import re
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
@@ -29,10 +30,14 @@ from suspension_twin.sources.common.clock import host_time
 from suspension_twin.sources.common.hub import Hub
 from suspension_twin.sources.common.receiver import DescriptorStream
 
-__all__ = ["EXAMPLE", "TITLE", "Iio", "devices", "make"]
+__all__ = ["EXAMPLE", "STEPS", "TITLE", "Iio", "devices", "make"]
 
 TITLE = "Linux IIO"
 EXAMPLE = "iio:bmi160"
+STEPS: Final = (
+    "The sensor is screwed or glued to the body; its place and axes belong into the twin file (imu).",
+    "?rate=1600 sets its rate, where its interrupt is connected.",
+)
 
 SYSFS: Path = Path("/sys/bus/iio/devices")
 DEV: Path = Path("/dev")
@@ -94,6 +99,9 @@ class _Scan:
 
 class Iio:
     """One device."""
+
+    steps: Sequence[str] = STEPS
+    code = ""
 
     def __init__(self, address: Address, hub: Hub, rank: int) -> None:
         address.check_options(("rate", "trigger", "poll"))

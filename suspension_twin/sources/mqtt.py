@@ -9,6 +9,7 @@ URL; ``tls=1`` encrypts. Options ``axes`` and ``device`` as of ``sensorlogger``.
 from __future__ import annotations
 
 import asyncio
+from collections.abc import Sequence
 from typing import Any, Final, Literal
 
 from paho.mqtt.client import Client, MQTTMessage
@@ -20,10 +21,16 @@ from suspension_twin.sources.common.clock import host_time
 from suspension_twin.sources.common.hub import Hub
 from suspension_twin.sources.common.sensor_logger import Phones, axes_of
 
-__all__ = ["EXAMPLE", "TITLE", "Mqtt", "make"]
+__all__ = ["EXAMPLE", "STEPS", "TITLE", "Mqtt", "make"]
 
 TITLE = "MQTT broker"
 EXAMPLE = "mqtt://localhost/sensor-logger"
+STEPS: Final = (
+    "In Sensor Logger: Settings > Data Streaming > MQTT: on; the broker's address and its WebSocket port.",
+    "The topic is the one above; batch period: the shortest. Tap to Test Publish.",
+    "Sensors: Accelerometer, Gravity (Android: Total Acceleration as well), Gyroscope, Location; 100 Hz or more.",
+    "Mount the phone rigidly, start recording, and keep the app in front.",
+)
 
 _PORTS: Final = {
     ("tcp", False): 1883,
@@ -38,6 +45,9 @@ _WAITING: Final = 1000  # messages that the event loop may be behind
 
 class Mqtt:
     """One topic of one broker. The client has a thread of its own, which hands messages to the event loop."""
+
+    steps: Sequence[str] = STEPS
+    code = ""
 
     def __init__(self, address: Address, hub: Hub, rank: int) -> None:
         address.check_options(("transport", "tls", "axes", "device"))

@@ -11,6 +11,7 @@ Option: ``baud`` bit/s of a serial port.
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from datetime import date, datetime, time, timedelta, timezone
 from typing import Any, Final
 
@@ -24,10 +25,14 @@ from suspension_twin.sources.common.address import Address
 from suspension_twin.sources.common.hub import Hub
 from suspension_twin.sources.common.receiver import Receiver
 
-__all__ = ["EXAMPLE", "TITLE", "Nmea", "make"]
+__all__ = ["EXAMPLE", "STEPS", "TITLE", "Nmea", "make"]
 
 TITLE = "NMEA receiver"
 EXAMPLE = "nmea:/dev/ttyUSB0"
+STEPS: Final = (
+    "Switch GGA, RMC and GST on in the receiver, at 5 Hz or more.",
+    "Antenna on the roof; its place belongs into the twin file (gps.position).",
+)
 
 _KNOT: Final = 1852.0 / 3600.0  # m/s, exactly (BIPM)
 _LONGEST: Final = 512  # bytes of a sentence; NMEA 0183 allows 82, some receivers send more
@@ -47,6 +52,9 @@ _QUALITY: Final = {
 
 class Nmea(Receiver):
     """One receiver."""
+
+    steps: Sequence[str] = STEPS
+    code = ""
 
     def __init__(self, address: Address, hub: Hub, rank: int) -> None:
         super().__init__(address, hub, rank, "NMEA", 9600)

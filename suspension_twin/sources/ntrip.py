@@ -13,6 +13,7 @@ import base64
 import contextlib
 import math
 import time
+from collections.abc import Sequence
 from datetime import datetime, timezone
 from typing import Final
 
@@ -22,10 +23,13 @@ from suspension_twin.sources.common.address import Address
 from suspension_twin.sources.common.client import Stay, keep_connected
 from suspension_twin.sources.common.hub import Hub
 
-__all__ = ["EXAMPLE", "TITLE", "Ntrip", "make"]
+__all__ = ["EXAMPLE", "STEPS", "TITLE", "Ntrip", "make"]
 
 TITLE = "NTRIP caster"
 EXAMPLE = "ntrip://user:password@caster.example:2101/MOUNT"
+STEPS: Final = (
+    "The receiver needs the same frequency bands as the caster's station, some 30 km at most from it.",
+)
 
 _PORT: Final = 2101
 _PATIENCE: Final = 30.0  # s without a byte after which the connection is made anew
@@ -35,6 +39,9 @@ _EVERY: Final = 10.0  # s between two positions for the caster
 
 class Ntrip:
     """One mountpoint of one caster."""
+
+    steps: Sequence[str] = STEPS
+    code = ""
 
     def __init__(self, address: Address, hub: Hub, rank: int) -> None:
         address.check_options(("gga",))

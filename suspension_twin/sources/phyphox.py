@@ -14,6 +14,7 @@ from __future__ import annotations
 import asyncio
 import json
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, Final
 from urllib.parse import quote
@@ -31,10 +32,16 @@ from suspension_twin.sources.common.clock import host_time
 from suspension_twin.sources.common.fields import read_object
 from suspension_twin.sources.common.hub import Hub
 
-__all__ = ["EXAMPLE", "TITLE", "Phyphox", "make"]
+__all__ = ["EXAMPLE", "STEPS", "TITLE", "Phyphox", "make"]
 
 TITLE = "phyphox"
 EXAMPLE = "phyphox://192.168.1.20:8080"
+STEPS: Final = (
+    "Phone and laptop are in one network, such as the phone's hotspot.",
+    "In phyphox: + > Add experiment from QR code: the code above (config/phyphox/suspension_twin.phyphox).",
+    "Open it; in its menu: Allow remote access. The app shows the address that belongs into phyphox://HOST:PORT.",
+    "Mount the phone rigidly and keep the app in front.",
+)
 
 _PORT: Final = 8080  # Android's; iPhones have 80
 _MOST: Final = 32_000_000  # bytes of an answer: a minute of 400 Hz takes 4 MB
@@ -69,6 +76,9 @@ class _Sensor:
 
 class Phyphox:
     """One phone, asked again and again."""
+
+    steps: Sequence[str] = STEPS
+    code = ""
 
     def __init__(self, address: Address, hub: Hub, rank: int) -> None:
         address.check_options(("period",))

@@ -11,6 +11,7 @@ from __future__ import annotations
 import asyncio
 import json
 import math
+from collections.abc import Sequence
 from typing import Any, Final
 from urllib.parse import quote
 
@@ -27,10 +28,16 @@ from suspension_twin.sources.common.clock import host_time
 from suspension_twin.sources.common.fields import number, read_object
 from suspension_twin.sources.common.hub import Hub
 
-__all__ = ["EXAMPLE", "TITLE", "SensorServer", "make"]
+__all__ = ["EXAMPLE", "STEPS", "TITLE", "SensorServer", "make"]
 
 TITLE = "SensorServer"
 EXAMPLE = "sensorserver://192.168.1.20:8080"
+STEPS: Final = (
+    "Phone and laptop are in one network, such as the phone's hotspot; or by USB: Local Host on, adb forward.",
+    "In SensorServer: Settings > Sampling rate: 10000 µs or less; allow the location.",
+    "Start: the app shows the address that belongs into sensorserver://HOST:PORT.",
+    "Mount the phone rigidly and keep the app in front.",
+)
 
 _FORCE: Final = "android.sensor.accelerometer"
 _RATE: Final = "android.sensor.gyroscope"
@@ -46,6 +53,9 @@ _CLOSED: Final = {
 
 class SensorServer:
     """One phone: a connection for its sensors and one for its location."""
+
+    steps: Sequence[str] = STEPS
+    code = ""
 
     def __init__(self, address: Address, hub: Hub, rank: int) -> None:
         address.check_options(())
