@@ -64,7 +64,8 @@ def main(arguments):
     try:
         use_supported_python(arguments)
         command = arguments[0]
-        set_up(["test"] if command in ("test", "check") else [])
+        extras = ["test"] if command in ("test", "check") else []
+        set_up(extras + (["foxglove"] if "--foxglove" in arguments else []))
     except Refusal as refusal:
         sys.stderr.write("bootstrap: %s\n" % refusal)
         return 2

@@ -14,7 +14,15 @@ from setuptools import find_packages, setup
 
 HERE = Path(__file__).resolve().parent
 SHARE = Path("share/suspension_twin")
-NODES = ("imu_ingest", "pose_injector", "suspension_model", "calibrator", "source", "viewer")
+NODES = (
+    "imu_ingest",
+    "pose_injector",
+    "suspension_model",
+    "calibrator",
+    "source",
+    "viewer",
+    "foxglove_bridge",
+)
 
 REQUIRED = [
     "suspension-twin-interfaces",  # brings rclpy and the ROS messages, see suspension_twin_interfaces/setup.py
@@ -37,7 +45,7 @@ REQUIRED = [
     "cma>=4.0",
     "matplotlib>=3.6",
     "cycler>=0.11",
-    "aiohttp>=3.9",
+    "aiohttp>=3.10",
     "paho-mqtt>=2.1",
     "segno>=1.6",
     "pyubx2>=1.2.48",
@@ -65,6 +73,7 @@ TEST = [
     "scipy-stubs",
     "types-PyYAML",
 ]
+FOXGLOVE = ["foxglove-sdk>=0.14"]
 DOCS = ["mkdocs>=1.6", "mkdocs-material>=9.5", "mkdocstrings[python]>=0.26", "latex2mathml>=3.77"]
 
 
@@ -94,7 +103,7 @@ setup(
     maintainer_email=maintainer.get("email"),
     python_requires=">=3.10,<3.14",
     install_requires=REQUIRED,
-    extras_require={"test": TEST + DOCS, "docs": DOCS},
+    extras_require={"test": TEST + DOCS + FOXGLOVE, "foxglove": FOXGLOVE, "docs": DOCS},
     packages=find_packages(include=["suspension_twin", "suspension_twin.*"]),
     package_data={"": ["py.typed", "*.html", "*.j2", "*.css", "*.js", "*.yaml"]},
     data_files=data_files(),

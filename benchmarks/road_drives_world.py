@@ -28,7 +28,7 @@ from suspension_twin.road import write_road
 from suspension_twin.road.road import Road
 from suspension_twin.vehicle.twin import Twin, load_twin, parse_twin, save_twin
 
-__all__ = ["LENGTH", "Site", "drive_over", "make_site", "phone_fixes"]
+__all__ = ["LENGTH", "Site", "drive_over", "make_site", "phone_fixes", "truth_along"]
 
 LENGTH = 300.0  # m
 #: A phone's receiver: standard deviation m of the slow error, its time s, and of the white one, m and m/s.
@@ -121,14 +121,13 @@ def phone_fixes(site: Site, drive: Drive, motion: Motion, number: int) -> Drive:
     return replace(drive, fix=fix, velocity=VelocityData(t, velocity))
 
 
-def truth_along(site: Site, x: Floats, y: Floats) -> Floats:
-    """True heights in m at ``map`` positions: bilinear on the fine grid of the reality's own surface."""
+def truth_along(site: Site, x: Floats, y: Floats, v: Floats | None = None) -> Floats:
+    """True heights in m at ``map`` positions, or at lateral places ``v`` m of the road beside them."""
     surface = site.world.surface
+    zero = np.zeros(surface.line.shape[0])
+    ends = float(surface.heading[0]), float(surface.heading[-1])
     line = surface.line
-    zero = np.zeros(line.shape[0])
-    v = surface.v0 + np.arange(surface.z.shape[1]) * surface.dv if hasattr(surface, "v0") else None
+    fine = Road("truth", surface.z, surface.v, surface.du, line[:, 0], line[:, 1], zero, zero, ends)
     if v is None:
-        v = -world.HALF + np.arange(surface.z.shape[1]) * world.DV
-    fine = Road("truth", surface.z, v, world.DU, line[:, 0], line[:, 1], zero, zero,
-                (float(surface.heading[0]), float(surface.heading[-1])))  # fmt: skip
-    return fine.heights(x, y, "hold")
+        return fine.heights(x, y, "hold")
+    return fine.heights_uv(fine.xy_to_uv(x, y)[0], v, "hold")

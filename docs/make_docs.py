@@ -31,6 +31,45 @@ DOES = {
     "calibrator": "calibration and diagnosis of recorded drives",
     "source": "live phones, receivers and IMUs ([docs/sources.md](docs/sources.md)); only where it is given sources",
 }
+_BASE = "`base_link`"
+#: Frame and content of each topic, with units.
+CARRIES = {
+    "imu/data_raw": (
+        "`imu.frame` of the twin file",
+        "specific force m/s², angular rate rad/s, the sensor's axes",
+    ),
+    "imu/data": (_BASE, "the same without biases, low-passed, gravity kept: m/s², rad/s"),
+    "imu/vertical_acceleration": (_BASE, "`accel.linear.z` m/s², gravity removed, low-passed"),
+    "fix": (
+        "`gps.frame` of the twin file",
+        "latitude and longitude in degrees, altitude in m (WGS 84), covariance m²",
+    ),
+    "vel": ("any", "`twist.linear` m/s: x east, y north, z up"),
+    "heading": ("any", "optional; yaw of the vehicle from east, counter-clockwise"),
+    "twin/odom": (
+        "`map`, child `base_link`",
+        "pose m and speed m/s, locked to the vehicle in x, y and yaw; covariance",
+    ),
+    "twin/vertical_acceleration": (
+        _BASE,
+        "`accel.linear.z` m/s² at the IMU's place, gravity removed, low-passed",
+    ),
+    "twin/imu": ("`imu.frame`", "what the IMU would have measured on the twin: m/s², rad/s; unfiltered"),
+    "twin/pose": ("`map`", "`base_link` of the twin, m"),
+    "joint_states": (
+        "",
+        "compression from the spring's free length, m and m/s (arms of a tracked vehicle: rad, rad/s)",
+    ),
+    "tf": ("`map`", "`base_link`, and in it the frames of the wheels (`front_left_wheel`, ...), m"),
+    "twin/gap": (
+        _BASE,
+        "rms of measured minus simulated over a sliding window, m/s², in all and by frequency band",
+    ),
+    "twin/gap_marker": ("`map`", "the gap on the road, a tile a metre, green to red"),
+    "twin/road": ("`map`", "the road within 8 m of the vehicle as points, m; every 2 m"),
+    "tf_static": (_BASE, "`imu_link` and `gps_link`"),
+    "robot_description": ("", "URDF of the vehicle, with the joints of `joint_states`"),
+}
 _HEADS = ("parameter", "unit", "range", "neutral", "prior", "what")
 #: Titles of the sections of effects.md, by where an effect acts.
 WHERE = {
@@ -116,6 +155,7 @@ def _graph() -> dict[str, dict[str, list[tuple[str, str]]]]:
             node = _make(name, kind)
             served = get_action_server_names_and_types_by_node(node, name, "/")
             found[name] = {
+                "latched": [(p.topic, "") for p in node.publishers if _latched(p)],
                 "in": [(s.topic, _type(s.msg_type)) for s in node.subscriptions if _own(s.topic)],
                 "out": [(p.topic, _type(p.msg_type)) for p in node.publishers if _own(p.topic)],
                 "services": [
@@ -143,13 +183,19 @@ def _own(topic: str) -> bool:
     return not re.search(r"/(rosout|clock|parameter_events|diagnostics)$|/_action/", topic)
 
 
+def _latched(publisher: Any) -> bool:
+    from rclpy.qos import DurabilityPolicy
+
+    return bool(publisher.qos_profile.durability == DurabilityPolicy.TRANSIENT_LOCAL)
+
+
 def _type(kind: type) -> str:
     package, group, *_ = kind.__module__.split(".")
     return f"{package}/{group}/{kind.__name__}"
 
 
 def _topic(name: str) -> str:
-    return f"`{name if name == '/tf' else name.removeprefix('/')}`"
+    return f"`{name if name.startswith('/tf') else name.removeprefix('/')}`"
 
 
 def nodes() -> str:
@@ -162,7 +208,7 @@ def nodes() -> str:
             [
                 f"`{name}`",
                 DOES[name],
-                ", ".join(_topic(t) for t, _ in of["in"]),
+                ", ".join(f"{_topic(t)} {kind.replace('/msg', '')}" for t, kind in of["in"]),
                 ", ".join(_topic(t) for t, _ in of["out"]),
                 served,
             ]
@@ -173,8 +219,10 @@ def nodes() -> str:
 def topics() -> str:
     """Every topic with its type and the nodes at both of its ends."""
     kinds: dict[str, str] = {}
+    latched: set[str] = set()
     ends: dict[str, tuple[list[str], list[str]]] = {}
     for name, of in _graph().items():
+        latched |= {topic for topic, _ in of["latched"]}
         for side, way in enumerate(("in", "out")):
             for topic, kind in of[way]:
                 kinds[topic] = kind
@@ -182,9 +230,12 @@ def topics() -> str:
     rows = []
     for topic, kind in kinds.items():
         into, out = (", ".join(f"`{n}`" for n in names) for names in ends[topic])
-        sensors = out in ("", "`source`")
-        rows.append([_topic(topic), f"`{kind}`", "sensors, `source`" if sensors else out, into or "for you"])
-    return table(["topic", "type", "from", "to"], rows)
+        sensor = out in ("", "`source`")
+        quality = "latched" if topic in latched else "best effort" if sensor else "reliable"
+        frame, content = CARRIES[topic.removeprefix("/")]
+        ends_of = f"{'sensors, `source`' if sensor else out} → {into or 'you'}"
+        rows.append([_topic(topic), f"`{kind.replace('/msg', '')}`", ends_of, quality, frame, content])
+    return table(["topic", "type", "from → to", "QoS", "frame", "content and units"], rows)
 
 
 def calls() -> str:
@@ -282,6 +333,7 @@ def pictures() -> None:
     effects_picture()
     damping_picture()
     diagnosis_picture()
+    plan_picture()
     rig_picture()
 
 
@@ -426,6 +478,17 @@ def draw_diagnosis(case: Path, answer: Path) -> None:
         right.set_ylabel("density [m²/s⁴/Hz]")
         right.legend()
     style.save(fig, HERE / "diagnosis.png", dpi=130)
+
+
+def plan_picture() -> None:
+    """The smallest sizes that two drives over the bundled bump could show."""
+    from suspension_twin.diagnosis.plan import plan
+    from suspension_twin.report import style
+    from suspension_twin.report.plan import sizes_picture
+    from suspension_twin.vehicle.twin import load_twin
+
+    found = plan(load_twin(ROOT / "bags" / "bump_15kmh" / "twin.yaml"))
+    style.save(sizes_picture(found.shown), HERE / "plan.png", dpi=110)
 
 
 def rig_picture() -> None:

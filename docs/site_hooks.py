@@ -18,7 +18,12 @@ from latex2mathml.converter import convert
 from mkdocs.structure.files import File, Files
 
 HERE = Path(__file__).resolve().parent
-AT_ROOT = {"index.md": "README.md", "contributing.md": "CONTRIBUTING.md", "changelog.md": "CHANGELOG.md"}
+AT_ROOT = {
+    "index.md": "README.md",
+    "contributing.md": "CONTRIBUTING.md",
+    "changelog.md": "CHANGELOG.md",
+    "security.md": "SECURITY.md",
+}
 _LINK = re.compile(r"(!?)\[((?:[^\[\]]|\[[^\]]*\])*)\]\(([^)\s]+)\)")
 _ROLE = re.compile(r":(?:func|class|meth|data|mod|attr):<code>(~?)([\w.]+)</code>")
 _FORMULA = re.compile(

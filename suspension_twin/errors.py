@@ -15,7 +15,7 @@ from difflib import get_close_matches
 from os import PathLike, fspath
 from typing import Any, Final
 
-__all__ = ["InputError", "SuspensionTwinError", "WorkError", "nearest", "printable", "shown"]
+__all__ = ["InputError", "SuspensionTwinError", "WorkError", "nearest", "one_line", "printable", "shown"]
 
 #: Characters of a line of error text; whatever a file holds, a message stays readable.
 _LONGEST: Final = 2000
@@ -29,6 +29,12 @@ def printable(text: str) -> str:
     if text.isprintable():
         return text
     return "".join(c if c.isprintable() else repr(c)[1:-1] for c in text)
+
+
+def one_line(text: str) -> str:
+    """``text`` printable, and of a length that can be read."""
+    text = printable(text)
+    return text if len(text) <= _LONGEST else f"{text[: _LONGEST - 500]} … {text[-500:]}"
 
 
 def shown(value: Any, most: int = 80) -> str:
@@ -45,8 +51,7 @@ class SuspensionTwinError(Exception):
     exit_status = 1
 
     def __init__(self, *parts: str | PathLike[str]) -> None:
-        text = printable(": ".join(fspath(p) for p in parts))
-        super().__init__(text if len(text) <= _LONGEST else f"{text[:_LONGEST]}… ({len(text)} characters)")
+        super().__init__(one_line(": ".join(fspath(p) for p in parts)))
 
 
 class InputError(SuspensionTwinError):

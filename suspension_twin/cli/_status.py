@@ -21,6 +21,7 @@ __all__ = ["Status", "line", "say"]
 
 #: Seconds between lines on a terminal, and in a log.
 _PERIOD, _LOG_PERIOD = 1.0, 10.0
+_WIDTH = 80
 
 
 def say(text: str) -> None:
@@ -29,26 +30,34 @@ def say(text: str) -> None:
 
 
 def line(condition: Condition) -> Text:
-    """``condition`` in one line, on a narrow terminal in two; what is wrong comes last and in colour."""
+    """``condition`` in a line of at most 80 columns; what is wrong comes in a second one and in colour."""
     parts = []
     if condition.position is not None:
         again = f", round {condition.rounds + 1}" if condition.rounds else ""
-        parts.append(f"{condition.position:.1f} of {condition.duration:.1f} s{again}")
-    rates = (f"{n} {'-' if math.isnan(r) else f'{r:.0f}'}" for n, r in condition.rates.items())
-    parts.append(f"{', '.join(rates)} Hz")
+        parts.append(f"{condition.position:.0f} of {condition.duration:.0f} s{again}")
+    known = (f"{n} {'-' if math.isnan(r) else f'{r:.0f}'}" for n, r in condition.rates.items())
+    parts.append(f"{', '.join(known)} Hz")
     if condition.gap is None:
         parts.append("gap -")
     else:
-        times = "" if condition.normalised is None else f" ({condition.normalised:.1f} × noise)"
+        times = "" if condition.normalised is None else f" ({condition.normalised:.1f} ×)"
         parts.append(f"gap {condition.gap:.2f} m/s²{times}")
-    text = Text(" | ".join(parts))
+    text = Text(_fitting(parts))
     if condition.complaints:
         more = f" (+{len(condition.complaints) - 1})" if len(condition.complaints) > 1 else ""
-        text.append(" | ")
-        text.append(
-            printable(condition.complaints[0]) + more, style="bold red" if condition.failing else "yellow"
-        )
+        text.append("\n")
+        text.append(condition.complaints[0] + more, style="bold red" if condition.failing else "yellow")
     return text
+
+
+def _fitting(parts: list[str]) -> str:
+    """The parts in one line, closer together where they would not fit."""
+    for between in (" | ", "|"):
+        for comma in (", ", " "):
+            text = between.join(part.replace(", ", comma) for part in parts)
+            if len(text) <= _WIDTH:
+                return text
+    return text[:_WIDTH]
 
 
 @final
@@ -98,7 +107,7 @@ class Status:
             self._live = None
         condition = self._composed.condition()
         seconds = time.monotonic() - self._began
-        gap = "" if condition.gap is None else f", gap {condition.gap:.3f} m/s²"
-        self._console.print(
-            Text(f"{condition.answers} answers to {condition.samples} IMU samples in {seconds:.1f} s{gap}")
-        )
+        lines = [f"{condition.answers} answers to {condition.samples} IMU samples in {seconds:.1f} s"]
+        if condition.whole_gap is not None:
+            lines.append(f"Gap over the whole drive: {condition.whole_gap:.3f} m/s² rms")
+        self._console.print(Text("\n".join(lines)))

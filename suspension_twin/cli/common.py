@@ -192,29 +192,31 @@ class ProgressLine:
 
 def print_diagnosis(document: Mapping[str, Any], out: Path) -> None:
     """What ``diagnosis.json`` holds in a few lines: warnings, verdict, the first causes, and the folder ``out``."""
-    from suspension_twin.diagnosis.output import values_of
+    from suspension_twin.diagnosis import wording
 
     console = output()
     for warning in document["warnings"]:
         console.print(warning, style="yellow")
-    console.print(f"{document['verdict']}: {document['message']}", style="bold")
+    console.print(wording.answer(document), style="bold")
+    for remark in wording.remarks(document):
+        console.print(remark)
     rows = []
     for cause in document["causes"][:5]:
         low, high = cause["shrink_interval"]
         rows.append(
             (
                 cause["effect"],
-                values_of(cause),
+                "; ".join(f"{name} {value}" for name, value in wording.parameters_of(cause)),
+                wording.channel_name(wording.channel_of(document, cause)),
                 f"{cause['probability']:.3f}",
                 f"{cause['shrink']:.2f}",
                 f"{low:.2f} to {high:.2f}",
             )
         )
-    columns = "cause", "parameters", "probability", "shrink", "90 % interval"
-    print_table(console, "The most probable causes", columns, rows, words=("cause", "parameters"))
+    columns = "cause", "parameters", "channel", "probability", "shrink", "90 % interval"
+    print_table(console, "The likeliest causes", columns, rows, words=("cause", "parameters", "channel"))
     console.print(
         f"no gap {document['no_gap_probability']:.3f}, unknown {document['unknown_probability']:.3f}. "
-        f"{document['next_experiment']}",
-        markup=False,
+        f"{document['next_experiment']}"
     )
     console.print(f"Written to {out}")

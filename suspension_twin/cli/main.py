@@ -25,7 +25,7 @@ from typing import Annotated, Any
 import typer
 
 from suspension_twin import __version__
-from suspension_twin.errors import SuspensionTwinError, printable
+from suspension_twin.errors import SuspensionTwinError, one_line, printable
 
 __all__ = ["SUBCOMMANDS", "Subcommand", "main"]
 
@@ -52,8 +52,9 @@ SUBCOMMANDS = (
         "run",
         "The four nodes, live or replaying a bag.",
         endless=True,
-        bare=(("--view", "8080"),),
+        bare=(("--view", "8080"), ("--foxglove", "8765")),
     ),
+    Subcommand("new", "new", "A twin file, by a few questions or from a ready one."),
     Subcommand("calibrate", "calibrate", "Find a twin's characteristics from recorded drives."),
     Subcommand(
         "diagnose",
@@ -61,6 +62,7 @@ SUBCOMMANDS = (
         "Where twin and car disagree, why, and what closes the gap.",
         several="--reference",
     ),
+    Subcommand("plan", "plan", "Which effects this set-up could show, and never tell apart."),
     Subcommand("simulate", "simulate", "The twin over a recorded drive, without ROS."),
     Subcommand(
         "connect", "connect", "Connect a phone, a receiver or an IMU, and see what arrives.", endless=True
@@ -68,7 +70,7 @@ SUBCOMMANDS = (
     Subcommand("record", "record", "Live phones, receivers and IMUs into a bag.", endless=True),
     Subcommand("import", "import_", "A phone's or logger's recording into a bag."),
     Subcommand("damping", "damping", "Which dampers a tracked vehicle should have, by speed."),
-    Subcommand("road", "road", "A picture or a mesh of a road, or what is wrong with it."),
+    Subcommand("road", "road", "Roads from numbers, profiles and drives; pictures, meshes, checks."),
 )
 
 # Importing makes a hundred thousand objects that all stay: at Python's own 700 the collector takes a tenth of a short
@@ -116,7 +118,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         if debug:
             traceback.print_exc()
         status, text = _explain(error, _option(args, "--twin"))
-        print(printable(" ".join(text.split())), file=sys.stderr)
+        print(one_line(" ".join(text.split())), file=sys.stderr)
     finally:
         gc.set_threshold(*thresholds)
         if endless:

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import json
+import re
 from enum import Enum
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -11,11 +12,13 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 from rich.table import Table
 
-from suspension_twin.cli.common import Force, Outputs, Seed, output
+from suspension_twin.cli.common import Force, Outputs, ProgressLine, Seed, TwinFile, output, print_table
 from suspension_twin.errors import InputError
 
 if TYPE_CHECKING:
+    from suspension_twin.drive.types import Drive
     from suspension_twin.road.check import RoadCheck
+    from suspension_twin.road_estimation.drives import Part
 
 __all__ = ["app"]
 
@@ -296,6 +299,94 @@ def profile(
     with outputs:
         write_road(made, out)
     _print_figures(check_road(made))
+
+
+@app.command()
+def drives(
+    drive: Annotated[
+        list[str],
+        typer.Argument(
+            help="Recorded drives over one road in one direction; DRIVE@START..END is a part of one, "
+            "in s from its first sample.",
+            metavar="DRIVE",
+            show_default=False,
+        ),
+    ],
+    twin: TwinFile,
+    out: RoadOut,
+    iterations: Annotated[int, typer.Option(help="Of simulation and inverse.", metavar="N", min=1)] = 5,
+    picture: Annotated[
+        Path | None,
+        typer.Option(help="Draw heights and intervals there.", metavar="FILE", show_default=False),
+    ] = None,
+    seed: Seed = 0,
+    force: Force = False,
+) -> None:
+    """Estimate the road under both wheel paths from drives with a calibrated vehicle.
+
+    Writes the road, and beside it ROAD.json with its uncertainty by wavelength and for every metre.
+    """
+    from suspension_twin.road.origin import record_path
+    from suspension_twin.road_estimation.drives import road_from_drives, write_estimate
+    from suspension_twin.road_estimation.estimate import Settings
+    from suspension_twin.vehicle.twin import load_twin
+
+    written = [out, record_path(out), *([] if picture is None else [picture])]
+    outputs = Outputs(*written, force=force)
+    loaded = load_twin(twin)
+    parts = _parts(drive)
+    outputs.announce()
+    with outputs, ProgressLine() as line:
+        found = road_from_drives(parts, loaded, Settings(iterations=iterations, seed=seed), line.show)
+        record = write_estimate(found, loaded, out)
+        if picture is not None:
+            from suspension_twin.road_estimation.picture import save_estimate_picture
+
+            save_estimate_picture(found, picture)
+    console = output()
+    for warning in record["warnings"]:
+        console.print(warning, style="yellow", markup=False)
+    rows = [
+        (
+            f"{w['shortest']:.3g} to {w['longest']:.3g}",
+            f"{1e3 * w['rms']:.2f}",
+            f"{1e3 * w['sigma']:.2f}",
+            "seen" if w["known"] > 0.8 else "partly seen" if w["known"] > 0.3 else "not seen",
+        )
+        for w in record["wavelengths"]
+    ]
+    columns = ("waves [m]", "height rms [mm]", "uncertainty [mm]", "")
+    print_table(console, "Wheel paths by wavelength", columns, rows, words=("waves [m]", ""))
+    if loaded.datum is None:
+        d = record["datum"]
+        text = f"{{latitude: {d['latitude']}, longitude: {d['longitude']}, altitude: {d['altitude']}}}"
+        console.print(f"The twin file has no datum; this road needs datum: {text}", markup=False)
+    console.print(
+        "What was the same in all of these drives (an error of the vehicle, of the sensor) is in the road.",
+        markup=False,
+    )
+
+
+def _parts(texts: list[str]) -> list[Part]:
+    """Drives and parts of drives; one that is named twice is read once."""
+    import math
+
+    from suspension_twin.drive.read import read_drive
+    from suspension_twin.road_estimation.drives import Part
+
+    known: dict[str, Drive] = {}
+    parts = []
+    for text in texts:
+        name, start, end = text, 0.0, math.inf
+        found = re.fullmatch(r"(.+)@(\d+(?:\.\d*)?)\.\.(\d+(?:\.\d*)?)", text)
+        if found is not None and not Path(text).exists():
+            name, start, end = found[1], float(found[2]), float(found[3])
+            if not start < end:
+                raise InputError(text, "the part ends before it starts")
+        if name not in known:
+            known[name] = read_drive(Path(name))
+        parts.append(Part(known[name], start, end))
+    return parts
 
 
 def _print_figures(checked: RoadCheck) -> None:

@@ -13,9 +13,9 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager, nullcontext, suppress
+from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, NamedTuple
+from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
 
 import typer
 
@@ -68,6 +68,14 @@ def command(
             metavar="[PORT]",
         ),
     ] = None,
+    foxglove: Annotated[
+        str | None,
+        typer.Option(
+            "--foxglove",
+            help="Serve all topics to Foxglove or Lichtblick: a port (8765), or HOST:PORT for others.",
+            metavar="[PORT]",
+        ),
+    ] = None,
     params: Annotated[
         Path | None,
         typer.Option("--params", help="Parameters of the nodes, a ROS 2 YAML file.", metavar="FILE"),
@@ -91,12 +99,13 @@ def command(
     from suspension_twin.vehicle.twin import load_twin
 
     load_twin(twin)
+    page = None if view is None else _place("--view", view)
+    bridge = None if foxglove is None else _bridge(foxglove)
     if urls:
         from suspension_twin.sources import make_sources
         from suspension_twin.sources.common.hub import Hub
 
         make_sources(urls, Hub())
-    page = None if view is None else _page(view)
     from suspension_twin.cli._status import say
     from suspension_twin.nodes.composed import Composed, check_namespace
     from suspension_twin.nodes.parameters import check_names, read_param_file
@@ -118,8 +127,13 @@ def command(
                 composed.settle_memory()
                 for note in composed.notes:
                     say(note)
-                shown = nullcontext() if page is None else _shown(page, twin, bag, namespace, arguments)
-                with shown:
+                with ExitStack() as stack:
+                    if page is not None:
+                        values = page._asdict() | {"twin": str(twin), "bag": "" if bag is None else str(bag)}
+                        stack.enter_context(_beside("viewer", values, namespace, arguments))
+                    if bridge is not None:
+                        values = {"host": bridge.host, "port": bridge.port, "use_sim_time": bag is not None}
+                        stack.enter_context(_beside("foxglove_bridge", values, namespace, arguments))
                     _run(composed, lambda: stop.asked or not context.ok(), bag)
             finally:
                 composed.close()
@@ -137,42 +151,48 @@ def _speed(rate: str) -> float:
     return number or math.inf
 
 
-def _page(view: str) -> Page:
-    """Where the page is to be; raises InputError for a wrong or taken place."""
+def _place(option: str, given: str) -> Page:
+    """Where to listen; raises InputError for a wrong or taken place."""
     from suspension_twin.view.server import is_local
 
-    host, _, number = view.rpartition(":")
+    host, _, number = given.rpartition(":")
     host = host.strip("[]") or "127.0.0.1"
     if not (number.isdecimal() and int(number) < 65536):
-        raise InputError("--view", f"must be a port or HOST:PORT, is '{view}'")
+        raise InputError(option, f"must be a port or HOST:PORT, is '{given}'")
     port = int(number)
+    family = socket.AF_INET6 if ":" in host else socket.AF_INET
     try:
-        with socket.create_server(
-            (host, port), family=socket.AF_INET6 if ":" in host else socket.AF_INET
-        ) as taken:
+        with socket.create_server((host, port), family=family) as taken:
             port = taken.getsockname()[1]
     except OSError as error:
-        raise InputError(
-            "--view", f"cannot listen on {host}, port {port}: {error.strerror or error}"
-        ) from None
+        raise InputError(option, f"cannot listen on {host}, port {port}: {error.strerror or error}") from None
     return Page(host, port, "" if is_local(host) else secrets.token_urlsafe(9))
 
 
-@contextmanager
-def _shown(page: Page, twin: Path, bag: Path | None, namespace: str, arguments: list[str]) -> Iterator[None]:
-    """The node of the page in a process of its own, which computes when the others do not."""
+def _bridge(given: str) -> Page:
+    """Where Foxglove's WebSocket is to be; raises InputError where its library is missing."""
+    from importlib.util import find_spec
 
-    values = {
-        "twin": str(twin),
-        "host": page.host,
-        "port": page.port,
-        "token": page.token,
-        "parent": os.getpid(),
-    }
-    values["bag"] = "" if bag is None else str(bag)
+    if find_spec("foxglove") is None:
+        raise InputError("--foxglove", 'needs foxglove-sdk: pip install "suspension-twin[foxglove]"')
+    return _place("--foxglove", given)
+
+
+@contextmanager
+def _beside(node: str, values: dict[str, Any], namespace: str, arguments: list[str]) -> Iterator[None]:
+    """A node in a process of its own, which computes when the others do not, and ends with this one."""
+    values = values | {"parent": os.getpid()}
     given = [w for name, value in values.items() for w in ("-p", f"{name}:={json.dumps(value)}")]
     place = ["-r", f"__ns:=/{namespace.strip('/')}"] if namespace else []
-    command = [sys.executable, "-m", "suspension_twin.nodes.viewer", *arguments, "--ros-args", *place, *given]
+    command = [
+        sys.executable,
+        "-m",
+        f"suspension_twin.nodes.{node}",
+        *arguments,
+        "--ros-args",
+        *place,
+        *given,
+    ]
     process = subprocess.Popen(["nice", "-n", "5", *command] if shutil.which("nice") else command)
     try:
         yield

@@ -223,21 +223,30 @@ class Bench:
         problem = self.problem
         values = problem.space.from_slopes(z)
         twin = hypothesis.twin(problem.twin)
-        keys = (*problem.space.keys, *hypothesis.keys)
-        with_effects = lanes(twin, keys, np.concatenate([values, hypothesis.values(u)]).T)
+        parameters = hypothesis.values(u)
+
+        def with_effects(drive: int) -> Floats:
+            keys, rows = hypothesis.on_drive(drive)
+            return lanes(twin, (*problem.space.keys, *keys), np.concatenate([values, parameters[rows]]).T)
+
+        everywhere = None if hypothesis.differs else with_effects(0)
         before = hypothesis.on_reference()
-        earlier = np.concatenate([values, before.values(u[hypothesis.rows(before)])])
+        rows_before = before.on_drive(0)[1]
+        earlier = np.concatenate([values, before.values(u[hypothesis.rows(before)])[rows_before]])
         if (earlier == earlier[:, :1]).all():
             earlier = earlier[:, :1]
         reference_twin = before.twin(problem.twin)
-        plain = lanes(reference_twin, (*problem.space.keys, *before.keys), earlier.T)
+        before_keys = before.on_drive(0)[0]
+        plain = lanes(reference_twin, (*problem.space.keys, *before_keys), earlier.T)
 
         def driven(numbers: list[int]) -> tuple[list[Floats], np.ndarray]:
             if self.stop():
                 raise Interrupted
             excitation = self.excitation(numbers[0], hypothesis.effects, hypothesis.preexisting)
-            if self.active[problem.drive_of[numbers[0]]] and hypothesis.effects:
-                stacked, bad = self._simulated(twin, with_effects, excitation)
+            drive = problem.drive_of[numbers[0]]
+            if self.active[drive] and hypothesis.effects:
+                candidates = with_effects(drive) if everywhere is None else everywhere
+                stacked, bad = self._simulated(twin, candidates, excitation)
             else:
                 stacked, bad = self._simulated(reference_twin, plain, excitation)
             conditioned = [problem.parts[number].conditioner.apply(stacked) for number in numbers]
@@ -248,9 +257,10 @@ class Bench:
             return conditioned, bad
 
         # repeats of a run share one simulation
-        alike: dict[tuple[int, bool], list[int]] = {}
+        alike: dict[tuple[int, int], list[int]] = {}
         for number, part in enumerate(problem.parts):
-            key = id(part.excitation), self.active[problem.drive_of[number]]
+            drive = problem.drive_of[number]
+            key = id(part.excitation), drive if hypothesis.differs else -int(self.active[drive])
             alike.setdefault(key, []).append(number)
         groups = list(alike.values())
         found = side_by_side(driven, groups)

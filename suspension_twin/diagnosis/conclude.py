@@ -260,12 +260,17 @@ def _causes(
             **dict(zip(single.fit.hypothesis.keys, single.fit.effects(bench), strict=True)),
             **{k: v for k, v in together.items() if k.split(".")[1] == names[i]},
         }
+        first = single.fit.hypothesis.on_drive(0)[0]
         gate = found.judged.gates[1 + i]
         causes.append(
             {
                 "effect": names[i],
                 "probability": round(float(effects[i]), 6),
-                "parameters": {k.split(".")[2]: float(f"{float(v):.6g}") for k, v in values.items()},
+                "parameters": {
+                    k.split(".")[2]: float(f"{float(v):.6g}")
+                    for k, v in values.items()
+                    if k in held or k in first
+                },
                 "gap_before": _round(shrink.before),
                 "gap_after": _round(shrink.after),
                 "shrink": _round(shrink.shrink),
@@ -292,8 +297,8 @@ def _add_intervals(
     if not fit.hypothesis.effects:
         return
     ends = intervals(bench, linearised_fit(bench, fit.hypothesis, fit.x), blocks, temper)
-    for key, (low, high) in zip(fit.hypothesis.keys, ends, strict=True):
-        _, effect, name = key.split(".")
+    for key, row in zip(*fit.hypothesis.on_drive(0), strict=True):
+        (low, high), (_, effect, name) = ends[row], key.split(".")
         for cause in causes:
             if cause["effect"] == effect:
                 cause.setdefault("parameter_intervals", {})[name] = [_round(low), _round(high)]

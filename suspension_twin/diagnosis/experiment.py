@@ -12,6 +12,7 @@ from suspension_twin.diagnosis.case import Case
 from suspension_twin.diagnosis.fit import twin_of
 from suspension_twin.diagnosis.judge import Judged
 from suspension_twin.diagnosis.search import Single
+from suspension_twin.diagnosis.wording import effect_name
 from suspension_twin.errors import SuspensionTwinError
 from suspension_twin.gap.synthetic import path_along
 from suspension_twin.models.excitation import excitation
@@ -24,6 +25,8 @@ from suspension_twin.vehicle.twin import Twin
 __all__ = ["Manoeuvre", "menu", "next_experiment", "separation"]
 
 _RATE = 100.0
+#: Nats of odds of a thousand to one, beyond which a figure says no more.
+_SETTLED = np.log(1000.0)
 _CHANNELS = ("vertical_acceleration", "roll_rate", "pitch_rate", "longitudinal_acceleration")
 
 
@@ -93,11 +96,11 @@ def separation(first: Twin, second: Twin, what: Manoeuvre, noise: dict[str, floa
 
 def next_experiment(case: Case, tied: Sequence[Single], answer: str, judged: Judged) -> str:
     """One sentence: the manoeuvre, the candidates that it separates, and the expected gain."""
-    weak = [s.effect.replace("_", " ") for s in judged.singles if not s.judged]
+    weak = [effect_name(s.effect) for s in judged.singles if not s.judged]
     tail = f" Not excited so far: {', '.join(weak)}." if weak else ""
     if len(tied) < 2:
         return f"None is needed to separate candidates.{tail}"
-    names = [s.effect.replace("_", " ") for s in tied[:2]]
+    names = [effect_name(s.effect) for s in tied[:2]]
     if case.kind == "run":
         return f"Repeat the run with another excitation to separate {names[0]} from {names[1]}.{tail}"
     twins = [replace_road(twin_of(judged.bench, s.fit)) for s in tied[:2]]
@@ -113,13 +116,11 @@ def next_experiment(case: Case, tied: Sequence[Single], answer: str, judged: Jud
     if not gains:
         return f"None of the menu can be simulated with {names[0]} and {names[1]}.{tail}"
     gain, name = max(gains)
+    pair = f"{names[0]} from {names[1]}"
     if gain < 1.0:
-        return f"No manoeuvre of the menu separates {names[0]} from {names[1]} (best: {name}, {gain:.2g} nats).{tail}"
-    why = "if there is a gap at all and " if answer == "no_gap" else ""
-    return (
-        f"Drive {name}: it separates {names[0]} from {names[1]} best ({why}with an expected gain of {gain:.3g} nats "
-        f"a pass, odds of {_odds(gain)}).{tail}"
-    )
+        return f"No manoeuvre of those that were simulated would tell {pair}.{tail}"
+    why = " if there is a gap at all" if answer == "no_gap" else ""
+    return f"Drive {name}: it tells {pair} best{why}; {_worth(gain)}.{tail}"
 
 
 def replace_road(twin: Twin) -> Twin:
@@ -127,5 +128,8 @@ def replace_road(twin: Twin) -> Twin:
     return twin.model_copy(update={"road": None})
 
 
-def _odds(nats: float) -> str:
-    return f"{np.exp(nats):.0f} to 1" if nats < 9.0 else "more than 10000 to 1"
+def _worth(nats: float) -> str:
+    """What an expected log likelihood ratio means."""
+    if nats >= _SETTLED:
+        return "one pass should settle it"
+    return f"one pass should make the right one {np.exp(nats):.0f} times as likely as the other"

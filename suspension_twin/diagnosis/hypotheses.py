@@ -31,6 +31,7 @@ __all__ = [
     "library",
 ]
 
+_DRIVE = "@"
 _WIDTH = 1.4  # standard deviation of the starting points, in that of the prior
 #: Categories of effects that are set-up errors: any size within their range is possible.
 SETUP_CATEGORIES = ("time", "road", "sensor")
@@ -54,7 +55,8 @@ class Hypothesis:
 
     ``fixed`` (key, value) holds choices; ``keys`` are the dotted keys of the searched parameters. ``around`` is the
     centre of the prior in search coordinates after a coarse search; empty for zero. ``preexisting`` names the effects
-    that act on reference drives as well.
+    that act on reference drives as well. A parameter that differs from drive to drive is searched for each of the
+    ``drives``: the first has the parameter's key, another one that with its number behind an ``@``.
     """
 
     effects: tuple[str, ...] = ()
@@ -62,6 +64,7 @@ class Hypothesis:
     around: tuple[float, ...] = ()
     preexisting: tuple[str, ...] = ()
     model: str = ""
+    drives: int = 1
 
     def effect(self, name: str) -> Effect:
         """One of its effects, as it is on the model."""
@@ -76,10 +79,11 @@ class Hypothesis:
         """Dotted key and description of every searched parameter."""
         held = dict(self.fixed)
         return tuple(
-            (f"effects.{e}.{p.name}", p)
+            (f"effects.{e}.{p.name}" + (f"{_DRIVE}{drive}" if drive else ""), p)
             for e in self.effects
             for p in self.effect(e).parameters
             if f"effects.{e}.{p.name}" not in held
+            for drive in range(self.drives if p.each_drive else 1)
         )
 
     @property
@@ -88,6 +92,20 @@ class Hypothesis:
 
     def __len__(self) -> int:
         return len(self.searched)
+
+    @property
+    def differs(self) -> bool:
+        """Whether a parameter differs from drive to drive."""
+        return any(p.each_drive for _, p in self.searched)
+
+    def on_drive(self, number: int) -> tuple[tuple[str, ...], list[int]]:
+        """Keys of the twin's numbers, and the rows of their coordinates, on one drive."""
+        chosen = {}
+        for row, (key, p) in enumerate(self.searched):
+            plain, _, drive = key.partition(_DRIVE)
+            if not p.each_drive or int(drive or 0) == number:
+                chosen[plain] = row
+        return tuple(chosen), list(chosen.values())
 
     def centre(self) -> Floats:
         """(k,) centre of the prior."""
@@ -112,6 +130,7 @@ class Hypothesis:
             tuple(u for i, u in enumerate(self.around) if self._owner(i) in kept),
             tuple(e for e in self.preexisting if e in kept),
             self.model,
+            self.drives,
         )
 
     def rows(self, part: Hypothesis) -> list[int]:
@@ -174,11 +193,11 @@ class Hypothesis:
         return np.clip(at, *self.bounds())
 
     def scan(self, count: int) -> tuple[int, Floats] | None:
-        """For an effect with a resonance: the row of its strength, and ``count`` points (k, count) over the bounds of
-        its frequency; None for any other effect."""
+        """For an effect with a resonance, which no tone is: the row of its strength, and ``count`` points (k, count)
+        over the bounds of its frequency; None for any other effect."""
         names = [p.name for _, p in self.searched]
         severe = np.flatnonzero(self._severe).tolist()
-        if "frequency" not in names or "phase" in names or len(severe) != 1:
+        if "frequency" not in names or len(severe) != 1 or self.effect(self.effects[-1]).tone is not None:
             return None
         low, high = self.bounds()
         tone, row = names.index("frequency"), severe[0]
@@ -213,6 +232,11 @@ class Hypothesis:
         """(k,) coordinates of an effect as a twin file has it."""
         return np.array([_coordinate(p, spec.parameters[p.name]) for _, p in self.searched])
 
+    def coordinate(self, row: int, value: float) -> float:
+        """The coordinate of a value of the parameter of a row, inside its bounds."""
+        p = self.searched[row][1]
+        return _coordinate(p, float(np.clip(value, p.low, p.high)))
+
     def starts(self, count: int, seed: int) -> Floats:
         """(k, count) Sobol points over the prior, severities on the side of their bound."""
         if not len(self):
@@ -235,35 +259,39 @@ def _coordinate(p: Parameter, value: float) -> float:
 BASELINE = Hypothesis()
 
 
-def variants(effect: Effect, twin: Twin) -> list[Hypothesis]:
-    """The hypotheses of an effect on a twin: one, or one for each possible combination of its choices."""
+def variants(effect: Effect, twin: Twin, drives: int = 1) -> list[Hypothesis]:
+    """The hypotheses of an effect on a twin: one, or one for each possible combination of its choices; ``drives`` is
+    the number of all drives."""
     counting = [p for p in effect.parameters if p.choices]
     keys = [f"effects.{effect.id}.{p.name}" for p in counting]
     possible = effect.hook.possible or (lambda twin, given: True)
     return [
-        Hypothesis((effect.id,), tuple(zip(keys, chosen, strict=True)), model=twin.model)
+        Hypothesis((effect.id,), tuple(zip(keys, chosen, strict=True)), model=twin.model, drives=drives)
         for chosen in product(*(p.choices for p in counting))
         if possible(twin, {p.name: c for p, c in zip(counting, chosen, strict=True)})
     ]
 
 
-def library(twin: Twin, excited: bool, only: Sequence[str] = ()) -> dict[str, list[Hypothesis]]:
-    """The hypotheses of every applicable effect, by id; ``excited``: whether the excitation is known.
+def library(
+    twin: Twin, excited: bool, only: Sequence[str] = (), drives: int = 1
+) -> dict[str, list[Hypothesis]]:
+    """The hypotheses of every applicable effect, by id; ``excited``: whether the excitation is known, ``drives``: how
+    many there are, those of a reference included.
 
     Effects that the twin file has already are left out.
     """
-    return _offered(twin, excited, only or [name for name in EFFECTS if name not in DECOYS])
+    return _offered(twin, excited, only or [name for name in EFFECTS if name not in DECOYS], drives)
 
 
 def decoys(twin: Twin, excited: bool, only: Sequence[str] = ()) -> dict[str, list[Hypothesis]]:
     """The applicable decoy hypotheses that ``only`` does not name."""
-    return _offered(twin, excited, [name for name in DECOYS if name not in only])
+    return _offered(twin, excited, [name for name in DECOYS if name not in only], 1)
 
 
-def _offered(twin: Twin, excited: bool, names: Sequence[str]) -> dict[str, list[Hypothesis]]:
+def _offered(twin: Twin, excited: bool, names: Sequence[str], drives: int) -> dict[str, list[Hypothesis]]:
     own = {e.id for e in twin.effects}
     return {
-        name: variants(effect.on(twin.model), twin)
+        name: variants(effect.on(twin.model), twin, drives)
         for name, effect in EFFECTS.items()
         if twin.model in effect.models
         and name not in own
@@ -281,4 +309,5 @@ def combined(*parts: Hypothesis) -> Hypothesis:
         around,
         tuple(e for p in parts for e in p.preexisting),
         parts[0].model,
+        max(p.drives for p in parts),
     )

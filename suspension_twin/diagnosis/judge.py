@@ -94,7 +94,7 @@ def judge(
 
     Searches start from ``anchor``, the vehicle fitted to the reference drives.
     """
-    seed, effects = request.seed, library(case.twin, case.excited, request.effects)
+    seed, effects = request.seed, library(case.twin, case.excited, request.effects, len(case.drives))
     if not effects:
         raise InputError("effects", "none of the library is left to try on this twin")
     blocks = blocks_of(bench, case.kind)
@@ -248,7 +248,7 @@ def with_joint_noise(
 
     The residual of the baseline contains the effects, for example a clock offset, and would overestimate the noise.
     """
-    effects = [v[0] for v in library(case.twin, case.excited, request.effects).values()]
+    effects = [v[0] for v in library(case.twin, case.excited, request.effects, len(case.drives)).values()]
     every, fit = range(len(bench.active)), base
     for number in range(_NOISE_ROUNDS_COARSE if effects else 0):
         fit = refitted_under_noise(bench, fit) if number else joint_fit(bench, effects, base, request.seed)

@@ -4,15 +4,13 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
 
 from suspension_twin.diagnosis.request import DiagnosisResult
 from suspension_twin.files import write_text
 from suspension_twin.vehicle.twin import save_twin
 
-__all__ = ["values_of", "write"]
+__all__ = ["write"]
 
 
 def write(result: DiagnosisResult, folder: Path) -> None:
@@ -20,17 +18,3 @@ def write(result: DiagnosisResult, folder: Path) -> None:
     text = json.dumps(result.document, indent=2, ensure_ascii=False, allow_nan=False)
     write_text(folder / "diagnosis.json", text + "\n")
     save_twin(result.twin, folder / "twin.yaml")
-
-
-def values_of(cause: Mapping[str, Any]) -> str:
-    """A cause's parameters in a line, with their 90 % intervals where there are any."""
-    ends = cause.get("parameter_intervals", {})
-    return ", ".join(
-        f"{name} {_plain(value)}" + (f" ({' to '.join(map(_plain, ends[name]))})" if name in ends else "")
-        for name, value in cause["parameters"].items()
-    )
-
-
-def _plain(value: float) -> str:
-    """Four digits, and no powers of ten for a stiffness in N/m."""
-    return f"{value:.0f}" if abs(value) >= 1000 else f"{value:.4g}"

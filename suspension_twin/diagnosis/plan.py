@@ -10,44 +10,60 @@ effect leaves ``APART`` of the other whatever its own parameters are.
 
 from __future__ import annotations
 
+import json
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from functools import reduce
 from operator import add
-from typing import Final
+from pathlib import Path
+from typing import Any, Final
 
 import numpy as np
+from numpy.typing import NDArray
 
 from suspension_twin.arrays import Floats
 from suspension_twin.diagnosis.hypotheses import Hypothesis, library
 from suspension_twin.diagnosis.sensitivity import Change, PlannedDrive, Products, planned_drive, products
 from suspension_twin.effects.base import Parameter
 from suspension_twin.errors import InputError, SuspensionTwinError
+from suspension_twin.files import write_text
 from suspension_twin.gap.prepare import road_of
 from suspension_twin.identification.parallel import side_by_side
 from suspension_twin.models.registry import model_of
 from suspension_twin.road import Road, add_bump, bump_road, half_sine
 from suspension_twin.vehicle.twin import Twin
 
-__all__ = ["APART", "DETECTABLE", "SPEEDS", "Pair", "Plan", "Ray", "Shown", "plan", "rays"]
+__all__ = [
+    "APART",
+    "DETECTABLE",
+    "SPEEDS",
+    "Pair",
+    "Plan",
+    "Ray",
+    "Rival",
+    "Shown",
+    "alternatives",
+    "plan",
+    "rays",
+]
 
 #: km/h if none are given.
 SPEEDS: Final = (20.0, 40.0)
-#: Expected residuals from which on an effect is named: at 1.5 it was in 148 of 166 cases of the blind benchmark
-#: (benchmarks/results/blind_report*.json), at 5 in 145 of 157.
-DETECTABLE: Final = 1.5
-#: Expected residuals that a rival has to leave: see benchmarks/plan_confusion.py.
-APART: Final = 0.5
+#: Expected residuals from which on an effect is named, and that a rival has to leave: learnt by
+#: benchmarks/plan_confusion.py on diagnoses of the blind benchmark, whose floors are about twice these units.
+DETECTABLE: Final = 0.5
+APART: Final = 0.25
 #: Sizes of an effect, in the scale of its prior; the last is its largest plausible size.
-_SIZES: Final = (0.1, 0.3, 1.0, 3.0)
+_SIZES: Final = (0.1, 0.2, 0.45, 1.0, 3.0)
 #: The same of a logarithmic one, in standard deviations from typical, weak to strong.
 _LOG_SIZES: Final = (-3.0, -2.0, -1.0, 0.0, 1.0, 2.0)
 #: km/h that are tried where a pair cannot be told apart.
-_OTHER_SPEEDS: Final = (8.0, 15.0, 30.0, 60.0)
+_OTHER_SPEEDS: Final = (10.0, 30.0, 60.0)
 #: e-folds of size by which a change of the set-up has to be better than another to be named instead.
 _BETTER: Final = 0.1
-#: Frequencies of a resonance, in standard deviations from typical.
-_TONES: Final = (-1.5, -1.0, -0.5, 0.0, 0.5, 1.0, 1.5)
+#: Frequencies of a resonance, in standard deviations from typical; that many neighbours make one rival.
+_TONES: Final = tuple(np.linspace(-1.5, 1.5, 25).tolist())
+_TOGETHER: Final = 3
 
 
 @dataclass(frozen=True, eq=False)
@@ -102,8 +118,8 @@ class Ray:
 class Shown:
     """How well a parameter of an effect shows: the smallest detectable ``size``, in the parameter's unit (a change
     from neutral, or the value of a logarithmic one), None where even the largest plausible size is below the
-    threshold; the ``channel`` that shows it first; ``ratio`` of the ``largest`` size; ``usual`` is what sound vehicles
-    have."""
+    threshold; the ``channel`` that shows it first; ``ratio`` of the ``largest`` size; no ``size`` is below the
+    ``usual`` one, which sound vehicles have."""
 
     effect: str
     place: str
@@ -160,7 +176,9 @@ class Plan:
     Examples
     --------
     >>> from suspension_twin.vehicle.twin import load_twin
-    >>> found = plan(load_twin("bags/bump_15kmh/twin.yaml"), speeds=(15.0,))  # doctest: +SKIP
+    >>> found = plan(load_twin("bags/bump_15kmh/twin.yaml"), speeds=(15.0,), effects=("sensor_scale",))
+    >>> [row.channel for row in found.shown]
+    ['vertical_acceleration']
     """
 
     twin: Twin
@@ -172,10 +190,37 @@ class Plan:
     angles: Floats
     pairs: tuple[Pair, ...]
 
+    def as_dict(self) -> dict[str, Any]:
+        """What ``plan.json`` holds."""
+        return {
+            "vehicle": getattr(self.twin.vehicle, "name", ""),
+            "road": self.road,
+            "drives": [
+                {"speed_kmh": kmh, "seconds": round(s, 2)}
+                for kmh, s in zip(self.speeds, self.seconds, strict=True)
+            ],
+            "thresholds": {"detectable": DETECTABLE, "apart": APART, "unit": "expected residual, rms"},
+            "effects": [asdict(row) for row in self.shown],
+            "pairs": [{k: v for k, v in asdict(pair).items() if k != "ray"} for pair in self.pairs],
+            "angles_deg": {
+                effect: {
+                    rival: round(float(angle), 2)
+                    for rival, angle in zip(self.effects, row, strict=True)
+                    if np.isfinite(angle)
+                }
+                for effect, row in zip(self.effects, self.angles, strict=True)
+            },
+        }
+
+    def write(self, folder: Path) -> None:
+        """Write ``folder/plan.json``."""
+        text = json.dumps(self.as_dict(), indent=2, ensure_ascii=False, allow_nan=False)
+        write_text(folder / "plan.json", text + "\n")
+
 
 @dataclass(frozen=True, eq=False)
-class _Rival:
-    """What a rival can make: ``names`` of its columns and how large a multiple of each is plausible."""
+class Rival:
+    """What an effect can make: ``names`` of its columns and how large a multiple of each is plausible."""
 
     hypothesis: Hypothesis
     names: tuple[str, ...]
@@ -183,6 +228,7 @@ class _Rival:
 
     @property
     def effect(self) -> str:
+        """Id of the effect."""
         return self.hypothesis.effects[0]
 
 
@@ -216,7 +262,7 @@ def rays(hypothesis: Hypothesis, weak: float = 1.0) -> list[Ray]:
     >>> from suspension_twin.vehicle.twin import load_twin
     >>> friction = library(load_twin("bags/bump_15kmh/twin.yaml"), True)["strut_friction"][0]
     >>> [ray.sizes.tolist() for ray in rays(friction)]
-    [[20.0, 60.0, 200.0, 600.0], [20.0, 60.0, 200.0, 600.0]]
+    [[20.0, 40.0, 90.0, 200.0, 600.0], [20.0, 40.0, 90.0, 200.0, 600.0]]
     """
     low, high = hypothesis.bounds()
     severe = hypothesis.effect(hypothesis.effects[0]).severity
@@ -244,45 +290,54 @@ def rays(hypothesis: Hypothesis, weak: float = 1.0) -> list[Ray]:
     return found
 
 
-def _rivals(hypothesis: Hypothesis, own: Sequence[Ray]) -> tuple[list[_Rival], list[Change]]:
-    """What a hypothesis can make, and the columns that this needs beside its ``own`` rays.
-
-    One rival, of the rays and of changes of the other parameters; of a resonance one for each of some frequencies,
-    since what it makes at one is nothing like what it makes at another.
-    """
-    names: list[str] = []
-    scale: list[float] = []
-    for ray in own:
-        for i, name in enumerate(ray.names):
-            if ray.parameter.log:
-                names, scale = [*names, name], [*scale, 1.0]
-            elif _SIZES[i] != _SIZES[1]:
-                names, scale = [*names, name], [*scale, 1.0 / _SIZES[i]]
+def _rivals(hypothesis: Hypothesis, own: Sequence[Ray]) -> tuple[list[Rival], list[Change]]:
+    """What a hypothesis can make, and the columns that this needs beside its ``own`` rays: of these rays, and of a
+    typical size with each other parameter moved."""
     severe = hypothesis.effect(hypothesis.effects[0]).severity
     shapes = [i for i, (_, p) in enumerate(hypothesis.searched) if p.name not in severe]
-    if not shapes:
-        return [_Rival(hypothesis, tuple(names), np.array(scale))], []
+    tone = next((i for i in shapes if hypothesis.searched[i][1].name == "frequency"), None)
+    if tone is not None:
+        return _resonances(hypothesis, own[0], tone, [i for i in shapes if i != tone])
+    names, scale = list[str](), list[float]()
+    for ray in own:
+        names += ray.names
+        scale += [1.0 if ray.parameter.log else 1.0 / _SIZES[i] for i in range(ray.sizes.size)]
+    changes = []
+    if shapes:
+        points = _moved(hypothesis, own[0].points[:, own[0].typical], shapes)[:, 1:]
+        shape_names = tuple(f"{_name(hypothesis)} shape {i}" for i in range(points.shape[1]))
+        changes.append(Change(hypothesis, points, shape_names))
+        names += shape_names
+        scale += [_SIZES[-1]] * len(shape_names)
+    return [Rival(hypothesis, tuple(names), np.array(scale))], changes
+
+
+def _resonances(
+    hypothesis: Hypothesis, ray: Ray, tone: int, shapes: Sequence[int]
+) -> tuple[list[Rival], list[Change]]:
+    """A rival for each few neighbouring frequencies of a resonance: what it makes at one is nothing like what it makes
+    at another, and both at once it cannot make."""
+    changes = []
+    for number, frequency in enumerate(_TONES):
+        middle = ray.points[:, ray.typical].copy()
+        middle[tone] = frequency
+        points = _moved(hypothesis, middle, shapes)
+        names = tuple(f"{_name(hypothesis)} tone {number} {i}" for i in range(points.shape[1]))
+        changes.append(Change(hypothesis, points, names))
+    rivals = []
+    for first in range(0, len(changes) - _TOGETHER + 1, _TOGETHER - 1):
+        names = tuple(n for change in changes[first : first + _TOGETHER] for n in change.names)
+        rivals.append(Rival(hypothesis, names, np.full(len(names), _SIZES[-1])))
+    return rivals, changes
+
+
+def _moved(hypothesis: Hypothesis, point: Floats, shapes: Sequence[int]) -> Floats:
+    """(k, 1 + 2 s) a point, and one standard deviation either way in each of some coordinates."""
+    points = np.repeat(point[:, None], 1 + 2 * len(shapes), axis=1)
+    for n, i in enumerate(shapes):
+        points[i, 1 + 2 * n : 3 + 2 * n] += (1.0, -1.0)
     low, high = hypothesis.bounds()
-    lead = own[0].points[:, own[0].typical]
-    tones = [i for i in shapes if hypothesis.searched[i][1].name == "frequency"]
-    out, changes = [], []
-    for number, tone in enumerate(_TONES if tones else (0.0,)):
-        middle = lead.copy()
-        middle[tones] = tone
-        moved = [middle] if tones else []
-        for i in shapes:
-            step = 0.5 * (_TONES[1] - _TONES[0]) if i in tones else 1.0
-            for sign in (1.0, -1.0):
-                other = middle.copy()
-                other[i] += sign * step
-                moved.append(other)
-        points = np.clip(np.stack(moved, axis=1), low[:, None], high[:, None])
-        own_names = tuple(f"{_name(hypothesis)} shape {number} {j}" for j in range(points.shape[1]))
-        changes.append(Change(hypothesis, points, own_names))
-        kept = () if tones else tuple(names)
-        size = np.concatenate([() if tones else scale, np.full(len(own_names), _SIZES[-1])])
-        out.append(_Rival(hypothesis, (*kept, *own_names), size))
-    return out, changes
+    return np.asarray(np.clip(points, low[:, None], high[:, None]))
 
 
 @dataclass(frozen=True, eq=False)
@@ -290,7 +345,7 @@ class _Asked:
     """Everything that is asked of every drive."""
 
     rays: tuple[Ray, ...]
-    rivals: tuple[_Rival, ...]
+    rivals: tuple[Rival, ...]
     changes: tuple[Change, ...]
 
     @property
@@ -298,19 +353,11 @@ class _Asked:
         """Ids in their order."""
         return tuple(dict.fromkeys(ray.effect for ray in self.rays))
 
-    def of(self, effects: set[str]) -> _Asked:
-        """What concerns some effects."""
-        return _Asked(
-            tuple(r for r in self.rays if r.effect in effects),
-            tuple(r for r in self.rivals if r.effect in effects),
-            tuple(c for c in self.changes if c.hypothesis.effects[0] in effects),
-        )
-
 
 def _asked(twin: Twin, drive: PlannedDrive, effects: Sequence[str]) -> _Asked:
     """Rays and rivals of the library; which way logarithmic severities vanish is seen on a ``drive``."""
     own: list[Ray] = []
-    rivals: list[_Rival] = []
+    rivals: list[Rival] = []
     changes: list[Change] = []
     offered = [h for variants in library(twin, True, effects).values() for h in variants]
     weak = _vanishing(twin, drive, offered)
@@ -322,6 +369,13 @@ def _asked(twin: Twin, drive: PlannedDrive, effects: Sequence[str]) -> _Asked:
         points = np.concatenate([ray.points for ray in mine], axis=1)
         changes += [Change(hypothesis, points, tuple(n for ray in mine for n in ray.names)), *needed]
     return _Asked(tuple(own), tuple(rivals), tuple(changes))
+
+
+def alternatives(twin: Twin, drive: PlannedDrive) -> tuple[list[Rival], list[Change]]:
+    """All rivals of the library on a twin, and the changes whose columns they need; ``drive`` shows which way
+    logarithmic severities vanish."""
+    asked = _asked(twin, drive, ())
+    return list(asked.rivals), list(asked.changes)
 
 
 def _vanishing(twin: Twin, drive: PlannedDrive, offered: Sequence[Hypothesis]) -> list[float]:
@@ -374,9 +428,10 @@ def plan(
     Examples
     --------
     >>> from suspension_twin.vehicle.twin import load_twin
-    >>> found = plan(load_twin("bags/bump_15kmh/twin.yaml"), speeds=(15.0,))  # doctest: +SKIP
-    >>> next(s.size for s in found.shown if s.effect == "strut_friction")  # doctest: +SKIP
-    61.2
+    >>> twin = load_twin("bags/bump_15kmh/twin.yaml")
+    >>> found = plan(twin, speeds=(15.0,), effects=("sensor_offset",))
+    >>> [row.parameter for row in found.shown if row.size is None]  # the bump is as wide as the road
+    ['y']
     """
     if model_of(twin).recordings != "drive":
         raise InputError("twin", "model", f"{twin.model} does not drive on a road: there is nothing to plan")
@@ -389,11 +444,11 @@ def plan(
     drives = [planned_drive(twin, road, kmh) for kmh in speeds]
     asked = _asked(twin, drives[-1], effects)
     on_progress("sensitivities", 0.1)
-    found = _together(twin, drives, asked)
+    found = _together(twin, drives, asked.changes)
     on_progress("comparing effects", 0.4)
     shown = _shown(twin, found, asked.rays)
     seen = [_Seen.of(r, s) for r, s in zip(asked.rays, shown, strict=True) if s.size is not None]
-    angles, pairs = _pairs(found, asked, seen)
+    angles, near = _pairs(found, asked, seen)
     on_progress("looking for what would separate pairs", 0.6)
     return Plan(
         twin,
@@ -403,12 +458,12 @@ def plan(
         _both_ways(shown),
         asked.effects,
         angles,
-        tuple(_remedied(twin, road, drives, found, asked, seen, pairs)),
+        tuple(_remedied(twin, road, drives, found, asked, near)),
     )
 
 
-def _together(twin: Twin, drives: Sequence[PlannedDrive], asked: _Asked) -> Products:
-    return reduce(add, side_by_side(lambda drive: products(twin, drive, asked.changes), drives))
+def _together(twin: Twin, drives: Sequence[PlannedDrive], changes: Sequence[Change]) -> Products:
+    return reduce(add, side_by_side(lambda drive: products(twin, drive, changes), drives))
 
 
 def _shown(twin: Twin, found: Products, rays: Sequence[Ray]) -> list[Shown]:
@@ -473,43 +528,74 @@ class _Seen:
         return [self.ray.names[i] for i in self.points]
 
 
-def _apart(found: Products, seen: Sequence[_Seen], rival: _Rival) -> list[tuple[float, float | None]]:
-    """For each ray the angle in degrees between it and a rival, and the size from which on the rival leaves enough of
-    it: the first that is detected, a larger one, or None."""
-    columns = found.columns([name for one in seen for name in one.names])
-    _, alone = found.left(columns)
+def _apart(found: Products, seen: Sequence[_Seen], rival: Rival) -> tuple[list[float | None], Floats]:
+    """For each ray the size from which on a rival leaves enough of it (the first that is detected, a larger one, or
+    None), and the whitened squares that it leaves of the first."""
+    columns = _columns(found, seen)
     ratios, squares = found.left(columns, found.columns(rival.names), rival.scale)
-    sine = np.sqrt(np.clip(squares / np.maximum(alone, 1e-12), 0.0, 1.0))
-    out, first = [], 0
-    for one in seen:
+    sizes: list[float | None] = []
+    starts = np.cumsum([0, *(len(one.points) for one in seen)])
+    for one, first in zip(seen, starts, strict=False):
         own = ratios[:, first : first + len(one.points)].max(axis=0)
-        size = one.ray.size_from(own, APART, one.points)
-        if own[0] >= APART:
-            size = one.shown.size
-        out.append((float(np.degrees(np.arcsin(sine[first]))), size))
-        first += len(one.points)
-    return out
+        enough = own[0] >= APART
+        sizes.append(one.shown.size if enough else one.ray.size_from(own, APART, one.points))
+    return sizes, squares[starts[:-1]]
 
 
-def _pairs(found: Products, asked: _Asked, seen: Sequence[_Seen]) -> tuple[Floats, list[Pair]]:
-    """Angles between effects, and the pairs that look alike at a size that would be detected."""
+def _columns(found: Products, seen: Sequence[_Seen]) -> NDArray[np.intp]:
+    return found.columns([name for one in seen for name in one.names])
+
+
+@dataclass(frozen=True, eq=False)
+class _Alike:
+    """A pair, its ray, and the rivals that leave too little of it."""
+
+    pair: Pair
+    seen: _Seen
+    rivals: tuple[Rival, ...]
+
+    @property
+    def names(self) -> list[str]:
+        """Names of the columns that concern it."""
+        return [*self.seen.names, *(name for rival in self.rivals for name in rival.names)]
+
+    def size_with(self, found: Products) -> float | None:
+        """The size from which on all of its rivals leave enough of the ray, with other products."""
+        sizes = [_apart(found, [self.seen], rival)[0][0] for rival in self.rivals]
+        known = [size for size in sizes if size is not None]
+        return max(known, key=self.seen.ray.rank) if len(known) == len(sizes) else None
+
+
+def _pairs(found: Products, asked: _Asked, seen: Sequence[_Seen]) -> tuple[Floats, list[_Alike]]:
+    """Angles between effects, and the pairs that look alike at a size that would be detected: of each the ray and the
+    rivals that are nearest."""
     effects = asked.effects
     angles = np.full((len(effects), len(effects)), np.nan)
-    worst: dict[tuple[str, str], Pair] = {}
-    for rival in asked.rivals if seen else ():
-        for one, (angle, size) in zip(seen, _apart(found, seen, rival), strict=True):
-            ray = one.ray
-            if rival.effect == ray.effect:
+    near: dict[tuple[str, str], list[tuple[_Seen, Rival, float, float | None]]] = {}
+    if not seen:
+        return angles, []
+    _, squares = found.left(_columns(found, seen))
+    alone = squares[np.cumsum([0, *(len(one.points) for one in seen)])[:-1]]
+    for rival in asked.rivals:
+        sizes, left = _apart(found, seen, rival)
+        sine = np.sqrt(np.clip(left / np.maximum(alone, 1e-12), 0.0, 1.0))
+        for one, size, angle in zip(seen, sizes, np.degrees(np.arcsin(sine)).tolist(), strict=True):
+            if rival.effect == one.ray.effect:
                 continue
-            place = effects.index(ray.effect), effects.index(rival.effect)
+            place = effects.index(one.ray.effect), effects.index(rival.effect)
             angles[place] = np.fmin(angles[place], angle)
-            if size == one.shown.size:
-                continue
-            pair = Pair(ray.name, ray.effect, one.shown, rival.effect, angle, size)
-            other = worst.get((ray.effect, rival.effect))
-            if other is None or (size is None, -angle) > (other.size is None, -other.angle):
-                worst[ray.effect, rival.effect] = pair
-    return angles, sorted(worst.values(), key=lambda pair: (pair.size is not None, pair.angle))
+            if size != one.shown.size:
+                near.setdefault((one.ray.effect, rival.effect), []).append((one, rival, angle, size))
+    out = []
+    for (effect, other), those in near.items():
+        one, _, angle, _ = min(those, key=lambda each: (each[3] is not None, each[2]))
+        own = [each for each in those if each[0] is one]
+        needed = [each[3] for each in own]
+        known = [size for size in needed if size is not None]
+        largest = max(known, key=one.ray.rank) if len(known) == len(needed) else None
+        pair = Pair(one.ray.name, effect, one.shown, other, angle, largest)
+        out.append(_Alike(pair, one, tuple(each[1] for each in own)))
+    return angles, sorted(out, key=lambda alike: (alike.pair.size is not None, alike.pair.angle))
 
 
 def _remedied(
@@ -518,52 +604,44 @@ def _remedied(
     drives: Sequence[PlannedDrive],
     found: Products,
     asked: _Asked,
-    seen: Sequence[_Seen],
-    pairs: Sequence[Pair],
+    near: Sequence[_Alike],
 ) -> list[Pair]:
     """Pairs with the change of the set-up that separates them at the smallest size."""
-    if not pairs:
+    if not near:
         return []
-    few = asked.of({effect for pair in pairs for effect in (pair.effect, pair.rival)})
-    rays = {one.ray.name: one for one in seen}
+    needed = {name for alike in near for name in alike.names}
+    changes = [few for change in asked.changes if (few := change.only(needed)).names]
 
     def tried(option: tuple[str, Callable[[], Products]]) -> list[float | None]:
         try:
             changed = option[1]()
         except SuspensionTwinError:  # no such drive with this vehicle
-            return [None] * len(pairs)
-        return [_separated(changed, few, rays[pair.ray], pair.rival) for pair in pairs]
+            return [None] * len(near)
+        return [alike.size_with(changed) for alike in near]
 
-    options = _options(twin, road, drives, found, few)
-    best = list(pairs)
+    options = _options(twin, road, drives, found, changes)
+    best = [alike.pair for alike in near]
     for (name, _), sizes in zip(options, side_by_side(tried, options), strict=True):
-        for n, (pair, size) in enumerate(zip(pairs, sizes, strict=True)):
-            rank = rays[pair.ray].ray.rank
-            known = best[n].remedy_size if best[n].remedy_size is not None else pair.size
+        for n, (alike, size) in enumerate(zip(near, sizes, strict=True)):
+            pair, rank = best[n], alike.seen.ray.rank
+            known = pair.size if pair.remedy_size is None else pair.remedy_size
             if size is not None and (known is None or rank(size) < rank(known) - _BETTER):
                 best[n] = replace(pair, remedy=name, remedy_size=size)
     return best
 
 
-def _separated(found: Products, few: _Asked, one: _Seen, rival: str) -> float | None:
-    """The size from which on all that a rival can make leaves enough of a ray."""
-    sizes = [_apart(found, [one], each)[0][1] for each in few.rivals if each.effect == rival]
-    known = [size for size in sizes if size is not None]
-    return max(known, key=one.ray.rank) if len(known) == len(sizes) else None
-
-
 def _options(
-    twin: Twin, road: Road, drives: Sequence[PlannedDrive], found: Products, few: _Asked
+    twin: Twin, road: Road, drives: Sequence[PlannedDrive], found: Products, changes: Sequence[Change]
 ) -> list[tuple[str, Callable[[], Products]]]:
     """Changes of the set-up that are tried: one more speed, another place of the sensor, a bump."""
     options: list[tuple[str, Callable[[], Products]]] = []
 
     def more(where: Road, kmh: float, name: str) -> Callable[[], Products]:
-        return lambda: found + products(twin, planned_drive(twin, where, kmh, name), few.changes)
+        return lambda: found + products(twin, planned_drive(twin, where, kmh, name), changes)
 
     def elsewhere(place: tuple[float, float, float]) -> Callable[[], Products]:
         moved = twin.with_changes({f"imu.position.{i}": v for i, v in enumerate(place)})
-        return lambda: _together(moved, [_moved(moved, road, d) for d in drives], few)
+        return lambda: _together(moved, [_again(moved, road, d) for d in drives], changes)
 
     given = [float(d.along.max()) * 3.6 for d in drives]
     for kmh in _OTHER_SPEEDS:
@@ -583,7 +661,7 @@ def _options(
     return options
 
 
-def _moved(twin: Twin, road: Road, drive: PlannedDrive) -> PlannedDrive:
+def _again(twin: Twin, road: Road, drive: PlannedDrive) -> PlannedDrive:
     """The same drive with another twin."""
     return planned_drive(twin, road, float(drive.name.split()[0]), drive.name)
 

@@ -25,6 +25,7 @@ from suspension_twin.diagnosis.fit import (
 )
 from suspension_twin.diagnosis.hypotheses import BASELINE, NUISANCE_COUNTERPART, Hypothesis, combined
 from suspension_twin.diagnosis.preexisting import as_preexisting
+from suspension_twin.diagnosis.tone_search import tone_peaks, tone_starts
 from suspension_twin.errors import WorkError
 from suspension_twin.identification.parallel import side_by_side
 
@@ -133,7 +134,8 @@ def singles(
         r, v, preexisting = rough[i], rough[i].hypothesis, None
         starts = [r.x, np.concatenate([base.x, r.x[bench.d + bench.q :]])]
         at = fitted(bench, v, starts, _FINE if i in finalists else 0)
-        if i in finalists and not all(bench.active) and r.effect not in NUISANCE_COUNTERPART:
+        shared = not v.differs and r.effect not in NUISANCE_COUNTERPART
+        if i in finalists and not all(bench.active) and shared:
             preexisting = as_preexisting(bench, v, at.x, base, blocks)
         if at.cost >= base.cost:
             ends = v.negligible()
@@ -172,12 +174,19 @@ def _first_search(
     coarse search for set-up errors."""
     screens = [screen(bench, anchor, v, v.starts(_STARTS, seed)) for v in variants]
     powers = np.concatenate([s.power for s in screens])
-    order = sorted(range(len(variants)), key=lambda i: screens[i].cost[0])
+    peaks = tone_peaks(bench, anchor.at.residual, variants[0].effect(effect))
+    heard = [tone_starts(bench, anchor, anchor.at.residual, v, effect, peaks) for v in variants]
+    costs = [
+        min([s.cost[0], *(bench.costs(v, np.stack(x, axis=1)).tolist() if x else ())])
+        for v, s, x in zip(variants, screens, heard, strict=True)
+    ]
+    order = sorted(range(len(variants)), key=lambda i: costs[i])
     found = []
     # a weak damper at one corner and a strong one at the other are similar to first order: both are fitted
     for i in order[:_VARIANTS]:
         v, tried = variants[i], screens[i]
-        starts = [*tried.x[:_TRIED], *_resonant(bench, anchor, v, v), np.concatenate([base.x, v.neutral()])]
+        starts = [*tried.x[:_TRIED], *_resonant(bench, anchor, v, v), *heard[i]]
+        starts.append(np.concatenate([base.x, v.neutral()]))
         x, cost = refit(bench, v, starts, anchor.at, _ROUGH)
         if not math.isfinite(cost):
             # a recalibrated baseline may be so far off that no effect can be simulated on it
@@ -286,8 +295,15 @@ def pairs(
     def look(effect: str) -> list[tuple[float, Hypothesis, list[Floats]]]:
         tried = [(combined(there, v), v.starts(_STARTS // 2, seed)) for v in library[effect]]
         screens = [(both, screen(bench, start, both, starts)) for both, starts in tried]
-        more = [_resonant(bench, start, both, v) for (both, _), v in zip(tried, library[effect], strict=True)]
-        # resonance starts are ranked by their simulated cost
+        peaks = tone_peaks(bench, start.at.residual, library[effect][0].effect(effect))
+        more = [
+            [
+                *_resonant(bench, start, both, v),
+                *tone_starts(bench, start, start.at.residual, both, effect, peaks),
+            ]
+            for (both, _), v in zip(tried, library[effect], strict=True)
+        ]
+        # starts of resonances and tones are ranked by their simulated cost
         costs = [
             [float(bench.costs(both, x[:, None])[0]) for x in found]
             for (both, _), found in zip(tried, more, strict=True)

@@ -129,7 +129,7 @@ def _forward_selection(
     report: Callable[[Progress], None],
 ) -> Candidate:
     """Greedy forward selection from one effect, as long as one more pays."""
-    effects = library(case.twin, case.excited, request.effects)
+    effects = library(case.twin, case.excited, request.effects, len(case.drives))
     weak = [s.effect for s in judged.singles if not s.judged]
     # without a reference the model discrepancy is unknown: growth ends where no effect pays
     while len(chosen.effects) < min(_MOST_EFFECTS, len(effects)) and (

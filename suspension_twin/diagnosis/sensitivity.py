@@ -9,7 +9,7 @@ columns of each channel in units of the expected residual, which say how large a
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -45,7 +45,7 @@ __all__ = ["Change", "PlannedDrive", "Products", "planned_drive", "products"]
 #: Of the virtual sensor: those of a phone and an RTK receiver.
 SENSOR = SensorErrors()
 #: s of a drive at most; m/s below which nothing is compared; m between a wheel and an end of the road.
-LONGEST, _SLOWEST, _MARGIN = 60.0, 0.8, 0.5
+LONGEST, _SLOWEST, _MARGIN = 40.0, 0.8, 0.5
 #: m/s² of a calm driver (Bae, Moon and Seo, Electronics 8, 2019: comfortable up to 2 m/s²).
 _ACCELERATION, _BRAKING = 1.5, 2.0
 _STEP = 1e-3  # of a vehicle's search coordinate
@@ -86,6 +86,11 @@ class Change:
     points: Floats
     names: tuple[str, ...]
 
+    def only(self, names: Collection[str]) -> Change:
+        """Those of its points whose columns have one of the ``names``."""
+        kept = [i for i, name in enumerate(self.names) if name in names]
+        return Change(self.hypothesis, self.points[:, kept], tuple(self.names[i] for i in kept))
+
 
 def planned_drive(twin: Twin, road: Road, kmh: float, name: str = "") -> PlannedDrive:
     """A drive along the middle of a road at a constant speed, from its start.
@@ -107,7 +112,7 @@ def planned_drive(twin: Twin, road: Road, kmh: float, name: str = "") -> Planned
     Returns
     -------
     PlannedDrive
-        At the rate of the sensor, 60 s of it at most.
+        At the rate of the sensor, 40 s of it at most.
 
     Raises
     ------
@@ -335,9 +340,12 @@ def _multiplied(bench: Bench, drive: PlannedDrive, columns: Floats) -> tuple[Flo
     white *= np.sqrt(measured.independent)
     of_road = _of_the_road(bench)
     blocks = np.empty((len(CHANNELS), columns.shape[2], columns.shape[2]))
+    thin = max(
+        1, int(0.5 * measured.rate / measured.bandwidth)
+    )  # samples of a low-passed signal that say the same
     for c, name in enumerate(CHANNELS):
         missed = USUAL_SHARE * of_road[c] * float(np.std(measured.values[:, c]))
         expected = np.hypot(missed, drive.noise_rms[name])
-        own = np.ascontiguousarray(columns[:, c]) / expected
+        own = np.ascontiguousarray(columns[::thin, c]) / expected
         blocks[c] = own.T @ own / len(own)
     return white.T @ white, blocks

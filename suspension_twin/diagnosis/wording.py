@@ -25,6 +25,7 @@ __all__ = [
     "chance",
     "channel_name",
     "channel_of",
+    "effect_at",
     "effect_name",
     "finding",
     "how_likely",
@@ -52,6 +53,16 @@ _LIKELY: Final = (
     (0.33, "about as likely as not"),
     (0.0, "unlikely"),
 )
+
+#: Parameters whose names say little.
+_PLAIN: Final = {
+    "corner": "wheel",
+    "station": "road wheel",
+    "x": "forward",
+    "y": "to the left",
+    "z": "up",
+    "sigma": "length of smoothing",
+}
 
 
 def capital(text: str) -> str:
@@ -109,7 +120,7 @@ def parameter_name(effect: str, name: str) -> str:
     words = name.removesuffix(f"_{known.unit}").split("_") if known else name.split("_")
     if words[0] in ("front", "rear") and len(words) > 1:
         words = [*words[1:-1], f"{words[-1]},", words[0]]
-    return {"corner": "wheel", "station": "road wheel"}.get(name, " ".join(words))
+    return _PLAIN.get(name, " ".join(words))
 
 
 def parameter_value(effect: str, name: str, value: float) -> str:
@@ -121,6 +132,16 @@ def parameter_value(effect: str, name: str, value: float) -> str:
         names: dict[int, str] = {int(k): v.strip() for k, v in re.findall(r"\b(\d+) ([^,]+)", known.doc)}
         return names.get(round(value), f"{value:g}")
     return plain(value, known.unit, 3)
+
+
+def effect_at(effect: str, place: str) -> str:
+    """Name of an effect with its place: ``one odd damper, front left`` for the place ``corner 0``."""
+    name, _, value = place.partition(" ")
+    return (
+        f"{effect_name(effect)}, {parameter_value(effect, name, float(value))}"
+        if value
+        else effect_name(effect)
+    )
 
 
 def parameters_of(cause: Document) -> list[tuple[str, str]]:

@@ -49,6 +49,7 @@ __all__ = [
     "Parameter",
     "RoadChange",
     "SignalStage",
+    "Tone",
     "Values",
     "Variant",
     "Where",
@@ -73,7 +74,8 @@ class Parameter:
     ``low`` and ``high`` are physical bounds in ``unit``. ``neutral`` is what it is where the twin
     file says nothing. The prior is normal about ``typical`` with ``spread``, in the logarithm
     where ``log`` (then ``spread`` is a factor). ``choices`` lists the values of a discrete one. ``usual`` is how far
-    from neutral it lies in sound vehicles, sensors and clocks.
+    from neutral it lies in sound vehicles, sensors and clocks. ``each_drive``: it differs from drive to drive, as the
+    phase of a tone does; a twin file has that of one.
     """
 
     name: str
@@ -87,6 +89,7 @@ class Parameter:
     log: bool = False
     choices: tuple[float, ...] = ()
     usual: float = 0.0
+    each_drive: bool = False
 
     def check(self, effect: str, value: float) -> float:
         """``value`` as it is, or InputError that names the effect and the parameter."""
@@ -98,6 +101,23 @@ class Parameter:
         if not good:
             raise InputError("twin", f"effects.{effect}.{self.name}", f"must be {must}, is {value:g}")
         return value
+
+
+@dataclass(frozen=True)
+class Tone:
+    """A harmonic effect, whose angle is 2 pi (f t + n s) + phase at the time t and the travelled distance s.
+
+    ``strength`` names the parameter that it is proportional to, ``phase`` that of the angle at the start.
+    ``frequencies`` Hz of f and ``wavenumbers`` 1/m of n are ranges to search, f or n alone where the other's is (0, 0);
+    ``parameters`` gives the parameters for f and n; the strength that is felt grows with that ``power`` of the speed.
+    """
+
+    strength: str
+    phase: str
+    frequencies: tuple[float, float]
+    wavenumbers: tuple[float, float]
+    parameters: Callable[[float, float], Mapping[str, float]]
+    power: int = 0
 
 
 @dataclass(frozen=True)
@@ -116,8 +136,9 @@ class Effect:
     ``excited_by`` lists signals that move it, ``confused_with`` causes with similar symptoms. ``usual_share`` is the
     severity that a sound vehicle has (a driver, a tank), as a share of its mass. ``order`` places it among the effects:
     terms of one stage of the kernel act in this order, and lists are in it. ``variants`` by model
-    hold what is different on models that ``hook`` is not for. ``finding`` says in words what the effect with given
-    parameters is, as the end of a sentence: "the front left damper has lost 40 % of its force".
+    hold what is different on models that ``hook`` is not for. ``tone`` says what is harmonic in it. ``finding`` says in
+    words what the effect with given parameters is, as the end of a sentence: "the front left damper has lost 40 % of
+    its force".
     """
 
     id: str
@@ -133,6 +154,7 @@ class Effect:
     order: int = 1000
     variants: Mapping[str, Variant] = field(default_factory=dict)
     finding: Callable[[Mapping[str, float]], str] | None = None
+    tone: Tone | None = None
 
     def __post_init__(self) -> None:
         neutral = {p.name: p.neutral for p in self.parameters}

@@ -17,6 +17,7 @@ from suspension_twin.effects.base import (
     Hook,
     KernelTerms,
     Parameter,
+    Tone,
     Values,
     fma,
     inlined,
@@ -43,7 +44,7 @@ _PARAMETERS = (
     Parameter(
         "per_metre", "1/m", 0.0, 4.0, 0.0, 0.5, 0.5, "by which the frequency rises with the speed in m/s"
     ),
-    Parameter("phase", "rad", -7.0, 7.0, 0.0, 0.0, math.pi, "at the drive's start"),
+    Parameter("phase", "rad", -7.0, 7.0, 0.0, 0.0, math.pi, "at the drive's start", each_drive=True),
 )
 
 
@@ -89,6 +90,13 @@ EFFECT = Effect(
     parameters=_PARAMETERS,
     order=145,
     severity=("force",),
+    tone=Tone(
+        "force",
+        "phase",
+        (0.0, 22.0),
+        (0.0, 2.4),
+        lambda f, n: {"frequency": f, "per_metre": n},
+    ),
     excited_by=("the engine itself", "a smooth road", "standing still"),
     confused_with=("wheel_imbalance", "mount_resonance", "powertrain_mount"),
     hook=Hook(kernel=KernelTerms(_FIELDS, _constants, {"body": (_hum, LANE)})),

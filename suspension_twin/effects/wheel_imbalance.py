@@ -18,6 +18,7 @@ from suspension_twin.effects.base import (
     Hook,
     KernelTerms,
     Parameter,
+    Tone,
     Values,
     fma,
     inlined,
@@ -35,7 +36,15 @@ _PARAMETERS = (
     ),
     Parameter("rolling_radius", "m", 0.2, 0.6, 0.31, 0.31, 0.03, "travelled distance for each radian"),
     Parameter(
-        "phase", "rad", -7.0, 7.0, 0.0, 0.0, math.pi, "of the unbalance from straight up at the drive's start"
+        "phase",
+        "rad",
+        -7.0,
+        7.0,
+        0.0,
+        0.0,
+        math.pi,
+        "of the unbalance from straight up at the drive's start",
+        each_drive=True,
     ),
 )
 
@@ -86,6 +95,14 @@ EFFECT = Effect(
     parameters=_PARAMETERS,
     order=125,
     severity=("moment",),
+    tone=Tone(
+        "moment",
+        "phase",
+        (0.0, 0.0),
+        (0.4, 0.68),  # rolling radii of 0.23 to 0.4 m
+        lambda f, n: {"rolling_radius": 1.0 / (2.0 * math.pi * n)},
+        power=2,
+    ),
     excited_by=("high speed", "a smooth road"),
     confused_with=("engine_order", "wheel_imbalance of another wheel", "a periodic road"),
     hook=Hook(

@@ -41,6 +41,7 @@ from suspension_twin.pose.nodes import MAX_MEAN_SLOPE, mean_tilt
 from suspension_twin.pose.satellites import satellite_motion
 from suspension_twin.pose.smoothed import locked_trajectory
 from suspension_twin.pose.types import Trajectory
+from suspension_twin.road.origin import warning_of
 from suspension_twin.road.road import Outside, Road
 from suspension_twin.signals.attitude import level_rpy
 from suspension_twin.signals.conditioner import Conditioner
@@ -282,6 +283,7 @@ def prepare(
     settings = settings or PrepareSettings()
     if road is None:
         road = road_of(twin)
+    about = None if twin.road is None or road.name != twin.road.file.name else warning_of(twin.road.file)
     signals = ingest_drive(drive, twin.imu, settings.imu)
     # a known clock offset is taken off the stamps before IMU and receiver are fused
     late = 0.0 if settings.satellites else clock_offset_of(twin)
@@ -307,8 +309,7 @@ def prepare(
     warnings = (*drive.warnings, *(f.text for f in noticed if f.level != "ok"))
     prepared = _assemble(drive.name, twin, road, settings, signals, trajectory, late=late)
     left = prepared.off_road.sentence(float(signals.t[0]))
-    if left:
-        warnings = (*warnings, left)
+    warnings = (*warnings, *(text for text in (left, about) if text))
     return replace(prepared, position_sigma=_position_sigma(drive), warnings=warnings)
 
 

@@ -91,8 +91,8 @@ class SimulatedDrive:
         """Write ``folder/simulated`` (a rosbag2 folder, MCAP) and ``folder/gap.json``.
 
         One message of each topic for every IMU sample of the recording, at its own stamp. ``twin/imu`` is in
-        the sensor's axes, gravity included, unfiltered; ``twin/vertical_acceleration`` in base_link axes
-        through the live low-pass, as ``imu/vertical_acceleration`` is.
+        the sensor's axes, gravity included, unfiltered; ``twin/vertical_acceleration`` and the measured
+        ``imu/vertical_acceleration`` beside it in base_link axes, both through the live low-pass.
         """
         with BagWriter(folder / "simulated", overwrite=True) as bag:
             _write_topics(bag, self)
@@ -177,15 +177,19 @@ def _write_topics(bag: BagWriter, result: SimulatedDrive) -> None:
         },
         frame=result.drive.imu.frame,
     )
-    low_pass = CausalLowPass(prepared.settings.filter, prepared.signals.rate_hz, 1)
-    vertical = low_pass.process(response.vertical_acceleration - prepared.standing_vertical(response))
-    bag.write(
-        "twin/vertical_acceleration",
-        "geometry_msgs/msg/AccelStamped",
-        stamps,
-        {"accel.linear.z": at(vertical)},
-        frame="base_link",
-    )
+    simulated = response.vertical_acceleration - prepared.standing_vertical(response)
+    for topic, signal in (
+        ("twin/vertical_acceleration", simulated),
+        ("imu/vertical_acceleration", prepared.signals.vertical_acceleration),
+    ):
+        low_pass = CausalLowPass(prepared.settings.filter, prepared.signals.rate_hz, 1)
+        bag.write(
+            topic,
+            "geometry_msgs/msg/AccelStamped",
+            stamps,
+            {"accel.linear.z": at(low_pass.process(signal))},
+            frame="base_link",
+        )
     path = prepared.trajectory
     position = np.column_stack([path.x, path.y, response.z])
     bag.write(

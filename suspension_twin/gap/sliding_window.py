@@ -62,6 +62,8 @@ class RunningGap:
         self._settle = settle
         self._ring = np.zeros((4 * _GROW, 3))
         self._taper = np.empty(0)
+        #: Samples since the beginning, and the sum of their squared differences: what a reset leaves.
+        self._all, self._all_squares = 0, 0.0
         self.reset()
 
     def reset(self) -> None:
@@ -87,6 +89,8 @@ class RunningGap:
             self._ring = np.roll(self._ring, -(self._tail % size), axis=0)
             self._ring = np.concatenate([self._ring, np.zeros_like(self._ring)])
             self._head, self._tail, size = self._head - self._tail, 0, 2 * size
+        self._all += 1
+        self._all_squares += (measured - simulated) ** 2
         self._ring[self._head % size] = (t, measured, simulated)
         self._head += 1
         while self._ring[self._tail % size, 0] <= t - self.window:
@@ -105,6 +109,11 @@ class RunningGap:
         off = measured - noise[1]
         noise[1] += off / noise[0]
         noise[2] += off * (measured - noise[1])
+
+    @property
+    def whole_rms(self) -> float:
+        """Rms in m/s² over everything since the beginning, whatever the window; NaN before the first sample."""
+        return math.sqrt(self._all_squares / self._all) if self._all else math.nan
 
     @property
     def settled(self) -> bool:

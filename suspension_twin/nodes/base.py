@@ -22,6 +22,7 @@ from rclpy.duration import Duration
 from rclpy.event_handler import PublisherEventCallbacks, SubscriptionEventCallbacks
 from rclpy.node import Node
 from rclpy.publisher import Publisher
+from rclpy.qos import QoSProfile, ReliabilityPolicy
 from rclpy.qos_overriding_options import QoSOverridingOptions
 from rclpy.subscription import Subscription
 
@@ -37,6 +38,7 @@ from suspension_twin.nodes.topics import (
     InputState,
     Outbox,
     Output,
+    type_name,
 )
 from suspension_twin.signals.checks import Finding
 from suspension_twin.signals.clock import JUMP_BACK
@@ -106,7 +108,7 @@ class Health:
         found = [(level, text) for level, text in self.findings.values() if level != OK]
         for state in self.inputs.values():
             if state.warned:
-                found.append((WARN, f"no message on {state.topic} for {state.silent_for:.0f} s"))
+                found.append((WARN, f"no message on {state.topic} for {state.silent_for:.0f} s{state.why}"))
         for event in self.events.values():
             if now - event.at <= RECENT and event.level != OK:
                 times = f" ({event.count} times)" if event.count > 1 else ""
@@ -118,7 +120,7 @@ class Health:
         counts = {f"{code} (count)": str(event.count) for code, event in self.events.items()}
         out = [_status(self.name, self.complaints(), self.values | counts)]
         for state in self.inputs.values():
-            about = [(WARN, f"no message for {state.silent_for:.0f} s")] if state.warned else []
+            about = [(WARN, f"no message for {state.silent_for:.0f} s{state.why}")] if state.warned else []
             rate = "" if math.isnan(state.rate) else f"{state.rate:.1f}"
             values = {"messages": str(state.received), "rate (Hz)": rate}
             out.append(_status(f"{self.name}: {state.topic}", about, values))
@@ -139,6 +141,7 @@ class TwinNode(Node):  # type: ignore[misc]
     """Base of the nodes. A subclass sets ``parameters``, makes its inputs and outputs, and may override
     ``check``, ``changed``, ``reset`` and ``report``."""
 
+    common: tuple[Param, ...] = COMMON
     parameters: tuple[Param, ...] = ()
 
     def __init__(self, name: str, embedding: Embedding | None = None) -> None:
@@ -156,7 +159,7 @@ class TwinNode(Node):  # type: ignore[misc]
         self.health = Health(self.get_fully_qualified_name().lstrip("/"), time.monotonic)
         self._shown: set[str] = set()
         self._counted: dict[str, int] = {}
-        self._set = ParameterSet(self, (*COMMON, *self.parameters), self.check, self._on_change)
+        self._set = ParameterSet(self, (*self.common, *self.parameters), self.check, self._on_change)
         self.jump_back_ns = int(self.values["jump_back"] * 1e9)
         self._diagnostics = self.create_publisher(DiagnosticArray, "/diagnostics", 10)
         self._measured_at = time.monotonic()
@@ -191,6 +194,16 @@ class TwinNode(Node):  # type: ignore[misc]
 
     # What a subclass uses
 
+    def frame(self, name: str) -> str:
+        """The frame ``name`` of this vehicle: the namespace comes before it, for all twins share one ``/tf``. A name
+        with a slash is taken as it is."""
+        own = self.get_namespace().strip("/")
+        return f"{own}/{name}" if own and "/" not in name else name
+
+    def is_frame(self, got: str, wanted: str) -> bool:
+        """Whether ``got`` is the frame ``wanted``, with or without the namespace."""
+        return got in (wanted, self.frame(wanted))
+
     def create_publisher(self, *args: Any, **keywords: Any) -> Publisher:
         """As in the base class, without events of the quality of service, which rclpy handles in Python at every
         callback: half of its time. Of incompatible profiles the node at the other end warns."""
@@ -215,10 +228,10 @@ class TwinNode(Node):  # type: ignore[misc]
             )
         return taken
 
-    def offer(self, kind: type, topic: str) -> Output:
+    def offer(self, kind: type, topic: str, qos: QoSProfile = STREAM_QOS) -> Output:
         """An output published on ``topic``."""
         options = QoSOverridingOptions.with_default_policies()
-        publisher = self.create_publisher(kind, topic, STREAM_QOS, qos_overriding_options=options)
+        publisher = self.create_publisher(kind, topic, qos, qos_overriding_options=options)
         out = self.outputs[topic] = Output(publisher, self.outbox)
         return out
 
@@ -301,6 +314,22 @@ class TwinNode(Node):  # type: ignore[misc]
         else:
             self.health.findings.pop(code, None)
 
+    def _why_silent(self, topic: str, known: Input) -> str:
+        """In words, if somebody publishes the topic in a way that cannot be taken."""
+        if known.subscription is None:
+            return ""
+        wanted = type_name(known.subscription.msg_type)
+        reliable = known.subscription.qos_profile.reliability == ReliabilityPolicy.RELIABLE
+        for publisher in self.get_publishers_info_by_topic(topic):
+            if publisher.topic_type != wanted:
+                return f": {publisher.topic_type} comes there from {publisher.node_name}, and {wanted} is expected"
+            if reliable and publisher.qos_profile.reliability == ReliabilityPolicy.BEST_EFFORT:
+                return (
+                    f": {publisher.node_name} publishes it best effort, and the subscription is set to reliable "
+                    "(qos_overrides)"
+                )
+        return f", expected as {wanted}"
+
     def _measure_inputs(self) -> None:
         """Rates in real time; silence in the node's own time, in which a paused replay is no silence."""
         wall = time.monotonic()
@@ -315,8 +344,9 @@ class TwinNode(Node):  # type: ignore[misc]
             state, resolved = known.state, self.resolve_topic_name(name)
             state.measure(now, interval)
             silent = state.expected and state.silent_for > timeout
+            state.why = self._why_silent(resolved, known) if silent else ""
             if silent and not state.warned:
-                self.log.warning(f"no message on {resolved} for {state.silent_for:.0f} s")
+                self.log.warning(f"no message on {resolved} for {state.silent_for:.0f} s{state.why}")
             elif state.warned and not silent:
                 self.log.info(f"messages on {resolved} again")
             state.warned = silent

@@ -19,6 +19,7 @@ from rclpy.task import Future
 
 from suspension_twin.calibration.request import Progress
 from suspension_twin.errors import SuspensionTwinError
+from suspension_twin.files import reading
 from suspension_twin.nodes.base import TwinNode
 from suspension_twin.nodes.jobs import (
     DiagnosisStep,
@@ -177,7 +178,8 @@ class CalibratorNode(TwinNode):
             return action.kind.Result(message=self._busy())
         try:
             options = {name: self.values[name] for name in action.options}
-            job = action.job_of(goal.request, self.values["twin"], self.values["threads"], **options)
+            with reading(action.name, "a goal"):  # anybody may send one: no path in it ends the node
+                job = action.job_of(goal.request, self.values["twin"], self.values["threads"], **options)
         except SuspensionTwinError as error:
             self.note("rejected goals", WARN, f"{action.name}: {error}")
             goal.abort()

@@ -69,14 +69,17 @@ class Playback:
 
 @dataclass(frozen=True)
 class Condition:
-    """State of a running twin: ``rates`` Hz by short name; ``gap`` m/s² and ``normalised``, None while not
-    known; ``complaints`` errors first, ``failing`` whether one is an error; ``position`` and ``duration`` s of a
-    playback, None when live, and its ``rounds`` done."""
+    """State of a running twin.
+
+    ``rates`` Hz by short name; ``gap`` m/s² of the sliding window and ``normalised``, ``whole_gap`` m/s² since the
+    beginning, None while not known; ``complaints`` errors first, ``failing`` whether one is an error; ``position`` and
+    ``duration`` s of a playback, None when live, and its ``rounds`` done."""
 
     rates: dict[str, float]
     samples: int
     answers: int
     gap: float | None
+    whole_gap: float | None
     normalised: float | None
     complaints: list[str]
     failing: bool
@@ -176,12 +179,13 @@ class Composed:
             (level, f"{n}: {text}") for n, o in self.nodes.items() for level, text in o.health.complaints()
         ]
         complaints.sort(key=lambda c: c[0], reverse=True)
-        gap = model.gap_now()
+        gap, whole = model.gap_now(), model.whole_gap()
         return Condition(
             rates={short: inputs[topic].rate for short, topic in shown.items()},
             samples=ingest.inputs["imu/data_raw"].state.received,
             answers=model.outputs["twin/vertical_acceleration"].sent,
             gap=None if gap is None else gap.rms,
+            whole_gap=None if math.isnan(whole) else whole,
             normalised=None if gap is None or math.isnan(gap.normalised) else gap.normalised,
             complaints=[text for _, text in complaints],
             failing=any(level == ERROR for level, _ in complaints),

@@ -184,9 +184,12 @@ class Follower:
 
     @property
     def findings(self) -> list[Finding]:
-        """A warning where wheels are beside the road."""
+        """A warning where wheels are beside the road, or where there is none."""
         row = self._row
-        if row is None or not row.known or self.twin.road is None:
+        if self.twin.road is None:
+            text = "the twin file names no road: the twin drives on a plane, and the gap is that of the whole road"
+            return [Finding("warn", "no_road", text)]
+        if row is None or not row.known:
             return []
         c, s = math.cos(row.yaw), math.sin(row.yaw)
         wheels = self.twin.vehicle.wheel_positions

@@ -16,7 +16,16 @@ from sensor_msgs.msg import Imu
 from suspension_twin.errors import InputError
 from suspension_twin.gap.mounting import turn_of
 from suspension_twin.nodes.base import TwinNode
-from suspension_twin.nodes.parameters import FILTER, TWIN, Param, Values, filter_of, twin_of
+from suspension_twin.nodes.parameters import (
+    FILTER,
+    LOW_PASS,
+    TWIN,
+    Param,
+    Values,
+    filter_of,
+    low_pass_text,
+    twin_of,
+)
 from suspension_twin.nodes.process import run_alone
 from suspension_twin.nodes.topics import Embedding
 from suspension_twin.signals.ingest import ImuIngest, ImuSettings
@@ -106,10 +115,10 @@ class ImuIngestNode(TwinNode):
         super().__init__("imu_ingest", embedding)
         _compile()
         self._data = Imu()
-        self._data.header.frame_id = self.values["base_frame"]
+        self._data.header.frame_id = self.frame(self.values["base_frame"])
         self._data.orientation_covariance[0] = -1.0
         self._vertical = AccelStamped()
-        self._vertical.header.frame_id = self.values["base_frame"]
+        self._vertical.header.frame_id = self.frame(self.values["base_frame"])
         self._data_out = self.offer(Imu, "imu/data")
         self._vertical_out = self.offer(AccelStamped, "imu/vertical_acceleration")
         self._start()
@@ -138,7 +147,7 @@ class ImuIngestNode(TwinNode):
         self._counted.clear()
 
     def _on_imu(self, message: Imu, ns: int) -> None:
-        if message.header.frame_id != self._frame and self._frame is not None:
+        if self._frame is not None and not self.is_frame(message.header.frame_id, self._frame):
             self.note_frame("imu/data_raw", message.header.frame_id, self._frame)
         if message.linear_acceleration_covariance[0] == -1.0:
             raise InputError(
@@ -162,6 +171,7 @@ class ImuIngestNode(TwinNode):
     def report(self) -> None:
         """See the base class."""
         ingest, values = self._ingest, self.health.values
+        values[LOW_PASS] = low_pass_text(self.values)
         self.show_findings(f for f in ingest.findings if f.code not in self._silent)
         self.note_counts(ingest.counts, _COUNTED)
         values["sample rate (Hz)"] = f"{ingest.rate:.2f}" if ingest.rate else "not known yet"

@@ -14,7 +14,7 @@ from visualization_msgs.msg import Marker
 
 from suspension_twin.calibration.output import details_path
 from suspension_twin.errors import InputError
-from suspension_twin.files import read_yaml
+from suspension_twin.files import read_yaml, reading
 from suspension_twin.gap.sliding_window import GapNow, RunningGap
 from suspension_twin.nodes.base import TwinNode
 from suspension_twin.nodes.parameters import Param, Values
@@ -81,8 +81,12 @@ def calibration_gap(values: Values) -> CalibrationGap:
     Raises InputError for details that cannot be read.
     """
     given, twin_file = values["gap.floor"], values["twin"]
-    if given or not twin_file or not (details := details_path(Path(twin_file))).is_file():
+    if given or not twin_file:
         return CalibrationGap(given, 0.0)
+    with reading(twin_file, "a twin file"):
+        details = details_path(Path(twin_file))
+        if not details.is_file():
+            return CalibrationGap(given, 0.0)
     try:
         drives = read_yaml(details)["drives"]
         # The live gap includes clock, gain and tilt errors: the larger of the two values is to be expected.

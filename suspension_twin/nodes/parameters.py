@@ -16,18 +16,20 @@ from rclpy.node import Node
 from rclpy.parameter import Parameter
 
 from suspension_twin.errors import InputError
-from suspension_twin.files import read_yaml
+from suspension_twin.files import read_yaml, reading
 from suspension_twin.signals.filters import FilterSpec
 from suspension_twin.vehicle.twin import Twin, load_twin
 
 __all__ = [
     "FILTER",
+    "LOW_PASS",
     "TWIN",
     "Param",
     "ParameterSet",
     "Values",
     "check_names",
     "filter_of",
+    "low_pass_text",
     "read_param_file",
     "twin_of",
 ]
@@ -130,10 +132,11 @@ class ParameterSet:
 
     def _on_set(self, parameters: list[Parameter]) -> SetParametersResult:
         try:
-            for parameter in parameters:
-                if parameter.name in self._params and parameter.value is None:
-                    raise InputError(parameter.name, "cannot be unset")
-            self._refuse_unusable(self._merged(parameters))
+            with reading("parameters", "a set of values"):  # anybody may set them: no value ends the node
+                for parameter in parameters:
+                    if parameter.name in self._params and parameter.value is None:
+                        raise InputError(parameter.name, "cannot be unset")
+                self._refuse_unusable(self._merged(parameters))
         except InputError as error:
             return SetParametersResult(successful=False, reason=str(error))
         return SetParametersResult(successful=True)
@@ -170,16 +173,23 @@ def twin_of(values: Values) -> Twin | None:
     path = values["twin"]
     if not path:
         return None
-    try:
-        changed = Path(path).stat().st_mtime_ns
-    except OSError as error:
-        raise InputError(path, error.strerror or "cannot be read") from None
-    return _load(path, changed)
+    with reading(path, "a twin file"):
+        return _load(path, Path(path).stat().st_mtime_ns)
 
 
 def filter_of(values: Values) -> FilterSpec:
     """The low-pass that the parameters describe."""
     return FilterSpec(values["filter.order"], values["filter.cutoff"])
+
+
+#: Key of the low-pass in the diagnostics.
+LOW_PASS = "low-pass"
+
+
+def low_pass_text(values: Values) -> str:
+    """The low-pass in words, equal for equal ones."""
+    spec = filter_of(values)
+    return f"{spec.cutoff:g} Hz, order {spec.order}"
 
 
 # Parameter files, checked before ROS reads them: rcl ignores a name that no node has

@@ -19,7 +19,16 @@ from sensor_msgs.msg import Imu, NavSatFix
 from suspension_twin.errors import InputError, WorkError
 from suspension_twin.gap.mounting import gain_of, turn_of
 from suspension_twin.nodes.base import TwinNode
-from suspension_twin.nodes.parameters import FILTER, TWIN, Param, Values, filter_of, twin_of
+from suspension_twin.nodes.parameters import (
+    FILTER,
+    LOW_PASS,
+    TWIN,
+    Param,
+    Values,
+    filter_of,
+    low_pass_text,
+    twin_of,
+)
 from suspension_twin.nodes.process import run_alone
 from suspension_twin.nodes.topics import Embedding
 from suspension_twin.pose.lock import PlanarState, PoseLock
@@ -93,7 +102,7 @@ class PoseInjectorNode(TwinNode):
     def __init__(self, embedding: Embedding | None = None) -> None:
         super().__init__("pose_injector", embedding)
         _compile()
-        self._odom = Odometry(child_frame_id=self.values["base_frame"])
+        self._odom = Odometry(child_frame_id=self.frame(self.values["base_frame"]))
         self._odom.header.frame_id = self.values["map_frame"]
         for free in (14, 21, 28):  # z, roll and pitch are not estimated here
             self._odom.pose.covariance[free] = 1.0e6
@@ -143,7 +152,7 @@ class PoseInjectorNode(TwinNode):
         self._out.send(self._odom)
 
     def _on_fix(self, message: NavSatFix, ns: int) -> None:
-        if message.header.frame_id != self._frame and self._frame is not None:
+        if self._frame is not None and not self.is_frame(message.header.frame_id, self._frame):
             self.note_frame("fix", message.header.frame_id, self._frame)
         # Not set (-2 in Jazzy) is not the same as no fix (-1): the position is there.
         status = 0 if message.status.status < -1 else message.status.status
@@ -186,6 +195,7 @@ class PoseInjectorNode(TwinNode):
     def report(self) -> None:
         """See the base class."""
         lock, values = self._lock, self.health.values
+        values[LOW_PASS] = low_pass_text(self.values)
         self.show_findings(f for f in lock.findings if f.code not in (*_COUNTED, "no_imu"))
         self.note_counts(lock.counts, _COUNTED)
         values["latency of fixes (s)"] = f"{lock.latency:.3f}"

@@ -4,11 +4,13 @@
 from __future__ import annotations
 
 import contextlib
+import json
 import os
 import re
 import signal
 import socket
 import sys
+import textwrap
 import threading
 import time
 from collections.abc import Callable, Iterator
@@ -129,10 +131,28 @@ def check_arguments(args: list[str]) -> None:
         raise InputError(strange[0], "unknown argument: arguments for ROS follow --ros-args")
 
 
+def help_text(kind: Any, program: str) -> str:
+    """What ``--help`` prints for the program of a node: what it does, and its parameters with their defaults."""
+    lines = [f"Usage: {program} [--ros-args -p NAME:=VALUE -r FROM:=TO --params-file FILE]", ""]
+    lines += [*textwrap.wrap(" ".join((kind.__doc__ or "").split()), 80), "", "Parameters (-p):"]
+    for param in (*kind.common, *kind.parameters):
+        shown = json.dumps(param.default) if isinstance(param.default, (bool, str)) else param.default
+        bounds = "" if param.low is None else f" ({param.low:g} to {param.high:g})"
+        lines += textwrap.wrap(f"{param.name} = {shown}", 80, initial_indent="  ")
+        lines += textwrap.wrap(
+            f"{param.text}{bounds}", 80, initial_indent="      ", subsequent_indent="      "
+        )
+    return "\n".join(lines)
+
+
 def run_alone(make: Callable[[Embedding], Node], args: list[str] | None = None) -> Any:
     """Run one node until it is asked to stop; return the exit status."""
     try:
         arguments = sys.argv if args is None else args
+        own = arguments[1 : arguments.index("--ros-args")] if "--ros-args" in arguments else arguments[1:]
+        if {"-h", "--help"} & set(own):
+            print(help_text(make, os.path.basename(arguments[0])))
+            return 0
         check_arguments(arguments[1:])
         with stopping() as stop, ros_context(arguments) as context:
             node = make(Embedding(context=context))

@@ -12,6 +12,7 @@ from collections.abc import Set as AbstractSet
 from functools import cache, partial
 from typing import Any
 
+from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import AccelStamped
 from nav_msgs.msg import Odometry
 from rclpy.parameter import Parameter
@@ -22,7 +23,16 @@ from suspension_twin.gap.sliding_window import GapNow
 from suspension_twin.nodes.base import TwinNode
 from suspension_twin.nodes.follower import Follower, Paired, Pairing, PlanarRow
 from suspension_twin.nodes.live_gap import GAP, calibration_gap, gap_of, gap_warning
-from suspension_twin.nodes.parameters import FILTER, TWIN, Param, Values, filter_of, twin_of
+from suspension_twin.nodes.parameters import (
+    FILTER,
+    LOW_PASS,
+    TWIN,
+    Param,
+    Values,
+    filter_of,
+    low_pass_text,
+    twin_of,
+)
 from suspension_twin.nodes.process import run_alone
 from suspension_twin.nodes.topics import ERROR, OK, WARN, Embedding
 from suspension_twin.nodes.twin_outputs import TwinOutputs
@@ -33,6 +43,8 @@ from suspension_twin_interfaces.srv import LoadTwin
 
 __all__ = ["SuspensionModelNode", "main"]
 
+#: The nodes whose low-pass has to be that of this one.
+FILTERING = ("imu_ingest", "pose_injector")
 #: Above this variance of the yaw (rad²) the heading and the road under the wheels are unknown.
 _YAW_KNOWN = 1.0
 #: Limits of plausible input: distance from the datum (m), speeds (m/s, rad/s), acceleration (m/s²).
@@ -73,6 +85,7 @@ class SuspensionModelNode(TwinNode):
         self._start()
         self.listen(Odometry, "twin/odom", self._on_odom)
         self.listen(AccelStamped, "imu/vertical_acceleration", self._on_vertical)
+        self.create_subscription(DiagnosticArray, "/diagnostics", self._on_diagnostics, 100)
         self.create_service(Trigger, "~/reset", self._on_reset)
         self.create_service(LoadTwin, "~/load_twin", self._on_load)
 
@@ -98,6 +111,8 @@ class SuspensionModelNode(TwinNode):
         self._out.configure(self._follower, values["visual_rate"], values["gap.rate"])
         if self._follower is None:
             text = "no twin loaded: set the parameter twin or call ~/load_twin"
+            if "no twin" not in self.health.findings:
+                self.say(WARN, text)
             self.health.findings["no twin"] = WARN, text
         else:
             self._follower.acceleration_time = values["acceleration_time"]
@@ -188,6 +203,24 @@ class SuspensionModelNode(TwinNode):
                 response.message += f"; {names} changed: set the parameter twin of the other nodes as well"
         return response
 
+    def _on_diagnostics(self, message: DiagnosticArray) -> None:
+        """Compare the low-pass of the other nodes of this twin with the own: measured and simulated signals that went
+        through different ones differ, and that is no gap."""
+        own = self.health.values.get(LOW_PASS)
+        for status in message.status:
+            name = status.name.rpartition("/")[2]
+            if name not in FILTERING or self.frame(name) != status.name:
+                continue
+            other = next((pair.value for pair in status.values if pair.key == LOW_PASS), own)
+            text = (
+                f"the low-pass is {own} here and {other} in {name}: set filter.order and filter.cutoff alike"
+            )
+            self._find(f"low-pass of {name}", own is not None and other != own, text)
+
+    def whole_gap(self) -> float:
+        """Rms of the gap in m/s² since the twin was loaded; NaN while nothing was simulated."""
+        return self._gap.whole_rms
+
     def gap_now(self) -> GapNow | None:
         """The live gap; None while the window holds fewer than two samples."""
         return self._gap.now()
@@ -198,6 +231,7 @@ class SuspensionModelNode(TwinNode):
             text = "samples without a pose of the same time on twin/odom, not simulated"
             self.note(text, WARN, text, self._pairing.lost)
             self._pairing.lost = 0
+        self.health.values[LOW_PASS] = low_pass_text(self.values)
         found = [] if self._follower is None else self._follower.findings
         gap = self._gap.now()
         if gap is not None:

@@ -23,7 +23,7 @@ from diagnostic_msgs.msg import DiagnosticStatus
 from rclpy.context import Context
 from rclpy.parameter import Parameter
 from rclpy.publisher import Publisher
-from rclpy.qos import HistoryPolicy, QoSProfile, ReliabilityPolicy
+from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
 
 from suspension_twin.errors import InputError
 
@@ -32,6 +32,7 @@ if TYPE_CHECKING:
 
 __all__ = [
     "ERROR",
+    "LATCHED_QOS",
     "NS",
     "OK",
     "SENSOR_QOS",
@@ -42,6 +43,7 @@ __all__ = [
     "InputState",
     "Outbox",
     "Output",
+    "type_name",
 ]
 
 OK, WARN, ERROR = DiagnosticStatus.OK, DiagnosticStatus.WARN, DiagnosticStatus.ERROR
@@ -55,6 +57,19 @@ SENSOR_QOS = QoSProfile(
 _BURST = 50
 #: Reliable: game engines and dashboards do not connect to best-effort publishers.
 STREAM_QOS = QoSProfile(history=HistoryPolicy.KEEP_LAST, depth=100, reliability=ReliabilityPolicy.RELIABLE)
+#: For what seldom changes: a subscription that comes later gets the newest one.
+LATCHED_QOS = QoSProfile(
+    history=HistoryPolicy.KEEP_LAST,
+    depth=1,
+    reliability=ReliabilityPolicy.RELIABLE,
+    durability=DurabilityPolicy.TRANSIENT_LOCAL,
+)
+
+
+def type_name(kind: type) -> str:
+    """Name of a message's type as ROS writes it: ``sensor_msgs/msg/Imu``."""
+    package, group, *_ = kind.__module__.split(".")
+    return f"{package}/{group}/{kind.__name__}"
 
 
 class Outbox:
@@ -136,7 +151,7 @@ class Embedding:
 @dataclass
 class InputState:
     """Statistics of one subscribed topic: ``rate`` Hz, ``silent_for`` s since the last message. A warning is
-    given for a silent topic if it is ``expected``."""
+    given for a silent topic if it is ``expected``; ``why`` says what stands in the way, if anything."""
 
     topic: str
     expected: bool
@@ -144,6 +159,7 @@ class InputState:
     rate: float = math.nan
     silent_for: float = 0.0
     warned: bool = False
+    why: str = ""
     _counted: int = 0
     _last: float = math.nan
 

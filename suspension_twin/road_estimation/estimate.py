@@ -11,21 +11,22 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.fft import rfft
+from scipy.fft import irfft, rfft
 from scipy.ndimage import gaussian_filter1d
 
 from suspension_twin.arrays import Floats
 from suspension_twin.gap.prepare import Prepared
 from suspension_twin.road.centreline import Centreline, road_over
 from suspension_twin.road.road import Road
+from suspension_twin.road_estimation.alignment import banded, lags_along
 from suspension_twin.road_estimation.inverse import Inverse, RoadPrior, Seen, Unknown, period_of
-from suspension_twin.road_estimation.passes import Pass, line_of, make_pass
-from suspension_twin.road_estimation.transfer import best_linear_approximation
+from suspension_twin.road_estimation.passes import FINE, LANE_SIGMA, Pass, line_of, make_pass
+from suspension_twin.road_estimation.transfer import CHANNELS, best_linear_approximation
 from suspension_twin.vehicle.twin import Twin
 
 __all__ = ["Estimate", "Settings", "estimate_road"]
@@ -37,24 +38,38 @@ MARGIN = 6.0  # m of line before the first and after the last place driven
 _FLAT = 1.0 / 60.0  # cycles/m: longer waves are no steeper
 _LOW, _HIGH = 0.3, 32.0  # Hz between which channels are compared
 _FIRST_SHARE = 0.1  # of a channel's power that is noise at first: a calibrated twin leaves about that
+_DRAWS = 3  # of the posterior in every iteration but the last
+#: Waves in which heights are compared, cycles/m.
+SEEN_BAND = (0.1, 2.0)
+#: m by which passes may be apart along the road, and how well they lie on each other once aligned.
+REACH, _ALIGNED = 12.0, 0.15
 _BAND = 1.0  # Hz over which a noise spectrum is averaged
 
 
 @dataclass(frozen=True)
 class Settings:
-    """``iterations`` of simulation and inverse; ``samples`` of the posterior; ``seed``; ``local`` lets the road's level
-    differ from place to place."""
+    """``iterations`` of simulation and inverse; ``samples`` of the posterior at the end; ``seed`` of its draws;
+    ``local`` lets the road's level differ from place to place; ``vehicle`` relative standard deviation of the twin's
+    gain from wheel to sensor, which all drives have in common and which therefore no drive shows (a prior:
+    spring and damper rates of a calibrated twin are right to some per cent)."""
 
-    iterations: int = 6
-    samples: int = 8
+    iterations: int = 5
+    samples: int = 10
     seed: int = 0
     local: bool = True
+    vehicle: float = 0.03
 
 
 @dataclass(frozen=True, eq=False)
 class Estimate:
-    """A road from drives: ``u`` (n,) m along ``line``, ``left`` and ``right`` (n,) m, draws of their errors
-    (samples, 2, n) m."""
+    """A road from drives.
+
+    ``line`` has n points; ``heights`` (2, n) m of the left and the right wheel path, ``track`` m apart about it;
+    ``errors`` (samples, 2, n) m, draws of their errors; ``passes`` and the ``shifts`` (j,) m found at their knots;
+    ``prior`` of the road and ``noise`` (3, k) of each pass as estimated; ``inflation`` (k,) at the frequencies of
+    the prior: how many times as far as expected the passes are apart; ``history`` of the iterations;
+    ``warnings``.
+    """
 
     line: Centreline
     heights: Floats
@@ -64,16 +79,90 @@ class Estimate:
     prior: RoadPrior
     noise: tuple[Floats, ...]
     track: float
-    history: list[dict[str, Any]] = field(default_factory=list)
+    inflation: Floats
+    history: tuple[dict[str, Any], ...]
+    warnings: tuple[str, ...]
+
+    @property
+    def u(self) -> Floats:
+        """(n,) m along the line."""
+        return np.asarray(STEP * np.arange(self.line.x.size), dtype=np.float64)
+
+    @property
+    def covered(self) -> NDArray[np.bool_]:
+        """(n,) where both wheel paths were driven over on the move, by at least one pass."""
+        seen = np.zeros(self.line.x.size, dtype=np.bool_)
+        for p in self.passes:
+            on = np.repeat(p.weight > 0.5, FINE)
+            for row in p.u + p.base:
+                at = np.rint(row[on] / STEP).astype(np.int64)
+                at = at[(at >= 0) & (at < seen.size)]
+                if at.size:
+                    seen[at.min() : at.max() + 1] = True
+        return seen
+
+    @property
+    def road(self) -> Road:
+        """The road, NaN nowhere: waves that were not seen are level."""
+        return lanes_road(self.line, self.heights, self.track)
+
+    def sigma(self) -> Floats:
+        """(2, n) m standard deviation of the heights in the waves between 0.5 and 10 m, from draws within a metre."""
+        band = banded(self.errors, STEP, *SEEN_BAND)
+        power = gaussian_filter1d((band**2).mean(axis=0), 0.5 / STEP, axis=1)
+        return np.asarray(np.sqrt(power), dtype=np.float64)
+
+    def by_wavelength(self) -> list[dict[str, float]]:
+        """For octaves of wavelength: rms of the heights and of their errors in m, mean of both wheel paths, and
+        ``known``, the share of the road's power there that is no error."""
+        k = self.covered
+        out = []
+        for longest in (40.0, 20.0, 10.0, 5.0, 2.5, 1.25, 0.625, 0.3125):
+            low, high = 1.0 / longest, 2.0 / longest
+            z, e = (banded(values, STEP, low, high)[..., k] for values in (self.heights, self.errors))
+            rms, error = (float(np.sqrt(np.mean(values**2))) for values in (z, e))
+            total = rms**2 + error**2
+            out.append(
+                {
+                    "longest": longest,
+                    "shortest": 0.5 * longest,
+                    "rms": rms,
+                    "sigma": error,
+                    "known": max(0.0, 1.0 - error**2 / total) if total > 0.0 else 0.0,
+                }
+            )
+        return out
 
 
 def lanes_road(line: Centreline, heights: Floats, track: float, name: str = "road") -> Road:
     """A road whose wheel paths, ``track`` m apart about the line, have heights (2, n) m of left and right."""
     held = min(0.35, 0.4 * track)
     half = 0.5 * track
-    v = np.array([-half - 1.0, -half - held, -half + held, half - held, half + held, half + 1.0])
+    v = np.array([-half - 0.6, -half - held, -half + held, half - held, half + held, half + 0.6])
     left, right = heights
     return road_over(line, np.column_stack([right, right, right, left, left, left]), v, name)
+
+
+@dataclass
+class _State:
+    """What the iterations work on."""
+
+    heights: Floats  # (2, n) m, mean and half difference
+    shifts: list[Floats]
+    noise: list[Floats]
+    level: list[float]
+    waviness: list[float]
+    scale: Floats
+
+
+@dataclass(frozen=True, eq=False)
+class _Solved:
+    """One iteration's inverse, with what it was asked (whitened, for every pass) and what it gave."""
+
+    inverse: Inverse
+    target: list[Floats]
+    solution: Unknown
+    residual: list[Floats]
 
 
 def estimate_road(
@@ -82,7 +171,29 @@ def estimate_road(
     settings: Settings | None = None,
     progress: Callable[[str, float], None] = lambda text, share: None,
 ) -> Estimate:
-    """Estimate the road of prepared drives."""
+    """Estimate the road under both wheel paths from drives with a calibrated twin.
+
+    Parameters
+    ----------
+    prepared : sequence of Prepared
+        The drives, prepared on any level road; the one that goes farthest gives the road's line.
+    twin : Twin
+        The calibrated twin.
+    settings : Settings, optional
+        Iterations, draws and the seed.
+    progress : callable, optional
+        Called with a text and the share of the work that is done.
+
+    Returns
+    -------
+    Estimate
+        Heights, draws of their errors, shifts of the drives along the road.
+
+    Raises
+    ------
+    InputError
+        A drive that does not lie on the road of the others, or hardly moves.
+    """
     settings = settings or Settings()
     rng = np.random.default_rng(settings.seed)
     line = line_of([p.trajectory for p in prepared], STEP, MARGIN)
@@ -90,70 +201,191 @@ def estimate_road(
     count = line.x.size
     plain = lanes_road(line, np.zeros((2, count)), track)
     passes = tuple(make_pass(p, plain) for p in prepared)
+    speed = float(np.median([p.speed for p in passes]))
     period = period_of(count, STEP)
-    n = np.asarray(np.fft.rfftfreq(period, STEP), dtype=np.float64)
-    level = [64e-6, 16e-6]
-    slopes = [2.0, 2.0]
-    scale = np.ones((2, period))
-    noise = [_first_noise(p) for p in passes]
-    heights = np.zeros((2, count))  # mean and half difference
-    shifts = [np.zeros(p.knots.shape[0]) for p in passes]
-    history: list[dict[str, Any]] = []
-    solution: Unknown | None = None
-    errors = np.zeros((0, 2, count))
-    for iteration in range(settings.iterations):
-        progress(f"iteration {iteration + 1} of {settings.iterations}", iteration / settings.iterations)
-        prior = RoadPrior(count, period, STEP, _power_law(n, level, slopes), scale)
-        speed = float(np.median([p.speed for p in passes]))
-        f, gain = best_linear_approximation(twin, 100.0, level[0] + level[1], speed, iteration)
-        sides = np.array([heights[0] + heights[1], heights[0] - heights[1]])
-        road = lanes_road(line, sides, track)
-        rise = np.gradient(sides, STEP, axis=1)
-        seen, residual = [], []
-        for p, r, shift in zip(passes, noise, shifts, strict=True):
-            wheels = p.placed(shift, 0.0, STEP, count)
-            slope = np.array([w @ rise[i % 2] for i, w in enumerate(wheels)])
-            seen.append(Seen(p, _at(p, f, gain), r, wheels, slope))
-            left = p.measured - p.simulated(twin, road, shift)
-            residual.append(left)
-        inverse = Inverse(prior, seen)
-        # About the road as it is: what the linear chain gives of it is added, so that the prior holds for all of it.
-        target = []
-        for i, (s, left) in enumerate(zip(seen, residual, strict=True)):
-            target.append(s.whiten(left + s.channels(heights, shifts[i])))
-        solution = inverse.solve(target)
-        heights_new = prior.heights(solution.road)
-        shifts_new = [inverse.shift(i, q) for i, q in enumerate(solution.shifts)]
-        draws = [inverse.error_sample(rng) for _ in range(settings.samples)]
-        errors = np.array([prior.heights(d.road) for d in draws])
-        remaining = [
-            left + s.channels(heights, shifts[i]) - s.channels(heights_new, shifts_new[i])
-            for i, (s, left) in enumerate(zip(seen, residual, strict=True))
-        ]
-        history.append(
-            {
-                "residual": [
-                    np.sqrt(np.mean((left * p.weight) ** 2, axis=1)).tolist()
-                    for left, p in zip(residual, passes, strict=True)
-                ],
-                "level": list(level),
-                "waviness": list(slopes),
-                "iterations": inverse.iterations,
-                "change": float(np.std(heights_new - heights)),
-            }
+    warnings = []
+    if len(passes) > 1 and max(p.shift_sigma for p in passes) >= LANE_SIGMA:
+        progress("aligning the drives", 0.02)
+        passes = _aligned(passes, twin, line, track, period, speed)
+    if len(passes) == 1:
+        warnings.append(
+            "one drive: nothing checks its uncertainty, and errors of the vehicle are in the road"
         )
-        heights, shifts = heights_new, shifts_new
-        white = np.array([solution.road * scale] + [d.road * scale for d in draws])
-        level, slopes = _levels(prior, solution, draws)
-        if settings.local and iteration >= 1:
-            scale = _local(white, settings.samples, count)
-        noise = [
-            _noise(p, left, [s.channels(prior.heights(d.road), inverse.shift(i, d.shifts[i])) for d in draws])
-            for i, (p, s, left) in enumerate(zip(passes, seen, remaining, strict=True))
-        ]
-    both = np.array([heights[0] + heights[1], heights[0] - heights[1]])
-    error_sides = np.stack([errors[:, 0] + errors[:, 1], errors[:, 0] - errors[:, 1]], axis=1)
-    return Estimate(line, both, error_sides, passes, tuple(shifts), prior, tuple(noise), track, history)
+    state = _State(
+        np.zeros((2, count)),
+        [np.zeros(p.knots.shape[0]) for p in passes],
+        [_first_noise(p) for p in passes],
+        [64e-6, 16e-6],
+        [2.0, 2.0],
+        np.ones((2, period)),
+    )
+    history: list[dict[str, Any]] = []
+    total = settings.iterations + 2.0
+    for iteration in range(settings.iterations):
+        progress(f"iteration {iteration + 1} of {settings.iterations}", (iteration + 1) / total)
+        solved = _iterate(passes, twin, line, track, speed, state, iteration)
+        last = iteration == settings.iterations - 1
+        draws = [solved.inverse.error_sample(rng) for _ in range(settings.samples if last else _DRAWS)]
+        history.append(_update(passes, state, solved, draws, settings.local and iteration >= 1 and not last))
+    progress("comparing the drives", (total - 1.0) / total)
+    prior = solved.inverse.prior
+    errors = np.array([prior.heights(d.road) for d in draws])
+    inflation = _inflation(solved, rng) if len(passes) > 1 else np.ones(prior.n.size)
+    errors = _amplified(errors, inflation, prior) + _gain_errors(state.heights, settings, prior, rng)
+    sides = np.stack([errors[:, 0] + errors[:, 1], errors[:, 0] - errors[:, 1]], axis=1)
+    return Estimate(
+        line,
+        _sides(state.heights),
+        sides,
+        passes,
+        tuple(state.shifts),
+        prior,
+        tuple(state.noise),
+        track,
+        inflation,
+        tuple(history),
+        tuple(warnings),
+    )
+
+
+def _sides(heights: Floats) -> Floats:
+    """Left and right of mean and half difference."""
+    return np.array([heights[0] + heights[1], heights[0] - heights[1]])
+
+
+def _iterate(
+    passes: Sequence[Pass],
+    twin: Twin,
+    line: Centreline,
+    track: float,
+    speed: float,
+    state: _State,
+    iteration: int,
+) -> _Solved:
+    """Simulate over the road as it is known, and solve for all of it."""
+    count = line.x.size
+    period = state.scale.shape[1]
+    n = np.asarray(np.fft.rfftfreq(period, STEP), dtype=np.float64)
+    prior = RoadPrior(count, period, STEP, _power_law(n, state.level, state.waviness), state.scale)
+    f, gain = best_linear_approximation(twin, passes[0].rate, sum(state.level), speed, iteration)
+    sides = _sides(state.heights)
+    road = lanes_road(line, sides, track)
+    rise = np.gradient(sides, STEP, axis=1)
+    seen, residual = [], []
+    for p, noise, shift in zip(passes, state.noise, state.shifts, strict=True):
+        wheels = p.placed(shift, 0.0, STEP, count)
+        slope = np.array([w @ rise[i % 2] for i, w in enumerate(wheels)])
+        seen.append(Seen(p, _at(p, f, gain), noise, wheels, slope))
+        residual.append(p.measured - p.simulated(twin, road, shift))
+    inverse = Inverse(prior, seen)
+    # What the linear chain gives of the road as it is is added, so that the prior holds for all of it.
+    target = [
+        s.whiten(left + s.channels(state.heights, state.shifts[i]))
+        for i, (s, left) in enumerate(zip(seen, residual, strict=True))
+    ]
+    return _Solved(inverse, target, inverse.solve(target), residual)
+
+
+def _update(
+    passes: Sequence[Pass], state: _State, solved: _Solved, draws: Sequence[Unknown], local: bool
+) -> dict[str, Any]:
+    """The road, its level and the noise anew (expectation and maximisation); returns the record."""
+    inverse, solution = solved.inverse, solved.solution
+    prior = inverse.prior
+    heights = prior.heights(solution.road)
+    shifts = [inverse.shift(i, q) for i, q in enumerate(solution.shifts)]
+    noise = []
+    for i, (p, s, left) in enumerate(zip(passes, inverse.seen, solved.residual, strict=True)):
+        change = s.channels(heights - state.heights, shifts[i] - state.shifts[i])
+        opened = [s.channels(prior.heights(d.road), inverse.shift(i, d.shifts[i])) for d in draws]
+        noise.append(_noise(p, left - change, opened))
+    record = {
+        "residual": [
+            np.sqrt(np.mean((left * p.weight) ** 2, axis=1)).tolist()
+            for left, p in zip(solved.residual, passes, strict=True)
+        ],
+        "level": list(state.level),
+        "waviness": list(state.waviness),
+        "change": float(np.std(heights - state.heights)),
+    }
+    state.heights, state.shifts, state.noise = heights, shifts, noise
+    state.level, state.waviness = _levels(prior, solution, draws)
+    if local:
+        state.scale = _local(np.array([u.road * prior.scale for u in (solution, *draws)]), prior.count)
+    return record
+
+
+def _inflation(solved: _Solved, rng: np.random.Generator) -> Floats:
+    """How many times as far as expected the roads of single passes are apart, (k,) at the prior's frequencies.
+
+    Each pass alone is solved for, with its own channels and with channels imagined from the prior and the noise;
+    the power of the differences between passes is compared in octaves of wavelength. What all passes have wrong
+    in the same way does not show.
+    """
+    inverse, prior = solved.inverse, solved.inverse.prior
+    alone = [Inverse(prior, [s]) for s in inverse.seen]
+    found = [prior.heights(a.solve([t]).road) for a, t in zip(alone, solved.target, strict=True)]
+    imagined = []
+    for _ in range(2):
+        white = inverse.imagined(rng)[1]
+        imagined.append([prior.heights(a.solve([w]).road) for a, w in zip(alone, white, strict=True)])
+    pairs = [(i, j) for i in range(len(alone)) for j in range(i)]
+    n = prior.n
+    real, expected = np.zeros(n.size), np.zeros(n.size)
+    for i, j in pairs:
+        real += _power(found[i] - found[j], prior)
+        expected += np.mean([_power(x[i] - x[j], prior) for x in imagined], axis=0)
+    octave = np.log2(np.maximum(n, n[1]))
+    out = np.ones(n.size)
+    for k in range(n.size):
+        near = np.abs(octave - octave[k]) < 0.5
+        out[k] = math.sqrt(max(1.0, float(real[near].sum() / max(expected[near].sum(), 1e-30))))
+    return out
+
+
+def _power(heights: Floats, prior: RoadPrior) -> Floats:
+    return np.asarray((np.abs(rfft(heights, prior.period, axis=1)) ** 2).sum(axis=0), dtype=np.float64)
+
+
+def _amplified(errors: Floats, inflation: Floats, prior: RoadPrior) -> Floats:
+    return np.asarray(
+        irfft(inflation * rfft(errors, prior.period, axis=2), prior.period, axis=2)[..., : prior.count],
+        dtype=np.float64,
+    )
+
+
+def _gain_errors(heights: Floats, settings: Settings, prior: RoadPrior, rng: np.random.Generator) -> Floats:
+    """What a wrong gain of the twin makes of the heights, (samples, 2, count): one gain for each octave."""
+    spectrum = rfft(heights, prior.period, axis=1)
+    octave = np.floor(np.log2(np.maximum(prior.n, prior.n[1]) / prior.n[1])).astype(np.int64)
+    drawn = settings.vehicle * rng.standard_normal((settings.samples, 1, int(octave.max()) + 1))
+    return np.asarray(
+        irfft(drawn[..., octave] * spectrum, prior.period, axis=2)[..., : prior.count], dtype=np.float64
+    )
+
+
+def _aligned(
+    passes: Sequence[Pass], twin: Twin, line: Centreline, track: float, period: int, speed: float
+) -> tuple[Pass, ...]:
+    """Passes moved along the road until the roads that they see lie on each other; the first stays."""
+    count = line.x.size
+    alone = []
+    for p in passes:
+        state = _State(
+            np.zeros((2, count)), [np.zeros(p.knots.shape[0])], [_first_noise(p)], [64e-6, 16e-6], [2.0, 2.0],
+            np.ones((2, period)),
+        )  # fmt: skip
+        for iteration in range(2):
+            solved = _iterate([p], twin, line, track, speed, state, iteration)
+            state.heights = solved.inverse.prior.heights(solved.solution.road)
+        alone.append(banded(state.heights, STEP))
+    out = [replace(passes[0], shift_sigma=_ALIGNED)]
+    for p, own in zip(passes[1:], alone[1:], strict=True):
+        at, lag, _ = lags_along(alone[0], own, STEP, REACH)
+        # A place that the pass has at u + lag is at u in the first: the pass lies ``lag`` farther back than it says.
+        base = -np.interp(p.u[2:].mean(axis=0), at + lag, lag)
+        out.append(replace(p, base=base, shift_sigma=_ALIGNED))
+    return tuple(out)
 
 
 def _power_law(n: Floats, level: Sequence[float], slopes: Sequence[float]) -> Floats:
@@ -181,8 +413,6 @@ def _psd(one: Pass, channels: Floats) -> Floats:
 
 def _floor(one: Pass) -> Floats:
     """PSD (3, k) of the sensor's noise after the filter."""
-    from suspension_twin.road_estimation.transfer import CHANNELS
-
     gain = one.shaped**2
     sigma = np.array([one.prepared.noise_rms[name] for name in CHANNELS])
     return sigma[:, None] ** 2 / (0.5 * one.rate) * gain / max(float(gain.mean()), 1e-6)
@@ -233,7 +463,7 @@ def _levels(prior: RoadPrior, solution: Unknown, draws: Sequence[Unknown]) -> tu
     return level, slopes
 
 
-def _local(white: Floats, samples: int, count: int) -> Floats:
+def _local(white: Floats, count: int) -> Floats:
     """Scale (2, period) of the white noise from place to place, from its mean and draws a posteriori, both scaled.
 
     A variance from the samples within about a metre and a quarter of a prior that says one: Student's t in its

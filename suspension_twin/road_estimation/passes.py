@@ -23,14 +23,20 @@ from suspension_twin.road.road import Road
 from suspension_twin.road_estimation.transfer import CHANNELS
 from suspension_twin.vehicle.twin import Twin
 
-__all__ = ["FINE", "Pass", "line_of", "make_pass"]
+__all__ = ["FINE", "LANE_SIGMA", "Pass", "line_of", "make_pass"]
 
 #: Wheels are placed on the line so many times in each sample.
-FINE = 3
+FINE = 2
 #: A pass is on the move above this, m/s: below, clocks and maps blur what little the wheels meet.
 _MOVING = 1.0
 #: s at both ends of a pass over which its weight rises: the road before it is not known.
 _TAPER = 1.5
+_SHORTEST = 4.0
+#: Receivers that are less certain than this, m, cannot tell in which lane they are.
+LANE_SIGMA = 0.3
+#: Drives farther apart than this, m, have other wheel paths.
+LANE = 0.6
+_OTHER_ROAD = 30.0
 #: Time in s between the knots of a pass's shift along the road.
 KNOT = 4.0
 
@@ -42,6 +48,7 @@ class Pass:
     n is a number of samples that Fourier transforms are fast at: after the ``recorded`` ones their weight is zero.
     ``t`` (n,) s; ``measured`` (3, n) the channels; ``u`` (4, FINE n) m of the wheels on the line, at FINE times the
     rate; ``weight`` (n,) 0 to 1 of each sample; ``shaped`` (k,) gain of the filter that the channels went through;
+    ``base`` (FINE n,) m by which the pass lies farther on than its receiver says;
     ``knots`` (j, FINE n) shares of the knots of a shift along the road; ``shift_sigma`` m, its prior.
     """
 
@@ -52,6 +59,7 @@ class Pass:
     u: Floats
     weight: Floats
     shaped: Floats
+    base: Floats
     knots: Floats
     shift_sigma: float
 
@@ -75,7 +83,7 @@ class Pass:
 
         ``shift`` (j,) m by which the pass lies farther on at its knots; linear between the heights.
         """
-        moved = self.u + shift @ self.knots
+        moved = self.u + self.base + shift @ self.knots
         out = []
         for row in moved:
             at = np.clip((row - u0) / du, 0.0, count - 1.001)
@@ -90,7 +98,8 @@ class Pass:
     def simulated(self, twin: Twin, road: Road, shift: Floats) -> Floats:
         """The channels (3, n) of the twin over a road, through the same filter."""
         path = self.prepared.trajectory
-        along = np.interp(path.t, np.linspace(self.t[0], self.t[-1], self.u.shape[1]), shift @ self.knots)
+        fine = self.t[0] + np.arange(self.u.shape[1]) / (FINE * self.rate)
+        along = np.interp(path.t, fine, self.base + shift @ self.knots)
         moved = replace(path, x=path.x + along * np.cos(path.yaw), y=path.y + along * np.sin(path.yaw))
         driven = excitation(moved, twin.vehicle, road, self.prepared.settings.max_step, twin.gps.position[2])
         found = self.prepared.condition(simulate_twin(twin, driven))
@@ -118,10 +127,11 @@ def line_of(paths: Sequence[Trajectory], step: float, margin: float) -> Centreli
 
 def make_pass(prepared: Prepared, line: Road) -> Pass:
     """A prepared drive as a pass over the road whose line ``line`` has."""
+    prepared, across = _snapped(prepared, line)
     path = prepared.trajectory
     n = int(next_fast_len(prepared.t.size, real=True))
     grid = prepared.t[0] + np.arange(n) / prepared.rate
-    fine = np.linspace(grid[0], grid[-1] + (FINE - 1.0) / (FINE * prepared.rate), FINE * n)
+    fine = grid[0] + np.arange(FINE * n) / (FINE * prepared.rate)
     x, y, yaw = (np.interp(fine, path.t, getattr(path, name)) for name in ("x", "y", "yaw"))
     wheels = prepared.twin.vehicle.wheel_positions
     u = np.array(
@@ -133,7 +143,14 @@ def make_pass(prepared: Prepared, line: Road) -> Pass:
     on = (u.min(axis=0) > line.u_first) & (u.max(axis=0) < line.u_last)
     recorded = on[::FINE][: prepared.t.size] & (prepared.speed > _MOVING) & prepared.mask
     usable = np.concatenate([recorded, np.zeros(n - recorded.size, dtype=np.bool_)])
+    if prepared.position_sigma < LANE_SIGMA and abs(across) > LANE:
+        raise InputError(
+            prepared.name,
+            f"was driven {abs(across):.2f} m beside the first drive: its wheels met another road",
+        )
     weight = _tapered(usable, prepared.rate)
+    if weight.sum() < _SHORTEST * prepared.rate:
+        raise InputError(prepared.name, f"has less than {_SHORTEST:g} s on the road of the other drives")
     _, gain = freqz_sos(
         prepared.settings.filter.sections(prepared.rate),
         worN=np.fft.rfftfreq(n, 1.0 / prepared.rate),
@@ -150,9 +167,28 @@ def make_pass(prepared: Prepared, line: Road) -> Pass:
         u=u,
         weight=weight,
         shaped=np.abs(gain) ** 2,
+        base=np.zeros(FINE * n),
         knots=knots,
         shift_sigma=max(prepared.position_sigma, 0.01),
     )
+
+
+def _snapped(prepared: Prepared, line: Road) -> tuple[Prepared, float]:
+    """A drive whose receiver cannot tell lanes apart, moved onto the line; and how far beside it (m) the drive was."""
+    path = prepared.trajectory
+    u, v = line.xy_to_uv(path.x, path.y)
+    on = (u > line.u_first) & (u < line.u_last) & (path.speed > _MOVING)
+    if not on.any():
+        raise InputError(prepared.name, "is nowhere on the road of the other drives")
+    across = float(np.median(v[on]))
+    if abs(across) > _OTHER_ROAD:
+        raise InputError(
+            prepared.name, f"is nowhere on the road of the other drives, but {abs(across):.0f} m off"
+        )
+    if prepared.position_sigma < LANE_SIGMA:
+        return prepared, across
+    x, y = line.uv_to_xy(u, np.zeros(u.size))
+    return replace(prepared, trajectory=replace(path, x=x, y=y)), across
 
 
 def _padded(values: Floats, n: int) -> Floats:

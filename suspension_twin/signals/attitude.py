@@ -16,15 +16,20 @@ from suspension_twin.compiled import compiled
 from suspension_twin.units import STANDARD_GRAVITY
 
 __all__ = [
+    "Quaternion",
     "carried_up",
     "level_rpy",
     "matrix_rpy",
     "normal_gravity",
+    "quaternion",
     "rpy_matrix",
     "smooth_up",
     "tilt_of",
     "up_step",
 ]
+
+#: x, y, z, w.
+Quaternion = tuple[float, float, float, float]
 
 
 def normal_gravity(latitude: float | None, height: float = 0.0) -> float:
@@ -184,3 +189,16 @@ def _start(t: Floats, force: Floats, rate: Floats, time_constant: Floats) -> Flo
     mean = np.mean(force[window] + np.cross(turned, force[window]), axis=0)
     norm = float(np.linalg.norm(mean))
     return mean / norm if norm > 1.0 else np.array([0.0, 0.0, 1.0])
+
+
+def quaternion(roll: float, pitch: float, yaw: float) -> Quaternion:
+    """x, y, z, w of fixed-axis roll, pitch, yaw in rad."""
+    cr, sr = math.cos(roll / 2), math.sin(roll / 2)
+    cp, sp = math.cos(pitch / 2), math.sin(pitch / 2)
+    cy, sy = math.cos(yaw / 2), math.sin(yaw / 2)
+    return (
+        sr * cp * cy - cr * sp * sy,
+        cr * sp * cy + sr * cp * sy,
+        cr * cp * sy - sr * sp * cy,
+        cr * cp * cy + sr * sp * sy,
+    )

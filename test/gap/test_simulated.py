@@ -73,7 +73,13 @@ def written(case: Path) -> Path:
 def test_one_message_of_each_topic_for_every_imu_sample_at_its_stamp(case: Path, written: Path) -> None:
     recorded = messages(case / "drive")["/imu/data_raw"]
     topics = messages(written / "simulated")
-    assert set(topics) == {"/twin/imu", "/twin/vertical_acceleration", "/twin/pose", "/joint_states"}
+    assert set(topics) == {
+        "/twin/imu",
+        "/twin/vertical_acceleration",
+        "/imu/vertical_acceleration",
+        "/twin/pose",
+        "/joint_states",
+    }
     for rows in topics.values():
         assert sorted(stamps(rows)) == sorted(stamps(recorded))
     assert (written / "simulated" / "metadata.yaml").is_file()
@@ -117,6 +123,17 @@ def test_the_gap_can_be_had_from_the_two_recordings(case: Path, written: Path) -
         "cutoff_hz": 20.0,
         "zero_phase": True,
     }
+
+
+def test_measured_and_simulated_lie_side_by_side(written: Path) -> None:
+    topics = messages(written / "simulated")
+    measured, simulated = (
+        np.array([m.accel.linear.z for m in topics[f"/{side}/vertical_acceleration"]])
+        for side in ("imu", "twin")
+    )
+    gap = json.loads((written / "gap.json").read_text())
+    assert np.std(measured) > 5 * gap["rms"]
+    assert np.std(measured - simulated) == pytest.approx(gap["rms"], rel=0.2)  # a causal filter
 
 
 def test_pose_and_joints_follow_the_road(written: Path, bumps: Road) -> None:

@@ -126,6 +126,9 @@ def test_a_worker_that_does_not_listen_is_ended(bench, goal):
         ({"bags": ["/nowhere/bag"]}, "/nowhere/bag: no such recording"),
         ({"preset": "best"}, "preset: best: one of fast, paper"),
         ({"output": "/nowhere/out.yaml"}, "/nowhere/out.yaml"),
+        ({"twin": "x" * 10_000}, "File name too long"),
+        ({"bags": ["x" * 10_000]}, "File name too long"),
+        ({"output": "x/" * 10_000}, "File name too long"),
     ],
 )
 def test_a_goal_that_cannot_be_is_answered_with_what_is_wrong(bench, goal, change, words):

@@ -65,7 +65,7 @@ def test_over_the_wire_every_sample_is_answered_with_its_own_stamp(bench, twin_p
     assert [stamp_of(m) for m in vertical] == [stamp_of(m) for m in data] == expected
     assert all(m.linear_acceleration.z == pytest.approx(9.81, abs=0.02) for m in data)
     assert all(abs(m.accel.linear.z) < 0.02 for m in vertical)
-    assert data[0].header.frame_id == vertical[0].header.frame_id == "base_link"
+    assert data[0].header.frame_id == vertical[0].header.frame_id == "car/base_link"
     assert data[0].orientation_covariance[0] == -1.0
 
 

@@ -160,9 +160,9 @@ def test_a_recording_is_replayed_at_full_speed_to_its_end(recorded, twin_path, d
     process = start(run_command("--twin", twin_path, "--bag", recorded, "--rate", "max"))
     _, errors = process.communicate(timeout=120.0)
     assert process.returncode == 0, errors
-    last = errors.strip().splitlines()[-1]
-    assert last.startswith(f"{len(drive.imu) - 16} answers to {len(drive.imu)} IMU samples")
-    assert "gap 0." in last
+    answers, last = errors.strip().splitlines()[-2:]
+    assert answers.startswith(f"{len(drive.imu) - 16} answers to {len(drive.imu)} IMU samples")
+    assert last.startswith("Gap over the whole drive: 0.")
 
 
 def test_parameters_come_from_a_file_and_names_from_a_namespace(bench, recorded, twin_path, tmp_path):
@@ -277,6 +277,7 @@ CONDITION = Condition(
     samples=500,
     answers=484,
     gap=0.1834,
+    whole_gap=0.21,
     normalised=2.71,
     complaints=["imu_ingest: too loud", "another"],
     failing=False,
@@ -288,12 +289,42 @@ CONDITION = Condition(
 
 def test_the_status_line_says_where_it_is_and_what_is_wrong():
     text = line(CONDITION).plain
-    assert "12.0 of 44.9 s, round 2" in text and "imu 100, fix 10 Hz" in text
-    assert "gap 0.18 m/s² (2.7 × noise)" in text and "imu_ingest: too loud (+1)" in text
+    assert "12 of 45 s, round 2" in text and "imu 100, fix 10 Hz" in text
+    assert "gap 0.18 m/s² (2.7 ×)" in text and "imu_ingest: too loud (+1)" in text
     from dataclasses import replace
 
     live = line(replace(CONDITION, position=None, gap=None, complaints=[], rates={"imu": float("nan")})).plain
     assert "of" not in live and "gap -" in live and "nan" not in live
+
+
+def test_the_status_line_fits_80_columns():
+    from dataclasses import replace
+
+    rates = {"imu": 1600.0, "fix": 20.0, "vel": 20.0, "twin": 1600.0}
+    for position, rounds, gap in ((12.0, 0, 0.2), (3599.0, 12, 12.34), (12.0, 1, None)):
+        shown = replace(
+            CONDITION,
+            rates=rates,
+            position=position,
+            duration=3600.0,
+            rounds=rounds,
+            gap=gap,
+            normalised=123.4,
+        )
+        first, second = line(shown).plain.split("\n")
+        assert len(first) <= 80 and "imu 1600" in first and "twin 1600" in first
+        assert (gap is None or f"gap {gap:.2f} m/s²" in first) and second.startswith("imu_ingest: too loud")
+
+
+@pytest.mark.parametrize("node", NODES)
+def test_a_node_program_answers_help(node, capsys):
+    from importlib import import_module
+
+    module = import_module(f"suspension_twin.nodes.{node}")
+    assert module.main([node, "--help"]) == 0
+    out = capsys.readouterr().out
+    assert out.startswith(f"Usage: {node} [--ros-args") and max(map(len, out.splitlines())) <= 80
+    assert all(f"  {p.name} = " in out for p in module.main.args[0].parameters)
 
 
 @pytest.mark.parametrize("terminal", [True, False])

@@ -152,11 +152,13 @@ def test_over_the_wire_everything_of_the_contract_comes(bench, twin_path):
     stamps = [stamp_of(vertical(T0 + k / 100.0)) for k in range(350)]
     for topic in ("/car/twin/vertical_acceleration", "/car/twin/imu", "/car/twin/pose", "/car/joint_states"):
         assert [stamp_of(m) for m in heard[topic]] == stamps
-    (transform,) = heard["/tf"][-1].transforms
+    transform, *wheels = heard["/tf"][-1].transforms
+    assert [w.child_frame_id for w in wheels[:2]] == ["car/front_left_wheel", "car/front_right_wheel"]
+    assert {w.header.frame_id for w in wheels} == {"car/base_link"} and len(wheels) == 4
     pose = heard["/car/twin/pose"][-1]
-    assert (transform.header.frame_id, transform.child_frame_id) == ("map", "base_link")
+    assert (transform.header.frame_id, transform.child_frame_id) == ("map", "car/base_link")
     assert pose.header.frame_id == "map" and transform.transform.translation.z == pose.pose.position.z
-    assert heard["/car/twin/imu"][0].header.frame_id == "imu_link"
+    assert heard["/car/twin/imu"][0].header.frame_id == "car/imu_link"
     bench.until(lambda: heard["/car/twin/gap"])
     gap = heard["/car/twin/gap"][-1]
     assert gap.rms > 0 and len(gap.band_rms) == len(gap.band_low_hz) == 3 and gap.samples > 100
@@ -269,6 +271,9 @@ def test_a_wrong_twin_is_refused_by_name_and_the_old_one_goes_on(bench, twin_pat
     save_twin(load_twin(twin_path), tmp_path / "roadless.yaml")
     roadless = yaml.safe_load((tmp_path / "roadless.yaml").read_text()) | {"road": {"file": "gone.crg"}}
     (tmp_path / "roadless.yaml").write_text(yaml.safe_dump(roadless))
+    for path in ("x" * 100_000, "/", "/dev/zero"):  # no path ends the node
+        response = bench.call(LoadTwin, "/suspension_model/load_twin", LoadTwin.Request(path=path))
+        assert not response.success and response.message.isprintable() and len(response.message) < 2100
     for name in ("broken.yaml", "text.yaml", "absent.yaml", "roadless.yaml", ""):
         path = str(tmp_path / name) if name else ""
         response = bench.call(LoadTwin, "/suspension_model/load_twin", LoadTwin.Request(path=path))

@@ -1,0 +1,261 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Roads from a real car's drives: does the road of one pass predict the vertical acceleration of another?
+
+    python benchmarks/road_real_drives.py [--data DIR] [--json] [--pictures DIR]
+
+rtklibexplorer's ``GNSS_IMU`` (a car with a roof IMU and an RTK receiver, see ``../shared/data`` or
+SUSPENSION_TWIN_DATA): every stretch that is driven twice in the same direction, the bump at 337.6 and 362.6 s among
+them; comma2k19's example: whatever repeats. The vehicle is not known: the twin is the Mondeo preset with the sensor
+where it is documented. Nothing is calibrated.
+
+For each ordered pair of passes the road is estimated from the one, the twin drives over it along the other's path, and
+its vertical acceleration is compared with the measured one. Beside it the first pass's own measured acceleration, by
+place on the road. Both may be shifted along the road by up to 0.75 m and scaled, whichever fits the second pass best.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import sys
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from matplotlib.figure import Figure
+
+from suspension_twin.arrays import Floats, runs
+from suspension_twin.drive.importing import import_drive
+from suspension_twin.drive.types import Drive
+from suspension_twin.gap.prepare import Prepared, prepare
+from suspension_twin.models.simulate import simulate_twin
+from suspension_twin.road import flat_road
+from suspension_twin.road_estimation.drives import Part, road_from_drives, surface_of
+from suspension_twin.road_estimation.estimate import Settings
+from suspension_twin.road_estimation.picture import save_estimate_picture
+from suspension_twin.vehicle.twin import Datum, Imu, Place, Twin, load_twin
+
+ROOT = Path(__file__).resolve().parents[1]
+#: Seconds after the first fix of the repeated bump, and how far around it.
+BUMP, AROUND = (337.6, 362.6), 1.5
+#: A repeat: this near (m), this parallel (cosine), this much later (s), on the move (m/s), this long (m).
+NEAR, PARALLEL, LATER, MOVING, LONG = 2.0, 0.9, 10.0, 2.5, 7.0
+SHIFT = 0.75  # m
+MARGIN = 4.0  # s that a pass is longer than what is compared
+
+
+@dataclass(frozen=True)
+class Pair:
+    """Two passes over one stretch: (start, end) s after the first sample of the IMU."""
+
+    name: str
+    first: tuple[float, float]
+    second: tuple[float, float]
+
+
+def rtk_car(drive: Drive) -> Twin:
+    """The preset with the roof IMU as its owner describes its mounting."""
+    return load_twin(ROOT / "config" / "twins" / "ford_mondeo_mk4.yaml").model_copy(
+        update={
+            "imu": Imu(position=(0.0, 0.0, 1.5), rpy=(0.0111, -0.1180, 3.0476)),
+            "gps": Place(frame="gps_link", position=(0.0, 0.0, 2.15)),
+            "datum": _datum(drive),
+            "road": None,
+        }
+    )
+
+
+def phone_car(drive: Drive) -> Twin:
+    """The preset with a device on its windshield."""
+    return load_twin(ROOT / "config" / "twins" / "ford_mondeo_mk4.yaml").model_copy(
+        update={"datum": _datum(drive), "road": None}
+    )
+
+
+def _datum(drive: Drive) -> Datum:
+    return Datum(latitude=float(drive.fix.latitude[0]), longitude=float(drive.fix.longitude[0]), altitude=0.0)
+
+
+def repeats(whole: Prepared, near: float = NEAR) -> list[Pair]:
+    """Stretches of a drive that it drives again in the same direction."""
+    path = whole.trajectory
+    t = path.t - path.t[0]
+    every = slice(None, None, 10)
+    x, y, yaw, speed, at = (a[every] for a in (path.x, path.y, path.yaw, path.speed, t))
+    partner = np.full(at.size, -1)
+    for i in range(at.size):
+        far = np.hypot(x - x[i], y - y[i])
+        fits = (far < near) & (np.cos(yaw - yaw[i]) > PARALLEL) & (at < at[i] - LATER) & (speed > MOVING)
+        if speed[i] > MOVING and fits.any():
+            where = np.flatnonzero(fits)
+            partner[i] = where[far[where].argmin()]
+    found = []
+    for start, end in runs(partner >= 0):
+        breaks = np.flatnonzero(np.abs(np.diff(partner[start:end])) > 30) + 1
+        for piece in np.split(np.arange(start, end), breaks):
+            if piece.size > 2 and np.hypot(np.diff(x[piece]), np.diff(y[piece])).sum() > LONG:
+                other = partner[piece[0]], partner[piece[-1]]
+                first = float(at[min(other)]), float(at[max(other)])
+                found.append(Pair(f"{first[0]:.0f} s", first, (float(at[piece[0]]), float(at[piece[-1]]))))
+    return found
+
+
+def by_place(part: Prepared, values: Floats) -> tuple[Floats, Floats]:
+    """m along the path of the body and values there, on the move."""
+    on = part.speed > 1.0
+    return np.concatenate([[0.0], np.cumsum(part.speed[1:] / part.rate)])[on], values[on]
+
+
+def best(prediction: Any, measured: Floats) -> tuple[float, float, float]:
+    """Correlation, share of the power explained and shift in m of the best shifted and scaled prediction."""
+    scores = []
+    for shift in np.arange(-SHIFT, SHIFT + 0.01, 0.05):
+        p = prediction(shift)
+        good = np.isfinite(p)
+        r = float(np.corrcoef(p[good], measured[good])[0, 1])
+        scores.append((r, r * abs(r), float(shift)))
+    return max(scores)
+
+
+def judged(drive: Drive, twin: Twin, whole: Prepared, pair: Pair, picture: Path | None) -> dict[str, Any]:
+    """One ordered pair: the road of the first pass under the second."""
+    (a0, a1), (b0, b1) = pair.first, pair.second
+    found = road_from_drives([Part(drive, a0 - MARGIN, a1 + MARGIN)], twin, Settings(samples=3))
+    road = surface_of(found)
+    begin = float(whole.t[0])
+    second = prepare(drive, twin, road).part(begin + b0 - MARGIN, begin + b1 + MARGIN)
+    simulated = second.condition(simulate_twin(twin, second.excitation))["vertical_acceleration"]
+    measured = second.measured["vertical_acceleration"]
+    first = whole.part(begin + a0 - MARGIN, begin + a1 + MARGIN)
+    # Places of both passes on the road's own line.
+    places = []
+    for part in (first, second):
+        path = part.trajectory
+        u = road.xy_to_uv(path.x, path.y)[0]
+        places.append(np.interp(part.t, path.t, u))
+    moving = first.speed > 1.0
+    order = np.argsort(places[0][moving])
+    u_first, a_first = places[0][moving][order], first.measured["vertical_acceleration"][moving][order]
+    t = second.t - begin
+    # Beside the road its border is held: what crosses the whole road goes on there.
+    k = (
+        second.conditioner.valid
+        & (t >= b0)
+        & (t <= b1)
+        & (places[1] > road.u_first)
+        & (places[1] < road.u_last)
+    )
+    if k.sum() < 0.5 * (b1 - b0) * second.rate:
+        raise ValueError("too little of the second pass lies on the road of the first")
+    u_second = places[1]
+
+    def of_twin(shift: float) -> Floats:
+        speed = np.maximum(second.speed, 1.0)
+        return np.asarray(np.interp(second.t - shift / speed, second.t, simulated))[k]
+
+    def of_pass(shift: float) -> Floats:
+        return np.asarray(np.interp(u_second + shift, u_first, a_first))[k]
+
+    twin_r, _, twin_shift = best(of_twin, measured[k])
+    pass_r, _, pass_shift = best(of_pass, measured[k])
+    plain = float(np.corrcoef(simulated[k], measured[k])[0, 1])
+    left = float(np.sqrt(np.mean((measured - simulated)[k] ** 2)))
+    if picture is not None:
+        _draw(picture, t[k], measured[k], of_twin(twin_shift), of_pass(pass_shift), (twin_r, pass_r))
+        save_estimate_picture(found, picture.with_name(picture.stem + "_road.png"))
+    return {
+        "first": list(pair.first),
+        "second": list(pair.second),
+        "metres": float(np.ptp(u_second[k])),
+        "speeds": [float(np.median(first.speed)), float(np.median(second.speed))],
+        "beside": float(np.median(np.abs(road.xy_to_uv(second.trajectory.x, second.trajectory.y)[1]))),
+        "twin": twin_r,
+        "twin_unshifted": plain,
+        "pass": pass_r,
+        "rms": float(np.std(measured[k])),
+        "left": left,
+    }
+
+
+def _draw(
+    path: Path, t: Floats, measured: Floats, twin: Floats, other: Floats, r: tuple[float, float]
+) -> None:
+    figure = Figure(figsize=(11.0, 4.6), layout="constrained")
+    axes = figure.subplots(2, 1, sharex=True)
+    for ax, values, label, colour in (
+        (axes[0], twin, f"twin on the road of the first pass, correlation {r[0]:.2f}", "#d1661c"),
+        (axes[1], other, f"first pass itself, shifted and scaled, correlation {r[1]:.2f}", "#1f6fb2"),
+    ):
+        scale = float(values @ measured / (values @ values)) if colour == "#1f6fb2" else 1.0
+        ax.plot(t, measured, color="#22262b", lw=0.9, label="measured on the second pass")
+        ax.plot(t, scale * values, color=colour, lw=1.1, label=label)
+        ax.set_ylabel("vertical [m/s²]")
+        ax.grid(alpha=0.25)
+        ax.margins(x=0.0)
+        ax.legend(loc="upper right", frameon=False, fontsize=8)
+    axes[1].set_xlabel("time of the drive [s]")
+    path.parent.mkdir(parents=True, exist_ok=True)
+    figure.savefig(path, dpi=120, facecolor="white")
+
+
+def study(drive: Drive, twin: Twin, pictures: Path | None, near: float, bump: bool) -> dict[str, Any]:
+    """All pairs of a drive, both ways."""
+    whole = prepare(drive, twin, flat_road())
+    pairs = repeats(whole, near)
+    if bump:
+        late = float(drive.imu.t[0] - drive.fix.t[0])
+        own = [(at - late - AROUND, at - late + AROUND) for at in BUMP]
+        pairs.insert(0, Pair("bump", own[0], own[1]))
+    rows = []
+    for pair in pairs:
+        for way, one in (("", pair), (" back", Pair(pair.name, pair.second, pair.first))):
+            picture = None  # a picture of the prediction, and one of the road
+            if pictures is not None:
+                picture = pictures / f"road_real_{pair.name.replace(' ', '')}{way.strip()}.png"
+            try:
+                rows.append({"name": pair.name + way, **judged(drive, twin, whole, one, picture)})
+            except ValueError as error:
+                rows.append({"name": pair.name + way, "error": str(error)})
+            _say(rows[-1])
+    return {"pairs": len(pairs), "rows": rows}
+
+
+def _say(row: dict[str, Any]) -> None:
+    if "error" in row:
+        print(f"  {row['name']}: {row['error']}", file=sys.stderr, flush=True)
+        return
+    print(
+        f"  {row['name']:12} {row['metres']:5.0f} m at {row['speeds'][0]:.1f} and {row['speeds'][1]:.1f} m/s: "
+        f"twin {row['twin']:.2f} (unshifted {row['twin_unshifted']:.2f}), pass itself {row['pass']:.2f}; "
+        f"{row['left']:.2f} left of {row['rms']:.2f} m/s²",
+        file=sys.stderr,
+        flush=True,
+    )
+
+
+def main() -> None:
+    """Both recordings."""
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument(
+        "--data", type=Path, default=Path(os.environ.get("SUSPENSION_TWIN_DATA", ROOT / "../shared/data"))
+    )
+    parser.add_argument("--pictures", type=Path)
+    parser.add_argument("--json", action="store_true")
+    asked = parser.parse_args()
+    mapping = ROOT / "config" / "import" / "rtklibexplorer_gnss_imu.yaml"
+    drive = import_drive([asked.data / "rtklibexplorer_GNSS_IMU"], mapping=mapping).drive
+    result = {"rtklibexplorer": study(drive, rtk_car(drive), asked.pictures, NEAR, True)}
+    drive = import_drive([asked.data / "comma2k19_Example_1"]).drive
+    result["comma2k19"] = study(drive, phone_car(drive), asked.pictures, 5.0, False)
+    if asked.json:
+        print(json.dumps(result, indent=1))
+    else:
+        print(f"comma2k19: {result['comma2k19']['pairs']} stretches driven twice")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,125 @@
+# SPDX-License-Identifier: Apache-2.0
+"""``suspension-twin new``: a twin file by a few questions, or from a ready one."""
+
+from __future__ import annotations
+
+import os
+import sys
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from suspension_twin.cli.common import Force, Outputs, bundled, output
+from suspension_twin.errors import InputError, nearest
+
+__all__ = ["command"]
+
+_BASE = "ford_mondeo_mk4"
+
+
+def command(
+    out: Annotated[
+        Path, typer.Option("--out", help="The twin file to write.", metavar="TWIN.YAML", show_default=False)
+    ],
+    base: Annotated[
+        str,
+        typer.Option(
+            "--from", help="Take this one of config/twins as it is, and ask nothing.", metavar="NAME"
+        ),
+    ] = "",
+    road: Annotated[
+        Path | None,
+        typer.Option("--road", help="The road file, OpenCRG; without it it is asked for.", metavar="ROAD"),
+    ] = None,
+    force: Force = False,
+) -> None:
+    """A twin file, by asking for the vehicle's sizes and where the phone sits, or from a ready one.
+
+    Springs and dampers are those of a middling car, scaled by the mass: the start of a calibration. An empty answer
+    takes what is in brackets.
+    """
+    from suspension_twin.vehicle.new import resized
+    from suspension_twin.vehicle.twin import RoadFile, load_twin, save_twin
+
+    outputs = Outputs(out, force=force)
+    twin = load_twin(_ready(base or _BASE))
+    outputs.announce()
+    with outputs:
+        if not base:
+            twin = resized(twin, _ask(twin))
+            if road is None:
+                given = typer.prompt("Road file (OpenCRG), empty: none yet", default="", show_default=False)
+                road = Path(given) if given else None
+        if road is not None:
+            if not road.is_file():
+                raise InputError(road, "no such file")
+            twin = twin.model_copy(update={"road": RoadFile(file=road.resolve())})
+        save_twin(twin, out, heading=_heading(base))
+    console = output()
+    console.print(f"Written to {out}: {twin.vehicle.name} ({twin.model})", markup=False)
+    if twin.road is None:
+        console.print("It has no road yet: suspension-twin road --help makes one.", markup=False)
+    console.print(f"Next: suspension-twin run --twin {out} --view", markup=False)
+
+
+def _ready(name: str) -> Path:
+    """The ready twin of that name, or of that path."""
+    if os.sep in name or name.endswith(".yaml"):
+        return Path(name)
+    folder = bundled("config", "twins")
+    known = sorted(p.stem for p in folder.glob("*.yaml"))
+    if name not in known:
+        raise InputError(
+            "--from", f"there is no {name} in config/twins{nearest(name, known)} ({', '.join(known)})"
+        )
+    return folder / f"{name}.yaml"
+
+
+def _ask(base: Any) -> Any:
+    """The sizes, by questions on the terminal."""
+    from suspension_twin.vehicle.new import Sizes
+
+    old = base.vehicle
+    try:
+        return Sizes(
+            name=typer.prompt("Make and model", default="my car"),
+            mass=_number("Mass with everybody on board, kg", old.mass, 300.0, 10_000.0),
+            wheelbase=_number("Wheelbase, m", old.wheelbase, 1.0, 8.0),
+            front_track=_number("Track in front, m", old.front_track, 0.8, 3.0),
+            rear_track=_number("Track at the rear, m", old.rear_track, 0.8, 3.0),
+            imu=_place("Phone or IMU", base.imu.position),
+            gps=_place("GPS antenna", base.gps.position),
+        )
+    except typer.Abort:
+        if sys.stdin.isatty():
+            raise KeyboardInterrupt from None
+        raise InputError(
+            "new", "asks questions, and the input has ended: --from takes a ready twin"
+        ) from None
+
+
+def _place(what: str, default: tuple[float, float, float]) -> tuple[float, float, float]:
+    """Coordinates of a sensor, m."""
+    x = _number(f"{what}: m ahead of the rear axle", default[0], -10.0, 20.0)
+    y = _number(f"{what}: m to the left of the middle", default[1], -5.0, 5.0)
+    return x, y, _number(f"{what}: m above the ground", default[2], -1.0, 6.0)
+
+
+def _number(question: str, default: float, low: float, high: float) -> float:
+    """A number within bounds; asked again until it is one."""
+    while True:
+        given = typer.prompt(question, default=f"{default:g}")
+        try:
+            value = float(given)
+        except ValueError:
+            value = float("nan")
+        if low <= value <= high:
+            return value
+        typer.echo(f"  a number from {low:g} to {high:g} is needed", err=True)
+
+
+def _heading(base: str) -> str:
+    if base:
+        return f"# From {base}.\n"
+    return "# By suspension-twin new. Springs and dampers are a guess: calibrate them.\n"

@@ -1,0 +1,281 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Starts of the search for tones: frequency, strength and phases of a harmonic effect from the residual's spectrum.
+
+A tone of unknown frequency has a likelihood with a peak as narrow as the drive is long, which no scattered start meets.
+For an angle 2 pi (f t + n s) at the time t and the travelled distance s, the whitened residual e of each channel c and
+section k of the drives with the gap gives
+
+    P(f, n) = sum_ck |sum_t v^p e exp(-2 pi i (f t + n s))|^2 / sum_t v^2p,
+
+with v^p the growth of the tone with the speed: first of short sections over the whole range, by a fast Fourier
+transform over t for each n, then about the largest peaks of longer and longer ones. Two simulations at each peak, a
+quarter of a turn apart, give strength and phases by linear least squares.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.fft import fft, next_fast_len
+
+from suspension_twin.arrays import Floats
+from suspension_twin.diagnosis.bench import Bench
+from suspension_twin.diagnosis.fit import Fit
+from suspension_twin.diagnosis.hypotheses import Hypothesis
+from suspension_twin.effects.base import Effect, Tone
+
+__all__ = ["tone_peaks", "tone_starts"]
+
+#: Channels in which a vertical force on wheel or body shows.
+_CHANNELS = ("vertical_acceleration", "roll_rate", "pitch_rate")
+#: s of the first sections, and the factor from one stage to the next.
+_SECTION, _LONGER = 12.0, 3.0
+#: Grid points for each resolution, 1 / duration or 1 / distance: half a bin off loses a tenth of the power.
+_FINE = 2.5
+_PEAKS = 3
+_AROUND = 4  # grid points on either side of a peak in a later stage
+_LEAST = 32  # samples of a section
+_BLOCK = 0.5  # s of a sum: a tone that is a grid point off turns by less than a tenth meanwhile
+_MOST = 48  # sections of all channels and drives together in the first stage
+_SAMPLES = 2.3  # for each period of the highest frequency
+
+
+@dataclass(frozen=True, eq=False)
+class _Series:
+    """One channel of one drive: whitened residual ``e`` (n,) at times ``t`` s and distances ``s`` m, with the weight
+    ``g`` of the growth with the speed."""
+
+    t: Floats
+    s: Floats
+    e: Floats
+    g: Floats
+
+    @property
+    def weighted(self) -> Floats:
+        """(n,) what is summed."""
+        return np.asarray(self.e * self.g / np.sqrt(np.sum(self.g**2)))
+
+    def demodulated(self, f: float, n: float) -> _Series:
+        """Sums over every ``_BLOCK`` s of the weighted residual with a tone turned to rest: ``e`` is complex, ``g`` the
+        root of the sum of squares."""
+        turned = self.e * self.g * np.exp(-2j * np.pi * (f * self.t + n * self.s))
+        block = ((self.t - self.t[0]) / _BLOCK).astype(int)
+        count = np.bincount(block)
+        kept = count > 0
+
+        def mean(values: Floats) -> Floats:
+            return np.asarray(np.bincount(block, values)[kept] / count[kept])
+
+        real, imaginary = (np.bincount(block, part)[kept] for part in (turned.real, turned.imag))
+        weight = np.sqrt(np.bincount(block, self.g**2)[kept])
+        return _Series(mean(self.t), mean(self.s), real + 1j * imaginary, weight)
+
+    def sections(self, seconds: float, least: int = _LEAST) -> list[_Series]:
+        """Parts of equal duration, at most so many seconds each, with at least so many samples."""
+        count = max(1, int(np.ceil((self.t[-1] - self.t[0]) / seconds)))
+        edges = np.linspace(self.t[0], self.t[-1] + 1e-9, count + 1)
+        cuts = np.searchsorted(self.t, edges)
+        return [
+            _Series(self.t[a:b], self.s[a:b], self.e[a:b], self.g[a:b])
+            for a, b in zip(cuts[:-1], cuts[1:], strict=True)
+            if b - a >= least
+        ]
+
+
+def tone_peaks(bench: Bench, residual: Floats, effect: Effect) -> list[tuple[float, float]]:
+    """(f, n) of the strongest tones in a whitened residual (R,), in Hz and 1/m; none for an effect that is no tone."""
+    if effect.tone is None:
+        return []
+    return _peaks(_series(bench, residual, effect.tone.power), effect.tone, bench.problem.measured.rate)
+
+
+def tone_starts(
+    bench: Bench,
+    base: Fit,
+    residual: Floats,
+    hypothesis: Hypothesis,
+    effect: str,
+    peaks: list[tuple[float, float]],
+) -> list[Floats]:
+    """Unknowns of a hypothesis with one more effect than ``base``, whose residual (R,) has those ``peaks``: with the
+    strength and phases that lower the sum of squares most, the best first."""
+    tone = hypothesis.effect(effect).tone
+    return _simulated(bench, base, residual, hypothesis, effect, tone, peaks) if tone and peaks else []
+
+
+def _series(bench: Bench, residual: Floats, power: int) -> list[_Series]:
+    """The channels of the drives with the gap."""
+    problem, whitener = bench.problem, bench.whitener
+    t, s, v = (np.empty(len(problem.measured.values)) for _ in range(3))
+    first = 0
+    for part, rows in zip(problem.parts, problem.rows, strict=True):
+        known, own = part.excitation, slice(first, first + rows.size)
+        speed = known.motion[:, 5]
+        way = np.concatenate([[0.0], np.cumsum(0.5 * (speed[1:] + speed[:-1]) * np.diff(known.t))])
+        t[own] = part.t[rows] - known.t[0]
+        s[own], v[own] = (np.interp(part.t[rows], known.t, values) for values in (way, speed))
+        first += rows.size
+    found = []
+    for drive in (d for d, active in enumerate(bench.active) if active):
+        for c in (problem.channels.index(name) for name in _CHANNELS if name in problem.channels):
+            own = (whitener.drive == drive) & (whitener.channel == c)
+            rows = whitener.row[own]
+            if rows.size < _LEAST:
+                continue
+            e = residual[own] / max(float(np.std(residual[own])), 1e-300)
+            found.append(_Series(t[rows], s[rows], e, np.maximum(np.abs(v[rows]), 0.1) ** power))
+    return found
+
+
+def _peaks(series: list[_Series], tone: Tone, rate: float) -> list[tuple[float, float]]:
+    """(f, n) of the strongest tones: over the whole range by short sections, then by longer and longer ones."""
+    if not series:
+        return []
+    duration = max(one.t[-1] - one.t[0] for one in series)
+    seconds = min(_SECTION, duration)
+    every = [one.sections(seconds) for one in series]
+    # as many of each series, spread over it
+    most = max(1, _MOST // len(series))
+    chosen = [
+        np.unique(np.linspace(0, len(one) - 1, min(most, len(one))).round().astype(int))
+        for one in every
+        if one
+    ]
+    sections = [one[i] for one, own in zip((e for e in every if e), chosen, strict=True) for i in own]
+    if not sections:
+        return []
+    step = 1.0 / (_FINE * max(float(np.ptp(part.t)) for part in sections))
+    pace = 1.0 / (_FINE * max(max(float(np.ptp(part.s)) for part in sections), 1.0))
+    f, n, power = _over_range(sections, tone, rate, step, pace)
+    found = []
+    for _ in range(_PEAKS):
+        i, j = np.unravel_index(int(np.argmax(power)), power.shape)
+        found.append((float(f[j]), float(n[i])))
+        near = (np.abs(f - f[j]) < 4.0 * step)[None, :] & (np.abs(n - n[i]) < 4.0 * pace)[:, None]
+        power[near] = -np.inf
+        if not np.isfinite(power).any():
+            break
+    return [_refined(series, tone, at, seconds, duration, step, pace) for at in found]
+
+
+def _over_range(
+    sections: list[_Series], tone: Tone, rate: float, step: float, pace: float
+) -> tuple[Floats, Floats, Floats]:
+    """f (F,), n (N,) and the power (N, F) over the range of a tone."""
+    (low_f, high_f), (low_n, high_n) = tone.frequencies, tone.wavenumbers
+    n = np.arange(low_n, high_n + pace, pace) if high_n > low_n else np.array([low_n])
+    if not high_f > low_f:
+        only = np.zeros((n.size, 1))
+        for part in sections:
+            only[:, 0] += np.abs(np.exp(-2j * np.pi * n[:, None] * part.s[None, :]) @ part.weighted) ** 2
+        return np.array([low_f]), n, only
+    # of what is above the range nothing is left, nor of negative frequencies: so few samples are enough
+    count = next_fast_len(int(np.ceil(_SAMPLES * high_f / step)))
+    slow = count * step
+    bins = np.fft.fftfreq(count, 1.0 / slow)
+    kept = (bins >= low_f) & (bins <= high_f)
+    power: Floats = np.zeros((n.size, int(kept.sum())))
+    for part in sections:
+        size = next_fast_len(int(np.ceil(rate / step)))
+        grid = np.zeros(size)
+        grid[np.round((part.t - part.t[0]) * rate).astype(int)] = part.weighted
+        spectrum = np.fft.fft(grid)[: count // 2]
+        spectrum[np.arange(spectrum.size) * rate / size > high_f] = 0.0
+        analytic = np.fft.ifft(spectrum, count) * (count / size)
+        at = np.arange(count) * (size / (rate * count))
+        way = np.interp(at, part.t - part.t[0], part.s)
+        turned = (analytic * np.exp(-2j * np.pi * n[:, None] * way[None, :])).astype(np.complex64)
+        power += np.abs(fft(turned, axis=1)[:, kept]) ** 2
+    return np.asarray(bins[kept], dtype=np.float64), n, power
+
+
+def _refined(
+    series: list[_Series],
+    tone: Tone,
+    at: tuple[float, float],
+    seconds: float,
+    duration: float,
+    step: float,
+    pace: float,
+) -> tuple[float, float]:
+    """(f, n) near ``at`` by sections that grow from ``seconds`` to the whole ``duration``."""
+    offsets = np.arange(-_AROUND, _AROUND + 1)
+    free_f, free_n = (high > low for low, high in (tone.frequencies, tone.wavenumbers))
+    slow = [one.demodulated(*at) for one in series]
+    f, n = 0.0, 0.0
+    while True:
+        seconds = min(seconds * _LONGER, duration)
+        step, pace = step / _LONGER, pace / _LONGER
+        sections = [part for one in slow for part in one.sections(seconds, 1)]
+        tried_f = f + step * offsets if free_f else np.zeros(1)
+        tried_n = n + pace * offsets if free_n else np.zeros(1)
+        power = np.zeros((tried_f.size, tried_n.size))
+        for part in sections:
+            in_time = np.exp(-2j * np.pi * tried_f[:, None] * part.t[None, :])
+            in_space = np.exp(-2j * np.pi * tried_n[:, None] * part.s[None, :])
+            power += np.abs((in_time * part.e) @ in_space.T) ** 2 / np.sum(part.g**2)
+        i, j = np.unravel_index(int(np.argmax(power)), power.shape)
+        f, n = float(tried_f[i]), float(tried_n[j])
+        if seconds >= duration:
+            return at[0] + f, at[1] + n
+
+
+def _simulated(
+    bench: Bench,
+    base: Fit,
+    residual: Floats,
+    hypothesis: Hypothesis,
+    effect: str,
+    tone: Tone,
+    peaks: list[tuple[float, float]],
+) -> list[Floats]:
+    rows = [i for i, key in enumerate(hypothesis.keys) if key.split(".")[1] == effect]
+    names = {hypothesis.keys[i].split(".")[2]: i for i in rows}
+    strength, phases = names[tone.strength], [i for name, i in names.items() if name.startswith(tone.phase)]
+    spread = hypothesis.searched[strength][1].spread
+    kept = hypothesis.neutral()
+    kept[: base.x.size - bench.d - bench.q] = base.x[bench.d + bench.q :]
+    points = np.repeat(kept[:, None], 2 * len(peaks), axis=1)
+    for k, (f, n) in enumerate(peaks):
+        for name, value in tone.parameters(f, n).items():
+            points[names[name], 2 * k : 2 * k + 2] = hypothesis.coordinate(names[name], value)
+        points[strength, 2 * k : 2 * k + 2] = hypothesis.coordinate(strength, spread)
+        for i in phases:
+            points[i, 2 * k : 2 * k + 2] = (
+                hypothesis.coordinate(i, 0.0),
+                hypothesis.coordinate(i, 0.5 * np.pi),
+            )
+    p = bench.d + bench.q
+    start = np.repeat(base.x[:p, None], points.shape[1], axis=1)
+    tried, failed = bench.residuals(hypothesis, np.concatenate([start, points]))
+    found: list[tuple[float, Floats]] = []
+    for k in range(len(peaks)):
+        if failed[2 * k : 2 * k + 2].any():
+            continue
+        parts = _of_drives(bench, residual, tried[:, 2 * k : 2 * k + 2] - residual[:, None])
+        energy = sum(weight for weight, _, _ in parts.values())
+        size = sum(weight * abs(a) ** 2 for weight, a, _ in parts.values()) / max(energy, 1e-300)
+        at = points[:, 2 * k].copy()
+        at[strength] = hypothesis.coordinate(strength, spread * float(np.sqrt(size)))
+        for drive, i in enumerate(phases):
+            if drive in parts:
+                at[i] = hypothesis.coordinate(i, float(np.angle(parts[drive][1])))
+        found.append((sum(gain for _, _, gain in parts.values()), np.concatenate([base.x[:p], at])))
+    return [x for _, x in sorted(found, key=lambda pair: -pair[0])]
+
+
+def _of_drives(bench: Bench, residual: Floats, changes: Floats) -> dict[int, tuple[float, complex, float]]:
+    """By drive with the gap the energy of the response to a tone of unit strength, the strength and phase that fit
+    best as one complex number, and what they take off the sum of squares; ``changes`` (R, 2) at phases of 0 and a
+    quarter of a turn."""
+    found = {}
+    for drive in (d for d, active in enumerate(bench.active) if active):
+        own = bench.whitener.drive == drive
+        both, left = changes[own], residual[own]
+        gram = both.T @ both
+        seen = both.T @ left
+        weights = -np.linalg.solve(gram + 1e-9 * np.trace(gram) * np.eye(2) + 1e-300 * np.eye(2), seen)
+        gain = float(-(2.0 * weights @ seen + weights @ gram @ weights))
+        found[drive] = 0.5 * float(np.trace(gram)), complex(weights[0], weights[1]), gain
+    return found

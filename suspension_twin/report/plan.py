@@ -1,0 +1,214 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The page of a plan: what a set-up could show, at which size, and what it could never tell apart."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from matplotlib.figure import Figure
+
+from suspension_twin.diagnosis import wording
+from suspension_twin.diagnosis.plan import APART, DETECTABLE, Pair, Plan, Shown
+from suspension_twin.report import style
+from suspension_twin.report.page import Cell, Lead, Mark, Page, Section, Table
+from suspension_twin.report.style import COLOURS
+
+__all__ = ["plan_page", "size_text", "sizes_picture"]
+
+_NEVER = "never"
+
+
+def plan_page(plan: Plan) -> Page:
+    """Make the page of a plan: what shows from which size, which pairs look alike, and what would separate them.
+
+    Parameters
+    ----------
+    plan : Plan
+        What :func:`~suspension_twin.diagnosis.plan.plan` returned.
+
+    Returns
+    -------
+    Page
+        ``write(path)`` saves it as one HTML file without scripts and links.
+
+    Examples
+    --------
+    >>> plan_page(found).write("plan.html")  # doctest: +SKIP
+    PosixPath('plan.html')
+    """
+    drives = wording.listed([f"{kmh:g} km/h" for kmh in plan.speeds])
+    name = getattr(plan.twin.vehicle, "name", "") or "the vehicle"
+    page = Page("What these drives could show", f"{name}, {plan.road} at {drives}")
+    hidden = [s for s in plan.shown if s.size is None]
+    seen = len(plan.shown) - len(hidden)
+    remarks = []
+    if hidden:
+        names = list(dict.fromkeys(wording.effect_name(s.effect) for s in hidden))
+        remarks.append(f"Not at any plausible size: {wording.listed(names)}.")
+    never = [
+        f"{wording.effect_name(p.effect)} from {wording.effect_name(p.rival)}"
+        for p in plan.pairs
+        if p.size is None
+    ]
+    if never:
+        remarks.append(f"Never told apart: {'; '.join(never)}.")
+    page.lead = Lead(
+        f"{seen} of {len(plan.shown)} faults would show; {len(plan.pairs)} pairs of causes are easily taken for each "
+        "other.",
+        remarks,
+    )
+    page.add(
+        Section(
+            "From which size on",
+            "The smallest size that a diagnosis would name, beside the typical size of the fault. Left of the line, "
+            "less than a typical fault is enough.",
+            sizes_picture(plan.shown),
+            Table(("fault", "quantity", "shows from", "typical", "first in"), [_row(s) for s in plan.shown]),
+        )
+    )
+    page.add(_pairs(plan))
+    page.add(
+        Section(
+            "How alike they are",
+            "Degrees between what is left of a cause (row) and the best that a rival (column) makes of it, after "
+            "recalibration: 90 is nothing in common, below about 20 they look alike.",
+            _matrix(plan),
+        )
+    )
+    page.add(_method(plan))
+    return page
+
+
+def size_text(shown: Shown, size: float | None) -> str:
+    """A size with its unit; ``never`` for None. A change from neutral has a sign, a value has none."""
+    if size is None:
+        return _NEVER
+    text = wording.parameter_value(shown.effect, shown.parameter, size)
+    if shown.largest < shown.typical:
+        return f"{text} and below"
+    return text
+
+
+def _row(s: Shown) -> tuple[object, ...]:
+    mark: Mark = "bad" if s.size is None else "good" if _less(s) <= 0.0 else "warn"
+    return (
+        wording.capital(wording.effect_at(s.effect, s.place)),
+        wording.parameter_name(s.effect, s.parameter),
+        Cell(size_text(s, s.size), mark),
+        size_text(s, s.typical),
+        "" if s.size is None else wording.channel_name(s.channel),
+    )
+
+
+def _less(s: Shown) -> float:
+    """Decades by which the smallest size is more severe than a typical one."""
+    assert s.size is not None
+    return float(np.log10(s.size / s.typical)) * (1.0 if s.largest >= s.typical else -1.0)
+
+
+def sizes_picture(shown: Sequence[Shown]) -> Figure:
+    """A row for every fault: the smallest size over the typical one."""
+    rows = sorted(shown, key=lambda s: (s.size is None, 0.0 if s.size is None else _less(s)))
+    with style.using():
+        fig = style.figure(9.2, 0.9 + 0.2 * len(rows))
+        axes = fig.subplots()
+        values = [10.0 ** _less(s) if s.size is not None else np.nan for s in rows]
+        known = [v for v in values if np.isfinite(v)]
+        right = 2.0 * max([*known, 3.0])
+        left = 0.5 * min([*known, 0.3])
+        for place, (s, value) in enumerate(zip(rows, values, strict=True)):
+            if s.size is None:
+                axes.plot(right / 1.3, place, marker="x", color=COLOURS["simulated"], markersize=6)
+                continue
+            role = "truth" if value <= 1.0 else "mark"
+            axes.hlines(place, left, value, color=COLOURS["grid"], linewidth=1.2, zorder=1)
+            axes.plot(value, place, marker="o", color=COLOURS[role], markersize=5.5)
+            axes.annotate(
+                size_text(s, s.size),
+                (value, place),
+                xytext=(7, 0),
+                textcoords="offset points",
+                va="center",
+                fontsize=7.5,
+                color=COLOURS["soft"],
+            )
+        axes.axvline(1.0, color=COLOURS["soft"], linewidth=0.9, linestyle=":")
+        names = [
+            f"{wording.effect_at(s.effect, s.place)}: {wording.parameter_name(s.effect, s.parameter)}"
+            for s in rows
+        ]
+        axes.set_yticks(range(len(rows)), names, fontsize=8)
+        axes.set_ylim(len(rows) - 0.4, -0.6)
+        axes.set_xscale("log")
+        axes.set_xlim(left, right)
+        axes.set_xlabel("smallest size that shows, over the typical size (cross: never)")
+        axes.grid(visible=False, axis="y")
+    return fig
+
+
+def _pairs(plan: Plan) -> Section:
+    rows = [
+        (
+            wording.capital(wording.effect_name(p.effect)),
+            wording.effect_name(p.rival),
+            round(p.angle),
+            Cell(size_text(p.shown, p.size), "bad" if p.size is None else "warn"),
+            size_text(p.shown, p.shown.size),
+            _remedy(p),
+        )
+        for p in plan.pairs
+    ]
+    text = (
+        "Each cause on the left shows from the size in the fifth column on, but up to the size in the fourth one it "
+        "may be called the cause beside it. Other speeds, places of the sensor and obstacles were tried."
+    )
+    if not rows:
+        return Section("What looks alike", "Whatever shows is told from every other cause in the library.")
+    columns = ("cause", "taken for", "angle [°]", "told apart from", "shows from", "what separates them")
+    return Section("What looks alike", text, Table(columns, rows))
+
+
+def _remedy(p: Pair) -> str:
+    if not p.remedy:
+        return "nothing that was tried"
+    if p.remedy_size == p.shown.size:
+        return f"{p.remedy}: as soon as it shows"
+    return f"{p.remedy}: from {size_text(p.shown, p.remedy_size)}"
+
+
+def _matrix(plan: Plan) -> Figure:
+    """The angles as a picture, without effects that do not show."""
+    rows = [i for i, row in enumerate(plan.angles) if np.isfinite(row).any()]
+    with style.using():
+        fig = style.figure(9.2, 2.2 + 0.24 * len(rows))
+        axes = fig.subplots()
+        angles = plan.angles[rows]
+        image = axes.imshow(angles, cmap="RdYlGn", vmin=0.0, vmax=90.0, aspect="auto")
+        for y, row in enumerate(angles):
+            for x, value in enumerate(row):
+                if np.isfinite(value) and value < 45.0:
+                    axes.text(x, y, f"{value:.0f}", ha="center", va="center", fontsize=7, color="#1C2128")
+        names = [wording.effect_name(e) for e in plan.effects]
+        axes.set_xticks(range(len(names)), names, rotation=90, fontsize=7.5)
+        axes.set_yticks(range(len(rows)), [names[i] for i in rows], fontsize=7.5)
+        axes.grid(visible=False)
+        fig.colorbar(image, ax=axes, label="angle [°]", shrink=0.8, pad=0.01)
+    return fig
+
+
+def _method(plan: Plan) -> Section:
+    seconds = wording.listed(
+        [f"{s:.0f} s at {v:g} km/h" for s, v in zip(plan.seconds, plan.speeds, strict=True)]
+    )
+    return Section(
+        "Method",
+        f"Nothing was measured. The twin was simulated over the road ({seconds}) with a phone's noise and an RTK "
+        "receiver, and so were small and large sizes of every effect. What the parameters of the vehicle and the "
+        "nuisances (clock, map, mount, biases) can make up for is projected off; what is left counts in units of the "
+        "residual that noise and a sound model leave, in the channel and drive where it is largest.\n\n"
+        f"A fault shows from {DETECTABLE:g} of these units on, and a pair is told apart where the rival leaves "
+        f"{APART:g}: figures learnt on diagnoses with sealed labels (`benchmarks/plan_confusion.py`). They hold for "
+        "single faults on a road like those; a real diagnosis says what its own drives could show.",
+        folded=True,
+    )

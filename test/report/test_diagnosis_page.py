@@ -1,0 +1,200 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The page of a diagnosis: the answer first, plain words, the rest folded away."""
+
+from __future__ import annotations
+
+import re
+from typing import Any
+
+import numpy as np
+import pytest
+
+from suspension_twin.diagnosis.request import DiagnosisResult, DriveView
+from suspension_twin.report.car import from_above
+from suspension_twin.report.diagnosis import diagnosis_page
+from suspension_twin.vehicle.twin import RoadFile, load_twin
+
+START = 1_700_000_000.0
+
+
+def cause(effect: str, probability: float, parameters: dict[str, float], **more: Any) -> dict[str, Any]:
+    return {
+        "effect": effect,
+        "probability": probability,
+        "parameters": parameters,
+        "gap_before": 0.4,
+        "gap_after": 0.1,
+        "shrink": 0.75,
+        "shrink_interval": [0.7, 0.8],
+        "shrink_beyond_recalibration": 0.6,
+        "shrink_beyond_reference": None,
+        "indistinguishable_from": [],
+        "gates": {"material": 1.0, "adequate": 0.9, "plausible": 0.4},
+        "judged": True,
+        "log_evidence": 12.0,
+        **more,
+    }
+
+
+def document(verdict: str = "effect", **changes: Any) -> dict[str, Any]:
+    causes = [
+        cause("corner_damper", 0.93, {"corner": 0.0, "change": -0.4}),
+        cause("payload", 0.02, {"mass": 90.0, "x": 1.0, "y": 0.0}),
+        cause("strut_friction", 0.0, {"front_force": 120.0, "rear_force": 0.0}),
+        cause("time_offset", 0.0, {"offset": 0.004}),
+        cause("road_scale", 0.0, {"scale": 0.1}),
+        cause("sensor_tilt", 0.0, {"roll": 0.01, "pitch": 0.0, "yaw": 0.0}, judged=False),
+    ]
+    channels = {"vertical_acceleration": 0.4, "roll_rate": 0.02}
+    return {
+        "verdict": verdict,
+        "gap": {
+            "rms": 0.4,
+            "mse": 0.16,
+            "noise_rms": 0.03,
+            "channel": "vertical_acceleration",
+            "channels": channels,
+        },
+        "where": {
+            "time": [{"bag": "fast", "start": START + 3.0, "end": START + 4.0, "share": 0.4}],
+            "road": [{"start_m": 12.0, "end_m": 15.0, "share": 0.5}],
+            "frequency": [{"low_hz": 2.0, "high_hz": 4.0, "share": 0.5}],
+            "channel": [{"name": "roll_rate", "share": 0.6}, {"name": "vertical_acceleration", "share": 0.4}],
+            "corner": [{"name": "front_left", "share": 0.5}, {"name": "rear_right", "share": 0.2}],
+            "operating_point": [],
+        },
+        "causes": causes,
+        "no_gap_probability": 0.04,
+        "unknown_probability": 0.01,
+        "combination": ["corner_damper"] if verdict in ("effect", "partly") else [],
+        "unexplained": 0.25,
+        "recalibration": {
+            "gap_before": 0.4,
+            "gap_after": 0.3,
+            "shrink": 0.25,
+            "shrink_interval": [0.1, 0.3],
+        },
+        "background": {
+            "share_of_motion_left": 0.1,
+            "share_left_on_reference": None,
+            "noise_share_of_residual": 0.2,
+        },
+        "cannot_be_judged": ["sensor_tilt"],
+        "warnings": [],
+        "next_experiment": "Drive a speed bump.",
+        "seed": 0,
+        "message": f"{verdict.replace('_', ' ')}: 0.3 m/s² remain",
+        **changes,
+    }
+
+
+def drive(name: str = "fast", channel: str = "") -> DriveView:
+    t = START + np.arange(0.0, 10.0, 0.01)
+    road = np.linspace(5.0, 60.0, t.size)
+    measured = np.sin(9.0 * (t - START)) * np.exp(-(((t - START - 4.0) / 2.0) ** 2))
+    compared = np.ones(t.size, dtype=bool)
+    return DriveView(
+        name, t, road, 100.0, measured, 0.6 * measured, 0.8 * measured, 0.95 * measured, compared, channel
+    )
+
+
+def result(
+    repository: Any, d: dict[str, Any], drives: tuple[DriveView, ...] | None = None
+) -> DiagnosisResult:
+    twin = load_twin(repository / "bags" / "bump_15kmh" / "twin.yaml")
+    twin = twin.model_copy(update={"road": RoadFile(file=repository / "road.crg")})
+    return DiagnosisResult(d, twin, (drive(),) if drives is None else drives, 1.0)
+
+
+def visible(html: str) -> str:
+    """The text that shows before anything is unfolded, tags and drawings left out."""
+    html = re.sub(r"<details>.*?</details>|<svg.*?</svg>|<style>.*?</style>", " ", html, flags=re.DOTALL)
+    return " ".join(re.sub(r"<[^>]+>", " ", html).split())
+
+
+def test_the_answer_stands_first_in_words_of_a_mechanic(repository):
+    html = diagnosis_page(result(repository, document())).render()
+    sentence = "Very likely (93 %): the front left damper has lost 40 % of its force."
+    assert html.index(sentence) < html.index("<section")
+    headings = re.findall(r"<h2>(.*?)</h2>", html)
+    assert headings[:4] == [
+        "Before and after",
+        "Where the gap is",
+        "The likeliest causes",
+        "What to drive next",
+    ]
+    folded = re.findall(r"<summary><h2>(.*?)</h2>", html)
+    assert folded == headings[4:]
+    assert {"Every cause that was tried", "Where, in figures", "Method"} <= set(folded)
+
+
+def test_what_shows_has_names_units_and_times_from_the_start(repository):
+    text = visible(diagnosis_page(result(repository, document())).render())
+    assert "wheel front left" in text and "corner 0" not in text
+    assert "3 s after the start of fast" in text and "17000000" not in text
+    assert "force, front 120 N" in text and "offset 4 ms" in text
+    assert not re.search(r"[a-z]_[a-z]", text.replace("suspension_twin", ""))
+    assert "nats" not in text
+
+
+def test_five_causes_show_and_the_rest_is_folded(repository):
+    html = diagnosis_page(result(repository, document())).render()
+    text = visible(html)
+    assert "The road is 10 % higher" in text  # the fifth
+    assert "turned against" not in text
+    assert "sensor tilt (cannot be judged)" in html
+    assert "Something that is not in the library 1 %" in text
+
+
+def test_the_channel_that_closes_is_named(repository):
+    d = document()
+    d["causes"][0].update(channel="roll_rate", gap_before=0.02, gap_after=0.005)
+    html = diagnosis_page(result(repository, d, (drive(channel="roll_rate"),))).render()
+    assert "gap between twin and car in <strong>roll rate</strong>" in html
+    assert "0.005 rad/s" in html
+    assert "roll rate [rad/s]" in html
+    row = re.search(r"<td>The front left damper.*?</tr>", html, re.DOTALL)
+    assert row is not None and "roll rate" in row[0]
+
+
+@pytest.mark.parametrize("verdict", ["partly", "no_gap", "unknown"])
+def test_every_verdict_has_a_page_without_stutter(repository, verdict):
+    d = document(verdict)
+    if verdict != "no_gap":
+        d["signature"] = {"channel": "roll_rate", "low_hz": 6.0, "high_hz": 8.0, "peak_hz": 7.0}
+    html = diagnosis_page(result(repository, d)).render()
+    assert not re.search(r"(no gap|unknown|partly): \1", html, re.IGNORECASE)
+    assert ("What remains unexplained looks like this" in html) == (verdict != "no_gap")
+    assert "twin recalibrated" in html
+
+
+def test_a_document_of_the_next_form_and_one_with_little_in_it(repository):
+    """Keys that are yet to come are used, and none but those of the contract is needed."""
+    d = document(candidates=["corner_damper", "no_gap"], before_and_after=["road_scale"], probability=0.97)
+    text = visible(diagnosis_page(result(repository, d)).render())
+    assert "Extremely likely (97 %)" in text
+    assert "the truth is among: one odd damper, nothing is wrong" in text
+    assert "before and after alike" in text
+    for each in d["causes"]:
+        for key in (
+            "gates",
+            "judged",
+            "shrink_beyond_recalibration",
+            "shrink_beyond_reference",
+            "log_evidence",
+        ):
+            del each[key]
+    d["where"] = {key: [] for key in d["where"]}
+    del d["cannot_be_judged"], d["warnings"]
+    bare = diagnosis_page(result(repository, d, ())).render()
+    assert "spread evenly" in visible(bare)
+    assert "material" not in bare
+
+
+def test_the_car_from_above_names_every_wheel_and_rings_the_faulty_one():
+    wheels = np.array([[2.7, 0.8], [2.7, -0.8], [0.0, 0.8], [0.0, -0.8]])
+    axes = from_above(wheels, {"front_left": 0.5}, marked=["rear_right"], sensor=(1.0, 0.2)).axes[0]
+    texts = [t.get_text() for t in axes.texts]
+    assert {"front left\n50 %", "front right", "rear left", "rear right", "sensor"} <= set(texts)
+    rings = [line for line in axes.lines if line.get_marker() == "o"]
+    assert [tuple(np.ravel(ring.get_data())) for ring in rings] == [(0.0, -0.8)]
