@@ -221,10 +221,7 @@ def test_the_commands_for_a_phone_hear_it(command, workspace):
         probe.bind(("127.0.0.1", 0))
         port = probe.getsockname()[1]
     process = subprocess.Popen(
-        ours(
-            command.replace(":8000", f":{port}")
-            + (f" sensorlogger://0.0.0.0:{port}" if "connect" in command else "")
-        ),
+        ours(command.replace(":8000", f":{port}")),
         cwd=workspace,
         env={**environment(), "XDG_STATE_HOME": str(workspace)},
         stdout=subprocess.PIPE,
