@@ -295,7 +295,7 @@ def written(weights: np.ndarray, conformal: float, ridge: float, lines: Sequence
             "command": "python benchmarks/train_decision.py --write",
             "cases": len(lines),
             "realities": sorted({x["label"]["reality"] for x in lines}),
-            "seeds": "train",
+            "seeds": "report, train",
             "commit": commit.stdout.strip(),
             "evidence_sha256": digest,
             "ridge": ridge,
