@@ -67,7 +67,6 @@ def plan_page(plan: Plan) -> Page:
             "The smallest size that a diagnosis would name, beside the typical size of the fault. Left of the line, "
             "less than a typical fault is enough.",
             sizes_picture(plan.shown),
-            Table(("fault", "quantity", "shows from", "typical", "first in"), [_row(s) for s in plan.shown]),
         )
     )
     page.add(_pairs(plan))
@@ -79,6 +78,8 @@ def plan_page(plan: Plan) -> Page:
             _matrix(plan),
         )
     )
+    columns = ("fault", "quantity", "shows from", "typical", "first in")
+    page.add(Section("Every size", "", Table(columns, [_row(s) for s in plan.shown]), folded=True))
     page.add(_method(plan))
     return page
 
