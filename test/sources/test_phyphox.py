@@ -44,7 +44,7 @@ def test_a_drive_arrives_as_it_was(bump: Drive, experiment: Path) -> None:
     taken, app = hear(bump, experiment)
     # What was there before the first question is not asked for.
     imu, fix = taken.imu, taken.fix
-    assert len(imu) > 0.9 * len(bump.imu) and len(fix) > 0.9 * len(bump.fix)
+    assert len(imu) > 0.8 * len(bump.imu) and len(fix) > 0.8 * len(bump.fix)
     at = np.searchsorted(bump.imu.t, imu.t - 1e-4)
     np.testing.assert_array_equal(np.diff(at), 1)  # every sample once
     np.testing.assert_allclose(imu.t, bump.imu.t[at], atol=1e-6)
@@ -80,12 +80,12 @@ def test_a_cleared_experiment_begins_again(bump: Drive, experiment: Path) -> Non
         before = taken.count("imu")
         app.buffers = {name: [] for name in app.buffers}
         app.events.clear()
-        app.measuring = False
+        app.measuring, app.later = False, 100.0
         app._start()
         while taken.count("imu") < before + 100:
             await asyncio.sleep(0.01)
 
-    hear(bump, experiment, during, speed=2.0 * 20.0)
+    hear(bump, experiment, during, speed=2.0)  # it takes two seconds to see that nothing newer comes
 
 
 def test_an_experiment_without_the_sensors_is_told(bump: Drive, tmp_path: Path) -> None:
