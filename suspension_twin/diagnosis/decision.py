@@ -367,18 +367,20 @@ def _excess(case: Row, row: Row) -> float:
 
 
 def _explained(case: Row, base: Row, row: Row) -> float:
-    """Share of the residual beyond the expected discrepancy that a hypothesis explains, of the mean square."""
+    """Share of the residual beyond the expected discrepancy that a hypothesis explains, of the mean square.
+
+    A mean square m counts as m^2 / (m + m_0) beside the expected m_0: about m where it is larger, little where it is
+    smaller.
+    """
 
     def beyond(one: Row) -> float:
         if case["reference"]:
             squares = one["mean_squares"].items()
-            return float(
-                sum(max(v - _USUAL_SQUARE, 0.0) for c, v in squares if case["channels"][c]["driven"])
-            )
-        return float(max(one["level_fitted"] ** 2 - _USUAL_LEVEL**2, 0.0))
+            return float(sum(v**2 / (v + _USUAL_SQUARE) for c, v in squares if case["channels"][c]["driven"]))
+        square = one["level_fitted"] ** 2
+        return float(square**2 / (square + _USUAL_LEVEL**2))
 
-    before = beyond(base)
-    return float(np.clip(1.0 - beyond(row) / before, 0.0, 1.0)) if before > 0.0 else 0.0
+    return float(np.clip(1.0 - beyond(row) / max(beyond(base), 1e-12), 0.0, 1.0))
 
 
 def _lost(case: Row, row: Row) -> float:
