@@ -90,8 +90,10 @@ class Nmea(Receiver):
         ):
             self.device.counts["sentences that cannot be read"] += 1
             return
+        kind = getattr(message, "msgID", None)
+        if kind not in _USED:  # a proprietary sentence that only looked like one of them
+            return
         self.understood += 1
-        kind = message.msgID
         at = getattr(message, "time", None)
         if kind in ("HDT", "THS"):
             at = self._time

@@ -51,6 +51,8 @@ _LOCATION: Final = (
 _IOS_FIELD: Final = "altitudeAboveMeanSeaLevel"
 
 _MOST_READINGS = 50_000
+#: No sensor of a phone measures that much, in any unit.
+_BEYOND = 1e6
 #: Stamps in ns that a phone can have: 2001 to 2096.
 _FIRST, _LAST = 1_000_000_000_000_000_000, 4_000_000_000_000_000_000
 #: s for which a message is waited for that others have overtaken, and for which samples wait for the axes to be known.
@@ -99,6 +101,8 @@ def parse_message(body: bytes | str) -> Message:
             if name in _VECTORS:
                 values = reading["values"]
                 row = (number(values["x"]), number(values["y"]), number(values["z"]))
+                if max(map(abs, row)) > _BEYOND:
+                    raise ValueError
             elif name == "location":
                 values = reading["values"]
                 row = _place(values)

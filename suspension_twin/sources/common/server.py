@@ -11,6 +11,7 @@ import contextlib
 import errno
 import hmac
 import ipaddress
+import logging
 import os
 import secrets
 import socket
@@ -89,6 +90,14 @@ def kept_token() -> str:
     return token
 
 
+def _silent() -> logging.Logger:
+    """For the server's traces of requests that are none: a sender could fill a terminal or a disk with them."""
+    logger = logging.getLogger(__name__)
+    logger.addHandler(logging.NullHandler())
+    logger.propagate = False
+    return logger
+
+
 class _Bucket:
     """Allows ``rate`` a second, ``burst`` at once."""
 
@@ -164,6 +173,7 @@ class PushServer:
         app.router.add_route("*", "/{path:.*}", self._handle)
         self._runner = web.AppRunner(
             app,
+            logger=_silent(),
             access_log=None,
             auto_decompress=False,
             max_line_size=4096,
