@@ -224,3 +224,14 @@ def test_what_a_converter_cuts_off_is_compared(make: Any) -> None:
     document = diagnose(DiagnosisRequest(str(twin), tuple(bags), effects=effects)).document
     assert document["combination"] == ["sensor_clipping"]
     assert document["causes"][0]["parameters"]["range"] == pytest.approx(reach, rel=0.02)
+
+
+def test_a_map_that_was_off_before_and_after_is_named_as_not_new(make: Any) -> None:
+    """Half a metre in reference and gap drives alike is no other car, and no change."""
+    off = EffectSpec(id="position_offset", parameters={"offset": 0.5})
+    twin, bags, reference = make(always=(off,), reference=True)
+    effects = ("strut_friction", "position_offset", "time_offset")
+    document = diagnose(DiagnosisRequest(str(twin), tuple(bags), tuple(reference), effects=effects)).document
+    assert document["combination"] == ["position_offset"], document["message"]
+    assert document["before_and_after"] is True and "before and after alike" in document["message"]
+    assert document["causes"][0]["parameters"]["offset"] == pytest.approx(0.5, abs=0.03)
