@@ -12,7 +12,7 @@ import numpy as np
 
 from suspension_twin.arrays import Floats
 from suspension_twin.diagnosis import wording
-from suspension_twin.diagnosis.answer import answer_of
+from suspension_twin.diagnosis.answer import answer_of, leading_channel
 from suspension_twin.diagnosis.bench import Bench
 from suspension_twin.diagnosis.case import Case
 from suspension_twin.diagnosis.decision import Decision, decide
@@ -73,7 +73,9 @@ def conclude(request: DiagnosisRequest, case: Case, judged: Judged, seconds: flo
     document["next_experiment"] = _next(case, judged, document, section)
     document["warnings"] = list(case.warnings)
     document["seed"], document["message"] = request.seed, wording.message(document)
-    views = _views(case, judged.bench, twin, recalibrated)
+    main = judged.bench.problem.channels[0]
+    closing = main if decision.row is None else leading_channel(decision.row)
+    views = _views(case, judged.bench, twin, recalibrated, closing)
     return DiagnosisResult(document, twin, views, seconds, case.warnings, rows)
 
 
@@ -170,9 +172,9 @@ def _resembles(decision: Decision) -> list[dict[str, Any]]:
     return sorted(like, key=lambda one: -float(str(one["probability"])))
 
 
-def _views(case: Case, bench: Bench, after: Twin, recalibrated: Twin) -> tuple[DriveView, ...]:
+def _views(case: Case, bench: Bench, after: Twin, recalibrated: Twin, channel: str) -> tuple[DriveView, ...]:
+    """One channel of every drive with the gap, by the twin as given, recalibrated, and with the named effects."""
     views = []
-    channel = bench.problem.channels[0]
     for i, (part, rows, active) in enumerate(
         zip(bench.problem.parts, bench.problem.rows, bench.active, strict=True)
     ):
@@ -188,7 +190,18 @@ def _views(case: Case, bench: Bench, after: Twin, recalibrated: Twin) -> tuple[D
         compared[rows] = True
         measured = part.measured[channel]
         views.append(
-            DriveView(part.name, part.t, part.position, part.rate, measured, before, middle, found, compared)
+            DriveView(
+                part.name,
+                part.t,
+                part.position,
+                part.rate,
+                measured,
+                before,
+                middle,
+                found,
+                compared,
+                channel,
+            )
         )
     return tuple(views)
 
