@@ -261,6 +261,10 @@ def answers_of(evidence: Mapping[str, Any]) -> list[Answer]:
     case, base = evidence["case"], evidence["base"]
     # a set with an effect that may add nothing is no answer of its own
     rows = [r for r in evidence["hypotheses"] if r.get("added_low", 1.0) > 0.0]
+    if case["kind"] == "planar":
+        # the few set-up errors occur together: a part of the set that none can be taken out of is no rival
+        joint = [set(r["effects"]) for r in rows if len(r["effects"]) > 1]
+        rows = [r for r in rows if not any(set(r["effects"]) < whole for whole in joint)]
     blind = float(not case["reference"])
     since = base.get("since")
     gains = [_gain(r, since) for r in rows]
@@ -325,7 +329,7 @@ def answers_of(evidence: Mapping[str, Any]) -> list[Answer]:
         if len(own) > 1:
             parts = [members[e] for e in own if e in members]
             smaller = [j for j, r in enumerate(rows) if set(r["effects"]) < own] or parts
-            values["size"] = float(len(own) - 1)
+            values["size"] = float(len(own) - 1) * (case["kind"] != "planar")
             values["added_proven"] = float(np.clip(row.get("added_low", 0.0), 0.0, 1.0))
             values["added"] = float(np.arcsinh(gains[i] - max([0.0, *(gains[j] for j in smaller)])))
             values["added_explained"] = max(

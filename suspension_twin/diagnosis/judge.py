@@ -266,7 +266,8 @@ def _level(case: Case, judged: Judged, one: Candidate) -> float:
 
 
 def _shrunk(request: DiagnosisRequest, case: Case, judged: Judged) -> list[Candidate]:
-    """Without a road: the joint fit of all effects, then one effect less at a time, the one that adds least.
+    """Without a road: the set that is left of all effects once those are taken out that add nothing, and the sets of
+    one effect less; none where one effect is left.
 
     The few effects mask each other (a clock drift resembles a clock offset; a tilt shows only with the right clock),
     so that sets grown from one effect would start from a wrong one.
@@ -278,12 +279,13 @@ def _shrunk(request: DiagnosisRequest, case: Case, judged: Judged) -> list[Candi
         return []
     fit = joint_fit(bench, [known[e][0] for e in possible], judged.base.found.fit, request.seed)
     chosen = evidence(bench, fit, blocks)
-    found = [candidate(judged, chosen)]
     while len(chosen.fit.hypothesis.effects) > 1:
-        fewer = without_one(bench, chosen, blocks)
-        chosen = max(fewer, key=lambda one: tempered_gain(judged, one))
-        found.append(candidate(judged, chosen))
-    return found
+        parts = without_one(bench, chosen, blocks)
+        fewer = max(parts, key=lambda one: tempered_gain(judged, one))
+        if tempered_gain(judged, fewer) < tempered_gain(judged, chosen) - _ADDED:
+            return [candidate(judged, one) for one in (chosen, *parts)]
+        chosen = fewer
+    return []
 
 
 def _no_match(case: Case, bench: Bench, base: LinearisedFit, blocks: Blocks, noise: dict[str, float]) -> bool:
