@@ -101,7 +101,7 @@ def apply(t, motion, lever, bars, control, n, w, keep, spin, travel, tables, rea
         if w[mf.IMBALANCE, i] > 0.0:
             own = w[mf.IMBALANCE, i] * spin[SPIN, i] ** 2
             up += own * math.sin(keep[mf.TURNED, i] + w[mf.PHASE, i])
-            ahead += own * math.cos(keep[mf.TURNED, i] + w[mf.PHASE, i])
+            ahead -= own * math.cos(keep[mf.TURNED, i] + w[mf.PHASE, i])
         gx, gy = ahead * ca - left * sa, ahead * sa + left * ca
         outer[b, 0], outer[b, 1], outer[b, 2] = gx, gy, up
         # The bearing passes no torque on but the brake's; what leans the wheel goes into its links.

@@ -248,10 +248,12 @@ def apply(t, qpos, qvel, xmat, xpos, axes, control, n, w, keep, tables, reaches,
         on = min(max(on, -0.9 * normal), 0.9 * normal)
         up = normal + on * rise + side * lean
         ahead, left = on - normal * rise, side - normal * lean
-        if w[IMBALANCE, i] > 0.0:
-            spin = along / n[RADIUS]
-            up += w[IMBALANCE, i] * spin * spin * math.sin(keep[TURNED, i] + w[PHASE, i])
-            ahead += w[IMBALANCE, i] * spin * spin * math.cos(keep[TURNED, i] + w[PHASE, i])
         gx, gy = ahead * ca - left * sa, ahead * sa + left * ca
         outer[i, 0], outer[i, 1], outer[i, 2] = gx, gy, up
         outer[i, 3], outer[i, 4], outer[i, 5] = -arm * gy, arm * gx, 0.0
+        if w[IMBALANCE, i] > 0.0:  # on the hub: at the front of the wheel it goes down
+            swing = w[IMBALANCE, i] * (along / n[RADIUS]) ** 2
+            back = swing * math.cos(keep[TURNED, i] + w[PHASE, i])
+            outer[i, 0] -= back * ca
+            outer[i, 1] -= back * sa
+            outer[i, 2] += swing * math.sin(keep[TURNED, i] + w[PHASE, i])

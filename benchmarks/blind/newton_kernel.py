@@ -343,17 +343,16 @@ def _rates(t, y, dy, n, c, springs, pushes, pulls, ground, seen, room, control, 
             wxf = on * ca - lateral * sa - hx * normal
             wyf = on * sa + lateral * ca - hy * normal
             wzf = normal + on * (hx * ca + hy * sa) + lateral * (-hx * sa + hy * ca)
-            if c[IMBALANCE, i] > 0.0:
-                spin = along / n[RADIUS]
-                swing = c[IMBALANCE, i] * spin * spin
-                wzf += swing * math.sin(y[ANGLE] + c[PHASE, i])
-                wxf += swing * math.cos(y[ANGLE] + c[PHASE, i]) * ca
-                wyf += swing * math.cos(y[ANGLE] + c[PHASE, i]) * sa
             ex = r[0, 0] * wxf + r[1, 0] * wyf + r[2, 0] * wzf
             ey = r[0, 1] * wxf + r[1, 1] * wyf + r[2, 1] * wzf
             ez = r[0, 2] * wxf + r[1, 2] * wyf + r[2, 2] * wzf
             mx, my = ly * ez - lz * ey, lz * ex - lx * ez
             b6[5] += lx * ey - ly * ex
+            if c[IMBALANCE, i] > 0.0:  # on the hub: at the front of the wheel it goes down
+                spin = along / n[RADIUS]
+                swing = c[IMBALANCE, i] * spin * spin
+                ez += swing * math.sin(y[ANGLE] + c[PHASE, i])
+                ex -= swing * math.cos(y[ANGLE] + c[PHASE, i])
         else:
             f = mi * G - mi * (n[ENGINE_W] ** 2 * s + 2.0 * n[ENGINE_Z] * n[ENGINE_W] * v)
         pushed[i] = f + ez

@@ -172,7 +172,15 @@ def _first_search(
     screens = [screen(bench, anchor, v, v.starts(_STARTS, seed)) for v in variants]
     powers = np.concatenate([s.power for s in screens])
     peaks = tone_peaks(bench, anchor.at.residual, variants[0].effect(effect))
-    heard = [tone_starts(bench, anchor, anchor.at.residual, v, effect, peaks) for v in variants]
+    # with the vehicle of all drives as well, from which the effect is else started at nothing
+    heard = [
+        [
+            x
+            for vehicle in ((anchor,) if base is anchor else (anchor, base))
+            for x in tone_starts(bench, vehicle, vehicle.at.residual, v, effect, peaks)
+        ]
+        for v in variants
+    ]
     costs = [
         min([s.cost[0], *(bench.costs(v, np.stack(x, axis=1)).tolist() if x else ())])
         for v, s, x in zip(variants, screens, heard, strict=True)

@@ -6,15 +6,15 @@ from __future__ import annotations
 import numpy as np
 
 from suspension_twin.effects._phrases import Given, more, of_wheel
-from suspension_twin.effects.base import CornerChange, Effect, Hook, Parameter, Values, Variant
+from suspension_twin.effects.base import CornerChange, Effect, Floats, Hook, Parameter, Values, Variant
 from suspension_twin.vehicle.corners import WHEELS
 
 __all__ = ["EFFECT"]
 
-#: Relative change of a tyre's vertical stiffness for a relative change of its pressure: what the carcass carries does
-#: not change with it. The factor p_Fz1 of a passenger car's tyre (Besselink, Schmeitz and Pacejka, Vehicle System
-#: Dynamics 48, 2010).
-SHARE = 0.7
+#: A tyre's vertical stiffness goes with this power of its pressure: near the nominal one a relative change of the
+#: pressure changes it by that share, the factor p_Fz1 of a passenger car's tyre (Besselink, Schmeitz and Pacejka,
+#: Vehicle System Dynamics 48, 2010), because the carcass carries a part; and a flat tyre carries nothing.
+EXPONENT = 0.7
 #: Wheels of each place, in the usual order.
 _PLACES = ((0,), (1,), (2,), (3,), (0, 1), (2, 3), (0, 1, 2, 3))
 _NAMES = "0 front left, 1 front right, 2 rear left, 3 rear right, 4 front axle, 5 rear axle, 6 all"
@@ -28,15 +28,20 @@ _PARAMETERS = (
 )
 
 
+def _stiffening(change: Floats) -> Floats:
+    """Share by which a tyre is stiffer for a change of its pressure."""
+    return np.asarray(np.maximum(1.0 + change, 0.0) ** EXPONENT - 1.0)
+
+
 def _corners(change: CornerChange, p: Values) -> None:
     for place, wheels in enumerate(_PLACES):
-        more = np.where(p["corner"] == place, SHARE * p["change"], 0.0)
+        more = np.where(p["corner"] == place, _stiffening(p["change"]), 0.0)
         for wheel in wheels:
             change.tyre[wheel] += more
 
 
 def _every_corner(change: CornerChange, p: Values) -> None:
-    change.tyre[:] += SHARE * p["change"]
+    change.tyre[:] += _stiffening(p["change"])
 
 
 def _finding(p: Given) -> str:
@@ -54,7 +59,7 @@ EFFECT = Effect(
     title="tyre pressure off",
     where="tyre",
     doc="The pressure of one tyre, of an axle's or of all is (1 + change) times what it should be. The tyre's vertical "
-    "stiffness changes by 0.7 of that share, and the wheel stands lower or higher by what the tyre then gives.",
+    "stiffness goes with the power 0.7 of it, and the wheel stands lower or higher by what the tyre then gives.",
     parameters=_PARAMETERS,
     order=118,
     severity=("change",),

@@ -77,6 +77,20 @@ def _swing(w: Floats, e: int, c: int, i: int, h: float) -> None:
 
 
 @inlined
+def _push(w: Floats, e: int, c: int, i: int, h: float) -> None:
+    """What the force along the road does beyond the acceleration that is given: a quarter of a turn later, at the hub.
+    The load transfer takes the car's acceleration for a force on the ground, which is lower by the wheel's radius."""
+    moment, per_metre = w[(e + _MOMENT + c) * WIDTH + i], w[(e + _PER_METRE) * WIDTH + i]
+    speed = w[rows.SPEED * WIDTH + i]
+    way = fma(h, speed, w[(e + _WAY) * WIDTH + i])
+    # moment times spin squared times the radius, 1 / per_metre
+    m = moment * speed * speed * per_metre * math.sin(fma(per_metre, way, w[(e + _PHASE) * WIDTH + i]))
+    pitch = m * w[rows.INV_PITCH * WIDTH + i]
+    w[rows.PITCH_ACCELERATION * WIDTH + i] += pitch
+    w[rows.PITCH_RATE * WIDTH + i] += h * pitch
+
+
+@inlined
 def _roll(w: Floats, e: int, c: int, i: int, h: float) -> None:
     w[(e + _WAY) * WIDTH + i] = fma(h, w[rows.SPEED * WIDTH + i], w[(e + _WAY) * WIDTH + i])
 
@@ -97,8 +111,9 @@ EFFECT = Effect(
     id="wheel_imbalance",
     title="wheel out of balance",
     where="tyre",
-    doc="An unbalance turns with one wheel: a vertical force moment times spin squared, once a turn, where the spin is "
-    "the speed over the rolling radius. A pause of more than 0.5 s in a recording begins a new phase.",
+    doc="An unbalance turns with one wheel: a force of moment times spin squared on the hub, once a turn, where the "
+    "spin is the speed over the rolling radius. Its part along the road is in the acceleration that is measured. A "
+    "pause of more than 0.5 s in a recording begins a new phase.",
     parameters=_PARAMETERS,
     order=125,
     severity=("moment",),
@@ -114,7 +129,14 @@ EFFECT = Effect(
     confused_with=("engine_order", "wheel_imbalance of another wheel", "a periodic road"),
     hook=Hook(
         kernel=KernelTerms(
-            _FIELDS, _constants, {"tyre": (_swing, CORNER), "after": (_roll, LANE), "stamp": (_touch, CORNER)}
+            _FIELDS,
+            _constants,
+            {
+                "tyre": (_swing, CORNER),
+                "body": (_push, CORNER),
+                "after": (_roll, LANE),
+                "stamp": (_touch, CORNER),
+            },
         )
     ),
     finding=_finding,

@@ -8,14 +8,14 @@ import pytest
 from effect_cases import given, respond, way
 from linear_car import linear, matrices, tone
 
-from suspension_twin.effects.tyre_pressure import SHARE
+from suspension_twin.effects.tyre_pressure import EXPONENT
 from suspension_twin.vehicle.twin import Twin
 
 PLACES = {0: (0,), 3: (3,), 4: (0, 1), 5: (2, 3), 6: (0, 1, 2, 3)}
 
 
 def factors(corner: int, change: float) -> tuple[float, float, float, float]:
-    a, b, c, d = (1.0 + SHARE * change * (i in PLACES[corner]) for i in range(4))
+    a, b, c, d = ((1.0 + change * (i in PLACES[corner])) ** EXPONENT for i in range(4))
     return a, b, c, d
 
 
