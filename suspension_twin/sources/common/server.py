@@ -260,7 +260,10 @@ class PushServer:
         if (request.content_length or 0) > self.limits.body:
             return self._answer(413, "too large", close=True)
         try:
-            body = await asyncio.wait_for(request.read(), self.limits.patience)
+            if request.content.is_eof():  # as most are: nothing to wait for
+                body = await request.read()
+            else:
+                body = await asyncio.wait_for(request.read(), self.limits.patience)
         except web.HTTPRequestEntityTooLarge:
             return self._answer(413, "too large", close=True)
         except asyncio.TimeoutError:
