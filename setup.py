@@ -105,7 +105,7 @@ setup(
     install_requires=REQUIRED,
     extras_require={"test": TEST + DOCS + FOXGLOVE, "foxglove": FOXGLOVE, "docs": DOCS},
     packages=find_packages(include=["suspension_twin", "suspension_twin.*"]),
-    package_data={"": ["py.typed", "*.html", "*.j2", "*.css", "*.js", "*.yaml"]},
+    package_data={"": ["py.typed", "*.html", "*.j2", "*.css", "*.js", "*.json", "*.yaml"]},
     data_files=data_files(),
     entry_points={
         "console_scripts": [

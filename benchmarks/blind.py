@@ -1,7 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Diagnosis on cases whose effect is withheld: makes them, diagnoses them, and scores the answers.
 
-    python benchmarks/blind.py [--short | --full] [--seeds dev|report|report2|report3] [--limit N] [--json] [--out DIR]
+    python benchmarks/blind.py [--short | --full] [--seeds dev|train|report...] [--limit N] [--json] [--out DIR]
+    python benchmarks/blind.py --seeds train --case N                 # one case of the plan, by its number
     python benchmarks/blind.py --stage generate|diagnose|score ...    # one stage alone
     python benchmarks/blind.py ... --keep [--add]                     # answers kept, with --add beside those before
 
@@ -34,6 +35,10 @@ from blind.plan import Spec, plan  # noqa: E402
 def chosen(options: argparse.Namespace) -> list[Spec]:
     """The cases asked for, in the order of the plan."""
     cases = plan(options.seeds, options.short)
+    if options.case is not None:
+        if not 0 <= options.case < len(cases):
+            raise SystemExit(f"--case: the plan {options.seeds} has cases 0 to {len(cases) - 1}")
+        cases = [cases[options.case]]
     if options.reality:
         cases = [c for c in cases if c.reality == options.reality]
     if options.only:
@@ -118,7 +123,9 @@ def parsed() -> argparse.Namespace:
     size.add_argument("--short", action="store_true", help="nine cases, minutes (the default)")
     size.add_argument("--full", action="store_true", help="all cases, hours")
     parser.add_argument(
-        "--seeds", choices=("dev", "report", "report2", "report3", "links_dev", "links"), default="dev"
+        "--seeds",
+        choices=("dev", "report", "report2", "report3", "links_dev", "links", "train", "report4"),
+        default="dev",
     )
     parser.add_argument("--stage", choices=("generate", "diagnose", "score", "all"), default="all")
     parser.add_argument(
@@ -128,6 +135,7 @@ def parsed() -> argparse.Namespace:
         "--severity", nargs="+", type=float, default=[], help="keep cases of these severities"
     )
     parser.add_argument("--reality", choices=("newton", "multibody", "linkage"))
+    parser.add_argument("--case", type=int, metavar="N", help="the case with this number in the plan alone")
     parser.add_argument("--limit", type=int, default=0, metavar="N", help="the first N cases: a fair sample")
     parser.add_argument("--rate", type=float, default=100.0, help="of the phone in Hz")
     parser.add_argument("--jitter", type=float, help="s of its stamps; each phone's own by default")
@@ -146,7 +154,9 @@ def parsed() -> argparse.Namespace:
     parser.add_argument("--out", type=Path, default=None, metavar="DIR")
     parser.add_argument("--json", action="store_true")
     options = parser.parse_args()
-    options.short = options.short or not (options.full or options.only or options.limit)
+    options.short = options.short or not (
+        options.full or options.only or options.limit or options.case is not None
+    )
     options.out = (options.out or ROOT / "out" / f"blind_{options.seeds}").resolve()
     return options
 

@@ -104,7 +104,7 @@ def ask(folder: Path, answer: Path, seal: str, starter: Sequence[str] = ()) -> d
         answer.mkdir(parents=True)
         if out.is_dir():
             for file in out.iterdir():
-                if file.name in ("diagnosis.json", "twin.yaml"):
+                if file.name in ("diagnosis.json", "evidence.json", "twin.yaml"):
                     # the twin names its road by where the copy happened to lie
                     text = file.read_text(encoding="utf-8").replace(f"{copy}/", "")
                     (answer / file.name).write_text(text, encoding="utf-8")

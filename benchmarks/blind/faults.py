@@ -52,6 +52,37 @@ BODY = (
 )
 MSD = ("unsprung_mass",)
 LIBRARY = (*BODY, *MSD, *SENSOR, *TIME, *ROAD)
+#: What the library has got since the first plans; and what is outside it in the plans that have these.
+ADDED = (
+    "worn_dampers",
+    "spring_sag",
+    "tyre_pressure",
+    "semi_active_damper",
+    "wheel_imbalance",
+    "engine_order",
+)
+WIDE_OUTSIDE = (
+    "cubic_spring",
+    "damper_cavitation",
+    "loose_ball_joint",
+    "position_sensitive_damper",
+    "gusts",
+    "loose_mass",
+    "fuel_slosh",
+    "flat_spot",
+    "brake_judder",
+    "clutch_judder",
+    "crosswind",
+    "stick_slip_holder",
+    "gyro_g_sensitivity",
+    "vibration_rectification",
+    "held_samples",
+    "compressed_time",
+    "track_subsidence",
+)
+#: Faults that the road file has, and those of the stamps alone.
+OF_THE_ROAD = (*ROAD, "track_subsidence")
+OF_THE_CLOCK = (*TIME, "compressed_time")
 
 
 @dataclass(frozen=True, eq=False)
@@ -72,14 +103,19 @@ class Null:
 Knob = Callable[[float, Null], dict[str, float]]
 
 
-def knob(effect: str, world: World, seed: int) -> Knob:
-    """Parameters of an effect by amount; the seed fixes what is not the amount (a corner, a frequency)."""
+def knob(effect: str, world: World, seed: int, wide: bool = False) -> Knob:
+    """Parameters of an effect by amount; the seed fixes what is not the amount (a corner, a frequency). ``wide`` is for
+    the plans that have tones in the library: there engines differ, and a wheel begins each drive as it happens to."""
     rng = np.random.default_rng([seed, sum(effect.encode())])
     a, b, sign = rng.uniform(0, 1), rng.uniform(0, 1), float(rng.choice([-1.0, 1.0]))
     corner = float(rng.integers(0, 4))
     lead = 1.0 if a < 0.5 else 0.4
+    # of an axle's faults: in front, at the rear or both
+    share = ((1.0, 0.0), (0.0, 1.0), (1.0, 0.8))[min(int(3 * a), 2)]
+    place = float(min(int(7 * b), 6))
     angle = rng.normal(size=3)
     angle /= np.linalg.norm(angle)
+    coupling = rng.normal(size=9) / 3.0
 
     knobs: dict[str, Knob] = {
         "strut_friction": lambda s, n: {
@@ -148,7 +184,62 @@ def knob(effect: str, world: World, seed: int) -> Knob:
         "loose_ball_joint": lambda s, n: {"play": 0.02 * s},
         "position_sensitive_damper": lambda s, n: {"rise": 12.0 * s},
         "gusts": lambda s, n: {"force": 3000 * s, "phase": 6.28 * a},
+        "worn_dampers": lambda s, n: {"front": 0.93 * s * share[0], "rear": 0.93 * s * share[1]},
+        "spring_sag": lambda s, n: {
+            "front": 0.09 * s * share[0],
+            "rear": 0.09 * s * share[1],
+            "rate": 4.0 * (b - 0.3),
+        },
+        "tyre_pressure": lambda s, n: {
+            "corner": place,
+            "change": -0.85 * s if sign < 0 or a < 0.5 else 0.9 * s,
+        },
+        "semi_active_damper": lambda s, n: {
+            "law": float(b > 0.6),
+            "front": (4000 if b <= 0.6 else 1800) * s * max(share[0], 0.3),
+            "rear": (4000 if b <= 0.6 else 1800) * s * max(share[1], 0.3),
+        },
+        "loose_mass": lambda s, n: {
+            "mass": 12.0 + 80.0 * s,
+            "gap": 0.004 + 0.03 * s,
+            "x": world.car.wheelbase * (1.25 if a < 0.5 else -0.15),
+            "y": sign * 0.5 * b,
+        },
+        "fuel_slosh": lambda s, n: {"mass": 160.0 * s, "frequency": 0.55 + 0.6 * a},
+        "flat_spot": lambda s, n: {"corner": corner, "depth": 0.02 * s},
+        "brake_judder": lambda s, n: {"depth": 1.5 * s, "turns": 1.0 if a < 0.4 else 2.0},
+        "clutch_judder": lambda s, n: {"depth": 1.5 * s, "pitch": 2 * np.pi * (6.0 + 6.0 * a)},
+        "crosswind": lambda s, n: {"force": 4000.0 * s, "phase": 6.28 * a},
+        "stick_slip_holder": lambda s, n: {"grip": 0.4 + (n.peak - 10.0) * (1 - s)},
+        "gyro_g_sensitivity": lambda s, n: {
+            f"{p}{q}": 0.02 * s * float(g)
+            for (p, q), g in zip([(p, q) for p in "xyz" for q in "xyz"], coupling, strict=True)
+        },
+        "vibration_rectification": lambda s, n: {"square": 0.15 * s * sign},
+        "held_samples": lambda s, n: {"rate": 6.0 * 14.0 ** (1 - s)},
+        "compressed_time": lambda s, n: {"seconds": 0.25 * s, "every": 6.0 + 8.0 * a},
+        "track_subsidence": lambda s, n: {
+            "depth": 0.09 * s,
+            "first": 35.0 + 50.0 * a,
+            "length": 25.0 + 40.0 * b,
+            "side": sign,
+        },
     }
+    if wide:
+        # a fan or an idling engine, one gear, one above idle, or two gears with a shift
+        engine = (
+            {"idle": 5.0 + 10.0 * b, "low": 0.0, "high": 0.0},
+            {"idle": 2.0 + 6.0 * b, "low": 0.3 + 0.6 * corner / 3, "high": 0.3 + 0.6 * corner / 3},
+            {"idle": 0.0, "low": 0.8 + 0.9 * b, "high": 0.8 + 0.9 * b, "floor": 5.0 + 2.0 * b},
+            {},
+        )[min(int(4 * a), 3)]
+        knobs["engine_order"] = lambda s, n: {"force": 2500 * s, **engine}
+        knobs["wheel_imbalance"] = lambda s, n: {
+            "corner": corner,
+            "moment": 2.0 * s,
+            "phase": 6.28 * a,
+            "turned": 1.0,
+        }
     return knobs[effect]
 
 
@@ -177,6 +268,11 @@ def misread(z: Floats, u: Floats, v: Floats, faults: Faults) -> Floats:
     if "road_smoothing" in faults:
         sigma = faults["road_smoothing"]["sigma"] / float(u[1] - u[0])
         z = gaussian_filter1d(z, sigma, axis=0, mode="nearest") if sigma > 0.05 else z
+    if "track_subsidence" in faults:
+        own = faults["track_subsidence"]
+        sunk = 0.5 * (np.tanh((u - own["first"]) / 0.6) - np.tanh((u - own["first"] - own["length"]) / 0.6))
+        sunk = sunk * own["depth"] * (0.7 + 0.3 * np.cos(2 * np.pi * u / 4.3))
+        z = z + np.outer(sunk, 0.5 * (1.0 + np.tanh(own["side"] * (v - v.mean()) / 0.15)))
     if "road_scale" in faults:
         z = z / (1.0 + faults["road_scale"]["scale"])
     return z
@@ -190,4 +286,4 @@ def on_stretch(motion_u: Floats, wheelbase: float, stretch: tuple[float, float])
 
 def without_road(faults: Faults) -> Faults:
     """The faults that a car has, not its road file."""
-    return {k: v for k, v in faults.items() if k not in ROAD}
+    return {k: v for k, v in faults.items() if k not in OF_THE_ROAD}

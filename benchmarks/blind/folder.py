@@ -5,6 +5,9 @@ from __future__ import annotations
 
 import json
 import math
+import os
+import subprocess
+import sys
 from collections.abc import Callable, Mapping
 from dataclasses import asdict
 from functools import lru_cache
@@ -13,50 +16,53 @@ from typing import Any
 
 import numpy as np
 
-from blind import linkage, multibody, newton, phone, severity
-from blind.faults import TIME, knob, on_stretch, surveyed, without_road
+from blind import ROOT, linkage, multibody, newton, phone, severity
+from blind.faults import OF_THE_CLOCK, knob, on_stretch, surveyed, without_road
 from blind.newton import Faults, Motion
 from blind.plan import Spec
-from blind.world import FILE_DU, FILE_DV, HALF, Floats, World, make_world
+from blind.world import FILE_DU, FILE_DV, HALF, Floats, Scene, World, make_world
 from suspension_twin.drive.write import write_drive
 from suspension_twin.road import Road, write_road
-from suspension_twin.vehicle.twin import parse_twin, save_twin
+from suspension_twin.vehicle.twin import RoadFile, load_twin, parse_twin, save_twin
 
 Run = Callable[..., Motion]
 RUN: dict[str, Run] = {"newton": newton.run, "multibody": multibody.run, "linkage": linkage.run}
 REQUEST = "request.json"
+#: Names of the drives that a case shows: the reference of a twin that was calibrated beforehand is not one.
+_SHOWN = {False: ("drive_fast", "drive_slow", "reference"), True: ("drive_fast", "drive_slow")}
 _MSD_BASE = 0.12
 
 
 @lru_cache(maxsize=4)
-def _scale(seed: int, msd: bool) -> severity.Scale:
-    return severity.yardstick(make_world(seed), msd)
+def _scale(seed: int, msd: bool, scene: Scene) -> severity.Scale:
+    return severity.yardstick(make_world(seed, False, scene), msd)
 
 
 @lru_cache(maxsize=64)
-def _curve(seed: int, msd: bool, effect: str) -> tuple[float, ...]:
-    return tuple(severity.curve(make_world(seed), _scale(seed, msd), effect, seed))
+def _curve(seed: int, msd: bool, scene: Scene, effect: str, wide: bool) -> tuple[float, ...]:
+    return tuple(severity.curve(make_world(seed, False, scene), _scale(seed, msd, scene), effect, seed, wide))
 
 
 def faults_of(spec: Spec) -> tuple[Faults, dict[str, dict[str, float]]]:
     """The effects' parameters for the severity asked, and what severity they have."""
-    world = make_world(spec.world, spec.right)
+    world = make_world(spec.world, spec.right, spec.scene)
     faults: Faults = {}
     reached = {}
     for effect in spec.effects:
-        curve = np.array(_curve(spec.world, spec.msd, effect))
-        scale = _scale(spec.world, spec.msd)
+        curve = np.array(_curve(spec.world, spec.msd, spec.scene, effect, spec.wide))
+        scale = _scale(spec.world, spec.msd, spec.scene)
         amount = severity.amount_for(curve, spec.severity)
-        values = knob(effect, world, spec.world)(amount, scale.null)
+        values = knob(effect, world, spec.world, spec.wide)(amount, scale.null)
         faults[effect] = {k: float(v) for k, v in values.items()}
-        given = scale.severity(severity.change(world, scale, {effect: faults[effect]}))
+        change = severity.change(world, scale, {effect: faults[effect]})
+        given = scale.severity(change, severity.counted(effect, spec.wide))
         reached[effect] = {"amount": round(amount, 6), "severity": round(given, 3)}
     return faults, reached
 
 
 def make_case(spec: Spec, cases: Path, sealed: Path) -> dict[str, Any]:
     """Write the case's folder under ``cases`` and its further drive under ``sealed``; return the label."""
-    world = make_world(spec.world, spec.right)
+    world = make_world(spec.world, spec.right, spec.scene)
     faults, reached = faults_of(spec)
     stretch = None
     if spec.kind == "stretch":
@@ -71,12 +77,12 @@ def make_case(spec: Spec, cases: Path, sealed: Path) -> dict[str, Any]:
     folder.mkdir(parents=True)
     drives: dict[str, Any] = {}
     for name, plan in world.plans.items():
-        if name == "reference" and not spec.reference:
+        if name == "reference" and not (spec.reference or spec.calibrated):
             continue
         own = base if name == "reference" else moving
-        motion = RUN[spec.reality](world, plan, {k: v for k, v in own.items() if k not in TIME})
+        motion = RUN[spec.reality](world, plan, {k: v for k, v in own.items() if k not in OF_THE_CLOCK})
         drive = phone.record(world, plan, motion, own, name)
-        write_drive(drive, (sealed / spec.name if name == "sealed" else folder) / name)
+        write_drive(drive, (folder if name in _SHOWN[spec.calibrated] else sealed / spec.name) / name)
         drives[name] = {"start": plan.start, "seconds": plan.seconds}
         if stretch is not None:
             drives[name]["stretch"] = _times(motion, world, stretch, plan.start)
@@ -84,6 +90,8 @@ def make_case(spec: Spec, cases: Path, sealed: Path) -> dict[str, Any]:
         road_file(world, surveyed(world, faults, stretch)), folder / "road.crg", comment="Surveyed road"
     )
     save_twin(parse_twin(twin_file(world, spec)), folder / "twin.yaml")
+    if spec.calibrated:
+        _calibrate(folder, sealed / spec.name)
     if spec.without:
         (folder / REQUEST).write_text(json.dumps({"without": list(spec.without)}) + "\n", encoding="utf-8")
     scale = {} if not spec.effects else {"floor": dict(zip(severity.CHANNELS, _floor(spec), strict=True))}
@@ -96,6 +104,31 @@ def make_case(spec: Spec, cases: Path, sealed: Path) -> dict[str, Any]:
         "drives": drives,
         **scale,
     }
+
+
+def _calibrate(folder: Path, sealed: Path) -> None:
+    """Calibrate the twin of a case on the drive from before the fault, which is not among the drives of the case, with
+    the road file of the case."""
+    twin, made = folder / "twin.yaml", sealed / "calibrated.yaml"
+    line = [
+        sys.executable,
+        "-m",
+        "suspension_twin",
+        "calibrate",
+        "--twin",
+        str(twin),
+        str(sealed / "reference"),
+    ]
+    environment = dict(os.environ) | {"PYTHONPATH": str(ROOT)}
+    run = subprocess.run(
+        [*line, "--preset", "fast", "--out", str(made)], env=environment, capture_output=True, text=True
+    )
+    if run.returncode:
+        raise ValueError(f"the twin cannot be calibrated: {run.stderr.strip()[-300:]}")
+    known = load_twin(made)
+    save_twin(known.model_copy(update={"road": RoadFile(file=folder / "road.crg")}), twin)
+    for kept in sealed.glob("calibrated*"):
+        kept.unlink()
 
 
 def _resonance(world: World, effect: str, own: Mapping[str, float]) -> float:
@@ -111,7 +144,7 @@ def _resonance(world: World, effect: str, own: Mapping[str, float]) -> float:
 
 
 def _floor(spec: Spec) -> list[float]:
-    return [float(f"{v:.4g}") for v in _scale(spec.world, spec.msd).floor]
+    return [float(f"{v:.4g}") for v in _scale(spec.world, spec.msd, spec.scene).floor]
 
 
 def _times(motion: Motion, world: World, stretch: tuple[float, float], start: float) -> list[float]:

@@ -8,7 +8,7 @@ import math
 from numba import njit
 
 from blind import multibody_forces as mf
-from blind.multibody_forces import footing, strut
+from blind.multibody_forces import braked_by, driven_by, footing, hooked, roll_on, strut, tyre
 
 #: Numbers of each linkage: its axis, the place from the wheel that this goes through, and its progression.
 AX, AY, AZ, FX, FY, FZ, PROG = range(7)
@@ -62,6 +62,11 @@ def apply(t, motion, lever, bars, control, n, w, keep, spin, travel, tables, rea
         aim = math.atan2(turned[b, 3], turned[b, 0]) + (steer if i < 2 else 0.0)
         ca, sa = math.cos(aim), math.sin(aim)
         height, rise, lean = footing(px, py, ca, sa, i, n, keep, road)
+        height -= roll_on(i, spin[SPIN, i], n, w, keep)
+        over_body = moving[0, 5] + moving[0, 0] * (py - at[0, 1]) - moving[0, 1] * (px - at[0, 0])
+        _, rises = lift(i, qpos[8 + 2 * i], lever)
+        pace = rises * qvel[7 + 2 * i]
+        applied[7 + 2 * i] -= hooked(i, over_body, over_body + pace, pace, n, w, keep) * rises
         arm = height - pz
         # the wheel's middle, then the tyre's foot, which leans with the body but does not turn with the spin
         wx, wy = moving[b, 0], moving[b, 1]
@@ -72,7 +77,7 @@ def apply(t, motion, lever, bars, control, n, w, keep, spin, travel, tables, rea
         normal = 0.0
         if depth > 0.0:
             normal = max(
-                n[mf.TYRE] * depth + w[mf.TYRE_DAMPING, i] * (rise * ahead_of + lean * across - qz), 0.0
+                tyre(i, n, w) * depth + w[mf.TYRE_DAMPING, i] * (rise * ahead_of + lean * across - qz), 0.0
             )
         rolled = spin[SPIN, i] * -arm
         over = max(abs(rolled), abs(ahead_of))
@@ -86,16 +91,14 @@ def apply(t, motion, lever, bars, control, n, w, keep, spin, travel, tables, rea
         on = min(max(on, -GRIP * normal), GRIP * normal)
         side = min(max(side, -GRIP * normal), GRIP * normal)
         # engine and brake as forces at the foot, of a wheel of the nominal radius
-        share = 0.5 if (i < 2) == (n[mf.DRIVEN] == 0.0) else 0.0
-        driven = share * drive * n[mf.RADIUS]
-        most = (0.33 if i < 2 else 0.17) * brake * n[mf.RADIUS]
+        driven = driven_by(i, drive, t, ahead_of < 6.0, n) * n[mf.RADIUS]
+        most = braked_by(i, brake, n, keep) * n[mf.RADIUS]
         free = spin[SPIN, i] + (driven + on * arm) / SPIN_INERTIA * dt
         braked = min(max(free * SPIN_INERTIA / dt, -most), most)
         spin[SPIN, i] = free - braked / SPIN_INERTIA * dt
         up = normal + on * rise + side * lean
         ahead, left = on - normal * rise, side - normal * lean
         if w[mf.IMBALANCE, i] > 0.0:
-            keep[mf.TURNED, i] += spin[SPIN, i] * dt
             own = w[mf.IMBALANCE, i] * spin[SPIN, i] ** 2
             up += own * math.sin(keep[mf.TURNED, i] + w[mf.PHASE, i])
             ahead += own * math.cos(keep[mf.TURNED, i] + w[mf.PHASE, i])

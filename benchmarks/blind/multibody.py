@@ -16,7 +16,7 @@ from extras import missing
 from scipy.signal import lfilter
 
 from blind import multibody_forces as mf
-from blind.newton import Faults, Motion, rotate
+from blind.newton import ENGINE, PLACES, Faults, Motion, rotate
 from blind.world import DAMPER_REACH, SPRING_N, SPRING_REACH, START, Car, Floats, G, Plan, World
 
 try:
@@ -91,6 +91,7 @@ def stand(world: World, plan: Plan, f: Faults, corners: tuple[str, str], part: f
     model = mujoco.MjModel.from_xml_string(_xml(car, centre, place - centre, f, corners))
     data = mujoco.MjData(model)
     numbers, wheel, keep = _numbers(world, car, part, f)
+    wheel[mf.PHASE] += f.get("wheel_imbalance", {}).get("turned", 0.0) * (plan.start % 6.28)
     i = round(START / surface.du)
     heading = float(surface.heading[i])
     x, y = surface.to_map(np.array([START]), np.array([plan.lane]))[0]
@@ -127,7 +128,11 @@ def _slides(car: Car, part: float, centre: Floats, f: Faults) -> tuple[str, str]
 
 def _xml(car: Car, centre: Floats, phone: Floats, f: Faults, corners: tuple[str, str]) -> str:
     mass, inertia, at = car.mass - car.unsprung().sum(), np.array(car.sprung_inertia), np.zeros(3)
-    more = ""
+    more, riding = _riders(centre, f)
+    for part, where in riding:  # a part of the sprung mass that rides on its own
+        rest = mass - part
+        at = at - part / rest * (where - at)
+        mass = rest
     if "powertrain_mount" in f:
         own = f["powertrain_mount"]
         stiffness = own["mass"] * (2 * math.pi * own["frequency"]) ** 2
@@ -162,6 +167,28 @@ def _xml(car: Car, centre: Floats, phone: Floats, f: Faults, corners: tuple[str,
       <sensor><accelerometer site="phone"/><gyro site="phone"/></sensor></mujoco>"""
 
 
+def _riders(centre: Floats, f: Faults) -> tuple[str, list[tuple[float, Floats]]]:
+    """Bodies in the chassis that are loose, as XML, and their masses and places from the centre."""
+    bodies, riding = "", []
+    if "loose_mass" in f:
+        own = f["loose_mass"]
+        where = np.array([own["x"], own["y"], centre[2]]) - centre
+        bodies += f"""<body name="loose" pos="{text(where)}"><joint type="slide" axis="0 0 1" limited="true"
+            range="0 {own["gap"]:.9g}" solreflimit="0.012 0.4"/>
+            <inertial pos="0 0 0" mass="{own["mass"]:.9g}" diaginertia="0.3 0.3 0.3"/></body>"""
+        riding.append((own["mass"], where))
+    if "fuel_slosh" in f:
+        own = f["fuel_slosh"]
+        where = np.array([0.4, 0.0, 0.45]) - centre
+        stiffness = own["mass"] * (2 * math.pi * own["frequency"]) ** 2
+        damping = 2 * 0.03 * math.sqrt(stiffness * own["mass"])
+        spring = f'type="slide" stiffness="{stiffness:.9g}" damping="{damping:.9g}"'
+        bodies += f"""<body name="fuel" pos="{text(where)}"><joint {spring} axis="1 0 0"/><joint {spring} axis="0 1 0"/>
+            <inertial pos="0 0 0" mass="{own["mass"]:.9g}" diaginertia="2 2 2"/></body>"""
+        riding.append((own["mass"], where))
+    return bodies, riding
+
+
 def _numbers(world: World, car: Car, part: float, f: Faults) -> tuple[Floats, Floats, Floats]:
     back = world.background
     n, w, keep = np.zeros(mf.NUMBERS), np.zeros((mf.BY_WHEEL, 4)), np.zeros((mf.STATES, 4))
@@ -183,7 +210,13 @@ def _numbers(world: World, car: Car, part: float, f: Faults) -> tuple[Floats, Fl
     loads = car.loads() - car.unsprung() * (1.0 - part) * G
     fine = np.linspace(0.0, SPRING_REACH, SPRING_N + 1)
     w[mf.SINK] = loads / n[mf.TYRE]
-    w[mf.SPRING] = w[mf.DAMPER] = w[mf.BUMP_GAP] = w[mf.REBOUND_GAP] = 1.0
+    w[mf.SPRING] = w[mf.DAMPER] = w[mf.BUMP_GAP] = w[mf.REBOUND_GAP] = w[mf.PRESSURE] = 1.0
+    for name, first, keys in (
+        ("brake_judder", mf.JUDDER, ("depth", "turns")),
+        ("clutch_judder", mf.CLUTCH, ("depth", "pitch")),
+    ):
+        if name in f:
+            n[first], n[first + 1] = (f[name][key] for key in keys)
     w[mf.TYRE_DAMPING] = back.tyre_damping + f.get("tyre_damping", {}).get("damping", 0.0)
     for i in range(4):
         axle = "front" if i < 2 else "rear"
@@ -191,6 +224,13 @@ def _numbers(world: World, car: Car, part: float, f: Faults) -> tuple[Floats, Fl
         w[mf.REST, i] = np.interp(loads[i] - car.unsprung()[i] * part * G, strut.spring, fine)
         w[mf.FRICTION, i] = back.friction[i // 2] + f.get("strut_friction", {}).get(f"{axle}_force", 0.0)
         w[mf.MOUNT, i] = f.get("top_mount", {}).get(f"{axle}_stiffness", 0.0)
+        w[mf.WORN, i] = f.get("worn_dampers", {}).get(axle, 0.0)
+        sag = f.get("spring_sag", {}).get(axle, 0.0)
+        w[mf.REST, i] -= sag
+        w[mf.SPRING, i] *= 1.0 + f.get("spring_sag", {}).get("rate", 0.0) * sag
+        if "semi_active_damper" in f:
+            own = f["semi_active_damper"]
+            w[mf.SKY if own["law"] == 0.0 else mf.HOOK, i] = own[axle]
         for name, gap, rate in (
             ("bump_stop", mf.BUMP_GAP, mf.BUMP),
             ("rebound_stop", mf.REBOUND_GAP, mf.REBOUND),
@@ -203,6 +243,10 @@ def _numbers(world: World, car: Car, part: float, f: Faults) -> tuple[Floats, Fl
     if "wheel_imbalance" in f:
         own = f["wheel_imbalance"]
         w[mf.IMBALANCE, int(own["corner"])], w[mf.PHASE, int(own["corner"])] = own["moment"], own["phase"]
+    if "tyre_pressure" in f:
+        w[mf.PRESSURE, PLACES[int(f["tyre_pressure"]["corner"])]] = 1.0 + f["tyre_pressure"]["change"]
+    if "flat_spot" in f:
+        w[mf.DENT, int(f["flat_spot"]["corner"])] = f["flat_spot"]["depth"]
     return n, w, keep
 
 
@@ -243,6 +287,19 @@ def _wind(own: Mapping[str, float], plan: Plan) -> Floats:
     return np.asarray(own["force"] * slow * [0.4, 1.0])
 
 
+def _squalls(own: Mapping[str, float], plan: Plan) -> Floats:
+    """(n, 2) N of side force and lift every step: gaps in a row of trees, each with a rise, a hold and a fall."""
+    rng = np.random.default_rng([int(1e4 * own["phase"]), int(plan.start), 3])
+    t = np.arange(round(plan.seconds / STEP) + 1) * STEP
+    side, at = np.zeros(t.size), float(rng.uniform(0.5, 2.0))
+    while at < t[-1]:
+        hold, ramp = rng.uniform(0.3, 1.2), rng.uniform(0.15, 0.4)
+        shape = np.interp(t, [at, at + ramp, at + ramp + hold, at + 2 * ramp + hold], [0.0, 1.0, 1.0, 0.0])
+        side += rng.choice([-1.0, 1.0]) * rng.uniform(0.5, 1.0) * shape
+        at += 2 * ramp + hold + rng.uniform(0.5, 2.5)
+    return np.asarray(own["force"] * side[:, None] * [1.0, 0.05])
+
+
 def tables_of(car: Car) -> tuple[Floats, ...]:
     """Springs', pushes' and pulls' tables, (2, n) each: front and rear."""
     return tuple(np.array([getattr(car.front, k), getattr(car.rear, k)]) for k in ("spring", "push", "pull"))
@@ -277,9 +334,12 @@ def drive(
     matrix, control = data.xmat[1].reshape(3, 3), (0.0, 0.0, 4500.0)
     gain = f.get("body_bending", {}).get("gain", 0.0)
     mode = model.joint("mode").dofadr[0] if gain else 0
-    shake, angle = f.get("engine_order", {}).get("force", 0.0), 0.0
+    engine = ENGINE | f.get("engine_order", {})
+    shake, angle = engine.get("force", 0.0), 0.0
     arm = car.wheelbase - centre[0]
     wind = _wind(f["gusts"], plan) if "gusts" in f else np.zeros((0, 2))
+    if "crosswind" in f:
+        wind = _squalls(f["crosswind"], plan)
     for step in range(-settle, count * every):
         t = step * STEP
         if step % 10 == 0:
@@ -291,7 +351,8 @@ def drive(
         act(t, control)
         if shake:
             v = max(speed, 0.0)
-            angle += STEP * math.pi * (13.0 + (v * 1.1 if v < 6.0 else v * 0.65))
+            rise = engine["low"] if v < engine["shift"] else engine["high"]
+            angle += STEP * 2.0 * math.pi * max(engine["idle"] + rise * v, engine["floor"])
             push = shake * math.sin(angle)
             data.xfrc_applied[1, :3] += push * matrix[:, 2]
             data.xfrc_applied[1, 3:] -= arm * push * matrix[:, 1]

@@ -8,8 +8,26 @@ import math
 from numba import njit
 
 #: Numbers of the whole car.
-RADIUS, TYRE, GRIP, DRIVEN, PLAY, VOID, FADE, FADE_T, CUBIC, PATCH, POINTS, DT, GROOVE = range(13)
-NUMBERS = 13
+(
+    RADIUS,
+    TYRE,
+    GRIP,
+    DRIVEN,
+    PLAY,
+    VOID,
+    FADE,
+    FADE_T,
+    CUBIC,
+    PATCH,
+    POINTS,
+    DT,
+    GROOVE,
+    JUDDER,
+    TURNS,
+    CLUTCH,
+    CLUTCH_PITCH,
+) = range(17)
+NUMBERS = 17
 #: Numbers by wheel, and the states that a wheel keeps from step to step.
 (
     REST,
@@ -25,10 +43,16 @@ NUMBERS = 13
     TYRE_DAMPING,
     IMBALANCE,
     PHASE,
-) = range(13)
-BY_WHEEL = 13
-STICK, STRETCH, HOLLOW, TURNED, LAST_U = range(5)
-STATES = 5
+    PRESSURE,
+    SKY,
+    HOOK,
+    DENT,
+    WORN,
+) = range(18)
+BY_WHEEL = 18
+STICK, STRETCH, HOLLOW, TURNED, LAST_U, VALVE = range(6)
+STATES = 6
+LAG = 0.006  # s that a valve takes
 STICKING = 2.5e5  # N/m of a strut that does not slip
 FOAM = 0.018  # m over which a stop hardens
 
@@ -94,6 +118,56 @@ def slower(table, force, reach):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True)
+def hooked(i, body, wheel, v, n, w, keep):  # type: ignore[no-untyped-def]
+    """Force on wheel i along its travel of a damper whose valve follows the body's or the wheel's velocity with a lag:
+    its coefficient is kept, and is never below nothing."""
+    if w[SKY, i] == 0.0 and w[HOOK, i] == 0.0:
+        return 0.0
+    wanted = -w[SKY, i] * body + w[HOOK, i] * wheel
+    rate = v if abs(v) > 0.01 else math.copysign(0.01, v)
+    most = 3.0 * max(w[SKY, i], w[HOOK, i])
+    coefficient = min(max(wanted / rate, 0.0), most)
+    keep[VALVE, i] += (coefficient - keep[VALVE, i]) * n[DT] / LAG
+    return keep[VALVE, i] * v
+
+
+@njit(cache=True)
+def roll_on(i, spin, n, w, keep):  # type: ignore[no-untyped-def]
+    """Turn wheel i on by a step; m by which a flat spot is under it."""
+    keep[TURNED, i] += spin * n[DT]
+    if w[DENT, i] == 0.0:
+        return 0.0
+    turns = (keep[TURNED, i] + w[PHASE, i]) / (2.0 * math.pi)
+    angle, half = 2.0 * math.pi * (turns - math.floor(turns + 0.5)), 0.15
+    return w[DENT, i] * (1.0 - (angle / half) ** 2) if abs(angle) < half else 0.0
+
+
+@njit(cache=True)
+def braked_by(i, brake, n, keep):  # type: ignore[no-untyped-def]
+    """Brake force on wheel i of the whole car's, with a disc of uneven thickness in front."""
+    share = 0.33 if i < 2 else 0.17
+    if n[JUDDER] > 0.0 and i < 2:
+        share *= 1.0 + n[JUDDER] * math.sin(n[TURNS] * keep[TURNED, 0])
+    return share * brake
+
+
+@njit(cache=True)
+def driven_by(i, drive, t, slow, n):  # type: ignore[no-untyped-def]
+    """Drive force on wheel i of the whole car's; a clutch that grabs shakes it while the car is slow."""
+    if (i < 2) != (n[DRIVEN] == 0.0):
+        return 0.0
+    if n[CLUTCH] > 0.0 and slow:
+        drive *= 1.0 + n[CLUTCH] * math.copysign(1.0, math.sin(n[CLUTCH_PITCH] * t)) * 0.8
+    return 0.5 * drive
+
+
+@njit(cache=True)
+def tyre(i, n, w):  # type: ignore[no-untyped-def]
+    """N/m of a tyre: its air and its carcass."""
+    return n[TYRE] * w[PRESSURE, i] ** 0.72
+
+
+@njit(cache=True)
 def strut(i, s, v, t, n, w, keep, springs, pushes, pulls, spring_reach, damper_reach):  # type: ignore[no-untyped-def]
     """Force along the slide on wheel i, and its kept states one step on."""
     axle, dt = i // 2, n[DT]
@@ -130,7 +204,9 @@ def strut(i, s, v, t, n, w, keep, springs, pushes, pulls, spring_reach, damper_r
             keep[HOLLOW, i] = max(keep[HOLLOW, i] + v * dt, 0.0)
             return force
     if v >= 0.0:
-        return force + scale * lookup(pushes[axle], v, damper_reach)
+        # a worn valve holds the push a little better than the pull
+        return force + scale * (1.0 - 0.93 * w[WORN, i]) * lookup(pushes[axle], v, damper_reach)
+    scale *= 1.0 - w[WORN, i]
     return force - scale * lookup(pulls[axle], -v, damper_reach)
 
 
@@ -151,26 +227,29 @@ def apply(t, qpos, qvel, xmat, xpos, axes, control, n, w, keep, tables, reaches,
         aim = facing + (steer if i < 2 else 0.0)
         ca, sa = math.cos(aim), math.sin(aim)
         height, rise, lean = footing(px, py, ca, sa, i, n, keep, road)
+        height -= roll_on(i, (qvel[0] * ca + qvel[1] * sa) / n[RADIUS], n, w, keep)
         dx, dy, dz = px - qpos[0], py - qpos[1], pz - qpos[2]
         qx = qvel[0] + wy * dz - wz * dy + v * axes[i, 0]
         qy = qvel[1] + wz * dx - wx * dz + v * axes[i, 1]
-        qz = qvel[2] + wx * dy - wy * dx + v * axes[i, 2]
+        over = qvel[2] + wx * dy - wy * dx
+        qz = over + v * axes[i, 2]
+        applied[6 + i] -= hooked(i, over, qz, v, n, w, keep)
         arm = height - pz
         fx, fy = qx + wy * arm, qy - wx * arm  # of the tyre's foot
         along, across = fx * ca + fy * sa, -fx * sa + fy * ca
         depth = height + n[RADIUS] + w[SINK, i] - pz
         normal = 0.0
         if depth > 0.0:
-            normal = max(n[TYRE] * depth + w[TYRE_DAMPING, i] * (rise * along + lean * across - qz), 0.0)
+            normal = max(
+                tyre(i, n, w) * depth + w[TYRE_DAMPING, i] * (rise * along + lean * across - qz), 0.0
+            )
         side = -normal * min(max(n[GRIP] * math.atan(across / (abs(along) + 0.8)), -0.9), 0.9)
-        share = 0.5 if (i < 2) == (n[DRIVEN] == 0.0) else 0.0
-        on = share * drive - (0.33 if i < 2 else 0.17) * brake * math.tanh(along / 0.03)
+        on = driven_by(i, drive, t, along < 6.0, n) - braked_by(i, brake, n, keep) * math.tanh(along / 0.03)
         on = min(max(on, -0.9 * normal), 0.9 * normal)
         up = normal + on * rise + side * lean
         ahead, left = on - normal * rise, side - normal * lean
         if w[IMBALANCE, i] > 0.0:
             spin = along / n[RADIUS]
-            keep[TURNED, i] += spin * n[DT]
             up += w[IMBALANCE, i] * spin * spin * math.sin(keep[TURNED, i] + w[PHASE, i])
             ahead += w[IMBALANCE, i] * spin * spin * math.cos(keep[TURNED, i] + w[PHASE, i])
         gx, gy = ahead * ca - left * sa, ahead * sa + left * ca

@@ -19,6 +19,10 @@ from blind.world import SPRING_N, SPRING_REACH, START, Car, Floats, G, Plan, Wor
 STEP = 1e-3  # s
 SETTLE = 3.0  # s of standing before the clock starts
 Faults = dict[str, dict[str, float]]
+#: Wheels of each place of a tyre's pressure: one, an axle, all.
+PLACES = ([0], [1], [2], [3], [0, 1], [2, 3], [0, 1, 2, 3])
+#: Half an order of an engine: Hz at idle, 1/m in a low and a high gear, m/s of the shift, Hz that it never falls below.
+ENGINE = {"idle": 6.5, "low": 0.55, "high": 0.325, "shift": 6.0, "floor": 0.0}
 
 
 @dataclass(frozen=True, eq=False)
@@ -81,7 +85,9 @@ def run(world: World, plan: Plan, faults: Faults | None = None, step: float = ST
     standing = car  # springs and tyres were chosen for this load
     car = loaded(car, f.get("payload"))
     n, c, sink = _numbers(world, standing, car, f)
+    c[k.PHASE] += f.get("wheel_imbalance", {}).get("turned", 0.0) * (plan.start % 6.28)
     n[k.GUST_PHASE] = f.get("gusts", {}).get("phase", 0.0) + plan.start % 6.28  # no wind blows twice
+    n[k.SQUALL_PHASE] = f.get("crosswind", {}).get("phase", 0.0) + plan.start % 6.28
     centre = _body_centre(car, f)
     place = np.array(phone.place) + phone.misplaced
     if "sensor_offset" in f:
@@ -142,9 +148,9 @@ def rotate(q: Floats, v: Floats) -> Floats:
 
 
 def _numbers(world: World, standing: Car, car: Car, f: Faults) -> tuple[Floats, Floats, Floats]:
-    """(NUMBERS,) and (18, 5) numbers of the kernel, and (4,) m that the tyres give at rest."""
+    """(NUMBERS,) and (BY_CORNER, 5) numbers of the kernel, and (4,) m that the tyres give at rest."""
     back = world.background
-    n, c = np.zeros(k.NUMBERS), np.zeros((18, 5))
+    n, c = np.zeros(k.NUMBERS), np.zeros((k.BY_CORNER, 5))
     unsprung = car.unsprung()
     centre = _body_centre(car, f)
     n[k.MASS] = car.mass - unsprung.sum()
@@ -165,7 +171,7 @@ def _numbers(world: World, standing: Car, car: Car, f: Faults) -> tuple[Floats, 
         strut = car.front if i < 2 else car.rear
         c[k.REST, i] = np.interp(loads[i] - standing.unsprung()[i] * G, strut.spring, fine)
         c[k.FRICTION, i] = back.friction[i // 2]
-    c[k.SPRING] = c[k.DAMPER] = 1.0
+    c[k.SPRING] = c[k.DAMPER] = c[k.PRESSURE] = 1.0
     c[k.BUMP_GAP] = c[k.REBOUND_GAP] = 1.0
     c[k.TYRE_DAMPING] = back.tyre_damping
     n[k.FADE_T] = n[k.WEIGHT] = n[k.BEND_W] = 1.0
@@ -189,6 +195,15 @@ def _struts(n: Floats, c: Floats, f: Faults) -> None:
             c[k.MOUNT, i] = f["top_mount"][f"{axle}_stiffness"]
         if "anti_roll_bar" in f:
             c[k.BAR, i] = f["anti_roll_bar"][f"{axle}_stiffness"]
+        if "worn_dampers" in f:
+            c[k.DAMPER, i] *= 1.0 - f["worn_dampers"][axle]
+        if "spring_sag" in f:
+            sag = f["spring_sag"][axle]
+            c[k.REST, i] -= sag
+            c[k.SPRING, i] *= 1.0 + f["spring_sag"]["rate"] * sag
+        if "semi_active_damper" in f:
+            own = f["semi_active_damper"]
+            c[k.SKY if own["law"] == 0.0 else k.HOOK, i] = own[axle]
     for name, row in (("corner_spring", k.SPRING), ("corner_damper", k.DAMPER)):
         if name in f:
             c[row, int(f[name]["corner"])] *= 1.0 + f[name]["change"]
@@ -198,11 +213,22 @@ def _struts(n: Floats, c: Floats, f: Faults) -> None:
     if "wheel_imbalance" in f:
         own = f["wheel_imbalance"]
         c[k.IMBALANCE, int(own["corner"])], c[k.PHASE, int(own["corner"])] = own["moment"], own["phase"]
+    if "tyre_pressure" in f:
+        c[k.PRESSURE, PLACES[int(f["tyre_pressure"]["corner"])]] = 1.0 + f["tyre_pressure"]["change"]
+    if "flat_spot" in f:
+        c[k.DENT, int(f["flat_spot"]["corner"])] = f["flat_spot"]["depth"]
     n[k.VOID] = f.get("damper_cavitation", {}).get("void", 0.0)
     n[k.PLAY] = f.get("loose_ball_joint", {}).get("play", 0.0)
     n[k.CUBIC] = f.get("cubic_spring", {}).get("rate", 0.0)
     n[k.GROOVE] = f.get("position_sensitive_damper", {}).get("rise", 0.0)
     n[k.GUST] = f.get("gusts", {}).get("force", 0.0)
+    n[k.SQUALL] = f.get("crosswind", {}).get("force", 0.0)
+    for name, first, keys in (
+        ("brake_judder", k.JUDDER, ("depth", "turns")),
+        ("clutch_judder", k.CLUTCH, ("depth", "pitch")),
+    ):
+        if name in f:
+            n[first], n[first + 1] = (f[name][key] for key in keys)
 
 
 def _body(n: Floats, c: Floats, car: Car, f: Faults, centre: Floats, loads: Floats) -> None:
@@ -230,4 +256,13 @@ def _body(n: Floats, c: Floats, car: Car, f: Faults, centre: Floats, loads: Floa
         n[k.IY] -= taken
         n[k.IZ] -= taken
     if "engine_order" in f:
-        n[k.ORDER_FORCE], n[k.ORDER_X] = f["engine_order"]["force"], car.wheelbase - centre[0]
+        own = ENGINE | f["engine_order"]
+        n[k.ORDER_FORCE], n[k.ORDER_X] = own["force"], car.wheelbase - centre[0]
+        n[k.ORDER_IDLE : k.ORDER_FLOOR + 1] = [own[a] for a in ("idle", "low", "high", "shift", "floor")]
+    if "loose_mass" in f:
+        own = f["loose_mass"]
+        n[k.LOOSE_MASS : k.LOOSE_Y + 1] = own["mass"], own["gap"], own["x"] - centre[0], own["y"]
+    if "fuel_slosh" in f:
+        own = f["fuel_slosh"]
+        n[k.SLOSH_MASS], n[k.SLOSH_W] = own["mass"], 2 * math.pi * own["frequency"]
+        n[k.SLOSH_Z], n[k.SLOSH_X] = 0.45 - centre[2], 0.4 - centre[0]

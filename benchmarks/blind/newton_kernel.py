@@ -48,8 +48,27 @@ from blind.world import DAMPER_N, DAMPER_REACH, SPRING_N, SPRING_REACH, Floats, 
     GROOVE,
     GUST,
     GUST_PHASE,
-) = range(28)
-NUMBERS = 28
+    ORDER_IDLE,
+    ORDER_LOW,
+    ORDER_HIGH,
+    ORDER_SHIFT,
+    ORDER_FLOOR,
+    JUDDER,
+    JUDDER_TURNS,
+    CLUTCH,
+    CLUTCH_PITCH,
+    SQUALL,
+    SQUALL_PHASE,
+    LOOSE_MASS,
+    LOOSE_GAP,
+    LOOSE_X,
+    LOOSE_Y,
+    SLOSH_MASS,
+    SLOSH_W,
+    SLOSH_Z,
+    SLOSH_X,
+) = range(47)
+NUMBERS = 47
 # Rows of the numbers by corner (columns: four wheels and the engine).
 (
     X,
@@ -70,10 +89,15 @@ NUMBERS = 28
     IMBALANCE,
     PHASE,
     SHAPE,
-) = range(18)
+    PRESSURE,
+    SKY,
+    HOOK,
+    DENT,
+) = range(22)
+BY_CORNER = 22
 # The state: place, quaternion, velocity (body axes), spin, sliders, their rates, bristles, mounts, voids, mode,
-# wheel and engine angle.
-AT, TURN, GO, SPIN, SLIDE, RATE, BRISTLE, STRETCH, HOLLOW, MODE, ANGLE = (
+# wheel and engine angle, a loose mass above its floor, fuel ahead and left of its tank's middle.
+AT, TURN, GO, SPIN, SLIDE, RATE, BRISTLE, STRETCH, HOLLOW, MODE, ANGLE, LOOSE, FUEL = (
     0,
     3,
     7,
@@ -85,12 +109,20 @@ AT, TURN, GO, SPIN, SLIDE, RATE, BRISTLE, STRETCH, HOLLOW, MODE, ANGLE = (
     31,
     35,
     37,
+    39,
+    41,
 )
-STATES = 39
+STATES = 45
 BREAK = 7e-4  # m that a strut gives way before it slips
 FASTEST = 0.6  # m/s
 STRIBECK, STRIBECK_SPEED = 1.25, 0.02
 UPPER = 0.02  # m of a stop's foam
+RATTLE, RATTLE_DAMPING = (
+    160.0,
+    0.15,
+)  # rad/s at which a loose mass bounces off its tray, and its damping ratio
+SPLASH = 0.04  # damping ratio of fuel in a tank without baffles
+FLAT = 0.12  # rad of half a flat spot
 PLATEAU = 0.03  # m of travel from which a damper with grooves has left them behind
 
 
@@ -207,6 +239,20 @@ def _gust(t: float, phase: float) -> float:
 
 
 @njit(cache=True)
+def _squall(t: float, phase: float) -> float:
+    """Single gusts from the side, one in every 3.7 s, each with a length and a side of its own; at most 1."""
+    number = math.floor(t / 3.7)
+    draw = math.sin(12.9898 * (number + 1.0) + phase) * 43758.5453
+    draw -= math.floor(draw)
+    lasts = 0.7 + 1.6 * draw
+    into = (t - 3.7 * number - 0.6) / lasts
+    if t < 0.0 or into < 0.0 or into > 1.0:
+        return 0.0
+    side = 1.0 if math.sin(78.233 * (number + 1.0) + phase) > 0.0 else -1.0
+    return side * (0.6 + 0.4 * draw) * 0.5 * (1.0 - math.cos(2.0 * math.pi * into))
+
+
+@njit(cache=True)
 def _rates(t, y, dy, n, c, springs, pushes, pulls, ground, seen, room, control, r, a6, b6, pushed, out):  # type: ignore[no-untyped-def]
     """dy/dt, and in ``out`` the phone's specific force and rate (6)."""
     dy[:] = 0.0
@@ -223,6 +269,9 @@ def _rates(t, y, dy, n, c, springs, pushes, pulls, ground, seen, room, control, 
         a6[i, i] = m
     a6[3, 3], a6[4, 4], a6[5, 5] = n[IX], n[IY], n[IZ]
     b6[0], b6[1], b6[2] = m * gx, m * gy, m * gz
+    if n[SLOSH_MASS] > 0.0:  # fuel goes up and down with the body, and not along and across
+        a6[0, 0] = a6[1, 1] = m - n[SLOSH_MASS]
+        b6[0], b6[1] = a6[0, 0] * gx, a6[1, 1] * gy
     b6[3] = (n[IY] - n[IZ]) * wy * wz
     b6[4] = (n[IZ] - n[IX]) * wz * wx
     b6[5] = (n[IX] - n[IY]) * wx * wy
@@ -252,6 +301,11 @@ def _rates(t, y, dy, n, c, springs, pushes, pulls, ground, seen, room, control, 
             qz = r[2, 0] * bx + r[2, 1] * by + r[2, 2] * bz
             aim = math.atan2(r[1, 0], r[0, 0]) + (steer if i < 2 else 0.0)
             ca, sa = math.cos(aim), math.sin(aim)
+            if c[SKY, i] > 0.0 or c[HOOK, i] > 0.0:
+                # a valve that is opened by the velocity of body or wheel, where that takes energy out
+                body = qz - r[2, 2] * v
+                f += c[SKY, i] * body * 0.5 * (1.0 + math.tanh(-body * v / 4e-4))
+                f -= c[HOOK, i] * qz * 0.5 * (1.0 + math.tanh(qz * v / 4e-4))
             probe(ground, i, px, py, ca, sa, seen, room)
             h, hx, hy = seen[0], seen[1], seen[2]
             # Slip is that of the tyre's foot, which the body's roll and pitch carry along with it.
@@ -262,15 +316,25 @@ def _rates(t, y, dy, n, c, springs, pushes, pulls, ground, seen, room, control, 
             fy = qy + r[1, 0] * kx + r[1, 1] * ky + r[1, 2] * kz
             along, across = fx * ca + fy * sa, -fx * sa + fy * ca
             depth = h + n[RADIUS] + ground.sink[i] - pz
+            if c[DENT, i] > 0.0:
+                turned = (y[ANGLE] + c[PHASE, i]) / (2.0 * math.pi)
+                turned = 2.0 * math.pi * (turned - math.floor(turned + 0.5)) / FLAT
+                depth -= c[DENT, i] * math.exp(-turned * turned)
             normal = 0.0
             if depth > 0.0:
-                normal = n[TYRE] * depth * (1.0 + n[HARD] * depth) + c[TYRE_DAMPING, i] * (
+                stiff = n[TYRE] * (0.3 + 0.7 * c[PRESSURE, i])
+                normal = stiff * depth * (1.0 + n[HARD] * depth) + c[TYRE_DAMPING, i] * (
                     hx * qx + hy * qy - qz
                 )
                 normal = max(normal, 0.0)
             lateral = -0.95 * normal * math.tanh(math.atan2(across, abs(along) + 0.6) / 0.066)
             hold = 0.34 if i < 2 else 0.16
-            on = (0.5 * drive if (i < 2) == (n[DRIVEN] == 0.0) else 0.0) - hold * brake * math.tanh(
+            if n[JUDDER] > 0.0 and i < 2:
+                hold *= 1.0 + n[JUDDER] * math.sin(n[JUDDER_TURNS] * y[ANGLE])
+            push = drive
+            if n[CLUTCH] > 0.0 and vx < 6.0:
+                push *= 1.0 + n[CLUTCH] * math.sin(n[CLUTCH_PITCH] * t)
+            on = (0.5 * push if (i < 2) == (n[DRIVEN] == 0.0) else 0.0) - hold * brake * math.tanh(
                 along / 0.03
             )
             most = 0.9 * normal
@@ -332,6 +396,33 @@ def _rates(t, y, dy, n, c, springs, pushes, pulls, ground, seen, room, control, 
         b6[3] -= 0.6 * side
         b6[4] -= 0.4 * lift
         b6[5] += 0.4 * side
+    if n[SQUALL] > 0.0:
+        side = n[SQUALL] * _squall(t, n[SQUALL_PHASE])
+        b6[1] += side
+        b6[3] -= 0.7 * side
+        b6[5] += 0.5 * side
+    rattle = 0.0
+    if n[LOOSE_MASS] > 0.0:
+        place, pace = y[LOOSE], y[LOOSE + 1]
+        if place < 0.0:
+            rattle = max(-(RATTLE**2) * place - 2.0 * RATTLE_DAMPING * RATTLE * pace, 0.0)
+        elif place > n[LOOSE_GAP]:
+            over = place - n[LOOSE_GAP]
+            rattle = -max(RATTLE**2 * over + 2.0 * RATTLE_DAMPING * RATTLE * pace, 0.0)
+        # its weight at rest is part of the body's
+        press = n[LOOSE_MASS] * (G - rattle)
+        b6[2] += press
+        b6[3] += n[LOOSE_Y] * press
+        b6[4] -= n[LOOSE_X] * press
+    if n[SLOSH_MASS] > 0.0:
+        swing = 2.0 * SPLASH * n[SLOSH_W]
+        fx = n[SLOSH_MASS] * (n[SLOSH_W] ** 2 * y[FUEL] + swing * y[FUEL + 2])
+        fy = n[SLOSH_MASS] * (n[SLOSH_W] ** 2 * y[FUEL + 1] + swing * y[FUEL + 3])
+        b6[0] += fx
+        b6[1] += fy
+        b6[3] -= n[SLOSH_Z] * fy
+        b6[4] += n[SLOSH_Z] * fx
+        b6[5] += n[SLOSH_X] * fy
     _solve6(a6, b6)
     ax, ay, az, dx, dyy, dz = b6[0], b6[1], b6[2], b6[3], b6[4], b6[5]
     for i in range(5):
@@ -364,10 +455,17 @@ def _rates(t, y, dy, n, c, springs, pushes, pulls, ground, seen, room, control, 
             - 2 * n[BEND_Z] * n[BEND_W] * y[MODE + 1]
         )
         out[2] += n[BEND_GAIN] * dy[MODE + 1]
+    if n[LOOSE_MASS] > 0.0:
+        dy[LOOSE] = y[LOOSE + 1]
+        dy[LOOSE + 1] = rattle - (az + dx * n[LOOSE_Y] - dyy * n[LOOSE_X] - gz)
+    if n[SLOSH_MASS] > 0.0:
+        dy[FUEL], dy[FUEL + 1] = y[FUEL + 2], y[FUEL + 3]
+        dy[FUEL + 2] = -fx / n[SLOSH_MASS] - (ax + dyy * n[SLOSH_Z] - gx)
+        dy[FUEL + 3] = -fy / n[SLOSH_MASS] - (ay + dz * n[SLOSH_X] - dx * n[SLOSH_Z] - gy)
     dy[ANGLE] = vx / n[RADIUS]
-    # An engine's half order: idling, then up with the speed in its gears.
-    revs = 13.0 + max(vx, 0.0) * 1.1 if vx < 6.0 else 13.0 + vx * 0.65
-    dy[ANGLE + 1] = 2.0 * math.pi * 0.5 * revs
+    # An engine's order: idling, then up with the speed in its gears.
+    rise = n[ORDER_LOW] if vx < n[ORDER_SHIFT] else n[ORDER_HIGH]
+    dy[ANGLE + 1] = 2.0 * math.pi * max(n[ORDER_IDLE] + max(vx, 0.0) * rise, n[ORDER_FLOOR])
 
 
 @njit(cache=True)
@@ -499,3 +597,5 @@ def integrate(  # type: ignore[no-untyped-def]
             # Stand still the sooner: the motion left of being put down dies within a second.
             y[GO + 2] *= 0.995
             y[RATE : RATE + 5] *= 0.995
+            y[LOOSE + 1] *= 0.99
+            y[FUEL + 2 : FUEL + 4] *= 0.99

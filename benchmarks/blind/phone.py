@@ -7,9 +7,12 @@ low-pass, samples on a clock of its own with jitter, bias, noise, steps, and now
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
+from numba import njit
+from numpy.typing import NDArray
 from reality.sensors import Receiver, receiver_fixes
 from scipy.interpolate import CubicSpline
 from scipy.signal import bilinear, lfilter, lfilter_zi
@@ -57,11 +60,20 @@ def felt(motion: Motion, phone: Phone, faults: Faults, ideal: bool = False) -> F
             force[:, 2:], dt, own["frequency"], own["damping_ratio"], 2 * own["damping_ratio"] * w
         )
         force[:, 2:] += own["gain"] * (moved - force[:, 2:])
+    if "stick_slip_holder" in faults:
+        force[:, 2] = _stuck(force[:, 2], dt, faults["stick_slip_holder"]["grip"])
+    if "gyro_g_sensitivity" in faults:
+        own = faults["gyro_g_sensitivity"]
+        coupling = np.array([[own[f"{a}{b}"] for b in "xyz"] for a in "xyz"])
+        rate = rate + (force - [0.0, 0.0, G]) @ coupling.T
     turn = Rotation.identity() if ideal else Rotation.from_euler("xyz", phone.askew)
     if "sensor_tilt" in faults:
         turn = turn * Rotation.from_euler("xyz", [faults["sensor_tilt"][a] for a in ("roll", "pitch", "yaw")])
     mount = Rotation.from_euler("xyz", phone.rpy)
     force, rate = (mount.apply(turn.inv().apply(v), inverse=True) for v in (force, rate))
+    if "vibration_rectification" in faults:
+        # the sensing mass leans on a spring that is softer the further it is: squares do not average out
+        force = force + faults["vibration_rectification"]["square"] * (force - force[:1]) ** 2
     if "sensor_clipping" in faults:
         reach = faults["sensor_clipping"]["range"]
         force = np.clip(force, -reach, reach)
@@ -71,7 +83,54 @@ def felt(motion: Motion, phone: Phone, faults: Faults, ideal: bool = False) -> F
         force, rate = (_second_order(v, dt, cutoff, 0.75, 0.0) for v in (force, rate))
     if not ideal:
         force, rate = (_second_order(v, dt, CHIP, 0.7071, 0.0) for v in (force, rate))
+    if "held_samples" in faults:
+        # a driver that hands the same sample out until it has another one
+        every = 1.0 / faults["held_samples"]["rate"]
+        held = np.minimum((np.floor(motion.t / every) * every / dt).astype(int), motion.t.size - 1)
+        force, rate = force[held], rate[held]
     return Felt(motion.t, mount.apply(force), mount.apply(rate))
+
+
+@njit(cache=True)
+def _stuck(force: Floats, dt: float, grip: float) -> Floats:
+    """(n,) vertical specific force of a phone in a clamp that holds up to ``grip`` m/s² beyond gravity and slides with
+    0.8 of it until it is carried along again; a rubber foot brings it back."""
+    out, moving, pace, place = force.copy(), False, 0.0, 0.0
+    for i in range(force.size):
+        wanted = force[i] - G
+        back = -900.0 * place - 8.0 * pace
+        if not moving and abs(wanted) > grip:
+            moving = True
+        if moving:
+            # pace of the clamp against the phone
+            side = 1.0 if wanted > 0.0 else -1.0
+            if abs(pace) > 1e-4:
+                side = 1.0 if pace > 0.0 else -1.0
+            given = 0.8 * grip * side - back
+            out[i] = G + given
+            before = pace
+            pace += dt * (wanted - given)
+            place += dt * pace
+            if before * pace < 0.0 and abs(wanted) < grip:
+                moving, pace = False, 0.0
+        else:
+            place *= 1.0 - 0.5 * dt
+    return out
+
+
+def lost_time(own: Mapping[str, float], t: Floats, seed: int) -> tuple[Floats, NDArray[np.bool_]]:
+    """(n,) s by which stamps at ``t`` are early, and which samples are missing: a logger that loses a few in a row now
+    and then stamps the next ones as if none were missing, until it asks the clock again."""
+    rng = np.random.default_rng([seed, 13])
+    early, gone, at = np.zeros(t.size), np.zeros(t.size, dtype=np.bool_), float(rng.uniform(1.0, 2.5))
+    asked = 0.0
+    while at < t[-1]:
+        lasts = float(own["seconds"] * rng.uniform(0.5, 1.5))
+        gone |= (t >= at) & (t < at + lasts)
+        until = asked + own["every"] * np.ceil((at + lasts - asked) / own["every"])
+        early[(t >= at + lasts) & (t < until)] += lasts
+        at += lasts + float(rng.uniform(1.0, 3.5))
+    return early, gone
 
 
 def record(world: World, plan: Plan, motion: Motion, faults: Faults, name: str) -> Drive:
@@ -98,6 +157,9 @@ def record(world: World, plan: Plan, motion: Motion, faults: Faults, name: str) 
         + (phone.jitter if JITTER is None else JITTER) * np.clip(draw[:, 6], -3, 3)
     )
     kept = rng.random(count) >= phone.lost
+    if "compressed_time" in faults:
+        early, gone = lost_time(faults["compressed_time"], when, plan.seed)
+        stamps, kept = stamps - early, kept & ~gone
     imu = ImuData(stamps[kept], sample[kept, :3], sample[kept, 3:])
     antenna = motion.place + rotate(motion.turn, np.broadcast_to(world.antenna, motion.place.shape))
     stride = 2

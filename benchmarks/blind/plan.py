@@ -1,7 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """Which cases there are: kinds, effects, severities, seeds and realities, in an order to take a sample from.
 
-Development and both sets for reporting use other worlds. A case's name says nothing about it.
+Development and the sets for reporting use other worlds. A case's name says nothing about it. The plans ``train`` (for
+development) and ``report4`` (to report on) have the whole library, more that is outside it, four scenes and twins that
+were calibrated beforehand; every case of theirs has a world of its own.
 """
 
 from __future__ import annotations
@@ -14,9 +16,10 @@ from typing import Literal
 
 import numpy as np
 
-from blind.faults import ALIASES, LIBRARY, MSD, OUTSIDE, ROAD
+from blind.faults import ADDED, ALIASES, LIBRARY, MSD, OF_THE_ROAD, OUTSIDE, ROAD, WIDE_OUTSIDE
+from blind.world import Scene
 
-Seeds = Literal["dev", "report", "report2", "report3", "links_dev", "links"]
+Seeds = Literal["dev", "report", "report2", "report3", "links_dev", "links", "train", "report4"]
 Kind = Literal["single", "null", "outside", "excluded", "pair", "stretch"]
 KINDS: tuple[Kind, ...] = ("single", "null", "outside", "excluded", "pair", "stretch")
 SEVERITIES = (0.5, 1.5, 5.0)
@@ -24,6 +27,10 @@ REALITIES = ("newton", "multibody")
 #: Seeds whose cars are the ones with linkages: fewer cases, and none of them faint.
 LINKS = ("links_dev", "links")
 _LINKAGE = "linkage"
+#: Plans of the whole library, and how many rounds through all kinds of cases they have; ``report4`` has the first cases
+#: of a round alone.
+WIDE = {"train": 3, "report4": 1}
+_REPORTED = 280
 _FIRST = {
     "dev": 1000,
     "report": 500_000,
@@ -31,6 +38,8 @@ _FIRST = {
     "links_dev": 2_000_000,
     "links": 3_000_000,
     "report3": 4_000_000,
+    "train": 5_000_000,
+    "report4": 6_000_000,
 }
 WORLDS = 16  # that cases with an effect share
 _PAIR = 3.0  # severity of each member
@@ -51,9 +60,26 @@ PAIRS = (
 )
 
 
+#: Further pairs, of the wide plans.
+_WIDE_PAIRS = (
+    ("worn_dampers", "tyre_pressure"),
+    ("spring_sag", "strut_friction"),
+    ("wheel_imbalance", "mount_resonance"),
+    ("engine_order", "worn_dampers"),
+    ("tyre_pressure", "payload"),
+    ("semi_active_damper", "sensor_bandwidth"),
+    ("wheel_imbalance", "corner_damper"),
+    ("spring_sag", "time_offset"),
+)
+#: Scenes of the wide plans, as often as they come.
+_SCENES: tuple[Scene, ...] = ("usual", "smooth", "usual", "bump", "usual", "short")
+_WIDE_SEVERITIES = (1.5, 3.0, 5.0)
+
+
 @dataclass(frozen=True)
 class Spec:
-    """One case before anything is simulated. ``without`` is taken out of the library for it."""
+    """One case before anything is simulated. ``without`` is taken out of the library for it. ``calibrated``: the twin
+    file was calibrated on a drive from before the fault. ``wide``: of a plan of the whole library."""
 
     name: str
     kind: Kind
@@ -65,6 +91,9 @@ class Spec:
     right: bool = False
     msd: bool = False
     without: tuple[str, ...] = ()
+    scene: Scene = "usual"
+    calibrated: bool = False
+    wide: bool = False
 
 
 def plan(seeds: Seeds, short: bool = False) -> list[Spec]:
@@ -72,7 +101,8 @@ def plan(seeds: Seeds, short: bool = False) -> list[Spec]:
 
     The short plan is nine cases of the development seeds.
     """
-    strata = {kind: list(_numbered(seeds, kind)) for kind in KINDS}
+    numbered = _wide if seeds in WIDE else _numbered
+    strata = {kind: list(numbered(seeds, kind)) for kind in KINDS}
     rng = np.random.default_rng(_FIRST[seeds])
     for kind, cases in strata.items():
         # Round by round through the effects, in another order each round.
@@ -89,10 +119,11 @@ def plan(seeds: Seeds, short: bool = False) -> list[Spec]:
         strata[kind] = mixed
     placed = [
         ((i + 0.5) / len(cases), k, i, spec)
-        for k, cases in enumerate(strata.values())
+        for k, cases in enumerate(s for s in strata.values() if s)
         for i, spec in enumerate(cases)
     ]
     everything = [spec for *_, spec in sorted(placed, key=lambda p: p[:3])]
+    everything = everything[:_REPORTED] if seeds == "report4" else everything
     return _short(everything) if short else everything
 
 
@@ -170,3 +201,63 @@ def _cases(kind: Kind) -> Iterator[tuple[tuple[str, ...], float, int, dict[str, 
         for e, effect in enumerate(ROAD):
             for k in range(4):
                 yield (effect,), 5.0, (3 * e + 5 * k) % WORLDS, {"stretch": True}
+
+
+def _wide(seeds: Seeds, kind: Kind) -> Iterator[Spec]:
+    """Cases of a plan of the whole library: whatever the kind, with a reference, without, and without but with a twin
+    that was calibrated beforehand, in all scenes."""
+    number = 0
+    for turn in range(WIDE[seeds]):
+        for effects, severity, without in _wide_cases(kind, turn):
+            road = bool(set(effects) & set(OF_THE_ROAD))
+            msd = any(e in MSD for e in effects)
+            ways = ["before", "nothing", "calibrated"] if not (road or msd) else ["nothing"]
+            if road and not msd:
+                ways.append("calibrated")
+            if kind == "null":
+                ways.append("right")
+            if kind in ("outside", "excluded", "pair"):  # each with and without a reference
+                ways = [w for w in ways if w != "calibrated" or (turn + number) % 2]
+            for way in ways:
+                digest = hashlib.sha256(f"{seeds} {kind} {number} {effects} {severity}".encode()).hexdigest()
+                coin = int(digest[-6:], 16)
+                scene = _SCENES[number % 4 if kind == "null" else coin // 8 % len(_SCENES)]
+                if kind == "null":
+                    scene = ("usual", "smooth", "bump", "short")[number // 4 % 4]
+                yield Spec(
+                    name=f"case_{digest[:10]}",
+                    kind=kind,
+                    effects=effects,
+                    severity=severity,
+                    world=_FIRST[seeds] + 20_000 * KINDS.index(kind) + number,
+                    reality=(*REALITIES, _LINKAGE)[coin % 3] if not msd else REALITIES[coin % 2],
+                    reference=way == "before",
+                    right=way == "right",
+                    msd=msd,
+                    without=without,
+                    scene=scene,
+                    calibrated=way == "calibrated",
+                    wide=True,
+                )
+                number += 1
+
+
+def _wide_cases(kind: Kind, turn: int) -> Iterator[tuple[tuple[str, ...], float, tuple[str, ...]]]:
+    """Effects, severity and what is taken out of the library, in one of several rounds."""
+    if kind == "null":
+        for _ in range(16):
+            yield (), 0.0, ()
+    elif kind == "single":
+        for effect in (*LIBRARY, *ADDED):
+            for severity in _WIDE_SEVERITIES:
+                yield (effect,), severity, ()
+    elif kind == "outside":
+        for e, effect in enumerate(WIDE_OUTSIDE):
+            for severity in (1.5, 5.0) if (e + turn) % 2 else (3.0, 5.0):
+                yield (effect,), severity, ALIASES.get(effect, ())
+    elif kind == "excluded":
+        for e, effect in enumerate((*LIBRARY, *ADDED)):
+            yield (effect,), (5.0, 3.0)[(e + turn) % 2], (effect,)
+    elif kind == "pair":
+        for pair in (*PAIRS, *_WIDE_PAIRS):
+            yield pair, (_PAIR, 5.0)[turn % 2], ()

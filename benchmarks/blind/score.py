@@ -71,13 +71,8 @@ def row_of(label: dict[str, Any], answer: Path, further: Callable[[], tuple[floa
 
 
 def _interval(d: dict[str, Any]) -> list[float] | None:
-    if d["verdict"] in _NAMED and len(d["combination"]) == 1:
-        return next(
-            (list(c["shrink_interval"]) for c in d["causes"] if c["effect"] == d["combination"][0]), None
-        )
-    return (
-        list(d["recalibration"]["shrink_interval"]) if "recalibration" in d and not d["combination"] else None
-    )
+    """90 % interval of the shrink of the whole gap by the written twin."""
+    return list(d["shrink_interval"]) if len(d["combination"]) < 2 else None
 
 
 def _parameters(label: dict[str, Any], d: dict[str, Any]) -> dict[str, list[float]]:

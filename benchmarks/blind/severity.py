@@ -16,7 +16,7 @@ from scipy.interpolate import CubicSpline
 from scipy.signal import butter, sosfiltfilt
 
 from blind import newton, phone
-from blind.faults import ROAD, TIME, Null, knob, surveyed
+from blind.faults import OF_THE_CLOCK, OF_THE_ROAD, WIDE_OUTSIDE, Null, knob, surveyed
 from blind.newton import Faults
 from blind.world import DAMPER_N, DAMPER_REACH, Car, Floats, Strut, World, plain
 
@@ -38,9 +38,9 @@ class Scale:
     felt: phone.Felt
     base: Faults
 
-    def severity(self, change: Floats) -> float:
-        """Largest channel rms of (m, 6) over its floor after projection."""
-        return float(np.max(np.sqrt(np.mean(self.left(change) ** 2, axis=0))))
+    def severity(self, change: Floats, channels: int = 6) -> float:
+        """Largest channel rms of (m, 6) over its floor after projection, of the first ``channels``."""
+        return float(np.max(np.sqrt(np.mean(self.left(change) ** 2, axis=0))[:channels]))
 
     def left(self, change: Floats) -> Floats:
         """(m, 6) in floors: what recalibration leaves of a change."""
@@ -67,18 +67,29 @@ def signals(felt: phone.Felt, shift: Floats | float = 0.0) -> Floats:
 def delay(faults: Faults, t: Floats) -> Floats:
     """(n,) s by which stamps are late."""
     own = faults.get("time_offset", {}).get("offset", 0.0)
-    return own + 1e-6 * faults.get("clock_drift", {}).get("drift_ppm", 0.0) * t
+    late = own + 1e-6 * faults.get("clock_drift", {}).get("drift_ppm", 0.0) * t
+    if "compressed_time" in faults:
+        late = late - phone.lost_time(faults["compressed_time"], t, 1)[0]
+    return np.asarray(late)
 
 
 def _step(faults: Faults) -> float:
     """s: twice the usual where nothing stiff is in the way."""
-    return 1e-3 if {"top_mount", "loose_ball_joint", "unsprung_mass"} & set(faults) else 2e-3
+    quick = {
+        "top_mount",
+        "loose_ball_joint",
+        "unsprung_mass",
+        "loose_mass",
+        "flat_spot",
+        "semi_active_damper",
+    }
+    return 1e-3 if quick & set(faults) else 2e-3
 
 
 def change(world: World, scale: Scale, faults: Faults) -> Floats:
     """(m, 6) what faults change in the fast drive, against the plain car."""
-    road = {k: v for k, v in faults.items() if k in ROAD}
-    moves = {k: v for k, v in faults.items() if k not in ROAD and k not in TIME}
+    road = {k: v for k, v in faults.items() if k in OF_THE_ROAD}
+    moves = {k: v for k, v in faults.items() if k not in OF_THE_ROAD and k not in OF_THE_CLOCK}
     even = plain(world)
     if road:
         even = plain(replace(world, survey=surveyed(world, road)))
@@ -142,10 +153,17 @@ def _neighbours(car: Car, msd: bool) -> list[tuple[Car, float]]:
     return out
 
 
-def curve(world: World, scale: Scale, effect: str, seed: int) -> Floats:
-    """(6,) severity at each of AMOUNTS, never falling."""
-    turn = knob(effect, world, seed)
-    values = [scale.severity(change(world, scale, {effect: turn(float(a), scale.null)})) for a in AMOUNTS]
+def counted(effect: str, wide: bool) -> int:
+    """How many channels count: of what is outside the library in the wide plans those that a suspension moves, as the
+    planar motion is given to a twin whatever disturbs it."""
+    return 3 if wide and effect in WIDE_OUTSIDE else 6
+
+
+def curve(world: World, scale: Scale, effect: str, seed: int, wide: bool = False) -> Floats:
+    """(6,) severity at each of AMOUNTS, never falling; ``wide`` as in ``knob``."""
+    turn, channels = knob(effect, world, seed, wide), counted(effect, wide)
+    faults = [{effect: turn(float(a), scale.null)} for a in AMOUNTS]
+    values = [scale.severity(change(world, scale, f), channels) for f in faults]
     return np.asarray(np.maximum.accumulate(np.maximum(values, 1e-6)))
 
 

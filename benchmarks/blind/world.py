@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, replace
 from functools import lru_cache
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,6 +20,7 @@ from scipy.ndimage import gaussian_filter1d, uniform_filter1d
 
 Floats = NDArray[Any]
 G = 9.80665
+Scene = Literal["usual", "smooth", "bump", "short"]
 CORNERS = ("front_left", "front_right", "rear_left", "rear_right")
 LENGTH, DU, DV, HALF = 200.0, 0.025, 0.05, 3.0  # m of the road: length, grid, half width
 START = 8.0  # m, where the rear axle stands at first
@@ -220,12 +221,18 @@ def _known(car: Car, rng: np.random.Generator, right: bool) -> dict[str, Any]:
     }
 
 
-def _surface(rng: np.random.Generator, seed: int) -> Surface:
-    """A worn straight or gently winding road with humps, edges and holes."""
+def _surface(rng: np.random.Generator, seed: int, scene: Scene = "usual") -> Surface:
+    """A worn straight or gently winding road with humps, edges and holes; a smooth one without them, or with one hump
+    alone."""
     u = np.arange(round(LENGTH / DU) + 1) * DU
     v = -HALF + np.arange(round(2 * HALF / DV) + 1) * DV
-    z = roughness((u.size, v.size), DU, DV, 10 ** rng.uniform(-4.4, -3.8), seed)
-    at = 26.0
+    worn = scene in ("usual", "short")
+    z = roughness(
+        (u.size, v.size), DU, DV, 10 ** (rng.uniform(-4.4, -3.8) if worn else rng.uniform(-5.2, -4.6)), seed
+    )
+    if scene == "bump":
+        z += (rng.uniform(0.04, 0.08) * _hump(u, rng.uniform(50.0, 75.0), rng.uniform(0.5, 3.7)))[:, None]
+    at = 26.0 if worn else LENGTH
     while at < LENGTH - 12.0:
         kind = rng.integers(0, 4)
         sign = 1.0 if rng.random() < 0.7 else -1.0
@@ -256,10 +263,16 @@ def _hump(u: Floats, at: float, length: float) -> Floats:
 
 
 def drive_plan(
-    rng: np.random.Generator, low: float, high: float, number: int, seed: int, lane: float
+    rng: np.random.Generator,
+    low: float,
+    high: float,
+    number: int,
+    seed: int,
+    lane: float,
+    length: float = LENGTH - START - 12.0,
 ) -> Plan:
-    """A drive over the whole road between speeds ``low`` and ``high`` m/s, on lateral offset ``lane`` m."""
-    length = LENGTH - START - 12.0
+    """A drive over ``length`` m of the road, all by default, between speeds ``low`` and ``high`` m/s, on lateral offset
+    ``lane`` m."""
     limits, s = [(0.0, rng.uniform(low, high))], 0.0
     while s < length:
         s += rng.uniform(20.0, 45.0)
@@ -275,8 +288,9 @@ def drive_plan(
 
 
 @lru_cache(maxsize=2)
-def make_world(seed: int, right: bool = False) -> World:
-    """The world of a seed; ``right`` makes the user know the characteristics."""
+def make_world(seed: int, right: bool = False, scene: Scene = "usual") -> World:
+    """The world of a seed; ``right`` makes the user know the characteristics. Scenes: the usual road, a smooth one, one
+    hump on a smooth one, and drives of a third of the usual length."""
     rng = np.random.default_rng([seed, 1])
     car = _car(rng)
     background = Background(
@@ -300,7 +314,7 @@ def make_world(seed: int, right: bool = False) -> World:
         jitter=rng.uniform(1e-4, 4e-4),
         lost=0.001,
     )
-    surface = _surface(np.random.default_rng([seed, 2]), 31 * seed + 5)
+    surface = _surface(np.random.default_rng([seed, 2]), 31 * seed + 5, scene)
     survey = surface.surveyed(FILE_DU, FILE_DV, 0.0, 3e-4, 31 * seed + 6)
     rng = np.random.default_rng([seed, 3])
     top, lane = rng.uniform(7.5, 10.5), rng.uniform(-0.4, 0.4)
@@ -310,8 +324,9 @@ def make_world(seed: int, right: bool = False) -> World:
         "reference": (0.5 * top, 0.75 * top),
         "sealed": (0.55 * top, 0.9 * top),
     }
+    length = {"short": 62.0, "bump": 100.0}.get(scene, LENGTH - START - 12.0)
     plans = {
-        name: drive_plan(rng, *pace, number, seed, lane + rng.uniform(-0.1, 0.1))
+        name: drive_plan(rng, *pace, number, seed, lane + rng.uniform(-0.1, 0.1), length)
         for number, (name, pace) in enumerate(paces.items())
     }
     known = _known(car, np.random.default_rng([seed, 4]), right)

@@ -41,8 +41,14 @@ def _descendants(process: int) -> set[int]:
             below = [int(word) for task in tasks for word in (task / "children").read_text().split()]
         except OSError:
             continue
-        found.update(below)
         waiting += below
+        for number in below:
+            try:
+                line = Path(f"/proc/{number}/cmdline").read_bytes()
+            except OSError:
+                continue
+            if b"resource_tracker" not in line:  # Python's own, which stays with its process
+                found.add(number)
     return found
 
 

@@ -190,8 +190,8 @@ class ProgressLine:
         )
 
 
-def print_diagnosis(document: Mapping[str, Any], out: Path) -> None:
-    """What ``diagnosis.json`` holds in a few lines: warnings, verdict, the first causes, and the folder ``out``."""
+def print_diagnosis(document: Mapping[str, Any], out: Path | None) -> None:
+    """What ``diagnosis.json`` holds in a few lines: warnings, verdict, first causes, and the folder ``out`` if any."""
     from suspension_twin.diagnosis import wording
 
     console = output()
@@ -202,21 +202,24 @@ def print_diagnosis(document: Mapping[str, Any], out: Path) -> None:
         console.print(remark)
     rows = []
     for cause in document["causes"][:5]:
-        low, high = cause["shrink_interval"]
+        low, high = cause["shrink_beyond_recalibration_interval"]
         rows.append(
             (
                 cause["effect"],
                 "; ".join(f"{name} {value}" for name, value in wording.parameters_of(cause)),
                 wording.channel_name(wording.channel_of(document, cause)),
                 f"{cause['probability']:.3f}",
-                f"{cause['shrink']:.2f}",
+                f"{cause['shrink_beyond_recalibration']:.2f}",
                 f"{low:.2f} to {high:.2f}",
             )
         )
     columns = "cause", "parameters", "channel", "probability", "shrink", "90 % interval"
-    print_table(console, "The likeliest causes", columns, rows, words=("cause", "parameters", "channel"))
+    title = "The likeliest causes; shrink of the gap beyond recalibration"
+    print_table(console, title, columns, rows, words=("cause", "parameters", "channel"))
     console.print(
-        f"no gap {document['no_gap_probability']:.3f}, unknown {document['unknown_probability']:.3f}. "
-        f"{document['next_experiment']}"
+        f"No gap {document['no_gap_probability']:.3f}, unknown {document['unknown_probability']:.3f}."
     )
-    console.print(f"Written to {out}")
+    if document.get("next_experiment"):
+        console.print(document["next_experiment"])
+    if out is not None:
+        console.print(f"Written to {out}")

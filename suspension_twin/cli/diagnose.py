@@ -4,13 +4,16 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from suspension_twin.cli.common import Bags, Force, Outputs, ProgressLine, Seed, TwinFile, print_diagnosis
+from suspension_twin.cli.common import Force, Outputs, ProgressLine, Seed, print_diagnosis
 from suspension_twin.errors import InputError, nearest
 from suspension_twin.files import together
+
+if TYPE_CHECKING:
+    from suspension_twin.diagnosis.decision import Costs
 
 __all__ = ["command"]
 
@@ -33,26 +36,69 @@ Effects = Annotated[
     ),
 ]
 Out = Annotated[
-    Path,
+    Path | None,
     typer.Option("--out", help="Folder for the result.", metavar="DIR", file_okay=False, show_default=False),
+]
+GivenTwin = Annotated[
+    Path | None, typer.Option("--twin", help="The twin file.", metavar="TWIN.YAML", show_default=False)
+]
+GivenBags = Annotated[
+    list[Path] | None,
+    typer.Argument(help="Recorded drives: rosbag2 folders or bare files.", metavar="BAG", show_default=False),
+]
+FromEvidence = Annotated[
+    Path | None,
+    typer.Option(
+        "--from-evidence",
+        help="Decide anew from the evidence that an earlier diagnosis left in this folder.",
+        metavar="DIR",
+        file_okay=False,
+        show_default=False,
+    ),
+]
+CostTable = Annotated[
+    str,
+    typer.Option(
+        "--costs",
+        help="Costs of a wrong name, a missed cause, unknown and vague answers: wrong=4,missed=1,unknown=1,vague=0.5.",
+        metavar="TABLE",
+        show_default=False,
+    ),
 ]
 
 
 def command(
-    twin: TwinFile,
-    bags: Bags,
-    out: Out,
+    twin: GivenTwin = None,
+    bags: GivenBags = None,
+    out: Out = None,
     reference: Reference = None,
     effect: Effects = None,
+    from_evidence: FromEvidence = None,
+    costs: CostTable = "",
     seed: Seed = 0,
     force: Force = False,
 ) -> None:
     """Where twin and car disagree, why, and what closes the gap.
 
-    Writes DIR/diagnosis.json, DIR/report.html and DIR/twin.yaml, the twin with what was found added.
+    Writes DIR/diagnosis.json, DIR/evidence.json, DIR/report.html and DIR/twin.yaml, the twin with what was found
+    added. With --from-evidence alone it prints the answer; with --out it writes diagnosis.json and twin.yaml, too.
     """
+    from suspension_twin.diagnosis.decision import Costs
+
+    table = Costs.parsed(costs)
+    if from_evidence is not None:
+        if twin is not None or bags or reference:
+            raise InputError(
+                "--from-evidence", "takes neither --twin nor drives: they are those of the diagnosis"
+            )
+        _anew(from_evidence, table, out, force)
+        return
+    for name, value in (("--twin", twin), ("BAG", bags), ("--out", out)):
+        if not value:
+            raise InputError(name, "is missing")
+    assert twin is not None and bags is not None and out is not None
     page = out / "report.html"
-    outputs = Outputs(out / "diagnosis.json", page, out / "twin.yaml", force=force)
+    outputs = Outputs(out / "diagnosis.json", out / "evidence.json", page, out / "twin.yaml", force=force)
     from suspension_twin.diagnosis.output import write
     from suspension_twin.diagnosis.request import DiagnosisRequest
     from suspension_twin.diagnosis.request import Progress as Stage
@@ -72,6 +118,7 @@ def command(
         tuple(str(b) for b in reference or ()),
         seed,
         tuple(effect or ()),
+        costs=table,
     )
     load_twin(twin)
     outputs.announce()
@@ -85,3 +132,20 @@ def command(
             write(result, out)
             diagnosis_page(result).write(page)
     print_diagnosis(result.document, out)
+
+
+def _anew(folder: Path, costs: Costs, out: Path | None, force: bool) -> None:
+    """Decide anew from kept evidence; ``out`` receives diagnosis.json, and twin.yaml if the twin file still exists."""
+    from suspension_twin.diagnosis.answer import decided_anew
+    from suspension_twin.diagnosis.output import write_document
+    from suspension_twin.vehicle.twin import save_twin
+
+    document, twin = decided_anew(folder, costs)
+    if out is not None:
+        outputs = Outputs(out / "diagnosis.json", out / "twin.yaml", force=force)
+        outputs.announce()
+        with outputs:
+            write_document(document, out)
+            if twin is not None:
+                save_twin(twin, out / "twin.yaml")
+    print_diagnosis(document, out)

@@ -70,7 +70,7 @@ SUBCOMMANDS = (
     Subcommand("record", "record", "Live phones, receivers and IMUs into a bag.", endless=True),
     Subcommand("import", "import_", "A phone's or logger's recording into a bag."),
     Subcommand("damping", "damping", "Which dampers a tracked vehicle should have, by speed."),
-    Subcommand("road", "road", "Roads from numbers, profiles and drives; pictures, meshes, checks."),
+    Subcommand("road", "road", "Roads from numbers, profiles or drives; pictures, checks."),
 )
 
 # Importing makes a hundred thousand objects that all stay: at Python's own 700 the collector takes a tenth of a short

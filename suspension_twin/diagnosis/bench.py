@@ -107,13 +107,6 @@ class Excitations:
     regained: dict[bool, Excitation]
     reclocked: dict[bool, Excitation]
 
-    def coarser(self, max_step: float) -> Excitations:
-        """The same with time steps of up to ``max_step`` s."""
-        longer_steps = (
-            {u: coarser(e, max_step) for u, e in known.items()} for known in (self.regained, self.reclocked)
-        )
-        return Excitations(coarser(self.upright, max_step), coarser(self.turned, max_step), *longer_steps)
-
 
 @dataclass(eq=False)
 class Bench:
@@ -124,7 +117,8 @@ class Bench:
     mounting error of the sensor (roll, pitch, yaw; rad); ``level`` whether the vehicle has zero static attitude.
     ``counted_drives`` limits the residuals to some drives, ``counted_rows`` (R,) to some of them; ``fused`` whether
     poses are fused from GNSS and IMU; ``frozen_nuisances`` names nuisance parameters held at zero; ``expected`` (m,
-    C) is the discrepancy found on a reference run with the same excitation.
+    C) is the discrepancy found on a reference run with the same excitation. ``step`` is the longest time step in s of
+    a simulation over a drive; None for the steps of the drive.
     """
 
     problem: Problem
@@ -141,7 +135,9 @@ class Bench:
     frozen_nuisances: tuple[str, ...] = ()
     level: bool = False
     expected: tuple[Floats | None, ...] = ()
+    step: float | None = None
     _known_plain: dict[str, Any] = field(default_factory=dict)
+    _stepped_excitations: dict[int, tuple[Excitation, Excitation]] = field(default_factory=dict)
 
     @property
     def d(self) -> int:
@@ -183,14 +179,6 @@ class Bench:
         parts = [replace(part, excitation=known.upright) for part, known in pairs]
         return replace(self, problem=self.problem.on(parts), level=True)
 
-    def coarser(self, max_step: float) -> Bench:
-        """The same with time steps of up to ``max_step`` s; controlled runs are unchanged."""
-        if not self.excitations:
-            return self
-        parts = [replace(p, excitation=coarser(p.excitation, max_step)) for p in self.problem.parts]
-        known = tuple(e.coarser(max_step) for e in self.excitations)
-        return replace(self, problem=self.problem.on(parts), excitations=known)
-
     def excitation(self, number: int, effects: Sequence[str], preexisting: Sequence[str] = ()) -> Excitation:
         """The excitation of a part, given the ``effects`` on drives with the gap and those of them that are
         ``preexisting``.
@@ -199,18 +187,28 @@ class Bench:
         included. Otherwise antenna and wheel paths would differ by about a centimetre before and after the change.
         """
         if not self.excitations:
-            plain: Excitation = self.problem.parts[number].excitation
-            return plain
+            run: Excitation = self.problem.parts[number].excitation
+            return run
         own, model = [e.id for e in self.problem.twin.effects], self.problem.twin.model
         known, level = self.excitations[number], self.level or upright_with([*effects, *own], model)
-        plain = known.upright if level else self.problem.parts[number].excitation
+        found = known.upright if level else self.problem.parts[number].excitation
         here = effects if self.active[self.problem.drive_of[number]] else preexisting
         if turns_with(here, model):
-            return known.turned
+            found = known.turned
         # a gain in the twin file is already corrected in the prepared motion
-        if gains_with([*here, *own], model) and level in known.regained:
-            return known.regained[level]
-        return known.reclocked.get(level, plain) if clocks_with(here, model) else plain
+        elif gains_with([*here, *own], model) and level in known.regained:
+            found = known.regained[level]
+        elif clocks_with(here, model):
+            found = known.reclocked.get(level, found)
+        return self._in_steps(found)
+
+    def _in_steps(self, given: Excitation) -> Excitation:
+        """The excitation of a drive in the time steps of the bench."""
+        if self.step is None or not self.excitations:
+            return given
+        if id(given) not in self._stepped_excitations:  # kept with its source, so that the id stays its own
+            self._stepped_excitations[id(given)] = given, coarser(given, self.step)
+        return self._stepped_excitations[id(given)][1]
 
     # -- simulation ----------------------------------------------------------------------------
 
@@ -282,8 +280,8 @@ class Bench:
         candidates = lanes(problem.twin, problem.space.keys, values.T)
         carried = []
         for part in problem.parts:
-            road = part.excitation.road
-            flat = replace(part.excitation, road=np.repeat(road[:1], road.shape[0], axis=0))
+            driven = self._in_steps(part.excitation)
+            flat = replace(driven, road=np.repeat(driven.road[:1], driven.road.shape[0], axis=0))
             stacked, _ = self._simulated(problem.twin, candidates, flat)
             carried.append(part.conditioner.apply(stacked)[:, :, 0])
         problem.nuisances.carried = carried

@@ -1,23 +1,28 @@
 # SPDX-License-Identifier: Apache-2.0
-"""From findings to the document of diagnosis.json and the twin with the named effects."""
+"""From evidence to the document of diagnosis.json and the twin with the named effects."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from suspension_twin.arrays import Floats
-from suspension_twin.diagnosis import verdict
+from suspension_twin.diagnosis import wording
+from suspension_twin.diagnosis.answer import answer_of, leading_channel
 from suspension_twin.diagnosis.bench import Bench
 from suspension_twin.diagnosis.case import Case
-from suspension_twin.diagnosis.evidence import Blocks, intervals
+from suspension_twin.diagnosis.decision import Decision, decide
+from suspension_twin.diagnosis.evidence import evidence
 from suspension_twin.diagnosis.experiment import next_experiment
-from suspension_twin.diagnosis.fit import Fit, linearised_fit, twin_of
-from suspension_twin.diagnosis.hypotheses import library
+from suspension_twin.diagnosis.features import add_intervals, evidence_of, refined_row
+from suspension_twin.diagnosis.fit import fitted, twin_of
+from suspension_twin.diagnosis.hypotheses import NUISANCE_COUNTERPART, library
+from suspension_twin.diagnosis.judge import Candidate, Judged, candidate
 from suspension_twin.diagnosis.local_road_error import (
-    RoadErrorMatch,
     concentrated_section,
     no_concentration,
     no_road_error,
@@ -25,10 +30,9 @@ from suspension_twin.diagnosis.local_road_error import (
 )
 from suspension_twin.diagnosis.localisation import localise, signature
 from suspension_twin.diagnosis.request import DiagnosisRequest, DiagnosisResult, DriveView
-from suspension_twin.diagnosis.selection import Findings
-from suspension_twin.diagnosis.shrink import RemainingResidual, Shrink, gap_rows, shrink_of
+from suspension_twin.diagnosis.shrink import RemainingResidual
+from suspension_twin.diagnosis.tonal import strongest_tone
 from suspension_twin.effects.registry import EFFECTS
-from suspension_twin.gap.measure import channel_unit
 from suspension_twin.models.parameters import pack
 from suspension_twin.models.simulate import simulate_lanes, simulate_twin
 from suspension_twin.vehicle.twin import Twin
@@ -37,133 +41,104 @@ __all__ = ["conclude"]
 
 _RUNNER_UP = 0.01  # probability of a second cause from which on a drive is proposed to separate it
 _LEAST_RESEMBLANCE = 0.1  # probability of a decoy from which on it is reported
-_TIED = 0.05  # win rate of the second cause from which on both are indistinguishable
+#: -2 log posterior by which the fit may be worse with the nuisance parameters of the same action frozen.
+_SAME_FIT = 20.0
+_TONE = 16.0  # prominence from which on a tonal component is reported; model discrepancy has up to 10
+_LEAST_TONE_SHARE = 0.1  # of the mean square of the channel
 
 
-def conclude(request: DiagnosisRequest, case: Case, found: Findings, seconds: float) -> DiagnosisResult:
-    """The document of diagnosis.json, the twin with what was found, and what the report shows."""
-    judged, bench = found.judged, found.judged.bench
-    channel = bench.problem.channels[0]
-    base_shrink = _shrink(bench, found, judged.remaining[0], request.seed)
-    beyond = np.array(
-        [
-            shrink_of(
-                bench,
-                judged.remaining[0],
-                r,
-                judged.blocks,
-                judged.noise[channel],
-                0,
-                request.seed,
-            ).shrink
-            for r in judged.remaining[1:]
-        ]
-    )
-    dominance, foreign = judged.dominance, None
-    if judged.reference is not None:
-        foreign = 1.0 - np.sqrt(1.0 - found.explained_shares)  # of the rms, as the other shrinks
-        dominance = (
-            dominance * found.explained_shares
-        )  # what is measured to be there still is not explained by gaining more than others
-    effects, no_gap, unknown = verdict.masses(
-        judged.weights, judged.gates, found.explained_shares, judged.undetectable, dominance
-    )
-    unknown += float(judged.decoys.probability.sum())
-    chosen = found.chosen.found.fit.hypothesis.effects
-    if len(chosen) > 1:
-        effects, unknown = _split_over_set(found, effects, unknown, chosen, found.explained_share)
-    # all members of a set are present: they need not be distinguishable one by one
-    groups = _groups(found, effects) if len(chosen) < 2 else []
-    remaining = 1.0 - _shrink(bench, found, found.chosen.remaining, request.seed).shrink
-    adequate = found.gates.adequate
-    named, known = [*groups, list(_places(found, chosen))], judged.reference is not None
-    answer, section = verdict.verdict_of(effects, no_gap, unknown, adequate, remaining, named, known), None
-    if answer in ("no_gap", "unknown") and case.road:
-        section, surveyed = _road_section(case, bench, found, request.effects)
-        no_gap, unknown = no_gap * surveyed, unknown + no_gap * (1.0 - surveyed)
-        answer = verdict.verdict_of(effects, no_gap, unknown, adequate, remaining, named, known)
-    kept = found.chosen.found if answer in ("effect", "partly") else judged.base
-    kept_remaining = found.chosen.remaining if kept is found.chosen.found else judged.remaining[0]
-    twin = twin_of(bench, kept.fit)
-    shrink = _shrink(bench, found, kept_remaining, request.seed)
-    causes = _causes(bench, found, effects, beyond, foreign, groups, request.seed)
-    # without a road blocks do not repeat: the discrepancy is independent from block to block
-    _add_intervals(bench, judged.blocks, kept.fit, judged.temper if case.road else 1.0, causes)
-    document: dict[str, Any] = {
-        "verdict": answer,
-        "gap": _gap(bench, found),
-        "where": localise(
-            bench,
-            judged.remaining[0].difference,
-            judged.noise,
-            twin_of(bench, judged.base.fit),
-        ),
-        "causes": causes,
-        "no_gap_probability": round(float(no_gap), 6),
-        "unknown_probability": round(float(unknown), 6),
-        "combination": list(kept.fit.hypothesis.effects),
-        "unexplained": _round(1.0 - shrink.shrink),
-        "recalibration": {
-            "gap_before": _round(base_shrink.before),
-            "gap_after": _round(base_shrink.after),
-            "shrink": _round(base_shrink.shrink),
-            "shrink_interval": [_round(v) for v in base_shrink.interval],
-        },
-        "background": {
-            "share_of_motion_left": _round(
-                verdict.relative_residual(bench, kept_remaining, judged.noise, case.driven, with_gap=True)
-            ),
-            "share_left_on_reference": None if judged.reference is None else _round(judged.reference),
-            "noise_share_of_residual": _round(judged.temper),
-        },
-        "cannot_be_judged": [s.effect for s in judged.singles if not s.judged],
-        "warnings": list(case.warnings),
-    }
-    if answer in ("unknown", "partly"):
-        document["signature"] = signature(bench, kept_remaining.difference, twin)
-        document["signature"]["resembles"] = _resembles(bench, found, request.seed)
-        document["signature"].update(_periodic(case, bench, kept_remaining))
+def conclude(request: DiagnosisRequest, case: Case, judged: Judged, seconds: float) -> DiagnosisResult:
+    """The document of diagnosis.json, its evidence, the twin with what was found, and what the report shows."""
+    rows = {"twin": str(Path(request.twin).resolve()), **evidence_of(case, judged, request.seed)}
+    add_intervals(case, judged, rows)
+    decision = decide(rows, request.costs)
+    kept = _of_row(judged, rows, decision)
+    if kept is not judged.base:
+        kept, bench = _refined(judged, kept)
+        assert decision.row is not None
+        decision.row["refined"] = refined_row(case, replace(judged, bench=bench), kept, request.seed)
+    twin = twin_of(judged.bench, kept.found.fit)
+    recalibrated = twin_of(judged.bench, judged.base.found.fit)
+    document = answer_of(rows, decision)
+    document["where"] = localise(judged.bench, judged.base.remaining.difference, judged.noise, recalibrated)
+    section = _road_section(case, judged, request.effects) if case.road and kept is judged.base else None
+    if document["verdict"] in ("unknown", "partly"):
+        document["signature"] = {
+            **signature(judged.bench, kept.remaining.difference, twin),
+            "resembles": _resembles(decision),
+            **_periodic(case, judged.bench, kept.remaining),
+        }
         if section is not None:
             document["signature"]["stretch"] = section
-    tied = [judged.singles[i] for i in (groups[0] if groups else [])]
-    if len(tied) < 2 and len(chosen) < 2:
-        leading = [c["effect"] for c in causes[:2] if c["probability"] > _RUNNER_UP]
-        tied = [s for name in leading for s in judged.singles if s.effect == name]
-    document["next_experiment"] = (
-        f"Survey the road from {section['start_m']:.0f} to {section['end_m']:.0f} m again: no drive changes its file."
-        if section is not None and answer == "unknown" and _has_road_error(section)
-        else next_experiment(case, tied, answer, judged)
-    )
-    document["seed"] = request.seed
-    document["message"] = _message(answer, document, shrink)
-    views = _views(case, bench, twin, twin_of(bench, judged.base.fit))
-    return DiagnosisResult(document, twin, views, seconds, case.warnings)
+    document["next_experiment"] = _next(case, judged, document, section)
+    document["warnings"] = list(case.warnings)
+    document["seed"], document["message"] = request.seed, wording.message(document)
+    main = judged.bench.problem.channels[0]
+    closing = main if decision.row is None else leading_channel(decision.row)
+    views = _views(case, judged.bench, twin, recalibrated, closing)
+    return DiagnosisResult(document, twin, views, seconds, case.warnings, rows)
+
+
+def _of_row(judged: Judged, rows: dict[str, Any], decision: Decision) -> Candidate:
+    """The hypothesis of the row that was decided for."""
+    hypotheses = [*judged.singles, *judged.sets]
+    for one, row in zip(hypotheses, rows["hypotheses"], strict=True):
+        if row is decision.row:
+            return one
+    return judged.base
+
+
+def _refined(judged: Judged, one: Candidate) -> tuple[Candidate, Bench]:
+    """A hypothesis refitted in the time steps of the drives, and the bench that it was refitted on.
+
+    Without a reference the nuisance parameters of the same action are frozen, so that the effect holds the whole
+    error. With a reference that part belongs to the state before the change and is left to the nuisance parameters.
+    """
+    fine, hypothesis = replace(judged.bench, step=None), one.hypothesis
+    fit = fitted(fine, hypothesis, [one.found.fit.x], 2)
+    same = tuple(n for e in hypothesis.effects for n in NUISANCE_COUNTERPART.get(e, ()))
+    if same and judged.reference is None:
+        frozen = replace(fine, frozen_nuisances=same)
+        whole = fitted(frozen, hypothesis, [fit.x], 10)
+        if whole.cost <= fit.cost + _SAME_FIT:
+            fine, fit = frozen, whole
+    return candidate(replace(judged, bench=fine), evidence(fine, fit, judged.blocks)), fine
+
+
+def _next(case: Case, judged: Judged, document: dict[str, Any], section: dict[str, Any] | None) -> str:
+    if section is not None and section["like"] and document["verdict"] == "unknown":
+        span = f"from {section['start_m']:.0f} to {section['end_m']:.0f} m"
+        return f"Survey the road {span} again: no drive changes its file."
+    tied = []
+    if len(document["combination"]) < 2:
+        leading = [c["effect"] for c in document["causes"][:2] if c["probability"] > _RUNNER_UP]
+        tied = [c for name in leading for c in judged.singles if c.effects == (name,)]
+    return next_experiment(case, tied, document["verdict"], judged)
 
 
 def _periodic(case: Case, bench: Bench, remaining: RemainingResidual) -> dict[str, Any]:
     """The strongest tonal component of the remaining residual, by period in m or by frequency in Hz; empty if none."""
-    free, tone = verdict.free_of_tones(bench, remaining) if case.road else (1.0, None)
-    if tone is None or free > 0.5:
+    tone = strongest_tone(bench, remaining, _LEAST_TONE_SHARE) if case.road else None
+    if tone is None or tone.strength < _TONE:
         return {}
     at = {"every_m": _round(1.0 / tone.at)} if tone.domain == "distance" else {"hz": _round(tone.at)}
     return {"periodic": {"channel": tone.channel, **at, "share": _round(tone.share)}}
 
 
-def _road_section(
-    case: Case, bench: Bench, found: Findings, only: Sequence[str]
-) -> tuple[dict[str, Any] | None, float]:
+def _road_section(case: Case, judged: Judged, only: Sequence[str]) -> dict[str, Any] | None:
     """The section of road where the recalibrated residual is concentrated, with the errors of the road file that would
-    explain it there (None without one), and the probability that the road file is right there."""
-    there = concentrated_section(bench, found.judged.remaining[0], found.judged.noise)
+    explain it there, ``like`` whether one does; None without a section."""
+    bench = judged.bench
+    there = concentrated_section(bench, judged.base.remaining, judged.noise)
     if there is None:
-        return None, 1.0
+        return None
     of_the_road = [e for e, effect in EFFECTS.items() if effect.where == "road" and (not only or e in only)]
     offered = library(case.twin, True, of_the_road) if of_the_road else {}
-    x = found.judged.base.fit.x[: bench.d + bench.q]
-    like = road_error_matches(bench, x, there, [h for v in offered.values() for h in v], found.judged.temper)
-    surveyed = no_road_error(like)
-    if min(no_concentration(there), surveyed) > 0.5:
-        return None, surveyed
+    x = judged.base.found.fit.x[: bench.d + bench.q]
+    like = road_error_matches(bench, x, there, [h for v in offered.values() for h in v], judged.temper)
+    explained = no_road_error(like) < 0.5
+    if no_concentration(there) > 0.5 and not explained:
+        return None
     named = [
         {
             "effect": one.effect,
@@ -177,170 +152,29 @@ def _road_section(
         "end_m": there.end,
         "share": _round(there.share),
         "resembles": named,
-    }, surveyed
+        "like": explained,
+    }
 
 
-def _has_road_error(section: dict[str, Any]) -> bool:
-    """Whether an error of the road file explains enough of the residual on the section."""
-    found = [RoadErrorMatch(one["effect"], {}, one["shrink"]) for one in section["resembles"]]
-    return no_road_error(found) < 0.5
-
-
-def _resembles(bench: Bench, found: Findings, seed: int) -> list[dict[str, Any]]:
+def _resembles(decision: Decision) -> list[dict[str, Any]]:
     """Decoy hypotheses that resemble an unexplained gap, the most probable first."""
-    like = []
-    for i in np.argsort(-found.judged.decoys.probability, kind="stable"):
-        if found.judged.decoys.probability[i] > _LEAST_RESEMBLANCE:
-            fit = found.judged.decoys.singles[i].fit
-            values = dict(zip(fit.hypothesis.keys, fit.effects(bench), strict=True))
-            like.append(
-                {
-                    "effect": found.judged.decoys.singles[i].effect,
-                    "probability": round(float(found.judged.decoys.probability[i]), 6),
-                    "parameters": {k.split(".")[2]: float(f"{float(v):.6g}") for k, v in values.items()},
-                    "shrink": _round(_shrink(bench, found, found.judged.decoys.remaining[i], seed).shrink),
-                }
-            )
-    return like
-
-
-def _shrink(bench: Bench, found: Findings, after: RemainingResidual, seed: int) -> Shrink:
-    channel = bench.problem.channels[0]
-    return shrink_of(
-        bench,
-        found.judged.uncalibrated_residual,
-        after,
-        found.judged.blocks,
-        found.judged.noise[channel],
-        0,
-        seed,
-        new_drive=True,
-    )
-
-
-def _gap(bench: Bench, found: Findings) -> dict[str, Any]:
-    rows = gap_rows(bench)
-    rms = {
-        name: _round(float(np.sqrt(np.mean(found.judged.uncalibrated_residual.difference[rows, c] ** 2))))
-        for c, name in enumerate(bench.problem.channels)
-    }
-    first = bench.problem.channels[0]
-    return {
-        "rms": rms[first],
-        "mse": _round(rms[first] ** 2),
-        "noise_rms": _round(found.judged.noise[first]),
-        "channel": first,
-        "channels": rms,
-    }
-
-
-def _causes(
-    bench: Bench,
-    found: Findings,
-    effects: Floats,
-    beyond: Floats,
-    foreign: Floats | None,
-    groups: list[list[int]],
-    seed: int,
-) -> list[dict[str, Any]]:
-    names = [s.effect for s in found.judged.singles]
-    together = dict(
-        zip(found.chosen.found.fit.hypothesis.keys, found.chosen.found.fit.effects(bench), strict=True)
-    )
-    causes = []
-    for i in sorted(
-        range(len(names)),
-        key=lambda i: (-round(float(effects[i]), 9), -float(found.judged.weights[1 + i]), i),
-    ):
-        single = found.judged.singles[i]
-        shrink = _shrink(bench, found, found.judged.remaining[1 + i], seed)
-        held = dict(single.fit.hypothesis.fixed)
-        values = {
-            **held,
-            **dict(zip(single.fit.hypothesis.keys, single.fit.effects(bench), strict=True)),
-            **{k: v for k, v in together.items() if k.split(".")[1] == names[i]},
+    pairs = zip(decision.answers, decision.probability, strict=True)
+    like = [
+        {
+            "effect": a.row["effects"][0],
+            "probability": round(float(p), 6),
+            "parameters": {n: v["value"] for n, v in a.row["parameters"][a.row["effects"][0]].items()},
+            "shrink": next(iter(a.row["channels"].values()))["written"]["shrink"],
         }
-        first = single.fit.hypothesis.on_drive(0)[0]
-        gate = found.judged.gates[1 + i]
-        causes.append(
-            {
-                "effect": names[i],
-                "probability": round(float(effects[i]), 6),
-                "parameters": {
-                    k.split(".")[2]: float(f"{float(v):.6g}")
-                    for k, v in values.items()
-                    if k in held or k in first
-                },
-                "gap_before": _round(shrink.before),
-                "gap_after": _round(shrink.after),
-                "shrink": _round(shrink.shrink),
-                "shrink_interval": [_round(v) for v in shrink.interval],
-                "shrink_beyond_recalibration": _round(float(beyond[i])),
-                "shrink_beyond_reference": None if foreign is None else _round(float(foreign[i])),
-                "indistinguishable_from": [names[j] for g in groups if i in g for j in g if j != i],
-                "gates": {
-                    "material": _round(gate.material),
-                    "adequate": _round(gate.adequate),
-                    "plausible": _round(gate.plausible),
-                },
-                "judged": single.judged,
-                "log_evidence": round(single.evidence.over(found.judged.base), 2),
-            }
-        )
-    return causes
-
-
-def _add_intervals(
-    bench: Bench, blocks: Blocks, fit: Fit, temper: float, causes: list[dict[str, Any]]
-) -> None:
-    """Add the 90 % intervals of the parameters of the written twin to ``causes``."""
-    if not fit.hypothesis.effects:
-        return
-    ends = intervals(bench, linearised_fit(bench, fit.hypothesis, fit.x), blocks, temper)
-    for key, row in zip(*fit.hypothesis.on_drive(0), strict=True):
-        (low, high), (_, effect, name) = ends[row], key.split(".")
-        for cause in causes:
-            if cause["effect"] == effect:
-                cause.setdefault("parameter_intervals", {})[name] = [_round(low), _round(high)]
-
-
-def _groups(found: Findings, effects: Floats) -> list[list[int]]:
-    """Sets of effects that the evidence does not separate from the most probable one."""
-    if not effects.size:
-        return []
-    lead = int(np.argmax(found.judged.weights[1:]))
-    tied = [
-        i
-        for i, s in enumerate(found.judged.singles)
-        if i == lead
-        or (
-            s.judged
-            and found.judged.win_rate[1 + i, 1 + lead] > _TIED
-            and found.judged.gates[1 + i].material > 0.3
-        )
+        for a, p in pairs
+        if a.row is not None and a.row["decoy"] and p > _LEAST_RESEMBLANCE
     ]
-    return [tied] if len(tied) > 1 and found.judged.gates[1 + lead].material > 0.3 else []
+    return sorted(like, key=lambda one: -float(str(one["probability"])))
 
 
-def _places(found: Findings, chosen: tuple[str, ...]) -> list[int]:
-    return [i for i, s in enumerate(found.judged.singles) if s.effect in chosen]
-
-
-def _split_over_set(
-    found: Findings, effects: Floats, unknown: float, chosen: tuple[str, ...], explained_share: float
-) -> tuple[Floats, float]:
-    """Probabilities where a set is named: its members carry the mass of all effects in equal parts, plus the share of
-    ``unknown`` that the set explains. ``explained_share`` is that of the recalibrated gap."""
-    good = verdict.retained_share(found.gates, explained_share)
-    out = np.zeros_like(effects)
-    places = _places(found, chosen)
-    out[places] = (float(effects.sum()) + unknown * good) / len(places)
-    return out, unknown * (1.0 - good)
-
-
-def _views(case: Case, bench: Bench, after: Twin, recalibrated: Twin) -> tuple[DriveView, ...]:
+def _views(case: Case, bench: Bench, after: Twin, recalibrated: Twin, channel: str) -> tuple[DriveView, ...]:
+    """One channel of every drive with the gap, by the twin as given, recalibrated, and with the named effects."""
     views = []
-    channel = bench.problem.channels[0]
     for i, (part, rows, active) in enumerate(
         zip(bench.problem.parts, bench.problem.rows, bench.active, strict=True)
     ):
@@ -356,7 +190,18 @@ def _views(case: Case, bench: Bench, after: Twin, recalibrated: Twin) -> tuple[D
         compared[rows] = True
         measured = part.measured[channel]
         views.append(
-            DriveView(part.name, part.t, part.position, part.rate, measured, before, middle, found, compared)
+            DriveView(
+                part.name,
+                part.t,
+                part.position,
+                part.rate,
+                measured,
+                before,
+                middle,
+                found,
+                compared,
+                channel,
+            )
         )
     return tuple(views)
 
@@ -367,34 +212,6 @@ def _simulated(part: Any, twin: Twin, excitation: Any, channel: str, on_road: bo
         return np.asarray(part.condition(simulate_twin(twin, excitation))[channel])
     response = simulate_lanes(twin, pack(twin)[:, None], excitation)
     return np.asarray(part.conditioner.apply(response.stacked([channel]))[:, 0, 0])
-
-
-def _message(answer: str, document: dict[str, Any], shrink: Shrink) -> str:
-    gap, unit = document["gap"]["rms"], channel_unit(document["gap"]["channel"])
-    if answer == "no_gap":
-        return f"no gap: after recalibration the residual of {gap:.3g} {unit} is within noise and model discrepancy"
-    if answer == "unknown":
-        like, there = document["signature"]["resembles"], document["signature"].get("stretch")
-        word = f"; it resembles {_label(like[0]['effect'])}" if like else ""
-        if there:
-            word += f"; {100 * there['share']:.0f} % of it lies from {there['start_m']:.0f} to {there['end_m']:.0f} m"
-            word += (
-                f", like {_label(there['resembles'][0]['effect'])} there" if _has_road_error(there) else ""
-            )
-        return (
-            f"unknown: a gap remains ({shrink.after:.3g} {unit}) that nothing in the library explains{word}"
-        )
-    names = " and ".join(_label(e) for e in document["combination"])
-    word = "partly " if answer == "partly" else ""
-    low, high = (100.0 * v for v in shrink.interval)
-    where = f"({low:.0f} to {high:.0f} %) on held-out data"
-    if shrink.shrink < 0.005:
-        return f"{word}{names}: it shows, but adding it does not shrink the gap {where}"
-    return f"{word}{names}: the gap shrinks by {100 * shrink.shrink:.0f} % {where}"
-
-
-def _label(effect: str) -> str:
-    return effect.replace("_", " ")
 
 
 def _round(value: float) -> float:

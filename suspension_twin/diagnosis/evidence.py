@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Cross-validated evidence of hypotheses, and their posterior probabilities.
+"""Cross-validated evidence of hypotheses.
 
 Blocks are segments of road, the same in all drives: model discrepancy repeats on every pass, so that the passes over
 one segment are not independent. Without a road, blocks are segments of time. Every fifth block belongs to one fold,
@@ -7,8 +7,7 @@ and each fold is held out in turn. The score of a block b in channel c is its lo
 
     score_b = -0.5 sum_c (n_bc log v_c + S_bc / v_c),
 
-with the effective number of samples n, the held-out sum of squares S and the variance v of all blocks. Probabilities
-are pseudo-BMA weights with the Bayesian bootstrap over blocks (Yao, Vehtari, Simpson, Gelman 2018, section 3.4).
+with the effective number of samples n, the held-out sum of squares S and the variance v of all blocks.
 """
 
 from __future__ import annotations
@@ -18,25 +17,21 @@ from dataclasses import dataclass
 
 import numpy as np
 from scipy import linalg
-from scipy.special import logsumexp
 from scipy.stats import norm
 
 from suspension_twin.arrays import Floats
 from suspension_twin.diagnosis.bench import Bench
 from suspension_twin.diagnosis.fit import Fit, LinearisedFit
-from suspension_twin.diagnosis.nuisance_penalty import NuisancePenalty, penalty_gains, penalty_of
+from suspension_twin.diagnosis.nuisance_penalty import NuisancePenalty, penalty_of
 from suspension_twin.identification.gauss_newton import Quadratic
 
-__all__ = ["Blocks", "Evidence", "blocks_of", "evidence", "held_out", "intervals", "weights"]
+__all__ = ["Blocks", "Evidence", "blocks_of", "evidence", "held_out", "intervals"]
 
 FOLDS = 5
 #: Factors on the prior precision of characteristics and nuisance parameters while a fold is held out; the one that fits
 #: the other folds best is used. A parameter that only one fold excites (the end of a spring curve) is otherwise free in
 #: the others, which costs every hypothesis thousands of nats at random.
 _PRIOR_FACTORS = (1e2, 1e3, 1e4)
-_DRAWS = 4000
-#: Largest held-out gain of an effect, as a multiple of its gain in the fit to all blocks.
-_LARGEST_HELD_OUT_GAIN = 2.0
 _METRES, _SECONDS = 8.0, 4.0
 #: Nuisance parameters of timing, which a few sharp edges determine. In a fold without edges they would follow model
 #: discrepancy, which penalises hypotheses with unbounded clocks.
@@ -221,28 +216,3 @@ def intervals(bench: Bench, fit: LinearisedFit, blocks: Blocks, temper: float) -
     low, high = fit.hypothesis.bounds()
     u = np.clip(fit.x[p:, None] + np.stack([-away, away], axis=1), low[:, None], high[:, None])
     return np.sort(fit.hypothesis.values(u), axis=1)
-
-
-def weights(found: list[Evidence], prior: Floats, temper: float, seed: int) -> tuple[Floats, Floats]:
-    """(K,) probabilities of the hypotheses, and (K, K) the rate at which one has the higher evidence in the bootstrap.
-
-    The log evidence of a draw is ``temper`` (sum_b w_b score_b - occam / 2) + nuisance penalty gain + log prior. Half
-    of the Occam term counts, because held-out scores contain the cost of freedom already. ``temper`` is the share of
-    the remaining residual that is noise: model discrepancy is no independent evidence at every sample. The prior of
-    the nuisance parameters is independent of it and not tempered. The first of ``found`` is nested in all others; a
-    held-out gain beyond twice the gain in the fit is cut.
-    """
-    scores = np.stack([e.score for e in found])
-    gains = scores.sum(axis=1) - scores[0].sum()
-    most = _LARGEST_HELD_OUT_GAIN * np.array([max(e.fitted - found[0].fitted, 0.0) for e in found])
-    share = np.where(gains > most, most / np.maximum(gains, 1e-12), 1.0)
-    scores = scores[0] + share[:, None] * (scores - scores[0])
-    occam = np.array([e.occam for e in found])
-    count = scores.shape[1]
-    draws = np.random.default_rng(seed).dirichlet(np.ones(count), _DRAWS) * count
-    total = np.einsum("db,kb->dk", draws, scores, optimize=False) - 0.5 * (occam - occam.min())[None, :]
-    with np.errstate(divide="ignore"):  # priors of zero
-        total = temper * total + penalty_gains([e.penalty for e in found], temper) + np.log(prior)
-    probabilities = np.exp(total - logsumexp(total, axis=1)[:, None]).mean(axis=0)
-    win_rate = (total[:, :, None] > total[:, None, :]).mean(axis=0)
-    return probabilities, win_rate

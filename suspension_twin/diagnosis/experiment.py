@@ -10,8 +10,7 @@ import numpy as np
 
 from suspension_twin.diagnosis.case import Case
 from suspension_twin.diagnosis.fit import twin_of
-from suspension_twin.diagnosis.judge import Judged
-from suspension_twin.diagnosis.search import Single
+from suspension_twin.diagnosis.judge import Candidate, Judged, detectable
 from suspension_twin.diagnosis.wording import effect_name
 from suspension_twin.errors import SuspensionTwinError
 from suspension_twin.gap.synthetic import path_along
@@ -94,16 +93,20 @@ def separation(first: Twin, second: Twin, what: Manoeuvre, noise: dict[str, floa
     return total
 
 
-def next_experiment(case: Case, tied: Sequence[Single], answer: str, judged: Judged) -> str:
+def next_experiment(case: Case, tied: Sequence[Candidate], answer: str, judged: Judged) -> str:
     """One sentence: the manoeuvre, the candidates that it separates, and the expected gain."""
-    weak = [effect_name(s.effect) for s in judged.singles if not s.judged]
+    weak = [
+        effect_name(c.effects[0])
+        for c in judged.singles
+        if not c.decoy and c.powers is not None and not detectable(c.powers)
+    ]
     tail = f" Not excited so far: {', '.join(weak)}." if weak else ""
     if len(tied) < 2:
         return f"None is needed to separate candidates.{tail}"
-    names = [effect_name(s.effect) for s in tied[:2]]
+    names = [effect_name(c.effects[0]) for c in tied[:2]]
     if case.kind == "run":
         return f"Repeat the run with another excitation to separate {names[0]} from {names[1]}.{tail}"
-    twins = [replace_road(twin_of(judged.bench, s.fit)) for s in tied[:2]]
+    twins = [replace_road(twin_of(judged.bench, c.found.fit)) for c in tied[:2]]
     share = max(judged.reference or 0.15, 0.05)
     gains = []
     for manoeuvre in menu():
@@ -111,7 +114,7 @@ def next_experiment(case: Case, tied: Sequence[Single], answer: str, judged: Jud
             gains.append((separation(twins[0], twins[1], manoeuvre, judged.noise, share), manoeuvre.name))
         except SuspensionTwinError:
             continue
-    if {"mount_resonance"} & {s.effect for s in tied[:2]}:
+    if {"mount_resonance"} & {c.effects[0] for c in tied[:2]}:
         tail = f" A tap on the phone holder at standstill excites the mount resonance alone.{tail}"
     if not gains:
         return f"None of the menu can be simulated with {names[0]} and {names[1]}.{tail}"

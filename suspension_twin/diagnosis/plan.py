@@ -332,10 +332,11 @@ def _resonances(
 
 
 def _moved(hypothesis: Hypothesis, point: Floats, shapes: Sequence[int]) -> Floats:
-    """(k, 1 + 2 s) a point, and one standard deviation either way in each of some coordinates."""
+    """(k, 1 + 2 s) a point, and half a standard deviation either way in each of some coordinates (of a phase a quarter
+    of a turn)."""
     points = np.repeat(point[:, None], 1 + 2 * len(shapes), axis=1)
     for n, i in enumerate(shapes):
-        points[i, 1 + 2 * n : 3 + 2 * n] += (1.0, -1.0)
+        points[i, 1 + 2 * n : 3 + 2 * n] += (0.5, -0.5)
     low, high = hypothesis.bounds()
     return np.asarray(np.clip(points, low[:, None], high[:, None]))
 
@@ -431,7 +432,7 @@ def plan(
     >>> twin = load_twin("bags/bump_15kmh/twin.yaml")
     >>> found = plan(twin, speeds=(15.0,), effects=("sensor_offset",))
     >>> [row.parameter for row in found.shown if row.size is None]  # the bump is as wide as the road
-    ['y']
+    ['y', 'z']
     """
     if model_of(twin).recordings != "drive":
         raise InputError("twin", "model", f"{twin.model} does not drive on a road: there is nothing to plan")
@@ -479,6 +480,8 @@ def _shown(twin: Twin, found: Products, rays: Sequence[Ray]) -> list[Shown]:
         usual = max(
             p.usual, effect.usual_share * getattr(twin.vehicle, "mass", 0.0) if p.unit == "kg" else 0.0
         )
+        if size is not None and not p.log:  # what sound vehicles have is no finding
+            size = max(size, usual) if usual < ray.sizes[-1] else None
         out.append(
             Shown(
                 ray.effect,

@@ -18,7 +18,7 @@ import numpy as np
 from suspension_twin.arrays import Floats
 from suspension_twin.diagnosis.bench import Bench
 from suspension_twin.diagnosis.evidence import Blocks, Evidence, evidence
-from suspension_twin.diagnosis.fit import Fit, fitted, linearised_fit, refit
+from suspension_twin.diagnosis.fit import Fit, approximated, fitted, linearised_fit, refit
 from suspension_twin.diagnosis.hypotheses import BASELINE, Hypothesis, combined
 from suspension_twin.identification.parallel import side_by_side
 
@@ -60,6 +60,7 @@ def beyond_preexisting(
     if extended is bench:
         return None
     p = bench.d + bench.q
+    known = linearised_fit(extended, BASELINE, x)
 
     def beside(i: int) -> Floats:
         own, u = found[i].hypothesis, found[i].x[p:]
@@ -67,23 +68,22 @@ def beyond_preexisting(
         there = [e for e in extended.problem.twin.effects if e.id in own.effects]
         if there and not own.fixed:
             starts.append(np.concatenate([x, own.at(there[0])]))
-        return refit(extended, own, starts, None, _FINE)[0]
+        return refit(extended, own, starts, known.at, _FINE)[0]
 
     fits = dict(zip(found, side_by_side(beside, list(found), on_progress), strict=True))
     # the baseline is refitted from the vehicle of each effect, and if it improves the others follow
-    y, better = refit(extended, BASELINE, [x, *(z[:p] for z in fits.values())], None, _LONG)
+    fresh = fitted(extended, BASELINE, [x, *(z[:p] for z in fits.values())], _LONG)
+    y, better = fresh.x, fresh.cost
 
     def judged(i: int) -> Evidence:
         own, z = found[i].hypothesis, fits[i]
         if better < cost - _REBASE_GAIN:
             starts = [z, np.concatenate([y, z[p:]]), np.concatenate([y, own.neutral()])]
-            return evidence(extended, fitted(extended, own, starts, _FINE), blocks)
-        return evidence(extended, linearised_fit(extended, own, z), blocks)
+            z, _ = refit(extended, own, starts, fresh.at, _FINE)
+        return evidence(extended, approximated(extended, own, [z], fresh), blocks)
 
     evidences = side_by_side(judged, list(found), on_progress)
-    return evidence(extended, linearised_fit(extended, BASELINE, y), blocks), dict(
-        zip(found, evidences, strict=True)
-    )
+    return evidence(extended, fresh, blocks), dict(zip(found, evidences, strict=True))
 
 
 def _gain_on_reference(bench: Bench, existing: Evidence, base: Evidence) -> float:

@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from suspension_twin.arrays import Floats
+from suspension_twin.diagnosis.decision import Costs
 from suspension_twin.drive.read import Topics
 from suspension_twin.vehicle.twin import Twin
 
@@ -31,6 +32,8 @@ class DiagnosisRequest:
         Ids to which the library is limited; empty for all of it.
     topics : Topics
         Names of the topics in the bags.
+    costs : Costs
+        Costs of wrong and missing answers.
 
     Examples
     --------
@@ -44,6 +47,7 @@ class DiagnosisRequest:
     seed: int = 0
     effects: tuple[str, ...] = ()
     topics: Topics = Topics()
+    costs: Costs = Costs()
 
 
 @dataclass(frozen=True)
@@ -75,13 +79,15 @@ class DriveView:
 
 @dataclass(frozen=True, eq=False)
 class DiagnosisResult:
-    """``document`` is the content of diagnosis.json, ``twin`` the twin with the named effects."""
+    """``document`` is the content of diagnosis.json, ``evidence`` that of evidence.json, ``twin`` the twin
+    with the named effects."""
 
     document: dict[str, Any]
     twin: Twin
     drives: tuple[DriveView, ...]
     seconds: float
     warnings: tuple[str, ...] = field(default_factory=tuple)
+    evidence: dict[str, Any] = field(default_factory=dict)
 
     @property
     def message(self) -> str:

@@ -16,6 +16,7 @@ from suspension_twin.diagnosis.evidence import Blocks, Evidence, evidence
 from suspension_twin.diagnosis.fit import (
     Fit,
     LinearisedFit,
+    approximated,
     coordinate_scan,
     fitted,
     linearised_fit,
@@ -32,22 +33,21 @@ from suspension_twin.identification.parallel import side_by_side
 __all__ = ["Single", "joint_fit", "pairs", "refitted_under_noise", "singles", "without_one"]
 
 _STARTS, _TRIED, _JOINT_STARTS = 16, 3, 128
-_WIDE_STARTS = 16
+_WIDE_STARTS = 8
 _SCANNED = 32  # frequencies of a resonance scan
 #: Changes of the log slopes of springs and dampers from the baseline, as starting vehicles.
 _VEHICLES = ((0.0, 0.0), (-0.3, 0.0), (-0.6, 0.0), (0.0, -0.25), (0.0, -0.6), (-0.3, -0.6), (0.0, -1.2))
 #: Starting vehicles for effects with a clearance, and how small that is, in standard deviations of its prior.
 _EARLY = (((-0.6, 0.0), 1.0), ((0.0, -0.3), 0.6))
-#: Time step in s of the first search; finalists are fitted with the time step of the drives.
-_STEP = 2.5e-3
 _ROUGH, _DEEP, _FINE, _LONG = 4, 6, 5, 15
 #: Ratio of the cost of a start to the best cost so far up to which a fit is run from it.
 _COST_RATIO = 3.0
 _REBASE_GAIN = (
     3.0  # -2 log posterior that a baseline has to improve by for all effects to be refitted from it
 )
-#: Number of effects, the best of the first search, whose Jacobian is simulated again.
-_FINALISTS = 7
+#: Effects whose fit is repeated with all columns of the Jacobian: those with a share of the best gain of the first
+#: search, at least the first number and at most the second.
+_FINALIST_GAIN, _FINALISTS = 0.2, (3, 7)
 _BEST_PAIRS = 3
 _VARIANTS = 2  # of an effect that are fitted: the best by screening
 #: Nuisance parameters that have the same action as an effect.
@@ -110,37 +110,40 @@ def singles(
     Returns the baseline, which is refitted from the vehicle of each effect, and the effects. ``no_match``: the
     simulation does not match the motion, and set-up errors are searched over their whole range.
     """
-    coarse = _coarser(bench, base)
-    begun, from_anchor = (linearised_fit(coarse, BASELINE, one.x) for one in (base, anchor))
+    begun, from_anchor = base, anchor
 
     def look(effect: str) -> _FirstSearch:
-        return _first_search(coarse, begun, from_anchor, effect, library[effect], seed, no_match)
+        return _first_search(bench, begun, from_anchor, effect, library[effect], seed, no_match)
 
     rough = side_by_side(
         look, list(library), lambda done, name: on_progress(0.65 * done, name.replace("_", " "))
     )
-    base, known = _rebased_baseline(bench, base, [r.x for r in rough]), base
-    moved = base.cost < known.cost - _REBASE_GAIN
-    then = begun if base is known else linearised_fit(coarse, BASELINE, base.x)
+    base = _rebased_baseline(bench, base, [r.x for r in rough])
+    moved = base.cost < begun.cost - _REBASE_GAIN
     rough = side_by_side(
-        lambda r: _restarted(coarse, then, moved, r, seed),
+        lambda r: _restarted(bench, base, moved, r, seed),
         rough,
         lambda done, _: on_progress(0.6, "baseline"),
     )
     order = sorted(range(len(rough)), key=lambda i: rough[i].cost)
-    finalists = set(order[:_FINALISTS])
+    gains = base.cost - np.array([rough[i].cost for i in order])
+    count = int(np.count_nonzero(gains >= _FINALIST_GAIN * max(gains[0], 0.0)))
+    finalists = set(order[: int(np.clip(count, *_FINALISTS))])
 
     def judge(i: int) -> Single:
         r, v, preexisting = rough[i], rough[i].hypothesis, None
         starts = [r.x, np.concatenate([base.x, r.x[bench.d + bench.q :]])]
-        at = fitted(bench, v, starts, _FINE if i in finalists else 0)
+        if i in finalists:
+            at = fitted(bench, v, starts, _FINE)
+        else:
+            at = approximated(bench, v, starts, base)
         shared = not v.differs and r.effect not in NUISANCE_COUNTERPART
         if i in finalists and not all(bench.active) and shared:
             preexisting = as_preexisting(bench, v, at.x, base, blocks)
         if at.cost >= base.cost:
             ends = v.negligible()
             none = np.concatenate([np.repeat(base.x[:, None], ends.shape[1], axis=1), ends])
-            at = fitted(bench, v, list(none.T), 0)
+            at = approximated(bench, v, list(none.T), base)
         other = coordinate_scan(bench, at) if i in finalists else None
         if other is not None:
             at = fitted(bench, v, [other], _DEEP)
@@ -153,12 +156,6 @@ def singles(
     )
     found = dict(zip(order, judged, strict=True))
     return base, [found[i] for i in range(len(rough))]
-
-
-def _coarser(bench: Bench, base: Fit) -> Bench:
-    """The bench with longer time steps, if the baseline is stable with them."""
-    coarse = bench.coarser(_STEP)
-    return coarse if np.isfinite(coarse.costs(BASELINE, base.x[:, None])).all() else bench
 
 
 def _first_search(

@@ -9,6 +9,7 @@ of the twin file, the shrink is that of the written twin:
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -18,7 +19,14 @@ from suspension_twin.diagnosis.bench import Bench
 from suspension_twin.diagnosis.evidence import FOLDS, Blocks
 from suspension_twin.diagnosis.hypotheses import BASELINE, Hypothesis
 
-__all__ = ["RemainingResidual", "Shrink", "remaining_residual", "shrink_of", "uncalibrated_residual"]
+__all__ = [
+    "BlockBootstrap",
+    "RemainingResidual",
+    "Shrink",
+    "relative_residual",
+    "remaining_residual",
+    "uncalibrated_residual",
+]
 
 _DRAWS = 2000
 #: Prior of the standard deviation of log(after / before) from drive to drive of one car on one road, and its degrees of
@@ -86,60 +94,97 @@ def gap_rows(bench: Bench) -> np.ndarray:
     return np.asarray(np.array(bench.active)[drives_of(bench)])
 
 
-def shrink_of(
+def relative_residual(
     bench: Bench,
-    before: RemainingResidual,
-    after: RemainingResidual,
-    blocks: Blocks,
-    noise: float,
-    column: int,
-    seed: int,
-    new_drive: bool = False,
+    remaining: RemainingResidual,
+    noise: dict[str, float],
+    driven: Sequence[str],
+    with_gap: bool,
     with_nuisances: bool = False,
-) -> Shrink:
-    """The shrink in one channel over the drives with the gap, with a 90 % interval by bootstrap over blocks of road.
+) -> float:
+    """Rms of the residual above the noise as a share of that of the motion, over the ``driven`` channels, on drives
+    ``with_gap`` or on the others; ``with_nuisances`` as fitted or at zero."""
+    rows, rest_of = (
+        gap_rows(bench) == with_gap,
+        remaining.with_nuisances if with_nuisances else remaining.difference,
+    )
+    measured = bench.problem.measured
+    columns = [(c, noise[name] ** 2) for c, name in enumerate(measured.channels) if name in driven]
+    floors = np.array([floor for _, floor in columns])
+    excess = np.array([max(float(np.var(rest_of[rows, c])) - floor, 0.0) for c, floor in columns])
+    motion = np.array([max(float(np.var(measured.values[rows, c])) - floor, 1e-12) for c, floor in columns])
+    # channels are weighted by their signal to noise ratio
+    weight = motion / floors
+    return float(np.sqrt(np.sum(weight * (excess / motion)) / weight.sum()))
 
-    With ``new_drive`` the interval is predictive for one more drive: the scatter between drives is added, by
-    Student's t with a scaled inverse chi-squared prior of the variance (Gelman et al., Bayesian Data Analysis, 3rd
-    ed., section 3.3). ``with_nuisances`` as fitted or at zero.
+
+@dataclass(frozen=True, eq=False)
+class BlockBootstrap:
+    """Shrinks of the gap in every channel over the drives with the gap, with 90 % intervals by bootstrap over blocks.
+
+    ``cell`` (m,) block of every sample with the gap, drive after drive; ``count`` (D, B) samples by drive and block;
+    ``drawn`` (N, U) how often each draw takes the ``used`` (U,) blocks.
     """
-    rows = gap_rows(bench)
-    with_gap = [i for i, active in enumerate(bench.active) if active]
-    drive = (
-        np.searchsorted(with_gap, drives_of(bench)[rows])
-        if new_drive
-        else np.zeros(int(rows.sum()), dtype=int)
-    )
-    drives = len(with_gap) if new_drive else 1
-    cell = drive * blocks.count + blocks.sample[rows]
 
-    def by_cell(values: Floats | None = None) -> Floats:
-        return np.bincount(cell, values, drives * blocks.count).reshape(drives, blocks.count).astype(float)
+    rows: np.ndarray
+    cell: np.ndarray
+    count: Floats
+    used: np.ndarray
+    drawn: Floats
+    noise: Floats
+    seed: int
 
-    count, first, second = (
-        by_cell(),
-        *(
-            by_cell((r.with_nuisances if with_nuisances else r.difference)[rows, column] ** 2)
-            for r in (before, after)
-        ),
-    )
+    @classmethod
+    def of(cls, bench: Bench, blocks: Blocks, noise: dict[str, float], seed: int) -> BlockBootstrap:
+        """For the blocks of a bench; ``noise`` rms by channel."""
+        rows = gap_rows(bench)
+        with_gap = [i for i, active in enumerate(bench.active) if active]
+        cell = np.searchsorted(with_gap, drives_of(bench)[rows]) * blocks.count + blocks.sample[rows]
+        count = (
+            np.bincount(cell, minlength=len(with_gap) * blocks.count).reshape(len(with_gap), -1).astype(float)
+        )
+        used = np.flatnonzero(count.any(axis=0))
+        even = np.full(used.size, 1.0 / used.size)
+        drawn = np.random.default_rng(seed).multinomial(used.size, even, _DRAWS).astype(float)
+        floor = np.array([noise[c] for c in bench.problem.channels])
+        return cls(rows, cell, count, used, drawn, floor, seed)
 
-    def above(squares: Floats, samples: Floats) -> Floats:
-        return np.sqrt(np.maximum(squares / np.maximum(samples, 1.0) - noise**2, 0.0))
+    def squares(self, residual: Floats) -> Floats:
+        """(D, B, C) sums of squares of a residual (M, C) by drive, block and channel."""
+        own = residual[self.rows] ** 2
+        sums = [np.bincount(self.cell, own[:, c], self.count.size) for c in range(own.shape[1])]
+        return np.stack(sums, axis=1).reshape(*self.count.shape, own.shape[1]).astype(np.float64)
 
-    a, b = above(first.sum(), count.sum()), above(second.sum(), count.sum())
-    rng = np.random.default_rng(seed)
-    used = np.flatnonzero(count.any(axis=0))
-    blocks_drawn = rng.multinomial(used.size, np.full(used.size, 1.0 / used.size), _DRAWS).astype(float)
-    n, f, s = (np.sum(v[:, used].sum(axis=0) * blocks_drawn, axis=1) for v in (count, first, second))
-    share = above(s, n) / np.maximum(above(f, n), 1e-12)
-    if new_drive:
-        before_after = [above(v.sum(axis=1), count.sum(axis=1)) for v in (first, second)]
-        share *= np.exp(_new_drive_scatter(before_after[0], before_after[1], rng))
-    ratio = 1.0 - share
-    low, high = np.quantile(ratio, [0.05, 0.95])
-    shrink = 1.0 - float(b) / float(a) if a > 1e-12 else 0.0
-    return Shrink(float(a), float(b), shrink, (float(min(low, shrink)), float(max(high, shrink))))
+    def shrinks(self, before: Floats, after: Floats, new_drive: bool = False) -> list[Shrink]:
+        """The shrink in each channel between two sums of squares (D, B, C).
+
+        With ``new_drive`` the interval is predictive for one more drive: the scatter between drives is added, by
+        Student's t with a scaled inverse chi-squared prior of the variance (Gelman et al., Bayesian Data Analysis,
+        3rd ed., section 3.3).
+        """
+        a, b = (self._above(v.sum(axis=(0, 1)), self.count.sum()) for v in (before, after))
+        samples = self.drawn @ self.count[:, self.used].sum(axis=0)
+        first, second = (self.drawn @ v[:, self.used].sum(axis=0) for v in (before, after))
+        share = self._above(second, samples[:, None]) / np.maximum(
+            self._above(first, samples[:, None]), 1e-12
+        )
+        if new_drive:
+            rng, each = np.random.default_rng(self.seed + 1), self.count.sum(axis=1)[:, None]
+            by_drive = [self._above(v.sum(axis=1), each) for v in (before, after)]
+            for c in range(share.shape[1]):
+                share[:, c] *= np.exp(_new_drive_scatter(by_drive[0][:, c], by_drive[1][:, c], rng))
+        ends = np.quantile(1.0 - share, [0.05, 0.95], axis=0)
+        shrink = np.where(a > 1e-12, 1.0 - b / np.maximum(a, 1e-12), 0.0)
+        low, high = np.minimum(ends[0], shrink), np.maximum(ends[1], shrink)
+        return [
+            Shrink(float(a[c]), float(b[c]), float(shrink[c]), (float(low[c]), float(high[c])))
+            for c in range(a.size)
+        ]
+
+    def _above(self, squares: Floats, samples: Floats | float) -> Floats:
+        """Rms above the noise of sums of squares (..., C)."""
+        mean = squares / np.maximum(samples, 1.0)
+        return np.asarray(np.sqrt(np.maximum(mean - self.noise**2, 0.0)))
 
 
 def _new_drive_scatter(before: Floats, after: Floats, rng: np.random.Generator) -> Floats:

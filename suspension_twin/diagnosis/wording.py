@@ -30,12 +30,14 @@ __all__ = [
     "finding",
     "how_likely",
     "listed",
+    "message",
     "parameter_name",
     "parameter_value",
     "parameters_of",
     "percent",
     "place_name",
     "probability_of",
+    "remaining",
     "remarks",
     "subject",
 ]
@@ -226,7 +228,6 @@ def remarks(document: Document) -> list[str]:
     """Sentences below the answer: how far it closes the gap, what else it could be, what was there before."""
     verdict, named = document["verdict"], _named(document)
     lines: list[str] = []
-    own = re.sub(r"^(no gap|unknown|partly [^:]*): ", "", str(document.get("message", "")))
     if named and verdict in ("effect", "partly"):
         lines += _closing(document, named)
     elif verdict == "no_gap":
@@ -236,12 +237,45 @@ def remarks(document: Document) -> list[str]:
         if closed > 0.1 * r["gap_before"]:
             text += f", once the twin is recalibrated: that alone closes {percent(r['shrink'])} of the gap"
         lines.append(text + ".")
-    elif own:
-        lines.append(capital(own.rstrip(".")) + ".")
+    else:
+        lines.append(capital(remaining(document)) + ".")
     if verdict == "partly":
         lines.append(f"{percent(document['unexplained'])} of the gap stay unexplained.")
     lines += _kept(document)
     return lines
+
+
+def remaining(document: Document) -> str:
+    """What an unexplained gap looks like."""
+    unit, signature = channel_unit(document["gap"]["channel"]), document.get("signature", {})
+    words = [f"{document.get('gap_after', document['gap']['rms']):.2g} {unit} of the gap remain"]
+    for like in signature.get("resembles", [])[:1]:
+        words.append(f"they resemble {effect_name(like['effect'])}")
+    there = signature.get("stretch")
+    if there:
+        text = f"{percent(there['share'])} of it lies from {there['start_m']:.0f} to {there['end_m']:.0f} m of the road"
+        if there.get("like"):
+            text += f", where it is like {effect_name(there['resembles'][0]['effect'])}"
+        words.append(text)
+    return "; ".join(words)
+
+
+def message(document: Document) -> str:
+    """The answer in one plain sentence, with how far a cause closes the gap and what remains of an unknown one."""
+    text = answer(document).rstrip(".")
+    named = _named(document)
+    if named and document["verdict"] in ("effect", "partly"):
+        lead = max(named, key=lambda c: float(c["probability"]))
+        low, high = (percent(v) for v in lead["shrink_beyond_recalibration_interval"])
+        text += (
+            f"; the gap in {channel_name(lead['channel'])} is {percent(lead['shrink_beyond_recalibration'])} smaller "
+            f"({low} to {high}) than by recalibration alone"
+        )
+        if document.get("before_and_after"):
+            text += "; it is so before and after alike, so it is not what changed"
+    elif document["verdict"] == "unknown":
+        text += f"; {remaining(document)}"
+    return text
 
 
 def _closing(document: Document, named: list[Document]) -> list[str]:

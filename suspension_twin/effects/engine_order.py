@@ -8,6 +8,7 @@ from collections.abc import Mapping
 
 import numpy as np
 
+from suspension_twin.effects._phrases import Given
 from suspension_twin.effects.base import (
     LANE,
     WIDTH,
@@ -23,6 +24,7 @@ from suspension_twin.effects.base import (
     inlined,
     rows,
 )
+from suspension_twin.units import plain
 
 __all__ = ["EFFECT"]
 
@@ -80,6 +82,10 @@ def _hum(w: Floats, e: int, c: int, i: int, h: float) -> None:
     w[rows.PITCH_RATE * WIDTH + i] += h * pitch
 
 
+def _finding(p: Given) -> str:
+    return f"the engine shakes the body with {plain(p['force'], 'N')}"
+
+
 EFFECT = Effect(
     id="engine_order",
     title="tone of the engine",
@@ -100,4 +106,5 @@ EFFECT = Effect(
     excited_by=("the engine itself", "a smooth road", "standing still"),
     confused_with=("wheel_imbalance", "mount_resonance", "powertrain_mount"),
     hook=Hook(kernel=KernelTerms(_FIELDS, _constants, {"body": (_hum, LANE)})),
+    finding=_finding,
 )

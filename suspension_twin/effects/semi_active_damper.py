@@ -8,6 +8,7 @@ from collections.abc import Mapping
 
 import numpy as np
 
+from suspension_twin.effects._phrases import Given, axles
 from suspension_twin.effects.base import (
     CORNER,
     WIDTH,
@@ -86,6 +87,11 @@ def _hook(w: Floats, e: int, c: int, i: int, h: float) -> None:
     w[(rows.STRUT + c) * WIDTH + i] += f
 
 
+def _finding(p: Given) -> str:
+    kind = "ground-hook" if p["law"] else "sky-hook"
+    return f"the dampers are controlled, as a {kind} of {axles(p, '', 'N s/m')}"
+
+
 EFFECT = Effect(
     id="semi_active_damper",
     title="semi-active dampers",
@@ -99,4 +105,5 @@ EFFECT = Effect(
     confused_with=("the whole damper curve", "worn_dampers", "strut_friction"),
     hook=Hook(kernel=KernelTerms(_FIELDS, _constants, {"strut": (_hook, CORNER)})),
     variants={"quarter_car": Variant(of_one_corner(_PARAMETERS))},
+    finding=_finding,
 )

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+from suspension_twin.effects._phrases import Given, axles
 from suspension_twin.effects.base import (
     CornerChange,
     Effect,
@@ -34,6 +35,10 @@ def _corners(change: CornerChange, p: Values) -> None:
     change.spring[:] += p["rate"] * sag
 
 
+def _finding(p: Given) -> str:
+    return f"the springs have sagged by {axles(p, '', 'm')}"
+
+
 EFFECT = Effect(
     id="spring_sag",
     title="sagged springs",
@@ -47,4 +52,5 @@ EFFECT = Effect(
     confused_with=("sensor_tilt", "payload", "the points of the spring"),
     hook=Hook(corners=_corners, models=("full_car", "msd"), upright=True),
     variants={"quarter_car": Variant(of_one_corner(_PARAMETERS), Hook(corners=_corners, upright=True))},
+    finding=_finding,
 )

@@ -5,7 +5,9 @@ from __future__ import annotations
 
 import numpy as np
 
+from suspension_twin.effects._phrases import Given, more, of_wheel
 from suspension_twin.effects.base import CornerChange, Effect, Hook, Parameter, Values, Variant
+from suspension_twin.vehicle.corners import WHEELS
 
 __all__ = ["EFFECT"]
 
@@ -37,6 +39,16 @@ def _every_corner(change: CornerChange, p: Values) -> None:
     change.tyre[:] += SHARE * p["change"]
 
 
+def _finding(p: Given) -> str:
+    if "corner" not in p:
+        place = "the tyre"
+    elif p["corner"] < len(WHEELS):
+        place = of_wheel(p, "tyre")
+    else:
+        place = ("both front tyres", "both rear tyres", "all tyres")[round(p["corner"]) - len(WHEELS)]
+    return f"the pressure of {place} is {more(p['change'], '', 'too high', 'too low')}"
+
+
 EFFECT = Effect(
     id="tyre_pressure",
     title="tyre pressure off",
@@ -55,4 +67,5 @@ EFFECT = Effect(
     ),
     hook=Hook(corners=_corners, upright=True),
     variants={"quarter_car": Variant(_PARAMETERS[1:], Hook(corners=_every_corner, upright=True))},
+    finding=_finding,
 )

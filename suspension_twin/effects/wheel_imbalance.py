@@ -8,6 +8,7 @@ from collections.abc import Mapping
 
 import numpy as np
 
+from suspension_twin.effects._phrases import Given, of_wheel
 from suspension_twin.effects.base import (
     CORNER,
     LANE,
@@ -24,6 +25,7 @@ from suspension_twin.effects.base import (
     inlined,
     rows,
 )
+from suspension_twin.units import plain
 
 __all__ = ["EFFECT"]
 
@@ -86,6 +88,11 @@ def _touch(w: Floats, e: int, c: int, i: int, h: float) -> None:
     w[(rows.CONTACT + c) * WIDTH + i] = n - w[(e + _FORCE + c) * WIDTH + i] if n > 0.0 else n
 
 
+def _finding(p: Given) -> str:
+    # weights are sold in grams; they sit at the rim, 0.2 m from the axle
+    return f"{of_wheel(p, 'wheel')} is out of balance, by {plain(p['moment'] / 0.2 * 1e3, 'g')} at the rim"
+
+
 EFFECT = Effect(
     id="wheel_imbalance",
     title="wheel out of balance",
@@ -110,4 +117,5 @@ EFFECT = Effect(
             _FIELDS, _constants, {"tyre": (_swing, CORNER), "after": (_roll, LANE), "stamp": (_touch, CORNER)}
         )
     ),
+    finding=_finding,
 )

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+from suspension_twin.effects._phrases import Given, axles
 from suspension_twin.effects.base import Effect, Floats, Hook, Parameter, Values, Variant, of_one_corner
 
 __all__ = ["EFFECT"]
@@ -28,6 +29,10 @@ def _corner(numbers: dict[str, Floats], p: Values) -> None:
     _weaken(numbers, "vehicle.damper_", p["front"])
 
 
+def _finding(p: Given) -> str:
+    return f"the dampers are worn and have lost {axles(p, '', '')} of their force"
+
+
 EFFECT = Effect(
     id="worn_dampers",
     title="worn dampers",
@@ -41,4 +46,5 @@ EFFECT = Effect(
     confused_with=("the whole damper curve", "damper_fade", "corner_damper", "semi_active_damper"),
     hook=Hook(vehicle=_vehicle, models=("full_car", "msd")),
     variants={"quarter_car": Variant(of_one_corner(_PARAMETERS), Hook(vehicle=_corner))},
+    finding=_finding,
 )

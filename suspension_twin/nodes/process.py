@@ -133,7 +133,7 @@ def check_arguments(args: list[str]) -> None:
 
 def help_text(kind: Any, program: str) -> str:
     """What ``--help`` prints for the program of a node: what it does, and its parameters with their defaults."""
-    lines = [f"Usage: {program} [--ros-args -p NAME:=VALUE -r FROM:=TO --params-file FILE]", ""]
+    lines = [f"Usage: {program} [--ros-args -p NAME:=VALUE -r FROM:=TO ...]", ""]
     lines += [*textwrap.wrap(" ".join((kind.__doc__ or "").split()), 80), "", "Parameters (-p):"]
     for param in (*kind.common, *kind.parameters):
         shown = json.dumps(param.default) if isinstance(param.default, (bool, str)) else param.default

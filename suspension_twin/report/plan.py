@@ -13,10 +13,13 @@ from suspension_twin.diagnosis.plan import APART, DETECTABLE, Pair, Plan, Shown
 from suspension_twin.report import style
 from suspension_twin.report.page import Cell, Lead, Mark, Page, Section, Table
 from suspension_twin.report.style import COLOURS
+from suspension_twin.vehicle.corners import WHEELS
 
 __all__ = ["plan_page", "size_text", "sizes_picture"]
 
 _NEVER = "never"
+#: Sizes of two places are shown as one up to this factor.
+_NEAR = 1.25
 
 
 def plan_page(plan: Plan) -> Page:
@@ -64,7 +67,6 @@ def plan_page(plan: Plan) -> Page:
             "The smallest size that a diagnosis would name, beside the typical size of the fault. Left of the line, "
             "less than a typical fault is enough.",
             sizes_picture(plan.shown),
-            Table(("fault", "quantity", "shows from", "typical", "first in"), [_row(s) for s in plan.shown]),
         )
     )
     page.add(_pairs(plan))
@@ -76,6 +78,8 @@ def plan_page(plan: Plan) -> Page:
             _matrix(plan),
         )
     )
+    columns = ("fault", "quantity", "shows from", "typical", "first in")
+    page.add(Section("Every size", "", Table(columns, [_row(s) for s in plan.shown]), folded=True))
     page.add(_method(plan))
     return page
 
@@ -107,9 +111,34 @@ def _less(s: Shown) -> float:
     return float(np.log10(s.size / s.typical)) * (1.0 if s.largest >= s.typical else -1.0)
 
 
+def _alike(shown: Sequence[Shown]) -> list[list[Shown]]:
+    """Places of one effect at which it shows from about the same size on, the one that shows least first."""
+    groups: list[list[Shown]] = []
+    for s in sorted(shown, key=lambda s: (s.effect, s.parameter, s.size is None, -(s.size or 0.0))):
+        last = groups[-1][0] if groups else None
+        same = last is not None and (last.effect, last.parameter) == (s.effect, s.parameter)
+        near = same and last is not None and (last.size is None) == (s.size is None)
+        if near and last is not None and (last.size is None or s.size is None or last.size <= _NEAR * s.size):
+            groups[-1].append(s)
+        else:
+            groups.append([s])
+    return groups
+
+
+def _places(group: Sequence[Shown]) -> str:
+    """Name of an effect with those of its places."""
+    if len(group) >= len(WHEELS):
+        return f"{wording.effect_name(group[0].effect)}, any wheel"
+    names = [wording.effect_at(s.effect, s.place).partition(", ")[2] for s in group]
+    return wording.effect_name(group[0].effect) + (f", {wording.listed(names)}" if names[0] else "")
+
+
 def sizes_picture(shown: Sequence[Shown]) -> Figure:
-    """A row for every fault: the smallest size over the typical one."""
-    rows = sorted(shown, key=lambda s: (s.size is None, 0.0 if s.size is None else _less(s)))
+    """Draw a row for every fault: the smallest size over the typical one; places of about one size share a row."""
+    groups = sorted(
+        _alike(shown), key=lambda g: (g[0].size is None, 0.0 if g[0].size is None else _less(g[0]))
+    )
+    rows = [group[0] for group in groups]
     with style.using():
         fig = style.figure(9.2, 0.9 + 0.2 * len(rows))
         axes = fig.subplots()
@@ -134,10 +163,7 @@ def sizes_picture(shown: Sequence[Shown]) -> Figure:
                 color=COLOURS["soft"],
             )
         axes.axvline(1.0, color=COLOURS["soft"], linewidth=0.9, linestyle=":")
-        names = [
-            f"{wording.effect_at(s.effect, s.place)}: {wording.parameter_name(s.effect, s.parameter)}"
-            for s in rows
-        ]
+        names = [f"{_places(g)}: {wording.parameter_name(g[0].effect, g[0].parameter)}" for g in groups]
         axes.set_yticks(range(len(rows)), names, fontsize=8)
         axes.set_ylim(len(rows) - 0.4, -0.6)
         axes.set_xscale("log")

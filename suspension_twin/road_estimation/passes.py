@@ -3,12 +3,15 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.fft import next_fast_len
+from scipy.interpolate import CubicSpline
+from scipy.ndimage import gaussian_filter1d
 from scipy.signal import freqz_sos
 from scipy.sparse import csr_matrix
 
@@ -37,6 +40,8 @@ LANE_SIGMA = 0.3
 #: Drives farther apart than this, m, have other wheel paths.
 LANE = 0.6
 _OTHER_ROAD = 30.0
+#: A line has a point every so many m, smoothed over about so many.
+_KNOT, _SMOOTH = 0.5, 1.5
 #: Time in s between the knots of a pass's shift along the road.
 KNOT = 4.0
 
@@ -116,13 +121,22 @@ def line_of(paths: Sequence[Trajectory], step: float, margin: float) -> Centreli
     if not lines:
         raise InputError("drives", f"none of them moves faster than {_MOVING:g} m/s")
     x, y = max(lines, key=lambda p: float(np.hypot(np.diff(p[0]), np.diff(p[1])).sum()))
-    rough = Centreline(x, y, 1.0)
-    px, py = rough.x, rough.y
-    ends = []
-    for sign, i in ((-1.0, 0), (1.0, -1)):
-        heading = rough.headings[i]
-        ends.append((px[i] + sign * margin * np.cos(heading), py[i] + sign * margin * np.sin(heading)))
-    return Centreline(np.r_[ends[0][0], px, ends[1][0]], np.r_[ends[0][1], py, ends[1][1]], step)
+    rough = Centreline(x, y, _KNOT)
+    # Straight on at both ends, in the direction of the first and of the last metres.
+    more = math.ceil((margin + 4.0 * _SMOOTH) / _KNOT)
+    reach = min(round(3.0 / _KNOT), rough.x.size - 1)
+    points = np.column_stack([rough.x, rough.y])
+    steps = np.arange(1, more + 1)[:, None] * _KNOT
+    first, last = ((points[i] - points[j]) for i, j in ((0, reach), (-1, -1 - reach)))
+    before = points[0] + steps[::-1] * first / np.hypot(*first)
+    after = points[-1] + steps * last / np.hypot(*last)
+    # A path wavers where the drive is slow; a line that turns on the spot has no road to its sides.
+    smooth = gaussian_filter1d(np.vstack([before, points, after]), _SMOOTH / _KNOT, axis=0, mode="nearest")
+    extra = more - math.ceil(margin / _KNOT)
+    smooth = smooth[extra : smooth.shape[0] - extra]
+    at = np.arange(smooth.shape[0])
+    fine = CubicSpline(at, smooth)(np.linspace(0.0, at[-1], 20 * (at.size - 1) + 1))
+    return Centreline(fine[:, 0], fine[:, 1], step)
 
 
 def make_pass(prepared: Prepared, line: Road) -> Pass:

@@ -79,7 +79,9 @@ def test_nothing_outside_the_library_is_in_it_when_its_cases_are_diagnosed() -> 
 def test_development_and_reporting_share_no_world_and_no_name() -> None:
     from blind.plan import plan
 
-    sets = [plan(s) for s in ("dev", "report", "report2", "report3", "links_dev", "links")]
+    sets = [
+        plan(s) for s in ("dev", "report", "report2", "report3", "links_dev", "links", "train", "report4")
+    ]
     for one, other in combinations(sets, 2):
         assert not {c.world for c in one} & {c.world for c in other}
     names = [c.name for cases in sets for c in cases]
@@ -102,6 +104,32 @@ def test_the_beginning_of_the_plan_is_a_fair_sample() -> None:
         share = sum(c.kind == kind for c in cases) / len(cases)
         first = sum(c.kind == kind for c in cases[:100]) / 100
         assert first == pytest.approx(share, abs=0.02)
+
+
+def test_the_plan_to_train_on_has_everything_and_any_beginning_of_it_is_balanced() -> None:
+    from blind.faults import OF_THE_ROAD, WIDE_OUTSIDE
+    from blind.plan import KINDS, plan
+
+    cases = plan("train")
+    singles = {(c.effects[0], c.severity) for c in cases if c.kind == "single"}
+    of_cars = {n for n, e in EFFECTS.items() if set(e.hook.models) & {"full_car", "msd"}}
+    decoys = {"progressive_spring", "damper_play"}
+    assert singles == {(e, s) for e in of_cars - decoys for s in (1.5, 3.0, 5.0)}
+    assert {c.effects[0] for c in cases if c.kind == "outside"} == set(WIDE_OUTSIDE)
+    assert not set(WIDE_OUTSIDE) & set(EFFECTS)
+    ways = {(c.scene, c.reference, c.calibrated, c.right) for c in cases if c.kind == "null"}
+    assert (
+        len(ways) == 16
+    )  # four scenes, each with a reference, without, calibrated and with the true characteristics
+    assert len({c.world for c in cases}) == len(cases)
+    assert not any(c.reference for c in cases if set(c.effects) & set(OF_THE_ROAD))
+    assert not any(c.reference and c.calibrated for c in cases)
+    for count in (60, 150, 400):
+        for kind in KINDS:
+            share = sum(c.kind == kind for c in cases) / len(cases)
+            assert sum(c.kind == kind for c in cases[:count]) / count == pytest.approx(share, abs=0.03)
+    assert len({c.effects for c in cases[:60] if c.kind == "single"}) > 25
+    assert len(plan("report4")) >= 200
 
 
 @pytest.mark.parametrize("reality", ["newton", "multibody", "linkage"])
@@ -139,6 +167,64 @@ def test_a_payload_sinks_the_car_by_its_weight_over_the_springs(world: Any, real
         2 * np.gradient(s.spring)[300] / (SPRING_REACH / (s.spring.size - 1)) for s in (car.front, car.rear)
     )
     assert (sunk - still).mean() == pytest.approx(100.0 * G / rate, rel=0.1)
+
+
+@pytest.mark.parametrize("reality", ["newton", "multibody"])
+def test_a_sagged_spring_and_a_soft_tyre_let_the_car_down(world: Any, reality: str) -> None:
+    from blind.folder import RUN
+
+    plan = world.plans["drive_fast"]
+    still, sagged, soft = (
+        RUN[reality](world, plan, f)
+        for f in (
+            {},
+            {"spring_sag": {"front": 0.03, "rear": 0.0, "rate": 0.0}},
+            {"tyre_pressure": {"corner": 6.0, "change": -0.3}},
+        )
+    )
+    standing = slice(500, 1500)
+    lower = (sagged.travel - still.travel)[standing].mean(axis=0)
+    assert lower[:2] == pytest.approx([0.03, 0.03], abs=0.002) and np.abs(lower[2:]).max() < 0.003
+    # all tyres give more under the same load: less than if they were air alone, more than a third of that
+    sink = still.place[standing, 2].mean() - soft.place[standing, 2].mean()
+    air = world.car.loads().mean() / world.car.tyre_stiffness * (1 / 0.7 - 1)
+    assert air / 3 < sink < air
+    assert np.abs((soft.travel - still.travel)[standing]).max() < 0.001
+
+
+@pytest.mark.parametrize(
+    ("fault", "values"),
+    [
+        ("wheel_imbalance", {"corner": 0.0, "moment": 1.0, "phase": 0.5, "turned": 1.0}),
+        ("flat_spot", {"corner": 0.0, "depth": 0.01}),
+        ("engine_order", {"force": 800.0, "idle": 9.0, "low": 0.0, "high": 0.0}),
+    ],
+)
+def test_what_turns_is_felt_at_its_frequency(world: Any, fault: str, values: dict[str, float]) -> None:
+    """Against the distance for a wheel, against the time for a fan: the strongest line of what is added."""
+    from blind import newton
+
+    plan = world.plans["drive_fast"]
+    plain, odd = (newton.run(world, plan, f) for f in ({}, {fault: values}))
+    n = min(plain.t.size, odd.t.size)
+    change = (odd.force - plain.force)[:n, 2]
+    along, unit = (
+        (plain.t[:n], 9.0) if fault == "engine_order" else (plain.u[:n], 1 / (2 * np.pi * world.car.radius))
+    )
+    driving = slice(np.flatnonzero(plain.u > plain.u[0] + 10.0)[0], n)
+    tried = np.linspace(0.5 * unit, 1.6 * unit, 400)
+    power = [abs(np.sum(change[driving] * np.exp(-2j * np.pi * k * along[driving]))) for k in tried]
+    assert tried[int(np.argmax(power))] == pytest.approx(unit, rel=0.03)
+
+
+def test_stamps_without_the_lost_samples_run_ahead_until_the_clock_is_asked_again() -> None:
+    from blind.phone import lost_time
+
+    t = np.arange(6000) / 100.0
+    early, gone = lost_time({"seconds": 0.1, "every": 10.0}, t, 3)
+    assert 0.01 < gone.mean() < 0.08
+    assert np.all(np.diff((t - early)[~gone]) > 0.0)
+    assert early[t % 10.0 < 0.005].max() == 0.0 and early.max() > 0.1
 
 
 def test_a_wheel_on_a_linkage_comes_up_as_its_lever_says(world: Any) -> None:
@@ -274,7 +360,7 @@ def test_changing_the_labels_changes_no_byte_of_a_diagnosis(tmp_path: Path, repo
         record = ask.ask(case, answer, "seal")
         assert record["status"] == 0, record["error"]
         answers.append({p.name: p.read_bytes() for p in answer.iterdir() if p.name != "record.json"})
-    assert set(answers[0]) == {"diagnosis.json", "twin.yaml"}
+    assert set(answers[0]) == {"diagnosis.json", "evidence.json", "twin.yaml"}
     assert answers[0] == answers[1]
 
 

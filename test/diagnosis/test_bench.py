@@ -132,7 +132,7 @@ def test_the_jacobian_is_what_every_unknown_changes(leaning: Bench, heard: tuple
 
 def test_longer_steps_are_the_same_drives_to_what_the_model_leaves(leaning: Bench) -> None:
     """Whatever excites the vehicle: what is found in longer steps is looked at once more in the drives' own."""
-    coarse, z = leaning.coarser(2.5e-3), leaning.centre[:, None]
+    coarse, z = replace(leaning, step=2.5e-3), leaning.centre[:, None]
     for effects in ((), ("sensor_tilt",), ("payload",)):
         one, other = (b.excitation(0, effects) for b in (leaning, coarse))
         assert other.max_step == 2.5e-3

@@ -129,7 +129,7 @@ def test_a_road_file_that_is_wrong_on_one_stretch_is_unknown_and_said_to_be_so(m
     like = stretch["resembles"][0]
     assert like["effect"] == "road_scale" and like["shrink"] > 0.4
     assert like["parameters"]["scale"] == pytest.approx(-2.0 / 3.0, abs=0.1)
-    assert "like road scale there" in document["message"]
+    assert "m of the road, where it is like road heights off by a factor" in document["message"]
     assert document["next_experiment"].startswith("Survey the road from ")
     assert document["no_gap_probability"] < 0.1
     assert "which holds a smaller share of the motion" in diagnosis_page(result).render()

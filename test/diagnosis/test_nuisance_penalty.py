@@ -10,11 +10,12 @@ import numpy as np
 import pytest
 from scipy.optimize import minimize
 
-from suspension_twin.diagnosis import verdict
+from suspension_twin.diagnosis import decision, features
 from suspension_twin.diagnosis.bench import Linearised
-from suspension_twin.diagnosis.evidence import Evidence, weights
+from suspension_twin.diagnosis.evidence import Evidence
 from suspension_twin.diagnosis.fit import LinearisedFit, refit
 from suspension_twin.diagnosis.hypotheses import BASELINE, Hypothesis
+from suspension_twin.diagnosis.judge import tempered_gain
 from suspension_twin.diagnosis.nuisance_penalty import penalty_gains, penalty_of
 
 LATE = Hypothesis(("time_offset",))
@@ -101,9 +102,12 @@ def test_clocks_at_their_ends_are_chance_where_little_asks_for_it() -> None:
         fit = bench.fit(BASELINE)
         assert (fit.x[2:4] > 2.95).all()
         found: Any = SimpleNamespace(fit=fit, penalty=penalty_of(bench, fit, fit.at.model))
-        assert (verdict.clocks_within_limits(bench, found, 0.01) > 0.5) == (late < 10.0)
-        found.penalty = None
-        assert verdict.clocks_within_limits(bench, found, 0.01) < 0.5
+        known: Any = features._Known.__new__(features._Known)
+        known.judged = SimpleNamespace(bench=bench, temper=0.01)
+        known.case = SimpleNamespace(excited=True)
+        row = known._clocks(found)
+        assert row["clocks"] > 2.9 and (row["clocks_by_chance"] > 0.05) == (late < 10.0)
+        assert (decision._clocks(row) < 0.5) == (late < 10.0)
 
 
 def told(bench: Any, *hypotheses: Hypothesis) -> np.ndarray:
@@ -142,8 +146,10 @@ def test_a_prior_counts_in_full_where_what_is_left_is_the_models_own_error() -> 
             fit, score, 0.0, {}, np.zeros(1), np.zeros((1, 5)), 0.0, penalty_of(bench, fit, fit.at.model)
         )
 
-    share, _ = weights([found(BASELINE), found(LATE)], np.array([0.5, 0.5]), 0.03, 0)
-    assert share[1] > 0.95
+    def gain() -> float:
+        judged: Any = SimpleNamespace(temper=0.03, base=SimpleNamespace(found=found(BASELINE)))
+        return tempered_gain(judged, found(LATE))
+
+    assert gain() > 3.0
     bench = clocks(1.0)
-    share, _ = weights([found(BASELINE), found(LATE)], np.array([0.5, 0.5]), 0.03, 0)
-    assert share[1] == pytest.approx(0.5, abs=0.05)
+    assert -1.0 < gain() < 0.2

@@ -54,7 +54,7 @@ def test_a_withheld_stop_is_named(rig: Any, tmp_path: Path) -> None:
     document = json.loads((tmp_path / "answer" / "diagnosis.json").read_text(encoding="utf-8"))
     assert document["verdict"] in ("effect", "partly") and "rebound_stop" in document["combination"]
     named = next(cause for cause in document["causes"] if cause["effect"] == "rebound_stop")
-    assert named["probability"] >= 0.5 and named["shrink_interval"][0] > 0.5
+    assert document["probability"] >= 0.5 and named["shrink_beyond_recalibration_interval"][0] > 0.5
     assert "rebound_stop" in [e.id for e in load_twin(tmp_path / "answer" / "twin.yaml").effects]
     assert document["where"]["operating_point"] and not document["where"]["corner"]
 

@@ -70,6 +70,19 @@ def test_a_damper_that_has_lost_force():
     assert "gained 20 %" in wording.finding("corner_damper", {"corner": 3.0, "change": 0.2})
 
 
+def test_a_tyre_an_axle_and_a_wheel_out_of_balance():
+    assert wording.finding("tyre_pressure", {"corner": 1.0, "change": -0.3}) == (
+        "the pressure of the front right tyre is 30 % too low"
+    )
+    assert "both rear tyres is 20 % too high" in wording.finding(
+        "tyre_pressure", {"corner": 5.0, "change": 0.2}
+    )
+    told = wording.finding(
+        "wheel_imbalance", {"corner": 0.0, "moment": 0.02, "rolling_radius": 0.31, "phase": 0.0}
+    )
+    assert told == "the front left wheel is out of balance, by 100 g at the rim"
+
+
 def test_an_effect_without_a_phrase_is_named_with_its_parameters(monkeypatch):
     plain = replace(EFFECTS["corner_damper"], finding=None)
     monkeypatch.setitem(EFFECTS, "corner_damper", plain)

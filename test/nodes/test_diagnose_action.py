@@ -131,6 +131,7 @@ def test_the_work_hands_on_the_stages_and_leaves_the_three_files(goal, twin_path
     assert json.loads(outcome["diagnosis"]) == document
     assert sorted(p.name for p in Path(goal.output).iterdir()) == [
         "diagnosis.json",
+        "evidence.json",
         "report.html",
         "twin.yaml",
     ]

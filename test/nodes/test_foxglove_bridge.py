@@ -67,6 +67,7 @@ class Viewer:
                     "id": channel["id"],
                     "channelId": channel["id"],
                 }  # its own id again for the subscription
+                await asyncio.sleep(0.1)  # the server knows a channel some time after it has advertised it
                 await socket.send_json({"op": "subscribe", "subscriptions": [wanted]})
 
     def read(self, topic: str, data: bytes) -> Any:

@@ -33,6 +33,7 @@ class PhyphoxApp:
     speed: float = 20.0
     session: str = "3fa2c1"
     measuring: bool = False
+    later: float = 0.0  # s by which a second measurement begins after the first
     buffers: dict[str, list[float]] = field(default_factory=dict)
     requests: list[str] = field(default_factory=list)
     silent: bool = False
@@ -115,7 +116,7 @@ class PhyphoxApp:
         if not self.measuring:
             self.measuring = True
             start = float(self.drive.imu.t[0]) - 1.0
-            self.events.append({"event": "START", "experimentTime": 0.0, "systemTime": start})
+            self.events.append({"event": "START", "experimentTime": 0.0, "systemTime": start + self.later})
             self._player = asyncio.ensure_future(self._play(start))
 
     async def _play(self, start: float) -> None:

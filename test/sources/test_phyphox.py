@@ -80,12 +80,12 @@ def test_a_cleared_experiment_begins_again(bump: Drive, experiment: Path) -> Non
         before = taken.count("imu")
         app.buffers = {name: [] for name in app.buffers}
         app.events.clear()
-        app.measuring = False
+        app.measuring, app.later = False, 100.0
         app._start()
         while taken.count("imu") < before + 100:
             await asyncio.sleep(0.01)
 
-    hear(bump, experiment, during, speed=2.0 * 20.0)
+    hear(bump, experiment, during, speed=2.0)  # it takes two seconds to see that nothing newer comes
 
 
 def test_an_experiment_without_the_sensors_is_told(bump: Drive, tmp_path: Path) -> None:

@@ -1,0 +1,218 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The answer as a pure function of the evidence: verdict, causes, candidates and the message of diagnosis.json."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from suspension_twin.diagnosis import wording
+from suspension_twin.diagnosis.decision import Costs, Decision, Row, decide, usual_level
+from suspension_twin.errors import InputError
+from suspension_twin.vehicle.twin import EffectSpec, Twin, load_twin
+
+__all__ = ["answer_of", "decided_anew", "leading_channel", "twin_with"]
+
+#: Keys of diagnosis.json that a decision made anew keeps: they depend on the drives alone.
+_KEPT = ("where", "warnings", "next_experiment")
+
+
+def answer_of(evidence: Mapping[str, Any], decision: Decision) -> dict[str, Any]:
+    """The part of diagnosis.json that follows from the evidence.
+
+    Parameters
+    ----------
+    evidence : mapping
+        Content of ``evidence.json``.
+    decision : Decision
+        What was decided on it.
+    """
+    case, base, rows = evidence["case"], evidence["base"], evidence["hypotheses"]
+    main = next(iter(case["channels"]))
+    named = decision.row is not None
+    kept = _written(decision.row if decision.row is not None else base)
+    left = kept["channels"][main]["written"]
+    verdict = _verdict(case, decision)
+    document: dict[str, Any] = {
+        "verdict": verdict,
+        "probability": round(_probability(decision), 6),
+        "gap": {
+            "rms": case["channels"][main]["gap"],
+            "mse": _round(case["channels"][main]["gap"] ** 2),
+            "noise_rms": case["channels"][main]["noise"],
+            "channel": main,
+            "channels": {name: c["gap"] for name, c in case["channels"].items()},
+        },
+        "gap_before": left["before"],
+        "gap_after": left["after"],
+        "shrink": left["shrink"],
+        "shrink_interval": [left["low"], left["high"]],
+        "causes": _causes(case, base, rows, decision),
+        "no_gap_probability": round(decision.no_gap, 6),
+        "unknown_probability": round(decision.unknown, 6),
+        "candidates": [_named(c) for c in decision.candidates],
+        "combination": list(decision.row["effects"]) if named and decision.row is not None else [],
+        "unexplained": _round(1.0 - left["shrink"]),
+        "recalibration": _shrink(base["channels"][main]["written"]),
+        "background": {
+            "share_of_motion_left": kept["level"],
+            "share_left_on_reference": case["level_on_reference"],
+            "noise_share_of_residual": case["temper"],
+        },
+        "cannot_be_judged": [r["effects"][0] for r in rows if len(r["effects"]) == 1 and not _judged(r)],
+    }
+    document["message"] = wording.message(document)
+    return document
+
+
+def leading_channel(row: Row) -> str:
+    """The channel in which the shrink beyond recalibration is surest."""
+    return str(max(row["channels"], key=lambda name: row["channels"][name]["low"]))
+
+
+def _verdict(case: Row, decision: Decision) -> str:
+    """``effect`` where at most half of the leading channel's residual beyond the discrepancy stays, else ``partly``."""
+    if decision.row is None:
+        return "no_gap" if decision.chosen == () else "unknown"
+    row = decision.row
+    name = leading_channel(row)
+    expected = usual_level(case) * case["channels"][name]["motion"]
+    before, after = (
+        np.sqrt(max(row["channels"][name][k] ** 2 - expected**2, 0.0)) for k in ("before", "after")
+    )
+    return "effect" if after <= 0.5 * before else "partly"
+
+
+def _probability(decision: Decision) -> float:
+    """Of the verdict: that of the set that is named, or of no gap or unknown."""
+    if decision.chosen == ():
+        return decision.no_gap
+    if decision.chosen == ("unknown",):
+        return decision.unknown
+    pairs = zip(decision.answers, decision.probability, strict=True)
+    return float(sum(p for a, p in pairs if a.causes == decision.chosen))
+
+
+def _causes(case: Row, base: Row, rows: list[Row], decision: Decision) -> list[dict[str, Any]]:
+    """Every effect of the library, the most probable first; members of the named set with their joint parameters."""
+    singles = [r for r in rows if len(r["effects"]) == 1 and not r["decoy"]]
+    together = _written(decision.row)["parameters"] if decision.row is not None else {}
+    tied = [c[0] for c in decision.candidates if len(c) == 1 and c != ("unknown",)]
+    causes = []
+    for row in sorted(
+        singles,
+        key=lambda r: (-round(decision.effects[r["effects"][0]], 9), -r["tempered_gain"], r["effects"][0]),
+    ):
+        effect = row["effects"][0]
+        shown = _written(decision.row) if decision.chosen == (effect,) and decision.row is not None else row
+        parameters = together.get(effect, row["parameters"][effect])
+        channel = leading_channel(shown)
+        beyond = shown["channels"][channel]
+        cause: dict[str, Any] = {
+            "effect": effect,
+            "probability": round(decision.effects[effect], 6),
+            "parameters": {name: p["value"] for name, p in parameters.items()},
+            "channel": channel,
+            **_shrink(beyond["written"]),
+            "shrink_beyond_recalibration": beyond["shrink"],
+            "shrink_beyond_recalibration_interval": [beyond["low"], beyond["high"]],
+            "indistinguishable_from": [e for e in tied if e != effect] if effect in tied else [],
+            "judged": _judged(row),
+            "log_evidence": row["tempered_gain"],
+        }
+        ends = {name: p["interval"] for name, p in parameters.items() if "interval" in p}
+        if ends and effect in decision.chosen:
+            cause["parameter_intervals"] = ends
+        causes.append(cause)
+    return causes
+
+
+def _judged(row: Row) -> bool:
+    """Whether the drives excite an effect enough, somewhere over its prior."""
+    return bool(row.get("detectable", True))
+
+
+def _written(row: Row) -> Row:
+    """A row as the twin file has it: refitted in the time steps of the drives."""
+    return {**row, **row["refined"]} if "refined" in row else row
+
+
+def _shrink(one: Row) -> dict[str, Any]:
+    return {
+        "gap_before": one["before"],
+        "gap_after": one["after"],
+        "shrink": one["shrink"],
+        "shrink_interval": [one["low"], one["high"]],
+    }
+
+
+def _named(causes: tuple[str, ...]) -> str:
+    return " + ".join(causes) if causes else "no_gap"
+
+
+def _round(value: float) -> float:
+    return float(f"{float(value):.6g}")
+
+
+def twin_with(given: Twin, row: Row) -> Twin:
+    """The twin of a row: its characteristics and effects in the twin file that was diagnosed."""
+    shown = _written(row)
+    twin = given.with_changes(shown["vehicle"])
+    specs = tuple(
+        EffectSpec(id=e, parameters={name: p["value"] for name, p in shown["parameters"][e].items()})
+        for e in shown.get("effects", ())
+    )
+    return twin.model_copy(update={"effects": (*given.effects, *specs), "road": given.road})
+
+
+def decided_anew(folder: Path, costs: Costs) -> tuple[dict[str, Any], Twin | None]:
+    """The document of a kept diagnosis decided anew, and the twin file that goes with it.
+
+    Parameters
+    ----------
+    folder : Path
+        A folder with ``evidence.json`` and ``diagnosis.json`` of an earlier diagnosis.
+    costs : Costs
+        Costs of wrong and missing answers.
+
+    Returns
+    -------
+    tuple
+        The content of ``diagnosis.json`` and the twin, None where the twin file that was diagnosed is gone.
+
+    Raises
+    ------
+    InputError
+        The folder holds no diagnosis, or one of another version.
+    """
+    evidence, before = (_read(folder / name) for name in ("evidence.json", "diagnosis.json"))
+    decision = decide(evidence, costs)
+    document = answer_of(evidence, decision)
+    document |= {k: before[k] for k in _KEPT if k in before}
+    if document["verdict"] in ("unknown", "partly") and "signature" in before:
+        document["signature"] = before["signature"]
+    if before.get("before_and_after"):
+        document["before_and_after"] = True
+    document["seed"], document["message"] = evidence["seed"], wording.message(document)
+    path = Path(evidence["twin"])
+    if not path.is_file():
+        return document, None
+    return document, twin_with(
+        load_twin(path), decision.row if decision.row is not None else evidence["base"]
+    )
+
+
+def _read(path: Path) -> dict[str, Any]:
+    try:
+        found = json.loads(path.read_text(encoding="utf-8"))
+    except FileNotFoundError:
+        raise InputError(str(path.parent), f"holds no {path.name}: it is no folder of a diagnosis") from None
+    except (OSError, ValueError) as error:
+        raise InputError(str(path), f"cannot be read: {error}") from None
+    if not isinstance(found, dict):
+        raise InputError(str(path), "is no diagnosis")
+    return found

@@ -1,0 +1,223 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The learnt decision: probabilities, signs, costs, candidate sets, and deciding anew from a file."""
+
+from __future__ import annotations
+
+import json
+from copy import deepcopy
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from suspension_twin.cli.main import main
+from suspension_twin.diagnosis.answer import answer_of
+from suspension_twin.diagnosis.decision import FEATURES, Costs, Weights, answers_of, decide, learnt
+from suspension_twin.errors import InputError
+
+PARAMETERS = {"strut_friction": ("front_force", "rear_force"), "payload": ("mass", "x", "y")}
+SIZE = {"value": 200.0, "z": 0.5, "far": 0.5, "bound": False}
+CHANNELS = ("vertical_acceleration", "pitch_rate")
+
+
+def row(*effects: str, gain: float = 0.0, left: float = 1.0, decoy: bool = False) -> dict[str, Any]:
+    """A hypothesis that gains so many nats and leaves this share of a gap of 0.4 of the motion."""
+    shrink = 1.0 - left
+    channel = {
+        "before": 0.4,
+        "after": 0.4 * left,
+        "shrink": shrink,
+        "low": shrink - 0.05,
+        "high": shrink + 0.05,
+        "worst": shrink,
+        "fitted": True,
+        "written": {"before": 0.5, "after": 0.4 * left, "shrink": 1 - 0.8 * left, "low": 0.0, "high": 0.9},
+    }
+    return {
+        "effects": list(effects),
+        "decoy": decoy,
+        "tempered_gain": gain,
+        "folds": 1.0 if gain > 0 else 0.5,
+        "signs": 1.0,
+        "level": 0.4 * left,
+        "level_fitted": 0.4 * left,
+        "mean_squares": dict.fromkeys(CHANNELS, 8.0 * left**2 + 1.0),
+        "channels": {name: dict(channel) for name in CHANNELS},
+        "parameters": {e: {p: dict(SIZE) for p in PARAMETERS.get(e, ("size",))} for e in effects},
+        "added_low": shrink - 0.05,
+        "usual": None,
+        "where": ["strut"],
+        "resonance": False,
+        "undetectable": 0.0,
+        "detectable": True,
+        "tone": 0.0,
+        "band": 1.0,
+        "place": 0.0,
+        "vehicle": {},
+    }
+
+
+def evidence(*rows: dict[str, Any], reference: bool = True) -> dict[str, Any]:
+    """Evidence on a car whose gap is 0.4 of the motion, with hypotheses beside."""
+    channel = {"noise": 0.02, "motion": 1.0, "gap": 0.5, "driven": True}
+    return {
+        "format": 1,
+        "seed": 0,
+        "twin": "gone.yaml",
+        "case": {
+            "kind": "road",
+            "reference": reference,
+            "level_on_reference": 0.1 if reference else None,
+            "temper": 0.1,
+            "channels": {name: dict(channel) for name in CHANNELS},
+        },
+        "base": row(),
+        "hypotheses": list(rows),
+    }
+
+
+def others(count: int = 5) -> list[dict[str, Any]]:
+    return [row(f"other_{i}", gain=0.1 * i) for i in range(count)]
+
+
+@pytest.mark.parametrize("reference", [True, False])
+def test_what_closes_the_gap_and_gains_far_more_than_all_others_is_named(reference: bool) -> None:
+    found = decide(evidence(row("strut_friction", gain=60.0, left=0.2), *others(), reference=reference))
+    assert found.chosen == ("strut_friction",) and found.candidates[0] == ("strut_friction",)
+    assert answer_of(evidence(*others()), decide(evidence(*others())))["combination"] == []
+
+
+def test_a_residual_that_nothing_explains_is_unknown_and_a_usual_one_no_gap() -> None:
+    assert decide(evidence(*others())).chosen == ("unknown",)
+    sound = evidence(*others())
+    sound["base"] = row(left=0.25)
+    sound["base"]["mean_squares"] = dict.fromkeys(CHANNELS, 1.2)
+    assert decide(sound).chosen == ()
+
+
+def test_no_cause_is_named_whose_shrink_may_be_none() -> None:
+    sure = row("strut_friction", gain=60.0, left=0.2)
+    for channel in sure["channels"].values():
+        channel["low"] = -0.01
+    found = decide(evidence(sure, *others()))
+    assert found.chosen in ((), ("unknown",))
+
+
+@given(
+    st.lists(st.floats(-5.0, 200.0), min_size=1, max_size=8),
+    st.lists(st.floats(0.0, 1.5), min_size=8, max_size=8),
+    st.booleans(),
+    st.integers(0, 2**32 - 1),
+)
+def test_probabilities_are_ones_whatever_the_weights(
+    gains: list[float], left: list[float], reference: bool, seed: int
+) -> None:
+    rows = [row(f"e{i}", gain=g, left=share) for i, (g, share) in enumerate(zip(gains, left, strict=False))]
+    rows.append(row("shape", gain=3.0, left=0.6, decoy=True))
+    given = evidence(*rows, reference=reference)
+    weights = Weights(np.random.default_rng(seed).normal(size=len(FEATURES)), 0.1, {})
+    for known in (None, weights):
+        found = decide(given, weights=known)
+        total = sum(found.effects.values()) + found.no_gap + found.unknown
+        assert total == pytest.approx(1.0) and min(found.effects.values()) >= 0.0
+        assert found.candidates
+
+
+def test_no_set_is_named_whose_member_may_add_nothing() -> None:
+    both = row("strut_friction", "payload", gain=90.0, left=0.2)
+    rows = (row("strut_friction", gain=20.0, left=0.7), row("payload", gain=15.0, left=0.75), both, *others())
+    assert len(decide(evidence(*rows)).chosen) == 2
+    both["added_low"] = -0.01
+    assert len(decide(evidence(*rows)).chosen) < 2
+
+
+@given(st.floats(0.0, 100.0), st.floats(0.0, 50.0), st.booleans())
+def test_more_evidence_makes_no_cause_less_probable(gain: float, more: float, reference: bool) -> None:
+    def p(nats: float) -> float:
+        rows = (row("strut_friction", gain=nats, left=0.4), *others())
+        return decide(evidence(*rows, reference=reference)).effects["strut_friction"]
+
+    assert p(gain + more) >= p(gain) - 1e-9
+
+
+def test_weights_have_the_signs_that_physics_dictates_and_say_where_they_come_from() -> None:
+    known = learnt()
+    assert len(FEATURES) <= 40
+    for value, (name, sign) in zip(known.values, FEATURES.items(), strict=True):
+        assert sign == 0.0 or value * sign >= 0.0, name
+    assert 0.0 < known.conformal < 0.5
+    assert {"cases", "commit", "seeds", "evidence_sha256"} <= set(known.source)
+
+
+def test_costs_decide_what_is_said() -> None:
+    given = evidence(row("strut_friction", gain=6.0, left=0.5), *others())
+    p = decide(given).effects["strut_friction"]
+    assert 0.02 < p < 0.999
+    assert decide(given, Costs(wrong=1e6)).chosen in ((), ("unknown",))
+    assert decide(given, Costs(wrong=0.0, missed=1.0, unknown=1.0)).chosen == ("strut_friction",)
+    assert Costs.parsed("wrong=10, vague=0.1") == Costs(wrong=10.0, vague=0.1)
+    assert Costs.parsed("") == Costs()
+    for text, word in (
+        ("wrng=1", "wrng"),
+        ("wrong=x", "'x'"),
+        ("wrong=-1", "at least 0"),
+        ("missed=nan", "at least 0"),
+    ):
+        with pytest.raises(InputError, match=word):
+            Costs.parsed(text)
+
+
+def test_part_of_a_set_is_vague_and_not_wrong() -> None:
+    costs = Costs(wrong=4.0, vague=0.5)
+    assert costs.of(("a",), ("a", "b")) == 0.5 and costs.of(("a", "b"), ("a",)) == 0.5
+    assert costs.of(("a", "c"), ("a", "b")) == 1.0
+    assert costs.of(("c",), ("a", "b")) == costs.of(("a",), ()) == costs.of(("a",), ("unknown",)) == 4.0
+    assert costs.of(("a",), ("a",)) == costs.of((), ()) == 0.0
+
+
+def test_a_set_is_named_where_both_of_its_effects_are_needed() -> None:
+    one, two = row("strut_friction", gain=20.0, left=0.7), row("payload", gain=15.0, left=0.75)
+    both = row("strut_friction", "payload", gain=70.0, left=0.2)
+    found = decide(evidence(one, two, both, *others()))
+    assert found.chosen == ("payload", "strut_friction")
+    assert found.effects["payload"] == pytest.approx(found.effects["strut_friction"], rel=0.2)
+    idle = row("strut_friction", "payload", gain=20.3, left=0.699)
+    assert decide(evidence(row("strut_friction", gain=20.0, left=0.2), two, idle, *others())).chosen == (
+        "strut_friction",
+    )
+
+
+def test_half_of_the_residual_that_stays_is_partly() -> None:
+    for left, verdict in ((0.2, "effect"), (0.8, "partly")):
+        rows = evidence(row("strut_friction", gain=200.0, left=left), *others())
+        document = answer_of(rows, decide(rows, Costs(wrong=0.1)))
+        assert document["verdict"] == verdict, left
+        assert document["causes"][0]["channel"] in CHANNELS
+        assert document["probability"] > 0.5
+
+
+def test_evidence_of_another_format_is_refused() -> None:
+    with pytest.raises(InputError, match="format 0"):
+        answers_of({**evidence(*others()), "format": 0})
+
+
+def test_a_kept_diagnosis_is_decided_anew(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    kept = evidence(row("strut_friction", gain=60.0, left=0.2), *others())
+    before = answer_of(kept, decide(kept))
+    before |= {"where": {"time": []}, "warnings": ["short"], "next_experiment": "Drive a bump.", "seed": 0}
+    (tmp_path / "evidence.json").write_text(json.dumps(kept))
+    (tmp_path / "diagnosis.json").write_text(json.dumps(before))
+    assert main(["diagnose", "--from-evidence", str(tmp_path), "--out", str(tmp_path / "anew")]) == 0
+    anew = json.loads((tmp_path / "anew" / "diagnosis.json").read_text())
+    assert anew == {**deepcopy(before), "message": anew["message"]}
+    assert "strut friction" in capsys.readouterr().out.lower().replace("_", " ")
+    assert main(["diagnose", "--from-evidence", str(tmp_path), "--costs", "wrong=1e9"]) == 0
+    assert "friction" not in capsys.readouterr().out.splitlines()[1].lower()
+    assert main(["diagnose", "--from-evidence", str(tmp_path / "nowhere")]) == 2
+    assert "evidence.json" in capsys.readouterr().err
+    (tmp_path / "evidence.json").write_text("{")
+    assert main(["diagnose", "--from-evidence", str(tmp_path)]) == 2
+    assert main(["diagnose", "--from-evidence", str(tmp_path), "--twin", "twin.yaml"]) == 2
