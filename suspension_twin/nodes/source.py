@@ -77,8 +77,11 @@ class SourceNode(TwinNode):
         except BaseException:
             self.destroy_node()
             raise
-        for note in self._receiver.notes:
-            self.log.info(note)
+        if not driven:
+            for (
+                note
+            ) in self._receiver.notes:  # not by the log, which goes out on /rosout: there is a token in it
+                print(note, file=sys.stderr, flush=True)
 
     @property
     def notes(self) -> list[str]:

@@ -14,6 +14,7 @@ from suspension_twin.arrays import Floats
 from suspension_twin.drive.repair import measured
 from suspension_twin.drive.types import FixData, HeadingData, ImuData, Samples, VelocityData
 from suspension_twin.sources.common.clock import ArrivalClock
+from suspension_twin.sources.common.motion import MotionShift
 
 if TYPE_CHECKING:
     from suspension_twin.sources.common.hub import Hub
@@ -59,6 +60,8 @@ class Device:
         self.accuracy = math.nan
         #: Latitude, longitude in degrees and height in m of the last fix.
         self.place: tuple[float, float, float] | None = None
+        #: What the motion has said of its IMU's stamps.
+        self.motion: MotionShift | None = None
         #: The host's time in s when it was first heard of.
         self.since = hub.now()
         self._force = _Buffer()
