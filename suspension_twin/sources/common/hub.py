@@ -25,6 +25,8 @@ __all__ = ["Hub", "Packet"]
 _LIMIT = 20_000
 _DEVICES = 16
 _SAID = 200
+#: s in which the same warning is given once.
+_REPEAT = 10.0
 #: s after which another device takes the place of one that has gone silent.
 _SUCCESSION = 30.0
 #: A correction of stamps follows its target by this share of time; beyond the bound in s it jumps.
@@ -91,6 +93,7 @@ class Hub:
         self._held = 0
         self._lock = threading.Lock()
         self._said: deque[Finding] = deque(maxlen=_SAID)
+        self._told: dict[str, float] = {}
         self._corrections: dict[ArrivalClock, _Correction] = {}
         self._ignored: set[tuple[str, str]] = set()
         #: What the motion has last said of the IMU's stamps.
@@ -119,7 +122,14 @@ class Hub:
         return found
 
     def say(self, level: Literal["ok", "warn", "error"], code: str, text: str) -> None:
-        """An event for the user; ``code`` names its kind."""
+        """An event for the user; ``code`` names its kind. A warning that was just given is not repeated."""
+        if level != "ok":
+            now = host_time()
+            if now - self._told.get(text, -math.inf) < _REPEAT:
+                return
+            if len(self._told) >= _SAID:
+                self._told.clear()
+            self._told[text] = now
         self._said.append(Finding(level, code, text))
         self.wake()
 
