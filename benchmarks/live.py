@@ -358,7 +358,27 @@ def main() -> int:
     parser.add_argument(
         "--replay", type=float, default=3600.0, help="seconds of driving for the memory; 0: none"
     )
+    parser.add_argument(
+        "--source",
+        action="store_true",
+        help="phones that push over HTTP instead, from their request to twin/imu",
+    )
+    parser.add_argument("--phones", type=int, default=4, help="with --source: how many at once")
+    parser.add_argument("--imu-rate", type=float, default=400.0, help="with --source: Hz of each phone")
+    parser.add_argument(
+        "--batch", type=float, default=0.0, help="with --source: s between messages; 0: one a sample"
+    )
     arguments = parser.parse_args()
+    if arguments.source:
+        from live_sources import Load, measure_source, print_source
+
+        load = Load(arguments.phones, arguments.imu_rate, arguments.batch)
+        found = measure_source(load, arguments.seconds, arguments.rounds, arguments.warm_up)
+        if arguments.json:
+            print(json.dumps(found))
+        else:
+            print_source(found)
+        return 0
     result: dict[str, Any] = {"bar": BAR, "cores": os.cpu_count(), "dashboard": arguments.dashboard}
     result["rates"] = {}
     if arguments.seconds > 0:

@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
 
 import typer
 
-from suspension_twin.cli.common import SourceUrls, TwinFile
+from suspension_twin.cli.common import Force, Outputs, SourceUrls, TwinFile
 from suspension_twin.errors import InputError, WorkError
 
 if TYPE_CHECKING:
@@ -31,6 +31,8 @@ __all__ = ["command"]
 _DISCOVERY = 0.5
 #: The same where a page is to be opened first.
 _VIEWED = 3.0
+#: s that a recording may take to be completed after Ctrl-C.
+_RECORDED = 30.0
 
 
 class Page(NamedTuple):
@@ -57,6 +59,13 @@ def command(
     ] = "1",
     loop: Annotated[bool, typer.Option("--loop", help="Begin the recording again at its end.")] = False,
     source: SourceUrls = None,
+    record: Annotated[
+        Path | None,
+        typer.Option(
+            "--record", help="Record what the sources send into this bag.", metavar="BAG", show_default=False
+        ),
+    ] = None,
+    force: Force = False,
     namespace: Annotated[
         str, typer.Option("--namespace", help="Put everything below this name.", metavar="NS")
     ] = "",
@@ -93,6 +102,8 @@ def command(
     urls = list(source or ())
     if bag is not None and urls:
         raise InputError("--source", "goes without --bag: a drive is replayed or followed live")
+    if record is not None and not urls:
+        raise InputError("--record", "needs --source: it records what live sources send")
     if bag is None and (loop or rate != "1"):
         raise InputError("--loop" if loop else "--rate", "needs --bag: only a recording can be replayed")
     # What is wrong with a file is to be said before ROS is started, which takes a second.
@@ -106,6 +117,8 @@ def command(
         from suspension_twin.sources.common.hub import Hub
 
         make_sources(urls, Hub())
+    outputs = Outputs(*([record] if record else []), force=force)
+    outputs.announce()
     from suspension_twin.cli._status import say
     from suspension_twin.nodes.composed import Composed, check_namespace
     from suspension_twin.nodes.parameters import check_names, read_param_file
@@ -117,7 +130,7 @@ def command(
     check_arguments(arguments)
     if params is not None:
         arguments += ["--ros-args", "--params-file", str(params)]
-    with stopping() as stop:
+    with stopping(_RECORDED if record else None) as stop:
         playback = None if bag is None else _playback(bag, speed, loop, page is not None)
         with ros_context(arguments) as context:
             composed = Composed(context, twin, namespace, playback, urls)
@@ -128,6 +141,8 @@ def command(
                 for note in composed.notes:
                     say(note)
                 with ExitStack() as stack:
+                    if record is not None:
+                        stack.enter_context(_recorded(composed, record, force))
                     if page is not None:
                         values = page._asdict() | {"twin": str(twin), "bag": "" if bag is None else str(bag)}
                         stack.enter_context(_beside("viewer", values, namespace, arguments))
@@ -137,6 +152,25 @@ def command(
                     _run(composed, lambda: stop.asked or not context.ok(), bag)
             finally:
                 composed.close()
+
+
+@contextmanager
+def _recorded(composed: Composed, path: Path, force: bool) -> Iterator[None]:
+    """What the sources send goes into a recording, which is complete at the end, whatever ends it."""
+    from suspension_twin.cli._status import say
+    from suspension_twin.nodes.source import SourceNode
+    from suspension_twin.sources.common.recorder import Recorder
+
+    source = composed.nodes["source"]
+    assert isinstance(source, SourceNode)
+    try:
+        with Recorder(path, overwrite=force) as recorder:
+            source.tap = lambda packet: recorder.write([packet])
+            yield
+    finally:
+        source.tap = None
+        if path.exists():
+            say(f"{recorder.counts['imu']} IMU samples, {recorder.counts['fix']} positions written to {path}")
 
 
 def _speed(rate: str) -> float:

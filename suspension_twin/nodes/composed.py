@@ -5,13 +5,14 @@ from __future__ import annotations
 
 import gc
 import math
+import time
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 from rclpy.context import Context
 from rclpy.exceptions import InvalidNamespaceException
-from rclpy.executors import SingleThreadedExecutor
+from rclpy.executors import ShutdownException, SingleThreadedExecutor, TimeoutException
 from rclpy.parameter import Parameter
 from rclpy.validate_namespace import validate_namespace
 
@@ -53,6 +54,8 @@ PLAYED = (
 
 #: And so does the node of live sources.
 LIVE = tuple((topic, "source", receiver) for topic, _, receiver in PLAYED)
+#: With live sources: s between the executor's turns, and callbacks that it serves in one at most.
+_SERVE_EVERY, _SERVED = 0.05, 100
 
 
 @dataclass(frozen=True)
@@ -113,6 +116,7 @@ class Composed:
         links = LINKS + (PLAYED if playback else LIVE if sources else ())
         self.executor = SingleThreadedExecutor(context=context)
         self.nodes: dict[str, TwinNode] = {}
+        self._serve_at = 0.0
         self.player: BagPlayer | None = None
         parameters = [Parameter("twin", value=str(twin_file))]
         if playback:
@@ -128,7 +132,7 @@ class Composed:
             if sources:
                 urls = Parameter("sources", value=" ".join(sources))
                 embedding = Embedding(context, namespace, (*parameters, urls), outbox=outbox)
-                self.nodes["source"] = SourceNode(embedding)
+                self.nodes["source"] = SourceNode(embedding, driven=True)
                 self.executor.add_node(self.nodes["source"])
             senders: dict[str, TwinNode | BagPlayer] = dict(self.nodes)
             if playback:
@@ -157,7 +161,27 @@ class Composed:
             resting = self.player.paused or self.player.ended
             for node in self.nodes.values():
                 node.clock_rests = resting
-        self.executor.spin_once(timeout_sec=min(most, pause))
+        source = self.nodes.get("source")
+        if isinstance(source, SourceNode):
+            self._step_live(source, most)
+        else:
+            self.executor.spin_once(timeout_sec=min(most, pause))
+
+    def _step_live(self, source: SourceNode, most: float) -> None:
+        """Deliver samples as they come, and let the executor serve timers and services at times in between."""
+        source.run(min(most, self._serve_at - time.monotonic()))
+        if time.monotonic() < self._serve_at:
+            return
+        for _ in range(_SERVED):
+            try:
+                handler, _, _ = self.executor.wait_for_ready_callbacks(timeout_sec=0.0)
+            except (TimeoutException, ShutdownException):
+                break
+            handler()
+            error = handler.exception()
+            if error is not None:
+                raise error
+        self._serve_at = time.monotonic() + _SERVE_EVERY
 
     @property
     def notes(self) -> list[str]:

@@ -63,10 +63,10 @@ class Stop:
 
 
 @contextmanager
-def stopping() -> Iterator[Stop]:
+def stopping(deadline: float | None = None) -> Iterator[Stop]:
     """SIGINT and SIGTERM raise KeyboardInterrupt within, once, and then end the process with status 0, at the latest
-    ``_DEADLINE`` s after the signal. Python's handlers wait for the main thread, which may be in compiled code; the
-    byte that a signal writes to the wake-up descriptor does not."""
+    ``deadline`` s (0.7 by default) after the signal. Python's handlers wait for the main thread, which may be in
+    compiled code; the byte that a signal writes to the wake-up descriptor does not."""
     stop, lost = Stop(), sys.unraisablehook
     before = {number: signal.signal(number, stop) for number in _ENDINGS}
     here, there = socket.socketpair()
@@ -76,7 +76,7 @@ def stopping() -> Iterator[Stop]:
     def watch() -> None:
         while numbers := here.recv(64):
             if set(numbers) & set(_ENDINGS):
-                time.sleep(_DEADLINE)
+                time.sleep(_DEADLINE if deadline is None else deadline)
                 os._exit(0)
 
     def hook(unraisable: sys.UnraisableHookArgs) -> None:

@@ -27,7 +27,7 @@ from suspension_twin.sources.common.clock import host_time
 from suspension_twin.sources.common.device import Stream
 from suspension_twin.sources.common.hub import Hub
 from suspension_twin.sources.common.report import device_line, device_values, findings
-from suspension_twin.sources.common.runner import SourceThread
+from suspension_twin.sources.common.runner import SourceLoop, SourceThread
 
 __all__ = ["SourceNode", "main"]
 
@@ -42,7 +42,12 @@ _TOPICS: dict[Stream, tuple[str, type, Callable[[Any, Any, int], None]]] = {
 
 
 class SourceNode(TwinNode):
-    """Live sources in; messages of sensors out."""
+    """Live sources in; messages of sensors out.
+
+    Alone, its sources have a thread of their own, and the executor delivers what they hand over. A node that is
+    ``driven`` receives and delivers while :meth:`run` is called, on the caller's thread: neither a change of threads
+    nor an executor's wait set lies between a sample and the twin.
+    """
 
     parameters = (
         TWIN,
@@ -54,7 +59,7 @@ class SourceNode(TwinNode):
         ),
     )
 
-    def __init__(self, embedding: Embedding | None = None) -> None:
+    def __init__(self, embedding: Embedding | None = None, *, driven: bool = False) -> None:
         super().__init__("source", embedding)
         twin = twin_of(self.values)
         self._frames = ("imu_link", "gps_link") if twin is None else (twin.imu.frame, twin.gps.frame)
@@ -63,28 +68,38 @@ class SourceNode(TwinNode):
         }
         #: What has been received is handed to this, too, if it is set: a recorder.
         self.tap: Callable[[Any], None] | None = None
-        guard = self.create_guard_condition(self._deliver)
-        self.hub = Hub(wake=guard.trigger)
+        wake = self.deliver if driven else self.create_guard_condition(self.deliver).trigger
+        self.hub = Hub(wake=wake)
         try:
-            self._thread = SourceThread(self.values["sources"].split(), self.hub)
+            self._receiver = (SourceLoop if driven else SourceThread)(
+                self.values["sources"].split(), self.hub
+            )
         except BaseException:
             self.destroy_node()
             raise
-        for note in self._thread.notes:
-            self.log.info(note)
+        if not driven:
+            for (
+                note
+            ) in self._receiver.notes:  # not by the log, which goes out on /rosout: there is a token in it
+                print(note, file=sys.stderr, flush=True)
 
     @property
     def notes(self) -> list[str]:
         """What the sources have to tell the user."""
-        return self._thread.notes
+        return self._receiver.notes
 
     def destroy_node(self) -> None:
         """Stop the sources, then as in the base class."""
-        if hasattr(self, "_thread"):
-            self._thread.close()
+        if hasattr(self, "_receiver"):
+            self._receiver.close()
         super().destroy_node()  # type: ignore[no-untyped-call]
 
-    def _deliver(self) -> None:
+    def run(self, seconds: float) -> None:
+        """Receive and deliver for so long; for a node that is driven."""
+        assert isinstance(self._receiver, SourceLoop)
+        self._receiver.run(seconds)
+
+    def deliver(self) -> None:
         """Publish what has come."""
         for finding in self.hub.heard():
             self.note(

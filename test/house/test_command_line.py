@@ -30,7 +30,7 @@ from suspension_twin.identification.space import curve_keys
 from suspension_twin.vehicle.twin import load_twin
 
 COMMAND = [sys.executable, "-m", "suspension_twin"]
-CONTRACT = {"demo", "run", "calibrate", "simulate", "import", "road"}
+CONTRACT = {"demo", "run", "connect", "record", "calibrate", "simulate", "import", "road"}
 
 
 class Colour(str, Enum):
@@ -359,6 +359,7 @@ WRITING = (
     ),
     (["simulate", "--twin", f"{BUMP}/twin.yaml", BUMP, "--out", "OUT"], ["gap.json", "simulated"]),
     (["import", BUMP, "--out", "OUT/bag"], ["bag"]),
+    (["record", "--source", "sensorlogger://127.0.0.1:0", "--seconds", "0.1", "--out", "OUT/bag"], ["bag"]),
     (["import", BUMP, "--out", "OUT/bag.mcap"], ["bag.mcap"]),
     (
         ["damping", "--twin", "config/tracked/pt91.yaml", "--out", "OUT"],

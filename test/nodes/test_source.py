@@ -26,6 +26,7 @@ from sensor_msgs.msg import Imu, NavSatFix
 from test_run_command import end, run_command, start, wait_for
 
 from suspension_twin.cli.main import main
+from suspension_twin.drive.read import read_drive
 from suspension_twin.errors import InputError
 from suspension_twin.nodes.composed import Composed, Playback
 from suspension_twin.nodes.source import SourceNode
@@ -132,6 +133,25 @@ def test_a_phone_that_sends_to_the_command_is_heard_on_the_topic(alone, bench, d
     assert process.returncode == 0, errors
     assert took < 1.5 and "Traceback" not in errors
     assert alone or f"push to http://127.0.0.1:{port}/" in errors
+
+
+def test_what_the_twin_follows_is_recorded_beside(bench, drive, twin_path, tmp_path):
+    port, bag = free_port(), tmp_path / "drive"
+    url = f"sensorlogger://127.0.0.1:{port}"
+    process = start(run_command("--twin", twin_path, "--source", url, "--record", bag))
+    bench.until(lambda: is_open(port), "the port", 60.0)
+    play(SensorLoggerApp(drive), f"http://127.0.0.1:{port}/", 20.0).join(30.0)
+    bench.spin(0.5)
+    end(process, signal.SIGTERM)
+    out, errors = process.communicate()
+    assert process.returncode == 0, errors
+    assert out.startswith(f"Writes {bag}\n") and f"positions written to {bag}" in errors
+    recorded = read_drive(bag)
+    assert len(recorded.imu) == len(drive.imu) and len(recorded.fix) == len(drive.fix)
+    assert main(["run", "--twin", str(twin_path), "--source", url, "--record", str(bag)]) == 2  # it exists
+    assert (
+        main(["run", "--twin", str(twin_path), "--record", str(tmp_path / "other")]) == 2
+    )  # without a source
 
 
 def test_wrong_sources_end_in_one_line(bench, twin_path, capfd):

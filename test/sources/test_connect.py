@@ -120,7 +120,10 @@ def test_the_mounting_is_told(bump: Drive, axes, words: str, rpy: str) -> None:
 
 
 def test_a_phone_at_rest_tells_its_noise(bump: Drive) -> None:
-    assert "standing still: noise 0.02" in judged(bump, imu=at_rest())["still"].text
+    assert (
+        "standing still: noise 0.02"
+        in judged(bump, imu=at_rest(), velocity=VelocityData.empty())["still"].text
+    )
 
 
 @pytest.mark.parametrize("name", SOURCES)

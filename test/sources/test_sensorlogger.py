@@ -167,6 +167,27 @@ def test_an_open_port_wants_its_token() -> None:
     assert found == [401, 401, 200, 200]
 
 
+def test_a_page_in_the_browser_cannot_send_to_loopback() -> None:
+    good = {"data": json.dumps({"messageId": 0, "sessionId": "s", "deviceId": "d", "payload": []})}
+    found = ask(
+        LOCAL, lambda u: [(u, good), (u, good | {"headers": {"Origin": "https://elsewhere.example"}})]
+    )
+    assert found == [200, 403]
+
+
+def test_a_seventeenth_phone_is_told_once(bump: Drive) -> None:
+    async def play(sources, taken) -> None:
+        for k in range(60):
+            body = {"messageId": k // 20, "sessionId": "s", "deviceId": f"{k % 20:02}-phone", "payload": []}
+            sources[0].phones.feed(json.dumps(body), taken.hub.now())
+
+    taken = listen(LOCAL, play)
+    assert len(taken.hub.devices) == 16
+    assert sorted(text for text in taken.said if "not taken" in text) == [
+        f"phone {k}-phone: not taken, there are 16 devices already" for k in range(16, 20)
+    ]
+
+
 def test_guessing_is_slowed_down() -> None:
     found = ask(
         "sensorlogger://0.0.0.0:0?token=secret-secret",

@@ -32,10 +32,10 @@ _HELD: Final = {
 
 def assess(imu: ImuData, fix: FixData, velocity: VelocityData) -> list[Finding]:
     """Findings on some seconds of samples, a line each."""
-    return [*_imu(imu), *_positions(fix, velocity)]
+    return [*_imu(imu, velocity), *_positions(fix, velocity)]
 
 
-def _imu(imu: ImuData) -> list[Finding]:
+def _imu(imu: ImuData, velocity: VelocityData) -> list[Finding]:
     if len(imu) < 50:
         return [Finding("error", "no_imu", "IMU: no samples; switch accelerometer and gyroscope on")]
     order = np.argsort(imu.t, kind="stable")
@@ -56,7 +56,16 @@ def _imu(imu: ImuData) -> list[Finding]:
             f"units: {'m/s²' if units == 'm/s2' else units}; gravity {gravity.size:.2f} m/s² on {gravity.axis}",
         )
     )
-    roll, pitch, _ = level_rpy(force.mean(axis=0))
+    speed = None
+    if len(velocity) > 1:
+        speed = np.interp(t, velocity.t, np.hypot(velocity.enu[:, 0], velocity.enu[:, 1]))
+    usable = 10.0 < rhythm.rate < 4000.0
+    still = (
+        standstill_mask(rhythm.rate, force, rate, StillLimits(), speed)
+        if usable
+        else np.zeros(len(t), dtype=np.bool_)
+    )
+    roll, pitch, _ = level_rpy((force[still] if still.any() else force).mean(axis=0))
     found.append(
         Finding(
             "warn" if gravity.axis in ("-y", "-z") else "ok",
@@ -65,14 +74,9 @@ def _imu(imu: ImuData) -> list[Finding]:
             f"imu.rpy: [{roll:.3f}, {pitch:.3f}, 0] (its third number, the direction, is not seen at rest)",
         )
     )
-    usable = 10.0 < rhythm.rate < 4000.0
-    still = (
-        standstill_mask(rhythm.rate, force, rate, StillLimits())
-        if usable
-        else np.zeros(len(t), dtype=np.bool_)
-    )
     if still.any():
-        noise = float(np.linalg.norm(np.std(force[still], axis=0)) / math.sqrt(3.0))
+        # Of differences, so that a car that rocks on its springs does not count as noise.
+        noise = float(np.linalg.norm(np.std(np.diff(force[still], axis=0), axis=0)) / math.sqrt(6.0))
         found.append(Finding("ok", "still", f"standing still: noise {noise:.3f} m/s² on each axis"))
     else:
         found.append(Finding("ok", "moving", "moving: stand still for some seconds before you drive off"))

@@ -79,7 +79,7 @@ class ArrivalClock:
         steady = t + shifts
         newest = float(steady[-1])
         if t.size > 1:
-            self._period = float(np.median(np.diff(t)))
+            self._period = float(t[-1] - t[0]) / (t.size - 1)
         elif t[-1] > self._last:
             interval = float(t[-1]) - self._last
             self._period = interval if math.isnan(self._period) else min(interval, 1.5 * self._period)
@@ -102,14 +102,15 @@ class ArrivalClock:
         if not self.live or math.isnan(self._last):
             return self.shift
         early = self.at(float(t[-1]) + self.shift) - (arrival - float(t[-1]) - self.shift)
-        gaps = np.diff(t, prepend=self._last)
-        at = int(np.argmax(gaps))
         period = 0.0 if math.isnan(self._period) else self._period
-        if gaps[at] > _STEP + 5.0 * period and early > _STEP:
-            # ahead: less time has passed on the host than between the two stamps
-            step = float(gaps[at]) - period
-            return self._take_step(step if step - early < 0.5 else early, at, t.size)
-        back = float(gaps[0]) - period
+        if early > _STEP:
+            gaps = np.diff(t, prepend=self._last)
+            at = int(np.argmax(gaps))
+            if gaps[at] > _STEP + 5.0 * period:
+                # ahead: less time has passed on the host than between the two stamps
+                step = float(gaps[at]) - period
+                return self._take_step(step if step - early < 0.5 else early, at, t.size)
+        back = float(t[0]) - self._last - period
         if back < -_STEP_BACK and early < 0.5 * back:
             return self._take_step(back, 0, t.size)
         return self.shift

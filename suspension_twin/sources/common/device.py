@@ -14,6 +14,7 @@ from suspension_twin.arrays import Floats
 from suspension_twin.drive.repair import measured
 from suspension_twin.drive.types import FixData, HeadingData, ImuData, Samples, VelocityData
 from suspension_twin.sources.common.clock import ArrivalClock
+from suspension_twin.sources.common.motion import MotionShift
 
 if TYPE_CHECKING:
     from suspension_twin.sources.common.hub import Hub
@@ -34,6 +35,8 @@ _BESIDE, _BESIDE_PERIODS = 0.05, 2.5
 _AHEAD = 1.05
 #: Samples of one sensor that wait for the other, and s of past gyroscope samples that are kept.
 _WAITING, _PAST = 4000, 2.0
+#: Samples after which the period of a sensor is measured anew.
+_MEASURED_EVERY = 25
 #: s over which rates are counted.
 _COUNTED_OVER = 2.0
 
@@ -57,6 +60,8 @@ class Device:
         self.accuracy = math.nan
         #: Latitude, longitude in degrees and height in m of the last fix.
         self.place: tuple[float, float, float] | None = None
+        #: What the motion has said of its IMU's stamps.
+        self.motion: MotionShift | None = None
         #: The host's time in s when it was first heard of.
         self.since = hub.now()
         self._force = _Buffer()
@@ -66,13 +71,16 @@ class Device:
 
     # For sources
 
-    def force(self, t: Floats, values: Floats, arrival: float) -> None:
-        """Specific force (n, 3) in m/s² at stamps (n,) s; :meth:`flush` hands it on with the angular rate."""
-        self._force.add(*self._usable(t, values, "accelerometer"), arrival)
+    def force(self, t: Floats, values: Floats, arrival: float, *, checked: bool = False) -> None:
+        """Specific force (n, 3) in m/s² at stamps (n,) s; :meth:`flush` hands it on with the angular rate.
 
-    def rate(self, t: Floats, values: Floats, arrival: float) -> None:
+        ``checked`` where every number is known to be one that can be measured.
+        """
+        self._force.add(*((t, values) if checked else self._usable(t, values, "accelerometer")), arrival)
+
+    def rate(self, t: Floats, values: Floats, arrival: float, *, checked: bool = False) -> None:
         """Angular rate (n, 3) in rad/s at stamps (n,) s."""
-        self._rate.add(*self._usable(t, values, "gyroscope"), arrival)
+        self._rate.add(*((t, values) if checked else self._usable(t, values, "gyroscope")), arrival)
 
     def flush(self, arrival: float, *, complete: bool) -> None:
         """Hand on the specific forces that have an angular rate beside them.
@@ -91,14 +99,21 @@ class Device:
             self._give_up()
             return
         t, values = force.take(ready)
-        after = np.clip(np.searchsorted(rate.t, t), 1, rate.t.size - 1)
-        nearest = np.minimum(np.abs(t - rate.t[after - 1]), np.abs(rate.t[after] - t))
-        beside = nearest <= max(_BESIDE, _BESIDE_PERIODS * period)
-        self.counts["accelerometer samples without a gyroscope"] += int(beside.size - beside.sum())
-        weight = ((t - rate.t[after - 1]) / (rate.t[after] - rate.t[after - 1]))[:, None]
+        if t[-1] == rate.t[-1] and np.array_equal(t, rate.t[-ready:]):  # both of one chip's queue
+            rates = rate.values[-ready:]
+            rate.forget(float(rate.t[-1]) - _PAST)
+            self._emit(t, values, rates, arrival)
+            return
+        after = np.minimum(np.maximum(np.searchsorted(rate.t, t), 1), rate.t.size - 1)
+        t0, t1 = rate.t[after - 1], rate.t[after]
+        weight = ((t - t0) / (t1 - t0))[:, None]
         rates = (1.0 - weight) * rate.values[after - 1] + weight * rate.values[after]
+        beside = np.minimum(np.abs(t - t0), np.abs(t1 - t)) <= max(_BESIDE, _BESIDE_PERIODS * period)
+        if not beside.all():
+            self.counts["accelerometer samples without a gyroscope"] += int(beside.size - beside.sum())
+            t, values, rates = t[beside], values[beside], rates[beside]
         rate.forget(float(rate.t[-1]) - _PAST)
-        self._emit(t[beside], values[beside], rates[beside], arrival)
+        self._emit(t, values, rates, arrival)
 
     def imu(self, t: Floats, force: Floats, rate: Floats, arrival: float) -> None:
         """Both at the same stamps (n,) s."""
@@ -167,8 +182,10 @@ class Device:
     def _emit(self, t: Floats, force: Floats, rate: Floats, arrival: float) -> None:
         if not t.size:
             return
-        order = np.argsort(t, kind="stable")
-        self._send(ImuData(t[order], force[order], rate[order]), self.clock, arrival)
+        if t.size > 1 and (t[1:] < t[:-1]).any():
+            order = np.argsort(t, kind="stable")
+            t, force, rate = t[order], force[order], rate[order]
+        self._send(ImuData(t, force, rate), self.clock, arrival)
 
     def _send(self, samples: Samples, clock: ArrivalClock, arrival: float) -> None:
         if not len(samples):
@@ -198,19 +215,25 @@ class _Buffer:
         self.values = np.empty((0, 3))
         self.period = 0.0
         self.arrival = -math.inf
+        self._unmeasured = 0
 
     def add(self, t: Floats, values: Floats, arrival: float) -> None:
         if not t.size:
             return
         self.arrival = arrival
+        rising = not self.t.size or t[0] > self.t[-1]
+        rising &= t.size == 1 or bool((t[1:] > t[:-1]).all())
+        new = int(t.size)
         t, values = np.concatenate([self.t, t]), np.concatenate([self.values, values])
-        if (np.diff(t) <= 0).any():
+        if not rising:
             order = np.argsort(t, kind="stable")
             fresh = np.diff(t[order], prepend=-math.inf) > 0
             t, values = t[order][fresh], values[order][fresh]
         self.t, self.values = t, values
-        if t.size > 1:
-            self.period = float(np.median(np.diff(t[-50:])))
+        self._unmeasured += new
+        if t.size > 1 and (self._unmeasured >= _MEASURED_EVERY or not self.period):
+            self._unmeasured = 0
+            self.period = float(np.median(np.diff(t[-2 * _MEASURED_EVERY :])))
 
     def take(self, count: int) -> tuple[Floats, Floats]:
         t, values = self.t[:count], self.values[:count]
@@ -218,9 +241,11 @@ class _Buffer:
         return t, values
 
     def forget(self, before: float) -> None:
-        self.take(min(int(np.searchsorted(self.t, before)), self.t.size - 2))
+        if self.t[0] < before:
+            self.take(min(int(np.searchsorted(self.t, before)), self.t.size - 2))
 
     def trim(self, most: int) -> int:
         lost = max(self.t.size - most, 0)
-        self.take(lost)
+        if lost:
+            self.take(lost)
         return lost

@@ -13,10 +13,11 @@ from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from typing import Literal
 
-from suspension_twin.drive.types import Samples
+from suspension_twin.drive.types import ImuData, Samples, VelocityData
 from suspension_twin.signals.checks import Finding
 from suspension_twin.sources.common.clock import ArrivalClock, host_time
 from suspension_twin.sources.common.device import STREAMS, Device, Stream
+from suspension_twin.sources.common.motion import MotionLag, MotionShift
 
 __all__ = ["Hub", "Packet"]
 
@@ -24,6 +25,8 @@ __all__ = ["Hub", "Packet"]
 _LIMIT = 20_000
 _DEVICES = 16
 _SAID = 200
+#: s in which the same warning is given once.
+_REPEAT = 10.0
 #: s after which another device takes the place of one that has gone silent.
 _SUCCESSION = 30.0
 #: A correction of stamps follows its target by this share of time; beyond the bound in s it jumps.
@@ -31,6 +34,8 @@ _SLEW, _JUMP = 5e-3, 0.05
 #: Stamps of one device's IMU and positions are taken as of one clock unless they are this far apart in s: a phone's
 #: position is up to a second or two on its way.
 _ONE_CLOCK = 2.0
+#: s between looks at the motion, and the standard deviation in s from which on what it says is used.
+_LOOK_EVERY, _CERTAIN = 10.0, 0.02
 
 
 @dataclass(frozen=True, eq=False)
@@ -52,10 +57,12 @@ class _Correction:
     """What is added to the stamps of one clock; follows its target slowly."""
 
     value: float = math.nan
+    target: float = math.nan
     at: float = 0.0
 
     def toward(self, target: float, now: float) -> tuple[float, float]:
         """The value now, and by how much it has jumped."""
+        self.target = target
         jump = 0.0
         if math.isnan(self.value):
             self.value = target
@@ -86,8 +93,14 @@ class Hub:
         self._held = 0
         self._lock = threading.Lock()
         self._said: deque[Finding] = deque(maxlen=_SAID)
+        self._told: dict[str, float] = {}
         self._corrections: dict[ArrivalClock, _Correction] = {}
         self._ignored: set[tuple[str, str]] = set()
+        #: What the motion has last said of the IMU's stamps.
+        self.motion: MotionShift | None = None
+        self._lag = MotionLag()
+        self._looked_at = 0.0
+        self._by_motion = 0.0
 
     # For sources
 
@@ -109,7 +122,14 @@ class Hub:
         return found
 
     def say(self, level: Literal["ok", "warn", "error"], code: str, text: str) -> None:
-        """An event for the user; ``code`` names its kind."""
+        """An event for the user; ``code`` names its kind. A warning that was just given is not repeated."""
+        if level != "ok":
+            now = host_time()
+            if now - self._told.get(text, -math.inf) < _REPEAT:
+                return
+            if len(self._told) >= _SAID:
+                self._told.clear()
+            self._told[text] = now
         self._said.append(Finding(level, code, text))
         self.wake()
 
@@ -121,6 +141,7 @@ class Hub:
         correction = self._correct(device, clock, arrival)
         if correction:
             samples = replace(samples, t=samples.t + correction)
+        self._watch_motion(device, samples, arrival)
         with self._lock:
             self._queue.append(Packet(device.name, samples, arrival))
             self._held += len(samples)
@@ -192,11 +213,33 @@ class Hub:
             one = reference is device.position_clock and clock.epoch and abs(apart) < _ONE_CLOCK
             # Clocks that are not live are those of a recording that is played, or it is too early to tell.
             if not math.isnan(apart + base) and not one and clock.live and reference.live:
-                target = apart + base
+                target = apart + base + (self._by_motion if clock is device.clock else 0.0)
         value, jump = correction.toward(target, now)
         if jump:
             self.say("warn", "clock corrected", f"{device.name}: its stamps are moved by {jump:+.3f} s")
         return value
+
+    def _watch_motion(self, device: Device, samples: Samples, now: float) -> None:
+        """Compare IMU and velocities from time to time; where they have different clocks, correct the IMU's."""
+        if isinstance(samples, ImuData):
+            self._lag.imu(samples)
+        elif isinstance(samples, VelocityData):
+            self._lag.velocity(samples)
+        if now - self._looked_at < _LOOK_EVERY:
+            return
+        self._looked_at = now
+        self.motion = found = self._lag.estimate()
+        imu, reference = self.chosen.get("imu"), self.reference()
+        if found is None or imu is None or reference is None:
+            return
+        imu.motion = found
+        correction = self._corrections.get(imu.clock)
+        own = reference in (imu.clock, imu.position_clock)
+        if own or correction is None or abs(correction.value - correction.target) > 1e-3:
+            return  # of one device, or still on its way to what was found before
+        if found.sigma < _CERTAIN and abs(found.lag) > 3.0 * found.sigma:
+            self._by_motion -= found.lag
+            self._lag.reset()
 
     def now(self) -> float:
         """The host's time in s."""

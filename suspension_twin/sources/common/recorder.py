@@ -48,6 +48,8 @@ class Recorder:
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
+        if kind is KeyboardInterrupt:  # which is how a recording ends
+            kind = error = trace = None
         if kind is None and not self.counts["imu"]:
             nothing = WorkError(f"{self._bag.path}: nothing recorded, no IMU sample arrived")
             self._bag.__exit__(WorkError, nothing, None)

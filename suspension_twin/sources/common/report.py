@@ -39,6 +39,9 @@ def device_values(device: Device, now: float) -> dict[str, str]:
     values |= {name: str(count) for name, count in device.counts.items() if count}
     if math.isfinite(device.accuracy):
         values["standard deviation of the fix (m)"] = f"{device.accuracy:.3f}"
+    if device.motion is not None:
+        shown = f"{device.motion.lag:+.3f} ± {device.motion.sigma:.3f}"
+        values["IMU later than the velocities, by its motion (s)"] = shown
     clocks = {"clock": device.clock}
     if device.position_clock is not device.clock:
         clocks["clock of the positions"] = device.position_clock

@@ -13,7 +13,7 @@ from suspension_twin.errors import InputError
 from suspension_twin.sources import Source, make_sources
 from suspension_twin.sources.common.hub import Hub
 
-__all__ = ["SourceThread", "running"]
+__all__ = ["SourceLoop", "SourceThread", "running"]
 
 #: s before a source that has failed is run again.
 _AGAIN = 1.0
@@ -46,6 +46,38 @@ async def _keep_running(source: Source, hub: Hub) -> None:
             text = str(error) if isinstance(error, InputError) else f"{type(error).__name__}: {error}"
             hub.say("error", "source failed", f"a source failed and is started again: {text}")
         await asyncio.sleep(_AGAIN)
+
+
+class SourceLoop:
+    """Sources that receive while their owner calls :meth:`run`, on the owner's thread.
+
+    Raises InputError for a URL that is none and for a source that cannot be opened.
+    """
+
+    def __init__(self, urls: Sequence[str], hub: Hub) -> None:
+        self.sources = make_sources(urls, hub)
+        self._loop = asyncio.new_event_loop()
+        self._open = running(self.sources, hub)
+        try:
+            self._loop.run_until_complete(self._open.__aenter__())
+        except BaseException:
+            self._loop.close()
+            raise
+
+    @property
+    def notes(self) -> list[str]:
+        """What the sources have to tell the user."""
+        return [note for source in self.sources for note in source.notes]
+
+    def run(self, seconds: float) -> None:
+        """Receive for so long."""
+        self._loop.run_until_complete(asyncio.sleep(max(seconds, 0.0)))
+
+    def close(self) -> None:
+        """Stop the sources."""
+        if not self._loop.is_closed():
+            self._loop.run_until_complete(self._open.__aexit__(None, None, None))
+            self._loop.close()
 
 
 class SourceThread:

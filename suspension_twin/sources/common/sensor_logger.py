@@ -160,6 +160,8 @@ class _Axes:
     def look(self, message: Message) -> None:
         """Learn from a message."""
         self.seen |= message.rows.keys()
+        if self._certain and not self.in_g:
+            return
         if self.wanted != "auto":
             self._decide(IOS_FORCE_SIGN if self.wanted == "ios" else 1.0, "", certain=True)
         raw = message.rows.get("accelerometeruncalibrated")
@@ -280,7 +282,7 @@ class _Phone:
         rows, device, arrival = message.rows, self.device, message.arrival
         for sensor in ("gyroscope", "gyroscopeuncalibrated"):
             if sensor in rows:
-                device.rate(rows[sensor][:, 0], rows[sensor][:, 1:], arrival)
+                device.rate(rows[sensor][:, 0], rows[sensor][:, 1:], arrival, checked=True)
                 break
         chosen = force_sensors(self.axes.seen)
         if not chosen:
@@ -293,7 +295,7 @@ class _Phone:
             if chosen[0] == "accelerometeruncalibrated" and self.axes.in_g:
                 force[:, 1:] *= STANDARD_GRAVITY
             force[:, 1:] *= self.axes.sign or 1.0
-            device.force(force[:, 0], force[:, 1:], arrival)
+            device.force(force[:, 0], force[:, 1:], arrival, checked=True)
         device.flush(arrival, complete=True)
 
     def _with_gravity(self, linear: Floats, gravity: Floats | None) -> Floats:

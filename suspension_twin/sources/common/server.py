@@ -239,6 +239,10 @@ class PushServer:
             self.refused += 1
             status = 401 if peer.wrong.take(1.0) else 429
             return self._answer(status, "the token is missing or wrong", close=True)
+        if not self.token and "Origin" in request.headers:
+            # A page that the user has open in a browser reaches loopback, too; phones and programs have no origin.
+            self.refused += 1
+            return self._answer(403, "pages of other sites may not send", close=True)
         if request.protocol is not None:
             self._known.add(request.protocol)
         if request.method == "POST":
@@ -260,7 +264,10 @@ class PushServer:
         if (request.content_length or 0) > self.limits.body:
             return self._answer(413, "too large", close=True)
         try:
-            body = await asyncio.wait_for(request.read(), self.limits.patience)
+            if request.content.is_eof():  # as most are: nothing to wait for
+                body = await request.read()
+            else:
+                body = await asyncio.wait_for(request.read(), self.limits.patience)
         except web.HTTPRequestEntityTooLarge:
             return self._answer(413, "too large", close=True)
         except asyncio.TimeoutError:
