@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import pytest
+from hypothesis import settings
 
 REPOSITORY = Path(__file__).resolve().parents[1]
 
@@ -26,6 +27,10 @@ def _isolate() -> None:
 
 
 _isolate()
+settings.register_profile(
+    "untimed", deadline=None
+)  # how long an example takes depends on what runs beside it
+settings.load_profile("untimed")
 
 from suspension_twin.calibration.presets import TABLE_2, with_table_2  # noqa: E402
 from suspension_twin.drive.write import write_drive  # noqa: E402

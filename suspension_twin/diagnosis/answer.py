@@ -13,6 +13,7 @@ import numpy as np
 from suspension_twin.diagnosis import wording
 from suspension_twin.diagnosis.decision import Costs, Decision, Row, decide, usual_level
 from suspension_twin.errors import InputError
+from suspension_twin.files import reading
 from suspension_twin.vehicle.twin import EffectSpec, Twin, load_twin
 
 __all__ = ["answer_of", "decided_anew", "leading_channel", "twin_with"]
@@ -33,7 +34,6 @@ def answer_of(evidence: Mapping[str, Any], decision: Decision) -> dict[str, Any]
     """
     case, base, rows = evidence["case"], evidence["base"], evidence["hypotheses"]
     main = next(iter(case["channels"]))
-    named = decision.row is not None
     kept = _written(decision.row if decision.row is not None else base)
     left = kept["channels"][main]["written"]
     verdict = _verdict(case, decision)
@@ -51,11 +51,11 @@ def answer_of(evidence: Mapping[str, Any], decision: Decision) -> dict[str, Any]
         "gap_after": left["after"],
         "shrink": left["shrink"],
         "shrink_interval": [left["low"], left["high"]],
-        "causes": _causes(case, base, rows, decision),
+        "causes": _causes(rows, decision),
         "no_gap_probability": round(decision.no_gap, 6),
         "unknown_probability": round(decision.unknown, 6),
         "candidates": [_named(c) for c in decision.candidates],
-        "combination": list(decision.row["effects"]) if named and decision.row is not None else [],
+        "combination": list(decision.row["effects"]) if decision.row is not None else [],
         "unexplained": _round(1.0 - left["shrink"]),
         "recalibration": _shrink(base["channels"][main]["written"]),
         "background": {
@@ -97,7 +97,7 @@ def _probability(decision: Decision) -> float:
     return float(sum(p for a, p in pairs if a.causes == decision.chosen))
 
 
-def _causes(case: Row, base: Row, rows: list[Row], decision: Decision) -> list[dict[str, Any]]:
+def _causes(rows: list[Row], decision: Decision) -> list[dict[str, Any]]:
     """Every effect of the library, the most probable first; members of the named set with their joint parameters."""
     singles = [r for r in rows if len(r["effects"]) == 1 and not r["decoy"]]
     together = _written(decision.row)["parameters"] if decision.row is not None else {}
@@ -190,8 +190,9 @@ def decided_anew(folder: Path, costs: Costs) -> tuple[dict[str, Any], Twin | Non
         The folder holds no diagnosis, or one of another version.
     """
     evidence, before = (_read(folder / name) for name in ("evidence.json", "diagnosis.json"))
-    decision = decide(evidence, costs)
-    document = answer_of(evidence, decision)
+    with reading(folder / "evidence.json", "evidence of a diagnosis"):
+        decision = decide(evidence, costs)
+        document = answer_of(evidence, decision)
     document |= {k: before[k] for k in _KEPT if k in before}
     if document["verdict"] in ("unknown", "partly") and "signature" in before:
         document["signature"] = before["signature"]
@@ -207,12 +208,10 @@ def decided_anew(folder: Path, costs: Costs) -> tuple[dict[str, Any], Twin | Non
 
 
 def _read(path: Path) -> dict[str, Any]:
-    try:
+    if not path.is_file():
+        raise InputError(str(path.parent), f"holds no {path.name}: it is no folder of a diagnosis")
+    with reading(path, "a file of a diagnosis"):
         found = json.loads(path.read_text(encoding="utf-8"))
-    except FileNotFoundError:
-        raise InputError(str(path.parent), f"holds no {path.name}: it is no folder of a diagnosis") from None
-    except (OSError, ValueError) as error:
-        raise InputError(str(path), f"cannot be read: {error}") from None
     if not isinstance(found, dict):
         raise InputError(str(path), "is no diagnosis")
     return found

@@ -11,7 +11,6 @@ content of ``evidence.json``:
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -23,7 +22,7 @@ from suspension_twin.diagnosis.case import Case
 from suspension_twin.diagnosis.decision import FORMAT, Row
 from suspension_twin.diagnosis.evidence import Evidence, intervals
 from suspension_twin.diagnosis.fit import linearised_fit
-from suspension_twin.diagnosis.hypotheses import SETUP_CATEGORIES
+from suspension_twin.diagnosis.hypotheses import SETUP_CATEGORIES, Hypothesis
 from suspension_twin.diagnosis.judge import Candidate, Judged, tempered_gain
 from suspension_twin.diagnosis.local_road_error import concentrated_section
 from suspension_twin.diagnosis.search import LEAST_POWER
@@ -38,7 +37,7 @@ from suspension_twin.diagnosis.tonal import strongest_tone
 from suspension_twin.identification.noise import density
 from suspension_twin.identification.parallel import side_by_side
 
-__all__ = ["add_intervals", "evidence_of", "refined_row"]
+__all__ = ["add_intervals", "clock_offsets", "evidence_of", "refined_row", "unevenness", "usual_ratio"]
 
 #: Single effects, the best by evidence, whose remaining residual is looked at for tones and places.
 _DETAILED = 6
@@ -82,7 +81,7 @@ def refined_row(case: Case, judged: Judged, one: Candidate, seed: int) -> Row:
 def add_intervals(case: Case, judged: Judged, rows: dict[str, Any]) -> None:
     """Add the 90 % intervals of the parameters to the rows that could be named."""
     hypotheses = zip([*judged.singles, *judged.sets], rows["hypotheses"], strict=True)
-    wanted = [(c, r) for c, r in hypotheses if "vehicle" in r and not c.decoy]
+    wanted = [(c, r) for c, r in hypotheses if r["detailed"] and not c.decoy]
     side_by_side(lambda pair: _add_intervals(case, judged, *pair), wanted)
 
 
@@ -155,6 +154,7 @@ class _Known:
         row: Row = {
             "effects": list(one.effects),
             "decoy": one.decoy,
+            "detailed": detailed,
             "gain": float(gains.sum()),
             "gain_fitted": found.fitted - judged.base.found.fitted,
             "spread": float(np.sqrt(gains.size * np.var(gains))),
@@ -167,7 +167,8 @@ class _Known:
             "mean_squares": self._mean_squares(found, True),
             "mean_squares_on_reference": self._mean_squares(found, False),
             "channels": self._channels(one.remaining),
-            **self._clocks(found),
+            **(clock_offsets(bench, found, temper) if self.case.excited else {}),
+            "vehicle": _vehicle(bench, one),
         }
         if judged.base_since is not None:
             since = judged.base_since if is_base else one.since
@@ -186,7 +187,6 @@ class _Known:
             row["added_low"] = self._added(one)
         if is_base or detailed:
             row |= self._pattern(one.remaining)
-            row["vehicle"] = _vehicle(bench, one)
         plain: Row = _plain(row)
         return plain
 
@@ -247,22 +247,6 @@ class _Known:
             }
         return out
 
-    def _clocks(self, found: Evidence) -> Row:
-        """Rms of the clock offsets of the drives in standard deviations of their prior, and the tail probability of
-        all timing offsets by chance."""
-        bench = self.judged.bench
-        names = bench.problem.nuisances.names
-        own = [i for i, n in enumerate(names) if n.endswith(".clock_offset")]
-        if not own or not self.case.excited:
-            return {}
-        off = found.fit.x[bench.d + np.array(own)] / bench.problem.nuisances.spread[own]
-        placed = sum(n.endswith(("clock_offset", "map_position")) for n in names)
-        spent = 0.0 if found.penalty is None else found.penalty.at(self.judged.temper)[0]
-        return {
-            "clocks": float(np.sqrt(np.mean(off**2))),
-            "clocks_by_chance": float(chi2.sf(2.0 * spent, placed)),
-        }
-
     def _parameters(self, one: Candidate) -> Row:
         """Parameters by effect, with their prior; ``usual`` is the largest severity over the usual error of a twin
         file, of the smallest effect; ``signs`` the share of folds in which the main parameter keeps its sign."""
@@ -285,28 +269,16 @@ class _Known:
                 "far": 0.0 if setup else abs(float(u[i])),
                 "bound": bool(two_sided and not low[i] + 1e-9 < u[i] < high[i] - 1e-9),
             }
-        row: Row = {"parameters": parameters, "usual": self._usual(parameters, hypothesis.effects, one)}
+        row: Row = {
+            "parameters": parameters,
+            "usual": usual_ratio(bench, hypothesis, parameters, self.judged.reference is not None),
+        }
         row["where"] = sorted({hypothesis.effect(e).where for e in hypothesis.effects})
         row["resonance"] = hypothesis.scan(1) is not None
         if u.size:
             main = int(np.argmax(np.abs(u)))
             row["signs"] = float(np.mean(np.sign(one.found.unknowns[p + main]) == np.sign(u[main])))
         return row
-
-    def _usual(
-        self, parameters: dict[str, dict[str, Row]], effects: Sequence[str], one: Candidate
-    ) -> float | None:
-        bench, ratios = self.judged.bench, []
-        for effect in (one.hypothesis.effect(e) for e in effects):
-            weight = effect.usual_share * bench.problem.twin.vehicle.mass if effect.usual_share else 0.0
-            usual = {name: effect.parameter(name).usual or weight for name in effect.severity}
-            if effect.id == "clock_drift":
-                usual = {name: max(least, _apparent_drift(bench)) for name, least in usual.items()}
-            # a reference of the same vehicle has the usual errors of its twin file, those of time excepted
-            if (self.judged.reference is not None and effect.where != "time") or not all(usual.values()):
-                continue
-            ratios.append(max(abs(parameters[effect.id][n]["value"]) / usual[n] for n in effect.severity))
-        return float(min(ratios)) if ratios else None
 
     def _pattern(self, remaining: RemainingResidual) -> Row:
         """Patterns that model discrepancy does not have: a band, a tone, a place."""
@@ -316,10 +288,46 @@ class _Known:
         tone = strongest_tone(bench, remaining, _TONE_SHARE)
         place = concentrated_section(bench, remaining, noise)
         return {
-            "band": _unevenness(bench, remaining, noise),
+            "band": unevenness(bench, remaining, noise),
             "tone": 0.0 if tone is None else tone.strength,
             "place": 0.0 if place is None else place.beyond,
         }
+
+
+def clock_offsets(bench: Bench, found: Evidence, temper: float) -> Row:
+    """Rms of the clock offsets of the drives in standard deviations of their prior, and the tail probability of all
+    timing offsets by chance; empty where no clock is fitted."""
+    nuisances = bench.problem.nuisances
+    own = [i for i, n in enumerate(nuisances.names) if n.endswith(".clock_offset")]
+    if not own:
+        return {}
+    off = found.fit.x[bench.d + np.array(own)] / nuisances.spread[own]
+    placed = sum(n.endswith(("clock_offset", "map_position")) for n in nuisances.names)
+    spent = 0.0 if found.penalty is None else found.penalty.at(temper)[0]
+    return {
+        "clocks": float(np.sqrt(np.mean(off**2))),
+        "clocks_by_chance": float(chi2.sf(2.0 * spent, placed)),
+    }
+
+
+def usual_ratio(
+    bench: Bench, hypothesis: Hypothesis, parameters: dict[str, dict[str, Row]], referenced: bool
+) -> float | None:
+    """Largest severity over the usual error of a twin file, of the effect where that is smallest; None where no error
+    is usual.
+
+    A reference of the same vehicle (``referenced``) has the usual errors of its twin file, those of time excepted.
+    """
+    ratios = []
+    for effect in (hypothesis.effect(e) for e in hypothesis.effects):
+        weight = effect.usual_share * bench.problem.twin.vehicle.mass if effect.usual_share else 0.0
+        usual = {name: effect.parameter(name).usual or weight for name in effect.severity}
+        if effect.id == "clock_drift":
+            usual = {name: max(least, _apparent_drift(bench)) for name, least in usual.items()}
+        if (referenced and effect.where != "time") or not all(usual.values()):
+            continue
+        ratios.append(max(abs(parameters[effect.id][n]["value"]) / usual[n] for n in effect.severity))
+    return float(min(ratios)) if ratios else None
 
 
 def _shrink_row(one: Shrink) -> Row:
@@ -338,7 +346,7 @@ def _vehicle(bench: Bench, one: Candidate) -> dict[str, float]:
     return {k: float(v) for k, v in zip(bench.problem.space.keys, values, strict=True)}
 
 
-def _unevenness(bench: Bench, remaining: RemainingResidual, noise: dict[str, float]) -> float:
+def unevenness(bench: Bench, remaining: RemainingResidual, noise: dict[str, float]) -> float:
     """Largest ratio of the residual share of a half octave to that of its neighbours, vertical acceleration.
 
     The share of model discrepancy is smooth over frequency; a missing resonance or order exceeds its neighbours.

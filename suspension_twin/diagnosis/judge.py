@@ -247,10 +247,11 @@ def _grown(
                 break
             for one in tried:
                 found.setdefault(tuple(sorted(one.fit.hypothesis.effects)), candidate(judged, one))
-            better = tempered_gain(judged, tried[0])
+            best = max(tried, key=lambda one: tempered_gain(judged, one))
+            better = tempered_gain(judged, best)
             if better < gain + _ADDED:
                 break
-            chosen, gain = found[tuple(sorted(tried[0].fit.hypothesis.effects))], better
+            chosen, gain = found[tuple(sorted(best.fit.hypothesis.effects))], better
     return list(found.values())
 
 

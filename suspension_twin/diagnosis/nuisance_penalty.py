@@ -7,7 +7,6 @@ share ``temper`` that is noise. The priors of the nuisance parameters are indepe
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -17,7 +16,7 @@ from suspension_twin.diagnosis.bench import Bench
 from suspension_twin.diagnosis.fit import LinearisedFit, room
 from suspension_twin.identification.gauss_newton import Quadratic, bounded_step
 
-__all__ = ["NuisancePenalty", "penalty_gains", "penalty_of"]
+__all__ = ["NuisancePenalty", "penalty_of"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -59,13 +58,3 @@ def penalty_of(bench: Bench, fit: LinearisedFit, at: Quadratic) -> NuisancePenal
     slope = np.where(outward, at.slope, -pulled)
     nuisances = slice(bench.d, bench.d + bench.q)
     return NuisancePenalty(at.squares, slope, precision, fit.x - centre, nuisances, low, high)
-
-
-def penalty_gains(penalties: Sequence[NuisancePenalty | None], temper: float) -> Floats:
-    """(K,) nats that each hypothesis gains over the first, which is nested in all, by a smaller nuisance penalty, less
-    its larger Occam term."""
-    if any(p is None for p in penalties):
-        return np.zeros(len(penalties))
-    spent, freedom = np.array([p.at(temper) for p in penalties if p is not None]).T
-    saved, price = spent[0] - spent, np.maximum(freedom - freedom[0], 0.0)
-    return np.asarray(np.minimum(saved, np.maximum(saved - price, 0.0)))

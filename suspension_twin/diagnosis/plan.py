@@ -431,7 +431,7 @@ def plan(
     >>> from suspension_twin.vehicle.twin import load_twin
     >>> twin = load_twin("bags/bump_15kmh/twin.yaml")
     >>> found = plan(twin, speeds=(15.0,), effects=("sensor_offset",))
-    >>> [row.parameter for row in found.shown if row.size is None]  # the bump is as wide as the road
+    >>> [row.parameter for row in found.shown if row.size is None]  # over a bump as wide as the road
     ['y', 'z']
     """
     if model_of(twin).recordings != "drive":

@@ -291,7 +291,7 @@ def pairs(
     on_progress: Callable[[float, str], None],
     skip: Sequence[str] = (),
 ) -> list[Evidence]:
-    """Evidence of the best sets with one more effect than ``first``, the best first."""
+    """Evidence of the sets with one more effect than ``first`` that a first fit finds best."""
     there = first.fit.hypothesis
     start = linearised_fit(bench, there, first.fit.x)
     known = start.at.first(bench.d + bench.q)
@@ -331,12 +331,11 @@ def pairs(
         x, _ = refit(bench, both, starts, known, _ROUGH)
         return evidence(bench, fitted(bench, both, [x], 2), blocks)
 
-    found = side_by_side(
+    return side_by_side(
         join,
         list(best.values())[:_BEST_PAIRS],
         lambda done, at: on_progress(0.7 + 0.3 * done, f"{at[0].name}, jointly".replace("_", " ")),
     )
-    return sorted(found, key=lambda e: -float(e.score.sum()) + 0.5 * e.occam)
 
 
 def joint_fit(bench: Bench, parts: Sequence[Hypothesis], base: Fit, seed: int) -> LinearisedFit:

@@ -19,7 +19,7 @@ gravity from the front and the rear axle, E1 and E2 the front and the rear track
    (3), named rear, has L2, the front track E1 and the front's sign of a_x. Read: (3) is the front
    axle, (4) the rear one, and there a_x counts positive: what leaves one axle reaches the other.
 3. Units and sides. c_i(x_i) and d_i(x_i') are called coefficients, while the characteristics found
-   by the paper are forces; a_y has no side, so left and right would be equally penalty_gains, and the
+   by the paper are forces; a_y has no side, so left and right would be equally relieved, and the
    term lacks division by g where A has none (Jiang et al. 2014, from where it is taken, divide).
    Read: the characteristics are forces over compression and speed, and the lateral share
    a_y h / (E g) of an axle's load goes from the left to the right wheel.

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Callable
 from pathlib import Path
 
@@ -14,6 +15,8 @@ from suspension_twin.road import half_sine, write_road
 from suspension_twin.road.bumps import add_bump
 from suspension_twin.road.iso8608 import iso8608_road
 from suspension_twin.vehicle.twin import EffectSpec, RoadFile, Twin, save_twin
+
+sys.path.insert(0, str(Path(__file__).parent))  # for one_channel
 
 KNOTS = ((0.0, 0.0), (0.5, 0.0), (3.0, 7.0), (11.0, 8.0))
 

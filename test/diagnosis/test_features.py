@@ -8,29 +8,12 @@ from typing import Any
 
 import numpy as np
 import pytest
+from one_channel import CHANNEL, RATE, bench
 from scipy.signal import butter, sosfilt
 
 from suspension_twin.diagnosis import features
 from suspension_twin.diagnosis.hypotheses import Hypothesis
 from suspension_twin.diagnosis.shrink import RemainingResidual
-
-RATE, CHANNEL = 100.0, "vertical_acceleration"
-
-
-def bench(lengths: list[int], values: np.ndarray, active: tuple[bool, ...] | None = None) -> Any:
-    """What the functions here ask of a bench: drives of ``lengths`` samples end to end, one channel."""
-    ends = np.cumsum([0, *lengths])
-    stretches = [slice(int(a), int(b)) for a, b in zip(ends[:-1], ends[1:], strict=True)]
-    measured = SimpleNamespace(
-        channels=(CHANNEL,),
-        segments=stretches,
-        drives=list(range(len(lengths))),
-        rate=RATE,
-        independent=0.4,
-        values=values,
-    )
-    problem = SimpleNamespace(measured=measured, channels=measured.channels)
-    return SimpleNamespace(active=active or (True,) * len(lengths), problem=problem)
 
 
 def road_motion(seed: int, samples: int) -> np.ndarray:
@@ -49,7 +32,7 @@ def test_a_share_of_the_motion_is_even_and_an_order_is_not(seed: int) -> None:
 
     def unevenness(measured: np.ndarray, rest: np.ndarray) -> float:
         residual = RemainingResidual(rest, rest)
-        return features._unevenness(bench([n], measured[:, None]), residual, {CHANNEL: 0.005})
+        return features.unevenness(bench([n], measured[:, None]), residual, {CHANNEL: 0.005})
 
     assert unevenness(motion, left) < 2.7
     assert unevenness(motion + order, loud) > 3.0
@@ -75,10 +58,8 @@ def usual(
 ) -> float | None:
     """Size over the usual error of a twin file, and whether there is a reference of the same vehicle."""
     there, found = fitted(Hypothesis((effect,)), nuisances, values)
-    one: Any = SimpleNamespace(found=found, hypothesis=found.fit.hypothesis)
-    known: Any = features._Known.__new__(features._Known)
-    known.judged = SimpleNamespace(bench=there, reference=0.1 if changed else None)
-    return known._usual({effect: {k: {"value": v} for k, v in values.items()}}, [effect], one)
+    rows = {effect: {k: {"value": v} for k, v in values.items()}}
+    return features.usual_ratio(there, found.fit.hypothesis, rows, changed)
 
 
 @pytest.mark.parametrize(("mass", "ratio"), [(30.0, 0.5), (60.0, 1.0), (150.0, 2.5)])

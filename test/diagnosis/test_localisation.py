@@ -3,35 +3,15 @@
 
 from __future__ import annotations
 
-from types import SimpleNamespace
-from typing import Any
-
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from one_channel import CHANNEL, RATE, bench
 from scipy.signal import lfilter
 
 from suspension_twin.diagnosis.localisation import _expected_density, _frequency
 from suspension_twin.diagnosis.operating import _corners, _points
-
-RATE, CHANNEL = 100.0, "vertical_acceleration"
-
-
-def bench(lengths: list[int], values: np.ndarray, active: tuple[bool, ...] | None = None) -> Any:
-    """What the functions here ask of a bench: drives of ``lengths`` samples end to end, one channel."""
-    ends = np.cumsum([0, *lengths])
-    stretches = [slice(int(a), int(b)) for a, b in zip(ends[:-1], ends[1:], strict=True)]
-    measured = SimpleNamespace(
-        channels=(CHANNEL,),
-        segments=stretches,
-        drives=list(range(len(lengths))),
-        rate=RATE,
-        independent=0.4,
-        values=values,
-    )
-    problem = SimpleNamespace(measured=measured, channels=measured.channels)
-    return SimpleNamespace(active=active or (True,) * len(lengths), problem=problem)
 
 
 def resonance(x: np.ndarray, hertz: float, damping: float) -> np.ndarray:

@@ -16,7 +16,7 @@ from suspension_twin.diagnosis.evidence import Evidence
 from suspension_twin.diagnosis.fit import LinearisedFit, refit
 from suspension_twin.diagnosis.hypotheses import BASELINE, Hypothesis
 from suspension_twin.diagnosis.judge import tempered_gain
-from suspension_twin.diagnosis.nuisance_penalty import penalty_gains, penalty_of
+from suspension_twin.diagnosis.nuisance_penalty import penalty_of
 
 LATE = Hypothesis(("time_offset",))
 LIMIT = 3.0
@@ -102,54 +102,34 @@ def test_clocks_at_their_ends_are_chance_where_little_asks_for_it() -> None:
         fit = bench.fit(BASELINE)
         assert (fit.x[2:4] > 2.95).all()
         found: Any = SimpleNamespace(fit=fit, penalty=penalty_of(bench, fit, fit.at.model))
-        known: Any = features._Known.__new__(features._Known)
-        known.judged = SimpleNamespace(bench=bench, temper=0.01)
-        known.case = SimpleNamespace(excited=True)
-        row = known._clocks(found)
+        row = features.clock_offsets(bench, found, 0.01)
         assert row["clocks"] > 2.9 and (row["clocks_by_chance"] > 0.05) == (late < 10.0)
         assert (decision._clocks(row) < 0.5) == (late < 10.0)
 
 
-def told(bench: Any, *hypotheses: Hypothesis) -> np.ndarray:
-    fits = [bench.fit(h) for h in hypotheses]
-    return penalty_gains([penalty_of(bench, fit, fit.at.model) for fit in fits], 0.03)
-
-
-def test_what_spares_the_clocks_gains_by_what_they_were_asked_for() -> None:
-    """Nuisances together make up for five spreads of a late clock, within the limits of each."""
-    bench: Any = clocks(5.0)
-    base = bench.fit(BASELINE)
-    assert (np.abs(base.x[1:4]) <= LIMIT).all() and base.x[1:4] @ base.x[1:4] > 12
-    none, gained = told(bench, BASELINE, LATE)
-    assert none == 0.0 and 3.0 < gained < 12.0
-
-
-def test_what_is_normal_gains_nothing() -> None:
-    """One spread of a clock is worth less than the freedom to say that it is late."""
-    assert told(clocks(1.0), BASELINE, LATE)[1] == 0.0
-    assert told(clocks(0.0), BASELINE, LATE)[1] == pytest.approx(0.0, abs=1e-6)
-
-
-def test_what_asks_more_of_the_clocks_loses() -> None:
-    assert told(clocks(5.0), LATE, BASELINE)[1] < -3.0
-
-
-def test_a_prior_counts_in_full_where_what_is_left_is_the_models_own_error() -> None:
-    """The same residuals with and without the effect: what is known of clocks decides, however little they count."""
-    bench: Any = clocks(5.0)
-    rng = np.random.default_rng(0)
-    score = rng.normal(size=30)
+def gain(bench: Any, before: Hypothesis, after: Hypothesis) -> float:
+    """Nats of evidence where the residuals are scored alike: what nuisances and freedom cost."""
+    score = np.random.default_rng(0).normal(size=30)
 
     def found(h: Hypothesis) -> Evidence:
         fit = bench.fit(h)
-        return Evidence(
-            fit, score, 0.0, {}, np.zeros(1), np.zeros((1, 5)), 0.0, penalty_of(bench, fit, fit.at.model)
-        )
+        penalty = penalty_of(bench, fit, fit.at.model)
+        return Evidence(fit, score, 0.0, {}, np.zeros(1), np.zeros((1, 5)), 0.0, penalty)
 
-    def gain() -> float:
-        judged: Any = SimpleNamespace(temper=0.03, base=SimpleNamespace(found=found(BASELINE)))
-        return tempered_gain(judged, found(LATE))
+    judged: Any = SimpleNamespace(temper=0.03, base=SimpleNamespace(found=found(before)))
+    return tempered_gain(judged, found(after))
 
-    assert gain() > 3.0
-    bench = clocks(1.0)
-    assert -1.0 < gain() < 0.2
+
+def test_an_effect_gains_by_the_nuisance_penalty_that_it_saves() -> None:
+    """Nuisances together compensate for five standard deviations of a late clock, within the limits of each."""
+    bench: Any = clocks(5.0)
+    base = bench.fit(BASELINE)
+    assert (np.abs(base.x[1:4]) <= LIMIT).all() and base.x[1:4] @ base.x[1:4] > 12
+    assert 3.0 < gain(bench, BASELINE, LATE) < 12.0
+    assert gain(bench, LATE, BASELINE) < -3.0
+
+
+@pytest.mark.parametrize("late", [0.0, 1.0])
+def test_an_offset_within_its_prior_gains_nothing(late: float) -> None:
+    """One standard deviation of a clock is worth less than the freedom of an effect."""
+    assert gain(clocks(late), BASELINE, LATE) < 0.2

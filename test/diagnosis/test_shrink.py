@@ -3,32 +3,14 @@
 
 from __future__ import annotations
 
-from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 import pytest
+from one_channel import CHANNEL, bench
 
 from suspension_twin.diagnosis.evidence import Blocks
 from suspension_twin.diagnosis.shrink import BlockBootstrap, RemainingResidual, Shrink, relative_residual
-
-RATE, CHANNEL = 100.0, "vertical_acceleration"
-
-
-def bench(lengths: list[int], values: np.ndarray, active: tuple[bool, ...] | None = None) -> Any:
-    """What the functions here ask of a bench: drives of ``lengths`` samples end to end, one channel."""
-    ends = np.cumsum([0, *lengths])
-    stretches = [slice(int(a), int(b)) for a, b in zip(ends[:-1], ends[1:], strict=True)]
-    measured = SimpleNamespace(
-        channels=(CHANNEL,),
-        segments=stretches,
-        drives=list(range(len(lengths))),
-        rate=RATE,
-        independent=0.4,
-        values=values,
-    )
-    problem = SimpleNamespace(measured=measured, channels=measured.channels)
-    return SimpleNamespace(active=active or (True,) * len(lengths), problem=problem)
 
 
 def blocks_of(samples: int, drives: int, length: int) -> Blocks:

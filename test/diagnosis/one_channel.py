@@ -1,0 +1,27 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A bench of drives with one channel, for what needs no vehicle."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+
+RATE, CHANNEL = 100.0, "vertical_acceleration"
+
+
+def bench(lengths: list[int], values: np.ndarray, active: tuple[bool, ...] | None = None) -> Any:
+    """What the functions here ask of a bench: drives of ``lengths`` samples end to end, one channel."""
+    ends = np.cumsum([0, *lengths])
+    stretches = [slice(int(a), int(b)) for a, b in zip(ends[:-1], ends[1:], strict=True)]
+    measured = SimpleNamespace(
+        channels=(CHANNEL,),
+        segments=stretches,
+        drives=list(range(len(lengths))),
+        rate=RATE,
+        independent=0.4,
+        values=values,
+    )
+    problem = SimpleNamespace(measured=measured, channels=measured.channels)
+    return SimpleNamespace(active=active or (True,) * len(lengths), problem=problem)
