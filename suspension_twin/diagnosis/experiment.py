@@ -121,9 +121,9 @@ def next_experiment(case: Case, tied: Sequence[Candidate], answer: str, judged: 
     gain, name = max(gains)
     pair = f"{names[0]} from {names[1]}"
     if gain < 1.0:
-        return f"No manoeuvre of those that were simulated would tell {pair}.{tail}"
+        return f"No manoeuvre of those that were simulated would separate {pair}.{tail}"
     why = " if there is a gap at all" if answer == "no_gap" else ""
-    return f"Drive {name}: it tells {pair} best{why}; {_worth(gain)}.{tail}"
+    return f"Drive {name}: it separates {pair} best{why}; {_worth(gain)}.{tail}"
 
 
 def replace_road(twin: Twin) -> Twin:

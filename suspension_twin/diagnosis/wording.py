@@ -299,7 +299,7 @@ def _closing(document: Document, named: list[Document]) -> list[str]:
     ]
     like = [effect_name(e) for c in named for e in c.get("indistinguishable_from", ())]
     if like:
-        lines.append(f"These drives cannot tell it from: {listed(list(dict.fromkeys(like)))}.")
+        lines.append(f"These drives cannot distinguish it from: {listed(list(dict.fromkeys(like)))}.")
     return lines
 
 

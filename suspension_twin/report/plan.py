@@ -190,7 +190,9 @@ def _pairs(plan: Plan) -> Section:
         "may be called the cause beside it. Other speeds, places of the sensor and obstacles were tried."
     )
     if not rows:
-        return Section("What looks alike", "Whatever shows is told from every other cause in the library.")
+        return Section(
+            "What looks alike", "Whatever shows can be distinguished from every other cause in the library."
+        )
     columns = ("cause", "taken for", "angle [°]", "told apart from", "shows from", "what separates them")
     return Section("What looks alike", text, Table(columns, rows))
 
@@ -233,7 +235,7 @@ def _method(plan: Plan) -> Section:
         "receiver, and so were small and large sizes of every effect. What the parameters of the vehicle and the "
         "nuisances (clock, map, mount, biases) can make up for is projected off; what is left counts in units of the "
         "residual that noise and a sound model leave, in the channel and drive where it is largest.\n\n"
-        f"A fault shows from {DETECTABLE:g} of these units on, and a pair is told apart where the rival leaves "
+        f"A fault shows from {DETECTABLE:g} of these units on, and a pair is distinguished where the rival leaves "
         f"{APART:g}: figures learnt on diagnoses with sealed labels (`benchmarks/plan_confusion.py`). They hold for "
         "single faults on a road like those; a real diagnosis says what its own drives could show.",
         folded=True,
