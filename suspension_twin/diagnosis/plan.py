@@ -4,8 +4,8 @@
 A change of the sensor's readings by an effect is projected off everything that a diagnosis fits anyway: the parameters
 of the vehicle and the nuisances, within their bounds. What is left counts in units of the residual to be expected of a
 sound model, channel by channel and drive by drive (its largest ratio of rms values). Two thresholds, both read off the
-blind benchmark, turn ratios into answers: from ``DETECTABLE`` on an effect is named, and a pair is distinguished where one
-effect leaves ``APART`` of the other whatever its own parameters are.
+blind benchmark, turn ratios into answers: from ``DETECTABLE`` on an effect is named, and a pair is distinguished where
+one effect leaves ``APART`` of the other whatever its own parameters are.
 """
 
 from __future__ import annotations

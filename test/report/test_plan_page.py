@@ -30,7 +30,7 @@ def test_it_says_what_shows_and_what_never_does(mondeo):
     assert "3 of 4 faults would show" in html
     assert "Not at any plausible size: bump stop." in html
     assert "One odd damper, front left" in html and ">12 %<" in html
-    assert "Whatever shows is told from every other cause" in html
+    assert "Whatever shows can be distinguished from every other cause" in html
     assert "bumps at 20 km/h and 40 km/h" in html
 
 
