@@ -202,9 +202,10 @@ def decided_anew(folder: Path, costs: Costs) -> tuple[dict[str, Any], Twin | Non
     path = Path(evidence["twin"])
     if not path.is_file():
         return document, None
-    return document, twin_with(
-        load_twin(path), decision.row if decision.row is not None else evidence["base"]
-    )
+    with reading(folder / "evidence.json", "evidence of a diagnosis"):
+        return document, twin_with(
+            load_twin(path), evidence["base"] if decision.row is None else decision.row
+        )
 
 
 def _read(path: Path) -> dict[str, Any]:

@@ -72,6 +72,9 @@ def test_friction_is_found_with_its_size_and_the_written_twin_closes_the_gap(
     (spec,) = load_twin(tmp_path / "twin.yaml").effects
     assert again is not None and [e.id for e in again.effects] == [spec.id]
     assert again.effects[0].parameters == pytest.approx(spec.parameters, rel=1e-5)
+    # whatever costs make of it, a twin file goes with it
+    for costs in (Costs(missed=0.0, unknown=0.0), Costs(wrong=0.0, missed=9.0, unknown=9.0)):
+        assert decided_anew(tmp_path, costs)[1] is not None
     told = (tmp_path / "report.html").read_text()
     assert "strut friction" in told
     twin = load_twin(tmp_path / "twin.yaml")
