@@ -229,10 +229,11 @@ def test_the_commands_for_a_phone_hear_it(command, workspace):
         text=True,
     )
     try:
-        lines = iter(process.stdout.readline, "")
-        found = next(
-            filter(None, (re.search(r"push to http://[\d.]+(:\d+/\?token=\S+)$", line) for line in lines))
-        )
+        heard, found = "", None
+        while not found and (line := process.stdout.readline()):
+            heard += line
+            found = re.search(r"push to http://[\d.]+(:\d+/\?token=\S+)$", line)
+        assert found, heard
         for number in range(10):
             sent = json.dumps(
                 {"messageId": number, "sessionId": "s", "deviceId": "d", "payload": second(number)}
