@@ -8,10 +8,11 @@
     python benchmarks/blind.py --reality measured [--limit N]         # recordings of real cars with faults put in
 
 Cases come from realities that share nothing with the package's models (``blind/newton.py``, ``multibody.py``,
-``linkage.py``), and from recordings of real cars (``blind/measured.py``). Their labels are sealed under a hash
-before the first diagnosis, and a diagnosis is started with a copy of the case's folder alone. ``--limit N`` takes N
-cases of every kind in fair shares; ``--only`` keeps cases of some effects or kinds. What was diagnosed stays: run again
-to go on. A case that was reported on teaches: ``report2`` are as many that none was, and so are ``report3``.
+``linkage.py``, ``flexible.py``), and from recordings of real cars (``blind/measured.py``). Their labels are sealed
+under a hash before the first diagnosis, and a diagnosis is started with a copy of the case's folder alone.
+``--limit N`` takes N cases of every kind in fair shares; ``--only`` keeps cases of some effects or kinds. What was
+diagnosed stays: run again to go on. A case that was reported on teaches: ``report2`` are as many that none was, and so
+are ``report3``.
 """
 
 from __future__ import annotations
@@ -31,6 +32,9 @@ sys.path.insert(0, str(HERE))
 
 from blind import ROOT, ask, seal  # noqa: E402
 from blind.plan import MEASURED, Seeds, Spec, plan  # noqa: E402
+
+#: Seeds of the realities that are in no other plan.
+OF_REALITY = {MEASURED: "measured_dev", "flexible": "flexible_dev"}
 
 
 def chosen(options: argparse.Namespace) -> list[Spec]:
@@ -133,7 +137,7 @@ def parsed() -> argparse.Namespace:
     parser.add_argument(
         "--severity", nargs="+", type=float, default=[], help="keep cases of these severities"
     )
-    parser.add_argument("--reality", choices=("newton", "multibody", "linkage", MEASURED))
+    parser.add_argument("--reality", choices=("newton", "multibody", "linkage", "flexible", MEASURED))
     parser.add_argument("--case", type=int, metavar="N", help="the case with this number in the plan alone")
     parser.add_argument("--limit", type=int, default=0, metavar="N", help="the first N cases: a fair sample")
     parser.add_argument("--rate", type=float, default=100.0, help="of the phone in Hz")
@@ -153,7 +157,7 @@ def parsed() -> argparse.Namespace:
     parser.add_argument("--out", type=Path, default=None, metavar="DIR")
     parser.add_argument("--json", action="store_true")
     options = parser.parse_args()
-    options.seeds = options.seeds or ("measured_dev" if options.reality == MEASURED else "dev")
+    options.seeds = options.seeds or OF_REALITY.get(options.reality, "dev")
     options.short = options.short or not (
         options.full or options.only or options.limit or options.case is not None
     )

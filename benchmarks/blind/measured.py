@@ -175,6 +175,8 @@ def turned_by(effect: str, seed: int) -> Callable[[float], dict[str, float]]:
     rng = np.random.default_rng([seed, sum(effect.encode())])
     a, sign = float(rng.uniform(0, 1)), float(rng.choice([-1.0, 1.0]))
     own: Mapping[str, Callable[[float], dict[str, float]]] = {
+        # beyond it the reading of gravity alone is refused
+        "sensor_scale": lambda s: {"scale": 0.3 * s * sign},
         "gyro_gain": lambda s: {"gain": 0.5 * s * sign},
         "receiver_multipath": lambda s: {"sigma": 15.0 * s, "time": 3.0 + 6.0 * a},
         "receiver_smoothing": lambda s: {"time": 2.5 * s},

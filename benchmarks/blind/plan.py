@@ -41,6 +41,8 @@ Seeds = Literal[
     "report4",
     "measured_dev",
     "measured",
+    "flexible_dev",
+    "flexible",
 ]
 Kind = Literal["single", "null", "outside", "excluded", "pair", "stretch"]
 KINDS: tuple[Kind, ...] = ("single", "null", "outside", "excluded", "pair", "stretch")
@@ -51,7 +53,9 @@ LINKS = ("links_dev", "links")
 _LINKAGE = "linkage"
 #: Plans of the whole library, and how many rounds through all kinds of cases they have; ``report4`` has the first cases
 #: of a round alone.
-WIDE = {"train": 3, "report4": 1}
+WIDE = {"train": 3, "report4": 1, "flexible_dev": 1, "flexible": 1}
+#: Those of one reality alone.
+_ONE_REALITY = {"flexible_dev": "flexible", "flexible": "flexible"}
 _REPORTED = 280
 _FIRST = {
     "dev": 1000,
@@ -64,6 +68,8 @@ _FIRST = {
     "report4": 6_000_000,
     "measured_dev": 7_000_000,
     "measured": 8_000_000,
+    "flexible_dev": 9_000_000,
+    "flexible": 10_000_000,
 }
 #: Seeds whose cases are recordings of real cars with faults put into them.
 RECORDED = ("measured_dev", "measured")
@@ -266,7 +272,7 @@ def _wide(seeds: Seeds, kind: Kind) -> Iterator[Spec]:
                     effects=effects,
                     severity=severity,
                     world=_FIRST[seeds] + 20_000 * KINDS.index(kind) + number,
-                    reality=(*REALITIES, _LINKAGE)[coin % 3] if not msd else REALITIES[coin % 2],
+                    reality=_ONE_REALITY.get(seeds) or _drawn(coin, msd),
                     reference=way == "before",
                     right=way == "right",
                     msd=msd,
@@ -276,6 +282,11 @@ def _wide(seeds: Seeds, kind: Kind) -> Iterator[Spec]:
                     wide=True,
                 )
                 number += 1
+
+
+def _drawn(coin: int, msd: bool) -> str:
+    """A reality; wheels on linkages have a mass."""
+    return REALITIES[coin % 2] if msd else (*REALITIES, _LINKAGE)[coin % 3]
 
 
 def _wide_cases(kind: Kind, turn: int) -> Iterator[tuple[tuple[str, ...], float, tuple[str, ...]]]:
