@@ -71,6 +71,7 @@ SUBCOMMANDS = (
     Subcommand("record", "record", "Live phones, receivers and IMUs into a bag.", endless=True),
     Subcommand("import", "import_", "A phone's or logger's recording into a bag."),
     Subcommand("damping", "damping", "Which dampers a tracked vehicle should have, by speed."),
+    Subcommand("export", "export", "A twin in the files of other simulators."),
     Subcommand("road", "road", "Roads from numbers, profiles or drives; pictures, checks."),
 )
 
