@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 from suspension_twin.arrays import Floats
 from suspension_twin.compiled import compiled
 from suspension_twin.diagnosis.hypotheses import Hypothesis
+from suspension_twin.diagnosis.partial import PartialResults
 from suspension_twin.identification.gauss_newton import Quadratic
 from suspension_twin.identification.noise import Whitener
 from suspension_twin.identification.nuisance import NuisancePriors
@@ -118,7 +119,7 @@ class Bench:
     ``counted_drives`` limits the residuals to some drives, ``counted_rows`` (R,) to some of them; ``fused`` whether
     poses are fused from GNSS and IMU; ``frozen_nuisances`` names nuisance parameters held at zero; ``expected`` (m,
     C) is the discrepancy found on a reference run with the same excitation. ``step`` is the longest time step in s of
-    a simulation over a drive; None for the steps of the drive.
+    a simulation over a drive; None for the steps of the drive. ``partial`` keeps partial results on disk.
     """
 
     problem: Problem
@@ -136,6 +137,7 @@ class Bench:
     level: bool = False
     expected: tuple[Floats | None, ...] = ()
     step: float | None = None
+    partial: PartialResults = field(default_factory=PartialResults)
     _known_plain: dict[str, Any] = field(default_factory=dict)
     _stepped_excitations: dict[int, tuple[Excitation, Excitation]] = field(default_factory=dict)
 

@@ -18,6 +18,7 @@ from scipy import linalg
 from suspension_twin.arrays import Floats
 from suspension_twin.diagnosis.bench import Bench, Linearised
 from suspension_twin.diagnosis.hypotheses import Hypothesis
+from suspension_twin.diagnosis.partial import kept
 from suspension_twin.identification.gauss_newton import (
     GaussNewton,
     GaussNewtonSettings,
@@ -63,6 +64,7 @@ FIT_SETTINGS = GaussNewtonSettings(
 _SWEPT, _FAR, _TRIED = 9, 2.5, 4
 
 
+@kept
 @dataclass(frozen=True, eq=False)
 class Fit:
     """A hypothesis at its best: unknowns ``x`` (d + q + k,), ``cost`` -2 log posterior."""

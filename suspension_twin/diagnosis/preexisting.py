@@ -20,7 +20,6 @@ from suspension_twin.diagnosis.bench import Bench
 from suspension_twin.diagnosis.evidence import Blocks, Evidence, evidence
 from suspension_twin.diagnosis.fit import Fit, approximated, fitted, linearised_fit, refit
 from suspension_twin.diagnosis.hypotheses import BASELINE, Hypothesis, combined
-from suspension_twin.identification.parallel import side_by_side
 
 __all__ = ["as_preexisting", "beyond_preexisting"]
 
@@ -70,7 +69,7 @@ def beyond_preexisting(
             starts.append(np.concatenate([x, own.at(there[0])]))
         return refit(extended, own, starts, known.at, _FINE)[0]
 
-    fits = dict(zip(found, side_by_side(beside, list(found), on_progress), strict=True))
+    fits = dict(zip(found, bench.partial.side_by_side(beside, list(found), on_progress), strict=True))
     # the baseline is refitted from the vehicle of each effect, and if it improves the others follow
     fresh = fitted(extended, BASELINE, [x, *(z[:p] for z in fits.values())], _LONG)
     y, better = fresh.x, fresh.cost
@@ -82,7 +81,7 @@ def beyond_preexisting(
             z, _ = refit(extended, own, starts, fresh.at, _FINE)
         return evidence(extended, approximated(extended, own, [z], fresh), blocks)
 
-    evidences = side_by_side(judged, list(found), on_progress)
+    evidences = bench.partial.side_by_side(judged, list(found), on_progress)
     return evidence(extended, fresh, blocks), dict(zip(found, evidences, strict=True))
 
 

@@ -25,6 +25,7 @@ from suspension_twin.diagnosis.fit import (
     screen,
 )
 from suspension_twin.diagnosis.hypotheses import BASELINE, NUISANCE_COUNTERPART, Hypothesis, combined
+from suspension_twin.diagnosis.partial import kept
 from suspension_twin.diagnosis.preexisting import as_preexisting
 from suspension_twin.diagnosis.tone_search import tone_peaks, tone_starts
 from suspension_twin.errors import WorkError
@@ -56,6 +57,7 @@ _SHARED = ("clock_offset", "map_position", "tilt_roll", "tilt_pitch")
 LEAST_POWER = 5.0
 
 
+@kept
 @dataclass(frozen=True, eq=False)
 class Single:
     """The best fit of one effect.
@@ -84,6 +86,7 @@ class Single:
         return float(np.mean(temper * self.powers < LEAST_POWER))
 
 
+@kept
 @dataclass(frozen=True, eq=False)
 class _FirstSearch:
     """Result of the first search of an effect."""
@@ -115,12 +118,12 @@ def singles(
     def look(effect: str) -> _FirstSearch:
         return _first_search(bench, begun, from_anchor, effect, library[effect], seed, no_match)
 
-    rough = side_by_side(
+    rough = bench.partial.side_by_side(
         look, list(library), lambda done, name: on_progress(0.65 * done, name.replace("_", " "))
     )
     base = _rebased_baseline(bench, base, [r.x for r in rough])
     moved = base.cost < begun.cost - _REBASE_GAIN
-    rough = side_by_side(
+    rough = bench.partial.side_by_side(
         lambda r: _restarted(bench, base, moved, r, seed),
         rough,
         lambda done, _: on_progress(0.6, "baseline"),
@@ -149,7 +152,7 @@ def singles(
             at = fitted(bench, v, [other], _DEEP)
         return Single(r.effect, evidence(bench, at, blocks), r.powers, i in finalists, preexisting)
 
-    judged = side_by_side(
+    judged = bench.partial.side_by_side(
         judge,
         order,
         lambda done, i: on_progress(0.65 + 0.35 * done, f"{rough[i].effect.replace('_', ' ')}, once more"),
@@ -314,7 +317,7 @@ def pairs(
             for (both, s), cost, found in zip(screens, costs, more, strict=True)
         ]
 
-    looked = side_by_side(
+    looked = bench.partial.side_by_side(
         look, others, lambda done, name: on_progress(0.7 * done, f"{there.name} and {name}".replace("_", " "))
     )
     rough = sorted((r for some in looked for r in some), key=lambda r: r[0])
@@ -327,7 +330,7 @@ def pairs(
         x, _ = refit(bench, both, starts, known, _ROUGH)
         return evidence(bench, fitted(bench, both, [x], 2), blocks)
 
-    return side_by_side(
+    return bench.partial.side_by_side(
         join,
         list(best.values())[:_BEST_PAIRS],
         lambda done, at: on_progress(0.7 + 0.3 * done, f"{at[0].name}, jointly".replace("_", " ")),
