@@ -41,8 +41,8 @@ class State:
 
 
 class Checkpoint:
-    """Saves and loads the states of one problem, identified by its ``fingerprint``; ``part`` is the hexadecimal name of
-    one of several."""
+    """Saves and loads the states of one problem, identified by its ``fingerprint``; one of several has a hexadecimal
+    ``name``."""
 
     def __init__(self, folder: Path, fingerprint: str, work: str = "a calibration") -> None:
         self.folder = folder
@@ -52,13 +52,13 @@ class Checkpoint:
         if strange:
             raise InputError(folder, f"holds {strange[0]}, which is no state of {work}: name another folder")
 
-    def _file(self, part: str) -> Path:
-        return self.folder / (f"state-{part}.npz" if part else STATE)
+    def _file(self, name: str) -> Path:
+        return self.folder / (f"state-{name}.npz" if name else STATE)
 
-    def load(self, part: str = "") -> State | None:
+    def load(self, name: str = "") -> State | None:
         """The last whole state of this very problem, or None: then the search starts anew."""
         try:
-            with np.load(self._file(part), allow_pickle=False) as stored:
+            with np.load(self._file(name), allow_pickle=False) as stored:
                 arrays = {name: np.array(stored[name]) for name in stored.files}
             index = json.loads(str(arrays.pop(_INDEX)))
             if index["format"] != _FORMAT or index["fingerprint"] != self.fingerprint:
@@ -67,7 +67,7 @@ class Checkpoint:
         except (OSError, KeyError, TypeError, ValueError, EOFError, zipfile.BadZipFile):
             return None
 
-    def save(self, state: State, part: str = "") -> None:
+    def save(self, state: State, name: str = "") -> None:
         """Write the state; a process killed within leaves the one before."""
         index = {
             "format": _FORMAT,
@@ -75,7 +75,7 @@ class Checkpoint:
             "stage": state.stage,
             "plain": state.plain,
         }
-        with replacing(self._file(part)) as new_part, new_part.open("wb") as stream:
+        with replacing(self._file(name)) as part, part.open("wb") as stream:
             np.savez(stream, **{**state.arrays, _INDEX: np.array(json.dumps(index, default=_plain))})  # type: ignore[arg-type]
 
     def remove(self) -> None:
