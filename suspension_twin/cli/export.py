@@ -20,6 +20,7 @@ class To(str, Enum):
     FMU = "fmu"
     CARMAKER = "carmaker"
     SIMULINK = "simulink"
+    UNITY = "unity"
     CSV = "csv"
 
 

@@ -17,7 +17,7 @@ from suspension_twin.vehicle.twin import Twin
 
 __all__ = ["TARGETS", "ExportSettings", "Target", "characteristics_of", "export_twin", "load_target"]
 
-TARGETS: Final = ("fmu", "carmaker", "simulink", "csv")
+TARGETS: Final = ("fmu", "carmaker", "simulink", "unity", "csv")
 
 
 @dataclass(frozen=True)

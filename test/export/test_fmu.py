@@ -64,7 +64,10 @@ def bump(mondeo: Twin) -> Excitation:
     """Three seconds over a bump, braking and turning."""
     road = bump_road(half_sine(0.9, 0.05), at=8.0, length=40.0)
     path = path_along(road, np.arange(0.0, 3.0, 0.01), ((0.0, 7.0), (2.0, 6.0), (3.0, 3.0)), 2.0)
-    return excitation(path, mondeo.vehicle, road)
+    driven = excitation(path, mondeo.vehicle, road)
+    turning = np.sin(3.0 * driven.t)
+    driven.motion[:, 2:5] = np.column_stack([2.0 * turning, 0.3 * turning, 0.9 * np.cos(3.0 * driven.t)])
+    return driven
 
 
 @pytest.mark.parametrize("drive", ["bump_15kmh", "crg_road"])
