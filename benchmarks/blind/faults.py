@@ -80,6 +80,17 @@ WIDE_OUTSIDE = (
     "compressed_time",
     "track_subsidence",
 )
+#: Of recordings without a road: what a diagnosis can tell by planar motion, and what it cannot.
+RECORDED_LIBRARY = ("time_offset", "clock_drift", "sensor_tilt", "sensor_scale")
+RECORDED_OUTSIDE = (
+    "gyro_gain",
+    "vibration_rectification",
+    "held_samples",
+    "compressed_time",
+    "receiver_multipath",
+    "receiver_smoothing",
+    "held_fixes",
+)
 #: Faults that the road file has, and those of the stamps alone.
 OF_THE_ROAD = (*ROAD, "track_subsidence")
 OF_THE_CLOCK = (*TIME, "compressed_time")

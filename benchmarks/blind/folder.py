@@ -16,7 +16,7 @@ from typing import Any
 
 import numpy as np
 
-from blind import ROOT, linkage, multibody, newton, phone, severity
+from blind import ROOT, flexible, linkage, multibody, newton, phone, severity
 from blind.faults import OF_THE_CLOCK, knob, on_stretch, surveyed, without_road
 from blind.newton import Faults, Motion
 from blind.plan import Spec
@@ -26,7 +26,12 @@ from suspension_twin.road import Road, write_road
 from suspension_twin.vehicle.twin import RoadFile, load_twin, parse_twin, save_twin
 
 Run = Callable[..., Motion]
-RUN: dict[str, Run] = {"newton": newton.run, "multibody": multibody.run, "linkage": linkage.run}
+RUN: dict[str, Run] = {
+    "newton": newton.run,
+    "multibody": multibody.run,
+    "linkage": linkage.run,
+    "flexible": flexible.run,
+}
 REQUEST = "request.json"
 #: Names of the drives that a case shows: the reference of a twin that was calibrated beforehand is not one.
 _SHOWN = {False: ("drive_fast", "drive_slow", "reference"), True: ("drive_fast", "drive_slow")}

@@ -16,10 +16,34 @@ from typing import Literal
 
 import numpy as np
 
-from blind.faults import ADDED, ALIASES, LIBRARY, MSD, OF_THE_ROAD, OUTSIDE, ROAD, WIDE_OUTSIDE
+from blind.faults import (
+    ADDED,
+    ALIASES,
+    LIBRARY,
+    MSD,
+    OF_THE_ROAD,
+    OUTSIDE,
+    RECORDED_LIBRARY,
+    RECORDED_OUTSIDE,
+    ROAD,
+    WIDE_OUTSIDE,
+)
 from blind.world import Scene
 
-Seeds = Literal["dev", "report", "report2", "report3", "links_dev", "links", "train", "report4"]
+Seeds = Literal[
+    "dev",
+    "report",
+    "report2",
+    "report3",
+    "links_dev",
+    "links",
+    "train",
+    "report4",
+    "measured_dev",
+    "measured",
+    "flexible_dev",
+    "flexible",
+]
 Kind = Literal["single", "null", "outside", "excluded", "pair", "stretch"]
 KINDS: tuple[Kind, ...] = ("single", "null", "outside", "excluded", "pair", "stretch")
 SEVERITIES = (0.5, 1.5, 5.0)
@@ -29,7 +53,9 @@ LINKS = ("links_dev", "links")
 _LINKAGE = "linkage"
 #: Plans of the whole library, and how many rounds through all kinds of cases they have; ``report4`` has the first cases
 #: of a round alone.
-WIDE = {"train": 3, "report4": 1}
+WIDE = {"train": 3, "report4": 1, "flexible_dev": 1, "flexible": 1}
+#: Those of one reality alone.
+_ONE_REALITY = {"flexible_dev": "flexible", "flexible": "flexible"}
 _REPORTED = 280
 _FIRST = {
     "dev": 1000,
@@ -40,7 +66,14 @@ _FIRST = {
     "report3": 4_000_000,
     "train": 5_000_000,
     "report4": 6_000_000,
+    "measured_dev": 7_000_000,
+    "measured": 8_000_000,
+    "flexible_dev": 9_000_000,
+    "flexible": 10_000_000,
 }
+#: Seeds whose cases are recordings of real cars with faults put into them.
+RECORDED = ("measured_dev", "measured")
+MEASURED = "measured"
 WORLDS = 16  # that cases with an effect share
 _PAIR = 3.0  # severity of each member
 #: Pairs of parts that are broken at the same time often enough.
@@ -76,6 +109,15 @@ _SCENES: tuple[Scene, ...] = ("usual", "smooth", "usual", "bump", "usual", "shor
 _WIDE_SEVERITIES = (1.5, 3.0, 5.0)
 
 
+#: Pairs of what recordings can be given.
+_RECORDED_PAIRS = (
+    ("time_offset", "sensor_tilt"),
+    ("clock_drift", "sensor_tilt"),
+    ("sensor_scale", "time_offset"),
+    ("sensor_tilt", "sensor_scale"),
+)
+
+
 @dataclass(frozen=True)
 class Spec:
     """One case before anything is simulated. ``without`` is taken out of the library for it. ``calibrated``: the twin
@@ -101,7 +143,7 @@ def plan(seeds: Seeds, short: bool = False) -> list[Spec]:
 
     The short plan is nine cases of the development seeds.
     """
-    numbered = _wide if seeds in WIDE else _numbered
+    numbered = _wide if seeds in WIDE else _recorded if seeds in RECORDED else _numbered
     strata = {kind: list(numbered(seeds, kind)) for kind in KINDS}
     rng = np.random.default_rng(_FIRST[seeds])
     for kind, cases in strata.items():
@@ -230,7 +272,7 @@ def _wide(seeds: Seeds, kind: Kind) -> Iterator[Spec]:
                     effects=effects,
                     severity=severity,
                     world=_FIRST[seeds] + 20_000 * KINDS.index(kind) + number,
-                    reality=(*REALITIES, _LINKAGE)[coin % 3] if not msd else REALITIES[coin % 2],
+                    reality=_ONE_REALITY.get(seeds) or _drawn(coin, msd),
                     reference=way == "before",
                     right=way == "right",
                     msd=msd,
@@ -240,6 +282,11 @@ def _wide(seeds: Seeds, kind: Kind) -> Iterator[Spec]:
                     wide=True,
                 )
                 number += 1
+
+
+def _drawn(coin: int, msd: bool) -> str:
+    """A reality; wheels on linkages have a mass."""
+    return REALITIES[coin % 2] if msd else (*REALITIES, _LINKAGE)[coin % 3]
 
 
 def _wide_cases(kind: Kind, turn: int) -> Iterator[tuple[tuple[str, ...], float, tuple[str, ...]]]:
@@ -261,3 +308,43 @@ def _wide_cases(kind: Kind, turn: int) -> Iterator[tuple[tuple[str, ...], float,
     elif kind == "pair":
         for pair in (*PAIRS, *_WIDE_PAIRS):
             yield pair, (_PAIR, 5.0)[turn % 2], ()
+
+
+def _recorded(seeds: Seeds, kind: Kind) -> Iterator[Spec]:
+    """Cases of recordings, each with a stretch of its own, with a reference and without."""
+    for number, (effects, severity, without, reference) in enumerate(_recorded_cases(kind)):
+        digest = hashlib.sha256(f"{seeds} {kind} {number} {effects} {severity}".encode()).hexdigest()
+        yield Spec(
+            name=f"case_{digest[:10]}",
+            kind=kind,
+            effects=effects,
+            severity=severity,
+            world=_FIRST[seeds] + 20_000 * KINDS.index(kind) + number,
+            reality=MEASURED,
+            reference=reference,
+            without=without,
+            wide=True,
+        )
+
+
+def _recorded_cases(kind: Kind) -> Iterator[tuple[tuple[str, ...], float, tuple[str, ...], bool]]:
+    """Effects, severity, what is taken out of the library, and whether there is a reference."""
+    for reference in (True, False):
+        if kind == "null":
+            yield from [((), 0.0, (), reference)] * 12
+        elif kind == "single":
+            for effect in RECORDED_LIBRARY:
+                for severity in (*_WIDE_SEVERITIES, *_WIDE_SEVERITIES):
+                    yield (effect,), severity, (), reference
+        elif kind == "outside":
+            for effect in RECORDED_OUTSIDE:
+                for severity in (3.0, 5.0):
+                    yield (effect,), severity, (), reference
+        elif kind == "excluded":
+            for effect in RECORDED_LIBRARY:
+                for severity in (3.0, 5.0):
+                    yield (effect,), severity, (effect,), reference
+        elif kind == "pair":
+            for pair in _RECORDED_PAIRS:
+                for severity in (_PAIR, 5.0):
+                    yield pair, severity, (), reference

@@ -54,6 +54,7 @@ SUBCOMMANDS = (
         endless=True,
         bare=(("--view", "8080"), ("--foxglove", "8765")),
     ),
+    Subcommand("first-drive", "first_drive", "From a live source to a calibrated twin, step by step."),
     Subcommand("new", "new", "A twin file, by a few questions or from a ready one."),
     Subcommand("calibrate", "calibrate", "Find a twin's characteristics from recorded drives."),
     Subcommand(
