@@ -160,6 +160,7 @@ def test_a_planar_case_of_a_simulated_reality_has_no_road_and_a_reference_withou
 ) -> None:
     from blind import measured
     from blind.plan import plan
+    from blind.world import make_world
 
     spec = next(
         c
