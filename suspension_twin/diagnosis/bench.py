@@ -218,14 +218,14 @@ class Bench:
 
         A reference drive on which all lanes are equal is simulated once and has one lane.
         """
-        problem = self.problem
-        values = problem.space.from_slopes(z)
-        twin = hypothesis.twin(problem.twin)
+        problem, space = self.problem, self.problem.space
+        values = space.simulated_values(z)
+        twin = space.simulated(hypothesis.twin(problem.twin))
         parameters = hypothesis.values(u)
 
         def with_effects(drive: int) -> Floats:
             keys, rows = hypothesis.on_drive(drive)
-            return lanes(twin, (*problem.space.keys, *keys), np.concatenate([values, parameters[rows]]).T)
+            return lanes(twin, (*space.simulated_keys, *keys), np.concatenate([values, parameters[rows]]).T)
 
         everywhere = None if hypothesis.differs else with_effects(0)
         before = hypothesis.on_reference()
@@ -233,9 +233,9 @@ class Bench:
         earlier = np.concatenate([values, before.values(u[hypothesis.rows(before)])[rows_before]])
         if (earlier == earlier[:, :1]).all():
             earlier = earlier[:, :1]
-        reference_twin = before.twin(problem.twin)
+        reference_twin = space.simulated(before.twin(problem.twin))
         before_keys = before.on_drive(0)[0]
-        plain = lanes(reference_twin, (*problem.space.keys, *before_keys), earlier.T)
+        plain = lanes(reference_twin, (*space.simulated_keys, *before_keys), earlier.T)
 
         def driven(numbers: list[int]) -> tuple[list[Floats], np.ndarray]:
             if self.stop():
@@ -275,14 +275,14 @@ class Bench:
         Clock and map offsets shift the response to the road, but not that to the planar motion of the pose. The
         response is the sum of both up to nonlinearity, so that the share of one vehicle serves for similar ones.
         """
-        problem = self.problem
-        values = problem.space.from_slopes(x[: self.d, None])
-        candidates = lanes(problem.twin, problem.space.keys, values.T)
+        problem, space = self.problem, self.problem.space
+        twin = space.simulated(problem.twin)
+        candidates = lanes(twin, space.simulated_keys, space.simulated_values(x[: self.d, None]).T)
         carried = []
         for part in problem.parts:
             driven = self._in_steps(part.excitation)
             flat = replace(driven, road=np.repeat(driven.road[:1], driven.road.shape[0], axis=0))
-            stacked, _ = self._simulated(problem.twin, candidates, flat)
+            stacked, _ = self._simulated(twin, candidates, flat)
             carried.append(part.conditioner.apply(stacked)[:, :, 0])
         problem.nuisances.carried = carried
 

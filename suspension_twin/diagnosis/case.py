@@ -42,6 +42,7 @@ from suspension_twin.identification.observations import Run, observe, renamed
 from suspension_twin.identification.parallel import side_by_side
 from suspension_twin.identification.posterior import CORRELATION
 from suspension_twin.identification.problem import Interrupted, Problem
+from suspension_twin.identification.smooth_space import smooth_space
 from suspension_twin.models.parameters import has_number
 from suspension_twin.models.registry import model_of
 from suspension_twin.road import flat_road
@@ -214,6 +215,7 @@ def build(case: Case, stop: Callable[[], bool], free: Sequence[str] = ()) -> Ben
         normal = replace(NORMAL, map_position=min(map_spread(case.drives), NORMAL.map_position))
     else:
         normal = _BARE
+    space = smooth_space(twin, space)
     problem = Problem(twin, space, case.drives, range(len(case.drives)), terms, normal, wander, rows)
     problem.interrupt = stop
     d, q = len(space), len(problem.nuisances)
@@ -356,9 +358,5 @@ def _many(bench: Bench, x: Floats) -> Sequence[Floats]:
         return found
     for springs in (-0.7, 0.0, 0.7, 1.4):
         for dampers in (-0.7, 0.0, 0.7):
-            y = x.copy()
-            for curve in bench.problem.space.curves:
-                rows = [r for r in curve.rows if r >= 0]
-                y[rows] += springs if curve.key.endswith("spring") else dampers
-            found.append(y)
+            found.append(bench.problem.space.shifted(x, springs, dampers))
     return found

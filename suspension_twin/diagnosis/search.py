@@ -261,11 +261,7 @@ def _softened_starts(
     p = bench.d + bench.q
 
     def vehicle(springs: float, dampers: float) -> Floats:
-        z = base.x[:p].copy()
-        for curve in bench.problem.space.curves:
-            rows = [r for r in curve.rows if r >= 0]
-            z[rows] += springs if curve.key.endswith("spring") else dampers
-        return z
+        return bench.problem.space.shifted(base.x[:p], springs, dampers)
 
     starts = hypothesis.starts(_WIDE_STARTS, seed + 1)
     many = [vehicle(*v) for v in _VEHICLES]

@@ -30,6 +30,7 @@ from suspension_twin.identification.nuisance import map_spread
 from suspension_twin.identification.objectives import Term
 from suspension_twin.identification.posterior import CORRELATION
 from suspension_twin.identification.problem import Problem
+from suspension_twin.identification.smooth_space import smooth_space
 from suspension_twin.models.excitation import excitation
 from suspension_twin.models.parameters import has_number, pack
 from suspension_twin.models.simulate import simulate_lanes
@@ -185,6 +186,7 @@ def bench_of(twin: Twin, drive: PlannedDrive) -> Bench:
     space = build_space(
         twin, replace(preset_named("fast"), also=()), also=[k for k in ALSO if has_number(twin, k)]
     )
+    space = smooth_space(twin, space)
     terms = [Term("euclidean", c) for c in CHANNELS]
     normal = replace(NORMAL, map_position=min(map_spread([drive]), NORMAL.map_position))
     problem = Problem(twin, space, [drive], [0], terms, normal, [0.0], [drive.rows])
@@ -307,7 +309,7 @@ def products(twin: Twin, drive: PlannedDrive, changes: Sequence[Change]) -> Prod
     steps = np.concatenate([np.zeros((len(nuisances), 1)), np.diag(nuisances.steps)], axis=1)
     read = bench.compared([base], steps)
     columns.append((read[:, :, 1:] - read[:, :, :1]) / nuisances.steps)
-    names = [*problem.space.keys, *nuisances.names]
+    names = [*problem.space.names, *nuisances.names]
     for change in changes:
         held = np.repeat(z0[:, None], change.points.shape[1], axis=1)
         signals, failed = bench.signals(change.hypothesis, held, change.points)

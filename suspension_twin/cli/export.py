@@ -1,0 +1,57 @@
+# SPDX-License-Identifier: Apache-2.0
+"""``suspension-twin export``: a twin in the files of other simulators."""
+
+from __future__ import annotations
+
+from enum import Enum
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from suspension_twin.cli.common import Force, Outputs, output
+
+__all__ = ["command"]
+
+
+class To(str, Enum):
+    """Where a twin can go."""
+
+    CARMAKER = "carmaker"
+    SIMULINK = "simulink"
+    CSV = "csv"
+
+
+def command(
+    twin: Annotated[Path, typer.Argument(help="The twin file.", metavar="TWIN.YAML", show_default=False)],
+    to: Annotated[To, typer.Option("--to", help="What the file is for.", show_default=False)],
+    out: Annotated[
+        Path, typer.Option("--out", help="The file to write.", metavar="FILE", show_default=False)
+    ],
+    into: Annotated[
+        Path | None,
+        typer.Option(
+            "--into",
+            help="carmaker: copy this vehicle file, with its springs and dampers replaced.",
+            metavar="VEHICLE",
+            show_default=False,
+        ),
+    ] = None,
+    force: Force = False,
+) -> None:
+    """A twin in the files of other simulators: docs/export.md.
+
+    What of the twin a target cannot hold is said.
+    """
+    from suspension_twin.export.registry import ExportSettings, export_twin
+    from suspension_twin.vehicle.twin import load_twin
+
+    outputs = Outputs(out, force=force)
+    loaded = load_twin(twin)
+    outputs.announce()
+    with outputs:
+        notes = export_twin(loaded, to.value, out, ExportSettings(into))
+    console = output()
+    for note in notes:
+        console.print(note, style="yellow")
+    console.print(f"Written to {out}: {loaded.vehicle.name} ({loaded.model})")
