@@ -103,7 +103,12 @@ setup(
     maintainer_email=maintainer.get("email"),
     python_requires=">=3.10,<3.14",
     install_requires=REQUIRED,
-    extras_require={"test": TEST + DOCS + FOXGLOVE, "foxglove": FOXGLOVE, "docs": DOCS},
+    extras_require={
+        "test": TEST + DOCS + FOXGLOVE,
+        "foxglove": FOXGLOVE,
+        "docs": DOCS,
+        "mutation": ["cosmic-ray>=8.4"],  # benchmarks/mutation.py
+    },
     packages=find_packages(include=["suspension_twin", "suspension_twin.*"]),
     package_data={"": ["py.typed", "*.html", "*.j2", "*.css", "*.js", "*.json", "*.yaml"]},
     data_files=data_files(),
