@@ -66,6 +66,7 @@ TEST = [
     "etils<1.14; python_version < '3.11'",
     "objective-rating-metrics>=1.3",
     "pandas>=2.2",
+    "cosmic-ray>=8.4",
     "colcon-ros>=0.4",
     "colcon-package-information>=0.3",
     "ruff>=0.9",
@@ -103,12 +104,7 @@ setup(
     maintainer_email=maintainer.get("email"),
     python_requires=">=3.10,<3.14",
     install_requires=REQUIRED,
-    extras_require={
-        "test": TEST + DOCS + FOXGLOVE,
-        "foxglove": FOXGLOVE,
-        "docs": DOCS,
-        "mutation": ["cosmic-ray>=8.4"],  # benchmarks/mutation.py
-    },
+    extras_require={"test": TEST + DOCS + FOXGLOVE, "foxglove": FOXGLOVE, "docs": DOCS},
     packages=find_packages(include=["suspension_twin", "suspension_twin.*"]),
     package_data={"": ["py.typed", "*.html", "*.j2", "*.css", "*.js", "*.json", "*.yaml"]},
     data_files=data_files(),

@@ -6,8 +6,6 @@ them. Mutants are drawn at random from all of a part, so that the share that is 
 where the last run ended (``benchmarks/results/mutation.json``), works on a copy of the package, and lists the
 survivors: each is a missing test, or a change that makes no difference (``--same ID`` says so). Libraries are loaded
 once: each mutant is tested in a process forked from this one, which has not loaded the package.
-
-Needs the extra ``mutation``.
 """
 
 from __future__ import annotations
