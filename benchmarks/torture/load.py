@@ -72,8 +72,10 @@ def _judged(tally: Tally, twins: list[Twin], what: str, rate: int) -> None:
         twin.answered.clear()
         twin.values.clear()
     waited = [twin.starved() for twin in twins]
+    began = time.monotonic()
     sent, late = _pushed(twins, rate, _SECONDS)
-    starved = max(twin.starved() - before for twin, before in zip(twins, waited, strict=True)) / _SECONDS
+    waits = max(twin.starved() - before for twin, before in zip(twins, waited, strict=True))
+    starved = waits / (time.monotonic() - began)
     tally.count(what)
     for twin in twins:
         if problem := twin.problem():
@@ -89,9 +91,9 @@ def _judged(tally: Tally, twins: list[Twin], what: str, rate: int) -> None:
     tally.measure(f"p99 {what}, ms", 1e3 * delays[int(0.99 * len(delays))])
     tally.measure(f"waits for the processor {what}, %", 100 * starved)
     if late > 0.2:
-        tally.note(f"this machine could not send {rate} Hz {what}")
+        tally.note(f"this machine could not send in time: {what}")
     if lost > 0.0 and starved > _STARVED:
-        tally.note(f"this machine has too little of a processor left for {rate} Hz {what}")
+        tally.note(f"too little of a processor is left: {what}")
         if not any("too slow" in text or "missing IMU samples" in text for t in twins for text in t.levels):
             tally.fail(f"{what}: {100 * lost:.1f} % were lost, and no node says so")
     elif lost > 0.0:

@@ -124,6 +124,42 @@ def test_what_remains_is_judged_as_no_gap_would_be_and_by_the_share_that_is_not_
     assert features(noisy)["none_excess"] == features(noisy, "strut_friction")["excess"] == 0.0
 
 
+@pytest.mark.parametrize("reference", [True, False])
+def test_a_small_residual_counts_by_its_square(reference: bool) -> None:
+    """Where it is far below the expected discrepancy."""
+    some = row("strut_friction", gain=3.0, left=0.5)
+    some["level_fitted"], some["mean_squares"] = 1e-3 * np.sqrt(0.5), dict.fromkeys(CHANNELS, 0.5e-4)
+    case = evidence(some, *others(), reference=reference)
+    case["base"]["level_fitted"], case["base"]["mean_squares"] = 1e-3, dict.fromkeys(CHANNELS, 1e-4)
+    assert features(case, "strut_friction")["explained"] == pytest.approx(1.0 - 0.5**2, abs=1e-3)
+
+
+def test_what_remains_counts_by_its_logarithm() -> None:
+    case = evidence(*others())
+    found = []
+    for square in (4.2, 7.0):
+        case["base"]["mean_squares"] = {"vertical_acceleration": square, "pitch_rate": 1.0}
+        found.append(features(case)["none_excess"])
+    assert found[1] - found[0] == pytest.approx(0.5 * np.log(7.0 / 4.2))
+
+
+def test_evidence_is_that_over_vehicles_with_and_without_what_was_there_before() -> None:
+    some = row("payload", gain=2.0, left=0.5) | {"since": 1.5}
+    case = evidence(some)
+    case["base"]["since"] = 0.7
+    wanted = np.log(np.exp(2.0) + np.exp(0.7 + 1.5)) - np.log(1.0 + np.exp(0.7))
+    assert features(case, "payload")["gain"] == pytest.approx(np.arcsinh(wanted))
+
+
+def test_a_sets_probability_is_shared_among_its_effects() -> None:
+    rows = [row(e, gain=4.0, left=0.5) for e in ("payload", "strut_friction")]
+    found = decide(evidence(row("payload", "strut_friction", gain=9.0, left=0.2), *rows))
+    alone = {a.causes: p for a, p in zip(found.answers, found.probability, strict=True)}
+    together = alone[("payload", "strut_friction")]
+    assert found.effects["payload"] == pytest.approx(alone[("payload",)] + together / 2)
+    assert sum(found.effects.values()) + found.no_gap + found.unknown == pytest.approx(1.0)
+
+
 def test_a_set_is_compared_with_its_parts_and_a_cause_with_its_rivals() -> None:
     both = row("payload", "strut_friction", gain=9.0, left=0.2) | {"added_low": 0.3}
     single = (("payload", 2.0), ("strut_friction", 5.0), ("other", 7.0))
