@@ -36,7 +36,7 @@ REQUIRED = [
     "rosbags>=0.11,<0.12",
     "mcap>=1.2",
     "h5py>=3.10",
-    "mat-io>=1.0.2",
+    "mat-io>=1.0.2; python_version >= '3.11'",  # there is none for 3.10, which reads no .mat files
     "lz4>=4",
     "zstandard>=0.20",
     "pycrg>=2.2",
