@@ -17,9 +17,18 @@ __all__ = ["command"]
 class To(str, Enum):
     """Where a twin can go."""
 
+    FMU = "fmu"
     CARMAKER = "carmaker"
     SIMULINK = "simulink"
+    UNITY = "unity"
     CSV = "csv"
+
+
+class Fmi(str, Enum):
+    """Versions of the interface of an FMU."""
+
+    TWO = "2.0"
+    THREE = "3.0"
 
 
 def command(
@@ -37,6 +46,7 @@ def command(
             show_default=False,
         ),
     ] = None,
+    fmi: Annotated[Fmi, typer.Option("--fmi", help="fmu: the version of the interface.")] = Fmi.TWO,
     force: Force = False,
 ) -> None:
     """A twin in the files of other simulators: docs/export.md.
@@ -50,7 +60,7 @@ def command(
     loaded = load_twin(twin)
     outputs.announce()
     with outputs:
-        notes = export_twin(loaded, to.value, out, ExportSettings(into))
+        notes = export_twin(loaded, to.value, out, ExportSettings(into, fmi.value))
     console = output()
     for note in notes:
         console.print(note, style="yellow")

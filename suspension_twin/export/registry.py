@@ -17,7 +17,7 @@ from suspension_twin.vehicle.twin import Twin
 
 __all__ = ["TARGETS", "ExportSettings", "Target", "characteristics_of", "export_twin", "load_target"]
 
-TARGETS: Final = ("carmaker", "simulink", "csv")
+TARGETS: Final = ("fmu", "carmaker", "simulink", "unity", "csv")
 
 
 @dataclass(frozen=True)
@@ -28,9 +28,12 @@ class ExportSettings:
     ----------
     into : Path, optional
         CarMaker: the vehicle file whose springs and dampers are replaced.
+    fmi : str
+        FMU: the version of the interface, ``2.0`` or ``3.0``.
     """
 
     into: Path | None = None
+    fmi: str = "2.0"
 
 
 @dataclass(frozen=True)
