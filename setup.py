@@ -36,7 +36,7 @@ REQUIRED = [
     "rosbags>=0.11,<0.12",
     "mcap>=1.2",
     "h5py>=3.10",
-    "mat-io>=1.0.2",
+    "mat-io>=1.0.2; python_version >= '3.11'",  # there is none for 3.10, which reads no .mat files
     "lz4>=4",
     "zstandard>=0.20",
     "pycrg>=2.2",
@@ -67,6 +67,7 @@ TEST = [
     "etils<1.14; python_version < '3.11'",
     "objective-rating-metrics>=1.3",
     "pandas>=2.2",
+    "cosmic-ray>=8.4",
     "colcon-ros>=0.4",
     "colcon-package-information>=0.3",
     "ruff>=0.9",

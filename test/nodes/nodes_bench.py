@@ -17,6 +17,9 @@ from rclpy.qos import QoSProfile
 from suspension_twin.nodes.base import TwinNode
 from suspension_twin.nodes.topics import NS, Embedding
 
+#: ROS arguments of a context whose nodes skip no message that had to wait.
+PATIENT = ["--ros-args", "-p", "max_backlog:=3600.0"]
+
 
 class Bench:
     """Nodes under test and a node beside them that talks to them, on one thread."""
@@ -34,8 +37,7 @@ class Bench:
         return node
 
     def make(self, kind: Callable[..., TwinNode], *args: Any, namespace: str = "", **parameters: Any) -> Any:
-        """A node with these parameters (``__`` for a dot). However slow the machine, it skips nothing."""
-        parameters = {"max_backlog": 3600.0} | parameters
+        """A node with these parameters (``__`` for a dot)."""
         given = tuple(Parameter(k.replace("__", "."), value=v) for k, v in parameters.items())
         return self.add(kind(Embedding(self.context, namespace, given), *args))
 
