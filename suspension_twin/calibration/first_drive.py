@@ -40,6 +40,8 @@ PASSES = 3
 _STILL, _WINDOW = 3.0, 4.0
 _LOOK_EVERY = 0.5  # s of samples between two looks
 _FEWEST = 50  # samples of a look
+_GAP = 0.25  # s between two samples of one standstill at most
+_BACK = 1.0  # s by which stamps of one drive may go back: the same as for the nodes
 _MEMORY = 120.0  # s of samples that are kept
 _SETTINGS = TrimSettings()
 
@@ -178,6 +180,10 @@ class FirstDrive:
         self._first, self._last = excited_part(self._road, tuple(sorted(set(wheels[:, 1].tolist()))))
         self._datum = twin.datum
         self._turn = rpy_matrix(twin.imu.rpy)
+        self._begin()
+
+    def _begin(self) -> None:
+        """Nothing has been driven yet."""
         self._window: list[ImuData] = []
         self._lengths: deque[tuple[Floats, Floats]] = deque()  # stamps and lengths of the specific force
         self._speeds: deque[tuple[Floats, Floats]] = deque()
@@ -265,7 +271,9 @@ class FirstDrive:
     # Inner workings
 
     def _add_imu(self, imu: ImuData) -> None:
-        """At most half a second of samples."""
+        """At most half a second of samples. Stamps that go back begin anew: a recording that is played again."""
+        if imu.t[-1] < self._newest - _BACK:
+            self._begin()
         self._newest = max(self._newest, float(imu.t[-1]))
         self._lengths.append((imu.t, np.linalg.norm(imu.specific_force, axis=1)))
         while self._lengths[0][0][-1] < self._newest - _MEMORY:
@@ -289,7 +297,8 @@ class FirstDrive:
             times, speeds = (np.concatenate(columns) for columns in zip(*self._speeds, strict=True))
             speed = np.interp(imu.t, times, speeds)
         still = standstill_mask(1.0 / period, force, rate, settings.still, speed)
-        self._still_for = min(float(still.sum()) * period, _STILL)
+        steps = np.diff(imu.t, prepend=imu.t[0])
+        self._still_for = min(float(steps[still & (steps < _GAP)].sum()), _STILL)
         if self._still_for < _STILL:
             return
         mean = force[still].mean(axis=0)

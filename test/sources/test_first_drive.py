@@ -173,6 +173,17 @@ def test_a_drive_without_standstill_stays_at_its_first_step(three_passes: Drive,
     assert guide.passes == []
 
 
+def test_a_recording_that_is_played_again_begins_anew(three_passes: Drive, twin: Twin) -> None:
+    guide = FirstDrive(twin)
+    first = float(three_passes.imu.t[0])
+    for samples in (three_passes.fix, three_passes.velocity, three_passes.imu):
+        guide.add(samples.select(samples.t < first + 20.0))
+    assert len(guide.passes) == 1
+    thinned = replace(three_passes, imu=three_passes.imu.select(np.arange(len(three_passes.imu)) % 10 < 7))
+    assert [name for _, name in play(guide, thinned)] == ["stand", "drive", "bump", "end"]
+    assert len(guide.passes) == 3
+
+
 def test_where_a_road_excites() -> None:
     first, last = excited_part(bump_road(half_sine(0.9, 0.05), at=20.0, length=40.0), (-0.8, 0.8))
     assert (first, last) == (pytest.approx(20.0, abs=0.3), pytest.approx(20.9, abs=0.3))
