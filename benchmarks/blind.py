@@ -64,7 +64,7 @@ def _generate(job: tuple[list[Spec], Path, float, float | None]) -> list[str]:
     specs, out, phone.RATE, phone.JITTER = job
     lines = []
     for spec in specs:
-        make_case = measured.make_case if spec.reality == MEASURED else folder.make_case
+        make_case = measured.make_case if spec.reality == MEASURED or spec.planar else folder.make_case
         began = time.monotonic()
         for stale in (out / "cases" / spec.name, out / "sealed" / spec.name):
             shutil.rmtree(stale, ignore_errors=True)

@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 
 from blind import ROOT, flexible, linkage, multibody, newton, phone, severity
-from blind.faults import OF_THE_CLOCK, knob, on_stretch, surveyed, without_road
+from blind.faults import OF_THE_CLOCK, gross, knob, on_stretch, surveyed, without_road
 from blind.newton import Faults, Motion
 from blind.plan import Spec
 from blind.world import FILE_DU, FILE_DV, HALF, Floats, Scene, World, make_world
@@ -54,6 +54,12 @@ def faults_of(spec: Spec) -> tuple[Faults, dict[str, dict[str, float]]]:
     faults: Faults = {}
     reached = {}
     for effect in spec.effects:
+        if spec.gross:
+            faults[effect] = gross(effect, spec.world)
+            scale = _scale(spec.world, spec.msd, spec.scene)
+            given = scale.severity(severity.change(world, scale, {effect: faults[effect]}))
+            reached[effect] = {"amount": 1.0, "severity": round(given, 3)}
+            continue
         curve = np.array(_curve(spec.world, spec.msd, spec.scene, effect, spec.wide))
         scale = _scale(spec.world, spec.msd, spec.scene)
         amount = severity.amount_for(curve, spec.severity)
@@ -84,7 +90,7 @@ def make_case(spec: Spec, cases: Path, sealed: Path) -> dict[str, Any]:
     for name, plan in world.plans.items():
         if name == "reference" and not (spec.reference or spec.calibrated):
             continue
-        own = base if name == "reference" else moving
+        own = base if name == "reference" and not spec.alike else moving
         motion = RUN[spec.reality](world, plan, {k: v for k, v in own.items() if k not in OF_THE_CLOCK})
         drive = phone.record(world, plan, motion, own, name)
         write_drive(drive, (folder if name in _SHOWN[spec.calibrated] else sealed / spec.name) / name)
@@ -185,5 +191,5 @@ def twin_file(world: World, spec: Spec) -> dict[str, Any]:
         "imu": {"frame": "imu_link", "position": list(world.phone.place), "rpy": list(world.phone.rpy)},
         "gps": {"frame": "gps_link", "position": list(world.antenna)},
         "datum": {"latitude": latitude, "longitude": longitude, "altitude": altitude},
-        "road": {"file": "road.crg"},
+        "road": None if spec.planar else {"file": "road.crg"},
     }

@@ -6,6 +6,8 @@ its documented clock errors corrected, and comma2k19's example, a device on a wi
 clock, a mounting or a receiver acts on recorded samples as it would have acted in the car; what is wrong with a car
 does not, so that it is not here. There is no road, so that planar motion alone is compared.
 
+The same faults can be put into what a simulated reality has recorded, whose twin file then names no road either.
+
 The severity of a fault is what it changes of the planar IMU signals less those of the path by the fixes, in multiples
 of what the sound recording leaves of the same; on both sides what biases and a leaning body can explain is taken off.
 None of this is the package's: its own comparison decides nothing about a case.
@@ -15,7 +17,7 @@ from __future__ import annotations
 
 import json
 import os
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import asdict, dataclass, replace
 from functools import lru_cache
 from pathlib import Path
@@ -32,14 +34,14 @@ from blind import ROOT
 from blind.faults import Null, knob
 from blind.newton import Faults
 from blind.phone import lost_time
-from blind.plan import Spec
+from blind.plan import MEASURED, Spec
 from blind.score import PLAIN
-from blind.world import Floats, G
+from blind.world import Floats, G, make_world
 from suspension_twin.drive.edit import cut
 from suspension_twin.drive.importing import import_drive
 from suspension_twin.drive.types import Drive
 from suspension_twin.drive.write import write_drive
-from suspension_twin.vehicle.twin import Twin, save_twin
+from suspension_twin.vehicle.twin import Twin, parse_twin, save_twin
 
 CHANNELS = ("longitudinal", "lateral", "yaw_rate")
 _EARTH = 6_371_000.0  # m
@@ -335,51 +337,89 @@ def _pieces(name: str, seed: int) -> dict[str, Drive]:
     return {n: replace(cut(whole, start + a, start + b), name=n) for n, (a, b) in parts(name, seed).items()}
 
 
-def _faulted(spec: Spec) -> tuple[str, dict[str, Drive], Floor, Faults, dict[str, dict[str, float]]]:
-    """The recording of a case, its drives without a fault, and the faults."""
-    rng, reached = np.random.default_rng([spec.world, 32]), {}
+def _simulated(spec: Spec) -> tuple[str, dict[str, Drive], Twin]:
+    """Drives of a simulated reality without a fault, and the twin file of its user, who has no road."""
+    from blind import phone
+    from blind.folder import RUN, twin_file
+
+    world = make_world(spec.world)
+    drives = {
+        part: phone.record(world, plan, RUN[spec.reality](world, plan, {}), {}, part)
+        for part, plan in world.plans.items()
+    }
+    return spec.reality, drives, parse_twin(twin_file(world, spec))
+
+
+def _sources(spec: Spec) -> Iterator[tuple[str, dict[str, Drive], Twin]]:
+    """Where a case may be from: its name, drives without a fault, and the twin file."""
+    if spec.reality != MEASURED:
+        yield _simulated(spec)
+        return
+    rng = np.random.default_rng([spec.world, 32])
     for name in ("comma2k19", "rtklibexplorer") if rng.random() < _QUARTER else ("rtklibexplorer",):
-        pieces, rpy, faults = _pieces(name, spec.world), recording(name).twin.imu.rpy, {}
-        floor = Floor.of(pieces["drive_a"], rpy)
+        yield name, _pieces(name, spec.world), recording(name).twin
+
+
+@dataclass(frozen=True, eq=False)
+class _Faulted:
+    """What a case is made from: drives without a fault, the faults, and what severity they reach."""
+
+    source: str
+    pieces: dict[str, Drive]
+    twin: Twin
+    floor: Floor
+    faults: Faults
+    reached: dict[str, dict[str, float]]
+
+    @classmethod
+    def of(cls, spec: Spec, source: str, pieces: dict[str, Drive], twin: Twin) -> _Faulted:
+        """The faults of a case in drives of one source, as severe as they can be there."""
+        floor = Floor.of(pieces["drive_fast" if "drive_fast" in pieces else "drive_a"], twin.imu.rpy)
+        faults: Faults = {}
+        reached = {}
         for effect in spec.effects:
             faults[effect], amount, has = found(effect, spec.severity, floor, spec.world)
             reached[effect] = {"amount": round(amount, 6), "severity": round(has, 3)}
-        if min((r["severity"] for r in reached.values()), default=PLAIN) >= PLAIN:
-            return name, pieces, floor, faults, reached
-    raise ValueError(f"{' and '.join(spec.effects)} cannot be shown by what is recorded")
+        return cls(source, pieces, twin, floor, faults, reached)
+
+    @property
+    def shown(self) -> bool:
+        """Whether every fault has to be found."""
+        return min((r["severity"] for r in self.reached.values()), default=PLAIN) >= PLAIN
 
 
 def make_case(spec: Spec, cases: Path, sealed: Path) -> dict[str, Any]:
     """Write the case's folder under ``cases`` and its further drive under ``sealed``; return the label.
 
-    ValueError where the recordings cannot show the fault.
+    ValueError where no source can show the fault.
     """
-    name, pieces, floor, faults, reached = _faulted(spec)
-    twin = recording(name).twin
+    own = next((c for c in (_Faulted.of(spec, *source) for source in _sources(spec)) if c.shown), None)
+    if own is None:
+        raise ValueError(f"{' and '.join(spec.effects)} cannot be shown by what is recorded")
     folder = cases / spec.name
     folder.mkdir(parents=True)
     drives: dict[str, Any] = {}
-    for part, piece in pieces.items():
+    for part, piece in own.pieces.items():
         if part == "reference" and not spec.reference:
             continue
-        own = piece if part == "reference" else spoiled(piece, twin.imu.rpy, faults, spec.world)
-        write_drive(own, (sealed / spec.name if part == "sealed" else folder) / part)
+        drive = piece if part == "reference" else spoiled(piece, own.twin.imu.rpy, own.faults, spec.world)
+        write_drive(drive, (sealed / spec.name if part == "sealed" else folder) / part)
         drives[part] = {
-            "start": round(float(own.imu.t[0]), 3),
-            "seconds": round(float(own.imu.t[-1] - own.imu.t[0]), 3),
+            "start": round(float(drive.imu.t[0]), 3),
+            "seconds": round(float(drive.imu.t[-1] - drive.imu.t[0]), 3),
         }
-    save_twin(twin, folder / "twin.yaml")
+    save_twin(own.twin, folder / "twin.yaml")
     if spec.without:
         (folder / "request.json").write_text(json.dumps({"without": list(spec.without)}) + "\n")
     return {
         **asdict(spec),
-        "faults": faults,
-        "reached": reached,
+        "faults": own.faults,
+        "reached": own.reached,
         "stretch": None,
         "frequency": [],
         "drives": drives,
-        "recording": name,
-        "floor": {c: float(f"{v:.4g}") for c, v in zip(CHANNELS, floor.rms, strict=True)},
+        "source": own.source,
+        "floor": {c: float(f"{v:.4g}") for c, v in zip(CHANNELS, own.floor.rms, strict=True)},
     }
 
 

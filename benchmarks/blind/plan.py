@@ -26,6 +26,7 @@ from blind.faults import (
     RECORDED_LIBRARY,
     RECORDED_OUTSIDE,
     ROAD,
+    SET_UP_ERRORS,
     WIDE_OUTSIDE,
 )
 from blind.world import Scene
@@ -43,6 +44,8 @@ Seeds = Literal[
     "measured",
     "flexible_dev",
     "flexible",
+    "setup_dev",
+    "setup",
 ]
 Kind = Literal["single", "null", "outside", "excluded", "pair", "stretch"]
 KINDS: tuple[Kind, ...] = ("single", "null", "outside", "excluded", "pair", "stretch")
@@ -70,7 +73,11 @@ _FIRST = {
     "measured": 8_000_000,
     "flexible_dev": 9_000_000,
     "flexible": 10_000_000,
+    "setup_dev": 11_000_000,
+    "setup": 12_000_000,
 }
+#: Seeds of set-up errors, gross ones among them, with a road and without one.
+SET_UP = ("setup_dev", "setup")
 #: Seeds whose cases are recordings of real cars with faults put into them.
 RECORDED = ("measured_dev", "measured")
 MEASURED = "measured"
@@ -121,7 +128,9 @@ _RECORDED_PAIRS = (
 @dataclass(frozen=True)
 class Spec:
     """One case before anything is simulated. ``without`` is taken out of the library for it. ``calibrated``: the twin
-    file was calibrated on a drive from before the fault. ``wide``: of a plan of the whole library."""
+    file was calibrated on a drive from before the fault. ``wide``: of a plan of the whole library. ``gross``: a set-up
+    error of a size that no tolerance has, drawn by seed. ``alike``: the reference has it as well. ``planar``: the twin
+    file names no road."""
 
     name: str
     kind: Kind
@@ -136,6 +145,9 @@ class Spec:
     scene: Scene = "usual"
     calibrated: bool = False
     wide: bool = False
+    gross: bool = False
+    alike: bool = False
+    planar: bool = False
 
 
 def plan(seeds: Seeds, short: bool = False) -> list[Spec]:
@@ -143,7 +155,11 @@ def plan(seeds: Seeds, short: bool = False) -> list[Spec]:
 
     The short plan is nine cases of the development seeds.
     """
-    numbered = _wide if seeds in WIDE else _recorded if seeds in RECORDED else _numbered
+    numbered = _wide if seeds in WIDE else _numbered
+    if seeds in RECORDED:
+        numbered = _recorded
+    elif seeds in SET_UP:
+        numbered = _set_up
     strata = {kind: list(numbered(seeds, kind)) for kind in KINDS}
     rng = np.random.default_rng(_FIRST[seeds])
     for kind, cases in strata.items():
@@ -348,3 +364,36 @@ def _recorded_cases(kind: Kind) -> Iterator[tuple[tuple[str, ...], float, tuple[
             for pair in _RECORDED_PAIRS:
                 for severity in (_PAIR, 5.0):
                     yield pair, severity, (), reference
+
+
+def _set_up(seeds: Seeds, kind: Kind) -> Iterator[Spec]:
+    """Gross set-up errors on a road, in the reference as well or without a reference; and planar motion in simulated
+    realities, where the faults of recordings are put into sensor, clock and receiver."""
+    gross = (
+        [(e, alike) for e in SET_UP_ERRORS for alike in (True, False) for _ in range(4)]
+        if kind == "single"
+        else []
+    )
+    planar = list(_recorded_cases(kind))
+    everywhere = (*REALITIES, _LINKAGE, "flexible")
+    for number in range(len(gross) + len(planar)):
+        if number < len(gross):
+            effect, reference = gross[number]
+            effects, severity, without = (effect,), 5.0, ()
+        else:
+            effects, severity, without, reference = planar[number - len(gross)]
+        digest = hashlib.sha256(f"{seeds} {kind} {number} {effects} {severity}".encode()).hexdigest()
+        yield Spec(
+            name=f"case_{digest[:10]}",
+            kind=kind,
+            effects=effects,
+            severity=severity,
+            world=_FIRST[seeds] + 20_000 * KINDS.index(kind) + number,
+            reality=everywhere[int(digest[-6:], 16) % 4],
+            reference=reference,
+            without=without,
+            wide=True,
+            gross=number < len(gross),
+            alike=number < len(gross) and reference,
+            planar=number >= len(gross),
+        )

@@ -220,7 +220,7 @@ class FirstDrive:
         still, moved, left = self.standstill, self.moved, self._wanted - len(self.passes)
         times = "once" if self._wanted == 1 else f"{self._wanted} times"
         passed = "; ".join(map(str, self.passes))
-        where = f"{self._distance:.0f} m away" if math.isfinite(self._distance) else "waiting for positions"
+        where = _away(self._distance)
         speed = f", {3.6 * self.speed:.0f} km/h" if math.isfinite(self.speed) else ""
         return (
             Step(
@@ -363,3 +363,10 @@ class FirstDrive:
             way = self._last - self._first + 2.0 * self._length
             speed = float(np.median(known)) if known.size else way / max(end - start, 1e-3)
             self.passes.append(Pass(start, end, speed, float(np.concatenate(shock).max(initial=0.0))))
+
+
+def _away(distance: float) -> str:
+    """How far the bump is, in m."""
+    if math.isnan(distance):
+        return "waiting for positions"
+    return f"{distance:.0f} m away" if distance < 1e3 else f"{distance / 1e3:.0f} km away"

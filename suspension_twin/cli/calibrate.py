@@ -129,7 +129,7 @@ def command(
     from suspension_twin.calibration.output import details_path
 
     page = () if report is None else (report / "report.html",)
-    from suspension_twin.calibration.checkpoint import STATE, Checkpoint
+    from suspension_twin.calibration.checkpoint import Checkpoint
     from suspension_twin.calibration.output import write_result
     from suspension_twin.calibration.request import CalibrationRequest
     from suspension_twin.calibration.run import calibrate
@@ -151,7 +151,7 @@ def command(
         state=str(folder),
         keep_sensor=keep_sensor,
     )
-    outputs = Outputs(out, details_path(out), *page, force=force, resumed_from=folder / STATE)
+    outputs = Outputs(out, details_path(out), *page, force=force, resumed_from=folder)
     store = Checkpoint(folder, "")  # refuses a folder that is no state's
     load_twin(twin)
     outputs.announce()

@@ -19,9 +19,9 @@ from numpy.typing import NDArray
 from suspension_twin.arrays import Floats
 from suspension_twin.compiled import compiled
 from suspension_twin.diagnosis.hypotheses import Hypothesis
+from suspension_twin.diagnosis.partial import PartialResults
 from suspension_twin.identification.gauss_newton import Quadratic
 from suspension_twin.identification.noise import Whitener
-from suspension_twin.identification.nuisance import NuisancePriors
 from suspension_twin.identification.parallel import side_by_side
 from suspension_twin.identification.problem import Interrupted, Problem
 from suspension_twin.models.excitation import coarser
@@ -31,27 +31,12 @@ from suspension_twin.models.simulate import simulate_lanes
 from suspension_twin.models.types import Excitation
 from suspension_twin.vehicle.twin import Twin
 
-__all__ = ["NORMAL", "Bench", "Excitations", "Linearised"]
+__all__ = ["REACH", "STEP", "Bench", "Excitations", "Linearised"]
 
-#: Standard deviations of the nuisance parameters. A larger error of clock, map or mount is an effect.
-#: An RTK position is accurate to a centimetre, a part of which is constant over a drive (``drive_map``).
-#: The gain is fixed: that of a phone is within 0.5 %, and a free gain would absorb model discrepancy.
-NORMAL = NuisancePriors(
-    clock=0.0005,
-    common_clock=0.002,
-    map_position=0.02,
-    gain=0.0,
-    tilt=0.009,
-    force_bias=0.05,
-    rate_bias=0.005,
-    pivot=0.3,
-    holder=1.0,
-    drive_map=0.006,
-)
-#: Bound of a nuisance parameter in standard deviations of its prior.
-_NORMAL_LIMIT = 3.0
+#: Bound of a nuisance parameter in standard deviations of its prior: what is beyond is an effect.
+REACH = 3.0
 #: Finite-difference steps of characteristics and of effects, in their search coordinates.
-_STEP = 1e-3
+STEP = 1e-3
 _STEP_EFFECT = 1e-2
 
 
@@ -118,7 +103,7 @@ class Bench:
     ``counted_drives`` limits the residuals to some drives, ``counted_rows`` (R,) to some of them; ``fused`` whether
     poses are fused from GNSS and IMU; ``frozen_nuisances`` names nuisance parameters held at zero; ``expected`` (m,
     C) is the discrepancy found on a reference run with the same excitation. ``step`` is the longest time step in s of
-    a simulation over a drive; None for the steps of the drive.
+    a simulation over a drive; None for the steps of the drive. ``partial`` keeps partial results on disk.
     """
 
     problem: Problem
@@ -136,6 +121,7 @@ class Bench:
     level: bool = False
     expected: tuple[Floats | None, ...] = ()
     step: float | None = None
+    partial: PartialResults = field(default_factory=PartialResults)
     _known_plain: dict[str, Any] = field(default_factory=dict)
     _stepped_excitations: dict[int, tuple[Excitation, Excitation]] = field(default_factory=dict)
 
@@ -164,7 +150,7 @@ class Bench:
         low, high = hypothesis.bounds()
         free = np.full(self.d, np.inf)
         allowed = [name not in self.frozen_nuisances for name in self.problem.nuisances.names]
-        nuisance = _NORMAL_LIMIT * self.problem.nuisances.spread * allowed
+        nuisance = REACH * self.problem.nuisances.spread * allowed
         least = np.where(self.problem.nuisances.one_sided, 0.0, -nuisance)
         return np.concatenate([-free, least, low]), np.concatenate([free, nuisance, high])
 
@@ -386,7 +372,7 @@ class Bench:
         u = x[d + q :]
         # backwards near the upper bound
         own = np.where(u + _STEP_EFFECT > high, -_STEP_EFFECT, _STEP_EFFECT)
-        steps = np.concatenate([np.full(physics, _STEP), own])
+        steps = np.concatenate([np.full(physics, STEP), own])
         stepped = np.repeat(np.concatenate([x[:d], u])[:, None], 1 + physics + k, axis=1)
         stepped[[*range(physics), *range(d, d + k)], 1 + np.arange(physics + k)] += steps
         signals, failed = self.signals(hypothesis, stepped[:d], stepped[d:])

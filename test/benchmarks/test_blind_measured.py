@@ -120,7 +120,7 @@ def test_a_recorded_case_is_reproduced_by_its_number_and_holds_no_label(
     spec = next(c for c in plan("measured_dev") if c.effects == ("sensor_tilt",) and c.reference)
     monkeypatch.setattr(measured, "_QUARTER", 1.0)  # the short recording
     labels = [measured.make_case(spec, tmp_path / n / "cases", tmp_path / n / "sealed") for n in "ab"]
-    assert labels[0] == labels[1] and labels[0]["recording"] == "comma2k19"
+    assert labels[0] == labels[1] and labels[0]["source"] == "comma2k19"
     files = [p for p in (tmp_path / "a" / "cases").rglob("*") if p.is_file()]
     assert {p.relative_to(tmp_path / "a" / "cases" / spec.name).parts[0] for p in files} == {
         "drive_a",
@@ -131,3 +131,51 @@ def test_a_recorded_case_is_reproduced_by_its_number_and_holds_no_label(
     shown = read_drive(tmp_path / "a" / "cases" / spec.name / "drive_a").imu
     again = read_drive(tmp_path / "b" / "cases" / spec.name / "drive_a").imu
     assert np.array_equal(shown.specific_force, again.specific_force)
+
+
+def test_the_plan_of_set_up_errors_has_gross_ones_before_and_after_alike_and_planar_motion() -> None:
+    from blind.faults import RECORDED_LIBRARY, SET_UP_ERRORS, gross
+    from blind.plan import plan
+
+    cases = plan("setup_dev")
+    assert {c.reality for c in cases} == {"newton", "multibody", "linkage", "flexible"}
+    large = [c for c in cases if c.gross]
+    assert {(c.effects[0], c.alike) for c in large} == {(e, a) for e in SET_UP_ERRORS for a in (True, False)}
+    assert all(c.reference == c.alike and not c.planar for c in large)
+    assert {c.effects[0] for c in cases if c.planar and c.kind == "single"} == set(RECORDED_LIBRARY)
+    assert any(c.planar and c.reference and c.kind == "null" for c in cases)
+    for case in large:
+        size = {e: max(map(abs, gross(e, case.world).values())) for e in case.effects}
+        least = {
+            "position_offset": 0.3,
+            "lateral_offset": 0.3,
+            "time_offset": 0.08,
+            "sensor_tilt": np.radians(10),
+        }
+        assert all(v >= least[e] - 1e-9 for e, v in size.items())
+
+
+def test_a_planar_case_of_a_simulated_reality_has_no_road_and_a_reference_without_the_fault(
+    tmp_path: Path,
+) -> None:
+    from blind import measured
+    from blind.plan import plan
+    from blind.world import make_world
+
+    spec = next(
+        c
+        for c in plan("setup_dev")
+        if c.planar and c.reference and c.kind == "single" and c.reality == "newton"
+    )
+    spec = replace(spec, effects=("time_offset",), severity=1.5, reality="flexible")
+    label = measured.make_case(spec, tmp_path / "cases", tmp_path / "sealed")
+    folder = tmp_path / "cases" / spec.name
+    assert load_twin(folder / "twin.yaml").road is None
+    assert not list(folder.glob("*.crg"))
+    sound, late = (read_drive(folder / name) for name in ("reference", "drive_fast"))
+    offset = label["faults"]["time_offset"]["offset"]
+    assert label["reached"]["time_offset"]["severity"] == pytest.approx(1.5, rel=0.2)
+    plans = make_world(spec.world).plans
+    begins = [d.imu.t[0] - plans[n].start for d, n in ((sound, "reference"), (late, "drive_fast"))]
+    assert abs(offset) > 0.02
+    assert begins == pytest.approx([0.0, offset], abs=5e-3)
