@@ -62,7 +62,7 @@ TEST = [
     "amqtt>=0.11",
     "playwright>=1.49",
     "mujoco>=3.3",
-    "fmpy>=0.3.20",
+    "fmpy>=0.3.32",
     # Later ones refuse Python 3.10, and an old pip that finds out late tries all of numpy's releases for a way out.
     "etils<1.14; python_version < '3.11'",
     "objective-rating-metrics>=1.3",

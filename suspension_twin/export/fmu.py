@@ -24,7 +24,7 @@ from pathlib import Path
 from typing import Final, NamedTuple
 
 from suspension_twin import __version__
-from suspension_twin.errors import InputError, WorkError
+from suspension_twin.errors import InputError, WorkError, printable
 from suspension_twin.export.registry import ExportSettings, Target
 from suspension_twin.export.standalone.languages import C
 from suspension_twin.export.standalone.source import Source, written_out
@@ -128,7 +128,7 @@ def _root(twin: Twin, version: str, token: dict[str, str], name: str) -> Element
         "fmiVersion": version,
         "modelName": name,
         **token,
-        "description": f"Suspension of {twin.vehicle.name}: a twin of the model {twin.model}",
+        "description": f"Suspension of {printable(twin.vehicle.name)}: a twin of the model {twin.model}",
         "generationTool": f"suspension_twin {__version__}",
         "variableNamingConvention": "flat",
     }

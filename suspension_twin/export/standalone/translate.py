@@ -114,7 +114,7 @@ class Translation:
         python = getattr(function, "py_func", function)
         arguments = [
             _Value(
-                name,
+                str(known.get(name, name)),
                 "int" if kind == "int" else "double",
                 known=known.get(name),
                 shape=() if kind == "Floats" else None,
@@ -626,7 +626,8 @@ class _Writer:
         if len(parts) == 1:
             return parts[0]
         symbol, binds = _OPERATORS[operator]
-        text = f" {symbol} ".join(_within(replace(p, text=self.truth(p)), binds + 1) for p in parts)
+        both = _OPERATORS[ast.And][1] + 1  # compilers warn of one within the other
+        text = f" {symbol} ".join(_within(replace(p, text=self.truth(p)), both) for p in parts)
         return _Value(text, "bool", binds)
 
     def _of_ifexp(self, node: ast.IfExp) -> _Value:
