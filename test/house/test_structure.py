@@ -32,6 +32,7 @@ ROWS = (
     {"identification"},
     {"calibration"},
     {"diagnosis"},
+    {"fleet"},
     {"report"},
     {"view"},
     {"nodes"},
