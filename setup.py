@@ -62,6 +62,7 @@ TEST = [
     "amqtt>=0.11",
     "playwright>=1.49",
     "mujoco>=3.3",
+    "fmpy>=0.3.20",
     # Later ones refuse Python 3.10, and an old pip that finds out late tries all of numpy's releases for a way out.
     "etils<1.14; python_version < '3.11'",
     "objective-rating-metrics>=1.3",
@@ -112,7 +113,7 @@ setup(
         "docs": DOCS,
     },
     packages=find_packages(include=["suspension_twin", "suspension_twin.*"]),
-    package_data={"": ["py.typed", "*.html", "*.j2", "*.css", "*.js", "*.json", "*.yaml"]},
+    package_data={"": ["py.typed", "*.html", "*.j2", "*.css", "*.js", "*.json", "*.yaml", "*.c", "*.h"]},
     data_files=data_files(),
     entry_points={
         "console_scripts": [

@@ -11,7 +11,7 @@ import struct
 import subprocess
 import tempfile
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -42,15 +42,20 @@ _STAMPS = [(0, 0), (-1, 0), (-(1 << 31), 0), ((1 << 31) - 1, 999_999_999), (1 <<
 
 
 class Twin:
-    """``suspension-twin run`` in a process of its own, and everything that it publishes."""
+    """``suspension-twin run`` in a process of its own, and everything that it publishes.
 
-    def __init__(self) -> None:
+    An answer counts from when the twin published it, by the stamp that the middleware puts on: how late the watcher
+    takes it out of its queue is the watcher's affair.
+    """
+
+    def __init__(self, space: str = _SPACE, arguments: Sequence[str] = (), clock: bool = False) -> None:
         import rclpy
         from diagnostic_msgs.msg import DiagnosticArray
         from geometry_msgs.msg import AccelStamped, PoseStamped, QuaternionStamped, TwistStamped
         from nav_msgs.msg import Odometry
         from rclpy.executors import SingleThreadedExecutor
         from rclpy.qos import QoSProfile
+        from rosgraph_msgs.msg import Clock
         from sensor_msgs.msg import Imu, JointState, NavSatFix
 
         from suspension_twin.drive.recording import read_recording
@@ -58,23 +63,32 @@ class Twin:
 
         self.said = tempfile.TemporaryFile()  # noqa: SIM115
         self.process = subprocess.Popen(
-            [*PROGRAM, "run", "--twin", str(_BAG / "twin.yaml"), "--namespace", _SPACE],
+            [*PROGRAM, "run", "--twin", str(_BAG / "twin.yaml"), "--namespace", space, *arguments],
             stdout=subprocess.DEVNULL,
             stderr=self.said,
             env=environment(),
         )
         if not rclpy.ok():
             rclpy.init(args=["--ros-args", "--log-level", "error"])
-        self.node = rclpy.create_node("torturer", namespace=_SPACE)
+        self.node = rclpy.create_node("torturer", namespace=space)
         self.executor = SingleThreadedExecutor()
         self.executor.add_node(self.node)
         kinds = {"/imu/data_raw": Imu, "/fix": NavSatFix, "/vel": TwistStamped, "/heading": QuaternionStamped}
         qos = QoSProfile(depth=2000)
         self.out = {name: self.node.create_publisher(kind, name[1:], qos) for name, kind in kinds.items()}
+        self.clock = self.node.create_publisher(Clock, "/clock", 10) if clock else None
+        #: Stamp of a sample: when its answer was published, s since the epoch.
         self.answered: dict[int, float] = {}
+        #: The answers themselves, m/s².
+        self.values: dict[int, float] = {}
+        #: Longest time in s that an answer waited for the watcher.
+        self.watched_late = 0.0
         self.wrong: list[str] = []
         self.levels: list[str] = []
+        #: Resets that the nodes have told of.
+        self.resets: dict[str, int] = {}
         self.alive = False
+        self.listeners: list[tuple[Any, Callable[[Any, float], None]]] = []
         for kind, name in (
             (Imu, "imu/data"),
             (AccelStamped, "imu/vertical_acceleration"),
@@ -85,8 +99,9 @@ class Twin:
             (JointState, "joint_states"),
             (Gap, "twin/gap"),
         ):
-            self.node.create_subscription(kind, name, self._listener(name), 1000)
-        self.node.create_subscription(DiagnosticArray, "/diagnostics", self._on_diagnostics, 100)
+            self._listen(kind, name, self._listener(name))
+        self._listen(DiagnosticArray, "/diagnostics", self._on_diagnostics)
+        self.space = space
         contents = read_recording(_BAG)
         rows = [
             (stamp, name, bytes(data))
@@ -104,13 +119,21 @@ class Twin:
         self.time = time.time_ns()  # stamp of the next clean message
         self.at = 0  # row of the drive that it is
 
-    def _listener(self, name: str) -> Callable[[Any], None]:
+    def _listen(self, kind: type, name: str, heard: Callable[[Any, float], None]) -> None:
+        def taken(message: Any, about: dict[str, int]) -> None:
+            heard(message, about["source_timestamp"] / 1e9)
+
+        self.listeners.append((self.node.create_subscription(kind, name, taken, 2000), heard))
+
+    def _listener(self, name: str) -> Callable[[Any, float], None]:
         last = name.startswith("twin/vertical")
 
-        def heard(message: Any) -> None:
+        def heard(message: Any, published: float) -> None:
             if last:
                 stamp = message.header.stamp
-                self.answered[stamp.sec * 1_000_000_000 + stamp.nanosec] = time.monotonic()
+                ns = stamp.sec * 1_000_000_000 + stamp.nanosec
+                self.answered[ns], self.values[ns] = published, message.accel.linear.z
+                self.watched_late = max(self.watched_late, time.time() - published)
             if name == "twin/gap":  # NaN while unknown, as its definition says
                 message.noise_rms = message.normalised = 0.0
             if len(self.wrong) < 20 and not _finite(message):
@@ -118,25 +141,37 @@ class Twin:
 
         return heard
 
-    def _on_diagnostics(self, message: Any) -> None:
-        self.alive = True
-        self.levels += [status.message for status in message.status if status.level != b"\0"]
+    def _on_diagnostics(self, message: Any, _published: float) -> None:
+        own = [status for status in message.status if status.name.startswith(f"{self.space}/")]
+        self.alive = self.alive or bool(own)
+        for status in own:
+            for pair in status.values:
+                if pair.key == "resets after a jump back in time (count)":
+                    self.resets[status.name] = int(pair.value)
+        self.levels += [status.message for status in own if status.level != b"\0"]
         del self.levels[:-200]
 
     def wait(self, seconds: float = 300.0) -> None:
         """Until the twin listens, and says so."""
         until = time.monotonic() + seconds
         while time.monotonic() < until and self.process.poll() is None:
-            self.executor.spin_once(timeout_sec=0.1)
+            self.take(0.1)
             if self.alive and self.out["/vel"].get_subscription_count():
                 return
         raise RuntimeError(f"the twin does not listen (exit status {self.process.poll()})")
+
+    def take(self, seconds: float) -> None:
+        """All that waits; then wait for more, so long at most."""
+        for subscription, heard in self.listeners:
+            while (taken := subscription.handle.take_message(subscription.msg_type, False)) is not None:
+                heard(taken[0], taken[1]["source_timestamp"] / 1e9)
+        self.executor.spin_once(timeout_sec=max(seconds, 0.0))
 
     def listen(self, seconds: float) -> None:
         """Take what comes."""
         until = time.monotonic() + seconds
         while (left := until - time.monotonic()) > 0:
-            self.executor.spin_once(timeout_sec=min(left, 0.05))
+            self.take(min(left, 0.05))
 
     def send(self, name: str, data: bytes) -> None:
         """A message as bytes, whatever is in them."""
@@ -147,23 +182,36 @@ class Twin:
 
         Ends early once ``enough`` of them are answered.
         """
-        began, start, sent = time.monotonic(), self.time, []
+        began, start, sent, taken = time.monotonic(), self.time, [], time.monotonic()
         base = self.time - self.rows[self.at][0]
         while self.time - start < seconds * 1e9:
             offset, name, data = self.rows[self.at]
             self.time = base + offset
             while (left := began + (self.time - start) / 1e9 / speed - time.monotonic()) > 0:
-                self.executor.spin_once(timeout_sec=left)
+                self.take(left)
+                taken = time.monotonic()
+            if time.monotonic() - taken > 0.05:  # behind time, but not deaf
+                self.take(0.0)
+                taken = time.monotonic()
+            if self.clock is not None:
+                self.tick(self.time)
             self.send(name, stamped(data, self.time))
             if name == "/imu/data_raw":
                 sent.append(self.time)
-            if enough and sum(s in self.answered for s in sent) >= enough:
+            if enough and sum(stamp in self.answered for stamp in sent) >= enough:
                 break
             self.at = (self.at + 1) % len(self.rows)
             if self.at == 0:  # the car is back where it began, which the twin has to see through
                 base = self.time + 10_000_000 - self.rows[0][0]
         self.time += 10_000_000
         return sent
+
+    def tick(self, ns: int) -> None:
+        """The simulated clock shows ``ns``."""
+        from builtin_interfaces.msg import Time
+        from rosgraph_msgs.msg import Clock
+
+        self.clock.publish(Clock(clock=Time(sec=ns // 1_000_000_000, nanosec=ns % 1_000_000_000)))
 
     def memory(self) -> float:
         """Resident memory of the twin in MiB."""
@@ -273,14 +321,16 @@ def _running(tally: Tally) -> Iterator[Twin]:
 
 def _recovers(tally: Tally, twin: Twin) -> str | None:
     """Clean messages again: how long until one is answered, and whether nothing else is wrong."""
-    began = time.monotonic()
+    began, twin.watched_late = time.time(), 0.0
     sent = twin.drive(10.0, enough=5)
+    twin.take(0.0)
     answered = [twin.answered[s] - began for s in sent if s in twin.answered]
     if problem := twin.problem():
         return problem
     if not answered:
         return f"no answer within 10 s; says: {'; '.join(dict.fromkeys(twin.levels[-5:]))[:200]}"
     tally.measure("first answer, s", min(answered))
+    tally.measure("watched late, s", twin.watched_late)
     return f"answers after {min(answered):.1f} s" if min(answered) > _PATIENCE else None
 
 

@@ -82,6 +82,7 @@ def command(
 
     Writes DIR/diagnosis.json, DIR/evidence.json, DIR/report.html and DIR/twin.yaml, the twin with what was found
     added. With --from-evidence alone it prints the answer; with --out it writes diagnosis.json and twin.yaml, too.
+    After an interruption the same command goes on where it was.
     """
     from suspension_twin.diagnosis.decision import Costs
 
@@ -98,7 +99,10 @@ def command(
             raise InputError(name, "is missing")
     assert twin is not None and bags is not None and out is not None
     page = out / "report.html"
-    outputs = Outputs(out / "diagnosis.json", out / "evidence.json", page, out / "twin.yaml", force=force)
+    folder = out / ".state"
+    files = (out / "diagnosis.json", out / "evidence.json", page, out / "twin.yaml")
+    outputs = Outputs(*files, force=force, resumed_from=folder)
+    from suspension_twin.calibration.checkpoint import Checkpoint
     from suspension_twin.diagnosis.output import write
     from suspension_twin.diagnosis.request import DiagnosisRequest
     from suspension_twin.diagnosis.request import Progress as Stage
@@ -119,7 +123,9 @@ def command(
         seed,
         tuple(effect or ()),
         costs=table,
+        state=str(folder),
     )
+    store = Checkpoint(folder, "", "a diagnosis")  # refuses a folder that is no state's
     load_twin(twin)
     outputs.announce()
     with outputs, ProgressLine() as line:
@@ -131,6 +137,7 @@ def command(
         with together():
             write(result, out)
             diagnosis_page(result).write(page)
+        store.remove()
     print_diagnosis(result.document, out)
 
 

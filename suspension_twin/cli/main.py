@@ -54,6 +54,7 @@ SUBCOMMANDS = (
         endless=True,
         bare=(("--view", "8080"), ("--foxglove", "8765")),
     ),
+    Subcommand("first-drive", "first_drive", "From a live source to a calibrated twin, step by step."),
     Subcommand("new", "new", "A twin file, by a few questions or from a ready one."),
     Subcommand("calibrate", "calibrate", "Find a twin's characteristics from recorded drives."),
     Subcommand(
@@ -71,6 +72,7 @@ SUBCOMMANDS = (
     Subcommand("record", "record", "Live phones, receivers and IMUs into a bag.", endless=True),
     Subcommand("import", "import_", "A phone's or logger's recording into a bag."),
     Subcommand("damping", "damping", "Which dampers a tracked vehicle should have, by speed."),
+    Subcommand("export", "export", "A twin in the files of other simulators."),
     Subcommand("road", "road", "Roads from numbers, profiles or drives; pictures, checks."),
 )
 

@@ -197,6 +197,7 @@ def test_effects_asked_for_by_name_on_the_command_line(
     error = " ".join(capsys.readouterr().err.split())
     assert "--effect: strut_fricton: is not an effect" in error and "strut_friction" in error
     assert main([*ask, "--effect", "strut_friction", "--effect", "tyre_damping"]) == 0
+    assert not (tmp_path / "out" / ".state").exists()
     document = json.loads((tmp_path / "out" / "diagnosis.json").read_text())
     assert sorted(c["effect"] for c in document["causes"]) == ["strut_friction", "tyre_damping"]
     assert document["combination"] == ["strut_friction"]

@@ -24,7 +24,7 @@ def path(repository: Path) -> Path:
 
 @pytest.mark.parametrize("name", KINDS)
 def test_the_file_holds_every_parameter_with_its_default(bench, path, name):
-    node = bench.make(KINDS[name])
+    node = bench.add(KINDS[name](Embedding(bench.context)))
     sections = read_param_file(path)
     given = sections["/**"] | sections[f"/**/{name}"]
     own = [n for n in node.list_parameters([], 0).names if not n.startswith("qos_overrides.")]
