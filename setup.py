@@ -68,6 +68,7 @@ TEST = [
     "objective-rating-metrics>=1.3",
     "pandas>=2.2",
     "cosmic-ray>=8.4",
+    "duckdb>=1.0",
     "colcon-ros>=0.4",
     "colcon-package-information>=0.3",
     "ruff>=0.9",
@@ -75,6 +76,7 @@ TEST = [
     "scipy-stubs",
     "types-PyYAML",
 ]
+FLEET = ["distributed>=2024.5", "dask>=2024.5", "fsspec>=2024.5", "psutil>=5.9", "pyarrow>=15"]
 FOXGLOVE = ["foxglove-sdk>=0.14"]
 DOCS = ["mkdocs>=1.6", "mkdocs-material>=9.5", "mkdocstrings[python]>=0.26", "latex2mathml>=3.77"]
 
@@ -105,7 +107,12 @@ setup(
     maintainer_email=maintainer.get("email"),
     python_requires=">=3.10,<3.14",
     install_requires=REQUIRED,
-    extras_require={"test": TEST + DOCS + FOXGLOVE, "foxglove": FOXGLOVE, "docs": DOCS},
+    extras_require={
+        "test": TEST + DOCS + FOXGLOVE + FLEET,
+        "fleet": FLEET,
+        "foxglove": FOXGLOVE,
+        "docs": DOCS,
+    },
     packages=find_packages(include=["suspension_twin", "suspension_twin.*"]),
     package_data={"": ["py.typed", "*.html", "*.j2", "*.css", "*.js", "*.json", "*.yaml", "*.c", "*.h"]},
     data_files=data_files(),

@@ -34,6 +34,7 @@ ROWS = (
     {"identification"},
     {"calibration"},
     {"diagnosis"},
+    {"fleet"},
     {"report"},
     {"export"},
     {"view"},
