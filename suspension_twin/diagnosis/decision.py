@@ -48,7 +48,7 @@ FORMAT = 1
 #: out of the learning were dropped.
 FEATURES: Mapping[str, float] = {
     # of a cause or a set
-    "number": -1.0,  # log of the number of effects: the prior is shared among them
+    "number": -1.0,  # log of the number of effects in the library: they share the prior
     "gain": 0.5,  # evidence over recalibration
     "margin": 0.5,  # evidence over the next best
     "proven": 2.0,  # lower end of the shrink beyond recalibration in the best channel
@@ -252,7 +252,8 @@ def answers_of(evidence: Mapping[str, Any]) -> list[Answer]:
         # the few set-up errors occur together: a part of the set that none can be taken out of is no rival
         joint = [set(r["effects"]) for r in rows if len(r["effects"]) > 1]
         rows = [r for r in rows if not any(set(r["effects"]) < whole for whole in joint)]
-    singles = sum(len(r["effects"]) == 1 and not r["decoy"] for r in rows)
+    # what a request leaves out of the library may be the cause as well: that is "unknown"
+    number = max(case.get("library", 0), sum(len(r["effects"]) == 1 and not r["decoy"] for r in rows), 1)
     gains = [_gain(r, base.get("since")) for r in rows]
     unusual = [g for g, r in zip(gains, rows, strict=True) if r["usual"] is None or r["usual"] > _USUAL_RATIO]
     best = max(rows, key=lambda r: _explained(case, base, r), default=base)
@@ -280,7 +281,7 @@ def answers_of(evidence: Mapping[str, Any]) -> list[Answer]:
         usual = _USUAL_RATIO if row["usual"] is None else max(row["usual"], 1e-3)
         parameters = [p for values in row["parameters"].values() for p in values.values()]
         values = {
-            "number": float(np.log(max(singles, 1))),
+            "number": float(np.log(number)),
             "gain": _nats(gains[i]),
             "margin": _nats(gains[i] - max([0.0, *rivals])),
             "proven": float(np.clip(max(c["low"] for c in row["channels"].values()), 0.0, 1.0)),

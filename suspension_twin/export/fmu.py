@@ -29,7 +29,7 @@ from suspension_twin.export.registry import ExportSettings, Target
 from suspension_twin.export.standalone.languages import C
 from suspension_twin.export.standalone.source import Source, written_out
 from suspension_twin.export.standalone.variables import INPUTS, OUTPUTS, Variable
-from suspension_twin.files import replacing
+from suspension_twin.files import replacing, write_text
 from suspension_twin.vehicle.twin import Twin
 
 __all__ = ["TARGET"]
@@ -238,7 +238,7 @@ def _compiled(build: _Build, sources: dict[str, str], main: str) -> bytes:
     """The library that a compiler makes of the sources."""
     with tempfile.TemporaryDirectory() as folder:
         for name, text in sources.items():
-            Path(folder, name).write_text(text, encoding="utf-8")
+            write_text(Path(folder, name), text)
         library = f"model{build.ending}"
         command = [*build.compiler, *_FLAGS, "-o", library, main, *build.flags]
         try:
