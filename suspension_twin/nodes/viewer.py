@@ -482,7 +482,8 @@ class ViewerNode(TwinNode):
             if client.service_is_ready():
                 client.call_async(SetParameters.Request(parameters=[value]))
         self.set_parameters([Parameter("twin", value=str(path))])
-        self._show_job(answer.message)
+        others = all(client.service_is_ready() for client in self._others)
+        self._show_job(answer.message.partition(";")[0] if others else answer.message)
 
     # The player of a bag
 
