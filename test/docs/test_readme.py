@@ -240,7 +240,7 @@ def test_the_commands_for_a_phone_hear_it(command, workspace):
     process = subprocess.Popen(
         ours(command.replace(":8000", f":{port}")),
         cwd=workspace,
-        env={**environment(), "XDG_STATE_HOME": str(workspace)},
+        env={**environment(), "XDG_STATE_HOME": str(workspace / "state")},
         stdout=subprocess.PIPE,
         stderr=subprocess.STDOUT,
         text=True,
