@@ -38,9 +38,9 @@ PASSES = 3
 #: s of standstill that are asked for, and that are looked at for it. White noise of a phone's gyroscope (0.003 rad/s at
 #: 100 Hz) leaves 2e-4 rad/s of the bias then.
 _STILL, _WINDOW = 3.0, 4.0
-_LOOK_EVERY = 0.5  # s of samples between two looks
-_FEWEST = 50  # samples of a look
-_GAP = 0.25  # s between two samples of one standstill at most
+#: Numerics of the look for a standstill: s of samples between two looks, samples of a look at least, and s between two
+#: samples of one standstill at most.
+_LOOK_EVERY, _FEWEST, _GAP = 0.5, 50, 0.25
 _BACK = 1.0  # s by which stamps of one drive may go back: the same as for the nodes
 _MEMORY = 120.0  # s of samples that are kept
 _SETTINGS = TrimSettings()

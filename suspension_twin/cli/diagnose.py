@@ -107,21 +107,16 @@ def command(
     from suspension_twin.diagnosis.request import DiagnosisRequest
     from suspension_twin.diagnosis.request import Progress as Stage
     from suspension_twin.diagnosis.run import diagnose
-    from suspension_twin.effects.registry import EFFECTS
     from suspension_twin.report.diagnosis import diagnosis_page
     from suspension_twin.vehicle.twin import load_twin
 
-    for name in effect or ():
-        if name not in EFFECTS:
-            raise InputError(
-                "--effect", name, f"is not an effect{nearest(name, EFFECTS)} ({', '.join(EFFECTS)})"
-            )
+    effects = checked_effects(effect)
     request = DiagnosisRequest(
         str(twin),
         tuple(str(b) for b in bags),
         tuple(str(b) for b in reference or ()),
         seed,
-        tuple(effect or ()),
+        effects,
         costs=table,
         state=str(folder),
     )
@@ -139,6 +134,18 @@ def command(
             diagnosis_page(result).write(page)
         store.remove()
     print_diagnosis(result.document, out)
+
+
+def checked_effects(names: list[str] | None) -> tuple[str, ...]:
+    """What ``--effect`` names; InputError for what is no effect."""
+    from suspension_twin.effects.registry import EFFECTS
+
+    for name in names or ():
+        if name not in EFFECTS:
+            raise InputError(
+                "--effect", name, f"is not an effect{nearest(name, EFFECTS)} ({', '.join(EFFECTS)})"
+            )
+    return tuple(names or ())
 
 
 def _anew(folder: Path, costs: Costs, out: Path | None, force: bool) -> None:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""``suspension-twin fleet``: many vehicles and drives, calibrated over Dask."""
+"""``suspension-twin fleet``: many vehicles and drives, calibrated or diagnosed over Dask."""
 
 from __future__ import annotations
 
@@ -9,7 +9,9 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 from rich.console import Console
 
+from suspension_twin.cli.calibrate import Also, Freeze, Generations, Preset
 from suspension_twin.cli.common import Outputs, ProgressLine, Seed, output, print_table
+from suspension_twin.cli.diagnose import Effects, checked_effects
 from suspension_twin.errors import InputError, WorkError
 
 if TYPE_CHECKING:
@@ -62,28 +64,6 @@ Memory = Annotated[
         show_default=False,
     ),
 ]
-Preset = Annotated[str, typer.Option("--preset", help="fast, paper or tracked_paper.", metavar="NAME")]
-Also = Annotated[
-    list[str] | None,
-    typer.Option(
-        "--also",
-        help="Search this key as well, such as vehicle.tyre.vertical_stiffness or effects.strut_friction; repeatable.",
-        metavar="KEY",
-    ),
-]
-Freeze = Annotated[
-    list[str] | None, typer.Option("--freeze", help="Leave this key as it is; repeatable.", metavar="KEY")
-]
-Generations = Annotated[
-    int,
-    typer.Option(
-        "--max-generations",
-        help="Stop each search after so many.  [default: as many as the preset says]",
-        metavar="N",
-        min=0,
-        show_default=False,
-    ),
-]
 #: Lines of what failed that are printed; all are in results.parquet.
 _LINES = 20
 
@@ -118,6 +98,27 @@ def calibrate(
         freeze=tuple(freeze or ()),
         max_generations=max_generations,
     )
+    _run(manifest, out, options, scheduler, workers, memory)
+
+
+@app.command()
+def diagnose(
+    manifest: Manifest,
+    out: Out,
+    scheduler: Scheduler = "",
+    workers: Workers = 0,
+    memory: Memory = 0.0,
+    effect: Effects = None,
+    seed: Seed = 0,
+) -> None:
+    """Where twin and car disagree and why, for every row of a manifest.
+
+    Writes DIR/results.parquet with verdict, causes, shrink and places, and a folder for every row with diagnosis.json,
+    evidence.json and the twin with what was found. The same command goes on where it was.
+    """
+    from suspension_twin.fleet.work import Options
+
+    options = Options("diagnose", seed, effects=checked_effects(effect))
     _run(manifest, out, options, scheduler, workers, memory)
 
 

@@ -25,8 +25,8 @@ from suspension_twin.vehicle.twin import Twin
 
 __all__ = ["localise", "repeatable", "signature"]
 
-_WINDOW = 0.5  # s
-_METRES = 1.0
+#: Intervals of time (s) and road (m) in ``where``; samples of a segment of its spectrum, and its lowest Hz.
+_WINDOW, _METRES = 0.5, 1.0
 _SEGMENT, _LOWEST = 256, 0.5
 
 

@@ -20,6 +20,7 @@ from suspension_twin.vehicle.twin import Twin
 
 __all__ = ["DRAWS", "FALSE_DISCOVERY_RATE", "by_motion", "ranked"]
 
+#: s of a block of the bootstrap (Künsch 1989), its draws, and the rate of false discoveries (Benjamini, Hochberg 1995).
 _SECONDS, DRAWS, FALSE_DISCOVERY_RATE = 1.0, 1000, 0.1
 _BINS, _STANDS_OUT, _LEAST_SHARE, _MOST = 10, 1.25, 0.02, 8
 

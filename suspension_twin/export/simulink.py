@@ -24,7 +24,7 @@ from suspension_twin.vehicle.twin import Twin
 
 __all__ = ["TARGET"]
 
-_NUMBERS_A_LINE = 6
+_NUMBERS_A_LINE = 6  # of the .m file, which is then narrower than 120 columns
 
 
 def _tables(part: Any) -> dict[str, Any]:

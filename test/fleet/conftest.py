@@ -3,11 +3,13 @@
 
 from __future__ import annotations
 
+from contextlib import contextmanager
 from pathlib import Path
 
 import pytest
 
 from suspension_twin.drive.write import write_drive
+from suspension_twin.fleet import engine
 from suspension_twin.gap.synthetic import SensorErrors, synthetic_drive
 from suspension_twin.road import bump_road, circular, write_road
 from suspension_twin.vehicle.twin import RoadFile, Twin, save_twin
@@ -39,3 +41,16 @@ def manifest(fleet_folder: Path) -> Path:
         "car_b,2024-01-01,twin.yaml,missing\n"
     )
     return path
+
+
+@pytest.fixture
+def in_this_process(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Workers as threads, so that numba's code is loaded once."""
+    real = engine.connected
+
+    @contextmanager
+    def inside(scheduler: str = "", workers: int = 0, memory: float = 0.0):  # type: ignore[no-untyped-def]
+        with real(scheduler, 1, memory, inside=True) as cluster:
+            yield cluster
+
+    monkeypatch.setattr(engine, "connected", inside)

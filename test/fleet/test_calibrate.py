@@ -4,7 +4,6 @@
 from __future__ import annotations
 
 import json
-from contextlib import contextmanager
 from pathlib import Path
 
 import duckdb
@@ -12,7 +11,6 @@ import pytest
 
 from suspension_twin.cli.main import main
 from suspension_twin.errors import InputError
-from suspension_twin.fleet import engine
 from suspension_twin.fleet.ledger import Ledger
 from suspension_twin.fleet.manifest import Item
 from suspension_twin.fleet.storage import identity, outline
@@ -21,19 +19,6 @@ from suspension_twin.vehicle.twin import load_twin
 
 #: The cheapest calibration that there is.
 CHEAP = ("--max-generations", "1", "--freeze", "vehicle.front.spring", "--freeze", "vehicle.rear.spring")
-
-
-@pytest.fixture
-def in_this_process(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Workers as threads, so that numba's code is loaded once."""
-    real = engine.connected
-
-    @contextmanager
-    def inside(scheduler: str = "", workers: int = 0, memory: float = 0.0):  # type: ignore[no-untyped-def]
-        with real(scheduler, 1, memory, inside=True) as cluster:
-            yield cluster
-
-    monkeypatch.setattr(engine, "connected", inside)
 
 
 def test_rows_become_parquet_and_are_done_once(
