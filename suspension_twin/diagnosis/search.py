@@ -206,10 +206,10 @@ def _first_search(
         far = coarse_search.coarse_fit(bench, v, no_match)
         if far is not None and far[2] < cost:
             v, x, cost = far
-        for begun, start in _softened_starts(bench, base, v, seed):
-            if begun < _COST_RATIO * cost:
-                y, other = refit(bench, v, [start], None, DEEP, alternate_jacobian=True)
-                x, cost = (y, other) if other < cost else (x, cost)
+        whole = [start for begun, start in _softened_starts(bench, base, v, seed) if begun < _COST_RATIO * cost]
+        for start in (*_typical_start(bench, base, v), *whole):
+            y, other = refit(bench, v, [start], None, DEEP, alternate_jacobian=True)
+            x, cost = (y, other) if other < cost else (x, cost)
         found.append((cost, v, x))
     cost, v, x = min(found, key=lambda f: f[0])
     if not math.isfinite(cost):
@@ -252,6 +252,20 @@ def _restarted(
         found.append(refit(bench, v, [begun], base.at, ROUGH))
     x, cost = min(found, key=lambda f: f[1])
     return replace(rough, x=x, cost=cost) if cost < rough.cost else rough
+
+
+def _typical_start(bench: Bench, base: Fit, hypothesis: Hypothesis) -> list[Floats]:
+    """The effect at its typical size in the baseline vehicle, for effects whose size is not centred on nothing.
+
+    Where characteristics have taken over the part of a massless wheel or a stiff mount, every size of the effect is
+    worse than nothing until they have moved: the lowest cost is no guide among starts.
+    """
+    effect, neutral = hypothesis.effect(hypothesis.effects[-1]), hypothesis.neutral()
+    names = [key.split(".")[2] for key in hypothesis.keys]
+    if all(neutral[i] == 0.0 for i, name in enumerate(names) if name in effect.severity):
+        return []
+    start = np.concatenate([base.x[: bench.d + bench.q], np.zeros(len(hypothesis))])
+    return [np.asarray(bench.clipped(hypothesis, start[:, None])[:, 0])]
 
 
 def _softened_starts(
