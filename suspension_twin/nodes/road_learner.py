@@ -256,15 +256,21 @@ class RoadLearnerNode(TwinNode):
     def _begin(self) -> None:
         self._waiting = False
         if not self._twin_file:
-            self.note("roads not learnt", WARN, "no twin loaded: a road cannot be learnt without one")
+            self.why = "no twin is loaded"
+            self.note("roads not learnt", WARN, f"the road could not be learnt: {self.why}")
             return
         drives = {id(k.record): k.record.drive() for k in self._passes}
         passes = tuple((drives[id(k.record)], k.span.start, k.span.end) for k in self._passes)
         lesson = Lesson(self._twin_file, str(self._out), passes, self._datum(passes[-1][0]))
         # By a file: through the pipe of a new process, megabytes would wait for it to start.
-        given = Path(self._folder.name) / "lesson.pickle"
-        given.write_bytes(pickle.dumps(lesson))
-        self._worker = self.worker(self.work, Job(str(given), str(self._out)))
+        temporary = Path(self._folder.name) / "lesson.pickle"
+        try:
+            temporary.write_bytes(pickle.dumps(lesson))
+        except OSError as error:
+            self.why = f"{temporary}: cannot be written: {error.strerror or error}"
+            self.note("roads not learnt", WARN, f"the road could not be learnt: {self.why}")
+            return
+        self._worker = self.worker(self.work, Job(str(temporary), str(self._out)))
         self._started, self._step = time.monotonic(), "starting"
 
     def _datum(self, drive: Drive) -> tuple[float, float, float] | None:
