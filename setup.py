@@ -20,6 +20,7 @@ NODES = (
     "suspension_model",
     "calibrator",
     "source",
+    "road_learner",
     "viewer",
     "foxglove_bridge",
 )

@@ -39,12 +39,18 @@ class Part:
     drive: Drive
     start: float = 0.0
     end: float = math.inf
+    label: str = ""
+
+    @property
+    def whole(self) -> bool:
+        """Whether it is the whole drive."""
+        return self.start <= 0.0 and not math.isfinite(self.end)
 
     @property
     def name(self) -> str:
-        """Of the drive, with the part of it."""
-        whole = self.start <= 0.0 and not math.isfinite(self.end)
-        return self.drive.name if whole else f"{self.drive.name}@{self.start:g}..{self.end:g}"
+        """``label``, or the drive's name with the part of it."""
+        part = "" if self.whole else f"@{self.start:g}..{self.end:g}"
+        return self.label or f"{self.drive.name}{part}"
 
 
 def road_from_drives(
@@ -101,8 +107,8 @@ def road_from_drives(
             progress(f"reading {piece.drive.name}", 0.0)
             whole = prepare(piece.drive, twin, ground, PrepareSettings(filter=_FILTER))
             known[id(piece.drive)] = whole
-        if piece.name == piece.drive.name:
-            prepared.append(whole)
+        if piece.whole:
+            prepared.append(replace(whole, name=piece.name))
         else:
             begin = float(whole.t[0])
             end = begin + piece.end if math.isfinite(piece.end) else float(whole.t[-1]) + 1.0
