@@ -238,6 +238,7 @@ def _done(task: Task, folder: Path, copies: dict[str, str]) -> Record:
 
 
 def _calibrated(options: Options, twin: str, drives: Sequence[str], folder: Path, road: str) -> Record:
+    from suspension_twin.calibration.labels import parameter_unit
     from suspension_twin.calibration.output import write_result
     from suspension_twin.calibration.request import CalibrationRequest
     from suspension_twin.calibration.run import calibrate
@@ -260,7 +261,7 @@ def _calibrated(options: Options, twin: str, drives: Sequence[str], folder: Path
     ]
     health = [row for c in result.curves if (row := _damper(c)) is not None]
     health += [
-        _health(e.key, e.value, e.low, e.high, "", e.status in ("identified", "on bound"))
+        _health(e.key, e.value, e.low, e.high, parameter_unit(e.key), e.status in ("identified", "on bound"))
         for e in result.estimates
         if e.key.startswith("effects.") or ".tyre." in e.key
     ]
