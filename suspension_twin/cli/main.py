@@ -50,7 +50,7 @@ SUBCOMMANDS = (
     Subcommand(
         "run",
         "run",
-        "The four nodes, live or replaying a bag.",
+        "The four nodes, live or replaying a bag; or those of a fleet.",
         endless=True,
         bare=(("--view", "8080"), ("--foxglove", "8765")),
     ),
