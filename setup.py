@@ -74,6 +74,7 @@ TEST = [
     "types-PyYAML",
 ]
 FOXGLOVE = ["foxglove-sdk>=0.14"]
+SCAN = ["laspy>=2.5", "lazrs>=0.6", "plyfile>=1.0", "pyproj>=3.6"]
 DOCS = ["mkdocs>=1.6", "mkdocs-material>=9.5", "mkdocstrings[python]>=0.26", "latex2mathml>=3.77"]
 
 
@@ -103,7 +104,7 @@ setup(
     maintainer_email=maintainer.get("email"),
     python_requires=">=3.10,<3.14",
     install_requires=REQUIRED,
-    extras_require={"test": TEST + DOCS + FOXGLOVE, "foxglove": FOXGLOVE, "docs": DOCS},
+    extras_require={"test": TEST + DOCS + FOXGLOVE + SCAN, "foxglove": FOXGLOVE, "scan": SCAN, "docs": DOCS},
     packages=find_packages(include=["suspension_twin", "suspension_twin.*"]),
     package_data={"": ["py.typed", "*.html", "*.j2", "*.css", "*.js", "*.json", "*.yaml"]},
     data_files=data_files(),
