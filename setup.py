@@ -36,7 +36,7 @@ REQUIRED = [
     "rosbags>=0.11,<0.12",
     "mcap>=1.2",
     "h5py>=3.10",
-    "mat-io>=1.0.2",
+    "mat-io>=1.0.2; python_version >= '3.11'",  # there is none for 3.10, which reads no .mat files
     "lz4>=4",
     "zstandard>=0.20",
     "pycrg>=2.2",
@@ -62,10 +62,13 @@ TEST = [
     "amqtt>=0.11",
     "playwright>=1.49",
     "mujoco>=3.3",
+    "fmpy>=0.3.32",
     # Later ones refuse Python 3.10, and an old pip that finds out late tries all of numpy's releases for a way out.
     "etils<1.14; python_version < '3.11'",
     "objective-rating-metrics>=1.3",
     "pandas>=2.2",
+    "cosmic-ray>=8.4",
+    "duckdb>=1.0",
     "colcon-ros>=0.4",
     "colcon-package-information>=0.3",
     "ruff>=0.9",
@@ -73,6 +76,7 @@ TEST = [
     "scipy-stubs",
     "types-PyYAML",
 ]
+FLEET = ["distributed>=2024.5", "dask>=2024.5", "fsspec>=2024.5", "psutil>=5.9", "pyarrow>=15"]
 FOXGLOVE = ["foxglove-sdk>=0.14"]
 SCAN = ["laspy>=2.5", "lazrs>=0.6", "plyfile>=1.0", "pyproj>=3.6"]
 DOCS = ["mkdocs>=1.6", "mkdocs-material>=9.5", "mkdocstrings[python]>=0.26", "latex2mathml>=3.77"]
@@ -104,9 +108,15 @@ setup(
     maintainer_email=maintainer.get("email"),
     python_requires=">=3.10,<3.14",
     install_requires=REQUIRED,
-    extras_require={"test": TEST + DOCS + FOXGLOVE + SCAN, "foxglove": FOXGLOVE, "scan": SCAN, "docs": DOCS},
+    extras_require={
+        "test": TEST + DOCS + FOXGLOVE + FLEET + SCAN,
+        "fleet": FLEET,
+        "foxglove": FOXGLOVE,
+        "scan": SCAN,
+        "docs": DOCS,
+    },
     packages=find_packages(include=["suspension_twin", "suspension_twin.*"]),
-    package_data={"": ["py.typed", "*.html", "*.j2", "*.css", "*.js", "*.json", "*.yaml"]},
+    package_data={"": ["py.typed", "*.html", "*.j2", "*.css", "*.js", "*.json", "*.yaml", "*.c", "*.h"]},
     data_files=data_files(),
     entry_points={
         "console_scripts": [

@@ -5,12 +5,14 @@
     python benchmarks/blind.py --seeds train --case N                 # one case of the plan, by its number
     python benchmarks/blind.py --stage generate|diagnose|score ...    # one stage alone
     python benchmarks/blind.py ... --keep [--add]                     # answers kept, with --add beside those before
+    python benchmarks/blind.py --reality measured [--limit N]         # recordings of real cars with faults put in
 
-Cases come from two realities that share nothing with the package's models (``blind/newton.py`` and
-``blind/multibody.py``). Their labels are sealed under a hash before the first diagnosis, and a diagnosis
-is started with a copy of the case's folder alone. ``--limit N`` takes N cases of every kind in fair
-shares; ``--only`` keeps cases of some effects or kinds. What was diagnosed stays: run again to go on.
-A case that was reported on teaches: ``report2`` are as many that none was, and so are ``report3``.
+Cases come from realities that share nothing with the package's models (``blind/newton.py``, ``multibody.py``,
+``linkage.py``, ``flexible.py``), and from recordings of real cars (``blind/measured.py``). Their labels are sealed
+under a hash before the first diagnosis, and a diagnosis is started with a copy of the case's folder alone.
+``--limit N`` takes N cases of every kind in fair shares; ``--only`` keeps cases of some effects or kinds. What was
+diagnosed stays: run again to go on. A case that was reported on teaches: ``report2`` are as many that none was, and so
+are ``report3``.
 """
 
 from __future__ import annotations
@@ -23,13 +25,16 @@ import sys
 import time
 from concurrent.futures import ProcessPoolExecutor
 from pathlib import Path
-from typing import Any
+from typing import Any, get_args
 
 HERE = Path(__file__).resolve().parent
 sys.path.insert(0, str(HERE))
 
 from blind import ROOT, ask, seal  # noqa: E402
-from blind.plan import Spec, plan  # noqa: E402
+from blind.plan import MEASURED, Seeds, Spec, plan  # noqa: E402
+
+#: Seeds of the realities that are in no other plan.
+OF_REALITY = {MEASURED: "measured_dev", "flexible": "flexible_dev"}
 
 
 def chosen(options: argparse.Namespace) -> list[Spec]:
@@ -54,12 +59,12 @@ def chosen(options: argparse.Namespace) -> list[Spec]:
 
 
 def _generate(job: tuple[list[Spec], Path, float, float | None]) -> list[str]:
-    from blind import phone
-    from blind.folder import make_case
+    from blind import folder, measured, phone
 
     specs, out, phone.RATE, phone.JITTER = job
     lines = []
     for spec in specs:
+        make_case = measured.make_case if spec.reality == MEASURED or spec.planar else folder.make_case
         began = time.monotonic()
         for stale in (out / "cases" / spec.name, out / "sealed" / spec.name):
             shutil.rmtree(stale, ignore_errors=True)
@@ -123,9 +128,7 @@ def parsed() -> argparse.Namespace:
     size.add_argument("--short", action="store_true", help="nine cases, minutes (the default)")
     size.add_argument("--full", action="store_true", help="all cases, hours")
     parser.add_argument(
-        "--seeds",
-        choices=("dev", "report", "report2", "report3", "links_dev", "links", "train", "report4"),
-        default="dev",
+        "--seeds", choices=get_args(Seeds), help="dev, or measured_dev for --reality measured"
     )
     parser.add_argument("--stage", choices=("generate", "diagnose", "score", "all"), default="all")
     parser.add_argument(
@@ -134,7 +137,7 @@ def parsed() -> argparse.Namespace:
     parser.add_argument(
         "--severity", nargs="+", type=float, default=[], help="keep cases of these severities"
     )
-    parser.add_argument("--reality", choices=("newton", "multibody", "linkage"))
+    parser.add_argument("--reality", choices=("newton", "multibody", "linkage", "flexible", MEASURED))
     parser.add_argument("--case", type=int, metavar="N", help="the case with this number in the plan alone")
     parser.add_argument("--limit", type=int, default=0, metavar="N", help="the first N cases: a fair sample")
     parser.add_argument("--rate", type=float, default=100.0, help="of the phone in Hz")
@@ -154,6 +157,7 @@ def parsed() -> argparse.Namespace:
     parser.add_argument("--out", type=Path, default=None, metavar="DIR")
     parser.add_argument("--json", action="store_true")
     options = parser.parse_args()
+    options.seeds = options.seeds or OF_REALITY.get(options.reality, "dev")
     options.short = options.short or not (
         options.full or options.only or options.limit or options.case is not None
     )

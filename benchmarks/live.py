@@ -8,6 +8,9 @@ received. Latency is from just before ``publish`` to the driver's callback. Both
 so their ratio is what the twin costs. The systems take turns in short rounds: whatever else the
 machine does meanwhile hits both alike.
 
+``--viewers N`` compares the twin alone with the twin while the process of the page (``run --view``) serves N viewers,
+who take every frame, in turns again.
+
 The memory part replays an hour of driving at full speed and watches the resident memory.
 """
 
@@ -18,9 +21,14 @@ import json
 import math
 import multiprocessing
 import os
+import shutil
+import socket
+import subprocess
 import sys
+import tempfile
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, nullcontext
 from multiprocessing.connection import Connection
 from pathlib import Path
 from typing import Any
@@ -196,21 +204,84 @@ def listen_to_all(control: Connection) -> None:
     _serve(control, lambda: executor.spin_once(timeout_sec=0.1))
 
 
+def watch(control: Connection, port: int, viewers: int) -> None:
+    """So many pages that are open: each takes every frame through its WebSocket; answers with the frames so far."""
+    import asyncio
+
+    from aiohttp import ClientSession, WSMsgType
+
+    frames = [0] * viewers
+
+    async def look(number: int) -> None:
+        async with ClientSession() as session, session.ws_connect(f"http://127.0.0.1:{port}/ws") as page:
+            async for message in page:
+                frames[number] += message.type is WSMsgType.TEXT
+
+    async def work() -> None:
+        pages = [asyncio.ensure_future(look(number)) for number in range(viewers)]
+        while not all(frames):
+            await asyncio.sleep(0.05)
+            for page in pages:
+                if page.done():
+                    page.result()
+        control.send("ready")
+        while True:
+            await asyncio.sleep(0.1)
+            if control.poll():
+                if control.recv() == "stop":
+                    break
+                control.send(sum(frames))
+        for page in pages:
+            page.cancel()
+
+    asyncio.run(work())
+
+
+@contextmanager
+def pages_open(viewers: int) -> Iterator[Child]:
+    """The node of the page in a process of its own, as ``run --view`` starts it, and its viewers."""
+    with socket.create_server(("127.0.0.1", 0)) as probe:
+        port = int(probe.getsockname()[1])
+    with tempfile.TemporaryDirectory() as folder:
+        given = {"twin": str(twin_file()), "port": port, "folder": folder}
+        words = [w for name, value in given.items() for w in ("-p", f"{name}:={value}")]
+        command = [sys.executable, "-m", "suspension_twin.nodes.viewer", *QUIET, "-r", "__ns:=/twin", *words]
+        command = ["nice", "-n", "5", *command] if shutil.which("nice") else command
+        process = subprocess.Popen(command, stderr=subprocess.DEVNULL)
+        try:
+            until = time.perf_counter() + 120.0
+            while True:
+                with socket.socket() as probe:
+                    if probe.connect_ex(("127.0.0.1", port)) == 0:
+                        break
+                if process.poll() is not None or time.perf_counter() > until:
+                    raise SystemExit("the page's process does not serve")
+                time.sleep(0.1)
+            pages = Child(watch, port, viewers)
+            try:
+                yield pages
+            finally:
+                pages.stop()
+        finally:
+            process.terminate()
+            process.wait(10.0)
+
+
 # -- measuring --------------------------------------------------------------------------------------
 
 
 class Child:
     """A process that serves until it is told to stop."""
 
-    def __init__(self, target: Callable[[Connection], None]) -> None:
+    def __init__(self, target: Callable[..., None], *arguments: Any) -> None:
         context = multiprocessing.get_context("spawn")
         self.control, there = context.Pipe()
-        self.process = context.Process(target=target, args=(there,), daemon=True)
+        self.process = context.Process(target=target, args=(there, *arguments), daemon=True)
         self.process.start()
         assert self.control.recv() == "ready"
 
     def cpu(self) -> float:
-        """Seconds of processor time so far."""
+        """Seconds of processor time so far; of pages, their frames."""
         self.control.send("cpu")
         return float(self.control.recv())
 
@@ -249,6 +320,46 @@ def measure_latency(seconds: float, rounds: int, warm_up: float, dashboard: bool
         child.stop()
     rclpy.shutdown()
     return found
+
+
+def measure_viewers(viewers: int, seconds: float, rounds: int, warm_up: float, rate: float) -> dict[str, Any]:
+    """The twin's latency with nobody looking on, and with ``viewers`` pages open, in turns."""
+    import rclpy
+
+    children = {"relay": Child(relay), "twin": Child(twin)}
+    rclpy.init(args=[])
+    drivers = {system: Driver(system) for system in ANSWERS}
+    rows: dict[str, Any] = {
+        state: {s: {"latencies": [], "p99s": [], "cpu": 0.0, "sent": 0} for s in ANSWERS}
+        for state in ("alone", "watched")
+    }
+    frames = 0.0
+    for _ in range(rounds):
+        for state in rows:
+            with pages_open(viewers) if state == "watched" else nullcontext() as pages:
+                for system, driver in drivers.items():
+                    before, began = children[system].cpu(), time.perf_counter()
+                    seen = pages.cpu() if pages is not None else 0.0
+                    driver.drive(rate, warm_up, seconds / rounds)
+                    took = time.perf_counter() - began
+                    if pages is not None and system == "twin":
+                        frames += (pages.cpu() - seen) / took / viewers / rounds
+                    row = rows[state][system]
+                    row["cpu"] += (children[system].cpu() - before) / took / rounds
+                    latencies = driver.latencies()
+                    row["latencies"] += latencies
+                    row["p99s"].append(float(np.percentile(latencies, 99)) if latencies else math.inf)
+                    row["sent"] += len(driver.sent)
+    for child in children.values():
+        child.stop()
+    rclpy.shutdown()
+    found: dict[str, Any] = {state: _summary(systems) for state, systems in rows.items()}
+    ratios = {
+        name: [w / a for w, a in zip(rows["watched"][s]["p99s"], rows["alone"][s]["p99s"], strict=True)]
+        for name, s in (("p99_watched_over_alone", "twin"), ("p99_of_the_relay_watched_over_alone", "relay"))
+    }
+    found |= {name: round(float(np.median(values)), 3) for name, values in ratios.items()}
+    return found | {"viewers": viewers, "rate": rate, "frames_per_second": round(frames, 1)}
 
 
 def _summary(rows: dict[str, Any]) -> dict[str, Any]:
@@ -363,6 +474,12 @@ def main() -> int:
         action="store_true",
         help="phones that push over HTTP instead, from their request to twin/imu",
     )
+    parser.add_argument(
+        "--viewers",
+        type=int,
+        default=0,
+        help="the twin with so many pages open, beside none; 0: not measured",
+    )
     parser.add_argument("--phones", type=int, default=4, help="with --source: how many at once")
     parser.add_argument("--imu-rate", type=float, default=400.0, help="with --source: Hz of each phone")
     parser.add_argument(
@@ -379,6 +496,15 @@ def main() -> int:
         else:
             print_source(found)
         return 0
+    if arguments.viewers:
+        found = measure_viewers(
+            arguments.viewers, arguments.seconds, arguments.rounds, arguments.warm_up, RATES[0]
+        )
+        if arguments.json:
+            print(json.dumps(found))
+        else:
+            _print_viewers(found)
+        return 0
     result: dict[str, Any] = {"bar": BAR, "cores": os.cpu_count(), "dashboard": arguments.dashboard}
     result["rates"] = {}
     if arguments.seconds > 0:
@@ -392,6 +518,24 @@ def main() -> int:
     else:
         _print(result)
     return 0
+
+
+def _print_viewers(result: dict[str, Any]) -> None:
+    print(
+        f"{result['rate']:g} Hz, {result['viewers']} viewers at {result['frames_per_second']:g} frames a second each"
+    )
+    print(f"{'pages':>8} {'system':>7} {'p50 µs':>8} {'p99 µs':>8} {'CPU of a core':>14} {'lost':>13}")
+    for state in ("alone", "watched"):
+        for system in ANSWERS:
+            row = result[state][system]
+            print(
+                f"{state:>8} {system:>7} {row['p50_us']:8.0f} {row['p99_us']:8.0f} {100 * row['cpu_share']:12.1f} % "
+                f"{row['lost']:>5} of {row['sent']:>5}"
+            )
+    print(
+        f"p99 watched / alone, median of the rounds: twin {result['p99_watched_over_alone']:.2f}, "
+        f"relay {result['p99_of_the_relay_watched_over_alone']:.2f}"
+    )
 
 
 def _print(result: dict[str, Any]) -> None:

@@ -27,7 +27,7 @@ from suspension_twin.arrays import Floats
 from suspension_twin.diagnosis.case import build, read_case
 from suspension_twin.diagnosis.request import DiagnosisRequest
 from suspension_twin.diagnosis.run import diagnose
-from suspension_twin.diagnosis.shrink import standing
+from suspension_twin.diagnosis.shrink import uncalibrated_residual
 from suspension_twin.drive.edit import cut
 from suspension_twin.drive.importing import import_drive
 from suspension_twin.drive.types import Drive
@@ -83,7 +83,7 @@ def gap(drive: Drive, twin: Twin, folder: Path) -> dict[str, float]:
     """Root mean square difference of each planar channel, nothing fitted."""
     request = asked(drive, twin, folder)
     bench = build(read_case(request, lambda note: None, lambda: False), lambda: False)
-    difference = standing(bench).difference
+    difference = uncalibrated_residual(bench).difference
     return {c: float(np.sqrt(np.mean(difference[:, i] ** 2))) for i, c in enumerate(bench.problem.channels)}
 
 

@@ -2,7 +2,7 @@
 """Known faults of sensor, clock and map, put into the drives of a multibody car that lack nothing.
 
     python benchmarks/seeded.py [--seeds development|reporting] [--gross | --vehicle] [--only NAME ...] [--workers N]
-        [--keep] [--json]
+        [--keep] [--json] [--out DIR]
 
 The drives of ``no_effect_added`` (``../shared/withheld``, or SUSPENSION_TWIN_WITHHELD) come from an established engine
 with MacPherson struts, a multilink axle and a tyre that slips. No seven-degree model follows it, by about a fifth of
@@ -13,7 +13,8 @@ drive, a road file without: it is as wrong before. With ``--gross`` the faults a
 than any: a clock half a second late, a sensor that stands sideways or backwards, a map metres off. A twin follows
 nothing of such a drive. With ``--vehicle`` they are the vehicle's own and some that no twin can be given, which have to
 be told as unknown: what another formulation of a car with the same springs, dampers and road feels of them
-(``seeded_vehicle``) is added to what was recorded.
+(``seeded_vehicle``) is added to what was recorded. ``--out DIR`` leaves cases, labels and evidence there in the layout
+of ``blind.py``, so that ``train_decision.py --keep DIR`` can learn from development cases as a reality of its own.
 """
 
 from __future__ import annotations
@@ -21,6 +22,7 @@ from __future__ import annotations
 import argparse
 import json
 import os
+import shutil
 import subprocess
 import tempfile
 from concurrent.futures import ProcessPoolExecutor
@@ -162,7 +164,7 @@ def plan_gross(seeds: str) -> list[Seeded]:
 def plan_vehicle(seeds: str) -> list[Seeded]:
     """Every effect of the vehicle, and those that no twin can be given, without and with a reference."""
     out = []
-    for number, effect in enumerate((*VEHICLE, *NAMELESS)):
+    for number, effect in enumerate(VEHICLE):
         for kind, share in SHARES.items():
             for reference in (False, True):
                 key = [SEEDS[seeds], 80 + number, int(10 * share), reference]
@@ -288,8 +290,25 @@ def make(case: Seeded, data: Path, folder: Path) -> None:
     save_twin(twin.model_copy(update={"road": RoadFile(file=road)}), folder / "twin.yaml")
 
 
-def answer(case: Seeded, data: Path) -> dict[str, Any]:
-    """Make one case, diagnose it and return what was said of it."""
+def label(case: Seeded) -> dict[str, Any]:
+    """What ``train_decision`` has to know of a case; its severity in floors of this car is about what was drawn."""
+    kind = "outside" if _nameless(case.faults) else "single" if case.faults else "null"
+    faint, plain = case.name.rpartition("_")[0].endswith("faint"), bool(case.faults)
+    severity = 1.5 if faint else 3.0 if plain else 0.0
+    return {
+        "name": f"engine_{case.name}",
+        "kind": kind,
+        "effects": list(case.faults),
+        "faults": case.faults,
+        "reached": {e: {"severity": severity} for e in case.faults},
+        "reality": "engine",
+        "reference": case.reference,
+        "severity": severity,
+    }
+
+
+def answer(case: Seeded, data: Path, out: Path | None = None) -> dict[str, Any]:
+    """Make one case, diagnose it and return what was said of it; the case stays in ``out`` if that is given."""
     if case.share:
         effect = next(iter(case.faults))
         faults = vehicle_faults(effect, case.share, data / "no_effect_added", case.drives[0], case.seed)
@@ -297,14 +316,21 @@ def answer(case: Seeded, data: Path) -> dict[str, Any]:
     wanted = {e for e in case.faults if e not in NAMELESS}
     nothing = "unknown" if _nameless(case.faults) else "no_gap"
     with tempfile.TemporaryDirectory() as temporary:
-        folder = Path(temporary) / case.name
+        folder = (out or Path(temporary)) / "cases" / f"engine_{case.name}"
+        shutil.rmtree(folder, ignore_errors=True)
         make(case, data, folder)
         drives = tuple(str(folder / n) for n in case.drives)
         reference = (str(folder / "reference"),) if case.reference else ()
         try:
-            d = diagnose(DiagnosisRequest(str(folder / "twin.yaml"), drives, reference)).document
+            found = diagnose(DiagnosisRequest(str(folder / "twin.yaml"), drives, reference))
         except SuspensionTwinError as error:
             return {"case": case.name, "faults": case.faults, "right": False, "error": str(error)}
+        if out is not None:
+            for name, content in (("answers", found.evidence), ("sealed", label(case))):
+                kept = out / name / folder.name / ("evidence.json" if name == "answers" else "label.json")
+                kept.parent.mkdir(parents=True, exist_ok=True)
+                kept.write_text(json.dumps(content, indent=1) + "\n", encoding="utf-8")
+    d = found.document
     named = d["combination"] if d["verdict"] in ("effect", "partly") else []
     first = [c for c in d["causes"] if c["effect"] in named][:1]
     chance = first[0]["probability"] if first else d[f"{d['verdict']}_probability"]
@@ -340,6 +366,7 @@ def main() -> None:
         "--keep", action="store_true", help=f"write the answers to {RESULTS.relative_to(ROOT)}"
     )
     parser.add_argument("--json", action="store_true")
+    parser.add_argument("--out", type=Path, help="where cases, labels and evidence stay")
     options = parser.parse_args()
     if not (options.data / "no_effect_added" / "twin.yaml").is_file():
         raise SystemExit(f"{options.data}: no drives of no_effect_added; name the folder with --data")
@@ -351,7 +378,7 @@ def main() -> None:
         raise SystemExit(f"--only: none of {' '.join(options.only)} is a case of these seeds")
     rows = []
     with ProcessPoolExecutor(options.workers, mp_context=get_context("spawn")) as pool:
-        for row in pool.map(answer, cases, [options.data] * len(cases)):
+        for row in pool.map(answer, cases, [options.data] * len(cases), [options.out] * len(cases)):
             rows.append(row)
             if not options.json:
                 print(f"{row['case']:34s} {_said(row)}", flush=True)

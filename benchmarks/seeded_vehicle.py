@@ -38,14 +38,15 @@ from scipy.interpolate import CubicSpline
 from scipy.optimize import nnls
 from scipy.signal import butter, sosfiltfilt
 
+from suspension_twin.effects.registry import EFFECTS
 from suspension_twin.road import load_road
 from suspension_twin.vehicle.twin import load_twin
 
 __all__ = ["NAMELESS", "VEHICLE", "changed", "faults_of"]
 
-VEHICLE = tuple(e for e in BODY if e != "sensor_offset")
+VEHICLE = (*(e for e in BODY if e != "sensor_offset"), *OUTSIDE)
 #: Those that no twin can be given.
-NAMELESS = OUTSIDE
+NAMELESS = tuple(e for e in OUTSIDE if e not in EFFECTS)
 #: Between these velocities of a strut in m/s its damper is taken to be linear.
 _KNOTS = np.array([0.0, 0.05, 0.15, 0.35, 0.8])
 
@@ -131,7 +132,7 @@ def _strut(truth: Truth, axle: int, unsprung: float) -> Strut:
 def changed(source: Path, name: str, faults: Faults) -> Floats:
     """(n, 6) what faults change of specific force (m/s²) and angular rate (rad/s) at the sensor, in base_link axes, at
     the times of a drive's truth."""
-    own = {k: v for k, v in faults.items() if k in (*VEHICLE, *NAMELESS)}
+    own = {k: v for k, v in faults.items() if k in VEHICLE}
     if not own:
         return np.zeros((read_truth(source, name).t.size, 6))
     world, truth, begun = _world(source, name)

@@ -22,12 +22,15 @@ from torture.ledger import Tally, load, save
 RESULTS = Path(__file__).resolve().parent / "results" / "torture.json"
 #: Name of a row, and the module and function that make its trials.
 ROWS = {
-    "messages": ("live", "messages"),
+    "messages": ("messages", "torture"),
     "files": ("files", "torture"),
     "kill": ("kills", "torture"),
     "disk": ("disk", "torture"),
-    "time": ("live", "clocks"),
-    "load": ("live", "load"),
+    "time": ("clocks", "stamps"),
+    "clock": ("clocks", "clock"),
+    "loop": ("clocks", "loop"),
+    "load": ("load", "torture"),
+    "network": ("network", "torture"),
     "numerics": ("numerics", "torture"),
     "cancel": ("cancel", "torture"),
 }

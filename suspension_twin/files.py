@@ -28,6 +28,7 @@ __all__ = [
     "NO_SPACE",
     "check_writable",
     "comment_lines",
+    "explained",
     "parse_yaml",
     "read_bytes",
     "read_yaml",
@@ -42,6 +43,31 @@ __all__ = [
 
 #: A disk or quota that is full: the input was usable, so the work failed.
 NO_SPACE: Final = (errno.ENOSPC, errno.EDQUOT)
+
+
+# What the operating system refuses because of a path that the user named.
+_PATH_ERRORS: Final = (
+    FileNotFoundError,
+    PermissionError,
+    IsADirectoryError,
+    NotADirectoryError,
+    FileExistsError,
+)
+
+
+def explained(error: Exception) -> tuple[int, str]:
+    """Exit status and one line for an error that ended a piece of work."""
+    if isinstance(error, SuspensionTwinError):
+        return error.exit_status, str(error)
+    if isinstance(error, OSError) and error.filename is not None:
+        status = InputError.exit_status if isinstance(error, _PATH_ERRORS) else WorkError.exit_status
+        return status, f"{os.fsdecode(error.filename)}: {error.strerror}"
+    if isinstance(error, OSError) and error.errno in NO_SPACE:
+        return WorkError.exit_status, "no space left to write the results"
+    if isinstance(error, MemoryError):
+        return WorkError.exit_status, "out of memory"
+    what = f"{type(error).__name__}: {error}".rstrip(": ")
+    return WorkError.exit_status, f"unexpected error, {what} (--debug shows where)"
 
 
 @contextmanager

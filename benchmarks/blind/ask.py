@@ -130,6 +130,7 @@ def main(folder: Path, out: Path) -> None:
     from suspension_twin.diagnosis.request import DiagnosisRequest
     from suspension_twin.diagnosis.run import diagnose
     from suspension_twin.effects.registry import EFFECTS
+    from suspension_twin.errors import SuspensionTwinError
     from suspension_twin.vehicle.twin import load_twin
 
     model = load_twin(folder / "twin.yaml").model
@@ -137,9 +138,11 @@ def main(folder: Path, out: Path) -> None:
     shown, before = _drives(folder)
     # a decoy that is asked for by name would be a cause
     kept = tuple(e for e in EFFECTS if model in EFFECTS[e].models and e not in without and e not in DECOYS)
-    write(
-        diagnose(DiagnosisRequest(str(folder / "twin.yaml"), tuple(shown), tuple(before), effects=kept)), out
-    )
+    request = DiagnosisRequest(str(folder / "twin.yaml"), tuple(shown), tuple(before), effects=kept)
+    try:
+        write(diagnose(request), out)
+    except SuspensionTwinError as error:  # a line, as the command line says it
+        raise SystemExit(str(error)) from None
 
 
 if __name__ == "__main__":

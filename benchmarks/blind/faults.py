@@ -80,6 +80,19 @@ WIDE_OUTSIDE = (
     "compressed_time",
     "track_subsidence",
 )
+#: Of recordings without a road: what a diagnosis can tell by planar motion, and what it cannot.
+RECORDED_LIBRARY = ("time_offset", "clock_drift", "sensor_tilt", "sensor_scale")
+RECORDED_OUTSIDE = (
+    "gyro_gain",
+    "vibration_rectification",
+    "held_samples",
+    "compressed_time",
+    "receiver_multipath",
+    "receiver_smoothing",
+    "held_fixes",
+)
+#: Set-up errors that are the same before and after: of map, clock and mount.
+SET_UP_ERRORS = ("position_offset", "lateral_offset", "time_offset", "sensor_tilt")
 #: Faults that the road file has, and those of the stamps alone.
 OF_THE_ROAD = (*ROAD, "track_subsidence")
 OF_THE_CLOCK = (*TIME, "compressed_time")
@@ -241,6 +254,26 @@ def knob(effect: str, world: World, seed: int, wide: bool = False) -> Knob:
             "turned": 1.0,
         }
     return knobs[effect]
+
+
+def gross(effect: str, seed: int) -> dict[str, float]:
+    """Parameters of a gross set-up error: a map decimetres off, a clock tenths of a second late, a sensor that is
+    turned by more than a holder gives, half of them by right angles about the vertical."""
+    rng = np.random.default_rng([seed, 51, sum(effect.encode())])
+    sign, part = float(rng.choice([-1.0, 1.0])), float(rng.uniform(0.0, 1.0))
+    if effect == "sensor_tilt":
+        lean = np.radians(rng.uniform(-12.0, 12.0, 2))
+        quarters = (
+            float(rng.choice([1.0, 2.0, 3.0])) * np.pi / 2
+            if part < 0.5
+            else np.radians(sign * (10 + 30 * part))
+        )
+        yaw = (quarters + np.pi) % (2 * np.pi) - np.pi
+        return {"roll": float(lean[0]), "pitch": float(lean[1]), "yaw": float(yaw)}
+    low, high = {"position_offset": (0.3, 1.5), "lateral_offset": (0.3, 0.9), "time_offset": (0.08, 0.6)}[
+        effect
+    ]
+    return {"offset": sign * (low + (high - low) * part)}
 
 
 def surveyed(world: World, faults: Faults, stretch: tuple[float, float] | None = None) -> Floats:

@@ -16,8 +16,8 @@ from typing import Any
 
 import numpy as np
 
-from blind import ROOT, linkage, multibody, newton, phone, severity
-from blind.faults import OF_THE_CLOCK, knob, on_stretch, surveyed, without_road
+from blind import ROOT, flexible, linkage, multibody, newton, phone, severity
+from blind.faults import OF_THE_CLOCK, gross, knob, on_stretch, surveyed, without_road
 from blind.newton import Faults, Motion
 from blind.plan import Spec
 from blind.world import FILE_DU, FILE_DV, HALF, Floats, Scene, World, make_world
@@ -26,7 +26,12 @@ from suspension_twin.road import Road, write_road
 from suspension_twin.vehicle.twin import RoadFile, load_twin, parse_twin, save_twin
 
 Run = Callable[..., Motion]
-RUN: dict[str, Run] = {"newton": newton.run, "multibody": multibody.run, "linkage": linkage.run}
+RUN: dict[str, Run] = {
+    "newton": newton.run,
+    "multibody": multibody.run,
+    "linkage": linkage.run,
+    "flexible": flexible.run,
+}
 REQUEST = "request.json"
 #: Names of the drives that a case shows: the reference of a twin that was calibrated beforehand is not one.
 _SHOWN = {False: ("drive_fast", "drive_slow", "reference"), True: ("drive_fast", "drive_slow")}
@@ -49,6 +54,12 @@ def faults_of(spec: Spec) -> tuple[Faults, dict[str, dict[str, float]]]:
     faults: Faults = {}
     reached = {}
     for effect in spec.effects:
+        if spec.gross:
+            faults[effect] = gross(effect, spec.world)
+            scale = _scale(spec.world, spec.msd, spec.scene)
+            given = scale.severity(severity.change(world, scale, {effect: faults[effect]}))
+            reached[effect] = {"amount": 1.0, "severity": round(given, 3)}
+            continue
         curve = np.array(_curve(spec.world, spec.msd, spec.scene, effect, spec.wide))
         scale = _scale(spec.world, spec.msd, spec.scene)
         amount = severity.amount_for(curve, spec.severity)
@@ -79,7 +90,7 @@ def make_case(spec: Spec, cases: Path, sealed: Path) -> dict[str, Any]:
     for name, plan in world.plans.items():
         if name == "reference" and not (spec.reference or spec.calibrated):
             continue
-        own = base if name == "reference" else moving
+        own = base if name == "reference" and not spec.alike else moving
         motion = RUN[spec.reality](world, plan, {k: v for k, v in own.items() if k not in OF_THE_CLOCK})
         drive = phone.record(world, plan, motion, own, name)
         write_drive(drive, (folder if name in _SHOWN[spec.calibrated] else sealed / spec.name) / name)
@@ -180,5 +191,5 @@ def twin_file(world: World, spec: Spec) -> dict[str, Any]:
         "imu": {"frame": "imu_link", "position": list(world.phone.place), "rpy": list(world.phone.rpy)},
         "gps": {"frame": "gps_link", "position": list(world.antenna)},
         "datum": {"latitude": latitude, "longitude": longitude, "altitude": altitude},
-        "road": {"file": "road.crg"},
+        "road": None if spec.planar else {"file": "road.crg"},
     }

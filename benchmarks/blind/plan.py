@@ -16,10 +16,37 @@ from typing import Literal
 
 import numpy as np
 
-from blind.faults import ADDED, ALIASES, LIBRARY, MSD, OF_THE_ROAD, OUTSIDE, ROAD, WIDE_OUTSIDE
+from blind.faults import (
+    ADDED,
+    ALIASES,
+    LIBRARY,
+    MSD,
+    OF_THE_ROAD,
+    OUTSIDE,
+    RECORDED_LIBRARY,
+    RECORDED_OUTSIDE,
+    ROAD,
+    SET_UP_ERRORS,
+    WIDE_OUTSIDE,
+)
 from blind.world import Scene
 
-Seeds = Literal["dev", "report", "report2", "report3", "links_dev", "links", "train", "report4"]
+Seeds = Literal[
+    "dev",
+    "report",
+    "report2",
+    "report3",
+    "links_dev",
+    "links",
+    "train",
+    "report4",
+    "measured_dev",
+    "measured",
+    "flexible_dev",
+    "flexible",
+    "setup_dev",
+    "setup",
+]
 Kind = Literal["single", "null", "outside", "excluded", "pair", "stretch"]
 KINDS: tuple[Kind, ...] = ("single", "null", "outside", "excluded", "pair", "stretch")
 SEVERITIES = (0.5, 1.5, 5.0)
@@ -29,7 +56,9 @@ LINKS = ("links_dev", "links")
 _LINKAGE = "linkage"
 #: Plans of the whole library, and how many rounds through all kinds of cases they have; ``report4`` has the first cases
 #: of a round alone.
-WIDE = {"train": 3, "report4": 1}
+WIDE = {"train": 3, "report4": 1, "flexible_dev": 1, "flexible": 1}
+#: Those of one reality alone.
+_ONE_REALITY = {"flexible_dev": "flexible", "flexible": "flexible"}
 _REPORTED = 280
 _FIRST = {
     "dev": 1000,
@@ -40,7 +69,18 @@ _FIRST = {
     "report3": 4_000_000,
     "train": 5_000_000,
     "report4": 6_000_000,
+    "measured_dev": 7_000_000,
+    "measured": 8_000_000,
+    "flexible_dev": 9_000_000,
+    "flexible": 10_000_000,
+    "setup_dev": 11_000_000,
+    "setup": 12_000_000,
 }
+#: Seeds of set-up errors, gross ones among them, with a road and without one.
+SET_UP = ("setup_dev", "setup")
+#: Seeds whose cases are recordings of real cars with faults put into them.
+RECORDED = ("measured_dev", "measured")
+MEASURED = "measured"
 WORLDS = 16  # that cases with an effect share
 _PAIR = 3.0  # severity of each member
 #: Pairs of parts that are broken at the same time often enough.
@@ -76,10 +116,21 @@ _SCENES: tuple[Scene, ...] = ("usual", "smooth", "usual", "bump", "usual", "shor
 _WIDE_SEVERITIES = (1.5, 3.0, 5.0)
 
 
+#: Pairs of what recordings can be given.
+_RECORDED_PAIRS = (
+    ("time_offset", "sensor_tilt"),
+    ("clock_drift", "sensor_tilt"),
+    ("sensor_scale", "time_offset"),
+    ("sensor_tilt", "sensor_scale"),
+)
+
+
 @dataclass(frozen=True)
 class Spec:
     """One case before anything is simulated. ``without`` is taken out of the library for it. ``calibrated``: the twin
-    file was calibrated on a drive from before the fault. ``wide``: of a plan of the whole library."""
+    file was calibrated on a drive from before the fault. ``wide``: of a plan of the whole library. ``gross``: a set-up
+    error of a size that no tolerance has, drawn by seed. ``alike``: the reference has it as well. ``planar``: the twin
+    file names no road."""
 
     name: str
     kind: Kind
@@ -94,6 +145,9 @@ class Spec:
     scene: Scene = "usual"
     calibrated: bool = False
     wide: bool = False
+    gross: bool = False
+    alike: bool = False
+    planar: bool = False
 
 
 def plan(seeds: Seeds, short: bool = False) -> list[Spec]:
@@ -102,6 +156,10 @@ def plan(seeds: Seeds, short: bool = False) -> list[Spec]:
     The short plan is nine cases of the development seeds.
     """
     numbered = _wide if seeds in WIDE else _numbered
+    if seeds in RECORDED:
+        numbered = _recorded
+    elif seeds in SET_UP:
+        numbered = _set_up
     strata = {kind: list(numbered(seeds, kind)) for kind in KINDS}
     rng = np.random.default_rng(_FIRST[seeds])
     for kind, cases in strata.items():
@@ -230,7 +288,7 @@ def _wide(seeds: Seeds, kind: Kind) -> Iterator[Spec]:
                     effects=effects,
                     severity=severity,
                     world=_FIRST[seeds] + 20_000 * KINDS.index(kind) + number,
-                    reality=(*REALITIES, _LINKAGE)[coin % 3] if not msd else REALITIES[coin % 2],
+                    reality=_ONE_REALITY.get(seeds) or _drawn(coin, msd),
                     reference=way == "before",
                     right=way == "right",
                     msd=msd,
@@ -240,6 +298,11 @@ def _wide(seeds: Seeds, kind: Kind) -> Iterator[Spec]:
                     wide=True,
                 )
                 number += 1
+
+
+def _drawn(coin: int, msd: bool) -> str:
+    """A reality; wheels on linkages have a mass."""
+    return REALITIES[coin % 2] if msd else (*REALITIES, _LINKAGE)[coin % 3]
 
 
 def _wide_cases(kind: Kind, turn: int) -> Iterator[tuple[tuple[str, ...], float, tuple[str, ...]]]:
@@ -261,3 +324,76 @@ def _wide_cases(kind: Kind, turn: int) -> Iterator[tuple[tuple[str, ...], float,
     elif kind == "pair":
         for pair in (*PAIRS, *_WIDE_PAIRS):
             yield pair, (_PAIR, 5.0)[turn % 2], ()
+
+
+def _recorded(seeds: Seeds, kind: Kind) -> Iterator[Spec]:
+    """Cases of recordings, each with a stretch of its own, with a reference and without."""
+    for number, (effects, severity, without, reference) in enumerate(_recorded_cases(kind)):
+        digest = hashlib.sha256(f"{seeds} {kind} {number} {effects} {severity}".encode()).hexdigest()
+        yield Spec(
+            name=f"case_{digest[:10]}",
+            kind=kind,
+            effects=effects,
+            severity=severity,
+            world=_FIRST[seeds] + 20_000 * KINDS.index(kind) + number,
+            reality=MEASURED,
+            reference=reference,
+            without=without,
+            wide=True,
+        )
+
+
+def _recorded_cases(kind: Kind) -> Iterator[tuple[tuple[str, ...], float, tuple[str, ...], bool]]:
+    """Effects, severity, what is taken out of the library, and whether there is a reference."""
+    for reference in (True, False):
+        if kind == "null":
+            yield from [((), 0.0, (), reference)] * 12
+        elif kind == "single":
+            for effect in RECORDED_LIBRARY:
+                for severity in (*_WIDE_SEVERITIES, *_WIDE_SEVERITIES):
+                    yield (effect,), severity, (), reference
+        elif kind == "outside":
+            for effect in RECORDED_OUTSIDE:
+                for severity in (3.0, 5.0):
+                    yield (effect,), severity, (), reference
+        elif kind == "excluded":
+            for effect in RECORDED_LIBRARY:
+                for severity in (3.0, 5.0):
+                    yield (effect,), severity, (effect,), reference
+        elif kind == "pair":
+            for pair in _RECORDED_PAIRS:
+                for severity in (_PAIR, 5.0):
+                    yield pair, severity, (), reference
+
+
+def _set_up(seeds: Seeds, kind: Kind) -> Iterator[Spec]:
+    """Gross set-up errors on a road, in the reference as well or without a reference; and planar motion in simulated
+    realities, where the faults of recordings are put into sensor, clock and receiver."""
+    gross = (
+        [(e, alike) for e in SET_UP_ERRORS for alike in (True, False) for _ in range(4)]
+        if kind == "single"
+        else []
+    )
+    planar = list(_recorded_cases(kind))
+    everywhere = (*REALITIES, _LINKAGE, "flexible")
+    for number in range(len(gross) + len(planar)):
+        if number < len(gross):
+            effect, reference = gross[number]
+            effects, severity, without = (effect,), 5.0, ()
+        else:
+            effects, severity, without, reference = planar[number - len(gross)]
+        digest = hashlib.sha256(f"{seeds} {kind} {number} {effects} {severity}".encode()).hexdigest()
+        yield Spec(
+            name=f"case_{digest[:10]}",
+            kind=kind,
+            effects=effects,
+            severity=severity,
+            world=_FIRST[seeds] + 20_000 * KINDS.index(kind) + number,
+            reality=everywhere[int(digest[-6:], 16) % 4],
+            reference=reference,
+            without=without,
+            wide=True,
+            gross=number < len(gross),
+            alike=number < len(gross) and reference,
+            planar=number >= len(gross),
+        )

@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from blind import ROOT, ask, baselines, picture, seal
+from blind import ROOT, ask, baselines, measured, picture, seal
 from blind.plan import Spec
 from blind.score import Row, figures, row_of
 
@@ -66,13 +66,17 @@ def _further(case: Path, answer: Path, sealed: Path) -> tuple[float, float] | No
     from suspension_twin.vehicle.twin import load_twin
 
     start = load_twin(case / "twin.yaml")
-    drive = read_drive(sealed)
     try:
-        both = [start, load_twin(twin).model_copy(update={"road": start.road})]
-        gaps = [simulate_drive(drive, t).gap for t in both]
+        if start.road is None:
+            channel = json.loads((answer / "diagnosis.json").read_text())["gap"]["channel"]
+            above = [measured.planar_gap(sealed, file, channel) for file in (case / "twin.yaml", twin)]
+        else:
+            drive = read_drive(sealed)
+            both = [start, load_twin(twin).model_copy(update={"road": start.road})]
+            gaps = [simulate_drive(drive, t).gap for t in both]
+            above = [float(np.sqrt(max(g.rms**2 - g.noise_rms**2, 0.0))) for g in gaps]
     except SuspensionTwinError:
         return None
-    above = [float(np.sqrt(max(g.rms**2 - g.noise_rms**2, 0.0))) for g in gaps]
     kept.write_text(json.dumps(above) + "\n", encoding="utf-8")
     return above[0], above[1]
 

@@ -12,6 +12,7 @@ __all__ = ["parameter_label", "parameter_unit"]
 #: By the end of the key, the first that fits; a number that is not named here is a length.
 _UNITS = {
     "force": "N",
+    "velocity": "m/s",
     "mass": "kg",
     "unsprung_mass": "kg",
     "sprung_mass": "kg",

@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import hashlib
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, fields, replace
 from typing import Any
 
@@ -18,8 +18,9 @@ from suspension_twin.calibration.request import CalibrationRequest, Progress
 from suspension_twin.calibration.setup import Setup
 from suspension_twin.identification.noise import Whitener
 from suspension_twin.identification.problem import Interrupted, Problem
+from suspension_twin.vehicle.twin import Twin
 
-__all__ = ["Outcome", "Recorder", "fingerprint"]
+__all__ = ["Outcome", "Recorder", "fingerprint", "problem_digest"]
 
 _SAVE_EVERY = 5  # generations
 
@@ -43,11 +44,16 @@ class Outcome:
 
 def fingerprint(request: CalibrationRequest, setup: Setup) -> str:
     """Digest of request, twin and data: a checkpoint is resumed only where it is the same."""
-    digest = hashlib.sha256(__version__.encode())
-    digest.update(repr(replace(request, state="", bags=(), twin="", keep_sensor=False)).encode())
-    digest.update(setup.twin.model_dump_json(exclude={"road"}).encode())
-    digest.update(setup.problem.measured.values.tobytes())
-    for part in setup.problem.parts:
+    asked = replace(request, state="", bags=(), twin="", keep_sensor=False)
+    return problem_digest((__version__, repr(asked)), setup.twin, setup.problem)
+
+
+def problem_digest(words: Sequence[str], twin: Twin, problem: Problem) -> str:
+    """Digest of some words, a twin, and what a problem compares and excites it with."""
+    digest = hashlib.sha256("".join(words).encode())
+    digest.update(twin.model_dump_json(exclude={"road"}).encode())
+    digest.update(problem.measured.values.tobytes())
+    for part in problem.parts:
         driven = part.excitation
         arrays = (getattr(driven, f.name) for f in fields(driven))
         digest.update(b"".join(a.tobytes() for a in arrays if isinstance(a, np.ndarray)))

@@ -76,6 +76,10 @@ class LiveLines:
         if self._live is not None:
             self._live.stop()
 
+    def say(self, text: str, style: str = "") -> None:
+        """A line that stays."""
+        self._console.print(Text(text, style=style))
+
     def show(self, head: str) -> None:
         """Say what has happened, and bring the lines up to date if it is time to."""
         for event in self._hub.heard():

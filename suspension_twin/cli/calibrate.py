@@ -18,7 +18,7 @@ from suspension_twin.files import together
 if TYPE_CHECKING:
     from suspension_twin.calibration.request import CalibrationResult, Progress
 
-__all__ = ["command"]
+__all__ = ["command", "print_result", "show_progress"]
 
 Out = Annotated[
     Path, typer.Option("--out", help="The twin file to write.", metavar="CALIBRATED.YAML", dir_okay=False)
@@ -129,7 +129,7 @@ def command(
     from suspension_twin.calibration.output import details_path
 
     page = () if report is None else (report / "report.html",)
-    from suspension_twin.calibration.checkpoint import STATE, Checkpoint
+    from suspension_twin.calibration.checkpoint import Checkpoint
     from suspension_twin.calibration.output import write_result
     from suspension_twin.calibration.request import CalibrationRequest
     from suspension_twin.calibration.run import calibrate
@@ -151,12 +151,12 @@ def command(
         state=str(folder),
         keep_sensor=keep_sensor,
     )
-    outputs = Outputs(out, details_path(out), *page, force=force, resumed_from=folder / STATE)
+    outputs = Outputs(out, details_path(out), *page, force=force, resumed_from=folder)
     store = Checkpoint(folder, "")  # refuses a folder that is no state's
     load_twin(twin)
     outputs.announce()
     with outputs, ProgressLine() as line:
-        result = calibrate(request, lambda step: _show(line, step))
+        result = calibrate(request, lambda step: show_progress(line, step))
         with together():
             write_result(result, out)
             for path in page:
@@ -168,7 +168,7 @@ def command(
     console = output()
     for warning in result.warnings:
         console.print(warning, style="yellow")
-    _print_result(console, result)
+    print_result(console, result)
     console.print(f"Written to {out} and {details_path(out)}" + "".join(f", page {path}" for path in page))
 
 
@@ -189,7 +189,7 @@ def _channel(text: str) -> tuple[str, float]:
         raise InputError("--channel", text, "must read NAME or NAME=WEIGHT") from None
 
 
-def _show(line: ProgressLine, step: Progress) -> None:
+def show_progress(line: ProgressLine, step: Progress) -> None:
     """What a calibration reports, in words."""
     if step.stage in ("reading", "writing"):
         line.show(step.note or step.stage)
@@ -201,7 +201,8 @@ def _show(line: ProgressLine, step: Progress) -> None:
     line.show(text, line.elapsed / total if total < math.inf else None)
 
 
-def _print_result(console: Console, result: CalibrationResult) -> None:
+def print_result(console: Console, result: CalibrationResult) -> None:
+    """Parameters, properties of the sensor, and the gap of each drive before and after."""
     from suspension_twin.calibration.labels import parameter_label, parameter_unit
     from suspension_twin.gap.measure import channel_unit
 

@@ -104,7 +104,7 @@ class Outputs:
     """The files or folders that a command writes: checked before the work, announced, and guarded against Ctrl-C.
 
     Raises InputError for one that exists (unless ``force``) or cannot be written. As a context manager it ends an
-    interrupt with how to go on; ``resumed_from`` is a file from which the same command goes on where it was.
+    interrupt with how to go on; ``resumed_from`` is a folder from which the same command goes on where it was.
     """
 
     def __init__(self, *paths: Path, force: bool, resumed_from: Path | None = None) -> None:
@@ -128,8 +128,8 @@ class Outputs:
         if kind is not KeyboardInterrupt:
             return
         force = " with --force" if not self._force and any(p.exists() for p in self._paths) else ""
-        if self._resumed_from is not None and self._resumed_from.exists():
-            text = f"the same command{force} goes on from what is kept in {self._resumed_from.parent}"
+        if self._resumed_from is not None and any(self._resumed_from.glob("state*.npz")):
+            text = f"the same command{force} goes on from what is kept in {self._resumed_from}"
         else:
             text = f"start the same command{force} again"
         raise KeyboardInterrupt(text) from None

@@ -82,6 +82,7 @@ def command(
 
     Writes DIR/diagnosis.json, DIR/evidence.json, DIR/report.html and DIR/twin.yaml, the twin with what was found
     added. With --from-evidence alone it prints the answer; with --out it writes diagnosis.json and twin.yaml, too.
+    After an interruption the same command goes on where it was.
     """
     from suspension_twin.diagnosis.decision import Costs
 
@@ -98,28 +99,28 @@ def command(
             raise InputError(name, "is missing")
     assert twin is not None and bags is not None and out is not None
     page = out / "report.html"
-    outputs = Outputs(out / "diagnosis.json", out / "evidence.json", page, out / "twin.yaml", force=force)
+    folder = out / ".state"
+    files = (out / "diagnosis.json", out / "evidence.json", page, out / "twin.yaml")
+    outputs = Outputs(*files, force=force, resumed_from=folder)
+    from suspension_twin.calibration.checkpoint import Checkpoint
     from suspension_twin.diagnosis.output import write
     from suspension_twin.diagnosis.request import DiagnosisRequest
     from suspension_twin.diagnosis.request import Progress as Stage
     from suspension_twin.diagnosis.run import diagnose
-    from suspension_twin.effects.registry import EFFECTS
     from suspension_twin.report.diagnosis import diagnosis_page
     from suspension_twin.vehicle.twin import load_twin
 
-    for name in effect or ():
-        if name not in EFFECTS:
-            raise InputError(
-                "--effect", name, f"is not an effect{nearest(name, EFFECTS)} ({', '.join(EFFECTS)})"
-            )
+    effects = checked_effects(effect)
     request = DiagnosisRequest(
         str(twin),
         tuple(str(b) for b in bags),
         tuple(str(b) for b in reference or ()),
         seed,
-        tuple(effect or ()),
+        effects,
         costs=table,
+        state=str(folder),
     )
+    store = Checkpoint(folder, "", "a diagnosis")  # refuses a folder that is no state's
     load_twin(twin)
     outputs.announce()
     with outputs, ProgressLine() as line:
@@ -131,7 +132,20 @@ def command(
         with together():
             write(result, out)
             diagnosis_page(result).write(page)
+        store.remove()
     print_diagnosis(result.document, out)
+
+
+def checked_effects(names: list[str] | None) -> tuple[str, ...]:
+    """What ``--effect`` names; InputError for what is no effect."""
+    from suspension_twin.effects.registry import EFFECTS
+
+    for name in names or ():
+        if name not in EFFECTS:
+            raise InputError(
+                "--effect", name, f"is not an effect{nearest(name, EFFECTS)} ({', '.join(EFFECTS)})"
+            )
+    return tuple(names or ())
 
 
 def _anew(folder: Path, costs: Costs, out: Path | None, force: bool) -> None:

@@ -54,6 +54,7 @@ SUBCOMMANDS = (
         endless=True,
         bare=(("--view", "8080"), ("--foxglove", "8765")),
     ),
+    Subcommand("first-drive", "first_drive", "From a live source to a calibrated twin, step by step."),
     Subcommand("new", "new", "A twin file, by a few questions or from a ready one."),
     Subcommand("calibrate", "calibrate", "Find a twin's characteristics from recorded drives."),
     Subcommand(
@@ -63,6 +64,7 @@ SUBCOMMANDS = (
         several="--reference",
     ),
     Subcommand("plan", "plan", "Which effects this set-up could show, and never tell apart."),
+    Subcommand("fleet", "fleet", "Many vehicles and drives, calibrated over Dask."),
     Subcommand("simulate", "simulate", "The twin over a recorded drive, without ROS."),
     Subcommand(
         "connect", "connect", "Connect a phone, a receiver or an IMU, and see what arrives.", endless=True
@@ -70,15 +72,13 @@ SUBCOMMANDS = (
     Subcommand("record", "record", "Live phones, receivers and IMUs into a bag.", endless=True),
     Subcommand("import", "import_", "A phone's or logger's recording into a bag."),
     Subcommand("damping", "damping", "Which dampers a tracked vehicle should have, by speed."),
+    Subcommand("export", "export", "A twin in the files of other simulators."),
     Subcommand("road", "road", "Roads from numbers, profiles or drives; pictures, checks."),
 )
 
 # Importing makes a hundred thousand objects that all stay: at Python's own 700 the collector takes a tenth of a short
 # command to find that out.
 _COLLECT_EVERY = 50_000
-
-# What the operating system refuses because of a path that the user named.
-_PATH_ERRORS = (FileNotFoundError, PermissionError, IsADirectoryError, NotADirectoryError, FileExistsError)
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -243,22 +243,12 @@ def _explain(error: Exception, twin: str | None) -> tuple[int, str]:
         if message == "Missing command":
             print(where.get_help())
         return UNUSABLE, f"{path}: {message} (see {path} --help)"
-    if isinstance(error, SuspensionTwinError):
-        text = str(error)
-        if twin and text.startswith("twin: "):  # said of a twin in memory, which knows of no file
-            text = twin + text.removeprefix("twin")
-        return error.exit_status, f"{PROGRAM}: {text}"
-    from suspension_twin.files import NO_SPACE
+    from suspension_twin.files import explained
 
-    if isinstance(error, OSError) and error.filename is not None:
-        status = UNUSABLE if isinstance(error, _PATH_ERRORS) else FAILED
-        return status, f"{PROGRAM}: {os.fsdecode(error.filename)}: {error.strerror}"
-    if isinstance(error, OSError) and error.errno in NO_SPACE:
-        return FAILED, f"{PROGRAM}: no space left to write the results"
-    if isinstance(error, MemoryError):
-        return FAILED, f"{PROGRAM}: out of memory"
-    what = f"{type(error).__name__}: {error}".rstrip(": ")
-    return FAILED, f"{PROGRAM}: unexpected error, {what} (--debug shows where)"
+    status, text = explained(error)
+    if twin and isinstance(error, SuspensionTwinError) and text.startswith("twin: "):
+        text = twin + text.removeprefix("twin")  # said of a twin in memory, which knows of no file
+    return status, f"{PROGRAM}: {text}"
 
 
 if __name__ == "__main__":

@@ -19,9 +19,9 @@ from numpy.typing import NDArray
 from suspension_twin.arrays import Floats
 from suspension_twin.compiled import compiled
 from suspension_twin.diagnosis.hypotheses import Hypothesis
+from suspension_twin.diagnosis.partial import PartialResults
 from suspension_twin.identification.gauss_newton import Quadratic
 from suspension_twin.identification.noise import Whitener
-from suspension_twin.identification.nuisance import NuisancePriors
 from suspension_twin.identification.parallel import side_by_side
 from suspension_twin.identification.problem import Interrupted, Problem
 from suspension_twin.models.excitation import coarser
@@ -31,27 +31,12 @@ from suspension_twin.models.simulate import simulate_lanes
 from suspension_twin.models.types import Excitation
 from suspension_twin.vehicle.twin import Twin
 
-__all__ = ["NORMAL", "Bench", "Excitations", "Linearised"]
+__all__ = ["REACH", "STEP", "Bench", "Excitations", "Linearised"]
 
-#: Standard deviations of the nuisance parameters. A larger error of clock, map or mount is an effect.
-#: An RTK position is accurate to a centimetre, a part of which is constant over a drive (``drive_map``).
-#: The gain is fixed: that of a phone is within 0.5 %, and a free gain would absorb model discrepancy.
-NORMAL = NuisancePriors(
-    clock=0.0005,
-    common_clock=0.002,
-    map_position=0.02,
-    gain=0.0,
-    tilt=0.009,
-    force_bias=0.05,
-    rate_bias=0.005,
-    pivot=0.3,
-    holder=1.0,
-    drive_map=0.006,
-)
-#: Bound of a nuisance parameter in standard deviations of its prior.
-_NORMAL_LIMIT = 3.0
+#: Bound of a nuisance parameter in standard deviations of its prior: what is beyond is an effect.
+REACH = 3.0
 #: Finite-difference steps of characteristics and of effects, in their search coordinates.
-_STEP = 1e-3
+STEP = 1e-3
 _STEP_EFFECT = 1e-2
 
 
@@ -118,7 +103,7 @@ class Bench:
     ``counted_drives`` limits the residuals to some drives, ``counted_rows`` (R,) to some of them; ``fused`` whether
     poses are fused from GNSS and IMU; ``frozen_nuisances`` names nuisance parameters held at zero; ``expected`` (m,
     C) is the discrepancy found on a reference run with the same excitation. ``step`` is the longest time step in s of
-    a simulation over a drive; None for the steps of the drive.
+    a simulation over a drive; None for the steps of the drive. ``partial`` keeps partial results on disk.
     """
 
     problem: Problem
@@ -136,6 +121,7 @@ class Bench:
     level: bool = False
     expected: tuple[Floats | None, ...] = ()
     step: float | None = None
+    partial: PartialResults = field(default_factory=PartialResults)
     _known_plain: dict[str, Any] = field(default_factory=dict)
     _stepped_excitations: dict[int, tuple[Excitation, Excitation]] = field(default_factory=dict)
 
@@ -164,7 +150,7 @@ class Bench:
         low, high = hypothesis.bounds()
         free = np.full(self.d, np.inf)
         allowed = [name not in self.frozen_nuisances for name in self.problem.nuisances.names]
-        nuisance = _NORMAL_LIMIT * self.problem.nuisances.spread * allowed
+        nuisance = REACH * self.problem.nuisances.spread * allowed
         least = np.where(self.problem.nuisances.one_sided, 0.0, -nuisance)
         return np.concatenate([-free, least, low]), np.concatenate([free, nuisance, high])
 
@@ -218,14 +204,14 @@ class Bench:
 
         A reference drive on which all lanes are equal is simulated once and has one lane.
         """
-        problem = self.problem
-        values = problem.space.from_slopes(z)
-        twin = hypothesis.twin(problem.twin)
+        problem, space = self.problem, self.problem.space
+        values = space.simulated_values(z)
+        twin = space.simulated(hypothesis.twin(problem.twin))
         parameters = hypothesis.values(u)
 
         def with_effects(drive: int) -> Floats:
             keys, rows = hypothesis.on_drive(drive)
-            return lanes(twin, (*problem.space.keys, *keys), np.concatenate([values, parameters[rows]]).T)
+            return lanes(twin, (*space.simulated_keys, *keys), np.concatenate([values, parameters[rows]]).T)
 
         everywhere = None if hypothesis.differs else with_effects(0)
         before = hypothesis.on_reference()
@@ -233,9 +219,9 @@ class Bench:
         earlier = np.concatenate([values, before.values(u[hypothesis.rows(before)])[rows_before]])
         if (earlier == earlier[:, :1]).all():
             earlier = earlier[:, :1]
-        reference_twin = before.twin(problem.twin)
+        reference_twin = space.simulated(before.twin(problem.twin))
         before_keys = before.on_drive(0)[0]
-        plain = lanes(reference_twin, (*problem.space.keys, *before_keys), earlier.T)
+        plain = lanes(reference_twin, (*space.simulated_keys, *before_keys), earlier.T)
 
         def driven(numbers: list[int]) -> tuple[list[Floats], np.ndarray]:
             if self.stop():
@@ -275,14 +261,14 @@ class Bench:
         Clock and map offsets shift the response to the road, but not that to the planar motion of the pose. The
         response is the sum of both up to nonlinearity, so that the share of one vehicle serves for similar ones.
         """
-        problem = self.problem
-        values = problem.space.from_slopes(x[: self.d, None])
-        candidates = lanes(problem.twin, problem.space.keys, values.T)
+        problem, space = self.problem, self.problem.space
+        twin = space.simulated(problem.twin)
+        candidates = lanes(twin, space.simulated_keys, space.simulated_values(x[: self.d, None]).T)
         carried = []
         for part in problem.parts:
             driven = self._in_steps(part.excitation)
             flat = replace(driven, road=np.repeat(driven.road[:1], driven.road.shape[0], axis=0))
-            stacked, _ = self._simulated(problem.twin, candidates, flat)
+            stacked, _ = self._simulated(twin, candidates, flat)
             carried.append(part.conditioner.apply(stacked)[:, :, 0])
         problem.nuisances.carried = carried
 
@@ -386,7 +372,7 @@ class Bench:
         u = x[d + q :]
         # backwards near the upper bound
         own = np.where(u + _STEP_EFFECT > high, -_STEP_EFFECT, _STEP_EFFECT)
-        steps = np.concatenate([np.full(physics, _STEP), own])
+        steps = np.concatenate([np.full(physics, STEP), own])
         stepped = np.repeat(np.concatenate([x[:d], u])[:, None], 1 + physics + k, axis=1)
         stepped[[*range(physics), *range(d, d + k)], 1 + np.arange(physics + k)] += steps
         signals, failed = self.signals(hypothesis, stepped[:d], stepped[d:])

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from suspension_twin.arrays import Floats
 from suspension_twin.calibration.checks import check_drive, check_parts, check_recording
 from suspension_twin.calibration.presets import build_space, preset_named
-from suspension_twin.diagnosis.bench import NORMAL, Bench, Excitations
+from suspension_twin.diagnosis.bench import Bench, Excitations
 from suspension_twin.diagnosis.fit import Fit, LinearisedFit, fitted, linearised_fit, refit, twin_of
 from suspension_twin.diagnosis.hypotheses import BASELINE, Hypothesis
 from suspension_twin.diagnosis.request import DiagnosisRequest
@@ -36,12 +36,13 @@ from suspension_twin.gap.prepare import (
 )
 from suspension_twin.identification.excited_segments import TrimSettings, fit_rows
 from suspension_twin.identification.noise import USUAL_SHARE, Whitener, shares
-from suspension_twin.identification.nuisance import map_spread
+from suspension_twin.identification.nuisance import OF_A_DRIVE, OF_PLANAR_MOTION, map_spread
 from suspension_twin.identification.objectives import parse_objective
 from suspension_twin.identification.observations import Run, observe, renamed
 from suspension_twin.identification.parallel import side_by_side
 from suspension_twin.identification.posterior import CORRELATION
 from suspension_twin.identification.problem import Interrupted, Problem
+from suspension_twin.identification.smooth_space import smooth_space
 from suspension_twin.models.parameters import has_number
 from suspension_twin.models.registry import model_of
 from suspension_twin.road import flat_road
@@ -55,11 +56,6 @@ PLANAR = ("longitudinal_acceleration", "lateral_acceleration", "yaw_rate")
 #: Without a road: what the receiver has seen against what the IMU has felt.
 _PLANAR_ONLY = PrepareSettings(filter=FilterSpec(2, 1.6), satellites=True, saturated=True)
 _ON_ROAD = PrepareSettings(saturated=True)
-#: What clock and mounting are is then the very question, and nothing else shows it.
-#: Rear tyres of cars slip by about 0.005 rad for each m/s²; a course that lags by that would pass for a clock's.
-_BARE = replace(
-    NORMAL, clock=0.0, common_clock=0.0, map_position=0.0, tilt=0.0, pivot=0.0, slip=0.005, drive_map=0.0
-)
 #: Error of a change that a model predicts, over its error about the sound vehicle there and then: a prior.
 _DOUBT = 0.5
 #: Seconds of compared driving below which nothing can be held back from the fit.
@@ -211,9 +207,10 @@ def build(case: Case, stop: Callable[[], bool], free: Sequence[str] = ()) -> Ben
     if case.kind == "run":
         normal = case.drives[0].priors
     elif case.road:
-        normal = replace(NORMAL, map_position=min(map_spread(case.drives), NORMAL.map_position))
+        normal = replace(OF_A_DRIVE, map_position=min(map_spread(case.drives), OF_A_DRIVE.map_position))
     else:
-        normal = _BARE
+        normal = OF_PLANAR_MOTION
+    space = smooth_space(twin, space)
     problem = Problem(twin, space, case.drives, range(len(case.drives)), terms, normal, wander, rows)
     problem.interrupt = stop
     d, q = len(space), len(problem.nuisances)
@@ -356,9 +353,5 @@ def _many(bench: Bench, x: Floats) -> Sequence[Floats]:
         return found
     for springs in (-0.7, 0.0, 0.7, 1.4):
         for dampers in (-0.7, 0.0, 0.7):
-            y = x.copy()
-            for curve in bench.problem.space.curves:
-                rows = [r for r in curve.rows if r >= 0]
-                y[rows] += springs if curve.key.endswith("spring") else dampers
-            found.append(y)
+            found.append(bench.problem.space.shifted(x, springs, dampers))
     return found

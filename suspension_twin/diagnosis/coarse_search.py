@@ -14,7 +14,7 @@ from dataclasses import replace
 import numpy as np
 
 from suspension_twin.arrays import Floats
-from suspension_twin.diagnosis.bench import Bench
+from suspension_twin.diagnosis.bench import REACH, Bench
 from suspension_twin.diagnosis.fit import refit
 from suspension_twin.diagnosis.hypotheses import SETUP_CATEGORIES, Hypothesis
 
@@ -25,21 +25,21 @@ NO_MATCH = 0.7
 #: Grid points of a coordinate where an effect has one severity, and where it has several.
 _GRID, _GRID_OF_SEVERAL = 201, 41
 _LONG = 12
-#: Beyond so many standard deviations of its prior a set-up parameter counts as misset: its prior is centred where it is
-#: found, and -2 log of the probability of a misset parameter is added to the cost.
-_FAR, MISALIGNMENT_PENALTY = 3.0, 12.0
+#: Beyond ``REACH`` standard deviations a set-up parameter counts as misset: its prior is centred where it is found, and
+#: -2 log of the probability of a misset parameter is added to the cost.
+MISALIGNMENT_PENALTY = 12.0
 _TIMES = 41  # grid points of a clock offset in the joint search
 
 
 def recentred(hypothesis: Hypothesis, u: Floats) -> Hypothesis:
-    """The hypothesis with its prior centred at those of the coordinates (k,) that are beyond ``_FAR``."""
-    far = np.where(np.abs(u) > _FAR, u, 0.0)
+    """The hypothesis with its prior centred at those of the coordinates (k,) that are beyond ``REACH``."""
+    far = np.where(np.abs(u) > REACH, u, 0.0)
     return replace(hypothesis, around=tuple(far.tolist())) if far.any() else hypothesis
 
 
 def waived_penalty(u: Floats) -> Floats:
-    """(n,) prior cost of coordinates (k, n) beyond ``_FAR``, less ``MISALIGNMENT_PENALTY`` that replaces it."""
-    far = np.where(np.abs(u) > _FAR, u, 0.0)
+    """(n,) prior cost of coordinates (k, n) beyond ``REACH``, less ``MISALIGNMENT_PENALTY`` that replaces it."""
+    far = np.where(np.abs(u) > REACH, u, 0.0)
     return np.asarray(np.sum(far**2, axis=0) - MISALIGNMENT_PENALTY * far.any(axis=0))
 
 
@@ -99,8 +99,8 @@ def _severity_grid(bench: Bench, hypothesis: Hypothesis) -> Floats | None:
 
 
 def _measured_turn(bench: Bench, hypothesis: Hypothesis) -> Floats | None:
-    """(k, 1) mounting error of the sensor measured by gravity and path; None where it is within ``_FAR``."""
+    """(k, 1) mounting error of the sensor measured by gravity and path; None where it is within ``REACH``."""
     if hypothesis.effects[-1] != "sensor_tilt":
         return None
     turn = np.array(bench.turn) / [p.spread for _, p in hypothesis.searched]
-    return turn[:, None] if (np.abs(turn) > _FAR).any() else None
+    return turn[:, None] if (np.abs(turn) > REACH).any() else None

@@ -44,10 +44,12 @@ Row = dict[str, Any]
 #: Version of the rows of ``evidence.json``: others are refused.
 FORMAT = 1
 #: Features by name and the prior mean of their weight. Physics dictates the sign, which learning keeps; 0 is free.
-#: Evidence in nats counts as it is (a log posterior), and what speaks as clearly as a few nats has a weight of a few.
+#: What speaks as clearly as a few nats has a weight of a few. Features that did not lower the loss on realities left
+#: out of the learning were dropped.
 FEATURES: Mapping[str, float] = {
     # of a cause or a set
-    "gain": 1.0,  # evidence over recalibration
+    "number": -1.0,  # log of the number of effects in the library: they share the prior
+    "gain": 0.5,  # evidence over recalibration
     "margin": 0.5,  # evidence over the next best
     "proven": 2.0,  # lower end of the shrink beyond recalibration in the best channel
     "explained": 2.0,  # share of the residual beyond the expected discrepancy
@@ -56,36 +58,18 @@ FEATURES: Mapping[str, float] = {
     "usual": -1.0,  # as small as errors of twin files are
     "far": -0.5,  # beyond its prior
     "bound": -0.5,  # on a bound
-    "folds": -2.0,  # folds that do not gain
-    "signs": -1.0,  # folds in which it has another sign
-    "pattern": -1.0,  # tone, place or band that remains
-    "clocks": -1.0,  # clocks that compensate
-    "resonance": -0.3,  # may stand in for any other resonance
-    "setup": 0.0,  # error of sensor, clock or map
-    "faint": -1.0,  # share of its prior that the drives would not show
-    "preexisting": -0.3,  # evidence on all drives
-    "blind": 0.0,  # without a reference
-    "blind_gain": 0.0,
-    "blind_proven": 0.0,
-    "blind_explained": 0.0,
-    "blind_excess": 0.0,
     "size": -2.0,  # effects beyond the first
     "added": 0.7,  # evidence over the best smaller set
-    "added_explained": 1.0,
     "added_proven": 2.0,  # lower end of the shrink that each of its effects adds
-    "decoy": -0.5,
     # of no gap
     "none_excess": -3.0,
+    "none_gain": -1.0,  # evidence of the best hypothesis that is larger than usual errors of twin files
     "none_pattern": -1.0,
     "none_clocks": -1.0,
-    "none_blind": 0.0,
     # of unknown
     "unknown": -1.0,
     "unknown_blind": 0.0,
-    "unknown_excess": 2.0,  # what recalibration leaves, as far as no cause explains it
     "unknown_best_excess": 1.0,  # what the best cause leaves
-    "unknown_pattern": 1.0,
-    "unknown_clocks": 0.5,
 }
 #: Held-out mean square in units of the noise model of the reference, and residual as a share of the motion without a
 #: reference, that a complete model leaves: medians over cars without any fault.
@@ -93,6 +77,9 @@ _USUAL_SQUARE, _USUAL_LEVEL = 1.5, 0.14
 #: Values of a tone's prominence, a band's unevenness and a place's concentration that model discrepancy reaches on
 #: cars and roads without any error: their largest.
 _USUAL_TONE, _USUAL_BAND, _USUAL_PLACE = 10.0, 2.7, 0.27
+#: Severity over the usual error of a twin file up to which an effect is as small as such errors are: half a standard
+#: deviation beyond one.
+_USUAL_RATIO = 1.5
 #: Name of the file with the weights.
 _FILE = Path(__file__).with_name("decision.json")
 
@@ -265,79 +252,60 @@ def answers_of(evidence: Mapping[str, Any]) -> list[Answer]:
         # the few set-up errors occur together: a part of the set that none can be taken out of is no rival
         joint = [set(r["effects"]) for r in rows if len(r["effects"]) > 1]
         rows = [r for r in rows if not any(set(r["effects"]) < whole for whole in joint)]
-    blind = float(not case["reference"])
-    since = base.get("since")
-    gains = [_gain(r, since) for r in rows]
+    # what a request leaves out of the library may be the cause as well: that is "unknown"
+    number = max(case.get("library", 0), sum(len(r["effects"]) == 1 and not r["decoy"] for r in rows), 1)
+    gains = [_gain(r, base.get("since")) for r in rows]
+    unusual = [g for g, r in zip(gains, rows, strict=True) if r["usual"] is None or r["usual"] > _USUAL_RATIO]
     best = max(rows, key=lambda r: _explained(case, base, r), default=base)
     none = {
         "none_excess": _excess(case, base),
+        "none_gain": _nats(max([0.0, *unusual])),
         "none_pattern": _pattern(base),
         "none_clocks": _clocks(base),
-        "none_blind": blind,
     }
     unknown = {
         "unknown": 1.0,
-        "unknown_blind": blind,
-        "unknown_excess": _excess(case, base) * (1.0 - _explained(case, base, best)),
+        "unknown_blind": float(not case["reference"]),
         "unknown_best_excess": min(_excess(case, best), _excess(case, base)),
-        "unknown_pattern": _pattern(base),
-        "unknown_clocks": _clocks(base),
     }
     found = [Answer((), None, _vector(none)), Answer(("unknown",), None, _vector(unknown))]
-    members = {r["effects"][0]: i for i, r in enumerate(rows) if len(r["effects"]) == 1}
     for i, row in enumerate(rows):
         own = set(row["effects"])
         # a hypothesis is nested in one of more effects: neither is a rival of the other
-        others = [
+        rivals = [
             g
             for g, r in zip(gains, rows, strict=True)
             if not (own <= set(r["effects"]) or set(r["effects"]) < own)
         ]
         explained = _explained(case, base, row)
-        proven = float(np.clip(max(c["low"] for c in row["channels"].values()), 0.0, 1.0))
-        excess = _excess(case, row) * (1.0 - explained)
-        gain = float(np.arcsinh(gains[i]))
+        usual = _USUAL_RATIO if row["usual"] is None else max(row["usual"], 1e-3)
+        parameters = [p for values in row["parameters"].values() for p in values.values()]
         values = {
-            "gain": gain,
-            "margin": float(np.arcsinh(gains[i] - max([0.0, *others]))),
-            "proven": proven,
+            "number": float(np.log(number)),
+            "gain": _nats(gains[i]),
+            "margin": _nats(gains[i] - max([0.0, *rivals])),
+            "proven": float(np.clip(max(c["low"] for c in row["channels"].values()), 0.0, 1.0)),
             "explained": explained,
-            "excess": excess,
+            "excess": _excess(case, row) * (1.0 - explained),
             "lost": _lost(case, row),
-            "usual": 0.0
-            if row["usual"] is None
-            else float(np.clip(np.log(1.5 / max(row["usual"], 1e-3)), 0.0, 3.0)),
-            "far": max(
-                [0.0, *(p.get("far", 0.0) - 2.0 for e in row["parameters"].values() for p in e.values())]
-            ),
-            "bound": float(any(p.get("bound") for e in row["parameters"].values() for p in e.values())),
-            "folds": 1.0 - row["folds"],
-            "signs": 1.0 - row.get("signs", 1.0),
-            "pattern": _pattern(row if "tone" in row else base) * (1.0 - explained),
-            "clocks": _clocks(row),
-            "resonance": float(row["resonance"]),
-            "setup": float(any(w in ("time", "road", "sensor") for w in row["where"])),
-            "faint": row.get("undetectable", 0.0),
-            "preexisting": float(np.arcsinh(max(row.get("preexisting", 0.0), 0.0))),
-            "blind": blind,
-            "blind_gain": blind * gain,
-            "blind_proven": blind * proven,
-            "blind_explained": blind * explained,
-            "blind_excess": blind * excess,
-            "decoy": float(row["decoy"]),
+            "usual": float(np.clip(np.log(_USUAL_RATIO / usual), 0.0, 3.0)),
+            "far": max([0.0, *(p.get("far", 0.0) - 2.0 for p in parameters)]),
+            "bound": float(any(p.get("bound") for p in parameters)),
         }
         if len(own) > 1:
-            parts = [members[e] for e in own if e in members]
-            smaller = [j for j, r in enumerate(rows) if set(r["effects"]) < own] or parts
+            smaller = [g for g, r in zip(gains, rows, strict=True) if set(r["effects"]) < own]
             values["size"] = float(len(own) - 1) * (case["kind"] != "planar")
+            values["added"] = _nats(gains[i] - max([0.0, *smaller]))
             values["added_proven"] = float(np.clip(row.get("added_low", 0.0), 0.0, 1.0))
-            values["added"] = float(np.arcsinh(gains[i] - max([0.0, *(gains[j] for j in smaller)])))
-            values["added_explained"] = max(
-                explained - max([0.0, *(_explained(case, base, rows[j]) for j in smaller)]), 0.0
-            )
         causes = ("unknown",) if row["decoy"] else tuple(sorted(own))
         found.append(Answer(causes, row, _vector(values)))
     return found
+
+
+def _nats(gain: float) -> float:
+    """Evidence as it counts: below a nat in proportion, above by its logarithm, because simulations that are wrong in
+    the same way gain hundreds of nats alike."""
+    return float(np.arcsinh(gain))
 
 
 def _vector(values: Mapping[str, float]) -> Floats:

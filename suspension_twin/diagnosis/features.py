@@ -22,7 +22,7 @@ from suspension_twin.diagnosis.case import Case
 from suspension_twin.diagnosis.decision import FORMAT, Row
 from suspension_twin.diagnosis.evidence import Evidence, intervals
 from suspension_twin.diagnosis.fit import linearised_fit
-from suspension_twin.diagnosis.hypotheses import SETUP_CATEGORIES, Hypothesis
+from suspension_twin.diagnosis.hypotheses import DECOYS, SETUP_CATEGORIES, Hypothesis, library
 from suspension_twin.diagnosis.judge import Candidate, Judged, tempered_gain
 from suspension_twin.diagnosis.local_road_error import concentrated_section
 from suspension_twin.diagnosis.search import LEAST_POWER
@@ -128,6 +128,7 @@ class _Known:
             "rate": float(problem.measured.rate),
             "blocks": int(self.draws.used.size),
             "temper": judged.temper,
+            "library": len(set(library(self.case.twin, self.case.excited)) - set(DECOYS)),
             "channels": {
                 name: {
                     "noise": judged.noise[name],

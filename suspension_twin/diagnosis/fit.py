@@ -18,16 +18,20 @@ from scipy import linalg
 from suspension_twin.arrays import Floats
 from suspension_twin.diagnosis.bench import Bench, Linearised
 from suspension_twin.diagnosis.hypotheses import Hypothesis
+from suspension_twin.diagnosis.partial import kept
 from suspension_twin.identification.gauss_newton import (
+    WHITENED,
     GaussNewton,
-    GaussNewtonSettings,
     Quadratic,
     bounded_step,
 )
 from suspension_twin.vehicle.twin import Twin
 
 __all__ = [
+    "DEEP",
     "FIT_SETTINGS",
+    "LONG",
+    "ROUGH",
     "Fit",
     "LinearisedFit",
     "Screening",
@@ -42,27 +46,14 @@ __all__ = [
     "twin_of",
 ]
 
-_LARGEST_STEP = 2.0
-#: The prior damps a step 1e4 times more than the curvature does, so that a parameter that the drive hardly excites does
-#: not limit the step of the others. A step that lowers -2 log posterior by less than 0.3 ends the search.
-FIT_SETTINGS = GaussNewtonSettings(
-    tolerance=0.0,
-    absolute=0.3,
-    patience=1,
-    ladder=(0.0, 1e-2, 1e-1, 1.0, 10.0),
-    least_damping=1e-4,
-    largest_damping=1e4,
-    largest_step=_LARGEST_STEP,
-    prior_damping=1e4,
-    shortened=0.3,
-    relaxed=0.3,
-    raised=100.0,
-    worthwhile=0.3,
-)
+FIT_SETTINGS = WHITENED
+#: Iterations at most of a first fit, of one from a start of its own, and of a joint one; a fit ends by itself before.
+ROUGH, DEEP, LONG = 4, 6, 15
 #: Scan of an effect coordinate: points, range in standard deviations of its prior, and points simulated after refit.
 _SWEPT, _FAR, _TRIED = 9, 2.5, 4
 
 
+@kept
 @dataclass(frozen=True, eq=False)
 class Fit:
     """A hypothesis at its best: unknowns ``x`` (d + q + k,), ``cost`` -2 log posterior."""
@@ -142,7 +133,7 @@ def screen(bench: Bench, base: LinearisedFit, hypothesis: Hypothesis, starts: Fl
     unknowns = []
     for i in order:
         moved = x[:, i].copy()
-        moved[: p + kept] += np.clip(step[:, i], -_LARGEST_STEP, _LARGEST_STEP)
+        moved[: p + kept] += np.clip(step[:, i], -FIT_SETTINGS.largest_step, FIT_SETTINGS.largest_step)
         unknowns.append(moved)
     return Screening(costs[order].tolist(), unknowns, np.where(failed, 0.0, power))
 
@@ -185,7 +176,7 @@ def resonance_scan(
     found: Floats = x[:, best].copy()
     found[p + kept + row] = strength[best]
     step = -(taken[:, -1] + share[best] * taken[:, best])
-    found[free] += np.clip(step, -_LARGEST_STEP, _LARGEST_STEP)
+    found[free] += np.clip(step, -FIT_SETTINGS.largest_step, FIT_SETTINGS.largest_step)
     return np.asarray(bench.clipped(hypothesis, found[:, None])[:, 0])
 
 
@@ -216,7 +207,7 @@ def coordinate_scan(bench: Bench, at: LinearisedFit) -> Floats | None:
             linalg.cho_factor(hessian[np.ix_(others, others)]), slope[np.ix_(others, own)]
         )
         costs[own] += np.einsum("il,il->l", slope[np.ix_(others, own)], step, optimize=False)
-        points[np.ix_(others, own)] += np.clip(step, -_LARGEST_STEP, _LARGEST_STEP)
+        points[np.ix_(others, own)] += np.clip(step, -FIT_SETTINGS.largest_step, FIT_SETTINGS.largest_step)
     costs = np.where(failed | ~np.isfinite(costs), np.inf, costs)
     tried = bench.clipped(hypothesis, points[:, np.argsort(costs, kind="stable")[:_TRIED]])
     found = bench.costs(hypothesis, tried)

@@ -17,6 +17,7 @@ from scipy.special import ndtri
 from scipy.stats import qmc
 
 from suspension_twin.arrays import Floats
+from suspension_twin.diagnosis.partial import kept
 from suspension_twin.effects.base import Effect, Parameter
 from suspension_twin.effects.registry import EFFECTS
 from suspension_twin.vehicle.twin import EffectSpec, Twin
@@ -49,6 +50,7 @@ WITHOUT_ROAD = ("time_offset", "clock_drift", "sensor_tilt", "sensor_scale")
 DECOYS = ("progressive_spring", "damper_play")
 
 
+@kept
 @dataclass(frozen=True)
 class Hypothesis:
     """Some effects, possibly none, with the parameters that are searched and those that are fixed.

@@ -159,8 +159,9 @@ def judge(
         candidates,
         (),
     )
-    grown = _grown(request, case, judged, report) if case.excited else _shrunk(request, case, judged)
-    return replace(judged, sets=tuple(grown))
+    if case.excited:
+        return replace(judged, sets=tuple(_grown(request, case, judged, report)))
+    return _with_sets(judged, _shrunk(request, case, judged))
 
 
 def tempered_gain(judged: Judged, found: Evidence, base: Evidence | None = None) -> float:
@@ -287,6 +288,20 @@ def _shrunk(request: DiagnosisRequest, case: Case, judged: Judged) -> list[Candi
             return [candidate(judged, one) for one in (chosen, *parts)]
         chosen = fewer
     return []
+
+
+def _with_sets(judged: Judged, found: Sequence[Candidate]) -> Judged:
+    """With sets and the effects that remain of them alone, which are the better of two fits of the same hypothesis."""
+    alone = {c.effects[0]: c for c in found if len(c.effects) == 1}
+
+    def better(one: Candidate) -> Candidate:
+        other = alone.get(one.effects[0])
+        if other is None or tempered_gain(judged, other.found) <= tempered_gain(judged, one.found):
+            return one
+        return replace(one, found=other.found, remaining=other.remaining)
+
+    sets = tuple(c for c in found if len(c.effects) > 1)
+    return replace(judged, singles=tuple(better(c) for c in judged.singles), sets=sets)
 
 
 def _no_match(case: Case, bench: Bench, base: LinearisedFit, blocks: Blocks, noise: dict[str, float]) -> bool:

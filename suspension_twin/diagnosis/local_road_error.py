@@ -14,7 +14,7 @@ from scipy.stats import norm
 
 from suspension_twin.arrays import Floats
 from suspension_twin.diagnosis.bench import Bench
-from suspension_twin.diagnosis.fit import refit
+from suspension_twin.diagnosis.fit import DEEP, refit
 from suspension_twin.diagnosis.hypotheses import BASELINE, Hypothesis
 from suspension_twin.diagnosis.shrink import RemainingResidual, drives_of
 
@@ -35,8 +35,8 @@ _CONCENTRATED, _CONCENTRATED_SPREAD = 0.38, 1.15
 #: Share of the largest excess within which a shorter section is preferred.
 _TOLERANCE = 0.1
 #: m before a section where the front wheels reach it, and after it until the free oscillation has decayed.
-_BEFORE, _REBASE_GAIN = 4.0, 15.0
-_COARSE, _FINE, _LONG = 201, 21, 6
+_BEFORE, _AFTER = 4.0, 15.0
+_COARSE, _FINE = 201, 21  # grid points over the range of a road error, and about the best
 #: Shrink of the residual on a section by an error of the road file, with a probability of that error of 0.5, and factor
 #: of one standard deviation; nats by which a reported error may be worse than the best.
 _TAKEN, _TAKEN_SPREAD, _AS_GOOD = 0.25, 1.3, 3.0
@@ -132,9 +132,9 @@ def road_error_matches(
     one parameter, which is evaluated on a grid over its range. ``temper`` is the share of the residual that is noise.
     """
     row = _positions(bench)[bench.whitener.row]
-    near = (row > there.start - _BEFORE) & (row < there.end + _REBASE_GAIN)
+    near = (row > there.start - _BEFORE) & (row < there.end + _AFTER)
     own = (row >= there.start) & (row < there.end) & np.array(bench.active)[bench.whitener.drive]
-    x, _ = refit(replace(bench, counted_rows=~near), BASELINE, [x], None, _LONG)
+    x, _ = refit(replace(bench, counted_rows=~near), BASELINE, [x], None, DEEP)
     inside = replace(bench, counted_rows=own)
     vertical = bench.whitener.channel == bench.problem.channels.index("vertical_acceleration")
 

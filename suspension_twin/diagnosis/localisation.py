@@ -18,17 +18,16 @@ from scipy.stats import false_discovery_control, norm
 
 from suspension_twin.arrays import Floats, runs
 from suspension_twin.diagnosis.bench import Bench
-from suspension_twin.diagnosis.operating import by_motion, ranked
+from suspension_twin.diagnosis.operating import DRAWS, FALSE_DISCOVERY_RATE, by_motion, ranked
 from suspension_twin.identification.noise import density, shares
 from suspension_twin.models.simulate import simulate_twin
 from suspension_twin.vehicle.twin import Twin
 
 __all__ = ["localise", "repeatable", "signature"]
 
-_WINDOW = 0.5  # s
-_METRES = 1.0
-_FALSE_DISCOVERY_RATE = 0.1
-_SEGMENT, _LOWEST, _DRAWS = 256, 0.5, 1000
+#: Intervals of time (s) and road (m) in ``where``; samples of a segment of its spectrum, and its lowest Hz.
+_WINDOW, _METRES = 0.5, 1.0
+_SEGMENT, _LOWEST = 256, 0.5
 
 
 def localise(bench: Bench, difference: Floats, noise: dict[str, float], twin: Twin) -> dict[str, Any]:
@@ -86,7 +85,7 @@ def _significant(means: Floats, all_means: Floats) -> np.ndarray:
     spread = max(1.4826 * float(np.median(np.abs(usual - centre))), 0.1)
     p = norm.sf((logs - centre) / spread)
     return (
-        np.asarray(false_discovery_control(np.clip(p, 1e-12, 1.0)) < _FALSE_DISCOVERY_RATE)
+        np.asarray(false_discovery_control(np.clip(p, 1e-12, 1.0)) < FALSE_DISCOVERY_RATE)
         if p.size
         else np.zeros(0, dtype=bool)
     )
@@ -192,7 +191,7 @@ def _frequency(bench: Bench, series: Sequence[Floats], floor: float, usual: Floa
     count = int(blocks[-1]) + 1
     sums = np.stack([power[blocks == b].sum(axis=0) for b in range(count)])
     sizes = np.bincount(blocks)
-    drawn = np.random.default_rng(0).multinomial(count, np.full(count, 1.0 / count), _DRAWS).astype(float)
+    drawn = np.random.default_rng(0).multinomial(count, np.full(count, 1.0 / count), DRAWS).astype(float)
     means = np.einsum("kb,bf->kf", drawn, sums, optimize=False)
     means /= np.einsum("kb,b->k", drawn, sizes, optimize=False)[:, None]
     above = np.maximum(np.vstack([power.mean(axis=0), means]) - there, 0.0)
@@ -200,7 +199,7 @@ def _frequency(bench: Bench, series: Sequence[Floats], floor: float, usual: Floa
     if even[0] <= 0:
         return []
     fewer = (above[1:] / octaves <= even[1:, None]).mean(axis=0)
-    remaining = np.asarray(false_discovery_control(np.clip(fewer, 0.5 / _DRAWS, 1.0)) < _FALSE_DISCOVERY_RATE)
+    remaining = np.asarray(false_discovery_control(np.clip(fewer, 0.5 / DRAWS, 1.0)) < FALSE_DISCOVERY_RATE)
     density, total, half = above[0], float(above[0].sum()), 0.5 * (f[1] - f[0])
     items = []
     while remaining.any():

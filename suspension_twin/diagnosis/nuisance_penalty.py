@@ -14,11 +14,13 @@ import numpy as np
 from suspension_twin.arrays import Floats
 from suspension_twin.diagnosis.bench import Bench
 from suspension_twin.diagnosis.fit import LinearisedFit, room
+from suspension_twin.diagnosis.partial import kept
 from suspension_twin.identification.gauss_newton import Quadratic, bounded_step
 
 __all__ = ["NuisancePenalty", "penalty_of"]
 
 
+@kept
 @dataclass(frozen=True, eq=False)
 class NuisancePenalty:
     """The posterior about a fit: ``curvature`` (p, p) and ``slope`` (p,) of half its squares, ``precision`` (p, p) of

@@ -18,9 +18,10 @@ from suspension_twin.models.simulate import simulate_twin
 from suspension_twin.vehicle.corners import CORNERS
 from suspension_twin.vehicle.twin import Twin
 
-__all__ = ["by_motion", "ranked"]
+__all__ = ["DRAWS", "FALSE_DISCOVERY_RATE", "by_motion", "ranked"]
 
-_SECONDS, _DRAWS, _FALSE_DISCOVERY_RATE = 1.0, 1000, 0.1
+#: s of a block of the bootstrap (Künsch 1989), its draws, and the rate of false discoveries (Benjamini, Hochberg 1995).
+_SECONDS, DRAWS, FALSE_DISCOVERY_RATE = 1.0, 1000, 0.1
 _BINS, _STANDS_OUT, _LEAST_SHARE, _MOST = 10, 1.25, 0.02, 8
 
 
@@ -38,7 +39,7 @@ def by_motion(with_gap: Sequence[Any], excess: Sequence[Floats], twin: Twin, see
         blocks.append(block + first)
         first = int(blocks[-1].max()) + 1
     block, amount = np.concatenate(blocks), np.concatenate(list(excess))
-    drawn = np.random.default_rng(seed).multinomial(first, np.full(first, 1.0 / first), _DRAWS).astype(float)
+    drawn = np.random.default_rng(seed).multinomial(first, np.full(first, 1.0 / first), DRAWS).astype(float)
     deflection, velocity = np.concatenate(travel), np.concatenate(speed)
     quantities = [("speed", np.concatenate(driven), "m/s")]
     for axle, own in twin.axles.items():
@@ -107,12 +108,12 @@ def _points(
             return np.asarray(s / np.maximum(n, 1.0) / np.maximum(usual, 1e-30))
 
         draws = ratio(*(np.einsum("kb,bi->ki", drawn, v, optimize=False) for v in (sums, counts)))
-        chance = np.clip((draws <= 1.0).mean(axis=0), 0.5 / _DRAWS, 1.0)
+        chance = np.clip((draws <= 1.0).mean(axis=0), 0.5 / DRAWS, 1.0)
         whole = ratio(sums.sum(axis=0), counts.sum(axis=0))
         tried.append((name, unit, edges, sums.sum(axis=0), whole, chance))
     if not tried:
         return []
-    kept = false_discovery_control(np.concatenate([t[-1] for t in tried])) < _FALSE_DISCOVERY_RATE
+    kept = false_discovery_control(np.concatenate([t[-1] for t in tried])) < FALSE_DISCOVERY_RATE
     points: list[dict[str, Any]] = []
     first, total = 0, max(float(amount.sum()), 1e-30)
     for name, unit, edges, energy, whole, chance in tried:

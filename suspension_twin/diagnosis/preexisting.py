@@ -18,16 +18,15 @@ import numpy as np
 from suspension_twin.arrays import Floats
 from suspension_twin.diagnosis.bench import Bench
 from suspension_twin.diagnosis.evidence import Blocks, Evidence, evidence
-from suspension_twin.diagnosis.fit import Fit, approximated, fitted, linearised_fit, refit
+from suspension_twin.diagnosis.fit import DEEP, ROUGH, Fit, approximated, fitted, linearised_fit, refit
 from suspension_twin.diagnosis.hypotheses import BASELINE, Hypothesis, combined
-from suspension_twin.identification.parallel import side_by_side
 
 __all__ = ["as_preexisting", "beyond_preexisting"]
 
 #: Tempered nats that a pre-existing effect has to gain on all drives and may lose on reference drives: new effects lose
 #: 4 to 13 there, pre-existing ones less than 1.
 _LEAST_GAIN = 1.0
-_ROUGH, _LONG, _FINE = 4, 8, 6
+_LONG = 8  # iterations at most of the fit of all pre-existing effects
 _REBASE_GAIN = 1.0  # -2 log posterior that a baseline has to improve by for the other fits to be repeated
 
 
@@ -39,7 +38,7 @@ def as_preexisting(bench: Bench, hypothesis: Hypothesis, x: Floats, base: Fit, b
     """
     existing, u = hypothesis.on_all_drives(), x[bench.d + bench.q :]
     starts = [x, np.concatenate([base.x, u]), np.concatenate([base.x, hypothesis.neutral()])]
-    return evidence(bench, fitted(bench, existing, starts, _ROUGH), blocks)
+    return evidence(bench, fitted(bench, existing, starts, ROUGH), blocks)
 
 
 def beyond_preexisting(
@@ -68,9 +67,9 @@ def beyond_preexisting(
         there = [e for e in extended.problem.twin.effects if e.id in own.effects]
         if there and not own.fixed:
             starts.append(np.concatenate([x, own.at(there[0])]))
-        return refit(extended, own, starts, known.at, _FINE)[0]
+        return refit(extended, own, starts, known.at, DEEP)[0]
 
-    fits = dict(zip(found, side_by_side(beside, list(found), on_progress), strict=True))
+    fits = dict(zip(found, bench.partial.side_by_side(beside, list(found), on_progress), strict=True))
     # the baseline is refitted from the vehicle of each effect, and if it improves the others follow
     fresh = fitted(extended, BASELINE, [x, *(z[:p] for z in fits.values())], _LONG)
     y, better = fresh.x, fresh.cost
@@ -79,10 +78,10 @@ def beyond_preexisting(
         own, z = found[i].hypothesis, fits[i]
         if better < cost - _REBASE_GAIN:
             starts = [z, np.concatenate([y, z[p:]]), np.concatenate([y, own.neutral()])]
-            z, _ = refit(extended, own, starts, fresh.at, _FINE)
+            z, _ = refit(extended, own, starts, fresh.at, DEEP)
         return evidence(extended, approximated(extended, own, [z], fresh), blocks)
 
-    evidences = side_by_side(judged, list(found), on_progress)
+    evidences = bench.partial.side_by_side(judged, list(found), on_progress)
     return evidence(extended, fresh, blocks), dict(zip(found, evidences, strict=True))
 
 

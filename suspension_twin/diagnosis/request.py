@@ -34,6 +34,8 @@ class DiagnosisRequest:
         Names of the topics in the bags.
     costs : Costs
         Costs of wrong and missing answers.
+    state : str
+        Folder for partial results, from which an interrupted diagnosis goes on; empty for none.
 
     Examples
     --------
@@ -48,6 +50,7 @@ class DiagnosisRequest:
     effects: tuple[str, ...] = ()
     topics: Topics = Topics()
     costs: Costs = Costs()
+    state: str = ""
 
 
 @dataclass(frozen=True)

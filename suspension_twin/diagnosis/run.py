@@ -16,12 +16,18 @@ from __future__ import annotations
 import time
 from collections.abc import Callable
 from dataclasses import replace
+from pathlib import Path
 
+from suspension_twin.calibration.checkpoint import Checkpoint
+from suspension_twin.calibration.recorder import problem_digest
 from suspension_twin.diagnosis import wording
+from suspension_twin.diagnosis.bench import Bench
 from suspension_twin.diagnosis.case import Case, baseline, build, read_case
 from suspension_twin.diagnosis.conclude import conclude
+from suspension_twin.diagnosis.decision import Costs
 from suspension_twin.diagnosis.hypotheses import SETUP_CATEGORIES
 from suspension_twin.diagnosis.judge import Judged, judge, with_joint_noise
+from suspension_twin.diagnosis.partial import PartialResults, code_digest
 from suspension_twin.diagnosis.request import DiagnosisRequest, DiagnosisResult, Progress
 from suspension_twin.effects.registry import EFFECTS
 from suspension_twin.errors import InputError
@@ -106,10 +112,21 @@ def _judged(
     bench = replace(build(case, stop), step=_STEP)
     report(Progress("calibrating", 0.08, "the vehicle without any effect"))
     bench, base, anchor = baseline(case, bench)
+    bench = replace(bench, partial=_partial_results(request, case, bench))
     if not case.excited:
         bench, base = with_joint_noise(request, case, bench, base)
         anchor = base
     return case, judge(request, case, bench, base, anchor, report)
+
+
+def _partial_results(request: DiagnosisRequest, case: Case, bench: Bench) -> PartialResults:
+    """The partial results of this very case; empty where none are to be kept."""
+    if not request.state:
+        return PartialResults()
+    asked = replace(request, twin="", bags=(), reference=(), costs=Costs(), state="")
+    words = (code_digest(), repr(asked), repr(case.active))
+    digest = problem_digest(words, case.twin, bench.problem)
+    return PartialResults(Checkpoint(Path(request.state), digest, "a diagnosis"))
 
 
 def _before_and_after(

@@ -14,6 +14,9 @@ from suspension_twin.diagnosis import coarse_search
 from suspension_twin.diagnosis.bench import Bench
 from suspension_twin.diagnosis.evidence import Blocks, Evidence, evidence
 from suspension_twin.diagnosis.fit import (
+    DEEP,
+    LONG,
+    ROUGH,
     Fit,
     LinearisedFit,
     approximated,
@@ -25,6 +28,7 @@ from suspension_twin.diagnosis.fit import (
     screen,
 )
 from suspension_twin.diagnosis.hypotheses import BASELINE, NUISANCE_COUNTERPART, Hypothesis, combined
+from suspension_twin.diagnosis.partial import kept
 from suspension_twin.diagnosis.preexisting import as_preexisting
 from suspension_twin.diagnosis.tone_search import tone_peaks, tone_starts
 from suspension_twin.errors import WorkError
@@ -39,7 +43,7 @@ _SCANNED = 32  # frequencies of a resonance scan
 _VEHICLES = ((0.0, 0.0), (-0.3, 0.0), (-0.6, 0.0), (0.0, -0.25), (0.0, -0.6), (-0.3, -0.6), (0.0, -1.2))
 #: Starting vehicles for effects with a clearance, and how small that is, in standard deviations of its prior.
 _EARLY = (((-0.6, 0.0), 1.0), ((0.0, -0.3), 0.6))
-_ROUGH, _DEEP, _FINE, _LONG = 4, 6, 5, 15
+_FINE = 5  # iterations at most of the second fit of the best effects
 #: Ratio of the cost of a start to the best cost so far up to which a fit is run from it.
 _COST_RATIO = 3.0
 _REBASE_GAIN = (
@@ -56,6 +60,7 @@ _SHARED = ("clock_offset", "map_position", "tilt_roll", "tilt_pitch")
 LEAST_POWER = 5.0
 
 
+@kept
 @dataclass(frozen=True, eq=False)
 class Single:
     """The best fit of one effect.
@@ -84,6 +89,7 @@ class Single:
         return float(np.mean(temper * self.powers < LEAST_POWER))
 
 
+@kept
 @dataclass(frozen=True, eq=False)
 class _FirstSearch:
     """Result of the first search of an effect."""
@@ -115,12 +121,12 @@ def singles(
     def look(effect: str) -> _FirstSearch:
         return _first_search(bench, begun, from_anchor, effect, library[effect], seed, no_match)
 
-    rough = side_by_side(
+    rough = bench.partial.side_by_side(
         look, list(library), lambda done, name: on_progress(0.65 * done, name.replace("_", " "))
     )
     base = _rebased_baseline(bench, base, [r.x for r in rough])
     moved = base.cost < begun.cost - _REBASE_GAIN
-    rough = side_by_side(
+    rough = bench.partial.side_by_side(
         lambda r: _restarted(bench, base, moved, r, seed),
         rough,
         lambda done, _: on_progress(0.6, "baseline"),
@@ -146,10 +152,10 @@ def singles(
             at = approximated(bench, v, list(none.T), base)
         other = coordinate_scan(bench, at) if i in finalists else None
         if other is not None:
-            at = fitted(bench, v, [other], _DEEP)
+            at = fitted(bench, v, [other], DEEP)
         return Single(r.effect, evidence(bench, at, blocks), r.powers, i in finalists, preexisting)
 
-    judged = side_by_side(
+    judged = bench.partial.side_by_side(
         judge,
         order,
         lambda done, i: on_progress(0.65 + 0.35 * done, f"{rough[i].effect.replace('_', ' ')}, once more"),
@@ -192,17 +198,17 @@ def _first_search(
         v, tried = variants[i], screens[i]
         starts = [*tried.x[:_TRIED], *_resonant(bench, anchor, v, v), *heard[i]]
         starts.append(np.concatenate([base.x, v.neutral()]))
-        x, cost = refit(bench, v, starts, anchor.at, _ROUGH)
+        x, cost = refit(bench, v, starts, anchor.at, ROUGH)
         if not math.isfinite(cost):
             # a recalibrated baseline may be so far off that no effect can be simulated on it
             starts = [np.concatenate([bench.centre, u]) for u in (v.neutral(), *v.starts(_STARTS, seed).T)]
-            x, cost = refit(bench, v, starts, None, _DEEP)
+            x, cost = refit(bench, v, starts, None, DEEP)
         far = coarse_search.coarse_fit(bench, v, no_match)
         if far is not None and far[2] < cost:
             v, x, cost = far
         for begun, start in _softened_starts(bench, base, v, seed):
             if begun < _COST_RATIO * cost:
-                y, other = refit(bench, v, [start], None, _DEEP, alternate_jacobian=True)
+                y, other = refit(bench, v, [start], None, DEEP, alternate_jacobian=True)
                 x, cost = (y, other) if other < cost else (x, cost)
         found.append((cost, v, x))
     cost, v, x = min(found, key=lambda f: f[0])
@@ -221,7 +227,7 @@ def _resonant(bench: Bench, base: LinearisedFit, hypothesis: Hypothesis, added: 
 def _rebased_baseline(bench: Bench, base: LinearisedFit, found: Sequence[Floats]) -> LinearisedFit:
     """The baseline refitted from the vehicle of each effect, so that no effect is credited with a better vehicle."""
     p = bench.d + bench.q
-    better = fitted(bench, BASELINE, [base.x, *(y[:p] for y in found)], 2 * _ROUGH)
+    better = fitted(bench, BASELINE, [base.x, *(y[:p] for y in found)], 2 * ROUGH)
     return better if better.cost < base.cost else base
 
 
@@ -237,13 +243,13 @@ def _restarted(
     starts = [np.concatenate([base.x, u]), np.concatenate([base.x, v.neutral()])]
     if rough.cost >= base.cost:
         starts += screen(bench, base, v, v.starts(_STARTS, seed)).x[:_TRIED]
-    found = [refit(bench, v, starts, base.at, _ROUGH)] if moved else [(rough.x, rough.cost)]
+    found = [refit(bench, v, starts, base.at, ROUGH)] if moved else [(rough.x, rough.cost)]
     if rough.hypothesis.effect(rough.effect).where in ("time", "road", "sensor"):
         frozen = replace(
             bench, frozen_nuisances=tuple(n for n in bench.problem.nuisances.names if n.endswith(_SHARED))
         )
-        begun, _ = refit(frozen, v, starts, base.at, _ROUGH)
-        found.append(refit(bench, v, [begun], base.at, _ROUGH))
+        begun, _ = refit(frozen, v, starts, base.at, ROUGH)
+        found.append(refit(bench, v, [begun], base.at, ROUGH))
     x, cost = min(found, key=lambda f: f[1])
     return replace(rough, x=x, cost=cost) if cost < rough.cost else rough
 
@@ -261,11 +267,7 @@ def _softened_starts(
     p = bench.d + bench.q
 
     def vehicle(springs: float, dampers: float) -> Floats:
-        z = base.x[:p].copy()
-        for curve in bench.problem.space.curves:
-            rows = [r for r in curve.rows if r >= 0]
-            z[rows] += springs if curve.key.endswith("spring") else dampers
-        return z
+        return bench.problem.space.shifted(base.x[:p], springs, dampers)
 
     starts = hypothesis.starts(_WIDE_STARTS, seed + 1)
     many = [vehicle(*v) for v in _VEHICLES]
@@ -318,7 +320,7 @@ def pairs(
             for (both, s), cost, found in zip(screens, costs, more, strict=True)
         ]
 
-    looked = side_by_side(
+    looked = bench.partial.side_by_side(
         look, others, lambda done, name: on_progress(0.7 * done, f"{there.name} and {name}".replace("_", " "))
     )
     rough = sorted((r for some in looked for r in some), key=lambda r: r[0])
@@ -328,10 +330,10 @@ def pairs(
 
     def join(at: tuple[Hypothesis, list[Floats]]) -> Evidence:
         both, starts = at
-        x, _ = refit(bench, both, starts, known, _ROUGH)
+        x, _ = refit(bench, both, starts, known, ROUGH)
         return evidence(bench, fitted(bench, both, [x], 2), blocks)
 
-    return side_by_side(
+    return bench.partial.side_by_side(
         join,
         list(best.values())[:_BEST_PAIRS],
         lambda done, at: on_progress(0.7 + 0.3 * done, f"{at[0].name}, jointly".replace("_", " ")),
@@ -352,7 +354,7 @@ def joint_fit(bench: Bench, parts: Sequence[Hypothesis], base: Fit, seed: int) -
         (coarse_search.recentred(together, many[:, i]), starts[:, i])
         for i in sorted({0, *order[:_TRIED].tolist()})
     ]
-    fits = side_by_side(lambda at: refit(bench, at[0], [at[1]], None, _LONG), tried)
+    fits = side_by_side(lambda at: refit(bench, at[0], [at[1]], None, LONG), tried)
     found = [(h, *fit) for (h, _), fit in zip(tried, fits, strict=True)]
     best, x, _ = min(found, key=lambda f: f[2] + coarse_search.MISALIGNMENT_PENALTY * bool(f[0].around))
     return linearised_fit(bench, best, x)
@@ -360,7 +362,7 @@ def joint_fit(bench: Bench, parts: Sequence[Hypothesis], base: Fit, seed: int) -
 
 def refitted_under_noise(bench: Bench, fit: LinearisedFit) -> LinearisedFit:
     """Refit a hypothesis with the noise model of the bench."""
-    return fitted(bench, fit.hypothesis, [fit.x], _LONG)
+    return fitted(bench, fit.hypothesis, [fit.x], LONG)
 
 
 def without_one(bench: Bench, whole: Evidence, blocks: Blocks) -> list[Evidence]:
@@ -371,6 +373,6 @@ def without_one(bench: Bench, whole: Evidence, blocks: Blocks) -> list[Evidence]
         kept = [i for i, key in enumerate(there.keys) if key.split(".")[1] != effect]
         start = np.concatenate([whole.fit.x[:p], whole.fit.x[p:][kept]])
         rest = there.without(effect)
-        return evidence(bench, fitted(bench, rest, [start], _LONG), blocks)
+        return evidence(bench, fitted(bench, rest, [start], LONG), blocks)
 
     return side_by_side(less, there.effects)

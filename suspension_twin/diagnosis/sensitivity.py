@@ -18,7 +18,7 @@ from scipy.linalg import block_diag
 
 from suspension_twin.arrays import Floats
 from suspension_twin.calibration.presets import build_space, preset_named
-from suspension_twin.diagnosis.bench import NORMAL, Bench
+from suspension_twin.diagnosis.bench import REACH, STEP, Bench
 from suspension_twin.diagnosis.case import ALSO, PLANAR
 from suspension_twin.diagnosis.hypotheses import BASELINE, Hypothesis
 from suspension_twin.errors import InputError
@@ -26,10 +26,11 @@ from suspension_twin.gap.measure import CHANNELS
 from suspension_twin.gap.synthetic import SensorErrors, path_along
 from suspension_twin.identification.gauss_newton import bounded_step
 from suspension_twin.identification.noise import USUAL_SHARE, Whitener
-from suspension_twin.identification.nuisance import map_spread
+from suspension_twin.identification.nuisance import OF_A_DRIVE, map_spread
 from suspension_twin.identification.objectives import Term
 from suspension_twin.identification.posterior import CORRELATION
 from suspension_twin.identification.problem import Problem
+from suspension_twin.identification.smooth_space import smooth_space
 from suspension_twin.models.excitation import excitation
 from suspension_twin.models.parameters import has_number, pack
 from suspension_twin.models.simulate import simulate_lanes
@@ -48,8 +49,6 @@ SENSOR = SensorErrors()
 LONGEST, _SLOWEST, _MARGIN = 40.0, 0.8, 0.5
 #: m/s² of a calm driver (Bae, Moon and Seo, Electronics 8, 2019: comfortable up to 2 m/s²).
 _ACCELERATION, _BRAKING = 1.5, 2.0
-_STEP = 1e-3  # of a vehicle's search coordinate
-_REACH = 3.0  # standard deviations, as of a nuisance
 
 
 @dataclass(frozen=True)
@@ -185,8 +184,9 @@ def bench_of(twin: Twin, drive: PlannedDrive) -> Bench:
     space = build_space(
         twin, replace(preset_named("fast"), also=()), also=[k for k in ALSO if has_number(twin, k)]
     )
+    space = smooth_space(twin, space)
     terms = [Term("euclidean", c) for c in CHANNELS]
-    normal = replace(NORMAL, map_position=min(map_spread([drive]), NORMAL.map_position))
+    normal = replace(OF_A_DRIVE, map_position=min(map_spread([drive]), OF_A_DRIVE.map_position))
     problem = Problem(twin, space, [drive], [0], terms, normal, [0.0], [drive.rows])
     d, q = len(space), len(problem.nuisances)
     precision = np.zeros((d + q, d + q))
@@ -275,7 +275,7 @@ class Products:
         if beside is not None and scale is not None:
             used = np.concatenate([used, beside])
             precision = block_diag(precision, np.diag(scale**-2.0))
-            low, high = (np.concatenate([a, s * scale]) for a, s in ((low, -_REACH), (high, _REACH)))
+            low, high = (np.concatenate([a, s * scale]) for a, s in ((low, -REACH), (high, REACH)))
         hessian = self.white[np.ix_(used, used)] + precision
         step = bounded_step(hessian, self.white[np.ix_(used, columns)], low, high)
         squares = _energies(self.white[None], used, columns, step)[0]
@@ -300,14 +300,14 @@ def products(twin: Twin, drive: PlannedDrive, changes: Sequence[Change]) -> Prod
     rows, z0 = problem.rows[0], problem.space.z0
     nuisances = problem.nuisances
     shifted = np.repeat(z0[:, None], d + 1, axis=1)
-    shifted[np.arange(d), 1 + np.arange(d)] += _STEP
+    shifted[np.arange(d), 1 + np.arange(d)] += STEP
     signals, _ = bench.signals(BASELINE, shifted, np.zeros((0, d + 1)))
     base = signals[0][:, :, :1]
-    columns = [(signals[0][rows][:, :, 1:] - base[rows]) / _STEP]
+    columns = [(signals[0][rows][:, :, 1:] - base[rows]) / STEP]
     steps = np.concatenate([np.zeros((len(nuisances), 1)), np.diag(nuisances.steps)], axis=1)
     read = bench.compared([base], steps)
     columns.append((read[:, :, 1:] - read[:, :, :1]) / nuisances.steps)
-    names = [*problem.space.keys, *nuisances.names]
+    names = [*problem.space.names, *nuisances.names]
     for change in changes:
         held = np.repeat(z0[:, None], change.points.shape[1], axis=1)
         signals, failed = bench.signals(change.hypothesis, held, change.points)

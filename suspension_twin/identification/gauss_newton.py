@@ -24,7 +24,15 @@ import numpy as np
 
 from suspension_twin.arrays import Floats
 
-__all__ = ["GaussNewton", "GaussNewtonSettings", "Quadratic", "Residuals", "bounded_step", "solve_positive"]
+__all__ = [
+    "WHITENED",
+    "GaussNewton",
+    "GaussNewtonSettings",
+    "Quadratic",
+    "Residuals",
+    "bounded_step",
+    "solve_positive",
+]
 
 _ROUNDS = 12  # of the active set iteration
 
@@ -75,6 +83,24 @@ class GaussNewtonSettings:
     relaxed: float | None = None
     raised: float = 1e4
     worthwhile: float = 0.0
+
+
+#: For whitened residuals. The prior damps a step 1e4 times more than the curvature does, so that a parameter that the
+#: drive hardly excites does not limit the step of the others. A step that lowers -2 log posterior by less than 0.3 ends
+#: the search.
+WHITENED = GaussNewtonSettings(
+    tolerance=0.0,
+    absolute=0.3,
+    patience=1,
+    ladder=(0.0, 1e-2, 1e-1, 1.0, 10.0),
+    least_damping=1e-4,
+    largest_damping=1e4,
+    prior_damping=1e4,
+    shortened=0.3,
+    relaxed=0.3,
+    raised=100.0,
+    worthwhile=0.3,
+)
 
 
 def solve_positive(matrix: Floats, right: Floats) -> Floats:

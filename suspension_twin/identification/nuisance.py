@@ -25,8 +25,10 @@ from suspension_twin.models.sinc_interpolation import TABLE
 
 __all__ = [
     "NUISANCES",
+    "OF_A_DRIVE",
     "OF_A_RIG",
     "OF_A_RUN",
+    "OF_PLANAR_MOTION",
     "NuisancePriors",
     "Nuisances",
     "map_spread",
@@ -97,6 +99,26 @@ OF_A_RUN = NuisancePriors(
 )
 #: s between the clocks of an actuator and of transducers that one device samples, filters of theirs included.
 OF_A_RIG = replace(OF_A_RUN, clock=0.001, speed=0.0)
+#: Of a drive with a known road and a calibrated twin. A larger error of clock, map or mount is an effect.
+#: An RTK position is accurate to a centimetre, a part of which is constant over a drive (``drive_map``).
+#: The gain is fixed: that of a phone is within 0.5 %, and a free gain would absorb model discrepancy.
+OF_A_DRIVE = NuisancePriors(
+    clock=0.0005,
+    common_clock=0.002,
+    map_position=0.02,
+    gain=0.0,
+    tilt=0.009,
+    force_bias=0.05,
+    rate_bias=0.005,
+    pivot=0.3,
+    holder=1.0,
+    drive_map=0.006,
+)
+#: Of a drive without a road: what clock and mounting are is then the very question, and nothing else shows it.
+#: Rear tyres of cars slip by about 0.005 rad for each m/s²; a course that lags by that would pass for a clock's.
+OF_PLANAR_MOTION = replace(
+    OF_A_DRIVE.without(("clock_offset", "map_position", "tilt")), pivot=0.0, slip=0.005, drive_map=0.0
+)
 
 
 class Nuisances:

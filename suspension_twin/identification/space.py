@@ -160,9 +160,12 @@ class Space:
         for curve in self.curves:
             self._on_curve[[r for r in curve.rows if r >= 0]] = True
         self._check()
+        #: Names of the slope coordinates, and keys of the values that are simulated.
+        self.names = self.simulated_keys = self.keys
         self.z0 = self.to_slopes(self.nominal)
 
     def __len__(self) -> int:
+        """How many slope coordinates there are."""
         return len(self.parameters)
 
     def _find_curves(self, twin: Twin) -> tuple[Curve, ...]:
@@ -294,8 +297,27 @@ class Space:
             z[other] = np.where(log, ratio, (v2[other] - nominal) / self._spread[other, None])
         return z[:, 0] if single else z
 
+    def shifted(self, z: Floats, springs: float, dampers: float) -> Floats:
+        """Coordinates (d,) with these numbers added to the logarithms of all slopes of springs and of dampers."""
+        out = z.copy()
+        for curve in self.curves:
+            out[[r for r in curve.rows if r >= 0]] += springs if curve.part == "spring" else dampers
+        return out
+
+    def simulated(self, twin: Twin) -> Twin:
+        """The twin of ``simulated_keys``: ``twin`` itself, or one with fewer points a curve."""
+        return twin
+
+    def simulated_values(self, z: Floats) -> Floats:
+        """Values (k, L) of ``simulated_keys`` for slope coordinates (d, L)."""
+        return self.from_slopes(z)
+
     def prior_precision(self, correlation: float = 0.8) -> Floats:
-        """(d, d) inverse covariance of the slope coordinates around ``z0``.
+        """(d, d) inverse of ``prior_covariance``."""
+        return np.asarray(np.linalg.inv(self.prior_covariance(correlation)))
+
+    def prior_covariance(self, correlation: float) -> Floats:
+        """(d, d) prior covariance of the log slopes around the nominal ones.
 
         The log slopes of neighbouring segments have the ``correlation``, so that segments that a drive does not excite
         follow the excited ones, relative to the preset.
@@ -306,7 +328,7 @@ class Space:
             for i, a in free:
                 for j, b in free:
                     covariance[a, b] = self._spread[a] * self._spread[b] * correlation ** abs(i - j)
-        return np.asarray(np.linalg.inv(covariance))
+        return np.asarray(covariance)
 
     def on_bound(self, values: Floats, share: float = 1e-3) -> np.ndarray[Any, np.dtype[np.bool_]]:
         """(d,) True where a value lies within ``share`` of the bounds' distance from one."""

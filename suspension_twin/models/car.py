@@ -73,4 +73,5 @@ def car_model(name: str, title: str) -> Model:
         fixed=_FIXED,
         respond=deferred("simulate", "car_response"),
         live=deferred("live", "LiveTwin"),
+        one_lane=deferred("one_lane", "one_lane"),
     )

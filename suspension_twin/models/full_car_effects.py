@@ -11,6 +11,7 @@ may have a road of its own.
 
 from __future__ import annotations
 
+import linecache
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cache
@@ -199,11 +200,14 @@ _STATIC = (
 )
 
 
-def _made(arguments: str, lines: list[str], names: dict[str, Any]) -> Any:
-    """The compiled function with a body of ``lines`` in which ``names`` are known."""
+def _made(name: str, arguments: str, lines: list[str], names: dict[str, Any]) -> Any:
+    """The compiled function with a body of ``lines`` in which ``names`` are known; its source can be inspected."""
+    text = f"def {name}({arguments}) -> None:\n" + "".join(lines or ["    pass\n"])
+    file = f"<{__name__}.{name}>"
+    linecache.cache[file] = len(text), None, text.splitlines(keepends=True), file
     scope = dict(names)
-    exec(f"def stage({arguments}):\n" + "".join(lines or ["    pass\n"]), scope)
-    return linked(scope["stage"])
+    exec(compile(text, file, "exec"), scope)
+    return linked(scope[name])
 
 
 @dataclass(frozen=True, eq=False)
@@ -212,6 +216,7 @@ class EffectKernels:
 
     ``terms``, ``first`` and ``bit`` give by id of an effect its terms, the first row of its fields and its bit in the
     flags of a block; ``curves`` is the first row of the curves and ``kernels`` has a kernel for each number of hinges.
+    ``parts`` are what the kernels are assembled of, by the name that they have there.
     """
 
     terms: Mapping[str, KernelTerms]
@@ -219,6 +224,7 @@ class EffectKernels:
     bit: Mapping[str, int]
     curves: int
     kernels: Mapping[int, Any]
+    parts: Mapping[str, Any]
 
     def rows(self, hinges: int) -> int:
         """Rows of a block."""
@@ -236,9 +242,10 @@ def effect_kernels() -> EffectKernels:
     flags = dict.fromkeys(stages, 0)
     static: list[str] = []
     restart: list[str] = []
-    names: dict[str, Any] = {"WIDTH": WIDTH, "STRUT": rows.STRUT, "travel": travel}
+    names: dict[str, Any] = {"WIDTH": WIDTH, "STRUT": rows.STRUT, "travel": travel, "Floats": Floats}
     for index, (name, own) in enumerate(terms.items(), 1):
         e, first[name], bit[name] = end, end, SOFT << index
+        names[name.upper()] = e
         end += own.fields.count
         for field in own.fields.restarted:
             last = e + field + own.fields.sizes[field]
@@ -247,7 +254,7 @@ def effect_kernels() -> EffectKernels:
             )
         if own.elastic is not None:
             names[name], count = own.elastic
-            call = f"{name}(w, {e}, c, i, "
+            call = f"{name}(w, {name.upper()}, c, i, "
             corner = count == rows.CORNER
             source = _AT_CORNER if corner else _AT_AXLE
             flags["strut"] |= bit[name]
@@ -255,13 +262,19 @@ def effect_kernels() -> EffectKernels:
             static.append(_STATIC.format(count=count, call=call, first=0 if corner else 4))
         for stage, (term, count) in own.terms.items():
             names[f"{name}_{stage}"] = term
-            source = _TERM.format(count=count, call=f"{name}_{stage}(w, {e}, c, i, ")
+            source = _TERM.format(count=count, call=f"{name}_{stage}(w, {name.upper()}, c, i, ")
             flags[stage] |= bit[name]
             stages[stage].append(f"    if flag & {bit[name]}:\n{source}")
-    elastic = _made("w, i, travel, force, stiffness", static, names)
-    standing = stand_with(_made("w, lane", restart, names), elastic)
-    parts = {f"_{stage.upper()}": _made("w, flag, h", lines, names) for stage, lines in stages.items()}
+    elastic = _made(
+        "elastic", "w: Floats, i: int, travel: Floats, force: Floats, stiffness: Floats", static, names
+    )
+    standing = stand_with(_made("restart", "w: Floats, lane: int", restart, names), elastic)
+    parts = {
+        f"_{stage.upper()}": _made(f"{stage}_of", "w: Floats, flag: int, h: float", lines, names)
+        for stage, lines in stages.items()
+    }
     parts |= {f"_{stage.upper()}_OF": own for stage, own in flags.items()}
+    parts |= {"_CURVES": end, "_STAND": standing}
     modules = [f"suspension_twin.effects.{name}" for name in terms]
     kernels = {
         hinges: compiled(
@@ -269,12 +282,10 @@ def effect_kernels() -> EffectKernels:
                 _run,
                 f"_run_{hinges}",
                 _HINGES=hinges,
-                _CURVES=end,
-                _STAND=standing,
                 **parts,
             ),
             modules,
         )
         for hinges in rows.HINGES
     }
-    return EffectKernels(terms, first, bit, end, kernels)
+    return EffectKernels(terms, first, bit, end, kernels, parts)

@@ -71,6 +71,9 @@ Stage = Literal["dampers", "strut", "tyre", "body", "after", "stamp"]
 class KernelTerms:
     """What an effect adds to the kernel of ``full_car``.
 
+    Its functions are also written out in C and C# (``export.standalone.translate``), which know numbers, rows of the
+    block, loops over ranges, conditions, functions of ``math`` and calls of such functions.
+
     Parameters
     ----------
     fields

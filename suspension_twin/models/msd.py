@@ -59,7 +59,7 @@ from suspension_twin.models.types import Ints
 from suspension_twin.units import STANDARD_GRAVITY as G
 from suspension_twin.vehicle.twin import Vehicle
 
-__all__ = ["MODEL", "MSD_KERNELS", "printed"]
+__all__ = ["MODEL", "MSD_KERNELS", "corners", "plane", "printed", "stand_corners", "weights", "wheel"]
 
 
 def printed(vehicle: Vehicle, ax: float, ay: float, xdd: float) -> tuple[float, float]:
@@ -78,7 +78,7 @@ def printed(vehicle: Vehicle, ax: float, ay: float, xdd: float) -> tuple[float, 
 
 
 @inlined
-def _weights(
+def weights(
     w: Floats, i: int, ax: float, ay: float, yaw2: float, dyaw: float
 ) -> tuple[float, float, float, float]:
     """Weight that rests on each corner of one lane, N; accelerations of base_link as in ``full_car``."""
@@ -93,7 +93,7 @@ def _weights(
 
 
 @compiled
-def _stand(
+def stand_corners(
     w: Floats,
     i: int,
     w0: float,
@@ -140,7 +140,7 @@ def _stand(
 
 
 @inlined
-def _plane(w: Floats, i: int, q: int) -> None:
+def plane(w: Floats, i: int, q: int) -> None:
     """Heave, roll and pitch (rows q..) of the plane through the four corners (rows q + 3..)."""
     a, b, c, d = four(w, q + 3, i)
     length = w[rows.ARM_X * WIDTH + i] - w[(rows.ARM_X + 1) * WIDTH + i]
@@ -151,27 +151,32 @@ def _plane(w: Floats, i: int, q: int) -> None:
     w[(q + 2) * WIDTH + i] = 0.5 * ((c + d) - (a + b)) / length
 
 
-@compiled
-def _wheels(w: Floats, h: float, road: Floats, candidate_road: Floats, row: int) -> None:
-    """Wheels to the end of the step: their heights and, less the damper, their accelerations.
+@inlined
+def wheel(w: Floats, c: int, i: int, h: float, r: float) -> None:
+    """One wheel to the end of the step, where the road is at r m: its height and, less the damper, its velocity.
 
     A wheel without mass is where the road is, and as fast as it was over the step.
     """
+    inv = w[rows.INV_UNSPRUNG * WIDTH + i]
+    u, v = w[(rows.HUB + c) * WIDTH + i], w[(rows.HUB_RATE + c) * WIDTH + i]
+    half = fma(0.5 * h, w[(rows.HUB_ACCELERATION + c) * WIDTH + i], v)
+    last = w[(rows.ROAD + c) * WIDTH + i]
+    w[(rows.HUB + c) * WIDTH + i] = fma(h, half, u) if inv > 0.0 else r
+    w[(rows.HUB_RATE + c) * WIDTH + i] = half if inv > 0.0 else (r - last) / h
+    w[(rows.ROAD + c) * WIDTH + i] = r
+
+
+@compiled
+def _wheels(w: Floats, h: float, road: Floats, candidate_road: Floats, row: int) -> None:
+    """All wheels of all lanes to the end of the step."""
     own = candidate_road.shape[0] > 0
     for c in range(4):
         for i in range(WIDTH):
-            r = candidate_road[row, c, i] if own else road[row, c]
-            inv = w[rows.INV_UNSPRUNG * WIDTH + i]
-            u, v = w[(rows.HUB + c) * WIDTH + i], w[(rows.HUB_RATE + c) * WIDTH + i]
-            half = fma(0.5 * h, w[(rows.HUB_ACCELERATION + c) * WIDTH + i], v)
-            last = w[(rows.ROAD + c) * WIDTH + i]
-            w[(rows.HUB + c) * WIDTH + i] = fma(h, half, u) if inv > 0.0 else r
-            w[(rows.HUB_RATE + c) * WIDTH + i] = half if inv > 0.0 else (r - last) / h
-            w[(rows.ROAD + c) * WIDTH + i] = r
+            wheel(w, c, i, h, candidate_road[row, c, i] if own else road[row, c])
 
 
 @inlined
-def _corners(w: Floats, i: int, h: float, w0: float, w1: float, w2: float, w3: float, hinges: int) -> None:
+def corners(w: Floats, i: int, h: float, w0: float, w1: float, w2: float, w3: float, hinges: int) -> None:
     """One lane a step on, from wheels that are already there."""
     h2 = 0.5 * h
     front, rear = rows.CURVES, rows.CURVES + 5 + 6 * hinges
@@ -269,8 +274,8 @@ def _run(
                     for c in range(4):
                         own = candidate_road.shape[0] > 0
                         w[(rows.ROAD + c) * WIDTH + i] = candidate_road[row, c, i] if own else road[row, c]
-                    w0, w1, w2, w3 = _weights(w, i, ax, ay, yaw * yaw, dyaw)
-                    _stand(w, i, w0, w1, w2, w3, motion[k, 5], motion[k, 6], _HINGES)
+                    w0, w1, w2, w3 = weights(w, i, ax, ay, yaw * yaw, dyaw)
+                    stand_corners(w, i, w0, w1, w2, w3, motion[k, 5], motion[k, 6], _HINGES)
                 row += 1
             else:
                 ax0, ay0, yaw0, dyaw0 = motion[k - 1, 1], motion[k - 1, 2], motion[k - 1, 3], motion[k - 1, 4]
@@ -282,12 +287,12 @@ def _run(
                     sx, sy = fma(s, ax - ax0, ax0), fma(s, ay - ay0, ay0)
                     yaw2, sd = fma(s, to2 - from2, from2), fma(s, dyaw - dyaw0, dyaw0)
                     for i in range(WIDTH):
-                        w0, w1, w2, w3 = _weights(w, i, sx, sy, yaw2, sd)
-                        _corners(w, i, h, w0, w1, w2, w3, _HINGES)
+                        w0, w1, w2, w3 = weights(w, i, sx, sy, yaw2, sd)
+                        corners(w, i, h, w0, w1, w2, w3, _HINGES)
             for i in range(WIDTH):
-                _plane(w, i, rows.POSITION)
-                _plane(w, i, rows.VELOCITY)
-                _plane(w, i, rows.ACCELERATION)
+                plane(w, i, rows.POSITION)
+                plane(w, i, rows.VELOCITY)
+                plane(w, i, rows.ACCELERATION)
             watch(w, road[row - 1, 0], road[row - 1, 1], road[row - 1, 2], road[row - 1, 3])
             for i in range(WIDTH):
                 sense(w, i, ax, ay, yaw, dyaw)

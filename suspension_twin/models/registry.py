@@ -55,6 +55,9 @@ class Model:
         Simulates one twin with everything recorded, or None where there is nothing more than ``lanes`` gives.
     live
         Makes the model that follows its vehicle stamp by stamp on a road, or None where it cannot.
+    one_lane
+        One twin as rows and functions of one lane, see :class:`~suspension_twin.models.one_lane.OneLane`, for steps of
+        up to so many s; or None.
     prepared
         The twin as a measured vehicle is: what its file may leave out and no real one lacks is put in.
     """
@@ -69,6 +72,7 @@ class Model:
     fixed: tuple[str, ...] = ()
     respond: Callable[[Twin, Any], Response] | None = None
     live: Callable[[Twin, HeightField], Any] | None = None
+    one_lane: Callable[[Twin, float], Any] | None = None
     prepared: Callable[[Twin], Twin] = lambda twin: twin
 
 

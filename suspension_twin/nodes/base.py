@@ -65,6 +65,14 @@ COMMON = (
         0.1,
         JUMP_BACK,
     ),
+    Param(
+        "max_backlog",
+        2.0,
+        "Time in s that a message may wait for a node on a computer that is too slow; then the node goes on with the "
+        "newest message and says so. With use_sim_time nothing is skipped.",
+        0.1,
+        3600.0,
+    ),
 )
 
 
@@ -160,7 +168,7 @@ class TwinNode(Node):  # type: ignore[misc]
         self._shown: set[str] = set()
         self._counted: dict[str, int] = {}
         self._set = ParameterSet(self, (*self.common, *self.parameters), self.check, self._on_change)
-        self.jump_back_ns = int(self.values["jump_back"] * 1e9)
+        self._read_limits()
         self._diagnostics = self.create_publisher(DiagnosticArray, "/diagnostics", 10)
         self._measured_at = time.monotonic()
         self._clock_at, self._clock_still = -1.0, 0.0
@@ -177,6 +185,11 @@ class TwinNode(Node):  # type: ignore[misc]
     def values(self) -> Values:
         """The present values of the parameters."""
         return self._set.values
+
+    @property
+    def simulated_time(self) -> bool:
+        """Whether ``use_sim_time`` is set: a replay, in which being late does no harm."""
+        return bool(self.get_parameter("use_sim_time").value)
 
     # What a subclass may override
 
@@ -288,8 +301,12 @@ class TwinNode(Node):  # type: ignore[misc]
     # Inner workings
 
     def _on_change(self, names: set[str]) -> None:
-        self.jump_back_ns = int(self.values["jump_back"] * 1e9)
+        self._read_limits()
         self.changed(names)
+
+    def _read_limits(self) -> None:
+        self.jump_back_ns = int(self.values["jump_back"] * 1e9)
+        self.max_backlog_ns = int(self.values["max_backlog"] * 1e9)
 
     def _on_clock_jump(self, jump: TimeJump) -> None:
         # The stamps jump as the clock does; the node is reset by whichever comes first, and only once.

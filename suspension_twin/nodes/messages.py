@@ -1,17 +1,20 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Samples as messages of the sensors' topics."""
+"""Samples as messages of the sensors' topics, and messages as samples."""
 
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 from geometry_msgs.msg import QuaternionStamped, TwistStamped
 from sensor_msgs.msg import Imu, NavSatFix
 
+from suspension_twin.arrays import Floats
 from suspension_twin.drive.types import FixData, HeadingData, ImuData, VelocityData
 
-__all__ = ["fill_fix", "fill_heading", "fill_imu", "fill_velocity"]
+__all__ = ["fill_fix", "fill_heading", "fill_imu", "fill_velocity", "read_fix", "read_imu", "read_velocity"]
 
 
 def fill_imu(imu: ImuData, message: Imu, i: int) -> None:
@@ -51,3 +54,35 @@ def fill_heading(heading: HeadingData, message: QuaternionStamped, i: int) -> No
     message.header.frame_id = "map"
     yaw = float(heading.yaw[i])
     message.quaternion.z, message.quaternion.w = math.sin(yaw / 2), math.cos(yaw / 2)
+
+
+def read_imu(messages: Sequence[Imu]) -> ImuData:
+    """The samples of some messages, in their order."""
+    force = [(m.linear_acceleration.x, m.linear_acceleration.y, m.linear_acceleration.z) for m in messages]
+    rate = [(m.angular_velocity.x, m.angular_velocity.y, m.angular_velocity.z) for m in messages]
+    return ImuData(_stamps(messages), np.array(force).reshape(-1, 3), np.array(rate).reshape(-1, 3))
+
+
+def read_fix(messages: Sequence[NavSatFix]) -> FixData:
+    """As :func:`read_imu`."""
+    variance = np.array([m.position_covariance[[0, 4, 8]] for m in messages]).reshape(-1, 3)
+    known = np.array([m.position_covariance_type != 0 for m in messages], dtype=np.bool_)[:, None] & (
+        variance >= 0
+    )
+    latitude, longitude, altitude, status = (
+        np.array([(m.latitude, m.longitude, m.altitude, m.status.status) for m in messages], dtype=np.float64)
+        .reshape(-1, 4)
+        .T
+    )
+    sigma = np.sqrt(np.where(known, variance, np.nan))
+    return FixData(_stamps(messages), latitude, longitude, altitude, status.astype(np.int8), sigma)
+
+
+def read_velocity(messages: Sequence[TwistStamped]) -> VelocityData:
+    """As :func:`read_imu`."""
+    enu = [(m.twist.linear.x, m.twist.linear.y, m.twist.linear.z) for m in messages]
+    return VelocityData(_stamps(messages), np.array(enu).reshape(-1, 3))
+
+
+def _stamps(messages: Sequence[Any]) -> Floats:
+    return np.array([m.header.stamp.sec + 1e-9 * m.header.stamp.nanosec for m in messages], dtype=np.float64)

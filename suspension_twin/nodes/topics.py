@@ -15,7 +15,8 @@ measurement and the simulated value of the same stamp. Rules that make this safe
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+import time
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
@@ -55,6 +56,8 @@ SENSOR_QOS = QoSProfile(
 )
 #: Messages of one topic taken in one callback, so that waiting ones do not cost a wait of the executor each.
 _BURST = 50
+#: ns: once messages are skipped, all that have waited longer.
+_FRESH = 100_000_000
 #: Reliable: game engines and dashboards do not connect to best-effort publishers.
 STREAM_QOS = QoSProfile(history=HistoryPolicy.KEEP_LAST, depth=100, reliability=ReliabilityPolicy.RELIABLE)
 #: For what seldom changes: a subscription that comes later gets the newest one.
@@ -173,6 +176,12 @@ class InputState:
         self.silent_for = now - self._last
 
 
+def _waited(about: Mapping[str, int]) -> int:
+    """ns that a message has waited in the queue, 0 where the middleware does not say."""
+    received = about.get("received_timestamp") or 0
+    return time.time_ns() - received if received > 0 else 0
+
+
 class Input:
     """One subscribed topic. ``deliver`` takes a message from a subscription or from a linked output."""
 
@@ -185,14 +194,40 @@ class Input:
         self._outbox = node.outbox
         self._handler = handler
 
-    def receive(self, message: Any) -> None:
-        """Deliver ``message`` and those that wait behind it in the queue of the subscription."""
-        self.deliver(message)
+    def receive(self, message: Any, about: Mapping[str, int]) -> None:
+        """Deliver ``message`` and those that wait behind it in the queue of the subscription.
+
+        A node that gets too little of the processor would answer ever later, until its queue is full: messages that
+        have waited too long are skipped, up to the newest.
+        """
         for _ in range(_BURST):
-            taken = self.subscription.handle.take_message(self.subscription.msg_type, False)
+            if _waited(about) > self._node.max_backlog_ns and not self._node.simulated_time:
+                message = self._newest(message)
+            self.deliver(message)
+            taken = self._take()
             if taken is None:
+                return
+            message, about = taken
+        self.deliver(message)
+
+    def _take(self) -> tuple[Any, Mapping[str, int]] | None:
+        """The next message of the queue and what the middleware knows about it."""
+        taken: tuple[Any, Mapping[str, int]] | None
+        taken = self.subscription.handle.take_message(self.subscription.msg_type, False)
+        return taken
+
+    def _newest(self, message: Any) -> Any:
+        """The first message of the queue that has not waited, else the last."""
+        skipped = 0
+        while (taken := self._take()) is not None:
+            skipped, message = skipped + 1, taken[0]
+            if _waited(taken[1]) < _FRESH:
                 break
-            self.deliver(taken[0])
+        if skipped:
+            topic = self.state.topic
+            text = f"this computer is too slow: messages on {topic} waited too long and were skipped"
+            self._node.note(f"messages skipped on {topic}", WARN, text, skipped)
+        return message
 
     def deliver(self, message: Any) -> None:
         """Call the handler with ``message`` and its stamp in ns; never raises because of a message."""

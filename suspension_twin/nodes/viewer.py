@@ -33,12 +33,14 @@ from rclpy.qos import HistoryPolicy, QoSProfile, ReliabilityPolicy
 from sensor_msgs.msg import JointState
 from std_msgs.msg import String
 
+from suspension_twin.calibration.output import details_path
 from suspension_twin.errors import InputError, SuspensionTwinError, WorkError
 from suspension_twin.gap.prepare import road_of
 from suspension_twin.nodes.base import TwinNode
 from suspension_twin.nodes.parameters import TWIN, Param, Values, twin_of
 from suspension_twin.nodes.process import run_alone
 from suspension_twin.nodes.topics import NS, OK, WARN, Embedding
+from suspension_twin.nodes.view_guide import ViewGuide
 from suspension_twin.nodes.view_recorder import EVENTS, ViewRecorder
 from suspension_twin.road.road import Road
 from suspension_twin.vehicle.twin import Twin
@@ -56,6 +58,8 @@ _TICK, _PATIENCE = 0.05, 5.0
 _QOS = QoSProfile(history=HistoryPolicy.KEEP_LAST, depth=200, reliability=ReliabilityPolicy.BEST_EFFORT)
 #: Unanswered for so long in s, a node is shown as gone.
 _GONE = 4.0
+#: s between two looks at a first drive.
+_GUIDED = 0.25
 
 
 class ViewerNode(TwinNode):
@@ -91,13 +95,14 @@ class ViewerNode(TwinNode):
         self.view = LiveView()
         self._twin: Twin | None = None
         self._recorder: ViewRecorder | None = None
+        self._guide: ViewGuide | None = None
         self._recorded: list[Path] = [Path(self.values["bag"])] if self.values["bag"] else []
         self._result: Path | None = None
         self._job: Job | None = None
         self._asked: queue.Queue[Request] = queue.Queue()
         self._seen: dict[str, float] = {}
         self._motion: dict[str, Any] = {"speed": None, "level": 1, "advice": advice(math.nan, True)[1]}
-        self._player_seen, self._flush_due = 0.0, 0.0
+        self._player_seen, self._flush_due, self._guide_due = 0.0, 0.0, 0.0
         self._player: dict[str, Any] | None = None
         self.server = Server(
             self.view,
@@ -130,6 +135,7 @@ class ViewerNode(TwinNode):
         self._set_player = self.create_client(SetParameters, "bag_player/set_parameters")
         self._show_record()
         self.view.tell("job", None)
+        self.view.tell("guide", None)
         self.create_timer(_TICK, self._tick, clock=Clock(clock_type=ClockType.STEADY_TIME))
         print(f"Watch on {self.server.url}", file=sys.stderr, flush=True)
 
@@ -250,6 +256,9 @@ class ViewerNode(TwinNode):
             except Exception as error:
                 self.note("recording failed", WARN, f"recording: {error}")
             self._show_record()
+        if self._guide is not None and now > self._guide_due:
+            self._guide_due = now + _GUIDED
+            self._lead_drive(self._guide)
         self._watch_player()
         parent = self.values["parent"]
         if parent and os.getppid() != parent:
@@ -262,6 +271,8 @@ class ViewerNode(TwinNode):
             return self._stop()
         if name == "mark":
             return self._mark()
+        if name == "guide":
+            return self._start_guide()
         if name == "calibrate":
             return self._calibrate()
         if name == "diagnose":
@@ -284,7 +295,68 @@ class ViewerNode(TwinNode):
         self._show_record()
         return f"Recording into {path}"
 
+    # The first drive
+
+    def _start_guide(self) -> str:
+        """Begin a first drive, or end the one that is under way."""
+        if self._guide is not None:
+            self._end_guide()
+            return self._stop() if self._recorder is not None else ""
+        if self._twin is None:
+            raise InputError("twin", "is not known to the page: start it with the parameter twin")
+        if not self._actions["calibrate"].server_is_ready():
+            raise WorkError("first drive: the node calibrator is not there")
+        if self._job is not None and self._job.running:
+            raise InputError("first drive", "a calibration or diagnosis is running")
+        guide = ViewGuide(self, self._twin)
+        if self._recorder is None:
+            self._record()
+        self._guide = guide
+        self._show_guide(guide)
+        return "Stand still, with the engine as it is when driving"
+
+    def _lead_drive(self, guide: ViewGuide) -> None:
+        """Show how far the drive is, and calibrate when it is done."""
+        if guide.calibration:
+            return
+        try:
+            guide.take()
+            if guide.drive.done:
+                guide.close()
+                self._stop_recording()
+                self._calibrate()
+                guide.calibration = "calibrating"
+            self._show_guide(guide)
+        except SuspensionTwinError as error:
+            self._end_guide()
+            with contextlib.suppress(SuspensionTwinError):
+                self._stop_recording()
+            self.view.tell("guide", [{"title": "First drive", "state": "failed", "text": str(error)}])
+
+    def _show_guide(self, guide: ViewGuide) -> None:
+        self.view.tell("guide", guide.shown())
+
+    def _end_guide(self) -> None:
+        if self._guide is not None:
+            self._guide.close()
+            self._guide = None
+            self.view.tell("guide", None)
+
+    def _guided_result(self, guide: ViewGuide, job: Job, done: bool, message: str) -> None:
+        """The last step: the gap before and after, and the calibrated twin takes over."""
+        guide.calibration, guide.calibrated = message, done
+        if done:
+            guide.calibration = _gap_of(job.output) or message
+            with contextlib.suppress(SuspensionTwinError):
+                self._load_result()
+        self._show_guide(guide)
+
     def _stop(self) -> str:
+        if self._guide is not None and not self._guide.calibration:
+            self._end_guide()
+        return self._stop_recording()
+
+    def _stop_recording(self) -> str:
         recorder, self._recorder = self._recorder, None
         if recorder is None:
             raise InputError("stop", "nothing is being recorded")
@@ -379,6 +451,8 @@ class ViewerNode(TwinNode):
                 job.report = True
         self.note(f"goals of {job.name}", OK if done else WARN, f"{job.name}: {answer.result.message}")
         self._show_job(f"{job.name}: {answer.result.message}")
+        if self._guide is not None and self._guide.calibration and job.name == "calibrate":
+            self._guided_result(self._guide, job, done, answer.result.message)
 
     def _show_job(self, text: str) -> None:
         job = self._job
@@ -408,7 +482,8 @@ class ViewerNode(TwinNode):
             if client.service_is_ready():
                 client.call_async(SetParameters.Request(parameters=[value]))
         self.set_parameters([Parameter("twin", value=str(path))])
-        self._show_job(answer.message)
+        others = all(client.service_is_ready() for client in self._others)
+        self._show_job(answer.message.partition(";")[0] if others else answer.message)
 
     # The player of a bag
 
@@ -490,6 +565,18 @@ def _names(path: Path) -> Iterator[Path]:
 def _free(path: Path) -> Path:
     """The path, or one with a number that nothing has yet."""
     return next(name for name in _names(path) if not name.exists())
+
+
+def _gap_of(twin: Path) -> str:
+    """The gap of the first drive before and after a calibration, from the file beside its result; empty without."""
+    import yaml
+
+    try:
+        drive = yaml.safe_load(details_path(twin).read_text(encoding="utf-8"))["drives"][0]
+        before, after = (float(drive[name]["rms"]) for name in ("gap_before", "gap_after"))
+    except (OSError, ValueError, KeyError, IndexError, TypeError, yaml.YAMLError):
+        return ""
+    return f"gap {before:.3f} m/s² before, {after:.3f} after; the twin is {twin}"
 
 
 def _counted(counts: dict[str, int]) -> str:

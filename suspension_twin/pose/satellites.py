@@ -117,7 +117,13 @@ def satellite_motion(
         return slow(even)[cut].reshape(-1, *values.shape[1:])
 
     force = slowed(signals.force)
-    force -= np.outer(_hills(fix, good, t, speed, fast, slow)[cut], ahead)
+    hills, known = _hills(fix, good, t, speed, fast, slow)
+    beyond = (force @ np.asarray(ahead) - trajectory.ax)[trajectory.valid]
+    # heights that the receiver does not vouch for are right if the IMU feels their slopes
+    if not known and not signals.standing.any():
+        hills -= hills[fast].mean()  # a bias that came from the drive's mean has it already
+    if known or np.var(beyond - hills[cut][trajectory.valid]) < np.var(beyond):
+        force -= np.outer(hills[cut], ahead)
     slower = replace(
         signals,
         t=t[cut],
@@ -140,15 +146,14 @@ def _hills(
     speed: Floats,
     fast: NDArray[np.bool_],
     slow: Callable[[Floats], Floats],
-) -> Floats:
-    """(n,) m/s² what gravity adds to the longitudinal specific force where the road climbs, which no flat
-    road shows; zero where the receiver's height is too uncertain."""
+) -> tuple[Floats, bool]:
+    """(n,) m/s² what gravity adds to the longitudinal specific force where the road climbs, which no flat road shows,
+    and whether the receiver itself says that its heights hold."""
     good = good[np.isfinite(fix.altitude[good])]
     sigma = fix.sigma[good, 2]
     if good.size < 2:
-        return np.zeros(t.size)
-    if not np.isfinite(sigma).any() or float(np.nanmedian(sigma)) > _LEVEL:
-        return np.zeros(t.size)
+        return np.zeros(t.size), False
+    known = bool(np.isfinite(sigma).any()) and float(np.nanmedian(sigma)) <= _LEVEL
     at = fix.t[good]
     climb = np.gradient(slow(np.asarray(CubicSpline(at, fix.altitude[good])(np.clip(t, at[0], at[-1])))), t)
-    return np.where(fast, G * np.sin(np.arctan2(climb, np.maximum(speed, _SLOWEST))), 0.0)
+    return np.where(fast, G * np.sin(np.arctan2(climb, np.maximum(speed, _SLOWEST))), 0.0), known

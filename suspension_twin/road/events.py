@@ -22,7 +22,7 @@ from suspension_twin.arrays import Floats
 from suspension_twin.errors import InputError
 from suspension_twin.road.iso8608 import class_of
 
-__all__ = ["ProfileEvent", "Roughness", "profile_roughness"]
+__all__ = ["ProfileEvent", "Roughness", "profile_events", "profile_roughness"]
 
 #: Mean slopes are looked at from this length on, m: half of the shortest wave of the standard's fit.
 _SHORTEST = 0.18
@@ -96,6 +96,23 @@ def profile_roughness(z: ArrayLike, step: float, first: float = 0.0) -> Roughnes
     >>> found.letter, len(found.events)
     ('B', 1)
     """
+    profile, slope = _bridged(z, step)
+    mask = _events(slope, step)
+    everything = _class(slope, step, np.zeros(slope.size, dtype=np.bool_))
+    if not mask.any():
+        return Roughness(*everything, *everything, ())
+    return Roughness(*_class(slope, step, mask), *everything, _described(profile, mask, step, first))
+
+
+def profile_events(z: ArrayLike, step: float, first: float = 0.0) -> tuple[ProfileEvent, ...]:
+    """The single events of a profile, of a level road with a bump, too, which has no spectrum; arguments and errors as
+    of :func:`profile_roughness`."""
+    profile, slope = _bridged(z, step)
+    return _described(profile, _events(slope, step), step, first)
+
+
+def _bridged(z: ArrayLike, step: float) -> tuple[Floats, Floats]:
+    """The profile (n,) without holes, and its slope (n - 1,) about the median."""
     profile = np.asarray(z, dtype=np.float64)
     good = np.isfinite(profile)
     if profile.ndim != 1 or good.sum() < 32:
@@ -103,12 +120,7 @@ def profile_roughness(z: ArrayLike, step: float, first: float = 0.0) -> Roughnes
     at = np.arange(profile.size)
     profile = np.interp(at, at[good], profile[good])
     slope = np.diff(profile) / step
-    slope -= np.median(slope)
-    mask = _events(slope, step)
-    everything = _class(slope, step, np.zeros(slope.size, dtype=np.bool_))
-    if not mask.any():
-        return Roughness(*everything, *everything, ())
-    return Roughness(*_class(slope, step, mask), *everything, _described(profile, mask, step, first))
+    return profile, slope - np.median(slope)
 
 
 def _events(slope: Floats, step: float) -> NDArray[np.bool_]:

@@ -23,6 +23,7 @@ __all__ = [
     "rest_bias",
     "standstill_filter_step",
     "standstill_mask",
+    "white_noise",
 ]
 
 #: Low-pass before standstill is judged: an idling engine shakes above 20 Hz, a moving car below 10 Hz.
@@ -107,3 +108,11 @@ def rest_bias(mean_force: Floats, gravity: float, limit: float) -> Floats:
         return np.asarray(mean_force - np.array([0.0, 0.0, gravity]))
     length = float(np.linalg.norm(mean_force))
     return np.asarray(mean_force * (1.0 - gravity / length)) if length > 0 else np.zeros(3)
+
+
+def white_noise(samples: Floats) -> float:
+    """Standard deviation of the white noise on an axis of ``samples`` (n, 3) at rest: of their differences, so that a
+    car that rocks on its springs does not count as noise."""
+    return (
+        float(np.sqrt(np.mean(np.var(np.diff(samples, axis=0), axis=0)) / 2.0)) if len(samples) > 1 else 0.0
+    )

@@ -62,6 +62,7 @@ function take(frame) {
   if (frame.player !== undefined) showPlayer(frame.player);
   if (frame.record !== undefined) showRecord(frame.record);
   if (frame.job !== undefined) showJob(frame.job);
+  if (frame.guide !== undefined) showGuide(frame.guide);
   const rows = state.pose.length ? state.pose : state.measured;
   if (rows.length) latest = rows[rows.length - 1][0];
 }
@@ -285,6 +286,19 @@ function showJob(job) {
   bar.hidden = !job.running;
   if (job.progress === null) bar.removeAttribute("value");
   else bar.value = job.progress;
+}
+
+function showGuide(steps) { // of the first drive, the one that is next in colour
+  $("guide").hidden = !steps;
+  $("first").textContent = steps && steps.some((s) => s.state === "now") ? "End drive" : steps ? "Close drive" : "First drive";
+  $("steps").replaceChildren(...(steps || []).map((step) => {
+    const item = document.createElement("li"), title = document.createElement("b"), text = document.createElement("span");
+    item.className = `step-${step.state}`;
+    title.textContent = step.title;
+    text.textContent = step.text;
+    item.append(title, " ", text);
+    return item;
+  }));
 }
 
 let silence = 0;

@@ -33,6 +33,7 @@ ACTIONS = {
     "record": False,
     "stop": False,
     "mark": False,
+    "guide": False,
     "calibrate": False,
     "load": False,
     "diagnose": False,

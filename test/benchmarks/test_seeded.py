@@ -101,7 +101,7 @@ def test_gross_faults_are_gross_and_differ_from_seeds_to_seeds(seeded: ModuleTyp
 
 def test_a_vehicles_own_effects_come_with_and_without_a_name(seeded: ModuleType) -> None:
     development, reporting = seeded.plan_vehicle("development"), seeded.plan_vehicle("reporting")
-    effects = (*seeded.VEHICLE, *seeded.NAMELESS)
+    effects = seeded.VEHICLE
     assert len({c.name for c in development}) == len(development) == 4 * len(effects)
     for case in development:
         (effect,) = case.faults

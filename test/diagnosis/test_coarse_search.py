@@ -16,7 +16,7 @@ from suspension_twin.diagnosis.run import diagnose
 from suspension_twin.effects.registry import EFFECTS
 from suspension_twin.vehicle.twin import Twin
 
-SOME = ("time_offset", "sensor_tilt", "position_offset", "tyre_damping", "corner_spring")
+SOME = ("time_offset", "sensor_tilt", "position_offset", "corner_spring")
 
 
 @pytest.mark.parametrize(

@@ -83,6 +83,155 @@ def others(count: int = 5) -> list[dict[str, Any]]:
     return [row(f"other_{i}", gain=0.1 * i) for i in range(count)]
 
 
+def features(case: dict[str, Any], *causes: str) -> dict[str, float]:
+    """What an answer is judged by."""
+    (answer,) = (a for a in answers_of(case) if a.causes == causes)
+    return dict(zip(FEATURES, answer.features.tolist(), strict=True))
+
+
+@pytest.mark.parametrize("reference", [True, False])
+@pytest.mark.parametrize("share", [1e-9, 0.25, 0.9, 1.0, 1.3])
+def test_what_is_explained_is_a_share_of_a_large_residuals_mean_square(reference: bool, share: float) -> None:
+    """Where the residual is far above the expected discrepancy."""
+    level, square = 1e3, 1e7
+    some = row("strut_friction", gain=3.0, left=0.5)
+    some["level_fitted"] = level * np.sqrt(share)
+    some["mean_squares"] = dict.fromkeys(CHANNELS, square * share)
+    case = evidence(some, *others(), reference=reference)
+    case["base"]["level_fitted"], case["base"]["mean_squares"] = level, dict.fromkeys(CHANNELS, square)
+    found = features(case, "strut_friction")
+    assert found["explained"] == pytest.approx(max(1.0 - share, 0.0), abs=1e-3)
+    if share > 0.1:
+        assert found["excess"] == pytest.approx(3.0 * (1.0 - found["explained"]), abs=1e-9)
+
+
+@pytest.mark.parametrize("reference", [True, False])
+def test_what_remains_is_judged_as_no_gap_would_be_and_by_the_share_that_is_not_explained(
+    reference: bool,
+) -> None:
+    some = row("strut_friction", gain=30.0, left=0.6)
+    case = evidence(some, *others(), reference=reference)
+    alone = evidence(*others(), reference=reference)
+    alone["base"] = some | {"effects": []}
+    found, remaining = features(case, "strut_friction"), features(alone)["none_excess"]
+    assert 0.2 < found["explained"] < 0.9 and remaining > 0.1
+    assert found["excess"] == pytest.approx(remaining * (1.0 - found["explained"]))
+    assert features(case, "unknown")["unknown_best_excess"] == pytest.approx(remaining)
+    assert features(case, "unknown")["unknown_blind"] == float(not reference)
+    noisy = deepcopy(case)
+    for channel in noisy["case"]["channels"].values():
+        channel["noise"] = 1.0
+    assert features(noisy)["none_excess"] == features(noisy, "strut_friction")["excess"] == 0.0
+
+
+@pytest.mark.parametrize("reference", [True, False])
+def test_a_small_residual_counts_by_its_square(reference: bool) -> None:
+    """Where it is far below the expected discrepancy."""
+    some = row("strut_friction", gain=3.0, left=0.5)
+    some["level_fitted"], some["mean_squares"] = 1e-3 * np.sqrt(0.5), dict.fromkeys(CHANNELS, 0.5e-4)
+    case = evidence(some, *others(), reference=reference)
+    case["base"]["level_fitted"], case["base"]["mean_squares"] = 1e-3, dict.fromkeys(CHANNELS, 1e-4)
+    assert features(case, "strut_friction")["explained"] == pytest.approx(1.0 - 0.5**2, abs=1e-3)
+
+
+def test_what_remains_counts_by_its_logarithm() -> None:
+    case = evidence(*others())
+    found = []
+    for square in (4.2, 7.0):
+        case["base"]["mean_squares"] = {"vertical_acceleration": square, "pitch_rate": 1.0}
+        found.append(features(case)["none_excess"])
+    assert found[1] - found[0] == pytest.approx(0.5 * np.log(7.0 / 4.2))
+
+
+def test_evidence_is_that_over_vehicles_with_and_without_what_was_there_before() -> None:
+    some = row("payload", gain=2.0, left=0.5) | {"since": 1.5}
+    case = evidence(some)
+    case["base"]["since"] = 0.7
+    wanted = np.log(np.exp(2.0) + np.exp(0.7 + 1.5)) - np.log(1.0 + np.exp(0.7))
+    assert features(case, "payload")["gain"] == pytest.approx(np.arcsinh(wanted))
+
+
+def test_a_sets_probability_is_shared_among_its_effects() -> None:
+    rows = [row(e, gain=4.0, left=0.5) for e in ("payload", "strut_friction")]
+    found = decide(evidence(row("payload", "strut_friction", gain=9.0, left=0.2), *rows))
+    alone = {a.causes: p for a, p in zip(found.answers, found.probability, strict=True)}
+    together = alone[("payload", "strut_friction")]
+    assert found.effects["payload"] == pytest.approx(alone[("payload",)] + together / 2)
+    assert sum(found.effects.values()) + found.no_gap + found.unknown == pytest.approx(1.0)
+
+
+def test_a_set_is_compared_with_its_parts_and_a_cause_with_its_rivals() -> None:
+    both = row("payload", "strut_friction", gain=9.0, left=0.2) | {"added_low": 0.3}
+    single = (("payload", 2.0), ("strut_friction", 5.0), ("other", 7.0))
+    rows = (both, *(row(effect, gain=gain, left=0.5) for effect, gain in single))
+    case = evidence(*rows)
+    found = {c: features(case, *c) for c in (("payload", "strut_friction"), ("strut_friction",), ("other",))}
+    together, single, other = found.values()
+    assert together["added"] == pytest.approx(np.arcsinh(9.0 - 5.0)) and together["added_proven"] == 0.3
+    assert together["size"] == 1.0 and single["size"] == single["added"] == single["added_proven"] == 0.0
+    assert together["margin"] == pytest.approx(np.arcsinh(9.0 - 7.0))
+    assert single["margin"] == pytest.approx(np.arcsinh(5.0 - 7.0))  # a set that holds it is no rival
+    assert other["margin"] == pytest.approx(np.arcsinh(7.0 - 9.0))
+    assert single["gain"] == pytest.approx(np.arcsinh(5.0))
+    assert {f["number"] for f in found.values()} == {np.log(3.0)}
+
+
+def test_sizes_bounds_and_priors_of_the_parameters_count_by_the_worst_of_them() -> None:
+    some = row("payload", gain=5.0, left=0.5) | {"usual": 0.5}
+    some["parameters"]["payload"]["x"] |= {"far": 3.5}
+    found = features(evidence(some, *others()), "payload")
+    assert found["far"] == 1.5 and found["bound"] == 0.0
+    assert found["usual"] == pytest.approx(np.log(1.5 / 0.5))
+    some["parameters"]["payload"]["y"] |= {"bound": True}
+    some["usual"] = 2.0
+    found = features(evidence(some, *others()), "payload")
+    assert found["bound"] == 1.0 and found["usual"] == 0.0
+    assert features(evidence(some | {"usual": 1e-9}, *others()), "payload")["usual"] == 3.0
+
+
+def test_a_gap_that_grows_elsewhere_counts_where_it_is_above_the_noise() -> None:
+    some = row("payload", gain=5.0, left=0.5)
+    some["channels"]["pitch_rate"] |= {"worst": -0.7}
+    assert features(evidence(some), "payload")["lost"] == pytest.approx(0.7)
+    for quiet in ({"before": 0.019, "after": 0.02}, {"worst": None}, {"worst": 0.4}):
+        silent = deepcopy(some)
+        silent["channels"]["pitch_rate"] |= quiet
+        assert features(evidence(silent), "payload")["lost"] == 0.0
+    some["channels"]["vertical_acceleration"] |= {"worst": -9.0}
+    assert features(evidence(some), "payload")["lost"] == 2.0
+
+
+def test_tones_places_and_clocks_speak_against_no_gap() -> None:
+    case = evidence(*others())
+    case["base"] |= {"tone": 30.0, "band": 2.7, "place": 0.27 * 2.0}
+    assert features(case)["none_pattern"] == pytest.approx(np.log(3.0) + np.log(2.0))
+    case["base"] |= {"tone": 1e6}
+    assert features(case)["none_pattern"] == pytest.approx(1.5 + np.log(2.0))
+    assert features(case)["none_clocks"] == 0.0
+    case["base"] |= {"clocks": 2.5, "clocks_by_chance": 1e-2}
+    assert features(case)["none_clocks"] == pytest.approx(0.5)
+    case["base"] |= {"clocks": 7.0, "clocks_by_chance": 0.1}
+    assert features(case)["none_clocks"] == pytest.approx(0.5)
+    case["base"] |= {"clocks": 2.0}
+    assert features(case)["none_clocks"] == 0.0
+
+
+@pytest.mark.parametrize(
+    ("said", "true", "cost"),
+    [
+        (("a",), ("a",), 0.0),
+        (("unknown",), ("a",), 3.0),
+        ((), ("a",), 2.0),
+        (("a",), (), 5.0),
+        (("a",), ("b",), 5.0),
+        (("a",), ("a", "b"), 0.25),
+        (("a", "b", "c"), ("a",), 0.5),
+    ],
+)
+def test_what_a_verdict_costs(said: tuple[str, ...], true: tuple[str, ...], cost: float) -> None:
+    assert Costs(wrong=5.0, missed=2.0, unknown=3.0, vague=0.25).of(said, true) == cost
+
+
 @pytest.mark.parametrize("reference", [True, False])
 def test_what_closes_the_gap_and_gains_far_more_than_all_others_is_named(reference: bool) -> None:
     found = decide(evidence(row("strut_friction", gain=60.0, left=0.2), *others(), reference=reference))

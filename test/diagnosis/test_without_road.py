@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -10,6 +11,7 @@ import pytest
 
 from suspension_twin.diagnosis.request import DiagnosisRequest
 from suspension_twin.diagnosis.run import diagnose
+from suspension_twin.drive.edit import cut
 from suspension_twin.drive.importing import import_drive
 from suspension_twin.drive.write import write_drive
 from suspension_twin.vehicle.twin import Datum, Imu, Place, Twin, save_twin
@@ -48,3 +50,35 @@ def test_tilt_and_clock_of_a_real_roof_imu_are_named(
     assert (turned + 5.35 + 180.0) % 360.0 - 180.0 == pytest.approx(0.0, abs=2.0)
     assert document["where"]["road"] == [] or document["gap"]["channel"] == "longitudinal_acceleration"
     assert any("names no road" in w for w in document["warnings"])
+
+
+def test_every_cause_comes_once_and_all_probabilities_are_one(
+    shared_data: Path, repository: Path, car: Twin, tmp_path: Path
+) -> None:
+    """Two set-up errors at once: late by 0.4 s, and turned by 3 degrees more than the file says."""
+    folder = shared_data / "rtklibexplorer_GNSS_IMU"
+    if not folder.is_dir():
+        pytest.skip("no rtklibexplorer_GNSS_IMU among the measured data")
+    mapping = repository / "config" / "import" / "rtklibexplorer_gnss_imu.yaml"
+    whole = import_drive([folder], mapping=mapping).drive
+    start = float(whole.imu.t[0])
+    drive = cut(whole, start + 200.0, start + 280.0)
+    drive = replace(drive, imu=replace(drive.imu, t=drive.imu.t + 0.4))
+    write_drive(drive, tmp_path / "late")
+    fix = drive.fix
+    twin = car.model_copy(
+        update={
+            "imu": Imu(position=(0.0, 0.0, 1.5), rpy=(0.0111, -0.1180 + 0.05, 3.0476)),
+            "gps": Place(frame="gps_link", position=(0.0, 0.0, 2.15)),
+            "datum": Datum(latitude=fix.latitude[0], longitude=fix.longitude[0], altitude=fix.altitude[0]),
+        }
+    )
+    save_twin(twin, tmp_path / "twin.yaml")
+    document = diagnose(DiagnosisRequest(str(tmp_path / "twin.yaml"), (str(tmp_path / "late"),))).document
+    causes = [c["effect"] for c in document["causes"]]
+    assert set(document["combination"]) == {"time_offset", "sensor_tilt"}
+    assert len(set(causes)) == len(causes)
+    # members of a set share its probability
+    singles = sum(c["probability"] for c in document["causes"])
+    total = singles + document["no_gap_probability"] + document["unknown_probability"]
+    assert total == pytest.approx(1.0, abs=1e-3)

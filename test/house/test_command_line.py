@@ -439,12 +439,12 @@ def test_an_interrupt_says_how_to_go_on(
     capsys: pytest.CaptureFixture[str],
 ) -> None:
     def command() -> None:
-        with Outputs(tmp_path / "a", force=False, resumed_from=tmp_path / "state" / "s"):
+        with Outputs(tmp_path / "a", force=False, resumed_from=tmp_path / "state"):
             if made:
                 (tmp_path / "a").write_text("")
             if kept:
                 (tmp_path / "state").mkdir()
-                (tmp_path / "state" / "s").write_text("")
+                (tmp_path / "state" / "state.npz").write_text("")
             raise KeyboardInterrupt
 
     with_command(command)

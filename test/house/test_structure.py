@@ -11,8 +11,10 @@ from pathlib import Path
 
 import pytest
 
+from suspension_twin.cli.export import To
 from suspension_twin.drive.importers import IMPORTERS
 from suspension_twin.effects.registry import EFFECTS
+from suspension_twin.export.registry import TARGETS, load_target
 from suspension_twin.models.registry import MODELS
 from suspension_twin.sources import SOURCES, load_source
 from suspension_twin.vehicle.twin import SCHEMAS
@@ -33,7 +35,9 @@ ROWS = (
     {"identification"},
     {"calibration"},
     {"diagnosis"},
+    {"fleet"},
     {"report"},
+    {"export"},
     {"view"},
     {"nodes"},
     {"demo"},
@@ -206,6 +210,18 @@ def test_a_source_is_whole(name: str, repository: Path) -> None:
 
 def test_every_source_is_registered(repository: Path) -> None:
     assert files_of(repository, "sources") == set(SOURCES)
+
+
+@pytest.mark.parametrize("name", TARGETS)
+def test_a_target_of_export_is_whole(name: str, repository: Path) -> None:
+    assert name in files_of(repository, "export")
+    assert (repository / "test" / "export" / f"test_{name}.py").is_file(), f"no test of the target {name}"
+    page = (repository / "docs" / "export.md").read_text(encoding="utf-8")
+    assert f"| `{name}` | {load_target(name).title}" in page, f"{name} has no line in docs/export.md"
+
+
+def test_every_target_of_export_is_registered(repository: Path) -> None:
+    assert files_of(repository, "export") - {"registry"} == set(TARGETS) == {to.value for to in To}
 
 
 @pytest.mark.parametrize("name", MODELS)

@@ -17,6 +17,9 @@ from rclpy.qos import QoSProfile
 from suspension_twin.nodes.base import TwinNode
 from suspension_twin.nodes.topics import NS, Embedding
 
+#: ROS arguments of a context whose nodes skip no message that had to wait.
+PATIENT = ["--ros-args", "-p", "max_backlog:=3600.0"]
+
 
 class Bench:
     """Nodes under test and a node beside them that talks to them, on one thread."""

@@ -10,7 +10,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from geometry_msgs.msg import AccelStamped, TwistStamped
-from nodes_bench import stamp_of
+from nodes_bench import PATIENT, stamp_of
 from rclpy.parameter import Parameter
 from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import Imu, NavSatFix
@@ -32,7 +32,7 @@ WARMING = 16  # samples before the IMU's rate is known
 def composed(twin_path, request):
     """A function that makes the composition for a playback; taken down afterwards."""
     made = []
-    with ros_context([]) as context:
+    with ros_context(PATIENT) as context:
 
         def make(playback=None, namespace=""):
             made.append(Composed(context, twin_path, namespace, playback))

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import math
+import time
 
 import numpy as np
 import pytest
@@ -67,6 +68,21 @@ def test_over_the_wire_every_sample_is_answered_with_its_own_stamp(bench, twin_p
     assert all(abs(m.accel.linear.z) < 0.02 for m in vertical)
     assert data[0].header.frame_id == vertical[0].header.frame_id == "car/base_link"
     assert data[0].orientation_covariance[0] == -1.0
+
+
+@pytest.mark.parametrize("replayed", [False, True])
+def test_a_node_that_was_late_goes_on_with_the_newest_message_but_in_a_replay(bench, twin_path, replayed):
+    """Left alone for longer than it may be behind, a live node has skipped what waited, and says how much."""
+    node = bench.make(ImuIngestNode, twin=str(twin_path), max_backlog=0.3, use_sim_time=replayed)
+    say, taken = bench.speak(Imu, "/imu/data_raw"), node.inputs["imu/data_raw"]
+    times = [T0 + k / 100.0 for k in range(120)]
+    for t in times:
+        say(imu(t))
+    time.sleep(0.4)
+    bench.until(lambda: taken.newest == stamp_of(imu(times[-1])))
+    assert taken.state.received == (120 if replayed else 1)
+    text = "this computer is too slow: messages on imu/data_raw waited too long and were skipped (119 times)"
+    assert (text in worst(node)[1]) is not replayed
 
 
 def test_axes_of_a_turned_sensor_come_out_as_those_of_the_vehicle(bench, tmp_path, twin):

@@ -23,16 +23,20 @@ def path(repository: Path) -> Path:
 
 
 @pytest.mark.parametrize("name", KINDS)
-def test_the_file_holds_every_parameter_with_its_default(bench, path, name):
-    node = bench.make(KINDS[name])
+def test_the_file_holds_every_parameter_with_its_default(path, name):
+    with ros_context([]) as context:
+        bench = Bench(context)
+        node = bench.add(KINDS[name](Embedding(context)))
+        own = [n for n in node.list_parameters([], 0).names if not n.startswith("qos_overrides.")]
+        values = dict(node.values)
+        bench.close()
     sections = read_param_file(path)
     given = sections["/**"] | sections[f"/**/{name}"]
-    own = [n for n in node.list_parameters([], 0).names if not n.startswith("qos_overrides.")]
     assert set(sections[f"/**/{name}"]).isdisjoint(sections["/**"])
     for parameter in set(own) - NOT_IN_THE_FILE:
         assert parameter in given, f"{parameter} is missing"
-        assert given[parameter] == node.values[parameter], parameter
-        assert type(given[parameter]) is type(node.values[parameter]), parameter
+        assert given[parameter] == values[parameter], parameter
+        assert type(given[parameter]) is type(values[parameter]), parameter
     assert set(sections[f"/**/{name}"]) <= set(own)
 
 

@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 from nodes_bench import stamp_of
 
+from suspension_twin.drive.edit import cut
 from suspension_twin.drive.importing import import_drive
 from suspension_twin.drive.types import Drive
 from suspension_twin.nodes.composed import Composed, Playback
@@ -77,8 +78,10 @@ def imported(shared_data: Path, repository: Path, name: str, mapping: str) -> Dr
 
 
 def test_a_car_with_an_rtk_receiver(shared_data, repository, twin, tmp_path):
-    """100 Hz, 4.05 km, 16.3 m/s at most; a bump met twice, at the same place within centimetres."""
-    drive = imported(shared_data, repository, "rtklibexplorer_GNSS_IMU", "rtklibexplorer_gnss_imu")
+    """100 Hz, 16.3 m/s at most; a bump met twice, at the same place within centimetres: the stretch around both."""
+    whole = imported(shared_data, repository, "rtklibexplorer_GNSS_IMU", "rtklibexplorer_gnss_imu")
+    begin = float(whole.fix.t[0])
+    drive = cut(whole, begin + 235.0, begin + 385.0)
     # The IMU faces backwards and leans; the antenna is taken for above the rear axle.
     mounted = twin.with_changes(
         {
@@ -93,12 +96,18 @@ def test_a_car_with_an_rtk_receiver(shared_data, repository, twin, tmp_path):
     assert np.isfinite(out.twin).all()
     assert np.std(out.twin[:, 1]) < 0.5 * np.std(out.measured[:, 1])  # its road is level, the real one is not
     steps = np.hypot(np.diff(out.odom[:, 1]), np.diff(out.odom[:, 2]))
-    assert steps.sum() == pytest.approx(4050.0, rel=5e-3) and steps.max() < 0.25
+    fix, degree = drive.fix, math.radians(6_371_000.0)
+    north, east = (
+        np.diff(angle) * degree * scale
+        for angle, scale in ((fix.latitude, 1.0), (fix.longitude, math.cos(math.radians(fix.latitude[0]))))
+    )
+    assert steps.sum() == pytest.approx(np.hypot(north, east).sum(), rel=1e-2) and steps.max() < 0.25
     assert out.odom[:, 4].max() == pytest.approx(16.3, abs=0.2)
-    assert abs(out.measured[:, 1].mean()) < 0.03  # gravity is out, on whatever axis it was
+    # gravity is out, on whatever axis it was; what is left is a bias, which only a standstill shows
+    assert abs(out.measured[:, 1].mean()) < 0.2
     peaks = []
     for since in (337.6, 362.6):
-        near = np.abs(out.measured[:, 0] - drive.fix.t[0] - since) < 0.6
+        near = np.abs(out.measured[:, 0] - begin - since) < 0.6
         at = out.measured[near][np.argmax(np.abs(out.measured[near, 1])), 0]
         peaks.append([np.interp(at, out.odom[:, 0], out.odom[:, c]) for c in (1, 2, 3)])
     (x0, y0, yaw), (x1, y1, _) = peaks

@@ -6,16 +6,22 @@ from __future__ import annotations
 import asyncio
 import threading
 import urllib.request
+from dataclasses import replace
 from typing import Any
 
+import numpy as np
 import pytest
 from aiohttp import ClientSession
-from geometry_msgs.msg import AccelStamped, PoseStamped
+from geometry_msgs.msg import AccelStamped, PoseStamped, TwistStamped
 from nodes_bench import put_stamp
+from sensor_msgs.msg import Imu, NavSatFix
 from stand_ins import lighter, reported
 
+from suspension_twin.drive.read import read_drive
+from suspension_twin.drive.types import Drive
 from suspension_twin.nodes.calibrator import CalibratorNode
 from suspension_twin.nodes.imu_ingest import ImuIngestNode
+from suspension_twin.nodes.messages import fill_fix, fill_imu, fill_velocity
 from suspension_twin.nodes.player import BagPlayer
 from suspension_twin.nodes.suspension_model import SuspensionModelNode
 from suspension_twin.nodes.topics import Embedding
@@ -60,7 +66,7 @@ def test_a_calibration_is_loaded_by_all_nodes(bench, viewer, twin_path, tmp_path
     bench.until(viewer._actions["calibrate"].server_is_ready, "the action")
     assert press(bench, viewer, "calibrate") == ("Calibrating on bumpy", False)
     assert press(bench, viewer, "diagnose")[1], "one at a time"
-    bench.until(lambda: not job(viewer)["running"], "the calibration")
+    bench.until(lambda: not job(viewer)["running"], "the calibration", 90.0)
     result = tmp_path / "bumpy_calibrated.yaml"
     assert load_twin(result).vehicle.mass == 1700.0
     assert job(viewer)["text"] == "calibrate: the mass" and job(viewer)["result"]
@@ -75,7 +81,7 @@ def test_a_diagnosis_has_a_report_to_open(bench, viewer, tmp_path):
     bench.make(CalibratorNode, {"diagnose": reported})
     bench.until(viewer._actions["diagnose"].server_is_ready, "the action")
     assert press(bench, viewer, "diagnose") == ("Diagnosing bumpy", False)
-    bench.until(lambda: not job(viewer)["running"], "the diagnosis")
+    bench.until(lambda: not job(viewer)["running"], "the diagnosis", 90.0)
     assert job(viewer)["report"] and (tmp_path / "bumpy_diagnosis" / "twin.yaml").is_file()
     with urllib.request.urlopen(f"{viewer.server.url}report") as answer:
         assert answer.read() == b"<p>friction</p>"
@@ -134,3 +140,70 @@ def test_signals_and_pose_get_on_the_page(bench, viewer):
     )
     assert {row[1] for row in whole["measured"]} == {1.0} and {row[1] for row in whole["simulated"]} == {0.5}
     assert whole["pose"][-1][1] == pytest.approx(1.9)
+
+
+def steps(viewer) -> list[tuple[str, str]]:
+    return [(step["state"], step["text"]) for step in viewer.view.snapshot()["guide"] or []]
+
+
+def drive_along(bench, drive: Drive, *parts: tuple[float, float]) -> None:
+    """What a phone of 25 Hz and a receiver of 5 Hz send in parts of a drive, s from its first sample."""
+    sent = []
+    for samples, every, kind, topic, fill in (
+        (drive.imu, 4, Imu, "imu/data_raw", fill_imu),
+        (drive.fix, 2, NavSatFix, "fix", fill_fix),
+        (drive.velocity, 2, TwistStamped, "vel", fill_velocity),
+    ):
+        publish = bench.speak(kind, topic)
+        at = samples.t - drive.imu.t[0]
+        wanted = np.any([(at >= first) & (at < last) for first, last in parts], axis=0)
+        for i in np.flatnonzero(wanted)[::every].tolist():
+            message = put_stamp(kind(), float(samples.t[i]))
+            fill(samples, message, i)
+            sent.append((float(samples.t[i]), len(sent), publish, message))
+    for number, (_, _, publish, message) in enumerate(sorted(sent)):
+        publish(message)
+        if number % 20 == 0:
+            bench.spin(0.004)
+
+
+def test_a_first_drive_leads_to_a_calibrated_twin(bench, repository, tmp_path):
+    bump = repository / "bags" / "bump_15kmh"
+    viewer = bench.make(ViewerNode, twin=str(bump / "twin.yaml"), port=0, folder=str(tmp_path))
+    model = bench.make(SuspensionModelNode, twin=str(bump / "twin.yaml"))
+    assert press(bench, viewer, "guide") == ("first drive: the node calibrator is not there", True)
+    bench.make(CalibratorNode, {"calibrate": lighter})
+    bench.until(viewer._actions["calibrate"].server_is_ready, "the action")
+    bench.until(viewer._loader.service_is_ready, "the service")
+    said, wrong = press(bench, viewer, "guide")
+    assert not wrong and said.startswith("Stand still")
+    assert [state for state, _ in steps(viewer)] == ["now", "later", "later", "later"]
+    drive_along(bench, read_drive(bump), (0.0, 12.5), (34.0, 39.0), (60.0, 67.0))
+    bench.until(lambda: steps(viewer)[-1][0] == "done", "the calibration", 90.0)
+    stand, off, passes, end = (text for _, text in steps(viewer))
+    assert stand.startswith("gyroscope bias 0.3") and off == "the vehicle has moved"
+    assert passes.count("km/h") == 3 and end == "the mass"
+    recorded = next(path for path in tmp_path.iterdir() if path.is_dir())
+    assert len(read_drive(recorded).imu) > 400
+    bench.until(
+        lambda: model.values["twin"] == str(tmp_path / f"{recorded.name}_calibrated.yaml"), "the twin"
+    )
+    press(bench, viewer, "guide")
+    assert steps(viewer) == []
+
+
+def test_a_first_drive_ends_where_it_is_told(bench, repository, tmp_path):
+    bump = repository / "bags" / "bump_15kmh"
+    viewer = bench.make(ViewerNode, twin=str(bump / "twin.yaml"), port=0, folder=str(tmp_path))
+    bench.make(CalibratorNode, {"calibrate": lighter})
+    bench.until(viewer._actions["calibrate"].server_is_ready, "the action")
+    assert not press(bench, viewer, "guide")[1]
+    drive_along(bench, read_drive(bump), (0.0, 2.0))
+    said, _ = press(bench, viewer, "guide")
+    assert said.startswith("Recorded ") and steps(viewer) == []
+    drive = read_drive(bump)
+    lying = replace(drive.imu, specific_force=drive.imu.specific_force[:, [0, 2, 1]])
+    assert not press(bench, viewer, "guide")[1]
+    drive_along(bench, replace(drive, imu=lying), (0.0, 4.0))
+    bench.until(lambda: [state for state, _ in steps(viewer)] == ["failed"], "the mounting to be seen")
+    assert "imu.rpy" in steps(viewer)[0][1] and viewer._recorder is None

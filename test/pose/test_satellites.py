@@ -104,3 +104,29 @@ def test_heights_that_are_missing_or_unknown_make_no_hills(scene: Any) -> None:
     assert np.mean(pull(holes, sure) - flat) == pytest.approx(-9.81 * 0.05, rel=0.1)
     np.testing.assert_allclose(pull(holes, vague), flat)
     np.testing.assert_allclose(pull(np.full_like(holes, np.nan), sure), flat)
+
+
+def test_heights_of_a_receiver_that_does_not_vouch_for_them_are_hills_if_the_imu_feels_them(
+    scene: Any,
+) -> None:
+    """Waves of the road 120 m long and 2 m high: felt, or made up by the receiver."""
+    drive, signals = scene.drive, ingest_drive(scene.drive, scene.imu)
+    fix, slope = drive.fix, 2.0 * np.pi / 120.0
+
+    def along(t: Any) -> Any:
+        return 10.0 * (t - fix.t[0])
+
+    altitude = fix.altitude + 2.0 * np.sin(slope * along(fix.t))
+    sigma = np.full_like(fix.sigma, np.nan)
+    asked = replace(drive, fix=replace(fix, altitude=altitude, sigma=sigma))
+    feels = signals.force.copy()
+    feels[:, 0] += 9.81 * 2.0 * slope * np.cos(slope * along(signals.t))
+
+    def pull(force: Any, one: Any) -> Any:
+        slower, motion = satellite_motion(one, replace(signals, force=force), scene.gps, scene.datum)
+        return slower.force[motion.valid, 0]
+
+    flat, hilly = pull(signals.force, drive), pull(feels, asked)
+    assert np.std(pull(feels, drive) - flat) > 0.5
+    assert np.std(hilly - flat) < 0.15
+    np.testing.assert_allclose(pull(signals.force, asked), flat, atol=5e-3)

@@ -15,6 +15,7 @@ from suspension_twin.signals.attitude import (
     level_rpy,
     matrix_rpy,
     normal_gravity,
+    quaternion,
     rpy_matrix,
     smooth_up,
     tilt_of,
@@ -103,3 +104,9 @@ def test_smoothed_over_a_braking_car_on_a_slope() -> None:
     found = smooth_up(t, force - planar, rate, 9.8, np.full(t.size, 8.0))
     assert np.degrees(np.abs(found - up).max()) < 0.6
     assert smooth_up(t[:1], force[:1], rate[:1], 9.8, np.ones(1)) == pytest.approx(np.array([[0, 0, 1]]))
+
+
+@pytest.mark.parametrize("rpy", [(0.3, -0.5, 2.0), (-1.2, 0.7, -0.4), (0.0, 0.0, 3.0)])
+def test_a_quaternion_is_that_of_fixed_axes(rpy: tuple[float, float, float]) -> None:
+    wanted = Rotation.from_euler("xyz", rpy).as_quat(canonical=False)
+    assert quaternion(*rpy) == pytest.approx(wanted * np.sign(wanted[3] * quaternion(*rpy)[3]))

@@ -9,6 +9,7 @@ on ``/gps`` locations. Close codes 4001 and following as in its companion object
 from __future__ import annotations
 
 import asyncio
+import contextlib
 import json
 from dataclasses import dataclass, field
 from typing import Any
@@ -119,7 +120,8 @@ class SensorServerApp:
                 began = loop.time() - (t - start) / self.speed
             for socket in self.sockets.get(path, ()):
                 if not socket.closed:
-                    await socket.send_str(json.dumps(event))
+                    with contextlib.suppress(ConnectionError):  # cut off a moment ago
+                        await socket.send_str(json.dumps(event))
         self.done = True
 
     async def drop(self) -> None:

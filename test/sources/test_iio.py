@@ -114,6 +114,26 @@ def test_without_a_trigger_the_values_are_read_one_by_one(board: Path) -> None:
     assert abs(taken.imu.t[-1] - taken.hub.now()) < 5.0
 
 
+def test_the_tree_of_the_kernels_own_driver(
+    repository: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """As ``benchmarks/iio_qemu.py`` kept it: the registers stood for these raw values at ±2 g and ±2000 °/s."""
+    lines = (repository / "test" / "sources" / "data" / "bmi160_sysfs.txt").read_text().splitlines()
+    for name, _, value in (line.partition(" ") for line in lines if not line.startswith("#")):
+        (tmp_path / "iio:device0" / name).parent.mkdir(parents=True, exist_ok=True)
+        (tmp_path / "iio:device0" / name).write_text(f"{value}\n")
+    monkeypatch.setattr(iio, "SYSFS", tmp_path)
+
+    async def play(_, taken) -> None:
+        while taken.count("imu") < 2:
+            await asyncio.sleep(0.01)
+
+    taken = listen("iio:bmi160?rate=200", play)
+    force, rate = np.array([160, -320, 16384]) * 9.80665 / 16384, np.radians([100, -200, 300]) / 16.4
+    np.testing.assert_allclose(taken.imu.specific_force[0], force, rtol=2e-3)
+    np.testing.assert_allclose(taken.imu.angular_rate[0], rate, rtol=2e-3)
+
+
 @pytest.mark.parametrize(
     ("kind", "raw", "wanted"),
     [

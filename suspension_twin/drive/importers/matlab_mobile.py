@@ -114,7 +114,10 @@ def _logs_of_csv(source: Source, streams: Streams) -> dict[str, Columns]:
 
 
 def _logs_of_mat(data: bytes, label: str) -> dict[str, Columns]:
-    import matio  # brings pandas, half a second that no other format needs
+    try:
+        import matio  # brings pandas, half a second that no other format needs
+    except ModuleNotFoundError:
+        raise InputError(label, "a .mat file can be read with Python 3.11 and later alone") from None
 
     budget = Budget(label, len(data))
     with tempfile.NamedTemporaryFile(suffix=".mat") as file, warnings.catch_warnings():

@@ -13,7 +13,7 @@ from suspension_twin.drive.summary import gravity_of, rhythm_of
 from suspension_twin.drive.types import FixData, ImuData, VelocityData
 from suspension_twin.signals.attitude import level_rpy
 from suspension_twin.signals.checks import Finding, check_axes, check_rate, check_units, recognise_units
-from suspension_twin.signals.standstill import StillLimits, standstill_mask
+from suspension_twin.signals.standstill import StillLimits, standstill_mask, white_noise
 
 __all__ = ["assess", "verdict"]
 
@@ -75,8 +75,7 @@ def _imu(imu: ImuData, velocity: VelocityData) -> list[Finding]:
         )
     )
     if still.any():
-        # Of differences, so that a car that rocks on its springs does not count as noise.
-        noise = float(np.linalg.norm(np.std(np.diff(force[still], axis=0), axis=0)) / math.sqrt(6.0))
+        noise = white_noise(force[still])
         found.append(Finding("ok", "still", f"standing still: noise {noise:.3f} m/s² on each axis"))
     else:
         found.append(Finding("ok", "moving", "moving: stand still for some seconds before you drive off"))

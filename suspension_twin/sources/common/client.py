@@ -15,7 +15,7 @@ from suspension_twin.sources.common.hub import Hub
 __all__ = ["Stay", "fetch", "keep_connected", "url_host"]
 
 #: s between attempts, at first and at most.
-_FIRST, _LONGEST = 0.5, 5.0
+_FIRST, _LONGEST = 0.5, 0.8
 #: s that a connection has to last for the next attempt to be a first one.
 _GOOD = 5.0
 

@@ -1,0 +1,164 @@
+# SPDX-License-Identifier: Apache-2.0
+"""``suspension-twin first-drive``: from a live source to a calibrated twin, step by step."""
+
+from __future__ import annotations
+
+import asyncio
+import signal
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from suspension_twin.cli._live import DEFAULT_SOURCE, STYLES, LiveLines, show_guide
+from suspension_twin.cli.calibrate import print_result, show_progress
+from suspension_twin.cli.common import Force, Outputs, ProgressLine, Seed, SourceUrls, TwinFile, output
+from suspension_twin.drive.write import BagWriter
+from suspension_twin.errors import InputError, WorkError
+from suspension_twin.sources import Source, make_sources
+from suspension_twin.sources.common.hub import Hub
+from suspension_twin.sources.common.recorder import Recorder
+from suspension_twin.sources.common.runner import running
+
+if TYPE_CHECKING:
+    from suspension_twin.calibration.first_drive import FirstDrive
+
+__all__ = ["command"]
+
+#: s between looks for samples.
+_PERIOD = 0.05
+
+
+def command(
+    twin: TwinFile,
+    out: Annotated[
+        Path, typer.Option("--out", help="The twin file to write.", metavar="CALIBRATED.YAML", dir_okay=False)
+    ] = Path("calibrated.yaml"),
+    record: Annotated[
+        Path, typer.Option("--record", help="The bag for what the sources send.", metavar="BAG")
+    ] = Path("first_drive"),
+    source: SourceUrls = None,
+    passes: Annotated[
+        int, typer.Option("--passes", help="How often the bump is to be passed.", metavar="N", min=1)
+    ] = 3,
+    preset: Annotated[
+        str, typer.Option("--preset", help="Of the search, as for calibrate.", metavar="NAME")
+    ] = "fast",
+    seed: Seed = 0,
+    generations: Annotated[
+        int,
+        typer.Option(
+            "--max-generations",
+            help="Stop the search after so many.  [default: as many as the preset says]",
+            metavar="N",
+            min=0,
+            show_default=False,
+        ),
+    ] = 0,
+    force: Force = False,
+) -> None:
+    """From a live phone, receiver or IMU to a calibrated twin, without ROS. Ctrl-C ends the drive; what there is is
+    kept.
+
+    Stand still until bias, tilt and noise are measured; drive off; pass the bump of the twin's road. Each pass is
+    recognised and shown with its speed. Then the twin is calibrated on what was recorded, and the gap before and after
+    is printed. Without --source it listens to phones with Sensor Logger and shows how to connect one.
+    """
+    from suspension_twin.calibration.first_drive import FirstDrive
+    from suspension_twin.calibration.output import details_path, write_result
+    from suspension_twin.calibration.presets import preset_named
+    from suspension_twin.calibration.request import CalibrationRequest
+    from suspension_twin.calibration.run import calibrate
+    from suspension_twin.files import together
+    from suspension_twin.vehicle.twin import load_twin
+    from suspension_twin.view.live import advice
+
+    urls = source or [DEFAULT_SOURCE]
+    outputs = Outputs(record, out, details_path(out), force=force)
+    BagWriter(record, overwrite=force)  # replaces nothing but a recording
+    request = CalibrationRequest(
+        str(twin), (str(record),), preset=preset_named(preset).name, seed=seed, max_generations=generations
+    )
+    guide = FirstDrive(load_twin(twin), passes)
+    hub = Hub()
+    sources = make_sources(urls, hub)
+    outputs.announce()
+    later = f"suspension-twin calibrate --twin {twin} {record} --out {out}"
+    with Recorder(record, overwrite=force) as recorder:
+        asyncio.run(_drive(sources, hub, recorder, guide, twin, [] if source else urls))
+    if not guide.done:
+        count = f"{len(guide.passes)} of {passes} passes"
+        raise WorkError(f"the drive ended after {count}; on what was recorded: {later}")
+    try:
+        with ProgressLine() as line:
+            result = calibrate(request, lambda step: show_progress(line, step))
+            with together():
+                write_result(result, out)
+    except KeyboardInterrupt:
+        raise KeyboardInterrupt(f"the drive is in {record}: {later}") from None
+    console = output()
+    for warning in result.warnings:
+        console.print(warning, style="yellow")
+    print_result(console, result)
+    console.print(f"Standstill: {guide.standstill}")
+    for number, one in enumerate(guide.passes, 1):
+        console.print(f"Pass {number}: {one}")
+    level, words = advice(guide.position_sigma, True)
+    console.print(words, style="yellow" if level else "")
+    before, after = (getattr(result.drives[0], name).rms for name in ("gap_before", "gap_after"))
+    console.print(f"Calibrated: gap {before:.3f} m/s² before, {after:.3f} after", style="bold")
+    console.print(f"Written to {record}, {out} and {details_path(out)}")
+
+
+async def _drive(
+    sources: Sequence[Source],
+    hub: Hub,
+    recorder: Recorder,
+    guide: FirstDrive,
+    twin: Path,
+    shown: Sequence[str],
+) -> None:
+    """Until all is driven, Ctrl-C or SIGTERM; how to connect what is ``shown`` is said first.
+
+    Raises InputError where gravity shows that the sensor sits otherwise than the twin file says.
+    """
+    end = asyncio.Event()
+    loop = asyncio.get_running_loop()
+    for number in (signal.SIGINT, signal.SIGTERM):
+        loop.add_signal_handler(number, end.set)
+    async with running(sources, hub):
+        if shown:
+            await show_guide(output(), sources, shown)
+        notes = [] if shown else [note for source in sources for note in source.notes]
+        with LiveLines(hub, notes) as lines:
+            said: set[str] = set()
+            while not (end.is_set() or guide.done):
+                packets = hub.take()
+                recorder.write(packets)
+                for packet in packets:
+                    guide.add(packet.samples)
+                _say(guide, lines, said, twin)
+                steps = guide.steps()
+                at = next((i for i, step in enumerate(steps) if step.state == "now"), len(steps) - 1)
+                lines.show(f"Step {at + 1} of {len(steps)}. {steps[at].title}: {steps[at].text}")
+                try:
+                    await asyncio.wait_for(end.wait(), _PERIOD)
+                except asyncio.TimeoutError:
+                    continue
+    recorder.write(hub.take())
+
+
+def _say(guide: FirstDrive, lines: LiveLines, said: set[str], twin: Path) -> None:
+    """What came out of a step, once."""
+    found = [(f"{step.title}: {step.text}", "") for step in guide.steps()[:2] if step.state == "done"]
+    found += [(f"Pass {i}: {one}", "") for i, one in enumerate(guide.passes, 1)]
+    mounting = guide.standstill.mounting if guide.standstill is not None else None
+    if mounting is not None:
+        if mounting.level == "error":
+            raise InputError(twin, "imu.rpy", mounting.text)
+        found.insert(0, (mounting.text, STYLES[mounting.level]))
+    for text, style in found:
+        if text not in said:
+            said.add(text)
+            lines.say(text, style)
