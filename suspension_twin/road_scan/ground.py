@@ -5,8 +5,9 @@
 2. What stands on the ground is higher than an opening of these heights (the lowest within a window, then the
    highest of those) with windows from a foot's length to a car's (Zhang et al., IEEE Trans. Geosci. Remote Sens. 41
    (2003) 872).
-3. About such cells, and where many points lie above the layer, heights must agree with what the cells around them let
-   expect: the tread of a tyre and the sole of a shoe do not.
+3. Where many points lie above the layer, something stood. Without a gap above the layer it is a part of that thing,
+   such as a leg. About all these cells heights must agree with what the cells around them let expect: the tread of a
+   tyre and the sole of a shoe do not.
 4. Points near the heights of their cell and its neighbours are ground; a wall of a pothole lies between those.
 """
 
@@ -35,6 +36,8 @@ _SHARE, _LAYER = 0.03, 0.03
 _OPENINGS = ((0.6, 0.12), (1.2, 0.16), (2.4, 0.2), (6.5, 0.25))
 #: More than this share of a cell's points above its layer, up to a person's height: something stood there.
 _STANDING, _PERSON = 0.15, 2.2
+#: Where something stood, ground is denser than what is right above it; a leg is not.
+_CONTINUED = 0.5
 #: Cells nearer to such a thing than this, m, have to agree with those around within so many m.
 _NEAR, _AGREE = 0.45, 0.02
 #: Beyond the heights of a cell and its neighbours, m.
@@ -67,8 +70,8 @@ def ground_cells(points: Points, length: float, half: float, name: str) -> Cells
     first = np.zeros(nu * nv + 1, dtype=np.int32)
     order = np.empty(u.size, dtype=np.int32)
     by_cell(u, v, size, -half, nu, nv, first, order)
-    level, above = np.empty(nu * nv), np.empty(nu * nv)
-    lowest_surface(z, first, order, _LEAST, _SHARE, _LAYER, _PERSON, level, above)
+    level, above, next_layer = np.empty((3, nu * nv))
+    lowest_surface(z, first, order, _LEAST, _SHARE, _LAYER, _PERSON, level, above, next_layer)
     low, standing = level.reshape(nu, nv), above.reshape(nu, nv) > _STANDING
     if np.isfinite(low).mean() < _PRESENT:
         raise InputError(
@@ -78,7 +81,7 @@ def ground_cells(points: Points, length: float, half: float, name: str) -> Cells
         )
     _check_smooth(low, name)
     flat, trend = _without_trend(low, size)
-    things = np.zeros((nu, nv), dtype=np.bool_)
+    things = standing & (next_layer.reshape(nu, nv) > _CONTINUED)
     for window, allowed in _OPENINGS:
         width = max(3, round(window / size) | 1)
         with np.errstate(invalid="ignore"):

@@ -41,16 +41,19 @@ def by_cell(
 @compiled
 def lowest_surface(
     z: Singles, first: Ints, order: Ints, least: int, share: float, layer: float, high: float,
-    out: Floats, above: Floats,
+    out: Floats, above: Floats, next_layer: Floats,
 ) -> None:  # fmt: skip
     """Of each cell the height ``out`` of the lowest layer of points, and the share ``above`` it up to ``high`` m.
 
     A layer is ``layer`` m thick and holds ``least`` points and ``share`` of the cell's at least; NaN without one.
+    ``next_layer``: points within two layers above it for each one within a layer of its middle. Where there are points
+    enough and no layer, all of them stand.
     """
     for k in range(out.size):
         n = first[k + 1] - first[k]
         out[k] = np.nan
         above[k] = 0.0
+        next_layer[k] = 0.0
         need = max(least, int(share * n))
         if n < need:
             continue
@@ -61,6 +64,8 @@ def lowest_surface(
                 begin = i
                 break
         if begin < 0:
+            above[k] = 1.0
+            next_layer[k] = np.inf
             continue
         # Its middle: the layer starts in the tail of the surface's own spread.
         level = float(h[begin + need // 2])
@@ -74,6 +79,10 @@ def lowest_surface(
             if 0.1 < h[i] - level < high:
                 count += 1
         above[k] = count / n
+        low = np.searchsorted(h, level - layer)
+        top = np.searchsorted(h, level + layer)
+        over = np.searchsorted(h, level + 3.0 * layer)
+        next_layer[k] = float(over - top) / float(top - low)
 
 
 @compiled

@@ -228,12 +228,13 @@ def _steps_for(density: float) -> tuple[float, float]:
 
 def _status(count: Floats, grid: Grid, fill: float) -> NDArray[np.int8]:
     """What is known of each node: holes narrower than ``fill`` m are filled."""
-    measured = count > 0
+    # A single node without a point among nodes with points is no hole.
+    known = np.pad(count > 0, 1, mode="edge")
+    measured = ndimage.binary_closing(known, np.ones((3, 3), dtype=np.bool_))[1:-1, 1:-1] | (count > 0)
     status = np.where(measured, MEASURED, FILLED).astype(np.int8)
     if not measured.any():
         status[:] = HOLE
         return status
-    # A node without a point beside one with points is no hole: nodes are denser than points in places.
     distance = ndimage.distance_transform_edt(~measured, sampling=(grid.du, grid.dv))
     labels, number = ndimage.label(~measured, structure=np.ones((3, 3)))
     if number:
