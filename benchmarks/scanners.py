@@ -7,13 +7,14 @@ measured, which makes mixed points at edges; beyond 0.4 m of difference the firs
 
 - ``terrestrial``: tripods beside the road, a full turn each; cars pass while it turns, a person stands there for one
   of the stations, grass and a kerb beside the lane, wet patches without a return.
-- ``mobile``: a profiler on a car that drives along the path; one car comes towards it, one overtakes.
+- ``mobile``: a profiler on a car that drives along the path; one car comes towards it, one overtakes, a person
+  stands in the lane.
 """
 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import numpy as np
 from numba import njit
@@ -57,11 +58,12 @@ class Ground:
 
 @dataclass(frozen=True, eq=False)
 class Scan:
-    """Points (n, 3) m, the ``station`` (n,) of each, and how many of them lie on the road, on things, on grass."""
+    """Points (n, 3) m; ``kind`` (n,) of what each lies on: 1 ground, 2 a thing, 3 grass; ``steep`` (n,), the sine of
+    the ray's elevation: the share of an error of the range that is an error of the height."""
 
     points: Floats
-    station: NDArray[np.int64]
-    counts: dict[str, int] = field(default_factory=dict)
+    kind: NDArray[np.int8]
+    steep: Floats
 
 
 # Things: rows of kind, x, y at time 0, speed along x, and sizes. Kind 0: a box x ± a, y ± b, z from c to d.
@@ -252,14 +254,14 @@ def _cast(z, top, x0, y0, step, grass, wet, things, o, d, time, half, far, noise
 def _gathered(
     ground: Ground, things: list[list[float]], o: Floats, d: Floats, time: Floats, divergence: float, far: float,
     noise: float, rng: np.random.Generator,
-) -> tuple[Floats, NDArray[np.int8]]:  # fmt: skip
+) -> Scan:  # fmt: skip
     rows = np.array(things, dtype=np.float64).reshape(-1, 10)
     t, kind = _cast(
         ground.z, ground.blocks(), ground.x0, ground.y0, ground.step, ground.grass, ground.wet, rows,
         np.ascontiguousarray(o), np.ascontiguousarray(d), time, 0.5 * divergence, far, noise, rng,
     )  # fmt: skip
     seen = kind > 0
-    return o[seen] + t[seen, None] * d[seen], kind[seen]
+    return Scan(o[seen] + t[seen, None] * d[seen], kind[seen], np.abs(d[seen, 2]))
 
 
 def terrestrial(
@@ -271,7 +273,7 @@ def terrestrial(
     begin, end = ground.x0 + 4.0, ground.x_end - 4.0
     count = max(2, round((end - begin) / every) + 1)
     turn = 120.0  # s of a full turn
-    points, stations, kinds = [], [], []
+    parts = []
     for k, x in enumerate(np.linspace(begin, end, count)):
         y = beside if k % 2 else -beside
         floor = ground.z[int((x - ground.x0) / ground.step), int((y - ground.y0) / ground.step)]
@@ -297,11 +299,8 @@ def terrestrial(
             near = (np.abs(foot[:, 1]) < 7.0) & (np.hypot(*(foot - origin[:2]).T) < reach)
             d, time = d[near], time[near]
             o = np.broadcast_to(origin, d.shape)
-            p, kind = _gathered(ground, things, o, d, time, divergence, 2.0 * reach, noise, rng)
-            points.append(p)
-            kinds.append(kind)
-            stations.append(np.full(kind.size, k))
-    return _scan(points, kinds, stations)
+            parts.append(_gathered(ground, things, o, d, time, divergence, 2.0 * reach, noise, rng))
+    return _together(parts)
 
 
 def mobile(
@@ -314,6 +313,7 @@ def mobile(
     count = int((end - begin) / speed * lines)
     time = np.arange(count) / lines
     things = _car(end + 5.0, 2.6, -11.0) + _car(begin - 10.0, 2.4, speed + 3.0)
+    things += _person(0.5 * (begin + end) + 3.0, -0.8, -1e9, 1e9)
     angle = np.arange(-1.25, 1.25, step)  # from straight down
     across = np.array([-math.sin(math.radians(yaw)), math.cos(math.radians(yaw)), 0.0])
     fan = np.sin(angle)[:, None] * across + np.cos(angle)[:, None] * np.array([0.0, 0.0, -1.0])
@@ -322,25 +322,16 @@ def mobile(
                       ground.z[:, int(-ground.y0 / ground.step)])  # fmt: skip
     # The trajectory is known; the car's body floats over the road's short waves.
     floor = np.convolve(np.pad(floor, 200, mode="edge"), np.ones(401) / 401, mode="same")[200:-200]
-    points, kinds, stations = [], [], []
+    parts = []
     for block in np.array_split(np.arange(count), max(1, count // 400)):
         o = np.repeat(
             np.column_stack([x[block], np.zeros(block.size), floor[block] + height]), angle.size, axis=0
         )
         d = np.tile(fan, (block.size, 1))
         t = np.repeat(time[block], angle.size)
-        p, kind = _gathered(ground, things, o, d, t, divergence, 12.0, noise, rng)
-        points.append(p)
-        kinds.append(kind)
-        stations.append(np.zeros(kind.size, dtype=np.int64))
-    return _scan(points, kinds, stations)
+        parts.append(_gathered(ground, things, o, d, t, divergence, 12.0, noise, rng))
+    return _together(parts)
 
 
-def _scan(points: list[Floats], kinds: list[NDArray[np.int8]], stations: list[NDArray[np.int64]]) -> Scan:
-    kind = np.concatenate(kinds)
-    names = {1: "ground", 2: "things", 3: "grass"}
-    return Scan(
-        np.concatenate(points),
-        np.concatenate(stations),
-        {name: int((kind == k).sum()) for k, name in names.items()},
-    )
+def _together(parts: list[Scan]) -> Scan:
+    return Scan(*(np.concatenate([getattr(p, name) for p in parts]) for name in ("points", "kind", "steep")))

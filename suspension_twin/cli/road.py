@@ -392,8 +392,8 @@ def scan(
     path: Annotated[
         Path,
         typer.Option(
-            help="The line of the road: a recorded drive, CSV of x, y (map) or lat, lon, or an OpenCRG road.",
-            metavar="DRIVE|CSV|ROAD",
+            help="Line of the road: a recorded drive, CSV of x, y (map) or lat, lon, or an OpenCRG reference line.",
+            metavar="DRIVE|CSV|CENTRELINE",
             show_default=False,
         ),
     ],

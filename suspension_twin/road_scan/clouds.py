@@ -37,15 +37,6 @@ class Cloud:
         Its coordinate reference system, where the file names one.
     pieces : callable
         Gives the points in order as arrays (n, 3), in the file's own unit and axes, all finite.
-
-    Examples
-    --------
-    >>> import tempfile
-    >>> from suspension_twin.files import write_text
-    >>> with tempfile.TemporaryDirectory() as folder:
-    ...     write_text(Path(folder) / "a.xyz", "0 0 1.5\\n1 0 1.5\\n")
-    ...     next(open_cloud(Path(folder) / "a.xyz").pieces()).shape
-    (2, 3)
     """
 
     path: Path
@@ -71,6 +62,15 @@ def open_cloud(path: Path) -> Cloud:
     ------
     InputError
         The file cannot be read as a point cloud, or a package that reads it is missing.
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> from suspension_twin.files import write_text
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     write_text(Path(folder) / "a.xyz", "0 0 1.5\\n1 0 1.5\\n")
+    ...     next(open_cloud(Path(folder) / "a.xyz").pieces()).shape
+    (2, 3)
     """
     with reading(path, "a point cloud"), path.open("rb") as file:
         head = file.read(4)

@@ -6,7 +6,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
-from suspension_twin.errors import InputError
+from suspension_twin.errors import InputError, WorkError
 from suspension_twin.files import together
 from suspension_twin.road.check import RoadCheck, check_file
 from suspension_twin.road_scan.clouds import open_cloud
@@ -65,7 +65,7 @@ def scan_road(
     try:
         drive = along.drive if along.drive is not None else steady_path(found.road, along.twin, speed)
         felt = feel(roads, written, along.twin, drive)
-    except InputError as error:
+    except (InputError, WorkError) as error:  # too short to drive over, or too rough
         notes.append(f"what the twin feels is left out: {error}")
     with together():
         write_scan(found, out, [c.path.name for c in opened], along, felt, [words for _, words in placed])

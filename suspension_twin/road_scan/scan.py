@@ -80,20 +80,6 @@ class Scanned:
         0 measured, 1 filled, 2 hole.
     facts : dict
         Numbers of points, holes and spikes.
-
-    Examples
-    --------
-    >>> import numpy as np
-    >>> from suspension_twin.road.centreline import Centreline
-    >>> from suspension_twin.road_scan.clouds import Cloud
-    >>> from suspension_twin.road_scan.placing import Placing
-    >>> xy = np.random.default_rng(0).uniform([0, -3], [20, 3], (60000, 2))
-    >>> points = np.column_stack([xy, 0.01 * np.sin(xy[:, 0])])
-    >>> cloud = Cloud(Path("made"), len(points), None, lambda: iter([points]))
-    >>> line = Centreline([0.0, 20.0], [0.0, 0.0], 0.025)
-    >>> found = road_from_scan([(cloud, Placing())], line, "line", ScanSettings(width=3.0))
-    >>> bool(abs(found.road.heights(7.85, 0.0) - 0.01) < 1e-3)
-    True
     """
 
     road: Road
@@ -143,6 +129,20 @@ def road_from_scan(
     ------
     InputError
         The clouds do not cover the line, hold no ground, or are of another place, in another unit or other axes.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from suspension_twin.road.centreline import Centreline
+    >>> from suspension_twin.road_scan.clouds import Cloud
+    >>> from suspension_twin.road_scan.placing import Placing
+    >>> xy = np.random.default_rng(0).uniform([0, -3], [20, 3], (60000, 2))
+    >>> points = np.column_stack([xy, 0.01 * np.sin(xy[:, 0])])
+    >>> cloud = Cloud(Path("made"), len(points), None, lambda: iter([points]))
+    >>> line = Centreline([0.0, 20.0], [0.0, 0.0], 0.025)
+    >>> found = road_from_scan([(cloud, Placing())], line, "line", ScanSettings(width=3.0))
+    >>> bool(abs(found.road.heights(7.85, 0.0) - 0.01) < 1e-3)
+    True
     """
     chosen = settings or ScanSettings()
     _check(chosen, line)
