@@ -136,10 +136,10 @@ def sites(data: Path, seed: int) -> dict[str, Any]:
         "town": town,
         "crg_road": of("crg_road", HERE.parent / "bags" / "crg_road" / "road.crg", 60.0, 25.0),
         "belgian_block": of("belgian_block", data / "ASAM_OpenCRG" / "belgian_block.crg", 40.0),
-        "rms_course_1in": of("rms_course_1in", courses / "detrended_rms_course_1in.crg", 60.0, 10.0),
-        "rms_course_2in": of("rms_course_2in", courses / "detrended_rms_course_2in.crg", 60.0, 10.0),
+        "rms_course_1in": of("rms_course_1in", courses / "detrended_rms_course_1in.crg", 60.0, 110.0),
+        "rms_course_2in": of("rms_course_2in", courses / "detrended_rms_course_2in.crg", 60.0, 110.0),
         "halfround_4in": of("halfround_4in", courses / "halfround_4in.crg", 60.0, 20.0),
-        "Horstwalde": of("Horstwalde", courses / "Horstwalde.crg", 60.0, 20.0),
+        "Horstwalde": of("Horstwalde", courses / "Horstwalde.crg", 60.0, 95.0),
     }
 
 

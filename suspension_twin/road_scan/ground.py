@@ -27,9 +27,10 @@ from suspension_twin.road_scan.surface import Points
 
 __all__ = ["Cells", "ground_cells", "ground_points"]
 
-#: m. Sides of cells that are tried: the first with enough points in most of them.
-_SIZES = (0.2, 0.3, 0.5)
-_WANTED, _LEAST = 8, 3
+#: m. Sides of cells that are tried: the first with enough points in most of them. Narrower than an obstacle, whose top
+#: would lie above the ground of all cells around it otherwise.
+_SIZES = (0.1, 0.2, 0.3, 0.5)
+_WANTED, _LEAST, _MOST = 8, 3, 0.8
 #: A layer's share of a cell's points at least: less are reflections from below.
 _SHARE, _LAYER = 0.03, 0.03
 #: Length of a window in m, and how far above the opening a cell may be, m. Speed humps are up to 0.15 m high.
@@ -52,26 +53,29 @@ _PRESENT = 0.25
 class Cells:
     """Heights ``z`` (nu, nv) m of the ground in square cells of ``size`` m from v = ``v0`` on; NaN where there is none.
 
-    ``things`` (nu, nv): cells left out because something stood on them.
+    ``rise`` (nu, nv) m: how far the ground goes up within a cell. ``things`` (nu, nv): cells left out because something
+    stood on them.
     """
 
     size: float
     v0: float
     z: Floats
+    rise: Floats
     things: NDArray[np.bool_]
 
 
 def ground_cells(points: Points, length: float, half: float, name: str) -> Cells:
     """The ground in cells over ``length`` m by ``half`` m to both sides; raises InputError where there is none."""
     u, v, z = points.u, points.v, points.z
-    density = u.size / (length * 2.0 * half)
-    size = next((s for s in _SIZES if density * s * s >= _WANTED), _SIZES[-1])
+    size = _cell_size(points, length, half)
     nu, nv = math.ceil(length / size), math.ceil(2.0 * half / size)
     first = np.zeros(nu * nv + 1, dtype=np.int32)
     order = np.empty(u.size, dtype=np.int32)
     by_cell(u, v, size, -half, nu, nv, first, order)
-    level, above, next_layer = np.empty((3, nu * nv))
-    lowest_surface(z, first, order, _LEAST, _SHARE, _LAYER, _PERSON, level, above, next_layer)
+    level, above, next_layer, rise = np.empty((4, nu * nv))
+    lowest_surface(
+        z, first, order, _LEAST, _SHARE, _LAYER, _PERSON, _OPENINGS[0][1], level, above, next_layer, rise
+    )
     low, standing = level.reshape(nu, nv), above.reshape(nu, nv) > _STANDING
     if np.isfinite(low).mean() < _PRESENT:
         raise InputError(
@@ -93,7 +97,20 @@ def ground_cells(points: Points, length: float, half: float, name: str) -> Cells
         wrong = near & (np.abs(kept - expected) > _AGREE)
         things |= wrong
         kept = np.where(wrong, np.nan, kept)
-    return Cells(size, -half, kept + trend[:, None], things)
+    return Cells(size, -half, kept + trend[:, None], rise.reshape(nu, nv), things)
+
+
+def _cell_size(points: Points, length: float, half: float) -> float:
+    """The smallest size at which most cells hold enough points, by the density in cells of the largest size."""
+    coarse = _SIZES[-1]
+    nv = math.ceil(2.0 * half / coarse)
+    at = (points.u / coarse).astype(np.int64) * nv + ((points.v + half) / coarse).astype(np.int64)
+    counts = np.bincount(at)
+    counts = counts[counts > 0]
+    if not counts.size:
+        return coarse
+    density = float(np.quantile(counts, 1.0 - _MOST)) / coarse**2
+    return next((s for s in _SIZES if density * s * s >= _WANTED), coarse)
 
 
 def ground_points(points: Points, cells: Cells) -> Points:
@@ -102,9 +119,8 @@ def ground_points(points: Points, cells: Cells) -> Points:
         low = (
             ndimage.minimum_filter(np.where(np.isnan(cells.z), np.inf, cells.z), 3, mode="nearest") - _MARGIN
         )
-        high = (
-            ndimage.maximum_filter(np.where(np.isnan(cells.z), -np.inf, cells.z), 3, mode="nearest") + _MARGIN
-        )
+        top = cells.z + cells.rise
+        high = ndimage.maximum_filter(np.where(np.isnan(top), -np.inf, top), 3, mode="nearest") + _MARGIN
     # A cell on which something stood has no ground of its own.
     low, high = (np.where(cells.things, np.nan, b) for b in (low, high))
     keep = np.zeros(points.u.size, dtype=np.bool_)

@@ -41,19 +41,22 @@ def by_cell(
 @compiled
 def lowest_surface(
     z: Singles, first: Ints, order: Ints, least: int, share: float, layer: float, high: float,
-    out: Floats, above: Floats, next_layer: Floats,
+    obstacle: float,
+    out: Floats, above: Floats, next_layer: Floats, rise: Floats,
 ) -> None:  # fmt: skip
     """Of each cell the height ``out`` of the lowest layer of points, and the share ``above`` it up to ``high`` m.
 
     A layer is ``layer`` m thick and holds ``least`` points and ``share`` of the cell's at least; NaN without one.
     ``next_layer``: points within two layers above it for each one within a layer of its middle. Where there are points
-    enough and no layer, all of them stand.
+    enough and no layer, all of them stand. ``rise``: how far, m, points go on upwards from it without a gap of a layer's
+    thickness, the top of a kerb or an obstacle; 0 where they go on beyond ``obstacle`` m.
     """
     for k in range(out.size):
         n = first[k + 1] - first[k]
         out[k] = np.nan
         above[k] = 0.0
         next_layer[k] = 0.0
+        rise[k] = 0.0
         need = max(least, int(share * n))
         if n < need:
             continue
@@ -83,6 +86,10 @@ def lowest_surface(
         top = np.searchsorted(h, level + layer)
         over = np.searchsorted(h, level + 3.0 * layer)
         next_layer[k] = float(over - top) / float(top - low)
+        while top < n and h[top] - h[top - 1] <= layer:
+            top += 1
+        reach = float(h[top - 1]) - level
+        rise[k] = reach if reach <= obstacle else 0.0
 
 
 @compiled
