@@ -10,7 +10,8 @@ return nothing. Cars pass and a person stands in the lane (``scanners.py``). Ran
 4 mm (mobile). In the wheel paths (0.1 m to both sides of where the wheels roll), for what ``road scan`` writes, for
 its Gaussian filter on the same ground points, and for plain binning of all points with that Gaussian:
 
-- error: rms, of the nodes that are no hole.
+- error: rms, of the nodes with points about them; filled: rms in the small holes that were filled; open: share of the
+  nodes that are marked as holes, which have no error.
 - averaged noise: the range noise, as an error of height, over the square root of the points about a node; beyond it:
   the error without it, in quadrature.
 - largest: the largest error beyond what the truth has within a node's distance, so that a wall between two nodes
@@ -58,7 +59,7 @@ from suspension_twin.road_scan.clouds import Cloud  # noqa: E402
 from suspension_twin.road_scan.felt import feel, steady_path, vertical_acceleration  # noqa: E402
 from suspension_twin.road_scan.picture import save_scan_picture  # noqa: E402
 from suspension_twin.road_scan.placing import Placing  # noqa: E402
-from suspension_twin.road_scan.scan import HOLE, Scanned, road_from_scan  # noqa: E402
+from suspension_twin.road_scan.scan import FILLED, HOLE, MEASURED, Scanned, road_from_scan  # noqa: E402
 from suspension_twin.vehicle.twin import load_twin  # noqa: E402
 
 Floats = NDArray[np.float64]
@@ -219,7 +220,8 @@ def case(site: Site, scanner: str, seed: int, picture: Path | None = None) -> di
     car = load_twin(HERE.parent / "config" / "twins" / "ford_mondeo_mk4.yaml").with_changes({"road": None})
     half_track = 0.5 * float(np.ptp(car.vehicle.wheel_positions[:, 1]))
     paths = np.abs(np.abs(found.road.v) - half_track) < 0.1
-    used = found.status != HOLE
+    used = found.status == MEASURED
+    filled = (found.status == FILLED) & paths[None, :]
     roads = {
         "road scan": found.road,
         "Gaussian": found.gaussian,
@@ -237,7 +239,8 @@ def case(site: Site, scanner: str, seed: int, picture: Path | None = None) -> di
         "not_ground": int((scan.kind != 1).sum()),
         "seconds": seconds,
         "step_m": found.facts["step"],
-        "open_percent": 100.0 * float((~used[:, paths]).mean()),
+        "open_percent": 100.0 * float((found.status == HOLE)[:, paths].mean()),
+        "filled_percent": 100.0 * float((found.status == FILLED)[:, paths].mean()),
         "averaged_noise_mm": averaged,
         "coverage_90": coverage(site, found, used, paths),
         "twin_rms": level,
@@ -245,13 +248,15 @@ def case(site: Site, scanner: str, seed: int, picture: Path | None = None) -> di
     for name, road in roads.items():
         figures: dict[str, float] = compare(site, road, used & np.isfinite(road.heights_grid), paths)
         figures["beyond_mm"] = math.sqrt(max(0.0, figures["error_mm"] ** 2 - averaged**2))
+        row[name] = figures
         try:
             a = vertical_acceleration(road, car, drive)
         except WorkError:  # a person in the road throws the twin into the air
-            a = np.full(true.size, np.nan)
+            continue
         figures["twin_percent"] = 100.0 * (float(np.sqrt(np.mean(a**2))) / level - 1.0)
         figures["twin_difference_percent"] = 100.0 * float(np.sqrt(np.mean((a - true) ** 2))) / level
-        row[name] = figures
+    if filled.any():
+        row["road scan"]["filled_mm"] = compare(site, found.road, filled, paths)["error_mm"]
     if picture is not None:
         shown = {"edge-preserving": found.edges, "Gaussian, 0.1 m": found.gaussian, "truth": site.road()}
         save_scan_picture(found, feel(shown, "edge-preserving", car, drive), picture)
@@ -308,8 +313,8 @@ def show(rows: list[dict[str, Any]]) -> None:
     console = Console(width=150)
     table = Table(title="In the wheel paths")
     for name in (
-        "road", "scanner", "Mpoints", "open %", "noise [mm]", "version", "error [mm]", "beyond [mm]", "largest [mm]",
-        "spikes", "twin rms %", "twin difference %",
+        "road", "scanner", "Mpoints", "open %", "noise [mm]", "version", "error [mm]", "beyond [mm]", "filled [mm]",
+        "largest [mm]", "spikes", "twin rms %", "twin difference %",
     ):  # fmt: skip
         table.add_column(name, justify="left" if name in ("road", "scanner", "version") else "right")
     for row in rows:
@@ -324,12 +329,19 @@ def show(rows: list[dict[str, Any]]) -> None:
             )
             table.add_row(
                 *(head if k == 0 else ("",) * 5), name, f"{f['error_mm']:.2f}", f"{f['beyond_mm']:.2f}",
-                f"{f['largest_mm']:.1f}", str(f["spikes"]), f"{f['twin_percent']:+.1f}",
-                f"{f['twin_difference_percent']:.1f}",
+                f"{f['filled_mm']:.2f}" if "filled_mm" in f else "", f"{f['largest_mm']:.1f}", str(f["spikes"]),
+                *twin_words(f),
             )  # fmt: skip
     console.print(table)
     covered = ", ".join(f"{row['road']} {row['scanner']} {100 * row['coverage_90']:.0f} %" for row in rows)
     console.print(f"true heights within the 90 % intervals: {covered}")
+
+
+def twin_words(f: dict[str, Any]) -> tuple[str, str]:
+    """What the twin feels, in words."""
+    if "twin_percent" not in f:
+        return "diverges", ""
+    return f"{f['twin_percent']:+.1f}", f"{f['twin_difference_percent']:.1f}"
 
 
 def main() -> None:
@@ -341,7 +353,7 @@ def main() -> None:
     parser.add_argument("--roads", help="names with commas; all without it")
     parser.add_argument("--scanners", default="terrestrial,mobile")
     parser.add_argument("--seeds", default="1")
-    parser.add_argument("--size", type=int)
+    parser.add_argument("--size", type=int, metavar="POINTS")
     parser.add_argument(
         "--data", type=Path, default=Path(given) if given else HERE.parents[1] / "shared" / "data"
     )

@@ -48,8 +48,8 @@ def lowest_surface(
 
     A layer is ``layer`` m thick and holds ``least`` points and ``share`` of the cell's at least; NaN without one.
     ``next_layer``: points within two layers above it for each one within a layer of its middle. Where there are points
-    enough and no layer, all of them stand. ``rise``: how far, m, points go on upwards from it without a gap of a layer's
-    thickness, the top of a kerb or an obstacle; 0 where they go on beyond ``obstacle`` m.
+    enough and no layer, all of them stand. ``rise``: how far, m, points go on upwards from it without a gap of a
+    layer's thickness, to the top of a kerb or an obstacle; 0 where they go on beyond ``obstacle`` m.
     """
     for k in range(out.size):
         n = first[k + 1] - first[k]

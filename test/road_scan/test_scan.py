@@ -103,6 +103,15 @@ def test_the_road_comes_back_with_its_edges(points: Floats, truth: Road) -> None
     assert np.sqrt(np.mean(error[filled] ** 2)) < 1.5e-3
 
 
+def test_an_obstacle_narrower_than_two_cells_keeps_its_top() -> None:
+    true = make_road(10.0, 8.0, features=[parse_feature("bump", "0.2x0.1@5.03")], step=0.01)
+    cloud = sampled(true, 3000.0, 0.003)
+    found = road_from_scan(as_cloud(cloud), Centreline([0.0, 10.0], [0.0, 0.0], 0.025), "line")
+    i = int(np.abs(found.road.u - 5.125).argmin())
+    top = true.heights_uv(found.road.u[i], found.road.v)
+    np.testing.assert_allclose(found.road.heights_grid[i], top, atol=8e-3)
+
+
 def test_the_command_makes_a_road_that_can_be_driven(
     points: Floats, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
