@@ -97,7 +97,8 @@ def ground_cells(points: Points, length: float, half: float, name: str) -> Cells
         wrong = near & (np.abs(kept - expected) > _AGREE)
         things |= wrong
         kept = np.where(wrong, np.nan, kept)
-    return Cells(size, -half, kept + trend[:, None], rise.reshape(nu, nv), things)
+    # Beside a thing what goes up without a gap is a part of it, such as a shoe.
+    return Cells(size, -half, kept + trend[:, None], np.where(near, 0.0, rise.reshape(nu, nv)), things)
 
 
 def _cell_size(points: Points, length: float, half: float) -> float:
