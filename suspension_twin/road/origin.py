@@ -23,11 +23,11 @@ def origin_of(road: Path) -> dict[str, Any] | None:
 def scan_holes(road: Path) -> list[dict[str, float]]:
     """Places of a road from a scan where nothing was measured and its file has heights all the same; m."""
     record = _record(road, "scan")
-    holes = [] if record is None else record.get("holes", [])
+    holes = [] if record is None else record.get("bridged", [])
     keys = {"u_low", "u_high", "v_low", "v_high", "nodes"}
     if not isinstance(holes, list):
         return []
-    return [h for h in holes if isinstance(h, dict) and keys <= set(h) and h.get("between")]
+    return [h for h in holes if isinstance(h, dict) and keys <= set(h)]
 
 
 def _record(road: Path, origin: str) -> dict[str, Any] | None:

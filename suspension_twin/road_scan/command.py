@@ -54,6 +54,7 @@ def scan_road(
     )
     progress("driving the twin over it", None)
     notes = [f"{c.path.name}: {words}" for c, (_, words) in zip(opened, placed, strict=True)]
+    notes += [found.facts["note"]] if "note" in found.facts else []
     felt: list[Felt] = []
     roads = {
         "edge-preserving": found.edges,

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from itertools import permutations
 
 import numpy as np
@@ -18,7 +19,7 @@ from suspension_twin.road_scan.clouds import Cloud
 from suspension_twin.road_scan.placing import SCAN_UNITS, Placing
 from suspension_twin.road_scan.surface import Points
 
-__all__ = ["gather"]
+__all__ = ["Gathered", "gather"]
 
 #: Side of the cells that know the nearest point of the line, m, unless the map of them grows too large.
 _RASTER, _LARGEST = 0.5, 4_000_000
@@ -26,6 +27,10 @@ _RASTER, _LARGEST = 0.5, 4_000_000
 _SAMPLE = 100_000
 #: A metre of the line is covered by so many points within the corridor; the line, by this share of its metres.
 _COVERED, _ENOUGH = 5, 0.2
+#: Cartesian coordinates as far from the origin as this, m, are of a grid of a country or a zone.
+_FAR = 100_000.0
+#: A unit is in doubt where the cloud covers so much of the line in the other one too.
+_BOTH = 0.95
 #: Holes up to this, m, are holes of the road; longer ones end it.
 _GAP = 5.0
 
@@ -52,16 +57,25 @@ class _Nearest:
         return np.where(inside, self.index[flat], -1)
 
 
+@dataclass(frozen=True, eq=False)
+class Gathered:
+    """``points`` with z m above ``level`` m, how many were ``read``, and a ``note`` where the unit is in doubt."""
+
+    points: Points
+    level: float
+    read: int
+    note: str | None
+
+
 def gather(
     clouds: Sequence[tuple[Cloud, Placing]],
     line: Centreline,
     half: float,
     path_name: str,
     progress: Callable[[str, float | None], None],
-) -> tuple[Points, float, int]:
+) -> Gathered:
     """Ground or not, all points within ``half`` m of a line, sorted along it.
 
-    Returns the points (z m above the level that is returned with them), that level, and how many points were read.
     Raises InputError where the clouds do not cover the line.
     """
     reach = half + 0.5
@@ -104,7 +118,8 @@ def gather(
         raise InputError(clouds[0][0].path, _why(clouds, samples, line, half, path_name))
     _check_ends(covered, line, path_name)
     order = np.argsort(along, kind="stable")
-    return Points(along[order], across[order], high[order]), level, read
+    note = _doubt(clouds, samples, line, half)
+    return Gathered(Points(along[order], across[order], high[order]), level, read, note)
 
 
 def _check_ends(covered: NDArray[np.bool_], line: Centreline, path_name: str) -> None:
@@ -122,6 +137,38 @@ def _check_ends(covered: NDArray[np.bool_], line: Centreline, path_name: str) ->
     )
 
 
+class _Share:
+    """The share of a line with points within ``half`` m."""
+
+    def __init__(self, line: Centreline, half: float) -> None:
+        every = max(1, round(0.5 / line.step))
+        self._tree = cKDTree(np.column_stack([line.x[::every], line.y[::every]]))
+        self._half = half
+
+    def __call__(self, points: Floats) -> float:
+        near, index = (
+            np.asarray(c) for c in self._tree.query(points[:, :2], distance_upper_bound=self._half)
+        )
+        on = np.isfinite(near)
+        if not on.any():
+            return 0.0
+        hits = np.bincount(index[on], minlength=self._tree.n)
+        return float((hits > 0).mean())
+
+
+def _doubt(
+    clouds: Sequence[tuple[Cloud, Placing]], samples: list[Floats], line: Centreline, half: float
+) -> str | None:
+    """A cloud near the origin of its coordinates may cover a line in metres and in feet."""
+    cloud, placing = clouds[0]
+    if placing.crs is not None or placing.unit != 1.0:
+        return None
+    feet = placing.altered(unit=SCAN_UNITS["ft"], up=SCAN_UNITS["ft"])
+    if _Share(line, half)(feet.to_map(np.concatenate(samples))) < _BOTH:
+        return None
+    return f"{cloud.path.name} is taken for metres, but covers the path in feet too: --unit ft if that is its unit"
+
+
 def _why(
     clouds: Sequence[tuple[Cloud, Placing]],
     samples: list[Floats],
@@ -132,18 +179,7 @@ def _why(
     """Why a cloud does not cover the line, in words: another unit, other axes, another place."""
     placing = clouds[0][1]
     raw = np.concatenate(samples)
-    every = max(1, round(0.5 / line.step))
-    tree = cKDTree(np.column_stack([line.x[::every], line.y[::every]]))
-
-    def share(points: Floats) -> float:
-        """Share of the line with points beside it."""
-        near, index = (np.asarray(c) for c in tree.query(points[:, :2], distance_upper_bound=half))
-        on = np.isfinite(near)
-        if not on.any():
-            return 0.0
-        hits = np.bincount(index[on], minlength=tree.n)
-        return float((hits > 0).mean())
-
+    share = _Share(line, half)
     tries: list[tuple[float, str]] = []
     for unit, factor in SCAN_UNITS.items():
         if placing.crs is None and factor != placing.unit and unit != "us-ft":  # two millionths from the foot
@@ -166,8 +202,13 @@ def _why(
     gap = np.hypot(
         *np.maximum(0.0, np.maximum(low - [line.x.max(), line.y.max()], [line.x.min(), line.y.min()] - high))
     )
+    hint = (
+        ", as coordinates of a national grid are: --crs names it"
+        if placing.crs is None and gap > _FAR
+        else ""
+    )
     return (
         f"is of another place than {path_name}: it lies at x {low[0]:.0f} to {high[0]:.0f} m, y {low[1]:.0f} to "
         f"{high[1]:.0f} m of map, the path at x {line.x.min():.0f} to {line.x.max():.0f} m, y {line.y.min():.0f} to "
-        f"{line.y.max():.0f} m, {gap:.0f} m off"
+        f"{line.y.max():.0f} m, {gap:.0f} m off{hint}"
     )

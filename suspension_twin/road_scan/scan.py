@@ -149,13 +149,13 @@ def road_from_scan(
     if chosen.section is not None:
         line = _part(line, chosen.section, name)
     half = 0.5 * chosen.width
-    points, level, read = gather(clouds, line, half + _BESIDE, name, progress)
+    gathered = gather(clouds, line, half + _BESIDE, name, progress)
+    points, level = gathered.points, gathered.level
     progress("looking for the ground", None)
     cloud_name = clouds[0][0].path.name
     cells = ground_cells(points, line.length, half + _BESIDE, cloud_name)
     ground = ground_points(points, cells)
     near = points.u.size
-    del points
     steps = chosen.steps or _steps_for(ground.u.size / (line.length * 2.0 * (half + _BESIDE)))
     line = Centreline(line.x, line.y, steps[0])
     nv = 2 * max(1, round(half / steps[1])) + 1
@@ -183,21 +183,23 @@ def road_from_scan(
     # OpenCRG has no missing heights between data: there the surface bridges them, and the record names the place.
     between = gone & enclosed(gone)
     road = replace(road, z=np.where(between, fitted.z, road.z))
-    holes = _holes(gone, between, edges.u, v)
     facts = {
-        "points": read,
+        "points": gathered.read,
         "points_near_the_path": int(near),
         "ground_points": int(ground.u.size),
         "step": grid.du,
         "step_across": grid.dv,
         "filled": float(np.mean(status == FILLED)),
-        "holes": holes,
+        "holes": _boxes(gone, edges.u, v),
+        "bridged": _boxes(between, edges.u, v),
         "missing": float(np.mean(gone)),
         "cells_with_things": int(cells.things.sum()),
         "spikes_removed": len(spikes),
         "noise": float(np.sqrt(np.mean(fitted.noise[fitted.count > 0] ** 2))),
         "sigma_median": float(np.median(fitted.sigma[~gone])),
     }
+    if gathered.note is not None:
+        facts["note"] = gathered.note
     return Scanned(
         replace(road, name=name), edges, gaussian, means, fitted.sigma, fitted.draws, fitted.noise, fitted.count,
         status, facts,
@@ -247,22 +249,20 @@ def _status(count: Floats, grid: Grid, fill: float) -> NDArray[np.int8]:
     return status
 
 
-def _holes(gone: NDArray[np.bool_], between: NDArray[np.bool_], u: Floats, v: Floats) -> list[dict[str, Any]]:
-    """Where holes are that were not filled, the largest first; ``between``: data lie on both sides."""
-    labels, _ = ndimage.label(gone)
+def _boxes(flags: NDArray[np.bool_], u: Floats, v: Floats) -> list[dict[str, float]]:
+    """Boxes in m of what hangs together among the nodes (nu, nv), the largest first."""
+    labels, _ = ndimage.label(flags)
     sizes = np.bincount(labels.ravel())
-    found = []
-    for k, (rows, columns) in enumerate(ndimage.find_objects(labels), start=1):
-        found.append(
-            {
-                "u_low": float(u[rows.start]),
-                "u_high": float(u[rows.stop - 1]),
-                "v_low": float(v[columns.start]),
-                "v_high": float(v[columns.stop - 1]),
-                "nodes": int(sizes[k]),
-                "between": bool(between[rows, columns].any()),
-            }
-        )
+    found = [
+        {
+            "u_low": float(u[rows.start]),
+            "u_high": float(u[rows.stop - 1]),
+            "v_low": float(v[columns.start]),
+            "v_high": float(v[columns.stop - 1]),
+            "nodes": int(sizes[k]),
+        }
+        for k, (rows, columns) in enumerate(ndimage.find_objects(labels), start=1)
+    ]
     return sorted(found, key=lambda h: -h["nodes"])
 
 

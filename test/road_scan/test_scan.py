@@ -226,6 +226,10 @@ EAST = np.array([400.0, 200.0, 0.0])  # so that a mistake takes the cloud off th
             lambda p: p + np.array([5000.0, 0.0, 0.0]),
             r"is of another place than line: it lies at x 5400 .* 4970 m off",
         ),
+        (
+            lambda p: p + np.array([4e5, 5e6, 0.0]),
+            r" m off, as coordinates of a national grid are: --crs names it$",
+        ),
         (lambda p: p * FEET, r"does if it is in ft: --unit ft$"),
         (lambda p: p[:, [1, 0, 2]], r"with other axes: --axes yxz$"),
         (lambda p: p[:, [0, 2, 1]] * [1, 1, -1], r"with other axes: --axes x-zy$"),
@@ -245,6 +249,13 @@ def test_a_cloud_that_does_not_fit_is_one_line(
     with pytest.raises(InputError, match=words) as caught:
         road_from_scan(as_cloud(cloud), line, "line")
     assert "\n" not in str(caught.value)
+
+
+def test_a_cloud_at_the_origin_that_may_be_in_feet_is_told(truth: Road) -> None:
+    cloud = sampled(truth, 400.0, 0.003)
+    for unit, told in ((1.0, False), (FEET, True)):
+        facts = road_from_scan(as_cloud(cloud * unit), STRAIGHT, "line", ScanSettings(width=2.0)).facts
+        assert ("--unit ft" in facts.get("note", "")) is told
 
 
 def test_a_section_and_another_unit_are_taken(truth: Road) -> None:
