@@ -140,7 +140,7 @@ def sites(data: Path, seed: int) -> dict[str, Any]:
         "rms_course_1in": of("rms_course_1in", courses / "detrended_rms_course_1in.crg", 60.0, 110.0),
         "rms_course_2in": of("rms_course_2in", courses / "detrended_rms_course_2in.crg", 60.0, 110.0),
         "halfround_4in": of("halfround_4in", courses / "halfround_4in.crg", 60.0, 20.0),
-        "Horstwalde": of("Horstwalde", courses / "Horstwalde.crg", 60.0, 95.0),
+        "Horstwalde": of("Horstwalde", courses / "Horstwalde.crg", 48.0, 101.0),
     }
 
 
@@ -278,7 +278,7 @@ def size(points: int, seed: int = 1) -> dict[str, Any]:
 
     with tempfile.TemporaryDirectory() as folder:
         where = Path(folder)
-        length = 60.0 * points / 2.5e6
+        length = 60.0 * points / 1.7e6
         made = make_road(length, 8.0, iso="C", seed=seed, step=0.02, v_step=0.1)
         scan = mobile(make_site("size", made, length, seed).ground, seed)
         header = laspy.LasHeader(point_format=6, version="1.4")

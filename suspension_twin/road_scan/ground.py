@@ -4,7 +4,7 @@
 1. In every cell of some decimetres the lowest layer that enough points lie in.
 2. What stands on the ground is higher than an opening of these heights (the lowest within a window, then the
    highest of those) with windows from a foot's length to a car's (Zhang et al., IEEE Trans. Geosci. Remote Sens. 41
-   (2003) 872).
+   (2003) 872), and has steep sides.
 3. Where many points lie above the layer, something stood. Without a gap above the layer it is a part of that thing,
    such as a leg. About all these cells heights must agree with what the cells around them let expect: the tread of a
    tyre and the sole of a shoe do not.
@@ -35,6 +35,8 @@ _WANTED, _LEAST, _MOST = 8, 3, 0.8
 _SHARE, _LAYER = 0.03, 0.03
 #: Length of a window in m, and how far above the opening a cell may be, m. Speed humps are up to 0.15 m high.
 _OPENINGS = ((0.6, 0.12), (1.2, 0.16), (2.4, 0.2), (6.5, 0.25))
+#: m by which a thing jumps up from what is around it.
+_SIDE = 0.1
 #: More than this share of a cell's points above its layer, up to a person's height: something stood there.
 _STANDING, _PERSON = 0.15, 2.2
 #: Where something stood, ground is denser than what is right above it; a leg is not.
@@ -89,7 +91,8 @@ def ground_cells(points: Points, length: float, half: float, name: str) -> Cells
     for window, allowed in _OPENINGS:
         width = max(3, round(window / size) | 1)
         with np.errstate(invalid="ignore"):
-            things |= flat - _opened(np.where(things, np.nan, flat), width) > allowed
+            high = flat - _opened(np.where(things, np.nan, flat), width) > allowed
+        things |= _steep_sided(flat, things, high & ~things)
     kept = np.where(things, np.nan, flat)
     near = _grown(things | standing, _NEAR / size) & np.isfinite(kept)
     if near.any() and np.isfinite(np.where(near, np.nan, kept)).any():
@@ -163,6 +166,19 @@ def _opened(z: Floats, width: int) -> Floats:
         np.where(np.isinf(lowest), -np.inf, lowest), width, mode="nearest"
     )
     return opened
+
+
+def _steep_sided(flat: Floats, things: NDArray[np.bool_], high: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """What of the high cells, in pieces that hang together, jumps up from the cells around it: a hill does not."""
+    around = np.where(things | high, np.nan, flat)
+    if not high.any() or not np.isfinite(around).any():
+        return high
+    jump = flat - _filled(around)
+    border = high & ~ndimage.binary_erosion(high, border_value=1)
+    labels, number = ndimage.label(high, structure=np.ones((3, 3)))
+    jumps = ndimage.median(np.where(border, jump, 0.0), np.where(border, labels, 0), np.arange(1, number + 1))
+    steep: NDArray[np.bool_] = np.concatenate([[False], np.asarray(jumps) > _SIDE])[labels]
+    return steep
 
 
 def _grown(flags: NDArray[np.bool_], cells: float) -> NDArray[np.bool_]:
