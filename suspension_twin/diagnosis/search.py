@@ -206,7 +206,9 @@ def _first_search(
         far = coarse_search.coarse_fit(bench, v, no_match)
         if far is not None and far[2] < cost:
             v, x, cost = far
-        whole = [start for begun, start in _softened_starts(bench, base, v, seed) if begun < _COST_RATIO * cost]
+        whole = [
+            start for begun, start in _softened_starts(bench, base, v, seed) if begun < _COST_RATIO * cost
+        ]
         for start in (*_typical_start(bench, base, v), *whole):
             y, other = refit(bench, v, [start], None, DEEP, alternate_jacobian=True)
             x, cost = (y, other) if other < cost else (x, cost)
