@@ -110,6 +110,7 @@ setup(
     extras_require={
         "test": TEST + DOCS + FOXGLOVE + FLEET,
         "fleet": FLEET,
+        "s3": ["s3fs>=2024.5"],
         "foxglove": FOXGLOVE,
         "docs": DOCS,
     },
