@@ -30,6 +30,7 @@ DOES = {
     "suspension_model": "the twin along that pose over the road; the gap",
     "calibrator": "calibration and diagnosis of recorded drives",
     "source": "live phones, receivers and IMUs ([docs/sources.md](docs/sources.md)); only where it is given sources",
+    "road_learner": "the road, learnt while driving; only with `--learn-road`",
 }
 _BASE = "`base_link`"
 #: Frame and content of each topic, with units.
@@ -127,6 +128,7 @@ def _node_classes() -> dict[str, Any]:
     from suspension_twin.nodes.calibrator import CalibratorNode
     from suspension_twin.nodes.imu_ingest import ImuIngestNode
     from suspension_twin.nodes.pose_injector import PoseInjectorNode
+    from suspension_twin.nodes.road_learner import RoadLearnerNode
     from suspension_twin.nodes.source import SourceNode
     from suspension_twin.nodes.suspension_model import SuspensionModelNode
 
@@ -136,11 +138,12 @@ def _node_classes() -> dict[str, Any]:
         "suspension_model": SuspensionModelNode,
         "calibrator": CalibratorNode,
         "source": SourceNode,
+        "road_learner": RoadLearnerNode,
     }
 
 
 #: Nodes that do not start without a parameter.
-_NEEDED = {"source": ("sources", "sensorlogger://127.0.0.1:0")}
+_NEEDED = {"source": ("sources", "sensorlogger://127.0.0.1:0"), "road_learner": ("out", "road.crg")}
 
 
 def _graph() -> dict[str, dict[str, list[tuple[str, str]]]]:

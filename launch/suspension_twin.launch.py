@@ -1,7 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """The four nodes, each in a process of its own: ``ros2 launch suspension_twin suspension_twin.launch.py twin:=...``.
 
-With ``sources:="sensorlogger://0.0.0.0:8000 ubx:/dev/ttyACM0"`` a fifth one connects phones, receivers and IMUs.
+With ``sources:="sensorlogger://0.0.0.0:8000 ubx:/dev/ttyACM0"`` a fifth one connects phones, receivers and IMUs; with
+``learn_road:=/path/to/road.crg`` another learns the road as it is driven over.
 
 ``suspension-twin run`` starts the same nodes in one process, which costs less.
 """
@@ -40,6 +41,11 @@ def generate_launch_description() -> LaunchDescription:
         DeclareLaunchArgument(
             "sources", default_value="", description="URLs of live sources, separated by spaces."
         ),
+        DeclareLaunchArgument(
+            "learn_road",
+            default_value="",
+            description="Path of the OpenCRG road that is learnt while driving.",
+        ),
     ]
     parameters = [
         LaunchConfiguration("params"),
@@ -59,16 +65,23 @@ def generate_launch_description() -> LaunchDescription:
         )
         for name in FOUR
     ]
-    sources = LaunchConfiguration("sources")
-    nodes.append(
-        Node(
-            package="suspension_twin",
-            executable="source",
-            name="source",
-            namespace=LaunchConfiguration("namespace"),
-            parameters=[parameters[0], {**parameters[1], "sources": ParameterValue(sources, value_type=str)}],
-            output="screen",
-            condition=IfCondition(NotEqualsSubstitution(sources, "")),
+    for name, parameter, argument in (
+        ("source", "sources", "sources"),
+        ("road_learner", "out", "learn_road"),
+    ):
+        given = LaunchConfiguration(argument)
+        nodes.append(
+            Node(
+                package="suspension_twin",
+                executable=name,
+                name=name,
+                namespace=LaunchConfiguration("namespace"),
+                parameters=[
+                    parameters[0],
+                    {**parameters[1], parameter: ParameterValue(given, value_type=str)},
+                ],
+                output="screen",
+                condition=IfCondition(NotEqualsSubstitution(given, "")),
+            )
         )
-    )
     return LaunchDescription([*arguments, *nodes])

@@ -30,7 +30,8 @@ def say(text: str) -> None:
 
 
 def line(condition: Condition) -> Text:
-    """``condition`` in a line of at most 80 columns; what is wrong comes in a second one and in colour."""
+    """``condition`` in a line of at most 80 columns; what is learnt of the road in another, what is wrong in a last one
+    and in colour."""
     parts = []
     if condition.position is not None:
         again = f", round {condition.rounds + 1}" if condition.rounds else ""
@@ -43,6 +44,8 @@ def line(condition: Condition) -> Text:
         times = "" if condition.normalised is None else f" ({condition.normalised:.1f} ×)"
         parts.append(f"gap {condition.gap:.2f} m/s²{times}")
     text = Text(_fitting(parts))
+    if condition.learning is not None:
+        text.append(f"\n{condition.learning[:_WIDTH]}")
     if condition.complaints:
         more = f" (+{len(condition.complaints) - 1})" if len(condition.complaints) > 1 else ""
         text.append("\n")

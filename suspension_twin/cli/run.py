@@ -24,6 +24,7 @@ from suspension_twin.errors import InputError, WorkError
 
 if TYPE_CHECKING:
     from suspension_twin.nodes.composed import Composed, Playback
+    from suspension_twin.nodes.process import Stop
 
 __all__ = ["command"]
 
@@ -33,6 +34,8 @@ _DISCOVERY = 0.5
 _VIEWED = 3.0
 #: s that a recording may take to be completed after Ctrl-C.
 _RECORDED = 30.0
+#: s that the road of the last pass may take after Ctrl-C; a second one ends it.
+_LEARNT = 120.0
 
 
 class Page(NamedTuple):
@@ -85,6 +88,15 @@ def command(
         Path | None,
         typer.Option(
             "--record", help="Record what the sources send into this bag.", metavar="BAG", show_default=False
+        ),
+    ] = None,
+    learn_road: Annotated[
+        Path | None,
+        typer.Option(
+            "--learn-road",
+            help="Learn the road as it is driven over and load it for the next pass; written to this OpenCRG file.",
+            metavar="ROAD",
+            show_default=False,
         ),
     ] = None,
     force: Force = False,
@@ -150,7 +162,15 @@ def command(
     # What is wrong with a file is to be said before ROS is started, which takes a second.
     from suspension_twin.vehicle.twin import load_twin
 
-    load_twin(twin)
+    loaded = load_twin(twin)
+    if learn_road is not None and getattr(loaded.vehicle, "front_track", None) is None:
+        raise InputError("--learn-road", f"needs a car, {twin} is of the model {loaded.model}")
+    used = [twin, *([] if loaded.road is None else [loaded.road.file])]
+    for path in _learnt_files(learn_road):
+        if path.resolve() in [p.resolve() for p in used]:
+            raise InputError(
+                "--learn-road", f"would overwrite {path}, which the twin is made of: give another name"
+            )
     page = None if view is None else _place("--view", view)
     bridge = None if foxglove is None else _bridge(foxglove)
     if urls:
@@ -158,7 +178,7 @@ def command(
         from suspension_twin.sources.common.hub import Hub
 
         make_sources(urls, Hub())
-    outputs = Outputs(*([record] if record else []), force=force)
+    outputs = Outputs(*([record] if record else []), *_learnt_files(learn_road), force=force)
     outputs.announce()
     from suspension_twin.cli._status import say
     from suspension_twin.nodes.composed import Composed, check_namespace
@@ -171,10 +191,10 @@ def command(
     check_arguments(arguments)
     if params is not None:
         arguments += ["--ros-args", "--params-file", str(params)]
-    with stopping(_RECORDED if record else None) as stop:
+    with stopping(_LEARNT if learn_road else _RECORDED if record else None) as stop:
         playback = None if bag is None else _playback(bag, speed, loop, page is not None)
         with ros_context(arguments) as context:
-            composed = Composed(context, twin, namespace, playback, urls)
+            composed = Composed(context, twin, namespace, playback, urls, learn_road)
             try:
                 if params is not None:
                     check_names(params, wanted, composed.parameter_names())
@@ -184,6 +204,8 @@ def command(
                 with ExitStack() as stack:
                     if record is not None:
                         stack.enter_context(_recorded(composed, record, force))
+                    if learn_road is not None:
+                        stack.enter_context(_learnt(composed, learn_road, stop))
                     if page is not None:
                         values = page._asdict() | {"twin": str(twin), "bag": "" if bag is None else str(bag)}
                         stack.enter_context(_beside("viewer", values, namespace, arguments))
@@ -236,6 +258,42 @@ def _recorded(composed: Composed, path: Path, force: bool) -> Iterator[None]:
         source.tap = None
         if path.exists():
             say(f"{recorder.counts['imu']} IMU samples, {recorder.counts['fix']} positions written to {path}")
+
+
+def _learnt_files(road: Path | None) -> list[Path]:
+    """The road that is learnt, its record, and the twin on it."""
+    from suspension_twin.road.origin import record_path
+    from suspension_twin.road_estimation.learning import twin_path
+
+    if road is None:
+        return []
+    if road.suffix.lower() != ".crg":
+        raise InputError(road, "a road is written as .crg; name the file so")
+    return [road, record_path(road), twin_path(road)]
+
+
+@contextmanager
+def _learnt(composed: Composed, road: Path, stop: Stop) -> Iterator[None]:
+    """At the end, whatever ends it, the road of what was driven last is learnt as well."""
+    from suspension_twin.cli._status import Status, say
+
+    try:
+        yield
+    finally:
+        learner = composed.learner
+        assert learner is not None
+        learner.close_pass()
+        if learner.pending:
+            say("learning the road of the last pass; Ctrl-C ends this")
+            with suppress(KeyboardInterrupt), stop.again(), Status(composed) as status:
+                while learner.pending:
+                    composed.serve()
+                    status.show()
+        say(
+            learner.summary()
+            if learner.learnt
+            else f"no road was learnt, {road} is not written: {learner.why}"
+        )
 
 
 def _speed(rate: str) -> float:

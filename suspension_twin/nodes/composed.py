@@ -24,6 +24,7 @@ from suspension_twin.nodes.imu_ingest import ImuIngestNode
 from suspension_twin.nodes.player import BagPlayer
 from suspension_twin.nodes.pose_injector import PoseInjectorNode
 from suspension_twin.nodes.process import WAIT
+from suspension_twin.nodes.road_learner import RoadLearnerNode
 from suspension_twin.nodes.source import SourceNode
 from suspension_twin.nodes.suspension_model import SuspensionModelNode
 from suspension_twin.nodes.topics import ERROR, Embedding, Outbox
@@ -54,6 +55,8 @@ PLAYED = (
 
 #: And so does the node of live sources.
 LIVE = tuple((topic, "source", receiver) for topic, _, receiver in PLAYED)
+#: What the node that learns the road gets beside the others.
+LEARNT = (("twin/odom", "pose_injector", "road_learner"),)
 #: With live sources: s between the executor's turns, and callbacks that it serves in one at most.
 _SERVE_EVERY, _SERVED = 0.05, 100
 
@@ -76,7 +79,8 @@ class Condition:
 
     ``rates`` Hz by short name; ``gap`` m/s² of the sliding window and ``normalised``, ``whole_gap`` m/s² since the
     beginning, None while not known; ``complaints`` errors first, ``failing`` whether one is an error; ``position`` and
-    ``duration`` s of a playback, None when live, and its ``rounds`` done."""
+    ``duration`` s of a playback, None when live, and its ``rounds`` done; ``learning`` what is known of the road, if it
+    is learnt."""
 
     rates: dict[str, float]
     samples: int
@@ -89,6 +93,7 @@ class Condition:
     position: float | None
     duration: float | None
     rounds: int
+    learning: str | None = None
 
 
 def check_namespace(namespace: str) -> None:
@@ -101,9 +106,9 @@ def check_namespace(namespace: str) -> None:
 
 
 class Composed:
-    """All nodes of one twin, with a ``playback`` or with live ``sources`` (URLs) if it is given any. Call
-    :meth:`step` until :attr:`finished`, then :meth:`close`. One of many twins gets the ``executor`` that serves them
-    all and is spun by its owner; such a twin has no calibrator."""
+    """All nodes of one twin, with a ``playback`` or with live ``sources`` (URLs) if it is given any, and with one that
+    learns the road into the file ``learn``. Call :meth:`step` until :attr:`finished`, then :meth:`close`. One of many
+    twins gets the ``executor`` that serves them all and is spun by its owner; such a twin has no calibrator."""
 
     def __init__(
         self,
@@ -112,10 +117,14 @@ class Composed:
         namespace: str = "",
         playback: Playback | None = None,
         sources: Sequence[str] = (),
+        learn: Path | None = None,
         executor: Executor | None = None,
     ) -> None:
         outbox = Outbox()
-        links = LINKS + (PLAYED if playback else LIVE if sources else ())
+        sensed = PLAYED if playback else LIVE if sources else ()
+        links = LINKS + sensed
+        if learn is not None:
+            links += LEARNT + tuple((topic, sender, "road_learner") for topic, sender, _ in sensed)
         self._shared = executor is not None
         self.executor = executor or SingleThreadedExecutor(context=context)
         self.nodes: dict[str, TwinNode] = {}
@@ -125,14 +134,15 @@ class Composed:
         if playback:
             parameters.append(Parameter("use_sim_time", value=True))
         try:
-            for name, kind in KINDS.items():
+            out = {} if learn is None else {"road_learner": Parameter("out", value=str(learn))}
+            for name, kind in (KINDS | ({} if learn is None else {"road_learner": RoadLearnerNode})).items():
                 if self._shared and name == "calibrator":
                     continue
                 linked = frozenset(topic for topic, _, receiver in links if receiver == name)
                 embedding = Embedding(
                     context,
                     namespace,
-                    tuple(parameters),
+                    (*parameters, *([out[name]] if name in out else [])),
                     linked,
                     outbox,
                     clock_jumps=playback is None,
@@ -182,6 +192,10 @@ class Composed:
         else:
             self.executor.spin_once(timeout_sec=min(most, pause))
 
+    def serve(self) -> None:
+        """Serve one callback and play nothing: what is under way comes to its end."""
+        self.executor.spin_once(timeout_sec=WAIT)
+
     def _step_live(self, source: SourceNode, most: float) -> None:
         """Deliver samples as they come, and let the executor serve timers and services at times in between."""
         source.run(min(most, self._serve_at - time.monotonic()))
@@ -197,6 +211,12 @@ class Composed:
             if error is not None:
                 raise error
         self._serve_at = time.monotonic() + _SERVE_EVERY
+
+    @property
+    def learner(self) -> RoadLearnerNode | None:
+        """The node that learns the road, if there is one."""
+        node = self.nodes.get("road_learner")
+        return node if isinstance(node, RoadLearnerNode) else None
 
     @property
     def notes(self) -> list[str]:
@@ -230,7 +250,8 @@ class Composed:
             failing=any(level == ERROR for level, _ in complaints),
             position=None if self.player is None else self.player.position,
             duration=None if self.player is None else self.player.duration,
-            rounds=0 if self.player is None else self.player.loops,
+            rounds=0 if self.player is None else self.player.loops - int(self.player.done),
+            learning=None if self.learner is None else self.learner.condition(),
         )
 
     def settle_memory(self) -> None:

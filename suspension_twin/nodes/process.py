@@ -52,6 +52,15 @@ class Stop:
             self.asked = True
             raise KeyboardInterrupt
 
+    @contextmanager
+    def again(self) -> Iterator[None]:
+        """Within, another signal raises KeyboardInterrupt once more: for work that is done after the first."""
+        before, self.asked = self.asked, False
+        try:
+            yield
+        finally:
+            self.asked = before or self.asked
+
     def leave(self) -> None:
         """End the process here if it has been asked to: the interpreter's regular exit takes half
         a second with a compiler loaded, and there is nothing to clean up."""

@@ -26,7 +26,7 @@ from suspension_twin.road_estimation.estimate import STEP, Estimate, Settings, e
 from suspension_twin.signals.filters import FilterSpec
 from suspension_twin.vehicle.twin import Twin
 
-__all__ = ["Part", "road_from_drives", "surface_of", "write_estimate"]
+__all__ = ["Part", "road_from_drives", "surface_of", "with_datum", "write_estimate"]
 
 #: Channels are compared up to the wheel hop and beyond; the default low-pass takes half of that away.
 _FILTER = FilterSpec(order=4, cutoff=30.0)
@@ -39,12 +39,18 @@ class Part:
     drive: Drive
     start: float = 0.0
     end: float = math.inf
+    label: str = ""
+
+    @property
+    def whole(self) -> bool:
+        """Whether it is the whole drive."""
+        return self.start <= 0.0 and not math.isfinite(self.end)
 
     @property
     def name(self) -> str:
-        """Of the drive, with the part of it."""
-        whole = self.start <= 0.0 and not math.isfinite(self.end)
-        return self.drive.name if whole else f"{self.drive.name}@{self.start:g}..{self.end:g}"
+        """``label``, or the drive's name with the part of it."""
+        part = "" if self.whole else f"@{self.start:g}..{self.end:g}"
+        return self.label or f"{self.drive.name}{part}"
 
 
 def road_from_drives(
@@ -91,7 +97,7 @@ def road_from_drives(
     pieces = [part if isinstance(part, Part) else Part(part) for part in parts]
     if not pieces:
         raise InputError("drives", "none is given")
-    twin = _with_datum(twin, pieces[0].drive)
+    twin = with_datum(twin, pieces[0].drive)
     ground = flat_road()
     known: dict[int, Prepared] = {}
     prepared = []
@@ -101,8 +107,8 @@ def road_from_drives(
             progress(f"reading {piece.drive.name}", 0.0)
             whole = prepare(piece.drive, twin, ground, PrepareSettings(filter=_FILTER))
             known[id(piece.drive)] = whole
-        if piece.name == piece.drive.name:
-            prepared.append(whole)
+        if piece.whole:
+            prepared.append(replace(whole, name=piece.name))
         else:
             begin = float(whole.t[0])
             end = begin + piece.end if math.isfinite(piece.end) else float(whole.t[-1]) + 1.0
@@ -110,7 +116,7 @@ def road_from_drives(
     return estimate_road(prepared, twin, settings, progress)
 
 
-def _with_datum(twin: Twin, drive: Drive) -> Twin:
+def with_datum(twin: Twin, drive: Drive) -> Twin:
     """A twin file without a datum counts from the first fix of the first drive."""
     if twin.datum is not None:
         return twin

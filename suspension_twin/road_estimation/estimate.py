@@ -20,6 +20,7 @@ from scipy.fft import irfft, rfft
 from scipy.ndimage import gaussian_filter1d
 
 from suspension_twin.arrays import Floats
+from suspension_twin.errors import InputError
 from suspension_twin.gap.prepare import Prepared
 from suspension_twin.road.centreline import Centreline, road_over
 from suspension_twin.road.road import Road
@@ -51,13 +52,15 @@ class Settings:
     """``iterations`` of simulation and inverse; ``samples`` of the posterior at the end; ``seed`` of its draws;
     ``local`` lets the road's level differ from place to place; ``vehicle`` relative standard deviation of the twin's
     gain from wheel to sensor, which all drives have in common and which therefore no drive shows (a prior:
-    spring and damper rates of a calibrated twin are right to some per cent)."""
+    spring and damper rates of a calibrated twin are right to some per cent); ``strict`` refuses drives that do not
+    lie on the road of the others, which are otherwise left out with a warning."""
 
     iterations: int = 5
     samples: int = 10
     seed: int = 0
     local: bool = True
     vehicle: float = 0.03
+    strict: bool = True
 
 
 @dataclass(frozen=True, eq=False)
@@ -200,10 +203,10 @@ def estimate_road(
     track = 0.5 * (twin.vehicle.front_track + twin.vehicle.rear_track)
     count = line.x.size
     plain = lanes_road(line, np.zeros((2, count)), track)
-    passes = tuple(make_pass(p, plain) for p in prepared)
+    warnings: list[str] = []
+    passes = _passes(prepared, plain, None if settings.strict else warnings)
     speed = float(np.median([p.speed for p in passes]))
     period = period_of(count, STEP)
-    warnings = []
     if len(passes) > 1 and max(p.shift_sigma for p in passes) >= LANE_SIGMA:
         progress("aligning the drives", 0.02)
         passes = _aligned(passes, twin, line, track, period, speed)
@@ -246,6 +249,22 @@ def estimate_road(
         tuple(history),
         tuple(warnings),
     )
+
+
+def _passes(prepared: Sequence[Prepared], line: Road, left_out: list[str] | None) -> tuple[Pass, ...]:
+    """The drives as passes over one line; with ``left_out`` those that do not fit are told there and left out."""
+    passes, error = [], None
+    for one in prepared:
+        try:
+            passes.append(make_pass(one, line))
+        except InputError as caught:
+            error = caught
+            if left_out is None:
+                raise
+            left_out.append(f"left out: {caught}")
+    if not passes and error is not None:
+        raise error
+    return tuple(passes)
 
 
 def _sides(heights: Floats) -> Floats:

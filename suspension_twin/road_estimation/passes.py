@@ -26,7 +26,7 @@ from suspension_twin.road.road import Road
 from suspension_twin.road_estimation.transfer import CHANNELS
 from suspension_twin.vehicle.twin import Twin
 
-__all__ = ["FINE", "LANE_SIGMA", "Pass", "line_of", "make_pass"]
+__all__ = ["FINE", "LANE_SIGMA", "Pass", "line_of", "make_pass", "smoothed_line"]
 
 #: Wheels are placed on the line so many times in each sample.
 FINE = 2
@@ -40,6 +40,9 @@ LANE_SIGMA = 0.3
 #: Drives farther apart than this, m, have other wheel paths.
 LANE = 0.6
 _OTHER_ROAD = 30.0
+#: m beside the line beyond which a drive has left it; with a receiver that cannot tell lanes apart so many, or that
+#: many of its standard deviations; rad by which it goes another way.
+_BESIDE, _ASTRAY, _SIGMAS, _AGAINST = 2.0, 12.0, 3.0, math.radians(60.0)
 #: A line has a point every so many m, smoothed over about so many.
 _KNOT, _SMOOTH = 0.5, 1.5
 #: Time in s between the knots of a pass's shift along the road.
@@ -121,6 +124,11 @@ def line_of(paths: Sequence[Trajectory], step: float, margin: float) -> Centreli
     if not lines:
         raise InputError("drives", f"none of them moves faster than {_MOVING:g} m/s")
     x, y = max(lines, key=lambda p: float(np.hypot(np.diff(p[0]), np.diff(p[1])).sum()))
+    return smoothed_line(x, y, step, margin)
+
+
+def smoothed_line(x: Floats, y: Floats, step: float, margin: float = 0.0) -> Centreline:
+    """A line through points (n,) m, smoothed over about a metre and a half, ``margin`` m longer at both ends."""
     rough = Centreline(x, y, _KNOT)
     # Straight on at both ends, in the direction of the first and of the last metres.
     more = math.ceil((margin + 4.0 * _SMOOTH) / _KNOT)
@@ -141,11 +149,12 @@ def line_of(paths: Sequence[Trajectory], step: float, margin: float) -> Centreli
 
 def make_pass(prepared: Prepared, line: Road) -> Pass:
     """A prepared drive as a pass over the road whose line ``line`` has."""
-    prepared, across = _snapped(prepared, line)
-    path = prepared.trajectory
     n = int(next_fast_len(prepared.t.size, real=True))
     grid = prepared.t[0] + np.arange(n) / prepared.rate
     fine = grid[0] + np.arange(FINE * n) / (FINE * prepared.rate)
+    along = _along(prepared, line, fine)
+    prepared, across = _snapped(prepared, line)
+    path = prepared.trajectory
     x, y, yaw = (np.interp(fine, path.t, getattr(path, name)) for name in ("x", "y", "yaw"))
     wheels = prepared.twin.vehicle.wheel_positions
     u = np.array(
@@ -154,7 +163,7 @@ def make_pass(prepared: Prepared, line: Road) -> Pass:
             for a, b in wheels
         ]
     )
-    on = (u.min(axis=0) > line.u_first) & (u.max(axis=0) < line.u_last)
+    on = (u.min(axis=0) > line.u_first) & (u.max(axis=0) < line.u_last) & along
     recorded = on[::FINE][: prepared.t.size] & (prepared.speed > _MOVING) & prepared.mask
     usable = np.concatenate([recorded, np.zeros(n - recorded.size, dtype=np.bool_)])
     if prepared.position_sigma < LANE_SIGMA and abs(across) > LANE:
@@ -187,6 +196,23 @@ def make_pass(prepared: Prepared, line: Road) -> Pass:
     )
 
 
+def _along(prepared: Prepared, line: Road, t: Floats) -> NDArray[np.bool_]:
+    """Where (n,) at the times ``t`` a drive is on the line and goes its way: it may leave it, or come back on it."""
+    path = prepared.trajectory
+    x, y, yaw = (np.interp(t, path.t, getattr(path, name)) for name in ("x", "y", "yaw"))
+    u, v = line.xy_to_uv(x, y)
+    at = np.clip(np.rint((u - line.u_first) / line.u_step).astype(np.int64), 0, line.x.size - 2)
+    dx, dy = line.x[at + 1] - line.x[at], line.y[at + 1] - line.y[at]
+    same = dx * np.cos(yaw) + dy * np.sin(yaw) > math.cos(_AGAINST) * line.u_step
+    return np.asarray((np.abs(v) < _reach(prepared)) & same, dtype=np.bool_)
+
+
+def _reach(prepared: Prepared) -> float:
+    """m beside the line within which a drive may be on it."""
+    sigma = prepared.position_sigma
+    return _BESIDE if sigma < LANE_SIGMA else max(_ASTRAY, _SIGMAS * sigma)
+
+
 def _snapped(prepared: Prepared, line: Road) -> tuple[Prepared, float]:
     """A drive whose receiver cannot tell lanes apart, moved onto the line; and how far beside it (m) the drive was."""
     path = prepared.trajectory
@@ -194,7 +220,8 @@ def _snapped(prepared: Prepared, line: Road) -> tuple[Prepared, float]:
     on = (u > line.u_first) & (u < line.u_last) & (path.speed > _MOVING)
     if not on.any():
         raise InputError(prepared.name, "is nowhere on the road of the other drives")
-    across = float(np.median(v[on]))
+    near = on & (np.abs(v) < _reach(prepared))
+    across = float(np.median(v[near if near.any() else on]))
     if abs(across) > _OTHER_ROAD:
         raise InputError(
             prepared.name, f"is nowhere on the road of the other drives, but {abs(across):.0f} m off"

@@ -196,7 +196,8 @@ class Server:
             raise web.HTTPForbidden(text="Another page's WebSocket is refused.\n")
         if len(self._queues) >= _VIEWERS:
             raise web.HTTPServiceUnavailable(text="Too many viewers.\n")
-        socket = web.WebSocketResponse(max_msg_size=_LARGEST, heartbeat=20.0)
+        # Not compressed: aiohttp compresses in a task of its own, whose failure at a lost connection nobody can catch.
+        socket = web.WebSocketResponse(max_msg_size=_LARGEST, heartbeat=20.0, compress=False)
         await socket.prepare(request)
         queue: asyncio.Queue[str] = asyncio.Queue()
         queue.put_nowait(encoded(self.view.snapshot()))

@@ -21,7 +21,7 @@ from catkin_pkg.package import parse_package
 
 import suspension_twin
 
-NODES = ("imu_ingest", "pose_injector", "suspension_model", "calibrator", "source")
+NODES = ("imu_ingest", "pose_injector", "suspension_model", "calibrator", "source", "road_learner")
 INTERFACES = Path("suspension_twin_interfaces")
 
 
@@ -86,7 +86,8 @@ def test_setup_requires_what_is_imported(repository: Path, setup_arguments: dict
     outside = modules - ros_only(modules)
     missing = {m for m in outside if not required & {canonical(d) for d in providers.get(m, ["nowhere"])}}
     fleet = {"dask", "distributed", "fsspec", "psutil", "pyarrow"}
-    assert missing == {"foxglove", *fleet}, "extras, of which a command says how to install them"
+    scan = {"laspy", "plyfile", "pyproj"}
+    assert missing == {"foxglove", *fleet, *scan}, "extras, of which a command says how to install them"
     unused = {r for r in required if not any(r in map(canonical, providers.get(m, [])) for m in modules)}
     assert unused == set()
 
@@ -248,7 +249,7 @@ def test_the_launch_file_makes_the_nodes(repository: Path, monkeypatch: pytest.M
     entities = launch["generate_launch_description"]().arguments[0]
 
     arguments = {e.arguments[0]: e.named for e in entities if isinstance(e, made["DeclareLaunchArgument"])}
-    assert set(arguments) == {"twin", "params", "use_sim_time", "namespace", "sources"}
+    assert set(arguments) == {"twin", "params", "use_sim_time", "namespace", "sources", "learn_road"}
     assert all(a["description"] for a in arguments.values())
     assert "default_value" not in arguments["twin"]
     assert Path(arguments["params"]["default_value"]).is_file()
@@ -261,9 +262,9 @@ def test_the_launch_file_makes_the_nodes(repository: Path, monkeypatch: pytest.M
         file, values = node["parameters"]
         assert file.arguments == ("params",)
         types = {name: value.named["value_type"] for name, value in values.items()}
-        source = node["name"] == "source"
-        assert types == {"twin": str, "use_sim_time": bool} | ({"sources": str} if source else {})
-        assert ("condition" in node) == source
+        more = {"source": {"sources": str}, "road_learner": {"out": str}}.get(node["name"], {})
+        assert types == {"twin": str, "use_sim_time": bool} | more
+        assert ("condition" in node) == bool(more)
 
 
 def test_interfaces_name_their_dependencies(repository: Path) -> None:

@@ -31,6 +31,7 @@ ROWS = (
     {"models", "effects"},
     {"gap"},
     {"road_estimation"},
+    {"road_scan"},
     {"identification"},
     {"calibration"},
     {"diagnosis"},

@@ -184,9 +184,8 @@ def test_the_replay_is_paused_wound_and_slowed(page):
     page.click("#pause")
     until(lambda: page.inner_text("#pause") == "Pause", "it to go on")
     before, began = page.evaluate("twin.state.pose.at(-1)[0]"), time.monotonic()
-    time.sleep(3.0)
-    pace = (page.evaluate("twin.state.pose.at(-1)[0]") - before) / (time.monotonic() - began)
-    assert 0.3 < pace < 0.75
+    until(lambda: page.evaluate("twin.state.pose.at(-1)[0]") > before + 2.5, "2.5 s of the drive")
+    assert time.monotonic() - began > 3.3, "half the pace takes twice the time, on a busy machine longer"
     page.select_option("#pace", "5")
     until(lambda: page.inner_text("#pause") == "Again", "the end")
     page.select_option("#pace", "2")
