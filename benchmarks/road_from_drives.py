@@ -2,7 +2,7 @@
 """The road under both wheel paths from drives, beside the true road, in realities that are not the twin.
 
     python benchmarks/road_from_drives.py [--seeds 7001,...] [--realities newton,multibody] [--json] [--picture FILE]
-    python benchmarks/road_from_drives.py --only rtk|phone
+    python benchmarks/road_from_drives.py --only rtk|phone|joint
 
 A car of the blind benchmark is calibrated on a surveyed road of 200 m, then driven over another road of 300 m:
 
@@ -13,6 +13,9 @@ A car of the blind benchmark is calibrated on a surveyed road of 200 m, then dri
   the true heights of the same two wheel paths leave.
 - ``phone``: five drives at 20 to 50 km/h with a receiver that is 2.5 m off and wanders. Correlation after the map's
   own error along the road, which no drive shows, is taken out.
+- ``joint``: the two drives of ``rtk``, and a twin whose springs, dampers, tyre, masses and inertias are wrong by 8 to
+  35 %. Error of the road with this twin, and with vehicle and road estimated at once; of each parameter its distance
+  from the calibrated one in its own standard deviations.
 """
 
 from __future__ import annotations
@@ -36,6 +39,7 @@ from suspension_twin.road_estimation.alignment import banded, lags_along  # noqa
 from suspension_twin.road_estimation.drives import road_from_drives, surface_of  # noqa: E402
 from suspension_twin.road_estimation.estimate import SEEN_BAND, STEP, Estimate, Settings  # noqa: E402
 from suspension_twin.road_estimation.picture import save_estimate_picture  # noqa: E402
+from suspension_twin.road_estimation.vehicle import PARAMETERS, scaled_twin  # noqa: E402
 
 BARS = {
     "rms_mm": 2.0,
@@ -45,6 +49,19 @@ BARS = {
     "phone_correlation": 0.85,
 }
 SPEEDS = (20.0, 40.0, 30.0, 25.0, 35.0, 50.0)  # km/h, of the drives by their numbers
+#: By what the twin of ``joint`` is wrong: logarithms of factors, and m.
+WRONG = {
+    "front springs": 0.15,
+    "rear springs": -0.15,
+    "front dampers": -0.35,
+    "rear dampers": 0.30,
+    "tyre stiffness": 0.08,
+    "front unsprung mass": -0.08,
+    "rear unsprung mass": 0.08,
+    "pitch inertia": 0.10,
+    "roll inertia": -0.10,
+    "centre of gravity": 0.05,
+}
 _EDGE = 15.0  # m at both ends that are left out: the car speeds up and brakes there
 
 
@@ -121,6 +138,37 @@ def phones(site: Site) -> dict[str, Any]:
     return result
 
 
+def joint(site: Site) -> dict[str, Any]:
+    """Two drives and a vehicle that is wrong; then both at once."""
+    drives = [drive_over(site, SPEEDS[i], i)[0] for i in (0, 1)]
+    wrong = np.array([WRONG[p.name] for p in PARAMETERS])
+    given = scaled_twin(site.twin, wrong)
+    out: dict[str, Any] = {}
+    for name, twin, settings in (
+        ("calibrated", site.twin, Settings()),
+        ("wrong", given, Settings()),
+        ("joint", given, Settings(joint=True, iterations=10)),
+    ):
+        found = road_from_drives(drives, twin, settings)
+        truth = wheel_truth(site, found)
+        k = compared(found)
+        own, true = (banded(z, STEP, *SEEN_BAND)[:, k] for z in (found.heights, truth))
+        error = own - true
+        out[name] = {
+            "rms_mm": [1e3 * float(np.std(e)) for e in error],
+            "amplitude": float((own * true).sum() / (true**2).sum()),
+            "coverage": float(np.mean(np.abs(error) < 1.645 * found.sigma()[:, k])),
+        }
+    vehicle = found.vehicle
+    assert vehicle is not None
+    out["vehicle"] = {
+        p.name: {"wrong": float(w), "found": float(v), "sigma": float(s), "z": float((v + w) / s)}
+        for p, w, v, s in zip(PARAMETERS, wrong, vehicle.values, vehicle.sigma, strict=True)
+    }
+    out["not_separable"] = vehicle.not_separable()
+    return out
+
+
 def main() -> None:
     """All seeds and realities."""
     parser = argparse.ArgumentParser(
@@ -128,7 +176,7 @@ def main() -> None:
     )
     parser.add_argument("--seeds", default="7001,7002")
     parser.add_argument("--realities", default="newton,multibody")
-    parser.add_argument("--only", choices=("rtk", "phone"))
+    parser.add_argument("--only", choices=("rtk", "phone", "joint"))
     parser.add_argument("--picture", type=Path)
     parser.add_argument("--json", action="store_true")
     asked = parser.parse_args()
@@ -137,10 +185,12 @@ def main() -> None:
         for reality in asked.realities.split(","):
             site = make_site(seed, reality)
             row: dict[str, Any] = {"seed": seed, "reality": reality}
-            if asked.only != "phone":
+            if asked.only in (None, "rtk"):
                 row["rtk"] = rtk(site, asked.picture)
-            if asked.only != "rtk":
+            if asked.only in (None, "phone"):
                 row["phone"] = phones(site)
+            if asked.only in (None, "joint"):
+                row["joint"] = joint(site)
             rows.append(row)
             if not asked.json:
                 print_row(row)
@@ -164,6 +214,21 @@ def print_row(row: dict[str, Any]) -> None:
             f"({r['gap_ratio']:.2f} times), {r['gap_on_true_wheel_paths']:.3f} on the true heights of the same wheel "
             f"paths, of {r['measured_rms']:.2f}"
         )
+    if "joint" in row:
+        j = row["joint"]
+        for name in ("calibrated", "wrong", "joint"):
+            one = j[name]
+            print(
+                f"  {name:10} vehicle: error {one['rms_mm'][0]:.2f} and {one['rms_mm'][1]:.2f} mm rms, heights x "
+                f"{one['amplitude']:.3f}, 90 % intervals hold {100 * one['coverage']:.0f} %"
+            )
+        for name, v in j["vehicle"].items():
+            print(
+                f"    {name:20} was wrong by {v['wrong']:+.2f}, changed by {v['found']:+.3f} ± {v['sigma']:.3f} "
+                f"(z {v['z']:+.1f})"
+            )
+        for line in j["not_separable"]:
+            print(f"    {line}")
     if "phone" in row:
         p = row["phone"]
         print(

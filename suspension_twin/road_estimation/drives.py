@@ -199,6 +199,12 @@ def write_estimate(found: Estimate, twin: Twin, path: Path) -> dict[str, Any]:
         "iterations": list(found.history),
         "warnings": list(found.warnings),
     }
+    if found.vehicle is not None:
+        record["vehicle"] = {
+            "parameters": found.vehicle.as_list(),
+            "amplitude_sigma": found.vehicle.amplitude,
+            "not_separable": found.vehicle.not_separable(),
+        }
     names = ", ".join(p.name for p in found.passes)
     write_road(road, path, comment=f"Estimated from drives by suspension_twin: {names}")
     write_text(record_path(path), json.dumps(record, indent=1) + "\n")

@@ -23,11 +23,28 @@ from suspension_twin.arrays import Floats
 from suspension_twin.errors import InputError
 from suspension_twin.gap.prepare import Prepared
 from suspension_twin.road.centreline import Centreline, road_over
+from suspension_twin.road.recipe import Feature
 from suspension_twin.road.road import Road
 from suspension_twin.road_estimation.alignment import banded, lags_along
-from suspension_twin.road_estimation.inverse import Inverse, RoadPrior, Seen, Unknown, period_of
+from suspension_twin.road_estimation.inverse import (
+    Inverse,
+    KnownHeights,
+    RoadPrior,
+    Seen,
+    Unknown,
+    period_of,
+)
+from suspension_twin.road_estimation.known import known_heights
 from suspension_twin.road_estimation.passes import FINE, LANE_SIGMA, Pass, line_of, make_pass
 from suspension_twin.road_estimation.transfer import CHANNELS, best_linear_approximation
+from suspension_twin.road_estimation.vehicle import (
+    PARAMETERS,
+    VehicleEstimate,
+    VehicleStep,
+    scaled_twin,
+    vehicle_estimate,
+    vehicle_step,
+)
 from suspension_twin.vehicle.twin import Twin
 
 __all__ = ["Estimate", "Settings", "estimate_road"]
@@ -53,7 +70,8 @@ class Settings:
     ``local`` lets the road's level differ from place to place; ``vehicle`` relative standard deviation of the twin's
     gain from wheel to sensor, which all drives have in common and which therefore no drive shows (a prior:
     spring and damper rates of a calibrated twin are right to some per cent); ``strict`` refuses drives that do not
-    lie on the road of the others, which are otherwise left out with a warning."""
+    lie on the road of the others, which are otherwise left out with a warning; ``joint`` estimates the vehicle as
+    well, from these drives; ``bumps`` of known size on the road."""
 
     iterations: int = 5
     samples: int = 10
@@ -61,6 +79,8 @@ class Settings:
     local: bool = True
     vehicle: float = 0.03
     strict: bool = True
+    joint: bool = False
+    bumps: tuple[Feature, ...] = ()
 
 
 @dataclass(frozen=True, eq=False)
@@ -71,7 +91,7 @@ class Estimate:
     ``errors`` (samples, 2, n) m, draws of their errors; ``passes`` and the ``shifts`` (j,) m found at their knots;
     ``prior`` of the road and ``noise`` (3, k) of each pass as estimated; ``inflation`` (k,) at the frequencies of
     the prior: how many times as far as expected the passes are apart; ``history`` of the iterations;
-    ``warnings``.
+    ``warnings``; ``vehicle`` where it was estimated as well.
     """
 
     line: Centreline
@@ -85,6 +105,7 @@ class Estimate:
     inflation: Floats
     history: tuple[dict[str, Any], ...]
     warnings: tuple[str, ...]
+    vehicle: VehicleEstimate | None = None
 
     @property
     def u(self) -> Floats:
@@ -94,15 +115,7 @@ class Estimate:
     @property
     def covered(self) -> NDArray[np.bool_]:
         """(n,) where both wheel paths were driven over on the move, by at least one pass."""
-        seen = np.zeros(self.line.x.size, dtype=np.bool_)
-        for p in self.passes:
-            on = np.repeat(p.weight > 0.5, FINE)
-            for row in p.u + p.base:
-                at = np.rint(row[on] / STEP).astype(np.int64)
-                at = at[(at >= 0) & (at < seen.size)]
-                if at.size:
-                    seen[at.min() : at.max() + 1] = True
-        return seen
+        return _covered(self.passes, self.line.x.size)
 
     @property
     def road(self) -> Road:
@@ -135,6 +148,19 @@ class Estimate:
                 }
             )
         return out
+
+
+def _covered(passes: Sequence[Pass], count: int) -> NDArray[np.bool_]:
+    """(count,) where wheels of a pass on the move were."""
+    seen = np.zeros(count, dtype=np.bool_)
+    for p in passes:
+        on = np.repeat(p.weight > 0.5, FINE)
+        for row in p.u + p.base:
+            at = np.rint(row[on] / STEP).astype(np.int64)
+            at = at[(at >= 0) & (at < seen.size)]
+            if at.size:
+                seen[at.min() : at.max() + 1] = True
+    return seen
 
 
 def lanes_road(line: Centreline, heights: Floats, track: float, name: str = "road") -> Road:
@@ -224,19 +250,37 @@ def estimate_road(
     )
     history: list[dict[str, Any]] = []
     total = settings.iterations + 2.0
+    present, values, step = twin, np.zeros(len(PARAMETERS)), None
+    known: tuple[KnownHeights, ...] = ()
+    start = STEP * float(np.argmax(_covered(passes, count)))
     for iteration in range(settings.iterations):
         progress(f"iteration {iteration + 1} of {settings.iterations}", (iteration + 1) / total)
-        solved = _iterate(passes, twin, line, track, speed, state, iteration)
+        if settings.bumps and iteration:
+            known = tuple(known_heights(f, _sides(state.heights), STEP, start) for f in settings.bumps)
+        solved = _iterate(passes, present, line, track, speed, state, iteration, known)
+        if settings.joint and iteration >= 2:
+            progress(
+                f"iteration {iteration + 1} of {settings.iterations}, vehicle", (iteration + 1.5) / total
+            )
+            step = _vehicle(passes, twin, values, solved, state, line, track)
         last = iteration == settings.iterations - 1
         draws = [solved.inverse.error_sample(rng) for _ in range(settings.samples if last else _DRAWS)]
         history.append(_update(passes, state, solved, draws, settings.local and iteration >= 1 and not last))
+        if step is not None:
+            history[-1]["vehicle"] = step.values.tolist()
+            if not last:
+                values, present = step.values, scaled_twin(twin, step.values)
     progress("comparing the drives", (total - 1.0) / total)
     prior = solved.inverse.prior
     errors = np.array([prior.heights(d.road) for d in draws])
     inflation = _inflation(solved, rng) if len(passes) > 1 else np.ones(prior.n.size)
     errors = _amplified(errors, inflation, prior) + _gain_errors(state.heights, settings, prior, rng)
+    if step is not None:
+        chol = np.linalg.cholesky(step.covariance)
+        drawn = rng.standard_normal((settings.samples, len(PARAMETERS))) @ chol.T
+        errors = errors + np.einsum("sk,kij->sij", drawn, step.roads)
     sides = np.stack([errors[:, 0] + errors[:, 1], errors[:, 0] - errors[:, 1]], axis=1)
-    return Estimate(
+    found = Estimate(
         line,
         _sides(state.heights),
         sides,
@@ -249,6 +293,42 @@ def estimate_road(
         tuple(history),
         tuple(warnings),
     )
+    if step is None:
+        return found
+    vehicle = vehicle_estimate(twin, step, state.heights, found.covered, STEP, SEEN_BAND)
+    return replace(found, vehicle=vehicle)
+
+
+def _vehicle(
+    passes: Sequence[Pass],
+    twin: Twin,
+    values: Floats,
+    solved: _Solved,
+    state: _State,
+    line: Centreline,
+    track: float,
+) -> VehicleStep:
+    """A step of the vehicle's parameters about the road as it was before this iteration."""
+    inverse = solved.inverse
+    road = lanes_road(line, _sides(state.heights), track)
+    left = [t - a for t, a in zip(solved.target, inverse.forward(solved.solution), strict=True)]
+    repeats = _repeats(passes, inverse)
+    return vehicle_step(passes, inverse, left, state.shifts, twin, values, road, repeats)
+
+
+def _repeats(passes: Sequence[Pass], inverse: Inverse) -> float:
+    """How often the noise says the same. A sensor's noise is new in every sample; what the twin's transfer function is
+    wrong by is one number for every half octave, channel and drive, however long that is."""
+    samples, numbers, shares = 0.0, 0.0, []
+    for p, s in zip(passes, inverse.seen, strict=True):
+        f = np.fft.rfftfreq(p.t.size, 1.0 / p.rate)
+        used = s.whitening > 0.0
+        band = f[used[0]]
+        samples += 2.0 * float(used.sum()) * float(np.mean(p.weight))
+        numbers += len(CHANNELS) * 2.0 * math.log2(band[-1] / band[0])
+        floor = _floor(p)[used] * 0.5 * p.rate * s.whitening[used] ** 2
+        shares.append(1.0 - float(np.mean(np.minimum(floor, 1.0))))
+    return 1.0 + float(np.mean(shares)) * max(samples / numbers - 1.0, 0.0)
 
 
 def _passes(prepared: Sequence[Prepared], line: Road, left_out: list[str] | None) -> tuple[Pass, ...]:
@@ -280,6 +360,7 @@ def _iterate(
     speed: float,
     state: _State,
     iteration: int,
+    known: Sequence[KnownHeights] = (),
 ) -> _Solved:
     """Simulate over the road as it is known, and solve for all of it."""
     count = line.x.size
@@ -296,12 +377,12 @@ def _iterate(
         slope = np.array([w @ rise[i % 2] for i, w in enumerate(wheels)])
         seen.append(Seen(p, _at(p, f, gain), noise, wheels, slope))
         residual.append(p.measured - p.simulated(twin, road, shift))
-    inverse = Inverse(prior, seen)
+    inverse = Inverse(prior, seen, known)
     # What the linear chain gives of the road as it is is added, so that the prior holds for all of it.
     target = [
         s.whiten(left + s.channels(state.heights, state.shifts[i]))
         for i, (s, left) in enumerate(zip(seen, residual, strict=True))
-    ]
+    ] + [k.target for k in known]
     return _Solved(inverse, target, inverse.solve(target), residual)
 
 
@@ -343,11 +424,11 @@ def _inflation(solved: _Solved, rng: np.random.Generator) -> Floats:
     """
     inverse, prior = solved.inverse, solved.inverse.prior
     alone = [Inverse(prior, [s]) for s in inverse.seen]
-    found = [prior.heights(a.solve([t]).road) for a, t in zip(alone, solved.target, strict=True)]
+    found = [prior.heights(a.solve([t]).road) for a, t in zip(alone, solved.target, strict=False)]
     imagined = []
     for _ in range(2):
         white = inverse.imagined(rng)[1]
-        imagined.append([prior.heights(a.solve([w]).road) for a, w in zip(alone, white, strict=True)])
+        imagined.append([prior.heights(a.solve([w]).road) for a, w in zip(alone, white, strict=False)])
     pairs = [(i, j) for i in range(len(alone)) for j in range(i)]
     n = prior.n
     real, expected = np.zeros(n.size), np.zeros(n.size)

@@ -24,7 +24,7 @@ from scipy.sparse import csr_matrix
 from suspension_twin.arrays import Floats
 from suspension_twin.road_estimation.passes import FINE, Pass
 
-__all__ = ["Inverse", "RoadPrior", "Seen", "Unknown"]
+__all__ = ["Inverse", "KnownHeights", "RoadPrior", "Seen", "Unknown", "period_of"]
 
 Complex = NDArray[np.complex128]
 
@@ -155,11 +155,51 @@ class Seen:
         return np.array([left + right, left - right]), self.one.knots @ (self.slope * z).sum(axis=0)
 
 
-class Inverse:
-    """The posterior of road and shifts given what several passes saw."""
+@dataclass(frozen=True, eq=False)
+class KnownHeights:
+    """A stretch whose shape was measured: the heights of ``sides`` (of left and right) from the sample ``first`` on are
+    ``shape`` (m,) m above the straight line between its ends, with an error of ``sigma`` m each."""
 
-    def __init__(self, prior: RoadPrior, seen: Sequence[Seen]) -> None:
-        self.prior, self.seen = prior, list(seen)
+    first: int
+    shape: Floats
+    sides: tuple[int, ...]
+    sigma: float
+
+    @property
+    def target(self) -> Floats:
+        """(sides, m), whitened."""
+        return np.tile(self.shape / self.sigma, (len(self.sides), 1))
+
+    def forward(self, heights: Floats) -> Floats:
+        """Whitened (sides, m) of heights (2, count) of mean and half difference."""
+        part = heights[:, self.first : self.first + self.shape.size]
+        sides = np.array([part[0] + part[1], part[0] - part[1]])[list(self.sides)]
+        share = np.linspace(0.0, 1.0, self.shape.size)
+        return np.asarray(
+            (sides - sides[:, :1] * (1.0 - share) - sides[:, -1:] * share) / self.sigma, dtype=np.float64
+        )
+
+    def adjoint(self, white: Floats, count: int) -> Floats:
+        """Of ``forward``: (2, count)."""
+        share = np.linspace(0.0, 1.0, self.shape.size)
+        each = white.copy()
+        each[:, 0] -= white @ (1.0 - share)
+        each[:, -1] -= white @ share
+        out = np.zeros((2, count))
+        for side, row in zip(self.sides, each / self.sigma, strict=True):
+            out[0, self.first : self.first + row.size] += row
+            out[1, self.first : self.first + row.size] += row if side == 0 else -row
+        return out
+
+
+class Inverse:
+    """The posterior of road and shifts given what several passes saw, and heights that are known.
+
+    Lists of whitened values hold those of the passes first, then those of the known heights.
+    """
+
+    def __init__(self, prior: RoadPrior, seen: Sequence[Seen], known: Sequence[KnownHeights] = ()) -> None:
+        self.prior, self.seen, self.known = prior, list(seen), list(known)
 
     def zero(self) -> Unknown:
         """Nothing."""
@@ -173,16 +213,19 @@ class Inverse:
     def forward(self, unknown: Unknown) -> list[Floats]:
         """Whitened channels of every pass."""
         heights = self.prior.heights(unknown.road)
-        return [s.forward(heights, self.shift(i, unknown.shifts[i])) for i, s in enumerate(self.seen)]
+        channels = [s.forward(heights, self.shift(i, unknown.shifts[i])) for i, s in enumerate(self.seen)]
+        return channels + [k.forward(heights) for k in self.known]
 
     def adjoint(self, white: Sequence[Floats]) -> Unknown:
         """Of ``forward``."""
         heights = np.zeros((2, self.prior.count))
         shifts = []
-        for s, w in zip(self.seen, white, strict=True):
+        for s, w in zip(self.seen, white, strict=False):
             own, moved = s.adjoint(w)
             heights += own
             shifts.append(moved * s.one.shift_sigma)
+        for k, w in zip(self.known, white[len(self.seen) :], strict=True):
+            heights += k.adjoint(w, self.prior.count)
         return Unknown(self.prior.back(heights), tuple(shifts))
 
     def solve(self, residuals: Sequence[Floats], tolerance: float = _TOLERANCE) -> Unknown:
@@ -214,5 +257,7 @@ class Inverse:
         truth = Unknown(
             rng.standard_normal(zero.road.shape), tuple(rng.standard_normal(s.shape) for s in zero.shifts)
         )
-        white = [y + s.whiten(s.coloured(rng)) for s, y in zip(self.seen, self.forward(truth), strict=True)]
+        clean = self.forward(truth)
+        white = [y + s.whiten(s.coloured(rng)) for s, y in zip(self.seen, clean, strict=False)]
+        white += [y + rng.standard_normal(y.shape) for y in clean[len(self.seen) :]]
         return truth, white
