@@ -397,8 +397,8 @@ def drives(
     ]
     columns = ("waves [m]", "height rms [mm]", "uncertainty [mm]", "")
     print_table(console, "Wheel paths by wavelength", columns, rows, words=("waves [m]", ""))
-    if "vehicle" in record:
-        _print_vehicle(record["vehicle"])
+    if "joint" in record:
+        _print_vehicle(record["joint"])
     if loaded.datum is None:
         d = record["datum"]
         text = f"{{latitude: {d['latitude']}, longitude: {d['longitude']}, altitude: {d['altitude']}}}"

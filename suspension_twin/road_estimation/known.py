@@ -24,7 +24,9 @@ _LEAST = 0.8
 _ALIKE = 2.0
 
 
-def known_heights(feature: Feature, sides: Floats, step: float, first: float = 0.0) -> KnownHeights:
+def known_heights(
+    feature: Feature, sides: Floats, step: float, first: float = 0.0, lines: int = 1
+) -> KnownHeights:
     """Find a feature on an estimated road.
 
     Parameters
@@ -37,6 +39,8 @@ def known_heights(feature: Feature, sides: Floats, step: float, first: float = 0
         m.
     first : float
         m of the estimate's line that ``feature.at`` counts from.
+    lines : int
+        Lines beside each other that have it.
 
     Returns
     -------
@@ -73,4 +77,4 @@ def known_heights(feature: Feature, sides: Floats, step: float, first: float = 0
             f"--{feature.kind}",
             f"no {length:g} m by {feature.size[1]:g} m on the drives within {_REACH:g} m of {feature.at:g} m: {how}",
         )
-    return KnownHeights(*found, tuple(on), _SIGMA)
+    return KnownHeights(*found, tuple(on), _SIGMA, lines)

@@ -107,12 +107,12 @@ def test_a_bump_of_known_size_is_found_and_its_heights_hold(truth: Road) -> None
     assert right.sides == (1,) and right.first == known.first
     # The adjoint is one: <F x, y> = <x, F' y>.
     rng = np.random.default_rng(0)
-    x, y = rng.standard_normal((2, 1600)), rng.standard_normal(known.target.shape)
+    x, y = rng.standard_normal((2, 1, 1600)), rng.standard_normal(known.target.shape)
     assert np.vdot(known.forward(x), y) == pytest.approx(np.vdot(x, known.adjoint(y, 1600)))
     # Heights that are the bump on any slope leave nothing.
-    shape = np.zeros((2, 1600))
-    shape[0, known.first : known.first + known.shape.size] = known.shape
-    shape[0] += 0.01 * np.arange(1600)
+    shape = np.zeros((2, 1, 1600))
+    shape[0, 0, known.first : known.first + known.shape.size] = known.shape
+    shape[0, 0] += 0.01 * np.arange(1600)
     np.testing.assert_allclose(known.forward(shape), known.target, atol=1e-9)
     for text, words in (("1.2x0.05@20", "within 3 m of 20 m"), ("1.2x0.05@68", "nothing of about that")):
         with pytest.raises(InputError, match=words):
@@ -131,7 +131,7 @@ def test_the_command_writes_the_vehicle_and_says_what_is_open(
     said = capsys.readouterr().out
     assert said.startswith(f"Writes {out}, {tmp_path / 'a.json'}, {vehicle}\n")
     assert "front dampers" in said and "Not separable: a common factor" in said
-    record = json.loads((tmp_path / "a.json").read_text())["vehicle"]
+    record = json.loads((tmp_path / "a.json").read_text())["joint"]
     assert [p["name"] for p in record["parameters"]] == NAMES
     assert all(p["interval"][0] < p["value"] < p["interval"][1] for p in record["parameters"])
     assert load_twin(vehicle).vehicle.mass == twin.vehicle.mass
