@@ -42,7 +42,9 @@ def generate_launch_description() -> LaunchDescription:
             "sources", default_value="", description="URLs of live sources, separated by spaces."
         ),
         DeclareLaunchArgument(
-            "learn_road", default_value="", description="Path of the OpenCRG road that is learnt while driving."
+            "learn_road",
+            default_value="",
+            description="Path of the OpenCRG road that is learnt while driving.",
         ),
     ]
     parameters = [
@@ -63,7 +65,10 @@ def generate_launch_description() -> LaunchDescription:
         )
         for name in FOUR
     ]
-    for name, parameter, argument in (("source", "sources", "sources"), ("road_learner", "out", "learn_road")):
+    for name, parameter, argument in (
+        ("source", "sources", "sources"),
+        ("road_learner", "out", "learn_road"),
+    ):
         given = LaunchConfiguration(argument)
         nodes.append(
             Node(
@@ -71,7 +76,10 @@ def generate_launch_description() -> LaunchDescription:
                 executable=name,
                 name=name,
                 namespace=LaunchConfiguration("namespace"),
-                parameters=[parameters[0], {**parameters[1], parameter: ParameterValue(given, value_type=str)}],
+                parameters=[
+                    parameters[0],
+                    {**parameters[1], parameter: ParameterValue(given, value_type=str)},
+                ],
                 output="screen",
                 condition=IfCondition(NotEqualsSubstitution(given, "")),
             )

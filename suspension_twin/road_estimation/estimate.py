@@ -32,7 +32,6 @@ from suspension_twin.road_estimation.inverse import (
     RoadPrior,
     Seen,
     Unknown,
-    coherence,
     period_of,
 )
 from suspension_twin.road_estimation.known import known_heights
@@ -65,7 +64,6 @@ REACH, _ALIGNED = 12.0, 0.15
 #: Standard deviation, m, of a receiver that knows how far beside each other drives lie; m between lines across, and how
 #: many there are at most.
 _KNOWS_LANE, _BETWEEN, _LINES = 0.05, 0.06, 5
-_ROUGH = (0.01, 0.02, 0.03, 0.05, 0.07, 0.1, 0.14, 0.2, 0.3, 0.45, 0.7, 1.0)  # shares that are tried
 _BAND = 1.0  # Hz over which a noise spectrum is averaged
 
 
@@ -208,7 +206,6 @@ class _State:
     level: list[float]
     waviness: list[float]
     scale: Floats
-    rough: float = 0.2  # at first
 
 
 @dataclass(frozen=True, eq=False)
@@ -431,7 +428,6 @@ def _iterate(
         _power_law(n, state.level, state.waviness),
         state.scale,
         state.across,
-        state.rough,
     )
     f, gain = best_linear_approximation(twin, passes[0].rate, sum(state.level), speed, iteration)
     sides = _sides(state.heights)
@@ -473,12 +469,9 @@ def _update(
         "level": list(state.level),
         "waviness": list(state.waviness),
         "change": float(np.std(heights - state.heights)),
-        **({"rough": state.rough} if state.across.size > 1 else {}),
     }
     state.heights, state.shifts, state.noise = heights, shifts, noise
     state.level, state.waviness = _levels(prior, solution, draws)
-    if state.across.size > 1:
-        state.rough = _rough(prior, solution, draws)
     if local:
         white = np.array([u.road * prior.scale[:, None] for u in (solution, *draws)])
         state.scale = _local(white, prior.count)
@@ -631,26 +624,6 @@ def _levels(prior: RoadPrior, solution: Unknown, draws: Sequence[Unknown]) -> tu
             intercept = float(np.average(np.array(y) + slopes[-1] * np.array(x), weights=w**2))
         level.append(float(np.exp(intercept)))
     return level, slopes
-
-
-def _rough(prior: RoadPrior, solution: Unknown, draws: Sequence[Unknown]) -> float:
-    """The share of an isotropic surface that makes the lines a posteriori likeliest (expectation and maximisation)."""
-    use = np.flatnonzero((prior.n >= SEEN_BAND[0]) & (prior.n <= SEEN_BAND[1]))
-    part = prior.mixing[use]
-    found = np.zeros((use.size, part.shape[1], part.shape[1]))
-    for share, road in ((1.0, solution.road), *((1.0 / len(draws), d.road) for d in draws)):
-        white = rfft(road, axis=2)[..., use].transpose(0, 2, 1) / math.sqrt(prior.period)
-        lines = (part @ white[..., None])[..., 0]
-        found += share * (lines[..., :, None] * lines[..., None, :].conj()).real.mean(axis=0)
-    best, value = prior.rough, np.inf
-    for rough in _ROUGH:
-        wanted = coherence(prior.n[use], prior.across, rough)
-        cost = float(
-            np.linalg.slogdet(wanted)[1].sum() + np.einsum("kij,kji->", np.linalg.inv(wanted), found)
-        )
-        if cost < value:
-            best, value = rough, cost
-    return best
 
 
 def _local(white: Floats, count: int) -> Floats:

@@ -28,6 +28,7 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from suspension_twin.arrays import Floats
 from suspension_twin.identification.priors import prior_of
@@ -44,6 +45,7 @@ __all__ = [
     "VehicleEstimate",
     "VehicleStep",
     "scaled_twin",
+    "vehicle_estimate",
     "vehicle_step",
 ]
 
@@ -258,16 +260,23 @@ def vehicle_step(
     again = _left(inverse, residual)[0]
     gradient = np.array([_dot(column, again) for column in jacobian]) / repeats
     matrix = np.array([[_dot(a[0], b[0]) for b in left] for a in left]) / repeats
-    covariance = np.linalg.inv(matrix + precision)
+    covariance: Floats = np.asarray(np.linalg.inv(matrix + precision), dtype=np.float64)
     step = covariance @ (gradient - precision @ values)
     step *= min(1.0, _FARTHEST / float(np.abs(step / spread).max()))
     roads = np.array([-inverse.prior.heights(u.road) for _, u in left])
     return VehicleStep(values + step, covariance, roads)
 
 
-def vehicle_estimate(twin: Twin, step: VehicleStep, heights: Floats, covered: Floats, spacing: float,
-                     band: tuple[float, float]) -> VehicleEstimate:  # fmt: skip
-    """The result, with what cannot be separated; ``heights`` (2, count) m of mean and half difference."""
+def vehicle_estimate(
+    twin: Twin,
+    step: VehicleStep,
+    heights: Floats,
+    covered: NDArray[np.bool_],
+    spacing: float,
+    band: tuple[float, float],
+) -> VehicleEstimate:
+    """What a step came to, with what cannot be separated; ``heights`` (2, count) m of mean and half difference every
+    ``spacing`` m, compared where they are ``covered`` in the waves of ``band`` cycles/m."""
     spread = np.array([p.spread for p in PARAMETERS])
     mean = banded(heights, spacing, *band)[:, covered]
     power = max(float(np.vdot(mean, mean)), 1e-30)
