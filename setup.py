@@ -112,6 +112,7 @@ setup(
     extras_require={
         "test": TEST + DOCS + FOXGLOVE + FLEET + SCAN,
         "fleet": FLEET,
+        "s3": ["s3fs>=2024.5"],
         "foxglove": FOXGLOVE,
         "scan": SCAN,
         "docs": DOCS,

@@ -301,6 +301,10 @@ def run(
             if process.poll() is None:
                 process.kill()
         took = time.monotonic() - began
+    if not (out / "results.parquet").is_file():
+        raise SystemExit(
+            (manifest.parent / "command.log").read_text(encoding="utf-8").strip().rpartition("\n")[2]
+        )
     rows = read(out / "results.parquet")
     times = {p.parent.name: p.stat().st_mtime for p in (out / "items").glob("*/*/record.json")}
     done = [r for r in rows if r["status"] == "done"]

@@ -203,7 +203,7 @@ def connected(
             raise InputError("--scheduler", scheduler, f"no scheduler answers: {error}") from None
         try:
             found = client.scheduler_info(n_workers=-1)["workers"]
-            limits = sorted({w["memory_limit"] for w in found.values()})
+            limits = sorted({w["memory_limit"] for w in found.values() if w["memory_limit"]})
             text = f"{len(found)} workers of {scheduler}"
             yield Cluster(client, text + (f", at most {_size(limits[-1])} each" if limits else ""))
         finally:
@@ -350,8 +350,9 @@ def _drain(
                 outcome.computed += 1
             if on_record is not None:
                 on_record(task, record, len(left))
-            now = max(sum(client.nthreads().values()), threads)
-            for new in send(now * (1 + _AHEAD) - len(under_way)):
+            # As many as the workers that are there now can use: they come and go.
+            now = max(sum(client.nthreads().values()), 1)
+            for new in send(max(now * (1 + _AHEAD) - len(under_way), 0)):
                 coming.add(new)
     except (CommClosedError, CancelledError, TimeoutError, OSError, RuntimeError) as error:
         if isinstance(error, OSError) and error.filename is not None:
