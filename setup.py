@@ -79,6 +79,7 @@ TEST = [
 ]
 FLEET = ["distributed>=2024.5", "dask>=2024.5", "fsspec>=2024.5", "psutil>=5.9", "pyarrow>=15"]
 FOXGLOVE = ["foxglove-sdk>=0.14"]
+SCAN = ["laspy>=2.5", "lazrs>=0.6", "plyfile>=1.0", "pyproj>=3.6"]
 DOCS = ["mkdocs>=1.6", "mkdocs-material>=9.5", "mkdocstrings[python]>=0.26", "latex2mathml>=3.77"]
 
 
@@ -109,9 +110,11 @@ setup(
     python_requires=">=3.10,<3.14",
     install_requires=REQUIRED,
     extras_require={
-        "test": TEST + DOCS + FOXGLOVE + FLEET,
+        "test": TEST + DOCS + FOXGLOVE + FLEET + SCAN,
         "fleet": FLEET,
+        "s3": ["s3fs>=2024.5"],
         "foxglove": FOXGLOVE,
+        "scan": SCAN,
         "docs": DOCS,
     },
     packages=find_packages(include=["suspension_twin", "suspension_twin.*"]),

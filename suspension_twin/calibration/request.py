@@ -145,7 +145,8 @@ class SensorEstimate:
     turned about the vehicle's axes against the starting file.
 
     ``low`` and ``high`` bound its 90 % interval; ``written``: the calibrated twin has it. ``consistency`` is the
-    probability that drives with one common value scatter as much as these, NaN for one drive."""
+    probability that what speaks for one common value scatters as much: the drives' clock offsets (NaN for one drive),
+    the fitted tilt and gravity (NaN where a phone has taken gravity off)."""
 
     key: str
     unit: str

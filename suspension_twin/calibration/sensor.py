@@ -8,14 +8,22 @@ Each drive has a clock offset c_i of its own, with the posterior covariance V. I
 squares estimate c = (1' V^-1 c_i) / (1' V^-1 1) with variance 1 / (1' V^-1 1). Where the c_i scatter by more than V
 says (chi² above its degrees of freedom), the variance grows by chi² per degree of freedom (Birge's ratio).
 
+Roll and pitch of the mounting have two witnesses: the fit, where a tilt mixes planar into vertical acceleration, and
+gravity, which it turns into lateral and longitudinal acceleration, apart from the bias of the accelerometer (0.05 m/s²
+is 0.3°). Where they agree within three standard deviations their weighted mean is the estimate; where they do not, the
+fitted tilt makes up for something else, and the file keeps its angle.
+
 A value x replaces the start x0 where that lowers the expected error of the calibrated vehicle on another drive. The
 vehicle was fitted together with x and is not fitted again without it, so what counts is the standard deviation s of x
 given the vehicle: leaving x out adds (x - x0)² and saves 2 s², in units of the sensitivity of the signals to x
 (Mallows' Cp for one regressor that is dropped while the others are kept). The criterion is (x - x0)² > 2 s². The 90 %
-interval that is reported is wider: it holds whatever the vehicle is.
+interval that is reported is wider: it holds whatever the vehicle is. A latency has to bring the twin nearer to its own
+drives besides: fitted beside an offset of the map, which no twin file has, it may be that offset's counterpart.
 """
 
 from __future__ import annotations
+
+import math
 
 import numpy as np
 from scipy.stats import chi2
@@ -26,15 +34,29 @@ from suspension_twin.calibration.request import SensorEstimate
 from suspension_twin.calibration.setup import Setup
 from suspension_twin.calibration.uncertainty import HALF_WIDTH, Uncertainty
 from suspension_twin.gap.mounting import turned
-from suspension_twin.identification.nuisance import map_spread, slow_position_error
+from suspension_twin.identification.nuisance import (
+    NUISANCES,
+    NuisancePriors,
+    map_spread,
+    slow_position_error,
+)
+from suspension_twin.identification.objectives import parse_objective
+from suspension_twin.identification.problem import Problem
+from suspension_twin.units import STANDARD_GRAVITY
 from suspension_twin.vehicle.twin import Twin
 
 __all__ = ["common_offset", "sensor_estimates", "with_sensor"]
 
 #: Variances that a regressor has to explain to be kept: Mallows' Cp.
 _CP_PENALTY = 2.0
+#: Channels in which gravity shows a tilt of the sensor: about which axis, and the sign of what it adds.
+_GRAVITY = {"lateral_acceleration": ("roll", 1.0), "longitudinal_acceleration": ("pitch", -1.0)}
+_AXES = [1, 0]  # of these channels in base_link
+_NONE = NuisancePriors(wander=0.0).without(NUISANCES)
+_BLOCK = 2.0  # s: residuals further apart are independent
 #: Standard deviations beyond which a map's offset contradicts its prior: the usual gate of three.
 _GATE = 3.0
+_CONTRADICTION = float(chi2.sf(_GATE**2, 1))
 
 
 def sensor_estimates(
@@ -55,16 +77,85 @@ def sensor_estimates(
         (offset, s, p), (_, sigma, _) = (
             _common_clock(setup, outcome.nuisance, v, clocks) for v in (given, marginal)
         )
-        found.append(_estimate("imu.latency", "s", start, start - offset, s, sigma, keep, p))
+        keeps = keep or not _closes(setup, outcome, clocks, offset)
+        found.append(_estimate("imu.latency", "s", start, start - offset, s, sigma, keeps, p))
+    level = _by_gravity(setup, outcome) if "tilt_roll" in names else {}
     for axis in ("roll", "pitch"):
-        if f"tilt_{axis}" in names:
-            row = names.index(f"tilt_{axis}")
-            s, sigma = (float(np.sqrt(v[row, row])) for v in (given, marginal))
-            # what turns the measured signals by an angle is a sensor that is turned by its opposite
-            found.append(
-                _estimate(f"mount.{axis}", "rad", 0.0, -float(outcome.nuisance[row]), s, sigma, keep)
+        if f"tilt_{axis}" not in names:
+            continue
+        row = names.index(f"tilt_{axis}")
+        # what turns the measured signals by an angle is a sensor that is turned by its opposite
+        fitted, s, sigma = -float(outcome.nuisance[row]), *(float(v[row, row]) for v in (given, marginal))
+        value, p = fitted, float("nan")
+        if axis in level:
+            other, variance = level[axis]
+            p = float(chi2.sf((fitted - other) ** 2 / (sigma + variance), 1))
+            value, s, sigma = (
+                (fitted * variance + other * sigma) / (sigma + variance),
+                s * variance / (s + variance),
+                sigma * variance / (sigma + variance),
             )
+        trusted = not p < _CONTRADICTION
+        found.append(
+            _estimate(
+                f"mount.{axis}", "rad", 0.0, value, math.sqrt(s), math.sqrt(sigma), keep or not trusted, p
+            )
+        )
     return tuple(found)
+
+
+def _closes(setup: Setup, outcome: Outcome, clocks: list[int], offset: float) -> bool:
+    """Whether a common clock offset brings the calibrated twin nearer to its own drives, without the map offset that
+    was fitted beside it: a twin file has none."""
+    problem = outcome.problem
+    nuisance = np.repeat(-outcome.placed[:, None], 2, axis=1)
+    nuisance[clocks] += np.array([0.0, offset]) - np.array(setup.lags)[:, None]
+    signals, _ = problem.simulate(outcome.values[:, None])
+    without, with_it = problem.objective.costs(problem.compared(signals, nuisance))
+    return bool(with_it < without)
+
+
+def _by_gravity(setup: Setup, outcome: Outcome) -> dict[str, tuple[float, float]]:
+    """Roll and pitch in rad by which the sensor is turned against the twin file, by gravity alone, and their variances;
+    empty where a phone has taken gravity off itself, which leaves no trace of how it is turned.
+
+    A straight line through the means of blocks, residual over simulated acceleration: its offset is the tilt times
+    gravity, its slope what a body that leans more than the twin's adds. What reading the drive took off as a bias at
+    rest is put back, because it holds the tilt.
+    """
+    known = outcome.problem
+    if not all(np.ptp(part.signals.up, axis=0).any() for part in known.parts):
+        return {}
+    terms = parse_objective("euclidean", dict.fromkeys(_GRAVITY, 1.0))
+    drives = range(max(known.drive_of) + 1)
+    problem = Problem(
+        setup.twin, known.space, known.parts, known.drive_of, terms, _NONE, [0.0 for _ in drives], known.rows
+    )
+    signals, _ = problem.simulate(outcome.values[:, None])
+    simulated = problem.compared(signals, np.zeros((0, 1)))[:, :, 0]
+    taken_off = [
+        np.repeat(part.signals.force_bias[None, _AXES], rows.size, axis=0)
+        for part, rows in zip(problem.parts, problem.rows, strict=True)
+    ]
+    residual = problem.measured.values + np.concatenate(taken_off) - simulated
+    size = max(1, round(_BLOCK * problem.measured.rate))
+    starts = np.concatenate([np.arange(s.start, s.stop, size) for s in problem.measured.segments])
+    count = np.diff(np.append(starts, len(residual)))
+    bias, found = NuisancePriors().force_bias, {}
+    for channel, (axis, sign) in enumerate(_GRAVITY.values()):
+        means = (np.add.reduceat(v[:, channel], starts) / count for v in (residual, simulated))
+        offset, variance = _offset(*means)
+        found[axis] = sign * offset / STANDARD_GRAVITY, (variance + bias**2) / STANDARD_GRAVITY**2
+    return found
+
+
+def _offset(y: Floats, x: Floats) -> tuple[float, float]:
+    """Offset of the straight line through blocks (n,), and its variance; without a slope where there are few."""
+    design = np.stack([np.ones_like(x), x], axis=1) if y.size > 2 * 2 else np.ones((y.size, 1))
+    inverse = np.linalg.pinv(design.T @ design)
+    line = inverse @ (design.T @ y)
+    scatter = float(np.sum((y - design @ line) ** 2)) / max(y.size - design.shape[1], 1)
+    return float(line[0]), scatter * float(inverse[0, 0])
 
 
 def with_sensor(twin: Twin, estimates: tuple[SensorEstimate, ...]) -> Twin:

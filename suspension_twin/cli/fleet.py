@@ -66,6 +66,7 @@ Memory = Annotated[
 ]
 #: Lines of what failed that are printed; all are in results.parquet.
 _LINES = 20
+_PAGE = "fleet.html"
 
 
 @app.command()
@@ -83,8 +84,8 @@ def calibrate(
 ) -> None:
     """Calibrate every row of a manifest, and find which vehicles changed.
 
-    Writes DIR/results.parquet, health.parquet, changes.parquet, and a folder for every row with the calibrated twin.
-    The same command goes on where it was: what is there is not done again.
+    Writes DIR/fleet.html (the page of the fleet), results.parquet, health.parquet, changes.parquet, and a folder for
+    every row with the calibrated twin. The same command goes on where it was: what is there is not done again.
     """
     from suspension_twin.calibration.presets import preset_named
     from suspension_twin.fleet.work import Options
@@ -113,8 +114,9 @@ def diagnose(
 ) -> None:
     """Where twin and car disagree and why, for every row of a manifest.
 
-    Writes DIR/results.parquet with verdict, causes, shrink and places, and a folder for every row with diagnosis.json,
-    evidence.json and the twin with what was found. The same command goes on where it was.
+    Writes DIR/fleet.html (the page of the fleet), results.parquet with verdict, causes, shrink and places, and a folder
+    for every row with diagnosis.json, evidence.json and the twin with what was found. The same command goes on where it
+    was.
     """
     from suspension_twin.fleet.work import Options
 
@@ -128,6 +130,7 @@ def _run(manifest: Path, out: Path, options: Options, scheduler: str, workers: i
     from suspension_twin.fleet.ledger import MARK, Ledger
     from suspension_twin.fleet.manifest import read_manifest
     from suspension_twin.fleet.tables import CHANGES, HEALTH, RESULTS, health_rows, result_rows, write_tables
+    from suspension_twin.report.fleet import fleet_page
 
     if scheduler and (workers or memory):
         raise InputError(
@@ -137,7 +140,7 @@ def _run(manifest: Path, out: Path, options: Options, scheduler: str, workers: i
     ledger = Ledger(out)
     console = output()
     console.print(
-        f"Writes {', '.join(str(out / name) for name in (RESULTS, HEALTH, CHANGES))} and {out / 'items'}"
+        f"Writes {', '.join(str(out / name) for name in (_PAGE, RESULTS, HEALTH, CHANGES))} and {out / 'items'}"
     )
     with Outputs(force=False, resumed_from=out / MARK), ProgressLine() as line:
         line.show("looking at what there is")
@@ -157,6 +160,7 @@ def _run(manifest: Path, out: Path, options: Options, scheduler: str, workers: i
         rows = result_rows(plan, outcome, out)
         changes = find_changes(health_rows(rows))
         write_tables(out, rows, changes)
+        fleet_page(rows, changes, options.action, manifest.name).write(out / _PAGE)
     _print_changes(console, changes)
     failed = [row for row in rows if row["status"] != "done"]
     for row in failed[:_LINES]:
@@ -170,7 +174,7 @@ def _run(manifest: Path, out: Path, options: Options, scheduler: str, workers: i
         rate = outcome.computed / outcome.seconds * 60.0
         now = f"{outcome.computed} computed now in {outcome.seconds:.1f} s, {rate:.0f} a minute"
     console.print(f"{len(rows) - len(failed)} of {len(rows)} rows done, {now}")
-    console.print(f"Written to {out}")
+    console.print(f"Written to {out}; the page of the fleet is {out / _PAGE}")
     if failed:
         raise WorkError(f"{len(failed)} of {len(rows)} rows failed: status and message in {out / RESULTS}")
 

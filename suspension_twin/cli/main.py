@@ -50,7 +50,7 @@ SUBCOMMANDS = (
     Subcommand(
         "run",
         "run",
-        "The four nodes, live or replaying a bag.",
+        "The four nodes, live or replaying a bag; or those of a fleet.",
         endless=True,
         bare=(("--view", "8080"), ("--foxglove", "8765")),
     ),
@@ -73,7 +73,7 @@ SUBCOMMANDS = (
     Subcommand("import", "import_", "A phone's or logger's recording into a bag."),
     Subcommand("damping", "damping", "Which dampers a tracked vehicle should have, by speed."),
     Subcommand("export", "export", "A twin in the files of other simulators."),
-    Subcommand("road", "road", "Roads from numbers, profiles or drives; pictures, checks."),
+    Subcommand("road", "road", "Roads: made, scanned, from profiles or drives; checks."),
 )
 
 # Importing makes a hundred thousand objects that all stay: at Python's own 700 the collector takes a tenth of a short

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""``suspension-twin road``: roads made of numbers; a picture, a mesh, or what is wrong with an OpenCRG road."""
+"""``suspension-twin road``: roads from numbers, profiles, scans and drives; pictures, meshes, checks."""
 
 from __future__ import annotations
 
@@ -12,7 +12,16 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 from rich.table import Table
 
-from suspension_twin.cli.common import Force, Outputs, ProgressLine, Seed, TwinFile, output, print_table
+from suspension_twin.cli.common import (
+    Force,
+    Outputs,
+    ProgressLine,
+    Seed,
+    TwinFile,
+    bundled,
+    output,
+    print_table,
+)
 from suspension_twin.errors import InputError
 
 if TYPE_CHECKING:
@@ -42,6 +51,13 @@ class Origin(str, Enum):
 
     map = "map"
     start = "start"
+
+
+class Smoother(str, Enum):
+    """Which surface of a scan is written."""
+
+    edges = "edges"
+    gaussian = "gaussian"
 
 
 @app.command()
@@ -407,6 +423,138 @@ def drives(
         "What was the same in all of these drives (an error of the vehicle, of the sensor) is in the road.",
         markup=False,
     )
+
+
+@app.command()
+def scan(
+    cloud: Annotated[
+        list[Path],
+        typer.Argument(help="Point clouds: LAS, LAZ, PLY or text.", metavar="CLOUD", show_default=False),
+    ],
+    path: Annotated[
+        Path,
+        typer.Option(
+            help="Line of the road: a recorded drive, CSV of x, y (map) or lat, lon, or an OpenCRG reference line.",
+            metavar="DRIVE|CSV|CENTRELINE",
+            show_default=False,
+        ),
+    ],
+    out: RoadOut,
+    twin: Annotated[
+        Path | None,
+        typer.Option(
+            help="The twin that feels the road, and its datum.  [default: the bundled Ford Mondeo]",
+            metavar="TWIN.YAML",
+            show_default=False,
+        ),
+    ] = None,
+    datum: Annotated[
+        tuple[float, float, float] | None,
+        typer.Option(
+            help="Origin of map on WGS 84, deg, deg, m.  [default: of the twin or the drive]",
+            metavar="LAT LON ALT",
+            show_default=False,
+        ),
+    ] = None,
+    crs: Annotated[
+        str | None,
+        typer.Option(
+            help="Coordinate reference system of the clouds, EPSG:25832.  [default: as the file says]",
+            metavar="CRS",
+            show_default=False,
+        ),
+    ] = None,
+    unit: Annotated[
+        str | None,
+        typer.Option(help="Unit of the clouds: m, cm, mm, ft, us-ft.", metavar="UNIT", show_default=False),
+    ] = None,
+    axes: Annotated[
+        str, typer.Option(help="Which of their columns are east, north, up: yxz, x-zy.", metavar="AXES")
+    ] = "xyz",
+    width: Annotated[float, typer.Option(help="Width of the road, m.", metavar="M")] = 4.0,
+    section: Annotated[
+        tuple[float, float] | None,
+        typer.Option(help="Part of the path, m from its start.", metavar="FROM TO", show_default=False),
+    ] = None,
+    step: Annotated[
+        tuple[float, float] | None,
+        typer.Option(
+            help="Distance of the nodes along and across, m.  [default: after the density of the points]",
+            metavar="M M",
+            show_default=False,
+        ),
+    ] = None,
+    filter: Annotated[
+        Smoother, typer.Option(help="The surface that is written; the other is reported beside it.")
+    ] = Smoother.edges,
+    sigma: Annotated[float, typer.Option(help="Standard deviation of the Gaussian, m.", metavar="M")] = 0.1,
+    fill: Annotated[float, typer.Option(help="Holes up to this width are filled, m.", metavar="M")] = 0.5,
+    speed: Annotated[
+        float,
+        typer.Option(
+            help="At which the twin feels it, km/h, if the path is no drive.", metavar="KMH", min=1.0
+        ),
+    ] = 30.0,
+    picture: Annotated[
+        Path | None,
+        typer.Option(help="Draw the road before and after there.", metavar="FILE", show_default=False),
+    ] = None,
+    seed: Seed = 0,
+    force: Force = False,
+) -> None:
+    """Make a road of laser scans: ground, edges kept, holes marked, with its uncertainty.
+
+    Writes the road, beside it ROAD.json with figures and ROAD.npz with the uncertainty of every node.
+    """
+    from suspension_twin.road.origin import record_path
+    from suspension_twin.road_scan.command import scan_road
+    from suspension_twin.road_scan.scan import ScanSettings, cells_path
+
+    written = [out, record_path(out), cells_path(out), *([] if picture is None else [picture])]
+    outputs = Outputs(*written, force=force)
+    settings = ScanSettings(width, filter.value, sigma, fill, section, step, seed)
+    outputs.announce()
+    with outputs, ProgressLine() as line:
+        found, felt, checked, notes = scan_road(
+            cloud, path, out, twin if twin is not None else bundled("config", "twins", "ford_mondeo_mk4.yaml"),
+            settings, datum=datum, crs=crs, unit=unit, axes=axes, speed=speed / 3.6, picture=picture,
+            progress=line.show,
+        )  # fmt: skip
+    console = output()
+    for note in notes:
+        console.print(note, markup=False)
+    facts = found.facts
+    console.print(
+        f"points: {facts['points']} read, {facts['points_near_the_path']} along the path, "
+        f"{facts['ground_points']} of them ground"
+    )
+    console.print(
+        f"nodes every {facts['step']:g} by {facts['step_across']:.3g} m, "
+        f"uncertainty {1e3 * facts['sigma_median']:.2f} mm (median), noise of a point {1e3 * facts['noise']:.1f} mm"
+    )
+    console.print(
+        f"holes: {100 * facts['filled']:.2g} % of the nodes filled, {len(facts['holes'])} holes left open "
+        f"({100 * facts['missing']:.2g} %); spikes removed: {facts['spikes_removed']}"
+    )
+    _print_figures(checked)
+    measured = any(f.gap is not None for f in felt)
+    columns = ("road", "rms", "peak", "difference", *(["gap to the drive"] if measured else []))
+    rows = [
+        (
+            f.name,
+            f"{f.rms:.3f}",
+            f"{f.peak:.2f}",
+            f"{f.difference:.3f}",
+            *([f"{f.gap:.3f}"] if f.gap is not None else []),
+        )
+        for f in felt
+    ]
+    if rows:
+        print_table(
+            console, "What the twin feels, vertical acceleration [m/s²]", columns, rows, words=("road",)
+        )
+    for finding in checked.findings:
+        console.print(f"{'wrong' if finding.fault else 'note'}: {finding.text}", markup=False)
 
 
 def _print_vehicle(record: dict[str, Any]) -> None:

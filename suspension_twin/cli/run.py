@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""``suspension-twin run``: the four nodes in one process, live or replaying a recording."""
+"""``suspension-twin run``: the four nodes in one process, live or replaying a recording; or those of a fleet."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
 
 import typer
 
-from suspension_twin.cli.common import Force, Outputs, SourceUrls, TwinFile
+from suspension_twin.cli.common import Force, Outputs, SourceUrls
 from suspension_twin.errors import InputError, WorkError
 
 if TYPE_CHECKING:
@@ -47,7 +47,29 @@ class Page(NamedTuple):
 
 
 def command(
-    twin: TwinFile,
+    twin: Annotated[
+        Path | None,
+        typer.Option("--twin", help="The twin file.", metavar="TWIN.YAML", show_default=False),
+    ] = None,
+    fleet: Annotated[
+        Path | None,
+        typer.Option(
+            "--fleet",
+            help="Instead of one twin those of all vehicles of a manifest (docs/fleet.md), live, a namespace each.",
+            metavar="MANIFEST",
+            show_default=False,
+        ),
+    ] = None,
+    processes: Annotated[
+        int,
+        typer.Option(
+            "--processes",
+            help="With --fleet: processes that share the twins.  [default: one a core]",
+            metavar="N",
+            min=0,
+            show_default=False,
+        ),
+    ] = 0,
     bag: Annotated[
         Path | None,
         typer.Option(
@@ -109,7 +131,26 @@ def command(
         ),
     ] = None,
 ) -> None:
-    """The four nodes in one process, live or replaying a bag. Ctrl-C ends them."""
+    """The four nodes in one process, live or replaying a bag; with --fleet those of many vehicles. Ctrl-C ends them."""
+    if fleet is not None:
+        given = {
+            "--twin": twin,
+            "--bag": bag,
+            "--loop": loop,
+            "--source": source,
+            "--record": record,
+            "--view": view,
+        }
+        given["--rate"] = rate != "1"
+        for option, value in given.items():
+            if value:
+                raise InputError(option, "goes without --fleet: the twins of a fleet are live, from topics")
+        _fleet(fleet, namespace, processes, foxglove, params, list(ros_args or []))
+        return
+    if twin is None:
+        raise InputError("--twin", "is needed: a twin file; or --fleet with a manifest")
+    if processes:
+        raise InputError("--processes", "needs --fleet: one twin is one process")
     speed = _speed(rate)
     urls = list(source or ())
     if bag is not None and urls:
@@ -174,6 +215,30 @@ def command(
                     _run(composed, lambda: stop.asked or not context.ok(), bag)
             finally:
                 composed.close()
+
+
+def _fleet(
+    manifest: Path,
+    namespace: str,
+    processes: int,
+    foxglove: str | None,
+    params: Path | None,
+    ros_args: list[str],
+) -> None:
+    """The twins of a fleet, and Foxglove's WebSocket for all of them where it is wanted."""
+    bridge = None if foxglove is None else _bridge(foxglove)
+    from suspension_twin.cli._fleet_live import run_fleet
+    from suspension_twin.nodes.parameters import read_param_file
+    from suspension_twin.nodes.process import check_arguments
+
+    wanted = {} if params is None else read_param_file(params)
+    check_arguments(ros_args)
+    arguments = [*ros_args, *(["--ros-args", "--params-file", str(params)] if params is not None else [])]
+    beside = []
+    if bridge is not None:
+        values = {"host": bridge.host, "port": bridge.port}
+        beside.append(_beside("foxglove_bridge", values, namespace, arguments))
+    run_fleet(manifest, namespace, processes, params, wanted, arguments, beside)
 
 
 @contextmanager

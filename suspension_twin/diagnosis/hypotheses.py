@@ -8,7 +8,7 @@ hypothesis of its own, a variant, and the best variant represents the effect.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import product
 
@@ -184,14 +184,16 @@ class Hypothesis:
         """Whether an effect acts only beyond a clearance."""
         return any(p.log and p.unit == "m" and "clearance" in p.name for _, p in self.searched)
 
-    def early_contact(self, far: float) -> Floats:
-        """(k,) an effect with small clearance and large severity, ``far`` standard deviations from typical."""
+    def early_contact(self, travel: Mapping[str, float]) -> Floats:
+        """(k,) an effect with a clearance that touches at a ``travel`` (m, by axle), and one standard deviation of
+        severity."""
         at = self.neutral()
-        for i, ((_, p), severe) in enumerate(zip(self.searched, self._severe, strict=True)):
+        for i, ((key, p), severe) in enumerate(zip(self.searched, self._severe, strict=True)):
             if severe and not p.log:
-                at[i] += far
-            elif p.log and p.unit == "m":
-                at[i] = -far
+                at[i] += 1.0
+            elif p.log and p.unit == "m" and travel:
+                axle = key.split(".")[2].partition("_")[0]
+                at[i] = _coordinate(p, travel.get(axle, max(travel.values())))
         return np.clip(at, *self.bounds())
 
     def scan(self, count: int) -> tuple[int, Floats] | None:

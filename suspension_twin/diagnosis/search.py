@@ -26,6 +26,7 @@ from suspension_twin.diagnosis.fit import (
     refit,
     resonance_scan,
     screen,
+    twin_of,
 )
 from suspension_twin.diagnosis.hypotheses import BASELINE, NUISANCE_COUNTERPART, Hypothesis, combined
 from suspension_twin.diagnosis.partial import kept
@@ -33,6 +34,7 @@ from suspension_twin.diagnosis.preexisting import as_preexisting
 from suspension_twin.diagnosis.tone_search import tone_peaks, tone_starts
 from suspension_twin.errors import WorkError
 from suspension_twin.identification.parallel import side_by_side
+from suspension_twin.identification.posterior import travel
 
 __all__ = ["Single", "joint_fit", "pairs", "refitted_under_noise", "singles", "without_one"]
 
@@ -41,8 +43,9 @@ _WIDE_STARTS = 8
 _SCANNED = 32  # frequencies of a resonance scan
 #: Changes of the log slopes of springs and dampers from the baseline, as starting vehicles.
 _VEHICLES = ((0.0, 0.0), (-0.3, 0.0), (-0.6, 0.0), (0.0, -0.25), (0.0, -0.6), (-0.3, -0.6), (0.0, -1.2))
-#: Starting vehicles for effects with a clearance, and how small that is, in standard deviations of its prior.
-_EARLY = (((-0.6, 0.0), 1.0), ((0.0, -0.3), 0.6))
+#: Starting vehicles for effects with a clearance, which is this quantile of the size of the travel: a stop that touches
+#: in a fifth of the drive leaves the characteristics their part.
+_EARLY, _TOUCHES = ((-0.6, 0.0), (0.0, -0.3)), 0.8
 _FINE = 5  # iterations at most of the second fit of the best effects
 #: Ratio of the cost of a start to the best cost so far up to which a fit is run from it.
 _COST_RATIO = 3.0
@@ -206,10 +209,12 @@ def _first_search(
         far = coarse_search.coarse_fit(bench, v, no_match)
         if far is not None and far[2] < cost:
             v, x, cost = far
-        for begun, start in _softened_starts(bench, base, v, seed):
-            if begun < _COST_RATIO * cost:
-                y, other = refit(bench, v, [start], None, DEEP, alternate_jacobian=True)
-                x, cost = (y, other) if other < cost else (x, cost)
+        whole = [
+            start for begun, start in _softened_starts(bench, base, v, seed) if begun < _COST_RATIO * cost
+        ]
+        for start in (*_typical_start(bench, base, v), *whole):
+            y, other = refit(bench, v, [start], None, DEEP, alternate_jacobian=True)
+            x, cost = (y, other) if other < cost else (x, cost)
         found.append((cost, v, x))
     cost, v, x = min(found, key=lambda f: f[0])
     if not math.isfinite(cost):
@@ -254,6 +259,20 @@ def _restarted(
     return replace(rough, x=x, cost=cost) if cost < rough.cost else rough
 
 
+def _typical_start(bench: Bench, base: Fit, hypothesis: Hypothesis) -> list[Floats]:
+    """The effect at its typical size in the baseline vehicle, for effects whose size is not centred on nothing.
+
+    Where characteristics have taken over the part of a massless wheel or a stiff mount, every size of the effect is
+    worse than nothing until they have moved: the lowest cost is no guide among starts.
+    """
+    effect, neutral = hypothesis.effect(hypothesis.effects[-1]), hypothesis.neutral()
+    names = [key.split(".")[2] for key in hypothesis.keys]
+    if all(neutral[i] == 0.0 for i, name in enumerate(names) if name in effect.severity):
+        return []
+    start = np.concatenate([base.x[: bench.d + bench.q], np.zeros(len(hypothesis))])
+    return [np.asarray(bench.clipped(hypothesis, start[:, None])[:, 0])]
+
+
 def _softened_starts(
     bench: Bench, base: Fit, hypothesis: Hypothesis, seed: int
 ) -> list[tuple[float, Floats]]:
@@ -274,9 +293,16 @@ def _softened_starts(
     x = np.concatenate(
         [np.concatenate([np.repeat(z[:, None], _WIDE_STARTS, axis=1), starts]) for z in many], axis=1
     )
-    # a stop that hardly touches has the lowest cost but no gradient: starts with small clearance are added
-    ways = _EARLY if hypothesis.has_clearance else ()
-    early_contact = [np.concatenate([vehicle(*v), hypothesis.early_contact(far)])[:, None] for v, far in ways]
+    # a stop that hardly touches has the lowest cost but no gradient: starts that touch are added
+    early_contact = []
+    if hypothesis.has_clearance:
+        known = travel(twin_of(bench, base), bench.problem)
+        far = {
+            axle: float(np.quantile(np.abs(x - known.static[axle]), _TOUCHES))
+            for axle, x in known.compression.items()
+        }
+        touching = hypothesis.early_contact(far)
+        early_contact = [np.concatenate([vehicle(*v), touching])[:, None] for v in _EARLY]
     x = bench.clipped(hypothesis, np.concatenate([x, *early_contact], axis=1))
     costs = bench.costs(hypothesis, x)
     first = costs.size - len(early_contact)

@@ -9,8 +9,21 @@ from suspension_twin.units import plain
 
 __all__ = ["EFFECT"]
 
+#: m, of a car's tyre: a load of 4 kN over a pressure of 220 kPa and a width of 0.16 m.
+_USUAL = 0.12
 _PARAMETERS = (
-    Parameter("length", "m", 0.01, 2.0, 0.0, 0.15, 1.8, "of the contact patch, along the road", log=True),
+    Parameter(
+        "length",
+        "m",
+        0.01,
+        2.0,
+        0.0,
+        0.15,
+        1.8,
+        "of the contact patch, along the road",
+        log=True,
+        usual=_USUAL,
+    ),
 )
 
 

@@ -35,10 +35,15 @@ _DEATHS = 5
 _PATIENCE = 300.0
 #: Bytes that a worker needs for numba's code, NumPy and a drive of an hour.
 _LEAST_MEMORY = 1 << 30
-#: One thread each: a worker has one core, and a fleet has more drives than cores.
-_ONE_THREAD = dict.fromkeys(
-    ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS"), "1"
-)
+#: Of a worker's process. One thread: it has one core, and a fleet has more drives than cores. And the thresholds of
+#: glibc's malloc at the values that it comes to by itself (mallopt(3): 32 MiB, and twice that). Dask sets one of them
+#: to 64 KiB, which fixes the other at 128 KiB: every array beyond goes back to the system and costs its page faults
+#: anew, 230 000 instead of 200 for a drive of 30 s, which then takes 1.5 s of processor time instead of 0.9.
+_ENVIRONMENT = {
+    **dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS"), "1"),
+    "MALLOC_MMAP_THRESHOLD_": str(32 << 20),
+    "MALLOC_TRIM_THRESHOLD_": str(64 << 20),
+}
 
 
 @dataclass(frozen=True)
@@ -198,7 +203,7 @@ def connected(
             raise InputError("--scheduler", scheduler, f"no scheduler answers: {error}") from None
         try:
             found = client.scheduler_info(n_workers=-1)["workers"]
-            limits = sorted({w["memory_limit"] for w in found.values()})
+            limits = sorted({w["memory_limit"] for w in found.values() if w["memory_limit"]})
             text = f"{len(found)} workers of {scheduler}"
             yield Cluster(client, text + (f", at most {_size(limits[-1])} each" if limits else ""))
         finally:
@@ -212,6 +217,7 @@ def connected(
         "distributed.scheduler.work-stealing": False,
         "distributed.worker.memory.spill": False,
         "distributed.worker.memory.target": False,
+        "distributed.nanny.pre-spawn-environ": _ENVIRONMENT,
         "distributed.logging": {"distributed": "critical"},
     }
     with (
@@ -223,7 +229,6 @@ def connected(
             memory_limit=int(limit),
             dashboard_address=None,
             silence_logs=50,
-            **({} if inside else {"env": _ONE_THREAD}),
         ) as cluster,
         distributed.Client(cluster, set_as_default=False) as client,
     ):
@@ -345,8 +350,9 @@ def _drain(
                 outcome.computed += 1
             if on_record is not None:
                 on_record(task, record, len(left))
-            now = max(sum(client.nthreads().values()), threads)
-            for new in send(now * (1 + _AHEAD) - len(under_way)):
+            # As many as the workers that are there now can use: they come and go.
+            now = max(sum(client.nthreads().values()), 1)
+            for new in send(max(now * (1 + _AHEAD) - len(under_way), 0)):
                 coming.add(new)
     except (CommClosedError, CancelledError, TimeoutError, OSError, RuntimeError) as error:
         if isinstance(error, OSError) and error.filename is not None:

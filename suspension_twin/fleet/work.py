@@ -28,7 +28,7 @@ from suspension_twin.fleet.storage import identity, outline, staged, transient
 from suspension_twin.road import load_road
 from suspension_twin.vehicle.twin import RoadFile, Twin, load_twin, save_twin
 
-__all__ = ["VELOCITY", "Options", "Task", "plan_task", "work"]
+__all__ = ["VELOCITY", "Options", "Task", "plan_task", "twin_and_road", "work"]
 
 #: m/s at which a damper's force is followed over time: between the low and the high speeds of a strut, where workshops
 #: compare dampers (the abscissae of Table 2 of the car paper have it).
@@ -117,7 +117,7 @@ def plan_task(item: Item, options: Options) -> Task:
     ('2023-11-14', True)
     """
     with tempfile.TemporaryDirectory(prefix="suspension_twin_") as folder:
-        _, road = _twin_and_road(item, Path(folder))
+        _, road = twin_and_road(item, Path(folder))
     references = item.references if options.action == "diagnose" else ()
     outlines = [outline(drive) for drive in item.drives]
     files = [item.twin, *([road] if road else []), *item.drives, *references]
@@ -135,7 +135,7 @@ def plan_task(item: Item, options: Options) -> Task:
     )
 
 
-def _twin_and_road(item: Item, folder: Path) -> tuple[Twin, str]:
+def twin_and_road(item: Item, folder: Path) -> tuple[Twin, str]:
     """The twin of an item, and path or URL of its road; empty where neither names one."""
     local = staged(item.twin, folder)
     twin = load_twin(local)
@@ -222,7 +222,7 @@ def _done(task: Task, folder: Path, copies: dict[str, str]) -> Record:
             copies[path] = name
         return path
 
-    twin, road = _twin_and_road(item, folder / "twin")
+    twin, road = twin_and_road(item, folder / "twin")
     own = here(item.twin, "twin")
     record: Record = {"road": "" if is_url(road) else road}
     if road and (item.road or is_url(road)):
@@ -238,6 +238,7 @@ def _done(task: Task, folder: Path, copies: dict[str, str]) -> Record:
 
 
 def _calibrated(options: Options, twin: str, drives: Sequence[str], folder: Path, road: str) -> Record:
+    from suspension_twin.calibration.labels import parameter_unit
     from suspension_twin.calibration.output import write_result
     from suspension_twin.calibration.request import CalibrationRequest
     from suspension_twin.calibration.run import calibrate
@@ -260,7 +261,7 @@ def _calibrated(options: Options, twin: str, drives: Sequence[str], folder: Path
     ]
     health = [row for c in result.curves if (row := _damper(c)) is not None]
     health += [
-        _health(e.key, e.value, e.low, e.high, "", e.status in ("identified", "on bound"))
+        _health(e.key, e.value, e.low, e.high, parameter_unit(e.key), e.status in ("identified", "on bound"))
         for e in result.estimates
         if e.key.startswith("effects.") or ".tyre." in e.key
     ]

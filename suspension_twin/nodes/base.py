@@ -170,6 +170,8 @@ class TwinNode(Node):  # type: ignore[misc]
         self._set = ParameterSet(self, (*self.common, *self.parameters), self.check, self._on_change)
         self._read_limits()
         self._diagnostics = self.create_publisher(DiagnosticArray, "/diagnostics", 10)
+        #: Called with every diagnostics message, beside the topic.
+        self.told: list[Callable[[DiagnosticArray], None]] = []
         self._measured_at = time.monotonic()
         self._clock_at, self._clock_still = -1.0, 0.0
         #: Whether the clock stands still because somebody paused the replay.
@@ -236,8 +238,9 @@ class TwinNode(Node):  # type: ignore[misc]
         taken = self.inputs[topic] = Input(self, state, handler)
         if topic not in self.embedding.linked:
             options = QoSOverridingOptions.with_default_policies()
+            receive = taken.receive_bare if self.embedding.bare else taken.receive
             taken.subscription = self.create_subscription(
-                kind, topic, taken.receive, SENSOR_QOS, qos_overriding_options=options
+                kind, topic, receive, SENSOR_QOS, qos_overriding_options=options
             )
         return taken
 
@@ -323,6 +326,8 @@ class TwinNode(Node):  # type: ignore[misc]
         message = DiagnosticArray(status=self.health.statuses())
         message.header.stamp = self.stamp_now()
         self._diagnostics.publish(message)
+        for tell in self.told:
+            tell(message)
 
     def _find(self, code: str, holds: bool, text: str) -> None:
         """Show a warning while it holds."""

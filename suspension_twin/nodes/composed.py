@@ -12,7 +12,7 @@ from pathlib import Path
 
 from rclpy.context import Context
 from rclpy.exceptions import InvalidNamespaceException
-from rclpy.executors import ShutdownException, SingleThreadedExecutor, TimeoutException
+from rclpy.executors import Executor, ShutdownException, SingleThreadedExecutor, TimeoutException
 from rclpy.parameter import Parameter
 from rclpy.validate_namespace import validate_namespace
 
@@ -107,7 +107,8 @@ def check_namespace(namespace: str) -> None:
 
 class Composed:
     """All nodes of one twin, with a ``playback`` or with live ``sources`` (URLs) if it is given any, and with one that
-    learns the road into the file ``learn``. Call :meth:`step` until :attr:`finished`, then :meth:`close`."""
+    learns the road into the file ``learn``. Call :meth:`step` until :attr:`finished`, then :meth:`close`. One of many
+    twins gets the ``executor`` that serves them all and is spun by its owner; such a twin has no calibrator."""
 
     def __init__(
         self,
@@ -117,13 +118,15 @@ class Composed:
         playback: Playback | None = None,
         sources: Sequence[str] = (),
         learn: Path | None = None,
+        executor: Executor | None = None,
     ) -> None:
         outbox = Outbox()
         sensed = PLAYED if playback else LIVE if sources else ()
         links = LINKS + sensed
         if learn is not None:
             links += LEARNT + tuple((topic, sender, "road_learner") for topic, sender, _ in sensed)
-        self.executor = SingleThreadedExecutor(context=context)
+        self._shared = executor is not None
+        self.executor = executor or SingleThreadedExecutor(context=context)
         self.nodes: dict[str, TwinNode] = {}
         self._serve_at = 0.0
         self.player: BagPlayer | None = None
@@ -133,11 +136,24 @@ class Composed:
         try:
             out = {} if learn is None else {"road_learner": Parameter("out", value=str(learn))}
             for name, kind in (KINDS | ({} if learn is None else {"road_learner": RoadLearnerNode})).items():
+                if self._shared and name == "calibrator":
+                    continue
                 linked = frozenset(topic for topic, _, receiver in links if receiver == name)
-                given = (*parameters, *([out[name]] if name in out else []))
-                embedding = Embedding(context, namespace, given, linked, outbox, clock_jumps=playback is None)
+                embedding = Embedding(
+                    context,
+                    namespace,
+                    (*parameters, *([out[name]] if name in out else [])),
+                    linked,
+                    outbox,
+                    clock_jumps=playback is None,
+                    bare=self._shared,
+                )
                 self.nodes[name] = kind(embedding)
                 self.executor.add_node(self.nodes[name])
+            model = self.nodes["suspension_model"]
+            if self._shared and isinstance(model, SuspensionModelNode):
+                for name in ("imu_ingest", "pose_injector"):
+                    self.nodes[name].told.append(model.on_diagnostics)
             if sources:
                 urls = Parameter("sources", value=" ".join(sources))
                 embedding = Embedding(context, namespace, (*parameters, urls), outbox=outbox)
@@ -246,7 +262,10 @@ class Composed:
 
     def close(self) -> None:
         """Shut everything down."""
-        self.executor.shutdown()
+        if not self._shared:
+            self.executor.shutdown()
         for node in (*self.nodes.values(), *([self.player] if self.player else [])):
+            if self._shared:
+                self.executor.remove_node(node)
             node.destroy_node()
         self.nodes.clear()

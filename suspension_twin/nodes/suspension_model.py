@@ -85,7 +85,9 @@ class SuspensionModelNode(TwinNode):
         self._start()
         self.listen(Odometry, "twin/odom", self._on_odom)
         self.listen(AccelStamped, "imu/vertical_acceleration", self._on_vertical)
-        self.create_subscription(DiagnosticArray, "/diagnostics", self._on_diagnostics, 100)
+        # All twins write to this topic: of many in one process, each is told by its own nodes alone.
+        if not self.embedding.bare:
+            self.create_subscription(DiagnosticArray, "/diagnostics", self.on_diagnostics, 100)
         self.create_service(Trigger, "~/reset", self._on_reset)
         self.create_service(LoadTwin, "~/load_twin", self._on_load)
 
@@ -203,7 +205,7 @@ class SuspensionModelNode(TwinNode):
                 response.message += f"; {names} changed: set the parameter twin of the other nodes as well"
         return response
 
-    def _on_diagnostics(self, message: DiagnosticArray) -> None:
+    def on_diagnostics(self, message: DiagnosticArray) -> None:
         """Compare the low-pass of the other nodes of this twin with the own: measured and simulated signals that went
         through different ones differ, and that is no gap."""
         own = self.health.values.get(LOW_PASS)

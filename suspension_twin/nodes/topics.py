@@ -140,7 +140,8 @@ class Embedding:
     ``linked`` names the inputs that another node of the process delivers directly, so that no
     subscription is made for them; ``outbox`` is shared by all nodes of the process. ``clock_jumps``:
     reset the node when the ROS clock jumps back. Not wanted where the stamps are passed on directly
-    and the clock follows behind them.
+    and the clock follows behind them. ``bare``: the executor hands on messages without what the
+    middleware knows about them (rclpy 7.1's events executor fails where a callback asks for it).
     """
 
     context: Context | None = None
@@ -149,6 +150,7 @@ class Embedding:
     linked: frozenset[str] = frozenset()
     outbox: Outbox | None = None
     clock_jumps: bool = True
+    bare: bool = False
 
 
 @dataclass
@@ -209,6 +211,10 @@ class Input:
                 return
             message, about = taken
         self.deliver(message)
+
+    def receive_bare(self, message: Any) -> None:
+        """:meth:`receive` where it is not known how long ``message`` has waited; of those behind it, it is."""
+        self.receive(message, {})
 
     def _take(self) -> tuple[Any, Mapping[str, int]] | None:
         """The next message of the queue and what the middleware knows about it."""

@@ -16,10 +16,11 @@ from suspension_twin.road.crg import load_road
 from suspension_twin.road.crg_format import examine
 from suspension_twin.road.events import Roughness, profile_roughness
 from suspension_twin.road.iri import iri
+from suspension_twin.road.origin import scan_holes
 from suspension_twin.road.road import Road
 from suspension_twin.road.spikes import Spikes, find_spikes
 
-__all__ = ["PathFigures", "RoadCheck", "RoadFinding", "check_file", "check_road", "wheel_tracks"]
+__all__ = ["PathFigures", "RoadCheck", "RoadFinding", "check_file", "check_road", "enclosed", "wheel_tracks"]
 
 #: A jump this high (m) and this steep (m/m) between neighbours is a step, unless a spike makes it.
 _STEP, _STEP_SLOPE = 0.05, 1.0
@@ -110,7 +111,23 @@ def check_file(path: str | os.PathLike[str]) -> RoadCheck:
             f"{100 * text.missing:.2g} % of the heights are missing in the file, filled as its modifiers say"
         )
         extra.append(RoadFinding(held, fault=False))
-    return check_road(road, tuple(extra))
+    return check_road(road, (*extra, *_holes_of_scan(Path(path))))
+
+
+def _holes_of_scan(path: Path) -> list[RoadFinding]:
+    """Holes of the scan that a road was made from, which its file cannot show."""
+    holes = sorted(scan_holes(path), key=lambda h: -h["nodes"])
+    found = [
+        RoadFinding(
+            f"nothing was measured at u {h['u_low']:.2f} to {h['u_high']:.2f} m, v {h['v_low']:.2f} to "
+            f"{h['v_high']:.2f} m: heights there are bridged",
+            True,
+        )
+        for h in holes[:3]
+    ]
+    if len(holes) > 3:
+        found.append(RoadFinding(f"and {len(holes) - 3} smaller holes of the scan", True))
+    return found
 
 
 def check_road(road: Road, also: tuple[RoadFinding, ...] = ()) -> RoadCheck:
@@ -140,7 +157,7 @@ def check_road(road: Road, also: tuple[RoadFinding, ...] = ()) -> RoadCheck:
     facts = _facts(road, spikes, paths)
     missing = np.isnan(road.z)
     if missing.any():
-        inner = int(_enclosed(missing).sum())
+        inner = int(enclosed(missing).sum())
         share = f"{100 * missing.mean():.2g} % of the heights are missing"
         findings.append(
             RoadFinding(f"{share}, {inner} of them between data; wheels there are held", inner > 0)
@@ -254,7 +271,7 @@ def _events(paths: tuple[PathFigures, ...]) -> str:
     return " | ".join(f"{path.side} {text}" for path, text in zip(paths, texts, strict=True))
 
 
-def _enclosed(missing: object) -> np.ndarray[tuple[int, ...], np.dtype[np.bool_]]:
+def enclosed(missing: object) -> np.ndarray[tuple[int, ...], np.dtype[np.bool_]]:
     """Missing heights with data on both sides of them in their cross section, or in none of it."""
     gone = np.asarray(missing, dtype=np.bool_)
     data = ~gone

@@ -7,7 +7,7 @@ import json
 from pathlib import Path
 from typing import Any
 
-__all__ = ["origin_of", "record_path", "warning_of"]
+__all__ = ["origin_of", "record_path", "scan_holes", "warning_of"]
 
 
 def record_path(road: Path) -> Path:
@@ -17,11 +17,25 @@ def record_path(road: Path) -> Path:
 
 def origin_of(road: Path) -> dict[str, Any] | None:
     """The record of a road that was estimated from drives; None for any other."""
+    return _record(road, "drives")
+
+
+def scan_holes(road: Path) -> list[dict[str, float]]:
+    """Places of a road from a scan where nothing was measured and its file has heights all the same; m."""
+    record = _record(road, "scan")
+    holes = [] if record is None else record.get("bridged", [])
+    keys = {"u_low", "u_high", "v_low", "v_high", "nodes"}
+    if not isinstance(holes, list):
+        return []
+    return [h for h in holes if isinstance(h, dict) and keys <= set(h)]
+
+
+def _record(road: Path, origin: str) -> dict[str, Any] | None:
     try:
         record = json.loads(record_path(road).read_text(encoding="utf-8"))
     except (OSError, ValueError):
         return None
-    return record if isinstance(record, dict) and record.get("origin") == "drives" else None
+    return record if isinstance(record, dict) and record.get("origin") == origin else None
 
 
 def warning_of(road: Path) -> str | None:

@@ -26,7 +26,7 @@ from suspension_twin.road_estimation.estimate import STEP, Estimate, Settings, e
 from suspension_twin.signals.filters import FilterSpec
 from suspension_twin.vehicle.twin import Twin
 
-__all__ = ["Part", "road_from_drives", "surface_of", "write_estimate"]
+__all__ = ["Part", "road_from_drives", "surface_of", "with_datum", "write_estimate"]
 
 #: Channels are compared up to the wheel hop and beyond; the default low-pass takes half of that away.
 _FILTER = FilterSpec(order=4, cutoff=30.0)
@@ -97,7 +97,7 @@ def road_from_drives(
     pieces = [part if isinstance(part, Part) else Part(part) for part in parts]
     if not pieces:
         raise InputError("drives", "none is given")
-    twin = _with_datum(twin, pieces[0].drive)
+    twin = with_datum(twin, pieces[0].drive)
     ground = flat_road()
     known: dict[int, Prepared] = {}
     prepared = []
@@ -116,7 +116,7 @@ def road_from_drives(
     return estimate_road(prepared, twin, settings, progress)
 
 
-def _with_datum(twin: Twin, drive: Drive) -> Twin:
+def with_datum(twin: Twin, drive: Drive) -> Twin:
     """A twin file without a datum counts from the first fix of the first drive."""
     if twin.datum is not None:
         return twin

@@ -26,7 +26,7 @@ from suspension_twin.road.road import Road
 from suspension_twin.road_estimation.transfer import CHANNELS
 from suspension_twin.vehicle.twin import Twin
 
-__all__ = ["FINE", "LANE_SIGMA", "Pass", "line_of", "make_pass"]
+__all__ = ["FINE", "LANE_SIGMA", "Pass", "line_of", "make_pass", "smoothed_line"]
 
 #: Wheels are placed on the line so many times in each sample.
 FINE = 2
@@ -133,6 +133,11 @@ def line_of(paths: Sequence[Trajectory], step: float, margin: float) -> Centreli
     if not lines:
         raise InputError("drives", f"none of them moves faster than {_MOVING:g} m/s")
     x, y = max(lines, key=lambda p: float(np.hypot(np.diff(p[0]), np.diff(p[1])).sum()))
+    return smoothed_line(x, y, step, margin)
+
+
+def smoothed_line(x: Floats, y: Floats, step: float, margin: float = 0.0) -> Centreline:
+    """A line through points (n,) m, smoothed over about a metre and a half, ``margin`` m longer at both ends."""
     rough = Centreline(x, y, _KNOT)
     # Straight on at both ends, in the direction of the first and of the last metres.
     more = math.ceil((margin + 4.0 * _SMOOTH) / _KNOT)

@@ -16,7 +16,7 @@ import yaml
 from suspension_twin.calibration.output import write_result
 from suspension_twin.calibration.request import CalibrationRequest, CalibrationResult
 from suspension_twin.calibration.run import calibrate
-from suspension_twin.calibration.sensor import common_offset
+from suspension_twin.calibration.sensor import common_offset, sensor_estimates
 from suspension_twin.drive.read import read_drive
 from suspension_twin.drive.write import write_drive
 from suspension_twin.gap.mounting import without_clock_offset
@@ -91,6 +91,29 @@ def test_a_sensor_that_is_to_be_kept_is_kept(late_case: Any, result: Calibration
     kept = calibrate(request)
     assert kept.twin.imu == late_case.start.imu
     assert len(kept.sensor) == len(result.sensor) and not any(s.written for s in kept.sensor)
+
+
+def test_what_a_fit_blames_on_the_sensor_is_not_written_against_the_evidence(
+    late_case: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A fitted tilt that gravity contradicts, and a clock offset that only a map's offset makes up for."""
+    seen: list[Any] = []
+
+    def watched(*given: Any) -> Any:
+        seen.append(given)
+        return sensor_estimates(*given)
+
+    monkeypatch.setattr("suspension_twin.calibration.outcome.sensor_estimates", watched)
+    calibrate(CalibrationRequest(late_case.twin, (str(late_case.folder / "learnt"),), seed=1))
+    setup, outcome, uncertainty, _ = seen[0]
+    names, wrong = list(outcome.problem.nuisances.names), outcome.nuisance.copy()
+    wrong[names.index("tilt_pitch")] += 0.06
+    wrong[names.index("learnt.clock_offset")] += 0.02
+    found = {s.key: s for s in sensor_estimates(setup, replace(outcome, nuisance=wrong), uncertainty)}
+    assert not found["mount.pitch"].written and found["mount.pitch"].consistency < 1e-3
+    assert not found["imu.latency"].written
+    right = {s.key: s for s in sensor_estimates(setup, outcome, uncertainty)}
+    assert right["mount.pitch"].written and right["mount.pitch"].consistency > 1e-3
 
 
 def test_a_calibration_goes_on_from_the_latency_of_the_file(

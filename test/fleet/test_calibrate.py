@@ -63,7 +63,9 @@ def test_rows_become_parquet_and_are_done_once(
 
     written = {p: p.stat().st_mtime_ns for p in out.rglob("record.json")}
     assert len(written) == 3  # the reader found that the notes are no drive: that is a result, too
+    (out / "fleet.html").unlink()
     assert main(command) == 1
+    assert "notes.txt: not a recording" in (out / "fleet.html").read_text()
     assert "2 of 4 rows done, none computed now" in capsys.readouterr().out
     assert {p: p.stat().st_mtime_ns for p in out.rglob("record.json")} == written
 

@@ -32,6 +32,7 @@ ROWS = (
     {"gap"},
     {"identification"},
     {"road_estimation"},
+    {"road_scan"},
     {"calibration"},
     {"diagnosis"},
     {"fleet"},

@@ -1,0 +1,784 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The page of a fleet, in the order in which it is asked for.
+
+Which vehicles to look at first and why; what changed, when and how sure that is; the health of every vehicle over time;
+where on the road twin and vehicles disagree; what could not be done.
+"""
+
+from __future__ import annotations
+
+import html
+import math
+from collections import defaultdict
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from datetime import datetime, timezone
+from typing import Any
+from urllib.parse import quote
+
+import matplotlib.dates
+import numpy as np
+from matplotlib.figure import Figure
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
+from scipy.spatial import cKDTree
+
+from suspension_twin.arrays import Floats
+from suspension_twin.diagnosis import wording
+from suspension_twin.effects.tyre_pressure import EXPONENT
+from suspension_twin.fleet.changes import Change
+from suspension_twin.gap.measure import channel_unit
+from suspension_twin.pose.local_map import LocalMap
+from suspension_twin.report import style
+from suspension_twin.report.page import Cell, Html, Lead, Mark, Page, Row, Section, Table
+from suspension_twin.report.style import COLOURS
+from suspension_twin.units import plain
+from suspension_twin.vehicle.twin import Datum
+
+__all__ = ["fleet_page", "quantity_label"]
+
+#: How much of a large fleet a page holds; all of it is in the tables beside the page.
+_FIRST, _DRAWN, _VEHICLES, _QUANTITIES, _ROADS, _WORST, _FAILED = 25, 8, 300, 6, 4, 8, 50
+#: A change is listed from this probability on: more likely than not.
+_LISTED = 0.5
+#: Share of the vehicles that change together from which on a common reason is pointed out.
+_COMMON = 1.0 / 3.0
+#: m within which roads are drawn on one map.
+_NEAR = 2000.0
+#: m between two of the worst places that are listed, and least share of its region's median of all but the first.
+_APART, _OUTSTANDING = 25.0, 1.5
+#: Smallest change, as a share, that fills the height of a health line.
+_LEAST_RANGE = 0.2
+_LINE_WIDTH, _LINE_HEIGHT, _LINE_POINTS = 96.0, 36.0, 60
+_MARKS: dict[str, Mark] = {"effect": "warn", "partly": "warn", "no_gap": "good", "unknown": "bad"}
+_STRIP = {"no_gap": "truth", "effect": "mark", "partly": "mark", "unknown": "simulated"}
+_VERDICTS = {
+    "no_gap": "no gap",
+    "effect": "cause named",
+    "partly": "cause named, not all",
+    "unknown": "unknown cause",
+}
+_ORDER = ("damper_push", "damper_pull", "spring", "tyre", "effects.")
+
+_DATES: Any = matplotlib.dates  # its functions have no types
+Record = Mapping[str, Any]
+
+
+def fleet_page(rows: Sequence[Record], changes: Sequence[Change], action: str, title: str = "") -> Page:
+    """Make the page of a fleet: vehicles to look at first, changes, health over time, map, failures.
+
+    Parameters
+    ----------
+    rows : sequence of mapping
+        A row for every item, as :func:`~suspension_twin.fleet.tables.result_rows` makes them.
+    changes : sequence of Change
+        Of every vehicle and quantity.
+    action : str
+        ``calibrate`` or ``diagnose``: what was done with the items.
+    title : str
+        Name of the manifest.
+
+    Returns
+    -------
+    Page
+        ``write(path)`` saves it as one HTML file without scripts; its links to the results are relative to it.
+
+    Examples
+    --------
+    >>> fleet_page(rows, changes, "calibrate").write("results/fleet.html")  # doctest: +SKIP
+    PosixPath('results/fleet.html')
+    """
+    vehicles = _vehicles(rows, changes)
+    dates = sorted(date for v in vehicles for date in v.dates)
+    days = list(dict.fromkeys(_day(d) for d in (dates[0], dates[-1]))) if dates else []
+    span = f", {' to '.join(days)}" if days else ""
+    done = "calibrated" if action == "calibrate" else "diagnosed"
+    page = Page("Fleet", f"{title + ': ' if title else ''}{_count(len(vehicles), 'vehicle')} {done}{span}")
+    page.lead = _lead(vehicles, rows, action)
+    _cards(page, vehicles, rows, action)
+    page.add(_first(vehicles, action))
+    if action == "calibrate":
+        page.add(_changes(vehicles))
+    page.add(_health(vehicles, action))
+    places = _map(rows, action)
+    if places is not None:
+        page.add(places)
+    failed = [row for row in rows if row["status"] != "done"]
+    if failed:
+        page.add(_failures(failed))
+    page.add(_method(action))
+    return page
+
+
+def quantity_label(quantity: str) -> str:
+    """What a quantity of ``health.parquet`` is called for people.
+
+    Parameters
+    ----------
+    quantity : str
+        Key of a parameter, or of a damper with ``@`` and the velocity in m/s at which its force is taken.
+
+    Returns
+    -------
+    str
+        In words.
+
+    Examples
+    --------
+    >>> quantity_label("vehicle.front.damper_push@0.25")
+    'front damper push at 0.25 m/s'
+    """
+    key, _, velocity = quantity.partition("@")
+    parts = key.split(".")
+    if parts[0] == "effects" and len(parts) == 3:
+        return f"{wording.effect_name(parts[1])}, {wording.parameter_name(parts[1], parts[2])}"
+    name = key.removeprefix("vehicle.").replace("_", " ").replace(".", " ")
+    return f"{name} at {velocity} m/s" if velocity else name
+
+
+# -- vehicles ----------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class _Vehicle:
+    """What is known of one vehicle: rows in the order of their dates, changes that are listed, the surest first."""
+
+    name: str
+    rows: tuple[Record, ...]
+    changes: tuple[Change, ...]
+
+    @property
+    def dates(self) -> list[str]:
+        return [row["date"] for row in self.rows if row["date"]]
+
+    @property
+    def done(self) -> list[Record]:
+        return [row for row in self.rows if row["status"] == "done"]
+
+    @property
+    def last(self) -> Record | None:
+        """The newest result."""
+        return self.done[-1] if self.done else None
+
+    @property
+    def named(self) -> list[Change]:
+        return [c for c in self.changes if c.named]
+
+    @property
+    def faults(self) -> list[Record]:
+        """Results of a diagnosis that name a cause, or a gap without one."""
+        return [row for row in self.done if row["verdict"] not in (None, "no_gap")]
+
+    @property
+    def rank(self) -> tuple[float, float, str]:
+        """Sort key: what is named first, the larger and surer before the smaller."""
+        change = max((c.probability * abs(math.log(c.ratio)) for c in self.changes), default=0.0)
+        last = self.last
+        fault = 0.0
+        if last is not None and last["verdict"] not in (None, "no_gap"):
+            fault = 1.0 + (last["probability"] or 0.0) * (last["gap_before"] or 0.0)
+        return -float(bool(self.named)) - fault, -change - len(self.faults), self.name
+
+
+def _vehicles(rows: Sequence[Record], changes: Sequence[Change]) -> list[_Vehicle]:
+    """All vehicles, those to look at first at the head."""
+    by_name: dict[str, list[Record]] = defaultdict(list)
+    for row in rows:
+        by_name[row["vehicle"]].append(row)
+    steps: dict[str, list[Change]] = defaultdict(list)
+    for change in changes:
+        if change.probability >= _LISTED:
+            steps[change.vehicle].append(change)
+    found = [
+        _Vehicle(name, tuple(sorted(own, key=lambda r: str(r["date"]))), tuple(steps[name]))
+        for name, own in by_name.items()
+    ]
+    return sorted(found, key=lambda v: v.rank)
+
+
+def _count(number: int, what: str) -> str:
+    return f"{number} {what}{'' if number == 1 else 's'}"
+
+
+def _day(date: str) -> str:
+    return date[:10]
+
+
+def _number(date: str) -> float:
+    """A date of a manifest on matplotlib's axis of days; one without a zone is taken as UTC."""
+    moment = datetime.fromisoformat(date.replace("Z", "+00:00"))
+    return float(_DATES.date2num(moment if moment.tzinfo else moment.replace(tzinfo=timezone.utc)))
+
+
+# -- the head ----------------------------------------------------------------------------------------
+
+
+def _lead(vehicles: Sequence[_Vehicle], rows: Sequence[Record], action: str) -> Lead:
+    failed = sum(row["status"] != "done" for row in rows)
+    remarks = (
+        [f"{failed} of {_count(len(rows), 'row')} could not be done; the reasons are below."]
+        if failed
+        else []
+    )
+    whole = _count(len(vehicles), "vehicle")
+    if not any(v.done for v in vehicles):
+        return Lead("No row could be done.", remarks, "bad")
+    if action == "diagnose":
+        faulty = [v for v in vehicles if v.last is not None and v.last["verdict"] not in (None, "no_gap")]
+        if not faulty:
+            return Lead(f"None of {whole} shows a gap that its drives can tell from noise.", remarks, "good")
+        return Lead(f"{len(faulty)} of {whole} differ from their twins: {_names(faulty)}.", remarks, "warn")
+    changed = [v for v in vehicles if v.named]
+    if changed:
+        return Lead(
+            f"{len(changed)} of {whole} changed: {_names(changed)}.",
+            [*_common(changed, vehicles), *remarks],
+            "warn",
+        )
+    if not _long_enough(vehicles):
+        return Lead("No vehicle has the four rows with a date that it takes to see a change.", remarks)
+    return Lead(f"None of {whole} changed, as far as these drives can show.", remarks, "good")
+
+
+def _long_enough(vehicles: Sequence[_Vehicle]) -> bool:
+    """Whether any vehicle has as many rows as a change needs, two on either side."""
+    return any(sum(bool(r["date"]) for r in v.done) >= 4 for v in vehicles)
+
+
+def _names(vehicles: Sequence[_Vehicle]) -> str:
+    names = [v.name for v in vehicles[:6]]
+    return wording.listed([*names, f"{len(vehicles) - 6} more"] if len(vehicles) > 6 else names)
+
+
+def _common(changed: Sequence[_Vehicle], vehicles: Sequence[_Vehicle]) -> list[str]:
+    """A remark where many vehicles changed at the same time: then it is hardly the vehicles."""
+    spans = [(c.earliest, c.latest, v.name) for v in changed for c in v.named]
+    together = max((len({n for a, b, n in spans if a <= day <= b}) for day, _, _ in spans), default=0)
+    if together < 3 or together < _COMMON * len(vehicles):
+        return []
+    return [
+        f"{together} of them may have changed on the same day: a common reason, such as the road, the season or the "
+        "sensors, is then more likely than as many faults."
+    ]
+
+
+def _cards(page: Page, vehicles: Sequence[_Vehicle], rows: Sequence[Record], action: str) -> None:
+    done = [row for row in rows if row["status"] == "done"]
+    failed = len(rows) - len(done)
+    page.card("Vehicles", str(len(vehicles)), _count(len({d for v in vehicles for d in v.dates}), "date"))
+    page.card(
+        "Rows done",
+        f"{len(done)} of {len(rows)}",
+        f"{failed} failed" if failed else "",
+        "bad" if failed else "good",
+    )
+    if action == "calibrate":
+        changed = sum(bool(v.named) for v in vehicles)
+        if _long_enough(vehicles):
+            mark: Mark = "warn" if changed else "good"
+            page.card("Changed", str(changed), "vehicles, probability from 95 %", mark)
+        key, note = "gap_after", "median of all rows, calibrated"
+    else:
+        faulty = sum(bool(v.faults) for v in vehicles)
+        page.card("With a gap", str(faulty), "vehicles, on any date", "warn" if faulty else "good")
+        key, note = "gap_before", "median of all rows, twins as given"
+    gaps = [row[key] for row in done if row[key] is not None]
+    if gaps:
+        page.card("Gap", f"{np.median(gaps):.2g} {channel_unit(done[0]['channel'])}", note)
+
+
+# -- vehicles to look at first -----------------------------------------------------------------------
+
+
+def _first(vehicles: Sequence[_Vehicle], action: str) -> Section:
+    title = "Vehicles to look at first"
+    shown = [v for v in vehicles if (v.changes if action == "calibrate" else v.faults)]
+    if not shown:
+        return Section(title, "None stands out.")
+    rows = [_first_changed(v) if action == "calibrate" else _first_faulty(v) for v in shown[:_FIRST]]
+    more = f" The first {_FIRST} of {len(shown)}." if len(shown) > _FIRST else ""
+    if action == "calibrate":
+        text = f"The surest and largest changes come first.{more}"
+        columns = ("vehicle", "what", "since", "probability", "result")
+    else:
+        text = f"By the newest diagnosis of each vehicle, the surest and largest gap first.{more}"
+        columns = ("vehicle", "what", "date", "dates with a gap", "result")
+    return Section(title, text, Table(columns, rows))
+
+
+def _first_changed(vehicle: _Vehicle) -> list[object]:
+    best = max(vehicle.changes, key=lambda c: c.probability * abs(math.log(c.ratio)))
+    words = [_change_words(c) for c in vehicle.changes[:4]]
+    if len(vehicle.changes) > 4:
+        words.append(f"{len(vehicle.changes) - 4} more")
+    after = next((r for r in vehicle.done if r["date"] == best.date), vehicle.last)
+    return [
+        vehicle.name,
+        wording.capital("; ".join(words)),
+        _when(best),
+        Cell(_unbroken(wording.chance(best.probability)), "warn" if best.named else "soft"),
+        _link(after),
+    ]
+
+
+def _first_faulty(vehicle: _Vehicle) -> list[object]:
+    last = vehicle.faults[-1]
+    return [
+        vehicle.name,
+        Cell(last["message"], _MARKS.get(last["verdict"], "")),
+        _unbroken(_day(last["date"]) or "–"),
+        f"{len(vehicle.faults)} of {len(vehicle.done)}",
+        _link(last),
+    ]
+
+
+def _link(row: Record | None) -> Html:
+    """The folder of a result, relative to the page."""
+    if row is None or not row["folder"]:
+        return Html("–")
+    return Html(f'<a href="{html.escape(quote(row["folder"]), quote=True)}/">folder</a>')
+
+
+def _change_words(change: Change) -> str:
+    """``front damper push at 0.25 m/s 31 % lower (25 to 37 %)``."""
+    low, high = sorted(abs(1.0 - r) for r in (change.ratio_low, change.ratio_high))
+    if change.ratio_low < 1.0 < change.ratio_high:
+        low = 0.0
+    word = "lower" if change.ratio < 1.0 else "higher"
+    text = f"{quantity_label(change.quantity)} {wording.percent(abs(1.0 - change.ratio))} {word}"
+    text += f" ({wording.percent(low) if low else '0'} to {wording.percent(high)})"
+    if change.quantity.endswith(".tyre.vertical_stiffness"):
+        pressure = change.ratio ** (1.0 / EXPONENT)
+        text += f", as a pressure {wording.percent(abs(1.0 - pressure))} {word} would make it"
+    return text
+
+
+def _when(change: Change) -> Html:
+    if _day(change.earliest) == _day(change.latest):
+        return _unbroken(_day(change.date))
+    return Html(f"{_unbroken(_day(change.date)).text} ({_interval(change).text})")
+
+
+def _interval(change: Change) -> Html:
+    days = dict.fromkeys(_unbroken(_day(d)).text for d in (change.earliest, change.latest))
+    return Html(" to ".join(days))
+
+
+def _unbroken(text: str) -> Html:
+    """A text that stays on one line."""
+    return Html(f'<span style="white-space:nowrap">{html.escape(text)}</span>')
+
+
+# -- changes -----------------------------------------------------------------------------------------
+
+
+def _changes(vehicles: Sequence[_Vehicle]) -> Section:
+    found = [c for v in vehicles for c in v.changes]
+    found.sort(key=lambda c: (-c.probability, c.vehicle, c.quantity))
+    if not found:
+        return Section("Changes", "No quantity of any vehicle changed with a probability above one half.")
+    rows = [
+        [
+            c.vehicle,
+            quantity_label(c.quantity),
+            _unbroken(_day(c.date)),
+            _interval(c),
+            Cell(_unbroken(wording.chance(c.probability)), "warn" if c.named else "soft"),
+            plain(c.before, c.unit, 3),
+            plain(c.after, c.unit, 3),
+            "{} ({} to {})".format(*(wording.percent(r - 1.0) for r in (c.ratio, c.ratio_low, c.ratio_high))),
+        ]
+        for c in found[:_FAILED]
+    ]
+    columns = (
+        "vehicle",
+        "quantity",
+        "since",
+        "90 % interval of the date",
+        "probability",
+        "before",
+        "after",
+        "change",
+    )
+    drawn: list[Figure] = []
+    captions: list[str] = []
+    for vehicle in vehicles:
+        for change in vehicle.named[:2]:
+            if len(drawn) < _DRAWN:
+                drawn.append(_step(vehicle, change))
+                captions.append(f"{vehicle.name}: {quantity_label(change.quantity)}.")
+    text = (
+        "Quantities with a step that is more likely than not; one is called a change from a probability of 95 % on. "
+        "The date is that of the first drive after the step."
+    )
+    if drawn:
+        text += " Bars are the 90 % intervals of single rows, the shaded time holds the step with 90 % probability."
+    pictures = Row(drawn, captions) if drawn else None
+    return Section("Changes", text, pictures, Table(columns, rows))
+
+
+def _series(vehicle: _Vehicle, quantity: str) -> list[tuple[float, float, float, float]]:
+    """Day, value and interval of a quantity where it was identified, in the order of the dates."""
+    return [
+        (_number(row["date"]), h["value"], h["low"], h["high"])
+        for row in vehicle.done
+        if row["date"]
+        for h in row["health"]
+        if h["quantity"] == quantity and h["identified"] and None not in (h["value"], h["low"], h["high"])
+    ]
+
+
+def _step(vehicle: _Vehicle, change: Change) -> Figure:
+    t, value, low, high = np.array(_series(vehicle, change.quantity)).T
+    factor, unit = (1e-3, "N/mm") if change.unit == "N/m" else (1.0, change.unit)
+    value, low, high = factor * value, factor * low, factor * high
+    with style.using():
+        fig = style.figure(4.6, 2.5)
+        axes = fig.subplots()
+        place = int(np.searchsorted(t, _number(change.date)))
+        begin, end = (_number(d) for d in (change.earliest, change.latest))
+        # The step lies between the drive before its first and the last possible place.
+        begin = t[max(int(np.searchsorted(t, begin)) - 1, 0)]
+        axes.axvspan(begin, end, color=COLOURS["mark"], alpha=0.2, linewidth=0)
+        spans = [np.maximum(value - low, 0.0), np.maximum(high - value, 0.0)]
+        axes.errorbar(t, value, spans, fmt="o", color=COLOURS["measured"], markersize=3.5, linewidth=1.0)
+        for part, level in ((t[:place], factor * change.before), (t[place:], factor * change.after)):
+            if part.size:
+                axes.plot([part[0], part[-1]], [level, level], color=COLOURS["simulated"], linewidth=1.6)
+        axes.set_ylabel(f"[{unit}]" if unit else "")
+        _dated(axes)
+    return fig
+
+
+def _dated(axes: Any) -> None:
+    locator = _DATES.AutoDateLocator(minticks=3, maxticks=6)
+    axes.xaxis.set_major_locator(locator)
+    axes.xaxis.set_major_formatter(_DATES.ConciseDateFormatter(locator))
+
+
+# -- health over time --------------------------------------------------------------------------------
+
+
+def _health(vehicles: Sequence[_Vehicle], action: str) -> Section:
+    title = "Health over time"
+    shown = vehicles[:_VEHICLES]
+    days = [_number(d) for v in vehicles for d in v.dates]
+    span = (min(days), max(days)) if days else (0.0, 1.0)
+    more = f" The first {_VEHICLES} of {len(vehicles)} vehicles." if len(vehicles) > _VEHICLES else ""
+    if action == "diagnose":
+        legend = " ".join(
+            f'<span style="white-space:nowrap"><span class="bar" style="width:.8em;background:var(--{_STRIP[k]})">'
+            f"</span> {_VERDICTS[k]}</span>"
+            for k in ("no_gap", "effect", "unknown")
+        )
+        rows = [[v.name, Html(_strip(v, span)), _gap(v, "gap_before")] for v in shown]
+        columns = ["vehicle", "verdicts", "newest gap, twin as given"]
+        return Section(
+            title, f"One mark for every date.{more}", Html(f"<p>{legend}</p>"), Table(columns, rows)
+        )
+    quantities = _followed(vehicles)
+    if not quantities:
+        return Section(
+            title,
+            "The drives identify none of the quantities that are followed.",
+            Table(
+                ["vehicle", "newest gap, calibrated"],
+                [[v.name, _gap(v, "gap_after")] for v in shown],
+            ),
+        )
+    series = {(v.name, q): _series(v, q) for v in shown for q in quantities}
+    ranges = {q: _range([series[v.name, q] for v in shown]) for q in quantities}
+    units = {h["quantity"]: h["unit"] for v in shown for row in v.done for h in row["health"]}
+    rows = []
+    for v in shown:
+        steps = {c.quantity: c for c in v.named}
+        cells: list[object] = [
+            Html(_line(series[v.name, q], units[q], ranges[q], span, steps.get(q))) for q in quantities
+        ]
+        rows.append([v.name, *cells, _gap(v, "gap_after")])
+    heads = [f"{quantity_label(q)} (±{100.0 * math.expm1(ranges[q]):.0f} %)" for q in quantities]
+    text = (
+        "A line for each quantity that is followed: its value at each date relative to the vehicle's own median, on a "
+        "scale that all vehicles share (its ends stand beside the name), with the 90 % interval as a band; below it "
+        "the newest value. A vertical line is a change. Dates at which the drives do not identify a quantity are left "
+        f"out.{more}"
+    )
+    return Section(title, text, Table(["vehicle", *heads, "newest gap"], rows))
+
+
+def _gap(vehicle: _Vehicle, key: str) -> str:
+    last = vehicle.last
+    value = None if last is None else last[key]
+    return "–" if last is None or value is None else f"{value:.2g} {channel_unit(last['channel'])}"
+
+
+def _followed(vehicles: Sequence[_Vehicle]) -> list[str]:
+    """The quantities with a line: identified most often, dampers first."""
+    counts: dict[str, int] = defaultdict(int)
+    for v in vehicles:
+        for row in v.done:
+            for h in row["health"]:
+                counts[h["quantity"]] += bool(h["identified"] and row["date"])
+    most = sorted((q for q, n in counts.items() if n), key=lambda q: (-counts[q], q))[:_QUANTITIES]
+
+    def place(quantity: str) -> tuple[int, str]:
+        return next((i for i, word in enumerate(_ORDER) if word in quantity), len(_ORDER)), quantity
+
+    return sorted(most, key=place)
+
+
+def _logs(series: Sequence[tuple[float, float, float, float]]) -> Floats:
+    """(n, 4): day, and the logarithms of value and interval relative to the median value."""
+    found = np.array([row for row in series if row[1] > 0.0], dtype=np.float64).reshape(-1, 4)
+    if len(found):
+        middle = np.median(found[:, 1])
+        found[:, 1:] = np.log(np.maximum(found[:, 1:], 1e-3 * middle) / middle)
+    return found
+
+
+def _range(all_series: Sequence[Sequence[tuple[float, float, float, float]]]) -> float:
+    values = [np.abs(_logs(s)[:, 1]) for s in all_series if s]
+    most = float(np.concatenate(values).max()) if values else 0.0
+    return max(1.1 * most, math.log1p(_LEAST_RANGE))
+
+
+def _line(
+    series: Sequence[tuple[float, float, float, float]],
+    unit: str,
+    reach: float,
+    span: tuple[float, float],
+    change: Change | None,
+) -> str:
+    """A small drawing of one series, and its newest value below it."""
+    rows = _logs(series)
+    if not len(rows):
+        return "–"
+    rows = rows[np.unique(np.linspace(0, len(rows) - 1, min(len(rows), _LINE_POINTS)).astype(int))]
+    width, height, margin = _LINE_WIDTH, _LINE_HEIGHT, 3.0
+
+    def across(day: float | Floats) -> Any:
+        return margin + (width - 2.0 * margin) * (day - span[0]) / max(span[1] - span[0], 1e-9)
+
+    x = across(rows[:, 0])
+    y = height / 2.0 - (height / 2.0 - margin) * np.clip(rows[:, 1:] / reach, -1.0, 1.0)
+    band = [*zip(x, y[:, 1], strict=True), *zip(x[::-1], y[::-1, 2], strict=True)]
+    points = " ".join(f"{a:.1f},{b:.1f}" for a, b in band)
+    path = " ".join(f"{a:.1f},{b:.1f}" for a, b in zip(x, y[:, 0], strict=True))
+    step = ""
+    if change is not None:
+        at = across(_number(change.date))
+        step = f'<path d="M{at:.1f} 1V{height - 1:.0f}" stroke="var(--simulated)" stroke-width="1.5"/>'
+    _, value, low, high = series[-1]
+    text, interval = plain(value, unit, 3), f"{plain(low, unit, 3)} to {plain(high, unit, 3)}"
+    return (
+        f'<svg role="img" aria-label="newest {text}" viewBox="0 0 {width:.0f} {height:.0f}" width="{width:.0f}" '
+        f'height="{height:.0f}" style="display:block"><path d="M0 {height / 2:.0f}H{width:.0f}" '
+        f'stroke="var(--grid)"/><polygon points="{points}" fill="var(--measured)" opacity=".22"/>{step}'
+        f'<polyline points="{path}" fill="none" stroke="var(--measured)" stroke-width="1.4"/>'
+        f'<circle cx="{x[-1]:.1f}" cy="{y[-1, 0]:.1f}" r="2.2" fill="var(--measured)"/></svg>'
+        f'<span title="{interval}" style="white-space:nowrap">{text}</span>'
+    )
+
+
+def _strip(vehicle: _Vehicle, span: tuple[float, float]) -> str:
+    """A mark for every date, coloured by its verdict."""
+    width, height, size = 4.0 * _LINE_WIDTH, 18.0, 7.0
+    marks = []
+    for row in vehicle.done:
+        if row["date"] and row["verdict"] in _STRIP:
+            at = (width - size) * (_number(row["date"]) - span[0]) / max(span[1] - span[0], 1e-9)
+            names = wording.listed([wording.effect_name(e) for e in row["combination"]])
+            told = html.escape(f"{_day(row['date'])}: {names or _VERDICTS[row['verdict']]}", quote=True)
+            marks.append(
+                f'<rect x="{at:.1f}" y="2" width="{size:g}" height="{height - 4:g}" rx="1.5" '
+                f'fill="var(--{_STRIP[row["verdict"]]})"><title>{told}</title></rect>'
+            )
+    return (
+        f'<svg role="img" aria-label="{len(marks)} verdicts" viewBox="0 0 {width:g} {height:g}" width="{width:g}" '
+        f'height="{height:g}" style="display:block"><path d="M0 {height / 2:g}H{width:g}" stroke="var(--grid)"/>'
+        f"{''.join(marks)}</svg>"
+    )
+
+
+# -- map ---------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class _Places:
+    """Stretches of road, in arrays: position, rms of the residual over all driving there, number of vehicles, rms of
+    the median vehicle, time driven in s."""
+
+    latitude: Floats
+    longitude: Floats
+    rms: Floats
+    vehicles: Floats
+    median: Floats
+    seconds: Floats
+
+    def __getitem__(self, rows: Any) -> _Places:
+        return _Places(*(getattr(self, name)[rows] for name in self.__dataclass_fields__))
+
+
+def _places(rows: Sequence[Record]) -> _Places | None:
+    # A road's stretches have the same position in every row; 1e-5 degrees are 1.1 m.
+    found: dict[tuple[float, float], dict[str, list[float]]] = defaultdict(
+        lambda: defaultdict(lambda: [0.0, 0.0])
+    )
+    for row in rows:
+        for p in row["places"]:
+            if p["rms"] is not None and p["seconds"] > 0.0:
+                total = found[round(p["latitude"], 5), round(p["longitude"], 5)][row["vehicle"]]
+                total[0] += p["rms"] ** 2 * p["seconds"]
+                total[1] += p["seconds"]
+    if not found:
+        return None
+    table = []
+    for (latitude, longitude), by_vehicle in found.items():
+        square, seconds = np.array(list(by_vehicle.values())).T
+        rms = math.sqrt(square.sum() / seconds.sum())
+        table.append(
+            (
+                latitude,
+                longitude,
+                rms,
+                len(by_vehicle),
+                float(np.median(np.sqrt(square / seconds))),
+                seconds.sum(),
+            )
+        )
+    return _Places(*np.array(table, dtype=np.float64).T)
+
+
+def _roads(places: _Places) -> list[_Places]:
+    """The places in groups that lie near each other, those with the most driving first."""
+    turn = np.radians(np.column_stack([places.latitude, places.longitude]))
+    around = np.cos(turn[:, 0])
+    on_sphere = 6.371e6 * np.column_stack(
+        [around * np.cos(turn[:, 1]), around * np.sin(turn[:, 1]), np.sin(turn[:, 0])]
+    )
+    cells, index = np.unique(np.floor(on_sphere / (0.5 * _NEAR)), axis=0, return_inverse=True)
+    pairs = cKDTree(cells).query_pairs(2.0, output_type="ndarray")
+    links = coo_array((np.ones(len(pairs)), (pairs[:, 0], pairs[:, 1])), shape=(len(cells), len(cells)))
+    _, label = connected_components(links, directed=False)
+    of_place = label[index.ravel()]
+    groups = [places[of_place == k] for k in range(of_place.max() + 1)]
+    return sorted(groups, key=lambda g: -float(g.seconds.sum()))
+
+
+def _map(rows: Sequence[Record], action: str) -> Section | None:
+    done = [row for row in rows if row["status"] == "done"]
+    places = _places(done)
+    if places is None:
+        return None
+    unit = channel_unit("vertical_acceleration")
+    roads = _roads(places)
+    figures: list[Figure] = []
+    captions: list[str] = []
+    listed: list[list[object]] = []
+    for number, road in enumerate(roads[:_ROADS]):
+        datum = Datum(
+            latitude=float(road.latitude.mean()), longitude=float(road.longitude.mean()), altitude=0.0
+        )
+        local = LocalMap(datum).to_map(road.latitude, road.longitude, np.zeros(road.latitude.size))
+        worst = _worst(local, road)
+        figures.append(_drawn(local, road, worst, len(listed), unit))
+        captions.append(
+            f"{_hours(float(road.seconds.sum()))} of driving around {datum.latitude:.5f}, {datum.longitude:.5f} "
+            "(degrees north, east)."
+        )
+        for i in worst:
+            listed.append(
+                [
+                    len(listed) + 1,
+                    f"{road.latitude[i]:.5f}, {road.longitude[i]:.5f}",
+                    f"{road.rms[i]:.2g} {unit}",
+                    f"{road.median[i]:.2g} {unit}",
+                    int(road.vehicles[i]),
+                ]
+            )
+        if number == 0 and len(roads) > _ROADS:
+            captions[0] += f" The {_ROADS} of {len(roads)} regions with the most driving are drawn."
+    left = "after calibration" if action == "calibrate" else "of the twins as given"
+    text = (
+        f"Residual of the vertical acceleration {left}, by stretch of road, over all vehicles. Where one vehicle "
+        "raises it, the median vehicle is much lower; where both are high, the road is not as its file says."
+    )
+    columns = ("no.", "latitude, longitude", "residual, rms", "of the median vehicle", "vehicles")
+    return Section("Where the gaps lie", text, *figures, Table(columns, listed), captions=captions)
+
+
+def _hours(seconds: float) -> str:
+    return f"{seconds / 3600.0:.2g} h" if seconds >= 3600.0 else f"{seconds / 60.0:.2g} min"
+
+
+def _worst(local: Floats, road: _Places) -> list[int]:
+    """Indices of the worst places, apart from each other."""
+    chosen: list[int] = []
+    least = _OUTSTANDING * float(np.median(road.rms))
+    for i in np.argsort(-road.rms):
+        if len(chosen) == _WORST or (chosen and road.rms[i] < least):
+            break
+        if all(np.hypot(*(local[i, :2] - local[j, :2])) >= _APART for j in chosen):
+            chosen.append(int(i))
+    return chosen
+
+
+def _drawn(local: Floats, road: _Places, worst: Sequence[int], before: int, unit: str) -> Figure:
+    x, y = local[:, 0], local[:, 1]
+    with style.using():
+        width, height = (max(float(np.ptp(s)), 1.0) for s in (x, y))
+        fig = style.figure(9.2, float(np.clip(8.0 * height / width + 0.9, 2.8, 6.5)))
+        axes = fig.subplots()
+        order = np.argsort(road.rms)
+        points = axes.scatter(
+            x[order], y[order], c=road.rms[order], cmap="viridis", s=24.0, linewidths=0, zorder=3
+        )
+        fig.colorbar(points, ax=axes, label=f"residual, rms [{unit}]", shrink=0.9, pad=0.01)
+        for number, i in enumerate(worst):
+            axes.annotate(
+                str(before + number + 1),
+                (x[i], y[i]),
+                xytext=(6, 6),
+                textcoords="offset points",
+                fontsize=8.5,
+                fontweight="bold",
+                zorder=5,
+            )
+        axes.set_aspect("equal", adjustable="datalim")
+        axes.set(xlabel="east [m]", ylabel="north [m]")
+    return fig
+
+
+# -- the rest ----------------------------------------------------------------------------------------
+
+
+def _failures(failed: Sequence[Record]) -> Section:
+    rows = [
+        [
+            row["vehicle"],
+            _unbroken(_day(row["date"]) or "–"),
+            Cell(row["status"], "warn" if row["status"] == "lost" else "bad"),
+            row["message"],
+        ]
+        for row in failed[:_FAILED]
+    ]
+    more = f" The first {_FAILED} of {len(failed)}." if len(failed) > _FAILED else ""
+    text = f"`lost`: another run of the same command tries it again. `failed`: it would fail again.{more}"
+    return Section("Rows that could not be done", text, Table(("vehicle", "date", "status", "message"), rows))
+
+
+def _method(action: str) -> Section:
+    if action == "diagnose":
+        text = (
+            "Every row was diagnosed by itself, as `suspension-twin diagnose` does it; its folder holds "
+            "diagnosis.json, evidence.json and the twin with what was found."
+        )
+    else:
+        text = (
+            "Every row was calibrated by itself, as `suspension-twin calibrate` does it; its folder holds the twin. Of "
+            "each quantity of each vehicle the logarithms over time are compared with and without one step: prior "
+            "probability of a step 2 %, scatter from drive to drive marginalised. A slow drift is described as a step, "
+            "and a change of the road or of the driver that several vehicles share looks like a change of the vehicles."
+        )
+    text += "\n\nAll of it is in results.parquet, health.parquet and changes.parquet beside this page."
+    return Section("Method", text, folded=True)

@@ -1,0 +1,77 @@
+# SPDX-License-Identifier: Apache-2.0
+"""All of ``road scan``: clouds and a path in, a road, its record and a picture out."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from pathlib import Path
+
+from suspension_twin.errors import InputError, WorkError
+from suspension_twin.files import together
+from suspension_twin.road.check import RoadCheck, check_file
+from suspension_twin.road_scan.clouds import open_cloud
+from suspension_twin.road_scan.felt import Felt, feel, steady_path
+from suspension_twin.road_scan.path import read_path
+from suspension_twin.road_scan.placing import placing_of
+from suspension_twin.road_scan.scan import FINEST, Scanned, ScanSettings, road_from_scan, write_scan
+from suspension_twin.vehicle.twin import load_twin
+
+__all__ = ["scan_road"]
+
+
+def scan_road(
+    clouds: Sequence[Path],
+    path: Path,
+    out: Path,
+    twin: Path,
+    settings: ScanSettings,
+    *,
+    datum: tuple[float, float, float] | None = None,
+    crs: str | None = None,
+    unit: str | None = None,
+    axes: str = "xyz",
+    speed: float = 30.0 / 3.6,
+    picture: Path | None = None,
+    progress: Callable[[str, float | None], None] = lambda text, share: None,
+) -> tuple[Scanned, list[Felt], RoadCheck, list[str]]:
+    """Make a road file of point clouds; see the command line.
+
+    Returns the road, what the twin feels of it, its check, and notes. Raises InputError for what cannot be used.
+    """
+    car = load_twin(twin)
+    if getattr(car.vehicle, "wheel_positions", None) is None:
+        raise InputError(twin, "model", f"a road is felt by a vehicle with four wheels, {car.model} has none")
+    changes: dict[str, object] = {"road": None}
+    if datum is not None:
+        changes["datum"] = dict(zip(("latitude", "longitude", "altitude"), datum, strict=True))
+    car = car.with_changes(changes)
+    opened = [open_cloud(cloud) for cloud in clouds]
+    progress(f"reading {path.name}", None)
+    along = read_path(path, car, FINEST)
+    placed = [placing_of(c.path, c.crs, crs, axes, unit, along.twin.datum) for c in opened]
+    found = road_from_scan(
+        [(c, p) for c, (p, _) in zip(opened, placed, strict=True)], along.line, along.name, settings, progress
+    )
+    progress("driving the twin over it", None)
+    notes = [f"{c.path.name}: {words}" for c, (_, words) in zip(opened, placed, strict=True)]
+    notes += [found.facts["note"]] if "note" in found.facts else []
+    felt: list[Felt] = []
+    roads = {
+        "edge-preserving": found.edges,
+        f"Gaussian, {settings.sigma:g} m": found.gaussian,
+        "cells, not smoothed": found.cells,
+        "another draw within its uncertainty": found.drawn(0),
+    }
+    written = "edge-preserving" if settings.filter == "edges" else f"Gaussian, {settings.sigma:g} m"
+    try:
+        drive = along.drive if along.drive is not None else steady_path(found.road, along.twin, speed)
+        felt = feel(roads, written, along.twin, drive)
+    except (InputError, WorkError) as error:  # too short to drive over, or too rough
+        notes.append(f"what the twin feels is left out: {error}")
+    with together():
+        write_scan(found, out, [c.path.name for c in opened], along, felt, [words for _, words in placed])
+        if picture is not None:
+            from suspension_twin.road_scan.picture import save_scan_picture
+
+            save_scan_picture(found, felt, picture)
+    return found, felt, check_file(out), notes
