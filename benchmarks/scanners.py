@@ -91,7 +91,7 @@ def _person(x: float, y: float, start: float, end: float) -> list[list[float]]:
     return [*rows, [1, x, y, 0.0, 0.22, 0.0, 0.85, 1.75, start, end]]
 
 
-@njit(cache=False, nogil=True)
+@njit(cache=True, nogil=True)
 def _height(z: Floats, x0: float, y0: float, step: float, x: float, y: float) -> float:
     fx, fy = (x - x0) / step, (y - y0) / step
     i, j = int(fx), int(fy)
@@ -101,7 +101,7 @@ def _height(z: Floats, x0: float, y0: float, step: float, x: float, y: float) ->
     return low + a * (high - low)
 
 
-@njit(cache=False, nogil=True)
+@njit(cache=True, nogil=True)
 def _ground_hit(z, top, highest, x0, y0, step, ox, oy, oz, dx, dy, dz, far):  # type: ignore[no-untyped-def]
     """Range at which a ray meets the raster; infinite where it does not."""
     nx, ny = z.shape
@@ -140,7 +140,7 @@ def _ground_hit(z, top, highest, x0, y0, step, ox, oy, oz, dx, dy, dz, far):  # 
     return math.inf
 
 
-@njit(cache=False, nogil=True)
+@njit(cache=True, nogil=True)
 def _thing_hit(things, z, x0, y0, step, time, ox, oy, oz, dx, dy, dz, reach):  # type: ignore[no-untyped-def]
     """Range at which a ray meets the first thing nearer than ``reach``."""
     for k in range(things.shape[0]):
@@ -201,7 +201,7 @@ def _thing_hit(things, z, x0, y0, step, time, ox, oy, oz, dx, dy, dz, reach):  #
     return reach
 
 
-@njit(cache=False, nogil=True)
+@njit(cache=True, nogil=True)
 def _cast(z, top, x0, y0, step, grass, wet, things, o, d, time, half, far, noise, rng):  # type: ignore[no-untyped-def]
     """Ranges (n,) of rays from ``o`` (n, 3) along ``d`` (n, 3) at ``time`` (n,), and what each met.
 

@@ -7,7 +7,7 @@ import json
 import re
 from enum import Enum
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 from rich.table import Table
@@ -330,7 +330,31 @@ def drives(
     ],
     twin: TwinFile,
     out: RoadOut,
-    iterations: Annotated[int, typer.Option(help="Of simulation and inverse.", metavar="N", min=1)] = 5,
+    joint: Annotated[
+        Path | None,
+        typer.Option(
+            help="The vehicle is not calibrated: estimate it as well, and write its twin file there.",
+            metavar="TWIN.YAML",
+            show_default=False,
+        ),
+    ] = None,
+    bump: Annotated[
+        list[str] | None,
+        typer.Option(
+            help="A bump that was measured, LENGTHxHEIGHT@U, U within 3 m on the road that is written without it.",
+            metavar="SIZE@U",
+            show_default=False,
+        ),
+    ] = None,
+    iterations: Annotated[
+        int | None,
+        typer.Option(
+            help="Of simulation and inverse.  [default: 5, with --joint 10]",
+            metavar="N",
+            min=1,
+            show_default=False,
+        ),
+    ] = None,
     picture: Annotated[
         Path | None,
         typer.Option(help="Draw heights and intervals there.", metavar="FILE", show_default=False),
@@ -338,27 +362,43 @@ def drives(
     seed: Seed = 0,
     force: Force = False,
 ) -> None:
-    """Estimate the road under both wheel paths from drives with a calibrated vehicle.
+    """Estimate the road under both wheel paths from drives with a calibrated vehicle, or with --joint any.
 
     Writes the road, and beside it ROAD.json with its uncertainty by wavelength and for every metre.
     """
+    from suspension_twin.files import together
     from suspension_twin.road.origin import record_path
+    from suspension_twin.road.recipe import parse_feature
     from suspension_twin.road_estimation.drives import road_from_drives, write_estimate
     from suspension_twin.road_estimation.estimate import Settings
-    from suspension_twin.vehicle.twin import load_twin
+    from suspension_twin.vehicle.twin import load_twin, save_twin
 
-    written = [out, record_path(out), *([] if picture is None else [picture])]
+    written = [out, record_path(out), *(p for p in (joint, picture) if p is not None)]
+    if joint is not None and joint.resolve() == twin.resolve():
+        raise InputError("--joint", f"{joint} is the twin file that is given: give another name")
     outputs = Outputs(*written, force=force)
     loaded = load_twin(twin)
+    settings = Settings(
+        iterations=iterations or (5 if joint is None else 10),
+        seed=seed,
+        joint=joint is not None,
+        bumps=tuple(parse_feature("bump", text) for text in bump or ()),
+    )
     parts = _parts(drive)
     outputs.announce()
     with outputs, ProgressLine() as line:
-        found = road_from_drives(parts, loaded, Settings(iterations=iterations, seed=seed), line.show)
-        record = write_estimate(found, loaded, out)
-        if picture is not None:
-            from suspension_twin.road_estimation.picture import save_estimate_picture
+        found = road_from_drives(parts, loaded, settings, line.show)
+        with together():
+            record = write_estimate(found, loaded, out)
+            if joint is not None and found.vehicle is not None:
+                heading = (
+                    f"# {twin.name} with what {out.name} was estimated with, vehicle and road at once.\n"
+                )
+                save_twin(found.vehicle.twin, joint, heading)
+            if picture is not None:
+                from suspension_twin.road_estimation.picture import save_estimate_picture
 
-            save_estimate_picture(found, picture)
+                save_estimate_picture(found, picture)
     console = output()
     for warning in record["warnings"]:
         console.print(warning, style="yellow", markup=False)
@@ -373,6 +413,8 @@ def drives(
     ]
     columns = ("waves [m]", "height rms [mm]", "uncertainty [mm]", "")
     print_table(console, "Wheel paths by wavelength", columns, rows, words=("waves [m]", ""))
+    if "joint" in record:
+        _print_vehicle(record["joint"])
     if loaded.datum is None:
         d = record["datum"]
         text = f"{{latitude: {d['latitude']}, longitude: {d['longitude']}, altitude: {d['altitude']}}}"
@@ -513,6 +555,27 @@ def scan(
         )
     for finding in checked.findings:
         console.print(f"{'wrong' if finding.fault else 'note'}: {finding.text}", markup=False)
+
+
+def _print_vehicle(record: dict[str, Any]) -> None:
+    """What was found of the vehicle, and what could not be separated."""
+    console = output()
+    rows = []
+    for p in record["parameters"]:
+        unit = f" {p['unit']}" if p["unit"] else ""
+        left = p["left_of_prior"]
+        rows.append(
+            (
+                p["name"],
+                f"{p['value']:+.3f}{unit}" if unit else f"x {p['value']:.2f}",
+                "{:.2f} to {:.2f}".format(*p["interval"]),
+                "found" if left < 0.4 else "in part from the prior" if left < 0.7 else "from the prior",
+            )
+        )
+    columns = ("vehicle", "change", "90 % interval", "")
+    print_table(console, "The vehicle, against the twin file", columns, rows, words=("vehicle", ""))
+    for text in record["not_separable"]:
+        console.print(text, markup=False)
 
 
 def _parts(texts: list[str]) -> list[Part]:

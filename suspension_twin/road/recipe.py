@@ -30,7 +30,7 @@ from suspension_twin.road.bumps import Bump, add_bump, circular, half_sine, trap
 from suspension_twin.road.iso8608 import iso8608_road
 from suspension_twin.road.road import Road
 
-__all__ = ["Feature", "Kind", "make_road", "parse_feature"]
+__all__ = ["Feature", "Kind", "make_road", "parse_feature", "shape_of"]
 
 Kind = Literal["bump", "hump", "pothole", "ramp"]
 
@@ -181,10 +181,11 @@ def make_road(
 def _with(road: Road, feature: Feature) -> Road:
     if feature.kind == "ramp":
         return _ramp(road, feature)
-    return add_bump(road, _shape(feature), feature.at, v_low=feature.v_low, v_high=feature.v_high)
+    return add_bump(road, shape_of(feature), feature.at, v_low=feature.v_low, v_high=feature.v_high)
 
 
-def _shape(feature: Feature) -> Bump:
+def shape_of(feature: Feature) -> Bump:
+    """The shape of a bump, a hump or a pothole; raises InputError for an impossible size."""
     size = feature.size
     if feature.kind == "bump":
         return half_sine(*size)

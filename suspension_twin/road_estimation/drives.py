@@ -135,8 +135,9 @@ def surface_of(found: Estimate, name: str = "road from drives") -> Road:
         raise InputError("drives", "none of them was on the move on this road")
     part = slice(int(covered[0]), int(covered[-1]) + 1)
     line = Centreline(found.line.x[part], found.line.y[part], STEP)
-    heights: Floats = np.where(found.covered, found.heights, np.nan)[:, part][:, : line.x.size]
-    return lanes_road(line, heights, found.track, name)
+    whole = found.heights if found.surface is None else found.surface
+    heights: Floats = np.where(found.covered, whole, np.nan)[..., part][..., : line.x.size]
+    return lanes_road(line, heights, found.track, name, found.across if found.surface is not None else None)
 
 
 def write_estimate(found: Estimate, twin: Twin, path: Path) -> dict[str, Any]:
@@ -199,6 +200,12 @@ def write_estimate(found: Estimate, twin: Twin, path: Path) -> dict[str, Any]:
         "iterations": list(found.history),
         "warnings": list(found.warnings),
     }
+    if found.vehicle is not None:
+        record["joint"] = {
+            "parameters": found.vehicle.as_list(),
+            "amplitude_sigma": found.vehicle.amplitude,
+            "not_separable": found.vehicle.not_separable(),
+        }
     names = ", ".join(p.name for p in found.passes)
     write_road(road, path, comment=f"Estimated from drives by suspension_twin: {names}")
     write_text(record_path(path), json.dumps(record, indent=1) + "\n")

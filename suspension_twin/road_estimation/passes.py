@@ -55,9 +55,10 @@ class Pass:
 
     n is a number of samples that Fourier transforms are fast at: after the ``recorded`` ones their weight is zero.
     ``t`` (n,) s; ``measured`` (3, n) the channels; ``u`` (4, FINE n) m of the wheels on the line, at FINE times the
-    rate; ``weight`` (n,) 0 to 1 of each sample; ``shaped`` (k,) gain of the filter that the channels went through;
-    ``base`` (FINE n,) m by which the pass lies farther on than its receiver says;
-    ``knots`` (j, FINE n) shares of the knots of a shift along the road; ``shift_sigma`` m, its prior.
+    rate, and ``v`` (4, FINE n) m by which they are to the left of their wheel path; ``weight`` (n,) 0 to 1 of each
+    sample; ``shaped`` (k,) gain of the filter that the channels went through; ``base`` (FINE n,) m by which the pass
+    lies farther on than its receiver says; ``knots`` (j, FINE n) shares of the knots of a shift along the road;
+    ``shift_sigma`` m, its prior.
     """
 
     name: str
@@ -65,6 +66,7 @@ class Pass:
     t: Floats
     measured: Floats
     u: Floats
+    v: Floats
     weight: Floats
     shaped: Floats
     base: Floats
@@ -86,21 +88,28 @@ class Pass:
         """Median speed in m/s."""
         return float(np.median(self.prepared.speed[self.prepared.speed > _MOVING]))
 
-    def placed(self, shift: Floats, u0: float, du: float, count: int) -> list[csr_matrix]:
-        """For each wheel a matrix (FINE n, count) from heights on a grid to heights under the wheel.
+    def placed(self, shift: Floats, du: float, count: int, across: Floats) -> list[csr_matrix]:
+        """For each wheel a matrix (FINE n, k count) from heights on a grid to heights under the wheel.
 
-        ``shift`` (j,) m by which the pass lies farther on at its knots; linear between the heights.
+        ``shift`` (j,) m by which the pass lies farther on at its knots; the grid has lines ``across`` (k,) m to the
+        left of the wheel path with ``count`` heights every ``du`` m each. Linear between the heights; beyond the
+        outermost lines as on them.
         """
         moved = self.u + self.base + shift @ self.knots
         out = []
-        for row in moved:
-            at = np.clip((row - u0) / du, 0.0, count - 1.001)
-            left = np.floor(at).astype(np.int64)
-            part = at - left
-            rows = np.arange(row.size)
-            data = np.concatenate([1.0 - part, part])
-            where = (np.concatenate([rows, rows]), np.concatenate([left, left + 1]))
-            out.append(csr_matrix((data, where), shape=(row.size, count)))
+        rows = np.arange(moved.shape[1])
+        for u, v in zip(moved, self.v, strict=True):
+            along = np.clip(u / du, 0.0, count - 1.001)
+            first = np.floor(along).astype(np.int64)
+            part = along - first
+            place = np.interp(v, across, np.arange(across.size))
+            line = np.minimum(np.floor(place).astype(np.int64), max(across.size - 2, 0))
+            beside = place - line
+            lines = [(line, 1.0 - beside)] + ([(line + 1, beside)] if across.size > 1 else [])
+            ends = [(k * count + first + i, w * p) for k, w in lines for i, p in ((0, 1.0 - part), (1, part))]
+            where = np.concatenate([rows] * len(ends)), np.concatenate([column for column, _ in ends])
+            data = np.concatenate([value for _, value in ends])
+            out.append(csr_matrix((data, where), shape=(rows.size, across.size * count)))
         return out
 
     def simulated(self, twin: Twin, road: Road, shift: Floats) -> Floats:
@@ -147,8 +156,8 @@ def smoothed_line(x: Floats, y: Floats, step: float, margin: float = 0.0) -> Cen
     return Centreline(fine[:, 0], fine[:, 1], step)
 
 
-def make_pass(prepared: Prepared, line: Road) -> Pass:
-    """A prepared drive as a pass over the road whose line ``line`` has."""
+def make_pass(prepared: Prepared, line: Road, track: float) -> Pass:
+    """A prepared drive as a pass over the road whose line ``line`` has, with wheel paths ``track`` m apart."""
     n = int(next_fast_len(prepared.t.size, real=True))
     grid = prepared.t[0] + np.arange(n) / prepared.rate
     fine = grid[0] + np.arange(FINE * n) / (FINE * prepared.rate)
@@ -157,11 +166,13 @@ def make_pass(prepared: Prepared, line: Road) -> Pass:
     path = prepared.trajectory
     x, y, yaw = (np.interp(fine, path.t, getattr(path, name)) for name in ("x", "y", "yaw"))
     wheels = prepared.twin.vehicle.wheel_positions
-    u = np.array(
-        [
-            line.xy_to_uv(x + np.cos(yaw) * a - np.sin(yaw) * b, y + np.sin(yaw) * a + np.cos(yaw) * b)[0]
-            for a, b in wheels
-        ]
+    places = [
+        line.xy_to_uv(x + np.cos(yaw) * a - np.sin(yaw) * b, y + np.sin(yaw) * a + np.cos(yaw) * b)
+        for a, b in wheels
+    ]
+    u = np.array([place[0] for place in places])
+    v = np.array(
+        [place[1] - math.copysign(0.5 * track, b) for place, (_, b) in zip(places, wheels, strict=True)]
     )
     on = (u.min(axis=0) > line.u_first) & (u.max(axis=0) < line.u_last) & along
     recorded = on[::FINE][: prepared.t.size] & (prepared.speed > _MOVING) & prepared.mask
@@ -188,6 +199,7 @@ def make_pass(prepared: Prepared, line: Road) -> Pass:
         t=grid,
         measured=np.array([_padded(prepared.measured[name], n) for name in CHANNELS]),
         u=u,
+        v=v,
         weight=weight,
         shaped=np.abs(gain) ** 2,
         base=np.zeros(FINE * n),

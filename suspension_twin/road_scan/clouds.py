@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import re
+import struct
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -12,6 +13,7 @@ from typing import Any
 import numpy as np
 
 from suspension_twin.arrays import Floats
+from suspension_twin.drive.budget import Budget
 from suspension_twin.errors import InputError
 from suspension_twin.files import reading
 
@@ -19,6 +21,8 @@ __all__ = ["Cloud", "open_cloud"]
 
 #: Points in a piece: 24 MB of coordinates.
 _PIECE = 1_000_000
+#: Added to the format of a point where points are compressed.
+_COMPRESSED = 128
 #: ASPRS classes of points that are no surface: noise low and high (LAS 1.4, table 17).
 _NOISE = (7, 18)
 
@@ -93,11 +97,54 @@ def _missing(path: Path, package: str) -> InputError:
     return InputError(path, f'needs {package}: pip install "suspension-twin[scan]"')
 
 
+def _check_header(path: Path) -> None:
+    """Refuse a LAS header that promises more records than its file holds, which would be read for hours.
+
+    Places of the numbers: ASPRS LAS 1.4 R15, table 3. What is compressed may unpack to what any file may.
+    """
+    size = path.stat().st_size
+    with path.open("rb") as file:
+        head = file.read(375)
+    if len(head) < 227:
+        raise InputError(path, "is cut off in its header")
+    header, begin, records = struct.unpack_from("<HII", head, 94)
+    kind, length, count = struct.unpack_from("<BHI", head, 104)
+    extended = extended_begin = 0
+    if head[25] >= 4 and len(head) == 375:
+        extended_begin, extended, count = struct.unpack_from("<QIQ", head, 235)
+    for what, needed, held in (
+        ("records", 54 * records, begin - header),
+        ("extended records", 60 * extended, size - extended_begin),
+        ("points", count * length if kind < _COMPRESSED else 0, size - begin),
+    ):
+        if needed > held:
+            raise InputError(path, f"is cut off or damaged: its header promises more {what} than it holds")
+    if kind < _COMPRESSED:
+        return
+    Budget(path, size).take(count * length)
+    # LAZ: at the start of its points the place of the table of chunks, or -1 and the place at the end of the file.
+    with path.open("rb") as file:
+        place = begin
+        for _ in range(2):
+            file.seek(place)
+            (place,) = struct.unpack("<q", file.read(8).ljust(8, b"\0"))
+            if place != -1:
+                break
+            place = size - 8
+        file.seek(min(max(place, 0), size))
+        _, chunks = struct.unpack("<II", file.read(8).ljust(8, b"\0"))
+    if not begin < place < size or chunks > count:
+        raise InputError(
+            path, "is cut off or damaged: the table of its compressed points is not where it should be"
+        )
+
+
 def _las(path: Path) -> Cloud:
     try:
         import laspy
     except ImportError:
         raise _missing(path, "laspy and lazrs") from None
+    _check_header(path)
     with laspy.open(path) as reader:
         header = reader.header
         if header.are_points_compressed and not laspy.LazBackend.detect_available():

@@ -174,10 +174,14 @@ def _steep_sided(flat: Floats, things: NDArray[np.bool_], high: NDArray[np.bool_
     if not high.any() or not np.isfinite(around).any():
         return high
     jump = flat - _filled(around)
-    border = high & ~ndimage.binary_erosion(high, border_value=1)
+    # Beside ground that was seen; what has none beside it is taken for a thing.
+    border = high & ndimage.binary_dilation(np.isfinite(around), np.ones((3, 3), dtype=np.bool_))
     labels, number = ndimage.label(high, structure=np.ones((3, 3)))
-    jumps = ndimage.median(np.where(border, jump, 0.0), np.where(border, labels, 0), np.arange(1, number + 1))
-    steep: NDArray[np.bool_] = np.concatenate([[False], np.asarray(jumps) > _SIDE])[labels]
+    each = np.arange(1, number + 1)
+    sides = ndimage.sum_labels(border, labels, each)
+    jumps = ndimage.median(np.where(border, jump, 0.0), np.where(border, labels, 0), each)
+    found = (np.asarray(jumps) > _SIDE) | (np.asarray(sides) == 0)
+    steep: NDArray[np.bool_] = np.concatenate([[False], found])[labels]
     return steep
 
 

@@ -278,7 +278,7 @@ def test_a_section_and_another_unit_are_taken(truth: Road) -> None:
         ("a.xyz", "# nothing\n", "holds no points"),
         ("a.xyz", "1 2 3\n1 2\n", "no point"),
         ("a.xyz", "1 2 3\n1 2 x\n", "no point: could not convert string 'x'"),
-        ("a.las", "LASF and no more", "is not a point cloud that can be read"),
+        ("a.las", "LASF and no more", "is cut off in its header"),
         ("a.ply", "ply\nformat ascii 1.0\nelement vertex 1\nproperty float x\nend_header\n1\n", "x, y and z"),
     ],
 )
@@ -292,6 +292,29 @@ def test_a_damaged_cloud_is_one_line(
     said = capsys.readouterr().err
     assert name in said and words in said and said.count("\n") == 1
     assert not (tmp_path / "road.crg").exists()
+
+
+@pytest.mark.parametrize(
+    ("name", "at", "value"),
+    [
+        ("a.las", 100, b"\xff\xff\xff\x7f"),  # records before the points
+        ("a.las", 247, b"\xff\xff\xff\x7f"),  # points
+        ("a.laz", 247, b"\xff\xff\xff\x7f"),
+        ("a.laz", None, b"\xff\xff\xff\x7f"),  # chunks of compressed points
+    ],
+)
+def test_a_header_that_promises_what_is_not_there_is_refused_at_once(
+    name: str, at: int | None, value: bytes, points: Floats, tmp_path: Path
+) -> None:
+    save_las(points[:500], tmp_path / name)
+    raw = bytearray((tmp_path / name).read_bytes())
+    if at is None:
+        begin = int.from_bytes(raw[96:100], "little")
+        at = int.from_bytes(raw[begin : begin + 8], "little") + 4
+    raw[at : at + 4] = value
+    (tmp_path / name).write_bytes(raw)
+    with pytest.raises(InputError, match=r"promises more|unpacks to more|is cut off or damaged"):
+        open_cloud(tmp_path / name)
 
 
 def test_a_drive_is_the_path_and_its_gap_is_told(tmp_path: Path) -> None:
