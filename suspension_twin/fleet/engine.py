@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import os
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
 from itertools import islice
@@ -31,6 +31,11 @@ _TRIALS, _PAUSE = 3, 1.0
 #: Workers that may die over one task before it is given up. Where each worker is killed once a minute and a task takes
 #: 6 s, six deaths in a row are one task in a million.
 _DEATHS = 5
+#: Threads that fetch and write results, and results that may wait for them. Each file of a result is on the disk before
+#: it counts, which takes tens of milliseconds on a busy one: in turn, that is what a large fleet waits for first.
+_KEEPERS, _UNKEPT = 8, 64
+#: s between two looks at how many workers there are.
+_LOOK = 1.0
 #: s that a lost scheduler is waited for.
 _PATIENCE = 300.0
 #: Bytes that a worker needs for numba's code, NumPy and a drive of an hour.
@@ -311,13 +316,15 @@ def _drain(
     on_record: Callable[[Task, Record, int], None] | None,
 ) -> None:
     """Send what is left and take in what comes; few are under way at any time, so that the scheduler stays small."""
-    from concurrent.futures import CancelledError
+    from concurrent.futures import FIRST_COMPLETED, CancelledError, Future, ThreadPoolExecutor, wait
 
     from distributed import KilledWorker, as_completed
     from distributed.comm.core import CommClosedError
 
     waiting = iter(list(left.values()))
-    under_way: dict[str, Any] = {}
+    under_way: dict[str, tuple[Task, Any]] = {}
+    keepers = ThreadPoolExecutor(_KEEPERS)
+    keeping: dict[Future[Record], Task] = {}
 
     def send(count: int) -> list[Any]:
         futures = []
@@ -328,33 +335,53 @@ def _drain(
             futures.append(future)
         return futures
 
+    def keep(task: Task, future: Any) -> Record:
+        """Fetch a result and write it; in a thread."""
+        try:
+            record: Record = future.result(timeout=60)
+        except KilledWorker:
+            text = "one worker after the other died over it: killed, or out of memory"
+            return {"key": task.key, "status": "lost", "message": text}
+        future.release()
+        return record if record["status"] == "lost" else ledger.save(record)
+
+    def take_in(kept: Iterable[Future[Record]]) -> None:
+        for each in kept:
+            task = keeping.pop(each)
+            record = each.result()
+            if record["status"] == "lost":
+                outcome.lost[task.key] = record["message"]
+            else:
+                outcome.records[task.key] = record
+                outcome.computed += 1
+            left.pop(task.key)
+            if on_record is not None:
+                on_record(task, record, len(left))
+
+    def threads() -> int:
+        return max(sum(int(n) for n in client.nthreads().values()), 1)
+
     try:
-        threads = max(sum(client.nthreads().values()), 1)
+        here, looked = threads(), time.monotonic()
         with client.as_current():
-            coming = as_completed(send(threads * (1 + _AHEAD)))
+            coming = as_completed(send(here * (1 + _AHEAD)))
         for future in coming:
             task, _ = under_way.pop(future.key)
             if future.status == "cancelled":
                 raise _Gone("work was cancelled")
-            try:
-                record = future.result(timeout=60)
-            except KilledWorker:
-                text = "one worker after the other died over it: killed, or out of memory"
-                record = {"key": task.key, "status": "lost", "message": text}
-            future.release()
-            left.pop(task.key)
-            if record["status"] == "lost":
-                outcome.lost[task.key] = record["message"]
-            else:
-                record = outcome.records[task.key] = ledger.save(record)
-                outcome.computed += 1
-            if on_record is not None:
-                on_record(task, record, len(left))
+            keeping[keepers.submit(keep, task, future)] = task
+            full = len(keeping) > _UNKEPT
+            take_in(wait(keeping, None if full else 0.0, FIRST_COMPLETED).done)
             # As many as the workers that are there now can use: they come and go.
-            now = max(sum(client.nthreads().values()), 1)
-            for new in send(max(now * (1 + _AHEAD) - len(under_way), 0)):
+            if time.monotonic() - looked > _LOOK:
+                here, looked = threads(), time.monotonic()
+            for new in send(max(here * (1 + _AHEAD) - len(under_way), 0)):
                 coming.add(new)
+        take_in(wait(keeping).done)
     except (CommClosedError, CancelledError, TimeoutError, OSError, RuntimeError) as error:
         if isinstance(error, OSError) and error.filename is not None:
             raise
         raise _Gone(str(error) or type(error).__name__) from error
+    finally:
+        keepers.shutdown()  # what has come is kept, whatever ended the rest
+        take_in([each for each in keeping if each.exception() is None])

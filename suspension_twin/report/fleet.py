@@ -384,8 +384,8 @@ def _changes(vehicles: Sequence[_Vehicle]) -> Section:
             _unbroken(_day(c.date)),
             _interval(c),
             Cell(_unbroken(wording.chance(c.probability)), "warn" if c.named else "soft"),
-            plain(c.before, c.unit, 3),
-            plain(c.after, c.unit, 3),
+            _unbroken(plain(c.before, c.unit, 3)),
+            _unbroken(plain(c.after, c.unit, 3)),
             "{} ({} to {})".format(*(wording.percent(r - 1.0) for r in (c.ratio, c.ratio_low, c.ratio_high))),
         ]
         for c in found[:_FAILED]
@@ -496,20 +496,20 @@ def _health(vehicles: Sequence[_Vehicle], action: str) -> Section:
             Html(_line(series[v.name, q], units[q], ranges[q], span, steps.get(q))) for q in quantities
         ]
         rows.append([v.name, *cells, _gap(v, "gap_after")])
-    heads = [f"{quantity_label(q)} (±{100.0 * math.expm1(ranges[q]):.0f} %)" for q in quantities]
+    heads = [f"{quantity_label(q)} ({math.exp(-r):.2g} to {math.exp(r):.2g} ×)" for q, r in ranges.items()]
     text = (
         "A line for each quantity that is followed: its value at each date relative to the vehicle's own median, on a "
-        "scale that all vehicles share (its ends stand beside the name), with the 90 % interval as a band; below it "
+        "scale that all vehicles share (its ends stand in brackets), with the 90 % interval as a band; below it "
         "the newest value. A vertical line is a change. Dates at which the drives do not identify a quantity are left "
         f"out.{more}"
     )
     return Section(title, text, Table(["vehicle", *heads, "newest gap"], rows))
 
 
-def _gap(vehicle: _Vehicle, key: str) -> str:
+def _gap(vehicle: _Vehicle, key: str) -> Html:
     last = vehicle.last
     value = None if last is None else last[key]
-    return "–" if last is None or value is None else f"{value:.2g} {channel_unit(last['channel'])}"
+    return _unbroken("–" if last is None or value is None else f"{value:.2g} {channel_unit(last['channel'])}")
 
 
 def _followed(vehicles: Sequence[_Vehicle]) -> list[str]:
