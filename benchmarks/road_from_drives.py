@@ -12,8 +12,9 @@ A car of the blind benchmark is calibrated on a surveyed road of 200 m, then dri
   drives lie up to 0.2 m beside each other, and a survey knows what lies between wheel paths; hence beside it what
   the true heights of the same two wheel paths leave.
 - ``lanes``: the two drives of ``rtk``, and third drives at stated distances beside them. What the twin leaves on the
-  estimate, on the survey, and on the true heights of the drive that is nearest, held to both sides: no estimate from
-  these two drives can know more of the road beside them.
+  estimate, on the survey, and on the true heights of the drive that is nearest, held to both sides; on the estimate
+  corrected by the true difference between the lanes; and on what the true heights of both drives predict of the third
+  lane by the coherence of an isotropic surface.
 - ``five``: the two drives of ``rtk`` and three more with an RTK receiver, in lanes up to 0.2 m apart. What the twin
   leaves of the third drive, with heights on one line in each wheel path, and on several where the drives lie apart.
 - ``phone``: five drives at 20 to 50 km/h with a receiver that is 2.5 m off and wanders. Correlation after the map's
@@ -34,6 +35,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from scipy.special import k1
 
 HERE = Path(__file__).resolve().parent
 sys.path[:0] = [str(HERE), str(HERE.parent / "bags")]
@@ -146,14 +148,18 @@ def lanes(site: Site) -> list[dict[str, float]]:
     usual = path_of(site, drive_over(site, SPEEDS[2], 2)[0], found)[0]
     middle = 0.5 * (first[0] + second[0]) - usual
     rows = []
-    for offset in (0.0, 0.04, -0.04, 0.08, -0.08):
+    truth = wheel_truth(site, found)
+    for offset in (0.0, 0.04, -0.04, 0.08, -0.08, -middle):
         third = drive_over(site, SPEEDS[2], 2, lane=middle + offset)[0]
-        at = path_of(site, third, found)[0]
+        at, own = path_of(site, third, found)
         nearest = first if abs(at - first[0]) < abs(at - second[0]) else second
         roads = (
             surface_of(found),
             site.survey,
-            surface_of(replace(found, heights=nearest[1], surface=None)),
+            *(
+                surface_of(replace(found, heights=z, surface=None))
+                for z in (nearest[1], found.heights + own - truth, predicted((first, second), at))
+            ),
         )
         left = gaps(third, site, roads)[0]
         outside = max(0.0, first[0] - at, at - second[0])
@@ -163,10 +169,31 @@ def lanes(site: Site) -> list[dict[str, float]]:
                 "estimate": left[0],
                 "survey": left[1],
                 "true_nearest": left[2],
+                "corrected": left[3],
+                "predicted": left[4],
+                "left": at > second[0],
                 "ratio": left[0] / left[1],
             }
         )
     return sorted(rows, key=lambda r: r["beside_m"])
+
+
+def predicted(known: Sequence[tuple[float, Floats]], at: float) -> Floats:
+    """Heights (2, n) m of a lane ``at`` m from those of others on an isotropic surface: the best linear prediction."""
+    n = known[0][1].shape[1]
+    waves = np.fft.rfftfreq(2 * n, STEP)
+
+    def alike(d: float) -> Floats:
+        x = np.maximum(2.0 * np.pi * waves * abs(d), 1e-6)
+        return np.asarray(x * k1(x))
+
+    places = [v for v, _ in known]
+    among = np.array([[alike(a - b) for b in places] for a in places]).transpose(2, 0, 1)
+    towards = np.array([alike(a - at) for a in places]).T
+    weights = np.linalg.solve(among + 1e-4 * np.eye(len(places)), towards[..., None])[..., 0]
+    mirrored = np.array([np.concatenate([z, z[:, ::-1]], axis=1) for _, z in known])
+    spectrum = (np.fft.rfft(mirrored, axis=2) * weights.T[:, None]).sum(axis=0)
+    return np.asarray(np.fft.irfft(spectrum, 2 * n, axis=1)[:, :n])
 
 
 def gaps(drive: Drive, site: Site, roads: Sequence[Road]) -> tuple[list[float], float]:
@@ -285,10 +312,11 @@ def print_row(row: dict[str, Any]) -> None:
             f"paths, of {r['measured_rms']:.2f}"
         )
     for one in row.get("lanes", []):
+        side = ", to the left" if one["left"] else ""
         print(
-            f"  {100 * one['beside_m']:.0f} cm beside both drives: {one['estimate']:.3f} m/s² left, "
+            f"  {100 * one['beside_m']:.0f} cm beside both drives{side}: {one['estimate']:.3f} m/s² left, "
             f"{one['survey']:.3f} on the survey ({one['ratio']:.2f} times), {one['true_nearest']:.3f} on the true "
-            "heights of the nearest drive"
+            f"heights of the nearest drive, {one['corrected']:.3f} corrected, {one['predicted']:.3f} predicted"
         )
     if "five" in row:
         f = row["five"]
