@@ -66,7 +66,7 @@ def usual(
 def test_a_payload_is_compared_with_what_a_file_is_off_by(mass: float, ratio: float) -> None:
     assert usual("payload", {"mass": mass, "x": 0.5, "y": 0.0}, {}) == pytest.approx(ratio)
     assert usual("tyre_envelope", {"length": 0.18}, {}) == pytest.approx(1.5)
-    assert usual("sensor_clipping", {"limit": 20.0}, {}) is None
+    assert usual("sensor_clipping", {"range": 20.0}, {}) is None
 
 
 @pytest.mark.parametrize(
