@@ -70,7 +70,7 @@ def make(world: World, folder: Path) -> float:
 def timed(folder: Path, drives: list[str]) -> dict[str, Any]:
     """One diagnosis by the command line: its seconds, those of the processor and its largest memory."""
     line = [sys.executable, "-m", "suspension_twin", "diagnose", "--twin", str(folder / "twin.yaml")]
-    line += [*drives, "--out", str(folder / "out")]
+    line += [*drives, "--out", str(folder / "out"), "--force"]
     began = time.monotonic()
     quiet = [(os.POSIX_SPAWN_OPEN, 1, os.devnull, os.O_WRONLY, 0)]
     _, status, used = os.wait4(os.posix_spawn(line[0], line, os.environ, file_actions=quiet), 0)
