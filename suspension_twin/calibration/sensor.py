@@ -10,8 +10,8 @@ says (chi² above its degrees of freedom), the variance grows by chi² per degre
 
 Roll and pitch of the mounting have two witnesses: the fit, where a tilt mixes planar into vertical acceleration, and
 gravity, which it turns into lateral and longitudinal acceleration, apart from the bias of the accelerometer (0.05 m/s²
-is 0.3°). Where they agree within three standard deviations their weighted mean is the estimate; where they do not, the
-fitted tilt makes up for something else, and the file keeps its angle.
+is 0.3°). Where they agree within three standard deviations the estimate is their weighted mean, with Birge's ratio;
+where they do not, the fitted tilt makes up for something else, and the file keeps its angle.
 
 A value x replaces the start x0 where that lowers the expected error of the calibrated vehicle on another drive. The
 vehicle was fitted together with x and is not fitted again without it, so what counts is the standard deviation s of x
@@ -22,8 +22,6 @@ drives besides: fitted beside an offset of the map, which no twin file has, it m
 """
 
 from __future__ import annotations
-
-import math
 
 import numpy as np
 from scipy.stats import chi2
@@ -53,7 +51,8 @@ _CP_PENALTY = 2.0
 _GRAVITY = {"lateral_acceleration": ("roll", 1.0), "longitudinal_acceleration": ("pitch", -1.0)}
 _AXES = [1, 0]  # of these channels in base_link
 _NONE = NuisancePriors(wander=0.0).without(NUISANCES)
-_BLOCK = 2.0  # s: residuals further apart are independent
+#: s: two periods of a body on its springs (1 Hz), beyond which residuals are independent.
+_BLOCK = 2.0
 #: Standard deviations beyond which a map's offset contradicts its prior: the usual gate of three.
 _GATE = 3.0
 _CONTRADICTION = float(chi2.sf(_GATE**2, 1))
@@ -85,23 +84,18 @@ def sensor_estimates(
             continue
         row = names.index(f"tilt_{axis}")
         # what turns the measured signals by an angle is a sensor that is turned by its opposite
-        fitted, s, sigma = -float(outcome.nuisance[row]), *(float(v[row, row]) for v in (given, marginal))
-        value, p = fitted, float("nan")
-        if axis in level:
-            other, variance = level[axis]
-            p = float(chi2.sf((fitted - other) ** 2 / (sigma + variance), 1))
-            value, s, sigma = (
-                (fitted * variance + other * sigma) / (sigma + variance),
-                s * variance / (s + variance),
-                sigma * variance / (sigma + variance),
-            )
+        witnesses = [(-float(outcome.nuisance[row]), v[row, row]) for v in (given, marginal)]
+        others = [level[axis]] if axis in level else []
+        (_, s, _), (value, sigma, p) = (common_offset(*_stacked([witness, *others])) for witness in witnesses)
         trusted = not p < _CONTRADICTION
-        found.append(
-            _estimate(
-                f"mount.{axis}", "rad", 0.0, value, math.sqrt(s), math.sqrt(sigma), keep or not trusted, p
-            )
-        )
+        found.append(_estimate(f"mount.{axis}", "rad", 0.0, value, s, sigma, keep or not trusted, p))
     return tuple(found)
+
+
+def _stacked(witnesses: list[tuple[float, float]]) -> tuple[Floats, Floats]:
+    """(k,) values and their covariance (k, k) from pairs of value and variance."""
+    values, variances = np.array(witnesses).T
+    return values, np.diag(variances)
 
 
 def _closes(setup: Setup, outcome: Outcome, clocks: list[int], offset: float) -> bool:
@@ -150,7 +144,8 @@ def _by_gravity(setup: Setup, outcome: Outcome) -> dict[str, tuple[float, float]
 
 
 def _offset(y: Floats, x: Floats) -> tuple[float, float]:
-    """Offset of the straight line through blocks (n,), and its variance; without a slope where there are few."""
+    """Offset of the straight line through blocks (n,), and its variance; without a slope where there are no more than
+    two blocks for each of its coefficients."""
     design = np.stack([np.ones_like(x), x], axis=1) if y.size > 2 * 2 else np.ones((y.size, 1))
     inverse = np.linalg.pinv(design.T @ design)
     line = inverse @ (design.T @ y)

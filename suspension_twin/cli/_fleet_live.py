@@ -28,9 +28,8 @@ __all__ = ["run_fleet", "summary"]
 
 #: s between lines on a terminal, and in a log.
 _PERIOD, _LOG_PERIOD = 1.0, 10.0
-#: Twins of which a complaint is shown.
-_COMPLAINTS = 5
-_NAMES = 6
+#: Twins of which a complaint is shown, and whose names are said at the start: what a terminal holds.
+_COMPLAINTS, _NAMES = 5, 6
 
 
 def run_fleet(

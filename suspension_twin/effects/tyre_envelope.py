@@ -9,7 +9,7 @@ from suspension_twin.units import plain
 
 __all__ = ["EFFECT"]
 
-#: m, of a car's tyre: a load of 4 kN over a pressure of 220 kPa and a width of 0.16 m.
+#: m, of a car's tyre: a load of 4 kN over a pressure of 220 kPa and a width in contact of 0.16 m is 0.114 m (a prior).
 _USUAL = 0.12
 _PARAMETERS = (
     Parameter(

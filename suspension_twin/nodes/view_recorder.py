@@ -1,12 +1,15 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Recording from the page: the sensors' topics as they come, and the events marked, into one bag."""
+"""Recording from the page: the sensors' topics as they come, and the events marked, into one bag.
+
+The node listens to these topics from its start on: a subscription that is made for a recording misses what is sent
+until the publishers have found it.
+"""
 
 from __future__ import annotations
 
 import struct
 import time
 from contextlib import ExitStack
-from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -17,8 +20,7 @@ from std_msgs.msg import String
 
 from suspension_twin.drive.write import BagWriter
 from suspension_twin.errors import WorkError
-from suspension_twin.nodes.base import TwinNode
-from suspension_twin.nodes.topics import NS, SENSOR_QOS
+from suspension_twin.nodes.topics import NS
 
 __all__ = ["RECORDED", "ViewRecorder"]
 
@@ -33,31 +35,27 @@ EVENTS = "events"
 
 
 class ViewRecorder:
-    """Records while it is open; a recording is there whole when it is closed.
+    """Records what it is given while it is open; a recording is there whole when it is closed.
 
     Raises InputError or WorkError where ``path`` cannot be written.
     """
 
-    def __init__(self, node: TwinNode, path: Path) -> None:
+    def __init__(self, path: Path) -> None:
         self.path = path
         self.began = time.monotonic()
         self.counts = {topic: 0 for _, topic, _ in RECORDED}
-        self._node = node
         self._stack = ExitStack()
         self._bag = self._stack.enter_context(BagWriter(path))
         self._rows: dict[str, tuple[list[int], list[bytes]]] = {t: ([], []) for t in self.counts}
         self._newest = 0
-        self._subscriptions = [
-            node.create_subscription(kind, topic, partial(self._on_message, topic), SENSOR_QOS, raw=True)
-            for kind, topic, _ in RECORDED
-        ]
 
     @property
     def seconds(self) -> float:
         """Length so far."""
         return time.monotonic() - self.began
 
-    def _on_message(self, topic: str, data: bytes) -> None:
+    def add(self, topic: str, data: bytes) -> None:
+        """A serialised message of one of the topics of ``RECORDED``."""
         # all of these begin with a header, behind four bytes that say the byte order
         sec, nanosec = struct.unpack_from("<iI" if data[1] & 1 else ">iI", data, 4)
         ns = sec * NS + nanosec
@@ -86,8 +84,6 @@ class ViewRecorder:
     def close(self) -> None:
         """Finish the recording. Raises WorkError, and leaves nothing, where no IMU sample came."""
         with self._stack:
-            for subscription in self._subscriptions:
-                self._node.destroy_subscription(subscription)
             if not self.counts["imu/data_raw"]:
                 raise WorkError("nothing was recorded: no message came on imu/data_raw")
             self.flush()

@@ -39,9 +39,9 @@ from suspension_twin.gap.prepare import road_of
 from suspension_twin.nodes.base import TwinNode
 from suspension_twin.nodes.parameters import TWIN, Param, Values, twin_of
 from suspension_twin.nodes.process import run_alone
-from suspension_twin.nodes.topics import NS, OK, WARN, Embedding
+from suspension_twin.nodes.topics import NS, OK, SENSOR_QOS, WARN, Embedding
 from suspension_twin.nodes.view_guide import ViewGuide
-from suspension_twin.nodes.view_recorder import EVENTS, ViewRecorder
+from suspension_twin.nodes.view_recorder import EVENTS, RECORDED, ViewRecorder
 from suspension_twin.road.road import Road
 from suspension_twin.vehicle.twin import Twin
 from suspension_twin.view.live import LiveView, Status, advice
@@ -123,6 +123,8 @@ class ViewerNode(TwinNode):
             (DiagnosticArray, "/diagnostics", self._on_diagnostics),
         ):
             self.create_subscription(kind, topic, handler, _QOS)
+        for kind, topic, _ in RECORDED:
+            self.create_subscription(kind, topic, partial(self._on_sensor, topic), SENSOR_QOS, raw=True)
         self._actions = {
             "calibrate": ActionClient(self, Calibrate, "calibrate"),
             "diagnose": ActionClient(self, Diagnose, "diagnose"),
@@ -167,6 +169,10 @@ class ViewerNode(TwinNode):
         super().destroy_node()  # type: ignore[no-untyped-call]
 
     # What comes from the other nodes
+
+    def _on_sensor(self, topic: str, data: bytes) -> None:
+        if self._recorder is not None:
+            self._recorder.add(topic, data)
 
     def _on_pose(self, message: PoseStamped) -> None:
         p, q = message.pose.position, message.pose.orientation
@@ -291,7 +297,7 @@ class ViewerNode(TwinNode):
         if self._recorder is not None:
             raise InputError("record", "is running already")
         path = _free(Path(self.values["folder"]) / time.strftime("drive_%Y%m%d_%H%M%S"))
-        self._recorder = ViewRecorder(self, path)
+        self._recorder = ViewRecorder(path)
         self._show_record()
         return f"Recording into {path}"
 

@@ -200,7 +200,6 @@ def test_it_records_and_calibrates(page, running, drive):
     _, folder = running
     assert page.is_disabled("#stop") and page.is_disabled("#load")
     pause(page)
-    page.select_option("#pace", "1")
     page.click("#record")
     until(lambda: page.is_enabled("#stop"), "the recording")
     page.click("#calibrate")
