@@ -74,7 +74,7 @@ def test_the_second_round_has_a_road(roadless: Path, drive: Drive, tmp_path: Pat
             assert rounds >= 1
 
             def passed_again() -> bool:
-                """Late in a later round, with a gap: a road of more passes that is loaded just then begins a new one."""
+                """Late in a later round, with a gap: a road that is loaded just then begins a new one."""
                 now = one.condition()
                 return now.rounds > rounds and one.player.position > 13.0 and now.gap is not None
 
