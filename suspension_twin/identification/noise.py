@@ -228,7 +228,7 @@ def _filtered(
         for lane in range(lanes):
             x[i, lane] = simulated[start + i, c, lane] - measured[start + i, c]
     t = np.zeros(taps.size + 5)
-    for k in range(taps.size):  # an assignment to a slice brings the text of its error: two seconds of compilation
+    for k in range(taps.size):  # the text of a slice's error would take two seconds to compile
         t[k] = taps[k]
     one, two = np.empty(wide), np.empty(wide)
     for i in range(0, n, 2):

@@ -9,6 +9,7 @@ import time
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING, cast
 
 from rclpy.context import Context
 from rclpy.exceptions import InvalidNamespaceException
@@ -24,10 +25,12 @@ from suspension_twin.nodes.imu_ingest import ImuIngestNode
 from suspension_twin.nodes.player import BagPlayer
 from suspension_twin.nodes.pose_injector import PoseInjectorNode
 from suspension_twin.nodes.process import WAIT
-from suspension_twin.nodes.road_learner import RoadLearnerNode
 from suspension_twin.nodes.source import SourceNode
 from suspension_twin.nodes.suspension_model import SuspensionModelNode
 from suspension_twin.nodes.topics import ERROR, Embedding, Outbox
+
+if TYPE_CHECKING:
+    from suspension_twin.nodes.road_learner import RoadLearnerNode
 
 __all__ = ["LINKS", "Composed", "Condition", "Playback", "check_namespace"]
 
@@ -96,6 +99,13 @@ class Condition:
     learning: str | None = None
 
 
+def _road_learner() -> type[TwinNode]:
+    """The node that learns the road, imported where it is asked for: what estimates a road takes half a second."""
+    from suspension_twin.nodes.road_learner import RoadLearnerNode
+
+    return RoadLearnerNode
+
+
 def check_namespace(namespace: str) -> None:
     """Raise InputError for an invalid namespace."""
     try:
@@ -135,7 +145,7 @@ class Composed:
             parameters.append(Parameter("use_sim_time", value=True))
         try:
             out = {} if learn is None else {"road_learner": Parameter("out", value=str(learn))}
-            for name, kind in (KINDS | ({} if learn is None else {"road_learner": RoadLearnerNode})).items():
+            for name, kind in (KINDS | ({} if learn is None else {"road_learner": _road_learner()})).items():
                 if self._shared and name == "calibrator":
                     continue
                 linked = frozenset(topic for topic, _, receiver in links if receiver == name)
@@ -215,8 +225,7 @@ class Composed:
     @property
     def learner(self) -> RoadLearnerNode | None:
         """The node that learns the road, if there is one."""
-        node = self.nodes.get("road_learner")
-        return node if isinstance(node, RoadLearnerNode) else None
+        return cast("RoadLearnerNode | None", self.nodes.get("road_learner"))
 
     @property
     def notes(self) -> list[str]:
