@@ -60,8 +60,9 @@ PLAYED = (
 LIVE = tuple((topic, "source", receiver) for topic, _, receiver in PLAYED)
 #: What the node that learns the road gets beside the others.
 LEARNT = (("twin/odom", "pose_injector", "road_learner"),)
-#: With live sources: s between the executor's turns, and callbacks that it serves in one at most.
-_SERVE_EVERY, _SERVED = 0.05, 100
+#: With live sources: s between the executor's turns, and s that one of its callbacks waits at most for a sample to come
+#: first.
+_SERVE_EVERY, _BEHIND = 0.05, 0.01
 
 
 @dataclass(frozen=True)
@@ -207,20 +208,24 @@ class Composed:
         self.executor.spin_once(timeout_sec=WAIT)
 
     def _step_live(self, source: SourceNode, most: float) -> None:
-        """Deliver samples as they come, and let the executor serve timers and services at times in between."""
+        """Deliver samples as they come, and let the executor serve timers and services at times in between.
+
+        A look at the wait set and a callback take a millisecond or two each. They are done one by one, each just behind
+        a sample: the next one is then furthest away.
+        """
         source.run(min(most, self._serve_at - time.monotonic()))
         if time.monotonic() < self._serve_at:
             return
-        for _ in range(_SERVED):
-            try:
-                handler, _, _ = self.executor.wait_for_ready_callbacks(timeout_sec=0.0)
-            except (TimeoutException, ShutdownException):
-                break
-            handler()
-            error = handler.exception()
-            if error is not None:
-                raise error
-        self._serve_at = time.monotonic() + _SERVE_EVERY
+        source.run_until_delivered(_BEHIND)
+        try:
+            handler, _, _ = self.executor.wait_for_ready_callbacks(timeout_sec=0.0)
+        except (TimeoutException, ShutdownException):
+            self._serve_at = time.monotonic() + _SERVE_EVERY
+            return
+        handler()
+        error = handler.exception()
+        if error is not None:
+            raise error
 
     @property
     def learner(self) -> RoadLearnerNode | None:
