@@ -13,7 +13,6 @@ from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.interpolate import CubicSpline
 from scipy.ndimage import minimum_filter1d
 
 from suspension_twin.arrays import Floats
@@ -73,7 +72,7 @@ def satellite_motion(
         return np.asarray(zero_phase(spec, rate, values))
 
     inside = np.clip(t, at[0], at[-1])
-    path = slow(np.asarray(CubicSpline(at, places[:, :2])(inside)))
+    path = slow(_spline(at, places[:, :2], inside))
     arm = np.asarray(gps_place.position[:2])
     own = path
     # the filter spreads an error of the course this far
@@ -139,6 +138,13 @@ def satellite_motion(
     return slower, trajectory
 
 
+def _spline(at: Floats, values: Floats, t: Floats) -> Floats:
+    """The cubic spline through ``values`` (n, ...) at ``at`` (n,), at ``t`` (m,)."""
+    from scipy.interpolate import CubicSpline  # a fifth of a second, which live nodes do not wait for
+
+    return np.asarray(CubicSpline(at, values)(t))
+
+
 def _hills(
     fix: FixData,
     good: NDArray[np.intp],
@@ -155,5 +161,5 @@ def _hills(
         return np.zeros(t.size), False
     known = bool(np.isfinite(sigma).any()) and float(np.nanmedian(sigma)) <= _LEVEL
     at = fix.t[good]
-    climb = np.gradient(slow(np.asarray(CubicSpline(at, fix.altitude[good])(np.clip(t, at[0], at[-1])))), t)
+    climb = np.gradient(slow(_spline(at, fix.altitude[good], np.clip(t, at[0], at[-1]))), t)
     return np.where(fast, G * np.sin(np.arctan2(climb, np.maximum(speed, _SLOWEST))), 0.0), known

@@ -7,7 +7,6 @@ from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.interpolate import CubicHermiteSpline
 
 from suspension_twin.arrays import Floats
 from suspension_twin.drive.types import Drive
@@ -160,6 +159,8 @@ def _evaluate(
     settings: PoseSettings,
 ) -> Trajectory:
     """Between the nodes: cubics through position and velocity, so both stay in step."""
+    from scipy.interpolate import CubicHermiteSpline  # a fifth of a second, which live nodes do not wait for
+
     last = np.append(np.diff(nodes.t) > 1e-7, True)  # of nodes that share a stamp the last has it all
     at, x = nodes.t[last], states[last]
     turn = np.interp(at, signals.t, rows[:, 0]) - x[:, ekf.GYRO_BIAS]

@@ -4,6 +4,8 @@
 from __future__ import annotations
 
 import math
+import subprocess
+import sys
 import time
 from dataclasses import replace
 
@@ -246,3 +248,17 @@ def test_another_filter_is_the_same_filter_for_both(composed, drive):
     measured, twin = (np.array([v for _, v in got[k]]) for k in ("measured", "twin"))
     moving = drive.imu.t[WARMING:] > drive.imu.t[0] + 5.0
     assert np.corrcoef(measured[moving], twin[moving])[0, 1] > 0.97
+
+
+def test_it_starts_without_what_a_live_twin_does_not_use() -> None:
+    """A second of imports: statistics and pictures are the workers', splines the offline pose's."""
+    unused = (
+        "matplotlib",
+        "scipy.stats",
+        "scipy.signal",
+        "scipy.interpolate",
+        "suspension_twin.road_estimation",
+    )
+    code = f"import sys, suspension_twin.nodes.session; print([n for n in {unused} if n in sys.modules])"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout == "[]\n"
