@@ -6,7 +6,7 @@ tyre loads (:mod:`~suspension_twin.models.connectors`). In each communication st
 step, or given with its derivative where the FMU takes that (FMI 2.0). Heights are handed over less their mean at the
 start, so that no FMU has to begin at the height of a map, and added to what it gives back. What an FMU does not give is
 computed of what it gives: the sensor's readings by the kinematics of ``models.sensor`` at ``imu.position``, the height
-of ``base_link``, rates of deflections as differences, and wheels as if tyres were stiff.
+of ``base_link``, wheels from body and deflections, rates of deflections as differences.
 
 A candidate is a set of parameters of the FMU. Each has an instance of its own; effects act on road, sensor and clock.
 """
@@ -65,6 +65,8 @@ class Body:
         self.sprung = np.array(vehicle.sprung_cog or vehicle.cog)
         self.radius = float(vehicle.tyre.radius)
         self.place = np.array(twin.imu.position)
+        self.wheels = vehicle.wheel_positions
+        self.rest = np.repeat(vehicle.static_deflection, 2)
         self.has = np.zeros(len(OUTPUTS), dtype=np.bool_)
         self.has[list(self.fmu.outputs)] = True
         #: columns that the FMU counts from the height of its start
@@ -87,7 +89,9 @@ class Body:
             out[:, 3] = out[:, 0] + z - above
         for c in range(4):
             if not has[4 + c]:
-                out[:, 4 + c] = inputs[:, c] + self.radius
+                x, y = self.wheels[c] - self.sprung[:2]
+                travel = out[:, 8 + c] - self.rest[c]
+                out[:, 4 + c] = out[:, 0] + y * roll - x * pitch + travel + self.radius
             if not has[12 + c]:
                 change = np.diff(out[:, 8 + c], prepend=before[8 + c])
                 out[:, 12 + c] = np.divide(change, dt, out=np.zeros_like(dt), where=dt > 0)
@@ -191,7 +195,8 @@ class _Run:
             try:
                 part = slice(int(first[begin]), int(first[end]))
                 steps = held[part], None if slopes is None else slopes[part], lengths[part]
-                out[begin:end, columns] = slave.walk(*steps, first[begin : end + 1] - first[begin])
+                ends = self.lowered[driven.first[begin + 1 : end + 1] - 1]
+                out[begin:end, columns] = slave.walk(*steps, first[begin : end + 1] - first[begin], ends)
             except WorkError as error:
                 raise WorkError(f"{error}, {driven.t[begin]:.3f} s on the drive's clock") from None
             finally:

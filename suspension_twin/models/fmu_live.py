@@ -61,7 +61,7 @@ class LiveFmu(Following):
                 inputs = np.vstack([self._inputs, self._between(seen, n)])
                 h = float(self._motion[1, 0])
                 steps = communication_steps(inputs, n, h, body.step, body.fmu.sloped)
-            row = slave.walk(*steps, np.array([0, len(steps[2])]))[0]
+            row = slave.walk(*steps, np.array([0, len(steps[2])]), inputs[-1:])[0]
         except WorkError:
             self._restart()
             return False

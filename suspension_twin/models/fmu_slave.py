@@ -196,9 +196,9 @@ def _matched(
     for name in names:
         if name not in connectors:
             raise InputError("twin", f"fmu.{kind}.{name}", f"is no connector{nearest(name, connectors)}")
-    found = {}
+    found, taken = {}, set(names.values())
     for connector in connectors:
-        name = names.get(connector, connector)
+        name = names.get(connector, "" if connector in taken else connector)
         variable = variables.get(name)
         usable = variable is not None and _number(variable) and variable.causality in causalities
         if usable:
@@ -306,6 +306,7 @@ def _walk_2(
     rates: Floats,
     dt: Floats,
     first: Ints,
+    ends: Floats,
     out: Floats,
 ) -> tuple[int, int, float]:
     """Steps of an FMU of version 2.0: number of the step that failed or -1, its status, time.
@@ -314,7 +315,7 @@ def _walk_2(
     """
     instance, inputs, outputs, orders = who[0], who[1], who[2], who[3]
     at, width, count = np.intp(values.ctypes.data), values.shape[1] * 8, values.shape[1]
-    row, size = np.intp(out.ctypes.data), out.shape[1]
+    row, size, last = np.intp(out.ctypes.data), out.shape[1], np.intp(ends.ctypes.data)
     slopes = np.intp(rates.ctypes.data)
     for k in range(first.size - 1):
         for j in range(first[k], first[k + 1]):
@@ -326,7 +327,9 @@ def _walk_2(
             if status > 1:
                 return j, status, time
             time += dt[j]
-        status = get(instance, outputs, size, row + k * size * 8)
+        status = put(instance, inputs, count, last + k * width)
+        if status <= 1:
+            status = get(instance, outputs, size, row + k * size * 8)
         if status > 1:
             return first[k + 1], status, time
     return -1, 0, time
@@ -342,12 +345,13 @@ def _walk_3(
     values: Floats,
     dt: Floats,
     first: Ints,
+    ends: Floats,
     out: Floats,
 ) -> tuple[int, int, float]:
     """The same for version 3.0."""
     instance, inputs, outputs = who[0], who[1], who[2]
     at, width, count = np.intp(values.ctypes.data), values.shape[1] * 8, values.shape[1]
-    row, size = np.intp(out.ctypes.data), out.shape[1]
+    row, size, last = np.intp(out.ctypes.data), out.shape[1], np.intp(ends.ctypes.data)
     flags, until = np.zeros(3, dtype=np.uint8), np.zeros(1)
     f = np.intp(flags.ctypes.data)
     for k in range(first.size - 1):
@@ -360,7 +364,9 @@ def _walk_3(
             if status > 1:
                 return j, status, time
             time += dt[j]
-        status = get(instance, outputs, size, row + k * size * 8, size)
+        status = put(instance, inputs, count, last + k * width, count)
+        if status <= 1:
+            status = get(instance, outputs, size, row + k * size * 8, size)
         if status > 1:
             return first[k + 1], status, time
     return -1, 0, time
@@ -395,7 +401,7 @@ class Slave:
             count = int(np.ceil(settle / step))
             if count:
                 still = np.repeat(inputs[None], count, axis=0)
-                self.walk(still, None, np.full(count, settle / count), np.array([0, count]))
+                self.walk(still, None, np.full(count, settle / count), np.array([0, count]), still[:1])
         except BaseException:
             self.close()
             raise
@@ -468,27 +474,28 @@ class Slave:
         except Exception as error:
             raise self._failure(f"refuses {what}: {printable(str(error))}") from None
 
-    def walk(self, held: Floats, slopes: Floats | None, dt: Floats, first: Ints) -> Floats:
+    def walk(self, held: Floats, slopes: Floats | None, dt: Floats, first: Ints, ends: Floats) -> Floats:
         """Take m steps of ``dt`` (m,) s, and (n, number of outputs) what it gives after each of n intervals.
 
         The inputs are held at ``held`` (m, 10); with ``slopes`` (m, 10) 1/s, where it takes derivatives, they begin
-        there. Interval k has the steps ``first[k]`` to ``first[k + 1] - 1``.
+        there. Interval k has the steps ``first[k]`` to ``first[k + 1] - 1``; its outputs are read with the inputs at
+        ``ends`` (n, 10), as those that depend on them at once need.
         """
         out = np.empty((first.size - 1, self._asked.size))
-        values = np.ascontiguousarray(held[:, self._columns])
+        values, last = (np.ascontiguousarray(v[:, self._columns]) for v in (held, ends))
         who = np.array(
             [self._instance, *(a.ctypes.data for a in (self._references, self._asked, self._order))],
             dtype=np.int64,
         )
         if self._fmu.third:
-            place = who, self.time, values, dt, first, out
+            place = who, self.time, values, dt, first, last, out
             failed, status, self.time = _walk_3(*self._functions, *place)  # type: ignore[call-arg]
         else:
             given = slopes is not None and self._fmu.sloped
             rates = (
                 np.ascontiguousarray(slopes[:, self._columns]) if slopes is not None and given else values[:0]
             )
-            where = who, self.time, values, rates, dt, first, out
+            where = who, self.time, values, rates, dt, first, last, out
             failed, status, self.time = _walk_2(*self._functions, *where)  # type: ignore[call-arg]
         if failed >= 0:
             if status >= _FATAL:
