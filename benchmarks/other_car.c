@@ -10,11 +10,11 @@
 #include <stdlib.h>
 #include <string.h>
 
-enum { ZR = 0, AX = 4, AY, KF, KR, CF, CR, KT, MS, MU, IX, IY, LIMIT, IN_END };
+enum { ZR = 0, AX = 4, AY, TURN, KF, KR, CF, CR, KT, MS, MU, IX, IY, LIMIT, IN_END };
 enum { OUT = 100, Z = 100, PHI, THETA, WX, WY, ZDD, PHIDD, THETADD, D = 108, F = 112, OUT_END = 116 };
 enum { N = 7 }; /* heave, roll, pitch, four wheels */
 
-static const double G = 9.80665, FRONT = 2.85 - 2359.5 / 1565, REAR = 2359.5 / 1565, HALF = 0.8, HEIGHT = 0.55;
+static const double G = 9.80665, FRONT = 2.85 - 2359.5 / 1565, REAR = 2359.5 / 1565, HALF = 0.8, AHEAD = 1.5, HEIGHT = 0.55;
 
 typedef struct {
     double v[IN_END], x[2 * N], a[N], t;
@@ -44,7 +44,7 @@ static void accelerations(const Car *c, const double *x, double *a) {
     double strut[4], tyre[4], mass = c->v[MS] + 4 * c->v[MU];
     forces(c, x, strut, tyre);
     a[0] = -G;
-    a[1] = mass * HEIGHT * c->v[AY] / c->v[IX];
+    a[1] = mass * HEIGHT * (c->v[AY] + AHEAD * c->v[TURN]) / c->v[IX];
     a[2] = -mass * HEIGHT * c->v[AX] / c->v[IY];
     for (int i = 0; i < 4; i++) {
         a[0] += strut[i] / c->v[MS];

@@ -55,6 +55,7 @@ _INPUTS = {
     **{f"road_height_{c}": f"ground_{s}" for c, s in SIDES.items()},
     "longitudinal_acceleration": "a_x",
     "lateral_acceleration": "a_y",
+    "yaw_acceleration": "turn",
 }
 
 
@@ -80,7 +81,9 @@ def _description(attributes: dict[str, str]) -> str:
         )
 
     inputs = [variable(name, k, "input", ' start="0"') for k, name in enumerate(_INPUTS.values())]
-    known = [variable(name, 6 + k, "parameter", ' start="1"') for k, name in enumerate(_PARAMETERS)]
+    known = [
+        variable(name, len(_INPUTS) + k, "parameter", ' start="1"') for k, name in enumerate(_PARAMETERS)
+    ]
     outputs = [variable(name, 100 + k, "output", "") for k, name in enumerate(_OUTPUTS.values())]
     given = {"modelIdentifier": "other_car", "canHandleVariableCommunicationStepSize": "true", **attributes}
     said = " ".join(f'{key}="{value}"' for key, value in given.items())

@@ -299,6 +299,16 @@ def test_a_step_that_fails_ends_one_candidate_and_no_live_twin(
     assert all(np.isfinite(s.vertical_acceleration) for s in states)
 
 
+def test_a_twin_of_object_storage_brings_no_program(other: Twin, tmp_path: Path) -> None:
+    filesystem = pytest.importorskip("fsspec").filesystem("memory")
+    work = pytest.importorskip("suspension_twin.fleet.work")
+    save_twin(other, tmp_path / "twin.yaml")
+    filesystem.pipe("/fleet/twin.yaml", (tmp_path / "twin.yaml").read_bytes())
+    item = work.Item("car", "", "memory://fleet/twin.yaml", ("memory://fleet/drive.mcap",))
+    with pytest.raises(InputError, match="fmu runs a program: such a twin must be a file here"):
+        work.twin_and_road(item, tmp_path)
+
+
 def test_who_sends_a_goal_does_not_choose_a_program(other: Twin, repository: Path, tmp_path: Path) -> None:
     jobs = pytest.importorskip("suspension_twin.nodes.jobs")
     save_twin(other, tmp_path / "twin.yaml")
