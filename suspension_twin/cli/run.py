@@ -163,8 +163,8 @@ def command(
     from suspension_twin.vehicle.twin import load_twin
 
     loaded = load_twin(twin)
-    if learn_road is not None and getattr(loaded.vehicle, "front_track", None) is None:
-        raise InputError("--learn-road", f"needs a car, {twin} is of the model {loaded.model}")
+    if learn_road is not None and "front" not in loaded.axles:
+        raise InputError("--learn-road", f"needs a car with axles, {twin} is of the model {loaded.model}")
     used = [twin, *([] if loaded.road is None else [loaded.road.file])]
     for path in _learnt_files(learn_road):
         if path.resolve() in [p.resolve() for p in used]:
