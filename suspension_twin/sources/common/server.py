@@ -152,7 +152,7 @@ class PushServer:
         #: Files for a phone, by path: type and content.
         self.files: dict[str, tuple[str, bytes]] = {}
         self.limits = limits or Limits()
-        #: Whether a message, as ``on_message`` returned it, is of no use now: the sender's next one waits for the others'.
+        #: Whether a message, as ``on_message`` returned it, is of no use now: its sender's next one waits.
         self.is_spare: Callable[[object], bool] = lambda _taken: False
         self.refused = 0
         self._address = address
