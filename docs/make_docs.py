@@ -1,10 +1,11 @@
 #!/usr/bin/env python3
 # SPDX-License-Identifier: Apache-2.0
-"""Makes what the documentation shows of the program itself: ``python docs/make_docs.py tables|pictures``.
+"""Makes what the documentation shows of the program itself: ``python docs/make_docs.py tables [PAGE...]|pictures``.
 
 ``tables`` writes the generated parts, each between its marks: commands and nodes in README.md, topics, services,
-actions and message definitions in interfaces.md, node parameters in parameters.md, effects in effects.md. A test
-says when one has fallen behind. ``pictures`` draws the pictures of this folder, which takes some minutes.
+actions and message definitions in interfaces.md, node parameters in parameters.md, effects in effects.md; of all these
+pages, or of those that are named: ``tables effects`` needs no ROS. A test says when one has fallen behind.
+``pictures`` draws the pictures of this folder, which takes some minutes.
 """
 
 from __future__ import annotations
@@ -532,14 +533,15 @@ def _run(*arguments: str) -> None:
 
 
 def main() -> None:
-    wanted = sys.argv[1:]
-    if not wanted or not set(wanted) <= {"tables", "pictures"}:
-        raise SystemExit(re.sub(r"\s+", " ", __doc__ or "").strip())
-    if "tables" in wanted:
-        for page in parts():
-            page.write_text(brought_up_to_date(page), encoding="utf-8")
-    if "pictures" in wanted:
+    wanted, named = sys.argv[1:2], sys.argv[2:]
+    pages = {page.stem: page for page in parts()}
+    if wanted == ["tables"] and set(named) <= pages.keys():
+        for name in named or pages:
+            pages[name].write_text(brought_up_to_date(pages[name]), encoding="utf-8")
+    elif wanted == ["pictures"] and not named:
         pictures()
+    else:
+        raise SystemExit(re.sub(r"\s+", " ", __doc__ or "").strip())
 
 
 if __name__ == "__main__":

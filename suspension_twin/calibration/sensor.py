@@ -24,7 +24,7 @@ drives besides: fitted beside an offset of the map, which no twin file has, it m
 from __future__ import annotations
 
 import numpy as np
-from scipy.stats import chi2
+from scipy.special import chdtrc
 
 from suspension_twin.arrays import Floats
 from suspension_twin.calibration.recorder import Outcome
@@ -55,7 +55,7 @@ _NONE = NuisancePriors(wander=0.0).without(NUISANCES)
 _BLOCK = 2.0
 #: Standard deviations beyond which a map's offset contradicts its prior: the usual gate of three.
 _GATE = 3.0
-_CONTRADICTION = float(chi2.sf(_GATE**2, 1))
+_CONTRADICTION = float(chdtrc(1, _GATE**2))
 
 
 def sensor_estimates(
@@ -216,7 +216,7 @@ def common_offset(offsets: Floats, covariance: Floats) -> tuple[float, float, fl
     off = offsets - common
     scatter = float(off @ np.linalg.solve(covariance, off))
     variance *= max(scatter / freedom, 1.0)
-    return common, float(np.sqrt(variance)), float(chi2.sf(scatter, freedom))
+    return common, float(np.sqrt(variance)), float(chdtrc(freedom, scatter))
 
 
 def _speeds(setup: Setup) -> Floats:

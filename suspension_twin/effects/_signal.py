@@ -5,6 +5,8 @@ from __future__ import annotations
 
 import math
 
+import numpy as np
+
 from suspension_twin.effects.base import Bools, Floats, compiled
 
 __all__ = ["STATES", "second_order"]
@@ -36,7 +38,10 @@ def second_order(
     """
     damped = omega * math.sqrt(1.0 - zeta * zeta)
     square = omega * omega
-    own = state[: STATES * axes, lane].copy().reshape(axes, STATES)
+    own = np.empty((axes, STATES))  # by loops: assignments to slices take the compiler two seconds
+    for i in range(axes):
+        for j in range(STATES):
+            own[i, j] = state[STATES * i + j, lane]
     for k in range(t.size):
         known, decay, c, s = -1.0, 0.0, 0.0, 0.0  # axes mostly have a step in common
         for i in range(axes):
@@ -75,4 +80,6 @@ def second_order(
             signals[k, axis + i, lane] = x + more
             if axis + i == 2:
                 signals[k, 6, lane] += more
-    state[: STATES * axes, lane] = own.reshape(axes * STATES)
+    for i in range(axes):
+        for j in range(STATES):
+            state[STATES * i + j, lane] = own[i, j]

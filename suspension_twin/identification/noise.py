@@ -228,7 +228,8 @@ def _filtered(
         for lane in range(lanes):
             x[i, lane] = simulated[start + i, c, lane] - measured[start + i, c]
     t = np.zeros(taps.size + 5)
-    t[: taps.size] = taps
+    for k in range(taps.size):  # the text of a slice's error would take two seconds to compile
+        t[k] = taps[k]
     one, two = np.empty(wide), np.empty(wide)
     for i in range(0, n, 2):
         # two outputs at a time share their loads

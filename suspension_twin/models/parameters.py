@@ -94,7 +94,8 @@ def pack(twin: Twin) -> Floats:
 
 
 def lanes(twin: Twin, keys: Sequence[str], values: Floats) -> Floats:
-    """(P, L) candidates that differ from the twin in ``keys``, one row of ``values`` (L, k) each.
+    """(P, L) candidates that differ from the twin in ``keys``, one row of ``values`` (L, k) each; they cannot be
+    written to.
 
     Raises InputError for a key that the twin has not, or that a candidate cannot change.
     """
@@ -111,4 +112,5 @@ def lanes(twin: Twin, keys: Sequence[str], values: Floats) -> Floats:
         rows.append(index[key])
     out = np.repeat(pack(twin)[:, None], values.shape[0], axis=1)
     out[rows] = values.T
+    out.flags.writeable = False
     return out

@@ -9,6 +9,7 @@ import time
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING, cast
 
 from rclpy.context import Context
 from rclpy.exceptions import InvalidNamespaceException
@@ -24,10 +25,12 @@ from suspension_twin.nodes.imu_ingest import ImuIngestNode
 from suspension_twin.nodes.player import BagPlayer
 from suspension_twin.nodes.pose_injector import PoseInjectorNode
 from suspension_twin.nodes.process import WAIT
-from suspension_twin.nodes.road_learner import RoadLearnerNode
 from suspension_twin.nodes.source import SourceNode
 from suspension_twin.nodes.suspension_model import SuspensionModelNode
 from suspension_twin.nodes.topics import ERROR, Embedding, Outbox
+
+if TYPE_CHECKING:
+    from suspension_twin.nodes.road_learner import RoadLearnerNode
 
 __all__ = ["LINKS", "Composed", "Condition", "Playback", "check_namespace"]
 
@@ -57,8 +60,9 @@ PLAYED = (
 LIVE = tuple((topic, "source", receiver) for topic, _, receiver in PLAYED)
 #: What the node that learns the road gets beside the others.
 LEARNT = (("twin/odom", "pose_injector", "road_learner"),)
-#: With live sources: s between the executor's turns, and callbacks that it serves in one at most.
-_SERVE_EVERY, _SERVED = 0.05, 100
+#: With live sources: s between the executor's turns, and s that one of its callbacks waits at most for a sample to come
+#: first.
+_SERVE_EVERY, _BEHIND = 0.05, 0.01
 
 
 @dataclass(frozen=True)
@@ -94,6 +98,13 @@ class Condition:
     duration: float | None
     rounds: int
     learning: str | None = None
+
+
+def _road_learner() -> type[TwinNode]:
+    """The node that learns the road, imported where it is asked for: what estimates a road takes half a second."""
+    from suspension_twin.nodes.road_learner import RoadLearnerNode
+
+    return RoadLearnerNode
 
 
 def check_namespace(namespace: str) -> None:
@@ -135,7 +146,7 @@ class Composed:
             parameters.append(Parameter("use_sim_time", value=True))
         try:
             out = {} if learn is None else {"road_learner": Parameter("out", value=str(learn))}
-            for name, kind in (KINDS | ({} if learn is None else {"road_learner": RoadLearnerNode})).items():
+            for name, kind in (KINDS | ({} if learn is None else {"road_learner": _road_learner()})).items():
                 if self._shared and name == "calibrator":
                     continue
                 linked = frozenset(topic for topic, _, receiver in links if receiver == name)
@@ -197,26 +208,29 @@ class Composed:
         self.executor.spin_once(timeout_sec=WAIT)
 
     def _step_live(self, source: SourceNode, most: float) -> None:
-        """Deliver samples as they come, and let the executor serve timers and services at times in between."""
+        """Deliver samples as they come, and let the executor serve timers and services at times in between.
+
+        A look at the wait set and a callback take a millisecond or two each. They are done one by one, each just behind
+        a sample: the next one is then furthest away.
+        """
         source.run(min(most, self._serve_at - time.monotonic()))
         if time.monotonic() < self._serve_at:
             return
-        for _ in range(_SERVED):
-            try:
-                handler, _, _ = self.executor.wait_for_ready_callbacks(timeout_sec=0.0)
-            except (TimeoutException, ShutdownException):
-                break
-            handler()
-            error = handler.exception()
-            if error is not None:
-                raise error
-        self._serve_at = time.monotonic() + _SERVE_EVERY
+        source.run_until_delivered(_BEHIND)
+        try:
+            handler, _, _ = self.executor.wait_for_ready_callbacks(timeout_sec=0.0)
+        except (TimeoutException, ShutdownException):
+            self._serve_at = time.monotonic() + _SERVE_EVERY
+            return
+        handler()
+        error = handler.exception()
+        if error is not None:
+            raise error
 
     @property
     def learner(self) -> RoadLearnerNode | None:
         """The node that learns the road, if there is one."""
-        node = self.nodes.get("road_learner")
-        return node if isinstance(node, RoadLearnerNode) else None
+        return cast("RoadLearnerNode | None", self.nodes.get("road_learner"))
 
     @property
     def notes(self) -> list[str]:

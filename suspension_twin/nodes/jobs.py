@@ -3,7 +3,8 @@
 
 A worker process is spawned, not forked: a child that inherits the middleware's threads hangs. It has
 a lower priority than the live twin, ignores the terminal's Ctrl-C, which is its parent's to handle,
-and ends with its parent.
+and ends with its parent. What only the worker needs is imported there: the live twin starts a second
+earlier without it.
 """
 
 from __future__ import annotations
@@ -22,19 +23,12 @@ from multiprocessing.synchronize import Event
 from pathlib import Path
 from typing import Any, Literal, NamedTuple
 
-import numba
-
 from suspension_twin.calibration import request as calibration
-from suspension_twin.calibration.output import write_result
 from suspension_twin.calibration.presets import preset_named
-from suspension_twin.calibration.run import calibrate
 from suspension_twin.diagnosis import request as diagnosis
-from suspension_twin.diagnosis.output import write
-from suspension_twin.diagnosis.run import diagnose
 from suspension_twin.drive.read import drive_name
 from suspension_twin.errors import InputError, SuspensionTwinError, printable
 from suspension_twin.files import together
-from suspension_twin.report.diagnosis import diagnosis_page
 from suspension_twin.vehicle.twin import load_twin
 
 __all__ = [
@@ -147,6 +141,9 @@ def run_calibration(
     job: Job, on_progress: Callable[[calibration.Progress], None], should_stop: Callable[[], bool]
 ) -> Outcome:
     """Calibrate in this process and write the twin and its details; stopped early, the best so far."""
+    from suspension_twin.calibration.output import write_result
+    from suspension_twin.calibration.run import calibrate
+
     result = calibrate(job.request, on_progress, should_stop)
     if not result.estimates:
         return {"success": False, "message": "stopped before the search began"}
@@ -169,6 +166,10 @@ def run_diagnosis(
     job: Job, on_progress: Callable[[DiagnosisStep], None], should_stop: Callable[[], bool]
 ) -> Outcome:
     """Diagnose in this process and write ``diagnosis.json``, ``twin.yaml`` and ``report.html``."""
+    from suspension_twin.diagnosis.output import write
+    from suspension_twin.diagnosis.run import diagnose
+    from suspension_twin.report.diagnosis import diagnosis_page
+
     began = time.monotonic()
 
     def step(stage: diagnosis.Progress) -> None:
@@ -240,6 +241,8 @@ def _run(work: Work, job: Job, out: Connection, stop: Event) -> None:
         os.nice(10)
     parent = multiprocessing.parent_process()
     if job.threads:
+        import numba
+
         numba.set_num_threads(min(job.threads, numba.config.NUMBA_NUM_THREADS))
 
     def should_stop() -> bool:

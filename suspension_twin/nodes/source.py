@@ -99,6 +99,11 @@ class SourceNode(TwinNode):
         assert isinstance(self._receiver, SourceLoop)
         self._receiver.run(seconds)
 
+    def run_until_delivered(self, seconds: float) -> None:
+        """Receive and deliver until samples have been delivered, for so long at most; for a node that is driven."""
+        assert isinstance(self._receiver, SourceLoop)
+        self._receiver.run_until_delivered(seconds)
+
     def deliver(self) -> None:
         """Publish what has come."""
         for finding in self.hub.heard():
@@ -122,6 +127,8 @@ class SourceNode(TwinNode):
                     output.send(message)
                 finally:
                     self.outbox.leave()
+            if isinstance(self._receiver, SourceLoop):
+                self._receiver.delivered()
 
     def report(self) -> None:
         """See the base class."""

@@ -49,7 +49,8 @@ def _live_row(
     now = soft[2]
     faster = np.zeros(3)
     if dt > 0.0:
-        faster[:] = (now[3:6] - last[3:6]) / dt
+        for k in range(3):
+            faster[k] = (now[3 + k] - last[3 + k]) / dt
     own = now[0:3].copy()
     turn = now[5] - up_bias[2]
     own[0] -= acceleration - turn * turn * imu[0] - faster[2] * imu[1]

@@ -49,6 +49,7 @@ class SensorLogger:
         self.phones = Phones(hub, rank, axes=axes_of(address), only=address.options.get("device", ""))
         self.server = PushServer(address, self.phones.feed)
         self.server.page = self._page
+        self.server.is_spare = self.phones.is_spare
         self.notes: list[str] = []
 
     async def start(self) -> None:

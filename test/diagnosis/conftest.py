@@ -31,7 +31,8 @@ def car(mondeo: Twin) -> Twin:
 @pytest.fixture(scope="session")
 def make(tmp_path_factory: pytest.TempPathFactory, car: Twin) -> Make:
     """``make(effect, parameters, reference, seed, car, always)``: twin file, bags, reference bags; ``always`` is what
-    the car has on all of them that the twin lacks."""
+    the car has on all of them that the twin lacks. What is asked for again is not made again: nobody writes into it."""
+    made: dict[str, tuple[Path, list[str], list[str]]] = {}
 
     def build(
         effect: str = "",
@@ -41,6 +42,9 @@ def make(tmp_path_factory: pytest.TempPathFactory, car: Twin) -> Make:
         car: Twin = car,
         always: tuple[EffectSpec, ...] = (),
     ) -> tuple[Path, list[str], list[str]]:
+        asked = repr((effect, parameters, reference, seed, car, always))
+        if asked in made:
+            return made[asked]
         folder = tmp_path_factory.mktemp(effect or "none")
         road = iso8608_road("B", 130, seed=seed, v_step=0.4)
         road = add_bump(road, half_sine(0.9, 0.05), 50.0)
@@ -63,6 +67,7 @@ def make(tmp_path_factory: pytest.TempPathFactory, car: Twin) -> Make:
             drive = synthetic_drive(stiffer, road, KNOTS, seed=10 * seed + 7, name="before")
             write_drive(drive, folder / "before")
             before.append(str(folder / "before"))
-        return folder / "twin.yaml", bags, before
+        made[asked] = folder / "twin.yaml", bags, before
+        return made[asked]
 
     return build

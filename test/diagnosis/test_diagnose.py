@@ -125,7 +125,8 @@ def test_what_only_a_decoy_explains_is_unknown_unless_it_is_asked_for(make: Any)
     assert like["parameters"]["front_square"] == pytest.approx(4e7, rel=0.4)
     assert document["message"].endswith("they resemble progressive spring")
     assert "is like progressive spring" in diagnosis_page(result).render()
-    named = diagnose(replace(ask(case), effects=("strut_friction", "progressive_spring"))).document
+    asked = replace(ask(case), bags=(case[1][0],), effects=("strut_friction", "progressive_spring"))
+    named = diagnose(asked).document
     assert named["verdict"] == "effect" and named["combination"] == ["progressive_spring"]
 
 
@@ -215,15 +216,15 @@ def test_two_causes_are_named_together_and_nothing_has_to_tell_them_apart(make: 
     assert document["next_experiment"].startswith("None is needed to separate candidates.")
 
 
-def test_what_a_converter_cuts_off_is_compared(make: Any) -> None:
+def test_what_a_converter_cuts_off_is_compared(make: Any, tmp_path: Path) -> None:
     """Samples at the end of the range are left out where a twin is calibrated: here they are the evidence."""
-    twin, bags, _ = make()
-    reach = 13.0
-    for bag in bags:
-        drive = read_drive(bag)
+    twin, whole, _ = make()
+    bags, reach = [str(tmp_path / Path(bag).name) for bag in whole], 13.0
+    for original, bag in zip(whole, bags, strict=True):
+        drive = read_drive(original)
         force = np.clip(drive.imu.specific_force, -reach, reach)
         assert (force[:, 2] == reach).sum() >= 3
-        write_drive(replace(drive, imu=replace(drive.imu, specific_force=force)), bag, overwrite=True)
+        write_drive(replace(drive, imu=replace(drive.imu, specific_force=force)), bag)
     effects = ("sensor_clipping", "bump_stop", "sensor_scale")
     document = diagnose(DiagnosisRequest(str(twin), tuple(bags), effects=effects)).document
     assert document["combination"] == ["sensor_clipping"]
@@ -235,7 +236,7 @@ def test_a_map_that_was_off_before_and_after_is_named_as_not_new(make: Any) -> N
     off = EffectSpec(id="position_offset", parameters={"offset": 0.5})
     twin, bags, reference = make(always=(off,), reference=True)
     effects = ("position_offset", "time_offset")
-    document = diagnose(DiagnosisRequest(str(twin), tuple(bags), tuple(reference), effects=effects)).document
+    document = diagnose(DiagnosisRequest(str(twin), (bags[0],), tuple(reference), effects=effects)).document
     assert document["combination"] == ["position_offset"], document["message"]
     assert document["before_and_after"] is True and "before and after alike" in document["message"]
     assert document["causes"][0]["parameters"]["offset"] == pytest.approx(0.5, abs=0.03)

@@ -3,7 +3,9 @@
 
 from __future__ import annotations
 
+import shutil
 from dataclasses import replace
+from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
@@ -113,13 +115,17 @@ def test_a_road_is_as_surveyed_where_no_error_of_its_file_takes_much() -> None:
     )
 
 
-def test_a_road_file_that_is_wrong_on_one_stretch_is_unknown_and_said_to_be_so(make: Any) -> None:
-    twin, bags, _ = make()
-    path = twin.parent / "road.crg"
-    road = load_road(path)
+def test_a_road_file_that_is_wrong_on_one_stretch_is_unknown_and_said_to_be_so(
+    make: Any, tmp_path: Path
+) -> None:
+    right, bags, _ = make()
+    twin = Path(shutil.copy(right, tmp_path))
+    road = load_road(right.parent / "road.crg")
     u = road.u_first + road.u_step * np.arange(road.z.shape[0])
     there = 0.5 * (np.tanh((u - 22.0) / 0.3) - np.tanh((u - 42.0) / 0.3))[:, None]
-    write_road(replace(road, z=road.z * (1.0 + 2.0 * there)), path)  # three times as high as it is
+    write_road(
+        replace(road, z=road.z * (1.0 + 2.0 * there)), tmp_path / "road.crg"
+    )  # three times as high as it is
     few = ("strut_friction", "tyre_damping", "road_scale", "lateral_offset")
     result = diagnose(DiagnosisRequest(str(twin), tuple(bags), effects=few))
     document = result.document

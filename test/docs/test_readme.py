@@ -25,7 +25,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from suspension_twin.cli.main import SUBCOMMANDS
+from suspension_twin.cli.main import SUBCOMMANDS, main
 from suspension_twin.drive.read import read_drive
 from suspension_twin.vehicle.twin import load_twin
 
@@ -188,23 +188,19 @@ def test_the_mapping_command_reads_the_real_recording(workspace, shared_data):
 
 
 @pytest.mark.parametrize("command", [c for c in OURS if is_long(c)])
-def test_the_long_commands_take_their_arguments(command, tmp_path):
+def test_the_long_commands_take_their_arguments(command, tmp_path, monkeypatch, capsys):
     """In a folder without the files it gets as far as missing the twin file."""
-    done = subprocess.run(
-        ours(command), cwd=tmp_path, capture_output=True, text=True, timeout=60, check=False
-    )
-    assert done.returncode == 2
-    assert done.stderr == "suspension-twin: out/calibrated.yaml: No such file or directory\n"
+    monkeypatch.chdir(tmp_path)
+    assert main(shlex.split(command)[1:]) == 2
+    assert capsys.readouterr().err == "suspension-twin: out/calibrated.yaml: No such file or directory\n"
 
 
 @pytest.mark.parametrize("command", [c for c in OURS if is_fleet(c)])
-def test_the_fleet_commands_take_their_arguments(command, tmp_path):
+def test_the_fleet_commands_take_their_arguments(command, tmp_path, monkeypatch, capsys):
     """In a folder without the files it gets as far as missing the manifest."""
-    done = subprocess.run(
-        ours(command), cwd=tmp_path, capture_output=True, text=True, timeout=60, check=False
-    )
-    assert done.returncode == 2
-    assert done.stderr == "suspension-twin: config/fleet.yaml: No such file or directory\n"
+    monkeypatch.chdir(tmp_path)
+    assert main(shlex.split(command)[1:]) == 2
+    assert capsys.readouterr().err == "suspension-twin: config/fleet.yaml: No such file or directory\n"
 
 
 @pytest.mark.parametrize("command", [c for c in OURS if is_live(c)])

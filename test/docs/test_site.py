@@ -14,6 +14,7 @@ from types import ModuleType
 
 import pytest
 
+from suspension_twin.cli.main import main
 from suspension_twin.sources import make_sources
 from suspension_twin.sources.common.hub import Hub
 
@@ -90,18 +91,20 @@ def test_examples_in_python_run(
 
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda p: p.name)
-def test_commands_take_their_arguments(page: Path, tmp_path: Path) -> None:
+def test_commands_take_their_arguments(
+    page: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
     """In an empty folder each of ours gets as far as missing its first file."""
+    monkeypatch.chdir(tmp_path)
     lines = [line for block in blocks(page, "bash") for line in block.splitlines()]
     for line in lines:
         if "--source" in line or line == "suspension-twin connect":  # it would wait for what is to send
             for url in re.findall(r"--source (\S+)", line):
                 assert make_sources([url.strip('"')], Hub())
         elif line.startswith("suspension-twin "):
-            command = [sys.executable, "-m", "suspension_twin", *shlex.split(line)[1:]]
-            done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, timeout=120)
-            assert done.returncode == 2, line
-            assert re.search(r"No such file or directory|is not there", done.stderr), done.stderr
+            assert main(shlex.split(line)[1:]) == 2, line
+            error = capsys.readouterr().err
+            assert re.search(r"No such file or directory|is not there", error), error
         elif line.startswith("python "):
             assert (ROOT / line.split()[1]).exists(), line
 

@@ -15,7 +15,6 @@ from nodes_bench import Client, PlainPage, worst
 from stand_ins import cannot, five_generations, judge_until_stopped, judged
 
 from suspension_twin.diagnosis.request import DiagnosisResult, Progress
-from suspension_twin.nodes import jobs
 from suspension_twin.nodes.calibrator import CalibratorNode
 from suspension_twin.nodes.jobs import diagnosis_job, run_diagnosis
 from suspension_twin.vehicle.twin import load_twin
@@ -123,8 +122,8 @@ def test_the_work_hands_on_the_stages_and_leaves_the_three_files(goal, twin_path
             tell(Progress("effects", done, "top_mount"))
         return result
 
-    monkeypatch.setattr(jobs, "diagnose", diagnose)
-    monkeypatch.setattr(jobs, "diagnosis_page", lambda found: PlainPage())
+    monkeypatch.setattr("suspension_twin.diagnosis.run.diagnose", diagnose)
+    monkeypatch.setattr("suspension_twin.report.diagnosis.diagnosis_page", lambda found: PlainPage())
     told = []
     outcome = run_diagnosis(diagnosis_job(goal, "", 0), told.append, lambda: False)
     assert outcome["success"] and outcome["message"] == f"{goal.output}: nothing to see"

@@ -6,6 +6,7 @@ from __future__ import annotations
 import asyncio
 import json
 import random
+import threading
 from dataclasses import replace
 
 import aiohttp
@@ -18,6 +19,7 @@ from suspension_twin.drive.types import Drive
 from suspension_twin.errors import InputError
 from suspension_twin.sources import make_sources
 from suspension_twin.sources.common.hub import Hub
+from suspension_twin.sources.common.runner import SourceLoop
 from suspension_twin.sources.common.sensor_logger import parse_message
 
 LOCAL = "sensorlogger://127.0.0.1:0"
@@ -115,6 +117,61 @@ def test_two_phones_at_once_one_is_followed(bump: Drive) -> None:
     assert any("not used" in text for text in taken.said)
     one = listen(f"{LOCAL}?device=another", play, whole(bump))
     assert set(one.hub.devices) == {"phone another-"}
+
+
+def test_the_phone_that_is_followed_is_served_before_the_others(bump: Drive) -> None:
+    """Of requests that wait together its own is answered first, whenever it came."""
+    names = ("followed", "second", "third")
+    bodies = {
+        name: [json.dumps(message).encode() for _, message in SensorLoggerApp(bump, device=name).messages()]
+        for name in names
+    }
+    answered: list[str] = []
+
+    async def play(sources, _) -> None:
+        phones = {name: await asyncio.open_connection("127.0.0.1", sources[0].server.port) for name in names}
+
+        async def answer(name: str) -> None:
+            assert (await phones[name][0].readuntil(b"ok")).startswith(b"HTTP/1.1 200")
+            answered.append(name)
+
+        async def post(number: int, *order: str) -> None:
+            for name in order:  # all are there before one is read
+                body = bodies[name][number]
+                head = f"POST / HTTP/1.1\r\nHost: x\r\nContent-Length: {len(body)}\r\n\r\n"
+                phones[name][1].write(head.encode() + body)
+            await asyncio.gather(*map(answer, order))
+
+        for name in names:
+            for number in range(3):  # which shows who is followed
+                await post(number, name)
+        answered.clear()
+        for number in range(3, 8):
+            await post(number, "second", "third", "followed")
+        for _, writer in phones.values():
+            writer.close()
+
+    listen(LOCAL, play)
+    assert answered[::3] == ["followed"] * 5
+    assert answered.count("second") == answered.count("third") == 5
+
+
+def test_who_drives_the_sources_has_time_behind_a_sample(bump: Drive) -> None:
+    """Not only after the seconds for which it would have received."""
+    hub = Hub()
+    loop = SourceLoop([LOCAL], hub)
+    hub.wake = loop.delivered
+    url = loop.sources[0].server.url()
+    sender = threading.Thread(target=lambda: asyncio.run(SensorLoggerApp(bump).push(url, 1.0)), daemon=True)
+    try:
+        loop.run_until_delivered(0.01)
+        assert not hub.take()
+        sender.start()
+        for _ in range(3):
+            loop.run_until_delivered(60.0)
+            assert hub.take() or hub.heard()
+    finally:
+        loop.close()
 
 
 def test_acceleration_without_gravity_is_told(bump: Drive) -> None:

@@ -57,6 +57,7 @@ class SourceLoop:
     def __init__(self, urls: Sequence[str], hub: Hub) -> None:
         self.sources = make_sources(urls, hub)
         self._loop = asyncio.new_event_loop()
+        self._came = asyncio.Event()
         self._open = running(self.sources, hub)
         try:
             self._loop.run_until_complete(self._open.__aenter__())
@@ -72,6 +73,20 @@ class SourceLoop:
     def run(self, seconds: float) -> None:
         """Receive for so long."""
         self._loop.run_until_complete(asyncio.sleep(max(seconds, 0.0)))
+
+    def run_until_delivered(self, seconds: float) -> None:
+        """Receive until :meth:`delivered` is called and what arrived with that sample is handled, for so long at
+        most."""
+        self._came.clear()
+        self._loop.run_until_complete(self._wait(seconds))
+
+    def delivered(self) -> None:
+        """Samples were handed on: until the next ones come there is time for other work."""
+        self._came.set()
+
+    async def _wait(self, seconds: float) -> None:
+        with contextlib.suppress(asyncio.TimeoutError):
+            await asyncio.wait_for(self._came.wait(), seconds)
 
     def close(self) -> None:
         """Stop the sources."""

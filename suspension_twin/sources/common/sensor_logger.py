@@ -346,6 +346,11 @@ class Phones:
         phone.take(message)
         return message
 
+    def is_spare(self, message: object) -> bool:
+        """Whether nothing of the phone that has sent ``message`` is used: another device is in charge."""
+        phone = self._phones.get(message.device) if isinstance(message, Message) else None
+        return phone is not None and phone.device not in self._hub.chosen.values()
+
     def tick(self, now: float) -> None:
         """To be called some times a second."""
         for phone in self._each():

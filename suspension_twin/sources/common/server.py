@@ -152,11 +152,15 @@ class PushServer:
         #: Files for a phone, by path: type and content.
         self.files: dict[str, tuple[str, bytes]] = {}
         self.limits = limits or Limits()
+        #: Whether a message, as ``on_message`` returned it, is of no use now: its sender's next one waits.
+        self.is_spare: Callable[[object], bool] = lambda _taken: False
         self.refused = 0
         self._address = address
         self._on_message = on_message
         self._peers: OrderedDict[str, _Peer] = OrderedDict()
         self._known: set[asyncio.BaseProtocol] = set()
+        self._spare: set[asyncio.BaseProtocol | None] = set()
+        self._turn = asyncio.Lock()
         self._server: asyncio.Server | None = None
 
     def url(self, host: str | None = None, path: str = "/") -> str:
@@ -212,6 +216,7 @@ class PushServer:
             if idle.transport is not None:
                 idle.transport.abort()
         self._known &= set(connections)
+        self._spare &= set(connections)
         return server()
 
     def _peer(self, request: web.Request) -> _Peer:
@@ -275,7 +280,7 @@ class PushServer:
         if not peer.bytes.take(len(body)):
             return self._answer(429, "too much at once", close=False)
         try:
-            self._on_message(body, arrival)
+            await self._take(request, body, arrival)
         except InputError as error:
             self.refused += 1
             return self._answer(400, str(error), close=False)
@@ -293,10 +298,21 @@ class PushServer:
                 self.refused += 1
                 continue
             try:
-                self._on_message(message.data, host_time())
+                await self._take(request, message.data, host_time())
             except InputError:
                 self.refused += 1
         return socket_
+
+    async def _take(self, request: web.Request, body: bytes | str, arrival: float) -> None:
+        """Hand a message on; after those that are under way or come meanwhile, if the sender's last was of no use."""
+        sender = request.protocol
+        if sender in self._spare:
+            async with self._turn:  # one after the other, and between two of them all that has come
+                for _ in range(2):  # to read it, and to handle it
+                    await asyncio.sleep(0)
+        spare = self.is_spare(self._on_message(body, arrival))
+        if spare != (sender in self._spare):
+            (self._spare.add if spare else self._spare.discard)(sender)
 
     def _answer(self, status: int, text: str, *, close: bool) -> web.Response:
         response = web.Response(status=status, text=text)
