@@ -476,7 +476,9 @@ def main() -> None:
             )
         found: dict[str, Any] = {"cores": os.cpu_count(), "load": os.getloadavg()[0], "runs": []}
         for workers in options.workers:
-            out, log = folder / f"results_{workers}", folder / f"sittings_{workers}.json"
+            # sittings may have different numbers of workers
+            own = "" if options.resume else f"_{workers}"
+            out, log = folder / f"results{own}", folder / f"sittings{own}.json"
             if not options.resume:
                 shutil.rmtree(out, ignore_errors=True)
                 log.unlink(missing_ok=True)

@@ -341,7 +341,7 @@ def _drain(
         futures = []
         for task in islice(waiting, count):
             # Of no use to anybody afterwards; a key of its own each time, so that no old failure is handed out.
-            future = client.submit(_attempt, task, key=f"{task.key}-{time.monotonic_ns()}", pure=False)
+            future = client.submit(_attempt, task, key=f"{task.options.action}-{task.key}-{time.monotonic_ns()}", pure=False)
             under_way[future.key] = (task, future)
             futures.append(future)
         return futures
