@@ -51,8 +51,11 @@ def hold_workers(address: str, count: int, length: float, record_file: str) -> N
 
     engine.work = asleep  # type: ignore[assignment]
 
+    here: dict[str, Any] = {"host": "127.0.0.1", "dashboard_address": "127.0.0.1:0", "dashboard": False}
+    kinds = {"nthreads": 1, "memory_limit": 0, **here}
+
     async def hold() -> None:
-        workers = [Worker(address, nthreads=1, memory_limit=0, dashboard=False) for _ in range(count)]
+        workers = [Worker(address, **kinds) for _ in range(count)]
         await asyncio.gather(*workers)
         await asyncio.gather(*(w.finished() for w in workers))
 
@@ -69,7 +72,8 @@ def cluster(workers: int, length: float, folder: Path) -> Iterator[tuple[Any, di
     environment = os.environ | ENVIRONMENT | {"DASK_DISTRIBUTED__SCHEDULER__WORK_STEALING": "False"}
     with (folder / "dask.log").open("ab") as log:
         to_log = {"stdout": log, "stderr": log, "env": environment, "cwd": folder}
-        words = ["-m", "dask", "scheduler", "--host", "127.0.0.1", "--port", str(port), "--no-dashboard"]
+        words = ["-m", "dask", "scheduler", "--host", "127.0.0.1", "--port", str(port)]
+        words += ["--no-dashboard", "--dashboard-address", "127.0.0.1:0"]
         scheduler = subprocess.Popen([sys.executable, *words], **to_log)
         holders = [
             subprocess.Popen(
