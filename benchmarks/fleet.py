@@ -177,9 +177,7 @@ class Programs:
         self.address = f"tcp://127.0.0.1:{free_port()}"
         self._port = self.address.rpartition(":")[2]
         self._workers, self._folder = workers, folder
-        self.scheduler = self._start(
-            "scheduler", "--host", "127.0.0.1", "--port", self._port, "--no-dashboard"
-        )
+        self.scheduler = self._start_scheduler()
         self.workers = self._start_workers()
 
     def _start(self, what: str, *words: str) -> subprocess.Popen[bytes]:
@@ -198,10 +196,15 @@ class Programs:
                 cwd=self._folder,
             )
 
+    def _start_scheduler(self) -> subprocess.Popen[bytes]:
+        words = ("--host", "127.0.0.1", "--port", self._port)
+        return self._start("scheduler", *words, "--no-dashboard", "--dashboard-address", "127.0.0.1:0")
+
     def _start_workers(self) -> subprocess.Popen[bytes]:
         count = str(self._workers)
         words = ["--nworkers", count, "--nthreads", "1", "--no-dashboard", "--memory-limit", "0"]
-        return self._start("worker", self.address, *words)
+        here = ("--host", "127.0.0.1", "--dashboard-address", "127.0.0.1:0")
+        return self._start("worker", self.address, *words, *here)
 
     def kill_scheduler(self) -> None:
         """SIGKILL."""
@@ -211,8 +214,7 @@ class Programs:
     def look_after(self) -> None:
         """Start again what has ended."""
         if self.scheduler.poll() is not None:
-            words = ("--host", "127.0.0.1", "--port", self._port, "--no-dashboard")
-            self.scheduler = self._start("scheduler", *words)
+            self.scheduler = self._start_scheduler()
         if self.workers.poll() is not None:
             self.workers = self._start_workers()
 
@@ -476,7 +478,9 @@ def main() -> None:
             )
         found: dict[str, Any] = {"cores": os.cpu_count(), "load": os.getloadavg()[0], "runs": []}
         for workers in options.workers:
-            out, log = folder / f"results_{workers}", folder / f"sittings_{workers}.json"
+            # sittings may have different numbers of workers
+            own = "" if options.resume else f"_{workers}"
+            out, log = folder / f"results{own}", folder / f"sittings{own}.json"
             if not options.resume:
                 shutil.rmtree(out, ignore_errors=True)
                 log.unlink(missing_ok=True)

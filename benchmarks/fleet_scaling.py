@@ -31,8 +31,8 @@ from fleet import ENVIRONMENT, bare, free_port, make_fleet
 
 #: Workers that share a process: their event loops cost one core together.
 EACH = 50
-#: Tasks for each worker beyond those that it is filled with.
-ROUNDS = 4
+#: Tasks for each worker, of which the first three fill it.
+ROUNDS = 7
 #: s for all workers to be there.
 ARRIVAL = 120.0
 
@@ -51,8 +51,11 @@ def hold_workers(address: str, count: int, length: float, record_file: str) -> N
 
     engine.work = asleep  # type: ignore[assignment]
 
+    here: dict[str, Any] = {"host": "127.0.0.1", "dashboard_address": "127.0.0.1:0", "dashboard": False}
+    kinds = {"nthreads": 1, "memory_limit": 0, **here}
+
     async def hold() -> None:
-        workers = [Worker(address, nthreads=1, memory_limit=0, dashboard=False) for _ in range(count)]
+        workers = [Worker(address, **kinds) for _ in range(count)]
         await asyncio.gather(*workers)
         await asyncio.gather(*(w.finished() for w in workers))
 
@@ -69,7 +72,8 @@ def cluster(workers: int, length: float, folder: Path) -> Iterator[tuple[Any, di
     environment = os.environ | ENVIRONMENT | {"DASK_DISTRIBUTED__SCHEDULER__WORK_STEALING": "False"}
     with (folder / "dask.log").open("ab") as log:
         to_log = {"stdout": log, "stderr": log, "env": environment, "cwd": folder}
-        words = ["-m", "dask", "scheduler", "--host", "127.0.0.1", "--port", str(port), "--no-dashboard"]
+        words = ["-m", "dask", "scheduler", "--host", "127.0.0.1", "--port", str(port)]
+        words += ["--no-dashboard", "--dashboard-address", "127.0.0.1:0"]
         scheduler = subprocess.Popen([sys.executable, *words], **to_log)
         holders = [
             subprocess.Popen(
@@ -118,33 +122,25 @@ def measured(manifest: Path, counts: Sequence[int], length: float) -> Iterator[d
         folder = Path(name)
         (folder / "record.json").write_text(json.dumps(record), encoding="utf-8")
         for workers in counts:
-            count = (3 + ROUNDS) * workers
+            count = ROUNDS * workers
             tasks = tuple(replace(base, key=f"{k % 256:02x}{workers:04d}{k:08d}") for k in range(count))
             plan = Plan(tuple(items[:1] * count), tasks, {}, {})
             with cluster(workers, length, folder) as (client, processes):
-                arrived: list[float] = []
                 took = {part: cores(found) for part, found in processes.items()}
                 own, began = time.process_time(), time.monotonic()
-                outcome = run_fleet(
-                    plan,
-                    Ledger(folder / f"results_{workers}"),
-                    Cluster(client, ""),
-                    lambda task, record, left, arrived=arrived: arrived.append(time.monotonic()),
-                )
+                ledger = Ledger(folder / f"results_{workers}")
+                outcome = run_fleet(plan, ledger, Cluster(client, ""))
                 seconds = time.monotonic() - began
                 spent = {p: (cores(found) - took[p]) / count for p, found in processes.items()}
                 spent["command"] = (time.process_time() - own) / count
                 assert outcome.computed == count, outcome.lost
-            # from the end of the first round on: by then every worker is filled
-            rate = (count - workers) / (arrived[-1] - arrived[workers - 1])
             yield {
                 "workers": workers,
                 "results": count,
                 "length_s": length,
                 "ideal_per_s": workers / length,
                 "results_per_s": round(count / seconds, 3),
-                "steady_per_s": round(rate, 3),
-                "efficiency": round(rate * length / workers, 3),
+                "efficiency": round(count / seconds * length / workers, 3),
                 "core_ms_a_result": {part: round(1e3 * s, 2) for part, s in spent.items()},
                 "load": round(os.getloadavg()[0], 1),
                 "record_bytes": len(json.dumps(record)),
@@ -160,18 +156,18 @@ def limits(rows: Sequence[dict[str, Any]]) -> dict[str, float]:
 
 def draw(found: dict[str, Any], path: Path) -> None:
     """Throughput against workers, with where each part is full."""
+    import matplotlib
+
+    matplotlib.use("Agg")
     import matplotlib.pyplot as plt
 
-    from suspension_twin.report import style
-
-    del style
     fig, axes = plt.subplots(figsize=(7.0, 4.2), layout="constrained")
     for k, length in enumerate(sorted({row["length_s"] for row in found["rows"]})):
         rows = [row for row in found["rows"] if row["length_s"] == length]
         x = [row["workers"] for row in rows]
         axes.plot(
             x,
-            [row["steady_per_s"] for row in rows],
+            [row["results_per_s"] for row in rows],
             "o-",
             color=f"C{k}",
             label=f"measured, {length:g} s a result",
@@ -189,13 +185,13 @@ def draw(found: dict[str, Any], path: Path) -> None:
 
 def told(found: dict[str, Any]) -> str:
     """The figures in words."""
-    words = ("s", 5), ("workers", 8), ("ideal/s", 9), ("steady/s", 9), ("share", 6), ("scheduler", 10)
+    words = ("s", 5), ("workers", 8), ("ideal/s", 9), ("results/s", 10), ("share", 6), ("scheduler", 10)
     head = "".join(f"{word:>{width}}" for word, width in (*words, ("command", 8), ("worker", 7)))
     lines = [f"{head}   (the last three: ms of a core a result)"]
     for row in found["rows"]:
         spent = row["core_ms_a_result"]
         lines.append(
-            f"{row['length_s']:5g}{row['workers']:8d}{row['ideal_per_s']:9.2f}{row['steady_per_s']:9.2f}"
+            f"{row['length_s']:5g}{row['workers']:8d}{row['ideal_per_s']:9.2f}{row['results_per_s']:10.2f}"
             f"{row['efficiency']:6.2f}{spent['scheduler']:10.1f}{spent['command']:8.1f}{spent['workers']:7.1f}"
         )
     full = limits(found["rows"])

@@ -244,6 +244,7 @@ def connected(
             processes=not inside,
             memory_limit=int(limit),
             dashboard_address=None,
+            scheduler_kwargs={"dashboard_address": "127.0.0.1:0"},  # else a second fleet finds the port taken
             silence_logs=50,
         ) as cluster,
         distributed.Client(cluster, set_as_default=False) as client,
@@ -341,7 +342,9 @@ def _drain(
         futures = []
         for task in islice(waiting, count):
             # Of no use to anybody afterwards; a key of its own each time, so that no old failure is handed out.
-            future = client.submit(_attempt, task, key=f"{task.key}-{time.monotonic_ns()}", pure=False)
+            future = client.submit(
+                _attempt, task, key=f"{task.options.action}-{task.key}-{time.monotonic_ns()}", pure=False
+            )
             under_way[future.key] = (task, future)
             futures.append(future)
         return futures

@@ -228,6 +228,8 @@ def _done(task: Task, folder: Path, copies: dict[str, str]) -> Record:
     twin, road = twin_and_road(item, folder / "twin")
     own = here(item.twin, "twin")
     record: Record = {"road": "" if is_url(road) else road}
+    if twin.program is not None:
+        record["program"] = str(twin.program)
     if road and (item.road or is_url(road)):
         moved = twin.model_copy(update={"road": RoadFile(file=Path(here(road, "road")).absolute())})
         own = str(folder / "with_road" / Path(own).name)
