@@ -63,7 +63,7 @@ TEST = [
     "amqtt>=0.11",
     "playwright>=1.49",
     "mujoco>=3.3",
-    "fmpy>=0.3.32",
+    "pythonfmu>=0.7",
     # Later ones refuse Python 3.10, and an old pip that finds out late tries all of numpy's releases for a way out.
     "etils<1.14; python_version < '3.11'",
     "objective-rating-metrics>=1.3",
@@ -77,6 +77,7 @@ TEST = [
     "scipy-stubs",
     "types-PyYAML",
 ]
+FMU = ["fmpy>=0.3.32"]
 FLEET = ["distributed>=2024.5", "dask>=2024.5", "fsspec>=2024.5", "psutil>=5.9", "pyarrow>=15"]
 FOXGLOVE = ["foxglove-sdk>=0.14"]
 SCAN = ["laspy>=2.5", "lazrs>=0.6", "plyfile>=1.0", "pyproj>=3.6"]
@@ -110,8 +111,9 @@ setup(
     python_requires=">=3.10,<3.14",
     install_requires=REQUIRED,
     extras_require={
-        "test": TEST + DOCS + FOXGLOVE + FLEET + SCAN,
+        "test": TEST + DOCS + FOXGLOVE + FLEET + FMU + SCAN,
         "fleet": FLEET,
+        "fmu": FMU,
         "s3": ["s3fs>=2024.5"],
         "foxglove": FOXGLOVE,
         "scan": SCAN,

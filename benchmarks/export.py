@@ -26,8 +26,8 @@ from rich.table import Table
 
 from suspension_twin.drive.read import read_drive
 from suspension_twin.export.registry import ExportSettings, export_twin
-from suspension_twin.export.standalone.variables import OUTPUTS
 from suspension_twin.gap.prepare import prepare
+from suspension_twin.models.connectors import OUTPUTS
 from suspension_twin.models.simulate import simulate_twin
 from suspension_twin.vehicle.twin import Twin, load_twin
 

@@ -11,8 +11,8 @@ Dask, before and after.
 their own, kills the scheduler when half of the drives are done, and starts what has ended again, as an operator's
 supervisor would.
 
-``--simulate-workers N`` asks which part stops scaling first: N workers without weight in one process sleep as long as
-the bare function takes and hand back a record of true size, and each part of the way of a result is measured by itself.
+With ``--keep DIR --resume`` a run goes on where an earlier one of that folder ended, drives and results; ``--budget
+S`` ends it after S s. Throughput is then that of all sittings together.
 """
 
 from __future__ import annotations
@@ -29,9 +29,8 @@ import sys
 import tempfile
 import time
 from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager, suppress
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from datetime import date, timedelta
 from pathlib import Path
 from typing import Any
@@ -44,6 +43,10 @@ ENVIRONMENT = {
     **dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS"), "1"),
     "MALLOC_MMAP_THRESHOLD_": str(32 << 20),
     "MALLOC_TRIM_THRESHOLD_": str(64 << 20),
+    "DASK_DISTRIBUTED__WORKER__PROFILE__ENABLED": "False",
+    "DASK_DISTRIBUTED__ADMIN__TICK__INTERVAL": "1s",
+    "DASK_DISTRIBUTED__ADMIN__SYSTEM_MONITOR__INTERVAL": "10s",
+    "DASK_DISTRIBUTED__SCHEDULER__ACTIVE_MEMORY_MANAGER__START": "False",
 }
 #: Drives that a process of the bare function calibrates at a time, after two that load the compiled code.
 BARE = 20
@@ -105,10 +108,9 @@ def make_fleet(
             v = float(rng.uniform(4.5, 5.5))
             knots = [(0.0, v - 0.5), (0.5 * seconds, v + 0.5), (seconds, v)]
             stamp = SensorErrors(start=1_767_600_000.0 + 7 * 86_400.0 * k)
-            drive = synthetic_drive(
-                truth, road, knots, seed=int(rng.integers(1 << 31)), errors=stamp, name=name
-            )
-            write_drive(drive, folder / "drives" / f"{name}_{k:02d}")
+            own_seed, place = int(rng.integers(1 << 31)), folder / "drives" / f"{name}_{k:02d}"
+            if not place.exists():  # made by an earlier sitting; what is there is whole
+                write_drive(synthetic_drive(truth, road, knots, own_seed, stamp, name=name), place)
             rows.append(f"{name},{day},twin.yaml,drives/{name}_{k:02d}")
     manifest = folder / "fleet.csv"
     manifest.write_text("\n".join(rows) + "\n", encoding="utf-8")
@@ -175,9 +177,7 @@ class Programs:
         self.address = f"tcp://127.0.0.1:{free_port()}"
         self._port = self.address.rpartition(":")[2]
         self._workers, self._folder = workers, folder
-        self.scheduler = self._start(
-            "scheduler", "--host", "127.0.0.1", "--port", self._port, "--no-dashboard"
-        )
+        self.scheduler = self._start_scheduler()
         self.workers = self._start_workers()
 
     def _start(self, what: str, *words: str) -> subprocess.Popen[bytes]:
@@ -196,10 +196,15 @@ class Programs:
                 cwd=self._folder,
             )
 
+    def _start_scheduler(self) -> subprocess.Popen[bytes]:
+        words = ("--host", "127.0.0.1", "--port", self._port)
+        return self._start("scheduler", *words, "--no-dashboard", "--dashboard-address", "127.0.0.1:0")
+
     def _start_workers(self) -> subprocess.Popen[bytes]:
         count = str(self._workers)
         words = ["--nworkers", count, "--nthreads", "1", "--no-dashboard", "--memory-limit", "0"]
-        return self._start("worker", self.address, *words)
+        here = ("--host", "127.0.0.1", "--dashboard-address", "127.0.0.1:0")
+        return self._start("worker", self.address, *words, *here)
 
     def kill_scheduler(self) -> None:
         """SIGKILL."""
@@ -209,8 +214,7 @@ class Programs:
     def look_after(self) -> None:
         """Start again what has ended."""
         if self.scheduler.poll() is not None:
-            words = ("--host", "127.0.0.1", "--port", self._port, "--no-dashboard")
-            self.scheduler = self._start("scheduler", *words)
+            self.scheduler = self._start_scheduler()
         if self.workers.poll() is not None:
             self.workers = self._start_workers()
 
@@ -256,8 +260,9 @@ def run(
     kill_every: float = 0.0,
     restart: bool = False,
     say: Callable[[str], None] = print,
+    budget: float = LONGEST,
 ) -> dict[str, Any]:
-    """``fleet calibrate`` over the manifest; figures of the run."""
+    """``fleet calibrate`` over the manifest for up to ``budget`` s; figures of the run."""
     total = manifest.read_text(encoding="utf-8").count("\n") - 1
     command = [
         sys.executable,
@@ -270,6 +275,7 @@ def run(
         str(out),
     ]
     kills, restarted, chance = 0, 0, random.Random(0)
+    earlier = set((out / "items").glob("*/*/record.json"))
     with programs(workers, manifest.parent, restart) as apart:
         command += ["--scheduler", apart.address] if apart else ["--workers", str(workers)]
         if apart:
@@ -282,8 +288,12 @@ def run(
             while process.poll() is None:
                 time.sleep(0.5)
                 now = time.monotonic()
-                if now - began > LONGEST:
-                    raise SystemExit(f"the run took longer than {LONGEST:.0f} s")
+                if now - began > budget:
+                    say(f"ended after {budget:.0f} s")
+                    process.send_signal(signal.SIGINT)
+                    with suppress(subprocess.TimeoutExpired):
+                        process.wait(120.0)
+                    break
                 if kill_every and now >= next_kill:
                     there = worker_processes(apart.workers.pid if apart else process.pid)
                     if there:
@@ -292,7 +302,8 @@ def run(
                             kills += 1
                     next_kill = now + kill_every
                 if apart:
-                    if not restarted and len(list((out / "items").glob("*/*/record.json"))) >= total // 2:
+                    there = len(list((out / "items").glob("*/*/record.json")))
+                    if not restarted and len(earlier) < total // 2 <= there:
                         say(f"the scheduler is killed after {now - began:.0f} s")
                         apart.kill_scheduler()
                         restarted = 1
@@ -302,12 +313,13 @@ def run(
             if process.poll() is None:
                 process.kill()
         took = time.monotonic() - began
-    if not (out / "results.parquet").is_file():
+    records = set((out / "items").glob("*/*/record.json"))
+    times = {p.parent.name: p.stat().st_mtime for p in records - earlier}
+    if not times:
         raise SystemExit(
             (manifest.parent / "command.log").read_text(encoding="utf-8").strip().rpartition("\n")[2]
         )
-    rows = read(out / "results.parquet")
-    times = {p.parent.name: p.stat().st_mtime for p in (out / "items").glob("*/*/record.json")}
+    rows = [json.loads(p.read_text(encoding="utf-8")) for p in records - earlier]
     done = [r for r in rows if r["status"] == "done"]
     first, last = min(times.values()), max(times.values())
     # Of what ended in between, the part that lies in between.
@@ -317,8 +329,9 @@ def run(
         "workers": workers,
         "exit_status": process.returncode,
         "seconds": round(took, 1),
-        "drives": total,
-        "lost": total - len(done),
+        "drives": len(done),
+        "open": total - len(records),
+        "failed": len(rows) - len(done),
         "kills": kills,
         "scheduler_restarts": restarted,
         "drives_per_s": round(len(done) / took, 3),
@@ -376,129 +389,53 @@ def judge(out: Path, known: Sequence[Vehicle]) -> dict[str, Any]:
     }
 
 
-# -- many workers -----------------------------------------------------------------------------------
-
-
-def simulate(
-    manifest: Path, counts: Sequence[int], length: float, say: Callable[[str], None]
-) -> dict[str, Any]:
-    """Scheduling alone: workers that sleep. Every part of a result's way by itself, then all together."""
-
-    import dask
-    import distributed
-
-    from suspension_twin.fleet import engine
-    from suspension_twin.fleet.engine import Cluster, Plan, plan_fleet, run_fleet
-    from suspension_twin.fleet.ledger import Ledger
-    from suspension_twin.fleet.manifest import read_manifest
-    from suspension_twin.fleet.work import Options, Task, plan_task, work
-
-    items = read_manifest(manifest)
-    options = Options("calibrate")
-    with tempfile.TemporaryDirectory() as name:
-        folder = Path(name)
-        base = plan_task(items[0], options)
-        record = work(base)
-        assert record["status"] == "done"
-        size = len(json.dumps(record))
-
-        def tasks(count: int, tag: str) -> list[Task]:
-            return [replace(base, key=f"{k % 256:02x}{tag}{k:08d}") for k in range(count)]
-
-        # Planning: every file is read and hashed, here on this disk.
-        few = items[: min(len(items), 100)]
-        began = time.perf_counter()
-        plan_fleet(few, options, Ledger(folder / "plan"))
-        parts = {"planning a row (files on this machine)": len(few) / (time.perf_counter() - began)}
-        # Writing: a record with its files, as it comes in.
-        ledger = Ledger(folder / "ledger")
-        ledger.begin()
-        began = time.perf_counter()
-        with ThreadPoolExecutor(engine._KEEPERS) as pool:
-            list(pool.map(ledger.save, ({**record, "key": task.key} for task in tasks(200, "w"))))
-        parts["writing a result"] = 200 / (time.perf_counter() - began)
-
-        lengths = [0.0]
-
-        def asleep(task: Task) -> dict[str, Any]:
-            time.sleep(lengths[0])
-            return {**record, "key": task.key}
-
-        class NoLedger(Ledger):
-            def save(self, record: dict[str, Any]) -> dict[str, Any]:
-                return record
-
-        def through(client: Any, count: int, tag: str, kind: type[Ledger]) -> float:
-            plan = Plan(tuple(items[:1] * count), tuple(tasks(count, tag)), {}, {})
-            outcome = run_fleet(plan, kind(folder / tag), Cluster(client, ""))
-            assert outcome.computed == count
-            return count / outcome.seconds
-
-        before, engine.work = engine.work, asleep  # type: ignore[assignment]
-        rows = []
-        try:
-            for workers in counts:
-                with (
-                    dask.config.set({"distributed.scheduler.work-stealing": False}),
-                    distributed.LocalCluster(
-                        n_workers=workers,
-                        threads_per_worker=1,
-                        processes=False,
-                        dashboard_address=None,
-                        memory_limit=0,
-                        silence_logs=50,
-                    ) as cluster,
-                    distributed.Client(cluster, set_as_default=False) as client,
-                ):
-                    lengths[0] = 0.0
-                    empty = through(client, 1000, f"e{workers:03d}", NoLedger)
-                    lengths[0] = length
-                    count = max(6 * workers, round(20.0 * workers / length / 4))
-                    cpu = time.process_time()
-                    rate = through(client, count, f"s{workers:03d}", Ledger)
-                    used = (time.process_time() - cpu) / (count / rate)
-                    row = {
-                        "workers": workers,
-                        "tasks": count,
-                        "scheduling_alone_per_s": round(empty, 1),
-                        "ideal_per_s": round(workers / length, 2),
-                        "measured_per_s": round(rate, 2),
-                        "efficiency": round(rate * length / workers, 3),
-                        "cores_of_the_process": round(used, 2),
-                    }
-                    rows.append(row)
-                    say(
-                        f"{workers:4d} workers: {rate:7.2f} of {workers / length:7.2f} tasks a second, efficiency "
-                        f"{row['efficiency']:.2f}; without sleep {empty:.0f} a second; process {used:.2f} cores"
-                    )
-        finally:
-            engine.work = before
-    parts["Dask and the command's loop (sleep 0)"] = min(r["scheduling_alone_per_s"] for r in rows)
-    return {
-        "length_s": length,
-        "record_bytes": size,
-        "rows": rows,
-        "parts_per_s": {k: round(v, 1) for k, v in parts.items()},
-        "workers_at_which_each_part_is_full": {k: round(v * length) for k, v in parts.items()},
-    }
-
-
 # -- the command ------------------------------------------------------------------------------------
+
+
+def together(sittings: Sequence[dict[str, Any]]) -> dict[str, Any]:
+    """Figures of all sittings of a run: sums, and rates weighted by their time."""
+    seconds = sum(s["seconds"] for s in sittings)
+    steady = sum(s["drives"] / s["drives_per_s_first_to_last"] for s in sittings)
+    bare_drives = sum(sum(s["bare_per_s"]) / 2.0 * s["seconds"] for s in sittings)
+    drives = sum(s["drives"] for s in sittings)
+    summed = ("drives", "failed", "kills", "scheduler_restarts")
+    return {
+        "workers": sittings[-1]["workers"],
+        "sittings": len(sittings),
+        "exit_status": sittings[-1]["exit_status"],
+        "open": sittings[-1]["open"],
+        "seconds": round(seconds, 1),
+        **{key: sum(s[key] for s in sittings) for key in summed},
+        "drives_per_s": round(drives / seconds, 3),
+        "drives_per_s_first_to_last": round(drives / steady, 3),
+        "in_the_function": round(sum(s["in_the_function"] * s["seconds"] for s in sittings) / seconds, 3),
+        "peak_memory_mib": max(s["peak_memory_mib"] or 0 for s in sittings),
+        "bare_per_s": round(bare_drives / seconds, 3),
+        "share_of_bare": round(drives / bare_drives, 3),
+        "share_of_bare_first_to_last": round(drives / steady / (bare_drives / seconds), 3),
+        "load": max(s["load"] for s in sittings),
+    }
 
 
 def _told(row: dict[str, Any]) -> str:
     """A run in words."""
-    before, after = row["bare_per_s"]
     return (
-        f"{row['workers']} workers: {row['drives']} drives in {row['seconds']} s, {row['lost']} lost, {row['kills']} "
-        f"workers killed, scheduler restarted {row['scheduler_restarts']} times\n"
+        f"{row['workers']} workers: {row['drives']} drives in {row['seconds']} s and {row['sittings']} sittings, "
+        f"{row['open']} open, {row['failed']} failed, {row['kills']} workers killed, scheduler restarted "
+        f"{row['scheduler_restarts']} times\n"
         f"drives a second: {row['drives_per_s']}, from the first result to the last "
-        f"{row['drives_per_s_first_to_last']}; bare function {before} before and {after} after: "
+        f"{row['drives_per_s_first_to_last']}; bare function {row['bare_per_s']}: "
         f"{row['share_of_bare']:.2f} and {row['share_of_bare_first_to_last']:.2f} of it\n"
-        f"share of the workers' time in the function, first result to last: {row['in_the_function']:.2f}\n"
+        f"share of the workers' time in the function, first result to last: {row['in_the_function']:.2f}; "
+        f"largest memory of a worker {row['peak_memory_mib']} MiB; load of the machine up to {row['load']}"
+    )
+
+
+def _verdict(row: dict[str, Any]) -> str:
+    """What was found, in words."""
+    return (
         f"{row['found']} of {row['faults']} faults found, dates off by at most {row['largest_date_error_drives']} "
-        f"drives; {row['false']} of {row['sound']} sound vehicles named\n"
-        f"largest memory of a worker {row['peak_memory_mib']} MiB; load of the machine {os.getloadavg()[0]:.1f}"
+        f"drives; {row['false']} of {row['sound']} sound vehicles named"
     )
 
 
@@ -516,11 +453,9 @@ def main() -> None:
         "--kill-every", type=float, default=0.0, metavar="S", help="s; 0: no worker is killed"
     )
     parser.add_argument("--restart-scheduler", action="store_true")
-    parser.add_argument("--simulate-workers", type=int, nargs="+", metavar="N")
-    parser.add_argument(
-        "--length", type=float, default=0.0, help="s of a simulated task; 0: as the bare function"
-    )
     parser.add_argument("--keep", type=Path, metavar="DIR", help="make drives and results here and keep them")
+    parser.add_argument("--resume", action="store_true", help="go on with the results that are there")
+    parser.add_argument("--budget", type=float, default=LONGEST, metavar="S", help="s of a run at most")
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--json", action="store_true", help="figures as one JSON object")
     options = parser.parse_args()
@@ -542,29 +477,30 @@ def main() -> None:
                 folder, options.vehicles, options.faults, each, options.seconds, options.seed
             )
         found: dict[str, Any] = {"cores": os.cpu_count(), "load": os.getloadavg()[0], "runs": []}
-        if options.simulate_workers:
-            length = options.length or 1.0 / bare(manifest, 1)
-            say(f"a drive takes {length:.2f} s in the bare function")
-            found["simulated"] = simulate(manifest, options.simulate_workers, length, say)
-            say("Each part by itself, results a second, and workers at which it is full:")
-            for part, rate in found["simulated"]["parts_per_s"].items():
-                say(f"  {part}: {rate:.0f}, {rate * length:.0f} workers")
-        else:
-            for workers in options.workers:
-                out = folder / f"results_{workers}"
+        for workers in options.workers:
+            # sittings may have different numbers of workers
+            own = "" if options.resume else f"_{workers}"
+            out, log = folder / f"results{own}", folder / f"sittings{own}.json"
+            if not options.resume:
                 shutil.rmtree(out, ignore_errors=True)
-                before = bare(manifest, workers)
-                row = run(manifest, out, workers, options.kill_every, options.restart_scheduler, say)
-                rates = [before, bare(manifest, workers)]
-                row["bare_per_s"] = [round(r, 3) for r in rates]
-                row["share_of_bare"] = round(row["drives_per_s"] / (sum(rates) / 2.0), 3)
-                row["share_of_bare_first_to_last"] = round(
-                    row["drives_per_s_first_to_last"] / (sum(rates) / 2.0), 3
-                )
-                row |= judge(out, known)
-                found["runs"].append(row)
-                say("\n".join(f"  {line}" for line in row["lines"]))
-                say(_told(row))
+                log.unlink(missing_ok=True)
+            sittings = json.loads(log.read_text(encoding="utf-8")) if log.is_file() else []
+            before = bare(manifest, workers)
+            row = run(
+                manifest, out, workers, options.kill_every, options.restart_scheduler, say, options.budget
+            )
+            row["bare_per_s"] = [round(r, 3) for r in (before, bare(manifest, workers))]
+            row["load"] = round(os.getloadavg()[0], 1)
+            log.write_text(json.dumps([*sittings, row], indent=1), encoding="utf-8")
+            whole = together([*sittings, row])
+            found["runs"].append(whole)
+            say(_told(whole))
+            if whole["open"]:
+                say(f"{whole['open']} drives are not done: the same command with --resume goes on")
+                continue
+            whole |= judge(out, known)
+            say("\n".join(f"  {line}" for line in whole["lines"]))
+            say(_verdict(whole))
         if options.json:
             print(json.dumps(found))
 

@@ -10,7 +10,7 @@ import numpy as np
 from extras import missing
 
 from suspension_twin.arrays import Floats
-from suspension_twin.export.standalone.variables import INPUTS, OUTPUTS
+from suspension_twin.models.connectors import INPUTS, OUTPUTS, inputs_of
 from suspension_twin.models.types import Excitation, Response
 
 try:
@@ -20,7 +20,7 @@ try:
 except ImportError:
     missing("fmpy")
 
-__all__ = ["columns", "inputs_of", "walk_2", "walk_3"]
+__all__ = ["columns", "walk_2", "walk_3", "walked"]
 
 _FIRST_OUTPUT = 100
 Numbers = ctypes.c_double * len(INPUTS)
@@ -29,21 +29,11 @@ Answers = ctypes.c_double * len(OUTPUTS)
 Asked = ctypes.c_uint32 * len(OUTPUTS)
 
 
-def inputs_of(driven: Excitation) -> tuple[Floats, Floats, Floats]:
+def walked(driven: Excitation) -> tuple[Floats, Floats, Floats]:
     """Times (m,) s from the start, inputs (m, 10) there, and which of the rows (n,) are stamps of the drive."""
-    count = np.maximum(driven.substeps, 1)
-    last = driven.first[1:] - 1
-    at = np.arange(len(driven)).repeat(count)
-    share = (np.arange(at.size) - driven.first[at] + 1) / count[at]
-    before = np.maximum(at - 1, 0)
-    planar = driven.motion[:, 1:7].copy()
-    mixed = planar[before] + share[:, None] * (planar[at] - planar[before])
-    # moments are linear in the square of the yaw rate
-    mixed[:, 2] = np.sign(planar[at, 2]) * np.sqrt(
-        planar[before, 2] ** 2 + share * (planar[at, 2] ** 2 - planar[before, 2] ** 2)
-    )
+    at = np.arange(len(driven)).repeat(np.maximum(driven.substeps, 1))
     # stamps of seconds since 1970 resolve a fraction of a microsecond: steps are summed up instead
-    return np.cumsum(driven.step[at]), np.hstack([driven.road, mixed]), last
+    return np.cumsum(driven.step[at]), inputs_of(driven), driven.first[1:] - 1
 
 
 def columns(response: Response) -> Floats:
@@ -63,7 +53,7 @@ def walk_2(path: Path, driven: Excitation) -> Floats:
         modelIdentifier=description.coSimulation.modelIdentifier,
     )
     fmu.instantiate()
-    t, inputs, last = inputs_of(driven)
+    t, inputs, last = walked(driven)
     which, one = References(*range(len(INPUTS))), (ctypes.c_int * len(INPUTS))(*([1] * len(INPUTS)))
     asked, answers = Asked(*range(_FIRST_OUTPUT, _FIRST_OUTPUT + len(OUTPUTS))), Answers()
     out = np.empty((len(driven), len(OUTPUTS)))
@@ -96,7 +86,7 @@ def walk_3(path: Path, driven: Excitation) -> Floats:
         modelIdentifier=description.coSimulation.modelIdentifier,
         instanceName="twin",
     )
-    t, inputs, last = inputs_of(driven)
+    t, inputs, last = walked(driven)
     which = References(*range(len(INPUTS)))
     asked, answers = Asked(*range(_FIRST_OUTPUT, _FIRST_OUTPUT + len(OUTPUTS))), Answers()
 

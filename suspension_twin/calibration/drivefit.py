@@ -18,7 +18,7 @@ from suspension_twin.identification.nuisance import NuisancePriors
 from suspension_twin.identification.objectives import Term
 from suspension_twin.identification.problem import Interrupted, Problem
 from suspension_twin.identification.space import Parameter, Space
-from suspension_twin.models.parameters import pack
+from suspension_twin.models.parameters import layout, pack
 from suspension_twin.models.simulate import simulate_lanes
 from suspension_twin.vehicle.twin import Twin
 
@@ -88,10 +88,14 @@ def paper_distance(setup: Setup, twin: Twin) -> float:
     NaN of controlled runs."""
     if not setup.on_road:
         return float("nan")
-    whole, mass = setup.problem, twin.vehicle.mass
+    whole, key, value = (
+        setup.problem,
+        layout(twin).names[0],
+        float(pack(twin)[0]),
+    )  # any number, left as it is
     problem = Problem(
         twin,
-        Space(twin, (Parameter("vehicle.mass", mass, 0.5 * mass, 2.0 * mass),)),
+        Space(twin, (Parameter(key, value, value - 1.0, value + 1.0, log=False),)),
         whole.parts,
         whole.drive_of,
         (Term("euclidean", "vertical_acceleration"),),
@@ -100,7 +104,7 @@ def paper_distance(setup: Setup, twin: Twin) -> float:
         whole.rows,
     )
     quiet = np.zeros(len(problem.nuisances))
-    return float(problem.costs(np.array([[mass]]), quiet, synchronise=True)[0])
+    return float(problem.costs(np.array([[value]]), quiet, synchronise=True)[0])
 
 
 def _corrected(outcome: Outcome, number: int, values: Floats) -> tuple[float, float]:

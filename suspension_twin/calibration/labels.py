@@ -48,11 +48,15 @@ _UNITS = {
     "markers.B": "mm",
     "markers.C": "mm",
 }
+#: Parameters of an FMU: it alone knows their units.
+_OPAQUE = "fmu.parameters."
 
 
 def parameter_label(twin: Twin, key: str) -> str:
     """``vehicle.front.damper_push.force.2`` as ``front damper push 0.35 m/s``."""
     curve, _, index = key.rpartition(".force.")
+    if key.startswith(_OPAQUE):
+        return key.removeprefix(_OPAQUE).removesuffix(".value").replace("_", " ")
     if not curve:
         return key.removeprefix("vehicle.").removeprefix("effects.").replace("_", " ").replace(".", " ")
     x = twin_value(twin, curve).points[0][int(index)]
@@ -63,6 +67,8 @@ def parameter_label(twin: Twin, key: str) -> str:
 def parameter_unit(key: str) -> str:
     """``N`` for ``vehicle.front.damper_push.force.2``."""
     parts = key.split(".")
+    if key.startswith(_OPAQUE):
+        return ""
     if parts[0] == "effects":
         return effect(parts[1]).parameter(parts[2]).unit
     named = "." + ".".join(part for part in parts if not part.isdigit())

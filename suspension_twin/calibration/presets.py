@@ -183,6 +183,8 @@ def _usual(twin: Twin, preset: Preset) -> list[str]:
     curves = curve_keys(twin)
     if named or curves:
         return named or [*curves, *(key for key in (*preset.also, *model_of(twin).also) if key in there)]
+    if twin.bounds:
+        return list(twin.bounds)
     usual = [(key, prior_of(key)) for key in there]
     return [key for key, prior in usual if prior is not None and prior.usual and twin_value(twin, key) != 0]
 
@@ -213,7 +215,7 @@ def _value(twin: Twin, key: str) -> float:
 
 
 def _parameter(twin: Twin, key: str, preset: Preset, bounds: Mapping[str, tuple[float, float]]) -> Parameter:
-    nominal, given = _value(twin, key), bounds_of(bounds, key)
+    nominal, given = _value(twin, key), bounds_of(bounds, key) or twin.bounds.get(key)
     curve, _, index = key.rpartition(".force.")
     if curve in CURVES:
         if given is None and preset.table_2:

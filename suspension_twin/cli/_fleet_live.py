@@ -24,7 +24,10 @@ if TYPE_CHECKING:
 
     from suspension_twin.nodes.composed import Condition
 
-__all__ = ["run_fleet", "summary"]
+__all__ = ["rows", "run_fleet", "summary"]
+
+#: Takes what :func:`rows` gives.
+Tell = Callable[[Mapping[str, Mapping[str, Any]]], None]
 
 #: s between lines on a terminal, and in a log.
 _PERIOD, _LOG_PERIOD = 1.0, 10.0
@@ -40,11 +43,13 @@ def run_fleet(
     wanted: Mapping[str, Mapping[str, Any]],
     arguments: Sequence[str],
     beside: Sequence[AbstractContextManager[None]] = (),
+    pages: Callable[[Mapping[str, str]], AbstractContextManager[Tell]] | None = None,
 ) -> None:
     """Hold the twins of a manifest until the process is asked to stop.
 
     ``processes`` 0 is one a core; ``params`` is the parameter file with its names ``wanted``, ``arguments`` are those
-    for ROS; ``beside`` are entered while the twins run. Raises InputError for a manifest or a twin that cannot be used.
+    for ROS; ``beside`` are entered while the twins run, and ``pages``, made for the twin files by namespace, is told
+    every second how they are. Raises InputError for a manifest or a twin that cannot be used.
     """
     from suspension_twin.fleet.manifest import read_manifest
     from suspension_twin.fleet.twins import fleet_twins
@@ -84,22 +89,31 @@ def run_fleet(
             fleet.step,
             lambda: fleet.conditions() | helpers.conditions(),
             lambda: stop.asked or not context.ok(),
+            None if pages is None else stack.enter_context(pages(twins)),
         )
 
 
 def _watch(
-    step: Callable[[], None], conditions: Callable[[], dict[str, Condition]], stop_asked: Callable[[], bool]
+    step: Callable[[], None],
+    conditions: Callable[[], dict[str, Condition]],
+    stop_asked: Callable[[], bool],
+    tell: Tell | None = None,
 ) -> None:
-    """Go on step by step; say how the twins are every second on a terminal, every ten seconds in a log."""
+    """Go on step by step; say how the twins are every second on a terminal, every ten seconds in a log, and to
+    ``tell``."""
     console = Console(stderr=True, highlight=False, soft_wrap=True)
     live: Live | None = None
     if console.is_terminal:
         live = Live(console=console, auto_refresh=False, redirect_stdout=False, redirect_stderr=False)
-    due = time.monotonic() + _PERIOD
+    due = told = time.monotonic() + _PERIOD
     with live or ExitStack():
         while not stop_asked():
             step()
-            if time.monotonic() < due:
+            now = time.monotonic()
+            if tell is not None and now >= told:
+                told = now + _PERIOD
+                tell(rows(conditions()))
+            if now < due:
                 continue
             text = summary(conditions())
             if live is not None:
@@ -111,6 +125,21 @@ def _watch(
     say(
         f"{sum(c.answers for c in end)} answers to {sum(c.samples for c in end)} IMU samples of {len(end)} twins"
     )
+
+
+def rows(conditions: Mapping[str, Condition]) -> dict[str, dict[str, Any]]:
+    """How each twin is, as the page of the fleet shows it."""
+    found = {}
+    for name, c in conditions.items():
+        known = c.gap is not None and math.isfinite(c.gap)
+        found[name] = {
+            "rate": c.rates["imu"] if math.isfinite(c.rates["imu"]) else 0.0,
+            "gap": c.gap if known else None,
+            "normalised": c.normalised if known else None,
+            "text": printable(c.complaints[0]) if c.complaints else "",
+            "failing": c.failing,
+        }
+    return found
 
 
 def summary(conditions: Mapping[str, Condition]) -> Text:

@@ -471,6 +471,13 @@ def scan(
     axes: Annotated[
         str, typer.Option(help="Which of their columns are east, north, up: yxz, x-zy.", metavar="AXES")
     ] = "xyz",
+    fit: Annotated[
+        bool,
+        typer.Option(
+            "--fit",
+            help="The clouds have coordinates of their own, z up: place them by a rigid fit to the drive.",
+        ),
+    ] = False,
     width: Annotated[float, typer.Option(help="Width of the road, m.", metavar="M")] = 4.0,
     section: Annotated[
         tuple[float, float] | None,
@@ -517,7 +524,7 @@ def scan(
     with outputs, ProgressLine() as line:
         found, felt, checked, notes = scan_road(
             cloud, path, out, twin if twin is not None else bundled("config", "twins", "ford_mondeo_mk4.yaml"),
-            settings, datum=datum, crs=crs, unit=unit, axes=axes, speed=speed / 3.6, picture=picture,
+            settings, datum=datum, crs=crs, unit=unit, axes=axes, fit=fit, speed=speed / 3.6, picture=picture,
             progress=line.show,
         )  # fmt: skip
     console = output()

@@ -12,8 +12,9 @@ import socket
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import ExitStack, contextmanager, suppress
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
 
@@ -34,6 +35,8 @@ _DISCOVERY = 0.5
 _VIEWED = 3.0
 #: s that a recording may take to be completed after Ctrl-C.
 _RECORDED = 30.0
+#: Pages of single twins that a fleet's page keeps open, and s that one may take to start.
+_PAGES, _OPENED = 4, 30.0
 #: s that the road of the last pass may take after Ctrl-C; a second one ends it.
 _LEARNT = 120.0
 
@@ -139,13 +142,12 @@ def command(
             "--loop": loop,
             "--source": source,
             "--record": record,
-            "--view": view,
         }
         given["--rate"] = rate != "1"
         for option, value in given.items():
             if value:
                 raise InputError(option, "goes without --fleet: the twins of a fleet are live, from topics")
-        _fleet(fleet, namespace, processes, foxglove, params, list(ros_args or []))
+        _fleet(fleet, namespace, processes, foxglove, view, params, list(ros_args or []))
         return
     if twin is None:
         raise InputError("--twin", "is needed: a twin file; or --fleet with a manifest")
@@ -163,8 +165,8 @@ def command(
     from suspension_twin.vehicle.twin import load_twin
 
     loaded = load_twin(twin)
-    if learn_road is not None and getattr(loaded.vehicle, "front_track", None) is None:
-        raise InputError("--learn-road", f"needs a car, {twin} is of the model {loaded.model}")
+    if learn_road is not None and "front" not in loaded.axles:
+        raise InputError("--learn-road", f"needs a car with axles, {twin} is of the model {loaded.model}")
     used = [twin, *([] if loaded.road is None else [loaded.road.file])]
     for path in _learnt_files(learn_road):
         if path.resolve() in [p.resolve() for p in used]:
@@ -222,11 +224,13 @@ def _fleet(
     namespace: str,
     processes: int,
     foxglove: str | None,
+    view: str | None,
     params: Path | None,
     ros_args: list[str],
 ) -> None:
-    """The twins of a fleet, and Foxglove's WebSocket for all of them where it is wanted."""
+    """The twins of a fleet, and Foxglove's WebSocket and a page for all of them where they are wanted."""
     bridge = None if foxglove is None else _bridge(foxglove)
+    page = None if view is None else _place("--view", view)
     from suspension_twin.cli._fleet_live import run_fleet
     from suspension_twin.nodes.parameters import read_param_file
     from suspension_twin.nodes.process import check_arguments
@@ -238,7 +242,52 @@ def _fleet(
     if bridge is not None:
         values = {"host": bridge.host, "port": bridge.port}
         beside.append(_beside("foxglove_bridge", values, namespace, arguments))
-    run_fleet(manifest, namespace, processes, params, wanted, arguments, beside)
+    pages = None if page is None else partial(_fleet_pages, page, arguments)
+    run_fleet(manifest, namespace, processes, params, wanted, arguments, beside, pages)
+
+
+@contextmanager
+def _fleet_pages(
+    page: Page, arguments: list[str], twins: Mapping[str, str]
+) -> Iterator[Callable[[Mapping[str, Mapping[str, Any]]], None]]:
+    """The page of a fleet; that of a twin, a process of its own, is there from when it is first asked for."""
+    from suspension_twin.view.fleet import FleetServer
+
+    opened: dict[str, tuple[int, ExitStack]] = {}
+
+    def open_page(name: str) -> int:
+        if name in opened:
+            port, own = opened.pop(name)
+        else:
+            while len(opened) >= _PAGES:  # the one that was not asked for for the longest time
+                opened.pop(next(iter(opened)))[1].close()
+            place = _place("--view", f"[{page.host}]:0" if ":" in page.host else f"{page.host}:0")
+            values = {"host": place.host, "port": place.port, "token": page.token, "twin": twins[name]}
+            own = ExitStack()
+            own.enter_context(_beside("viewer", values, name, arguments))
+            _await_listener(place)
+            port = place.port
+        opened[name] = port, own
+        return port
+
+    server = FleetServer(list(twins), open_page, **page._asdict())
+    try:
+        print(f"Watch on {server.url}", file=sys.stderr, flush=True)
+        yield server.tell
+    finally:
+        server.close()
+        for _, own in opened.values():
+            own.close()
+
+
+def _await_listener(place: Page) -> None:
+    """Until a page answers on a port; raises WorkError where it does not."""
+    until = time.monotonic() + _OPENED
+    while time.monotonic() < until:
+        with suppress(OSError), socket.create_connection((place.host, place.port), timeout=1.0):
+            return
+        time.sleep(0.1)
+    raise WorkError("--view: the page of this twin did not start")
 
 
 @contextmanager

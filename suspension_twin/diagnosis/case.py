@@ -124,6 +124,12 @@ def read_case(request: DiagnosisRequest, note: Callable[[str], None], stop: Call
     for name in request.effects:
         if name in EFFECTS and twin.model not in EFFECTS[name].models:
             raise InputError("effects", name, f"does not apply to a vehicle of the model {twin.model}")
+    if model_of(twin).opaque:
+        raise InputError(
+            "twin",
+            "model",
+            f"{twin.model} has equations of its own, in which no effect can be tried: calibrate it",
+        )
     if model_of(twin).recordings != "drive":
         return _runs(twin, request)
     on_road = twin.road is not None

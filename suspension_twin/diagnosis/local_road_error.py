@@ -17,6 +17,7 @@ from suspension_twin.diagnosis.bench import Bench
 from suspension_twin.diagnosis.fit import DEEP, refit
 from suspension_twin.diagnosis.hypotheses import BASELINE, Hypothesis
 from suspension_twin.diagnosis.shrink import RemainingResidual, drives_of
+from suspension_twin.identification.parallel import side_by_side
 
 __all__ = [
     "RoadErrorMatch",
@@ -36,7 +37,9 @@ _CONCENTRATED, _CONCENTRATED_SPREAD = 0.38, 1.15
 _TOLERANCE = 0.1
 #: m before a section where the front wheels reach it, and after it until the free oscillation has decayed.
 _BEFORE, _AFTER = 4.0, 15.0
-_COARSE, _FINE = 201, 21  # grid points over the range of a road error, and about the best
+#: Grid points over the range of a road error, of one without a sign (a length of smoothing), and about the best.
+_COARSE, _COARSE_UNSIGNED, _FINE = 201, 41, 21
+_LANES = 32  # simulated at once
 #: Shrink of the residual on a section by an error of the road file, with a probability of that error of 0.5, and factor
 #: of one standard deviation; nats by which a reported error may be worse than the best.
 _TAKEN, _TAKEN_SPREAD, _AS_GOOD = 0.25, 1.3, 3.0
@@ -140,17 +143,24 @@ def road_error_matches(
 
     def remaining(hypothesis: Hypothesis, points: Floats) -> tuple[Floats, Floats]:
         """Sums of squares (n,) on the section, of all channels and of the vertical acceleration."""
-        residual, failed = inside.residuals(
-            hypothesis, np.vstack([np.repeat(x[:, None], points.size, axis=1), points])
-        )
-        squares = residual**2
-        return np.where(failed, np.inf, squares.sum(axis=0)), squares[vertical].sum(axis=0)
+        unknowns = np.vstack([np.repeat(x[:, None], points.size, axis=1), points])
+        every, upright = np.empty(points.size), np.empty(points.size)
+        for begin in range(0, points.size, _LANES):
+            cut = slice(begin, begin + _LANES)
+            residual, failed = inside.residuals(hypothesis, unknowns[:, cut])
+            squares = residual[own] ** 2
+            every[cut] = np.where(failed, np.inf, squares.sum(axis=0))
+            upright[cut] = squares[vertical[own]].sum(axis=0)
+        return every, upright
 
     base = float(np.sum(inside.residuals(BASELINE, x[:, None])[0][vertical] ** 2))
-    found = []
-    for hypothesis in (h for h in effects if len(h) == 1):
+
+    def best_of(hypothesis: Hypothesis) -> tuple[float, RoadErrorMatch]:
+        """The cost of an effect at its best on the section, and the match."""
         (low,), (high,) = hypothesis.bounds()
-        points = np.linspace(low, high, _COARSE)
+        parameter = hypothesis.searched[0][1]
+        signed = not parameter.log and parameter.low < parameter.neutral < parameter.high
+        points = np.linspace(low, high, _COARSE if signed else _COARSE_UNSIGNED)
         best = points[int(np.argmin(remaining(hypothesis, points)[0]))]
         step = points[1] - points[0]
         points = np.clip(np.linspace(best - step, best + step, _FINE), low, high)
@@ -160,7 +170,9 @@ def road_error_matches(
             zip(hypothesis.keys, hypothesis.values(points[at : at + 1, None].T)[:, 0].tolist(), strict=True)
         )
         shrink = 1.0 - float(np.sqrt(upright[at] / max(base, 1e-12)))
-        found.append((float(every[at]), RoadErrorMatch(hypothesis.effects[0], values, shrink)))
+        return float(every[at]), RoadErrorMatch(hypothesis.effects[0], values, shrink)
+
+    found = side_by_side(best_of, [h for h in effects if len(h) == 1])
     if not found:
         return []
     least = min(cost for cost, _ in found)

@@ -436,6 +436,10 @@ def plan(
     """
     if model_of(twin).recordings != "drive":
         raise InputError("twin", "model", f"{twin.model} does not drive on a road: there is nothing to plan")
+    if model_of(twin).opaque:
+        raise InputError(
+            "twin", "model", f"{twin.model} has equations of its own, in which no effect can be tried"
+        )
     if not speeds:
         raise InputError("speed", "none is given")
     road = road_of(twin) if road is None else road

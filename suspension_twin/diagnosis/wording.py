@@ -207,7 +207,18 @@ def subject(document: Document) -> str:
     named = [effect_name(c["effect"]) for c in _named(document)]
     if document["verdict"] in ("effect", "partly") and named:
         return capital(listed(named))
+    if _likelier(document) is not None:
+        return "No cause that is certain enough"
     return capital(NOTHING) if document["verdict"] == "no_gap" else "Unknown cause"
+
+
+def _likelier(document: Document) -> Document | None:
+    """The cause that is more probable than an answer that names none: a wrong name costs more than none."""
+    if document["verdict"] not in ("no_gap", "unknown"):
+        return None
+    lead = max(document["causes"], key=lambda c: float(c["probability"]), default=None)
+    sure = probability_of(document)
+    return lead if lead is not None and float(lead["probability"]) > sure else None
 
 
 def answer(document: Document) -> str:
@@ -219,6 +230,14 @@ def answer(document: Document) -> str:
         found = "; and ".join(finding(c["effect"], c["parameters"]) for c in named)
         more = ", but that is not all" if verdict == "partly" else ""
         return f"{sure}: {found}{more}."
+    likelier = _likelier(document)
+    if likelier is not None:
+        rest = (("unknown_probability", f"it is {UNKNOWN}"), ("no_gap_probability", NOTHING))
+        chances = [
+            (float(likelier["probability"]), finding(likelier["effect"], likelier["parameters"])),
+            *((float(document[key]), words) for key, words in rest),
+        ]
+        return f"No cause is certain enough to be named: {listed([f'{chance(p)} that {w}' for p, w in chances])}."
     if verdict == "no_gap":
         return f"{sure}: {NOTHING} that these drives could show."
     return f"{sure}: something is wrong, but nothing in the library of causes explains it."

@@ -28,8 +28,8 @@ from suspension_twin.errors import InputError, WorkError, printable
 from suspension_twin.export.registry import ExportSettings, Target
 from suspension_twin.export.standalone.languages import C
 from suspension_twin.export.standalone.source import Source, written_out
-from suspension_twin.export.standalone.variables import INPUTS, OUTPUTS, Variable
 from suspension_twin.files import replacing, write_text
+from suspension_twin.models.connectors import INPUTS, OUTPUTS, Variable
 from suspension_twin.vehicle.twin import Twin
 
 __all__ = ["TARGET"]

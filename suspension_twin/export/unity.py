@@ -16,8 +16,8 @@ from suspension_twin.errors import printable
 from suspension_twin.export.registry import ExportSettings, Target
 from suspension_twin.export.standalone.languages import CSHARP
 from suspension_twin.export.standalone.source import Source, written_out
-from suspension_twin.export.standalone.variables import INPUTS, OUTPUTS
 from suspension_twin.files import write_text
+from suspension_twin.models.connectors import INPUTS, OUTPUTS
 from suspension_twin.vehicle.corners import CORNERS
 from suspension_twin.vehicle.twin import Twin
 

@@ -61,16 +61,20 @@ class Ledger:
         place = self.place(record["key"])
         with together():  # the record takes its place last: where it is, its files are
             for name, text in record.get("files", {}).items():
-                if name == TWIN and record.get("road"):
-                    _write_twin(place / name, text, record["road"])
+                if name == TWIN and (record.get("road") or record.get("program")):
+                    _write_twin(place / name, text, record.get("road", ""), record.get("program", ""))
                 else:
                     write_text(place / name, text)
             write_text(place / _RECORD, json.dumps(kept, ensure_ascii=False, allow_nan=False) + "\n")
         return kept
 
 
-def _write_twin(path: Path, text: str, road: str) -> None:
-    """A twin file whose road is named from where it now lies."""
+def _write_twin(path: Path, text: str, road: str, program: str) -> None:
+    """A twin file whose road and program are named from where it now lies."""
     heading = "".join(line for line in text.splitlines(keepends=True) if line.startswith("#"))
     twin = parse_twin(parse_yaml(text, path), path)
-    save_twin(twin.model_copy(update={"road": RoadFile(file=Path(road))}), path, heading)
+    if program:
+        twin = twin.with_paths(lambda file: Path(program) if file == twin.program else file)
+    if road:
+        twin = twin.model_copy(update={"road": RoadFile(file=Path(road))})
+    save_twin(twin, path, heading)

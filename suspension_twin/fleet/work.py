@@ -117,10 +117,11 @@ def plan_task(item: Item, options: Options) -> Task:
     ('2023-11-14', True)
     """
     with tempfile.TemporaryDirectory(prefix="suspension_twin_") as folder:
-        _, road = twin_and_road(item, Path(folder))
+        twin, road = twin_and_road(item, Path(folder))
     references = item.references if options.action == "diagnose" else ()
     outlines = [outline(drive) for drive in item.drives]
-    files = [item.twin, *([road] if road else []), *item.drives, *references]
+    program = [] if twin.program is None else [str(twin.program)]
+    files = [item.twin, *program, *([road] if road else []), *item.drives, *references]
     parts = {
         "format": _FORMAT,
         "version": __version__,
@@ -139,6 +140,8 @@ def twin_and_road(item: Item, folder: Path) -> tuple[Twin, str]:
     """The twin of an item, and path or URL of its road; empty where neither names one."""
     local = staged(item.twin, folder)
     twin = load_twin(local)
+    if twin.program is not None and is_url(item.twin):
+        raise InputError(item.twin, "model", f"{twin.model} runs a program: such a twin must be a file here")
     if item.road:
         return twin, item.road
     if twin.road is None:
@@ -225,6 +228,8 @@ def _done(task: Task, folder: Path, copies: dict[str, str]) -> Record:
     twin, road = twin_and_road(item, folder / "twin")
     own = here(item.twin, "twin")
     record: Record = {"road": "" if is_url(road) else road}
+    if twin.program is not None:
+        record["program"] = str(twin.program)
     if road and (item.road or is_url(road)):
         moved = twin.model_copy(update={"road": RoadFile(file=Path(here(road, "road")).absolute())})
         own = str(folder / "with_road" / Path(own).name)

@@ -118,9 +118,18 @@ def twin_value(twin: Twin, key: str) -> Any:
     node: Any = twin
     for part in key.split("."):
         try:
-            node = node[int(part)] if isinstance(node, tuple | list) else getattr(node, part)
-        except (AttributeError, IndexError, ValueError):
-            known = type(node).model_fields if isinstance(node, Strict) else {}
+            if isinstance(node, Mapping):
+                node = node[part]
+            else:
+                node = node[int(part)] if isinstance(node, tuple | list) else getattr(node, part)
+        except (AttributeError, LookupError, ValueError):
+            known = (
+                type(node).model_fields
+                if isinstance(node, Strict)
+                else node
+                if isinstance(node, Mapping)
+                else {}
+            )
             near = nearest(part, known) or (f" ({', '.join(known)})" if known else "")
             raise InputError("parameters", key, f"no such key in the twin file{near}") from None
     return node

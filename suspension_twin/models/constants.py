@@ -49,7 +49,7 @@ from suspension_twin.models.types import Ints
 from suspension_twin.units import STANDARD_GRAVITY as G
 from suspension_twin.vehicle.corners import AXLES
 
-__all__ = ["Constants", "constants"]
+__all__ = ["Constants", "constants", "outside"]
 
 Numbers = dict[str, Floats]
 Stage = tuple[SignalStage, Floats, Floats]  # with its parameters (k, L), and their neutral values (k, 1)
@@ -117,17 +117,8 @@ def constants(
     sensor's clock are in the excitation already. ``actuated``: the excitation has forces of actuators.
     """
     numbers = {name: params[row] for name, row in layout.index.items()}
-    count = params.shape[1]
-    with np.errstate(all="ignore"):
-        change = _Changes.of(numbers, layout, count)
-    changed, road, clock, corners = change.numbers, change.road, change.clock, change.corners
-    clock.delay[:] += numbers["imu.latency"]
-    clock.delay[:] -= clock_offset
-    if fused:
-        # low frequencies of the planar motion have the delay of the sensor's filter, as the pose has: it is taken out
-        road = replace(road, delay=clock.delay + change.lag, drift=clock.drift)
-        clock = ClockChange(-change.lag, np.zeros(count))
-
+    change, road, clock = _changes(numbers, layout, fused, clock_offset)
+    changed, corners = change.numbers, change.corners
     curves, problems = _read_curves(changed)
     flags: Ints | None = None
     if layout.model == "msd":
@@ -150,20 +141,58 @@ def constants(
         )
         if has_effects or actuated or road.changed.any():
             out, flags = with_effects(out, corners, change.kernel, curves, problems, max_step)
+    known = _known(out, problems, layout, change, road, clock)
+    bad = known.bad
+    if flags is not None:
+        flags[bad] = 0
+    return replace(known, hinges=hinges_of(curves), flags=flags)
+
+
+def outside(params: Floats, layout: Layout, fused: bool = False, clock_offset: float = 0.0) -> Constants:
+    """What effects change outside a vehicle whose equations are not the kernel's: road, sensor's chain and clock.
+
+    Arguments as of :func:`constants`; ``values`` has no rows.
+    """
+    numbers = {name: params[row] for name, row in layout.index.items()}
+    change, road, clock = _changes(numbers, layout, fused, clock_offset)
+    problems: Problems = []
+    _check_finite(numbers, checker(problems))
+    return _known(np.zeros((0, params.shape[1])), problems, layout, change, road, clock)
+
+
+def _changes(
+    numbers: Numbers, layout: Layout, fused: bool, clock_offset: float
+) -> tuple[_Changes, RoadChange, ClockChange]:
+    """What the effects change, with the road and the clock as the candidates have them."""
+    count = numbers["imu.latency"].size
+    with np.errstate(all="ignore"):
+        change = _Changes.of(numbers, layout, count)
+    road, clock = change.road, change.clock
+    clock.delay[:] += numbers["imu.latency"]
+    clock.delay[:] -= clock_offset
+    if fused:
+        # low frequencies of the planar motion have the delay of the sensor's filter, as the pose has: it is taken out
+        road = replace(road, delay=clock.delay + change.lag, drift=clock.drift)
+        clock = ClockChange(-change.lag, np.zeros(count))
+    return change, road, clock
+
+
+def _known(
+    values: Floats, problems: Problems, layout: Layout, change: _Changes, road: RoadChange, clock: ClockChange
+) -> Constants:
+    """Constants without hinges and flags; lanes that cannot be simulated get the plain road, sensor and clock."""
     _check_road(road, checker(problems))
-    bad = _union(problems, count)
+    bad = _union(problems, values.shape[1])
     if bad.any():
         change.clear(bad, road, clock)
-        if flags is not None:
-            flags[bad] = 0
     return Constants(
-        out,
-        hinges_of(curves),
+        values,
+        0,
         tuple(problems),
         layout.model,
-        flags,
+        None,
         road if road.changed.any() else None,
-        tuple((stage, values) for stage, values, _ in change.stages),
+        tuple((stage, given) for stage, given, _ in change.stages),
         clock if clock.delay.any() or clock.drift.any() else None,
         layout.mounting,
     )
@@ -231,13 +260,17 @@ def _check_road(road: RoadChange, check: Check) -> None:
     check(~np.isfinite(road.scale), "effects", "scale the road by what is not finite")
 
 
+def _check_finite(numbers: Numbers, check: Check) -> None:
+    if not np.isfinite(np.stack(list(numbers.values()))).all():
+        for name, values in numbers.items():
+            check(~np.isfinite(values), name, "is not finite")
+
+
 def _read_curves(numbers: Numbers) -> tuple[Curves, Problems]:
     """Curves by axle and part, and what is wrong with them or with any number."""
     problems: Problems = []
     check = checker(problems)
-    if not np.isfinite(np.stack(list(numbers.values()))).all():
-        for name, values in numbers.items():
-            check(~np.isfinite(values), name, "is not finite")
+    _check_finite(numbers, check)
     curves: Curves = {}
     for axle, part, abscissa in CURVES:
         prefix = f"vehicle.{axle}.{part}"

@@ -233,6 +233,11 @@ class Hook:
     #: Parameters that switch the effect off when all are neutral.
     severity: tuple[str, ...] = ()
 
+    @property
+    def outside(self) -> bool:
+        """Whether the effect acts outside the vehicle: on road, sensor's signals or clock alone."""
+        return self.vehicle is None and self.corners is None and self.kernel is None and self.reading is None
+
     def armed(self, values: Values) -> Any:
         """(L,) bool: candidates that have the effect."""
         return np.any([values[name] != self.neutral[name] for name in self.severity], axis=0)

@@ -8,6 +8,7 @@ the batch bit for bit.
 from __future__ import annotations
 
 import math
+from abc import ABC, abstractmethod
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -16,7 +17,7 @@ from suspension_twin.arrays import Floats
 from suspension_twin.errors import InputError
 from suspension_twin.models.blocks import LaneBlocks
 from suspension_twin.models.candidate_road import ahead_of, candidate_heights, reach_of
-from suspension_twin.models.constants import constants
+from suspension_twin.models.constants import Constants, constants
 from suspension_twin.models.excitation import MAX_STEP, check_step, substeps
 from suspension_twin.models.observe import OBSERVED, observe
 from suspension_twin.models.parameters import layout, pack
@@ -27,7 +28,7 @@ from suspension_twin.models.types import HeightField
 from suspension_twin.models.wheel_paths import next_yaw_acceleration, walk
 from suspension_twin.vehicle.twin import Twin
 
-__all__ = ["LiveState", "LiveTwin", "earlier_pose", "live_twin"]
+__all__ = ["Following", "LiveState", "LiveTwin", "earlier_pose", "live_twin"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -53,24 +54,20 @@ class LiveState:
     event: str = ""
 
 
-class LiveTwin:
-    """A twin that is given the locked pose stamp by stamp.
+class Following(ABC):
+    """A model of four wheels that is given the locked pose stamp by stamp: pose to road heights, gaps, clock, sensor's
+    chain. A subclass walks the interval.
 
-    Raises InputError at construction for a twin that cannot be simulated, naming the key; a step
-    never raises for what a message may hold, it says so in ``LiveState.event``.
+    A step never raises for what a message may hold, it says so in ``LiveState.event``.
     """
 
-    def __init__(self, twin: Twin, road: HeightField, max_step: float = MAX_STEP) -> None:
-        known = constants(pack(twin)[:, None], layout(twin), check_step(max_step))
+    def __init__(self, twin: Twin, road: HeightField, known: Constants, max_step: float) -> None:
         known.raise_first()
         self.twin = twin
         self.max_step = max_step
         self._road = road
         self._known = known
         self._chain = Chain(known)
-        self._values = known.values[:, 0].copy()
-        self._fresh, self._blocks = LaneBlocks(known), LaneBlocks(known)
-        self._radius = twin.vehicle.tyre.radius
         self._wheels = twin.vehicle.wheel_positions
         # stamp 0 is the last one, stamp 1 the one to come
         self._pose = np.zeros((3, 2))
@@ -79,14 +76,24 @@ class LiveTwin:
         self._first = np.array([0, 1, 2])
         self._paths = np.zeros((2, 16, 4))
         self._ground = np.zeros((1, 4))
-        self._signals = np.zeros((1, 7, WIDTH))
-        self._states = np.zeros((1, STATES, WIDTH))
         self._reference: Floats | None = None  # heights that a scale of the road leaves alone
         self.reset()
 
+    @abstractmethod
+    def _restart(self) -> None:
+        """Static equilibrium at the next stamp."""
+
+    @abstractmethod
+    def _advance(self, seen: Floats) -> bool:
+        """Walk to stamp 1 over the heights (rows, 4) m; False where the model diverges or fails."""
+
+    @abstractmethod
+    def _row(self) -> Floats:
+        """(OBSERVED,) the model at stamp 1, the sensor an ideal one."""
+
     def reset(self) -> None:
         """Forget everything: the next step starts from static equilibrium."""
-        self._blocks.restart(self._fresh)
+        self._restart()
         self._chain.reset()
         self._reference = None
         self._t = self._t0 = math.nan
@@ -153,17 +160,14 @@ class LiveTwin:
         self._t = t
         self._ground = ground[-1:]
         seen = self._seen(ground, n)
-        self._advance(seen)
-        if self._blocks.failed[0]:
+        if not self._advance(seen):
             event = "diverged: started afresh"
-            self._blocks.restart(self._fresh)
+            self._restart()
             self._count[1] = 0
-            self._advance(seen[-1:])
+            if not self._advance(seen[-1:]) and self._last is not None:
+                return self._same("diverged: cannot start where it is")
         self._last = self._state(t, event)
         return self._last
-
-    def _advance(self, seen: Floats) -> None:
-        self._blocks.walk(seen, None, self._count, self._motion, 1, 2, self._signals, self._states)
 
     def _seen(self, ground: Floats, n: int) -> Floats:
         """(rows, 4) heights that the twin sees of the ``ground``, where effects change that."""
@@ -181,9 +185,7 @@ class LiveTwin:
         return candidate_heights(around, change, 0, 1, ground, distance, self._reference)[0]
 
     def _state(self, t: float, event: str) -> LiveState:
-        out = np.empty((1, OBSERVED))
-        observe(self._states, self._signals, self._values, self._radius, self.twin.model == "msd", out)
-        row = out[0]
+        row = self._row()
         if self._chain:
             read = row[20:27].reshape(1, 7, 1)
             self._chain.process(read, np.array([t]), self._count[1:] == 0)
@@ -210,6 +212,36 @@ class LiveTwin:
         return replace(self._last, event=event)
 
 
+class LiveTwin(Following):
+    """A twin of the kernels ``full_car`` and ``msd`` that is given the locked pose stamp by stamp.
+
+    Raises InputError at construction for a twin that cannot be simulated, naming the key.
+    """
+
+    def __init__(self, twin: Twin, road: HeightField, max_step: float = MAX_STEP) -> None:
+        known = constants(pack(twin)[:, None], layout(twin), check_step(max_step))
+        known.raise_first()
+        self._values = known.values[:, 0].copy()
+        self._fresh, self._blocks = LaneBlocks(known), LaneBlocks(known)
+        self._radius = twin.vehicle.tyre.radius
+        self._signals = np.zeros((1, 7, WIDTH))
+        self._states = np.zeros((1, STATES, WIDTH))
+        super().__init__(twin, road, known, max_step)
+
+    def _restart(self) -> None:
+        self._blocks.restart(self._fresh)
+
+    def _advance(self, seen: Floats) -> bool:
+        self._blocks.walk(seen, None, self._count, self._motion, 1, 2, self._signals, self._states)
+        return not self._blocks.failed[0]
+
+    def _row(self) -> Floats:
+        out = np.empty((1, OBSERVED))
+        observe(self._states, self._signals, self._values, self._radius, self.twin.model == "msd", out)
+        row: Floats = out[0]
+        return row
+
+
 def earlier_pose(
     seconds: float, x: float, y: float, yaw: float, speed: float, lateral_speed: float, yaw_rate: float
 ) -> tuple[float, float, float]:
@@ -220,10 +252,10 @@ def earlier_pose(
     return x, y, yaw - seconds * yaw_rate
 
 
-def live_twin(twin: Twin, road: HeightField) -> LiveTwin:
+def live_twin(twin: Twin, road: HeightField) -> Following:
     """The model of a twin that follows its vehicle stamp by stamp; InputError where the model cannot."""
     live = model_of(twin).live
     if live is None:
         raise InputError("twin", "model", f"{twin.model} follows no vehicle on a road")
-    model: LiveTwin = live(twin, road)
+    model: Following = live(twin, road)
     return model

@@ -48,12 +48,16 @@ class Layout:
 
 def layout(twin: Twin) -> Layout:
     """The layout of this twin's parameter vector."""
-    names = list(model_of(twin).numbers(twin))
+    model = model_of(twin)
+    names = list(model.numbers(twin))
     hooks = {}
     for effect in twin.effects:
         hook = hooks[effect.id] = load_hook(effect.id, twin.model)
-        if twin.model not in hook.models:
-            raise InputError("twin", "effects", f"{effect.id} is not an effect of the model {twin.model}")
+        if twin.model not in hook.models and not (model.opaque and hook.outside):
+            why = ", which has equations of its own" if model.opaque else ""
+            raise InputError(
+                "twin", "effects", f"{effect.id} is not an effect of the model {twin.model}{why}"
+            )
         for name in effect.parameters:
             if name not in hook.neutral:
                 known = ", ".join(hook.neutral)
@@ -71,7 +75,10 @@ def _value(twin: Twin, shape: Layout, key: str) -> float:
         return float(given.get(name, shape.hooks[effect].neutral[name]))
     node: Any = twin
     for part in key.split("."):
-        node = node[int(part)] if part.isdigit() else getattr(node, part)
+        if isinstance(node, Mapping):
+            node = node[part]
+        else:
+            node = node[int(part)] if part.isdigit() else getattr(node, part)
     return float(node)
 
 
@@ -87,7 +94,8 @@ def pack(twin: Twin) -> Floats:
 
 
 def lanes(twin: Twin, keys: Sequence[str], values: Floats) -> Floats:
-    """(P, L) candidates that differ from the twin in ``keys``, one row of ``values`` (L, k) each.
+    """(P, L) candidates that differ from the twin in ``keys``, one row of ``values`` (L, k) each; they cannot be
+    written to.
 
     Raises InputError for a key that the twin has not, or that a candidate cannot change.
     """
@@ -104,4 +112,5 @@ def lanes(twin: Twin, keys: Sequence[str], values: Floats) -> Floats:
         rows.append(index[key])
     out = np.repeat(pack(twin)[:, None], values.shape[0], axis=1)
     out[rows] = values.T
+    out.flags.writeable = False
     return out

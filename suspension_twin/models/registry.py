@@ -19,7 +19,7 @@ from suspension_twin.vehicle.twin import Twin
 __all__ = ["MODELS", "Model", "deferred", "model_of"]
 
 #: The files of this folder that hold a model.
-_FILES: Final = ("full_car", "msd", "tracked", "quarter_car")
+_FILES: Final = ("full_car", "msd", "tracked", "quarter_car", "fmu")
 
 
 class SimulateLanes(Protocol):
@@ -58,6 +58,8 @@ class Model:
     one_lane
         One twin as rows and functions of one lane, see :class:`~suspension_twin.models.one_lane.OneLane`, for steps of
         up to so many s; or None.
+    opaque
+        Its equations are not of this package: effects act on it only where they act on road, sensor or clock.
     prepared
         The twin as a measured vehicle is: what its file may leave out and no real one lacks is put in.
     """
@@ -73,6 +75,7 @@ class Model:
     respond: Callable[[Twin, Any], Response] | None = None
     live: Callable[[Twin, HeightField], Any] | None = None
     one_lane: Callable[[Twin, float], Any] | None = None
+    opaque: bool = False
     prepared: Callable[[Twin], Twin] = lambda twin: twin
 
 

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import threading
 from collections.abc import Callable, Iterator
 from functools import partial
 from typing import Any
@@ -129,8 +130,7 @@ def car_lanes(
     is the only channel: less to write, the same numbers. ``fused``: the pose was fused with the sensor's own readings,
     so that the planar motion has the clock offset of the sensor; the offset then delays the road alone.
     """
-    shape = layout(twin)
-    known = constants(params, shape, excitation.max_step, fused, excitation.antenna, excitation.late)
+    known = _constants(twin, params, excitation.max_step, fused, excitation.antenna, excitation.late)
     blocks = LaneBlocks(known)
     full = not vertical_only or bool(known.stages)
     signals = np.empty((len(excitation), 7 if full else 1, blocks.width))
@@ -157,6 +157,26 @@ def car_lanes(
     if vertical_only:
         return LaneResponse(excitation.t, CAR_SIGNALS[-1:], signals[:, -1:], failed)
     return LaneResponse(excitation.t, CAR_SIGNALS, signals, failed)
+
+
+_latest = threading.local()
+
+
+def _constants(twin: Twin, params: Floats, *how: Any) -> Constants:
+    """The constants of candidates. Those that cannot be written to are often simulated over several drives in turn:
+    the last ones of a thread are kept."""
+    asked = twin, params, how
+    last = getattr(_latest, "asked", None)
+    if (
+        last is None
+        or last[0] is not twin
+        or last[1] is not params
+        or last[2] != how
+        or params.flags.writeable
+    ):
+        _latest.asked, _latest.known = asked, constants(params, layout(twin), *how)
+    known: Constants = _latest.known
+    return known
 
 
 def car_response(twin: Twin, excitation: Excitation) -> Response:

@@ -72,11 +72,16 @@ class DiagnosisStep:
 
 
 def _twin_of(goal: Any, twin_file: str) -> str:
-    """Path of the twin file, which is loaded to check it."""
+    """Path of the twin file, which is loaded to check it. One that runs a program is that of the node alone: whoever
+    may send goals must not choose what runs here."""
     path = goal.twin or twin_file
     if not path:
         raise InputError("twin", "is empty: give the path of a twin file")
-    load_twin(path)
+    twin = load_twin(path)
+    if twin.program is not None and goal.twin and goal.twin != twin_file:
+        raise InputError(
+            path, "model", f"{twin.model} runs a program: name it when the node is started, not by a goal"
+        )
     return path
 
 

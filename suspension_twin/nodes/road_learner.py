@@ -153,8 +153,10 @@ class RoadLearnerNode(TwinNode):
             raise InputError(values["out"], "a road is written as .crg; name the file so")
         check_writable(values["out"])
         twin = twin_of(values)
-        if twin is not None and getattr(twin.vehicle, "front_track", None) is None:
-            raise InputError("twin", "model", f"a road is learnt with a car, {twin.model} is none")
+        if twin is not None and "front" not in twin.axles:
+            raise InputError(
+                "twin", "model", f"a road is learnt with the axles of a car, {twin.model} has none"
+            )
 
     def changed(self, names: Any) -> None:
         """See the base class."""

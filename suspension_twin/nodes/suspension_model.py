@@ -10,6 +10,7 @@ import math
 import sys
 from collections.abc import Set as AbstractSet
 from functools import cache, partial
+from pathlib import Path
 from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticArray
@@ -78,7 +79,10 @@ class SuspensionModelNode(TwinNode):
 
     def __init__(self, embedding: Embedding | None = None) -> None:
         self._prepared: tuple[Any, Follower | None] = (None, None)
+        self._programs: tuple[Path, ...] | None = None  # any, while the node is started
         super().__init__("suspension_model", embedding)
+        started = self._prepared[0]
+        self._programs = () if started is None or started.program is None else (started.program,)
         _compile()
         self._pairing = Pairing()
         self._out = TwinOutputs(self, self.values["map_frame"], self.values["base_frame"])
@@ -97,6 +101,13 @@ class SuspensionModelNode(TwinNode):
         filter_of(values)
         twin = twin_of(values)
         if twin is not self._prepared[0]:
+            if (
+                twin is not None
+                and self._programs is not None
+                and twin.program not in (None, *self._programs)
+            ):
+                text = f"{twin.model} runs a program: name it when the node is started, not by a request"
+                raise InputError(values["twin"], "model", text)
             self._prepared = (twin, None if twin is None else Follower(twin))
 
     def changed(self, names: AbstractSet[str]) -> None:

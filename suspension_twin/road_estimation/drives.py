@@ -92,8 +92,10 @@ def road_from_drives(
     >>> bool(found.heights.max() > 0.02)
     True
     """
-    if getattr(twin.vehicle, "front_track", None) is None:
-        raise InputError("twin", "model", f"a road is estimated with a car, {twin.model} is none")
+    if "front" not in twin.axles:
+        raise InputError(
+            "twin", "model", f"a road is estimated with the axles of a car, {twin.model} has none"
+        )
     pieces = [part if isinstance(part, Part) else Part(part) for part in parts]
     if not pieces:
         raise InputError("drives", "none is given")

@@ -9,10 +9,11 @@ from pathlib import Path
 from suspension_twin.errors import InputError, WorkError
 from suspension_twin.files import together
 from suspension_twin.road.check import RoadCheck, check_file
-from suspension_twin.road_scan.clouds import open_cloud
+from suspension_twin.road_scan.clouds import Cloud, open_cloud
 from suspension_twin.road_scan.felt import Felt, feel, steady_path
-from suspension_twin.road_scan.path import read_path
-from suspension_twin.road_scan.placing import placing_of
+from suspension_twin.road_scan.path import ScanPath, read_path
+from suspension_twin.road_scan.placing import Placing, placing_of
+from suspension_twin.road_scan.registration import register
 from suspension_twin.road_scan.scan import FINEST, Scanned, ScanSettings, road_from_scan, write_scan
 from suspension_twin.vehicle.twin import load_twin
 
@@ -30,6 +31,7 @@ def scan_road(
     crs: str | None = None,
     unit: str | None = None,
     axes: str = "xyz",
+    fit: bool = False,
     speed: float = 30.0 / 3.6,
     picture: Path | None = None,
     progress: Callable[[str, float | None], None] = lambda text, share: None,
@@ -48,7 +50,10 @@ def scan_road(
     opened = [open_cloud(cloud) for cloud in clouds]
     progress(f"reading {path.name}", None)
     along = read_path(path, car, FINEST)
-    placed = [placing_of(c.path, c.crs, crs, axes, unit, along.twin.datum) for c in opened]
+    if fit:
+        placed = _fitted(opened, along, crs, axes, unit, progress)
+    else:
+        placed = [placing_of(c.path, c.crs, crs, axes, unit, along.twin.datum) for c in opened]
     found = road_from_scan(
         [(c, p) for c, (p, _) in zip(opened, placed, strict=True)], along.line, along.name, settings, progress
     )
@@ -75,3 +80,21 @@ def scan_road(
 
             save_scan_picture(found, felt, picture)
     return found, felt, check_file(out), notes
+
+
+def _fitted(
+    clouds: Sequence[Cloud],
+    along: ScanPath,
+    crs: str | None,
+    axes: str,
+    unit: str | None,
+    progress: Callable[[str, float | None], None],
+) -> list[tuple[Placing, str]]:
+    """How clouds in one common frame of their own lie in ``map``, by a rigid fit to the drive, and that in words."""
+    if along.drive is None:
+        raise InputError("--fit", f"needs a recorded drive as the path, {along.name} is none")
+    if crs is not None:
+        raise InputError("--fit", "cannot be given with --crs: it places clouds that have none")
+    own = [placing_of(c.path, None, None, axes, unit, None)[0] for c in clouds]
+    found = register(list(zip(clouds, own, strict=True)), along.drive, along.twin, progress)
+    return [(found.placed(p), found.words) for p in own]

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import math
 import re
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -35,7 +36,8 @@ class Placing:
     """How a cloud lies in ``map``.
 
     ``axes`` columns and signs of x, y, z; ``unit`` m for one of the horizontal unit, ``up`` for one of the vertical;
-    ``crs`` a pyproj.CRS to be taken to ``map`` by ``datum``, or None where the coordinates are ``map`` already.
+    ``crs`` a pyproj.CRS to be taken to ``map`` by ``datum``, or None where the coordinates are metres of a plane: those
+    of ``map`` after a ``turn`` in rad about the vertical and a ``move`` (east, north) in m.
     """
 
     axes: tuple[tuple[int, float], ...] = ((0, 1.0), (1, 1.0), (2, 1.0))
@@ -43,6 +45,8 @@ class Placing:
     up: float = 1.0
     crs: Any = None
     datum: Datum | None = None
+    turn: float = 0.0
+    move: tuple[float, float] = (0.0, 0.0)
 
     def to_map(self, points: Floats) -> Floats:
         """Positions (n, 3) in ``map``, m, of points (n, 3) in the cloud's coordinates."""
@@ -50,6 +54,8 @@ class Placing:
         p[:, 2] *= self.up
         if self.crs is None:
             p[:, :2] *= self.unit
+            if self.turn or any(self.move):
+                p[:, :2] = p[:, :2] @ self._rotation.T + self.move
             return p
         assert self.datum is not None
         longitude, latitude = self._to_geodetic.transform(p[:, 0], p[:, 1])
@@ -58,8 +64,8 @@ class Placing:
     def box(self, x: Floats, y: Floats, margin: float) -> tuple[Floats, Floats] | None:
         """Lowest and highest (2,) cloud coordinates, axes turned, that hold map positions and ``margin`` m around."""
         if self.crs is None:
-            low, high = (np.array([f(x), f(y)]) for f in (np.min, np.max))
-            return (low - margin) / self.unit, (high + margin) / self.unit
+            own = (np.column_stack([x, y]) - self.move) @ self._rotation
+            return (own.min(axis=0) - margin) / self.unit, (own.max(axis=0) + margin) / self.unit
         assert self.datum is not None
         e, n = np.meshgrid([x.min() - margin, x.max() + margin], [y.min() - margin, y.max() + margin])
         geodetic = LocalMap(self.datum).to_geodetic(np.column_stack([e.ravel(), n.ravel(), np.zeros(4)]))
@@ -80,6 +86,11 @@ class Placing:
             c = points[:, column] if sign > 0.0 else -points[:, column]
             keep &= (c >= box[0][k]) & (c <= box[1][k])
         return points[keep]
+
+    @property
+    def _rotation(self) -> Floats:
+        c, s = math.cos(self.turn), math.sin(self.turn)
+        return np.array([[c, -s], [s, c]])
 
     @property
     def _to_geodetic(self) -> Any:

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import math
 import os
+from collections.abc import Callable
 from dataclasses import dataclass
 from importlib import import_module
 from pathlib import Path
@@ -30,10 +31,12 @@ __all__ = [
     "SCHEMAS",
     "Axle",
     "CarTwin",
+    "Coordinate",
     "Damper",
     "Datum",
     "EffectSpec",
     "Imu",
+    "Length",
     "Mass",
     "Place",
     "Radius",
@@ -48,6 +51,7 @@ __all__ = [
     "load_twin",
     "parse_twin",
     "save_twin",
+    "wheels_at",
 ]
 
 
@@ -208,8 +212,13 @@ class Vehicle(Strict):
     @property
     def wheel_positions(self) -> Floats:
         """(4, 2) x and y of the wheel centres in ``base_link``, corners in the usual order."""
-        f, r, b = self.front_track / 2, self.rear_track / 2, self.wheelbase
-        return np.array([[b, f], [b, -f], [0.0, r], [0.0, -r]])
+        return wheels_at(self.wheelbase, self.front_track, self.rear_track)
+
+
+def wheels_at(wheelbase: float, front_track: float, rear_track: float) -> Floats:
+    """(4, 2) m x and y of the wheel centres of a car in ``base_link``, corners in the usual order."""
+    f, r, b = front_track / 2, rear_track / 2, wheelbase
+    return np.array([[b, f], [b, -f], [0.0, r], [0.0, -r]])
 
 
 class Place(Strict):
@@ -321,6 +330,22 @@ class Twin(Strict):
         """Height in m of the centre of gravity above the ground."""
         return 0.0
 
+    @property
+    def bounds(self) -> dict[str, tuple[float, float]]:
+        """Bounds that the file itself gives to numbers of it, by their keys: what a calibration searches by default."""
+        return {}
+
+    @property
+    def program(self) -> Path | None:
+        """The file with machine code that simulating this twin runs, if it is not of this package."""
+        return None
+
+    def with_paths(self, change: Callable[[Path], Path]) -> Twin:
+        """A copy in which every path of a file is what ``change`` makes of it."""
+        if self.road is None:
+            return self.model_copy()
+        return self.model_copy(update={"road": RoadFile(file=change(self.road.file))})
+
     def with_changes(self, changes: dict[str, Any]) -> Twin:
         """A checked copy with dotted keys replaced: ``{"vehicle.mass": 1700.0}``.
 
@@ -371,6 +396,7 @@ SCHEMAS: Final = {
     "msd": ("twin", "CarTwin"),
     "tracked": ("tracked", "TrackedTwin"),
     "quarter_car": ("quarter_car", "QuarterCarTwin"),
+    "fmu": ("fmu", "FmuTwin"),
 }
 
 
@@ -430,7 +456,7 @@ def load_twin(path: str | Path) -> Twin:
     Returns
     -------
     Twin
-        With ``road.file`` as an absolute path.
+        With ``road.file`` and the paths of other files as absolute paths.
 
     Raises
     ------
@@ -446,10 +472,7 @@ def load_twin(path: str | Path) -> Twin:
     path = Path(path)
     with reading(path, "a twin file"):
         twin = parse_twin(read_yaml(path), source=path)
-        if twin.road is not None and not twin.road.file.is_absolute():
-            road = RoadFile(file=(path.parent / twin.road.file).resolve())
-            twin = twin.model_copy(update={"road": road})
-        return twin
+        return twin.with_paths(lambda file: file if file.is_absolute() else (path.parent / file).resolve())
 
 
 def save_twin(twin: Twin, path: str | Path, heading: str = "") -> None:
@@ -460,7 +483,7 @@ def save_twin(twin: Twin, path: str | Path, heading: str = "") -> None:
     twin : Twin
         What to write.
     path : str or Path
-        The YAML file; the path of the road is kept relative to it if it can be.
+        The YAML file; the paths of the road and of other files are kept relative to it if they can be.
     heading : str
         Comment lines to put before it.
 
@@ -479,10 +502,12 @@ def save_twin(twin: Twin, path: str | Path, heading: str = "") -> None:
     True
     """
     path = Path(path)
-    data = twin.model_dump(mode="json", exclude_none=True)
-    if twin.road is not None:
-        road = twin.road.file
-        if road.is_absolute() and road.anchor == path.absolute().anchor:  # Windows: on the same drive
-            road = Path(os.path.relpath(road, path.parent.resolve()))
-        data["road"] = {"file": road.as_posix()}
+    folder, anchor = path.parent.resolve(), path.absolute().anchor
+
+    def near(file: Path) -> Path:
+        if file.is_absolute() and file.anchor == anchor:  # Windows: on the same drive
+            file = Path(os.path.relpath(file, folder))
+        return Path(file.as_posix())
+
+    data = twin.with_paths(near).model_dump(mode="json", exclude_none=True)
     write_text(path, heading + yaml.safe_dump(data, sort_keys=False, default_flow_style=None, width=100))

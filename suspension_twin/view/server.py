@@ -26,7 +26,7 @@ from suspension_twin.road.road import Road
 from suspension_twin.view.ground import tile
 from suspension_twin.view.live import LiveView
 
-__all__ = ["ACTIONS", "Server", "is_local"]
+__all__ = ["ACTIONS", "Server", "Site", "is_local"]
 
 #: What a viewer may ask for, and whether a number comes with it.
 ACTIONS = {
@@ -45,7 +45,7 @@ ACTIONS = {
 #: Frames a second, frames that may wait for a slow viewer, bytes of a request, viewers at a time.
 _RATE, _WAITING, _LARGEST, _VIEWERS = 30.0, 60, 1024, 32
 _HERE = Path(__file__).parent
-_FILES = frozenset({"app.js", "charts.js", "scene.js", "style.css"})
+_FILES = frozenset({"app.js", "charts.js", "fleet.js", "scene.js", "style.css"})
 _COOKIE = "suspension_twin"
 _POLICY = "default-src 'self'; connect-src 'self' ws: wss:; img-src 'self' data:; frame-ancestors 'none'"
 
@@ -55,32 +55,18 @@ def is_local(host: str) -> bool:
     return host in ("localhost", "::1") or host.startswith("127.")
 
 
-class Server:
-    """Serves ``view`` from a thread of its own.
-
-    ``on_action(name, number)`` is called for a button, in that thread; what it returns or raises (a
-    :class:`SuspensionTwinError`) is shown to the viewer who pressed it. ``report`` is the folder of the last
-    diagnosis, if any.
+class Site:
+    """Serves a page from a thread of its own, to this machine or to who has the token.
 
     Raises InputError where it cannot listen on ``host`` and ``port``.
     """
 
-    def __init__(
-        self,
-        view: LiveView,
-        on_action: Callable[[str, float | None], str],
-        *,
-        host: str = "127.0.0.1",
-        port: int = 8080,
-        token: str = "",
-        road: Road | None = None,
-    ) -> None:
+    page = "index.html"
+
+    def __init__(self, *, host: str = "127.0.0.1", port: int = 8080, token: str = "") -> None:
         if not (is_local(host) or token):
             raise InputError("token", f"is needed on {host}, which others can reach")
-        self.view, self.host, self.token, self.road = view, host, token, road
-        self.report: Path | None = None
-        self._on_action = on_action
-        self._queues: set[asyncio.Queue[str]] = set()
+        self.host, self.token = host, token
         self._loop = asyncio.new_event_loop()
         self._thread = threading.Thread(target=self._loop.run_forever, name="view", daemon=True)
         self._thread.start()
@@ -114,39 +100,21 @@ class Server:
     async def _start(self, port: int) -> int:
         app = web.Application(middlewares=[self._guard], client_max_size=_LARGEST)
         app.router.add_get("/", self._index)
-        app.router.add_get("/ws", self._socket)
-        app.router.add_get(r"/road/{column:-?\d{1,7}}/{row:-?\d{1,7}}", self._tile)
-        app.router.add_get("/report", self._report)
         app.router.add_get("/static/{name}", self._file)
+        self._add_routes(app)
         self._runner = web.AppRunner(app, access_log=None)
         await self._runner.setup()
         site = web.TCPSite(self._runner, self.host, port)
         await site.start()
-        self._ticker = asyncio.ensure_future(self._tick())
         assert site._server is not None
         sockets = site._server.sockets  # type: ignore[attr-defined]
         return int(sockets[0].getsockname()[1])
 
-    async def _stop(self) -> None:
-        self._ticker.cancel()
-        await self._runner.cleanup()
+    def _add_routes(self, app: web.Application) -> None:
+        """What there is beside the page and its files."""
 
-    async def _tick(self) -> None:
-        while True:
-            await asyncio.sleep(1.0 / _RATE)
-            frame = self.view.frame()
-            if not (frame and self._queues):
-                continue
-            text = encoded(frame)
-            whole: str | None = None
-            for queue in list(self._queues):
-                if queue.qsize() >= _WAITING:
-                    while not queue.empty():
-                        queue.get_nowait()
-                    whole = whole or encoded(self.view.snapshot())
-                    queue.put_nowait(whole)
-                else:
-                    queue.put_nowait(text)
+    async def _stop(self) -> None:
+        await self._runner.cleanup()
 
     @web.middleware
     async def _guard(
@@ -168,13 +136,69 @@ class Server:
 
     async def _index(self, _request: web.Request) -> web.StreamResponse:
         headers = {"Content-Security-Policy": _POLICY, "Cache-Control": "no-store"}
-        return web.FileResponse(_HERE / "index.html", headers=headers)
+        return web.FileResponse(_HERE / self.page, headers=headers)
 
     async def _file(self, request: web.Request) -> web.StreamResponse:
         name = request.match_info["name"]
         if name not in _FILES:
             raise web.HTTPNotFound
         return web.FileResponse(_HERE / name, headers={"Cache-Control": "no-cache"})
+
+
+class Server(Site):
+    """The page of one twin: serves ``view``.
+
+    ``on_action(name, number)`` is called for a button, in the server's thread; what it returns or raises (a
+    :class:`SuspensionTwinError`) is shown to the viewer who pressed it. ``report`` is the folder of the last
+    diagnosis, if any.
+    """
+
+    def __init__(
+        self,
+        view: LiveView,
+        on_action: Callable[[str, float | None], str],
+        *,
+        host: str = "127.0.0.1",
+        port: int = 8080,
+        token: str = "",
+        road: Road | None = None,
+    ) -> None:
+        self.view, self.road = view, road
+        self.report: Path | None = None
+        self._on_action = on_action
+        self._queues: set[asyncio.Queue[str]] = set()
+        super().__init__(host=host, port=port, token=token)
+
+    def _add_routes(self, app: web.Application) -> None:
+        app.router.add_get("/ws", self._socket)
+        app.router.add_get(r"/road/{column:-?\d{1,7}}/{row:-?\d{1,7}}", self._tile)
+        app.router.add_get("/report", self._report)
+
+    async def _start(self, port: int) -> int:
+        found = await super()._start(port)
+        self._ticker = asyncio.ensure_future(self._tick())
+        return found
+
+    async def _stop(self) -> None:
+        self._ticker.cancel()
+        await super()._stop()
+
+    async def _tick(self) -> None:
+        while True:
+            await asyncio.sleep(1.0 / _RATE)
+            frame = self.view.frame()
+            if not (frame and self._queues):
+                continue
+            text = encoded(frame)
+            whole: str | None = None
+            for queue in list(self._queues):
+                if queue.qsize() >= _WAITING:
+                    while not queue.empty():
+                        queue.get_nowait()
+                    whole = whole or encoded(self.view.snapshot())
+                    queue.put_nowait(whole)
+                else:
+                    queue.put_nowait(text)
 
     async def _tile(self, request: web.Request) -> web.StreamResponse:
         column, row = (int(request.match_info[k]) for k in ("column", "row"))
@@ -191,9 +215,7 @@ class Server:
         return web.FileResponse(page, headers={"Cache-Control": "no-store"})
 
     async def _socket(self, request: web.Request) -> web.StreamResponse:
-        origin = request.headers.get("Origin")
-        if origin is not None and urlsplit(origin).netloc != request.host:
-            raise web.HTTPForbidden(text="Another page's WebSocket is refused.\n")
+        check_origin(request)
         if len(self._queues) >= _VIEWERS:
             raise web.HTTPServiceUnavailable(text="Too many viewers.\n")
         # Not compressed: aiohttp compresses in a task of its own, whose failure at a lost connection nobody can catch.
@@ -219,6 +241,13 @@ class Server:
             queue.put_nowait(encoded({"said": said, "wrong": False}))
         except SuspensionTwinError as error:
             queue.put_nowait(encoded({"said": str(error), "wrong": True}))
+
+
+def check_origin(request: web.Request) -> None:
+    """Refuse what the page of another website asks for."""
+    origin = request.headers.get("Origin")
+    if origin is not None and urlsplit(origin).netloc != request.host:
+        raise web.HTTPForbidden(text="Another page's request is refused.\n")
 
 
 async def _send(socket: web.WebSocketResponse, queue: asyncio.Queue[str]) -> None:

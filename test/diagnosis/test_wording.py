@@ -107,7 +107,21 @@ def test_an_effect_without_a_phrase_is_named_with_its_parameters(monkeypatch):
     ],
 )
 def test_the_answer_is_one_sentence(verdict, sentence):
-    assert wording.answer(document(verdict)) == sentence
+    likeliest = {"unknown": 0.05, "no_gap": 0.3}.get(verdict, 0.93)
+    told = document(verdict)
+    told["causes"][0]["probability"] = likeliest
+    assert wording.answer(told) == sentence
+
+
+def test_a_cause_that_is_likelier_than_the_answer_is_said():
+    told = document("unknown", unknown_probability=0.22, no_gap_probability=0.1)
+    told["causes"][0]["probability"] = 0.64
+    assert wording.answer(told) == (
+        "No cause is certain enough to be named: 64 % that the rear left damper has lost 40 % of its force, "
+        "22 % that it is something that is not in the library and 10 % that nothing is wrong."
+    )
+    assert wording.subject(told) == "No cause that is certain enough"
+    assert wording.message(told).endswith("10 % that nothing is wrong; 0.41 m/s² of the gap remain")
 
 
 def test_the_keys_to_come_are_used():

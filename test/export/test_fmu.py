@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 from fmpy.fmi1 import FMICallException
 from fmpy.validation import validate_fmu
-from fmu_importers import columns, inputs_of, walk_2, walk_3
+from fmu_importers import columns, walk_2, walk_3, walked
 
 from suspension_twin.arrays import Floats
 from suspension_twin.drive.read import read_drive
@@ -23,9 +23,9 @@ from suspension_twin.effects.registry import EFFECTS
 from suspension_twin.errors import InputError
 from suspension_twin.export import fmu as target
 from suspension_twin.export.registry import ExportSettings, export_twin
-from suspension_twin.export.standalone.variables import INPUTS, OUTPUTS
 from suspension_twin.gap.prepare import prepare
 from suspension_twin.gap.synthetic import path_along
+from suspension_twin.models.connectors import INPUTS, OUTPUTS
 from suspension_twin.models.excitation import excitation
 from suspension_twin.models.simulate import simulate_twin
 from suspension_twin.models.types import Excitation
@@ -109,7 +109,7 @@ def test_the_model_msd(mondeo: Twin, bump: Excitation, written: Written) -> None
 
 def test_a_plain_importer_at_a_millisecond(mondeo: Twin, bump: Excitation, written: Written) -> None:
     """Inputs held over each step are half a millisecond late."""
-    t, inputs, last = inputs_of(bump)
+    t, inputs, last = walked(bump)
     names = [variable.name for variable in INPUTS]
     table = np.array(
         [tuple(row) for row in np.column_stack([t, inputs])], dtype=[(n, float) for n in ("time", *names)]

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from fmu_importers import columns, inputs_of
+from fmu_importers import columns, walked
 
 from suspension_twin.export.registry import export_twin
 from suspension_twin.gap.synthetic import path_along
@@ -66,7 +66,7 @@ def test_the_class_is_the_twin(model: str, mondeo: Twin, tmp_path: Path) -> None
     driven = excitation(path, twin.vehicle, road)
     turning = np.sin(3.0 * driven.t)
     driven.motion[:, 2:5] = np.column_stack([2.0 * turning, 0.3 * turning, 0.9 * np.cos(3.0 * driven.t)])
-    t, inputs, last = inputs_of(driven)
+    t, inputs, last = walked(driven)
     np.savetxt(tmp_path / "in.txt", np.column_stack([np.diff(t, prepend=0.0), inputs]), fmt="%.17g")
     assert export_twin(twin, "unity", tmp_path / "Car.cs") == ()
     (tmp_path / "Program.cs").write_text(PROGRAM, encoding="utf-8")

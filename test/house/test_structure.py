@@ -126,7 +126,9 @@ def test_models_are_asked_for_by_the_registry(repository: Path) -> None:
             and isinstance(node.body[0], ast.Expr)
         }
         for node in ast.walk(tree):
-            if isinstance(node, ast.Constant) and node.value in MODELS and id(node) not in docstrings:
+            target = path.parts[1] == "export" or path.name == "export.py"  # fmu is one of export as well
+            named = set(MODELS) - (set(TARGETS) if target else set())
+            if isinstance(node, ast.Constant) and node.value in named and id(node) not in docstrings:
                 found.append(f"{path}:{node.lineno}: names the model {node.value}")
             if (
                 isinstance(node, ast.Call)

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -12,6 +13,8 @@ import pytest
 
 from suspension_twin.pose.types import Trajectory
 from suspension_twin.vehicle.twin import Twin, load_twin
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "benchmarks"))  # for other_car
 
 TWINS = Path(__file__).resolve().parents[2] / "config" / "twins"
 

@@ -13,7 +13,7 @@ from nodes_bench import PATIENT, stamp_of
 from sensor_msgs.msg import Imu, NavSatFix
 from std_srvs.srv import Trigger
 
-from suspension_twin.cli._fleet_live import summary
+from suspension_twin.cli._fleet_live import rows, summary
 from suspension_twin.cli.main import main
 from suspension_twin.errors import InputError
 from suspension_twin.nodes.composed import Composed, Condition, Playback
@@ -134,10 +134,19 @@ def test_a_line_says_how_all_are_and_one_what_is_wrong_with_each():
     )
 
 
+def test_the_page_gets_numbers_that_json_can_say():
+    found = rows(
+        {"a": condition(gap=math.nan), "b": condition(gap=0.2, complaints=["late"], rates={"imu": 99.0})}
+    )
+    assert found["a"] == {"rate": 0.0, "gap": None, "normalised": None, "text": "", "failing": False}
+    assert (found["b"]["rate"], found["b"]["gap"], found["b"]["text"]) == (99.0, 0.2, "late")
+
+
 @pytest.mark.parametrize(
     ("given", "said"),
     [
         (["--fleet", "f.csv", "--bag", "x"], "--bag: goes without --fleet"),
+        (["--fleet", "f.csv", "--view", "no:port"], "--view: must be a port"),
         (["--fleet", "f.csv", "--twin", "x"], "--twin: goes without --fleet"),
         (["--fleet", "absent.csv"], "absent.csv"),
         (["--twin", "x", "--processes", "2"], "--processes: needs --fleet"),

@@ -283,6 +283,20 @@ def test_a_wrong_twin_is_refused_by_name_and_the_old_one_goes_on(bench, twin_pat
     assert len(rows) == 50 and node.values["twin"] == str(twin_path)
 
 
+def test_a_program_is_not_loaded_by_a_request(bench, twin_path, tmp_path):
+    data = yaml.safe_load(twin_path.read_text()) | {"model": "fmu", "fmu": {"file": "car.fmu"}}
+    kept = {"wheelbase", "front_track", "rear_track", "cog", "tyre"}
+    data["vehicle"] = {key: value for key, value in data["vehicle"].items() if key in kept}
+    data["vehicle"]["tyre"] = {"radius": data["vehicle"]["tyre"]["radius"]}
+    (tmp_path / "twin.yaml").write_text(yaml.safe_dump(data))
+    node = bench.make(SuspensionModelNode, twin=str(twin_path))
+    request = LoadTwin.Request(path=str(tmp_path / "twin.yaml"))
+    response = bench.call(LoadTwin, "/suspension_model/load_twin", request)
+    assert not response.success
+    assert "fmu runs a program: name it when the node is started" in response.message
+    assert node.values["twin"] == str(twin_path)
+
+
 def test_loading_says_what_the_other_nodes_have_to_be_told(bench, twin_path, tmp_path):
     bench.make(SuspensionModelNode, twin=str(twin_path))
     twin = load_twin(twin_path).with_changes({"imu.position.0": 1.0, "vehicle.mass": 1800.0})

@@ -1,14 +1,21 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a twin that has left takes and gives: names, units and meaning, in the order of ``models.one_lane``."""
+"""What a vehicle model takes and gives, by name: what ``export`` writes into an FMU, and ``model: fmu`` reads.
+
+Inputs in the order of ``models.one_lane``, outputs in that of ``models.observe``. SI units.
+"""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 from typing import Final
 
+import numpy as np
+
+from suspension_twin.arrays import Floats
+from suspension_twin.models.types import Excitation
 from suspension_twin.vehicle.corners import CORNERS
 
-__all__ = ["INPUTS", "OUTPUTS", "Variable"]
+__all__ = ["INPUTS", "OUTPUTS", "Variable", "inputs_of"]
 
 
 @dataclass(frozen=True)
@@ -61,3 +68,17 @@ OUTPUTS: Final = (
     Variable("pitch_acceleration", "rad/s2", "Second derivative of pitch"),
     *_each("wheel_acceleration", "m/s2", "Second derivative of the wheel's height"),
 )
+
+
+def inputs_of(driven: Excitation, road: Floats | None = None) -> Floats:
+    """(m, 10) INPUTS at every row of the road of an excitation, or of another ``road`` (m, 4) m seen instead."""
+    count = np.maximum(driven.substeps, 1)
+    at = np.arange(len(driven)).repeat(count)
+    share = ((np.arange(at.size) - driven.first[at] + 1) / count[at])[:, None]
+    before = np.where(driven.substeps[at] > 0, at - 1, at)
+    planar = driven.motion[:, 1:7]
+    mixed = planar[before] + share * (planar[at] - planar[before])
+    # moments are linear in the square of the yaw rate
+    square, yaw = planar[:, 2:3] ** 2, planar[at, 2:3]
+    mixed[:, 2:3] = np.sign(yaw) * np.sqrt(square[before] + share * (square[at] - square[before]))
+    return np.hstack([driven.road if road is None else road, mixed])
