@@ -4,6 +4,8 @@
 from __future__ import annotations
 
 import os
+import shutil
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -53,6 +55,19 @@ def shared_data() -> Path:
     if not folder.is_dir():
         pytest.skip("no measured data: set SUSPENSION_TWIN_DATA to its folder")
     return folder
+
+
+@pytest.fixture(scope="session")
+def copy_kernels() -> Callable[..., None]:
+    """``copy_kernels(folder, *left_out)``: the package's machine code into a cache of a test's own: only what the test
+    is about is compiled there."""
+
+    def copy(folder: Path, *left_out: str) -> None:
+        known = REPOSITORY / "suspension_twin" / "__pycache__" / "kernels"
+        if known.is_dir():  # what another process is writing comes and goes
+            shutil.copytree(known, folder / "kernels", ignore=shutil.ignore_patterns("*.tmp.*", *left_out))
+
+    return copy
 
 
 _AXLE = {

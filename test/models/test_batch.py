@@ -265,7 +265,8 @@ def _start(environment: dict[str, str]) -> list[int]:
     return out
 
 
-def test_a_second_start_compiles_nothing(tmp_path: Path) -> None:
+def test_a_second_start_compiles_nothing(tmp_path: Path, copy_kernels: Any) -> None:
+    copy_kernels(tmp_path, "suspension_twin.models.full_car.*")
     environment = {"NUMBA_CACHE_DIR": str(tmp_path)}
     assert _start(environment) == [0, 1]
     assert _start(environment) == [1, 0]
