@@ -12,6 +12,7 @@ import pytest
 from suspension_twin.calibration.request import CalibrationRequest
 from suspension_twin.calibration.setup import set_up
 from suspension_twin.drive.read import read_drive
+from suspension_twin.errors import WorkError
 from suspension_twin.gap.prepare import Prepared, prepare
 from suspension_twin.identification.coarse_alignment import coarse_lag
 from suspension_twin.identification.excited_segments import excited, fit_rows, trim
@@ -314,6 +315,18 @@ def test_autoregression_finds_the_process_and_whitens_it() -> None:
     white = Whitener.of_residual(measured, process[:, None]).residuals(process[:, None, None])[:, 0]
     assert np.std(white) == pytest.approx(1.0, abs=0.02)
     assert abs(np.corrcoef(white[1:], white[:-1])[0, 1]) < 0.03
+
+
+def test_a_segment_that_a_filter_hardly_fits_in_is_left_out() -> None:
+    measured = Measured(
+        ("x",), np.zeros((100, 1)), (slice(0, 8), slice(8, 60), slice(60, 69), slice(69, 77)), 100.0
+    )
+    taps = np.array([1.0, -0.5, 0.0, 0.0, 0.0])
+    white = Whitener.with_filters(measured, (0,) * 4, taps[None, None], np.ones((1, 1)))
+    assert white.residuals(np.ones((100, 1, 1))).shape[0] == (52 - 4) + (9 - 4)  # two orders are too short
+    nothing = Measured(("x",), np.zeros((100, 1)), (slice(0, 8), slice(20, 28)), 100.0)
+    with pytest.raises(WorkError, match="too short"):
+        Whitener.with_filters(nothing, (0, 0), taps[None, None], np.ones((1, 1)))
 
 
 # -- springs ---------------------------------------------------------------------------------------
