@@ -309,6 +309,24 @@ def test_a_twin_of_object_storage_brings_no_program(other: Twin, tmp_path: Path)
         work.twin_and_road(item, tmp_path)
 
 
+def test_a_result_of_a_fleet_names_its_program_from_where_it_lies(
+    other: Twin, file: Path, tmp_path: Path
+) -> None:
+    ledger = pytest.importorskip("suspension_twin.fleet.ledger").Ledger(tmp_path / "results")
+    (tmp_path / "work" / "out").mkdir(parents=True)
+    save_twin(other, tmp_path / "work" / "out" / "twin.yaml")  # where a worker writes it, and removes it
+    text = (tmp_path / "work" / "out" / "twin.yaml").read_text()
+    assert other.road is not None
+    record = {
+        "key": "ab" * 16,
+        "road": str(other.road.file),
+        "program": str(file),
+        "files": {"twin.yaml": text},
+    }
+    ledger.save(record)
+    assert load_twin(ledger.place("ab" * 16) / "twin.yaml") == other
+
+
 def test_who_sends_a_goal_does_not_choose_a_program(other: Twin, repository: Path, tmp_path: Path) -> None:
     jobs = pytest.importorskip("suspension_twin.nodes.jobs")
     save_twin(other, tmp_path / "twin.yaml")
