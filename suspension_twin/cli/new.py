@@ -11,7 +11,7 @@ from typing import Annotated, Any
 import typer
 
 from suspension_twin.cli.common import Force, Outputs, bundled, output
-from suspension_twin.errors import InputError, nearest
+from suspension_twin.errors import InputError, nearest, printable
 
 __all__ = ["command"]
 
@@ -43,17 +43,15 @@ def command(
     from suspension_twin.vehicle.twin import RoadFile, load_twin, save_twin
 
     outputs = Outputs(out, force=force)
+    if road is not None and not road.is_file():
+        raise InputError(road, "no such file")
     twin = load_twin(_ready(base or _BASE))
     outputs.announce()
     with outputs:
         if not base:
-            twin = resized(twin, _ask(twin))
-            if road is None:
-                given = typer.prompt("Road file (OpenCRG), empty: none yet", default="", show_default=False)
-                road = Path(given) if given else None
+            sizes, road = _ask(twin, road)
+            twin = resized(twin, sizes)
         if road is not None:
-            if not road.is_file():
-                raise InputError(road, "no such file")
             twin = twin.model_copy(update={"road": RoadFile(file=road.resolve())})
         save_twin(twin, out, heading=_heading(base))
     console = output()
@@ -76,13 +74,13 @@ def _ready(name: str) -> Path:
     return folder / f"{name}.yaml"
 
 
-def _ask(base: Any) -> Any:
-    """The sizes, by questions on the terminal."""
+def _ask(base: Any, road: Path | None) -> tuple[Any, Path | None]:
+    """The sizes, and the road if it is not given, by questions on the terminal."""
     from suspension_twin.vehicle.new import Sizes
 
     old = base.vehicle
     try:
-        return Sizes(
+        sizes = Sizes(
             name=typer.prompt("Make and model", default="my car"),
             mass=_number("Mass with everybody on board, kg", old.mass, 300.0, 10_000.0),
             wheelbase=_number("Wheelbase, m", old.wheelbase, 1.0, 8.0),
@@ -91,12 +89,22 @@ def _ask(base: Any) -> Any:
             imu=_place("Phone or IMU", base.imu.position),
             gps=_place("GPS antenna", base.gps.position),
         )
+        return sizes, road or _ask_road()
     except typer.Abort:
         if sys.stdin.isatty():
             raise KeyboardInterrupt from None
         raise InputError(
             "new", "asks questions, and the input has ended: --from takes a ready twin"
         ) from None
+
+
+def _ask_road() -> Path | None:
+    """A file that is there, or none."""
+    while given := str(typer.prompt("Road file (OpenCRG), empty: none yet", default="", show_default=False)):
+        if Path(given).is_file():
+            return Path(given)
+        typer.echo(f"  {printable(given)}: no such file", err=True)
+    return None
 
 
 def _place(what: str, default: tuple[float, float, float]) -> tuple[float, float, float]:

@@ -53,6 +53,8 @@ FEATURES: Mapping[str, float] = {
     "margin": 0.5,  # evidence over the next best
     "proven": 2.0,  # lower end of the shrink beyond recalibration in the best channel
     "explained": 2.0,  # share of the residual beyond the expected discrepancy
+    "complete": 1.0,  # share of what any hypothesis removes
+    "open": -0.3,  # evidence that one more effect adds
     "excess": -1.0,  # what remains beside the expected discrepancy
     "lost": -2.0,  # growth of the gap in another channel
     "usual": -1.0,  # as small as errors of twin files are
@@ -70,6 +72,7 @@ FEATURES: Mapping[str, float] = {
     "unknown": -1.0,
     "unknown_blind": 0.0,
     "unknown_best_excess": 1.0,  # what the best cause leaves
+    "unknown_open": 0.3,  # evidence of the best set over the best single effect
 }
 #: Held-out mean square in units of the noise model of the reference, and residual as a share of the motion without a
 #: reference, that a complete model leaves: medians over cars without any fault.
@@ -246,8 +249,13 @@ def answers_of(evidence: Mapping[str, Any]) -> list[Answer]:
             "evidence.json", f"is of format {evidence.get('format')}, not {FORMAT}: diagnose again"
         )
     case, base = evidence["case"], evidence["base"]
-    # a set with an effect that may add nothing is no answer of its own
-    rows = [r for r in evidence["hypotheses"] if r.get("added_low", 1.0) > 0.0]
+    # a set with an effect that may add nothing, or that is as small as errors of twin files, is no answer of its own
+    rows = [
+        r
+        for r in evidence["hypotheses"]
+        if len(r["effects"]) == 1
+        or (r["added_low"] > 0.0 and (r["usual"] is None or r["usual"] > _USUAL_RATIO))
+    ]
     if case["kind"] == "planar":
         # the few set-up errors occur together: a part of the set that none can be taken out of is no rival
         joint = [set(r["effects"]) for r in rows if len(r["effects"]) > 1]
@@ -257,6 +265,8 @@ def answers_of(evidence: Mapping[str, Any]) -> list[Answer]:
     gains = [_gain(r, base.get("since")) for r in rows]
     unusual = [g for g, r in zip(gains, rows, strict=True) if r["usual"] is None or r["usual"] > _USUAL_RATIO]
     best = max(rows, key=lambda r: _explained(case, base, r), default=base)
+    singles = [g for g, r in zip(gains, rows, strict=True) if len(r["effects"]) == 1]
+    most, least = _square(case, base), min(_square(case, r) for r in (base, *rows))
     none = {
         "none_excess": _excess(case, base),
         "none_gain": _nats(max([0.0, *unusual])),
@@ -267,6 +277,7 @@ def answers_of(evidence: Mapping[str, Any]) -> list[Answer]:
         "unknown": 1.0,
         "unknown_blind": float(not case["reference"]),
         "unknown_best_excess": min(_excess(case, best), _excess(case, base)),
+        "unknown_open": _nats(max([0.0, *gains]) - max([0.0, *singles])),
     }
     found = [Answer((), None, _vector(none)), Answer(("unknown",), None, _vector(unknown))]
     for i, row in enumerate(rows):
@@ -286,6 +297,10 @@ def answers_of(evidence: Mapping[str, Any]) -> list[Answer]:
             "margin": _nats(gains[i] - max([0.0, *rivals])),
             "proven": float(np.clip(max(c["low"] for c in row["channels"].values()), 0.0, 1.0)),
             "explained": explained,
+            "complete": max(most - _square(case, row), 0.0) / (most - least) if most > least else 0.0,
+            "open": _nats(
+                max(g for g, r in zip(gains, rows, strict=True) if own <= set(r["effects"])) - gains[i]
+            ),
             "excess": _excess(case, row) * (1.0 - explained),
             "lost": _lost(case, row),
             "usual": float(np.clip(np.log(_USUAL_RATIO / usual), 0.0, 3.0)),
@@ -353,6 +368,13 @@ def _explained(case: Row, base: Row, row: Row) -> float:
         return float(square**2 / (square + _USUAL_LEVEL**2))
 
     return float(np.clip(1.0 - beyond(row) / max(beyond(base), 1e-12), 0.0, 1.0))
+
+
+def _square(case: Row, row: Row) -> float:
+    """Mean square of the remaining residual: in units of the noise model of the reference, or of the motion."""
+    if not case["reference"]:
+        return float(row["level_fitted"] ** 2)
+    return float(sum(v for c, v in row["mean_squares"].items() if case["channels"][c]["driven"]))
 
 
 def _lost(case: Row, row: Row) -> float:

@@ -10,11 +10,16 @@ section k of the drives with the gap gives
 with v^p the growth of the tone with the speed: first of short sections over the whole range, by a fast Fourier
 transform over t for each n, then about the largest peaks of longer and longer ones. Two simulations at each peak, a
 quarter of a turn apart, give strength and phases by linear least squares.
+
+An engine that idles below a speed has the frequency max(f, n v). Short sections then belong to f where their mean speed
+is below f / n, and to n above: P is the sum of two spectra, of which each needs one dimension. About a peak the angle
+is 2 pi (f t' + n s') with the time t' below that speed and the distance s' above it, to first order in both.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.fft import fft, next_fast_len
@@ -36,6 +41,7 @@ _FINE = 2.5
 _PEAKS = 3
 _AROUND = 4  # grid points on either side of a peak in a later stage
 _LEAST = 32  # samples of a section
+_FLOORED = 4.0  # s of a section that has one side of a tone with a floor
 _BLOCK = 0.5  # s of a sum: a tone that is a grid point off turns by less than a tenth meanwhile
 _MOST = 48  # sections of all channels and drives together in the first stage
 _SAMPLES = 2.3  # for each period of the highest frequency
@@ -43,13 +49,27 @@ _SAMPLES = 2.3  # for each period of the highest frequency
 
 @dataclass(frozen=True, eq=False)
 class _Series:
-    """One channel of one drive: whitened residual ``e`` (n,) at times ``t`` s and distances ``s`` m, with the weight
-    ``g`` of the growth with the speed."""
+    """One channel of one drive: whitened residual ``e`` (n,) at times ``clock`` s, with the weight ``g`` of the growth
+    with the speed. A tone of f Hz and n 1/m turns by f ``t`` + n ``s``: time in s and distance in m."""
 
+    clock: Floats
     t: Floats
     s: Floats
     e: Floats
     g: Floats
+
+    @property
+    def speed(self) -> Floats:
+        """(n,) m/s."""
+        return np.gradient(self.s, self.clock)
+
+    def about(self, f: float, n: float) -> _Series:
+        """The same for tones near one of the frequency max(f, n v): ``t`` counts below the speed f / n, ``s`` above."""
+        v, step = self.speed, np.gradient(self.clock)
+        above = v > f / n
+        return replace(
+            self, t=np.cumsum(np.where(above, 0.0, step)), s=np.cumsum(np.where(above, v * step, 0.0))
+        )
 
     @property
     def weighted(self) -> Floats:
@@ -60,7 +80,7 @@ class _Series:
         """Sums over every ``_BLOCK`` s of the weighted residual with a tone turned to rest: ``e`` is complex, ``g`` the
         root of the sum of squares."""
         turned = self.e * self.g * np.exp(-2j * np.pi * (f * self.t + n * self.s))
-        block = ((self.t - self.t[0]) / _BLOCK).astype(int)
+        block = ((self.clock - self.clock[0]) / _BLOCK).astype(int)
         count = np.bincount(block)
         kept = count > 0
 
@@ -69,25 +89,31 @@ class _Series:
 
         real, imaginary = (np.bincount(block, part)[kept] for part in (turned.real, turned.imag))
         weight = np.sqrt(np.bincount(block, self.g**2)[kept])
-        return _Series(mean(self.t), mean(self.s), real + 1j * imaginary, weight)
+        return _Series(mean(self.clock), mean(self.t), mean(self.s), real + 1j * imaginary, weight)
 
     def sections(self, seconds: float, least: int = _LEAST) -> list[_Series]:
         """Parts of equal duration, at most so many seconds each, with at least so many samples."""
-        count = max(1, int(np.ceil((self.t[-1] - self.t[0]) / seconds)))
-        edges = np.linspace(self.t[0], self.t[-1] + 1e-9, count + 1)
-        cuts = np.searchsorted(self.t, edges)
+        count = max(1, int(np.ceil((self.clock[-1] - self.clock[0]) / seconds)))
+        edges = np.linspace(self.clock[0], self.clock[-1] + 1e-9, count + 1)
+        cuts = np.searchsorted(self.clock, edges)
         return [
-            _Series(self.t[a:b], self.s[a:b], self.e[a:b], self.g[a:b])
+            _Series(self.clock[a:b], self.t[a:b], self.s[a:b], self.e[a:b], self.g[a:b])
             for a, b in zip(cuts[:-1], cuts[1:], strict=True)
             if b - a >= least
         ]
 
 
-def tone_peaks(bench: Bench, residual: Floats, effect: Effect) -> list[tuple[float, float]]:
-    """(f, n) of the strongest tones in a whitened residual (R,), in Hz and 1/m; none for an effect that is no tone."""
-    if effect.tone is None:
+def tone_peaks(bench: Bench, residual: Floats, effect: Effect) -> list[Mapping[str, float]]:
+    """Parameters of the strongest tones in a whitened residual (R,), without strength and phase; none for an effect
+    that is no tone."""
+    tone = effect.tone
+    if tone is None:
         return []
-    return _peaks(_series(bench, residual, effect.tone.power), effect.tone, bench.problem.measured.rate)
+    series = _series(bench, residual, tone.power)
+    found = [tone.parameters(f, n) for f, n in _peaks(series, tone, bench.problem.measured.rate)]
+    if tone.with_floor is not None:
+        found += [tone.with_floor(f, n) for f, n in _floored_peaks(series, tone)]
+    return found
 
 
 def tone_starts(
@@ -96,7 +122,7 @@ def tone_starts(
     residual: Floats,
     hypothesis: Hypothesis,
     effect: str,
-    peaks: list[tuple[float, float]],
+    peaks: list[Mapping[str, float]],
 ) -> list[Floats]:
     """Unknowns of a hypothesis with one more effect than ``base``, whose residual (R,) has those ``peaks``: with the
     strength and phases that lower the sum of squares most, the best first."""
@@ -124,7 +150,7 @@ def _series(bench: Bench, residual: Floats, power: int) -> list[_Series]:
             if rows.size < _LEAST:
                 continue
             e = residual[own] / max(float(np.std(residual[own])), 1e-300)
-            found.append(_Series(t[rows], s[rows], e, np.maximum(np.abs(v[rows]), 0.1) ** power))
+            found.append(_Series(t[rows], t[rows], s[rows], e, np.maximum(np.abs(v[rows]), 0.1) ** power))
     return found
 
 
@@ -132,7 +158,7 @@ def _peaks(series: list[_Series], tone: Tone, rate: float) -> list[tuple[float, 
     """(f, n) of the strongest tones: over the whole range by short sections, then by longer and longer ones."""
     if not series:
         return []
-    duration = max(one.t[-1] - one.t[0] for one in series)
+    duration = max(one.clock[-1] - one.clock[0] for one in series)
     seconds = min(_SECTION, duration)
     every = [one.sections(seconds) for one in series]
     # as many of each series, spread over it
@@ -157,6 +183,50 @@ def _peaks(series: list[_Series], tone: Tone, rate: float) -> list[tuple[float, 
         if not np.isfinite(power).any():
             break
     return [_refined(series, tone, at, seconds, duration, step, pace) for at in found]
+
+
+def _floored_peaks(series: list[_Series], tone: Tone) -> list[tuple[float, float]]:
+    """(f, n) of the strongest tones of the frequency max(f, n v) that are on both sides of f / n."""
+    sections = [part for one in series for part in one.sections(_FLOORED)]
+    if not sections:
+        return []
+    duration = max(one.clock[-1] - one.clock[0] for one in series)
+    step = 1.0 / (_FINE * _FLOORED)
+    pace = 1.0 / (_FINE * max(1.0, max(float(np.ptp(part.s)) for part in sections)))
+    f = np.arange(max(tone.frequencies[0], step), tone.frequencies[1], step)
+    n = np.arange(max(tone.wavenumbers[0], pace), tone.wavenumbers[1], pace)
+    speed = np.array([float(part.speed.mean()) for part in sections])
+    in_time = np.array([_power(f, part.t, part.weighted) for part in sections])
+    in_space = np.array([_power(n, part.s, part.weighted) for part in sections])
+    order = np.argsort(speed)
+    below = np.concatenate([np.zeros((1, f.size)), np.cumsum(in_time[order], axis=0)])
+    above = np.concatenate([np.cumsum(in_space[order][::-1], axis=0)[::-1], np.zeros((1, n.size))])
+    # how many sections are slower than f / n
+    slower = np.searchsorted(speed[order], f[None, :] / n[:, None])
+    both = (slower > 0) & (slower < len(sections))
+    power = below[slower, np.arange(f.size)] + above[slower, np.arange(n.size)[:, None]]
+    power = np.where(both, power, -np.inf)
+    found = []
+    for _ in range(_PEAKS):
+        i, j = np.unravel_index(int(np.argmax(power)), power.shape)
+        if not np.isfinite(power[i, j]):
+            break
+        at = float(f[j]), float(n[i])
+        near = (np.abs(f - f[j]) < 4.0 * step)[None, :] & (np.abs(n - n[i]) < 4.0 * pace)[:, None]
+        power[near] = -np.inf
+        for _ in range(2):  # the second time with the speed that the first one found
+            if not at[0] > 0.0 < at[1]:
+                break
+            parts = [one.about(*at) for one in series]
+            at = _refined(parts, tone, at, _FLOORED, duration, step, pace)
+        if at[0] > 0.0 < at[1]:
+            found.append(at)
+    return found
+
+
+def _power(grid: Floats, at: Floats, weighted: Floats) -> Floats:
+    """(G,) power of a tone of each of so many turns per unit of ``at`` (n,)."""
+    return np.asarray(np.abs(np.exp(-2j * np.pi * grid[:, None] * at[None, :]) @ weighted) ** 2)
 
 
 def _over_range(
@@ -228,7 +298,7 @@ def _simulated(
     hypothesis: Hypothesis,
     effect: str,
     tone: Tone,
-    peaks: list[tuple[float, float]],
+    peaks: list[Mapping[str, float]],
 ) -> list[Floats]:
     rows = [i for i, key in enumerate(hypothesis.keys) if key.split(".")[1] == effect]
     names = {hypothesis.keys[i].split(".")[2]: i for i in rows}
@@ -237,8 +307,8 @@ def _simulated(
     kept = hypothesis.neutral()
     kept[: base.x.size - bench.d - bench.q] = base.x[bench.d + bench.q :]
     points = np.repeat(kept[:, None], 2 * len(peaks), axis=1)
-    for k, (f, n) in enumerate(peaks):
-        for name, value in tone.parameters(f, n).items():
+    for k, parameters in enumerate(peaks):
+        for name, value in parameters.items():
             points[names[name], 2 * k : 2 * k + 2] = hypothesis.coordinate(names[name], value)
         points[strength, 2 * k : 2 * k + 2] = hypothesis.coordinate(strength, spread)
         for i in phases:

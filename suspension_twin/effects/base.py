@@ -110,6 +110,7 @@ class Tone:
     ``strength`` names the parameter that it is proportional to, ``phase`` that of the angle at the start.
     ``frequencies`` Hz of f and ``wavenumbers`` 1/m of n are ranges to search, f or n alone where the other's is (0, 0);
     ``parameters`` gives the parameters for f and n; the strength that is felt grows with that ``power`` of the speed.
+    ``with_floor`` gives those of a tone of the frequency max(f, n v), where the effect can be one.
     """
 
     strength: str
@@ -118,6 +119,7 @@ class Tone:
     wavenumbers: tuple[float, float]
     parameters: Callable[[float, float], Mapping[str, float]]
     power: int = 0
+    with_floor: Callable[[float, float], Mapping[str, float]] | None = None
 
 
 @dataclass(frozen=True)

@@ -46,6 +46,7 @@ _PARAMETERS = (
     Parameter(
         "per_metre", "1/m", 0.0, 4.0, 0.0, 0.5, 0.5, "by which the frequency rises with the speed in m/s"
     ),
+    Parameter("floor", "Hz", 0.0, 50.0, 0.0, 0.0, 8.0, "least frequency: the engine idles"),
     Parameter("phase", "rad", -7.0, 7.0, 0.0, 0.0, math.pi, "at the drive's start", each_drive=True),
 )
 
@@ -54,6 +55,7 @@ _FIELDS = Fields()
 _SIZE = _FIELDS.add()  # N
 _OMEGA = _FIELDS.add()  # at standstill, rad/s
 _PER_METRE = _FIELDS.add()  # rad/m
+_FLOOR = _FIELDS.add()  # rad/s
 _PHASE = _FIELDS.add()  # rad
 _ANGLE = _FIELDS.state()  # since the start, rad
 
@@ -64,6 +66,7 @@ def _constants(p: Values) -> Mapping[int, Floats]:
         _SIZE: p["force"],
         _OMEGA: turn * p["frequency"],
         _PER_METRE: turn * p["per_metre"],
+        _FLOOR: turn * p["floor"],
         _PHASE: p["phase"],
     }
 
@@ -71,6 +74,7 @@ def _constants(p: Values) -> Mapping[int, Floats]:
 @inlined
 def _hum(w: Floats, e: int, c: int, i: int, h: float) -> None:
     omega = fma(w[(e + _PER_METRE) * WIDTH + i], w[rows.SPEED * WIDTH + i], w[(e + _OMEGA) * WIDTH + i])
+    omega = max(omega, w[(e + _FLOOR) * WIDTH + i])
     angle = fma(h, omega, w[(e + _ANGLE) * WIDTH + i])
     w[(e + _ANGLE) * WIDTH + i] = angle
     f = w[(e + _SIZE) * WIDTH + i] * math.sin(angle + w[(e + _PHASE) * WIDTH + i])
@@ -91,8 +95,8 @@ EFFECT = Effect(
     title="tone of the engine",
     where="body",
     doc="A harmonic force on the body above the front axle, whose frequency is one part that is fixed and one that is "
-    "proportional to the speed: an idling engine or a fan, an order of the engine in one gear, or both. A pause of "
-    "more than 0.5 s in a recording begins a new phase.",
+    "proportional to the speed, but not below that of the idling engine: max(floor, frequency + per_metre v). A fan, "
+    "an order of the engine in one gear, or both. A pause of more than 0.5 s in a recording begins a new phase.",
     parameters=_PARAMETERS,
     order=145,
     severity=("force",),
@@ -102,6 +106,7 @@ EFFECT = Effect(
         (0.0, 22.0),
         (0.0, 2.4),
         lambda f, n: {"frequency": f, "per_metre": n},
+        with_floor=lambda f, n: {"frequency": 0.0, "per_metre": n, "floor": f},
     ),
     excited_by=("the engine itself", "a smooth road", "standing still"),
     confused_with=("wheel_imbalance", "mount_resonance", "powertrain_mount"),

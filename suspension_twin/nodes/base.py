@@ -330,8 +330,10 @@ class TwinNode(Node):  # type: ignore[misc]
             tell(message)
 
     def _find(self, code: str, holds: bool, text: str) -> None:
-        """Show a warning while it holds."""
+        """Show a warning while it holds, and log it when it begins."""
         if holds:
+            if code not in self.health.findings:
+                self.say(WARN, text)
             self.health.findings[code] = WARN, text
         else:
             self.health.findings.pop(code, None)

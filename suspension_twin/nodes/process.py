@@ -143,7 +143,11 @@ def check_arguments(args: list[str]) -> None:
 def help_text(kind: Any, program: str) -> str:
     """What ``--help`` prints for the program of a node: what it does, and its parameters with their defaults."""
     lines = [f"Usage: {program} [--ros-args -p NAME:=VALUE -r FROM:=TO ...]", ""]
-    lines += [*textwrap.wrap(" ".join((kind.__doc__ or "").split()), 80), "", "Parameters (-p):"]
+    lines += [
+        *textwrap.wrap(" ".join((kind.__doc__ or "").replace("``", "").split()), 80),
+        "",
+        "Parameters (-p):",
+    ]
     for param in (*kind.common, *kind.parameters):
         shown = json.dumps(param.default) if isinstance(param.default, (bool, str)) else param.default
         bounds = "" if param.low is None else f" ({param.low:g} to {param.high:g})"
@@ -160,7 +164,7 @@ def run_alone(make: Callable[[Embedding], Node], args: list[str] | None = None) 
         arguments = sys.argv if args is None else args
         own = arguments[1 : arguments.index("--ros-args")] if "--ros-args" in arguments else arguments[1:]
         if {"-h", "--help"} & set(own):
-            print(help_text(make, os.path.basename(arguments[0])))
+            print(help_text(make, os.path.basename(arguments[0])), flush=True)
             return 0
         check_arguments(arguments[1:])
         with stopping() as stop, ros_context(arguments) as context:
@@ -178,4 +182,9 @@ def run_alone(make: Callable[[Embedding], Node], args: list[str] | None = None) 
     except SuspensionTwinError as error:
         print(" ".join(str(error).split()), file=sys.stderr)
         return error.exit_status
+    except (
+        BrokenPipeError
+    ):  # the reader has gone (| head): nothing more for it, and none of the interpreter's complaints
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return 1
     return 0

@@ -51,3 +51,17 @@ def test_the_frequency_rises_with_the_speed(twin: Twin) -> None:
     turns = 6.0 * t + 0.5 * (4.0 * t + 0.5 * t**2)
     crossings = np.count_nonzero(np.diff(np.sign(run.vertical_acceleration[late])))
     assert crossings == pytest.approx(2 * np.ptp(turns[late]), abs=1.5)
+
+
+def test_the_engine_idles_below_a_speed(twin: Twin) -> None:
+    run = respond(
+        given(linear(twin), engine_order={"force": 300.0, "per_metre": 1.0, "floor": 7.0}),
+        flat,
+        way(10.0, rate=400.0, speed=3.0, ax=1.0),
+    )
+    t = run.t - run.t[0]
+    late = t > 2.0
+    above = np.maximum(t - 4.0, 0.0)  # 7 m/s after 4 s
+    turns = 7.0 * t + 0.5 * above**2
+    crossings = np.count_nonzero(np.diff(np.sign(run.vertical_acceleration[late])))
+    assert crossings == pytest.approx(2 * np.ptp(turns[late]), abs=1.5)

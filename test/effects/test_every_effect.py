@@ -173,7 +173,7 @@ def test_a_twin_file_keeps_it(twin: Twin, name: str, tmp_path: Path) -> None:
 def test_its_description_is_whole(name: str) -> None:
     e = EFFECTS[name]
     assert e.id == name and e.title and len(e.doc) > 40 and e.excited_by and e.confused_with
-    assert 1 <= len(e.parameters) <= 4 and e.severity
+    assert 1 <= len(e.parameters) <= 5 and e.severity
     assert list(e.hook.neutral) == [p.name for p in e.parameters]
     for p in e.parameters:
         assert p.low < p.high and p.doc and p.spread > 0 and (p.typical > 0 or not p.log)

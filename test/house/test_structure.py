@@ -6,6 +6,7 @@ from __future__ import annotations
 import ast
 import re
 from collections.abc import Iterator
+from functools import cache
 from importlib import import_module
 from pathlib import Path
 
@@ -48,9 +49,11 @@ RANK = {name: rank for rank, row in enumerate(ROWS) for name in row}
 ROS = re.compile(r"rclpy|rosidl\w*|ament\w*|launch\w*|\w+_msgs|\w+_srvs|\w+_interfaces")
 
 
-def modules(repository: Path) -> Iterator[tuple[Path, ast.Module]]:
-    for path in sorted((repository / "suspension_twin").rglob("*.py")):
-        yield path.relative_to(repository), ast.parse(path.read_text(encoding="utf-8"))
+@cache
+def modules(repository: Path) -> list[tuple[Path, ast.Module]]:
+    """Every module of the package; nobody changes the trees."""
+    paths = sorted((repository / "suspension_twin").rglob("*.py"))
+    return [(path.relative_to(repository), ast.parse(path.read_text(encoding="utf-8"))) for path in paths]
 
 
 def imports(tree: ast.Module) -> set[str]:

@@ -82,3 +82,7 @@ def test_plotjuggler_plots_what_is_published(repository, publisher, twin_path):
         assert isinstance(value, float) or topic == "/joint_states"
         seen.add(topic)
     assert {"/imu/vertical_acceleration", "/twin/vertical_acceleration", "/twin/gap", "/joint_states"} <= seen
+    # PlotJuggler drops the curves that have no data yet, unless the layout has it start to stream
+    streamer = layout.find("previouslyLoaded_Streamer").attrib["name"]
+    chosen = layout.find(f"Plugins/plugin[@ID='{streamer}']/selected_topics").attrib["value"]
+    assert sorted(chosen.split(";")) == sorted(seen)

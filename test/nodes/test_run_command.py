@@ -324,7 +324,19 @@ def test_a_node_program_answers_help(node, capsys):
     assert module.main([node, "--help"]) == 0
     out = capsys.readouterr().out
     assert out.startswith(f"Usage: {node} [--ros-args") and max(map(len, out.splitlines())) <= 80
-    assert all(f"  {p.name} = " in out for p in module.main.args[0].parameters)
+    assert all(f"  {p.name} = " in out for p in module.main.args[0].parameters) and "``" not in out
+
+
+def test_help_into_a_pipe_that_is_closed_is_no_traceback():
+    node = subprocess.Popen(
+        [sys.executable, "-m", "suspension_twin.nodes.source", "--help"],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+    )
+    node.stdout.close()
+    assert node.wait(60) == 1 and node.stderr.read() == ""
+    node.stderr.close()
 
 
 @pytest.mark.parametrize("terminal", [True, False])

@@ -134,13 +134,14 @@ def test_a_topic_of_another_type_is_named(bench, twin_path):
     assert ", expected as sensor_msgs/msg/NavSatFix" in worst(node)[1]
 
 
-def test_a_low_pass_that_one_node_alone_has_is_seen(bench, twin_path):
+def test_a_low_pass_that_one_node_alone_has_is_seen(bench, twin_path, capfd):
     model = bench.make(SuspensionModelNode, namespace="car", twin=str(twin_path))
     ingest = bench.make(ImuIngestNode, namespace="car", filter__cutoff=10.0)
     bench.make(ImuIngestNode, namespace="other", filter__cutoff=5.0)
     wanted = "the low-pass is 20 Hz, order 2 here and 10 Hz, order 2 in imu_ingest"
     bench.until(lambda: wanted in worst(model)[1], "the warning")
     assert "5 Hz" not in worst(model)[1]
+    assert capfd.readouterr().err.count(wanted) == 1  # on the console as well
     from rclpy.parameter import Parameter
 
     ingest.set_parameters([Parameter("filter.cutoff", value=20.0)])

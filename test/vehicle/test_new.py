@@ -38,18 +38,20 @@ def test_a_resized_car_has_the_natural_frequencies_of_the_first(mondeo_file):
 
 
 def test_questions_are_asked_and_wrong_answers_asked_again(repository, tmp_path):
-    answers = ["Opel Corsa", "light", "1180", "2.49", "", "1.45", "1.4", "0.3", "1.15", "", "", "1.48", ""]
+    answers = ["Opel Corsa", "light", "1180", "2.49", "", "1.45", "1.4", "0.3", "1.15", "", "", "1.48"]
+    answers += ["no.crg", str(repository / "bags" / "bump_15kmh" / "road.crg")]
     command = [sys.executable, "-m", "suspension_twin", "new", "--out", str(tmp_path / "twin.yaml")]
     done = subprocess.run(
         command, input="\n".join(answers) + "\n", capture_output=True, text=True, timeout=60
     )
     assert done.returncode == 0, done.stderr
     assert done.stdout.startswith("Writes ") and "a number from 300 to 10000" in done.stderr
+    assert "no.crg: no such file" in done.stderr
     twin = load_twin(tmp_path / "twin.yaml")
     assert twin.vehicle.name == "Opel Corsa" and twin.vehicle.mass == 1180.0
     assert twin.vehicle.front_track == 1.588 and twin.vehicle.rear_track == 1.45
     assert twin.imu.position == (1.4, 0.3, 1.15) and twin.gps.position == (0.0, 0.0, 1.48)
-    assert twin.road is None
+    assert twin.road.file.resolve() == repository / "bags" / "bump_15kmh" / "road.crg"
 
 
 def test_from_a_ready_one_with_a_road(repository, tmp_path, capsys):
@@ -68,6 +70,7 @@ def test_from_a_ready_one_with_a_road(repository, tmp_path, capsys):
     [
         (["--from", "bmw320"], "did you mean bmw_320i?"),
         (["--from", "bmw_320i", "--road", "no.crg"], "no.crg: no such file"),
+        (["--road", "no.crg"], "no.crg: no such file"),  # before anything is asked
     ],
 )
 def test_what_is_wrong_is_one_line_and_nothing_is_written(more, words, tmp_path, capsys):

@@ -152,7 +152,8 @@ class PushServer:
         #: Files for a phone, by path: type and content.
         self.files: dict[str, tuple[str, bytes]] = {}
         self.limits = limits or Limits()
-        #: Whether a message, as ``on_message`` returned it, is of no use now: its sender's next one waits.
+        #: Whether a message, as ``on_message`` returned it, is of no use now: then the sender's next one waits for
+        #: those of others.
         self.is_spare: Callable[[object], bool] = lambda _taken: False
         self.refused = 0
         self._address = address
