@@ -178,6 +178,10 @@ def draw(found: dict[str, Any], path: Path) -> None:
             rate, color=f"C{7 + k}", linewidth=1.0, linestyle="--", label=f"{part}: one core is full"
         )
     axes.set(xscale="log", yscale="log", xlabel="workers", ylabel="results a second")
+    counts = sorted({row["workers"] for row in found["rows"]})
+    axes.set_xticks(counts, [str(count) for count in counts])
+    axes.yaxis.set_major_formatter("{x:g}")
+    axes.minorticks_off()
     axes.grid(alpha=0.3)
     axes.legend(fontsize="small")
     fig.savefig(path, dpi=130)

@@ -62,13 +62,17 @@ class LiveFmu(Following):
                 h = float(self._motion[1, 0])
                 steps = communication_steps(inputs, n, h, body.step, body.fmu.sloped)
             row = slave.walk(*steps, np.array([0, len(steps[2])]), inputs[-1:])[0]
-        except WorkError:
+        except WorkError as error:
+            self._failure = f"{error}: "
             self._restart()
             return False
         self._before[:] = self._out[0]
         self._inputs = inputs[-1]
+        if not np.isfinite(row).all():
+            self._failure = f"{body.fmu.name} gives what is not finite: "
+            return False
         self._out[0, list(body.fmu.outputs)] = row
-        return bool(np.isfinite(row).all())
+        return True
 
     def _between(self, seen: Floats, n: int) -> Floats:
         """(rows, 10) inputs at the ends of the parts of the interval."""

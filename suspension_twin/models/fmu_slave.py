@@ -47,12 +47,14 @@ Ints = NDArray[np.int64]
 
 @dataclass(frozen=True, eq=False)
 class _Archive:
-    """An unpacked FMU: what FMPy read of it, its folder, and a lock around what it may do only once at a time."""
+    """An unpacked FMU: what FMPy read of it, its folder, a lock around what it may do only once at a time, and the
+    connections made so far."""
 
     name: str
     description: Any
     folder: Path
     lock: threading.RLock
+    connections: dict[str, Connected]
 
     @property
     def interface(self) -> Any:
@@ -105,7 +107,6 @@ def _fmpy() -> Any:
 
 
 _archives: dict[tuple[str, int, int], _Archive] = {}
-_connections: weakref.WeakKeyDictionary[Any, tuple[Path, Connected]] = weakref.WeakKeyDictionary()
 _opening = threading.RLock()
 
 
@@ -130,10 +131,14 @@ def connected(fmu: Any) -> Connected:
     """
     with _opening:
         archive = _opened(Path(fmu.file))
-        return _connections_of(archive, fmu)
+        names = fmu.model_dump_json(include={"inputs", "outputs"})
+        key = names + repr([(name, p.variable) for name, p in fmu.parameters.items()])
+        if key not in archive.connections:
+            archive.connections[key] = _connection(archive, fmu)
+        return archive.connections[key]
 
 
-def _connections_of(archive: _Archive, fmu: Any) -> Connected:
+def _connection(archive: _Archive, fmu: Any) -> Connected:
     variables = {v.name: v for v in archive.description.modelVariables}
     inputs = _matched(archive, variables, "inputs", fmu.inputs, _INPUTS, ("input",))
     outputs = _matched(archive, variables, "outputs", fmu.outputs, _OUTPUTS, ("output", "local"))
@@ -260,7 +265,7 @@ def _unpacked(fmpy: Any, file: Path) -> _Archive:
         )
         compile_it = f": compile it with 'fmpy compile {file.name}'" if "c-code" in platforms else ""
         raise InputError(file, text + compile_it)
-    return _Archive(file.name, description, folder, threading.RLock())
+    return _Archive(file.name, description, folder, threading.RLock(), {})
 
 
 class _End:

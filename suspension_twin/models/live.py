@@ -77,6 +77,7 @@ class Following(ABC):
         self._paths = np.zeros((2, 16, 4))
         self._ground = np.zeros((1, 4))
         self._reference: Floats | None = None  # heights that a scale of the road leaves alone
+        self._failure = ""  # what the model itself says of why it failed, with a colon
         self.reset()
 
     @abstractmethod
@@ -161,7 +162,7 @@ class Following(ABC):
         self._ground = ground[-1:]
         seen = self._seen(ground, n)
         if not self._advance(seen):
-            event = "diverged: started afresh"
+            event = f"diverged: {self._failure}started afresh"
             self._restart()
             self._count[1] = 0
             if not self._advance(seen[-1:]) and self._last is not None:

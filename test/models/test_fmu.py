@@ -18,6 +18,8 @@ from scipy.signal import lsim
 
 from suspension_twin.calibration.request import CalibrationRequest
 from suspension_twin.calibration.run import calibrate
+from suspension_twin.diagnosis.plan import plan
+from suspension_twin.drive.read import read_drive
 from suspension_twin.drive.write import write_drive
 from suspension_twin.errors import InputError, WorkError
 from suspension_twin.export.registry import ExportSettings, export_twin
@@ -28,6 +30,7 @@ from suspension_twin.models.parameters import lanes
 from suspension_twin.models.simulate import simulate_lanes, simulate_twin
 from suspension_twin.models.types import Excitation, Response
 from suspension_twin.road import load_road
+from suspension_twin.road_estimation.drives import road_from_drives
 from suspension_twin.vehicle.twin import Twin, load_twin, parse_twin, save_twin
 
 pytestmark = pytest.mark.skipif(shutil.which("cc") is None, reason="no C compiler")
@@ -212,7 +215,12 @@ def test_an_fmu_of_another_tool(car: Twin, tmp_path: Path, drive: Any, ground: A
     section = {"file": str(path), "parameters": {"stiffness": {"value": 200.0, "variable": "square"}}}
     wave = ground(lambda x, y: 110.0 + 0.02 * np.sin(0.5 * x))
     run = excitation(drive(2.0, speed=8.0), car.vehicle, wave)
-    found = simulate_twin(fmu_twin(car, section), run)
+    try:
+        found = simulate_twin(fmu_twin(car, section), run)
+    except InputError as error:  # it comes for x86-64, and wants Python as a shared library
+        if "has no binary" in str(error) or "libpython" in str(error):
+            pytest.skip(str(error))
+        raise
     mean = run.road[run.first[1:] - 1].mean(axis=1)
     _, wanted, _ = lsim(([200.0], [1.0, 3.0, 200.0]), mean - mean[0], np.arange(mean.size) * 0.01)
     np.testing.assert_allclose(found.heave - mean[0], wanted, atol=2e-4)
@@ -295,7 +303,7 @@ def test_a_step_that_fails_ends_one_candidate_and_no_live_twin(
     path, model = drive(3.0), live_twin(tight, driven.ground)
     names = ["t", "x", "y", "yaw", "speed", "lateral_speed", "yaw_rate", "ax", "ay"]
     states = [model.step(*(float(getattr(path, n)[k]) for n in names)) for k in range(path.t.size)]
-    assert any(s.event.startswith("diverged: ") for s in states)
+    assert any("other_car.fmu: fails in the step" in s.event and "at its stop" in s.event for s in states)
     assert all(np.isfinite(s.vertical_acceleration) for s in states)
 
 
@@ -307,6 +315,31 @@ def test_a_twin_of_object_storage_brings_no_program(other: Twin, tmp_path: Path)
     item = work.Item("car", "", "memory://fleet/twin.yaml", ("memory://fleet/drive.mcap",))
     with pytest.raises(InputError, match="fmu runs a program: such a twin must be a file here"):
         work.twin_and_road(item, tmp_path)
+
+
+def test_a_result_of_a_fleet_names_its_program_from_where_it_lies(
+    other: Twin, file: Path, tmp_path: Path
+) -> None:
+    ledger = pytest.importorskip("suspension_twin.fleet.ledger").Ledger(tmp_path / "results")
+    (tmp_path / "work" / "out").mkdir(parents=True)
+    save_twin(other, tmp_path / "work" / "out" / "twin.yaml")  # where a worker writes it, and removes it
+    text = (tmp_path / "work" / "out" / "twin.yaml").read_text()
+    assert other.road is not None
+    record = {
+        "key": "ab" * 16,
+        "road": str(other.road.file),
+        "program": str(file),
+        "files": {"twin.yaml": text},
+    }
+    ledger.save(record)
+    assert load_twin(ledger.place("ab" * 16) / "twin.yaml") == other
+
+
+def test_what_needs_the_equations_is_refused(other: Twin, repository: Path) -> None:
+    with pytest.raises(InputError, match="fmu has equations of its own"):
+        plan(other)
+    with pytest.raises(InputError, match="a road is estimated with the axles of a car, fmu has none"):
+        road_from_drives([read_drive(repository / "bags" / "bump_15kmh")], other)
 
 
 def test_who_sends_a_goal_does_not_choose_a_program(other: Twin, repository: Path, tmp_path: Path) -> None:
