@@ -178,7 +178,7 @@ def test_bad_arguments_are_one_line(tmp_path: Path, capsys: pytest.CaptureFixtur
     car = BAGS / "bump_15kmh" / "twin.yaml"
     out = str(tmp_path / "a.crg")
     for twin_file, drive, words in (
-        (tracked, str(BAGS / "bump_15kmh"), "a road is estimated with a car"),
+        (tracked, str(BAGS / "bump_15kmh"), "a road is estimated with the axles of a car, tracked has none"),
         (car, f"{BAGS / 'bump_15kmh'}@30..20", "ends before it starts"),
         (car, str(tmp_path / "none"), "none"),
     ):
