@@ -16,11 +16,10 @@ from multiprocessing.connection import Connection
 from typing import Any
 
 from rclpy.context import Context
-from rclpy.executors import Executor, SingleThreadedExecutor
 
 from suspension_twin.errors import SuspensionTwinError, WorkError
 from suspension_twin.nodes.composed import Composed, Condition
-from suspension_twin.nodes.process import WAIT, ros_context, stopping
+from suspension_twin.nodes.process import WAIT, events_executor, ros_context, stopping
 
 __all__ = ["Helpers", "TwinFleet"]
 
@@ -34,7 +33,7 @@ class TwinFleet:
     """Twins in one process, on one thread. ``twins`` maps a namespace to a twin file."""
 
     def __init__(self, context: Context, twins: Mapping[str, str]) -> None:
-        self.executor = _executor(context)
+        self.executor = events_executor(context)
         self.twins: dict[str, Composed] = {}
         try:
             for namespace, file in twins.items():
@@ -65,15 +64,6 @@ class TwinFleet:
             twin.close()
         self.twins.clear()
         self.executor.shutdown()
-
-
-def _executor(context: Context) -> Executor:
-    """rclpy's events executor, where this version of rclpy has it."""
-    try:
-        from rclpy.experimental.events_executor import EventsExecutor
-    except ImportError:
-        return SingleThreadedExecutor(context=context)
-    return EventsExecutor(context=context)
 
 
 class Helpers:

@@ -20,7 +20,7 @@ from typing import Any
 
 import rclpy
 from rclpy.context import Context
-from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
+from rclpy.executors import Executor, ExternalShutdownException, SingleThreadedExecutor
 from rclpy.impl.logging_severity import LoggingSeverity
 from rclpy.logging import set_logger_level
 from rclpy.node import Node
@@ -30,7 +30,7 @@ from rclpy.utilities import remove_ros_args
 from suspension_twin.errors import InputError, SuspensionTwinError
 from suspension_twin.nodes.topics import Embedding
 
-__all__ = ["WAIT", "Stop", "check_arguments", "ros_context", "run_alone", "stopping"]
+__all__ = ["WAIT", "Stop", "check_arguments", "events_executor", "ros_context", "run_alone", "stopping"]
 
 #: Longest wait in C, during which Python does not see a signal, in s.
 WAIT = 0.1
@@ -40,17 +40,19 @@ _ENDINGS = (signal.SIGINT, signal.SIGTERM)
 
 
 class Stop:
-    """Whether the process has been asked to end: a handler for SIGINT and SIGTERM."""
+    """Whether the process has been asked to end: a handler for SIGINT and SIGTERM, which raises KeyboardInterrupt where
+    it ``interrupts``."""
 
-    def __init__(self) -> None:
-        self.asked = False
+    def __init__(self, interrupts: bool = True) -> None:
+        self.asked, self.interrupts = False, interrupts
 
     def __call__(self, _signal: int, _frame: FrameType | None) -> None:
         if not self.asked:
             # Both: the exception interrupts a long computation; the flag remains if the exception
             # is lost in a destructor or a callback from C.
             self.asked = True
-            raise KeyboardInterrupt
+            if self.interrupts:
+                raise KeyboardInterrupt
 
     @contextmanager
     def again(self) -> Iterator[None]:
@@ -72,11 +74,11 @@ class Stop:
 
 
 @contextmanager
-def stopping(deadline: float | None = None) -> Iterator[Stop]:
-    """SIGINT and SIGTERM raise KeyboardInterrupt within, once, and then end the process with status 0, at the latest
-    ``deadline`` s (0.7 by default) after the signal. Python's handlers wait for the main thread, which may be in
-    compiled code; the byte that a signal writes to the wake-up descriptor does not."""
-    stop, lost = Stop(), sys.unraisablehook
+def stopping(deadline: float | None = None, interrupts: bool = True) -> Iterator[Stop]:
+    """SIGINT and SIGTERM raise KeyboardInterrupt within, once, where it ``interrupts``, and then end the process with
+    status 0, at the latest ``deadline`` s (0.7 by default) after the signal. Python's handlers wait for the main
+    thread, which may be in compiled code; the byte that a signal writes to the wake-up descriptor does not."""
+    stop, lost = Stop(interrupts), sys.unraisablehook
     before = {number: signal.signal(number, stop) for number in _ENDINGS}
     here, there = socket.socketpair()
     there.setblocking(False)
@@ -158,8 +160,23 @@ def help_text(kind: Any, program: str) -> str:
     return "\n".join(lines)
 
 
-def run_alone(make: Callable[[Embedding], Node], args: list[str] | None = None) -> Any:
-    """Run one node until it is asked to stop; return the exit status."""
+def events_executor(context: Context) -> Executor:
+    """rclpy's events executor, where this version of rclpy has it: a message costs it the same however many
+    subscriptions there are."""
+    try:
+        from rclpy.experimental.events_executor import EventsExecutor
+    except ImportError:
+        return SingleThreadedExecutor(context=context)
+    return EventsExecutor(context=context)
+
+
+def run_alone(
+    make: Callable[[Embedding], Node],
+    args: list[str] | None = None,
+    events: bool = False,
+) -> Any:
+    """Run one node until it is asked to stop; return the exit status. With ``events`` rclpy's events executor serves
+    it, which logs whatever a callback raises: a signal does not interrupt one then."""
     try:
         arguments = sys.argv if args is None else args
         own = arguments[1 : arguments.index("--ros-args")] if "--ros-args" in arguments else arguments[1:]
@@ -167,9 +184,9 @@ def run_alone(make: Callable[[Embedding], Node], args: list[str] | None = None) 
             print(help_text(make, os.path.basename(arguments[0])), flush=True)
             return 0
         check_arguments(arguments[1:])
-        with stopping() as stop, ros_context(arguments) as context:
+        with stopping(interrupts=not events) as stop, ros_context(arguments) as context:
             node = make(Embedding(context=context))
-            executor = SingleThreadedExecutor(context=context)
+            executor = events_executor(context) if events else SingleThreadedExecutor(context=context)
             executor.add_node(node)
             try:
                 while not stop.asked and context.ok():

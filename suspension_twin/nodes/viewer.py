@@ -589,7 +589,8 @@ def _counted(counts: dict[str, int]) -> str:
     return ", ".join(f"{count} on {topic}" for topic, count in counts.items() if count)
 
 
-main: Callable[..., Any] = partial(run_alone, ViewerNode)
+# many topics at many times the rate of a drive that is replayed quickly
+main: Callable[..., Any] = partial(run_alone, ViewerNode, events=True)
 
 if __name__ == "__main__":
     sys.exit(main())

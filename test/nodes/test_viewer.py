@@ -199,6 +199,7 @@ def test_it_records_and_calibrates(page, running, drive):
     """A drive is recorded with a mark in it, and a calibration on it begins; its end is in test_viewer_actions.py."""
     _, folder = running
     assert page.is_disabled("#stop") and page.is_disabled("#load")
+    page.select_option("#pace", "1")
     pause(page)
     page.click("#record")
     until(lambda: page.is_enabled("#stop"), "the recording")
