@@ -8,6 +8,7 @@ from pathlib import Path
 
 from suspension_twin.errors import InputError, WorkError
 from suspension_twin.files import together
+from suspension_twin.models.registry import model_of
 from suspension_twin.road.check import RoadCheck, check_file
 from suspension_twin.road_scan.clouds import Cloud, open_cloud
 from suspension_twin.road_scan.felt import Felt, feel, steady_path
@@ -41,8 +42,10 @@ def scan_road(
     Returns the road, what the twin feels of it, its check, and notes. Raises InputError for what cannot be used.
     """
     car = load_twin(twin)
-    if getattr(car.vehicle, "wheel_positions", None) is None:
-        raise InputError(twin, "model", f"a road is felt by a vehicle with four wheels, {car.model} has none")
+    if model_of(car).recordings != "drive":
+        raise InputError(
+            twin, "model", f"a road is felt by a vehicle that drives on one, {car.model} does not"
+        )
     changes: dict[str, object] = {"road": None}
     if datum is not None:
         changes["datum"] = dict(zip(("latitude", "longitude", "altitude"), datum, strict=True))

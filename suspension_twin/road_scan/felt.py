@@ -41,11 +41,7 @@ class Felt:
 
 def steady_path(road: Road, twin: Twin, speed: float) -> Trajectory:
     """A drive along the middle of a road at ``speed`` m/s, as far as all wheels are on it."""
-    wheels = getattr(twin.vehicle, "wheel_positions", None)
-    if wheels is None:
-        raise InputError(
-            "twin", "model", f"a road is felt by a vehicle with four wheels, {twin.model} has none"
-        )
+    wheels = twin.vehicle.wheel_positions
     begin = max(0.0, -float(wheels[:, 0].min())) + 0.1
     seconds = (road.length - begin - max(0.0, float(wheels[:, 0].max())) - 0.1) / speed
     if seconds < 2.0 * _SETTLE:

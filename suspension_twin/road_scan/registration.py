@@ -38,15 +38,11 @@ from suspension_twin.vehicle.twin import Twin
 
 __all__ = ["Registration", "register"]
 
-#: Cells of the raster of heights, and of that of covered ground, in m.
+# Tolerances of the search.
+#: Cells of the raster of heights, and of that of covered ground, in m: a third of the shortest bump that a car feels
+#: whole, and half a lane's play.
 CELL, _COVER = 0.25, 1.0
-#: Points up to this height in m above the lowest of a cell are ground.
-_GROUND = 0.06
-#: Height in m within a cell of covered ground from which on it is no road.
-_ROUGH = 0.25
 _LARGEST = 4000  # cells of a side: 1 km
-#: Body's natural frequency in Hz and damping ratio of a passenger car, low-pass in Hz of the first search.
-_NATURAL, _DAMPING, _LOW = 1.3, 0.3, 4.0
 _RATE = 50.0  # Hz of the first search
 _SETTLE = 0.5  # s after ground without heights that are not compared
 _SLOWEST = 1.0  # m/s
@@ -57,6 +53,15 @@ _PLACES, _RANKED = 400_000, 20_000  # tried at most, and the best of them among 
 _TRIED, _FITTED = 8, 4  # the best places that are refined, and of them those that the twin is driven over
 #: Places nearer than this, m and rad, are one.
 _SAME = 3.0, math.radians(10.0)
+# Priors.
+#: Points up to this height in m above the lowest of a cell are ground: below a kerb, above noise and slope of a cell.
+_GROUND = 0.06
+#: Height in m within a cell of covered ground from which on it is no road: above a kerb or a hump, below a wall.
+_ROUGH = 0.25
+#: Natural frequency of the body in Hz and its damping ratio: passenger cars have 1 to 1.5 Hz and 0.2 to 0.4 (Gillespie,
+#: Fundamentals of Vehicle Dynamics, chapter 5). Low-pass in Hz of the first search: below wheel hop.
+_NATURAL, _DAMPING, _LOW = 1.3, 0.3, 4.0
+# Thresholds, chosen by hand on five development drives; they decide whether a place is refused, not which one it is.
 #: Correlation of the twin's vertical acceleration with the drive's below which a place is not believed, and factor by
 #: which another place has to leave more of the measured variance unexplained (geometric mean of the channels).
 _BELIEVED, _DISTINCT = 0.6, 1.1
@@ -107,8 +112,7 @@ class _Ground:
     @cached_property
     def filled(self) -> Floats:
         """(nx, ny) heights, those of the nearest cell where there are none."""
-        _, (i, j) = ndimage.distance_transform_edt(~np.isfinite(self.z), return_indices=True)
-        return np.ascontiguousarray(self.z[i, j])
+        return _filled(self.z)
 
     @cached_property
     def cover(self) -> NDArray[np.bool_]:
@@ -122,6 +126,12 @@ class _Ground:
         high = np.where(seen, blocks, -np.inf).max(axis=(1, 3))
         low = np.where(seen, blocks, np.inf).min(axis=(1, 3))
         return np.asarray(ndimage.binary_closing(high - low < _ROUGH) & seen.any(axis=(1, 3)))
+
+
+def _filled(z: Floats) -> Floats:
+    """(nx, ny) heights, those of the nearest known cell where they are not finite."""
+    _, (i, j) = ndimage.distance_transform_edt(~np.isfinite(z), return_indices=True)
+    return np.ascontiguousarray(z[i, j])
 
 
 def register(
@@ -220,10 +230,8 @@ def _raster(
     for p in pieces():
         np.minimum.at(lowest, cell(p), p[:, 2])
     # a point below the ground, of a reflection, is no ground: what the cells around have is
-    around = ndimage.median_filter(
-        np.where(np.isfinite(lowest), lowest, np.nan).reshape(nx, ny), 3, mode="nearest"
-    ).ravel()
-    around = np.where(np.isfinite(around), np.maximum(around - _GROUND, lowest), lowest)
+    around = ndimage.median_filter(_filled(lowest.reshape(nx, ny)), 3, mode="nearest").ravel()
+    around = np.maximum(around - _GROUND, lowest)
     total, count = np.zeros(nx * ny), np.zeros(nx * ny)
     for p in pieces():
         at = cell(p)
@@ -310,17 +318,16 @@ class _Path:
 
     def first_places(self, ground: _Ground, name: Path) -> list[Place]:
         """The best places that are apart, after a search over all turns and shifts onto covered ground."""
-        covered = []
+        most, found, counts = 0.0, [], []
         for turn in np.arange(_TURNS) * (2.0 * np.pi / _TURNS):
-            covered.append((turn, self._cover(ground, turn)))
-        most = max(float(c.max()) for _, (c, _) in covered)
+            count, (x0, y0) = self._cover(ground, turn)
+            most = max(most, float(count.max()))
+            i, j = np.nonzero(count >= max(_COVERED * most, 1.0))
+            found.append(np.stack([np.full(i.size, turn), x0 + i * _COVER, y0 + j * _COVER], axis=1))
+            counts.append(count[i, j])
         if most * _COVER < _LEAST:
             raise InputError(name, f"holds no {_LEAST:.0f} m of ground on which the path could lie")
-        found = []
-        for turn, (count, (x0, y0)) in covered:
-            for i, j in np.argwhere(count >= _COVERED * most):
-                found.append((turn, x0 + i * _COVER, y0 + j * _COVER))
-        coarse = np.array(found)
+        coarse = np.concatenate(found)[np.concatenate(counts) >= _COVERED * most]
         if len(coarse) > _PLACES // 8:
             raise InputError(
                 name, "is so wide that the path could lie anywhere on it: cut it to the road that was driven"

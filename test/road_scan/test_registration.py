@@ -91,6 +91,9 @@ def test_a_fit_needs_a_drive_and_no_crs(tmp_path: Path, capsys: pytest.CaptureFi
     assert "--fit: needs a recorded drive" in capsys.readouterr().err
     assert main([*command, "--path", str(BAGS / "crg_road"), "--crs", "EPSG:25832"]) == 2
     assert "--fit: cannot be given with --crs" in capsys.readouterr().err
+    tracked = BAGS.parent / "config" / "tracked" / "pt91.yaml"
+    assert main([*command, "--path", str(BAGS / "crg_road"), "--twin", str(tracked)]) == 2
+    assert "drives on one, tracked does not" in " ".join(capsys.readouterr().err.split())
 
 
 @given(
