@@ -226,9 +226,10 @@ class TwinNode(Node):  # type: ignore[misc]
         return super().create_publisher(*args, event_callbacks=events, **keywords)
 
     def create_subscription(self, *args: Any, **keywords: Any) -> Subscription:
-        """As in the base class, without events of the quality of service, see :meth:`create_publisher`."""
-        events = SubscriptionEventCallbacks(use_default_callbacks=False)
-        return super().create_subscription(*args, event_callbacks=events, **keywords)
+        """As in the base class, without events of the quality of service unless they are asked for, see
+        :meth:`create_publisher`."""
+        keywords.setdefault("event_callbacks", SubscriptionEventCallbacks(use_default_callbacks=False))
+        return super().create_subscription(*args, **keywords)
 
     def listen(
         self, kind: type, topic: str, handler: Callable[[Any, int], None], *, expected: bool = True

@@ -36,7 +36,7 @@ _CLOCK_RATE = 100.0
 #: At full speed: time in s before the executor gets its turn, and messages before the
 #: acknowledgement of subscribers is waited for.
 _SLICE = 0.02
-_UNACKNOWLEDGED = STREAM_QOS.depth // 2
+_UNACKNOWLEDGED = 50
 #: A jump back of less than this in s is made one of this, for the nodes take stamps that are a little older for late
 #: ones, see the parameter jump_back.
 _LEAST_BACK = 1.5

@@ -28,8 +28,10 @@ from rcl_interfaces.srv import SetParameters
 from rclpy.action.client import ActionClient
 from rclpy.clock import Clock
 from rclpy.clock_type import ClockType
+from rclpy.event_handler import SubscriptionEventCallbacks
 from rclpy.parameter import Parameter
 from rclpy.qos import HistoryPolicy, QoSProfile, ReliabilityPolicy
+from rclpy.subscription import Subscription
 from sensor_msgs.msg import JointState
 from std_msgs.msg import String
 
@@ -39,7 +41,7 @@ from suspension_twin.gap.prepare import road_of
 from suspension_twin.nodes.base import TwinNode
 from suspension_twin.nodes.parameters import TWIN, Param, Values, twin_of
 from suspension_twin.nodes.process import run_alone
-from suspension_twin.nodes.topics import NS, OK, SENSOR_QOS, WARN, Embedding
+from suspension_twin.nodes.topics import NS, OK, SENSOR_QOS, STREAM_QOS, WARN, Embedding
 from suspension_twin.nodes.view_guide import ViewGuide
 from suspension_twin.nodes.view_recorder import EVENTS, RECORDED, ViewRecorder
 from suspension_twin.road.road import Road
@@ -123,8 +125,10 @@ class ViewerNode(TwinNode):
             (DiagnosticArray, "/diagnostics", self._on_diagnostics),
         ):
             self.create_subscription(kind, topic, handler, _QOS)
+        self._sensors: dict[str, Subscription[Any]] = {}
+        self._unmatched: queue.SimpleQueue[tuple[type, str]] = queue.SimpleQueue()
         for kind, topic, _ in RECORDED:
-            self.create_subscription(kind, topic, partial(self._on_sensor, topic), SENSOR_QOS, raw=True)
+            self._listen(kind, topic, STREAM_QOS)
         self._actions = {
             "calibrate": ActionClient(self, Calibrate, "calibrate"),
             "diagnose": ActionClient(self, Diagnose, "diagnose"),
@@ -169,6 +173,24 @@ class ViewerNode(TwinNode):
         super().destroy_node()  # type: ignore[no-untyped-call]
 
     # What comes from the other nodes
+
+    def _listen(self, kind: type, topic: str, qos: QoSProfile) -> None:
+        """Subscribe to what is recorded: reliably, for nothing may be missing from it, until a best-effort publisher
+        is met, which a reliable subscription does not match."""
+        events = SubscriptionEventCallbacks(
+            incompatible_qos=lambda _: self._unmatched.put((kind, topic)), use_default_callbacks=False
+        )
+        self._sensors[topic] = self.create_subscription(
+            kind, topic, partial(self._on_sensor, topic), qos, raw=True, event_callbacks=events
+        )
+
+    def _match(self) -> None:
+        """Go on at best effort where a publisher offers no more."""
+        while not self._unmatched.empty():
+            kind, topic = self._unmatched.get()
+            if self._sensors[topic].qos_profile.reliability == ReliabilityPolicy.RELIABLE:
+                self.destroy_subscription(self._sensors[topic])
+                self._listen(kind, topic, SENSOR_QOS)
 
     def _on_sensor(self, topic: str, data: bytes) -> None:
         if self._recorder is not None:
@@ -253,6 +275,7 @@ class ViewerNode(TwinNode):
             except Exception as error:  # the page gets an answer in any case
                 request.error = WorkError(f"{request.name}: {type(error).__name__}: {error}")
             request.done.set()
+        self._match()
         now = time.monotonic()
         self.view.tell("motion", self._motion)
         if self._recorder is not None and now > self._flush_due:

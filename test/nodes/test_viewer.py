@@ -37,8 +37,8 @@ def until(condition: Callable[[], Any], what: str, seconds: float = 60.0) -> Any
 
 
 @pytest.fixture(scope="module")
-def running(twin_path, recorded, tmp_path_factory) -> Iterator[tuple[str, Path]]:
-    """``run --bag --view``: the page's address and the folder it records into."""
+def running(twin_path, recorded, tmp_path_factory) -> Iterator[tuple[str, Path, int]]:
+    """``run --bag --view``: the page's address, the folder it records into, and the program's process."""
     folder, port = tmp_path_factory.mktemp("viewed"), free_port()
     given = ["--twin", twin_path, "--bag", recorded, "--rate", "2", "--view", str(port)]
     command = [sys.executable, "-m", "suspension_twin", "run", *map(str, given)]
@@ -51,7 +51,7 @@ def running(twin_path, recorded, tmp_path_factory) -> Iterator[tuple[str, Path]]
                 break
         else:
             pytest.fail("the page was never announced")
-        yield url, folder
+        yield url, folder, process.pid
         process.send_signal(signal.SIGINT)
         _, errors = process.communicate(timeout=10.0)
         assert process.returncode == 0 and "Traceback" not in errors, errors
@@ -100,6 +100,22 @@ def number(page: Any, element: str) -> float:
     return float(page.inner_text(element).partition(" ")[0].replace("–", "nan"))
 
 
+def small(page: Any) -> None:
+    """Little to paint: what a test is about needs the processors more than the picture does."""
+    page.set_viewport_size({"width": 480, "height": 320})
+
+
+def during(page: Any, condition: Callable[[], Any], what: str) -> None:
+    """Wait as ``until`` does, with the replay sent back to 3 s where it ends before."""
+
+    def met() -> Any:
+        if page.inner_text("#pause") == "Again":
+            seek(page, 3.0)
+        return condition()
+
+    until(met, what)
+
+
 def seek(page: Any, position: float) -> None:
     """As a hand would that drags the time bar."""
     script = "(at) => { const b = document.getElementById('bar'); b.value = at; b.dispatchEvent(new Event('change')); }"
@@ -136,19 +152,20 @@ def lit(page: Any, canvas: str) -> int:
 def test_it_shows_the_moving_twin(page):
     until(lambda: page.evaluate("twin.head.t") or 0.0 > 0, "samples")
     seek(page, 3.0)
-    until(lambda: number(page, "#speed") > 20, "the vehicle's speed")
-    until(lambda: number(page, "#gap") > 0.0, "a gap")
+    during(page, lambda: number(page, "#speed") > 20, "the vehicle's speed")
+    during(page, lambda: number(page, "#gap") > 0.0, "a gap")
     assert page.inner_text("#name") == "Ford Mondeo Mk IV estate"
     first = page.evaluate("[twin.head.t, twin.frames()]")
-    until(lambda: page.evaluate("twin.head.t") > first[0] + 1.0, "time to go on")
-    assert page.evaluate("twin.frames()") > first[1]
+    during(page, lambda: page.evaluate("twin.head.t") not in (first[0], None), "time to go on")
+    during(page, lambda: page.evaluate("twin.frames()") > first[1], "another picture")
     assert len(page.query_selector_all("#travel > div")) == 4
-    assert any(abs(float(e.inner_text())) > 0 for e in page.query_selector_all("#travel b"))
+    travels = "[...document.querySelectorAll('#travel b')].map((e) => e.textContent)"
+    during(page, lambda: any(text.strip("–-−+0.") for text in page.evaluate(travels)), "a travel")
     assert len(page.query_selector_all(".band")) == 3
-    until(lambda: page.evaluate("twin.state.path.length") > 20, "a path")
+    during(page, lambda: page.evaluate("twin.state.path.length") > 20, "a path")
     for canvas in ("chart", "map"):
-        until(lambda name=canvas: lit(page, name) > 3, f"a drawing in {canvas}")
-    until(lambda: page.evaluate("twin.state.spectrum !== null"), "a spectrum")
+        during(page, lambda name=canvas: lit(page, name) > 3, f"a drawing in {canvas}")
+    during(page, lambda: page.evaluate("twin.state.spectrum !== null"), "a spectrum")
     names = until(lambda: page.inner_text("#health").split("\n"), "health")
     for node in ("imu_ingest", "pose_injector", "suspension_model", "calibrator", "viewer"):
         assert node in names
@@ -157,12 +174,11 @@ def test_it_shows_the_moving_twin(page):
 
 def test_the_3d_picture_has_road_and_car_and_moves(page):
     seek(page, 4.0)
-    until(lambda: page.evaluate("twin.state.pose.length") > 50, "poses")
-    time.sleep(1.0)
+    during(page, lambda: page.evaluate("twin.state.pose.length") > 50, "poses")
+    during(page, lambda: len(page.locator("#scene").screenshot()) > 8000, "a picture")
     assert page.is_hidden("#no3d")
     first = page.locator("#scene").screenshot()
-    time.sleep(0.5)
-    assert len(first) > 8000 and page.locator("#scene").screenshot() != first
+    during(page, lambda: page.locator("#scene").screenshot() != first, "another picture")
     assert (
         int(
             page.evaluate(
@@ -174,15 +190,21 @@ def test_the_3d_picture_has_road_and_car_and_moves(page):
 
 
 def test_the_replay_is_paused_wound_and_slowed(page):
+    small(page)
     seek(page, 2.0)
     until(lambda: page.evaluate("twin.head.t") >= 2.0, "the place sought")
     pause(page)
-    stands = page.inner_text("#position")
-    time.sleep(1.2)
-    assert page.inner_text("#position") == stands
+
+    def stands() -> bool:
+        position = page.inner_text("#position")
+        time.sleep(1.2)
+        return page.inner_text("#position") == position
+
+    until(stands, "the replay to stand still")
     page.select_option("#pace", "0.5")
-    page.click("#pause")
+    seek(page, 2.0)
     until(lambda: page.inner_text("#pause") == "Pause", "it to go on")
+    until(lambda: page.evaluate("(twin.state.pose.at(-1) || [99])[0]") < 5.0, "the place sought")
     before, began = page.evaluate("twin.state.pose.at(-1)[0]"), time.monotonic()
     until(lambda: page.evaluate("twin.state.pose.at(-1)[0]") > before + 2.5, "2.5 s of the drive")
     assert time.monotonic() - began > 3.3, "half the pace takes twice the time, on a busy machine longer"
@@ -196,8 +218,13 @@ def test_the_replay_is_paused_wound_and_slowed(page):
 
 
 def test_it_records_and_calibrates(page, running, drive):
-    """A drive is recorded with a mark in it, and a calibration on it begins; its end is in test_viewer_actions.py."""
-    _, folder = running
+    """A drive is recorded with a mark in it, and a calibration on it begins; its end is in test_viewer_actions.py.
+
+    The page's process gets no processor for a second meanwhile, as on a busy machine: nothing is missing all the same.
+    """
+    small(page)
+    _, folder, program = running
+    (viewer,) = (int(pid) for pid in Path(f"/proc/{program}/task/{program}/children").read_text().split())
     assert page.is_disabled("#stop") and page.is_disabled("#load")
     page.select_option("#pace", "1")
     pause(page)
@@ -207,6 +234,9 @@ def test_it_records_and_calibrates(page, running, drive):
     until(lambda: "still running" in page.inner_text("#said"), "a refusal")
     seek(page, 0.0)
     until(lambda: page.evaluate("twin.head.t") > 2.0, "two seconds")
+    os.kill(viewer, signal.SIGSTOP)
+    time.sleep(1.2)
+    os.kill(viewer, signal.SIGCONT)
     page.click("#mark")
     until(lambda: page.evaluate("twin.state.events.length") == 1, "the mark")
     until(lambda: page.inner_text("#pause") == "Again", "the end")
@@ -214,7 +244,7 @@ def test_it_records_and_calibrates(page, running, drive):
     until(lambda: page.inner_text("#said").startswith("Recorded"), "the end of the recording")
     (recording,) = folder.glob("drive_*")
     kept = read_drive(recording)
-    assert len(kept.imu) > 0.95 * len(drive.imu) and len(kept.fix) > 0.9 * len(drive.fix)
+    assert len(kept.imu) == len(drive.imu) and len(kept.fix) == len(drive.fix)
     assert (
         b"mark " in next(recording.glob("*.mcap")).read_bytes()
         or "events" in (recording / "metadata.yaml").read_text()

@@ -14,6 +14,7 @@ import pytest
 from aiohttp import ClientSession
 from geometry_msgs.msg import AccelStamped, PoseStamped, TwistStamped
 from nodes_bench import put_stamp
+from rclpy.qos import QoSProfile, ReliabilityPolicy
 from sensor_msgs.msg import Imu, NavSatFix
 from stand_ins import lighter, reported
 
@@ -96,6 +97,21 @@ def test_buttons_that_cannot_say_why(bench, viewer, tmp_path):
     said, wrong = press(bench, viewer, "stop")
     assert wrong and "no message came on imu/data_raw" in said
     assert list(tmp_path.iterdir()) == [], "nothing half is left"
+
+
+def test_a_best_effort_sensor_is_recorded_too(bench, viewer, tmp_path):
+    offer = QoSProfile(depth=10, reliability=ReliabilityPolicy.BEST_EFFORT)
+    publisher = viewer.create_publisher(Imu, "imu/data_raw", offer)
+    assert not press(bench, viewer, "record")[1]
+    bench.until(lambda: publisher.get_subscription_count() == 1, "the page to take what is offered")
+    message = Imu()
+    for number in range(20):
+        put_stamp(message, 1_700_000_000.0 + 0.01 * number)
+        publisher.publish(message)
+        bench.spin(0.01)
+    bench.until(lambda: viewer._recorder.counts["imu/data_raw"] == 20, "the samples")
+    said, wrong = press(bench, viewer, "stop")
+    assert not wrong and "20 on imu/data_raw" in said
 
 
 def test_the_player_is_led(bench, viewer, drive):
