@@ -125,7 +125,7 @@ class ViewerNode(TwinNode):
             (DiagnosticArray, "/diagnostics", self._on_diagnostics),
         ):
             self.create_subscription(kind, topic, handler, _QOS)
-        self._sensors: dict[str, Subscription[Any]] = {}
+        self._sensors: dict[str, Subscription] = {}
         self._unmatched: queue.SimpleQueue[tuple[type, str]] = queue.SimpleQueue()
         for kind, topic, _ in RECORDED:
             self._listen(kind, topic, STREAM_QOS)
