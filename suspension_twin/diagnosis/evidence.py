@@ -78,11 +78,17 @@ class HeldOut:
     by_group: list[Quadratic]
 
 
-def held_out(bench: Bench, fit: LinearisedFit, blocks: Blocks, group: np.ndarray | None = None) -> HeldOut:
+def held_out(
+    bench: Bench,
+    fit: LinearisedFit,
+    blocks: Blocks,
+    group: np.ndarray | None = None,
+    linear: bool = False,
+) -> HeldOut:
     """Cross-validate a fit; ``group`` (R,) of each row, one if not given.
 
     One Gauss-Newton step from the fit to all data removes a fold. The step is tried with several factors on the prior,
-    and the simulated one that fits the other folds best is used.
+    and the one that fits the other folds best is used: by simulation, or by the linearisation alone (``linear``).
     """
     precision, centre = bench.prior(fit.hypothesis)
     residual, fold = fit.at.residual, blocks.fold(blocks.row)
@@ -112,7 +118,11 @@ def held_out(bench: Bench, fit: LinearisedFit, blocks: Blocks, group: np.ndarray
                 step *= min(1.0, 1.0 / max(float(np.abs(step).max()), 1e-300))
                 candidates.append(fit.x + step)
     tried = bench.clipped(fit.hypothesis, np.stack(candidates, axis=1))
-    residuals, failed = bench.residuals(fit.hypothesis, tried)
+    if linear:
+        residuals = residual[:, None] + fit.at.jacobian @ (tried - fit.x[:, None])
+        failed = np.zeros(tried.shape[1], dtype=bool)
+    else:
+        residuals, failed = bench.residuals(fit.hypothesis, tried)
     away = tried - centre[:, None]
     penalty = np.einsum("il,ij,jl->l", away, precision, away, optimize=False)
     unknowns = np.repeat(fit.x[:, None], FOLDS, axis=1)
@@ -167,11 +177,11 @@ class Evidence:
         return float(self.score.sum() - base.score.sum()) - 0.5 * (self.occam - base.occam)
 
 
-def evidence(bench: Bench, fit: LinearisedFit, blocks: Blocks) -> Evidence:
-    """The cross-validated evidence of a fit."""
+def evidence(bench: Bench, fit: LinearisedFit, blocks: Blocks, linear: bool = False) -> Evidence:
+    """The cross-validated evidence of a fit; ``linear`` as in :func:`held_out`."""
     whitener, independent = bench.whitener, bench.problem.measured.independent
     group = 2 * whitener.channel + ~np.array(bench.active)[whitener.drive]
-    out = held_out(bench, fit, blocks, group)
+    out = held_out(bench, fit, blocks, group, linear)
     score = np.zeros(blocks.count)
     level: dict[tuple[int, bool], float] = {}
     noise = np.ones(len(out.by_group))

@@ -13,6 +13,7 @@ from suspension_twin.diagnosis.bench import Bench
 from suspension_twin.diagnosis.case import Case, with_noise_of
 from suspension_twin.diagnosis.coarse_search import NO_MATCH
 from suspension_twin.diagnosis.evidence import Blocks, Evidence, blocks_of, evidence, held_out
+from suspension_twin.diagnosis.excerpt import Excerpt, excerpt_of
 from suspension_twin.diagnosis.fit import LinearisedFit, fitted, linearised_fit
 from suspension_twin.diagnosis.hypotheses import BASELINE, Hypothesis, decoys, library
 from suspension_twin.diagnosis.preexisting import beyond_preexisting
@@ -86,7 +87,7 @@ class Judged:
     ``noise`` is the noise rms by channel, ``uncalibrated`` the residual of the twin as given, ``reference`` the
     residual on reference drives as a share of the motion (None without), ``temper`` the share of the remaining
     residual that is noise: model discrepancy is no independent evidence at every sample. ``base_since`` is the
-    baseline with pre-existing effects.
+    baseline with pre-existing effects, ``excerpt`` that of the drives for first looks.
     """
 
     bench: Bench
@@ -99,6 +100,7 @@ class Judged:
     base_since: Evidence | None
     singles: tuple[Candidate, ...]
     sets: tuple[Candidate, ...]
+    excerpt: Excerpt | None = None
 
 
 def judge(
@@ -123,6 +125,7 @@ def judge(
     }
     reference = _reference(case, bench, anchor, blocks, noise)
     beside = decoys(case.twin, case.excited, request.effects)
+    excerpt = excerpt_of(bench, base.x)
     base, found = singles(
         bench,
         base,
@@ -132,6 +135,7 @@ def judge(
         seed,
         _no_match(case, bench, base, blocks, noise),
         lambda done, note: report(Progress("effects", 0.15 + 0.55 * done, note)),
+        excerpt,
     )
     own = evidence(bench, base, blocks)
     remaining = side_by_side(
@@ -158,6 +162,7 @@ def judge(
         base_since,
         candidates,
         (),
+        excerpt,
     )
     if case.excited:
         return replace(judged, sets=tuple(_grown(request, case, judged, report)))
@@ -243,6 +248,7 @@ def _grown(
                 request.seed,
                 lambda done, note: report(Progress("combinations", 0.76 + 0.18 * done, note)),
                 weak,
+                judged.excerpt,
             )
             if not tried:
                 break

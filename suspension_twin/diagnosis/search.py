@@ -13,6 +13,7 @@ from suspension_twin.arrays import Floats
 from suspension_twin.diagnosis import coarse_search
 from suspension_twin.diagnosis.bench import Bench
 from suspension_twin.diagnosis.evidence import Blocks, Evidence, evidence
+from suspension_twin.diagnosis.excerpt import Excerpt
 from suspension_twin.diagnosis.fit import (
     DEEP,
     LONG,
@@ -54,6 +55,9 @@ _REBASE_GAIN = (
 )
 #: Improvement of an effect's fit, over that of the baseline, by which a repeated fit is expected at most: 1.4 was seen.
 _REBASE_SHARE = 2.0
+#: Share of the best gain that an effect needs on an excerpt to be fitted to the whole drives at once: what has less is
+#: far from a finalist.
+_HOPEFUL = 0.05
 #: Effects whose fit is repeated with all columns of the Jacobian: those with a share of the best gain of the first
 #: search, at least the first number and at most the second.
 _FINALIST_GAIN, _FINALISTS = 0.2, (3, 7)
@@ -97,13 +101,14 @@ class Single:
 @kept
 @dataclass(frozen=True, eq=False)
 class _FirstSearch:
-    """Result of the first search of an effect."""
+    """Result of the first search of an effect; ``far``: found from another vehicle than the baseline."""
 
     cost: float
     effect: str
     hypothesis: Hypothesis
     x: Floats
     powers: Floats
+    far: bool = False
 
 
 def singles(
@@ -115,20 +120,62 @@ def singles(
     seed: int,
     no_match: bool,
     on_progress: Callable[[float, str], None],
+    excerpt: Excerpt | None = None,
 ) -> tuple[LinearisedFit, list[Single]]:
     """Fit every effect of the library jointly with characteristics and nuisance parameters.
 
     Returns the baseline, which is refitted from the vehicle of each effect, and the effects. ``no_match``: the
-    simulation does not match the motion, and set-up errors are searched over their whole range.
+    simulation does not match the motion, and set-up errors are searched over their whole range. The first search goes
+    over the ``excerpt``, if there is one.
     """
     begun, from_anchor = base, anchor
+    if excerpt is not None:
+        short = linearised_fit(excerpt.bench, BASELINE, base.x)
+        short_anchor = short if anchor is base else linearised_fit(excerpt.bench, BASELINE, anchor.x)
 
-    def look(effect: str) -> _FirstSearch:
-        return _first_search(bench, begun, from_anchor, effect, library[effect], seed, no_match)
+    def whole(effect: str) -> _FirstSearch:
+        found = _first_search(bench, begun, from_anchor, effect, library[effect], seed, no_match)
+        best = min(found, key=lambda one: one.cost)
+        if not math.isfinite(best.cost):
+            raise WorkError(f"the twin cannot be simulated with {effect}")
+        return best
 
-    rough = bench.partial.side_by_side(
-        look, list(library), lambda done, name: on_progress(0.65 * done, name.replace("_", " "))
+    def look(effect: str) -> list[_FirstSearch]:
+        if excerpt is None or _since_the_start(library[effect][0], effect):
+            return [whole(effect)]
+        return _first_search(excerpt.bench, short, short_anchor, effect, library[effect], seed, no_match)
+
+    effects = list(library)
+    looked = bench.partial.side_by_side(
+        look, effects, lambda done, name: on_progress(0.5 * done, name.replace("_", " "))
     )
+    rough = [min(some, key=lambda one: one.cost) for some in looked]
+    if excerpt is not None:
+        on_excerpt = [not _since_the_start(library[e][0], e) for e in effects]
+        # the vehicle alone fits an excerpt better than it fits the whole drives
+        _, alone = refit(excerpt.bench, BASELINE, [base.x, anchor.x], None, ROUGH)
+        gains = [
+            (alone - r.cost) / excerpt.share if part else begun.cost - r.cost
+            for r, part in zip(rough, on_excerpt, strict=True)
+        ]
+        least = _HOPEFUL * max(gains)
+
+        def finish(i: int) -> _FirstSearch:
+            if not on_excerpt[i]:
+                return rough[i]
+            iterations = ROUGH if gains[i] >= least else 0
+            found = [
+                _on_whole_drives(bench, begun, from_anchor, one, excerpt.share, iterations)
+                for one in looked[i]
+            ]
+            best = min(found, key=lambda one: one.cost)
+            return best if math.isfinite(best.cost) else whole(effects[i])
+
+        rough = bench.partial.side_by_side(
+            finish,
+            range(len(effects)),
+            lambda done, i: on_progress(0.5 + 0.15 * done, effects[i].replace("_", " ")),
+        )
     base = _rebased_baseline(bench, base, [r.x for r in rough])
     moved = base.cost < begun.cost - _REBASE_GAIN
     # what can be no finalist, even if its fit improves by more than the baseline has, is not repeated
@@ -164,7 +211,9 @@ def singles(
         other = coordinate_scan(bench, at) if i in finalists else None
         if other is not None:
             at = fitted(bench, v, [other], DEEP)
-        return Single(r.effect, evidence(bench, at, blocks), r.powers, i in finalists, preexisting)
+        # far from the best one, the linearisation says enough of what a fold takes away
+        own = evidence(bench, at, blocks, linear=i not in finalists)
+        return Single(r.effect, own, r.powers, i in finalists, preexisting)
 
     judged = bench.partial.side_by_side(
         judge,
@@ -175,6 +224,31 @@ def singles(
     return base, [found[i] for i in range(len(rough))]
 
 
+def _since_the_start(hypothesis: Hypothesis, name: str) -> bool:
+    """Whether an effect depends on the time since the start of a drive: a part of it shows another one."""
+    effect = hypothesis.effect(name)
+    return effect.tone is not None or effect.where == "time"
+
+
+def _on_whole_drives(
+    bench: Bench,
+    base: LinearisedFit,
+    anchor: LinearisedFit,
+    part: _FirstSearch,
+    share: float,
+    iterations: int,
+) -> _FirstSearch:
+    """A first search over an excerpt with ``share`` of the information, fitted to the whole drives."""
+    v, p = part.hypothesis, bench.d + bench.q
+    u = part.x[p:]
+    starts = [part.x, *(np.concatenate([x, u]) for x in (base.x, anchor.x))]
+    starts.append(np.concatenate([base.x, v.neutral()]))
+    far = part.far and iterations > 0
+    x, cost = refit(bench, v, starts, None if far else anchor.at, iterations, alternate_jacobian=far)
+    cost += coarse_search.MISALIGNMENT_PENALTY * bool(v.around)
+    return replace(part, cost=cost, x=x, powers=part.powers / share)
+
+
 def _first_search(
     bench: Bench,
     base: LinearisedFit,
@@ -183,8 +257,8 @@ def _first_search(
     variants: Sequence[Hypothesis],
     seed: int,
     no_match: bool,
-) -> _FirstSearch:
-    """The best variant of an effect from many starts, mostly with the vehicle Jacobian at ``anchor``; includes the
+) -> list[_FirstSearch]:
+    """The best variants of an effect from many starts, mostly with the vehicle Jacobian at ``anchor``; includes the
     coarse search for set-up errors."""
     screens = [screen(bench, anchor, v, v.starts(_STARTS, seed)) for v in variants]
     powers = np.concatenate([s.power for s in screens])
@@ -220,14 +294,12 @@ def _first_search(
         whole = [
             start for begun, start in _softened_starts(bench, base, v, seed) if begun < _COST_RATIO * cost
         ]
+        moved = False
         for start in (*_typical_start(bench, base, v), *whole):
             y, other = refit(bench, v, [start], None, DEEP, alternate_jacobian=True)
-            x, cost = (y, other) if other < cost else (x, cost)
-        found.append((cost, v, x))
-    cost, v, x = min(found, key=lambda f: f[0])
-    if not math.isfinite(cost):
-        raise WorkError(f"the twin cannot be simulated with {effect}")
-    return _FirstSearch(cost, effect, v, x, powers)
+            x, cost, moved = (y, other, True) if other < cost else (x, cost, moved)
+        found.append(_FirstSearch(cost, effect, v, x, powers, moved))
+    return found
 
 
 def _resonant(bench: Bench, base: LinearisedFit, hypothesis: Hypothesis, added: Hypothesis) -> list[Floats]:
@@ -326,44 +398,39 @@ def pairs(
     seed: int,
     on_progress: Callable[[float, str], None],
     skip: Sequence[str] = (),
+    excerpt: Excerpt | None = None,
 ) -> list[Evidence]:
-    """Evidence of the sets with one more effect than ``first`` that a first fit finds best."""
+    """Evidence of the sets with one more effect than ``first`` that a first fit finds best, over the ``excerpt`` if
+    there is one."""
     there = first.fit.hypothesis
-    start = linearised_fit(bench, there, first.fit.x)
-    known = start.at.first(bench.d + bench.q)
+    begun = linearised_fit(bench, there, first.fit.x)
+    known = begun.at.first(bench.d + bench.q)
     others = [e for e in library if e not in there.effects and e not in skip]
+    if any(_since_the_start(there, e) for e in there.effects):
+        excerpt = None
+    if excerpt is not None:
+        short = linearised_fit(excerpt.bench, there, first.fit.x)
 
     def look(effect: str) -> list[tuple[float, Hypothesis, list[Floats]]]:
-        tried = [(combined(there, v), v.starts(_STARTS // 2, seed)) for v in library[effect]]
-        screens = [(both, screen(bench, start, both, starts)) for both, starts in tried]
-        peaks = tone_peaks(bench, start.at.residual, library[effect][0].effect(effect))
-        more = [
-            [
-                *_resonant(bench, start, both, v),
-                *tone_starts(bench, start, start.at.residual, both, effect, peaks),
-            ]
-            for (both, _), v in zip(tried, library[effect], strict=True)
-        ]
-        # starts of resonances and tones are ranked by their simulated cost
-        costs = [
-            [float(bench.costs(both, x[:, None])[0]) for x in found]
-            for (both, _), found in zip(tried, more, strict=True)
-        ]
-        return [
-            (min([s.cost[0], *cost]), both, [*s.x[:2], *found])
-            for (both, s), cost, found in zip(screens, costs, more, strict=True)
-        ]
+        """By variant: what it gains on the whole drives by a first look, and the best starts."""
+        if excerpt is None or _since_the_start(library[effect][0], effect):
+            return _looked(bench, begun, effect, library[effect], seed)
+        found = _looked(excerpt.bench, short, effect, library[effect], seed)
+        return [(gain / excerpt.share, both, starts) for gain, both, starts in found]
 
     looked = bench.partial.side_by_side(
         look, others, lambda done, name: on_progress(0.7 * done, f"{there.name} and {name}".replace("_", " "))
     )
-    rough = sorted((r for some in looked for r in some), key=lambda r: r[0])
+    rough = sorted((r for some in looked for r in some), key=lambda r: -r[0])
     best: dict[tuple[str, ...], tuple[Hypothesis, list[Floats]]] = {}
     for _, both, starts in rough:
         best.setdefault(both.effects, (both, starts))
 
     def join(at: tuple[Hypothesis, list[Floats]]) -> Evidence:
         both, starts = at
+        if excerpt is not None:  # in the vehicle of the whole drives as well
+            own = first.fit.x.size
+            starts = [*starts, *(np.concatenate([first.fit.x, x[own:]]) for x in starts)]
         x, _ = refit(bench, both, starts, known, ROUGH)
         return evidence(bench, fitted(bench, both, [x], 2), blocks)
 
@@ -372,6 +439,33 @@ def pairs(
         list(best.values())[:_BEST_PAIRS],
         lambda done, at: on_progress(0.7 + 0.3 * done, f"{at[0].name}, jointly".replace("_", " ")),
     )
+
+
+def _looked(
+    bench: Bench, start: LinearisedFit, effect: str, variants: Sequence[Hypothesis], seed: int
+) -> list[tuple[float, Hypothesis, list[Floats]]]:
+    """A first look at the sets of ``start`` with a variant of one more effect: gain in -2 log posterior, hypothesis and
+    starts of each."""
+    there = start.hypothesis
+    tried = [(combined(there, v), v.starts(_STARTS // 2, seed)) for v in variants]
+    screens = [(both, screen(bench, start, both, starts)) for both, starts in tried]
+    peaks = tone_peaks(bench, start.at.residual, variants[0].effect(effect))
+    more = [
+        [
+            *_resonant(bench, start, both, v),
+            *tone_starts(bench, start, start.at.residual, both, effect, peaks),
+        ]
+        for (both, _), v in zip(tried, variants, strict=True)
+    ]
+    # starts of resonances and tones are ranked by their simulated cost
+    costs = [
+        [float(bench.costs(both, x[:, None])[0]) for x in found]
+        for (both, _), found in zip(tried, more, strict=True)
+    ]
+    return [
+        (start.cost - min([s.cost[0], *cost]), both, [*s.x[:2], *found])
+        for (both, s), cost, found in zip(screens, costs, more, strict=True)
+    ]
 
 
 def joint_fit(bench: Bench, parts: Sequence[Hypothesis], base: Fit, seed: int) -> LinearisedFit:

@@ -76,6 +76,7 @@ class Problem:
             [max(t.weight for t in terms if t.channel == c) for c in self.channels]
         )
         self.rows = list(rows)
+        self.priors, self.wander = priors, tuple(wander)
         self.nuisances = Nuisances(self.parts, self.drive_of, self.channels, priors, wander)
         measured: list[Floats] = []
         segments: list[slice] = []

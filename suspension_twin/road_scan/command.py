@@ -8,15 +8,16 @@ from pathlib import Path
 
 from suspension_twin.errors import InputError, WorkError
 from suspension_twin.files import together
+from suspension_twin.gap.prepare import Prepared
 from suspension_twin.models.registry import model_of
 from suspension_twin.road.check import RoadCheck, check_file
 from suspension_twin.road_scan.clouds import Cloud, open_cloud
 from suspension_twin.road_scan.felt import Felt, feel, steady_path
 from suspension_twin.road_scan.path import ScanPath, read_path
-from suspension_twin.road_scan.placing import Placing, placing_of
+from suspension_twin.road_scan.placing import SCAN_UNITS, Placing, placing_of
 from suspension_twin.road_scan.registration import register
 from suspension_twin.road_scan.scan import FINEST, Scanned, ScanSettings, road_from_scan, write_scan
-from suspension_twin.vehicle.twin import load_twin
+from suspension_twin.vehicle.twin import Twin, load_twin
 
 __all__ = ["scan_road"]
 
@@ -99,5 +100,33 @@ def _fitted(
     if crs is not None:
         raise InputError("--fit", "cannot be given with --crs: it places clouds that have none")
     own = [placing_of(c.path, None, None, axes, unit, None)[0] for c in clouds]
-    found = register(list(zip(clouds, own, strict=True)), along.drive, along.twin, progress)
+    drive, twin = along.drive, along.twin
+    try:
+        found = register(list(zip(clouds, own, strict=True)), drive, twin, progress)
+    except InputError as error:
+        if unit is not None or not _fits_in_feet(clouds, own, drive, twin, progress):
+            raise
+        text = f"fits the drive {drive.name} in feet and not in metres: give --unit ft"
+        raise InputError(clouds[0].path, text) from error
     return [(found.placed(p), found.words) for p in own]
+
+
+def _fits_in_feet(
+    clouds: Sequence[Cloud],
+    own: Sequence[Placing],
+    drive: Prepared,
+    twin: Twin,
+    progress: Callable[[str, float | None], None],
+) -> bool:
+    """Whether clouds that fit nowhere in metres fit in feet."""
+    foot = SCAN_UNITS["ft"]
+    try:
+        register(
+            [(c, p.altered(unit=foot, up=foot)) for c, p in zip(clouds, own, strict=True)],
+            drive,
+            twin,
+            progress,
+        )
+    except InputError:
+        return False
+    return True

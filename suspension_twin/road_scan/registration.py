@@ -45,6 +45,7 @@ CELL, _COVER = 0.25, 1.0
 _LARGEST = 4000  # cells of a side: 1 km
 _RATE = 50.0  # Hz of the first search
 _SETTLE = 0.5  # s after ground without heights that are not compared
+_LEAD = 2.0  # s that the twin drives before and after the ground
 _SLOWEST = 1.0  # m/s
 _LEAST = 20.0  # m of path on the ground
 _TURNS = 180  # turns of the search for covered places
@@ -439,12 +440,16 @@ class _Fit:
 
 
 def _fitted(ground: _Ground, drive: Prepared, twin: Twin, path: _Path, at: Place) -> _Fit:
-    """The best place nearby by the twin."""
+    """The best place nearby by the twin, which drives the part of the drive that lies on the ground."""
+    first = _Placed(ground, path.centre, at)
+    seen = drive.trajectory.t[first.known(drive.trajectory.x, drive.trajectory.y)]
+    if not seen.size:
+        return _Fit(at, 0.0, 0.0, 0.0)
+    drive = drive.part(float(seen[0]) - _LEAD, float(seen[-1]) + _LEAD)
     way = drive.trajectory
 
     def compared(u: Floats) -> _Fit:
-        there = _moved(at, u)
-        placed = _Placed(ground, path.centre, there)
+        placed = _Placed(ground, path.centre, there := _moved(at, u))
         on = placed.known(way.x, way.y) & (np.abs(way.speed) > _SLOWEST)
         on = ndimage.binary_erosion(on, iterations=max(1, round(_SETTLE * drive.rate)))
         mask = np.interp(drive.t, way.t, on.astype(np.float64)) > 0.99

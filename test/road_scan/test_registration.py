@@ -20,7 +20,14 @@ from suspension_twin.road_scan.placing import Placing
 BAGS = Path(__file__).resolve().parents[2] / "bags"
 
 
-def cloud_of(bag: str, file: Path, turn: float, move: tuple[float, float], ends: tuple[float, float]) -> None:
+def cloud_of(
+    bag: str,
+    file: Path,
+    turn: float,
+    move: tuple[float, float],
+    ends: tuple[float, float],
+    unit: float = 1.0,
+) -> None:
     """The bundled road of a drive with a kerb on its left and grass on its right, turned and moved, as text."""
     road, rng = load_road(BAGS / bag / "road.crg"), np.random.default_rng(5)
     u, v = rng.uniform(*ends, 150_000), rng.uniform(-5.0, 5.0, 150_000)
@@ -33,7 +40,7 @@ def cloud_of(bag: str, file: Path, turn: float, move: tuple[float, float], ends:
     z = road.heights_uv(u, inner) + 0.12 * (v > 3.5) + (v < -3.0) * rng.exponential(0.06, u.size)
     c, s = math.cos(turn), math.sin(turn)
     points = np.column_stack([c * x - s * y + move[0], s * x + c * y + move[1], z + 40.0])
-    np.savetxt(file, points + rng.normal(0.0, 0.003, points.shape), fmt="%.3f")
+    np.savetxt(file, (points + rng.normal(0.0, 0.003, points.shape)) / unit, fmt="%.3f")
 
 
 def scan(tmp_path: Path, bag: str, *more: str) -> int:
@@ -56,6 +63,15 @@ def test_the_cloud_is_placed_where_the_drive_was(tmp_path: Path) -> None:
     difference = found.heights(*places) - true.heights(*places)
     # by as much as a road of these slopes differs where the place is off by 0.2 m
     assert np.std(difference) < 0.35 * np.std(true.heights(*places))
+
+
+def test_a_cloud_in_feet_is_recognised(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """And of a drive that goes on beyond it, the part on the cloud is enough."""
+    true = load_road(BAGS / "crg_road" / "road.crg")
+    cloud_of("crg_road", tmp_path / "own.xyz", -0.7, (31.0, 8.0), (true.u_first, 0.7 * true.u_last), 0.3048)
+    assert scan(tmp_path, "crg_road") == 2
+    said = " ".join(capsys.readouterr().err.split())
+    assert "own.xyz: fits the drive crg_road in feet and not in metres: give --unit ft" in said
 
 
 def test_one_bump_could_have_been_driven_either_way(

@@ -73,6 +73,14 @@ def test_a_small_step_back_is_found_within_seconds() -> None:
     assert max(wrong[150 + 30 :]) < 0.03  # 6 s later
 
 
+def test_a_network_that_has_become_slower_is_no_step() -> None:
+    """Each sample is 0.4 s later on its way from then on, by as much: no stamp is repeated."""
+    clock, rng = ArrivalClock(), np.random.default_rng(4)
+    for k, (t, arrival) in enumerate(arrivals(rng, 60.0, 0.1, 0.0)):
+        np.testing.assert_array_equal(clock.push(t, arrival + (0.4 if 150 <= k < 400 else 0.0)), t)
+    assert clock.steps == 0
+
+
 def test_ten_seconds_without_a_network_are_no_step() -> None:
     clock, rng = ArrivalClock(), np.random.default_rng(5)
     for t, arrival in arrivals(rng, 90.0, 0.1, 0.0):

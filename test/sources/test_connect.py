@@ -25,6 +25,7 @@ from suspension_twin.sources import SOURCES, load_source, make_sources
 from suspension_twin.sources.common.assess import assess, verdict
 from suspension_twin.sources.common.discover import discover, serial_ports
 from suspension_twin.sources.common.hub import Hub
+from suspension_twin.sources.common.report import findings
 
 
 def test_it_tells_what_arrives(bump: Drive) -> None:
@@ -124,6 +125,25 @@ def test_a_phone_at_rest_tells_its_noise(bump: Drive) -> None:
         "standing still: noise 0.02"
         in judged(bump, imu=at_rest(), velocity=VelocityData.empty())["still"].text
     )
+
+
+@pytest.mark.parametrize(("rate", "slow"), [(400.0, False), (40.0, True)])
+def test_a_rate_is_judged_once_a_stream_has_come_for_a_second(rate: float, slow: bool) -> None:
+    """A phone that comes back after a minute is not slow in its first moment."""
+    hub = Hub()
+    phone = hub.device("phone")
+    assert phone is not None
+
+    def send(first: float, seconds: float) -> bool:
+        for k in range(int(seconds * rate)):
+            t = first + k / rate
+            phone.imu(np.array([1.7e9 + t]), np.array([[0.0, 0.0, 9.8]]), np.zeros((1, 3)), phone.since + t)
+        said = findings(hub, phone.since + first + seconds)
+        return any("too slow for wheel hop" in finding.text for finding in said)
+
+    assert send(0.0, 8.0) == slow
+    assert not send(70.0, 0.5)
+    assert send(70.5, 2.0) == slow
 
 
 @pytest.mark.parametrize("name", SOURCES)

@@ -31,8 +31,10 @@ _DRIFT_AFTER, _DRIFT_SHOWN_AFTER = 20.0, 60.0
 _MAX_DRIFT, _NOT_LIVE = 500e-6, 0.05
 #: Smallest step of a clock in s that is looked for, and back in time at once (less is disorder).
 _STEP, _STEP_BACK = 0.15, 1.0
-#: Bins for which a new level of the delays must hold to be a step, and their spread in s.
-_LEVEL_BINS, _LEVEL_SPREAD = 6, 0.05
+#: Bins for which a new level of the delays must hold to be a step, and their spread in s; and the share of the step by
+#: which stamps must have been repeated then: a clock that is set back shows a time twice, a network that has become
+#: slower does not.
+_LEVEL_BINS, _LEVEL_SPREAD, _REPEATED = 6, 0.05, 0.5
 
 
 def host_time() -> float:
@@ -63,9 +65,10 @@ class ArrivalClock:
         self._period = math.nan
         self._origin = math.nan
         self._level = self._slope = math.nan  # of the envelope, at the origin
-        self._bins: deque[tuple[float, float, float]] = deque(maxlen=_BINS)
+        self._bins: deque[tuple[float, float, float, float]] = deque(maxlen=_BINS)
         self._bin_began = -math.inf
         self._bin = (0.0, math.inf)
+        self._behind = 0.0  # s that stamps of this bin lay behind earlier ones at most
         self._delays: list[float] = []
 
     def push(self, t: Floats, arrival: float) -> Floats:
@@ -83,6 +86,8 @@ class ArrivalClock:
         elif t[-1] > self._last:
             interval = float(t[-1]) - self._last
             self._period = interval if math.isnan(self._period) else min(interval, 1.5 * self._period)
+        if not self._stepped and t[0] < self._last:
+            self._behind = max(self._behind, self._last - float(t[0]))
         if math.isnan(self._last) or t[-1] > self._last or self._stepped:
             self._last = float(t[-1])
         self._collect(newest, arrival - newest, arrival)
@@ -130,9 +135,9 @@ class ArrivalClock:
             self._origin, self._level, self._slope = t, delay, 0.0
         if arrival - self._bin_began >= _BIN:
             if self._bin[1] < math.inf:
-                self._bins.append((*self._bin, float(np.median(self._delays))))
+                self._bins.append((*self._bin, float(np.median(self._delays)), self._behind))
                 self._fit()
-            self._bin_began, self._bin, self._delays = arrival, (t, delay), []
+            self._bin_began, self._bin, self._delays, self._behind = arrival, (t, delay), [], 0.0
         elif delay < self._bin[1]:
             self._bin = (t, delay)
         if len(self._delays) < 100:
@@ -142,7 +147,7 @@ class ArrivalClock:
         self.offset = self.at(t)
 
     def _fit(self) -> None:
-        t, delay, middle = np.array(self._bins).T
+        t, delay, middle, _ = np.array(self._bins).T
         x = t - self._origin
         span = float(x[-1] - x[0])
         if span < 2.0 and x.size < 5:
@@ -163,17 +168,20 @@ class ArrivalClock:
         self.jitter = max(float(np.median(middle - (self._level + self._slope * x))), 0.0)
 
     def _new_level(self, x: Floats, delay: Floats) -> bool:
-        """A clock that was set back by less than disorder makes up shows as delays that are longer for good."""
+        """A clock that was set back by less than disorder makes up shows as delays that are longer for good, from
+        stamps on that lie behind earlier ones."""
         recent = delay[-_LEVEL_BINS:] - (self._level + self._slope * x[-_LEVEL_BINS:])
         if recent.min() < _STEP or np.ptp(recent) > _LEVEL_SPREAD:
             return False
         step = -float(recent.min())
+        if max(behind for *_, behind in list(self._bins)[-_LEVEL_BINS - 1 :]) < _REPEATED * -step:
+            return False
         self.shift -= step
         self.steps += 1
         self.last_step = step
         # The stamps of these bins, had they been shifted then.
         bins = list(self._bins)
-        moved = [(t - step, d + step, m + step) for t, d, m in bins[-_LEVEL_BINS:]]
+        moved = [(t - step, d + step, m + step, 0.0) for t, d, m, _ in bins[-_LEVEL_BINS:]]
         self._bins = deque([*bins[:-_LEVEL_BINS], *moved], maxlen=_BINS)
         return True
 

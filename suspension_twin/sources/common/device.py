@@ -153,9 +153,15 @@ class Device:
         return recent[-1][0] if recent else -math.inf
 
     def frequency(self, stream: str, now: float) -> float:
-        """Samples a second of a stream over the last two seconds."""
+        """Samples a second of a stream over the last two seconds, or since it has come (again)."""
         recent = list(self._recent.get(stream, ()))
-        return sum(n for at, n in recent if at > now - _COUNTED_OVER) / _COUNTED_OVER
+        seconds = max(self.counted(stream, now), 0.25 * _COUNTED_OVER)
+        return sum(n for at, n in recent if at > now - _COUNTED_OVER) / seconds
+
+    def counted(self, stream: str, now: float) -> float:
+        """s over which :meth:`frequency` counts: less than two where the stream has just begun, or begun again."""
+        recent = self._recent.get(stream)
+        return min(now - recent[0][0], _COUNTED_OVER) if recent else 0.0
 
     def sensor_age(self, now: float) -> tuple[float, float]:
         """s since accelerometer and gyroscope samples came, those that are given apart; infinite before."""

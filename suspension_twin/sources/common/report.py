@@ -68,7 +68,8 @@ def findings(hub: Hub, now: float) -> list[Finding]:
             continue
         if hub.chosen.get("imu") is device and now - device.since > _SETTLED:
             rate = check_rate(device.frequency("imu", now))
-            if rate is not None and now - device.last_arrival("imu") < _SILENT:
+            steady = device.counted("imu", now) > 1.0 and now - device.last_arrival("imu") < _SILENT
+            if rate is not None and steady:
                 found.append(Finding(rate.level, f"rate {name}", f"{name}: {rate.text}"))
         missing = _missing(device, now)
         if missing:
