@@ -154,16 +154,16 @@ def singles(
         on_excerpt = [not _since_the_start(library[e][0], e) for e in effects]
         # the vehicle alone fits an excerpt better than it fits the whole drives
         _, alone = refit(excerpt.bench, BASELINE, [base.x, anchor.x], None, ROUGH)
-        gains = [
+        seen = [
             (alone - r.cost) / excerpt.share if part else begun.cost - r.cost
             for r, part in zip(rough, on_excerpt, strict=True)
         ]
-        least = _HOPEFUL * max(gains)
+        enough = _HOPEFUL * max(seen)
 
         def finish(i: int) -> _FirstSearch:
             if not on_excerpt[i]:
                 return rough[i]
-            iterations = ROUGH if gains[i] >= least else 0
+            iterations = ROUGH if seen[i] >= enough else 0
             found = [
                 _on_whole_drives(bench, begun, from_anchor, one, excerpt.share, iterations)
                 for one in looked[i]

@@ -15,7 +15,7 @@ from suspension_twin.road_scan.clouds import Cloud, open_cloud
 from suspension_twin.road_scan.felt import Felt, feel, steady_path
 from suspension_twin.road_scan.path import ScanPath, read_path
 from suspension_twin.road_scan.placing import SCAN_UNITS, Placing, placing_of
-from suspension_twin.road_scan.registration import register
+from suspension_twin.road_scan.registration import Ambiguous, register
 from suspension_twin.road_scan.scan import FINEST, Scanned, ScanSettings, road_from_scan, write_scan
 from suspension_twin.vehicle.twin import Twin, load_twin
 
@@ -104,7 +104,11 @@ def _fitted(
     try:
         found = register(list(zip(clouds, own, strict=True)), drive, twin, progress)
     except InputError as error:
-        if unit is not None or not _fits_in_feet(clouds, own, drive, twin, progress):
+        if (
+            unit is not None
+            or isinstance(error, Ambiguous)
+            or not _fits_in_feet(clouds, own, drive, twin, progress)
+        ):
             raise
         text = f"fits the drive {drive.name} in feet and not in metres: give --unit ft"
         raise InputError(clouds[0].path, text) from error

@@ -36,7 +36,7 @@ from suspension_twin.road_scan.clouds import Cloud
 from suspension_twin.road_scan.placing import Placing
 from suspension_twin.vehicle.twin import Twin
 
-__all__ = ["Registration", "register"]
+__all__ = ["Ambiguous", "Registration", "register"]
 
 # Tolerances of the search.
 #: Cells of the raster of heights, and of that of covered ground, in m: a third of the shortest bump that a car feels
@@ -67,6 +67,10 @@ _NATURAL, _DAMPING, _LOW = 1.3, 0.3, 4.0
 #: which another place has to leave more of the measured variance unexplained (geometric mean of the channels).
 _BELIEVED, _DISTINCT = 0.6, 1.1
 _CHANNELS = ("vertical_acceleration", "roll_rate", "pitch_rate")
+
+
+class Ambiguous(InputError):
+    """A cloud fits a drive in several places alike."""
 
 
 @dataclass(frozen=True)
@@ -162,7 +166,7 @@ def register(
     Raises
     ------
     InputError
-        No place fits, or several do alike.
+        No place fits; :class:`Ambiguous` where several do alike.
     """
     name = clouds[0][0].path
     ground = _raster(clouds, progress)
@@ -184,7 +188,7 @@ def register(
             f"{best.correlation:.2f} at best",
         )
     if any(f.unexplained < best.unexplained + math.log(_DISTINCT) for f in others):
-        raise InputError(
+        raise Ambiguous(
             name,
             f"fits the drive {drive.name} in several places alike: give a longer drive over it, or its coordinate "
             "reference system with --crs",

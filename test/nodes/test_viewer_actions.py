@@ -103,15 +103,17 @@ def test_a_best_effort_sensor_is_recorded_too(bench, viewer, tmp_path):
     offer = QoSProfile(depth=10, reliability=ReliabilityPolicy.BEST_EFFORT)
     publisher = viewer.create_publisher(Imu, "imu/data_raw", offer)
     assert not press(bench, viewer, "record")[1]
-    bench.until(lambda: publisher.get_subscription_count() == 1, "the page to take what is offered")
-    message = Imu()
-    for number in range(20):
-        put_stamp(message, 1_700_000_000.0 + 0.01 * number)
-        publisher.publish(message)
-        bench.spin(0.01)
-    bench.until(lambda: viewer._recorder.counts["imu/data_raw"] == 20, "the samples")
+    message, sent = Imu(), 0
+
+    def recorded() -> bool:
+        nonlocal sent
+        publisher.publish(put_stamp(message, 1_700_000_000.0 + 0.01 * sent))
+        sent += 1
+        return viewer._recorder.counts["imu/data_raw"] >= 20
+
+    bench.until(recorded, "samples of a best-effort publisher")
     said, wrong = press(bench, viewer, "stop")
-    assert not wrong and "20 on imu/data_raw" in said
+    assert not wrong and "on imu/data_raw" in said
 
 
 def test_the_player_is_led(bench, viewer, drive):
