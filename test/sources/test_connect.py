@@ -138,7 +138,7 @@ def test_a_rate_is_judged_once_a_stream_has_come_for_a_second(rate: float, slow:
         for k in range(int(seconds * rate)):
             t = first + k / rate
             phone.imu(np.array([1.7e9 + t]), np.array([[0.0, 0.0, 9.8]]), np.zeros((1, 3)), phone.since + t)
-        said = findings(hub, phone.since + first + seconds)
+        said = findings(hub, phone.since + first + seconds + 1.0)
         return any("too slow for wheel hop" in finding.text for finding in said)
 
     assert send(0.0, 8.0) == slow

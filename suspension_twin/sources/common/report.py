@@ -67,9 +67,9 @@ def findings(hub: Hub, now: float) -> list[Finding]:
                 found.append(Finding("warn", f"silent {name}", text))
             continue
         if hub.chosen.get("imu") is device and now - device.since > _SETTLED:
-            rate = check_rate(device.frequency("imu", now))
-            steady = device.counted("imu", now) > 1.0 and now - device.last_arrival("imu") < _SILENT
-            if rate is not None and steady:
+            last = device.last_arrival("imu")  # what has just stopped is not slow
+            rate = check_rate(device.frequency("imu", last)) if math.isfinite(last) else None
+            if rate is not None and device.counted("imu", last) > 1.0 and now - last < _SILENT:
                 found.append(Finding(rate.level, f"rate {name}", f"{name}: {rate.text}"))
         missing = _missing(device, now)
         if missing:
