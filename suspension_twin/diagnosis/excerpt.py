@@ -9,7 +9,7 @@ unknowns mean the same on both.
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -28,11 +28,12 @@ __all__ = ["SECONDS", "Excerpt", "excerpt_of"]
 SECONDS = 15.0
 
 
+@dataclass(frozen=True, eq=False)
 class Excerpt:
     """A ``bench`` on an excerpt, and the ``share`` of the information of the whole drives with the gap in it."""
 
-    def __init__(self, bench: Bench, share: float) -> None:
-        self.bench, self.share = bench, share
+    bench: Bench
+    share: float
 
 
 def excerpt_of(bench: Bench, x: Floats) -> Excerpt | None:

@@ -33,8 +33,8 @@ __all__ = ["BagPlayer"]
 
 #: Largest rate of /clock in Hz of real time.
 _CLOCK_RATE = 100.0
-#: At full speed: time in s before the executor gets its turn, and messages before the
-#: acknowledgement of subscribers is waited for.
+#: At full speed: time in s before the executor gets its turn, and messages before the acknowledgement of subscribers is
+#: waited for (tolerance: a small part of what the streams keep).
 _SLICE = 0.02
 _UNACKNOWLEDGED = 50
 #: A jump back of less than this in s is made one of this, for the nodes take stamps that are a little older for late

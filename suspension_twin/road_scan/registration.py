@@ -453,7 +453,8 @@ def _fitted(ground: _Ground, drive: Prepared, twin: Twin, path: _Path, at: Place
     way = drive.trajectory
 
     def compared(u: Floats) -> _Fit:
-        placed = _Placed(ground, path.centre, there := _moved(at, u))
+        there = _moved(at, u)
+        placed = _Placed(ground, path.centre, there)
         on = placed.known(way.x, way.y) & (np.abs(way.speed) > _SLOWEST)
         on = ndimage.binary_erosion(on, iterations=max(1, round(_SETTLE * drive.rate)))
         mask = np.interp(drive.t, way.t, on.astype(np.float64)) > 0.99
