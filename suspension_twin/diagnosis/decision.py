@@ -51,10 +51,13 @@ FEATURES: Mapping[str, float] = {
     "number": -1.0,  # log of the number of effects in the library: they share the prior
     "gain": 0.5,  # evidence over recalibration
     "margin": 0.5,  # evidence over the next best
+    "shrink": 1.0,  # beyond recalibration, in the best driven channel
     "proven": 2.0,  # lower end of the shrink beyond recalibration in the best channel
+    "throughout": 1.0,  # lower end of that shrink in the worst driven channel
+    "chance": -0.5,  # share of the gain in the fit that is lost on held-out road
+    "tone": 0.5,  # log of the fall of the strongest tone
     "explained": 2.0,  # share of the residual beyond the expected discrepancy
     "complete": 1.0,  # share of what any hypothesis removes
-    "open": -0.3,  # evidence that one more effect adds
     "excess": -1.0,  # what remains beside the expected discrepancy
     "lost": -2.0,  # growth of the gap in another channel
     "usual": -1.0,  # as small as errors of twin files are
@@ -289,18 +292,20 @@ def answers_of(evidence: Mapping[str, Any]) -> list[Answer]:
             if not (own <= set(r["effects"]) or set(r["effects"]) < own)
         ]
         explained = _explained(case, base, row)
+        driven = [c for name, c in row["channels"].items() if case["channels"][name]["driven"]]
         usual = _USUAL_RATIO if row["usual"] is None else max(row["usual"], 1e-3)
         parameters = [p for values in row["parameters"].values() for p in values.values()]
         values = {
             "number": float(np.log(number)),
             "gain": _nats(gains[i]),
             "margin": _nats(gains[i] - max([0.0, *rivals])),
+            "shrink": float(np.clip(max(c["shrink"] for c in driven), 0.0, 1.0)),
             "proven": float(np.clip(max(c["low"] for c in row["channels"].values()), 0.0, 1.0)),
+            "throughout": float(np.clip(min(c["low"] for c in driven), -1.0, 1.0)),
+            "chance": float(np.clip(1.0 - row["gain"] / max(row["gain_fitted"], 1e-9), 0.0, 2.0)),
+            "tone": _hushed(base, row),
             "explained": explained,
             "complete": max(most - _square(case, row), 0.0) / (most - least) if most > least else 0.0,
-            "open": _nats(
-                max(g for g, r in zip(gains, rows, strict=True) if own <= set(r["effects"])) - gains[i]
-            ),
             "excess": _excess(case, row) * (1.0 - explained),
             "lost": _lost(case, row),
             "usual": float(np.clip(np.log(_USUAL_RATIO / usual), 0.0, 3.0)),
@@ -397,6 +402,13 @@ def _pattern(row: Row) -> float:
         np.log(max(row["place"], 1e-3) / _USUAL_PLACE),
     )
     return float(sum(np.clip(o, 0.0, 1.5) for o in over))
+
+
+def _hushed(base: Row, row: Row) -> float:
+    """Log of the fall of the strongest tone, as far as it is above those of model discrepancy; 0 to 2."""
+    if "tone" not in row or "tone" not in base:
+        return 0.0
+    return float(np.clip(np.log(max(base["tone"], 1e-3) / max(row["tone"], _USUAL_TONE)), 0.0, 2.0))
 
 
 def _clocks(row: Row) -> float:

@@ -72,6 +72,15 @@ class Hypothesis:
         """One of its effects, as it is on the model."""
         return EFFECTS[name].on(self.model)
 
+    def corner(self, effect: str) -> int:
+        """The wheel that a tone of the effect turns with; -1 for none."""
+        tone = self.effect(effect).tone
+        return (
+            -1
+            if tone is None or not tone.corner
+            else int(dict(self.fixed)[f"effects.{effect}.{tone.corner}"])
+        )
+
     @property
     def name(self) -> str:
         return " + ".join(self.effects) or "none"

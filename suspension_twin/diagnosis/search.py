@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -47,6 +47,7 @@ _VEHICLES = ((0.0, 0.0), (-0.3, 0.0), (-0.6, 0.0), (0.0, -0.25), (0.0, -0.6), (-
 #: Starting vehicles for effects with a clearance, which is this quantile of the size of the travel: a stop that touches
 #: in a fifth of the drive leaves the characteristics their part.
 _EARLY, _TOUCHES = ((-0.6, 0.0), (0.0, -0.3)), 0.8
+_HEARD = 2  # peaks of a tone that are fitted, the strongest in a simulation
 _FINE = 5  # iterations at most of the second fit of the best effects
 #: Ratio of the cost of a start to the best cost so far up to which a fit is run from it.
 _COST_RATIO = 3.0
@@ -262,15 +263,15 @@ def _first_search(
     coarse search for set-up errors."""
     screens = [screen(bench, anchor, v, v.starts(_STARTS, seed)) for v in variants]
     powers = np.concatenate([s.power for s in screens])
-    peaks = tone_peaks(bench, anchor.at.residual, variants[0].effect(effect))
+    peaks = _peaks(bench, anchor, effect, variants)
     # with the vehicle of all drives as well, from which the effect is else started at nothing
     heard = [
         [
             x
             for vehicle in ((anchor,) if base is anchor else (anchor, base))
-            for x in tone_starts(bench, vehicle, vehicle.at.residual, v, effect, peaks)
+            for x in tone_starts(bench, vehicle, vehicle.at.residual, v, effect, own)[:_HEARD]
         ]
-        for v in variants
+        for v, own in zip(variants, peaks, strict=True)
     ]
     costs = [
         min([s.cost[0], *(bench.costs(v, np.stack(x, axis=1)).tolist() if x else ())])
@@ -281,7 +282,9 @@ def _first_search(
     # a weak damper at one corner and a strong one at the other are similar to first order: both are fitted
     for i in order[:_VARIANTS]:
         v, tried = variants[i], screens[i]
-        starts = [*tried.x[:_TRIED], *_resonant(bench, anchor, v, v), *heard[i]]
+        # beside the peak of a tone no scattered start is of use
+        scattered = [] if heard[i] else tried.x[:_TRIED]
+        starts = [*scattered, *_resonant(bench, anchor, v, v), *heard[i]]
         starts.append(np.concatenate([base.x, v.neutral()]))
         x, cost = refit(bench, v, starts, anchor.at, ROUGH)
         if not math.isfinite(cost):
@@ -300,6 +303,18 @@ def _first_search(
             x, cost, moved = (y, other, True) if other < cost else (x, cost, moved)
         found.append(_FirstSearch(cost, effect, v, x, powers, moved))
     return found
+
+
+def _peaks(
+    bench: Bench, start: LinearisedFit, effect: str, variants: Sequence[Hypothesis]
+) -> list[list[Mapping[str, float]]]:
+    """The strongest tones for each variant of an effect, which may turn with another wheel than the next one."""
+    found: dict[int, list[Mapping[str, float]]] = {}
+    own, corners = variants[0].effect(effect), [v.corner(effect) for v in variants]
+    for corner in corners:
+        if corner not in found:
+            found[corner] = tone_peaks(bench, start.at.residual, own, corner)
+    return [found[corner] for corner in corners]
 
 
 def _resonant(bench: Bench, base: LinearisedFit, hypothesis: Hypothesis, added: Hypothesis) -> list[Floats]:
@@ -359,9 +374,11 @@ def _softened_starts(
     """Costs and unknowns of starts with softer springs and weaker dampers than the baseline.
 
     A calibration without friction, stop or anti-roll bar compensates for them in the characteristics, further than a
-    linear step corrects. Only for effects of strut, tyre and body.
+    linear step corrects. Only for effects of strut, tyre and body that are no tones: a tone adds to the motion, and no
+    characteristic compensates for it.
     """
-    if hypothesis.effect(hypothesis.effects[-1]).where not in ("strut", "tyre", "body"):
+    effect = hypothesis.effect(hypothesis.effects[-1])
+    if effect.where not in ("strut", "tyre", "body") or effect.tone is not None:
         return []
     p = bench.d + bench.q
 
@@ -449,13 +466,12 @@ def _looked(
     there = start.hypothesis
     tried = [(combined(there, v), v.starts(_STARTS // 2, seed)) for v in variants]
     screens = [(both, screen(bench, start, both, starts)) for both, starts in tried]
-    peaks = tone_peaks(bench, start.at.residual, variants[0].effect(effect))
     more = [
         [
             *_resonant(bench, start, both, v),
-            *tone_starts(bench, start, start.at.residual, both, effect, peaks),
+            *tone_starts(bench, start, start.at.residual, both, effect, own)[:_HEARD],
         ]
-        for (both, _), v in zip(tried, variants, strict=True)
+        for (both, _), v, own in zip(tried, variants, _peaks(bench, start, effect, variants), strict=True)
     ]
     # starts of resonances and tones are ranked by their simulated cost
     costs = [

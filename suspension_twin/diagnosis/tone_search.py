@@ -103,13 +103,14 @@ class _Series:
         ]
 
 
-def tone_peaks(bench: Bench, residual: Floats, effect: Effect) -> list[Mapping[str, float]]:
+def tone_peaks(bench: Bench, residual: Floats, effect: Effect, corner: int = -1) -> list[Mapping[str, float]]:
     """Parameters of the strongest tones in a whitened residual (R,), without strength and phase; none for an effect
-    that is no tone."""
+    that is no tone. A tone that turns with a wheel turns with that at the ``corner``."""
     tone = effect.tone
     if tone is None:
         return []
-    series = _series(bench, residual, tone.power)
+    left = bench.problem.twin.vehicle.wheel_positions[corner, 1] if tone.corner else 0.0
+    series = _series(bench, residual, tone.power, left)
     found = [tone.parameters(f, n) for f, n in _peaks(series, tone, bench.problem.measured.rate)]
     if tone.with_floor is not None:
         found += [tone.with_floor(f, n) for f, n in _floored_peaks(series, tone)]
@@ -130,14 +131,14 @@ def tone_starts(
     return _simulated(bench, base, residual, hypothesis, effect, tone, peaks) if tone and peaks else []
 
 
-def _series(bench: Bench, residual: Floats, power: int) -> list[_Series]:
-    """The channels of the drives with the gap."""
+def _series(bench: Bench, residual: Floats, power: int, left: float) -> list[_Series]:
+    """The channels of the drives with the gap, by the way of what is so many m ``left`` of the middle."""
     problem, whitener = bench.problem, bench.whitener
     t, s, v = (np.empty(len(problem.measured.values)) for _ in range(3))
     first = 0
     for part, rows in zip(problem.parts, problem.rows, strict=True):
         known, own = part.excitation, slice(first, first + rows.size)
-        speed = known.motion[:, 5]
+        speed = known.motion[:, 5] - left * known.motion[:, 3]
         way = np.concatenate([[0.0], np.cumsum(0.5 * (speed[1:] + speed[:-1]) * np.diff(known.t))])
         t[own] = part.t[rows] - known.t[0]
         s[own], v[own] = (np.interp(part.t[rows], known.t, values) for values in (way, speed))

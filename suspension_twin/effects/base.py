@@ -110,7 +110,8 @@ class Tone:
     ``strength`` names the parameter that it is proportional to, ``phase`` that of the angle at the start.
     ``frequencies`` Hz of f and ``wavenumbers`` 1/m of n are ranges to search, f or n alone where the other's is (0, 0);
     ``parameters`` gives the parameters for f and n; the strength that is felt grows with that ``power`` of the speed.
-    ``with_floor`` gives those of a tone of the frequency max(f, n v), where the effect can be one.
+    ``with_floor`` gives those of a tone of the frequency max(f, n v), where the effect can be one. ``corner`` names the
+    parameter that says which wheel's way s is; empty for the car's.
     """
 
     strength: str
@@ -120,6 +121,7 @@ class Tone:
     parameters: Callable[[float, float], Mapping[str, float]]
     power: int = 0
     with_floor: Callable[[float, float], Mapping[str, float]] | None = None
+    corner: str = ""
 
 
 @dataclass(frozen=True)

@@ -6,11 +6,8 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 
-import numpy as np
-
 from suspension_twin.effects._phrases import Given, of_wheel
 from suspension_twin.effects.base import (
-    CORNER,
     LANE,
     WIDTH,
     Effect,
@@ -52,36 +49,49 @@ _PARAMETERS = (
 
 
 _FIELDS = Fields()
-_MOMENT = _FIELDS.add(CORNER)  # kg m
+_CORNER = _FIELDS.add()
+_MOMENT = _FIELDS.add()  # kg m
 _PER_METRE = _FIELDS.add()  # 1 / rolling radius, 1/m
 _PHASE = _FIELDS.add()  # rad
-_FORCE = _FIELDS.state(CORNER)  # on the wheel at the last step, N
-_WAY = _FIELDS.state()  # travelled, m
+_FORCE = _FIELDS.state()  # on the wheel at the last step, N
+_WAY = _FIELDS.state()  # that the wheel has rolled, m
 
 
 def _constants(p: Values) -> Mapping[int, Floats]:
-    moment = np.stack([np.where(p["corner"] == corner, p["moment"], 0.0) for corner in range(4)])
-    return {_MOMENT: moment, _PER_METRE: 1.0 / p["rolling_radius"], _PHASE: p["phase"]}
+    return {
+        _CORNER: p["corner"],
+        _MOMENT: p["moment"],
+        _PER_METRE: 1.0 / p["rolling_radius"],
+        _PHASE: p["phase"],
+    }
+
+
+@inlined
+def _pace(w: Floats, e: int, i: int) -> float:
+    """m/s of the wheel: in a bend the outer one is faster than the car."""
+    left = w[(rows.ARM_Y + int(w[(e + _CORNER) * WIDTH + i])) * WIDTH + i]
+    return fma(-w[rows.YAW_RATE * WIDTH + i], left, w[rows.SPEED * WIDTH + i])
 
 
 @inlined
 def _swing(w: Floats, e: int, c: int, i: int, h: float) -> None:
     """The force acts on the wheel whether its tyre touches the road or not, and never makes a tyre pull."""
-    moment, per_metre = w[(e + _MOMENT + c) * WIDTH + i], w[(e + _PER_METRE) * WIDTH + i]
-    speed = w[rows.SPEED * WIDTH + i]
+    moment, per_metre = w[(e + _MOMENT) * WIDTH + i], w[(e + _PER_METRE) * WIDTH + i]
+    ground = (rows.GROUND + int(w[(e + _CORNER) * WIDTH + i])) * WIDTH + i
+    speed = _pace(w, e, i)
     spin, way = speed * per_metre, fma(h, speed, w[(e + _WAY) * WIDTH + i])
     f = moment * spin * spin * math.cos(fma(per_metre, way, w[(e + _PHASE) * WIDTH + i]))
-    n = w[(rows.GROUND + c) * WIDTH + i]
-    w[(rows.GROUND + c) * WIDTH + i] = (n if n > 0.0 or moment == 0.0 else 0.0) + f
-    w[(e + _FORCE + c) * WIDTH + i] = f
+    n = w[ground]
+    w[ground] = (n if n > 0.0 or moment == 0.0 else 0.0) + f
+    w[(e + _FORCE) * WIDTH + i] = f
 
 
 @inlined
 def _push(w: Floats, e: int, c: int, i: int, h: float) -> None:
     """What the force along the road does beyond the acceleration that is given: a quarter of a turn later, at the hub.
     The load transfer takes the car's acceleration for a force on the ground, which is lower by the wheel's radius."""
-    moment, per_metre = w[(e + _MOMENT + c) * WIDTH + i], w[(e + _PER_METRE) * WIDTH + i]
-    speed = w[rows.SPEED * WIDTH + i]
+    moment, per_metre = w[(e + _MOMENT) * WIDTH + i], w[(e + _PER_METRE) * WIDTH + i]
+    speed = _pace(w, e, i)
     way = fma(h, speed, w[(e + _WAY) * WIDTH + i])
     # moment times spin squared times the radius, 1 / per_metre
     m = moment * speed * speed * per_metre * math.sin(fma(per_metre, way, w[(e + _PHASE) * WIDTH + i]))
@@ -92,14 +102,15 @@ def _push(w: Floats, e: int, c: int, i: int, h: float) -> None:
 
 @inlined
 def _roll(w: Floats, e: int, c: int, i: int, h: float) -> None:
-    w[(e + _WAY) * WIDTH + i] = fma(h, w[rows.SPEED * WIDTH + i], w[(e + _WAY) * WIDTH + i])
+    w[(e + _WAY) * WIDTH + i] = fma(h, _pace(w, e, i), w[(e + _WAY) * WIDTH + i])
 
 
 @inlined
 def _touch(w: Floats, e: int, c: int, i: int, h: float) -> None:
     """The road does not carry what the unbalance pulls."""
-    n = w[(rows.CONTACT + c) * WIDTH + i]
-    w[(rows.CONTACT + c) * WIDTH + i] = n - w[(e + _FORCE + c) * WIDTH + i] if n > 0.0 else n
+    contact = (rows.CONTACT + int(w[(e + _CORNER) * WIDTH + i])) * WIDTH + i
+    n = w[contact]
+    w[contact] = n - w[(e + _FORCE) * WIDTH + i] if n > 0.0 else n
 
 
 def _finding(p: Given) -> str:
@@ -112,8 +123,8 @@ EFFECT = Effect(
     title="wheel out of balance",
     where="tyre",
     doc="An unbalance turns with one wheel: a force of moment times spin squared on the hub, once a turn, where the "
-    "spin is the speed over the rolling radius. Its part along the road is in the acceleration that is measured. A "
-    "pause of more than 0.5 s in a recording begins a new phase.",
+    "spin is the wheel's own speed over the rolling radius. Its part along the road is in the acceleration that is "
+    "measured. A pause of more than 0.5 s in a recording begins a new phase.",
     parameters=_PARAMETERS,
     order=125,
     severity=("moment",),
@@ -124,6 +135,7 @@ EFFECT = Effect(
         (0.4, 0.68),  # rolling radii of 0.23 to 0.4 m
         lambda f, n: {"rolling_radius": 1.0 / (2.0 * math.pi * n)},
         power=2,
+        corner="corner",
     ),
     excited_by=("high speed", "a smooth road"),
     confused_with=("engine_order", "wheel_imbalance of another wheel", "a periodic road"),
@@ -132,10 +144,10 @@ EFFECT = Effect(
             _FIELDS,
             _constants,
             {
-                "tyre": (_swing, CORNER),
-                "body": (_push, CORNER),
+                "tyre": (_swing, LANE),
+                "body": (_push, LANE),
                 "after": (_roll, LANE),
-                "stamp": (_touch, CORNER),
+                "stamp": (_touch, LANE),
             },
         )
     ),

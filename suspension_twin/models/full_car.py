@@ -27,6 +27,8 @@ the step by (frequency x step) < 2. Between steps the moments M run linearly.
 
 from __future__ import annotations
 
+import math
+
 from suspension_twin.arrays import Floats
 from suspension_twin.compiled import compiled, inlined, specialised
 from suspension_twin.models import rows
@@ -90,6 +92,13 @@ def moments(w: Floats, i: int, ax: float, ay: float, yaw2: float, dyaw: float) -
     transfer = w[rows.TRANSFER * WIDTH + i]
     cx, cy = w[rows.COG * WIDTH + i], w[(rows.COG + 1) * WIDTH + i]
     return transfer * fma(dyaw, cx, fma(-yaw2, cy, ay)), -transfer * fma(-dyaw, cy, fma(-yaw2, cx, ax))
+
+
+@inlined
+def yaw_rate(before: float, after: float, share: float) -> float:
+    """rad/s within an interval: its square is linear, as the moments are."""
+    size = math.sqrt(max(fma(share, after * after - before * before, before * before), 0.0))
+    return size if after >= 0.0 else -size
 
 
 @inlined

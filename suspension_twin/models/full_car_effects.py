@@ -31,7 +31,7 @@ from suspension_twin.models.corner import (
 )
 from suspension_twin.models.damper_tables import retable
 from suspension_twin.models.equilibrium import stand, stand_with
-from suspension_twin.models.full_car import moments, open_lanes, record, watch
+from suspension_twin.models.full_car import moments, open_lanes, record, watch, yaw_rate
 from suspension_twin.models.hooks import KernelTerms, Stage
 from suspension_twin.models.numerics import four, put
 from suspension_twin.models.rows import WIDTH
@@ -128,8 +128,10 @@ def _run(
                     _ground(w, road, candidate_road, row, 1.0 / h)
                     row += 1
                     speed = motion[k - 1, 5] + (share - 0.5 / n) * (motion[k, 5] - motion[k - 1, 5])
+                    turn = yaw_rate(motion[k - 1, 3], yaw, share)
                     for i in range(WIDTH):
                         w[rows.SPEED * WIDTH + i] = speed
+                        w[rows.YAW_RATE * WIDTH + i] = turn
                         move(w, i, h)
                         strut_forces(w, i, c0, c1, c2, c3, _HINGES)
                         r0, r1, r2, r3 = four(w, rows.ROAD, i)

@@ -31,7 +31,7 @@ from suspension_twin.models.corner import (
 )
 from suspension_twin.models.damper_tables import retable
 from suspension_twin.models.equilibrium import stand
-from suspension_twin.models.full_car import moments, watch
+from suspension_twin.models.full_car import moments, watch, yaw_rate
 from suspension_twin.models.full_car_effects import COMPLIANT, SOFT, effect_kernels
 from suspension_twin.models.msd import corners, plane, stand_corners, weights, wheel
 from suspension_twin.models.numerics import fma, four, put, sin_cos
@@ -131,6 +131,7 @@ def _advance(
             w[(rows.ROAD_RATE + c) * WIDTH] = (z - w[(rows.ROAD + c) * WIDTH]) / h
             w[(rows.ROAD + c) * WIDTH] = z
         w[rows.SPEED * WIDTH] = motion0[4] + (share - 0.5 / n) * (motion1[4] - motion0[4])
+        w[rows.YAW_RATE * WIDTH] = yaw_rate(motion0[2], motion1[2], share)
         move(w, 0, h)
         strut_forces(w, 0, c0, c1, c2, c3, _HINGES)
         r0, r1, r2, r3 = four(w, rows.ROAD, 0)

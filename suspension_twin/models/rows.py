@@ -92,6 +92,7 @@ MOMENT = _core.add(4)
 ROAD = _core.add(CORNER)  # height under each wheel at this step, m
 ROAD_RATE = _core.add(CORNER)  # and how fast it rises, m/s
 SPEED = _core.add()  # forward speed in the middle of this step, m/s, in blocks with effects
+YAW_RATE = _core.add()  # and yaw rate at its end, rad/s
 ACTUATOR = _core.add()  # at a fresh start: force of an actuator in every strut, N
 
 # -- constants of a lane

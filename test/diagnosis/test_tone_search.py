@@ -53,7 +53,7 @@ def test_the_strongest_tone_is_a_start(toned: tuple[str, Bench]) -> None:
         if dict(h.fixed).get(f"effects.{effect}.corner", 2.0) == truth.get("corner", 2.0)
     ]
     (hypothesis,) = right
-    peaks = tone_peaks(bench, residual[:, 0], EFFECTS[effect])
+    peaks = tone_peaks(bench, residual[:, 0], EFFECTS[effect], hypothesis.corner(effect))
     starts = tone_starts(bench, base, residual[:, 0], hypothesis, effect, peaks)
     assert 0.5 * (cost - bench.costs(hypothesis, starts[0][:, None])[0]) > 20.0  # nats
     found = dict(

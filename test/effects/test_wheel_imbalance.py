@@ -69,3 +69,25 @@ def test_a_tyre_never_pulls(twin: Twin) -> None:
     values = {"moment": 3.0, "rolling_radius": 0.3}
     run = respond(given(linear(twin), wheel_imbalance=values), flat, way(3.0, rate=400.0, speed=14.0))
     assert run.tyre_force.min() == 0.0 and (run.tyre_force[:, 0] == 0.0).mean() > 0.05
+
+
+def test_in_a_bend_each_wheel_turns_as_fast_as_its_own_way_is_long(twin: Twin) -> None:
+    """On a circle the outer wheel shakes at a higher frequency than the inner one."""
+    car = linear(twin)
+    speed, radius, rolling = 9.0, 18.0, 0.3
+    left = car.vehicle.wheel_positions[:2, 1]
+    for corner, y in enumerate(left):
+        run = respond(
+            given(car, wheel_imbalance={"corner": float(corner), "moment": 0.2, "rolling_radius": rolling}),
+            flat,
+            way(8.0, rate=400.0, speed=speed, yaw_rate=speed / radius),
+        )
+        t = run.t - run.t[0]
+        late = t > 3.0
+        powers = {
+            y_of: abs(
+                tone(t[late], run.acceleration[late, 3 + corner], speed * (1.0 - y_of / radius) / rolling)
+            )
+            for y_of in (-y, 0.0, y)
+        }
+        assert powers[y] > 3.0 * max(powers[0.0], powers[-y])

