@@ -76,10 +76,14 @@ def reading(source: str | os.PathLike[str], kind: str) -> Iterator[None]:
 
     Parsers of other people raise anything on bytes that they were not made for. Errors of this package pass; a full
     disk (of temporary files) is a WorkError; everything else is an InputError that says that ``source`` is not
-    ``kind`` ("a recording"), with the cause kept for ``--debug``.
+    ``kind`` ("a recording"), with the cause kept for ``--debug``. Numbers that are too large become infinite without a
+    warning of NumPy: what is not finite is missing.
     """
+    import numpy as np
+
     try:
-        yield
+        with np.errstate(all="ignore"):
+            yield
     except SuspensionTwinError:
         raise
     except OSError as error:

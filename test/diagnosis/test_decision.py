@@ -40,6 +40,8 @@ def row(*effects: str, gain: float = 0.0, left: float = 1.0, decoy: bool = False
         "effects": list(effects),
         "decoy": decoy,
         "tempered_gain": gain,
+        "gain": 10.0 * gain,
+        "gain_fitted": 11.0 * gain,
         "folds": 1.0 if gain > 0 else 0.5,
         "signs": 1.0,
         "level": 0.4 * left,

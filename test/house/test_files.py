@@ -9,9 +9,11 @@ import re
 import subprocess
 import sys
 import tokenize
+import warnings
 from collections.abc import Callable
 from pathlib import Path
 
+import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
@@ -254,3 +256,10 @@ def test_a_device_or_a_huge_file_is_not_read(tmp_path: Path) -> None:
         read_yaml(tmp_path / "a.yaml")
     with pytest.raises(InputError, match="is not a regular file"):
         read_yaml("/dev/zero")
+
+
+def test_numbers_that_are_too_large_are_no_warning() -> None:
+    """What a parser computes from bytes that it was not made for is no news for the terminal."""
+    with warnings.catch_warnings(), reading("drive.npy", "an array"):
+        warnings.simplefilter("error")
+        assert np.isinf(np.float64(1e308) * 10.0) and np.isnan(np.float64(np.inf) * 0.0)

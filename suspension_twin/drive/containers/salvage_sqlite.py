@@ -24,6 +24,8 @@ _TABLE_LEAF = 0x0D
 _LEAF_HEADER = 8  # bytes before the pointers to the cells of a leaf page
 _INTEGER_BYTES = (0, 1, 2, 3, 4, 6, 8, 8, 0, 0)  # by serial type; 8 and 9 are the constants 0 and 1
 
+_LEAST_CELL = 4  # bytes, with its pointer
+
 Value = int | str | bytes | None
 
 
@@ -64,9 +66,10 @@ class _Pages:
             raise _Damaged
         return page
 
-    def payload(self, page: bytes, at: int) -> tuple[int, bytes]:
-        """Row id and payload of the cell at ``at``, with what overflowed onto other pages."""
-        total, at = _varint(page, at)
+    def payload(self, page: bytes, begin: int) -> tuple[int, bytes, int]:
+        """Row id and payload of the cell that begins there, with what overflowed onto other pages, and the bytes that
+        it takes of its own page."""
+        total, at = _varint(page, begin)
         row, at = _varint(page, at)
         if total > self.length or self.usable < 36:
             raise _Damaged
@@ -86,7 +89,7 @@ class _Pages:
         payload = b"".join(pieces)[:total]
         if len(payload) < total:
             raise _Damaged
-        return row, payload
+        return row, payload, at + local - begin
 
     def rows(self) -> Iterator[tuple[int, list[Value]]]:
         """Row id and values of every row on a complete leaf page, in the order of the pages."""
@@ -97,13 +100,17 @@ class _Pages:
                 return
             if page[0] != _TABLE_LEAF:
                 continue
+            left = self.size  # cells do not overlap: a page that says so is damaged
             for i in range(int.from_bytes(page[3:5], "big")):
-                at = _LEAF_HEADER + 2 * i
+                at, taken = _LEAF_HEADER + 2 * i, _LEAST_CELL
                 try:
-                    row, payload = self.payload(page, int.from_bytes(page[at : at + 2], "big"))
+                    row, payload, taken = self.payload(page, int.from_bytes(page[at : at + 2], "big"))
                     yield row, _values(payload)
                 except (_Damaged, IndexError):
-                    continue
+                    pass
+                left -= taken
+                if left < 0:
+                    break
 
 
 def _values(payload: bytes) -> list[Value]:
