@@ -98,7 +98,7 @@ def concentrated_section(
     starts, ends = np.triu_indices(count + 1, 1)
     short = ends - starts <= max(count // 2, 1)
     starts, ends = starts[short], ends[short]
-    beyond = np.min([b[ends] - b[starts] for _, _, b in with_gap], axis=0)
+    beyond = np.min(np.stack([b[ends] - b[starts] for _, _, b in with_gap]), axis=0)
     for _, _, b in before:
         beyond -= np.maximum(b[ends] - b[starts], 0.0) / len(before)
     seen = np.all([p[ends] > p[starts] for p, _, _ in with_gap], axis=0)

@@ -139,8 +139,8 @@ def _spectrum(bench: Bench, series: Sequence[Floats]) -> tuple[Floats, Floats]:
     """Frequencies and the pooled power density of the drives' differences."""
     rate = bench.problem.measured.rate
     size = min(512, min(s.size for s in series))
-    total, weight = 0.0, 0.0
-    f = np.zeros(1)
+    total: Floats = np.zeros(1)
+    weight, f = 0.0, np.zeros(1)
     for s in series:
         f, power = signal.welch(s, fs=rate, nperseg=size, detrend="linear")  # type: ignore[call-overload]
         total, weight = total + power * s.size, weight + s.size

@@ -2,13 +2,16 @@
 """Writing recordings: rosbag2 folders and bare files, MCAP, whole or not at all.
 
 A recording is written beside its place under a hidden name and moved there when it is complete,
-so that a name never holds half a recording.
+so that a name never holds half a recording. A live one is not made a second time: it stands in its
+place from the beginning, and what has come of it stays, whatever happens.
 """
 
 from __future__ import annotations
 
 import os
 import shutil
+import threading
+import time
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from pathlib import Path
@@ -19,6 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 from rosbags.interfaces import Connection
 from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer
+from rosbags.rosbag2.storage_mcap import McapWriter
 
 from suspension_twin.arrays import Floats
 from suspension_twin.drive.cdr import encode, ros2_types
@@ -33,6 +37,8 @@ __all__ = ["BagWriter", "write_drive", "write_samples"]
 
 #: ns: the seconds of a stamp are 32 bits long.
 _LAST_STAMP = (1 << 31) * 1_000_000_000
+#: s after which a live recording goes to the disk.
+_KEEP = 1.0
 
 
 @final
@@ -41,16 +47,20 @@ class BagWriter:
 
     ``path`` is the rosbag2 folder to make, or a bare file where it ends in ``.mcap``. Messages may
     be given topic by topic: they are merged by time when the writer is flushed or closed. Leaving
-    the context by an exception leaves nothing behind.
+    the context by an exception leaves nothing behind; a ``live`` recording keeps what was flushed, and
+    all of it is on the disk about a second later.
 
     Raises InputError where ``path`` is taken (``overwrite`` replaces a recording, and nothing but
     a recording) or would be taken for a ROS 1 bag, WorkError where it cannot be written.
     """
 
-    def __init__(self, path: str | Path, *, overwrite: bool = False) -> None:
+    def __init__(self, path: str | Path, *, overwrite: bool = False, live: bool = False) -> None:
         self.path = Path(path)
         self.bare = self.path.suffix == ".mcap"
         self.overwrite = overwrite
+        self.live = live
+        self._kept = time.monotonic()
+        self._syncing: threading.Thread | None = None
         self._store = ros2_types()
         self._connections: dict[str, Connection] = {}
         self._pending: list[tuple[Connection, NDArray[np.int64], list[bytes]]] = []
@@ -83,17 +93,46 @@ class BagWriter:
             self.path.parent.mkdir(parents=True, exist_ok=True)
             remove_leftovers(self.path)
             self._hidden.mkdir()
+            in_place = self.live and not self.bare
+            if self.live and self.path.exists():
+                os.rename(self.path, self._before)
             self._bag = Writer(
-                self._hidden / (self.path.stem if self.bare else self.path.name),
+                self.path if in_place else self._hidden / (self.path.stem if self.bare else self.path.name),
                 version=9,  # what ROS 2 Jazzy writes
                 storage_plugin=StoragePlugin.MCAP,
             )
             self._bag.set_compression(CompressionMode.STORAGE, CompressionFormat.ZSTD)
             self._bag.open()
+            if self.live and self.bare:
+                os.rename(self._storage.path, self.path)
         except OSError as error:
+            self._put_back()
             shutil.rmtree(self._hidden, ignore_errors=True)
             raise self._failed(error) from error
         return self
+
+    @property
+    def _before(self) -> Path:
+        """Where what is replaced stays meanwhile."""
+        return self._hidden / "replaced"
+
+    @property
+    def _storage(self) -> McapWriter:
+        assert isinstance(self._bag.storage, McapWriter)
+        return self._bag.storage
+
+    def _put_back(self) -> None:
+        if self._before.exists():
+            with suppress(OSError):
+                os.rename(self._before, self.path)
+
+    def discard(self) -> None:
+        """Leave nothing of it, and what was there before in its place; to be called before leaving the context."""
+        with suppress(Exception):
+            self._bag.abort()
+        if self.live:
+            (Path.unlink if self.bare else shutil.rmtree)(self.path)
+            self._put_back()
 
     def _failed(self, error: OSError) -> WorkError:
         return WorkError(f"{self.path}: cannot be written: {error.strerror or error}")
@@ -102,7 +141,9 @@ class BagWriter:
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
         try:
-            if kind is None:
+            if self.live and self._bag.storage is not None:
+                self._end()
+            elif kind is None:
                 self._finish()
             else:
                 with suppress(Exception):  # what ended the block is what is said
@@ -172,6 +213,30 @@ class BagWriter:
         self._pending.clear()
         for i in order.tolist():
             self._bag.write(*rows[i])
+        if self.live and time.monotonic() > self._kept + _KEEP:
+            self._keep()
+
+    def _keep(self) -> None:
+        """Hand all that was flushed to the disk, which takes its time in a thread of its own."""
+        self._kept = time.monotonic()
+        storage = self._storage
+        if storage.chunk.msgs:
+            storage.close_chunk()
+        storage.bio.flush()
+        if self._syncing is None or not self._syncing.is_alive():
+            self._syncing = threading.Thread(target=_synchronised, args=(storage.bio.fileno(),), daemon=True)
+            self._syncing.start()
+
+    def _end(self) -> None:
+        """Finish a live recording where it stands; where that fails, what is there stays."""
+        if self._syncing is not None:
+            self._syncing.join()
+        self.flush()
+        self._bag.close()
+        for file in [self.path] if self.bare else self.path.iterdir():
+            synchronise(file)
+        with suppress(OSError):
+            synchronise(self.path.parent)
 
     def _finish(self) -> None:
         self.flush()
@@ -181,20 +246,23 @@ class BagWriter:
             synchronise(file)
         if self.bare:
             (written,) = written.glob("*.mcap")
-        before = self._hidden / "replaced"
         if self.path.exists():
             if not self.overwrite:  # made by someone else while this was written
                 raise InputError(self.path, "exists already: choose another name or remove it")
             if not self.bare:  # a folder does not take another's place: for an instant there is none
-                os.rename(self.path, before)
+                os.rename(self.path, self._before)
         try:
             os.replace(written, self.path)
         except OSError:
-            if before.exists():
-                os.rename(before, self.path)
+            self._put_back()
             raise
         with suppress(OSError):
             synchronise(self.path.parent)
+
+
+def _synchronised(file: int) -> None:
+    with suppress(OSError):  # the next write says it
+        os.fsync(file)
 
 
 def _part_of_bag(path: Path) -> bool:

@@ -35,7 +35,7 @@ EVENTS = "events"
 
 
 class ViewRecorder:
-    """Records what it is given while it is open; a recording is there whole when it is closed.
+    """Records what it is given while it is open; what was flushed stays, whatever happens.
 
     Raises InputError or WorkError where ``path`` cannot be written.
     """
@@ -45,7 +45,7 @@ class ViewRecorder:
         self.began = time.monotonic()
         self.counts = {topic: 0 for _, topic, _ in RECORDED}
         self._stack = ExitStack()
-        self._bag = self._stack.enter_context(BagWriter(path))
+        self._bag = self._stack.enter_context(BagWriter(path, live=True))
         self._rows: dict[str, tuple[list[int], list[bytes]]] = {t: ([], []) for t in self.counts}
         self._newest = 0
 
@@ -85,5 +85,6 @@ class ViewRecorder:
         """Finish the recording. Raises WorkError, and leaves nothing, where no IMU sample came."""
         with self._stack:
             if not self.counts["imu/data_raw"]:
+                self._bag.discard()
                 raise WorkError("nothing was recorded: no message came on imu/data_raw")
             self.flush()

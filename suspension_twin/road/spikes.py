@@ -11,6 +11,7 @@ across the road too where the long sections are close enough for that to mean so
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -76,7 +77,8 @@ def find_spikes(road: Road, min_height: float = 0.02) -> Spikes:
     jumps = np.abs(np.diff(z, axis=0, prepend=z[:1], append=z[-1:]))
     step = np.maximum(jumps[:-1], jumps[1:])
     found = []
-    for label, box in enumerate(ndimage.find_objects(labels), start=1):
+    boxes: list[Any] = ndimage.find_objects(labels)
+    for label, box in enumerate(boxes, start=1):
         inner = np.nonzero(labels[box] == label)
         rows, columns = (part + edge.start for part, edge in zip(inner, box, strict=True))
         if step[rows, columns].max() < _STEEP * road.u_step:

@@ -253,6 +253,7 @@ def _boxes(flags: NDArray[np.bool_], u: Floats, v: Floats) -> list[dict[str, flo
     """Boxes in m of what hangs together among the nodes (nu, nv), the largest first."""
     labels, _ = ndimage.label(flags)
     sizes = np.bincount(labels.ravel())
+    boxes: list[Any] = ndimage.find_objects(labels)
     found = [
         {
             "u_low": float(u[rows.start]),
@@ -261,7 +262,7 @@ def _boxes(flags: NDArray[np.bool_], u: Floats, v: Floats) -> list[dict[str, flo
             "v_high": float(v[columns.stop - 1]),
             "nodes": int(sizes[k]),
         }
-        for k, (rows, columns) in enumerate(ndimage.find_objects(labels), start=1)
+        for k, (rows, columns) in enumerate(boxes, start=1)
     ]
     return sorted(found, key=lambda h: -h["nodes"])
 

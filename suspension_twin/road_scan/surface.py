@@ -139,7 +139,7 @@ def _fit_tile(points: Points, begin: int, nu: int, grid: Grid, rng: np.random.Ge
         factor, failed = lapack.dpbtrf(band, lower=1, overwrite_ab=1)
         if failed:
             raise WorkError("scan: the surface cannot be fitted: its equations are singular")
-        heights = lapack.dpbtrs(factor, right, lower=1)[0].reshape(nu, nv)
+        heights = lapack.dpbtrs(factor, right[:, None], lower=1)[0].reshape(nu, nv)
         white = rng.standard_normal((n, _DRAWS))
         draws = lapack.dtbtrs(factor, white, uplo="L", trans="T")[0].T.reshape(_DRAWS, nu, nv)
         share = 2.0 / math.pi * math.atan2(beside.scale, along.scale)

@@ -4,7 +4,10 @@
 from __future__ import annotations
 
 import asyncio
+import contextlib
+import errno
 import json
+import os
 import signal
 import socket
 import subprocess
@@ -14,14 +17,17 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from rosbags.rosbag2.storage_mcap import McapWriter
 from sensor_logger_app import SensorLoggerApp
 
 from suspension_twin.cli.main import main
+from suspension_twin.drive import write
 from suspension_twin.drive.importing import import_drive
 from suspension_twin.drive.read import read_drive
 from suspension_twin.drive.types import Drive, HeadingData, ImuData
 from suspension_twin.errors import WorkError
 from suspension_twin.gap.simulated import simulate_drive
+from suspension_twin.sources.common import recorder as recorder_module
 from suspension_twin.sources.common.hub import Hub, Packet
 from suspension_twin.sources.common.recorder import Recorder
 from suspension_twin.vehicle.twin import load_twin
@@ -139,6 +145,71 @@ def test_a_recording_without_imu_is_none(tmp_path: Path, bump: Drive) -> None:
     with pytest.raises(WorkError, match="nothing recorded"), Recorder(tmp_path / "a") as recorder:
         recorder.write([Packet("phone", bump.fix, 0.0)])
     assert list(tmp_path.iterdir()) == []
+
+
+def test_of_a_killed_recording_all_but_the_last_seconds_is_there(
+    bump: Drive, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """As when the laptop's battery is empty at the end of a ride."""
+    port = free_port()
+    process = start("record", "--source", f"sensorlogger://127.0.0.1:{port}", "--out", tmp_path / "live")
+    wait_for_port(port, process)
+
+    async def drive() -> None:
+        app = SensorLoggerApp(bump, platform="ios", sensors=_IPHONE)
+        pushing = asyncio.ensure_future(app.push(f"http://127.0.0.1:{port}/", 1.0))
+        await asyncio.sleep(6.0)
+        process.kill()
+        pushing.cancel()
+        with contextlib.suppress(Exception, asyncio.CancelledError):
+            await pushing
+
+    asyncio.run(drive())
+    process.communicate()
+    drive_found = read_drive(tmp_path / "live")
+    assert drive_found.imu.t[-1] - drive_found.imu.t[0] > 2.0
+    assert any("not closed" in warning for warning in drive_found.warnings)
+    # nobody writes over it
+    assert main(["record", "--source", "sensorlogger://127.0.0.1:0", "--out", str(tmp_path / "live")]) == 2
+    assert "exists already" in capsys.readouterr().err
+    assert len(read_drive(tmp_path / "live").imu) == len(drive_found.imu)
+
+
+@pytest.mark.parametrize("name", ["live", "live.mcap"])
+def test_a_full_disk_leaves_what_was_recorded_until_then(
+    name: str, bump: Drive, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(recorder_module, "_FLUSH", 0.0)
+    monkeypatch.setattr(write, "_KEEP", 0.0)
+    closed, chunks = McapWriter.close_chunk, 0
+
+    def full(self: McapWriter) -> None:
+        nonlocal chunks
+        chunks += 1
+        if chunks > 4:
+            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+        closed(self)
+
+    monkeypatch.setattr(McapWriter, "close_chunk", full)
+    with pytest.raises(WorkError, match="No space left"), Recorder(tmp_path / name) as recorder:
+        for part in range(0, 800, 100):
+            recorder.write([Packet("phone", bump.imu.select(slice(part, part + 100)), 0.0)])
+    monkeypatch.undo()
+    assert [p.name for p in tmp_path.iterdir()] == [name]
+    np.testing.assert_array_equal(read_drive(tmp_path / name).imu.t, bump.imu.t[:400])
+
+
+@pytest.mark.parametrize("name", ["live", "live.mcap"])
+def test_what_a_recording_replaces_stays_where_nothing_comes(name: str, bump: Drive, tmp_path: Path) -> None:
+    with Recorder(tmp_path / name) as recorder:
+        recorder.write([Packet("phone", bump.imu, 0.0)])
+    with pytest.raises(WorkError, match="nothing recorded"), Recorder(tmp_path / name, overwrite=True):
+        pass
+    assert len(read_drive(tmp_path / name).imu) == len(bump.imu)
+    with Recorder(tmp_path / name, overwrite=True) as recorder:
+        recorder.write([Packet("phone", bump.imu.select(slice(0, 100)), 0.0)])
+    assert len(read_drive(tmp_path / name).imu) == 100
+    assert [p.name for p in tmp_path.iterdir()] == [name]
 
 
 def test_samples_that_nobody_takes_are_counted_and_dropped() -> None:

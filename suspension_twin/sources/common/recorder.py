@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import time
 from collections import Counter
 from collections.abc import Iterable
 from pathlib import Path
@@ -15,21 +16,22 @@ from suspension_twin.sources.common.hub import Packet
 
 __all__ = ["Recorder"]
 
-#: Samples after which what was given is written out.
-_FLUSH = 500
+#: s after which what was given is written out.
+_FLUSH = 1.0
 
 
 class Recorder:
     """Writes packets into a new recording; use it as a context manager.
 
-    ``counts`` are the samples so far by stream. Leaving the context without any IMU sample raises WorkError and
-    leaves nothing behind. InputError and WorkError as of :class:`~suspension_twin.drive.write.BagWriter`.
+    ``counts`` are the samples so far by stream. What came until about two seconds ago stays, whatever happens.
+    Leaving the context without any IMU sample raises WorkError and leaves what was there before. InputError and
+    WorkError as of :class:`~suspension_twin.drive.write.BagWriter`.
     """
 
     def __init__(self, path: str | Path, *, overwrite: bool = False) -> None:
         self.counts: Counter[str] = Counter()
-        self._bag = BagWriter(path, overwrite=overwrite)
-        self._pending = 0
+        self._bag = BagWriter(path, overwrite=overwrite, live=True)
+        self._flushed = time.monotonic()
 
     def __enter__(self) -> Recorder:
         self._bag.__enter__()
@@ -40,10 +42,9 @@ class Recorder:
         for packet in packets:
             write_samples(self._bag, packet.samples, Topics())
             self.counts[packet.stream] += len(packet.samples)
-            self._pending += len(packet.samples)
-        if self._pending > _FLUSH:
+        if time.monotonic() > self._flushed + _FLUSH:
             self._bag.flush()
-            self._pending = 0
+            self._flushed = time.monotonic()
 
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
@@ -52,6 +53,7 @@ class Recorder:
             kind = error = trace = None
         if kind is None and not self.counts["imu"]:
             nothing = WorkError(f"{self._bag.path}: nothing recorded, no IMU sample arrived")
+            self._bag.discard()
             self._bag.__exit__(WorkError, nothing, None)
             raise nothing
         self._bag.__exit__(kind, error, trace)
