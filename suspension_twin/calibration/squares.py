@@ -77,7 +77,8 @@ def run_squares(recorder: Recorder) -> Outcome:
         if recorder.resumed is None:
             fit.explore()
         for planned in fit.plan():
-            if recorder.out_of_generations:
+            # what an earlier run has found is taken up even where no generation is left
+            if recorder.out_of_generations and recorder.resumed is None:
                 break
             fit.round(planned)
         fit.cost = fit.costs_at(fit.x)

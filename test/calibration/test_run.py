@@ -384,15 +384,18 @@ class Killed(BaseException):
 
 
 def interrupted_everywhere(request: CalibrationRequest, every: int) -> tuple[CalibrationResult, int]:
-    """Kill it again and again after a few generations, until one run gets to the end."""
-    kills = 0
+    """Kill it again and again after a few generations and once when the search is over, until one run gets to the
+    end."""
+    kills, searched = 0, False
     while True:
         seen = 0
 
         def on_progress(progress: Progress) -> None:
-            nonlocal seen
+            nonlocal seen, searched
             seen += progress.stage in ("search", "refine")
-            if seen >= every:
+            over = progress.stage == "writing" and not searched
+            searched |= over
+            if seen >= every or over:
                 raise Killed
 
         try:
@@ -409,6 +412,7 @@ def interrupted_everywhere(request: CalibrationRequest, every: int) -> tuple[Cal
         ("fast", {}),
         ("fast", {"objective": "euclidean", "channels": (("vertical_acceleration", 1.0),)}),
         ("fast", {"objective": "euclidean+mse", "max_generations": 12}),
+        ("fast", {"max_generations": 4}),
     ],
 )
 def test_killed_again_and_again_it_ends_with_the_same_bits(
