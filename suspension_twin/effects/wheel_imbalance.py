@@ -6,6 +6,8 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 
+import numpy as np
+
 from suspension_twin.effects._phrases import Given, of_wheel
 from suspension_twin.effects.base import (
     LANE,
@@ -58,9 +60,11 @@ _WAY = _FIELDS.state()  # that the wheel has rolled, m
 
 
 def _constants(p: Values) -> Mapping[int, Floats]:
+    # a corner is an index: of what is none, the lane fails
+    known = np.isin(p["corner"], range(4))
     return {
-        _CORNER: p["corner"],
-        _MOMENT: p["moment"],
+        _CORNER: np.where(known, p["corner"], 0.0),
+        _MOMENT: np.where(known, p["moment"], np.nan),
         _PER_METRE: 1.0 / p["rolling_radius"],
         _PHASE: p["phase"],
     }
