@@ -86,7 +86,11 @@ def command(
     outputs.announce()
     later = f"suspension-twin calibrate --twin {twin} {record} --out {out}"
     with Recorder(record, overwrite=force) as recorder:
-        asyncio.run(_drive(sources, hub, recorder, guide, twin, [] if source else urls))
+        try:
+            asyncio.run(_drive(sources, hub, recorder, guide, twin, [] if source else urls))
+        except InputError:  # the sensor sits otherwise: no drive was begun
+            recorder.discard()
+            raise
     if not guide.done:
         count = f"{len(guide.passes)} of {passes} passes"
         raise WorkError(f"the drive ended after {count}; on what was recorded: {later}")

@@ -30,6 +30,7 @@ from suspension_twin.gap.simulated import simulate_drive
 from suspension_twin.sources.common import recorder as recorder_module
 from suspension_twin.sources.common.hub import Hub, Packet
 from suspension_twin.sources.common.recorder import Recorder
+from suspension_twin.sources.common.runner import SourceLoop
 from suspension_twin.vehicle.twin import load_twin
 
 
@@ -222,3 +223,13 @@ def test_samples_that_nobody_takes_are_counted_and_dropped() -> None:
     kept = ImuData.joined([p.samples for p in hub.take()])
     assert len(kept) == 20_000 and hub.dropped == 10_000
     assert kept.t[-1] == t[-1]
+
+
+def test_an_interrupt_that_meets_a_task_is_no_traceback(caplog: pytest.LogCaptureFixture) -> None:
+    """Ctrl-C while a sample is being handed on; another error of a task is said."""
+    runner = SourceLoop(["sensorlogger://127.0.0.1:0"], Hub())
+    loop = runner._loop
+    for error in (KeyboardInterrupt(), ValueError("lost")):
+        loop.call_exception_handler({"message": "never retrieved", "exception": error})
+    runner.close()
+    assert "lost" in caplog.text and "Interrupt" not in caplog.text

@@ -46,6 +46,10 @@ class Recorder:
             self._bag.flush()
             self._flushed = time.monotonic()
 
+    def discard(self) -> None:
+        """Leave nothing of it, for what was recorded is of no use; to be called before leaving the context."""
+        self._bag.discard()
+
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:

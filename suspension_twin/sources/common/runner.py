@@ -8,6 +8,7 @@ import contextlib
 import threading
 from collections.abc import AsyncIterator, Sequence
 from contextlib import asynccontextmanager
+from typing import Any
 
 from suspension_twin.errors import InputError
 from suspension_twin.sources import Source, make_sources
@@ -48,6 +49,12 @@ async def _keep_running(source: Source, hub: Hub) -> None:
         await asyncio.sleep(_AGAIN)
 
 
+def _said(loop: asyncio.AbstractEventLoop, context: dict[str, Any]) -> None:
+    """What a task ended with and nobody asked for: a Ctrl-C that met it is no error."""
+    if not isinstance(context.get("exception"), KeyboardInterrupt):
+        loop.default_exception_handler(context)
+
+
 class SourceLoop:
     """Sources that receive while their owner calls :meth:`run`, on the owner's thread.
 
@@ -57,6 +64,7 @@ class SourceLoop:
     def __init__(self, urls: Sequence[str], hub: Hub) -> None:
         self.sources = make_sources(urls, hub)
         self._loop = asyncio.new_event_loop()
+        self._loop.set_exception_handler(_said)
         self._came = asyncio.Event()
         self._open = running(self.sources, hub)
         try:
