@@ -62,6 +62,8 @@ _QOS = QoSProfile(history=HistoryPolicy.KEEP_LAST, depth=200, reliability=Reliab
 _GONE = 4.0
 #: s between two looks at a first drive.
 _GUIDED = 0.25
+#: s between two looks at what publishers of sensors offer.
+_MATCHED = 0.5
 
 
 class ViewerNode(TwinNode):
@@ -126,7 +128,7 @@ class ViewerNode(TwinNode):
         ):
             self.create_subscription(kind, topic, handler, _QOS)
         self._sensors: dict[str, Subscription] = {}
-        self._unmatched: queue.SimpleQueue[tuple[type, str]] = queue.SimpleQueue()
+        self._match_due = 0.0
         for kind, topic, _ in RECORDED:
             self._listen(kind, topic, STREAM_QOS)
         self._actions = {
@@ -177,18 +179,20 @@ class ViewerNode(TwinNode):
     def _listen(self, kind: type, topic: str, qos: QoSProfile) -> None:
         """Subscribe to what is recorded: reliably, for nothing may be missing from it, until a best-effort publisher
         is met, which a reliable subscription does not match."""
-        events = SubscriptionEventCallbacks(
-            incompatible_qos=lambda _: self._unmatched.put((kind, topic)), use_default_callbacks=False
-        )
+        # the default callbacks warn of what is mended here
+        events = SubscriptionEventCallbacks(use_default_callbacks=False)
         self._sensors[topic] = self.create_subscription(
             kind, topic, partial(self._on_sensor, topic), qos, raw=True, event_callbacks=events
         )
 
     def _match(self) -> None:
-        """Go on at best effort where a publisher offers no more."""
-        while not self._unmatched.empty():
-            kind, topic = self._unmatched.get()
-            if self._sensors[topic].qos_profile.reliability == ReliabilityPolicy.RELIABLE:
+        """Go on at best effort where a publisher offers no more. The middleware's event of it comes once, and was
+        missed on a busy computer: publishers are asked for instead."""
+        for kind, topic, _ in RECORDED:
+            if self._sensors[topic].qos_profile.reliability != ReliabilityPolicy.RELIABLE:
+                continue
+            offered = self.get_publishers_info_by_topic(topic)
+            if any(p.qos_profile.reliability == ReliabilityPolicy.BEST_EFFORT for p in offered):
                 self.destroy_subscription(self._sensors[topic])
                 self._listen(kind, topic, SENSOR_QOS)
 
@@ -275,8 +279,10 @@ class ViewerNode(TwinNode):
             except Exception as error:  # the page gets an answer in any case
                 request.error = WorkError(f"{request.name}: {type(error).__name__}: {error}")
             request.done.set()
-        self._match()
         now = time.monotonic()
+        if now > self._match_due:
+            self._match_due = now + _MATCHED
+            self._match()
         self.view.tell("motion", self._motion)
         if self._recorder is not None and now > self._flush_due:
             self._flush_due = now + 1.0
