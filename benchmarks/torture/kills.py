@@ -7,7 +7,6 @@ Of a live recording all but its last seconds is there, and the next one with its
 from __future__ import annotations
 
 import asyncio
-import contextlib
 import hashlib
 import shutil
 import socket
@@ -167,17 +166,7 @@ def _recorded(rng: np.random.Generator, folder: Path) -> str | None:
                 break
         time.sleep(0.05)
     lasts = float(rng.uniform(0.2, 7.5))
-
-    async def play() -> None:
-        app = SensorLoggerApp(drive)
-        pushing = asyncio.ensure_future(app.push(f"http://127.0.0.1:{port}/"))
-        await asyncio.sleep(lasts)
-        process.kill()
-        pushing.cancel()
-        with contextlib.suppress(Exception, asyncio.CancelledError):
-            await pushing
-
-    asyncio.run(play())
+    asyncio.run(SensorLoggerApp(drive).push_until(f"http://127.0.0.1:{port}/", lasts, process.kill))
     process.communicate()
     wanted, step = drive.imu.specific_force, float(np.median(np.diff(drive.imu.t)))
     try:

@@ -37,7 +37,7 @@ __all__ = ["BagWriter", "write_drive", "write_samples"]
 
 #: ns: the seconds of a stamp are 32 bits long.
 _LAST_STAMP = (1 << 31) * 1_000_000_000
-#: s after which a live recording goes to the disk.
+#: s after which a live recording goes to the disk: what a power cut may cost, against one more write a second.
 _KEEP = 1.0
 
 
@@ -131,7 +131,8 @@ class BagWriter:
         with suppress(Exception):
             self._bag.abort()
         if self.live:
-            (Path.unlink if self.bare else shutil.rmtree)(self.path)
+            with suppress(OSError):
+                (Path.unlink if self.bare else shutil.rmtree)(self.path)
             self._put_back()
 
     def _failed(self, error: OSError) -> WorkError:

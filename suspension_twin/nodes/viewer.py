@@ -62,7 +62,7 @@ _QOS = QoSProfile(history=HistoryPolicy.KEEP_LAST, depth=200, reliability=Reliab
 _GONE = 4.0
 #: s between two looks at a first drive.
 _GUIDED = 0.25
-#: s between two looks at what publishers of sensors offer.
+#: s between two looks at what publishers of sensors offer: what a recording misses of a best-effort one that appears.
 _MATCHED = 0.5
 
 

@@ -10,9 +10,11 @@ Frames" is on; only Android has the total acceleration, only iOS the altitude ab
 from __future__ import annotations
 
 import asyncio
+import contextlib
 import csv
 import json
 import random
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -129,6 +131,15 @@ class SensorLoggerApp:
                 writer.writeheader()
                 writer.writerows(found)
         return folder
+
+    async def push_until(self, url: str, seconds: float, end: Callable[[], object]) -> None:
+        """Send in real time for so long, call ``end`` and be gone."""
+        pushing = asyncio.ensure_future(self.push(url))
+        await asyncio.sleep(seconds)
+        end()
+        pushing.cancel()
+        with contextlib.suppress(Exception, asyncio.CancelledError):
+            await pushing
 
     async def push(self, url: str, speed: float = 1.0) -> None:
         """Send everything by HTTP, at ``speed`` times real time."""

@@ -16,7 +16,7 @@ from suspension_twin.sources.common.hub import Packet
 
 __all__ = ["Recorder"]
 
-#: s after which what was given is written out.
+#: s after which what was given is written out, as often as the bag goes to the disk.
 _FLUSH = 1.0
 
 
