@@ -11,6 +11,7 @@ import math
 import time
 from collections.abc import Callable, Iterable, Mapping
 from collections.abc import Set as AbstractSet
+from copy import copy
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -240,15 +241,17 @@ class TwinNode(Node):  # type: ignore[misc]
         if topic not in self.embedding.linked:
             options = QoSOverridingOptions.with_default_policies()
             receive = taken.receive_bare if self.embedding.bare else taken.receive
+            # rclpy writes an override into the profile that it is given
+            profile = copy(SENSOR_QOS)
             taken.subscription = self.create_subscription(
-                kind, topic, receive, SENSOR_QOS, qos_overriding_options=options
+                kind, topic, receive, profile, qos_overriding_options=options
             )
         return taken
 
     def offer(self, kind: type, topic: str, qos: QoSProfile = STREAM_QOS) -> Output:
         """An output published on ``topic``."""
         options = QoSOverridingOptions.with_default_policies()
-        publisher = self.create_publisher(kind, topic, qos, qos_overriding_options=options)
+        publisher = self.create_publisher(kind, topic, copy(qos), qos_overriding_options=options)
         out = self.outputs[topic] = Output(publisher, self.outbox)
         return out
 

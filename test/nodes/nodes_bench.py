@@ -7,6 +7,7 @@ import time
 from collections.abc import Callable
 from typing import Any
 
+import pytest
 import rclpy
 from rclpy.action import ActionClient
 from rclpy.executors import SingleThreadedExecutor
@@ -41,11 +42,19 @@ class Bench:
         given = tuple(Parameter(k.replace("__", "."), value=v) for k, v in parameters.items())
         return self.add(kind(Embedding(self.context, namespace, given), *args))
 
-    def until(self, condition: Callable[[], Any], what: str = "", seconds: float = 20.0) -> Any:
+    def until(
+        self, condition: Callable[[], Any], what: str | Callable[[], str] = "", seconds: float = 20.0
+    ) -> Any:
         """Serve until ``condition`` holds; fail after ``seconds``. Returns what it gave."""
-        end = time.monotonic() + seconds
+        began = now = time.monotonic()
+        turns, longest = 0, 0.0
         while not (found := condition()):
-            assert time.monotonic() < end, f"waited {seconds} s for {what or condition}"
+            turns, longest, now = turns + 1, max(longest, time.monotonic() - now), time.monotonic()
+            if now > began + seconds:
+                name = what() if callable(what) else what or condition
+                pytest.fail(
+                    f"waited {now - began:.1f} s for {name} ({turns} turns, the longest {longest:.1f} s)"
+                )
             self.executor.spin_once(timeout_sec=0.05)
         return found
 

@@ -64,6 +64,16 @@ def play(one: Composed, seconds: float = 120.0) -> None:
         one.step()
 
 
+def connect(bench, player: BagPlayer, nodes) -> None:
+    """Wait until the player's topics and those of the nodes know each other both ways, then begin."""
+    topics = {output.publisher.topic_name for output in player.outputs.values()}
+    ends = [s for node in nodes.values() for s in node.subscriptions if s.topic_name in topics]
+    bench.until(lambda: all(end.get_publisher_count() for end in ends), "the player")
+    senders = [output.publisher for output in player.outputs.values()]
+    bench.until(lambda: all(sender.get_subscription_count() for sender in senders), "the nodes")
+    player.reset()
+
+
 def test_every_sample_is_answered_once_with_its_stamp_and_the_twin_follows(composed, drive):
     one = composed(Playback(drive, math.inf))
     got = answers(one.nodes)
@@ -95,7 +105,11 @@ def test_alone_and_over_the_wire_the_nodes_say_the_same(composed, bench, twin_pa
     }
     nodes = {name: bench.make(kind, **given) for name, kind in kinds.items()}
     outer = answers(nodes)
-    player = bench.add(BagPlayer(drive, 2.0, False, Embedding(bench.context, "outer"), delay=1.0))
+    for topic in ("imu/data", "imu/vertical_acceleration", "twin/odom"):
+        out = next(n.outputs[topic].publisher for n in nodes.values() if topic in n.outputs)
+        bench.until(out.get_subscription_count, f"a subscriber of {topic}")
+    player = bench.add(BagPlayer(drive, 2.0, False, Embedding(bench.context, "outer")))
+    connect(bench, player, nodes)
     end = time.monotonic() + 60.0
     while len(outer["twin"]) < len(inner["twin"]):
         assert time.monotonic() < end, f"{len(outer['twin'])} of {len(inner['twin'])}"
@@ -140,8 +154,10 @@ def test_live_over_the_wire_and_silence_is_named(composed, bench, drive):
     one = composed(namespace="car")
 
     heard = []
-    bench.side.create_subscription(AccelStamped, "/car/twin/vertical_acceleration", heard.append, 1000)
-    player = bench.add(BagPlayer(drive, 2.0, False, Embedding(bench.context, "car"), delay=1.0))
+    ear = bench.side.create_subscription(AccelStamped, "/car/twin/vertical_acceleration", heard.append, 1000)
+    bench.until(ear.get_publisher_count, "the twin")
+    player = bench.add(BagPlayer(drive, 2.0, False, Embedding(bench.context, "car")))
+    connect(bench, player, one.nodes)
     end = time.monotonic() + 60.0
     while len(heard) < len(drive.imu) - WARMING:
         assert time.monotonic() < end, f"{len(heard)} answers"

@@ -102,3 +102,19 @@ def test_quality_of_service_can_be_overridden(bench):
     node = bench.make(ImuIngestNode, **{given.replace(".", "__"): "reliable"})
     (subscription,) = [s for s in node.subscriptions if s.topic_name == "/imu/data_raw"]
     assert subscription.qos_profile.reliability.name == "RELIABLE"
+
+
+@pytest.mark.parametrize(
+    ("topic", "end", "given"),
+    [("fix", "subscription", "reliable"), ("twin/odom", "publisher", "best_effort")],
+)
+def test_an_override_is_for_its_topic_and_node_alone(bench, topic: str, end: str, given: str):
+    def ends(namespace: str, **overrides: str) -> dict[str, str]:
+        node = bench.make(PoseInjectorNode, namespace=namespace, **overrides)
+        found = [*node.subscriptions, *(o.publisher for o in node.outputs.values())]
+        return {e.topic_name.removeprefix(f"/{namespace}"): e.qos_profile.reliability.name for e in found}
+
+    usual = ends("first")
+    override = f"qos_overrides./second/{topic}.{end}.reliability".replace(".", "__")
+    assert ends("second", **{override: given}) == {**usual, f"/{topic}": given.upper()} != usual
+    assert ends("third") == usual
