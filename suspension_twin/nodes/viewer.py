@@ -186,8 +186,7 @@ class ViewerNode(TwinNode):
         )
 
     def _match(self) -> None:
-        """Go on at best effort where a publisher offers no more. The middleware's event of it comes once, and was
-        missed on a busy computer: publishers are asked for instead."""
+        """Go on at best effort where a publisher offers no more."""
         for kind, topic, _ in RECORDED:
             if self._sensors[topic].qos_profile.reliability != ReliabilityPolicy.RELIABLE:
                 continue
