@@ -80,7 +80,7 @@ def commands(folder: Path) -> dict[str, Command]:
 
 
 def torture(tally: Tally) -> None:
-    """Kill a command once to three times, then let it end; another trial lets an older result stand meanwhile."""
+    """Kill a command two to six times, then let it end; another trial lets an older result stand meanwhile."""
     with tempfile.TemporaryDirectory() as base:
         known = commands(Path(base))
         schedule = [name for name, command in known.items() for _ in range(command.share)] + ["record"] * 3
@@ -124,7 +124,7 @@ def _killed(
     if older:  # an older result, which must stand or be replaced, never be half
         shutil.copytree(folder.with_name(f"undisturbed_{name}"), folder, dirs_exist_ok=True)
     problem, killed = None, 0
-    for _ in range(int(rng.integers(1, 4))):
+    for _ in range(int(rng.integers(2, 7))):
         ended = run(command.line(folder), kill_after=float(rng.uniform(0.05, 1.0) * seconds))
         killed += ended.killed
         there = command.contents(folder)

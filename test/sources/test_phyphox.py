@@ -113,7 +113,7 @@ def test_another_server_is_no_trouble(answer: str) -> None:
 
     async def play(sources, taken) -> None:
         app = web.Application()
-        app.router.add_get("/{path:.*}", lambda request: _respond(answer))
+        app.router.add_get("/{path:.*}", respond)
         runner = web.AppRunner(app, access_log=None, shutdown_timeout=0.1)
         await runner.setup()
         await web.TCPSite(runner, "127.0.0.1", 0).start()
@@ -122,8 +122,8 @@ def test_another_server_is_no_trouble(answer: str) -> None:
             await asyncio.sleep(0.01)
         await runner.cleanup()
 
-    async def _respond(text: str) -> web.Response:
-        return web.Response(text=text)
+    async def respond(request: web.Request) -> web.Response:
+        return web.Response(text=answer)
 
     assert not listen("phyphox://127.0.0.1:1", play).packets
 
