@@ -28,7 +28,6 @@ from rcl_interfaces.srv import SetParameters
 from rclpy.action.client import ActionClient
 from rclpy.clock import Clock
 from rclpy.clock_type import ClockType
-from rclpy.event_handler import SubscriptionEventCallbacks
 from rclpy.parameter import Parameter
 from rclpy.qos import HistoryPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.subscription import Subscription
@@ -62,7 +61,7 @@ _QOS = QoSProfile(history=HistoryPolicy.KEEP_LAST, depth=200, reliability=Reliab
 _GONE = 4.0
 #: s between two looks at a first drive.
 _GUIDED = 0.25
-#: s between two looks at what publishers of sensors offer: what a recording misses of a best-effort one that appears.
+#: s between two looks at what publishers of sensors offer (tolerance: missed of a best-effort one that appears).
 _MATCHED = 0.5
 
 
@@ -179,10 +178,8 @@ class ViewerNode(TwinNode):
     def _listen(self, kind: type, topic: str, qos: QoSProfile) -> None:
         """Subscribe to what is recorded: reliably, for nothing may be missing from it, until a best-effort publisher
         is met, which a reliable subscription does not match."""
-        # the default callbacks warn of what is mended here
-        events = SubscriptionEventCallbacks(use_default_callbacks=False)
         self._sensors[topic] = self.create_subscription(
-            kind, topic, partial(self._on_sensor, topic), qos, raw=True, event_callbacks=events
+            kind, topic, partial(self._on_sensor, topic), qos, raw=True
         )
 
     def _match(self) -> None:

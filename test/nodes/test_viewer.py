@@ -240,7 +240,7 @@ def test_it_records_and_calibrates(page, running, drive):
     page.click("#mark")
     until(lambda: page.evaluate("twin.state.events.length") == 1, "the mark")
     until(lambda: page.inner_text("#pause") == "Again", "the end")
-    time.sleep(2.0)  # what was lost meanwhile is sent again
+    time.sleep(4.0)  # a lost message is asked for again after the writer's next heartbeat, 3 s at most
     page.click("#stop")
     until(lambda: page.inner_text("#said").startswith("Recorded"), "the end of the recording")
     (recording,) = folder.glob("drive_*")

@@ -24,9 +24,8 @@ _TABLE_LEAF = 0x0D
 _LEAF_HEADER = 8  # bytes before the pointers to the cells of a leaf page
 _INTEGER_BYTES = (0, 1, 2, 3, 4, 6, 8, 8, 0, 0)  # by serial type; 8 and 9 are the constants 0 and 1
 
-_LEAST_CELL = (
-    4  # bytes: a size and a row id of one byte, and a pointer of two (SQLite, Database File Format, 1.6)
-)
+#: Bytes: a size and a row id of one byte, and a pointer of two (SQLite, Database File Format, 1.6).
+_LEAST_CELL = 4
 
 Value = int | str | bytes | None
 
