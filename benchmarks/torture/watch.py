@@ -276,13 +276,14 @@ def stamped(data: bytes, stamp: int) -> bytes:
 
 
 @contextlib.contextmanager
-def running(tally: Tally, clock: bool = False) -> Iterator[Twin]:
+def running(tally: Tally, clock: bool = False, answers_alone: bool = False) -> Iterator[Twin]:
     """A twin that has its heading; ``clock``: with simulated time."""
     busy = os.getloadavg()[0] / (os.cpu_count() or 1)
     if busy > 1.5:
         tally.note("other processes were at work")
         tally.measure("processes at work for each core", busy)
-    twin = Twin(arguments=("--", "--ros-args", "-p", "use_sim_time:=true") if clock else (), clock=clock)
+    arguments = ("--", "--ros-args", "-p", "use_sim_time:=true") if clock else ()
+    twin = Twin(arguments=arguments, clock=clock, answers_alone=answers_alone)
     try:
         twin.wait()
         twin.drive(_WARM)

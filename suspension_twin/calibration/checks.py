@@ -12,10 +12,17 @@ from suspension_twin.errors import InputError, WorkError
 from suspension_twin.gap.prepare import Prepared
 from suspension_twin.identification.excited_segments import TrimSettings
 
-__all__ = ["check_agreement", "check_drive", "check_parts", "check_recording"]
+__all__ = [
+    "LEAST_EXCITED",
+    "check_agreement",
+    "check_drive",
+    "check_on_road",
+    "check_parts",
+    "check_recording",
+]
 
 #: Seconds of excited driving below which nothing is fitted.
-SHORTEST = 1.5
+LEAST_EXCITED = 1.5
 _FASTEST_PARKED = 1.0  # m/s
 #: Correlation of the fitted twin's vertical acceleration with the measured one, below which the road is
 #: taken for another: a seven-degree model on the right road reaches 0.9 and more, on a wrong one 0.3.
@@ -74,15 +81,9 @@ def _distance(drive: Prepared) -> float:
 def check_parts(drive: Prepared, samples: int, settings: TrimSettings) -> None:
     """Refuse a drive that the road hardly shakes, or that is on the road for too short a time."""
     seconds = samples / drive.rate
-    if seconds >= SHORTEST:
+    if seconds >= LEAST_EXCITED:
         return
-    on_road = float(np.count_nonzero(drive.mask & (np.abs(drive.speed) > settings.slowest))) / drive.rate
-    if on_road < 2 * SHORTEST:
-        raise InputError(
-            drive.name,
-            f"only {on_road:.1f} s are driven on the road with a pose and a whole signal: at least "
-            f"{2 * SHORTEST:.0f} s are needed",
-        )
+    check_on_road(drive, settings)
     moving = drive.mask & (np.abs(drive.speed) > settings.slowest)
     vertical = drive.measured["vertical_acceleration"][moving]
     rms = float(np.std(vertical))
@@ -92,6 +93,17 @@ def check_parts(drive: Prepared, samples: int, settings: TrimSettings) -> None:
         f"the road does not excite the car: {rms:.3f} m/s² rms at a noise of {floor:.3f}, {seconds:.1f} s above "
         f"{settings.threshold:g} times that: drive over a bump or a rough road",
     )
+
+
+def check_on_road(drive: Prepared, settings: TrimSettings) -> None:
+    """Refuse a drive that is on the road for too short a time."""
+    on_road = float(np.count_nonzero(drive.mask & (np.abs(drive.speed) > settings.slowest))) / drive.rate
+    if on_road < 2 * LEAST_EXCITED:
+        raise InputError(
+            drive.name,
+            f"only {on_road:.1f} s are driven on the road with a pose and a whole signal: at least "
+            f"{2 * LEAST_EXCITED:.0f} s are needed",
+        )
 
 
 def check_agreement(names: Sequence[str], correlations: Sequence[float], road: str) -> None:

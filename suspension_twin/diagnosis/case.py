@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from suspension_twin.arrays import Floats
-from suspension_twin.calibration.checks import check_drive, check_parts, check_recording
+from suspension_twin.calibration.checks import LEAST_EXCITED, check_drive, check_on_road, check_recording
 from suspension_twin.calibration.presets import build_space, preset_named
 from suspension_twin.diagnosis.bench import Bench, Excitations
 from suspension_twin.diagnosis.fit import Fit, LinearisedFit, fitted, linearised_fit, refit, twin_of
@@ -231,22 +231,38 @@ def build(case: Case, stop: Callable[[], bool], free: Sequence[str] = ()) -> Ben
 
 
 def _compared(case: Case) -> list[NDArray[np.intp]]:
-    """Samples of each observation that are compared; InputError where they are too few to hold any back."""
-    settings = TrimSettings() if case.road else TrimSettings(threshold=0.0)
-    rows = [np.arange(d.t.size) if case.kind == "run" else fit_rows(d, settings) for d in case.drives]
-    if case.road:
-        for drive, own in zip(case.drives, rows, strict=True):
-            check_parts(drive, own.size, settings)
+    """Samples of each observation that are compared; InputError where they are too few to hold any back.
+
+    Of a drive with a road these are the excited ones. Where those are too few (a smooth road, or an effect that hides
+    them in its noise), it is all that is driven on the road: what an engine or a sensor does shows there as well.
+    """
+    excited, driven = TrimSettings(), TrimSettings(threshold=0.0)
+    rows = [
+        np.arange(d.t.size) if case.kind == "run" else fit_rows(d, excited if case.road else driven)
+        for d in case.drives
+    ]
     for wanted, what in ((True, "drives that show the gap"), (False, "reference drives")):
-        known = [(d, r) for d, r, a in zip(case.drives, rows, case.active, strict=True) if a == wanted]
-        seconds = sum(r.size / d.rate for d, r in known)
-        if known and case.kind != "run" and seconds < SHORTEST:
+        known = [i for i, a in enumerate(case.active) if a == wanted]
+        if not known or case.kind == "run":
+            continue
+        few = _seconds(case, rows, known) < SHORTEST
+        for i in known if case.road else []:
+            if few or _seconds(case, rows, [i]) < LEAST_EXCITED:
+                check_on_road(case.drives[i], driven)
+                rows[i] = fit_rows(case.drives[i], driven)
+        seconds = _seconds(case, rows, known)
+        if seconds < SHORTEST:
             raise InputError(
-                known[0][0].name,
-                f"{seconds:.1f} s of excited driving in the {what} cannot be split into stretches to fit and stretches "
-                f"to judge on: at least {SHORTEST:.0f} s are needed",
+                case.drives[known[0]].name,
+                f"{seconds:.1f} s of driving in the {what} cannot be split into stretches to fit and stretches to "
+                f"judge on: at least {SHORTEST:.0f} s are needed",
             )
     return rows
+
+
+def _seconds(case: Case, rows: Sequence[NDArray[np.intp]], drives: Sequence[int]) -> float:
+    """Compared seconds of some drives together."""
+    return float(sum(rows[i].size / case.drives[i].rate for i in drives))
 
 
 def _floors(case: Case) -> list[dict[str, float]]:

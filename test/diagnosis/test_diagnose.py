@@ -23,8 +23,11 @@ from suspension_twin.drive.write import write_drive
 from suspension_twin.errors import InputError
 from suspension_twin.gap.mounting import without_clock_offset
 from suspension_twin.gap.simulated import simulate_drive
+from suspension_twin.gap.synthetic import synthetic_drive
 from suspension_twin.report.diagnosis import diagnosis_page
-from suspension_twin.vehicle.twin import EffectSpec, Twin, load_twin, save_twin
+from suspension_twin.road import write_road
+from suspension_twin.road.iso8608 import iso8608_road
+from suspension_twin.vehicle.twin import EffectSpec, RoadFile, Twin, load_twin, save_twin
 
 FEW = ("strut_friction", "tyre_damping", "time_offset")
 
@@ -139,6 +142,26 @@ def test_a_narrow_resonance_against_the_bodys_motion_is_found(make: Any) -> None
     assert document["verdict"] == "effect" and lead["effect"] == "body_bending"
     assert lead["parameters"]["frequency"] == pytest.approx(10.0, rel=0.02)
     assert lead["parameters"]["gain"] == pytest.approx(-0.25, rel=0.25)
+
+
+def test_a_shaking_engine_is_found_on_a_road_that_shakes_nothing(car: Twin, tmp_path: Path) -> None:
+    """No stretch of the drive stands out of the noise."""
+    road = iso8608_road("A", 130, seed=4, v_step=0.4, roughness_n0=4e-7)
+    write_road(road, tmp_path / "road.crg")
+    save_twin(car.model_copy(update={"road": RoadFile(file=tmp_path / "road.crg")}), tmp_path / "twin.yaml")
+    shaking = EffectSpec(id="engine_order", parameters={"force": 100.0, "frequency": 13.0, "per_metre": 0.0})
+    truth, bags = car.model_copy(update={"effects": (shaking,)}), []
+    for seed, top in ((1, 8.0), (2, 6.0)):
+        drive = synthetic_drive(
+            truth, road, ((0.0, 0.0), (3.0, top), (13.0, top)), seed, name=f"drive_{seed}"
+        )
+        write_drive(drive, tmp_path / drive.name)
+        bags.append(str(tmp_path / drive.name))
+    effects = ("engine_order", "strut_friction", "body_bending")
+    document = diagnose(DiagnosisRequest(str(tmp_path / "twin.yaml"), tuple(bags), effects=effects)).document
+    lead = document["causes"][0]
+    assert document["verdict"] == "effect" and lead["effect"] == "engine_order"
+    assert lead["parameters"]["force"] == pytest.approx(100.0, rel=0.1)
 
 
 def test_a_little_tilt_under_a_high_antenna_is_no_map_that_lies_ahead(make: Any, car: Twin) -> None:

@@ -82,3 +82,30 @@ def test_every_cause_comes_once_and_all_probabilities_are_one(
     singles = sum(c["probability"] for c in document["causes"])
     total = singles + document["no_gap_probability"] + document["unknown_probability"]
     assert total == pytest.approx(1.0, abs=1e-3)
+
+
+def test_a_reference_whose_motion_is_hardly_above_its_noise_is_no_reason_to_refuse(
+    shared_data: Path, repository: Path, car: Twin, tmp_path: Path
+) -> None:
+    """A straight motorway, a phone behind the windshield and its receiver; nothing changed between the two halves."""
+    folder = shared_data / "comma2k19_Example_1"
+    if not folder.is_dir():
+        pytest.skip("no comma2k19_Example_1 among the measured data")
+    whole = import_drive([folder], mapping=repository / "config" / "import" / "comma2k19.yaml").drive
+    start, fix = float(whole.imu.t[0]), whole.fix
+    twin = car.model_copy(
+        update={
+            "imu": Imu(position=(1.9, 0.0, 1.2), rpy=(0.014, 0.0675, -0.0003)),
+            "gps": Place(frame="gps_link", position=(0.0, 0.0, 1.5)),
+            "datum": Datum(latitude=fix.latitude[0], longitude=fix.longitude[0], altitude=fix.altitude[0]),
+        }
+    )
+    save_twin(twin, tmp_path / "twin.yaml")
+    for name, first, last in (("reference", 4.0, 33.0), ("drive", 33.3, 59.8)):
+        write_drive(cut(whole, start + first, start + last), tmp_path / name)
+    request = DiagnosisRequest(
+        str(tmp_path / "twin.yaml"), (str(tmp_path / "drive"),), (str(tmp_path / "reference"),)
+    )
+    document = diagnose(request).document
+    assert document["verdict"] == "no_gap"
+    assert any("reference: calibrated on it alone, the twin still misses" in w for w in document["warnings"])
