@@ -8,7 +8,7 @@ all drives. Effects act on the drives with the gap only, or on all drives where 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any
@@ -104,6 +104,7 @@ class Bench:
     poses are fused from GNSS and IMU; ``frozen_nuisances`` names nuisance parameters held at zero; ``expected`` (m,
     C) is the discrepancy found on a reference run with the same excitation. ``step`` is the longest time step in s of
     a simulation over a drive; None for the steps of the drive. ``partial`` keeps partial results on disk.
+    ``spread`` are standard deviations of effect coordinates by key, where they are not 1.
     """
 
     problem: Problem
@@ -122,6 +123,7 @@ class Bench:
     expected: tuple[Floats | None, ...] = ()
     step: float | None = None
     partial: PartialResults = field(default_factory=PartialResults)
+    spread: Mapping[str, float] = field(default_factory=dict)
     _known_plain: dict[str, Any] = field(default_factory=dict)
     _stepped_excitations: dict[int, tuple[Excitation, Excitation]] = field(default_factory=dict)
 
@@ -135,9 +137,10 @@ class Bench:
 
     def prior(self, hypothesis: Hypothesis) -> tuple[Floats, Floats]:
         """Precision (p, p) and centre (p,) of the prior of all unknowns; that of an effect coordinate is N(centre,
-        1)."""
-        p, k = self.d + self.q, len(hypothesis)
-        precision = np.eye(p + k)
+        1) but for those in ``spread``."""
+        p = self.d + self.q
+        own = [self.spread.get(key, 1.0) ** -2 for key in hypothesis.keys]
+        precision = np.diag(np.concatenate([np.ones(p), own]))
         precision[:p, :p] = self.precision
         return precision, np.concatenate([self.centre, hypothesis.centre()])
 

@@ -19,7 +19,7 @@ from suspension_twin.diagnosis.decision import Decision, decide
 from suspension_twin.diagnosis.evidence import evidence
 from suspension_twin.diagnosis.experiment import next_experiment
 from suspension_twin.diagnosis.features import add_intervals, evidence_of, refined_row
-from suspension_twin.diagnosis.fit import fitted, twin_of
+from suspension_twin.diagnosis.fit import LONG, fitted, twin_of
 from suspension_twin.diagnosis.hypotheses import NUISANCE_COUNTERPART, library
 from suspension_twin.diagnosis.judge import Candidate, Judged, candidate
 from suspension_twin.diagnosis.local_road_error import (
@@ -93,9 +93,16 @@ def _refined(judged: Judged, one: Candidate) -> tuple[Candidate, Bench]:
 
     Without a reference the nuisance parameters of the same action are frozen, so that the effect holds the whole
     error. With a reference that part belongs to the state before the change and is left to the nuisance parameters.
+    The prior said how likely such an effect is. What is there may be larger: each coordinate has the standard deviation
+    that makes it likeliest (type II maximum likelihood), at least 1.
     """
     fine, hypothesis = replace(judged.bench, step=None), one.hypothesis
+    p = fine.d + fine.q
     fit = fitted(fine, hypothesis, [one.found.fit.x], 2)
+    far = np.maximum(np.abs(fit.x[p:] - hypothesis.centre()), 1.0)
+    if np.any(far > 1.0):
+        fine = replace(fine, spread=dict(zip(hypothesis.keys, far.tolist(), strict=True)))
+        fit = fitted(fine, hypothesis, [fit.x], LONG)
     same = tuple(n for e in hypothesis.effects for n in NUISANCE_COUNTERPART.get(e, ()))
     if same and judged.reference is None:
         frozen = replace(fine, frozen_nuisances=same)

@@ -59,6 +59,7 @@ FEATURES: Mapping[str, float] = {
     "explained": 2.0,  # share of the residual beyond the expected discrepancy
     "complete": 1.0,  # share of what any hypothesis removes
     "excess": -1.0,  # what remains beside the expected discrepancy
+    "above_reference": -1.0,  # log of what remains over what remains on the reference
     "lost": -2.0,  # growth of the gap in another channel
     "usual": -1.0,  # as small as errors of twin files are
     "far": -0.5,  # beyond its prior
@@ -68,6 +69,7 @@ FEATURES: Mapping[str, float] = {
     "added_proven": 2.0,  # lower end of the shrink that each of its effects adds
     # of no gap
     "none_excess": -3.0,
+    "none_above_reference": -1.0,
     "none_gain": -1.0,  # evidence of the best hypothesis that is larger than usual errors of twin files
     "none_pattern": -1.0,
     "none_clocks": -1.0,
@@ -75,6 +77,7 @@ FEATURES: Mapping[str, float] = {
     "unknown": -1.0,
     "unknown_blind": 0.0,
     "unknown_best_excess": 1.0,  # what the best cause leaves
+    "unknown_above_reference": 1.0,  # the least that any hypothesis leaves over what remains on the reference
     "unknown_open": 0.3,  # evidence of the best set over the best single effect
 }
 #: Held-out mean square in units of the noise model of the reference, and residual as a share of the motion without a
@@ -272,6 +275,7 @@ def answers_of(evidence: Mapping[str, Any]) -> list[Answer]:
     most, least = _square(case, base), min(_square(case, r) for r in (base, *rows))
     none = {
         "none_excess": _excess(case, base),
+        "none_above_reference": _above_reference(case, base),
         "none_gain": _nats(max([0.0, *unusual])),
         "none_pattern": _pattern(base),
         "none_clocks": _clocks(base),
@@ -280,6 +284,7 @@ def answers_of(evidence: Mapping[str, Any]) -> list[Answer]:
         "unknown": 1.0,
         "unknown_blind": float(not case["reference"]),
         "unknown_best_excess": min(_excess(case, best), _excess(case, base)),
+        "unknown_above_reference": min(_above_reference(case, r) for r in (rows or [base])),
         "unknown_open": _nats(max([0.0, *gains]) - max([0.0, *singles])),
     }
     found = [Answer((), None, _vector(none)), Answer(("unknown",), None, _vector(unknown))]
@@ -307,6 +312,7 @@ def answers_of(evidence: Mapping[str, Any]) -> list[Answer]:
             "explained": explained,
             "complete": max(most - _square(case, row), 0.0) / (most - least) if most > least else 0.0,
             "excess": _excess(case, row) * (1.0 - explained),
+            "above_reference": _above_reference(case, row),
             "lost": _lost(case, row),
             "usual": float(np.clip(np.log(_USUAL_RATIO / usual), 0.0, 3.0)),
             "far": max([0.0, *(p.get("far", 0.0) - 2.0 for p in parameters)]),
@@ -356,6 +362,13 @@ def _excess(case: Row, row: Row) -> float:
         over = np.log(max(row["level_fitted"], 1e-3) / _USUAL_LEVEL)
     noisy = np.log(max(row["level_fitted"], 1e-3) * main["motion"] / (2.0 * main["noise"]))
     return float(np.clip(min(over, noisy), 0.0, 3.0))
+
+
+def _above_reference(case: Row, row: Row) -> float:
+    """Log of the held-out residual, as a share of the motion, over that on the reference; 0 where it is less."""
+    if not case["reference"]:
+        return 0.0
+    return float(np.clip(np.log(max(row["level"], 1e-3) / max(case["level_on_reference"], 1e-3)), 0.0, 3.0))
 
 
 def _explained(case: Row, base: Row, row: Row) -> float:

@@ -84,6 +84,36 @@ def test_every_cause_comes_once_and_all_probabilities_are_one(
     assert total == pytest.approx(1.0, abs=1e-3)
 
 
+def test_what_no_prior_expects_has_its_true_size(
+    shared_data: Path, repository: Path, car: Twin, tmp_path: Path
+) -> None:
+    """Clocks drift by some tens of ppm: one that drifts by 8000 is not drawn towards them."""
+    folder = shared_data / "rtklibexplorer_GNSS_IMU"
+    if not folder.is_dir():
+        pytest.skip("no rtklibexplorer_GNSS_IMU among the measured data")
+    mapping = repository / "config" / "import" / "rtklibexplorer_gnss_imu.yaml"
+    whole = import_drive([folder], mapping=mapping).drive
+    start, fix = float(whole.imu.t[0]), whole.fix
+    bags = []
+    for name, since, until in (("one", 200.0, 280.0), ("other", 390.0, 450.0)):
+        drive = cut(whole, start + since, start + until)
+        first = float(drive.imu.t[0])
+        stretched = replace(drive.imu, t=first + 1.008 * (drive.imu.t - first))
+        write_drive(replace(drive, imu=stretched), tmp_path / name)
+        bags.append(str(tmp_path / name))
+    twin = car.model_copy(
+        update={
+            "imu": Imu(position=(0.0, 0.0, 1.5), rpy=(0.0111, -0.1180, 3.0476)),
+            "gps": Place(frame="gps_link", position=(0.0, 0.0, 2.15)),
+            "datum": Datum(latitude=fix.latitude[0], longitude=fix.longitude[0], altitude=fix.altitude[0]),
+        }
+    )
+    save_twin(twin, tmp_path / "twin.yaml")
+    document = diagnose(DiagnosisRequest(str(tmp_path / "twin.yaml"), tuple(bags))).document
+    assert document["combination"] == ["clock_drift"]
+    assert document["causes"][0]["parameters"]["drift_ppm"] == pytest.approx(8000.0, rel=0.1)
+
+
 def test_a_reference_whose_motion_is_hardly_above_its_noise_is_no_reason_to_refuse(
     shared_data: Path, repository: Path, car: Twin, tmp_path: Path
 ) -> None:
