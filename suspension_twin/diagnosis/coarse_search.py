@@ -18,13 +18,25 @@ from suspension_twin.diagnosis.bench import REACH, Bench
 from suspension_twin.diagnosis.fit import refit
 from suspension_twin.diagnosis.hypotheses import SETUP_CATEGORIES, Hypothesis
 
-__all__ = ["MISALIGNMENT_PENALTY", "NO_MATCH", "coarse_fit", "joint_grid", "recentred", "waived_penalty"]
+__all__ = [
+    "MISALIGNMENT_PENALTY",
+    "NO_MATCH",
+    "coarse_fit",
+    "joint_grid",
+    "misset_fit",
+    "recentred",
+    "waived_penalty",
+]
 
 #: Held-out residual as a share of the rms of the motion, from which on simulation and measurement do not match.
 NO_MATCH = 0.7
 #: Grid points of a coordinate where an effect has one severity, and where it has several.
 _GRID, _GRID_OF_SEVERAL = 201, 41
 _LONG = 12
+_RECENTRED, _SETTLED = (
+    6,
+    0.25,
+)  # times at most that a prior follows a fit, and standard deviations that end it
 #: Beyond ``REACH`` standard deviations a set-up parameter counts as misset: its prior is centred where it is found, and
 #: -2 log of the probability of a misset parameter is added to the cost.
 MISALIGNMENT_PENALTY = 12.0
@@ -62,6 +74,28 @@ def coarse_fit(
     there = recentred(hypothesis, points[:, best])
     y, cost = refit(bench, there, [x[:, best]], None, _LONG)
     return there, y, cost + MISALIGNMENT_PENALTY * bool(there.around)
+
+
+def misset_fit(
+    bench: Bench, hypothesis: Hypothesis, x: Floats, cost: float
+) -> tuple[Hypothesis, Floats, float] | None:
+    """Hypothesis, unknowns and cost of a fit whose prior is centred where the fit ``x`` of a set-up error is, and goes
+    with it; None where it is within ``REACH``, for other effects, and where the fit is none the better for it.
+    """
+    p = bench.d + bench.q
+    if hypothesis.effect(hypothesis.effects[-1]).where not in SETUP_CATEGORIES:
+        return None
+    there, y, other = hypothesis, x, np.inf
+    for _ in range(_RECENTRED):
+        there = recentred(hypothesis, y[p:])
+        if not there.around:
+            return None
+        before = y
+        y, other = refit(bench, there, [before], None, _LONG)
+        if np.max(np.abs(y[p:] - before[p:])) < _SETTLED:
+            break
+    other += MISALIGNMENT_PENALTY
+    return (there, y, other) if other < cost else None
 
 
 def joint_grid(bench: Bench, together: Hypothesis) -> Floats:

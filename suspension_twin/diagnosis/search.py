@@ -294,6 +294,9 @@ def _first_search(
         far = coarse_search.coarse_fit(bench, v, no_match)
         if far is not None and far[2] < cost:
             v, x, cost = far
+        misset = None if bench.fused else coarse_search.misset_fit(bench, v, x, cost)
+        if misset is not None:
+            v, x, cost = misset
         whole = [
             start for begun, start in _softened_starts(bench, base, v, seed) if begun < _COST_RATIO * cost
         ]
