@@ -145,6 +145,21 @@ def test_what_remains_counts_by_its_logarithm() -> None:
     assert found[1] - found[0] == pytest.approx(0.5 * np.log(7.0 / 4.2))
 
 
+@pytest.mark.parametrize("left, above", [(0.1, 0.0), (0.25, 0.0), (0.5, np.log(2.0)), (1.0, np.log(4.0))])
+def test_what_remains_is_compared_with_what_remains_on_the_reference(left: float, above: float) -> None:
+    """The gap is 0.4 of the motion, and 0.1 of it remains on the reference."""
+    rows = (row("strut_friction", gain=3.0, left=left), row("payload", gain=2.0, left=0.75))
+    case = evidence(*rows)
+    assert features(case, "strut_friction")["above_reference"] == pytest.approx(above)
+    assert features(case)["none_above_reference"] == pytest.approx(np.log(4.0))
+    least = min(above, np.log(3.0))
+    assert features(case, "unknown")["unknown_above_reference"] == pytest.approx(least)
+    alone = evidence(*rows, reference=False)
+    assert features(alone, "strut_friction")["above_reference"] == 0.0
+    assert features(alone)["none_above_reference"] == 0.0
+    assert features(alone, "unknown")["unknown_above_reference"] == 0.0
+
+
 def test_evidence_is_that_over_vehicles_with_and_without_what_was_there_before() -> None:
     some = row("payload", gain=2.0, left=0.5) | {"since": 1.5}
     case = evidence(some)
