@@ -107,9 +107,11 @@ def test_a_broker_that_is_restarted(bump: Drive) -> None:
             await settled(taken)
 
     taken = listen(f"mqtt://127.0.0.1:{port}/car/phone", play, seconds=30.0)
-    # of quality 0 a busy broker may lose more
-    assert taken.hub.devices["phone 5f0c1a7e"].counts["lost messages"] >= 2
-    assert taken.count("imu") >= len(bump.imu) - 50
+    # of quality 0 a busy broker may lose more, of which no sample is missed in silence
+    lost = taken.hub.devices["phone 5f0c1a7e"].counts["lost messages"]
+    each = -(-len(bump.imu) // len(messages))
+    assert 2 <= lost < len(messages) // 2
+    assert len(bump.imu) - (lost + 1) * each <= taken.count("imu") <= len(bump.imu)
 
 
 def test_no_broker_is_told(bump: Drive) -> None:
