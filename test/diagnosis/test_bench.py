@@ -75,6 +75,17 @@ def test_what_a_gross_fault_did_to_the_motion_is_taken_off_it_upright_or_not(
     )  # whatever the twin file knows
 
 
+def test_the_prior_of_a_named_cause_is_as_wide_as_what_was_found(leaning: Bench) -> None:
+    tilt = library(leaning.problem.twin, True)["sensor_tilt"][0]
+    wide = replace(leaning, spread={tilt.keys[1]: 4.0})
+    (before, centre), (after, same) = leaning.prior(tilt), wide.prior(tilt)
+    row = leaning.d + leaning.q + 1
+    assert before[row, row] == 1.0 and after[row, row] == 1.0 / 16.0
+    before[row, row] = after[row, row]
+    assert np.array_equal(before, after) and np.array_equal(centre, same)
+    assert np.array_equal(wide.prior(BASELINE)[0], leaning.prior(BASELINE)[0])
+
+
 def test_an_effect_everywhere_is_one_of_the_vehicle(leaning: Bench) -> None:
     """On the drives from before as well, which else have no effect."""
     stiff = Hypothesis(("tyre_damping",))
