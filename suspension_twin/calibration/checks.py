@@ -21,7 +21,7 @@ __all__ = [
     "check_recording",
 ]
 
-#: Seconds of excited driving below which nothing is fitted.
+#: Seconds of excited driving below which nothing is fitted: two periods of a body's bounce at 1.3 Hz.
 LEAST_EXCITED = 1.5
 _FASTEST_PARKED = 1.0  # m/s
 #: Correlation of the fitted twin's vertical acceleration with the measured one, below which the road is

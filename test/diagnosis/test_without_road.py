@@ -13,30 +13,37 @@ from suspension_twin.diagnosis.request import DiagnosisRequest
 from suspension_twin.diagnosis.run import diagnose
 from suspension_twin.drive.edit import cut
 from suspension_twin.drive.importing import import_drive
+from suspension_twin.drive.types import Drive
 from suspension_twin.drive.write import write_drive
 from suspension_twin.vehicle.twin import Datum, Imu, Place, Twin, save_twin
+
+ROOF = "rtklibexplorer_GNSS_IMU"
+
+
+def recorded(folder: Path, repository: Path, mapping: str) -> Drive:
+    """A recording among the measured data."""
+    if not folder.is_dir():
+        pytest.skip(f"no {folder.name} among the measured data")
+    return import_drive([folder], mapping=repository / "config" / "import" / f"{mapping}.yaml").drive
+
+
+def mounted(car: Twin, drive: Drive, imu: Imu, antenna: float) -> Twin:
+    """A car with that IMU and an antenna so many m above the road, about the drive's first fix."""
+    fix = drive.fix
+    datum = Datum(latitude=fix.latitude[0], longitude=fix.longitude[0], altitude=fix.altitude[0])
+    gps = Place(frame="gps_link", position=(0.0, 0.0, antenna))
+    return car.model_copy(update={"imu": imu, "gps": gps, "datum": datum})
 
 
 @pytest.mark.parametrize("told", [np.pi, 0.0], ids=["it looks backwards", "nothing of it"])
 def test_tilt_and_clock_of_a_real_roof_imu_are_named(
     shared_data: Path, repository: Path, car: Twin, tmp_path: Path, told: float
 ) -> None:
-    folder = shared_data / "rtklibexplorer_GNSS_IMU"
-    if not folder.is_dir():
-        pytest.skip("no rtklibexplorer_GNSS_IMU among the measured data")
-    mapping = repository / "config" / "import" / "rtklibexplorer_gnss_imu_raw.yaml"
-    drive = import_drive([folder], mapping=mapping).drive
+    drive = recorded(shared_data / ROOF, repository, "rtklibexplorer_gnss_imu_raw")
     write_drive(drive, tmp_path / "raw")
-    fix = drive.fix
-    twin = car.model_copy(
-        update={
-            # all that its owner saw: it looks backwards; or not even that
-            "imu": Imu(position=(0.0, 0.0, 1.5), rpy=(0.0, 0.0, told)),
-            "gps": Place(frame="gps_link", position=(0.0, 0.0, 2.15)),
-            "datum": Datum(latitude=fix.latitude[0], longitude=fix.longitude[0], altitude=fix.altitude[0]),
-        }
+    save_twin(
+        mounted(car, drive, Imu(position=(0.0, 0.0, 1.5), rpy=(0.0, 0.0, told)), 2.15), tmp_path / "twin.yaml"
     )
-    save_twin(twin, tmp_path / "twin.yaml")
     document = diagnose(DiagnosisRequest(str(tmp_path / "twin.yaml"), (str(tmp_path / "raw"),))).document
     assert document["verdict"] == "effect"
     assert set(document["combination"]) == {"time_offset", "sensor_tilt", "clock_drift"}
@@ -56,24 +63,15 @@ def test_every_cause_comes_once_and_all_probabilities_are_one(
     shared_data: Path, repository: Path, car: Twin, tmp_path: Path
 ) -> None:
     """Two set-up errors at once: late by 0.4 s, and turned by 3 degrees more than the file says."""
-    folder = shared_data / "rtklibexplorer_GNSS_IMU"
-    if not folder.is_dir():
-        pytest.skip("no rtklibexplorer_GNSS_IMU among the measured data")
-    mapping = repository / "config" / "import" / "rtklibexplorer_gnss_imu.yaml"
-    whole = import_drive([folder], mapping=mapping).drive
+    whole = recorded(shared_data / ROOF, repository, "rtklibexplorer_gnss_imu")
     start = float(whole.imu.t[0])
     drive = cut(whole, start + 200.0, start + 280.0)
     drive = replace(drive, imu=replace(drive.imu, t=drive.imu.t + 0.4))
     write_drive(drive, tmp_path / "late")
-    fix = drive.fix
-    twin = car.model_copy(
-        update={
-            "imu": Imu(position=(0.0, 0.0, 1.5), rpy=(0.0111, -0.1180 + 0.05, 3.0476)),
-            "gps": Place(frame="gps_link", position=(0.0, 0.0, 2.15)),
-            "datum": Datum(latitude=fix.latitude[0], longitude=fix.longitude[0], altitude=fix.altitude[0]),
-        }
+    save_twin(
+        mounted(car, drive, Imu(position=(0.0, 0.0, 1.5), rpy=(0.0111, -0.1180 + 0.05, 3.0476)), 2.15),
+        tmp_path / "twin.yaml",
     )
-    save_twin(twin, tmp_path / "twin.yaml")
     document = diagnose(DiagnosisRequest(str(tmp_path / "twin.yaml"), (str(tmp_path / "late"),))).document
     causes = [c["effect"] for c in document["causes"]]
     assert set(document["combination"]) == {"time_offset", "sensor_tilt"}
@@ -88,12 +86,8 @@ def test_what_no_prior_expects_has_its_true_size(
     shared_data: Path, repository: Path, car: Twin, tmp_path: Path
 ) -> None:
     """Clocks drift by some tens of ppm: one that drifts by 8000 is not drawn towards them."""
-    folder = shared_data / "rtklibexplorer_GNSS_IMU"
-    if not folder.is_dir():
-        pytest.skip("no rtklibexplorer_GNSS_IMU among the measured data")
-    mapping = repository / "config" / "import" / "rtklibexplorer_gnss_imu.yaml"
-    whole = import_drive([folder], mapping=mapping).drive
-    start, fix = float(whole.imu.t[0]), whole.fix
+    whole = recorded(shared_data / ROOF, repository, "rtklibexplorer_gnss_imu")
+    start = float(whole.imu.t[0])
     bags = []
     for name, since, until in (("one", 200.0, 280.0), ("other", 390.0, 450.0)):
         drive = cut(whole, start + since, start + until)
@@ -101,14 +95,10 @@ def test_what_no_prior_expects_has_its_true_size(
         stretched = replace(drive.imu, t=first + 1.008 * (drive.imu.t - first))
         write_drive(replace(drive, imu=stretched), tmp_path / name)
         bags.append(str(tmp_path / name))
-    twin = car.model_copy(
-        update={
-            "imu": Imu(position=(0.0, 0.0, 1.5), rpy=(0.0111, -0.1180, 3.0476)),
-            "gps": Place(frame="gps_link", position=(0.0, 0.0, 2.15)),
-            "datum": Datum(latitude=fix.latitude[0], longitude=fix.longitude[0], altitude=fix.altitude[0]),
-        }
+    save_twin(
+        mounted(car, whole, Imu(position=(0.0, 0.0, 1.5), rpy=(0.0111, -0.1180, 3.0476)), 2.15),
+        tmp_path / "twin.yaml",
     )
-    save_twin(twin, tmp_path / "twin.yaml")
     document = diagnose(DiagnosisRequest(str(tmp_path / "twin.yaml"), tuple(bags))).document
     assert document["combination"] == ["clock_drift"]
     assert document["causes"][0]["parameters"]["drift_ppm"] == pytest.approx(8000.0, rel=0.1)
@@ -118,19 +108,12 @@ def test_a_reference_whose_motion_is_hardly_above_its_noise_is_no_reason_to_refu
     shared_data: Path, repository: Path, car: Twin, tmp_path: Path
 ) -> None:
     """A straight motorway, a phone behind the windshield and its receiver; nothing changed between the two halves."""
-    folder = shared_data / "comma2k19_Example_1"
-    if not folder.is_dir():
-        pytest.skip("no comma2k19_Example_1 among the measured data")
-    whole = import_drive([folder], mapping=repository / "config" / "import" / "comma2k19.yaml").drive
-    start, fix = float(whole.imu.t[0]), whole.fix
-    twin = car.model_copy(
-        update={
-            "imu": Imu(position=(1.9, 0.0, 1.2), rpy=(0.014, 0.0675, -0.0003)),
-            "gps": Place(frame="gps_link", position=(0.0, 0.0, 1.5)),
-            "datum": Datum(latitude=fix.latitude[0], longitude=fix.longitude[0], altitude=fix.altitude[0]),
-        }
+    whole = recorded(shared_data / "comma2k19_Example_1", repository, "comma2k19")
+    start = float(whole.imu.t[0])
+    save_twin(
+        mounted(car, whole, Imu(position=(1.9, 0.0, 1.2), rpy=(0.014, 0.0675, -0.0003)), 1.5),
+        tmp_path / "twin.yaml",
     )
-    save_twin(twin, tmp_path / "twin.yaml")
     for name, first, last in (("reference", 4.0, 33.0), ("drive", 33.3, 59.8)):
         write_drive(cut(whole, start + first, start + last), tmp_path / name)
     request = DiagnosisRequest(
