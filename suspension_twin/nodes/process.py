@@ -15,6 +15,7 @@ import threading
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from pathlib import Path
 from types import FrameType
 from typing import Any
 
@@ -37,6 +38,9 @@ WAIT = 0.1
 #: Time in s from a signal to the end of the process, at most.
 _DEADLINE = 0.7
 _ENDINGS = (signal.SIGINT, signal.SIGTERM)
+#: Where Fast DDS looks for its profiles: a variable, or a file in the current directory. The process's first context
+#: reads them.
+_PROFILES, _PROFILES_HERE = "FASTRTPS_DEFAULT_PROFILES_FILE", "DEFAULT_FASTRTPS_PROFILES.xml"
 
 
 class Stop:
@@ -114,9 +118,14 @@ def stopping(deadline: float | None = None, interrupts: bool = True) -> Iterator
 def ros_context(args: list[str] | None) -> Iterator[Context]:
     """A ROS context, shut down at the end; ``args`` are those after the program's name.
 
+    Fast DDS gets the profile ``fast_dds.xml``, with which lost messages are soon sent again, unless the user has given
+    one.
+
     Raises InputError for arguments that ROS does not accept.
     """
     context = Context()
+    if not Path(_PROFILES_HERE).exists():
+        os.environ.setdefault(_PROFILES, str(Path(__file__).with_name("fast_dds.xml")))
     set_logger_level("rcl", LoggingSeverity.FATAL)  # it would log what is raised here
     try:
         rclpy.init(args=args, context=context, signal_handler_options=SignalHandlerOptions.NO)
