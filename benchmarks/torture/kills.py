@@ -68,13 +68,13 @@ def commands(folder: Path) -> dict[str, Command]:
     answers = ("diagnosis.json", "evidence.json", "twin.yaml", "report.html")
     fleet = ("fleet", "calibrate", str(manifest), "--max-generations", "3", "--workers", "1")
     return {
-        "import": Command(("import", str(_BAG)), ("out",), 4, "out"),
-        "mesh": Command(("road", "mesh", str(_BAG / "road.crg")), ("road.obj",), 2, "road.obj"),
-        "simulate": Command(("simulate", "--twin", str(_TWIN), str(_BAG)), ("simulated", "gap.json"), 2),
+        "import": Command(("import", str(_BAG)), ("out",), 2, "out"),
+        "mesh": Command(("road", "mesh", str(_BAG / "road.crg")), ("road.obj",), 1, "road.obj"),
+        "simulate": Command(("simulate", "--twin", str(_TWIN), str(_BAG)), ("simulated", "gap.json"), 1),
         "calibrate": Command(
-            calibrate, ("calibrated.yaml", "calibrated.calibration.yaml"), 4, "calibrated.yaml"
+            calibrate, ("calibrated.yaml", "calibrated.calibration.yaml"), 2, "calibrated.yaml"
         ),
-        "diagnose": Command(("diagnose", "--twin", str(_TWIN), str(_BAG), *effects), answers, 3),
+        "diagnose": Command(("diagnose", "--twin", str(_TWIN), str(_BAG), *effects), answers, 2),
         "fleet": Command(fleet, (), 2, "fleet", "twin.yaml"),
     }
 
@@ -83,7 +83,7 @@ def torture(tally: Tally) -> None:
     """Kill a command two to six times, then let it end; another trial lets an older result stand meanwhile."""
     with tempfile.TemporaryDirectory() as base:
         known = commands(Path(base))
-        schedule = [name for name, command in known.items() for _ in range(command.share)] + ["record"] * 3
+        schedule = [name for name, command in known.items() for _ in range(command.share)] + ["record"] * 6
         undisturbed: dict[str, tuple[dict[str, str], float]] = {}
         for number in tally.numbers():
             rng, name = tally.rng(number), schedule[number * 7 % len(schedule)]
