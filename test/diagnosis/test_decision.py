@@ -193,6 +193,15 @@ def test_a_set_is_compared_with_its_parts_and_a_cause_with_its_rivals() -> None:
     assert {f["number"] for f in found.values()} == {np.log(3.0)}
 
 
+def test_a_part_of_a_set_is_no_answer_of_its_own_without_a_road_and_nowhere_a_rival_of_the_set() -> None:
+    both = row("payload", "strut_friction", gain=9.0, left=0.2) | {"added_low": 0.3}
+    case = evidence(both, row("payload", gain=2.0), row("strut_friction", gain=5.0), row("other", gain=1.0))
+    for kind, singles in (("road", 3), ("markers", 3), ("rig", 3), ("planar", 1)):
+        case["case"]["kind"] = kind
+        assert sum(len(a.causes) == 1 and a.row is not None for a in answers_of(case)) == singles, kind
+        assert features(case, "payload", "strut_friction")["margin"] == pytest.approx(np.arcsinh(8.0))
+
+
 def test_sizes_bounds_and_priors_of_the_parameters_count_by_the_worst_of_them() -> None:
     some = row("payload", gain=5.0, left=0.5) | {"usual": 0.5}
     some["parameters"]["payload"]["x"] |= {"far": 3.5}
@@ -203,7 +212,9 @@ def test_sizes_bounds_and_priors_of_the_parameters_count_by_the_worst_of_them() 
     some["usual"] = 2.0
     found = features(evidence(some, *others()), "payload")
     assert found["bound"] == 1.0 and found["usual"] == 0.0
-    assert features(evidence(some | {"usual": 1e-9}, *others()), "payload")["usual"] == 3.0
+    for none in (1e-9, 0.0):
+        assert features(evidence(some | {"usual": none}, *others()), "payload")["usual"] == 3.0
+    assert features(evidence(some | {"usual": 0.4}, *others()), "payload")["usual"] == pytest.approx(np.log(1.5 / 0.4))
 
 
 def test_a_gap_that_grows_elsewhere_counts_where_it_is_above_the_noise() -> None:
@@ -224,6 +235,8 @@ def test_tones_places_and_clocks_speak_against_no_gap() -> None:
     assert features(case)["none_pattern"] == pytest.approx(np.log(3.0) + np.log(2.0))
     case["base"] |= {"tone": 1e6}
     assert features(case)["none_pattern"] == pytest.approx(1.5 + np.log(2.0))
+    case["base"] |= {"band": 0.0, "place": 0.0}
+    assert features(case)["none_pattern"] == 1.5
     assert features(case)["none_clocks"] == 0.0
     case["base"] |= {"clocks": 2.5, "clocks_by_chance": 1e-2}
     assert features(case)["none_clocks"] == pytest.approx(0.5)

@@ -86,6 +86,15 @@ def test_spectral_sees_what_is_in_a_band_and_not_its_phase(measured: Measured) -
     assert objective.costs(shifted)[0] < 0.2 * objective.costs(doubled)[0]
 
 
+def test_spectral_ends_at_four_tenths_of_the_rate(measured: Measured) -> None:
+    """Sixth octaves from 0.5 Hz on; what is above 40 of 100 Hz, the sensor's own filter has shaped."""
+    t = np.arange(900) / RATE
+    here = Measured(CHANNELS[:1], measured.values[:, :1], (slice(0, 900),), RATE)
+    objective = build("spectral", here)
+    above, below = (here.values[:, :, None] + 3.0 * np.sin(2 * np.pi * f * t)[:, None, None] for f in (45.0, 30.0))
+    assert objective.costs(above)[0] < 1e-3 < 0.05 < objective.costs(below)[0]
+
+
 def test_mixtures_with_a_root_or_a_rating_are_no_sums_of_squares(
     measured: Measured, candidates: np.ndarray
 ) -> None:

@@ -109,3 +109,21 @@ def test_unknown_keys_are_named(mondeo: Twin) -> None:
         twin_value(mondeo, "vehicle.colour")
     with pytest.raises(InputError, match="effects.bump_stop.clearance"):
         twin_value(mondeo, "effects.bump_stop.clearance")
+
+
+def test_a_flat_segment_has_the_slope_of_a_small_share_of_the_last_force(mondeo: Twin) -> None:
+    """Whether the last point is found or frozen, and the one before it found or frozen."""
+    every = [k for k in curve_keys(mondeo, ("vehicle.front.damper_push",))]
+    for left_out in (every[-1:], every[-2:-1], []):
+        space = wide_space(mondeo, tuple(k for k in every if k not in left_out))
+        values = space.from_slopes(space.z0)
+        (curve,) = space.curves
+        first, second = (row for row in curve.rows[:2])
+        values[second] = values[first]
+        last = values[curve.rows[-1]] if curve.rows[-1] >= 0 else curve.force[-1]
+        flat = np.exp(space.to_slopes(values)[second]) * curve.x[-1] / last
+        assert 0.0 < flat < 0.01
+        values[values > values[first]] *= 1.5  # the last force that is found, and its share with it
+        again = np.exp(space.to_slopes(values)[second])
+        grown = 1.5 if curve.rows[-1] >= 0 else 1.0
+        assert again == pytest.approx(grown * flat * last / curve.x[-1])

@@ -15,6 +15,7 @@ from hypothesis import strategies as st
 from suspension_twin.pose.lock import PlanarState, PoseLock
 from suspension_twin.pose.settings import PoseSettings
 from suspension_twin.signals.attitude import rpy_matrix
+from suspension_twin.signals.clock import MAX_STAMP
 from suspension_twin.signals.ingest import ImuIngest
 from suspension_twin.signals.settings import ImuSettings
 from suspension_twin.vehicle.twin import Datum
@@ -411,6 +412,13 @@ def test_gaps_late_and_repeated_imu_messages(make_scene: Maker, away: Away) -> N
     assert lock.counts["gaps"] == 2  # the first sample counts as after one
     assert lock.counts["late"] == 2
     assert rms(off(states, scene, since=23.0)["along"]) < 0.05
+
+
+def test_a_stamp_beyond_what_ros_can_hold_is_invalid(make_scene: Maker) -> None:
+    lock = make_lock(make_scene())
+    for number, t in enumerate((MAX_STAMP, -MAX_STAMP, np.inf, np.nan), start=1):
+        assert lock.on_imu(t, (0.0, 0.0, 9.81), (0.0, 0.0, 0.0)) is None
+        assert lock.counts["invalid"] == number
 
 
 NUMBER = st.one_of(st.floats(), st.floats(-20, 20), st.floats(1.7e9, 1.7e9 + 20))
