@@ -81,6 +81,18 @@ def test_a_network_that_has_become_slower_is_no_step() -> None:
     assert clock.steps == 0
 
 
+def test_a_network_that_was_slow_and_is_free_after_a_pause_is_no_step() -> None:
+    """For two minutes samples wait in a queue of 0.3 to 0.5 s; it has emptied when they come again."""
+    clock, rng = ArrivalClock(), np.random.default_rng(4)
+    for t, arrival in arrivals(rng, 270.0, 0.1, 0.0):
+        since = t[-1] - 1.7e9
+        if since < 130.0:
+            arrival += 0.4 + 0.1 * np.sin(since)
+        if not 130.0 < since < 240.0:
+            np.testing.assert_array_equal(clock.push(t, arrival), t)
+    assert clock.steps == 0
+
+
 def test_ten_seconds_without_a_network_are_no_step() -> None:
     clock, rng = ArrivalClock(), np.random.default_rng(5)
     for t, arrival in arrivals(rng, 90.0, 0.1, 0.0):

@@ -65,6 +65,7 @@ class ArrivalClock:
         self._period = math.nan
         self._origin = math.nan
         self._level = self._slope = math.nan  # of the envelope, at the origin
+        self._unsteady = 0.0  # s by which minima lie above the envelope: nine in ten by less
         self._bins: deque[tuple[float, float, float, float]] = deque(maxlen=_BINS)
         self._bin_began = -math.inf
         self._bin = (0.0, math.inf)
@@ -108,7 +109,8 @@ class ArrivalClock:
             return self.shift
         early = self.at(float(t[-1]) + self.shift) - (arrival - float(t[-1]) - self.shift)
         period = 0.0 if math.isnan(self._period) else self._period
-        if early > _STEP:
+        # A way that was slow and is free after a pause looks like a clock that is ahead. Its delays vary before.
+        if early > _STEP + self._unsteady:
             gaps = np.diff(t, prepend=self._last)
             at = int(np.argmax(gaps))
             if gaps[at] > _STEP + 5.0 * period:
@@ -165,7 +167,9 @@ class ArrivalClock:
         self._slope = _envelope_slope(x, delay) if span >= _DRIFT_AFTER else 0.0
         self._level = float(np.min(delay - self._slope * x))
         self.drift = self._slope if span >= _DRIFT_SHOWN_AFTER else math.nan
-        self.jitter = max(float(np.median(middle - (self._level + self._slope * x))), 0.0)
+        envelope = self._level + self._slope * x
+        self.jitter = max(float(np.median(middle - envelope)), 0.0)
+        self._unsteady = float(np.quantile(delay - envelope, 0.9))
 
     def _new_level(self, x: Floats, delay: Floats) -> bool:
         """A clock that was set back by less than disorder makes up shows as delays that are longer for good, from
