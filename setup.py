@@ -120,7 +120,9 @@ setup(
         "docs": DOCS,
     },
     packages=find_packages(include=["suspension_twin", "suspension_twin.*"]),
-    package_data={"": ["py.typed", "*.html", "*.j2", "*.css", "*.js", "*.json", "*.yaml", "*.c", "*.h", "*.xml"]},
+    package_data={
+        "": ["py.typed", "*.html", "*.j2", "*.css", "*.js", "*.json", "*.yaml", "*.c", "*.h", "*.xml"]
+    },
     data_files=data_files(),
     entry_points={
         "console_scripts": [

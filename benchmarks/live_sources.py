@@ -222,7 +222,9 @@ def measure_source(load: Load, seconds: float, rounds: int, warm_up: float) -> d
     from sensor_msgs.msg import Imu
 
     systems, sender = {"relay": _Child(relay), "twin": _Child(twin)}, _Child(phones)
-    rclpy.init(args=[], signal_handler_options=SignalHandlerOptions.NO)  # a signal ends this program, not only ROS
+    rclpy.init(
+        args=[], signal_handler_options=SignalHandlerOptions.NO
+    )  # a signal ends this program, not only ROS
     node, answered = rclpy.create_node("listener"), {s: {} for s in ANSWERS}
 
     def hear(system: str) -> Callable[[Any], None]:

@@ -42,6 +42,19 @@ from suspension_twin.road.iso8608 import iso8608_road  # noqa: E402
 from suspension_twin.vehicle.twin import RoadFile, Twin, parse_twin, save_twin  # noqa: E402
 
 
+def pytest_addoption(parser: pytest.Parser) -> None:
+    parser.addoption("--long", action="store_true", help="the tests marked long as well")
+
+
+def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
+    """Without --long those marked so are left out, unless a test or a file was asked for by its name."""
+    named = any(argument.partition("::")[0].endswith(".py") for argument in config.args)
+    if not (config.getoption("--long") or named):
+        left_out = [item for item in items if item.get_closest_marker("long")]
+        items[:] = [item for item in items if not item.get_closest_marker("long")]
+        config.hook.pytest_deselected(items=left_out)
+
+
 @pytest.fixture(scope="session")
 def repository() -> Path:
     """The root of the source tree."""

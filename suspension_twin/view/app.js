@@ -21,15 +21,19 @@ try {
 // -- frames ----------------------------------------------------------------------------------------
 
 let socket = null, retry = 500;
+const PATIENCE = 5000; // ms for a connection: one that began while the network went away may hang for minutes
 function connect() {
-  socket = new WebSocket(`${location.protocol === "https:" ? "wss" : "ws"}://${location.host}/ws${location.search}`);
-  socket.onopen = () => { retry = 500; $("link").classList.add("ok"); };
-  socket.onmessage = (message) => take(JSON.parse(message.data));
-  socket.onclose = () => {
+  const opened = new WebSocket(`${location.protocol === "https:" ? "wss" : "ws"}://${location.host}/ws${location.search}`);
+  const waiting = setTimeout(() => opened.close(), PATIENCE);
+  opened.onopen = () => { clearTimeout(waiting); retry = 500; $("link").classList.add("ok"); };
+  opened.onmessage = (message) => take(JSON.parse(message.data));
+  opened.onclose = () => {
+    clearTimeout(waiting);
     $("link").classList.remove("ok");
     setTimeout(connect, retry);
     retry = Math.min(2 * retry, 5000);
   };
+  socket = opened;
 }
 
 function take(frame) {

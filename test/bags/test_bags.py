@@ -70,6 +70,7 @@ def low_pass(x, cutoff=20.0):
 # -- made by the program ---------------------------------------------------------------------------
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(("scene", "seconds"), [("bump_15kmh", 10.6), ("crg_road", 6.0)])
 def test_the_program_makes_the_beginning_of_the_committed_drive(maker, scene, seconds):
     """Another MuJoCo or libm may round otherwise: then a sample may fall to the converter's next step."""
@@ -221,6 +222,7 @@ def test_the_receiver_is_as_good_as_its_page_says(name, truth, drive):
     assert np.abs(error).max() < 0.05
 
 
+@pytest.mark.long
 def test_the_true_twin_moves_like_the_reality(name, truth):
     """Two independent implementations of one car agree to a few percent over the road of the file.
 

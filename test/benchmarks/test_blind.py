@@ -133,6 +133,7 @@ def test_the_plan_to_train_on_has_everything_and_any_beginning_of_it_is_balanced
     assert len(plan("report4")) >= 200
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("reality", ["newton", "multibody", "linkage"])
 def test_a_standing_car_feels_gravity_alone(world: Any, reality: str) -> None:
     from blind.folder import RUN
@@ -341,6 +342,7 @@ def test_nothing_is_diagnosed_before_labels_are_sealed(tmp_path: Path) -> None:
         seal.sealed(tmp_path)
 
 
+@pytest.mark.long
 def test_changing_the_labels_changes_no_byte_of_a_diagnosis(tmp_path: Path, repository: Path) -> None:
     from blind import ask
 

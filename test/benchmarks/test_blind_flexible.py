@@ -57,6 +57,7 @@ def _stood(world: Any, faults: Any = None) -> Any:
     return scene
 
 
+@pytest.mark.long
 def test_a_standing_car_feels_gravity_alone_and_stays(world: Any) -> None:
     from blind import flexible
     from blind.world import G

@@ -56,6 +56,7 @@ def test_a_corner_with_straight_characteristics_is_the_twins(
         assert rms < 0.005 * np.std(result.observation.measured[name])
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("changes", "effect", "parameters", "remaining"),
     [

@@ -21,6 +21,7 @@ def bench(benchmarks_on_the_path: None) -> ModuleType:
     return import_module("road_scan")
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("name", ["terrestrial", "mobile"])
 def test_the_wheel_paths_come_back_without_cars_and_people(name: str, bench: ModuleType) -> None:
     features = [parse_feature("bump", "0.9x0.05@3"), parse_feature("pothole", "0.6x0.06@10:0.4..1.2")]

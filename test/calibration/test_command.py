@@ -130,6 +130,7 @@ def test_wrong_options_are_one_line(
     assert not out.exists()
 
 
+@pytest.mark.long
 def test_the_bundled_drive_gives_the_inertia_and_intervals_around_what_was_found(
     repository: Path, tmp_path: Path
 ) -> None:

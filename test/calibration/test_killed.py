@@ -11,6 +11,8 @@ import time
 from pathlib import Path
 from typing import Any
 
+import pytest
+
 from suspension_twin.calibration.output import details_path
 
 THREADS = ("NUMBA_NUM_THREADS", "OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS")
@@ -54,6 +56,7 @@ def killed(arguments: list[str], state: Path, pattern: str, count: int, environm
     return not through
 
 
+@pytest.mark.long
 def test_killed_and_started_again_it_ends_with_the_same_bits(
     pass_case: Any, tmp_path: Path, repository: Path
 ) -> None:

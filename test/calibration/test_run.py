@@ -171,6 +171,7 @@ def test_every_count_of_what_is_identified_is_the_same(fast: Any) -> None:
     assert f"{result.counts['identified']} identified" in result.message
 
 
+@pytest.mark.long
 def test_both_presets_give_eq_1_beside_their_own_objective(pass_case: Any) -> None:
     bags = (pass_case.bag("pass"),)
     paper = calibrate(CalibrationRequest(pass_case.twin, bags, preset="paper", max_generations=5))

@@ -155,6 +155,7 @@ def test_longer_steps_are_the_same_drives_to_what_the_model_leaves(leaning: Benc
     assert (off < 0.01).all()
 
 
+@pytest.mark.long
 def test_what_changed_is_told_from_what_was_there_before(make: Any) -> None:
     """A low-pass that the sensor always had makes a low-pass on the drives with the gap gain more than the late clock
     that came since."""

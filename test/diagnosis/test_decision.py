@@ -214,7 +214,9 @@ def test_sizes_bounds_and_priors_of_the_parameters_count_by_the_worst_of_them() 
     assert found["bound"] == 1.0 and found["usual"] == 0.0
     for none in (1e-9, 0.0):
         assert features(evidence(some | {"usual": none}, *others()), "payload")["usual"] == 3.0
-    assert features(evidence(some | {"usual": 0.4}, *others()), "payload")["usual"] == pytest.approx(np.log(1.5 / 0.4))
+    assert features(evidence(some | {"usual": 0.4}, *others()), "payload")["usual"] == pytest.approx(
+        np.log(1.5 / 0.4)
+    )
 
 
 def test_a_gap_that_grows_elsewhere_counts_where_it_is_above_the_noise() -> None:

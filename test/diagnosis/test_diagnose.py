@@ -117,6 +117,7 @@ def test_a_clock_offset_that_the_twin_file_has_is_no_gap(make: Any, tmp_path: Pa
     assert "time_offset" not in document["combination"]
 
 
+@pytest.mark.long
 def test_what_only_a_decoy_explains_is_unknown_unless_it_is_asked_for(make: Any) -> None:
     case = make("progressive_spring", {f"{axle}_square": 4e7 for axle in ("front", "rear")}, reference=True)
     result = diagnose(ask(case))
@@ -144,6 +145,7 @@ def test_a_narrow_resonance_against_the_bodys_motion_is_found(make: Any) -> None
     assert lead["parameters"]["gain"] == pytest.approx(-0.25, rel=0.25)
 
 
+@pytest.mark.long
 def test_a_shaking_engine_is_found_on_a_road_that_shakes_nothing(car: Twin, tmp_path: Path) -> None:
     """No stretch of the drive stands out of the noise."""
     road = iso8608_road("A", 130, seed=4, v_step=0.4, roughness_n0=4e-7)
@@ -212,6 +214,7 @@ def test_a_drive_is_not_its_own_reference(make: Any) -> None:
         diagnose(DiagnosisRequest(str(twin), tuple(bags), (bags[0],)))
 
 
+@pytest.mark.long
 def test_effects_asked_for_by_name_on_the_command_line(
     make: Any, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -227,6 +230,7 @@ def test_effects_asked_for_by_name_on_the_command_line(
     assert document["combination"] == ["strut_friction"]
 
 
+@pytest.mark.long
 def test_two_causes_are_named_together_and_nothing_has_to_tell_them_apart(make: Any) -> None:
     elsewhere = EffectSpec(id="sensor_offset", parameters={"x": 0.8, "y": 0.0, "z": 0.0})
     case = make("strut_friction", {"front_force": 250.0, "rear_force": 250.0}, always=(elsewhere,))
@@ -254,6 +258,7 @@ def test_what_a_converter_cuts_off_is_compared(make: Any, tmp_path: Path) -> Non
     assert document["causes"][0]["parameters"]["range"] == pytest.approx(reach, rel=0.02)
 
 
+@pytest.mark.long
 def test_a_map_that_was_off_before_and_after_is_named_as_not_new(make: Any) -> None:
     """Half a metre in reference and gap drives alike is no other car, and no change."""
     off = EffectSpec(id="position_offset", parameters={"offset": 0.5})

@@ -115,6 +115,7 @@ def test_a_road_is_as_surveyed_where_no_error_of_its_file_takes_much() -> None:
     )
 
 
+@pytest.mark.long
 def test_a_road_file_that_is_wrong_on_one_stretch_is_unknown_and_said_to_be_so(
     make: Any, tmp_path: Path
 ) -> None:

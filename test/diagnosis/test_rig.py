@@ -40,6 +40,7 @@ def test_a_corner_is_calibrated_to_the_noise_of_its_transducers(repository: Path
     assert corner.tyre.vertical_stiffness == pytest.approx(2.1e5, rel=0.15)
 
 
+@pytest.mark.long
 def test_a_withheld_stop_is_named(rig: Any, tmp_path: Path) -> None:
     """Stops of a stiffness and clearance that the seed draws, on a road like that of the reference."""
     rig.make(tmp_path, seed=5, effect="rebound_stop", seconds=8.0)

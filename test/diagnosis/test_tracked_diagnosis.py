@@ -54,6 +54,7 @@ def scaled(file: str, cut: Cut) -> dict[str, Any]:
     return diagnose(request).document
 
 
+@pytest.mark.long
 def test_a_camera_of_another_scale_is_named(scaled: dict[str, Any]) -> None:
     assert scaled["verdict"] in ("effect", "partly") and scaled["combination"] == ["sensor_scale"]
     top = scaled["causes"][0]
@@ -63,6 +64,7 @@ def test_a_camera_of_another_scale_is_named(scaled: dict[str, Any]) -> None:
     assert low <= top["shrink"] <= high + 1e-9
 
 
+@pytest.mark.long
 def test_the_document_is_that_of_a_car(scaled: dict[str, Any]) -> None:
     total = sum(c["probability"] for c in scaled["causes"])
     assert total + scaled["no_gap_probability"] + scaled["unknown_probability"] == pytest.approx(

@@ -35,6 +35,7 @@ def mounted(car: Twin, drive: Drive, imu: Imu, antenna: float) -> Twin:
     return car.model_copy(update={"imu": imu, "gps": gps, "datum": datum})
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("told", [np.pi, 0.0], ids=["it looks backwards", "nothing of it"])
 def test_tilt_and_clock_of_a_real_roof_imu_are_named(
     shared_data: Path, repository: Path, car: Twin, tmp_path: Path, told: float

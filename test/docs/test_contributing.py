@@ -82,6 +82,7 @@ def test_no_section_has_more_than_ten_lines_of_prose(repository: Path) -> None:
         assert len(prose) <= 10, name
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("name", STEPS)
 def test_the_steps_add_it(name: str, repository: Path, copy: Path) -> None:
     followed(sections(repository)[name], copy)

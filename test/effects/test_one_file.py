@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pytest
 from scipy.integrate import solve_ivp
 
 import suspension_twin
@@ -101,6 +102,7 @@ print(json.dumps({
 """
 
 
+@pytest.mark.long
 def test_an_effect_in_one_new_file_is_found_and_acts(tmp_path: Path, copy_kernels: Any) -> None:
     (tmp_path / "maxwell_strut.py").write_text(EFFECT)
     copy_kernels(tmp_path / "cache")

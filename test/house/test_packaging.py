@@ -305,7 +305,7 @@ def test_the_test_command_is_the_readmes(repository: Path) -> None:
     script = repository / ".ci/run"
     assert os.access(script, os.X_OK)
     commands = [line for line in script.read_text().splitlines() if line and not line.startswith("#")]
-    assert commands[-1] == "exec python3 bootstrap.py test"
+    assert commands[-1] == "exec python3 bootstrap.py test --long"
     readme = (repository / "README.md").read_text(encoding="utf-8").splitlines()
-    assert "python3 bootstrap.py test" in readme
+    assert "python3 bootstrap.py test --long" in readme
     assert "python3 bootstrap.py demo" in readme

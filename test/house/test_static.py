@@ -6,14 +6,15 @@ from __future__ import annotations
 import subprocess
 import sys
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 
-TOOLS = ["ruff check --no-cache --output-format concise ."]
+TOOLS: list[Any] = ["ruff check --no-cache --output-format concise ."]
 # The last numpy for Python 3.10 comes with types of its own kind; what is checked there is checked on the others.
 if np.lib.NumpyVersion(np.__version__) >= "2.3.0":
-    TOOLS.append("mypy --no-error-summary")
+    TOOLS.append(pytest.param("mypy --no-error-summary", marks=pytest.mark.long))
 
 
 @pytest.mark.parametrize("tool", TOOLS)

@@ -91,7 +91,9 @@ def test_spectral_ends_at_four_tenths_of_the_rate(measured: Measured) -> None:
     t = np.arange(900) / RATE
     here = Measured(CHANNELS[:1], measured.values[:, :1], (slice(0, 900),), RATE)
     objective = build("spectral", here)
-    above, below = (here.values[:, :, None] + 3.0 * np.sin(2 * np.pi * f * t)[:, None, None] for f in (45.0, 30.0))
+    above, below = (
+        here.values[:, :, None] + 3.0 * np.sin(2 * np.pi * f * t)[:, None, None] for f in (45.0, 30.0)
+    )
     assert objective.costs(above)[0] < 1e-3 < 0.05 < objective.costs(below)[0]
 
 

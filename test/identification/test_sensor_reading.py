@@ -12,7 +12,7 @@ from suspension_twin.identification.sensor_reading import read_alike, read_any, 
 from suspension_twin.models.sinc_interpolation import TABLE, TAPS
 
 M, CHANNELS, LANES = 60, 3, 4
-#: In samples: whole ones, either side of them by less than a double can hold in their place, fractions, beyond both ends.
+#: In samples: whole ones, beside them by less than a double can hold in their place, fractions, beyond both ends.
 SHIFTS = (0.0, -1e-17, 1.0, -1.0 + 1e-16, 0.25, -3.7, 0.999999, 40.3, -75.0, 200.0)
 
 
@@ -47,8 +47,10 @@ def given() -> dict[str, Any]:
     }
 
 
-def expected(given: dict[str, Any], shift: np.ndarray, turned: list[int], carried: np.ndarray | None = None) -> Any:
-    """(r, C, L): gain times (signal + lever times the slope of another, or the bend of its own), bias and tilt added."""
+def expected(
+    given: dict[str, Any], shift: np.ndarray, turned: list[int], carried: np.ndarray | None = None
+) -> Any:
+    """(r, C, L): gain times (signal + lever times the slope of another, or the bend of its own) + bias + tilt."""
     moving = given["simulated"] if carried is None else given["simulated"] - carried[:, :, None]
     out = np.empty((given["rows"].size, CHANNELS, LANES))
     for i, row in enumerate(given["rows"]):

@@ -113,7 +113,7 @@ def test_unknown_keys_are_named(mondeo: Twin) -> None:
 
 def test_a_flat_segment_has_the_slope_of_a_small_share_of_the_last_force(mondeo: Twin) -> None:
     """Whether the last point is found or frozen, and the one before it found or frozen."""
-    every = [k for k in curve_keys(mondeo, ("vehicle.front.damper_push",))]
+    every = list(curve_keys(mondeo, ("vehicle.front.damper_push",)))
     for left_out in (every[-1:], every[-2:-1], []):
         space = wide_space(mondeo, tuple(k for k in every if k not in left_out))
         values = space.from_slopes(space.z0)

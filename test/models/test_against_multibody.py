@@ -45,11 +45,13 @@ def figures(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
     return found
 
 
+@pytest.mark.long
 def test_the_road_is_where_the_car_was(figures: dict[str, Any]) -> None:
     for name, row in figures["drives"].items():
         assert row["calibrated"]["road_height_rms_off_m"] < 0.0005, name
 
 
+@pytest.mark.long
 def test_held_out_drives_are_followed(figures: dict[str, Any]) -> None:
     """Body, wheels, suspension and tyres alike, and far better than before the calibration."""
     for name in ("drive_slow", "drive_other", "drive_fast"):
@@ -59,6 +61,7 @@ def test_held_out_drives_are_followed(figures: dict[str, Any]) -> None:
             assert after["share"] < 0.7 * given[signal]["share"], (name, signal)
 
 
+@pytest.mark.long
 def test_what_is_left_is_named_by_evidence(figures: dict[str, Any]) -> None:
     """Forces through the links, common to left and right, grow with travel and braking; tyres push along the normal."""
     for name, rows in figures["beyond_seven_degrees"].items():

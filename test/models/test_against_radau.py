@@ -110,9 +110,9 @@ def rms(x: Any) -> Any:
 @pytest.mark.parametrize(
     ("car", "speed", "yaw_rate", "ax"),
     [
-        ("mondeo", 8.0, 0.0, 0.0),
+        pytest.param("mondeo", 8.0, 0.0, 0.0, marks=pytest.mark.long),
         ("mondeo", 6.0, 0.4, 0.0),
-        ("stiff", 8.0, 0.0, -2.0),
+        pytest.param("stiff", 8.0, 0.0, -2.0, marks=pytest.mark.long),
     ],
 )
 def test_every_acceleration_within_half_a_per_cent(

@@ -59,6 +59,7 @@ def test_less_asked_for_is_the_same_less(mondeo: Any, way: Any) -> None:
     assert less.force.shape == (len(way), 0, 5)
 
 
+@pytest.mark.long
 def test_more_points_on_the_same_line_change_nothing_but_rounding(mondeo: Any, way: Any) -> None:
     """Kernels for 3, 7 and 31 changes of slope."""
     plain = simulate_twin(mondeo, way).force
@@ -265,6 +266,7 @@ def _start(environment: dict[str, str]) -> list[int]:
     return out
 
 
+@pytest.mark.long
 def test_a_second_start_compiles_nothing(tmp_path: Path, copy_kernels: Any) -> None:
     copy_kernels(tmp_path, "suspension_twin.models.full_car.*")
     environment = {"NUMBA_CACHE_DIR": str(tmp_path)}

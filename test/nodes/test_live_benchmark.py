@@ -7,7 +7,10 @@ import json
 import subprocess
 import sys
 
+import pytest
 
+
+@pytest.mark.long
 def test_it_measures_both_systems_at_both_rates_and_the_memory(repository):
     arguments = ["--json", "--seconds", "0.6", "--rounds", "1", "--warm-up", "0.8", "--replay", "20"]
     script = repository / "benchmarks" / "live.py"

@@ -57,6 +57,7 @@ class AtOnce:
         pass
 
 
+@pytest.mark.long
 def test_the_second_round_has_a_road(roadless: Path, drive: Drive, tmp_path: Path) -> None:
     out = tmp_path / "learnt.crg"
     with ros_context(PATIENT) as context:

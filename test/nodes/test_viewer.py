@@ -217,6 +217,7 @@ def test_the_replay_is_paused_wound_and_slowed(page):
     )
 
 
+@pytest.mark.long
 def test_it_records_and_calibrates(page, running, drive):
     """A drive is recorded with a mark in it, and a calibration on it begins; its end is in test_viewer_actions.py.
 

@@ -63,6 +63,7 @@ def error_of(found: Estimate, truth: Road) -> float:
     return math.sqrt(total)
 
 
+@pytest.mark.long
 def test_a_wrong_vehicle_is_put_right_by_drives_over_an_unknown_road(
     twin: Twin, truth: Road, drives: list[Drive]
 ) -> None:

@@ -74,6 +74,7 @@ def test_a_cloud_in_feet_is_recognised(tmp_path: Path, capsys: pytest.CaptureFix
     assert "own.xyz: fits the drive crg_road in feet and not in metres: give --unit ft" in said
 
 
+@pytest.mark.long
 def test_one_bump_could_have_been_driven_either_way(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

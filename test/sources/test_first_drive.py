@@ -78,6 +78,7 @@ async def send(phone: SensorLoggerApp, port: int, process: subprocess.Popen[str]
         process.send_signal(signal.SIGINT)
 
 
+@pytest.mark.long
 def test_from_a_phone_to_a_calibrated_twin(three_passes: Drive, repository: Path, tmp_path: Path) -> None:
     file = repository / "bags" / "bump_15kmh" / "twin.yaml"
     done = run(three_passes, file, tmp_path, "--max-generations", "1")
