@@ -97,6 +97,18 @@ def test_spectral_ends_at_four_tenths_of_the_rate(measured: Measured) -> None:
     assert objective.costs(above)[0] < 1e-3 < 0.05 < objective.costs(below)[0]
 
 
+def test_a_rating_is_the_mean_over_the_segments_by_their_length(
+    measured: Measured, candidates: np.ndarray
+) -> None:
+    one = candidates[:, :, 3:4].copy()
+    one[: measured.segments[0].stop] = measured.values[: measured.segments[0].stop, :, None]
+    (second,) = (s for s in measured.segments if s.start)
+    alone = Measured(CHANNELS, measured.values[second], (slice(0, second.stop - second.start),), RATE)
+    cost = build("iso18571", alone).costs(one[second])[0]
+    share = (second.stop - second.start) / sum(s.stop - s.start for s in measured.segments)
+    assert build("iso18571", measured).costs(one)[0] == pytest.approx(share * cost)
+
+
 def test_mixtures_with_a_root_or_a_rating_are_no_sums_of_squares(
     measured: Measured, candidates: np.ndarray
 ) -> None:
