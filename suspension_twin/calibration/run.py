@@ -22,6 +22,7 @@ from suspension_twin.calibration.searches import run_evolution, run_genetic
 from suspension_twin.calibration.setup import Setup, set_up
 from suspension_twin.calibration.squares import run_squares
 from suspension_twin.errors import WorkError
+from suspension_twin.identification.parallel import one_blas_thread
 from suspension_twin.identification.problem import Interrupted
 from suspension_twin.vehicle.twin import load_twin
 
@@ -69,8 +70,9 @@ def calibrate(
     stop = should_stop or (lambda: False)
     report(Progress("reading", note="twin and road"))
     try:
-        setup = set_up(request, lambda note: report(Progress("reading", note=note)), stop)
-        return solve(request, setup, report, stop, began)
+        with one_blas_thread():
+            setup = set_up(request, lambda note: report(Progress("reading", note=note)), stop)
+            return solve(request, setup, report, stop, began)
     except Interrupted:
         return unfinished(request, load_twin(request.twin), time.monotonic() - began)
 

@@ -7,6 +7,7 @@ import contextlib
 import json
 import re
 import shutil
+import sys
 import zipfile
 from collections.abc import Callable
 from pathlib import Path
@@ -394,6 +395,7 @@ TIMES: dict[str, Callable[[np.ndarray], Any]] = {
 }
 
 
+@pytest.mark.skipif(sys.version_info < (3, 11), reason="no mat-io for Python 3.10")
 @pytest.mark.parametrize("clock", list(TIMES))
 @pytest.mark.parametrize("nested", [False, True])
 def test_matlab_structs(clock: str, nested: bool, tmp_path: Path) -> None:
@@ -402,6 +404,7 @@ def test_matlab_structs(clock: str, nested: bool, tmp_path: Path) -> None:
     check(tmp_path / "log.mat", tolerance=1e-9)
 
 
+@pytest.mark.skipif(sys.version_info < (3, 11), reason="no mat-io for Python 3.10")
 def test_matlab_serial_day_numbers(tmp_path: Path) -> None:
     scipy.io.savemat(tmp_path / "log.mat", _logs(lambda t: 719_529 + (START + t) / 86_400))
     drive = import_drive([tmp_path / "log.mat"]).drive
@@ -410,6 +413,7 @@ def test_matlab_serial_day_numbers(tmp_path: Path) -> None:
     )  # a day number holds 10 µs
 
 
+@pytest.mark.skipif(sys.version_info < (3, 11), reason="no mat-io for Python 3.10")
 def test_matlab_arrays(tmp_path: Path) -> None:
     """What ``[log, t] = accellog(m)`` leaves in a workspace."""
     logs = {
@@ -437,6 +441,7 @@ def test_matlab_csv(tmp_path: Path) -> None:
     check(folder)
 
 
+@pytest.mark.skipif(sys.version_info < (3, 11), reason="no mat-io for Python 3.10")
 def test_matlab_timetables(tmp_path: Path) -> None:
     """As the app logs them: objects that SciPy leaves closed.
 
@@ -469,6 +474,7 @@ def test_matlab_timetables(tmp_path: Path) -> None:
             import_drive([tmp_path / "log.mat"])
 
 
+@pytest.mark.skipif(sys.version_info < (3, 11), reason="no mat-io for Python 3.10")
 def test_matlab_files_that_cannot_be_read(tmp_path: Path) -> None:
     path = tmp_path / "log.mat"
     scipy.io.savemat(path, {"weather": np.arange(3)})
@@ -485,6 +491,7 @@ def test_matlab_files_that_cannot_be_read(tmp_path: Path) -> None:
         import_drive([path])
 
 
+@pytest.mark.skipif(sys.version_info < (3, 11), reason="no mat-io for Python 3.10")
 def test_matlab_timetables_of_version_73(tmp_path: Path) -> None:
     """HDF5, as ``save -v7.3`` writes it."""
     import matio

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from scipy import integrate
 
 from suspension_twin.cli.main import main
 from suspension_twin.errors import InputError
@@ -202,7 +203,7 @@ def test_a_clothoid_and_a_cubic_lie_where_they_should(bumps: Path) -> None:
         if "spiral" in plan:  # independent: integrated in small steps
             s = np.linspace(0, u, 200001)
             direction = 0.5 * 1e-4 * s**2
-            x, y = (np.trapezoid(f(direction), s) for f in (np.cos, np.sin))
+            x, y = (integrate.trapezoid(f(direction), s) for f in (np.cos, np.sin))
         else:
             x = road.x[-1]
             y = 30 * (x / 120) ** 3
