@@ -33,7 +33,7 @@ NO_MATCH = 0.7
 #: Grid points of a coordinate where an effect has one severity, and where it has several.
 _GRID, _GRID_OF_SEVERAL = 201, 41
 _LONG = 12
-#: Times at most that a prior follows a fit, and standard deviations by which it moves less when that ends.
+#: Tolerances: times at most that a prior follows a fit, and standard deviations by which it moves less when that ends.
 _RECENTRED, _SETTLED = 6, 0.25
 #: Beyond ``REACH`` standard deviations a set-up parameter counts as misset: its prior is centred where it is found, and
 #: -2 log of the probability of a misset parameter is added to the cost.
