@@ -91,14 +91,15 @@ def mutants(part: str) -> Iterator[tuple[str, str, int]]:
 
 
 def mutated(source: str, operator: str, occurrence: int) -> str | None:
-    """The changed source; None if it is the same program, but for annotations and texts of documentation."""
+    """The changed source; None if it is no program at all, or the same but for annotations and documentation."""
     from cosmic_ray.mutating import mutate_code
     from cosmic_ray.plugins import get_operator
 
     changed: str | None = mutate_code(source, get_operator(operator)(), occurrence)
-    if changed is None or _bare(changed) == _bare(source):
-        return None
-    return changed
+    with contextlib.suppress(SyntaxError):
+        if changed is not None and _bare(changed) != _bare(source):
+            return changed
+    return None
 
 
 def _bare(source: str) -> str:
