@@ -279,6 +279,7 @@ class ViewerNode(TwinNode):
         if now > self._match_due:
             self._match_due = now + _MATCHED
             self._match()
+            self._watch_job(now)
         self.view.tell("motion", self._motion)
         if self._recorder is not None and now > self._flush_due:
             self._flush_due = now + 1.0
@@ -463,27 +464,42 @@ class ViewerNode(TwinNode):
         so_far = f", best cost {cost:.4g}" if math.isfinite(cost) and cost > 0 else ""
         self._show_job(f"{job.name}: {feedback.stage}{so_far}{rest}")
 
+    def _watch_job(self, now: float) -> None:
+        """Give up a goal whose node is gone, or whose answer was lost: a service loses one that it sends before it has
+        found its client's reader, and a goal whose answer was lost is not worked on. A late answer is taken up."""
+        job = self._job
+        if job is None or not job.running:
+            return
+        if not self._actions[job.name].server_is_ready():
+            self._end_job(job, False, "the node calibrator ended before the result was there")
+        elif not job.accepted and now - job.began > _PATIENCE:
+            self._end_job(job, False, "the node calibrator did not answer: ask again")
+
     def _on_accepted(self, job: Job, future: Any) -> None:
         handle = future.result()
         if handle is None or not handle.accepted:
-            job.running = False
-            self._show_job(f"{job.name}: the node calibrator refused, another goal is running")
+            self._end_job(job, False, "the node calibrator refused, another goal is running")
             return
+        job.accepted = job.running = True
         handle.get_result_async().add_done_callback(partial(self._on_result, job))
 
     def _on_result(self, job: Job, future: Any) -> None:
         answer = future.result()
-        job.running = False
         done = answer.status == GoalStatus.STATUS_SUCCEEDED
         if done:
             self._result = job.output / "twin.yaml" if job.name == "diagnose" else job.output
             if job.name == "diagnose":
                 self.server.report = job.output
                 job.report = True
-        self.note(f"goals of {job.name}", OK if done else WARN, f"{job.name}: {answer.result.message}")
-        self._show_job(f"{job.name}: {answer.result.message}")
+        self._end_job(job, done, answer.result.message)
+
+    def _end_job(self, job: Job, done: bool, message: str) -> None:
+        """Say on the page and in the health what became of a goal."""
+        job.running = False
+        self.note(f"goals of {job.name}", OK if done else WARN, f"{job.name}: {message}")
+        self._show_job(f"{job.name}: {message}")
         if self._guide is not None and self._guide.calibration and job.name == "calibrate":
-            self._guided_result(self._guide, job, done, answer.result.message)
+            self._guided_result(self._guide, job, done, message)
 
     def _show_job(self, text: str) -> None:
         job = self._job
@@ -573,6 +589,7 @@ class Job:
     def __init__(self, name: str, output: Path) -> None:
         self.name, self.output = name, output
         self.running = True
+        self.accepted = False
         self.report = False
         self.progress: float | None = None
         self.began = time.monotonic()

@@ -87,6 +87,12 @@ class Bench:
         self.side.destroy_client(client)
         return future.result()
 
+    def remove(self, node: Any) -> None:
+        """Take a node down."""
+        self.nodes.remove(node)
+        self.executor.remove_node(node)
+        node.destroy_node()
+
     def close(self) -> None:
         """Take everything down."""
         self.executor.shutdown()

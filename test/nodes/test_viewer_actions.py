@@ -14,9 +14,12 @@ import pytest
 from aiohttp import ClientSession
 from geometry_msgs.msg import AccelStamped, PoseStamped, TwistStamped
 from nodes_bench import put_stamp
+from rclpy.action import ActionServer
+from rclpy.action.server import GoalResponse
 from rclpy.qos import QoSProfile, ReliabilityPolicy
+from rclpy.task import Future
 from sensor_msgs.msg import Imu, NavSatFix
-from stand_ins import lighter, reported
+from stand_ins import lighter, reported, search_until_stopped
 
 from suspension_twin.drive.read import read_drive
 from suspension_twin.drive.types import Drive
@@ -28,6 +31,7 @@ from suspension_twin.nodes.suspension_model import SuspensionModelNode
 from suspension_twin.nodes.topics import Embedding
 from suspension_twin.nodes.viewer import ViewerNode
 from suspension_twin.vehicle.twin import load_twin
+from suspension_twin_interfaces.action import Calibrate
 
 
 @pytest.fixture
@@ -86,6 +90,39 @@ def test_a_diagnosis_has_a_report_to_open(bench, viewer, tmp_path):
     assert job(viewer)["report"] and (tmp_path / "bumpy_diagnosis" / "twin.yaml").is_file()
     with urllib.request.urlopen(f"{viewer.server.url}report") as answer:
         assert answer.read() == b"<p>friction</p>"
+
+
+def test_a_goal_whose_node_ends_is_given_up(bench, viewer):
+    calibrator = bench.make(CalibratorNode, {"calibrate": search_until_stopped})
+    bench.until(viewer._actions["calibrate"].server_is_ready, "the action")
+    assert press(bench, viewer, "calibrate") == ("Calibrating on bumpy", False)
+    bench.until(lambda: "search" in job(viewer)["text"], "the calibration to begin", 60.0)
+    bench.remove(calibrator)
+    bench.until(lambda: not job(viewer)["running"], "the goal to be given up")
+    assert job(viewer)["text"] == "calibrate: the node calibrator ended before the result was there"
+    assert press(bench, viewer, "calibrate") == ("calibrate: the node calibrator is not there", True)
+
+
+def test_a_goal_that_is_not_answered_is_given_up_and_goes_on_if_it_is(bench, viewer):
+    answered = Future(executor=bench.executor)
+
+    async def late(_goal: Any) -> GoalResponse:
+        return await answered
+
+    def fail(goal: Any) -> Any:
+        goal.abort()
+        return Calibrate.Result(message="nothing moved")
+
+    server = ActionServer(bench.side, Calibrate, "calibrate", fail, goal_callback=late)
+    try:
+        bench.until(viewer._actions["calibrate"].server_is_ready, "the action")
+        press(bench, viewer, "calibrate")
+        bench.until(lambda: not job(viewer)["running"], "the goal to be given up")
+        assert job(viewer)["text"] == "calibrate: the node calibrator did not answer: ask again"
+        answered.set_result(GoalResponse.ACCEPT)
+        bench.until(lambda: job(viewer)["text"] == "calibrate: nothing moved", "the late answer")
+    finally:
+        server.destroy()
 
 
 def test_buttons_that_cannot_say_why(bench, viewer, tmp_path):
