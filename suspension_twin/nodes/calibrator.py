@@ -13,6 +13,7 @@ from functools import partial
 from typing import Any
 
 from rclpy.action.server import ActionServer, CancelResponse, GoalResponse, ServerGoalHandle
+from rclpy.callback_groups import ReentrantCallbackGroup
 from rclpy.clock import Clock
 from rclpy.clock_type import ClockType
 from rclpy.task import Future
@@ -41,6 +42,8 @@ __all__ = ["CalibratorNode", "main"]
 
 #: Period in s at which the worker's messages are read.
 _TICK = 0.02
+#: s that a goal waits at most until its client's reader of answers is known.
+_FOUND = 2.0
 
 
 @dataclass(frozen=True)
@@ -128,6 +131,8 @@ class CalibratorNode(TwinNode):
         self.works: dict[str, Work] = {a.name: a.work for a in ACTIONS} | dict(works or {})
         self._running: _Running | None = None
         self._timer: Any = None
+        #: A goal that waits for its client holds up nothing else of the node.
+        self._goals = ReentrantCallbackGroup()
         self._servers = [
             ActionServer(
                 self,
@@ -136,6 +141,7 @@ class CalibratorNode(TwinNode):
                 partial(self._execute, action),
                 goal_callback=partial(self._on_goal, action),
                 cancel_callback=self._on_cancel,
+                callback_group=self._goals,
             )
             for action in ACTIONS
         ]
@@ -158,11 +164,36 @@ class CalibratorNode(TwinNode):
         name = "" if self._running is None else self._running.action.name
         return f"a goal of {name} is running: cancel it or wait for its result"
 
-    def _on_goal(self, action: Action, _goal: Any) -> GoalResponse:
+    async def _on_goal(self, action: Action, _goal: Any) -> GoalResponse:
+        await self._answerable(f"{self.resolve_service_name(action.name)}/_action/send_goal")
         if self._running is None:
             return GoalResponse.ACCEPT
         self.note("rejected goals", WARN, f"{action.name}: goal rejected, {self._busy()}")
         return GoalResponse.REJECT
+
+    async def _answerable(self, service: str) -> None:
+        """Wait until as many read the answers of a service as send it requests. DDS finds the two ends of a client
+        independently and loses an answer to a reader that it has not found: the goal would run unknown to its client.
+        Topics are those of the ROS middlewares on DDS; where there are none of these names nothing is waited for."""
+
+        def found() -> bool:
+            asking = self.get_publishers_info_by_topic(f"rq{service}Request", no_mangle=True)
+            hearing = self.get_subscriptions_info_by_topic(f"rr{service}Reply", no_mangle=True)
+            return len(hearing) >= len(asking)
+
+        if found():
+            return
+        until, ready = time.monotonic() + _FOUND, Future(executor=self.executor)
+
+        def look() -> None:
+            if not ready.done() and (found() or time.monotonic() >= until):
+                ready.set_result(None)
+
+        timer = self.create_timer(_TICK, look, self._goals, Clock(clock_type=ClockType.STEADY_TIME))
+        try:
+            await ready
+        finally:
+            self.destroy_timer(timer)
 
     def _on_cancel(self, goal: ServerGoalHandle) -> CancelResponse:
         running = self._running

@@ -465,15 +465,15 @@ class ViewerNode(TwinNode):
         self._show_job(f"{job.name}: {feedback.stage}{so_far}{rest}")
 
     def _watch_job(self, now: float) -> None:
-        """Give up a goal whose node is gone, or whose answer was lost: a service loses one that it sends before it has
-        found its client's reader, and a goal whose answer was lost is not worked on. A late answer is taken up."""
+        """Give up a goal whose node is gone, or that is not answered: the middleware loses an answer to a client it has
+        not found yet. A late answer is taken up."""
         job = self._job
         if job is None or not job.running:
             return
         if not self._actions[job.name].server_is_ready():
             self._end_job(job, False, "the node calibrator ended before the result was there")
         elif not job.accepted and now - job.began > _PATIENCE:
-            self._end_job(job, False, "the node calibrator did not answer: ask again")
+            self._end_job(job, False, "the node calibrator did not answer")
 
     def _on_accepted(self, job: Job, future: Any) -> None:
         handle = future.result()

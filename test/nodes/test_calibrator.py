@@ -10,6 +10,8 @@ from pathlib import Path
 import pytest
 from action_msgs.msg import GoalStatus
 from nodes_bench import Client, worst
+from rclpy.action import ActionClient
+from rclpy.qos import DurabilityPolicy, QoSProfile
 from stand_ins import breaks, cannot, deaf, dies, five_generations, repeats_its_job, search_until_stopped
 
 from suspension_twin.nodes.calibrator import CalibratorNode
@@ -81,6 +83,37 @@ def test_while_it_works_the_node_answers_refuses_a_second_goal_and_cancels_at_on
     node.works["calibrate"] = five_generations  # the next goal is welcome
     client.feedback.clear()
     assert client.result(client.send(goal))[0] == GoalStatus.STATUS_SUCCEEDED
+
+
+def test_a_goal_waits_until_its_client_can_hear_the_answer(bench, goal, monkeypatch):
+    node = bench.make(CalibratorNode, {"calibrate": five_generations})
+    client = Client(bench, Calibrate, "calibrate")
+    with monkeypatch.context() as patch:  # the middleware has found the client's writer, its reader not yet
+        patch.setattr(node, "get_subscriptions_info_by_topic", lambda *_, **__: [])
+        asked = client.action.send_goal_async(goal)
+        bench.spin(0.5)
+        assert not asked.done() and not client.feedback
+    bench.until(asked.done, "the answer")
+    assert client.result(asked.result())[0] == GoalStatus.STATUS_SUCCEEDED
+
+
+def test_a_client_that_never_hears_an_answer_stops_the_others_until_its_goal_ends(bench, goal, recwarn):
+    node = bench.make(CalibratorNode, {"calibrate": five_generations})
+    client = Client(bench, Calibrate, "calibrate")
+    # It asks for answers that are kept for late comers, which no service offers.
+    kept = QoSProfile(depth=10, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+    deaf_client = ActionClient(bench.side, Calibrate, "calibrate", goal_service_qos_profile=kept)
+    try:
+        bench.spin(0.5)
+        unanswered = deaf_client.send_goal_async(goal)
+        bench.until(lambda: any("will not receive" in str(w.message) for w in recwarn), "a lost answer")
+        state = node.health.values
+        bench.until(lambda: state["state"] != "idle", "its goal to be worked on")
+        bench.until(lambda: state["state"] == "idle", "the end of its goal", 60.0)
+        assert not unanswered.done()
+        assert client.result(client.send(goal))[0] == GoalStatus.STATUS_SUCCEEDED
+    finally:
+        deaf_client.destroy()
 
 
 def _slowness() -> float:

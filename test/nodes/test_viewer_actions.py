@@ -118,7 +118,7 @@ def test_a_goal_that_is_not_answered_is_given_up_and_goes_on_if_it_is(bench, vie
         bench.until(viewer._actions["calibrate"].server_is_ready, "the action")
         press(bench, viewer, "calibrate")
         bench.until(lambda: not job(viewer)["running"], "the goal to be given up")
-        assert job(viewer)["text"] == "calibrate: the node calibrator did not answer: ask again"
+        assert job(viewer)["text"] == "calibrate: the node calibrator did not answer"
         answered.set_result(GoalResponse.ACCEPT)
         bench.until(lambda: job(viewer)["text"] == "calibrate: nothing moved", "the late answer")
     finally:
