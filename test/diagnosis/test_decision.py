@@ -4,18 +4,28 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Iterable
 from copy import deepcopy
+from importlib import resources
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from suspension_twin.cli.main import main
 from suspension_twin.diagnosis.answer import answer_of
-from suspension_twin.diagnosis.decision import FEATURES, Costs, Weights, answers_of, decide, learnt
+from suspension_twin.diagnosis.decision import (
+    FEATURES,
+    Costs,
+    Weights,
+    answers_of,
+    decide,
+    learnt,
+    usual_level,
+)
 from suspension_twin.errors import InputError
 
 PARAMETERS = {"strut_friction": ("front_force", "rear_force"), "payload": ("mass", "x", "y")}
@@ -402,3 +412,609 @@ def test_a_kept_diagnosis_is_decided_anew(tmp_path: Path, capsys: pytest.Capture
     (tmp_path / "evidence.json").write_text("{")
     assert main(["diagnose", "--from-evidence", str(tmp_path)]) == 2
     assert main(["diagnose", "--from-evidence", str(tmp_path), "--twin", "twin.yaml"]) == 2
+
+
+# -- every feature by the formula of its table, between its limits and at them --------------------------------------
+
+#: Of docs/numbers.md: what a complete model leaves, what tones, bands and places reach without any error, and the
+#: severity up to which an effect is as small as errors of twin files are.
+SQUARE, LEVEL, TONE, BAND, PLACE, RATIO = 1.5, 0.14, 10.0, 2.7, 0.27, 1.5
+#: What speaks for an answer and what against it; whether a car without a reference is unknown is free.
+FOR = {
+    "gain", "margin", "shrink", "proven", "throughout", "tone", "explained", "complete", "added", "added_proven",
+    "unknown_best_excess", "unknown_above_reference", "unknown_open",
+}  # fmt: skip
+AGAINST = {
+    "number", "chance", "excess", "above_reference", "lost", "usual", "far", "bound", "size", "none_excess",
+    "none_above_reference", "none_gain", "none_pattern", "none_clocks", "unknown",
+}  # fmt: skip
+
+
+def cause(*effects: str, gain: float = 3.0, left: float = 0.5, **changes: Any) -> dict[str, Any]:
+    return row(*effects, gain=gain, left=left) | changes
+
+
+def in_three_channels(*rows: dict[str, Any], reference: bool = True) -> dict[str, Any]:
+    """With a third channel that no road drives, in which everything is another."""
+    case = evidence(*rows, reference=reference)
+    case["case"]["channels"]["roll_rate"] = {"noise": 0.02, "motion": 9.0, "gap": 0.5, "driven": False}
+    for one in (case["base"], *rows):
+        one["mean_squares"] = {**one["mean_squares"], "roll_rate": 1e3}
+        one["channels"]["roll_rate"] = {
+            **one["channels"]["pitch_rate"],
+            "before": 9.0, "after": 9.0, "shrink": -0.9, "low": -0.95, "high": -0.85, "worst": None,
+        }  # fmt: skip
+    return case
+
+
+def of_channels(one: dict[str, Any], key: str, values: Iterable[float]) -> dict[str, Any]:
+    """The hypothesis with these values in its channels."""
+    changed = deepcopy(one)
+    for channel, value in zip(changed["channels"].values(), values, strict=True):
+        channel[key] = value
+    return changed
+
+
+def unknown(case: dict[str, Any]) -> dict[str, float]:
+    """Features of unknown itself, not of the decoys that mean it too."""
+    (answer,) = (a for a in answers_of(case) if a.causes == ("unknown",) and a.row is None)
+    return dict(zip(FEATURES, answer.features.tolist(), strict=True))
+
+
+def test_every_feature_speaks_for_or_against_an_answer() -> None:
+    assert {name for name, prior in FEATURES.items() if prior > 0.0} == FOR
+    assert {name for name, prior in FEATURES.items() if prior < 0.0} == AGAINST
+    assert {name for name, prior in FEATURES.items() if prior == 0.0} == {"unknown_blind"}
+
+
+def test_weights_are_those_of_the_file_by_name() -> None:
+    folder = resources.files("suspension_twin.diagnosis")
+    kept = json.loads((folder / "decision.json").read_text(encoding="utf-8"))
+    assert dict(zip(FEATURES, learnt().values.tolist(), strict=True)) == kept["weights"]
+    assert learnt().conformal == kept["conformal_probability"] and learnt().source == kept["source"]
+
+
+def test_features_of_one_kind_of_answer_are_zero_for_the_others() -> None:
+    case = evidence(cause("payload", "strut_friction"), cause("payload"), cause("strut_friction"))
+    of_unknown = {name for name in FEATURES if name.startswith("unknown")}
+    of_none = {name for name in FEATURES if name.startswith("none")}
+    of_cause = set(FEATURES) - of_unknown - of_none
+    assert not any(features(case)[name] for name in of_cause | of_unknown)
+    assert not any(unknown(case)[name] for name in of_cause | of_none) and unknown(case)["unknown"] == 1.0
+    for causes in (("payload",), ("payload", "strut_friction")):
+        assert not any(features(case, *causes)[name] for name in of_none | of_unknown)
+
+
+def test_no_gap_and_unknown_are_answers_whatever_was_tried() -> None:
+    found = decide(evidence())
+    assert [a.causes for a in found.answers] == [(), ("unknown",)]
+    assert all(a.row is None for a in found.answers) and found.effects == {} and found.row is None
+    assert features(evidence())["none_gain"] == unknown(evidence())["unknown_open"] == 0.0
+    assert unknown(evidence())["unknown_above_reference"] == pytest.approx(np.log(4.0))  # of the twin itself
+
+
+def test_the_prior_is_shared_among_the_effects_of_the_library() -> None:
+    both, shape = cause("payload", "strut_friction"), row("shape", decoy=True)
+    rows = [both, shape, *(cause(e) for e in ("payload", "strut_friction", "other"))]
+    case = evidence(*rows)
+    assert features(case, "other")["number"] == pytest.approx(np.log(3.0))
+    for library, number in ((2, 3), (3, 3), (17, 17)):
+        case["case"]["library"] = library
+        assert features(case, "other")["number"] == pytest.approx(np.log(number)), library
+    (alone,) = (a for a in answers_of(evidence(shape)) if a.row is not None)
+    assert alone.features[list(FEATURES).index("number")] == 0.0  # of at least one
+
+
+@pytest.mark.parametrize("gain", [-40.0, -0.3, 0.0, 0.2, 7.0, 900.0])
+def test_gains_count_in_proportion_when_small_and_by_their_logarithm_when_large(gain: float) -> None:
+    found = features(evidence(cause("payload", gain=gain)), "payload")["gain"]
+    assert found == pytest.approx(np.log(gain + np.sqrt(gain**2 + 1.0)), abs=1e-9)
+
+
+def test_evidence_counts_beyond_what_was_there_before_only_where_that_is_known() -> None:
+    def nats(base: float | None, **own: Any) -> float:
+        case = evidence(cause("payload", gain=2.0, **own))
+        case["base"]["since"] = base
+        return float(np.sinh(features(case, "payload")["gain"]))
+
+    assert nats(None, since=5.0) == pytest.approx(2.0)
+    for own in ({}, {"since": None}, {"since": 0.0}):
+        wanted = np.log(np.exp(2.0) + np.exp(0.7)) - np.log(1.0 + np.exp(0.7))
+        assert nats(0.7, **own) == pytest.approx(wanted)
+
+
+def test_a_margin_is_over_the_best_rival_or_over_none() -> None:
+    """Sets that share a member are rivals; one that holds or is held is none."""
+    both, wide = cause("a", "b", gain=9.0), cause("a", "b", "c", gain=30.0)
+    rows = [both, wide, cause("b", "c", gain=12.0), cause("a", gain=4.0), cause("b", gain=6.0), cause("c")]
+    case = evidence(*rows)
+    for causes, margin in (
+        (("a", "b"), 9.0 - 12.0),
+        (("a", "b", "c"), 30.0),
+        (("b", "c"), 12.0 - 9.0),
+        (("a",), 4.0 - 12.0),
+        (("b",), 6.0 - 4.0),
+        (("c",), 3.0 - 9.0),
+    ):
+        assert features(case, *causes)["margin"] == pytest.approx(np.arcsinh(margin)), causes
+    worse = evidence(cause("a", gain=2.0), cause("b", gain=-5.0))
+    assert features(worse, "a")["margin"] == pytest.approx(np.arcsinh(2.0))
+    assert features(worse, "b")["margin"] == pytest.approx(np.arcsinh(-5.0 - 2.0))
+    assert features(evidence(cause("a", gain=0.4)), "a")["margin"] == pytest.approx(np.arcsinh(0.4))
+
+
+def test_what_a_set_adds_is_over_its_best_part_or_over_nothing() -> None:
+    def added(*rows: dict[str, Any]) -> float:
+        return float(np.sinh(features(evidence(*rows), "a", "b", "c")["added"]))
+
+    whole = cause("a", "b", "c", gain=30.0)
+    parts = [cause("a", gain=5.0), cause("a", "c", gain=12.0), cause("b", gain=7.0)]
+    assert added(whole, *parts, cause("d", gain=29.0), cause("c", "d", gain=28.0)) == pytest.approx(18.0)
+    assert added(whole, parts[0], parts[2]) == pytest.approx(23.0)
+    assert added(whole, cause("a", gain=-4.0)) == added(whole) == pytest.approx(30.0)
+
+
+@pytest.mark.parametrize(("added_low", "proven"), [(0.05, 0.05), (0.9, 0.9), (1.7, 1.0)])
+def test_what_each_member_of_a_set_adds_for_sure(added_low: float, proven: float) -> None:
+    case = evidence(cause("a", "b", added_low=added_low), cause("a", added_low=0.4))
+    assert features(case, "a", "b")["added_proven"] == pytest.approx(proven)
+    assert features(case, "a")["added_proven"] == features(case, "a")["added"] == 0.0
+
+
+@pytest.mark.parametrize("kind", ["road", "markers", "rig", "planar"])
+def test_effects_beyond_the_first_count_but_for_set_up_errors(kind: str) -> None:
+    """As they are read from a file."""
+    case = evidence(cause("a", "b", "c"), cause("b", "d"), cause("d"))
+    case["case"]["kind"] = kind
+    case = json.loads(json.dumps(case))
+    on_road = kind != "planar"
+    assert features(case, "a", "b", "c")["size"] == 2.0 * on_road
+    assert features(case, "b", "d")["size"] == 1.0 * on_road
+    assert any(a.causes == ("d",) for a in answers_of(case)) == on_road
+
+
+def test_of_set_up_errors_only_sets_that_no_larger_one_holds_are_answers() -> None:
+    rows = [cause(*name) for name in ("a", "b", "c", "ab", "bc", "abd", "e")]
+    refused = cause("c", "e", added_low=-0.1)  # holds c and e, and is no answer itself
+    case = evidence(*rows, refused)
+    case["case"]["kind"] = "planar"
+    found = [a.causes for a in answers_of(case) if a.row is not None]
+    assert found == [("b", "c"), ("a", "b", "d"), ("e",)]
+    assert set(decide(case).effects) == set("abcde")
+
+
+@pytest.mark.parametrize(
+    ("changes", "answers"),
+    [
+        ({"added_low": 0.0}, False),
+        ({"added_low": 1e-6}, True),
+        ({"usual": RATIO}, False),  # up to which it is as small as errors of twin files
+        ({"usual": RATIO + 1e-6}, True),
+        ({"usual": None}, True),
+        ({"usual": 9.0, "added_low": -0.2}, False),
+    ],
+)
+def test_a_set_is_an_answer_if_each_member_adds_and_it_is_larger_than_usual_errors(
+    changes: dict[str, Any], answers: bool
+) -> None:
+    both = cause("strut_friction", "payload") | changes
+    single = cause("payload", added_low=-0.2, usual=0.1)  # a single effect always is
+    found = [a.causes for a in answers_of(evidence(both, single))]
+    assert (("payload", "strut_friction") in found) == answers and ("payload",) in found
+    assert set(decide(evidence(both, single)).effects) == {"payload"} | (
+        {"strut_friction"} if answers else set()
+    )
+
+
+@pytest.mark.parametrize(
+    ("shrinks", "best", "worst"),
+    [((0.3, 0.7, 0.9), 0.7, 0.3), ((-0.2, -0.6, 0.9), 0.0, -0.6), ((1.4, 1.2, 0.0), 1.0, 1.0)],
+)
+def test_shrinks_count_in_the_driven_channels(shrinks: tuple[float, ...], best: float, worst: float) -> None:
+    """The best and, of the lower ends, the worst; what is proven may be so in any channel."""
+    case = in_three_channels(cause("payload"))
+    case["hypotheses"] = [of_channels(case["hypotheses"][0], "shrink", shrinks)]
+    assert features(case, "payload")["shrink"] == pytest.approx(best)
+    case["hypotheses"] = [of_channels(case["hypotheses"][0], "low", shrinks)]
+    found = features(case, "payload")
+    assert found["throughout"] == pytest.approx(worst)
+    assert found["proven"] == pytest.approx(min(max(shrinks), 1.0))
+
+
+def test_without_a_driven_channel_nothing_shrinks_and_what_is_proven_has_limits() -> None:
+    case = in_three_channels(cause("payload"))
+    del case["case"]["channels"]["vertical_acceleration"], case["case"]["channels"]["pitch_rate"]
+    for one in (case["base"], *case["hypotheses"]):
+        one["channels"] = {"roll_rate": one["channels"]["roll_rate"] | {"shrink": 0.9, "low": 0.8}}
+        one["mean_squares"] = {"roll_rate": one["mean_squares"]["roll_rate"]}
+    case["case"]["reference"] = False  # of whose drives a channel that is driven would be compared
+    found = features(case, "payload")
+    assert found["shrink"] == found["throughout"] == found["lost"] == 0.0 and found["proven"] == 0.8
+    case["hypotheses"][0]["channels"]["roll_rate"]["low"] = -0.3
+    assert features(case, "payload")["proven"] == 0.0
+    low = in_three_channels(cause("payload"))
+    low["hypotheses"] = [of_channels(low["hypotheses"][0], "low", (-1.7, 0.5, 0.0))]
+    assert features(low, "payload")["throughout"] == -1.0
+
+
+@pytest.mark.parametrize(
+    ("gain", "fitted", "lost"),
+    [
+        (8.0, 10.0, 0.2),
+        (12.0, 10.0, 0.0),
+        (-3.0, 10.0, 1.3),
+        (-40.0, 10.0, 2.0),
+        (0.0, 0.0, 1.0),
+        (1.0, -5.0, 0.0),
+        (-1.0, -5.0, 2.0),
+    ],
+)
+def test_what_of_a_gain_is_lost_on_held_out_road_was_chance(gain: float, fitted: float, lost: float) -> None:
+    case = evidence(cause("payload") | {"gain": gain, "gain_fitted": fitted})
+    assert features(case, "payload")["chance"] == pytest.approx(lost)
+
+
+@pytest.mark.parametrize(
+    ("before", "after", "fall"),
+    [
+        (40.0, 20.0, np.log(2.0)),
+        (40.0, 3.0, np.log(4.0)),  # as far as it is above those of model discrepancy
+        (1e4, 20.0, 2.0),
+        (20.0, 40.0, 0.0),
+        (9.0, 3.0, 0.0),
+        (0.0, 0.0, 0.0),
+        (25.0, 10.0, np.log(2.5)),
+        (12.0, 11.0, np.log(12.0 / 11.0)),
+    ],
+)
+def test_a_tone_that_a_cause_silences(before: float, after: float, fall: float) -> None:
+    case = evidence(cause("payload", tone=after))
+    case["base"]["tone"] = before
+    assert features(case, "payload")["tone"] == pytest.approx(fall)
+    for one in (case["base"], case["hypotheses"][0]):
+        silent = one.pop("tone")
+        assert features(case, "payload")["tone"] == 0.0  # where either has none
+        one["tone"] = silent
+
+
+def test_patterns_and_clocks_that_were_not_looked_for_say_nothing() -> None:
+    case = evidence(*others())
+    del case["base"]["tone"]
+    case["base"] |= {"band": 1e3, "place": 1.0}
+    assert features(case)["none_pattern"] == features(case)["none_clocks"] == 0.0
+
+
+@pytest.mark.parametrize("name", ["tone", "band", "place"])
+def test_each_pattern_counts_above_what_discrepancy_has(name: str) -> None:
+    usual = {"tone": TONE, "band": BAND, "place": PLACE}
+    case = evidence(*others())
+    for share, over in ((0.0, 0.0), (0.9, 0.0), (1.0, 0.0), (2.0, np.log(2.0)), (1e3, 1.5)):
+        case["base"] |= {other: 0.5 * value for other, value in usual.items()} | {name: share * usual[name]}
+        assert features(case)["none_pattern"] == pytest.approx(over), share
+
+
+@pytest.mark.parametrize(
+    ("clocks", "chance", "speaks"),
+    [
+        (1.0, 1e-9, 0.0),
+        (2.25, 1e-9, 0.25),
+        (3.0, 1e-9, 1.0),
+        (9.0, 1e-9, 1.0),
+        (3.0, 1e-1, 0.5),
+        (2.5, 1e-1, 0.25),
+        (3.0, 1.0, 0.0),
+        (3.0, 10.0, 0.0),
+        (3.0, 0.0, 1.0),
+    ],
+)
+def test_clocks_near_their_bounds_that_are_so_by_chance(clocks: float, chance: float, speaks: float) -> None:
+    case = evidence(*others())
+    case["base"] |= {"clocks": clocks, "clocks_by_chance": chance}
+    assert features(case)["none_clocks"] == pytest.approx(speaks)
+
+
+@pytest.mark.parametrize(
+    ("level", "motion", "noise", "left"),
+    [
+        (LEVEL, 1.0, 1e-6, 0.0),
+        (0.1, 1.0, 1e-6, 0.0),
+        (2.0 * LEVEL, 1.0, 1e-6, np.log(2.0)),
+        (100.0, 1.0, 1e-6, 3.0),
+        (0.5, 3.0, 0.6, np.log(0.5 * 3.0 / 1.2)),  # over the noise
+        (0.5, 0.2, 0.06, 0.0),
+        (0.0, 1e9, 1e-6, 0.0),
+    ],
+)
+def test_what_remains_without_a_reference(level: float, motion: float, noise: float, left: float) -> None:
+    """Over what a complete model leaves and over twice the noise, whichever is less; of the first channel."""
+    case = evidence(reference=False)
+    case["base"]["level_fitted"] = level
+    case["case"]["channels"]["vertical_acceleration"] |= {"motion": motion, "noise": noise}
+    case["case"]["channels"]["pitch_rate"] |= {"motion": 70.0, "noise": 7e-9}
+    assert features(case)["none_excess"] == pytest.approx(left)
+    if left:
+        assert usual_level(case["case"]) == LEVEL
+
+
+@pytest.mark.parametrize(
+    ("squares", "level", "left"),
+    [
+        ((6.0, 3.0, 1e3), 0.4, 0.5 * np.log(6.0 / SQUARE)),
+        ((3.0, 6.0, 1e3), 0.4, 0.5 * np.log(6.0 / SQUARE)),
+        ((1.4, 1.2, 1e3), 0.4, 0.0),
+        ((1e9, 1.0, 0.1), 1e4, 3.0),
+        ((1e9, 1.0, 0.1), 0.1, np.log(0.1 * 1.5 / 0.1)),  # over the noise
+        ((1e9, 1.0, 0.1), 0.01, 0.0),
+    ],
+)
+def test_what_remains_beside_a_reference(squares: tuple[float, ...], level: float, left: float) -> None:
+    """In units of the noise model of the reference, in the worst driven channel."""
+    case = in_three_channels()
+    case["case"]["channels"]["vertical_acceleration"] |= {"motion": 1.5, "noise": 0.05}
+    case["base"]["mean_squares"] = dict(zip((*CHANNELS, "roll_rate"), squares, strict=True))
+    case["base"]["level_fitted"] = level
+    assert features(case)["none_excess"] == pytest.approx(left)
+    assert usual_level(case["case"]) == 0.1
+
+
+def explained_and_complete(case: dict[str, Any]) -> tuple[float, float]:
+    found = features(case, "payload")
+    return found["explained"], found["complete"]
+
+
+def test_what_is_explained_and_what_of_all_that_any_removes_beside_a_reference() -> None:
+    """Of the mean squares of the driven channels; levels do not count."""
+    some, other = cause("payload", level_fitted=77.0), cause("other", level_fitted=1e-9)
+    case = in_three_channels(some, other)
+    of = {"base": (8.0, 5.0, 1e3), "some": (2.0, 4.0, 9e3), "other": (1.0, 1.5, 7.0)}
+    for one, name in ((case["base"], "base"), (some, "some"), (other, "other")):
+        one["mean_squares"] = dict(zip((*CHANNELS, "roll_rate"), of[name], strict=True))
+    beyond = {n: sum(m**2 / (m + SQUARE) for m in squares[:2]) for n, squares in of.items()}
+    explained, complete = explained_and_complete(case)
+    assert explained == pytest.approx(1.0 - beyond["some"] / beyond["base"])
+    assert complete == pytest.approx((13.0 - 6.0) / (13.0 - 2.5))
+    assert features(case, "other")["complete"] == pytest.approx(1.0)
+
+
+def test_what_is_explained_and_what_of_all_that_any_removes_without_one() -> None:
+    """Of the square of the residual as a share of the motion; mean squares do not count."""
+    some, other = cause("payload", level_fitted=0.3), cause("other", level_fitted=0.2)
+    case = in_three_channels(some, other, reference=False)
+    case["base"]["level_fitted"] = 0.5
+    some["mean_squares"] = dict.fromkeys(some["mean_squares"], 1e9)
+    beyond = {m: (m**2) ** 2 / (m**2 + LEVEL**2) for m in (0.3, 0.5)}
+    explained, complete = explained_and_complete(case)
+    assert explained == pytest.approx(1.0 - beyond[0.3] / beyond[0.5])
+    assert complete == pytest.approx((0.25 - 0.09) / (0.25 - 0.04))
+
+
+@pytest.mark.parametrize("reference", [True, False])
+def test_what_makes_it_worse_explains_nothing(reference: bool) -> None:
+    worse, better = cause("payload", left=2.0), cause("other", left=0.5)
+    assert explained_and_complete(evidence(worse, better, reference=reference)) == (0.0, 0.0)
+    # where no hypothesis removes anything there is no share of it
+    assert explained_and_complete(evidence(worse, reference=reference)) == (0.0, 0.0)
+    same = cause("payload", left=1.0)
+    assert explained_and_complete(evidence(same, reference=reference)) == (0.0, 0.0)
+    nothing = evidence(cause("payload"), reference=reference)
+    for one in (nothing["base"], *nothing["hypotheses"]):
+        one |= {"level_fitted": 1e-9, "mean_squares": dict.fromkeys(CHANNELS, 1e-11)}
+    assert features(nothing, "payload")["explained"] == pytest.approx(1.0)  # nothing is left of nothing
+
+
+@pytest.mark.parametrize(
+    ("level", "reference", "above"),
+    [(0.3, 0.1, np.log(3.0)), (0.05, 0.1, 0.0), (9.0, 0.1, 3.0), (0.02, 0.0, np.log(20.0)), (0.0, 0.0, 0.0)],
+)
+def test_held_out_residual_over_that_on_the_reference(level: float, reference: float, above: float) -> None:
+    """Both at least a thousandth of the motion."""
+    case = evidence(cause("payload", level=level), cause("other", level=10.0))
+    case["case"]["level_on_reference"] = reference
+    assert features(case, "payload")["above_reference"] == pytest.approx(above)
+    assert unknown(case)["unknown_above_reference"] == pytest.approx(above)
+    case["base"]["level"] = level
+    assert features(case)["none_above_reference"] == pytest.approx(above)
+
+
+@pytest.mark.parametrize(
+    ("change", "lost"),
+    [
+        ({"worst": -0.7}, 0.7),
+        ({"worst": -5.0}, 2.0),
+        ({"worst": -0.7, "before": 0.01, "after": 0.3}, 0.7),
+        ({"worst": -0.7, "before": 0.3, "after": 0.01}, 0.7),
+        ({"worst": -0.7, "before": 0.02, "after": 0.02}, 0.0),
+        ({"worst": 0.5}, 0.0),
+        ({"worst": None}, 0.0),
+    ],
+)
+def test_what_a_cause_makes_worse_elsewhere(change: dict[str, Any], lost: float) -> None:
+    some = cause("payload")
+    some["channels"]["pitch_rate"] |= change
+    assert features(evidence(some), "payload")["lost"] == pytest.approx(lost)
+
+
+@pytest.mark.parametrize(
+    ("usual", "feature"),
+    [(None, 0.0), (RATIO, 0.0), (4.0, 0.0), (1.0, np.log(RATIO)), (0.2, np.log(RATIO / 0.2)), (1e-6, 3.0)],
+)
+def test_an_effect_as_small_as_errors_of_twin_files_are(usual: float | None, feature: float) -> None:
+    assert features(evidence(cause("payload", usual=usual)), "payload")["usual"] == pytest.approx(feature)
+
+
+def test_sizes_far_beyond_their_prior_count_from_two_spreads_on() -> None:
+    some = cause("payload", "strut_friction")
+    sizes = some["parameters"]
+    assert features(evidence(some), "payload", "strut_friction")["far"] == 0.0
+    sizes["payload"]["mass"]["far"], sizes["strut_friction"]["rear_force"]["far"] = 2.5, 4.0
+    assert features(evidence(some), "payload", "strut_friction")["far"] == pytest.approx(2.0)
+    for parameters in sizes.values():
+        for one in parameters.values():
+            del one["far"], one["bound"]
+    found = features(evidence(some), "payload", "strut_friction")
+    assert found["far"] == found["bound"] == 0.0
+    sizes["strut_friction"]["front_force"]["bound"] = True
+    assert features(evidence(some), "payload", "strut_friction")["bound"] == 1.0
+
+
+def test_no_gap_is_unlikely_where_a_hypothesis_gains_that_is_larger_than_usual_errors() -> None:
+    rows = [
+        cause("a", gain=9.0, usual=RATIO),
+        cause("b", gain=5.0, usual=RATIO + 0.1),
+        cause("c", gain=4.0, usual=None),
+        cause("d", gain=8.0, usual=0.2),
+    ]
+    assert features(evidence(*rows))["none_gain"] == pytest.approx(np.arcsinh(5.0))
+    assert features(evidence(rows[0], *rows[2:]))["none_gain"] == pytest.approx(np.arcsinh(4.0))
+    assert features(evidence(rows[0], rows[3]))["none_gain"] == 0.0
+    assert features(evidence(cause("a", gain=-3.0)))["none_gain"] == 0.0
+
+
+def test_unknown_is_likely_where_only_a_set_explains() -> None:
+    def open_(*rows: dict[str, Any]) -> float:
+        return float(np.sinh(unknown(evidence(*rows))["unknown_open"]))
+
+    both, single, idle = cause("a", "b", gain=9.0), cause("a", gain=4.0), cause("b", gain=-6.0)
+    assert open_(both, single, idle) == pytest.approx(5.0)
+    assert open_(both, idle) == open_(both) == pytest.approx(9.0)
+    assert open_(single, idle) == open_(idle) == 0.0
+
+
+@pytest.mark.parametrize("reference", [True, False])
+def test_unknown_is_as_likely_as_the_best_cause_leaves_much(reference: bool) -> None:
+    """The best is the one that explains most, and it counts no more than what is there without any."""
+    left = {"a": 0.9, "b": 0.5, "c": 0.7}
+    rows = [cause(e, left=share) for e, share in left.items()]
+    found = unknown(evidence(*rows, reference=reference))
+    square, level = 8.0 * 0.25 + 1.0, 0.4 * 0.5
+    wanted = 0.5 * np.log(square / SQUARE) if reference else np.log(level / LEVEL)
+    assert found["unknown_best_excess"] == pytest.approx(wanted)
+    assert found["unknown_blind"] == float(not reference)
+    worse = evidence(cause("a", left=3.0), reference=reference)
+    assert unknown(worse)["unknown_best_excess"] == features(worse)["none_excess"] > 0.0
+
+
+# -- from features to a verdict --------------------------------------------------------------------------------------
+
+
+def test_costs_are_as_documented_and_compare_what_is_said() -> None:
+    costs = Costs()
+    assert (costs.wrong, costs.missed, costs.unknown, costs.vague) == (4.0, 1.0, 1.0, 0.5)
+    for text in ("", "a", "unknown", "a b"):
+        said, true = tuple(text.split()), tuple(text.split())
+        assert costs.of(said, true) == 0.0
+    costs = Costs(wrong=5.0, missed=2.0, unknown=3.0, vague=0.25)
+    assert costs.of((), ("unknown",)) == 2.0 and costs.of(("unknown",), ()) == 3.0
+    assert costs.of(("a", "b"), ("unknown",)) == costs.of(("a", "b"), ("c", "d")) == 5.0
+    assert costs.of(("a", "b"), ("b", "c")) == costs.of(("a", "b", "c"), ("b",)) == 0.5
+
+
+@pytest.mark.parametrize("name", ["wrong", "missed", "unknown", "vague"])
+def test_each_cost_is_read_by_its_name(name: str) -> None:
+    assert Costs.parsed(f" {name}=2.5 ,") == Costs(**{name: 2.5})
+    assert Costs.parsed(f"{name}=0") == Costs(**{name: 0.0})
+    for value, word in (
+        ("inf", "at least 0"),
+        ("-inf", "at least 0"),
+        ("nan", "at least 0"),
+        ("-1e-9", "at least 0"),
+        ("", "'' is no number"),
+        ("1=2", "'1=2' is no number"),
+    ):
+        with pytest.raises(InputError, match=f"{name}.*{word}"):
+            Costs.parsed(f"{name}={value}")
+    with pytest.raises(InputError, match="right.*is not one of missed, unknown, vague, wrong"):
+        Costs.parsed(f"{name}=1,right=2")
+
+
+def test_evidence_of_no_format_is_refused() -> None:
+    case = evidence(*others())
+    del case["format"]
+    with pytest.raises(InputError, match="format None, not 1"):
+        decide(case)
+
+
+@settings(max_examples=30)
+@given(st.integers(0, 2**32 - 1), st.booleans())
+def test_a_verdict_is_that_of_least_expected_cost_under_a_conditional_logit(
+    seed: int, reference: bool
+) -> None:
+    rng = np.random.default_rng(seed)
+    names = [*"abcd", "ab", "bcd", "ac", "x", "y"]
+    rows = [
+        row(*name, gain=float(g), left=float(share), decoy=name in "xy")
+        for name, g, share in zip(names, rng.normal(3, 4, 9), rng.uniform(0.0, 1.3, 9), strict=True)
+    ]
+    case = evidence(*rows, reference=reference)
+    costs = Costs(*rng.uniform(0.0, 5.0, 4))
+    weights = Weights(rng.normal(scale=0.5, size=len(FEATURES)), float(rng.uniform(0.0, 0.4)), {})
+    found = decide(case, costs, weights)
+
+    odds = [np.exp(float(a.features @ weights.values)) for a in answers_of(case)]
+    np.testing.assert_allclose(found.probability, np.array(odds) / sum(odds), rtol=1e-9)
+    masses: dict[tuple[str, ...], float] = {}
+    for a, odd in zip(found.answers, odds, strict=True):
+        masses[a.causes] = masses.get(a.causes, 0.0) + odd / sum(odds)
+    known = {a.causes: a.row for a in found.answers if a.row is not None and not a.row["decoy"]}
+    assert found.no_gap == pytest.approx(masses[()]) and found.unknown == pytest.approx(masses[("unknown",)])
+    assert set(found.effects) == set("abcd")
+    for effect, p in found.effects.items():
+        assert p == pytest.approx(sum(m / len(c) for c, m in masses.items() if effect in c))
+    sure = [c for c, r in known.items() if r["channels"]["pitch_rate"]["low"] > 0.0]
+    expected = {
+        said: sum(m * costs.of(said, true) for true, m in masses.items())
+        for said in [(), ("unknown",), *sure]
+    }
+    assert expected[found.chosen] == pytest.approx(min(expected.values()), abs=1e-11)
+    assert found.row is known.get(found.chosen)
+    held = [masses[c] for c in found.candidates]
+    assert held == sorted(held, reverse=True) and len(set(found.candidates)) == len(held)
+    if held[0] >= weights.conformal:
+        assert set(found.candidates) == {c for c, m in masses.items() if m >= weights.conformal}
+    else:
+        assert len(held) == 1 and held[0] == max(masses.values())
+
+
+def test_the_set_of_candidates_holds_all_of_a_probability_or_the_most_probable_alone() -> None:
+    case, alike = evidence(cause("a"), cause("b")), np.zeros(len(FEATURES))
+    every = {(), ("unknown",), ("a",), ("b",)}
+    assert set(decide(case, weights=Weights(alike, 0.25, {})).candidates) == every  # of at least that
+    assert len(decide(case, weights=Weights(alike, 0.2501, {})).candidates) == 1
+    by_gain = np.array([float(name == "gain") for name in FEATURES])
+    case = evidence(cause("a", gain=2.0), cause("b", gain=5.0))
+    ranked = [("b",), ("a",), (), ("unknown",)]
+    assert decide(case, weights=Weights(by_gain, 0.0, {})).candidates == ranked
+    assert decide(case, weights=Weights(by_gain, 1.0, {})).candidates == ranked[:1]
+
+
+def test_a_tie_falls_to_no_gap_then_unknown_then_the_first_cause() -> None:
+    case, alike = evidence(cause("a"), cause("b")), Weights(np.zeros(len(FEATURES)), 0.1, {})
+    assert decide(case, Costs(1.0, 1.0, 1.0, 1.0), alike).chosen == ()
+    assert decide(case, Costs(1.0, 2.0, 1.0, 1.0), alike).chosen == ("unknown",)
+    assert decide(case, Costs(1.0, 2.0, 2.0, 1.0), alike).chosen == ("a",)
+
+
+@pytest.mark.parametrize(
+    ("lows", "named"),
+    [((0.0, 0.0, 0.0), False), ((-0.1, 1e-9, -0.1), True), ((-0.1, -0.1, 0.2), True), ((-1.0,) * 3, False)],
+)
+def test_a_cause_is_named_only_if_it_shrinks_the_gap_in_some_channel(
+    lows: tuple[float, ...], named: bool
+) -> None:
+    """Its interval excludes zero there, be the channel driven or not."""
+    case = in_three_channels(cause("payload"))
+    case["hypotheses"] = [of_channels(case["hypotheses"][0], "low", lows)]
+    weights = Weights(np.array([5.0 * (name == "gain") for name in FEATURES]), 0.1, {})
+    found = decide(case, weights=weights)
+    assert found.effects["payload"] > 0.99 and found.candidates == [("payload",)]
+    assert found.chosen == (("payload",) if named else ())
+    assert found.row == (case["hypotheses"][0] if named else None)
+
+
+def test_shapes_that_are_no_causes_are_unknown() -> None:
+    rows = [row("shape", gain=6.0, left=0.2, decoy=True), row("play", gain=5.0, left=0.2, decoy=True)]
+    found = decide(evidence(*rows, cause("payload", gain=0.1)))
+    assert [a.causes for a in found.answers] == [(), ("unknown",), ("unknown",), ("unknown",), ("payload",)]
+    assert [a.row for a in found.answers][2:4] == rows
+    assert found.unknown == pytest.approx(found.probability[1:4].sum()) and set(found.effects) == {"payload"}
+    assert found.chosen == ("unknown",) and found.row is None

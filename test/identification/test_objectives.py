@@ -5,9 +5,11 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from scipy import signal
 
 from suspension_twin.errors import InputError
-from suspension_twin.identification.objectives import Measured, Objective, parse_objective
+from suspension_twin.identification.objectives import Measured, Objective, Term, parse_objective
+from suspension_twin.signals.metrics import iso18571
 
 RATE = 100.0
 CHANNELS = ("vertical_acceleration", "pitch_rate")
@@ -134,3 +136,157 @@ def test_mixtures_with_a_root_or_a_rating_are_no_sums_of_squares(
 def test_wrong_objectives_are_named(text: str, channels: dict[str, float], words: str) -> None:
     with pytest.raises(InputError, match=words):
         parse_objective(text, channels)
+
+
+# -- every term by its formula -------------------------------------------------------------------------------------
+
+
+def levels(values: np.ndarray, segments: list[slice], rate: float) -> np.ndarray:
+    """Logarithms of the power in sixth-octave bands from 0.5 Hz to four tenths of the rate: a band without a line of
+    the spectrum is left out. The segments count by their length, those of less than half a window not at all."""
+    window = min(max(s.stop - s.start for s in segments), 4 * int(rate))
+    power, samples = np.zeros(window // 2 + 1), 0
+    for s in segments:
+        n = s.stop - s.start
+        if n >= window // 2:
+            f, p = signal.welch(values[s], rate, nperseg=min(window, n), nfft=window, detrend="constant")
+            power, samples = power + n * p, samples + n
+    found, k = [], 0
+    while 0.5 * 2.0 ** ((k + 1) / 6) <= 0.4 * rate:
+        inside = (f >= 0.5 * 2.0 ** (k / 6)) & (f < 0.5 * 2.0 ** ((k + 1) / 6))
+        if inside.any():
+            found.append(np.log10(power[inside].mean() / samples))
+        k += 1
+    return np.array(found)
+
+
+@pytest.mark.parametrize("rate", [RATE, 50.0, 101.0, 33.5])
+@pytest.mark.parametrize(
+    "cuts", [[0, 900], [0, 500, 900], [0, 600, 850, 900]], ids=["one", "two", "one too short"]
+)
+def test_spectral_is_the_mean_square_of_differences_of_levels(rate: float, cuts: list[int]) -> None:
+    rng = np.random.default_rng(4)
+    values = np.cumsum(rng.standard_normal((900, 2)), axis=0) + 5.0
+    candidate = values + rng.standard_normal((900, 2)) + 3.0
+    segments = [slice(a, b) for a, b in zip(cuts, cuts[1:], strict=False)]
+    here = Measured(CHANNELS, values, tuple(segments), rate)
+    wanted = [
+        np.mean((levels(candidate[:, c], segments, rate) - levels(values[:, c], segments, rate)) ** 2)
+        for c in range(2)
+    ]
+    objective = build("0.7*spectral", here, {CHANNELS[0]: 1.0, CHANNELS[1]: 4.0})
+    assert objective.costs(candidate[:, :, None])[0] == pytest.approx(0.7 * wanted[0] + 2.8 * wanted[1])
+
+
+def test_silence_has_a_level() -> None:
+    here = Measured(CHANNELS[:1], np.ones((900, 1)), (slice(0, 900),), RATE)
+    assert build("spectral", here).costs(np.full((900, 1, 1), 3.0))[0] == pytest.approx(0.0, abs=1e-12)
+
+
+def test_a_drive_too_short_for_a_spectrum_is_named() -> None:
+    here = Measured(CHANNELS[:1], np.ones((2, 1)), (slice(0, 2),), RATE)
+    with pytest.raises(InputError, match=r"spectral.*too short.*vertical_acceleration"):
+        build("spectral", here)
+
+
+def test_each_kind_weighs_channels_and_terms(measured: Measured, candidates: np.ndarray) -> None:
+    off = candidates - measured.values[:, :, None]
+    mean = (off**2).mean(axis=0)
+    pearson = [
+        [1.0 - np.corrcoef(measured.values[:, c], candidates[:, c, k])[0, 1] for k in range(5)]
+        for c in range(2)
+    ]
+    both = {CHANNELS[0]: 1.0, CHANNELS[1]: 4.0}
+    np.testing.assert_allclose(
+        build("0.5*mse", measured, both).costs(candidates), 0.5 * (mean[0] + 4 * mean[1])
+    )
+    mixed = build("mse+3*correlation", measured, both).costs(candidates)
+    wanted = mean[0] + 4.0 * mean[1] + 3.0 * np.array(pearson[0]) + 12.0 * np.array(pearson[1])
+    np.testing.assert_allclose(mixed, wanted, atol=1e-9)
+    rooted = build("2*euclidean+mse", measured, both).costs(candidates)
+    distance = 2.0 * np.sqrt((off[:, 0] ** 2).sum(axis=0) + 16.0 * (off[:, 1] ** 2).sum(axis=0))
+    np.testing.assert_allclose(rooted, distance + mean[0] + 4.0 * mean[1])
+
+
+def test_residuals_are_one_row_a_sample_and_one_block_a_term(
+    measured: Measured, candidates: np.ndarray
+) -> None:
+    two = build("mse", measured, {CHANNELS[1]: 1.0, CHANNELS[0]: 4.0}).residuals(candidates)
+    off = (candidates - measured.values[:, :, None]) / np.sqrt(900)
+    np.testing.assert_allclose(two, np.concatenate([off[:, 1], 2.0 * off[:, 0]]))
+    one = build("3*euclidean", measured).residuals(candidates)
+    np.testing.assert_allclose(one, 3.0 * (candidates[:, 0] - measured.values[:, 0, None]))
+
+
+def test_a_constant_has_no_direction(measured: Measured) -> None:
+    flat = np.full((900, 2, 1), 2.0)
+    assert build("correlation", measured).costs(flat)[0] == pytest.approx(0.5)
+    still = Measured(CHANNELS, np.full((900, 2), 3.0), (slice(0, 900),), RATE)
+    assert build("correlation", still).costs(flat)[0] == 0.0
+
+
+def test_a_rating_is_one_less_that_of_the_standard(measured: Measured, candidates: np.ndarray) -> None:
+    whole = Measured(CHANNELS, measured.values, (slice(0, 900),), RATE)
+    costs = build("iso18571", whole, {CHANNELS[1]: 2.5}).costs(candidates)
+    ratings = [iso18571(measured.values[:, 1], candidates[:, 1, k], RATE).overall for k in range(5)]
+    np.testing.assert_allclose(costs, 2.5 * (1.0 - np.array(ratings)))
+    both = build("iso18571+mse", whole).costs(candidates)
+    own = [iso18571(measured.values[:, 0], candidates[:, 0, k], RATE).overall for k in range(5)]
+    mean = ((candidates[:, 0] - measured.values[:, 0, None]) ** 2).mean(axis=0)
+    np.testing.assert_allclose(both, 1.0 - np.array(own) + mean)
+
+
+def test_a_cost_of_squares_has_a_root_where_there_is_a_distance(measured: Measured) -> None:
+    assert build("euclidean", measured).cost_of_squares(9.0) == 3.0
+    assert build("mse+spectral", measured).cost_of_squares(9.0) == 9.0
+
+
+def test_what_can_be_least_squares(measured: Measured) -> None:
+    for text, whether in (
+        ("euclidean", True), ("2*euclidean+euclidean", True), ("mse+correlation+spectral", True),
+        ("mse+euclidean", False), ("iso18571", False), ("euclidean+iso18571", False),
+    ):  # fmt: skip
+        assert build(text, measured).is_least_squares == whether, text
+
+
+@pytest.mark.parametrize(
+    ("text", "terms"),
+    [
+        ("mse", [("mse", 0, 2.0), ("mse", 1, 0.5)]),
+        (" 1e-1 * mse +spectral ", [("mse", 0, 0.2), ("mse", 1, 0.05), ("spectral", 0, 2.0), ("spectral", 1, 0.5)]),
+        ("4*iso18571", [("iso18571", 0, 8.0), ("iso18571", 1, 2.0)]),
+    ],
+)  # fmt: skip
+def test_an_objective_is_a_term_for_each_kind_and_channel(
+    text: str, terms: list[tuple[str, int, float]]
+) -> None:
+    """But for channels of no weight."""
+    found = parse_objective(text, {CHANNELS[0]: 2.0, CHANNELS[1]: 0.5, "roll_rate": 0.0})
+    assert [(t.kind, t.channel) for t in found] == [(kind, CHANNELS[c]) for kind, c, _ in terms]
+    assert [t.weight for t in found] == pytest.approx([weight for _, _, weight in terms])
+
+
+@pytest.mark.parametrize(
+    "text", ["0*mse", "-*mse", "mse spectral", "2*", "MSE", "", "mse++mse", "2mse", "nan*mse"]
+)
+def test_what_is_no_objective_is_refused(text: str) -> None:
+    with pytest.raises(InputError, match="objective"):
+        parse_objective(text, {CHANNELS[0]: 1.0})
+
+
+def test_channels_are_those_that_the_vehicles_model_has() -> None:
+    assert parse_objective("mse", {"heave": 1.0}, ("heave", "pitch")) == (Term("mse", "heave"),)
+    with pytest.raises(InputError, match="roll: no such channel: one of heave, pitch"):
+        parse_objective("mse", {"heave": 1.0, "roll": 1.0}, ("heave", "pitch"))
+
+
+@pytest.mark.parametrize(
+    ("bandwidth", "rate", "share"), [(20.0, 100.0, 0.4), (5.0, 40.0, 0.25), (50.0, 60.0, 1.0)]
+)
+def test_a_low_pass_leaves_twice_its_cut_off_over_the_rate(
+    bandwidth: float, rate: float, share: float
+) -> None:
+    here = Measured(CHANNELS, np.zeros((3, 2)), (slice(0, 3),), rate, bandwidth=bandwidth)
+    assert here.independent == pytest.approx(share)
+    assert [here.column(c) for c in CHANNELS] == [0, 1]
+    assert Measured(CHANNELS, np.zeros((3, 2)), (slice(0, 3),), 100.0).drives == ()

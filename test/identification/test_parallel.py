@@ -5,9 +5,11 @@ from __future__ import annotations
 
 import threading
 
+import numpy as np
 import pytest
+from threadpoolctl import threadpool_info
 
-from suspension_twin.identification.parallel import side_by_side
+from suspension_twin.identification.parallel import no_progress, one_blas_thread, side_by_side
 
 
 def test_results_come_in_order_and_progress_is_told() -> None:
@@ -37,3 +39,38 @@ def test_the_first_item_that_fails_is_the_one_that_is_told() -> None:
         side_by_side(work, range(6))
     with pytest.raises(ValueError, match="^1$"):
         side_by_side(work, [1])
+
+
+def test_one_item_needs_no_thread_and_two_do() -> None:
+    """Where a caller goes on meanwhile, each has a thread from a pool; afterwards the caller may ask again."""
+    here = threading.get_ident()
+    for count, inside in ((1, True), (2, False), (3, False), (2, False), (1, True)):
+        threads = side_by_side(lambda _: threading.get_ident(), range(count))
+        assert len(threads) == count and all((thread == here) == inside for thread in threads)
+
+
+def test_a_serial_caller_is_told_as_well() -> None:
+    told: list[tuple[float, int]] = []
+
+    def outer(i: int) -> list[int]:
+        return side_by_side(
+            lambda k: 10 * i + k, range(4), lambda done, k: told.append((done, k)) if i else None
+        )
+
+    assert side_by_side(outer, range(2)) == [[0, 1, 2, 3], [10, 11, 12, 13]]
+    assert told == [(k / 4, k) for k in range(4)]
+
+
+def test_blas_has_one_thread_for_a_while() -> None:
+    def threads() -> list[int]:
+        return [m["num_threads"] for m in threadpool_info() if m["user_api"] == "blas"]
+
+    np.ones((2, 2)) @ np.ones((2, 2))
+    before = threads()
+    with one_blas_thread():
+        assert set(threads()) <= {1}
+    assert threads() == before
+
+
+def test_progress_may_be_told_to_nobody() -> None:
+    assert no_progress(0.5, "item") is None

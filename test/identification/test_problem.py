@@ -12,14 +12,14 @@ import pytest
 from suspension_twin.calibration.request import CalibrationRequest
 from suspension_twin.calibration.setup import set_up
 from suspension_twin.drive.read import read_drive
-from suspension_twin.errors import WorkError
+from suspension_twin.errors import InputError, WorkError
 from suspension_twin.gap.prepare import Prepared, prepare
 from suspension_twin.identification.coarse_alignment import coarse_lag
 from suspension_twin.identification.excited_segments import excited, fit_rows, trim
 from suspension_twin.identification.noise import Whitener, autoregression
 from suspension_twin.identification.nuisance import NuisancePriors, Nuisances
-from suspension_twin.identification.objectives import Measured
-from suspension_twin.identification.problem import FitProblem, Interrupted, Problem
+from suspension_twin.identification.objectives import Measured, Term
+from suspension_twin.identification.problem import FitProblem, Interrupted, Problem, segments_of
 from suspension_twin.identification.space import twin_value
 from suspension_twin.identification.spring_position import slides, standing_at
 
@@ -296,6 +296,213 @@ def test_simulating_stops_when_told(problem: Problem) -> None:
             problem.costs(problem.space.nominal[:, None], np.zeros(len(problem.nuisances)))
     finally:
         problem.interrupt = lambda: False
+
+
+def at_spread(problem: Problem, seed: int) -> np.ndarray:
+    """(q,) nuisances, each of the size of its prior."""
+    return problem.nuisances.spread * np.random.default_rng(seed).standard_normal(len(problem.nuisances))
+
+
+@pytest.mark.parametrize(
+    ("rows", "runs"),
+    [
+        ([], []),
+        ([4], [(0, 1)]),
+        ([0, 1, 2], [(0, 3)]),
+        ([3, 4, 7, 8, 9, 11], [(0, 2), (2, 5), (5, 6)]),
+        ([2, 4, 6], [(0, 1), (1, 2), (2, 3)]),
+    ],
+)
+def test_runs_of_consecutive_samples_are_segments(rows: list[int], runs: list[tuple[int, int]]) -> None:
+    for offset in (0, 30):
+        found = segments_of(np.array(rows, dtype=np.intp), offset)
+        assert found == [slice(offset + a, offset + b) for a, b in runs]
+
+
+def small(problem: Problem, **changes: Any) -> Problem:
+    """The same drives and vehicle in a problem of its own, every third second compared and two channels."""
+    given: dict[str, Any] = {
+        "rows": [rows[(rows // 100) % 3 == 0] for rows in problem.rows],
+        "terms": [
+            Term("mse", "pitch_rate", 0.5),
+            Term("mse", "vertical_acceleration", 2.0),
+            Term("spectral", "pitch_rate", 3.0),
+        ],
+        "priors": problem.priors,
+        "wander": problem.wander,
+        "parts": problem.parts,
+        "drive_of": problem.drive_of,
+        **changes,
+    }
+    return Problem(problem.twin, problem.space, **given)
+
+
+def test_what_is_compared_is_told_by_rows_channels_and_drives(problem: Problem) -> None:
+    own = small(problem)
+    assert own.channels == ("pitch_rate", "vertical_acceleration")
+    assert own.channel_weights.tolist() == [3.0, 2.0]  # of a channel's terms the largest
+    assert own.samples == sum(rows.size for rows in own.rows) == len(own.measured.values)
+    wanted = [
+        np.stack([p.measured[c][r] for c in own.channels], axis=1)
+        for p, r in zip(own.parts, own.rows, strict=True)
+    ]
+    np.testing.assert_array_equal(own.measured.values, np.concatenate(wanted))
+    assert own.seconds == pytest.approx(sum(len(p.t) - 1 for p in own.parts) / own.measured.rate, rel=1e-4)
+    where = [s for k, rows in enumerate(own.rows) for s in segments_of(rows, k * own.rows[0].size)]
+    assert list(own.measured.segments) == where and len(where) == len(own.measured.drives)
+    assert own.measured.drives == tuple(int(s.start >= own.rows[0].size) for s in where)
+    assert (own.measured.rate, own.measured.bandwidth) == (own.parts[0].rate, own.parts[0].bandwidth)
+    nothing = [rows[:0] for rows in own.rows]
+    with pytest.raises(InputError, match="nothing is left to compare"):
+        small(problem, rows=nothing)
+
+
+def test_costs_and_sums_of_squares_are_those_of_the_compared_signals(problem: Problem) -> None:
+    """One that cannot stand costs infinitely much; simulating counts candidates."""
+    fit, d = FitProblem(problem), len(problem.space)
+    assert fit.d == d
+    nuisance = at_spread(problem, 1)
+    x = np.repeat(np.concatenate([problem.space.z0, nuisance])[:, None], 3, axis=1)
+    x[:d, 1] += 0.1
+    x[d:, 2] = 0.0
+    before = problem.evaluations
+    sums = fit.sums_of_squares(x)
+    assert problem.evaluations - before == 3
+    for k in range(3):
+        signals, failed = problem.simulate(problem.space.from_slopes(x[:d, k : k + 1]))
+        assert not failed.any()
+        r = problem.objective.residuals(problem.compared(signals, x[d:, k : k + 1]))
+        assert sums[k] == pytest.approx(float((r**2).sum()), rel=1e-12)
+    costs = problem.costs(problem.space.from_slopes(x[:d, :2]), nuisance)
+    np.testing.assert_allclose(costs, [problem.objective.cost_of_squares(s) for s in sums[:2]], rtol=1e-12)
+    doubled = FitProblem(problem, lambda compared: 2.0 * problem.objective.residuals(compared))
+    np.testing.assert_allclose(doubled.sums_of_squares(x[:, :1]), 4.0 * sums[:1])
+    infinite = FitProblem(problem, lambda compared: np.full((3, compared.shape[2]), np.nan))
+    assert np.isinf(infinite.sums_of_squares(x[:, :2])).all()
+
+
+def test_a_candidate_that_cannot_stand_has_no_sum_of_squares(
+    problem: Problem, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Nor a slope where a step makes it fall; whatever stands beside it."""
+    fit = FitProblem(problem)
+    x = np.concatenate([problem.space.z0, np.zeros(len(problem.nuisances))])
+    alone = fit.sums_of_squares(x[:, None])
+    _, slopes = fit.linearise(x)
+    simulate = problem.simulate
+
+    def falling(values: np.ndarray) -> Any:
+        signals, failed = simulate(values)
+        failed[1] = True
+        return signals, failed
+
+    monkeypatch.setattr(problem, "simulate", falling)
+    both = fit.sums_of_squares(np.repeat(x[:, None], 2, axis=1))
+    assert both[0] == pytest.approx(alone[0]) and np.isinf(both[1])
+    assert np.isinf(
+        problem.costs(np.repeat(problem.space.nominal[:, None], 2, axis=1), x[fit.d :])
+    ).tolist() == [False, True]
+    _, found = fit.linearise(x)
+    assert not found[:, 0].any() and slopes[:, 0].any()
+    np.testing.assert_array_equal(found[:, 1:], slopes[:, 1:])
+
+
+def test_the_quadratic_model_is_that_of_residuals_and_their_slopes(problem: Problem) -> None:
+    fit, d = FitProblem(problem), len(problem.space)
+    x = np.concatenate([problem.space.z0, at_spread(problem, 2)])
+    residual, slopes = fit.linearise(x)
+    model = fit.quadratic(x)
+    assert model.value == pytest.approx(float(fit.sums_of_squares(x[:, None])[0]))
+    np.testing.assert_allclose(model.squares, slopes.T @ slopes, rtol=1e-9)
+    np.testing.assert_allclose(model.slope, slopes.T @ residual, rtol=1e-9)
+    # a bias shifts its channel alone, by itself
+    bias = d + problem.nuisances.names.index("two.bias.vertical_acceleration")
+    shifted = x.copy()
+    shifted[bias] += 0.3
+    np.testing.assert_allclose(fit.linearise(shifted)[0] - residual, 0.3 * slopes[:, bias], atol=1e-9)
+
+
+def test_pieces_that_fit_in_memory_give_what_all_together_do(
+    problem: Problem, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    samples = sum(len(p.excitation) for p in problem.parts)
+    assert problem.batches(9) == [slice(0, 9)] and problem.batches(0) == []
+    fit, x = FitProblem(problem), np.concatenate([problem.space.z0, np.zeros(len(problem.nuisances))])
+    lanes = x[:, None] + np.array([0.0, 0.01, 0.02, 0.03, 0.04])
+    values = problem.space.from_slopes(lanes[: fit.d])
+    together = problem.costs(values, x[fit.d :]), fit.sums_of_squares(lanes), fit.linearise(x)[1]
+    largest = "suspension_twin.identification.problem._LARGEST_BATCH"
+    monkeypatch.setattr(largest, 7 * 15 * samples)
+    assert problem.batches(31) == [slice(0, 15), slice(15, 30), slice(30, 31)]
+    slopes = fit.linearise(x)[1]
+    monkeypatch.setattr(largest, 14 * samples)
+    assert problem.batches(5) == [slice(0, 2), slice(2, 4), slice(4, 5)]
+    apart = problem.costs(values, x[fit.d :]), fit.sums_of_squares(lanes), slopes
+    for one, other in zip(together, apart, strict=True):
+        np.testing.assert_allclose(other, one, rtol=1e-9, atol=1e-6)
+    monkeypatch.setattr(largest, 1)
+    assert problem.batches(2) == [slice(0, 1), slice(1, 2)]
+
+
+def test_offsets_of_clock_and_map_move_the_excitation(problem: Problem) -> None:
+    """Of each drive its own clock and that of all; other nuisances do not."""
+    priors = replace(problem.priors, common_clock=0.002, map_position=0.5)
+    own = small(problem, priors=priors)
+    found = np.zeros(len(own.nuisances))
+    for name, value in (
+        ("map_position", 0.3),
+        ("clock_offset", 0.02),
+        ("one.clock_offset", -0.05),
+        ("gain", 0.7),
+    ):
+        found[own.nuisances.names.index(name)] = value
+    moved = own.moved(found)
+    for part, given, late in zip(moved.parts, own.parts, (-0.03, 0.02), strict=True):
+        wanted = given.moved(late, 0.3)
+        np.testing.assert_array_equal(part.excitation.road, wanted.excitation.road)
+        assert (part.excitation.road != given.excitation.road).any()
+    assert own.parts == problem.parts and moved.measured is own.measured and moved.rows is own.rows
+    blind = small(problem, priors=NuisancePriors(clock=0.0, map_position=0.0))
+    still = blind.moved(np.zeros(len(blind.nuisances)))
+    for part, given in zip(still.parts, blind.parts, strict=True):
+        np.testing.assert_array_equal(part.excitation.road, given.moved(0.0, 0.0).excitation.road)
+
+
+def test_runs_that_share_an_excitation_are_simulated_once(
+    problem: Problem, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    from suspension_twin.identification import problem as module
+
+    one, two = problem.parts
+    assert problem.repeated == set()
+    same = small(
+        problem, parts=[one, two, replace(one, name="again")], drive_of=[0, 1, 2], wander=[0.0] * 3,
+        rows=[*problem.rows, problem.rows[0]],
+    )  # fmt: skip
+    assert same.repeated == {id(one.excitation)}
+    run, calls = module.simulate_lanes, []
+
+    def counted(twin: Any, candidates: Any, excitation: Any) -> Any:
+        calls.append(excitation)
+        return run(twin, candidates, excitation)
+
+    monkeypatch.setattr(module, "simulate_lanes", counted)
+    signals, failed = same.simulate(problem.space.nominal[:, None])
+    assert [id(c) for c in calls] == [id(one.excitation), id(two.excitation)]
+    np.testing.assert_array_equal(signals[0], signals[2])
+    assert signals[0].shape == (one.t.size, 2, 1) and failed.tolist() == [False]
+
+
+def test_costs_of_candidates_at_their_own_clocks(problem: Problem, rough_case: Any) -> None:
+    """With clocks off by 20 ms the right vehicle costs little only once they are fitted, for each candidate."""
+    truth = np.array([float(twin_value(rough_case.truth, key)) for key in problem.space.keys])
+    values, quiet = np.stack([truth, problem.space.nominal], axis=1), np.zeros(len(problem.nuisances))
+    off = quiet.copy()
+    off[[row for row, _ in problem.nuisances.clocks]] = 0.02
+    there, late = problem.costs(values, quiet), problem.costs(values, off)
+    found = problem.costs(values, off, synchronise=True)
+    assert found[0] < 1.02 * there[0] < 0.5 * late[0]
+    assert (found <= late + 1e-9).all() and off[problem.nuisances.clocks[0][0]] == 0.02
 
 
 # -- what is left ----------------------------------------------------------------------------------

@@ -9,8 +9,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from suspension_twin.calibration.presets import build_space, preset_named
-from suspension_twin.identification.smooth_space import FEW_POINTS, SmoothSpace, smooth_space
-from suspension_twin.identification.space import CURVES, Space, curve_keys, twin_value
+from suspension_twin.identification.smooth_space import FEW_POINTS, KNOTS, SmoothSpace, smooth_space
+from suspension_twin.identification.space import CURVES, Parameter, Space, curve_keys, twin_value
 from suspension_twin.vehicle.twin import Twin
 
 CAR = [key for key in CURVES if ".front." in key or ".rear." in key]
@@ -109,3 +109,151 @@ def test_a_curve_of_which_one_point_is_free_stays_as_it_is(many: Twin) -> None:
     few = smooth.simulated(many)
     assert len(curve_keys(few, ["vehicle.front.spring"])) == 23
     assert len(curve_keys(few, ["vehicle.rear.spring"])) <= FEW_POINTS
+
+
+# -- every coordinate by its formula -------------------------------------------------------------------------------
+
+SPRING = "vehicle.front.spring"
+
+
+def hats(points: int) -> np.ndarray:
+    """(n, K) of points spread evenly over the knots, the first and the last on one."""
+    place = np.arange(points) * (KNOTS - 1) / (points - 1)
+    return np.maximum(0.0, 1.0 - np.abs(place[:, None] - np.arange(KNOTS)))
+
+
+def with_spring(twin: Twin, x: np.ndarray, force: np.ndarray) -> Twin:
+    changes = {f"{SPRING}.compression": tuple(x.tolist()), f"{SPRING}.force": tuple(force.tolist())}
+    return twin.with_changes(changes)
+
+
+def free(twin: Twin, *more: Parameter, spread: float = 0.5) -> Space:
+    """The front spring within wide bounds, and more before it."""
+    keys = curve_keys(twin, [SPRING])
+    values = [float(twin_value(twin, k)) for k in keys]
+    spring = [
+        Parameter(k, v, 1e-3 * v, 1e3 * v + 1.0, spread=spread) for k, v in zip(keys, values, strict=True)
+    ]
+    return smooth_space(twin, Space(twin, [*more, *spring]))
+
+
+@pytest.mark.parametrize("points", [FEW_POINTS + 1, 22, 23])
+def test_the_change_of_log_slopes_is_linear_between_the_knots(mondeo: Twin, points: int) -> None:
+    twin = with_points(mondeo, points)
+    mass = Parameter("vehicle.mass", 1725.0, 1000.0, 3000.0, spread=0.1)
+    smooth = free(twin, mass)
+    assert smooth.names == ("vehicle.mass", *(f"{SPRING}.knot.{k}" for k in range(KNOTS)))
+    np.testing.assert_allclose(smooth.z0, 0.0, atol=1e-9)
+    moved = np.random.default_rng(2).normal(scale=0.3, size=(5, 3))
+    values = smooth.from_slopes(moved)
+    x, force = twin_value(twin, SPRING).points
+    slope = np.diff(force, prepend=0.0) / np.diff(x, prepend=0.0)
+    for k in range(3):
+        wanted = np.cumsum(slope * np.exp(hats(points) @ moved[1:, k]) * np.diff(x, prepend=0.0))
+        np.testing.assert_allclose(values[1:, k], wanted, rtol=1e-9)
+        np.testing.assert_array_equal(smooth.from_slopes(moved[:, k]), values[:, k])
+    np.testing.assert_allclose(values[0], 1725.0 * np.exp(moved[0]))
+    np.testing.assert_allclose(smooth.to_slopes(values), moved, atol=1e-9)
+
+
+def test_coordinates_of_any_curve_are_those_of_the_nearest_smooth_change(many: Twin) -> None:
+    """By least squares of the log slopes."""
+    smooth = free(many)
+    x, force = twin_value(many, SPRING).points
+    off = np.random.default_rng(3).normal(scale=0.3, size=(23, 2))
+    slope = np.diff(force, prepend=0.0) / np.diff(x, prepend=0.0)
+    values = np.cumsum((slope * np.diff(x, prepend=0.0))[:, None] * np.exp(off), axis=0)
+    wanted = np.linalg.lstsq(hats(23), off, rcond=None)[0]
+    np.testing.assert_allclose(smooth.to_slopes(values), wanted, atol=1e-9)
+    np.testing.assert_allclose(smooth.to_slopes(values[:, 0]), wanted[:, 0], atol=1e-9)
+
+
+def test_shifts_move_the_knots_of_springs_and_of_dampers_and_points_of_small_curves(many: Twin) -> None:
+    """Of the rest only points of curves."""
+    few, x, force = with_points(many, 4), *twin_value(many, SPRING).points
+    twin = with_spring(few, x, force)
+    keys = [*curve_keys(twin, [SPRING]), *curve_keys(twin, ["vehicle.rear.damper_push"])]
+    values = [float(twin_value(twin, k)) for k in keys]
+    found = [Parameter(k, v, v / 9.0, v * 9.0) for k, v in zip(keys, values, strict=True)]
+    smooth = smooth_space(twin, Space(twin, [Parameter("vehicle.mass", 1725.0, 1e3, 3e3), *found]))
+    start = np.arange(float(len(smooth)))
+    moved = smooth.shifted(start, 0.3, -0.2) - start
+    wanted = [0.3 if ".spring." in n else -0.2 if ".damper_" in n else 0.0 for n in smooth.names]
+    np.testing.assert_allclose(moved, wanted, atol=1e-12)
+    assert sorted(set(wanted)) == [-0.2, 0.0, 0.3] and start[0] == 0.0
+
+
+def test_the_usual_prior_is_one_and_lets_neighbours_follow(many: Twin) -> None:
+    smooth = free(many, Parameter("vehicle.mass", 1725.0, 1e3, 3e3, spread=0.1), spread=0.4)
+    precision = smooth.prior_precision()
+    assert np.linalg.eigvalsh(precision).min() > 0.0
+    covariance = np.linalg.inv(precision)
+    np.testing.assert_allclose(np.diag(covariance), [0.01, *[0.16] * KNOTS])
+    assert 0.5 < covariance[1, 2] / 0.16 < 1.0
+    lone = np.linalg.inv(smooth.prior_precision(0.5))
+    apart = np.abs(np.subtract.outer(np.arange(KNOTS), np.arange(KNOTS)))
+    np.testing.assert_allclose(lone[1:, 1:], 0.16 * 0.5**apart)
+    np.testing.assert_allclose(lone[0, 1:], 0.0, atol=1e-12)
+
+
+def simulated_points(twin: Twin) -> list[int]:
+    """Which of its own points a curve keeps."""
+    smooth = free(twin)
+    few = smooth.simulated(twin)
+    x, at = twin_value(twin, SPRING).points[0], twin_value(few, SPRING).points[0]
+    kept = [int(np.argmin(np.abs(x - place))) for place in at]
+    np.testing.assert_array_equal(x[kept], at)
+    np.testing.assert_array_equal(twin_value(few, SPRING).points[1], twin_value(twin, SPRING).points[1][kept])
+    assert few.vehicle.mass == twin.vehicle.mass
+    # values are simulated at the same points
+    z = np.random.default_rng(4).normal(scale=0.1, size=(KNOTS, 2))
+    np.testing.assert_array_equal(smooth.simulated_values(z), smooth.from_slopes(z)[kept])
+    assert smooth.simulated_keys == tuple(f"{SPRING}.force.{i}" for i in range(len(kept)))
+    return kept
+
+
+@pytest.mark.parametrize("points", [10, 22, 31])
+def test_a_straight_curve_is_simulated_at_its_knots_alone(mondeo: Twin, points: int) -> None:
+    x = 0.37 * np.arange(1, points + 1) / points
+    kept = simulated_points(with_spring(mondeo, x, 62_000.0 / 0.37 * x))
+    assert kept == [round(k * (points - 1) / (KNOTS - 1)) for k in range(KNOTS)]
+
+
+def test_a_bend_at_a_knot_needs_no_point_of_its_own_and_one_beside_it_does(mondeo: Twin) -> None:
+    """Also of a spring that bears nothing at first."""
+    x = 0.37 * np.arange(1, 23) / 22
+    for bend, more in ((7, []), (10, [10])):
+        kept = simulated_points(with_spring(mondeo, x, 1e5 * np.maximum(x - x[bend], 0.0)))
+        assert kept == sorted([0, 7, 14, 21, *more])
+
+
+def test_the_points_that_are_added_are_those_furthest_from_the_line(mondeo: Twin) -> None:
+    x = 0.4 * np.arange(1, 22) / 21
+    force = 20e3 * x
+    force[10:] += 900.0
+    force[17:] += 2000.0
+    kept = simulated_points(with_spring(mondeo, x, force))
+    assert len(kept) == FEW_POINTS and {0, 7, 13, 20} < set(kept)
+    assert set(kept) == {0, 7, 9, 10, 13, 16, 17, 20}
+
+
+def test_a_frozen_curve_of_many_points_is_simulated_by_its_last_and_those_that_follow_it(many: Twin) -> None:
+    """It has no knots."""
+    x = 0.37 * np.arange(1, 31) / 30
+    straight = with_spring(many, x, 1e5 * x)
+    mass = Parameter("vehicle.mass", 1725.0, 1000.0, 3000.0)
+    smooth = smooth_space(straight, Space(straight, [mass]))
+    assert smooth.names == smooth.simulated_keys == ("vehicle.mass",)
+    few = smooth.simulated(straight)
+    assert twin_value(few, SPRING).points[0].tolist() == [x[-1]]
+    bent = twin_value(many, "vehicle.rear.damper_pull").points
+    at, force = twin_value(few, "vehicle.rear.damper_pull").points
+    assert len(at) == FEW_POINTS and at[-1] == bent[0][-1]
+    assert np.abs(np.interp(bent[0], [0.0, *at], [0.0, *force]) - bent[1]).max() < 0.02 * bent[1][-1]
+
+
+def test_one_curve_of_many_points_makes_a_space_smooth(mondeo: Twin, many: Twin) -> None:
+    x, force = twin_value(many, SPRING).points
+    assert isinstance(free(with_spring(mondeo, x, force)), SmoothSpace)
+    assert not isinstance(free(with_points(mondeo, FEW_POINTS)), SmoothSpace)
+    assert isinstance(free(with_points(mondeo, FEW_POINTS + 1)), SmoothSpace)

@@ -130,3 +130,26 @@ def test_heights_of_a_receiver_that_does_not_vouch_for_them_are_hills_if_the_imu
     assert np.std(pull(feels, drive) - flat) > 0.5
     assert np.std(hilly - flat) < 0.15
     np.testing.assert_allclose(pull(signals.force, asked), flat, atol=5e-3)
+
+
+def test_near_a_stop_a_course_that_the_filter_has_smeared_is_no_claim(make_scene: Callable[..., Any]) -> None:
+    """Two periods of the low-pass on either side: once for the course, once for what is made of it."""
+    scene = make_scene(
+        speed=lambda s: 9.0 * 0.5 * (1 + np.cos(np.pi * np.clip((np.abs(s - 30.0) - 13.0) / -8.0, 0.0, 1.0))),
+        turn=lambda s: 0.1 * np.sin(0.5 * s),
+        seconds=60.0,
+        sigma=0.005,
+    )
+    _, motion = satellite_motion(scene.drive, ingest_drive(scene.drive, scene.imu), scene.gps, scene.datum)
+    s = motion.t - motion.t[0]
+    slow = s[motion.speed < 3.0]
+    claimed = s[motion.valid]
+    assert slow.size > 50
+    period = 1.0 / 0.8
+    before, after = slow[0] - claimed[claimed < slow[0]].max(), claimed[claimed > slow[-1]].min() - slow[-1]
+    for between in (before, after):  # either end is known to a sample
+        assert 2.0 * period - 0.02 < between < 2.0 * period + 2.0 / RATE
+    assert not motion.valid[(s > slow[0]) & (s < slow[-1])].any()
+    yaw = np.interp(motion.t, scene.truth.t, scene.truth.yaw)[motion.valid]
+    off = np.remainder(motion.yaw[motion.valid] - yaw + np.pi, 2.0 * np.pi) - np.pi
+    assert np.abs(off[20:-20]).max() < 0.02
