@@ -29,6 +29,7 @@ ROWS = {
     "time": ("clocks", "stamps"),
     "clock": ("clocks", "clock"),
     "loop": ("clocks", "loop"),
+    "day": ("clocks", "day"),
     "load": ("load", "torture"),
     "network": ("network", "torture"),
     "numerics": ("numerics", "torture"),

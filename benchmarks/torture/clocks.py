@@ -3,24 +3,35 @@
 
 from __future__ import annotations
 
+import tempfile
 import time
 from collections.abc import Callable
+from pathlib import Path
 
 import numpy as np
+from pymap3d import enu2geodetic
+from scipy.spatial.transform import Rotation
 
+from suspension_twin.drive.types import Drive, FixData, ImuData, VelocityData
+from suspension_twin.drive.write import write_drive
+from suspension_twin.vehicle.twin import load_twin
 from torture.ledger import Tally
 from torture.watch import BAG, Broken, Twin, stamped, watched
 
-__all__ = ["BARS", "clock", "loop", "stamps"]
+__all__ = ["BARS", "clock", "day", "loop", "stamps"]
 
 BARS = {
     "time": "resets and says so where time goes back by over 1 s, an answer within 1 s on the new time, memory flat",
     "clock": "the same with use_sim_time, and says that /clock stands still",
+    "day": "no answer lost in a drive of 24 hours, memory flat within 5 MiB after its first hour",
     "loop": "every round of a looped recording gives the same bits, memory flat within 5 MiB",
 }
 _IMU = "/imu/data_raw"
 _TOLD = 4.0  # s within which a node has told of a reset, its diagnostics coming every second
 _GROWTH = 5.0  # MiB
+_HOUR, _DAY_RATE = 3600.0, 50  # s, Hz
+#: s that an hour of a drive takes at full speed on a slow machine: with less time a shorter drive is replayed.
+_EACH_HOUR = 300.0
 
 Act = Callable[[Twin], None]
 
@@ -193,3 +204,79 @@ def loop(tally: Tally) -> None:
                 settled = twin.memory()
     finally:
         twin.close()
+
+
+def day(tally: Tally) -> None:
+    """A drive of 24 hours at 50 Hz, or of as many as there is time for, at full speed; a trial is an hour of it."""
+    hours = int(np.clip(tally.left() / _EACH_HOUR, 1, 24))
+    with tempfile.TemporaryDirectory() as folder:
+        write_drive(_circles(hours * _HOUR), Path(folder) / "day")
+        _replay_day(tally, Path(folder) / "day", hours)
+
+
+def _replay_day(tally: Tally, bag: Path, hours: int) -> None:
+    twin = Twin(arguments=("--bag", str(bag), "--rate", "max"), answers_alone=True)
+    first = last = answers = 0
+
+    def heard(message: object, _published: float) -> None:
+        nonlocal first, last, answers
+        stamp = message.header.stamp  # type: ignore[attr-defined]
+        last = stamp.sec * 1_000_000_000 + stamp.nanosec
+        first, answers = first or last, answers + 1
+
+    try:
+        twin.hear_answers(heard)
+        settled = 0.0
+        for hour, _ in enumerate(tally.numbers(), 1):
+            end = hour * _HOUR - (60.0 if hour == hours else 0.0)  # the first answers want a heading
+            while last - first < end * 1e9:
+                if problem := twin.problem():
+                    tally.fail(problem)
+                    return
+                twin.take(0.1)
+            tally.count("hours")
+            lost = 1.0 - answers / (1 + round((last - first) / 1e9 * _DAY_RATE))
+            tally.measure("answers lost, %", 100.0 * lost)
+            if lost > 0.0:
+                tally.fail(f"{100.0 * lost:.3f} % of the answers were lost until hour {hour}")
+            settled = settled or twin.memory()
+            tally.measure("memory grown, MiB", twin.memory() - settled)
+            if twin.memory() - settled > _GROWTH:
+                tally.fail(f"memory has grown by {twin.memory() - settled:.1f} MiB after hour {hour}")
+                settled = twin.memory()
+            if hour == hours:
+                tally.measure("hours of one drive", hours)
+                tally.deadline = 0.0  # that was the last
+    finally:
+        twin.close()
+
+
+def _circles(seconds: float) -> Drive:
+    """What sensors record on a circle of 50 m at 8 m/s, for so long: shaken by noise, fixes twice a second."""
+    twin = load_twin(BAG / "twin.yaml")
+    assert twin.datum is not None
+    rng = np.random.default_rng(0)
+    start, speed, radius = float(int(time.time() - seconds)), 8.0, 50.0
+    turn = speed / radius
+    t = np.arange(int(seconds * _DAY_RATE)) / _DAY_RATE
+    force = np.tile([0.0, speed * turn, 9.81], (t.size, 1)) + rng.normal(0.0, 0.3, (t.size, 3))
+    rate = np.tile([0.0, 0.0, turn], (t.size, 1)) + rng.normal(0.0, 0.01, (t.size, 3))
+    mount = Rotation.from_euler("xyz", twin.imu.rpy).as_matrix()
+    imu = ImuData(start + t, force @ mount, rate @ mount, frame=twin.imu.frame)
+    at = t[:: round(_DAY_RATE / 2)]
+    east, north = radius * np.sin(turn * at), radius * (1.0 - np.cos(turn * at))
+    datum = twin.datum
+    latitude, longitude, altitude = enu2geodetic(
+        east, north, np.zeros(at.size), datum.latitude, datum.longitude, datum.altitude
+    )
+    fix = FixData(
+        start + at,
+        latitude,
+        longitude,
+        altitude,
+        np.zeros(at.size, np.int8),
+        np.full((at.size, 3), 0.02),
+        "gps_link",
+    )
+    enu = speed * np.stack([np.cos(turn * at), np.sin(turn * at), np.zeros(at.size)], axis=1)
+    return Drive("day", imu, fix, VelocityData(start + at, enu))

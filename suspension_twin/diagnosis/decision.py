@@ -112,7 +112,7 @@ class Costs:
         known = {f.name for f in fields(cls)}
         given: dict[str, float] = {}
         for item in filter(None, (i.strip() for i in text.split(","))):
-            name, _, value = item.partition("=")
+            name, _, value = (part.strip() for part in item.partition("="))
             if name not in known:
                 raise InputError("costs", name, f"is not one of {', '.join(sorted(known))}")
             try:
@@ -357,7 +357,7 @@ def _excess(case: Row, row: Row) -> float:
     main = next(c for c in case["channels"].values())
     if case["reference"]:
         driven = [v for c, v in row["mean_squares"].items() if case["channels"][c]["driven"]]
-        over = 0.5 * np.log(max(driven) / _USUAL_SQUARE)
+        over = 0.5 * np.log(max([1e-9, *driven]) / _USUAL_SQUARE)
     else:
         over = np.log(max(row["level_fitted"], 1e-3) / _USUAL_LEVEL)
     noisy = np.log(max(row["level_fitted"], 1e-3) * main["motion"] / (2.0 * main["noise"]))

@@ -17,7 +17,7 @@ import numpy as np
 from suspension_twin.arrays import Floats
 from suspension_twin.identification.problem import FitProblem, Problem
 from suspension_twin.identification.space import Curve
-from suspension_twin.identification.spring_position import Slide, slides
+from suspension_twin.identification.spring_position import Slide, changes, slides
 from suspension_twin.models.simulate import simulate_twin
 from suspension_twin.vehicle.twin import Twin
 
@@ -123,8 +123,8 @@ def posterior(
     rng = np.random.default_rng(seed)
     root = np.linalg.cholesky(covariance[:d, :d] + 1e-14 * np.eye(d))
     noise = np.einsum("ij,jn->in", root, rng.standard_normal((d, _DRAWS)), optimize=False)
-    z = x[:d, None] + noise
-    best = float(np.sum(residual**2)) + _penalty(problem, x[:d, None], precision)[0]
+    middle = np.repeat(x[:d, None], _DRAWS, axis=1)
+    cost = float(np.sum(residual**2)) + _penalty(problem, x[:d, None], precision)[0]
     better: Floats | None = None
     for curve in problem.space.curves:
         if not curve.key.endswith("spring") or min(curve.rows) < 0:
@@ -136,11 +136,11 @@ def posterior(
             continue
         costs = _slide_costs(problem, fit, x, rows, found, precision)
         lowest = int(np.argmin(costs))
-        if costs[lowest] < best - 0.5:
-            better = x.copy()
+        if costs[lowest] < cost - 0.5:
+            better = x.copy() if better is None else better
             better[rows] = found[lowest].z
-            best = float(costs[lowest])
-        _mix(z, noise, x, rows, found, costs - best, covariance, rng)
+        _mix(middle, noise, rows, found, costs - cost, covariance, rng)
+    z = middle + noise
     draws = problem.space.from_slopes(z)
     return Posterior(draws, np.sqrt(np.diag(covariance)[d:]), covariance, better)
 
@@ -150,10 +150,11 @@ def _widened(
 ) -> Floats:
     """The covariance with each deviation at least that of the block scores (a sandwich estimate)."""
     size = max(8, int(_BLOCK_SECONDS * problem.measured.rate))
-    blocks = residual.size // size
-    if blocks < 2 * covariance.shape[0]:
+    if residual.size // size < 2 * covariance.shape[0]:
         return covariance
-    scores = np.add.reduceat(jacobian * residual[:, None], np.arange(0, residual.size, size), axis=0)
+    starts = np.arange(0, residual.size, size)
+    blocks = starts.size
+    scores = np.add.reduceat(jacobian * residual[:, None], starts, axis=0)
     meat = scores.T @ scores * (blocks / (blocks - 1.0)) + precision
     robust = np.einsum("ij,jk,kl->il", covariance, meat, covariance, optimize=False)
     ratio = np.sqrt(np.maximum(np.diag(robust) / np.diag(covariance), 1.0))
@@ -179,34 +180,32 @@ def _slide_costs(
 
 
 def _mix(
-    z: Floats,
+    middle: Floats,
     noise: Floats,
-    x: Floats,
     rows: list[int],
     found: Sequence[Slide],
     worse: Floats,
     covariance: Floats,
     rng: np.random.Generator,
 ) -> None:
-    """Replace a share of the draws ``z`` (d, N) by slides, by their posterior weight; ``worse`` (s,) is their cost."""
-    weights = np.where(np.isfinite(worse), np.exp(-0.5 * np.maximum(worse, 0.0)), 0.0)
+    """Move a share of the draws, which are ``middle`` + ``noise`` (d, N), to slides, by their posterior weight beside
+    the best fit, than which they are ``worse`` (s,) in -2 log posterior."""
+    least = min(0.0, float(np.min(worse)))
+    weights = np.where(np.isfinite(worse), np.exp(-0.5 * (worse - least)), 0.0)
     weights = weights * np.array([s.density for s in found])
     # the best fit counts as one grid step with the density of its nearest slide
     nearest = int(np.argmin([abs(s.shift) for s in found]))
-    total = float(weights.sum()) + found[nearest].density
+    total = float(weights.sum()) + np.exp(0.5 * least) * found[nearest].density
     share = float(weights.sum()) / total
     if share < 0.02:
         return
-    count = z.shape[1]
-    chosen = rng.random(count) < share
-    slide = rng.choice(len(found), size=count, p=weights / weights.sum())
+    count = middle.shape[1]
+    chosen = np.flatnonzero(rng.random(count) < share)
+    slide = rng.choice(len(found), size=count, p=weights / weights.sum())[chosen]
+    jitter = rng.uniform(-0.5, 0.5, count)[chosen]
     low = rows[0]
     # given the static compression, the slope of the unexcited segment is independent of the others
-    regression = covariance[: z.shape[0], low] / covariance[low, low]
-    free = noise - regression[:, None] * noise[low]
+    regression = covariance[: middle.shape[0], low] / covariance[low, low]
     moved = np.stack([s.z for s in found], axis=1)
-    jitter = rng.uniform(-0.5, 0.5, count)
-    step = np.gradient(moved, axis=1) if len(found) > 1 else np.zeros_like(moved)
-    target = x[: z.shape[0], None] + free
-    target[rows] = moved[:, slide] + step[:, slide] * jitter + free[rows]
-    z[:, chosen] = target[:, chosen]
+    middle[np.ix_(np.array(rows), chosen)] = moved[:, slide] + changes(found)[:, slide] * jitter
+    noise[:, chosen] -= regression[:, None] * noise[low, chosen]

@@ -8,13 +8,14 @@ outside the excited range. These slides are therefore evaluated on a grid of shi
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from suspension_twin.arrays import Floats
 
-__all__ = ["Slide", "slides", "standing_at"]
+__all__ = ["Slide", "changes", "slides", "standing_at"]
 
 _STEP = 0.004  # m between slides
 _FARTHEST = 0.16  # m
@@ -63,7 +64,19 @@ def slides(
     for (shift, below, new), (_, following, _) in zip(remainders, remainders[1:], strict=False):
         if below * following <= 0 or abs(below) < _MISFIT * load:
             found.append(Slide(shift, np.log(new), 1.0 / max(static + shift, _STEP)))
-    return found
+    return sorted(found, key=lambda slide: slide.shift)
+
+
+def changes(found: Sequence[Slide]) -> Floats:
+    """(k, s) change of the logarithms of the slopes from one grid step to the next about each slide, of those that are
+    neighbours: the grid has gaps where a curve cannot be moved, and a wider step about the curve as it is."""
+    z = np.stack([s.z for s in found], axis=1)
+    near = np.diff([s.shift for s in found]) < 2.5 * _STEP
+    step = np.where(near, np.diff(z, axis=1), 0.0)
+    none = np.zeros((z.shape[0], 1))
+    number = np.concatenate([[0], near]) + np.concatenate([near, [0]])
+    before, after = np.concatenate([none, step], axis=1), np.concatenate([step, none], axis=1)
+    return np.asarray((before + after) / np.maximum(number, 1))
 
 
 def _segment(x: Floats, at: Floats) -> np.ndarray:

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import math
+from collections import deque
 from collections.abc import Sequence
 
 import numpy as np
@@ -21,6 +22,8 @@ from suspension_twin.vehicle.twin import Place
 __all__ = ["LiveInputs"]
 
 GRAVITY = 9.81  # imu/data is free of bias to a few mm/s²; what is left goes to the filter's bias
+#: s and rad between two fixes that a course is taken from.
+_COURSE_TIME, _COURSE_TURN = 10.0, 0.5
 UP_TIME = 8.0  # s, the accelerometer's time constant against the gyro
 
 
@@ -94,7 +97,10 @@ class LiveInputs:
         self._stood = -math.inf  # when it last stood, s
         self._velocity: tuple[float, float, float] | None = None
         self._heading: tuple[float, float] | None = None
-        self._fixed_course: tuple[float, float, float] | None = None
+        self._turned = 0.0  # rad since the start, by the gyro
+        #: Fixes without a velocity: s, east and north m, standard deviation m, and how far the vehicle had turned, rad.
+        self._fixes: deque[tuple[float, float, float, float, float]] = deque()
+        self._fixed_course: tuple[float, float, float, float] | None = None
 
     def row(
         self,
@@ -143,6 +149,7 @@ class LiveInputs:
         omega = float(out[0])
         out[0] = omega if gap else 0.5 * (omega + self._omega)
         self._omega = omega
+        self._turned += float(out[10]) * step
         out[2] = 1.0 if self.standing else 0.0
         out[3] = 1000.0 if gap else 1.0
         self._imu_speed = 0.0 if self.standing else self._imu_speed + float(out[1]) * step
@@ -150,8 +157,8 @@ class LiveInputs:
         return gap
 
     def _judge(self, t: float, speed: float, known: bool) -> None:
-        """Standing: quiet for half a second, no specific force off the vertical, and slow as far as known.
-        One loud sample ends it."""
+        """Standing: quiet for half a second, no specific force off the vertical, and slow as far as known. One loud
+        sample ends it. After a start or a gap it takes some three seconds: the variances have to become small first."""
         mean, limits = self._mean.tolist(), self._limits
         variance = max(mean[6], mean[7], mean[8])
         turning = max(mean[9], mean[10], mean[11])
@@ -210,6 +217,7 @@ class LiveInputs:
         """Discard what gave the yaw so far: wait for new velocities."""
         self._velocity = None
         self._heading = None
+        self._fixes.clear()
         self._fixed_course = None
         self._stood = -math.inf
 
@@ -217,42 +225,60 @@ class LiveInputs:
         """A heading in rad."""
         self._heading = (t, yaw)
 
-    def note_fix(
-        self,
-        t: float,
-        east: float,
-        north: float,
-        sigma: float,
-        last: tuple[float, float, float, float] | None,
-    ) -> None:
-        """A fix in m; where no velocities come, two fixes far enough apart give the course."""
-        if last is None or self._velocity is not None or not 0.0 < t - last[0] < 4.0:
+    def note_fix(self, t: float, east: float, north: float, sigma: float) -> None:
+        """A fix in m. Where no velocities come, the newest earlier one that is far enough away gives the course, which
+        has turned on by half of what the gyro says since then; the two that are farthest apart in time, how fast."""
+        fixes = self._fixes
+        if self._velocity is not None or (fixes and t <= fixes[-1][0]):
             return
-        dx, dy = east - last[1], north - last[2]
-        far = math.hypot(dx, dy)
-        if far > max(1.0, 6.0 * math.hypot(sigma, last[3])):
-            sigma_yaw = math.hypot(sigma, last[3]) / far + 0.05
-            self._fixed_course = (math.atan2(dy, dx), sigma_yaw, far / (t - last[0]))
+        while fixes and (self.standing or t - fixes[0][0] > _COURSE_TIME):
+            fixes.popleft()
+        for at, x, y, before, turned in reversed(fixes):
+            dx, dy, spread = east - x, north - y, math.hypot(sigma, before)
+            turn = self._turned - turned
+            if abs(turn) > _COURSE_TURN:
+                break
+            far, time = math.hypot(dx, dy), t - at
+            if far > max(1.0, 6.0 * spread):
+                # an arc over its chord, for the speed
+                arc = far * (0.5 * turn / math.sin(0.5 * turn) if abs(turn) > 1e-6 else 1.0)
+                course = math.atan2(dy, dx) + 0.5 * turn
+                self._fixed_course = (course, spread / far + 0.05, arc / time, spread / time + 0.5)
+                break
+        fixes.append((t, east, north, sigma, self._turned))
 
-    def course(self, least_speed: float) -> tuple[float, float, float] | None:
-        """Yaw rad, its standard deviation and the signed speed m/s, once they are known."""
+    def course(self, least_speed: float) -> tuple[float, float, float, float] | None:
+        """Yaw rad and its standard deviation, the signed speed m/s and its own, once they are known."""
+        fixed = self._fixed_course
         if self._heading is not None:
             yaw = self._heading[1]
-            if self._velocity is None:
-                return yaw, 0.05, 0.0
-            _, east, north = self._velocity
-            return yaw, 0.05, east * math.cos(yaw) + north * math.sin(yaw)
+            if self._velocity is not None:
+                _, east, north = self._velocity
+                return yaw, 0.05, east * math.cos(yaw) + north * math.sin(yaw), 0.5
+            if fixed is not None:
+                return yaw, 0.05, fixed[2] * math.cos(fixed[0] - yaw), fixed[3]
+            if self.standing:
+                return yaw, 0.05, 0.0, 0.5
+            return self._heading_alone(yaw)
         if self._velocity is not None:
             _, east, north = self._velocity
             speed = math.hypot(east, north)
             if speed < least_speed:
                 return None
-            course, sigma_yaw = math.atan2(north, east), 0.1 / speed + 0.02
-        elif self._fixed_course is not None:
-            course, sigma_yaw, speed = self._fixed_course
+            course, sigma_yaw, sigma_speed = math.atan2(north, east), 0.1 / speed + 0.02, 0.5
+        elif fixed is not None:
+            course, sigma_yaw, speed, sigma_speed = fixed
         else:
             return None
         # By the accelerometer the speed since a recent standstill is negative: the vehicle reverses.
         if self._t - self._stood < 10.0 and self._imu_speed < -0.4 * speed:
-            return course + math.pi, sigma_yaw, -speed
-        return course, sigma_yaw, speed
+            return course + math.pi, sigma_yaw, -speed, sigma_speed
+        return course, sigma_yaw, speed, sigma_speed
+
+    def _heading_alone(self, yaw: float) -> tuple[float, float, float, float] | None:
+        """What a heading and fixes less than a course apart say of the speed: nothing before there are two."""
+        if len(self._fixes) < 2:
+            return None
+        (t0, x0, y0, s0, _), (t1, x1, y1, s1, _) = self._fixes[0], self._fixes[-1]
+        speed = ((x1 - x0) * math.cos(yaw) + (y1 - y0) * math.sin(yaw)) / (t1 - t0)
+        return yaw, 0.05, speed, math.hypot(s0, s1) / (t1 - t0) + 0.5

@@ -313,11 +313,11 @@ class PoseLock:
             self._refused += 1
 
     def _align(self, t: float, kind: int, z: Measurement) -> None:
-        """Wait for a fix and a yaw: from a heading, from the course, or from two fixes apart."""
+        """Wait for a fix and a yaw: from a heading, from the course, or from fixes apart."""
         if kind == ekf.HEADING:
             self._live.note_heading(t, z[0])
         elif kind == ekf.FIX:
-            self._live.note_fix(t, *z, self._place)
+            self._live.note_fix(t, *z)
             self._place = (t, *z)
         found = self._live.course(self.settings.align_speed)
         if self._place is None or found is None:
@@ -327,7 +327,7 @@ class PoseLock:
         first = history.before(min(t, when))
         if first < 0:
             return
-        yaw, yaw_sigma, speed = found
+        yaw, yaw_sigma, speed, speed_sigma = found
         c, s = math.cos(yaw), math.sin(yaw)
         ahead, left = history.inputs(first)[4:6]
         back = history.stamp(first) - when
@@ -336,10 +336,10 @@ class PoseLock:
         x[ekf.Y] = north - (ahead * s + left * c) + back * speed * s
         x[ekf.YAW] = yaw
         x[ekf.SPEED] = speed
-        place = sigma + abs(back)
+        place = sigma + 2.0 * speed_sigma * abs(back)
         history.state(first)[:] = x
         history.covariance(first)[:] = np.diag(
-            np.array([place, place, yaw_sigma, 0.5, 1.0, 0.1, 0.01, 0.2]) ** 2
+            np.array([place, place, yaw_sigma, speed_sigma, 1.0, 0.1, 0.01, 0.2]) ** 2
         )
         self._aligned = True
         self._last_good_fix = when

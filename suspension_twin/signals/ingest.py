@@ -35,6 +35,8 @@ __all__ = ["ImuIngest", "ImuSettings", "IngestOutput"]
 
 #: No sensor of a vehicle sends this much, in whatever unit.
 ABSURD = 1.0e5
+#: Of a row of ``ingest_step``: specific force, vertical acceleration and raw specific force.
+_FORCES = [0, 1, 2, 6, 7, 8, 9]
 Vector = tuple[float, float, float]
 
 
@@ -68,7 +70,6 @@ class ImuIngest:
         self.place = place
         self._file_turn = rpy_matrix(place.rpy)
         self._clock = LiveClock()
-        self._sizes = np.empty((0, 0))
         self.reset()
 
     @property
@@ -105,7 +106,7 @@ class ImuIngest:
         self._window: list[tuple[float, ...]] = []
         self._units: Units = "m/s2"
         self._unit_mismatches = 0
-        self._scale = 1.0
+        self._scale = self._unit = 1.0
         self._gravity = normal_gravity(self.settings.latitude)
         self._max_bias = self.settings.max_bias
         self._level = np.eye(3)
@@ -213,6 +214,8 @@ class ImuIngest:
         )
         if self._block[0] >= self._block_size:
             self._end_block()
+        if self._unit != 1.0:  # a sensor in g that is to be left so
+            out[_FORCES] /= self._unit
         v = out.tolist()
         return IngestOutput(
             t,
@@ -275,12 +278,8 @@ class ImuIngest:
         self._units = units
         length = float(np.linalg.norm(force.mean(axis=0)))
         self._note("units", check_units(units, length))
-        # A sensor in g that is to be left so is judged in g.
-        in_g = units == "g"
-        self._scale = STANDARD_GRAVITY if in_g and self.settings.convert_units else 1.0
-        unit = STANDARD_GRAVITY if in_g and not self.settings.convert_units else 1.0
-        self._gravity = normal_gravity(self.settings.latitude) / unit
-        self._max_bias = self.settings.max_bias / unit
+        self._scale = STANDARD_GRAVITY if units == "g" else 1.0
+        self._unit = 1.0 if self.settings.convert_units else self._scale
         if units == "gravity removed":
             self._up[:] = (0.0, 0.0, 1.0)
         self._update_turn()

@@ -120,7 +120,7 @@ def ingest_drive(drive: Drive, place: Place, settings: ImuSettings | None = None
 
     units = recognise_units(raw_force)
     findings += _listed(check_units(units, float(np.linalg.norm(raw_force.mean(axis=0)))))
-    scale = STANDARD_GRAVITY if units == "g" and settings.convert_units else 1.0
+    scale = STANDARD_GRAVITY if units == "g" else 1.0
     saturated = saturated_samples(scale * raw_force, settings.full_scale)
     saturated |= saturated_samples(raw_rate, settings.full_scale_rate)
     if saturated.any():
@@ -132,7 +132,7 @@ def ingest_drive(drive: Drive, place: Place, settings: ImuSettings | None = None
     ground = ground_motion(drive)
     speed = ground.least_speed(t) if ground.known else None
     standing = standstill_mask(rate_hz, force, rate, settings.still, speed)
-    if len(drive.velocity) < 4:
+    if len(drive.velocity) < 4 and units != "gravity removed":
         standing &= ~_accelerating(t, force, rate, rate_hz, settings.attitude_time)
     stands = int(standing.sum()) >= 0.5 * rate_hz
     rate_bias = rate[standing].mean(axis=0) if stands else _driving_bias(ground, t, rate)
@@ -145,9 +145,7 @@ def ingest_drive(drive: Drive, place: Place, settings: ImuSettings | None = None
         planar = ground.acceleration(t, rate[:, 2], place.position)
         planar[standing] = 0.0
 
-    # A sensor in g that is to be left so is judged in g.
-    unit = STANDARD_GRAVITY if units == "g" and not settings.convert_units else 1.0
-    gravity, max_bias = normal_gravity(_latitude(drive, settings)) / unit, settings.max_bias / unit
+    gravity, max_bias = normal_gravity(_latitude(drive, settings)), settings.max_bias
     rest = force[standing].mean(axis=0) if stands else (force - planar).mean(axis=0)
     if units == "gravity removed":
         force_bias = rest
@@ -166,16 +164,17 @@ def ingest_drive(drive: Drive, place: Place, settings: ImuSettings | None = None
         length = np.where(standing, 0.1 * settings.attitude_time, settings.attitude_time)
         up = smooth_up(t, force - planar, rate, gravity, length)
         vertical = force[:, 2] - gravity * up[:, 2]
+    unit = 1.0 if settings.convert_units else scale  # a sensor in g that is to be left so
     return ImuSignals(
         t=t,
         keep=cleaned.keep,
-        force=force,
+        force=force / unit,
         rate=rate,
-        vertical_acceleration=vertical,
+        vertical_acceleration=vertical / unit,
         up=up,
-        force_bias=force_bias,
+        force_bias=force_bias / unit,
         rate_bias=rate_bias,
-        gravity=gravity,
+        gravity=gravity / unit,
         rate_hz=rate_hz,
         standing=standing,
         saturated=saturated,

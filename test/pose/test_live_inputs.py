@@ -214,7 +214,7 @@ def test_nothing_is_known_before_it_is_measured() -> None:
     assert live.course(1.0) is None
     live.note_velocity(0.0, 0.3, -0.4)
     assert live.course(1.0) is None
-    yaw, sigma, speed = live.course(0.4) or (0.0, 0.0, 0.0)
+    yaw, sigma, speed, _ = live.course(0.4) or (0.0,) * 4
     assert (yaw, speed) == pytest.approx((math.atan2(-0.4, 0.3), 0.5))
     live.note_velocity(0.1, -3.0, 4.0)
     faster = live.course(1.0)
@@ -228,7 +228,7 @@ def test_nothing_is_known_before_it_is_measured() -> None:
 def test_a_heading_is_the_yaw_and_the_velocity_s_part_ahead_the_speed() -> None:
     live = LiveInputs(Place(), Place())
     live.note_heading(0.0, 0.5)
-    assert (live.course(1.0) or ())[::2] == (0.5, 0.0)
+    assert live.course(1.0) is None  # how fast it goes is not known
     live.note_velocity(0.1, -3.0, 4.0)
     found = live.course(10.0)
     assert found is not None
@@ -241,27 +241,87 @@ def test_a_heading_is_the_yaw_and_the_velocity_s_part_ahead_the_speed() -> None:
 def test_two_fixes_far_enough_apart_give_the_course_where_no_velocities_come() -> None:
     def found(t: float, east: float, north: float, sigma: float = 0.1, last: float = 0.1) -> object:
         live = LiveInputs(Place(), Place())
-        live.note_fix(t, east, north, sigma, (10.0, 100.0, -50.0, last))
+        live.note_fix(10.0, 100.0, -50.0, last)
+        live.note_fix(t, east, north, sigma)
         return live.course(1.0)
 
-    yaw, sigma, speed = found(10.5, 97.0, -46.0)  # type: ignore[misc]
+    yaw, sigma, speed, doubt = found(10.5, 97.0, -46.0)  # type: ignore[misc]
     assert (yaw, speed) == pytest.approx((math.atan2(4.0, -3.0), 10.0))
     assert math.hypot(0.1, 0.1) / 5.0 < sigma < math.hypot(0.1, 0.1) / 5.0 + 0.1
+    assert math.hypot(0.1, 0.1) / 0.5 < doubt < math.hypot(0.1, 0.1) / 0.5 + 1.0
     wide = found(10.5, 97.0, -46.0, 0.5, 0.4)  # type: ignore[misc]
     assert wide[1] - sigma == pytest.approx((math.hypot(0.5, 0.4) - math.hypot(0.1, 0.1)) / 5.0)  # type: ignore[index]
     assert found(10.5, 97.0, -46.0, 0.6, 0.6) is None  # within the noise
     assert found(10.5, 100.7, -50.6, 0.01, 0.01) is None  # less than a metre
     assert found(10.5, 100.9, -50.6, 0.01, 0.01) is not None
-    assert found(13.9, 97.0, -46.0) is not None
-    assert found(14.1, 97.0, -46.0) is None  # too long ago
+    assert found(19.9, 97.0, -46.0) is not None
+    assert found(20.1, 97.0, -46.0) is None  # too long ago
     assert found(10.0, 97.0, -46.0) is None
     assert found(9.5, 97.0, -46.0) is None
     live = LiveInputs(Place(), Place())
-    live.note_fix(10.0, 5.0, 0.0, 0.1, None)
+    live.note_fix(10.0, 100.0, -50.0, 0.1)
     assert live.course(1.0) is None
     live.note_velocity(10.0, 0.1, 0.0)
-    live.note_fix(10.5, 97.0, -46.0, 0.1, (10.0, 100.0, -50.0, 0.1))
+    live.note_fix(10.5, 97.0, -46.0, 0.1)
     assert live.course(1.0) is None  # velocities know better: it creeps
+
+
+@pytest.mark.parametrize(
+    ("hertz", "sigma", "speed"), [(10, 0.02, 2.0), (5, 0.3, 4.0), (1, 2.5, 4.0), (1, 2.5, 15.0)]
+)
+def test_fixes_add_up_until_they_are_far_enough_apart(hertz: int, sigma: float, speed: float) -> None:
+    """However often they come, a slow vehicle is found within ten seconds, and is never found while it stands."""
+    live = LiveInputs(Place(), Place())
+    t = clock(9.99)
+    run(live, t)
+    random = np.random.default_rng(3)
+    for when in np.arange(0.0, 10.0, 1.0 / hertz):
+        live.note_fix(when, *random.normal(0.0, sigma, 2), sigma)
+    assert live.standing and live.course(0.0) is None
+    wobble = np.tile(UP, (1000, 1)) + random.normal(0.0, 1.0, (1000, 3))
+    for k, when in enumerate(np.arange(10.0, 20.0, 0.01)):
+        run(live, np.array([when]), wobble[k : k + 1])
+        if k % round(100 / hertz) == 0:
+            east = speed * (when - 10.0) + random.normal(0.0, sigma)
+            live.note_fix(when, east, random.normal(0.0, sigma), sigma)
+    found = live.course(0.0)
+    assert found is not None
+    assert abs(found[0]) < 4.0 * found[1]
+    assert found[2] == pytest.approx(speed, abs=4.0 * found[3])
+
+
+@pytest.mark.parametrize("turn", [0.2, -0.4])
+def test_in_a_bend_the_course_is_that_of_the_newest_fix(turn: float) -> None:
+    """The chord of an arc lies by half of its angle behind, and is shorter than it."""
+    live = LiveInputs(Place(), Place())
+    speed = 8.0
+    radius = speed / turn
+    for seconds in (0.0, 1.0):
+        t = clock(2.0 if seconds == 0.0 else 1.0, -2.0 if seconds == 0.0 else 0.0)
+        force = np.tile([0.0, speed * turn, UP[2]], (t.size, 1))
+        run(live, t, force, np.tile([0.0, 0.0, turn], (t.size, 1)), speed, True)
+        angle = turn * seconds
+        live.note_fix(seconds, radius * math.sin(angle), radius * (1.0 - math.cos(angle)), 0.5)
+    yaw, _, found, _ = live.course(1.0) or (0.0,) * 4
+    assert yaw == pytest.approx(turn, abs=0.01)
+    assert found == pytest.approx(speed, rel=0.005)
+
+
+def test_a_heading_waits_for_fixes_to_say_how_fast() -> None:
+    live = LiveInputs(Place(), Place())
+    live.note_heading(0.0, 0.5)
+    live.note_fix(0.0, 10.0, 5.0, 2.0)
+    assert live.course(1.0) is None
+    live.note_fix(0.5, 10.0 + 4.0 * math.cos(0.5), 5.0 + 4.0 * math.sin(0.5), 2.0)  # far within the noise
+    yaw, sigma, speed, doubt = live.course(1.0) or (0.0,) * 4
+    assert (yaw, speed) == pytest.approx((0.5, 8.0)) and sigma < 0.1
+    assert doubt > math.hypot(2.0, 2.0) / 0.5
+    live.note_fix(10.0, 10.0 + 76.0 * math.cos(0.5), 5.0 + 76.0 * math.sin(0.5), 2.0)
+    yaw, _, speed, closer = live.course(1.0) or (0.0,) * 4
+    assert (yaw, speed) == pytest.approx((0.5, 8.0), rel=0.1) and closer < 1.0
+    parked_with_heading = parked()
+    parked_with_heading.note_heading(5.0, 0.5)
+    assert (parked_with_heading.course(1.0) or ())[::2] == (0.5, 0.0)
 
 
 def driven_off(pull: float, seconds: float = 2.0) -> Iterator[LiveInputs]:
@@ -276,7 +336,8 @@ def driven_off(pull: float, seconds: float = 2.0) -> Iterator[LiveInputs]:
         if how == "velocity":
             live.note_velocity(float(t[-1]), 0.0, abs(pull) * seconds)
         else:
-            live.note_fix(float(t[-1]), 0.0, abs(pull) * seconds, 0.01, (float(t[-1]) - 1.0, 0.0, 0.0, 0.01))
+            live.note_fix(float(t[-1]) - 1.0, 0.0, 0.0, 0.01)
+            live.note_fix(float(t[-1]), 0.0, abs(pull) * seconds, 0.01)
         yield live
 
 

@@ -328,6 +328,31 @@ def test_without_noise_it_is_there_from_the_first(say: tuple[str, ...], turn: fl
     assert lock.counts["refused"] == 0
 
 
+@pytest.mark.parametrize(
+    ("speed", "hertz", "sigma"), [(3.0, 10, 0.02), (9.5, 10, 0.02), (5.0, 1, 2.5), (20.0, 1, 2.5)]
+)
+def test_a_receiver_without_velocities_aligns_a_slow_car_too(speed: float, hertz: int, sigma: float) -> None:
+    """However often its fixes come, and within ten seconds."""
+    car, lock = Car(speed), new()
+    for k in range(1200):
+        t = T0 + 0.01 * k
+        if k % (100 // hertz) == 0:
+            car.fix(lock, t, sigma)
+        state = car.imu(lock, t)
+    assert lock.aligned and state is not None
+    assert car.off(state) < 1.5 * sigma
+    assert state.speed == pytest.approx(speed, abs=0.3)
+
+
+def test_a_heading_does_not_make_a_moving_car_stand() -> None:
+    """Fixes say how fast it goes where no velocities come."""
+    car, lock = Car(), new()
+    states = drive(lock, car, 5.0, say=("heading", "fix"))
+    assert max(car.off(s) for s in states if s.valid) < 0.3
+    assert lock.counts["refused"] == 0
+    assert states[-1].speed == pytest.approx(5.0, abs=0.02)
+
+
 def test_a_fix_that_is_older_than_the_velocity_is_driven_on_from() -> None:
     """One fix, four tenths later one velocity: the car has moved two metres between them, and two more since."""
     car, lock = Car(), new()

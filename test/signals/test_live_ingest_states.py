@@ -274,12 +274,10 @@ def test_a_sensor_in_g_that_is_left_so_says_the_same_in_g(make_drive: Maker) -> 
         found[convert] = push(ingest, imu.t - T0, imu.specific_force / g, imu.angular_rate)
         assert codes(ingest) == {"units_g": "warn"}
     one, other = found[True], found[False]
-    # what counts as a standstill is in m/s², so the first window is none in either; from there on they agree
     for name in ("force", "raw_force", "vertical_acceleration"):
-        np.testing.assert_allclose(
-            g * column(other, name)[-500:], column(one, name)[-500:], rtol=0, atol=0.05
-        )
-    np.testing.assert_allclose(column(other, "up"), column(one, "up"), rtol=0, atol=5e-3)
+        np.testing.assert_allclose(g * column(other, name), column(one, name), rtol=0, atol=1e-9)
+    for name in ("rate", "raw_rate", "up"):
+        np.testing.assert_array_equal(column(other, name), column(one, name))
 
 
 def test_units_that_change_are_followed_after_two_looks() -> None:

@@ -41,12 +41,15 @@ def same(one: np.ndarray, other: np.ndarray, most: float) -> None:
     np.testing.assert_allclose(one, other, rtol=0, atol=most)
 
 
-@pytest.mark.parametrize(("bias", "slope"), [((0.1, -0.2, 0.1), 0.0), ((0.0, 0.0, 0.2), 0.1)])
+@pytest.mark.parametrize(
+    ("bias", "slope", "pull"),
+    [((0.1, -0.2, 0.1), 0.0, 0.0), ((0.0, 0.0, 0.2), 0.1, 0.0), ((0.0, 0.0, 0.0), 0.1, 2.0)],
+)
 def test_a_sensor_in_g_that_is_left_so_says_the_same_in_g(
-    make_drive: Maker, bias: tuple[float, float, float], slope: float
+    make_drive: Maker, bias: tuple[float, float, float], slope: float, pull: float
 ) -> None:
-    """Biases, slopes and gravity are judged in its own unit."""
-    drive, _ = make_drive(seconds=12.0, force_bias=bias, slope=slope, pull=0.0)
+    """Biases, slopes, accelerations and standstill are judged in m/s²."""
+    drive, _ = make_drive(seconds=12.0, force_bias=bias, slope=slope, pull=pull)
     in_g = with_imu(drive, specific_force=drive.imu.specific_force / G)
     plain, turned = (ingest_drive(in_g, Place(), ImuSettings(convert_units=c)) for c in (False, True))
     whole = ingest_drive(drive, Place())
@@ -54,10 +57,20 @@ def test_a_sensor_in_g_that_is_left_so_says_the_same_in_g(
     assert ("tilted" in [f.code for f in plain.findings]) == (slope > 0.0)
     assert turned.gravity == whole.gravity == pytest.approx(G * plain.gravity)
     same(turned.force, whole.force, 1e-9)
-    bias_there, bias_here = G * plain.force_bias, turned.force_bias
-    # what stands is judged in m/s² in either case: what is small in g stands a little longer
-    same(bias_there, bias_here, 0.02)
-    same(G * plain.force, turned.force, 0.02)
+    for name in ("force", "force_bias", "vertical_acceleration"):
+        same(G * getattr(plain, name), getattr(turned, name), 1e-9)
+    same(plain.up, turned.up, 1e-12)
+    assert np.array_equal(plain.standing, turned.standing)
+
+
+@pytest.mark.parametrize("velocities", [True, False])
+def test_a_standstill_is_seen_where_gravity_is_removed(make_drive: Maker, velocities: bool) -> None:
+    """There is no vertical in the force that an acceleration could be told from."""
+    drive, truth = make_drive(velocities=velocities, stand=6.0, rate_bias=(0.01, 0.01, 0.02))
+    signals = ingest_drive(with_imu(drive, specific_force=drive.imu.specific_force - G * truth.up), Place())
+    assert [f.code for f in signals.findings] == ["gravity_removed"]
+    assert signals.standing[: int(5.5 * signals.rate_hz)].mean() > 0.9
+    same(signals.rate_bias, np.array([0.01, 0.01, 0.02]), 5e-4)
 
 
 def test_whatever_way_the_sensor_is_mounted_and_said_to_be_all_is_the_same(make_drive: Maker) -> None:
