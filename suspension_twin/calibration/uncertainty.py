@@ -56,7 +56,7 @@ _POLISH = GaussNewtonSettings(iterations=12, tolerance=0.0, absolute=0.1, patien
 class Uncertainty:
     """``space`` has wide bounds, ``posterior`` is taken in it around the coordinates ``x`` (d + q,) of the fit, whose
     kept parameters are at their start. ``where`` the drives took the suspension; ``low``, ``high`` (d,) ends of the
-    90 % intervals; ``status`` of each parameter; ``absorbed`` (d,) the value that a kept parameter had while it was
+    90 % intervals, which hold what is reported; ``status`` of each parameter; ``absorbed`` (d,) the value that a kept parameter had while it was
     free, where that lies outside its prior's 90 % interval, else NaN."""
 
     space: Space
@@ -94,6 +94,9 @@ def assess(setup: Setup, outcome: Outcome, seed: int) -> Uncertainty:
             x = held
             found = posterior(problem, weighing, x, precision, _travel_at(setup, problem, x), seed, doubt)
     low, high = np.quantile(found.draws, INTERVAL, axis=1)
+    # What is reported belongs to its interval, also where another objective found it at the end of a valley.
+    reported = problem.space.from_slopes(x[:d, None])[:, 0]
+    low, high = np.minimum(low, reported), np.maximum(high, reported)
     where = _travel_at(setup, problem, x)
     return Uncertainty(problem.space, found, where, low, high, x, tuple(map(str, status)), absorbed)
 

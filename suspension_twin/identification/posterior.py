@@ -188,22 +188,23 @@ def _mix(
     covariance: Floats,
     rng: np.random.Generator,
 ) -> None:
-    """Move a share of the draws, which are ``middle`` + ``noise`` (d, N), to slides, by their posterior weight beside
-    the best fit, than which they are ``worse`` (s,) in -2 log posterior."""
+    """Move a share of the draws, which are ``middle`` + ``noise`` (d, N), to slides, by their posterior weight;
+    ``worse`` (s,) is how much larger than that of the fit their -2 log posterior is."""
     least = min(0.0, float(np.min(worse)))
     weights = np.where(np.isfinite(worse), np.exp(-0.5 * (worse - least)), 0.0)
     weights = weights * np.array([s.density for s in found])
-    # the best fit counts as one grid step with the density of its nearest slide
+    # The fit counts as one grid step with the density of its nearest slide, and as the best: where a slide is better,
+    # the fit is moved there, or it minimises another objective, and is what is reported.
     nearest = int(np.argmin([abs(s.shift) for s in found]))
-    total = float(weights.sum()) + np.exp(0.5 * least) * found[nearest].density
+    total = float(weights.sum()) + found[nearest].density
     share = float(weights.sum()) / total
     if share < 0.02:
         return
     count = middle.shape[1]
     chosen = np.flatnonzero(rng.random(count) < share)
-    slide = rng.choice(len(found), size=count, p=weights / weights.sum())[chosen]
-    jitter = rng.uniform(-0.5, 0.5, count)[chosen]
-    low = rows[0]
+    slide = np.asarray(rng.choice(len(found), size=count, p=weights / weights.sum()))[chosen]
+    jitter = np.asarray(rng.uniform(-0.5, 0.5, count))[chosen]
+    low = int(rows[0])
     # given the static compression, the slope of the unexcited segment is independent of the others
     regression = covariance[: middle.shape[0], low] / covariance[low, low]
     moved = np.stack([s.z for s in found], axis=1)
