@@ -56,8 +56,8 @@ _POLISH = GaussNewtonSettings(iterations=12, tolerance=0.0, absolute=0.1, patien
 class Uncertainty:
     """``space`` has wide bounds, ``posterior`` is taken in it around the coordinates ``x`` (d + q,) of the fit, whose
     kept parameters are at their start. ``where`` the drives took the suspension; ``low``, ``high`` (d,) ends of the
-    90 % intervals, which hold what is reported; ``status`` of each parameter; ``absorbed`` (d,) the value that a kept parameter had while it was
-    free, where that lies outside its prior's 90 % interval, else NaN."""
+    90 % intervals, which hold what is reported; ``status`` of each parameter; ``absorbed`` (d,) the value that a kept
+    parameter had while it was free, where that lies outside its prior's 90 % interval, else NaN."""
 
     space: Space
     posterior: Posterior

@@ -20,7 +20,6 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from action_msgs.msg import GoalStatus
 from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import AccelStamped, PoseStamped
 from nav_msgs.msg import Odometry
@@ -309,6 +308,8 @@ class ViewerNode(TwinNode):
             return self._calibrate()
         if name == "diagnose":
             return self._diagnose_drives()
+        if name == "cancel":
+            return self._cancel()
         if name == "load":
             return self._load_result()
         value = {
@@ -464,6 +465,14 @@ class ViewerNode(TwinNode):
         so_far = f", best cost {cost:.4g}" if math.isfinite(cost) and cost > 0 else ""
         self._show_job(f"{job.name}: {feedback.stage}{so_far}{rest}")
 
+    def _cancel(self) -> str:
+        """A cancelled calibration hands over its best so far, a diagnosis nothing."""
+        job = self._job
+        if job is None or not job.running or job.handle is None:
+            raise InputError("cancel", "nothing is running that could be cancelled")
+        job.handle.cancel_goal_async()
+        return f"Cancelling: {job.name}"
+
     def _watch_job(self, now: float) -> None:
         """Give up a goal whose node is gone, or that is not answered: the middleware loses an answer to a client it has
         not found yet. A late answer is taken up."""
@@ -472,7 +481,7 @@ class ViewerNode(TwinNode):
             return
         if not self._actions[job.name].server_is_ready():
             self._end_job(job, False, "the node calibrator ended before the result was there")
-        elif not job.accepted and now - job.began > _PATIENCE:
+        elif job.handle is None and now - job.began > _PATIENCE:
             self._end_job(job, False, "the node calibrator did not answer")
 
     def _on_accepted(self, job: Job, future: Any) -> None:
@@ -480,12 +489,12 @@ class ViewerNode(TwinNode):
         if handle is None or not handle.accepted:
             self._end_job(job, False, "the node calibrator refused, another goal is running")
             return
-        job.accepted = job.running = True
+        job.handle, job.running = handle, True
         handle.get_result_async().add_done_callback(partial(self._on_result, job))
 
     def _on_result(self, job: Job, future: Any) -> None:
         answer = future.result()
-        done = answer.status == GoalStatus.STATUS_SUCCEEDED
+        done = bool(answer.result.success)  # also of a cancelled calibration, with its best so far
         if done:
             self._result = job.output / "twin.yaml" if job.name == "diagnose" else job.output
             if job.name == "diagnose":
@@ -589,7 +598,7 @@ class Job:
     def __init__(self, name: str, output: Path) -> None:
         self.name, self.output = name, output
         self.running = True
-        self.accepted = False
+        self.handle: Any = None
         self.report = False
         self.progress: float | None = None
         self.began = time.monotonic()

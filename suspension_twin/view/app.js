@@ -295,6 +295,7 @@ function showJob(job) {
   }
   const bar = $("jobbar");
   bar.hidden = !job.running;
+  $("cancel").hidden = !job.running;
   if (job.progress === null) bar.removeAttribute("value");
   else bar.value = job.progress;
 }

@@ -37,6 +37,7 @@ ACTIONS = {
     "calibrate": False,
     "load": False,
     "diagnose": False,
+    "cancel": False,
     "pause": False,
     "play": False,
     "seek": True,

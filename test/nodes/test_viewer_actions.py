@@ -103,6 +103,19 @@ def test_a_goal_whose_node_ends_is_given_up(bench, viewer):
     assert press(bench, viewer, "calibrate") == ("calibrate: the node calibrator is not there", True)
 
 
+def test_a_calibration_is_cancelled_and_its_best_so_far_is_there(bench, viewer, tmp_path):
+    bench.make(CalibratorNode, {"calibrate": search_until_stopped})
+    bench.until(viewer._actions["calibrate"].server_is_ready, "the action")
+    assert press(bench, viewer, "cancel") == ("cancel: nothing is running that could be cancelled", True)
+    press(bench, viewer, "calibrate")
+    bench.until(lambda: "search" in job(viewer)["text"], "the calibration to begin", 60.0)
+    assert press(bench, viewer, "cancel") == ("Cancelling: calibrate", False)
+    bench.until(lambda: not job(viewer)["running"], "its end")
+    assert "stopped in generation" in job(viewer)["text"] and job(viewer)["result"]
+    assert (tmp_path / "bumpy_calibrated.yaml").read_text() == "best so far"
+    assert press(bench, viewer, "cancel")[1]
+
+
 def test_a_goal_that_is_not_answered_is_given_up_and_goes_on_if_it_is(bench, viewer):
     answered = Future(executor=bench.executor)
 
