@@ -207,14 +207,15 @@ def loop(tally: Tally) -> None:
 
 
 def day(tally: Tally) -> None:
-    """A drive of 24 hours at 50 Hz, or of as many as there is time for, at full speed; a trial is an hour of it."""
-    hours = int(np.clip(tally.left() / _EACH_HOUR, 1, 24))
+    """A drive of 24 hours at 50 Hz, or of what there is time for, at full speed; a trial is an hour of it, or all."""
+    hours = float(np.clip(tally.left() / _EACH_HOUR, 0.1, 24.0))
+    hours = hours if hours < 1.0 else float(int(hours))
     with tempfile.TemporaryDirectory() as folder:
         write_drive(_circles(hours * _HOUR), Path(folder) / "day")
         _replay_day(tally, Path(folder) / "day", hours)
 
 
-def _replay_day(tally: Tally, bag: Path, hours: int) -> None:
+def _replay_day(tally: Tally, bag: Path, hours: float) -> None:
     twin = Twin(arguments=("--bag", str(bag), "--rate", "max"), answers_alone=True)
     first = last = answers = 0
 
@@ -228,13 +229,13 @@ def _replay_day(tally: Tally, bag: Path, hours: int) -> None:
         twin.hear_answers(heard)
         settled = 0.0
         for hour, _ in enumerate(tally.numbers(), 1):
-            end = hour * _HOUR - (60.0 if hour == hours else 0.0)  # the first answers want a heading
+            end = min(hour * _HOUR, hours * _HOUR - 60.0)  # the first answers want a heading
             while last - first < end * 1e9:
                 if problem := twin.problem():
                     tally.fail(problem)
                     return
                 twin.take(0.1)
-            tally.count("hours")
+            tally.measure("hours of one drive", min(hour, hours))
             lost = 1.0 - answers / (1 + round((last - first) / 1e9 * _DAY_RATE))
             tally.measure("answers lost, %", 100.0 * lost)
             if lost > 0.0:
@@ -244,8 +245,7 @@ def _replay_day(tally: Tally, bag: Path, hours: int) -> None:
             if twin.memory() - settled > _GROWTH:
                 tally.fail(f"memory has grown by {twin.memory() - settled:.1f} MiB after hour {hour}")
                 settled = twin.memory()
-            if hour == hours:
-                tally.measure("hours of one drive", hours)
+            if hour >= hours:
                 tally.deadline = 0.0  # that was the last
     finally:
         twin.close()

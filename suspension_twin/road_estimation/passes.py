@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from scipy.fft import next_fast_len
 from scipy.interpolate import CubicSpline
 from scipy.ndimage import gaussian_filter1d
-from scipy.signal import freqz_sos
+from scipy.signal import sosfreqz
 from scipy.sparse import csr_matrix
 
 from suspension_twin.arrays import Floats
@@ -185,7 +185,7 @@ def make_pass(prepared: Prepared, line: Road, track: float) -> Pass:
     weight = _tapered(usable, prepared.rate)
     if weight.sum() < _SHORTEST * prepared.rate:
         raise InputError(prepared.name, f"has less than {_SHORTEST:g} s on the road of the other drives")
-    _, gain = freqz_sos(
+    _, gain = sosfreqz(
         prepared.settings.filter.sections(prepared.rate),
         worN=np.fft.rfftfreq(n, 1.0 / prepared.rate),
         fs=prepared.rate,
