@@ -15,8 +15,8 @@ class Blend:
     """Offsets between the output and the filter's state: x, y, yaw and speed.
 
     Each dies away like a critically damped second-order system of ``time`` s, so the output has no
-    step in position and, from a correction of the speed, none in velocity. A position's share moves
-    at ``speed`` m/s at most; one beyond ``snap`` m is jumped at once.
+    step in position and, from a correction of the speed, none in velocity. A correction of the
+    position alone moves it at ``speed`` m/s at most; one beyond ``snap`` m is jumped at once.
     """
 
     def __init__(self, time: float, speed: float, snap: float) -> None:
@@ -29,6 +29,7 @@ class Blend:
         """The output is the filter's state."""
         self._offset = [0.0, 0.0, 0.0, 0.0]
         self._rate = [0.0, 0.0, 0.0]
+        self._slow = self._time  # s, of the position
         self._t = math.nan
 
     def correct(self, before: Floats, after: Floats) -> None:
@@ -42,7 +43,10 @@ class Blend:
         c1, s1 = math.cos(after[YAW]), math.sin(after[YAW])
         self._rate[0] += float(before[SPEED] * c0 - after[SPEED] * c1)
         self._rate[1] += float(before[SPEED] * s0 - after[SPEED] * s1)
-        if math.hypot(offset[0], offset[1]) > self._snap or abs(offset[2]) > 0.5:
+        length = math.hypot(offset[0], offset[1])
+        # The largest speed of the decay is offset / time / e.
+        self._slow = max(self._time, length / (math.e * self._speed))
+        if length > self._snap or abs(offset[2]) > 0.5:
             self.clear()
 
     def step(self, t: float) -> tuple[float, float, float, float]:
@@ -50,11 +54,8 @@ class Blend:
         dt = min(t - self._t, 0.2) if math.isfinite(self._t) else 0.0
         self._t = t
         if dt > 0.0:
-            # The largest speed of the decay is offset / time / e.
-            length = math.hypot(self._offset[0], self._offset[1])
-            slow = max(self._time, length / (math.e * self._speed))
             for k in range(3):
-                w = 1.0 / (slow if k < 2 else self._time)
+                w = 1.0 / (self._slow if k < 2 else self._time)
                 x, v = self._offset[k], self._rate[k]
                 fade = math.exp(-w * dt)
                 linear = v + w * x

@@ -205,7 +205,7 @@ def test_a_large_correction_of_the_place_drifts_over_slowly() -> None:
     assert places[0] / 4.0 == pytest.approx([0.6, -0.8], abs=0.01)
     pace = np.hypot(*np.diff(places, axis=0).T) / 0.01
     assert pace[:100].max() < 0.51
-    assert pace.max() < 0.75  # it gathers a little speed while less and less is left; unheld it were 4.9 m/s
+    assert 0.49 < pace.max() <= 0.5 + 1e-9  # unheld it were 4.9 m/s
     assert np.hypot(*places[-1]) < 0.01
 
 
