@@ -42,7 +42,8 @@ __all__ = ["CalibratorNode", "main"]
 
 #: Period in s at which the worker's messages are read.
 _TICK = 0.02
-#: s that a goal waits at most until its client's reader of answers is known.
+#: s that a goal waits at most until its client's reader of answers is known (tolerance: twenty times what Fast DDS
+#: waits for it by itself, 0.1 s).
 _FOUND = 2.0
 
 

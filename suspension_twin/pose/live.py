@@ -22,7 +22,8 @@ from suspension_twin.vehicle.twin import Place
 __all__ = ["LiveInputs"]
 
 GRAVITY = 9.81  # imu/data is free of bias to a few mm/s²; what is left goes to the filter's bias
-#: s and rad between two fixes that a course is taken from.
+#: s and rad between two fixes that a course is taken from, at most (tolerances, by hand: old enough that a receiver
+#: with 2.5 m finds a car at 2 m/s, and so short a bend that it is an arc).
 _COURSE_TIME, _COURSE_TURN = 10.0, 0.5
 UP_TIME = 8.0  # s, the accelerometer's time constant against the gyro
 
@@ -125,6 +126,7 @@ class LiveInputs:
             self._mean[:6] = self._soft[:] = sample
             self._mean[6:] = 1.0
             self._quiet_since = math.nan
+            self._fixes.clear()  # how far it turned meanwhile is not known
         step = min(dt, 0.25) if math.isfinite(dt) else 0.0
         gain = (10.0 if self.standing else 1.0) / UP_TIME
         _live_row(
@@ -158,7 +160,7 @@ class LiveInputs:
 
     def _judge(self, t: float, speed: float, known: bool) -> None:
         """Standing: quiet for half a second, no specific force off the vertical, and slow as far as known. One loud
-        sample ends it. After a start or a gap it takes some three seconds: the variances have to become small first."""
+        sample ends it. At the start it takes some three seconds: the variances have to become small first."""
         mean, limits = self._mean.tolist(), self._limits
         variance = max(mean[6], mean[7], mean[8])
         turning = max(mean[9], mean[10], mean[11])
@@ -227,7 +229,7 @@ class LiveInputs:
 
     def note_fix(self, t: float, east: float, north: float, sigma: float) -> None:
         """A fix in m. Where no velocities come, the newest earlier one that is far enough away gives the course, which
-        has turned on by half of what the gyro says since then; the two that are farthest apart in time, how fast."""
+        has turned on by half of what the gyro says since then, and how fast."""
         fixes = self._fixes
         if self._velocity is not None or (fixes and t <= fixes[-1][0]):
             return
@@ -255,10 +257,10 @@ class LiveInputs:
             if self._velocity is not None:
                 _, east, north = self._velocity
                 return yaw, 0.05, east * math.cos(yaw) + north * math.sin(yaw), 0.5
-            if fixed is not None:
-                return yaw, 0.05, fixed[2] * math.cos(fixed[0] - yaw), fixed[3]
             if self.standing:
                 return yaw, 0.05, 0.0, 0.5
+            if fixed is not None:
+                return yaw, 0.05, fixed[2] * math.cos(fixed[0] - yaw), fixed[3]
             return self._heading_alone(yaw)
         if self._velocity is not None:
             _, east, north = self._velocity

@@ -307,6 +307,19 @@ def test_in_a_bend_the_course_is_that_of_the_newest_fix(turn: float) -> None:
     assert found == pytest.approx(speed, rel=0.005)
 
 
+def test_fixes_on_either_side_of_a_gap_give_no_course() -> None:
+    """How far the car turned meanwhile is not known."""
+    live = LiveInputs(Place(), Place())
+    rough = np.tile(UP, (100, 1)) + np.random.default_rng(5).normal(0.0, 1.0, (100, 3))
+    run(live, clock(1.0), rough)
+    live.note_fix(0.9, 0.0, 0.0, 0.1)
+    run(live, clock(1.0, 3.0), rough)
+    live.note_fix(3.9, 30.0, 0.0, 0.1)
+    assert live.course(1.0) is None
+    live.note_fix(4.0, 31.0, 1.0, 0.1)
+    assert live.course(1.0) is not None
+
+
 def test_a_heading_waits_for_fixes_to_say_how_fast() -> None:
     live = LiveInputs(Place(), Place())
     live.note_heading(0.0, 0.5)
