@@ -31,7 +31,7 @@ class History:
         self._inputs = np.zeros((size, 11))
         self._states = np.zeros((size, ekf.STATES))
         self._covariances = np.zeros((size, ekf.STATES, ekf.STATES))
-        self._noise = noise
+        self._noise = noise.copy()
         self._kinds = np.zeros(_SLOTS)
         self._times = np.zeros(_SLOTS)
         self._values = np.zeros((_SLOTS, 3))
@@ -97,6 +97,40 @@ class History:
             self._kinds[slot] = kind
             self._values[slot] = z
         self._advance(first, len(self._log_t) - start)
+
+    def let_bias_walk(self, density: float) -> None:
+        """How the accelerometer's bias wanders from now on, and in what is filtered again, (m/s²)²/s."""
+        self._noise[ekf.FORCE_BIAS_WALK] = density
+
+    def relevel(self, force: float, ahead: float, left: float, sigma: float) -> None:
+        """The vertical was wrong: ``force`` m/s² comes on the forward specific force, ``ahead`` and ``left`` m on the
+        antenna's place, and what is left over of the accelerometer's bias has the standard deviation ``sigma`` m/s².
+
+        The states move with their inputs, so that what was measured still agrees, and each of them learns that the
+        bias is then 0. By how much is taken for the same all over the history: its seconds are fewer than a bend's.
+        """
+        rows = np.arange(self._oldest(), self.head + 1) % self._t.size
+        self._inputs[rows, ekf.FORWARD_FORCE] += force
+        self._inputs[rows, ekf.ANTENNA_X] += ahead
+        self._inputs[rows, ekf.ANTENNA_Y] += left
+        x, p = self._states[rows], self._covariances[rows]
+        c, s = np.cos(x[:, ekf.YAW]), np.sin(x[:, ekf.YAW])
+        x[:, ekf.X] -= ahead * c - left * s
+        x[:, ekf.Y] -= ahead * s + left * c
+        x[:, ekf.ACCELEROMETER_BIAS] += force
+        column = p[:, :, ekf.ACCELEROMETER_BIAS]
+        gain = column / (column[:, ekf.ACCELEROMETER_BIAS, None] + sigma**2)
+        self._states[rows] = x - gain * x[:, ekf.ACCELEROMETER_BIAS, None]
+        self._covariances[rows] = p - gain[:, :, None] * column[:, None, :]
+
+    def forget_bias(self, sigma: float) -> None:
+        """The newest sample's vertical is in doubt: the accelerometer's bias is 0 with the standard deviation ``sigma``
+        m/s², whatever was known of it."""
+        before = self.head - 1
+        self.state(before)[ekf.ACCELEROMETER_BIAS] = 0.0
+        block = self.covariance(before)
+        block[ekf.ACCELEROMETER_BIAS, :] = block[:, ekf.ACCELEROMETER_BIAS] = 0.0
+        block[ekf.ACCELEROMETER_BIAS, ekf.ACCELEROMETER_BIAS] = sigma**2
 
     def take(self, first: int, t: float, kind: int, z: Measurement) -> float:
         """Put a measurement in at ``t`` s, after sample ``first``, and filter again; the weight it got."""

@@ -11,8 +11,9 @@ import numpy as np
 
 from suspension_twin.arrays import Floats
 from suspension_twin.compiled import compiled
-from suspension_twin.pose.ekf import LATERAL_SPEED, SPEED, YAW
+from suspension_twin.pose.ekf import ANTENNA_X, ANTENNA_Y, FORWARD_FORCE, LATERAL_SPEED, SPEED, YAW
 from suspension_twin.pose.inputs import planar_row
+from suspension_twin.pose.level import LEVEL_PULL, MOVING_PULL, MovingLevel
 from suspension_twin.pose.nodes import SLOPE_TIME
 from suspension_twin.pose.smoothed import SWAY_SIGMA
 from suspension_twin.signals.attitude import up_step
@@ -86,6 +87,10 @@ class LiveInputs:
         self._up = np.array([0.0, 0.0, 1.0])
         self._slow_up = self._up.copy()
         self._up_bias = np.zeros(3)
+        #: Whether a standstill or an alignment in motion has shown the vertical since the last long gap.
+        self.levelled = False
+        self._moving_level = MovingLevel(self._antenna - self._imu)
+        self._change: Floats | None = None
         self._sway_weight = 1.0 / SWAY_SIGMA**2
         self._sway_sum = self._sway_weight
         self._mean = np.zeros(12)
@@ -120,9 +125,10 @@ class LiveInputs:
         gap = not dt < 0.25
         if gap:
             # The accelerometer sets the vertical anew, unless the gyro has carried it well so far.
-            length = float(np.linalg.norm(sample[:3]))
-            if (not math.isfinite(dt) or dt > 2.0) and length > 1.0:
-                self._up[:] = self._slow_up[:] = sample[:3] / length
+            if not math.isfinite(dt) or dt > 2.0:
+                aside = speed * sample[5] if known else 0.0
+                self._set_up(sample[:3] - (0.0, aside, 0.0))
+                self._begin_level()
             self._mean[:6] = self._soft[:] = sample
             self._mean[6:] = 1.0
             self._quiet_since = math.nan
@@ -145,6 +151,8 @@ class LiveInputs:
             self._antenna,
             out,
         )
+        if not self.levelled:
+            self._moving_level.add(t, self._soft[2], step)
         self._t = t
         self._judge(t, speed, known)
         # The filter turns by the mean over the interval.
@@ -173,10 +181,11 @@ class LiveInputs:
             and abs(soft[5] - mean[5]) < 2.5 * limits.rate
         )
         up = self._up.tolist()
-        quiet = (
-            quiet and math.hypot(mean[0] / GRAVITY - up[0], mean[1] / GRAVITY - up[1]) < MAX_TILT_DIFFERENCE
-        )
-        quiet = quiet and (not known or abs(speed) < 0.3) and self._gps_slow(t)
+        tilted = math.hypot(mean[0] / GRAVITY - up[0], mean[1] / GRAVITY - up[1]) >= MAX_TILT_DIFFERENCE
+        # A vertical that nothing has confirmed may be wrong: the velocity alone says that the vehicle stands.
+        heard = self._velocity is not None and t - self._velocity[0] <= 1.5
+        doubtful = tilted and heard and not self.levelled
+        quiet = quiet and (doubtful or not tilted) and (not known or abs(speed) < 0.3) and self._gps_slow(t)
         if not quiet:
             self._quiet_since = math.nan
             self.standing = False
@@ -184,6 +193,9 @@ class LiveInputs:
             self._quiet_since = t
         else:
             self.standing = t - self._quiet_since >= limits.window
+            if self.standing and doubtful:
+                self._confirm(self._mean[:3])
+            self.levelled |= self.standing
 
     def _gps_slow(self, t: float) -> bool:
         if self._velocity is None:
@@ -209,6 +221,56 @@ class LiveInputs:
         self._sway_sum += (s[0] * ahead + s[1] * left) / variance
         self._sway_sum = min(max(self._sway_sum, 0.0), 1.2 * self._sway_weight)
 
+    # -- the first vertical -------------------------------------------------------------------
+
+    @property
+    def pull(self) -> float:
+        """Standard deviation in m/s² of the forward specific force, by the vertical's."""
+        return LEVEL_PULL if self.levelled else MOVING_PULL
+
+    def level(self, t: float, east: float, north: float, sigma: float) -> None:
+        """Find the vertical by a velocity in m/s of a vehicle that moves."""
+        if self.levelled:
+            return
+        up = self._moving_level.velocity(t, east, north, sigma, GRAVITY)
+        if up is not None:
+            self._confirm(GRAVITY * up)
+
+    def take_change(self) -> Floats | None:
+        """(3,): what a vertical confirmed since the last call adds to the forward specific force, m/s², and to the
+        antenna's place ahead and to the left, m; None where none was."""
+        change, self._change = self._change, None
+        return change
+
+    def _begin_level(self) -> None:
+        """The vertical is the specific force of a vehicle that may move."""
+        self.levelled = False
+        self._moving_level.begin()
+
+    def _set_up(self, direction: Floats) -> None:
+        """The vertical is along ``direction`` (3,), unless that is next to nothing."""
+        length = float(np.linalg.norm(direction))
+        if length > 1.0:
+            self._up[:] = self._slow_up[:] = direction / length
+
+    def _confirm(self, force: Floats) -> None:
+        """The vertical is along ``force`` (3,), for good."""
+        before = self._planar()
+        self._set_up(force)
+        self._change = (self._planar() - before)[[FORWARD_FORCE, ANTENNA_X, ANTENNA_Y]]
+        self.levelled = True
+
+    def _planar(self) -> Floats:
+        """(8,) planar row of the low-passed sample under the vertical as it is."""
+        row = np.zeros(8)
+        share = self._sway_sum / self._sway_weight
+        soft = self._soft[2]
+        still = np.zeros(3)
+        planar_row(
+            soft[:3], soft[3:], still, self._up, self._slow_up, share, GRAVITY, self._imu, self._antenna, row
+        )
+        return row
+
     # -- the first yaw ------------------------------------------------------------------------
 
     def note_velocity(self, t: float, east: float, north: float) -> None:
@@ -222,6 +284,7 @@ class LiveInputs:
         self._fixes.clear()
         self._fixed_course = None
         self._stood = -math.inf
+        self._begin_level()
 
     def note_heading(self, t: float, yaw: float) -> None:
         """A heading in rad."""
@@ -246,6 +309,8 @@ class LiveInputs:
                 arc = far * (0.5 * turn / math.sin(0.5 * turn) if abs(turn) > 1e-6 else 1.0)
                 course = math.atan2(dy, dx) + 0.5 * turn
                 self._fixed_course = (course, spread / far + 0.05, arc / time, spread / time + 0.5)
+                speed = arc / (time * far)  # along the chord, half way
+                self.level(0.5 * (at + t), speed * dx, speed * dy, spread / time)
                 break
         fixes.append((t, east, north, sigma, self._turned))
 

@@ -14,6 +14,7 @@ from suspension_twin.pose import ekf
 from suspension_twin.pose.blend import Blend
 from suspension_twin.pose.history import History, Measurement
 from suspension_twin.pose.initial_state import REVERSE_SPEED, REVERSE_TIME
+from suspension_twin.pose.level import MOVING_WALK
 from suspension_twin.pose.live import LiveInputs
 from suspension_twin.pose.local_map import LocalMap
 from suspension_twin.pose.settings import PoseSettings, fix_sigma
@@ -208,9 +209,13 @@ class PoseLock:
         row = history.append(t)
         if self._live.row(t, force, rate, speed, acceleration, self._aligned, row):
             self.counts["gaps"] += 1
+            if self._aligned and not self._live.levelled:
+                history.forget_bias(self._live.pull)
+        history.let_bias_walk(self.settings.force_bias_walk if self._live.levelled else MOVING_WALK)
         if self._aligned:
             history.step()
             self._face_forward(t)
+        self._relevel()
         if self._waiting:
             ready = sorted(w for w in self._waiting if w[0] <= t)
             self._waiting = [w for w in self._waiting if w[0] > t]
@@ -280,6 +285,11 @@ class PoseLock:
     def _take(self, t: float, kind: int, z: Measurement) -> None:
         if kind == ekf.VELOCITY:
             self._live.note_velocity(t, z[0], z[1])
+            if math.hypot(z[0], z[1]) > self.settings.align_speed:
+                self._live.level(t, *z)
+        elif kind == ekf.FIX and not (self._aligned and self._live.levelled):
+            self._live.note_fix(t, *z)
+        self._relevel()
         if not self._aligned:
             self._align(t, kind, z)
             return
@@ -317,7 +327,6 @@ class PoseLock:
         if kind == ekf.HEADING:
             self._live.note_heading(t, z[0])
         elif kind == ekf.FIX:
-            self._live.note_fix(t, *z)
             self._place = (t, *z)
         found = self._live.course(self.settings.align_speed)
         if self._place is None or found is None:
@@ -328,6 +337,8 @@ class PoseLock:
         if first < 0:
             return
         yaw, yaw_sigma, speed, speed_sigma = found
+        if kind != ekf.HEADING and speed != 0.0:  # a course is the antenna's, which turns about the rear axle
+            yaw -= math.asin(max(-0.5, min(0.5, float(history.inputs(first)[7]) / speed)))
         c, s = math.cos(yaw), math.sin(yaw)
         ahead, left = history.inputs(first)[4:6]
         back = history.stamp(first) - when
@@ -339,12 +350,26 @@ class PoseLock:
         place = sigma + 2.0 * speed_sigma * abs(back)
         history.state(first)[:] = x
         history.covariance(first)[:] = np.diag(
-            np.array([place, place, yaw_sigma, speed_sigma, 1.0, 0.1, 0.01, 0.2]) ** 2
+            np.array(
+                [place, place, yaw_sigma, speed_sigma, max(1.0, self._live.pull), 0.1, 0.01, self._live.pull]
+            )
+            ** 2
         )
         self._aligned = True
         self._last_good_fix = when
         history.run(first)
         self._blend.clear()
+
+    def _relevel(self) -> None:
+        """Take a vertical that has just been confirmed into what the filter remembers."""
+        change, history = self._live.take_change(), self._history
+        if change is None or not self._aligned:
+            return
+        before = history.state(history.head).copy()
+        history.let_bias_walk(self.settings.force_bias_walk)
+        force, ahead, left = change.tolist()
+        history.relevel(force, ahead, left, self._live.pull)
+        self._blend.correct(before, history.state(history.head))
 
     def _face_forward(self, t: float) -> None:
         """Nothing on the road reverses this fast for this long: it was aligned the wrong way round."""

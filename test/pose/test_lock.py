@@ -37,11 +37,14 @@ def feed(
     *,
     delay: float = 0.0,
     skip_fix: Callable[[float], bool] = lambda s: False,
+    skip_imu: Callable[[float], bool] = lambda s: False,
     spoil: Callable[[float, float], float] = lambda s, latitude: latitude,
 ) -> list[PlanarState]:
     """All messages in the order they arrive, GPS ``delay`` s after its stamps; ``s`` counts from the start."""
     drive, start = scene.drive, scene.truth.t[0]
-    events: list[tuple[float, int, int]] = [(t, 2, i) for i, t in enumerate(drive.imu.t)]
+    events: list[tuple[float, int, int]] = [
+        (t, 2, i) for i, t in enumerate(drive.imu.t) if not skip_imu(t - start)
+    ]
     events += [(t + delay, 0, i) for i, t in enumerate(drive.fix.t) if not skip_fix(t - start)]
     events += [(t + delay, 1, i) for i, t in enumerate(drive.velocity.t) if not skip_fix(t - start)]
     if drive.heading is not None:
@@ -93,6 +96,51 @@ def rms(values: np.ndarray) -> float:
 def swinging(amplitude: float, period: float) -> Profile:
     """A turn rate that swings from second 6 on."""
     return lambda s: amplitude * np.sin(2 * np.pi * np.maximum(s - 6, 0) / period)
+
+
+BENDS: dict[str, dict[str, Callable[[np.ndarray], np.ndarray]]] = {
+    "left": {"speed": lambda s: 9.0 + 0 * s, "turn": lambda s: 0.4 + 0 * s},
+    "right": {"speed": lambda s: 6.0 + 0 * s, "turn": lambda s: -0.5 + 0 * s},
+    "brakes": {"speed": lambda s: 2.0 + 13.0 * np.exp(-s / 4.0), "turn": lambda s: 0.1 * np.sin(s)},
+    "speeds up": {"speed": lambda s: 12.0 - 9.0 * np.exp(-s / 3.0), "turn": lambda s: 0.2 + 0 * s},
+}
+
+
+@pytest.mark.parametrize("how", BENDS)
+@pytest.mark.parametrize("velocities", [True, False], ids=["velocities", "fixes alone"])
+def test_a_lock_that_starts_while_the_vehicle_brakes_or_turns(
+    make_scene: Maker, how: str, velocities: bool
+) -> None:
+    scene = make_scene(**BENDS[how], velocity_sigma=0.03 if velocities else None)
+    lock = make_lock(scene)
+    states = feed(lock, scene)
+    error = off(states, scene, since=4.0)
+    assert np.hypot(error["along"], error["across"]).max() < 0.15
+    assert np.abs(error["yaw"]).max() < 0.06
+    assert np.abs(error["speed"]).max() < 0.3
+    assert lock.counts["relocated"] == lock.counts["turned_round"] == 0
+    assert lock.counts["refused"] <= 2
+
+
+def test_a_pause_of_the_imu_in_a_bend(make_scene: Maker) -> None:
+    """Five seconds without samples, longer than the gyro carries the vertical: the speed is there again within a
+    second, and the place drifts over as slowly as it may."""
+    scene = make_scene(**BENDS["left"])
+    states = feed(make_lock(scene), scene, skip_imu=lambda s: 15.0 < s < 20.0)
+    assert np.abs(off(states, scene, since=21.0)["speed"]).max() < 0.3
+    error = off(states, scene, since=30.0)
+    assert np.hypot(error["along"], error["across"]).max() < 0.05
+
+
+def test_fixes_of_ten_centimetres_in_a_bend_are_followed_while_the_vertical_is_not_yet_known(
+    make_scene: Maker,
+) -> None:
+    scene = make_scene(**BENDS["left"], velocity_sigma=None, sigma=0.1)
+    states = feed(make_lock(scene), scene)
+    error = off(states, scene, since=2.0)
+    assert np.hypot(error["along"], error["across"]).max() < 1.0
+    late = off(states, scene, since=15.0)
+    assert np.hypot(late["along"], late["across"]).max() < 0.4
 
 
 @pytest.mark.parametrize("delay", [0.0, 0.15, 0.4])

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -116,6 +117,33 @@ def test_rtk_drive_meets_the_same_bump_twice_at_the_same_place(rtk: tuple) -> No
     assert abs(along) < 0.08
     (a0, b0), (a1, b1) = online
     assert abs((a1 - a0) * math.cos(yaw) + (b1 - b0) * math.sin(yaw)) < 0.15
+
+
+@pytest.mark.parametrize("velocities", [True, False], ids=["velocities", "fixes alone"])
+def test_a_lock_that_starts_in_the_middle_of_the_rtk_drive(rtk: tuple, velocities: bool) -> None:
+    """Every half minute, whatever the car is doing; four seconds later it is where the smoothed path is."""
+    drive, _, path, _ = rtk
+    imu = Place(position=(0.0, 0.0, 1.5), rpy=(0.0111, -0.1180, 3.0476))
+    gps = Place(frame="gps_link", position=(0.0, 0.0, 2.15))
+    fix = drive.fix
+    datum = Datum(latitude=fix.latitude[0], longitude=fix.longitude[0], altitude=fix.altitude[0])
+    worst = []
+    for start in np.arange(path.t[0] + 11.0, path.t[-1] - 16.0, 30.0):
+        if np.interp(start, path.t, path.speed) < 2.0:
+            continue
+        part = replace(
+            drive,
+            imu=drive.imu.select((drive.imu.t > start) & (drive.imu.t < start + 15.0)),
+            fix=fix.select((fix.t > start) & (fix.t < start + 15.0)),
+            velocity=drive.velocity.select(
+                (drive.velocity.t > start) & (drive.velocity.t < start + 15.0 * velocities)
+            ),
+        )
+        rows = np.array([s[:5] for s in live(part, imu, gps, datum) if s.t > start + 4.0])
+        x, y = (np.interp(rows[:, 0], path.t, values) for values in (path.x, path.y))
+        worst.append(np.hypot(rows[:, 1] - x, rows[:, 2] - y).max())
+    assert len(worst) > 12
+    assert np.median(worst) < 0.1 and max(worst) < 0.25
 
 
 def test_comma2k19_speed_against_the_wheels(shared_data: Path, repository: Path) -> None:
