@@ -157,7 +157,7 @@ def _run(manifest: Path, out: Path, options: Options, scheduler: str, workers: i
                     line.show(f"{task.item.title}; {left} left", (todo - left) / todo)
 
                 outcome = run_fleet(plan, ledger, cluster, show)
-        rows = result_rows(plan, outcome, out)
+        rows = result_rows(plan, outcome)
         changes = find_changes(health_rows(rows))
         write_tables(out, rows, changes)
         fleet_page(rows, changes, options.action, manifest.name).write(out / _PAGE)

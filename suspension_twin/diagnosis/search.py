@@ -94,10 +94,6 @@ class Single:
         """Whether the drives excite the effect enough for a judgement."""
         return bool(self.powers.max() >= LEAST_POWER)
 
-    def undetectable_share(self, temper: float) -> float:
-        """Share of the prior of the effect at which the drives would not show it; ``temper`` as for the weights."""
-        return float(np.mean(temper * self.powers < LEAST_POWER))
-
 
 @kept
 @dataclass(frozen=True, eq=False)

@@ -37,7 +37,7 @@ _PLAIN = {
 Row = dict[str, Any]
 
 
-def result_rows(plan: Plan, outcome: Outcome, ledger_folder: Path) -> list[Row]:
+def result_rows(plan: Plan, outcome: Outcome) -> list[Row]:
     """A row for every item of the manifest, in its order.
 
     Parameters
@@ -46,17 +46,16 @@ def result_rows(plan: Plan, outcome: Outcome, ledger_folder: Path) -> list[Row]:
         Items and tasks.
     outcome : Outcome
         Records.
-    ledger_folder : Path
-        The folder of the results, to which ``folder`` is relative.
 
     Returns
     -------
     list of dict
-        ``status`` is "done", "failed" (would fail again) or "lost" (another run tries it again).
+        ``folder`` is relative to that of the results; ``status`` is "done", "failed" (would fail again) or "lost"
+        (another run tries it again).
 
     Examples
     --------
-    >>> result_rows(plan, outcome, Path("results"))[0]["status"]  # doctest: +SKIP
+    >>> result_rows(plan, outcome)[0]["status"]  # doctest: +SKIP
     'done'
     """
     rows = []
