@@ -5,6 +5,8 @@ from __future__ import annotations
 
 import math
 from collections import deque
+from collections.abc import Sequence
+from typing import NamedTuple
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -19,17 +21,19 @@ MOVING_PULL, LEVEL_PULL = 3.0, 0.2
 #: (m/s²)²/s by which that wanders in body axes: a vertical that is off stays behind while the vehicle turns, here by
 #: 0.4 rad/s.
 MOVING_WALK = (0.4 * MOVING_PULL) ** 2
-#: s that an alignment takes: bumps average out, and the gyro's bias does not show yet.
+#: s that an alignment takes: bumps average out, and the gyro's bias does not show yet; and its velocities at least.
 _SHORTEST, _LONGEST = 1.0, 20.0
+_FEWEST = 4
 _STEP = 0.01  # s between the stamps at which the integrals are kept
 _LENGTH = 0.2  # of gravity by which the result may miss it
 
 
 class MovingLevel:
-    """The vertical in body axes, from the specific force, the gyro and two velocities over ground.
+    """The vertical in body axes, from the specific force, the gyro and velocities over ground.
 
-    The mean specific force between two velocities, in the axes that the body had at the first of them, is gravity's
-    reaction and their change: ``mean(R f) = Δv / T + g up``. The first course says where ahead and left lie.
+    In the axes that the body had when it began, the integral of the specific force is the gain of velocity and
+    gravity's reaction: ``∫ R f dt = v(t) - v(0) + g up t``. A straight line through its difference from the measured
+    velocities has the slope ``g up``; what is off the line says how good the velocities are.
 
     Parameters
     ----------
@@ -46,7 +50,7 @@ class MovingLevel:
         self._turn = np.eye(3)  # from body axes to those when it began
         self._pull = np.zeros(3)  # integral of the IMU's specific force in these, m/s
         self._kept: deque[tuple[float, Floats, Floats]] = deque()
-        self._first: tuple[float, float, float, float, Floats, Floats] | None = None
+        self._seen: deque[_Velocity] = deque()
 
     def add(self, t: float, sample: Floats, dt: float) -> None:
         """A sample (6,), specific force m/s² and angular rate rad/s in body axes, ``dt`` s after the last."""
@@ -60,33 +64,21 @@ class MovingLevel:
                 self._kept.popleft()
 
     def velocity(self, t: float, east: float, north: float, sigma: float, gravity: float) -> Floats | None:
-        """A velocity in m/s of a vehicle that moves, ``sigma`` m/s its standard deviation. Up (3,) in the body axes of
-        the newest sample once it is known, else None. Velocities come in the order of their stamps."""
+        """A velocity in m/s, ``sigma`` m/s its standard deviation at least. Up (3,) in the body
+        axes of the newest sample once it is known, else None. Velocities come in the order of their stamps."""
         here = self._at(t)
-        if here is None:
+        if here is None or (self._seen and t <= self._seen[-1].t):
             return None
-        first = self._first
-        if first is None or t - first[0] > _LONGEST:
-            self._first = (t, east, north, sigma, *here)
+        self._seen.append(_Velocity(t, east, north, sigma, *here))
+        while t - self._seen[0].t > _LONGEST:
+            self._seen.popleft()
+        if len(self._seen) < _FEWEST or t - self._seen[0].t < _SHORTEST:
             return None
-        time = t - first[0]
-        if time < _SHORTEST or math.hypot(sigma, first[3]) / time > 0.5 * LEVEL_PULL:
-            return None
-        _, east0, north0, _, pull0, turn0 = first
-        gained = np.array([east - east0, north - north0]) / time
-        ahead, left = np.array([[east0, north0], [-north0, east0]]) @ gained / math.hypot(east0, north0)
-        mean = turn0.T @ (here[0] - pull0) / time
-        level = mean
-        for _ in range(3):  # where ahead and left lie depends on up a little
-            up = level / np.linalg.norm(level)
-            x = np.array([1.0, 0.0, 0.0]) - up[0] * up
-            x /= np.linalg.norm(x)
-            level = mean - ahead * x - left * np.cross(up, x)
+        level, spread = _line(self._seen)
         length = float(np.linalg.norm(level))
-        if not abs(length / gravity - 1.0) < _LENGTH:
-            self._first = (t, east, north, sigma, *here)
+        if spread > 0.5 * LEVEL_PULL or not abs(length / gravity - 1.0) < _LENGTH:
             return None
-        found: Floats = self._turn.T @ turn0 @ level / length
+        found: Floats = self._turn.T @ level / length
         return found
 
     def _at(self, t: float) -> tuple[Floats, Floats] | None:
@@ -99,3 +91,36 @@ class MovingLevel:
             return pull, turn
         (t0, pull0, turn0), (t1, pull1, _) = self._kept[after - 1], self._kept[after]
         return pull0 + (t - t0) / (t1 - t0) * (pull1 - pull0), turn0
+
+
+class _Velocity(NamedTuple):
+    """A velocity over ground, m/s, with the integral (3,) and the turn (3, 3) of its time."""
+
+    t: float
+    east: float
+    north: float
+    sigma: float
+    pull: Floats
+    turn: Floats
+
+
+def _line(seen: Sequence[_Velocity]) -> tuple[Floats, float]:
+    """Slope (3,) of the line, m/s², and the standard deviation of its horizontal parts."""
+    t = np.array([v.t for v in seen])
+    over_ground = np.array([complex(v.east, v.north) for v in seen])
+    pull, nose = np.array([v.pull for v in seen]), np.array([v.turn[:, 0] for v in seen])
+    t = t - t.mean()
+    level = t @ pull / (t @ t)
+    for _ in range(3):  # where ahead and left lie depends on up a little
+        up = level / np.linalg.norm(level)
+        x = np.array([1.0, 0.0, 0.0]) - up[0] * up
+        x /= np.linalg.norm(x)
+        y = np.cross(up, x)
+        turned = nose @ x + 1j * (nose @ y)
+        yaw = np.sum(over_ground * turned.conj())
+        ahead = over_ground * (yaw.conj() / max(abs(yaw), 1e-9))  # in the axes when it began
+        rest = pull - np.outer(ahead.real, x) - np.outer(ahead.imag, y)
+        level = t @ rest / (t @ t)
+    off = (rest - rest.mean(axis=0) - np.outer(t, level)) @ np.array([x, y]).T
+    sigma = max(math.sqrt(np.sum(off**2) / (2 * len(seen) - 4)), *(v.sigma for v in seen))
+    return level, sigma / math.sqrt(t @ t)

@@ -229,7 +229,7 @@ class LiveInputs:
         return LEVEL_PULL if self.levelled else MOVING_PULL
 
     def level(self, t: float, east: float, north: float, sigma: float) -> None:
-        """Find the vertical by a velocity in m/s of a vehicle that moves."""
+        """Find the vertical by a velocity in m/s, ``sigma`` m/s its standard deviation at least."""
         if self.levelled:
             return
         up = self._moving_level.velocity(t, east, north, sigma, GRAVITY)

@@ -285,8 +285,7 @@ class PoseLock:
     def _take(self, t: float, kind: int, z: Measurement) -> None:
         if kind == ekf.VELOCITY:
             self._live.note_velocity(t, z[0], z[1])
-            if math.hypot(z[0], z[1]) > self.settings.align_speed:
-                self._live.level(t, *z)
+            self._live.level(t, *z)
         elif kind == ekf.FIX and not (self._aligned and self._live.levelled):
             self._live.note_fix(t, *z)
         self._relevel()

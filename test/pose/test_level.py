@@ -34,6 +34,8 @@ def drive_on(
     sigma: float = 0.03,
     gravity: float = GRAVITY,
     after: float = 0.0,
+    noise: float = 0.0,
+    seed: int = 0,
 ) -> tuple[list[tuple[float, np.ndarray]], np.ndarray]:
     """A body that leans by a fixed roll and pitch, at a speed that changes by ``pull`` m/s², in a bend; velocities at
     10 Hz that come ``after`` s late. What was found and when, and the true vertical in body axes."""
@@ -41,6 +43,7 @@ def drive_on(
         "YX", [pitch, roll]
     ).as_matrix()  # from body axes to level ones ahead, left and up
     up = lean[2]
+    random = np.random.default_rng(seed)
     found = []
     waiting: list[tuple[float, float, float]] = []
     for k in range(1, round(seconds / STEP) + 1):
@@ -50,7 +53,8 @@ def drive_on(
         level.add(t, np.concatenate([force, lean.T @ (0.0, 0.0, turn)]), STEP)
         if k % 10 == 0:
             v, course = speed + pull * t, yaw + turn * t
-            waiting.append((t, v * math.cos(course), v * math.sin(course)))
+            off = noise * random.standard_normal(2)
+            waiting.append((t, v * math.cos(course) + off[0], v * math.sin(course) + off[1]))
         while waiting and waiting[0][0] + after <= t:
             now = level.velocity(*waiting.pop(0), sigma, GRAVITY)
             if now is not None:
@@ -79,25 +83,54 @@ def test_whatever_it_does_the_vertical_is_found_within_two_seconds(
     assert math.acos(min(1.0, float(first @ up))) < 0.004
 
 
-def test_a_receiver_that_is_less_sure_needs_longer() -> None:
-    """Two velocities of 0.5 m/s leave 0.1 m/s², half of what an alignment may, after 7.1 s."""
-    found, _ = drive_on(MovingLevel(np.zeros(3)), 9.0, pull=1.0, sigma=0.5)
-    assert found[0][0] == pytest.approx(2.0 * math.hypot(0.5, 0.5) / LEVEL_PULL + 0.1, abs=0.1)
-    assert drive_on(MovingLevel(np.zeros(3)), 30.0, sigma=3.0)[0] == []
+def least_time(sigma: float) -> float:
+    """s that velocities of ``sigma`` m/s at 10 Hz need for a slope good to half of what an alignment may leave."""
+    for n in range(11, 200):
+        t = 0.1 * np.arange(n)
+        if sigma / math.sqrt(np.sum((t - t.mean()) ** 2)) <= 0.5 * LEVEL_PULL:
+            return float(t[-1])
+    return math.inf
 
 
-def test_where_gravity_is_missing_nothing_is_found_and_it_starts_over() -> None:
+@pytest.mark.parametrize("sigma", [0.1, 0.5, 2.0, 5.0])
+def test_a_receiver_that_is_less_sure_needs_longer(sigma: float) -> None:
+    found, _ = drive_on(MovingLevel(np.zeros(3)), 25.0, speed=30.0, pull=-0.5, sigma=sigma)
+    assert (found[0][0] if found else math.inf) == pytest.approx(0.1 + least_time(sigma), abs=0.01)
+
+
+def test_what_is_off_the_line_says_how_good_the_velocities_are() -> None:
+    """Velocities of 0.5 m/s that claim 0.01 take as long as those that say so, and find the vertical as well."""
+    errors = []
+    for seed in range(10):
+        found, up = drive_on(
+            MovingLevel(np.zeros(3)), 10.0, roll=0.1, turn=0.2, noise=0.5, sigma=0.01, seed=seed
+        )
+        assert 0.7 * least_time(0.5) < found[0][0] < 1.4 * least_time(0.5)
+        errors.append(math.acos(min(1.0, float(found[0][1] @ up))))
+    assert np.sqrt(np.mean(np.square(errors))) < 1.5 * math.sqrt(2.0) * 0.5 * LEVEL_PULL / GRAVITY
+
+
+def test_one_that_stands_needs_no_course() -> None:
+    found, up = drive_on(MovingLevel(np.zeros(3)), 1.5, speed=0.0, roll=0.05, pitch=-0.1)
+    assert math.acos(min(1.0, float(found[0][1] @ up))) < 1e-6
+
+
+def test_where_gravity_is_missing_nothing_is_found() -> None:
     level = MovingLevel(np.zeros(3))
     assert drive_on(level, 3.0, gravity=0.7 * GRAVITY)[0] == []
     level.begin()
     assert len(drive_on(level, 3.0)[0]) > 5
-    # a velocity from before the first sample, as one that was late, is none to begin with
-    level.begin()
+
+
+def test_velocities_from_before_the_samples_and_out_of_order_are_passed_over() -> None:
+    level = MovingLevel(np.zeros(3))
+    still = np.array([0.0, 0.0, GRAVITY, 0.0, 0.0, 0.0])
     assert level.velocity(0.5, 9.0, 0.0, 0.03, GRAVITY) is None
-    level.add(5.0, np.array([0.0, 0.0, GRAVITY, 0.0, 0.0, 0.0]), STEP)
-    assert level.velocity(0.5, 9.0, 0.0, 0.03, GRAVITY) is None
-    level.add(6.2, np.array([0.0, 0.0, GRAVITY, 0.0, 0.0, 0.0]), 1.2)
-    assert level.velocity(6.2, 9.0, 0.0, 0.03, GRAVITY) is None
+    for k in range(201):
+        level.add(5.0 + k * STEP, still, STEP)
+    said = [(0.5, -9.0), (5.2, 9.0), (5.5, 9.0), (5.5, -9.0), (5.4, -9.0), (6.0, 9.0)]
+    assert all(level.velocity(t, v, 0.0, 0.03, GRAVITY) is None for t, v in said)
+    assert level.velocity(6.5, 9.0, 0.0, 0.03, GRAVITY) == pytest.approx([0.0, 0.0, 1.0], abs=1e-9)
 
 
 def history(force: float, bias: float, ahead: float, x: float) -> History:

@@ -396,8 +396,10 @@ def test_a_looped_bag_starts_anew(make_scene: Maker, away: Away) -> None:
     first = feed(lock, scene)
     again = feed(lock, scene)
     assert lock.counts["resets"] == 1
-    # The last fixes of the first loop may arrive before the reset; the poses are the same all the same.
-    assert [s[:4] for s in again[-500:]] == [s[:4] for s in first[-500:]]
+    # The first velocity of the second loop arrives before the reset, so that its vertical rests on one less.
+    poses = [np.array([s[:4] for s in states[-500:]]) for states in (again, first)]
+    assert np.array_equal(poses[0][:, 0], poses[1][:, 0])
+    assert np.abs(poses[0] - poses[1]).max() < 1e-3
 
 
 def test_without_a_datum_the_first_fix_is_the_origin_and_it_can_be_set(make_scene: Maker, away: Away) -> None:
