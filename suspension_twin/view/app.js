@@ -21,19 +21,27 @@ try {
 // -- frames ----------------------------------------------------------------------------------------
 
 let socket = null, retry = 500;
-const PATIENCE = 5000; // ms for a connection: one that began while the network went away may hang for minutes
+// The program sends something every second. Where the network went away, a connection neither opens nor closes for
+// minutes; counted in seconds of this page, so that one which was asleep or busy gives the connection the same time.
+const PATIENCE = 5;
+let silent = 0;
+setInterval(() => { if (socket && ++silent > PATIENCE) lose(); }, 1000);
 function connect() {
   const opened = new WebSocket(`${location.protocol === "https:" ? "wss" : "ws"}://${location.host}/ws${location.search}`);
-  const waiting = setTimeout(() => opened.close(), PATIENCE);
-  opened.onopen = () => { clearTimeout(waiting); retry = 500; $("link").classList.add("ok"); };
-  opened.onmessage = (message) => take(JSON.parse(message.data));
-  opened.onclose = () => {
-    clearTimeout(waiting);
-    $("link").classList.remove("ok");
-    setTimeout(connect, retry);
-    retry = Math.min(2 * retry, 5000);
-  };
+  silent = 0;
+  opened.onopen = () => { retry = 500; $("link").classList.add("ok"); };
+  opened.onmessage = (message) => { silent = 0; take(JSON.parse(message.data)); };
+  opened.onclose = lose;
   socket = opened;
+}
+
+function lose() {
+  socket.onopen = socket.onmessage = socket.onclose = null;
+  socket.close();
+  socket = null;
+  $("link").classList.remove("ok");
+  setTimeout(connect, retry);
+  retry = Math.min(2 * retry, 5000);
 }
 
 function take(frame) {
@@ -345,6 +353,6 @@ $("view3d").addEventListener("click", () => {
 });
 
 // For a test or a curious reader: what is shown at the moment.
-window.twin = { state, head, frames: () => frames, drop: () => socket.close() };
+window.twin = { state, head, frames: () => frames };
 connect();
 next();

@@ -45,6 +45,7 @@ ACTIONS = {
 }
 #: Frames a second, frames that may wait for a slow viewer, bytes of a request, viewers at a time.
 _RATE, _WAITING, _LARGEST, _VIEWERS = 30.0, 60, 1024, 32
+_BEAT = 1.0  # s after which an empty frame says that the program is still there
 _HERE = Path(__file__).parent
 _FILES = frozenset({"app.js", "charts.js", "fleet.js", "scene.js", "style.css"})
 _COOKIE = "suspension_twin"
@@ -185,11 +186,13 @@ class Server(Site):
         await super()._stop()
 
     async def _tick(self) -> None:
+        sent = self._loop.time()
         while True:
             await asyncio.sleep(1.0 / _RATE)
             frame = self.view.frame()
-            if not (frame and self._queues):
+            if not self._queues or not (frame or self._loop.time() - sent >= _BEAT):
                 continue
+            sent = self._loop.time()
             text = encoded(frame)
             whole: str | None = None
             for queue in list(self._queues):
@@ -221,7 +224,10 @@ class Server(Site):
             raise web.HTTPServiceUnavailable(text="Too many viewers.\n")
         # Not compressed: aiohttp compresses in a task of its own, whose failure at a lost connection nobody can catch.
         socket = web.WebSocketResponse(max_msg_size=_LARGEST, heartbeat=20.0, compress=False)
-        await socket.prepare(request)
+        try:
+            await socket.prepare(request)
+        except ConnectionError:  # given up before it was answered
+            return web.Response()
         queue: asyncio.Queue[str] = asyncio.Queue()
         queue.put_nowait(encoded(self.view.snapshot()))
         self._queues.add(queue)

@@ -269,18 +269,39 @@ def test_it_fits_a_phone(browser, running):
     page.close()
 
 
-def test_a_page_that_lost_its_program_says_so_and_finds_it_again(browser, running):
+def test_a_page_that_hears_nothing_says_so_and_finds_its_program_again(browser, running):
+    """As where the network goes away: the connection is neither closed nor of use, and a new one does not open."""
     page = browser.new_page()
     page.goto(running[0])
-    until(lambda: page.evaluate("document.getElementById('link').classList.contains('ok')"), "a connection")
-    page.context.set_offline(True)
-    page.evaluate("twin.drop()")
-    until(lambda: not page.evaluate("document.getElementById('link').classList.contains('ok')"), "the loss")
-    page.click("#mark")
-    assert page.inner_text("#said").startswith("Not connected")
-    page.context.set_offline(False)
-    until(
-        lambda: page.evaluate("document.getElementById('link').classList.contains('ok')"),
-        "the connection again",
+    connected = "document.getElementById('link').classList.contains('ok')"
+    until(lambda: page.evaluate(connected), "a connection")
+    program = running[2]
+    children = [int(pid) for pid in Path(f"/proc/{program}/task/{program}/children").read_text().split()]
+    for child in children:  # the viewer's process is one of them
+        os.kill(child, signal.SIGSTOP)
+    try:
+        until(lambda: not page.evaluate(connected), "the loss")
+        page.click("#mark")
+        assert page.inner_text("#said").startswith("Not connected")
+        time.sleep(7.0)  # a connection that is begun meanwhile is given up
+        assert not page.evaluate(connected)
+    finally:
+        for child in children:
+            os.kill(child, signal.SIGCONT)
+    until(lambda: page.evaluate(connected), "the connection again")
+    page.close()
+
+
+def test_a_paused_program_is_heard_all_the_same(browser, running):
+    page = browser.new_page()
+    page.goto(running[0])
+    connected = "document.getElementById('link').classList.contains('ok')"
+    until(lambda: page.evaluate(connected), "a connection")
+    until(lambda: page.inner_text("#pause") == "Again" or pause(page), "a pause")
+    page.evaluate(
+        "window.lost = 0, new MutationObserver(() => { window.lost++; })"
+        ".observe(document.getElementById('link'), {attributes: true})"
     )
+    time.sleep(8.0)
+    assert page.evaluate("window.lost") == 0 and page.evaluate(connected)
     page.close()
