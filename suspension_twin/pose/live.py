@@ -102,6 +102,7 @@ class LiveInputs:
         self._imu_speed = 0.0  # forward speed since standstill by integrating the accelerometer, m/s
         self._stood = -math.inf  # when it last stood, s
         self._velocity: tuple[float, float, float] | None = None
+        self._velocity_sigma = math.nan
         self._heading: tuple[float, float] | None = None
         self._turned = 0.0  # rad since the start, by the gyro
         #: Fixes without a velocity: s, east and north m, standard deviation m, and how far the vehicle had turned, rad.
@@ -273,9 +274,10 @@ class LiveInputs:
 
     # -- the first yaw ------------------------------------------------------------------------
 
-    def note_velocity(self, t: float, east: float, north: float) -> None:
-        """A GPS velocity in m/s."""
+    def note_velocity(self, t: float, east: float, north: float, sigma: float = 0.05) -> None:
+        """A GPS velocity in m/s and its standard deviation."""
         self._velocity = (t, east, north)
+        self._velocity_sigma = sigma
 
     def forget_course(self) -> None:
         """Discard what gave the yaw so far: wait for new velocities."""
@@ -332,7 +334,11 @@ class LiveInputs:
             speed = math.hypot(east, north)
             if speed < least_speed:
                 return None
-            course, sigma_yaw, sigma_speed = math.atan2(north, east), 0.1 / speed + 0.02, 0.5
+            course, sigma_yaw, sigma_speed = (
+                math.atan2(north, east),
+                2.0 * self._velocity_sigma / speed + 0.02,
+                0.5,
+            )
         elif fixed is not None:
             course, sigma_yaw, speed, sigma_speed = fixed
         else:

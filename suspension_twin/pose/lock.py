@@ -18,6 +18,7 @@ from suspension_twin.pose.level import MOVING_WALK
 from suspension_twin.pose.live import LiveInputs
 from suspension_twin.pose.local_map import LocalMap
 from suspension_twin.pose.settings import PoseSettings, fix_sigma
+from suspension_twin.pose.velocity_noise import VelocityNoise
 from suspension_twin.signals.attitude import rpy_matrix
 from suspension_twin.signals.checks import Finding
 from suspension_twin.signals.clock import JUMP_BACK, MAX_STAMP
@@ -107,6 +108,7 @@ class PoseLock:
         self._map = LocalMap(self._given_datum) if self._given_datum else None
         self._live = LiveInputs(self._imu, self._gps)
         self._blend = Blend(self.settings.blend, self.settings.blend_speed, self.settings.snap)
+        self._noise = VelocityNoise(self.settings.velocity_sigma)
         self._history.clear()
         self._aligned = False
         self._waiting: list[tuple[float, int, Measurement]] = []
@@ -250,6 +252,7 @@ class PoseLock:
                 age if math.isnan(self._fix_latency) else self._fix_latency + 0.1 * (age - self._fix_latency)
             )
         self._last_fix = max(self._last_fix, t)
+        self._noise.by_fixes(sigma)
         self._arrive(t, ekf.FIX, (east, north, sigma))
 
     def on_velocity(self, t: float, east: float, north: float) -> None:
@@ -257,7 +260,7 @@ class PoseLock:
         if not all(map(math.isfinite, (t, east, north))) or math.hypot(east, north) > 150.0:
             self.counts["unusable"] += 1
             return
-        self._arrive(t, ekf.VELOCITY, (east, north, self.settings.velocity_sigma))
+        self._arrive(t, ekf.VELOCITY, (east, north, self._noise.sigma))
 
     def on_heading(self, t: float, yaw: float) -> None:
         """One heading: yaw of ``base_link`` in ``map`` in rad."""
@@ -284,7 +287,7 @@ class PoseLock:
 
     def _take(self, t: float, kind: int, z: Measurement) -> None:
         if kind == ekf.VELOCITY:
-            self._live.note_velocity(t, z[0], z[1])
+            self._live.note_velocity(t, *z)
             self._live.level(t, *z)
         elif kind == ekf.FIX and not (self._aligned and self._live.levelled):
             self._live.note_fix(t, *z)
@@ -300,7 +303,9 @@ class PoseLock:
         if kind == ekf.FIX and self._refused >= 3 and t - self._refused_since >= 1.0:
             kind = ekf.RESET  # refused for so long, it is the pose that is wrong
         elif kind == ekf.VELOCITY:
-            self._live.learn_sway(history.state(first), history.inputs(first), z)
+            state, row = history.state(first), history.inputs(first)
+            self._live.learn_sway(state, row, z)
+            self._noise.see(state, history.covariance(first), row, z)
         before = history.state(history.head).copy()
         weight = history.take(first, t, kind, z)
         self._blend.correct(before, history.state(history.head))

@@ -15,7 +15,7 @@ from suspension_twin.errors import InputError
 from suspension_twin.pose import ekf
 from suspension_twin.pose.inputs import planar_inputs
 from suspension_twin.pose.local_map import LocalMap
-from suspension_twin.pose.settings import PoseSettings, fix_sigma
+from suspension_twin.pose.settings import VELOCITY_SHARE, PoseSettings, fix_sigma
 from suspension_twin.signals.filters import FilterSpec, zero_phase
 from suspension_twin.signals.offline import ImuSignals
 from suspension_twin.vehicle.twin import Datum, Place
@@ -78,7 +78,7 @@ def gather(drive: Drive, datum: Datum, settings: PoseSettings) -> Measurements:
     enu = LocalMap(datum).to_map(fix.latitude[usable], fix.longitude[usable], height[usable])
     parts = [(fix.t[usable], ekf.FIX, np.column_stack([enu[:, :2], sigma[usable]]))]
     good = np.isfinite(velocity.t) & np.isfinite(velocity.enu[:, :2]).all(axis=1)
-    spread = max(settings.velocity_sigma, 0.05 * float(np.median(sigma[usable])))
+    spread = max(settings.velocity_sigma, VELOCITY_SHARE * float(np.median(sigma[usable])))
     parts.append((velocity.t[good], ekf.VELOCITY, _with(velocity.enu[good, :2], spread)))
     if drive.heading is not None:
         good = np.isfinite(drive.heading.t) & np.isfinite(drive.heading.yaw)

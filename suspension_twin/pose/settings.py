@@ -11,9 +11,12 @@ import numpy as np
 from suspension_twin.arrays import Floats
 from suspension_twin.errors import InputError
 
-__all__ = ["PoseSettings", "fix_sigma"]
+__all__ = ["VELOCITY_SHARE", "PoseSettings", "fix_sigma"]
 
 NO_FIX = -1  # sensor_msgs/NavSatStatus
+
+#: m/s of a velocity's standard deviation for each m of the fixes', at least: a receiver that is bad at one is at both.
+VELOCITY_SHARE = 0.05
 
 
 @dataclass(frozen=True)

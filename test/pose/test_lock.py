@@ -122,6 +122,20 @@ def test_a_lock_that_starts_while_the_vehicle_brakes_or_turns(
     assert lock.counts["refused"] <= 2
 
 
+@pytest.mark.parametrize("how", [*BENDS, "from rest"])
+def test_velocities_of_a_phone_are_worth_what_they_are(make_scene: Maker, away: Away, how: str) -> None:
+    """1 Hz, 2.5 m and 0.3 m/s, which nothing says; a phone that rattles, so that no standstill is seen."""
+    course = BENDS[how] if how in BENDS else {"speed": away(top=12.0), "turn": swinging(0.2, 9.0)}
+    phone = {"fix_rate": 1.0, "sigma": 2.5, "velocity_sigma": 0.3, "tell_sigma": False, "noise": 0.3}
+    errors = []
+    for seed in range(3):
+        scene = make_scene(**course, **phone, seed=seed)
+        errors.append(off(feed(make_lock(scene), scene), scene, since=15.0))
+    places = np.concatenate([np.hypot(e["along"], e["across"]) for e in errors])
+    assert rms(places) < 2.5
+    assert rms(np.concatenate([e["speed"] for e in errors])) < 0.5
+
+
 def test_a_pause_of_the_imu_in_a_bend(make_scene: Maker) -> None:
     """Five seconds without samples, longer than the gyro carries the vertical: the speed is there again within a
     second, and the place drifts over as slowly as it may."""
