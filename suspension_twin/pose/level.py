@@ -24,7 +24,7 @@ MOVING_WALK = (0.4 * MOVING_PULL) ** 2
 #: s that an alignment takes: bumps average out, and the gyro's bias does not show yet; and its velocities at least.
 _SHORTEST, _LONGEST = 1.0, 20.0
 _FEWEST = 4
-_STEP = 0.01  # s between the stamps at which the integrals are kept
+_STEP = 0.005  # s between the stamps at which the integrals are kept
 _LENGTH = 0.2  # of gravity by which the result may miss it
 
 
@@ -89,8 +89,9 @@ class MovingLevel:
         if after is None or after == 0:
             _, pull, turn = self._kept[-1 if after is None else 0]
             return pull, turn
-        (t0, pull0, turn0), (t1, pull1, _) = self._kept[after - 1], self._kept[after]
-        return pull0 + (t - t0) / (t1 - t0) * (pull1 - pull0), turn0
+        (t0, pull0, turn0), (t1, pull1, turn1) = self._kept[after - 1], self._kept[after]
+        share = (t - t0) / (t1 - t0)
+        return pull0 + share * (pull1 - pull0), turn0 if share < 0.5 else turn1
 
 
 class _Velocity(NamedTuple):

@@ -20,13 +20,16 @@ from suspension_twin.signals.attitude import up_step
 from suspension_twin.signals.standstill import MAX_TILT_DIFFERENCE, StillLimits, standstill_filter_step
 from suspension_twin.vehicle.twin import Place
 
-__all__ = ["LiveInputs"]
+__all__ = ["LEVEL_WALK", "LiveInputs"]
 
 GRAVITY = 9.81  # imu/data is free of bias to a few mm/s²; what is left goes to the filter's bias
 #: s and rad between two fixes that a course is taken from, at most (tolerances, by hand: old enough that a receiver
 #: with 2.5 m finds a car at 2 m/s, and so short a bend that it is an arc).
 _COURSE_TIME, _COURSE_TURN = 10.0, 0.5
 UP_TIME = 8.0  # s, the accelerometer's time constant against the gyro
+#: (m/s²)²/s by which the accelerometer's bias wanders with a vertical that is off by ``LEVEL_PULL`` for ``UP_TIME``:
+#: the density of a first-order Markov process, 2 σ² / τ.
+LEVEL_WALK = 2.0 * LEVEL_PULL**2 / UP_TIME
 
 
 @compiled

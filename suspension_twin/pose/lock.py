@@ -15,7 +15,7 @@ from suspension_twin.pose.blend import Blend
 from suspension_twin.pose.history import History, Measurement
 from suspension_twin.pose.initial_state import REVERSE_SPEED, REVERSE_TIME
 from suspension_twin.pose.level import MOVING_WALK
-from suspension_twin.pose.live import LiveInputs
+from suspension_twin.pose.live import LEVEL_WALK, LiveInputs
 from suspension_twin.pose.local_map import LocalMap
 from suspension_twin.pose.settings import PoseSettings, fix_sigma
 from suspension_twin.pose.velocity_noise import VelocityNoise
@@ -99,6 +99,7 @@ class PoseLock:
         self._gain = imu_gain
         self._given_datum = datum
         self._filter_delay = self.settings.imu_delay + STANDSTILL_FILTER_DELAY
+        self._walk = max(self.settings.force_bias_walk, LEVEL_WALK)
         self._history = History(self.settings.history, self.settings.noise())
         self.reset()
 
@@ -213,7 +214,7 @@ class PoseLock:
             self.counts["gaps"] += 1
             if self._aligned and not self._live.levelled:
                 history.forget_bias(self._live.pull)
-        history.let_bias_walk(self.settings.force_bias_walk if self._live.levelled else MOVING_WALK)
+        history.let_bias_walk(self._walk if self._live.levelled else MOVING_WALK)
         if self._aligned:
             history.step()
             self._face_forward(t)
@@ -370,7 +371,7 @@ class PoseLock:
         if change is None or not self._aligned:
             return
         before = history.state(history.head).copy()
-        history.let_bias_walk(self.settings.force_bias_walk)
+        history.let_bias_walk(self._walk)
         force, ahead, left = change.tolist()
         history.relevel(force, ahead, left, self._live.pull)
         self._blend.correct(before, history.state(history.head))

@@ -47,12 +47,12 @@ def drive_on(
     found = []
     waiting: list[tuple[float, float, float]] = []
     for k in range(1, round(seconds / STEP) + 1):
-        middle, t = (k - 0.5) * STEP, k * STEP
-        v = speed + pull * middle
+        t = k * STEP
+        v = speed + pull * t
         force = lean.T @ (pull, v * turn, gravity)
         level.add(t, np.concatenate([force, lean.T @ (0.0, 0.0, turn)]), STEP)
         if k % 10 == 0:
-            v, course = speed + pull * t, yaw + turn * t
+            course = yaw + turn * t
             off = noise * random.standard_normal(2)
             waiting.append((t, v * math.cos(course) + off[0], v * math.sin(course) + off[1]))
         while waiting and waiting[0][0] + after <= t:

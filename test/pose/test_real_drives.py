@@ -146,6 +146,33 @@ def test_a_lock_that_starts_in_the_middle_of_the_rtk_drive(rtk: tuple, velocitie
     assert np.median(worst) < 0.1 and max(worst) < 0.25
 
 
+def test_the_rtk_drive_with_a_phone_s_receiver(rtk: tuple) -> None:
+    """One fix and velocity a second, 2.5 m and 0.3 m/s off and silent about it: better than each of its fixes."""
+    drive, _, path, _ = rtk
+    imu = Place(position=(0.0, 0.0, 1.5), rpy=(0.0111, -0.1180, 3.0476))
+    gps = Place(frame="gps_link", position=(0.0, 0.0, 2.15))
+    datum = Datum(
+        latitude=drive.fix.latitude[0], longitude=drive.fix.longitude[0], altitude=drive.fix.altitude[0]
+    )
+    random = np.random.default_rng(5)
+    fix = drive.fix.select(np.flatnonzero(np.diff(np.floor(drive.fix.t), prepend=0.0) > 0))
+    velocity = drive.velocity.select(np.flatnonzero(np.diff(np.floor(drive.velocity.t), prepend=0.0) > 0))
+    north, east = random.normal(0.0, 2.5 / 111_200.0, (2, len(fix)))
+    fix = replace(
+        fix,
+        latitude=fix.latitude + north,
+        longitude=fix.longitude + east / math.cos(math.radians(datum.latitude)),
+        status=np.zeros(len(fix), dtype=np.int8),
+        sigma=np.full((len(fix), 3), np.nan),
+    )
+    velocity = replace(velocity, enu=velocity.enu + random.normal(0.0, 0.3, velocity.enu.shape))
+    rows = np.array([s[:5] for s in live(replace(drive, fix=fix, velocity=velocity), imu, gps, datum)])
+    x, y, speed = (np.interp(rows[:, 0], path.t, values) for values in (path.x, path.y, path.speed))
+    place = np.hypot(rows[:, 1] - x, rows[:, 2] - y)
+    assert np.sqrt(np.mean(place**2)) < 1.6 and place.max() < 6.0
+    assert np.sqrt(np.mean((rows[:, 4] - speed) ** 2)) < 0.35
+
+
 def test_comma2k19_speed_against_the_wheels(shared_data: Path, repository: Path) -> None:
     folder = shared_data / "comma2k19_Example_1"
     if not folder.is_dir():
