@@ -16,12 +16,13 @@ from suspension_twin.arrays import Floats
 __all__ = ["LEVEL_PULL", "MOVING_PULL", "MOVING_WALK", "MovingLevel"]
 
 #: m/s²: what braking and bends add to gravity where the specific force of a moving vehicle is taken for the vertical,
-#: and what an alignment leaves of it (0.02 rad).
+#: and what an alignment leaves of it (0.02 rad). Priors, by hand: ordinary driving; the bias that was assumed before.
 MOVING_PULL, LEVEL_PULL = 3.0, 0.2
 #: (m/s²)²/s by which that wanders in body axes: a vertical that is off stays behind while the vehicle turns, here by
 #: 0.4 rad/s.
 MOVING_WALK = (0.4 * MOVING_PULL) ** 2
 #: s that an alignment takes: bumps average out, and the gyro's bias does not show yet; and its velocities at least.
+#: Tolerances, by hand, as are those below.
 _SHORTEST, _LONGEST = 1.0, 20.0
 _FEWEST = 4
 _STEP = 0.005  # s between the stamps at which the integrals are kept

@@ -291,6 +291,11 @@ class LiveInputs:
         self._stood = -math.inf
         self._begin_level()
 
+    @property
+    def has_heading(self) -> bool:
+        """Whether the first yaw is a heading's, and no course's."""
+        return self._heading is not None
+
     def note_heading(self, t: float, yaw: float) -> None:
         """A heading in rad."""
         self._heading = (t, yaw)

@@ -342,7 +342,9 @@ class PoseLock:
         if first < 0:
             return
         yaw, yaw_sigma, speed, speed_sigma = found
-        if kind != ekf.HEADING and speed != 0.0:  # a course is the antenna's, which turns about the rear axle
+        if (
+            not self._live.has_heading and speed != 0.0
+        ):  # a course is the antenna's, which turns about the rear axle
             yaw -= math.asin(max(-0.5, min(0.5, float(history.inputs(first)[7]) / speed)))
         c, s = math.cos(yaw), math.sin(yaw)
         ahead, left = history.inputs(first)[4:6]

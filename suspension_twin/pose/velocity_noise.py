@@ -15,7 +15,7 @@ from suspension_twin.pose.settings import VELOCITY_SHARE
 __all__ = ["VelocityNoise"]
 
 #: Velocities that an estimate rests on, at least and at most; the standard deviations of the least that it may be; and
-#: m/s off the filter's, beyond which it is the filter that is wrong.
+#: m/s off the filter's, beyond which it is the filter that is wrong (tolerances, by hand).
 _FEWEST, _MOST, _LARGEST, _WRONG = 10, 60, 10.0, 2.0
 
 
