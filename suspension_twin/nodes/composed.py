@@ -200,12 +200,29 @@ class Composed:
         source = self.nodes.get("source")
         if isinstance(source, SourceNode):
             self._step_live(source, most)
-        else:
+        elif not self._serve_ready():
             self.executor.spin_once(timeout_sec=min(most, pause))
 
     def serve(self) -> None:
         """Serve one callback and play nothing: what is under way comes to its end."""
         self.executor.spin_once(timeout_sec=WAIT)
+
+    def _serve_ready(self) -> bool:
+        """Serve one callback of those that are ready; whether there was one.
+
+        The executor goes through all that are ready before it looks again, but begins anew, with its first node, where
+        it is asked with another patience. The patience of a playback is another one each time: where the processor is
+        busy, the last nodes would wait for ever.
+        """
+        try:
+            handler, _, _ = self.executor.wait_for_ready_callbacks(timeout_sec=0.0)
+        except (TimeoutException, ShutdownException):
+            return False
+        handler()
+        error = handler.exception()
+        if error is not None:
+            raise error
+        return True
 
     def _step_live(self, source: SourceNode, most: float) -> None:
         """Deliver samples as they come, and let the executor serve timers and services at times in between.
@@ -217,15 +234,8 @@ class Composed:
         if time.monotonic() < self._serve_at:
             return
         source.run_until_delivered(_BEHIND)
-        try:
-            handler, _, _ = self.executor.wait_for_ready_callbacks(timeout_sec=0.0)
-        except (TimeoutException, ShutdownException):
+        if not self._serve_ready():
             self._serve_at = time.monotonic() + _SERVE_EVERY
-            return
-        handler()
-        error = handler.exception()
-        if error is not None:
-            raise error
 
     @property
     def learner(self) -> RoadLearnerNode | None:

@@ -13,6 +13,8 @@ import numpy as np
 import pytest
 from geometry_msgs.msg import AccelStamped, TwistStamped
 from nodes_bench import PATIENT, stamp_of
+from rclpy.clock import Clock as RosClock
+from rclpy.clock_type import ClockType
 from rclpy.parameter import Parameter
 from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import Imu, NavSatFix
@@ -190,6 +192,19 @@ def test_simulated_time_runs_with_the_recording(composed, bench, drive):
         one.step(0.01)
     assert model.get_clock().now().nanoseconds / 1e9 == pytest.approx(drive.imu.t[-1], abs=0.5)
     assert model.get_parameter("use_sim_time").value is True
+
+
+def test_a_busy_first_node_does_not_starve_the_others_of_a_replay(composed, drive):
+    """As on a machine that other programs keep busy: something is always ready at the node that is looked at first."""
+    one = composed(Playback(drive, 2.0))
+    first, *others = one.executor.get_nodes()
+    busy = first.create_timer(1e-5, lambda: time.sleep(0.002), clock=RosClock(clock_type=ClockType.STEADY_TIME))
+    while one.player.position < 2.0:
+        one.step()
+    for node in (n for n in others if n is not one.player):
+        now = node.get_clock().now().nanoseconds / 1e9
+        assert now == pytest.approx(drive.imu.t[0] + one.player.position, abs=0.5), node.get_name()
+    first.destroy_timer(busy)
 
 
 def test_a_rejected_twin_leaves_nothing_behind(twin_path, tmp_path):
