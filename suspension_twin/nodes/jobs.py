@@ -15,11 +15,11 @@ import math
 import multiprocessing
 import os
 import signal
+import threading
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from multiprocessing.connection import Connection
-from multiprocessing.synchronize import Event
 from pathlib import Path
 from typing import Any, Literal, NamedTuple
 
@@ -206,9 +206,8 @@ class Worker:
 
     def __init__(self, work: Work, job: Job) -> None:
         context = multiprocessing.get_context("spawn")
-        self._here, there = context.Pipe(duplex=False)
-        self._stop = context.Event()
-        self._process = context.Process(target=_run, args=(work, job, there, self._stop), daemon=True)
+        self._here, there = context.Pipe()
+        self._process = context.Process(target=_run, args=(work, job, there), daemon=True)
         self._process.start()
         there.close()
 
@@ -225,7 +224,8 @@ class Worker:
 
     def stop(self) -> None:
         """Ask it to end with the best result so far."""
-        self._stop.set()
+        with contextlib.suppress(OSError):  # it has ended
+            self._here.send(None)
 
     def kill(self) -> None:
         """End it now."""
@@ -234,29 +234,32 @@ class Worker:
         self._here.close()
 
 
-def _run(work: Work, job: Job, out: Connection, stop: Event) -> None:
+def _run(work: Work, job: Job, parent: Connection) -> None:
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, signal.SIG_IGN)
     with contextlib.suppress(OSError):
         os.nice(10)
-    parent = multiprocessing.parent_process()
+    stop = threading.Event()
+
+    def listen() -> None:
+        with contextlib.suppress(EOFError, OSError):
+            while True:
+                parent.recv()
+                stop.set()
+        os._exit(1)  # the parent has ended, and may have done so in the middle of starting this process
+
+    threading.Thread(target=listen, daemon=True).start()
     if job.threads:
         import numba
 
         numba.set_num_threads(min(job.threads, numba.config.NUMBA_NUM_THREADS))
 
-    def should_stop() -> bool:
-        if parent is not None and not parent.is_alive():
-            os._exit(1)
-        return stop.is_set()
-
     try:
-        outcome = work(job, lambda content: out.send(News("progress", content)), should_stop)
+        outcome = work(job, lambda content: parent.send(News("progress", content)), stop.is_set)
         last = News("done", outcome)
     except SuspensionTwinError as error:
         last = News("failed", str(error))
     except Exception as error:
         last = News("failed", printable(f"unexpected error, {type(error).__name__}: {error}"))
     with contextlib.suppress(OSError):  # the parent no longer listens
-        out.send(last)
-        out.close()
+        parent.send(last)

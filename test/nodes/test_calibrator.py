@@ -4,6 +4,8 @@
 from __future__ import annotations
 
 import os
+import subprocess
+import sys
 import time
 from pathlib import Path
 
@@ -193,6 +195,29 @@ def test_a_node_taken_down_takes_its_worker_along(bench, goal):
     node.destroy_node()
     process.join(5.0)
     assert process.exitcode is not None
+
+
+def test_a_worker_that_never_looks_up_ends_with_its_parent(tmp_path):
+    """The parent is gone without a word, as at SIGKILL, and what is left on the terminal is not the worker's."""
+    script = tmp_path / "parent.py"
+    script.write_text(
+        "import os, time\n"
+        "from suspension_twin.nodes.jobs import Job, Worker\n"
+        "def work(job, on_progress, should_stop):\n"
+        "    on_progress(os.getpid())\n"
+        "    time.sleep(60.0)\n"
+        "if __name__ == '__main__':\n"
+        "    worker = Worker(work, Job(None, ''))\n"
+        "    while not (news := worker.news()):\n"
+        "        time.sleep(0.01)\n"
+        "    print(news[0].content, flush=True)\n"
+        "    os._exit(0)\n"
+    )
+    began = time.monotonic()
+    done = subprocess.run([sys.executable, script], capture_output=True, text=True, timeout=50.0)
+    took = time.monotonic() - began  # its output ends with the last process that holds it
+    assert done.returncode == 0 and done.stderr == "" and int(done.stdout) > 0
+    assert took < 40.0  # the work alone would take 60 s
 
 
 def test_a_real_calibration_writes_a_twin_file_that_loads(bench, goal):

@@ -198,7 +198,9 @@ def test_a_busy_first_node_does_not_starve_the_others_of_a_replay(composed, driv
     """As on a machine that other programs keep busy: something is always ready at the node that is looked at first."""
     one = composed(Playback(drive, 2.0))
     first, *others = one.executor.get_nodes()
-    busy = first.create_timer(1e-5, lambda: time.sleep(0.002), clock=RosClock(clock_type=ClockType.STEADY_TIME))
+    busy = first.create_timer(
+        1e-5, lambda: time.sleep(0.002), clock=RosClock(clock_type=ClockType.STEADY_TIME)
+    )
     while one.player.position < 2.0:
         one.step()
     for node in (n for n in others if n is not one.player):
