@@ -15,7 +15,8 @@ __all__ = ["VELOCITY_SHARE", "PoseSettings", "fix_sigma"]
 
 NO_FIX = -1  # sensor_msgs/NavSatStatus
 
-#: m/s of a velocity's standard deviation for each m of the fixes', at least: a receiver that is bad at one is at both.
+#: m/s of a velocity's standard deviation for each m of the fixes', at least: a receiver that is bad at one is at both
+#: (prior, by hand).
 VELOCITY_SHARE = 0.05
 
 

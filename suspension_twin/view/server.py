@@ -45,7 +45,7 @@ ACTIONS = {
 }
 #: Frames a second, frames that may wait for a slow viewer, bytes of a request, viewers at a time.
 _RATE, _WAITING, _LARGEST, _VIEWERS = 30.0, 60, 1024, 32
-_BEAT = 1.0  # s after which an empty frame says that the program is still there
+_BEAT = 1.0  # s after which an empty frame says that the program is still there (tolerance, by hand)
 _HERE = Path(__file__).parent
 _FILES = frozenset({"app.js", "charts.js", "fleet.js", "scene.js", "style.css"})
 _COOKIE = "suspension_twin"
