@@ -311,11 +311,11 @@ def _recorded(composed: Composed, path: Path, force: bool) -> Iterator[None]:
 
 def _learnt_files(road: Path | None) -> list[Path]:
     """The road that is learnt, its record, and the twin on it."""
+    if road is None:
+        return []
     from suspension_twin.road.origin import record_path
     from suspension_twin.road_estimation.learning import twin_path
 
-    if road is None:
-        return []
     if road.suffix.lower() != ".crg":
         raise InputError(road, "a road is written as .crg; name the file so")
     return [road, record_path(road), twin_path(road)]
