@@ -3,8 +3,10 @@
 
 from __future__ import annotations
 
+import ast
 import runpy
 import subprocess
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -18,6 +20,30 @@ def tracked(repository: Path) -> list[Path]:
         ["git", "ls-files", "-z"], cwd=repository, capture_output=True, text=True, check=True
     )
     return [Path(name) for name in listed.stdout.split("\0") if name and (repository / name).is_file()]
+
+
+def statements(body: list[ast.stmt]) -> Iterator[ast.stmt]:
+    """All statements, those within others as well."""
+    for node in body:
+        yield node
+        for field in ("body", "orelse", "handlers", "finalbody", "cases"):
+            yield from statements(getattr(node, field, []))
+
+
+@pytest.fixture(scope="session")
+def imports(repository: Path, tracked: list[Path]) -> dict[Path, frozenset[str]]:
+    """Full names of everything that each Python file imports, anywhere in it."""
+    found = {}
+    for path in (p for p in tracked if p.suffix == ".py"):
+        names = set()
+        for node in statements(ast.parse((repository / path).read_text(encoding="utf-8")).body):
+            if isinstance(node, ast.Import):
+                names |= {alias.name for alias in node.names}
+            elif isinstance(node, ast.ImportFrom):
+                assert node.level == 0, f"{path}: imports name the whole path"
+                names |= {f"{node.module}.{alias.name}" for alias in node.names}
+        found[path] = frozenset(names)
+    return found
 
 
 @pytest.fixture

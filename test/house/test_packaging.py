@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-import ast
 import os
 import re
 import runpy
@@ -25,15 +24,12 @@ NODES = ("imu_ingest", "pose_injector", "suspension_model", "calibrator", "sourc
 INTERFACES = Path("suspension_twin_interfaces")
 
 
-def imported(folder: Path) -> set[str]:
+Imports = dict[Path, frozenset[str]]
+
+
+def imported(imports: Imports, folder: str) -> set[str]:
     """Names of the packages that the Python files below a folder import, from outside the project."""
-    names = set()
-    for path in folder.rglob("*.py"):
-        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
-            if isinstance(node, ast.Import):
-                names |= {alias.name.split(".")[0] for alias in node.names}
-            elif isinstance(node, ast.ImportFrom) and node.module:
-                names.add(node.module.split(".")[0])
+    names = {name.partition(".")[0] for path in imports if path.parts[0] == folder for name in imports[path]}
     return names - set(sys.stdlib_module_names) - {"suspension_twin"}
 
 
@@ -69,10 +65,10 @@ def test_one_version_everywhere(repository: Path, setup_arguments: dict[str, Any
     assert f"\n## {suspension_twin.__version__}" in changes
 
 
-def test_package_xml_depends_on_what_is_imported(repository: Path) -> None:
+def test_package_xml_depends_on_what_is_imported(repository: Path, imports: Imports) -> None:
     package = parse_package(repository)
     named = {d.name for d in package.exec_depends}
-    used = ros_only(imported(repository / "suspension_twin") | imported(repository / "launch"))
+    used = ros_only(imported(imports, "suspension_twin") | imported(imports, "launch"))
     assert used - named == set()
     tools = {"ros2launch"}  # ros2 launch itself
     assert ros_only(named) - used == set()
@@ -80,10 +76,10 @@ def test_package_xml_depends_on_what_is_imported(repository: Path) -> None:
 
 
 @pytest.mark.skipif(sys.version_info < (3, 11), reason="Python 3.10 knows too few packages' modules")
-def test_setup_requires_what_is_imported(repository: Path, setup_arguments: dict[str, Any]) -> None:
+def test_setup_requires_what_is_imported(imports: Imports, setup_arguments: dict[str, Any]) -> None:
     required = {canonical(r) for r in setup_arguments["install_requires"]}
     providers = metadata.packages_distributions()
-    modules = imported(repository / "suspension_twin")
+    modules = imported(imports, "suspension_twin")
     outside = modules - ros_only(modules)
     missing = {m for m in outside if not required & {canonical(d) for d in providers.get(m, ["nowhere"])}}
     fleet = {"dask", "distributed", "fsspec", "psutil", "pyarrow"}
@@ -96,14 +92,14 @@ def test_setup_requires_what_is_imported(repository: Path, setup_arguments: dict
 
 
 @pytest.mark.skipif(sys.version_info < (3, 11), reason="Python 3.10 knows too few packages' modules")
-def test_the_test_extra_brings_what_tests_import(repository: Path, setup_arguments: dict[str, Any]) -> None:
+def test_the_test_extra_brings_what_tests_import(imports: Imports, setup_arguments: dict[str, Any]) -> None:
     required = {
         canonical(r) for r in setup_arguments["install_requires"] + setup_arguments["extras_require"]["test"]
     }
-    folders = [repository / folder for folder in ("test", "bags", "benchmarks", "docs")]
-    files = [path for folder in folders for path in folder.rglob("*.py")]
+    folders = ("test", "bags", "benchmarks", "docs")
+    files = [path for path in imports if path.parts[0] in folders]
     own = {p.stem for p in files} | {p.parent.name for p in files}  # helpers beside a script or a test
-    modules = set().union(*map(imported, folders))
+    modules = set().union(*(imported(imports, folder) for folder in folders))
     tools = {"catkin_pkg", "setuptools"}  # of colcon
     outside = modules - ros_only(modules) - own - tools
     providers = metadata.packages_distributions()

@@ -5,8 +5,6 @@ from __future__ import annotations
 
 import ast
 import re
-from collections.abc import Iterator
-from functools import cache
 from importlib import import_module
 from pathlib import Path
 
@@ -49,38 +47,31 @@ RANK = {name: rank for rank, row in enumerate(ROWS) for name in row}
 ROS = re.compile(r"rclpy|rosidl\w*|ament\w*|launch\w*|\w+_msgs|\w+_srvs|\w+_interfaces")
 
 
-@cache
-def modules(repository: Path) -> list[tuple[Path, ast.Module]]:
-    """Every module of the package; nobody changes the trees."""
+Modules = list[tuple[Path, ast.Module]]
+
+
+@pytest.fixture(scope="module")
+def modules(repository: Path) -> Modules:
+    """Every module of the package."""
     paths = sorted((repository / "suspension_twin").rglob("*.py"))
     return [(path.relative_to(repository), ast.parse(path.read_text(encoding="utf-8"))) for path in paths]
 
 
-def imports(tree: ast.Module) -> set[str]:
-    """Full names of everything imported anywhere in a module."""
-    names = {alias.name for node in ast.walk(tree) if isinstance(node, ast.Import) for alias in node.names}
-    for node in ast.walk(tree):
-        if isinstance(node, ast.ImportFrom):
-            assert node.level == 0, "imports name the whole path"
-            names |= {f"{node.module}.{alias.name}" for alias in node.names}
-    return names
-
-
-def test_only_the_nodes_know_ros(repository: Path) -> None:
+def test_only_the_nodes_know_ros(modules: Modules, imports: dict[Path, frozenset[str]]) -> None:
     found = [
         f"{path}: {name}"
-        for path, tree in modules(repository)
-        for name in imports(tree)
+        for path, _ in modules
+        for name in imports[path]
         if ROS.fullmatch(name.split(".")[0]) and path.parts[1] != "nodes"
     ]
     assert found == []
 
 
-def test_imports_go_from_right_to_left(repository: Path) -> None:
+def test_imports_go_from_right_to_left(modules: Modules, imports: dict[Path, frozenset[str]]) -> None:
     found = []
-    for path, tree in modules(repository):
+    for path, _ in modules:
         own = path.parts[1].removesuffix(".py")
-        for name in imports(tree):
+        for name in imports[path]:
             parts = name.split(".")
             inside = parts[0] == "suspension_twin" and len(parts) > 1
             if inside and own != "__init__" and RANK.get(parts[1], -1) > RANK[own]:
@@ -88,20 +79,24 @@ def test_imports_go_from_right_to_left(repository: Path) -> None:
     assert found == []
 
 
-def on_import(tree: ast.Module) -> Iterator[ast.Import | ast.ImportFrom]:
-    """Import statements that run when the module is imported."""
-    for node in tree.body:
-        if isinstance(node, ast.Import | ast.ImportFrom):
-            yield node
+def on_import(body: list[ast.stmt]) -> set[str]:
+    """Full names of what is imported when the module is."""
+    names = set()
+    for node in body:
+        if isinstance(node, ast.Import):
+            names |= {alias.name for alias in node.names}
+        elif isinstance(node, ast.ImportFrom):
+            names |= {f"{node.module}.{alias.name}" for alias in node.names}
         elif isinstance(node, ast.If | ast.Try) and "TYPE_CHECKING" not in ast.dump(node):
-            yield from on_import(ast.Module(node.body, []))
+            names |= on_import(node.body)
+    return names
 
 
-def test_no_import_goes_in_a_circle(repository: Path) -> None:
+def test_no_import_goes_in_a_circle(modules: Modules) -> None:
     graph: dict[str, set[str]] = {}
-    for path, tree in modules(repository):
+    for path, tree in modules:
         name = ".".join(path.with_suffix("").parts).removesuffix(".__init__")
-        graph[name] = imports(ast.Module(list(on_import(tree)), []))
+        graph[name] = on_import(tree.body)
     for own, names in graph.items():  # a name is a module, or of one
         graph[own] = {n if n in graph else n.rpartition(".")[0] for n in names} & set(graph) - {own}
     while ends := {name for name, names in graph.items() if not names}:
@@ -109,11 +104,11 @@ def test_no_import_goes_in_a_circle(repository: Path) -> None:
     assert graph == {}, f"each of these waits for another: {sorted(graph)}"
 
 
-def test_models_are_asked_for_by_the_registry(repository: Path) -> None:
+def test_models_are_asked_for_by_the_registry(modules: Modules) -> None:
     """Only the folders of models, their effects and their files know one model from another."""
     twins = {name for model in SCHEMAS.values() for name in model} | {"TrackedVehicle", "QuarterCar", "Car"}
     found = []
-    for path, tree in modules(repository):
+    for path, tree in modules:
         if path.parts[1] in ("models", "effects", "vehicle"):
             continue
         if path.stem.startswith("tracked_"):
@@ -149,10 +144,10 @@ def test_every_file_has_licence_and_docstring(repository: Path, tracked: list[Pa
     found = []
     for path in (p for p in tracked if p.suffix == ".py"):
         text = (repository / path).read_text(encoding="utf-8").removeprefix("#!/usr/bin/env python3\n")
-        if not text.startswith("# SPDX-License-Identifier: Apache-2.0\n"):
+        first, _, rest = text.partition("\n")
+        if first != "# SPDX-License-Identifier: Apache-2.0":
             found.append(f"{path}: licence")
-        tree = ast.parse(text)
-        if not ast.get_docstring(tree) and (tree.body or path.name != "__init__.py"):
+        if not re.match(r'r?"""\S', rest) and (rest or path.name != "__init__.py"):
             found.append(f"{path}: docstring")
     assert found == []
 
