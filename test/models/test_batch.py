@@ -219,7 +219,7 @@ def test_golden_derivatives(mondeo: Any, drive: Any, flat: Any) -> None:
         -0.943695,
         1.37888,
         -0.105995,
-    ]  # Radau, test_against_radau
+    ]  # LSODA, test_against_lsoda
     np.testing.assert_allclose(run.acceleration[20], exact, rtol=4e-3)
 
 

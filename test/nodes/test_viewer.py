@@ -269,10 +269,12 @@ def test_it_fits_a_phone(browser, running):
     page.close()
 
 
+@pytest.mark.long
 def test_a_page_that_hears_nothing_says_so_and_finds_its_program_again(browser, running):
     """As where the network goes away: the connection is neither closed nor of use, and a new one does not open."""
     page = browser.new_page()
     page.goto(running[0])
+    small(page)
     connected = "document.getElementById('link').classList.contains('ok')"
     until(lambda: page.evaluate(connected), "a connection")
     program = running[2]
@@ -292,6 +294,7 @@ def test_a_page_that_hears_nothing_says_so_and_finds_its_program_again(browser, 
     page.close()
 
 
+@pytest.mark.long
 def test_a_paused_program_is_heard_all_the_same(browser, running):
     page = browser.new_page()
     page.goto(running[0])
