@@ -200,7 +200,7 @@ class Composed:
         source = self.nodes.get("source")
         if isinstance(source, SourceNode):
             self._step_live(source, most)
-        elif not self._serve_ready():
+        elif not self._serve_ready() and pause > 0.0:
             self.executor.spin_once(timeout_sec=min(most, pause))
 
     def serve(self) -> None:
