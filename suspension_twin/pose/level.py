@@ -22,11 +22,11 @@ MOVING_PULL, LEVEL_PULL = 3.0, 0.2
 #: 0.4 rad/s.
 MOVING_WALK = (0.4 * MOVING_PULL) ** 2
 #: s that an alignment takes: bumps average out, and the gyro's bias does not show yet; and its velocities at least.
-#: Tolerances, by hand, as are those below.
+#: Tolerances, by hand.
 _SHORTEST, _LONGEST = 1.0, 20.0
 _FEWEST = 4
-_STEP = 0.005  # s between the stamps at which the integrals are kept
-_LENGTH = 0.2  # of gravity by which the result may miss it
+_STEP = 0.005  # s between the stamps at which the integrals are kept (tolerance, by hand)
+_LENGTH = 0.2  # of gravity by which the result may miss it (tolerance, by hand)
 
 
 class MovingLevel:

@@ -342,9 +342,8 @@ class PoseLock:
         if first < 0:
             return
         yaw, yaw_sigma, speed, speed_sigma = found
-        if (
-            not self._live.has_heading and speed != 0.0
-        ):  # a course is the antenna's, which turns about the rear axle
+        # A course is the antenna's, which turns about the rear axle; a heading is the vehicle's.
+        if speed != 0.0 and not self._live.has_heading:
             yaw -= math.asin(max(-0.5, min(0.5, float(history.inputs(first)[7]) / speed)))
         c, s = math.cos(yaw), math.sin(yaw)
         ahead, left = history.inputs(first)[4:6]
