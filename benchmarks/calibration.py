@@ -48,9 +48,9 @@ from rich.table import Table
 from suspension_twin.calibration.request import CalibrationRequest, CalibrationResult
 from suspension_twin.calibration.run import calibrate
 from suspension_twin.drive.read import read_drive
-from suspension_twin.gap.prepare import prepare
-from suspension_twin.gap.synthetic import SensorErrors
-from suspension_twin.identification.space import twin_value
+from suspension_twin.inference.prepare import prepare
+from suspension_twin.inference.space import twin_value
+from suspension_twin.inference.synthetic import SensorErrors
 from suspension_twin.models.simulate import simulate_twin
 from suspension_twin.vehicle.twin import Twin, load_twin
 

@@ -17,8 +17,8 @@ from suspension_twin.calibration.checkpoint import STATE
 from suspension_twin.calibration.request import CalibrationRequest, CalibrationResult, Progress
 from suspension_twin.calibration.run import calibrate
 from suspension_twin.calibration.setup import set_up
-from suspension_twin.identification.nuisance import NUISANCES
-from suspension_twin.identification.space import curve_keys
+from suspension_twin.inference.nuisance import NUISANCES
+from suspension_twin.inference.space import curve_keys
 from suspension_twin.vehicle.twin import load_twin
 
 _ONE_CHANNEL = (("vertical_acceleration", 1.0),)

@@ -16,8 +16,8 @@ from plain_car import PlainCar
 from suspension_twin.calibration.request import Progress
 from suspension_twin.calibration.run import calibrate
 from suspension_twin.calibration.setup import set_up
-from suspension_twin.gap.synthetic import SensorErrors
-from suspension_twin.identification.space import twin_value
+from suspension_twin.inference.space import twin_value
+from suspension_twin.inference.synthetic import SensorErrors
 from suspension_twin.vehicle.twin import Twin, load_twin
 
 

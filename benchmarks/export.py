@@ -24,9 +24,9 @@ from fmu_importers import columns, walk_2, walk_3  # first: says what is missing
 from rich.console import Console
 from rich.table import Table
 
+from suspension_twin.addons.export.registry import ExportSettings, export_twin
 from suspension_twin.drive.read import read_drive
-from suspension_twin.export.registry import ExportSettings, export_twin
-from suspension_twin.gap.prepare import prepare
+from suspension_twin.inference.prepare import prepare
 from suspension_twin.models.connectors import OUTPUTS
 from suspension_twin.models.simulate import simulate_twin
 from suspension_twin.vehicle.twin import Twin, load_twin

@@ -72,7 +72,7 @@ def make_fleet(
     """Write twin, road, drives and manifest; ``drives`` for each vehicle. The same seed makes the same files."""
     from suspension_twin.cli.common import bundled
     from suspension_twin.drive.write import write_drive
-    from suspension_twin.gap.synthetic import SensorErrors, synthetic_drive
+    from suspension_twin.inference.synthetic import SensorErrors, synthetic_drive
     from suspension_twin.road import bump_road, circular, write_road
     from suspension_twin.vehicle.twin import RoadFile, load_twin, save_twin
 
@@ -125,8 +125,8 @@ def bare(manifest: Path, processes: int) -> float:
     """Drives a second that so many processes calibrate without Dask, each on its own drives."""
     code = (
         "import sys, time\n"
-        "from suspension_twin.fleet.manifest import read_manifest\n"
-        "from suspension_twin.fleet.work import Options, plan_task, work\n"
+        "from suspension_twin.addons.fleet.manifest import read_manifest\n"
+        "from suspension_twin.addons.fleet.work import Options, plan_task, work\n"
         f"number, many, count = int(sys.argv[2]), {processes}, {BARE}\n"
         "items = read_manifest(sys.argv[1])[number::many]\n"
         "tasks = [plan_task(i, Options('calibrate')) for i in (items * (count + 2))[:count + 2]]\n"

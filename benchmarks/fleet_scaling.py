@@ -41,7 +41,7 @@ def hold_workers(address: str, count: int, length: float, record_file: str) -> N
     """Workers that sleep, until the scheduler is gone."""
     from distributed import Worker
 
-    from suspension_twin.fleet import engine
+    from suspension_twin.addons.fleet import engine
 
     record = json.loads(Path(record_file).read_text(encoding="utf-8"))
 
@@ -109,10 +109,10 @@ def cores(processes: Sequence[Any]) -> float:
 
 def measured(manifest: Path, counts: Sequence[int], length: float) -> Iterator[dict[str, Any]]:
     """A row for each number of workers."""
-    from suspension_twin.fleet.engine import Cluster, Plan, run_fleet
-    from suspension_twin.fleet.ledger import Ledger
-    from suspension_twin.fleet.manifest import read_manifest
-    from suspension_twin.fleet.work import Options, plan_task, work
+    from suspension_twin.addons.fleet.engine import Cluster, Plan, run_fleet
+    from suspension_twin.addons.fleet.ledger import Ledger
+    from suspension_twin.addons.fleet.manifest import read_manifest
+    from suspension_twin.addons.fleet.work import Options, plan_task, work
 
     items = read_manifest(manifest)
     base = plan_task(items[0], Options("calibrate"))

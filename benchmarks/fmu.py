@@ -26,8 +26,8 @@ from rich.table import Table
 from suspension_twin.calibration.request import CalibrationRequest
 from suspension_twin.calibration.run import calibrate
 from suspension_twin.drive.write import write_drive
-from suspension_twin.gap.prepare import prepare
-from suspension_twin.gap.synthetic import synthetic_drive
+from suspension_twin.inference.prepare import prepare
+from suspension_twin.inference.synthetic import synthetic_drive
 from suspension_twin.models.live import live_twin
 from suspension_twin.models.parameters import pack
 from suspension_twin.models.simulate import simulate_lanes, simulate_twin

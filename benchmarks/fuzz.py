@@ -342,9 +342,9 @@ def attack_process(requests: int, seed: int) -> dict[str, Any]:
 
 def attack_parsers(rounds: int, seed: int) -> dict[str, int]:
     """Mutated bytes for everything else that reads from outside; how many pieces each took. Raises what they raise."""
+    from suspension_twin.addons.sources import make_sources
+    from suspension_twin.addons.sources.common.hub import Hub
     from suspension_twin.errors import InputError
-    from suspension_twin.sources import make_sources
-    from suspension_twin.sources.common.hub import Hub
 
     rng, hub = random.Random(seed), Hub()
     nmea = b"$GNRMC,120044.10,A,4724.15,N,01917.04,E,8.1,45.2,010124,,,R*00\r\n$GNGGA,120044.10,4724.15,N,01917.04,E,"

@@ -10,7 +10,7 @@ data sheet (BST-BMI160-DS000) gives for these registers. The stub has no interru
     apt-get download linux-image-6.1.0-50-amd64      # or another Debian kernel
     python benchmarks/iio_qemu.py linux-image-*.deb
 
-``--write FILE`` keeps the tree: the tests read the one in ``test/sources/data``.
+``--write FILE`` keeps the tree: the tests read the one in ``test/addons/sources/data``.
 """
 
 from __future__ import annotations
@@ -111,9 +111,9 @@ def boot(package: Path, folder: Path) -> tuple[str, dict[str, str]]:
 
 def read(tree: dict[str, str], folder: Path) -> Any:
     """The samples that the source reads from the tree."""
-    from suspension_twin.sources import iio, make_sources
-    from suspension_twin.sources.common.hub import Hub
-    from suspension_twin.sources.common.runner import running
+    from suspension_twin.addons.sources import iio, make_sources
+    from suspension_twin.addons.sources.common.hub import Hub
+    from suspension_twin.addons.sources.common.runner import running
 
     for name, value in tree.items():
         path = folder / "sys" / "iio:device0" / name

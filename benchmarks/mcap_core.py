@@ -27,9 +27,9 @@ TOLERANCE = 1e-9
 
 def recorded(bag: Path, folder: Path) -> Path:
     """The drive, written anew by the recorder of live sources; the MCAP file."""
+    from suspension_twin.addons.sources.common.hub import Packet
+    from suspension_twin.addons.sources.common.recorder import Recorder
     from suspension_twin.drive.read import read_drive
-    from suspension_twin.sources.common.hub import Packet
-    from suspension_twin.sources.common.recorder import Recorder
 
     drive = read_drive(bag)
     with Recorder(folder / "drive") as recorder:

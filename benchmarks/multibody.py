@@ -32,7 +32,7 @@ from suspension_twin.calibration.request import CalibrationRequest
 from suspension_twin.calibration.run import calibrate
 from suspension_twin.drive.read import read_drive
 from suspension_twin.errors import SuspensionTwinError
-from suspension_twin.gap.prepare import prepare
+from suspension_twin.inference.prepare import prepare
 from suspension_twin.models.simulate import simulate_twin
 from suspension_twin.models.types import Response
 from suspension_twin.road import Road, load_road

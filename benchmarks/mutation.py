@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Mutation testing of ``signals``, ``pose``, ``identification`` and the decision: do tests notice a wrong program?
+"""Mutation testing of ``signals``, ``pose``, ``inference`` and the decision: do tests notice a wrong program?
 
 A mutant is the program with one operator, number, comparison, loop or condition changed, as ``cosmic-ray`` changes
 them. Mutants are drawn at random from all of a part, so that the share that is killed holds for the part. It goes on
@@ -39,9 +39,9 @@ PACKAGE = "suspension_twin"
 PARTS: dict[str, tuple[str, tuple[str, ...]]] = {
     "signals": ("signals", ("test/signals",)),
     "pose": ("pose", ("test/pose",)),
-    "identification": (
-        "identification",
-        ("test/identification", "test/diagnosis/test_fit.py", "test/diagnosis/test_nuisance_penalty.py"),
+    "inference": (
+        "inference",
+        ("test/inference", "test/diagnosis/test_fit.py", "test/diagnosis/test_nuisance_penalty.py"),
     ),
     "decision": (
         "diagnosis/decision.py",

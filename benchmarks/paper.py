@@ -25,7 +25,7 @@ from suspension_twin.calibration.presets import TABLE_2
 from suspension_twin.calibration.request import CalibrationRequest, CalibrationResult
 from suspension_twin.calibration.run import calibrate
 from suspension_twin.drive.read import read_drive
-from suspension_twin.gap.prepare import Prepared, prepare
+from suspension_twin.inference.prepare import Prepared, prepare
 from suspension_twin.models.simulate import simulate_twin
 from suspension_twin.report import plots, style
 from suspension_twin.report.characteristics import force

@@ -25,8 +25,8 @@ from suspension_twin.calibration.request import CalibrationRequest, CalibrationR
 from suspension_twin.calibration.run import calibrate
 from suspension_twin.drive.read import read_drive
 from suspension_twin.drive.write import write_drive
-from suspension_twin.gap.prepare import prepare
-from suspension_twin.gap.synthetic import synthetic_drive
+from suspension_twin.inference.prepare import prepare
+from suspension_twin.inference.synthetic import synthetic_drive
 from suspension_twin.models.simulate import simulate_twin
 from suspension_twin.report import style
 from suspension_twin.report.characteristics import force

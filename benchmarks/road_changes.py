@@ -33,10 +33,10 @@ from blind.faults import knob  # noqa: E402
 from blind.world import make_world  # noqa: E402
 from road_drives_world import drive_over, make_site  # noqa: E402
 
+from suspension_twin.addons.roads.drives.drives import road_from_drives, surface_of  # noqa: E402
+from suspension_twin.addons.roads.drives.estimate import Settings  # noqa: E402
 from suspension_twin.drive.write import write_drive  # noqa: E402
 from suspension_twin.road import write_road  # noqa: E402
-from suspension_twin.road_estimation.drives import road_from_drives, surface_of  # noqa: E402
-from suspension_twin.road_estimation.estimate import Settings  # noqa: E402
 from suspension_twin.vehicle.twin import RoadFile, save_twin  # noqa: E402
 
 BAR = 0.8

@@ -42,14 +42,14 @@ sys.path[:0] = [str(HERE), str(HERE.parent / "bags")]
 
 from road_drives_world import Floats, Site, drive_over, make_site, phone_fixes, truth_along  # noqa: E402
 
+from suspension_twin.addons.roads.drives.alignment import banded, lags_along  # noqa: E402
+from suspension_twin.addons.roads.drives.drives import road_from_drives, surface_of  # noqa: E402
+from suspension_twin.addons.roads.drives.estimate import SEEN_BAND, STEP, Estimate, Settings  # noqa: E402
+from suspension_twin.addons.roads.drives.picture import save_estimate_picture  # noqa: E402
+from suspension_twin.addons.roads.drives.vehicle import PARAMETERS, scaled_twin  # noqa: E402
 from suspension_twin.drive.types import Drive  # noqa: E402
-from suspension_twin.gap.simulated import simulate_drive  # noqa: E402
+from suspension_twin.inference.simulated import simulate_drive  # noqa: E402
 from suspension_twin.road.road import Road  # noqa: E402
-from suspension_twin.road_estimation.alignment import banded, lags_along  # noqa: E402
-from suspension_twin.road_estimation.drives import road_from_drives, surface_of  # noqa: E402
-from suspension_twin.road_estimation.estimate import SEEN_BAND, STEP, Estimate, Settings  # noqa: E402
-from suspension_twin.road_estimation.picture import save_estimate_picture  # noqa: E402
-from suspension_twin.road_estimation.vehicle import PARAMETERS, scaled_twin  # noqa: E402
 
 BARS = {
     "rms_mm": 2.0,

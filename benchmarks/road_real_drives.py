@@ -26,15 +26,15 @@ from typing import Any
 import numpy as np
 from matplotlib.figure import Figure
 
+from suspension_twin.addons.roads.drives.drives import Part, road_from_drives, surface_of
+from suspension_twin.addons.roads.drives.estimate import Settings
+from suspension_twin.addons.roads.drives.picture import save_estimate_picture
 from suspension_twin.arrays import Floats, runs
 from suspension_twin.drive.importing import import_drive
 from suspension_twin.drive.types import Drive
-from suspension_twin.gap.prepare import Prepared, prepare
+from suspension_twin.inference.prepare import Prepared, prepare
 from suspension_twin.models.simulate import simulate_twin
 from suspension_twin.road import flat_road
-from suspension_twin.road_estimation.drives import Part, road_from_drives, surface_of
-from suspension_twin.road_estimation.estimate import Settings
-from suspension_twin.road_estimation.picture import save_estimate_picture
 from suspension_twin.vehicle.twin import Datum, Imu, Place, Twin, load_twin
 
 ROOT = Path(__file__).resolve().parents[1]

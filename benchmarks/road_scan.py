@@ -47,6 +47,11 @@ sys.path.insert(0, str(HERE))
 
 from scanners import Ground, Scan, mobile, terrestrial  # noqa: E402
 
+from suspension_twin.addons.roads.scan.clouds import Cloud  # noqa: E402
+from suspension_twin.addons.roads.scan.felt import feel, steady_path, vertical_acceleration  # noqa: E402
+from suspension_twin.addons.roads.scan.picture import save_scan_picture  # noqa: E402
+from suspension_twin.addons.roads.scan.placing import Placing  # noqa: E402
+from suspension_twin.addons.roads.scan.scan import FILLED, HOLE, MEASURED, Scanned, road_from_scan  # noqa: E402
 from suspension_twin.errors import WorkError  # noqa: E402
 from suspension_twin.road.build import grid_road  # noqa: E402
 from suspension_twin.road.centreline import Centreline  # noqa: E402
@@ -54,11 +59,6 @@ from suspension_twin.road.crg import load_road  # noqa: E402
 from suspension_twin.road.recipe import make_road, parse_feature  # noqa: E402
 from suspension_twin.road.road import Road  # noqa: E402
 from suspension_twin.road.smoothing import smooth  # noqa: E402
-from suspension_twin.road_scan.clouds import Cloud  # noqa: E402
-from suspension_twin.road_scan.felt import feel, steady_path, vertical_acceleration  # noqa: E402
-from suspension_twin.road_scan.picture import save_scan_picture  # noqa: E402
-from suspension_twin.road_scan.placing import Placing  # noqa: E402
-from suspension_twin.road_scan.scan import FILLED, HOLE, MEASURED, Scanned, road_from_scan  # noqa: E402
 from suspension_twin.vehicle.twin import load_twin  # noqa: E402
 
 Floats = NDArray[np.float64]

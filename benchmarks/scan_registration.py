@@ -35,14 +35,14 @@ from blind.world import drive_plan, make_world  # noqa: E402
 from road_scan import make_site  # noqa: E402
 from scanners import mobile  # noqa: E402
 
+from suspension_twin.addons.roads.scan.clouds import Cloud  # noqa: E402
+from suspension_twin.addons.roads.scan.placing import Placing  # noqa: E402
+from suspension_twin.addons.roads.scan.registration import register  # noqa: E402
 from suspension_twin.drive.read import read_drive  # noqa: E402
 from suspension_twin.drive.write import write_drive  # noqa: E402
 from suspension_twin.errors import InputError  # noqa: E402
-from suspension_twin.gap.prepare import PrepareSettings, prepare  # noqa: E402
+from suspension_twin.inference.prepare import PrepareSettings, prepare  # noqa: E402
 from suspension_twin.road.build import flat_road  # noqa: E402
-from suspension_twin.road_scan.clouds import Cloud  # noqa: E402
-from suspension_twin.road_scan.placing import Placing  # noqa: E402
-from suspension_twin.road_scan.registration import register  # noqa: E402
 from suspension_twin.vehicle.twin import parse_twin  # noqa: E402
 
 LENGTH = 90.0

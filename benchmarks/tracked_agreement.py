@@ -11,7 +11,7 @@ import numpy as np
 
 from suspension_twin.arrays import Floats
 from suspension_twin.errors import InputError
-from suspension_twin.gap.marker_runs import MarkerRun, low_pass
+from suspension_twin.inference.marker_runs import MarkerRun, low_pass
 from suspension_twin.models.tracked import TrackedResponse, simulate_tracked_lanes
 from suspension_twin.vehicle.tracked import TrackedVehicle
 

@@ -22,7 +22,7 @@ from tracked_reality import Faults, photogrammetry, simulate
 from tracked_runs import write_run
 
 from suspension_twin.arrays import Floats
-from suspension_twin.gap.marker_runs import RATE, MarkerRun, low_pass
+from suspension_twin.inference.marker_runs import RATE, MarkerRun, low_pass
 from suspension_twin.vehicle.tracked import TrackedVehicle, load_tracked
 
 FILE = Path(__file__).resolve().parents[1] / "config" / "tracked" / "pt91.yaml"

@@ -29,7 +29,7 @@ from tracked_runs import write_run
 from suspension_twin.arrays import Floats
 from suspension_twin.calibration.request import CalibrationRequest
 from suspension_twin.calibration.run import calibrate
-from suspension_twin.gap.marker_runs import RATE, MarkerRun, low_pass
+from suspension_twin.inference.marker_runs import RATE, MarkerRun, low_pass
 from suspension_twin.models.registry import model_of
 from suspension_twin.models.tracked import changed_vehicle
 from suspension_twin.vehicle.tracked import TrackedVehicle

@@ -22,7 +22,7 @@ from tracked_agreement import compare, simulate_runs
 
 from suspension_twin.calibration.request import CalibrationRequest
 from suspension_twin.calibration.run import calibrate
-from suspension_twin.gap.marker_runs import read_run
+from suspension_twin.inference.marker_runs import read_run
 from suspension_twin.report.markers import marker_pictures
 from suspension_twin.vehicle.tracked import BOUNDS, load_tracked
 

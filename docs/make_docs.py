@@ -370,7 +370,7 @@ def effects_picture() -> None:
 
     from suspension_twin.drive.read import read_drive
     from suspension_twin.effects.registry import EFFECTS
-    from suspension_twin.gap.prepare import prepare, road_of
+    from suspension_twin.inference.prepare import prepare, road_of
     from suspension_twin.models.simulate import simulate_twin
     from suspension_twin.report import style
     from suspension_twin.signals.spectra import power_density
@@ -448,7 +448,7 @@ def diagnosis_picture() -> None:
 def draw_diagnosis(case: Path, answer: Path) -> None:
     """Bars of the likeliest answers beside the density of the gap."""
     from suspension_twin.drive.read import read_drive
-    from suspension_twin.gap.prepare import prepare
+    from suspension_twin.inference.prepare import prepare
     from suspension_twin.models.simulate import simulate_twin
     from suspension_twin.report import style
     from suspension_twin.signals.spectra import power_density
@@ -498,7 +498,7 @@ def plan_picture() -> None:
 def rig_picture() -> None:
     """A drop of the bundled rig: the body as measured and as its twin has it, calibrated on the other run or not."""
     from suspension_twin.drive.rig import read_rig
-    from suspension_twin.gap.rig import simulate_rig
+    from suspension_twin.inference.rig import simulate_rig
     from suspension_twin.report import style
     from suspension_twin.vehicle.twin import load_twin
 

@@ -36,7 +36,7 @@ settings.load_profile("untimed")
 
 from suspension_twin.calibration.presets import TABLE_2, with_table_2  # noqa: E402
 from suspension_twin.drive.write import write_drive  # noqa: E402
-from suspension_twin.gap.synthetic import SensorErrors, synthetic_drive  # noqa: E402
+from suspension_twin.inference.synthetic import SensorErrors, synthetic_drive  # noqa: E402
 from suspension_twin.road import bump_road, circular, write_road  # noqa: E402
 from suspension_twin.road.iso8608 import iso8608_road  # noqa: E402
 from suspension_twin.vehicle.twin import RoadFile, Twin, parse_twin, save_twin  # noqa: E402

@@ -26,7 +26,7 @@ from suspension_twin.drive.read import read_drive
 from suspension_twin.effects.base import Effect, Parameter
 from suspension_twin.effects.registry import EFFECTS
 from suspension_twin.errors import SuspensionTwinError
-from suspension_twin.gap.prepare import Prepared, prepare, road_of
+from suspension_twin.inference.prepare import Prepared, prepare, road_of
 from suspension_twin.models.simulate import simulate_twin
 from suspension_twin.vehicle.twin import EffectSpec, Twin, load_twin
 

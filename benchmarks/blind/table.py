@@ -62,7 +62,7 @@ def _further(case: Path, answer: Path, sealed: Path) -> tuple[float, float] | No
         return None
     from suspension_twin.drive.read import read_drive
     from suspension_twin.errors import SuspensionTwinError
-    from suspension_twin.gap.simulated import simulate_drive
+    from suspension_twin.inference.simulated import simulate_drive
     from suspension_twin.vehicle.twin import load_twin
 
     start = load_twin(case / "twin.yaml")

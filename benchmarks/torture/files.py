@@ -201,7 +201,7 @@ def read(path: Path, folder: Path) -> str:
 
         calls["rig.csv"] = lambda: read_rig(path)
     elif path.name == "13kmh_1.csv":
-        from suspension_twin.gap.marker_runs import read_markers
+        from suspension_twin.inference.marker_runs import read_markers
 
         calls["13kmh_1.csv"] = lambda: read_markers(path, 3.6)
     if path.name in calls:

@@ -157,9 +157,9 @@ async def _trial(
     """What was heard, when each packet of IMU samples came, and when the network was back."""
     from listening import Taken
 
-    from suspension_twin.sources import make_sources
-    from suspension_twin.sources.common.hub import Hub
-    from suspension_twin.sources.common.runner import running
+    from suspension_twin.addons.sources import make_sources
+    from suspension_twin.addons.sources.common.hub import Hub
+    from suspension_twin.addons.sources.common.runner import running
 
     hub, came, back = Hub(), [], 0.0
     taken = Taken(hub)

@@ -9,8 +9,8 @@ import numpy as np
 
 from suspension_twin.drive.types import Drive
 from suspension_twin.errors import InputError, WorkError
-from suspension_twin.gap.prepare import Prepared
-from suspension_twin.identification.excited_segments import TrimSettings
+from suspension_twin.inference.excited_segments import TrimSettings
+from suspension_twin.inference.prepare import Prepared
 
 __all__ = [
     "LEAST_EXCITED",

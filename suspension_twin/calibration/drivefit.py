@@ -12,12 +12,12 @@ from suspension_twin.arrays import Floats
 from suspension_twin.calibration.recorder import Outcome
 from suspension_twin.calibration.request import DriveFit
 from suspension_twin.calibration.setup import Setup
-from suspension_twin.gap.measure import main_channel
-from suspension_twin.gap.prepare import Prepared, prepare
-from suspension_twin.identification.nuisance import NuisancePriors
-from suspension_twin.identification.objectives import Term
-from suspension_twin.identification.problem import Interrupted, Problem
-from suspension_twin.identification.space import Parameter, Space
+from suspension_twin.inference.gap import main_channel
+from suspension_twin.inference.nuisance import NuisancePriors
+from suspension_twin.inference.objectives import Term
+from suspension_twin.inference.prepare import Prepared, prepare
+from suspension_twin.inference.problem import Interrupted, Problem
+from suspension_twin.inference.space import Parameter, Space
 from suspension_twin.models.parameters import layout, pack
 from suspension_twin.models.simulate import simulate_lanes
 from suspension_twin.vehicle.twin import Twin

@@ -22,8 +22,8 @@ from suspension_twin.calibration.request import (
 from suspension_twin.calibration.sensor import sensor_estimates, with_sensor
 from suspension_twin.calibration.setup import Setup
 from suspension_twin.calibration.uncertainty import Uncertainty, assess, curve_estimates
-from suspension_twin.gap.measure import channel_unit
-from suspension_twin.identification.problem import Interrupted
+from suspension_twin.inference.gap import channel_unit
+from suspension_twin.inference.problem import Interrupted
 from suspension_twin.vehicle.twin import Twin
 
 __all__ = ["conclude", "unfinished"]

@@ -13,9 +13,9 @@ from suspension_twin.calibration.genetic import GaSettings
 from suspension_twin.calibration.pattern import PatternSettings
 from suspension_twin.effects.registry import effect
 from suspension_twin.errors import InputError, nearest
-from suspension_twin.identification.gauss_newton import GaussNewtonSettings
-from suspension_twin.identification.priors import prior_of
-from suspension_twin.identification.space import CURVES, Parameter, Space, bounds_of, curve_keys, twin_value
+from suspension_twin.inference.gauss_newton import GaussNewtonSettings
+from suspension_twin.inference.priors import prior_of
+from suspension_twin.inference.space import CURVES, Parameter, Space, bounds_of, curve_keys, twin_value
 from suspension_twin.models.parameters import layout
 from suspension_twin.models.registry import model_of
 from suspension_twin.vehicle.tracked import BOUNDS

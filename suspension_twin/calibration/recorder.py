@@ -16,8 +16,8 @@ from suspension_twin.arrays import Floats
 from suspension_twin.calibration.checkpoint import Checkpoint, State
 from suspension_twin.calibration.request import CalibrationRequest, Progress
 from suspension_twin.calibration.setup import Setup
-from suspension_twin.identification.noise import Whitener
-from suspension_twin.identification.problem import Interrupted, Problem
+from suspension_twin.inference.noise import Whitener
+from suspension_twin.inference.problem import Interrupted, Problem
 from suspension_twin.vehicle.twin import Twin
 
 __all__ = ["Outcome", "Recorder", "fingerprint", "problem_digest"]

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from suspension_twin.arrays import Floats
 from suspension_twin.drive.read import Topics
-from suspension_twin.gap.measure import Gap, channel_unit
+from suspension_twin.inference.gap import Gap, channel_unit
 from suspension_twin.vehicle.twin import Twin
 
 __all__ = [
@@ -53,7 +53,7 @@ class CalibrationRequest:
     bounds : tuple of (str, float, float)
         Key, lower and upper bound in the units of the twin file.
     objective : str
-        As :func:`~suspension_twin.identification.objectives.parse_objective` takes it; empty for the
+        As :func:`~suspension_twin.inference.objectives.parse_objective` takes it; empty for the
         preset's.
     channels : tuple of (str, float)
         Channels compared and their weights; empty for the preset's.

@@ -22,8 +22,8 @@ from suspension_twin.calibration.searches import run_evolution, run_genetic
 from suspension_twin.calibration.setup import Setup, set_up
 from suspension_twin.calibration.squares import run_squares
 from suspension_twin.errors import WorkError
-from suspension_twin.identification.parallel import one_blas_thread
-from suspension_twin.identification.problem import Interrupted
+from suspension_twin.inference.parallel import one_blas_thread
+from suspension_twin.inference.problem import Interrupted
 from suspension_twin.vehicle.twin import load_twin
 
 __all__ = ["calibrate"]

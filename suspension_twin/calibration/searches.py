@@ -13,7 +13,7 @@ from suspension_twin.calibration.evolution import CmaSearch
 from suspension_twin.calibration.genetic import GeneticSearch
 from suspension_twin.calibration.pattern import PatternSearch
 from suspension_twin.calibration.recorder import Outcome, Recorder
-from suspension_twin.identification.problem import Interrupted
+from suspension_twin.inference.problem import Interrupted
 
 __all__ = ["run_evolution", "run_genetic"]
 

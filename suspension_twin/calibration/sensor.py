@@ -31,15 +31,15 @@ from suspension_twin.calibration.recorder import Outcome
 from suspension_twin.calibration.request import SensorEstimate
 from suspension_twin.calibration.setup import Setup
 from suspension_twin.calibration.uncertainty import HALF_WIDTH, Uncertainty
-from suspension_twin.gap.mounting import turned
-from suspension_twin.identification.nuisance import (
+from suspension_twin.inference.mounting import turned
+from suspension_twin.inference.nuisance import (
     NUISANCES,
     NuisancePriors,
     map_spread,
     slow_position_error,
 )
-from suspension_twin.identification.objectives import parse_objective
-from suspension_twin.identification.problem import Problem
+from suspension_twin.inference.objectives import parse_objective
+from suspension_twin.inference.problem import Problem
 from suspension_twin.units import STANDARD_GRAVITY
 from suspension_twin.vehicle.twin import Twin
 

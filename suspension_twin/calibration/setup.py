@@ -17,16 +17,16 @@ from suspension_twin.calibration.request import CalibrationRequest
 from suspension_twin.drive.read import read_drive
 from suspension_twin.drive.types import Drive
 from suspension_twin.errors import InputError
-from suspension_twin.gap.common_rate import on_common_rate
-from suspension_twin.gap.measure import CHANNELS
-from suspension_twin.gap.prepare import Prepared, PrepareSettings, prepare, road_of
-from suspension_twin.identification.coarse_alignment import coarse_lag
-from suspension_twin.identification.excited_segments import TrimSettings, fit_rows, trim
-from suspension_twin.identification.nuisance import NuisancePriors, slow_position_error
-from suspension_twin.identification.objectives import parse_objective
-from suspension_twin.identification.observations import observe, renamed
-from suspension_twin.identification.problem import Interrupted, Problem
-from suspension_twin.identification.space import Space
+from suspension_twin.inference.coarse_alignment import coarse_lag
+from suspension_twin.inference.common_rate import on_common_rate
+from suspension_twin.inference.excited_segments import TrimSettings, fit_rows, trim
+from suspension_twin.inference.gap import CHANNELS
+from suspension_twin.inference.nuisance import NuisancePriors, slow_position_error
+from suspension_twin.inference.objectives import parse_objective
+from suspension_twin.inference.observations import observe, renamed
+from suspension_twin.inference.prepare import Prepared, PrepareSettings, prepare, road_of
+from suspension_twin.inference.problem import Interrupted, Problem
+from suspension_twin.inference.space import Space
 from suspension_twin.models.registry import model_of
 from suspension_twin.models.simulate import simulate_twin
 from suspension_twin.road import Road

@@ -17,11 +17,11 @@ from suspension_twin.arrays import Floats
 from suspension_twin.calibration.checkpoint import State
 from suspension_twin.calibration.recorder import Outcome, Recorder
 from suspension_twin.calibration.setup import Setup
-from suspension_twin.identification.gauss_newton import GaussNewton, GaussNewtonSettings
-from suspension_twin.identification.noise import NEAR_FLOOR, Whitener
-from suspension_twin.identification.posterior import CORRELATION, travel
-from suspension_twin.identification.problem import FitProblem, Interrupted, Problem
-from suspension_twin.identification.spring_position import standing_at
+from suspension_twin.inference.gauss_newton import GaussNewton, GaussNewtonSettings
+from suspension_twin.inference.noise import NEAR_FLOOR, Whitener
+from suspension_twin.inference.posterior import CORRELATION, travel
+from suspension_twin.inference.problem import FitProblem, Interrupted, Problem
+from suspension_twin.inference.spring_position import standing_at
 
 __all__ = ["full_precision", "in_floors", "run_squares"]
 

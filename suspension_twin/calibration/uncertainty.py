@@ -30,12 +30,12 @@ from suspension_twin.calibration.recorder import Outcome
 from suspension_twin.calibration.request import CurveEstimate
 from suspension_twin.calibration.setup import Setup
 from suspension_twin.calibration.squares import full_precision, in_floors
-from suspension_twin.identification.gauss_newton import GaussNewton, GaussNewtonSettings
-from suspension_twin.identification.noise import NEAR_FLOOR, ScaledObjective, Whitener
-from suspension_twin.identification.objectives import Objective, Term
-from suspension_twin.identification.posterior import Posterior, Travel, Weighing, posterior, span_of, travel
-from suspension_twin.identification.problem import FitProblem, Problem
-from suspension_twin.identification.space import Curve, Space, twin_value
+from suspension_twin.inference.gauss_newton import GaussNewton, GaussNewtonSettings
+from suspension_twin.inference.noise import NEAR_FLOOR, ScaledObjective, Whitener
+from suspension_twin.inference.objectives import Objective, Term
+from suspension_twin.inference.posterior import Posterior, Travel, Weighing, posterior, span_of, travel
+from suspension_twin.inference.problem import FitProblem, Problem
+from suspension_twin.inference.space import Curve, Space, twin_value
 from suspension_twin.vehicle.twin import Twin
 
 __all__ = ["HALF_WIDTH", "INTERVAL", "Uncertainty", "assess", "curve_estimates"]

@@ -51,8 +51,8 @@ def run_fleet(
     for ROS; ``beside`` are entered while the twins run, and ``pages``, made for the twin files by namespace, is told
     every second how they are. Raises InputError for a manifest or a twin that cannot be used.
     """
-    from suspension_twin.fleet.manifest import read_manifest
-    from suspension_twin.fleet.twins import fleet_twins
+    from suspension_twin.addons.fleet.manifest import read_manifest
+    from suspension_twin.addons.fleet.twins import fleet_twins
     from suspension_twin.nodes.composed import check_namespace
     from suspension_twin.nodes.fleet import Helpers, TwinFleet
     from suspension_twin.nodes.parameters import check_names

@@ -14,9 +14,9 @@ from rich.console import Console, Group
 from rich.live import Live
 from rich.text import Text
 
-from suspension_twin.sources import Source
-from suspension_twin.sources.common.hub import Hub
-from suspension_twin.sources.common.report import device_line, findings
+from suspension_twin.addons.sources import Source
+from suspension_twin.addons.sources.common.hub import Hub
+from suspension_twin.addons.sources.common.report import device_line, findings
 
 __all__ = ["DEFAULT_SOURCE", "STYLES", "LiveLines", "show_guide"]
 

@@ -204,7 +204,7 @@ def show_progress(line: ProgressLine, step: Progress) -> None:
 def print_result(console: Console, result: CalibrationResult) -> None:
     """Parameters, properties of the sensor, and the gap of each drive before and after."""
     from suspension_twin.calibration.labels import parameter_label, parameter_unit
-    from suspension_twin.gap.measure import channel_unit
+    from suspension_twin.inference.gap import channel_unit
 
     rows: list[tuple[str | Text, ...]] = []
     for e in result.estimates:

@@ -17,20 +17,20 @@ from rich.console import Console, Group
 from rich.live import Live
 from rich.text import Text
 
+from suspension_twin.addons.sources import Source, make_sources
+from suspension_twin.addons.sources.common.address import parse_address
+from suspension_twin.addons.sources.common.assess import assess, verdict
+from suspension_twin.addons.sources.common.discover import discover
+from suspension_twin.addons.sources.common.hub import Hub, Packet
+from suspension_twin.addons.sources.common.report import device_line, findings
+from suspension_twin.addons.sources.common.runner import running
+from suspension_twin.addons.sources.common.server import PushServer
+from suspension_twin.addons.sources.phyphox import Phyphox
 from suspension_twin.cli._live import DEFAULT_SOURCE, STYLES, show_guide
 from suspension_twin.cli.common import bundled, output
 from suspension_twin.drive.types import FixData, ImuData, Samples, VelocityData
 from suspension_twin.errors import WorkError
 from suspension_twin.signals.checks import Finding
-from suspension_twin.sources import Source, make_sources
-from suspension_twin.sources.common.address import parse_address
-from suspension_twin.sources.common.assess import assess, verdict
-from suspension_twin.sources.common.discover import discover
-from suspension_twin.sources.common.hub import Hub, Packet
-from suspension_twin.sources.common.report import device_line, findings
-from suspension_twin.sources.common.runner import running
-from suspension_twin.sources.common.server import PushServer
-from suspension_twin.sources.phyphox import Phyphox
 
 __all__ = ["command"]
 

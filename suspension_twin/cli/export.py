@@ -53,7 +53,7 @@ def command(
 
     What of the twin a target cannot hold is said.
     """
-    from suspension_twin.export.registry import ExportSettings, export_twin
+    from suspension_twin.addons.export.registry import ExportSettings, export_twin
     from suspension_twin.vehicle.twin import load_twin
 
     outputs = Outputs(out, force=force)

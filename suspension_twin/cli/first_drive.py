@@ -11,15 +11,15 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from suspension_twin.addons.sources import Source, make_sources
+from suspension_twin.addons.sources.common.hub import Hub
+from suspension_twin.addons.sources.common.recorder import Recorder
+from suspension_twin.addons.sources.common.runner import running
 from suspension_twin.cli._live import DEFAULT_SOURCE, STYLES, LiveLines, show_guide
 from suspension_twin.cli.calibrate import print_result, show_progress
 from suspension_twin.cli.common import Force, Outputs, ProgressLine, Seed, SourceUrls, TwinFile, output
 from suspension_twin.drive.write import BagWriter
 from suspension_twin.errors import InputError, WorkError
-from suspension_twin.sources import Source, make_sources
-from suspension_twin.sources.common.hub import Hub
-from suspension_twin.sources.common.recorder import Recorder
-from suspension_twin.sources.common.runner import running
 
 if TYPE_CHECKING:
     from suspension_twin.calibration.first_drive import FirstDrive
@@ -65,6 +65,7 @@ def command(
     recognised and shown with its speed. Then the twin is calibrated on what was recorded, and the gap before and after
     is printed. Without --source it listens to phones with Sensor Logger and shows how to connect one.
     """
+    from suspension_twin.addons.view.live import advice
     from suspension_twin.calibration.first_drive import FirstDrive
     from suspension_twin.calibration.output import details_path, write_result
     from suspension_twin.calibration.presets import preset_named
@@ -72,7 +73,6 @@ def command(
     from suspension_twin.calibration.run import calibrate
     from suspension_twin.files import together
     from suspension_twin.vehicle.twin import load_twin
-    from suspension_twin.view.live import advice
 
     urls = source or [DEFAULT_SOURCE]
     outputs = Outputs(record, out, details_path(out), force=force)

@@ -15,9 +15,9 @@ from suspension_twin.cli.diagnose import Effects, checked_effects
 from suspension_twin.errors import InputError, WorkError
 
 if TYPE_CHECKING:
-    from suspension_twin.fleet.changes import Change
-    from suspension_twin.fleet.engine import Plan
-    from suspension_twin.fleet.work import Options, Record, Task
+    from suspension_twin.addons.fleet.changes import Change
+    from suspension_twin.addons.fleet.engine import Plan
+    from suspension_twin.addons.fleet.work import Options, Record, Task
 
 __all__ = ["app"]
 
@@ -87,8 +87,8 @@ def calibrate(
     Writes DIR/fleet.html (the page of the fleet), results.parquet, health.parquet, changes.parquet, and a folder for
     every row with the calibrated twin. The same command goes on where it was: what is there is not done again.
     """
+    from suspension_twin.addons.fleet.work import Options
     from suspension_twin.calibration.presets import preset_named
-    from suspension_twin.fleet.work import Options
 
     preset_named(preset)
     options = Options(
@@ -118,18 +118,25 @@ def diagnose(
     for every row with diagnosis.json, evidence.json and the twin with what was found. The same command goes on where it
     was.
     """
-    from suspension_twin.fleet.work import Options
+    from suspension_twin.addons.fleet.work import Options
 
     options = Options("diagnose", seed, effects=checked_effects(effect))
     _run(manifest, out, options, scheduler, workers, memory)
 
 
 def _run(manifest: Path, out: Path, options: Options, scheduler: str, workers: int, memory: float) -> None:
-    from suspension_twin.fleet.changes import find_changes
-    from suspension_twin.fleet.engine import Outcome, connected, plan_fleet, run_fleet
-    from suspension_twin.fleet.ledger import MARK, Ledger
-    from suspension_twin.fleet.manifest import read_manifest
-    from suspension_twin.fleet.tables import CHANGES, HEALTH, RESULTS, health_rows, result_rows, write_tables
+    from suspension_twin.addons.fleet.changes import find_changes
+    from suspension_twin.addons.fleet.engine import Outcome, connected, plan_fleet, run_fleet
+    from suspension_twin.addons.fleet.ledger import MARK, Ledger
+    from suspension_twin.addons.fleet.manifest import read_manifest
+    from suspension_twin.addons.fleet.tables import (
+        CHANGES,
+        HEALTH,
+        RESULTS,
+        health_rows,
+        result_rows,
+        write_tables,
+    )
     from suspension_twin.report.fleet import fleet_page
 
     if scheduler and (workers or memory):

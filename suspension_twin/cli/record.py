@@ -14,15 +14,15 @@ import typer
 from rich.padding import Padding
 from rich.text import Text
 
+from suspension_twin.addons.sources import Source, make_sources
+from suspension_twin.addons.sources.common.hub import Hub
+from suspension_twin.addons.sources.common.recorder import Recorder
+from suspension_twin.addons.sources.common.runner import running
 from suspension_twin.cli._live import DEFAULT_SOURCE, LiveLines, show_guide
 from suspension_twin.cli.common import Force, Outputs, SourceUrls, output
 from suspension_twin.drive.read import read_drive
 from suspension_twin.drive.summary import summarise
 from suspension_twin.drive.write import BagWriter
-from suspension_twin.sources import Source, make_sources
-from suspension_twin.sources.common.hub import Hub
-from suspension_twin.sources.common.recorder import Recorder
-from suspension_twin.sources.common.runner import running
 
 __all__ = ["command"]
 

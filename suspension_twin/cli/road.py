@@ -25,9 +25,9 @@ from suspension_twin.cli.common import (
 from suspension_twin.errors import InputError
 
 if TYPE_CHECKING:
+    from suspension_twin.addons.roads.drives.drives import Part
     from suspension_twin.drive.types import Drive
     from suspension_twin.road.check import RoadCheck
-    from suspension_twin.road_estimation.drives import Part
 
 __all__ = ["app"]
 
@@ -366,11 +366,11 @@ def drives(
 
     Writes the road, and beside it ROAD.json with its uncertainty by wavelength and for every metre.
     """
+    from suspension_twin.addons.roads.drives.drives import road_from_drives, write_estimate
+    from suspension_twin.addons.roads.drives.estimate import Settings
     from suspension_twin.files import together
     from suspension_twin.road.origin import record_path
     from suspension_twin.road.recipe import parse_feature
-    from suspension_twin.road_estimation.drives import road_from_drives, write_estimate
-    from suspension_twin.road_estimation.estimate import Settings
     from suspension_twin.vehicle.twin import load_twin, save_twin
 
     written = [out, record_path(out), *(p for p in (joint, picture) if p is not None)]
@@ -396,7 +396,7 @@ def drives(
                 )
                 save_twin(found.vehicle.twin, joint, heading)
             if picture is not None:
-                from suspension_twin.road_estimation.picture import save_estimate_picture
+                from suspension_twin.addons.roads.drives.picture import save_estimate_picture
 
                 save_estimate_picture(found, picture)
     console = output()
@@ -513,9 +513,9 @@ def scan(
 
     Writes the road, beside it ROAD.json with figures and ROAD.npz with the uncertainty of every node.
     """
+    from suspension_twin.addons.roads.scan.command import scan_road
+    from suspension_twin.addons.roads.scan.scan import ScanSettings, cells_path
     from suspension_twin.road.origin import record_path
-    from suspension_twin.road_scan.command import scan_road
-    from suspension_twin.road_scan.scan import ScanSettings, cells_path
 
     written = [out, record_path(out), cells_path(out), *([] if picture is None else [picture])]
     outputs = Outputs(*written, force=force)
@@ -589,8 +589,8 @@ def _parts(texts: list[str]) -> list[Part]:
     """Drives and parts of drives; one that is named twice is read once."""
     import math
 
+    from suspension_twin.addons.roads.drives.drives import Part
     from suspension_twin.drive.read import read_drive
-    from suspension_twin.road_estimation.drives import Part
 
     known: dict[str, Drive] = {}
     parts = []

@@ -176,8 +176,8 @@ def command(
     page = None if view is None else _place("--view", view)
     bridge = None if foxglove is None else _bridge(foxglove)
     if urls:
-        from suspension_twin.sources import make_sources
-        from suspension_twin.sources.common.hub import Hub
+        from suspension_twin.addons.sources import make_sources
+        from suspension_twin.addons.sources.common.hub import Hub
 
         make_sources(urls, Hub())
     outputs = Outputs(*([record] if record else []), *_learnt_files(learn_road), force=force)
@@ -251,7 +251,7 @@ def _fleet_pages(
     page: Page, arguments: list[str], twins: Mapping[str, str]
 ) -> Iterator[Callable[[Mapping[str, Mapping[str, Any]]], None]]:
     """The page of a fleet; that of a twin, a process of its own, is there from when it is first asked for."""
-    from suspension_twin.view.fleet import FleetServer
+    from suspension_twin.addons.view.fleet import FleetServer
 
     opened: dict[str, tuple[int, ExitStack]] = {}
 
@@ -293,9 +293,9 @@ def _await_listener(place: Page) -> None:
 @contextmanager
 def _recorded(composed: Composed, path: Path, force: bool) -> Iterator[None]:
     """What the sources send goes into a recording, which is complete at the end, whatever ends it."""
+    from suspension_twin.addons.sources.common.recorder import Recorder
     from suspension_twin.cli._status import say
     from suspension_twin.nodes.source import SourceNode
-    from suspension_twin.sources.common.recorder import Recorder
 
     source = composed.nodes["source"]
     assert isinstance(source, SourceNode)
@@ -313,8 +313,8 @@ def _learnt_files(road: Path | None) -> list[Path]:
     """The road that is learnt, its record, and the twin on it."""
     if road is None:
         return []
+    from suspension_twin.addons.roads.drives.learning import twin_path
     from suspension_twin.road.origin import record_path
-    from suspension_twin.road_estimation.learning import twin_path
 
     if road.suffix.lower() != ".crg":
         raise InputError(road, "a road is written as .crg; name the file so")
@@ -359,7 +359,7 @@ def _speed(rate: str) -> float:
 
 def _place(option: str, given: str) -> Page:
     """Where to listen; raises InputError for a wrong or taken place."""
-    from suspension_twin.view.server import is_local
+    from suspension_twin.addons.view.server import is_local
 
     host, _, number = given.rpartition(":")
     host = host.strip("[]") or "127.0.0.1"

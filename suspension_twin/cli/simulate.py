@@ -12,8 +12,8 @@ import typer
 from suspension_twin.cli.common import Bag, Force, Outputs, TwinFile, output, print_table
 
 if TYPE_CHECKING:
-    from suspension_twin.gap.rig import SimulatedRun
-    from suspension_twin.gap.simulated import SimulatedDrive
+    from suspension_twin.inference.rig import SimulatedRun
+    from suspension_twin.inference.simulated import SimulatedDrive
 
 __all__ = ["command"]
 
@@ -46,7 +46,7 @@ def command(
     the twin's topics carry for every IMU sample, of a run of a rig DIR/simulated.csv.
     """
     from suspension_twin.drive.write import BagWriter
-    from suspension_twin.gap.measure import channel_unit
+    from suspension_twin.inference.gap import channel_unit
     from suspension_twin.models.registry import model_of
     from suspension_twin.vehicle.twin import load_twin
 
@@ -60,15 +60,15 @@ def command(
     with outputs:
         if on_rig:
             from suspension_twin.drive.rig import read_rig
-            from suspension_twin.gap.rig import simulate_rig
+            from suspension_twin.inference.rig import simulate_rig
 
             record = read_rig(bag)
             outputs.announce()
             result = simulate_rig(record, loaded)
         else:
             from suspension_twin.drive.read import read_drive
-            from suspension_twin.gap.prepare import PrepareSettings
-            from suspension_twin.gap.simulated import simulate_drive
+            from suspension_twin.inference.prepare import PrepareSettings
+            from suspension_twin.inference.simulated import simulate_drive
 
             drive = read_drive(bag)
             outputs.announce()

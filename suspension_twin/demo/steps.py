@@ -203,7 +203,7 @@ def _calibrate(
 
 def _excited(result: DemoResult) -> dict[str, tuple[tuple[float, float], tuple[float, float]]]:
     """Travel from standstill (m) and velocity (m/s) of the calibrated twin's struts on the drive learnt from."""
-    from suspension_twin.gap.prepare import prepare
+    from suspension_twin.inference.prepare import prepare
     from suspension_twin.models.simulate import simulate_twin
 
     twin = result.twins["simulated"]

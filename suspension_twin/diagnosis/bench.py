@@ -20,10 +20,10 @@ from suspension_twin.arrays import Floats
 from suspension_twin.compiled import compiled
 from suspension_twin.diagnosis.hypotheses import Hypothesis
 from suspension_twin.diagnosis.partial import PartialResults
-from suspension_twin.identification.gauss_newton import Quadratic
-from suspension_twin.identification.noise import Whitener
-from suspension_twin.identification.parallel import side_by_side
-from suspension_twin.identification.problem import Interrupted, Problem
+from suspension_twin.inference.gauss_newton import Quadratic
+from suspension_twin.inference.noise import Whitener
+from suspension_twin.inference.parallel import side_by_side
+from suspension_twin.inference.problem import Interrupted, Problem
 from suspension_twin.models.excitation import coarser
 from suspension_twin.models.hooks import clocks_with, gains_with, turns_with, upright_with
 from suspension_twin.models.parameters import lanes

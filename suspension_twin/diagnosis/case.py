@@ -22,9 +22,16 @@ from suspension_twin.drive.read import read_drive
 from suspension_twin.drive.types import Drive
 from suspension_twin.effects.registry import EFFECTS
 from suspension_twin.errors import InputError
-from suspension_twin.gap.common_rate import on_common_rate
-from suspension_twin.gap.measure import CHANNELS
-from suspension_twin.gap.prepare import (
+from suspension_twin.inference.common_rate import on_common_rate
+from suspension_twin.inference.excited_segments import TrimSettings, fit_rows
+from suspension_twin.inference.gap import CHANNELS
+from suspension_twin.inference.noise import USUAL_SHARE, Whitener, shares
+from suspension_twin.inference.nuisance import OF_A_DRIVE, OF_PLANAR_MOTION, map_spread
+from suspension_twin.inference.objectives import parse_objective
+from suspension_twin.inference.observations import Run, observe, renamed
+from suspension_twin.inference.parallel import side_by_side
+from suspension_twin.inference.posterior import CORRELATION
+from suspension_twin.inference.prepare import (
     Prepared,
     PrepareSettings,
     prepare,
@@ -34,15 +41,8 @@ from suspension_twin.gap.prepare import (
     turned_excitation,
     upright_excitation,
 )
-from suspension_twin.identification.excited_segments import TrimSettings, fit_rows
-from suspension_twin.identification.noise import USUAL_SHARE, Whitener, shares
-from suspension_twin.identification.nuisance import OF_A_DRIVE, OF_PLANAR_MOTION, map_spread
-from suspension_twin.identification.objectives import parse_objective
-from suspension_twin.identification.observations import Run, observe, renamed
-from suspension_twin.identification.parallel import side_by_side
-from suspension_twin.identification.posterior import CORRELATION
-from suspension_twin.identification.problem import Interrupted, Problem
-from suspension_twin.identification.smooth_space import smooth_space
+from suspension_twin.inference.problem import Interrupted, Problem
+from suspension_twin.inference.smooth_space import smooth_space
 from suspension_twin.models.parameters import has_number
 from suspension_twin.models.registry import model_of
 from suspension_twin.road import flat_road

@@ -24,7 +24,7 @@ from suspension_twin.diagnosis.bench import Bench
 from suspension_twin.diagnosis.fit import Fit, LinearisedFit
 from suspension_twin.diagnosis.nuisance_penalty import NuisancePenalty, penalty_of
 from suspension_twin.diagnosis.partial import kept
-from suspension_twin.identification.gauss_newton import Quadratic
+from suspension_twin.inference.gauss_newton import Quadratic
 
 __all__ = ["Blocks", "Evidence", "blocks_of", "evidence", "held_out", "intervals"]
 

@@ -16,10 +16,10 @@ import numpy as np
 from suspension_twin.arrays import Floats
 from suspension_twin.diagnosis.bench import Bench, Excitations
 from suspension_twin.errors import InputError, WorkError
-from suspension_twin.gap.prepare import Prepared
-from suspension_twin.identification.excited_segments import TrimSettings, fit_rows
-from suspension_twin.identification.noise import Whitener
-from suspension_twin.identification.problem import Problem
+from suspension_twin.inference.excited_segments import TrimSettings, fit_rows
+from suspension_twin.inference.noise import Whitener
+from suspension_twin.inference.prepare import Prepared
+from suspension_twin.inference.problem import Problem
 from suspension_twin.models.types import Excitation
 
 __all__ = ["SECONDS", "Excerpt", "excerpt_of"]

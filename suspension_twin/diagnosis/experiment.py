@@ -13,7 +13,7 @@ from suspension_twin.diagnosis.fit import twin_of
 from suspension_twin.diagnosis.judge import Candidate, Judged, detectable
 from suspension_twin.diagnosis.wording import effect_name
 from suspension_twin.errors import SuspensionTwinError
-from suspension_twin.gap.synthetic import path_along
+from suspension_twin.inference.synthetic import path_along
 from suspension_twin.models.excitation import excitation
 from suspension_twin.models.simulate import simulate_twin
 from suspension_twin.road import Road, add_bump, bump_road, half_sine

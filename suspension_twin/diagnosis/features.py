@@ -34,8 +34,8 @@ from suspension_twin.diagnosis.shrink import (
     relative_residual,
 )
 from suspension_twin.diagnosis.tonal import strongest_tone
-from suspension_twin.identification.noise import density
-from suspension_twin.identification.parallel import side_by_side
+from suspension_twin.inference.noise import density
+from suspension_twin.inference.parallel import side_by_side
 
 __all__ = ["add_intervals", "clock_offsets", "evidence_of", "refined_row", "unevenness", "usual_ratio"]
 

@@ -19,7 +19,7 @@ from suspension_twin.arrays import Floats
 from suspension_twin.diagnosis.bench import Bench, Linearised
 from suspension_twin.diagnosis.hypotheses import Hypothesis
 from suspension_twin.diagnosis.partial import kept
-from suspension_twin.identification.gauss_newton import (
+from suspension_twin.inference.gauss_newton import (
     WHITENED,
     GaussNewton,
     Quadratic,

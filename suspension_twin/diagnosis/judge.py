@@ -35,8 +35,8 @@ from suspension_twin.diagnosis.shrink import (
     uncalibrated_residual,
 )
 from suspension_twin.errors import InputError
-from suspension_twin.identification.noise import USUAL_SHARE
-from suspension_twin.identification.parallel import side_by_side
+from suspension_twin.inference.noise import USUAL_SHARE
+from suspension_twin.inference.parallel import side_by_side
 
 __all__ = ["Candidate", "Judged", "candidate", "detectable", "judge", "tempered_gain", "with_joint_noise"]
 

@@ -17,7 +17,7 @@ from suspension_twin.diagnosis.bench import Bench
 from suspension_twin.diagnosis.fit import DEEP, refit
 from suspension_twin.diagnosis.hypotheses import BASELINE, Hypothesis
 from suspension_twin.diagnosis.shrink import RemainingResidual, drives_of
-from suspension_twin.identification.parallel import side_by_side
+from suspension_twin.inference.parallel import side_by_side
 
 __all__ = [
     "RoadErrorMatch",

@@ -19,7 +19,7 @@ from scipy.stats import false_discovery_control, norm
 from suspension_twin.arrays import Floats, runs
 from suspension_twin.diagnosis.bench import Bench
 from suspension_twin.diagnosis.operating import DRAWS, FALSE_DISCOVERY_RATE, by_motion, ranked
-from suspension_twin.identification.noise import density, shares
+from suspension_twin.inference.noise import density, shares
 from suspension_twin.models.simulate import simulate_twin
 from suspension_twin.vehicle.twin import Twin
 

@@ -15,7 +15,7 @@ from suspension_twin.arrays import Floats
 from suspension_twin.diagnosis.bench import Bench
 from suspension_twin.diagnosis.fit import LinearisedFit, room
 from suspension_twin.diagnosis.partial import kept
-from suspension_twin.identification.gauss_newton import Quadratic, bounded_step
+from suspension_twin.inference.gauss_newton import Quadratic, bounded_step
 
 __all__ = ["NuisancePenalty", "penalty_of"]
 

@@ -23,7 +23,7 @@ import suspension_twin
 from suspension_twin.arrays import Floats
 from suspension_twin.calibration.checkpoint import Checkpoint, State
 from suspension_twin.compiled import sources
-from suspension_twin.identification.parallel import no_progress, side_by_side
+from suspension_twin.inference.parallel import no_progress, side_by_side
 
 __all__ = ["PartialResults", "code_digest", "decoded", "encoded", "kept"]
 
@@ -105,7 +105,7 @@ class PartialResults:
         items: Sequence[Item],
         on_progress: Callable[[float, Item], None] = no_progress,
     ) -> list[Found]:
-        """As :func:`~suspension_twin.identification.parallel.side_by_side`, one round; called by one thread."""
+        """As :func:`~suspension_twin.inference.parallel.side_by_side`, one round; called by one thread."""
         store, this = self.store, self._rounds
         self._rounds += 1
         if store is None:

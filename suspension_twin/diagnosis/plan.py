@@ -27,8 +27,8 @@ from suspension_twin.diagnosis.sensitivity import Change, PlannedDrive, Products
 from suspension_twin.effects.base import Parameter
 from suspension_twin.errors import InputError, SuspensionTwinError
 from suspension_twin.files import write_text
-from suspension_twin.gap.prepare import road_of
-from suspension_twin.identification.parallel import side_by_side
+from suspension_twin.inference.parallel import side_by_side
+from suspension_twin.inference.prepare import road_of
 from suspension_twin.models.registry import model_of
 from suspension_twin.road import Road, add_bump, bump_road, half_sine
 from suspension_twin.vehicle.twin import Twin

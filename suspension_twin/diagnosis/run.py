@@ -31,7 +31,7 @@ from suspension_twin.diagnosis.partial import PartialResults, code_digest
 from suspension_twin.diagnosis.request import DiagnosisRequest, DiagnosisResult, Progress
 from suspension_twin.effects.registry import EFFECTS
 from suspension_twin.errors import InputError
-from suspension_twin.identification.parallel import one_blas_thread
+from suspension_twin.inference.parallel import one_blas_thread
 from suspension_twin.vehicle.twin import load_twin
 
 __all__ = ["diagnose"]

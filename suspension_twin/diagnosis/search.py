@@ -34,8 +34,8 @@ from suspension_twin.diagnosis.partial import kept
 from suspension_twin.diagnosis.preexisting import as_preexisting
 from suspension_twin.diagnosis.tone_search import tone_peaks, tone_starts
 from suspension_twin.errors import WorkError
-from suspension_twin.identification.parallel import side_by_side
-from suspension_twin.identification.posterior import travel
+from suspension_twin.inference.parallel import side_by_side
+from suspension_twin.inference.posterior import travel
 
 __all__ = ["Single", "joint_fit", "pairs", "refitted_under_noise", "singles", "without_one"]
 

@@ -22,15 +22,15 @@ from suspension_twin.diagnosis.bench import REACH, STEP, Bench
 from suspension_twin.diagnosis.case import ALSO, PLANAR
 from suspension_twin.diagnosis.hypotheses import BASELINE, Hypothesis
 from suspension_twin.errors import InputError
-from suspension_twin.gap.measure import CHANNELS
-from suspension_twin.gap.synthetic import SensorErrors, path_along
-from suspension_twin.identification.gauss_newton import bounded_step
-from suspension_twin.identification.noise import USUAL_SHARE, Whitener
-from suspension_twin.identification.nuisance import OF_A_DRIVE, map_spread
-from suspension_twin.identification.objectives import Term
-from suspension_twin.identification.posterior import CORRELATION
-from suspension_twin.identification.problem import Problem
-from suspension_twin.identification.smooth_space import smooth_space
+from suspension_twin.inference.gap import CHANNELS
+from suspension_twin.inference.gauss_newton import bounded_step
+from suspension_twin.inference.noise import USUAL_SHARE, Whitener
+from suspension_twin.inference.nuisance import OF_A_DRIVE, map_spread
+from suspension_twin.inference.objectives import Term
+from suspension_twin.inference.posterior import CORRELATION
+from suspension_twin.inference.problem import Problem
+from suspension_twin.inference.smooth_space import smooth_space
+from suspension_twin.inference.synthetic import SensorErrors, path_along
 from suspension_twin.models.excitation import excitation
 from suspension_twin.models.parameters import has_number, pack
 from suspension_twin.models.simulate import simulate_lanes

@@ -14,7 +14,7 @@ from typing import Any, Final
 from suspension_twin.effects._phrases import listed
 from suspension_twin.effects.base import Parameter
 from suspension_twin.effects.registry import EFFECTS
-from suspension_twin.gap.measure import channel_unit
+from suspension_twin.inference.gap import channel_unit
 from suspension_twin.units import plain
 
 __all__ = [

@@ -89,7 +89,7 @@ def excitation(
     Examples
     --------
     >>> import numpy as np
-    >>> from suspension_twin.gap.synthetic import path_along
+    >>> from suspension_twin.inference.synthetic import path_along
     >>> from suspension_twin.road import bump_road, half_sine
     >>> from suspension_twin.vehicle.twin import load_twin
     >>> road = bump_road(half_sine(0.9, 0.05), at=10.0, length=40.0)

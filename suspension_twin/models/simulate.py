@@ -100,7 +100,7 @@ def simulate_twin(twin: Twin, excitation: Excitation) -> Response:
     Examples
     --------
     >>> import numpy as np
-    >>> from suspension_twin.gap.synthetic import path_along
+    >>> from suspension_twin.inference.synthetic import path_along
     >>> from suspension_twin.models.excitation import excitation
     >>> from suspension_twin.road import bump_road, half_sine
     >>> from suspension_twin.vehicle.twin import load_twin

@@ -132,7 +132,7 @@ class Response:
     Examples
     --------
     >>> from suspension_twin.drive.read import read_drive
-    >>> from suspension_twin.gap.simulated import simulate_drive
+    >>> from suspension_twin.inference.simulated import simulate_drive
     >>> from suspension_twin.vehicle.twin import load_twin
     >>> result = simulate_drive(read_drive("bags/crg_road"), load_twin("bags/crg_road/twin.yaml"))
     >>> result.response.force.shape == (result.response.t.size, 3)

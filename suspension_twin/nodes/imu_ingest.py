@@ -14,7 +14,7 @@ from geometry_msgs.msg import AccelStamped
 from sensor_msgs.msg import Imu
 
 from suspension_twin.errors import InputError
-from suspension_twin.gap.mounting import turn_of
+from suspension_twin.inference.mounting import turn_of
 from suspension_twin.nodes.base import TwinNode
 from suspension_twin.nodes.parameters import (
     FILTER,

@@ -15,7 +15,7 @@ from visualization_msgs.msg import Marker
 from suspension_twin.calibration.output import details_path
 from suspension_twin.errors import InputError
 from suspension_twin.files import read_yaml, reading
-from suspension_twin.gap.sliding_window import GapNow, RunningGap
+from suspension_twin.inference.sliding_window import GapNow, RunningGap
 from suspension_twin.nodes.base import TwinNode
 from suspension_twin.nodes.parameters import Param, Values
 from suspension_twin.nodes.topics import NS

@@ -17,7 +17,7 @@ from pydantic import ValidationError
 from sensor_msgs.msg import Imu, NavSatFix
 
 from suspension_twin.errors import InputError, WorkError
-from suspension_twin.gap.mounting import gain_of, turn_of
+from suspension_twin.inference.mounting import gain_of, turn_of
 from suspension_twin.nodes.base import TwinNode
 from suspension_twin.nodes.parameters import (
     FILTER,

@@ -26,6 +26,8 @@ from rclpy.clock import Clock
 from rclpy.clock_type import ClockType
 from sensor_msgs.msg import Imu, NavSatFix
 
+from suspension_twin.addons.roads.drives.laps import Laps, Span
+from suspension_twin.addons.roads.drives.learning import Lesson, learn_road, twin_path
 from suspension_twin.drive.repair import clean_drive
 from suspension_twin.drive.types import Drive, FixData, HeadingData, ImuData, VelocityData
 from suspension_twin.errors import InputError
@@ -36,8 +38,6 @@ from suspension_twin.nodes.messages import read_fix, read_velocity
 from suspension_twin.nodes.parameters import TWIN, Param, Values, twin_of
 from suspension_twin.nodes.process import run_alone
 from suspension_twin.nodes.topics import OK, WARN, Embedding
-from suspension_twin.road_estimation.laps import Laps, Span
-from suspension_twin.road_estimation.learning import Lesson, learn_road, twin_path
 from suspension_twin_interfaces.srv import LoadTwin
 
 __all__ = ["RoadLearnerNode", "main", "run_lesson"]

@@ -2,7 +2,7 @@
 """The node of live phones, receivers and IMUs: their samples on ``imu/data_raw``, ``fix``, ``vel``, ``heading``.
 
 What they are, how they are reached and how their clocks are brought together is
-:mod:`suspension_twin.sources`.
+:mod:`suspension_twin.addons.sources`.
 """
 
 from __future__ import annotations
@@ -16,6 +16,11 @@ from typing import Any
 from geometry_msgs.msg import QuaternionStamped, TwistStamped
 from sensor_msgs.msg import Imu, NavSatFix
 
+from suspension_twin.addons.sources.common.clock import host_time
+from suspension_twin.addons.sources.common.device import Stream
+from suspension_twin.addons.sources.common.hub import Hub
+from suspension_twin.addons.sources.common.report import device_line, device_values, findings
+from suspension_twin.addons.sources.common.runner import SourceLoop, SourceThread
 from suspension_twin.drive.repair import nanoseconds
 from suspension_twin.drive.types import FixData, ImuData
 from suspension_twin.nodes.base import TwinNode
@@ -23,11 +28,6 @@ from suspension_twin.nodes.messages import fill_fix, fill_heading, fill_imu, fil
 from suspension_twin.nodes.parameters import TWIN, Param, twin_of
 from suspension_twin.nodes.process import run_alone
 from suspension_twin.nodes.topics import ERROR, NS, OK, WARN, Embedding, Output
-from suspension_twin.sources.common.clock import host_time
-from suspension_twin.sources.common.device import Stream
-from suspension_twin.sources.common.hub import Hub
-from suspension_twin.sources.common.report import device_line, device_values, findings
-from suspension_twin.sources.common.runner import SourceLoop, SourceThread
 
 __all__ = ["SourceNode", "main"]
 

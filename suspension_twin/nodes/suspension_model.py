@@ -20,7 +20,7 @@ from rclpy.parameter import Parameter
 from std_srvs.srv import Trigger
 
 from suspension_twin.errors import InputError
-from suspension_twin.gap.sliding_window import GapNow
+from suspension_twin.inference.sliding_window import GapNow
 from suspension_twin.nodes.base import TwinNode
 from suspension_twin.nodes.follower import Follower, Paired, Pairing, PlanarRow
 from suspension_twin.nodes.live_gap import GAP, calibration_gap, gap_of, gap_warning

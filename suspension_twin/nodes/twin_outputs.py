@@ -10,7 +10,7 @@ from geometry_msgs.msg import AccelStamped, PoseStamped, TransformStamped
 from sensor_msgs.msg import Imu, JointState
 from tf2_msgs.msg import TFMessage
 
-from suspension_twin.gap.sliding_window import RunningGap
+from suspension_twin.inference.sliding_window import RunningGap
 from suspension_twin.models.live import LiveState
 from suspension_twin.nodes.base import TwinNode
 from suspension_twin.nodes.follower import Follower, PlanarRow

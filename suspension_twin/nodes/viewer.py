@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """The node that feeds the page on which a person watches the twin, in a process of its own.
 
-The page is :mod:`suspension_twin.view`. The node only listens: with three pages open the other nodes publish as they
-do with one.
+The page is :mod:`suspension_twin.addons.view`. The node only listens: with three pages open the other nodes publish
+as they do with one.
 """
 
 from __future__ import annotations
@@ -33,9 +33,11 @@ from rclpy.subscription import Subscription
 from sensor_msgs.msg import JointState
 from std_msgs.msg import String
 
+from suspension_twin.addons.view.live import LiveView, Status, advice
+from suspension_twin.addons.view.server import Server
 from suspension_twin.calibration.output import details_path
 from suspension_twin.errors import InputError, SuspensionTwinError, WorkError
-from suspension_twin.gap.prepare import road_of
+from suspension_twin.inference.prepare import road_of
 from suspension_twin.nodes.base import TwinNode
 from suspension_twin.nodes.parameters import TWIN, Param, Values, twin_of
 from suspension_twin.nodes.process import run_alone
@@ -44,8 +46,6 @@ from suspension_twin.nodes.view_guide import ViewGuide
 from suspension_twin.nodes.view_recorder import EVENTS, RECORDED, ViewRecorder
 from suspension_twin.road.road import Road
 from suspension_twin.vehicle.twin import Twin
-from suspension_twin.view.live import LiveView, Status, advice
-from suspension_twin.view.server import Server
 from suspension_twin_interfaces.action import Calibrate, Diagnose
 from suspension_twin_interfaces.msg import Gap
 from suspension_twin_interfaces.srv import LoadTwin

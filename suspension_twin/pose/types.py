@@ -38,7 +38,7 @@ class Trajectory:
     Examples
     --------
     >>> import numpy as np
-    >>> from suspension_twin.gap.synthetic import path_along
+    >>> from suspension_twin.inference.synthetic import path_along
     >>> from suspension_twin.road import flat_road
     >>> t = np.arange(0.0, 2.0, 0.1)
     >>> path = path_along(flat_road(), t, ((0.0, 10.0), (2.0, 10.0)), 100.0)

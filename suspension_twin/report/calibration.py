@@ -13,7 +13,7 @@ from scipy.ndimage import uniform_filter1d
 from suspension_twin.arrays import Floats
 from suspension_twin.calibration.labels import parameter_label, parameter_unit
 from suspension_twin.calibration.request import CalibrationResult, CurveEstimate, DriveFit
-from suspension_twin.gap.measure import channel_unit
+from suspension_twin.inference.gap import channel_unit
 from suspension_twin.report import plots
 from suspension_twin.report.characteristics import AxleEvidence, Band, characteristics
 from suspension_twin.report.page import Cell, Mark, Page, Section, Table, short

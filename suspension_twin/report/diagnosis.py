@@ -17,7 +17,7 @@ from scipy import signal
 from suspension_twin.arrays import Floats
 from suspension_twin.diagnosis import wording
 from suspension_twin.diagnosis.request import DiagnosisResult, DriveView
-from suspension_twin.gap.measure import channel_unit
+from suspension_twin.inference.gap import channel_unit
 from suspension_twin.report import plots
 from suspension_twin.report.car import from_above
 from suspension_twin.report.page import Cell, Html, Lead, Mark, Page, Row, Section, Table

@@ -23,11 +23,11 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
+from suspension_twin.addons.fleet.changes import Change
 from suspension_twin.arrays import Floats
 from suspension_twin.diagnosis import wording
 from suspension_twin.effects.tyre_pressure import EXPONENT
-from suspension_twin.fleet.changes import Change
-from suspension_twin.gap.measure import channel_unit
+from suspension_twin.inference.gap import channel_unit
 from suspension_twin.pose.local_map import LocalMap
 from suspension_twin.report import style
 from suspension_twin.report.page import Cell, Html, Lead, Mark, Page, Row, Section, Table
@@ -70,7 +70,7 @@ def fleet_page(rows: Sequence[Record], changes: Sequence[Change], action: str, t
     Parameters
     ----------
     rows : sequence of mapping
-        A row for every item, as :func:`~suspension_twin.fleet.tables.result_rows` makes them.
+        A row for every item, as :func:`~suspension_twin.addons.fleet.tables.result_rows` makes them.
     changes : sequence of Change
         Of every vehicle and quantity.
     action : str

@@ -10,7 +10,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from suspension_twin.arrays import Floats
-from suspension_twin.gap.marker_runs import MARKERS, MarkerRun
+from suspension_twin.inference.marker_runs import MARKERS, MarkerRun
 from suspension_twin.report import style
 
 __all__ = ["damping_picture", "marker_figure", "marker_pictures"]

@@ -6,9 +6,9 @@ from __future__ import annotations
 import asyncio
 from typing import Any
 
-from suspension_twin.sources import make_sources
-from suspension_twin.sources.common.hub import Hub
-from suspension_twin.sources.common.runner import running
+from suspension_twin.addons.sources import make_sources
+from suspension_twin.addons.sources.common.hub import Hub
+from suspension_twin.addons.sources.common.runner import running
 
 
 def test_every_request_is_answered_and_untouched_ones_arrive() -> None:

@@ -9,9 +9,9 @@ from types import ModuleType
 import numpy as np
 import pytest
 
+from suspension_twin.addons.roads.scan.scan import MEASURED, ScanSettings, road_from_scan
 from suspension_twin.road.centreline import Centreline
 from suspension_twin.road.recipe import make_road, parse_feature
-from suspension_twin.road_scan.scan import MEASURED, ScanSettings, road_from_scan
 
 LENGTH = 14.0
 

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from suspension_twin.errors import InputError
-from suspension_twin.gap.marker_runs import MarkerRun
+from suspension_twin.inference.marker_runs import MarkerRun
 from suspension_twin.models.tracked import simulate_tracked
 from suspension_twin.vehicle.tracked import load_tracked
 

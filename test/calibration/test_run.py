@@ -21,11 +21,11 @@ from suspension_twin.calibration.setup import set_up
 from suspension_twin.calibration.squares import full_precision
 from suspension_twin.drive.read import read_drive
 from suspension_twin.errors import WorkError
-from suspension_twin.gap.prepare import prepare
-from suspension_twin.identification.gauss_newton import GaussNewton, GaussNewtonSettings, Quadratic
-from suspension_twin.identification.noise import Whitener
-from suspension_twin.identification.problem import FitProblem, Problem
-from suspension_twin.identification.space import curve_keys, twin_value
+from suspension_twin.inference.gauss_newton import GaussNewton, GaussNewtonSettings, Quadratic
+from suspension_twin.inference.noise import Whitener
+from suspension_twin.inference.prepare import prepare
+from suspension_twin.inference.problem import FitProblem, Problem
+from suspension_twin.inference.space import curve_keys, twin_value
 from suspension_twin.models.simulate import simulate_twin
 from suspension_twin.vehicle.twin import load_twin, save_twin
 
@@ -230,7 +230,7 @@ def test_clock_and_map_offsets_are_found_and_not_taken_for_physics(
     rough_case: Any, mondeo: Any, tmp_path: Path
 ) -> None:
     from suspension_twin.drive.write import write_drive
-    from suspension_twin.gap.synthetic import SensorErrors, synthetic_drive
+    from suspension_twin.inference.synthetic import SensorErrors, synthetic_drive
     from suspension_twin.road import load_road
 
     road = load_road(rough_case.folder / "road.crg")

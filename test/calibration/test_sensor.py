@@ -19,9 +19,9 @@ from suspension_twin.calibration.run import calibrate
 from suspension_twin.calibration.sensor import common_offset, sensor_estimates
 from suspension_twin.drive.read import read_drive
 from suspension_twin.drive.write import write_drive
-from suspension_twin.gap.mounting import without_clock_offset
-from suspension_twin.gap.simulated import simulate_drive
-from suspension_twin.gap.synthetic import SensorErrors, synthetic_drive
+from suspension_twin.inference.mounting import without_clock_offset
+from suspension_twin.inference.simulated import simulate_drive
+from suspension_twin.inference.synthetic import SensorErrors, synthetic_drive
 from suspension_twin.road import load_road
 from suspension_twin.vehicle.twin import load_twin
 

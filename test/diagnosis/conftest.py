@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from suspension_twin.drive.write import write_drive
-from suspension_twin.gap.synthetic import synthetic_drive
+from suspension_twin.inference.synthetic import synthetic_drive
 from suspension_twin.road import half_sine, write_road
 from suspension_twin.road.bumps import add_bump
 from suspension_twin.road.iso8608 import iso8608_road

@@ -21,9 +21,9 @@ from suspension_twin.diagnosis.run import diagnose
 from suspension_twin.drive.read import read_drive
 from suspension_twin.drive.write import write_drive
 from suspension_twin.errors import InputError
-from suspension_twin.gap.mounting import without_clock_offset
-from suspension_twin.gap.simulated import simulate_drive
-from suspension_twin.gap.synthetic import synthetic_drive
+from suspension_twin.inference.mounting import without_clock_offset
+from suspension_twin.inference.simulated import simulate_drive
+from suspension_twin.inference.synthetic import synthetic_drive
 from suspension_twin.report.diagnosis import diagnosis_page
 from suspension_twin.road import write_road
 from suspension_twin.road.iso8608 import iso8608_road

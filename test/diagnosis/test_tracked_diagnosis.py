@@ -19,7 +19,7 @@ from suspension_twin.diagnosis.request import DiagnosisRequest, Progress
 from suspension_twin.diagnosis.run import diagnose
 from suspension_twin.effects.registry import EFFECTS
 from suspension_twin.errors import InputError
-from suspension_twin.identification.problem import Interrupted
+from suspension_twin.inference.problem import Interrupted
 from suspension_twin.vehicle.twin import load_twin
 
 ROWS = 101  # 2 s at 50 Hz: over the obstacle's first edge

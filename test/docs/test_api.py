@@ -18,7 +18,7 @@ import pytest
 import yaml
 
 from suspension_twin import errors
-from suspension_twin.identification.problem import Interrupted
+from suspension_twin.inference.problem import Interrupted
 
 LIST = Path(__file__).resolve().parents[2] / "docs" / "api.yaml"
 NAMES = [name for names in yaml.safe_load(LIST.read_text(encoding="utf-8")).values() for name in names]

@@ -14,9 +14,9 @@ from types import ModuleType
 
 import pytest
 
+from suspension_twin.addons.sources import make_sources
+from suspension_twin.addons.sources.common.hub import Hub
 from suspension_twin.cli.main import main
-from suspension_twin.sources import make_sources
-from suspension_twin.sources.common.hub import Hub
 
 ROOT = Path(__file__).resolve().parents[2]
 PAGES = sorted((ROOT / "docs").glob("*.md"))

@@ -31,7 +31,7 @@ from suspension_twin.drive.read import read_drive
 from suspension_twin.drive.recording import read_recording
 from suspension_twin.drive.rig import read_rig
 from suspension_twin.errors import InputError, SuspensionTwinError
-from suspension_twin.gap.marker_runs import read_markers
+from suspension_twin.inference.marker_runs import read_markers
 from suspension_twin.road import load_road
 from suspension_twin.vehicle.twin import load_twin
 

@@ -26,7 +26,7 @@ from suspension_twin.cli import main as program
 from suspension_twin.cli.common import Outputs, bundled, output, print_table
 from suspension_twin.cli.main import SUBCOMMANDS, Subcommand, main
 from suspension_twin.errors import InputError, WorkError
-from suspension_twin.identification.space import curve_keys
+from suspension_twin.inference.space import curve_keys
 from suspension_twin.vehicle.twin import load_twin
 
 COMMAND = [sys.executable, "-m", "suspension_twin"]

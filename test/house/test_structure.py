@@ -10,12 +10,12 @@ from pathlib import Path
 
 import pytest
 
+from suspension_twin.addons.export.registry import TARGETS, load_target
+from suspension_twin.addons.sources import SOURCES, load_source
 from suspension_twin.cli.export import To
 from suspension_twin.drive.importers import IMPORTERS
 from suspension_twin.effects.registry import EFFECTS
-from suspension_twin.export.registry import TARGETS, load_target
 from suspension_twin.models.registry import MODELS
-from suspension_twin.sources import SOURCES, load_source
 from suspension_twin.vehicle.twin import SCHEMAS
 
 # From the left of the design's picture to its right: a package imports from its own row and the rows before it.
@@ -24,20 +24,14 @@ ROWS = (
     {"drive"},
     {"vehicle"},
     {"signals"},
-    {"sources"},
     {"pose"},
     {"road"},
     {"models", "effects"},
-    {"gap"},
-    {"identification"},
-    {"road_estimation"},
-    {"road_scan"},
+    {"inference"},
     {"calibration"},
     {"diagnosis"},
-    {"fleet"},
     {"report"},
-    {"export"},
-    {"view"},
+    {"addons"},
     {"nodes"},
     {"demo"},
     {"cli"},
@@ -121,7 +115,7 @@ def test_models_are_asked_for_by_the_registry(modules: Modules) -> None:
             and isinstance(node.body[0], ast.Expr)
         }
         for node in ast.walk(tree):
-            target = path.parts[1] == "export" or path.name == "export.py"  # fmu is one of export as well
+            target = "export" in path.parts or path.name == "export.py"  # fmu is one of export as well
             named = set(MODELS) - (set(TARGETS) if target else set())
             if isinstance(node, ast.Constant) and node.value in named and id(node) not in docstrings:
                 found.append(f"{path}:{node.lineno}: names the model {node.value}")
@@ -197,8 +191,8 @@ def test_every_importer_is_registered(repository: Path) -> None:
 
 @pytest.mark.parametrize("name", SOURCES)
 def test_a_source_is_whole(name: str, repository: Path) -> None:
-    assert name in files_of(repository, "sources")
-    assert (repository / "test" / "sources" / f"test_{name}.py").is_file(), f"no test of the source {name}"
+    assert name in files_of(repository, "addons/sources")
+    assert (repository / "test" / "addons" / "sources" / f"test_{name}.py").is_file(), f"no test of the source {name}"
     module = load_source(name)
     assert module.EXAMPLE.startswith(f"{name}:")
     page = (repository / "docs" / "sources.md").read_text(encoding="utf-8")
@@ -209,19 +203,19 @@ def test_a_source_is_whole(name: str, repository: Path) -> None:
 
 
 def test_every_source_is_registered(repository: Path) -> None:
-    assert files_of(repository, "sources") == set(SOURCES)
+    assert files_of(repository, "addons/sources") == set(SOURCES)
 
 
 @pytest.mark.parametrize("name", TARGETS)
 def test_a_target_of_export_is_whole(name: str, repository: Path) -> None:
-    assert name in files_of(repository, "export")
-    assert (repository / "test" / "export" / f"test_{name}.py").is_file(), f"no test of the target {name}"
+    assert name in files_of(repository, "addons/export")
+    assert (repository / "test" / "addons" / "export" / f"test_{name}.py").is_file(), f"no test of the target {name}"
     page = (repository / "docs" / "export.md").read_text(encoding="utf-8")
     assert f"| `{name}` | {load_target(name).title}" in page, f"{name} has no line in docs/export.md"
 
 
 def test_every_target_of_export_is_registered(repository: Path) -> None:
-    assert files_of(repository, "export") - {"registry"} == set(TARGETS) == {to.value for to in To}
+    assert files_of(repository, "addons/export") - {"registry"} == set(TARGETS) == {to.value for to in To}
 
 
 @pytest.mark.parametrize("name", MODELS)

@@ -16,21 +16,21 @@ import pytest
 from other_car import STIFFNESS, fmu_section, linear_car, other_car, vehicle_of
 from scipy.signal import lsim
 
+from suspension_twin.addons.export.registry import ExportSettings, export_twin
+from suspension_twin.addons.roads.drives.drives import road_from_drives
 from suspension_twin.calibration.request import CalibrationRequest
 from suspension_twin.calibration.run import calibrate
 from suspension_twin.diagnosis.plan import plan
 from suspension_twin.drive.read import read_drive
 from suspension_twin.drive.write import write_drive
 from suspension_twin.errors import InputError, WorkError
-from suspension_twin.export.registry import ExportSettings, export_twin
-from suspension_twin.gap.synthetic import synthetic_drive
+from suspension_twin.inference.synthetic import synthetic_drive
 from suspension_twin.models.excitation import excitation
 from suspension_twin.models.live import live_twin
 from suspension_twin.models.parameters import lanes
 from suspension_twin.models.simulate import simulate_lanes, simulate_twin
 from suspension_twin.models.types import Excitation, Response
 from suspension_twin.road import load_road
-from suspension_twin.road_estimation.drives import road_from_drives
 from suspension_twin.vehicle.twin import Twin, load_twin, parse_twin, save_twin
 
 pytestmark = pytest.mark.skipif(shutil.which("cc") is None, reason="no C compiler")
@@ -309,7 +309,7 @@ def test_a_step_that_fails_ends_one_candidate_and_no_live_twin(
 
 def test_a_twin_of_object_storage_brings_no_program(other: Twin, tmp_path: Path) -> None:
     filesystem = pytest.importorskip("fsspec").filesystem("memory")
-    work = pytest.importorskip("suspension_twin.fleet.work")
+    work = pytest.importorskip("suspension_twin.addons.fleet.work")
     save_twin(other, tmp_path / "twin.yaml")
     filesystem.pipe("/fleet/twin.yaml", (tmp_path / "twin.yaml").read_bytes())
     item = work.Item("car", "", "memory://fleet/twin.yaml", ("memory://fleet/drive.mcap",))
@@ -320,7 +320,7 @@ def test_a_twin_of_object_storage_brings_no_program(other: Twin, tmp_path: Path)
 def test_a_result_of_a_fleet_names_its_program_from_where_it_lies(
     other: Twin, file: Path, tmp_path: Path
 ) -> None:
-    ledger = pytest.importorskip("suspension_twin.fleet.ledger").Ledger(tmp_path / "results")
+    ledger = pytest.importorskip("suspension_twin.addons.fleet.ledger").Ledger(tmp_path / "results")
     (tmp_path / "work" / "out").mkdir(parents=True)
     save_twin(other, tmp_path / "work" / "out" / "twin.yaml")  # where a worker writes it, and removes it
     text = (tmp_path / "work" / "out" / "twin.yaml").read_text()

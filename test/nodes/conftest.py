@@ -16,7 +16,7 @@ from nodes_bench import PATIENT, Bench
 
 from suspension_twin.drive.types import Drive
 from suspension_twin.drive.write import write_drive
-from suspension_twin.gap.synthetic import SensorErrors, synthetic_drive
+from suspension_twin.inference.synthetic import SensorErrors, synthetic_drive
 from suspension_twin.nodes.process import ros_context
 from suspension_twin.road import Road, grid_road, write_road
 from suspension_twin.vehicle.twin import RoadFile, Twin, load_twin, save_twin

@@ -290,7 +290,7 @@ def test_it_starts_without_what_a_live_twin_does_not_use() -> None:
         "scipy.stats",
         "scipy.signal",
         "scipy.interpolate",
-        "suspension_twin.road_estimation",
+        "suspension_twin.addons.roads.drives",
     )
     code = f"import sys, suspension_twin.nodes.session; print([n for n in {unused} if n in sys.modules])"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)

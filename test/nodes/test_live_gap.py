@@ -13,7 +13,7 @@ from nodes_bench import put_stamp, worst
 from visualization_msgs.msg import Marker
 
 from suspension_twin.errors import InputError
-from suspension_twin.gap.sliding_window import GapNow
+from suspension_twin.inference.sliding_window import GapNow
 from suspension_twin.nodes.live_gap import CalibrationGap, GapTiles, calibration_gap, colour, gap_warning
 from suspension_twin.nodes.suspension_model import SuspensionModelNode
 from suspension_twin.vehicle.twin import load_twin, save_twin

@@ -11,7 +11,7 @@ from action_msgs.msg import GoalStatus
 from nodes_bench import Client
 from stand_ins import judged
 
-from suspension_twin.identification.problem import Interrupted
+from suspension_twin.inference.problem import Interrupted
 from suspension_twin.nodes.calibrator import CalibratorNode
 from suspension_twin.nodes.jobs import calibration_job, diagnosis_job, run_calibration, run_diagnosis
 from suspension_twin.vehicle.twin import load_twin

@@ -6,8 +6,8 @@ from __future__ import annotations
 import re
 from typing import Any
 
-from suspension_twin.fleet.changes import find_changes
-from suspension_twin.fleet.tables import health_rows
+from suspension_twin.addons.fleet.changes import find_changes
+from suspension_twin.addons.fleet.tables import health_rows
 from suspension_twin.report.fleet import fleet_page, quantity_label
 
 QUANTITY = "vehicle.front.damper_push@0.25"

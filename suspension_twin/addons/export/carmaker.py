@@ -1,0 +1,96 @@
+# SPDX-License-Identifier: Apache-2.0
+"""CarMaker: springs and dampers as look-up tables in the lines of its vehicle file.
+
+Written alone, to be pasted, or into a copy of a vehicle file, whose own lines for them are replaced: what the car
+paper's calibration did after every candidate.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import Any, Final
+
+from suspension_twin.addons.export.registry import ExportSettings, Target, characteristics_of
+from suspension_twin.errors import InputError, printable
+from suspension_twin.files import read_bytes, write_text
+from suspension_twin.vehicle.twin import Twin
+
+__all__ = ["TARGET"]
+
+#: Key of the vehicle file for each part of an axle.
+_PARTS: Final = (("Spring", "spring"), ("Damp_Push", "damper_push"), ("Damp_Pull", "damper_pull"))
+_AXLES: Final = (("SuspF", "front"), ("SuspR", "rear"))
+_LARGEST: Final = 16 << 20  # bytes of a vehicle file
+
+
+def _table(key: str, part: Any) -> Iterator[str]:
+    """One table: a factor of 1, then a row for the origin and each point."""
+    yield f"{key}.Amplify = 1.0"
+    yield f"{key}:"
+    x, force = part.points
+    for a, f in zip([0.0, *x.tolist()], [0.0, *force.tolist()], strict=True):
+        yield f"\t{a:.9g} {f:.9g}"
+
+
+def _tables(twin: Twin) -> dict[str, list[str]]:
+    """Lines by the key that they give."""
+    axles: dict[str, Any] = characteristics_of(twin, "CarMaker")
+    return {
+        f"{prefix}.{word}": list(_table(f"{prefix}.{word}", getattr(axles[axle], part)))
+        for prefix, axle in _AXLES
+        for word, part in _PARTS
+    }
+
+
+def _replaced(text: str, tables: dict[str, list[str]], source: Path) -> str:
+    """The vehicle file with these tables in the places of its own."""
+    keys = "|".join(map(re.escape, tables))
+    # a value on the line, or a table: the lines below that begin with white space
+    own = re.compile(rf"({keys})(\.Amplify)?[ \t]*(=.*|:.*)")
+    out: list[str] = []
+    placed: set[str] = set()
+    within = False
+    for line in text.split("\n"):
+        found = own.fullmatch(line.rstrip())
+        if found:
+            key = found[1]
+            within = found[3].startswith(":")
+            if key not in placed:
+                placed.add(key)
+                out += tables[key]
+        elif not (within and line[:1] in (" ", "\t")):
+            within = False
+            out.append(line)
+    missing = [key for key in tables if key not in placed]
+    if missing:
+        raise InputError(source, f"is no vehicle file of CarMaker with a line {missing[0]}")
+    return "\n".join(out)
+
+
+def _write(twin: Twin, path: Path, settings: ExportSettings) -> Sequence[str]:
+    tables = _tables(twin)
+    if settings.into is None:
+        head = [
+            f"# {printable(twin.vehicle.name)}: springs and dampers of a twin, m, m/s and N, at the wheel",
+            "",
+        ]
+        text = "\n".join([*head, *(line for lines in tables.values() for line in lines), ""])
+    else:
+        known = read_bytes(settings.into, _LARGEST)
+        try:
+            given = known.decode("utf-8")
+        except UnicodeDecodeError:
+            given = known.decode("latin-1")
+        text = _replaced(given.replace("\r\n", "\n"), tables, settings.into)
+    write_text(path, text)
+    notes = [
+        "Forces are those at the wheel, which is right for a kinematics with a ratio of 1 between wheel and strut. A "
+        "spring's compression counts from its free length, which CarMaker has as Spring.l0."
+    ]
+    effects = ", ".join(effect.id for effect in twin.effects)
+    return [*notes, f"Not in the tables: {effects}"] if effects else notes
+
+
+TARGET = Target("look-up tables for a vehicle file of CarMaker", (), _write, ("into",))

@@ -1,0 +1,121 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Every target that a twin can be exported to, found by the name of its file.
+
+A target is a module ``suspension_twin/addons/export/<name>.py`` with an object ``TARGET``.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from importlib import import_module
+from pathlib import Path
+from typing import Final
+
+from suspension_twin.errors import InputError, nearest
+from suspension_twin.vehicle.twin import Twin
+
+__all__ = ["TARGETS", "ExportSettings", "Target", "characteristics_of", "export_twin", "load_target"]
+
+TARGETS: Final = ("fmu", "carmaker", "simulink", "unity", "csv")
+
+
+@dataclass(frozen=True)
+class ExportSettings:
+    """What some targets can be told.
+
+    Parameters
+    ----------
+    into : Path, optional
+        CarMaker: the vehicle file whose springs and dampers are replaced.
+    fmi : str
+        FMU: the version of the interface, ``2.0`` or ``3.0``.
+    """
+
+    into: Path | None = None
+    fmi: str = "2.0"
+
+
+@dataclass(frozen=True)
+class Target:
+    """One target.
+
+    Parameters
+    ----------
+    title
+        What it writes, in a few words.
+    suffixes
+        Endings that its file may have; none: any.
+    write
+        Writes a twin to a path. Returns lines that say what of the twin is not in the file, or has to be known of it.
+    settings
+        Names of the :class:`ExportSettings` that it takes.
+    """
+
+    title: str
+    suffixes: tuple[str, ...]
+    write: Callable[[Twin, Path, ExportSettings], Sequence[str]]
+    settings: tuple[str, ...] = ()
+
+
+def load_target(name: str) -> Target:
+    """The target of that name; InputError where there is none."""
+    if name not in TARGETS:
+        raise InputError("--to", f"{name} is none of {', '.join(TARGETS)}{nearest(name, TARGETS)}")
+    target: Target = import_module(f"{__package__}.{name}").TARGET
+    return target
+
+
+def export_twin(
+    twin: Twin, to: str, path: str | Path, settings: ExportSettings | None = None
+) -> tuple[str, ...]:
+    """Write a twin in the file of another simulator.
+
+    Parameters
+    ----------
+    twin : Twin
+        What to write.
+    to : str
+        A target: one of :data:`TARGETS`.
+    path : str or Path
+        The file. What it held is replaced, whole or not at all.
+    settings : ExportSettings, optional
+        What the target can be told.
+
+    Returns
+    -------
+    tuple of str
+        What of the twin is not in the file, and what has to be known of it, a line each.
+
+    Raises
+    ------
+    InputError
+        There is no such target, the ending of the file is not one of its, it does not take a setting, or it cannot
+        hold this twin.
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> from suspension_twin.vehicle.twin import load_twin
+    >>> twin = load_twin("bags/bump_15kmh/twin.yaml")
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     notes = export_twin(twin, "csv", f"{folder}/twin.csv")
+    ...     print(Path(folder, "twin.csv").read_text().splitlines()[1])
+    vehicle.mass,1725.0,kg
+    """
+    target, settings, path = load_target(to), settings or ExportSettings(), Path(path)
+    if target.suffixes and path.suffix.lower() not in target.suffixes:
+        raise InputError(path, f"a file for {to} ends with {' or '.join(target.suffixes)}")
+    plain = ExportSettings()
+    for name, value in vars(settings).items():
+        if value != getattr(plain, name) and name not in target.settings:
+            raise InputError(f"--{name}", f"is nothing that {to} takes")
+    return tuple(target.write(twin, path, settings))
+
+
+def characteristics_of(twin: Twin, to: str) -> dict[str, object]:
+    """Springs and dampers of front and rear axle by ``front`` and ``rear``; InputError where the twin has no such."""
+    axles = {name: axle.part for name, axle in twin.axles.items()}
+    if set(axles) != {"front", "rear"}:
+        raise InputError("twin", "model", f"{twin.model} has no front and rear axle with springs for {to}")
+    return axles

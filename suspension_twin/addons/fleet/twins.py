@@ -1,0 +1,87 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The twins of a fleet's vehicles as files here, each with a name that ROS can have as a namespace."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from suspension_twin.addons.fleet.manifest import Item, is_url
+from suspension_twin.addons.fleet.storage import staged
+from suspension_twin.addons.fleet.work import twin_and_road
+from suspension_twin.errors import InputError
+from suspension_twin.vehicle.twin import RoadFile, save_twin
+
+__all__ = ["FleetTwin", "fleet_twins"]
+
+
+@dataclass(frozen=True)
+class FleetTwin:
+    """One vehicle of a fleet: its name, its ``namespace`` (letters, digits and underscores), its twin file here."""
+
+    vehicle: str
+    namespace: str
+    file: Path
+
+
+def fleet_twins(items: Sequence[Item], folder: Path) -> tuple[FleetTwin, ...]:
+    """The twin of every vehicle of a manifest, as its newest row has it.
+
+    Parameters
+    ----------
+    items : sequence of Item
+        Rows of a manifest; of a vehicle the one with the latest date counts, of several the last.
+    folder : Path
+        Where copies from object storage are put, and twin files whose road the manifest replaces.
+
+    Returns
+    -------
+    tuple of FleetTwin
+        In the order in which the manifest first names the vehicles.
+
+    Raises
+    ------
+    InputError
+        A twin file or a road cannot be used, or two vehicles would have one namespace.
+
+    Examples
+    --------
+    >>> item = Item("car 1", "", "bags/bump_15kmh/twin.yaml", ("bags/bump_15kmh",))
+    >>> fleet_twins([item], Path("copies"))[0].namespace
+    'car_1'
+    """
+    newest: dict[str, Item] = {}
+    for item in items:
+        if item.vehicle not in newest or item.date >= newest[item.vehicle].date:
+            newest[item.vehicle] = item
+    found: dict[str, FleetTwin] = {}
+    for vehicle, item in newest.items():
+        namespace = _namespace(vehicle)
+        if namespace in found:
+            raise InputError(
+                vehicle, f"has the same name in ROS as {found[namespace].vehicle}: /{namespace}; rename one"
+            )
+        found[namespace] = FleetTwin(vehicle, namespace, _local(item, folder / namespace))
+    return tuple(found.values())
+
+
+def _namespace(vehicle: str) -> str:
+    """A vehicle's name as a namespace: ROS allows letters, digits and single underscores, no digit first."""
+    name = re.sub(r"_+", "_", re.sub(r"[^A-Za-z0-9]", "_", vehicle)).rstrip("_")
+    if not re.search(r"[A-Za-z0-9]", name):
+        raise InputError(vehicle, "has no letter or digit that a name in ROS could have; rename it")
+    return name if not name[0].isdigit() else f"v{name}"
+
+
+def _local(item: Item, folder: Path) -> Path:
+    twin, road = twin_and_road(item, folder)
+    if road and (item.road or is_url(road)):
+        there = staged(road, folder)
+        if not there.is_file():
+            raise InputError(road, "No such file or directory")
+        own = folder / "with_road.yaml"
+        save_twin(twin.model_copy(update={"road": RoadFile(file=there.absolute())}), own)
+        return own
+    return staged(item.twin, folder)

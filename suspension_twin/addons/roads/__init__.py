@@ -1,0 +1,2 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Roads from laser scans and from recorded drives."""

@@ -1,0 +1,149 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Sources on an event loop: of the caller, or of a thread beside a program that has none."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import threading
+from collections.abc import AsyncIterator, Sequence
+from contextlib import asynccontextmanager
+from typing import Any
+
+from suspension_twin.addons.sources import Source, make_sources
+from suspension_twin.addons.sources.common.hub import Hub
+from suspension_twin.errors import InputError
+
+__all__ = ["SourceLoop", "SourceThread", "running"]
+
+#: s before a source that has failed is run again.
+_AGAIN = 1.0
+
+
+@asynccontextmanager
+async def running(sources: Sequence[Source], hub: Hub) -> AsyncIterator[None]:
+    """The sources receive within. Raises InputError where one cannot be opened."""
+    tasks: list[asyncio.Task[None]] = []
+    try:
+        for source in sources:
+            await source.start()
+        tasks = [asyncio.create_task(_keep_running(source, hub)) for source in sources]
+        yield
+    finally:
+        for task in tasks:
+            task.cancel()
+        await asyncio.gather(*tasks, return_exceptions=True)
+        for source in sources:
+            with contextlib.suppress(Exception):
+                await source.stop()
+
+
+async def _keep_running(source: Source, hub: Hub) -> None:
+    """Whatever a sender causes, the source goes on."""
+    while True:
+        try:
+            await source.run()
+        except Exception as error:
+            text = str(error) if isinstance(error, InputError) else f"{type(error).__name__}: {error}"
+            hub.say("error", "source failed", f"a source failed and is started again: {text}")
+        await asyncio.sleep(_AGAIN)
+
+
+def _said(loop: asyncio.AbstractEventLoop, context: dict[str, Any]) -> None:
+    """What a task ended with and nobody asked for: a Ctrl-C that met it is no error."""
+    if not isinstance(context.get("exception"), KeyboardInterrupt):
+        loop.default_exception_handler(context)
+
+
+class SourceLoop:
+    """Sources that receive while their owner calls :meth:`run`, on the owner's thread.
+
+    Raises InputError for a URL that is none and for a source that cannot be opened.
+    """
+
+    def __init__(self, urls: Sequence[str], hub: Hub) -> None:
+        self.sources = make_sources(urls, hub)
+        self._loop = asyncio.new_event_loop()
+        self._loop.set_exception_handler(_said)
+        self._came = asyncio.Event()
+        self._open = running(self.sources, hub)
+        try:
+            self._loop.run_until_complete(self._open.__aenter__())
+        except BaseException:
+            self._loop.close()
+            raise
+
+    @property
+    def notes(self) -> list[str]:
+        """What the sources have to tell the user."""
+        return [note for source in self.sources for note in source.notes]
+
+    def run(self, seconds: float) -> None:
+        """Receive for so long."""
+        self._loop.run_until_complete(asyncio.sleep(max(seconds, 0.0)))
+
+    def run_until_delivered(self, seconds: float) -> None:
+        """Receive until :meth:`delivered` is called and what arrived with that sample is handled, for so long at
+        most."""
+        self._came.clear()
+        self._loop.run_until_complete(self._wait(seconds))
+
+    def delivered(self) -> None:
+        """Samples were handed on: until the next ones come there is time for other work."""
+        self._came.set()
+
+    async def _wait(self, seconds: float) -> None:
+        with contextlib.suppress(asyncio.TimeoutError):
+            await asyncio.wait_for(self._came.wait(), seconds)
+
+    def close(self) -> None:
+        """Stop the sources."""
+        if not self._loop.is_closed():
+            self._loop.run_until_complete(self._open.__aexit__(None, None, None))
+            self._loop.close()
+
+
+class SourceThread:
+    """Sources on a thread of their own.
+
+    Raises InputError, on the caller's thread, for a URL that is none and for a source that cannot be opened.
+    """
+
+    def __init__(self, urls: Sequence[str], hub: Hub) -> None:
+        self.sources = make_sources(urls, hub)
+        self._hub = hub
+        self._ready = threading.Event()
+        self._error: BaseException | None = None
+        self._loop = asyncio.new_event_loop()
+        self._end = asyncio.Event()
+        self._thread = threading.Thread(target=self._work, name="sources", daemon=True)
+        self._thread.start()
+        self._ready.wait()
+        if self._error is not None:
+            self._thread.join()
+            raise self._error
+
+    @property
+    def notes(self) -> list[str]:
+        """What the sources have to tell the user."""
+        return [note for source in self.sources for note in source.notes]
+
+    def close(self) -> None:
+        """Stop the sources and the thread."""
+        if self._thread.is_alive():
+            self._loop.call_soon_threadsafe(self._end.set)
+            self._thread.join(5.0)
+
+    def _work(self) -> None:
+        try:
+            self._loop.run_until_complete(self._serve())
+        except BaseException as error:
+            self._error = error
+        finally:
+            self._ready.set()
+            self._loop.close()
+
+    async def _serve(self) -> None:
+        async with running(self.sources, self._hub):
+            self._ready.set()
+            await self._end.wait()

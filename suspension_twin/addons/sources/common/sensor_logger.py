@@ -1,0 +1,360 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Messages of the app Sensor Logger, as it pushes them over HTTP and publishes them over MQTT.
+
+Source: PUSHING.md, UNITS.md and CROSSPLATFORM.md of tszheichoi/awesome-sensor-logger. A message is the JSON object
+``{messageId, sessionId, deviceId, payload: [{name, time, values}]}``; ``time`` is UTC in ns, names are those of the
+recorded sensors in lower case. Nothing says which platform it is, and iOS has the axes of accelerometer and gravity
+negated unless "Standardise Units & Frames" is on; :class:`_Axes` finds out.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from collections.abc import Iterable
+from dataclasses import dataclass, field
+from typing import Any, Final
+
+import numpy as np
+
+from suspension_twin.addons.sources.common.address import Address
+from suspension_twin.addons.sources.common.device import Device
+from suspension_twin.addons.sources.common.fields import number, read_object
+from suspension_twin.addons.sources.common.hub import Hub
+from suspension_twin.arrays import Floats
+from suspension_twin.drive.intake.phones import IOS_FORCE_SIGN, force_sensors, phone_fix
+from suspension_twin.drive.intake.velocity import velocities_from_course
+from suspension_twin.errors import InputError
+from suspension_twin.units import STANDARD_GRAVITY
+
+__all__ = ["Phones", "axes_of", "parse_message"]
+
+_AXES: Final = ("auto", "android", "ios")
+
+_VECTORS: Final = (
+    "totalacceleration",
+    "accelerometer",
+    "gravity",
+    "accelerometeruncalibrated",
+    "gyroscope",
+    "gyroscopeuncalibrated",
+)
+_LOCATION: Final = (
+    "latitude",
+    "longitude",
+    "altitude",
+    "horizontalAccuracy",
+    "verticalAccuracy",
+    "speed",
+    "bearing",
+)
+_IOS_FIELD: Final = "altitudeAboveMeanSeaLevel"
+
+_MOST_READINGS = 50_000
+#: No sensor of a phone measures that much, in any unit.
+_BEYOND = 1e6
+#: Stamps in ns that a phone can have: 2001 to 2096.
+_FIRST, _LAST = 1_000_000_000_000_000_000, 4_000_000_000_000_000_000
+#: s for which a message is waited for that others have overtaken, and for which samples wait for the axes to be known.
+_OVERTAKEN, _UNDECIDED = 0.5, 3.0
+_FIRST_OVERTAKEN = 4
+#: A message this much older than the newest is the first of a new count.
+_RECOUNT = 1000
+
+
+def axes_of(address: Address) -> str:
+    """The option ``axes``; InputError for one that is none."""
+    axes = address.options.get("axes", "auto")
+    if axes not in _AXES:
+        raise InputError(str(address), "axes", f"must be one of {', '.join(_AXES)}, is '{axes}'")
+    return axes
+
+
+@dataclass
+class Message:
+    """One message: rows by sensor, (n, 4) stamp in s and x, y, z, for ``location`` (n, 8); ``refused`` readings."""
+
+    number: int
+    session: str
+    device: str
+    rows: dict[str, Floats]
+    ios: bool = False
+    refused: int = 0
+    arrival: float = field(default=0.0, compare=False)
+
+
+def parse_message(body: bytes | str) -> Message:
+    """A message from its JSON. Raises InputError where it is none; readings with a wrong field are left out and
+    counted."""
+    data = read_object(body)
+    payload, count = data.get("payload"), data.get("messageId")
+    if not isinstance(payload, list) or len(payload) > _MOST_READINGS:
+        raise InputError("message", "payload", f"not a list of at most {_MOST_READINGS} readings")
+    if isinstance(count, bool) or not isinstance(count, int) or not 0 <= count < 1 << 53:
+        raise InputError("message", "messageId", "not a whole number")
+    message = Message(count, _word(data.get("sessionId")), _word(data.get("deviceId")), {})
+    rows: dict[str, list[tuple[float, ...]]] = {}
+    for reading in payload:
+        row: tuple[float, ...]
+        try:
+            name = reading["name"].lower()
+            if name in _VECTORS:
+                values = reading["values"]
+                row = (number(values["x"]), number(values["y"]), number(values["z"]))
+                if max(map(abs, row)) > _BEYOND:
+                    raise ValueError
+            elif name == "location":
+                values = reading["values"]
+                row = _place(values)
+                message.ios |= _IOS_FIELD in values
+            else:
+                continue
+            rows.setdefault(name, []).append((_stamp(reading["time"]), *row))
+        except (KeyError, TypeError, AttributeError, ValueError, OverflowError):
+            message.refused += 1
+    message.rows = {name: np.array(found, dtype=np.float64) for name, found in rows.items()}
+    return message
+
+
+def _word(value: Any) -> str:
+    """An identifier of the sender's, cut down to what is fit for a name on a terminal."""
+    if not isinstance(value, str | int) or isinstance(value, bool):
+        return "phone"
+    kept = "".join(c for c in str(value)[:64] if c.isascii() and (c.isalnum() or c in "-_"))
+    return kept or "phone"
+
+
+def _stamp(value: Any) -> float:
+    """s of a time in ns."""
+    if isinstance(value, str) and len(value) < 25:
+        value = int(value)
+    if isinstance(value, bool) or not isinstance(value, int | float) or not _FIRST <= value <= _LAST:
+        raise ValueError
+    return float(value) * 1e-9
+
+
+def _place(values: Any) -> tuple[float, ...]:
+    """Latitude and longitude must be there, the rest may be missing."""
+    found = [number(values["latitude"]), number(values["longitude"])]
+    for name in _LOCATION[2:]:
+        value = values.get(name)
+        found.append(math.nan if value is None else number(value))
+    return tuple(found)
+
+
+@dataclass
+class _Axes:
+    """Finds the sign of accelerometer and gravity: ``sign`` is None until it is known."""
+
+    wanted: str
+    name: str
+    hub: Hub
+    sign: float | None = None
+    seen: set[str] = field(default_factory=set)
+    in_g: bool = False
+    _certain: bool = False
+    _ios: bool = False
+    _standard: bool | None = None
+    _force: Floats = field(default_factory=lambda: np.zeros(3))
+
+    def look(self, message: Message) -> None:
+        """Learn from a message."""
+        self.seen |= message.rows.keys()
+        if self._certain and not self.in_g:
+            return
+        if self.wanted != "auto":
+            self._decide(IOS_FORCE_SIGN if self.wanted == "ios" else 1.0, "", certain=True)
+        raw = message.rows.get("accelerometeruncalibrated")
+        if raw is not None:
+            self.in_g = bool(np.median(np.linalg.norm(raw[:, 1:], axis=1)) < 0.3 * STANDARD_GRAVITY)
+            self._standard = not self.in_g
+        self._ios |= message.ios or self.in_g
+        for sensor in ("gravity", "accelerometeruncalibrated"):
+            if sensor in message.rows:
+                self._force = message.rows[sensor][:, 1:].mean(axis=0)
+                break
+        if self._certain:
+            return
+        if "totalacceleration" in self.seen:
+            self._decide(1.0, "", certain=True)
+        elif self._ios:
+            standard = self._standard if self._standard is not None else self._upright()
+            why = "'Standardise Units & Frames' is on" if standard else "its accelerometer axes are negated"
+            self._decide(1.0 if standard else IOS_FORCE_SIGN, f"an iPhone, {why}", certain=True)
+
+    def give_up(self) -> None:
+        """Nothing has told the platform within the time: a phone is not mounted upside down."""
+        if self.sign is None and self._force.any():
+            upside_down = self._upright() is False
+            why = "gravity lies as iOS has it: taken as an iPhone (?axes=android if it is none)"
+            self._decide(IOS_FORCE_SIGN if upside_down else 1.0, why if upside_down else "", certain=False)
+
+    def _upright(self) -> bool | None:
+        """Whether the axis along gravity points up; None for a phone on its side, which may point either way."""
+        axis = int(np.argmax(np.abs(self._force)))
+        return None if axis == 0 else bool(self._force[axis] > 0)
+
+    def _decide(self, sign: float, why: str, *, certain: bool) -> None:
+        if self.sign is not None and sign != self.sign:
+            why = why or "an Android phone: its accelerometer axes are taken as they are"
+            self.hub.say("warn", "axes", f"{self.name}: {why}; before, the other sign was taken")
+        elif self.sign is None and why:
+            self.hub.say("ok", "axes", f"{self.name}: {why}")
+        self.sign, self._certain = sign, certain
+
+
+class _Phone:
+    """One phone: its messages in their order, its sensors combined."""
+
+    def __init__(self, device: Device, axes: _Axes) -> None:
+        self.device = device
+        self.axes = axes
+        self._session = ""
+        self._next = -1
+        self._early: dict[int, Message] = {}
+        self._done: deque[int] = deque(maxlen=256)
+        self._undecided: list[Message] = []
+        self._gravity = np.empty((0, 4))
+
+    def take(self, message: Message) -> None:
+        """Order by number: the sender's requests may overtake one another."""
+        count = message.number
+        if message.session != self._session or self._next < 0 or count < self._next - _RECOUNT:
+            self.release()
+            # A recording that has just begun may have its first messages overtaken.
+            self._session, self._next = message.session, 0 if count < _FIRST_OVERTAKEN else count
+            self._done.clear()
+        if count in self._done or count in self._early:
+            self.device.counts["repeated messages"] += 1
+        elif count < self._next:
+            self._use(message)
+        elif count == self._next:
+            self._use(message)
+            self._follow()
+        else:
+            self._early[count] = message
+
+    def tick(self, now: float) -> None:
+        """Stop waiting for what has not come in time."""
+        if self._early and now - min(m.arrival for m in self._early.values()) > _OVERTAKEN:
+            first = min(self._early)
+            self.device.counts["lost messages"] += first - self._next
+            self._next = first
+            self._follow()
+        if self._undecided and now - self._undecided[0].arrival > _UNDECIDED:
+            self.axes.give_up()
+            self._go_on()
+
+    def release(self) -> None:
+        """Use what still waits."""
+        for count in sorted(self._early):
+            self._use(self._early[count])
+        self._early.clear()
+
+    def _follow(self) -> None:
+        while self._next in self._early:
+            self._use(self._early.pop(self._next))
+
+    def _use(self, message: Message) -> None:
+        self._done.append(message.number)
+        self._next = max(self._next, message.number + 1)
+        self.device.counts["messages"] += 1
+        self.device.counts["readings with a wrong field"] += message.refused
+        self.axes.look(message)
+        self._undecided.append(message)
+        if self.axes.sign is not None:
+            self._go_on()
+        elif not message.rows.keys() & set(_VECTORS):
+            self._places(self._undecided.pop())
+        elif len(self._undecided) > 500:
+            del self._undecided[0]
+
+    def _go_on(self) -> None:
+        """Hand on what waited for the sign; without accelerometer and gravity together there is nothing to wait for."""
+        if self.axes.sign is None and force_sensors(self.axes.seen):
+            return
+        waiting, self._undecided = self._undecided, []
+        for message in waiting:
+            self._vectors(message)
+            self._places(message)
+
+    def _vectors(self, message: Message) -> None:
+        rows, device, arrival = message.rows, self.device, message.arrival
+        for sensor in ("gyroscope", "gyroscopeuncalibrated"):
+            if sensor in rows:
+                device.rate(rows[sensor][:, 0], rows[sensor][:, 1:], arrival, checked=True)
+                break
+        chosen = force_sensors(self.axes.seen)
+        if not chosen:
+            if "accelerometer" in rows:
+                device.counts["accelerations without gravity"] += len(rows["accelerometer"])
+        elif chosen[0] in rows:
+            force = rows[chosen[0]].copy()
+            if "gravity" in chosen:
+                force = self._with_gravity(force, rows.get("gravity"))
+            if chosen[0] == "accelerometeruncalibrated" and self.axes.in_g:
+                force[:, 1:] *= STANDARD_GRAVITY
+            force[:, 1:] *= self.axes.sign or 1.0
+            device.force(force[:, 0], force[:, 1:], arrival, checked=True)
+        device.flush(arrival, complete=True)
+
+    def _with_gravity(self, linear: Floats, gravity: Floats | None) -> Floats:
+        """The sum at the stamps of the linear acceleration; the last gravity of the message before joins in."""
+        known = self._gravity if gravity is None else np.concatenate([self._gravity, gravity])
+        known = known[np.argsort(known[:, 0], kind="stable")]
+        if not len(known):
+            return linear[:0]
+        self._gravity = known[-1:]
+        sums = [linear[:, i] + np.interp(linear[:, 0], known[:, 0], known[:, i]) for i in (1, 2, 3)]
+        return np.column_stack([linear[:, 0], *sums])
+
+    def _places(self, message: Message) -> None:
+        rows = message.rows.get("location")
+        if rows is None:
+            return
+        rows = rows[np.argsort(rows[:, 0], kind="stable")]
+        t, latitude, longitude, altitude, horizontal, vertical, speed, bearing = rows.T
+        altitude = np.nan_to_num(altitude, nan=0.0)
+        self.device.fix(phone_fix(t, latitude, longitude, altitude, horizontal, vertical), message.arrival)
+        self.device.velocity(velocities_from_course(t, speed, bearing), message.arrival)
+
+
+class Phones:
+    """All phones that send messages to one source. ``only`` is the beginning of the one deviceId to be taken."""
+
+    def __init__(self, hub: Hub, rank: int, *, axes: str = "auto", only: str = "") -> None:
+        self._hub, self._rank, self._wanted, self._only = hub, rank, axes, only
+        self._phones: dict[str, _Phone] = {}
+
+    def feed(self, body: bytes | str, arrival: float) -> Message:
+        """Take one message; InputError where it is none."""
+        message = parse_message(body)
+        message.arrival = arrival
+        if not message.device.startswith(self._only):
+            return message
+        phone = self._phones.get(message.device)
+        if phone is None:
+            name = f"phone {message.device[:8]}"
+            if name in self._hub.devices:
+                name = f"phone {message.device}"
+            device = self._hub.device(name, rank=self._rank)
+            if device is None:
+                return message
+            self._hub.say("ok", f"device {device.name}", f"{device.name}: connected")
+            axes = _Axes(self._wanted, device.name, self._hub)
+            phone = self._phones[message.device] = _Phone(device, axes)
+        phone.take(message)
+        return message
+
+    def is_spare(self, message: object) -> bool:
+        """Whether nothing of the phone that has sent ``message`` is used: another device is in charge."""
+        phone = self._phones.get(message.device) if isinstance(message, Message) else None
+        return phone is not None and phone.device not in self._hub.chosen.values()
+
+    def tick(self, now: float) -> None:
+        """To be called some times a second."""
+        for phone in self._each():
+            phone.tick(now)
+
+    def _each(self) -> Iterable[_Phone]:
+        return list(self._phones.values())

@@ -1,0 +1,322 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The HTTP and WebSocket server that phones push to: loopback unless asked, a token, limits on size and rate.
+
+Nothing that a sender gives becomes a path, a name of a file or a part of a page.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import errno
+import hmac
+import ipaddress
+import logging
+import os
+import secrets
+import socket
+from collections import OrderedDict
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Final
+
+from aiohttp import WSMsgType, web
+
+from suspension_twin.addons.sources.common.address import Address
+from suspension_twin.addons.sources.common.clock import host_time
+from suspension_twin.errors import InputError
+
+__all__ = ["Limits", "PushServer", "is_loopback", "kept_token", "network_address"]
+
+_TOKEN_LENGTH: Final = 8  # the shortest that is taken
+_PEERS: Final = 256
+
+
+@dataclass(frozen=True)
+class Limits:
+    """What a sender may use: ``body`` bytes of a message, ``rate`` bytes/s of one sender and ``burst`` bytes at once,
+    ``connections`` in all, ``attempts`` with a wrong token within a minute, ``patience`` s for a body.
+
+    Four phones at 400 Hz send 2 MB/s together; a phone that was ten seconds without a network sends them at once.
+    """
+
+    body: int = 4_000_000
+    rate: float = 4e6
+    burst: float = 24e6
+    connections: int = 64
+    attempts: int = 20
+    patience: float = 10.0
+
+
+def is_loopback(host: str) -> bool:
+    """Whether only this machine reaches ``host``."""
+    if host in ("", "localhost"):
+        return True
+    try:
+        return ipaddress.ip_address(host).is_loopback
+    except ValueError:
+        return False
+
+
+def network_address() -> str:
+    """This machine's address in its network; ``127.0.0.1`` without one. Nothing is sent."""
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe, contextlib.suppress(OSError):
+        probe.connect(("192.0.2.1", 9))  # of TEST-NET-1, RFC 5737
+        return str(probe.getsockname()[0])
+    return "127.0.0.1"
+
+
+def kept_token() -> str:
+    """A token for this user, the same each time, so that a phone's settings stay valid; made when it is asked for
+    first and kept readable for the user alone."""
+    base = os.environ.get("XDG_STATE_HOME") or os.path.expanduser("~/.local/state")
+    path = Path(base) / "suspension_twin" / "token"
+    with contextlib.suppress(OSError, UnicodeDecodeError):
+        token = path.read_text(encoding="ascii").strip()
+        if (
+            len(token) >= _TOKEN_LENGTH
+            and token.isascii()
+            and token.replace("-", "").replace("_", "").isalnum()
+        ):
+            return token
+    token = secrets.token_urlsafe(12)
+    with contextlib.suppress(OSError):
+        path.parent.mkdir(parents=True, exist_ok=True, mode=0o700)
+        path.unlink(missing_ok=True)
+        descriptor = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600)
+        with os.fdopen(descriptor, "w", encoding="ascii") as file:
+            file.write(token + "\n")
+    return token
+
+
+def _silent() -> logging.Logger:
+    """For the server's traces of requests that are none: a sender could fill a terminal or a disk with them."""
+    logger = logging.getLogger(__name__)
+    logger.addHandler(logging.NullHandler())
+    logger.propagate = False
+    return logger
+
+
+class _Bucket:
+    """Allows ``rate`` a second, ``burst`` at once."""
+
+    def __init__(self, rate: float, burst: float) -> None:
+        self.rate, self.burst, self.left, self.at = rate, burst, burst, host_time()
+
+    def take(self, amount: float) -> bool:
+        now = host_time()
+        self.left = min(self.burst, self.left + (now - self.at) * self.rate)
+        self.at = now
+        if amount > self.left:
+            return False
+        self.left -= amount
+        return True
+
+
+class _Peer:
+    def __init__(self, limits: Limits) -> None:
+        self.bytes = _Bucket(limits.rate, limits.burst)
+        self.wrong = _Bucket(limits.attempts / 60.0, limits.attempts)
+
+
+class _Refused(asyncio.Protocol):
+    """A connection too many."""
+
+    def connection_made(self, transport: asyncio.BaseTransport) -> None:
+        transport.close()
+
+
+class PushServer:
+    """Serves ``on_message(body, arrival)``, which raises InputError for what it does not take.
+
+    Raises InputError for an address that is open to a network with a token that is too short. ``page`` is what a
+    browser gets that shows the token.
+    """
+
+    def __init__(
+        self,
+        address: Address,
+        on_message: Callable[[bytes | str, float], object],
+        limits: Limits | None = None,
+    ) -> None:
+        self.host = address.host or "127.0.0.1"
+        self.port = address.port
+        self.open = not is_loopback(self.host)
+        self.token = address.options.get("token", kept_token() if self.open else "")
+        if (self.open or self.token) and len(self.token) < _TOKEN_LENGTH:
+            raise InputError(str(address), "token", f"must have {_TOKEN_LENGTH} characters at least")
+        if not self.token.isascii() or not self.token.isprintable():
+            raise InputError(str(address), "token", "must be of printable ASCII characters")
+        self.page: Callable[[], str] = lambda: ""
+        #: Files for a phone, by path: type and content.
+        self.files: dict[str, tuple[str, bytes]] = {}
+        self.limits = limits or Limits()
+        #: Whether a message, as ``on_message`` returned it, is of no use now: then the sender's next one waits for
+        #: those of others.
+        self.is_spare: Callable[[object], bool] = lambda _taken: False
+        self.refused = 0
+        self._address = address
+        self._on_message = on_message
+        self._peers: OrderedDict[str, _Peer] = OrderedDict()
+        self._known: set[asyncio.BaseProtocol] = set()
+        self._spare: set[asyncio.BaseProtocol | None] = set()
+        self._turn = asyncio.Lock()
+        self._server: asyncio.Server | None = None
+
+    def url(self, host: str | None = None, path: str = "/") -> str:
+        """The address that a phone sends to; ``host`` is how it reaches this machine."""
+        shown = host or (self.host if self.host not in ("0.0.0.0", "::") else network_address())
+        if ":" in shown:
+            shown = f"[{shown}]"
+        token = f"?token={self.token}" if self.token else ""
+        return f"http://{shown}:{self.port}{path}{token}"
+
+    async def start(self) -> None:
+        """Listen; InputError where the address cannot be had."""
+        app = web.Application(client_max_size=self.limits.body)
+        app.router.add_route("*", "/{path:.*}", self._handle)
+        self._runner = web.AppRunner(
+            app,
+            logger=_silent(),
+            access_log=None,
+            auto_decompress=False,
+            max_line_size=4096,
+            max_field_size=4096,
+            keepalive_timeout=75,
+        )
+        await self._runner.setup()
+        loop = asyncio.get_running_loop()
+        try:
+            self._server = await loop.create_server(self._accept, self.host, self.port, reuse_address=True)
+        except OSError as error:
+            await self._runner.cleanup()
+            taken = error.errno == errno.EADDRINUSE
+            reason = "the port is in use by another program" if taken else os.strerror(error.errno or 0)
+            raise InputError(str(self._address), f"cannot listen: {reason}") from None
+        self.port = int(self._server.sockets[0].getsockname()[1])
+
+    async def stop(self) -> None:
+        """Close everything."""
+        if self._server is not None:
+            self._server.close()
+            await self._runner.cleanup()
+
+    # Connections
+
+    def _accept(self) -> asyncio.BaseProtocol:
+        server = self._runner.server
+        assert server is not None
+        connections = list(server.connections)
+        if len(connections) >= self.limits.connections:
+            idle = next((c for c in connections if c not in self._known), None)
+            self.refused += 1
+            if idle is None:
+                return _Refused()
+            idle.force_close()  # it has never shown the token
+            if idle.transport is not None:
+                idle.transport.abort()
+        self._known &= set(connections)
+        self._spare &= set(connections)
+        return server()
+
+    def _peer(self, request: web.Request) -> _Peer:
+        name = request.remote or ""
+        peer = self._peers.pop(name, None) or _Peer(self.limits)
+        self._peers[name] = peer
+        while len(self._peers) > _PEERS:
+            self._peers.popitem(last=False)
+        return peer
+
+    def _knows_token(self, request: web.Request) -> bool:
+        if not self.token:
+            return True
+        given = request.query.get("token", "") or request.headers.get("Authorization", "").removeprefix(
+            "Bearer "
+        )
+        return hmac.compare_digest(given.encode("utf-8", "replace"), self.token.encode())
+
+    # Requests
+
+    async def _handle(self, request: web.Request) -> web.StreamResponse:
+        arrival = host_time()
+        peer = self._peer(request)
+        if not self._knows_token(request):
+            self.refused += 1
+            status = 401 if peer.wrong.take(1.0) else 429
+            return self._answer(status, "the token is missing or wrong", close=True)
+        if not self.token and "Origin" in request.headers:
+            # A page that the user has open in a browser reaches loopback, too; phones and programs have no origin.
+            self.refused += 1
+            return self._answer(403, "pages of other sites may not send", close=True)
+        if request.protocol is not None:
+            self._known.add(request.protocol)
+        if request.method == "POST":
+            return await self._post(request, peer, arrival)
+        if request.method == "GET":
+            if request.headers.get("Upgrade", "").lower() == "websocket":
+                return await self._socket(request, peer)
+            if request.path in self.files:
+                kind, content = self.files[request.path]
+                return web.Response(body=content, content_type=kind)
+            return web.Response(
+                text=self.page() or "ready", content_type="text/html" if self.page() else "text/plain"
+            )
+        return self._answer(405, "send by POST or by WebSocket", close=True)
+
+    async def _post(self, request: web.Request, peer: _Peer, arrival: float) -> web.Response:
+        if request.headers.get("Content-Encoding", "identity") != "identity":
+            return self._answer(415, "send it without compression", close=True)
+        if (request.content_length or 0) > self.limits.body:
+            return self._answer(413, "too large", close=True)
+        try:
+            if request.content.is_eof():  # as most are: nothing to wait for
+                body = await request.read()
+            else:
+                body = await asyncio.wait_for(request.read(), self.limits.patience)
+        except web.HTTPRequestEntityTooLarge:
+            return self._answer(413, "too large", close=True)
+        except asyncio.TimeoutError:
+            return self._answer(408, "too slow", close=True)
+        if not peer.bytes.take(len(body)):
+            return self._answer(429, "too much at once", close=False)
+        try:
+            await self._take(request, body, arrival)
+        except InputError as error:
+            self.refused += 1
+            return self._answer(400, str(error), close=False)
+        return web.Response(text="ok")
+
+    async def _socket(self, request: web.Request, peer: _Peer) -> web.StreamResponse:
+        socket_ = web.WebSocketResponse(max_msg_size=self.limits.body, heartbeat=20.0, compress=False)
+        if not socket_.can_prepare(request).ok:
+            return self._answer(400, "not a WebSocket handshake", close=True)
+        await socket_.prepare(request)
+        async for message in socket_:
+            if message.type not in (WSMsgType.TEXT, WSMsgType.BINARY):
+                continue
+            if not peer.bytes.take(len(message.data)):
+                self.refused += 1
+                continue
+            try:
+                await self._take(request, message.data, host_time())
+            except InputError:
+                self.refused += 1
+        return socket_
+
+    async def _take(self, request: web.Request, body: bytes | str, arrival: float) -> None:
+        """Hand a message on; after those that are under way or come meanwhile, if the sender's last was of no use."""
+        sender = request.protocol
+        if sender in self._spare:
+            async with self._turn:  # one after the other, and between two of them all that has come
+                for _ in range(2):  # to read it, and to handle it
+                    await asyncio.sleep(0)
+        spare = self.is_spare(self._on_message(body, arrival))
+        if spare != (sender in self._spare):
+            (self._spare.add if spare else self._spare.discard)(sender)
+
+    def _answer(self, status: int, text: str, *, close: bool) -> web.Response:
+        response = web.Response(status=status, text=text)
+        if close:
+            response.force_close()
+        return response

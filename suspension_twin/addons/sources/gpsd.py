@@ -1,0 +1,130 @@
+# SPDX-License-Identifier: Apache-2.0
+"""``gpsd://HOST:PORT``: a receiver by way of gpsd.
+
+Source: gpsd_json(5). After ``?WATCH={"enable":true,"json":true};`` the daemon sends a JSON object a line; TPV has time,
+position, velocity and their error estimates, ATT the heading.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import Any, Final
+
+import numpy as np
+
+from suspension_twin.addons.sources.common.address import Address
+from suspension_twin.addons.sources.common.fields import number, read_object
+from suspension_twin.addons.sources.common.hub import Hub
+from suspension_twin.addons.sources.common.receiver import ByteStream, Receiver
+from suspension_twin.drive.intake.clocks import iso_to_posix
+from suspension_twin.drive.intake.velocity import velocities_from_course
+from suspension_twin.drive.types import FixData, HeadingData, VelocityData
+from suspension_twin.errors import InputError
+
+__all__ = ["EXAMPLE", "STEPS", "TITLE", "Gpsd", "make"]
+
+TITLE = "gpsd"
+EXAMPLE = "gpsd://localhost:2947"
+STEPS: Final = ("Antenna on the roof; its place belongs into the twin file (gps.position).",)
+
+_PORT: Final = 2947
+_LONGEST: Final = 65536  # bytes of a line: SKY of many satellites has some thousand
+#: NavSatStatus by the ``status`` of TPV: 2 differential, 3 and 4 RTK.
+_STATUS: Final = {2: 1, 3: 2, 4: 2}
+
+
+class Gpsd(Receiver):
+    """One daemon; with several receivers behind it, all of them."""
+
+    steps: Sequence[str] = STEPS
+    code = ""
+
+    def __init__(self, address: Address, hub: Hub, rank: int) -> None:
+        if not address.host:
+            raise InputError(str(address), "names no host: write gpsd://HOST:PORT")
+        super().__init__(_with_port(address), hub, rank, TITLE, 9600)
+        hub.correctors.remove(self._correct)  # gpsd has NTRIP of its own
+        self._rest = b""
+
+    def opened(self, stream: ByteStream) -> None:
+        """See the base class."""
+        stream.write(b'?WATCH={"enable":true,"json":true};\n')
+
+    def doubt(self) -> str:
+        """See the base class."""
+        return "sends nothing that can be read: is it gpsd?"
+
+    def feed(self, data: bytes, arrival: float) -> None:
+        """See the base class."""
+        lines = (self._rest + data).split(b"\n")
+        self._rest = lines.pop()[-_LONGEST:]
+        for line in lines:
+            try:
+                report = read_object(line)
+                self.understood += 1
+                if report.get("class") == "TPV":
+                    self._position(report, arrival)
+                elif report.get("class") == "ATT":
+                    self._attitude(report, arrival)
+            except (KeyError, TypeError, ValueError, OverflowError, AttributeError, InputError):
+                self.device.counts["reports with a wrong field"] += 1
+
+    def _position(self, report: dict[str, Any], arrival: float) -> None:
+        if not isinstance(report.get("time"), str) or report.get("mode", 0) not in (2, 3):
+            self.device.counts["epochs without a fix"] += 1
+            return
+        t = np.array([iso_to_posix(report["time"])])
+        given = {name: number(report[name]) if name in report else math.nan for name in _FIELDS}
+        circle = given["eph"] / math.sqrt(2.0)
+        sigma = [circle if math.isnan(given[name]) else given[name] for name in ("epx", "epy")]
+        height = given["altHAE"] if not math.isnan(given["altHAE"]) else given["alt"]
+        fix = FixData(
+            t,
+            np.array([number(report["lat"])]),
+            np.array([number(report["lon"])]),
+            np.array([0.0 if math.isnan(height) else height]),
+            np.array([_STATUS.get(report.get("status", 1), 0)], dtype=np.int8),
+            np.array([[*sigma, given["epv"]]]),
+        )
+        self.device.fix(fix, arrival)
+        if math.isnan(given["velN"] + given["velE"]):
+            speed, track = np.array([given["speed"]]), np.array([given["track"]])
+            self.device.velocity(velocities_from_course(t, speed, track), arrival)
+        else:
+            down = given["velD"] if not math.isnan(given["velD"]) else -given["climb"]
+            enu = [given["velE"], given["velN"], 0.0 if math.isnan(down) else -down]
+            self.device.velocity(VelocityData(t, np.array([enu])), arrival)
+
+    def _attitude(self, report: dict[str, Any], arrival: float) -> None:
+        if "heading" in report and isinstance(report.get("time"), str):
+            yaw = math.radians(90.0 - number(report["heading"]))
+            self.device.heading(
+                HeadingData(np.array([iso_to_posix(report["time"])]), np.array([yaw])), arrival
+            )
+
+
+_FIELDS: Final = (
+    "altHAE",
+    "alt",
+    "eph",
+    "epx",
+    "epy",
+    "epv",
+    "speed",
+    "track",
+    "climb",
+    "velN",
+    "velE",
+    "velD",
+)
+
+
+def _with_port(address: Address) -> Address:
+    return address if address.port else replace(address, port=_PORT)
+
+
+def make(address: Address, hub: Hub, rank: int) -> Gpsd:
+    """See :class:`~suspension_twin.addons.sources.SourceModule`."""
+    return Gpsd(address, hub, rank)

@@ -1,0 +1,92 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Excited segments: the parts of a drive where the road excites the vehicle enough for identification."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.ndimage import uniform_filter1d
+
+from suspension_twin.arrays import Floats
+from suspension_twin.inference.prepare import Prepared
+
+__all__ = ["TrimSettings", "excited", "fit_rows", "trim"]
+
+
+@dataclass(frozen=True)
+class TrimSettings:
+    """Criteria of an excited segment.
+
+    ``threshold``: local rms of the vertical acceleration in units of its noise; ``window`` s of that rms; ``before``
+    and ``after`` s kept around it (free oscillation shows damping); ``bridge`` s: shorter gaps are not cut; ``lead``
+    s simulated but not compared, for the transient from rest to decay; ``slowest`` m/s."""
+
+    threshold: float = 4.0
+    window: float = 0.5
+    before: float = 0.5
+    after: float = 2.0
+    bridge: float = 4.0
+    lead: float = 2.5
+    slowest: float = 0.8
+
+
+def excited(prepared: Prepared, settings: TrimSettings | None = None) -> NDArray[np.bool_]:
+    """(m,) True on the grid samples of a drive where the road excites the moving vehicle."""
+    s = settings or TrimSettings()
+    rate = prepared.rate
+    vertical = prepared.measured["vertical_acceleration"]
+    floor = max(prepared.noise_rms["vertical_acceleration"], 1e-3)
+    window = max(3, int(s.window * rate))
+    # the mean of two seconds is road grade and bias, not excitation
+    wave = vertical - uniform_filter1d(vertical, max(3, int(2.0 * rate)), mode="nearest")
+    rms = np.sqrt(np.maximum(uniform_filter1d(wave**2, window, mode="nearest"), 0.0))
+    moving = (np.abs(prepared.speed) > s.slowest) & prepared.mask
+    active = (rms > s.threshold * floor) & moving
+    return np.asarray(_widened(active, int(s.before * rate), int(s.after * rate)) & prepared.mask)
+
+
+def _widened(active: NDArray[np.bool_], before: int, after: int) -> NDArray[np.bool_]:
+    """True from ``before`` samples ahead of every active one to ``after`` behind it."""
+    count = np.concatenate([[0], np.cumsum(active)])
+    i = np.arange(active.size)
+    last = np.minimum(i + before + 1, active.size)
+    return np.asarray(count[last] > count[np.maximum(i - after, 0)])
+
+
+def trim(prepared: Prepared, settings: TrimSettings | None = None) -> list[Prepared]:
+    """The drive cut to its excited segments, each with its lead; the whole drive if one segment covers 90 % of it."""
+    s = settings or TrimSettings()
+    active = excited(prepared, s)
+    rows = np.flatnonzero(active)
+    if not rows.size:
+        return []
+    t = prepared.t
+    starts = [rows[0], *rows[1:][np.diff(rows) > s.bridge * prepared.rate]]
+    ends = [*rows[:-1][np.diff(rows) > s.bridge * prepared.rate], rows[-1]]
+    pad = 1.0  # transients of the filter
+    spans: list[tuple[Floats, Floats]] = [
+        (max(t[a] - s.lead - pad, t[0]), min(t[b] + pad, t[-1])) for a, b in zip(starts, ends, strict=True)
+    ]
+    kept = sum(float(b - a) for a, b in spans)
+    if len(spans) == 1 and kept > 0.9 * (t[-1] - t[0]):
+        return [prepared]
+    return [prepared.part(float(a), float(b)) for a, b in spans]
+
+
+def fit_rows(part: Prepared, settings: TrimSettings | None = None) -> NDArray[np.intp]:
+    """Grid samples of a part that are compared: excited, and not within the lead."""
+    s = settings or TrimSettings()
+    active = excited(part, s)
+    rows = np.flatnonzero(active)
+    if rows.size:
+        # from the first to the last excited sample, calm samples between included
+        between = np.zeros_like(active)
+        between[rows[0] : rows[-1] + 1] = True
+        active = between & part.mask & (np.abs(part.speed) > s.slowest)
+    moving_start = part.t[0] + s.lead
+    standing_before = np.abs(part.speed[0]) < s.slowest
+    if not standing_before:
+        active &= part.t > moving_start
+    return np.flatnonzero(active)

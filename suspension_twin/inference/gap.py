@@ -1,0 +1,135 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The gap between a measured and a simulated drive: rms by channel, and its floor."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from suspension_twin.arrays import Floats
+from suspension_twin.errors import WorkError
+from suspension_twin.files import write_text
+from suspension_twin.models.car import CHANNELS
+
+__all__ = ["CHANNELS", "Gap", "channel_unit", "main_channel", "measure_gap", "write_gap"]
+
+
+@dataclass(frozen=True)
+class Gap:
+    """What separates two signals after the same filter.
+
+    Parameters
+    ----------
+    rms : float
+        m/s², of the vertical acceleration at the sensor.
+    mse : float
+        m²/s⁴, its square.
+    noise_rms : float
+        m/s², its noise floor.
+    channels : dict of str to float
+        Root mean square of each channel, m/s² and rad/s.
+    seconds : float
+        How much was compared.
+
+    Examples
+    --------
+    >>> Gap(0.4, 0.16, 0.05, {"vertical_acceleration": 0.4}, 60.0).as_dict()["mse"]
+    0.16
+    """
+
+    rms: float
+    mse: float
+    noise_rms: float
+    channels: dict[str, float]
+    seconds: float
+
+    def as_dict(self) -> dict[str, Any]:
+        """The ``gap`` object of diagnosis.json, with ``seconds``."""
+        return {
+            "rms": self.rms,
+            "mse": self.mse,
+            "noise_rms": self.noise_rms,
+            "channels": dict(self.channels),
+            "seconds": self.seconds,
+        }
+
+
+def measure_gap(
+    measured: Mapping[str, Floats],
+    simulated: Mapping[str, Floats],
+    mask: NDArray[np.bool_],
+    rate: float,
+    noise_rms: float,
+) -> Gap:
+    """Measure the gap between measured and simulated channels after the same filter.
+
+    Parameters
+    ----------
+    measured, simulated : mapping of str to (m,) array
+        Signals by the name of the channel, m/s² and rad/s.
+    mask : (m,) array of bool
+        Samples that are compared.
+    rate : float
+        Samples a second.
+    noise_rms : float
+        Noise floor of the vertical acceleration in m/s².
+
+    Returns
+    -------
+    Gap
+        Root mean square by channel.
+
+    Raises
+    ------
+    WorkError
+        Nothing to compare, or a signal that is not finite.
+
+    Examples
+    --------
+    >>> from suspension_twin.drive.read import read_drive
+    >>> from suspension_twin.inference.simulated import simulate_drive
+    >>> from suspension_twin.vehicle.twin import load_twin
+    >>> result = simulate_drive(read_drive("bags/crg_road"), load_twin("bags/crg_road/twin.yaml"))
+    >>> prepared = result.prepared
+    >>> simulated = prepared.condition(result.response)
+    >>> gap = measure_gap(prepared.measured, simulated, prepared.mask, prepared.rate, 0.02)
+    >>> gap.rms == result.gap.rms
+    True
+    """
+    count = int(np.count_nonzero(mask))
+    if count == 0:
+        raise WorkError("nothing to compare: no sample has a pose, a road and a whole signal")
+    rms: dict[str, float] = {}
+    for channel in measured:
+        difference = (np.asarray(measured[channel]) - np.asarray(simulated[channel]))[mask]
+        value = float(np.sqrt(np.mean(difference**2)))
+        if not np.isfinite(value):
+            raise WorkError(f"the gap of {channel} is not a number: the simulation has failed")
+        rms[channel] = value
+    main = rms[main_channel(measured)]
+    return Gap(main, main**2, noise_rms, rms, count / rate)
+
+
+def main_channel(names: Iterable[str]) -> str:
+    """The channel that speaks for all: the vertical acceleration, or the first where that is not measured."""
+    known = list(names)
+    return CHANNELS[0] if CHANNELS[0] in known else known[0]
+
+
+def channel_unit(name: str) -> str:
+    """SI unit of a channel, by the last word of its name."""
+    units = {"acceleration": "m/s²", "rate": "rad/s", "velocity": "m/s", "force": "N"}
+    return units.get(name.rpartition("_")[2], "m")
+
+
+def write_gap(document: Mapping[str, Any], folder: Path) -> None:
+    """Write ``folder/gap.json``."""
+    write_text(
+        folder / "gap.json", json.dumps(document, indent=2, ensure_ascii=False, allow_nan=False) + "\n"
+    )

@@ -1,0 +1,350 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What a sensor and a map add to a drive that is no physics of the vehicle.
+
+The offset between the clocks of IMU and GPS, the position of the map along the road, the IMU's
+gain, tilt and biases. They are fitted with the physics and reported apart from it. A shift in
+time is applied to the simulated, band-limited signal by interpolation: no simulation is spent on
+it. A shift of the map by ``d`` metres is one in time by ``d`` over the speed along the road. Neither
+shifts what the planar motion brings about, where that is known apart: a pose comes from no map.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from suspension_twin.arrays import Floats
+from suspension_twin.errors import InputError
+from suspension_twin.inference.sensor_reading import read_alike, read_any, read_steady
+from suspension_twin.models.blocks import cores, share_out
+from suspension_twin.models.sinc_interpolation import TABLE
+
+__all__ = [
+    "NUISANCES",
+    "OF_A_DRIVE",
+    "OF_A_RIG",
+    "OF_A_RUN",
+    "OF_PLANAR_MOTION",
+    "NuisancePriors",
+    "Nuisances",
+    "map_spread",
+    "slow_position_error",
+]
+
+#: What each nuisance that can be frozen leaves out.
+NUISANCES: Mapping[str, tuple[str, ...]] = {
+    "clock_offset": ("clock", "common_clock"),
+    "map_position": ("map_position",),
+    "wander": ("wander",),
+    "gain": ("gain",),
+    "tilt": ("tilt",),
+    "bias": ("force_bias", "rate_bias"),
+}
+#: Values from which on several threads are quicker than one.
+_WORTH_SHARING = 50_000
+_HOLDER = 70.0  # Hz at which a holder of one standard deviation would ring
+#: The best in m that a map and a pose agree to.
+_MAP_LEAST = 0.002
+_SLOWEST = 0.5  # m/s: below this a place on the road says nothing of a time
+
+
+@dataclass(frozen=True)
+class NuisancePriors:
+    """Standard deviations of what a nuisance may be; 0 leaves it out.
+
+    ``clock`` s of each drive, ``common_clock`` s of all of them, ``map_position`` m of all, ``drive_map`` m of
+    each, ``wander`` m (the GNSS position's own error, one value for every pass and ``wander_seconds``; None takes
+    it from the fixes' covariance), ``gain`` of the accelerometer, ``tilt`` rad, ``force_bias`` m/s², ``rate_bias``
+    rad/s, ``pivot`` m (how far a real suspension's kinematics shift the axes about which the body rolls and
+    pitches), ``slip`` rad per m/s² (slip angle of the rear tyres: where the heading is told from the course, it
+    runs ahead of that), ``holder`` of the share (f / 70 Hz)² by which a sensor's holder, which gives a little, adds
+    to vertical motion at f, ``speed`` share by which a run was driven faster than it says, its time stretched.
+    """
+
+    clock: float = 0.1
+    common_clock: float = 0.0
+    map_position: float = 0.5
+    wander: float | None = None
+    wander_seconds: float = 8.0
+    gain: float = 0.01
+    tilt: float = 0.02
+    force_bias: float = 0.05
+    rate_bias: float = 0.01
+    pivot: float = 0.0
+    slip: float = 0.0
+    holder: float = 0.0
+    drive_map: float = 0.0
+    speed: float = 0.0
+
+    def without(self, keys: Iterable[str]) -> NuisancePriors:
+        """Those of ``keys`` (``nuisances.gain``) left out; raises InputError for one that is not known."""
+        gone: dict[str, float] = {}
+        for key in keys:
+            name = key.removeprefix("nuisances.")
+            if name not in NUISANCES:
+                raise InputError(
+                    "freeze", key, f"one of {', '.join(f'nuisances.{n}' for n in NUISANCES)} is expected"
+                )
+            gone |= dict.fromkeys(NUISANCES[name], 0.0)
+        return replace(self, **gone)
+
+
+#: s by which the clocks of two cameras are off, and share by which a driver misses a speed: of a controlled run.
+OF_A_RUN = NuisancePriors(
+    clock=0.015, map_position=0.0, gain=0.0, tilt=0.0, force_bias=0.0, rate_bias=0.0, wander=0.0, speed=0.01
+)
+#: s between the clocks of an actuator and of transducers that one device samples, filters of theirs included.
+OF_A_RIG = replace(OF_A_RUN, clock=0.001, speed=0.0)
+#: Of a drive with a known road and a calibrated twin. A larger error of clock, map or mount is an effect.
+#: An RTK position is accurate to a centimetre, a part of which is constant over a drive (``drive_map``).
+#: The gain is fixed: that of a phone is within 0.5 %, and a free gain would absorb model discrepancy.
+OF_A_DRIVE = NuisancePriors(
+    clock=0.0005,
+    common_clock=0.002,
+    map_position=0.02,
+    gain=0.0,
+    tilt=0.009,
+    force_bias=0.05,
+    rate_bias=0.005,
+    pivot=0.3,
+    holder=1.0,
+    drive_map=0.006,
+)
+#: Of a drive without a road: what clock and mounting are is then the very question, and nothing else shows it.
+#: Rear tyres of cars slip by about 0.005 rad for each m/s²; a course that lags by that would pass for a clock's.
+OF_PLANAR_MOTION = replace(
+    OF_A_DRIVE.without(("clock_offset", "map_position", "tilt")), pivot=0.0, slip=0.005, drive_map=0.0
+)
+
+
+class Nuisances:
+    """The nuisances of a set of parts of drives; ``drive_of`` says which drive a part belongs to.
+
+    Values are in SI units, (q,) or (q, L), in the order of ``names``; ``spread`` (q,) are their
+    priors' standard deviations around zero.
+    """
+
+    def __init__(
+        self,
+        parts: Sequence[Any],
+        drive_of: Sequence[int],
+        channels: Sequence[str],
+        priors: NuisancePriors,
+        wander: Sequence[float],
+    ) -> None:
+        self.channels = tuple(channels)
+        self._force = np.array([c.endswith("acceleration") for c in channels])
+        names: list[str] = []
+        channels = tuple(channels)
+        spread: list[float] = []
+
+        def add(name: str, sigma: float) -> None:
+            if sigma > 0:
+                names.append(name)
+                spread.append(sigma)
+
+        add("map_position", priors.map_position)
+        add("clock_offset", priors.common_clock)
+        if self._force.any():
+            add("gain", priors.gain)
+        add("tilt_roll", priors.tilt)
+        add("tilt_pitch", priors.tilt)
+        #: Channel -> nuisance, the channel whose slope it adds, and its sign.
+        self._levers = {}
+        for c, name, other, sign, sigma in (
+            ("longitudinal_acceleration", "pivot_pitch", "pitch_rate", -1.0, priors.pivot),
+            ("lateral_acceleration", "pivot_roll", "roll_rate", 1.0, priors.pivot),
+            ("yaw_rate", "rear_slip", "lateral_acceleration", 1.0, priors.slip),
+        ):
+            if sigma > 0 and c in self.channels and other in self.channels:
+                self._levers[c] = (name, channels.index(other), sign)
+                add(name, sigma)
+        self._held = (
+            self.channels.index("vertical_acceleration") if "vertical_acceleration" in self.channels else -1
+        )
+        if self._held >= 0:
+            add("holder", priors.holder)
+        drives: dict[int, str] = {}
+        for part, drive in zip(parts, drive_of, strict=True):
+            if drive not in drives:
+                drives[drive] = part.name
+                add(f"{part.name}.clock_offset", priors.clock)
+                add(f"{part.name}.speed", priors.speed)
+                add(f"{part.name}.map_position", priors.drive_map)
+                for channel, force in zip(self.channels, self._force, strict=True):
+                    add(f"{part.name}.bias.{channel}", priors.force_bias if force else priors.rate_bias)
+        #: (m, C) of every part: what the planar motion alone brings about; neither clock nor map shifts it.
+        self.carried: list[Floats] = []
+        self._knots: list[Floats] = []
+        for number, (part, drive) in enumerate(zip(parts, drive_of, strict=True)):
+            knots = _knots(part, priors.wander_seconds) if wander[drive] > 0 else np.empty(0)
+            self._knots.append(knots)
+            for k in range(knots.size):
+                add(f"{part.name}.wander.{number}.{k}", wander[drive])
+        self.names = tuple(names)
+        self.spread = np.array(spread)
+        #: (q,) what cannot be below nothing: a holder adds to what is quick, as all do below their resonance
+        self.one_sided = np.array([name == "holder" for name in names], dtype=np.bool_)
+        self._row = {name: i for i, name in enumerate(names)}
+        self._parts = tuple(parts)
+        self._drive_names = tuple(drives[d] for d in drive_of)
+        self._regressors = [
+            self._tilt(part) if "tilt_roll" in names else np.zeros((2, part.t.size, len(self.channels)))
+            for part in parts
+        ]
+
+    def __len__(self) -> int:
+        return len(self.names)
+
+    @property
+    def clocks(self) -> list[tuple[int, list[int]]]:
+        """For each drive the row of its clock offset and the numbers of its parts."""
+        found: dict[int, list[int]] = {}
+        for number, drive in enumerate(self._drive_names):
+            row = self._row.get(f"{drive}.clock_offset")
+            if row is not None:
+                found.setdefault(row, []).append(number)
+        return list(found.items())
+
+    @property
+    def steps(self) -> Floats:
+        """(q,) finite-difference steps: small against the priors, large against rounding."""
+        return 1e-3 * self.spread
+
+    @property
+    def plain(self) -> NDArray[np.bool_]:
+        """(q,) those that add what does not depend on the simulation: biases and small tilts."""
+        return np.array([".bias." in name or name.startswith("tilt_") for name in self.names], dtype=np.bool_)
+
+    def _tilt(self, part: Any) -> Floats:
+        """(2, m, C) what a small tilt about x and about y adds, from the measured signals."""
+        m = part.measured
+        g = part.signals.gravity
+        zero = np.zeros_like(m["yaw_rate"])
+        fz = m["vertical_acceleration"] + g
+        about_x = {
+            "vertical_acceleration": m["lateral_acceleration"],
+            "lateral_acceleration": -fz,
+            "pitch_rate": -m["yaw_rate"],
+            "yaw_rate": m["pitch_rate"],
+        }
+        about_y = {
+            "vertical_acceleration": -m["longitudinal_acceleration"],
+            "longitudinal_acceleration": fz,
+            "roll_rate": m["yaw_rate"],
+            "yaw_rate": -m["roll_rate"],
+        }
+        return np.stack(
+            [np.stack([about.get(c, zero) for c in self.channels], axis=1) for about in (about_x, about_y)]
+        )
+
+    def apply(self, number: int, simulated: Floats, rows: NDArray[np.intp], values: Floats) -> Floats:
+        """What the sensor would have delivered for part ``number`` at grid samples ``rows`` (r,).
+
+        ``simulated`` (m, C, L) conditioned, or one lane for all; ``values`` (q, L). Returns (r, C, L).
+        """
+        part = self._parts[number]
+        lanes = values.shape[1]
+
+        def value(name: str) -> Floats:
+            row = self._row.get(name)
+            return np.zeros(lanes) if row is None else values[row]
+
+        drive = self._drive_names[number]
+        along = part.along[rows]
+        along = np.where(np.abs(along) < _SLOWEST, np.where(along < 0, -_SLOWEST, _SLOWEST), along)
+        metres = np.broadcast_to(value("map_position") + value(f"{drive}.map_position"), (rows.size, lanes))
+        # the map's shift follows the road's direction, the wander the vehicle's
+        sense = np.sign(along)[:, None]
+        knots = self._knots[number]
+        if knots.size:
+            hats = _hats(part.t[rows], knots)
+            wander = np.stack([value(f"{drive}.wander.{number}.{k}") for k in range(knots.size)])
+            metres = metres + sense * np.einsum("rk,kl->rl", hats, wander, optimize=False)
+        late = value(f"{drive}.clock_offset") + value("clock_offset")
+        late = late[None, :]
+        if f"{drive}.speed" in self._row:
+            late = late + value(f"{drive}.speed") * (part.t[rows] - part.t[0])[:, None]
+        shift = (late + metres / along[:, None]) * part.rate
+        gain = np.ones((len(self.channels), lanes))
+        gain[self._force] += value("gain")
+        bias = np.stack([value(f"{drive}.bias.{c}") for c in self.channels])
+        about = self._regressors[number][:, rows]
+        tilt = np.stack([value("tilt_roll"), value("tilt_pitch")])
+        lever, turned = np.zeros_like(gain), np.full(len(self.channels), -1)
+        for channel, (name, rate, sign) in self._levers.items():
+            turned[self.channels.index(channel)] = rate
+            lever[self.channels.index(channel)] = sign * part.rate * value(name)
+        if "holder" in self._row:  # less a share of the second derivative, which is the slope of the slope
+            turned[self._held] = len(self.channels)
+            lever[self._held] = -((part.rate / (2.0 * np.pi * _HOLDER)) ** 2) * value("holder")
+        out = np.empty((rows.size, len(self.channels), lanes))
+        carried = self.carried[number] if self.carried and shift.any() else None
+        simulated, shift = np.ascontiguousarray(simulated), np.ascontiguousarray(shift)
+        apart = simulated.shape[2] > 1 and bool((shift[0] != shift[0, 0]).any())
+        steady = apart and (turned < 0).all() and bool((shift == shift[0]).all()) and carried is None
+        alike = not apart and simulated.shape[2] > 1 and bool((shift == shift[:, :1]).all())
+        still = np.empty((0, len(self.channels))) if carried is None else carried
+        given, later = simulated, None if alike else carried
+        if later is not None:
+            given = given - later[:, :, None]
+        if not (steady or alike):
+            given = self._with_slope(given)
+
+        def work(low: int, high: int) -> None:
+            if steady:
+                read_steady(given, rows, shift[0], gain, bias, about, tilt, TABLE, out, low, high)
+            elif alike:
+                one = np.ascontiguousarray(shift[:, 0])
+                read_alike(
+                    given, still, rows, one, gain, bias, about, tilt, lever, turned, TABLE, out, low, high
+                )
+            else:
+                read_any(given, rows, shift, gain, bias, about, tilt, lever, turned, TABLE, out, low, high)
+
+        pieces = cores() if out.size > _WORTH_SHARING else 1
+        cuts = np.linspace(0, rows.size, pieces + 1).astype(int).tolist()
+        share_out(work, list(zip(cuts[:-1], cuts[1:], strict=True)), pieces)
+        if later is not None:
+            out += later[rows][:, :, None]
+        return out
+
+    def _with_slope(self, simulated: Floats) -> Floats:
+        """Signals (m, C + 1, L) with the slope of the held channel as one more, where there is a holder."""
+        if "holder" not in self._row:
+            return simulated
+        slope = np.gradient(simulated[:, self._held], axis=0)
+        return np.concatenate([simulated, slope[:, None]], axis=1)
+
+
+def slow_position_error(drive: Any) -> float:
+    """Standard deviation in m of the slow error of a drive's smoothed positions, by what its receiver says of a fix:
+    half of it averages out."""
+    return 0.5 * float(drive.position_sigma)
+
+
+def map_spread(drives: Sequence[Any]) -> float:
+    """Standard deviation in m by which all drives' poses may be off the map along the road.
+
+    The mean of drives goes no further than the receiver says of single fixes: that is the limit, three spreads.
+    """
+    given = [d.position_sigma for d in drives if d.position_sigma > 0]
+    return max(float(np.mean(given)) / 3.0, _MAP_LEAST) if given else NuisancePriors.map_position
+
+
+def _knots(part: Any, seconds: float) -> Floats:
+    """Times between which the position's error is taken as linear: one knot for a short pass."""
+    t = part.t
+    count = int((t[-1] - t[0]) // seconds) + 1
+    return np.linspace(t[0], t[-1], count) if count > 1 else np.array([0.5 * (t[0] + t[-1])])
+
+
+def _hats(t: Floats, knots: Floats) -> Floats:
+    """(r, k) weights of linear interpolation between the knots, constant beyond them."""
+    if knots.size == 1:
+        return np.ones((t.size, 1))
+    return np.stack([np.interp(t, knots, unit) for unit in np.eye(knots.size)], axis=1)

@@ -1,0 +1,212 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Uncertainty: posterior, intervals and excited ranges of the parameters.
+
+The posterior about the best fit is Gaussian in slope coordinates (Laplace), with the curvature of whitened residuals.
+It is widened where the scores of blocks of a second scatter more (sandwich covariance). The static compression of a
+spring is a direction in which Laplace fails: the likelihood is evaluated on a grid there (``spring_position``).
+Intervals of forces are quantiles of draws."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+
+from suspension_twin.arrays import Floats
+from suspension_twin.inference.problem import FitProblem, Problem
+from suspension_twin.inference.space import Curve
+from suspension_twin.inference.spring_position import Slide, changes, slides
+from suspension_twin.models.simulate import simulate_twin
+from suspension_twin.vehicle.twin import Twin
+
+__all__ = ["CORRELATION", "Posterior", "Travel", "Weighing", "posterior", "span_of", "travel"]
+
+#: Prior correlation of the logarithms of neighbouring slopes.
+CORRELATION = 0.8
+_DRAWS = 4000
+_BLOCK_SECONDS = 1.0
+_REACHED = 0.05  # s that have to lie beyond a point before it counts as excited
+
+
+@dataclass(frozen=True, eq=False)
+class Travel:
+    """Motion of the suspension on the compared samples, by axle (both wheels): ``compression`` m, ``velocity`` m/s
+    (jounce positive), ``static`` compression m; sampled at ``rate`` Hz."""
+
+    compression: dict[str, Floats]
+    velocity: dict[str, Floats]
+    static: dict[str, float]
+    rate: float
+
+
+@dataclass(frozen=True, eq=False)
+class Posterior:
+    """``draws`` (d, N) of the parameters' values, ``sigma`` (q,) of the nuisances, ``covariance``
+    (d + q, d + q) in the solver's coordinates; ``better`` coordinates of a point that fits better
+    than the one asked about, or None."""
+
+    draws: Floats
+    sigma: Floats
+    covariance: Floats
+    better: Floats | None
+
+
+def travel(twin: Twin, problem: Problem) -> Travel:
+    """Simulate ``twin`` over the parts of a problem and collect its suspension travel; empty for a vehicle without
+    characteristics."""
+    if not problem.space.curves:
+        return Travel({}, {}, {}, problem.measured.rate)
+    compression: dict[str, list[Floats]] = {axle: [] for axle in twin.axles}
+    velocity: dict[str, list[Floats]] = {axle: [] for axle in twin.axles}
+    static = dict.fromkeys(twin.axles, 0.0)
+    for part, rows in zip(problem.parts, problem.rows, strict=True):
+        response = simulate_twin(twin, part.excitation)
+        at = np.clip(np.searchsorted(response.t, part.t[rows]), 0, response.t.size - 1)
+        for axle, own in twin.axles.items():
+            compression[axle].append(response.deflection[at, own.columns].ravel())
+            velocity[axle].append(response.deflection_rate[at, own.columns].ravel())
+            static[axle] = float(response.deflection[0, own.columns].mean())
+    return Travel(
+        {k: np.concatenate(v) for k, v in compression.items()},
+        {k: np.concatenate(v) for k, v in velocity.items()},
+        static,
+        problem.measured.rate,
+    )
+
+
+def span_of(curve: Curve, where: Travel) -> tuple[float, float]:
+    """The range of a curve's abscissa that the drives excited; (NaN, NaN) if none was."""
+    if curve.part == "spring":
+        values = where.compression[curve.axle]
+    else:
+        values = where.velocity[curve.axle] * (1.0 if curve.part == "damper_push" else -1.0)
+        values = values[values > 0]
+    beyond = max(1, round(2 * _REACHED * where.rate))
+    if values.size < 3 * beyond:
+        return float("nan"), float("nan")
+    ordered = np.sort(values)
+    low = float(ordered[beyond - 1]) if curve.part == "spring" else 0.0
+    return low, float(ordered[-beyond])
+
+
+class Weighing(Protocol):
+    """Interface of a likelihood: the sum of squares of its residuals is -2 log likelihood."""
+
+    def residuals(self, simulated: Floats) -> Floats:
+        """(R, L) of candidates (M, C, L)."""
+
+
+def posterior(
+    problem: Problem,
+    likelihood: Weighing,
+    x: Floats,
+    precision: Floats,
+    where: Travel,
+    seed: int,
+    doubt: Floats | None = None,
+) -> Posterior:
+    """The posterior around ``x`` (d + q,), the best fit of ``likelihood`` with the prior ``precision``.
+
+    ``doubt`` (d + q,) is one more standard deviation, of all coordinates together.
+    """
+    fit = FitProblem(problem, likelihood.residuals)
+    residual, jacobian = fit.linearise(x)
+    information = jacobian.T @ jacobian + precision
+    covariance = _widened(
+        np.asarray(np.linalg.inv(information), dtype=np.float64), jacobian, residual, precision, problem
+    )
+    if doubt is not None:
+        covariance = covariance + np.outer(doubt, doubt)
+    d = len(problem.space)
+    rng = np.random.default_rng(seed)
+    root = np.linalg.cholesky(covariance[:d, :d] + 1e-14 * np.eye(d))
+    noise = np.einsum("ij,jn->in", root, rng.standard_normal((d, _DRAWS)), optimize=False)
+    middle = np.repeat(x[:d, None], _DRAWS, axis=1)
+    cost = float(np.sum(residual**2)) + _penalty(problem, x[:d, None], precision)[0]
+    better: Floats | None = None
+    for curve in problem.space.curves:
+        if not curve.key.endswith("spring") or min(curve.rows) < 0:
+            continue
+        rows = list(curve.rows)
+        seen = np.quantile(where.compression[curve.axle], np.linspace(0.002, 0.998, 200))
+        found = slides(curve.x, x[rows], problem.space.z0[rows], CORRELATION, where.static[curve.axle], seen)
+        if not found:
+            continue
+        costs = _slide_costs(problem, fit, x, rows, found, precision)
+        lowest = int(np.argmin(costs))
+        if costs[lowest] < cost - 0.5:
+            better = x.copy() if better is None else better
+            better[rows] = found[lowest].z
+        _mix(middle, noise, rows, found, costs - cost, covariance, rng)
+    z = middle + noise
+    draws = problem.space.from_slopes(z)
+    return Posterior(draws, np.sqrt(np.diag(covariance)[d:]), covariance, better)
+
+
+def _widened(
+    covariance: Floats, jacobian: Floats, residual: Floats, precision: Floats, problem: Problem
+) -> Floats:
+    """The covariance with each deviation at least that of the block scores (a sandwich estimate)."""
+    size = max(8, int(_BLOCK_SECONDS * problem.measured.rate))
+    if residual.size // size < 2 * covariance.shape[0]:
+        return covariance
+    starts = np.arange(0, residual.size, size)
+    blocks = starts.size
+    scores = np.add.reduceat(jacobian * residual[:, None], starts, axis=0)
+    meat = scores.T @ scores * (blocks / (blocks - 1.0)) + precision
+    robust = np.einsum("ij,jk,kl->il", covariance, meat, covariance, optimize=False)
+    ratio = np.sqrt(np.maximum(np.diag(robust) / np.diag(covariance), 1.0))
+    widened = covariance * ratio[:, None] * ratio[None, :]
+    return np.asarray(0.5 * (widened + widened.T))
+
+
+def _penalty(problem: Problem, z: Floats, precision: Floats) -> Floats:
+    d = len(problem.space)
+    away = z - problem.space.z0[:, None]
+    return np.asarray(np.einsum("il,ij,jl->l", away, precision[:d, :d], away, optimize=False))
+
+
+def _slide_costs(
+    problem: Problem, fit: FitProblem, x: Floats, rows: list[int], found: Sequence[Slide], precision: Floats
+) -> Floats:
+    """(s,) -2 log posterior of every slide, all other coordinates as they are."""
+    candidates = np.repeat(x[:, None], len(found), axis=1)
+    for lane, slide in enumerate(found):
+        candidates[rows, lane] = slide.z
+    sums = fit.sums_of_squares(candidates)
+    return np.asarray(sums + _penalty(problem, candidates[: len(problem.space)], precision))
+
+
+def _mix(
+    middle: Floats,
+    noise: Floats,
+    rows: list[int],
+    found: Sequence[Slide],
+    worse: Floats,
+    covariance: Floats,
+    rng: np.random.Generator,
+) -> None:
+    """Move a share of the draws, which are ``middle`` + ``noise`` (d, N), to slides, by their posterior weight;
+    ``worse`` (s,) is how much larger than that of the fit their -2 log posterior is."""
+    least = min(0.0, float(np.min(worse)))
+    weights = np.where(np.isfinite(worse), np.exp(-0.5 * (worse - least)), 0.0)
+    weights = weights * np.array([s.density for s in found])
+    # The fit counts as one grid step with the density of its nearest slide, and as the best: where a slide is better,
+    # the fit is moved there, or it minimises another objective, and is what is reported.
+    nearest = int(np.argmin([abs(s.shift) for s in found]))
+    total = float(weights.sum()) + found[nearest].density
+    share = float(weights.sum()) / total
+    if share < 0.02:
+        return
+    count = middle.shape[1]
+    chosen = np.flatnonzero(rng.random(count) < share)
+    slide = np.asarray(rng.choice(len(found), size=count, p=weights / weights.sum()))[chosen]
+    jitter = np.asarray(rng.uniform(-0.5, 0.5, count))[chosen]
+    low = int(rows[0])
+    # given the static compression, the slope of the unexcited segment is independent of the others
+    regression = covariance[: middle.shape[0], low] / covariance[low, low]
+    moved = np.stack([s.z for s in found], axis=1)
+    middle[np.ix_(np.array(rows), chosen)] = moved[:, slide] + changes(found)[:, slide] * jitter
+    noise[:, chosen] -= regression[:, None] * noise[low, chosen]

@@ -1,0 +1,222 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The twin over a recorded drive, without ROS: what its topics would have carried, and the gap."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from suspension_twin.arrays import Floats
+from suspension_twin.drive.types import Drive
+from suspension_twin.drive.write import BagWriter
+from suspension_twin.errors import InputError
+from suspension_twin.inference.gap import Gap, write_gap
+from suspension_twin.inference.prepare import Prepared, PrepareSettings, prepare, road_of
+from suspension_twin.models.sensor import to_sensor_axes
+from suspension_twin.models.simulate import simulate_twin
+from suspension_twin.models.types import Response
+from suspension_twin.road import Road
+from suspension_twin.signals.filters import CausalLowPass
+from suspension_twin.vehicle.twin import Twin
+
+__all__ = ["SimulatedDrive", "simulate_drive"]
+
+_LEAST_ON_ROAD = 0.02  # share of the moving drive
+
+
+@dataclass(frozen=True, eq=False)
+class SimulatedDrive:
+    """A twin over a drive: what :func:`simulate_drive` returns.
+
+    Parameters
+    ----------
+    drive : Drive
+        The recording.
+    prepared : Prepared
+        What it was compared in.
+    response : Response
+        The twin on the n kept IMU stamps.
+    gap : Gap
+        The gap over the whole drive.
+
+    Examples
+    --------
+    >>> from suspension_twin.drive.read import read_drive
+    >>> from suspension_twin.vehicle.twin import load_twin
+    >>> result = simulate_drive(read_drive("bags/crg_road"), load_twin("bags/crg_road/twin.yaml"))
+    >>> result.as_dict()["drive"]
+    'crg_road'
+    """
+
+    drive: Drive
+    prepared: Prepared
+    response: Response
+    gap: Gap
+
+    @property
+    def name(self) -> str:
+        """Of the drive."""
+        return self.drive.name
+
+    @property
+    def noise_rms(self) -> Mapping[str, float]:
+        """Floor of each channel of the gap."""
+        return self.prepared.noise_rms
+
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """What was found of the drive while it was prepared."""
+        return self.prepared.warnings
+
+    def as_dict(self) -> dict[str, Any]:
+        """What ``gap.json`` holds: the gap, and how it was measured."""
+        spec = self.prepared.settings.filter
+        low_pass = {"kind": "Butterworth low-pass", "order": spec.order, "cutoff_hz": spec.cutoff}
+        return {
+            **self.gap.as_dict(),
+            "drive": self.drive.name,
+            "filter": {**low_pass, "zero_phase": True},
+            "vertical_acceleration_topic_filter": {**low_pass, "zero_phase": False},
+            "on_road": float(self.prepared.inside.mean()),
+            "off_road": self.prepared.off_road.as_dict(),
+            "warnings": list(self.prepared.warnings),
+        }
+
+    def write(self, folder: Path) -> None:
+        """Write ``folder/simulated`` (a rosbag2 folder, MCAP) and ``folder/gap.json``.
+
+        One message of each topic for every IMU sample of the recording, at its own stamp. ``twin/imu`` is in
+        the sensor's axes, gravity included, unfiltered; ``twin/vertical_acceleration`` and the measured
+        ``imu/vertical_acceleration`` beside it in base_link axes, both through the live low-pass.
+        """
+        with BagWriter(folder / "simulated", overwrite=True) as bag:
+            _write_topics(bag, self)
+        write_gap(self.as_dict(), folder)
+
+
+def simulate_drive(
+    drive: Drive, twin: Twin, road: Road | None = None, settings: PrepareSettings | None = None
+) -> SimulatedDrive:
+    """Simulate a twin over the whole of a drive and measure the gap.
+
+    Parameters
+    ----------
+    drive : Drive
+        The recording.
+    twin : Twin
+        The twin.
+    road : Road, optional
+        The road; that of the twin file by default.
+    settings : PrepareSettings, optional
+        Filter, step, policy beyond the road's borders.
+
+    Returns
+    -------
+    SimulatedDrive
+        The prepared drive, the response and the gap.
+
+    Raises
+    ------
+    InputError
+        Naming the drive and what it lacks: samples, fixes, or the road under it.
+
+    Examples
+    --------
+    >>> from suspension_twin.drive.read import read_drive
+    >>> from suspension_twin.vehicle.twin import load_twin
+    >>> result = simulate_drive(read_drive("bags/crg_road"), load_twin("bags/crg_road/twin.yaml"))
+    >>> bool(result.gap.rms > 0.1)
+    True
+    """
+    road = road_of(twin) if road is None else road
+    prepared = prepare(drive, twin, road, settings)
+    moving = np.abs(prepared.speed) > 0.8
+    if moving.any() and prepared.inside[moving].mean() < _LEAST_ON_ROAD:
+        raise InputError(
+            drive.name,
+            f"is not on the road {road.name}: is it the road of this drive, and is the twin file's datum the origin "
+            "of its x and y?",
+        )
+    response = simulate_twin(twin, prepared.excitation)
+    return SimulatedDrive(drive, prepared, response, prepared.gap(prepared.condition(response)))
+
+
+def _write_topics(bag: BagWriter, result: SimulatedDrive) -> None:
+    prepared, response = result.prepared, result.response
+    t, stamps = response.t, result.drive.imu.t
+    place = prepared.twin.imu
+    attitude = Rotation.from_euler(
+        "ZYX", np.column_stack([prepared.trajectory.yaw, response.pitch, response.roll])
+    )
+    sensor = attitude * Rotation.from_euler("ZYX", [place.rpy[2], place.rpy[1], place.rpy[0]])
+
+    def at(values: Floats) -> Floats:
+        """Values at every recorded stamp; exact where the stamp was kept."""
+        if values.ndim == 1:
+            return np.interp(stamps, t, values)
+        return np.column_stack([np.interp(stamps, t, column) for column in values.T])
+
+    nearest = np.clip(np.searchsorted(t, stamps), 0, t.size - 1)
+    nearest = np.where(
+        (nearest > 0) & (np.abs(t[nearest - 1] - stamps) < np.abs(t[nearest] - stamps)), nearest - 1, nearest
+    )
+    force, rate = (at(to_sensor_axes(v, place.rpy)) for v in (response.force, response.rate))
+    bag.write(
+        "twin/imu",
+        "sensor_msgs/msg/Imu",
+        stamps,
+        {
+            **_xyz("linear_acceleration", force),
+            **_xyz("angular_velocity", rate),
+            **_quaternion("orientation", sensor.as_quat()[nearest]),
+        },
+        frame=result.drive.imu.frame,
+    )
+    simulated = response.vertical_acceleration - prepared.standing_vertical(response)
+    for topic, signal in (
+        ("twin/vertical_acceleration", simulated),
+        ("imu/vertical_acceleration", prepared.signals.vertical_acceleration),
+    ):
+        low_pass = CausalLowPass(prepared.settings.filter, prepared.signals.rate_hz, 1)
+        bag.write(
+            topic,
+            "geometry_msgs/msg/AccelStamped",
+            stamps,
+            {"accel.linear.z": at(low_pass.process(signal))},
+            frame="base_link",
+        )
+    path = prepared.trajectory
+    position = np.column_stack([path.x, path.y, response.z])
+    bag.write(
+        "twin/pose",
+        "geometry_msgs/msg/PoseStamped",
+        stamps,
+        {
+            **_xyz("pose.position", at(position)),
+            **_quaternion("pose.orientation", attitude.as_quat()[nearest]),
+        },
+        frame="map",
+    )
+    bag.write(
+        "joint_states",
+        "sensor_msgs/msg/JointState",
+        stamps,
+        {
+            "name": list(prepared.twin.joint_names),
+            "position": at(response.deflection),
+            "velocity": at(response.deflection_rate),
+        },
+    )
+
+
+def _xyz(prefix: str, rows: Floats) -> dict[str, Floats]:
+    return {f"{prefix}.{axis}": rows[:, i] for i, axis in enumerate("xyz")}
+
+
+def _quaternion(prefix: str, rows: Floats) -> dict[str, Floats]:
+    return {f"{prefix}.{axis}": rows[:, i] for i, axis in enumerate("xyzw")}

@@ -1,0 +1,65 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The page of a live fleet: its list, and who may open the page of a twin."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Iterator
+
+import pytest
+from aiohttp import ClientSession
+
+from suspension_twin.addons.view.fleet import FleetServer
+from suspension_twin.errors import WorkError
+
+
+def _open(name: str) -> int:
+    if name == "b":
+        raise WorkError("the page of this twin did not start")
+    return 4711
+
+
+@pytest.fixture
+def server() -> Iterator[FleetServer]:
+    made = FleetServer(["a", "b"], _open, port=0, token="secret")
+    yield made
+    made.close()
+
+
+def asked(server: FleetServer, path: str, name: str | None = None, token: str = "secret", **headers: str):
+    """Status and text of an answer."""
+
+    async def ask() -> tuple[int, str]:
+        url = f"http://127.0.0.1:{server.port}{path}?token={token}"
+        async with ClientSession() as session:
+            call = (
+                session.get(url, headers=headers)
+                if name is None
+                else session.post(url, data=name, headers=headers)
+            )
+            async with call as answer:
+                return answer.status, await answer.text()
+
+    return asyncio.run(ask())
+
+
+def test_the_list_says_how_every_twin_is(server):
+    server.tell({"b": {"rate": 100.0, "gap": 0.2, "normalised": None, "text": "", "failing": False}})
+    status, text = asked(server, "/twins")
+    assert status == 200
+    assert text.startswith('[{"name": "a"}, {"name": "b", "rate": 100.0')
+    page = asked(server, "/")[1]
+    assert "static/fleet.js" in page
+    assert asked(server, "/static/fleet.js")[0] == 200
+
+
+def test_a_twin_is_opened_by_its_name(server):
+    assert asked(server, "/open", "a") == (200, '{"port": 4711, "token": "secret"}')
+    assert asked(server, "/open", "b") == (400, "the page of this twin did not start\n")
+    assert asked(server, "/open", "c") == (400, "request: asks for a twin that there is not\n")
+
+
+def test_others_open_nothing(server):
+    assert asked(server, "/open", "a", token="guess")[0] == 403
+    assert asked(server, "/twins", token="")[0] == 403
+    assert asked(server, "/open", "a", Origin="http://elsewhere.example")[0] == 403

@@ -1,0 +1,196 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The server of the page: who gets in, what a viewer may ask for, and viewers that are slow or many."""
+
+from __future__ import annotations
+
+import asyncio
+import json
+import random
+from collections.abc import Callable, Iterator
+
+import pytest
+from aiohttp import ClientSession, WSServerHandshakeError
+
+from suspension_twin.addons.view.live import LiveView
+from suspension_twin.addons.view.server import ACTIONS, Server, parse_action
+from suspension_twin.errors import InputError, WorkError
+
+
+@pytest.fixture
+def serve() -> Iterator[Callable[..., Server]]:
+    """Makes a server on a free port, with a list ``asked`` of what was asked for."""
+    made: list[Server] = []
+
+    def make(**options) -> Server:
+        asked: list[tuple[str, float | None]] = []
+
+        def on_action(name: str, number: float | None) -> str:
+            asked.append((name, number))
+            if name == "diagnose":
+                raise WorkError("no drive was recorded")
+            return f"done: {name}"
+
+        server = Server(LiveView(), on_action, port=0, **options)
+        server.asked = asked  # type: ignore[attr-defined]
+        made.append(server)
+        return server
+
+    yield make
+    for server in made:
+        server.close()
+
+
+def status(url: str, **headers: str) -> int:
+    async def get() -> int:
+        async with ClientSession() as session, session.get(url, headers=headers) as answer:
+            return answer.status
+
+    return asyncio.run(get())
+
+
+def test_the_page_and_all_it_refers_to_come_from_here(serve):
+    server = serve()
+
+    async def get() -> None:
+        async with ClientSession() as session:
+            async with session.get(server.url) as answer:
+                text = await answer.text()
+                assert (
+                    answer.status == 200 and "default-src 'self'" in answer.headers["Content-Security-Policy"]
+                )
+            for name in ("style.css", "app.js", "charts.js", "scene.js"):
+                async with session.get(f"{server.url}static/{name}") as answer:
+                    text += await answer.text()
+                    assert answer.status == 200
+            async with session.get(f"{server.url}road/-1/2") as answer:
+                assert len(await answer.read()) == 4 * 41 * 41
+            assert "https://" not in text and "http://" not in text, "works without a network"
+
+    asyncio.run(get())
+
+
+@pytest.mark.parametrize(
+    "path", ["static/../server.py", "static/%2e%2e/server.py", "road/a/b", "report", "road/9999999/0"]
+)
+def test_nothing_else_is_served(serve, path):
+    assert status(serve().url + path) in (403, 404)
+
+
+def test_others_get_in_with_the_token_alone(serve):
+    with pytest.raises(InputError, match="token"):
+        serve(host="0.0.0.0")
+    server = serve(host="0.0.0.0", token="a-secret")
+    base = f"http://127.0.0.1:{server.port}/"
+    assert status(base) == status(f"{base}static/app.js") == status(f"{base}?token=b-secret") == 403
+    assert status(f"{base}ws") == 403
+
+    async def get() -> int:
+        async with ClientSession() as session:
+            async with session.get(f"{base}?token=a-secret") as answer:
+                cookie = answer.cookies["suspension_twin"]
+            async with session.get(
+                f"{base}static/app.js", cookies={"suspension_twin": cookie.value}
+            ) as answer:
+                return answer.status
+
+    assert asyncio.run(get()) == 200
+
+
+def test_a_name_that_leads_here_is_refused(serve):
+    server = serve()
+    assert status(server.url, Host="evil.example:80") == 403
+    assert status(server.url, Host=f"localhost:{server.port}") == 200
+
+
+def test_another_sites_page_gets_no_websocket(serve):
+    server = serve()
+
+    async def connect(origin: str) -> None:
+        async with ClientSession() as session, session.ws_connect(f"{server.url}ws", origin=origin) as socket:
+            await socket.receive_json(timeout=5.0)
+
+    with pytest.raises(WSServerHandshakeError):
+        asyncio.run(connect("http://evil.example"))
+    asyncio.run(connect(server.url.rstrip("/")))
+
+
+def test_a_viewer_gets_everything_then_what_is_new_and_answers(serve):
+    server = serve()
+    server.view.tell("gap", {"rms": 0.5})
+
+    async def watch() -> None:
+        async with ClientSession() as session, session.ws_connect(f"{server.url}ws") as socket:
+            first = await socket.receive_json(timeout=5.0)
+            assert first["reset"] and first["gap"] == {"rms": 0.5}
+            server.view.tell("gap", {"rms": 0.7})
+            while (await socket.receive_json(timeout=5.0)).get("gap") != {"rms": 0.7}:
+                pass
+            for asked, said, wrong in (
+                ('{"do": "mark"}', "done: mark", False),
+                ('{"do": "seek", "value": 12.5}', "done: seek", False),
+                ('{"do": "diagnose"}', "no drive was recorded", True),
+                ('{"do": "format the disk"}', "request: asks for something unknown", True),
+            ):
+                await socket.send_str(asked)
+                while "said" not in (frame := await socket.receive_json(timeout=5.0)):
+                    pass
+                assert frame == {"said": said, "wrong": wrong}
+
+    asyncio.run(watch())
+    assert server.asked == [("mark", None), ("seek", 12.5), ("diagnose", None)]
+
+
+def test_a_viewer_that_does_not_read_costs_no_memory_and_the_others_nothing(serve, monkeypatch):
+    monkeypatch.setattr("suspension_twin.addons.view.server._RATE", 400.0)
+    server = serve()
+    news = [{"k": k, "text": "x" * 300_000} for k in range(120)]
+
+    async def watch() -> int:
+        async with (
+            ClientSession() as session,
+            session.ws_connect(f"{server.url}ws", max_msg_size=0) as sleeper,
+        ):
+            await sleeper.receive_json(timeout=5.0)
+            async with session.ws_connect(f"{server.url}ws", max_msg_size=0) as reader:
+                for note in news:
+                    server.view.tell("note", note)
+                    while (await reader.receive_json(timeout=10.0)).get("note") != note:
+                        pass
+                return max(queue.qsize() for queue in server._queues)
+
+    assert asyncio.run(watch()) <= 61
+
+
+def test_the_port_that_is_taken_is_named(serve):
+    server = serve()
+    with pytest.raises(InputError, match=f"port {server.port}"):
+        Server(LiveView(), lambda *_: "", port=server.port)
+
+
+def test_no_request_is_taken_for_what_it_is_not():
+    assert parse_action('{"do": "speed", "value": 2}') == ("speed", 2.0)
+    chance = random.Random(0)
+    for text in (
+        "",
+        "null",
+        "[]",
+        '{"do": 3}',
+        '{"do": "seek"}',
+        '{"do": "seek", "value": true}',
+        '{"do": ["mark"]}',
+    ):
+        with pytest.raises(InputError):
+            parse_action(text)
+    for value in ("NaN", "1e999", "-1e12", '"1"', "[1]"):
+        with pytest.raises(InputError):
+            parse_action(f'{{"do": "seek", "value": {value}}}')
+    whole = json.dumps({"do": "seek", "value": 1.5})
+    for _ in range(3000):
+        letters = list(whole)
+        for _ in range(chance.randint(1, 6)):
+            letters[chance.randrange(len(letters))] = chr(chance.randrange(1, 0x250))
+        try:
+            name, value = parse_action("".join(letters))
+        except InputError:
+            continue
+        assert name in ACTIONS and (value is None or abs(value) < 1e9)

@@ -1,0 +1,218 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What IMU and receiver say of each other: clocks that differ, sensors that face elsewhere, rates in degrees."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from suspension_twin.drive.types import Drive
+from suspension_twin.errors import InputError
+from suspension_twin.inference.imu_gnss_consistency import consistency
+from suspension_twin.inference.prepare import prepare, reclocked_excitation, turned_excitation
+from suspension_twin.inference.synthetic import SensorErrors, synthetic_drive
+from suspension_twin.models.simulate import simulate_twin
+from suspension_twin.road import Road, flat_road
+from suspension_twin.signals.attitude import rpy_matrix
+from suspension_twin.signals.offline import ingest_drive
+from suspension_twin.vehicle.twin import EffectSpec, Twin
+
+KNOTS = [
+    (0.0, 0.0),
+    (3.0, 0.0),
+    (7.0, 8.0),
+    (11.0, 4.0),
+    (15.0, 10.0),
+    (20.0, 5.0),
+    (24.0, 8.0),
+    (30.0, 0.0),
+    (33.0, 0.0),
+]
+
+
+@pytest.fixture(scope="module")
+def drive(twin: Twin, bumps: Road) -> Drive:
+    return synthetic_drive(twin, bumps, KNOTS, seed=4, errors=SensorErrors(), name="ride")
+
+
+def late(drive: Drive, seconds: float) -> Drive:
+    return replace(drive, imu=replace(drive.imu, t=drive.imu.t + seconds))
+
+
+def facing(drive: Drive, yaw: float) -> Drive:
+    """As a sensor records it that is turned by ``yaw`` against its mounting."""
+    turn = rpy_matrix((0.0, 0.0, yaw))
+    imu = drive.imu
+    force, rate = imu.specific_force @ turn, imu.angular_rate @ turn
+    return replace(drive, imu=replace(imu, specific_force=force, angular_rate=rate))
+
+
+@pytest.fixture(scope="module")
+def winding(twin: Twin) -> Drive:
+    """A ride through bends, to the left and to the right: on a straight road no side shows."""
+    u = np.arange(0.0, 300.0, 0.1)
+    heading = 0.8 * np.sin(2.0 * np.pi * u / 120.0)
+    x, y = np.cumsum(np.cos(heading)) * 0.1, np.cumsum(np.sin(heading)) * 0.1
+    rough = np.random.default_rng(5).standard_normal((u.size // 5, 7)).repeat(5, axis=0) * 2e-3
+    flat = np.zeros(u.size)
+    ends = (float(heading[0]), float(heading[-1]))
+    road = Road("winding", rough, np.linspace(-3.0, 3.0, 7), 0.1, x, y, flat, flat, ends)
+    return synthetic_drive(twin, road, KNOTS, seed=4, errors=SensorErrors(), name="ride")
+
+
+def mirrored(drive: Drive, force: tuple[float, ...], rate: tuple[float, ...]) -> Drive:
+    """With other signs of the axes of accelerometer and gyro."""
+    imu = drive.imu
+    felt, turned = imu.specific_force * np.array(force), imu.angular_rate * np.array(rate)
+    return replace(drive, imu=replace(imu, specific_force=felt, angular_rate=turned))
+
+
+@pytest.mark.parametrize("seconds", [-4.0, -0.6, 0.0, 0.35, 1.5, 5.0])
+@pytest.mark.parametrize("yaw", [0.0, 1.5708, -2.8])
+def test_delay_and_facing_are_told_apart(drive: Drive, twin: Twin, seconds: float, yaw: float) -> None:
+    spoilt = late(facing(drive, yaw), seconds)
+    assert twin.datum is not None
+    told = consistency(spoilt, ingest_drive(spoilt, twin.imu), twin.gps, twin.datum)
+    assert told is not None
+    assert told.clock_offset == pytest.approx(seconds, abs=0.1)
+    assert math.cos(told.yaw - yaw) > 0.99
+    assert not told.mirrored and not told.reversed
+
+
+@pytest.mark.parametrize("seconds", [0.0, -0.7])
+@pytest.mark.parametrize(
+    ("order", "force", "rate", "handed", "back"),
+    [
+        ((0, 1, 2), (1.0, 1.0, 1.0), (1.0, 1.0, 1.0), False, False),
+        ((0, 1, 2), (1.0, -1.0, 1.0), (-1.0, 1.0, -1.0), True, True),
+        ((0, 1, 2), (1.0, -1.0, 1.0), (1.0, 1.0, 1.0), True, False),
+        ((1, 0, 2), (1.0, 1.0, 1.0), (1.0, 1.0, 1.0), True, False),
+        ((0, 1, 2), (1.0, 1.0, 1.0), (-1.0, -1.0, -1.0), False, True),
+        ((0, 1, 2), (1.0, 1.0, 1.0), (1.0, 1.0, -1.0), False, True),
+    ],
+    ids=["sound", "left-handed", "one axis", "two exchanged", "rates", "yaw rate"],
+)
+def test_wrong_signs_are_told_from_a_turned_sensor(
+    winding: Drive,
+    twin: Twin,
+    seconds: float,
+    order: tuple[int, ...],
+    force: tuple[float, ...],
+    rate: tuple[float, ...],
+    handed: bool,
+    back: bool,
+) -> None:
+    assert twin.datum is not None
+    imu, axes = winding.imu, list(order)
+    swapped = replace(imu, specific_force=imu.specific_force[:, axes], angular_rate=imu.angular_rate[:, axes])
+    spoilt = late(mirrored(replace(winding, imu=swapped), force, rate), seconds)
+    told = consistency(spoilt, ingest_drive(spoilt, twin.imu), twin.gps, twin.datum)
+    assert told is not None and (told.mirrored, told.reversed) == (handed, back)
+    assert told.clock_offset == pytest.approx(seconds, abs=0.1)
+
+
+@pytest.mark.parametrize(
+    ("force", "rate", "says"),
+    [
+        ((1.0, -1.0, 1.0), (-1.0, 1.0, -1.0), "axes are mirrored"),
+        ((1.0, 1.0, 1.0), (-1.0, -1.0, -1.0), "other way"),
+    ],
+)
+def test_wrong_signs_are_refused_in_one_line(
+    winding: Drive, twin: Twin, force: tuple[float, ...], rate: tuple[float, ...], says: str
+) -> None:
+    with pytest.raises(InputError, match=says) as told:
+        prepare(mirrored(winding, force, rate), twin, flat_road(), strict=True)
+    assert str(told.value).startswith("ride: imu: ") and "\n" not in str(told.value)
+    assert not any("other way" in w or "mirrored" in w for w in prepare(winding, twin, flat_road()).warnings)
+
+
+def test_a_sound_drive_has_nothing_to_say(drive: Drive, twin: Twin, bumps: Road) -> None:
+    assert not any("clock" in w or "turned" in w or "gyro" in w for w in prepare(drive, twin, bumps).warnings)
+
+
+@pytest.mark.parametrize(
+    ("spoil", "says"),
+    [
+        (lambda d: late(d, 5.0), "5.0 s after the receiver's"),
+        (lambda d: late(d, -5.0), "5.0 s before the receiver's"),
+        (lambda d: replace(d, imu=replace(d.imu, angular_rate=np.degrees(d.imu.angular_rate))), "°/s"),
+    ],
+    ids=["late", "early", "degrees"],
+)
+def test_what_no_answer_can_come_from_is_refused_in_one_line(
+    drive: Drive, twin: Twin, bumps: Road, spoil: object, says: str
+) -> None:
+    spoilt = spoil(drive)  # type: ignore[operator]
+    with pytest.raises(InputError, match=says) as told:
+        prepare(spoilt, twin, bumps, strict=True)
+    assert str(told.value).startswith("ride") and "\n" not in str(told.value)
+    assert any(says in w for w in prepare(spoilt, twin, bumps).warnings)  # to look at, not to learn from
+
+
+def test_what_a_diagnosis_may_find_is_a_warning(drive: Drive, twin: Twin, bumps: Road) -> None:
+    assert any("0.8 s after" in w for w in prepare(late(drive, 0.8), twin, bumps, strict=True).warnings)
+    assert any("180°" in w for w in prepare(facing(drive, math.pi), twin, bumps, strict=True).warnings)
+
+
+@pytest.mark.parametrize("yaw", [1.6, math.pi])
+def test_a_path_that_was_bent_by_a_sensor_is_not_asked_how_far_that_is_turned(
+    drive: Drive, twin: Twin, bumps: Road, yaw: float
+) -> None:
+    spoilt = facing(drive, yaw)
+    found, turn = turned_excitation(prepare(spoilt, twin, bumps), spoilt)
+    assert math.cos(turn[2] - yaw) > 0.999
+    sound, right = prepare(drive, twin, bumps), np.array(turn[:2])
+    assert np.abs(right).max() < 0.02
+    assert found.speed.max() == pytest.approx(sound.excitation.speed.max(), abs=0.1)
+
+
+@pytest.mark.parametrize("seconds", [-1.1, 0.06, 0.7])
+def test_a_clock_that_is_known_to_be_late_costs_nothing(
+    drive: Drive, twin: Twin, bumps: Road, seconds: float
+) -> None:
+    spoilt = late(drive, seconds)
+    knowing = twin.model_copy(
+        update={"effects": (EffectSpec(id="time_offset", parameters={"offset": seconds}),)}
+    )
+    sound, known = prepare(drive, twin, bumps), prepare(spoilt, knowing, bumps)
+    assert not any("after" in w or "before" in w for w in known.warnings)
+    assert known.excitation.late == pytest.approx(seconds)
+    assert np.array_equal(known.excitation.t, known.signals.t)
+    gaps = [p.gap(p.condition(simulate_twin(p.twin, p.excitation))).rms for p in (sound, known)]
+    assert gaps[1] == pytest.approx(gaps[0], rel=5e-3)
+    unknown = prepare(spoilt, twin, bumps)
+    assert unknown.gap(unknown.condition(simulate_twin(twin, unknown.excitation))).rms > 1.3 * gaps[0]
+
+
+@pytest.mark.parametrize("upright", [False, True])
+@pytest.mark.parametrize("seconds", [-1.1, 0.7])
+def test_how_late_a_clock_is_seen_to_be_is_taken_off_the_motion(
+    drive: Drive, twin: Twin, bumps: Road, seconds: float, upright: bool
+) -> None:
+    spoilt = late(drive, seconds)
+    seen = reclocked_excitation(prepare(spoilt, twin, bumps), spoilt, upright)
+    assert seen is not None and seen.late == pytest.approx(seconds, abs=0.05)
+    sound, bent = prepare(drive, twin, bumps).excitation, prepare(spoilt, twin, bumps).excitation
+    off, more = (float(np.std(e.speed - sound.speed)) for e in (seen, bent))
+    assert off < 0.3 * more
+
+
+def test_a_clock_that_is_right_is_not_taken_off_the_motion(drive: Drive, twin: Twin, bumps: Road) -> None:
+    assert reclocked_excitation(prepare(drive, twin, bumps), drive) is None
+
+
+def test_a_drive_that_hardly_moves_tells_nothing(drive: Drive, twin: Twin) -> None:
+    stands = drive.imu.t < drive.imu.t[0] + 3.0
+    imu = replace(
+        drive.imu,
+        t=drive.imu.t[stands],
+        specific_force=drive.imu.specific_force[stands],
+        angular_rate=drive.imu.angular_rate[stands],
+    )
+    assert twin.datum is not None
+    short = replace(drive, imu=imu)
+    assert consistency(short, ingest_drive(short, twin.imu), twin.gps, twin.datum) is None

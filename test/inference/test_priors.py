@@ -1,0 +1,137 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Priors of parameters: their bounds, and what they have in common."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from suspension_twin.errors import InputError
+from suspension_twin.inference.priors import PRIORS, Prior, prior_of
+from suspension_twin.inference.space import twin_value
+from suspension_twin.vehicle.tracked import BOUNDS
+from suspension_twin.vehicle.twin import Twin, load_twin
+
+#: Coordinates, which may be of either sign or count from anywhere: all others are positive.
+PLACES = {
+    "vehicle.cog.0",
+    "vehicle.cog.1",
+    "vehicle.idler.setting",
+    "vehicle.idler.taut_at",
+    *(f"imu.position.{i}" for i in range(3)),
+}
+
+
+@settings(max_examples=30)
+@given(st.floats(1e-3, 1e6), st.floats(1.01, 10.0))
+def test_bounds_of_a_positive_number_are_a_factor_apart(nominal: float, reach: float) -> None:
+    low, high = Prior(True, reach, 0.1).around(nominal)
+    assert 0 < low < nominal < high
+    assert nominal / low == pytest.approx(reach) and high / nominal == pytest.approx(reach)
+
+
+@settings(max_examples=30)
+@given(st.floats(-1e3, 1e3), st.floats(0.01, 10.0))
+def test_bounds_of_a_place_are_a_distance_apart(nominal: float, reach: float) -> None:
+    low, high = Prior(False, reach, 0.1).around(nominal)
+    assert low < nominal < high
+    assert nominal - low == pytest.approx(reach) and high - nominal == pytest.approx(reach)
+
+
+@pytest.mark.parametrize("log", [True, False])
+def test_bounds_that_are_given_are_used_as_they_are(log: bool) -> None:
+    assert Prior(log, 2.0, 0.1, (3.0, 7.0)).around(5.0) == (3.0, 7.0)
+    assert Prior(log, 2.0, 0.1, (3.0, 7.0)).around(99.0) == (3.0, 7.0)
+
+
+@pytest.mark.parametrize("key", BOUNDS)
+def test_of_a_track_bounds_are_those_of_the_paper_and_a_deviation_15_percent_of_them(key: str) -> None:
+    prior = prior_of(f"vehicle.{key}")
+    assert prior is not None
+    low, high = prior.around(1.0)
+    assert (low, high) == BOUNDS[key]
+    if low > 0:
+        assert prior.log and prior.spread == pytest.approx(0.15 * (np.log(high) - np.log(low)))
+    else:
+        assert not prior.log and prior.spread == pytest.approx(0.15 * (high - low))
+
+
+@pytest.mark.parametrize("key", PRIORS)
+def test_positive_quantities_have_theirs_in_the_logarithm(key: str) -> None:
+    assert PRIORS[key].log == (key not in PLACES)
+
+
+@pytest.mark.parametrize("key", PRIORS)
+def test_bounds_leave_three_deviations_to_either_side(key: str) -> None:
+    prior = PRIORS[key]
+    low, high = prior.around(1.0)
+    width = np.log(high / low) if prior.log else high - low
+    assert 0 < 6 * prior.spread <= width
+
+
+def test_what_is_alike_has_priors_alike() -> None:
+    """Places on three axes are measured with one tape; wheels in front and at the rear are of one kind."""
+    assert PRIORS["imu.position.0"] == PRIORS["imu.position.1"] == PRIORS["imu.position.2"]
+    assert PRIORS["vehicle.front.unsprung_mass"] == PRIORS["vehicle.rear.unsprung_mass"]
+    assert PRIORS["vehicle.unsprung_mass"] == PRIORS["vehicle.front.unsprung_mass"]
+    assert PRIORS["vehicle.sprung_mass"] == PRIORS["vehicle.mass"]
+    assert PRIORS["vehicle.sprung_inertia.roll"] == PRIORS["vehicle.sprung_inertia.pitch"]
+
+
+def test_a_weighbridge_tells_more_than_a_guess() -> None:
+    """What is weighed has the least deviation and the closest bounds; an inertia is rarely measured."""
+    mass, wheel, inertia = (
+        PRIORS[f"vehicle.{k}"] for k in ("mass", "front.unsprung_mass", "sprung_inertia.pitch")
+    )
+    assert mass.spread < wheel.spread < inertia.spread
+    assert mass.reach < wheel.reach
+    # a car is as heavy to the left as to the right, more nearly than in front and at the rear
+    assert PRIORS["vehicle.cog.1"].spread < PRIORS["vehicle.cog.0"].spread
+    assert PRIORS["vehicle.cog.1"].reach < PRIORS["vehicle.cog.0"].reach
+
+
+def test_a_key_is_found_by_itself_or_by_its_pattern() -> None:
+    assert prior_of("vehicle.mass") is PRIORS["vehicle.mass"]
+    assert prior_of("imu.position.2") is PRIORS["imu.position.2"]
+    for number in (0, 3, 12):
+        assert prior_of(f"vehicle.stations.{number}.damping") is PRIORS["vehicle.stations.*.damping"]
+    for key in ("vehicle.stations.x.damping", "vehicle.wheelbase", "vehicle.front.spring.force.0", ""):
+        assert prior_of(key) is None
+
+
+def has(twin: Twin, key: str) -> bool:
+    try:
+        twin_value(twin, key.replace("*", "0"))
+    except InputError:
+        return False
+    return True
+
+
+def test_free_by_default_is_what_a_vehicle_without_characteristics_has(repository: Path) -> None:
+    tracked = load_twin(repository / "config" / "tracked" / "pt91.yaml")
+    car, corner = (
+        load_twin(repository / "config" / "twins" / f"{name}.yaml")
+        for name in ("ford_mondeo_mk4", "quarter_car")
+    )
+    for key, prior in PRIORS.items():
+        if prior.usual:
+            assert not has(car, key) and not has(corner, key), key
+            assert has(tracked, key) or key == "vehicle.driver.gain", key  # nobody drives this one
+        else:
+            assert has(car, key) or has(corner, key), key
+
+
+@pytest.mark.parametrize("name", ["twins/ford_mondeo_mk4", "twins/quarter_car", "tracked/pt91"])
+def test_values_of_known_vehicles_are_within_bounds(name: str, repository: Path) -> None:
+    twin = load_twin(repository / "config" / f"{name}.yaml")
+    keys = [key.replace("*", "1") for key in PRIORS if has(twin, key)]
+    assert len(keys) >= 5
+    for key in keys:
+        prior, value = prior_of(key), float(twin_value(twin, key))
+        assert prior is not None
+        low, high = prior.around(value)
+        assert low < value < high, key
