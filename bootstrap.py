@@ -5,6 +5,7 @@
     python3 bootstrap.py demo [...]     the main job: suspension-twin demo
     python3 bootstrap.py test [...]     the tests; what follows goes to pytest
     python3 bootstrap.py check          ruff and mypy alone
+    python3 bootstrap.py check --size   counts of the code and their limits; --list names what is counted
     python3 bootstrap.py COMMAND ...    any other command of suspension-twin
 
 The first run makes a virtual environment in .venv and installs everything into it, later runs
@@ -76,6 +77,9 @@ def main(arguments):
         signal.signal(signal.SIGTERM, signal.SIG_DFL)
     env = clean_environment()
     sys.stdout.flush()
+    if command == "check" and "--size" in arguments:
+        counts = os.path.join(ROOT, "test", "house", "size.py")
+        return subprocess.call([PYTHON, counts] + arguments[1:], cwd=ROOT, env=env)
     if command == "check":
         tools = [["ruff", "check", "."], ["mypy"]]
         return max([subprocess.call([PYTHON, "-m"] + tool, cwd=ROOT, env=env) for tool in tools])

@@ -192,7 +192,9 @@ def test_every_importer_is_registered(repository: Path) -> None:
 @pytest.mark.parametrize("name", SOURCES)
 def test_a_source_is_whole(name: str, repository: Path) -> None:
     assert name in files_of(repository, "addons/sources")
-    assert (repository / "test" / "addons" / "sources" / f"test_{name}.py").is_file(), f"no test of the source {name}"
+    assert (repository / "test" / "addons" / "sources" / f"test_{name}.py").is_file(), (
+        f"no test of the source {name}"
+    )
     module = load_source(name)
     assert module.EXAMPLE.startswith(f"{name}:")
     page = (repository / "docs" / "sources.md").read_text(encoding="utf-8")
@@ -209,7 +211,9 @@ def test_every_source_is_registered(repository: Path) -> None:
 @pytest.mark.parametrize("name", TARGETS)
 def test_a_target_of_export_is_whole(name: str, repository: Path) -> None:
     assert name in files_of(repository, "addons/export")
-    assert (repository / "test" / "addons" / "export" / f"test_{name}.py").is_file(), f"no test of the target {name}"
+    assert (repository / "test" / "addons" / "export" / f"test_{name}.py").is_file(), (
+        f"no test of the target {name}"
+    )
     page = (repository / "docs" / "export.md").read_text(encoding="utf-8")
     assert f"| `{name}` | {load_target(name).title}" in page, f"{name} has no line in docs/export.md"
 

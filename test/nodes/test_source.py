@@ -18,7 +18,9 @@ import aiohttp
 import numpy as np
 import pytest
 
-sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "addons/sources"))  # for the emulators of the apps
+sys.path.insert(
+    0, str(Path(__file__).resolve().parents[1] / "addons/sources")
+)  # for the emulators of the apps
 
 from nodes_bench import stamp_of
 from sensor_logger_app import SensorLoggerApp
