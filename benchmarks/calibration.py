@@ -48,7 +48,7 @@ from rich.table import Table
 from suspension_twin.calibration.request import CalibrationRequest, CalibrationResult
 from suspension_twin.calibration.run import calibrate
 from suspension_twin.drive.read import read_drive
-from suspension_twin.inference.prepare import prepare
+from suspension_twin.inference.observation import observe
 from suspension_twin.inference.space import twin_value
 from suspension_twin.inference.synthetic import SensorErrors
 from suspension_twin.models.simulate import simulate_twin
@@ -165,7 +165,7 @@ def accuracy(folder: Path, seeds: Sequence[int]) -> dict[str, Any]:
 
 def gap_on(bag: Path, twin: Twin, placed: Twin) -> float:
     """Gap in m/s² of a twin on a drive, on the road of ``placed``."""
-    there = prepare(read_drive(bag), twin.model_copy(update={"road": placed.road}))
+    there = observe(read_drive(bag), twin.model_copy(update={"road": placed.road}))
     return there.gap(there.condition(simulate_twin(twin, there.excitation))).rms
 
 

@@ -13,10 +13,10 @@ import numpy as np
 from calibration_cases import Case
 
 from suspension_twin.arrays import Floats
-from suspension_twin.calibration.checkpoint import STATE
 from suspension_twin.calibration.request import CalibrationRequest, CalibrationResult, Progress
 from suspension_twin.calibration.run import calibrate
 from suspension_twin.calibration.setup import set_up
+from suspension_twin.inference.checkpoint import STATE
 from suspension_twin.inference.nuisance import NUISANCES
 from suspension_twin.inference.space import curve_keys
 from suspension_twin.vehicle.twin import load_twin

@@ -26,7 +26,7 @@ from rich.table import Table
 
 from suspension_twin.addons.export.registry import ExportSettings, export_twin
 from suspension_twin.drive.read import read_drive
-from suspension_twin.inference.prepare import prepare
+from suspension_twin.inference.observation import observe
 from suspension_twin.models.connectors import OUTPUTS
 from suspension_twin.models.simulate import simulate_twin
 from suspension_twin.vehicle.twin import Twin, load_twin
@@ -64,7 +64,7 @@ def compared(folder: Path) -> list[dict[str, Any]]:
     for drive in DRIVES:
         path = HERE.parent / "bags" / drive
         twin = load_twin(path / "twin.yaml")
-        driven = prepare(read_drive(path), twin).excitation
+        driven = observe(read_drive(path), twin).excitation
         for name, one in variants(twin).items():
             wanted = columns(simulate_twin(one, driven))
             for version, walk in (("2.0", walk_2), ("3.0", walk_3)):

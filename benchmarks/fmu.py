@@ -26,7 +26,7 @@ from rich.table import Table
 from suspension_twin.calibration.request import CalibrationRequest
 from suspension_twin.calibration.run import calibrate
 from suspension_twin.drive.write import write_drive
-from suspension_twin.inference.prepare import prepare
+from suspension_twin.inference.observation import observe
 from suspension_twin.inference.synthetic import synthetic_drive
 from suspension_twin.models.live import live_twin
 from suspension_twin.models.parameters import pack
@@ -71,7 +71,7 @@ def measured(folder: Path, generations: int) -> dict[str, Any]:
     drive = synthetic_drive(car, road, KNOTS, seed=3)
     write_drive(drive, folder / "drive")
     twin = fmu_twin(car, file, STIFFNESS)
-    prepared = prepare(drive, car, road)
+    prepared = observe(drive, car, road)
     run = prepared.excitation
     wanted, found = simulate_twin(car, run), simulate_twin(twin, run)
     pairs = ((getattr(found, name), getattr(wanted, name)) for name in QUANTITIES)

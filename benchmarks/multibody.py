@@ -32,7 +32,7 @@ from suspension_twin.calibration.request import CalibrationRequest
 from suspension_twin.calibration.run import calibrate
 from suspension_twin.drive.read import read_drive
 from suspension_twin.errors import SuspensionTwinError
-from suspension_twin.inference.prepare import prepare
+from suspension_twin.inference.observation import observe
 from suspension_twin.models.simulate import simulate_twin
 from suspension_twin.models.types import Response
 from suspension_twin.road import Road, load_road
@@ -107,7 +107,7 @@ def compare(
     folder: Path, name: str, twin: Twin, truth: Truth
 ) -> tuple[dict[str, Any], dict[str, Side], Floats]:
     """One drive under one twin: figures of every signal, the signals, and where along the road (n,) m."""
-    prepared = prepare(read_drive(folder / name), twin)
+    prepared = observe(read_drive(folder / name), twin)
     run = simulate_twin(twin, prepared.excitation)
     # stamps are those of the IMU: what a stamp t shows happened at t - latency
     at = truth.at(run.t - prepared.excitation.late - truth.start)

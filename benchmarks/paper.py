@@ -25,7 +25,7 @@ from suspension_twin.calibration.presets import TABLE_2
 from suspension_twin.calibration.request import CalibrationRequest, CalibrationResult
 from suspension_twin.calibration.run import calibrate
 from suspension_twin.drive.read import read_drive
-from suspension_twin.inference.prepare import Prepared, prepare
+from suspension_twin.inference.observation import Observation, observe
 from suspension_twin.models.simulate import simulate_twin
 from suspension_twin.report import plots, style
 from suspension_twin.report.characteristics import force
@@ -52,9 +52,9 @@ COMPARABLE = (
 )
 
 
-def validated(twin: Twin, drive: Any, place: Twin) -> tuple[Prepared, dict[str, Floats], dict[str, float]]:
+def validated(twin: Twin, drive: Any, place: Twin) -> tuple[Observation, dict[str, Floats], dict[str, float]]:
     """``twin``'s vehicle and model with the road and sensors of ``place`` on a drive: both sides and figures."""
-    there = prepare(
+    there = observe(
         drive, twin.model_copy(update={k: getattr(place, k) for k in ("road", "imu", "gps", "datum")})
     )
     simulated = there.condition(simulate_twin(there.twin, there.excitation))
@@ -82,7 +82,7 @@ def car(out: Path, seed: int) -> dict[str, Any]:
     truth = load_twin(bump / "truth.yaml")
     rows: dict[str, Any] = {}
     sides: dict[str, dict[str, Floats]] = {}
-    there: Prepared | None = None
+    there: Observation | None = None
     for model, (_, published) in PUBLISHED.items():
         for name, twin in (
             ("paper", result.twin),
@@ -134,7 +134,7 @@ def _firmer(twin: Twin) -> bool:
 
 
 def _draw_car(
-    out: Path, result: CalibrationResult, truth: Twin, there: Prepared, sides: dict[str, dict[str, Floats]]
+    out: Path, result: CalibrationResult, truth: Twin, there: Observation, sides: dict[str, dict[str, Floats]]
 ) -> None:
     fit = result.drives[0]
     passes = [plots.Window(a, b, f"pass {k + 1}") for k, (a, b) in enumerate(_passes(fit.t, fit.compared))]
@@ -237,7 +237,7 @@ def _curves(found: Twin, truth: Twin, kinds: tuple[str, ...]) -> Any:
     return fig
 
 
-def _map(there: Prepared) -> Any:
+def _map(there: Observation) -> Any:
     """Fig. 8: the road seen from above, its heights, and where the car went."""
     road = there.road
     u = np.linspace(road.u_first, road.u_last, 900)

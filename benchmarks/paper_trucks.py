@@ -25,7 +25,7 @@ from suspension_twin.calibration.request import CalibrationRequest, CalibrationR
 from suspension_twin.calibration.run import calibrate
 from suspension_twin.drive.read import read_drive
 from suspension_twin.drive.write import write_drive
-from suspension_twin.inference.prepare import prepare
+from suspension_twin.inference.observation import observe
 from suspension_twin.inference.synthetic import synthetic_drive
 from suspension_twin.models.simulate import simulate_twin
 from suspension_twin.report import style
@@ -177,7 +177,7 @@ def truck(name: str, out: Path, seed: int) -> dict[str, Any]:
         unseen = read_drive(here / "unseen")
 
         def left(twin: Twin) -> float:
-            there = prepare(unseen, twin.model_copy(update={"road": named["unseen"]}))
+            there = observe(unseen, twin.model_copy(update={"road": named["unseen"]}))
             return there.gap(there.condition(simulate_twin(there.twin, there.excitation))).mse
 
         rows: dict[str, Any] = {}

@@ -34,7 +34,7 @@ from scipy.signal import butter, lfilter, sosfilt, sosfilt_zi
 from suspension_twin.diagnosis.request import DiagnosisRequest
 from suspension_twin.diagnosis.run import diagnose
 from suspension_twin.drive.rig import RigRecord, read_rig, write_rig
-from suspension_twin.inference.rig import simulate_rig
+from suspension_twin.inference.runs import simulate_rig
 from suspension_twin.vehicle.twin import load_twin, save_twin
 
 try:

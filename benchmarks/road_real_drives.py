@@ -32,7 +32,7 @@ from suspension_twin.addons.roads.drives.picture import save_estimate_picture
 from suspension_twin.arrays import Floats, runs
 from suspension_twin.drive.importing import import_drive
 from suspension_twin.drive.types import Drive
-from suspension_twin.inference.prepare import Prepared, prepare
+from suspension_twin.inference.observation import Observation, observe
 from suspension_twin.models.simulate import simulate_twin
 from suspension_twin.road import flat_road
 from suspension_twin.vehicle.twin import Datum, Imu, Place, Twin, load_twin
@@ -78,7 +78,7 @@ def _datum(drive: Drive) -> Datum:
     return Datum(latitude=float(drive.fix.latitude[0]), longitude=float(drive.fix.longitude[0]), altitude=0.0)
 
 
-def repeats(whole: Prepared, near: float = NEAR) -> list[Pair]:
+def repeats(whole: Observation, near: float = NEAR) -> list[Pair]:
     """Stretches of a drive that it drives again in the same direction."""
     path = whole.trajectory
     t = path.t - path.t[0]
@@ -102,7 +102,7 @@ def repeats(whole: Prepared, near: float = NEAR) -> list[Pair]:
     return found
 
 
-def by_place(part: Prepared, values: Floats) -> tuple[Floats, Floats]:
+def by_place(part: Observation, values: Floats) -> tuple[Floats, Floats]:
     """m along the path of the body and values there, on the move."""
     on = part.speed > 1.0
     return np.concatenate([[0.0], np.cumsum(part.speed[1:] / part.rate)])[on], values[on]
@@ -119,13 +119,13 @@ def best(prediction: Any, measured: Floats) -> tuple[float, float, float]:
     return max(scores)
 
 
-def judged(drive: Drive, twin: Twin, whole: Prepared, pair: Pair, picture: Path | None) -> dict[str, Any]:
+def judged(drive: Drive, twin: Twin, whole: Observation, pair: Pair, picture: Path | None) -> dict[str, Any]:
     """One ordered pair: the road of the first pass under the second."""
     (a0, a1), (b0, b1) = pair.first, pair.second
     found = road_from_drives([Part(drive, a0 - MARGIN, a1 + MARGIN)], twin, Settings(samples=3))
     road = surface_of(found)
     begin = float(whole.t[0])
-    second = prepare(drive, twin, road).part(begin + b0 - MARGIN, begin + b1 + MARGIN)
+    second = observe(drive, twin, road).part(begin + b0 - MARGIN, begin + b1 + MARGIN)
     simulated = second.condition(simulate_twin(twin, second.excitation))["vertical_acceleration"]
     measured = second.measured["vertical_acceleration"]
     first = whole.part(begin + a0 - MARGIN, begin + a1 + MARGIN)
@@ -202,7 +202,7 @@ def _draw(
 
 def study(drive: Drive, twin: Twin, pictures: Path | None, near: float, bump: bool) -> dict[str, Any]:
     """All pairs of a drive, both ways."""
-    whole = prepare(drive, twin, flat_road())
+    whole = observe(drive, twin, flat_road())
     pairs = repeats(whole, near)
     if bump:
         late = float(drive.imu.t[0] - drive.fix.t[0])

@@ -41,7 +41,7 @@ from suspension_twin.addons.roads.scan.registration import register  # noqa: E40
 from suspension_twin.drive.read import read_drive  # noqa: E402
 from suspension_twin.drive.write import write_drive  # noqa: E402
 from suspension_twin.errors import InputError  # noqa: E402
-from suspension_twin.inference.prepare import PrepareSettings, prepare  # noqa: E402
+from suspension_twin.inference.observation import ObserveSettings, observe  # noqa: E402
 from suspension_twin.road.build import flat_road  # noqa: E402
 from suspension_twin.vehicle.twin import parse_twin  # noqa: E402
 
@@ -56,7 +56,7 @@ def case(seed: int) -> dict[str, Any]:
     twin = parse_twin({**twin_file(world, spec), "road": None})
     with tempfile.TemporaryDirectory() as name:
         write_drive(phone.record(world, plan, newton.run(world, plan, {}), {}, "drive"), Path(name) / "drive")
-        drive = prepare(read_drive(Path(name) / "drive"), twin, flat_road(), PrepareSettings())
+        drive = observe(read_drive(Path(name) / "drive"), twin, flat_road(), ObserveSettings())
     road = road_file(world, world.survey)
     cloud = mobile(make_site("world", road, LENGTH, seed).ground, seed).points
     cloud = cloud[(cloud[:, 0] > 0.0) & (cloud[:, 0] < min(LENGTH, road.length) - 0.02)]

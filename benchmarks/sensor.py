@@ -21,6 +21,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+from suspension_twin.inference.mounting import turned, without_clock_offset
 
 from suspension_twin.calibration.output import write_result
 from suspension_twin.calibration.request import CalibrationRequest
@@ -28,8 +29,7 @@ from suspension_twin.calibration.run import calibrate
 from suspension_twin.drive.read import read_drive
 from suspension_twin.drive.types import Drive
 from suspension_twin.drive.write import write_drive
-from suspension_twin.inference.mounting import turned, without_clock_offset
-from suspension_twin.inference.prepare import road_of
+from suspension_twin.inference.observation import road_of
 from suspension_twin.inference.simulated import SimulatedDrive, simulate_drive
 from suspension_twin.road import Road
 from suspension_twin.vehicle.twin import EffectSpec, Twin, load_twin

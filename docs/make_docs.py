@@ -370,14 +370,14 @@ def effects_picture() -> None:
 
     from suspension_twin.drive.read import read_drive
     from suspension_twin.effects.registry import EFFECTS
-    from suspension_twin.inference.prepare import prepare, road_of
+    from suspension_twin.inference.observation import observe, road_of
     from suspension_twin.models.simulate import simulate_twin
     from suspension_twin.report import style
     from suspension_twin.signals.spectra import power_density
     from suspension_twin.vehicle.twin import EffectSpec, load_twin
 
     twin = load_twin(ROOT / "bags" / "bump_15kmh" / "truth.yaml")
-    prepared = prepare(read_drive(ROOT / "bags" / "bump_15kmh"), twin, road_of(twin))
+    prepared = observe(read_drive(ROOT / "bags" / "bump_15kmh"), twin, road_of(twin))
     edges = 0.5 * 2.0 ** (0.5 * np.arange(12))  # Hz
 
     def bands(taken: Any, *given: EffectSpec) -> Any:
@@ -448,7 +448,7 @@ def diagnosis_picture() -> None:
 def draw_diagnosis(case: Path, answer: Path) -> None:
     """Bars of the likeliest answers beside the density of the gap."""
     from suspension_twin.drive.read import read_drive
-    from suspension_twin.inference.prepare import prepare
+    from suspension_twin.inference.observation import observe
     from suspension_twin.models.simulate import simulate_twin
     from suspension_twin.report import style
     from suspension_twin.signals.spectra import power_density
@@ -457,7 +457,7 @@ def draw_diagnosis(case: Path, answer: Path) -> None:
     document = json.loads((answer / "diagnosis.json").read_text(encoding="utf-8"))
     answers = [(c["effect"], c["probability"]) for c in document["causes"][:5]]
     answers += [("no gap", document["no_gap_probability"]), ("unknown", document["unknown_probability"])]
-    prepared = prepare(read_drive(case / "drive_fast"), load_twin(case / "twin.yaml"))
+    prepared = observe(read_drive(case / "drive_fast"), load_twin(case / "twin.yaml"))
     measured = prepared.measured["vertical_acceleration"]
     series = {"motion": ("measured", measured)}
     for label, role, twin in (
@@ -498,7 +498,7 @@ def plan_picture() -> None:
 def rig_picture() -> None:
     """A drop of the bundled rig: the body as measured and as its twin has it, calibrated on the other run or not."""
     from suspension_twin.drive.rig import read_rig
-    from suspension_twin.inference.rig import simulate_rig
+    from suspension_twin.inference.runs import simulate_rig
     from suspension_twin.report import style
     from suspension_twin.vehicle.twin import load_twin
 

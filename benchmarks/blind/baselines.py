@@ -26,7 +26,7 @@ from suspension_twin.drive.read import read_drive
 from suspension_twin.effects.base import Effect, Parameter
 from suspension_twin.effects.registry import EFFECTS
 from suspension_twin.errors import SuspensionTwinError
-from suspension_twin.inference.prepare import Prepared, prepare, road_of
+from suspension_twin.inference.observation import Observation, observe, road_of
 from suspension_twin.models.simulate import simulate_twin
 from suspension_twin.vehicle.twin import EffectSpec, Twin, load_twin
 
@@ -36,7 +36,7 @@ _FAR = 1e12
 _SAMPLES = 2500  # of one drive's channel
 
 
-def _deviance(twin: Twin, drives: Sequence[Prepared]) -> float:
+def _deviance(twin: Twin, drives: Sequence[Observation]) -> float:
     """-2 log likelihood with a variance of its own for every channel."""
     total: dict[str, float] = {}
     count = 0
@@ -59,7 +59,7 @@ def _value(p: Parameter, u: float) -> float:
     return float(min(max(plain, p.low), p.high))
 
 
-def _fitted(effect: Effect, twin: Twin, drives: Sequence[Prepared]) -> tuple[float, int]:
+def _fitted(effect: Effect, twin: Twin, drives: Sequence[Observation]) -> tuple[float, int]:
     """Least deviance of an effect on a frozen twin, and how many parameters it took."""
     searched = [p for p in effect.parameters if not p.choices]
     choices = [p for p in effect.parameters if p.choices]
@@ -93,7 +93,7 @@ def fits(folder: Path) -> dict[str, tuple[float, int]]:
         CalibrationRequest(str(folder / "twin.yaml"), tuple(before or shown), max_generations=60)
     ).twin
     twin = twin.model_copy(update={"road": load_twin(folder / "twin.yaml").road})
-    drives = [prepare(read_drive(b), twin, road_of(twin)) for b in shown[:1]]
+    drives = [observe(read_drive(b), twin, road_of(twin)) for b in shown[:1]]
     out = {"none": (_deviance(twin, drives), 0)}
     for name, effect in EFFECTS.items():
         if twin.model in effect.hook.models and name not in without:

@@ -10,7 +10,7 @@ import numpy as np
 from suspension_twin.drive.types import Drive
 from suspension_twin.errors import InputError, WorkError
 from suspension_twin.inference.excited_segments import TrimSettings
-from suspension_twin.inference.prepare import Prepared
+from suspension_twin.inference.observation import Observation
 
 __all__ = [
     "LEAST_EXCITED",
@@ -53,7 +53,7 @@ def _parked(name: str, speed: float) -> InputError:
     )
 
 
-def check_drive(drive: Prepared) -> None:
+def check_drive(drive: Observation) -> None:
     """Refuse a drive that stands still, or is not on the road of the twin file."""
     fastest = float(np.max(np.abs(drive.speed)))
     if fastest < _FASTEST_PARKED:
@@ -69,7 +69,7 @@ def check_drive(drive: Prepared) -> None:
         )
 
 
-def _distance(drive: Prepared) -> float:
+def _distance(drive: Observation) -> float:
     """Least distance in m of the drive from the road's reference line."""
     x, y = drive.trajectory.x, drive.trajectory.y
     u, _ = drive.road.xy_to_uv(x, y)
@@ -78,7 +78,7 @@ def _distance(drive: Prepared) -> float:
     return float(np.min(np.hypot(x - line_x, y - line_y)))
 
 
-def check_parts(drive: Prepared, samples: int, settings: TrimSettings) -> None:
+def check_parts(drive: Observation, samples: int, settings: TrimSettings) -> None:
     """Refuse a drive that the road hardly shakes, or that is on the road for too short a time."""
     seconds = samples / drive.rate
     if seconds >= LEAST_EXCITED:
@@ -95,7 +95,7 @@ def check_parts(drive: Prepared, samples: int, settings: TrimSettings) -> None:
     )
 
 
-def check_on_road(drive: Prepared, settings: TrimSettings) -> None:
+def check_on_road(drive: Observation, settings: TrimSettings) -> None:
     """Refuse a drive that is on the road for too short a time."""
     on_road = float(np.count_nonzero(drive.mask & (np.abs(drive.speed) > settings.slowest))) / drive.rate
     if on_road < 2 * LEAST_EXCITED:

@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from typing import Any
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,14 +11,15 @@ from numpy.typing import NDArray
 from suspension_twin.arrays import Floats
 from suspension_twin.calibration.recorder import Outcome
 from suspension_twin.calibration.request import DriveFit
-from suspension_twin.calibration.setup import Setup
+from suspension_twin.calibration.searches import costs_of
+from suspension_twin.calibration.setup import Setup, problem_of
 from suspension_twin.inference.gap import main_channel
 from suspension_twin.inference.nuisance import NuisancePriors
 from suspension_twin.inference.objectives import Term
-from suspension_twin.inference.prepare import Prepared, prepare
-from suspension_twin.inference.problem import Interrupted, Problem
-from suspension_twin.inference.space import Parameter, Space
-from suspension_twin.models.parameters import layout, pack
+from suspension_twin.inference.observation import Observation, observe
+from suspension_twin.inference.problem import Data, Interrupted
+from suspension_twin.inference.space import Space
+from suspension_twin.models.parameters import pack
 from suspension_twin.models.simulate import simulate_lanes
 from suspension_twin.vehicle.twin import Twin
 
@@ -28,16 +29,17 @@ __all__ = ["drive_fits", "paper_distance"]
 def drive_fits(setup: Setup, outcome: Outcome, after: Twin, values: Floats) -> tuple[DriveFit, ...]:
     """Compare every drive of a calibration with the twin as it was and as it is ``after``."""
     found = []
-    for number, (recorded, drive) in enumerate(zip(setup.recorded, setup.drives, strict=True)):
-        if setup.problem.interrupt():
+    data = setup.problem.data
+    for number, drive in enumerate(setup.drives):
+        if setup.problem.simulation.stop():
             raise Interrupted
         seen = drive
-        if setup.on_road and after.imu != drive.twin.imu:
+        if drive.reading is not None and after.imu != drive.twin.imu:
             # another latency or mounting gives other measured signals and another motion
-            seen = prepare(recorded, after, drive.road, drive.settings)
+            seen = observe(drive.reading.drive, after, drive.road, drive.settings)
         sides = [_simulated(p, twin) for p, twin in ((drive, setup.original), (seen, after))]
         if not setup.on_road:  # some may validate
-            number = next((k for k, part in enumerate(setup.problem.parts) if part is drive), -1)
+            number = next((k for k, part in enumerate(data.parts) if part is drive), -1)
         residual, correlation = _corrected(outcome, number, values)
         found.append(
             DriveFit(
@@ -51,10 +53,10 @@ def drive_fits(setup: Setup, outcome: Outcome, after: Twin, values: Floats) -> t
                 t=drive.t,
                 position=drive.position,
                 profile=_profile(drive) if setup.on_road else (drive.position, np.zeros((drive.t.size, 2))),
-                measured=seen.measured,
+                measured=dict(seen.measured),
                 before=sides[0],
                 after=sides[1],
-                compared=_compared_mask(setup.problem, drive, number)
+                compared=_compared_mask(data, drive, number)
                 if setup.on_road
                 else np.ones(drive.t.size, dtype=np.bool_),
             )
@@ -62,7 +64,7 @@ def drive_fits(setup: Setup, outcome: Outcome, after: Twin, values: Floats) -> t
     return tuple(found)
 
 
-def _profile(drive: Prepared) -> tuple[Floats, Floats]:
+def _profile(drive: Observation) -> tuple[Floats, Floats]:
     """Distances along the road and the heights of both tracks where the drive went."""
     road, path = drive.road, drive.trajectory
     u, v = road.xy_to_uv(path.x, path.y)
@@ -76,9 +78,9 @@ def _profile(drive: Prepared) -> tuple[Floats, Floats]:
     )
 
 
-def _simulated(drive: Any, twin: Twin) -> dict[str, Floats]:
+def _simulated(drive: Observation, twin: Twin) -> dict[str, Floats]:
     response = simulate_lanes(twin, pack(twin)[:, None], drive.excitation)
-    filtered = drive.conditioner.apply(response.stacked(tuple(drive.measured))[:, :, 0])
+    filtered = drive.grid.apply(response.stacked(tuple(drive.measured))[:, :, 0])
     return {name: filtered[:, i] for i, name in enumerate(drive.measured)}
 
 
@@ -88,47 +90,33 @@ def paper_distance(setup: Setup, twin: Twin) -> float:
     NaN of controlled runs."""
     if not setup.on_road:
         return float("nan")
-    whole, key, value = (
-        setup.problem,
-        layout(twin).names[0],
-        float(pack(twin)[0]),
-    )  # any number, left as it is
-    problem = Problem(
-        twin,
-        Space(twin, (Parameter(key, value, value - 1.0, value + 1.0, log=False),)),
-        whole.parts,
-        whole.drive_of,
-        (Term("euclidean", "vertical_acceleration"),),
-        NuisancePriors(),
-        (0.0,) * len(setup.drives),
-        whole.rows,
+    data, distance = setup.problem.data, (Term("euclidean", "vertical_acceleration"),)
+    problem, objective = problem_of(
+        twin, Space(twin, ()), data, distance, replace(NuisancePriors(), wander=0.0)
     )
-    quiet = np.zeros(len(problem.nuisances))
-    return float(problem.costs(np.array([[value]]), quiet, synchronise=True)[0])
+    nothing = np.zeros((0, 1))
+    return float(costs_of(problem, objective, nothing, np.zeros(problem.q), synchronise=True)[0])
 
 
 def _corrected(outcome: Outcome, number: int, values: Floats) -> tuple[float, float]:
     """Residual rms of one drive's vertical acceleration with the nuisances corrected, and the correlation."""
-    problem = outcome.problem
-    if number not in problem.drive_of:  # it validates
+    problem, data = outcome.problem, outcome.problem.data
+    if number not in data.drive_of:  # it validates
         return float("nan"), float("nan")
-    signals, _ = problem.simulate(values[:, None])
+    signals, _ = problem.signals_of(values[:, None], np.zeros((0, 1)))
     nuisance = (outcome.nuisance - outcome.placed)[:, None]
-    simulated = problem.compared(signals, nuisance)[:, :, 0]
+    simulated = problem.likelihood.compared(signals, nuisance)[:, :, 0]
     column = problem.channels.index(main_channel(problem.channels))
     own = np.concatenate(
-        [
-            np.full(rows.size, drive == number)
-            for rows, drive in zip(problem.rows, problem.drive_of, strict=True)
-        ]
+        [np.full(rows.size, drive == number) for rows, drive in zip(data.rows, data.drive_of, strict=True)]
     )
     a, b = problem.measured.values[own, column], simulated[own, column]
     return float(np.sqrt(np.mean((a - b) ** 2))), float(np.corrcoef(a, b)[0, 1])
 
 
-def _compared_mask(problem: Problem, drive: Prepared, number: int) -> NDArray[np.bool_]:
+def _compared_mask(data: Data, drive: Observation, number: int) -> NDArray[np.bool_]:
     mask = np.zeros(drive.t.size, dtype=bool)
-    for part, rows, owner in zip(problem.parts, problem.rows, problem.drive_of, strict=True):
+    for part, rows, owner in zip(data.parts, data.rows, data.drive_of, strict=True):
         if owner == number:
             mask[np.clip(np.searchsorted(drive.t, part.t[rows] - 0.5 / drive.rate), 0, mask.size - 1)] = True
     return mask

@@ -19,7 +19,7 @@ from suspension_twin.arrays import Floats
 from suspension_twin.drive.types import FixData, ImuData, Samples, VelocityData
 from suspension_twin.errors import InputError
 from suspension_twin.inference.excited_segments import TrimSettings
-from suspension_twin.inference.prepare import road_of
+from suspension_twin.inference.observation import road_of
 from suspension_twin.models.registry import model_of
 from suspension_twin.pose.local_map import LocalMap
 from suspension_twin.road.events import profile_events

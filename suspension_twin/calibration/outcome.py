@@ -19,10 +19,12 @@ from suspension_twin.calibration.request import (
     Estimate,
     NuisanceEstimate,
 )
+from suspension_twin.calibration.searches import costs_of
 from suspension_twin.calibration.sensor import sensor_estimates, with_sensor
 from suspension_twin.calibration.setup import Setup
 from suspension_twin.calibration.uncertainty import Uncertainty, assess, curve_estimates
 from suspension_twin.inference.gap import channel_unit
+from suspension_twin.inference.objectives import Objective
 from suspension_twin.inference.problem import Interrupted
 from suspension_twin.vehicle.twin import Twin
 
@@ -71,7 +73,7 @@ def conclude(recorder: Recorder, outcome: Outcome, start: float, began: float) -
     try:
         if not stopped:
             found = assess(setup, outcome, request.seed)
-            outcome = _settled(outcome, found)
+            outcome = _settled(outcome, setup.objective, found)
     except Interrupted:
         stopped = True
     values = np.clip(_rounded(outcome.values), space.lower, space.upper)
@@ -110,13 +112,13 @@ def conclude(recorder: Recorder, outcome: Outcome, start: float, began: float) -
     )
 
 
-def _settled(outcome: Outcome, found: Uncertainty) -> Outcome:
+def _settled(outcome: Outcome, objective: Objective, found: Uncertainty) -> Outcome:
     """The outcome at the coordinates that the uncertainty was taken around, if those are its search's."""
     if outcome.x is None or (outcome.likelihood is None and np.array_equal(outcome.x, found.x)):
         return outcome
     d, space = len(found.space), outcome.problem.space
     values = np.clip(found.space.from_slopes(found.x[:d]), space.lower, space.upper)
-    cost = float(outcome.problem.costs(values[:, None], found.x[d:])[0])
+    cost = float(costs_of(outcome.problem, objective, values[:, None], found.x[d:])[0])
     return replace(outcome, values=values, nuisance=found.x[d:] + outcome.placed, x=found.x, cost=cost)
 
 

@@ -169,6 +169,8 @@ def build_space(
     for key in bounds:
         if key not in keys and not any(k.startswith(f"{key}.") for k in keys):
             raise InputError("bounds", key, f"is not free{nearest(key, keys)}")
+    if not keys:
+        raise InputError("free parameters", "nothing is free: name at least one key")
     have = {
         p.key: p for p in known if prior_of(p.key) is None and p.key.rpartition(".force.")[0] not in CURVES
     }

@@ -1,26 +1,25 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What every search shares: progress, stopping, checkpoints and resuming from them."""
+"""The course of a search: progress, stopping, checkpoints and resuming from them."""
 
 from __future__ import annotations
 
-import hashlib
 import time
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field, fields, replace
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
 
 from suspension_twin import __version__
 from suspension_twin.arrays import Floats
-from suspension_twin.calibration.checkpoint import Checkpoint, State
 from suspension_twin.calibration.request import CalibrationRequest, Progress
 from suspension_twin.calibration.setup import Setup
+from suspension_twin.inference.checkpoint import Checkpoint, State
 from suspension_twin.inference.noise import Whitener
+from suspension_twin.inference.observation import content_digest
 from suspension_twin.inference.problem import Interrupted, Problem
-from suspension_twin.vehicle.twin import Twin
 
-__all__ = ["Outcome", "Recorder", "fingerprint", "problem_digest"]
+__all__ = ["Outcome", "Recorder", "fingerprint"]
 
 _SAVE_EVERY = 5  # generations
 
@@ -45,19 +44,9 @@ class Outcome:
 def fingerprint(request: CalibrationRequest, setup: Setup) -> str:
     """Digest of request, twin and data: a checkpoint is resumed only where it is the same."""
     asked = replace(request, state="", bags=(), twin="", keep_sensor=False)
-    return problem_digest((__version__, repr(asked)), setup.twin, setup.problem)
-
-
-def problem_digest(words: Sequence[str], twin: Twin, problem: Problem) -> str:
-    """Digest of some words, a twin, and what a problem compares and excites it with."""
-    digest = hashlib.sha256("".join(words).encode())
-    digest.update(twin.model_dump_json(exclude={"road"}).encode())
-    digest.update(problem.measured.values.tobytes())
-    for part in problem.parts:
-        driven = part.excitation
-        arrays = (getattr(driven, f.name) for f in fields(driven))
-        digest.update(b"".join(a.tobytes() for a in arrays if isinstance(a, np.ndarray)))
-    return digest.hexdigest()
+    twin, data = setup.twin.model_copy(update={"road": None}), setup.problem.data
+    excitations = [part.excitation for part in data.parts]
+    return content_digest(__version__, asked, twin, data.measured.values, excitations)
 
 
 @dataclass

@@ -14,14 +14,14 @@ from pathlib import Path
 
 import numpy as np
 
-from suspension_twin.calibration.checkpoint import Checkpoint
 from suspension_twin.calibration.outcome import conclude, unfinished
 from suspension_twin.calibration.recorder import Outcome, Recorder, fingerprint
 from suspension_twin.calibration.request import CalibrationRequest, CalibrationResult, Progress
-from suspension_twin.calibration.searches import run_evolution, run_genetic
+from suspension_twin.calibration.searches import costs_of, run_evolution, run_genetic
 from suspension_twin.calibration.setup import Setup, set_up
 from suspension_twin.calibration.squares import run_squares
 from suspension_twin.errors import WorkError
+from suspension_twin.inference.checkpoint import Checkpoint
 from suspension_twin.inference.parallel import one_blas_thread
 from suspension_twin.inference.problem import Interrupted
 from suspension_twin.vehicle.twin import load_twin
@@ -88,10 +88,11 @@ def solve(
     store = Checkpoint(Path(request.state), fingerprint(request, setup)) if request.state else None
     recorder = Recorder(request, setup, on_progress, stop, store)
     problem = setup.problem
-    aligned = setup.preset.synchronise or not problem.objective.is_least_squares
+    aligned = setup.preset.synchronise or not setup.objective.is_least_squares
     quiet = np.zeros(len(problem.nuisances))
     try:
-        start = float(problem.costs(problem.space.nominal[:, None], quiet, aligned)[0])
+        nominal = problem.space.nominal[:, None]
+        start = float(costs_of(problem, setup.objective, nominal, quiet, aligned)[0])
     except Interrupted:
         return unfinished(request, setup.original, time.monotonic() - began)
     outcome = _search(recorder)
@@ -115,6 +116,6 @@ def solve(
 def _search(recorder: Recorder) -> Outcome:
     if recorder.setup.preset.search == "genetic":
         return run_genetic(recorder)
-    if not recorder.setup.problem.objective.is_least_squares:
+    if not recorder.setup.objective.is_least_squares:
         return run_evolution(recorder)
     return run_squares(recorder)

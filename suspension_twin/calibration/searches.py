@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The population searches: the car paper's GA with its pattern search, and CMA-ES."""
+"""The population searches: the car paper's GA with its pattern search, and CMA-ES; costs of candidates."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -13,12 +13,58 @@ from suspension_twin.calibration.evolution import CmaSearch
 from suspension_twin.calibration.genetic import GeneticSearch
 from suspension_twin.calibration.pattern import PatternSearch
 from suspension_twin.calibration.recorder import Outcome, Recorder
-from suspension_twin.inference.problem import Interrupted
+from suspension_twin.inference.objectives import Objective
+from suspension_twin.inference.problem import Interrupted, Problem
 
-__all__ = ["run_evolution", "run_genetic"]
+__all__ = ["costs_of", "run_evolution", "run_genetic", "synchronised"]
 
 #: CMA-ES: first step in slope coordinates (a logarithm), population, and generations at most.
 _STEP, _POPULATION, _GENERATIONS = 0.3, 24, 300
+_SYNC_STEP, _SYNC_LIMIT = 1e-3, 0.1  # s, of a clock offset
+
+
+def costs_of(
+    problem: Problem, objective: Objective, values: Floats, nuisance: Floats, synchronise: bool = False
+) -> Floats:
+    """(L,) costs of candidates (d, L), in the units of the twin file, at fixed nuisance parameters (q,); infinite where
+    one cannot be simulated.
+
+    ``synchronise``: the clock offset of each drive is first fitted for each candidate, as the car paper aligns signals.
+    """
+    costs = np.empty(values.shape[1])
+    for cut in problem.batches(values.shape[1]):
+        signals, failed = problem.signals_of(values[:, cut], np.zeros((0, values[:, cut].shape[1])))
+        held = np.repeat(nuisance[:, None], failed.size, axis=1)
+        if synchronise:
+            held = synchronised(problem, objective, signals, held)
+        found = objective.costs(problem.likelihood.compared(signals, held))
+        costs[cut] = np.where(failed | ~np.isfinite(found), np.inf, found)
+    return costs
+
+
+def synchronised(
+    problem: Problem, objective: Objective, signals: Sequence[Floats], nuisance: Floats
+) -> Floats:
+    """``nuisance`` (q, L) with every lane's clock offsets at their least squares values: two Gauss-Newton steps, each
+    within a tenth of a second."""
+    nuisance, data, nuisances = nuisance.copy(), problem.data, problem.nuisances
+    weights = np.array([max(t.weight for t in objective.terms if t.channel == c) for c in data.channels])
+    for row, numbers in nuisances.clocks:
+        for _ in range(2):
+            ahead = nuisance.copy()
+            ahead[row] += _SYNC_STEP
+            top, bottom = np.zeros(nuisance.shape[1]), np.zeros(nuisance.shape[1])
+            for k in numbers:
+                part, rows = data.parts[k], data.rows[k]
+                here, there = (nuisances.apply(k, signals[k], rows, n) for n in (nuisance, ahead))
+                wanted = np.stack([part.measured[c][rows] for c in data.channels], axis=1)
+                slope = weights[None, :, None] * (there - here) / _SYNC_STEP
+                off = weights[None, :, None] * (wanted[:, :, None] - here)
+                top += np.einsum("rcl,rcl->l", slope, off, optimize=False)
+                bottom += np.einsum("rcl,rcl->l", slope, slope, optimize=False)
+            step = np.where(bottom > 0, top / np.where(bottom > 0, bottom, 1.0), 0.0)
+            nuisance[row] += np.clip(step, -_SYNC_LIMIT, _SYNC_LIMIT)
+    return nuisance
 
 
 def _advance(
@@ -46,11 +92,12 @@ def _advance(
 
 def run_genetic(recorder: Recorder) -> Outcome:
     """GA, then pattern search, both in unit coordinates."""
-    problem, preset = recorder.setup.problem, recorder.setup.preset
+    setup = recorder.setup
+    problem, preset = setup.problem, setup.preset
     space, quiet = problem.space, np.zeros(len(problem.nuisances))
 
     def costs(points: Floats) -> Floats:
-        return problem.costs(space.from_unit(points.T), quiet, preset.synchronise)
+        return costs_of(problem, setup.objective, space.from_unit(points.T), quiet, preset.synchronise)
 
     settings = preset.genetic
     if recorder.request.max_generations:
@@ -75,7 +122,8 @@ def run_evolution(recorder: Recorder) -> Outcome:
     space, quiet = problem.space, np.zeros(len(problem.nuisances))
 
     def costs(points: Floats) -> Floats:
-        return problem.costs(space.from_slopes(points.T), quiet, synchronise=True)
+        objective = recorder.setup.objective
+        return costs_of(problem, objective, space.from_slopes(points.T), quiet, synchronise=True)
 
     generations = recorder.request.max_generations or _GENERATIONS
     search = CmaSearch(space.z0, _STEP, recorder.request.seed, _POPULATION, generations)
@@ -90,8 +138,8 @@ def _outcome(recorder: Recorder, values: Floats, cost: float, done: bool) -> Out
     nuisance = np.zeros(len(problem.nuisances))
     if done:
         try:
-            signals, _ = problem.simulate(values[:, None])
-            nuisance = problem.synchronised(signals, nuisance[:, None])[:, 0]
+            signals, _ = problem.signals_of(values[:, None], np.zeros((0, 1)))
+            nuisance = synchronised(problem, recorder.setup.objective, signals, nuisance[:, None])[:, 0]
         except Interrupted:
             done = False
     return Outcome(values, nuisance, cost, problem, np.zeros(nuisance.size), stopped=not done)

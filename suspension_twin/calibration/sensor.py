@@ -29,9 +29,8 @@ from scipy.special import chdtrc
 from suspension_twin.arrays import Floats
 from suspension_twin.calibration.recorder import Outcome
 from suspension_twin.calibration.request import SensorEstimate
-from suspension_twin.calibration.setup import Setup
+from suspension_twin.calibration.setup import Setup, problem_of
 from suspension_twin.calibration.uncertainty import HALF_WIDTH, Uncertainty
-from suspension_twin.inference.mounting import turned
 from suspension_twin.inference.nuisance import (
     NUISANCES,
     NuisancePriors,
@@ -39,7 +38,7 @@ from suspension_twin.inference.nuisance import (
     slow_position_error,
 )
 from suspension_twin.inference.objectives import parse_objective
-from suspension_twin.inference.problem import Problem
+from suspension_twin.inference.sensor_correction import turned
 from suspension_twin.units import STANDARD_GRAVITY
 from suspension_twin.vehicle.twin import Twin
 
@@ -104,8 +103,8 @@ def _closes(setup: Setup, outcome: Outcome, clocks: list[int], offset: float) ->
     problem = outcome.problem
     nuisance = np.repeat(-outcome.placed[:, None], 2, axis=1)
     nuisance[clocks] += np.array([0.0, offset]) - np.array(setup.lags)[:, None]
-    signals, _ = problem.simulate(outcome.values[:, None])
-    without, with_it = problem.objective.costs(problem.compared(signals, nuisance))
+    signals, _ = problem.signals_of(outcome.values[:, None], np.zeros((0, 1)))
+    without, with_it = setup.objective.costs(problem.likelihood.compared(signals, nuisance))
     return bool(with_it < without)
 
 
@@ -117,19 +116,16 @@ def _by_gravity(setup: Setup, outcome: Outcome) -> dict[str, tuple[float, float]
     gravity, its slope what a body that leans more than the twin's adds. What reading the drive took off as a bias at
     rest is put back, because it holds the tilt.
     """
-    known = outcome.problem
+    known = outcome.problem.data
     if not all(np.ptp(part.signals.up, axis=0).any() for part in known.parts):
         return {}
     terms = parse_objective("euclidean", dict.fromkeys(_GRAVITY, 1.0))
-    drives = range(max(known.drive_of) + 1)
-    problem = Problem(
-        setup.twin, known.space, known.parts, known.drive_of, terms, _NONE, [0.0 for _ in drives], known.rows
-    )
-    signals, _ = problem.simulate(outcome.values[:, None])
-    simulated = problem.compared(signals, np.zeros((0, 1)))[:, :, 0]
+    problem, _ = problem_of(setup.twin, outcome.problem.space, known, terms, _NONE)
+    signals, _ = problem.signals_of(outcome.values[:, None], np.zeros((0, 1)))
+    simulated = problem.likelihood.compared(signals, np.zeros((0, 1)))[:, :, 0]
     taken_off = [
         np.repeat(part.signals.force_bias[None, _AXES], rows.size, axis=0)
-        for part, rows in zip(problem.parts, problem.rows, strict=True)
+        for part, rows in zip(known.parts, known.rows, strict=True)
     ]
     residual = problem.measured.values + np.concatenate(taken_off) - simulated
     size = max(1, round(_BLOCK * problem.measured.rate))
@@ -221,8 +217,8 @@ def common_offset(offsets: Floats, covariance: Floats) -> tuple[float, float, fl
 
 def _speeds(setup: Setup) -> Floats:
     """(drives,) median speeds along the road in m/s where samples are compared."""
-    problem = setup.problem
+    data = setup.problem.data
     along: dict[int, list[Floats]] = {}
-    for part, rows, drive in zip(problem.parts, problem.rows, problem.drive_of, strict=True):
+    for part, rows, drive in zip(data.parts, data.rows, data.drive_of, strict=True):
         along.setdefault(drive, []).append(np.abs(part.along[rows]))
     return np.array([float(np.median(np.concatenate(along[d]))) for d in sorted(along)])

@@ -6,7 +6,6 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -22,10 +21,16 @@ from suspension_twin.inference.common_rate import on_common_rate
 from suspension_twin.inference.excited_segments import TrimSettings, fit_rows, trim
 from suspension_twin.inference.gap import CHANNELS
 from suspension_twin.inference.nuisance import NuisancePriors, slow_position_error
-from suspension_twin.inference.objectives import parse_objective
-from suspension_twin.inference.observations import observe, renamed
-from suspension_twin.inference.prepare import Prepared, PrepareSettings, prepare, road_of
-from suspension_twin.inference.problem import Interrupted, Problem
+from suspension_twin.inference.objectives import Objective, Term, parse_objective
+from suspension_twin.inference.observation import (
+    Observation,
+    ObserveSettings,
+    observe,
+    renamed,
+    road_of,
+)
+from suspension_twin.inference.problem import Data, Interrupted, Likelihood, Problem, Simulation
+from suspension_twin.inference.runs import observe_runs
 from suspension_twin.inference.space import Space
 from suspension_twin.models.registry import model_of
 from suspension_twin.models.simulate import simulate_twin
@@ -42,18 +47,29 @@ _SURE = 0.02  # how much better the correlation has to become before a drive is 
 
 @dataclass(frozen=True, eq=False)
 class Setup:
-    """A problem ready to search. ``drives`` are whole, prepared from what was ``recorded``, ``problem.parts`` what is
-    simulated of them; ``lags`` s by which each drive's pose was moved before the search."""
+    """A ``problem`` ready to search, and the ``objective`` that its candidates are compared by.
 
-    twin: Twin
+    ``original`` is the twin as given, ``drives`` are whole observations, ``problem.data.parts`` their simulated parts,
+    ``lags`` s by which each drive's pose was moved before the search.
+    """
+
     original: Twin
     preset: Preset
-    space: Space
     problem: Problem
-    recorded: tuple[Any, ...]
-    drives: tuple[Any, ...]
+    objective: Objective
+    drives: tuple[Observation, ...]
     lags: tuple[float, ...]
     warnings: tuple[str, ...]
+
+    @property
+    def twin(self) -> Twin:
+        """The twin that is searched from."""
+        return self.problem.twin
+
+    @property
+    def space(self) -> Space:
+        """Its free parameters."""
+        return self.problem.space
 
     @property
     def on_road(self) -> bool:
@@ -77,7 +93,7 @@ def set_up(
     frozen = [k for k in request.freeze if k not in nuisances]
     space = build_space(twin, preset, request.free, request.also, frozen, bounds)
     if model_of(twin).recordings != "drive":
-        return _of_runs(request, preset, original, twin, space, nuisances, should_stop)
+        return _of_runs(request, original, twin, space, should_stop)
     road = road_of(twin)
     recordings = []
     for bag in request.bags:
@@ -87,58 +103,89 @@ def set_up(
         recordings.append(read_drive(bag, topics=request.topics))
         check_recording(recordings[-1])
     recorded = on_common_rate(recordings, FilterSpec())
-    drives = renamed([prepare_checked(d, twin, road) for d in recorded])
-    problem, lags, warnings = assemble(twin, space, preset, request, drives, priors)
-    problem.interrupt = should_stop
-    return Setup(twin, original, preset, space, problem, tuple(recorded), tuple(drives), lags, warnings)
+    drives = renamed([observe_checked(d, twin, road) for d in recorded])
+    data, lags, warnings = aligned_parts(twin, drives)
+    terms = objective_terms(request, preset, drives)
+    rates = {round(d.rate, 3) for d in drives}
+    if len(rates) > 1 and any(t.kind in ("spectral", "iso18571") for t in terms):
+        raise InputError(
+            "drives", f"come at different rates ({sorted(rates)} Hz): calibrate on them one by one"
+        )
+    problem, objective = problem_of(twin, space, data, terms, priors, should_stop)
+    return Setup(original, preset, problem, objective, tuple(drives), lags, warnings)
 
 
-def prepare_checked(
-    drive: Drive, twin: Twin, road: Road, settings: PrepareSettings | None = None
-) -> Prepared:
-    """Prepare a drive for calibration, or refuse it with the reason and what to do."""
+def observe_checked(
+    drive: Drive, twin: Twin, road: Road, settings: ObserveSettings | None = None
+) -> Observation:
+    """Observe a drive for calibration, or refuse it with the reason and the remedy."""
     check_recording(drive)
-    prepared = prepare(drive, twin, road, settings, strict=True)
-    check_drive(prepared)
-    return prepared
+    observation = observe(drive, twin, road, settings, strict=True)
+    check_drive(observation)
+    return observation
+
+
+def problem_of(
+    twin: Twin,
+    space: Space,
+    data: Data,
+    terms: Sequence[Term],
+    priors: NuisancePriors,
+    stop: Callable[[], bool] | None = None,
+) -> tuple[Problem, Objective]:
+    """The problem over some data with the residuals of an objective, in the channels of its ``terms``."""
+    data = replace(data, channels=tuple(dict.fromkeys(t.channel for t in terms)))
+    objective = Objective(terms, data.measured)
+    drives = dict(zip(data.drive_of, data.parts, strict=True))
+    wander = [_wander(drives[d], priors) for d in sorted(drives)]
+    likelihood = Likelihood(data, data.nuisances(priors, wander), objective)
+    simulation = Simulation() if stop is None else Simulation(stop=stop)
+    return Problem.of(twin, space, likelihood, simulation), objective
 
 
 def _of_runs(
     request: CalibrationRequest,
-    preset: Preset,
     original: Twin,
     twin: Twin,
     space: Space,
-    frozen: Sequence[str],
     should_stop: Callable[[], bool],
 ) -> Setup:
     """The problem over controlled runs; with a preset that says so the slowest are fitted, the others validate."""
-    runs = observe(twin, request.bags)
+    preset = preset_named(request.preset)
+    runs = observe_runs(twin, request.bags)
     slowest = min(float(np.abs(r.along).mean()) for r in runs)
     fitted = [r for r in runs if not preset.slowest or float(np.abs(r.along).mean()) <= _ALIKE * slowest]
     measured = [c for c in fitted[0].measured if all(c in r.measured for r in fitted)]
     channels = dict(request.channels) or {c: w for c, w in preset.channels.items() if c in measured}
     weighted = _weighted(channels or dict.fromkeys(measured, 0.0), fitted)
-    objective = request.objective or preset.objective
-    terms = parse_objective(
-        "euclidean" if objective == "likelihood" else objective, weighted, model_of(twin).channels
-    )
-    # a genetic search compares what was measured as it was measured
-    priors = (
-        fitted[0].priors if preset.search == "squares" else replace(fitted[0].priors, clock=0.0, speed=0.0)
-    )
-    priors = priors.without(frozen)
-    rows = [np.arange(r.t.size) for r in fitted]
-    problem = Problem(twin, space, fitted, range(len(fitted)), terms, priors, [0.0] * len(fitted), rows)
-    problem.interrupt = should_stop
+    terms = parse_objective(_objective_text(request, preset), weighted, model_of(twin).channels)
+    priors = fitted[0].comparison.priors
+    if preset.search != "squares":  # a genetic search compares signals as they were measured
+        priors = replace(priors, clock=0.0, speed=0.0)
+    priors = priors.without([k for k in request.freeze if k.startswith("nuisances.")])
+    rows = tuple(np.arange(r.t.size) for r in fitted)
+    every = tuple(range(len(fitted)))
+    data = Data(tuple(fitted), every, rows, (), (True,) * len(fitted))
+    problem, objective = problem_of(twin, space, data, terms, priors, should_stop)
     warnings = tuple(f"{r.name}: {text}" for r in runs for text in r.warnings)
-    return Setup(
-        twin, original, preset, space, problem, tuple(runs), tuple(runs), (0.0,) * len(runs), warnings
-    )
+    return Setup(original, preset, problem, objective, tuple(runs), (0.0,) * len(runs), warnings)
 
 
-def _weighted(channels: dict[str, float], drives: Sequence[Any]) -> dict[str, float]:
-    """Weights of channels; 0 stands for "by the channels' floors", in units of the first's."""
+def _objective_text(request: CalibrationRequest, preset: Preset) -> str:
+    objective = request.objective or preset.objective
+    return "euclidean" if objective == "likelihood" else objective
+
+
+def objective_terms(
+    request: CalibrationRequest, preset: Preset, drives: Sequence[Observation]
+) -> tuple[Term, ...]:
+    """Terms of the objective over recorded drives, each channel with its weight."""
+    channels = dict(request.channels) or {c: w for c, w in preset.channels.items() if c in CHANNELS}
+    return parse_objective(_objective_text(request, preset), _weighted(channels, drives))
+
+
+def _weighted(channels: dict[str, float], drives: Sequence[Observation]) -> dict[str, float]:
+    """Weights of channels; 0 stands for the inverse of the channel's noise floor, in units of the first's."""
     floors = {
         c: float(np.mean([d.noise_rms[c] for d in drives])) for c in channels if c in drives[0].noise_rms
     }
@@ -146,25 +193,13 @@ def _weighted(channels: dict[str, float], drives: Sequence[Any]) -> dict[str, fl
     return {c: w if w > 0 else unit / max(floors.get(c, unit), 1e-12) for c, w in channels.items()}
 
 
-def assemble(
-    twin: Twin,
-    space: Space,
-    preset: Preset,
-    request: CalibrationRequest,
-    drives: list[Prepared],
-    priors: NuisancePriors | None = None,
-    settings: TrimSettings | None = None,
-) -> tuple[Problem, tuple[float, ...], tuple[str, ...]]:
-    """The problem over prepared drives, each trimmed and moved in time to where it roughly fits."""
-    priors = priors or NuisancePriors()
+def aligned_parts(
+    twin: Twin, drives: Sequence[Observation], settings: TrimSettings | None = None
+) -> tuple[Data, tuple[float, ...], tuple[str, ...]]:
+    """The excited parts of drives, each moved in time to where it roughly fits; the lag of each drive in s, and
+    warnings."""
     settings = settings or TrimSettings()
-    rates = {round(d.rate, 3) for d in drives}
-    weighted = _weighted(
-        dict(request.channels) or {c: w for c, w in preset.channels.items() if c in CHANNELS}, drives
-    )
-    objective = request.objective or preset.objective
-    terms = parse_objective("euclidean" if objective == "likelihood" else objective, weighted)
-    parts: list[Prepared] = []
+    parts: list[Observation] = []
     drive_of: list[int] = []
     lags: list[float] = []
     for number, drive in enumerate(drives):
@@ -174,27 +209,22 @@ def assemble(
         lags.append(lag)
         parts += [p.moved(lag, 0.0) if lag else p for p in pieces]
         drive_of += [number] * len(pieces)
-    warnings = [w for d in drives for w in (f"{d.name}: {text}" for text in d.warnings)]
-    if len(rates) > 1 and any(t.kind in ("spectral", "iso18571") for t in terms):
-        raise InputError(
-            "drives", f"come at different rates ({sorted(rates)} Hz): calibrate on them one by one"
-        )
+    warnings = [f"{d.name}: {text}" for d in drives for text in d.warnings]
     warnings += [
         f"{d.name}: the pose was read {lag:+.3f} s off the IMU's clock before the fit"
         for d, lag in zip(drives, lags, strict=True)
         if lag
     ]
-    wander = [_wander(d, priors) for d in drives]
-    rows = [fit_rows(part, settings) for part in parts]
-    problem = Problem(twin, space, parts, drive_of, terms, priors, wander, rows)
-    return problem, tuple(lags), tuple(warnings)
+    rows = tuple(fit_rows(part, settings) for part in parts)
+    data = Data(tuple(parts), tuple(drive_of), rows, (), (True,) * len(drives))
+    return data, tuple(lags), tuple(warnings)
 
 
-def _lag(twin: Twin, pieces: list[Prepared], settings: TrimSettings) -> float:
+def _lag(twin: Twin, pieces: list[Observation], settings: TrimSettings) -> float:
     """Seconds to move a drive's pose by, 0 where the twin as it stands does not clearly ask for it."""
     pairs: list[tuple[Floats, Floats]] = []
     for part in pieces:
-        simulated = part.condition(simulate_twin(twin, part.excitation))
+        simulated = part.condition(simulate_twin(twin, part.road_excitation))
         rows = fit_rows(part, settings)
         cut = slice(int(rows[0]), int(rows[-1]) + 1)
         pairs += [(part.measured[c][cut], simulated[c][cut]) for c in ("vertical_acceleration", "pitch_rate")]
@@ -202,7 +232,7 @@ def _lag(twin: Twin, pieces: list[Prepared], settings: TrimSettings) -> float:
     return lag if abs(lag) * pieces[0].rate > 1.5 and there > here + _SURE and there > 0.3 else 0.0
 
 
-def _wander(drive: Prepared, priors: NuisancePriors) -> float:
+def _wander(drive: Observation, priors: NuisancePriors) -> float:
     """Standard deviation in m of the slow error of a drive's smoothed positions, 0 where it is not worth a nuisance."""
     if priors.wander is not None:
         return priors.wander

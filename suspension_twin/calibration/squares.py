@@ -14,16 +14,17 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from suspension_twin.arrays import Floats
-from suspension_twin.calibration.checkpoint import State
 from suspension_twin.calibration.recorder import Outcome, Recorder
+from suspension_twin.calibration.searches import costs_of
 from suspension_twin.calibration.setup import Setup
-from suspension_twin.inference.gauss_newton import GaussNewton, GaussNewtonSettings
+from suspension_twin.inference.checkpoint import State
+from suspension_twin.inference.gauss_newton import GaussNewton, GaussNewtonSettings, Quadratic
 from suspension_twin.inference.noise import NEAR_FLOOR, Whitener
-from suspension_twin.inference.posterior import CORRELATION, travel
-from suspension_twin.inference.problem import FitProblem, Interrupted, Problem
+from suspension_twin.inference.posterior import travel
+from suspension_twin.inference.problem import Interrupted, Problem
 from suspension_twin.inference.spring_position import standing_at
 
-__all__ = ["full_precision", "in_floors", "run_squares"]
+__all__ = ["in_floors", "moved", "run_squares"]
 
 _EXPECTED = 700.0  # evaluations, for the time left
 _STARTS = 24
@@ -56,13 +57,33 @@ _SEARCH = GaussNewtonSettings(iterations=4, tolerance=1e-2)
 _LIKELIHOOD = GaussNewtonSettings(iterations=15, tolerance=0.0, absolute=0.1, patience=1)
 
 
-def full_precision(problem: Problem) -> Floats:
-    """(d + q, d + q) inverse prior covariance of slope coordinates and nuisances."""
-    d, q = len(problem.space), len(problem.nuisances)
-    precision = np.zeros((d + q, d + q))
-    precision[:d, :d] = problem.space.prior_precision(CORRELATION)
-    precision[np.arange(d, d + q), np.arange(d, d + q)] = 1.0 / problem.nuisances.spread**2
-    return precision
+class _Counted:
+    """The residuals of a problem for the solver, and how many candidates were simulated for them."""
+
+    def __init__(self, problem: Problem) -> None:
+        self.problem, self.evaluations = problem, 0
+
+    def quadratic(self, x: Floats) -> Quadratic:
+        """The quadratic model about ``x``."""
+        self.evaluations += 1 + self.problem.d
+        return self.problem.quadratic(x)
+
+    def sums_of_squares(self, x: Floats) -> Floats:
+        """(L,) sums of squared residuals."""
+        self.evaluations += x.shape[1]
+        return self.problem.sums_of_squares(x)
+
+
+def moved(problem: Problem, nuisance: Floats) -> Problem:
+    """The problem with clock and map offsets applied to the excitation instead of by interpolation.
+
+    Fitted biases, gains and tilts are unchanged; further offsets are relative to these.
+    """
+    found = dict(zip(problem.nuisances.names, nuisance, strict=True))
+    metres, late = found.get("map_position", 0.0), found.get("clock_offset", 0.0)
+    data = problem.data
+    parts = [p.moved(late + found.get(f"{p.name}.clock_offset", 0.0), metres) for p in data.parts]
+    return replace(problem, likelihood=replace(problem.likelihood, data=replace(data, parts=tuple(parts))))
 
 
 def run_squares(recorder: Recorder) -> Outcome:
@@ -99,7 +120,7 @@ class _Fit:
         self.recorder = recorder
         self.base = self.problem = recorder.setup.problem
         self.d, q = len(self.base.space), len(self.base.nuisances)
-        self.precision = full_precision(self.base)
+        self.precision = self.base.prior.precision
         self.x = np.concatenate([self.base.space.z0, np.zeros(q)])
         self.placed = np.zeros(q)
         self.likelihood: Whitener | None = None
@@ -136,7 +157,8 @@ class _Fit:
             rows = [r for r in curve.rows if r >= 0]
             starts[rows] += 0.4 * rng.standard_normal(_STARTS)
         starts[:, 0] = space.z0
-        costs = self.base.costs(space.from_slopes(starts), self.x[self.d :])
+        objective = self.recorder.setup.objective
+        costs = costs_of(self.base, objective, space.from_slopes(starts), self.x[self.d :])
         self.recorder.evaluations += _STARTS
         best = int(np.argmin(costs))
         if costs[best] < 0.8 * costs[0]:
@@ -160,17 +182,18 @@ class _Fit:
         whitened = planned.stage == "likelihood"
         if whitened and state is None:
             self.likelihood = Whitener.of_residual(self.problem.measured, self.compared(start))
-        fit = FitProblem(self.problem, self.likelihood.residuals if whitened and self.likelihood else None)
-        scale = float(state.plain["scale"]) if state else self._scale(fit, planned, start)
+        noise = self.likelihood if whitened else None
+        fit = _Counted(self.problem if noise is None else self.problem.weighed(noise))
+        scale = float(state.plain["scale"]) if state else self._scale(planned, start)
         centre = np.concatenate([self.base.space.z0, -self.placed])
         solver = GaussNewton(fit, start, scale * self.precision, centre, settings=planned.settings)
         if state is not None:
             solver.restore({"x": start, "centre": centre}, state.plain["solver"])
         while not solver.finished and not recorder.out_of_generations:
             recorder.check()
-            before = self.problem.evaluations
+            before = fit.evaluations
             solver.step()
-            recorder.evaluations += self.problem.evaluations - before
+            recorder.evaluations += fit.evaluations - before
             self._note(solver, planned, scale)
         self._pending = solver.x if planned.stage == "hop" else None
 
@@ -191,9 +214,8 @@ class _Fit:
     def _shaken(self, number: int) -> Floats:
         """The best of two dozen draws around the fit, wide in directions of little information: local minima of
         the corners lie side by side there."""
-        fit = FitProblem(self.problem)
-        before = self.problem.evaluations
-        residual, jacobian = fit.linearise(self.x)
+        at = self.problem.linearise(self.x)
+        residual, jacobian = at.residual, at.jacobian
         scale = max(float(np.mean(residual**2)) / self.problem.measured.independent, 1e-30)
         information = jacobian.T @ jacobian / scale + self.precision
         unit = 1.0 / np.sqrt(np.diag(information))
@@ -202,8 +224,8 @@ class _Fit:
         rng = np.random.default_rng((self.recorder.request.seed, number))
         draws = rng.standard_normal((self.x.size, _STARTS))
         starts = self.x[:, None] + _SHAKES[number] * np.einsum("ij,jn->in", root, draws, optimize=False)
-        costs = fit.sums_of_squares(starts)
-        self.recorder.evaluations += self.problem.evaluations - before
+        costs = self.problem.sums_of_squares(starts)
+        self.recorder.evaluations += 1 + self.d + _STARTS
         return np.asarray(starts[:, int(np.argmin(costs))])
 
     def _note(self, solver: GaussNewton, planned: _Round, scale: float) -> None:
@@ -211,7 +233,7 @@ class _Fit:
         recorder = self.recorder
         whitened = planned.stage == "likelihood"
         # The squares of the objective order candidates as its costs do; those of the likelihood do not.
-        cost = self.costs_at(solver.x) if whitened else self.problem.objective.cost_of_squares(solver.fit)
+        cost = self.costs_at(solver.x) if whitened else recorder.setup.objective.cost_of_squares(solver.fit)
         if cost < self.cost or (self.balanced and planned.stage not in ("hop", "shake")):
             self.x, self.cost = solver.x, cost
         recorder.report(whitened, self.cost, cost, _EXPECTED)
@@ -225,7 +247,7 @@ class _Fit:
     def _take_up(self, state: State) -> Floats:
         self.x, self.placed = state.arrays["x"], state.arrays["placed"]
         self.cost = float(state.plain["cost"])
-        self.problem = self.base.moved(self.placed) if self.placed.any() else self.base
+        self.problem = moved(self.base, self.placed) if self.placed.any() else self.base
         if "filters" in state.arrays:
             measured, arrays = self.base.measured, state.arrays
             group = tuple(int(g) for g in arrays["group"])
@@ -245,11 +267,11 @@ class _Fit:
         moved[rows] = standing_at(curve.x, self.x[rows], static, corner)
         return moved
 
-    def _scale(self, fit: FitProblem, planned: _Round, start: Floats) -> float:
+    def _scale(self, planned: _Round, start: Floats) -> float:
         """Weight of the prior beside the sum of squares: the variance of an independent residual."""
         if planned.stage == "likelihood":
             return 1.0
-        residual = fit.residuals(self.compared(start)[:, :, None])
+        residual = self.recorder.setup.objective.residuals(self.compared(start)[:, :, None])
         variance = max(float(np.mean(residual**2)) / self.problem.measured.independent, 1e-30)
         return variance * (_FAINT if planned.faint and not self.balanced else 1.0)
 
@@ -265,20 +287,20 @@ class _Fit:
             self.placed = self.placed + found
             self.x = self.x.copy()
             self.x[self.d :][offset] = 0.0
-            self.problem = self.base.moved(self.placed)
+            self.problem = moved(self.base, self.placed)
 
     # -- evaluation -------------------------------------------------------------------------------
 
     def compared(self, x: Floats) -> Floats:
         """(M, C) signals at coordinates ``x``, nuisances included."""
-        signals, _ = self.problem.simulate(self.base.space.from_slopes(x[: self.d, None]))
         self.recorder.evaluations += 1
-        return np.asarray(self.problem.compared(signals, x[self.d :, None])[:, :, 0])
+        return self.problem.compared(x[:, None])[:, :, 0]
 
     def costs_at(self, x: Floats) -> float:
         """The objective's cost at coordinates ``x``."""
         self.recorder.evaluations += 1
-        return float(self.problem.costs(self.base.space.from_slopes(x[: self.d, None]), x[self.d :])[0])
+        values, objective = self.base.space.from_slopes(x[: self.d, None]), self.recorder.setup.objective
+        return float(costs_of(self.problem, objective, values, x[self.d :])[0])
 
     def floors(self) -> float:
         """Residual rms in units of the noise floor; the median of the channels."""

@@ -17,8 +17,7 @@ is kept is held there and the rest is fitted once more.
 
 from __future__ import annotations
 
-import copy
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -29,12 +28,12 @@ from suspension_twin.calibration.presets import PRESETS, build_space
 from suspension_twin.calibration.recorder import Outcome
 from suspension_twin.calibration.request import CurveEstimate
 from suspension_twin.calibration.setup import Setup
-from suspension_twin.calibration.squares import full_precision, in_floors
+from suspension_twin.calibration.squares import in_floors
 from suspension_twin.inference.gauss_newton import GaussNewton, GaussNewtonSettings
 from suspension_twin.inference.noise import NEAR_FLOOR, ScaledObjective, Whitener
 from suspension_twin.inference.objectives import Objective, Term
-from suspension_twin.inference.posterior import Posterior, Travel, Weighing, posterior, span_of, travel
-from suspension_twin.inference.problem import FitProblem, Problem
+from suspension_twin.inference.posterior import Posterior, Travel, posterior, span_of, travel
+from suspension_twin.inference.problem import JointPrior, Noise, Problem
 from suspension_twin.inference.space import Curve, Space, twin_value
 from suspension_twin.vehicle.twin import Twin
 
@@ -78,11 +77,11 @@ def assess(setup: Setup, outcome: Outcome, seed: int) -> Uncertainty:
     standard deviation: model discrepancy that no statistics of the residual shows.
     """
     problem = _widened(setup, outcome)
-    precision = full_precision(problem)
+    precision = problem.prior.precision
     d = len(problem.space)
     x, weighing, doubt = _best_fit(setup, problem, outcome, precision)
     for _ in range(3):
-        found = posterior(problem, weighing, x, precision, _travel_at(setup, problem, x), seed, doubt)
+        found = posterior(problem, weighing, x, precision, _travel_at(setup, problem, x), seed, doubt=doubt)
         if doubt is not None or found.better is None:
             break
         x = _polished(problem, weighing, found.better, precision, outcome.placed)
@@ -92,7 +91,9 @@ def assess(setup: Setup, outcome: Outcome, seed: int) -> Uncertainty:
         status, absorbed, held = _settle(problem, outcome, weighing, x, found.covariance, precision, status)
         if held is not x:
             x = held
-            found = posterior(problem, weighing, x, precision, _travel_at(setup, problem, x), seed, doubt)
+            found = posterior(
+                problem, weighing, x, precision, _travel_at(setup, problem, x), seed, doubt=doubt
+            )
     low, high = np.quantile(found.draws, INTERVAL, axis=1)
     # What is reported belongs to its interval, also where another objective found it at the end of a valley.
     reported = problem.space.from_slopes(x[:d, None])[:, 0]
@@ -116,7 +117,8 @@ def _best_fit(
     x = _polished(problem, likelihood, x, precision, outcome.placed)
     if outcome.x is None and in_floors(setup, problem, _compared(problem, x)) < NEAR_FLOOR:
         return x, likelihood, None
-    squares = ScaledObjective.at(problem.objective, _compared(problem, x if outcome.x is None else outcome.x))
+    objective = _least_squares(setup.objective)
+    squares = ScaledObjective.at(objective, _compared(problem, x if outcome.x is None else outcome.x))
     fit = _polished(problem, squares, x, precision, outcome.placed) if outcome.x is None else outcome.x
     return fit, squares, x - fit
 
@@ -131,7 +133,7 @@ def _identified(covariance: Floats, precision: Floats) -> NDArray[np.bool_]:
 def _settle(
     problem: Problem,
     outcome: Outcome,
-    weighing: Weighing,
+    weighing: Noise,
     x: Floats,
     covariance: Floats,
     precision: Floats,
@@ -148,7 +150,7 @@ def _settle(
     )
     z0 = outcome.problem.space.z0
     away = np.abs(x[:d] - z0)
-    fit = FitProblem(outcome.problem, weighing.residuals)
+    fit = outcome.problem.weighed(weighing)
 
     def held(keep: NDArray[np.bool_]) -> tuple[Floats, float]:
         """The fit with some coordinates at their start, and its sum of squares."""
@@ -180,19 +182,22 @@ def _travel_at(setup: Setup, problem: Problem, x: Floats) -> Travel:
 
 
 def _compared(problem: Problem, x: Floats) -> Floats:
-    d = len(problem.space)
-    signals, _ = problem.simulate(problem.space.from_slopes(x[:d, None]))
-    return np.asarray(problem.compared(signals, x[d:, None])[:, :, 0])
+    return problem.compared(x[:, None])[:, :, 0]
 
 
 def _widened(setup: Setup, outcome: Outcome) -> Problem:
     """The problem in a space with wide bounds, so that an interval may reach beyond those of the search."""
-    problem = copy.copy(outcome.problem)
-    problem.space = build_space(setup.twin, PRESETS["fast"], setup.space.keys, known=setup.space.parameters)
-    if any(t.kind == "iso18571" for t in problem.terms):  # no sum of squares: by the distance instead
-        distance = tuple(Term("euclidean", t.channel, t.weight) for t in problem.terms)
-        problem.objective = Objective(distance, problem.measured)
-    return problem
+    problem = outcome.problem
+    space = build_space(setup.twin, PRESETS["fast"], setup.space.keys, known=setup.space.parameters)
+    return replace(problem, space=space, prior=JointPrior.of(space, problem.nuisances))
+
+
+def _least_squares(objective: Objective) -> Objective:
+    """The objective, or the distance in its channels where it is no sum of squares."""
+    if all(t.kind != "iso18571" for t in objective.terms):
+        return objective
+    distance = tuple(Term("euclidean", t.channel, t.weight) for t in objective.terms)
+    return Objective(distance, objective.measured)
 
 
 def _likelihood_at(problem: Problem, x: Floats) -> Whitener:
@@ -201,7 +206,7 @@ def _likelihood_at(problem: Problem, x: Floats) -> Whitener:
 
 def _polished(
     problem: Problem,
-    weighing: Weighing,
+    weighing: Noise,
     x: Floats,
     precision: Floats,
     placed: Floats,
@@ -210,8 +215,7 @@ def _polished(
     """The optimum near ``x`` (d + q,) with the prior's ``precision``, coordinates ``fixed`` left where they are."""
     centre = np.concatenate([problem.space.z0, -placed])
     low, high = (None, None) if fixed is None else (np.where(fixed, x, side) for side in (-np.inf, np.inf))
-    fit = FitProblem(problem, weighing.residuals)
-    solver = GaussNewton(fit, x, precision, centre, low, high, settings=_POLISH)
+    solver = GaussNewton(problem.weighed(weighing), x, precision, centre, low, high, settings=_POLISH)
     solver.run()
     return solver.x
 

@@ -129,10 +129,10 @@ def command(
     from suspension_twin.calibration.output import details_path
 
     page = () if report is None else (report / "report.html",)
-    from suspension_twin.calibration.checkpoint import Checkpoint
     from suspension_twin.calibration.output import write_result
     from suspension_twin.calibration.request import CalibrationRequest
     from suspension_twin.calibration.run import calibrate
+    from suspension_twin.inference.checkpoint import Checkpoint
     from suspension_twin.vehicle.twin import load_twin
 
     folder = state or out.with_name(f".{out.name}.state")

@@ -102,11 +102,11 @@ def command(
     folder = out / ".state"
     files = (out / "diagnosis.json", out / "evidence.json", page, out / "twin.yaml")
     outputs = Outputs(*files, force=force, resumed_from=folder)
-    from suspension_twin.calibration.checkpoint import Checkpoint
     from suspension_twin.diagnosis.output import write
     from suspension_twin.diagnosis.request import DiagnosisRequest
     from suspension_twin.diagnosis.request import Progress as Stage
     from suspension_twin.diagnosis.run import diagnose
+    from suspension_twin.inference.checkpoint import Checkpoint
     from suspension_twin.report.diagnosis import diagnosis_page
     from suspension_twin.vehicle.twin import load_twin
 

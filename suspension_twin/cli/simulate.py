@@ -12,7 +12,7 @@ import typer
 from suspension_twin.cli.common import Bag, Force, Outputs, TwinFile, output, print_table
 
 if TYPE_CHECKING:
-    from suspension_twin.inference.rig import SimulatedRun
+    from suspension_twin.inference.runs import SimulatedRun
     from suspension_twin.inference.simulated import SimulatedDrive
 
 __all__ = ["command"]
@@ -60,19 +60,19 @@ def command(
     with outputs:
         if on_rig:
             from suspension_twin.drive.rig import read_rig
-            from suspension_twin.inference.rig import simulate_rig
+            from suspension_twin.inference.runs import simulate_rig
 
             record = read_rig(bag)
             outputs.announce()
             result = simulate_rig(record, loaded)
         else:
             from suspension_twin.drive.read import read_drive
-            from suspension_twin.inference.prepare import PrepareSettings
+            from suspension_twin.inference.observation import ObserveSettings
             from suspension_twin.inference.simulated import simulate_drive
 
             drive = read_drive(bag)
             outputs.announce()
-            result = simulate_drive(drive, loaded, settings=PrepareSettings(outside=off_road.value))
+            result = simulate_drive(drive, loaded, settings=ObserveSettings(outside=off_road.value))
         result.write(out)
     console = output()
     for warning in result.warnings:

@@ -203,12 +203,12 @@ def _calibrate(
 
 def _excited(result: DemoResult) -> dict[str, tuple[tuple[float, float], tuple[float, float]]]:
     """Travel from standstill (m) and velocity (m/s) of the calibrated twin's struts on the drive learnt from."""
-    from suspension_twin.inference.prepare import prepare
+    from suspension_twin.inference.observation import observe
     from suspension_twin.models.simulate import simulate_twin
 
     twin = result.twins["simulated"]
-    prepared = prepare(result.drives[LEARNT], twin, result.roads[LEARNT])
-    response = simulate_twin(twin, prepared.excitation)
+    prepared = observe(result.drives[LEARNT], twin, result.roads[LEARNT])
+    response = simulate_twin(twin, prepared.road_excitation)
     spans = {}
     for axle, own in twin.axles.items():
         travel = response.deflection[:, own.columns] - own.static_compression

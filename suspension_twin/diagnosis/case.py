@@ -1,12 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
-"""From a request to a bench: reading, checking, and calibrating the vehicle without any effect."""
+"""From a request to a problem: reading, checking, and calibrating the vehicle without any effect (the baseline)."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,9 +13,6 @@ from numpy.typing import NDArray
 from suspension_twin.arrays import Floats
 from suspension_twin.calibration.checks import LEAST_EXCITED, check_drive, check_on_road, check_recording
 from suspension_twin.calibration.presets import build_space, preset_named
-from suspension_twin.diagnosis.bench import Bench, Excitations
-from suspension_twin.diagnosis.fit import Fit, LinearisedFit, fitted, linearised_fit, refit, twin_of
-from suspension_twin.diagnosis.hypotheses import BASELINE, Hypothesis
 from suspension_twin.diagnosis.request import DiagnosisRequest
 from suspension_twin.drive.read import read_drive
 from suspension_twin.drive.types import Drive
@@ -24,43 +20,53 @@ from suspension_twin.effects.registry import EFFECTS
 from suspension_twin.errors import InputError
 from suspension_twin.inference.common_rate import on_common_rate
 from suspension_twin.inference.excited_segments import TrimSettings, fit_rows
-from suspension_twin.inference.gap import CHANNELS
+from suspension_twin.inference.fit import Fit, LinearisedFit, fitted, linearised_fit, refit, twin_of
 from suspension_twin.inference.noise import USUAL_SHARE, Whitener, shares
-from suspension_twin.inference.nuisance import OF_A_DRIVE, OF_PLANAR_MOTION, map_spread
-from suspension_twin.inference.objectives import parse_objective
-from suspension_twin.inference.observations import Run, observe, renamed
-from suspension_twin.inference.parallel import side_by_side
-from suspension_twin.inference.posterior import CORRELATION
-from suspension_twin.inference.prepare import (
-    Prepared,
-    PrepareSettings,
-    prepare,
-    reclocked_excitation,
-    regained_excitation,
+from suspension_twin.inference.nuisance import NuisancePriors, map_spread
+from suspension_twin.inference.observation import (
+    VERTICAL,
+    Observation,
+    ObserveSettings,
+    observe,
+    renamed,
     road_of,
-    turned_excitation,
-    upright_excitation,
+    with_shown_errors,
 )
-from suspension_twin.inference.problem import Interrupted, Problem
+from suspension_twin.inference.parallel import side_by_side
+from suspension_twin.inference.problem import (
+    Data,
+    Interrupted,
+    Likelihood,
+    Problem,
+    Simulation,
+    counting,
+    effective_weight,
+    whitener_of,
+)
+from suspension_twin.inference.runs import observe_runs
+from suspension_twin.inference.sensor_correction import Turn
 from suspension_twin.inference.smooth_space import smooth_space
+from suspension_twin.inference.space import Space
 from suspension_twin.models.parameters import has_number
 from suspension_twin.models.registry import model_of
 from suspension_twin.road import flat_road
 from suspension_twin.signals.filters import FilterSpec
 from suspension_twin.vehicle.twin import Twin, load_twin
 
-__all__ = ["ALSO", "PLANAR", "VERTICAL", "Case", "baseline", "build", "read_case", "with_noise_of"]
+__all__ = ["ALSO", "Case", "baseline", "build", "drive_problem", "read_case", "with_noise_of"]
 
-VERTICAL = ("vertical_acceleration", "roll_rate", "pitch_rate")
-PLANAR = ("longitudinal_acceleration", "lateral_acceleration", "yaw_rate")
-#: Without a road: what the receiver has seen against what the IMU has felt.
-_PLANAR_ONLY = PrepareSettings(filter=FilterSpec(2, 1.6), satellites=True, saturated=True)
-_ON_ROAD = PrepareSettings(saturated=True)
-#: Error of a change that a model predicts, over its error about the sound vehicle there and then: a prior.
+#: Without a road the motion by GNSS is compared with that of the IMU.
+_PLANAR_ONLY = ObserveSettings(filter=FilterSpec(2, 1.6), satellites=True, saturated=True)
+_ON_ROAD = ObserveSettings(saturated=True)
+#: Error of a change that a model predicts, over its error about the sound vehicle at the same sample: a prior.
 _DOUBT = 0.5
-#: Seconds of compared driving below which nothing can be held back from the fit.
+#: Seconds of compared driving below which nothing can be held out from the fit.
 SHORTEST = 8.0
-#: Free beside the characteristics: what no weighbridge tells.
+#: Receiver's standard deviation in m from which on a drive has its own slow position error.
+_INACCURATE = 0.1
+#: Longest time step of the simulation in s: signals differ by 0.2 % of their rms from those in steps of 1 ms.
+_STEP = 2.5e-3
+#: Free beside the characteristics: parameters that no weighbridge measures.
 ALSO = (
     "vehicle.sprung_inertia.roll",
     "vehicle.sprung_inertia.pitch",
@@ -69,53 +75,94 @@ ALSO = (
     "vehicle.rear.unsprung_mass",
     "vehicle.unsprung_mass",
 )
-#: Without a road nothing speaks for the characteristics; how far the body leans is all that its motion shows.
+#: Free without a road, where the drives hold no information on the characteristics but on how far the body leans.
 _LEANING = ("vehicle.cog.2",)
 
 
 @dataclass(frozen=True, eq=False)
 class Case:
-    """Observations ready to compare; ``active`` True where the gap is shown.
-
-    ``kind``: drives on a known ``road``, drives whose ``planar`` motion alone is known, or controlled runs (``run``).
-    Of drives ``excitations`` are what else may excite the vehicle on each, and ``turn`` (roll, pitch, yaw; rad) is by
-    how much the sensor is turned on those with the gap.
-    """
+    """Observations ready to compare; ``active`` True where the gap is shown."""
 
     twin: Twin
-    drives: tuple[Any, ...]
-    excitations: tuple[Excitations, ...]
-    turn: tuple[float, float, float]
+    drives: tuple[Observation, ...]
     active: tuple[bool, ...]
-    kind: Literal["road", "planar", "run"]
     warnings: tuple[str, ...]
 
     @property
     def road(self) -> bool:
         """Whether the vehicle drives on a known road."""
-        return self.kind == "road"
+        return self.drives[0].comparison.fused
 
     @property
     def excited(self) -> bool:
         """Whether it is known what excites the vehicle."""
-        return self.kind != "planar"
+        return self.drives[0].excited
+
+    @property
+    def kind(self) -> str:
+        """How the documents name it: drives on a ``road``, of the ``planar`` motion alone, or controlled ``run``s."""
+        return "road" if self.road else "run" if self.excited else "planar"
 
     @property
     def channels(self) -> tuple[str, ...]:
-        """What is compared: of controlled runs what all of them measured."""
-        if self.kind == "run":
-            return tuple(c for c in self.drives[0].measured if all(c in d.measured for d in self.drives))
-        return CHANNELS if self.road else PLANAR
+        """The compared channels: those of all observations."""
+        first, *others = (d.comparison.channels for d in self.drives)
+        return tuple(c for c in first if all(c in other for other in others))
 
     @property
     def driven(self) -> tuple[str, ...]:
-        """Channels by which the vehicle itself is judged: what its excitation brings about."""
-        return VERTICAL if self.road else self.channels
+        """Channels by which the vehicle itself is judged: those that its excitation brings about."""
+        return tuple(c for c in self.drives[0].comparison.driven if c in self.channels)
+
+    @property
+    def turn(self) -> Turn:
+        """Mounting error of the sensor (roll, pitch, yaw; rad) that the drives with the gap show."""
+        shown = [d.reading.shown for d, a in zip(self.drives, self.active, strict=True) if a and d.reading]
+        turns = [one.turn for one in shown if one is not None and one.turn is not None]
+        if not turns:
+            return (0.0, 0.0, 0.0)
+        roll, pitch, yaw = np.angle(np.exp(1j * np.array(turns)).sum(axis=0)).tolist()
+        return roll, pitch, yaw
 
 
 def read_case(request: DiagnosisRequest, note: Callable[[str], None], stop: Callable[[], bool]) -> Case:
     """Read and check everything; raises InputError that names the file or the drive."""
     twin = load_twin(request.twin)
+    _check(request, twin)
+    active = tuple(i < len(request.bags) for i in range(len(request.bags) + len(request.reference)))
+    bags = (*request.bags, *request.reference)
+    if model_of(twin).recordings != "drive":
+        return _runs(twin, observe_runs(twin, bags), active)
+    road = road_of(twin) if twin.road is not None else flat_road()
+    settings = _PLANAR_ONLY if twin.road is None else _ON_ROAD
+
+    def recording(bag: str) -> Drive:
+        if stop():
+            raise Interrupted
+        recorded = read_drive(bag, topics=request.topics)
+        check_recording(recorded)
+        return recorded
+
+    def ready(recorded: Drive) -> Observation:
+        if stop():
+            raise Interrupted
+        observation = observe(recorded, twin, road, settings, strict=True)
+        if twin.road is not None:
+            check_drive(observation)
+        return with_shown_errors(observation)
+
+    recordings = side_by_side(recording, bags, lambda _, bag: note(f"reading {Path(bag).name}"))
+    drives = renamed(side_by_side(ready, on_common_rate(recordings, FilterSpec())))
+    warnings = [f"{d.name}: {text}" for d in drives for text in d.warnings]
+    if twin.road is None:
+        warnings.append(
+            "the twin file names no road: only the planar channels are compared, and only effects of clock, sensor "
+            "and mount can be judged"
+        )
+    return Case(twin, tuple(drives), active, tuple(warnings))
+
+
+def _check(request: DiagnosisRequest, twin: Twin) -> None:
     if not request.bags:
         raise InputError("drives", "none are given: name at least one recorded drive that shows the gap")
     same = {Path(b).resolve() for b in request.bags} & {Path(b).resolve() for b in request.reference}
@@ -125,125 +172,76 @@ def read_case(request: DiagnosisRequest, note: Callable[[str], None], stop: Call
         if name in EFFECTS and twin.model not in EFFECTS[name].models:
             raise InputError("effects", name, f"does not apply to a vehicle of the model {twin.model}")
     if model_of(twin).opaque:
-        raise InputError(
-            "twin",
-            "model",
-            f"{twin.model} has equations of its own, in which no effect can be tried: calibrate it",
-        )
-    if model_of(twin).recordings != "drive":
-        return _runs(twin, request)
-    on_road = twin.road is not None
-    road = road_of(twin) if on_road else flat_road()
-
-    def recording(bag: str) -> Drive:
-        if stop():
-            raise Interrupted
-        recorded = read_drive(bag, topics=request.topics)
-        check_recording(recorded)
-        return recorded
-
-    def ready(recorded: Drive) -> tuple[Prepared, Excitations, tuple[float, float, float]]:
-        if stop():
-            raise Interrupted
-        prepared = prepare(recorded, twin, road, _ON_ROAD if on_road else _PLANAR_ONLY, strict=True)
-        if on_road:
-            check_drive(prepared)
-        return prepared, *_excitations(prepared, recorded)
-
-    bags = (*request.bags, *request.reference)
-    recordings = side_by_side(recording, bags, lambda _, bag: note(f"reading {Path(bag).name}"))
-    found = side_by_side(ready, on_common_rate(recordings, FilterSpec()))
-    drives = renamed([prepared for prepared, _, _ in found])
-    excitations, turns = [known for _, known, _ in found], [turn for _, _, turn in found]
-    active = tuple(i < len(request.bags) for i in range(len(drives)))
-    warnings = [f"{d.name}: {text}" for d in drives for text in d.warnings]
-    if not on_road:
-        warnings.append(
-            "the twin file names no road: only the planar channels are compared, and only effects of clock, sensor "
-            "and mount can be judged"
-        )
-    roll, pitch, yaw = np.angle(np.exp(1j * np.array(turns[: len(request.bags)])).sum(axis=0)).tolist()
-    kind: Literal["road", "planar"] = "road" if on_road else "planar"
-    return Case(twin, tuple(drives), tuple(excitations), (roll, pitch, yaw), active, kind, tuple(warnings))
+        text = f"{twin.model} has equations of its own, in which no effect can be tried: calibrate it"
+        raise InputError("twin", "model", text)
 
 
-def _runs(twin: Twin, request: DiagnosisRequest) -> Case:
+def _runs(twin: Twin, runs: Sequence[Observation], active: tuple[bool, ...]) -> Case:
     """Controlled runs, of a vehicle with somebody who drives it."""
-    runs = observe(twin, [*request.bags, *request.reference])
-    active = tuple(i < len(request.bags) for i in range(len(runs)))
-    lone = {r.name for r, a in zip(runs, active, strict=True) if a and not _alike(runs, active, r)}
+    driven = [r.excitation for r, a in zip(runs, active, strict=True) if not a]
+    lone = {
+        r.name
+        for r, a in zip(runs, active, strict=True)
+        if a and not any(r.excitation is known for known in driven)
+    }
     warnings = [w for r in runs for w in r.warnings]
     if lone and not all(active):
         warnings.append(
             f"no reference with the excitation of {', '.join(sorted(lone))}: the model alone is expected"
         )
-    return Case(
-        model_of(twin).prepared(twin), tuple(runs), (), (0.0, 0.0, 0.0), active, "run", tuple(warnings)
+    return Case(model_of(twin).prepared(twin), tuple(runs), active, tuple(warnings))
+
+
+def build(case: Case, stop: Callable[[], bool], free: Sequence[str] = ()) -> Problem:
+    """The problem of a case with the noise model of the usual share of the motion; ``free`` are the vehicle's keys
+    that are fitted, those of the preset and what no weighbridge measures if there are none."""
+    twin, drives = case.twin, case.drives
+    data = Data(drives, tuple(range(len(drives))), tuple(_compared(case)), case.channels, case.active)
+    wander = [0.5 * d.position_sigma if d.position_sigma >= _INACCURATE else 0.0 for d in drives]
+    priors = drives[0].comparison.priors
+    if case.road:
+        priors = replace(priors, map_position=min(map_spread(drives), priors.map_position))
+    space = _space(twin, free) if free or case.excited else _space(twin, _LEANING)
+    return drive_problem(
+        twin, space, data, priors, wander, Simulation(_STEP, fused=case.road, centred=True, stop=stop)
     )
 
 
-def _alike(runs: Sequence[Run], active: Sequence[bool], one: Run) -> list[Run]:
-    """Reference runs with the excitation of a run."""
-    return [r for r, a in zip(runs, active, strict=True) if not a and r.excitation is one.excitation]
+def _space(twin: Twin, free: Sequence[str] = ()) -> Space:
+    """The vehicle's parameters of a diagnosis: those of the preset and ``ALSO``, or the ``free`` ones alone."""
+    preset = replace(preset_named("fast"), also=())
+    also = () if free else [k for k in ALSO if has_number(twin, k)]
+    return smooth_space(twin, build_space(twin, preset, free=free, also=also))
 
 
-def _excitations(prepared: Prepared, drive: Drive) -> tuple[Excitations, tuple[float, float, float]]:
-    """What else may excite the vehicle, and by how much the sensor is turned."""
-    turned, turn = turned_excitation(prepared, drive)
-    regained, reclocked = (
-        {upright: found for upright in (False, True) if (found := of(prepared, drive, upright)) is not None}
-        for of in (regained_excitation, reclocked_excitation)
-    )
-    return Excitations(upright_excitation(prepared, drive), turned, regained, reclocked), turn
-
-
-def build(case: Case, stop: Callable[[], bool], free: Sequence[str] = ()) -> Bench:
-    """The bench of a case with the noise model for a share of the motion that nobody knows yet; ``free`` are the
-    vehicle's keys that are fitted, those of the preset and what no weighbridge shows if there are none."""
-    twin, preset = case.twin, preset_named("fast")
-    rows = _compared(case)
-    if free:
-        space = build_space(twin, preset, free=free)
-    elif case.excited:
-        space = build_space(twin, replace(preset, also=()), also=[k for k in ALSO if has_number(twin, k)])
-    else:
-        space = build_space(twin, replace(preset, also=()), free=_LEANING)
-    terms = parse_objective("euclidean", dict.fromkeys(case.channels, 1.0), case.channels)
-    wander = [0.5 * d.position_sigma if d.position_sigma >= 0.1 else 0.0 for d in case.drives]
-    if case.kind == "run":
-        normal = case.drives[0].priors
-    elif case.road:
-        normal = replace(OF_A_DRIVE, map_position=min(map_spread(case.drives), OF_A_DRIVE.map_position))
-    else:
-        normal = OF_PLANAR_MOTION
-    space = smooth_space(twin, space)
-    problem = Problem(twin, space, case.drives, range(len(case.drives)), terms, normal, wander, rows)
-    problem.interrupt = stop
-    d, q = len(space), len(problem.nuisances)
-    precision = np.zeros((d + q, d + q))
-    precision[:d, :d] = space.prior_precision(CORRELATION)
-    precision[np.arange(d, d + q), np.arange(d, d + q)] = 1.0 / problem.nuisances.spread**2
-    centre = np.concatenate([space.z0, np.zeros(q)])
-    whitener = Whitener.designed(problem.measured, np.full(len(case.channels), USUAL_SHARE), _floors(case))
-    return Bench(
-        problem, case.excitations, case.turn, case.active, whitener, precision, centre, stop, fused=case.road
-    )
+def drive_problem(
+    twin: Twin,
+    space: Space | None,
+    data: Data,
+    priors: NuisancePriors,
+    wander: Sequence[float],
+    simulation: Simulation,
+) -> Problem:
+    """A problem whose noise model takes the discrepancy for the usual share of the motion; ``space`` None for the
+    vehicle's parameters of a diagnosis."""
+    nuisances = data.nuisances(priors, wander)
+    floors = [dict(d.noise_rms) for d in data.parts]
+    noise = Whitener.designed(data.measured, np.full(len(data.channels), USUAL_SHARE), floors)
+    likelihood = Likelihood(data, nuisances, noise, weight=effective_weight(noise), affine=True)
+    return Problem.of(twin, space or _space(twin), likelihood, simulation)
 
 
 def _compared(case: Case) -> list[NDArray[np.intp]]:
-    """Samples of each observation that are compared; InputError where they are too few to hold any back.
+    """Samples of each observation that are compared; InputError where they are too few to hold any out.
 
     Of a drive with a road these are the excited ones. Where those are too few (a smooth road, or an effect that hides
-    them in its noise), it is all that is driven on the road: what an engine or a sensor does shows there as well.
+    them in its noise), it is all that is driven on the road: an engine or a sensor shows there as well.
     """
     excited, driven = TrimSettings(), TrimSettings(threshold=0.0)
-    rows = [
-        np.arange(d.t.size) if case.kind == "run" else fit_rows(d, excited if case.road else driven)
-        for d in case.drives
-    ]
+    rows = [fit_rows(d, excited if case.road else driven) for d in case.drives]
     for wanted, what in ((True, "drives that show the gap"), (False, "reference drives")):
-        known = [i for i, a in enumerate(case.active) if a == wanted]
-        if not known or case.kind == "run":
+        known = [i for i, a in enumerate(case.active) if a == wanted and case.drives[i].reading is not None]
+        if not known:
             continue
         few = _seconds(case, rows, known) < SHORTEST
         for i in known if case.road else []:
@@ -265,115 +263,91 @@ def _seconds(case: Case, rows: Sequence[NDArray[np.intp]], drives: Sequence[int]
     return float(sum(rows[i].size / case.drives[i].rate for i in drives))
 
 
-def _floors(case: Case) -> list[dict[str, float]]:
-    return [dict(d.noise_rms) for d in case.drives]
-
-
-def baseline(case: Case, bench: Bench) -> tuple[Bench, LinearisedFit, LinearisedFit]:
-    """The bench with the noise that is found, and the vehicle without any effect: on all drives, and where searches
+def baseline(case: Case, problem: Problem) -> tuple[Problem, LinearisedFit, LinearisedFit]:
+    """The problem with the noise that is found, and the vehicle without any effect: on all drives, and where searches
     for effects start from.
 
-    With a reference, what the calibrated model leaves there, band by band, is what it leaves of the same
-    car anyway, and searches start from the vehicle that the reference shows. Planar accelerations come
-    from GNSS and not from the model: their noise is what they leave. Whether vehicle or sensor leans by the little
-    that any does is as the fit has it. A controlled run leaves the same where it is done again: with a reference of the
-    same excitation, its residual is the discrepancy to be expected of the run after the change.
+    With a reference, the residual of the calibrated model there, band by band, is the discrepancy of the same car, and
+    searches start from the vehicle that the reference shows. Planar accelerations come from GNSS and not from the
+    model: their residual is their noise. Whether vehicle or sensor has a small static tilt is as the fit has it. A
+    controlled run repeats: with a reference of the same excitation, its residual is the discrepancy to be expected of
+    the run after the change.
     """
-    quiet = [i for i, a in enumerate(bench.active) if not a] or list(range(len(bench.active)))
-    referenced = len(quiet) < len(bench.active)
-    x = bench.centre.copy()
+    active = problem.data.active
+    quiet = [i for i, a in enumerate(active) if not a] or list(range(len(active)))
+    referenced = len(quiet) < len(active)
+    x = problem.prior.centre.copy()
     for number in range(2):
         if case.road:
-            bench.carry(x)
-        trial = replace(bench, counted_drives=tuple(quiet))
-        x, cost = refit(trial, BASELINE, [x] if number else _many(bench, x), None, 8 if number == 0 else 5)
+            problem = problem.with_planar_response(x)
+        trial = counting(problem, np.isin(whitener_of(problem).drive, quiet))
+        x, cost = refit(trial, [x] if number else _many(problem, x), None, 8 if number == 0 else 5)
         if case.road and number == 0:
-            level = trial.levelled()
-            y, other = refit(level, BASELINE, [x], None, 5)
+            level = replace(trial, simulation=replace(trial.simulation, upright=True))
+            y, other = refit(level, [x], None, 5)
             if other < cost:
-                x, bench = y, replace(bench, problem=level.problem, level=True)
-        bench = with_noise_of(
-            case, bench, BASELINE, x, quiet, () if referenced or not case.road else VERTICAL
-        )
-    if referenced and case.kind == "run":
-        bench = _repeated(case, bench, x)
-        x = bench.centre
-    anchor = linearised_fit(bench, BASELINE, x)
-    return (bench, fitted(bench, BASELINE, [x], 6), anchor) if referenced else (bench, anchor, anchor)
+                x, problem = y, replace(problem, simulation=level.simulation)
+        problem = with_noise_of(problem, x, quiet, () if referenced or not case.road else VERTICAL)
+    if referenced and case.drives[0].reading is None:
+        problem = _repeated(case, problem, x)
+        x = problem.prior.centre
+    anchor = linearised_fit(problem, x)
+    return (problem, fitted(problem, [x], 6), anchor) if referenced else (problem, anchor, anchor)
 
 
-def with_noise_of(
-    case: Case,
-    bench: Bench,
-    hypothesis: Hypothesis,
-    x: Floats,
-    drives: Sequence[int],
-    usual: Sequence[str] = (),
-) -> Bench:
-    """The bench with the noise that a fit leaves on some drives; ``usual`` channels keep the usual share of it."""
-    left, simulated = _missed(bench, hypothesis, x, drives)
-    for c, channel in enumerate(bench.problem.channels):
+def with_noise_of(problem: Problem, x: Floats, drives: Sequence[int], usual: Sequence[str] = ()) -> Problem:
+    """The problem with the noise that its fit at ``x`` leaves on some drives; ``usual`` channels keep the usual share
+    of the motion."""
+    simulated = problem.compared(x[:, None])[:, :, 0]
+    left = shares(problem.measured, simulated - problem.measured.values, drives)
+    for c, channel in enumerate(problem.channels):
         if channel in usual:
             left[c] = USUAL_SHARE
-    return _scaled(bench, Whitener.designed(bench.problem.measured, left, _floors(case)), simulated, drives)
-
-
-def _missed(bench: Bench, hypothesis: Hypothesis, x: Floats, drives: Sequence[int]) -> tuple[Floats, Floats]:
-    """(C, F) share of the motion that a fit leaves on some drives, and the signals (M, C) that it compares."""
-    d, q = bench.d, bench.q
-    signals, _ = bench.signals(hypothesis, x[:d, None], x[d + q :, None])
-    simulated = bench.compared(signals, x[d : d + q, None])[:, :, 0]
-    return shares(bench.problem.measured, simulated - bench.problem.measured.values, drives), simulated
-
-
-def _scaled(bench: Bench, whitener: Whitener, simulated: Floats, drives: Sequence[int]) -> Bench:
-    """The bench with a noise model whose size in each channel is that of the residuals on some drives."""
-    white = whitener.residuals(simulated[:, :, None])[:, 0]
-    rows, scale = np.isin(whitener.drive, drives), whitener.scale.copy()
+    noise = Whitener.designed(problem.measured, left, _floors(problem))
+    # the size of the noise in each channel is that of the residuals
+    white = noise.residuals(simulated[:, :, None])[:, 0]
+    rows, scale = np.isin(noise.drive, drives), noise.scale.copy()
     for c in range(scale.size):
-        own = white[rows & (whitener.channel == c)]
+        own = white[rows & (noise.channel == c)]
         scale[c] *= float(np.clip(np.sqrt(np.mean(own**2)), 1e-2, 1e3)) if own.size else 1.0
-    return replace(bench, whitener=replace(whitener, scale=scale))
+    return problem.weighed(replace(noise, scale=scale), weight=effective_weight(noise))
 
 
-def _repeated(case: Case, bench: Bench, x: Floats) -> Bench:
-    """The bench of controlled runs whose expected discrepancy is what their references leave.
+def _floors(problem: Problem) -> list[dict[str, float]]:
+    return [dict(d.noise_rms) for d in problem.data.parts]
 
-    What a sound vehicle leaves is known, so the vehicle is held as the references show it. The model reproduces a
-    change no better than the sound vehicle: half of what it misses there is noise of the change, beside the scatter of
+
+def _repeated(case: Case, problem: Problem, x: Floats) -> Problem:
+    """The problem of controlled runs whose expected discrepancy is the residual of their references.
+
+    The discrepancy of a sound vehicle is known, so the vehicle is held as the references show it. The model reproduces
+    a change no better than the sound vehicle: half of its residual there is noise of the change, beside the scatter of
     repeats.
     """
-    problem, d, q = bench.problem, bench.d, bench.q
-    signals, _ = bench.signals(BASELINE, x[:d, None], np.zeros((0, 1)))
-    missed = problem.measured.values - problem.compared(signals, x[d : d + q, None])[:, :, 0]
-    ends = np.cumsum([0, *(r.size for r in problem.rows)])
+    data, measured = problem.data, problem.measured
+    missed = measured.values - problem.compared(x[:, None])[:, :, 0]
+    ends = np.cumsum([0, *(r.size for r in data.rows)])
+    quiet = [j for j, active in enumerate(data.active) if not active]
     expected: list[Floats | None] = []
-    for part in problem.parts:
-        same = [
-            j for j, p in enumerate(problem.parts) if p.excitation is part.excitation and not bench.active[j]
-        ]
+    for part in data.parts:
+        same = [j for j in quiet if data.parts[j].excitation is part.excitation]
         off = [
-            np.stack(
-                [np.interp(part.t, problem.parts[j].t, c) for c in missed[ends[j] : ends[j + 1]].T], axis=1
-            )
+            np.stack([np.interp(part.t, data.parts[j].t, c) for c in missed[ends[j] : ends[j + 1]].T], axis=1)
             for j in same
         ]
         expected.append(np.mean(off, axis=0) if off else None)
-    quiet = [j for j, active in enumerate(bench.active) if not active]
-    share = _DOUBT * shares(problem.measured, missed, quiet)
-    held = replace(case, twin=twin_of(bench, Fit(BASELINE, x, 0.0)))
-    fresh = build(held, bench.stop, problem.space.keys[:1])
-    return replace(
-        fresh, expected=tuple(expected), whitener=Whitener.designed(problem.measured, share, _floors(case))
+    noise = Whitener.designed(measured, _DOUBT * shares(measured, missed, quiet), _floors(problem))
+    held = replace(case, twin=twin_of(problem, Fit(problem.hypothesis, x, 0.0)))
+    fresh = build(held, problem.simulation.stop, problem.space.keys[:1])
+    likelihood = replace(
+        fresh.likelihood, noise=noise, weight=effective_weight(noise), expected=tuple(expected)
     )
+    return replace(fresh, likelihood=likelihood)
 
 
-def _many(bench: Bench, x: Floats) -> Sequence[Floats]:
+def _many(problem: Problem, x: Floats) -> Sequence[Floats]:
     """The twin as it stands and stiffer, softer, harder and weaker versions of it."""
-    found = [x]
-    if not bench.problem.space.curves:
-        return found
-    for springs in (-0.7, 0.0, 0.7, 1.4):
-        for dampers in (-0.7, 0.0, 0.7):
-            found.append(bench.problem.space.shifted(x, springs, dampers))
-    return found
+    if not problem.space.curves:
+        return [x]
+    shifts = [(s, d) for s in (-0.7, 0.0, 0.7, 1.4) for d in (-0.7, 0.0, 0.7)]
+    return [x, *(problem.space.shifted(x, springs, dampers) for springs, dampers in shifts)]

@@ -14,9 +14,11 @@ from dataclasses import replace
 import numpy as np
 
 from suspension_twin.arrays import Floats
-from suspension_twin.diagnosis.bench import REACH, Bench
-from suspension_twin.diagnosis.fit import refit
-from suspension_twin.diagnosis.hypotheses import SETUP_CATEGORIES, Hypothesis
+from suspension_twin.diagnosis.library import SETUP_CATEGORIES
+from suspension_twin.inference.fit import refit
+from suspension_twin.inference.hypothesis import Hypothesis
+from suspension_twin.inference.problem import REACH, Problem
+from suspension_twin.inference.sensor_correction import Turn
 
 __all__ = [
     "MISALIGNMENT_PENALTY",
@@ -54,33 +56,33 @@ def waived_penalty(u: Floats) -> Floats:
 
 
 def coarse_fit(
-    bench: Bench, hypothesis: Hypothesis, no_match: bool
+    problem: Problem, hypothesis: Hypothesis, turn: Turn, no_match: bool
 ) -> tuple[Hypothesis, Floats, float] | None:
     """Hypothesis, unknowns and cost of a fit from the best grid point; None for effects that are no set-up error.
 
     The grid covers the whole range if there is ``no_match``; otherwise it is the measured mounting error alone, where
     that is large.
     """
-    points = _severity_grid(bench, hypothesis) if no_match else _measured_turn(bench, hypothesis)
+    points = _severity_grid(hypothesis, turn) if no_match else _measured_turn(hypothesis, turn)
     if points is None:
         return None
-    x = np.concatenate([np.repeat(bench.centre[:, None], points.shape[1], axis=1), points])
-    costs = bench.costs(hypothesis, x) - waived_penalty(points)
+    x = np.concatenate([np.repeat(problem.prior.centre[:, None], points.shape[1], axis=1), points])
+    costs = problem.having(hypothesis).costs(x) - waived_penalty(points)
     best = int(np.argmin(costs))
     if not np.isfinite(costs[best]):
         return None
     there = recentred(hypothesis, points[:, best])
-    y, cost = refit(bench, there, [x[:, best]], None, _LONG)
+    y, cost = refit(problem.having(there), [x[:, best]], None, _LONG)
     return there, y, cost + MISALIGNMENT_PENALTY * bool(there.around)
 
 
 def misset_fit(
-    bench: Bench, hypothesis: Hypothesis, x: Floats, cost: float
+    problem: Problem, hypothesis: Hypothesis, x: Floats, cost: float
 ) -> tuple[Hypothesis, Floats, float] | None:
     """Hypothesis, unknowns and cost of a fit whose prior is centred where the fit ``x`` of a set-up error is, and goes
     with it; None where it is within ``REACH``, for other effects, and where the fit is none the better for it.
     """
-    p = bench.d + bench.q
+    p = problem.shared
     if hypothesis.effect(hypothesis.effects[-1]).where not in SETUP_CATEGORIES:
         return None
     there, y, other = hypothesis, x, np.inf
@@ -89,14 +91,14 @@ def misset_fit(
         if not there.around:
             return None
         before = y
-        y, other = refit(bench, there, [before], None, _LONG)
+        y, other = refit(problem.having(there), [before], None, _LONG)
         if np.max(np.abs(y[p:] - before[p:])) < _SETTLED:
             break
     other += MISALIGNMENT_PENALTY
     return (there, y, other) if other < cost else None
 
 
-def joint_grid(bench: Bench, together: Hypothesis) -> Floats:
+def joint_grid(together: Hypothesis, turn: Turn) -> Floats:
     """(k, n) grid for several effects together: the clock offset over its range, the sensor at its measured mounting
     error, all other coordinates neutral."""
     keys = list(together.keys)
@@ -109,11 +111,11 @@ def joint_grid(bench: Bench, together: Hypothesis) -> Floats:
     if "effects.sensor_tilt.roll" in keys:
         rows = [keys.index(f"effects.sensor_tilt.{a}") for a in ("roll", "pitch", "yaw")]
         spreads = np.array([together.searched[i][1].spread for i in rows])
-        points[rows] = (np.array(bench.turn) / spreads)[:, None]
+        points[rows] = (np.array(turn) / spreads)[:, None]
     return np.asarray(np.clip(points, low[:, None], high[:, None]))
 
 
-def _severity_grid(bench: Bench, hypothesis: Hypothesis) -> Floats | None:
+def _severity_grid(hypothesis: Hypothesis, turn: Turn) -> Floats | None:
     """(k, n) coordinates: each severity in turn over its bounds, and the measured mounting error."""
     effect = hypothesis.effect(hypothesis.effects[-1])
     if effect.where not in SETUP_CATEGORIES or hypothesis.scan(1) is not None:
@@ -126,13 +128,13 @@ def _severity_grid(bench: Bench, hypothesis: Hypothesis) -> Floats | None:
     points = np.repeat(hypothesis.neutral()[:, None], count * len(severe), axis=1)
     for place, i in enumerate(severe):
         points[i, place * count : (place + 1) * count] = np.linspace(low[i], high[i], count)
-    seen = _measured_turn(bench, hypothesis)
+    seen = _measured_turn(hypothesis, turn)
     return points if seen is None else np.column_stack([points, seen])
 
 
-def _measured_turn(bench: Bench, hypothesis: Hypothesis) -> Floats | None:
+def _measured_turn(hypothesis: Hypothesis, turn: Turn) -> Floats | None:
     """(k, 1) mounting error of the sensor measured by gravity and path; None where it is within ``REACH``."""
     if hypothesis.effects[-1] != "sensor_tilt":
         return None
-    turn = np.array(bench.turn) / [p.spread for _, p in hypothesis.searched]
-    return turn[:, None] if (np.abs(turn) > REACH).any() else None
+    at = np.array(turn) / [p.spread for _, p in hypothesis.searched]
+    return at[:, None] if (np.abs(at) > REACH).any() else None

@@ -13,15 +13,12 @@ import numpy as np
 from suspension_twin.arrays import Floats
 from suspension_twin.diagnosis import wording
 from suspension_twin.diagnosis.answer import answer_of, leading_channel
-from suspension_twin.diagnosis.bench import Bench
 from suspension_twin.diagnosis.case import Case
 from suspension_twin.diagnosis.decision import Decision, decide
-from suspension_twin.diagnosis.evidence import evidence
 from suspension_twin.diagnosis.experiment import next_experiment
 from suspension_twin.diagnosis.features import add_intervals, evidence_of, refined_row
-from suspension_twin.diagnosis.fit import LONG, fitted, twin_of
-from suspension_twin.diagnosis.hypotheses import NUISANCE_COUNTERPART, library
 from suspension_twin.diagnosis.judge import Candidate, Judged, candidate
+from suspension_twin.diagnosis.library import NUISANCE_COUNTERPART, library
 from suspension_twin.diagnosis.local_road_error import (
     concentrated_section,
     no_concentration,
@@ -33,6 +30,10 @@ from suspension_twin.diagnosis.request import DiagnosisRequest, DiagnosisResult,
 from suspension_twin.diagnosis.shrink import RemainingResidual
 from suspension_twin.diagnosis.tonal import strongest_tone
 from suspension_twin.effects.registry import EFFECTS
+from suspension_twin.inference.cross_validation import evidence
+from suspension_twin.inference.fit import LONG, fitted, twin_of
+from suspension_twin.inference.observation import Observation
+from suspension_twin.inference.problem import Problem
 from suspension_twin.models.parameters import pack
 from suspension_twin.models.simulate import simulate_lanes, simulate_twin
 from suspension_twin.vehicle.twin import Twin
@@ -54,28 +55,28 @@ def conclude(request: DiagnosisRequest, case: Case, judged: Judged, seconds: flo
     decision = decide(rows, request.costs)
     kept = _of_row(judged, rows, decision)
     if kept is not judged.base:
-        kept, bench = _refined(judged, kept)
+        kept, problem = _refined(judged, kept)
         assert decision.row is not None
-        decision.row["refined"] = refined_row(case, replace(judged, bench=bench), kept, request.seed)
-    twin = twin_of(judged.bench, kept.found.fit)
-    recalibrated = twin_of(judged.bench, judged.base.found.fit)
+        decision.row["refined"] = refined_row(case, replace(judged, problem=problem), kept, request.seed)
+    twin = twin_of(judged.problem, kept.found.fit)
+    recalibrated = twin_of(judged.problem, judged.base.found.fit)
     document = answer_of(rows, decision)
-    document["where"] = localise(judged.bench, judged.base.remaining.difference, judged.noise, recalibrated)
+    document["where"] = localise(judged.problem, judged.base.remaining.difference, judged.noise, recalibrated)
     section = _road_section(case, judged, request.effects) if case.road and kept is judged.base else None
     if document["verdict"] in ("unknown", "partly"):
         document["signature"] = {
-            **signature(judged.bench, kept.remaining.difference, twin),
+            **signature(judged.problem, kept.remaining.difference, twin),
             "resembles": _resembles(decision),
-            **_periodic(case, judged.bench, kept.remaining),
+            **_periodic(case, judged.problem, kept.remaining),
         }
         if section is not None:
             document["signature"]["stretch"] = section
     document["next_experiment"] = _next(case, judged, document, section)
     document["warnings"] = list(case.warnings)
     document["seed"], document["message"] = request.seed, wording.message(document)
-    main = judged.bench.problem.channels[0]
+    main = judged.problem.channels[0]
     closing = main if decision.row is None else leading_channel(decision.row)
-    views = _views(case, judged.bench, twin, recalibrated, closing)
+    views = _views(judged.problem, case.twin, twin, recalibrated, closing)
     return DiagnosisResult(document, twin, views, seconds, case.warnings, rows)
 
 
@@ -88,28 +89,30 @@ def _of_row(judged: Judged, rows: dict[str, Any], decision: Decision) -> Candida
     return judged.base
 
 
-def _refined(judged: Judged, one: Candidate) -> tuple[Candidate, Bench]:
-    """A hypothesis refitted in the time steps of the drives, and the bench that it was refitted on.
+def _refined(judged: Judged, one: Candidate) -> tuple[Candidate, Problem]:
+    """A hypothesis refitted in the time steps of the drives, and the problem that it was refitted on.
 
     Without a reference the nuisance parameters of the same action are frozen, so that the effect holds the whole
     error. With a reference that part belongs to the state before the change and is left to the nuisance parameters.
-    The prior said how likely such an effect is. What is there may be larger: each coordinate has the standard deviation
+    The prior said how likely such an effect is. Its true size may be larger: each coordinate has the standard deviation
     that makes it likeliest (type II maximum likelihood), at least 1.
     """
-    fine, hypothesis = replace(judged.bench, step=None), one.hypothesis
-    p = fine.d + fine.q
-    fit = fitted(fine, hypothesis, [one.found.fit.x], 2)
-    far = np.maximum(np.abs(fit.x[p:] - hypothesis.centre()), 1.0)
+    given, hypothesis = judged.problem, one.hypothesis
+    fine = replace(given.having(hypothesis), simulation=replace(given.simulation, step=None))
+    fit = fitted(fine, [one.found.fit.x], 2)
+    far = np.maximum(np.abs(fit.x[fine.shared :] - hypothesis.centre()), 1.0)
     if np.any(far > 1.0):
-        fine = replace(fine, spread=dict(zip(hypothesis.keys, far.tolist(), strict=True)))
-        fit = fitted(fine, hypothesis, [fit.x], LONG)
+        spread = dict(zip(hypothesis.keys, far.tolist(), strict=True))
+        fine = replace(fine, prior=replace(fine.prior, spread=spread))
+        fit = fitted(fine, [fit.x], LONG)
     same = tuple(n for e in hypothesis.effects for n in NUISANCE_COUNTERPART.get(e, ()))
     if same and judged.reference is None:
-        frozen = replace(fine, frozen_nuisances=same)
-        whole = fitted(frozen, hypothesis, [fit.x], 10)
+        frozen = replace(fine, prior=replace(fine.prior, frozen=same))
+        whole = fitted(frozen, [fit.x], 10)
         if whole.cost <= fit.cost + _SAME_FIT:
             fine, fit = frozen, whole
-    return candidate(replace(judged, bench=fine), evidence(fine, fit, judged.blocks)), fine
+    problem = fine.having(given.hypothesis)
+    return candidate(replace(judged, problem=problem), evidence(fine, fit, judged.blocks)), problem
 
 
 def _next(case: Case, judged: Judged, document: dict[str, Any], section: dict[str, Any] | None) -> str:
@@ -123,9 +126,9 @@ def _next(case: Case, judged: Judged, document: dict[str, Any], section: dict[st
     return next_experiment(case, tied, document["verdict"], judged)
 
 
-def _periodic(case: Case, bench: Bench, remaining: RemainingResidual) -> dict[str, Any]:
+def _periodic(case: Case, problem: Problem, remaining: RemainingResidual) -> dict[str, Any]:
     """The strongest tonal component of the remaining residual, by period in m or by frequency in Hz; empty if none."""
-    tone = strongest_tone(bench, remaining, _LEAST_TONE_SHARE) if case.road else None
+    tone = strongest_tone(problem, remaining, _LEAST_TONE_SHARE) if case.road else None
     if tone is None or tone.strength < _TONE:
         return {}
     at = {"every_m": _round(1.0 / tone.at)} if tone.domain == "distance" else {"hz": _round(tone.at)}
@@ -135,14 +138,14 @@ def _periodic(case: Case, bench: Bench, remaining: RemainingResidual) -> dict[st
 def _road_section(case: Case, judged: Judged, only: Sequence[str]) -> dict[str, Any] | None:
     """The section of road where the recalibrated residual is concentrated, with the errors of the road file that would
     explain it there, ``like`` whether one does; None without a section."""
-    bench = judged.bench
-    there = concentrated_section(bench, judged.base.remaining, judged.noise)
+    problem = judged.problem
+    there = concentrated_section(problem, judged.base.remaining, judged.noise)
     if there is None:
         return None
     of_the_road = [e for e, effect in EFFECTS.items() if effect.where == "road" and (not only or e in only)]
     offered = library(case.twin, True, of_the_road) if of_the_road else {}
-    x = judged.base.found.fit.x[: bench.d + bench.q]
-    like = road_error_matches(bench, x, there, [h for v in offered.values() for h in v], judged.temper)
+    x = judged.base.found.fit.x[: problem.shared]
+    like = road_error_matches(problem, x, there, [h for v in offered.values() for h in v], judged.temper)
     explained = no_road_error(like) < 0.5
     if no_concentration(there) > 0.5 and not explained:
         return None
@@ -179,46 +182,35 @@ def _resembles(decision: Decision) -> list[dict[str, Any]]:
     return sorted(like, key=lambda one: -float(str(one["probability"])))
 
 
-def _views(case: Case, bench: Bench, after: Twin, recalibrated: Twin, channel: str) -> tuple[DriveView, ...]:
+def _views(
+    problem: Problem, given: Twin, after: Twin, recalibrated: Twin, channel: str
+) -> tuple[DriveView, ...]:
     """One channel of every drive with the gap, by the twin as given, recalibrated, and with the named effects."""
-    views = []
-    for i, (part, rows, active) in enumerate(
-        zip(bench.problem.parts, bench.problem.rows, bench.active, strict=True)
-    ):
-        if not active:
+    data, views = problem.data, []
+    for part, rows, drive in zip(data.parts, data.rows, data.drive_of, strict=True):
+        if not data.active[drive]:
             continue
-        before, middle, found = (
-            _simulated(
-                part, twin, bench.excitation(i, [e.id for e in twin.effects]), channel, case.kind != "run"
-            )
-            for twin in (case.twin, recalibrated, after)
+        first, second, third = (
+            _simulated(problem, part, twin, channel) for twin in (given, recalibrated, after)
         )
         compared = np.zeros(part.t.size, dtype=bool)
         compared[rows] = True
         measured = part.measured[channel]
         views.append(
-            DriveView(
-                part.name,
-                part.t,
-                part.position,
-                part.rate,
-                measured,
-                before,
-                middle,
-                found,
-                compared,
-                channel,
-            )
+            DriveView(part.name, part.t, part.position, part.rate, measured, first, second, third, compared, channel)
         )
     return tuple(views)
 
 
-def _simulated(part: Any, twin: Twin, excitation: Any, channel: str, on_road: bool) -> Floats:
-    """(m,) one simulated channel of a drive or a run."""
-    if on_road:
-        return np.asarray(part.condition(simulate_twin(twin, excitation))[channel])
-    response = simulate_lanes(twin, pack(twin)[:, None], excitation)
-    return np.asarray(part.conditioner.apply(response.stacked([channel]))[:, 0, 0])
+def _simulated(problem: Problem, part: Observation, twin: Twin, channel: str) -> Floats:
+    """(m,) one simulated channel of a drive or a run, which the effects of the twin may read in another way."""
+    if part.reading is None:
+        response = simulate_lanes(twin, pack(twin)[:, None], part.excitation)
+        return np.asarray(part.grid.apply(response.stacked([channel]))[:, 0, 0])
+    own = [e.id for e in problem.twin.effects]
+    correction = part.reading.correction([e.id for e in twin.effects], own, problem.simulation.upright)
+    excitation = part.reading.excitation(correction, problem.simulation.step)
+    return part.condition(simulate_twin(twin, excitation))[channel]
 
 
 def _round(value: float) -> float:

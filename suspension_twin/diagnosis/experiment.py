@@ -9,10 +9,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from suspension_twin.diagnosis.case import Case
-from suspension_twin.diagnosis.fit import twin_of
 from suspension_twin.diagnosis.judge import Candidate, Judged, detectable
 from suspension_twin.diagnosis.wording import effect_name
 from suspension_twin.errors import SuspensionTwinError
+from suspension_twin.inference.fit import twin_of
 from suspension_twin.inference.synthetic import path_along
 from suspension_twin.models.excitation import excitation
 from suspension_twin.models.simulate import simulate_twin
@@ -106,7 +106,7 @@ def next_experiment(case: Case, tied: Sequence[Candidate], answer: str, judged: 
     names = [effect_name(c.effects[0]) for c in tied[:2]]
     if case.kind == "run":
         return f"Repeat the run with another excitation to separate {names[0]} from {names[1]}.{tail}"
-    twins = [replace_road(twin_of(judged.bench, c.found.fit)) for c in tied[:2]]
+    twins = [replace_road(twin_of(judged.problem, c.found.fit)) for c in tied[:2]]
     share = max(judged.reference or 0.15, 0.05)
     gains = []
     for manoeuvre in menu():

@@ -17,13 +17,10 @@ import numpy as np
 from scipy.stats import chi2
 
 from suspension_twin.arrays import Floats
-from suspension_twin.diagnosis.bench import Bench
 from suspension_twin.diagnosis.case import Case
 from suspension_twin.diagnosis.decision import FORMAT, Row
-from suspension_twin.diagnosis.evidence import Evidence, intervals
-from suspension_twin.diagnosis.fit import linearised_fit
-from suspension_twin.diagnosis.hypotheses import DECOYS, SETUP_CATEGORIES, Hypothesis, library
 from suspension_twin.diagnosis.judge import Candidate, Judged, tempered_gain
+from suspension_twin.diagnosis.library import DECOYS, SETUP_CATEGORIES, library
 from suspension_twin.diagnosis.local_road_error import concentrated_section
 from suspension_twin.diagnosis.search import LEAST_POWER
 from suspension_twin.diagnosis.shrink import (
@@ -34,8 +31,12 @@ from suspension_twin.diagnosis.shrink import (
     relative_residual,
 )
 from suspension_twin.diagnosis.tonal import strongest_tone
+from suspension_twin.inference.cross_validation import Evidence, intervals
+from suspension_twin.inference.fit import linearised_fit
+from suspension_twin.inference.hypothesis import Hypothesis
 from suspension_twin.inference.noise import density
 from suspension_twin.inference.parallel import side_by_side
+from suspension_twin.inference.problem import Problem
 
 __all__ = ["add_intervals", "clock_offsets", "evidence_of", "refined_row", "unevenness", "usual_ratio"]
 
@@ -61,7 +62,7 @@ def evidence_of(case: Case, judged: Judged, seed: int) -> dict[str, Any]:
     seed : int
         Seed of the bootstrap.
     """
-    draws = BlockBootstrap.of(judged.bench, judged.blocks, judged.noise, seed)
+    draws = BlockBootstrap.of(judged.problem, judged.blocks, judged.noise, seed)
     known = _Known(case, judged, draws)
     order = np.argsort([-tempered_gain(judged, c.found) for c in judged.singles], kind="stable")
     detailed = {id(judged.singles[i]) for i in order[:_DETAILED]} | {id(c) for c in judged.sets}
@@ -72,7 +73,7 @@ def evidence_of(case: Case, judged: Judged, seed: int) -> dict[str, Any]:
 
 def refined_row(case: Case, judged: Judged, one: Candidate, seed: int) -> Row:
     """What the twin file with a hypothesis is shown by: its parameters with intervals, characteristics and shrinks."""
-    known = _Known(case, judged, BlockBootstrap.of(judged.bench, judged.blocks, judged.noise, seed))
+    known = _Known(case, judged, BlockBootstrap.of(judged.problem, judged.blocks, judged.noise, seed))
     row = known.row(one, True)
     _add_intervals(case, judged, one, row)
     return {key: row[key] for key in ("parameters", "vehicle", "channels", "level", "level_fitted")}
@@ -88,8 +89,8 @@ def add_intervals(case: Case, judged: Judged, rows: dict[str, Any]) -> None:
 def _add_intervals(case: Case, judged: Judged, one: Candidate, row: Row) -> None:
     # without a road blocks do not repeat: the discrepancy is independent from block to block
     temper = judged.temper if case.road else 1.0
-    fit = linearised_fit(judged.bench, one.hypothesis, one.found.fit.x)
-    ends = intervals(judged.bench, fit, judged.blocks, temper)
+    fit = linearised_fit(judged.problem.having(one.hypothesis), one.found.fit.x)
+    ends = intervals(judged.problem, fit, judged.blocks, temper)
     for key, i in zip(*one.hypothesis.on_drive(0), strict=True):
         _, effect, name = key.split(".")
         row["parameters"][effect][name]["interval"] = _plain(ends[i].tolist())
@@ -100,30 +101,29 @@ class _Known:
 
     def __init__(self, case: Case, judged: Judged, draws: BlockBootstrap) -> None:
         self.case, self.judged, self.draws = case, judged, draws
-        bench = judged.bench
-        self.rows = gap_rows(bench)
-        self.motion = np.std(bench.problem.measured.values[self.rows], axis=0)
-        self.driven = [c for c, name in enumerate(bench.problem.channels) if name in case.driven]
-        self.given = draws.squares(judged.uncalibrated.difference)
+        problem = judged.problem
+        self.rows = gap_rows(problem)
+        self.motion = np.std(problem.measured.values[self.rows], axis=0)
+        self.driven = [c for c, name in enumerate(problem.channels) if name in case.driven]
+        self.given = draws.squares(judged.scale.uncalibrated.difference)
         self.recalibrated = [
             draws.squares(r) for r in (judged.base.remaining.difference, judged.base.remaining.with_nuisances)
         ]
 
     def case_row(self) -> Row:
         """What was driven and how well it was measured."""
-        bench, judged = self.judged.bench, self.judged
-        problem = bench.problem
+        problem, judged = self.judged.problem, self.judged
         parts = [
             (p, r)
-            for p, r, d in zip(problem.parts, problem.rows, problem.drive_of, strict=True)
-            if bench.active[d]
+            for p, r, d in zip(problem.data.parts, problem.data.rows, problem.data.drive_of, strict=True)
+            if problem.data.active[d]
         ]
         seconds = sum(r.size / p.rate for p, r in parts)
         row: Row = {
             "kind": self.case.kind,
             "reference": judged.reference is not None,
             "level_on_reference": judged.reference,
-            "drives": int(sum(bench.active)),
+            "drives": int(sum(problem.data.active)),
             "seconds": seconds,
             "rate": float(problem.measured.rate),
             "blocks": int(self.draws.used.size),
@@ -133,7 +133,7 @@ class _Known:
                 name: {
                     "noise": judged.noise[name],
                     "motion": float(self.motion[c]),
-                    "gap": float(np.sqrt(np.mean(judged.uncalibrated.difference[self.rows, c] ** 2))),
+                    "gap": float(np.sqrt(np.mean(judged.scale.uncalibrated.difference[self.rows, c] ** 2))),
                     "driven": c in self.driven,
                 }
                 for c, name in enumerate(problem.channels)
@@ -149,7 +149,7 @@ class _Known:
     def row(self, one: Candidate, detailed: bool) -> Row:
         """The row of a hypothesis."""
         judged, found, is_base = self.judged, one.found, one is self.judged.base
-        bench = judged.bench
+        problem = judged.problem
         temper = judged.temper
         gains = found.score - judged.base.found.score
         row: Row = {
@@ -168,8 +168,8 @@ class _Known:
             "mean_squares": self._mean_squares(found, True),
             "mean_squares_on_reference": self._mean_squares(found, False),
             "channels": self._channels(one.remaining),
-            **(clock_offsets(bench, found, temper) if self.case.excited else {}),
-            "vehicle": _vehicle(bench, one),
+            **(clock_offsets(problem, found, temper) if self.case.excited else {}),
+            "vehicle": _vehicle(problem, one),
         }
         if judged.base_since is not None:
             since = judged.base_since if is_base else one.since
@@ -218,12 +218,12 @@ class _Known:
     def _level(self, remaining: RemainingResidual, with_nuisances: bool) -> float:
         """Residual on the drives with the gap as a share of the motion."""
         return relative_residual(
-            self.judged.bench, remaining, self.judged.noise, self.case.driven, True, with_nuisances
+            self.judged.problem, remaining, self.judged.noise, self.case.driven, True, with_nuisances
         )
 
     def _mean_squares(self, found: Evidence, with_gap: bool) -> dict[str, float]:
         """Held-out mean square in units of the noise model, by channel."""
-        names = self.judged.bench.problem.channels
+        names = self.judged.problem.channels
         return {names[c]: v for (c, side), v in found.level.items() if side == with_gap}
 
     def _channels(self, remaining: RemainingResidual) -> Row:
@@ -238,7 +238,7 @@ class _Known:
         beyond = [draws.shrinks(b, a) for b, a in zip(self.recalibrated, squares, strict=True)]
         written = draws.shrinks(self.given, squares[0], new_drive=True)
         out: Row = {}
-        for c, name in enumerate(self.judged.bench.problem.channels):
+        for c, name in enumerate(self.judged.problem.channels):
             way = int(beyond[1][c].interval[0] > beyond[0][c].interval[0]) if c in self.driven else 1
             out[name] = {
                 **_shrink_row(beyond[way][c]),
@@ -251,10 +251,10 @@ class _Known:
     def _parameters(self, one: Candidate) -> Row:
         """Parameters by effect, with their prior; ``usual`` is the largest severity over the usual error of a twin
         file, of the smallest effect; ``signs`` the share of folds in which the main parameter keeps its sign."""
-        bench, hypothesis = self.judged.bench, one.hypothesis
-        p = bench.d + bench.q
+        problem, hypothesis = self.judged.problem, one.hypothesis
+        p = problem.shared
         u, (low, high) = one.found.fit.x[p:], hypothesis.bounds()
-        values = one.found.fit.effects(bench)
+        values = one.found.fit.effect_values
         parameters: dict[str, dict[str, Row]] = {e: {} for e in hypothesis.effects}
         for key, value in hypothesis.fixed:
             _, effect, name = key.split(".")
@@ -272,7 +272,7 @@ class _Known:
             }
         row: Row = {
             "parameters": parameters,
-            "usual": usual_ratio(bench, hypothesis, parameters, self.judged.reference is not None),
+            "usual": usual_ratio(problem, hypothesis, parameters, self.judged.reference is not None),
         }
         row["where"] = sorted({hypothesis.effect(e).where for e in hypothesis.effects})
         row["resonance"] = hypothesis.scan(1) is not None
@@ -285,24 +285,24 @@ class _Known:
         """Patterns that model discrepancy does not have: a band, a tone, a place."""
         if not self.case.road:
             return {}
-        bench, noise = self.judged.bench, self.judged.noise
-        tone = strongest_tone(bench, remaining, _TONE_SHARE)
-        place = concentrated_section(bench, remaining, noise)
+        problem, noise = self.judged.problem, self.judged.noise
+        tone = strongest_tone(problem, remaining, _TONE_SHARE)
+        place = concentrated_section(problem, remaining, noise)
         return {
-            "band": unevenness(bench, remaining, noise),
+            "band": unevenness(problem, remaining, noise),
             "tone": 0.0 if tone is None else tone.strength,
             "place": 0.0 if place is None else place.beyond,
         }
 
 
-def clock_offsets(bench: Bench, found: Evidence, temper: float) -> Row:
+def clock_offsets(problem: Problem, found: Evidence, temper: float) -> Row:
     """Rms of the clock offsets of the drives in standard deviations of their prior, and the tail probability of all
     timing offsets by chance; empty where no clock is fitted."""
-    nuisances = bench.problem.nuisances
+    nuisances = problem.nuisances
     own = [i for i, n in enumerate(nuisances.names) if n.endswith(".clock_offset")]
     if not own:
         return {}
-    off = found.fit.x[bench.d + np.array(own)] / nuisances.spread[own]
+    off = found.fit.x[problem.d + np.array(own)] / nuisances.spread[own]
     placed = sum(n.endswith(("clock_offset", "map_position")) for n in nuisances.names)
     spent = 0.0 if found.penalty is None else found.penalty.at(temper)[0]
     return {
@@ -312,7 +312,7 @@ def clock_offsets(bench: Bench, found: Evidence, temper: float) -> Row:
 
 
 def usual_ratio(
-    bench: Bench, hypothesis: Hypothesis, parameters: dict[str, dict[str, Row]], referenced: bool
+    problem: Problem, hypothesis: Hypothesis, parameters: dict[str, dict[str, Row]], referenced: bool
 ) -> float | None:
     """Largest severity over the usual error of a twin file, of the effect where that is smallest; None where no error
     is usual.
@@ -321,10 +321,10 @@ def usual_ratio(
     """
     ratios = []
     for effect in (hypothesis.effect(e) for e in hypothesis.effects):
-        weight = effect.usual_share * bench.problem.twin.vehicle.mass if effect.usual_share else 0.0
+        weight = effect.usual_share * problem.twin.vehicle.mass if effect.usual_share else 0.0
         usual = {name: effect.parameter(name).usual or weight for name in effect.severity}
         if effect.id == "clock_drift":
-            usual = {name: max(least, _apparent_drift(bench)) for name, least in usual.items()}
+            usual = {name: max(least, _apparent_drift(problem)) for name, least in usual.items()}
         if (referenced and effect.where != "time") or not all(usual.values()):
             continue
         ratios.append(max(abs(parameters[effect.id][n]["value"]) / usual[n] for n in effect.severity))
@@ -341,22 +341,22 @@ def _shrink_row(one: Shrink) -> Row:
     }
 
 
-def _vehicle(bench: Bench, one: Candidate) -> dict[str, float]:
+def _vehicle(problem: Problem, one: Candidate) -> dict[str, float]:
     """Fitted characteristics by the keys of the twin file."""
-    values = bench.problem.space.from_slopes(one.found.fit.x[: bench.d])
-    return {k: float(v) for k, v in zip(bench.problem.space.keys, values, strict=True)}
+    values = problem.space.from_slopes(one.found.fit.x[: problem.d])
+    return {k: float(v) for k, v in zip(problem.space.keys, values, strict=True)}
 
 
-def unevenness(bench: Bench, remaining: RemainingResidual, noise: dict[str, float]) -> float:
+def unevenness(problem: Problem, remaining: RemainingResidual, noise: dict[str, float]) -> float:
     """Largest ratio of the residual share of a half octave to that of its neighbours, vertical acceleration.
 
     The share of model discrepancy is smooth over frequency; a missing resonance or order exceeds its neighbours.
     """
-    measured = bench.problem.measured
+    measured = problem.measured
     if "vertical_acceleration" not in measured.channels:
         return 1.0
     c = measured.channels.index("vertical_acceleration")
-    segments = [s for s, d in zip(measured.segments, measured.drives, strict=True) if bench.active[d]]
+    segments = [s for s, d in zip(measured.segments, measured.drives, strict=True) if problem.data.active[d]]
     rest, motion = (
         density(v[:, c], segments, measured.rate) for v in (remaining.difference, measured.values)
     )
@@ -373,18 +373,17 @@ def unevenness(bench: Bench, remaining: RemainingResidual, noise: dict[str, floa
     return float(np.exp(max(float(level[b] - np.median(o)) for b, o in enumerate(others))))
 
 
-def _apparent_drift(bench: Bench) -> float:
+def _apparent_drift(problem: Problem) -> float:
     """Apparent clock drift in ppm by clock and position errors of opposite sign at both ends of the longest drive
     with the gap, within their priors; 0 where neither is fitted."""
-    problem = bench.problem
     normal = list(zip(problem.nuisances.names, problem.nuisances.spread, strict=True))
     clock, place = (
         max((float(v) for n, v in normal if n.endswith(e)), default=0.0)
         for e in (".clock_offset", ".map_position")
     )
     seconds, speed = 1.0, 1.0
-    for drive in {d for d in problem.drive_of if bench.active[d]}:
-        own = [part for part, d in zip(problem.parts, problem.drive_of, strict=True) if d == drive]
+    for drive in {d for d in problem.data.drive_of if problem.data.active[d]}:
+        own = [part for part, d in zip(problem.data.parts, problem.data.drive_of, strict=True) if d == drive]
         lasts = float(max(part.t[-1] for part in own) - min(part.t[0] for part in own))
         if lasts > seconds:
             seconds, speed = lasts, max(sum(float(np.ptp(part.position)) for part in own) / lasts, 1.0)

@@ -9,17 +9,15 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from suspension_twin.arrays import Floats
-from suspension_twin.diagnosis.bench import Bench
 from suspension_twin.diagnosis.case import Case, with_noise_of
 from suspension_twin.diagnosis.coarse_search import NO_MATCH
-from suspension_twin.diagnosis.evidence import Blocks, Evidence, blocks_of, evidence, held_out
-from suspension_twin.diagnosis.excerpt import Excerpt, excerpt_of
-from suspension_twin.diagnosis.fit import LinearisedFit, fitted, linearised_fit
-from suspension_twin.diagnosis.hypotheses import BASELINE, Hypothesis, decoys, library
+from suspension_twin.diagnosis.excerpt import excerpt_of
+from suspension_twin.diagnosis.library import decoys, library
 from suspension_twin.diagnosis.preexisting import beyond_preexisting
 from suspension_twin.diagnosis.request import DiagnosisRequest, Progress
 from suspension_twin.diagnosis.search import (
     LEAST_POWER,
+    Search,
     Single,
     joint_fit,
     pairs,
@@ -35,8 +33,13 @@ from suspension_twin.diagnosis.shrink import (
     uncalibrated_residual,
 )
 from suspension_twin.errors import InputError
+from suspension_twin.inference.checkpoint import Rounds
+from suspension_twin.inference.cross_validation import Blocks, Evidence, blocks_of, evidence, held_out
+from suspension_twin.inference.fit import LinearisedFit, fitted, linearised_fit
+from suspension_twin.inference.hypothesis import BASELINE, Hypothesis
 from suspension_twin.inference.noise import USUAL_SHARE
 from suspension_twin.inference.parallel import side_by_side
+from suspension_twin.inference.problem import Problem, counting, whitener_of
 
 __all__ = ["Candidate", "Judged", "candidate", "detectable", "judge", "tempered_gain", "with_joint_noise"]
 
@@ -81,89 +84,98 @@ class Candidate:
 
 
 @dataclass(frozen=True, eq=False)
-class Judged:
-    """All hypotheses on a bench: ``base`` (recalibration alone), ``singles`` (decoys included) and ``sets``.
+class Scale:
+    """The scales that gains are judged by: ``noise`` rms by channel; ``uncalibrated`` residual of the twin as given;
+    ``reference``, the residual on reference drives as a share of the motion (None without); and ``temper``, the share
+    of the remaining residual that is noise: model discrepancy is no independent evidence at every sample."""
 
-    ``noise`` is the noise rms by channel, ``uncalibrated`` the residual of the twin as given, ``reference`` the
-    residual on reference drives as a share of the motion (None without), ``temper`` the share of the remaining
-    residual that is noise: model discrepancy is no independent evidence at every sample. ``base_since`` is the
-    baseline with pre-existing effects, ``excerpt`` that of the drives for first looks.
-    """
-
-    bench: Bench
-    blocks: Blocks
     noise: dict[str, float]
     uncalibrated: RemainingResidual
     reference: float | None
     temper: float
+
+
+@dataclass(frozen=True, eq=False)
+class Judged:
+    """All hypotheses on a ``problem``: ``base`` (recalibration alone), ``singles`` (decoys included) and ``sets``;
+    ``base_since`` is the baseline with pre-existing effects."""
+
+    problem: Problem
+    search: Search
+    scale: Scale
     base: Candidate
-    base_since: Evidence | None
-    singles: tuple[Candidate, ...]
-    sets: tuple[Candidate, ...]
-    excerpt: Excerpt | None = None
+    base_since: Evidence | None = None
+    singles: tuple[Candidate, ...] = ()
+    sets: tuple[Candidate, ...] = ()
+
+    @property
+    def blocks(self) -> Blocks:
+        """Blocks of the cross-validation."""
+        return self.search.blocks
+
+    @property
+    def noise(self) -> dict[str, float]:
+        """Noise rms by channel."""
+        return self.scale.noise
+
+    @property
+    def reference(self) -> float | None:
+        """Residual on reference drives as a share of the motion; None without."""
+        return self.scale.reference
+
+    @property
+    def temper(self) -> float:
+        """Share of the remaining residual that is noise."""
+        return self.scale.temper
 
 
 def judge(
     request: DiagnosisRequest,
     case: Case,
-    bench: Bench,
-    base: LinearisedFit,
-    anchor: LinearisedFit,
+    problem: Problem,
+    fits: tuple[LinearisedFit, LinearisedFit],
+    rounds: Rounds,
     report: Callable[[Progress], None],
 ) -> Judged:
     """Fit every effect of the library, and sets of effects where one leaves more than expected.
 
-    Searches start from ``anchor``, the vehicle fitted to the reference drives.
+    ``fits`` are the baseline on all drives and the vehicle fitted to the reference drives, from which searches start.
     """
-    seed, effects = request.seed, library(case.twin, case.excited, request.effects, len(case.drives))
+    base, anchor = fits
+    effects = library(case.twin, case.excited, request.effects, len(case.drives))
     if not effects:
         raise InputError("effects", "none of the library is left to try on this twin")
-    blocks = blocks_of(bench, case.kind)
-    with_gap = [d for d, a in zip(case.drives, bench.active, strict=True) if a]
-    noise = {
-        c: float(np.sqrt(np.mean([d.noise_rms[c] ** 2 for d in with_gap]))) for c in bench.problem.channels
-    }
-    reference = _reference(case, bench, anchor, blocks, noise)
+    blocks = blocks_of(problem)
+    with_gap = [d for d, a in zip(case.drives, case.active, strict=True) if a]
+    noise = {c: float(np.sqrt(np.mean([d.noise_rms[c] ** 2 for d in with_gap]))) for c in problem.channels}
+    reference = _reference(case, problem, anchor, blocks, noise)
     beside = decoys(case.twin, case.excited, request.effects)
-    excerpt = excerpt_of(bench, base.x)
+    no_match = _no_match(case, problem, base, blocks, noise)
+    search = Search(blocks, request.seed, rounds, case.turn, no_match, excerpt_of(problem, base.x))
     base, found = singles(
-        bench,
+        problem,
         base,
         anchor,
         {**effects, **beside},
-        blocks,
-        seed,
-        _no_match(case, bench, base, blocks, noise),
+        search,
         lambda done, note: report(Progress("effects", 0.15 + 0.55 * done, note)),
-        excerpt,
     )
-    own = evidence(bench, base, blocks)
+    own = evidence(problem, base, blocks)
     remaining = side_by_side(
-        lambda e: remaining_residual(bench, e.fit.hypothesis, e.unknowns, blocks),
+        lambda e: remaining_residual(problem, e.fit.hypothesis, e.unknowns, blocks),
         [own, *(s.evidence for s in found)],
     )
-    rows = gap_rows(bench)
+    rows = gap_rows(problem)
     least = min(float(np.mean(r.difference[rows, 0] ** 2)) for r in remaining)
-    noisy = noise[bench.problem.channels[0]] ** 2
+    noisy = noise[problem.channels[0]] ** 2
     temper = float(np.clip(noisy / max(least, 1e-12), _LEAST_TEMPER, 1.0))
-    base_since, since = _since(bench, own, found, temper, blocks, report)
+    base_since, since = _since(problem, own, found, temper, search, report)
     candidates = tuple(
         Candidate(s.evidence, r, since.get(i), s.preexisting, s.powers, s.effect in beside)
         for i, (s, r) in enumerate(zip(found, remaining[1:], strict=True))
     )
-    judged = Judged(
-        bench,
-        blocks,
-        noise,
-        uncalibrated_residual(bench),
-        reference,
-        temper,
-        Candidate(own, remaining[0]),
-        base_since,
-        candidates,
-        (),
-        excerpt,
-    )
+    scale = Scale(noise, uncalibrated_residual(problem), reference, temper)
+    judged = Judged(problem, search, scale, Candidate(own, remaining[0]), base_since, candidates)
     if case.excited:
         return replace(judged, sets=tuple(_grown(request, case, judged, report)))
     return _with_sets(judged, _shrunk(request, case, judged))
@@ -186,24 +198,26 @@ def tempered_gain(judged: Judged, found: Evidence, base: Evidence | None = None)
 
 
 def _since(
-    bench: Bench,
+    problem: Problem,
     own: Evidence,
     found: Sequence[Single],
     temper: float,
-    blocks: Blocks,
+    search: Search,
     report: Callable[[Progress], None],
 ) -> tuple[Evidence | None, dict[int, Evidence]]:
     """Evidence of the baseline with pre-existing effects and of the finalists beyond them."""
     asked = {i: s.fit for i, s in enumerate(found) if s.finalist}
     known = [s.preexisting for s in found if s.preexisting is not None]
     beyond = beyond_preexisting(
-        bench,
+        problem,
         own,
         asked,
         known,
         temper,
-        blocks,
-        lambda done, i: report(Progress("effects", 0.72, f"{found[i].effect}, since".replace("_", " "))),
+        search,
+        on_progress=lambda done, i: report(
+            Progress("effects", 0.72, f"{found[i].effect}, since".replace("_", " "))
+        ),
     )
     return (None, {}) if beyond is None else beyond
 
@@ -215,7 +229,7 @@ def _expected(judged: Judged) -> float:
 
 def candidate(judged: Judged, found: Evidence) -> Candidate:
     """A hypothesis with its remaining residual."""
-    remaining = remaining_residual(judged.bench, found.fit.hypothesis, found.unknowns, judged.blocks)
+    remaining = remaining_residual(judged.problem, found.fit.hypothesis, found.unknowns, judged.blocks)
     return Candidate(found, remaining)
 
 
@@ -241,14 +255,12 @@ def _grown(
             case, judged, chosen
         ) > _expected(judged):
             tried = pairs(
-                judged.bench,
+                judged.problem,
                 chosen.found,
                 effects,
-                judged.blocks,
-                request.seed,
+                judged.search,
                 lambda done, note: report(Progress("combinations", 0.76 + 0.18 * done, note)),
                 weak,
-                judged.excerpt,
             )
             if not tried:
                 break
@@ -269,7 +281,7 @@ def detectable(powers: Floats) -> bool:
 
 def _level(case: Case, judged: Judged, one: Candidate) -> float:
     return relative_residual(
-        judged.bench, one.remaining, judged.noise, case.driven, True, judged.reference is None
+        judged.problem, one.remaining, judged.noise, case.driven, True, judged.reference is None
     )
 
 
@@ -280,15 +292,21 @@ def _shrunk(request: DiagnosisRequest, case: Case, judged: Judged) -> list[Candi
     The few effects mask each other (a clock drift resembles a clock offset; a tilt shows only with the right clock),
     so that sets grown from one effect would start from a wrong one.
     """
-    bench, blocks = judged.bench, judged.blocks
+    problem, blocks = judged.problem, judged.blocks
     known = library(case.twin, False, request.effects, len(case.drives))
     possible = [c.effects[0] for c in judged.singles if c.powers is not None and detectable(c.powers)]
     if not possible:
         return []
-    fit = joint_fit(bench, [known[e][0] for e in possible], judged.base.found.fit, request.seed)
-    chosen = evidence(bench, fit, blocks)
+    fit = joint_fit(
+        problem,
+        [known[e][0] for e in possible],
+        judged.base.found.fit,
+        request.seed,
+        case.turn,
+    )
+    chosen = evidence(problem, fit, blocks)
     while len(chosen.fit.hypothesis.effects) > 1:
-        parts = without_one(bench, chosen, blocks)
+        parts = without_one(problem, chosen, blocks)
         fewer = max(parts, key=lambda one: tempered_gain(judged, one))
         if tempered_gain(judged, fewer) < tempered_gain(judged, chosen) - _ADDED:
             return [candidate(judged, one) for one in (chosen, *parts)]
@@ -310,37 +328,44 @@ def _with_sets(judged: Judged, found: Sequence[Candidate]) -> Judged:
     return replace(judged, singles=tuple(better(c) for c in judged.singles), sets=sets)
 
 
-def _no_match(case: Case, bench: Bench, base: LinearisedFit, blocks: Blocks, noise: dict[str, float]) -> bool:
+def _no_match(
+    case: Case, problem: Problem, base: LinearisedFit, blocks: Blocks, noise: dict[str, float]
+) -> bool:
     """Whether the held-out response of the recalibrated twin does not match the motion at all."""
-    remaining = remaining_residual(bench, BASELINE, held_out(bench, base, blocks).unknowns, blocks)
-    return relative_residual(bench, remaining, noise, case.driven, with_gap=True) > NO_MATCH
+    remaining = remaining_residual(problem, BASELINE, held_out(problem, base, blocks).unknowns, blocks)
+    return relative_residual(problem, remaining, noise, case.driven, with_gap=True) > NO_MATCH
 
 
 def _reference(
-    case: Case, bench: Bench, anchor: LinearisedFit, blocks: Blocks, noise: dict[str, float]
+    case: Case, problem: Problem, anchor: LinearisedFit, blocks: Blocks, noise: dict[str, float]
 ) -> float | None:
     """Residual of the calibrated vehicle on the reference drives as a share of its motion; None without a reference."""
-    if all(bench.active):
+    active = problem.data.active
+    if all(active):
         return None
-    reference_only = replace(bench, counted_drives=tuple(i for i, a in enumerate(bench.active) if not a))
-    alone = evidence(reference_only, linearised_fit(reference_only, BASELINE, anchor.x), blocks)
-    remaining = remaining_residual(bench, BASELINE, alone.unknowns, blocks)
-    return relative_residual(bench, remaining, noise, case.driven, with_gap=False)
+    before = ~np.array(active)[whitener_of(problem).drive]
+    reference_only = counting(problem, before)
+    alone = evidence(reference_only, linearised_fit(reference_only, anchor.x), blocks)
+    remaining = remaining_residual(problem, BASELINE, alone.unknowns, blocks)
+    return relative_residual(problem, remaining, noise, case.driven, with_gap=False)
 
 
 def with_joint_noise(
-    request: DiagnosisRequest, case: Case, bench: Bench, base: LinearisedFit
-) -> tuple[Bench, LinearisedFit]:
-    """Without a road: the bench and the baseline with the noise estimated at the joint fit of all effects.
+    request: DiagnosisRequest, case: Case, problem: Problem, base: LinearisedFit
+) -> tuple[Problem, LinearisedFit]:
+    """Without a road: the problem and the baseline with the noise estimated at the joint fit of all effects.
 
     The residual of the baseline contains the effects, for example a clock offset, and would overestimate the noise.
     """
     effects = [v[0] for v in library(case.twin, case.excited, request.effects, len(case.drives)).values()]
-    every, fit = range(len(bench.active)), base
+    every, fit = range(len(problem.data.active)), base
     for number in range(_NOISE_ROUNDS_COARSE if effects else 0):
-        fit = refitted_under_noise(bench, fit) if number else joint_fit(bench, effects, base, request.seed)
-        bench = with_noise_of(case, bench, fit.hypothesis, fit.x, every)
+        if number:
+            fit = refitted_under_noise(problem, fit)
+        else:
+            fit = joint_fit(problem, effects, base, request.seed, case.turn)
+        problem = with_noise_of(problem.having(fit.hypothesis), fit.x, every).having(BASELINE)
         # after a coarse search (a sensor mounted backwards) the estimate needs more rounds
         if number + 1 >= _NOISE_ROUNDS and not fit.hypothesis.around:
             break
-    return bench, fitted(bench, BASELINE, [base.x], 8)
+    return problem, fitted(problem, [base.x], 8)

@@ -7,17 +7,17 @@ is an error of the road file there.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from scipy.stats import norm
 
 from suspension_twin.arrays import Floats
-from suspension_twin.diagnosis.bench import Bench
-from suspension_twin.diagnosis.fit import DEEP, refit
-from suspension_twin.diagnosis.hypotheses import BASELINE, Hypothesis
 from suspension_twin.diagnosis.shrink import RemainingResidual, drives_of
+from suspension_twin.inference.fit import DEEP, refit
+from suspension_twin.inference.hypothesis import Hypothesis
 from suspension_twin.inference.parallel import side_by_side
+from suspension_twin.inference.problem import Problem, counting, whitener_of
 
 __all__ = [
     "RoadErrorMatch",
@@ -68,24 +68,24 @@ class RoadErrorMatch:
 
 
 def concentrated_section(
-    bench: Bench, remaining: RemainingResidual, noise: dict[str, float]
+    problem: Problem, remaining: RemainingResidual, noise: dict[str, float]
 ) -> RoadSection | None:
     """The section, at most half of the road, with the largest excess of residual over motion in vertical acceleration.
 
     The excess is the smallest of all drives with the gap, less the mean of the reference drives. None without a
     vertical acceleration or where the drives have no section in common.
     """
-    measured = bench.problem.measured
+    measured = problem.measured
     if "vertical_acceleration" not in measured.channels:
         return None
     c = measured.channels.index("vertical_acceleration")
-    position = _positions(bench)
+    position = _positions(problem)
     first = float(np.floor(position.min() / _METRES))
     cell = (np.floor(position / _METRES) - first).astype(int)
-    count, drive, floor = int(cell.max()) + 1, drives_of(bench), noise["vertical_acceleration"] ** 2
+    count, drive, floor = int(cell.max()) + 1, drives_of(problem), noise["vertical_acceleration"] ** 2
     with_gap: list[tuple[Floats, Floats, Floats]] = []
     before: list[tuple[Floats, Floats, Floats]] = []
-    for number, active in enumerate(bench.active):
+    for number, active in enumerate(problem.data.active):
         own = drive == number
         passed = np.bincount(cell[own], minlength=count).astype(float)
         squares, motion = (
@@ -127,19 +127,19 @@ def no_road_error(found: list[RoadErrorMatch]) -> float:
 
 
 def road_error_matches(
-    bench: Bench, x: Floats, there: RoadSection, effects: list[Hypothesis], temper: float
+    problem: Problem, x: Floats, there: RoadSection, effects: list[Hypothesis], temper: float
 ) -> list[RoadErrorMatch]:
     """The ``effects`` of the road, applied on the section only, that explain its residual, the best first.
 
     Vehicle and nuisance parameters are fitted to the other sections of the road, from ``x`` (d + q,). Each effect has
     one parameter, which is evaluated on a grid over its range. ``temper`` is the share of the residual that is noise.
     """
-    row = _positions(bench)[bench.whitener.row]
+    row = _positions(problem)[whitener_of(problem).row]
     near = (row > there.start - _BEFORE) & (row < there.end + _AFTER)
-    own = (row >= there.start) & (row < there.end) & np.array(bench.active)[bench.whitener.drive]
-    x, _ = refit(replace(bench, counted_rows=~near), BASELINE, [x], None, DEEP)
-    inside = replace(bench, counted_rows=own)
-    vertical = bench.whitener.channel == bench.problem.channels.index("vertical_acceleration")
+    own = (row >= there.start) & (row < there.end) & np.array(problem.data.active)[whitener_of(problem).drive]
+    x, _ = refit(counting(problem, ~near), [x], None, DEEP)
+    inside = counting(problem, own)
+    vertical = whitener_of(problem).channel == problem.channels.index("vertical_acceleration")
 
     def remaining(hypothesis: Hypothesis, points: Floats) -> tuple[Floats, Floats]:
         """Sums of squares (n,) on the section, of all channels and of the vertical acceleration."""
@@ -147,13 +147,13 @@ def road_error_matches(
         every, upright = np.empty(points.size), np.empty(points.size)
         for begin in range(0, points.size, _LANES):
             cut = slice(begin, begin + _LANES)
-            residual, failed = inside.residuals(hypothesis, unknowns[:, cut])
+            residual, failed = inside.having(hypothesis).residuals(unknowns[:, cut])
             squares = residual[own] ** 2
             every[cut] = np.where(failed, np.inf, squares.sum(axis=0))
             upright[cut] = squares[vertical[own]].sum(axis=0)
         return every, upright
 
-    base = float(np.sum(inside.residuals(BASELINE, x[:, None])[0][vertical] ** 2))
+    base = float(np.sum(inside.residuals(x[:, None])[0][vertical] ** 2))
 
     def best_of(hypothesis: Hypothesis) -> tuple[float, RoadErrorMatch]:
         """The cost of an effect at its best on the section, and the match."""
@@ -180,10 +180,10 @@ def road_error_matches(
     return [f for cost, f in ranked if 0.5 * temper * (cost - least) < _AS_GOOD and f.shrink > _LEAST_SHARE]
 
 
-def _positions(bench: Bench) -> Floats:
+def _positions(problem: Problem) -> Floats:
     """(M,) m along the road of every compared sample."""
     return np.concatenate(
-        [part.position[rows] for part, rows in zip(bench.problem.parts, bench.problem.rows, strict=True)]
+        [part.position[rows] for part, rows in zip(problem.data.parts, problem.data.rows, strict=True)]
     )
 
 

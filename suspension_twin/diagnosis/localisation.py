@@ -17,9 +17,9 @@ from scipy.ndimage import gaussian_filter1d
 from scipy.stats import false_discovery_control, norm
 
 from suspension_twin.arrays import Floats, runs
-from suspension_twin.diagnosis.bench import Bench
 from suspension_twin.diagnosis.operating import DRAWS, FALSE_DISCOVERY_RATE, by_motion, ranked
 from suspension_twin.inference.noise import density, shares
+from suspension_twin.inference.problem import Problem
 from suspension_twin.models.simulate import simulate_twin
 from suspension_twin.vehicle.twin import Twin
 
@@ -30,50 +30,50 @@ _WINDOW, _METRES = 0.5, 1.0
 _SEGMENT, _LOWEST = 256, 0.5
 
 
-def localise(bench: Bench, difference: Floats, noise: dict[str, float], twin: Twin) -> dict[str, Any]:
+def localise(problem: Problem, difference: Floats, noise: dict[str, float], twin: Twin) -> dict[str, Any]:
     """The object ``where`` of diagnosis.json for differences (M, C) of the drives with the gap.
 
     ``twin`` is simulated for the motion of the suspension, for corners and operating points.
     """
-    names = bench.problem.channels
+    names = problem.channels
     main = names.index("vertical_acceleration") if "vertical_acceleration" in names else 0
     floor = noise[names[main]]
-    excess = [np.maximum(d[:, main] ** 2 - floor**2, 0.0) for d in _parts(bench, difference)]
+    excess = [np.maximum(d[:, main] ** 2 - floor**2, 0.0) for d in _parts(problem, difference)]
     total = max(float(sum(e.sum() for e in excess)), 1e-30)
     where: dict[str, Any] = {
-        "time": _time(bench, excess, total),
-        "road": _road(bench, excess, total),
+        "time": _time(problem, excess, total),
+        "road": _road(problem, excess, total),
         "frequency": _frequency(
-            bench,
-            [d[:, main] for d in _parts(bench, difference)],
+            problem,
+            [d[:, main] for d in _parts(problem, difference)],
             floor,
-            _expected_density(bench, difference, main),
+            _expected_density(problem, difference, main),
         ),
-        "channel": _channels(bench, difference, noise),
+        "channel": _channels(problem, difference, noise),
     }
     where.update(
-        by_motion(_gap_drives(bench), excess, twin)
-        if twin.axles and ("vertical_acceleration" in names or not bench.excitations)
+        by_motion(_gap_drives(problem), excess, twin)
+        if twin.axles and ("vertical_acceleration" in names or problem.data.parts[0].reading is None)
         else {"corner": [], "operating_point": []}
     )
     return where
 
 
-def _parts(bench: Bench, values: Floats) -> list[Floats]:
+def _parts(problem: Problem, values: Floats) -> list[Floats]:
     """Samples (r, C) of every drive with the gap."""
-    ends = np.cumsum([0, *(rows.size for rows in bench.problem.rows)])
-    of = zip(ends[:-1], ends[1:], bench.problem.drive_of, strict=True)
-    return [values[a:b] for a, b, drive in of if bench.active[drive]]
+    ends = np.cumsum([0, *(rows.size for rows in problem.data.rows)])
+    of = zip(ends[:-1], ends[1:], problem.data.drive_of, strict=True)
+    return [values[a:b] for a, b, drive in of if problem.data.active[drive]]
 
 
-def _gap_drives(bench: Bench) -> list[Any]:
-    """Prepared drive and its compared samples, for every drive with the gap."""
+def _gap_drives(problem: Problem) -> list[Any]:
+    """Observation drive and its compared samples, for every drive with the gap."""
     return [
         (part, rows)
         for part, rows, drive in zip(
-            bench.problem.parts, bench.problem.rows, bench.problem.drive_of, strict=True
+            problem.data.parts, problem.data.rows, problem.data.drive_of, strict=True
         )
-        if bench.active[drive]
+        if problem.data.active[drive]
     ]
 
 
@@ -91,9 +91,9 @@ def _significant(means: Floats, all_means: Floats) -> np.ndarray:
     )
 
 
-def _time(bench: Bench, excess: Sequence[Floats], total: float) -> list[dict[str, Any]]:
+def _time(problem: Problem, excess: Sequence[Floats], total: float) -> list[dict[str, Any]]:
     items = []
-    for (part, rows), energy in zip(_gap_drives(bench), excess, strict=True):
+    for (part, rows), energy in zip(_gap_drives(problem), excess, strict=True):
         size = max(4, int(_WINDOW * part.rate))
         count = energy.size // size
         if count < 4:
@@ -112,8 +112,8 @@ def _time(bench: Bench, excess: Sequence[Floats], total: float) -> list[dict[str
     return ranked(items)
 
 
-def _road(bench: Bench, excess: Sequence[Floats], total: float) -> list[dict[str, Any]]:
-    place = np.concatenate([part.position[rows] for part, rows in _gap_drives(bench)])
+def _road(problem: Problem, excess: Sequence[Floats], total: float) -> list[dict[str, Any]]:
+    place = np.concatenate([part.position[rows] for part, rows in _gap_drives(problem)])
     energy = np.concatenate(list(excess))
     bins = np.floor(place / _METRES).astype(int)
     first = bins.min()
@@ -135,9 +135,9 @@ def _road(bench: Bench, excess: Sequence[Floats], total: float) -> list[dict[str
     )
 
 
-def _spectrum(bench: Bench, series: Sequence[Floats]) -> tuple[Floats, Floats]:
+def _spectrum(problem: Problem, series: Sequence[Floats]) -> tuple[Floats, Floats]:
     """Frequencies and the pooled power density of the drives' differences."""
-    rate = bench.problem.measured.rate
+    rate = problem.measured.rate
     size = min(512, min(s.size for s in series))
     total: Floats = np.zeros(1)
     weight, f = 0.0, np.zeros(1)
@@ -147,10 +147,10 @@ def _spectrum(bench: Bench, series: Sequence[Floats]) -> tuple[Floats, Floats]:
     return f, np.asarray(total / weight)
 
 
-def _segments(bench: Bench, series: Sequence[Floats]) -> tuple[Floats, Floats]:
+def _segments(problem: Problem, series: Sequence[Floats]) -> tuple[Floats, Floats]:
     """Frequencies (F,) and periodograms (N, F) of half overlapping segments of ``_SEGMENT`` samples; a shorter drive is
     one segment."""
-    rate = bench.problem.measured.rate
+    rate = problem.measured.rate
     found = []
     for x in series:
         size = min(_SEGMENT, x.size)
@@ -161,25 +161,26 @@ def _segments(bench: Bench, series: Sequence[Floats]) -> tuple[Floats, Floats]:
     return f, np.array(found)
 
 
-def _expected_density(bench: Bench, difference: Floats, column: int) -> Floats:
+def _expected_density(problem: Problem, difference: Floats, column: int) -> Floats:
     """(F,) power density of the model discrepancy to be expected on drives with the gap: the share of the motion
     found on reference drives, band by band; zeros without a reference."""
-    problem = bench.problem
-    measured, others = problem.measured, [d for d, a in enumerate(bench.active) if not a]
+    measured, others = problem.measured, [d for d, a in enumerate(problem.data.active) if not a]
     if not others:
         return np.zeros(_SEGMENT // 2 + 1)
-    own = [s for s, d in zip(measured.segments, measured.drives, strict=True) if bench.active[d]]
+    own = [s for s, d in zip(measured.segments, measured.drives, strict=True) if problem.data.active[d]]
     motion = density(measured.values[:, column], own, measured.rate)
     return np.asarray(shares(measured, difference, others)[column] ** 2 * motion)
 
 
-def _frequency(bench: Bench, series: Sequence[Floats], floor: float, usual: Floats) -> list[dict[str, Any]]:
+def _frequency(
+    problem: Problem, series: Sequence[Floats], floor: float, usual: Floats
+) -> list[dict[str, Any]]:
     """Bands with significantly more of the gap per octave than the mean, each from a peak down to half of its density.
 
     Significance is by bootstrap over pairs of neighbouring segments. ``usual`` (F,) is the power density of the
     expected model discrepancy, ``floor`` the noise rms.
     """
-    f, power = _segments(bench, series)
+    f, power = _segments(problem, series)
     inside = (f >= _LOWEST) & (f < 30.0)
     f, power = f[inside], gaussian_filter1d(power[:, inside], 1.0, axis=1, mode="nearest")
     usual = usual[inside]
@@ -232,27 +233,26 @@ def _frequency(bench: Bench, series: Sequence[Floats], floor: float, usual: Floa
     return ranked(items)
 
 
-def _channels(bench: Bench, difference: Floats, noise: dict[str, float]) -> list[dict[str, Any]]:
+def _channels(problem: Problem, difference: Floats, noise: dict[str, float]) -> list[dict[str, Any]]:
     """Share of each channel in the gap, each in units of its noise."""
-    parts = np.concatenate(_parts(bench, difference))
+    parts = np.concatenate(_parts(problem, difference))
     energy = [
         max(float(np.mean(parts[:, c] ** 2)) / max(noise[name], 1e-9) ** 2 - 1.0, 0.0)
-        for c, name in enumerate(bench.problem.channels)
+        for c, name in enumerate(problem.channels)
     ]
     total = max(sum(energy), 1e-30)
     items = [
-        {"name": name, "share": round(e / total, 4)}
-        for name, e in zip(bench.problem.channels, energy, strict=True)
+        {"name": name, "share": round(e / total, 4)} for name, e in zip(problem.channels, energy, strict=True)
     ]
     return sorted(items, key=lambda i: -float(str(i["share"])))
 
 
-def repeatable(bench: Bench, difference: Floats, column: int) -> dict[str, float]:
+def repeatable(problem: Problem, difference: Floats, column: int) -> dict[str, float]:
     """Correlation over road position of the log mean square per metre of two drives: near 1 for road and tyre effects,
     near 0 for clock effects and noise. Empty for a single drive.
     """
     profiles = []
-    for (part, rows), d in zip(_gap_drives(bench), _parts(bench, difference), strict=True):
+    for (part, rows), d in zip(_gap_drives(problem), _parts(problem, difference), strict=True):
         bins = np.floor(part.position[rows] / _METRES).astype(int)
         profiles.append((bins, d[:, column] ** 2))
     if len(profiles) < 2:
@@ -270,13 +270,13 @@ def repeatable(bench: Bench, difference: Floats, column: int) -> dict[str, float
     return {"in_space": round(float(np.corrcoef(rows[0], rows[1])[0, 1]), 3)}
 
 
-def signature(bench: Bench, difference: Floats, twin: Twin) -> dict[str, Any]:
+def signature(problem: Problem, difference: Floats, twin: Twin) -> dict[str, Any]:
     """Features of an unexplained gap: its band, the regressor of travel and velocity with the highest correlation, its
     hysteresis, and the velocity and travel from which on it appears."""
-    names = bench.problem.channels
+    names = problem.channels
     column = names.index("vertical_acceleration") if "vertical_acceleration" in names else 0
-    series = [d[:, column] for d in _parts(bench, difference)]
-    f, power = _spectrum(bench, series)
+    series = [d[:, column] for d in _parts(problem, difference)]
+    f, power = _spectrum(problem, series)
     cumulative = np.cumsum(power) / power.sum()
     low, high = (float(f[np.searchsorted(cumulative, q)]) for q in (0.1, 0.9))
     out: dict[str, Any] = {
@@ -284,12 +284,12 @@ def signature(bench: Bench, difference: Floats, twin: Twin) -> dict[str, Any]:
         "low_hz": round(low, 2),
         "high_hz": round(high, 2),
         "peak_hz": round(float(f[1 + np.argmax(power[1:])]), 2),
-        **repeatable(bench, difference, column),
+        **repeatable(problem, difference, column),
     }
-    if column or "vertical_acceleration" not in names or not bench.excitations:
+    if column or "vertical_acceleration" not in names or problem.data.parts[0].reading is None:
         return out
     linear: list[Floats] = []
-    for part, rows in _gap_drives(bench):
+    for part, rows in _gap_drives(problem):
         response = simulate_twin(twin, part.excitation)
         at = np.clip(np.searchsorted(response.t, part.t[rows]), 0, response.t.size - 1)
         x = response.deflection[at] - response.deflection[0]

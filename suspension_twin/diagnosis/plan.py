@@ -22,13 +22,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from suspension_twin.arrays import Floats
-from suspension_twin.diagnosis.hypotheses import Hypothesis, library
-from suspension_twin.diagnosis.sensitivity import Change, PlannedDrive, Products, planned_drive, products
+from suspension_twin.diagnosis.library import library
+from suspension_twin.diagnosis.sensitivity import Change, Products, planned_drive, products
 from suspension_twin.effects.base import Parameter
 from suspension_twin.errors import InputError, SuspensionTwinError
 from suspension_twin.files import write_text
+from suspension_twin.inference.hypothesis import Hypothesis
+from suspension_twin.inference.observation import Observation, road_of
 from suspension_twin.inference.parallel import side_by_side
-from suspension_twin.inference.prepare import road_of
 from suspension_twin.models.registry import model_of
 from suspension_twin.road import Road, add_bump, bump_road, half_sine
 from suspension_twin.vehicle.twin import Twin
@@ -258,7 +259,7 @@ def rays(hypothesis: Hypothesis, weak: float = 1.0) -> list[Ray]:
 
     Examples
     --------
-    >>> from suspension_twin.diagnosis.hypotheses import library
+    >>> from suspension_twin.diagnosis.library import library
     >>> from suspension_twin.vehicle.twin import load_twin
     >>> friction = library(load_twin("bags/bump_15kmh/twin.yaml"), True)["strut_friction"][0]
     >>> [ray.sizes.tolist() for ray in rays(friction)]
@@ -355,7 +356,7 @@ class _Asked:
         return tuple(dict.fromkeys(ray.effect for ray in self.rays))
 
 
-def _asked(twin: Twin, drive: PlannedDrive, effects: Sequence[str]) -> _Asked:
+def _asked(twin: Twin, drive: Observation, effects: Sequence[str]) -> _Asked:
     """Rays and rivals of the library; which way logarithmic severities vanish is seen on a ``drive``."""
     own: list[Ray] = []
     rivals: list[Rival] = []
@@ -372,14 +373,14 @@ def _asked(twin: Twin, drive: PlannedDrive, effects: Sequence[str]) -> _Asked:
     return _Asked(tuple(own), tuple(rivals), tuple(changes))
 
 
-def alternatives(twin: Twin, drive: PlannedDrive) -> tuple[list[Rival], list[Change]]:
+def alternatives(twin: Twin, drive: Observation) -> tuple[list[Rival], list[Change]]:
     """All rivals of the library on a twin, and the changes whose columns they need; ``drive`` shows which way
     logarithmic severities vanish."""
     asked = _asked(twin, drive, ())
     return list(asked.rivals), list(asked.changes)
 
 
-def _vanishing(twin: Twin, drive: PlannedDrive, offered: Sequence[Hypothesis]) -> list[float]:
+def _vanishing(twin: Twin, drive: Observation, offered: Sequence[Hypothesis]) -> list[float]:
     """For each hypothesis the sign of the coordinate towards which its logarithmic severities vanish, 1 for those
     without."""
     ends = []
@@ -467,7 +468,7 @@ def plan(
     )
 
 
-def _together(twin: Twin, drives: Sequence[PlannedDrive], changes: Sequence[Change]) -> Products:
+def _together(twin: Twin, drives: Sequence[Observation], changes: Sequence[Change]) -> Products:
     return reduce(add, side_by_side(lambda drive: products(twin, drive, changes), drives))
 
 
@@ -608,7 +609,7 @@ def _pairs(found: Products, asked: _Asked, seen: Sequence[_Seen]) -> tuple[Float
 def _remedied(
     twin: Twin,
     road: Road,
-    drives: Sequence[PlannedDrive],
+    drives: Sequence[Observation],
     found: Products,
     asked: _Asked,
     near: Sequence[_Alike],
@@ -638,7 +639,7 @@ def _remedied(
 
 
 def _options(
-    twin: Twin, road: Road, drives: Sequence[PlannedDrive], found: Products, changes: Sequence[Change]
+    twin: Twin, road: Road, drives: Sequence[Observation], found: Products, changes: Sequence[Change]
 ) -> list[tuple[str, Callable[[], Products]]]:
     """Changes of the set-up that are tried: one more speed, another place of the sensor, a bump."""
     options: list[tuple[str, Callable[[], Products]]] = []
@@ -668,7 +669,7 @@ def _options(
     return options
 
 
-def _again(twin: Twin, road: Road, drive: PlannedDrive) -> PlannedDrive:
+def _again(twin: Twin, road: Road, drive: Observation) -> Observation:
     """The same drive with another twin."""
     return planned_drive(twin, road, float(drive.name.split()[0]), drive.name)
 

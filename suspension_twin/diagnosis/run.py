@@ -18,20 +18,19 @@ from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
-from suspension_twin.calibration.checkpoint import Checkpoint
-from suspension_twin.calibration.recorder import problem_digest
 from suspension_twin.diagnosis import wording
-from suspension_twin.diagnosis.bench import Bench
 from suspension_twin.diagnosis.case import Case, baseline, build, read_case
 from suspension_twin.diagnosis.conclude import conclude
 from suspension_twin.diagnosis.decision import Costs
-from suspension_twin.diagnosis.hypotheses import SETUP_CATEGORIES
 from suspension_twin.diagnosis.judge import Judged, judge, with_joint_noise
-from suspension_twin.diagnosis.partial import PartialResults, code_digest
+from suspension_twin.diagnosis.library import SETUP_CATEGORIES
 from suspension_twin.diagnosis.request import DiagnosisRequest, DiagnosisResult, Progress
 from suspension_twin.effects.registry import EFFECTS
 from suspension_twin.errors import InputError
+from suspension_twin.inference.checkpoint import Checkpoint, Rounds, code_digest
+from suspension_twin.inference.observation import content_digest
 from suspension_twin.inference.parallel import one_blas_thread
+from suspension_twin.inference.problem import Problem
 from suspension_twin.vehicle.twin import load_twin
 
 __all__ = ["diagnose"]
@@ -39,8 +38,6 @@ __all__ = ["diagnose"]
 #: Residual on reference drives as a share of its motion: of a vehicle without any error at most, and from which on the
 #: reference is of another vehicle or set-up.
 _SOUND, _OTHER_VEHICLE = 0.17, 0.6
-#: Longest time step in s: signals differ by 0.2 % of their rms from those in steps of 1 ms.
-_STEP = 2.5e-3
 
 
 def diagnose(
@@ -86,10 +83,10 @@ def diagnose(
     with one_blas_thread():
         case, judged = _judged(request, report, stop)
         level = judged.reference
-        if level is not None and level >= _OTHER_VEHICLE and case.kind == "planar":
+        if level is not None and level >= _OTHER_VEHICLE and not case.excited:
             # a receiver's noise may be as large as the motion; what is new since the reference shows all the same
             case = replace(case, warnings=(*case.warnings, f"{_references(case)}: {_missed(level)}"))
-        if level is None or level < _SOUND or case.kind == "planar":
+        if level is None or level < _SOUND or not case.excited:
             return conclude(request, case, judged, time.monotonic() - began)
         found = conclude(request, case, judged, time.monotonic() - began) if level < _OTHER_VEHICLE else None
         if found is not None and found.document["verdict"] != "no_gap":
@@ -118,30 +115,37 @@ def _judged(
 ) -> tuple[Case, Judged]:
     report(Progress("reading", 0.0))
     case = read_case(request, lambda note: report(Progress("reading", 0.02, note)), stop)
-    bench = replace(build(case, stop), step=_STEP)
+    problem = build(case, stop)
     report(Progress("calibrating", 0.08, "the vehicle without any effect"))
-    bench, base, anchor = baseline(case, bench)
-    bench = replace(bench, partial=_partial_results(request, case, bench))
+    problem, base, anchor = baseline(case, problem)
+    rounds = _rounds(request, case, problem)
     if not case.excited:
-        bench, base = with_joint_noise(request, case, bench, base)
+        problem, base = with_joint_noise(request, case, problem, base)
         anchor = base
-    return case, judge(request, case, bench, base, anchor, report)
+    return case, judge(request, case, problem, (base, anchor), rounds, report)
 
 
-def _partial_results(request: DiagnosisRequest, case: Case, bench: Bench) -> PartialResults:
-    """The partial results of this very case; empty where none are to be kept."""
+def _rounds(request: DiagnosisRequest, case: Case, problem: Problem) -> Rounds:
+    """The rounds of this very case; on disk where the request names a folder."""
     if not request.state:
-        return PartialResults()
+        return Rounds()
     asked = replace(request, twin="", bags=(), reference=(), costs=Costs(), state="")
-    words = (code_digest(), repr(asked), repr(case.active))
-    digest = problem_digest(words, case.twin, bench.problem)
-    return PartialResults(Checkpoint(Path(request.state), digest, "a diagnosis"))
+    excitations = [part.excitation for part in problem.data.parts]
+    digest = content_digest(
+        code_digest(Path(__file__)),
+        asked,
+        case.active,
+        case.twin.model_copy(update={"road": None}),
+        problem.measured.values,
+        excitations,
+    )
+    return Rounds(Checkpoint(Path(request.state), digest, "a diagnosis"))
 
 
 def _before_and_after(
     request: DiagnosisRequest, report: Callable[[Progress], None], stop: Callable[[], bool], began: float
 ) -> DiagnosisResult | None:
-    """What is wrong with the set-up (clock, map, mount) in reference and gap drives alike; None where nothing is named.
+    """Errors of the set-up (clock, map, mount) in reference and gap drives alike; None where nothing is named.
 
     All drives are diagnosed as drives with the gap, with the effects of the set-up alone.
     """

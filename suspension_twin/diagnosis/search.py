@@ -11,10 +11,14 @@ import numpy as np
 
 from suspension_twin.arrays import Floats
 from suspension_twin.diagnosis import coarse_search
-from suspension_twin.diagnosis.bench import Bench
-from suspension_twin.diagnosis.evidence import Blocks, Evidence, evidence
 from suspension_twin.diagnosis.excerpt import Excerpt
-from suspension_twin.diagnosis.fit import (
+from suspension_twin.diagnosis.library import NUISANCE_COUNTERPART, SETUP_CATEGORIES
+from suspension_twin.diagnosis.preexisting import as_preexisting
+from suspension_twin.diagnosis.tone_search import tone_peaks, tone_starts
+from suspension_twin.errors import WorkError
+from suspension_twin.inference.checkpoint import Rounds, stored
+from suspension_twin.inference.cross_validation import Blocks, Evidence, evidence
+from suspension_twin.inference.fit import (
     DEEP,
     LONG,
     ROUGH,
@@ -29,15 +33,13 @@ from suspension_twin.diagnosis.fit import (
     screen,
     twin_of,
 )
-from suspension_twin.diagnosis.hypotheses import BASELINE, NUISANCE_COUNTERPART, Hypothesis, combined
-from suspension_twin.diagnosis.partial import kept
-from suspension_twin.diagnosis.preexisting import as_preexisting
-from suspension_twin.diagnosis.tone_search import tone_peaks, tone_starts
-from suspension_twin.errors import WorkError
+from suspension_twin.inference.hypothesis import Hypothesis, combined
 from suspension_twin.inference.parallel import side_by_side
 from suspension_twin.inference.posterior import travel
+from suspension_twin.inference.problem import Problem
+from suspension_twin.inference.sensor_correction import Turn
 
-__all__ = ["Single", "joint_fit", "pairs", "refitted_under_noise", "singles", "without_one"]
+__all__ = ["Search", "Single", "joint_fit", "pairs", "refitted_under_noise", "singles", "without_one"]
 
 _STARTS, _TRIED, _JOINT_STARTS = 16, 3, 128
 _WIDE_STARTS = 8
@@ -70,7 +72,21 @@ _SHARED = ("clock_offset", "map_position", "tilt_roll", "tilt_pitch")
 LEAST_POWER = 5.0
 
 
-@kept
+@dataclass(frozen=True, eq=False)
+class Search:
+    """Choices and aids of a search: ``blocks`` of the cross-validation, ``seed``, ``rounds`` of work kept on disk, the
+    ``turn`` of the sensor that the drives show, ``no_match`` where the simulation does not match the motion (then
+    set-up errors are searched over their whole range), and the ``excerpt`` for first looks, if there is one."""
+
+    blocks: Blocks
+    seed: int = 0
+    rounds: Rounds = Rounds()
+    turn: Turn = (0.0, 0.0, 0.0)
+    no_match: bool = False
+    excerpt: Excerpt | None = None
+
+
+@stored
 @dataclass(frozen=True, eq=False)
 class Single:
     """The best fit of one effect.
@@ -95,10 +111,10 @@ class Single:
         return bool(self.powers.max() >= LEAST_POWER)
 
 
-@kept
+@stored
 @dataclass(frozen=True, eq=False)
 class _FirstSearch:
-    """Result of the first search of an effect; ``far``: found from another vehicle than the baseline."""
+    """The first search of an effect; ``far``: found from another vehicle than the baseline."""
 
     cost: float
     effect: str
@@ -109,29 +125,25 @@ class _FirstSearch:
 
 
 def singles(
-    bench: Bench,
+    problem: Problem,
     base: LinearisedFit,
     anchor: LinearisedFit,
     library: dict[str, list[Hypothesis]],
-    blocks: Blocks,
-    seed: int,
-    no_match: bool,
+    search: Search,
     on_progress: Callable[[float, str], None],
-    excerpt: Excerpt | None = None,
 ) -> tuple[LinearisedFit, list[Single]]:
-    """Fit every effect of the library jointly with characteristics and nuisance parameters.
+    """Fit every effect of the library jointly with vehicle and nuisance parameters.
 
-    Returns the baseline, which is refitted from the vehicle of each effect, and the effects. ``no_match``: the
-    simulation does not match the motion, and set-up errors are searched over their whole range. The first search goes
-    over the ``excerpt``, if there is one.
+    Returns the baseline, which is refitted from the vehicle of each effect, and the effects. The first search goes over
+    the excerpt, if there is one.
     """
-    begun, from_anchor = base, anchor
+    begun, from_anchor, excerpt, rounds = base, anchor, search.excerpt, search.rounds
     if excerpt is not None:
-        short = linearised_fit(excerpt.bench, BASELINE, base.x)
-        short_anchor = short if anchor is base else linearised_fit(excerpt.bench, BASELINE, anchor.x)
+        short = linearised_fit(excerpt.problem, base.x)
+        short_anchor = short if anchor is base else linearised_fit(excerpt.problem, anchor.x)
 
     def whole(effect: str) -> _FirstSearch:
-        found = _first_search(bench, begun, from_anchor, effect, library[effect], seed, no_match)
+        found = _first_search(problem, begun, from_anchor, library[effect], search)
         best = min(found, key=lambda one: one.cost)
         if not math.isfinite(best.cost):
             raise WorkError(f"the twin cannot be simulated with {effect}")
@@ -140,17 +152,17 @@ def singles(
     def look(effect: str) -> list[_FirstSearch]:
         if excerpt is None or _since_the_start(library[effect][0], effect):
             return [whole(effect)]
-        return _first_search(excerpt.bench, short, short_anchor, effect, library[effect], seed, no_match)
+        return _first_search(excerpt.problem, short, short_anchor, library[effect], search)
 
     effects = list(library)
-    looked = bench.partial.side_by_side(
-        look, effects, lambda done, name: on_progress(0.5 * done, name.replace("_", " "))
+    looked = rounds.side_by_side(
+        "first search", look, effects, lambda done, name: on_progress(0.5 * done, name.replace("_", " "))
     )
     rough = [min(some, key=lambda one: one.cost) for some in looked]
     if excerpt is not None:
         on_excerpt = [not _since_the_start(library[e][0], e) for e in effects]
         # the vehicle alone fits an excerpt better than it fits the whole drives
-        _, alone = refit(excerpt.bench, BASELINE, [base.x, anchor.x], None, ROUGH)
+        _, alone = refit(excerpt.problem, [base.x, anchor.x], None, ROUGH)
         seen = [
             (alone - r.cost) / excerpt.share if part else begun.cost - r.cost
             for r, part in zip(rough, on_excerpt, strict=True)
@@ -162,25 +174,27 @@ def singles(
                 return rough[i]
             iterations = ROUGH if seen[i] >= enough else 0
             found = [
-                _on_whole_drives(bench, begun, from_anchor, one, excerpt.share, iterations)
+                _on_whole_drives(problem, begun, from_anchor, one, excerpt.share, iterations)
                 for one in looked[i]
             ]
             best = min(found, key=lambda one: one.cost)
             return best if math.isfinite(best.cost) else whole(effects[i])
 
-        rough = bench.partial.side_by_side(
+        rough = rounds.side_by_side(
+            "whole drives",
             finish,
             range(len(effects)),
             lambda done, i: on_progress(0.5 + 0.15 * done, effects[i].replace("_", " ")),
         )
-    base = _rebased_baseline(bench, base, [r.x for r in rough])
+    base = _rebased_baseline(problem, base, [r.x for r in rough])
     moved = base.cost < begun.cost - _REBASE_GAIN
     # what can be no finalist, even if its fit improves by more than the baseline has, is not repeated
     allowance = _REBASE_SHARE * (begun.cost - base.cost)
     least = _FINALIST_GAIN * (base.cost - min(r.cost for r in rough))
     again = [i for i, r in enumerate(rough) if base.cost - r.cost + allowance >= least]
-    repeated = bench.partial.side_by_side(
-        lambda i: _restarted(bench, base, moved, rough[i], seed),
+    repeated = rounds.side_by_side(
+        "from the better baseline",
+        lambda i: _restarted(problem, base, moved, rough[i], search.seed),
         again,
         lambda done, _: on_progress(0.6, "baseline"),
     )
@@ -193,26 +207,27 @@ def singles(
 
     def judge(i: int) -> Single:
         r, v, preexisting = rough[i], rough[i].hypothesis, None
-        starts = [r.x, np.concatenate([base.x, r.x[bench.d + bench.q :]])]
+        starts = [r.x, np.concatenate([base.x, r.x[problem.shared :]])]
         if i in finalists:
-            at = fitted(bench, v, starts, _FINE)
+            at = fitted(problem.having(v), starts, _FINE)
         else:
-            at = approximated(bench, v, starts, base)
+            at = approximated(problem.having(v), starts, base)
         shared = not v.differs and r.effect not in NUISANCE_COUNTERPART
-        if i in finalists and not all(bench.active) and shared:
-            preexisting = as_preexisting(bench, v, at.x, base, blocks)
+        if i in finalists and not all(problem.data.active) and shared:
+            preexisting = as_preexisting(problem, v, at.x, base, search.blocks)
         if at.cost >= base.cost:
             ends = v.negligible()
             none = np.concatenate([np.repeat(base.x[:, None], ends.shape[1], axis=1), ends])
-            at = approximated(bench, v, list(none.T), base)
-        other = coordinate_scan(bench, at) if i in finalists else None
+            at = approximated(problem.having(v), list(none.T), base)
+        other = coordinate_scan(problem.having(v), at) if i in finalists else None
         if other is not None:
-            at = fitted(bench, v, [other], DEEP)
+            at = fitted(problem.having(v), [other], DEEP)
         # far from the best one, the linearisation says enough of what a fold takes away
-        own = evidence(bench, at, blocks, linear=i not in finalists)
+        own = evidence(problem.having(v), at, search.blocks, linear=i not in finalists)
         return Single(r.effect, own, r.powers, i in finalists, preexisting)
 
-    judged = bench.partial.side_by_side(
+    judged = rounds.side_by_side(
+        "finalists",
         judge,
         order,
         lambda done, i: on_progress(0.65 + 0.35 * done, f"{rough[i].effect.replace('_', ' ')}, once more"),
@@ -228,7 +243,7 @@ def _since_the_start(hypothesis: Hypothesis, name: str) -> bool:
 
 
 def _on_whole_drives(
-    bench: Bench,
+    problem: Problem,
     base: LinearisedFit,
     anchor: LinearisedFit,
     part: _FirstSearch,
@@ -236,41 +251,40 @@ def _on_whole_drives(
     iterations: int,
 ) -> _FirstSearch:
     """A first search over an excerpt with ``share`` of the information, fitted to the whole drives."""
-    v, p = part.hypothesis, bench.d + bench.q
+    v, p = part.hypothesis, problem.shared
     u = part.x[p:]
     starts = [part.x, *(np.concatenate([x, u]) for x in (base.x, anchor.x))]
     starts.append(np.concatenate([base.x, v.neutral()]))
     far = part.far and iterations > 0
-    x, cost = refit(bench, v, starts, None if far else anchor.at, iterations, alternate_jacobian=far)
+    x, cost = refit(problem.having(v), starts, None if far else anchor.at, iterations, alternate_jacobian=far)
     cost += coarse_search.MISALIGNMENT_PENALTY * bool(v.around)
     return replace(part, cost=cost, x=x, powers=part.powers / share)
 
 
 def _first_search(
-    bench: Bench,
+    problem: Problem,
     base: LinearisedFit,
     anchor: LinearisedFit,
-    effect: str,
     variants: Sequence[Hypothesis],
-    seed: int,
-    no_match: bool,
+    search: Search,
 ) -> list[_FirstSearch]:
     """The best variants of an effect from many starts, mostly with the vehicle Jacobian at ``anchor``; includes the
     coarse search for set-up errors."""
-    screens = [screen(bench, anchor, v, v.starts(_STARTS, seed)) for v in variants]
+    effect, seed = variants[0].effects[-1], search.seed
+    screens = [screen(problem.having(v), anchor, v.starts(_STARTS, seed)) for v in variants]
     powers = np.concatenate([s.power for s in screens])
-    peaks = _peaks(bench, anchor, effect, variants)
+    peaks = _peaks(problem, anchor, effect, variants)
     # with the vehicle of all drives as well, from which the effect is else started at nothing
     heard = [
         [
             x
             for vehicle in ((anchor,) if base is anchor else (anchor, base))
-            for x in tone_starts(bench, vehicle, vehicle.at.residual, v, effect, own)[:_HEARD]
+            for x in tone_starts(problem, vehicle, vehicle.at.residual, v, effect, own)[:_HEARD]
         ]
         for v, own in zip(variants, peaks, strict=True)
     ]
     costs = [
-        min([s.cost[0], *(bench.costs(v, np.stack(x, axis=1)).tolist() if x else ())])
+        min([s.cost[0], *(problem.having(v).costs(np.stack(x, axis=1)).tolist() if x else ())])
         for v, s, x in zip(variants, screens, heard, strict=True)
     ]
     order = sorted(range(len(variants)), key=lambda i: costs[i])
@@ -280,80 +294,83 @@ def _first_search(
         v, tried = variants[i], screens[i]
         # beside the peak of a tone no scattered start is of use
         scattered = [] if heard[i] else tried.x[:_TRIED]
-        starts = [*scattered, *_resonant(bench, anchor, v, v), *heard[i]]
+        starts = [*scattered, *_resonant(problem, anchor, v, v), *heard[i]]
         starts.append(np.concatenate([base.x, v.neutral()]))
-        x, cost = refit(bench, v, starts, anchor.at, ROUGH)
+        x, cost = refit(problem.having(v), starts, anchor.at, ROUGH)
         if not math.isfinite(cost):
             # a recalibrated baseline may be so far off that no effect can be simulated on it
-            starts = [np.concatenate([bench.centre, u]) for u in (v.neutral(), *v.starts(_STARTS, seed).T)]
-            x, cost = refit(bench, v, starts, None, DEEP)
-        far = coarse_search.coarse_fit(bench, v, no_match)
+            starts = [
+                np.concatenate([problem.prior.centre, u]) for u in (v.neutral(), *v.starts(_STARTS, seed).T)
+            ]
+            x, cost = refit(problem.having(v), starts, None, DEEP)
+        far = coarse_search.coarse_fit(problem, v, search.turn, search.no_match)
         if far is not None and far[2] < cost:
             v, x, cost = far
-        misset = None if bench.fused else coarse_search.misset_fit(bench, v, x, cost)
+        misset = None if problem.simulation.fused else coarse_search.misset_fit(problem, v, x, cost)
         if misset is not None:
             v, x, cost = misset
         whole = [
-            start for begun, start in _softened_starts(bench, base, v, seed) if begun < _COST_RATIO * cost
+            start for begun, start in _softened_starts(problem, base, v, seed) if begun < _COST_RATIO * cost
         ]
         moved = False
-        for start in (*_typical_start(bench, base, v), *whole):
-            y, other = refit(bench, v, [start], None, DEEP, alternate_jacobian=True)
+        for start in (*_typical_start(problem, base, v), *whole):
+            y, other = refit(problem.having(v), [start], None, DEEP, alternate_jacobian=True)
             x, cost, moved = (y, other, True) if other < cost else (x, cost, moved)
         found.append(_FirstSearch(cost, effect, v, x, powers, moved))
     return found
 
 
 def _peaks(
-    bench: Bench, start: LinearisedFit, effect: str, variants: Sequence[Hypothesis]
+    problem: Problem, start: LinearisedFit, effect: str, variants: Sequence[Hypothesis]
 ) -> list[list[Mapping[str, float]]]:
     """The strongest tones for each variant of an effect, which may turn with another wheel than the next one."""
     found: dict[int, list[Mapping[str, float]]] = {}
     own, corners = variants[0].effect(effect), [v.corner(effect) for v in variants]
     for corner in corners:
         if corner not in found:
-            found[corner] = tone_peaks(bench, start.at.residual, own, corner)
+            found[corner] = tone_peaks(problem, start.at.residual, own, corner)
     return [found[corner] for corner in corners]
 
 
-def _resonant(bench: Bench, base: LinearisedFit, hypothesis: Hypothesis, added: Hypothesis) -> list[Floats]:
+def _resonant(
+    problem: Problem, base: LinearisedFit, hypothesis: Hypothesis, added: Hypothesis
+) -> list[Floats]:
     """The start at the best resonance frequency of ``added``, the last effect of the hypothesis; empty without one."""
     scan = added.scan(_SCANNED)
-    found = None if scan is None else resonance_scan(bench, base, hypothesis, scan)
+    found = None if scan is None else resonance_scan(problem.having(hypothesis), base, scan)
     return [] if found is None else [found]
 
 
-def _rebased_baseline(bench: Bench, base: LinearisedFit, found: Sequence[Floats]) -> LinearisedFit:
+def _rebased_baseline(problem: Problem, base: LinearisedFit, found: Sequence[Floats]) -> LinearisedFit:
     """The baseline refitted from the vehicle of each effect, so that no effect is credited with a better vehicle."""
-    p = bench.d + bench.q
-    better = fitted(bench, BASELINE, [base.x, *(y[:p] for y in found)], 2 * ROUGH)
+    p = problem.shared
+    better = fitted(problem, [base.x, *(y[:p] for y in found)], 2 * ROUGH)
     return better if better.cost < base.cost else base
 
 
 def _restarted(
-    bench: Bench, base: LinearisedFit, moved: bool, rough: _FirstSearch, seed: int
+    problem: Problem, base: LinearisedFit, moved: bool, rough: _FirstSearch, seed: int
 ) -> _FirstSearch:
     """Repeat the search of an effect from the improved baseline, if that has ``moved``.
 
     Set-up effects are also fitted with the nuisance parameters of the same action frozen: these can share a clock
     offset among them and form a separate local minimum.
     """
-    v, u = rough.hypothesis, rough.x[bench.d + bench.q :]
+    v, u = rough.hypothesis, rough.x[problem.shared :]
     starts = [np.concatenate([base.x, u]), np.concatenate([base.x, v.neutral()])]
     if rough.cost >= base.cost:
-        starts += screen(bench, base, v, v.starts(_STARTS, seed)).x[:_TRIED]
-    found = [refit(bench, v, starts, base.at, ROUGH)] if moved else [(rough.x, rough.cost)]
-    if rough.hypothesis.effect(rough.effect).where in ("time", "road", "sensor"):
-        frozen = replace(
-            bench, frozen_nuisances=tuple(n for n in bench.problem.nuisances.names if n.endswith(_SHARED))
-        )
-        begun, _ = refit(frozen, v, starts, base.at, ROUGH)
-        found.append(refit(bench, v, [begun], base.at, ROUGH))
+        starts += screen(problem.having(v), base, v.starts(_STARTS, seed)).x[:_TRIED]
+    found = [refit(problem.having(v), starts, base.at, ROUGH)] if moved else [(rough.x, rough.cost)]
+    if rough.hypothesis.effect(rough.effect).where in SETUP_CATEGORIES:
+        names = tuple(n for n in problem.nuisances.names if n.endswith(_SHARED))
+        frozen = replace(problem, prior=replace(problem.prior, frozen=names))
+        begun, _ = refit(frozen.having(v), starts, base.at, ROUGH)
+        found.append(refit(problem.having(v), [begun], base.at, ROUGH))
     x, cost = min(found, key=lambda f: f[1])
     return replace(rough, x=x, cost=cost) if cost < rough.cost else rough
 
 
-def _typical_start(bench: Bench, base: Fit, hypothesis: Hypothesis) -> list[Floats]:
+def _typical_start(problem: Problem, base: Fit, hypothesis: Hypothesis) -> list[Floats]:
     """The effect at its typical size in the baseline vehicle, for effects whose size is not centred on nothing.
 
     Where characteristics have taken over the part of a massless wheel or a stiff mount, every size of the effect is
@@ -363,12 +380,12 @@ def _typical_start(bench: Bench, base: Fit, hypothesis: Hypothesis) -> list[Floa
     names = [key.split(".")[2] for key in hypothesis.keys]
     if all(neutral[i] == 0.0 for i, name in enumerate(names) if name in effect.severity):
         return []
-    start = np.concatenate([base.x[: bench.d + bench.q], np.zeros(len(hypothesis))])
-    return [np.asarray(bench.clipped(hypothesis, start[:, None])[:, 0])]
+    start = np.concatenate([base.x[: problem.shared], np.zeros(len(hypothesis))])
+    return [np.asarray(problem.having(hypothesis).clipped(start[:, None])[:, 0])]
 
 
 def _softened_starts(
-    bench: Bench, base: Fit, hypothesis: Hypothesis, seed: int
+    problem: Problem, base: Fit, hypothesis: Hypothesis, seed: int
 ) -> list[tuple[float, Floats]]:
     """Costs and unknowns of starts with softer springs and weaker dampers than the baseline.
 
@@ -379,10 +396,10 @@ def _softened_starts(
     effect = hypothesis.effect(hypothesis.effects[-1])
     if effect.where not in ("strut", "tyre", "body") or effect.tone is not None:
         return []
-    p = bench.d + bench.q
+    p = problem.shared
 
     def vehicle(springs: float, dampers: float) -> Floats:
-        return bench.problem.space.shifted(base.x[:p], springs, dampers)
+        return problem.space.shifted(base.x[:p], springs, dampers)
 
     starts = hypothesis.starts(_WIDE_STARTS, seed + 1)
     many = [vehicle(*v) for v in _VEHICLES]
@@ -392,50 +409,52 @@ def _softened_starts(
     # a stop that hardly touches has the lowest cost but no gradient: starts that touch are added
     early_contact = []
     if hypothesis.has_clearance:
-        known = travel(twin_of(bench, base), bench.problem)
+        known = travel(twin_of(problem, base), problem)
         far = {
             axle: float(np.quantile(np.abs(x - known.static[axle]), _TOUCHES))
             for axle, x in known.compression.items()
         }
         touching = hypothesis.early_contact(far)
         early_contact = [np.concatenate([vehicle(*v), touching])[:, None] for v in _EARLY]
-    x = bench.clipped(hypothesis, np.concatenate([x, *early_contact], axis=1))
-    costs = bench.costs(hypothesis, x)
+    x = problem.having(hypothesis).clipped(np.concatenate([x, *early_contact], axis=1))
+    costs = problem.having(hypothesis).costs(x)
     first = costs.size - len(early_contact)
     tried = [int(np.argmin(costs[:first])), *range(first, costs.size)]
     return [(float(costs[i]), x[:, i]) for i in tried if np.isfinite(costs[i])]
 
 
 def pairs(
-    bench: Bench,
+    problem: Problem,
     first: Evidence,
     library: dict[str, list[Hypothesis]],
-    blocks: Blocks,
-    seed: int,
+    search: Search,
     on_progress: Callable[[float, str], None],
     skip: Sequence[str] = (),
-    excerpt: Excerpt | None = None,
 ) -> list[Evidence]:
-    """Evidence of the sets with one more effect than ``first`` that a first fit finds best, over the ``excerpt`` if
-    there is one."""
+    """Evidence of the sets with one more effect than ``first`` that a first fit finds best, over the excerpt if there
+    is one."""
+    excerpt, seed, rounds = search.excerpt, search.seed, search.rounds
     there = first.fit.hypothesis
-    begun = linearised_fit(bench, there, first.fit.x)
-    known = begun.at.first(bench.d + bench.q)
+    begun = linearised_fit(problem.having(there), first.fit.x)
+    known = begun.at.first(problem.shared)
     others = [e for e in library if e not in there.effects and e not in skip]
     if any(_since_the_start(there, e) for e in there.effects):
         excerpt = None
     if excerpt is not None:
-        short = linearised_fit(excerpt.bench, there, first.fit.x)
+        short = linearised_fit(excerpt.problem.having(there), first.fit.x)
 
     def look(effect: str) -> list[tuple[float, Hypothesis, list[Floats]]]:
         """By variant: what it gains on the whole drives by a first look, and the best starts."""
         if excerpt is None or _since_the_start(library[effect][0], effect):
-            return _looked(bench, begun, effect, library[effect], seed)
-        found = _looked(excerpt.bench, short, effect, library[effect], seed)
+            return _looked(problem, begun, effect, library[effect], seed)
+        found = _looked(excerpt.problem, short, effect, library[effect], seed)
         return [(gain / excerpt.share, both, starts) for gain, both, starts in found]
 
-    looked = bench.partial.side_by_side(
-        look, others, lambda done, name: on_progress(0.7 * done, f"{there.name} and {name}".replace("_", " "))
+    looked = rounds.side_by_side(
+        f"beside {there.name}",
+        look,
+        others,
+        lambda done, name: on_progress(0.7 * done, f"{there.name} and {name}".replace("_", " ")),
     )
     rough = sorted((r for some in looked for r in some), key=lambda r: -r[0])
     best: dict[tuple[str, ...], tuple[Hypothesis, list[Floats]]] = {}
@@ -447,10 +466,12 @@ def pairs(
         if excerpt is not None:  # in the vehicle of the whole drives as well
             own = first.fit.x.size
             starts = [*starts, *(np.concatenate([first.fit.x, x[own:]]) for x in starts)]
-        x, _ = refit(bench, both, starts, known, ROUGH)
-        return evidence(bench, fitted(bench, both, [x], 2), blocks)
+        joint = problem.having(both)
+        x, _ = refit(joint, starts, known, ROUGH)
+        return evidence(joint, fitted(joint, [x], 2), search.blocks)
 
-    return bench.partial.side_by_side(
+    return rounds.side_by_side(
+        f"joined to {there.name}",
         join,
         list(best.values())[:_BEST_PAIRS],
         lambda done, at: on_progress(0.7 + 0.3 * done, f"{at[0].name}, jointly".replace("_", " ")),
@@ -458,23 +479,23 @@ def pairs(
 
 
 def _looked(
-    bench: Bench, start: LinearisedFit, effect: str, variants: Sequence[Hypothesis], seed: int
+    problem: Problem, start: LinearisedFit, effect: str, variants: Sequence[Hypothesis], seed: int
 ) -> list[tuple[float, Hypothesis, list[Floats]]]:
     """A first look at the sets of ``start`` with a variant of one more effect: gain in -2 log posterior, hypothesis and
     starts of each."""
     there = start.hypothesis
     tried = [(combined(there, v), v.starts(_STARTS // 2, seed)) for v in variants]
-    screens = [(both, screen(bench, start, both, starts)) for both, starts in tried]
+    screens = [(both, screen(problem.having(both), start, starts)) for both, starts in tried]
     more = [
         [
-            *_resonant(bench, start, both, v),
-            *tone_starts(bench, start, start.at.residual, both, effect, own)[:_HEARD],
+            *_resonant(problem, start, both, v),
+            *tone_starts(problem, start, start.at.residual, both, effect, own)[:_HEARD],
         ]
-        for (both, _), v, own in zip(tried, variants, _peaks(bench, start, effect, variants), strict=True)
+        for (both, _), v, own in zip(tried, variants, _peaks(problem, start, effect, variants), strict=True)
     ]
     # starts of resonances and tones are ranked by their simulated cost
     costs = [
-        [float(bench.costs(both, x[:, None])[0]) for x in found]
+        [float(problem.having(both).costs(x[:, None])[0]) for x in found]
         for (both, _), found in zip(tried, more, strict=True)
     ]
     return [
@@ -483,39 +504,44 @@ def _looked(
     ]
 
 
-def joint_fit(bench: Bench, parts: Sequence[Hypothesis], base: Fit, seed: int) -> LinearisedFit:
+def joint_fit(
+    problem: Problem, parts: Sequence[Hypothesis], base: Fit, seed: int, turn: Turn
+) -> LinearisedFit:
     """Joint fit of all ``parts``: from neutral, and from the best of many starts, those of a coarse search included."""
-    p = bench.d + bench.q
+    p = problem.shared
     together = combined(*parts)
-    far = coarse_search.joint_grid(bench, together)
+    far = coarse_search.joint_grid(together, turn)
     many = np.concatenate([together.neutral()[:, None], together.starts(_JOINT_STARTS, seed), far], axis=1)
     starts = np.concatenate([np.repeat(base.x[:p, None], many.shape[1], axis=1), many])
     # with a large set-up error the baseline vehicle is wrong: start from the twin file
-    starts[:p, many.shape[1] - far.shape[1] :] = bench.centre[:, None]
-    order = np.argsort(bench.costs(together, starts) - coarse_search.waived_penalty(many), kind="stable")
+    starts[:p, many.shape[1] - far.shape[1] :] = problem.prior.centre[:, None]
+    order = np.argsort(
+        problem.having(together).costs(starts) - coarse_search.waived_penalty(many), kind="stable"
+    )
     tried = [
         (coarse_search.recentred(together, many[:, i]), starts[:, i])
         for i in sorted({0, *order[:_TRIED].tolist()})
     ]
-    fits = side_by_side(lambda at: refit(bench, at[0], [at[1]], None, LONG), tried)
+    fits = side_by_side(lambda at: refit(problem.having(at[0]), [at[1]], None, LONG), tried)
     found = [(h, *fit) for (h, _), fit in zip(tried, fits, strict=True)]
     best, x, _ = min(found, key=lambda f: f[2] + coarse_search.MISALIGNMENT_PENALTY * bool(f[0].around))
-    return linearised_fit(bench, best, x)
+    return linearised_fit(problem.having(best), x)
 
 
-def refitted_under_noise(bench: Bench, fit: LinearisedFit) -> LinearisedFit:
-    """Refit a hypothesis with the noise model of the bench."""
-    return fitted(bench, fit.hypothesis, [fit.x], LONG)
+def refitted_under_noise(problem: Problem, fit: LinearisedFit) -> LinearisedFit:
+    """Refit a hypothesis with the noise model of the problem."""
+    return fitted(problem.having(fit.hypothesis), [fit.x], LONG)
 
 
-def without_one(bench: Bench, whole: Evidence, blocks: Blocks) -> list[Evidence]:
+def without_one(problem: Problem, whole: Evidence, blocks: Blocks) -> list[Evidence]:
     """Evidence without each effect of ``whole`` in turn, in the order of its effects."""
-    there, p = whole.fit.hypothesis, bench.d + bench.q
+    there, p = whole.fit.hypothesis, problem.shared
 
-    def less(effect: str) -> Evidence:
+    def fewer(effect: str) -> Evidence:
         kept = [i for i, key in enumerate(there.keys) if key.split(".")[1] != effect]
         start = np.concatenate([whole.fit.x[:p], whole.fit.x[p:][kept]])
         rest = there.without(effect)
-        return evidence(bench, fitted(bench, rest, [start], LONG), blocks)
+        less = problem.having(rest)
+        return evidence(less, fitted(less, [start], LONG), blocks)
 
-    return side_by_side(less, there.effects)
+    return side_by_side(fewer, there.effects)

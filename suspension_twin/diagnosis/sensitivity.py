@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Sensitivities of a drive that nobody has driven yet: the twin over a road at a constant speed.
+"""Sensitivities of a simulated drive: the twin over a road at a constant speed.
 
-The columns of a drive are what changes in the readings of the virtual sensor: by the vehicle's parameters that a
+The columns of a drive are the changes of the readings of the virtual sensor: by the vehicle's parameters that a
 diagnosis recalibrates, by the nuisance parameters of clock, map and mount, and by effects of given sizes. All that
 planning asks of them are scalar products: of whitened columns, which say what a fit makes of a change, and of the
 columns of each channel in units of the expected residual, which say how large a change is (``Products``).
@@ -17,31 +17,25 @@ from numpy.typing import NDArray
 from scipy.linalg import block_diag
 
 from suspension_twin.arrays import Floats
-from suspension_twin.calibration.presets import build_space, preset_named
-from suspension_twin.diagnosis.bench import REACH, STEP, Bench
-from suspension_twin.diagnosis.case import ALSO, PLANAR
-from suspension_twin.diagnosis.hypotheses import BASELINE, Hypothesis
+from suspension_twin.diagnosis.case import drive_problem
 from suspension_twin.errors import InputError
 from suspension_twin.inference.gap import CHANNELS
 from suspension_twin.inference.gauss_newton import bounded_step
+from suspension_twin.inference.hypothesis import Hypothesis
 from suspension_twin.inference.noise import USUAL_SHARE, Whitener
 from suspension_twin.inference.nuisance import OF_A_DRIVE, map_spread
-from suspension_twin.inference.objectives import Term
-from suspension_twin.inference.posterior import CORRELATION
-from suspension_twin.inference.problem import Problem
-from suspension_twin.inference.smooth_space import smooth_space
+from suspension_twin.inference.observation import PLANAR, VERTICAL, Comparison, Grid, Observation
+from suspension_twin.inference.problem import REACH, STEP, Data, Problem, Simulation, whitener_of
 from suspension_twin.inference.synthetic import SensorErrors, path_along
 from suspension_twin.models.excitation import excitation
-from suspension_twin.models.parameters import has_number, pack
+from suspension_twin.models.parameters import pack
 from suspension_twin.models.simulate import simulate_lanes
-from suspension_twin.models.types import Excitation
 from suspension_twin.road.road import Road
 from suspension_twin.signals.conditioner import Conditioner
 from suspension_twin.signals.filters import FilterSpec
-from suspension_twin.units import STANDARD_GRAVITY
 from suspension_twin.vehicle.twin import Twin
 
-__all__ = ["Change", "PlannedDrive", "Products", "planned_drive", "products"]
+__all__ = ["Change", "Products", "planned_drive", "products"]
 
 #: Of the virtual sensor: those of a phone and an RTK receiver.
 SENSOR = SensorErrors()
@@ -49,32 +43,6 @@ SENSOR = SensorErrors()
 LONGEST, _SLOWEST, _MARGIN = 40.0, 0.8, 0.5
 #: m/s² of a calm driver (Bae, Moon and Seo, Electronics 8, 2019: comfortable up to 2 m/s²).
 _ACCELERATION, _BRAKING = 1.5, 2.0
-
-
-@dataclass(frozen=True)
-class _Gravity:
-    gravity: float = STANDARD_GRAVITY
-
-
-@dataclass(frozen=True, eq=False)
-class PlannedDrive:
-    """An observation that is simulated: ``measured`` is the twin itself, ``noise_rms`` the sensor's noise after the
-    low-pass; ``rows`` (r,) are the samples on which the vehicle moves on the road. See ``Observation``."""
-
-    name: str
-    t: Floats
-    rate: float
-    bandwidth: float
-    excitation: Excitation
-    conditioner: Conditioner
-    measured: dict[str, Floats]
-    noise_rms: dict[str, float]
-    position: Floats
-    along: Floats
-    rows: NDArray[np.intp]
-    warnings: tuple[str, ...] = ()
-    position_sigma: float = SENSOR.position
-    signals: _Gravity = _Gravity()
 
 
 @dataclass(frozen=True, eq=False)
@@ -91,7 +59,7 @@ class Change:
         return Change(self.hypothesis, self.points[:, kept], tuple(self.names[i] for i in kept))
 
 
-def planned_drive(twin: Twin, road: Road, kmh: float, name: str = "") -> PlannedDrive:
+def planned_drive(twin: Twin, road: Road, kmh: float, name: str = "") -> Observation:
     """A drive along the middle of a road at a constant speed, from its start.
 
     Where a quarter of the road is enough for it, the vehicle starts from standing, and so it stops; else it enters and
@@ -110,7 +78,7 @@ def planned_drive(twin: Twin, road: Road, kmh: float, name: str = "") -> Planned
 
     Returns
     -------
-    PlannedDrive
+    Observation
         At the rate of the sensor, 40 s of it at most.
 
     Raises
@@ -151,18 +119,24 @@ def planned_drive(twin: Twin, road: Road, kmh: float, name: str = "") -> Planned
     speed = np.interp(grid, t, path.speed)
     passed = np.sqrt(min(1.0, 2.0 * spec.cutoff / conditioner.rate))
     noise = {c: passed * (SENSOR.force if c.endswith("acceleration") else SENSOR.rate) for c in CHANNELS}
-    return PlannedDrive(
-        name=name or f"{kmh:g} km/h",
-        t=grid,
-        rate=conditioner.rate,
-        bandwidth=spec.cutoff,
-        excitation=driven,
-        conditioner=conditioner,
-        measured={c: signals[:, i] for i, c in enumerate(CHANNELS)},
-        noise_rms=noise,
-        position=np.interp(grid, t, road.xy_to_uv(path.x, path.y)[0]),
-        along=speed,
-        rows=np.flatnonzero(conditioner.valid & (speed > _SLOWEST)),
+    grid_path = Grid(
+        grid,
+        conditioner.rate,
+        spec.cutoff,
+        conditioner.apply,
+        np.interp(grid, t, road.xy_to_uv(path.x, path.y)[0]),
+        speed,
+        np.asarray(conditioner.valid & (speed > _SLOWEST)),
+        SENSOR.position,
+    )
+    block = np.zeros(grid.size, dtype=np.intp)  # nothing is held out of a plan
+    return Observation(
+        name or f"{kmh:g} km/h",
+        grid_path,
+        driven,
+        {c: signals[:, i] for i, c in enumerate(CHANNELS)},
+        noise,
+        Comparison(CHANNELS, VERTICAL, OF_A_DRIVE, block, fused=True),
     )
 
 
@@ -179,37 +153,26 @@ def _knots(v: float, length: float) -> list[tuple[float, float]]:
     return knots
 
 
-def bench_of(twin: Twin, drive: PlannedDrive) -> Bench:
-    """The bench of a drive, with the space and the priors of a diagnosis on a road."""
-    space = build_space(
-        twin, replace(preset_named("fast"), also=()), also=[k for k in ALSO if has_number(twin, k)]
-    )
-    space = smooth_space(twin, space)
-    terms = [Term("euclidean", c) for c in CHANNELS]
-    normal = replace(OF_A_DRIVE, map_position=min(map_spread([drive]), OF_A_DRIVE.map_position))
-    problem = Problem(twin, space, [drive], [0], terms, normal, [0.0], [drive.rows])
-    d, q = len(space), len(problem.nuisances)
-    precision = np.zeros((d + q, d + q))
-    precision[:d, :d] = space.prior_precision(CORRELATION)
-    precision[np.arange(d, d + q), np.arange(d, d + q)] = 1.0 / problem.nuisances.spread**2
-    centre = np.concatenate([space.z0, np.zeros(q)])
-    whitener = Whitener.designed(problem.measured, np.full(len(CHANNELS), USUAL_SHARE), [drive.noise_rms])
-    bench = Bench(problem, (), (0.0, 0.0, 0.0), (True,), whitener, precision, centre)
-    bench.carry(centre)
-    share = USUAL_SHARE * _of_the_road(bench)
-    return replace(bench, whitener=Whitener.designed(problem.measured, share, [drive.noise_rms]))
+def planned_problem(twin: Twin, drive: Observation) -> Problem:
+    """The problem of a drive, with the parameters and the priors of a diagnosis on a road."""
+    data = Data((drive,), (0,), (np.flatnonzero(drive.mask),), CHANNELS, (True,))
+    priors = replace(OF_A_DRIVE, map_position=min(map_spread([drive]), OF_A_DRIVE.map_position))
+    simulation = Simulation(fused=True, centred=True)
+    problem = drive_problem(twin, None, data, priors, [0.0], simulation)
+    problem = problem.with_planar_response(problem.prior.centre)
+    share = USUAL_SHARE * _of_the_road(problem)
+    return problem.weighed(Whitener.designed(problem.measured, share, [dict(drive.noise_rms)]))
 
 
-def _of_the_road(bench: Bench) -> Floats:
-    """(C,) the share of each channel's rms that the model is answerable for: all of it, in planar channels what the
-    road brings about."""
-    problem = bench.problem
-    rows, carried = problem.rows[0], problem.nuisances.carried[0]
+def _of_the_road(problem: Problem) -> Floats:
+    """(C,) the share of each channel's rms that the model is answerable for: all of it, in planar channels the response
+    to the road."""
+    rows, planar = problem.data.rows[0], problem.nuisances.planar_response[0]
     share = np.ones(len(problem.channels))
     for c, name in enumerate(problem.channels):
         if name in PLANAR:
             whole = problem.measured.values[:, c]
-            of_road = whole - carried[rows, c]
+            of_road = whole - planar[rows, c]
             share[c] = min(1.0, float(np.std(of_road)) / max(float(np.std(whole)), 1e-12))
     return share
 
@@ -290,27 +253,26 @@ def _energies(products: Floats, used: NDArray[np.intp], columns: NDArray[np.intp
     return np.asarray(np.maximum(own + 2.0 * cross + both, 0.0))
 
 
-def products(twin: Twin, drive: PlannedDrive, changes: Sequence[Change]) -> Products:
+def products(twin: Twin, drive: Observation, changes: Sequence[Change]) -> Products:
     """The products of a drive's columns: known parameters, and the changes of effects.
 
     A column whose simulation fails is zero: such an effect shows nothing here.
     """
-    bench = bench_of(twin, drive)
-    problem, d = bench.problem, bench.d
-    rows, z0 = problem.rows[0], problem.space.z0
-    nuisances = problem.nuisances
-    shifted = np.repeat(z0[:, None], d + 1, axis=1)
-    shifted[np.arange(d), 1 + np.arange(d)] += STEP
-    signals, _ = bench.signals(BASELINE, shifted, np.zeros((0, d + 1)))
+    problem = planned_problem(twin, drive)
+    d, q, nuisances = problem.d, problem.q, problem.nuisances
+    rows, x = problem.data.rows[0], problem.prior.centre
+    stepped = np.repeat(x[:, None], d + 1, axis=1)
+    stepped[np.arange(d), 1 + np.arange(d)] += STEP
+    signals, _ = problem.signals(stepped)
     base = signals[0][:, :, :1]
     columns = [(signals[0][rows][:, :, 1:] - base[rows]) / STEP]
-    steps = np.concatenate([np.zeros((len(nuisances), 1)), np.diag(nuisances.steps)], axis=1)
-    read = bench.compared([base], steps)
+    steps = np.concatenate([np.zeros((q, 1)), np.diag(nuisances.steps)], axis=1)
+    read = problem.likelihood.compared([base], steps)
     columns.append((read[:, :, 1:] - read[:, :, :1]) / nuisances.steps)
     names = [*problem.space.names, *nuisances.names]
     for change in changes:
-        held = np.repeat(z0[:, None], change.points.shape[1], axis=1)
-        signals, failed = bench.signals(change.hypothesis, held, change.points)
+        held = np.repeat(x[:, None], change.points.shape[1], axis=1)
+        signals, failed = problem.having(change.hypothesis).signals(np.concatenate([held, change.points]))
         changed = signals[0][rows] - base[rows]
         changed[:, :, failed] = 0.0
         columns.append(changed)
@@ -318,27 +280,27 @@ def products(twin: Twin, drive: PlannedDrive, changes: Sequence[Change]) -> Prod
     everything = np.concatenate(columns, axis=2)
     return Products(
         tuple(names),
-        bench.d + bench.q,
-        bench.precision,
-        *_range(bench),
-        *_multiplied(bench, drive, everything),
+        problem.shared,
+        problem.prior.precision,
+        *_range(problem),
+        *_multiplied(problem, drive, everything),
         CHANNELS,
     )
 
 
-def _range(bench: Bench) -> tuple[Floats, Floats]:
+def _range(problem: Problem) -> tuple[Floats, Floats]:
     """(d + q,) how far each known parameter may go down and up."""
-    low, high = bench.limits(BASELINE)
+    low, high = problem.limits()
     return np.minimum(low, 0.0), np.maximum(high, 0.0)
 
 
-def _multiplied(bench: Bench, drive: PlannedDrive, columns: Floats) -> tuple[Floats, Floats]:
+def _multiplied(problem: Problem, drive: Observation, columns: Floats) -> tuple[Floats, Floats]:
     """Products (K, K) of the whitened columns (M, C, K), and (C, K, K) of those of each channel over its expected
     residual, per sample."""
-    measured = bench.problem.measured
-    white = bench.whitener.residuals(columns + measured.values[:, :, None])
+    measured = problem.measured
+    white = whitener_of(problem).residuals(columns + measured.values[:, :, None])
     white *= np.sqrt(measured.independent)
-    of_road = _of_the_road(bench)
+    of_road = _of_the_road(problem)
     blocks = np.empty((len(CHANNELS), columns.shape[2], columns.shape[2]))
     thin = max(
         1, int(0.5 * measured.rate / measured.bandwidth)

@@ -15,9 +15,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from suspension_twin.arrays import Floats
-from suspension_twin.diagnosis.bench import Bench
-from suspension_twin.diagnosis.evidence import FOLDS, Blocks
-from suspension_twin.diagnosis.hypotheses import BASELINE, Hypothesis
+from suspension_twin.inference.cross_validation import FOLDS, Blocks
+from suspension_twin.inference.hypothesis import Hypothesis
+from suspension_twin.inference.problem import Problem
 
 __all__ = [
     "BlockBootstrap",
@@ -54,48 +54,48 @@ class Shrink:
     interval: tuple[float, float]
 
 
-def uncalibrated_residual(bench: Bench) -> RemainingResidual:
+def uncalibrated_residual(problem: Problem) -> RemainingResidual:
     """The residual of the twin as given; nothing was fitted, so that all of it is held out."""
-    z = bench.problem.space.z0[:, None]
-    signals, _ = bench.signals(BASELINE, z, np.zeros((0, 1)))
-    plain = bench.compared(signals, np.zeros((bench.q, 1)))[:, :, 0]
-    difference = plain - bench.problem.measured.values
+    x = np.concatenate([problem.space.z0, np.zeros(problem.q)])
+    plain = problem.compared(x[:, None])[:, :, 0]
+    difference = plain - problem.measured.values
     return RemainingResidual(difference, difference)
 
 
 def remaining_residual(
-    bench: Bench, hypothesis: Hypothesis, unknowns: Floats, blocks: Blocks
+    problem: Problem, hypothesis: Hypothesis, unknowns: Floats, blocks: Blocks
 ) -> RemainingResidual:
     """The residual at the unknowns (d + q + k, FOLDS) fitted without each fold."""
-    d, q = bench.d, bench.q
-    signals, _ = bench.signals(hypothesis, unknowns[:d], unknowns[d + q :])
+    signals, _ = problem.having(hypothesis).signals(unknowns)
     full = [s if s.shape[2] == FOLDS else np.repeat(s, FOLDS, axis=2) for s in signals]
     fold = blocks.fold(blocks.sample)[:, None, None]
 
     def remaining(nuisance: Floats) -> Floats:
-        compared = bench.compared(full, nuisance)
+        compared = problem.likelihood.compared(full, nuisance)
         chosen = np.take_along_axis(compared, fold, axis=2)[:, :, 0]
-        return np.asarray(chosen - bench.problem.measured.values)
+        return np.asarray(chosen - problem.measured.values)
 
-    return RemainingResidual(remaining(np.zeros((q, FOLDS))), remaining(unknowns[d : d + q]))
+    return RemainingResidual(
+        remaining(np.zeros((problem.q, FOLDS))), remaining(unknowns[problem.d : problem.shared])
+    )
 
 
-def drives_of(bench: Bench) -> np.ndarray:
+def drives_of(problem: Problem) -> np.ndarray:
     """(M,) the drive of every compared sample."""
-    measured = bench.problem.measured
+    measured = problem.measured
     out = np.zeros(len(measured.values), dtype=int)
     for s, drive in zip(measured.segments, measured.drives, strict=True):
         out[s] = drive
     return out
 
 
-def gap_rows(bench: Bench) -> np.ndarray:
+def gap_rows(problem: Problem) -> np.ndarray:
     """(M,) True for samples of drives with the gap."""
-    return np.asarray(np.array(bench.active)[drives_of(bench)])
+    return np.asarray(np.array(problem.data.active)[drives_of(problem)])
 
 
 def relative_residual(
-    bench: Bench,
+    problem: Problem,
     remaining: RemainingResidual,
     noise: dict[str, float],
     driven: Sequence[str],
@@ -105,10 +105,10 @@ def relative_residual(
     """Rms of the residual above the noise as a share of that of the motion, over the ``driven`` channels, on drives
     ``with_gap`` or on the others; ``with_nuisances`` as fitted or at zero."""
     rows, rest_of = (
-        gap_rows(bench) == with_gap,
+        gap_rows(problem) == with_gap,
         remaining.with_nuisances if with_nuisances else remaining.difference,
     )
-    measured = bench.problem.measured
+    measured = problem.measured
     columns = [(c, noise[name] ** 2) for c, name in enumerate(measured.channels) if name in driven]
     floors = np.array([floor for _, floor in columns])
     excess = np.array([max(float(np.var(rest_of[rows, c])) - floor, 0.0) for c, floor in columns])
@@ -135,18 +135,18 @@ class BlockBootstrap:
     seed: int
 
     @classmethod
-    def of(cls, bench: Bench, blocks: Blocks, noise: dict[str, float], seed: int) -> BlockBootstrap:
-        """For the blocks of a bench; ``noise`` rms by channel."""
-        rows = gap_rows(bench)
-        with_gap = [i for i, active in enumerate(bench.active) if active]
-        cell = np.searchsorted(with_gap, drives_of(bench)[rows]) * blocks.count + blocks.sample[rows]
+    def of(cls, problem: Problem, blocks: Blocks, noise: dict[str, float], seed: int) -> BlockBootstrap:
+        """For the blocks of a problem; ``noise`` rms by channel."""
+        rows = gap_rows(problem)
+        with_gap = [i for i, active in enumerate(problem.data.active) if active]
+        cell = np.searchsorted(with_gap, drives_of(problem)[rows]) * blocks.count + blocks.sample[rows]
         count = (
             np.bincount(cell, minlength=len(with_gap) * blocks.count).reshape(len(with_gap), -1).astype(float)
         )
         used = np.flatnonzero(count.any(axis=0))
         even = np.full(used.size, 1.0 / used.size)
         drawn = np.random.default_rng(seed).multinomial(used.size, even, _DRAWS).astype(float)
-        floor = np.array([noise[c] for c in bench.problem.channels])
+        floor = np.array([noise[c] for c in problem.channels])
         return cls(rows, cell, count, used, drawn, floor, seed)
 
     def squares(self, residual: Floats) -> Floats:

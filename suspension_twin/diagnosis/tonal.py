@@ -15,8 +15,8 @@ import numpy as np
 from scipy.ndimage import median_filter
 
 from suspension_twin.arrays import Floats
-from suspension_twin.diagnosis.bench import Bench
 from suspension_twin.diagnosis.shrink import RemainingResidual, drives_of
+from suspension_twin.inference.problem import Problem
 
 __all__ = ["Tone", "strongest_tone"]
 
@@ -42,15 +42,15 @@ class Tone:
     share: float
 
 
-def strongest_tone(bench: Bench, remaining: RemainingResidual, least_share: float) -> Tone | None:
+def strongest_tone(problem: Problem, remaining: RemainingResidual, least_share: float) -> Tone | None:
     """The most prominent tonal component on drives with the gap that has ``least_share`` of the mean square of a
     channel and that reference drives do not show; None without one."""
-    problem, found = bench.problem, []
+    found = []
     for domain, (length, step, low, high) in _DOMAINS.items():
         u = np.concatenate(
             [
                 (p.position if domain == "distance" else p.t)[r]
-                for p, r in zip(problem.parts, problem.rows, strict=True)
+                for p, r in zip(problem.data.parts, problem.data.rows, strict=True)
             ]
         )
         k = np.arange(round(length / step) + 1) / (2 * length)
@@ -60,7 +60,7 @@ def strongest_tone(bench: Bench, remaining: RemainingResidual, least_share: floa
                 continue
             with_gap, before = (
                 _prominence(
-                    bench,
+                    problem,
                     remaining.with_nuisances[:, c],
                     problem.measured.values[:, c],
                     u,
@@ -83,13 +83,19 @@ def strongest_tone(bench: Bench, remaining: RemainingResidual, least_share: floa
 
 
 def _prominence(
-    bench: Bench, residual: Floats, measured: Floats, u: Floats, length: float, step: float, with_gap: bool
+    problem: Problem,
+    residual: Floats,
+    measured: Floats,
+    u: Floats,
+    length: float,
+    step: float,
+    with_gap: bool,
 ) -> tuple[Floats, Floats, Floats] | None:
     """(F,) prominence of each frequency in the residual and in the simulated signal, and its share of the residual:
     means over segments of the drives with or without the gap. None without segments."""
-    of = drives_of(bench)
+    of = drives_of(problem)
     ratios, made, tones, total = [], [], [], 0.0
-    for drive in (d for d, active in enumerate(bench.active) if active == with_gap):
+    for drive in (d for d, active in enumerate(problem.data.active) if active == with_gap):
         rows = np.flatnonzero(of == drive)
         way = np.maximum.accumulate(u[rows])
         for begin in np.arange(way[0], way[-1], length):

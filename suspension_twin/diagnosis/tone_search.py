@@ -25,15 +25,15 @@ import numpy as np
 from scipy.fft import fft, next_fast_len
 
 from suspension_twin.arrays import Floats
-from suspension_twin.diagnosis.bench import Bench
-from suspension_twin.diagnosis.fit import Fit
-from suspension_twin.diagnosis.hypotheses import Hypothesis
 from suspension_twin.effects.base import Effect, Tone
+from suspension_twin.inference.fit import Fit
+from suspension_twin.inference.hypothesis import Hypothesis
+from suspension_twin.inference.observation import VERTICAL
+from suspension_twin.inference.problem import Problem, whitener_of
+from suspension_twin.models.types import Excitation
 
 __all__ = ["tone_peaks", "tone_starts"]
 
-#: Channels in which a vertical force on wheel or body shows.
-_CHANNELS = ("vertical_acceleration", "roll_rate", "pitch_rate")
 #: s of the first sections, and the factor from one stage to the next.
 _SECTION, _LONGER = 12.0, 3.0
 #: Grid points for each resolution, 1 / duration or 1 / distance: half a bin off loses a tenth of the power.
@@ -73,7 +73,7 @@ class _Series:
 
     @property
     def weighted(self) -> Floats:
-        """(n,) what is summed."""
+        """(n,) the summands of the power."""
         return np.asarray(self.e * self.g / np.sqrt(np.sum(self.g**2)))
 
     def demodulated(self, f: float, n: float) -> _Series:
@@ -103,22 +103,24 @@ class _Series:
         ]
 
 
-def tone_peaks(bench: Bench, residual: Floats, effect: Effect, corner: int = -1) -> list[Mapping[str, float]]:
+def tone_peaks(
+    problem: Problem, residual: Floats, effect: Effect, corner: int = -1
+) -> list[Mapping[str, float]]:
     """Parameters of the strongest tones in a whitened residual (R,), without strength and phase; none for an effect
     that is no tone. A tone that turns with a wheel turns with that at the ``corner``."""
     tone = effect.tone
     if tone is None:
         return []
-    left = bench.problem.twin.vehicle.wheel_positions[corner, 1] if tone.corner else 0.0
-    series = _series(bench, residual, tone.power, left)
-    found = [tone.parameters(f, n) for f, n in _peaks(series, tone, bench.problem.measured.rate)]
+    left = problem.twin.vehicle.wheel_positions[corner, 1] if tone.corner else 0.0
+    series = _series(problem, residual, tone.power, left)
+    found = [tone.parameters(f, n) for f, n in _peaks(series, tone, problem.measured.rate)]
     if tone.with_floor is not None:
         found += [tone.with_floor(f, n) for f, n in _floored_peaks(series, tone)]
     return found
 
 
 def tone_starts(
-    bench: Bench,
+    problem: Problem,
     base: Fit,
     residual: Floats,
     hypothesis: Hypothesis,
@@ -127,25 +129,25 @@ def tone_starts(
 ) -> list[Floats]:
     """Unknowns of a hypothesis with one more effect than ``base``, whose residual (R,) has those ``peaks``: with the
     strength and phases that lower the sum of squares most, the best first."""
-    tone = hypothesis.effect(effect).tone
-    return _simulated(bench, base, residual, hypothesis, effect, tone, peaks) if tone and peaks else []
+    return _simulated(problem, base, residual, hypothesis, effect, peaks) if peaks else []
 
 
-def _series(bench: Bench, residual: Floats, power: int, left: float) -> list[_Series]:
+def _series(problem: Problem, residual: Floats, power: int, left: float) -> list[_Series]:
     """The channels of the drives with the gap, by the way of what is so many m ``left`` of the middle."""
-    problem, whitener = bench.problem, bench.whitener
+    whitener = whitener_of(problem)
     t, s, v = (np.empty(len(problem.measured.values)) for _ in range(3))
     first = 0
-    for part, rows in zip(problem.parts, problem.rows, strict=True):
+    for part, rows in zip(problem.data.parts, problem.data.rows, strict=True):
         known, own = part.excitation, slice(first, first + rows.size)
+        assert isinstance(known, Excitation)
         speed = known.motion[:, 5] - left * known.motion[:, 3]
         way = np.concatenate([[0.0], np.cumsum(0.5 * (speed[1:] + speed[:-1]) * np.diff(known.t))])
         t[own] = part.t[rows] - known.t[0]
         s[own], v[own] = (np.interp(part.t[rows], known.t, values) for values in (way, speed))
         first += rows.size
     found = []
-    for drive in (d for d, active in enumerate(bench.active) if active):
-        for c in (problem.channels.index(name) for name in _CHANNELS if name in problem.channels):
+    for drive in (d for d, active in enumerate(problem.data.active) if active):
+        for c in (problem.channels.index(name) for name in VERTICAL if name in problem.channels):
             own = (whitener.drive == drive) & (whitener.channel == c)
             rows = whitener.row[own]
             if rows.size < _LEAST:
@@ -183,7 +185,7 @@ def _peaks(series: list[_Series], tone: Tone, rate: float) -> list[tuple[float, 
         power[near] = -np.inf
         if not np.isfinite(power).any():
             break
-    return [_refined(series, tone, at, seconds, duration, step, pace) for at in found]
+    return [_refined(series, tone, at, seconds, duration, (step, pace)) for at in found]
 
 
 def _floored_peaks(series: list[_Series], tone: Tone) -> list[tuple[float, float]]:
@@ -219,7 +221,7 @@ def _floored_peaks(series: list[_Series], tone: Tone) -> list[tuple[float, float
             if not at[0] > 0.0 < at[1]:
                 break
             parts = [one.about(*at) for one in series]
-            at = _refined(parts, tone, at, _FLOORED, duration, step, pace)
+            at = _refined(parts, tone, at, _FLOORED, duration, (step, pace))
         if at[0] > 0.0 < at[1]:
             found.append(at)
     return found
@@ -267,10 +269,10 @@ def _refined(
     at: tuple[float, float],
     seconds: float,
     duration: float,
-    step: float,
-    pace: float,
+    resolution: tuple[float, float],
 ) -> tuple[float, float]:
-    """(f, n) near ``at`` by sections that grow from ``seconds`` to the whole ``duration``."""
+    """(f, n) near ``at`` by sections that grow from ``seconds`` to the whole ``duration``; ``resolution`` Hz, 1/m."""
+    step, pace = resolution
     offsets = np.arange(-_AROUND, _AROUND + 1)
     free_f, free_n = (high > low for low, high in (tone.frequencies, tone.wavenumbers))
     slow = [one.demodulated(*at) for one in series]
@@ -293,20 +295,21 @@ def _refined(
 
 
 def _simulated(
-    bench: Bench,
+    problem: Problem,
     base: Fit,
     residual: Floats,
     hypothesis: Hypothesis,
     effect: str,
-    tone: Tone,
     peaks: list[Mapping[str, float]],
 ) -> list[Floats]:
+    tone = hypothesis.effect(effect).tone
+    assert tone is not None
     rows = [i for i, key in enumerate(hypothesis.keys) if key.split(".")[1] == effect]
     names = {hypothesis.keys[i].split(".")[2]: i for i in rows}
     strength, phases = names[tone.strength], [i for name, i in names.items() if name.startswith(tone.phase)]
     spread = hypothesis.searched[strength][1].spread
     kept = hypothesis.neutral()
-    kept[: base.x.size - bench.d - bench.q] = base.x[bench.d + bench.q :]
+    kept[: base.x.size - problem.d - problem.q] = base.x[problem.shared :]
     points = np.repeat(kept[:, None], 2 * len(peaks), axis=1)
     for k, parameters in enumerate(peaks):
         for name, value in parameters.items():
@@ -317,14 +320,14 @@ def _simulated(
                 hypothesis.coordinate(i, 0.0),
                 hypothesis.coordinate(i, 0.5 * np.pi),
             )
-    p = bench.d + bench.q
+    p = problem.shared
     start = np.repeat(base.x[:p, None], points.shape[1], axis=1)
-    tried, failed = bench.residuals(hypothesis, np.concatenate([start, points]))
+    tried, failed = problem.having(hypothesis).residuals(np.concatenate([start, points]))
     found: list[tuple[float, Floats]] = []
     for k in range(len(peaks)):
         if failed[2 * k : 2 * k + 2].any():
             continue
-        parts = _of_drives(bench, residual, tried[:, 2 * k : 2 * k + 2] - residual[:, None])
+        parts = _of_drives(problem, residual, tried[:, 2 * k : 2 * k + 2] - residual[:, None])
         energy = sum(weight for weight, _, _ in parts.values())
         size = sum(weight * abs(a) ** 2 for weight, a, _ in parts.values()) / max(energy, 1e-300)
         at = points[:, 2 * k].copy()
@@ -336,13 +339,15 @@ def _simulated(
     return [x for _, x in sorted(found, key=lambda pair: -pair[0])]
 
 
-def _of_drives(bench: Bench, residual: Floats, changes: Floats) -> dict[int, tuple[float, complex, float]]:
+def _of_drives(
+    problem: Problem, residual: Floats, changes: Floats
+) -> dict[int, tuple[float, complex, float]]:
     """By drive with the gap the energy of the response to a tone of unit strength, the strength and phase that fit
     best as one complex number, and what they take off the sum of squares; ``changes`` (R, 2) at phases of 0 and a
     quarter of a turn."""
     found = {}
-    for drive in (d for d, active in enumerate(bench.active) if active):
-        own = bench.whitener.drive == drive
+    for drive in (d for d, active in enumerate(problem.data.active) if active):
+        own = whitener_of(problem).drive == drive
         both, left = changes[own], residual[own]
         gram = both.T @ both
         seen = both.T @ left

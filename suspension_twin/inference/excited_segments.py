@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from scipy.ndimage import uniform_filter1d
 
 from suspension_twin.arrays import Floats
-from suspension_twin.inference.prepare import Prepared
+from suspension_twin.inference.observation import Observation
 
 __all__ = ["TrimSettings", "excited", "fit_rows", "trim"]
 
@@ -32,19 +32,19 @@ class TrimSettings:
     slowest: float = 0.8
 
 
-def excited(prepared: Prepared, settings: TrimSettings | None = None) -> NDArray[np.bool_]:
+def excited(observation: Observation, settings: TrimSettings | None = None) -> NDArray[np.bool_]:
     """(m,) True on the grid samples of a drive where the road excites the moving vehicle."""
     s = settings or TrimSettings()
-    rate = prepared.rate
-    vertical = prepared.measured["vertical_acceleration"]
-    floor = max(prepared.noise_rms["vertical_acceleration"], 1e-3)
+    rate = observation.rate
+    vertical = observation.measured["vertical_acceleration"]
+    floor = max(observation.noise_rms["vertical_acceleration"], 1e-3)
     window = max(3, int(s.window * rate))
     # the mean of two seconds is road grade and bias, not excitation
     wave = vertical - uniform_filter1d(vertical, max(3, int(2.0 * rate)), mode="nearest")
     rms = np.sqrt(np.maximum(uniform_filter1d(wave**2, window, mode="nearest"), 0.0))
-    moving = (np.abs(prepared.speed) > s.slowest) & prepared.mask
+    moving = (np.abs(observation.speed) > s.slowest) & observation.mask
     active = (rms > s.threshold * floor) & moving
-    return np.asarray(_widened(active, int(s.before * rate), int(s.after * rate)) & prepared.mask)
+    return np.asarray(_widened(active, int(s.before * rate), int(s.after * rate)) & observation.mask)
 
 
 def _widened(active: NDArray[np.bool_], before: int, after: int) -> NDArray[np.bool_]:
@@ -55,29 +55,31 @@ def _widened(active: NDArray[np.bool_], before: int, after: int) -> NDArray[np.b
     return np.asarray(count[last] > count[np.maximum(i - after, 0)])
 
 
-def trim(prepared: Prepared, settings: TrimSettings | None = None) -> list[Prepared]:
+def trim(observation: Observation, settings: TrimSettings | None = None) -> list[Observation]:
     """The drive cut to its excited segments, each with its lead; the whole drive if one segment covers 90 % of it."""
     s = settings or TrimSettings()
-    active = excited(prepared, s)
+    active = excited(observation, s)
     rows = np.flatnonzero(active)
     if not rows.size:
         return []
-    t = prepared.t
-    starts = [rows[0], *rows[1:][np.diff(rows) > s.bridge * prepared.rate]]
-    ends = [*rows[:-1][np.diff(rows) > s.bridge * prepared.rate], rows[-1]]
+    t = observation.t
+    starts = [rows[0], *rows[1:][np.diff(rows) > s.bridge * observation.rate]]
+    ends = [*rows[:-1][np.diff(rows) > s.bridge * observation.rate], rows[-1]]
     pad = 1.0  # transients of the filter
     spans: list[tuple[Floats, Floats]] = [
         (max(t[a] - s.lead - pad, t[0]), min(t[b] + pad, t[-1])) for a, b in zip(starts, ends, strict=True)
     ]
     kept = sum(float(b - a) for a, b in spans)
     if len(spans) == 1 and kept > 0.9 * (t[-1] - t[0]):
-        return [prepared]
-    return [prepared.part(float(a), float(b)) for a, b in spans]
+        return [observation]
+    return [observation.part(float(a), float(b)) for a, b in spans]
 
 
-def fit_rows(part: Prepared, settings: TrimSettings | None = None) -> NDArray[np.intp]:
-    """Grid samples of a part that are compared: excited, and not within the lead."""
+def fit_rows(part: Observation, settings: TrimSettings | None = None) -> NDArray[np.intp]:
+    """Grid samples of a part that are compared: excited, and not within the lead; all of a controlled run."""
     s = settings or TrimSettings()
+    if part.reading is None:
+        return np.flatnonzero(part.mask)
     active = excited(part, s)
     rows = np.flatnonzero(active)
     if rows.size:

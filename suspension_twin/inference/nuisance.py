@@ -1,18 +1,18 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a sensor and a map add to a drive that is no physics of the vehicle.
+"""Nuisance parameters: errors of clock, map and mounting that are no physics of the vehicle.
 
-The offset between the clocks of IMU and GPS, the position of the map along the road, the IMU's
-gain, tilt and biases. They are fitted with the physics and reported apart from it. A shift in
-time is applied to the simulated, band-limited signal by interpolation: no simulation is spent on
-it. A shift of the map by ``d`` metres is one in time by ``d`` over the speed along the road. Neither
-shifts what the planar motion brings about, where that is known apart: a pose comes from no map.
+The offset between the clocks of IMU and GPS, the position of the map along the road, the IMU's gain, tilt and biases
+are fitted with the vehicle and reported apart from it. A shift in time is applied to the simulated, band-limited signal
+by interpolation: no simulation is spent on it. A shift of the map by d metres is one in time by d over the speed along
+the road. Neither shifts the response to the planar motion, where that is known apart: a pose comes from no map.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
+from copy import copy
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,6 +22,9 @@ from suspension_twin.errors import InputError
 from suspension_twin.inference.sensor_reading import read_alike, read_any, read_steady
 from suspension_twin.models.blocks import cores, share_out
 from suspension_twin.models.sinc_interpolation import TABLE
+
+if TYPE_CHECKING:
+    from suspension_twin.inference.observation import Observation
 
 __all__ = [
     "NUISANCES",
@@ -35,7 +38,7 @@ __all__ = [
     "slow_position_error",
 ]
 
-#: What each nuisance that can be frozen leaves out.
+#: Priors that each nuisance parameter which can be frozen leaves out.
 NUISANCES: Mapping[str, tuple[str, ...]] = {
     "clock_offset": ("clock", "common_clock"),
     "map_position": ("map_position",),
@@ -46,7 +49,7 @@ NUISANCES: Mapping[str, tuple[str, ...]] = {
 }
 #: Values from which on several threads are quicker than one.
 _WORTH_SHARING = 50_000
-_HOLDER = 70.0  # Hz at which a holder of one standard deviation would ring
+_MOUNT = 70.0  # Hz, resonance of an elastic mount of one standard deviation
 #: The best in m that a map and a pose agree to.
 _MAP_LEAST = 0.002
 _SLOWEST = 0.5  # m/s: below this a place on the road says nothing of a time
@@ -54,15 +57,15 @@ _SLOWEST = 0.5  # m/s: below this a place on the road says nothing of a time
 
 @dataclass(frozen=True)
 class NuisancePriors:
-    """Standard deviations of what a nuisance may be; 0 leaves it out.
+    """Prior standard deviations of nuisance parameters; 0 leaves one out.
 
     ``clock`` s of each drive, ``common_clock`` s of all of them, ``map_position`` m of all, ``drive_map`` m of
     each, ``wander`` m (the GNSS position's own error, one value for every pass and ``wander_seconds``; None takes
     it from the fixes' covariance), ``gain`` of the accelerometer, ``tilt`` rad, ``force_bias`` m/s², ``rate_bias``
     rad/s, ``pivot`` m (how far a real suspension's kinematics shift the axes about which the body rolls and
-    pitches), ``slip`` rad per m/s² (slip angle of the rear tyres: where the heading is told from the course, it
-    runs ahead of that), ``holder`` of the share (f / 70 Hz)² by which a sensor's holder, which gives a little, adds
-    to vertical motion at f, ``speed`` share by which a run was driven faster than it says, its time stretched.
+    pitches), ``slip`` rad per m/s² (slip angle of the rear tyres: a heading that is taken from the course differs by
+    it), ``mount`` of the share (f / 70 Hz)² by which an elastic mount of the sensor amplifies vertical motion at f,
+    ``speed`` share by which a run was driven faster than stated, its time stretched.
     """
 
     clock: float = 0.1
@@ -76,7 +79,7 @@ class NuisancePriors:
     rate_bias: float = 0.01
     pivot: float = 0.0
     slip: float = 0.0
-    holder: float = 0.0
+    mount: float = 0.0
     drive_map: float = 0.0
     speed: float = 0.0
 
@@ -111,7 +114,7 @@ OF_A_DRIVE = NuisancePriors(
     force_bias=0.05,
     rate_bias=0.005,
     pivot=0.3,
-    holder=1.0,
+    mount=1.0,
     drive_map=0.006,
 )
 #: Of a drive without a road: what clock and mounting are is then the very question, and nothing else shows it.
@@ -130,13 +133,13 @@ class Nuisances:
 
     def __init__(
         self,
-        parts: Sequence[Any],
+        parts: Sequence[Observation],
         drive_of: Sequence[int],
         channels: Sequence[str],
         priors: NuisancePriors,
         wander: Sequence[float],
     ) -> None:
-        self.channels = tuple(channels)
+        self.priors, self.channels = priors, tuple(channels)
         self._force = np.array([c.endswith("acceleration") for c in channels])
         names: list[str] = []
         channels = tuple(channels)
@@ -163,11 +166,11 @@ class Nuisances:
             if sigma > 0 and c in self.channels and other in self.channels:
                 self._levers[c] = (name, channels.index(other), sign)
                 add(name, sigma)
-        self._held = (
+        self._mounted = (
             self.channels.index("vertical_acceleration") if "vertical_acceleration" in self.channels else -1
         )
-        if self._held >= 0:
-            add("holder", priors.holder)
+        if self._mounted >= 0:
+            add("mount", priors.mount)
         drives: dict[int, str] = {}
         for part, drive in zip(parts, drive_of, strict=True):
             if drive not in drives:
@@ -177,8 +180,8 @@ class Nuisances:
                 add(f"{part.name}.map_position", priors.drive_map)
                 for channel, force in zip(self.channels, self._force, strict=True):
                     add(f"{part.name}.bias.{channel}", priors.force_bias if force else priors.rate_bias)
-        #: (m, C) of every part: what the planar motion alone brings about; neither clock nor map shifts it.
-        self.carried: list[Floats] = []
+        #: (m, C) of every part: the response to the planar motion alone; neither clock nor map shifts it.
+        self.planar_response: tuple[Floats, ...] = ()
         self._knots: list[Floats] = []
         for number, (part, drive) in enumerate(zip(parts, drive_of, strict=True)):
             knots = _knots(part, priors.wander_seconds) if wander[drive] > 0 else np.empty(0)
@@ -187,8 +190,8 @@ class Nuisances:
                 add(f"{part.name}.wander.{number}.{k}", wander[drive])
         self.names = tuple(names)
         self.spread = np.array(spread)
-        #: (q,) what cannot be below nothing: a holder adds to what is quick, as all do below their resonance
-        self.one_sided = np.array([name == "holder" for name in names], dtype=np.bool_)
+        #: (q,) True where a value cannot be negative: below its resonance an elastic mount amplifies motion
+        self.one_sided = np.array([name == "mount" for name in names], dtype=np.bool_)
         self._row = {name: i for i, name in enumerate(names)}
         self._parts = tuple(parts)
         self._drive_names = tuple(drives[d] for d in drive_of)
@@ -199,6 +202,12 @@ class Nuisances:
 
     def __len__(self) -> int:
         return len(self.names)
+
+    def with_planar_response(self, responses: Sequence[Floats]) -> Nuisances:
+        """The same, with the response (m, C) of every part to its planar motion alone."""
+        known = copy(self)
+        known.planar_response = tuple(responses)
+        return known
 
     @property
     def clocks(self) -> list[tuple[int, list[int]]]:
@@ -220,10 +229,10 @@ class Nuisances:
         """(q,) those that add what does not depend on the simulation: biases and small tilts."""
         return np.array([".bias." in name or name.startswith("tilt_") for name in self.names], dtype=np.bool_)
 
-    def _tilt(self, part: Any) -> Floats:
+    def _tilt(self, part: Observation) -> Floats:
         """(2, m, C) what a small tilt about x and about y adds, from the measured signals."""
         m = part.measured
-        g = part.signals.gravity
+        g = part.comparison.gravity
         zero = np.zeros_like(m["yaw_rate"])
         fz = m["vertical_acceleration"] + g
         about_x = {
@@ -243,7 +252,7 @@ class Nuisances:
         )
 
     def apply(self, number: int, simulated: Floats, rows: NDArray[np.intp], values: Floats) -> Floats:
-        """What the sensor would have delivered for part ``number`` at grid samples ``rows`` (r,).
+        """Readings of the sensor for part ``number`` at grid samples ``rows`` (r,).
 
         ``simulated`` (m, C, L) conditioned, or one lane for all; ``values`` (q, L). Returns (r, C, L).
         """
@@ -279,11 +288,11 @@ class Nuisances:
         for channel, (name, rate, sign) in self._levers.items():
             turned[self.channels.index(channel)] = rate
             lever[self.channels.index(channel)] = sign * part.rate * value(name)
-        if "holder" in self._row:  # less a share of the second derivative, which is the slope of the slope
-            turned[self._held] = len(self.channels)
-            lever[self._held] = -((part.rate / (2.0 * np.pi * _HOLDER)) ** 2) * value("holder")
+        if "mount" in self._row:  # less a share of the second derivative, which is the slope of the slope
+            turned[self._mounted] = len(self.channels)
+            lever[self._mounted] = -((part.rate / (2.0 * np.pi * _MOUNT)) ** 2) * value("mount")
         out = np.empty((rows.size, len(self.channels), lanes))
-        carried = self.carried[number] if self.carried and shift.any() else None
+        carried = self.planar_response[number] if self.planar_response and shift.any() else None
         simulated, shift = np.ascontiguousarray(simulated), np.ascontiguousarray(shift)
         apart = simulated.shape[2] > 1 and bool((shift[0] != shift[0, 0]).any())
         steady = apart and (turned < 0).all() and bool((shift == shift[0]).all()) and carried is None
@@ -314,20 +323,20 @@ class Nuisances:
         return out
 
     def _with_slope(self, simulated: Floats) -> Floats:
-        """Signals (m, C + 1, L) with the slope of the held channel as one more, where there is a holder."""
-        if "holder" not in self._row:
+        """Signals (m, C + 1, L) with the slope of the held channel as one more, where the mount is elastic."""
+        if "mount" not in self._row:
             return simulated
-        slope = np.gradient(simulated[:, self._held], axis=0)
+        slope = np.gradient(simulated[:, self._mounted], axis=0)
         return np.concatenate([simulated, slope[:, None]], axis=1)
 
 
-def slow_position_error(drive: Any) -> float:
+def slow_position_error(drive: Observation) -> float:
     """Standard deviation in m of the slow error of a drive's smoothed positions, by what its receiver says of a fix:
     half of it averages out."""
     return 0.5 * float(drive.position_sigma)
 
 
-def map_spread(drives: Sequence[Any]) -> float:
+def map_spread(drives: Sequence[Observation]) -> float:
     """Standard deviation in m by which all drives' poses may be off the map along the road.
 
     The mean of drives goes no further than the receiver says of single fixes: that is the limit, three spreads.
@@ -336,7 +345,7 @@ def map_spread(drives: Sequence[Any]) -> float:
     return max(float(np.mean(given)) / 3.0, _MAP_LEAST) if given else NuisancePriors.map_position
 
 
-def _knots(part: Any, seconds: float) -> Floats:
+def _knots(part: Observation, seconds: float) -> Floats:
     """Times between which the position's error is taken as linear: one knot for a short pass."""
     t = part.t
     count = int((t[-1] - t[0]) // seconds) + 1

@@ -10,21 +10,18 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Protocol
 
 import numpy as np
 
 from suspension_twin.arrays import Floats
-from suspension_twin.inference.problem import FitProblem, Problem
+from suspension_twin.inference.problem import CORRELATION, Noise, Problem
 from suspension_twin.inference.space import Curve
 from suspension_twin.inference.spring_position import Slide, changes, slides
 from suspension_twin.models.simulate import simulate_twin
 from suspension_twin.vehicle.twin import Twin
 
-__all__ = ["CORRELATION", "Posterior", "Travel", "Weighing", "posterior", "span_of", "travel"]
+__all__ = ["Posterior", "Travel", "posterior", "span_of", "travel"]
 
-#: Prior correlation of the logarithms of neighbouring slopes.
-CORRELATION = 0.8
 _DRAWS = 4000
 _BLOCK_SECONDS = 1.0
 _REACHED = 0.05  # s that have to lie beyond a point before it counts as excited
@@ -61,8 +58,8 @@ def travel(twin: Twin, problem: Problem) -> Travel:
     compression: dict[str, list[Floats]] = {axle: [] for axle in twin.axles}
     velocity: dict[str, list[Floats]] = {axle: [] for axle in twin.axles}
     static = dict.fromkeys(twin.axles, 0.0)
-    for part, rows in zip(problem.parts, problem.rows, strict=True):
-        response = simulate_twin(twin, part.excitation)
+    for part, rows in zip(problem.data.parts, problem.data.rows, strict=True):
+        response = simulate_twin(twin, part.road_excitation)
         at = np.clip(np.searchsorted(response.t, part.t[rows]), 0, response.t.size - 1)
         for axle, own in twin.axles.items():
             compression[axle].append(response.deflection[at, own.columns].ravel())
@@ -91,28 +88,23 @@ def span_of(curve: Curve, where: Travel) -> tuple[float, float]:
     return low, float(ordered[-beyond])
 
 
-class Weighing(Protocol):
-    """Interface of a likelihood: the sum of squares of its residuals is -2 log likelihood."""
-
-    def residuals(self, simulated: Floats) -> Floats:
-        """(R, L) of candidates (M, C, L)."""
-
-
 def posterior(
     problem: Problem,
-    likelihood: Weighing,
+    noise: Noise,
     x: Floats,
     precision: Floats,
     where: Travel,
     seed: int,
+    *,
     doubt: Floats | None = None,
 ) -> Posterior:
-    """The posterior around ``x`` (d + q,), the best fit of ``likelihood`` with the prior ``precision``.
+    """The posterior around ``x`` (d + q,), the best fit with a ``noise`` model and the prior ``precision``.
 
     ``doubt`` (d + q,) is one more standard deviation, of all coordinates together.
     """
-    fit = FitProblem(problem, likelihood.residuals)
-    residual, jacobian = fit.linearise(x)
+    fit = problem.weighed(noise)
+    at = fit.linearise(x)
+    residual, jacobian = at.residual, at.jacobian
     information = jacobian.T @ jacobian + precision
     covariance = _widened(
         np.asarray(np.linalg.inv(information), dtype=np.float64), jacobian, residual, precision, problem
@@ -122,7 +114,7 @@ def posterior(
     d = len(problem.space)
     rng = np.random.default_rng(seed)
     root = np.linalg.cholesky(covariance[:d, :d] + 1e-14 * np.eye(d))
-    noise = np.einsum("ij,jn->in", root, rng.standard_normal((d, _DRAWS)), optimize=False)
+    scatter = np.einsum("ij,jn->in", root, rng.standard_normal((d, _DRAWS)), optimize=False)
     middle = np.repeat(x[:d, None], _DRAWS, axis=1)
     cost = float(np.sum(residual**2)) + _penalty(problem, x[:d, None], precision)[0]
     better: Floats | None = None
@@ -134,13 +126,13 @@ def posterior(
         found = slides(curve.x, x[rows], problem.space.z0[rows], CORRELATION, where.static[curve.axle], seen)
         if not found:
             continue
-        costs = _slide_costs(problem, fit, x, rows, found, precision)
+        costs = _slide_costs(fit, x, rows, found, precision)
         lowest = int(np.argmin(costs))
         if costs[lowest] < cost - 0.5:
             better = x.copy() if better is None else better
             better[rows] = found[lowest].z
-        _mix(middle, noise, rows, found, costs - cost, covariance, rng)
-    z = middle + noise
+        _mix(middle, scatter, rows, found, (costs - cost, covariance), rng)
+    z = middle + scatter
     draws = problem.space.from_slopes(z)
     return Posterior(draws, np.sqrt(np.diag(covariance)[d:]), covariance, better)
 
@@ -169,13 +161,13 @@ def _penalty(problem: Problem, z: Floats, precision: Floats) -> Floats:
 
 
 def _slide_costs(
-    problem: Problem, fit: FitProblem, x: Floats, rows: list[int], found: Sequence[Slide], precision: Floats
+    problem: Problem, x: Floats, rows: list[int], found: Sequence[Slide], precision: Floats
 ) -> Floats:
     """(s,) -2 log posterior of every slide, all other coordinates as they are."""
     candidates = np.repeat(x[:, None], len(found), axis=1)
     for lane, slide in enumerate(found):
         candidates[rows, lane] = slide.z
-    sums = fit.sums_of_squares(candidates)
+    sums = problem.sums_of_squares(candidates)
     return np.asarray(sums + _penalty(problem, candidates[: len(problem.space)], precision))
 
 
@@ -184,12 +176,13 @@ def _mix(
     noise: Floats,
     rows: list[int],
     found: Sequence[Slide],
-    worse: Floats,
-    covariance: Floats,
+    posterior: tuple[Floats, Floats],
     rng: np.random.Generator,
 ) -> None:
-    """Move a share of the draws, which are ``middle`` + ``noise`` (d, N), to slides, by their posterior weight;
-    ``worse`` (s,) is how much larger than that of the fit their -2 log posterior is."""
+    """Move a share of the draws, which are ``middle`` + ``noise`` (d, N), to slides, by their posterior weight, in
+    place; ``posterior``: by how much the -2 log posterior of each slide (s,) exceeds that of the fit, and the
+    covariance."""
+    worse, covariance = posterior
     least = min(0.0, float(np.min(worse)))
     weights = np.where(np.isfinite(worse), np.exp(-0.5 * (worse - least)), 0.0)
     weights = weights * np.array([s.density for s in found])

@@ -1,33 +1,66 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The identification problem: costs and residuals of candidates over all drives, in batches.
+"""The problem: a vehicle, its observations, the parameters that are searched and the noise.
 
-``Problem`` holds the parts of all drives, the search space, the compared channels and the nuisance parameters. One
-evaluation is one candidate simulated over all parts, as the car paper counts its 10 842.
+The unknowns x of a problem are, in this order, the vehicle's (search coordinates of the space, d), the nuisance
+parameters (q) and the coordinates of the effects of its hypothesis (k). Vehicle and nuisance parameters are shared by
+all observations. Effects act on those with the gap only, or on all of them where they are pre-existing.
+
+A calibration is a problem without effects, a hypothesis a problem with more parameters (:meth:`Problem.having`), a plan
+a problem over simulated observations. A problem is immutable; one evaluation is one candidate simulated over all
+observations, as the car paper counts its 10 842.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from copy import copy
-from typing import Any
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 from suspension_twin.arrays import Floats
+from suspension_twin.compiled import compiled
 from suspension_twin.errors import InputError
 from suspension_twin.inference.gauss_newton import Quadratic
+from suspension_twin.inference.hypothesis import BASELINE, Hypothesis
+from suspension_twin.inference.noise import Whitener
 from suspension_twin.inference.nuisance import NuisancePriors, Nuisances
-from suspension_twin.inference.objectives import Measured, Objective, Term
+from suspension_twin.inference.objectives import Measured
+from suspension_twin.inference.observation import Observation
+from suspension_twin.inference.parallel import side_by_side
 from suspension_twin.inference.space import Space
 from suspension_twin.models.parameters import lanes
 from suspension_twin.models.simulate import simulate_lanes
-from suspension_twin.models.types import LaneResponse
+from suspension_twin.models.tracked import ObstacleRun
+from suspension_twin.models.types import Excitation
 from suspension_twin.vehicle.twin import Twin
 
-__all__ = ["FitProblem", "Interrupted", "Problem", "segments_of"]
+__all__ = [
+    "CORRELATION",
+    "REACH",
+    "STEP",
+    "Data",
+    "Interrupted",
+    "JointPrior",
+    "Likelihood",
+    "Linearised",
+    "Noise",
+    "Problem",
+    "Simulation",
+    "counting",
+    "effective_weight",
+    "segments_of",
+    "whitener_of",
+]
 
-_SYNC_STEP, _SYNC_LIMIT = 1e-3, 0.1  # s
+#: Bound of a nuisance parameter in standard deviations of its prior: a larger error is an effect.
+REACH = 3.0
+#: Finite-difference steps of the vehicle and of effects, in their search coordinates.
+STEP, _STEP_EFFECT = 1e-3, 1e-2
+#: Prior correlation of the logarithms of neighbouring slopes of a characteristic.
+CORRELATION = 0.8
 # Simulated signals kept at once, in numbers: 25 million are 200 MB.
 _LARGEST_BATCH = 25_000_000
 
@@ -49,221 +82,533 @@ def segments_of(rows: NDArray[np.intp], offset: int) -> list[slice]:
     return [slice(offset + a, offset + b) for a, b in zip(bounds, bounds[1:], strict=False)]
 
 
-class Problem:
-    """One vehicle, its drives, and the distance of candidates from them.
+@dataclass(frozen=True, eq=False)
+class Data:
+    """The observations of a problem, whole or in parts, and the M samples of them that are compared.
 
-    ``parts`` are observations or parts of them, ``drive_of`` the drive that each belongs to, ``rows`` the samples of
-    each that are compared, ``wander`` (m) each drive's own position error (0 for none). ``M`` samples in ``C``
-    channels are compared.
+    ``drive_of`` is the drive that each part belongs to, ``rows`` the samples of each that are compared, in C
+    ``channels``; ``active`` (drives,) is True for drives with the gap.
     """
 
-    def __init__(
-        self,
-        twin: Twin,
-        space: Space,
-        parts: Sequence[Any],
-        drive_of: Sequence[int],
-        terms: Sequence[Term],
-        priors: NuisancePriors,
-        wander: Sequence[float],
-        rows: Sequence[NDArray[np.intp]],
-    ) -> None:
-        self.twin, self.space = twin, space
-        self.parts, self.drive_of = tuple(parts), tuple(drive_of)
-        self.channels = tuple(dict.fromkeys(t.channel for t in terms))
-        self.terms = tuple(terms)
-        self.channel_weights = np.array(
-            [max(t.weight for t in terms if t.channel == c) for c in self.channels]
-        )
-        self.rows = list(rows)
-        self.priors, self.wander = priors, tuple(wander)
-        self.nuisances = Nuisances(self.parts, self.drive_of, self.channels, priors, wander)
-        measured: list[Floats] = []
+    parts: tuple[Observation, ...]
+    drive_of: tuple[int, ...]
+    rows: tuple[NDArray[np.intp], ...]
+    channels: tuple[str, ...]
+    active: tuple[bool, ...]
+
+    @cached_property
+    def measured(self) -> Measured:
+        """The measured side of the compared samples; InputError where there are none."""
+        values: list[Floats] = []
         segments: list[slice] = []
         drives: list[int] = []
         offset = 0
         for part, own, drive in zip(self.parts, self.rows, self.drive_of, strict=True):
-            measured.append(np.stack([part.measured[c][own] for c in self.channels], axis=1))
+            values.append(np.stack([part.measured[c][own] for c in self.channels], axis=1))
             runs = segments_of(own, offset)
             segments += runs
             drives += [drive] * len(runs)
             offset += own.size
         if offset == 0:
             raise InputError("drives", "nothing is left to compare after trimming")
-        self.measured = Measured(
+        first = self.parts[0]
+        return Measured(
             self.channels,
-            np.concatenate(measured),
+            np.concatenate(values),
             tuple(segments),
-            self.parts[0].rate,
+            first.rate,
             tuple(drives),
-            self.parts[0].bandwidth,
+            first.bandwidth,
         )
-        self.objective = Objective(self.terms, self.measured)
-        self.evaluations = 0
-        driven = [id(part.excitation) for part in self.parts]
-        #: Excitations that several runs share: they are simulated once for all of them.
-        self.repeated = {e for e in driven if driven.count(e) > 1}
-        #: Asked between pieces of work; True ends them with :class:`Interrupted`.
-        self.interrupt: Callable[[], bool] = _never
+
+    def nuisances(self, priors: NuisancePriors, wander: Sequence[float] | None = None) -> Nuisances:
+        """The nuisance parameters; ``wander`` (m) is each drive's own position error, 0 for none."""
+        none = [0.0] * (max(self.drive_of) + 1)
+        return Nuisances(self.parts, self.drive_of, self.channels, priors, wander or none)
+
+
+class Noise(Protocol):
+    """A noise model: residuals of unit variance, or in another fixed unit."""
+
+    def residuals(self, simulated: Floats) -> Floats:
+        """(R, L) of simulated sensor readings (M, C, L)."""
+
+
+@dataclass(frozen=True, eq=False)
+class Likelihood:
+    """Residuals of simulated signals: sensor readings by the nuisance parameters, then the noise model.
+
+    ``weight`` (R,) multiplies the residuals: the root of the effective sample size per sample, 0 for those that do not
+    count; none where None. ``expected`` (m, C) is the discrepancy found on a reference run with the same excitation.
+    With ``affine`` the residuals are affine in the readings, so that the columns of additive nuisance parameters are
+    constant.
+    """
+
+    data: Data
+    nuisances: Nuisances
+    noise: Noise
+    weight: Floats | None = None
+    expected: tuple[Floats | None, ...] = ()
+    affine: bool = False
+
+    def compared(self, signals: Sequence[Floats], nuisance: Floats) -> Floats:
+        """(M, C, L) simulated sensor readings for signals (m, C, L) of every part and nuisances (q, L), plus the
+        expected discrepancy of each run."""
+        if self.expected:
+            expected = zip(signals, self.expected, strict=True)
+            signals = [s if e is None else s + e[:, :, None] for s, e in expected]
+        pairs = enumerate(zip(signals, self.data.rows, strict=True))
+        return np.concatenate(
+            [self.nuisances.apply(number, part, rows, nuisance) for number, (part, rows) in pairs]
+        )
+
+    def residuals(self, signals: Sequence[Floats], nuisance: Floats) -> Floats:
+        """(R, L) weighted residuals."""
+        return self._weighted(self.noise.residuals(self.compared(signals, nuisance)))
+
+    def _weighted(self, residuals: Floats) -> Floats:
+        if self.weight is None:
+            return residuals
+        weighted = np.multiply(residuals, self.weight[:, None])
+        weighted[self.weight == 0.0] = 0.0
+        return weighted
+
+    @cached_property
+    def additive_columns(self) -> Floats:
+        """(R, n) constant Jacobian columns of the nuisance parameters that do not depend on the simulation."""
+        signals = [np.zeros((part.t.size, len(self.data.channels), 1)) for part in self.data.parts]
+        rows = np.flatnonzero(self.nuisances.plain)
+        unit = np.zeros((len(self.nuisances), 1 + rows.size))
+        unit[rows, 1 + np.arange(rows.size)] = 1.0
+        residuals = self.noise.residuals(self.compared(signals, unit))
+        return self._weighted(np.ascontiguousarray(residuals[:, 1:] - residuals[:, :1]))
+
+
+@dataclass(frozen=True, eq=False)
+class JointPrior:
+    """The normal prior of vehicle and nuisance parameters: ``precision`` (d + q, d + q) about ``centre`` (d + q,).
+
+    ``frozen`` names nuisance parameters that are held at zero, ``spread`` gives standard deviations of effect
+    coordinates by their keys where they are not 1.
+    """
+
+    precision: Floats
+    centre: Floats
+    frozen: tuple[str, ...] = ()
+    spread: Mapping[str, float] = field(default_factory=dict)
+
+    @classmethod
+    def of(cls, space: Space, nuisances: Nuisances) -> JointPrior:
+        """The prior of a space and of nuisance parameters about zero."""
+        d, q = len(space), len(nuisances)
+        precision = np.zeros((d + q, d + q))
+        precision[:d, :d] = space.prior_precision(CORRELATION)
+        precision[np.arange(d, d + q), np.arange(d, d + q)] = 1.0 / nuisances.spread**2
+        return cls(precision, np.concatenate([space.z0, np.zeros(q)]))
+
+
+@dataclass(frozen=True)
+class Simulation:
+    """How candidates are simulated: ``step`` s is the longest time step over a drive (None: that of the excitation),
+    ``fused`` whether poses are fused from GNSS and IMU, ``upright`` whether the vehicle has zero static attitude,
+    ``centred`` takes its mean off the vertical acceleration, and ``stop`` is asked between pieces of work."""
+
+    step: float | None = None
+    fused: bool = False
+    upright: bool = False
+    centred: bool = False
+    stop: Callable[[], bool] = _never
+
+
+@dataclass(frozen=True, eq=False)
+class Linearised:
+    """Residuals (R,) and Jacobian (R, p) at ``x`` (p,)."""
+
+    x: Floats
+    residual: Floats
+    jacobian: Floats
+
+    @cached_property
+    def model(self) -> Quadratic:
+        """The quadratic model of the residuals' sum of squares about ``x``."""
+        return _quadratic(self.residual, self.jacobian)
+
+    def grouped(self, label: NDArray[np.intp]) -> list[Quadratic]:
+        """One quadratic model for the rows of each ``label`` (R,), labels 0, 1, ..."""
+        order = np.argsort(label, kind="stable")
+        jacobian, residual = self.jacobian[order], self.residual[order]
+        ends = np.cumsum(np.bincount(label))
+        return [_quadratic(residual[a:b], jacobian[a:b]) for a, b in zip([0, *ends[:-1]], ends, strict=True)]
+
+    def first(self, count: int) -> Linearised:
+        """The linearisation in the first ``count`` unknowns."""
+        return Linearised(self.x[:count], self.residual, np.ascontiguousarray(self.jacobian[:, :count]))
+
+    def with_effects(self, residual: Floats, effects: Floats) -> Quadratic:
+        """The quadratic model at another ``residual`` (R,) with the columns ``effects`` (R, k) of further unknowns; the
+        Jacobian of the other unknowns is reused."""
+        beside = effects.T @ self.jacobian
+        squares = np.block([[self.model.squares, beside.T], [beside, effects.T @ effects]])
+        slope = np.concatenate([self.jacobian.T @ residual, effects.T @ residual])
+        return Quadratic(float(residual @ residual), squares, slope)
+
+
+def _quadratic(residual: Floats, jacobian: Floats) -> Quadratic:
+    return Quadratic(float(residual @ residual), jacobian.T @ jacobian, jacobian.T @ residual)
+
+
+@dataclass(frozen=True, eq=False)
+class Problem:
+    """A vehicle over its observations: residuals, Jacobian, prior and cost of p = d + q + k unknowns."""
+
+    twin: Twin
+    space: Space
+    likelihood: Likelihood
+    prior: JointPrior
+    hypothesis: Hypothesis = BASELINE
+    simulation: Simulation = Simulation()
+
+    @classmethod
+    def of(
+        cls, twin: Twin, space: Space, likelihood: Likelihood, simulation: Simulation | None = None
+    ) -> Problem:
+        """The problem without effects, with the prior of its space and nuisance parameters."""
+        prior = JointPrior.of(space, likelihood.nuisances)
+        return cls(twin, space, likelihood, prior, simulation=simulation or Simulation())
+
+    # -- its parts -----------------------------------------------------------------------------
 
     @property
-    def samples(self) -> int:
-        """How many samples of each channel are compared."""
-        return len(self.measured.values)
+    def data(self) -> Data:
+        """The observations."""
+        return self.likelihood.data
+
+    @property
+    def nuisances(self) -> Nuisances:
+        """The nuisance parameters."""
+        return self.likelihood.nuisances
+
+    @property
+    def measured(self) -> Measured:
+        """The measured side of the compared samples."""
+        return self.data.measured
+
+    @property
+    def channels(self) -> tuple[str, ...]:
+        """Names of the compared channels."""
+        return self.data.channels
+
+    @property
+    def d(self) -> int:
+        """How many unknowns the vehicle has."""
+        return len(self.space)
+
+    @property
+    def q(self) -> int:
+        """How many nuisance parameters there are."""
+        return len(self.nuisances)
+
+    @property
+    def shared(self) -> int:
+        """How many unknowns come before those of the effects."""
+        return self.d + self.q
 
     @property
     def seconds(self) -> float:
         """Simulated seconds of one evaluation."""
-        return float(sum(p.t[-1] - p.t[0] for p in self.parts))
+        return float(sum(p.t[-1] - p.t[0] for p in self.data.parts))
 
-    def moved(self, nuisance: Floats) -> Problem:
-        """The same problem with clock and map offsets applied to the excitation instead of by interpolation.
+    def having(self, hypothesis: Hypothesis) -> Problem:
+        """The same with the effects of a hypothesis."""
+        return self if hypothesis == self.hypothesis else replace(self, hypothesis=hypothesis)
 
-        Fitted biases, gains and tilts are unchanged; further offsets are relative to these.
+    def weighed(self, noise: Noise, weight: Floats | None = None) -> Problem:
+        """The same with another noise model, and its own ``weight`` where that is given."""
+        known = self.likelihood if weight is None else replace(self.likelihood, weight=weight)
+        return replace(self, likelihood=replace(known, noise=noise))
+
+    # -- prior ---------------------------------------------------------------------------------
+
+    def joint_prior(self) -> tuple[Floats, Floats]:
+        """Precision (p, p) and centre (p,) of the prior of all unknowns; an effect coordinate has N(centre, 1) but for
+        those in ``prior.spread``."""
+        p, keys = self.shared, self.hypothesis.keys
+        own = [self.prior.spread.get(key, 1.0) ** -2 for key in keys]
+        precision = np.diag(np.concatenate([np.ones(p), own]))
+        precision[:p, :p] = self.prior.precision
+        return precision, np.concatenate([self.prior.centre, self.hypothesis.centre()])
+
+    def limits(self) -> tuple[Floats, Floats]:
+        """(p,) lowest and highest unknowns.
+
+        Nuisance parameters are bounded, because an unbounded one absorbs the effect of the same kind: a free clock
+        offset of 60 ms lowers the cost of any drive by more than its prior adds.
         """
-        found = dict(zip(self.nuisances.names, nuisance, strict=True))
-        metres = found.get("map_position", 0.0)
-        late = found.get("clock_offset", 0.0)
-        parts = [p.moved(late + found.get(f"{p.name}.clock_offset", 0.0), metres) for p in self.parts]
-        return self.on(parts)
+        low, high = self.hypothesis.bounds()
+        free = np.full(self.d, np.inf)
+        allowed = [name not in self.prior.frozen for name in self.nuisances.names]
+        nuisance = REACH * self.nuisances.spread * allowed
+        least = np.where(self.nuisances.one_sided, 0.0, -nuisance)
+        return np.concatenate([-free, least, low]), np.concatenate([free, nuisance, high])
 
-    def on(self, parts: Sequence[Any]) -> Problem:
-        """The same problem and samples with other excitations in ``parts``."""
-        clone = copy(self)
-        clone.parts = tuple(parts)
-        return clone
+    def clipped(self, x: Floats) -> Floats:
+        """Unknowns (p, L) inside their limits."""
+        low, high = self.limits()
+        return np.asarray(np.clip(x, low[:, None], high[:, None]))
+
+    def room(self, x: Floats) -> tuple[Floats, Floats]:
+        """(p,) how far each unknown may go down and up from ``x`` (p,)."""
+        low, high = self.limits()
+        return np.minimum(low - x, 0.0), np.maximum(high - x, 0.0)
 
     # -- simulation ----------------------------------------------------------------------------
 
-    def simulate(self, values: Floats) -> tuple[list[Floats], NDArray[np.bool_]]:
-        """Conditioned signals (m, C, L) of every part for values (d, L), and which lanes failed (L,)."""
-        candidates = lanes(self.twin, self.space.keys, values.T)
-        failed = np.zeros(values.shape[1], dtype=bool)
-        signals = []
-        known: dict[int, LaneResponse] = {}
-        for part in self.parts:
-            if self.interrupt():
-                raise Interrupted
-            response = known.get(id(part.excitation))
-            if response is None:
-                response = simulate_lanes(self.twin, candidates, part.excitation)
-            if id(part.excitation) in self.repeated:
-                known[id(part.excitation)] = response
-            failed |= response.failed
-            signals.append(part.conditioner.apply(response.stacked(self.channels)))
-        self.evaluations += values.shape[1]
-        return signals, failed
+    def excitation(self, number: int) -> Excitation | ObstacleRun:
+        """The excitation of a part as the hypothesis reads its recording.
 
-    def compared(self, signals: Sequence[Floats], nuisance: Floats) -> Floats:
-        """(M, C, L) simulated sensor readings; ``nuisance`` (q, L)."""
-        return np.concatenate(
-            [
-                self.nuisances.apply(number, part, rows, nuisance)
-                for number, (part, rows) in enumerate(zip(signals, self.rows, strict=True))
-            ]
-        )
-
-    def costs(self, values: Floats, nuisance: Floats, synchronise: bool = False) -> Floats:
-        """(L,) costs of candidates (d, L) at fixed nuisance parameters (q,); infinite where a lane failed.
-
-        ``synchronise``: the clock offset of each drive is first fitted for each candidate.
+        If a hypothesis attributes the static tilt to the sensor, the vehicle is upright on all drives, the reference
+        included. Otherwise antenna and wheel paths would differ by about a centimetre before and after the change.
         """
-        costs = np.empty(values.shape[1])
-        for cut in self.batches(values.shape[1]):
-            signals, failed = self.simulate(values[:, cut])
-            held = np.repeat(nuisance[:, None], failed.size, axis=1)
-            if synchronise:
-                held = self.synchronised(signals, held)
-            found = self.objective.costs(self.compared(signals, held))
-            costs[cut] = np.where(failed | ~np.isfinite(found), np.inf, found)
-        return costs
+        part, hypothesis = self.data.parts[number], self.hypothesis
+        if part.reading is None or part.reading.shown is None:
+            return part.excitation
+        own = [e.id for e in self.twin.effects]
+        upright = self.simulation.upright or hypothesis.upright
+        active = self.data.active[self.data.drive_of[number]]
+        here = hypothesis.effects if active else hypothesis.preexisting
+        correction = part.reading.correction(here, own, upright)
+        return part.reading.excitation(correction, self.simulation.step)
 
-    def synchronised(self, signals: Sequence[Floats], nuisance: Floats) -> Floats:
-        """``nuisance`` (q, L) with every lane's clock offsets at their least squares values: two
-        Gauss-Newton steps, each within a tenth of a second."""
-        nuisance = nuisance.copy()
-        weights = self.channel_weights[None, :, None]
-        for row, numbers in self.nuisances.clocks:
-            for _ in range(2):
-                ahead = nuisance.copy()
-                ahead[row] += _SYNC_STEP
-                top, bottom = np.zeros(nuisance.shape[1]), np.zeros(nuisance.shape[1])
-                for k in numbers:
-                    here = self.nuisances.apply(k, signals[k], self.rows[k], nuisance)
-                    there = self.nuisances.apply(k, signals[k], self.rows[k], ahead)
-                    wanted = np.stack(
-                        [self.parts[k].measured[c][self.rows[k]] for c in self.channels], axis=1
-                    )
-                    slope = weights * (there - here) / _SYNC_STEP
-                    off = weights * (wanted[:, :, None] - here)
-                    top += np.einsum("rcl,rcl->l", slope, off, optimize=False)
-                    bottom += np.einsum("rcl,rcl->l", slope, slope, optimize=False)
-                step = np.where(bottom > 0, top / np.where(bottom > 0, bottom, 1.0), 0.0)
-                nuisance[row] += np.clip(step, -_SYNC_LIMIT, _SYNC_LIMIT)
-        return nuisance
+    def signals(self, x: Floats) -> tuple[list[Floats], NDArray[np.bool_]]:
+        """Conditioned signals (m, C, L) of every part for unknowns (p, L), and failed lanes (L,).
+
+        A reference drive on which all lanes are equal is simulated once and has one lane.
+        """
+        return self.signals_of(self.space.simulated_values(x[: self.d]), x[self.shared :])
+
+    def signals_of(self, values: Floats, effects: Floats) -> tuple[list[Floats], NDArray[np.bool_]]:
+        """As :meth:`signals`, for values (n, L) of the space's ``simulated_keys`` and coordinates (k, L) of effects."""
+        space, data, hypothesis = self.space, self.data, self.hypothesis
+        twin = space.simulated(hypothesis.twin(self.twin))
+        parameters = hypothesis.values(effects)
+        before = hypothesis.on_reference()
+        rows_before = before.on_drive(0)[1]
+        earlier = np.concatenate([values, before.values(effects[hypothesis.rows(before)])[rows_before]])
+        if (earlier == earlier[:, :1]).all():
+            earlier = earlier[:, :1]
+        reference_twin = space.simulated(before.twin(self.twin))
+        reference = lanes(reference_twin, (*space.simulated_keys, *before.on_drive(0)[0]), earlier.T)
+
+        def simulated(numbers: list[int]) -> tuple[list[Floats], NDArray[np.bool_]]:
+            if self.simulation.stop():
+                raise Interrupted
+            excitation, drive = self.excitation(numbers[0]), data.drive_of[numbers[0]]
+            if data.active[drive] and hypothesis.effects:
+                keys, rows = hypothesis.on_drive(drive)
+                own = np.concatenate([values, parameters[rows]])
+                stacked, bad = self._simulated(
+                    twin, lanes(twin, (*space.simulated_keys, *keys), own.T), excitation
+                )
+            else:
+                stacked, bad = self._simulated(reference_twin, reference, excitation)
+            return [self._conditioned(data.parts[number], stacked) for number in numbers], bad
+
+        groups = self._repeats()
+        found = side_by_side(simulated, groups)
+        signals: list[Floats] = [np.empty(0)] * len(data.parts)
+        for numbers, (conditioned, _) in zip(groups, found, strict=True):
+            for number, one in zip(numbers, conditioned, strict=True):
+                signals[number] = one
+        failed = [bad for _, bad in found]
+        return signals, np.any(np.broadcast_arrays(np.zeros(values.shape[1], dtype=bool), *failed), axis=0)
+
+    def _repeats(self) -> list[list[int]]:
+        """Numbers of parts with the same excitation and the same parameters: one simulation serves them."""
+        data, groups = self.data, list[list[int]]()
+        for number, (part, drive) in enumerate(zip(data.parts, data.drive_of, strict=True)):
+            for group in groups:
+                other = data.drive_of[group[0]]
+                alike = (
+                    drive == other if self.hypothesis.differs else data.active[drive] == data.active[other]
+                )
+                if alike and data.parts[group[0]].excitation is part.excitation:
+                    group.append(number)
+                    break
+            else:
+                groups.append([number])
+        return groups
+
+    def _conditioned(self, part: Observation, stacked: Floats) -> Floats:
+        signals = part.grid.apply(stacked)
+        if self.simulation.centred and self.channels[0] == "vertical_acceleration":
+            # a sensor gain also scales gravity: at standstill that is a bias
+            signals[:, 0] -= signals[:, 0].mean(axis=0)
+        return signals
+
+    def _simulated(
+        self, twin: Twin, candidates: Floats, excitation: Excitation | ObstacleRun
+    ) -> tuple[Floats, NDArray[np.bool_]]:
+        """Channels (n, C, L) and failed lanes (L,); a batch that raises LinAlgError is halved until the lane is
+        isolated."""
+        try:
+            options = {"fused": True} if self.simulation.fused else {}
+            response = simulate_lanes(twin, candidates, excitation, **options)
+            return response.stacked(self.channels), response.failed
+        except np.linalg.LinAlgError:
+            if candidates.shape[1] == 1:
+                return np.zeros((len(excitation), len(self.channels), 1)), np.ones(1, dtype=bool)
+            middle = candidates.shape[1] // 2
+            halves = [
+                self._simulated(twin, half, excitation)
+                for half in (candidates[:, :middle], candidates[:, middle:])
+            ]
+            return np.concatenate([h[0] for h in halves], axis=2), np.concatenate([h[1] for h in halves])
+
+    def with_planar_response(self, x: Floats) -> Problem:
+        """The same with the response of the vehicle at ``x`` (p,) to the planar motion alone, on a flat road.
+
+        Clock and map offsets shift the response to the road, but not that to the planar motion of the pose. The
+        response is the sum of both up to nonlinearity, so that the share of one vehicle serves for similar ones.
+        """
+        plain = self.having(BASELINE)
+        twin = self.space.simulated(self.twin)
+        values = self.space.simulated_values(x[: self.d, None])
+        candidates = lanes(twin, self.space.simulated_keys, values.T)
+        responses = []
+        for number, part in enumerate(self.data.parts):
+            driven = plain.excitation(number)
+            assert isinstance(driven, Excitation)
+            flat = replace(driven, road=np.repeat(driven.road[:1], driven.road.shape[0], axis=0))
+            stacked, _ = self._simulated(twin, candidates, flat)
+            responses.append(part.grid.apply(stacked)[:, :, 0])
+        nuisances = self.nuisances.with_planar_response(responses)
+        return replace(self, likelihood=replace(self.likelihood, nuisances=nuisances))
 
     def batches(self, lane_count: int) -> list[slice]:
         """Slices of the lanes whose signals fit in memory."""
-        samples = sum(len(p.excitation) for p in self.parts)
+        samples = sum(len(p.excitation) for p in self.data.parts)
         size = max(1, _LARGEST_BATCH // (7 * samples))
         return [slice(i, min(i + size, lane_count)) for i in range(0, lane_count, size)]
 
+    # -- residuals and their derivatives -------------------------------------------------------
 
-class FitProblem:
-    """A problem for the solver: d search coordinates, then q nuisance parameters.
+    def compared(self, x: Floats) -> Floats:
+        """(M, C, L) simulated sensor readings at unknowns (p, L)."""
+        signals, _ = self.signals(x)
+        return self.likelihood.compared(signals, x[self.d : self.shared])
 
-    ``residuals`` turns compared signals (M, C, L) into (R, L); those of the objective by default. The Jacobian
-    columns of characteristics are differences of simulated lanes; those of nuisance parameters need no simulation.
-    """
-
-    step = 1e-3
-
-    def __init__(self, problem: Problem, residuals: Callable[[Floats], Floats] | None = None) -> None:
-        self.problem = problem
-        self.d = len(problem.space)
-        self.residuals = residuals or problem.objective.residuals
-
-    def linearise(self, x: Floats) -> tuple[Floats, Floats]:
-        """Residuals (R,) and Jacobian (R, d + q) at ``x`` (d + q,)."""
-        problem, d = self.problem, self.d
-        z, nuisance = x[:d], x[d:]
-        shifted = np.repeat(z[:, None], d + 1, axis=1)
-        shifted[np.arange(d), np.arange(1, d + 1)] += self.step
-        values = problem.space.from_slopes(shifted)
-        columns: list[Floats] = []
-        base: Floats | None = None
-        base_signals: list[Floats] = []
-        for cut in problem.batches(d + 1):
-            signals, failed = problem.simulate(values[:, cut])
-            held = np.repeat(nuisance[:, None], failed.size, axis=1)
-            residuals = self.residuals(problem.compared(signals, held))
-            if base is None:
-                base = residuals[:, 0].copy()
-                base_signals = [s[:, :, :1].copy() for s in signals]
-            found = (residuals - base[:, None]) / self.step
-            columns.append(np.where(failed[None, :], 0.0, found))
-        assert base is not None
-        physics = np.concatenate(columns, axis=1)[:, 1:]
-        steps = problem.nuisances.steps
-        moved = np.repeat(nuisance[:, None], steps.size, axis=1)
-        moved[np.diag_indices(steps.size)] += steps
-        disturbed = self.residuals(problem.compared(base_signals, moved))
-        disturbance = (disturbed - base[:, None]) / steps
-        return base, np.concatenate([physics, disturbance], axis=1)
-
-    def quadratic(self, x: Floats) -> Quadratic:
-        """The quadratic model of the sum of squares about ``x`` (d + q,)."""
-        residual, jacobian = self.linearise(x)
-        return Quadratic(float(residual @ residual), jacobian.T @ jacobian, jacobian.T @ residual)
+    def residuals(self, x: Floats) -> tuple[Floats, NDArray[np.bool_]]:
+        """(R, L) residuals of unknowns (p, L), and failed lanes."""
+        found, failed = [], []
+        for cut in self.batches(x.shape[1]):
+            signals, bad = self.signals(x[:, cut])
+            found.append(self.likelihood.residuals(signals, x[self.d : self.shared, cut]))
+            failed.append(bad)
+        return np.concatenate(found, axis=1), np.concatenate(failed)
 
     def sums_of_squares(self, x: Floats) -> Floats:
-        """(L,) sums of squared residuals of (d + q, L), infinite where a lane failed."""
-        problem = self.problem
+        """(L,) sums of squared residuals of unknowns (p, L), infinite where a lane failed."""
         sums = np.empty(x.shape[1])
-        values = problem.space.from_slopes(x[: self.d])
-        for cut in problem.batches(x.shape[1]):
-            signals, failed = problem.simulate(values[:, cut])
-            r = self.residuals(problem.compared(signals, x[self.d :, cut]))
-            found = np.einsum("rl,rl->l", r, r)
+        for cut in self.batches(x.shape[1]):
+            residual, failed = self.residuals(x[:, cut])
+            found = np.einsum("rl,rl->l", residual, residual)
             sums[cut] = np.where(failed | ~np.isfinite(found), np.inf, found)
         return sums
+
+    def costs(self, x: Floats) -> Floats:
+        """(L,) -2 log posterior of unknowns (p, L), infinite where a lane failed."""
+        precision, centre = self.joint_prior()
+        away = x - centre[:, None]
+        penalty = np.einsum("il,ij,jl->l", away, precision, away, optimize=False)
+        return np.asarray(self.sums_of_squares(x) + penalty)
+
+    def quadratic(self, x: Floats) -> Quadratic:
+        """The quadratic model of the sum of squares about ``x`` (p,)."""
+        return self.linearise(x).model
+
+    def linearise(self, x: Floats) -> Linearised:
+        """Residuals and Jacobian at ``x`` (p,): differences of simulated lanes for vehicle and effects, none simulated
+        for nuisance parameters."""
+        d, likelihood, nuisances = self.d, self.likelihood, self.nuisances
+        stepped, steps, signals = self._stepped(x, d)
+        plain = np.flatnonzero(nuisances.plain) if likelihood.affine else np.empty(0, dtype=np.intp)
+        free = np.setdiff1d(np.arange(self.q), plain)
+        shifted = np.repeat(x[d : self.shared, None], free.size, axis=1)
+        shifted[free, np.arange(free.size)] += nuisances.steps[free]
+        moved = likelihood.residuals(signals, shifted) if free.size else np.empty((stepped.shape[0], 0))
+        given = likelihood.additive_columns if plain.size else np.empty((stepped.shape[0], 0))
+        jacobian = np.empty((stepped.shape[0], x.size))
+        _columns(d, stepped, steps, moved, nuisances.steps[free], d + free, given, d + plain, jacobian)
+        return Linearised(x, stepped[:, 0].copy(), jacobian)
+
+    def effect_columns(self, x: Floats) -> tuple[Floats, Floats]:
+        """Residuals (R,) at ``x`` (p,) and the Jacobian columns (R, k) of the effects."""
+        stepped, steps, _ = self._stepped(x, 0)
+        return stepped[:, 0].copy(), (stepped[:, 1:] - stepped[:, :1]) / steps
+
+    def _stepped(self, x: Floats, vehicle: int) -> tuple[Floats, Floats, list[Floats]]:
+        """Residuals (R, 1 + vehicle + k) at ``x`` and one step away in the first ``vehicle`` unknowns and in those of
+        the effects, these steps (vehicle + k,), infinite where a lane failed, and the signals (m, C, 1) at ``x``."""
+        p, k = self.shared, len(self.hypothesis)
+        _, high = self.hypothesis.bounds()
+        # backwards near the upper bound
+        own = np.where(x[p:] + _STEP_EFFECT > high, -_STEP_EFFECT, _STEP_EFFECT)
+        steps = np.concatenate([np.full(vehicle, STEP), own])
+        stepped = np.repeat(x[:, None], 1 + vehicle + k, axis=1)
+        stepped[[*range(vehicle), *range(p, p + k)], 1 + np.arange(vehicle + k)] += steps
+        found, failed, base = [], [], list[Floats]()
+        for cut in self.batches(stepped.shape[1]):
+            signals, bad = self.signals(stepped[:, cut])
+            found.append(self.likelihood.residuals(signals, stepped[self.d : p, cut]))
+            failed.append(bad)
+            base = base or [s[:, :, :1] for s in signals]
+        residual = found[0] if len(found) == 1 else np.concatenate(found, axis=1)
+        return residual, np.where(np.concatenate(failed)[1:], np.inf, steps), base
+
+
+def whitener_of(problem: Problem) -> Whitener:
+    """The whitening noise model of a problem."""
+    noise = problem.likelihood.noise
+    assert isinstance(noise, Whitener)
+    return noise
+
+
+def effective_weight(noise: Whitener) -> Floats:
+    """(R,) weights of whitened residuals: the root of the effective sample size per sample."""
+    return np.full(noise.row.size, np.sqrt(noise.measured.independent))
+
+
+def counting(problem: Problem, rows: NDArray[np.bool_]) -> Problem:
+    """The problem with some of its whitened residuals (R,) alone."""
+    noise = whitener_of(problem)
+    return problem.weighed(noise, weight=np.where(rows, effective_weight(noise), 0.0))
+
+
+@compiled
+def _columns(
+    d: int,
+    stepped: Floats,
+    steps: Floats,
+    moved: Floats,
+    moves: Floats,
+    free: NDArray[np.intp],
+    given: Floats,
+    plain: NDArray[np.intp],
+    out: Floats,
+) -> None:  # pragma: no cover - compiled
+    """Fill the Jacobian ``out`` (R, d + q + k) in one pass.
+
+    Differences to the first column of ``stepped`` (R, 1 + d + k) and of ``moved`` (R, m), and the constant columns
+    ``given`` (R, n). The nuisance parameters have the columns ``free`` and ``plain``.
+    """
+    nuisances = free.size + plain.size
+    for r in range(out.shape[0]):
+        base = stepped[r, 0]
+        for i in range(d):
+            out[r, i] = (stepped[r, 1 + i] - base) / steps[i]
+        for i in range(free.size):
+            out[r, free[i]] = (moved[r, i] - base) / moves[i]
+        for i in range(plain.size):
+            out[r, plain[i]] = given[r, i]
+        for i in range(d, steps.size):
+            out[r, nuisances + i] = (stepped[r, 1 + i] - base) / steps[i]

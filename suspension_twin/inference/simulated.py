@@ -16,7 +16,7 @@ from suspension_twin.drive.types import Drive
 from suspension_twin.drive.write import BagWriter
 from suspension_twin.errors import InputError
 from suspension_twin.inference.gap import Gap, write_gap
-from suspension_twin.inference.prepare import Prepared, PrepareSettings, prepare, road_of
+from suspension_twin.inference.observation import Observation, ObserveSettings, observe, road_of
 from suspension_twin.models.sensor import to_sensor_axes
 from suspension_twin.models.simulate import simulate_twin
 from suspension_twin.models.types import Response
@@ -37,8 +37,8 @@ class SimulatedDrive:
     ----------
     drive : Drive
         The recording.
-    prepared : Prepared
-        What it was compared in.
+    observation : Observation
+        Its observation.
     response : Response
         The twin on the n kept IMU stamps.
     gap : Gap
@@ -54,7 +54,7 @@ class SimulatedDrive:
     """
 
     drive: Drive
-    prepared: Prepared
+    observation: Observation
     response: Response
     gap: Gap
 
@@ -66,25 +66,25 @@ class SimulatedDrive:
     @property
     def noise_rms(self) -> Mapping[str, float]:
         """Floor of each channel of the gap."""
-        return self.prepared.noise_rms
+        return self.observation.noise_rms
 
     @property
     def warnings(self) -> tuple[str, ...]:
-        """What was found of the drive while it was prepared."""
-        return self.prepared.warnings
+        """Findings on the drive while it was read."""
+        return self.observation.warnings
 
     def as_dict(self) -> dict[str, Any]:
         """What ``gap.json`` holds: the gap, and how it was measured."""
-        spec = self.prepared.settings.filter
+        spec = self.observation.settings.filter
         low_pass = {"kind": "Butterworth low-pass", "order": spec.order, "cutoff_hz": spec.cutoff}
         return {
             **self.gap.as_dict(),
             "drive": self.drive.name,
             "filter": {**low_pass, "zero_phase": True},
             "vertical_acceleration_topic_filter": {**low_pass, "zero_phase": False},
-            "on_road": float(self.prepared.inside.mean()),
-            "off_road": self.prepared.off_road.as_dict(),
-            "warnings": list(self.prepared.warnings),
+            "on_road": float(self.observation.inside.mean()),
+            "off_road": self.observation.off_road.as_dict(),
+            "warnings": list(self.observation.warnings),
         }
 
     def write(self, folder: Path) -> None:
@@ -100,7 +100,7 @@ class SimulatedDrive:
 
 
 def simulate_drive(
-    drive: Drive, twin: Twin, road: Road | None = None, settings: PrepareSettings | None = None
+    drive: Drive, twin: Twin, road: Road | None = None, settings: ObserveSettings | None = None
 ) -> SimulatedDrive:
     """Simulate a twin over the whole of a drive and measure the gap.
 
@@ -112,13 +112,13 @@ def simulate_drive(
         The twin.
     road : Road, optional
         The road; that of the twin file by default.
-    settings : PrepareSettings, optional
+    settings : ObserveSettings, optional
         Filter, step, policy beyond the road's borders.
 
     Returns
     -------
     SimulatedDrive
-        The prepared drive, the response and the gap.
+        The observation of the drive, the response and the gap.
 
     Raises
     ------
@@ -134,24 +134,24 @@ def simulate_drive(
     True
     """
     road = road_of(twin) if road is None else road
-    prepared = prepare(drive, twin, road, settings)
-    moving = np.abs(prepared.speed) > 0.8
-    if moving.any() and prepared.inside[moving].mean() < _LEAST_ON_ROAD:
+    observation = observe(drive, twin, road, settings)
+    moving = np.abs(observation.speed) > 0.8
+    if moving.any() and observation.inside[moving].mean() < _LEAST_ON_ROAD:
         raise InputError(
             drive.name,
             f"is not on the road {road.name}: is it the road of this drive, and is the twin file's datum the origin "
             "of its x and y?",
         )
-    response = simulate_twin(twin, prepared.excitation)
-    return SimulatedDrive(drive, prepared, response, prepared.gap(prepared.condition(response)))
+    response = simulate_twin(twin, observation.road_excitation)
+    return SimulatedDrive(drive, observation, response, observation.gap(observation.condition(response)))
 
 
 def _write_topics(bag: BagWriter, result: SimulatedDrive) -> None:
-    prepared, response = result.prepared, result.response
+    observation, response = result.observation, result.response
     t, stamps = response.t, result.drive.imu.t
-    place = prepared.twin.imu
+    place = observation.twin.imu
     attitude = Rotation.from_euler(
-        "ZYX", np.column_stack([prepared.trajectory.yaw, response.pitch, response.roll])
+        "ZYX", np.column_stack([observation.trajectory.yaw, response.pitch, response.roll])
     )
     sensor = attitude * Rotation.from_euler("ZYX", [place.rpy[2], place.rpy[1], place.rpy[0]])
 
@@ -177,12 +177,12 @@ def _write_topics(bag: BagWriter, result: SimulatedDrive) -> None:
         },
         frame=result.drive.imu.frame,
     )
-    simulated = response.vertical_acceleration - prepared.standing_vertical(response)
+    simulated = response.vertical_acceleration - observation.standing_vertical(response)
     for topic, signal in (
         ("twin/vertical_acceleration", simulated),
-        ("imu/vertical_acceleration", prepared.signals.vertical_acceleration),
+        ("imu/vertical_acceleration", observation.signals.vertical_acceleration),
     ):
-        low_pass = CausalLowPass(prepared.settings.filter, prepared.signals.rate_hz, 1)
+        low_pass = CausalLowPass(observation.settings.filter, observation.signals.rate_hz, 1)
         bag.write(
             topic,
             "geometry_msgs/msg/AccelStamped",
@@ -190,7 +190,7 @@ def _write_topics(bag: BagWriter, result: SimulatedDrive) -> None:
             {"accel.linear.z": at(low_pass.process(signal))},
             frame="base_link",
         )
-    path = prepared.trajectory
+    path = observation.trajectory
     position = np.column_stack([path.x, path.y, response.z])
     bag.write(
         "twin/pose",
@@ -207,7 +207,7 @@ def _write_topics(bag: BagWriter, result: SimulatedDrive) -> None:
         "sensor_msgs/msg/JointState",
         stamps,
         {
-            "name": list(prepared.twin.joint_names),
+            "name": list(observation.twin.joint_names),
             "position": at(response.deflection),
             "velocity": at(response.deflection_rate),
         },

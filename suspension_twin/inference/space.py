@@ -152,8 +152,6 @@ class Space:
     """
 
     def __init__(self, twin: Twin, parameters: Sequence[Parameter]) -> None:
-        if not parameters:
-            raise InputError("free parameters", "nothing is free: name at least one key")
         self.parameters = tuple(parameters)
         self.keys = tuple(p.key for p in self.parameters)
         if len(set(self.keys)) != len(self.keys):
@@ -162,7 +160,7 @@ class Space:
         self.nominal = np.array([p.nominal for p in self.parameters])
         self.lower = np.array([p.lower for p in self.parameters])
         self.upper = np.array([p.upper for p in self.parameters])
-        self._log = np.array([p.log for p in self.parameters])
+        self._log = np.array([p.log for p in self.parameters], dtype=bool)
         self._spread = np.array([p.spread for p in self.parameters])
         self.curves = self._find_curves(twin)
         self._on_curve = np.zeros(len(self.keys), dtype=bool)

@@ -10,7 +10,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from suspension_twin.inference.prepare import road_of
+from suspension_twin.inference.observation import road_of
 from suspension_twin.models.live import LiveState, live_twin
 from suspension_twin.nodes.topics import NS
 from suspension_twin.road.build import flat_road

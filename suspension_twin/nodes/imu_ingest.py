@@ -14,7 +14,7 @@ from geometry_msgs.msg import AccelStamped
 from sensor_msgs.msg import Imu
 
 from suspension_twin.errors import InputError
-from suspension_twin.inference.mounting import turn_of
+from suspension_twin.inference.sensor_correction import SensorCorrection
 from suspension_twin.nodes.base import TwinNode
 from suspension_twin.nodes.parameters import (
     FILTER,
@@ -137,7 +137,10 @@ class ImuIngestNode(TwinNode):
         twin = twin_of(self.values)
         self._frame = None if twin is None else twin.imu.frame
         # a tilt that the twin simulates is expected in the measured signals
-        self._silent = (*_COUNTED, *(() if twin is None or turn_of(twin) is None else ("tilted",)))
+        self._silent = (
+            *_COUNTED,
+            *(() if twin is None or SensorCorrection.of_twin(twin).turn is None else ("tilted",)),
+        )
         self._ingest = ImuIngest(_settings(self.values), Place() if twin is None else twin.imu)
         self.reset()
 

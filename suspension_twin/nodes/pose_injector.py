@@ -17,7 +17,7 @@ from pydantic import ValidationError
 from sensor_msgs.msg import Imu, NavSatFix
 
 from suspension_twin.errors import InputError, WorkError
-from suspension_twin.inference.mounting import gain_of, turn_of
+from suspension_twin.inference.sensor_correction import SensorCorrection
 from suspension_twin.nodes.base import TwinNode
 from suspension_twin.nodes.parameters import (
     FILTER,
@@ -127,8 +127,10 @@ class PoseInjectorNode(TwinNode):
     def _start(self) -> None:
         twin = twin_of(self.values)
         self._frame = None if twin is None else twin.gps.frame
-        gps, imu, turn = (None, None, None) if twin is None else (twin.gps, twin.imu, turn_of(twin))
-        gain = 1.0 if twin is None else gain_of(twin)
+        gps, imu, turn = (
+            (None, None, None) if twin is None else (twin.gps, twin.imu, SensorCorrection.of_twin(twin).turn)
+        )
+        gain = 1.0 if twin is None else SensorCorrection.of_twin(twin).gain
         self._lock = PoseLock(_settings(self.values), gps, _datum(self.values), imu, turn, gain)
         self._counted.clear()
 

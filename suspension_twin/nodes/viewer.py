@@ -37,7 +37,7 @@ from suspension_twin.addons.view.live import LiveView, Status, advice
 from suspension_twin.addons.view.server import Server
 from suspension_twin.calibration.output import details_path
 from suspension_twin.errors import InputError, SuspensionTwinError, WorkError
-from suspension_twin.inference.prepare import road_of
+from suspension_twin.inference.observation import road_of
 from suspension_twin.nodes.base import TwinNode
 from suspension_twin.nodes.parameters import TWIN, Param, Values, twin_of
 from suspension_twin.nodes.process import run_alone

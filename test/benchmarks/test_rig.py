@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from suspension_twin.inference.rig import simulate_rig
+from suspension_twin.inference.runs import simulate_rig
 from suspension_twin.vehicle.twin import EffectSpec, Twin, load_twin
 
 

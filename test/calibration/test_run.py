@@ -23,7 +23,7 @@ from suspension_twin.drive.read import read_drive
 from suspension_twin.errors import WorkError
 from suspension_twin.inference.gauss_newton import GaussNewton, GaussNewtonSettings, Quadratic
 from suspension_twin.inference.noise import Whitener
-from suspension_twin.inference.prepare import prepare
+from suspension_twin.inference.observation import observe
 from suspension_twin.inference.problem import FitProblem, Problem
 from suspension_twin.inference.space import curve_keys, twin_value
 from suspension_twin.models.simulate import simulate_twin
@@ -100,7 +100,7 @@ def truth_of(case: Any, result: CalibrationResult) -> dict[str, float]:
 
 def test_a_drive_not_seen_is_left_with_the_noise(rough_case: Any, fast: Any) -> None:
     result, _ = fast
-    there = prepare(read_drive(rough_case.bag("two")), result.twin)
+    there = observe(read_drive(rough_case.bag("two")), result.twin)
     ours, true = (
         there.gap(there.condition(simulate_twin(t, there.excitation))).rms
         for t in (result.twin, rough_case.truth)

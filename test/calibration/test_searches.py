@@ -10,10 +10,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-from suspension_twin.calibration.checkpoint import STATE, Checkpoint, State
 from suspension_twin.calibration.evolution import CmaSearch
 from suspension_twin.calibration.genetic import GaSettings, GeneticSearch
 from suspension_twin.calibration.pattern import PatternSearch, PatternSettings
+from suspension_twin.inference.checkpoint import STATE, Checkpoint, State
 
 TARGET = np.linspace(0.2, 0.8, 6)
 

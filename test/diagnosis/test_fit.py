@@ -11,13 +11,13 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 from scipy.optimize import lsq_linear
+from suspension_twin.diagnosis.bench import Linearised
+from suspension_twin.diagnosis.hypotheses import BASELINE, Hypothesis
 
 from suspension_twin.diagnosis import evidence as judge
 from suspension_twin.diagnosis import fit
-from suspension_twin.diagnosis.bench import Linearised
-from suspension_twin.diagnosis.evidence import FOLDS, Blocks, held_out, intervals
-from suspension_twin.diagnosis.fit import LinearisedFit, coordinate_scan, fitted, refit, screen
-from suspension_twin.diagnosis.hypotheses import BASELINE, Hypothesis
+from suspension_twin.inference.cross_validation import FOLDS, Blocks, held_out, intervals
+from suspension_twin.inference.fit import LinearisedFit, coordinate_scan, fitted, refit, screen
 
 STOP = Hypothesis(("rebound_stop",))
 TRUTH = np.array([0.7, -1.2, 0.4])

@@ -14,13 +14,13 @@ from typing import Any
 
 import numpy as np
 import pytest
-
-from suspension_twin.calibration.checkpoint import Checkpoint
-from suspension_twin.diagnosis.fit import Fit
 from suspension_twin.diagnosis.hypotheses import Hypothesis
 from suspension_twin.diagnosis.partial import PartialResults
+
 from suspension_twin.diagnosis.request import DiagnosisRequest
 from suspension_twin.diagnosis.run import diagnose
+from suspension_twin.inference.checkpoint import Checkpoint
+from suspension_twin.inference.fit import Fit
 
 
 def test_killed_and_started_again_it_ends_with_the_same_bits(

@@ -9,14 +9,14 @@ from typing import Any
 import numpy as np
 import pytest
 from scipy.optimize import minimize
+from suspension_twin.diagnosis.bench import Linearised
+from suspension_twin.diagnosis.hypotheses import BASELINE, Hypothesis
+from suspension_twin.diagnosis.nuisance_penalty import penalty_of
 
 from suspension_twin.diagnosis import decision, features
-from suspension_twin.diagnosis.bench import Linearised
-from suspension_twin.diagnosis.evidence import Evidence
-from suspension_twin.diagnosis.fit import LinearisedFit, refit
-from suspension_twin.diagnosis.hypotheses import BASELINE, Hypothesis
 from suspension_twin.diagnosis.judge import tempered_gain
-from suspension_twin.diagnosis.nuisance_penalty import penalty_of
+from suspension_twin.inference.cross_validation import Evidence
+from suspension_twin.inference.fit import LinearisedFit, refit
 
 LATE = Hypothesis(("time_offset",))
 LIMIT = 3.0

@@ -12,7 +12,7 @@ from typing import Any
 import pytest
 
 from suspension_twin.cli.main import main
-from suspension_twin.inference.observations import observe
+from suspension_twin.inference.runs import observe
 from suspension_twin.vehicle.twin import load_twin
 
 

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 from one_channel import CHANNEL, bench
 
-from suspension_twin.diagnosis.evidence import Blocks
 from suspension_twin.diagnosis.shrink import BlockBootstrap, RemainingResidual, Shrink, relative_residual
+from suspension_twin.inference.cross_validation import Blocks
 
 
 def blocks_of(samples: int, drives: int, length: int) -> Blocks:

@@ -7,14 +7,14 @@ from typing import Any
 
 import numpy as np
 import pytest
-
 from suspension_twin.diagnosis.bench import Bench
-from suspension_twin.diagnosis.case import build, read_case
-from suspension_twin.diagnosis.fit import refit
 from suspension_twin.diagnosis.hypotheses import BASELINE, library
+
+from suspension_twin.diagnosis.case import build, read_case
 from suspension_twin.diagnosis.request import DiagnosisRequest
 from suspension_twin.diagnosis.tone_search import tone_peaks, tone_starts
 from suspension_twin.effects.registry import EFFECTS
+from suspension_twin.inference.fit import refit
 
 #: Truth, and how far the start of a search may be from it.
 CASES = {

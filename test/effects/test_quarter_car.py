@@ -11,7 +11,7 @@ import pytest
 
 from suspension_twin.effects.registry import EFFECTS, effect
 from suspension_twin.errors import InputError
-from suspension_twin.inference.rig import rig_run
+from suspension_twin.inference.runs import rig_run
 from suspension_twin.models.parameters import lanes
 from suspension_twin.models.simulate import simulate_lanes
 from suspension_twin.vehicle.twin import EffectSpec, Twin, load_twin

@@ -11,7 +11,7 @@ import pytest
 
 from suspension_twin.drive.read import read_drive
 from suspension_twin.inference.excited_segments import TrimSettings, excited, fit_rows, trim
-from suspension_twin.inference.prepare import Prepared, prepare
+from suspension_twin.inference.observation import Observation, observe
 
 FLOOR = 0.05
 #: Short ones, for a drive of six seconds.
@@ -19,9 +19,9 @@ SHORT = TrimSettings(threshold=4.0, window=0.11, before=0.2, after=0.5, bridge=0
 
 
 @pytest.fixture(scope="module")
-def drive(pass_case: Any) -> Prepared:
+def drive(pass_case: Any) -> Observation:
     """Six seconds at 4.2 m/s in which nothing happens, all samples usable."""
-    found = prepare(read_drive(pass_case.bag("pass")), pass_case.truth)
+    found = observe(read_drive(pass_case.bag("pass")), pass_case.truth)
     return replace(
         found,
         measured={k: 0.0 * v for k, v in found.measured.items()},
@@ -30,16 +30,16 @@ def drive(pass_case: Any) -> Prepared:
     )
 
 
-def seconds(drive: Prepared) -> np.ndarray:
+def seconds(drive: Observation) -> np.ndarray:
     return drive.t - drive.t[0]
 
 
-def wave(drive: Prepared, rms: float = 1.0) -> np.ndarray:
+def wave(drive: Observation, rms: float = 1.0) -> np.ndarray:
     """Of that rms within any eighteenth of a second."""
     return rms * np.sqrt(2.0) * np.sin(2 * np.pi * 18.0 * seconds(drive))
 
 
-def shaken(drive: Prepared, *bursts: tuple[float, float], rms: float = 1.0) -> Prepared:
+def shaken(drive: Observation, *bursts: tuple[float, float], rms: float = 1.0) -> Observation:
     """The drive with a wave from and until each of some times."""
     t = seconds(drive)
     on = np.any([(t >= a) & (t <= b) for a, b in bursts], axis=0)
@@ -50,7 +50,7 @@ def shaken(drive: Prepared, *bursts: tuple[float, float], rms: float = 1.0) -> P
 
 
 @pytest.mark.parametrize("floor", [FLOOR, 0.2])
-def test_the_threshold_is_in_units_of_the_noise(drive: Prepared, floor: float) -> None:
+def test_the_threshold_is_in_units_of_the_noise(drive: Observation, floor: float) -> None:
     noisy = replace(drive, noise_rms={**drive.noise_rms, "vertical_acceleration": floor})
     for share, every in ((0.9, False), (1.1, True)):
         whole = shaken(noisy, (0.0, 9.0), rms=share * 4.0 * floor)
@@ -59,14 +59,14 @@ def test_the_threshold_is_in_units_of_the_noise(drive: Prepared, floor: float) -
         assert excited(whole, replace(SHORT, threshold=2.0))[60:-60].all()
 
 
-def test_a_sensor_without_noise_has_some_all_the_same(drive: Prepared) -> None:
+def test_a_sensor_without_noise_has_some_all_the_same(drive: Observation) -> None:
     """Else rounding would be excitation."""
     quiet = replace(drive, noise_rms=dict.fromkeys(drive.noise_rms, 0.0))
     assert not excited(shaken(quiet, (0.0, 9.0), rms=1e-5), SHORT).any()
     assert excited(shaken(quiet, (0.0, 9.0), rms=1.0), SHORT).all()
 
 
-def test_grade_and_bias_are_no_excitation(drive: Prepared) -> None:
+def test_grade_and_bias_are_no_excitation(drive: Observation) -> None:
     t = seconds(drive)
     slow = 1.0 + 0.5 * t
     graded = replace(drive, measured={**drive.measured, "vertical_acceleration": slow})
@@ -83,7 +83,7 @@ def test_grade_and_bias_are_no_excitation(drive: Prepared) -> None:
 
 
 @pytest.mark.parametrize("before, after", [(0.0, 0.0), (0.2, 0.5), (0.7, 0.1)])
-def test_some_time_before_and_after_is_kept(drive: Prepared, before: float, after: float) -> None:
+def test_some_time_before_and_after_is_kept(drive: Observation, before: float, after: float) -> None:
     settings = replace(SHORT, before=before, after=after)
     active = excited(shaken(drive, (2.5, 3.0)), settings)
     core = np.flatnonzero(excited(shaken(drive, (2.5, 3.0)), replace(SHORT, before=0.0, after=0.0)))
@@ -97,13 +97,13 @@ def test_some_time_before_and_after_is_kept(drive: Prepared, before: float, afte
     )
 
 
-def test_at_the_ends_of_a_drive_there_is_less_to_keep(drive: Prepared) -> None:
+def test_at_the_ends_of_a_drive_there_is_less_to_keep(drive: Observation) -> None:
     active = np.flatnonzero(excited(shaken(drive, (0.0, 0.1), (5.9, 9.0)), SHORT))
     assert active[0] == 0 and active[-1] == drive.t.size - 1
     assert np.diff(active).max() > 400
 
 
-def test_a_wider_window_sees_farther(drive: Prepared) -> None:
+def test_a_wider_window_sees_farther(drive: Observation) -> None:
     burst = shaken(drive, (2.5, 3.0))
     count = [excited(burst, replace(SHORT, window=w)).sum() for w in (0.05, 0.11, 0.31)]
     # by half a window on either side
@@ -111,12 +111,12 @@ def test_a_wider_window_sees_farther(drive: Prepared) -> None:
 
 
 @pytest.mark.parametrize("speed, moving", [(0.7, False), (0.9, True), (-0.7, False), (-0.9, True)])
-def test_a_vehicle_has_to_move_either_way(drive: Prepared, speed: float, moving: bool) -> None:
+def test_a_vehicle_has_to_move_either_way(drive: Observation, speed: float, moving: bool) -> None:
     slow = replace(shaken(drive, (0.0, 9.0)), speed=np.full(drive.t.size, speed))
     assert excited(slow, SHORT).all() if moving else not excited(slow, SHORT).any()
 
 
-def test_what_cannot_be_compared_is_not_excited(drive: Prepared) -> None:
+def test_what_cannot_be_compared_is_not_excited(drive: Observation) -> None:
     """Nor does it excite what is beside it."""
     mask = np.ones(drive.t.size, dtype=np.bool_)
     mask[200:300] = False
@@ -126,7 +126,7 @@ def test_what_cannot_be_compared_is_not_excited(drive: Prepared) -> None:
     assert not excited(hidden, SHORT).any()
 
 
-def test_settings_are_those_for_a_car_by_default(drive: Prepared) -> None:
+def test_settings_are_those_for_a_car_by_default(drive: Observation) -> None:
     burst = shaken(drive, (2.5, 3.0))
     np.testing.assert_array_equal(excited(burst), excited(burst, TrimSettings()))
     np.testing.assert_array_equal(fit_rows(burst), fit_rows(burst, TrimSettings()))
@@ -138,14 +138,14 @@ def test_settings_are_those_for_a_car_by_default(drive: Prepared) -> None:
 # -- trim ------------------------------------------------------------------------------------------
 
 
-def spans(parts: list[Prepared], drive: Prepared) -> list[tuple[float, float]]:
+def spans(parts: list[Observation], drive: Observation) -> list[tuple[float, float]]:
     return [(float(p.t[0] - drive.t[0]), float(p.t[-1] - drive.t[0])) for p in parts]
 
 
 PAD = 1.0  # s on either side, for the transients of the filter
 
 
-def test_a_segment_is_cut_out_with_its_lead(drive: Prepared) -> None:
+def test_a_segment_is_cut_out_with_its_lead(drive: Observation) -> None:
     burst = shaken(drive, (2.6, 2.8))
     active = seconds(drive)[np.flatnonzero(excited(burst, SHORT))]
     (part,) = trim(burst, SHORT)
@@ -155,7 +155,7 @@ def test_a_segment_is_cut_out_with_its_lead(drive: Prepared) -> None:
     assert end == pytest.approx(active[-1] + PAD, abs=0.02)
 
 
-def test_segments_end_where_the_drive_does(drive: Prepared) -> None:
+def test_segments_end_where_the_drive_does(drive: Observation) -> None:
     last = float(seconds(drive)[-1])
     ((begin, end),) = spans(trim(shaken(drive, (0.5, 0.7)), SHORT), drive)
     assert begin == pytest.approx(0.0, abs=0.005) and end < 3.0
@@ -163,7 +163,7 @@ def test_segments_end_where_the_drive_does(drive: Prepared) -> None:
     assert begin > 3.0 and last - end < 1.5 / drive.rate
 
 
-def test_no_more_than_the_last_stamp_is_cut_off_at_the_end(drive: Prepared) -> None:
+def test_no_more_than_the_last_stamp_is_cut_off_at_the_end(drive: Observation) -> None:
     for count in range(560, 590, 5):
         whole = drive.part(drive.t[0], drive.t[count])
         late = float(seconds(whole)[-1])
@@ -171,7 +171,7 @@ def test_no_more_than_the_last_stamp_is_cut_off_at_the_end(drive: Prepared) -> N
         assert part is not whole and part.signals.t[-1] >= whole.signals.t[-2]
 
 
-def test_gaps_are_bridged_if_short(drive: Prepared) -> None:
+def test_gaps_are_bridged_if_short(drive: Observation) -> None:
     """Between 2.3 - 0.055 - 0.2 s and the sample at 1.3 + 0.055 + 0.5 s nothing is excited: 0.19 s."""
     two = shaken(drive, (1.1, 1.3), (2.3, 2.5))
     active = seconds(drive)[np.flatnonzero(excited(two, SHORT))]
@@ -187,7 +187,7 @@ def test_gaps_are_bridged_if_short(drive: Prepared) -> None:
             assert ends[1][0] == pytest.approx(max(active[gap + 1] - SHORT.lead - PAD, 0.0), abs=0.02)
 
 
-def test_a_drive_that_is_excited_all_over_is_left_whole(drive: Prepared) -> None:
+def test_a_drive_that_is_excited_all_over_is_left_whole(drive: Observation) -> None:
     """From nine tenths on, by its span with lead; two segments are cut even if they overlap."""
     last = float(seconds(drive)[-1])
     for share, whole in ((0.95, True), (0.85, False)):
@@ -201,21 +201,21 @@ def test_a_drive_that_is_excited_all_over_is_left_whole(drive: Prepared) -> None
     assert len(trim(two, SHORT)) == 2
 
 
-def test_a_calm_drive_has_no_segment(drive: Prepared) -> None:
+def test_a_calm_drive_has_no_segment(drive: Observation) -> None:
     assert trim(drive, SHORT) == [] and fit_rows(drive, SHORT).size == 0
 
 
 # -- rows ------------------------------------------------------------------------------------------
 
 
-def test_calm_between_excited_samples_is_compared(drive: Prepared) -> None:
+def test_calm_between_excited_samples_is_compared(drive: Observation) -> None:
     two = shaken(drive, (1.5, 1.6), (4.5, 4.6))
     active = np.flatnonzero(excited(two, SHORT))
     assert np.diff(active).max() > 100
     np.testing.assert_array_equal(fit_rows(two, SHORT), np.arange(active[0], active[-1] + 1))
 
 
-def test_standing_and_unusable_samples_between_are_not(drive: Prepared) -> None:
+def test_standing_and_unusable_samples_between_are_not(drive: Observation) -> None:
     mask, speed = np.ones(drive.t.size, dtype=np.bool_), np.full(drive.t.size, -4.2)
     mask[300:310], speed[320:340] = False, 0.1
     two = replace(shaken(drive, (1.5, 1.6), (4.5, 4.6)), mask=mask, speed=speed)
@@ -225,7 +225,7 @@ def test_standing_and_unusable_samples_between_are_not(drive: Prepared) -> None:
 
 
 @pytest.mark.parametrize("speed", [4.2, -4.2])
-def test_the_lead_is_compared_only_after_a_standing_start(drive: Prepared, speed: float) -> None:
+def test_the_lead_is_compared_only_after_a_standing_start(drive: Observation, speed: float) -> None:
     """A model begins at rest: what moved before had a transient of its own."""
     whole = replace(shaken(drive, (0.0, 9.0)), speed=np.full(drive.t.size, speed))
     rows = fit_rows(whole, SHORT)

@@ -12,8 +12,8 @@ from suspension_twin.drive.types import Drive, FixData, ImuData
 from suspension_twin.errors import InputError, WorkError
 from suspension_twin.inference.gap import CHANNELS, measure_gap
 from suspension_twin.inference.noise_floor import floor_rms, white_noise_sigma
+from suspension_twin.inference.observation import Observation, ObserveSettings, observe
 from suspension_twin.inference.planar_denoising import wiener
-from suspension_twin.inference.prepare import Prepared, PrepareSettings, prepare
 from suspension_twin.inference.synthetic import SensorErrors, path_along, synthetic_drive
 from suspension_twin.models.simulate import simulate_twin
 from suspension_twin.road import Road
@@ -25,8 +25,8 @@ KNOTS = [(0.0, 0.0), (3.0, 0.0), (6.0, 5.0), (14.0, 6.0), (16.0, 0.0), (19.5, 0.
 
 
 @pytest.fixture(scope="module")
-def prepared(drive: Drive, twin: Twin, bumps: Road) -> Prepared:
-    return prepare(drive, twin, bumps)
+def prepared(drive: Drive, twin: Twin, bumps: Road) -> Observation:
+    return observe(drive, twin, bumps)
 
 
 def without_fixes(drive: Drive) -> Drive:
@@ -37,7 +37,7 @@ def without_fixes(drive: Drive) -> Drive:
     )
 
 
-def test_the_true_twin_leaves_little_more_than_the_noise(prepared: Prepared, twin: Twin) -> None:
+def test_the_true_twin_leaves_little_more_than_the_noise(prepared: Observation, twin: Twin) -> None:
     gap = prepared.gap(prepared.condition(simulate_twin(twin, prepared.excitation)))
     assert prepared.noise_rms["vertical_acceleration"] == pytest.approx(0.029, rel=0.15)
     assert gap.rms < 1.25 * gap.noise_rms
@@ -46,7 +46,7 @@ def test_the_true_twin_leaves_little_more_than_the_noise(prepared: Prepared, twi
     assert gap.seconds == pytest.approx(np.count_nonzero(prepared.mask) / prepared.rate)
 
 
-def test_a_wrong_twin_leaves_more(prepared: Prepared, twin: Twin) -> None:
+def test_a_wrong_twin_leaves_more(prepared: Observation, twin: Twin) -> None:
     soft = twin.with_changes(
         {f"vehicle.{a}.damper_pull.force.{i}": 150.0 + i for a in ("front", "rear") for i in range(4)}
     )
@@ -68,14 +68,14 @@ def test_a_sensor_that_is_wrong_stands_at_nothing_on_both_sides(
     """The recording's filter takes what a gain or a tilt makes of gravity for a bias."""
     wrong = twin.model_copy(update={"effects": (effect,)})
     recorded = synthetic_drive(wrong, bumps, KNOTS, seed=4, errors=SensorErrors(), name="wrong")
-    prepared = prepare(recorded, wrong, bumps)
+    prepared = observe(recorded, wrong, bumps)
     right, plain = (
         prepared.gap(prepared.condition(simulate_twin(t, prepared.excitation))) for t in (wrong, twin)
     )
     assert right.rms < 2.0 * right.noise_rms < plain.rms
 
 
-def test_a_part_on_the_move_keeps_its_mean(prepared: Prepared, twin: Twin) -> None:
+def test_a_part_on_the_move_keeps_its_mean(prepared: Observation, twin: Twin) -> None:
     """Nothing stands in it, so nothing of it is what the sensor shows standing."""
     t0 = float(prepared.signals.t[0])
     part = prepared.part(t0 + 7.0, t0 + 12.0)
@@ -88,7 +88,7 @@ def test_a_part_on_the_move_keeps_its_mean(prepared: Prepared, twin: Twin) -> No
     np.testing.assert_allclose(shift, 0.5, atol=1e-9)
 
 
-def test_position_is_the_rear_axles_along_the_road(prepared: Prepared, bumps: Road) -> None:
+def test_position_is_the_rear_axles_along_the_road(prepared: Observation, bumps: Road) -> None:
     still = prepared.t < prepared.t[0] + 2.0
     assert np.median(prepared.position[still]) == pytest.approx(5.0, abs=0.05)
     moving = np.abs(prepared.speed) > 2.0
@@ -96,7 +96,7 @@ def test_position_is_the_rear_axles_along_the_road(prepared: Prepared, bumps: Ro
     assert prepared.inside.all()
 
 
-def test_a_part_is_simulated_and_measured_alike(prepared: Prepared, twin: Twin) -> None:
+def test_a_part_is_simulated_and_measured_alike(prepared: Observation, twin: Twin) -> None:
     start = prepared.t[0]
     part = prepared.part(start + 5.0, start + 16.0)
     gap = part.gap(part.condition(simulate_twin(twin, part.excitation)))
@@ -112,7 +112,7 @@ def test_a_part_is_simulated_and_measured_alike(prepared: Prepared, twin: Twin) 
         prepared.part(start, start + 0.05)
 
 
-def test_moving_the_pose_in_time_moves_the_response(prepared: Prepared, twin: Twin) -> None:
+def test_moving_the_pose_in_time_moves_the_response(prepared: Observation, twin: Twin) -> None:
     seconds = 0.05
     here = prepared.condition(simulate_twin(twin, prepared.excitation))["vertical_acceleration"]
     moved = prepared.moved(seconds, 0.0)
@@ -123,7 +123,7 @@ def test_moving_the_pose_in_time_moves_the_response(prepared: Prepared, twin: Tw
     assert np.sqrt(np.mean((here - shifted)[inside] ** 2)) > 0.3 * np.std(here[inside])
 
 
-def test_moving_the_map_moves_the_bump(prepared: Prepared) -> None:
+def test_moving_the_map_moves_the_bump(prepared: Observation) -> None:
     moved = prepared.moved(0.0, 0.5)
     here, there = (p.excitation.road[:, 0].max() > 0.03 for p in (prepared, moved))
     assert here and there
@@ -136,7 +136,7 @@ def test_moving_the_map_moves_the_bump(prepared: Prepared) -> None:
 
 def test_no_fixes_is_said(drive: Drive, twin: Twin, bumps: Road) -> None:
     with pytest.raises(InputError, match="bumps: fix"):
-        prepare(without_fixes(drive), twin, bumps)
+        observe(without_fixes(drive), twin, bumps)
 
 
 def test_an_imu_upside_down_is_refused_only_where_it_must_be_trusted(
@@ -146,13 +146,13 @@ def test_an_imu_upside_down_is_refused_only_where_it_must_be_trusted(
     imu = ImuData(drive.imu.t, drive.imu.specific_force * flip, drive.imu.angular_rate * flip)
     turned = replace(drive, imu=imu)
     with pytest.raises(InputError, match="upside down"):
-        prepare(turned, twin, bumps, strict=True)
-    assert any("upside down" in w for w in prepare(turned, twin, bumps).warnings)
+        observe(turned, twin, bumps, strict=True)
+    assert any("upside down" in w for w in observe(turned, twin, bumps).warnings)
 
 
 def test_a_twin_without_road_is_told_to_name_one(drive: Drive, twin: Twin) -> None:
     with pytest.raises(InputError, match="road"):
-        prepare(drive, twin)
+        observe(drive, twin)
 
 
 def test_gap_refuses_what_is_no_comparison() -> None:
@@ -216,7 +216,7 @@ def test_quiet_motion_is_nearer_to_the_truth(twin: Twin, bumps: Road) -> None:
     noisy = synthetic_drive(twin, bumps, knots, seed=3, errors=SensorErrors(force=0.08, rate=0.005))
     error = {}
     for quiet in (False, True):
-        there = prepare(noisy, twin, bumps, PrepareSettings(quiet=quiet)).trajectory
+        there = observe(noisy, twin, bumps, ObserveSettings(quiet=quiet)).trajectory
         true = path_along(bumps, there.t - 1_700_000_000.0, knots, 5.0)
         driving = true.speed > 4.0
         error[quiet] = [

@@ -12,7 +12,7 @@ import pytest
 from suspension_twin.drive.types import Drive
 from suspension_twin.errors import InputError
 from suspension_twin.inference.imu_gnss_consistency import consistency
-from suspension_twin.inference.prepare import prepare, reclocked_excitation, turned_excitation
+from suspension_twin.inference.observation import observe, reclocked_excitation, turned_excitation
 from suspension_twin.inference.synthetic import SensorErrors, synthetic_drive
 from suspension_twin.models.simulate import simulate_twin
 from suspension_twin.road import Road, flat_road
@@ -125,13 +125,13 @@ def test_wrong_signs_are_refused_in_one_line(
     winding: Drive, twin: Twin, force: tuple[float, ...], rate: tuple[float, ...], says: str
 ) -> None:
     with pytest.raises(InputError, match=says) as told:
-        prepare(mirrored(winding, force, rate), twin, flat_road(), strict=True)
+        observe(mirrored(winding, force, rate), twin, flat_road(), strict=True)
     assert str(told.value).startswith("ride: imu: ") and "\n" not in str(told.value)
-    assert not any("other way" in w or "mirrored" in w for w in prepare(winding, twin, flat_road()).warnings)
+    assert not any("other way" in w or "mirrored" in w for w in observe(winding, twin, flat_road()).warnings)
 
 
 def test_a_sound_drive_has_nothing_to_say(drive: Drive, twin: Twin, bumps: Road) -> None:
-    assert not any("clock" in w or "turned" in w or "gyro" in w for w in prepare(drive, twin, bumps).warnings)
+    assert not any("clock" in w or "turned" in w or "gyro" in w for w in observe(drive, twin, bumps).warnings)
 
 
 @pytest.mark.parametrize(
@@ -148,14 +148,14 @@ def test_what_no_answer_can_come_from_is_refused_in_one_line(
 ) -> None:
     spoilt = spoil(drive)  # type: ignore[operator]
     with pytest.raises(InputError, match=says) as told:
-        prepare(spoilt, twin, bumps, strict=True)
+        observe(spoilt, twin, bumps, strict=True)
     assert str(told.value).startswith("ride") and "\n" not in str(told.value)
-    assert any(says in w for w in prepare(spoilt, twin, bumps).warnings)  # to look at, not to learn from
+    assert any(says in w for w in observe(spoilt, twin, bumps).warnings)  # to look at, not to learn from
 
 
 def test_what_a_diagnosis_may_find_is_a_warning(drive: Drive, twin: Twin, bumps: Road) -> None:
-    assert any("0.8 s after" in w for w in prepare(late(drive, 0.8), twin, bumps, strict=True).warnings)
-    assert any("180°" in w for w in prepare(facing(drive, math.pi), twin, bumps, strict=True).warnings)
+    assert any("0.8 s after" in w for w in observe(late(drive, 0.8), twin, bumps, strict=True).warnings)
+    assert any("180°" in w for w in observe(facing(drive, math.pi), twin, bumps, strict=True).warnings)
 
 
 @pytest.mark.parametrize("yaw", [1.6, math.pi])
@@ -163,9 +163,9 @@ def test_a_path_that_was_bent_by_a_sensor_is_not_asked_how_far_that_is_turned(
     drive: Drive, twin: Twin, bumps: Road, yaw: float
 ) -> None:
     spoilt = facing(drive, yaw)
-    found, turn = turned_excitation(prepare(spoilt, twin, bumps), spoilt)
+    found, turn = turned_excitation(observe(spoilt, twin, bumps), spoilt)
     assert math.cos(turn[2] - yaw) > 0.999
-    sound, right = prepare(drive, twin, bumps), np.array(turn[:2])
+    sound, right = observe(drive, twin, bumps), np.array(turn[:2])
     assert np.abs(right).max() < 0.02
     assert found.speed.max() == pytest.approx(sound.excitation.speed.max(), abs=0.1)
 
@@ -178,13 +178,13 @@ def test_a_clock_that_is_known_to_be_late_costs_nothing(
     knowing = twin.model_copy(
         update={"effects": (EffectSpec(id="time_offset", parameters={"offset": seconds}),)}
     )
-    sound, known = prepare(drive, twin, bumps), prepare(spoilt, knowing, bumps)
+    sound, known = observe(drive, twin, bumps), observe(spoilt, knowing, bumps)
     assert not any("after" in w or "before" in w for w in known.warnings)
     assert known.excitation.late == pytest.approx(seconds)
     assert np.array_equal(known.excitation.t, known.signals.t)
     gaps = [p.gap(p.condition(simulate_twin(p.twin, p.excitation))).rms for p in (sound, known)]
     assert gaps[1] == pytest.approx(gaps[0], rel=5e-3)
-    unknown = prepare(spoilt, twin, bumps)
+    unknown = observe(spoilt, twin, bumps)
     assert unknown.gap(unknown.condition(simulate_twin(twin, unknown.excitation))).rms > 1.3 * gaps[0]
 
 
@@ -194,15 +194,15 @@ def test_how_late_a_clock_is_seen_to_be_is_taken_off_the_motion(
     drive: Drive, twin: Twin, bumps: Road, seconds: float, upright: bool
 ) -> None:
     spoilt = late(drive, seconds)
-    seen = reclocked_excitation(prepare(spoilt, twin, bumps), spoilt, upright)
+    seen = reclocked_excitation(observe(spoilt, twin, bumps), spoilt, upright)
     assert seen is not None and seen.late == pytest.approx(seconds, abs=0.05)
-    sound, bent = prepare(drive, twin, bumps).excitation, prepare(spoilt, twin, bumps).excitation
+    sound, bent = observe(drive, twin, bumps).excitation, observe(spoilt, twin, bumps).excitation
     off, more = (float(np.std(e.speed - sound.speed)) for e in (seen, bent))
     assert off < 0.3 * more
 
 
 def test_a_clock_that_is_right_is_not_taken_off_the_motion(drive: Drive, twin: Twin, bumps: Road) -> None:
-    assert reclocked_excitation(prepare(drive, twin, bumps), drive) is None
+    assert reclocked_excitation(observe(drive, twin, bumps), drive) is None
 
 
 def test_a_drive_that_hardly_moves_tells_nothing(drive: Drive, twin: Twin) -> None:

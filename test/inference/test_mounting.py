@@ -8,12 +8,12 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from suspension_twin.inference.mounting import gain_at_rest, heading_off, regained, turned
 
 from suspension_twin.arrays import Floats
 from suspension_twin.drive.types import Drive
-from suspension_twin.inference.mounting import gain_at_rest, heading_off, regained, turned
-from suspension_twin.inference.prepare import (
-    prepare,
+from suspension_twin.inference.observation import (
+    observe,
     regained_excitation,
     turned_excitation,
     upright_excitation,
@@ -44,7 +44,7 @@ def recorded(tilted: Twin, bumps: Road) -> Drive:
 def sound(twin: Twin, bumps: Road) -> Excitation:
     """What the same drive excites the vehicle with, measured by a sensor that stands as the file says."""
     drive = synthetic_drive(twin, bumps, KNOTS, seed=4, errors=SensorErrors(), name="sound")
-    return prepare(drive, twin, bumps).excitation
+    return observe(drive, twin, bumps).excitation
 
 
 def off(found: Excitation, true: Excitation, what: str) -> float:
@@ -62,15 +62,15 @@ def test_a_further_turn_comes_after_the_one_in_the_file() -> None:
 def test_a_tilt_that_the_twin_file_knows_is_nothing_to_be_warned_of(
     recorded: Drive, tilted: Twin, twin: Twin, bumps: Road
 ) -> None:
-    assert any("off upright" in w for w in prepare(recorded, twin, bumps).warnings)
-    assert not any("off upright" in w for w in prepare(recorded, tilted, bumps).warnings)
+    assert any("off upright" in w for w in observe(recorded, twin, bumps).warnings)
+    assert not any("off upright" in w for w in observe(recorded, tilted, bumps).warnings)
 
 
 @pytest.mark.parametrize("yaw", [-2.6, -0.4, 0.0, 0.05, 1.5])
 def test_the_path_shows_which_way_an_upright_sensor_faces(
     drive: Drive, twin: Twin, bumps: Road, yaw: float
 ) -> None:
-    prepared = prepare(drive, twin, bumps)
+    prepared = observe(drive, twin, bumps)
     spun = ingest_drive(drive, turned(twin.imu, (0.0, 0.0, -yaw)))
     # the vertical, told by a path that goes elsewhere, bends after it: turned signals with the right one
     c, s = math.cos(yaw), math.sin(yaw)
@@ -81,7 +81,7 @@ def test_the_path_shows_which_way_an_upright_sensor_faces(
 
 
 def test_where_nothing_pulls_no_heading_is_told(drive: Drive, twin: Twin, bumps: Road) -> None:
-    prepared = prepare(drive, twin, bumps)
+    prepared = observe(drive, twin, bumps)
     none: Floats = np.zeros_like(prepared.trajectory.ax)
     assert heading_off(prepared.signals, replace(prepared.trajectory, ax=none, yaw_rate=none)) == 0.0
 
@@ -91,8 +91,8 @@ def test_a_turned_sensor_does_not_push_the_vehicle(
     recorded: Drive, twin: Twin, tilted: Twin, bumps: Road, sound: Excitation, known: bool
 ) -> None:
     """By 17° of yaw a third of the braking is taken for a push to the side, which rolls the body."""
-    plain = prepare(recorded, twin, bumps)
-    found = prepare(recorded, tilted, bumps).excitation if known else turned_excitation(plain, recorded)[0]
+    plain = observe(recorded, twin, bumps)
+    found = observe(recorded, tilted, bumps).excitation if known else turned_excitation(plain, recorded)[0]
     assert off(plain.excitation, sound, "ay") > 0.06
     for what in ("ax", "ay"):
         assert off(found, sound, what) < 0.01
@@ -119,16 +119,16 @@ def test_what_a_sensor_reads_too_much_does_not_push_the_vehicle(
 ) -> None:
     loud = twin.model_copy(update={"effects": (EffectSpec(id="sensor_scale", parameters={"scale": 0.4}),)})
     recorded = synthetic_drive(loud, bumps, KNOTS, seed=4, errors=SensorErrors(), name="loud")
-    plain = prepare(recorded, twin, bumps)
-    found = prepare(recorded, loud, bumps).excitation if known else regained_excitation(plain, recorded)
+    plain = observe(recorded, twin, bumps)
+    found = observe(recorded, loud, bumps).excitation if known else regained_excitation(plain, recorded)
     assert off(found, sound, "ax") < 0.3 * off(plain.excitation, sound, "ax")
     assert off(found, sound, "ay") < 0.5 * off(plain.excitation, sound, "ay")
     if known:  # whatever else is asked of such a sensor
-        known_loud = prepare(recorded, loud, bumps)
+        known_loud = observe(recorded, loud, bumps)
         for again in (upright_excitation(known_loud, recorded), turned_excitation(known_loud, recorded)[0]):
             assert off(again, sound, "ax") < 0.3 * off(plain.excitation, sound, "ax")
 
 
 def test_a_sensor_without_a_gain_is_not_read_again(drive: Drive, twin: Twin, bumps: Road) -> None:
-    prepared = prepare(drive, twin, bumps)
+    prepared = observe(drive, twin, bumps)
     assert regained_excitation(prepared, drive) is None

@@ -23,8 +23,8 @@ from suspension_twin.inference.nuisance import (
     map_spread,
     slow_position_error,
 )
-from suspension_twin.inference.observations import Run
-from suspension_twin.inference.prepare import Prepared, prepare
+from suspension_twin.inference.observation import Observation, observe
+from suspension_twin.inference.runs import Run
 
 CHANNELS = (
     "vertical_acceleration",
@@ -169,8 +169,8 @@ def compare(
 
 
 @pytest.fixture(scope="module")
-def prepared(pass_case: Any) -> Prepared:
-    drive = prepare(read_drive(pass_case.bag("pass")), pass_case.truth)
+def prepared(pass_case: Any) -> Observation:
+    drive = observe(read_drive(pass_case.bag("pass")), pass_case.truth)
     return replace(drive, name="one")
 
 
@@ -203,7 +203,7 @@ def test_each_nuisance_has_the_spread_of_its_prior() -> None:
     assert spreads(NOTHING) == {}
 
 
-def test_a_tilt_is_one_about_each_axis_in_the_plane(prepared: Prepared) -> None:
+def test_a_tilt_is_one_about_each_axis_in_the_plane(prepared: Observation) -> None:
     n = Nuisances([prepared], [0], CHANNELS, replace(NOTHING, tilt=0.5), [0.0])
     assert dict(zip(n.names, n.spread.tolist(), strict=True)) == {"tilt_roll": 0.5, "tilt_pitch": 0.5}
 
@@ -342,7 +342,7 @@ def test_lanes_of_other_clocks_and_maps_without_levers(along: Any) -> None:
 @pytest.mark.parametrize("channels", [CHANNELS, CHANNELS[::-1], ("yaw_rate", "vertical_acceleration")])
 @pytest.mark.parametrize("roll, pitch", [(0.1, 0.0), (0.0, 0.1), (-0.03, 0.07)])
 def test_a_small_tilt_turns_force_and_rate(
-    prepared: Prepared, channels: tuple[str, ...], roll: float, pitch: float
+    prepared: Observation, channels: tuple[str, ...], roll: float, pitch: float
 ) -> None:
     """About x and y, gravity included: a cross product with what was measured."""
     rng = np.random.default_rng(3)
@@ -449,7 +449,7 @@ def test_a_long_drive_is_read_as_its_pieces_are() -> None:
 # -- what a solver asks ----------------------------------------------------------------------------
 
 
-def test_plain_ones_add_the_same_whatever_is_simulated(prepared: Prepared) -> None:
+def test_plain_ones_add_the_same_whatever_is_simulated(prepared: Observation) -> None:
     n = Nuisances([prepared], [0], CHANNELS, EVERY, [0.3])
     rng = np.random.default_rng(7)
     rows = rows_of(prepared)

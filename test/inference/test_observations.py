@@ -14,7 +14,7 @@ from suspension_twin.drive.rig import RigRecord, read_rig, write_rig
 from suspension_twin.errors import InputError
 from suspension_twin.inference.marker_runs import CUTOFF, FLOORS, MarkerRun, low_pass, read_run
 from suspension_twin.inference.nuisance import OF_A_RIG, OF_A_RUN
-from suspension_twin.inference.observations import Run, RunPath, marker_observation, observe, renamed
+from suspension_twin.inference.runs import Run, RunPath, marker_observation, observe, renamed
 from suspension_twin.vehicle.twin import Twin, load_twin
 
 

@@ -16,7 +16,7 @@ from suspension_twin.cli.main import main
 from suspension_twin.drive.types import Drive
 from suspension_twin.drive.write import write_drive
 from suspension_twin.errors import InputError
-from suspension_twin.inference.prepare import PrepareSettings, prepare
+from suspension_twin.inference.observation import ObserveSettings, observe
 from suspension_twin.inference.simulated import simulate_drive
 from suspension_twin.road import Road, bump_road, circular, write_road
 from suspension_twin.vehicle.twin import RoadFile, Twin, save_twin
@@ -33,7 +33,7 @@ def short(bumps: Road) -> Road:
 
 def test_policies_differ_beyond_the_end_alone(drive: Drive, twin: Twin, short: Road) -> None:
     runs = {
-        policy: prepare(drive, twin, short, PrepareSettings(outside=policy))
+        policy: observe(drive, twin, short, ObserveSettings(outside=policy))
         for policy in ("road", "hold", "zero")
     }
     road, held, zero = (runs[p].excitation.road for p in ("road", "hold", "zero"))
@@ -45,7 +45,7 @@ def test_policies_differ_beyond_the_end_alone(drive: Drive, twin: Twin, short: R
 
 
 def test_the_result_says_where_and_which_policy(drive: Drive, twin: Twin, short: Road) -> None:
-    result = simulate_drive(drive, twin, short, PrepareSettings(outside="zero"))
+    result = simulate_drive(drive, twin, short, ObserveSettings(outside="zero"))
     told = json.loads(json.dumps(result.as_dict()["off_road"]))
     assert told["policy"] == "zero" and len(told["stretches"]) == 1
     stretch = told["stretches"][0]
@@ -62,7 +62,7 @@ def test_the_result_says_where_and_which_policy(drive: Drive, twin: Twin, short:
 
 
 def test_a_drive_on_the_road_has_nothing_to_say(drive: Drive, twin: Twin, bumps: Road) -> None:
-    result = simulate_drive(drive, twin, bumps, PrepareSettings(outside="error"))
+    result = simulate_drive(drive, twin, bumps, ObserveSettings(outside="error"))
     assert result.as_dict()["off_road"] == {"policy": "error", "share": 0.0, "seconds": 0.0, "stretches": []}
     assert not any("off the road" in w for w in result.prepared.warnings)
 
@@ -71,10 +71,10 @@ def test_error_refuses_by_the_drives_name(drive: Drive, twin: Twin, short: Road)
     with pytest.raises(
         InputError, match=r"^bumps: leaves the road short from \d+\.\d\d to 19\.\d\d s.*the policy"
     ):
-        prepare(drive, twin, short, PrepareSettings(outside="error"))
+        observe(drive, twin, short, ObserveSettings(outside="error"))
     none = replace(short, borders=replace(short.borders, mode_u=0))
     with pytest.raises(InputError, match="and the road's file has no height there"):
-        prepare(drive, twin, none)
+        observe(drive, twin, none)
 
 
 @pytest.fixture(scope="module")

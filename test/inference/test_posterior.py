@@ -15,7 +15,7 @@ from scipy.stats import norm
 from suspension_twin.drive.read import read_drive
 from suspension_twin.inference.nuisance import NuisancePriors
 from suspension_twin.inference.objectives import Term
-from suspension_twin.inference.observations import observe
+from suspension_twin.inference.observation import observe
 from suspension_twin.inference.posterior import (
     CORRELATION,
     Posterior,
@@ -24,8 +24,8 @@ from suspension_twin.inference.posterior import (
     span_of,
     travel,
 )
-from suspension_twin.inference.prepare import prepare
 from suspension_twin.inference.problem import FitProblem, Problem
+from suspension_twin.inference.runs import observe
 from suspension_twin.inference.space import Curve, Parameter, Space, twin_value
 from suspension_twin.inference.spring_position import slides
 from suspension_twin.models.simulate import simulate_twin
@@ -511,7 +511,7 @@ def test_travel_holds_the_last_stamp(corner: Twin, run_problem: Problem) -> None
 
 def test_travel_of_a_car_is_that_of_both_wheels_of_each_axle_over_all_parts(pass_case: Any) -> None:
     twin = pass_case.truth
-    whole = prepare(read_drive(pass_case.bag("pass")), twin)
+    whole = observe(read_drive(pass_case.bag("pass")), twin)
     parts = [whole, whole.part(whole.t[0] + 2.0, whole.t[-1])]
     rows = [np.arange(100, 400), np.arange(50, 150)]
     keys = [f"vehicle.{axle}.spring.force.0" for axle in ("front", "rear")]

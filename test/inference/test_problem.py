@@ -18,15 +18,15 @@ from suspension_twin.inference.excited_segments import excited, fit_rows, trim
 from suspension_twin.inference.noise import Whitener, autoregression
 from suspension_twin.inference.nuisance import NuisancePriors, Nuisances
 from suspension_twin.inference.objectives import Measured, Term
-from suspension_twin.inference.prepare import Prepared, prepare
+from suspension_twin.inference.observation import Observation, observe
 from suspension_twin.inference.problem import FitProblem, Interrupted, Problem, segments_of
 from suspension_twin.inference.space import twin_value
 from suspension_twin.inference.spring_position import slides, standing_at
 
 
 @pytest.fixture(scope="module")
-def prepared(pass_case: Any) -> Prepared:
-    return prepare(read_drive(pass_case.bag("pass")), pass_case.truth)
+def prepared(pass_case: Any) -> Observation:
+    return observe(read_drive(pass_case.bag("pass")), pass_case.truth)
 
 
 @pytest.fixture(scope="module")
@@ -38,7 +38,7 @@ def problem(rough_case: Any) -> Problem:
 # -- trimming --------------------------------------------------------------------------------------
 
 
-def test_what_the_bump_excites_is_kept_and_the_rest_is_not(prepared: Prepared) -> None:
+def test_what_the_bump_excites_is_kept_and_the_rest_is_not(prepared: Observation) -> None:
     active = excited(prepared)
     when = prepared.t[active] - prepared.t[0]
     # the front wheels reach the bump after (14 - 5 - 2.85) m at 4.2 m/s; half a second before that is kept, and
@@ -49,7 +49,7 @@ def test_what_the_bump_excites_is_kept_and_the_rest_is_not(prepared: Prepared) -
     assert not excited(still).any() and trim(still) == []
 
 
-def test_a_long_drive_is_cut_to_its_passes(prepared: Prepared) -> None:
+def test_a_long_drive_is_cut_to_its_passes(prepared: Observation) -> None:
     """One bump within a minute of calm: two passes, and calm that nobody needs to simulate."""
     rate = prepared.rate
     calm = {k: np.zeros(int(40 * rate)) for k in prepared.measured}
@@ -76,7 +76,7 @@ def test_a_long_drive_is_cut_to_its_passes(prepared: Prepared) -> None:
     assert sum(b - a for a, b in stub.cuts) < 18.0
 
 
-def test_nothing_is_compared_while_a_start_from_rest_is_forgotten(prepared: Prepared) -> None:
+def test_nothing_is_compared_while_a_start_from_rest_is_forgotten(prepared: Observation) -> None:
     part = prepared.part(prepared.t[0] + 1.0, prepared.t[-1])
     assert part.t[fit_rows(part)].min() > part.t[0] + 2.4
 
@@ -84,11 +84,11 @@ def test_nothing_is_compared_while_a_start_from_rest_is_forgotten(prepared: Prep
 # -- nuisances -------------------------------------------------------------------------------------
 
 
-def nuisances_of(prepared: Prepared) -> Nuisances:
+def nuisances_of(prepared: Observation) -> Nuisances:
     return Nuisances([prepared], [0], ("vertical_acceleration", "pitch_rate"), NuisancePriors(), [0.0])
 
 
-def applied(n: Nuisances, prepared: Prepared, signal: np.ndarray, **values: float) -> np.ndarray:
+def applied(n: Nuisances, prepared: Observation, signal: np.ndarray, **values: float) -> np.ndarray:
     vector = np.zeros((len(n), 1))
     for name, value in values.items():
         vector[n.names.index(name.replace("__", "."))] = value
@@ -96,7 +96,7 @@ def applied(n: Nuisances, prepared: Prepared, signal: np.ndarray, **values: floa
     return n.apply(0, signal, rows, vector)[:, :, 0]
 
 
-def test_each_nuisance_does_what_its_name_says(prepared: Prepared) -> None:
+def test_each_nuisance_does_what_its_name_says(prepared: Observation) -> None:
     n = nuisances_of(prepared)
     t = prepared.t - prepared.t[0]
     wave = np.sin(2 * np.pi * 4.0 * t)
@@ -118,7 +118,7 @@ def test_each_nuisance_does_what_its_name_says(prepared: Prepared) -> None:
     )
 
 
-def test_what_a_drive_is_off_the_map_adds_to_what_all_are(prepared: Prepared) -> None:
+def test_what_a_drive_is_off_the_map_adds_to_what_all_are(prepared: Observation) -> None:
     channels = ("vertical_acceleration", "pitch_rate")
     n = Nuisances([prepared], [0], channels, NuisancePriors(drive_map=0.006), [0.0])
     wave = np.sin(2 * np.pi * 4.0 * (prepared.t - prepared.t[0]))
@@ -130,7 +130,7 @@ def test_what_a_drive_is_off_the_map_adds_to_what_all_are(prepared: Prepared) ->
 
 
 @pytest.mark.parametrize("late", [0.0, 0.0137])
-def test_a_holder_that_gives_adds_to_what_is_quick(prepared: Prepared, late: float) -> None:
+def test_a_holder_that_gives_adds_to_what_is_quick(prepared: Observation, late: float) -> None:
     channels = ("vertical_acceleration", "pitch_rate")
     n = Nuisances([prepared], [0], channels, NuisancePriors(holder=1.0), [0.0])
     t = prepared.t - prepared.t[0]
@@ -147,7 +147,7 @@ def test_a_holder_that_gives_adds_to_what_is_quick(prepared: Prepared, late: flo
     assert n.one_sided.tolist() == [name == "holder" for name in n.names]
 
 
-def test_clock_and_map_leave_alone_what_the_planar_motion_brings_about(prepared: Prepared) -> None:
+def test_clock_and_map_leave_alone_what_the_planar_motion_brings_about(prepared: Observation) -> None:
     n = Nuisances([prepared], [0], ("vertical_acceleration", "pitch_rate"), NuisancePriors(), [0.0])
     t = prepared.t - prepared.t[0]
     road, braking = np.sin(2 * np.pi * 4.0 * t), np.cos(2 * np.pi * 1.0 * t)
@@ -163,7 +163,7 @@ def test_clock_and_map_leave_alone_what_the_planar_motion_brings_about(prepared:
 
 @pytest.mark.parametrize("carried", [False, True], ids=["", "carried"])
 @pytest.mark.parametrize("alike", [3, 5], ids=["some alike", "all alike"])
-def test_lanes_together_are_lanes_alone(prepared: Prepared, alike: int, carried: bool) -> None:
+def test_lanes_together_are_lanes_alone(prepared: Observation, alike: int, carried: bool) -> None:
     """Lanes that share a shift go through other loops than one with its own; pivots, tilts, holders included."""
     channels = ("vertical_acceleration", "longitudinal_acceleration", "pitch_rate")
     n = Nuisances([prepared], [0], channels, NuisancePriors(pivot=0.3, holder=1.0), [0.0])
@@ -185,7 +185,7 @@ def test_lanes_together_are_lanes_alone(prepared: Prepared, alike: int, carried:
         np.testing.assert_allclose(one[:, :, lane], same[:, :, 0], atol=1e-12)
 
 
-def test_a_wandering_receiver_gets_an_offset_of_its_own(prepared: Prepared) -> None:
+def test_a_wandering_receiver_gets_an_offset_of_its_own(prepared: Observation) -> None:
     n = Nuisances([prepared], [0], ("vertical_acceleration",), NuisancePriors(wander_seconds=2.0), [0.4])
     knots = [name for name in n.names if ".wander." in name]
     assert len(knots) == 3 and n.spread[n.names.index(knots[0])] == 0.4
@@ -198,7 +198,7 @@ def test_a_wandering_receiver_gets_an_offset_of_its_own(prepared: Prepared) -> N
     assert np.abs(out[-100:-10] - signal[-100:-10, 0, 0]).max() > 0.2
 
 
-def test_a_clock_of_all_drives_adds_to_that_of_each(prepared: Prepared) -> None:
+def test_a_clock_of_all_drives_adds_to_that_of_each(prepared: Observation) -> None:
     n = Nuisances([prepared], [0], ("vertical_acceleration",), NuisancePriors(common_clock=0.002), [0.0])
     rows = np.arange(100, prepared.t.size - 100)
     signal = np.sin(2 * np.pi * 3.0 * prepared.t)[:, None, None]
@@ -213,7 +213,7 @@ def test_a_clock_of_all_drives_adds_to_that_of_each(prepared: Prepared) -> None:
 
 
 @pytest.mark.parametrize("lanes", [2, 5])
-def test_clocks_of_candidates_taken_together_are_those_taken_alone(prepared: Prepared, lanes: int) -> None:
+def test_clocks_of_candidates_taken_together_are_those_taken_alone(prepared: Observation, lanes: int) -> None:
     """Lanes that differ by their clocks alone go through a kernel of their own."""
     rng = np.random.default_rng(lanes)
     channels = ("vertical_acceleration", "pitch_rate")

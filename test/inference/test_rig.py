@@ -17,7 +17,7 @@ from suspension_twin.calibration.run import calibrate
 from suspension_twin.cli.main import main
 from suspension_twin.drive.rig import RigRecord, read_rig, write_rig
 from suspension_twin.errors import InputError, WorkError
-from suspension_twin.inference.rig import observe_rig, simulate_rig
+from suspension_twin.inference.runs import observe_rig, simulate_rig
 from suspension_twin.models.registry import model_of
 from suspension_twin.vehicle.twin import Twin, load_twin
 

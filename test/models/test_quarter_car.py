@@ -14,7 +14,7 @@ from scipy.interpolate import CubicSpline
 from scipy.optimize import brentq
 
 from suspension_twin.errors import InputError, WorkError
-from suspension_twin.inference.rig import rig_run
+from suspension_twin.inference.runs import rig_run
 from suspension_twin.models.parameters import lanes
 from suspension_twin.models.quarter_car import CHANNELS
 from suspension_twin.models.simulate import simulate_lanes, simulate_twin

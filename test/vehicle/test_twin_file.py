@@ -11,7 +11,7 @@ import pytest
 import yaml
 
 from suspension_twin.errors import InputError
-from suspension_twin.inference.prepare import road_of
+from suspension_twin.inference.observation import road_of
 from suspension_twin.vehicle.twin import load_twin, parse_twin, save_twin
 
 

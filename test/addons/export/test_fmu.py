@@ -23,7 +23,7 @@ from suspension_twin.arrays import Floats
 from suspension_twin.drive.read import read_drive
 from suspension_twin.effects.registry import EFFECTS
 from suspension_twin.errors import InputError
-from suspension_twin.inference.prepare import prepare
+from suspension_twin.inference.observation import observe
 from suspension_twin.inference.synthetic import path_along
 from suspension_twin.models.connectors import INPUTS, OUTPUTS
 from suspension_twin.models.excitation import excitation
@@ -74,7 +74,7 @@ def bump(mondeo: Twin) -> Excitation:
 def test_it_is_the_twin_over_the_bundled_drives(drive: str, repository: Path, written: Written) -> None:
     folder = repository / "bags" / drive
     twin = load_twin(folder / "twin.yaml")
-    driven = prepare(read_drive(folder), twin).excitation
+    driven = observe(read_drive(folder), twin).excitation
     wanted = columns(simulate_twin(twin, driven))
     for version, walk in WALKS.items():
         path = written(twin, version)

@@ -17,7 +17,7 @@ from suspension_twin.arrays import Floats
 from suspension_twin.drive.types import Drive
 from suspension_twin.errors import InputError
 from suspension_twin.files import write_text
-from suspension_twin.inference.prepare import Prepared, PrepareSettings, prepare
+from suspension_twin.inference.observation import Observation, ObserveSettings, observe
 from suspension_twin.road.build import flat_road
 from suspension_twin.road.centreline import Centreline
 from suspension_twin.road.crg import write_road
@@ -101,13 +101,13 @@ def road_from_drives(
         raise InputError("drives", "none is given")
     twin = with_datum(twin, pieces[0].drive)
     ground = flat_road()
-    known: dict[int, Prepared] = {}
+    known: dict[int, Observation] = {}
     prepared = []
     for piece in pieces:
         whole = known.get(id(piece.drive))
         if whole is None:
             progress(f"reading {piece.drive.name}", 0.0)
-            whole = prepare(piece.drive, twin, ground, PrepareSettings(filter=_FILTER))
+            whole = observe(piece.drive, twin, ground, ObserveSettings(filter=_FILTER))
             known[id(piece.drive)] = whole
         if piece.whole:
             prepared.append(replace(whole, name=piece.name))

@@ -41,7 +41,7 @@ from suspension_twin.addons.roads.drives.vehicle import (
 )
 from suspension_twin.arrays import Floats
 from suspension_twin.errors import InputError
-from suspension_twin.inference.prepare import Prepared
+from suspension_twin.inference.observation import Observation
 from suspension_twin.road.centreline import Centreline, road_over
 from suspension_twin.road.recipe import Feature
 from suspension_twin.road.road import Road
@@ -219,7 +219,7 @@ class _Solved:
 
 
 def estimate_road(
-    prepared: Sequence[Prepared],
+    prepared: Sequence[Observation],
     twin: Twin,
     settings: Settings | None = None,
     progress: Callable[[str, float], None] = lambda text, share: None,
@@ -228,7 +228,7 @@ def estimate_road(
 
     Parameters
     ----------
-    prepared : sequence of Prepared
+    prepared : sequence of Observation
         The drives, prepared on any level road; the one that goes farthest gives the road's line.
     twin : Twin
         The calibrated twin.
@@ -385,7 +385,7 @@ def _repeats(passes: Sequence[Pass], inverse: Inverse) -> float:
 
 
 def _passes(
-    prepared: Sequence[Prepared], line: Road, track: float, left_out: list[str] | None
+    prepared: Sequence[Observation], line: Road, track: float, left_out: list[str] | None
 ) -> tuple[Pass, ...]:
     """The drives as passes over one line; with ``left_out`` those that do not fit are told there and left out."""
     passes, error = [], None

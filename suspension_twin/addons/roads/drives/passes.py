@@ -18,7 +18,7 @@ from scipy.sparse import csr_matrix
 from suspension_twin.addons.roads.drives.transfer import CHANNELS
 from suspension_twin.arrays import Floats
 from suspension_twin.errors import InputError
-from suspension_twin.inference.prepare import Prepared
+from suspension_twin.inference.observation import Observation
 from suspension_twin.models.excitation import excitation
 from suspension_twin.models.simulate import simulate_twin
 from suspension_twin.pose.types import Trajectory
@@ -62,7 +62,7 @@ class Pass:
     """
 
     name: str
-    prepared: Prepared
+    prepared: Observation
     t: Floats
     measured: Floats
     u: Floats
@@ -156,7 +156,7 @@ def smoothed_line(x: Floats, y: Floats, step: float, margin: float = 0.0) -> Cen
     return Centreline(fine[:, 0], fine[:, 1], step)
 
 
-def make_pass(prepared: Prepared, line: Road, track: float) -> Pass:
+def make_pass(prepared: Observation, line: Road, track: float) -> Pass:
     """A prepared drive as a pass over the road whose line ``line`` has, with wheel paths ``track`` m apart."""
     n = int(next_fast_len(prepared.t.size, real=True))
     grid = prepared.t[0] + np.arange(n) / prepared.rate
@@ -208,7 +208,7 @@ def make_pass(prepared: Prepared, line: Road, track: float) -> Pass:
     )
 
 
-def _along(prepared: Prepared, line: Road, t: Floats) -> NDArray[np.bool_]:
+def _along(prepared: Observation, line: Road, t: Floats) -> NDArray[np.bool_]:
     """Where (n,) at the times ``t`` a drive is on the line and goes its way: it may leave it, or come back on it."""
     path = prepared.trajectory
     x, y, yaw = (np.interp(t, path.t, getattr(path, name)) for name in ("x", "y", "yaw"))
@@ -219,13 +219,13 @@ def _along(prepared: Prepared, line: Road, t: Floats) -> NDArray[np.bool_]:
     return np.asarray((np.abs(v) < _reach(prepared)) & same, dtype=np.bool_)
 
 
-def _reach(prepared: Prepared) -> float:
+def _reach(prepared: Observation) -> float:
     """m beside the line within which a drive may be on it."""
     sigma = prepared.position_sigma
     return _BESIDE if sigma < LANE_SIGMA else max(_ASTRAY, _SIGMAS * sigma)
 
 
-def _snapped(prepared: Prepared, line: Road) -> tuple[Prepared, float]:
+def _snapped(prepared: Observation, line: Road) -> tuple[Observation, float]:
     """A drive whose receiver cannot tell lanes apart, moved onto the line; and how far beside it (m) the drive was."""
     path = prepared.trajectory
     u, v = line.xy_to_uv(path.x, path.y)
@@ -241,7 +241,8 @@ def _snapped(prepared: Prepared, line: Road) -> tuple[Prepared, float]:
     if prepared.position_sigma < LANE_SIGMA:
         return prepared, across
     x, y = line.uv_to_xy(u, np.zeros(u.size))
-    return replace(prepared, trajectory=replace(path, x=x, y=y)), across
+    moved = replace(prepared.source, trajectory=replace(path, x=x, y=y))
+    return replace(prepared, reading=moved), across
 
 
 def _padded(values: Floats, n: int) -> Floats:

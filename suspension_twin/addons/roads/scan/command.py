@@ -14,7 +14,7 @@ from suspension_twin.addons.roads.scan.registration import Ambiguous, register
 from suspension_twin.addons.roads.scan.scan import FINEST, Scanned, ScanSettings, road_from_scan, write_scan
 from suspension_twin.errors import InputError, WorkError
 from suspension_twin.files import together
-from suspension_twin.inference.prepare import Prepared
+from suspension_twin.inference.observation import Observation
 from suspension_twin.models.registry import model_of
 from suspension_twin.road.check import RoadCheck, check_file
 from suspension_twin.vehicle.twin import Twin, load_twin
@@ -118,7 +118,7 @@ def _fitted(
 def _fits_in_feet(
     clouds: Sequence[Cloud],
     own: Sequence[Placing],
-    drive: Prepared,
+    drive: Observation,
     twin: Twin,
     progress: Callable[[str, float | None], None],
 ) -> bool:

@@ -11,7 +11,7 @@ from scipy.signal import sosfiltfilt
 
 from suspension_twin.arrays import Floats
 from suspension_twin.errors import InputError
-from suspension_twin.inference.prepare import Prepared
+from suspension_twin.inference.observation import Observation
 from suspension_twin.inference.synthetic import path_along
 from suspension_twin.models.excitation import excitation
 from suspension_twin.models.simulate import simulate_twin
@@ -51,10 +51,10 @@ def steady_path(road: Road, twin: Twin, speed: float) -> Trajectory:
 
 
 def vertical_acceleration(
-    road: Road, twin: Twin, path: Trajectory | Prepared, max_step: float = 1e-3
+    road: Road, twin: Twin, path: Trajectory | Observation, max_step: float = 1e-3
 ) -> Floats:
     """Filtered vertical acceleration (n,) m/s² at the sensor, on a path or over a prepared drive."""
-    if isinstance(path, Prepared):
+    if isinstance(path, Observation):
         driven = excitation(path.trajectory, twin.vehicle, road, max_step, twin.gps.position[2])
         return path.condition(simulate_twin(twin, driven))["vertical_acceleration"]
     response = simulate_twin(twin, excitation(path, twin.vehicle, road, max_step))
@@ -62,14 +62,14 @@ def vertical_acceleration(
     return out[round(_SETTLE * _RATE) :]
 
 
-def feel(roads: Mapping[str, Road], written: str, twin: Twin, path: Trajectory | Prepared) -> list[Felt]:
+def feel(roads: Mapping[str, Road], written: str, twin: Twin, path: Trajectory | Observation) -> list[Felt]:
     """The twin over versions of one road, the first row the version that is ``written``.
 
     Over a drive the rms is of where the drive is on the road and moves.
     """
     signals = {name: vertical_acceleration(road, twin, path) for name, road in roads.items()}
     mask = np.ones(signals[written].size, dtype=np.bool_)
-    if isinstance(path, Prepared):
+    if isinstance(path, Observation):
         road = roads[written]
         u, v = road.xy_to_uv(path.trajectory.x, path.trajectory.y)
         base = float(max(path.twin.vehicle.wheel_positions[:, 0].max(), 0.0))
@@ -85,7 +85,7 @@ def feel(roads: Mapping[str, Road], written: str, twin: Twin, path: Trajectory |
     rows = []
     for name, a in signals.items():
         gap = None
-        if isinstance(path, Prepared):
+        if isinstance(path, Observation):
             gap = _rms((path.measured["vertical_acceleration"] - a)[mask])
         rows.append(
             Felt(name, _rms(a[mask]), float(np.abs(a[mask]).max()), _rms((a - signals[written])[mask]), gap)

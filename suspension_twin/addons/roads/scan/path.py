@@ -15,7 +15,7 @@ from suspension_twin.arrays import Floats
 from suspension_twin.drive.read import read_drive
 from suspension_twin.errors import InputError
 from suspension_twin.files import reading
-from suspension_twin.inference.prepare import Prepared, PrepareSettings, prepare
+from suspension_twin.inference.observation import Observation, ObserveSettings, observe
 from suspension_twin.pose.local_map import LocalMap
 from suspension_twin.road.build import flat_road
 from suspension_twin.road.centreline import Centreline
@@ -36,7 +36,7 @@ class ScanPath:
     name: str
     line: Centreline
     twin: Twin
-    drive: Prepared | None = None
+    drive: Observation | None = None
 
 
 def read_path(path: Path, twin: Twin, step: float) -> ScanPath:
@@ -65,7 +65,7 @@ def read_path(path: Path, twin: Twin, step: float) -> ScanPath:
     if path.is_dir() or path.suffix.lower() in (".mcap", ".db3"):
         drive = read_drive(path)
         twin = with_datum(twin, drive)
-        prepared = prepare(drive, twin, flat_road(), PrepareSettings())
+        prepared = observe(drive, twin, flat_road(), ObserveSettings())
         return ScanPath(drive.name, line_of([prepared.trajectory], step, 0.0), twin, prepared)
     if path.suffix.lower() == ".crg":
         road = load_road(path)

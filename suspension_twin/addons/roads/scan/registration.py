@@ -31,7 +31,7 @@ from suspension_twin.addons.roads.scan.placing import Placing
 from suspension_twin.arrays import Floats
 from suspension_twin.compiled import compiled
 from suspension_twin.errors import InputError, WorkError
-from suspension_twin.inference.prepare import Prepared
+from suspension_twin.inference.observation import Observation
 from suspension_twin.models.excitation import excitation
 from suspension_twin.models.simulate import simulate_twin
 from suspension_twin.vehicle.twin import Twin
@@ -141,7 +141,7 @@ def _filled(z: Floats) -> Floats:
 
 def register(
     clouds: Sequence[tuple[Cloud, Placing]],
-    drive: Prepared,
+    drive: Observation,
     twin: Twin,
     progress: Callable[[str, float | None], None] = lambda text, share: None,
 ) -> Registration:
@@ -151,7 +151,7 @@ def register(
     ----------
     clouds : sequence of (Cloud, Placing)
         Clouds in one common frame of their own, z up, with their unit and axes.
-    drive : Prepared
+    drive : Observation
         Over the scanned ground; its heights are not used.
     twin : Twin
         A car like the one that drove.
@@ -265,7 +265,7 @@ class _Path:
     points: Floats
 
     @classmethod
-    def of(cls, drive: Prepared, twin: Twin) -> _Path:
+    def of(cls, drive: Observation, twin: Twin) -> _Path:
         """The path of a drive."""
         way = drive.trajectory
         t = np.arange(drive.t[0], drive.t[-1], 1.0 / _RATE)
@@ -443,7 +443,7 @@ class _Fit:
     seconds: float
 
 
-def _fitted(ground: _Ground, drive: Prepared, twin: Twin, path: _Path, at: Place) -> _Fit:
+def _fitted(ground: _Ground, drive: Observation, twin: Twin, path: _Path, at: Place) -> _Fit:
     """The best place nearby by the twin, which drives the part of the drive that lies on the ground."""
     first = _Placed(ground, path.centre, at)
     seen = drive.trajectory.t[first.known(drive.trajectory.x, drive.trajectory.y)]

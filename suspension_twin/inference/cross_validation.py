@@ -20,20 +20,28 @@ from scipy import linalg
 from scipy.stats import norm
 
 from suspension_twin.arrays import Floats
-from suspension_twin.diagnosis.bench import Bench
-from suspension_twin.diagnosis.fit import Fit, LinearisedFit
-from suspension_twin.diagnosis.nuisance_penalty import NuisancePenalty, penalty_of
-from suspension_twin.diagnosis.partial import kept
-from suspension_twin.inference.gauss_newton import Quadratic
+from suspension_twin.inference.checkpoint import stored
+from suspension_twin.inference.fit import Fit, LinearisedFit
+from suspension_twin.inference.gauss_newton import Quadratic, bounded_step
+from suspension_twin.inference.problem import Problem, whitener_of
 
-__all__ = ["Blocks", "Evidence", "blocks_of", "evidence", "held_out", "intervals"]
+__all__ = [
+    "Blocks",
+    "Evidence",
+    "NuisancePenalty",
+    "blocks_of",
+    "evidence",
+    "held_out",
+    "intervals",
+    "penalty_of",
+]
 
 FOLDS = 5
 #: Factors on the prior precision of characteristics and nuisance parameters while a fold is held out; the one that fits
 #: the other folds best is used. A parameter that only one fold excites (the end of a spring curve) is otherwise free in
 #: the others, which costs every hypothesis thousands of nats at random.
 _PRIOR_FACTORS = (1e2, 1e3, 1e4)
-_METRES, _SECONDS = 8.0, 4.0
+_APART = 100_000  # between the numbers of blocks of two drives that share none
 #: Nuisance parameters of timing, which a few sharp edges determine. In a fold without edges they would follow model
 #: discrepancy, which penalises hypotheses with unbounded clocks.
 _TIMES = ("clock_offset", "map_position")
@@ -53,18 +61,14 @@ class Blocks:
         return np.asarray(which % FOLDS)
 
 
-def blocks_of(bench: Bench, kind: str) -> Blocks:
-    """Blocks of road over all drives, of the distance of a run, or of time for ``planar`` motion."""
-    problem = bench.problem
-    keys = []
-    for part, rows, drive in zip(problem.parts, problem.rows, problem.drive_of, strict=True):
-        if kind != "planar":
-            length = _METRES if kind == "road" else part.block
-            keys.append(np.floor(part.position[rows] / length).astype(int))
-        else:
-            keys.append(np.floor((part.t[rows] - part.t[0]) / _SECONDS).astype(int) + 100_000 * drive)
+def blocks_of(problem: Problem) -> Blocks:
+    """The blocks of a problem: of road over all drives, of the distance of a run, of time without a road."""
+    data, keys = problem.data, []
+    for part, rows, drive in zip(data.parts, data.rows, data.drive_of, strict=True):
+        own = part.comparison
+        keys.append(own.block[rows] + (0 if own.shared else _APART * drive))
     _, sample = np.unique(np.concatenate(keys), return_inverse=True)
-    return Blocks(sample, sample[bench.whitener.row], int(sample.max()) + 1)
+    return Blocks(sample, sample[whitener_of(problem).row], int(sample.max()) + 1)
 
 
 @dataclass(frozen=True, eq=False)
@@ -79,7 +83,7 @@ class HeldOut:
 
 
 def held_out(
-    bench: Bench,
+    problem: Problem,
     fit: LinearisedFit,
     blocks: Blocks,
     group: np.ndarray | None = None,
@@ -90,7 +94,8 @@ def held_out(
     One Gauss-Newton step from the fit to all data removes a fold. The step is tried with several factors on the prior,
     and the one that fits the other folds best is used: by simulation, or by the linearisation alone (``linear``).
     """
-    precision, centre = bench.prior(fit.hypothesis)
+    problem = problem.having(fit.hypothesis)
+    precision, centre = problem.joint_prior()
     residual, fold = fit.at.residual, blocks.fold(blocks.row)
     group = np.zeros(fold.size, dtype=np.intp) if group is None else group
     groups = int(group.max()) + 1
@@ -102,10 +107,10 @@ def held_out(
     whole = _summed(folds)
     total, slope = whole.squares + precision, whole.slope + precision @ (fit.x - centre)
     # this step is unbounded: unknowns on a bound are held there
-    low, high = bench.limits(fit.hypothesis)
+    low, high = problem.limits()
     inside = (fit.x > low) & (fit.x < high)
-    known, p = np.zeros(fit.x.size, dtype=bool), bench.d + bench.q
-    known[bench.d : p] = [n.endswith(_TIMES) for n in bench.problem.nuisances.names]
+    known, p = np.zeros(fit.x.size, dtype=bool), problem.shared
+    known[problem.d : p] = [n.endswith(_TIMES) for n in problem.nuisances.names]
     shared = np.where(np.arange(fit.x.size) < p, np.diag(precision), 0.0)
     candidates = [fit.x]
     for free in (np.flatnonzero(inside), np.flatnonzero(inside & ~known)):
@@ -117,12 +122,12 @@ def held_out(
                 step[free] = -linalg.solve(held, pull, assume_a="sym")
                 step *= min(1.0, 1.0 / max(float(np.abs(step).max()), 1e-300))
                 candidates.append(fit.x + step)
-    tried = bench.clipped(fit.hypothesis, np.stack(candidates, axis=1))
+    tried = problem.clipped(np.stack(candidates, axis=1))
     if linear:
         residuals = residual[:, None] + fit.at.jacobian @ (tried - fit.x[:, None])
         failed = np.zeros(tried.shape[1], dtype=bool)
     else:
-        residuals, failed = bench.residuals(fit.hypothesis, tried)
+        residuals, failed = problem.residuals(tried)
     away = tried - centre[:, None]
     penalty = np.einsum("il,ij,jl->l", away, precision, away, optimize=False)
     unknowns = np.repeat(fit.x[:, None], FOLDS, axis=1)
@@ -152,7 +157,54 @@ def _summed(parts: Sequence[Quadratic]) -> Quadratic:
     )
 
 
-@kept
+@stored
+@dataclass(frozen=True, eq=False)
+class NuisancePenalty:
+    """The nuisance penalty: log prior probability of the nuisance parameters (clocks, map, mount) of a hypothesis.
+
+    The remaining residual is mostly model discrepancy, which is correlated over samples: its likelihood is tempered by
+    the share ``temper`` that is noise. The priors of the nuisance parameters are independent of it and not tempered.
+
+    It holds the posterior about a fit: ``curvature`` (p, p) and ``slope`` (p,) of half its squares, ``precision`` (p, p) of
+    the prior, how far ``away`` (p,) its centre is, the ``nuisances`` among the p unknowns and the room that each has
+    down and up."""
+
+    curvature: Floats
+    slope: Floats
+    precision: Floats
+    away: Floats
+    nuisances: slice
+    low: Floats
+    high: Floats
+
+    def at(self, temper: float) -> tuple[float, float]:
+        """Nuisance penalty in nats at the minimum of the tempered cost, and the Occam term of all unknowns there."""
+        own, given = self.nuisances, temper * self.precision
+        given[own, own] = self.precision[own, own]
+        hessian = temper * self.curvature + given
+        gradient = temper * self.slope + given @ self.away
+        step = bounded_step(hessian, gradient[:, None], self.low, self.high)[:, 0]
+        # includes the change of the residuals
+        changed = float(gradient @ step + 0.5 * step @ hessian @ step)
+        spent = 0.5 * float(self.away[own] @ self.precision[own, own] @ self.away[own]) + changed
+        full = temper * self.curvature + self.precision
+        freedom = 0.5 * (np.linalg.slogdet(full)[1] - np.linalg.slogdet(self.precision)[1])
+        return max(spent, 0.0), float(freedom)
+
+
+def penalty_of(problem: Problem, fit: LinearisedFit, at: Quadratic) -> NuisancePenalty:
+    """The nuisance penalty of a fit; ``at`` is its quadratic model in units of the remaining residual."""
+    precision, centre = problem.joint_prior()
+    low, high = problem.room(fit.x)
+    pulled = precision @ (fit.x - centre)
+    outward = ((low >= 0) & (at.slope + pulled > 0)) | ((high <= 0) & (at.slope + pulled < 0))
+    # at the optimum the gradients of residuals and prior cancel, except on an active bound
+    slope = np.where(outward, at.slope, -pulled)
+    nuisances = slice(problem.d, problem.shared)
+    return NuisancePenalty(at.squares, slope, precision, fit.x - centre, nuisances, low, high)
+
+
+@stored
 @dataclass(frozen=True, eq=False)
 class Evidence:
     """The evidence of one hypothesis.
@@ -177,11 +229,12 @@ class Evidence:
         return float(self.score.sum() - base.score.sum()) - 0.5 * (self.occam - base.occam)
 
 
-def evidence(bench: Bench, fit: LinearisedFit, blocks: Blocks, linear: bool = False) -> Evidence:
+def evidence(problem: Problem, fit: LinearisedFit, blocks: Blocks, linear: bool = False) -> Evidence:
     """The cross-validated evidence of a fit; ``linear`` as in :func:`held_out`."""
-    whitener, independent = bench.whitener, bench.problem.measured.independent
-    group = 2 * whitener.channel + ~np.array(bench.active)[whitener.drive]
-    out = held_out(bench, fit, blocks, group, linear)
+    problem = problem.having(fit.hypothesis)
+    whitener, independent = whitener_of(problem), problem.measured.independent
+    group = 2 * whitener.channel + ~np.array(problem.data.active)[whitener.drive]
+    out = held_out(problem, fit, blocks, group, linear)
     score = np.zeros(blocks.count)
     level: dict[tuple[int, bool], float] = {}
     noise = np.ones(len(out.by_group))
@@ -196,29 +249,29 @@ def evidence(bench: Bench, fit: LinearisedFit, blocks: Blocks, linear: bool = Fa
             0.5 * counts.sum() * np.log(max(float(np.mean(fit.at.residual[rows] ** 2)) / independent, 1e-6))
         )
         score -= 0.5 * (counts * np.log(noise[number]) + squares / noise[number])
-    precision, centre = bench.prior(fit.hypothesis)
+    precision, centre = problem.joint_prior()
     scaled = _summed(
         [Quadratic(p.value / v, p.squares / v, p.slope / v) for p, v in zip(out.by_group, noise, strict=True)]
     )
     hessian = scaled.squares + precision
     away = fit.x - centre
-    away[bench.d : bench.d + bench.q] = 0.0  # part of the nuisance penalty
+    away[problem.d : problem.shared] = 0.0  # part of the nuisance penalty
     occam = 0.5 * (np.linalg.slogdet(hessian)[1] - np.linalg.slogdet(precision)[1])
     occam += 0.5 * float(away @ precision @ away) / max(float(np.mean(noise[group])), 1.0)
     plain = Fit(fit.hypothesis, fit.x, fit.cost)
-    penalty = penalty_of(bench, fit, scaled)
+    penalty = penalty_of(problem, fit, scaled)
     return Evidence(plain, score, float(occam), level, out.residual, out.unknowns, float(fitted), penalty)
 
 
-def intervals(bench: Bench, fit: LinearisedFit, blocks: Blocks, temper: float) -> Floats:
+def intervals(problem: Problem, fit: LinearisedFit, blocks: Blocks, temper: float) -> Floats:
     """(k, 2) 90 % intervals of the effects' parameters, in their units and inside their bounds.
 
     Clustered sandwich covariance over blocks (White 1982): H^-1 (sum_b g_b g_b^T + P) H^-1 with the gradient g_b of
     each block. Model discrepancy is correlated over blocks and does not average out: the covariance is divided by
     ``temper``, the share of the remaining residual that is noise.
     """
-    precision, _ = bench.prior(fit.hypothesis)
-    jacobian, p = fit.at.jacobian, bench.d + bench.q
+    precision, _ = problem.having(fit.hypothesis).joint_prior()
+    jacobian, p = fit.at.jacobian, problem.shared
     inverse: Floats = np.asarray(linalg.inv(fit.at.model.squares + precision))
     pulls: Floats = np.stack(
         [np.bincount(blocks.row, column * fit.at.residual, blocks.count) for column in jacobian.T], axis=1

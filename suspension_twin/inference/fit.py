@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The joint fit of characteristics, nuisance parameters and effects.
+"""The joint fit of vehicle, nuisance parameters and effects.
 
 A hypothesis is screened first: its effects are simulated at points over their prior with the baseline vehicle, and one
-linear least squares step refits characteristics and nuisance parameters. From the best points, bounded Gauss-Newton
-(``identification.gauss_newton``) fits all unknowns jointly.
+linear least squares step refits vehicle and nuisance parameters. From the best points, bounded Gauss-Newton
+(``gauss_newton``) fits all unknowns jointly.
 """
 
 from __future__ import annotations
@@ -16,15 +16,15 @@ from numpy.typing import NDArray
 from scipy import linalg
 
 from suspension_twin.arrays import Floats
-from suspension_twin.diagnosis.bench import Bench, Linearised
-from suspension_twin.diagnosis.hypotheses import Hypothesis
-from suspension_twin.diagnosis.partial import kept
+from suspension_twin.inference.checkpoint import stored
 from suspension_twin.inference.gauss_newton import (
     WHITENED,
     GaussNewton,
     Quadratic,
     bounded_step,
 )
+from suspension_twin.inference.hypothesis import Hypothesis
+from suspension_twin.inference.problem import Linearised, Problem
 from suspension_twin.vehicle.twin import Twin
 
 __all__ = [
@@ -41,7 +41,6 @@ __all__ = [
     "linearised_fit",
     "refit",
     "resonance_scan",
-    "room",
     "screen",
     "twin_of",
 ]
@@ -53,7 +52,7 @@ ROUGH, DEEP, LONG = 4, 6, 15
 _SWEPT, _FAR, _TRIED = 9, 2.5, 4
 
 
-@kept
+@stored
 @dataclass(frozen=True, eq=False)
 class Fit:
     """A hypothesis at its best: unknowns ``x`` (d + q + k,), ``cost`` -2 log posterior."""
@@ -62,9 +61,10 @@ class Fit:
     x: Floats
     cost: float
 
-    def effects(self, bench: Bench) -> Floats:
+    @property
+    def effect_values(self) -> Floats:
         """(k,) values of the effects' parameters."""
-        return self.hypothesis.values(self.x[bench.d + bench.q :, None])[:, 0]
+        return self.hypothesis.values(self.x[self.x.size - len(self.hypothesis) :, None])[:, 0]
 
 
 @dataclass(frozen=True, eq=False)
@@ -85,41 +85,35 @@ class Screening:
     power: Floats
 
 
-def _curvature(bench: Bench, base: LinearisedFit) -> tuple[Floats, Floats, float]:
+def _curvature(problem: Problem, base: LinearisedFit) -> tuple[Floats, Floats, float]:
     """Curvature of the posterior about ``base``, half gradient of the prior, and cost of the prior."""
-    precision, centre = bench.prior(base.hypothesis)
+    precision, centre = problem.having(base.hypothesis).joint_prior()
     hessian = base.at.model.squares + precision
     away = base.x - centre
     pull = np.einsum("ij,j->i", precision, away, optimize=False)
     return hessian + 1e-10 * np.diag(np.diag(hessian)), pull, float(away @ precision @ away)
 
 
-def room(bench: Bench, hypothesis: Hypothesis, x: Floats) -> tuple[Floats, Floats]:
-    """(p,) how far each coordinate may go down and up."""
-    low, high = bench.limits(hypothesis)
-    return np.minimum(low - x, 0.0), np.maximum(high - x, 0.0)
-
-
-def _at_active_bound(bench: Bench, hypothesis: Hypothesis, x: Floats, gradient: Floats) -> NDArray[np.bool_]:
+def _at_active_bound(problem: Problem, x: Floats, gradient: Floats) -> NDArray[np.bool_]:
     """(p,) True for coordinates on a bound whose gradient points outwards."""
-    low, high = bench.limits(hypothesis)
+    low, high = problem.limits()
     return np.asarray(((x <= low) & (gradient > 0)) | ((x >= high) & (gradient < 0)))
 
 
-def screen(bench: Bench, base: LinearisedFit, hypothesis: Hypothesis, starts: Floats) -> Screening:
-    """Evaluate every start (k, S) of the last effects of a hypothesis with the vehicle of ``base``.
+def screen(problem: Problem, base: LinearisedFit, starts: Floats) -> Screening:
+    """Evaluate every start (k, S) of the last effects of a problem with the vehicle of ``base``.
 
-    ``base`` may be a hypothesis of fewer effects: its coordinates are the first of those of ``hypothesis``.
+    ``base`` may be a fit of fewer effects: its coordinates are the first of those of ``problem``.
     """
-    p = bench.d + bench.q
+    p = problem.shared
     kept = base.x.size - p
     u = np.concatenate([np.repeat(base.x[p:, None], starts.shape[1], axis=1), starts])
     x = np.concatenate([np.repeat(base.x[:p, None], u.shape[1], axis=1), u])
-    residual, failed = bench.residuals(hypothesis, x)
+    residual, failed = problem.residuals(x)
     jacobian = base.at.jacobian
-    hessian, pull, penalty = _curvature(bench, base)
+    hessian, pull, penalty = _curvature(problem, base)
     gradient = jacobian.T @ residual + pull[:, None]
-    step = bounded_step(hessian, gradient, *room(bench, base.hypothesis, base.x))
+    step = bounded_step(hessian, gradient, *problem.having(base.hypothesis).room(base.x))
     costs = np.einsum("rl,rl->l", residual, residual, optimize=False) + penalty
     bent = gradient + 0.5 * np.einsum("ij,jl->il", hessian, step, optimize=False)
     costs = costs + 2.0 * np.einsum("il,il->l", bent, step, optimize=False)
@@ -138,24 +132,23 @@ def screen(bench: Bench, base: LinearisedFit, hypothesis: Hypothesis, starts: Fl
     return Screening(costs[order].tolist(), unknowns, np.where(failed, 0.0, power))
 
 
-def resonance_scan(
-    bench: Bench, base: LinearisedFit, hypothesis: Hypothesis, scan: tuple[int, Floats]
-) -> Floats | None:
+def resonance_scan(problem: Problem, base: LinearisedFit, scan: tuple[int, Floats]) -> Floats | None:
     """Unknowns of the best point of a ``scan`` (row of the strength, coordinates (k, S)) over resonance frequencies.
 
     Scattered starts miss a narrow resonance. Its response is linear in its strength, so that one simulation per
     frequency gives the best strength, of either sign, by linear least squares.
     """
     row, points = scan
-    p, kept = bench.d + bench.q, base.x.size - bench.d - bench.q
+    hypothesis, p = problem.hypothesis, problem.shared
+    kept = base.x.size - p
     nothing = hypothesis.neutral()[kept + row]
     x = np.concatenate([np.repeat(base.x[:, None], points.shape[1], axis=1), points])
-    residual, failed = bench.residuals(hypothesis, x)
+    residual, failed = problem.residuals(x)
     jacobian, base_residual = base.at.jacobian, base.at.residual
-    hessian, pull, _ = _curvature(bench, base)
+    hessian, pull, _ = _curvature(problem, base)
     gradient = base.at.model.slope + pull
     change = residual - base_residual[:, None]
-    free = np.flatnonzero(~_at_active_bound(bench, base.hypothesis, base.x, gradient))
+    free = np.flatnonzero(~_at_active_bound(problem.having(base.hypothesis), base.x, gradient))
     seen = (jacobian.T @ change)[free]
     factor = linalg.cho_factor(hessian[np.ix_(free, free)])
     taken = linalg.cho_solve(factor, np.column_stack([seen, gradient[free]]))
@@ -177,25 +170,25 @@ def resonance_scan(
     found[p + kept + row] = strength[best]
     step = -(taken[:, -1] + share[best] * taken[:, best])
     found[free] += np.clip(step, -FIT_SETTINGS.largest_step, FIT_SETTINGS.largest_step)
-    return np.asarray(bench.clipped(hypothesis, found[:, None])[:, 0])
+    return np.asarray(problem.clipped(found[:, None])[:, 0])
 
 
-def coordinate_scan(bench: Bench, at: LinearisedFit) -> Floats | None:
-    """Unknowns of lower cost than a fit, found by scanning each effect coordinate over its prior; None if there are
+def coordinate_scan(problem: Problem, at: LinearisedFit) -> Floats | None:
+    """Unknowns of lower cost than a fit of the problem, found by scanning each effect coordinate over its prior; None if there are
     none.
 
     At each point all other unknowns are refitted by linear least squares. This finds separate local minima: a stop that
     touches at one axle only, a mass in front instead of behind.
     """
-    hypothesis, p = at.hypothesis, bench.d + bench.q
+    problem, hypothesis, p = problem.having(at.hypothesis), at.hypothesis, problem.shared
     low, high = hypothesis.bounds()
-    precision, centre = bench.prior(hypothesis)
-    hessian, _, _ = _curvature(bench, at)
+    precision, centre = problem.joint_prior()
+    hessian, _, _ = _curvature(problem, at)
     rows = np.repeat(np.arange(p, at.x.size), _SWEPT)
     points = np.repeat(at.x[:, None], rows.size, axis=1)
     for i in range(len(hypothesis)):
         points[p + i, rows == p + i] = np.linspace(max(-_FAR, low[i]), min(_FAR, high[i]), _SWEPT)
-    residual, failed = bench.residuals(hypothesis, points)
+    residual, failed = problem.residuals(points)
     away = points - centre[:, None]
     slope = at.at.jacobian.T @ residual + precision @ away
     costs = np.einsum("rl,rl->l", residual, residual, optimize=False)
@@ -209,122 +202,104 @@ def coordinate_scan(bench: Bench, at: LinearisedFit) -> Floats | None:
         costs[own] += np.einsum("il,il->l", slope[np.ix_(others, own)], step, optimize=False)
         points[np.ix_(others, own)] += np.clip(step, -FIT_SETTINGS.largest_step, FIT_SETTINGS.largest_step)
     costs = np.where(failed | ~np.isfinite(costs), np.inf, costs)
-    tried = bench.clipped(hypothesis, points[:, np.argsort(costs, kind="stable")[:_TRIED]])
-    found = bench.costs(hypothesis, tried)
+    tried = problem.clipped(points[:, np.argsort(costs, kind="stable")[:_TRIED]])
+    found = problem.costs(tried)
     best = int(np.argmin(found))
     return tried[:, best].copy() if found[best] < at.cost else None
 
 
-class _HypothesisResiduals:
-    """The residuals of a hypothesis for the solver.
+class _Residuals:
+    """The residuals of a problem for the solver.
 
-    ``fixed_columns`` are Jacobian columns of characteristics and nuisance parameters that are reused in all iterations;
-    with ``alternate_jacobian`` those of one iteration are reused in the next.
+    ``fixed_columns`` are Jacobian columns of vehicle and nuisance parameters that are reused in all iterations; with
+    ``alternate_jacobian`` those of one iteration are reused in the next.
     """
 
-    def __init__(
-        self, bench: Bench, hypothesis: Hypothesis, fixed_columns: Linearised | None, alternate_jacobian: bool
-    ) -> None:
-        self.bench, self.hypothesis, self.fixed_columns, self.alternate_jacobian = (
-            bench,
-            hypothesis,
-            fixed_columns,
-            alternate_jacobian,
-        )
+    def __init__(self, problem: Problem, fixed_columns: Linearised | None, alternate_jacobian: bool) -> None:
+        self.problem, self.fixed_columns, self.alternate_jacobian = problem, fixed_columns, alternate_jacobian
         self.at: Linearised | None = None
         self._last: Linearised | None = None
 
     def quadratic(self, x: Floats) -> Quadratic:
+        """The quadratic model about ``x``."""
         held, self.at = self.fixed_columns or self._last, None
         if held is not None:
             self._last = None
-            return held.with_effects(*self.bench.effect_columns(self.hypothesis, x))
-        self.at = self.bench.linearise(self.hypothesis, x)
-        self._last = self.at.first(self.bench.d + self.bench.q) if self.alternate_jacobian else None
+            return held.with_effects(*self.problem.effect_columns(x))
+        self.at = self.problem.linearise(x)
+        self._last = self.at.first(self.problem.shared) if self.alternate_jacobian else None
         return self.at.model
 
     def sums_of_squares(self, x: Floats) -> Floats:
-        residual, failed = self.bench.residuals(self.hypothesis, x)
-        sums = np.einsum("rl,rl->l", residual, residual)
-        return np.where(failed | ~np.isfinite(sums), np.inf, sums)
+        """(L,) sums of squared residuals."""
+        return self.problem.sums_of_squares(x)
 
 
 def refit(
-    bench: Bench,
-    hypothesis: Hypothesis,
+    problem: Problem,
     starts: Sequence[Floats],
     fixed_columns: Linearised | None,
     iterations: int,
     alternate_jacobian: bool = False,
 ) -> tuple[Floats, float]:
-    """Bounded Gauss-Newton from the best of ``starts``: unknowns and -2 log posterior; ``fixed_columns`` and
-    ``alternate_jacobian`` as in :class:`_HypothesisResiduals`."""
-    solver, _ = _solved(bench, hypothesis, starts, fixed_columns, iterations, alternate_jacobian)
+    """Bounded Gauss-Newton from the best of ``starts``: unknowns and -2 log posterior.
+
+    ``fixed_columns`` are Jacobian columns of vehicle and nuisance parameters that are reused in all iterations; with
+    ``alternate_jacobian`` those of one iteration are reused in the next.
+    """
+    solver, _ = _solved(problem, starts, fixed_columns, iterations, alternate_jacobian)
     return solver.x, solver.cost
 
 
-def fitted(bench: Bench, hypothesis: Hypothesis, starts: Sequence[Floats], iterations: int) -> LinearisedFit:
+def fitted(problem: Problem, starts: Sequence[Floats], iterations: int) -> LinearisedFit:
     """As ``refit``, with the linearisation at the result."""
-    solver, problem = _solved(bench, hypothesis, starts, None, iterations)
-    there = problem.at is not None and np.array_equal(problem.at.x, solver.x)
-    at = problem.at if there else bench.linearise(hypothesis, solver.x)
+    solver, residuals = _solved(problem, starts, None, iterations)
+    there = residuals.at is not None and np.array_equal(residuals.at.x, solver.x)
+    at = residuals.at if there else problem.linearise(solver.x)
     assert at is not None
-    return LinearisedFit(hypothesis, solver.x, solver.cost, at)
+    return LinearisedFit(problem.hypothesis, solver.x, solver.cost, at)
 
 
-def approximated(
-    bench: Bench, hypothesis: Hypothesis, starts: Sequence[Floats], base: LinearisedFit
-) -> LinearisedFit:
+def approximated(problem: Problem, starts: Sequence[Floats], base: LinearisedFit) -> LinearisedFit:
     """The best of ``starts``, with the Jacobian columns of vehicle and nuisance parameters as they are at ``base``.
 
     For a hypothesis that is far from the best one: its linearisation costs two simulations instead of one for every
     unknown.
     """
-    costs = bench.costs(hypothesis, np.stack(list(starts), axis=1))
+    costs = problem.costs(np.stack(list(starts), axis=1))
     x = starts[int(np.argmin(costs))]
-    residual, columns = bench.effect_columns(hypothesis, x)
-    known = base.at.jacobian[:, : bench.d + bench.q]
-    return LinearisedFit(
-        hypothesis, x, float(costs.min()), Linearised(x, residual, np.hstack([known, columns]))
-    )
+    residual, columns = problem.effect_columns(x)
+    known = base.at.jacobian[:, : problem.shared]
+    at = Linearised(x, residual, np.hstack([known, columns]))
+    return LinearisedFit(problem.hypothesis, x, float(costs.min()), at)
+
+
+def linearised_fit(problem: Problem, x: Floats) -> LinearisedFit:
+    """The fit at ``x`` with its linearisation."""
+    cost = float(problem.costs(x[:, None])[0])
+    return LinearisedFit(problem.hypothesis, x, cost, problem.linearise(x))
 
 
 def _solved(
-    bench: Bench,
-    hypothesis: Hypothesis,
+    problem: Problem,
     starts: Sequence[Floats],
     fixed_columns: Linearised | None,
     iterations: int,
     alternate_jacobian: bool = False,
-) -> tuple[GaussNewton, _HypothesisResiduals]:
-    problem = _HypothesisResiduals(bench, hypothesis, fixed_columns, alternate_jacobian)
+) -> tuple[GaussNewton, _Residuals]:
+    residuals = _Residuals(problem, fixed_columns, alternate_jacobian)
     settings = replace(FIT_SETTINGS, iterations=iterations)
-    solver = GaussNewton(
-        problem,
-        starts[0],
-        *bench.prior(hypothesis),
-        *bench.limits(hypothesis),
-        settings,
-        finished=not iterations,
-    )
+    prior, limits = problem.joint_prior(), problem.limits()
+    solver = GaussNewton(residuals, starts[0], *prior, *limits, settings, finished=not iterations)
     solver.begin(np.stack(list(starts), axis=1))
     solver.run()
-    return solver, problem
+    return solver, residuals
 
 
-def twin_of(bench: Bench, fit: Fit) -> Twin:
+def twin_of(problem: Problem, fit: Fit) -> Twin:
     """The twin with a fit's characteristics and effects, checked like any twin file."""
-    values = bench.problem.space.from_slopes(fit.x[: bench.d])
-    changes = {k: float(v) for k, v in zip(bench.problem.space.keys, values, strict=True)}
-    twin = bench.problem.twin.with_changes(changes)
-    specs = fit.hypothesis.spec(fit.effects(bench)) if fit.hypothesis.effects else ()
-    return twin.model_copy(
-        update={"effects": (*bench.problem.twin.effects, *specs), "road": bench.problem.twin.road}
-    )
-
-
-def linearised_fit(bench: Bench, hypothesis: Hypothesis, x: Floats) -> LinearisedFit:
-    """The fit at ``x`` with its linearisation."""
-    at = bench.linearise(hypothesis, x)
-    cost = float(bench.costs(hypothesis, x[:, None])[0])
-    return LinearisedFit(hypothesis, x, cost, at)
+    space, given = problem.space, problem.twin
+    values = space.from_slopes(fit.x[: problem.d])
+    twin = given.with_changes({k: float(v) for k, v in zip(space.keys, values, strict=True)})
+    specs = fit.hypothesis.spec(fit.effect_values) if fit.hypothesis.effects else ()
+    return twin.model_copy(update={"effects": (*given.effects, *specs), "road": given.road})

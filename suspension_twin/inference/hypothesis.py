@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Effects as hypotheses: search coordinates of their parameters, and starting points of a search.
+"""Hypotheses: effects with the search coordinates of their parameters, and starting points of a search.
 
 The coordinate of a parameter is u = (p - typical) / spread, or u = log(p / typical) / log(spread) for a logarithmic
 one, so that its prior is N(0, 1). A discrete parameter (``choices``) has no coordinate: each of its values is a
@@ -8,49 +8,27 @@ hypothesis of its own, a variant, and the best variant represents the effect.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from itertools import product
 
 import numpy as np
 from scipy.special import ndtri
 from scipy.stats import qmc
 
 from suspension_twin.arrays import Floats
-from suspension_twin.diagnosis.partial import kept
 from suspension_twin.effects.base import Effect, Parameter
 from suspension_twin.effects.registry import EFFECTS
+from suspension_twin.inference.checkpoint import stored
+from suspension_twin.models.hooks import upright_with
 from suspension_twin.vehicle.twin import EffectSpec, Twin
 
-__all__ = [
-    "BASELINE",
-    "NUISANCE_COUNTERPART",
-    "SETUP_CATEGORIES",
-    "Hypothesis",
-    "combined",
-    "decoys",
-    "library",
-]
+__all__ = ["BASELINE", "Hypothesis", "combined"]
 
 _DRIVE = "@"
 _WIDTH = 1.4  # standard deviation of the starting points, in that of the prior
-#: Categories of effects that are set-up errors: any size within their range is possible.
-SETUP_CATEGORIES = ("time", "road", "sensor")
-#: Nuisance parameters that have the same action as an effect.
-NUISANCE_COUNTERPART = {
-    "sensor_tilt": ("tilt_roll", "tilt_pitch"),
-    "time_offset": ("clock_offset",),
-    "position_offset": ("map_position",),
-}
-#: Effects that the planar motion shows without a road. Positions at a few hertz show neither bandwidth nor range of a
-#: sensor.
-WITHOUT_ROAD = ("time_offset", "clock_drift", "sensor_tilt", "sensor_scale")
-#: Decoy hypotheses: generic shapes of progressive stiffness and play that many mechanisms share. If one explains the
-#: gap best, no effect of the library does, and the answer is unknown. They are causes only where a request names them.
-DECOYS = ("progressive_spring", "damper_play")
 
 
-@kept
+@stored
 @dataclass(frozen=True)
 class Hypothesis:
     """Some effects, possibly none, with the parameters that are searched and those that are fixed.
@@ -108,6 +86,11 @@ class Hypothesis:
     def differs(self) -> bool:
         """Whether a parameter differs from drive to drive."""
         return any(p.each_drive for _, p in self.searched)
+
+    @property
+    def upright(self) -> bool:
+        """Whether an effect gives the static attitude of the vehicle: a static tilt is then that of the sensor."""
+        return upright_with(self.effects, self.model)
 
     def on_drive(self, number: int) -> tuple[tuple[str, ...], list[int]]:
         """Keys of the twin's numbers, and the rows of their coordinates, on one drive."""
@@ -270,47 +253,6 @@ def _coordinate(p: Parameter, value: float) -> float:
 
 
 BASELINE = Hypothesis()
-
-
-def variants(effect: Effect, twin: Twin, drives: int = 1) -> list[Hypothesis]:
-    """The hypotheses of an effect on a twin: one, or one for each possible combination of its choices; ``drives`` is
-    the number of all drives."""
-    counting = [p for p in effect.parameters if p.choices]
-    keys = [f"effects.{effect.id}.{p.name}" for p in counting]
-    possible = effect.hook.possible or (lambda twin, given: True)
-    return [
-        Hypothesis((effect.id,), tuple(zip(keys, chosen, strict=True)), model=twin.model, drives=drives)
-        for chosen in product(*(p.choices for p in counting))
-        if possible(twin, {p.name: c for p, c in zip(counting, chosen, strict=True)})
-    ]
-
-
-def library(
-    twin: Twin, excited: bool, only: Sequence[str] = (), drives: int = 1
-) -> dict[str, list[Hypothesis]]:
-    """The hypotheses of every applicable effect, by id; ``excited``: whether the excitation is known, ``drives``: how
-    many there are, those of a reference included.
-
-    Effects that the twin file has already are left out.
-    """
-    return _offered(twin, excited, only or [name for name in EFFECTS if name not in DECOYS], drives)
-
-
-def decoys(twin: Twin, excited: bool, only: Sequence[str] = ()) -> dict[str, list[Hypothesis]]:
-    """The applicable decoy hypotheses that ``only`` does not name."""
-    return _offered(twin, excited, [name for name in DECOYS if name not in only], 1)
-
-
-def _offered(twin: Twin, excited: bool, names: Sequence[str], drives: int) -> dict[str, list[Hypothesis]]:
-    own = {e.id for e in twin.effects}
-    return {
-        name: variants(effect.on(twin.model), twin, drives)
-        for name, effect in EFFECTS.items()
-        if twin.model in effect.models
-        and name not in own
-        and (excited or name in WITHOUT_ROAD)
-        and name in names
-    }
 
 
 def combined(*parts: Hypothesis) -> Hypothesis:

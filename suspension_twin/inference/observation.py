@@ -1,0 +1,690 @@
+# SPDX-License-Identifier: Apache-2.0
+"""An observation: everything that is compared with a model, be it a drive, a run on a rig or a simulated drive.
+
+It has measured channels on a uniform grid, the excitation of the model, the path that simulated signals take to that
+grid, the noise of each channel, and how it takes part in a fit. Nothing downstream asks where an observation comes
+from. ``observe`` makes one of a recorded drive: all that does not depend on the candidate is computed there, once.
+"""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, fields, is_dataclass, replace
+from functools import cached_property, lru_cache
+from typing import TypeVar
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from pydantic import BaseModel
+
+from suspension_twin.arrays import Floats
+from suspension_twin.drive.types import Drive
+from suspension_twin.errors import InputError
+from suspension_twin.inference.gap import CHANNELS, Gap, main_channel, measure_gap
+from suspension_twin.inference.imu_gnss_consistency import clock_offset_beyond, findings, yaw_beyond
+from suspension_twin.inference.noise_floor import floor_rms
+from suspension_twin.inference.nuisance import OF_A_DRIVE, OF_PLANAR_MOTION, NuisancePriors
+from suspension_twin.inference.off_road import Ground, OffRoad, off_road
+from suspension_twin.inference.planar_denoising import denoised_motion
+from suspension_twin.inference.sensor_correction import (
+    SensorCorrection,
+    Turn,
+    gain_at_rest,
+    heading_error,
+    mounting_error,
+)
+from suspension_twin.models.excitation import coarser, excitation
+from suspension_twin.models.hooks import clocks_with, gains_with, turns_with, upright_with
+from suspension_twin.models.tracked import ObstacleRun
+from suspension_twin.models.types import Excitation, Response
+from suspension_twin.pose.nodes import MAX_MEAN_SLOPE, mean_tilt
+from suspension_twin.pose.satellites import satellite_motion
+from suspension_twin.pose.smoothed import locked_trajectory
+from suspension_twin.pose.types import Trajectory
+from suspension_twin.road.origin import warning_of
+from suspension_twin.road.road import Outside, Road
+from suspension_twin.signals.attitude import level_rpy, rpy_matrix
+from suspension_twin.signals.conditioner import Conditioner
+from suspension_twin.signals.filters import FilterSpec
+from suspension_twin.signals.ingest import ImuSettings
+from suspension_twin.signals.offline import ImuSignals
+from suspension_twin.units import STANDARD_GRAVITY
+from suspension_twin.vehicle.twin import Datum, Twin
+
+__all__ = [
+    "PLANAR",
+    "VERTICAL",
+    "Comparison",
+    "Grid",
+    "Observation",
+    "ObserveSettings",
+    "Reading",
+    "content_digest",
+    "observe",
+    "renamed",
+    "road_of",
+]
+
+#: Channels that the road brings about, and those of the planar motion.
+VERTICAL = ("vertical_acceleration", "roll_rate", "pitch_rate")
+PLANAR = ("longitudinal_acceleration", "lateral_acceleration", "yaw_rate")
+Stamped = TypeVar("Stamped", ImuSignals, Trajectory)
+
+#: Iterations of the yaw of a mounting: the path that shows it is made with its signals, and each leaves a fifth.
+_TURNS = 3
+#: Length of the blocks that are held out together: m of road, and s of a drive without one.
+_METRES, _SECONDS = 8.0, 4.0
+
+
+@dataclass(frozen=True)
+class ObserveSettings:
+    """How a drive is observed.
+
+    ``filter`` for both sides, zero-phase offline; ``max_step`` s of the simulation; ``quiet`` takes the IMU's noise out
+    of the planar motion that drives it; ``outside`` is the height policy beyond the road: hold, zero, error, or that of
+    the road's file; ``satellites`` takes the planar motion from the fixes alone, where the IMU itself is in question;
+    ``saturated`` compares samples at the end of the sensor's range as well, which alone show a clipped range.
+    """
+
+    filter: FilterSpec = FilterSpec()
+    max_step: float = 1e-3
+    quiet: bool = True
+    outside: Outside = "road"
+    satellites: bool = False
+    saturated: bool = False
+    imu: ImuSettings = field(default_factory=ImuSettings)
+
+
+@dataclass(frozen=True, eq=False)
+class Grid:
+    """The uniform grid of m samples that signals are compared on.
+
+    ``t`` (m,) s; ``rate`` Hz; ``bandwidth`` Hz, the cut-off of the low-pass that both sides pass; ``apply`` takes
+    simulated samples (n, ...) to the grid (m, ...); ``position`` (m,) m along the road and ``along`` (m,) m/s its rate;
+    ``mask`` (m,) True where a comparison is meaningful; ``position_sigma`` m, the receiver's own horizontal standard
+    deviation, 0 where it gives none.
+    """
+
+    t: Floats
+    rate: float
+    bandwidth: float
+    apply: Callable[[ArrayLike], Floats]
+    position: Floats
+    along: Floats
+    mask: NDArray[np.bool_]
+    position_sigma: float = 0.0
+
+
+@dataclass(frozen=True, eq=False)
+class Comparison:
+    """How an observation takes part in a fit.
+
+    ``channels`` are compared, ``driven`` those by which the vehicle is judged, because the excitation brings them
+    about; ``priors`` of the nuisance parameters; ``block`` (m,) numbers the blocks that are held out together, which
+    all observations share where ``shared``; ``fused`` where the pose was fused with the sensor that is compared.
+    """
+
+    channels: tuple[str, ...]
+    driven: tuple[str, ...]
+    priors: NuisancePriors
+    block: NDArray[np.intp]
+    shared: bool = True
+    fused: bool = False
+    gravity: float = STANDARD_GRAVITY
+
+
+@dataclass(frozen=True, eq=False)
+class Reading:
+    """A recorded drive as it was read for a twin: what its observation was made of.
+
+    ``signals`` (n kept stamps, unfiltered, ``base_link`` axes) and ``trajectory`` on the same stamps; ``shown``: the
+    errors of the sensor that the recording itself shows, none where None; ``window``: first and last stamp of an
+    excerpt.
+    """
+
+    drive: Drive
+    twin: Twin
+    road: Road
+    settings: ObserveSettings
+    signals: ImuSignals
+    trajectory: Trajectory
+    shown: SensorCorrection | None = None
+    window: tuple[int, int] | None = None
+
+    @cached_property
+    def digest(self) -> str:
+        """Digest of everything that an excitation follows from."""
+        return content_digest(self.drive, self.twin, self.road, self.settings, self.trajectory, self.window)
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, Reading) and self.digest == other.digest
+
+    def __hash__(self) -> int:
+        return hash(self.digest)
+
+    def correction(self, effects: Sequence[str], others: Sequence[str], upright: bool) -> SensorCorrection:
+        """How the drive is read by a hypothesis with ``effects`` on it, beside ``others`` of the twin; ``upright``:
+        the vehicle has zero static attitude."""
+        base, model = SensorCorrection.of_twin(self.twin), self.twin.model
+        shown = self.shown
+        if self.settings.satellites or shown is None:
+            return base
+        level = upright or upright_with([*effects, *others], model)
+        if turns_with(effects, model):
+            return base if base.turn is not None else replace(base, turn=shown.turn, upright=True)
+        # a gain in the twin file is already corrected in the motion
+        if gains_with([*effects, *others], model) and shown.gain != 1.0:
+            return replace(base, gain=shown.gain, upright=level or base.upright)
+        if clocks_with(effects, model) and shown.clock:
+            return replace(base, clock=base.clock + shown.clock, upright=level or base.upright)
+        leans = mean_tilt(self.signals.up) > MAX_MEAN_SLOPE
+        return replace(base, upright=base.upright or (level and not leans))
+
+    def excitation(self, correction: SensorCorrection, step: float | None = None) -> Excitation:
+        """The excitation with some errors of the sensor taken out, in steps of at most ``step`` s if that is given."""
+        return _reread(self, correction, step)
+
+
+@lru_cache(maxsize=64)
+def _reread(reading: Reading, correction: SensorCorrection, step: float | None) -> Excitation:
+    if step is not None:
+        return coarser(_reread(reading, correction, None), step)
+    if reading.window is not None:
+        whole = _reread(replace(reading, window=None), correction, None)
+        return _stretch(whole, *reading.window)
+    path = reading.trajectory
+    if correction != SensorCorrection.of_twin(reading.twin):
+        path = replace(_motion(reading.drive, reading.twin, correction, reading.settings), t=path.t)
+    return _excited(path, reading, correction.clock)
+
+
+def _excited(path: Trajectory, reading: Reading, clock: float) -> Excitation:
+    twin, settings = reading.twin, reading.settings
+    ground = Ground(reading.road, settings.outside)
+    found = excitation(path, twin.vehicle, ground, settings.max_step, twin.gps.position[2])
+    return replace(found, late=0.0 if settings.satellites else clock)
+
+
+def _stretch(whole: Excitation, first: int, last: int) -> Excitation:
+    """The excitation at stamps ``first`` to ``last``, from static equilibrium on."""
+    substeps, motion = whole.substeps[first:last].copy(), whole.motion[first:last].copy()
+    substeps[0], motion[0, 0] = 0, 0.0
+    begin = int(whole.first[first + 1]) - 1  # the heights at the end of the first interval
+    rows = whole.first[first : last + 1] - begin
+    rows[0] = 0
+    road = whole.road[begin : int(whole.first[last])]
+    cut = {name: getattr(whole, name)[first:last] for name in ("t", "x", "y", "yaw")}
+    return replace(whole, substeps=substeps, first=rows, road=road, motion=motion, **cut)
+
+
+@dataclass(frozen=True, eq=False)
+class Observation:
+    """A drive or run of m samples on a uniform grid, with n simulated stamps.
+
+    Parameters
+    ----------
+    name : str
+        Of the drive or run.
+    grid : Grid
+        Samples that are compared, and the path of simulated signals to them.
+    excitation : Excitation or ObstacleRun
+        Drives the model, on n stamps.
+    measured : dict of str to (m,) array
+        Filtered measured channels.
+    noise_rms : dict of str to float
+        Noise floor of each channel.
+    comparison : Comparison
+        How it takes part in a fit.
+    reading : Reading, optional
+        The recording of a drive and how it was read.
+    warnings : tuple of str
+        Found while it was read.
+
+    Examples
+    --------
+    >>> from suspension_twin.drive.read import read_drive
+    >>> from suspension_twin.models.simulate import simulate_twin
+    >>> from suspension_twin.vehicle.twin import load_twin
+    >>> twin = load_twin("bags/crg_road/twin.yaml")
+    >>> observation = observe(read_drive("bags/crg_road"), twin)
+    >>> gap = observation.gap(observation.condition(simulate_twin(twin, observation.excitation)))
+    >>> bool(gap.rms > gap.noise_rms)
+    True
+    """
+
+    name: str
+    grid: Grid
+    excitation: Excitation | ObstacleRun
+    measured: Mapping[str, Floats]
+    noise_rms: Mapping[str, float]
+    comparison: Comparison
+    reading: Reading | None = None
+    warnings: tuple[str, ...] = ()
+
+    @property
+    def t(self) -> Floats:
+        """(m,) s, the grid of every conditioned signal."""
+        return self.grid.t
+
+    @property
+    def rate(self) -> float:
+        """Samples per second of the grid."""
+        return self.grid.rate
+
+    @property
+    def bandwidth(self) -> float:
+        """Cut-off in Hz of the low-pass that both sides go through."""
+        return self.grid.bandwidth
+
+    @property
+    def position(self) -> Floats:
+        """(m,) m along the road, or along the path without a road."""
+        return self.grid.position
+
+    @property
+    def along(self) -> Floats:
+        """(m,) m/s, the rate of the position."""
+        return self.grid.along
+
+    @property
+    def mask(self) -> NDArray[np.bool_]:
+        """(m,) True where a comparison is meaningful."""
+        return self.grid.mask
+
+    @property
+    def position_sigma(self) -> float:
+        """The receiver's own horizontal standard deviation in m, 0 where it gives none."""
+        return self.grid.position_sigma
+
+    @property
+    def road_excitation(self) -> Excitation:
+        """The excitation by a road under the wheels; InputError where it is another."""
+        if isinstance(self.excitation, ObstacleRun):
+            raise InputError(self.name, "is no drive on a road")
+        return self.excitation
+
+    @property
+    def excited(self) -> bool:
+        """Whether it is known what excites the vehicle."""
+        return self.reading is None or not self.reading.settings.satellites
+
+    @property
+    def source(self) -> Reading:
+        """The reading of a recorded drive; InputError where it was none."""
+        if self.reading is None:
+            raise InputError(self.name, "is no recorded drive")
+        return self.reading
+
+    @property
+    def twin(self) -> Twin:
+        """The twin that a drive was read for."""
+        return self.source.twin
+
+    @property
+    def road(self) -> Road:
+        """The road of a drive."""
+        return self.source.road
+
+    @property
+    def settings(self) -> ObserveSettings:
+        """How a drive was observed."""
+        return self.source.settings
+
+    @property
+    def signals(self) -> ImuSignals:
+        """The IMU of a drive on its n kept stamps, unfiltered, in ``base_link`` axes."""
+        return self.source.signals
+
+    @property
+    def trajectory(self) -> Trajectory:
+        """The locked pose of a drive on the same stamps."""
+        return self.source.trajectory
+
+    @cached_property
+    def speed(self) -> Floats:
+        """(m,) m/s of a drive."""
+        path = self.trajectory
+        return np.interp(self.t, path.t, path.speed)
+
+    @cached_property
+    def inside(self) -> NDArray[np.bool_]:
+        """(m,) True where all wheels of a drive have a road under them."""
+        inside = _on_road(self.source).astype(float)
+        return np.asarray(np.interp(self.t, self.signals.t, inside) > 0.5)
+
+    @cached_property
+    def off_road(self) -> OffRoad:
+        """Where a drive leaves the road, and the policy there."""
+        source = self.source
+        return off_road(self.name, source.signals.t, _on_road(source), source.road, source.settings.outside)
+
+    def condition(self, response: Response) -> dict[str, Floats]:
+        """The simulated counterpart (m,) of every measured channel of a drive, through the same filter.
+
+        The reading of the simulated sensor at standstill is taken off its vertical, as it is off the recorded one's: a
+        gain multiplies gravity too, and a tilt loses a part of it.
+        """
+        stacked = np.stack([_channel(response, name) for name in CHANNELS], axis=1)
+        stacked[:, CHANNELS.index("vertical_acceleration")] -= self.standing_vertical(response)
+        filtered = self.grid.apply(stacked)
+        return {name: filtered[:, i] for i, name in enumerate(CHANNELS)}
+
+    def standing_vertical(self, response: Response) -> float:
+        """m/s² of the simulated sensor's vertical while the vehicle stands; 0 where it never does: the mean of a part
+        on the move is motion too."""
+        standing = self.signals.standing
+        return float(response.vertical_acceleration[standing].mean()) if standing.any() else 0.0
+
+    def gap(self, simulated: Mapping[str, Floats]) -> Gap:
+        """The gap to conditioned channels, over every sample that can be compared."""
+        floor = self.noise_rms[main_channel(self.measured)]
+        return measure_gap(self.measured, simulated, self.mask, self.rate, floor)
+
+    def part(self, start: float, end: float) -> Observation:
+        """The samples of a drive with stamps between ``start`` and ``end`` s, with a grid of their own."""
+        source = self.source
+        first, last = np.searchsorted(source.signals.t, [start, end])
+        if last - first < 16:
+            raise InputError(
+                self.name, f"{last - first} samples between {start:.2f} and {end:.2f} s are too few"
+            )
+        cut = slice(int(first), int(last))
+        own = replace(source, signals=_cut(source.signals, cut), trajectory=_cut(source.trajectory, cut))
+        return _observed(own, self)
+
+    def excerpt(self, start: float, end: float) -> Observation:
+        """As :meth:`part`, with the excitation of the whole drive cut from static equilibrium on, so that it can be
+        read with another correction of the sensor."""
+        source = self.source
+        first, last = np.searchsorted(source.signals.t, [start, end]).tolist()
+        window = replace(source, window=(first, last))
+        cut = window.excitation(SensorCorrection.of_twin(source.twin))
+        return replace(self.part(start, end), excitation=cut, reading=window)
+
+    def moved(self, seconds: float, metres: float) -> Observation:
+        """The same drive with the pose read ``seconds`` later and the map taken ``metres`` back along its own
+        direction: a clock offset and a shifted map, simulated instead of interpolated."""
+        source = self.source
+        path = source.trajectory
+        later = np.clip(path.t + seconds, path.t[0], path.t[-1])
+        names = [f.name for f in fields(Trajectory) if f.name not in ("t", "valid")]
+        columns = {name: np.interp(later, path.t, getattr(path, name)) for name in names}
+        if metres:
+            with np.errstate(invalid="ignore"):
+                sense = np.sign(np.gradient(source.road.xy_to_uv(path.x, path.y)[0], path.t))
+            columns["x"] = columns["x"] + metres * sense * np.cos(columns["yaw"])
+            columns["y"] = columns["y"] + metres * sense * np.sin(columns["yaw"])
+        return _observed(replace(source, trajectory=replace(path, **columns)), self)
+
+
+def observe(
+    drive: Drive,
+    twin: Twin,
+    road: Road | None = None,
+    settings: ObserveSettings | None = None,
+    strict: bool = False,
+) -> Observation:
+    """Observe a drive for comparison with a twin: all that does not depend on the candidate.
+
+    Parameters
+    ----------
+    drive : Drive
+        The recording.
+    twin : Twin
+        Places of the sensors, datum, geometry, and the errors of the sensor that are known.
+    road : Road, optional
+        The road; that of the twin file by default.
+    settings : ObserveSettings, optional
+        Filter, step, policy beyond the road's borders.
+    strict : bool
+        Refuse signals that must not be used for calibration (an IMU upside down, too slow, dead).
+
+    Returns
+    -------
+    Observation
+        Locked pose, excitation, filtered measured channels and their noise floors.
+
+    Raises
+    ------
+    InputError
+        Naming the drive and what it lacks.
+
+    Examples
+    --------
+    >>> from suspension_twin.drive.read import read_drive
+    >>> from suspension_twin.vehicle.twin import load_twin
+    >>> observation = observe(read_drive("bags/crg_road"), load_twin("bags/crg_road/twin.yaml"))
+    >>> sorted(observation.measured)[0]
+    'lateral_acceleration'
+    """
+    settings = settings or ObserveSettings()
+    road = road_of(twin) if road is None else road
+    correction = SensorCorrection() if settings.satellites else SensorCorrection.of_twin(twin)
+    plain = SensorCorrection()
+    signals = plain.signals(drive, twin.imu, settings.imu)
+    timed = correction.timed(drive)
+    same = replace(correction, upright=False) == plain
+    mounted = signals if same else correction.signals(timed, twin.imu, settings.imu)
+    datum = twin.datum or _first_fix(drive)
+    noticed = [*mounted.findings, *findings(timed, mounted, twin.gps, datum)]
+    for finding in noticed if strict else ():
+        if finding.level == "error":
+            raise InputError(drive.name, "imu", finding.text)
+    if settings.satellites:
+        slow = satellite_motion(drive, signals, twin.gps, datum)
+        turn = SensorCorrection.of_twin(twin).turn or mounting_error(*slow)
+        ahead = rpy_matrix(turn)[0]
+        direction = float(ahead[0]), float(ahead[1]), float(ahead[2])
+        signals, trajectory = satellite_motion(drive, signals, twin.gps, datum, direction)
+    else:
+        try:
+            trajectory = replace(_locked(timed, twin, mounted, settings, correction.upright), t=signals.t)
+        except InputError as error:
+            raise error if str(error).startswith(drive.name) else InputError(drive.name, str(error)) from None
+    found = _observed(Reading(drive, twin, road, settings, signals, trajectory))
+    known = twin.road is not None and road.name == twin.road.file.name
+    about = warning_of(twin.road.file) if known and twin.road is not None else None
+    said = (
+        *drive.warnings,
+        *(f.text for f in noticed if f.level != "ok"),
+        *(text for text in (found.off_road.sentence(float(signals.t[0])), about) if text),
+    )
+    return replace(found, warnings=said, grid=replace(found.grid, position_sigma=_position_sigma(drive)))
+
+
+def with_shown_errors(observation: Observation) -> Observation:
+    """The observation of a drive with the errors of the sensor that its own recording shows.
+
+    The turn of the mounting, by gravity and by the path; the gain by the reading at rest; and the clock offset that IMU
+    and receiver show beyond the twin file's. An error that the twin file states already is not looked for.
+    """
+    source = observation.source
+    twin, signals = source.twin, source.signals
+    base = SensorCorrection.of_twin(twin)
+    if source.settings.satellites:
+        turn = (0.0, 0.0, 0.0) if base.turn is not None else mounting_error(signals, source.trajectory)
+        return replace(observation, reading=replace(source, shown=SensorCorrection(turn)))
+    gain = gain_at_rest(signals) if base.gain == 1.0 else 1.0
+    clock = 0.0
+    timed = base.timed(source.drive)
+    if not clocks_with(e.id for e in twin.effects):
+        shifted = replace(signals, t=signals.t - base.clock)
+        clock = clock_offset_beyond(timed, shifted, twin.gps, twin.datum or _first_fix(timed))
+    turn = _shown_turn(source, base) if base.turn is None else (0.0, 0.0, 0.0)
+    return replace(observation, reading=replace(source, shown=SensorCorrection(turn, gain, clock)))
+
+
+def _shown_turn(source: Reading, base: SensorCorrection) -> Turn:
+    twin, settings, trajectory = source.twin, source.settings, source.trajectory
+    datum = twin.datum or _first_fix(source.drive)
+    roll, pitch, yaw = level_rpy(source.signals.up.mean(axis=0))
+    timed = base.timed(source.drive)
+
+    def read() -> ImuSignals:
+        return replace(base, turn=(roll, pitch, yaw)).signals(timed, twin.imu, settings.imu)
+
+    signals = read()
+    # a path that is made with a sensor which faces backwards speeds up accordingly: it shows no yaw any more
+    far = yaw_beyond(timed, signals, twin.gps, datum)
+    for _ in range(_TURNS):
+        yaw, far = yaw + (far or heading_error(signals, trajectory)), 0.0
+        signals = read()
+        trajectory = _locked(timed, twin, signals, settings, True)
+    return roll, pitch, yaw
+
+
+def road_of(twin: Twin) -> Road:
+    """The road that the twin file names."""
+    from suspension_twin.road import load_road
+
+    if twin.road is None:
+        raise InputError("twin", "road", "is missing: name the road that was driven, road: {file: road.crg}")
+    if not twin.road.file.exists():
+        where = "it is looked for from the folder of the twin file, unless its path is absolute"
+        raise InputError("twin", "road.file", f"there is no {twin.road.file}: {where}")
+    return load_road(twin.road.file)
+
+
+def renamed(observations: Sequence[Observation]) -> list[Observation]:
+    """Observations of one name get a number, so that each nuisance parameter has a name of its own."""
+    names: list[str] = []
+    for one in observations:
+        name, k = one.name, 2
+        while name in names:
+            name, k = f"{one.name}_{k}", k + 1
+        names.append(name)
+    return [o if o.name == n else replace(o, name=n) for o, n in zip(observations, names, strict=True)]
+
+
+def content_digest(*values: object) -> str:
+    """Digest of the contents of records, arrays, models and plain values."""
+    digest = hashlib.sha256()
+    for piece in _pieces(values):
+        digest.update(piece)
+    return digest.hexdigest()
+
+
+def _pieces(value: object) -> Iterator[bytes]:
+    if isinstance(value, np.ndarray):
+        yield repr((value.dtype.str, value.shape)).encode()
+        yield value.tobytes()
+    elif isinstance(value, BaseModel):
+        yield value.model_dump_json().encode()
+    elif isinstance(value, list | tuple):
+        yield f"{type(value).__name__}{len(value)}".encode()
+        for one in value:
+            yield from _pieces(one)
+    elif is_dataclass(value) and not isinstance(value, type):
+        yield type(value).__name__.encode()
+        for f in fields(value):
+            yield from _pieces(getattr(value, f.name))
+    else:
+        yield repr(value).encode()
+
+
+def _motion(drive: Drive, twin: Twin, correction: SensorCorrection, settings: ObserveSettings) -> Trajectory:
+    """The locked and denoised path of a drive that is read with a correction of its sensor."""
+    timed = correction.timed(drive)
+    return _locked(
+        timed, twin, correction.signals(timed, twin.imu, settings.imu), settings, correction.upright
+    )
+
+
+def _locked(
+    timed: Drive, twin: Twin, signals: ImuSignals, settings: ObserveSettings, upright: bool
+) -> Trajectory:
+    datum = twin.datum or _first_fix(timed)
+    trajectory = locked_trajectory(timed, signals, twin.gps, datum, signals.t, upright=upright)
+    return denoised_motion(trajectory, signals, twin.cog_height) if settings.quiet else trajectory
+
+
+def _first_fix(drive: Drive) -> Datum:
+    good = np.flatnonzero((drive.fix.status >= 0) & np.isfinite(drive.fix.latitude))
+    if not good.size:
+        raise InputError(drive.name, "fix", "has no usable GNSS fix: without a position the twin has no road")
+    i = int(good[0])
+    altitude = float(drive.fix.altitude[i]) if np.isfinite(drive.fix.altitude[i]) else 0.0
+    return Datum(
+        latitude=float(drive.fix.latitude[i]), longitude=float(drive.fix.longitude[i]), altitude=altitude
+    )
+
+
+def _position_sigma(drive: Drive) -> float:
+    """Median horizontal standard deviation of the fixes, 0 where the receiver gives none."""
+    sigma = drive.fix.sigma[:, :2]
+    known = sigma[np.isfinite(sigma).all(axis=1) & (sigma > 0).all(axis=1)]
+    return float(np.median(known)) if known.size else 0.0
+
+
+def _on_road(source: Reading) -> NDArray[np.bool_]:
+    """(n,) True at stamps where all wheels have a road under them."""
+    path, wheels = source.trajectory, source.twin.vehicle.wheel_positions
+    cos, sin = np.cos(path.yaw)[:, None], np.sin(path.yaw)[:, None]
+    x = path.x[:, None] + cos * wheels[:, 0] - sin * wheels[:, 1]
+    y = path.y[:, None] + sin * wheels[:, 0] + cos * wheels[:, 1]
+    return np.asarray(source.road.inside(x, y).all(axis=1))
+
+
+def _observed(source: Reading, known: Observation | None = None) -> Observation:
+    """The observation of a reading; ``known``: what it is a part or a moved copy of, whose name, floors, accuracy and
+    warnings stay."""
+    settings, signals, path = source.settings, source.signals, source.trajectory
+    conditioner = Conditioner.for_stamps(signals.t, settings.filter, zero_phase=True)
+    raw = np.column_stack([_channel(signals, channel) for channel in CHANNELS])
+    filtered = conditioner.apply(raw)
+    t, grid, inside = signals.t, conditioner.grid, _on_road(source)
+    if known is None:
+        off_road(source.drive.name, t, inside, source.road, settings.outside)  # refuses by the policy
+        floors: Mapping[str, float] = {
+            channel: floor_rms(raw[:, i], conditioner, signals.standing, filtered[:, i])
+            for i, channel in enumerate(CHANNELS)
+        }
+    else:
+        floors = known.noise_rms
+    position = np.interp(grid, t, source.road.xy_to_uv(path.x, path.y)[0])
+    usable = inside & path.valid & (settings.saturated | ~signals.saturated)
+    mask = conditioner.valid & (np.interp(grid, t, usable.astype(float)) > 0.99)
+    clock = SensorCorrection.of_twin(source.twin).clock
+    if settings.satellites:
+        block = np.floor((grid - grid[0]) / _SECONDS).astype(np.intp)
+        comparison = Comparison(PLANAR, PLANAR, OF_PLANAR_MOTION, block, shared=False)
+    else:
+        block = np.floor(position / _METRES).astype(np.intp)
+        comparison = Comparison(CHANNELS, VERTICAL, OF_A_DRIVE, block, fused=True, gravity=signals.gravity)
+    return Observation(
+        known.name if known else source.drive.name,
+        Grid(
+            grid,
+            conditioner.rate,
+            settings.filter.cutoff,
+            conditioner.apply,
+            position,
+            np.gradient(position, grid),
+            np.asarray(mask),
+            known.position_sigma if known else 0.0,
+        ),
+        _excited(path, source, clock),
+        {channel: filtered[:, i] for i, channel in enumerate(CHANNELS)},
+        floors,
+        comparison,
+        source,
+        known.warnings if known else (),
+    )
+
+
+def _channel(source: ImuSignals | Response, name: str) -> Floats:
+    """One channel of an object with ``force``, ``rate`` and ``vertical_acceleration``."""
+    if name == "vertical_acceleration":
+        return source.vertical_acceleration
+    array = source.force if name in ("longitudinal_acceleration", "lateral_acceleration") else source.rate
+    column = {"roll_rate": 0, "pitch_rate": 1, "yaw_rate": 2, "lateral_acceleration": 1}.get(name, 0)
+    return np.asarray(array[:, column])
+
+
+def _cut(source: Stamped, cut: slice) -> Stamped:
+    """A copy of a record of arrays with every array by stamp cut."""
+    n = len(source)
+    own = {f.name: getattr(source, f.name) for f in fields(source) if f.name != "gaps"}
+    arrays = {k: v[cut] for k, v in own.items() if isinstance(v, np.ndarray) and v.ndim and len(v) == n}
+    return replace(source, **arrays)  # type: ignore[arg-type]

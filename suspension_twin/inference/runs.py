@@ -1,0 +1,309 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Controlled runs: a corner on a test rig, or a tracked vehicle over an obstacle, as observations.
+
+A run can be repeated with the same excitation, so that runs before and after a change differ by it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import ArrayLike
+from scipy.interpolate import CubicSpline
+
+from suspension_twin.arrays import Floats
+from suspension_twin.drive.rig import RigRecord, read_rig, write_rig
+from suspension_twin.errors import InputError, WorkError
+from suspension_twin.files import together
+from suspension_twin.inference.common_rate import PER_PERIOD
+from suspension_twin.inference.gap import Gap, write_gap
+from suspension_twin.inference.marker_runs import CUTOFF, FLOORS, MARKERS, MarkerRun, low_pass, read_run
+from suspension_twin.inference.noise_floor import floor_rms
+from suspension_twin.inference.nuisance import OF_A_RIG, OF_A_RUN, NuisancePriors
+from suspension_twin.inference.observation import Comparison, Grid, Observation, renamed
+from suspension_twin.models.excitation import MAX_STEP, excitation
+from suspension_twin.models.parameters import pack
+from suspension_twin.models.registry import model_of
+from suspension_twin.models.simulate import simulate_lanes, simulate_twin
+from suspension_twin.models.tracked import ObstacleRun
+from suspension_twin.models.types import Excitation, LaneResponse
+from suspension_twin.pose.types import Trajectory
+from suspension_twin.signals.conditioner import Conditioner
+from suspension_twin.signals.filters import FilterSpec
+from suspension_twin.vehicle.twin import Twin
+
+__all__ = ["SimulatedRun", "marker_observation", "observe_rig", "observe_runs", "rig_run", "simulate_rig"]
+
+#: Share of an input's rms by which transducers let two runs of one program differ: 0.1 mm of 10 mm.
+_SAME_INPUT = 0.01
+#: Held out together: s of a rig run, two periods of a body's resonance, and m of an obstacle run.
+_RIG_BLOCK, _OBSTACLE_BLOCK = 2.0, 0.5
+#: m between the places of two programs.
+_APART = 1e4
+
+
+class _Actuator:
+    """A road that is the same under all wheels: its height at x m is the displacement at x s."""
+
+    wheel_positions = np.zeros((4, 2))
+
+    def __init__(self, curve: CubicSpline) -> None:
+        self._curve = curve
+
+    def heights(self, x: Floats, y: Floats) -> Floats:
+        return np.asarray(self._curve(x), dtype=np.float64)
+
+
+def rig_run(
+    t: Floats,
+    displacement: Floats | None = None,
+    velocity: Floats | None = None,
+    force: Floats | None = None,
+    max_step: float = MAX_STEP,
+) -> Excitation:
+    """What a recorded run excites a model with: a road along which it moves at 1 m/s without turning.
+
+    Parameters
+    ----------
+    t
+        (n,) s, rising stamps. After a pause of more than 0.5 s the model starts again from rest.
+    displacement, velocity
+        (n,) m of the road under the tyre, or its rate in m/s where the displacement was not recorded. Between the
+        stamps it follows a cubic spline.
+    force
+        (n,) N of an actuator between the masses, pushing them apart; linear between the stamps.
+    max_step
+        s, the largest step of the simulation.
+
+    Raises
+    ------
+    InputError
+        Where there are fewer than four stamps, stamps that do not rise, or values that are not finite.
+    """
+    t, given = np.asarray(t, dtype=np.float64), displacement if displacement is not None else velocity
+    inputs = [x for x in (given, force) if x is not None]
+    if given is None or t.ndim != 1 or t.size < 4 or any(np.shape(x) != t.shape for x in inputs):
+        raise InputError("rig run", "needs displacement or velocity of the road at four stamps or more")
+    if not (np.isfinite([t, *inputs]).all() and (np.diff(t) > 0).all()):
+        raise InputError("rig run", "stamps, road and force must be finite, and stamps must rise")
+    s, zero = t - t[0], np.zeros(t.size)
+    curve = CubicSpline(s, given)
+    road = _Actuator(curve if displacement is not None else curve.antiderivative())
+    way = Trajectory(t, s, zero, zero, zero + 1.0, zero, zero, zero, zero, np.ones(t.size, dtype=np.bool_))
+    run = excitation(way, road, road, max_step)
+    return run if force is None else replace(run, motion=np.column_stack([run.motion, force]))
+
+
+def observe_rig(
+    record: RigRecord,
+    channels: Sequence[str],
+    spec: FilterSpec | None = None,
+    max_step: float = MAX_STEP,
+) -> Observation:
+    """A run as an observation of those of a model's ``channels`` that were measured, through the low-pass ``spec``.
+
+    The mean of every signal is taken out: zeros of transducers and gravity are not compared. Raises InputError that
+    names the run: too short, too slow for the filter, or with samples missing.
+    """
+    t, columns, spec = record.t - record.t[0], record.columns, spec or FilterSpec()
+    road, speed, force = (
+        columns.get(f"{q}") for q in ("road_displacement", "road_velocity", "actuator_force")
+    )
+    run = rig_run(t, road, speed, force, max_step)
+    try:
+        path = Conditioner.for_stamps(t, spec)
+    except InputError as error:
+        raise InputError(record.name, str(error)) from None
+    valid = np.flatnonzero(path.valid)
+    if valid.size < 2:
+        raise InputError(record.name, f"lasts {t[-1]:.2f} s, which is too short for the filter to settle")
+    missing = np.flatnonzero(np.diff(valid) > 1)
+    if missing.size:
+        raise InputError(
+            record.name, f"misses samples at {record.t[0] + path.grid[valid[missing[0]]]:.3f} s: cut it"
+        )
+    every = max(1, int(path.rate / (PER_PERIOD * spec.cutoff) + 1e-6))
+    rows = slice(int(valid[0]), int(valid[-1]) + 1, every)
+
+    def apply(x: ArrayLike) -> Floats:
+        filtered = path.apply(x)[rows]
+        return np.asarray(filtered - filtered.mean(axis=0))
+
+    raw = {name: columns[name] for name in channels if name in columns}
+    still = np.zeros(t.size, dtype=np.bool_)
+    found = _run(
+        record.name,
+        run,
+        {name: apply(values) for name, values in raw.items()},
+        {name: floor_rms(values, path, still) for name, values in raw.items()},
+        _grid(path.grid[rows], path.rate / every, spec.cutoff, apply, 1.0),
+        OF_A_RIG,
+        _RIG_BLOCK,
+    )
+    return replace(found, warnings=record.warnings)
+
+
+def _grid(t: Floats, rate: float, cutoff: float, apply: Callable[[ArrayLike], Floats], speed: float) -> Grid:
+    """The grid of a run at a constant speed in m/s, all samples of which are compared."""
+    everything = np.ones(t.size, dtype=np.bool_)
+    return Grid(t, rate, cutoff, apply, speed * t, np.full(t.size, speed), everything)
+
+
+def _run(
+    name: str,
+    driven: Excitation | ObstacleRun,
+    measured: dict[str, Floats],
+    noise_rms: dict[str, float],
+    grid: Grid,
+    priors: NuisancePriors,
+    block: float,
+) -> Observation:
+    """A run with the priors of its nuisance parameters; ``block`` m of the position are held out together."""
+    names = tuple(measured)
+    place = np.floor(grid.position / block).astype(np.intp)
+    return Observation(name, grid, driven, measured, noise_rms, Comparison(names, names, priors, place))
+
+
+@dataclass(frozen=True, eq=False)
+class SimulatedRun:
+    """A twin over a run of a rig: its ``response`` at the stamps of ``record``, and the ``gap``."""
+
+    record: RigRecord
+    observation: Observation
+    response: LaneResponse
+    gap: Gap
+    warnings: tuple[str, ...]
+
+    @property
+    def name(self) -> str:
+        """Of the run."""
+        return self.record.name
+
+    @property
+    def noise_rms(self) -> Mapping[str, float]:
+        """Floor of each channel of the gap."""
+        return self.observation.noise_rms
+
+    def as_dict(self) -> dict[str, Any]:
+        """The content of ``gap.json``: the gap, and how it was measured."""
+        spec = FilterSpec()
+        low_pass = {
+            "kind": "Butterworth low-pass",
+            "order": spec.order,
+            "cutoff_hz": spec.cutoff,
+            "zero_phase": True,
+        }
+        return {**self.gap.as_dict(), "run": self.name, "filter": low_pass, "warnings": list(self.warnings)}
+
+    def write(self, folder: Path) -> None:
+        """Write ``gap.json``, and ``simulated.csv`` with the run's own inputs and every simulated channel."""
+        inputs = {k: v for k, v in self.record.columns.items() if k not in self.response.names}
+        simulated = {name: self.response.channel(name)[:, 0] for name in self.response.names}
+        record = RigRecord(self.name, self.record.t, {**inputs, **simulated})
+        with together():
+            write_rig(record, folder / "simulated.csv", f"simulated over {self.name}")
+            write_gap(self.as_dict(), folder)
+
+
+def simulate_rig(record: RigRecord, twin: Twin) -> SimulatedRun:
+    """Simulate ``twin`` over a run and measure the gap; raises as :func:`observe_rig` and ``simulate_twin`` do."""
+    observation = observe_rig(record, model_of(twin).channels)
+    response = simulate_lanes(twin, pack(twin)[:, None], observation.excitation)
+    if response.failed[0]:
+        simulate_twin(twin, observation.road_excitation)  # says why
+        raise WorkError(f"{record.name}: the simulation has failed")
+    measured = observation.measured
+    simulated = {name: observation.grid.apply(response.channel(name)[:, 0]) for name in measured}
+    # of correlation -0.5 half or more of the signal would be explained upside down
+    reversed_signs = [n for n, v in measured.items() if np.corrcoef(v, simulated[n])[0, 1] < -0.5]
+    signs = (f"{name} looks upside down: upwards and compression are positive" for name in reversed_signs)
+    return SimulatedRun(record, observation, response, observation.gap(simulated), (*record.warnings, *signs))
+
+
+def marker_observation(run: MarkerRun, known: Sequence[Observation] = ()) -> Observation:
+    """A run with markers; repeats at one speed share the excitation of one in ``known``, so that they are simulated
+    once."""
+    channels = np.concatenate([run.markers, run.velocity, run.acceleration], axis=1)
+    names = [f"marker_{m}_{kind}" for kind in ("displacement", "velocity", "acceleration") for m in MARKERS]
+    seen = np.tile(run.seen, 3)
+    last = round(float(run.t[-1]) * run.rate)
+    same = (k.excitation for k in known if isinstance(k.excitation, ObstacleRun))
+    driven = next(
+        (e for e in same if e.speed == run.speed and len(e) > last),
+        ObstacleRun(np.arange(last + 1) / run.rate, run.speed),
+    )
+    first, count, rate = round(float(run.t[0]) * run.rate), run.t.size, run.rate
+
+    def apply(x: ArrayLike) -> Floats:
+        smooth = low_pass(np.asarray(x, dtype=np.float64), rate)
+        return np.ascontiguousarray(smooth[first : first + count])
+
+    return _run(
+        run.name,
+        driven,
+        {n: channels[:, i] for i, n in enumerate(names) if seen[i]},
+        {n: float(FLOORS[i]) for i, n in enumerate(names) if seen[i]},
+        _grid(run.t, rate, CUTOFF, apply, run.speed),
+        OF_A_RUN,
+        _OBSTACLE_BLOCK,
+    )
+
+
+def _markers(twin: Twin, paths: Sequence[str]) -> list[Observation]:
+    read = [read_run(p, twin.vehicle) for p in paths]
+    runs: dict[int, Observation] = {}
+    # the longest first: the others are a part of it
+    for i in sorted(range(len(read)), key=lambda i: -read[i].t[-1]):
+        runs[i] = marker_observation(read[i], list(runs.values()))
+    return [runs[i] for i in range(len(read))]
+
+
+def _rig(twin: Twin, paths: Sequence[str]) -> list[Observation]:
+    """Runs of one program share an excitation; all inputs and transducers have one clock."""
+    found: list[Observation] = []
+    programs: list[Excitation] = []
+    for path in paths:
+        one = observe_rig(read_rig(path), model_of(twin).channels)
+        driven = one.excitation
+        assert isinstance(driven, Excitation)
+        program = next((k for k, known in enumerate(programs) if _one_program(known, driven)), len(programs))
+        if program == len(programs):
+            programs.append(driven)
+        place = one.t + program * _APART
+        block = np.floor(place / _RIG_BLOCK).astype(np.intp)
+        found.append(
+            replace(
+                one,
+                excitation=programs[program],
+                grid=replace(one.grid, position=place),
+                comparison=replace(one.comparison, block=block),
+            )
+        )
+    return found
+
+
+def _one_program(one: Excitation, other: Excitation) -> bool:
+    """Whether two runs had the same inputs but for the noise of their transducers."""
+    if one.motion.shape != other.motion.shape or one.road.shape != other.road.shape:
+        return False
+    inputs = ([run.road[:, 0], *run.motion.T[7:]] for run in (one, other))
+    return all(float(np.std(a - b)) <= _SAME_INPUT * float(np.std(a)) for a, b in zip(*inputs, strict=True))
+
+
+#: How runs of each kind of recording are read: a model says which kind it has.
+_READERS: Final[dict[str, Callable[[Twin, Sequence[str]], list[Observation]]]] = {
+    "markers": _markers,
+    "rig": _rig,
+}
+
+
+def observe_runs(twin: Twin, paths: Sequence[str]) -> list[Observation]:
+    """Read controlled runs of a twin; InputError that names the file, or the model whose recordings are drives."""
+    reader = _READERS.get(model_of(twin).recordings)
+    if reader is None:
+        raise InputError("twin", "model", f"{twin.model} is compared with recorded drives")
+    return renamed(reader(twin, paths))
