@@ -18,13 +18,12 @@ from suspension_twin.calibration.output import describe, details_path, write_res
 from suspension_twin.calibration.request import CalibrationRequest, CalibrationResult, Progress
 from suspension_twin.calibration.run import calibrate
 from suspension_twin.calibration.setup import set_up
-from suspension_twin.calibration.squares import full_precision
 from suspension_twin.drive.read import read_drive
 from suspension_twin.errors import WorkError
 from suspension_twin.inference.gauss_newton import GaussNewton, GaussNewtonSettings, Quadratic
 from suspension_twin.inference.noise import Whitener
 from suspension_twin.inference.observation import observe
-from suspension_twin.inference.problem import FitProblem, Problem
+from suspension_twin.inference.problem import Problem
 from suspension_twin.inference.space import curve_keys, twin_value
 from suspension_twin.models.simulate import simulate_twin
 from suspension_twin.vehicle.twin import load_twin, save_twin
@@ -35,7 +34,7 @@ def profile(
 ) -> Floats:
     """(k,) rise of -2 log posterior with coordinate ``row`` held ``offsets`` away from ``x`` and all
     others fitted again: what the Laplace approximation is checked against."""
-    fit = FitProblem(problem, likelihood.residuals)
+    fit = problem.weighed(likelihood)
     centre = np.concatenate([problem.space.z0, np.zeros(x.size - len(problem.space))])
 
     def posterior_cost(at: Floats) -> float:
@@ -67,7 +66,7 @@ def profile(
 class _Held:
     """A fit with some coordinates held where ``at`` has them; the ``others`` are the unknowns."""
 
-    def __init__(self, fit: FitProblem, at: Floats, others: np.ndarray) -> None:
+    def __init__(self, fit: Problem, at: Floats, others: np.ndarray) -> None:
         self.fit, self.at, self.others = fit, at, others
 
     def quadratic(self, x: Floats) -> Quadratic:
@@ -337,14 +336,15 @@ def test_laplace_agrees_with_the_profile_likelihood(rough_case: Any, fast: Any) 
     values = np.array([e.value for e in result.estimates])
     nuisance = np.array([n.value for n in result.nuisances])
     x = np.concatenate([space.to_slopes(values), nuisance])
-    signals, _ = problem.simulate(values[:, None])
-    likelihood = Whitener.of_residual(problem.measured, problem.compared(signals, nuisance[:, None])[:, :, 0])
-    precision = full_precision(problem)
+    likelihood = Whitener.of_residual(problem.measured, problem.compared(x[:, None])[:, :, 0])
+    precision = problem.prior.precision
     centre = np.concatenate([space.z0, np.zeros(len(problem.nuisances))])
-    solver = GaussNewton(FitProblem(problem, likelihood.residuals), x, precision, centre)
+    white = problem.weighed(likelihood)
+    solver = GaussNewton(white, x, precision, centre)
     solver.run()  # what was kept at its start is free again
     x = solver.x
-    residual, jacobian = FitProblem(problem, likelihood.residuals).linearise(x)
+    at = white.linearise(x)
+    residual, jacobian = at.residual, at.jacobian
     covariance = np.linalg.inv(jacobian.T @ jacobian + precision)
     checked = (
         "vehicle.front.damper_push.force.0",

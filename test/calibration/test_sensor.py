@@ -19,7 +19,7 @@ from suspension_twin.calibration.run import calibrate
 from suspension_twin.calibration.sensor import common_offset, sensor_estimates
 from suspension_twin.drive.read import read_drive
 from suspension_twin.drive.write import write_drive
-from suspension_twin.inference.mounting import without_clock_offset
+from suspension_twin.inference.sensor_correction import SensorCorrection
 from suspension_twin.inference.simulated import simulate_drive
 from suspension_twin.inference.synthetic import SensorErrors, synthetic_drive
 from suspension_twin.road import load_road
@@ -158,7 +158,7 @@ def test_at_one_speed_the_receiver_says_whether_it_is_the_clock(
     centimetre it is the clock, where it does not nobody can say."""
     drive = read_drive(pass_case.bag("pass"))
     fix = replace(drive.fix, sigma=np.full_like(drive.fix.sigma, sigma))
-    late = replace(without_clock_offset(drive, -LATE), fix=fix, name="late")
+    late = replace(SensorCorrection(clock=-LATE).timed(drive), fix=fix, name="late")
     write_drive(late, tmp_path / "late")
     found = calibrate(CalibrationRequest(pass_case.twin, (str(tmp_path / "late"),)))
     latency = {s.key: s for s in found.sensor}["imu.latency"]

@@ -10,12 +10,14 @@ import numpy as np
 import pytest
 
 from suspension_twin.diagnosis import coarse_search
-from suspension_twin.diagnosis.hypotheses import SETUP_CATEGORIES, combined, variants
+from suspension_twin.diagnosis.library import SETUP_CATEGORIES, variants
 from suspension_twin.diagnosis.request import DiagnosisRequest
 from suspension_twin.diagnosis.run import diagnose
 from suspension_twin.effects.registry import EFFECTS
+from suspension_twin.inference.hypothesis import combined
 from suspension_twin.vehicle.twin import Twin
 
+SIDEWAYS = (0.0, 0.0, 1.5)
 SOME = ("time_offset", "sensor_tilt", "position_offset", "corner_spring")
 
 
@@ -58,23 +60,14 @@ def test_only_what_can_be_set_wrong_is_looked_for_everywhere(car: Twin) -> None:
     for name, effect in EFFECTS.items():
         if "full_car" not in effect.hook.models:
             continue
-        points = coarse_search._severity_grid(turned_by(1.5), variants(effect, car)[0])
+        points = coarse_search._severity_grid(variants(effect, car)[0], SIDEWAYS)
         if effect.where not in SETUP_CATEGORIES:
             assert points is None, name
         elif points is not None:
             low, high = variants(effect, car)[0].bounds()
             assert (points >= low[:, None] - 1e-9).all() and (points <= high[:, None] + 1e-9).all()
-    assert np.shape(
-        coarse_search._severity_grid(turned_by(1.5), variants(EFFECTS["time_offset"], car)[0])
-    ) == (
+    assert np.shape(coarse_search._severity_grid(variants(EFFECTS["time_offset"], car)[0], SIDEWAYS)) == (
         1,
         201,
     )
-    assert coarse_search._measured_turn(turned_by(0.1), variants(EFFECTS["sensor_tilt"], car)[0]) is None
-
-
-def turned_by(yaw: float) -> Any:
-    class Seen:
-        turn = (0.0, 0.0, yaw)
-
-    return Seen()
+    assert coarse_search._measured_turn(variants(EFFECTS["sensor_tilt"], car)[0], (0.0, 0.0, 0.1)) is None

@@ -21,7 +21,6 @@ from suspension_twin.diagnosis.run import diagnose
 from suspension_twin.drive.read import read_drive
 from suspension_twin.drive.write import write_drive
 from suspension_twin.errors import InputError
-from suspension_twin.inference.mounting import without_clock_offset
 from suspension_twin.inference.simulated import simulate_drive
 from suspension_twin.inference.synthetic import synthetic_drive
 from suspension_twin.report.diagnosis import diagnosis_page
@@ -195,12 +194,13 @@ def test_an_effect_that_no_step_leads_to_from_the_baseline_is_tried_on_the_vehic
     lost: list[str] = []
     right = search.refit
 
-    def refit(bench: Any, hypothesis: Any, starts: Any, *how: Any, **more: Any) -> Any:
-        away = all(not np.array_equal(x[: bench.d], bench.centre[: bench.d]) for x in starts)
-        if hypothesis.effects == ("sensor_tilt",) and away and not lost:
+    def refit(problem: Any, starts: Any, *how: Any, **more: Any) -> Any:
+        centre = problem.prior.centre[: problem.d]
+        away = all(not np.array_equal(x[: problem.d], centre) for x in starts)
+        if problem.hypothesis.effects == ("sensor_tilt",) and away and not lost:
             lost.append("sensor_tilt")
             return starts[0], np.inf
-        return right(bench, hypothesis, starts, *how, **more)
+        return right(problem, starts, *how, **more)
 
     monkeypatch.setattr(search, "refit", refit)
     case = make("sensor_tilt", {"roll": 0.06, "pitch": 0.08, "yaw": 0.0})

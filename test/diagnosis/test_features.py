@@ -8,12 +8,12 @@ from typing import Any
 
 import numpy as np
 import pytest
-from one_channel import CHANNEL, RATE, bench
+from one_channel import CHANNEL, RATE, problem_over
 from scipy.signal import butter, sosfilt
 
 from suspension_twin.diagnosis import features
-from suspension_twin.diagnosis.hypotheses import Hypothesis
 from suspension_twin.diagnosis.shrink import RemainingResidual
+from suspension_twin.inference.hypothesis import Hypothesis
 
 
 def road_motion(seed: int, samples: int) -> np.ndarray:
@@ -32,7 +32,7 @@ def test_a_share_of_the_motion_is_even_and_an_order_is_not(seed: int) -> None:
 
     def unevenness(measured: np.ndarray, rest: np.ndarray) -> float:
         residual = RemainingResidual(rest, rest)
-        return features.unevenness(bench([n], measured[:, None]), residual, {CHANNEL: 0.005})
+        return features.unevenness(problem_over([n], measured[:, None]), residual, {CHANNEL: 0.005})
 
     assert unevenness(motion, left) < 2.7
     assert unevenness(motion + order, loud) > 3.0
@@ -46,8 +46,8 @@ def fitted(hypothesis: Hypothesis, nuisances: dict[str, float], values: dict[str
     # a drive of 40 s in two parts, a shorter one, and a longer one from before
     ends = ((0.0, 10.0, 0), (25.0, 40.0, 0), (50.0, 75.0, 1), (90.0, 190.0, 2))
     parts = [SimpleNamespace(t=np.array([a, b]), position=np.array([5.0, 95.0])) for a, b, _ in ends]
-    problem = SimpleNamespace(nuisances=given, twin=twin, parts=parts, drive_of=[drive for *_, drive in ends])
-    there = SimpleNamespace(d=2, q=len(names), problem=problem, active=(True, True, False))
+    data = SimpleNamespace(parts=parts, drive_of=[drive for *_, drive in ends], active=(True, True, False))
+    there = SimpleNamespace(d=2, q=len(names), shared=2 + len(names), nuisances=given, twin=twin, data=data)
     u = [(values[p.name] - p.typical) / p.spread for _, p in hypothesis.searched]
     x = np.concatenate([np.zeros(2), [0.002 * v for v in nuisances.values()], u])
     return there, SimpleNamespace(fit=SimpleNamespace(hypothesis=hypothesis, x=x), penalty=None)

@@ -10,16 +10,9 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from suspension_twin.diagnosis.hypotheses import (
-    DECOYS,
-    WITHOUT_ROAD,
-    Hypothesis,
-    combined,
-    decoys,
-    library,
-    variants,
-)
+from suspension_twin.diagnosis.library import DECOYS, WITHOUT_ROAD, decoys, library, variants
 from suspension_twin.effects.registry import EFFECTS
+from suspension_twin.inference.hypothesis import Hypothesis, combined
 from suspension_twin.vehicle.twin import EffectSpec, Twin, load_twin
 
 

@@ -14,13 +14,12 @@ from typing import Any
 
 import numpy as np
 import pytest
-from suspension_twin.diagnosis.hypotheses import Hypothesis
-from suspension_twin.diagnosis.partial import PartialResults
 
 from suspension_twin.diagnosis.request import DiagnosisRequest
 from suspension_twin.diagnosis.run import diagnose
-from suspension_twin.inference.checkpoint import Checkpoint
+from suspension_twin.inference.checkpoint import Checkpoint, Rounds
 from suspension_twin.inference.fit import Fit
+from suspension_twin.inference.hypothesis import Hypothesis
 
 
 def test_killed_and_started_again_it_ends_with_the_same_bits(
@@ -57,8 +56,8 @@ def test_a_piece_is_done_once_for_one_problem(tmp_path: Path) -> None:
         return Fit(Hypothesis((effect,), around=(0.1,)), x, 0.1 + 0.2), {(0, True): 1 / 3}, [None, 2.5]
 
     def run(problem: str) -> list[Any]:
-        return PartialResults(Checkpoint(tmp_path, problem)).side_by_side(
-            work, ["time_offset", "clock_drift"]
+        return Rounds(Checkpoint(tmp_path, problem)).side_by_side(
+            "first", work, ["time_offset", "clock_drift"]
         )
 
     first, again = run("one"), run("one")
@@ -73,4 +72,4 @@ def test_a_piece_is_done_once_for_one_problem(tmp_path: Path) -> None:
 
 def test_what_is_no_result_is_not_kept(tmp_path: Path) -> None:
     with pytest.raises(TypeError, match="object is no partial result"):
-        PartialResults(Checkpoint(tmp_path, "one")).side_by_side(lambda item: object(), ["a"])
+        Rounds(Checkpoint(tmp_path, "one")).side_by_side("first", lambda item: object(), ["a"])

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from one_channel import CHANNEL, RATE, bench
+from one_channel import CHANNEL, RATE, problem_over
 from scipy.signal import lfilter
 
 from suspension_twin.diagnosis.localisation import _expected_density, _frequency
@@ -28,7 +28,7 @@ def test_a_resonance_is_located_within_a_sixth_of_an_octave(hertz: float, dampin
         0.3 * resonance(rng.standard_normal(n), hertz, damping) + 0.05 * rng.standard_normal(n)
         for n in (3000, 4500)
     ]
-    regions = _frequency(bench([3000, 4500], np.zeros((7500, 1))), drives, 0.01, np.zeros(129))
+    regions = _frequency(problem_over([3000, 4500], np.zeros((7500, 1))), drives, 0.01, np.zeros(129))
     assert regions == sorted(regions, key=lambda r: -r["share"])
     main = regions[0]
     assert main["share"] > 0.4 and main["low_hz"] < main["high_hz"]
@@ -43,7 +43,8 @@ def test_no_band_stands_out_of_a_gap_that_is_everywhere_alike() -> None:
     pink = np.fft.irfft(spectrum / np.sqrt(np.maximum(f, 0.2)))
     assert (
         sum(
-            r["share"] for r in _frequency(bench([12_000], np.zeros((12_000, 1))), [pink], 0.0, np.zeros(129))
+            r["share"]
+            for r in _frequency(problem_over([12_000], np.zeros((12_000, 1))), [pink], 0.0, np.zeros(129))
         )
         < 0.5
     )
@@ -57,13 +58,13 @@ def test_what_a_reference_shows_as_well_is_no_band_of_the_gap() -> None:
     left = [0.2 * resonance(rng.standard_normal(k), 4.0, 0.1) for k in n]
     for k, one in zip(n[:2], left[:2], strict=True):
         one += 0.12 * resonance(rng.standard_normal(k), 11.0, 0.04)
-    there = bench(n, np.concatenate(motion)[:, None], (True, True, False))
+    there = problem_over(n, np.concatenate(motion)[:, None], (True, True, False))
     there.problem.channels = (CHANNEL,)
     usual = _expected_density(there, np.concatenate(left)[:, None], 0)
     band = _frequency(there, left[:2], 0.01, usual)[0]
     assert band["low_hz"] < 11.0 < band["high_hz"]
     # without the reference the larger band is the answer
-    alone = bench(n[:2], np.concatenate(motion[:2])[:, None])
+    alone = problem_over(n[:2], np.concatenate(motion[:2])[:, None])
     plain = _expected_density(alone, np.concatenate(left[:2])[:, None], 0)
     assert not plain.any()
     band = _frequency(alone, left[:2], 0.01, plain)[0]

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from suspension_twin.cli.main import main
-from suspension_twin.diagnosis.hypotheses import library
+from suspension_twin.diagnosis.library import library
 from suspension_twin.diagnosis.plan import plan, rays
 from suspension_twin.diagnosis.sensitivity import Products, planned_drive
 from suspension_twin.errors import InputError

@@ -12,7 +12,7 @@ from typing import Any
 import pytest
 
 from suspension_twin.cli.main import main
-from suspension_twin.inference.runs import observe
+from suspension_twin.inference.runs import observe_runs
 from suspension_twin.vehicle.twin import load_twin
 
 
@@ -68,7 +68,7 @@ def test_runs_of_one_program_share_an_excitation(repository: Path, tmp_path: Pat
     text = (runs / "drops.csv").read_text(encoding="utf-8").splitlines()
     again = tmp_path / "drops.csv"
     again.write_text("\n".join([text[1], *text[2:]]) + "\n", encoding="utf-8")
-    first, other, repeat = observe(twin, [str(runs / "drops.csv"), str(runs / "random.csv"), str(again)])
+    first, other, repeat = observe_runs(twin, [str(runs / "drops.csv"), str(runs / "random.csv"), str(again)])
     assert repeat.excitation is first.excitation and other.excitation is not first.excitation
     assert [first.name, repeat.name] == ["drops", "drops_2"]
     assert abs(float(first.position[0]) - float(other.position[0])) > 1e3 and first.rate == 125.0

@@ -7,14 +7,15 @@ from typing import Any
 
 import numpy as np
 import pytest
-from suspension_twin.diagnosis.bench import Bench
-from suspension_twin.diagnosis.hypotheses import BASELINE, library
 
 from suspension_twin.diagnosis.case import build, read_case
+from suspension_twin.diagnosis.library import library
 from suspension_twin.diagnosis.request import DiagnosisRequest
 from suspension_twin.diagnosis.tone_search import tone_peaks, tone_starts
 from suspension_twin.effects.registry import EFFECTS
 from suspension_twin.inference.fit import refit
+from suspension_twin.inference.hypothesis import BASELINE
+from suspension_twin.inference.problem import Problem, whitener_of
 
 #: Truth, and how far the start of a search may be from it.
 CASES = {
@@ -34,30 +35,30 @@ CASES = {
 
 
 @pytest.fixture(scope="module", params=CASES)
-def toned(request: Any, make: Any) -> tuple[str, Bench]:
+def toned(request: Any, make: Any) -> tuple[str, Problem]:
     twin, bags, _ = make(request.param.partition(",")[0], CASES[request.param][0])
     case = read_case(DiagnosisRequest(str(twin), tuple(bags)), lambda note: None, lambda: False)
     return request.param, build(case, lambda: False)
 
 
-def test_the_strongest_tone_is_a_start(toned: tuple[str, Bench]) -> None:
-    name, bench = toned
+def test_the_strongest_tone_is_a_start(toned: tuple[str, Problem]) -> None:
+    name, problem = toned
     (truth, near), effect = CASES[name], name.partition(",")[0]
-    x, cost = refit(bench, BASELINE, [bench.centre], None, 5)
-    residual, _ = bench.residuals(BASELINE, x[:, None])
+    x, cost = refit(problem, [problem.prior.centre], None, 5)
+    residual, _ = problem.residuals(x[:, None])
     base = type("Base", (), {"x": x, "hypothesis": BASELINE})()
-    hypotheses = library(bench.problem.twin, True, drives=2)[effect]
+    hypotheses = library(problem.twin, True, drives=2)[effect]
     right = [
         h
         for h in hypotheses
         if dict(h.fixed).get(f"effects.{effect}.corner", 2.0) == truth.get("corner", 2.0)
     ]
     (hypothesis,) = right
-    peaks = tone_peaks(bench, residual[:, 0], EFFECTS[effect], hypothesis.corner(effect))
-    starts = tone_starts(bench, base, residual[:, 0], hypothesis, effect, peaks)
-    assert 0.5 * (cost - bench.costs(hypothesis, starts[0][:, None])[0]) > 20.0  # nats
+    peaks = tone_peaks(problem, residual[:, 0], EFFECTS[effect], hypothesis.corner(effect))
+    starts = tone_starts(problem, base, residual[:, 0], hypothesis, effect, peaks)
+    assert 0.5 * (cost - problem.having(hypothesis).costs(starts[0][:, None])[0]) > 20.0  # nats
     found = dict(
-        zip(hypothesis.keys, hypothesis.values(starts[0][bench.d + bench.q :, None])[:, 0], strict=True)
+        zip(hypothesis.keys, hypothesis.values(starts[0][problem.shared :, None])[:, 0], strict=True)
     )
     for key, value in found.items():
         name = key.split(".")[2].partition("@")[0]
@@ -65,26 +66,26 @@ def test_the_strongest_tone_is_a_start(toned: tuple[str, Bench]) -> None:
         off = (off + np.pi) % (2 * np.pi) - np.pi if name == "phase" else off
         assert abs(off) < near[name], (key, value)
     # another effect is no tone
-    assert not tone_peaks(bench, residual[:, 0], EFFECTS["strut_friction"])
+    assert not tone_peaks(problem, residual[:, 0], EFFECTS["strut_friction"])
 
 
-def test_each_drive_has_a_phase_of_its_own(toned: tuple[str, Bench]) -> None:
+def test_each_drive_has_a_phase_of_its_own(toned: tuple[str, Problem]) -> None:
     """A drive is simulated with its own, whatever the other's is."""
-    name, bench = toned
+    name, problem = toned
     effect = name.partition(",")[0]
-    hypothesis = library(bench.problem.twin, True, drives=2)[effect][0]
+    hypothesis = library(problem.twin, True, drives=2)[effect][0]
     assert [k for k in hypothesis.keys if "phase" in k] == [
         f"effects.{effect}.phase",
         f"effects.{effect}.phase@1",
     ]
     strength = hypothesis.keys.index(f"effects.{effect}.{EFFECTS[effect].severity[0]}")
     rows = [hypothesis.keys.index(k) for k in hypothesis.keys if "phase" in k]
-    points = np.repeat(np.concatenate([bench.centre, hypothesis.neutral()])[:, None], 3, axis=1)
-    points[bench.d + bench.q + strength] = 1.0
-    points[[bench.d + bench.q + r for r in rows]] = [[0.0, 0.5, 0.0], [0.0, 0.5, 0.5]]
-    found, failed = bench.residuals(hypothesis, points)
+    points = np.repeat(np.concatenate([problem.prior.centre, hypothesis.neutral()])[:, None], 3, axis=1)
+    points[problem.shared + strength] = 1.0
+    points[[problem.shared + r for r in rows]] = [[0.0, 0.5, 0.0], [0.0, 0.5, 0.5]]
+    found, failed = problem.having(hypothesis).residuals(points)
     assert not failed.any()
-    first = bench.whitener.drive == 0
+    first = whitener_of(problem).drive == 0
     assert np.array_equal(found[first, 2], found[first, 0]) and np.array_equal(
         found[~first, 2], found[~first, 1]
     )

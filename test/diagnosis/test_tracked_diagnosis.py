@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from suspension_twin.diagnosis.hypotheses import library
+from suspension_twin.diagnosis.library import library
 from suspension_twin.diagnosis.request import DiagnosisRequest, Progress
 from suspension_twin.diagnosis.run import diagnose
 from suspension_twin.effects.registry import EFFECTS

@@ -12,7 +12,7 @@ import pytest
 from suspension_twin.drive.types import Drive
 from suspension_twin.errors import InputError
 from suspension_twin.inference.imu_gnss_consistency import consistency
-from suspension_twin.inference.observation import observe, reclocked_excitation, turned_excitation
+from suspension_twin.inference.observation import observe, with_shown_errors
 from suspension_twin.inference.synthetic import SensorErrors, synthetic_drive
 from suspension_twin.models.simulate import simulate_twin
 from suspension_twin.road import Road, flat_road
@@ -163,11 +163,14 @@ def test_a_path_that_was_bent_by_a_sensor_is_not_asked_how_far_that_is_turned(
     drive: Drive, twin: Twin, bumps: Road, yaw: float
 ) -> None:
     spoilt = facing(drive, yaw)
-    found, turn = turned_excitation(observe(spoilt, twin, bumps), spoilt)
+    source = with_shown_errors(observe(spoilt, twin, bumps)).source
+    assert source.shown is not None and source.shown.turn is not None
+    turn = source.shown.turn
+    found = source.excitation(source.correction(("sensor_tilt",), (), False))
     assert math.cos(turn[2] - yaw) > 0.999
     sound, right = observe(drive, twin, bumps), np.array(turn[:2])
     assert np.abs(right).max() < 0.02
-    assert found.speed.max() == pytest.approx(sound.excitation.speed.max(), abs=0.1)
+    assert found.speed.max() == pytest.approx(sound.road_excitation.speed.max(), abs=0.1)
 
 
 @pytest.mark.parametrize("seconds", [-1.1, 0.06, 0.7])
@@ -180,12 +183,12 @@ def test_a_clock_that_is_known_to_be_late_costs_nothing(
     )
     sound, known = observe(drive, twin, bumps), observe(spoilt, knowing, bumps)
     assert not any("after" in w or "before" in w for w in known.warnings)
-    assert known.excitation.late == pytest.approx(seconds)
+    assert known.road_excitation.late == pytest.approx(seconds)
     assert np.array_equal(known.excitation.t, known.signals.t)
-    gaps = [p.gap(p.condition(simulate_twin(p.twin, p.excitation))).rms for p in (sound, known)]
+    gaps = [p.gap(p.condition(simulate_twin(p.twin, p.road_excitation))).rms for p in (sound, known)]
     assert gaps[1] == pytest.approx(gaps[0], rel=5e-3)
     unknown = observe(spoilt, twin, bumps)
-    assert unknown.gap(unknown.condition(simulate_twin(twin, unknown.excitation))).rms > 1.3 * gaps[0]
+    assert unknown.gap(unknown.condition(simulate_twin(twin, unknown.road_excitation))).rms > 1.3 * gaps[0]
 
 
 @pytest.mark.parametrize("upright", [False, True])
@@ -194,15 +197,17 @@ def test_how_late_a_clock_is_seen_to_be_is_taken_off_the_motion(
     drive: Drive, twin: Twin, bumps: Road, seconds: float, upright: bool
 ) -> None:
     spoilt = late(drive, seconds)
-    seen = reclocked_excitation(observe(spoilt, twin, bumps), spoilt, upright)
-    assert seen is not None and seen.late == pytest.approx(seconds, abs=0.05)
-    sound, bent = observe(drive, twin, bumps).excitation, observe(spoilt, twin, bumps).excitation
+    source = with_shown_errors(observe(spoilt, twin, bumps)).source
+    seen = source.excitation(source.correction(("time_offset",), (), upright))
+    assert seen.late == pytest.approx(seconds, abs=0.05)
+    sound, bent = observe(drive, twin, bumps).road_excitation, observe(spoilt, twin, bumps).road_excitation
     off, more = (float(np.std(e.speed - sound.speed)) for e in (seen, bent))
     assert off < 0.3 * more
 
 
 def test_a_clock_that_is_right_is_not_taken_off_the_motion(drive: Drive, twin: Twin, bumps: Road) -> None:
-    assert reclocked_excitation(observe(drive, twin, bumps), drive) is None
+    shown = with_shown_errors(observe(drive, twin, bumps)).source.shown
+    assert shown is not None and shown.clock == 0.0
 
 
 def test_a_drive_that_hardly_moves_tells_nothing(drive: Drive, twin: Twin) -> None:

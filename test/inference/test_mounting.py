@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A sensor turned on its mount, or that reads too much: how far a drive shows it, and what then moves the vehicle."""
+"""Corrections of the sensor: how far a drive shows a turn or a gain, and the excitation that is read without it."""
 
 from __future__ import annotations
 
@@ -8,15 +8,15 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from suspension_twin.inference.mounting import gain_at_rest, heading_off, regained, turned
 
 from suspension_twin.arrays import Floats
 from suspension_twin.drive.types import Drive
-from suspension_twin.inference.observation import (
-    observe,
-    regained_excitation,
-    turned_excitation,
-    upright_excitation,
+from suspension_twin.inference.observation import Observation, observe, with_shown_errors
+from suspension_twin.inference.sensor_correction import (
+    SensorCorrection,
+    gain_at_rest,
+    heading_error,
+    turned,
 )
 from suspension_twin.inference.synthetic import SensorErrors, synthetic_drive
 from suspension_twin.models.excitation import MOTION
@@ -44,7 +44,18 @@ def recorded(tilted: Twin, bumps: Road) -> Drive:
 def sound(twin: Twin, bumps: Road) -> Excitation:
     """What the same drive excites the vehicle with, measured by a sensor that stands as the file says."""
     drive = synthetic_drive(twin, bumps, KNOTS, seed=4, errors=SensorErrors(), name="sound")
-    return observe(drive, twin, bumps).excitation
+    return observe(drive, twin, bumps).road_excitation
+
+
+def read_for(effects: tuple[str, ...], observation: Observation, upright: bool = False) -> Excitation:
+    """The excitation by a drive as a hypothesis with these effects reads it."""
+    source = with_shown_errors(observation).source
+    return source.excitation(source.correction(effects, (), upright))
+
+
+def scaled(drive: Drive, gain: float) -> Drive:
+    """The drive with its specific force times a gain."""
+    return replace(drive, imu=replace(drive.imu, specific_force=drive.imu.specific_force * gain))
 
 
 def off(found: Excitation, true: Excitation, what: str) -> float:
@@ -59,7 +70,7 @@ def test_a_further_turn_comes_after_the_one_in_the_file() -> None:
     np.testing.assert_allclose(rpy_matrix(turned(place, rpy).rpy) @ reading, once, atol=1e-12)
 
 
-def test_a_tilt_that_the_twin_file_knows_is_nothing_to_be_warned_of(
+def test_a_tilt_in_the_twin_file_gives_no_warning(
     recorded: Drive, tilted: Twin, twin: Twin, bumps: Road
 ) -> None:
     assert any("off upright" in w for w in observe(recorded, twin, bumps).warnings)
@@ -76,14 +87,14 @@ def test_the_path_shows_which_way_an_upright_sensor_faces(
     c, s = math.cos(yaw), math.sin(yaw)
     turn = np.array([[c, s, 0.0], [-s, c, 0.0], [0.0, 0.0, 1.0]])
     exact = replace(prepared.signals, force=prepared.signals.force @ turn.T, up=prepared.signals.up @ turn.T)
-    assert heading_off(exact, prepared.trajectory) == pytest.approx(yaw, abs=0.01)
-    assert math.cos(heading_off(spun, prepared.trajectory) - yaw) > 0.85
+    assert heading_error(exact, prepared.trajectory) == pytest.approx(yaw, abs=0.01)
+    assert math.cos(heading_error(spun, prepared.trajectory) - yaw) > 0.85
 
 
-def test_where_nothing_pulls_no_heading_is_told(drive: Drive, twin: Twin, bumps: Road) -> None:
+def test_without_acceleration_there_is_no_heading_error(drive: Drive, twin: Twin, bumps: Road) -> None:
     prepared = observe(drive, twin, bumps)
     none: Floats = np.zeros_like(prepared.trajectory.ax)
-    assert heading_off(prepared.signals, replace(prepared.trajectory, ax=none, yaw_rate=none)) == 0.0
+    assert heading_error(prepared.signals, replace(prepared.trajectory, ax=none, yaw_rate=none)) == 0.0
 
 
 @pytest.mark.parametrize("known", [False, True], ids=["shown by the drive", "in the twin file"])
@@ -92,43 +103,54 @@ def test_a_turned_sensor_does_not_push_the_vehicle(
 ) -> None:
     """By 17° of yaw a third of the braking is taken for a push to the side, which rolls the body."""
     plain = observe(recorded, twin, bumps)
-    found = observe(recorded, tilted, bumps).excitation if known else turned_excitation(plain, recorded)[0]
-    assert off(plain.excitation, sound, "ay") > 0.06
+    found = observe(recorded, tilted, bumps).road_excitation if known else read_for(("sensor_tilt",), plain)
+    assert off(plain.road_excitation, sound, "ay") > 0.06
     for what in ("ax", "ay"):
         assert off(found, sound, what) < 0.01
-        assert off(found, sound, what) < 0.3 * off(plain.excitation, sound, what)
+        assert off(found, sound, what) < 0.3 * off(plain.road_excitation, sound, what)
 
 
 @pytest.mark.parametrize("scale", [-0.3, 0.0, 0.25])
 def test_gravity_shows_a_gain_and_a_bias_is_none(twin: Twin, bumps: Road, scale: float) -> None:
     errors = SensorErrors(force_bias=(0.05, -0.05, 0.1))
     drive = synthetic_drive(twin, bumps, KNOTS, seed=5, errors=errors, name="biased")
-    gain = gain_at_rest(ingest_drive(regained(drive, 1.0 / (1.0 + scale)), twin.imu))
+    gain = gain_at_rest(ingest_drive(scaled(drive, 1.0 + scale), twin.imu))
     assert gain == (1.0 if scale == 0.0 else pytest.approx(1.0 + scale, abs=0.02))
 
 
 def test_a_drive_that_never_stands_shows_no_gain(drive: Drive, twin: Twin) -> None:
-    signals = ingest_drive(regained(drive, 0.5), twin.imu)
+    signals = ingest_drive(scaled(drive, 2.0), twin.imu)
     assert gain_at_rest(signals) == pytest.approx(2.0, abs=0.02)
     assert gain_at_rest(replace(signals, standing=np.zeros_like(signals.standing))) == 1.0
 
 
 @pytest.mark.parametrize("known", [False, True], ids=["shown by the drive", "in the twin file"])
-def test_what_a_sensor_reads_too_much_does_not_push_the_vehicle(
+def test_a_gain_of_the_sensor_does_not_push_the_vehicle(
     twin: Twin, bumps: Road, sound: Excitation, known: bool
 ) -> None:
     loud = twin.model_copy(update={"effects": (EffectSpec(id="sensor_scale", parameters={"scale": 0.4}),)})
     recorded = synthetic_drive(loud, bumps, KNOTS, seed=4, errors=SensorErrors(), name="loud")
     plain = observe(recorded, twin, bumps)
-    found = observe(recorded, loud, bumps).excitation if known else regained_excitation(plain, recorded)
-    assert off(found, sound, "ax") < 0.3 * off(plain.excitation, sound, "ax")
-    assert off(found, sound, "ay") < 0.5 * off(plain.excitation, sound, "ay")
+    found = observe(recorded, loud, bumps).road_excitation if known else read_for(("sensor_scale",), plain)
+    assert off(found, sound, "ax") < 0.3 * off(plain.road_excitation, sound, "ax")
+    assert off(found, sound, "ay") < 0.5 * off(plain.road_excitation, sound, "ay")
     if known:  # whatever else is asked of such a sensor
         known_loud = observe(recorded, loud, bumps)
-        for again in (upright_excitation(known_loud, recorded), turned_excitation(known_loud, recorded)[0]):
-            assert off(again, sound, "ax") < 0.3 * off(plain.excitation, sound, "ax")
+        for again in (read_for((), known_loud, upright=True), read_for(("sensor_tilt",), known_loud)):
+            assert off(again, sound, "ax") < 0.3 * off(plain.road_excitation, sound, "ax")
 
 
 def test_a_sensor_without_a_gain_is_not_read_again(drive: Drive, twin: Twin, bumps: Road) -> None:
-    prepared = observe(drive, twin, bumps)
-    assert regained_excitation(prepared, drive) is None
+    source = with_shown_errors(observe(drive, twin, bumps)).source
+    assert source.shown is not None and source.shown.gain == 1.0
+    assert source.correction(("sensor_scale",), (), False) == SensorCorrection.of_twin(twin)
+
+
+def test_a_correction_is_read_once(drive: Drive, twin: Twin, bumps: Road) -> None:
+    """Readings of the same content share an excitation, whoever made them."""
+    one, other = (with_shown_errors(observe(drive, twin, bumps)).source for _ in range(2))
+    correction = SensorCorrection(upright=True)
+    assert one == other and hash(one) == hash(other)
+    assert one.excitation(correction) is other.excitation(correction)
+    moved = replace(one, twin=twin.with_changes({"vehicle.cog.2": twin.vehicle.cog[2] + 0.1}))
+    assert moved != one and moved.excitation(correction) is not one.excitation(correction)

@@ -23,8 +23,7 @@ from suspension_twin.inference.nuisance import (
     map_spread,
     slow_position_error,
 )
-from suspension_twin.inference.observation import Observation, observe
-from suspension_twin.inference.runs import Run
+from suspension_twin.inference.observation import Comparison, Grid, Observation, observe
 
 CHANNELS = (
     "vertical_acceleration",
@@ -48,7 +47,7 @@ EVERY = NuisancePriors(
     rate_bias=0.7,
     pivot=0.8,
     slip=0.9,
-    holder=1.1,
+    mount=1.1,
     drive_map=1.2,
     speed=1.3,
     wander_seconds=2.0,
@@ -57,24 +56,18 @@ EVERY = NuisancePriors(
 
 def part_of(
     name: str = "one", seconds: float = 5.0, start: float = 20.0, along: Any = 8.0, channels: Any = CHANNELS
-) -> Run:
+) -> Observation:
     """Measured noise; a vehicle that is ``along`` m/s fast at the seconds since its start."""
     t = start + np.arange(round(seconds * RATE) + 1) / RATE
     rng = np.random.default_rng(t.size)
     speed = along(t - start) if callable(along) else np.full(t.size, along)
     nothing: Any = None
-    return Run(
-        name=name,
-        t=t,
-        rate=RATE,
-        bandwidth=20.0,
-        excitation=nothing,
-        conditioner=nothing,
-        measured={c: rng.standard_normal(t.size) for c in channels},
-        noise_rms={},
-        position=np.cumsum(speed) / RATE,
-        along=speed,
-    )
+    mask = np.ones(t.size, dtype=bool)
+    names = tuple(channels)
+    grid = Grid(t, RATE, 20.0, nothing, np.cumsum(speed) / RATE, speed, mask)
+    comparison = Comparison(names, names, NuisancePriors(), np.zeros(t.size, dtype=np.intp))
+    measured = {c: rng.standard_normal(t.size) for c in channels}
+    return Observation(name, grid, nothing, measured, {}, comparison)
 
 
 class Waves:
@@ -123,7 +116,7 @@ def reading(
     add("yaw_rate", "lateral_acceleration", of("rear_slip"))
     if "vertical_acceleration" in where:
         own = where["vertical_acceleration"]
-        out[:, own] -= of("holder") * waves.bend(later)[:, own] / (2 * np.pi * 70.0) ** 2
+        out[:, own] -= of("mount") * waves.bend(later)[:, own] / (2 * np.pi * 70.0) ** 2
     for channel, c in where.items():
         if channel in FORCES:
             out[:, c] *= 1.0 + of("gain")
@@ -133,7 +126,7 @@ def reading(
         force = np.stack(
             [m["longitudinal_acceleration"], m["lateral_acceleration"], m["vertical_acceleration"]], 1
         )
-        force[:, 2] += part.signals.gravity
+        force[:, 2] += part.comparison.gravity
         rate = np.stack([m["roll_rate"], m["pitch_rate"], m["yaw_rate"]], 1)
         for name, axis in (("tilt_roll", [1.0, 0, 0]), ("tilt_pitch", [0, 1.0, 0])):
             turned = np.concatenate([np.cross(axis, force), np.cross(axis, rate)], axis=1)[rows]
@@ -193,7 +186,7 @@ def test_each_nuisance_has_the_spread_of_its_prior() -> None:
         "pivot_pitch": 0.8,
         "pivot_roll": 0.8,
         "rear_slip": 0.9,
-        "holder": 1.1,
+        "mount": 1.1,
         "one.clock_offset": 0.1,
         "one.speed": 1.3,
         "one.map_position": 1.2,
@@ -213,17 +206,17 @@ def test_a_tilt_is_one_about_each_axis_in_the_plane(prepared: Observation) -> No
     [
         (
             ("pitch_rate", "roll_rate", "yaw_rate"),
-            {"gain", "holder", "pivot_pitch", "pivot_roll", "rear_slip"},
+            {"gain", "mount", "pivot_pitch", "pivot_roll", "rear_slip"},
         ),
         (("vertical_acceleration",), {"pivot_pitch", "pivot_roll", "rear_slip"}),
-        (("longitudinal_acceleration", "pitch_rate"), {"holder", "pivot_roll", "rear_slip"}),
-        (("lateral_acceleration", "roll_rate"), {"holder", "pivot_pitch", "rear_slip"}),
-        (("lateral_acceleration", "yaw_rate"), {"holder", "pivot_pitch", "pivot_roll"}),
-        (("longitudinal_acceleration", "roll_rate"), {"holder", "pivot_pitch", "pivot_roll", "rear_slip"}),
+        (("longitudinal_acceleration", "pitch_rate"), {"mount", "pivot_roll", "rear_slip"}),
+        (("lateral_acceleration", "roll_rate"), {"mount", "pivot_pitch", "rear_slip"}),
+        (("lateral_acceleration", "yaw_rate"), {"mount", "pivot_pitch", "pivot_roll"}),
+        (("longitudinal_acceleration", "roll_rate"), {"mount", "pivot_pitch", "pivot_roll", "rear_slip"}),
     ],
 )
 def test_what_no_compared_channel_shows_is_left_out(channels: tuple[str, ...], missing: set[str]) -> None:
-    shared = {"gain", "holder", "pivot_pitch", "pivot_roll", "rear_slip"}
+    shared = {"gain", "mount", "pivot_pitch", "pivot_roll", "rear_slip"}
     found = spreads(EVERY, channels)
     assert shared - set(found) == missing
     assert {n.rpartition(".")[2] for n in found if ".bias." in n} == set(channels)
@@ -293,7 +286,7 @@ def values_of(size: float, seed: int, lanes: int) -> dict[str, np.ndarray]:
         "pivot_pitch": 0.05,
         "pivot_roll": 0.05,
         "rear_slip": 0.02,
-        "holder": 40.0,
+        "mount": 40.0,
         "one.clock_offset": 0.03,
         "one.speed": 0.01,
         "one.map_position": 0.2,
@@ -420,16 +413,16 @@ def test_only_what_the_road_brings_about_is_shifted(late: Any, one_given: bool) 
     n = Nuisances([part], [0], FORCES, replace(EVERY, tilt=0.0), [0.0])
     lanes = np.size(late) if np.size(late) > 1 else 2
     road, plane = Waves(3, 1 if one_given else lanes, 4), Waves(3, 1, 5)
-    n.carried = [plane.at(part.t[:, None])[:, :, 0]]
+    n = n.with_planar_response([plane.at(part.t[:, None])[:, :, 0]])
     values = np.zeros((len(n), lanes))
     values[n.names.index("one.clock_offset")] = late
     values[n.names.index("one.bias.lateral_acceleration")] = 0.2
     rows = rows_of(part)
     repeated = np.repeat(part.t[:, None], 1 if one_given else lanes, axis=1)
-    simulated = road.at(repeated) + n.carried[0][:, :, None]
+    simulated = road.at(repeated) + n.planar_response[0][:, :, None]
     got = n.apply(0, simulated, rows, values)
     wanted = road.at(part.t[rows, None] + values[n.names.index("one.clock_offset")])
-    wanted = wanted + n.carried[0][rows][:, :, None]
+    wanted = wanted + n.planar_response[0][rows][:, :, None]
     wanted[:, FORCES.index("lateral_acceleration")] += 0.2
     np.testing.assert_allclose(got, wanted, atol=3e-3)
 
@@ -471,9 +464,9 @@ def test_steps_are_small_against_the_priors() -> None:
     assert 1e-6 < share[0] < 1e-2
 
 
-def test_only_a_holder_is_one_sided() -> None:
+def test_only_a_mount_is_one_sided() -> None:
     n = Nuisances([part_of()], [0], CHANNELS, replace(EVERY, tilt=0.0), [0.3])
-    assert [name for name, one in zip(n.names, n.one_sided, strict=True) if one] == ["holder"]
+    assert [name for name, one in zip(n.names, n.one_sided, strict=True) if one] == ["mount"]
 
 
 # -- priors ----------------------------------------------------------------------------------------
@@ -528,7 +521,7 @@ def test_a_known_road_and_a_calibrated_twin_leave_less() -> None:
     assert OF_A_DRIVE.force_bias == start.force_bias
     # 6 ms are normal of any recording, three deviations
     assert 3 * OF_A_DRIVE.common_clock == pytest.approx(0.006)
-    assert kinds(OF_PLANAR_MOTION) == {"rear_slip", "holder", "bias"}
+    assert kinds(OF_PLANAR_MOTION) == {"rear_slip", "mount", "bias"}
     assert 0 < 8.0 * OF_PLANAR_MOTION.slip < 0.1  # some degrees in as hard a turn as a car can take
     assert replace(
         OF_A_DRIVE, clock=0.0, common_clock=0.0, map_position=0.0, tilt=0.0, pivot=0.0, drive_map=0.0,
@@ -537,7 +530,7 @@ def test_a_known_road_and_a_calibrated_twin_leave_less() -> None:
 
 
 def drives(*sigmas: float) -> list[Any]:
-    return [replace(part_of(), position_sigma=s) for s in sigmas]
+    return [replace(p := part_of(), grid=replace(p.grid, position_sigma=s)) for s in sigmas]
 
 
 def test_the_map_is_off_by_a_third_of_a_fix() -> None:

@@ -14,7 +14,8 @@ from suspension_twin.drive.rig import RigRecord, read_rig, write_rig
 from suspension_twin.errors import InputError
 from suspension_twin.inference.marker_runs import CUTOFF, FLOORS, MarkerRun, low_pass, read_run
 from suspension_twin.inference.nuisance import OF_A_RIG, OF_A_RUN
-from suspension_twin.inference.runs import Run, RunPath, marker_observation, observe, renamed
+from suspension_twin.inference.observation import Observation, renamed
+from suspension_twin.inference.runs import marker_observation, observe_runs
 from suspension_twin.vehicle.twin import Twin, load_twin
 
 
@@ -47,7 +48,7 @@ def test_runs_of_a_rig_share_a_program_only_if_it_is_the_same(
     whole = repository / "config" / "rig" / "random.csv"
     part = beginning(whole, 1501, tmp_path)
     pair = [whole, part] if long_first else [part, whole]
-    one, again, other = observe(twin, [str(path) for path in (pair[0], pair[0], pair[1])])
+    one, again, other = observe_runs(twin, [str(path) for path in (pair[0], pair[0], pair[1])])
     assert again.excitation is one.excitation and again.name != one.name
     assert other.excitation is not one.excitation
     assert one.position[-1] < other.position[0] or other.position[-1] < one.position[0]
@@ -68,7 +69,7 @@ def test_a_run_with_markers_is_what_was_filmed() -> None:
     run = marker_run()
     seen = marker_observation(run)
     assert seen.name == "some run" and seen.rate == pytest.approx(50.0) and seen.bandwidth == CUTOFF
-    assert seen.priors == OF_A_RUN and seen.warnings == () and seen.position_sigma == 0.0
+    assert seen.comparison.priors == OF_A_RUN and seen.warnings == () and seen.position_sigma == 0.0
     np.testing.assert_array_equal(seen.t, run.t)
     np.testing.assert_allclose(seen.position, 3.0 * run.t)
     np.testing.assert_array_equal(seen.along, np.full(40, 3.0))
@@ -95,15 +96,9 @@ def test_what_is_simulated_begins_with_the_run_and_is_compared_where_it_was_film
     np.testing.assert_allclose(seen.excitation.t, np.arange(first + 40) / 50.0, atol=1e-12)
     stamps = np.repeat(seen.excitation.t[:, None], 2, axis=1)
     filtered = low_pass(stamps, 50.0)
-    path = seen.conditioner.apply(stamps)
+    path = seen.grid.apply(stamps)
     np.testing.assert_allclose(path, filtered[first : first + 40], rtol=1e-12)
     assert path.flags.c_contiguous
-
-
-def test_the_path_of_a_run_filters_all_and_cuts_after_that() -> None:
-    path = RunPath(20.0, 3, 4, lambda x, rate: np.cumsum(x, axis=0) * rate)
-    x = np.arange(24.0).reshape(12, 2)
-    np.testing.assert_allclose(path.apply(x.tolist()), 20.0 * np.cumsum(x, axis=0)[3:7])
 
 
 def test_repeats_share_an_excitation_of_their_speed_alone() -> None:
@@ -128,7 +123,7 @@ def test_runs_are_read_in_the_order_that_they_are_given(repository: Path, tmp_pa
     twin = load_twin(repository / "config" / "tracked" / "pt91.yaml")
     run = repository / "config" / "tracked" / "runs" / "13kmh_1.csv"
     short, long = (beginning(run, n, tmp_path) for n in (61, 91))
-    found = observe(twin, [str(short), str(long), str(short)])
+    found = observe_runs(twin, [str(short), str(long), str(short)])
     assert [r.t.size for r in found] == [60, 90, 60]
     assert [r.name for r in found] == [short.stem, long.stem, f"{short.stem}_2"]
     assert len({id(r.excitation) for r in found}) == 1
@@ -149,12 +144,12 @@ def record(repository: Path) -> RigRecord:
     return RigRecord("rig", whole.t[:800], {k: v[:800] for k, v in whole.columns.items()})
 
 
-def runs_of(corner: Twin, folder: Path, *records: RigRecord) -> list[Run]:
+def runs_of(corner: Twin, folder: Path, *records: RigRecord) -> list[Observation]:
     paths = [folder / f"{i}" / "run.csv" for i in range(len(records))]
     for path, one in zip(paths, records, strict=True):
         path.parent.mkdir()
         write_rig(one, path)
-    return observe(corner, [str(path) for path in paths])
+    return observe_runs(corner, [str(path) for path in paths])
 
 
 def changed(record: RigRecord, name: str, by: np.ndarray) -> RigRecord:
@@ -177,13 +172,13 @@ def test_inputs_that_differ_by_the_noise_of_a_transducer_are_one_program(
     # samples of one program at one time are held out together, of two programs never
     np.testing.assert_array_equal(one.position, again.position)
     np.testing.assert_array_equal(one.position, last.position)
-    assert other.position[0] - one.position[-1] > 100 * one.block
+    assert not set(other.comparison.block) & set(one.comparison.block)
     for run in (one, other):
         np.testing.assert_allclose(np.diff(run.position), 1.0 / run.rate)
         assert (run.along == 1.0).all() and run.along.shape == run.t.shape
-        assert run.priors == OF_A_RIG and run.block > 0
+        assert run.comparison.priors == OF_A_RIG
     assert set(one.measured) == set(one.noise_rms) == set(record.columns) - {"road_displacement"}
-    assert one.conditioner.apply(np.zeros((800, 2))).shape == (one.t.size, 2)
+    assert one.grid.apply(np.zeros((800, 2))).shape == (one.t.size, 2)
     assert one.bandwidth < one.rate / 2
 
 
@@ -199,7 +194,7 @@ def test_an_actuator_is_an_input_too(corner: Twin, record: RigRecord, tmp_path: 
 
 def test_a_vehicle_that_is_compared_with_drives_has_no_runs(mondeo: Twin) -> None:
     with pytest.raises(InputError, match="full_car is compared with recorded drives"):
-        observe(mondeo, ["run.csv"])
+        observe_runs(mondeo, ["run.csv"])
 
 
 # -- names -----------------------------------------------------------------------------------------

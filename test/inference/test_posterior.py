@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
@@ -13,9 +14,8 @@ import pytest
 from scipy.stats import norm
 
 from suspension_twin.drive.read import read_drive
-from suspension_twin.inference.nuisance import NuisancePriors
-from suspension_twin.inference.objectives import Term
-from suspension_twin.inference.observation import observe
+from suspension_twin.inference.objectives import Objective, Term
+from suspension_twin.inference.observation import Observation, observe
 from suspension_twin.inference.posterior import (
     CORRELATION,
     Posterior,
@@ -24,8 +24,8 @@ from suspension_twin.inference.posterior import (
     span_of,
     travel,
 )
-from suspension_twin.inference.problem import FitProblem, Problem
-from suspension_twin.inference.runs import observe
+from suspension_twin.inference.problem import Data, Likelihood, Problem
+from suspension_twin.inference.runs import observe_runs
 from suspension_twin.inference.space import Curve, Parameter, Space, twin_value
 from suspension_twin.inference.spring_position import slides
 from suspension_twin.models.simulate import simulate_twin
@@ -451,7 +451,7 @@ def test_of_a_simulated_corner(corner: Twin, run_problem: Problem) -> None:
     x = np.concatenate([problem.space.z0, np.zeros(len(problem.nuisances))])
     precision = np.diag([*[4.0] * d, *problem.nuisances.spread**-2.0])
     found = posterior(problem, Scaled(), x, precision, travel(corner, problem), 1)
-    _, jacobian = FitProblem(problem, Scaled().residuals).linearise(x)
+    jacobian = problem.weighed(Scaled()).linearise(x).jacobian
     plain = np.linalg.inv(jacobian.T @ jacobian + precision)
     ratio = np.diag(found.covariance) / np.diag(plain)
     assert (ratio > 1 - 1e-9).all()
@@ -467,17 +467,26 @@ def test_of_a_simulated_corner(corner: Twin, run_problem: Problem) -> None:
 
 @pytest.fixture(scope="module")
 def run_problem(corner: Twin, repository: Path) -> Problem:
-    (run,) = observe(corner, [str(repository / "config" / "rig" / "random.csv")])
-    rows = [np.arange(40, run.t.size - 20, 2)]
-    terms = (Term("mse", "body_acceleration"),)
-    return Problem(corner, space_of(corner), [run], [0], terms, run.priors, [0.0], rows)
+    (run,) = observe_runs(corner, [str(repository / "config" / "rig" / "random.csv")])
+    rows = (np.arange(40, run.t.size - 20, 2),)
+    return problem_of(corner, space_of(corner), (run,), rows, "body_acceleration")
+
+
+def problem_of(
+    twin: Twin, space: Space, parts: Sequence[Observation], rows: Sequence[np.ndarray], channel: str
+) -> Problem:
+    """The problem of one drive in parts, its mean squared difference in one channel."""
+    data = Data(tuple(parts), (0,) * len(parts), tuple(rows), (channel,), (True,))
+    nuisances = data.nuisances(parts[0].comparison.priors)
+    objective = Objective((Term("mse", channel),), data.measured)
+    return Problem.of(twin, space, Likelihood(data, nuisances, objective))
 
 
 def test_travel_is_what_the_suspension_did_at_the_compared_samples(
     corner: Twin, run_problem: Problem
 ) -> None:
     found = travel(corner, run_problem)
-    (part,), (rows,) = run_problem.parts, run_problem.rows
+    (part,), (rows,) = run_problem.data.parts, run_problem.data.rows
     response = simulate_twin(corner, part.excitation)
     assert found.rate == run_problem.measured.rate == part.rate
     assert list(found.compression) == list(found.velocity) == [""]
@@ -499,10 +508,11 @@ def beside(got: np.ndarray, t: np.ndarray, recorded: np.ndarray, when: np.ndarra
 
 def test_travel_holds_the_last_stamp(corner: Twin, run_problem: Problem) -> None:
     """A grid may end a fraction of a step after what was simulated."""
-    (part,) = run_problem.parts
-    late = replace(part, t=part.t + (part.excitation.t[-1] - part.t[-1]) + 0.4 / part.rate)
+    (part,) = run_problem.data.parts
+    t = part.t + (part.excitation.t[-1] - part.t[-1]) + 0.4 / part.rate
+    late = replace(part, grid=replace(part.grid, t=t))
     rows = np.arange(part.t.size - 50, part.t.size)
-    problem = Problem(corner, run_problem.space, [late], [0], run_problem.terms, late.priors, [0.0], [rows])
+    problem = problem_of(corner, run_problem.space, [late], [rows], "body_acceleration")
     found = travel(corner, problem)
     response = simulate_twin(corner, part.excitation)
     assert found.compression[""][-1] == response.deflection[-1, 0]
@@ -516,8 +526,7 @@ def test_travel_of_a_car_is_that_of_both_wheels_of_each_axle_over_all_parts(pass
     rows = [np.arange(100, 400), np.arange(50, 150)]
     keys = [f"vehicle.{axle}.spring.force.0" for axle in ("front", "rear")]
     space = Space(twin, [Parameter(k, twin_value(twin, k), 1.0, 1e6) for k in keys])
-    terms = (Term("mse", "vertical_acceleration"),)
-    problem = Problem(twin, space, parts, [0, 0], terms, NuisancePriors(), [0.0], rows)
+    problem = problem_of(twin, space, parts, rows, "vertical_acceleration")
     found = travel(twin, problem)
     assert list(found.compression) == list(found.velocity) == list(found.static) == ["front", "rear"]
     responses = [simulate_twin(twin, part.excitation) for part in parts]

@@ -10,16 +10,18 @@ import numpy as np
 import pytest
 
 from suspension_twin.calibration.request import CalibrationRequest
-from suspension_twin.calibration.setup import set_up
+from suspension_twin.calibration.searches import costs_of, synchronised
+from suspension_twin.calibration.setup import Setup, problem_of, set_up
+from suspension_twin.calibration.squares import moved
 from suspension_twin.drive.read import read_drive
 from suspension_twin.errors import InputError, WorkError
 from suspension_twin.inference.coarse_alignment import coarse_lag
 from suspension_twin.inference.excited_segments import excited, fit_rows, trim
 from suspension_twin.inference.noise import Whitener, autoregression
 from suspension_twin.inference.nuisance import NuisancePriors, Nuisances
-from suspension_twin.inference.objectives import Measured, Term
+from suspension_twin.inference.objectives import Measured, Objective, Term
 from suspension_twin.inference.observation import Observation, observe
-from suspension_twin.inference.problem import FitProblem, Interrupted, Problem, segments_of
+from suspension_twin.inference.problem import Data, Interrupted, Problem, segments_of
 from suspension_twin.inference.space import twin_value
 from suspension_twin.inference.spring_position import slides, standing_at
 
@@ -30,9 +32,19 @@ def prepared(pass_case: Any) -> Observation:
 
 
 @pytest.fixture(scope="module")
-def problem(rough_case: Any) -> Problem:
+def setup(rough_case: Any) -> Setup:
     bags = (rough_case.bag("one"), rough_case.bag("two"))
-    return set_up(CalibrationRequest(rough_case.twin, bags), lambda note: None, lambda: False).problem
+    return set_up(CalibrationRequest(rough_case.twin, bags), lambda note: None, lambda: False)
+
+
+@pytest.fixture(scope="module")
+def problem(setup: Setup) -> Problem:
+    return setup.problem
+
+
+@pytest.fixture(scope="module")
+def objective(setup: Setup) -> Objective:
+    return setup.objective
 
 
 # -- trimming --------------------------------------------------------------------------------------
@@ -59,7 +71,7 @@ def test_a_long_drive_is_cut_to_its_passes(prepared: Observation) -> None:
     grid = prepared.t[0] + np.arange(count) / rate
 
     class Stub:
-        """As much of a prepared drive as trimming looks at."""
+        """As much of an observation as trimming looks at."""
 
         measured, t, noise_rms = long, grid, prepared.noise_rms
         speed, mask = np.full(count, 4.2), np.ones(count, dtype=bool)
@@ -130,28 +142,28 @@ def test_what_a_drive_is_off_the_map_adds_to_what_all_are(prepared: Observation)
 
 
 @pytest.mark.parametrize("late", [0.0, 0.0137])
-def test_a_holder_that_gives_adds_to_what_is_quick(prepared: Observation, late: float) -> None:
+def test_an_elastic_mount_amplifies_fast_motion(prepared: Observation, late: float) -> None:
     channels = ("vertical_acceleration", "pitch_rate")
-    n = Nuisances([prepared], [0], channels, NuisancePriors(holder=1.0), [0.0])
+    n = Nuisances([prepared], [0], channels, NuisancePriors(mount=1.0), [0.0])
     t = prepared.t - prepared.t[0]
     for hertz in (1.0, 8.0, 15.0):
         signal = np.repeat(np.sin(2 * np.pi * hertz * t)[:, None, None], 2, axis=1)
         plain = applied(n, prepared, signal, pass__clock_offset=late)
-        held = applied(n, prepared, signal, pass__clock_offset=late, holder=2.0)
+        held = applied(n, prepared, signal, pass__clock_offset=late, mount=2.0)
         assert np.array_equal(held[:, 1], plain[:, 1])
         # slopes of slopes over two samples fall short of a second derivative where a wave has few samples
         fine = np.sinc(2 * hertz / prepared.rate) ** 2
         share = np.std(held[:, 0]) / np.std(plain[:, 0]) - 1.0
         assert share == pytest.approx(2.0 * (hertz / 70.0) ** 2 * fine, rel=0.05)
         assert np.corrcoef(held[:, 0], plain[:, 0])[0, 1] > 0.9999  # neither late nor early
-    assert n.one_sided.tolist() == [name == "holder" for name in n.names]
+    assert n.one_sided.tolist() == [name == "mount" for name in n.names]
 
 
-def test_clock_and_map_leave_alone_what_the_planar_motion_brings_about(prepared: Observation) -> None:
+def test_clock_and_map_do_not_shift_the_response_to_the_planar_motion(prepared: Observation) -> None:
     n = Nuisances([prepared], [0], ("vertical_acceleration", "pitch_rate"), NuisancePriors(), [0.0])
     t = prepared.t - prepared.t[0]
     road, braking = np.sin(2 * np.pi * 4.0 * t), np.cos(2 * np.pi * 1.0 * t)
-    n.carried = [np.stack([braking, 0.5 * braking], axis=1)]
+    n = n.with_planar_response([np.stack([braking, 0.5 * braking], axis=1)])
     signal = np.stack([road + braking, 0.5 * braking], axis=1)[:, :, None]
     inside = t[50:-50]
     out = applied(n, prepared, signal, pass__clock_offset=0.03)
@@ -164,13 +176,13 @@ def test_clock_and_map_leave_alone_what_the_planar_motion_brings_about(prepared:
 @pytest.mark.parametrize("carried", [False, True], ids=["", "carried"])
 @pytest.mark.parametrize("alike", [3, 5], ids=["some alike", "all alike"])
 def test_lanes_together_are_lanes_alone(prepared: Observation, alike: int, carried: bool) -> None:
-    """Lanes that share a shift go through other loops than one with its own; pivots, tilts, holders included."""
+    """Lanes that share a shift go through other loops than one with its own; pivots, tilts, mounts included."""
     channels = ("vertical_acceleration", "longitudinal_acceleration", "pitch_rate")
-    n = Nuisances([prepared], [0], channels, NuisancePriors(pivot=0.3, holder=1.0), [0.0])
+    n = Nuisances([prepared], [0], channels, NuisancePriors(pivot=0.3, mount=1.0), [0.0])
     rng = np.random.default_rng(3)
     signal = rng.standard_normal((prepared.t.size, 3, 5))
     if carried:
-        n.carried = [rng.standard_normal((prepared.t.size, 3))]
+        n = n.with_planar_response([rng.standard_normal((prepared.t.size, 3))])
     values = rng.standard_normal((len(n), 5)) * n.spread[:, None]
     shifts = [n.names.index("map_position"), n.names.index("pass.clock_offset")]
     values[shifts, 5 - alike :] = values[shifts, -1:]
@@ -246,56 +258,51 @@ def test_coarse_lag_finds_seconds() -> None:
 # -- the problem -----------------------------------------------------------------------------------
 
 
-def test_a_lane_costs_the_same_whatever_stands_beside_it(problem: Problem) -> None:
+def test_a_lane_costs_the_same_whatever_stands_beside_it(problem: Problem, objective: Objective) -> None:
     rng = np.random.default_rng(0)
     z = problem.space.z0[:, None] + 0.2 * rng.standard_normal((len(problem.space), 9))
     values, quiet = problem.space.from_slopes(z), np.zeros(len(problem.nuisances))
-    together = problem.costs(values, quiet)
-    alone = np.array([problem.costs(values[:, k : k + 1], quiet)[0] for k in range(9)])
+    together = costs_of(problem, objective, values, quiet)
+    alone = [costs_of(problem, objective, values[:, k : k + 1], quiet)[0] for k in range(9)]
     np.testing.assert_allclose(together, alone, rtol=1e-13)
 
 
 def test_the_jacobian_is_the_slope_of_the_residuals(problem: Problem) -> None:
-    fit = FitProblem(problem)
     x = np.concatenate([problem.space.z0, np.zeros(len(problem.nuisances))])
-    before = problem.evaluations
-    residual, jacobian = fit.linearise(x)
-    assert problem.evaluations - before == len(problem.space) + 1
+    at = problem.linearise(x)
+    residual, jacobian = at.residual, at.jacobian
     for k in (1, 9, len(problem.space) + 4):
         step = np.zeros_like(x)
         step[k] = 0.002 if k < len(problem.space) else 0.01 * problem.nuisances.spread[k - len(problem.space)]
-        there, _ = fit.linearise(x + step)
+        there = problem.linearise(x + step).residual
         expected = jacobian @ step
         assert np.linalg.norm(there - residual - expected) < 0.15 * np.linalg.norm(expected) + 1e-9
 
 
-def test_a_candidate_that_cannot_stand_costs_infinitely_much(problem: Problem) -> None:
+def test_a_candidate_that_cannot_stand_costs_infinitely_much(problem: Problem, objective: Objective) -> None:
     values = np.repeat(problem.space.nominal[:, None], 2, axis=1)
     springs = [i for i, k in enumerate(problem.space.keys) if ".spring." in k]
     values[springs, 1] = 1e-6
-    costs = problem.costs(values, np.zeros(len(problem.nuisances)))
+    costs = costs_of(problem, objective, values, np.zeros(len(problem.nuisances)))
     assert np.isfinite(costs[0]) and np.isinf(costs[1])
 
 
-def test_synchronising_undoes_a_shift(problem: Problem, rough_case: Any) -> None:
+def test_synchronising_undoes_a_shift(problem: Problem, objective: Objective, rough_case: Any) -> None:
     truth = np.array([float(twin_value(rough_case.truth, key)) for key in problem.space.keys])
-    signals, _ = problem.simulate(truth[:, None])
+    signals, _ = problem.signals_of(truth[:, None], np.zeros((0, 1)))
     shifted = [np.roll(s, -2, axis=0) for s in signals]  # 20 ms too early
     quiet = np.zeros((len(problem.nuisances), 1))
-    found, here = problem.synchronised(shifted, quiet), problem.synchronised(signals, quiet)
+    found, here = (synchronised(problem, objective, each, quiet) for each in (shifted, signals))
     assert len(problem.nuisances.clocks) == 2
     for row, _ in problem.nuisances.clocks:
         assert here[row, 0] == pytest.approx(0.0, abs=0.002)
         assert found[row, 0] == pytest.approx(-0.02, abs=0.002)
 
 
-def test_simulating_stops_when_told(problem: Problem) -> None:
-    problem.interrupt = lambda: True
-    try:
-        with pytest.raises(Interrupted):
-            problem.costs(problem.space.nominal[:, None], np.zeros(len(problem.nuisances)))
-    finally:
-        problem.interrupt = lambda: False
+def test_simulating_stops_when_asked_to(problem: Problem) -> None:
+    stopping = replace(problem, simulation=replace(problem.simulation, stop=lambda: True))
+    with pytest.raises(Interrupted):
+        stopping.sums_of_squares(problem.prior.centre[:, None])
 
 
 def at_spread(problem: Problem, seed: int) -> np.ndarray:
@@ -319,134 +326,150 @@ def test_runs_of_consecutive_samples_are_segments(rows: list[int], runs: list[tu
         assert found == [slice(offset + a, offset + b) for a, b in runs]
 
 
-def small(problem: Problem, **changes: Any) -> Problem:
+def small(problem: Problem, priors: NuisancePriors | None = None, **changes: Any) -> Problem:
     """The same drives and vehicle in a problem of its own, every third second compared and two channels."""
-    given: dict[str, Any] = {
-        "rows": [rows[(rows // 100) % 3 == 0] for rows in problem.rows],
-        "terms": [
-            Term("mse", "pitch_rate", 0.5),
-            Term("mse", "vertical_acceleration", 2.0),
-            Term("spectral", "pitch_rate", 3.0),
-        ],
-        "priors": problem.priors,
-        "wander": problem.wander,
-        "parts": problem.parts,
-        "drive_of": problem.drive_of,
-        **changes,
-    }
-    return Problem(problem.twin, problem.space, **given)
+    rows = tuple(rows[(rows // 100) % 3 == 0] for rows in problem.data.rows)
+    data: Data = replace(problem.data, **{"rows": rows, **changes})
+    terms = (
+        Term("mse", "pitch_rate", 0.5),
+        Term("mse", "vertical_acceleration", 2.0),
+        Term("spectral", "pitch_rate", 3.0),
+    )
+    return problem_of(problem.twin, problem.space, data, terms, priors or problem.nuisances.priors)[0]
 
 
-def test_what_is_compared_is_told_by_rows_channels_and_drives(problem: Problem) -> None:
+def test_rows_channels_and_drives_say_what_is_compared(problem: Problem) -> None:
     own = small(problem)
+    data = own.data
     assert own.channels == ("pitch_rate", "vertical_acceleration")
-    assert own.channel_weights.tolist() == [3.0, 2.0]  # of a channel's terms the largest
-    assert own.samples == sum(rows.size for rows in own.rows) == len(own.measured.values)
+    assert sum(rows.size for rows in data.rows) == len(own.measured.values)
     wanted = [
         np.stack([p.measured[c][r] for c in own.channels], axis=1)
-        for p, r in zip(own.parts, own.rows, strict=True)
+        for p, r in zip(data.parts, data.rows, strict=True)
     ]
     np.testing.assert_array_equal(own.measured.values, np.concatenate(wanted))
-    assert own.seconds == pytest.approx(sum(len(p.t) - 1 for p in own.parts) / own.measured.rate, rel=1e-4)
-    where = [s for k, rows in enumerate(own.rows) for s in segments_of(rows, k * own.rows[0].size)]
+    assert own.seconds == pytest.approx(sum(len(p.t) - 1 for p in data.parts) / own.measured.rate, rel=1e-4)
+    where = [s for k, rows in enumerate(data.rows) for s in segments_of(rows, k * data.rows[0].size)]
     assert list(own.measured.segments) == where and len(where) == len(own.measured.drives)
-    assert own.measured.drives == tuple(int(s.start >= own.rows[0].size) for s in where)
-    assert (own.measured.rate, own.measured.bandwidth) == (own.parts[0].rate, own.parts[0].bandwidth)
-    nothing = [rows[:0] for rows in own.rows]
+    assert own.measured.drives == tuple(int(s.start >= data.rows[0].size) for s in where)
+    assert (own.measured.rate, own.measured.bandwidth) == (data.parts[0].rate, data.parts[0].bandwidth)
     with pytest.raises(InputError, match="nothing is left to compare"):
-        small(problem, rows=nothing)
+        small(problem, rows=tuple(rows[:0] for rows in data.rows))
 
 
-def test_costs_and_sums_of_squares_are_those_of_the_compared_signals(problem: Problem) -> None:
-    """One that cannot stand costs infinitely much; simulating counts candidates."""
-    fit, d = FitProblem(problem), len(problem.space)
-    assert fit.d == d
+class Scaled:
+    """The residuals of an objective times a number."""
+
+    def __init__(self, objective: Objective, factor: float) -> None:
+        self.objective, self.factor = objective, factor
+
+    def residuals(self, simulated: np.ndarray) -> np.ndarray:
+        return self.factor * self.objective.residuals(simulated)
+
+
+def test_costs_and_sums_of_squares_are_those_of_the_compared_signals(
+    problem: Problem, objective: Objective
+) -> None:
+    d = problem.d
     nuisance = at_spread(problem, 1)
     x = np.repeat(np.concatenate([problem.space.z0, nuisance])[:, None], 3, axis=1)
     x[:d, 1] += 0.1
     x[d:, 2] = 0.0
-    before = problem.evaluations
-    sums = fit.sums_of_squares(x)
-    assert problem.evaluations - before == 3
+    sums = problem.sums_of_squares(x)
     for k in range(3):
-        signals, failed = problem.simulate(problem.space.from_slopes(x[:d, k : k + 1]))
+        signals, failed = problem.signals(x[:, k : k + 1])
         assert not failed.any()
-        r = problem.objective.residuals(problem.compared(signals, x[d:, k : k + 1]))
+        r = objective.residuals(problem.likelihood.compared(signals, x[d:, k : k + 1]))
         assert sums[k] == pytest.approx(float((r**2).sum()), rel=1e-12)
-    costs = problem.costs(problem.space.from_slopes(x[:d, :2]), nuisance)
-    np.testing.assert_allclose(costs, [problem.objective.cost_of_squares(s) for s in sums[:2]], rtol=1e-12)
-    doubled = FitProblem(problem, lambda compared: 2.0 * problem.objective.residuals(compared))
+    costs = costs_of(problem, objective, problem.space.from_slopes(x[:d, :2]), nuisance)
+    np.testing.assert_allclose(costs, [objective.cost_of_squares(s) for s in sums[:2]], rtol=1e-12)
+    doubled = problem.weighed(Scaled(objective, 2.0))
     np.testing.assert_allclose(doubled.sums_of_squares(x[:, :1]), 4.0 * sums[:1])
-    infinite = FitProblem(problem, lambda compared: np.full((3, compared.shape[2]), np.nan))
+    infinite = problem.weighed(Scaled(objective, np.nan))
     assert np.isinf(infinite.sums_of_squares(x[:, :2])).all()
 
 
+def test_the_cost_is_that_of_residuals_and_prior(problem: Problem) -> None:
+    x = problem.prior.centre.copy()
+    x[: problem.d] += 0.1
+    away = x - problem.prior.centre
+    penalty = float(away @ problem.prior.precision @ away)
+    assert penalty > 0
+    assert problem.costs(x[:, None])[0] == pytest.approx(problem.sums_of_squares(x[:, None])[0] + penalty)
+
+
 def test_a_candidate_that_cannot_stand_has_no_sum_of_squares(
-    problem: Problem, monkeypatch: pytest.MonkeyPatch
+    problem: Problem, objective: Objective, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Nor a slope where a step makes it fall; whatever stands beside it."""
-    fit = FitProblem(problem)
+    from suspension_twin.inference import problem as module
+
     x = np.concatenate([problem.space.z0, np.zeros(len(problem.nuisances))])
-    alone = fit.sums_of_squares(x[:, None])
-    _, slopes = fit.linearise(x)
-    simulate = problem.simulate
+    alone = problem.sums_of_squares(x[:, None])
+    slopes = problem.linearise(x).jacobian
+    run = module.simulate_lanes
 
-    def falling(values: np.ndarray) -> Any:
-        signals, failed = simulate(values)
-        failed[1] = True
-        return signals, failed
+    def falling(*given: Any, **options: Any) -> Any:
+        found = run(*given, **options)
+        failed = found.failed.copy()
+        failed[1:2] = True
+        return replace(found, failed=failed)
 
-    monkeypatch.setattr(problem, "simulate", falling)
-    both = fit.sums_of_squares(np.repeat(x[:, None], 2, axis=1))
+    monkeypatch.setattr(module, "simulate_lanes", falling)
+    pair = np.repeat(x[:, None], 2, axis=1)
+    pair[0, 1] += 0.01
+    both = problem.sums_of_squares(pair)
     assert both[0] == pytest.approx(alone[0]) and np.isinf(both[1])
-    assert np.isinf(
-        problem.costs(np.repeat(problem.space.nominal[:, None], 2, axis=1), x[fit.d :])
-    ).tolist() == [False, True]
-    _, found = fit.linearise(x)
+    costs = costs_of(problem, objective, problem.space.from_slopes(pair[: problem.d]), x[problem.d :])
+    assert np.isinf(costs).tolist() == [False, True]
+    found = problem.linearise(x).jacobian
     assert not found[:, 0].any() and slopes[:, 0].any()
     np.testing.assert_array_equal(found[:, 1:], slopes[:, 1:])
 
 
 def test_the_quadratic_model_is_that_of_residuals_and_their_slopes(problem: Problem) -> None:
-    fit, d = FitProblem(problem), len(problem.space)
     x = np.concatenate([problem.space.z0, at_spread(problem, 2)])
-    residual, slopes = fit.linearise(x)
-    model = fit.quadratic(x)
-    assert model.value == pytest.approx(float(fit.sums_of_squares(x[:, None])[0]))
-    np.testing.assert_allclose(model.squares, slopes.T @ slopes, rtol=1e-9)
-    np.testing.assert_allclose(model.slope, slopes.T @ residual, rtol=1e-9)
+    at, model = problem.linearise(x), problem.quadratic(x)
+    assert model.value == pytest.approx(float(problem.sums_of_squares(x[:, None])[0]))
+    np.testing.assert_allclose(model.squares, at.jacobian.T @ at.jacobian, rtol=1e-9)
+    np.testing.assert_allclose(model.slope, at.jacobian.T @ at.residual, rtol=1e-9)
     # a bias shifts its channel alone, by itself
-    bias = d + problem.nuisances.names.index("two.bias.vertical_acceleration")
+    bias = problem.d + problem.nuisances.names.index("two.bias.vertical_acceleration")
     shifted = x.copy()
     shifted[bias] += 0.3
-    np.testing.assert_allclose(fit.linearise(shifted)[0] - residual, 0.3 * slopes[:, bias], atol=1e-9)
+    change = problem.linearise(shifted).residual - at.residual
+    np.testing.assert_allclose(change, 0.3 * at.jacobian[:, bias], atol=1e-9)
 
 
 def test_pieces_that_fit_in_memory_give_what_all_together_do(
-    problem: Problem, monkeypatch: pytest.MonkeyPatch
+    problem: Problem, objective: Objective, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    samples = sum(len(p.excitation) for p in problem.parts)
+    samples = sum(len(p.excitation) for p in problem.data.parts)
     assert problem.batches(9) == [slice(0, 9)] and problem.batches(0) == []
-    fit, x = FitProblem(problem), np.concatenate([problem.space.z0, np.zeros(len(problem.nuisances))])
+    x = np.concatenate([problem.space.z0, np.zeros(len(problem.nuisances))])
     lanes = x[:, None] + np.array([0.0, 0.01, 0.02, 0.03, 0.04])
-    values = problem.space.from_slopes(lanes[: fit.d])
-    together = problem.costs(values, x[fit.d :]), fit.sums_of_squares(lanes), fit.linearise(x)[1]
+    values, nuisance = problem.space.from_slopes(lanes[: problem.d]), x[problem.d :]
+
+    def results() -> list[np.ndarray]:
+        costs = costs_of(problem, objective, values, nuisance)
+        return [costs, problem.sums_of_squares(lanes), problem.linearise(x).jacobian]
+
+    together = results()
     largest = "suspension_twin.inference.problem._LARGEST_BATCH"
     monkeypatch.setattr(largest, 7 * 15 * samples)
     assert problem.batches(31) == [slice(0, 15), slice(15, 30), slice(30, 31)]
-    slopes = fit.linearise(x)[1]
+    for one, other in zip(together, results(), strict=True):
+        np.testing.assert_allclose(other, one, rtol=1e-9, atol=1e-6)
     monkeypatch.setattr(largest, 14 * samples)
     assert problem.batches(5) == [slice(0, 2), slice(2, 4), slice(4, 5)]
-    apart = problem.costs(values, x[fit.d :]), fit.sums_of_squares(lanes), slopes
-    for one, other in zip(together, apart, strict=True):
-        np.testing.assert_allclose(other, one, rtol=1e-9, atol=1e-6)
+    np.testing.assert_allclose(problem.sums_of_squares(lanes), together[1], rtol=1e-9)
     monkeypatch.setattr(largest, 1)
     assert problem.batches(2) == [slice(0, 1), slice(1, 2)]
 
 
 def test_offsets_of_clock_and_map_move_the_excitation(problem: Problem) -> None:
     """Of each drive its own clock and that of all; other nuisances do not."""
-    priors = replace(problem.priors, common_clock=0.002, map_position=0.5)
+    priors = replace(problem.nuisances.priors, common_clock=0.002, map_position=0.5)
     own = small(problem, priors=priors)
     found = np.zeros(len(own.nuisances))
     for name, value in (
@@ -456,16 +479,17 @@ def test_offsets_of_clock_and_map_move_the_excitation(problem: Problem) -> None:
         ("gain", 0.7),
     ):
         found[own.nuisances.names.index(name)] = value
-    moved = own.moved(found)
-    for part, given, late in zip(moved.parts, own.parts, (-0.03, 0.02), strict=True):
+    there = moved(own, found)
+    for part, given, late in zip(there.data.parts, own.data.parts, (-0.03, 0.02), strict=True):
         wanted = given.moved(late, 0.3)
-        np.testing.assert_array_equal(part.excitation.road, wanted.excitation.road)
-        assert (part.excitation.road != given.excitation.road).any()
-    assert own.parts == problem.parts and moved.measured is own.measured and moved.rows is own.rows
+        np.testing.assert_array_equal(part.road_excitation.road, wanted.road_excitation.road)
+        assert (part.road_excitation.road != given.road_excitation.road).any()
+    assert own.data.parts == problem.data.parts and there.data.rows is own.data.rows
+    np.testing.assert_array_equal(there.measured.values, own.measured.values)
     blind = small(problem, priors=NuisancePriors(clock=0.0, map_position=0.0))
-    still = blind.moved(np.zeros(len(blind.nuisances)))
-    for part, given in zip(still.parts, blind.parts, strict=True):
-        np.testing.assert_array_equal(part.excitation.road, given.moved(0.0, 0.0).excitation.road)
+    still = moved(blind, np.zeros(len(blind.nuisances)))
+    for part, given in zip(still.data.parts, blind.data.parts, strict=True):
+        np.testing.assert_array_equal(part.road_excitation.road, given.moved(0.0, 0.0).road_excitation.road)
 
 
 def test_runs_that_share_an_excitation_are_simulated_once(
@@ -473,13 +497,15 @@ def test_runs_that_share_an_excitation_are_simulated_once(
 ) -> None:
     from suspension_twin.inference import problem as module
 
-    one, two = problem.parts
-    assert problem.repeated == set()
+    one, two = problem.data.parts
+    rows = problem.data.rows
     same = small(
-        problem, parts=[one, two, replace(one, name="again")], drive_of=[0, 1, 2], wander=[0.0] * 3,
-        rows=[*problem.rows, problem.rows[0]],
-    )  # fmt: skip
-    assert same.repeated == {id(one.excitation)}
+        problem,
+        parts=(one, two, replace(one, name="again")),
+        drive_of=(0, 1, 2),
+        rows=(*rows, rows[0]),
+        active=(True,) * 3,
+    )
     run, calls = module.simulate_lanes, []
 
     def counted(twin: Any, candidates: Any, excitation: Any) -> Any:
@@ -487,25 +513,27 @@ def test_runs_that_share_an_excitation_are_simulated_once(
         return run(twin, candidates, excitation)
 
     monkeypatch.setattr(module, "simulate_lanes", counted)
-    signals, failed = same.simulate(problem.space.nominal[:, None])
-    assert [id(c) for c in calls] == [id(one.excitation), id(two.excitation)]
+    signals, failed = same.signals(same.prior.centre[:, None])
+    assert len(calls) == 2 and {id(c) for c in calls} == {id(one.excitation), id(two.excitation)}
     np.testing.assert_array_equal(signals[0], signals[2])
     assert signals[0].shape == (one.t.size, 2, 1) and failed.tolist() == [False]
 
 
-def test_costs_of_candidates_at_their_own_clocks(problem: Problem, rough_case: Any) -> None:
+def test_costs_of_candidates_at_their_own_clocks(
+    problem: Problem, objective: Objective, rough_case: Any
+) -> None:
     """With clocks off by 20 ms the right vehicle costs little only once they are fitted, for each candidate."""
     truth = np.array([float(twin_value(rough_case.truth, key)) for key in problem.space.keys])
     values, quiet = np.stack([truth, problem.space.nominal], axis=1), np.zeros(len(problem.nuisances))
     off = quiet.copy()
     off[[row for row, _ in problem.nuisances.clocks]] = 0.02
-    there, late = problem.costs(values, quiet), problem.costs(values, off)
-    found = problem.costs(values, off, synchronise=True)
+    there, late = (costs_of(problem, objective, values, each) for each in (quiet, off))
+    found = costs_of(problem, objective, values, off, synchronise=True)
     assert found[0] < 1.02 * there[0] < 0.5 * late[0]
     assert (found <= late + 1e-9).all() and off[problem.nuisances.clocks[0][0]] == 0.02
 
 
-# -- what is left ----------------------------------------------------------------------------------
+# -- the noise ----------------------------------------------------------------------------------
 
 
 def test_autoregression_finds_the_process_and_whitens_it() -> None:
