@@ -21,6 +21,7 @@ from suspension_twin.diagnosis.run import diagnose
 from suspension_twin.drive.read import read_drive
 from suspension_twin.drive.write import write_drive
 from suspension_twin.errors import InputError
+from suspension_twin.inference.sensor_correction import SensorCorrection
 from suspension_twin.inference.simulated import simulate_drive
 from suspension_twin.inference.synthetic import synthetic_drive
 from suspension_twin.report.diagnosis import diagnosis_page
@@ -109,7 +110,7 @@ def test_a_clock_offset_that_the_twin_file_has_is_no_gap(make: Any, tmp_path: Pa
     save_twin(load_twin(twin).with_changes({"imu.latency": 0.06}), tmp_path / "twin.yaml")
     late = [tmp_path / Path(bag).name for bag in bags]
     for bag, folder in zip(bags, late, strict=True):
-        write_drive(without_clock_offset(read_drive(bag), -0.06), folder)
+        write_drive(SensorCorrection(clock=-0.06).timed(read_drive(bag)), folder)
     document = diagnose(ask((tmp_path / "twin.yaml", [str(folder) for folder in late], []))).document
     check(document)
     assert document["verdict"] == "no_gap", document["message"]

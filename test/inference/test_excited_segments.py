@@ -22,12 +22,24 @@ SHORT = TrimSettings(threshold=4.0, window=0.11, before=0.2, after=0.5, bridge=0
 def drive(pass_case: Any) -> Observation:
     """Six seconds at 4.2 m/s in which nothing happens, all samples usable."""
     found = observe(read_drive(pass_case.bag("pass")), pass_case.truth)
-    return replace(
+    still = replace(
         found,
         measured={k: 0.0 * v for k, v in found.measured.items()},
         noise_rms=dict.fromkeys(found.noise_rms, FLOOR),
-        mask=np.ones(found.t.size, dtype=np.bool_),
     )
+    return usable(still, np.ones(found.t.size, dtype=np.bool_))
+
+
+def usable(drive: Observation, mask: np.ndarray) -> Observation:
+    """The drive with samples (m,) that can be compared."""
+    return replace(drive, grid=replace(drive.grid, mask=mask))
+
+
+def driven_at(drive: Observation, speed: np.ndarray) -> Observation:
+    """The drive at other speeds (m,) in m/s."""
+    source = drive.source
+    path = replace(source.trajectory, speed=np.interp(source.trajectory.t, drive.t, speed))
+    return replace(drive, reading=replace(source, trajectory=path))
 
 
 def seconds(drive: Observation) -> np.ndarray:
@@ -112,7 +124,7 @@ def test_a_wider_window_sees_farther(drive: Observation) -> None:
 
 @pytest.mark.parametrize("speed, moving", [(0.7, False), (0.9, True), (-0.7, False), (-0.9, True)])
 def test_a_vehicle_has_to_move_either_way(drive: Observation, speed: float, moving: bool) -> None:
-    slow = replace(shaken(drive, (0.0, 9.0)), speed=np.full(drive.t.size, speed))
+    slow = driven_at(shaken(drive, (0.0, 9.0)), np.full(drive.t.size, speed))
     assert excited(slow, SHORT).all() if moving else not excited(slow, SHORT).any()
 
 
@@ -120,9 +132,9 @@ def test_what_cannot_be_compared_is_not_excited(drive: Observation) -> None:
     """Nor does it excite what is beside it."""
     mask = np.ones(drive.t.size, dtype=np.bool_)
     mask[200:300] = False
-    whole = replace(shaken(drive, (0.0, 9.0)), mask=mask)
+    whole = usable(shaken(drive, (0.0, 9.0)), mask)
     np.testing.assert_array_equal(excited(whole, SHORT), mask)
-    hidden = replace(shaken(drive, (2.2, 2.8)), mask=mask)
+    hidden = usable(shaken(drive, (2.2, 2.8)), mask)
     assert not excited(hidden, SHORT).any()
 
 
@@ -218,7 +230,7 @@ def test_calm_between_excited_samples_is_compared(drive: Observation) -> None:
 def test_standing_and_unusable_samples_between_are_not(drive: Observation) -> None:
     mask, speed = np.ones(drive.t.size, dtype=np.bool_), np.full(drive.t.size, -4.2)
     mask[300:310], speed[320:340] = False, 0.1
-    two = replace(shaken(drive, (1.5, 1.6), (4.5, 4.6)), mask=mask, speed=speed)
+    two = driven_at(usable(shaken(drive, (1.5, 1.6), (4.5, 4.6)), mask), speed)
     active = np.flatnonzero(excited(two, SHORT))
     wanted = [i for i in range(active[0], active[-1] + 1) if not (300 <= i < 310 or 320 <= i < 340)]
     np.testing.assert_array_equal(fit_rows(two, SHORT), wanted)
@@ -227,10 +239,10 @@ def test_standing_and_unusable_samples_between_are_not(drive: Observation) -> No
 @pytest.mark.parametrize("speed", [4.2, -4.2])
 def test_the_lead_is_compared_only_after_a_standing_start(drive: Observation, speed: float) -> None:
     """A model begins at rest: what moved before had a transient of its own."""
-    whole = replace(shaken(drive, (0.0, 9.0)), speed=np.full(drive.t.size, speed))
+    whole = driven_at(shaken(drive, (0.0, 9.0)), np.full(drive.t.size, speed))
     rows = fit_rows(whole, SHORT)
     np.testing.assert_array_equal(rows, np.flatnonzero(seconds(drive) > SHORT.lead))
     start = whole.speed.copy()
     start[:10] = 0.1
-    stood = replace(whole, speed=start)
+    stood = driven_at(whole, start)
     np.testing.assert_array_equal(fit_rows(stood, SHORT), np.arange(10, drive.t.size))

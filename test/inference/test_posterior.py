@@ -24,7 +24,7 @@ from suspension_twin.inference.posterior import (
     span_of,
     travel,
 )
-from suspension_twin.inference.problem import Data, Likelihood, Problem
+from suspension_twin.inference.problem import Data, Likelihood, Linearised, Problem
 from suspension_twin.inference.runs import observe_runs
 from suspension_twin.inference.space import Curve, Parameter, Space, twin_value
 from suspension_twin.inference.spring_position import slides
@@ -63,24 +63,30 @@ def space_of(twin: Twin, keys: tuple[str, ...] = (*SPRING, *MASS), spread: float
 
 class Straight:
     """A problem whose signals are the d + q coordinates themselves, so that residuals can be linear in them.
-    ``fails`` tells of coordinates (d, L) which of them cannot be simulated."""
+    ``fails`` says of coordinates (d, L) which of them cannot be simulated."""
 
     def __init__(self, space: Space, q: int, rate: float = RATE, fails: Any = None) -> None:
-        self.space, self.fails = space, fails
-        self.nuisances = SimpleNamespace(steps=np.full(q, 1e-3))
+        self.space, self.q, self.fails = space, q, fails
         self.measured = SimpleNamespace(rate=rate)
 
-    def batches(self, lanes: int) -> list[slice]:
-        return [slice(0, lanes)]
+    def weighed(self, noise: Any) -> Straight:
+        self.noise = noise
+        return self
 
-    def simulate(self, values: np.ndarray) -> tuple[list[np.ndarray], np.ndarray]:
-        z = self.space.to_slopes(values)
-        return [z[:, None, :]], np.zeros(z.shape[1], bool) if self.fails is None else self.fails(z)
+    def linearise(self, x: np.ndarray) -> Linearised:
+        d = len(self.space)
+        steps = 1e-3 * np.eye(x.size)
+        lanes = np.concatenate([x[:, None], x[:, None] + steps], axis=1)
+        values = self.space.from_slopes(lanes[:d])
+        lanes[:d] = self.space.to_slopes(values)
+        residual = self.noise.residuals(lanes[:, None, :])
+        return Linearised(x, residual[:, 0], (residual[:, 1:] - residual[:, :1]) / 1e-3)
 
-    def compared(self, signals: list[np.ndarray], nuisance: np.ndarray) -> np.ndarray:
-        lanes = nuisance.shape[1]
-        z = np.broadcast_to(signals[0], (*signals[0].shape[:2], lanes))
-        return np.concatenate([z, nuisance[:, None, :]])
+    def sums_of_squares(self, x: np.ndarray) -> np.ndarray:
+        d = len(self.space)
+        z = self.space.to_slopes(self.space.from_slopes(x[:d]))
+        sums = np.sum(self.noise.residuals(np.concatenate([z, x[d:]])[:, None, :]) ** 2, axis=0)
+        return np.where(False if self.fails is None else self.fails(z), np.inf, sums)
 
 
 class Lines:

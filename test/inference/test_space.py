@@ -89,7 +89,6 @@ def test_prior_couples_neighbours_of_one_curve_only(mondeo: Twin) -> None:
 @pytest.mark.parametrize(
     ("parameters", "words"),
     [
-        ([], "nothing is free"),
         ([Parameter("vehicle.mass", 1.0, 2.0, 1.0)], "vehicle.mass"),
         ([Parameter("vehicle.mass", 1.0, -2.0, 1.0)], "above 0"),
         ([Parameter("vehicle.front.spring.force.9", 1.0, 0.5, 2.0)], "has 4 points"),
