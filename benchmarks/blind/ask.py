@@ -126,6 +126,7 @@ def main(folder: Path, out: Path) -> None:
     """Diagnose with a part of the library."""
     sys.path.insert(0, str(ROOT))
     from suspension_twin.diagnosis.hypotheses import DECOYS
+
     from suspension_twin.diagnosis.output import write
     from suspension_twin.diagnosis.request import DiagnosisRequest
     from suspension_twin.diagnosis.run import diagnose

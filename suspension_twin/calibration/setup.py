@@ -16,8 +16,6 @@ from suspension_twin.calibration.request import CalibrationRequest
 from suspension_twin.drive.read import read_drive
 from suspension_twin.drive.types import Drive
 from suspension_twin.errors import InputError
-from suspension_twin.inference.coarse_alignment import coarse_lag
-from suspension_twin.inference.common_rate import on_common_rate
 from suspension_twin.inference.excited_segments import TrimSettings, fit_rows, trim
 from suspension_twin.inference.gap import CHANNELS
 from suspension_twin.inference.nuisance import NuisancePriors, slow_position_error
@@ -35,6 +33,8 @@ from suspension_twin.inference.space import Space
 from suspension_twin.models.registry import model_of
 from suspension_twin.models.simulate import simulate_twin
 from suspension_twin.road import Road
+from suspension_twin.signals.coarse_alignment import coarse_lag
+from suspension_twin.signals.common_rate import on_common_rate
 from suspension_twin.signals.filters import FilterSpec
 from suspension_twin.vehicle.twin import Twin, load_twin
 

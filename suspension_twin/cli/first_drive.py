@@ -22,7 +22,7 @@ from suspension_twin.drive.write import BagWriter
 from suspension_twin.errors import InputError, WorkError
 
 if TYPE_CHECKING:
-    from suspension_twin.calibration.first_drive import FirstDrive
+    from suspension_twin.addons.sources.common.first_drive import FirstDrive
 
 __all__ = ["command"]
 
@@ -65,8 +65,8 @@ def command(
     recognised and shown with its speed. Then the twin is calibrated on what was recorded, and the gap before and after
     is printed. Without --source it listens to phones with Sensor Logger and shows how to connect one.
     """
+    from suspension_twin.addons.sources.common.first_drive import FirstDrive
     from suspension_twin.addons.view.live import advice
-    from suspension_twin.calibration.first_drive import FirstDrive
     from suspension_twin.calibration.output import details_path, write_result
     from suspension_twin.calibration.presets import preset_named
     from suspension_twin.calibration.request import CalibrationRequest

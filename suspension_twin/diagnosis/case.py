@@ -18,7 +18,6 @@ from suspension_twin.drive.read import read_drive
 from suspension_twin.drive.types import Drive
 from suspension_twin.effects.registry import EFFECTS
 from suspension_twin.errors import InputError
-from suspension_twin.inference.common_rate import on_common_rate
 from suspension_twin.inference.excited_segments import TrimSettings, fit_rows
 from suspension_twin.inference.fit import Fit, LinearisedFit, fitted, linearised_fit, refit, twin_of
 from suspension_twin.inference.noise import USUAL_SHARE, Whitener, shares
@@ -50,6 +49,7 @@ from suspension_twin.inference.space import Space
 from suspension_twin.models.parameters import has_number
 from suspension_twin.models.registry import model_of
 from suspension_twin.road import flat_road
+from suspension_twin.signals.common_rate import on_common_rate
 from suspension_twin.signals.filters import FilterSpec
 from suspension_twin.vehicle.twin import Twin, load_twin
 

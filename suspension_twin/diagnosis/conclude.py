@@ -197,7 +197,9 @@ def _views(
         compared[rows] = True
         measured = part.measured[channel]
         views.append(
-            DriveView(part.name, part.t, part.position, part.rate, measured, first, second, third, compared, channel)
+            DriveView(
+                part.name, part.t, part.position, part.rate, measured, first, second, third, compared, channel
+            )
         )
     return tuple(views)
 

@@ -22,11 +22,8 @@ from suspension_twin.arrays import Floats
 from suspension_twin.drive.types import Drive
 from suspension_twin.errors import InputError
 from suspension_twin.inference.gap import CHANNELS, Gap, main_channel, measure_gap
-from suspension_twin.inference.imu_gnss_consistency import clock_offset_beyond, findings, yaw_beyond
-from suspension_twin.inference.noise_floor import floor_rms
 from suspension_twin.inference.nuisance import OF_A_DRIVE, OF_PLANAR_MOTION, NuisancePriors
 from suspension_twin.inference.off_road import Ground, OffRoad, off_road
-from suspension_twin.inference.planar_denoising import denoised_motion
 from suspension_twin.inference.sensor_correction import (
     SensorCorrection,
     Turn,
@@ -38,7 +35,9 @@ from suspension_twin.models.excitation import coarser, excitation
 from suspension_twin.models.hooks import clocks_with, gains_with, turns_with, upright_with
 from suspension_twin.models.tracked import ObstacleRun
 from suspension_twin.models.types import Excitation, Response
+from suspension_twin.pose.imu_gnss_consistency import clock_offset_beyond, findings, yaw_beyond
 from suspension_twin.pose.nodes import MAX_MEAN_SLOPE, mean_tilt
+from suspension_twin.pose.planar_denoising import denoised_motion
 from suspension_twin.pose.satellites import satellite_motion
 from suspension_twin.pose.smoothed import locked_trajectory
 from suspension_twin.pose.types import Trajectory
@@ -48,6 +47,7 @@ from suspension_twin.signals.attitude import level_rpy, rpy_matrix
 from suspension_twin.signals.conditioner import Conditioner
 from suspension_twin.signals.filters import FilterSpec
 from suspension_twin.signals.ingest import ImuSettings
+from suspension_twin.signals.noise_floor import floor_rms
 from suspension_twin.signals.offline import ImuSignals
 from suspension_twin.units import STANDARD_GRAVITY
 from suspension_twin.vehicle.twin import Datum, Twin

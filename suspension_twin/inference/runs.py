@@ -19,10 +19,8 @@ from suspension_twin.arrays import Floats
 from suspension_twin.drive.rig import RigRecord, read_rig, write_rig
 from suspension_twin.errors import InputError, WorkError
 from suspension_twin.files import together
-from suspension_twin.inference.common_rate import PER_PERIOD
 from suspension_twin.inference.gap import Gap, write_gap
 from suspension_twin.inference.marker_runs import CUTOFF, FLOORS, MARKERS, MarkerRun, low_pass, read_run
-from suspension_twin.inference.noise_floor import floor_rms
 from suspension_twin.inference.nuisance import OF_A_RIG, OF_A_RUN, NuisancePriors
 from suspension_twin.inference.observation import Comparison, Grid, Observation, renamed
 from suspension_twin.models.excitation import MAX_STEP, excitation
@@ -32,8 +30,10 @@ from suspension_twin.models.simulate import simulate_lanes, simulate_twin
 from suspension_twin.models.tracked import ObstacleRun
 from suspension_twin.models.types import Excitation, LaneResponse
 from suspension_twin.pose.types import Trajectory
+from suspension_twin.signals.common_rate import PER_PERIOD
 from suspension_twin.signals.conditioner import Conditioner
 from suspension_twin.signals.filters import FilterSpec
+from suspension_twin.signals.noise_floor import floor_rms
 from suspension_twin.vehicle.twin import Twin
 
 __all__ = ["SimulatedRun", "marker_observation", "observe_rig", "observe_runs", "rig_run", "simulate_rig"]

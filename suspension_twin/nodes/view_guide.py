@@ -9,7 +9,7 @@ from typing import Any
 from geometry_msgs.msg import TwistStamped
 from sensor_msgs.msg import Imu, NavSatFix
 
-from suspension_twin.calibration.first_drive import FirstDrive
+from suspension_twin.addons.sources.common.first_drive import FirstDrive
 from suspension_twin.drive.types import Samples
 from suspension_twin.errors import InputError
 from suspension_twin.nodes.base import TwinNode

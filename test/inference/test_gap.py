@@ -11,14 +11,14 @@ import pytest
 from suspension_twin.drive.types import Drive, FixData, ImuData
 from suspension_twin.errors import InputError, WorkError
 from suspension_twin.inference.gap import CHANNELS, measure_gap
-from suspension_twin.inference.noise_floor import floor_rms, white_noise_sigma
 from suspension_twin.inference.observation import Observation, ObserveSettings, observe
-from suspension_twin.inference.planar_denoising import wiener
 from suspension_twin.inference.synthetic import SensorErrors, path_along, synthetic_drive
 from suspension_twin.models.simulate import simulate_twin
+from suspension_twin.pose.planar_denoising import wiener
 from suspension_twin.road import Road
 from suspension_twin.signals.conditioner import Conditioner
 from suspension_twin.signals.filters import FilterSpec
+from suspension_twin.signals.noise_floor import floor_rms, white_noise_sigma
 from suspension_twin.vehicle.twin import EffectSpec, Twin
 
 KNOTS = [(0.0, 0.0), (3.0, 0.0), (6.0, 5.0), (14.0, 6.0), (16.0, 0.0), (19.5, 0.0)]

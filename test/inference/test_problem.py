@@ -15,7 +15,6 @@ from suspension_twin.calibration.setup import Setup, problem_of, set_up
 from suspension_twin.calibration.squares import moved
 from suspension_twin.drive.read import read_drive
 from suspension_twin.errors import InputError, WorkError
-from suspension_twin.inference.coarse_alignment import coarse_lag
 from suspension_twin.inference.excited_segments import excited, fit_rows, trim
 from suspension_twin.inference.noise import Whitener, autoregression
 from suspension_twin.inference.nuisance import NuisancePriors, Nuisances
@@ -24,6 +23,7 @@ from suspension_twin.inference.observation import Observation, observe
 from suspension_twin.inference.problem import Data, Interrupted, Problem, segments_of
 from suspension_twin.inference.space import twin_value
 from suspension_twin.inference.spring_position import slides, standing_at
+from suspension_twin.signals.coarse_alignment import coarse_lag
 
 
 @pytest.fixture(scope="module")

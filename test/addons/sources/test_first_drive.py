@@ -16,7 +16,7 @@ import pytest
 from sensor_logger_app import SensorLoggerApp
 from test_record import free_port, start, wait_for_port
 
-from suspension_twin.calibration.first_drive import FirstDrive, excited_part
+from suspension_twin.addons.sources.common.first_drive import FirstDrive, excited_part
 from suspension_twin.cli.main import main
 from suspension_twin.drive.read import read_drive
 from suspension_twin.drive.types import Drive, FixData, ImuData, VelocityData

@@ -16,9 +16,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from suspension_twin.arrays import Floats
-from suspension_twin.inference.noise_floor import white_noise_sigma
 from suspension_twin.pose.types import Trajectory
 from suspension_twin.signals.filters import FilterSpec, zero_phase
+from suspension_twin.signals.noise_floor import white_noise_sigma
 from suspension_twin.signals.offline import ImuSignals
 
 __all__ = ["denoised_motion", "wiener"]

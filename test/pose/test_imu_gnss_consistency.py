@@ -11,10 +11,10 @@ import pytest
 
 from suspension_twin.drive.types import Drive
 from suspension_twin.errors import InputError
-from suspension_twin.inference.imu_gnss_consistency import consistency
 from suspension_twin.inference.observation import observe, with_shown_errors
 from suspension_twin.inference.synthetic import SensorErrors, synthetic_drive
 from suspension_twin.models.simulate import simulate_twin
+from suspension_twin.pose.imu_gnss_consistency import consistency
 from suspension_twin.road import Road, flat_road
 from suspension_twin.signals.attitude import rpy_matrix
 from suspension_twin.signals.offline import ingest_drive

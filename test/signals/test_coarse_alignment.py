@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from suspension_twin.inference.coarse_alignment import coarse_lag
+from suspension_twin.signals.coarse_alignment import coarse_lag
 
 RATE = 50.0
 Pairs = list[tuple[np.ndarray, np.ndarray]]
