@@ -159,7 +159,7 @@ def _of_runs(
     channels = dict(request.channels) or {c: w for c, w in preset.channels.items() if c in measured}
     weighted = _weighted(channels or dict.fromkeys(measured, 0.0), fitted)
     terms = parse_objective(_objective_text(request, preset), weighted, model_of(twin).channels)
-    priors = fitted[0].comparison.priors
+    priors = fitted[0].usage.priors
     if preset.search != "squares":  # a genetic search compares signals as they were measured
         priors = replace(priors, clock=0.0, speed=0.0)
     priors = priors.without([k for k in request.freeze if k.startswith("nuisances.")])

@@ -91,7 +91,7 @@ class Case:
     @property
     def road(self) -> bool:
         """Whether the vehicle drives on a known road."""
-        return self.drives[0].comparison.fused
+        return self.drives[0].usage.fused
 
     @property
     def excited(self) -> bool:
@@ -106,13 +106,13 @@ class Case:
     @property
     def channels(self) -> tuple[str, ...]:
         """The compared channels: those of all observations."""
-        first, *others = (d.comparison.channels for d in self.drives)
+        first, *others = (d.usage.channels for d in self.drives)
         return tuple(c for c in first if all(c in other for other in others))
 
     @property
     def driven(self) -> tuple[str, ...]:
         """Channels by which the vehicle itself is judged: those that its excitation brings about."""
-        return tuple(c for c in self.drives[0].comparison.driven if c in self.channels)
+        return tuple(c for c in self.drives[0].usage.driven if c in self.channels)
 
     @property
     def turn(self) -> Turn:
@@ -198,7 +198,7 @@ def build(case: Case, stop: Callable[[], bool], free: Sequence[str] = ()) -> Pro
     twin, drives = case.twin, case.drives
     data = Data(drives, tuple(range(len(drives))), tuple(_compared(case)), case.channels, case.active)
     wander = [0.5 * d.position_sigma if d.position_sigma >= _INACCURATE else 0.0 for d in drives]
-    priors = drives[0].comparison.priors
+    priors = drives[0].usage.priors
     if case.road:
         priors = replace(priors, map_position=min(map_spread(drives), priors.map_position))
     space = _space(twin, free) if free or case.excited else _space(twin, _LEANING)

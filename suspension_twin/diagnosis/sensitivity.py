@@ -24,7 +24,7 @@ from suspension_twin.inference.gauss_newton import bounded_step
 from suspension_twin.inference.hypothesis import Hypothesis
 from suspension_twin.inference.noise import USUAL_SHARE, Whitener
 from suspension_twin.inference.nuisance import OF_A_DRIVE, map_spread
-from suspension_twin.inference.observation import PLANAR, VERTICAL, Comparison, Grid, Observation
+from suspension_twin.inference.observation import PLANAR, VERTICAL, Grid, Observation, Usage
 from suspension_twin.inference.problem import REACH, STEP, Data, Problem, Simulation, whitener_of
 from suspension_twin.inference.synthetic import SensorErrors, path_along
 from suspension_twin.models.excitation import excitation
@@ -136,7 +136,7 @@ def planned_drive(twin: Twin, road: Road, kmh: float, name: str = "") -> Observa
         driven,
         {c: signals[:, i] for i, c in enumerate(CHANNELS)},
         noise,
-        Comparison(CHANNELS, VERTICAL, OF_A_DRIVE, block, fused=True),
+        Usage(CHANNELS, VERTICAL, OF_A_DRIVE, block, fused=True),
     )
 
 

@@ -65,7 +65,7 @@ def blocks_of(problem: Problem) -> Blocks:
     """The blocks of a problem: of road over all drives, of the distance of a run, of time without a road."""
     data, keys = problem.data, []
     for part, rows, drive in zip(data.parts, data.rows, data.drive_of, strict=True):
-        own = part.comparison
+        own = part.usage
         keys.append(own.block[rows] + (0 if own.shared else _APART * drive))
     _, sample = np.unique(np.concatenate(keys), return_inverse=True)
     return Blocks(sample, sample[whitener_of(problem).row], int(sample.max()) + 1)

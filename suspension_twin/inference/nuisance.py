@@ -232,7 +232,7 @@ class Nuisances:
     def _tilt(self, part: Observation) -> Floats:
         """(2, m, C) what a small tilt about x and about y adds, from the measured signals."""
         m = part.measured
-        g = part.comparison.gravity
+        g = part.usage.gravity
         zero = np.zeros_like(m["yaw_rate"])
         fz = m["vertical_acceleration"] + g
         about_x = {

@@ -55,11 +55,11 @@ from suspension_twin.vehicle.twin import Datum, Twin
 __all__ = [
     "PLANAR",
     "VERTICAL",
-    "Comparison",
     "Grid",
     "Observation",
     "ObserveSettings",
     "Reading",
+    "Usage",
     "content_digest",
     "observe",
     "renamed",
@@ -117,7 +117,7 @@ class Grid:
 
 
 @dataclass(frozen=True, eq=False)
-class Comparison:
+class Usage:
     """How an observation takes part in a fit.
 
     ``channels`` are compared, ``driven`` those by which the vehicle is judged, because the excitation brings them
@@ -234,7 +234,7 @@ class Observation:
         Filtered measured channels.
     noise_rms : dict of str to float
         Noise floor of each channel.
-    comparison : Comparison
+    usage : Usage
         How it takes part in a fit.
     reading : Reading, optional
         The recording of a drive and how it was read.
@@ -258,7 +258,7 @@ class Observation:
     excitation: Excitation | ObstacleRun
     measured: Mapping[str, Floats]
     noise_rms: Mapping[str, float]
-    comparison: Comparison
+    usage: Usage
     reading: Reading | None = None
     warnings: tuple[str, ...] = ()
 
@@ -648,10 +648,10 @@ def _observed(source: Reading, known: Observation | None = None) -> Observation:
     clock = SensorCorrection.of_twin(source.twin).clock
     if settings.satellites:
         block = np.floor((grid - grid[0]) / _SECONDS).astype(np.intp)
-        comparison = Comparison(PLANAR, PLANAR, OF_PLANAR_MOTION, block, shared=False)
+        usage = Usage(PLANAR, PLANAR, OF_PLANAR_MOTION, block, shared=False)
     else:
         block = np.floor(position / _METRES).astype(np.intp)
-        comparison = Comparison(CHANNELS, VERTICAL, OF_A_DRIVE, block, fused=True, gravity=signals.gravity)
+        usage = Usage(CHANNELS, VERTICAL, OF_A_DRIVE, block, fused=True, gravity=signals.gravity)
     return Observation(
         known.name if known else source.drive.name,
         Grid(
@@ -667,7 +667,7 @@ def _observed(source: Reading, known: Observation | None = None) -> Observation:
         _excited(path, source, clock),
         {channel: filtered[:, i] for i, channel in enumerate(CHANNELS)},
         floors,
-        comparison,
+        usage,
         source,
         known.warnings if known else (),
     )

@@ -22,7 +22,7 @@ from suspension_twin.files import together
 from suspension_twin.inference.gap import Gap, write_gap
 from suspension_twin.inference.marker_runs import CUTOFF, FLOORS, MARKERS, MarkerRun, low_pass, read_run
 from suspension_twin.inference.nuisance import OF_A_RIG, OF_A_RUN, NuisancePriors
-from suspension_twin.inference.observation import Comparison, Grid, Observation, renamed
+from suspension_twin.inference.observation import Grid, Observation, Usage, renamed
 from suspension_twin.models.excitation import MAX_STEP, excitation
 from suspension_twin.models.parameters import pack
 from suspension_twin.models.registry import model_of
@@ -165,7 +165,7 @@ def _run(
     """A run with the priors of its nuisance parameters; ``block`` m of the position are held out together."""
     names = tuple(measured)
     place = np.floor(grid.position / block).astype(np.intp)
-    return Observation(name, grid, driven, measured, noise_rms, Comparison(names, names, priors, place))
+    return Observation(name, grid, driven, measured, noise_rms, Usage(names, names, priors, place))
 
 
 @dataclass(frozen=True, eq=False)
@@ -280,7 +280,7 @@ def _rig(twin: Twin, paths: Sequence[str]) -> list[Observation]:
                 one,
                 excitation=programs[program],
                 grid=replace(one.grid, position=place),
-                comparison=replace(one.comparison, block=block),
+                usage=replace(one.usage, block=block),
             )
         )
     return found

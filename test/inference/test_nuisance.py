@@ -23,7 +23,7 @@ from suspension_twin.inference.nuisance import (
     map_spread,
     slow_position_error,
 )
-from suspension_twin.inference.observation import Comparison, Grid, Observation, observe
+from suspension_twin.inference.observation import Grid, Observation, Usage, observe
 
 CHANNELS = (
     "vertical_acceleration",
@@ -65,9 +65,9 @@ def part_of(
     mask = np.ones(t.size, dtype=bool)
     names = tuple(channels)
     grid = Grid(t, RATE, 20.0, nothing, np.cumsum(speed) / RATE, speed, mask)
-    comparison = Comparison(names, names, NuisancePriors(), np.zeros(t.size, dtype=np.intp))
+    usage = Usage(names, names, NuisancePriors(), np.zeros(t.size, dtype=np.intp))
     measured = {c: rng.standard_normal(t.size) for c in channels}
-    return Observation(name, grid, nothing, measured, {}, comparison)
+    return Observation(name, grid, nothing, measured, {}, usage)
 
 
 class Waves:
@@ -126,7 +126,7 @@ def reading(
         force = np.stack(
             [m["longitudinal_acceleration"], m["lateral_acceleration"], m["vertical_acceleration"]], 1
         )
-        force[:, 2] += part.comparison.gravity
+        force[:, 2] += part.usage.gravity
         rate = np.stack([m["roll_rate"], m["pitch_rate"], m["yaw_rate"]], 1)
         for name, axis in (("tilt_roll", [1.0, 0, 0]), ("tilt_pitch", [0, 1.0, 0])):
             turned = np.concatenate([np.cross(axis, force), np.cross(axis, rate)], axis=1)[rows]

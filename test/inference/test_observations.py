@@ -69,7 +69,7 @@ def test_a_run_with_markers_is_what_was_filmed() -> None:
     run = marker_run()
     seen = marker_observation(run)
     assert seen.name == "some run" and seen.rate == pytest.approx(50.0) and seen.bandwidth == CUTOFF
-    assert seen.comparison.priors == OF_A_RUN and seen.warnings == () and seen.position_sigma == 0.0
+    assert seen.usage.priors == OF_A_RUN and seen.warnings == () and seen.position_sigma == 0.0
     np.testing.assert_array_equal(seen.t, run.t)
     np.testing.assert_allclose(seen.position, 3.0 * run.t)
     np.testing.assert_array_equal(seen.along, np.full(40, 3.0))
@@ -172,11 +172,11 @@ def test_inputs_that_differ_by_the_noise_of_a_transducer_are_one_program(
     # samples of one program at one time are held out together, of two programs never
     np.testing.assert_array_equal(one.position, again.position)
     np.testing.assert_array_equal(one.position, last.position)
-    assert not set(other.comparison.block) & set(one.comparison.block)
+    assert not set(other.usage.block) & set(one.usage.block)
     for run in (one, other):
         np.testing.assert_allclose(np.diff(run.position), 1.0 / run.rate)
         assert (run.along == 1.0).all() and run.along.shape == run.t.shape
-        assert run.comparison.priors == OF_A_RIG
+        assert run.usage.priors == OF_A_RIG
     assert set(one.measured) == set(one.noise_rms) == set(record.columns) - {"road_displacement"}
     assert one.grid.apply(np.zeros((800, 2))).shape == (one.t.size, 2)
     assert one.bandwidth < one.rate / 2

@@ -483,7 +483,7 @@ def problem_of(
 ) -> Problem:
     """The problem of one drive in parts, its mean squared difference in one channel."""
     data = Data(tuple(parts), (0,) * len(parts), tuple(rows), (channel,), (True,))
-    nuisances = data.nuisances(parts[0].comparison.priors)
+    nuisances = data.nuisances(parts[0].usage.priors)
     objective = Objective((Term("mse", channel),), data.measured)
     return Problem.of(twin, space, Likelihood(data, nuisances, objective))
 
