@@ -5,6 +5,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -17,7 +18,7 @@ from suspension_twin.drive.rig import RigRecord, write_rig
 from suspension_twin.errors import InputError, WorkError
 from suspension_twin.files import together
 from suspension_twin.inference.common_rate import PER_PERIOD
-from suspension_twin.inference.gap import Gap, main_channel, measure_gap, write_gap
+from suspension_twin.inference.gap import Comparison, Gap, main_channel, measure_gap, write_gap
 from suspension_twin.inference.noise_floor import floor_rms
 from suspension_twin.models.excitation import MAX_STEP, excitation
 from suspension_twin.models.parameters import pack
@@ -161,25 +162,25 @@ def observe_rig(
     )
 
 
-@dataclass(frozen=True, eq=False)
-class SimulatedRun:
+@dataclass(frozen=True, eq=False, repr=False)
+class SimulatedRun(Comparison):
     """A twin over a run of a rig: its ``response`` at the stamps of ``record``, and the ``gap``."""
 
     record: RigRecord
     observation: RigObservation
     response: LaneResponse
     gap: Gap
-    warnings: tuple[str, ...]
 
     @property
-    def name(self) -> str:
-        """Of the run."""
-        return self.record.name
+    def observed(self) -> RigObservation:
+        """The recording as it is compared."""
+        return self.observation
 
-    @property
-    def noise_rms(self) -> Mapping[str, float]:
-        """Floor of each channel of the gap."""
-        return self.observation.noise_rms
+    @cached_property
+    def simulated(self) -> Mapping[str, Floats]:
+        """(m,) simulated signal of each channel, m/s² and rad/s."""
+        apply, response = self.observation.conditioner.apply, self.response
+        return {name: apply(response.channel(name)[:, 0]) for name in self.measured}
 
     def as_dict(self) -> dict[str, Any]:
         """What ``gap.json`` holds: the gap, and how it was measured."""
@@ -220,4 +221,4 @@ def simulate_rig(record: RigRecord, twin: Twin) -> SimulatedRun:
             np.corrcoef(values, simulated[name])[0, 1] < -0.5
         ):  # half or more of it would be explained upside down
             warnings.append(f"{name} looks upside down: upwards and compression are positive")
-    return SimulatedRun(record, observation, response, gap, tuple(warnings))
+    return SimulatedRun(record, replace(observation, warnings=tuple(warnings)), response, gap)
