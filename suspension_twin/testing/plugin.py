@@ -36,7 +36,9 @@ def replayed(
 ) -> Callable[..., dict[str, Received]]:
     """``replayed(twin, drive)``: what a twin's nodes publish while a drive is replayed, by topic."""
 
-    def replay(twin: Twin | Path | str, drive: Drive | Path | str, topics: Sequence[str] = ()) -> dict[str, Received]:
+    def replay(
+        twin: Twin | Path | str, drive: Drive | Path | str, topics: Sequence[str] = ()
+    ) -> dict[str, Received]:
         return running_twin(twin).replay(drive, *([topics] if topics else []))
 
     return replay

@@ -220,7 +220,10 @@ def _fetch(kept: Sequence[tuple[Subscription, list[Any]]]) -> None:
 
 @contextmanager
 def running_twin(
-    twin: str | Path | Twin, *, namespace: str = "", parameters: Mapping[str, bool | float | str] | None = None
+    twin: str | Path | Twin,
+    *,
+    namespace: str = "",
+    parameters: Mapping[str, bool | float | str] | None = None,
 ) -> Iterator[RunningTwin]:
     """The four nodes of a twin in this process, in a ROS context and domain of their own.
 
