@@ -100,7 +100,17 @@ class Observed(Protocol):
 
 
 class Comparison(ABC):
-    """A twin over a recording: every channel measured and simulated, through the same filter and on one grid."""
+    """A twin over a recording: every channel measured and simulated, through the same filter and on one grid.
+
+    Examples
+    --------
+    >>> import suspension_twin as st
+    >>> result = st.simulate("bags/crg_road", "bags/crg_road/twin.yaml")
+    >>> list(result.simulated)[:2]
+    ['vertical_acceleration', 'roll_rate']
+    >>> result.simulated["roll_rate"].shape == result.measured["roll_rate"].shape == result.t.shape
+    True
+    """
 
     gap: Gap
 

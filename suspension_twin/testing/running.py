@@ -237,9 +237,9 @@ def running_twin(
         Parameters of the nodes, see ``docs/parameters.md``; ``node:name`` sets that of one node alone. No node skips a
         message that had to wait (``max_backlog``) unless it is given here.
 
-    Yields
-    ------
-    RunningTwin
+    Returns
+    -------
+    context manager of RunningTwin
         ``replay`` plays a drive through the nodes.
 
     Raises
