@@ -89,7 +89,12 @@ def parts() -> dict[Path, dict[str, Callable[[], str]]]:
     """Makers of the generated parts, by the page and the name of their mark."""
     return {
         ROOT / "README.md": {"commands": commands},
-        HERE / "interfaces.md": {"nodes": nodes, "topics": topics, "calls": calls, "definitions": definitions},
+        HERE / "interfaces.md": {
+            "nodes": nodes,
+            "topics": topics,
+            "calls": calls,
+            "definitions": definitions,
+        },
         HERE / "parameters.md": {"parameters": parameters},
         HERE / "effects.md": {"effects": effects},
     }
