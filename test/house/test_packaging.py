@@ -156,6 +156,9 @@ def test_entry_points_resolve(setup_arguments: dict[str, Any]) -> None:
     for target in scripts.values():
         module, attribute = target.split(":")
         assert callable(getattr(import_module(module), attribute))
+    for plugin in setup_arguments["entry_points"]["pytest11"]:
+        name, module = plugin.split(" = ")  # alike, or pytest would load it twice where -p names it
+        assert name == module and import_module(module).__all__
 
 
 def test_ros_finds_the_programs(repository: Path) -> None:
