@@ -294,9 +294,10 @@ class CalibrationResult:
         fit = self.drives[drive]
         label = f"{fit.channel.replace('_', ' ')} [{channel_unit(fit.channel)}]"
         ax = axes_or_new(ax, "time [s]", label, repr(fit))
-        for side, signals in (("before", fit.before), ("measured", fit.measured), ("after", fit.after)):
-            style = {"color": "0.6", "linestyle": "--"} if side == "before" else {}
-            ax.plot(fit.t - fit.t[0], signals[fit.channel], label=side, linewidth=1.0, **style)
+        t = fit.t - fit.t[0]
+        ax.plot(t, fit.before[fit.channel], "--", color="0.6", label="before", linewidth=1.0)
+        for side, signals in (("measured", fit.measured), ("after", fit.after)):
+            ax.plot(t, signals[fit.channel], label=side, linewidth=1.0)
         ax.legend(loc="upper right")
         return ax
 
