@@ -39,6 +39,8 @@ def replayed(
     def replay(
         twin: Twin | Path | str, drive: Drive | Path | str, topics: Sequence[str] = ()
     ) -> dict[str, Received]:
-        return running_twin(twin).replay(drive, *([topics] if topics else []))
+        from suspension_twin.testing.running import TOPICS
+
+        return running_twin(twin).replay(drive, topics or TOPICS)
 
     return replay
