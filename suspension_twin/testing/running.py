@@ -8,7 +8,7 @@ import math
 import os
 import tempfile
 import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from importlib import import_module
@@ -159,7 +159,11 @@ class RunningTwin:
             kept = [(self._listen(topic), received.messages) for topic, received in out.items()]
             for node in self._own:
                 composed.executor.add_node(node)
-            self._wait(composed, lambda: all(s.get_publisher_count() for s, _ in kept))
+            until = time.monotonic() + _PATIENCE
+            while not all(subscription.get_publisher_count() for subscription, _ in kept):
+                if time.monotonic() > until:
+                    raise WorkError(f"the topics were not connected within {_PATIENCE:g} s")
+                composed.serve()
             fetch_at = 0.0
             while not composed.finished:
                 composed.step()
@@ -178,20 +182,16 @@ class RunningTwin:
         return out
 
     def _listen(self, topic: str) -> Subscription:
-        known = dict(self._listener.get_topic_names_and_types())
         name = topic if topic.startswith("/") else f"/{self.namespace.strip('/')}/{topic}".replace("//", "/")
-        if name not in known:
+        publishers = self._listener.get_publishers_info_by_topic(name)
+        if not publishers:
+            known = [other for other, _ in self._listener.get_topic_names_and_types()]
             raise InputError(topic, f"no node publishes it{nearest(name, known)}")
-        package, folder, kind = known[name][0].split("/")
+        package, folder, kind = publishers[0].topic_type.split("/")
         message = getattr(import_module(f"{package}.{folder}"), kind)
-        return self._listener.create_subscription(message, name, lambda _: None, QoSProfile(depth=_DEPTH))
-
-    def _wait(self, composed: Composed, condition: Callable[[], bool]) -> None:
-        until = time.monotonic() + _PATIENCE
-        while not condition():
-            if time.monotonic() > until:
-                raise WorkError(f"the topics were not connected within {_PATIENCE:g} s")
-            composed.serve()
+        durability = publishers[0].qos_profile.durability  # a latched topic has its message already
+        quality = QoSProfile(depth=_DEPTH, durability=durability)
+        return self._listener.create_subscription(message, name, lambda _: None, quality)
 
     def close(self) -> None:
         """Destroy the listener and the test's own nodes."""

@@ -47,13 +47,14 @@ def test_a_replay_gives_every_answer_and_the_same_every_time(drive: Drive) -> No
 
 
 def test_a_namespace_a_twin_in_memory_and_parameters(drive: Drive) -> None:
-    topics = ("twin/gap", "/car/twin/gap", "joint_states")
+    topics = ("twin/gap", "/car/twin/gap", "joint_states", "robot_description", "/tf_static")
     with running_twin(load_twin(TWIN), namespace="car", parameters={"gap.window": 2.0}) as nodes:
         out = nodes.replay(drive, topics)
     assert tuple(out) == topics
     assert len(out["twin/gap"]) == len(out["/car/twin/gap"]) > 0
     assert set(out["twin/gap"]["window"]) <= {2.0}
     assert out["joint_states"]["position"].shape[1] == 4
+    assert len(out["robot_description"]) and out["/tf_static"].messages  # latched before anybody listens
 
 
 def test_a_node_of_the_tests_own_hears_the_twin(drive: Drive) -> None:
