@@ -128,6 +128,7 @@ setup(
         "console_scripts": [
             "suspension-twin = suspension_twin.cli.main:main",
             *(f"{node} = suspension_twin.nodes.{node}:main" for node in NODES),
-        ]
+        ],
+        "pytest11": ["suspension_twin.testing.plugin = suspension_twin.testing.plugin"],
     },
 )

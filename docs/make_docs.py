@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Makes what the documentation shows of the program itself: ``python docs/make_docs.py tables [PAGE...]|pictures``.
 
-``tables`` writes the generated parts, each between its marks: commands and nodes in README.md, topics, services,
+``tables`` writes the generated parts, each between its marks: commands in README.md, nodes, topics, services,
 actions and message definitions in interfaces.md, node parameters in parameters.md, effects in effects.md; of all these
 pages, or of those that are named: ``tables effects`` needs no ROS. A test says when one has fallen behind.
 ``pictures`` draws the pictures of this folder, which takes some minutes.
@@ -30,7 +30,7 @@ DOES = {
     "pose_injector": "GPS and gyroscope to a smooth pose at the IMU's rate",
     "suspension_model": "the twin along that pose over the road; the gap",
     "calibrator": "calibration and diagnosis of recorded drives",
-    "source": "live phones, receivers and IMUs ([docs/sources.md](docs/sources.md)); only where it is given sources",
+    "source": "live phones, receivers and IMUs ([sources](sources.md)); only where it is given sources",
     "road_learner": "the road, learnt while driving; only with `--learn-road`",
 }
 _BASE = "`base_link`"
@@ -88,8 +88,13 @@ WHERE = {
 def parts() -> dict[Path, dict[str, Callable[[], str]]]:
     """Makers of the generated parts, by the page and the name of their mark."""
     return {
-        ROOT / "README.md": {"commands": commands, "nodes": nodes},
-        HERE / "interfaces.md": {"topics": topics, "calls": calls, "definitions": definitions},
+        ROOT / "README.md": {"commands": commands},
+        HERE / "interfaces.md": {
+            "nodes": nodes,
+            "topics": topics,
+            "calls": calls,
+            "definitions": definitions,
+        },
         HERE / "parameters.md": {"parameters": parameters},
         HERE / "effects.md": {"effects": effects},
     }

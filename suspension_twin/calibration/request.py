@@ -3,15 +3,21 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
 from suspension_twin.arrays import Floats
+from suspension_twin.display import axes_or_new, bulleted, table
 from suspension_twin.drive.read import Topics
 from suspension_twin.inference.gap import Gap, channel_unit
 from suspension_twin.vehicle.twin import Twin
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from pandas import DataFrame
 
 __all__ = [
     "STATUSES",
@@ -181,7 +187,7 @@ class CurveEstimate:
     rest_high: Floats
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class DriveFit:
     """One drive or run, compared: gaps over the whole of it in its main ``channel``, and every channel (m,) on its grid
     ``t``.
@@ -205,6 +211,10 @@ class DriveFit:
     before: dict[str, Floats]
     after: dict[str, Floats]
     compared: NDArray[np.bool_]
+
+    def __repr__(self) -> str:
+        gaps = f"{self.gap_before.rms:.4g} to {self.gap_after.rms:.4g} {channel_unit(self.channel)}"
+        return f"{self.name}: gap in {self.channel.replace('_', ' ')} {gaps} rms"
 
 
 @dataclass(frozen=True, eq=False)
@@ -262,3 +272,36 @@ class CalibrationResult:
         if np.isfinite(self.distance):
             distance = f"; distance (eq. 1) {self.initial_distance:.4g} to {self.distance:.4g} m/s²"
         return f"{state}{change}{distance}; gap {gaps}; {counts} of {len(self.estimates)} parameters"
+
+    def __str__(self) -> str:
+        counts = ", ".join(f"{count} {status}" for status, count in self.counts.items())
+        bounds = ", ".join(e.key for e in self.estimates if e.on_bound)
+        cost = f"cost ({self.objective}) {self.initial_cost:.4g} to {self.cost:.4g}"
+        lines = [
+            *map(repr, self.drives),
+            f"{cost} in {self.evaluations} evaluations, {self.seconds:.1f} s{', stopped' if self.stopped else ''}",
+            f"{len(self.estimates)} parameters: {counts or 'no uncertainty was computed'}",
+            *([f"on a bound: {bounds}"] if bounds else []),
+        ]
+        return bulleted(
+            f"Calibration of {self.twin.vehicle.name}, preset {self.preset}", lines, self.warnings
+        )
+
+    __repr__ = __str__
+
+    def plot(self, ax: Axes | None = None, drive: int = 0) -> Axes:
+        """Draw one drive's main channel, measured and by the twin before and after, over s; returns the axes."""
+        fit = self.drives[drive]
+        label = f"{fit.channel.replace('_', ' ')} [{channel_unit(fit.channel)}]"
+        ax = axes_or_new(ax, "time [s]", label, repr(fit))
+        t = fit.t - fit.t[0]
+        ax.plot(t, fit.before[fit.channel], "--", color="0.6", label="before", linewidth=1.0)
+        for side, signals in (("measured", fit.measured), ("after", fit.after)):
+            ax.plot(t, signals[fit.channel], label=side, linewidth=1.0)
+        ax.legend(loc="upper right")
+        return ax
+
+    def to_frame(self) -> DataFrame:
+        """A table of pandas, a row for each parameter: start, value, 90 % interval, bounds and status."""
+        names = [f.name for f in fields(Estimate)]
+        return table({name: [getattr(e, name) for e in self.estimates] for name in names}, "key")

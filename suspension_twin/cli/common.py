@@ -1,13 +1,13 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What several subcommands share: common arguments, what they write, progress, and the bundled files."""
+"""Parts of several subcommands: arguments, the files they write, progress, tables, and the bundled files."""
 
 from __future__ import annotations
 
 import sys
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 from types import TracebackType
-from typing import Annotated, Any, final
+from typing import TYPE_CHECKING, Annotated, Any, final
 
 import typer
 from rich.console import Console
@@ -18,6 +18,9 @@ from rich.text import Text
 import suspension_twin
 from suspension_twin.errors import InputError, printable
 from suspension_twin.files import check_writable
+
+if TYPE_CHECKING:
+    from suspension_twin.diagnosis.wording import Document
 
 __all__ = [
     "Bag",
@@ -88,10 +91,14 @@ def print_table(
     words: Sequence[str] | None = None,
 ) -> None:
     """A table of which nothing is cut off: the columns ``words`` (the first) may wrap, the others hold numbers."""
-    table = Table(box=None, pad_edge=False, padding=(0, 2, 0, 0))
-    for name in columns:
-        numbers = name not in (columns[:1] if words is None else words)
-        table.add_column(name, justify="right" if numbers else "left", overflow="fold", no_wrap=numbers)
+    wrapping = columns[:1] if words is None else words
+    heads = (
+        Column(name, overflow="fold")
+        if name in wrapping
+        else Column(name, justify="right", overflow="fold", no_wrap=True)
+        for name in columns
+    )
+    table = Table(*heads, box=None, pad_edge=False, padding=(0, 2, 0, 0))
     for row in rows:
         table.add_row(*row)
     console.print(title, style="bold")
@@ -101,7 +108,7 @@ def print_table(
 
 @final
 class Outputs:
-    """The files or folders that a command writes: checked before the work, announced, and guarded against Ctrl-C.
+    """Files or folders that a command writes: checked before the work, announced, and kept whole on Ctrl-C.
 
     Raises InputError for one that exists (unless ``force``) or cannot be written. As a context manager it ends an
     interrupt with how to go on; ``resumed_from`` is a folder from which the same command goes on where it was.
@@ -128,11 +135,13 @@ class Outputs:
         if kind is not KeyboardInterrupt:
             return
         force = " with --force" if not self._force and any(p.exists() for p in self._paths) else ""
-        if self._resumed_from is not None and any(self._resumed_from.glob("state*.npz")):
-            text = f"the same command{force} goes on from what is kept in {self._resumed_from}"
-        else:
-            text = f"start the same command{force} again"
-        raise KeyboardInterrupt(text) from None
+        folder = self._resumed_from
+        going_on = folder is not None and any(folder.glob("state*.npz"))
+        raise KeyboardInterrupt(
+            f"the same command{force} goes on from what is kept in {folder}"
+            if going_on
+            else f"start the same command{force} again"
+        ) from None
 
 
 def bundled(*parts: str) -> Path:
@@ -143,8 +152,8 @@ def bundled(*parts: str) -> Path:
     """
     package = Path(suspension_twin.__file__).resolve().parent
     # colcon installs the code to <prefix>/lib/pythonX.Y/site-packages and the rest to <prefix>/share.
-    prefixes = [Path(sys.prefix), *package.parents[3:5]]
-    roots = [package.parent, *(p / "share" / "suspension_twin" for p in prefixes)]
+    shares = (prefix / "share" / "suspension_twin" for prefix in (Path(sys.prefix), *package.parents[3:5]))
+    roots = [package.parent, *shares]
     for root in roots:
         if (root / "package.xml").is_file() and (found := root.joinpath(*parts)).exists():
             return found
@@ -155,7 +164,7 @@ def bundled(*parts: str) -> Path:
 
 @final
 class ProgressLine:
-    """The stage of the work and a bar, on standard error; gone when it is over, nothing where it is no terminal."""
+    """The stage of the work and a bar on the terminal's standard error, removed at the end; in a log nothing."""
 
     def __init__(self) -> None:
         console = Console(stderr=True)
@@ -184,14 +193,13 @@ class ProgressLine:
         return self._bar.tasks[0].elapsed or 0.0
 
     def show(self, text: str, share: float | None = None) -> None:
-        """The stage, and the share of the work that is done, 0 to 1; None: not known."""
-        self._bar.update(
-            self._task, description=printable(text), total=None if share is None else 1.0, completed=share
-        )
+        """Show the stage, and the share of the work that is done, 0 to 1; None: not known."""
+        total = None if share is None else 1.0
+        self._bar.update(self._task, description=printable(text), total=total, completed=share)
 
 
-def print_diagnosis(document: Mapping[str, Any], out: Path | None) -> None:
-    """What ``diagnosis.json`` holds in a few lines: warnings, verdict, first causes, and the folder ``out`` if any."""
+def print_diagnosis(document: Document, out: Path | None) -> None:
+    """Print ``diagnosis.json`` in a few lines: warnings, verdict, the likeliest causes, and the folder if any."""
     from suspension_twin.diagnosis import wording
 
     console = output()
@@ -200,25 +208,22 @@ def print_diagnosis(document: Mapping[str, Any], out: Path | None) -> None:
     console.print(wording.answer(document), style="bold")
     for remark in wording.remarks(document):
         console.print(remark)
-    rows = []
-    for cause in document["causes"][:5]:
-        low, high = cause["shrink_beyond_recalibration_interval"]
-        rows.append(
-            (
-                cause["effect"],
-                "; ".join(f"{name} {value}" for name, value in wording.parameters_of(cause)),
-                wording.channel_name(wording.channel_of(document, cause)),
-                f"{cause['probability']:.3f}",
-                f"{cause['shrink_beyond_recalibration']:.2f}",
-                f"{low:.2f} to {high:.2f}",
-            )
+    rows = [
+        (
+            cause["effect"],
+            "; ".join(f"{name} {value}" for name, value in wording.parameters_of(cause)),
+            wording.channel_name(wording.channel_of(document, cause)),
+            f"{cause['probability']:.3f}",
+            f"{cause['shrink_beyond_recalibration']:.2f}",
+            "{:.2f} to {:.2f}".format(*cause["shrink_beyond_recalibration_interval"]),
         )
+        for cause in document["causes"][:5]
+    ]
     columns = "cause", "parameters", "channel", "probability", "shrink", "90 % interval"
     title = "The likeliest causes; shrink of the gap beyond recalibration"
-    print_table(console, title, columns, rows, words=("cause", "parameters", "channel"))
-    console.print(
-        f"No gap {document['no_gap_probability']:.3f}, unknown {document['unknown_probability']:.3f}."
-    )
+    print_table(console, title, columns, rows, words=columns[:3])
+    known, unknown = (document[f"{name}_probability"] for name in ("no_gap", "unknown"))
+    console.print(f"No gap {known:.3f}, unknown {unknown:.3f}.")
     if document.get("next_experiment"):
         console.print(document["next_experiment"])
     if out is not None:

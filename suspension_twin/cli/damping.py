@@ -15,16 +15,19 @@ from suspension_twin.files import together, write_text
 
 __all__ = ["command"]
 
-Range = Annotated[
-    tuple[float, float], typer.Option("--range", help="Speeds that count, in km/h.", metavar="LOW HIGH")
-]
-Out = Annotated[
-    Path | None,
-    typer.Option("--out", help="Folder for the picture and the table.", metavar="DIR", file_okay=False),
-]
 
-
-def command(twin: TwinFile, speeds: Range = (5.0, 55.0), out: Out = None, force: Force = False) -> None:
+def command(
+    twin: TwinFile,
+    *,
+    speeds: Annotated[
+        tuple[float, float], typer.Option("--range", help="Speeds that count, in km/h.", metavar="LOW HIGH")
+    ] = (5.0, 55.0),
+    out: Annotated[
+        Path | None,
+        typer.Option("--out", help="Folder for the picture and the table.", metavar="DIR", file_okay=False),
+    ] = None,
+    force: Force = False,
+) -> None:
     """Which damping a tracked vehicle should have: variance of the pitch over speed for the tracked paper's Table 1.
 
     Runs the vehicle over its obstacle with seven dampings at 5 to 55 km/h, 15 s each, and names the damping with
@@ -34,8 +37,8 @@ def command(twin: TwinFile, speeds: Range = (5.0, 55.0), out: Out = None, force:
     from suspension_twin.models.registry import model_of
     from suspension_twin.vehicle.twin import load_twin
 
-    picture, figures = (None, None) if out is None else (out / f"pitch_variance.{s}" for s in ("png", "json"))
-    outputs = Outputs(*(p for p in (picture, figures) if p is not None), force=force)
+    files = [] if out is None else [out / f"pitch_variance.{suffix}" for suffix in ("png", "json")]
+    outputs = Outputs(*files, force=force)
     loaded = load_twin(twin)
     if model_of(loaded).recordings != "markers":
         raise InputError(
@@ -46,11 +49,13 @@ def command(twin: TwinFile, speeds: Range = (5.0, 55.0), out: Out = None, force:
         chosen = select_damping(loaded.vehicle, *speeds, tell=line.show)
     console = output()
     rows = [
-        (f"{speed:.0f}", *(f"{1e4 * row[k]:.2f}" for row in chosen.table))
-        for k, speed in enumerate(chosen.speeds)
+        *(
+            (f"{speed:.0f}", *(f"{1e4 * value:.2f}" for value in row))
+            for speed, row in zip(chosen.speeds, chosen.table, strict=True)
+        ),
+        ("mean in range", *(f"{1e4 * value:.2f}" for value in chosen.mean)),
+        ("worst over least", *(f"{value:.2f}" for value in chosen.regret)),
     ]
-    rows.append(("mean in range", *(f"{1e4 * v:.2f}" for v in chosen.mean)))
-    rows.append(("worst over least", *(f"{v:.2f}" for v in chosen.regret)))
     title = "Variance of the pitch in 1e-4 rad², by damping in N m s/rad"
     print_table(console, title, ("km/h", *map("{:.0f}".format, chosen.dampings)), rows)
     others = [f"{chosen.dampings[i]:.0f}" for i in chosen.near if i != chosen.best]
@@ -59,7 +64,7 @@ def command(twin: TwinFile, speeds: Range = (5.0, 55.0), out: Out = None, force:
         f"From {chosen.low:g} to {chosen.high:g} km/h take {chosen.dampings[chosen.best]:.0f} N m s/rad (curve "
         f"{chosen.best + 1}; the paper, over all speeds: curve {PAPER_CURVE}){also}. It depends on the obstacle."
     )
-    if picture is None or figures is None:
+    if not files:
         return
     from suspension_twin.report import style
     from suspension_twin.report.markers import damping_picture
@@ -72,6 +77,6 @@ def command(twin: TwinFile, speeds: Range = (5.0, 55.0), out: Out = None, force:
         "recommended": {"curve": chosen.best + 1, "damping": chosen.dampings[chosen.best]},
     }
     with together():
-        style.save(damping_picture(chosen.speeds, chosen.dampings, chosen.table), picture)
-        write_text(figures, json.dumps(document, indent=1) + "\n")
-    console.print(f"Written to {picture} and {figures}")
+        style.save(damping_picture(chosen.speeds, chosen.dampings, chosen.table), files[0])
+        write_text(files[1], json.dumps(document, indent=1) + "\n")
+    console.print(f"Written to {files[0]} and {files[1]}")

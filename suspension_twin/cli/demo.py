@@ -16,13 +16,16 @@ from suspension_twin.errors import printable
 
 __all__ = ["command"]
 
-Out = Annotated[
-    Path,
-    typer.Option("--out", help="Folder for the page and the twin files.", metavar="DIR", file_okay=False),
-]
 
-
-def command(out: Out = Path("suspension_twin_demo"), seed: Seed = 0, force: Force = False) -> None:
+def command(
+    *,
+    out: Annotated[
+        Path,
+        typer.Option("--out", help="Folder for the page and the twin files.", metavar="DIR", file_okay=False),
+    ] = Path("suspension_twin_demo"),
+    seed: Seed = 0,
+    force: Force = False,
+) -> None:
     """The whole way, live to calibrated, on the bundled drive.
 
     Replays a drive over a speed bump through the four nodes, calibrates the twin on it by the
@@ -41,11 +44,14 @@ def command(out: Out = Path("suspension_twin_demo"), seed: Seed = 0, force: Forc
         steps.begin("Drawing the page")
         demo_page(result).write(page)
         steps.end("")
-    rows = []
-    for name, title in DRIVES.items():
-        before, after, truth = result.before[name], result.after[name], result.truth[name]
-        cells = (after.measured_rms, before.rms, after.rms, truth.rms)
-        rows.append((title, *(f"{v:.3f}" for v in cells)))
+    rows = [
+        (
+            title,
+            f"{result.after[name].measured_rms:.3f}",
+            *(f"{twins[name].rms:.3f}" for twins in (result.before, result.after, result.truth)),
+        )
+        for name, title in DRIVES.items()
+    ]
     columns = "drive", "measured", "at first", "calibrated", "true parameters"
     print_table(console, "Gap: rms of measured minus simulated vertical acceleration, m/s²", columns, rows)
     console.print(f"{result.seconds:.0f} s in all. The calibrated twin is {out / 'twin.yaml'}")
@@ -54,12 +60,10 @@ def command(out: Out = Path("suspension_twin_demo"), seed: Seed = 0, force: Forc
 
 @final
 class _Steps:
-    """A progress line while a step runs, a tick and what came out once it is done."""
+    """A progress line while a step runs, a tick and its outcome once it is done."""
 
     def __init__(self, console: Console) -> None:
-        self._console = console
-        self._text = ""
-        self._running = ExitStack()
+        self._console, self._text, self._running = console, "", ExitStack()
 
     def __enter__(self) -> _Steps:
         return self

@@ -17,64 +17,64 @@ if TYPE_CHECKING:
 
 __all__ = ["command"]
 
-Reference = Annotated[
-    list[Path] | None,
-    typer.Option(
-        "--reference",
-        help="Drives of the same vehicle from before the gap, after those with it.",
-        metavar="BAG",
-        show_default=False,
-    ),
-]
 Effects = Annotated[
     list[str] | None,
     typer.Option(
         "--effect",
-        help="Try this effect alone; repeatable.",
+        help="Try this effect alone of the library; repeatable.",
         metavar="ID",
-        show_default=False,
-    ),
-]
-Out = Annotated[
-    Path | None,
-    typer.Option("--out", help="Folder for the result.", metavar="DIR", file_okay=False, show_default=False),
-]
-GivenTwin = Annotated[
-    Path | None, typer.Option("--twin", help="The twin file.", metavar="TWIN.YAML", show_default=False)
-]
-GivenBags = Annotated[
-    list[Path] | None,
-    typer.Argument(help="Recorded drives: rosbag2 folders or bare files.", metavar="BAG", show_default=False),
-]
-FromEvidence = Annotated[
-    Path | None,
-    typer.Option(
-        "--from-evidence",
-        help="Decide anew from the evidence that an earlier diagnosis left in this folder.",
-        metavar="DIR",
-        file_okay=False,
-        show_default=False,
-    ),
-]
-CostTable = Annotated[
-    str,
-    typer.Option(
-        "--costs",
-        help="Costs of a wrong name, a missed cause, unknown and vague answers: wrong=4,missed=1,unknown=1,vague=0.5.",
-        metavar="TABLE",
         show_default=False,
     ),
 ]
 
 
 def command(
-    twin: GivenTwin = None,
-    bags: GivenBags = None,
-    out: Out = None,
-    reference: Reference = None,
+    *,
+    twin: Annotated[
+        Path | None, typer.Option("--twin", help="The twin file.", metavar="TWIN.YAML", show_default=False)
+    ] = None,
+    bags: Annotated[
+        list[Path] | None,
+        typer.Argument(
+            help="Recorded drives: rosbag2 folders or bare files.", metavar="BAG", show_default=False
+        ),
+    ] = None,
+    out: Annotated[
+        Path | None,
+        typer.Option(
+            "--out", help="Folder for the result.", metavar="DIR", file_okay=False, show_default=False
+        ),
+    ] = None,
+    reference: Annotated[
+        list[Path] | None,
+        typer.Option(
+            "--reference",
+            help="Drives of the same vehicle from before the gap; name them behind those that show it.",
+            metavar="BAG",
+            show_default=False,
+        ),
+    ] = None,
     effect: Effects = None,
-    from_evidence: FromEvidence = None,
-    costs: CostTable = "",
+    from_evidence: Annotated[
+        Path | None,
+        typer.Option(
+            "--from-evidence",
+            help="Decide anew from the evidence that an earlier diagnosis left in this folder.",
+            metavar="DIR",
+            file_okay=False,
+            show_default=False,
+        ),
+    ] = None,
+    costs: Annotated[
+        str,
+        typer.Option(
+            "--costs",
+            help="Costs of a wrong name, a missed cause, unknown and vague answers: "
+            "wrong=4,missed=1,unknown=1,vague=0.5.",
+            metavar="TABLE",
+            show_default=False,
+        ),
+    ] = "",
     seed: Seed = 0,
     force: Force = False,
 ) -> None:
@@ -88,47 +88,41 @@ def command(
 
     table = Costs.parsed(costs)
     if from_evidence is not None:
-        if twin is not None or bags or reference:
+        if twin or bags or reference:
             raise InputError(
                 "--from-evidence", "takes neither --twin nor drives: they are those of the diagnosis"
             )
         _anew(from_evidence, table, out, force)
         return
-    for name, value in (("--twin", twin), ("BAG", bags), ("--out", out)):
-        if not value:
-            raise InputError(name, "is missing")
-    assert twin is not None and bags is not None and out is not None
-    page = out / "report.html"
+    if twin is None or not bags or out is None:
+        raise InputError("--twin" if twin is None else "--out" if bags else "BAG", "is missing")
     folder = out / ".state"
-    files = (out / "diagnosis.json", out / "evidence.json", page, out / "twin.yaml")
-    outputs = Outputs(*files, force=force, resumed_from=folder)
+    page, *others = (out / name for name in ("report.html", "diagnosis.json", "evidence.json", "twin.yaml"))
+    outputs = Outputs(*others, page, force=force, resumed_from=folder)
     from suspension_twin.diagnosis.output import write
     from suspension_twin.diagnosis.request import DiagnosisRequest
-    from suspension_twin.diagnosis.request import Progress as Stage
     from suspension_twin.diagnosis.run import diagnose
     from suspension_twin.inference.checkpoint import Checkpoint
     from suspension_twin.report.diagnosis import diagnosis_page
     from suspension_twin.vehicle.twin import load_twin
 
-    effects = checked_effects(effect)
     request = DiagnosisRequest(
         str(twin),
-        tuple(str(b) for b in bags),
-        tuple(str(b) for b in reference or ()),
+        tuple(map(str, bags)),
+        tuple(map(str, reference or ())),
         seed,
-        effects,
+        checked_effects(effect),
         costs=table,
         state=str(folder),
     )
-    store = Checkpoint(folder, "", "a diagnosis")  # refuses a folder that is no state's
+    store = Checkpoint(folder, "", "a diagnosis")  # refuses a folder that holds no checkpoints
     load_twin(twin)
     outputs.announce()
     with outputs, ProgressLine() as line:
-
-        def show(stage: Stage) -> None:
-            line.show(f"{stage.stage}: {stage.note}" if stage.note else stage.stage, stage.done)
-
-        result = diagnose(request, show)
+        result = diagnose(
+            request,
+            lambda step: line.show(": ".join(filter(None, (step.stage, step.note))), step.done),
+        )
         with together():
             write(result, out)
             diagnosis_page(result).write(page)
@@ -137,7 +131,7 @@ def command(
 
 
 def checked_effects(names: list[str] | None) -> tuple[str, ...]:
-    """What ``--effect`` names; InputError for what is no effect."""
+    """The ids given with ``--effect``; raises InputError for one that is no effect."""
     from suspension_twin.effects.registry import EFFECTS
 
     for name in names or ():

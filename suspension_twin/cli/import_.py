@@ -10,7 +10,7 @@ import typer
 from rich.padding import Padding
 
 from suspension_twin.cli.common import Force, Outputs, output
-from suspension_twin.drive.importing import Imported, import_drive
+from suspension_twin.drive.importing import import_drive
 from suspension_twin.drive.read import Topics
 from suspension_twin.drive.summary import summarise
 from suspension_twin.drive.write import BagWriter, write_drive
@@ -29,6 +29,7 @@ def command(
             "comma2k19, or a bag (MCAP, sqlite3, ROS 1). Several are parts of one drive.",
         ),
     ],
+    *,
     out: Annotated[
         Path,
         typer.Option(
@@ -40,7 +41,7 @@ def command(
         typer.Option(
             "--mapping",
             metavar="MAP.YAML",
-            help="What the columns of any other file are (see config/import).",
+            help="A mapping file that names the columns of any other file, and their units (see config/import).",
         ),
     ] = None,
     imu_topic: Annotated[
@@ -59,8 +60,8 @@ def command(
 ) -> None:
     """A phone's or logger's recording into a bag.
 
-    Says what it recognised: source, rate, units, gravity's axis, gaps, path and top speed. Axes stay those of the
-    sensor: how it is mounted belongs into the twin file (imu.rpy).
+    Prints source, rate (Hz), units, gravity's axis, gaps (s), path (km) and top speed (m/s). Axes stay those of the
+    sensor: its mounting belongs into the twin file (imu.rpy).
     """
     console = output()
     outputs = Outputs(out, force=force)
@@ -70,13 +71,8 @@ def command(
         imported = import_drive(files, mapping=mapping, topics=topics)
         outputs.announce()
         console.print(f"{imported.drive.name}: {imported.origin}")
-        for line in _report(imported):
+        warnings = (f"warning: {text}" for text in imported.drive.warnings)
+        for line in (*summarise(imported.drive).lines(), *imported.notes, *warnings):
             console.print(Padding(line, (0, 0, 0, 2), expand=False))
         write_drive(imported.drive, out, overwrite=force)
     console.print(f"Written to {out}")
-
-
-def _report(imported: Imported) -> list[str]:
-    """What was recognised, a line each."""
-    warnings = (f"warning: {text}" for text in imported.drive.warnings)
-    return [*summarise(imported.drive).lines(), *imported.notes, *warnings]

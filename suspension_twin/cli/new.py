@@ -6,12 +6,16 @@ from __future__ import annotations
 import os
 import sys
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from suspension_twin.cli.common import Force, Outputs, bundled, output
 from suspension_twin.errors import InputError, nearest, printable
+
+if TYPE_CHECKING:
+    from suspension_twin.vehicle.new import Sizes
+    from suspension_twin.vehicle.twin import Twin
 
 __all__ = ["command"]
 
@@ -19,25 +23,26 @@ _BASE = "ford_mondeo_mk4"
 
 
 def command(
+    *,
     out: Annotated[
         Path, typer.Option("--out", help="The twin file to write.", metavar="TWIN.YAML", show_default=False)
     ],
     base: Annotated[
         str,
         typer.Option(
-            "--from", help="Take this one of config/twins as it is, and ask nothing.", metavar="NAME"
+            "--from", help="Take this twin of config/twins as it is, and ask nothing.", metavar="NAME"
         ),
     ] = "",
     road: Annotated[
         Path | None,
-        typer.Option("--road", help="The road file, OpenCRG; without it it is asked for.", metavar="ROAD"),
+        typer.Option("--road", help="The road file, OpenCRG.  [default: it is asked for]", metavar="ROAD"),
     ] = None,
     force: Force = False,
 ) -> None:
-    """A twin file, by asking for the vehicle's sizes and where the phone sits, or from a ready one.
+    """A twin file, by questions about the vehicle's sizes (m, kg) and the phone's place, or from a ready one.
 
-    Springs and dampers are those of a middling car, scaled by the mass: the start of a calibration. An empty answer
-    takes what is in brackets.
+    Springs and dampers are those of a middle-class car, scaled by the mass: the start of a calibration. An empty
+    answer takes the value in brackets.
     """
     from suspension_twin.vehicle.new import resized
     from suspension_twin.vehicle.twin import RoadFile, load_twin, save_twin
@@ -53,12 +58,12 @@ def command(
             twin = resized(twin, sizes)
         if road is not None:
             twin = twin.model_copy(update={"road": RoadFile(file=road.resolve())})
-        save_twin(twin, out, heading=_heading(base))
-    console = output()
-    console.print(f"Written to {out}: {twin.vehicle.name} ({twin.model})", markup=False)
+        made = "By suspension-twin new. Springs and dampers are a guess: calibrate them."
+        save_twin(twin, out, heading=f"# {f'From {base}.' if base else made}\n")
+    lines = [f"Written to {out}: {twin.vehicle.name} ({twin.model})"]
     if twin.road is None:
-        console.print("It has no road yet: suspension-twin road --help makes one.", markup=False)
-    console.print(f"Next: suspension-twin run --twin {out} --view", markup=False)
+        lines.append("It has no road yet: suspension-twin road --help makes one.")
+    output().print(*lines, f"Next: suspension-twin run --twin {out} --view", sep="\n", markup=False)
 
 
 def _ready(name: str) -> Path:
@@ -74,7 +79,7 @@ def _ready(name: str) -> Path:
     return folder / f"{name}.yaml"
 
 
-def _ask(base: Any, road: Path | None) -> tuple[Any, Path | None]:
+def _ask(base: Twin, road: Path | None) -> tuple[Sizes, Path | None]:
     """The sizes, and the road if it is not given, by questions on the terminal."""
     from suspension_twin.vehicle.new import Sizes
 
@@ -99,7 +104,7 @@ def _ask(base: Any, road: Path | None) -> tuple[Any, Path | None]:
 
 
 def _ask_road() -> Path | None:
-    """A file that is there, or none."""
+    """A file that exists, or none."""
     while given := str(typer.prompt("Road file (OpenCRG), empty: none yet", default="", show_default=False)):
         if Path(given).is_file():
             return Path(given)
@@ -107,27 +112,20 @@ def _ask_road() -> Path | None:
     return None
 
 
-def _place(what: str, default: tuple[float, float, float]) -> tuple[float, float, float]:
-    """Coordinates of a sensor, m."""
-    x = _number(f"{what}: m ahead of the rear axle", default[0], -10.0, 20.0)
-    y = _number(f"{what}: m to the left of the middle", default[1], -5.0, 5.0)
-    return x, y, _number(f"{what}: m above the ground", default[2], -1.0, 6.0)
+def _place(sensor: str, default: tuple[float, float, float]) -> tuple[float, float, float]:
+    """Coordinates of a sensor in base_link, m."""
+    x = _number(f"{sensor}: m ahead of the rear axle", default[0], -10.0, 20.0)
+    y = _number(f"{sensor}: m to the left of the middle", default[1], -5.0, 5.0)
+    return x, y, _number(f"{sensor}: m above the ground", default[2], -1.0, 6.0)
 
 
 def _number(question: str, default: float, low: float, high: float) -> float:
     """A number within bounds; asked again until it is one."""
     while True:
-        given = typer.prompt(question, default=f"{default:g}")
         try:
-            value = float(given)
+            value = float(typer.prompt(question, default=f"{default:g}"))
+            if low <= value <= high:
+                return value
         except ValueError:
-            value = float("nan")
-        if low <= value <= high:
-            return value
+            pass
         typer.echo(f"  a number from {low:g} to {high:g} is needed", err=True)
-
-
-def _heading(base: str) -> str:
-    if base:
-        return f"# From {base}.\n"
-    return "# By suspension-twin new. Springs and dampers are a guess: calibrate them.\n"

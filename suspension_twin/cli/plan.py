@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""``suspension-twin plan``: what a set-up could show, and never tell apart, before anyone drives."""
+"""``suspension-twin plan``: the faults that a set-up could show, before anyone drives."""
 
 from __future__ import annotations
 
@@ -12,37 +12,39 @@ from suspension_twin.cli.common import Force, Outputs, ProgressLine, TwinFile, o
 
 __all__ = ["command"]
 
-RoadFile = Annotated[
-    Path | None,
-    typer.Option(
-        "--road", help="An OpenCRG road instead of the twin file's.", metavar="ROAD", show_default=False
-    ),
-]
-Speeds = Annotated[
-    list[float] | None,
-    typer.Option(
-        "--speed",
-        help="Speed of a drive; repeatable.  [default: 20 and 40]",
-        metavar="KMH",
-        show_default=False,
-    ),
-]
-Out = Annotated[
-    Path,
-    typer.Option("--out", help="Folder for the result.", metavar="DIR", file_okay=False, show_default=False),
-]
-
 
 def command(
-    twin: TwinFile, out: Out, road: RoadFile = None, speed: Speeds = None, force: Force = False
+    twin: TwinFile,
+    *,
+    out: Annotated[
+        Path,
+        typer.Option(
+            "--out", help="Folder for the result.", metavar="DIR", file_okay=False, show_default=False
+        ),
+    ],
+    road: Annotated[
+        Path | None,
+        typer.Option(
+            "--road", help="An OpenCRG road instead of the twin file's.", metavar="ROAD", show_default=False
+        ),
+    ] = None,
+    speed: Annotated[
+        list[float] | None,
+        typer.Option(
+            "--speed",
+            help="Speed of a drive in km/h; repeatable.  [default: 20 and 40]",
+            metavar="KMH",
+            show_default=False,
+        ),
+    ] = None,
+    force: Force = False,
 ) -> None:
-    """What this set-up could show, and never tell apart.
+    """Faults that this set-up could show, and pairs that it could never tell apart.
 
     From sensitivities alone, nothing is driven: the smallest size of each fault that would show, the pairs that look
     alike, and what would separate them. Writes DIR/plan.json and DIR/plan.html.
     """
-    page = out / "plan.html"
-    outputs = Outputs(out / "plan.json", page, force=force)
+    outputs = Outputs(out / "plan.json", out / "plan.html", force=force)
     from suspension_twin.diagnosis import wording
     from suspension_twin.diagnosis.plan import SPEEDS, plan
     from suspension_twin.report.plan import plan_page, size_text
@@ -55,7 +57,7 @@ def command(
     with outputs, ProgressLine() as line:
         found = plan(loaded, surface, speed or SPEEDS, on_progress=line.show)
         found.write(out)
-        plan_page(found).write(page)
+        plan_page(found).write(out / "plan.html")
     console = output()
     rows = [
         (
@@ -68,9 +70,8 @@ def command(
         for s in found.shown
     ]
     columns = "fault", "quantity", "shows from", "typical", "first in"
-    print_table(
-        console, "What these drives could show", columns, rows, words=("fault", "quantity", "first in")
-    )
+    words = "fault", "quantity", "first in"
+    print_table(console, "Faults that these drives could show", columns, rows, words)
     pairs = [
         (
             wording.effect_name(p.effect),
@@ -83,6 +84,5 @@ def command(
     ]
     if pairs:
         columns = "fault", "taken for", "angle [°]", "told apart from", "what separates them"
-        words = ("fault", "taken for", "what separates them")
-        print_table(console, "What looks alike", columns, pairs, words=words)
+        print_table(console, "Faults that look alike", columns, pairs, words=(*columns[:2], columns[-1]))
     console.print(f"Written to {out}", markup=False)

@@ -4,12 +4,17 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from suspension_twin.arrays import Floats
 from suspension_twin.diagnosis.decision import Costs
+from suspension_twin.display import axes_or_new, bulleted, table
 from suspension_twin.drive.read import Topics
 from suspension_twin.vehicle.twin import Twin
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from pandas import DataFrame
 
 __all__ = ["DiagnosisRequest", "DiagnosisResult", "DriveView", "Progress"]
 
@@ -63,7 +68,7 @@ class Progress:
     note: str = ""
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class DriveView:
     """One drive for the report: channels (m,) on its grid, ``before`` simulated by the twin as given, ``after``
     by the twin with the named effects. ``channel`` is the id of the channel, empty for the one of ``gap``."""
@@ -78,6 +83,9 @@ class DriveView:
     after: Floats
     compared: Any
     channel: str = ""
+
+    def __repr__(self) -> str:
+        return f"DriveView({self.name}, {self.channel or 'main channel'}, {self.t.size} samples)"
 
 
 @dataclass(frozen=True, eq=False)
@@ -96,3 +104,42 @@ class DiagnosisResult:
     def message(self) -> str:
         """The result in one line."""
         return str(self.document["message"])
+
+    @property
+    def verdict(self) -> str:
+        """``effect``, ``partly``, ``suspected``, ``recalibration``, ``no_gap`` or ``unknown``."""
+        return str(self.document["verdict"])
+
+    @property
+    def probabilities(self) -> dict[str, float]:
+        """Probability of each effect of the library, of ``no_gap`` and of ``unknown``, the likeliest first."""
+        found = {str(c["effect"]): float(c["probability"]) for c in self.document["causes"]}
+        found |= {name: float(self.document[f"{name}_probability"]) for name in ("no_gap", "unknown")}
+        return dict(sorted(found.items(), key=lambda item: -item[1]))
+
+    def __str__(self) -> str:
+        from suspension_twin.diagnosis import wording
+
+        likeliest = list(self.probabilities.items())[:4]
+        lines = [
+            wording.answer(self.document),
+            *wording.remarks(self.document),
+            "probabilities: " + ", ".join(f"{name} {probability:.3f}" for name, probability in likeliest),
+            *filter(None, [str(self.document.get("next_experiment") or "")]),
+        ]
+        return bulleted(f"Diagnosis of {self.twin.vehicle.name}: {self.verdict}", lines, self.warnings)
+
+    __repr__ = __str__
+
+    def plot(self, ax: Axes | None = None, most: int = 8) -> Axes:
+        """Draw the probabilities of the ``most`` likely answers as bars; returns the axes."""
+        ax = axes_or_new(ax, "probability", "", self.verdict)
+        likeliest = list(self.probabilities.items())[:most][::-1]
+        ax.barh([name.replace("_", " ") for name, _ in likeliest], [p for _, p in likeliest])
+        ax.set_xlim(0.0, 1.0)
+        return ax
+
+    def to_frame(self) -> DataFrame:
+        """A table of pandas, a row for each effect: probability, and the gap's rms before and after, its shrink."""
+        names = ("effect", "probability", "gap_before", "gap_after", "shrink")
+        return table({name: [c[name] for c in self.document["causes"]] for name in names}, "effect")

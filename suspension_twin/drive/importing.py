@@ -46,6 +46,11 @@ class Imported:
     origin: str
     notes: tuple[str, ...]
 
+    def __str__(self) -> str:
+        return f"{self.drive}\n  from: {self.origin}" + "".join(f"\n  {note}" for note in self.notes)
+
+    __repr__ = __str__
+
 
 def import_drive(
     paths: Sequence[str | Path], *, mapping: str | Path | None = None, topics: Topics | None = None

@@ -11,11 +11,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from suspension_twin.arrays import Floats
+from suspension_twin.display import axes_or_new, bulleted, table
 
 __all__ = ["Drive", "FixData", "HeadingData", "ImuData", "Samples", "VelocityData"]
 
 if TYPE_CHECKING:
     from typing import Self  # of Python 3.11
+
+    from matplotlib.axes import Axes
+    from pandas import DataFrame
 
 
 @dataclass(frozen=True, eq=False)
@@ -26,6 +30,9 @@ class _Samples:
 
     def __len__(self) -> int:
         return int(self.t.size)
+
+    def __repr__(self) -> str:
+        return f"{type(self).__name__}({len(self)} samples)"
 
     def select(self, rows: NDArray[Any]) -> Self:
         """These rows of every array; ``rows`` is a mask (n,) or indices."""
@@ -45,7 +52,7 @@ class _Samples:
         return cls(**whole)
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class ImuData(_Samples):
     """IMU samples in the sensor's own axes, in the order in which they were recorded.
 
@@ -75,7 +82,7 @@ class ImuData(_Samples):
     frame: str = "imu_link"
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class FixData(_Samples):
     """GNSS positions.
 
@@ -115,7 +122,7 @@ class FixData(_Samples):
         return cls(none, none, none, none, np.empty(0, dtype=np.int8), np.empty((0, 3)))
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class VelocityData(_Samples):
     """GNSS velocities of the antenna.
 
@@ -141,7 +148,7 @@ class VelocityData(_Samples):
         return cls(np.empty(0), np.empty((0, 3)))
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class HeadingData(_Samples):
     """Headings: ``t`` (k,) s, ``yaw`` (k,) rad from east, counter-clockwise."""
 
@@ -186,3 +193,24 @@ class Drive:
     velocity: VelocityData
     heading: HeadingData | None = None
     warnings: tuple[str, ...] = field(default=())
+
+    def __str__(self) -> str:
+        from suspension_twin.drive.summary import summarise
+
+        return bulleted(f"Drive {self.name}", summarise(self).lines(), self.warnings)
+
+    __repr__ = __str__
+
+    def plot(self, ax: Axes | None = None) -> Axes:
+        """Draw the specific force in m/s² over the time in s since the first sample; returns the axes."""
+        ax = axes_or_new(ax, "time [s]", "specific force [m/s²]", self.name)
+        for axis, values in zip("xyz", self.imu.specific_force.T, strict=True):
+            ax.plot(self.imu.t - self.imu.t[0], values, label=axis, linewidth=0.8)
+        ax.legend(loc="upper right")
+        return ax
+
+    def to_frame(self) -> DataFrame:
+        """The IMU's samples as a table of pandas: force m/s² and rate rad/s by axis, over the stamp ``t`` s."""
+        vectors = {"force": self.imu.specific_force, "rate": self.imu.angular_rate}
+        columns = {f"{name}_{k}": v[:, i] for name, v in vectors.items() for i, k in enumerate("xyz")}
+        return table({"t": self.imu.t, **columns}, "t")

@@ -4,20 +4,36 @@
 from __future__ import annotations
 
 import json
+from abc import ABC, abstractmethod
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from suspension_twin.arrays import Floats
+from suspension_twin.display import axes_or_new, bulleted, table
 from suspension_twin.errors import WorkError
 from suspension_twin.files import write_text
 from suspension_twin.models.car import CHANNELS
 
-__all__ = ["CHANNELS", "Gap", "channel_unit", "main_channel", "measure_gap", "write_gap"]
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from pandas import DataFrame
+
+    from suspension_twin.inference.observation import Observation
+
+__all__ = [
+    "CHANNELS",
+    "Comparison",
+    "Gap",
+    "channel_unit",
+    "main_channel",
+    "measure_gap",
+    "write_gap",
+]
 
 
 @dataclass(frozen=True)
@@ -58,6 +74,86 @@ class Gap:
             "channels": dict(self.channels),
             "seconds": self.seconds,
         }
+
+
+class Comparison(ABC):
+    """A twin over a recording: every channel measured and simulated, through the same filter and on one grid.
+
+    Examples
+    --------
+    >>> import suspension_twin as st
+    >>> result = st.simulate("bags/crg_road", "bags/crg_road/twin.yaml")
+    >>> list(result.simulated)[:2]
+    ['vertical_acceleration', 'roll_rate']
+    >>> result.simulated["roll_rate"].shape == result.measured["roll_rate"].shape == result.t.shape
+    True
+    """
+
+    observation: Observation
+    gap: Gap
+
+    @property
+    @abstractmethod
+    def simulated(self) -> Mapping[str, Floats]:
+        """(m,) simulated signal of each channel, m/s² and rad/s."""
+
+    @property
+    def name(self) -> str:
+        """Name of the recording."""
+        return self.observation.name
+
+    @property
+    def t(self) -> Floats:
+        """(m,) s, the stamps of every channel."""
+        return self.observation.t
+
+    @property
+    def measured(self) -> Mapping[str, Floats]:
+        """(m,) measured signal of each channel, m/s² and rad/s."""
+        return self.observation.measured
+
+    @property
+    def noise_rms(self) -> Mapping[str, float]:
+        """Noise floor of each channel of the gap, m/s² and rad/s."""
+        return self.observation.noise_rms
+
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """A line for everything that was found of the recording."""
+        return self.observation.warnings
+
+    @abstractmethod
+    def write(self, folder: Path) -> None:
+        """Write the simulated recording and ``gap.json`` into ``folder``."""
+
+    def __str__(self) -> str:
+        lines = [
+            f"{name.replace('_', ' '):26}{rms:8.4f} {channel_unit(name):6} noise {self.noise_rms[name]:.4f}"
+            for name, rms in self.gap.channels.items()
+        ]
+        title = f"Gap over {self.gap.seconds:.1f} s of {self.name}, rms of measured minus simulated"
+        return bulleted(title, lines, self.warnings)
+
+    __repr__ = __str__
+
+    def plot(self, ax: Axes | None = None, channel: str = "") -> Axes:
+        """Draw one channel, measured and simulated, over the time in s; returns the axes.
+
+        The ``channel`` is the vertical acceleration where it is not named.
+        """
+        channel = channel or main_channel(self.measured)
+        label = f"{channel.replace('_', ' ')} [{channel_unit(channel)}]"
+        ax = axes_or_new(ax, "time [s]", label, f"{self.name}: gap {self.gap.channels[channel]:.3g} rms")
+        for side, signals in (("measured", self.measured), ("simulated", self.simulated)):
+            ax.plot(self.t - self.t[0], signals[channel], label=side, linewidth=1.0)
+        ax.legend(loc="upper right")
+        return ax
+
+    def to_frame(self) -> DataFrame:
+        """A table of pandas: ``measured_`` and ``simulated_`` columns of every channel over the stamp ``t`` s."""
+        sides = {"measured": self.measured, "simulated": self.simulated}
+        columns = {f"{side}_{name}": x for side, signals in sides.items() for name, x in signals.items()}
+        return table({"t": self.t, **columns}, "t")
 
 
 def measure_gap(

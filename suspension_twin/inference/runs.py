@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from pathlib import Path
 from typing import Any, Final
 
@@ -19,7 +20,7 @@ from suspension_twin.arrays import Floats
 from suspension_twin.drive.rig import RigRecord, read_rig, write_rig
 from suspension_twin.errors import InputError, WorkError
 from suspension_twin.files import together
-from suspension_twin.inference.gap import Gap, write_gap
+from suspension_twin.inference.gap import Comparison, Gap, write_gap
 from suspension_twin.inference.marker_runs import CUTOFF, FLOORS, MARKERS, MarkerRun, low_pass, read_run
 from suspension_twin.inference.nuisance import OF_A_RIG, OF_A_RUN, NuisancePriors
 from suspension_twin.inference.observation import Grid, Observation, Usage, renamed
@@ -168,25 +169,20 @@ def _run(
     return Observation(name, grid, driven, measured, noise_rms, Usage(names, names, priors, place))
 
 
-@dataclass(frozen=True, eq=False)
-class SimulatedRun:
+@dataclass(frozen=True, eq=False, repr=False)
+class SimulatedRun(Comparison):
     """A twin over a run of a rig: its ``response`` at the stamps of ``record``, and the ``gap``."""
 
     record: RigRecord
     observation: Observation
     response: LaneResponse
     gap: Gap
-    warnings: tuple[str, ...]
 
-    @property
-    def name(self) -> str:
-        """Of the run."""
-        return self.record.name
-
-    @property
-    def noise_rms(self) -> Mapping[str, float]:
-        """Floor of each channel of the gap."""
-        return self.observation.noise_rms
+    @cached_property
+    def simulated(self) -> Mapping[str, Floats]:
+        """(m,) simulated signal of each channel, m/s² and rad/s."""
+        apply, response = self.observation.grid.apply, self.response
+        return {name: apply(response.channel(name)[:, 0]) for name in self.measured}
 
     def as_dict(self) -> dict[str, Any]:
         """The content of ``gap.json``: the gap, and how it was measured."""
@@ -221,7 +217,8 @@ def simulate_rig(record: RigRecord, twin: Twin) -> SimulatedRun:
     # of correlation -0.5 half or more of the signal would be explained upside down
     reversed_signs = [n for n, v in measured.items() if np.corrcoef(v, simulated[n])[0, 1] < -0.5]
     signs = (f"{name} looks upside down: upwards and compression are positive" for name in reversed_signs)
-    return SimulatedRun(record, observation, response, observation.gap(simulated), (*record.warnings, *signs))
+    observation = replace(observation, warnings=(*record.warnings, *signs))
+    return SimulatedRun(record, observation, response, observation.gap(simulated))
 
 
 def marker_observation(run: MarkerRun, known: Sequence[Observation] = ()) -> Observation:

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -15,7 +16,7 @@ from suspension_twin.arrays import Floats
 from suspension_twin.drive.types import Drive
 from suspension_twin.drive.write import BagWriter
 from suspension_twin.errors import InputError
-from suspension_twin.inference.gap import Gap, write_gap
+from suspension_twin.inference.gap import Comparison, Gap, write_gap
 from suspension_twin.inference.observation import Observation, ObserveSettings, observe, road_of
 from suspension_twin.models.sensor import to_sensor_axes
 from suspension_twin.models.simulate import simulate_twin
@@ -29,8 +30,8 @@ __all__ = ["SimulatedDrive", "simulate_drive"]
 _LEAST_ON_ROAD = 0.02  # share of the moving drive
 
 
-@dataclass(frozen=True, eq=False)
-class SimulatedDrive:
+@dataclass(frozen=True, eq=False, repr=False)
+class SimulatedDrive(Comparison):
     """A twin over a drive: what :func:`simulate_drive` returns.
 
     Parameters
@@ -58,20 +59,10 @@ class SimulatedDrive:
     response: Response
     gap: Gap
 
-    @property
-    def name(self) -> str:
-        """Of the drive."""
-        return self.drive.name
-
-    @property
-    def noise_rms(self) -> Mapping[str, float]:
-        """Floor of each channel of the gap."""
-        return self.observation.noise_rms
-
-    @property
-    def warnings(self) -> tuple[str, ...]:
-        """Findings on the drive while it was read."""
-        return self.observation.warnings
+    @cached_property
+    def simulated(self) -> Mapping[str, Floats]:
+        """(m,) simulated signal of each channel, m/s² and rad/s."""
+        return self.observation.condition(self.response)
 
     def as_dict(self) -> dict[str, Any]:
         """What ``gap.json`` holds: the gap, and how it was measured."""

@@ -10,17 +10,21 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import Literal
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.spatial import cKDTree
 
 from suspension_twin.arrays import Floats
+from suspension_twin.display import axes_or_new, bulleted
 from suspension_twin.errors import InputError, WorkError
 from suspension_twin.road import kernels
 from suspension_twin.road.place import uv_to_xy, xy_to_uv
 from suspension_twin.road.surface import Grid, Line, held
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
 
 __all__ = ["Borders", "Outside", "Road", "RoadTracker", "Samples"]
 
@@ -153,6 +157,22 @@ class Road:
             raise InputError(self.name, "z", "holds an infinite height")
         if np.isnan(self.z).all():
             raise InputError(self.name, "z", "holds no height at all")
+
+    def __str__(self) -> str:
+        low, high = float(np.nanmin(self.heights_grid)), float(np.nanmax(self.heights_grid))
+        steps = f"{self.u_step:g} m by {self.width / (self.v.size - 1):.3g} m"
+        size = f"{self.length:.2f} m long, {self.width:.2f} m wide, grid {steps}"
+        heights = f"heights {low:.3f} to {high:.3f} m, {np.isnan(self.z).mean():.1%} of the grid without data"
+        return bulleted(f"Road {self.name}", [size, heights], self.notes)
+
+    __repr__ = __str__
+
+    def plot(self, ax: Axes | None = None) -> Axes:
+        """Draw the heights in m over the road coordinates u and v in m, as colours; returns the axes."""
+        ax = axes_or_new(ax, "u, along the road [m]", "v, to the left [m]", self.name)
+        drawn = ax.pcolormesh(self.u, self.v, self.heights_grid.T, shading="nearest", rasterized=True)
+        ax.figure.colorbar(drawn, ax=ax, label="height [m]")
+        return ax
 
     @cached_property
     def u(self) -> Floats:

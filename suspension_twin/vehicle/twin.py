@@ -9,23 +9,27 @@ from __future__ import annotations
 
 import math
 import os
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from importlib import import_module
 from pathlib import Path
-from typing import Annotated, Any, Final, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Final, Literal
 
 import numpy as np
 import yaml
 from pydantic import Field, field_validator, model_validator
 
 from suspension_twin.arrays import Floats
+from suspension_twin.display import axes_or_new, bulleted
 from suspension_twin.errors import InputError, nearest, shown
 from suspension_twin.files import read_yaml, reading, write_text
 from suspension_twin.schema import Strict, assign, checked, problems, within
 from suspension_twin.units import STANDARD_GRAVITY as G
 from suspension_twin.vehicle.corners import CORNERS
 from suspension_twin.vehicle.joints import Joint
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
 
 __all__ = [
     "SCHEMAS",
@@ -339,6 +343,44 @@ class Twin(Strict):
     def program(self) -> Path | None:
         """The file with machine code that simulating this twin runs, if it is not of this package."""
         return None
+
+    def __str__(self) -> str:
+        def at(place: Place) -> str:
+            return f"({', '.join(f'{v:g}' for v in place.position)}) m"
+
+        effects = ", ".join(e.id for e in self.effects) or "none"
+        lines = [
+            f"IMU at {at(self.imu)}, GPS antenna at {at(self.gps)} in base_link",
+            f"effects: {effects}; road: {'none' if self.road is None else self.road.file}",
+        ]
+        return bulleted(f"Twin {self.vehicle.name} ({self.model})", lines)
+
+    __repr__ = __str__
+
+    def plot(self, ax: Sequence[Axes] | None = None) -> Sequence[Axes]:
+        """Draw the characteristics: forces at the wheel in N of the springs over m, of the dampers over m/s.
+
+        Two axes are drawn on, ``ax`` or those of a new figure, and returned. Pulled (extended) dampers count
+        negative. Raises InputError for a model without characteristics.
+        """
+        if not self.axles:
+            raise InputError(self.vehicle.name, "model", f"{self.model} has no characteristics to draw")
+        if ax is None:
+            from matplotlib import pyplot
+
+            ax = pyplot.subplots(1, 2, figsize=(9.0, 3.5), layout="constrained")[1]
+        for one, title, unit in zip(
+            ax, ("springs", "dampers"), ("compression [m]", "velocity [m/s]"), strict=True
+        ):
+            axes_or_new(one, unit, "force at the wheel [N]", title)
+        for name, suspension in self.axles.items():
+            x, force = suspension.part.spring.points
+            ax[0].plot([0.0, *x], [0.0, *force], label=name or "corner")
+            push, pull = (getattr(suspension.part, f"damper_{way}").points for way in ("push", "pull"))
+            velocity, force = ([*-end[::-1], 0.0, *begin] for end, begin in zip(pull, push, strict=True))
+            ax[1].plot(velocity, force, label=name or "corner")
+        ax[0].legend(loc="upper left")
+        return ax
 
     def with_paths(self, change: Callable[[Path], Path]) -> Twin:
         """A copy in which every path of a file is what ``change`` makes of it."""

@@ -56,7 +56,7 @@ def test_every_option_reaches_the_calibration(
     said = capsys.readouterr()
     assert status == 0, said.err
     assert said.out.startswith(f"Writes {out}, {details_path(out)}, ")
-    assert "What was found" in said.out and str(out) in said.out
+    assert "Parameters found" in said.out and str(out) in said.out
     details = yaml.safe_load(details_path(out).read_text())
     keys = [p["key"] for p in details["parameters"]]
     assert len(keys) == 3 + 4 + 1 and "vehicle.front.damper_push.force.3" not in keys

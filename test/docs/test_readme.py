@@ -24,6 +24,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from matplotlib import pyplot
 
 from suspension_twin.cli.main import SUBCOMMANDS, main
 from suspension_twin.drive.read import read_drive
@@ -33,18 +34,26 @@ README = Path(__file__).resolve().parents[2] / "README.md"
 ROOT = README.parent
 
 
-def commands(heading: str = "") -> list[str]:
-    """Every command of the README, or of the part under one heading."""
-    text = README.read_text(encoding="utf-8")
-    if heading:
-        text = text[text.index(f"\n{heading}\n") :].partition("\n## ")[2].partition("\n## ")[0]
-    blocks = re.findall(r"^```bash\n(.*?)^```", text, re.MULTILINE | re.DOTALL)
-    return [line for block in blocks for line in block.splitlines() if line and not line.startswith("#")]
+def blocks(language: str, page: Path = README) -> list[str]:
+    """The examples of a page in one language."""
+    return re.findall(
+        rf"^```{language}\n(.*?)^```", page.read_text(encoding="utf-8"), re.MULTILINE | re.DOTALL
+    )
+
+
+def commands(page: Path = README) -> list[str]:
+    """Every command of a page."""
+    return [
+        line
+        for block in blocks("bash", page)
+        for line in block.splitlines()
+        if line and not line.startswith("#")
+    ]
 
 
 OURS = [c for c in commands() if c.startswith("suspension-twin ")]
 PYTHON = [c for c in commands() if c.startswith("python ")]
-APT = commands("## In an apt ROS 2 Jazzy")  # needs one; what of it can be checked without is checked
+APT = commands(ROOT / "docs" / "apt.md")  # needs one; what of it can be checked without is checked
 BOOTSTRAP = [c for c in commands() if c.startswith("python3 bootstrap.py")]
 
 
@@ -157,7 +166,7 @@ def is_fleet(command: str) -> bool:
 
 
 def test_every_command_is_of_a_kind_that_is_run():
-    others = [c for c in commands() if c not in OURS + PYTHON + BOOTSTRAP + APT]
+    others = [c for c in commands() if c not in OURS + PYTHON + BOOTSTRAP]
     assert others == [". .venv/bin/activate"]
     assert {shlex.split(c)[1] for c in OURS} | {"demo"} == {s.name for s in SUBCOMMANDS}
 
@@ -183,6 +192,29 @@ def test_the_commands_do_what_they_say(workspace, monkeypatch, capsys):
     assert (workspace / "out" / "road.png").read_bytes()[:4] == b"\x89PNG"
     assert (workspace / "out" / "road.obj").stat().st_size > 10_000
     assert any((workspace / "out" / "report").glob("*.html"))
+
+
+def test_the_example_in_python_runs(workspace, monkeypatch, capsys):
+    """At most ten statements from a bag to a plot."""
+    monkeypatch.chdir(workspace)
+    (code,) = blocks("python")
+    assert len(ast.parse(code).body) <= 10
+    exec(compile(code, README.name, "exec"), {})
+    pyplot.close("all")
+    said = capsys.readouterr().out
+    assert "Drive crg_road" in said and "Calibration of Ford Mondeo" in said and len(said.splitlines()) < 30
+    assert (workspace / "drive.png").read_bytes()[:4] == b"\x89PNG"
+
+
+def test_the_table_of_packages_is_that_of_the_tree():
+    rows = re.findall(
+        r"^\| ((?:`\w+`(?:, )?)+) \|",
+        README.read_text("utf-8").partition("| package |")[2].partition("\n## ")[0],
+        re.MULTILINE,
+    )
+    named = [name for row in rows for name in re.findall(r"\w+", row)]
+    tree = {p.parent.name for p in (ROOT / "suspension_twin").glob("*/__init__.py")}
+    assert sorted(named) == sorted(tree)
 
 
 def test_the_mapping_command_reads_the_real_recording(workspace, shared_data):

@@ -84,7 +84,8 @@ def test_setup_requires_what_is_imported(imports: Imports, setup_arguments: dict
     missing = {m for m in outside if not required & {canonical(d) for d in providers.get(m, ["nowhere"])}}
     fleet = {"dask", "distributed", "fsspec", "psutil", "pyarrow"}
     scan = {"laspy", "plyfile", "pyproj"}
-    assert missing == {"fmpy", "foxglove", *fleet, *scan}, (
+    asked_for = {"pandas", "pytest"}  # by who makes a table or writes a test
+    assert missing == {"fmpy", "foxglove", *fleet, *scan, *asked_for}, (
         "extras, of which a command says how to install them"
     )
     unused = {r for r in required if not any(r in map(canonical, providers.get(m, [])) for m in modules)}
@@ -155,6 +156,9 @@ def test_entry_points_resolve(setup_arguments: dict[str, Any]) -> None:
     for target in scripts.values():
         module, attribute = target.split(":")
         assert callable(getattr(import_module(module), attribute))
+    for plugin in setup_arguments["entry_points"]["pytest11"]:
+        name, module = plugin.split(" = ")  # alike, or pytest would load it twice where -p names it
+        assert name == module and import_module(module).__all__
 
 
 def test_ros_finds_the_programs(repository: Path) -> None:

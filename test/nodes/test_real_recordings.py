@@ -9,19 +9,17 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from nodes_bench import stamp_of
 
 from suspension_twin.drive.edit import cut
 from suspension_twin.drive.importing import import_drive
 from suspension_twin.drive.types import Drive
-from suspension_twin.nodes.composed import Composed, Playback
-from suspension_twin.nodes.process import ros_context
-from suspension_twin.vehicle.twin import Twin, save_twin
+from suspension_twin.testing import running_twin
+from suspension_twin.vehicle.twin import Twin
 
 
 @dataclass
 class Replayed:
-    """What came out: ``odom`` (n, 5) stamp s, x, y m, yaw rad, speed m/s where the yaw is known; accelerations
+    """Outputs of the nodes: ``odom`` (n, 5) stamp s, x, y m, yaw rad, speed m/s where the yaw is known; accelerations
     (m, 2) stamp s, m/s²; the complaints of all nodes; the measured sample rate in Hz."""
 
     drive: Drive
@@ -32,41 +30,23 @@ class Replayed:
     rate: float
 
 
-def replay(drive: Drive, twin: Twin, folder: Path) -> Replayed:
+def replay(drive: Drive, twin: Twin) -> Replayed:
     """The drive through the four nodes at full speed, its first fix as datum."""
     fix = drive.fix
     datum = {"latitude": fix.latitude[0], "longitude": fix.longitude[0], "altitude": fix.altitude[0]}
     changed = {"datum": {k: float(v) for k, v in datum.items()}}
-    save_twin(twin.with_changes(changed), folder / "twin.yaml")
-    odom, simulated, measured = [], [], []
-
-    def on_odom(m) -> None:
-        if m.pose.covariance[35] < 1.0:
-            p, q = m.pose.pose.position, m.pose.pose.orientation
-            odom.append((stamp_of(m) / 1e9, p.x, p.y, 2 * math.atan2(q.z, q.w), m.twist.twist.linear.x))
-
-    complaints: set[str] = set()
-    with ros_context([]) as context:
-        composed = Composed(context, folder / "twin.yaml", playback=Playback(drive, math.inf))
-        nodes = composed.nodes
-        nodes["pose_injector"].outputs["twin/odom"].links.append(on_odom)
-        for node, topic, rows in (
-            ("suspension_model", "twin/vertical_acceleration", simulated),
-            ("imu_ingest", "imu/vertical_acceleration", measured),
-        ):
-            nodes[node].outputs[topic].links.append(
-                lambda m, rows=rows: rows.append((stamp_of(m) / 1e9, m.accel.linear.z))
-            )
-        while not composed.finished:
-            composed.step()
-            complaints.update(composed.condition().complaints)
-        for node in nodes.values():
-            node._diagnose()
-        complaints.update(composed.condition().complaints)
-        rate = float(nodes["imu_ingest"].health.values["sample rate (Hz)"])
-        composed.close()
-    tables = (np.array(rows) for rows in (odom, simulated, measured))
-    return Replayed(drive, *tables, " | ".join(sorted(complaints)), rate)
+    topics = ("twin/odom", "twin/vertical_acceleration", "imu/vertical_acceleration", "/diagnostics")
+    with running_twin(twin.with_changes(changed)) as nodes:
+        odom, simulated, measured, diagnostics = nodes.replay(drive, topics).values()
+    z, w = (odom[f"pose.pose.orientation.{axis}"] for axis in "zw")
+    places = [odom[f"pose.pose.position.{axis}"] for axis in "xy"]
+    path = np.column_stack([odom.t, *places, 2 * np.arctan2(z, w), odom["twist.twist.linear.x"]])
+    tables = (np.column_stack([r.t, r["accel.linear.z"]]) for r in (simulated, measured))
+    statuses = [status for message in diagnostics.messages for status in message.status]
+    values = {pair.key: pair.value for status in statuses for pair in status.values}
+    complaints = " | ".join(sorted({status.message for status in statuses}))
+    known = odom["pose.covariance"][:, 35] < 1.0
+    return Replayed(drive, path[known], *tables, complaints, float(values["sample rate (Hz)"]))
 
 
 def imported(shared_data: Path, repository: Path, name: str, mapping: str) -> Drive:
@@ -77,7 +57,7 @@ def imported(shared_data: Path, repository: Path, name: str, mapping: str) -> Dr
     ).drive
 
 
-def test_a_car_with_an_rtk_receiver(shared_data, repository, twin, tmp_path):
+def test_a_car_with_an_rtk_receiver(shared_data, repository, twin):
     """100 Hz, 16.3 m/s at most; a bump met twice, at the same place within centimetres: the stretch around both."""
     whole = imported(shared_data, repository, "rtklibexplorer_GNSS_IMU", "rtklibexplorer_gnss_imu")
     begin = float(whole.fix.t[0])
@@ -90,7 +70,7 @@ def test_a_car_with_an_rtk_receiver(shared_data, repository, twin, tmp_path):
             "gps.position": (0.0, 0.0, 2.15),
         }
     )
-    out = replay(drive, mounted, tmp_path)
+    out = replay(drive, mounted)
     assert out.rate == pytest.approx(100.0, rel=2e-3)
     assert len(out.twin) == len(out.measured) == len(drive.imu) - 16
     assert np.isfinite(out.twin).all()
@@ -115,9 +95,9 @@ def test_a_car_with_an_rtk_receiver(shared_data, repository, twin, tmp_path):
     assert "upside" not in out.complaints and "gravity lies" not in out.complaints
 
 
-def test_a_phone_on_a_windshield_against_the_can_bus(shared_data, repository, twin, tmp_path):
+def test_a_phone_on_a_windshield_against_the_can_bus(shared_data, repository, twin):
     drive = imported(shared_data, repository, "comma2k19_Example_1", "comma2k19")
-    out = replay(drive, twin, tmp_path)
+    out = replay(drive, twin)
     assert out.rate == pytest.approx(104.36, rel=5e-3)
     assert len(out.twin) == len(drive.imu) - 16
     folder = shared_data / "comma2k19_Example_1"
@@ -132,10 +112,10 @@ def test_a_phone_on_a_windshield_against_the_can_bus(shared_data, repository, tw
     assert np.isfinite(out.twin).all()
 
 
-def test_a_robot_whose_imu_stands_on_its_side(shared_data, repository, twin, tmp_path):
+def test_a_robot_whose_imu_stands_on_its_side(shared_data, repository, twin):
     """30 Hz are too few for a wheel and gravity is on y: both are said, and the nodes go through with it."""
     drive = imported(shared_data, repository, "robot_localization_bags", "robot_localization_test1")
-    out = replay(drive, twin, tmp_path)
+    out = replay(drive, twin)
     assert out.rate == pytest.approx(30.0, rel=0.01)
     assert len(out.twin) == len(out.measured) == len(drive.imu) - 16
     assert np.isfinite(out.twin).all() and np.isfinite(out.odom).all()

@@ -5,7 +5,6 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
-import math
 import os
 import signal
 import socket
@@ -30,8 +29,9 @@ from test_run_command import end, run_command, start, wait_for
 from suspension_twin.cli.main import main
 from suspension_twin.drive.read import read_drive
 from suspension_twin.errors import InputError
-from suspension_twin.nodes.composed import Composed, Playback
+from suspension_twin.nodes.composed import Composed
 from suspension_twin.nodes.source import SourceNode
+from suspension_twin.testing import running_twin
 
 
 def play(app: SensorLoggerApp, url: str, speed: float) -> threading.Thread:
@@ -83,9 +83,8 @@ def follow(composed: Composed, done) -> dict[str, list]:
 
 def test_the_twin_follows_as_it_follows_the_recording(bench, drive, twin_path):
     """Path and gap within 1 cm and 1 % of those of the recording, replayed."""
-    played = Composed(bench.context, twin_path, "played", Playback(drive, math.inf))
-    wanted = follow(played, lambda: played.finished)
-    played.close()
+    with running_twin(twin_path) as nodes:
+        played = nodes.replay(drive, ["twin/odom", "twin/gap"])
     live = Composed(bench.context, twin_path, "live", sources=["sensorlogger://127.0.0.1:0"])
     source = live.nodes["source"]
     assert isinstance(source, SourceNode)
@@ -94,13 +93,14 @@ def test_the_twin_follows_as_it_follows_the_recording(bench, drive, twin_path):
     found = follow(live, lambda: ingest.received >= len(drive.imu))
     assert live.condition().rates.keys() == {"imu", "fix", "vel", "twin"}
     live.close()
-    there, here = np.array(wanted["odom"]), np.array(found["odom"])
+    odom, here = played["twin/odom"], np.array(found["odom"])
+    there = np.column_stack([odom.t, odom["pose.pose.position.x"], odom["pose.pose.position.y"]])
     assert len(here) > 0.98 * len(there)
     for column in (1, 2):
         np.testing.assert_allclose(
             np.interp(here[:, 0], there[:, 0], there[:, column]), here[:, column], atol=0.01
         )
-    assert found["gap"][-1][1] == pytest.approx(wanted["gap"][-1][1], rel=0.01)
+    assert found["gap"][-1][1] == pytest.approx(played["twin/gap"]["rms"][-1], rel=0.01)
 
 
 def free_port() -> int:
