@@ -114,7 +114,7 @@ def test_everything_that_is_read_prints_in_a_few_lines_and_draws_itself(drive: D
 
 
 def test_measured_beside_simulated(drive: Drive, compared: Comparison) -> None:
-    difference = (compared.measured[CHANNEL] - compared.simulated[CHANNEL])[compared.observed.mask]
+    difference = (compared.measured[CHANNEL] - compared.simulated[CHANNEL])[compared.observation.mask]
     assert compared.t.shape == compared.measured[CHANNEL].shape
     assert np.sqrt(np.mean(difference**2)) == compared.gap.rms
     text = str(compared)
@@ -184,8 +184,8 @@ def test_a_diagnosis_prints_and_draws_what_is_likeliest(diagnosis: DiagnosisResu
 
 
 @pytest.mark.long
-def test_a_diagnosis_takes_objects(drive: Drive) -> None:
-    twin = st.load_twin(BAG / "truth.yaml")
+def test_a_diagnosis_takes_objects() -> None:
+    twin, drive = st.load_twin(BAG / "truth.yaml"), st.read_drive(BAG)
     result = st.diagnose(twin, drive, effects=["strut_friction"])
     assert result.drives[0].name == drive.name
     assert set(result.probabilities) == {"strut_friction", "no_gap", "unknown"}
