@@ -19,9 +19,9 @@ import numpy as np
 from scipy.interpolate import CubicSpline
 
 from suspension_twin.arrays import Floats
-from suspension_twin.drive.containers.contents import Contents
+from suspension_twin.drive.contents import Contents, decode_topic
 from suspension_twin.drive.intake.table import Table, read_table
-from suspension_twin.drive.recording import decode_topic, is_recording, read_recording
+from suspension_twin.drive.recording import is_recording, read_recording
 from suspension_twin.errors import InputError
 from suspension_twin.files import comment_lines, read_bytes, reading, replacing
 from suspension_twin.units import STANDARD_GRAVITY

@@ -23,13 +23,13 @@ from typing import Any
 import numpy as np
 
 from suspension_twin.arrays import Floats
-from suspension_twin.drive.budget import Budget
 from suspension_twin.drive.intake.clocks import text_to_posix
 from suspension_twin.drive.intake.source import Source
 from suspension_twin.drive.intake.streams import Series, Streams
 from suspension_twin.drive.intake.table import read_table
 from suspension_twin.drive.intake.velocity import velocities_from_course
 from suspension_twin.drive.types import FixData
+from suspension_twin.drive.unpack import Budget
 from suspension_twin.errors import InputError
 from suspension_twin.files import reading
 

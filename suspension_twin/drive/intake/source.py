@@ -7,7 +7,7 @@ import zipfile
 from collections.abc import Mapping
 from pathlib import Path, PurePosixPath
 
-from suspension_twin.drive.budget import Budget
+from suspension_twin.drive.unpack import Budget
 from suspension_twin.errors import InputError
 from suspension_twin.files import read_bytes, reading
 

@@ -1,27 +1,75 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Decompression in pieces, within a budget, of what may be cut off or damaged: the bytes before the damage count."""
+"""Decompression within a limit: how much memory a file may take once it is unpacked.
+
+Recordings of sensors shrink to a tenth at best. A file that unpacks to thousands of times its size is made to fill a
+memory, and is refused while it unpacks, not after.
+"""
 
 from __future__ import annotations
 
 import bz2
+import os
 from collections.abc import Callable, Iterator
 from io import BytesIO
-from typing import Any, BinaryIO, Final
+from pathlib import Path
+from typing import BinaryIO, Final, Protocol, final
 
 import lz4.frame  # type: ignore[import-untyped]
 import zstandard
 
-from suspension_twin.drive.budget import Budget
+from suspension_twin.errors import InputError
 
-__all__ = ["ZSTD_MAGIC", "Inflated", "end_of", "inflate"]
+__all__ = ["VARIABLE", "ZSTD_MAGIC", "Budget", "Inflated", "TooLarge", "inflate"]
 
-ZSTD_MAGIC = b"\x28\xb5\x2f\xfd"
+#: The environment variable that raises the limit, in MiB.
+VARIABLE: Final = "SUSPENSION_TWIN_UNPACKED_MIB"
+ZSTD_MAGIC: Final = b"\x28\xb5\x2f\xfd"
 
+_FLOOR: Final = 64 << 20
+_RATIO: Final = 32
 #: Bytes fed at a time. They make 32 MiB at most (zstd: blocks of 4 bytes for 128 KiB), and a decompressor that fails
 #: returns nothing of the bytes that it was given last.
 _PIECE: Final = 1 << 10
 
-_STREAMS: Final[dict[str, Callable[[], Any]]] = {
+
+class TooLarge(InputError):
+    """A file unpacks to more than it may."""
+
+
+@final
+class Budget:
+    """Bytes that ``source`` of ``size`` bytes on disk may take in memory; each part read is taken from it.
+
+    Raises InputError if the environment variable is no number of MiB.
+    """
+
+    def __init__(self, source: str | Path, size: int) -> None:
+        given = os.environ.get(VARIABLE, "")
+        if given and not (given.isascii() and given.isdigit()):
+            raise InputError(VARIABLE, f"must be a number of MiB, is {given[:40]!r}")
+        self.source = source
+        self.allowed = self.left = int(given) << 20 if given else max(_FLOOR, _RATIO * size)
+
+    def take(self, count: int) -> None:
+        """``count`` bytes more; raises TooLarge where they are too many."""
+        self.left -= count
+        if self.left < 0:
+            raise TooLarge(
+                self.source,
+                f"unpacks to more than {self.allowed >> 20} MiB: if that is right, {VARIABLE}="
+                f"{2 * max(self.allowed >> 20, 1)} in the environment allows more",
+            )
+
+
+class _Decompressor(Protocol):
+    """The interface that the decompressors of zstandard, lz4 and bz2 share."""
+
+    eof: bool
+
+    def decompress(self, data: bytes) -> bytes: ...
+
+
+_STREAMS: Final[dict[str, Callable[[], _Decompressor]]] = {
     "zstd": lambda: zstandard.ZstdDecompressor().decompressobj(),
     "lz4": lz4.frame.LZ4FrameDecompressor,
     "bz2": bz2.BZ2Decompressor,
@@ -63,11 +111,3 @@ def inflate(compression: str, data: bytes, budget: Budget) -> tuple[bytes, bool]
         return data, True
     pieces = Inflated(compression, BytesIO(data), budget)
     return b"".join(pieces), pieces.complete
-
-
-def end_of(file: BinaryIO) -> int:
-    """Where a file ends now; it stays where it stands."""
-    at = file.tell()
-    end = file.seek(0, 2)
-    file.seek(at)
-    return end
