@@ -7,14 +7,12 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
+from suspension_twin.drive.foreign_files import RecordedFiles
 from suspension_twin.drive.importers import read_source
-from suspension_twin.drive.intake.mapped import read_mapped
-from suspension_twin.drive.intake.mapping import BagSpec, load_mapping
-from suspension_twin.drive.intake.source import Source
-from suspension_twin.drive.intake.streams import assemble, merge
-from suspension_twin.drive.intake.velocity import velocities_from_fixes
+from suspension_twin.drive.mapping import BagSpec, load_mapping, read_mapped
 from suspension_twin.drive.read import Topics, read_drive
 from suspension_twin.drive.recording import is_recording
+from suspension_twin.drive.streams import assemble, merge, velocities_from_fixes
 from suspension_twin.drive.types import Drive
 from suspension_twin.errors import InputError
 from suspension_twin.files import reading
@@ -95,7 +93,7 @@ def _import(paths: Sequence[str | Path], mapping: str | Path | None, topics: Top
         if len(paths) > 1:
             raise InputError(bags[0], "is a recording of its own: import it alone")
         return _bag(bags[0], topics or Topics())
-    sources = [Source(path) for path in paths]
+    sources = [RecordedFiles(path) for path in paths]
     streams = merge([read_source(source) for source in sources])
     drive, notes = assemble(streams, sources[0].name, ", ".join(str(path) for path in paths))
     return Imported(drive, streams.origin, tuple(notes))
@@ -119,7 +117,7 @@ def _by_mapping(paths: Sequence[Path], mapping: Path) -> Imported:
     spec = load_mapping(mapping)
     if spec.bag is not None:
         return _mapped_bag(paths, spec.bag, spec.name)
-    sources = [Source(path) for path in paths]
+    sources = [RecordedFiles(path) for path in paths]
     streams = read_mapped(spec, sources, str(mapping))
     drive, notes = assemble(streams, spec.name or sources[0].name, ", ".join(str(path) for path in paths))
     return Imported(drive, streams.origin, tuple(notes))

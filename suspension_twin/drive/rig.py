@@ -20,7 +20,7 @@ from scipy.interpolate import CubicSpline
 
 from suspension_twin.arrays import Floats
 from suspension_twin.drive.contents import Contents, decode_topic
-from suspension_twin.drive.intake.table import Table, read_table
+from suspension_twin.drive.foreign_files import DataTable, read_table
 from suspension_twin.drive.recording import is_recording, read_recording
 from suspension_twin.errors import InputError
 from suspension_twin.files import comment_lines, read_bytes, reading, replacing
@@ -112,7 +112,7 @@ def write_rig(record: RigRecord, path: Path, comment: str = "") -> None:
 
 
 def _of_table(path: Path) -> tuple[dict[str, Floats], list[str]]:
-    table: Table = read_table(read_bytes(path, _LARGEST), str(path), header=True)
+    table: DataTable = read_table(read_bytes(path, _LARGEST), str(path), header=True)
     columns: dict[str, Floats] = {}
     unused = []
     for index, title in enumerate(table.names):

@@ -23,11 +23,9 @@ from typing import Any
 import numpy as np
 
 from suspension_twin.arrays import Floats
-from suspension_twin.drive.intake.clocks import text_to_posix
-from suspension_twin.drive.intake.source import Source
-from suspension_twin.drive.intake.streams import Series, Streams
-from suspension_twin.drive.intake.table import read_table
-from suspension_twin.drive.intake.velocity import velocities_from_course
+from suspension_twin.drive.clocks import text_to_posix
+from suspension_twin.drive.foreign_files import RecordedFiles, read_table
+from suspension_twin.drive.streams import Series, Streams, velocities_from_course
 from suspension_twin.drive.types import FixData
 from suspension_twin.drive.unpack import Budget
 from suspension_twin.errors import InputError
@@ -54,18 +52,18 @@ _PIECE = 1 << 20
 Columns = dict[str, Any]
 
 
-def recognises(source: Source) -> bool:
+def recognises(source: RecordedFiles) -> bool:
     """A ``.mat`` file, or a CSV file of one of the logs with a time column."""
     if _mat(source) is not None:
         return True
     return any(_is_csv(source, log) for log in ("acceleration", "angularvelocity"))
 
 
-def _mat(source: Source) -> str | None:
+def _mat(source: RecordedFiles) -> str | None:
     return next((name for name in source.names if name.lower().endswith(".mat")), None)
 
 
-def _is_csv(source: Source, log: str) -> str | None:
+def _is_csv(source: RecordedFiles, log: str) -> str | None:
     for name in source.names:
         if log in Path(name).stem.lower() and name.lower().endswith((".csv", ".txt")):
             head = source.head(name, 512).split(b"\n", 1)[0].lower()
@@ -74,7 +72,7 @@ def _is_csv(source: Source, log: str) -> str | None:
     return None
 
 
-def read(source: Source) -> Streams:
+def read(source: RecordedFiles) -> Streams:
     """Acceleration, angular velocity and position."""
     streams = Streams(origin=TITLE)
     mat = _mat(source)
@@ -92,7 +90,7 @@ def read(source: Source) -> Streams:
     return streams
 
 
-def _logs_of_csv(source: Source, streams: Streams) -> dict[str, Columns]:
+def _logs_of_csv(source: RecordedFiles, streams: Streams) -> dict[str, Columns]:
     logs = {}
     for log in _LOGS:
         name = _is_csv(source, log)

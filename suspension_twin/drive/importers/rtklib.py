@@ -17,10 +17,9 @@ import numpy as np
 import pymap3d
 
 from suspension_twin.arrays import Floats
-from suspension_twin.drive.intake.clocks import gps_to_posix, text_to_posix, week_to_posix
-from suspension_twin.drive.intake.source import Source
-from suspension_twin.drive.intake.streams import Streams
-from suspension_twin.drive.intake.table import number
+from suspension_twin.drive.clocks import gps_to_posix, text_to_posix, week_to_posix
+from suspension_twin.drive.foreign_files import RecordedFiles, number
+from suspension_twin.drive.streams import Streams
 from suspension_twin.drive.types import FixData, VelocityData
 from suspension_twin.errors import InputError
 
@@ -37,12 +36,12 @@ _STATUS = {1: 2, 2: 2, 3: 1, 4: 2, 5: 0, 6: 0}
 _QUALITY = {1: "fix", 2: "float", 3: "SBAS", 4: "DGPS", 5: "single", 6: "PPP", 7: "dead reckoning"}
 
 
-def recognises(source: Source) -> bool:
+def recognises(source: RecordedFiles) -> bool:
     """A file with RTKLIB's header, or one that ends in ``.pos``."""
     return _solution(source) is not None
 
 
-def _solution(source: Source) -> str | None:
+def _solution(source: RecordedFiles) -> str | None:
     for name in source.names:
         if name.lower().endswith(".pos"):
             return name
@@ -53,7 +52,7 @@ def _solution(source: Source) -> str | None:
     return None
 
 
-def read(source: Source) -> Streams:
+def read(source: RecordedFiles) -> Streams:
     """Positions and, where they were put out, velocities."""
     name = _solution(source)
     assert name is not None
