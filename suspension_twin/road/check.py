@@ -1,24 +1,24 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a road is like, and what is wrong with it."""
+"""Figures of a road, and findings of whatever a simulation on it would suffer from."""
 
 from __future__ import annotations
 
 import math
 import os
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
+from typing import ParamSpec, TypeVar
 
 import numpy as np
+from numpy.typing import NDArray
 
 from suspension_twin.arrays import Floats
 from suspension_twin.errors import InputError
-from suspension_twin.road.crg import load_road
-from suspension_twin.road.crg_format import examine
-from suspension_twin.road.events import Roughness, profile_roughness
-from suspension_twin.road.iri import iri
-from suspension_twin.road.origin import scan_holes
+from suspension_twin.road.crg import examine, load_road, scan_holes
 from suspension_twin.road.road import Road
-from suspension_twin.road.spikes import Spikes, find_spikes
+from suspension_twin.road.roughness import Roughness, iri, profile_roughness
+from suspension_twin.road.smoothing import Spikes, find_spikes
 
 __all__ = ["PathFigures", "RoadCheck", "RoadFinding", "check_file", "check_road", "enclosed", "wheel_tracks"]
 
@@ -27,6 +27,9 @@ _STEP, _STEP_SLOPE = 0.05, 1.0
 _STEEP_ROAD, _STEEP_BANK = 0.25, 0.15
 _COARSE = 0.25  # m; a wheel's contact patch is about as long
 _TRACK = 1.5
+
+P = ParamSpec("P")
+Figure = TypeVar("Figure")
 
 
 @dataclass(frozen=True)
@@ -92,12 +95,12 @@ class RoadCheck:
 
 
 def check_file(path: str | os.PathLike[str]) -> RoadCheck:
-    """:func:`check_road` of an OpenCRG file, with what its header lets one overlook."""
+    """:func:`check_road` of an OpenCRG file, with findings about its header and its scan."""
     road = load_road(path)
-    text = examine(Path(path))
+    file = examine(Path(path))
     extra = []
-    start = [text.road.get(f"reference_line_start_{k}", 0.0) for k in ("x", "y", "phi")]
-    if text.mods is None and any(start):
+    start = [file.road.get(f"reference_line_start_{k}", 0.0) for k in ("x", "y", "phi")]
+    if file.mods is None and any(start):
         extra.append(
             RoadFinding(
                 "the file has no $ROAD_CRG_MODS section, so OpenCRG's default moves its start from "
@@ -106,9 +109,9 @@ def check_file(path: str | os.PathLike[str]) -> RoadCheck:
                 fault=False,
             )
         )
-    if text.missing > 0.0 and not np.isnan(road.z).any():
+    if file.missing > 0.0 and not np.isnan(road.z).any():
         held = (
-            f"{100 * text.missing:.2g} % of the heights are missing in the file, filled as its modifiers say"
+            f"{100 * file.missing:.2g} % of the heights are missing in the file, filled as its modifiers say"
         )
         extra.append(RoadFinding(held, fault=False))
     return check_road(road, (*extra, *_holes_of_scan(Path(path))))
@@ -163,11 +166,9 @@ def check_road(road: Road, also: tuple[RoadFinding, ...] = ()) -> RoadCheck:
             RoadFinding(f"{share}, {inner} of them between data; wheels there are held", inner > 0)
         )
     for spike in spikes.found[:5]:
-        across = (
-            f"v {spike.v:.2f} m"
-            if spike.v_low == spike.v_high
-            else f"v {spike.v_low:.2f} to {spike.v_high:.2f} m"
-        )
+        across = f"v {spike.v_low:.2f} to {spike.v_high:.2f} m"
+        if spike.v_low == spike.v_high:
+            across = f"v {spike.v:.2f} m"
         kind = "spike" if spike.height > 0 else "pit"
         findings.append(
             RoadFinding(
@@ -195,18 +196,23 @@ def wheel_tracks(road: Road, track: float = _TRACK) -> tuple[tuple[float, float]
 
 def _wheel_paths(road: Road) -> tuple[PathFigures, ...]:
     places, left, right = wheel_tracks(road)
-    out = []
-    for side, v, z in zip(("left", "right"), places, (left, right), strict=True):
-        try:
-            roughness = profile_roughness(z, road.u_step, road.u_first)
-        except InputError:
-            roughness = None
-        try:
-            index = iri(z, road.u_step)
-        except InputError:
-            index = None
-        out.append(PathFigures(side, v, roughness, index))
-    return tuple(out)
+    return tuple(
+        PathFigures(
+            side,
+            v,
+            _unless_short(profile_roughness, z, road.u_step, road.u_first),
+            _unless_short(iri, z, road.u_step),
+        )
+        for side, v, z in zip(("left", "right"), places, (left, right), strict=True)
+    )
+
+
+def _unless_short(figure: Callable[P, Figure], *given: P.args, **named: P.kwargs) -> Figure | None:
+    """A figure of a profile; None where the profile is too short for it."""
+    try:
+        return figure(*given, **named)
+    except InputError:
+        return None
 
 
 def _facts(road: Road, spikes: Spikes, paths: tuple[PathFigures, ...]) -> dict[str, str]:
@@ -215,7 +221,7 @@ def _facts(road: Road, spikes: Spikes, paths: tuple[PathFigures, ...]) -> dict[s
     step = np.abs(np.diff(grid, axis=0))
     sections = np.diff(road.v)
     even = float(np.ptp(sections)) < 1e-9 * road.width
-    facts = {
+    return {
         "length": f"{road.length:.2f} m, {road.z.shape[0]} cross sections every {road.u_step:.6g} m",
         "width": f"{road.width:.2f} m (v {road.v[0]:g} to {road.v[-1]:g} m), {road.v.size} long sections "
         + (f"every {sections[0]:.6g} m" if even else f"{sections.min():.6g} to {sections.max():.6g} m apart"),
@@ -233,7 +239,6 @@ def _facts(road: Road, spikes: Spikes, paths: tuple[PathFigures, ...]) -> dict[s
         "events": _events(paths),
         "spikes": str(len(spikes)),
     }
-    return facts
 
 
 def _range(values: Floats) -> str:
@@ -271,14 +276,13 @@ def _events(paths: tuple[PathFigures, ...]) -> str:
     return " | ".join(f"{path.side} {text}" for path, text in zip(paths, texts, strict=True))
 
 
-def enclosed(missing: object) -> np.ndarray[tuple[int, ...], np.dtype[np.bool_]]:
+def enclosed(missing: NDArray[np.bool_]) -> NDArray[np.bool_]:
     """Missing heights with data on both sides of them in their cross section, or in none of it."""
-    gone = np.asarray(missing, dtype=np.bool_)
-    data = ~gone
+    data = ~missing
     left = np.logical_or.accumulate(data, axis=1)
     right = np.logical_or.accumulate(data[:, ::-1], axis=1)[:, ::-1]
     empty = ~data.any(axis=1, keepdims=True)
-    return gone & ((left & right) | empty)
+    return missing & ((left & right) | empty)
 
 
 def _steps(road: Road, spikes: Spikes) -> list[RoadFinding]:

@@ -25,7 +25,7 @@ from suspension_twin.errors import InputError
 from suspension_twin.files import replacing
 from suspension_twin.road.road import Road
 
-__all__ = ["RoadMesh", "Tile", "road_mesh", "write_mesh", "write_obj", "write_stl"]
+__all__ = ["MeshTile", "RoadMesh", "road_mesh", "write_mesh", "write_obj", "write_stl"]
 
 Up = Literal["z", "y"]
 
@@ -36,7 +36,7 @@ TILE_LENGTH = 50.0
 
 
 @dataclass(frozen=True, eq=False)
-class Tile:
+class MeshTile:
     """A piece of the mesh: ``vertices`` and unit ``normals`` (n, 3), ``uv`` (n, 2) m, ``faces`` (m, 3).
 
     ``faces`` number the tile's own vertices from 0. Tiles side by side hold the vertices of their
@@ -73,7 +73,7 @@ class RoadMesh:
         kept: NDArray[np.int64] = triangles[known[triangles].all(axis=1)]
         return kept
 
-    def tiles(self, max_vertices: int = TILE_VERTICES, length: float = TILE_LENGTH) -> Iterator[Tile]:
+    def tiles(self, max_vertices: int = TILE_VERTICES, length: float = TILE_LENGTH) -> Iterator[MeshTile]:
         """The mesh in tiles of at most ``max_vertices`` vertices and about ``length`` m; empty ones left out."""
         if max_vertices < 4 or not length > 0.0:
             raise InputError("mesh", "tiles", "need 4 vertices or more and a length above 0 m")
@@ -89,7 +89,7 @@ class RoadMesh:
                     continue
                 used, inverse = np.unique(faces, return_inverse=True)
                 u, v = np.meshgrid(self.u[rows], self.v[columns], indexing="ij")
-                yield Tile(
+                yield MeshTile(
                     name=f"road_{i // along:03d}_{j // across:02d}",
                     vertices=self.points[rows, columns].reshape(-1, 3)[used],
                     normals=self.normals[rows, columns].reshape(-1, 3)[used],

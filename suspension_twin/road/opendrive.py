@@ -17,15 +17,18 @@ import numpy as np
 
 from suspension_twin.arrays import Floats
 from suspension_twin.errors import InputError
+from suspension_twin.files import read_bytes
 from suspension_twin.road.crg import load_road
-from suspension_twin.road.road import Borders, Road
+from suspension_twin.road.road import ReferenceLine, Road
 
 __all__ = ["read_opendrive"]
+
+_LARGEST = 1 << 30  # bytes of a file
 
 
 @dataclass(frozen=True)
 class _Place:
-    """What a ``<CRG>`` says: along the road from ``start`` to ``end`` m, and offsets in m."""
+    """Place of a ``<CRG>``: along the road from ``start`` to ``end`` m, and offsets in m."""
 
     start: float
     end: float
@@ -62,9 +65,7 @@ def read_opendrive(path: Path, road_id: str | None = None) -> Road:
     suspension_twin.errors.InputError: missing.xodr: No such file or directory
     """
     try:
-        root = ElementTree.fromstring(path.read_bytes())
-    except OSError as error:
-        raise InputError(path, error.strerror or "cannot be read") from None
+        root = ElementTree.fromstring(read_bytes(path, _LARGEST))
     except ElementTree.ParseError as error:
         raise InputError(path, f"not XML: {error}") from None
     for element in root.iter():
@@ -140,23 +141,9 @@ def _attached(path: Path, road: ElementTree.Element, surface: Road, place: _Plac
     if lifted:
         ref = ref + _cubics(path, road, "elevationProfile/elevation", s)
         bank = np.tan(_cubics(path, road, "lateralProfile/superelevation", s))
-    v = surface.v + place.across
-    return Road(
-        name=surface.name,
-        z=surface.z[kept]
-        + surface.bank[kept, None] * surface.v
-        + surface.ref_z[kept, None]
-        - surface.ref_z[0],
-        v=v,
-        u_step=surface.u_step,
-        x=x,
-        y=y,
-        ref_z=ref,
-        bank=bank,
-        headings=(float(heading[0]), float(heading[-1])),
-        u_first=0.0,
-        borders=Borders(),
-    )
+    z = surface.z + surface.bank[:, None] * surface.v + surface.ref_z[:, None] - surface.ref_z[0]
+    line = ReferenceLine(x, y, ref, bank, surface.u_step, (float(heading[0]), float(heading[-1])))
+    return Road(surface.name, z[kept], surface.v + place.across, line)
 
 
 def _plan(path: Path, road: ElementTree.Element, s: Floats) -> tuple[Floats, Floats, Floats]:

@@ -17,8 +17,8 @@ from suspension_twin.arrays import Floats
 from suspension_twin.errors import InputError
 from suspension_twin.files import replacing
 from suspension_twin.road.check import PathFigures, RoadCheck, check_road, wheel_tracks
-from suspension_twin.road.iso8608 import CLASSES, N0, road_psd, roughness, smoothed_psd
 from suspension_twin.road.road import Road
+from suspension_twin.road.roughness import CLASSES, N0, road_psd, roughness, smoothed_psd
 
 __all__ = ["road_figure", "save_road_picture"]
 

@@ -20,7 +20,7 @@ from suspension_twin.drive.types import Drive, FixData, ImuData
 from suspension_twin.drive.write import write_drive
 from suspension_twin.inference.synthetic import synthetic_drive
 from suspension_twin.road import bump_road, circular, write_road
-from suspension_twin.road.iso8608 import iso8608_road
+from suspension_twin.road.roughness import iso8608_road
 from suspension_twin.vehicle.twin import load_twin
 
 Run = Callable[[Drive | Path], tuple[int, str, Path]]
