@@ -12,7 +12,7 @@ from pydantic import AfterValidator, BaseModel, ConfigDict, ValidationError
 
 from suspension_twin.errors import InputError, nearest, shown
 
-__all__ = ["Strict", "assign", "checked", "problems", "within"]
+__all__ = ["Strict", "checked", "problems", "within"]
 
 
 class Strict(BaseModel):
@@ -86,22 +86,3 @@ def _keys(model: type[BaseModel], path: list[int | str]) -> list[str]:
             return []
         model = models[0]
     return list(model.model_fields)
-
-
-def assign(data: Any, key: str, value: Any, source: str) -> None:
-    """Put ``value`` at a dotted ``key`` of nested plain values that has one already; lists by number: ``force.2``."""
-    *path, last = key.split(".")
-    node = data
-    try:
-        for part in path:
-            if isinstance(node, dict) and isinstance(node[part], tuple):
-                node[part] = list(node[part])
-            node = node[int(part)] if isinstance(node, list) else node[part]
-        if isinstance(node, list):
-            node[int(last)] = value
-        elif last in node:
-            node[last] = value
-        else:
-            raise KeyError(last)
-    except (KeyError, IndexError, ValueError, TypeError):
-        raise InputError(source, key, "no such key") from None

@@ -19,7 +19,7 @@ from pathlib import Path
 from typing import Final
 from urllib.parse import quote
 
-from rosbags.interfaces import MessageDefinitionFormat
+from rosbags.interfaces import ConnectionExtRosbag2, MessageDefinitionFormat
 from rosbags.rosbag1 import Reader as Ros1Reader
 from rosbags.rosbag1 import reader as rosbag1
 from rosbags.rosbag2 import Reader as Ros2Reader
@@ -250,10 +250,9 @@ def read_whole(path: Path, storage: str, contents: Contents) -> None:
     Raises Incomplete, with ``contents`` unchanged, where the file cannot be read to its end, and TooLarge where it
     unpacks to more than it may.
     """
-    ros1 = storage == "bag"
     # the reader puts the path of a database into a URI as it is
     name = Path(quote(str(path.resolve()))) if storage == "db3" else path
-    reader = Ros1Reader(path) if ros1 else Ros2Reader.STORAGE_PLUGINS[f".{storage}"](name)
+    reader = Ros1Reader(path) if storage == "bag" else Ros2Reader.STORAGE_PLUGINS[f".{storage}"](name)
     token = _BUDGET.set(contents.budget)
     try:
         if storage == "db3":
@@ -275,9 +274,11 @@ def read_whole(path: Path, storage: str, contents: Contents) -> None:
     if sum(c.msgcount for c in wanted) != sum(len(topic.data) for topic in found.values()):
         raise Incomplete("holds another number of messages than its index")
     for connection in connections:
-        if connection.msgdef.format == MessageDefinitionFormat.MSG and not ros1:
-            contents.definitions[connection.msgtype] = connection.msgdef.data
-        encoding = "ros1" if ros1 else connection.ext.serialization_format
+        encoding = "ros1"
+        if isinstance(connection.ext, ConnectionExtRosbag2):
+            encoding = connection.ext.serialization_format
+            if connection.msgdef.format == MessageDefinitionFormat.MSG:
+                contents.definitions[connection.msgtype] = connection.msgdef.data
         sink = contents.open_topic(connection.topic, connection.msgtype, encoding)
         if sink is not None:
             sink.stamps += found[connection.id].stamps

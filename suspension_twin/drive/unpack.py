@@ -64,9 +64,10 @@ class Budget:
 class _Decompressor(Protocol):
     """The interface that the decompressors of zstandard, lz4 and bz2 share."""
 
-    eof: bool
+    @property
+    def eof(self) -> bool: ...
 
-    def decompress(self, data: bytes) -> bytes: ...
+    def decompress(self, data: bytes, /) -> bytes: ...
 
 
 _STREAMS: Final[dict[str, Callable[[], _Decompressor]]] = {

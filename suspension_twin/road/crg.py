@@ -166,13 +166,14 @@ def write_road(road: Road, path: str | os.PathLike[str], comment: str = "") -> N
     0.05
     """
     b = road.borders
+    begin, end = (None if fade is None else fade.length for fade in (b.begin, b.end))
     stated = (
         ("border_mode_u", b.u.mode, c.BORDER_MODE_EX_KEEP),
         ("border_mode_v", b.v.mode, c.BORDER_MODE_EX_KEEP),
         ("border_offset_u", b.u.offset, 0.0),
         ("border_offset_v", b.v.offset, 0.0),
-        ("border_smooth_ubeg", b.begin and b.begin.length, None),
-        ("border_smooth_uend", b.end and b.end.length, None),
+        ("border_smooth_ubeg", begin, None),
+        ("border_smooth_uend", end, None),
         ("refline_continuation", int(b.close), 0),
     )
     options: dict[str | int, float] = {k: v for k, v, default in stated if v is not None and v != default}

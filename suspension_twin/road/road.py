@@ -77,10 +77,12 @@ class Borders:
 
     def moved(self, factor: float = 1.0, lift: float = 0.0) -> Borders:
         """The same for heights multiplied by ``factor`` and raised by ``lift`` m."""
-        offsets = {k: replace(b, offset=b.offset * factor) for k, b in (("u", self.u), ("v", self.v))}
-        fades = (("begin", self.begin), ("end", self.end))
-        bases = {k: None if f is None else replace(f, base=f.base * factor + lift) for k, f in fades}
-        return Borders(**offsets, **bases, close=self.close, close_span=self.close_span)
+        u, v = (replace(border, offset=border.offset * factor) for border in (self.u, self.v))
+        begin, end = (
+            None if fade is None else replace(fade, base=fade.base * factor + lift)
+            for fade in (self.begin, self.end)
+        )
+        return replace(self, u=u, v=v, begin=begin, end=end)
 
 
 @dataclass(frozen=True, eq=False)
@@ -178,8 +180,8 @@ class Road:
         line = self.reference
         for name in ("z", "v"):
             object.__setattr__(self, name, _frozen(getattr(self, name)))
-        arrays = {name: _frozen(getattr(line, name)) for name in ("x", "y", "z", "bank")}
-        line = replace(line, **arrays, step=float(line.step), u_first=float(line.u_first))
+        x, y, z, bank = map(_frozen, (line.x, line.y, line.z, line.bank))
+        line = ReferenceLine(x, y, z, bank, float(line.step), line.headings, float(line.u_first))
         object.__setattr__(self, "reference", line)
         nu, nv = self.z.shape if self.z.ndim == 2 else (0, 0)
         if nu < 2 or nv < 2:
