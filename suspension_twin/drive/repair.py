@@ -1,30 +1,32 @@
 # SPDX-License-Identifier: Apache-2.0
 """Repair of recorded data: stamps that are missing or absurd, samples that are not finite.
 
-Nothing is repaired silently: each function returns, in words, what it did.
+Nothing is repaired silently: each function returns a line for every repair.
 """
 
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import median_filter
 
 from suspension_twin.arrays import Floats
-from suspension_twin.drive.types import Drive, FixData, ImuData
+from suspension_twin.drive.types import Drive, FixData, HeadingData, ImuData, VelocityData
 
 __all__ = ["clean_drive", "measured", "nanoseconds", "repair_stamps", "seconds"]
 
 Bools = NDArray[np.bool_]
 Stamps = NDArray[np.int64]
+Kind = TypeVar("Kind", ImuData, FixData, VelocityData, HeadingData)
 
 #: A stamp this far from its neighbours' offset to the record time is a fault, not jitter.
 _OUTLIER_NS = 10_000_000_000
 _NEIGHBOURS = 9
 
-#: Beyond this, in SI units, no sensor on a vehicle measured a thing: the bytes are damaged.
+#: Beyond this, in SI units, no sensor on a vehicle measures: the bytes are damaged.
 _BEYOND = 1e6
 
 
@@ -39,16 +41,16 @@ def nanoseconds(t: Floats) -> Stamps:
     return np.asarray(whole.astype(np.int64) * 1_000_000_000 + np.rint((t - whole) * 1e9).astype(np.int64))
 
 
-def _count(number: int, of: int, what: str) -> str:
-    return f"{number} of {of} {what}"
+def _count(number: int, of: int, kind: str) -> str:
+    return f"{number} of {of} {kind}"
 
 
 def repair_stamps(header: Stamps, recorded: Stamps) -> tuple[Floats, Bools, list[str]]:
-    """Times (n,) in s, which samples to keep (n,), and what was done.
+    """Times (n,) in s, which samples to keep (n,), and a line for every repair.
 
     ``header`` and ``recorded`` are ns, in the order of recording. All header stamps zero (or
-    before 1970): the record stamps are the times. Some: they get the record stamp shifted by what
-    lies between the two otherwise. A stamp more than 10 s off its neighbours is left out. A clock
+    before 1970): the record stamps are the times. Some: they get the record stamp, shifted by the median
+    difference of the two. A stamp more than 10 s off its neighbours is left out. A clock
     that goes back for good (a looped recording) is kept as it is, and said.
     """
     warnings: list[str] = []
@@ -88,45 +90,37 @@ def measured(values: Floats) -> Bools:
 def clean_drive(drive: Drive) -> Drive:
     """The drive without samples that are not numbers or no place on Earth; warnings added."""
     warnings = list(drive.warnings)
-    imu = _clean_imu(drive.imu, warnings)
-    fix = _clean_fix(drive.fix, warnings)
-    velocity, heading = drive.velocity, drive.heading
+
+    def kept(samples: Kind, good: Bools, kind: str, fault: str) -> Kind:
+        if good.all():
+            return samples
+        warnings.append(f"{_count(int((~good).sum()), len(samples), kind)} {fault}: left out")
+        return samples.select(good)
+
+    imu, fix, velocity, heading = drive.imu, drive.fix, drive.velocity, drive.heading
+    good = np.isfinite(imu.t) & measured(imu.specific_force) & measured(imu.angular_rate)
+    imu = kept(imu, good, "IMU samples", "are no numbers")
+    with np.errstate(invalid="ignore"):
+        good = (np.abs(fix.latitude) <= 90) & (np.abs(fix.longitude) <= 180) & np.isfinite(fix.t)
+    # receivers and phones report 0, 0 before their first fix
+    good &= ~((fix.latitude == 0) & (fix.longitude == 0))
+    fix = _with_altitude(kept(fix, good, "fixes", "have no valid position"), warnings)
     good = measured(velocity.enu) & np.isfinite(velocity.t)
-    if not good.all():
-        warnings.append(f"{_count(int((~good).sum()), len(velocity), 'velocities')} are no numbers: left out")
-        velocity = velocity.select(good)
+    velocity = kept(velocity, good, "velocities", "are no numbers")
     if heading is not None:
-        good = np.isfinite(heading.yaw) & np.isfinite(heading.t)
-        if not good.all():
-            warnings.append(f"{_count(int((~good).sum()), len(heading), 'headings')} are not valid: left out")
-            heading = heading.select(good)
+        heading = kept(
+            heading, np.isfinite(heading.yaw) & np.isfinite(heading.t), "headings", "are not valid"
+        )
     return replace(drive, imu=imu, fix=fix, velocity=velocity, heading=heading, warnings=tuple(warnings))
 
 
-def _clean_imu(imu: ImuData, warnings: list[str]) -> ImuData:
-    good = np.isfinite(imu.t) & measured(imu.specific_force) & measured(imu.angular_rate)
-    if good.all():
-        return imu
-    warnings.append(f"{_count(int((~good).sum()), len(imu), 'IMU samples')} are no numbers: left out")
-    return imu.select(good)
-
-
-def _clean_fix(fix: FixData, warnings: list[str]) -> FixData:
-    with np.errstate(invalid="ignore"):
-        good = (np.abs(fix.latitude) <= 90) & (np.abs(fix.longitude) <= 180) & np.isfinite(fix.t)
-    # what receivers and phones report before their first fix
-    good &= ~((fix.latitude == 0) & (fix.longitude == 0))
-    if not good.all():
-        warnings.append(f"{_count(int((~good).sum()), len(fix), 'fixes')} have no valid position: left out")
-        fix = fix.select(good)
+def _with_altitude(fix: FixData, warnings: list[str]) -> FixData:
+    """Fixes with the altitudes that are missing taken from their neighbours, or as 0 m."""
     known = np.abs(fix.altitude) < 1e5  # m; NaN and infinity are not
-    if not known.all():
-        if known.any():
-            altitude = np.interp(fix.t, fix.t[known], fix.altitude[known])
-            done = "taken from their neighbours"
-        else:
-            altitude = np.zeros(len(fix))
-            done = "taken as 0 m"
-        warnings.append(f"{_count(int((~known).sum()), len(fix), 'fixes')} have no altitude: {done}")
-        fix = replace(fix, altitude=altitude)
-    return fix
+    if known.all():
+        return fix
+    altitude, done = np.zeros(len(fix)), "taken as 0 m"
+    if known.any():
+        altitude, done = np.interp(fix.t, fix.t[known], fix.altitude[known]), "taken from their neighbours"
+    warnings.append(f"{_count(int((~known).sum()), len(fix), 'fixes')} have no altitude: {done}")
+    return replace(fix, altitude=altitude)

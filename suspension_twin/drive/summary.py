@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a drive holds, in figures and in words: rates, gaps, gravity's axis, path, speed."""
+"""Summary of a drive in figures and in words: rates, gaps, the axis of gravity, path, speed."""
 
 from __future__ import annotations
 
@@ -34,6 +34,15 @@ class Rhythm:
         """s, 0 without gaps."""
         return max((length for _, length in self.gaps), default=0.0)
 
+    @property
+    def gaps_in_words(self) -> str:
+        """Number of gaps and the longest one."""
+        if not self.gaps:
+            return "no gaps"
+        return (
+            f"{len(self.gaps)} gap{'s' if len(self.gaps) > 1 else ''}, the longest {self.longest_gap:.2f} s"
+        )
+
 
 @dataclass(frozen=True)
 class Gravity:
@@ -64,37 +73,24 @@ class Summary:
         if self.imu.start > 1e8:  # else the clock was never set
             moment = datetime.fromtimestamp(self.imu.start, tz=timezone.utc)
             begin = f", from {moment:%Y-%m-%d %H:%M:%S} UTC"
-        gaps = f"{_gaps(self.imu)} {_gap_word(self.imu)}"
+        upside_down = " (upside down, or axes forward, right, down)"
+        posture = {"+z": "", "-z": upside_down}.get(self.gravity.axis, " (not lying flat)")
         lines = [
-            f"IMU: {self.imu.count} samples at {self.imu.rate:.2f} Hz over {self.imu.duration:.1f} s{begin}; {gaps}",
+            f"IMU: {self.imu.count} samples at {self.imu.rate:.2f} Hz over {self.imu.duration:.1f} s{begin}; "
+            f"{self.imu.gaps_in_words}",
             f"gravity: on {self.gravity.axis}, tilted {np.degrees(self.gravity.tilt):.1f} degrees, "
-            f"{self.gravity.size:.2f} m/s²{self._posture()}",
+            f"{self.gravity.size:.2f} m/s²{posture}",
         ]
         if not self.fix.count:
             return [*lines, "GPS: no positions"]
         lost = f", {self.no_fix} without a fix" if self.no_fix else ""
         lines.append(
             f"GPS: {self.fix.count} positions at {self.fix.rate:.2f} Hz over {self.fix.duration:.1f} s{lost}; "
-            f"{_gaps(self.fix)} {_gap_word(self.fix)}"
+            f"{self.fix.gaps_in_words}"
         )
         if self.velocity.count:
             lines.append(f"path: {self.path / 1000:.2f} km, up to {self.top_speed:.1f} m/s")
         return lines
-
-    def _posture(self) -> str:
-        if self.gravity.axis == "-z":
-            return " (upside down, or axes forward, right, down)"
-        return "" if self.gravity.axis == "+z" else " (not lying flat)"
-
-
-def _gaps(rhythm: Rhythm) -> str:
-    return "no" if not rhythm.gaps else str(len(rhythm.gaps))
-
-
-def _gap_word(rhythm: Rhythm) -> str:
-    if not rhythm.gaps:
-        return "gaps"
-    return f"gap{'s' if len(rhythm.gaps) > 1 else ''}, the longest {rhythm.longest_gap:.2f} s"
 
 
 def rhythm_of(t: Floats) -> Rhythm:

@@ -296,7 +296,7 @@ def write_drive(
     Examples
     --------
     >>> import tempfile
-    >>> from suspension_twin.drive.edit import cut
+    >>> from suspension_twin.drive.types import cut
     >>> from suspension_twin.drive.read import read_drive
     >>> drive = read_drive("bags/bump_15kmh")
     >>> first = cut(drive, drive.imu.t[0], drive.imu.t[0] + 5.0)

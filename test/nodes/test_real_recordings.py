@@ -11,9 +11,8 @@ import numpy as np
 import pytest
 from nodes_bench import stamp_of
 
-from suspension_twin.drive.edit import cut
 from suspension_twin.drive.importing import import_drive
-from suspension_twin.drive.types import Drive
+from suspension_twin.drive.types import Drive, cut
 from suspension_twin.nodes.composed import Composed, Playback
 from suspension_twin.nodes.process import ros_context
 from suspension_twin.vehicle.twin import Twin, save_twin
