@@ -11,8 +11,6 @@ from suspension_twin.road.build import (
     flat_road,
     grid_road,
     half_sine,
-    join,
-    measured,
     trapezoid,
 )
 from suspension_twin.road.crg import load_road, write_road
@@ -43,9 +41,7 @@ __all__ = [
     "flat_road",
     "grid_road",
     "half_sine",
-    "join",
     "load_road",
-    "measured",
     "trapezoid",
     "write_road",
 ]

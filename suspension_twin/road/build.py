@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Roads made of numbers: from a grid of heights, flat, over a line, with bumps, and of several parts in a row."""
+"""Roads made of numbers: from a grid of heights, flat, over a line, curved, and with bumps."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike
 
 from suspension_twin.arrays import Floats
 from suspension_twin.errors import InputError
-from suspension_twin.road.road import Borders, ReferenceLine, Road, single_precision
+from suspension_twin.road.road import ReferenceLine, Road, single_precision
 
 __all__ = [
     "Bump",
@@ -24,9 +24,7 @@ __all__ = [
     "flat_road",
     "grid_road",
     "half_sine",
-    "join",
     "lateral_grid",
-    "measured",
     "road_over",
     "trapezoid",
 ]
@@ -209,7 +207,7 @@ def road_over(line: Centreline, z: ArrayLike, v: ArrayLike, name: str) -> Road:
     return Road(name, single_precision(z), np.asarray(v, dtype=np.float64), reference)
 
 
-# Speed bumps: the usual shapes, measured ones, and roads with them
+# Speed bumps: the usual shapes, and roads with them
 
 
 @dataclass(frozen=True, eq=False)
@@ -287,20 +285,6 @@ def circular(length: float, height: float) -> Bump:
         return math.copysign(1.0, height) * np.maximum(z, 0.0)
 
     return Bump("circular", length, height, profile)
-
-
-def measured(s: ArrayLike, z: ArrayLike) -> Bump:
-    """A bump through measured points: distances ``s`` (n,) m rising, heights ``z`` (n,) m; linear between."""
-    along, up = np.asarray(s, dtype=np.float64), np.asarray(z, dtype=np.float64)
-    if along.ndim != 1 or along.shape != up.shape or along.size < 2:
-        raise InputError("bump", "points", f"need 2 or more pairs, got {along.size} and {up.size} values")
-    if not (np.isfinite(along).all() and np.isfinite(up).all()):
-        raise InputError("bump", "points", "must be finite")
-    if not (np.diff(along) > 0.0).all():
-        raise InputError("bump", "points", "distances must rise from point to point")
-    along = along - along[0]
-    peak = float(up[np.abs(up).argmax()])
-    return Bump("measured", float(along[-1]), peak, lambda at: np.interp(at, along, up))
 
 
 def add_bump(
@@ -426,74 +410,3 @@ def _check(length: float, height: float) -> None:
         raise InputError("bump", "length", f"must be above 0 m, is {length}")
     if not (math.isfinite(height) and height != 0.0):
         raise InputError("bump", "height", f"must be a height in m other than 0, is {height}")
-
-
-# Several parts
-
-
-def join(parts: Sequence[Road], *, level: bool = True, name: str | None = None) -> Road:
-    """One road of several, each starting where and in the direction in which the one before ends.
-
-    The first part gives the place and the long sections, the finest the step along the road;
-    lengths are rounded to whole steps. With ``level`` each part is raised so that its mean height at
-    the seam is that of the part before; without, heights stay, and the seam is a ramp of one step.
-    Raises InputError for no parts, and for a curved part of another step.
-    """
-    if not parts:
-        raise InputError("road", "join", "needs one part or more")
-    step = min(p.u_step for p in parts)
-    done = _resampled(parts[0], step, parts[0].v)
-    for part in parts[1:]:
-        done = _append(done, _resampled(part, step, parts[0].v), level)
-    # Border options of one part mean nothing for the whole.
-    return replace(done, name=name or " + ".join(p.name for p in parts), borders=Borders())
-
-
-def _append(road: Road, part: Road, level: bool) -> Road:
-    part = part.placed(float(road.x[-1]), float(road.y[-1]), road.headings[1])
-    lift = 0.0
-    if level:
-        end, start = road.heights_grid[-1], part.heights_grid[0]
-        both = np.isfinite(end) & np.isfinite(start)
-        lift = float((end[both] - start[both]).mean()) if both.any() else 0.0
-    reference = replace(
-        road.reference,
-        x=np.concatenate([road.x, part.x[1:]]),
-        y=np.concatenate([road.y, part.y[1:]]),
-        z=np.concatenate([road.ref_z, part.ref_z[1:] + lift]),
-        bank=np.concatenate([road.bank, part.bank[1:]]),
-        headings=(road.headings[0], part.headings[1]),
-    )
-    return replace(road, z=np.concatenate([road.z, part.z[1:]]), reference=reference)
-
-
-def _resampled(road: Road, step: float, v: Floats) -> Road:
-    """The road on another grid; missing heights stay missing, beyond its own width it is held."""
-    same_v = v.shape == road.v.shape and np.allclose(v, road.v, rtol=0.0, atol=1e-9)
-    same_u = math.isclose(step, road.u_step, rel_tol=1e-9)
-    if same_u and same_v:
-        return road
-    if not same_u and not road.straight:
-        raise InputError(
-            road.name, "u_step", f"{road.u_step} m differs from {step} m: a curved part is not resampled"
-        )
-    count = round(road.length / step) if not same_u else road.z.shape[0] - 1
-    u = road.u_first + step * np.arange(max(count, 1) + 1)
-    # The grid alone, within its borders: slope and banking are resampled on their own.
-    zero = np.zeros(road.z.shape[0])
-    grid = replace(road, borders=Borders()).with_line(z=zero, bank=zero)
-    within = np.clip(u, road.u_first, road.u_last)[:, None], np.clip(v, road.v[0], road.v[-1])[None, :]
-    samples = grid.sample_uv(*within, "hold")
-    heights = np.where(samples.inside, samples.z, np.nan)
-    line = road.reference
-    if not same_u:
-        s = u - road.u_first
-        line = replace(
-            line,
-            x=road.x[0] + s * math.cos(road.headings[0]),
-            y=road.y[0] + s * math.sin(road.headings[0]),
-            z=np.interp(u, road.u, road.ref_z),
-            bank=np.interp(u, road.u, road.bank),
-            step=step,
-        )
-    return replace(road, z=single_precision(heights), v=v, reference=line)

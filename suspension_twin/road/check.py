@@ -18,9 +18,9 @@ from suspension_twin.errors import InputError
 from suspension_twin.road.crg import examine, load_road, scan_holes
 from suspension_twin.road.road import Road
 from suspension_twin.road.roughness import Roughness, iri, profile_roughness
-from suspension_twin.road.smoothing import Spikes, find_spikes
+from suspension_twin.road.smoothing import Spike, Spikes, find_spikes
 
-__all__ = ["PathFigures", "RoadCheck", "RoadFinding", "check_file", "check_road", "enclosed", "wheel_tracks"]
+__all__ = ["PathFigures", "RoadCheck", "RoadFinding", "check_file", "check_road", "enclosed", "wheel_paths"]
 
 #: A jump this high (m) and this steep (m/m) between neighbours is a step, unless a spike makes it.
 _STEP, _STEP_SLOPE = 0.05, 1.0
@@ -66,15 +66,15 @@ class PathFigures:
     def as_record(self) -> dict[str, object]:
         """Numbers for a file."""
         r = self.roughness
-        known = r is not None and np.isfinite(r.g0)
+        known = None if r is None or not np.isfinite(r.g0) else r
         return {
             "side": self.side,
             "v": self.v,
             "iri": self.iri,
-            "iso8608": r.letter if r is not None and known else None,
-            "g0": r.g0 if r is not None and known else None,
-            "iso8608_with_events": r.letter_with_events if r is not None and known else None,
-            "events": [vars(e) for e in r.events] if r is not None else [],
+            "iso8608": known and known.letter,
+            "g0": known and known.g0,
+            "iso8608_with_events": known and known.letter_with_events,
+            "events": [] if r is None else [vars(e) for e in r.events],
         }
 
 
@@ -98,43 +98,39 @@ def check_file(path: str | os.PathLike[str]) -> RoadCheck:
     """:func:`check_road` of an OpenCRG file, with findings about its header and its scan."""
     road = load_road(path)
     file = examine(Path(path))
-    extra = []
+    findings = _holes_of_scan(Path(path))
     start = [file.road.get(f"reference_line_start_{k}", 0.0) for k in ("x", "y", "phi")]
-    if file.mods is None and any(start):
-        extra.append(
-            RoadFinding(
-                "the file has no $ROAD_CRG_MODS section, so OpenCRG's default moves its start from "
-                f"({start[0]:.2f}, {start[1]:.2f}) m, heading {math.degrees(start[2]):.1f} deg, to the origin of map; "
-                "an empty section would keep it there",
-                fault=False,
-            )
-        )
     if file.missing > 0.0 and not np.isnan(road.z).any():
-        held = (
-            f"{100 * file.missing:.2g} % of the heights are missing in the file, filled as its modifiers say"
+        share = f"{100 * file.missing:.2g} % of the heights are missing in the file"
+        findings.insert(0, RoadFinding(f"{share}, filled as its modifiers say", fault=False))
+    if file.mods is None and any(start):
+        text = (
+            "the file has no $ROAD_CRG_MODS section, so OpenCRG's default moves its start from "
+            f"({start[0]:.2f}, {start[1]:.2f}) m, heading {math.degrees(start[2]):.1f} deg, to the origin of map; "
+            "an empty section would keep it there"
         )
-        extra.append(RoadFinding(held, fault=False))
-    return check_road(road, (*extra, *_holes_of_scan(Path(path))))
+        findings.insert(0, RoadFinding(text, fault=False))
+    return check_road(road, tuple(findings))
+
+
+def _largest(texts: list[str], most: int, rest: str) -> list[RoadFinding]:
+    """Faults, the largest first; of those beyond ``most`` only the ``rest`` with their number."""
+    more = [rest.format(len(texts) - most)] if len(texts) > most else []
+    return [RoadFinding(text, True) for text in (*texts[:most], *more)]
 
 
 def _holes_of_scan(path: Path) -> list[RoadFinding]:
     """Holes of the scan that a road was made from, which its file cannot show."""
-    holes = sorted(scan_holes(path), key=lambda h: -h["nodes"])
-    found = [
-        RoadFinding(
-            f"nothing was measured at u {h['u_low']:.2f} to {h['u_high']:.2f} m, v {h['v_low']:.2f} to "
-            f"{h['v_high']:.2f} m: heights there are bridged",
-            True,
-        )
-        for h in holes[:3]
+    texts = [
+        f"nothing was measured at u {h['u_low']:.2f} to {h['u_high']:.2f} m, v {h['v_low']:.2f} to "
+        f"{h['v_high']:.2f} m: heights there are bridged"
+        for h in sorted(scan_holes(path), key=lambda h: -h["nodes"])
     ]
-    if len(holes) > 3:
-        found.append(RoadFinding(f"and {len(holes) - 3} smaller holes of the scan", True))
-    return found
+    return _largest(texts, 3, "and {} smaller holes of the scan")
 
 
 def check_road(road: Road, also: tuple[RoadFinding, ...] = ()) -> RoadCheck:
-    """Check a road: spikes, missing data, roughness, what a simulation would suffer from.
+    """Check a road: spikes, missing data, roughness, whatever a simulation would suffer from.
 
     Parameters
     ----------
@@ -156,7 +152,7 @@ def check_road(road: Road, also: tuple[RoadFinding, ...] = ()) -> RoadCheck:
     """
     spikes = find_spikes(road)
     findings = [*also, *(RoadFinding(f"the OpenCRG library warns: {note}", True) for note in road.notes)]
-    paths = _wheel_paths(road)
+    paths = _path_figures(road)
     facts = _facts(road, spikes, paths)
     missing = np.isnan(road.z)
     if missing.any():
@@ -165,26 +161,22 @@ def check_road(road: Road, also: tuple[RoadFinding, ...] = ()) -> RoadCheck:
         findings.append(
             RoadFinding(f"{share}, {inner} of them between data; wheels there are held", inner > 0)
         )
-    for spike in spikes.found[:5]:
-        across = f"v {spike.v_low:.2f} to {spike.v_high:.2f} m"
-        if spike.v_low == spike.v_high:
-            across = f"v {spike.v:.2f} m"
-        kind = "spike" if spike.height > 0 else "pit"
-        findings.append(
-            RoadFinding(
-                f"{kind} of {1e3 * abs(spike.height):.0f} mm, with a step of {1e3 * spike.step:.0f} mm, "
-                f"at u {spike.u:.2f} m, {across}",
-                True,
-            )
-        )
-    if len(spikes) > 5:
-        findings.append(RoadFinding(f"and {len(spikes) - 5} smaller spikes", True))
+    findings += _largest([_spike_text(spike) for spike in spikes.found], 5, "and {} smaller spikes")
     findings += _steps(road, spikes) + _shape(road)
     return RoadCheck(road, facts, tuple(findings), spikes, paths)
 
 
-def wheel_tracks(road: Road, track: float = _TRACK) -> tuple[tuple[float, float], Floats, Floats]:
-    """v of the left and right wheel track about the middle of the road, and their heights along it.
+def _spike_text(spike: Spike) -> str:
+    kind = "spike" if spike.height > 0 else "pit"
+    across = f"{spike.v:.2f}" if spike.v_low == spike.v_high else f"{spike.v_low:.2f} to {spike.v_high:.2f}"
+    return (
+        f"{kind} of {1e3 * abs(spike.height):.0f} mm, with a step of {1e3 * spike.step:.0f} mm, "
+        f"at u {spike.u:.2f} m, v {across} m"
+    )
+
+
+def wheel_paths(road: Road, track: float = _TRACK) -> tuple[tuple[float, float], Floats, Floats]:
+    """v of the left and right wheel path about the middle of the road, and their heights along it.
 
     On a road narrower than ``track`` m they run at a quarter and three quarters of its width.
     """
@@ -194,8 +186,8 @@ def wheel_tracks(road: Road, track: float = _TRACK) -> tuple[tuple[float, float]
     return (left, right), road.heights_uv(road.u, left, "hold"), road.heights_uv(road.u, right, "hold")
 
 
-def _wheel_paths(road: Road) -> tuple[PathFigures, ...]:
-    places, left, right = wheel_tracks(road)
+def _path_figures(road: Road) -> tuple[PathFigures, ...]:
+    places, left, right = wheel_paths(road)
     return tuple(
         PathFigures(
             side,
@@ -296,15 +288,11 @@ def _steps(road: Road, spikes: Spikes) -> list[RoadFinding]:
     places = np.split(rows, np.flatnonzero(np.diff(rows) > max(1, round(0.5 / road.u_step))) + 1)
     sized = [(float(np.where(high[p], jump[p], 0.0).max()), float(road.u[p[0]])) for p in places]
     sized.sort(reverse=True)
-    found = [
-        RoadFinding(
-            f"step of {1e3 * size:.0f} mm at u {u:.2f} m; a wheel that touches at one point jumps it", True
-        )
-        for size, u in sized[:3]
+    texts = [
+        f"step of {1e3 * size:.0f} mm at u {u:.2f} m; a wheel that touches at one point jumps it"
+        for size, u in sized
     ]
-    if len(sized) > 3:
-        found.append(RoadFinding(f"and steps at {len(sized) - 3} more places", True))
-    return found
+    return _largest(texts, 3, "and steps at {} more places")
 
 
 def _shape(road: Road) -> list[RoadFinding]:

@@ -24,7 +24,7 @@ from suspension_twin.road import (
     half_sine,
     write_road,
 )
-from suspension_twin.road.check import check_road, wheel_tracks
+from suspension_twin.road.check import check_road, wheel_paths
 from suspension_twin.road.plots import road_figure, save_road_picture
 from suspension_twin.road.roughness import iso8608_road
 
@@ -124,12 +124,12 @@ def test_figures_are_the_roads() -> None:
 
 def test_wheel_tracks_run_about_the_middle() -> None:
     road = grid_road(np.ones((20, 1)) * np.linspace(-3, 3, 7), 0.1, np.linspace(-3, 3, 7))
-    (left_v, right_v), left, right = wheel_tracks(road, 1.6)
+    (left_v, right_v), left, right = wheel_paths(road, 1.6)
     assert (left_v, right_v) == (0.8, -0.8)
     assert left == pytest.approx(0.8)
     assert right == pytest.approx(-0.8)
     one_side = grid_road(np.zeros((20, 3)), 0.1, [0.0, 1.0, 2.0])
-    assert wheel_tracks(one_side, 1.6)[0] == (1.5, 0.5)
+    assert wheel_paths(one_side, 1.6)[0] == (1.5, 0.5)
 
 
 def test_a_picture_shows_what_it_says(
