@@ -22,14 +22,14 @@ from contextlib import suppress
 from functools import cache
 from pathlib import Path
 from types import FunctionType
-from typing import Any, TypeVar
+from typing import TypeVar, cast
 
 import numba
 from numba import config, njit
 
 __all__ = ["compiled", "inlined", "linked", "sources", "specialised"]
 
-Function = TypeVar("Function", bound=Callable[..., Any])
+Function = TypeVar("Function", bound=Callable[..., object])
 
 #: Machine code of other sources is deleted when it has not been loaded for so long, in s.
 _UNUSED = 30 * 86_400.0
@@ -46,24 +46,23 @@ def compiled(function: Function, modules: Iterable[str] = ()) -> Function:
     given = config.CACHE_DIR
     config.CACHE_DIR = str(folder)  # numba reads it while it decorates
     try:
-        out: Any = njit(cache=folder is not None, nogil=True, error_model="numpy")(function)
+        return cast(Function, njit(cache=folder is not None, nogil=True, error_model="numpy")(function))
     finally:
         config.CACHE_DIR = given
-    return out  # type: ignore[no-any-return]
 
 
-def specialised(function: Any, name: str, **constants: Any) -> Any:
+def specialised(function: Function, name: str, **constants: object) -> Function:
     """A copy of ``function`` called ``name`` in which some globals of its module are ``constants``: numbers that the
     compiler takes as such, or compiled functions. To be compiled by one of the functions here."""
-    out = FunctionType(function.__code__, function.__globals__ | constants, name)
+    source = cast(FunctionType, function)
+    out = FunctionType(source.__code__, source.__globals__ | constants, name)
     out.__qualname__, out.__module__ = name, function.__module__
-    return out
+    return cast(Function, out)
 
 
 def linked(function: Function) -> Function:
-    """A function that is made in a process, compiled once there and linked to its callers; they are what is kept."""
-    out: Any = njit(nogil=True, error_model="numpy")(function)
-    return out  # type: ignore[no-any-return]
+    """A function made in a process, compiled once there and linked to its callers; their machine code is kept."""
+    return cast(Function, njit(nogil=True, error_model="numpy")(function))
 
 
 def inlined(function: Function) -> Function:
@@ -71,8 +70,7 @@ def inlined(function: Function) -> Function:
 
     The inlining is LLVM's: that of numba types the helper anew at every call, which takes twice as long.
     """
-    out: Any = njit(forceinline=True, error_model="numpy")(function)
-    return out  # type: ignore[no-any-return]
+    return cast(Function, njit(forceinline=True, error_model="numpy")(function))
 
 
 @cache

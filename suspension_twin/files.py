@@ -39,6 +39,7 @@ __all__ = [
     "temporary_beside",
     "together",
     "write_text",
+    "writing",
 ]
 
 #: A disk or quota that is full: the input was usable, so the work failed.
@@ -143,7 +144,7 @@ _Loader.yaml_implicit_resolvers = {
 
 
 def parse_yaml(text: str, source: str | os.PathLike[str]) -> Any:
-    """What a text in YAML holds; raises InputError that names ``source`` and the line.
+    """Contents of a text in YAML; raises InputError that names ``source`` and the line.
 
     A text larger than 1 MiB, an alias that refers to what it stands in, and aliases that make more than 100 000
     values are refused before anything is made of them.
@@ -207,7 +208,7 @@ def _values(root: yaml.Node) -> int | None:
 
 
 def read_yaml(path: str | os.PathLike[str]) -> Any:
-    """What a YAML file holds; raises InputError that names the file."""
+    """Contents of a YAML file; raises InputError that names the file."""
     try:
         text = read_bytes(path, _LARGEST).decode("utf-8-sig")
     except UnicodeDecodeError:
@@ -236,7 +237,7 @@ def together() -> Iterator[None]:
         yield
         while staged:
             temporary, path = staged[0]
-            with _writing(path):
+            with writing(path):
                 _put(temporary, path)
             staged.pop(0)
     finally:
@@ -257,7 +258,7 @@ def replacing(path: str | os.PathLike[str]) -> Iterator[Path]:
     temporary = temporary_beside(path)
     staged = _STAGED.get()
     try:
-        with _writing(path):
+        with writing(path):
             path.parent.mkdir(parents=True, exist_ok=True)
             remove_leftovers(path)
             yield temporary
@@ -277,7 +278,8 @@ def temporary_beside(path: Path) -> Path:
 
 
 @contextmanager
-def _writing(path: Path) -> Iterator[None]:
+def writing(path: Path) -> Iterator[None]:
+    """The boundary around a writer: an error of the operating system becomes a WorkError about ``path``."""
     try:
         yield
     except OSError as error:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a YAML file may hold, as pydantic models; whatever is wrong becomes one line that names the keys."""
+"""Schemas of YAML files as pydantic models; whatever is wrong becomes one line that names the keys."""
 
 from __future__ import annotations
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, fields, replace
-from typing import TYPE_CHECKING, TypeAlias
+from typing import TYPE_CHECKING, Any, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -46,14 +46,13 @@ class _Samples:
     def joined(cls, parts: Sequence[Self]) -> Self:
         """One after the other; an optional array is kept where all of them have it."""
         columns = {f.name: [getattr(part, f.name) for part in parts] for f in fields(cls)}
-        return cls(**{name: _joined(values) for name, values in columns.items()})
-
-
-def _joined(values: list[Floats] | list[Floats | None] | list[str]) -> Floats | str | None:
-    arrays = [value for value in values if isinstance(value, np.ndarray)]
-    if len(arrays) == len(values):
-        return np.concatenate(arrays)
-    return None if any(value is None for value in values) else values[0]
+        whole: dict[str, Any] = {}
+        for name, values in columns.items():
+            if all(isinstance(value, np.ndarray) for value in values):
+                whole[name] = np.concatenate(values)
+            else:
+                whole[name] = None if any(value is None for value in values) else values[0]
+        return cls(**whole)
 
 
 @dataclass(frozen=True, eq=False)

@@ -13,13 +13,13 @@ import shutil
 import threading
 import time
 from collections.abc import Mapping, Sequence
-from contextlib import suppress
+from contextlib import ExitStack, suppress
 from pathlib import Path
 from types import TracebackType
-from typing import Any, final
+from typing import final
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 from rosbags.interfaces import Connection
 from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer
 from rosbags.rosbag2.storage_mcap import McapWriter
@@ -30,8 +30,8 @@ from suspension_twin.drive.contents import topic_name, type_name
 from suspension_twin.drive.read import TYPES, Topics
 from suspension_twin.drive.repair import nanoseconds
 from suspension_twin.drive.types import Drive, FixData, ImuData, Samples, VelocityData
-from suspension_twin.errors import InputError, WorkError
-from suspension_twin.files import check_writable, remove_leftovers, synchronise, temporary_beside
+from suspension_twin.errors import InputError
+from suspension_twin.files import check_writable, remove_leftovers, synchronise, temporary_beside, writing
 
 __all__ = ["BagWriter", "write_drive", "write_samples"]
 
@@ -89,7 +89,9 @@ class BagWriter:
 
     def __enter__(self) -> BagWriter:
         self._hidden = temporary_beside(self.path)
-        try:
+        with ExitStack() as undo, writing(self.path):
+            undo.callback(shutil.rmtree, self._hidden, ignore_errors=True)
+            undo.callback(self._put_back)
             self.path.parent.mkdir(parents=True, exist_ok=True)
             remove_leftovers(self.path)
             self._hidden.mkdir()
@@ -105,15 +107,12 @@ class BagWriter:
             self._bag.open()
             if self.live and self.bare:
                 os.rename(self._storage.path, self.path)
-        except OSError as error:
-            self._put_back()
-            shutil.rmtree(self._hidden, ignore_errors=True)
-            raise self._failed(error) from error
+            undo.pop_all()
         return self
 
     @property
     def _before(self) -> Path:
-        """Where what is replaced stays meanwhile."""
+        """Place of the replaced recording in the meantime."""
         return self._hidden / "replaced"
 
     @property
@@ -135,33 +134,29 @@ class BagWriter:
                 (Path.unlink if self.bare else shutil.rmtree)(self.path)
             self._put_back()
 
-    def _failed(self, error: OSError) -> WorkError:
-        return WorkError(f"{self.path}: cannot be written: {error.strerror or error}")
-
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
         try:
-            if self.live and self._bag.storage is not None:
-                self._end()
-            elif kind is None:
-                self._finish()
-            else:
-                with suppress(Exception):  # what ended the block is what is said
-                    self._bag.abort()
-        except OSError as failure:
-            raise self._failed(failure) from failure
+            with writing(self.path):
+                if self.live and self._bag.storage is not None:
+                    self._end()
+                elif kind is None:
+                    self._finish()
+                else:
+                    with suppress(Exception):  # the error that ended the block is reported
+                        self._bag.abort()
+                if isinstance(error, OSError):
+                    raise error
         finally:
             shutil.rmtree(self._hidden, ignore_errors=True)
-        if isinstance(error, OSError):
-            raise self._failed(error) from error
 
     def write(
         self,
         topic: str,
         msgtype: str,
         t: Floats | NDArray[np.int64],
-        values: Mapping[str, Any],
+        values: Mapping[str, ArrayLike],
         *,
         frame: str = "",
     ) -> None:
@@ -326,7 +321,7 @@ def write_samples(bag: BagWriter, samples: Samples, topics: Topics) -> None:
 
 
 def _write_imu(bag: BagWriter, imu: ImuData, topic: str) -> None:
-    values = {
+    values: dict[str, ArrayLike] = {
         **_vector("linear_acceleration", imu.specific_force),
         **_vector("angular_velocity", imu.angular_rate),
     }
@@ -342,7 +337,7 @@ def _write_fixes(bag: BagWriter, fix: FixData, topic: str) -> None:
     covariance = np.zeros((len(fix), 9))
     known = np.asarray(np.isfinite(fix.sigma).all(axis=1))
     covariance[:, [0, 4, 8]] = np.where(known[:, None], fix.sigma, 0.0) ** 2
-    values = {
+    values: dict[str, ArrayLike] = {
         "latitude": fix.latitude,
         "longitude": fix.longitude,
         "altitude": fix.altitude,
@@ -354,5 +349,5 @@ def _write_fixes(bag: BagWriter, fix: FixData, topic: str) -> None:
     bag.write(topic, TYPES["fix"][0], fix.t, values, frame=fix.frame)
 
 
-def _vector(prefix: str, rows: Floats, names: str = "xyz") -> dict[str, Any]:
+def _vector(prefix: str, rows: Floats, names: str = "xyz") -> dict[str, ArrayLike]:
     return {f"{prefix}.{name}": rows[:, i] for i, name in enumerate(names)}

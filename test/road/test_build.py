@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Bumps and roads of several parts."""
+"""Bumps and bends."""
 
 from __future__ import annotations
 
