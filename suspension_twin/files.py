@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Files: one boundary around what reads them, YAML within limits, and every file written whole or not at all."""
+"""Files: one boundary around their readers, YAML within limits, and every file written whole or not at all."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ __all__ = [
 NO_SPACE: Final = (errno.ENOSPC, errno.EDQUOT)
 
 
-# What the operating system refuses because of a path that the user named.
+# Errors of the operating system about a path that the user named.
 _PATH_ERRORS: Final = (
     FileNotFoundError,
     PermissionError,
@@ -67,8 +67,8 @@ def explained(error: Exception) -> tuple[int, str]:
         return WorkError.exit_status, "no space left to write the results"
     if isinstance(error, MemoryError):
         return WorkError.exit_status, "out of memory"
-    what = f"{type(error).__name__}: {error}".rstrip(": ")
-    return WorkError.exit_status, f"unexpected error, {what} (--debug shows where)"
+    cause = f"{type(error).__name__}: {error}".rstrip(": ")
+    return WorkError.exit_status, f"unexpected error, {cause} (--debug shows where)"
 
 
 @contextmanager
@@ -76,9 +76,9 @@ def reading(source: str | os.PathLike[str], kind: str) -> Iterator[None]:
     """The boundary around a reader: whatever a parser raises becomes one line about ``source``.
 
     Parsers of other people raise anything on bytes that they were not made for. Errors of this package pass; a full
-    disk (of temporary files) is a WorkError; everything else is an InputError that says that ``source`` is not
+    disk (of temporary files) is a WorkError; everything else is an InputError: ``source`` is not
     ``kind`` ("a recording"), with the cause kept for ``--debug``. Numbers that are too large become infinite without a
-    warning of NumPy: what is not finite is missing.
+    warning of NumPy: a value that is not finite is missing.
     """
     import numpy as np
 
@@ -128,7 +128,7 @@ _DIGITS: Final = 64  # of a number: the time to read one grows with the square o
 class _Loader(SafeLoader):
     """A date stays the text it is, so that ``start: 2024-05-01T12:00:00Z`` needs no quotes."""
 
-    def construct_object(self, node: Any, deep: bool = False) -> Any:
+    def construct_object(self, node: yaml.Node, deep: bool = False) -> Any:
         number = node.tag in ("tag:yaml.org,2002:int", "tag:yaml.org,2002:float")
         if number and isinstance(node, yaml.ScalarNode) and len(node.value) > _DIGITS:
             raise yaml.constructor.ConstructorError(
@@ -146,7 +146,7 @@ _Loader.yaml_implicit_resolvers = {
 def parse_yaml(text: str, source: str | os.PathLike[str]) -> Any:
     """Contents of a text in YAML; raises InputError that names ``source`` and the line.
 
-    A text larger than 1 MiB, an alias that refers to what it stands in, and aliases that make more than 100 000
+    A text larger than 1 MiB, an alias that refers to the node it stands in, and aliases that make more than 100 000
     values are refused before anything is made of them.
     """
     if len(text) > _LARGEST:
@@ -183,7 +183,7 @@ def parse_yaml(text: str, source: str | os.PathLike[str]) -> Any:
 def _values(root: yaml.Node) -> int | None:
     """How many values a document has with its aliases written out; None if one of them holds itself.
 
-    Each node is counted once: the time grows with the text, not with what it unfolds to.
+    Each node is counted once: the time grows with the text, not with the values that it unfolds to.
     """
     counts: dict[int, int] = {}
     open_nodes: set[int] = set()
@@ -250,8 +250,8 @@ def together() -> Iterator[None]:
 def replacing(path: str | os.PathLike[str]) -> Iterator[Path]:
     """A temporary file in the folder of ``path`` that takes its place if the block ends well.
 
-    Missing folders are made. Raises WorkError where it cannot be written, such as on a full disk; then whatever
-    ``path`` held is still there, and nothing else. What it held is on the disk when the block ends. Leftovers of a
+    Missing folders are made. Raises WorkError where it cannot be written, such as on a full disk; then the old
+    content of ``path`` is still there, and nothing else. The new one is on the disk when the block ends. Leftovers of a
     process that was killed while it wrote this file are removed.
     """
     path = Path(path)
@@ -293,7 +293,7 @@ def _put(temporary: Path, path: Path) -> None:
 
 
 def synchronise(path: Path) -> None:
-    """Return when what a file holds, or which names a folder holds, is on the disk; OSError where it is full."""
+    """Return when the content of a file, or the names in a folder, are on the disk; OSError where it is full."""
     opened = os.open(path, os.O_RDONLY)
     try:
         os.fsync(opened)
@@ -344,7 +344,7 @@ def comment_lines(*lines: str) -> str:
 def check_writable(path: str | os.PathLike[str]) -> None:
     """Raise InputError if nothing can be made at ``path``, WorkError if the disk is full. Leaves nothing behind.
 
-    Every name that has to be made, of missing folders too, is tried with what is put around it while it is written.
+    Every name that has to be made, of missing folders too, is tried with the affixes that it has while it is written.
     """
     target = Path(path).absolute()
     trial = target

@@ -4,11 +4,11 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
 from os import PathLike
-from typing import Any, TypeVar, get_args
+from typing import TypeVar, get_args
 
 from pydantic import AfterValidator, BaseModel, ConfigDict, ValidationError
+from pydantic_core import ErrorDetails
 
 from suspension_twin.errors import InputError, nearest, shown
 
@@ -22,7 +22,7 @@ class Strict(BaseModel):
 
 
 def within(low: float, high: float, unit: str, hint: str = "") -> AfterValidator:
-    """Bounds of a value in ``unit`` that nothing real leaves; outside them the unit is wrong, and ``hint`` says so."""
+    """Bounds of any real value in ``unit``; outside them the unit is wrong, and ``hint`` asks for it."""
 
     def check(value: float) -> float:
         if not (math.isfinite(value) and low <= value <= high):
@@ -36,16 +36,16 @@ def within(low: float, high: float, unit: str, hint: str = "") -> AfterValidator
 Model = TypeVar("Model", bound=BaseModel)
 
 
-def checked(model: type[Model], data: Any, source: str | PathLike[str], kind: str) -> Model:
-    """``data`` as a ``model``; raises InputError with every problem. ``kind`` is what ``source`` is: "a twin file"."""
+def checked(model: type[Model], data: object, source: str | PathLike[str], kind: str) -> Model:
+    """``data`` as a ``model``; raises InputError with every problem. ``kind`` of ``source``: "a twin file"."""
     found = problems(model, data, kind)
     if found:
         raise InputError(source, "; ".join(found))
     return model.model_validate(data)
 
 
-def problems(model: type[BaseModel], data: Any, kind: str) -> list[str]:
-    """Everything that is wrong with ``data``: unknown keys, wrong values, and in one text what is missing."""
+def problems(model: type[BaseModel], data: object, kind: str) -> list[str]:
+    """Everything that is wrong with ``data``: unknown keys, wrong values, and in one text the missing keys."""
     try:
         model.model_validate(data)
     except ValidationError as error:
@@ -60,7 +60,7 @@ def problems(model: type[BaseModel], data: Any, kind: str) -> list[str]:
     return []
 
 
-def _problem(model: type[BaseModel], detail: Mapping[str, Any], kind: str) -> str:
+def _problem(model: type[BaseModel], detail: ErrorDetails, kind: str) -> str:
     text = detail["msg"].removeprefix("Value error, ")
     if detail["type"] == "extra_forbidden":
         *path, last = detail["loc"]
@@ -70,7 +70,7 @@ def _problem(model: type[BaseModel], detail: Mapping[str, Any], kind: str) -> st
     return ": ".join(part for part in (_dotted(detail), text) if part)
 
 
-def _dotted(detail: Mapping[str, Any]) -> str:
+def _dotted(detail: ErrorDetails) -> str:
     return ".".join(str(part) for part in detail["loc"])
 
 

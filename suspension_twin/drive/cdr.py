@@ -335,7 +335,7 @@ def encode(store: Typestore, msgtype: str, count: int, values: Mapping[str, Arra
     """``count`` messages as little-endian CDR.
 
     ``values`` maps dotted names to one value for all messages or to an array with one row a
-    message; strings are the same in all messages. What is not named is zero or empty. A name that
+    message; strings are the same in all messages. Fields not named are zero or empty. A name that
     the type does not have raises KeyError.
     """
     builder = _Builder(store, values)

@@ -56,7 +56,7 @@ def import_drive(
         Files, folders or archives. Several are parts of one drive (the log of an IMU, that of a receiver);
         of a stream that more than one holds, the last one's is taken.
     mapping : str or Path, optional
-        A mapping file that states what the columns are; it then decides alone (see ``config/import``).
+        A mapping file that states the quantity of each column; it then decides alone (see ``config/import``).
     topics : Topics, optional
         Of a bag: the names of its topics.
 

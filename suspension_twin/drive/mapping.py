@@ -76,11 +76,11 @@ class FileSpec(Strict):
     comment: str = "#"
 
     def within(self, outer: FileSpec | None) -> FileSpec:
-        """This one, or the section around it with what is said here."""
+        """This one, or the section around it with the keys given here."""
         if self.file is not None or outer is None:
             return self
-        said = {key: getattr(self, key) for key in FileSpec.model_fields if key in self.model_fields_set}
-        return FileSpec(**{key: getattr(outer, key) for key in FileSpec.model_fields} | said)
+        given = {key: getattr(self, key) for key in FileSpec.model_fields if key in self.model_fields_set}
+        return FileSpec(**{key: getattr(outer, key) for key in FileSpec.model_fields} | given)
 
 
 class LaggedSpec(FileSpec):
@@ -106,7 +106,7 @@ class TimeSpec(LaggedSpec):
     clock of its own, tied to POSIX time by ``tie``.
 
     ``drift_ppm``: the clock runs fast by so many millionths, counted from the first sample. Neither it nor ``lag`` is
-    guessed: give what you know.
+    guessed: give known values.
     """
 
     column: Column = 0

@@ -51,7 +51,7 @@ def repair_stamps(header: Stamps, recorded: Stamps) -> tuple[Floats, Bools, list
     ``header`` and ``recorded`` are ns, in the order of recording. All header stamps zero (or
     before 1970): the record stamps are the times. Some: they get the record stamp, shifted by the median
     difference of the two. A stamp more than 10 s off its neighbours is left out. A clock
-    that goes back for good (a looped recording) is kept as it is, and said.
+    that goes back for good (a looped recording) is kept as it is, with a warning.
     """
     warnings: list[str] = []
     n = header.size

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Recorded runs of a test rig: what its actuator did, and what was measured of the corner on it.
+"""Recorded runs of a test rig: motion of its actuator and measurements of the corner on it.
 
 A run is a CSV with a column for the time and one for each quantity, units in the header
 (``road_displacement_mm``, ``body_acceleration [m/s^2]``), or a recording in which ``/joint_states`` holds the joints

@@ -60,7 +60,7 @@ class _Records:
             self.contents.warnings.append(f"{self.name}: a chunk was left out: {error}")
             return
         sound = self.walk(BytesIO(records), inside_chunk=True) and inflated
-        if whole:  # else it is cut off, which is said of the file
+        if whole:  # else the file is cut off, which has its own warning
             self.damaged += not sound
             self.doubtful += sound and crc not in (0, zlib.crc32(records))
 
@@ -76,7 +76,7 @@ class _Records:
 
 
 def _left(file: BinaryIO) -> int:
-    """Bytes from where a file stands to where it ends now: memory is taken for these, not for what a length claims."""
+    """Bytes from the position in a file to its present end: memory is taken for these, not for a claimed length."""
     at = file.tell()
     end = file.seek(0, 2)
     file.seek(at)
@@ -251,8 +251,8 @@ class _Pages:
         return page
 
     def payload(self, page: bytes, begin: int) -> tuple[int, bytes, int]:
-        """Row id and payload of the cell that begins there, with what overflowed onto other pages, and the bytes that
-        it takes of its own page."""
+        """Row id and payload of the cell that begins there, overflow pages included, and the bytes
+        that it takes of its own page."""
         total, at = _varint(page, begin)
         row, at = _varint(page, at)
         if total > self.length or self.usable < 36:
@@ -284,7 +284,7 @@ class _Pages:
                 return
             if page[0] != _TABLE_LEAF:
                 continue
-            left = self.size  # cells do not overlap: a page that says so is damaged
+            left = self.size  # cells do not overlap: a page where they do is damaged
             for i in range(int.from_bytes(page[3:5], "big")):
                 at, taken = _LEAF_HEADER + 2 * i, _LEAST_CELL
                 try:

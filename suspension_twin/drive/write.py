@@ -3,7 +3,7 @@
 
 A recording is written beside its place under a hidden name and moved there when it is complete,
 so that a name never holds half a recording. A live one is not made a second time: it stands in its
-place from the beginning, and what has come of it stays, whatever happens.
+place from the beginning, and everything recorded so far stays, whatever happens.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ __all__ = ["BagWriter", "write_drive", "write_samples"]
 
 #: ns: the seconds of a stamp are 32 bits long.
 _LAST_STAMP = (1 << 31) * 1_000_000_000
-#: s after which a live recording goes to the disk: what a power cut may cost, against one more write a second.
+#: s after which a live recording goes to the disk: the loss by a power cut, against one more write a second.
 _KEEP = 1.0
 
 
@@ -47,7 +47,7 @@ class BagWriter:
 
     ``path`` is the rosbag2 folder to make, or a bare file where it ends in ``.mcap``. Messages may
     be given topic by topic: they are merged by time when the writer is flushed or closed. Leaving
-    the context by an exception leaves nothing behind; a ``live`` recording keeps what was flushed, and
+    the context by an exception leaves nothing behind; a ``live`` recording keeps all that was flushed, and
     all of it is on the disk about a second later.
 
     Raises InputError where ``path`` is taken (``overwrite`` replaces a recording, and nothing but
@@ -100,7 +100,7 @@ class BagWriter:
                 os.rename(self.path, self._before)
             self._bag = Writer(
                 self.path if in_place else self._hidden / (self.path.stem if self.bare else self.path.name),
-                version=9,  # what ROS 2 Jazzy writes
+                version=9,  # of ROS 2 Jazzy
                 storage_plugin=StoragePlugin.MCAP,
             )
             self._bag.set_compression(CompressionMode.STORAGE, CompressionFormat.ZSTD)
@@ -126,7 +126,7 @@ class BagWriter:
                 os.rename(self._before, self.path)
 
     def discard(self) -> None:
-        """Leave nothing of it, and what was there before in its place; to be called before leaving the context."""
+        """Remove it and put a replaced recording back; to be called before leaving the context."""
         with suppress(Exception):
             self._bag.abort()
         if self.live:
@@ -162,7 +162,7 @@ class BagWriter:
     ) -> None:
         """Add messages of one type: ``t`` (n,) s since the epoch, or ns where its type is integer.
 
-        ``values`` maps dotted field names to what they hold, one for all messages or one row for
+        ``values`` maps dotted field names to their contents, one for all messages or one row for
         each (strings and lists of strings: the same in all). ``t`` becomes ``header.stamp`` where
         the type has a header, with ``frame`` as its frame, and the time of recording. Messages
         keep the order given, also where stamps go back.
@@ -197,7 +197,7 @@ class BagWriter:
             self._pending.append((connection, recorded, list(messages)))
 
     def flush(self) -> None:
-        """Write out what was given so far; messages given later are recorded after it."""
+        """Write out all messages given so far; later ones are recorded after them."""
         if not self._pending:
             return
         order = np.argsort(np.concatenate([stamps for _, stamps, _ in self._pending]), kind="stable")
@@ -224,7 +224,7 @@ class BagWriter:
             self._syncing.start()
 
     def _end(self) -> None:
-        """Finish a live recording where it stands; where that fails, what is there stays."""
+        """Finish a live recording in its place; on failure the messages written so far stay."""
         if self._syncing is not None:
             self._syncing.join()
         self.flush()
@@ -257,7 +257,7 @@ class BagWriter:
 
 
 def _synchronised(file: int) -> None:
-    with suppress(OSError):  # the next write says it
+    with suppress(OSError):  # the next write reports it
         os.fsync(file)
 
 
@@ -273,7 +273,7 @@ def write_drive(
     Parameters
     ----------
     drive : Drive
-        What to write.
+        The drive.
     path : str or Path
         A folder to make, or a bare file where it ends in ``.mcap``.
     topics : Topics, optional

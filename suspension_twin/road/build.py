@@ -45,7 +45,7 @@ def grid_road(
     Parameters
     ----------
     z : (nu, nv) array
-        Heights in m, rounded to single precision, which is what an OpenCRG file can hold.
+        Heights in m, rounded to single precision, the precision of OpenCRG files.
     u_step : float
         Distance of the cross sections in m.
     v : (nv,) array

@@ -253,7 +253,7 @@ def _turns(road: Road) -> Floats:
 
 
 def _events(paths: tuple[PathFigures, ...]) -> str:
-    """The largest events of each wheel path; what both paths have in common once."""
+    """The largest events of each wheel path, once where both paths have the same."""
     texts = []
     for path in paths:
         events = () if path.roughness is None else path.roughness.events

@@ -104,9 +104,9 @@ def _heading(point: pycrg.ContactPoint, u: float, u_end: float, end: tuple[float
     x, y = point.uv_to_xy(u, 0.0)
     along = math.copysign(1.0, u - u_end)
     seen = math.atan2(along * (y - end[1]), along * (x - end[0]))
-    said = point.uv_to_pk(u, 0.0)[0]
-    # The library's figure has all digits but may be the last segment's; then what it does counts.
-    return said if abs(math.remainder(said - seen, 2.0 * math.pi)) < 1e-9 else seen
+    exact = point.uv_to_pk(u, 0.0)[0]
+    # The library's figure has all digits but may be the last segment's; then the direction of the line counts.
+    return exact if abs(math.remainder(exact - seen, 2.0 * math.pi)) < 1e-9 else seen
 
 
 def _borders(
@@ -143,7 +143,7 @@ def write_road(road: Road, path: str | os.PathLike[str], comment: str = "") -> N
     Parameters
     ----------
     road : Road
-        What to write.
+        The road.
     path : str or path-like
         The file.
     comment : str
@@ -527,7 +527,7 @@ def _cell(header: _Header, where: str, content: str) -> float:
     return _number(text)
 
 
-# The record beside a road file, from which it was made: road.json beside road.crg
+# The record beside a road file, of the data that it was made from: road.json beside road.crg
 
 
 def record_path(road: Path) -> Path:
@@ -554,7 +554,7 @@ def _record(road: Path, origin: str) -> dict[str, object] | None:
 
 
 def warning_of(road: Path) -> str | None:
-    """One line on what a comparison on this road cannot show; None where there is nothing to say."""
+    """Limits of a comparison on this road in one line; None where there are none."""
     record = _record(road, "drives")
     if record is None:
         return None

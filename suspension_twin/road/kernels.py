@@ -46,7 +46,7 @@ Line = tuple[Floats, Floats, Floats, float, float, float, bool, bool]
 #: end (4,), a negative length for no zone; u of the first and the last cross section and their step.
 Grid = tuple[Floats, NDArray[np.bool_], Floats, float, Floats, Floats, Floats, float, float, float]
 
-# What a position met, as bits.
+# Bits of a position.
 INSIDE, OUTSIDE, VOID, REFUSED, NOT_FINITE = 0, 1, 2, 4, 8
 
 # OpenCRG border modes.
@@ -84,7 +84,7 @@ def _cell(f: float, cells: int) -> tuple[int, float]:
 def _any_height(
     grid: Grid, u: float, v: float, mode_u: int, mode_v: int, offset_u: float, offset_v: float
 ) -> tuple[float, int]:
-    """Height and what was met at (u, v) by all of OpenCRG's rules, where the plain case does not hold."""
+    """Height and bits of a position (u, v) by all of OpenCRG's rules, where the plain case does not hold."""
     zs, void, vs, v_step, ref_z, bank, smooth, u_first, u_last, u_step = grid
     nu, nv = zs.shape
     seen = INSIDE
@@ -166,7 +166,7 @@ def heights_uv(
     out: Floats,
     seen: NDArray[np.uint8],
 ) -> int:
-    """Heights (n,) at road coordinates (n,) into ``out``, what was met into ``seen``; all bits or-ed."""
+    """Heights (n,) at road coordinates (n,) into ``out``, bits into ``seen``; returns all bits or-ed."""
     met = 0
     z, void, vs, v_step, ref_z, bank, smooth, u_first, u_last, u_step = grid
     nu, nv = z.shape
@@ -265,7 +265,7 @@ def _uv_from(
 
 @compiled
 def xy_to_uv(line: Line, at: NDArray[np.int64], x: Floats, y: Floats, u: Floats, v: Floats) -> None:
-    """Road coordinates (n,) of map positions (n,); what is not finite gives NaN.
+    """Road coordinates (n,) of map positions (n,); NaN where one is not finite.
 
     The interval of each is looked for from the reference point ``at`` (n,), which must lie on the same
     part of the line, and is left there.

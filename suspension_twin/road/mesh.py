@@ -29,7 +29,7 @@ __all__ = ["MeshTile", "RoadMesh", "road_mesh", "write_mesh", "write_obj", "writ
 
 Up = Literal["z", "y"]
 
-#: Vertices of a tile: what a 16-bit index can number, as most engines want it.
+#: Vertices of a tile: within a 16-bit index, as most engines want it.
 TILE_VERTICES = 65_000
 #: Length of a tile along the road, m: small enough to be left out when it is out of sight.
 TILE_LENGTH = 50.0

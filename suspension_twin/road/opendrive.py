@@ -61,7 +61,7 @@ def read_opendrive(path: Path, road_id: str | None = None) -> Road:
     Raises
     ------
     InputError
-        The file has no such surface, or it uses what is not read.
+        The file has no such surface, or one of a kind that is not read.
 
     Examples
     --------
@@ -196,9 +196,9 @@ def _piece(path: Path, field: str, piece: ElementTree.Element, ds: Floats) -> Fl
     return np.array([x0 + cos * along - sin * across, y0 + sin * along + cos * across, h0 + turn])
 
 
-def _cubics(path: Path, road: ElementTree.Element, what: str, s: Floats) -> Floats:
+def _cubics(path: Path, road: ElementTree.Element, tag: str, s: Floats) -> Floats:
     """Values of a road's piecewise cubics a + b ds + c ds² + d ds³ at s (n,)."""
-    pieces = road.findall(what)
+    pieces = road.findall(tag)
     if not pieces:
         return np.zeros(s.size)
     at, ds = _within(path, pieces, s)

@@ -107,7 +107,7 @@ def read_profile(path: Path, unit: str | None = None) -> Profile:
     Raises
     ------
     InputError
-        The file cannot be read as a profile; the line names what is wrong.
+        The file cannot be read as a profile; the line names the fault.
 
     Examples
     --------

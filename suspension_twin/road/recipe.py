@@ -158,9 +158,9 @@ def make_road(
     >>> round(float(road.heights(60.0, 0.0)), 3)
     0.5
     """
-    for what, value in (("length", length), ("step", step)):
+    for option, value in (("length", length), ("step", step)):
         if not (math.isfinite(value) and value > 0.0):
-            raise InputError(f"--{what}", f"must be above 0 m, is {value}")
+            raise InputError(f"--{option}", f"must be above 0 m, is {value}")
     if length / step > 2e6:
         raise InputError("--step", f"{length:g} m at {step:g} m are too many cross sections")
     if iso is not None:

@@ -32,8 +32,8 @@ __all__ = [
     "single_precision",
 ]
 
-#: Height of a position off the road. ``road``: as the road's file says, which is ``hold``
-#: unless it says otherwise; ``hold``: the height of the nearest point of the border, across
+#: Height of a position off the road. ``road``: by the options of the road's file, ``hold``
+#: by default; ``hold``: the height of the nearest point of the border, across
 #: the road where data are missing; ``zero``: height 0; ``error``: an :class:`InputError`.
 Outside = Literal["road", "hold", "zero", "error"]
 
@@ -121,7 +121,7 @@ class ReferenceLine:
 
 @dataclass(frozen=True, eq=False)
 class RoadHeights:
-    """Heights with what they rest on; arrays of the positions' shape.
+    """Heights, and which of them rest on data; arrays of the positions' shape.
 
     ``z`` m, never a NaN; ``inside`` False where the road has no data; ``outside`` the policy of these positions.
     """
@@ -159,7 +159,7 @@ class Road:
     Raises
     ------
     InputError
-        The arrays do not fit each other or hold what cannot be evaluated.
+        The arrays do not fit each other or hold values that cannot be evaluated.
 
     Examples
     --------
@@ -360,7 +360,7 @@ class Road:
         return z.reshape(shape), seen.reshape(shape)
 
     def _closed(self, u: Floats) -> Floats:
-        """u on a track that its file says is closed: counted on from lap to lap, within the first."""
+        """u on a track that closes by its file: counted on from lap to lap, within the first."""
         if self.borders.close_span is None:
             return u
         low, high = self.borders.close_span

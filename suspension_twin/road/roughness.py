@@ -13,7 +13,7 @@ exp(-a n d) instead (after Bogsjö, Veh. Syst. Dyn. 45 (2007) 1), 0 being the sa
 Events (bumps, holes, ramps, steps): a class describes a stationary random profile. Its displacement spectrum falls
 with the square of the frequency, so its slope is white: the mean slope over a length L has the standard
 deviation sqrt(G_slope / (2 L)), whatever L. An event is a place where such a mean exceeds
-its range by the neighbours. Outside the events the slope remains white, so leaving samples out does
+the range that its neighbours allow. Outside the events the slope remains white, so leaving samples out does
 not bend its spectrum.
 
 International Roughness Index (ASTM E1926): the golden car is a quarter car of four numbers by its sprung mass: tyre
@@ -146,9 +146,9 @@ def iso8608_road(
     True
     """
     g0 = roughness(road_class) if roughness_n0 is None else float(roughness_n0)
-    for what, value in (("length", length), ("step", step), ("roughness_n0", g0)):
+    for quantity, value in (("length", length), ("step", step), ("roughness_n0", g0)):
         if not (math.isfinite(value) and value > 0.0):
-            raise InputError("ISO 8608 road", what, f"must be above 0, is {value}")
+            raise InputError("ISO 8608 road", quantity, f"must be above 0, is {value}")
     if not 1.0 < waviness < 4.0:
         raise InputError("ISO 8608 road", "waviness", f"must lie between 1 and 4, is {waviness}")
     if not 0.0 < band[0] < band[1]:
@@ -300,15 +300,15 @@ class ProfileEvent:
 
     def __str__(self) -> str:
         if abs(self.rise) > abs(self.height):
-            what = f"a {'rise' if self.rise > 0 else 'drop'} of {1e3 * abs(self.rise):.0f} mm"
+            size = f"a {'rise' if self.rise > 0 else 'drop'} of {1e3 * abs(self.rise):.0f} mm"
         else:
-            what = f"{1e3 * abs(self.height):.0f} mm {'high' if self.height > 0 else 'deep'}"
-        return f"{what}, u {self.start:.1f} to {self.end:.1f} m"
+            size = f"{1e3 * abs(self.height):.0f} mm {'high' if self.height > 0 else 'deep'}"
+        return f"{size}, u {self.start:.1f} to {self.end:.1f} m"
 
 
 @dataclass(frozen=True, eq=False)
 class Roughness:
-    """ISO 8608 of a profile: class and G(n0) (m³) of what is no event, and of all of it; the events."""
+    """ISO 8608 of a profile: class and G(n0) (m³) without events and with them; the events."""
 
     letter: str
     g0: float
@@ -382,7 +382,7 @@ def _events(slope: Floats, step: float) -> NDArray[np.bool_]:
     scales = {n: _MAD * float(np.median(np.abs(_means(slope, n)))) for n in dict.fromkeys(lengths)}
     white = float(np.median([s * math.sqrt(n) for n, s in scales.items()])) if scales else 0.0
     left = slope.copy()
-    # From short to long: what is found at a short length is sharply bounded and out of the longer means.
+    # From short to long: an event found at a short length is sharply bounded and out of the longer means.
     for n, own in scales.items():
         # A road of a steeper spectrum has more at length than a white slope.
         scale = max(own, white / math.sqrt(n))

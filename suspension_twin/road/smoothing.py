@@ -71,9 +71,9 @@ def smooth(road: Road, along: float, across: float | None = None) -> Road:
     True
     """
     sigma_v = along if across is None else across
-    for what, sigma in (("along", along), ("across", sigma_v)):
+    for direction, sigma in (("along", along), ("across", sigma_v)):
         if not (math.isfinite(sigma) and sigma >= 0.0):
-            raise InputError("road smoothing", f"sigma {what}", f"must be 0 m or more, is {sigma}")
+            raise InputError("road smoothing", f"sigma {direction}", f"must be 0 m or more, is {sigma}")
     z, missing = road.z, np.isnan(road.z)
     ref_z, bank = road.ref_z, road.bank
     sigma_u = along / road.u_step
@@ -228,7 +228,7 @@ def _local_scale(out: Floats, window: int) -> Floats:
     """How far points stand out around each point of its long section: a standard deviation by a quantile.
 
     The ninth decile, as on a smooth road more than half of the points are their own median.
-    Stretches of half a window, the largest of the three that overlap a point's window, stand for a
+    Segments of half a window, the largest of the three that overlap a point's window, stand for a
     running quantile, which would take minutes on a fine grid.
     """
     half = max(window // 2, 1)

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """The file of a tracked vehicle in its plane of symmetry, after the tracked paper.
 
-The paper's axes (mm, x backwards, y up, from marker C) are kept for what it prints in them: the
+The paper's axes (mm, x backwards, y up, from marker C) are kept for the values that it prints in them: the
 markers and the setting x_kn of the idler. Everything else is in m, x forwards and z up from the
 axis of the sprocket, at which marker C is taken to be.
 """
@@ -244,8 +244,8 @@ class TrackedVehicle(Strict):
 class TrackedTwin(Twin):
     """The twin of a vehicle on tracks in its plane of symmetry.
 
-    ``base_link`` is on the ground under the rearmost road wheels, as it is under a car's rear axle; what
-    ``vehicle`` gives counts from the sprocket's axis, as the tracked paper's drawing does. ``imu`` may be left out
+    ``base_link`` is on the ground under the rearmost road wheels, as it is under a car's rear axle; the
+    positions in ``vehicle`` count from the sprocket's axis, as in the tracked paper's drawing. ``imu`` may be left out
     where only markers are measured: it then sits at the centre of gravity's place.
     """
 

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Importers of recordings, one file each, registered here by the name of the file.
 
-An importer is a module with ``TITLE`` (what a user calls the format), ``recognises(source)`` and
+An importer is a module with ``TITLE`` (the user's name of the format), ``recognises(source)`` and
 ``read(source)``; to add one, put its file here and its name into :data:`IMPORTERS`.
 """
 

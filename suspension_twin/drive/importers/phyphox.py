@@ -5,8 +5,8 @@ Sources: the export code and file format pages of phyphox (RWTH Aachen). Columns
 brackets: ``Acceleration x (m/s^2)``, ``Gyroscope x (rad/s)``, ``Latitude (°)``, ``Velocity (m/s)``,
 ``Direction (°)``; names follow the language of the phone, so that units and the order in the file
 decide where a name is not the English one. ``Linear Acceleration`` is without gravity and no use.
-Its time is that of the experiment, which stands still during a pause; ``meta/time.csv`` holds what
-the clock said at each START and PAUSE. On iOS the app itself turns values to Android's axes.
+Its time is that of the experiment, which stands still during a pause; ``meta/time.csv`` holds
+the time of the clock at each START and PAUSE. On iOS the app itself turns values to Android's axes.
 """
 
 from __future__ import annotations
@@ -83,7 +83,7 @@ def _columns(table: DataTable, unit: re.Pattern[str]) -> list[int]:
 
 
 def _take(table: DataTable, name: str, streams: Streams) -> bool:
-    """Add what one file holds; whether it holds acceleration without gravity."""
+    """Add the streams of one file; returns whether it holds acceleration without gravity."""
     t = table.numbers(0)
     linear = bool(_LINEAR.search(name)) or any(_LINEAR.search(column) for column in table.names)
     force = _columns(table, _ACCELERATION)

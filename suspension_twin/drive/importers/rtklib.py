@@ -2,7 +2,7 @@
 """RTKLIB solution files (``.pos``): positions with their quality, velocities if they were put out.
 
 Sources: RTKLIB manual, section B.1 "Positioning solution file", and ``src/solution.c``. The line of
-column names, which begins with ``%`` and the time system (GPST, UTC or JST), says what is there:
+column names, which begins with ``%`` and the time system (GPST, UTC or JST), names the columns:
 time as date and time or as GPS week and second; latitude and longitude in degrees or in degrees,
 minutes and seconds; or x, y, z (ECEF). Standard deviations come in the order north, east, up; an
 off-diagonal one carries the sign of its covariance. Q: 1 fix, 2 float, 3 SBAS, 4 DGPS, 5 single,
