@@ -17,7 +17,7 @@ import shutil
 import sys
 import tempfile
 import time
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable
 from contextlib import suppress
 from functools import cache
 from pathlib import Path
@@ -128,18 +128,12 @@ def sources(file: Path, root: Path) -> list[Path]:
 @cache
 def _imported(file: Path, root: Path) -> tuple[Path, ...]:
     """Files of the package that a file names in its import statements."""
-    return tuple(sorted({path for path in _named(file, root) if path.is_file()}))
-
-
-def _named(file: Path, root: Path) -> Iterator[Path]:
     name = re.escape(root.name)
-    text = file.read_text(encoding="utf-8")
     some = rf"from[ \t]+{name}((?:\.\w+)*)[ \t]+import[ \t]+(\([^)]*\)|[^\n]*)"
     whole = rf"import[ \t]+{name}((?:\.\w+)+)"
-    for match in re.finditer(rf"^[ \t]*(?:{some}|{whole})", text, re.MULTILINE):
-        below = (match[1] or match[3] or "").strip(".")
-        folder = root.joinpath(*below.split(".")) if below else root
-        yield folder.with_suffix(".py")
-        yield folder / "__init__.py"
-        for imported in re.findall(r"\w+", match[2] or ""):
-            yield folder / f"{imported}.py"
+    found: set[Path] = set()
+    for match in re.finditer(rf"^[ \t]*(?:{some}|{whole})", file.read_text(encoding="utf-8"), re.MULTILINE):
+        folder = root.joinpath(*filter(None, (match[1] or match[3] or "").split(".")))
+        names = re.findall(r"\w+", match[2] or "")
+        found |= {folder.with_suffix(".py"), folder / "__init__.py", *(folder / f"{n}.py" for n in names)}
+    return tuple(sorted(path for path in found if path.is_file()))

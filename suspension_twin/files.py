@@ -185,26 +185,23 @@ def _values(root: yaml.Node) -> int | None:
 
     Each node is counted once: the time grows with the text, not with the values that it unfolds to.
     """
-    counts: dict[int, int] = {}
-    open_nodes: set[int] = set()
+    counts: dict[yaml.Node, int] = {}
+    above: set[yaml.Node] = set()
     stack: list[tuple[yaml.Node, bool]] = [(root, False)]
     while stack:
         node, done = stack.pop()
-        parts: list[yaml.Node] = []
+        parts: list[yaml.Node] = node.value if isinstance(node, yaml.SequenceNode) else []
         if isinstance(node, yaml.MappingNode):
             parts = [part for pair in node.value for part in pair]
-        elif isinstance(node, yaml.SequenceNode):
-            parts = node.value
         if done:
-            open_nodes.discard(id(node))
-            counts[id(node)] = min(1 + sum(counts[id(part)] for part in parts), _MOST_VALUES + 1)
-        elif id(node) in open_nodes:
+            above.discard(node)
+            counts[node] = min(1 + sum(counts[part] for part in parts), _MOST_VALUES + 1)
+        elif node in above:
             return None
-        elif id(node) not in counts:
-            open_nodes.add(id(node))
-            stack.append((node, True))
-            stack += [(part, False) for part in parts]
-    return counts[id(root)]
+        elif node not in counts:
+            above.add(node)
+            stack += [(node, True), *((part, False) for part in parts)]
+    return counts[root]
 
 
 def read_yaml(path: str | os.PathLike[str]) -> Any:

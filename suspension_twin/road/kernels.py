@@ -194,6 +194,15 @@ def heights_uv(
 
 
 @compiled
+def _beside(
+    px: float, py: float, cos: float, sin: float, u: float, x: float, y: float
+) -> tuple[float, float]:
+    """(u, v) of a position (x, y) at a straight line through (px, py), where it has this u."""
+    dx, dy = x - px, y - py
+    return u + dx * cos + dy * sin, dy * cos - dx * sin
+
+
+@compiled
 def _uv_from(
     px: Floats,
     py: Floats,
@@ -253,13 +262,9 @@ def _uv_from(
     tb = (nx * (px[i] - x) + ny * (py[i] - y)) / (nx * tx + ny * ty)
     u = (i - 1) * u_step + ta / (ta + tb) * u_step + u_first
     if u < u_first:
-        dx, dy = x - px[0], y - py[0]
-        u = u_first + dx * ends[0] + dy * ends[1]
-        v = dy * ends[0] - dx * ends[1]
+        u, v = _beside(px[0], py[0], ends[0], ends[1], u_first, x, y)
     elif u > u_last:
-        dx, dy = x - px[last], y - py[last]
-        u = u_last + dx * ends[2] + dy * ends[3]
-        v = dy * ends[2] - dx * ends[3]
+        u, v = _beside(px[last], py[last], ends[2], ends[3], u_last, x, y)
     return u, v, i
 
 
@@ -275,8 +280,7 @@ def xy_to_uv(line: Line, at: NDArray[np.int64], x: Floats, y: Floats, u: Floats,
         if not (math.isfinite(x[i]) and math.isfinite(y[i])):
             u[i], v[i] = math.nan, math.nan
         elif straight:
-            dx, dy = x[i] - px[0], y[i] - py[0]
-            u[i], v[i] = u_first + dx * ends[0] + dy * ends[1], dy * ends[0] - dx * ends[1]
+            u[i], v[i] = _beside(px[0], py[0], ends[0], ends[1], u_first, x[i], y[i])
         else:
             u[i], v[i], at[i] = _uv_from(px, py, ends, u_first, u_last, u_step, closes, x[i], y[i], at[i])
 
@@ -305,22 +309,16 @@ def uv_to_xy(line: Line, u: Floats, v: Floats, x: Floats, y: Floats) -> None:
             x[k], y[k] = math.nan, math.nan
             continue
         f = (u[k] - u_first) / u_step
-        if straight:
-            f *= u_step
-            x[k] = px[0] + f * ends[0] - v[k] * ends[1]
-            y[k] = py[0] + f * ends[1] + v[k] * ends[0]
-            continue
         i = min(int(max(f, 0.0)), last - 1)
-        f -= i
-        if f < 0.0:
-            d = f * u_step
-            x[k] = px[0] + d * ends[0] - v[k] * ends[1]
-            y[k] = py[0] + d * ends[1] + v[k] * ends[0]
-        elif f > 1.0:
-            d = (f - 1.0) * u_step
-            x[k] = px[last] + d * ends[2] - v[k] * ends[3]
-            y[k] = py[last] + d * ends[3] + v[k] * ends[2]
+        along = f - i
+        if straight or along < 0.0 or along > 1.0:
+            # a straight line: the road's own, or the one that goes on beyond an end
+            end = along > 1.0 and not straight
+            p, d = (last, (along - 1.0) * u_step) if end else (0, f * u_step)
+            cos, sin = (ends[2], ends[3]) if end else (ends[0], ends[1])
+            x[k] = px[p] + d * cos - v[k] * sin
+            y[k] = py[p] + d * sin + v[k] * cos
         else:
             ax, ay = _corner(px, py, i, i, v[k])
             bx, by = _corner(px, py, i, i + 1, v[k])
-            x[k], y[k] = ax + f * (bx - ax), ay + f * (by - ay)
+            x[k], y[k] = ax + along * (bx - ax), ay + along * (by - ay)

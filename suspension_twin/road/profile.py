@@ -81,11 +81,15 @@ class Profile:
 
 def unit_of(text: str, source: Path, field: str) -> float:
     """m for one of a unit of length, by its name; raises InputError for another unit."""
-    word = text.strip().strip(".").lower()
-    word = _ALIASES.get(word, word)
-    if word not in UNITS:
+    metres = _metres(text)
+    if metres is None:
         raise InputError(source, field, f"{text.strip()!r} is not a length; known are {', '.join(UNITS)}")
-    return float(UNITS[word])
+    return metres
+
+
+def _metres(text: str) -> float | None:
+    word = text.strip().strip(".").lower()
+    return UNITS.get(_ALIASES.get(word, word))
 
 
 def read_profile(path: Path, unit: str | None = None) -> Profile:
@@ -142,37 +146,32 @@ def _read_csv(path: Path, text: str, unit: str | None) -> Profile:
         if mark
         else [s.split() for s in lines]
     )
-    decimal_comma = mark == ";" and any("," in cell for cell in rows[-1])
-
-    def number(cell: str) -> float:
-        cell = cell.strip()
-        if not cell:
-            return math.nan
-        return float(cell.replace(",", ".") if decimal_comma else cell)
-
-    head: list[str] = []
-    try:
-        [number(cell) for cell in rows[0]]
-    except ValueError:
-        head = [cell.strip() for cell in rows.pop(0)]
-    width = len(head) or (len(rows[0]) if rows else 0)
-    if width < 2 or len(rows) < 2:
+    comma = mark == ";" and any("," in cell for cell in rows[-1])
+    numbers = [[_csv_number(cell.replace(",", ".") if comma else cell) for cell in row] for row in rows]
+    head = [cell.strip() for cell in rows[0]] if None in numbers[0] else []
+    first = 1 if head else 0
+    width = len(head or numbers[0])
+    if width < 2 or len(numbers) - first < 2:
         raise InputError(path, "needs a column of distances, one of heights or more, and two rows or more")
-    table = np.empty((len(rows), width))
-    for i, row in enumerate(rows):
+    for i, row in enumerate(numbers[first:], start=first):
         if len(row) != width:
-            raise InputError(path, f"row {i + 1 + bool(head)}", f"has {len(row)} columns instead of {width}")
-        for j, cell in enumerate(row):
-            try:
-                table[i, j] = number(cell)
-            except ValueError:
-                where = f"row {i + 1 + bool(head)}, column {j + 1}"
-                raise InputError(path, where, f"{cell.strip()!r} is not a number") from None
+            raise InputError(path, f"row {i + 1}", f"has {len(row)} columns instead of {width}")
+        if None in row:
+            j = row.index(None)
+            raise InputError(path, f"row {i + 1}, column {j + 1}", f"{rows[i][j].strip()!r} is not a number")
     names, scales = _columns(path, head or ["distance", *[f"line {j}" for j in range(1, width)]], unit)
-    table = table * scales
+    table = np.array(numbers[first:], dtype=np.float64) * scales
     places = [re.fullmatch(r"v?\s*=?\s*([-+]?\d+(?:\.\d*)?)(?:\s*m)?", name) for name in names[1:]]
     v = tuple(float(p[1]) for p in places if p) if head and all(places) else None
     return replace(_even(path, table[:, 0], table[:, 1:].T), names=tuple(names[1:]), v=v)
+
+
+def _csv_number(cell: str) -> float | None:
+    """A cell as a number, NaN where it is empty, None where it is another word."""
+    try:
+        return float(cell) if cell.strip() else math.nan
+    except ValueError:
+        return None
 
 
 def _columns(path: Path, head: Sequence[str], unit: str | None) -> tuple[list[str], Floats]:
@@ -237,26 +236,19 @@ def _read_erd(path: Path, raw: bytes) -> Profile:
     if samples > 0 and values.shape[0] != samples:
         raise InputError(path, "data", f"{values.shape[0]} samples, the header says {samples}")
     gains, offsets = (_erd_numbers(path, words, key, channels) for key in ("GAINS", "OFFSETS"))
-    if gains is not None:
-        values = values * gains
-    if offsets is not None:
-        values = values + offsets
+    values = values * (1.0 if gains is None else gains) + (0.0 if offsets is None else offsets)
     names = _erd_fields(words.get("LONGNAME") or words.get("SHORTNAM", ""), 32 if "LONGNAME" in words else 8)
     names = [*names, *[f"channel {i + 1}" for i in range(len(names), channels)]][:channels]
     units = [*_erd_fields(words.get("UNITSNAM", ""), 8), *["m"] * channels][:channels]
     along = unit_of(words.get("XUNITS", "").strip() or "m", path, "XUNITS")
-    chosen = []
-    for i, unit in enumerate(units):
-        try:
-            chosen.append((i, unit_of(unit or "m", path, "UNITSNAM")))
-        except InputError:
-            continue  # a slope, an acceleration, a speed
-    if not chosen:
+    # other channels are slopes, accelerations, speeds
+    heights = {i: scale for i, unit in enumerate(units) if (scale := _metres(unit or "m")) is not None}
+    if not heights:
         raise InputError(path, "UNITSNAM", f"no channel is a height: {', '.join(units)}")
-    z = np.array([values[:, i] * scale for i, scale in chosen])
+    z = np.array([values[:, i] * scale for i, scale in heights.items()])
     if not np.isfinite(z).all():
         raise InputError(path, "data", "hold a value that is not finite")
-    return Profile(path.name, step * along, z, tuple(names[i] for i, _ in chosen))
+    return Profile(path.name, step * along, z, tuple(names[i] for i in heights))
 
 
 def _erd_sizes(path: Path, header: list[str]) -> tuple[int, int, int, float]:

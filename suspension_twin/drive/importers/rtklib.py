@@ -152,11 +152,7 @@ def _sigma(columns: dict[str, Floats], names: tuple[str, str, str]) -> Floats:
 
 def _to_enu(place: Floats) -> Floats:
     """(n, 3, 3) rotations from ECEF to east, north, up at each place."""
-    latitude, longitude = np.radians(place[:, 0]), np.radians(place[:, 1])
-    sa, ca, so, co = np.sin(latitude), np.cos(latitude), np.sin(longitude), np.cos(longitude)
-    zero = np.zeros_like(sa)
-    rows = [[-so, co, zero], [-sa * co, -sa * so, ca], [ca * co, ca * so, sa]]
-    return np.stack([np.stack(row, axis=1) for row in rows], axis=1)
+    return np.stack(pymap3d.ecef2enuv(*np.eye(3), place[:, :1], place[:, 1:2]), axis=1)
 
 
 def _sigma_from_ecef(columns: dict[str, Floats], place: Floats) -> Floats:
