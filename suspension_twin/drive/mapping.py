@@ -76,11 +76,10 @@ class FileSpec(Strict):
     comment: str = "#"
 
     def within(self, outer: FileSpec | None) -> FileSpec:
-        """This one, or the section around it with the keys given here."""
-        if self.file is not None or outer is None:
-            return self
+        """The layout of this section; without a file of its own that of the section around it, but for keys given."""
+        base = self if self.file is not None or outer is None else outer
         given = {key: getattr(self, key) for key in FileSpec.model_fields if key in self.model_fields_set}
-        return FileSpec(**{key: getattr(outer, key) for key in FileSpec.model_fields} | given)
+        return FileSpec(**{key: getattr(base, key) for key in FileSpec.model_fields} | given)
 
 
 class LaggedSpec(FileSpec):
@@ -189,12 +188,17 @@ class ReceivedSpec(LaggedSpec):
     importer: str | None = None
     time: TimeSpec | None = None
 
-    def columns_or_importer(self, *needed: str) -> None:
-        if self.importer is not None:
-            return
-        for key in ("time", *needed):
-            if getattr(self, key) is None:
-                raise ValueError(f"{key}: is missing (or name an importer)")
+    @property
+    def needed(self) -> tuple[str, ...]:
+        """Keys that must be given without an importer."""
+        return ("time",)
+
+    @model_validator(mode="after")
+    def _complete(self) -> ReceivedSpec:
+        missing = next((key for key in self.needed if getattr(self, key) is None), None)
+        if self.importer is None and missing is not None:
+            raise ValueError(f"{missing}: is missing (or name an importer)")
+        return self
 
 
 class FixSpec(ReceivedSpec):
@@ -209,10 +213,9 @@ class FixSpec(ReceivedSpec):
     status: Column | None = None
     frame: str = "gps_link"
 
-    @model_validator(mode="after")
-    def _check(self) -> FixSpec:
-        self.columns_or_importer("latitude", "longitude")
-        return self
+    @property
+    def needed(self) -> tuple[str, ...]:
+        return ("time", "latitude", "longitude")
 
 
 class VelocitySpec(ReceivedSpec):
@@ -228,15 +231,12 @@ class VelocitySpec(ReceivedSpec):
     unit: Annotated[str, _one_of(SPEED_UNITS)] = "m/s"
     bearing_unit: Annotated[str, _one_of(ANGLE_UNITS)] = "deg"
 
-    @model_validator(mode="after")
-    def _check(self) -> VelocitySpec:
+    @property
+    def needed(self) -> tuple[str, ...]:
         if self.derive:
-            return self
-        if self.speed is not None or self.bearing is not None:
-            self.columns_or_importer("speed", "bearing")
-        else:
-            self.columns_or_importer("east", "north")
-        return self
+            return ()
+        by_course = self.speed is not None or self.bearing is not None
+        return ("time", *(("speed", "bearing") if by_course else ("east", "north")))
 
 
 class HeadingSpec(ReceivedSpec):
@@ -246,10 +246,9 @@ class HeadingSpec(ReceivedSpec):
     unit: Annotated[str, _one_of(ANGLE_UNITS)] = "rad"
     convention: Literal["enu", "compass"] = "enu"
 
-    @model_validator(mode="after")
-    def _check(self) -> HeadingSpec:
-        self.columns_or_importer("column")
-        return self
+    @property
+    def needed(self) -> tuple[str, ...]:
+        return ("time", "column")
 
 
 class BagSpec(Strict):
@@ -362,7 +361,7 @@ class _Files:
 
     def table(self, spec: FileSpec, outer: FileSpec | None = None) -> DataTable:
         """The table of a section."""
-        chosen = FileSpec(**{key: getattr(spec.within(outer), key) for key in FileSpec.model_fields})
+        chosen = spec.within(outer)
         if chosen not in self.tables:
             table = read_table(*self.content(chosen.file), **chosen.model_dump(exclude={"file"}))
             self.streams.warnings += table.warnings

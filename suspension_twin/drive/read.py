@@ -12,9 +12,9 @@ from numpy.typing import NDArray
 
 from suspension_twin.arrays import Floats
 from suspension_twin.drive.cdr import Decoded
+from suspension_twin.drive.checks import clean_drive, repair_stamps
 from suspension_twin.drive.contents import Contents, decode_topic, topic_name
 from suspension_twin.drive.recording import read_recording
-from suspension_twin.drive.repair import clean_drive, repair_stamps
 from suspension_twin.drive.types import Drive, FixData, HeadingData, ImuData, VelocityData
 from suspension_twin.errors import InputError
 from suspension_twin.files import reading

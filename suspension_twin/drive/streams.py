@@ -18,7 +18,7 @@ import pymap3d
 from numpy.typing import NDArray
 
 from suspension_twin.arrays import Floats
-from suspension_twin.drive.repair import clean_drive, measured
+from suspension_twin.drive.checks import clean_drive, measured
 from suspension_twin.drive.types import Drive, FixData, HeadingData, ImuData, VelocityData
 from suspension_twin.errors import InputError
 from suspension_twin.units import STANDARD_GRAVITY

@@ -26,9 +26,9 @@ from rosbags.rosbag2.storage_mcap import McapWriter
 
 from suspension_twin.arrays import Floats
 from suspension_twin.drive.cdr import encode, ros2_types
+from suspension_twin.drive.checks import nanoseconds
 from suspension_twin.drive.contents import topic_name, type_name
 from suspension_twin.drive.read import TYPES, Topics
-from suspension_twin.drive.repair import nanoseconds
 from suspension_twin.drive.types import Drive, FixData, ImuData, Samples, VelocityData
 from suspension_twin.errors import InputError
 from suspension_twin.files import check_writable, remove_leftovers, synchronise, temporary_beside, writing
