@@ -34,7 +34,7 @@ from suspension_twin.drive.salvage import (
     salvage_ros1,
     salvage_sqlite,
 )
-from suspension_twin.drive.unpack import ZSTD_MAGIC, Budget, Inflated, TooLarge, inflate
+from suspension_twin.drive.unpack import ZSTD_MAGIC, Budget, TooLarge, inflate
 from suspension_twin.errors import InputError, SuspensionTwinError
 from suspension_twin.files import read_yaml, reading
 
@@ -187,11 +187,11 @@ def _read_compressed(path: Path, contents: Contents) -> None:
     """A file compressed as a whole (rosbag2's compression mode FILE)."""
     with tempfile.TemporaryDirectory() as folder:
         bare = Path(folder) / path.name.removesuffix(".zstd")
-        with path.open("rb") as packed, bare.open("wb") as out:
-            pieces = Inflated("zstd", packed, Budget(path, path.stat().st_size))
-            for piece in pieces:
-                out.write(piece)
-        if not pieces.complete:
+        packed = path.read_bytes()
+        unpacked, complete = inflate("zstd", packed, Budget(path, len(packed)))
+        bare.write_bytes(unpacked)
+        del packed, unpacked
+        if not complete:
             contents.warnings.append(f"{path.name} is cut off or damaged")
         kind = _format(_magic(bare))
         if kind is None or kind == ROS1_MAGIC:

@@ -9,17 +9,16 @@ from __future__ import annotations
 
 import bz2
 import os
-from collections.abc import Callable, Iterator
-from io import BytesIO
+from collections.abc import Callable
 from pathlib import Path
-from typing import BinaryIO, Final, Protocol, final
+from typing import Final, Protocol, final
 
 import lz4.frame  # type: ignore[import-untyped]
 import zstandard
 
 from suspension_twin.errors import InputError
 
-__all__ = ["VARIABLE", "ZSTD_MAGIC", "Budget", "Inflated", "TooLarge", "inflate"]
+__all__ = ["VARIABLE", "ZSTD_MAGIC", "Budget", "TooLarge", "inflate"]
 
 #: The environment variable that raises the limit, in MiB.
 VARIABLE: Final = "SUSPENSION_TWIN_UNPACKED_MIB"
@@ -77,38 +76,25 @@ _STREAMS: Final[dict[str, Callable[[], _Decompressor]]] = {
 }
 
 
-class Inflated:
-    """The decompressed pieces of ``file``, each taken from ``budget``; ``complete`` once they came to a proper end.
-
-    ``compression`` is ``zstd``, ``lz4`` or ``bz2``; ValueError for another. Raises TooLarge as it goes.
-    """
-
-    def __init__(self, compression: str, file: BinaryIO, budget: Budget) -> None:
-        if compression not in _STREAMS:
-            raise ValueError(f"compression {compression[:20]!r} is not known")
-        self.complete = False
-        self._stream = _STREAMS[compression]()
-        self._file, self._budget = file, budget
-
-    def __iter__(self) -> Iterator[bytes]:
-        while not self.complete and (piece := self._file.read(_PIECE)):
-            try:
-                data = self._stream.decompress(piece)
-            except (zstandard.ZstdError, RuntimeError, OSError, EOFError, MemoryError):
-                return
-            self.complete = bool(self._stream.eof)
-            self._budget.take(len(data))
-            yield data
-
-
 def inflate(compression: str, data: bytes, budget: Budget) -> tuple[bytes, bool]:
-    """The decompressed bytes up to the first damage, and whether the block is complete.
+    """The decompressed bytes up to the first damage, and whether they came to a proper end.
 
-    ``compression`` is as in :class:`Inflated`, or empty or ``none``; these too are taken from ``budget``, as an index
-    may name a block a thousand times.
+    ``compression`` is ``zstd``, ``lz4`` or ``bz2``, or empty or ``none``; ValueError for another. Each piece is taken
+    from ``budget``, uncompressed ones too, as an index may name a block a thousand times. Raises TooLarge as it goes.
     """
     if compression in ("", "none"):
         budget.take(len(data))
         return data, True
-    pieces = Inflated(compression, BytesIO(data), budget)
-    return b"".join(pieces), pieces.complete
+    if compression not in _STREAMS:
+        raise ValueError(f"compression {compression[:20]!r} is not known")
+    stream = _STREAMS[compression]()
+    pieces = []
+    for at in range(0, len(data), _PIECE):
+        try:
+            pieces.append(stream.decompress(data[at : at + _PIECE]))
+        except (zstandard.ZstdError, RuntimeError, OSError, EOFError, MemoryError):
+            break
+        budget.take(len(pieces[-1]))
+        if stream.eof:
+            return b"".join(pieces), True
+    return b"".join(pieces), False
