@@ -248,8 +248,7 @@ def _curvature(road: Road) -> str:
 def _turns(road: Road) -> Floats:
     """Change of heading at the inner cross sections, rad."""
     heading = np.arctan2(np.diff(road.y), np.diff(road.x))
-    turn: Floats = np.remainder(np.diff(heading) + math.pi, 2.0 * math.pi) - math.pi
-    return turn
+    return np.remainder(np.diff(heading) + math.pi, 2.0 * math.pi) - math.pi
 
 
 def _events(paths: tuple[PathFigures, ...]) -> str:

@@ -272,7 +272,7 @@ class _Header:
 
     path: Path
     values: dict[str, dict[str, float]] = field(default_factory=lambda: {"road": {}})
-    format: str | None = None
+    format: str = ""
     channels: list[str] = field(default_factory=list)
     refers_to: Path | None = None
     data_at: int | None = None
@@ -400,7 +400,7 @@ def _resolve(path: Path, reference: str) -> Path:
 
 def _check_header(header: _Header) -> None:
     field = "$KD_DEFINITION"
-    if header.format is None:
+    if not header.format:
         raise header.fault(field, "names no data format (no line #:KRBI or the like)")
     sections = [name for name in header.channels if name.startswith("long section")]
     if len(sections) < 2:
@@ -427,7 +427,6 @@ def _check_increment(header: _Header, key: str, most: float) -> None:
 
 def _checked_data(header: _Header, payload: bytes) -> Floats:
     """The data (cross sections, channels), NaN where a height is missing."""
-    assert header.format is not None
     values = (_binary if header.format.startswith("K") else _formatted)(header, payload)
     rows = values.shape[0]
     if rows < 2:
@@ -469,7 +468,6 @@ def _expected_rows(header: _Header) -> int | None:
 
 
 def _binary(header: _Header, payload: bytes) -> Floats:
-    assert header.format is not None
     size, width = _FORMATS[header.format], len(header.channels)
     rows = _expected_rows(header)
     if rows is None:
@@ -490,7 +488,6 @@ def _binary(header: _Header, payload: bytes) -> Floats:
 
 
 def _formatted(header: _Header, payload: bytes) -> Floats:
-    assert header.format is not None
     width, count = _FORMATS[header.format], len(header.channels)
     per_line = _RECORD // width
     lines_a_row = -(-count // per_line)

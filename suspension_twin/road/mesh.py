@@ -70,8 +70,7 @@ class RoadMesh:
         left, across = index[:-1, 1:].ravel(), index[1:, 1:].ravel()
         triangles = np.stack([here, ahead, across, here, across, left], axis=1).reshape(-1, 3)
         known = np.isfinite(self.points[rows, columns, 2]).ravel()
-        kept: NDArray[np.int64] = triangles[known[triangles].all(axis=1)]
-        return kept
+        return np.asarray(triangles[known[triangles].all(axis=1)])
 
     def tiles(self, max_vertices: int = TILE_VERTICES, length: float = TILE_LENGTH) -> Iterator[MeshTile]:
         """The mesh in tiles of at most ``max_vertices`` vertices and about ``length`` m; empty ones left out."""
@@ -240,5 +239,4 @@ def _normals(points: Floats) -> Floats:
             total[i : total.shape[0] - 1 + i, j : total.shape[1] - 1 + j] += face
     length = np.linalg.norm(total, axis=-1, keepdims=True)
     upward = np.array([0.0, 0.0, 1.0])
-    normals: Floats = np.where(length > 0.0, total / np.where(length > 0.0, length, 1.0), upward)
-    return normals
+    return np.where(length > 0.0, total / np.where(length > 0.0, length, 1.0), upward)

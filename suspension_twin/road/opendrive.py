@@ -203,8 +203,7 @@ def _cubics(path: Path, road: ElementTree.Element, tag: str, s: Floats) -> Float
         return np.zeros(s.size)
     at, ds = _within(path, pieces, s)
     powers = np.array([[_number(path, piece, key, 0.0) for key in "abcd"] for piece in pieces])[at]
-    values: Floats = ((powers[:, 3] * ds + powers[:, 2]) * ds + powers[:, 1]) * ds + powers[:, 0]
-    return values
+    return np.asarray(((powers[:, 3] * ds + powers[:, 2]) * ds + powers[:, 1]) * ds + powers[:, 0])
 
 
 def _number(path: Path, element: ElementTree.Element, key: str, default: float | None) -> float:

@@ -205,8 +205,7 @@ def _isotropic_modes(
     noise = rng.standard_normal((n.size, period)) + 1j * rng.standard_normal((n.size, period))
     waves = np.fft.fft(noise * np.sqrt(0.5 * power), axis=1)
     columns = np.rint((v - v[0]) / spacing).astype(np.intp)
-    chosen: NDArray[np.complex128] = waves[:, columns]
-    return chosen
+    return waves[:, columns]
 
 
 def _share(n: Floats, reach: float, waviness: float) -> Floats:
@@ -214,8 +213,7 @@ def _share(n: Floats, reach: float, waviness: float) -> Floats:
     nodes, weights = np.polynomial.legendre.leggauss(24)
     angle = np.arctan(reach / n)
     inner = np.cos(angle[:, None] * nodes) ** (waviness - 1.0) @ weights
-    share: Floats = n**-waviness * angle * inner
-    return share
+    return n**-waviness * angle * inner
 
 
 def _exponential_modes(
@@ -410,8 +408,7 @@ def _joined(mask: NDArray[np.bool_]) -> NDArray[np.bool_]:
 def _means(slope: Floats, n: int) -> Floats:
     """Means of all n neighbours: (size - n + 1,)."""
     total = np.concatenate([[0.0], np.cumsum(slope)])
-    means: Floats = (total[n:] - total[:-n]) / n
-    return means
+    return np.asarray((total[n:] - total[:-n]) / n)
 
 
 def _class(slope: Floats, step: float, mask: NDArray[np.bool_]) -> tuple[str, float]:
@@ -463,9 +460,8 @@ def _matrices() -> tuple[Floats, Floats]:
 def golden_car_step(step: float) -> tuple[Floats, Floats]:
     """Transition matrix (4, 4) and input vector (4,) of the golden car over ``step`` m of road at 80 km/h."""
     a, b = _matrices()
-    matrix: Floats = expm(a * step / _SPEED)
-    vector: Floats = np.asarray(np.linalg.solve(a, (matrix - np.eye(4)) @ b), dtype=np.float64)
-    return matrix, vector
+    matrix = np.asarray(expm(a * step / _SPEED), dtype=np.float64)
+    return matrix, np.linalg.solve(a, (matrix - np.eye(4)) @ b).astype(np.float64)
 
 
 def iri(z: ArrayLike, step: float) -> float:
@@ -521,5 +517,5 @@ def iri_along(z: ArrayLike, step: float) -> Floats:
         modal = lfilter([gain[i]], [1.0, -pole[i]], slope - first)
         rate += (vectors[0, i] - vectors[2, i]) * modal
     # By linearity the grade itself moves nothing. Rounding of a level profile is no roughness.
-    result: Floats = np.abs(rate.real)
-    return np.where(result < 1e-12, 0.0, result)
+    contribution = np.abs(rate.real)
+    return np.where(contribution < 1e-12, 0.0, contribution)

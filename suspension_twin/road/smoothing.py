@@ -129,8 +129,7 @@ def _local_line(weights: list[Floats], heights: list[Floats], sigma: float) -> F
     with np.errstate(invalid="ignore", divide="ignore"):
         line = (weights[2] * heights[0] - weights[1] * heights[1]) / spread
         mean = heights[0] / weights[0]
-    result: Floats = np.where(enough, line, mean)
-    return result
+    return np.where(enough, line, mean)
 
 
 # Spikes
@@ -237,5 +236,4 @@ def _local_scale(out: Floats, window: int) -> Floats:
     padded[: out.shape[0]] = np.abs(out)
     deciles = np.nanquantile(padded.reshape(count, half, -1), 0.9, axis=1)
     around = ndimage.maximum_filter1d(deciles, 3, axis=0, mode="nearest")
-    spread: Floats = np.repeat(around, half, axis=0)[: out.shape[0]] / 1.645
-    return spread
+    return np.repeat(around, half, axis=0)[: out.shape[0]] / 1.645

@@ -435,8 +435,7 @@ class FourWheeledTwin(Twin):
 
     @property
     def cog_height(self) -> float:
-        height: float = self.vehicle.cog[2]
-        return height
+        return float(self.vehicle.cog[2])
 
 
 class CarTwin(FourWheeledTwin):
