@@ -32,7 +32,7 @@ from scipy.spatial.transform import Rotation  # noqa: E402
 
 from suspension_twin.drive import types  # noqa: E402
 from suspension_twin.drive.write import write_drive  # noqa: E402
-from suspension_twin.road import Road, write_road  # noqa: E402
+from suspension_twin.road import ReferenceLine, Road, write_road  # noqa: E402
 from suspension_twin.vehicle.twin import Twin, parse_twin, save_twin  # noqa: E402
 
 Floats = NDArray[Any]
@@ -120,17 +120,12 @@ def road_file(scene: Scene) -> Road:
     """The road as the twin is given it."""
     every = round(scene.road_du / scene.surface.du)
     line, heading = scene.surface.line[::every], scene.surface.heading
-    zero = np.zeros(line.shape[0])
+    ends = float(heading[0]), float(heading[-1])
     return Road(
         name=scene.name,
         z=scene.road_z.astype(np.float32).astype(np.float64),
         v=scene.road_v,
-        u_step=scene.road_du,
-        x=line[:, 0],
-        y=line[:, 1],
-        ref_z=zero,
-        bank=zero,
-        headings=(float(heading[0]), float(heading[-1])),
+        reference=ReferenceLine.level(line[:, 0], line[:, 1], scene.road_du, ends),
     )
 
 

@@ -14,7 +14,7 @@ from suspension_twin.drive.types import Drive
 from suspension_twin.drive.write import write_drive
 from suspension_twin.inference.synthetic import SensorErrors, synthetic_drive
 from suspension_twin.road import Road, bump_road, circular, write_road
-from suspension_twin.road.iso8608 import iso8608_road
+from suspension_twin.road.roughness import iso8608_road
 from suspension_twin.vehicle.twin import Datum, RoadFile, Twin, load_twin, save_twin
 
 ROOT = Path(__file__).resolve().parents[1]

@@ -28,9 +28,8 @@ from suspension_twin.diagnosis.case import build, read_case
 from suspension_twin.diagnosis.request import DiagnosisRequest
 from suspension_twin.diagnosis.run import diagnose
 from suspension_twin.diagnosis.shrink import uncalibrated_residual
-from suspension_twin.drive.edit import cut
 from suspension_twin.drive.importing import import_drive
-from suspension_twin.drive.types import Drive
+from suspension_twin.drive.types import Drive, cut
 from suspension_twin.drive.write import write_drive
 from suspension_twin.signals.offline import ingest_drive
 from suspension_twin.vehicle.twin import Datum, Imu, Place, Twin, load_twin, save_twin

@@ -32,7 +32,7 @@ from suspension_twin.report import style
 from suspension_twin.report.characteristics import force
 from suspension_twin.report.style import COLOURS
 from suspension_twin.road import bump_road, circular, write_road
-from suspension_twin.road.iso8608 import iso8608_road
+from suspension_twin.road.roughness import iso8608_road
 from suspension_twin.vehicle.twin import RoadFile, Twin, parse_twin, save_twin
 
 _ROOT = Path(__file__).resolve().parents[1]

@@ -25,7 +25,7 @@ from suspension_twin.calibration.run import calibrate
 from suspension_twin.drive.types import Drive, FixData, VelocityData
 from suspension_twin.drive.write import write_drive
 from suspension_twin.road import write_road
-from suspension_twin.road.road import Road
+from suspension_twin.road.road import ReferenceLine, Road
 from suspension_twin.vehicle.twin import Twin, load_twin, parse_twin, save_twin
 
 __all__ = ["LENGTH", "Site", "drive_over", "make_site", "phone_fixes", "truth_along"]
@@ -124,10 +124,10 @@ def phone_fixes(site: Site, drive: Drive, motion: Motion, number: int) -> Drive:
 def truth_along(site: Site, x: Floats, y: Floats, v: Floats | None = None) -> Floats:
     """True heights in m at ``map`` positions, or at lateral places ``v`` m of the road beside them."""
     surface = site.world.surface
-    zero = np.zeros(surface.line.shape[0])
     ends = float(surface.heading[0]), float(surface.heading[-1])
     line = surface.line
-    fine = Road("truth", surface.z, surface.v, surface.du, line[:, 0], line[:, 1], zero, zero, ends)
+    reference = ReferenceLine.level(line[:, 0], line[:, 1], surface.du, ends)
+    fine = Road("truth", surface.z, surface.v, reference)
     if v is None:
         return fine.heights(x, y, "hold")
     return fine.heights_uv(fine.xy_to_uv(x, y)[0], v, "hold")

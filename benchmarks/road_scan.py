@@ -53,8 +53,7 @@ from suspension_twin.addons.roads.scan.picture import save_scan_picture  # noqa:
 from suspension_twin.addons.roads.scan.placing import Placing  # noqa: E402
 from suspension_twin.addons.roads.scan.scan import FILLED, HOLE, MEASURED, Scanned, road_from_scan  # noqa: E402
 from suspension_twin.errors import WorkError  # noqa: E402
-from suspension_twin.road.build import grid_road  # noqa: E402
-from suspension_twin.road.centreline import Centreline  # noqa: E402
+from suspension_twin.road.build import Centreline, grid_road  # noqa: E402
 from suspension_twin.road.crg import load_road  # noqa: E402
 from suspension_twin.road.recipe import make_road, parse_feature  # noqa: E402
 from suspension_twin.road.road import Road  # noqa: E402
@@ -172,7 +171,7 @@ def plain_binning(points: Floats, like: Road, sigma: float = 0.1) -> Road:
         good = count[:, k] > 0
         if good.any():
             z[:, k] = np.interp(rows, rows[good], z[good, k])
-    return smooth(replace(like, z=z, ref_z=np.zeros(nu)), sigma)
+    return smooth(replace(like, z=z).with_line(z=np.zeros(nu)), sigma)
 
 
 def averaged_noise(scan: Scan, like: Road, noise: float, paths: NDArray[np.bool_]) -> float:

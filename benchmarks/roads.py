@@ -27,10 +27,9 @@ from rich.console import Console
 from rich.table import Table
 
 from suspension_twin.road import Road, curved_road, load_road, write_road
-from suspension_twin.road.iso8608 import iso8608_road
 from suspension_twin.road.mesh import road_mesh
-from suspension_twin.road.smoothing import smooth
-from suspension_twin.road.spikes import find_spikes
+from suspension_twin.road.roughness import iso8608_road
+from suspension_twin.road.smoothing import find_spikes, smooth
 
 REPEATS = 9
 _FIRST_CALL = """

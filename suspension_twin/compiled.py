@@ -17,19 +17,19 @@ import shutil
 import sys
 import tempfile
 import time
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable
 from contextlib import suppress
 from functools import cache
 from pathlib import Path
 from types import FunctionType
-from typing import Any, TypeVar
+from typing import TypeVar, cast
 
 import numba
 from numba import config, njit
 
 __all__ = ["compiled", "inlined", "linked", "sources", "specialised"]
 
-Function = TypeVar("Function", bound=Callable[..., Any])
+Function = TypeVar("Function", bound=Callable[..., object])
 
 #: Machine code of other sources is deleted when it has not been loaded for so long, in s.
 _UNUSED = 30 * 86_400.0
@@ -46,24 +46,23 @@ def compiled(function: Function, modules: Iterable[str] = ()) -> Function:
     given = config.CACHE_DIR
     config.CACHE_DIR = str(folder)  # numba reads it while it decorates
     try:
-        out: Any = njit(cache=folder is not None, nogil=True, error_model="numpy")(function)
+        return cast(Function, njit(cache=folder is not None, nogil=True, error_model="numpy")(function))
     finally:
         config.CACHE_DIR = given
-    return out  # type: ignore[no-any-return]
 
 
-def specialised(function: Any, name: str, **constants: Any) -> Any:
+def specialised(function: Function, name: str, **constants: object) -> Function:
     """A copy of ``function`` called ``name`` in which some globals of its module are ``constants``: numbers that the
     compiler takes as such, or compiled functions. To be compiled by one of the functions here."""
-    out = FunctionType(function.__code__, function.__globals__ | constants, name)
+    source = cast(FunctionType, function)
+    out = FunctionType(source.__code__, source.__globals__ | constants, name)
     out.__qualname__, out.__module__ = name, function.__module__
-    return out
+    return cast(Function, out)
 
 
 def linked(function: Function) -> Function:
-    """A function that is made in a process, compiled once there and linked to its callers; they are what is kept."""
-    out: Any = njit(nogil=True, error_model="numpy")(function)
-    return out  # type: ignore[no-any-return]
+    """A function made in a process, compiled once there and linked to its callers; their machine code is kept."""
+    return cast(Function, njit(nogil=True, error_model="numpy")(function))
 
 
 def inlined(function: Function) -> Function:
@@ -71,8 +70,7 @@ def inlined(function: Function) -> Function:
 
     The inlining is LLVM's: that of numba types the helper anew at every call, which takes twice as long.
     """
-    out: Any = njit(forceinline=True, error_model="numpy")(function)
-    return out  # type: ignore[no-any-return]
+    return cast(Function, njit(forceinline=True, error_model="numpy")(function))
 
 
 @cache
@@ -130,18 +128,12 @@ def sources(file: Path, root: Path) -> list[Path]:
 @cache
 def _imported(file: Path, root: Path) -> tuple[Path, ...]:
     """Files of the package that a file names in its import statements."""
-    return tuple(sorted({path for path in _named(file, root) if path.is_file()}))
-
-
-def _named(file: Path, root: Path) -> Iterator[Path]:
     name = re.escape(root.name)
-    text = file.read_text(encoding="utf-8")
     some = rf"from[ \t]+{name}((?:\.\w+)*)[ \t]+import[ \t]+(\([^)]*\)|[^\n]*)"
     whole = rf"import[ \t]+{name}((?:\.\w+)+)"
-    for match in re.finditer(rf"^[ \t]*(?:{some}|{whole})", text, re.MULTILINE):
-        below = (match[1] or match[3] or "").strip(".")
-        folder = root.joinpath(*below.split(".")) if below else root
-        yield folder.with_suffix(".py")
-        yield folder / "__init__.py"
-        for imported in re.findall(r"\w+", match[2] or ""):
-            yield folder / f"{imported}.py"
+    found: set[Path] = set()
+    for match in re.finditer(rf"^[ \t]*(?:{some}|{whole})", file.read_text(encoding="utf-8"), re.MULTILINE):
+        folder = root.joinpath(*filter(None, (match[1] or match[3] or "").split(".")))
+        names = re.findall(r"\w+", match[2] or "")
+        found |= {folder.with_suffix(".py"), folder / "__init__.py", *(folder / f"{n}.py" for n in names)}
+    return tuple(sorted(path for path in found if path.is_file()))

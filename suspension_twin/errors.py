@@ -2,7 +2,7 @@
 """The one family of errors that a user may meet.
 
 Everything that a wrong file, argument or message can cause is raised as an
-:class:`InputError`: one line that names the thing and says what to do. Everything that
+:class:`InputError`: one line that names the thing and the remedy. Everything that
 could not be computed although the input was usable is a :class:`WorkError`. The command
 line maps them to exit status 2 and 1; a node turns them into a diagnostics entry.
 """
@@ -13,7 +13,7 @@ import reprlib
 from collections.abc import Iterable
 from difflib import get_close_matches
 from os import PathLike, fspath
-from typing import Any, Final
+from typing import Final
 
 __all__ = ["InputError", "SuspensionTwinError", "WorkError", "nearest", "one_line", "printable", "shown"]
 
@@ -37,7 +37,7 @@ def one_line(text: str) -> str:
     return text if len(text) <= _LONGEST else f"{text[: _LONGEST - 500]} … {text[-500:]}"
 
 
-def shown(value: Any, most: int = 80) -> str:
+def shown(value: object, most: int = 80) -> str:
     """``repr(value)`` in at most ``most`` characters, of nested values the first few: to quote in an error."""
     short = reprlib.Repr()
     short.maxstring = short.maxother = short.maxlong = most

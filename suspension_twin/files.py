@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Files: one boundary around what reads them, YAML within limits, and every file written whole or not at all."""
+"""Files: one boundary around their readers, YAML within limits, and every file written whole or not at all."""
 
 from __future__ import annotations
 
@@ -39,13 +39,14 @@ __all__ = [
     "temporary_beside",
     "together",
     "write_text",
+    "writing",
 ]
 
 #: A disk or quota that is full: the input was usable, so the work failed.
 NO_SPACE: Final = (errno.ENOSPC, errno.EDQUOT)
 
 
-# What the operating system refuses because of a path that the user named.
+# Errors of the operating system about a path that the user named.
 _PATH_ERRORS: Final = (
     FileNotFoundError,
     PermissionError,
@@ -66,8 +67,8 @@ def explained(error: Exception) -> tuple[int, str]:
         return WorkError.exit_status, "no space left to write the results"
     if isinstance(error, MemoryError):
         return WorkError.exit_status, "out of memory"
-    what = f"{type(error).__name__}: {error}".rstrip(": ")
-    return WorkError.exit_status, f"unexpected error, {what} (--debug shows where)"
+    cause = f"{type(error).__name__}: {error}".rstrip(": ")
+    return WorkError.exit_status, f"unexpected error, {cause} (--debug shows where)"
 
 
 @contextmanager
@@ -75,9 +76,9 @@ def reading(source: str | os.PathLike[str], kind: str) -> Iterator[None]:
     """The boundary around a reader: whatever a parser raises becomes one line about ``source``.
 
     Parsers of other people raise anything on bytes that they were not made for. Errors of this package pass; a full
-    disk (of temporary files) is a WorkError; everything else is an InputError that says that ``source`` is not
+    disk (of temporary files) is a WorkError; everything else is an InputError: ``source`` is not
     ``kind`` ("a recording"), with the cause kept for ``--debug``. Numbers that are too large become infinite without a
-    warning of NumPy: what is not finite is missing.
+    warning of NumPy: a value that is not finite is missing.
     """
     import numpy as np
 
@@ -127,7 +128,7 @@ _DIGITS: Final = 64  # of a number: the time to read one grows with the square o
 class _Loader(SafeLoader):
     """A date stays the text it is, so that ``start: 2024-05-01T12:00:00Z`` needs no quotes."""
 
-    def construct_object(self, node: Any, deep: bool = False) -> Any:
+    def construct_object(self, node: yaml.Node, deep: bool = False) -> Any:
         number = node.tag in ("tag:yaml.org,2002:int", "tag:yaml.org,2002:float")
         if number and isinstance(node, yaml.ScalarNode) and len(node.value) > _DIGITS:
             raise yaml.constructor.ConstructorError(
@@ -143,9 +144,9 @@ _Loader.yaml_implicit_resolvers = {
 
 
 def parse_yaml(text: str, source: str | os.PathLike[str]) -> Any:
-    """What a text in YAML holds; raises InputError that names ``source`` and the line.
+    """Contents of a text in YAML; raises InputError that names ``source`` and the line.
 
-    A text larger than 1 MiB, an alias that refers to what it stands in, and aliases that make more than 100 000
+    A text larger than 1 MiB, an alias that refers to the node it stands in, and aliases that make more than 100 000
     values are refused before anything is made of them.
     """
     if len(text) > _LARGEST:
@@ -182,32 +183,29 @@ def parse_yaml(text: str, source: str | os.PathLike[str]) -> Any:
 def _values(root: yaml.Node) -> int | None:
     """How many values a document has with its aliases written out; None if one of them holds itself.
 
-    Each node is counted once: the time grows with the text, not with what it unfolds to.
+    Each node is counted once: the time grows with the text, not with the values that it unfolds to.
     """
-    counts: dict[int, int] = {}
-    open_nodes: set[int] = set()
+    counts: dict[yaml.Node, int] = {}
+    above: set[yaml.Node] = set()
     stack: list[tuple[yaml.Node, bool]] = [(root, False)]
     while stack:
         node, done = stack.pop()
-        parts: list[yaml.Node] = []
+        parts: list[yaml.Node] = node.value if isinstance(node, yaml.SequenceNode) else []
         if isinstance(node, yaml.MappingNode):
             parts = [part for pair in node.value for part in pair]
-        elif isinstance(node, yaml.SequenceNode):
-            parts = node.value
         if done:
-            open_nodes.discard(id(node))
-            counts[id(node)] = min(1 + sum(counts[id(part)] for part in parts), _MOST_VALUES + 1)
-        elif id(node) in open_nodes:
+            above.discard(node)
+            counts[node] = min(1 + sum(counts[part] for part in parts), _MOST_VALUES + 1)
+        elif node in above:
             return None
-        elif id(node) not in counts:
-            open_nodes.add(id(node))
-            stack.append((node, True))
-            stack += [(part, False) for part in parts]
-    return counts[id(root)]
+        elif node not in counts:
+            above.add(node)
+            stack += [(node, True), *((part, False) for part in parts)]
+    return counts[root]
 
 
 def read_yaml(path: str | os.PathLike[str]) -> Any:
-    """What a YAML file holds; raises InputError that names the file."""
+    """Contents of a YAML file; raises InputError that names the file."""
     try:
         text = read_bytes(path, _LARGEST).decode("utf-8-sig")
     except UnicodeDecodeError:
@@ -236,7 +234,7 @@ def together() -> Iterator[None]:
         yield
         while staged:
             temporary, path = staged[0]
-            with _writing(path):
+            with writing(path):
                 _put(temporary, path)
             staged.pop(0)
     finally:
@@ -249,15 +247,15 @@ def together() -> Iterator[None]:
 def replacing(path: str | os.PathLike[str]) -> Iterator[Path]:
     """A temporary file in the folder of ``path`` that takes its place if the block ends well.
 
-    Missing folders are made. Raises WorkError where it cannot be written, such as on a full disk; then whatever
-    ``path`` held is still there, and nothing else. What it held is on the disk when the block ends. Leftovers of a
+    Missing folders are made. Raises WorkError where it cannot be written, such as on a full disk; then the old
+    content of ``path`` is still there, and nothing else. The new one is on the disk when the block ends. Leftovers of a
     process that was killed while it wrote this file are removed.
     """
     path = Path(path)
     temporary = temporary_beside(path)
     staged = _STAGED.get()
     try:
-        with _writing(path):
+        with writing(path):
             path.parent.mkdir(parents=True, exist_ok=True)
             remove_leftovers(path)
             yield temporary
@@ -277,7 +275,8 @@ def temporary_beside(path: Path) -> Path:
 
 
 @contextmanager
-def _writing(path: Path) -> Iterator[None]:
+def writing(path: Path) -> Iterator[None]:
+    """The boundary around a writer: an error of the operating system becomes a WorkError about ``path``."""
     try:
         yield
     except OSError as error:
@@ -291,7 +290,7 @@ def _put(temporary: Path, path: Path) -> None:
 
 
 def synchronise(path: Path) -> None:
-    """Return when what a file holds, or which names a folder holds, is on the disk; OSError where it is full."""
+    """Return when the content of a file, or the names in a folder, are on the disk; OSError where it is full."""
     opened = os.open(path, os.O_RDONLY)
     try:
         os.fsync(opened)
@@ -342,7 +341,7 @@ def comment_lines(*lines: str) -> str:
 def check_writable(path: str | os.PathLike[str]) -> None:
     """Raise InputError if nothing can be made at ``path``, WorkError if the disk is full. Leaves nothing behind.
 
-    Every name that has to be made, of missing folders too, is tried with what is put around it while it is written.
+    Every name that has to be made, of missing folders too, is tried with the affixes that it has while it is written.
     """
     target = Path(path).absolute()
     trial = target

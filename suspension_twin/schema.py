@@ -1,18 +1,18 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a YAML file may hold, as pydantic models; whatever is wrong becomes one line that names the keys."""
+"""Schemas of YAML files as pydantic models; whatever is wrong becomes one line that names the keys."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
 from os import PathLike
-from typing import Any, TypeVar, get_args
+from typing import TypeVar, get_args
 
 from pydantic import AfterValidator, BaseModel, ConfigDict, ValidationError
+from pydantic_core import ErrorDetails
 
 from suspension_twin.errors import InputError, nearest, shown
 
-__all__ = ["Strict", "assign", "checked", "problems", "within"]
+__all__ = ["Strict", "checked", "problems", "within"]
 
 
 class Strict(BaseModel):
@@ -22,7 +22,7 @@ class Strict(BaseModel):
 
 
 def within(low: float, high: float, unit: str, hint: str = "") -> AfterValidator:
-    """Bounds of a value in ``unit`` that nothing real leaves; outside them the unit is wrong, and ``hint`` says so."""
+    """Bounds of any real value in ``unit``; outside them the unit is wrong, and ``hint`` asks for it."""
 
     def check(value: float) -> float:
         if not (math.isfinite(value) and low <= value <= high):
@@ -36,16 +36,16 @@ def within(low: float, high: float, unit: str, hint: str = "") -> AfterValidator
 Model = TypeVar("Model", bound=BaseModel)
 
 
-def checked(model: type[Model], data: Any, source: str | PathLike[str], kind: str) -> Model:
-    """``data`` as a ``model``; raises InputError with every problem. ``kind`` is what ``source`` is: "a twin file"."""
+def checked(model: type[Model], data: object, source: str | PathLike[str], kind: str) -> Model:
+    """``data`` as a ``model``; raises InputError with every problem. ``kind`` of ``source``: "a twin file"."""
     found = problems(model, data, kind)
     if found:
         raise InputError(source, "; ".join(found))
     return model.model_validate(data)
 
 
-def problems(model: type[BaseModel], data: Any, kind: str) -> list[str]:
-    """Everything that is wrong with ``data``: unknown keys, wrong values, and in one text what is missing."""
+def problems(model: type[BaseModel], data: object, kind: str) -> list[str]:
+    """Everything that is wrong with ``data``: unknown keys, wrong values, and in one text the missing keys."""
     try:
         model.model_validate(data)
     except ValidationError as error:
@@ -60,7 +60,7 @@ def problems(model: type[BaseModel], data: Any, kind: str) -> list[str]:
     return []
 
 
-def _problem(model: type[BaseModel], detail: Mapping[str, Any], kind: str) -> str:
+def _problem(model: type[BaseModel], detail: ErrorDetails, kind: str) -> str:
     text = detail["msg"].removeprefix("Value error, ")
     if detail["type"] == "extra_forbidden":
         *path, last = detail["loc"]
@@ -70,7 +70,7 @@ def _problem(model: type[BaseModel], detail: Mapping[str, Any], kind: str) -> st
     return ": ".join(part for part in (_dotted(detail), text) if part)
 
 
-def _dotted(detail: Mapping[str, Any]) -> str:
+def _dotted(detail: ErrorDetails) -> str:
     return ".".join(str(part) for part in detail["loc"])
 
 
@@ -86,22 +86,3 @@ def _keys(model: type[BaseModel], path: list[int | str]) -> list[str]:
             return []
         model = models[0]
     return list(model.model_fields)
-
-
-def assign(data: Any, key: str, value: Any, source: str) -> None:
-    """Put ``value`` at a dotted ``key`` of nested plain values that has one already; lists by number: ``force.2``."""
-    *path, last = key.split(".")
-    node = data
-    try:
-        for part in path:
-            if isinstance(node, dict) and isinstance(node[part], tuple):
-                node[part] = list(node[part])
-            node = node[int(part)] if isinstance(node, list) else node[part]
-        if isinstance(node, list):
-            node[int(last)] = value
-        elif last in node:
-            node[last] = value
-        else:
-            raise KeyError(last)
-    except (KeyError, IndexError, ValueError, TypeError):
-        raise InputError(source, key, "no such key") from None

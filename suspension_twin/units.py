@@ -11,7 +11,7 @@ __all__ = ["STANDARD_GRAVITY", "plain"]
 
 STANDARD_GRAVITY: Final = 9.80665  #: m/s², ISO 80000-3
 
-#: How a value in an SI unit is written: from which size on, divided by what, with which unit.
+#: Notation of a value in an SI unit: from which size on, the divisor, and the unit.
 _WRITTEN: Final[Mapping[str, tuple[tuple[float, float, str], ...]]] = {
     "": ((0.0, 0.01, "%"),),
     "m": ((0.0, 1e-3, "mm"), (0.03, 0.01, "cm"), (1.0, 1.0, "m"), (1e3, 1e3, "km")),

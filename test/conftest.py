@@ -38,7 +38,7 @@ from suspension_twin.calibration.presets import TABLE_2, with_table_2  # noqa: E
 from suspension_twin.drive.write import write_drive  # noqa: E402
 from suspension_twin.inference.synthetic import SensorErrors, synthetic_drive  # noqa: E402
 from suspension_twin.road import bump_road, circular, write_road  # noqa: E402
-from suspension_twin.road.iso8608 import iso8608_road  # noqa: E402
+from suspension_twin.road.roughness import iso8608_road  # noqa: E402
 from suspension_twin.vehicle.twin import RoadFile, Twin, parse_twin, save_twin  # noqa: E402
 
 

@@ -22,7 +22,7 @@ from blind.newton import Faults, Motion
 from blind.plan import Spec
 from blind.world import FILE_DU, FILE_DV, HALF, Floats, Scene, World, make_world
 from suspension_twin.drive.write import write_drive
-from suspension_twin.road import Road, write_road
+from suspension_twin.road import ReferenceLine, Road, write_road
 from suspension_twin.vehicle.twin import RoadFile, load_twin, parse_twin, save_twin
 
 Run = Callable[..., Motion]
@@ -166,18 +166,13 @@ def _times(motion: Motion, world: World, stretch: tuple[float, float], start: fl
 def road_file(world: World, z: Floats) -> Road:
     """The road as it was surveyed, with heights ``z`` on the file's grid."""
     line, heading = world.surface.line[::2], world.surface.heading
-    zero = np.zeros(line.shape[0])
+    ends = float(heading[0]), float(heading[-1])
     v = np.round(-HALF + np.arange(z.shape[1]) * FILE_DV, 6)
     return Road(
         name="road",
         z=z.astype(np.float32).astype(np.float64),
         v=v,
-        u_step=FILE_DU,
-        x=line[:, 0],
-        y=line[:, 1],
-        ref_z=zero,
-        bank=zero,
-        headings=(float(heading[0]), float(heading[-1])),
+        reference=ReferenceLine.level(line[:, 0], line[:, 1], FILE_DU, ends),
     )
 
 

@@ -37,9 +37,8 @@ from blind.phone import lost_time
 from blind.plan import MEASURED, Spec
 from blind.score import PLAIN
 from blind.world import Floats, G, make_world
-from suspension_twin.drive.edit import cut
 from suspension_twin.drive.importing import import_drive
-from suspension_twin.drive.types import Drive
+from suspension_twin.drive.types import Drive, cut
 from suspension_twin.drive.write import write_drive
 from suspension_twin.vehicle.twin import Twin, parse_twin, save_twin
 

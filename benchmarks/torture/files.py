@@ -48,9 +48,9 @@ def make_samples(folder: Path) -> list[Path]:
     from rosbags.rosbag2 import StoragePlugin, Writer
 
     from suspension_twin.drive.cdr import ros2_types
-    from suspension_twin.drive.edit import cut
     from suspension_twin.drive.read import read_drive
     from suspension_twin.drive.recording import read_recording
+    from suspension_twin.drive.types import cut
     from suspension_twin.drive.write import write_drive
 
     drive = read_drive(ROOT / "bags" / "crg_road")

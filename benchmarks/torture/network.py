@@ -224,8 +224,8 @@ _KINDS = ("sensorlogger", "sensorserver", "phyphox")
 
 def torture(tally: Tally) -> None:
     """Eight seconds of a drive from one phone through one bad network a trial."""
-    from suspension_twin.drive.edit import cut as shortened
     from suspension_twin.drive.read import read_drive
+    from suspension_twin.drive.types import cut as shortened
 
     whole = read_drive(ROOT / "bags" / "bump_15kmh")
     start = float(whole.imu.t[0]) + 8.0

@@ -10,9 +10,9 @@ import typer
 from rich.padding import Padding
 
 from suspension_twin.cli.common import Force, Outputs, output
+from suspension_twin.drive.checks import summarise
 from suspension_twin.drive.importing import import_drive
 from suspension_twin.drive.read import Topics
-from suspension_twin.drive.summary import summarise
 from suspension_twin.drive.write import BagWriter, write_drive
 
 __all__ = ["command"]

@@ -20,8 +20,8 @@ from suspension_twin.addons.sources.common.recorder import Recorder
 from suspension_twin.addons.sources.common.runner import running
 from suspension_twin.cli._live import DEFAULT_SOURCE, LiveLines, show_guide
 from suspension_twin.cli.common import Force, Outputs, SourceUrls, output
+from suspension_twin.drive.checks import summarise
 from suspension_twin.drive.read import read_drive
-from suspension_twin.drive.summary import summarise
 from suspension_twin.drive.write import BagWriter
 
 __all__ = ["command"]

@@ -369,7 +369,7 @@ def drives(
     from suspension_twin.addons.roads.drives.drives import road_from_drives, write_estimate
     from suspension_twin.addons.roads.drives.estimate import Settings
     from suspension_twin.files import together
-    from suspension_twin.road.origin import record_path
+    from suspension_twin.road.crg import record_path
     from suspension_twin.road.recipe import parse_feature
     from suspension_twin.vehicle.twin import load_twin, save_twin
 
@@ -515,7 +515,7 @@ def scan(
     """
     from suspension_twin.addons.roads.scan.command import scan_road
     from suspension_twin.addons.roads.scan.scan import ScanSettings, cells_path
-    from suspension_twin.road.origin import record_path
+    from suspension_twin.road.crg import record_path
 
     written = [out, record_path(out), cells_path(out), *([] if picture is None else [picture])]
     outputs = Outputs(*written, force=force)

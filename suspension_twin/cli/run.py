@@ -314,7 +314,7 @@ def _learnt_files(road: Path | None) -> list[Path]:
     if road is None:
         return []
     from suspension_twin.addons.roads.drives.learning import twin_path
-    from suspension_twin.road.origin import record_path
+    from suspension_twin.road.crg import record_path
 
     if road.suffix.lower() != ".crg":
         raise InputError(road, "a road is written as .crg; name the file so")

@@ -2,7 +2,7 @@
 """ROS messages as arrays: many messages of one type to columns and back, without a Python loop.
 
 Messages of one topic nearly always have one byte layout, since only strings and sequences vary in
-length. A :class:`Layout` is that byte layout as a NumPy structured type; decoding and encoding
+length. A :class:`MessageLayout` is that byte layout as a NumPy structured type; decoding and encoding
 many messages is then one copy: 240 000 IMU messages take 0.17 s of processor time, with the
 deserialiser of ``rosbags``, which makes an object of each, 1.33 s. Two encodings are known: ``cdr``
 (ROS 2, plain CDR of either endianness, XCDR version 1) and ``ros1`` (packed, little-endian).
@@ -15,17 +15,28 @@ from __future__ import annotations
 
 import struct
 from collections.abc import Iterator, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from functools import cache
-from typing import Any, Literal
+from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 from rosbags.interfaces import Nodetype
+from rosbags.interfaces.typing import FieldDesc
 from rosbags.typesys import Stores, TypesysError, get_types_from_msg, get_typestore
 from rosbags.typesys.store import Typestore
 
-__all__ = ["Decoded", "Encoding", "Layout", "decode", "encode", "ros1_types", "ros2_types", "types_with"]
+__all__ = [
+    "Decoded",
+    "Encoding",
+    "MessageLayout",
+    "decode",
+    "encode",
+    "ros1_types",
+    "ros2_types",
+    "types_with",
+]
 
 Encoding = Literal["cdr", "ros1"]
 Bytes = NDArray[np.uint8]
@@ -72,13 +83,10 @@ def types_with(definitions: Mapping[str, str]) -> Typestore:
     """The ROS 2 types and those that ``definitions`` (type name to its ``.msg`` text) adds."""
     store = get_typestore(Stores.ROS2_JAZZY)
     for name, text in definitions.items():
-        if name in store.fielddefs:
-            continue
-        try:
-            new = {k: v for k, v in get_types_from_msg(text, name).items() if k not in store.fielddefs}
-            store.register(new)
-        except TypesysError:
-            continue  # a damaged definition: its messages cannot be read, the others can
+        if name not in store.fielddefs:
+            with suppress(TypesysError):  # a damaged definition: its messages cannot be read, the others can
+                found = get_types_from_msg(text, name)
+                store.register({k: v for k, v in found.items() if k not in store.fielddefs})
     return store
 
 
@@ -87,7 +95,7 @@ class Damaged(ValueError):
 
 
 @dataclass(frozen=True)
-class Layout:
+class MessageLayout:
     """Byte layout shared by many messages.
 
     ``dtype`` is a structured type over a whole message with a field for every primitive one and
@@ -129,32 +137,29 @@ class _Walker:
             self.at += -(self.at - self.start) % size
 
     def message(self, msgtype: str, prefix: str) -> None:
-        try:
-            fields = self.store.fielddefs[msgtype][1]
-        except KeyError:
-            raise Damaged(f"type {msgtype} is not defined") from None
-        for name, description in fields:
+        if msgtype not in self.store.fielddefs:
+            raise Damaged(f"type {msgtype} is not defined")
+        for name, description in self.store.fielddefs[msgtype][1]:
             self.field(description, prefix + name)
 
-    def field(self, description: Any, name: str) -> None:
-        kind, detail = description
-        if kind == Nodetype.BASE:
-            self.primitive(detail[0], name)
-        elif kind == Nodetype.NAME:
-            self.message(detail, name + ".")
+    def field(self, description: FieldDesc, name: str) -> None:
+        if description[0] == Nodetype.BASE:
+            self.primitive(description[1][0], name)
+        elif description[0] == Nodetype.NAME:
+            self.message(description[1], name + ".")
         else:
-            (inner_kind, inner), size = detail
-            plain = inner_kind == Nodetype.BASE and inner[0] in _NUMPY
-            if kind == Nodetype.SEQUENCE:
+            inner, size = description[1]
+            base = inner[1][0] if inner[0] == Nodetype.BASE else ""
+            if description[0] == Nodetype.SEQUENCE:
                 self.align(4)
-                size = self.sequence_size(name, plain)
+                size = self.sequence_size(name, base in _NUMPY)
                 self.lengths[self.at] = size
                 self.at += 4
-            if plain:
-                self.array(inner[0], name, size)
+            if base in _NUMPY:
+                self.numbers(base, name, size)
             else:
                 for i in range(size):
-                    self.field((inner_kind, inner), f"{name}.{i}")
+                    self.field(inner, f"{name}.{i}")
 
     def primitive(self, base: str, name: str) -> None:
         if base == "string":
@@ -163,37 +168,34 @@ class _Walker:
             self.lengths[self.at] = size
             self.strings[name] = (self.at + 4, size)
             self.at += 4 + size
-            return
-        code = _NUMPY.get(base)
-        if code is None:
+        elif base in _NUMPY:
+            self.numbers(base, name)
+        else:
             raise Damaged(f"{name}: fields of type {base} cannot be read")
-        size = int(code[1])
-        self.align(size)
-        self.fields[name] = (code, self.at, None)
-        self.at += size
 
-    def array(self, base: str, name: str, count: int) -> None:
+    def numbers(self, base: str, name: str, count: int | None = None) -> None:
+        """One number, or an array of ``count``."""
         code = _NUMPY[base]
         size = int(code[1])
-        if count:
+        if count != 0:
             self.align(size)
             self.fields[name] = (code, self.at, count)
-            self.at += size * count
+            self.at += size * (1 if count is None else count)
 
-    def layout(self, size: int) -> Layout:
-        formats: list[Any] = [
-            self.order + code if count is None else (self.order + code, (count,))
-            for code, _, count in self.fields.values()
-        ]
+    def layout(self, size: int) -> MessageLayout:
+        shapes = [() if count is None else (count,) for _, _, count in self.fields.values()]
         dtype: np.dtype[np.void] = np.dtype(
             {
                 "names": list(self.fields),
-                "formats": formats,
+                "formats": [
+                    (self.order + code, shape)
+                    for (code, _, _), shape in zip(self.fields.values(), shapes, strict=True)
+                ],
                 "offsets": [offset for _, offset, _ in self.fields.values()],
                 "itemsize": size,
             }
         )
-        return Layout(dtype, self.lengths, self.strings, self.little)
+        return MessageLayout(dtype, self.lengths, self.strings, self.little)
 
 
 class _Sampler(_Walker):
@@ -233,18 +235,16 @@ class _Sampler(_Walker):
 class _Builder(_Walker):
     """Takes the variable lengths from the values that are to be written."""
 
-    def __init__(self, store: Typestore, values: Mapping[str, Any]) -> None:
+    def __init__(self, store: Typestore, values: Mapping[str, ArrayLike]) -> None:
         super().__init__(store, ros1=False, little=True)
         self.values = values
         self.texts: dict[str, bytes] = {}
 
     def string_size(self, name: str) -> int:
-        text = self.values.get(name)
-        if text is None and "." in name:
-            parent, _, last = name.rpartition(".")
-            given = self.values.get(parent)
-            if last.isdigit() and isinstance(given, Sequence) and not isinstance(given, str):
-                text = given[int(last)]
+        parent, _, last = name.rpartition(".")
+        text, given = self.values.get(name, ""), self.values.get(parent)
+        if last.isdigit() and isinstance(given, Sequence) and not isinstance(given, str):
+            text = given[int(last)]
         self.texts[name] = ("" if text is None else str(text)).encode() + b"\0"
         return len(self.texts[name])
 
@@ -254,7 +254,7 @@ class _Builder(_Walker):
             prefix = name + "."
             used = [k[len(prefix) :].split(".")[0] for k in self.values if k.startswith(prefix)]
             return 1 + max(map(int, used)) if used else 0
-        return int(np.shape(value)[-1]) if primitive else len(value)
+        return int(np.shape(value)[-1 if primitive else 0])
 
 
 @dataclass(frozen=True)
@@ -263,9 +263,9 @@ class Decoded:
 
     index: NDArray[np.intp]
     records: NDArray[np.void]
-    layout: Layout
+    layout: MessageLayout
 
-    def __getitem__(self, name: str) -> NDArray[Any]:
+    def __getitem__(self, name: str) -> NDArray[np.generic]:
         """Column ``name`` in native byte order, (k,) or (k, size of the array)."""
         column = self.records[name]
         return np.ascontiguousarray(column.astype(column.dtype.newbyteorder("="), copy=False))
@@ -319,7 +319,7 @@ def decode(
             raw, index = raw[~alike], index[~alike]
 
 
-def _same(raw: Bytes, layout: Layout, encoding: Encoding) -> NDArray[np.bool_]:
+def _same(raw: Bytes, layout: MessageLayout, encoding: Encoding) -> NDArray[np.bool_]:
     """Rows that have every length word of the layout (and its endianness)."""
     same = np.ones(raw.shape[0], dtype=np.bool_)
     if encoding == "cdr":
@@ -331,19 +331,18 @@ def _same(raw: Bytes, layout: Layout, encoding: Encoding) -> NDArray[np.bool_]:
     return same
 
 
-def encode(store: Typestore, msgtype: str, count: int, values: Mapping[str, Any]) -> list[bytes]:
+def encode(store: Typestore, msgtype: str, count: int, values: Mapping[str, ArrayLike]) -> list[bytes]:
     """``count`` messages as little-endian CDR.
 
     ``values`` maps dotted names to one value for all messages or to an array with one row a
-    message; strings are the same in all messages. What is not named is zero or empty. A name that
+    message; strings are the same in all messages. Fields not named are zero or empty. A name that
     the type does not have raises KeyError.
     """
     builder = _Builder(store, values)
     builder.message(msgtype, "")
     known = builder.fields.keys() | builder.texts.keys()
     for name, value in values.items():
-        empty = name not in known and np.size(value) == 0
-        if name not in known and not empty and f"{name}.0" not in known:
+        if name not in known and f"{name}.0" not in known and np.size(value):
             raise KeyError(f"{msgtype} has no field {name}")
     layout = builder.layout(builder.at)
     records = np.zeros(count, dtype=layout.dtype)

@@ -7,14 +7,12 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
+from suspension_twin.drive.foreign_files import RecordedFiles
 from suspension_twin.drive.importers import read_source
-from suspension_twin.drive.intake.mapped import read_mapped
-from suspension_twin.drive.intake.mapping import BagSpec, load_mapping
-from suspension_twin.drive.intake.source import Source
-from suspension_twin.drive.intake.streams import assemble, merge
-from suspension_twin.drive.intake.velocity import velocities_from_fixes
+from suspension_twin.drive.mapping import BagSpec, load_mapping, read_mapped
 from suspension_twin.drive.read import Topics, read_drive
 from suspension_twin.drive.recording import is_recording
+from suspension_twin.drive.streams import assemble, merge, velocities_from_fixes
 from suspension_twin.drive.types import Drive
 from suspension_twin.errors import InputError
 from suspension_twin.files import reading
@@ -24,7 +22,7 @@ __all__ = ["Imported", "import_drive"]
 
 @dataclass(frozen=True, eq=False)
 class Imported:
-    """An imported drive, its format, and what was decided.
+    """An imported drive, its format, and a line for every decision.
 
     Parameters
     ----------
@@ -63,7 +61,7 @@ def import_drive(
         Files, folders or archives. Several are parts of one drive (the log of an IMU, that of a receiver);
         of a stream that more than one holds, the last one's is taken.
     mapping : str or Path, optional
-        A mapping file that states what the columns are; it then decides alone (see ``config/import``).
+        A mapping file that states the quantity of each column; it then decides alone (see ``config/import``).
     topics : Topics, optional
         Of a bag: the names of its topics.
 
@@ -88,54 +86,44 @@ def import_drive(
     for path in paths:
         if not Path(path).exists():
             raise InputError(path, "is not there")
-    with reading(", ".join(map(str, paths)), "a recording"):
-        return _import(paths, mapping, topics)
+    files = ", ".join(map(str, paths))
+    with reading(files, "a recording"):
+        spec = None if mapping is None else load_mapping(mapping)
+        if spec is not None and spec.bag is not None:
+            return _mapped_bag(Path(paths[0]), spec.bag, spec.name)
+        if spec is None and (bags := [path for path in paths if is_recording(path)]):
+            if len(paths) > 1:
+                raise InputError(bags[0], "is a recording of its own: import it alone")
+            return _bag(bags[0], topics or Topics())
+        recordings = [RecordedFiles(path) for path in paths]
+        if spec is None:
+            streams = merge([read_source(recording) for recording in recordings])
+        else:
+            streams = read_mapped(spec, recordings, str(mapping))
+        name = spec.name if spec is not None and spec.name else recordings[0].name
+        drive, notes = assemble(streams, name, files)
+        return Imported(drive, streams.origin, tuple(notes))
 
 
-def _import(paths: Sequence[str | Path], mapping: str | Path | None, topics: Topics | None) -> Imported:
-    if mapping is not None:
-        return _by_mapping([Path(path) for path in paths], Path(mapping))
-    bags = [Path(path) for path in paths if is_recording(path)]
-    if bags:
-        if len(paths) > 1:
-            raise InputError(bags[0], "is a recording of its own: import it alone")
-        return _bag(bags[0], topics or Topics())
-    sources = [Source(path) for path in paths]
-    streams = merge([read_source(source) for source in sources])
-    drive, notes = assemble(streams, sources[0].name, ", ".join(str(path) for path in paths))
-    return Imported(drive, streams.origin, tuple(notes))
-
-
-def _bag(path: Path, topics: Topics, lag: float = 0.0) -> Imported:
+def _bag(path: str | Path, topics: Topics, lag: float = 0.0) -> Imported:
     drive = read_drive(path, topics=topics)
     notes = [f"topics: {topics.imu}, {topics.fix}, {topics.vel}"]
     if lag:
         drive = replace(drive, imu=replace(drive.imu, t=drive.imu.t - lag))
         notes.append(f"IMU time: {lag:g} s lag taken out")
     if len(drive.fix) and not len(drive.velocity):
-        velocity = velocities_from_fixes(drive.fix)
-        drive = replace(drive, velocity=velocity)
-        if len(velocity):
+        drive = replace(drive, velocity=velocities_from_fixes(drive.fix))
+        if len(drive.velocity):
             notes.append("velocity: none recorded, derived from the positions")
     return Imported(drive, "bag", tuple(notes))
 
 
-def _by_mapping(paths: Sequence[Path], mapping: Path) -> Imported:
-    spec = load_mapping(mapping)
-    if spec.bag is not None:
-        return _mapped_bag(paths, spec.bag, spec.name)
-    sources = [Source(path) for path in paths]
-    streams = read_mapped(spec, sources, str(mapping))
-    drive, notes = assemble(streams, spec.name or sources[0].name, ", ".join(str(path) for path in paths))
-    return Imported(drive, streams.origin, tuple(notes))
-
-
-def _mapped_bag(paths: Sequence[Path], spec: BagSpec, name: str | None) -> Imported:
-    path = paths[0]
-    if spec.file is not None and path.is_dir() and (path / spec.file).exists():
-        path = path / spec.file
-    elif spec.file is not None and path.is_dir() and not is_recording(path):
-        raise InputError(path, spec.file, "is not there (the mapping asks for it)")
+def _mapped_bag(path: Path, spec: BagSpec, name: str | None) -> Imported:
+    if spec.file is not None and path.is_dir():
+        if (path / spec.file).exists():
+            path = path / spec.file
+        elif not is_recording(path):
+            raise InputError(path, spec.file, "is not there (the mapping asks for it)")
     topics = Topics(imu=spec.imu, fix=spec.fix, vel=spec.vel, heading=spec.heading)
     imported = _bag(path, topics, spec.lag)
     return replace(imported, drive=replace(imported.drive, name=name)) if name else imported

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A recorded drive from a bag, whatever its format, with what had to be left out said in a line."""
+"""A recorded drive from a bag, whatever its format, with a line for everything left out or repaired."""
 
 from __future__ import annotations
 
@@ -12,9 +12,9 @@ from numpy.typing import NDArray
 
 from suspension_twin.arrays import Floats
 from suspension_twin.drive.cdr import Decoded
-from suspension_twin.drive.containers.contents import Contents, topic_name
-from suspension_twin.drive.recording import decode_topic, read_recording
-from suspension_twin.drive.repair import clean_drive, repair_stamps
+from suspension_twin.drive.checks import clean_drive, repair_stamps
+from suspension_twin.drive.contents import Contents, decode_topic, topic_name
+from suspension_twin.drive.recording import read_recording
 from suspension_twin.drive.types import Drive, FixData, HeadingData, ImuData, VelocityData
 from suspension_twin.errors import InputError
 from suspension_twin.files import reading
@@ -52,7 +52,7 @@ class Topics:
     heading: str = "/heading"
 
 
-#: Types that each role may have; the first is what is written.
+#: Types that each role may have; the first is written.
 TYPES: dict[str, tuple[str, ...]] = {
     "imu": ("sensor_msgs/msg/Imu",),
     "fix": ("sensor_msgs/msg/NavSatFix",),
@@ -135,7 +135,7 @@ def _check_type(path: str | Path, contents: Contents, role: str, name: str) -> N
 
 
 def _no_imu(contents: Contents) -> str:
-    """One line: what is there instead, and what to do."""
+    """One line: the topics that are there instead, and the remedy."""
     if not contents.types:
         return "; ".join(["the recording holds no topics", *contents.warnings])
     imus = sorted(name for name, kind in contents.types.items() if kind in TYPES["imu"])
@@ -184,7 +184,7 @@ class _Columns:
 
 
 def _as_stamps(stamps: list[int]) -> NDArray[np.int64]:
-    """Times of recording in ns; what no clock ever showed becomes 0."""
+    """Times of recording in ns; impossible ones become 0."""
     try:
         array = np.array(stamps, dtype=np.int64)
     except OverflowError:
@@ -194,8 +194,8 @@ def _as_stamps(stamps: list[int]) -> NDArray[np.int64]:
 
 def _imu(columns: _Columns) -> ImuData:
     quaternions = columns.vector("orientation", "xyzw")
-    # REP-145: a first covariance of -1 says that the sensor reports no orientation; a quaternion
-    # that is not one says the same
+    # REP-145: a first covariance of -1 means that the sensor reports no orientation; a quaternion
+    # that is not one means the same
     unit = np.abs(np.linalg.norm(np.clip(quaternions, -10, 10), axis=1) - 1) < 0.01
     absent = not unit.all() or (columns.rows("orientation_covariance")[:, 0] < 0).any()
     return ImuData(

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Recorded runs of a test rig: what its actuator did, and what was measured of the corner on it.
+"""Recorded runs of a test rig: motion of its actuator and measurements of the corner on it.
 
 A run is a CSV with a column for the time and one for each quantity, units in the header
 (``road_displacement_mm``, ``body_acceleration [m/s^2]``), or a recording in which ``/joint_states`` holds the joints
@@ -19,9 +19,9 @@ import numpy as np
 from scipy.interpolate import CubicSpline
 
 from suspension_twin.arrays import Floats
-from suspension_twin.drive.containers.contents import Contents
-from suspension_twin.drive.intake.table import Table, read_table
-from suspension_twin.drive.recording import decode_topic, is_recording, read_recording
+from suspension_twin.drive.contents import Contents, decode_topic
+from suspension_twin.drive.foreign_files import read_table
+from suspension_twin.drive.recording import is_recording, read_recording
 from suspension_twin.errors import InputError
 from suspension_twin.files import comment_lines, read_bytes, reading, replacing
 from suspension_twin.units import STANDARD_GRAVITY
@@ -60,7 +60,7 @@ class RigRecord:
     """One run of a rig: rising stamps ``t`` (n,) s and ``columns`` (n,) in SI units by quantity.
 
     Upwards is positive, so is compression, and so is an actuator's force that pushes the body up. Accelerations may
-    contain gravity or not, displacements may count from anywhere: only what changes is compared.
+    contain gravity or not, displacements may count from anywhere: only changes are compared.
     """
 
     name: str
@@ -70,16 +70,13 @@ class RigRecord:
 
 
 def read_rig(path: str | Path) -> RigRecord:
-    """A run from a CSV or a recording; InputError names the file and what is wrong or missing."""
+    """A run from a CSV or a recording; InputError names the file and the quantity that is wrong or missing."""
+    path = Path(path)
     with reading(path, "a run of a rig"):
-        return _read(Path(path))
+        return _checked(path, *(_of_recording if path.is_dir() or is_recording(path) else _of_table)(path))
 
 
-def _read(path: Path) -> RigRecord:
-    if path.is_dir() or is_recording(path):
-        columns, warnings = _of_recording(path)
-    else:
-        columns, warnings = _of_table(path)
+def _checked(path: Path, columns: dict[str, Floats], warnings: list[str]) -> RigRecord:
     for name in ("time", "body_acceleration"):
         if name not in columns:
             raise InputError(path, name, f"is missing, there are {', '.join(columns) or 'no known columns'}")
@@ -112,7 +109,7 @@ def write_rig(record: RigRecord, path: Path, comment: str = "") -> None:
 
 
 def _of_table(path: Path) -> tuple[dict[str, Floats], list[str]]:
-    table: Table = read_table(read_bytes(path, _LARGEST), str(path), header=True)
+    table = read_table(read_bytes(path, _LARGEST), str(path), header=True)
     columns: dict[str, Floats] = {}
     unused = []
     for index, title in enumerate(table.names):
@@ -121,7 +118,8 @@ def _of_table(path: Path) -> tuple[dict[str, Floats], list[str]]:
         if name is None:
             unused.append(title)
             continue
-        units, unit = QUANTITIES[name][0], re.sub(r"[\s\[\]()]|^_+", "", text.removeprefix(name).lstrip(" _"))
+        units = QUANTITIES[name][0]
+        unit = re.sub(r"[\s\[\]()]|^_+", "", text.removeprefix(name).lstrip(" _"))
         if unit not in units:
             raise InputError(path, title[:60], f"needs a unit: {' or '.join(f'{name}_{u}' for u in units)}")
         if name in columns:
@@ -133,24 +131,23 @@ def _of_table(path: Path) -> tuple[dict[str, Floats], list[str]]:
 def _of_recording(path: Path) -> tuple[dict[str, Floats], list[str]]:
     """Everything at the stamps of the body's accelerometer, between which the other topics follow cubic splines."""
     contents = read_recording(path, {*_ACCELEROMETERS, _JOINTS})
-    found: dict[str, tuple[Floats, Floats]] = {}
-    for topic, name in _ACCELEROMETERS.items():
-        if topic in contents.topics:
-            found[name] = _stamped(contents, topic, "linear_acceleration.z")
+    found = {
+        name: _stamped(contents, topic, "linear_acceleration.z")
+        for topic, name in _ACCELEROMETERS.items()
+        if topic in contents.topics
+    }
     if "body_acceleration" not in found:
         there = ", ".join(sorted(contents.types)[:8]) or "no topics"
         raise InputError(path, "/imu/data_raw", f"is missing, there are {there}")
     joints = decode_topic(contents, _JOINTS)
-    names = (
-        [joints[0].text(f"name.{i}") for i in range(8) if f"name.{i}" in joints[0].layout.strings]
-        if joints
-        else []
-    )
+    strings = joints[0].layout.strings if joints else {}
+    names = [joints[0].text(f"name.{i}") for i in range(8) if f"name.{i}" in strings]
     for (joint, quantity), name in _FIELDS.items():
         if joint in names and quantity in (joints[0].records.dtype.names or ()):
-            t, values = _stamped(contents, _JOINTS, quantity)
-            if np.isfinite(values[:, names.index(joint)]).all():
-                found[name] = t, values[:, names.index(joint)]
+            t, rows = _stamped(contents, _JOINTS, quantity)
+            values = rows[:, names.index(joint)]
+            if np.isfinite(values).all():
+                found[name] = t, values
     begin, end = (f([t[i] for t, _ in found.values()]) for f, i in ((max, 0), (min, -1)))
     t = found["body_acceleration"][0]
     t = t[(t >= begin) & (t <= end)]

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A recorded drive in memory: what was measured, as it was measured, in SI units."""
+"""A recorded drive in memory: measurements with their own stamps in SI units; parts of drives and drives joined."""
 
 from __future__ import annotations
 
@@ -12,8 +12,18 @@ from numpy.typing import NDArray
 
 from suspension_twin.arrays import Floats
 from suspension_twin.display import axes_or_new, bulleted, table
+from suspension_twin.errors import InputError
 
-__all__ = ["Drive", "FixData", "HeadingData", "ImuData", "Samples", "VelocityData"]
+__all__ = [
+    "Drive",
+    "FixData",
+    "HeadingData",
+    "ImuData",
+    "Samples",
+    "VelocityData",
+    "concatenate",
+    "cut",
+]
 
 if TYPE_CHECKING:
     from typing import Self  # of Python 3.11
@@ -31,10 +41,7 @@ class _Samples:
     def __len__(self) -> int:
         return int(self.t.size)
 
-    def __repr__(self) -> str:
-        return f"{type(self).__name__}({len(self)} samples)"
-
-    def select(self, rows: NDArray[Any]) -> Self:
+    def select(self, rows: NDArray[np.bool_] | NDArray[np.intp]) -> Self:
         """These rows of every array; ``rows`` is a mask (n,) or indices."""
         arrays = {f.name: getattr(self, f.name) for f in fields(self)}
         return replace(self, **{k: v[rows] for k, v in arrays.items() if isinstance(v, np.ndarray)})
@@ -42,13 +49,13 @@ class _Samples:
     @classmethod
     def joined(cls, parts: Sequence[Self]) -> Self:
         """One after the other; an optional array is kept where all of them have it."""
+        columns = {f.name: [getattr(part, f.name) for part in parts] for f in fields(cls)}
         whole: dict[str, Any] = {}
-        for name in (f.name for f in fields(cls)):
-            values = [getattr(part, name) for part in parts]
-            if any(value is None for value in values):
-                whole[name] = None
+        for name, values in columns.items():
+            if all(isinstance(value, np.ndarray) for value in values):
+                whole[name] = np.concatenate(values)
             else:
-                whole[name] = np.concatenate(values) if isinstance(values[0], np.ndarray) else values[0]
+                whole[name] = None if any(value is None for value in values) else values[0]
         return cls(**whole)
 
 
@@ -195,7 +202,7 @@ class Drive:
     warnings: tuple[str, ...] = field(default=())
 
     def __str__(self) -> str:
-        from suspension_twin.drive.summary import summarise
+        from suspension_twin.drive.checks import summarise
 
         return bulleted(f"Drive {self.name}", summarise(self).lines(), self.warnings)
 
@@ -214,3 +221,77 @@ class Drive:
         vectors = {"force": self.imu.specific_force, "rate": self.imu.angular_rate}
         columns = {f"{name}_{k}": v[:, i] for name, v in vectors.items() for i, k in enumerate("xyz")}
         return table({"t": self.imu.t, **columns}, "t")
+
+
+def cut(drive: Drive, start: float, stop: float) -> Drive:
+    """Cut a piece out of a drive.
+
+    Parameters
+    ----------
+    drive : Drive
+        The recording.
+    start, stop : float
+        Stamps in s since the epoch; samples with ``start`` <= t < ``stop`` are kept.
+
+    Returns
+    -------
+    Drive
+        The piece; it may be empty.
+
+    Examples
+    --------
+    >>> from suspension_twin.drive.read import read_drive
+    >>> drive = read_drive("bags/bump_15kmh")
+    >>> begin = drive.imu.t[0]
+    >>> piece = cut(drive, begin + 10.0, begin + 20.0)
+    >>> 990 < len(piece.imu) <= 1001
+    True
+    """
+    streams = {name: getattr(drive, name) for name in ("imu", "fix", "velocity", "heading")}
+    inside = {k: s.select((s.t >= start) & (s.t < stop)) for k, s in streams.items() if s is not None}
+    return replace(drive, **inside)
+
+
+def concatenate(drives: Sequence[Drive], name: str | None = None) -> Drive:
+    """Join drives as a recorder that was switched off between them would have recorded them.
+
+    Parameters
+    ----------
+    drives : sequence of Drive
+        In the order of time.
+    name : str, optional
+        Name of the result; that of the first by default.
+
+    Returns
+    -------
+    Drive
+        All samples, one drive after the other.
+
+    Raises
+    ------
+    InputError
+        No drive, or one that begins before the one before it ends.
+
+    Examples
+    --------
+    >>> from suspension_twin.drive.read import read_drive
+    >>> drive = read_drive("bags/bump_15kmh")
+    >>> middle = drive.imu.t[0] + 30.0
+    >>> whole = concatenate([cut(drive, 0.0, middle), cut(drive, middle, float("inf"))])
+    >>> len(whole.imu) == len(drive.imu)
+    True
+    """
+    if not drives:
+        raise InputError("drives", "none given")
+    for before, after in zip(drives, drives[1:], strict=False):
+        if len(before.imu) and len(after.imu) and after.imu.t[0] <= before.imu.t[-1]:
+            raise InputError(after.name, f"begins before {before.name} ends")
+    headings = [d.heading for d in drives if d.heading is not None]
+    return Drive(
+        name=name or drives[0].name,
+        imu=ImuData.joined([d.imu for d in drives]),
+        fix=FixData.joined([d.fix for d in drives]),
+        velocity=VelocityData.joined([d.velocity for d in drives]),
+        heading=HeadingData.joined(headings) if headings else None,
+        warnings=tuple(line for d in drives for line in d.warnings),
+    )

@@ -3,7 +3,7 @@
 
 A recording is written beside its place under a hidden name and moved there when it is complete,
 so that a name never holds half a recording. A live one is not made a second time: it stands in its
-place from the beginning, and what has come of it stays, whatever happens.
+place from the beginning, and everything recorded so far stays, whatever happens.
 """
 
 from __future__ import annotations
@@ -13,31 +13,31 @@ import shutil
 import threading
 import time
 from collections.abc import Mapping, Sequence
-from contextlib import suppress
+from contextlib import ExitStack, suppress
 from pathlib import Path
 from types import TracebackType
-from typing import Any, final
+from typing import final
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 from rosbags.interfaces import Connection
 from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer
 from rosbags.rosbag2.storage_mcap import McapWriter
 
 from suspension_twin.arrays import Floats
 from suspension_twin.drive.cdr import encode, ros2_types
-from suspension_twin.drive.containers.contents import topic_name, type_name
+from suspension_twin.drive.checks import nanoseconds
+from suspension_twin.drive.contents import topic_name, type_name
 from suspension_twin.drive.read import TYPES, Topics
-from suspension_twin.drive.repair import nanoseconds
 from suspension_twin.drive.types import Drive, FixData, ImuData, Samples, VelocityData
-from suspension_twin.errors import InputError, WorkError
-from suspension_twin.files import check_writable, remove_leftovers, synchronise, temporary_beside
+from suspension_twin.errors import InputError
+from suspension_twin.files import check_writable, remove_leftovers, synchronise, temporary_beside, writing
 
 __all__ = ["BagWriter", "write_drive", "write_samples"]
 
 #: ns: the seconds of a stamp are 32 bits long.
 _LAST_STAMP = (1 << 31) * 1_000_000_000
-#: s after which a live recording goes to the disk: what a power cut may cost, against one more write a second.
+#: s after which a live recording goes to the disk: the loss by a power cut, against one more write a second.
 _KEEP = 1.0
 
 
@@ -47,7 +47,7 @@ class BagWriter:
 
     ``path`` is the rosbag2 folder to make, or a bare file where it ends in ``.mcap``. Messages may
     be given topic by topic: they are merged by time when the writer is flushed or closed. Leaving
-    the context by an exception leaves nothing behind; a ``live`` recording keeps what was flushed, and
+    the context by an exception leaves nothing behind; a ``live`` recording keeps all that was flushed, and
     all of it is on the disk about a second later.
 
     Raises InputError where ``path`` is taken (``overwrite`` replaces a recording, and nothing but
@@ -89,7 +89,9 @@ class BagWriter:
 
     def __enter__(self) -> BagWriter:
         self._hidden = temporary_beside(self.path)
-        try:
+        with ExitStack() as undo, writing(self.path):
+            undo.callback(shutil.rmtree, self._hidden, ignore_errors=True)
+            undo.callback(self._put_back)
             self.path.parent.mkdir(parents=True, exist_ok=True)
             remove_leftovers(self.path)
             self._hidden.mkdir()
@@ -98,22 +100,19 @@ class BagWriter:
                 os.rename(self.path, self._before)
             self._bag = Writer(
                 self.path if in_place else self._hidden / (self.path.stem if self.bare else self.path.name),
-                version=9,  # what ROS 2 Jazzy writes
+                version=9,  # of ROS 2 Jazzy
                 storage_plugin=StoragePlugin.MCAP,
             )
             self._bag.set_compression(CompressionMode.STORAGE, CompressionFormat.ZSTD)
             self._bag.open()
             if self.live and self.bare:
                 os.rename(self._storage.path, self.path)
-        except OSError as error:
-            self._put_back()
-            shutil.rmtree(self._hidden, ignore_errors=True)
-            raise self._failed(error) from error
+            undo.pop_all()
         return self
 
     @property
     def _before(self) -> Path:
-        """Where what is replaced stays meanwhile."""
+        """Place of the replaced recording in the meantime."""
         return self._hidden / "replaced"
 
     @property
@@ -127,7 +126,7 @@ class BagWriter:
                 os.rename(self._before, self.path)
 
     def discard(self) -> None:
-        """Leave nothing of it, and what was there before in its place; to be called before leaving the context."""
+        """Remove it and put a replaced recording back; to be called before leaving the context."""
         with suppress(Exception):
             self._bag.abort()
         if self.live:
@@ -135,39 +134,35 @@ class BagWriter:
                 (Path.unlink if self.bare else shutil.rmtree)(self.path)
             self._put_back()
 
-    def _failed(self, error: OSError) -> WorkError:
-        return WorkError(f"{self.path}: cannot be written: {error.strerror or error}")
-
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
         try:
-            if self.live and self._bag.storage is not None:
-                self._end()
-            elif kind is None:
-                self._finish()
-            else:
-                with suppress(Exception):  # what ended the block is what is said
-                    self._bag.abort()
-        except OSError as failure:
-            raise self._failed(failure) from failure
+            with writing(self.path):
+                if self.live and self._bag.storage is not None:
+                    self._end()
+                elif kind is None:
+                    self._finish()
+                else:
+                    with suppress(Exception):  # the error that ended the block is reported
+                        self._bag.abort()
+                if isinstance(error, OSError):
+                    raise error
         finally:
             shutil.rmtree(self._hidden, ignore_errors=True)
-        if isinstance(error, OSError):
-            raise self._failed(error) from error
 
     def write(
         self,
         topic: str,
         msgtype: str,
         t: Floats | NDArray[np.int64],
-        values: Mapping[str, Any],
+        values: Mapping[str, ArrayLike],
         *,
         frame: str = "",
     ) -> None:
         """Add messages of one type: ``t`` (n,) s since the epoch, or ns where its type is integer.
 
-        ``values`` maps dotted field names to what they hold, one for all messages or one row for
+        ``values`` maps dotted field names to their contents, one for all messages or one row for
         each (strings and lists of strings: the same in all). ``t`` becomes ``header.stamp`` where
         the type has a header, with ``frame`` as its frame, and the time of recording. Messages
         keep the order given, also where stamps go back.
@@ -202,7 +197,7 @@ class BagWriter:
             self._pending.append((connection, recorded, list(messages)))
 
     def flush(self) -> None:
-        """Write out what was given so far; messages given later are recorded after it."""
+        """Write out all messages given so far; later ones are recorded after them."""
         if not self._pending:
             return
         order = np.argsort(np.concatenate([stamps for _, stamps, _ in self._pending]), kind="stable")
@@ -229,7 +224,7 @@ class BagWriter:
             self._syncing.start()
 
     def _end(self) -> None:
-        """Finish a live recording where it stands; where that fails, what is there stays."""
+        """Finish a live recording in its place; on failure the messages written so far stay."""
         if self._syncing is not None:
             self._syncing.join()
         self.flush()
@@ -262,7 +257,7 @@ class BagWriter:
 
 
 def _synchronised(file: int) -> None:
-    with suppress(OSError):  # the next write says it
+    with suppress(OSError):  # the next write reports it
         os.fsync(file)
 
 
@@ -278,7 +273,7 @@ def write_drive(
     Parameters
     ----------
     drive : Drive
-        What to write.
+        The drive.
     path : str or Path
         A folder to make, or a bare file where it ends in ``.mcap``.
     topics : Topics, optional
@@ -296,7 +291,7 @@ def write_drive(
     Examples
     --------
     >>> import tempfile
-    >>> from suspension_twin.drive.edit import cut
+    >>> from suspension_twin.drive.types import cut
     >>> from suspension_twin.drive.read import read_drive
     >>> drive = read_drive("bags/bump_15kmh")
     >>> first = cut(drive, drive.imu.t[0], drive.imu.t[0] + 5.0)
@@ -326,7 +321,7 @@ def write_samples(bag: BagWriter, samples: Samples, topics: Topics) -> None:
 
 
 def _write_imu(bag: BagWriter, imu: ImuData, topic: str) -> None:
-    values = {
+    values: dict[str, ArrayLike] = {
         **_vector("linear_acceleration", imu.specific_force),
         **_vector("angular_velocity", imu.angular_rate),
     }
@@ -342,7 +337,7 @@ def _write_fixes(bag: BagWriter, fix: FixData, topic: str) -> None:
     covariance = np.zeros((len(fix), 9))
     known = np.asarray(np.isfinite(fix.sigma).all(axis=1))
     covariance[:, [0, 4, 8]] = np.where(known[:, None], fix.sigma, 0.0) ** 2
-    values = {
+    values: dict[str, ArrayLike] = {
         "latitude": fix.latitude,
         "longitude": fix.longitude,
         "altitude": fix.altitude,
@@ -354,5 +349,5 @@ def _write_fixes(bag: BagWriter, fix: FixData, topic: str) -> None:
     bag.write(topic, TYPES["fix"][0], fix.t, values, frame=fix.frame)
 
 
-def _vector(prefix: str, rows: Floats, names: str = "xyz") -> dict[str, Any]:
+def _vector(prefix: str, rows: Floats, names: str = "xyz") -> dict[str, ArrayLike]:
     return {f"{prefix}.{name}": rows[:, i] for i, name in enumerate(names)}

@@ -15,8 +15,8 @@ import numpy as np
 from scipy.interpolate import make_smoothing_spline
 
 from suspension_twin.arrays import Floats
-from suspension_twin.drive.containers.contents import topic_name
-from suspension_twin.drive.recording import decode_topic, read_recording
+from suspension_twin.drive.contents import decode_topic, topic_name
+from suspension_twin.drive.recording import read_recording
 from suspension_twin.errors import InputError
 from suspension_twin.files import reading
 from suspension_twin.vehicle.tracked import TrackedVehicle

@@ -41,7 +41,7 @@ from suspension_twin.pose.planar_denoising import denoised_motion
 from suspension_twin.pose.satellites import satellite_motion
 from suspension_twin.pose.smoothed import locked_trajectory
 from suspension_twin.pose.types import Trajectory
-from suspension_twin.road.origin import warning_of
+from suspension_twin.road.crg import warning_of
 from suspension_twin.road.road import Outside, Road
 from suspension_twin.signals.attitude import level_rpy, rpy_matrix
 from suspension_twin.signals.conditioner import Conditioner

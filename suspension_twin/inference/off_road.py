@@ -29,7 +29,7 @@ def policy_of(road: Road, outside: Outside) -> str:
     """Name of the height policy beyond the road; for ``road`` that of its file, along and across."""
     if outside != "road":
         return outside
-    along, across = (_MODES[int(mode)] for mode in (road.borders.mode_u, road.borders.mode_v))
+    along, across = (_MODES[int(mode)] for mode in (road.borders.u.mode, road.borders.v.mode))
     return along if along == across else f"{along} along, {across} across"
 
 

@@ -24,7 +24,7 @@ from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import Imu, NavSatFix
 
 from suspension_twin.arrays import Floats
-from suspension_twin.drive.repair import nanoseconds
+from suspension_twin.drive.checks import nanoseconds
 from suspension_twin.drive.types import Drive, HeadingData
 from suspension_twin.nodes.messages import fill_fix, fill_heading, fill_imu, fill_velocity
 from suspension_twin.nodes.topics import NS, STREAM_QOS, Embedding, Outbox, Output

@@ -28,7 +28,7 @@ from sensor_msgs.msg import Imu, NavSatFix
 
 from suspension_twin.addons.roads.drives.laps import Laps, Span
 from suspension_twin.addons.roads.drives.learning import Lesson, learn_road, twin_path
-from suspension_twin.drive.repair import clean_drive
+from suspension_twin.drive.checks import clean_drive
 from suspension_twin.drive.types import Drive, FixData, HeadingData, ImuData, VelocityData
 from suspension_twin.errors import InputError
 from suspension_twin.files import check_writable

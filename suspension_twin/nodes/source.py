@@ -21,7 +21,7 @@ from suspension_twin.addons.sources.common.device import Stream
 from suspension_twin.addons.sources.common.hub import Hub
 from suspension_twin.addons.sources.common.report import device_line, device_values, findings
 from suspension_twin.addons.sources.common.runner import SourceLoop, SourceThread
-from suspension_twin.drive.repair import nanoseconds
+from suspension_twin.drive.checks import nanoseconds
 from suspension_twin.drive.types import FixData, ImuData
 from suspension_twin.nodes.base import TwinNode
 from suspension_twin.nodes.messages import fill_fix, fill_heading, fill_imu, fill_velocity

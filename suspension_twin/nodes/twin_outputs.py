@@ -18,7 +18,7 @@ from suspension_twin.nodes.live_gap import GapMarker
 from suspension_twin.nodes.static_outputs import RoadCloud, TwinDescription
 from suspension_twin.nodes.topics import NS
 from suspension_twin.signals.attitude import Quaternion, quaternion, rpy_matrix
-from suspension_twin.vehicle.joints import Joint
+from suspension_twin.vehicle.corners import Joint
 from suspension_twin.vehicle.urdf import wheel_frame
 from suspension_twin_interfaces.msg import Gap
 

@@ -3,17 +3,37 @@
 
 from __future__ import annotations
 
-from suspension_twin.road.build import curved_road, flat_road, grid_road, join
-from suspension_twin.road.bumps import add_bump, bump_road, circular, half_sine, measured, trapezoid
+from suspension_twin.road.build import (
+    add_bump,
+    bump_road,
+    circular,
+    curved_road,
+    flat_road,
+    grid_road,
+    half_sine,
+    trapezoid,
+)
 from suspension_twin.road.crg import load_road, write_road
-from suspension_twin.road.road import Borders, Outside, Road, RoadTracker, Samples
+from suspension_twin.road.road import (
+    Border,
+    Borders,
+    Fade,
+    Outside,
+    ReferenceLine,
+    Road,
+    RoadHeights,
+    RoadTracker,
+)
 
 __all__ = [
+    "Border",
     "Borders",
+    "Fade",
     "Outside",
+    "ReferenceLine",
     "Road",
+    "RoadHeights",
     "RoadTracker",
-    "Samples",
     "add_bump",
     "bump_road",
     "circular",
@@ -21,9 +41,7 @@ __all__ = [
     "flat_road",
     "grid_road",
     "half_sine",
-    "join",
     "load_road",
-    "measured",
     "trapezoid",
     "write_road",
 ]

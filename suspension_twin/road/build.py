@@ -1,20 +1,33 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Roads made of numbers: from a grid of heights, flat, and of several parts one after the other."""
+"""Roads made of numbers: from a grid of heights, flat, over a line, curved, and with bumps."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
-from dataclasses import replace
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from suspension_twin.arrays import Floats
 from suspension_twin.errors import InputError
-from suspension_twin.road.road import Borders, Road
+from suspension_twin.road.road import ReferenceLine, Road, single_precision
 
-__all__ = ["curved_road", "flat_road", "grid_road", "join", "lateral_grid"]
+__all__ = [
+    "Bump",
+    "Centreline",
+    "add_bump",
+    "bump_road",
+    "circular",
+    "curved_road",
+    "flat_road",
+    "grid_road",
+    "half_sine",
+    "lateral_grid",
+    "road_over",
+    "trapezoid",
+]
 
 
 def grid_road(
@@ -32,7 +45,7 @@ def grid_road(
     Parameters
     ----------
     z : (nu, nv) array
-        Heights in m, rounded to single precision, which is what an OpenCRG file can hold.
+        Heights in m, rounded to single precision, the precision of OpenCRG files.
     u_step : float
         Distance of the cross sections in m.
     v : (nv,) array
@@ -60,20 +73,11 @@ def grid_road(
     >>> grid_road(np.zeros((101, 3)), 0.1, [-2.0, 0.0, 2.0]).length
     10.0
     """
-    heights = np.atleast_2d(np.asarray(z, dtype=np.float64)).astype(np.float32).astype(np.float64)
-    nu = heights.shape[0]
-    s = u_step * np.arange(nu, dtype=np.float64)
-    return Road(
-        name=name,
-        z=heights,
-        v=np.asarray(v, dtype=np.float64),
-        u_step=float(u_step),
-        x=x + s * math.cos(heading),
-        y=y + s * math.sin(heading),
-        ref_z=np.zeros(nu),
-        bank=np.zeros(nu),
-        headings=(heading, heading),
-    )
+    heights = single_precision(np.atleast_2d(np.asarray(z, dtype=np.float64)))
+    s = u_step * np.arange(heights.shape[0], dtype=np.float64)
+    along = x + s * math.cos(heading), y + s * math.sin(heading)
+    line = ReferenceLine.level(*along, float(u_step), (heading, heading))
+    return Road(name, heights, np.asarray(v, dtype=np.float64), line)
 
 
 def lateral_grid(width: float, step: float) -> Floats:
@@ -143,69 +147,266 @@ def curved_road(road: Road, curvature: ArrayLike, *, name: str | None = None) ->
     x = road.x[0] + np.concatenate([[0.0], np.cumsum(road.u_step * np.cos(headings))])
     y = road.y[0] + np.concatenate([[0.0], np.cumsum(road.u_step * np.sin(headings))])
     ends = float(headings[0]), float(headings[-1])
-    return replace(road, name=name or road.name, x=x, y=y, headings=ends)
+    return replace(road, name=name or road.name).with_line(x=x, y=y, headings=ends)
 
 
-def join(parts: Sequence[Road], *, level: bool = True, name: str | None = None) -> Road:
-    """One road of several, each starting where and in the direction in which the one before ends.
+class Centreline:
+    """A polyline in ``map`` with points ``step`` m of arc apart.
 
-    The first part gives the place and the long sections, the finest the step along the road;
-    lengths are rounded to whole steps. With ``level`` each part is raised so that its mean height at
-    the seam is that of the part before; without, heights stay, and the seam is a ramp of one step.
-    Raises InputError for no parts, and for a curved part of another step.
+    Parameters
+    ----------
+    x, y : (n,) array
+        Points in m, in the order in which they are passed.
+    step : float
+        Distance of the resulting points in m.
+
+    Raises
+    ------
+    InputError
+        Fewer than two points, or none a step from the first.
+
+    Examples
+    --------
+    >>> line = Centreline([0.0, 3.0, 3.0], [0.0, 0.0, 4.0], 0.5)
+    >>> float(line.length)
+    7.0
     """
-    if not parts:
-        raise InputError("road", "join", "needs one part or more")
-    step = min(p.u_step for p in parts)
-    done = _resampled(parts[0], step, parts[0].v)
-    for part in parts[1:]:
-        done = _append(done, _resampled(part, step, parts[0].v), level)
-    # Border options of one part mean nothing for the whole.
-    return replace(done, name=name or " + ".join(p.name for p in parts), borders=Borders())
+
+    def __init__(self, x: ArrayLike, y: ArrayLike, step: float) -> None:
+        px, py = np.asarray(x, dtype=np.float64), np.asarray(y, dtype=np.float64)
+        if px.ndim != 1 or px.shape != py.shape or px.size < 2 or not np.isfinite([px, py]).all():
+            raise InputError("centreline", "needs two points or more, all finite")
+        moved = np.concatenate([[True], np.hypot(np.diff(px), np.diff(py)) > 1e-9])
+        px, py = px[moved], py[moved]
+        s = np.concatenate([[0.0], np.cumsum(np.hypot(np.diff(px), np.diff(py)))])
+        count = math.floor(s[-1] / step + 1e-9)
+        if count < 1:
+            raise InputError("centreline", f"is {s[-1]:.3g} m long, shorter than its step of {step:g} m")
+        self.step = step
+        at = step * np.arange(count + 1)
+        self.x: Floats = np.interp(at, s, px)
+        self.y: Floats = np.interp(at, s, py)
+
+    @property
+    def length(self) -> float:
+        """m from the first point to the last."""
+        return self.step * (self.x.size - 1)
+
+    @property
+    def headings(self) -> tuple[float, float]:
+        """Direction of the first and of the last segment, rad."""
+        first, last = (
+            math.atan2(self.y[i + 1] - self.y[i], self.x[i + 1] - self.x[i]) for i in (0, self.x.size - 2)
+        )
+        return first, last
 
 
-def _append(road: Road, part: Road, level: bool) -> Road:
-    part = part.placed(float(road.x[-1]), float(road.y[-1]), road.headings[1])
-    lift = 0.0
-    if level:
-        end, start = road.heights_grid[-1], part.heights_grid[0]
-        both = np.isfinite(end) & np.isfinite(start)
-        lift = float((end[both] - start[both]).mean()) if both.any() else 0.0
-    return replace(
-        road,
-        z=np.concatenate([road.z, part.z[1:]]),
-        x=np.concatenate([road.x, part.x[1:]]),
-        y=np.concatenate([road.y, part.y[1:]]),
-        ref_z=np.concatenate([road.ref_z, part.ref_z[1:] + lift]),
-        bank=np.concatenate([road.bank, part.bank[1:]]),
-        headings=(road.headings[0], part.headings[1]),
+def road_over(line: Centreline, z: ArrayLike, v: ArrayLike, name: str) -> Road:
+    """A road of heights ``z`` (nu, nv) m over a centreline, one cross section a point, at ``v`` (nv,) m."""
+    reference = ReferenceLine.level(line.x, line.y, line.step, line.headings)
+    return Road(name, single_precision(z), np.asarray(v, dtype=np.float64), reference)
+
+
+# Speed bumps: the usual shapes, and roads with them
+
+
+@dataclass(frozen=True, eq=False)
+class Bump:
+    """A bump's cross section: ``profile`` gives heights in m at distances from its start in m.
+
+    It is asked only within 0 to ``length``; outside a bump is 0 high.
+    """
+
+    name: str
+    length: float
+    height: float
+    profile: Callable[[Floats], Floats]
+
+    def __call__(self, s: ArrayLike) -> Floats:
+        """Heights at distances ``s`` from the start, of the shape of ``s``."""
+        s = np.asarray(s, dtype=np.float64)
+        on = (s >= 0.0) & (s <= self.length)
+        return np.where(on, self.profile(np.clip(s, 0.0, self.length)), 0.0)
+
+
+def half_sine(length: float, height: float) -> Bump:
+    """A bump of the shape of half a sine wave.
+
+    Parameters
+    ----------
+    length : float
+        m along the road.
+    height : float
+        m; a negative height makes a dip.
+
+    Returns
+    -------
+    Bump
+        The cross section, for :func:`bump_road` and :func:`add_bump`.
+
+    Raises
+    ------
+    InputError
+        For a length that is not positive.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> half_sine(0.9, 0.05).profile(np.array([0.45])).round(3).tolist()
+    [0.05]
+    """
+    _check(length, height)
+    return Bump("half sine", length, height, lambda s: height * np.sin(math.pi * s / length))
+
+
+def trapezoid(length: float, height: float, top: float) -> Bump:
+    """Ramps up and down of equal length with a level ``top`` (m) between them."""
+    _check(length, height)
+    if not 0.0 <= top < length:
+        raise InputError("bump", "top", f"must be at least 0 and less than the length {length} m, is {top} m")
+    ramp = 0.5 * (length - top)
+    return Bump(
+        "trapezoid", length, height, lambda s: height * np.clip(np.minimum(s, length - s) / ramp, 0.0, 1.0)
     )
 
 
-def _resampled(road: Road, step: float, v: Floats) -> Road:
-    """The road on another grid; missing heights stay missing, beyond its own width it is held."""
-    same_v = v.shape == road.v.shape and np.allclose(v, road.v, rtol=0.0, atol=1e-9)
-    same_u = math.isclose(step, road.u_step, rel_tol=1e-9)
-    if same_u and same_v:
-        return road
-    if not same_u and not road.straight:
+def circular(length: float, height: float) -> Bump:
+    """A segment of a circle (a round-top hump); a height of half the length is a half round."""
+    _check(length, height)
+    h = abs(height)
+    if h > 0.5 * length:
         raise InputError(
-            road.name, "u_step", f"{road.u_step} m differs from {step} m: a curved part is not resampled"
+            "bump", "height", f"a circular bump {length} m long is at most {0.5 * length} m high"
         )
-    count = round(road.length / step) if not same_u else road.z.shape[0] - 1
-    u = road.u_first + step * np.arange(max(count, 1) + 1)
-    # The grid alone, within its borders: what is added to it is resampled on its own.
-    zero = np.zeros(road.z.shape[0])
-    grid = replace(road, ref_z=zero, bank=zero, borders=Borders())
-    within = np.clip(u, road.u_first, road.u_last)[:, None], np.clip(v, road.v[0], road.v[-1])[None, :]
-    samples = grid.sample_uv(*within, "hold")
-    heights = np.where(samples.inside, samples.z, np.nan)
-    if same_u:
-        x_line, y_line, ref_z, bank = road.x, road.y, road.ref_z, road.bank
-    else:
-        s = u - road.u_first
-        x_line = road.x[0] + s * math.cos(road.headings[0])
-        y_line = road.y[0] + s * math.sin(road.headings[0])
-        ref_z, bank = np.interp(u, road.u, road.ref_z), np.interp(u, road.u, road.bank)
-    z = heights.astype(np.float32).astype(np.float64)
-    return replace(road, z=z, v=v, u_step=step, x=x_line, y=y_line, ref_z=ref_z, bank=bank)
+    radius = (0.25 * length**2 + h**2) / (2.0 * h)
+
+    def profile(s: Floats) -> Floats:
+        z = np.sqrt(np.maximum(radius**2 - (s - 0.5 * length) ** 2, 0.0)) - (radius - h)
+        return math.copysign(1.0, height) * np.maximum(z, 0.0)
+
+    return Bump("circular", length, height, profile)
+
+
+def add_bump(
+    road: Road,
+    bump: Bump,
+    at: float,
+    *,
+    v_low: float = -math.inf,
+    v_high: float = math.inf,
+    angle: float = 0.0,
+) -> Road:
+    """Put a bump on a road.
+
+    Parameters
+    ----------
+    road : Road
+        The road without it.
+    bump : Bump
+        The cross section.
+    at : float
+        u in m at which it starts.
+    v_low, v_high : float
+        Its extent across in m, as for one wheel path only.
+    angle : float
+        rad by which it lies askew, positive with the left side farther on.
+
+    Returns
+    -------
+    Road
+        The road with it.
+
+    Raises
+    ------
+    InputError
+        It does not lie on the road, or the grid is too coarse for its shape.
+
+    Examples
+    --------
+    >>> road = add_bump(bump_road(half_sine(0.9, 0.05)), half_sine(0.5, -0.03), 40.0, v_low=0.1)
+    >>> bool(road.z.min() < -0.029)
+    True
+    """
+    if not (road.u_first <= at and at + bump.length <= road.u_last + 1e-9):
+        raise InputError(
+            road.name,
+            "bump",
+            f"{at} to {at + bump.length} m is off the road ({road.u_first} to {road.u_last} m)",
+        )
+    if bump.length < 4.0 * road.u_step:
+        raise InputError(
+            road.name,
+            "u_step",
+            f"{road.u_step} m is too coarse for a bump of {bump.length} m; use a quarter or less",
+        )
+    if not abs(angle) < 0.5 * math.pi:
+        raise InputError(road.name, "angle", f"must be less than a right angle, is {angle} rad")
+    across = (road.v >= v_low) & (road.v <= v_high)
+    if not across.any():
+        raise InputError(road.name, "bump", f"no long section lies between v {v_low} and {v_high} m")
+    s = road.u[:, None] - at - road.v[None, :] * math.tan(angle)
+    z = road.z + np.where(across, bump(s), 0.0)
+    return road.with_heights(z)
+
+
+def bump_road(
+    bump: Bump,
+    at: float | Sequence[float] = 20.0,
+    *,
+    length: float = 60.0,
+    width: float = 6.0,
+    step: float = 0.01,
+    x: float = 0.0,
+    y: float = 0.0,
+    heading: float = 0.0,
+    name: str | None = None,
+) -> Road:
+    """Make a level straight road with a bump at one or several places.
+
+    Parameters
+    ----------
+    bump : Bump
+        The cross section.
+    at : float or sequence of float
+        Distance of each bump's start from the start of the road in m.
+    length, width : float
+        Of the road in m.
+    step : float
+        Distance of the cross sections in m.
+    x, y : float
+        Start in ``map`` in m.
+    heading : float
+        Direction in rad.
+    name : str, optional
+        Name of the road.
+
+    Returns
+    -------
+    Road
+        The road.
+
+    Raises
+    ------
+    InputError
+        The bump does not lie on the road, or the grid is too coarse for its shape.
+
+    Examples
+    --------
+    >>> road = bump_road(half_sine(0.9, 0.05), at=[10.0, 30.0], length=50.0)
+    >>> round(float(road.z.max()), 3)
+    0.05
+    """
+    v = lateral_grid(width, 0.5)
+    count = round(length / step) + 1
+    title = name or f"{bump.name} bump"
+    road = grid_road(np.zeros((count, v.size)), step, v, x=x, y=y, heading=heading, name=title)
+    for place in [at] if isinstance(at, (int, float)) else at:
+        road = add_bump(road, bump, float(place))
+    return road
+
+
+def _check(length: float, height: float) -> None:
+    if not (math.isfinite(length) and length > 0.0):
+        raise InputError("bump", "length", f"must be above 0 m, is {length}")
+    if not (math.isfinite(height) and height != 0.0):
+        raise InputError("bump", "height", f"must be a height in m other than 0, is {height}")

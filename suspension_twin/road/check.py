@@ -1,32 +1,35 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a road is like, and what is wrong with it."""
+"""Figures of a road, and findings of whatever a simulation on it would suffer from."""
 
 from __future__ import annotations
 
 import math
 import os
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
+from typing import ParamSpec, TypeVar
 
 import numpy as np
+from numpy.typing import NDArray
 
 from suspension_twin.arrays import Floats
 from suspension_twin.errors import InputError
-from suspension_twin.road.crg import load_road
-from suspension_twin.road.crg_format import examine
-from suspension_twin.road.events import Roughness, profile_roughness
-from suspension_twin.road.iri import iri
-from suspension_twin.road.origin import scan_holes
+from suspension_twin.road.crg import examine, load_road, scan_holes
 from suspension_twin.road.road import Road
-from suspension_twin.road.spikes import Spikes, find_spikes
+from suspension_twin.road.roughness import Roughness, iri, profile_roughness
+from suspension_twin.road.smoothing import Spike, Spikes, find_spikes
 
-__all__ = ["PathFigures", "RoadCheck", "RoadFinding", "check_file", "check_road", "enclosed", "wheel_tracks"]
+__all__ = ["PathFigures", "RoadCheck", "RoadFinding", "check_file", "check_road", "enclosed", "wheel_paths"]
 
 #: A jump this high (m) and this steep (m/m) between neighbours is a step, unless a spike makes it.
 _STEP, _STEP_SLOPE = 0.05, 1.0
 _STEEP_ROAD, _STEEP_BANK = 0.25, 0.15
 _COARSE = 0.25  # m; a wheel's contact patch is about as long
 _TRACK = 1.5
+
+P = ParamSpec("P")
+Figure = TypeVar("Figure")
 
 
 @dataclass(frozen=True)
@@ -63,15 +66,15 @@ class PathFigures:
     def as_record(self) -> dict[str, object]:
         """Numbers for a file."""
         r = self.roughness
-        known = r is not None and np.isfinite(r.g0)
+        known = None if r is None or not np.isfinite(r.g0) else r
         return {
             "side": self.side,
             "v": self.v,
             "iri": self.iri,
-            "iso8608": r.letter if r is not None and known else None,
-            "g0": r.g0 if r is not None and known else None,
-            "iso8608_with_events": r.letter_with_events if r is not None and known else None,
-            "events": [vars(e) for e in r.events] if r is not None else [],
+            "iso8608": known and known.letter,
+            "g0": known and known.g0,
+            "iso8608_with_events": known and known.letter_with_events,
+            "events": [] if r is None else [vars(e) for e in r.events],
         }
 
 
@@ -92,46 +95,42 @@ class RoadCheck:
 
 
 def check_file(path: str | os.PathLike[str]) -> RoadCheck:
-    """:func:`check_road` of an OpenCRG file, with what its header lets one overlook."""
+    """:func:`check_road` of an OpenCRG file, with findings about its header and its scan."""
     road = load_road(path)
-    text = examine(Path(path))
-    extra = []
-    start = [text.road.get(f"reference_line_start_{k}", 0.0) for k in ("x", "y", "phi")]
-    if text.mods is None and any(start):
-        extra.append(
-            RoadFinding(
-                "the file has no $ROAD_CRG_MODS section, so OpenCRG's default moves its start from "
-                f"({start[0]:.2f}, {start[1]:.2f}) m, heading {math.degrees(start[2]):.1f} deg, to the origin of map; "
-                "an empty section would keep it there",
-                fault=False,
-            )
+    file = examine(Path(path))
+    findings = _holes_of_scan(Path(path))
+    start = [file.road.get(f"reference_line_start_{k}", 0.0) for k in ("x", "y", "phi")]
+    if file.missing > 0.0 and not np.isnan(road.z).any():
+        share = f"{100 * file.missing:.2g} % of the heights are missing in the file"
+        findings.insert(0, RoadFinding(f"{share}, filled as its modifiers say", fault=False))
+    if file.mods is None and any(start):
+        text = (
+            "the file has no $ROAD_CRG_MODS section, so OpenCRG's default moves its start from "
+            f"({start[0]:.2f}, {start[1]:.2f}) m, heading {math.degrees(start[2]):.1f} deg, to the origin of map; "
+            "an empty section would keep it there"
         )
-    if text.missing > 0.0 and not np.isnan(road.z).any():
-        held = (
-            f"{100 * text.missing:.2g} % of the heights are missing in the file, filled as its modifiers say"
-        )
-        extra.append(RoadFinding(held, fault=False))
-    return check_road(road, (*extra, *_holes_of_scan(Path(path))))
+        findings.insert(0, RoadFinding(text, fault=False))
+    return check_road(road, tuple(findings))
+
+
+def _largest(texts: list[str], most: int, rest: str) -> list[RoadFinding]:
+    """Faults, the largest first; of those beyond ``most`` only the ``rest`` with their number."""
+    more = [rest.format(len(texts) - most)] if len(texts) > most else []
+    return [RoadFinding(text, True) for text in (*texts[:most], *more)]
 
 
 def _holes_of_scan(path: Path) -> list[RoadFinding]:
     """Holes of the scan that a road was made from, which its file cannot show."""
-    holes = sorted(scan_holes(path), key=lambda h: -h["nodes"])
-    found = [
-        RoadFinding(
-            f"nothing was measured at u {h['u_low']:.2f} to {h['u_high']:.2f} m, v {h['v_low']:.2f} to "
-            f"{h['v_high']:.2f} m: heights there are bridged",
-            True,
-        )
-        for h in holes[:3]
+    texts = [
+        f"nothing was measured at u {h['u_low']:.2f} to {h['u_high']:.2f} m, v {h['v_low']:.2f} to "
+        f"{h['v_high']:.2f} m: heights there are bridged"
+        for h in sorted(scan_holes(path), key=lambda h: -h["nodes"])
     ]
-    if len(holes) > 3:
-        found.append(RoadFinding(f"and {len(holes) - 3} smaller holes of the scan", True))
-    return found
+    return _largest(texts, 3, "and {} smaller holes of the scan")
 
 
 def check_road(road: Road, also: tuple[RoadFinding, ...] = ()) -> RoadCheck:
-    """Check a road: spikes, missing data, roughness, what a simulation would suffer from.
+    """Check a road: spikes, missing data, roughness, whatever a simulation would suffer from.
 
     Parameters
     ----------
@@ -153,7 +152,7 @@ def check_road(road: Road, also: tuple[RoadFinding, ...] = ()) -> RoadCheck:
     """
     spikes = find_spikes(road)
     findings = [*also, *(RoadFinding(f"the OpenCRG library warns: {note}", True) for note in road.notes)]
-    paths = _wheel_paths(road)
+    paths = _path_figures(road)
     facts = _facts(road, spikes, paths)
     missing = np.isnan(road.z)
     if missing.any():
@@ -162,28 +161,22 @@ def check_road(road: Road, also: tuple[RoadFinding, ...] = ()) -> RoadCheck:
         findings.append(
             RoadFinding(f"{share}, {inner} of them between data; wheels there are held", inner > 0)
         )
-    for spike in spikes.found[:5]:
-        across = (
-            f"v {spike.v:.2f} m"
-            if spike.v_low == spike.v_high
-            else f"v {spike.v_low:.2f} to {spike.v_high:.2f} m"
-        )
-        kind = "spike" if spike.height > 0 else "pit"
-        findings.append(
-            RoadFinding(
-                f"{kind} of {1e3 * abs(spike.height):.0f} mm, with a step of {1e3 * spike.step:.0f} mm, "
-                f"at u {spike.u:.2f} m, {across}",
-                True,
-            )
-        )
-    if len(spikes) > 5:
-        findings.append(RoadFinding(f"and {len(spikes) - 5} smaller spikes", True))
+    findings += _largest([_spike_text(spike) for spike in spikes.found], 5, "and {} smaller spikes")
     findings += _steps(road, spikes) + _shape(road)
     return RoadCheck(road, facts, tuple(findings), spikes, paths)
 
 
-def wheel_tracks(road: Road, track: float = _TRACK) -> tuple[tuple[float, float], Floats, Floats]:
-    """v of the left and right wheel track about the middle of the road, and their heights along it.
+def _spike_text(spike: Spike) -> str:
+    kind = "spike" if spike.height > 0 else "pit"
+    across = f"{spike.v:.2f}" if spike.v_low == spike.v_high else f"{spike.v_low:.2f} to {spike.v_high:.2f}"
+    return (
+        f"{kind} of {1e3 * abs(spike.height):.0f} mm, with a step of {1e3 * spike.step:.0f} mm, "
+        f"at u {spike.u:.2f} m, v {across} m"
+    )
+
+
+def wheel_paths(road: Road, track: float = _TRACK) -> tuple[tuple[float, float], Floats, Floats]:
+    """v of the left and right wheel path about the middle of the road, and their heights along it.
 
     On a road narrower than ``track`` m they run at a quarter and three quarters of its width.
     """
@@ -193,20 +186,25 @@ def wheel_tracks(road: Road, track: float = _TRACK) -> tuple[tuple[float, float]
     return (left, right), road.heights_uv(road.u, left, "hold"), road.heights_uv(road.u, right, "hold")
 
 
-def _wheel_paths(road: Road) -> tuple[PathFigures, ...]:
-    places, left, right = wheel_tracks(road)
-    out = []
-    for side, v, z in zip(("left", "right"), places, (left, right), strict=True):
-        try:
-            roughness = profile_roughness(z, road.u_step, road.u_first)
-        except InputError:
-            roughness = None
-        try:
-            index = iri(z, road.u_step)
-        except InputError:
-            index = None
-        out.append(PathFigures(side, v, roughness, index))
-    return tuple(out)
+def _path_figures(road: Road) -> tuple[PathFigures, ...]:
+    places, left, right = wheel_paths(road)
+    return tuple(
+        PathFigures(
+            side,
+            v,
+            _unless_short(profile_roughness, z, road.u_step, road.u_first),
+            _unless_short(iri, z, road.u_step),
+        )
+        for side, v, z in zip(("left", "right"), places, (left, right), strict=True)
+    )
+
+
+def _unless_short(figure: Callable[P, Figure], *given: P.args, **named: P.kwargs) -> Figure | None:
+    """A figure of a profile; None where the profile is too short for it."""
+    try:
+        return figure(*given, **named)
+    except InputError:
+        return None
 
 
 def _facts(road: Road, spikes: Spikes, paths: tuple[PathFigures, ...]) -> dict[str, str]:
@@ -215,7 +213,7 @@ def _facts(road: Road, spikes: Spikes, paths: tuple[PathFigures, ...]) -> dict[s
     step = np.abs(np.diff(grid, axis=0))
     sections = np.diff(road.v)
     even = float(np.ptp(sections)) < 1e-9 * road.width
-    facts = {
+    return {
         "length": f"{road.length:.2f} m, {road.z.shape[0]} cross sections every {road.u_step:.6g} m",
         "width": f"{road.width:.2f} m (v {road.v[0]:g} to {road.v[-1]:g} m), {road.v.size} long sections "
         + (f"every {sections[0]:.6g} m" if even else f"{sections.min():.6g} to {sections.max():.6g} m apart"),
@@ -233,7 +231,6 @@ def _facts(road: Road, spikes: Spikes, paths: tuple[PathFigures, ...]) -> dict[s
         "events": _events(paths),
         "spikes": str(len(spikes)),
     }
-    return facts
 
 
 def _range(values: Floats) -> str:
@@ -251,12 +248,11 @@ def _curvature(road: Road) -> str:
 def _turns(road: Road) -> Floats:
     """Change of heading at the inner cross sections, rad."""
     heading = np.arctan2(np.diff(road.y), np.diff(road.x))
-    turn: Floats = np.remainder(np.diff(heading) + math.pi, 2.0 * math.pi) - math.pi
-    return turn
+    return np.remainder(np.diff(heading) + math.pi, 2.0 * math.pi) - math.pi
 
 
 def _events(paths: tuple[PathFigures, ...]) -> str:
-    """The largest events of each wheel path; what both paths have in common once."""
+    """The largest events of each wheel path, once where both paths have the same."""
     texts = []
     for path in paths:
         events = () if path.roughness is None else path.roughness.events
@@ -271,14 +267,13 @@ def _events(paths: tuple[PathFigures, ...]) -> str:
     return " | ".join(f"{path.side} {text}" for path, text in zip(paths, texts, strict=True))
 
 
-def enclosed(missing: object) -> np.ndarray[tuple[int, ...], np.dtype[np.bool_]]:
+def enclosed(missing: NDArray[np.bool_]) -> NDArray[np.bool_]:
     """Missing heights with data on both sides of them in their cross section, or in none of it."""
-    gone = np.asarray(missing, dtype=np.bool_)
-    data = ~gone
+    data = ~missing
     left = np.logical_or.accumulate(data, axis=1)
     right = np.logical_or.accumulate(data[:, ::-1], axis=1)[:, ::-1]
     empty = ~data.any(axis=1, keepdims=True)
-    return gone & ((left & right) | empty)
+    return missing & ((left & right) | empty)
 
 
 def _steps(road: Road, spikes: Spikes) -> list[RoadFinding]:
@@ -292,15 +287,11 @@ def _steps(road: Road, spikes: Spikes) -> list[RoadFinding]:
     places = np.split(rows, np.flatnonzero(np.diff(rows) > max(1, round(0.5 / road.u_step))) + 1)
     sized = [(float(np.where(high[p], jump[p], 0.0).max()), float(road.u[p[0]])) for p in places]
     sized.sort(reverse=True)
-    found = [
-        RoadFinding(
-            f"step of {1e3 * size:.0f} mm at u {u:.2f} m; a wheel that touches at one point jumps it", True
-        )
-        for size, u in sized[:3]
+    texts = [
+        f"step of {1e3 * size:.0f} mm at u {u:.2f} m; a wheel that touches at one point jumps it"
+        for size, u in sized
     ]
-    if len(sized) > 3:
-        found.append(RoadFinding(f"and steps at {len(sized) - 3} more places", True))
-    return found
+    return _largest(texts, 3, "and steps at {} more places")
 
 
 def _shape(road: Road) -> list[RoadFinding]:

@@ -13,7 +13,7 @@ from __future__ import annotations
 
 import math
 import os
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from typing import Literal
 
@@ -25,18 +25,18 @@ from suspension_twin.errors import InputError
 from suspension_twin.files import replacing
 from suspension_twin.road.road import Road
 
-__all__ = ["RoadMesh", "Tile", "road_mesh", "write_mesh", "write_obj", "write_stl"]
+__all__ = ["MeshTile", "RoadMesh", "road_mesh", "write_mesh", "write_obj", "write_stl"]
 
 Up = Literal["z", "y"]
 
-#: Vertices of a tile: what a 16-bit index can number, as most engines want it.
+#: Vertices of a tile: within a 16-bit index, as most engines want it.
 TILE_VERTICES = 65_000
 #: Length of a tile along the road, m: small enough to be left out when it is out of sight.
 TILE_LENGTH = 50.0
 
 
 @dataclass(frozen=True, eq=False)
-class Tile:
+class MeshTile:
     """A piece of the mesh: ``vertices`` and unit ``normals`` (n, 3), ``uv`` (n, 2) m, ``faces`` (m, 3).
 
     ``faces`` number the tile's own vertices from 0. Tiles side by side hold the vertices of their
@@ -70,10 +70,9 @@ class RoadMesh:
         left, across = index[:-1, 1:].ravel(), index[1:, 1:].ravel()
         triangles = np.stack([here, ahead, across, here, across, left], axis=1).reshape(-1, 3)
         known = np.isfinite(self.points[rows, columns, 2]).ravel()
-        kept: NDArray[np.int64] = triangles[known[triangles].all(axis=1)]
-        return kept
+        return np.asarray(triangles[known[triangles].all(axis=1)])
 
-    def tiles(self, max_vertices: int = TILE_VERTICES, length: float = TILE_LENGTH) -> Iterator[Tile]:
+    def tiles(self, max_vertices: int = TILE_VERTICES, length: float = TILE_LENGTH) -> Iterator[MeshTile]:
         """The mesh in tiles of at most ``max_vertices`` vertices and about ``length`` m; empty ones left out."""
         if max_vertices < 4 or not length > 0.0:
             raise InputError("mesh", "tiles", "need 4 vertices or more and a length above 0 m")
@@ -89,7 +88,7 @@ class RoadMesh:
                     continue
                 used, inverse = np.unique(faces, return_inverse=True)
                 u, v = np.meshgrid(self.u[rows], self.v[columns], indexing="ij")
-                yield Tile(
+                yield MeshTile(
                     name=f"road_{i // along:03d}_{j // across:02d}",
                     vertices=self.points[rows, columns].reshape(-1, 3)[used],
                     normals=self.normals[rows, columns].reshape(-1, 3)[used],
@@ -214,9 +213,9 @@ def write_obj(mesh: RoadMesh, path: str | os.PathLike[str]) -> int:
     return count
 
 
-def _lines(write: object, form: str, table: NDArray[np.float64] | NDArray[np.int64]) -> None:
+def _lines(write: Callable[[str], object], form: str, table: NDArray[np.float64] | NDArray[np.int64]) -> None:
     """One line a row; a whole table at once is twenty times as fast as row by row."""
-    write(form * len(table) % tuple(table.ravel().tolist()))  # type: ignore[operator]
+    write(form * len(table) % tuple(table.ravel().tolist()))
 
 
 def _thinned(at: Floats, spacing: float) -> NDArray[np.intp]:
@@ -240,5 +239,4 @@ def _normals(points: Floats) -> Floats:
             total[i : total.shape[0] - 1 + i, j : total.shape[1] - 1 + j] += face
     length = np.linalg.norm(total, axis=-1, keepdims=True)
     upward = np.array([0.0, 0.0, 1.0])
-    normals: Floats = np.where(length > 0.0, total / np.where(length > 0.0, length, 1.0), upward)
-    return normals
+    return np.where(length > 0.0, total / np.where(length > 0.0, length, 1.0), upward)

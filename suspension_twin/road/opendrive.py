@@ -10,22 +10,30 @@ from __future__ import annotations
 
 import math
 import xml.etree.ElementTree as ElementTree
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 
 from suspension_twin.arrays import Floats
 from suspension_twin.errors import InputError
+from suspension_twin.files import read_bytes
 from suspension_twin.road.crg import load_road
-from suspension_twin.road.road import Borders, Road
+from suspension_twin.road.road import ReferenceLine, Road
 
 __all__ = ["read_opendrive"]
+
+_LARGEST = 1 << 30  # bytes of a file
+
+
+#: Attributes of a ``<CRG>`` in the order of a place, and their defaults.
+_OFFSETS = {"sStart": 0.0, "sEnd": math.inf, "sOffset": 0.0, "tOffset": 0.0, "zOffset": 0.0, "zScale": 1.0}
 
 
 @dataclass(frozen=True)
 class _Place:
-    """What a ``<CRG>`` says: along the road from ``start`` to ``end`` m, and offsets in m."""
+    """Place of a ``<CRG>``: along the road from ``start`` to ``end`` m, and offsets in m."""
 
     start: float
     end: float
@@ -53,7 +61,7 @@ def read_opendrive(path: Path, road_id: str | None = None) -> Road:
     Raises
     ------
     InputError
-        The file has no such surface, or it uses what is not read.
+        The file has no such surface, or one of a kind that is not read.
 
     Examples
     --------
@@ -62,9 +70,7 @@ def read_opendrive(path: Path, road_id: str | None = None) -> Road:
     suspension_twin.errors.InputError: missing.xodr: No such file or directory
     """
     try:
-        root = ElementTree.fromstring(path.read_bytes())
-    except OSError as error:
-        raise InputError(path, error.strerror or "cannot be read") from None
+        root = ElementTree.fromstring(read_bytes(path, _LARGEST))
     except ElementTree.ParseError as error:
         raise InputError(path, f"not XML: {error}") from None
     for element in root.iter():
@@ -98,19 +104,12 @@ def _surface(path: Path, road: ElementTree.Element, crg: ElementTree.Element) ->
     if not file:
         raise InputError(path, field, "a <CRG> without a file")
     surface = load_road(path.parent / file)
-    place = _Place(
-        _number(path, crg, "sStart", 0.0),
-        _number(path, crg, "sEnd", math.inf),
-        _number(path, crg, "sOffset", 0.0),
-        _number(path, crg, "tOffset", 0.0),
-        _number(path, crg, "zOffset", 0.0),
-        _number(path, crg, "zScale", 1.0),
-    )
+    place = _Place(*(_number(path, crg, key, default) for key, default in _OFFSETS.items()))
+    scaled = surface.scaled(place.scale)
     if mode == "global":
-        return replace(surface.scaled(place.scale), name=surface.name)
+        return scaled
     if crg.get("orientation", "same") != "same":
         raise InputError(path, field, "an OpenCRG file of the opposite orientation is not read")
-    scaled = surface.scaled(place.scale)
     if mode == "genuine":
         start = np.full(1, place.start, dtype=np.float64)
         x, y, heading = (float(a[0]) for a in _plan(path, road, start))
@@ -140,23 +139,9 @@ def _attached(path: Path, road: ElementTree.Element, surface: Road, place: _Plac
     if lifted:
         ref = ref + _cubics(path, road, "elevationProfile/elevation", s)
         bank = np.tan(_cubics(path, road, "lateralProfile/superelevation", s))
-    v = surface.v + place.across
-    return Road(
-        name=surface.name,
-        z=surface.z[kept]
-        + surface.bank[kept, None] * surface.v
-        + surface.ref_z[kept, None]
-        - surface.ref_z[0],
-        v=v,
-        u_step=surface.u_step,
-        x=x,
-        y=y,
-        ref_z=ref,
-        bank=bank,
-        headings=(float(heading[0]), float(heading[-1])),
-        u_first=0.0,
-        borders=Borders(),
-    )
+    z = surface.z + surface.bank[:, None] * surface.v + surface.ref_z[:, None] - surface.ref_z[0]
+    line = ReferenceLine(x, y, ref, bank, surface.u_step, (float(heading[0]), float(heading[-1])))
+    return Road(surface.name, z[kept], surface.v + place.across, line)
 
 
 def _plan(path: Path, road: ElementTree.Element, s: Floats) -> tuple[Floats, Floats, Floats]:
@@ -165,13 +150,19 @@ def _plan(path: Path, road: ElementTree.Element, s: Floats) -> tuple[Floats, Flo
     field = f"road {road.get('id')}"
     if not pieces:
         raise InputError(path, field, "has no plan view")
-    starts = np.array([_number(path, piece, "s", 0.0) for piece in pieces])
-    at = np.clip(np.searchsorted(starts, s + 1e-9, side="right") - 1, 0, len(pieces) - 1)
+    at, ds = _within(path, pieces, s)
     out = np.zeros((3, s.size))
     for i in np.unique(at):
         here = at == i
-        out[:, here] = _piece(path, field, pieces[int(i)], s[here] - starts[i])
+        out[:, here] = _piece(path, field, pieces[int(i)], ds[here])
     return out[0], out[1], out[2]
+
+
+def _within(path: Path, pieces: list[ElementTree.Element], s: Floats) -> tuple[NDArray[np.intp], Floats]:
+    """Piece in which each s (n,) m lies, and its distance from the start of that piece."""
+    starts = np.array([_number(path, piece, "s", 0.0) for piece in pieces])
+    at = np.clip(np.searchsorted(starts, s + 1e-9, side="right") - 1, 0, len(pieces) - 1)
+    return at, s - starts[at]
 
 
 def _piece(path: Path, field: str, piece: ElementTree.Element, ds: Floats) -> Floats:
@@ -205,17 +196,14 @@ def _piece(path: Path, field: str, piece: ElementTree.Element, ds: Floats) -> Fl
     return np.array([x0 + cos * along - sin * across, y0 + sin * along + cos * across, h0 + turn])
 
 
-def _cubics(path: Path, road: ElementTree.Element, what: str, s: Floats) -> Floats:
+def _cubics(path: Path, road: ElementTree.Element, tag: str, s: Floats) -> Floats:
     """Values of a road's piecewise cubics a + b ds + c ds² + d ds³ at s (n,)."""
-    pieces = road.findall(what)
+    pieces = road.findall(tag)
     if not pieces:
         return np.zeros(s.size)
-    starts = np.array([_number(path, piece, "s", 0.0) for piece in pieces])
-    at = np.clip(np.searchsorted(starts, s + 1e-9, side="right") - 1, 0, len(pieces) - 1)
+    at, ds = _within(path, pieces, s)
     powers = np.array([[_number(path, piece, key, 0.0) for key in "abcd"] for piece in pieces])[at]
-    ds = s - starts[at]
-    values: Floats = ((powers[:, 3] * ds + powers[:, 2]) * ds + powers[:, 1]) * ds + powers[:, 0]
-    return values
+    return np.asarray(((powers[:, 3] * ds + powers[:, 2]) * ds + powers[:, 1]) * ds + powers[:, 0])
 
 
 def _number(path: Path, element: ElementTree.Element, key: str, default: float | None) -> float:

@@ -1,11 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A picture of a road: its heights, its place in ``map``, the wheel tracks and their spectrum."""
+"""A picture of a road: its heights, its place in ``map``, the wheel paths and their spectrum."""
 
 from __future__ import annotations
 
 import os
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -16,14 +15,14 @@ from matplotlib.ticker import FuncFormatter
 from suspension_twin.arrays import Floats
 from suspension_twin.errors import InputError
 from suspension_twin.files import replacing
-from suspension_twin.road.check import PathFigures, RoadCheck, check_road, wheel_tracks
-from suspension_twin.road.iso8608 import CLASSES, N0, road_psd, roughness, smoothed_psd
+from suspension_twin.road.check import PathFigures, RoadCheck, check_road, wheel_paths
 from suspension_twin.road.road import Road
+from suspension_twin.road.roughness import CLASSES, N0, road_psd, roughness, smoothed_psd
 
 __all__ = ["road_figure", "save_road_picture"]
 
 _LEFT, _RIGHT, _SPIKE, _INK, _FAINT = "#1f6fb2", "#d1661c", "#c2185b", "#22262b", "#8a929b"
-_STYLE: dict[Any, Any] = {
+_STYLE: dict[str, object] = {
     "font.size": 9.5,
     "axes.edgecolor": _FAINT,
     "axes.labelcolor": _INK,
@@ -49,20 +48,20 @@ def save_road_picture(road: Road | RoadCheck, path: str | os.PathLike[str], trac
 
 
 def road_figure(road: Road | RoadCheck, track: float = 1.5) -> Figure:
-    """The picture as a matplotlib figure; wheel tracks ``track`` m apart about the middle of the road."""
+    """The picture as a matplotlib figure; wheel paths ``track`` m apart about the middle of the road."""
     import matplotlib
 
     checked = road if isinstance(road, RoadCheck) else check_road(road)
     road = checked.road
-    with matplotlib.rc_context(_STYLE):
+    with matplotlib.rc_context(_STYLE):  # type: ignore[arg-type]
         figure = Figure(figsize=(13.0, 9.2), layout="constrained")
         figure.get_layout_engine().set(w_pad=0.12, h_pad=0.1)  # type: ignore[union-attr,call-arg]
         grid = figure.add_gridspec(3, 2, height_ratios=[1.0, 1.0, 1.55], width_ratios=[1.25, 1.0])
         top, middle = figure.add_subplot(grid[0, :]), figure.add_subplot(grid[1, :])
         spectrum, place = figure.add_subplot(grid[2, 0]), figure.add_subplot(grid[2, 1])
-        (left_v, right_v), left, right = wheel_tracks(road, track)
-        _height_map(figure, top, checked, (left_v, right_v))
-        _tracks(middle, checked, (left_v, right_v), left, right)
+        at, left, right = wheel_paths(road, track)
+        _height_map(figure, top, checked, at)
+        _paths(middle, checked, at, left, right)
         middle.sharex(top)
         _spectrum(spectrum, checked, left, right)
         _place(place, road)
@@ -112,14 +111,13 @@ def _height_map(figure: Figure, axes: Axes, checked: RoadCheck, at: tuple[float,
         aspect="auto",
         interpolation="nearest",
     )
-    image.set_cmap("viridis")
-    image.set_clim(low, high)
+    image.set(cmap="viridis", clim=(low, high))
     bar = figure.colorbar(image, ax=axes, pad=0.008, aspect=14, fraction=0.03)
     bar.set_label(f"height [{unit}]")
     bar.outline.set_visible(False)  # type: ignore[operator]
-    for v_track, colour in zip(at, (_LEFT, _RIGHT), strict=True):
-        axes.axhline(v_track, color="white", lw=2.4, alpha=0.85)
-        axes.axhline(v_track, color=colour, lw=1.2)
+    for v_path, colour in zip(at, (_LEFT, _RIGHT), strict=True):
+        axes.axhline(v_path, color="white", lw=2.4, alpha=0.85)
+        axes.axhline(v_path, color=colour, lw=1.2)
     if len(checked.spikes):
         axes.plot(
             [s.u for s in checked.spikes.found],
@@ -131,11 +129,8 @@ def _height_map(figure: Figure, axes: Axes, checked: RoadCheck, at: tuple[float,
             mew=1.3,
             clip_on=False,
         )
-    axes.set_facecolor("#e6e8ea")
-    axes.set_title(
-        "Height map, with the wheel tracks" + (" and spikes (rings)" if len(checked.spikes) else "")
-    )
-    axes.set_ylabel("v [m], left up")
+    rings = " and spikes (rings)" if len(checked.spikes) else ""
+    axes.set(facecolor="#e6e8ea", title=f"Height map, with the wheel paths{rings}", ylabel="v [m], left up")
     axes.tick_params(labelbottom=False)
 
 
@@ -153,11 +148,11 @@ def _shaded(z: Floats, low: float, high: float) -> Floats:
     return np.asarray(rgb, dtype=np.float64)
 
 
-def _tracks(axes: Axes, checked: RoadCheck, at: tuple[float, float], left: Floats, right: Floats) -> None:
+def _paths(axes: Axes, checked: RoadCheck, at: tuple[float, float], left: Floats, right: Floats) -> None:
     road = checked.road
     factor, unit = _unit(np.concatenate([left, right]))
     alike = np.allclose(left, right, rtol=0.0, atol=1e-6)
-    # The right track lies under the left one: wide enough to be seen where they are the same.
+    # The right path lies under the left one: wide enough to be seen where they are the same.
     axes.plot(
         road.u, right * factor, color=_RIGHT, lw=2.2 if alike else 1.0, label=f"right, v = {at[1]:.2f} m"
     )
@@ -167,13 +162,16 @@ def _tracks(axes: Axes, checked: RoadCheck, at: tuple[float, float], left: Float
     if met:
         u, v = np.array(met).T
         z = road.heights_uv(u, v, "hold") * factor
-        axes.plot(u, z, "o", mfc="none", mec=_SPIKE, ms=6, mew=1.3, label="spikes in a track")
+        axes.plot(u, z, "o", mfc="none", mec=_SPIKE, ms=6, mew=1.3, label="spikes in a path")
     for path, v_colour in zip(checked.wheel_paths, (_LEFT, _RIGHT), strict=True):
         for event in () if path.roughness is None else path.roughness.events:
             axes.axvspan(event.start, event.end, color=v_colour, alpha=0.10, lw=0)
-    axes.set_title("Wheel tracks" + (", events shaded" if _any_events(checked) else ""))
-    axes.set_xlabel("u along the reference line [m]")
-    axes.set_ylabel(f"height [{unit}]")
+    shaded = any(p.roughness is not None and p.roughness.events for p in checked.wheel_paths)
+    axes.set(
+        title="Wheel paths" + (", events shaded" if shaded else ""),
+        xlabel="u along the reference line [m]",
+        ylabel=f"height [{unit}]",
+    )
     axes.grid(alpha=0.25)
     axes.margins(x=0.0)
     axes.legend(loc="lower right", bbox_to_anchor=(1.0, 0.99), ncols=3, frameon=False, fontsize=8.5)
@@ -182,12 +180,13 @@ def _tracks(axes: Axes, checked: RoadCheck, at: tuple[float, float], left: Float
 def _spectrum(axes: Axes, checked: RoadCheck, left: Floats, right: Floats) -> None:
     road = checked.road
     paths = {p.side: p for p in checked.wheel_paths}
-    axes.set_title("Spectrum of the wheel tracks beside the ISO 8608 classes")
-    axes.set_xlabel("spatial frequency [cycles/m]")
-    axes.set_ylabel("displacement PSD [m³]")
-    axes.set_xscale("log")
-    axes.set_yscale("log")
-    span = [max(1.0 / road.length, 1e-3), 0.5 / road.u_step]
+    axes.set(
+        title="Spectrum of the wheel paths beside the ISO 8608 classes",
+        xlabel="spatial frequency [cycles/m]",
+        ylabel="displacement PSD [m³]",
+        xscale="log",
+        yscale="log",
+    )
     drawn = []
     for z, colour, side in ((right, _RIGHT, "right"), (left, _LEFT, "left")):
         try:
@@ -206,7 +205,7 @@ def _spectrum(axes: Axes, checked: RoadCheck, left: Floats, right: Floats) -> No
             ms=2.6,
             label=f"{side}, {_class_text(paths[side])}",
         )
-    edge = np.array([min(span[0], 0.01), max(span[1], 10.0)])
+    edge = np.array([min(max(1.0 / road.length, 1e-3), 0.01), max(0.5 / road.u_step, 10.0)])
     for k, letter in enumerate(CLASSES):
         low, high = (f * roughness(letter) * (edge / N0) ** -2.0 for f in (0.5, 2.0))
         axes.fill_between(edge, low, high, color=f"{0.955 - 0.045 * k:.3f}", lw=0, zorder=0)
@@ -232,10 +231,6 @@ def _spectrum(axes: Axes, checked: RoadCheck, left: Floats, right: Floats) -> No
         axes.text(0.5, 0.5, "too short for a spectrum", transform=axes.transAxes, ha="center", color=_FAINT)
 
 
-def _any_events(checked: RoadCheck) -> bool:
-    return any(p.roughness is not None and p.roughness.events for p in checked.wheel_paths)
-
-
 def _class_text(path: PathFigures) -> str:
     if path.roughness is None:
         return "band means"
@@ -255,7 +250,6 @@ def _limits(axes: Axes, drawn: list[Floats]) -> None:
 
 
 def _place(axes: Axes, road: Road) -> None:
-    axes.set_title("Place in map")
     rows = np.unique(np.linspace(0, road.u.size - 1, 1500).astype(np.intp))
     u = road.u[rows]
     right, left = (np.column_stack(road.uv_to_xy(u, np.full(u.size, v))) for v in road.v[[0, -1]])
@@ -274,5 +268,4 @@ def _place(axes: Axes, road: Road) -> None:
     axes.set_aspect("equal", adjustable="datalim")
     axes.margins(0.08)
     axes.grid(alpha=0.25)
-    axes.set_xlabel("east [m]")
-    axes.set_ylabel("north [m]")
+    axes.set(title="Place in map", xlabel="east [m]", ylabel="north [m]")

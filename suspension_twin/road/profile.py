@@ -1,7 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Longitudinal profiles: lines of heights along a road, read from files and made into a road.
+"""Longitudinal profiles: lines of heights along a road, read from CSV and ERD files and made into a road.
 
-CSV is read here, ERD in ``erd.py``, OpenDRIVE with its OpenCRG files in ``opendrive.py``.
+ERD (University of Michigan, Engineering Research Division): the header is text: ``ERDFILEV2.00``; a line of the
+numbers of channels, samples, records and bytes, the kind of the data, and the step; lines that begin with a keyword
+of eight characters, one of ``&1000`` going on with the line before; ``END``. Text data follow. Binary data (2-byte
+integers, kind 0, or 4-byte floats, kind 1; all channels of a sample together) follow too, or lie in a file
+of the same name with ``.bin`` added.
 """
 
 from __future__ import annotations
@@ -18,6 +22,7 @@ import numpy as np
 
 from suspension_twin.arrays import Floats
 from suspension_twin.errors import InputError
+from suspension_twin.files import read_bytes
 from suspension_twin.road.build import grid_road
 from suspension_twin.road.road import Road
 
@@ -53,6 +58,7 @@ _ALIASES: dict[str, str] = {
     "µm": "um",
     "μm": "um",
 }
+_LARGEST = 1 << 30  # bytes of a file
 #: A wheel path is as high as its line this far to its left and right, m: a tyre's width and the driver's wander.
 _HELD = 0.35
 
@@ -75,11 +81,15 @@ class Profile:
 
 def unit_of(text: str, source: Path, field: str) -> float:
     """m for one of a unit of length, by its name; raises InputError for another unit."""
-    word = text.strip().strip(".").lower()
-    word = _ALIASES.get(word, word)
-    if word not in UNITS:
+    metres = _metres(text)
+    if metres is None:
         raise InputError(source, field, f"{text.strip()!r} is not a length; known are {', '.join(UNITS)}")
-    return float(UNITS[word])
+    return metres
+
+
+def _metres(text: str) -> float | None:
+    word = text.strip().strip(".").lower()
+    return UNITS.get(_ALIASES.get(word, word))
 
 
 def read_profile(path: Path, unit: str | None = None) -> Profile:
@@ -101,7 +111,7 @@ def read_profile(path: Path, unit: str | None = None) -> Profile:
     Raises
     ------
     InputError
-        The file cannot be read as a profile; the line names what is wrong.
+        The file cannot be read as a profile; the line names the fault.
 
     Examples
     --------
@@ -113,14 +123,9 @@ def read_profile(path: Path, unit: str | None = None) -> Profile:
     ...     read_profile(file).z[:, 3].round(6).tolist()
     [0.003, 0.0]
     """
-    try:
-        raw = path.read_bytes()
-    except OSError as error:
-        raise InputError(path, error.strerror or "cannot be read") from None
+    raw = read_bytes(path, _LARGEST)
     if raw[:3].upper() == b"ERD":
-        from suspension_twin.road.erd import read_erd
-
-        return read_erd(path, raw)
+        return _read_erd(path, raw)
     if raw[:4] == b"PPF\x00" or path.suffix.lower() == ".ppf":
         raise InputError(path, "PPF (ASTM E2560) is not read; export it from ProVAL as ERD")
     try:
@@ -141,37 +146,32 @@ def _read_csv(path: Path, text: str, unit: str | None) -> Profile:
         if mark
         else [s.split() for s in lines]
     )
-    decimal_comma = mark == ";" and any("," in cell for cell in rows[-1])
-
-    def number(cell: str) -> float:
-        cell = cell.strip()
-        if not cell:
-            return math.nan
-        return float(cell.replace(",", ".") if decimal_comma else cell)
-
-    head: list[str] = []
-    try:
-        [number(cell) for cell in rows[0]]
-    except ValueError:
-        head = [cell.strip() for cell in rows.pop(0)]
-    width = len(head) or (len(rows[0]) if rows else 0)
-    if width < 2 or len(rows) < 2:
+    comma = mark == ";" and any("," in cell for cell in rows[-1])
+    numbers = [[_csv_number(cell.replace(",", ".") if comma else cell) for cell in row] for row in rows]
+    head = [cell.strip() for cell in rows[0]] if None in numbers[0] else []
+    first = 1 if head else 0
+    width = len(head or numbers[0])
+    if width < 2 or len(numbers) - first < 2:
         raise InputError(path, "needs a column of distances, one of heights or more, and two rows or more")
-    table = np.empty((len(rows), width))
-    for i, row in enumerate(rows):
+    for i, row in enumerate(numbers[first:], start=first):
         if len(row) != width:
-            raise InputError(path, f"row {i + 1 + bool(head)}", f"has {len(row)} columns instead of {width}")
-        for j, cell in enumerate(row):
-            try:
-                table[i, j] = number(cell)
-            except ValueError:
-                where = f"row {i + 1 + bool(head)}, column {j + 1}"
-                raise InputError(path, where, f"{cell.strip()!r} is not a number") from None
+            raise InputError(path, f"row {i + 1}", f"has {len(row)} columns instead of {width}")
+        if None in row:
+            j = row.index(None)
+            raise InputError(path, f"row {i + 1}, column {j + 1}", f"{rows[i][j].strip()!r} is not a number")
     names, scales = _columns(path, head or ["distance", *[f"line {j}" for j in range(1, width)]], unit)
-    table = table * scales
+    table = np.array(numbers[first:], dtype=np.float64) * scales
     places = [re.fullmatch(r"v?\s*=?\s*([-+]?\d+(?:\.\d*)?)(?:\s*m)?", name) for name in names[1:]]
     v = tuple(float(p[1]) for p in places if p) if head and all(places) else None
     return replace(_even(path, table[:, 0], table[:, 1:].T), names=tuple(names[1:]), v=v)
+
+
+def _csv_number(cell: str) -> float | None:
+    """A cell as a number, NaN where it is empty, None where it is another word."""
+    try:
+        return float(cell) if cell.strip() else math.nan
+    except ValueError:
+        return None
 
 
 def _columns(path: Path, head: Sequence[str], unit: str | None) -> tuple[list[str], Floats]:
@@ -209,6 +209,116 @@ def _even(path: Path, s: Floats, z: Floats) -> Profile:
             raise InputError(path, "heights", "a line has fewer than two")
         lines.append(np.interp(at, s[good], line[good]))
     return Profile(path.name, fine, np.array(lines), ())
+
+
+# ERD files
+
+_ERD_TEXT = 5
+_ERD_KINDS = {0: "<i2", 1: "<f4"}
+_ERD_WIDTHS = {"SHORTNAM": 8, "UNITSNAM": 8, "LONGNAME": 32, "GENNAME": 32}
+
+
+def _read_erd(path: Path, raw: bytes) -> Profile:
+    """The channels of an ERD file that are heights, in m; raises InputError."""
+    if not raw.upper().startswith(b"ERDFILEV2.00"):
+        raise InputError(path, "line 1", "ERDFILEV2.00 is read, this is another version")
+    end = re.search(rb"(?m)^END[ \t]*\r?\n", raw)
+    if end is None:
+        raise InputError(path, "has no line END after its header")
+    header = raw[: end.start()].decode("latin-1").splitlines()
+    channels, samples, kind, step = _erd_sizes(path, header)
+    words = _erd_keywords(header[2:])
+    body = raw[end.end() :]
+    beside = path.with_name(path.name + ".bin")
+    if kind != _ERD_TEXT and not body.strip() and beside.is_file():
+        body = read_bytes(beside, _LARGEST)
+    values = _erd_data(path, body, channels, kind)
+    if samples > 0 and values.shape[0] != samples:
+        raise InputError(path, "data", f"{values.shape[0]} samples, the header says {samples}")
+    gains, offsets = (_erd_numbers(path, words, key, channels) for key in ("GAINS", "OFFSETS"))
+    values = values * (1.0 if gains is None else gains) + (0.0 if offsets is None else offsets)
+    names = _erd_fields(words.get("LONGNAME") or words.get("SHORTNAM", ""), 32 if "LONGNAME" in words else 8)
+    names = [*names, *[f"channel {i + 1}" for i in range(len(names), channels)]][:channels]
+    units = [*_erd_fields(words.get("UNITSNAM", ""), 8), *["m"] * channels][:channels]
+    along = unit_of(words.get("XUNITS", "").strip() or "m", path, "XUNITS")
+    # other channels are slopes, accelerations, speeds
+    heights = {i: scale for i, unit in enumerate(units) if (scale := _metres(unit or "m")) is not None}
+    if not heights:
+        raise InputError(path, "UNITSNAM", f"no channel is a height: {', '.join(units)}")
+    z = np.array([values[:, i] * scale for i, scale in heights.items()])
+    if not np.isfinite(z).all():
+        raise InputError(path, "data", "hold a value that is not finite")
+    return Profile(path.name, step * along, z, tuple(names[i] for i in heights))
+
+
+def _erd_sizes(path: Path, header: list[str]) -> tuple[int, int, int, float]:
+    """Channels, samples, kind of data, and step."""
+    parts = re.split(r"[,\s]+", header[1].strip().rstrip(",")) if len(header) > 1 else []
+    try:
+        channels, samples, kind, step = int(parts[0]), int(parts[1]), int(parts[4]), float(parts[5])
+    except (ValueError, IndexError):
+        raise InputError(
+            path, "line 2", "needs numbers of channels, samples, records, bytes, kind, step"
+        ) from None
+    if channels < 1 or not (np.isfinite(step) and step > 0.0):
+        raise InputError(path, "line 2", f"{channels} channels with a step of {step:g}")
+    if kind not in (*_ERD_KINDS, _ERD_TEXT):
+        raise InputError(
+            path, "line 2", f"data of kind {kind}; read are 0 (2-byte integers), 1 (floats), 5 (text)"
+        )
+    return channels, samples, kind, step
+
+
+def _erd_keywords(lines: list[str]) -> dict[str, str]:
+    words: dict[str, str] = {}
+    last = ""
+    for line in lines:
+        key, rest = line[:8].strip().upper(), line[8:]
+        if key.startswith("&") and last:
+            words[last] += rest
+        elif key:
+            last = key
+            words[key] = rest
+            if key in _ERD_WIDTHS:
+                # A field may be cut off at the end of its line.
+                words[key] = rest.ljust(-(-len(rest) // _ERD_WIDTHS[key]) * _ERD_WIDTHS[key])
+    return words
+
+
+def _erd_fields(text: str, width: int) -> list[str]:
+    return [text[i : i + width].strip() for i in range(0, len(text.rstrip()), width)]
+
+
+def _erd_numbers(path: Path, words: dict[str, str], key: str, channels: int) -> Floats | None:
+    if key not in words:
+        return None
+    try:
+        values = np.array([float(part) for part in re.split(r"[,\s]+", words[key].strip(" ,"))])
+    except ValueError:
+        raise InputError(path, key, f"{words[key].strip()!r} are not numbers") from None
+    if values.size != channels:
+        raise InputError(path, key, f"{values.size} numbers for {channels} channels")
+    return values
+
+
+def _erd_data(path: Path, body: bytes, channels: int, kind: int) -> Floats:
+    """The samples (n, channels) of text or binary data."""
+    if kind == _ERD_TEXT:
+        try:
+            flat = np.array(body.replace(b",", b" ").split(), dtype=np.float64)
+        except ValueError:
+            raise InputError(path, "data", "hold a word that is not a number") from None
+    else:
+        dtype = np.dtype(_ERD_KINDS[kind])
+        if len(body) % dtype.itemsize:
+            raise InputError(path, "data", f"{len(body)} bytes are no whole number of values")
+        flat = np.frombuffer(body, dtype=dtype).astype(np.float64)
+    if flat.size < 2 * channels or flat.size % channels:
+        raise InputError(path, "data", f"{flat.size} values for {channels} channels")
+    return flat.reshape(-1, channels)
+
+
+# A road of profiles
 
 
 def together(profiles: Sequence[Profile]) -> Profile:

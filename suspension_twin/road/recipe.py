@@ -25,10 +25,17 @@ import numpy as np
 
 from suspension_twin.arrays import Floats
 from suspension_twin.errors import InputError
-from suspension_twin.road.build import grid_road, lateral_grid
-from suspension_twin.road.bumps import Bump, add_bump, circular, half_sine, trapezoid
-from suspension_twin.road.iso8608 import iso8608_road
+from suspension_twin.road.build import (
+    Bump,
+    add_bump,
+    circular,
+    grid_road,
+    half_sine,
+    lateral_grid,
+    trapezoid,
+)
 from suspension_twin.road.road import Road
+from suspension_twin.road.roughness import iso8608_road
 
 __all__ = ["Feature", "Kind", "make_road", "parse_feature", "shape_of"]
 
@@ -67,12 +74,12 @@ def parse_feature(kind: Kind, text: str) -> Feature:
     Returns
     -------
     Feature
-        What it says.
+        The feature.
 
     Raises
     ------
     InputError
-        It says nothing that can be understood.
+        The text is no feature.
 
     Examples
     --------
@@ -123,7 +130,7 @@ def make_road(
     length, width : float
         m.
     features : sequence of Feature
-        What lies on it; heights add up where they overlap.
+        Bumps, humps, potholes and ramps; heights add up where they overlap.
     iso : str, optional
         Class "A" to "H".
     seed : int
@@ -151,9 +158,9 @@ def make_road(
     >>> round(float(road.heights(60.0, 0.0)), 3)
     0.5
     """
-    for what, value in (("length", length), ("step", step)):
+    for option, value in (("length", length), ("step", step)):
         if not (math.isfinite(value) and value > 0.0):
-            raise InputError(f"--{what}", f"must be above 0 m, is {value}")
+            raise InputError(f"--{option}", f"must be above 0 m, is {value}")
     if length / step > 2e6:
         raise InputError("--step", f"{length:g} m at {step:g} m are too many cross sections")
     if iso is not None:
@@ -174,14 +181,12 @@ def make_road(
         level = np.zeros((round(length / step) + 1, v.size))
         road = grid_road(level, step, v, x=x, y=y, heading=heading, name=name)
     for feature in features:
-        road = _with(road, feature)
+        if feature.kind == "ramp":
+            road = _ramp(road, feature)
+        else:
+            extent = {"v_low": feature.v_low, "v_high": feature.v_high}
+            road = add_bump(road, shape_of(feature), feature.at, **extent)
     return road
-
-
-def _with(road: Road, feature: Feature) -> Road:
-    if feature.kind == "ramp":
-        return _ramp(road, feature)
-    return add_bump(road, shape_of(feature), feature.at, v_low=feature.v_low, v_high=feature.v_high)
 
 
 def shape_of(feature: Feature) -> Bump:
@@ -208,7 +213,7 @@ def _ramp(road: Road, feature: Feature) -> Road:
         raise InputError("--ramp", "no long section lies within its v")
     climb: Floats = rise * np.clip((road.u - feature.at) / length, 0.0, 1.0)
     z = road.z + np.where(across, climb[:, None], 0.0)
-    return replace(road, z=z.astype(np.float32).astype(np.float64))
+    return road.with_heights(z)
 
 
 def _number(option: str, text: str) -> float:

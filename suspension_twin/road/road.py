@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, Final, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -20,52 +20,114 @@ from suspension_twin.arrays import Floats
 from suspension_twin.display import axes_or_new, bulleted
 from suspension_twin.errors import InputError, WorkError
 from suspension_twin.road import kernels
-from suspension_twin.road.place import uv_to_xy, xy_to_uv
-from suspension_twin.road.surface import Grid, Line, held
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-__all__ = ["Borders", "Outside", "Road", "RoadTracker", "Samples"]
+__all__ = [
+    "Border",
+    "Borders",
+    "Fade",
+    "Outside",
+    "ReferenceLine",
+    "Road",
+    "RoadHeights",
+    "RoadTracker",
+    "single_precision",
+]
 
-#: What a position off the road gets. ``road``: what the road's file says, which is ``hold``
-#: unless it says otherwise; ``hold``: the height of the nearest point of the border, across
+#: Height of a position off the road. ``road``: by the options of the road's file, ``hold``
+#: by default; ``hold``: the height of the nearest point of the border, across
 #: the road where data are missing; ``zero``: height 0; ``error``: an :class:`InputError`.
 Outside = Literal["road", "hold", "zero", "error"]
 
 #: A position is followed from the one before within this many steps, or metres (as in OpenCRG).
 _FOLLOW_STEPS, _FOLLOW = 20.0, 1.5
 
-_MODES = {"hold": (2, 2), "zero": (1, 1), "error": (2, 2)}
+_MODES: Final = {"hold": (2, 2), "zero": (1, 1), "error": (2, 2)}
+
+
+@dataclass(frozen=True)
+class Border:
+    """Heights beyond a border by OpenCRG: ``mode`` 0 none, 1 zero, 2 keep the last height, 3 repeat, 4 reflect;
+    ``offset`` m is added."""
+
+    mode: int = 2
+    offset: float = 0.0
+
+
+@dataclass(frozen=True)
+class Fade:
+    """A smoothing zone of OpenCRG: over ``length`` m an end of the road fades to the height ``base`` m."""
+
+    length: float
+    base: float = 0.0
 
 
 @dataclass(frozen=True)
 class Borders:
-    """What OpenCRG's options say of a road beyond its borders; the defaults are OpenCRG's.
+    """OpenCRG's options of a road beyond its borders; the defaults are OpenCRG's.
 
-    ``mode_u``, ``mode_v`` 0 none, 1 zero, 2 keep the last height, 3 repeat, 4 reflect; offsets in
-    m; ``smooth_begin``, ``smooth_end`` m over which the ends fade to ``base_begin`` and
-    ``base_end`` (None: they do not); ``close`` the track closes between u ``close_span``.
+    ``u``, ``v`` along and across; ``begin``, ``end`` the ends that fade; ``close`` whether the track closes, between
+    the u of ``close_span`` m where it can.
     """
 
-    mode_u: int = 2
-    mode_v: int = 2
-    offset_u: float = 0.0
-    offset_v: float = 0.0
-    smooth_begin: float | None = None
-    smooth_end: float | None = None
-    base_begin: float = 0.0
-    base_end: float = 0.0
+    u: Border = Border()
+    v: Border = Border()
+    begin: Fade | None = None
+    end: Fade | None = None
     close: bool = False
     close_span: tuple[float, float] | None = None
 
+    def moved(self, factor: float = 1.0, lift: float = 0.0) -> Borders:
+        """The same for heights multiplied by ``factor`` and raised by ``lift`` m."""
+        u, v = (replace(border, offset=border.offset * factor) for border in (self.u, self.v))
+        begin, end = (
+            None if fade is None else replace(fade, base=fade.base * factor + lift)
+            for fade in (self.begin, self.end)
+        )
+        return replace(self, u=u, v=v, begin=begin, end=end)
+
 
 @dataclass(frozen=True, eq=False)
-class Samples:
-    """Heights with what they rest on; arrays of the positions' shape.
+class ReferenceLine:
+    """The line that a road's heights lie along, in ``map``.
 
-    ``z`` m, never a NaN; ``inside`` False where the road has no data; ``outside`` the policy that
-    these positions got.
+    Parameters
+    ----------
+    x, y : (nu,) array
+        Its points at the cross sections in m.
+    z : (nu,) array
+        Its height in m.
+    bank : (nu,) array
+        Cross slope in m/m, positive with the left side high.
+    step : float
+        Distance of the cross sections in m.
+    headings : tuple of float
+        rad before the first and after the last cross section.
+    u_first : float
+        u of the first cross section in m.
+    """
+
+    x: Floats
+    y: Floats
+    z: Floats
+    bank: Floats
+    step: float
+    headings: tuple[float, float]
+    u_first: float = 0.0
+
+    @classmethod
+    def level(cls, x: Floats, y: Floats, step: float, headings: tuple[float, float]) -> ReferenceLine:
+        """A line at height 0 without banking."""
+        return cls(x, y, np.zeros(x.size), np.zeros(x.size), step, headings)
+
+
+@dataclass(frozen=True, eq=False)
+class RoadHeights:
+    """Heights, and which of them rest on data; arrays of the positions' shape.
+
+    ``z`` m, never a NaN; ``inside`` False where the road has no data; ``outside`` the policy of these positions.
     """
 
     z: Floats
@@ -73,10 +135,15 @@ class Samples:
     outside: Outside
 
 
+def single_precision(z: ArrayLike) -> Floats:
+    """Heights as an OpenCRG file can hold them."""
+    return np.asarray(z, dtype=np.float64).astype(np.float32).astype(np.float64)
+
+
 @dataclass(frozen=True, eq=False)
 class Road:
-    """A road: heights on a grid along a reference line in ``map``. It is never changed: what alters a road
-    returns a new one.
+    """A road: heights on a grid along a reference line in ``map``. It is never changed: functions that alter a road
+    return a new one.
 
     Parameters
     ----------
@@ -86,27 +153,17 @@ class Road:
         Heights in m at the nodes, NaN where there are no data.
     v : (nv,) array
         Lateral positions of the long sections in m, rising.
-    u_step : float
-        Distance of the cross sections in m.
-    x, y : (nu,) array
-        The reference line at the cross sections in m.
-    ref_z : (nu,) array
-        Its height in m.
-    bank : (nu,) array
-        Cross slope in m/m, positive with the left side high.
-    headings : tuple of float
-        rad before the first and after the last cross section.
-    u_first : float
-        u of the first cross section in m.
+    reference : ReferenceLine
+        The reference line, a point a cross section.
     borders : Borders
-        What OpenCRG's options state beyond the borders.
+        OpenCRG's options beyond the borders.
     notes : tuple of str
         Warnings of the reader.
 
     Raises
     ------
     InputError
-        The arrays do not fit each other or hold what cannot be evaluated.
+        The arrays do not fit each other or hold values that cannot be evaluated.
 
     Examples
     --------
@@ -119,44 +176,71 @@ class Road:
     name: str
     z: Floats
     v: Floats
-    u_step: float
-    x: Floats
-    y: Floats
-    ref_z: Floats
-    bank: Floats
-    headings: tuple[float, float]
-    u_first: float = 0.0
+    reference: ReferenceLine
     borders: Borders = field(default_factory=Borders)
     notes: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
-        for name in ("z", "v", "x", "y", "ref_z", "bank"):
-            array = np.ascontiguousarray(getattr(self, name), dtype=np.float64)
-            if array is getattr(self, name):
-                array = array.view()
-            array.flags.writeable = False
-            object.__setattr__(self, name, array)
-        for name in ("u_step", "u_first"):
-            object.__setattr__(self, name, float(getattr(self, name)))
+        line = self.reference
+        for name in ("z", "v"):
+            object.__setattr__(self, name, _frozen(getattr(self, name)))
+        x, y, z, bank = map(_frozen, (line.x, line.y, line.z, line.bank))
+        line = ReferenceLine(x, y, z, bank, float(line.step), line.headings, float(line.u_first))
+        object.__setattr__(self, "reference", line)
         nu, nv = self.z.shape if self.z.ndim == 2 else (0, 0)
         if nu < 2 or nv < 2:
             raise InputError(self.name, "z", f"needs at least 2 by 2 heights, has shape {self.z.shape}")
-        for name, size in (("v", nv), ("x", nu), ("y", nu), ("ref_z", nu), ("bank", nu)):
-            array = getattr(self, name)
+        along = {name: (getattr(self, name), nu) for name in ("x", "y", "ref_z", "bank")}
+        for name, (array, size) in ({"v": (self.v, nv)} | along).items():
             if array.shape != (size,):
                 raise InputError(self.name, name, f"needs {size} values to fit z, has shape {array.shape}")
             if not np.isfinite(array).all():
                 raise InputError(self.name, name, "must be finite everywhere")
         if not (np.diff(self.v) > 0.0).all():
             raise InputError(self.name, "v", "must rise from one long section to the next")
-        if not (np.isfinite(self.u_step) and self.u_step > 0.0 and np.isfinite(self.u_first)):
-            raise InputError(self.name, "u_step", f"must be above 0 m, is {self.u_step}")
+        if not (np.isfinite(line.step) and line.step > 0.0 and np.isfinite(line.u_first)):
+            raise InputError(self.name, "u_step", f"must be above 0 m, is {line.step}")
         if not (np.hypot(np.diff(self.x), np.diff(self.y)) > 0.0).all():
             raise InputError(self.name, "x, y", "the reference line stands still between two cross sections")
         if np.isinf(self.z).any():
             raise InputError(self.name, "z", "holds an infinite height")
         if np.isnan(self.z).all():
             raise InputError(self.name, "z", "holds no height at all")
+
+    @property
+    def x(self) -> Floats:
+        """x of the reference line at the cross sections (nu,), m."""
+        return self.reference.x
+
+    @property
+    def y(self) -> Floats:
+        """y of the reference line at the cross sections (nu,), m."""
+        return self.reference.y
+
+    @property
+    def ref_z(self) -> Floats:
+        """Height of the reference line (nu,), m."""
+        return self.reference.z
+
+    @property
+    def bank(self) -> Floats:
+        """Cross slope (nu,), m/m."""
+        return self.reference.bank
+
+    @property
+    def headings(self) -> tuple[float, float]:
+        """Headings before the first and after the last cross section, rad."""
+        return self.reference.headings
+
+    @property
+    def u_step(self) -> float:
+        """Distance of the cross sections, m."""
+        return self.reference.step
+
+    @property
+    def u_first(self) -> float:
+        """u of the first cross section, m."""
+        return self.reference.u_first
 
     def __str__(self) -> str:
         low, high = float(np.nanmin(self.heights_grid)), float(np.nanmax(self.heights_grid))
@@ -212,7 +296,7 @@ class Road:
         return bool(off < 1e-9 and turn < 1e-12)
 
     @cached_property
-    def line(self) -> Line:
+    def line(self) -> kernels.Line:
         """The reference line as the compiled kernels take it."""
         ends = np.array([f(h) for h in self.headings for f in (np.cos, np.sin)], dtype=np.float64)
         u = (self.u_first, self.u_last, self.u_step)
@@ -230,19 +314,18 @@ class Road:
         return np.asarray(found, dtype=np.int64)
 
     @cached_property
-    def grid(self) -> Grid:
+    def grid(self) -> kernels.Grid:
         """The heights as the compiled kernels take them."""
         missing = np.isnan(self.z)
         if missing.any():
             void = missing[:-1, :-1] | missing[1:, :-1] | missing[:-1, 1:] | missing[1:, 1:]
-            z = held(self.z)
+            z = _held(self.z)
             z.flags.writeable = False  # as the other, or numba compiles for both
         else:
             void, z = np.zeros((0, 0), dtype=np.bool_), self.z
         even = float(np.ptp(np.diff(self.v))) <= 1e-9 * self.width
-        b = self.borders
-        zones = ((b.smooth_begin, b.base_begin), (b.smooth_end, b.base_end))
-        smooth = np.array([f for zone, base in zones for f in (-1.0 if zone is None else zone, base)])
+        fades = [fade or Fade(-1.0) for fade in (self.borders.begin, self.borders.end)]
+        smooth = np.array([float(number) for fade in fades for number in (fade.length, fade.base)])
         v_step = self.width / (self.v.size - 1) if even else 0.0
         u = (self.u_first, self.u_last, self.u_step)
         return z, void, self.v, v_step, self.ref_z, self.bank, smooth, *u
@@ -259,24 +342,25 @@ class Road:
         """As :meth:`heights` at road coordinates."""
         return self._evaluate(u, v, outside)[0]
 
-    def sample(self, x: ArrayLike, y: ArrayLike, outside: Outside = "road") -> Samples:
+    def sample(self, x: ArrayLike, y: ArrayLike, outside: Outside = "road") -> RoadHeights:
         """As :meth:`heights`, with which positions are on the road."""
         return self.sample_uv(*self.xy_to_uv(x, y), outside)
 
-    def sample_uv(self, u: ArrayLike, v: ArrayLike, outside: Outside = "road") -> Samples:
+    def sample_uv(self, u: ArrayLike, v: ArrayLike, outside: Outside = "road") -> RoadHeights:
         """As :meth:`sample` at road coordinates."""
         z, seen = self._evaluate(u, v, outside)
-        return Samples(z, seen == kernels.INSIDE, outside)
+        return RoadHeights(z, seen == kernels.INSIDE, outside)
 
     def inside(self, x: ArrayLike, y: ArrayLike) -> NDArray[np.bool_]:
         """True where the road has data under a map position."""
         return self.sample(x, y, "hold").inside
 
     def _evaluate(self, u: ArrayLike, v: ArrayLike, outside: Outside) -> tuple[Floats, NDArray[np.uint8]]:
+        """Heights, and the bits of :mod:`suspension_twin.road.kernels` for each position."""
         if outside == "road":
-            b = self.borders
-            modes = int(b.mode_u), int(b.mode_v)
-            offsets = float(b.offset_u), float(b.offset_v)
+            borders = (self.borders.u, self.borders.v)
+            modes = int(borders[0].mode), int(borders[1].mode)
+            offsets = float(borders[0].offset), float(borders[1].offset)
         elif outside in _MODES:
             modes, offsets = _MODES[outside], (0.0, 0.0)
         else:
@@ -287,35 +371,31 @@ class Road:
         z = np.empty(first.size)
         seen = np.empty(first.size, dtype=np.uint8)
         met = kernels.heights_uv(self.grid, first, second, modes, offsets, z, seen)
-        if met:
-            self._settle(met, z, seen, outside, first, second)
+        if met & kernels.NOT_FINITE:
+            raise InputError(self.name, "position", f"{_count(seen, kernels.NOT_FINITE)} not finite")
+        if met & kernels.REFUSED or (met and outside == "error"):
+            raise InputError(self.name, self._off_road(seen, first, second))
+        if met & kernels.VOID and outside == "zero":
+            z[(seen & kernels.VOID) > 0] = 0.0
         return z.reshape(shape), seen.reshape(shape)
 
     def _closed(self, u: Floats) -> Floats:
-        """u on a track that its file says is closed: counted on from lap to lap, within the first."""
+        """u on a track that closes by its file: counted on from lap to lap, within the first."""
         if self.borders.close_span is None:
             return u
         low, high = self.borders.close_span
         lap = np.fmod(u - low, high - low)
         return np.where((u < low) | (u > high), lap + np.where(lap > 0.0, low, high), u)
 
-    def _settle(
-        self, met: int, z: Floats, seen: NDArray[np.uint8], outside: Outside, u: Floats, v: Floats
-    ) -> None:
-        """What the policy asks for where positions (n,) were not all on the road."""
-        if met & kernels.NOT_FINITE:
-            raise InputError(self.name, "position", f"{_count(seen, kernels.NOT_FINITE)} not finite")
-        if outside == "error" or met & kernels.REFUSED:
-            i = int(np.flatnonzero(seen != kernels.INSIDE)[0])
-            raise InputError(
-                self.name,
-                f"{_count(seen, kernels.OUTSIDE | kernels.VOID)} off the road, the first at u {u[i]:.2f} m, "
-                f"v {v[i]:.2f} m{', where data are missing' if seen[i] == kernels.VOID else ''} "
-                f"(the road: u {self.u_first:.2f} to {self.u_last:.2f} m, "
-                f"v {self.v[0]:.2f} to {self.v[-1]:.2f} m)",
-            )
-        if outside == "zero" and met & kernels.VOID:
-            z[(seen & kernels.VOID) > 0] = 0.0
+    def _off_road(self, seen: NDArray[np.uint8], u: Floats, v: Floats) -> str:
+        """An error's text for positions (n,) that were not all on the road."""
+        i = int(np.flatnonzero(seen != kernels.INSIDE)[0])
+        return (
+            f"{_count(seen, kernels.OUTSIDE | kernels.VOID)} off the road, the first at u {u[i]:.2f} m, "
+            f"v {v[i]:.2f} m{', where data are missing' if seen[i] == kernels.VOID else ''} "
+            f"(the road: u {self.u_first:.2f} to {self.u_last:.2f} m, "
+            f"v {self.v[0]:.2f} to {self.v[-1]:.2f} m)"
+        )
 
     def xy_to_uv(self, x: ArrayLike, y: ArrayLike) -> tuple[Floats, Floats]:
         """Road coordinates (u, v) of map positions, m; of the shape of x and y broadcast.
@@ -325,7 +405,7 @@ class Road:
         """
         first, second, shape = _pair(x, y)
         u, v = np.empty(first.size), np.empty(first.size)
-        xy_to_uv(self.line, self.nearest_point(first, second), first, second, u, v)
+        kernels.xy_to_uv(self.line, self.nearest_point(first, second), first, second, u, v)
         return u.reshape(shape), v.reshape(shape)
 
     def uv_to_xy(self, u: ArrayLike, v: ArrayLike) -> tuple[Floats, Floats]:
@@ -334,26 +414,25 @@ class Road:
         if self.borders.close:
             first = self._closed(first)
         x, y = np.empty(first.size), np.empty(first.size)
-        uv_to_xy(self.line, first, second, x, y)
+        kernels.uv_to_xy(self.line, first, second, x, y)
         return x.reshape(shape), y.reshape(shape)
 
     def tracker(self, size: int = 4, outside: Outside = "road") -> RoadTracker:
         """A follower of ``size`` positions for live use."""
         return RoadTracker(self, size, outside)
 
+    def with_line(self, **changes: Floats | float | tuple[float, float]) -> Road:
+        """The road over a changed reference line: ``with_line(bank=...)``, names as in :class:`ReferenceLine`."""
+        return replace(self, reference=replace(self.reference, **changes))  # type: ignore[arg-type]
+
+    def with_heights(self, z: Floats) -> Road:
+        """The road with other heights (nu, nv) m, in single precision."""
+        return replace(self, z=single_precision(z))
+
     def scaled(self, factor: float) -> Road:
         """The road with every height multiplied by ``factor``."""
-        b = self.borders
-        borders = replace(
-            b,
-            offset_u=b.offset_u * factor,
-            offset_v=b.offset_v * factor,
-            base_begin=b.base_begin * factor,
-            base_end=b.base_end * factor,
-        )
-        return replace(
-            self, z=self.z * factor, ref_z=self.ref_z * factor, bank=self.bank * factor, borders=borders
-        )
+        scaled = replace(self, z=self.z * factor, borders=self.borders.moved(factor))
+        return scaled.with_line(z=self.ref_z * factor, bank=self.bank * factor)
 
     def placed(self, x: float, y: float, heading: float, z: float | None = None) -> Road:
         """The road moved so that its reference line starts at (x, y) with ``heading`` (rad) in ``map``.
@@ -364,14 +443,11 @@ class Road:
         cos, sin = np.cos(turn), np.sin(turn)
         dx, dy = self.x - self.x[0], self.y - self.y[0]
         lift = 0.0 if z is None else z - float(self.ref_z[0])
-        b = self.borders
-        return replace(
-            self,
+        return replace(self, borders=self.borders.moved(lift=lift)).with_line(
             x=x + cos * dx - sin * dy,
             y=y + sin * dx + cos * dy,
-            ref_z=self.ref_z + lift,
+            z=self.ref_z + lift,
             headings=(heading, self.headings[1] + turn),
-            borders=replace(b, base_begin=b.base_begin + lift, base_end=b.base_end + lift),
         )
 
 
@@ -404,7 +480,7 @@ class RoadTracker:
         lost = (at < 1) | ~(np.hypot(first - road.x[at], second - road.y[at]) <= self._reach)
         if lost.any():
             at[lost] = road.nearest_point(first[lost], second[lost])
-        xy_to_uv(road.line, at, first, second, self._u, self._v)
+        kernels.xy_to_uv(road.line, at, first, second, self._u, self._v)
         z, seen = self.road._evaluate(self._u, self._v, self.outside)
         self._inside = seen == kernels.INSIDE
         return z
@@ -420,8 +496,34 @@ class RoadTracker:
         return self._inside
 
 
+def _frozen(given: Floats) -> Floats:
+    """An array or a view of it, contiguous and not to be written to."""
+    array = np.ascontiguousarray(given, dtype=np.float64).view()
+    array.flags.writeable = False
+    return array
+
+
+def _held(z: Floats) -> Floats:
+    """Heights with the missing ones taken from the data of their cross section.
+
+    Between data linearly, beyond them the last one; a cross section without data from its
+    neighbours along the road.
+    """
+    held = np.array(z)
+    columns = np.arange(z.shape[1])
+    good = ~np.isnan(z)
+    some = good.any(axis=1)
+    for i in np.flatnonzero(some & ~good.all(axis=1)):
+        held[i] = np.interp(columns, columns[good[i]], z[i, good[i]])
+    if not some.all():
+        rows = np.arange(z.shape[0])
+        for j in columns:
+            held[~some, j] = np.interp(rows[~some], rows[some], held[some, j])
+    return held
+
+
 def _pair(a: ArrayLike, b: ArrayLike) -> tuple[Floats, Floats, tuple[int, ...]]:
-    """Two arguments as flat, contiguous, writable arrays, and the shape of the result.
+    """Both as flat, contiguous, writable arrays, and the shape of the result.
 
     Writable although nothing writes to them: to numba a read-only array is another type, and every
     type compiles a kernel anew.

@@ -4,16 +4,23 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Callable
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Literal
 
 from pydantic import Field, field_validator, model_validator
 
 from suspension_twin.arrays import Floats
 from suspension_twin.schema import Strict, within
-from suspension_twin.vehicle.corners import CORNERS
-from suspension_twin.vehicle.joints import Joint
-from suspension_twin.vehicle.twin import Coordinate, Length, Radius, Twin, wheels_at
+from suspension_twin.vehicle.twin import (
+    Coordinate,
+    FourWheeledTwin,
+    Length,
+    Radius,
+    Suspension,
+    Twin,
+    wheels_at,
+)
 
 __all__ = ["Fmu", "FmuParameter", "FmuTwin", "FmuVehicle"]
 
@@ -74,7 +81,7 @@ class FmuVehicle(Strict):
     """Where the wheels are, and the points that heave and planar accelerations are of.
 
     ``cog`` m is the centre of gravity of the whole vehicle, ``sprung_cog`` that of the body, whose height ``heave``
-    counts (``cog`` by default). ``static_deflection`` m, front and rear, is what ``deflection`` reads at standstill.
+    counts (``cog`` by default). ``static_deflection`` m, front and rear, is ``deflection`` at standstill.
     """
 
     name: str = "vehicle"
@@ -92,12 +99,12 @@ class FmuVehicle(Strict):
         return wheels_at(self.wheelbase, self.front_track, self.rear_track)
 
     @property
-    def axles(self) -> dict[str, Any]:
+    def axles(self) -> dict[str, Suspension]:
         """None: the springs are in the FMU."""
         return {}
 
 
-class FmuTwin(Twin):
+class FmuTwin(FourWheeledTwin):
     """The twin of a vehicle that an FMU simulates."""
 
     model: Literal["fmu"]
@@ -105,24 +112,8 @@ class FmuTwin(Twin):
     vehicle: FmuVehicle
 
     @property
-    def joint_names(self) -> tuple[str, ...]:
-        return tuple(f"{corner}_suspension" for corner in CORNERS)
-
-    @property
-    def joints(self) -> tuple[Joint, ...]:
-        radius = self.vehicle.tyre.radius
-        standing = [rest for rest in self.vehicle.static_deflection for _ in range(2)]
-        places = self.vehicle.wheel_positions.tolist()
-        return tuple(
-            Joint(
-                name, "prismatic", (x, y, radius - rest), (0.0, 0.0, 1.0), (0.0, 0.0, 0.0), rest, radius, 0.2
-            )
-            for name, (x, y), rest in zip(self.joint_names, places, standing, strict=True)
-        )
-
-    @property
-    def cog_height(self) -> float:
-        return self.vehicle.cog[2]
+    def standing(self) -> tuple[float, ...]:
+        return self.vehicle.static_deflection
 
     @property
     def bounds(self) -> dict[str, tuple[float, float]]:
@@ -136,6 +127,6 @@ class FmuTwin(Twin):
     def program(self) -> Path:
         return self.fmu.file
 
-    def with_paths(self, change: Any) -> Twin:
+    def with_paths(self, change: Callable[[Path], Path]) -> Twin:
         moved = super().with_paths(change)
         return moved.model_copy(update={"fmu": self.fmu.model_copy(update={"file": change(self.fmu.file)})})

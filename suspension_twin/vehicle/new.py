@@ -6,19 +6,18 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any
 
+from suspension_twin.vehicle.corners import AXLES
 from suspension_twin.vehicle.twin import Twin, parse_twin
 
 __all__ = ["Sizes", "resized"]
 
-#: What grows with the mass: forces at the wheel, wheel masses, tyre stiffness, inertias.
-_AXLES = ("front", "rear")
+#: Characteristics whose forces grow with the mass.
 _FORCES = ("spring", "damper_push", "damper_pull")
 
 
 @dataclass(frozen=True)
 class Sizes:
-    """A car in numbers: ``mass`` kg with everybody on board; the others m; ``cog`` ahead of the rear axle and above the
-    ground, None: where the base has it, as a share of the wheelbase; ``imu`` and ``gps`` in ``base_link``."""
+    """A car in numbers: ``mass`` kg with everybody on board; the others m; ``imu`` and ``gps`` in ``base_link``."""
 
     name: str
     mass: float
@@ -56,7 +55,7 @@ def resized(base: Twin, sizes: Sizes) -> Twin:
         "pitch": _rounded(inertia.pitch * heavier * longer**2),
     }
     vehicle["tyre"]["vertical_stiffness"] = _rounded(old.tyre.vertical_stiffness * heavier)
-    for axle in _AXLES:
+    for axle in AXLES:
         part = vehicle[axle]
         part["unsprung_mass"] = _rounded(part["unsprung_mass"] * heavier)
         for curve in _FORCES:

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """The file of a tracked vehicle in its plane of symmetry, after the tracked paper.
 
-The paper's axes (mm, x backwards, y up, from marker C) are kept for what it prints in them: the
+The paper's axes (mm, x backwards, y up, from marker C) are kept for the values that it prints in them: the
 markers and the setting x_kn of the idler. Everything else is in m, x forwards and z up from the
 axis of the sprocket, at which marker C is taken to be.
 """
@@ -9,8 +9,9 @@ axis of the sprocket, at which marker C is taken to be.
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from pathlib import Path
-from typing import Annotated, Any, Final, Literal
+from typing import Annotated, Final, Literal
 
 import numpy as np
 from pydantic import AfterValidator, Field, model_validator
@@ -18,9 +19,9 @@ from pydantic import AfterValidator, Field, model_validator
 from suspension_twin.arrays import Floats
 from suspension_twin.errors import InputError
 from suspension_twin.files import read_yaml
-from suspension_twin.schema import Strict, assign, checked, within
-from suspension_twin.vehicle.joints import Joint
-from suspension_twin.vehicle.twin import Imu, Twin
+from suspension_twin.schema import Strict, checked, within
+from suspension_twin.vehicle.corners import Joint
+from suspension_twin.vehicle.twin import Imu, Twin, with_value
 
 __all__ = [
     "BOUNDS",
@@ -136,7 +137,7 @@ class Station(Strict):
     sag: Annotated[float, within(-0.2, 0.3, "rad")] = 0.0
 
 
-class Ground(Strict):
+class Soil(Strict):
     stiffness: Annotated[float, within(1.0e6, 3.0e8, "N/m²")]
     damping: Annotated[float, within(0.0, 1.0e5, "N s/m²")]
 
@@ -154,9 +155,10 @@ class Obstacle(Strict):
 
 
 class Driver(Strict):
-    """Who holds the speed, by the sprocket's: ``gain`` of what the vehicle is too slow by, ``reset`` 1/s of what it is
-    behind by; ``droop`` m/s per N by which engine and gearbox give way to the pull of one track. All 0: a sprocket
-    that turns evenly. Nobody publishes them; the defaults hold 13 km/h within 0.1 m over a 0.4 m obstacle."""
+    """The driver who holds the speed by that of the sprocket: ``gain`` on the error of the speed, ``reset`` 1/s on the
+    distance that the vehicle is behind; ``droop`` m/s per N by which engine and gearbox give way to the pull of one
+    track. All 0: a sprocket that turns evenly. Nobody publishes them; the defaults hold 13 km/h within 0.1 m over a
+    0.4 m obstacle."""
 
     gain: Annotated[float, within(0.0, 20.0, "")] = 1.5
     reset: Annotated[float, within(0.0, 60.0, "1/s")] = 4.0
@@ -177,7 +179,7 @@ class TrackedVehicle(Strict):
     arm: Arm
     stations: Annotated[tuple[Station, ...], Field(min_length=2, max_length=12)]
     wheel_height: Position
-    ground: Ground
+    ground: Soil
     obstacle: Obstacle
     driver: Driver | None = None
 
@@ -225,15 +227,15 @@ class TrackedVehicle(Strict):
         """Height of the idler's axis above the ground, m."""
         return self.idler.height - self.ground_height
 
-    def with_changes(self, changes: dict[str, float]) -> TrackedVehicle:
+    def with_changes(self, changes: Mapping[str, object]) -> TrackedVehicle:
         """A checked copy with dotted keys replaced: ``{"track.stiffness": 1e7, "stations.0.damping": 0}``."""
-        data: Any = self.model_dump(mode="json")
+        data: object = self.model_dump(mode="json")
         for key, value in changes.items():
-            assign(data, key, value, "tracked vehicle")
+            data = with_value(data, key, value, "tracked vehicle")
         return parse_tracked(data)
 
     def with_dampers(self, damping: float) -> TrackedVehicle:
-        """Every station that has a damper gets this one, N m s/rad (Table 1)."""
+        """The vehicle with this damper at every station that has one, N m s/rad (Table 1)."""
         return self.with_changes(
             {f"stations.{i}.damping": damping for i, s in enumerate(self.stations) if s.damping > 0}
         )
@@ -242,8 +244,8 @@ class TrackedVehicle(Strict):
 class TrackedTwin(Twin):
     """The twin of a vehicle on tracks in its plane of symmetry.
 
-    ``base_link`` is on the ground under the rearmost road wheels, as it is under a car's rear axle; what
-    ``vehicle`` gives counts from the sprocket's axis, as the tracked paper's drawing does. ``imu`` may be left out
+    ``base_link`` is on the ground under the rearmost road wheels, as it is under a car's rear axle; the
+    positions in ``vehicle`` count from the sprocket's axis, as in the tracked paper's drawing. ``imu`` may be left out
     where only markers are measured: it then sits at the centre of gravity's place.
     """
 
@@ -279,8 +281,8 @@ class TrackedTwin(Twin):
         return self.vehicle.cog[1] - self.vehicle.ground_height
 
 
-def parse_tracked(data: Any, source: str | Path = "tracked vehicle") -> TrackedVehicle:
-    """Check what a file holds, a vehicle alone or a twin file around it; InputError names source and key."""
+def parse_tracked(data: object, source: str | Path = "tracked vehicle") -> TrackedVehicle:
+    """Check the contents of a file, a vehicle alone or a twin file around it; InputError names source and key."""
     if not isinstance(data, dict):
         raise InputError(source, "not the file of a tracked vehicle: a mapping is expected")
     if data.get("model") == "tracked" and isinstance(data.get("vehicle"), dict):

@@ -9,11 +9,11 @@ from __future__ import annotations
 
 import math
 import os
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from importlib import import_module
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Final, Literal
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Final, Literal, Protocol
 
 import numpy as np
 import yaml
@@ -23,10 +23,9 @@ from suspension_twin.arrays import Floats
 from suspension_twin.display import axes_or_new, bulleted
 from suspension_twin.errors import InputError, nearest, shown
 from suspension_twin.files import read_yaml, reading, write_text
-from suspension_twin.schema import Strict, assign, checked, problems, within
+from suspension_twin.schema import Strict, checked, problems, within
 from suspension_twin.units import STANDARD_GRAVITY as G
-from suspension_twin.vehicle.corners import CORNERS
-from suspension_twin.vehicle.joints import Joint
+from suspension_twin.vehicle.corners import CORNERS, Joint
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -39,6 +38,7 @@ __all__ = [
     "Damper",
     "Datum",
     "EffectSpec",
+    "FourWheeledTwin",
     "Imu",
     "Length",
     "Mass",
@@ -55,7 +55,9 @@ __all__ = [
     "load_twin",
     "parse_twin",
     "save_twin",
+    "value_at",
     "wheels_at",
+    "with_value",
 ]
 
 
@@ -73,11 +75,17 @@ TyreStiffness = Annotated[float, within(1.0e4, 1.0e7, "N/m", "is it in N/mm?")]
 
 
 class _Characteristic(Strict):
-    """Piecewise linear through (0, 0) and its points, going on with its last slope."""
+    """Piecewise linear through (0, 0) and its points, going on with its last slope.
 
-    @staticmethod
-    def _checked(name: str, x: tuple[float, ...], force: tuple[float, ...], largest: float) -> None:
-        if len(x) < 1 or len(x) > 32:
+    A subclass has two fields, the abscissae and the forces.
+    """
+
+    largest: ClassVar[float]
+
+    @model_validator(mode="after")
+    def _check(self) -> _Characteristic:
+        name, x, force = next(iter(type(self).model_fields)), *self._points
+        if not 1 <= len(x) <= 32:
             raise ValueError(f"{name}: needs 1 to 32 points, has {len(x)}")
         if len(force) != len(x):
             raise ValueError(f"force: has {len(force)} points for {len(x)} of {name}")
@@ -88,46 +96,46 @@ class _Characteristic(Strict):
             raise ValueError(f"{name}: must rise from above 0, is {list(x)}")
         if force[0] < 0 or any(b < a for a, b in zip(force, force[1:], strict=False)):
             raise ValueError(f"force: must not be negative or fall, is {list(force)}")
-        if x[-1] > largest:
-            raise ValueError(f"{name}: {x[-1]:g} is beyond {largest:g}: wrong unit?")
+        if x[-1] > self.largest:
+            raise ValueError(f"{name}: {x[-1]:g} is beyond {self.largest:g}: wrong unit?")
         if force[-1] > 2.0e6:
             raise ValueError(f"force: {force[-1]:g} N is beyond 2e6 N: wrong unit?")
+        return self
+
+    @property
+    def _points(self) -> tuple[tuple[float, ...], tuple[float, ...]]:
+        x, force = (getattr(self, name) for name in type(self).model_fields)
+        return x, force
+
+    @property
+    def points(self) -> tuple[Floats, Floats]:
+        """Abscissae in m or m/s and forces in N, both (k,)."""
+        x, force = self._points
+        return np.array(x), np.array(force)
 
 
 class Spring(_Characteristic):
     """Force at the wheel in N over the compression in m, counted from the free length."""
 
+    largest = 3.0
+
     compression: tuple[float, ...]
     force: tuple[float, ...]
 
     @model_validator(mode="after")
-    def _check(self) -> Spring:
-        self._checked("compression", self.compression, self.force, 3.0)
+    def _carries(self) -> Spring:
         if self.force[-1] <= 0:
             raise ValueError("force: a spring without force cannot carry the vehicle")
         return self
-
-    @property
-    def points(self) -> tuple[Floats, Floats]:
-        """Abscissae in m and forces in N, both (k,)."""
-        return np.array(self.compression), np.array(self.force)
 
 
 class Damper(_Characteristic):
     """Force at the wheel in N over the speed in m/s, one direction, both counted positive."""
 
+    largest = 20.0
+
     velocity: tuple[float, ...]
     force: tuple[float, ...]
-
-    @model_validator(mode="after")
-    def _check(self) -> Damper:
-        self._checked("velocity", self.velocity, self.force, 20.0)
-        return self
-
-    @property
-    def points(self) -> tuple[Floats, Floats]:
-        """Abscissae in m/s and forces in N, both (k,)."""
-        return np.array(self.velocity), np.array(self.force)
 
 
 class Axle(Strict):
@@ -139,15 +147,23 @@ class Axle(Strict):
     damper_pull: Damper
 
 
+class SpringAndDampers(Protocol):
+    """Characteristics of one wheel's suspension: an axle's, or a corner's."""
+
+    spring: Spring
+    damper_push: Damper
+    damper_pull: Damper
+
+
 @dataclass(frozen=True)
 class Suspension:
     """Springs and dampers of one characteristic: those of an axle, or of a single corner.
 
-    ``part`` has ``spring``, ``damper_push`` and ``damper_pull``; ``columns`` are its wheels among the deflections of a
-    response; ``load`` N is what each of its springs carries at standstill.
+    ``columns`` are its wheels among the deflections of a response; ``load`` N is carried by each of its springs at
+    standstill.
     """
 
-    part: Any
+    part: SpringAndDampers
     columns: slice
     load: float
 
@@ -203,14 +219,12 @@ class Vehicle(Strict):
 
     @property
     def axles(self) -> dict[str, Suspension]:
-        """Front and rear; what an axle carries follows from the centre of gravity, less its own wheels."""
+        """Front and rear; an axle's load follows from the centre of gravity, less its own wheels."""
         share = self.cog[0] / self.wheelbase
+        parts = (("front", self.front, slice(0, 2), share), ("rear", self.rear, slice(2, 4), 1.0 - share))
         return {
             name: Suspension(part, wheels, G * (self.mass * part_of / 2.0 - part.unsprung_mass))
-            for name, part, wheels, part_of in (
-                ("front", self.front, slice(0, 2), share),
-                ("rear", self.rear, slice(2, 4), 1.0 - share),
-            )
+            for name, part, wheels, part_of in parts
         }
 
     @property
@@ -261,16 +275,15 @@ class EffectSpec(Strict):
     @field_validator("parameters")
     @classmethod
     def _all_finite(cls, value: dict[str, float]) -> dict[str, float]:
-        for key, number in value.items():
-            if not math.isfinite(number):
-                raise ValueError(f"{key}: must be a finite number")
+        if wrong := next((key for key, number in value.items() if not math.isfinite(number)), None):
+            raise ValueError(f"{wrong}: must be a finite number")
         return value
 
 
 class Twin(Strict):
     """One digital twin as its file describes it, whatever its model. Immutable: use :meth:`with_changes`.
 
-    The subclass of a model states what ``vehicle`` holds.
+    The subclass of a model states the type of ``vehicle``.
 
     Attributes
     ----------
@@ -309,9 +322,8 @@ class Twin(Strict):
     @classmethod
     def _once(cls, value: tuple[EffectSpec, ...]) -> tuple[EffectSpec, ...]:
         ids = [e.id for e in value]
-        for name in ids:
-            if ids.count(name) > 1:
-                raise ValueError(f"{name} is listed more than once")
+        if twice := next((name for name in ids if ids.count(name) > 1), None):
+            raise ValueError(f"{twice} is listed more than once")
         return value
 
     @property
@@ -336,7 +348,7 @@ class Twin(Strict):
 
     @property
     def bounds(self) -> dict[str, tuple[float, float]]:
-        """Bounds that the file itself gives to numbers of it, by their keys: what a calibration searches by default."""
+        """Bounds that the file itself gives to numbers of it, by their keys: the default range of a calibration."""
         return {}
 
     @property
@@ -383,28 +395,71 @@ class Twin(Strict):
         return ax
 
     def with_paths(self, change: Callable[[Path], Path]) -> Twin:
-        """A copy in which every path of a file is what ``change`` makes of it."""
+        """A copy in which ``change`` is applied to every path of a file."""
         if self.road is None:
             return self.model_copy()
         return self.model_copy(update={"road": RoadFile(file=change(self.road.file))})
 
-    def with_changes(self, changes: dict[str, Any]) -> Twin:
+    def with_changes(self, changes: Mapping[str, object]) -> Twin:
         """A checked copy with dotted keys replaced: ``{"vehicle.mass": 1700.0}``.
 
         Points of a characteristic are addressed by index: ``vehicle.front.spring.force.2``.
         Raises InputError that names the key.
         """
-        data = self.model_dump(mode="python")
+        data: object = self.model_dump(mode="python")
         for key, value in changes.items():
-            assign(data, key, value, "twin")
+            data = with_value(data, key, value)
         return parse_twin(data, source="twin")
 
 
-class CarTwin(Twin):
-    """The twin of a car: models ``full_car`` and ``msd``."""
+def value_at(node: object, key: str, source: str = "twin") -> object:
+    """The value at a dotted key of a twin, of a part of one, or of nested plain values.
 
-    model: Literal["full_car", "msd"] = "full_car"
-    vehicle: Vehicle
+    Points of a characteristic by number: ``vehicle.front.spring.force.2``. Raises InputError that names ``source``,
+    the key and the nearest known one.
+    """
+    for part in key.split("."):
+        node = _child(node, part, key, source)
+    return node
+
+
+def with_value(node: object, key: str, value: object, source: str = "twin") -> object:
+    """A copy of nested plain values with another value at a dotted key; errors as of :func:`value_at`."""
+
+    def changed(node: object, parts: list[str]) -> object:
+        part, *rest = parts
+        old = _child(node, part, key, source)
+        new = changed(old, rest) if rest else value
+        if isinstance(node, Mapping):
+            return {**node, part: new}
+        assert isinstance(node, Sequence)
+        return [new if str(i) == part else item for i, item in enumerate(node)]
+
+    return changed(node, key.split("."))
+
+
+def _child(node: object, part: str, key: str, source: str) -> object:
+    """The value of one part of a key."""
+    known: dict[str, object] = {}
+    if isinstance(node, Strict):
+        known = {name: getattr(node, name) for name in type(node).model_fields}
+    elif isinstance(node, Mapping):
+        known = {str(name): value for name, value in node.items()}
+    elif isinstance(node, Sequence) and not isinstance(node, str):
+        known = {str(i): value for i, value in enumerate(node)}
+    if part not in known:
+        near = nearest(part, known) or (f" ({', '.join(known)})" if known else "")
+        raise InputError(source, key, f"no such key in the twin file{near}")
+    return known[part]
+
+
+class FourWheeledTwin(Twin):
+    """The twin of a vehicle with a wheel at each of four corners, of which each rides on its own suspension."""
+
+    @property
+    def standing(self) -> tuple[float, ...]:
+        """Deflection in m of the suspensions at standstill, front and rear."""
+        raise NotImplementedError
 
     @property
     def joint_names(self) -> tuple[str, ...]:
@@ -412,27 +467,35 @@ class CarTwin(Twin):
 
     @property
     def joints(self) -> tuple[Joint, ...]:
-        vehicle = self.vehicle
-        radius = vehicle.tyre.radius
-        standing = [a.static_compression for a in vehicle.axles.values() for _ in range(2)]
-        places = vehicle.wheel_positions.tolist()
+        up, none, radius = (0.0, 0.0, 1.0), (0.0, 0.0, 0.0), self.vehicle.tyre.radius
+        standing = [rest for rest in self.standing for _ in range(2)]
+        places = self.vehicle.wheel_positions.tolist()
         return tuple(
-            Joint(
-                name, "prismatic", (x, y, radius - rest), (0.0, 0.0, 1.0), (0.0, 0.0, 0.0), rest, radius, 0.2
-            )
+            Joint(name, "prismatic", (x, y, radius - rest), up, none, rest, radius, 0.2)
             for name, (x, y), rest in zip(self.joint_names, places, standing, strict=True)
         )
+
+    @property
+    def cog_height(self) -> float:
+        return float(self.vehicle.cog[2])
+
+
+class CarTwin(FourWheeledTwin):
+    """The twin of a car: models ``full_car`` and ``msd``."""
+
+    model: Literal["full_car", "msd"] = "full_car"
+    vehicle: Vehicle
+
+    @property
+    def standing(self) -> tuple[float, ...]:
+        return tuple(axle.static_compression for axle in self.axles.values())
 
     @property
     def axles(self) -> dict[str, Suspension]:
         return self.vehicle.axles
 
-    @property
-    def cog_height(self) -> float:
-        return self.vehicle.cog[2]
 
-
-#: For each model the class that says what its twin file holds: module in this package and name.
+#: For each model the class of its twin file: module in this package and name.
 SCHEMAS: Final = {
     "full_car": ("twin", "CarTwin"),
     "msd": ("twin", "CarTwin"),
@@ -448,13 +511,13 @@ def _schema(model: str) -> type[Twin]:
     return found
 
 
-def parse_twin(data: Any, source: str | Path = "twin") -> Twin:
+def parse_twin(data: object, source: str | Path = "twin") -> Twin:
     """Check the data of a twin file.
 
     Parameters
     ----------
     data : mapping
-        What the file holds.
+        The contents of the file.
     source : str or Path
         Name of the file for the messages of errors.
 
@@ -523,7 +586,7 @@ def save_twin(twin: Twin, path: str | Path, heading: str = "") -> None:
     Parameters
     ----------
     twin : Twin
-        What to write.
+        The twin.
     path : str or Path
         The YAML file; the paths of the road and of other files are kept relative to it if they can be.
     heading : str

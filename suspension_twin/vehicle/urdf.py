@@ -5,7 +5,7 @@ from __future__ import annotations
 
 from xml.etree import ElementTree as Xml
 
-from suspension_twin.vehicle.joints import Joint
+from suspension_twin.vehicle.corners import Joint
 from suspension_twin.vehicle.twin import Place, Twin
 
 __all__ = ["urdf", "wheel_frame"]
@@ -58,7 +58,7 @@ def urdf(twin: Twin, base: str = "base_link", prefix: str = "") -> str:
         link = _link(robot, name)
         size = {"radius": f"{joint.radius:g}", "length": f"{joint.width:g}"}
         _shape(link, joint.wheel, "cylinder", rpy="1.5707963267948966 0 0", **size)
-        element = _joint(robot, joint.name, joint.kind, base, name, joint.origin)
+        element = _joint(robot, joint.name, joint.kind, (base, name), joint.origin)
         Xml.SubElement(element, "axis", xyz=_text(joint.axis))
         travel = _TRAVEL[joint.kind]
         lower, upper = joint.standing - travel, joint.standing + travel
@@ -71,8 +71,8 @@ def urdf(twin: Twin, base: str = "base_link", prefix: str = "") -> str:
 
 def _sensor(robot: Xml.Element, base: str, prefix: str, place: Place) -> None:
     _link(robot, prefix + place.frame)
-    name = f"{place.frame}_joint"
-    _joint(robot, name, "fixed", base, prefix + place.frame, place.position, place.rpy)
+    links = base, prefix + place.frame
+    _joint(robot, f"{place.frame}_joint", "fixed", links, place.position, place.rpy)
 
 
 def _link(robot: Xml.Element, name: str) -> Xml.Element:
@@ -83,14 +83,13 @@ def _joint(
     robot: Xml.Element,
     name: str,
     kind: str,
-    parent: str,
-    child: str,
+    links: tuple[str, str],
     xyz: tuple[float, ...],
     rpy: tuple[float, ...] = (0.0, 0.0, 0.0),
 ) -> Xml.Element:
     element = Xml.SubElement(robot, "joint", name=name, type=kind)
-    Xml.SubElement(element, "parent", link=parent)
-    Xml.SubElement(element, "child", link=child)
+    Xml.SubElement(element, "parent", link=links[0])
+    Xml.SubElement(element, "child", link=links[1])
     Xml.SubElement(element, "origin", xyz=_text(xyz), rpy=_text(rpy))
     return element
 

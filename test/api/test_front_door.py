@@ -16,9 +16,8 @@ from matplotlib.axes import Axes
 
 import suspension_twin as st
 from suspension_twin.diagnosis.request import DiagnosisResult
-from suspension_twin.drive.edit import cut
 from suspension_twin.drive.rig import read_rig
-from suspension_twin.drive.types import Drive
+from suspension_twin.drive.types import Drive, cut
 from suspension_twin.errors import InputError, WorkError
 from suspension_twin.inference.gap import Comparison, measure_gap
 

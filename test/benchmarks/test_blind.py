@@ -15,8 +15,8 @@ from typing import Any, get_args
 import numpy as np
 import pytest
 
-from suspension_twin.drive.edit import cut
 from suspension_twin.drive.read import read_drive
+from suspension_twin.drive.types import cut
 from suspension_twin.drive.write import write_drive
 from suspension_twin.effects.registry import EFFECTS
 

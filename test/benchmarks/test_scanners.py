@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from suspension_twin.addons.roads.scan.scan import MEASURED, ScanSettings, road_from_scan
-from suspension_twin.road.centreline import Centreline
+from suspension_twin.road.build import Centreline
 from suspension_twin.road.recipe import make_road, parse_feature
 
 LENGTH = 14.0

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from suspension_twin.drive.types import Drive, FixData, ImuData, VelocityData
-from suspension_twin.road import Road
+from suspension_twin.road import ReferenceLine, Road
 
 ROAD = ("road_scale", "road_smoothing", "position_offset", "lateral_offset")
 LEVEL = (0.0, 0.0, 0.0)
@@ -60,12 +60,7 @@ def road() -> Road:
         name="waves",
         z=z,
         v=np.round(v, 6),
-        u_step=0.05,
-        x=u,
-        y=np.zeros_like(u),
-        ref_z=np.zeros_like(u),
-        bank=np.zeros_like(u),
-        headings=(0.0, 0.0),
+        reference=ReferenceLine.level(u, np.zeros_like(u), 0.05, (0.0, 0.0)),
     )
 
 

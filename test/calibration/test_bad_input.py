@@ -14,13 +14,12 @@ import yaml
 
 from suspension_twin.calibration.output import details_path
 from suspension_twin.cli.main import main
-from suspension_twin.drive.edit import cut
 from suspension_twin.drive.read import read_drive
-from suspension_twin.drive.types import Drive, FixData, ImuData
+from suspension_twin.drive.types import Drive, FixData, ImuData, cut
 from suspension_twin.drive.write import write_drive
 from suspension_twin.inference.synthetic import synthetic_drive
 from suspension_twin.road import bump_road, circular, write_road
-from suspension_twin.road.iso8608 import iso8608_road
+from suspension_twin.road.roughness import iso8608_road
 from suspension_twin.vehicle.twin import load_twin
 
 Run = Callable[[Drive | Path], tuple[int, str, Path]]

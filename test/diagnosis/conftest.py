@@ -12,8 +12,8 @@ import pytest
 from suspension_twin.drive.write import write_drive
 from suspension_twin.inference.synthetic import synthetic_drive
 from suspension_twin.road import half_sine, write_road
-from suspension_twin.road.bumps import add_bump
-from suspension_twin.road.iso8608 import iso8608_road
+from suspension_twin.road.build import add_bump
+from suspension_twin.road.roughness import iso8608_road
 from suspension_twin.vehicle.twin import EffectSpec, RoadFile, Twin, save_twin
 
 sys.path.insert(0, str(Path(__file__).parent))  # for one_channel

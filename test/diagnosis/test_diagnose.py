@@ -26,7 +26,7 @@ from suspension_twin.inference.simulated import simulate_drive
 from suspension_twin.inference.synthetic import synthetic_drive
 from suspension_twin.report.diagnosis import diagnosis_page
 from suspension_twin.road import write_road
-from suspension_twin.road.iso8608 import iso8608_road
+from suspension_twin.road.roughness import iso8608_road
 from suspension_twin.vehicle.twin import EffectSpec, RoadFile, Twin, load_twin, save_twin
 
 FEW = ("strut_friction", "tyre_damping", "time_offset")

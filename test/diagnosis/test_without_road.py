@@ -11,9 +11,8 @@ import pytest
 
 from suspension_twin.diagnosis.request import DiagnosisRequest
 from suspension_twin.diagnosis.run import diagnose
-from suspension_twin.drive.edit import cut
 from suspension_twin.drive.importing import import_drive
-from suspension_twin.drive.types import Drive
+from suspension_twin.drive.types import Drive, cut
 from suspension_twin.drive.write import write_drive
 from suspension_twin.vehicle.twin import Datum, Imu, Place, Twin, save_twin
 

@@ -14,7 +14,7 @@ from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin
 from rosbags.rosbag2 import Writer as Ros2Writer
 
 from suspension_twin.drive.cdr import ros1_types, ros2_types
-from suspension_twin.drive.containers.contents import Contents
+from suspension_twin.drive.contents import Contents
 from suspension_twin.drive.recording import read_recording
 from suspension_twin.drive.types import Drive, FixData, HeadingData, ImuData, VelocityData
 from suspension_twin.drive.write import write_drive

@@ -25,10 +25,10 @@ from rosbags.rosbag2 import CompressionMode, StoragePlugin
 
 from suspension_twin.cli.main import main
 from suspension_twin.drive.cdr import encode, ros2_types
-from suspension_twin.drive.edit import concatenate, cut
+from suspension_twin.drive.contents import decode_topic
 from suspension_twin.drive.read import Topics, read_drive
-from suspension_twin.drive.recording import decode_topic, is_recording, read_recording
-from suspension_twin.drive.types import Drive, FixData, ImuData, VelocityData
+from suspension_twin.drive.recording import is_recording, read_recording
+from suspension_twin.drive.types import Drive, FixData, ImuData, VelocityData, concatenate, cut
 from suspension_twin.drive.write import BagWriter, write_drive
 from suspension_twin.errors import InputError, WorkError
 

@@ -22,14 +22,13 @@ import zstandard
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from suspension_twin.drive.budget import VARIABLE, Budget
+from suspension_twin.drive.foreign_files import read_array, read_table
 from suspension_twin.drive.importing import import_drive
-from suspension_twin.drive.intake.arrays import read_array
-from suspension_twin.drive.intake.mapping import parse_mapping
-from suspension_twin.drive.intake.table import read_table
+from suspension_twin.drive.mapping import parse_mapping
 from suspension_twin.drive.read import read_drive
 from suspension_twin.drive.recording import read_recording
 from suspension_twin.drive.rig import read_rig
+from suspension_twin.drive.unpack import VARIABLE, Budget
 from suspension_twin.errors import InputError, SuspensionTwinError
 from suspension_twin.inference.marker_runs import read_markers
 from suspension_twin.road import load_road

@@ -18,12 +18,12 @@ import pytest
 import scipy.io
 
 from suspension_twin.drive import importers
+from suspension_twin.drive.checks import gravity_of, rhythm_of, summarise
+from suspension_twin.drive.clocks import gps_to_posix, iso_to_posix, text_to_posix, week_to_posix
 from suspension_twin.drive.importers import IMPORTERS, load_importer
 from suspension_twin.drive.importing import import_drive
-from suspension_twin.drive.intake.clocks import gps_to_posix, iso_to_posix, text_to_posix, week_to_posix
-from suspension_twin.drive.intake.mapping import load_mapping, parse_mapping
-from suspension_twin.drive.intake.velocity import velocities_from_course, velocities_from_fixes
-from suspension_twin.drive.summary import gravity_of, rhythm_of, summarise
+from suspension_twin.drive.mapping import load_mapping, parse_mapping
+from suspension_twin.drive.streams import velocities_from_course, velocities_from_fixes
 from suspension_twin.drive.types import FixData
 from suspension_twin.errors import InputError
 

@@ -16,10 +16,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
+from suspension_twin.drive.clocks import iso_to_posix
+from suspension_twin.drive.foreign_files import read_table
 from suspension_twin.drive.importing import import_drive
-from suspension_twin.drive.intake.clocks import iso_to_posix
-from suspension_twin.drive.intake.mapping import load_mapping
-from suspension_twin.drive.intake.table import read_table
+from suspension_twin.drive.mapping import load_mapping
 from suspension_twin.drive.types import Drive
 from suspension_twin.drive.write import write_drive
 from suspension_twin.errors import InputError

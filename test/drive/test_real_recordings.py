@@ -12,9 +12,9 @@ import pytest
 from scipy.interpolate import CubicSpline
 from scipy.signal import butter, sosfiltfilt
 
+from suspension_twin.drive.checks import path_length, summarise
 from suspension_twin.drive.importing import Imported, import_drive
 from suspension_twin.drive.read import Topics, read_drive
-from suspension_twin.drive.summary import path_length, summarise
 from suspension_twin.drive.types import Drive
 from suspension_twin.drive.write import write_drive
 

@@ -10,12 +10,10 @@ import numpy as np
 import pytest
 
 from suspension_twin.drive.cdr import Encoding
-from suspension_twin.drive.containers.contents import Contents
-from suspension_twin.drive.containers.salvage_mcap import salvage_mcap
-from suspension_twin.drive.containers.salvage_ros1 import salvage_ros1
-from suspension_twin.drive.containers.salvage_sqlite import MAGIC, salvage_sqlite
-from suspension_twin.drive.containers.whole import read_whole
+from suspension_twin.drive.contents import Contents
 from suspension_twin.drive.read import read_drive
+from suspension_twin.drive.recording import read_whole
+from suspension_twin.drive.salvage import SQLITE_MAGIC, salvage_mcap, salvage_ros1, salvage_sqlite
 from suspension_twin.drive.types import Drive
 from suspension_twin.errors import InputError
 
@@ -145,7 +143,7 @@ def test_pages_of_a_database_hold_large_messages_too(tmp_path: Path) -> None:
         rows = [(1, 10**9 * (i - 3), blob) for i, blob in enumerate(blobs)]
         database.executemany("INSERT INTO messages (topic_id, timestamp, data) VALUES (?, ?, ?)", rows)
     data = path.read_bytes()
-    assert data.startswith(MAGIC)
+    assert data.startswith(SQLITE_MAGIC)
     for share in (0.3, 0.6, 0.95):
         path.write_bytes(data[: int(share * len(data))])
         contents = Contents("cdr", None)

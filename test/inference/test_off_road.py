@@ -18,7 +18,7 @@ from suspension_twin.drive.write import write_drive
 from suspension_twin.errors import InputError
 from suspension_twin.inference.observation import ObserveSettings, observe
 from suspension_twin.inference.simulated import simulate_drive
-from suspension_twin.road import Road, bump_road, circular, write_road
+from suspension_twin.road import Border, Road, bump_road, circular, write_road
 from suspension_twin.vehicle.twin import RoadFile, Twin, save_twin
 
 
@@ -28,7 +28,7 @@ def short(bumps: Road) -> Road:
     road = bump_road(
         circular(0.9, 0.04), at=[22.0, 40.0], length=45.0, width=6.0, step=0.02, x=3.0, y=-4.0, heading=0.5
     )
-    return replace(road, name="short", ref_z=road.ref_z + 0.3)
+    return replace(road, name="short").with_line(z=road.ref_z + 0.3)
 
 
 def test_policies_differ_beyond_the_end_alone(drive: Drive, twin: Twin, short: Road) -> None:
@@ -72,7 +72,7 @@ def test_error_refuses_by_the_drives_name(drive: Drive, twin: Twin, short: Road)
         InputError, match=r"^bumps: leaves the road short from \d+\.\d\d to 19\.\d\d s.*the policy"
     ):
         observe(drive, twin, short, ObserveSettings(outside="error"))
-    none = replace(short, borders=replace(short.borders, mode_u=0))
+    none = replace(short, borders=replace(short.borders, u=Border(0)))
     with pytest.raises(InputError, match="and the road's file has no height there"):
         observe(drive, twin, none)
 

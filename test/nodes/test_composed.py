@@ -19,7 +19,7 @@ from rclpy.parameter import Parameter
 from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import Imu, NavSatFix
 
-from suspension_twin.drive.repair import nanoseconds
+from suspension_twin.drive.checks import nanoseconds
 from suspension_twin.drive.types import Drive, HeadingData
 from suspension_twin.nodes.composed import LINKS, Composed, Playback
 from suspension_twin.nodes.imu_ingest import ImuIngestNode

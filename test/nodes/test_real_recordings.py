@@ -10,9 +10,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from suspension_twin.drive.edit import cut
 from suspension_twin.drive.importing import import_drive
-from suspension_twin.drive.types import Drive
+from suspension_twin.drive.types import Drive, cut
 from suspension_twin.testing import running_twin
 from suspension_twin.vehicle.twin import Twin
 

@@ -15,7 +15,7 @@ from suspension_twin.inference.observation import observe, with_shown_errors
 from suspension_twin.inference.synthetic import SensorErrors, synthetic_drive
 from suspension_twin.models.simulate import simulate_twin
 from suspension_twin.pose.imu_gnss_consistency import consistency
-from suspension_twin.road import Road, flat_road
+from suspension_twin.road import ReferenceLine, Road, flat_road
 from suspension_twin.signals.attitude import rpy_matrix
 from suspension_twin.signals.offline import ingest_drive
 from suspension_twin.vehicle.twin import EffectSpec, Twin
@@ -57,9 +57,8 @@ def winding(twin: Twin) -> Drive:
     heading = 0.8 * np.sin(2.0 * np.pi * u / 120.0)
     x, y = np.cumsum(np.cos(heading)) * 0.1, np.cumsum(np.sin(heading)) * 0.1
     rough = np.random.default_rng(5).standard_normal((u.size // 5, 7)).repeat(5, axis=0) * 2e-3
-    flat = np.zeros(u.size)
     ends = (float(heading[0]), float(heading[-1]))
-    road = Road("winding", rough, np.linspace(-3.0, 3.0, 7), 0.1, x, y, flat, flat, ends)
+    road = Road("winding", rough, np.linspace(-3.0, 3.0, 7), ReferenceLine.level(x, y, 0.1, ends))
     return synthetic_drive(twin, road, KNOTS, seed=4, errors=SensorErrors(), name="ride")
 
 

@@ -1,9 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Bumps and roads of several parts."""
+"""Bumps and bends."""
 
 from __future__ import annotations
 
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -11,7 +10,6 @@ import pytest
 
 from suspension_twin.errors import InputError
 from suspension_twin.road import (
-    Road,
     add_bump,
     bump_road,
     circular,
@@ -19,9 +17,7 @@ from suspension_twin.road import (
     flat_road,
     grid_road,
     half_sine,
-    join,
     load_road,
-    measured,
     trapezoid,
     write_road,
 )
@@ -47,10 +43,6 @@ def test_shapes_are_the_named_ones() -> None:
     assert c([-0.1, 0.0, 3.0, 3.1]) == pytest.approx([0, 0, 0, 0], abs=1e-12)
     assert circular(0.2, 0.1)(0.1) == pytest.approx(0.1)  # a half round
     assert circular(3, -0.1)(1.5) == pytest.approx(-0.1)
-
-    m = measured([2.0, 2.5, 4.0], [0.0, 0.08, 0.02])
-    assert (m.length, m.height) == (2.0, 0.08)
-    assert m([0.25, 0.5, 1.25, 2.0, 2.1]) == pytest.approx([0.04, 0.08, 0.05, 0.02, 0.0])
 
 
 def test_a_bump_lies_where_it_is_put(tmp_path: Path) -> None:
@@ -83,14 +75,10 @@ def test_a_bump_in_one_track_and_askew() -> None:
         (lambda: half_sine(1, float("nan")), "height"),
         (lambda: trapezoid(1, 0.1, 1.0), "top"),
         (lambda: circular(1, 0.6), "at most 0.5"),
-        (lambda: measured([0, 1, 1], [0, 1, 0]), "rise"),
-        (lambda: measured([0, 1], [0, 1, 0]), "pairs"),
-        (lambda: measured([0, np.inf], [0, 1]), "finite"),
         (lambda: bump_road(half_sine(3, 0.1), 58.0), "off the road"),
         (lambda: bump_road(half_sine(0.1, 0.1), step=0.05), "too coarse"),
         (lambda: bump_road(half_sine(1, 0.1), width=0.0), "width"),
         (lambda: add_bump(flat_road(10), half_sine(3, 0.1), 1.0), "too coarse"),
-        (lambda: join([]), "one part or more"),
         (lambda: curved_road(flat_road(10), 0.3), "centre of a bend"),
         (lambda: flat_road(-1.0), "length"),
     ],
@@ -100,58 +88,12 @@ def test_what_makes_no_road_is_refused(make: object, fault: str) -> None:
         make()  # type: ignore[operator]
 
 
-def _parts() -> tuple[Road, Road, Road]:
+def test_a_bend_turns_by_its_curvature_over_its_length() -> None:
     rng = np.random.default_rng(2)
-    v = np.linspace(-2, 2, 9)
-    rough = grid_road(rng.normal(0, 0.01, (401, 9)), 0.05, v, x=3, y=4, heading=1.0, name="rough")
-    bend = curved_road(grid_road(rng.normal(0.3, 0.01, (601, 9)), 0.05, v), 0.02, name="bend")
-    fine = grid_road(rng.normal(0, 0.01, (1001, 5)), 0.05, np.linspace(-1, 1, 5), name="narrow")
-    return rough, bend, fine
-
-
-def test_parts_follow_one_another(tmp_path: Path) -> None:
-    rough, bend, fine = _parts()
-    road = join([rough, bend, fine], level=False)
-    assert road.length == pytest.approx(20 + 30 + 50)
-    assert (road.x[0], road.y[0]) == (3, 4)
-    np.testing.assert_allclose(np.hypot(np.diff(road.x), np.diff(road.y)), 0.05, rtol=1e-9)
-    heading = np.unwrap(np.arctan2(np.diff(road.y), np.diff(road.x)))
-    # Straight, then the bend's 0.6 rad without a kink at either seam, then straight again.
-    assert heading[0] == pytest.approx(1.0)
-    assert heading[-1] == pytest.approx(1.0 + bend.headings[1] - bend.headings[0])
-    assert np.abs(np.diff(heading)).max() < 0.0011
-    u = np.arange(0.5, 19.5, 0.013)
-    np.testing.assert_array_equal(road.heights_uv(u, 0.3), rough.heights_uv(u, 0.3))
+    straight = grid_road(rng.normal(0.3, 0.01, (601, 9)), 0.05, np.linspace(-2, 2, 9), heading=1.0)
+    bend = curved_road(straight, 0.02, name="bend")
+    assert bend.name == "bend"
+    np.testing.assert_allclose(np.hypot(np.diff(bend.x), np.diff(bend.y)), 0.05, rtol=1e-9)
+    assert bend.headings[1] - bend.headings[0] == pytest.approx(0.02 * 0.05 * 599)
     u = np.arange(0.5, 29.5, 0.013)
-    np.testing.assert_allclose(road.heights_uv(20 + u, 0.3), bend.heights_uv(u, 0.3), atol=1e-12)
-    # The narrower part is held beyond its own width.
-    np.testing.assert_allclose(
-        road.heights_uv(60.0, [1.0, 1.7]), fine.heights_uv(10.0, [1.0, 1.0]), atol=1e-8
-    )
-    write_road(road, tmp_path / "joined.crg")
-    back = load_road(tmp_path / "joined.crg")
-    np.testing.assert_allclose((back.x, back.y), (road.x, road.y), atol=1e-8)
-
-
-def test_level_parts_meet_at_one_height() -> None:
-    rough, bend, fine = _parts()
-    road = join([rough, bend, fine])
-    assert abs(road.heights_grid[400].mean() - (bend.z[0] + (road.ref_z[401] - bend.ref_z[1])).mean()) < 1e-9
-    # One step across the seam is no rougher than the parts themselves.
-    assert np.abs(np.diff(road.heights_grid, axis=0)).max() < 0.1
-    apart = join([rough, bend, fine], level=False)
-    assert np.abs(np.diff(apart.heights_grid, axis=0)).max() > 0.2
-
-
-def test_a_straight_part_of_another_step_is_resampled_a_curved_one_refused() -> None:
-    rough, bend, _ = _parts()
-    coarse = grid_road(np.outer(np.arange(11.0), np.ones(9)), 1.0, np.linspace(-2, 2, 9))
-    holes = np.array(coarse.z)
-    holes[4, 0] = np.nan
-    road = join([rough, replace(coarse, z=holes)], level=False)
-    assert road.u_step == 0.05
-    assert road.heights_uv(20 + 3.37, 1.0) == pytest.approx(3.37, abs=1e-6)
-    assert np.isnan(road.z).any()
-    assert not road.sample_uv(20 + 4.0, -1.9).inside
-    with pytest.raises(InputError, match="curved part is not resampled"):
-        join([bump_road(half_sine(3, 0.1)), bend])
+    np.testing.assert_allclose(bend.heights_uv(u, 0.3), straight.heights_uv(u, 0.3), atol=1e-12)

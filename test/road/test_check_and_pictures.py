@@ -24,9 +24,9 @@ from suspension_twin.road import (
     half_sine,
     write_road,
 )
-from suspension_twin.road.check import check_road, wheel_tracks
-from suspension_twin.road.iso8608 import iso8608_road
+from suspension_twin.road.check import check_road, wheel_paths
 from suspension_twin.road.plots import road_figure, save_road_picture
+from suspension_twin.road.roughness import iso8608_road
 
 
 @pytest.fixture(scope="module")
@@ -104,8 +104,8 @@ def test_each_fault_is_found_and_a_sound_road_has_none() -> None:
     holes = np.array(fine.z)
     holes[50, 2], holes[60:70, 4] = np.nan, np.nan
     assert "1 of them between data" in _faults(replace(fine, z=holes))
-    assert "the reference line climbs up to 40 %" in _faults(replace(fine, ref_z=0.4 * fine.u))
-    assert "banked up to 30 %" in _faults(replace(fine, bank=np.full(200, 0.3)))
+    assert "the reference line climbs up to 40 %" in _faults(fine.with_line(z=0.4 * fine.u))
+    assert "banked up to 30 %" in _faults(fine.with_line(bank=np.full(200, 0.3)))
     tight = curved_road(grid_road(np.zeros((200, 5)), 0.1, np.linspace(-1, 1, 5)), 0.5)
     assert "centre of a bend" in _faults(replace(tight, v=3 * tight.v))
     assert "the OpenCRG library warns: it" in _faults(replace(fine, notes=("it",)))
@@ -113,7 +113,7 @@ def test_each_fault_is_found_and_a_sound_road_has_none() -> None:
 
 def test_figures_are_the_roads() -> None:
     road = curved_road(grid_road(np.zeros((301, 5)), 0.1, np.linspace(-1, 1, 5)), 0.02)
-    road = replace(road, ref_z=0.05 * road.u, bank=np.linspace(0, 0.02, 301))
+    road = road.with_line(z=0.05 * road.u, bank=np.linspace(0, 0.02, 301))
     facts = check_road(road).facts
     assert facts["slope"] == "5.00 to 5.00 %"
     assert facts["banking"] == "0.00 to 2.00 %"
@@ -124,12 +124,12 @@ def test_figures_are_the_roads() -> None:
 
 def test_wheel_tracks_run_about_the_middle() -> None:
     road = grid_road(np.ones((20, 1)) * np.linspace(-3, 3, 7), 0.1, np.linspace(-3, 3, 7))
-    (left_v, right_v), left, right = wheel_tracks(road, 1.6)
+    (left_v, right_v), left, right = wheel_paths(road, 1.6)
     assert (left_v, right_v) == (0.8, -0.8)
     assert left == pytest.approx(0.8)
     assert right == pytest.approx(-0.8)
     one_side = grid_road(np.zeros((20, 3)), 0.1, [0.0, 1.0, 2.0])
-    assert wheel_tracks(one_side, 1.6)[0] == (1.5, 0.5)
+    assert wheel_paths(one_side, 1.6)[0] == (1.5, 0.5)
 
 
 def test_a_picture_shows_what_it_says(

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -12,7 +13,7 @@ from hypothesis import strategies as st
 from scipy.interpolate import RegularGridInterpolator
 
 from suspension_twin.errors import InputError, WorkError
-from suspension_twin.road import Borders, Road, curved_road, flat_road, grid_road, kernels, place
+from suspension_twin.road import Border, Borders, Fade, Road, curved_road, flat_road, grid_road, kernels
 
 RNG = np.random.default_rng(1)
 
@@ -28,7 +29,7 @@ def test_inside_it_is_bilinear(wavy: Road) -> None:
 
 
 def test_slope_and_banking_add_to_the_grid(wavy: Road) -> None:
-    sloped = replace(wavy, ref_z=0.1 * wavy.u + 3, bank=np.full(wavy.u.size, 0.05))
+    sloped = wavy.with_line(z=0.1 * wavy.u + 3, bank=np.full(wavy.u.size, 0.05))
     u, v = RNG.uniform(0, 20, 500), RNG.uniform(-1.5, 1.5, 500)
     expected = wavy.heights_uv(u, v) + 3 + 0.1 * u + 0.05 * v
     np.testing.assert_allclose(sloped.heights_uv(u, v), expected, rtol=0, atol=1e-13)
@@ -118,7 +119,7 @@ def test_beyond_the_border_each_policy_does_what_it_says(wavy: Road) -> None:
 
 
 def test_a_files_own_borders_yield_to_a_policy(wavy: Road) -> None:
-    road = replace(wavy, borders=Borders(mode_u=3, offset_v=1.0))
+    road = replace(wavy, borders=Borders(u=Border(3), v=Border(offset=1.0)))
     assert road.heights_uv(23.0, 0.0) == road.heights_uv(3.0, 0.0)
     assert road.heights_uv(23.0, 0.0, "hold") == wavy.heights_uv(20.0, 0.0)
     assert road.heights_uv(3.0, 9.0) == wavy.heights_uv(3.0, 1.5) + 1.0
@@ -165,7 +166,7 @@ def test_nothing_is_compiled_a_second_time_for_another_kind_of_argument() -> Non
         plain,
         curved_road(plain, 0.05),
         replace(plain, z=holes),
-        replace(plain, borders=Borders(mode_u=np.int64(3), offset_v=1, smooth_begin=1)),  # type: ignore[arg-type]
+        replace(plain, borders=Borders(Border(np.int64(3)), Border(offset=1), begin=Fade(1))),  # type: ignore[arg-type]
         flat_road(np.float32(10), 10),  # type: ignore[arg-type]
     ]
     frozen = np.linspace(0, 5, 6)
@@ -186,7 +187,7 @@ def test_nothing_is_compiled_a_second_time_for_another_kind_of_argument() -> Non
             for other in (kind, 0.5):
                 road.heights(kind, other)
                 road.uv_to_xy(kind, other)
-    for kernel in (kernels.heights_uv, place.xy_to_uv, place.uv_to_xy):
+    for kernel in (kernels.heights_uv, kernels.xy_to_uv, kernels.uv_to_xy):
         assert len(kernel.signatures) == 1, kernel
 
 
@@ -202,7 +203,7 @@ def test_missing_heights_are_held_from_beside_them() -> None:
 
 def test_scaling_and_placing(wavy: Road) -> None:
     u, v = RNG.uniform(-2, 22, 300), RNG.uniform(-2, 2, 300)
-    road = replace(wavy, bank=np.full(wavy.u.size, 0.03), borders=Borders(offset_u=0.2))
+    road = replace(wavy, borders=Borders(u=Border(offset=0.2))).with_line(bank=np.full(wavy.u.size, 0.03))
     np.testing.assert_allclose(road.scaled(-2.5).heights_uv(u, v), -2.5 * road.heights_uv(u, v), atol=1e-14)
     moved = curved_road(road, 0.03).placed(7.0, 8.0, -1.0, z=2.0)
     assert (moved.x[0], moved.y[0], moved.ref_z[0]) == (7.0, 8.0, 2.0)
@@ -266,19 +267,29 @@ def test_a_tracker_finds_its_place_again_after_a_jump(wavy: Road) -> None:
 @pytest.mark.parametrize(
     ("change", "fault"),
     [
+        ({"x": np.zeros(7)}, "x: needs 201 values"),
+        ({"x": np.zeros(201), "y": np.zeros(201)}, "stands still"),
+        ({"z": np.full(201, np.nan)}, "ref_z: must be finite"),
+        ({"bank": np.full(201, np.inf)}, "bank: must be finite"),
+        ({"step": 0.0}, "u_step: must be above 0"),
+        ({"step": np.nan}, "u_step: must be above 0"),
+    ],
+)
+def test_arrays_that_make_no_reference_line(wavy: Road, change: dict[str, Any], fault: str) -> None:
+    with pytest.raises(InputError, match=f"wavy: .*{fault}|wavy: {fault}"):
+        wavy.with_line(**change)
+
+
+@pytest.mark.parametrize(
+    ("change", "fault"),
+    [
         ({"z": np.zeros((1, 6))}, "at least 2 by 2"),
         ({"z": np.full((201, 6), np.nan)}, "no height at all"),
         ({"z": np.full((201, 6), np.inf)}, "infinite"),
         ({"v": np.zeros(6)}, "v: must rise"),
         ({"v": np.zeros(5)}, "v: needs 6 values"),
-        ({"x": np.zeros(7)}, "x: needs 201 values"),
-        ({"x": np.zeros(201), "y": np.zeros(201)}, "stands still"),
-        ({"ref_z": np.full(201, np.nan)}, "ref_z: must be finite"),
-        ({"bank": np.full(201, np.inf)}, "bank: must be finite"),
-        ({"u_step": 0.0}, "u_step: must be above 0"),
-        ({"u_step": np.nan}, "u_step: must be above 0"),
     ],
 )
-def test_arrays_that_make_no_road(wavy: Road, change: dict[str, object], fault: str) -> None:
+def test_arrays_that_make_no_road(wavy: Road, change: dict[str, Any], fault: str) -> None:
     with pytest.raises(InputError, match=f"wavy: .*{fault}|wavy: {fault}"):
         replace(wavy, **change)

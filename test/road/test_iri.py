@@ -8,8 +8,7 @@ import pytest
 from scipy.integrate import solve_ivp
 
 from suspension_twin.errors import InputError
-from suspension_twin.road.iri import golden_car_step, iri, iri_along
-from suspension_twin.road.iso8608 import iso8608_road
+from suspension_twin.road.roughness import golden_car_step, iri, iri_along, iso8608_road
 
 
 @pytest.mark.parametrize(

@@ -9,7 +9,7 @@ from scipy.signal import csd, welch
 from scipy.special import kv
 
 from suspension_twin.errors import InputError
-from suspension_twin.road.iso8608 import (
+from suspension_twin.road.roughness import (
     CLASSES,
     class_of,
     iso8608_road,

@@ -14,8 +14,8 @@ from numpy.typing import NDArray
 
 from suspension_twin.errors import InputError, WorkError
 from suspension_twin.road import Road, curved_road, flat_road, grid_road, load_road
-from suspension_twin.road.iso8608 import iso8608_road
 from suspension_twin.road.mesh import road_mesh, write_mesh
+from suspension_twin.road.roughness import iso8608_road
 
 Floats = NDArray[np.float64]
 

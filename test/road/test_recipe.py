@@ -11,8 +11,7 @@ import pytest
 
 from suspension_twin.cli.main import main
 from suspension_twin.road import half_sine, load_road, trapezoid
-from suspension_twin.road.events import profile_roughness
-from suspension_twin.road.iso8608 import CLASSES, iso8608_road
+from suspension_twin.road.roughness import CLASSES, iso8608_road, profile_roughness
 
 
 def test_features_lie_where_they_were_put(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -12,9 +12,8 @@ from scipy.ndimage import gaussian_filter
 
 from suspension_twin.errors import InputError
 from suspension_twin.road import bump_road, circular, grid_road, load_road
-from suspension_twin.road.iso8608 import iso8608_road
-from suspension_twin.road.smoothing import smooth
-from suspension_twin.road.spikes import find_spikes, remove_spikes
+from suspension_twin.road.roughness import iso8608_road
+from suspension_twin.road.smoothing import find_spikes, remove_spikes, smooth
 
 V = np.linspace(-3, 3, 61)
 U = 0.05 * np.arange(801)
@@ -44,7 +43,7 @@ def test_slopes_pass_unchanged_to_the_ends_around_holes_and_on_uneven_grids() ->
     holes = np.array(plane)
     holes[:60, :5], holes[300], holes[500:520, 12:] = np.nan, np.nan, np.nan
     road = grid_road(holes, 0.05, v)
-    road = replace(road, ref_z=0.2 * U, bank=0.001 * U)
+    road = road.with_line(z=0.2 * U, bank=0.001 * U)
     for along, across in ((0.5, None), (0.1, 2.0), (3.0, 0.0), (0.0, 0.7)):
         smoothed = smooth(road, along, across)
         np.testing.assert_allclose(smoothed.z, road.z, atol=1e-6)

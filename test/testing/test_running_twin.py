@@ -13,9 +13,8 @@ import pytest
 from geometry_msgs.msg import PoseStamped
 from rclpy.node import Node
 
-from suspension_twin.drive.edit import cut
 from suspension_twin.drive.read import read_drive
-from suspension_twin.drive.types import Drive
+from suspension_twin.drive.types import Drive, cut
 from suspension_twin.errors import InputError
 from suspension_twin.testing import running_twin
 from suspension_twin.vehicle.twin import load_twin

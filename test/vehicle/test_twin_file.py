@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import copy
 import shutil
 from pathlib import Path
 from typing import Any
@@ -12,7 +13,7 @@ import yaml
 
 from suspension_twin.errors import InputError
 from suspension_twin.inference.observation import road_of
-from suspension_twin.vehicle.twin import load_twin, parse_twin, save_twin
+from suspension_twin.vehicle.twin import load_twin, parse_twin, save_twin, value_at, with_value
 
 
 @pytest.fixture
@@ -83,3 +84,41 @@ def test_a_missing_road_says_where_it_was_looked_for(data: dict[str, Any], tmp_p
     assert f"road.file: there is no {looked}: it is looked for from the folder of the twin file" in str(
         caught.value
     )
+
+
+def test_dotted_keys_of_a_twin_and_of_plain_values_are_one(data: dict[str, Any]) -> None:
+    twin = parse_twin(data)
+    for key in ("vehicle.mass", "vehicle.front.spring.force.2", "imu.position.0", "effects"):
+        assert value_at(twin, key) == value_at(twin.model_dump(), key)
+    assert value_at(twin, "vehicle.front.spring.force.2") == twin.vehicle.front.spring.force[2]
+
+
+def test_a_changed_value_leaves_the_given_ones_as_they_were(data: dict[str, Any]) -> None:
+    before = copy.deepcopy(data)
+    changed = with_value(data, "vehicle.front.spring.force.1", 1.0)
+    assert data == before
+    assert value_at(changed, "vehicle.front.spring.force.1") == 1.0
+    before["vehicle"]["front"]["spring"]["force"][1] = 1.0
+    assert changed == before
+
+
+@pytest.mark.parametrize(
+    ("key", "words"),
+    [
+        ("vehicle.whelbase", "did you mean wheelbase?"),
+        ("vehicle.foo", "(name, mass, wheelbase, "),
+        ("vehicle.front.spring.force.9", "did you mean"),
+        ("vehicle.front.spring.force.-1", "did you mean 1?"),
+        ("vehicle.mass.x", "no such key in the twin file"),
+        ("", "no such key in the twin file (model, "),
+    ],
+)
+def test_a_key_that_is_none_is_named_with_the_nearest(key: str, words: str, data: dict[str, Any]) -> None:
+    twin = parse_twin(data)
+    with pytest.raises(InputError) as read:
+        value_at(twin, key)
+    with pytest.raises(InputError) as written:
+        with_value(twin.model_dump(), key, 1.0)
+    for error in (read, written):
+        assert str(error.value).startswith(f"twin: {key}: no such key")
+        assert words in str(error.value) or "force" in key

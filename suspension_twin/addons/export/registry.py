@@ -115,7 +115,7 @@ def export_twin(
 
 def characteristics_of(twin: Twin, to: str) -> dict[str, object]:
     """Springs and dampers of front and rear axle by ``front`` and ``rear``; InputError where the twin has no such."""
-    axles = {name: axle.part for name, axle in twin.axles.items()}
+    axles: dict[str, object] = {name: axle.part for name, axle in twin.axles.items()}
     if set(axles) != {"front", "rear"}:
         raise InputError("twin", "model", f"{twin.model} has no front and rear axle with springs for {to}")
     return axles

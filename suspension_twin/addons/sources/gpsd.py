@@ -18,8 +18,8 @@ from suspension_twin.addons.sources.common.address import Address
 from suspension_twin.addons.sources.common.fields import number, read_object
 from suspension_twin.addons.sources.common.hub import Hub
 from suspension_twin.addons.sources.common.receiver import ByteStream, Receiver
-from suspension_twin.drive.intake.clocks import iso_to_posix
-from suspension_twin.drive.intake.velocity import velocities_from_course
+from suspension_twin.drive.clocks import iso_to_posix
+from suspension_twin.drive.streams import velocities_from_course
 from suspension_twin.drive.types import FixData, HeadingData, VelocityData
 from suspension_twin.errors import InputError
 

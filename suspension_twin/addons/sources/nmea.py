@@ -22,7 +22,7 @@ from pynmeagps.exceptions import NMEAMessageError, NMEAParseError, NMEATypeError
 from suspension_twin.addons.sources.common.address import Address
 from suspension_twin.addons.sources.common.hub import Hub
 from suspension_twin.addons.sources.common.receiver import Receiver
-from suspension_twin.drive.intake.velocity import velocities_from_course
+from suspension_twin.drive.streams import velocities_from_course
 from suspension_twin.drive.types import FixData, HeadingData
 
 __all__ = ["EXAMPLE", "STEPS", "TITLE", "Nmea", "make"]

@@ -24,8 +24,7 @@ from suspension_twin.addons.sources.common.clock import host_time
 from suspension_twin.addons.sources.common.fields import number, read_object
 from suspension_twin.addons.sources.common.hub import Hub
 from suspension_twin.arrays import Floats
-from suspension_twin.drive.intake.phones import phone_fix
-from suspension_twin.drive.intake.velocity import velocities_from_course
+from suspension_twin.drive.streams import phone_fix, velocities_from_course
 from suspension_twin.errors import InputError
 
 __all__ = ["EXAMPLE", "STEPS", "TITLE", "SensorServer", "make"]

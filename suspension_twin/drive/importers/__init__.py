@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Importers of recordings, one file each, registered here by the name of the file.
 
-An importer is a module with ``TITLE`` (what a user calls the format), ``recognises(source)`` and
+An importer is a module with ``TITLE`` (the user's name of the format), ``recognises(source)`` and
 ``read(source)``; to add one, put its file here and its name into :data:`IMPORTERS`.
 """
 
@@ -10,8 +10,8 @@ from __future__ import annotations
 from importlib import import_module
 from typing import Protocol, cast
 
-from suspension_twin.drive.intake.source import Source
-from suspension_twin.drive.intake.streams import Streams
+from suspension_twin.drive.foreign_files import RecordedFiles
+from suspension_twin.drive.streams import Streams
 from suspension_twin.errors import InputError
 from suspension_twin.files import reading
 
@@ -22,15 +22,15 @@ IMPORTERS = ("sensor_logger", "phyphox", "matlab_mobile", "rtklib", "comma2k19")
 
 
 class Importer(Protocol):
-    """What a module of this folder holds."""
+    """Interface of a module of this folder."""
 
     TITLE: str
 
-    def recognises(self, source: Source) -> bool:
+    def recognises(self, source: RecordedFiles) -> bool:
         """Whether the source is in this format (it may still be damaged)."""
         ...
 
-    def read(self, source: Source) -> Streams:
+    def read(self, source: RecordedFiles) -> Streams:
         """Every stream the source holds; InputError where it cannot be read."""
         ...
 
@@ -42,7 +42,7 @@ def load_importer(name: str) -> Importer:
     return cast(Importer, import_module(f"{__name__}.{name}"))
 
 
-def importer_of(source: Source) -> Importer:
+def importer_of(source: RecordedFiles) -> Importer:
     """The importer that recognises the source; InputError if none does."""
     for name in IMPORTERS:
         importer = load_importer(name)
@@ -56,7 +56,7 @@ def importer_of(source: Source) -> Importer:
     )
 
 
-def read_source(source: Source, importer: Importer | None = None) -> Streams:
+def read_source(source: RecordedFiles, importer: Importer | None = None) -> Streams:
     """Every stream of a source by the importer that recognises it, or the one given; InputError otherwise."""
     chosen = importer or importer_of(source)
     with reading(source.path, f"a recording of {chosen.TITLE}"):

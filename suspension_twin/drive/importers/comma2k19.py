@@ -12,11 +12,9 @@ from __future__ import annotations
 import numpy as np
 
 from suspension_twin.arrays import Floats
-from suspension_twin.drive.intake.arrays import read_array
-from suspension_twin.drive.intake.clocks import week_to_posix
-from suspension_twin.drive.intake.source import Source
-from suspension_twin.drive.intake.streams import Series, Streams
-from suspension_twin.drive.intake.velocity import velocities_from_course
+from suspension_twin.drive.clocks import week_to_posix
+from suspension_twin.drive.foreign_files import RecordedFiles, read_array
+from suspension_twin.drive.streams import Series, Streams, velocities_from_course
 from suspension_twin.drive.types import FixData
 from suspension_twin.errors import InputError
 
@@ -29,12 +27,12 @@ _TO_FLU = np.array([1.0, -1.0, -1.0])
 _GNSS = ("processed_log/GNSS/live_gnss_ublox", "processed_log/GNSS/live_gnss_qcom")
 
 
-def recognises(source: Source) -> bool:
+def recognises(source: RecordedFiles) -> bool:
     """The folders of a segment."""
     return source.find(_IMU + "accelerometer/t") is not None
 
 
-def _array(source: Source, name: str, columns: int) -> Floats:
+def _array(source: RecordedFiles, name: str, columns: int) -> Floats:
     found = source.find(name)
     if found is None:
         raise InputError(source.path, name, "is missing")
@@ -44,9 +42,9 @@ def _array(source: Source, name: str, columns: int) -> Floats:
     return array
 
 
-def read(source: Source) -> Streams:
+def read(source: RecordedFiles) -> Streams:
     """Accelerometer and gyroscope forward, left, up; GNSS of the u-blox receiver (or the phone's)."""
-    streams = Streams(origin=TITLE, force_unit="m/s²")
+    streams = Streams(origin=TITLE)
     streams.notes.append("IMU axes: forward, right, down, turned to forward, left, up")
     offset = _boot_to_posix(source, streams)
     for sensor, target in (("accelerometer", "force"), ("gyro", "rate")):
@@ -55,7 +53,7 @@ def read(source: Source) -> Streams:
         if t.size != value.shape[0]:
             streams.warnings.append(f"{sensor}: {t.size} stamps for {value.shape[0]} values")
         n = min(t.size, value.shape[0])
-        setattr(streams, target, Series(t[:n] + offset, value[:n] * _TO_FLU))
+        setattr(streams, target, Series(t[:n] + offset, value[:n] * _TO_FLU, unit="m/s²"))
     log = next((name for name in _GNSS if source.find(f"{name}/value") is not None), None)
     if log is not None:
         value = _array(source, f"{log}/value", 6)
@@ -68,8 +66,8 @@ def read(source: Source) -> Streams:
     return streams
 
 
-def _boot_to_posix(source: Source, streams: Streams) -> float:
-    """What to add to the boot time."""
+def _boot_to_posix(source: RecordedFiles, streams: Streams) -> float:
+    """Seconds from the boot time to POSIX time."""
     if source.find("global_pose/frame_gps_times") is not None:
         boot = _array(source, "global_pose/frame_times", 1)[:, 0]
         gps = _array(source, "global_pose/frame_gps_times", 2)

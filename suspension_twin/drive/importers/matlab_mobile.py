@@ -23,13 +23,11 @@ from typing import Any
 import numpy as np
 
 from suspension_twin.arrays import Floats
-from suspension_twin.drive.budget import Budget
-from suspension_twin.drive.intake.clocks import text_to_posix
-from suspension_twin.drive.intake.source import Source
-from suspension_twin.drive.intake.streams import Series, Streams
-from suspension_twin.drive.intake.table import read_table
-from suspension_twin.drive.intake.velocity import velocities_from_course
+from suspension_twin.drive.clocks import text_to_posix
+from suspension_twin.drive.foreign_files import RecordedFiles, read_table
+from suspension_twin.drive.streams import Series, Streams, velocities_from_course
 from suspension_twin.drive.types import FixData
+from suspension_twin.drive.unpack import Budget
 from suspension_twin.errors import InputError
 from suspension_twin.files import reading
 
@@ -37,7 +35,7 @@ __all__ = ["TITLE", "read", "recognises"]
 
 TITLE = "MATLAB Mobile"
 
-#: What a log is called, in the app and in the scripts that save its arrays.
+#: Names of each log, in the app and in the scripts that save its arrays.
 _LOGS = {
     "acceleration": ("acceleration", "accel", "acc"),
     "angularvelocity": ("angularvelocity", "angvel", "gyro"),
@@ -51,21 +49,21 @@ _V73 = b"MATLAB 7.3"
 _COMPRESSED = 15
 _PIECE = 1 << 20
 
-Columns = dict[str, Any]
+Columns = dict[str, object]
 
 
-def recognises(source: Source) -> bool:
+def recognises(source: RecordedFiles) -> bool:
     """A ``.mat`` file, or a CSV file of one of the logs with a time column."""
     if _mat(source) is not None:
         return True
     return any(_is_csv(source, log) for log in ("acceleration", "angularvelocity"))
 
 
-def _mat(source: Source) -> str | None:
+def _mat(source: RecordedFiles) -> str | None:
     return next((name for name in source.names if name.lower().endswith(".mat")), None)
 
 
-def _is_csv(source: Source, log: str) -> str | None:
+def _is_csv(source: RecordedFiles, log: str) -> str | None:
     for name in source.names:
         if log in Path(name).stem.lower() and name.lower().endswith((".csv", ".txt")):
             head = source.head(name, 512).split(b"\n", 1)[0].lower()
@@ -74,7 +72,7 @@ def _is_csv(source: Source, log: str) -> str | None:
     return None
 
 
-def read(source: Source) -> Streams:
+def read(source: RecordedFiles) -> Streams:
     """Acceleration, angular velocity and position."""
     streams = Streams(origin=TITLE)
     mat = _mat(source)
@@ -92,14 +90,11 @@ def read(source: Source) -> Streams:
     return streams
 
 
-def _logs_of_csv(source: Source, streams: Streams) -> dict[str, Columns]:
+def _logs_of_csv(source: RecordedFiles, streams: Streams) -> dict[str, Columns]:
     logs = {}
+    positions = (n for n in source.names if "position" in n.lower() and n.lower().endswith(".csv"))
     for log in _LOGS:
-        name = _is_csv(source, log)
-        if log == "position":
-            name = next(
-                (n for n in source.names if "position" in n.lower() and n.lower().endswith(".csv")), None
-            )
+        name = next(positions, None) if log == "position" else _is_csv(source, log)
         if name is None:
             continue
         table = read_table(source.read(name), source.label(name), header=True)
@@ -138,10 +133,8 @@ def _logs_of_mat(data: bytes, label: str) -> dict[str, Columns]:
     logs: dict[str, Columns] = {}
     for log, aliases in _LOGS.items():
         name = next((alias for alias in aliases if alias in named), None)
-        if name is not None:
-            columns = _columns(named, name, label)
-            if columns:
-                logs[log] = columns
+        if name is not None and (columns := _columns(named, name, label)):
+            logs[log] = columns
     if not logs:
         known = ", ".join(named) or "none"
         raise InputError(label, f"holds neither Acceleration nor AngularVelocity; its variables are {known}")
@@ -167,10 +160,10 @@ def _check_compressed(data: bytes, budget: Budget) -> None:
 
 
 def _check_hdf5(path: str, budget: Budget) -> None:
-    """Count what a file of version 7.3 declares: a dataset may declare anything and store nothing."""
+    """Count the bytes that a file of version 7.3 declares: a dataset may declare anything and store nothing."""
     import h5py  # comes with mat-io
 
-    def count(name: str, item: Any) -> None:
+    def count(name: str, item: object) -> None:
         if isinstance(item, h5py.Dataset):
             if item.external:
                 raise InputError(budget.source, "keeps its data in another file")
@@ -200,10 +193,9 @@ def _columns(named: Columns, name: str, label: str) -> Columns:
     names = _POSITION if name.startswith("pos") else _XYZ
     if array.shape[1] == len(names) + 1:
         return {"timestamp": array[:, 0], **{key: array[:, i + 1] for i, key in enumerate(names)}}
-    beside = (
-        [f"{name}_{t}" for t in _TIMES] + [f"{t}_{name}" for t in _TIMES] + [f"{name}{t}" for t in _TIMES]
-    )
-    time = next((key for key in (*beside, *(f"{t}{name}" for t in _TIMES), *_TIMES) if key in named), None)
+    forms = ("{name}_{t}", "{t}_{name}", "{name}{t}", "{t}{name}", "{t}")
+    beside = (form.format(name=name, t=t) for form in forms for t in _TIMES)
+    time = next((key for key in beside if key in named), None)
     if time is None or array.shape[1] > len(names):
         raise InputError(label, name, f"no time beside it: save it as {name}_t")
     return {"timestamp": named[time], **{key: array[:, i] for i, key in enumerate(names[: array.shape[1]])}}

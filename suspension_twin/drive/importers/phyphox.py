@@ -5,8 +5,8 @@ Sources: the export code and file format pages of phyphox (RWTH Aachen). Columns
 brackets: ``Acceleration x (m/s^2)``, ``Gyroscope x (rad/s)``, ``Latitude (°)``, ``Velocity (m/s)``,
 ``Direction (°)``; names follow the language of the phone, so that units and the order in the file
 decide where a name is not the English one. ``Linear Acceleration`` is without gravity and no use.
-Its time is that of the experiment, which stands still during a pause; ``meta/time.csv`` holds what
-the clock said at each START and PAUSE. On iOS the app itself turns values to Android's axes.
+Its time is that of the experiment, which stands still during a pause; ``meta/time.csv`` holds
+the time of the clock at each START and PAUSE. On iOS the app itself turns values to Android's axes.
 """
 
 from __future__ import annotations
@@ -17,11 +17,9 @@ from dataclasses import replace
 import numpy as np
 
 from suspension_twin.arrays import Floats
-from suspension_twin.drive.intake.phones import ExperimentTime, phone_fix
-from suspension_twin.drive.intake.source import Source
-from suspension_twin.drive.intake.streams import Series, Streams
-from suspension_twin.drive.intake.table import Table, read_table
-from suspension_twin.drive.intake.velocity import velocities_from_course
+from suspension_twin.drive.clocks import ExperimentTime
+from suspension_twin.drive.foreign_files import DataTable, RecordedFiles, read_table
+from suspension_twin.drive.streams import Series, Streams, phone_fix, velocities_from_course
 from suspension_twin.errors import InputError
 
 __all__ = ["TITLE", "read", "recognises"]
@@ -35,20 +33,20 @@ _AXIS = re.compile(r"(?:^|[\s_])([xyz])\b", re.IGNORECASE)
 _TIME_HEAD = re.compile(rb"\(s\)")
 
 
-def recognises(source: Source) -> bool:
+def recognises(source: RecordedFiles) -> bool:
     """A time reference in ``meta``, or a CSV file whose columns carry phyphox's units."""
     if source.find("meta/time.csv") is not None:
         return True
     return any(_head(source, name) for name in source.names[:20] if name.lower().endswith((".csv", ".txt")))
 
 
-def _head(source: Source, name: str) -> bool:
+def _head(source: RecordedFiles, name: str) -> bool:
     first = source.head(name, 2048).split(b"\n", 1)[0]
     units = (b"(m/s^2)", "(m/s²)".encode(), b"(rad/s)", "(°)".encode(), b"(\xb0)")
     return bool(_TIME_HEAD.search(first)) and any(unit in first for unit in units)
 
 
-def read(source: Source) -> Streams:
+def read(source: RecordedFiles) -> Streams:
     """Accelerometer with gravity, gyroscope and location."""
     streams = Streams(origin=TITLE)
     linear_only = False
@@ -73,7 +71,7 @@ def read(source: Source) -> Streams:
     return streams
 
 
-def _columns(table: Table, unit: re.Pattern[str]) -> list[int]:
+def _columns(table: DataTable, unit: re.Pattern[str]) -> list[int]:
     """The x, y and z columns of a unit, in this order; empty if they are not all there."""
     found: dict[str, int] = {}
     for i, name in enumerate(table.names):
@@ -84,8 +82,8 @@ def _columns(table: Table, unit: re.Pattern[str]) -> list[int]:
     return [found[axis] for axis in "xyz"] if len(found) == 3 else []
 
 
-def _take(table: Table, name: str, streams: Streams) -> bool:
-    """Add what one file holds; whether it holds acceleration without gravity."""
+def _take(table: DataTable, name: str, streams: Streams) -> bool:
+    """Add the streams of one file; returns whether it holds acceleration without gravity."""
     t = table.numbers(0)
     linear = bool(_LINEAR.search(name)) or any(_LINEAR.search(column) for column in table.names)
     force = _columns(table, _ACCELERATION)
@@ -100,7 +98,7 @@ def _take(table: Table, name: str, streams: Streams) -> bool:
     return linear
 
 
-def _location(table: Table, t: Floats, degrees: list[int], streams: Streams) -> None:
+def _location(table: DataTable, t: Floats, degrees: list[int], streams: Streams) -> None:
     """Latitude and longitude come first, then height, velocity, direction and the two accuracies."""
     metres = [i for i, column in enumerate(table.names) if re.search(r"\(\s*m\s*\)", column)]
     speeds = [i for i, column in enumerate(table.names) if re.search(r"\(\s*m\s*/\s*s\s*\)", column)]
@@ -115,7 +113,7 @@ def _location(table: Table, t: Floats, degrees: list[int], streams: Streams) -> 
         streams.notes.append("velocity: from speed and direction")
 
 
-def _to_epoch(source: Source, streams: Streams) -> None:
+def _to_epoch(source: RecordedFiles, streams: Streams) -> None:
     """Replace the time of the experiment by that of the clock."""
     name = source.find("meta/time.csv") or source.find("time.csv")
     if name is None:

@@ -2,7 +2,7 @@
 """RTKLIB solution files (``.pos``): positions with their quality, velocities if they were put out.
 
 Sources: RTKLIB manual, section B.1 "Positioning solution file", and ``src/solution.c``. The line of
-column names, which begins with ``%`` and the time system (GPST, UTC or JST), says what is there:
+column names, which begins with ``%`` and the time system (GPST, UTC or JST), names the columns:
 time as date and time or as GPS week and second; latitude and longitude in degrees or in degrees,
 minutes and seconds; or x, y, z (ECEF). Standard deviations come in the order north, east, up; an
 off-diagonal one carries the sign of its covariance. Q: 1 fix, 2 float, 3 SBAS, 4 DGPS, 5 single,
@@ -17,10 +17,9 @@ import numpy as np
 import pymap3d
 
 from suspension_twin.arrays import Floats
-from suspension_twin.drive.intake.clocks import gps_to_posix, text_to_posix, week_to_posix
-from suspension_twin.drive.intake.source import Source
-from suspension_twin.drive.intake.streams import Streams
-from suspension_twin.drive.intake.table import number
+from suspension_twin.drive.clocks import gps_to_posix, text_to_posix, week_to_posix
+from suspension_twin.drive.foreign_files import RecordedFiles, number
+from suspension_twin.drive.streams import Streams
 from suspension_twin.drive.types import FixData, VelocityData
 from suspension_twin.errors import InputError
 
@@ -37,12 +36,12 @@ _STATUS = {1: 2, 2: 2, 3: 1, 4: 2, 5: 0, 6: 0}
 _QUALITY = {1: "fix", 2: "float", 3: "SBAS", 4: "DGPS", 5: "single", 6: "PPP", 7: "dead reckoning"}
 
 
-def recognises(source: Source) -> bool:
+def recognises(source: RecordedFiles) -> bool:
     """A file with RTKLIB's header, or one that ends in ``.pos``."""
     return _solution(source) is not None
 
 
-def _solution(source: Source) -> str | None:
+def _solution(source: RecordedFiles) -> str | None:
     for name in source.names:
         if name.lower().endswith(".pos"):
             return name
@@ -53,7 +52,7 @@ def _solution(source: Source) -> str | None:
     return None
 
 
-def read(source: Source) -> Streams:
+def read(source: RecordedFiles) -> Streams:
     """Positions and, where they were put out, velocities."""
     name = _solution(source)
     assert name is not None
@@ -153,11 +152,7 @@ def _sigma(columns: dict[str, Floats], names: tuple[str, str, str]) -> Floats:
 
 def _to_enu(place: Floats) -> Floats:
     """(n, 3, 3) rotations from ECEF to east, north, up at each place."""
-    latitude, longitude = np.radians(place[:, 0]), np.radians(place[:, 1])
-    sa, ca, so, co = np.sin(latitude), np.cos(latitude), np.sin(longitude), np.cos(longitude)
-    zero = np.zeros_like(sa)
-    rows = [[-so, co, zero], [-sa * co, -sa * so, ca], [ca * co, ca * so, sa]]
-    return np.stack([np.stack(row, axis=1) for row in rows], axis=1)
+    return np.stack(pymap3d.ecef2enuv(*np.eye(3), place[:, :1], place[:, 1:2]), axis=1)
 
 
 def _sigma_from_ecef(columns: dict[str, Floats], place: Floats) -> Floats:

@@ -12,24 +12,22 @@ the JSON export are strings.
 from __future__ import annotations
 
 import json
-from typing import Any
+from collections import defaultdict
+from collections.abc import Collection
+from dataclasses import replace
+from typing import Final
 
 import numpy as np
 
-from suspension_twin.arrays import Floats
-from suspension_twin.drive.intake.phones import IOS_FORCE_SIGN, force_sensors, phone_fix
-from suspension_twin.drive.intake.source import Source
-from suspension_twin.drive.intake.streams import Series, Streams
-from suspension_twin.drive.intake.table import Table, read_table
-from suspension_twin.drive.intake.velocity import velocities_from_course
-from suspension_twin.drive.types import FixData
+from suspension_twin.drive.foreign_files import DataTable, RecordedFiles, read_table
+from suspension_twin.drive.streams import Series, Streams, phone_fix, velocities_from_course
 from suspension_twin.errors import InputError
 
-__all__ = ["TITLE", "read", "recognises"]
+__all__ = ["IOS_FORCE_SIGN", "TITLE", "force_sensors", "read", "recognises"]
 
 TITLE = "Sensor Logger"
 
-_SENSORS = (
+_SENSORS: Final = (
     "TotalAcceleration",
     "Accelerometer",
     "Gravity",
@@ -40,10 +38,22 @@ _SENSORS = (
     "LocationGps",
     "Metadata",
 )
-_AXES = ("x", "y", "z")
+#: Sensors whose sum is the specific force, the best first.
+_FORCE_CHOICES: Final = (
+    ("totalacceleration",),
+    ("accelerometer", "gravity"),
+    ("accelerometeruncalibrated",),
+)
+#: On iOS the three axes of accelerometer and gravity are negated, unless they are standardised.
+IOS_FORCE_SIGN: Final = -1.0
 
 
-def recognises(source: Source) -> bool:
+def force_sensors(present: Collection[str]) -> tuple[str, ...]:
+    """Of the sensors present (lower case) those whose sum is the specific force; empty if there are none."""
+    return next((names for names in _FORCE_CHOICES if set(names) <= set(present)), ())
+
+
+def recognises(source: RecordedFiles) -> bool:
     """CSV files with its columns, or a JSON array of its records."""
     for sensor in ("TotalAcceleration", "Accelerometer", "Gyroscope"):
         name = source.find(f"{sensor}.csv")
@@ -52,57 +62,44 @@ def recognises(source: Source) -> bool:
     return any(_is_export(source, name) for name in source.names[:20])
 
 
-def _is_export(source: Source, name: str) -> bool:
+def _is_export(source: RecordedFiles, name: str) -> bool:
     head = source.head(name)
     return name.lower().endswith(".json") and b'"sensor"' in head and b'"time"' in head
 
 
-def read(source: Source) -> Streams:
+def read(source: RecordedFiles) -> Streams:
     """Accelerometer with gravity, gyroscope and location, in Android's axes (REP-145's sign)."""
     tables = _tables(source)
-    label = str(source.path)
-    platform, standardised = _platform(tables.get("Metadata"))
-    ios = platform == "ios" and not standardised
     streams = Streams(origin=TITLE)
     for table in tables.values():
         streams.warnings += table.warnings
-
-    named = {sensor.lower(): sensor for sensor in tables}
-    chosen = [named[sensor] for sensor in force_sensors(named)]
-    if chosen:
-        streams.force = _vector(tables[chosen[0]])
-        if chosen[1:]:
-            streams.force = _sum(streams.force, _vector(tables[chosen[1]]))
-        if chosen != ["TotalAcceleration"]:
-            streams.notes.append(f"specific force: {' + '.join(chosen)}")
-    elif "Accelerometer" in tables:
-        raise InputError(
-            label, "Accelerometer is without gravity: record TotalAcceleration (Android) or Gravity (iOS) too"
-        )
-    if ios and streams.force is not None:
-        streams.force = Series(streams.force.t, IOS_FORCE_SIGN * streams.force.values)
+    platform, standardised = _platform(tables.get("Metadata"))
+    streams.force = _force(tables, streams, source)
+    if platform == "ios" and not standardised and streams.force is not None:
+        streams.force = replace(streams.force, values=IOS_FORCE_SIGN * streams.force.values)
         streams.notes.append("iOS: all three accelerometer axes negated")
-    for sensor in ("Gyroscope", "GyroscopeUncalibrated"):
-        if streams.rate is None and sensor in tables:
-            streams.rate = _vector(tables[sensor])
-    location = tables.get("Location") or tables.get("LocationGps")
-    if location is not None:
-        t = _time(location)
-        streams.fix = _fix(location, t)
+    rates = [tables[sensor] for sensor in ("Gyroscope", "GyroscopeUncalibrated") if sensor in tables]
+    streams.rate = _vector(rates[0]) if rates else None
+    if (location := tables.get("Location") or tables.get("LocationGps")) is not None:
+        t = location.numbers("time") * 1e-9
+        place = [location.numbers(name) for name in ("latitude", "longitude")]
+        rest = [
+            location.numbers_or_nan(name) for name in ("altitude", "horizontalAccuracy", "verticalAccuracy")
+        ]
+        streams.fix = phone_fix(t, *place, *rest)
         if location.has("speed", "bearing"):
-            streams.velocity = velocities_from_course(
-                t, location.numbers("speed"), location.numbers("bearing")
-            )
+            speed, bearing = location.numbers("speed"), location.numbers("bearing")
+            streams.velocity = velocities_from_course(t, speed, bearing)
             streams.notes.append("velocity: from speed and bearing")
     if platform is None:
-        streams.warnings.append(f"{label}: no Metadata file names the platform: taken as Android")
+        streams.warnings.append(f"{source.path}: no Metadata file names the platform: taken as Android")
     else:
         system = {"ios": "iOS", "android": "Android"}.get(platform, platform)
         streams.origin = f"{TITLE}, {system}{', standardised frames' if standardised else ''}"
     return streams
 
 
-def _tables(source: Source) -> dict[str, Table]:
+def _tables(source: RecordedFiles) -> dict[str, DataTable]:
     export = next((name for name in source.names if _is_export(source, name)), None)
     if export is not None and source.find("Gyroscope.csv") is None:
         return _json_tables(source, export)
@@ -119,39 +116,38 @@ def _tables(source: Source) -> dict[str, Table]:
     return tables
 
 
-def _json_tables(source: Source, name: str) -> dict[str, Table]:
-    label = source.label(name)
-    text = source.text(name)
+def _json_tables(source: RecordedFiles, name: str) -> dict[str, DataTable]:
+    label, text = source.label(name), source.text(name)
     warnings = []
     try:
-        records = json.loads(text)
+        records: object = json.loads(text)
     except ValueError:
-        records = _whole_records(text)
-        if not records:
+        found = _whole_records(text)
+        if not found:
             raise InputError(label, "not JSON") from None
-        warnings.append(f"{label}: cut off after {len(records)} records")
+        warnings.append(f"{label}: cut off after {len(found)} records")
+        records = found
     if not isinstance(records, list):
         raise InputError(label, "a list of records was expected")
-    by_sensor: dict[str, list[dict[str, Any]]] = {}
+    by_sensor: dict[str, list[dict[str, object]]] = defaultdict(list)
     for record in records:
-        if isinstance(record, list):  # some versions nest the records of each sensor
-            for inner in record:
-                if isinstance(inner, dict):
-                    by_sensor.setdefault(str(inner.get("sensor")), []).append(inner)
-        elif isinstance(record, dict):
-            by_sensor.setdefault(str(record.get("sensor")), []).append(record)
+        for inner in (
+            record if isinstance(record, list) else [record]
+        ):  # some versions nest those of each sensor
+            if isinstance(inner, dict):
+                by_sensor[str(inner.get("sensor"))].append(inner)
     tables = {}
     for sensor, rows in by_sensor.items():
         if sensor in _SENSORS:
             names = [key for key in rows[0] if key != "sensor"]
             columns = [tuple("" if row.get(key) is None else str(row[key]) for row in rows) for key in names]
-            tables[sensor] = Table(f"{label}: {sensor}", names, columns)
+            tables[sensor] = DataTable(f"{label}: {sensor}", names, columns)
     if tables:
         next(iter(tables.values())).warnings += warnings
     return tables
 
 
-def _whole_records(text: str) -> list[Any]:
+def _whole_records(text: str) -> list[object]:
     """Records of an array that is cut off."""
     end = text.rfind("}")
     for _ in range(5):  # a brace may also end something within a record
@@ -164,7 +160,7 @@ def _whole_records(text: str) -> list[Any]:
     return []
 
 
-def _platform(metadata: Table | None) -> tuple[str | None, bool]:
+def _platform(metadata: DataTable | None) -> tuple[str | None, bool]:
     """Platform in lower case, and whether axes and units were standardised."""
     if metadata is None or not metadata.rows or not metadata.has("platform"):
         return None, False
@@ -172,30 +168,30 @@ def _platform(metadata: Table | None) -> tuple[str | None, bool]:
     return metadata.text("platform")[0].strip().lower(), standard in ("true", "1", "on", "yes")
 
 
-def _time(table: Table) -> Floats:
-    return table.numbers("time") * 1e-9
+def _vector(table: DataTable) -> Series:
+    return Series(table.numbers("time") * 1e-9, table.vector("xyz"))
 
 
-def _vector(table: Table) -> Series:
-    return Series(_time(table), table.vector(_AXES))
-
-
-def _sum(linear: Series, gravity: Series) -> Series:
-    """Linear acceleration and gravity at the former's stamps."""
-    order = np.argsort(gravity.t, kind="stable")
-    t, values = gravity.t[order], gravity.values[order]
-    good = np.isfinite(t) & np.isfinite(values).all(axis=1)
-    if not good.any():
-        return Series(linear.t[:0], linear.values[:0])
-    at = [np.interp(linear.t, t[good], values[good, i]) for i in range(3)]
-    return Series(linear.t, linear.values + np.stack(at, axis=1))
-
-
-def _fix(table: Table, t: Floats) -> FixData:
-    def column(name: str) -> Floats:
-        return table.numbers(name) if table.has(name) else np.full(t.size, np.nan)
-
-    accuracies = column("horizontalAccuracy"), column("verticalAccuracy")
-    return phone_fix(
-        t, table.numbers("latitude"), table.numbers("longitude"), column("altitude"), *accuracies
-    )
+def _force(tables: dict[str, DataTable], streams: Streams, source: RecordedFiles) -> Series | None:
+    """The specific force, of one sensor or as the sum of linear acceleration and gravity at the former's stamps."""
+    named = {sensor.lower(): sensor for sensor in tables}
+    chosen = [named[sensor] for sensor in force_sensors(named)]
+    if not chosen:
+        if "Accelerometer" in tables:
+            fault = (
+                "Accelerometer is without gravity: record TotalAcceleration (Android) or Gravity (iOS) too"
+            )
+            raise InputError(source.path, fault)
+        return None
+    if chosen != ["TotalAcceleration"]:
+        streams.notes.append(f"specific force: {' + '.join(chosen)}")
+    force, *more = (_vector(tables[sensor]) for sensor in chosen)
+    for gravity in more:
+        order = np.argsort(gravity.t, kind="stable")
+        t, values = gravity.t[order], gravity.values[order]
+        good = np.isfinite(t) & np.isfinite(values).all(axis=1)
+        if not good.any():
+            return Series(force.t[:0], force.values[:0])
+        at = [np.interp(force.t, t[good], values[good, i]) for i in range(3)]
+        force = Series(force.t, force.values + np.stack(at, axis=1))
+    return force

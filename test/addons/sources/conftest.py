@@ -10,9 +10,8 @@ import pytest
 
 sys.path.insert(0, str(Path(__file__).parent))  # for the emulators of the apps
 
-from suspension_twin.drive.edit import cut
 from suspension_twin.drive.read import read_drive
-from suspension_twin.drive.types import Drive
+from suspension_twin.drive.types import Drive, cut
 
 
 @pytest.fixture(scope="session")

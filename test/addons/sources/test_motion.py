@@ -12,9 +12,8 @@ import pytest
 from suspension_twin.addons.sources.common.hub import Hub
 from suspension_twin.addons.sources.common.motion import MotionLag
 from suspension_twin.addons.sources.common.report import device_values
-from suspension_twin.drive.edit import cut
 from suspension_twin.drive.read import read_drive
-from suspension_twin.drive.types import Drive
+from suspension_twin.drive.types import Drive, cut
 
 
 @pytest.fixture(scope="module")

@@ -18,10 +18,8 @@ from suspension_twin.drive.types import Drive
 from suspension_twin.errors import InputError
 from suspension_twin.files import write_text
 from suspension_twin.inference.observation import Observation, ObserveSettings, observe
-from suspension_twin.road.build import flat_road
-from suspension_twin.road.centreline import Centreline
-from suspension_twin.road.crg import write_road
-from suspension_twin.road.origin import record_path
+from suspension_twin.road.build import Centreline, flat_road
+from suspension_twin.road.crg import record_path, write_road
 from suspension_twin.road.road import Road
 from suspension_twin.signals.filters import FilterSpec
 from suspension_twin.vehicle.twin import Twin

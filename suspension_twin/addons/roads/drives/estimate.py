@@ -42,7 +42,7 @@ from suspension_twin.addons.roads.drives.vehicle import (
 from suspension_twin.arrays import Floats
 from suspension_twin.errors import InputError
 from suspension_twin.inference.observation import Observation
-from suspension_twin.road.centreline import Centreline, road_over
+from suspension_twin.road.build import Centreline, road_over
 from suspension_twin.road.recipe import Feature
 from suspension_twin.road.road import Road
 from suspension_twin.vehicle.twin import Twin

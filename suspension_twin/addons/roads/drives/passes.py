@@ -22,7 +22,7 @@ from suspension_twin.inference.observation import Observation
 from suspension_twin.models.excitation import excitation
 from suspension_twin.models.simulate import simulate_twin
 from suspension_twin.pose.types import Trajectory
-from suspension_twin.road.centreline import Centreline
+from suspension_twin.road.build import Centreline
 from suspension_twin.road.road import Road
 from suspension_twin.vehicle.twin import Twin
 

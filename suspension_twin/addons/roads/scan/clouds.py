@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from suspension_twin.arrays import Floats
-from suspension_twin.drive.budget import Budget
+from suspension_twin.drive.unpack import Budget
 from suspension_twin.errors import InputError
 from suspension_twin.files import reading
 

@@ -16,8 +16,8 @@ from suspension_twin.addons.roads.scan.placing import SCAN_UNITS, Placing
 from suspension_twin.addons.roads.scan.surface import Points
 from suspension_twin.arrays import Floats, runs
 from suspension_twin.errors import InputError
-from suspension_twin.road.centreline import Centreline, road_over
-from suspension_twin.road.place import xy_to_uv
+from suspension_twin.road.build import Centreline, road_over
+from suspension_twin.road.kernels import xy_to_uv
 
 __all__ = ["Gathered", "gather"]
 

@@ -17,8 +17,7 @@ from suspension_twin.errors import InputError
 from suspension_twin.files import reading
 from suspension_twin.inference.observation import Observation, ObserveSettings, observe
 from suspension_twin.pose.local_map import LocalMap
-from suspension_twin.road.build import flat_road
-from suspension_twin.road.centreline import Centreline
+from suspension_twin.road.build import Centreline, flat_road
 from suspension_twin.road.crg import load_road
 from suspension_twin.vehicle.twin import Twin
 

@@ -17,7 +17,7 @@ from suspension_twin.addons.roads.scan.scan import Scanned
 from suspension_twin.arrays import Floats
 from suspension_twin.errors import InputError
 from suspension_twin.files import replacing
-from suspension_twin.road.check import wheel_tracks
+from suspension_twin.road.check import wheel_paths
 from suspension_twin.road.road import Road
 
 __all__ = ["save_scan_picture", "scan_figure"]
@@ -87,7 +87,7 @@ def _map(axes: Axes, road: Road, values: Floats, limit: float | None, colours: s
 
 
 def _wheel_path(axes: Axes, found: Scanned) -> None:
-    (left, _), z, _ = wheel_tracks(found.edges)
+    (left, _), z, _ = wheel_paths(found.edges)
     j = int(np.abs(found.edges.v - left).argmin())
     u = found.edges.u
     rough = uniform_filter1d(

@@ -23,13 +23,11 @@ from suspension_twin.addons.roads.scan.surface import Grid, Points, fit_surface
 from suspension_twin.arrays import Floats
 from suspension_twin.errors import InputError
 from suspension_twin.files import replacing, write_text
-from suspension_twin.road.centreline import Centreline, road_over
+from suspension_twin.road.build import Centreline, road_over
 from suspension_twin.road.check import enclosed
-from suspension_twin.road.crg import write_road
-from suspension_twin.road.origin import record_path
+from suspension_twin.road.crg import record_path, write_road
 from suspension_twin.road.road import Road
-from suspension_twin.road.smoothing import smooth
-from suspension_twin.road.spikes import find_spikes, remove_spikes
+from suspension_twin.road.smoothing import find_spikes, remove_spikes, smooth
 
 __all__ = ["FINEST", "Filter", "ScanSettings", "Scanned", "cells_path", "road_from_scan", "write_scan"]
 
@@ -133,7 +131,7 @@ def road_from_scan(
     Examples
     --------
     >>> import numpy as np
-    >>> from suspension_twin.road.centreline import Centreline
+    >>> from suspension_twin.road.build import Centreline
     >>> from suspension_twin.addons.roads.scan.clouds import Cloud
     >>> from suspension_twin.addons.roads.scan.placing import Placing
     >>> xy = np.random.default_rng(0).uniform([0, -3], [20, 3], (60000, 2))
@@ -170,7 +168,7 @@ def road_from_scan(
 
     def made(z: Floats, title: str) -> Road:
         road = road_over(line, z, v, title)
-        return replace(road, ref_z=np.full(line.x.size, level))
+        return road.with_line(z=np.full(line.x.size, level))
 
     gone = status == HOLE
     edges = made(np.where(gone, np.nan, fitted.z), "edge-preserving")

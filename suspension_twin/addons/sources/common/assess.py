@@ -9,7 +9,7 @@ from typing import Final, Literal
 
 import numpy as np
 
-from suspension_twin.drive.summary import gravity_of, rhythm_of
+from suspension_twin.drive.checks import gravity_of, rhythm_of
 from suspension_twin.drive.types import FixData, ImuData, VelocityData
 from suspension_twin.signals.attitude import level_rpy
 from suspension_twin.signals.checks import Finding, check_axes, check_rate, check_units, recognise_units

@@ -13,7 +13,7 @@ import numpy as np
 from suspension_twin.addons.sources.common.clock import ArrivalClock
 from suspension_twin.addons.sources.common.motion import MotionShift
 from suspension_twin.arrays import Floats
-from suspension_twin.drive.repair import measured
+from suspension_twin.drive.checks import measured
 from suspension_twin.drive.types import FixData, HeadingData, ImuData, Samples, VelocityData
 
 if TYPE_CHECKING:

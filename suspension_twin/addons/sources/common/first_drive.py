@@ -22,8 +22,8 @@ from suspension_twin.inference.excited_segments import TrimSettings
 from suspension_twin.inference.observation import road_of
 from suspension_twin.models.registry import model_of
 from suspension_twin.pose.local_map import LocalMap
-from suspension_twin.road.events import profile_events
 from suspension_twin.road.road import Road
+from suspension_twin.road.roughness import profile_events
 from suspension_twin.signals.attitude import level_rpy, rpy_matrix
 from suspension_twin.signals.checks import Finding, check_mounting
 from suspension_twin.signals.settings import ImuSettings

@@ -22,8 +22,8 @@ from suspension_twin.addons.sources.common.device import Device
 from suspension_twin.addons.sources.common.fields import number, read_object
 from suspension_twin.addons.sources.common.hub import Hub
 from suspension_twin.arrays import Floats
-from suspension_twin.drive.intake.phones import IOS_FORCE_SIGN, force_sensors, phone_fix
-from suspension_twin.drive.intake.velocity import velocities_from_course
+from suspension_twin.drive.importers.sensor_logger import IOS_FORCE_SIGN, force_sensors
+from suspension_twin.drive.streams import phone_fix, velocities_from_course
 from suspension_twin.errors import InputError
 from suspension_twin.units import STANDARD_GRAVITY
 

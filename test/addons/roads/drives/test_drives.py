@@ -22,7 +22,7 @@ from suspension_twin.errors import InputError
 from suspension_twin.inference.simulated import simulate_drive
 from suspension_twin.inference.synthetic import SensorErrors, synthetic_drive
 from suspension_twin.road import Road, add_bump, half_sine, load_road
-from suspension_twin.road.iso8608 import iso8608_road
+from suspension_twin.road.roughness import iso8608_road
 from suspension_twin.vehicle.twin import Twin, load_twin
 
 BAGS = Path(__file__).resolve().parents[4] / "bags"

@@ -14,8 +14,8 @@ from suspension_twin.addons.roads.drives.inverse import RoadPrior, coherence
 from suspension_twin.drive.types import Drive
 from suspension_twin.inference.synthetic import synthetic_drive
 from suspension_twin.road import Road, add_bump, half_sine
-from suspension_twin.road.centreline import Centreline
-from suspension_twin.road.iso8608 import iso8608_road
+from suspension_twin.road.build import Centreline
+from suspension_twin.road.roughness import iso8608_road
 from suspension_twin.vehicle.twin import Twin, load_twin
 
 BAGS = Path(__file__).resolve().parents[4] / "bags"

@@ -23,8 +23,8 @@ from suspension_twin.errors import InputError
 from suspension_twin.inference.simulated import simulate_drive
 from suspension_twin.inference.synthetic import synthetic_drive
 from suspension_twin.road import Road, add_bump, half_sine
-from suspension_twin.road.iso8608 import iso8608_road
 from suspension_twin.road.recipe import parse_feature
+from suspension_twin.road.roughness import iso8608_road
 from suspension_twin.vehicle.twin import Twin, load_twin, save_twin
 
 BAGS = Path(__file__).resolve().parents[4] / "bags"

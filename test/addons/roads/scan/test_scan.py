@@ -20,7 +20,7 @@ from suspension_twin.cli.main import main
 from suspension_twin.errors import InputError
 from suspension_twin.pose.local_map import LocalMap
 from suspension_twin.road import Road, load_road, write_road
-from suspension_twin.road.centreline import Centreline
+from suspension_twin.road.build import Centreline
 from suspension_twin.road.recipe import make_road, parse_feature
 from suspension_twin.vehicle.twin import Datum
 

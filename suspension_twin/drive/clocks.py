@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Clocks of recordings: units, GPS time and its leap seconds, RTKLIB's time tags.
+"""Clocks of recordings: units, GPS time and its leap seconds, RTKLIB's time tags, phyphox's time of an experiment.
 
 A drive's time is POSIX time, so UTC without leap seconds.
 """
@@ -9,6 +9,7 @@ from __future__ import annotations
 import re
 import struct
 from collections.abc import Sequence
+from dataclasses import dataclass
 from datetime import datetime, timezone
 from functools import lru_cache
 from typing import Final
@@ -21,6 +22,7 @@ from suspension_twin.errors import InputError
 __all__ = [
     "GPS_EPOCH",
     "TIME_UNITS",
+    "ExperimentTime",
     "gps_to_posix",
     "iso_to_posix",
     "rtklib_tag",
@@ -30,31 +32,31 @@ __all__ = [
 
 #: POSIX time of 1980-01-06, the beginning of GPS time.
 GPS_EPOCH: Final = 315_964_800.0
-WEEK: Final = 604_800.0
+_WEEK: Final = 604_800.0
 
 TIME_UNITS: Final = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "µs": 1e-6, "μs": 1e-6, "ns": 1e-9, "min": 60.0}
 
-# Leap seconds since 1980 (IERS Bulletin C): from this UTC date on, GPS time is so many s ahead.
-_LEAPS = (
-    ("1981-07-01", 1),
-    ("1982-07-01", 2),
-    ("1983-07-01", 3),
-    ("1985-07-01", 4),
-    ("1988-01-01", 5),
-    ("1990-01-01", 6),
-    ("1991-01-01", 7),
-    ("1992-07-01", 8),
-    ("1993-07-01", 9),
-    ("1994-07-01", 10),
-    ("1996-01-01", 11),
-    ("1997-07-01", 12),
-    ("1999-01-01", 13),
-    ("2006-01-01", 14),
-    ("2009-01-01", 15),
-    ("2012-07-01", 16),
-    ("2015-07-01", 17),
-    ("2017-01-01", 18),
-)
+#: Leap seconds since 1980 (IERS Bulletin C): from each of these UTC dates on, GPS time is 1 s more ahead.
+_LEAPS: Final = [
+    "1981-07-01",
+    "1982-07-01",
+    "1983-07-01",
+    "1985-07-01",
+    "1988-01-01",
+    "1990-01-01",
+    "1991-01-01",
+    "1992-07-01",
+    "1993-07-01",
+    "1994-07-01",
+    "1996-01-01",
+    "1997-07-01",
+    "1999-01-01",
+    "2006-01-01",
+    "2009-01-01",
+    "2012-07-01",
+    "2015-07-01",
+    "2017-01-01",
+]
 
 
 def iso_to_posix(text: str) -> float:
@@ -100,18 +102,18 @@ def text_to_posix(texts: Sequence[str]) -> Floats:
     return t
 
 
-_AHEAD = np.array([iso_to_posix(date) + seconds for date, seconds in _LEAPS])
-_SECONDS = np.array([0] + [seconds for _, seconds in _LEAPS], dtype=np.float64)
+#: GPS time counted as UTC at which each leap second has passed.
+_AHEAD: Final = np.array([iso_to_posix(date) + i for i, date in enumerate(_LEAPS, start=1)])
 
 
 def gps_to_posix(t: Floats) -> Floats:
     """POSIX time of GPS time that was counted as if it were UTC (calendar dates in GPST)."""
-    return np.asarray(t - _SECONDS[np.searchsorted(_AHEAD, t, side="right")])
+    return np.asarray(t - np.searchsorted(_AHEAD, t, side="right").astype(np.float64))
 
 
 def week_to_posix(week: Floats, seconds: Floats) -> Floats:
     """POSIX time of GPS week and second of the week."""
-    return gps_to_posix(GPS_EPOCH + week * WEEK + seconds)
+    return gps_to_posix(GPS_EPOCH + week * _WEEK + seconds)
 
 
 def rtklib_tag(data: bytes, label: str) -> tuple[float, float]:
@@ -126,3 +128,25 @@ def rtklib_tag(data: bytes, label: str) -> tuple[float, float]:
     pairs = np.frombuffer(data, dtype="<u4", count=(len(data) - 76) // 8 * 2, offset=76)
     start = seconds + fraction
     return start, start + float(pairs[-2]) * 1e-3
+
+
+@dataclass(frozen=True, eq=False)
+class ExperimentTime:
+    """phyphox's time of an experiment, which stands still during pauses, beside UTC: at ``begin`` (k,) s, when it was
+    started or went on, UTC was ``offset`` (k,) s more."""
+
+    begin: Floats
+    offset: Floats
+
+    @classmethod
+    def of_events(cls, events: Sequence[str], experiment: Floats, system: Floats) -> ExperimentTime:
+        """From the events START and PAUSE, and both clocks in s at each; others are left out."""
+        known = np.isfinite(experiment) & np.isfinite(system)
+        starts = [i for i, event in enumerate(events) if event == "START" and known[i]]
+        return cls(experiment[starts], system[starts] - experiment[starts])
+
+    def utc(self, t: Floats) -> Floats:
+        """UTC in s of experiment times ``t`` (n,) s."""
+        # a sample at the very moment of a pause belongs to the segment before it
+        segment = np.clip(np.searchsorted(self.begin, t, side="left") - 1, 0, self.begin.size - 1)
+        return np.asarray(t + self.offset[segment])
