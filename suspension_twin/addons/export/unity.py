@@ -13,8 +13,8 @@ from pathlib import Path
 from typing import Final
 
 from suspension_twin.addons.export.registry import ExportSettings, Target
-from suspension_twin.addons.export.standalone.languages import CSHARP
-from suspension_twin.addons.export.standalone.source import Source, written_out
+from suspension_twin.addons.export.standalone.source import model_code
+from suspension_twin.addons.export.standalone.translate import CSHARP
 from suspension_twin.errors import printable
 from suspension_twin.files import write_text
 from suspension_twin.models.connectors import INPUTS, OUTPUTS
@@ -113,14 +113,6 @@ def _pascal(name: str) -> str:
     return "".join(word.capitalize() for word in name.split("_"))
 
 
-def _corner_of(name: str) -> tuple[str, int] | None:
-    """``("tyre_force", 0)`` for ``tyre_force_front_left``."""
-    for index, corner in enumerate(CORNERS):
-        if name.endswith(f"_{corner}"):
-            return name.removesuffix(f"_{corner}"), index
-    return None
-
-
 def _inputs() -> Iterator[str]:
     for variable in INPUTS[len(CORNERS) :]:
         yield f"    /// <summary>{variable.description}, {variable.unit}.</summary>"
@@ -128,44 +120,42 @@ def _inputs() -> Iterator[str]:
 
 
 def _outputs() -> Iterator[str]:
+    """Properties; outputs of the corners are one method, such as ``TyreForce`` of ``tyre_force_front_left`` to
+    ``tyre_force_rear_right``."""
     for index, variable in enumerate(OUTPUTS):
-        found = _corner_of(variable.name)
-        if found is None:
-            yield f"    /// <summary>{variable.description}, {variable.unit}.</summary>"
-            yield f"    public double {_pascal(variable.name)} {{ get {{ return output[{index}]; }} }}"
-        elif found[1] == 0:
-            meaning = variable.description.partition(",")[0]
-            yield f"    /// <summary>{meaning} at a corner, {variable.unit}.</summary>"
-            name = _pascal(found[0])
-            yield f"    public double {name}(int corner) {{ return output[{index} + corner]; }}"
-
-
-def _text(twin: Twin, source: Source, name: str) -> str:
-    motions = INPUTS[len(CORNERS) :]
-    take = (f"        motion[{k}] = {_pascal(variable.name)};" for k, variable in enumerate(motions))
-    return _CLASS.format(
-        heading=printable(twin.vehicle.name),
-        model=twin.model,
-        name=name,
-        max_step=source.max_step,
-        inputs="\n".join(_inputs()),
-        outputs="\n".join(_outputs()),
-        rows=source.rows,
-        count=len(OUTPUTS),
-        motions=len(motions),
-        take="\n".join(take),
-        failed=source.failed,
-        functions=textwrap.indent(source.text.strip(), "    "),
-        initial=textwrap.indent(source.initial, "    "),
-    )
+        name, meaning = variable.name, variable.description
+        corner = next((c for c in CORNERS if name.endswith(f"_{c}")), None)
+        getter = f" {{ get {{ return output[{index}]; }} }}"
+        if corner == CORNERS[0]:
+            name, meaning = name.removesuffix(f"_{corner}"), f"{meaning.partition(',')[0]} at a corner"
+            getter = f"(int corner) {{ return output[{index} + corner]; }}"
+        if corner in (None, CORNERS[0]):
+            yield f"    /// <summary>{meaning}, {variable.unit}.</summary>"
+            yield f"    public double {_pascal(name)}{getter}"
 
 
 def _write(twin: Twin, path: Path, settings: ExportSettings) -> Sequence[str]:
-    source = written_out(twin, CSHARP, "C#")
+    code = model_code(twin, CSHARP, "C#")
     name = re.sub(r"\W", "_", path.stem, flags=re.ASCII)
-    name = name if re.match("[A-Za-z]", name) else f"Twin{name}"
-    write_text(path, _text(twin, source, name))
-    return source.notes
+    motions = INPUTS[len(CORNERS) :]
+    take = (f"        motion[{k}] = {_pascal(variable.name)};" for k, variable in enumerate(motions))
+    text = _CLASS.format(
+        heading=printable(twin.vehicle.name),
+        model=twin.model,
+        name=name if re.match("[A-Za-z]", name) else f"Twin{name}",
+        max_step=code.max_step,
+        inputs="\n".join(_inputs()),
+        outputs="\n".join(_outputs()),
+        rows=code.rows,
+        count=len(OUTPUTS),
+        motions=len(motions),
+        take="\n".join(take),
+        failed=code.failed,
+        functions=textwrap.indent(code.text.strip(), "    "),
+        initial=textwrap.indent(code.initial, "    "),
+    )
+    write_text(path, text)
+    return code.notes
 
 
 TARGET = Target("a C# class with the equations of the twin, for Unity", (".cs",), _write)

@@ -10,9 +10,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from suspension_twin.addons.roads.drives.alignment import banded, lags_along
 from suspension_twin.addons.roads.drives.drives import Part, road_from_drives
-from suspension_twin.addons.roads.drives.estimate import STEP, Settings
+from suspension_twin.addons.roads.drives.estimate import STEP, RoadEstimateSettings
+from suspension_twin.addons.roads.drives.passes import banded, lags_along
 from suspension_twin.addons.roads.drives.transfer import best_linear_approximation
 from suspension_twin.cli.main import main
 from suspension_twin.drive.read import read_drive
@@ -66,10 +66,10 @@ def paths_of(road: Road, found_line: Road, track: float, u: np.ndarray) -> np.nd
 
 def test_two_drives_give_the_road_and_its_intervals(twin: Twin, truth: Road) -> None:
     drives = [driven(twin, truth, 5.0, 1), driven(twin, truth, 10.0, 2)]
-    found = road_from_drives(drives, twin, Settings(iterations=4, samples=6))
-    true = banded(paths_of(truth, found.road, found.track, found.u), STEP, 0.1, 2.0)
-    own, sigma = banded(found.heights, STEP, 0.1, 2.0), found.sigma()
-    k = found.covered & (found.u > found.u[0] + 18.0) & (found.u < found.u[-1] - 18.0)
+    found = road_from_drives(drives, twin, RoadEstimateSettings(iterations=4, samples=6))
+    true = banded(paths_of(truth, found.paths.road(), found.paths.track, found.paths.u), STEP, 0.1, 2.0)
+    own, sigma = banded(found.paths.middle, STEP, 0.1, 2.0), found.sigma()
+    k = found.covered & (found.paths.u > found.paths.u[0] + 18.0) & (found.paths.u < found.paths.u[-1] - 18.0)
     assert k.sum() * STEP > 70.0
     for side in (0, 1):
         error = own[side, k] - true[side, k]
@@ -121,14 +121,14 @@ def test_a_phones_receiver_is_corrected_by_the_road_itself(twin: Twin, truth: Ro
             sigma=np.full_like(drive.fix.sigma, 3.0),
         )
         poor.append(replace(drive, fix=fix))
-    found = road_from_drives(poor, twin, Settings(iterations=3, samples=2))
+    found = road_from_drives(poor, twin, RoadEstimateSettings(iterations=3, samples=2))
     middle = found.passes[1].base[found.passes[1].base.size // 2]
     assert middle == pytest.approx(-2.5, abs=0.3)
     # The map is as far off as the first drive's fixes; which place on the road a point of the line is, is not.
-    u, _ = truth.xy_to_uv(found.line.x, found.line.y)
-    true = banded(truth.heights_uv(u, 0.5 * found.track, "hold")[None], STEP, 0.1, 1.0)
-    k = found.covered & (found.u > 25.0) & (found.u < found.u[-1] - 25.0)
-    assert np.corrcoef(banded(found.heights, STEP, 0.1, 1.0)[0, k], true[0, k])[0, 1] > 0.9
+    u, _ = truth.xy_to_uv(found.paths.line.x, found.paths.line.y)
+    true = banded(truth.heights_uv(u, 0.5 * found.paths.track, "hold")[None], STEP, 0.1, 1.0)
+    k = found.covered & (found.paths.u > 25.0) & (found.paths.u < found.paths.u[-1] - 25.0)
+    assert np.corrcoef(banded(found.paths.middle, STEP, 0.1, 1.0)[0, k], true[0, k])[0, 1] > 0.9
 
 
 def test_lags_are_found_along_the_road() -> None:
@@ -169,7 +169,7 @@ def test_drives_that_do_not_fit_are_named(change: str, words: str, twin: Twin, t
         fix = replace(first.fix, latitude=first.fix.latitude + shift * metre)
         other = replace(first, name="other", fix=fix)
     with pytest.raises(InputError, match=words) as caught:
-        road_from_drives([first, other], twin, Settings(iterations=1))
+        road_from_drives([first, other], twin, RoadEstimateSettings(iterations=1))
     assert "\n" not in str(caught.value)
 
 

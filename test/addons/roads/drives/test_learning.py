@@ -10,8 +10,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from suspension_twin.addons.roads.drives.laps import Laps, Span
-from suspension_twin.addons.roads.drives.learning import Lesson, learn_road
+from suspension_twin.addons.roads.drives.learning import (
+    Laps,
+    Lesson,
+    Span,
+    learn_road,
+)
 from suspension_twin.drive.read import read_drive
 from suspension_twin.errors import InputError
 from suspension_twin.inference.simulated import simulate_drive
