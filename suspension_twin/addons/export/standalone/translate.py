@@ -11,6 +11,7 @@ and an effect that somebody adds to the library is in the written code as well.
 from __future__ import annotations
 
 import ast
+import builtins
 import inspect
 import math
 import operator
@@ -250,7 +251,7 @@ class _Writer:
         self.program, self.language, self.python = program, program.language, python
         self.tree = _tree(python)
         closure = inspect.getclosurevars(python).nonlocals
-        self.scope = {**python.__globals__, **closure}
+        self.scope = {**vars(builtins), **python.__globals__, **closure}
         self.lines: list[str] = []
         self.depth = 1
         self.variables: dict[str, _Value] = {}
@@ -269,13 +270,11 @@ class _Writer:
         )
 
     def _results(self) -> int:
-        returns = self.tree.returns
-        if returns is None or (isinstance(returns, ast.Constant) and returns.value is None):
-            return 0
-        if isinstance(returns, ast.Subscript):  # tuple[float, ...]
-            assert isinstance(returns.slice, ast.Tuple)
-            return len(returns.slice.elts)
-        return -1
+        """Numbers that the function returns in a tuple, -1 for one by its value."""
+        returns = ast.unparse(self.tree.returns or ast.Constant(None))
+        if returns.startswith("tuple"):  # tuple[float, ...]
+            return returns.count("float")
+        return 0 if returns == "None" else -1
 
     def _arguments(self, arguments: Sequence[_Value]) -> str:
         signature = []
@@ -295,13 +294,10 @@ class _Writer:
         return ", ".join(signature) or ("void" if self.language is C else "")
 
     def write(self, name: str) -> str:
-        body = self.tree.body
-        comment = ""
-        if isinstance(body[0], ast.Expr) and isinstance(body[0].value, ast.Constant):
-            first = str(body[0].value.value).partition("\n\n")[0]
-            comment = "/* " + " ".join(first.split()).replace("``", "").replace("*/", "") + " */\n"
-            body = body[1:]
-        self.statements(body)
+        doc = ast.get_docstring(self.tree, clean=False) or ""
+        text = " ".join(doc.partition("\n\n")[0].split()).replace("``", "").replace("*/", "")
+        comment = f"/* {text} */\n" if doc else ""
+        self.statements(self.tree.body[bool(doc) :])
         kind = "double" if self.results < 0 else "void"
         locals_ = self._declarations()
         head = f"{comment}static {kind} {name}({self.signature})"
@@ -353,15 +349,9 @@ class _Writer:
 
     def resolve(self, node: ast.expr) -> Any:
         """The object of Python that a name or an attribute means."""
-        if isinstance(node, ast.Name) and node.id in self.scope:
-            return self.scope[node.id]
-        if isinstance(node, ast.Name):
-            return {"abs": abs, "max": max, "min": min, "range": range, "float": float, "int": int}.get(
-                node.id
-            )
         if isinstance(node, ast.Attribute):
             return getattr(self.resolve(node.value), node.attr, None)
-        return None
+        return self.scope.get(node.id) if isinstance(node, ast.Name) else None
 
     # -- statements
 
@@ -378,10 +368,12 @@ class _Writer:
 
     def statements(self, nodes: Sequence[ast.stmt]) -> None:
         for node in nodes:
-            method = getattr(self, f"_{type(node).__name__.lower()}", None)
-            if method is None:
-                self.refuse(node, type(node).__name__)
-            method(node)
+            self.method("_", node)(node)
+
+    def method(self, prefix: str, node: ast.AST) -> Any:
+        """The method that writes nodes of this type."""
+        name = type(node).__name__
+        return getattr(self, prefix + name.lower(), None) or self.refuse(node, name)
 
     def _pass(self, node: ast.Pass) -> None:
         pass
@@ -392,12 +384,11 @@ class _Writer:
         self._of_call(node.value, as_statement=True)
 
     def _return(self, node: ast.Return) -> None:
-        if self.results < 0:
-            assert node.value is not None
+        if self.results < 0 and node.value is not None:
             self.line(f"return {self.number(node.value).text};")
             return
-        assert isinstance(node.value, ast.Tuple)
-        for k, value in enumerate([self.number(item) for item in node.value.elts]):
+        values = node.value.elts if isinstance(node.value, ast.Tuple) else []
+        for k, value in enumerate([self.number(item) for item in values]):
             self.line(f"{self.language.out[1].format(f'r{k}_')} = {value.text};")
         if node is not self.tree.body[-1]:
             self.line("return;")
@@ -436,9 +427,12 @@ class _Writer:
         return self.loop("n_", "0", str(math.prod(array.shape)))
 
     def _for(self, node: ast.For) -> None:
-        if not (isinstance(node.iter, ast.Call) and self.resolve(node.iter.func) is range):
+        if not (
+            isinstance(node.iter, ast.Call)
+            and isinstance(node.target, ast.Name)
+            and self.resolve(node.iter.func) is range
+        ):
             self.refuse(node, "a loop over what is no range")
-        assert isinstance(node.target, ast.Name)
         bounds = [self.expression(argument) for argument in node.iter.args]
         begin, end = (bounds if len(bounds) > 1 else [_Value("0", "int", known=0), *bounds])[:2]
         step = bounds[2].known if len(bounds) > 2 else 1
@@ -489,8 +483,7 @@ class _Writer:
         return found
 
     def _annassign(self, node: ast.AnnAssign) -> None:
-        assert node.value is not None
-        self._single(node.target, node.value)
+        self._single(node.target, node.value or ast.Constant(None))
 
     def _single(self, target: ast.expr, value: ast.expr) -> None:
         if isinstance(target, ast.Name):
@@ -574,14 +567,12 @@ class _Writer:
 
     def _elementwise(self, node: ast.expr, index: str) -> _Value:
         """An expression in which whole arrays stand for their element ``index``."""
-        before = dict(self.variables)
-        for name, value in before.items():
-            if value.shape is not None:
-                self.variables[name] = _Value(f"{value.text}[{index}]", value.kind)
-        try:
-            return self.number(node)
-        finally:
-            self.variables = before | {k: v for k, v in self.variables.items() if k not in before}
+        arrays = {name: value for name, value in self.variables.items() if value.shape is not None}
+        for name, array in arrays.items():
+            self.variables[name] = _Value(f"{array.text}[{index}]", array.kind)
+        value = self.number(node)
+        self.variables |= arrays
+        return value
 
     # -- expressions
 
@@ -591,10 +582,7 @@ class _Writer:
         return _floating(value) if value.known is not None else value
 
     def expression(self, node: ast.expr) -> _Value:
-        method = getattr(self, f"_of_{type(node).__name__.lower()}", None)
-        if method is None:
-            self.refuse(node, type(node).__name__)
-        found: _Value = method(node)
+        found: _Value = self.method("_of_", node)(node)
         return found
 
     def _of_constant(self, node: ast.Constant) -> _Value:

@@ -11,7 +11,6 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
-from typing import TypedDict
 
 import numpy as np
 from numpy.typing import NDArray
@@ -158,23 +157,8 @@ class WheelPaths:
 
 def _at_middle(heights: Floats, across: Floats) -> Floats:
     """Of heights (..., lines, n) those in the middle of the wheel path, (..., n)."""
-    if across.size == 1:
-        return heights[..., 0, :]
-    place = float(np.interp(0.0, across, np.arange(across.size)))
-    i = min(int(place), across.size - 2)
-    out: Floats = (1.0 - place + i) * heights[..., i, :] + (place - i) * heights[..., i + 1, :]
-    return out
-
-
-class Iteration(TypedDict, total=False):
-    """Record of one iteration: rms ``residual`` of each pass's channels, ``level`` and ``waviness`` of the road,
-    rms ``change`` of the heights in m, and the ``vehicle``'s values where they are estimated."""
-
-    residual: list[list[float]]
-    level: list[float]
-    waviness: list[float]
-    change: float
-    vehicle: list[float]
+    shares = np.array([np.interp(0.0, across, row) for row in np.eye(across.size)])
+    return np.asarray(np.einsum("l,...ln->...n", shares, heights), dtype=np.float64)
 
 
 @dataclass(frozen=True, eq=False)
@@ -191,8 +175,9 @@ class RoadEstimate:
         The drives.
     shifts : tuple of (j,) array
         Their shifts along the road in m at their knots.
-    history : tuple of Iteration
-        Records of the iterations.
+    history : tuple of dict
+        Of each iteration the rms ``residual`` of every pass's channels, ``level`` and ``waviness`` of the road, rms
+        ``change`` of the heights in m, and the ``vehicle``'s values where they are estimated.
     warnings : tuple of str
         One line each.
     vehicle : VehicleEstimate or None
@@ -203,7 +188,7 @@ class RoadEstimate:
     errors: Floats
     passes: tuple[RoadPass, ...]
     shifts: tuple[Floats, ...]
-    history: tuple[Iteration, ...]
+    history: tuple[dict[str, object], ...]
     warnings: tuple[str, ...]
     vehicle: VehicleEstimate | None = None
 
@@ -345,7 +330,7 @@ def estimate_road(
     if settings.lines:
         problem = replace(problem, across=lines_across(problem.passes))
     across, state = problem.across, problem.first_state()
-    history: list[Iteration] = []
+    history: list[dict[str, object]] = []
     total = settings.iterations + 2.0
     values: Floats = np.zeros(len(PARAMETERS))
     step: VehicleStep | None = None
@@ -478,7 +463,9 @@ def _iterate(problem: _Problem, state: _State, iteration: int, known: Sequence[K
     return _Solved(inverse, target, inverse.solve(target), residual)
 
 
-def _update(state: _State, solved: _Solved, draws: Sequence[Floats], local: bool) -> tuple[_State, Iteration]:
+def _update(
+    state: _State, solved: _Solved, draws: Sequence[Floats], local: bool
+) -> tuple[_State, dict[str, object]]:
     """The road, its level and the noise anew (expectation and maximisation), and the record of the iteration."""
     inverse, solution = solved.inverse, solved.solution
     heights, shifts = inverse.heights(solution), inverse.shifts(solution)
@@ -489,7 +476,7 @@ def _update(state: _State, solved: _Solved, draws: Sequence[Floats], local: bool
         open_ = np.mean([_psd(s.one, s.channels(z, moved[i])) for z, moved in drawn], axis=0)
         power = _psd(s.one, left - change) + open_
         noise.append(_limited(s.one, np.maximum(power, _floor(s.one))))
-    record: Iteration = {
+    record: dict[str, object] = {
         "residual": [
             np.sqrt(np.mean((left * s.one.weight) ** 2, axis=1)).tolist()
             for left, s in zip(solved.residual, inverse.linear, strict=True)
