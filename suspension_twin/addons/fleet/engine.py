@@ -360,7 +360,7 @@ def _drain(
     keepers = ThreadPoolExecutor(_KEEPERS)
     keeping: dict[Future[Record], Task] = {}
 
-    def send(count: int) -> list[Remote]:
+    def send(count: int) -> list[Remote[Record]]:
         futures = []
         for task in islice(waiting, count):
             # Of no use to anybody afterwards; a key of its own each time, so that no old failure is handed out.
@@ -369,7 +369,7 @@ def _drain(
             futures.append(client.submit(_attempt, task, key=key, pure=False))
         return futures
 
-    def keep(task: Task, future: Remote) -> Record:
+    def keep(task: Task, future: Remote[Record]) -> Record:
         """Fetch a result and write it; in a thread."""
         try:
             record: Record = future.result(timeout=60)

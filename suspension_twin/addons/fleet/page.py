@@ -21,7 +21,6 @@ import matplotlib.dates
 import numpy as np
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
-from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
@@ -612,9 +611,8 @@ def _roads(places: Places) -> list[Places]:
         [around * np.cos(longitude), around * np.sin(longitude), np.sin(latitude)]
     )
     cells, index = np.unique(np.floor(on_sphere / (0.5 * _NEAR)), axis=0, return_inverse=True)
-    pairs = cKDTree(cells).query_pairs(2.0, output_type="ndarray")
-    links = coo_array((np.ones(len(pairs)), (pairs[:, 0], pairs[:, 1])), shape=(len(cells), len(cells)))
-    _, label = connected_components(links, directed=False)
+    tree = cKDTree(cells)
+    _, label = connected_components(tree.sparse_distance_matrix(tree, 2.0), directed=False)
     of_place = label[index.ravel()]
     groups = [places[of_place == k] for k in range(of_place.max() + 1)]
     return sorted(groups, key=lambda g: -float(g["seconds"].sum()))

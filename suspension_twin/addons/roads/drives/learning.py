@@ -9,7 +9,7 @@ from array import array
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Final, NamedTuple, TypedDict
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,7 +20,7 @@ from suspension_twin.drive.types import Drive, FixData, HeadingData, ImuData, Sa
 from suspension_twin.files import together
 from suspension_twin.vehicle.twin import Datum, RoadFile, load_twin, save_twin
 
-__all__ = ["Laps", "Learnt", "Lesson", "Span", "learn_road", "read_lesson", "twin_path", "write_lesson"]
+__all__ = ["Laps", "Lesson", "Span", "learn_road", "read_lesson", "twin_path", "write_lesson"]
 
 #: m of path between two points that are remembered.
 _EVERY = 1.0
@@ -36,7 +36,7 @@ _LONGEST = 5000.0
 _SHORTEST, _BRIEFEST = 20.0, 8.0
 #: A draw costs as much as the estimate itself.
 _SETTINGS = RoadEstimateSettings(iterations=4, samples=6, strict=False)
-_KINDS: Final[Mapping[str, type[Samples]]] = {
+_KINDS: Final[Mapping[str, Callable[..., Samples]]] = {
     "imu": ImuData,
     "fix": FixData,
     "velocity": VelocityData,
@@ -157,7 +157,7 @@ def write_lesson(lesson: Lesson, path: Path) -> None:
         ],
     }
     with path.open("wb") as file:
-        np.savez(file, lesson=np.array(json.dumps(text)), **arrays)
+        np.savez(file, lesson=np.array(json.dumps(text)), **arrays)  # type: ignore[arg-type]
 
 
 def read_lesson(path: Path) -> Lesson:
@@ -183,17 +183,9 @@ def twin_path(out: Path) -> Path:
     return out.with_suffix(".yaml")
 
 
-class Learnt(TypedDict):
-    """Result of :func:`learn_road`: path of the ``twin`` file on the road, number of ``passes`` used, ``length`` of the
-    road in m, ``warnings``."""
-
-    twin: str
-    passes: int
-    length: float
-    warnings: list[str]
-
-
-def learn_road(lesson: Lesson, progress: Callable[[str, float], None] = lambda text, share: None) -> Learnt:
+def learn_road(
+    lesson: Lesson, progress: Callable[[str, float], None] = lambda text, share: None
+) -> dict[str, Any]:
     """Estimate the road of some passes; write it, its record and a twin file that stands on it.
 
     Parameters
@@ -205,8 +197,8 @@ def learn_road(lesson: Lesson, progress: Callable[[str, float], None] = lambda t
 
     Returns
     -------
-    Learnt
-        The twin on the road, and how much of it there is.
+    dict
+        ``twin`` the path of the twin file on the road, ``passes`` used, ``length`` of the road in m, ``warnings``.
 
     Raises
     ------

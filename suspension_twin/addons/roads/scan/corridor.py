@@ -132,7 +132,9 @@ def _csv(path: Path, twin: Twin) -> tuple[Floats, Floats]:
     if pair == ("lat", "lon"):
         if twin.datum is None:
             raise InputError(path, "has lat and lon: give a datum with --datum or a twin file")
-        points = LocalMap(twin.datum).to_map(*points.T, np.full(len(points), twin.datum.altitude))
+        points = LocalMap(twin.datum).to_map(
+            points[:, 0], points[:, 1], np.full(len(points), twin.datum.altitude)
+        )
     return points[:, 0], points[:, 1]
 
 
