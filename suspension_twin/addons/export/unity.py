@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Unity: a C# class with the equations of a car, such as the car paper's mass-spring-damper model (``msd``).
 
-The class needs nothing of Unity: whoever has it calls ``Step`` from ``FixedUpdate``, or anywhere else in C#.
+The class does not depend on Unity: call ``Step`` from ``FixedUpdate``, or anywhere else in C#.
 """
 
 from __future__ import annotations

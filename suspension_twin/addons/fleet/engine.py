@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A fleet's work over Dask: what is not done yet is sent out, and each result is written as soon as it comes.
+"""A fleet's work over Dask: open tasks are sent out, and each result is written as soon as it comes.
 
 The ledger is the only state. Workers that are killed, a scheduler that is started again and a command that is
 interrupted cost the tasks that were running, and nothing else.
@@ -212,7 +212,7 @@ def connected(
     workers : int
         Processes on this machine, 0 for one a core.
     memory : float
-        Bytes that a worker may hold before it is started again, 0 for its share of what is free.
+        Bytes that a worker may hold before it is started again, 0 for its share of the free memory.
     inside : bool
         Workers as threads of this process: for tests and for looking into one.
 
@@ -313,7 +313,7 @@ def run_fleet(
     Raises
     ------
     WorkError
-        The scheduler is gone and does not come back. What is done is kept.
+        The scheduler is gone and does not come back. Results so far are kept.
 
     Examples
     --------
@@ -339,7 +339,7 @@ def run_fleet(
 
 
 class _Gone(Exception):
-    """The scheduler cannot be reached, or knows nothing of what it was sent."""
+    """The scheduler cannot be reached, or has lost its tasks."""
 
 
 def _drain(
@@ -349,7 +349,7 @@ def _drain(
     outcome: FleetOutcome,
     on_record: Callable[[Task, Record, int], None] | None,
 ) -> None:
-    """Send what is left and take in what comes; few are under way at any time, so that the scheduler stays small."""
+    """Send open tasks and take in results; few are under way at any time, so that the scheduler stays small."""
     from concurrent.futures import FIRST_COMPLETED, CancelledError, Future, ThreadPoolExecutor, wait
 
     from distributed import KilledWorker, as_completed
@@ -415,5 +415,5 @@ def _drain(
             raise
         raise _Gone(str(error) or type(error).__name__) from error
     finally:
-        keepers.shutdown()  # what has come is kept, whatever ended the rest
+        keepers.shutdown()  # results that have come are kept, whatever ended the rest
         take_in([each for each in keeping if each.exception() is None])

@@ -645,7 +645,7 @@ def _map(fleet: _Fleet) -> Section | None:
         captions[0] += f" The {_ROADS} of {len(roads)} regions with the most driving are drawn."
     left = "after calibration" if fleet.calibrated else "of the twins as given"
     text = (
-        f"Residual of the vertical acceleration {left}, by stretch of road, over all vehicles. Where one vehicle "
+        f"Residual of the vertical acceleration {left}, by section of road, over all vehicles. Where one vehicle "
         "raises it, the median vehicle is much lower; where both are high, the road is not as its file says."
     )
     columns = ("no.", "latitude, longitude", "residual, rms", "of the median vehicle", "vehicles")
@@ -716,7 +716,7 @@ def _method(fleet: _Fleet) -> Section:
     if not fleet.calibrated:
         text = (
             "Every row was diagnosed by itself, as `suspension-twin diagnose` does it; its folder holds "
-            "diagnosis.json, evidence.json and the twin with what was found."
+            "diagnosis.json, evidence.json and the twin with the causes that were found."
         )
     else:
         text = (

@@ -76,7 +76,7 @@ def is_url(name: str) -> bool:
 
 @contextmanager
 def _reaching(name: str) -> Iterator[None]:
-    """One line for what is wrong with a name; what may pass by itself goes on as it is."""
+    """Turn errors of a store into one line that names the file; others, which may pass, go on as they are."""
     try:
         yield
     except FileNotFoundError:

@@ -172,7 +172,7 @@ def work(task: Task) -> Record:
     Returns
     -------
     dict
-        Plain values: ``status`` "done", or "failed" with the line that the single command would have said;
+        Plain values: ``status`` "done", or "failed" with the error line of the single command;
         ``files`` are texts by name.
 
     Raises
@@ -212,7 +212,7 @@ def work(task: Task) -> Record:
 
 
 def _peak_memory() -> int | None:
-    """Bytes that this process has held at most, where the system says it."""
+    """Bytes that this process has held at most, where the system reports it."""
     try:
         import resource
     except ImportError:

@@ -4,7 +4,7 @@
 The kernels are written in a small part of Python: numbers, rows of one array, loops over ranges, conditions and calls
 of each other. ``Translation`` reads their source and writes each function that is called, once for every set of
 arguments that are known integers: those, the constants of the modules and what follows from them are put in, and
-branches that cannot be taken are left out. What it does not know it refuses. So there is one source of the equations,
+branches that cannot be taken are left out. Other syntax is refused. So there is one source of the equations,
 and an effect that somebody adds to the library is in the written code as well.
 """
 
@@ -147,7 +147,7 @@ CSHARP: Final = Language(
 
 @dataclass(frozen=True)
 class _Value:
-    """An expression: its text, what it is, how tightly it binds, and its value where that is known."""
+    """An expression: its text, its type, how tightly it binds, and its value where that is known."""
 
     text: str
     kind: Kind

@@ -63,8 +63,8 @@ _DRAWS = 3  # of the posterior in every iteration but the last
 SEEN_BAND = (0.1, 2.0)
 #: m by which passes may be apart along the road, and how well they lie on each other once aligned.
 REACH, _ALIGNED = 12.0, 0.15
-#: Standard deviation, m, of a receiver that knows how far beside each other drives lie; m between lines across, and how
-#: many there are at most.
+#: Standard deviation, m, of a receiver that resolves how far beside each other drives lie; m between lines across, and
+#: how many there are at most.
 _KNOWS_LANE, _BETWEEN, _LINES = 0.05, 0.06, 5
 _BAND = 1.0  # Hz over which a noise spectrum is averaged
 
@@ -542,7 +542,7 @@ def _aligned(problem: _Problem) -> tuple[RoadPass, ...]:
     out = [replace(problem.passes[0], shift_sigma=_ALIGNED)]
     for p, own in zip(problem.passes[1:], alone[1:], strict=True):
         at, lag, _ = lags_along(alone[0], own, STEP, REACH)
-        # A place that the pass has at u + lag is at u in the first: the pass lies ``lag`` farther back than it says.
+        # A place of the pass at u + lag is at u in the first: the pass lies ``lag`` farther back than its receiver says.
         base = -np.interp(p.u[2:].mean(axis=0), at + lag, lag)
         out.append(replace(p, base=base, shift_sigma=_ALIGNED))
     return tuple(out)

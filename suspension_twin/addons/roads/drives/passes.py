@@ -241,7 +241,7 @@ def _snapped(prepared: Prepared, line: Road) -> tuple[Prepared, float]:
 
 
 def _tapered(usable: NDArray[np.bool_], rate: float) -> Floats:
-    """Weights (n,) that rise over the taper from each edge of what is usable."""
+    """Weights (n,) that rise over the taper from each edge of the usable samples."""
     weight = np.zeros(usable.size)
     for low, high in runs(usable):
         i = np.arange(high - low)

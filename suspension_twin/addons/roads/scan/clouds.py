@@ -50,7 +50,7 @@ class Cloud:
     path : Path
         The file.
     count : int or None
-        Points in it, where its header says so.
+        Points in it, where its header gives them.
     crs : pyproj.CRS or None
         Its coordinate reference system, where the file names one.
     pieces : callable
@@ -114,7 +114,7 @@ def _missing(path: Path | str, package: str) -> InputError:
 def _check_header(path: Path) -> None:
     """Refuse a LAS header that promises more records than its file holds, which would be read for hours.
 
-    Places of the numbers: ASPRS LAS 1.4 R15, table 3. What is compressed may unpack to what any file may.
+    Places of the numbers: ASPRS LAS 1.4 R15, table 3. Compressed points may unpack to as much as any file may.
     """
     size = path.stat().st_size
     with path.open("rb") as file:

@@ -1,13 +1,13 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The ground among the points of a scan: without cars, people, plants and what hangs over the road.
+"""The ground among the points of a scan: without cars, people, plants and branches over the road.
 
 1. In every cell of some decimetres the lowest layer that enough points lie in.
-2. What stands on the ground is higher than an opening of these heights (the lowest within a window, then the
-   highest of those) with windows from a foot's length to a car's (Zhang et al., IEEE Trans. Geosci. Remote Sens. 41
-   (2003) 872), and has steep sides.
-3. Where many points lie above the layer, something stood. Without a gap above the layer it is a part of that thing,
-   such as a leg. About all these cells heights must agree with what the cells around them let expect: the tread of a
-   tyre and the sole of a shoe do not.
+2. An object on the ground is higher than an opening of these heights (the lowest within a window, then the highest of
+   those) with windows from a foot's length to a car's (Zhang et al., IEEE Trans. Geosci. Remote Sens. 41 (2003) 872),
+   and has steep sides.
+3. Where many points lie above the layer, an object stood. Without a gap above the layer it is a part of the object,
+   such as a leg. Cells around it have to agree with an interpolation between cells farther off: the tread of a tyre
+   and the sole of a shoe do not.
 4. Points near the heights of their cell and its neighbours are ground; a wall of a pothole lies between those.
 """
 
@@ -36,13 +36,13 @@ _WANTED, _LEAST, _MOST = 8, 3, 0.8
 _SHARE, _LAYER = 0.03, 0.03
 #: Length of a window in m, and how far above the opening a cell may be, m. Speed humps are up to 0.15 m high.
 _OPENINGS = ((0.6, 0.12), (1.2, 0.16), (2.4, 0.2), (6.5, 0.25))
-#: m by which a thing jumps up from what is around it.
+#: m by which an object rises from the ground around it.
 _SIDE = 0.1
-#: More than this share of a cell's points above its layer, up to a person's height: something stood there.
+#: More than this share of a cell's points above its layer, up to a person's height: an object stood there.
 _STANDING, _PERSON = 0.15, 2.2
-#: Where something stood, ground is denser than what is right above it; a leg is not.
+#: Under an object, ground has more points than the layer right above it; a leg has not.
 _CONTINUED = 0.5
-#: Cells nearer to such a thing than this, m, have to agree with those around within so many m.
+#: Cells nearer to an object than this, m, have to agree with those around within so many m.
 _NEAR, _AGREE = 0.45, 0.02
 #: Beyond the heights of a cell and its neighbours, m.
 _MARGIN = 0.03
@@ -64,15 +64,15 @@ class Cells:
         Heights of the ground in m; NaN where there is none.
     rise : (nu, nv) array
         m by which the ground goes up within a cell.
-    things : (nu, nv) array of bool
-        Left out because something stood on them.
+    objects : (nu, nv) array of bool
+        Left out because an object stood on them.
     """
 
     size: float
     v0: float
     z: Floats
     rise: Floats
-    things: NDArray[np.bool_]
+    objects: NDArray[np.bool_]
 
 
 def ground_cells(points: Points, length: float, half: float, name: str) -> Cells:
@@ -97,25 +97,25 @@ def ground_cells(points: Points, length: float, half: float, name: str) -> Cells
         )
     _check_smooth(low, name)
     flat, trend = _without_trend(low, size)
-    things = standing & (next_layer > _CONTINUED)
+    objects = standing & (next_layer > _CONTINUED)
     for window, allowed in _OPENINGS:
         width = max(3, round(window / size) | 1)
         with np.errstate(invalid="ignore"):
             high = (
-                flat - _extreme(_extreme(np.where(things, np.nan, flat), np.inf, width), -np.inf, width)
+                flat - _extreme(_extreme(np.where(objects, np.nan, flat), np.inf, width), -np.inf, width)
                 > allowed
             )
-        things |= _steep_sided(flat, things, high & ~things)
-    kept = np.where(things, np.nan, flat)
-    stood = things | standing
+        objects |= _steep_sided(flat, objects, high & ~objects)
+    kept = np.where(objects, np.nan, flat)
+    stood = objects | standing
     near = np.isfinite(kept) & stood.any() & (ndimage.distance_transform_edt(~stood) <= _NEAR / size)
     if near.any() and np.isfinite(np.where(near, np.nan, kept)).any():
         expected = _filled(np.where(near, np.nan, kept))
         wrong = near & (np.abs(kept - expected) > _AGREE)
-        things |= wrong
+        objects |= wrong
         kept = np.where(wrong, np.nan, kept)
-    # Beside a thing what goes up without a gap is a part of it, such as a shoe.
-    return Cells(size, -half, kept + trend[:, None], np.where(near, 0.0, rise), things)
+    # Beside an object points that go up without a gap are a part of it, such as a shoe.
+    return Cells(size, -half, kept + trend[:, None], np.where(near, 0.0, rise), objects)
 
 
 def _cell_of(points: Points, size: float, v0: float, shape: tuple[int, int]) -> NDArray[np.int32]:
@@ -144,8 +144,8 @@ def ground_points(points: Points, cells: Cells) -> Points:
     """The points near the ground of their cells."""
     low = _extreme(cells.z, np.inf, 3) - _MARGIN
     high = _extreme(cells.z + cells.rise, -np.inf, 3) + _MARGIN
-    # A cell on which something stood has no ground of its own.
-    low, high = (np.where(cells.things, np.nan, bound).ravel() for bound in (low, high))
+    # A cell under an object has no ground of its own.
+    low, high = (np.where(cells.objects, np.nan, bound).ravel() for bound in (low, high))
     which = _cell_of(points, cells.size, cells.v0, (cells.z.shape[0], cells.z.shape[1]))
     return points[(low[which] <= points.z) & (points.z <= high[which])]
 
@@ -184,13 +184,13 @@ def _without_trend(low: Floats, size: float) -> tuple[Floats, Floats]:
     return low - trend[:, None], trend
 
 
-def _steep_sided(flat: Floats, things: NDArray[np.bool_], high: NDArray[np.bool_]) -> NDArray[np.bool_]:
+def _steep_sided(flat: Floats, objects: NDArray[np.bool_], high: NDArray[np.bool_]) -> NDArray[np.bool_]:
     """High cells, in connected pieces, that jump up from the cells around them: a hill does not."""
-    around = np.where(things | high, np.nan, flat)
+    around = np.where(objects | high, np.nan, flat)
     if not high.any() or not np.isfinite(around).any():
         return high
     jump = flat - _filled(around)
-    # Beside ground that was seen; a piece with none beside it is taken for a thing.
+    # Beside ground that was seen; a piece with none beside it is taken for an object.
     border = high & ndimage.binary_dilation(np.isfinite(around), np.ones((3, 3), dtype=np.bool_))
     labels, number = ndimage.label(high, structure=np.ones((3, 3)))
     each = np.arange(1, number + 1)

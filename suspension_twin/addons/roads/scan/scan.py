@@ -214,7 +214,7 @@ def road_from_scan(
         "holes": _boxes(gone, edges.u, grid.v),
         "bridged": _boxes(between, edges.u, grid.v),
         "missing": float(np.mean(gone)),
-        "cells_with_things": int(cells.things.sum()),
+        "cells_with_things": int(cells.objects.sum()),
         "spikes_removed": len(spikes),
         "noise": float(np.sqrt(np.mean(surface.noise[surface.count > 0] ** 2))),
         "sigma_median": float(np.median(surface.sigma[~gone])),
@@ -259,7 +259,7 @@ def _status(count: Floats, grid: Grid, fill: float) -> NDArray[np.int8]:
     if number:
         widest = ndimage.maximum(distance, labels, np.arange(1, number + 1))
         wide = np.concatenate([[False], 2.0 * np.asarray(widest) > fill + 2.0 * max(grid.du, grid.dv)])
-        # Of sparse points the gaps hang together: what is near a point stays filled.
+        # Gaps between sparse points are connected: nodes near a point stay filled.
         status[wide[labels] & (distance > 0.5 * fill)] = HOLE
         core = ndimage.distance_transform_edt(status != HOLE, sampling=(grid.du, grid.dv))
         status[~measured & wide[labels] & (core <= 0.5 * fill + 1e-9)] = HOLE
@@ -436,12 +436,13 @@ def _fitted(
         found = register(clouds, drive, along.twin, progress)
     except Ambiguous:
         raise
-    except InputError:
-        foot = SCAN_UNITS["ft"]
+    except InputError as error:
+        foot, fits = SCAN_UNITS["ft"], False
         feet = [(c, replace(g, unit=foot, up=foot)) for c, g in clouds]
         with suppress(InputError):
-            if metres and register(feet, drive, along.twin, progress):
-                text = f"fits the drive {drive.name} in feet and not in metres: give --unit ft"
-                error = InputError(clouds[0][0].path, text)
-        raise error from None
+            fits = metres and bool(register(feet, drive, along.twin, progress))
+        if not fits:
+            raise
+        text = f"fits the drive {drive.name} in feet and not in metres: give --unit ft"
+        raise InputError(clouds[0][0].path, text) from error
     return [(replace(g, turn=found.turn, move=found.move), str(found)) for _, g in clouds]

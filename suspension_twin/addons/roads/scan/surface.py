@@ -42,7 +42,7 @@ _ITERATIONS, _DRAWS = 6, 8
 #: Blocks in which the scale of the noise is estimated, m, and points' worth of the whole tile's in each.
 _BLOCK_U, _BLOCK_V, _BLOCK_PRIOR = 1.0, 0.5, 50.0
 _FIRST_NOISE = 0.005
-#: Length of a tile and what it shares with the next, m; the reach of a datum is some decimetres.
+#: Length of a tile and of its overlap with the next, m; the reach of a datum is some decimetres.
 _TILE, _OVERLAP = 20.0, 2.0
 #: A node without any datum near is held by this, m: only so that the factor exists.
 _LOOSE = 30.0

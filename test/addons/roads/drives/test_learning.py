@@ -15,6 +15,8 @@ from suspension_twin.addons.roads.drives.learning import (
     Lesson,
     Span,
     learn_road,
+    read_lesson,
+    write_lesson,
 )
 from suspension_twin.drive.read import read_drive
 from suspension_twin.errors import InputError
@@ -71,7 +73,8 @@ def test_the_twin_stands_on_what_was_learnt(tmp_path: Path) -> None:
     t = float(drive.imu.t[0])
     out = tmp_path / "road.crg"
     lesson = Lesson(str(twin_file), str(out), ((drive, t + 6.0, t + 22.0), (elsewhere, t + 8.0, t + 18.0)))
-    outcome = learn_road(lesson)
+    write_lesson(lesson, tmp_path / "lesson.npz")
+    outcome = learn_road(read_lesson(tmp_path / "lesson.npz"))
     assert outcome["passes"] == 1
     assert any("left out: pass 2" in text for text in outcome["warnings"])
     assert 20.0 < outcome["length"] < 80.0
@@ -80,6 +83,22 @@ def test_the_twin_stands_on_what_was_learnt(tmp_path: Path) -> None:
     on_it = simulate_drive(drive, learnt)
     level = simulate_drive(drive, twin, flat_road())
     assert on_it.gap.rms < 0.6 * level.gap.rms
+
+
+def test_a_lesson_comes_back_from_its_file_with_each_drive_once(tmp_path: Path) -> None:
+    drive = read_drive(BAGS / "bump_15kmh")
+    passes = ((drive, 1.0, 2.0), (replace(drive, heading=None), 2.0, 3.0), (drive, 4.0, 5.0))
+    lesson = Lesson("a.yaml", "a.crg", passes, (47.4, 19.3, 100.0))
+    write_lesson(lesson, tmp_path / "lesson.npz")
+    found = read_lesson(tmp_path / "lesson.npz")
+    assert (found.twin, found.out, found.datum) == (lesson.twin, lesson.out, lesson.datum)
+    assert [p[1:] for p in found.passes] == [p[1:] for p in passes]
+    assert found.passes[0][0] is found.passes[2][0] and found.passes[1][0].heading is None
+    again = found.passes[0][0]
+    assert (again.name, again.warnings) == (drive.name, drive.warnings)
+    for kind in ("imu", "fix", "velocity"):
+        for name, value in vars(getattr(drive, kind)).items():
+            np.testing.assert_array_equal(getattr(getattr(again, kind), name), value)
 
 
 def test_a_lesson_without_a_pass_says_why_and_writes_nothing(tmp_path: Path) -> None:
