@@ -542,7 +542,7 @@ def _aligned(problem: _Problem) -> tuple[RoadPass, ...]:
     out = [replace(problem.passes[0], shift_sigma=_ALIGNED)]
     for p, own in zip(problem.passes[1:], alone[1:], strict=True):
         at, lag, _ = lags_along(alone[0], own, STEP, REACH)
-        # A place of the pass at u + lag is at u in the first: the pass lies ``lag`` farther back than its receiver says.
+        # A place of the pass at u + lag is at u in the first, which is ``lag`` farther back than its receiver says.
         base = -np.interp(p.u[2:].mean(axis=0), at + lag, lag)
         out.append(replace(p, base=base, shift_sigma=_ALIGNED))
     return tuple(out)
