@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -18,7 +17,7 @@ from suspension_twin.addons.roads.scan.response import RoadResponse
 from suspension_twin.addons.roads.scan.scan import HOLE, ScannedRoad
 from suspension_twin.arrays import Floats
 from suspension_twin.errors import InputError
-from suspension_twin.files import replacing
+from suspension_twin.report import style
 from suspension_twin.road.check import wheel_tracks
 from suspension_twin.road.road import Road
 
@@ -30,25 +29,19 @@ _ZOOM = 6.0  # m of a wheel path that are shown
 _SMALL = {"frameon": False, "fontsize": 8}
 
 
-def _save(figure: Figure, path: str | os.PathLike[str]) -> None:
+def _save(figure: Figure, path: str | Path) -> None:
     """Write a figure as .png, .svg or .pdf. Raises InputError, WorkError."""
-    suffix = Path(path).suffix.lower()
-    if suffix not in (".png", ".svg", ".pdf"):
+    if Path(path).suffix.lower() not in (".png", ".svg", ".pdf"):
         raise InputError(path, "a picture is written as .png, .svg or .pdf; name the file so")
-    with replacing(path) as temporary:
-        figure.savefig(temporary, dpi=130, facecolor="white", format=suffix[1:])
+    style.save(figure, path, dpi=130)
 
 
-def save_estimate_picture(
-    found: RoadEstimate, path: str | os.PathLike[str], truth: Floats | None = None
-) -> None:
+def save_estimate_picture(found: RoadEstimate, path: str | Path, truth: Floats | None = None) -> None:
     """Draw :func:`estimate_figure` into a file (.png, .svg or .pdf). Raises InputError, WorkError."""
     _save(estimate_figure(found, truth), path)
 
 
-def save_scan_picture(
-    found: ScannedRoad, responses: Sequence[RoadResponse], path: str | os.PathLike[str]
-) -> None:
+def save_scan_picture(found: ScannedRoad, responses: Sequence[RoadResponse], path: str | Path) -> None:
     """Draw :func:`scan_figure` into a file (.png, .svg or .pdf). Raises InputError, WorkError."""
     _save(scan_figure(found, responses), path)
 

@@ -586,19 +586,18 @@ def _levels(inverse: Inverse, solution: Floats, draws: Sequence[Floats]) -> tupl
     octaves = zip(edges[:-1], edges[1:], strict=True)
     bands = [(math.sqrt(low * high), (n >= low) & (n < high)) for low, high in octaves]
     level, slopes = [], []
-    for i in range(2):
-        x, y, weight = [], [], []
-        for middle, band in (b for b in bands if b[1].sum() >= 2):
-            ratio = float((mean[i, band] + open_[i, band]).mean())
-            g = float(np.exp(np.mean(np.log(prior.spectrum[i, band]))))
-            x.append(math.log(middle / 0.1))
-            y.append(math.log(max(ratio, 1e-9) * g))
-            weight.append(max(1.0 - float(open_[i, band].mean()), 0.0) * math.sqrt(band.sum()))
-        w = np.array(weight) + 1e-6
+    bands = [(middle, band) for middle, band in bands if band.sum() >= 2]
+    x = np.array([math.log(middle / 0.1) for middle, _ in bands])
+    for power_of, left, spectrum in zip(mean, open_, prior.spectrum, strict=True):
+        ratio = [max(float((power_of[b] + left[b]).mean()), 1e-9) for _, b in bands]
+        g = [float(np.exp(np.mean(np.log(spectrum[b])))) for _, b in bands]
+        y = np.array([math.log(r * k) for r, k in zip(ratio, g, strict=True)])
+        known = [max(1.0 - float(left[b].mean()), 0.0) * math.sqrt(b.sum()) for _, b in bands]
+        w = np.array(known) + 1e-6
         slope, intercept = np.polyfit(x, y, 1, w=w)
         slopes.append(float(np.clip(-slope, 1.2, 3.5)))
         if slopes[-1] != -slope:
-            intercept = float(np.average(np.array(y) + slopes[-1] * np.array(x), weights=w**2))
+            intercept = float(np.average(y + slopes[-1] * x, weights=w**2))
         level.append(float(np.exp(intercept)))
     return level, slopes
 

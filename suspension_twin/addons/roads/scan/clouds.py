@@ -12,9 +12,10 @@ import re
 import struct
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from importlib import import_module
 from itertools import islice
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -107,8 +108,12 @@ def open_cloud(path: Path) -> Cloud:
     return Cloud(path, cloud.count, cloud.crs, pieces)
 
 
-def _missing(path: Path | str, package: str) -> InputError:
-    return InputError(path, f'needs {package}: pip install "suspension-twin[scan]"')
+def _optional(path: Path | str, module: str, packages: str) -> Any:
+    """A module of the extra ``scan``."""
+    try:
+        return import_module(module)
+    except ImportError:
+        raise InputError(path, f'needs {packages}: pip install "suspension-twin[scan]"') from None
 
 
 def _check_header(path: Path) -> None:
@@ -155,19 +160,17 @@ def _check_header(path: Path) -> None:
 
 
 def _las(path: Path) -> Cloud:
-    try:
-        import laspy
-    except ImportError:
-        raise _missing(path, "laspy and lazrs") from None
+    laspy = _optional(path, "laspy", "laspy and lazrs")
     _check_header(path)
     with laspy.open(path) as reader:
         header = reader.header
         if header.are_points_compressed and not laspy.LazBackend.detect_available():
-            raise _missing(path, "lazrs")
+            _optional(path, "lazrs", "lazrs")
         try:
             crs = header.parse_crs()
         except ImportError:
-            raise _missing(path, "pyproj") from None
+            _optional(path, "pyproj", "pyproj")
+            raise
         except Exception:  # a record that PROJ does not understand: --crs says it
             crs = None
         count = int(header.point_count)
@@ -182,11 +185,7 @@ def _las(path: Path) -> Cloud:
 
 
 def _ply(path: Path) -> Cloud:
-    try:
-        from plyfile import PlyData
-    except ImportError:
-        raise _missing(path, "plyfile") from None
-    data = PlyData.read(str(path), mmap="c")
+    data = _optional(path, "plyfile", "plyfile").PlyData.read(str(path), mmap="c")
     if "vertex" not in data:
         raise InputError(path, "has no element 'vertex'")
     vertex = data["vertex"]
@@ -349,10 +348,7 @@ def georeference_of(
     if unit is not None and unit not in SCAN_UNITS:
         raise InputError("--unit", f"{shown(unit)} is not one of {', '.join(SCAN_UNITS)}")
     if named is not None:
-        try:
-            import pyproj
-        except ImportError:
-            raise _missing("--crs", "pyproj") from None
+        pyproj = _optional("--crs", "pyproj", "pyproj")
         try:
             crs = pyproj.CRS.from_user_input(named)
         except pyproj.exceptions.CRSError:
