@@ -63,7 +63,7 @@ class Laps:
     >>> circle = [(t, 20.0 * math.cos(0.25 * t), 20.0 * math.sin(0.25 * t), 0.25 * t + math.pi / 2)
     ...           for t in np.arange(0.0, 30.0, 0.1)]
     >>> [round(span.length) for row in circle if (span := laps.push(*row, speed=5.0))]
-    [122]
+    [123]
     """
 
     def __init__(self) -> None:
