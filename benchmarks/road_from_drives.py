@@ -48,7 +48,7 @@ from suspension_twin.addons.roads.drives.estimate import (  # noqa: E402
     STEP,
     RoadEstimate,
     RoadEstimateSettings,
-    WheelPaths,
+    WheelProfiles,
 )
 from suspension_twin.addons.roads.drives.passes import banded, lags_along  # noqa: E402
 from suspension_twin.addons.roads.drives.vehicle import PARAMETERS, scaled_twin  # noqa: E402
@@ -84,23 +84,23 @@ _EDGE = 15.0  # m at both ends that are left out: the car speeds up and brakes t
 def wheel_truth(site: Site, found: RoadEstimate) -> Floats:
     """True heights (2, n) m along the estimate's wheel paths, in the map."""
     out = []
-    for v in (0.5 * found.paths.track, -0.5 * found.paths.track):
-        x, y = found.paths.road().uv_to_xy(found.paths.u, np.full(found.paths.u.size, v))
+    for v in (0.5 * found.profiles.track, -0.5 * found.profiles.track):
+        x, y = found.profiles.road().uv_to_xy(found.profiles.u, np.full(found.profiles.u.size, v))
         out.append(truth_along(site, x, y))
     return np.array(out)
 
 
 def on_one_line(found: RoadEstimate, heights: Floats) -> Road:
     """The road with heights (2, n) m of its wheel paths, held across."""
-    paths = WheelPaths(found.paths.line, found.paths.track, heights[:, None])
-    return surface_of(replace(found, paths=paths))
+    profiles = WheelProfiles(found.profiles.line, found.profiles.track, heights[:, None])
+    return surface_of(replace(found, profiles=profiles))
 
 
 def compared(found: RoadEstimate) -> Any:
     """Where the heights are compared."""
     k = found.covered
-    at = found.paths.u[k]
-    return k & (found.paths.u > at[0] + _EDGE) & (found.paths.u < at[-1] - _EDGE)
+    at = found.profiles.u[k]
+    return k & (found.profiles.u > at[0] + _EDGE) & (found.profiles.u < at[-1] - _EDGE)
 
 
 def rtk(site: Site, picture: Path | None) -> dict[str, Any]:
@@ -110,7 +110,7 @@ def rtk(site: Site, picture: Path | None) -> dict[str, Any]:
     truth = wheel_truth(site, found)
     if picture is not None:
         save_estimate_picture(found, picture, truth)
-    own, true = (banded(z, STEP, *SEEN_BAND) for z in (found.paths.middle, truth))
+    own, true = (banded(z, STEP, *SEEN_BAND) for z in (found.profiles.middle, truth))
     sigma, k = found.sigma(), compared(found)
     out: dict[str, Any] = {}
     for i, side in enumerate(("left", "right")):
@@ -139,18 +139,18 @@ def five(site: Site) -> dict[str, float]:
     ]
     third = drive_over(site, SPEEDS[2], 2)[0]
     left, _ = gaps(third, site, [*(surface_of(f) for f in found), site.survey])
-    return {"one_line": left[0], "lines": left[1], "count": found[1].paths.across.size, "survey": left[2]}
+    return {"one_line": left[0], "lines": left[1], "count": found[1].profiles.across.size, "survey": left[2]}
 
 
 def path_of(site: Site, drive: Drive, found: RoadEstimate) -> tuple[float, Floats]:
     """Where (m to the left of the estimate's line) a drive was, and the true heights (2, n) m of its wheel paths."""
     path = simulate_drive(drive, site.twin, site.survey).prepared.trajectory
-    u, v = found.paths.road().xy_to_uv(path.x, path.y)
+    u, v = found.profiles.road().xy_to_uv(path.x, path.y)
     on = path.speed > 2.0
-    beside = np.interp(found.paths.u, u[on], v[on])
+    beside = np.interp(found.profiles.u, u[on], v[on])
     true = []
     for side in (0.5, -0.5):
-        x, y = found.paths.road().uv_to_xy(found.paths.u, side * found.paths.track + beside)
+        x, y = found.profiles.road().uv_to_xy(found.profiles.u, side * found.profiles.track + beside)
         true.append(truth_along(site, x, y))
     return float(np.median(v[on])), np.array(true)
 
@@ -173,7 +173,7 @@ def lanes(site: Site) -> list[dict[str, float]]:
             site.survey,
             *(
                 on_one_line(found, z)
-                for z in (nearest[1], found.paths.middle + own - truth, predicted((first, second), at))
+                for z in (nearest[1], found.profiles.middle + own - truth, predicted((first, second), at))
             ),
         )
         left = gaps(third, site, roads)[0]
@@ -230,21 +230,23 @@ def phones(site: Site) -> dict[str, Any]:
         drive, motion = drive_over(site, SPEEDS[i], i)
         drives.append(phone_fixes(site, drive, motion, i))
     found = road_from_drives(drives, site.twin, RoadEstimateSettings(samples=4))
-    n = found.paths.u.size
+    n = found.profiles.u.size
     truth = np.array(
         [
-            truth_along(site, found.paths.line.x, found.paths.line.y, np.full(n, s * 0.5 * found.paths.track))
+            truth_along(
+                site, found.profiles.line.x, found.profiles.line.y, np.full(n, s * 0.5 * found.profiles.track)
+            )
             for s in (1, -1)
         ]
     )
     k = compared(found)
-    at, lag, _ = lags_along(banded(found.paths.middle, STEP) * k, banded(truth, STEP) * k, STEP, 12.0)
-    own, true = (banded(z, STEP, *SEEN_BAND) for z in (found.paths.middle, truth))
-    there = found.paths.u + np.interp(found.paths.u, at, lag)
+    at, lag, _ = lags_along(banded(found.profiles.middle, STEP) * k, banded(truth, STEP) * k, STEP, 12.0)
+    own, true = (banded(z, STEP, *SEEN_BAND) for z in (found.profiles.middle, truth))
+    there = found.profiles.u + np.interp(found.profiles.u, at, lag)
     result = {"map_error_m": float(np.median(lag))}
     for i, side in enumerate(("left", "right")):
         result[f"correlation_{side}"] = float(
-            np.corrcoef(own[i, k], np.interp(there, found.paths.u, true[i])[k])[0, 1]
+            np.corrcoef(own[i, k], np.interp(there, found.profiles.u, true[i])[k])[0, 1]
         )
     return result
 
@@ -263,7 +265,7 @@ def joint(site: Site) -> dict[str, Any]:
         found = road_from_drives(drives, twin, settings)
         truth = wheel_truth(site, found)
         k = compared(found)
-        own, true = (banded(z, STEP, *SEEN_BAND)[:, k] for z in (found.paths.middle, truth))
+        own, true = (banded(z, STEP, *SEEN_BAND)[:, k] for z in (found.profiles.middle, truth))
         error = own - true
         out[name] = {
             "rms_mm": [1e3 * float(np.std(e)) for e in error],

@@ -26,7 +26,7 @@ from scipy.special import logsumexp
 
 from suspension_twin.arrays import Floats
 
-__all__ = ["NAMED", "ChangePoint", "Series", "find_changes", "step_in"]
+__all__ = ["NAMED", "ChangePoint", "QuantitySeries", "find_changes", "step_in"]
 
 #: A change is named from this probability on.
 NAMED = 0.95
@@ -43,7 +43,7 @@ _TAIL = 0.05
 
 
 @dataclass(frozen=True)
-class Series:
+class QuantitySeries:
     """Estimates of one quantity of one vehicle.
 
     Parameters
@@ -70,7 +70,7 @@ class ChangePoint:
 
     Parameters
     ----------
-    series : Series
+    series : QuantitySeries
         The estimates.
     probability : float
         That there was a step.
@@ -84,7 +84,7 @@ class ChangePoint:
         After over before, and the ends of its 90 % interval.
     """
 
-    series: Series
+    series: QuantitySeries
     probability: float
     date: str
     earliest: str
@@ -135,17 +135,19 @@ def find_changes(health: Iterable[Mapping[str, Any]]) -> list[ChangePoint]:
     for (vehicle, quantity), group in groupby(usable, key=lambda r: (r["vehicle"], r["quantity"])):
         rows = list(group)
         estimates = [(r["date"], r["value"], (r["high"] - r["low"]) / _INTERVAL) for r in rows]
-        found.append(step_in(Series(vehicle, quantity, rows[0]["unit"], *zip(*estimates, strict=True))))
+        found.append(
+            step_in(QuantitySeries(vehicle, quantity, rows[0]["unit"], *zip(*estimates, strict=True)))
+        )
     changes = [change for change in found if change is not None]
     return sorted(changes, key=lambda c: (-c.probability, c.series.vehicle, c.series.quantity))
 
 
-def step_in(series: Series) -> ChangePoint | None:
+def step_in(series: QuantitySeries) -> ChangePoint | None:
     """Probability, place and size of a step in one series.
 
     Parameters
     ----------
-    series : Series
+    series : QuantitySeries
         Estimates of one quantity.
 
     Returns
@@ -156,7 +158,7 @@ def step_in(series: Series) -> ChangePoint | None:
     Examples
     --------
     >>> values = (*[100.0] * 4, *[70.0] * 4)
-    >>> step_in(Series("car", "force", "N", tuple("abcdefgh"), values, (2.0,) * 8)).date
+    >>> step_in(QuantitySeries("car", "force", "N", tuple("abcdefgh"), values, (2.0,) * 8)).date
     'e'
     """
     n, dates = len(series.values), series.dates

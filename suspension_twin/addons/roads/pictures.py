@@ -65,8 +65,8 @@ def estimate_figure(found: RoadEstimate, truth: Floats | None = None) -> Figure:
     figure = Figure(figsize=(12.0, 7.5), layout="constrained")
     left, right, bars = figure.subplots(3, 1, height_ratios=[1.0, 1.0, 1.1])
     k = found.covered
-    u = found.paths.u[k] - found.paths.u[k][0]
-    heights, sigma = banded(found.paths.middle, STEP, *SEEN_BAND)[:, k], found.sigma()[:, k]
+    u = found.profiles.u[k] - found.profiles.u[k][0]
+    heights, sigma = banded(found.profiles.middle, STEP, *SEEN_BAND)[:, k], found.sigma()[:, k]
     true = None if truth is None else banded(truth, STEP, *SEEN_BAND)[:, k]
     for i, (side, axes, colour) in enumerate((("Left", left, _BLUE), ("Right", right, _ORANGE))):
         _banded_line(axes, u, heights[i], sigma[i], colour, "from drives, with its 90 % interval")

@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from suspension_twin.addons.fleet.changes import ChangePoint, Series, step_in
+from suspension_twin.addons.fleet.changes import ChangePoint, QuantitySeries, step_in
 
 
 def series(
@@ -15,7 +15,7 @@ def series(
     truth = 1200.0 * np.where(np.arange(n) >= at, ratio, 1.0)
     values = truth * np.exp(np.hypot(sigma, scatter) * rng.standard_normal(n))
     dates = tuple(f"{d:02d}" for d in range(n))
-    found = step_in(Series("car", "force", "N", dates, tuple(values), tuple(sigma * values)))
+    found = step_in(QuantitySeries("car", "force", "N", dates, tuple(values), tuple(sigma * values)))
     assert found is not None
     return found
 
@@ -34,9 +34,9 @@ def test_no_step_is_named_where_there_is_none() -> None:
 
 def test_one_estimate_that_is_off_is_no_change() -> None:
     values = (1000.0, 1010.0, 995.0, 1005.0, 990.0, 1000.0, 1008.0, 600.0)
-    found = step_in(Series("car", "force", "N", tuple("abcdefgh"), values, (10.0,) * 8))
+    found = step_in(QuantitySeries("car", "force", "N", tuple("abcdefgh"), values, (10.0,) * 8))
     assert found is not None and not found.named
 
 
 def test_a_series_too_short_says_nothing() -> None:
-    assert step_in(Series("car", "force", "N", tuple("abc"), (1.0, 1.0, 2.0), (0.1,) * 3)) is None
+    assert step_in(QuantitySeries("car", "force", "N", tuple("abc"), (1.0, 1.0, 2.0), (0.1,) * 3)) is None

@@ -16,7 +16,7 @@ from suspension_twin.addons.roads.drives.estimate import (
     STEP,
     RoadEstimate,
     RoadEstimateSettings,
-    WheelPaths,
+    WheelProfiles,
     estimate_road,
 )
 from suspension_twin.addons.roads.recording import Prepared, prepare_drive, with_datum
@@ -101,7 +101,7 @@ def road_from_drives(
     >>> from suspension_twin.vehicle.twin import load_twin
     >>> part = Part(read_drive("bags/bump_15kmh"), 8.0, 20.0)
     >>> found = road_from_drives([part], load_twin("bags/bump_15kmh/twin.yaml"), RoadEstimateSettings(2, 2))
-    >>> bool(found.paths.heights.max() > 0.02)
+    >>> bool(found.profiles.heights.max() > 0.02)
     True
     """
     if "front" not in twin.axles:
@@ -129,10 +129,10 @@ def surface_of(found: RoadEstimate, name: str = "road from drives") -> Road:
     covered = np.flatnonzero(found.covered)
     if covered.size < 2:
         raise InputError("drives", "none of them was on the move on this road")
-    part, whole = slice(int(covered[0]), int(covered[-1]) + 1), found.paths
+    part, whole = slice(int(covered[0]), int(covered[-1]) + 1), found.profiles
     line = Centreline(whole.line.x[part], whole.line.y[part], STEP)
     heights = np.where(found.covered, whole.heights, np.nan)[..., part][..., : line.x.size]
-    return WheelPaths(line, whole.track, heights, whole.across).road(name)
+    return WheelProfiles(line, whole.track, heights, whole.across).road(name)
 
 
 def write_estimate(found: RoadEstimate, twin: Twin, path: Path) -> dict[str, Any]:
@@ -174,7 +174,7 @@ def write_estimate(found: RoadEstimate, twin: Twin, path: Path) -> dict[str, Any
         "origin": "drives",
         "vehicle": getattr(twin.vehicle, "name", ""),
         "datum": {"latitude": datum.latitude, "longitude": datum.longitude, "altitude": datum.altitude},
-        "track": found.paths.track,
+        "track": found.profiles.track,
         "drives": [
             {
                 "name": p.name,

@@ -51,7 +51,7 @@ from suspension_twin.road.recipe import Feature
 from suspension_twin.road.road import Road
 from suspension_twin.vehicle.twin import Twin
 
-__all__ = ["RoadEstimate", "RoadEstimateSettings", "WheelPaths", "estimate_road"]
+__all__ = ["RoadEstimate", "RoadEstimateSettings", "WheelProfiles", "estimate_road"]
 
 STEP = 0.05  # m between the heights
 MARGIN = 6.0  # m of line before the first and after the last place driven
@@ -108,7 +108,7 @@ class RoadEstimateSettings:
 
 
 @dataclass(frozen=True, eq=False)
-class WheelPaths:
+class WheelProfiles:
     """Heights of both wheel paths along a line.
 
     Parameters
@@ -167,7 +167,7 @@ class RoadEstimate:
 
     Parameters
     ----------
-    paths : WheelPaths
+    profiles : WheelProfiles
         The heights.
     errors : (samples, 2, n) array
         m, draws of the errors of the heights in the middle of the wheel paths.
@@ -184,7 +184,7 @@ class RoadEstimate:
         Where it was estimated as well.
     """
 
-    paths: WheelPaths
+    profiles: WheelProfiles
     errors: Floats
     passes: tuple[RoadPass, ...]
     shifts: tuple[Floats, ...]
@@ -195,7 +195,7 @@ class RoadEstimate:
     @property
     def covered(self) -> NDArray[np.bool_]:
         """(n,) where both wheel paths were driven over on the move, by at least one pass."""
-        return _covered(self.passes, self.paths.line.x.size)
+        return _covered(self.passes, self.profiles.line.x.size)
 
     def sigma(self) -> Floats:
         """(2, n) m standard deviation of the heights in the waves between 0.5 and 10 m, from draws within a metre."""
@@ -211,7 +211,7 @@ class RoadEstimate:
         for longest in (40.0, 20.0, 10.0, 5.0, 2.5, 1.25, 0.625, 0.3125):
             pair = (
                 banded(z, STEP, 1.0 / longest, 2.0 / longest)[..., k]
-                for z in (self.paths.middle, self.errors)
+                for z in (self.profiles.middle, self.errors)
             )
             rms, error = (float(np.sqrt(np.mean(values**2))) for values in pair)
             total = rms**2 + error**2
@@ -250,7 +250,7 @@ class _Problem:
 
     def road(self, heights: Floats) -> Road:
         """The road of heights (2, lines, count) m of mean and half difference."""
-        return WheelPaths(self.line, self.track, sides_of(heights), self.across).road()
+        return WheelProfiles(self.line, self.track, sides_of(heights), self.across).road()
 
     def first_state(self) -> _State:
         """A level road, and the noise of a calibrated twin."""
@@ -366,7 +366,7 @@ def estimate_road(
         errors = errors + np.einsum("sk,klij->slij", drawn, step.roads)
     sides = sides_of(_at_middle(errors, across).swapaxes(0, 1)).swapaxes(0, 1)
     found = RoadEstimate(
-        WheelPaths(problem.line, problem.track, sides_of(state.heights), across),
+        WheelProfiles(problem.line, problem.track, sides_of(state.heights), across),
         sides,
         problem.passes,
         state.shifts,
@@ -422,7 +422,7 @@ def _problem(prepared: Sequence[Prepared], twin: Twin, left_out: list[str] | Non
     """The drives as passes over one line; with ``left_out`` those that do not fit are named there and left out."""
     line = line_of([p.trajectory for p in prepared], STEP, MARGIN)
     track = 0.5 * (twin.vehicle.front_track + twin.vehicle.rear_track)
-    level = WheelPaths(line, track, np.zeros((2, 1, line.x.size))).road()
+    level = WheelProfiles(line, track, np.zeros((2, 1, line.x.size))).road()
     passes, error = [], None
     for one in prepared:
         try:

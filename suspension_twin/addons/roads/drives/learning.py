@@ -225,6 +225,6 @@ def learn_road(
     return {
         "twin": str(twin_path(out).absolute()),
         "passes": len(found.passes),
-        "length": float(found.covered.sum() * found.paths.line.step),
+        "length": float(found.covered.sum() * found.profiles.line.step),
         "warnings": list(record["warnings"]),
     }

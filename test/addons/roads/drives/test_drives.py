@@ -67,9 +67,15 @@ def paths_of(road: Road, found_line: Road, track: float, u: np.ndarray) -> np.nd
 def test_two_drives_give_the_road_and_its_intervals(twin: Twin, truth: Road) -> None:
     drives = [driven(twin, truth, 5.0, 1), driven(twin, truth, 10.0, 2)]
     found = road_from_drives(drives, twin, RoadEstimateSettings(iterations=4, samples=6))
-    true = banded(paths_of(truth, found.paths.road(), found.paths.track, found.paths.u), STEP, 0.1, 2.0)
-    own, sigma = banded(found.paths.middle, STEP, 0.1, 2.0), found.sigma()
-    k = found.covered & (found.paths.u > found.paths.u[0] + 18.0) & (found.paths.u < found.paths.u[-1] - 18.0)
+    true = banded(
+        paths_of(truth, found.profiles.road(), found.profiles.track, found.profiles.u), STEP, 0.1, 2.0
+    )
+    own, sigma = banded(found.profiles.middle, STEP, 0.1, 2.0), found.sigma()
+    k = (
+        found.covered
+        & (found.profiles.u > found.profiles.u[0] + 18.0)
+        & (found.profiles.u < found.profiles.u[-1] - 18.0)
+    )
     assert k.sum() * STEP > 70.0
     for side in (0, 1):
         error = own[side, k] - true[side, k]
@@ -125,10 +131,10 @@ def test_a_phones_receiver_is_corrected_by_the_road_itself(twin: Twin, truth: Ro
     middle = found.passes[1].base[found.passes[1].base.size // 2]
     assert middle == pytest.approx(-2.5, abs=0.3)
     # The map is as far off as the first drive's fixes; which place on the road a point of the line is, is not.
-    u, _ = truth.xy_to_uv(found.paths.line.x, found.paths.line.y)
-    true = banded(truth.heights_uv(u, 0.5 * found.paths.track, "hold")[None], STEP, 0.1, 1.0)
-    k = found.covered & (found.paths.u > 25.0) & (found.paths.u < found.paths.u[-1] - 25.0)
-    assert np.corrcoef(banded(found.paths.middle, STEP, 0.1, 1.0)[0, k], true[0, k])[0, 1] > 0.9
+    u, _ = truth.xy_to_uv(found.profiles.line.x, found.profiles.line.y)
+    true = banded(truth.heights_uv(u, 0.5 * found.profiles.track, "hold")[None], STEP, 0.1, 1.0)
+    k = found.covered & (found.profiles.u > 25.0) & (found.profiles.u < found.profiles.u[-1] - 25.0)
+    assert np.corrcoef(banded(found.profiles.middle, STEP, 0.1, 1.0)[0, k], true[0, k])[0, 1] > 0.9
 
 
 def test_lags_are_found_along_the_road() -> None:

@@ -54,12 +54,16 @@ def drives(twin: Twin, truth: Road) -> list[Drive]:
 
 def error_of(found: RoadEstimate, truth: Road) -> float:
     """Rms in m, waves between 0.5 and 10 m, both wheel paths, ends left out."""
-    k = found.covered & (found.paths.u > found.paths.u[0] + 15.0) & (found.paths.u < found.paths.u[-1] - 15.0)
+    k = (
+        found.covered
+        & (found.profiles.u > found.profiles.u[0] + 15.0)
+        & (found.profiles.u < found.profiles.u[-1] - 15.0)
+    )
     total = 0.0
     for heights, v in zip(
-        found.paths.middle, (0.5 * found.paths.track, -0.5 * found.paths.track), strict=True
+        found.profiles.middle, (0.5 * found.profiles.track, -0.5 * found.profiles.track), strict=True
     ):
-        x, y = found.paths.road().uv_to_xy(found.paths.u, np.full(found.paths.u.size, v))
+        x, y = found.profiles.road().uv_to_xy(found.profiles.u, np.full(found.profiles.u.size, v))
         error = banded(heights - truth.heights(x, y, "hold"), STEP, 0.1, 2.0)[k]
         total += 0.5 * float(np.mean(error**2))
     return math.sqrt(total)
