@@ -85,7 +85,7 @@ def best_linear_approximation(
 
 def _symmetric(twin: Twin) -> Twin:
     """The twin with dampers that have the mean of push and pull in both directions."""
-    curves = {}
+    curves: dict[str, dict[str, list[float]]] = {}
     for axle in ("front", "rear"):
         part = getattr(twin.vehicle, axle)
         speeds = sorted({*part.damper_push.velocity, *part.damper_pull.velocity})
