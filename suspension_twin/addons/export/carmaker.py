@@ -39,27 +39,19 @@ def _tables(twin: Twin) -> dict[str, list[str]]:
 
 def _replaced(text: str, tables: dict[str, list[str]], source: Path) -> str:
     """The vehicle file with these tables in the places of its own."""
-    keys = "|".join(map(re.escape, tables))
+    remaining = dict(tables)
+
+    def table(own: re.Match[str]) -> str:
+        return "".join(f"{line}\n" for line in remaining.pop(own[1], ()))
+
     # a value on the line, or a table: the lines below that begin with white space
-    own = re.compile(rf"({keys})(\.Amplify)?[ \t]*(=.*|:.*)")
-    out: list[str] = []
-    placed: set[str] = set()
-    within = False
-    for line in text.split("\n"):
-        found = own.fullmatch(line.rstrip())
-        if found:
-            key = found[1]
-            within = found[3].startswith(":")
-            if key not in placed:
-                placed.add(key)
-                out += tables[key]
-        elif not (within and line[:1] in (" ", "\t")):
-            within = False
-            out.append(line)
-    for key in tables:
-        if key not in placed:
-            raise InputError(source, f"is no vehicle file of CarMaker with a line {key}")
-    return "\n".join(out)
+    keys = "|".join(map(re.escape, tables))
+    text = re.sub(
+        rf"^({keys})(?:\.Amplify)?[ \t]*(?:=.*|:.*(?:\n[ \t].*)*)\n?", table, text, flags=re.MULTILINE
+    )
+    for key in remaining:
+        raise InputError(source, f"is no vehicle file of CarMaker with a line {key}")
+    return text
 
 
 def _write(twin: Twin, path: Path, settings: ExportSettings) -> Sequence[str]:

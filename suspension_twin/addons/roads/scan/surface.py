@@ -223,29 +223,22 @@ def _accumulate(
     u0: float, v0: float, du: float, dv: float, nu: int, nv: int,
     band: Floats, right: Floats,
 ) -> None:  # fmt: skip
-    """Add weighted points (n,) to the normal equations of the nodes."""
+    """Add weighted points (n,) to the normal equations of the nodes.
+
+    A point observes the bilinear interpolation of the four nodes around it. Nodes are numbered i * nv + j; a matrix
+    over them is banded, stored as LAPACK's lower form: band[k, j] = A[j + k, j].
+    """
+    beyond = (0, 1, nv, nv + 1)
     for p in range(u.size):
         fu, fv = (u[p] - u0) / du, (v[p] - v0) / dv
         i, j = min(max(int(fu), 0), nu - 2), min(max(int(fv), 0), nv - 2)
         a, c = fu - i, fv - j
-        k = i * nv + j
-        w00, w01, w10, w11 = (1.0 - a) * (1.0 - c), (1.0 - a) * c, a * (1.0 - c), a * c
-        weight = w[p]
-        band[0, k] += weight * w00 * w00
-        band[1, k] += weight * w00 * w01
-        band[nv, k] += weight * w00 * w10
-        band[nv + 1, k] += weight * w00 * w11
-        band[0, k + 1] += weight * w01 * w01
-        band[nv - 1, k + 1] += weight * w01 * w10
-        band[nv, k + 1] += weight * w01 * w11
-        band[0, k + nv] += weight * w10 * w10
-        band[1, k + nv] += weight * w10 * w11
-        band[0, k + nv + 1] += weight * w11 * w11
-        r = weight * z[p]
-        right[k] += r * w00
-        right[k + 1] += r * w01
-        right[k + nv] += r * w10
-        right[k + nv + 1] += r * w11
+        shares = ((1.0 - a) * (1.0 - c), (1.0 - a) * c, a * (1.0 - c), a * c)
+        for m in range(4):
+            k, share = i * nv + j + beyond[m], w[p] * shares[m]
+            right[k] += w[p] * z[p] * shares[m]
+            for n in range(m, 4):
+                band[beyond[n] - beyond[m], k] += share * shares[n]
 
 
 @compiled
