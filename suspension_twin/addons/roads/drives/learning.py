@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from suspension_twin.addons.roads.drives.drives import Part, road_from_drives, write_estimate
 from suspension_twin.addons.roads.drives.estimate import RoadEstimateSettings
 from suspension_twin.drive.types import Drive, FixData, HeadingData, ImuData, Samples, VelocityData
-from suspension_twin.files import together
+from suspension_twin.files import replacing, together
 from suspension_twin.vehicle.twin import Datum, RoadFile, load_twin, save_twin
 
 __all__ = ["Laps", "Lesson", "Span", "learn_road", "read_lesson", "twin_path", "write_lesson"]
@@ -136,7 +136,7 @@ class Lesson:
 
 
 def write_lesson(lesson: Lesson, path: Path) -> None:
-    """Write a lesson as arrays of NumPy (``.npz``), each drive once. Raises OSError."""
+    """Write a lesson as arrays of NumPy in a file ``.npz``, each drive once. Raises InputError, WorkError."""
     drives: list[Drive] = []
     for drive, _, _ in lesson.passes:
         drives += [] if any(drive is known for known in drives) else [drive]
@@ -156,8 +156,8 @@ def write_lesson(lesson: Lesson, path: Path) -> None:
             for drive, start, end in lesson.passes
         ],
     }
-    with path.open("wb") as file:
-        np.savez(file, lesson=np.array(json.dumps(text)), **arrays)  # type: ignore[arg-type]
+    with replacing(path) as temporary:
+        np.savez(temporary, lesson=np.array(json.dumps(text)), **arrays)  # type: ignore[arg-type]
 
 
 def read_lesson(path: Path) -> Lesson:
