@@ -38,5 +38,5 @@ def test_one_estimate_that_is_off_is_no_change() -> None:
     assert found is not None and not found.named
 
 
-def test_a_series_too_short_says_nothing() -> None:
+def test_a_series_too_short_has_no_change_point() -> None:
     assert step_in(QuantitySeries("car", "force", "N", tuple("abc"), (1.0, 1.0, 2.0), (0.1,) * 3)) is None

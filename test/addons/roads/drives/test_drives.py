@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Roads from drives: the road that was driven over comes back, with intervals that hold it, and limits are told."""
+"""Roads from drives: the road that was driven over comes back, with intervals that hold it, and limits are reported."""
 
 from __future__ import annotations
 
@@ -82,7 +82,7 @@ def test_two_drives_give_the_road_and_its_intervals(twin: Twin, truth: Road) -> 
         assert np.corrcoef(own[side, k], true[side, k])[0, 1] > 0.985
         assert np.std(error) < 1e-3
         assert np.mean(np.abs(error) < 1.645 * sigma[side, k]) > 0.75
-    # What the car cannot show is said: of waves beyond 20 m, and not of those between 1 and 2 m.
+    # Waves that the car cannot show are reported: those beyond 20 m, and not those between 1 and 2 m.
     known = {w["longest"]: w["known"] for w in found.by_wavelength()}
     assert known[40.0] < 0.9 < 0.95 < known[2.5]
 
@@ -106,7 +106,7 @@ def test_an_independent_car_over_a_known_road(tmp_path: Path, capsys: pytest.Cap
         assert np.corrcoef(a, b)[0, 1] > 0.8
     assert picture.stat().st_size > 30_000
     assert len(record["per_metre"]["u"]) == pytest.approx(road.length, abs=2)
-    # A comparison on it says what it cannot show.
+    # A comparison on it warns of its limits.
     moved = load_twin(folder / "twin.yaml").with_changes({"road.file": str(out)})
     simulated = simulate_drive(read_drive(folder), moved)
     assert any("only what changed since shows" in text for text in simulated.warnings)

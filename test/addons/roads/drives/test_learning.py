@@ -63,7 +63,7 @@ def test_a_poor_receiver_comes_back_too_and_short_ways_are_nothing() -> None:
 
 
 def test_the_twin_stands_on_what_was_learnt(tmp_path: Path) -> None:
-    """From the bundled bump; a pass of elsewhere is told and left out."""
+    """From the bundled bump; a pass of elsewhere is left out with a warning."""
     drive = read_drive(BAGS / "bump_15kmh")
     twin = load_twin(BAGS / "bump_15kmh" / "twin.yaml").with_changes({"road": None})
     twin_file = tmp_path / "twin.yaml"
@@ -101,7 +101,7 @@ def test_a_lesson_comes_back_from_its_file_with_each_drive_once(tmp_path: Path) 
             np.testing.assert_array_equal(getattr(getattr(again, kind), name), value)
 
 
-def test_a_lesson_without_a_pass_says_why_and_writes_nothing(tmp_path: Path) -> None:
+def test_a_lesson_without_a_pass_is_an_error_and_writes_nothing(tmp_path: Path) -> None:
     drive = read_drive(BAGS / "bump_15kmh")
     t = float(drive.imu.t[0])
     lesson = Lesson(

@@ -55,7 +55,7 @@ def test_each_lane_is_nearer_to_the_truth_than_one_line_for_both(twin: Twin) -> 
         return total
 
     assert error(found) < 0.8 * error(one)
-    # What is written has each lane where it was driven.
+    # The written road has each lane where it was driven.
     at = int(np.argmin(np.abs(u - 28.5)))
     x, y = found.profiles.road().uv_to_xy(
         found.profiles.u[at], 0.5 * found.profiles.track + found.profiles.across

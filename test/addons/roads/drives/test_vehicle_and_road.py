@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Vehicle and road at once: what drives say of a vehicle over a road that nobody knows, and what they cannot."""
+"""Joint estimation of vehicle and road: a wrong vehicle is corrected over an unknown road, with its limits."""
 
 from __future__ import annotations
 
@@ -86,7 +86,7 @@ def test_a_wrong_vehicle_is_put_right_by_drives_over_an_unknown_road(
     dampers = [NAMES.index(f"{axle} dampers") for axle in ("front", "rear")]
     assert np.abs(vehicle.values[dampers] + wrong[dampers]).max() < 0.2
     assert (vehicle.sigma < 1.001 * vehicle.prior).all() and (vehicle.sigma[dampers] < 0.15).all()
-    # What is uncertain of the vehicle is in the road's uncertainty.
+    # The uncertainty of the vehicle is in that of the road.
     assert 0.0 < vehicle.amplitude < 0.1
     # The twin that comes out makes the drive on the road that comes out.
     assert vehicle.twin.vehicle.front.damper_pull.force[0] == pytest.approx(
@@ -126,7 +126,7 @@ def test_a_bump_of_known_size_is_found_and_its_heights_hold(truth: Road) -> None
             known_heights(parse_feature("bump", text), sides, 0.05, 10.0)
 
 
-def test_the_command_writes_the_vehicle_and_says_what_is_open(
+def test_the_command_writes_the_vehicle_and_names_open_directions(
     twin: Twin, drives: list[Drive], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     write_drive(drives[1], tmp_path / "drive")

@@ -128,9 +128,10 @@ def test_the_command_makes_a_road_that_can_be_driven(
     said = capsys.readouterr().out
     assert said.startswith(f"Writes {out}, {tmp_path / 'road.json'}, {tmp_path / 'road.npz'}, {picture}\n")
     record = json.loads((tmp_path / "road.json").read_text())
-    felt = {row["name"]: row for row in record["felt"]}
+    responses = {row["name"]: row for row in record["felt"]}
     assert (
-        felt["Gaussian, 0.1 m"]["difference"] > 2 * felt["another draw within its uncertainty"]["difference"]
+        responses["Gaussian, 0.1 m"]["difference"]
+        > 2 * responses["another draw within its uncertainty"]["difference"]
     )
     nodes = np.load(tmp_path / "road.npz")
     road = load_road(out)
@@ -258,11 +259,11 @@ def test_a_cloud_that_does_not_fit_is_one_line(
     assert "\n" not in str(caught.value)
 
 
-def test_a_cloud_at_the_origin_that_may_be_in_feet_is_told(truth: Road) -> None:
+def test_a_cloud_at_the_origin_that_may_be_in_feet_is_noted(truth: Road) -> None:
     cloud = sampled(truth, 400.0, 0.003)
-    for unit, told in ((1.0, False), (FEET, True)):
+    for unit, noted in ((1.0, False), (FEET, True)):
         facts = road_from_scan(as_cloud(cloud * unit), STRAIGHT, "line", ScanSettings(width=2.0)).facts
-        assert ("--unit ft" in facts.get("note", "")) is told
+        assert ("--unit ft" in facts.get("note", "")) is noted
 
 
 def test_a_section_and_another_unit_are_taken(truth: Road) -> None:
@@ -324,7 +325,7 @@ def test_a_header_that_promises_what_is_not_there_is_refused_at_once(
         open_cloud(tmp_path / name)
 
 
-def test_a_drive_is_the_path_and_its_gap_is_told(tmp_path: Path) -> None:
+def test_a_drive_is_the_path_and_its_gap_is_reported(tmp_path: Path) -> None:
     """The bundled drive over its own road, scanned along the drive's path."""
     true = load_road(BAGS / "bump_15kmh" / "road.crg")
     rng = np.random.default_rng(3)
@@ -345,8 +346,8 @@ def test_a_drive_is_the_path_and_its_gap_is_told(tmp_path: Path) -> None:
     assert (
         main([*command, "--out", str(tmp_path / "road.crg"), "--width", "3", "--section", "66", "108"]) == 0
     )
-    felt = json.loads((tmp_path / "road.json").read_text())["felt"][0]
-    assert felt["gap"] < 0.7 * felt["rms"]
+    response = json.loads((tmp_path / "road.json").read_text())["felt"][0]
+    assert response["gap"] < 0.7 * response["rms"]
     road = load_road(tmp_path / "road.crg")
     places = road.uv_to_xy(np.linspace(2.0, road.length - 2.0, 200), np.full(200, 0.7))
     np.testing.assert_allclose(road.heights(*places), true.heights(*places), atol=4e-3)
