@@ -22,11 +22,9 @@ from importlib import resources
 from pathlib import Path
 from typing import Final, NamedTuple
 
-import jinja2
-
 from suspension_twin import __version__
 from suspension_twin.addons.export.registry import ExportSettings, Target
-from suspension_twin.addons.export.standalone.source import ModelCode, model_code
+from suspension_twin.addons.export.standalone.source import ModelCode, model_code, rendered
 from suspension_twin.addons.export.standalone.translate import C
 from suspension_twin.errors import InputError, WorkError, printable
 from suspension_twin.files import replacing, write_text
@@ -96,14 +94,8 @@ def _sources(code: ModelCode, version: str) -> tuple[dict[str, str], str]:
 
 def _description(template: str, twin: Twin, name: str, guid: str) -> bytes:
     """An XML file of the archive, from its template."""
-    environment = jinja2.Environment(
-        loader=jinja2.PackageLoader("suspension_twin.addons.export", "standalone"),
-        autoescape=True,
-        undefined=jinja2.StrictUndefined,
-        trim_blocks=True,
-        keep_trailing_newline=True,
-    )
-    text = environment.get_template(template).render(
+    text = rendered(
+        template,
         name=name,
         guid=guid,
         description=f"Suspension of {printable(twin.vehicle.name)}: a twin of the model {twin.model}",

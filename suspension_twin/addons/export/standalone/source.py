@@ -6,6 +6,8 @@ from __future__ import annotations
 import textwrap
 from dataclasses import dataclass
 
+import jinja2
+
 from suspension_twin.addons.export.standalone.translate import Language, Translation
 from suspension_twin.errors import InputError
 from suspension_twin.models import rows
@@ -14,7 +16,7 @@ from suspension_twin.models.one_lane import OneLane
 from suspension_twin.models.registry import model_of
 from suspension_twin.vehicle.twin import Twin
 
-__all__ = ["ModelCode", "model_code"]
+__all__ = ["ModelCode", "model_code", "rendered"]
 
 
 @dataclass(frozen=True)
@@ -58,3 +60,16 @@ def model_code(twin: Twin, language: Language, to: str) -> ModelCode:
     if twin.imu.latency:
         notes.append("Not in it: imu.latency")
     return ModelCode(translation.text, initial, lane.values.size, rows.FAILED, MAX_STEP, tuple(notes))
+
+
+def rendered(template: str, **values: object) -> str:
+    """A text from a template beside this file; in XML values are escaped."""
+    environment = jinja2.Environment(
+        loader=jinja2.PackageLoader("suspension_twin.addons.export", "standalone"),
+        autoescape=template.endswith(".xml.j2"),
+        undefined=jinja2.StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+        keep_trailing_newline=True,
+    )
+    return environment.get_template(template).render(**values)
