@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Recorded drives for the estimation of roads: prepared, simulated over a road, and the line that was driven.
 
-Other modules of this add-on take from the inference package no more than priors and the search space.
+Other modules of this add-on take from the inference package no more than priors, the search space and synthetic paths.
 """
 
 from __future__ import annotations
