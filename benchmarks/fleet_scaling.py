@@ -109,9 +109,9 @@ def cores(processes: Sequence[Any]) -> float:
 
 def measured(manifest: Path, counts: Sequence[int], length: float) -> Iterator[dict[str, Any]]:
     """A row for each number of workers."""
-    from suspension_twin.addons.fleet.engine import Cluster, Plan, run_fleet
-    from suspension_twin.addons.fleet.ledger import Ledger
+    from suspension_twin.addons.fleet.engine import Cluster, FleetPlan, run_fleet
     from suspension_twin.addons.fleet.manifest import read_manifest
+    from suspension_twin.addons.fleet.results import Ledger
     from suspension_twin.addons.fleet.work import Options, plan_task, work
 
     items = read_manifest(manifest)
@@ -124,7 +124,7 @@ def measured(manifest: Path, counts: Sequence[int], length: float) -> Iterator[d
         for workers in counts:
             count = ROUNDS * workers
             tasks = tuple(replace(base, key=f"{k % 256:02x}{workers:04d}{k:08d}") for k in range(count))
-            plan = Plan(tuple(items[:1] * count), tasks, {}, {})
+            plan = FleetPlan(tuple(items[:1] * count), tasks, {})
             with cluster(workers, length, folder) as (client, processes):
                 took = {part: cores(found) for part, found in processes.items()}
                 own, began = time.process_time(), time.monotonic()

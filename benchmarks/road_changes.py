@@ -34,7 +34,7 @@ from blind.world import make_world  # noqa: E402
 from road_drives_world import drive_over, make_site  # noqa: E402
 
 from suspension_twin.addons.roads.drives.drives import road_from_drives, surface_of  # noqa: E402
-from suspension_twin.addons.roads.drives.estimate import Settings  # noqa: E402
+from suspension_twin.addons.roads.drives.estimate import RoadEstimateSettings  # noqa: E402
 from suspension_twin.drive.write import write_drive  # noqa: E402
 from suspension_twin.road import write_road  # noqa: E402
 from suspension_twin.vehicle.twin import RoadFile, save_twin  # noqa: E402
@@ -97,7 +97,7 @@ class Case:
                 write_drive(drive, folder / f"{name}_{i}")
         roads = {
             "scanned": site.survey,
-            "driven": surface_of(road_from_drives(before, site.twin, Settings())),
+            "driven": surface_of(road_from_drives(before, site.twin, RoadEstimateSettings())),
         }
         for name, road in roads.items():
             file = folder / f"{name}.crg"

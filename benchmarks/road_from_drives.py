@@ -42,11 +42,17 @@ sys.path[:0] = [str(HERE), str(HERE.parent / "bags")]
 
 from road_drives_world import Floats, Site, drive_over, make_site, phone_fixes, truth_along  # noqa: E402
 
-from suspension_twin.addons.roads.drives.alignment import banded, lags_along  # noqa: E402
 from suspension_twin.addons.roads.drives.drives import road_from_drives, surface_of  # noqa: E402
-from suspension_twin.addons.roads.drives.estimate import SEEN_BAND, STEP, Estimate, Settings  # noqa: E402
-from suspension_twin.addons.roads.drives.picture import save_estimate_picture  # noqa: E402
+from suspension_twin.addons.roads.drives.estimate import (  # noqa: E402
+    SEEN_BAND,
+    STEP,
+    RoadEstimate,
+    RoadEstimateSettings,
+    WheelProfiles,
+)
+from suspension_twin.addons.roads.drives.passes import banded, lags_along  # noqa: E402
 from suspension_twin.addons.roads.drives.vehicle import PARAMETERS, scaled_twin  # noqa: E402
+from suspension_twin.addons.roads.pictures import save_estimate_picture  # noqa: E402
 from suspension_twin.drive.types import Drive  # noqa: E402
 from suspension_twin.inference.simulated import simulate_drive  # noqa: E402
 from suspension_twin.road.road import Road  # noqa: E402
@@ -75,30 +81,36 @@ WRONG = {
 _EDGE = 15.0  # m at both ends that are left out: the car speeds up and brakes there
 
 
-def wheel_truth(site: Site, found: Estimate) -> Floats:
+def wheel_truth(site: Site, found: RoadEstimate) -> Floats:
     """True heights (2, n) m along the estimate's wheel paths, in the map."""
     out = []
-    for v in (0.5 * found.track, -0.5 * found.track):
-        x, y = found.road.uv_to_xy(found.u, np.full(found.u.size, v))
+    for v in (0.5 * found.profiles.track, -0.5 * found.profiles.track):
+        x, y = found.profiles.road().uv_to_xy(found.profiles.u, np.full(found.profiles.u.size, v))
         out.append(truth_along(site, x, y))
     return np.array(out)
 
 
-def compared(found: Estimate) -> Any:
+def on_one_line(found: RoadEstimate, heights: Floats) -> Road:
+    """The road with heights (2, n) m of its wheel paths, held across."""
+    profiles = WheelProfiles(found.profiles.line, found.profiles.track, heights[:, None])
+    return surface_of(replace(found, profiles=profiles))
+
+
+def compared(found: RoadEstimate) -> Any:
     """Where the heights are compared."""
     k = found.covered
-    at = found.u[k]
-    return k & (found.u > at[0] + _EDGE) & (found.u < at[-1] - _EDGE)
+    at = found.profiles.u[k]
+    return k & (found.profiles.u > at[0] + _EDGE) & (found.profiles.u < at[-1] - _EDGE)
 
 
 def rtk(site: Site, picture: Path | None) -> dict[str, Any]:
     """Two drives; then a third on the road that they gave."""
     drives = [drive_over(site, SPEEDS[i], i)[0] for i in (0, 1)]
-    found = road_from_drives(drives, site.twin, Settings())
+    found = road_from_drives(drives, site.twin, RoadEstimateSettings())
     truth = wheel_truth(site, found)
     if picture is not None:
         save_estimate_picture(found, picture, truth)
-    own, true = (banded(z, STEP, *SEEN_BAND) for z in (found.heights, truth))
+    own, true = (banded(z, STEP, *SEEN_BAND) for z in (found.profiles.middle, truth))
     sigma, k = found.sigma(), compared(found)
     out: dict[str, Any] = {}
     for i, side in enumerate(("left", "right")):
@@ -111,7 +123,7 @@ def rtk(site: Site, picture: Path | None) -> dict[str, Any]:
         }
     third = drive_over(site, SPEEDS[2], 2)[0]
     # What any road can do that is known along two wheel paths alone: the true heights there, held across.
-    roads = (surface_of(found), site.survey, surface_of(replace(found, heights=truth, surface=None)))
+    roads = (surface_of(found), site.survey, on_one_line(found, truth))
     left, out["measured_rms"] = gaps(third, site, roads)
     out["gap_on_estimate"], out["gap_on_survey"], out["gap_on_true_wheel_paths"] = left
     out["gap_ratio"] = left[0] / left[1]
@@ -121,21 +133,24 @@ def rtk(site: Site, picture: Path | None) -> dict[str, Any]:
 def five(site: Site) -> dict[str, float]:
     """Five drives with an RTK receiver; then the third drive."""
     drives = [drive_over(site, SPEEDS[i], i)[0] for i in (0, 1, 3, 4, 5)]
-    found = [road_from_drives(drives, site.twin, Settings(samples=2, lines=lines)) for lines in (False, True)]
+    found = [
+        road_from_drives(drives, site.twin, RoadEstimateSettings(samples=2, lines=lines))
+        for lines in (False, True)
+    ]
     third = drive_over(site, SPEEDS[2], 2)[0]
     left, _ = gaps(third, site, [*(surface_of(f) for f in found), site.survey])
-    return {"one_line": left[0], "lines": left[1], "count": found[1].across.size, "survey": left[2]}
+    return {"one_line": left[0], "lines": left[1], "count": found[1].profiles.across.size, "survey": left[2]}
 
 
-def path_of(site: Site, drive: Drive, found: Estimate) -> tuple[float, Floats]:
+def path_of(site: Site, drive: Drive, found: RoadEstimate) -> tuple[float, Floats]:
     """Where (m to the left of the estimate's line) a drive was, and the true heights (2, n) m of its wheel paths."""
     path = simulate_drive(drive, site.twin, site.survey).prepared.trajectory
-    u, v = found.road.xy_to_uv(path.x, path.y)
+    u, v = found.profiles.road().xy_to_uv(path.x, path.y)
     on = path.speed > 2.0
-    beside = np.interp(found.u, u[on], v[on])
+    beside = np.interp(found.profiles.u, u[on], v[on])
     true = []
     for side in (0.5, -0.5):
-        x, y = found.road.uv_to_xy(found.u, side * found.track + beside)
+        x, y = found.profiles.road().uv_to_xy(found.profiles.u, side * found.profiles.track + beside)
         true.append(truth_along(site, x, y))
     return float(np.median(v[on])), np.array(true)
 
@@ -143,7 +158,7 @@ def path_of(site: Site, drive: Drive, found: Estimate) -> tuple[float, Floats]:
 def lanes(site: Site) -> list[dict[str, float]]:
     """Two drives; third drives beside them."""
     drives = [drive_over(site, SPEEDS[i], i)[0] for i in (0, 1)]
-    found = road_from_drives(drives, site.twin, Settings())
+    found = road_from_drives(drives, site.twin, RoadEstimateSettings())
     first, second = sorted((path_of(site, d, found) for d in drives), key=lambda p: p[0])
     usual = path_of(site, drive_over(site, SPEEDS[2], 2)[0], found)[0]
     middle = 0.5 * (first[0] + second[0]) - usual
@@ -157,8 +172,8 @@ def lanes(site: Site) -> list[dict[str, float]]:
             surface_of(found),
             site.survey,
             *(
-                surface_of(replace(found, heights=z, surface=None))
-                for z in (nearest[1], found.heights + own - truth, predicted((first, second), at))
+                on_one_line(found, z)
+                for z in (nearest[1], found.profiles.middle + own - truth, predicted((first, second), at))
             ),
         )
         left = gaps(third, site, roads)[0]
@@ -214,19 +229,24 @@ def phones(site: Site) -> dict[str, Any]:
     for i in (0, 1, 3, 4, 5):
         drive, motion = drive_over(site, SPEEDS[i], i)
         drives.append(phone_fixes(site, drive, motion, i))
-    found = road_from_drives(drives, site.twin, Settings(samples=4))
-    n = found.u.size
+    found = road_from_drives(drives, site.twin, RoadEstimateSettings(samples=4))
+    n = found.profiles.u.size
     truth = np.array(
-        [truth_along(site, found.line.x, found.line.y, np.full(n, s * 0.5 * found.track)) for s in (1, -1)]
+        [
+            truth_along(
+                site, found.profiles.line.x, found.profiles.line.y, np.full(n, s * 0.5 * found.profiles.track)
+            )
+            for s in (1, -1)
+        ]
     )
     k = compared(found)
-    at, lag, _ = lags_along(banded(found.heights, STEP) * k, banded(truth, STEP) * k, STEP, 12.0)
-    own, true = (banded(z, STEP, *SEEN_BAND) for z in (found.heights, truth))
-    there = found.u + np.interp(found.u, at, lag)
+    at, lag, _ = lags_along(banded(found.profiles.middle, STEP) * k, banded(truth, STEP) * k, STEP, 12.0)
+    own, true = (banded(z, STEP, *SEEN_BAND) for z in (found.profiles.middle, truth))
+    there = found.profiles.u + np.interp(found.profiles.u, at, lag)
     result = {"map_error_m": float(np.median(lag))}
     for i, side in enumerate(("left", "right")):
         result[f"correlation_{side}"] = float(
-            np.corrcoef(own[i, k], np.interp(there, found.u, true[i])[k])[0, 1]
+            np.corrcoef(own[i, k], np.interp(there, found.profiles.u, true[i])[k])[0, 1]
         )
     return result
 
@@ -234,18 +254,18 @@ def phones(site: Site) -> dict[str, Any]:
 def joint(site: Site) -> dict[str, Any]:
     """Two drives and a vehicle that is wrong; then both at once."""
     drives = [drive_over(site, SPEEDS[i], i)[0] for i in (0, 1)]
-    wrong = np.array([WRONG[p.name] for p in PARAMETERS])
+    wrong = np.array([WRONG[name] for name in PARAMETERS])
     given = scaled_twin(site.twin, wrong)
     out: dict[str, Any] = {}
     for name, twin, settings in (
-        ("calibrated", site.twin, Settings()),
-        ("wrong", given, Settings()),
-        ("joint", given, Settings(joint=True, iterations=10)),
+        ("calibrated", site.twin, RoadEstimateSettings()),
+        ("wrong", given, RoadEstimateSettings()),
+        ("joint", given, RoadEstimateSettings(joint=True, iterations=10)),
     ):
         found = road_from_drives(drives, twin, settings)
         truth = wheel_truth(site, found)
         k = compared(found)
-        own, true = (banded(z, STEP, *SEEN_BAND)[:, k] for z in (found.heights, truth))
+        own, true = (banded(z, STEP, *SEEN_BAND)[:, k] for z in (found.profiles.middle, truth))
         error = own - true
         out[name] = {
             "rms_mm": [1e3 * float(np.std(e)) for e in error],
@@ -255,8 +275,8 @@ def joint(site: Site) -> dict[str, Any]:
     vehicle = found.vehicle
     assert vehicle is not None
     out["vehicle"] = {
-        p.name: {"wrong": float(w), "found": float(v), "sigma": float(s), "z": float((v + w) / s)}
-        for p, w, v, s in zip(PARAMETERS, wrong, vehicle.values, vehicle.sigma, strict=True)
+        name: {"wrong": float(w), "found": float(v), "sigma": float(s), "z": float((v + w) / s)}
+        for name, w, v, s in zip(PARAMETERS, wrong, vehicle.values, vehicle.sigma, strict=True)
     }
     out["not_separable"] = vehicle.not_separable()
     return out

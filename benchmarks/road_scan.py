@@ -47,11 +47,14 @@ sys.path.insert(0, str(HERE))
 
 from scanners import Ground, Scan, mobile, terrestrial  # noqa: E402
 
-from suspension_twin.addons.roads.scan.clouds import Cloud  # noqa: E402
-from suspension_twin.addons.roads.scan.felt import feel, steady_path, vertical_acceleration  # noqa: E402
-from suspension_twin.addons.roads.scan.picture import save_scan_picture  # noqa: E402
-from suspension_twin.addons.roads.scan.placing import Placing  # noqa: E402
-from suspension_twin.addons.roads.scan.scan import FILLED, HOLE, MEASURED, Scanned, road_from_scan  # noqa: E402
+from suspension_twin.addons.roads.pictures import save_scan_picture  # noqa: E402
+from suspension_twin.addons.roads.scan.clouds import Cloud, Georeference  # noqa: E402
+from suspension_twin.addons.roads.scan.response import (  # noqa: E402
+    road_responses,
+    steady_path,
+    vertical_acceleration,
+)
+from suspension_twin.addons.roads.scan.scan import FILLED, HOLE, MEASURED, ScannedRoad, road_from_scan  # noqa: E402
 from suspension_twin.errors import WorkError  # noqa: E402
 from suspension_twin.road.build import Centreline, grid_road  # noqa: E402
 from suspension_twin.road.crg import load_road  # noqa: E402
@@ -150,10 +153,10 @@ def sites(data: Path, seed: int) -> dict[str, Any]:
     }
 
 
-def as_cloud(scan: Scan) -> list[tuple[Cloud, Placing]]:
+def as_cloud(scan: Scan) -> list[tuple[Cloud, Georeference]]:
     """A scan in memory as the package takes it from a file, in pieces."""
     pieces = np.array_split(scan.points, max(1, len(scan.points) // 1_000_000))
-    return [(Cloud(Path("simulated"), len(scan.points), None, lambda: iter(pieces)), Placing())]
+    return [(Cloud(Path("simulated"), len(scan.points), None, lambda: iter(pieces)), Georeference())]
 
 
 def plain_binning(points: Floats, like: Road, sigma: float = 0.1) -> Road:
@@ -265,17 +268,17 @@ def case(site: Site, scanner: str, seed: int, picture: Path | None = None) -> di
         row["road scan"]["filled_mm"] = compare(site, found.road, filled, paths)["error_mm"]
     if picture is not None:
         shown = {"edge-preserving": found.edges, "Gaussian, 0.1 m": found.gaussian, "truth": site.road()}
-        save_scan_picture(found, feel(shown, "edge-preserving", car, drive), picture)
+        save_scan_picture(found, road_responses(shown, "edge-preserving", car, drive), picture)
     return row
 
 
-def coverage(site: Site, found: Scanned, used: NDArray[np.bool_], paths: NDArray[np.bool_]) -> float:
+def coverage(site: Site, found: ScannedRoad, used: NDArray[np.bool_], paths: NDArray[np.bool_]) -> float:
     """Share of the true heights within the 90 % intervals."""
     u, v = np.meshgrid(found.road.u, found.road.v, indexing="ij")
     x, y = found.road.uv_to_xy(u.ravel(), v.ravel())
     error = found.edges.heights_grid - site.truth(x, y).reshape(u.shape)
     at = used & paths[None, :]
-    return float((np.abs(error[at]) < 1.645 * found.sigma[at]).mean())
+    return float((np.abs(error[at]) < 1.645 * found.surface.sigma[at]).mean())
 
 
 def size(points: int, seed: int = 1) -> dict[str, Any]:

@@ -35,8 +35,7 @@ from blind.world import drive_plan, make_world  # noqa: E402
 from road_scan import make_site  # noqa: E402
 from scanners import mobile  # noqa: E402
 
-from suspension_twin.addons.roads.scan.clouds import Cloud  # noqa: E402
-from suspension_twin.addons.roads.scan.placing import Placing  # noqa: E402
+from suspension_twin.addons.roads.scan.clouds import Cloud, Georeference  # noqa: E402
 from suspension_twin.addons.roads.scan.registration import register  # noqa: E402
 from suspension_twin.drive.read import read_drive  # noqa: E402
 from suspension_twin.drive.write import write_drive  # noqa: E402
@@ -73,12 +72,12 @@ def case(seed: int) -> dict[str, Any]:
     row: dict[str, Any] = {"seed": seed, "points": len(own)}
     try:
         found = register(
-            [(Cloud(Path("own.las"), len(own), None, lambda: iter([own])), Placing())], drive, twin
+            [(Cloud(Path("own.las"), len(own), None, lambda: iter([own])), Georeference())], drive, twin
         )
     except InputError as error:
         return {**row, "refused": str(error)}
     near = np.abs(cloud[:, 1]) < 1.0
-    off = found.placed(Placing()).to_map(own[near])[:, :2] - true[near]
+    off = Georeference(turn=found.turn, move=found.move).to_map(own[near])[:, :2] - true[near]
     cos, sin = np.cos(heading[near]), np.sin(heading[near])
     return {
         **row,

@@ -15,8 +15,8 @@ from suspension_twin.cli.diagnose import Effects, checked_effects
 from suspension_twin.errors import InputError, WorkError
 
 if TYPE_CHECKING:
-    from suspension_twin.addons.fleet.changes import Change
-    from suspension_twin.addons.fleet.engine import Plan
+    from suspension_twin.addons.fleet.changes import ChangePoint
+    from suspension_twin.addons.fleet.engine import FleetPlan
     from suspension_twin.addons.fleet.work import Options, Record, Task
 
 __all__ = ["app"]
@@ -126,18 +126,19 @@ def diagnose(
 
 def _run(manifest: Path, out: Path, options: Options, scheduler: str, workers: int, memory: float) -> None:
     from suspension_twin.addons.fleet.changes import find_changes
-    from suspension_twin.addons.fleet.engine import Outcome, connected, plan_fleet, run_fleet
-    from suspension_twin.addons.fleet.ledger import MARK, Ledger
+    from suspension_twin.addons.fleet.engine import FleetOutcome, connected, plan_fleet, run_fleet
     from suspension_twin.addons.fleet.manifest import read_manifest
-    from suspension_twin.addons.fleet.tables import (
+    from suspension_twin.addons.fleet.page import fleet_page
+    from suspension_twin.addons.fleet.results import (
         CHANGES,
         HEALTH,
+        MARK,
         RESULTS,
+        Ledger,
         health_rows,
         result_rows,
         write_tables,
     )
-    from suspension_twin.report.fleet import fleet_page
 
     if scheduler and (workers or memory):
         raise InputError(
@@ -155,7 +156,7 @@ def _run(manifest: Path, out: Path, options: Options, scheduler: str, workers: i
         todo = len(plan.open)
         console.print(_planned(plan))
         ledger.begin()
-        outcome = Outcome(dict(plan.done))
+        outcome = FleetOutcome(dict(plan.done))
         if todo:
             with connected(scheduler, workers, memory * (1 << 30)) as cluster:
                 console.print(f"On {cluster.text}")
@@ -186,26 +187,27 @@ def _run(manifest: Path, out: Path, options: Options, scheduler: str, workers: i
         raise WorkError(f"{len(failed)} of {len(rows)} rows failed: status and message in {out / RESULTS}")
 
 
-def _planned(plan: Plan) -> str:
-    before = sum(t is not None and t.key in plan.done for t in plan.tasks)
+def _planned(plan: FleetPlan) -> str:
+    before = sum(t.key in plan.done for t in plan.planned)
+    unusable = len(plan.tasks) - len(plan.planned)
     hours = sum(t.seconds for t in plan.open) / 3600.0
     driven = f" ({hours:.2f} h of driving)" if hours else ""
-    bad = f", {len(plan.lines)} unusable" if plan.lines else ""
+    bad = f", {unusable} unusable" if unusable else ""
     return f"{len(plan.items)} rows: {before} done before{bad}, {len(plan.open)} different ones to do{driven}"
 
 
-def _print_changes(console: Console, changes: list[Change]) -> None:
+def _print_changes(console: Console, changes: list[ChangePoint]) -> None:
     named = [c for c in changes if c.named]
     rows = [
         (
-            c.vehicle,
-            c.quantity,
+            c.series.vehicle,
+            c.series.quantity,
             c.date,
             f"{c.earliest} to {c.latest}",
             f"{c.probability:.3f}",
             f"{c.before:.4g}",
             f"{c.after:.4g}",
-            c.unit,
+            c.series.unit,
         )
         for c in named
     ]

@@ -367,7 +367,7 @@ def drives(
     Writes the road, and beside it ROAD.json with its uncertainty by wavelength and for every metre.
     """
     from suspension_twin.addons.roads.drives.drives import road_from_drives, write_estimate
-    from suspension_twin.addons.roads.drives.estimate import Settings
+    from suspension_twin.addons.roads.drives.estimate import RoadEstimateSettings
     from suspension_twin.files import together
     from suspension_twin.road.crg import record_path
     from suspension_twin.road.recipe import parse_feature
@@ -378,7 +378,7 @@ def drives(
         raise InputError("--joint", f"{joint} is the twin file that is given: give another name")
     outputs = Outputs(*written, force=force)
     loaded = load_twin(twin)
-    settings = Settings(
+    settings = RoadEstimateSettings(
         iterations=iterations or (5 if joint is None else 10),
         seed=seed,
         joint=joint is not None,
@@ -396,7 +396,7 @@ def drives(
                 )
                 save_twin(found.vehicle.twin, joint, heading)
             if picture is not None:
-                from suspension_twin.addons.roads.drives.picture import save_estimate_picture
+                from suspension_twin.addons.roads.pictures import save_estimate_picture
 
                 save_estimate_picture(found, picture)
     console = output()
@@ -513,8 +513,7 @@ def scan(
 
     Writes the road, beside it ROAD.json with figures and ROAD.npz with the uncertainty of every node.
     """
-    from suspension_twin.addons.roads.scan.command import scan_road
-    from suspension_twin.addons.roads.scan.scan import ScanSettings, cells_path
+    from suspension_twin.addons.roads.scan.scan import ScanSettings, cells_path, scan_road
     from suspension_twin.road.crg import record_path
 
     written = [out, record_path(out), cells_path(out), *([] if picture is None else [picture])]

@@ -165,9 +165,10 @@ class NuisancePenalty:
     The remaining residual is mostly model discrepancy, which is correlated over samples: its likelihood is tempered by
     the share ``temper`` that is noise. The priors of the nuisance parameters are independent of it and not tempered.
 
-    It holds the posterior about a fit: ``curvature`` (p, p) and ``slope`` (p,) of half its squares, ``precision`` (p, p) of
-    the prior, how far ``away`` (p,) its centre is, the ``nuisances`` among the p unknowns and the room that each has
-    down and up."""
+    It holds the posterior about a fit: ``curvature`` (p, p) and ``slope`` (p,) of half its squares, ``precision``
+    (p, p) of the prior, how far ``away`` (p,) its centre is, the ``nuisances`` among the p unknowns and the room that
+    each has down and up.
+    """
 
     curvature: Floats
     slope: Floats

@@ -26,8 +26,7 @@ from rclpy.clock import Clock
 from rclpy.clock_type import ClockType
 from sensor_msgs.msg import Imu, NavSatFix
 
-from suspension_twin.addons.roads.drives.laps import Laps, Span
-from suspension_twin.addons.roads.drives.learning import Lesson, learn_road, twin_path
+from suspension_twin.addons.roads.drives.learning import Laps, Lesson, Span, learn_road, twin_path
 from suspension_twin.drive.checks import clean_drive
 from suspension_twin.drive.types import Drive, FixData, HeadingData, ImuData, VelocityData
 from suspension_twin.errors import InputError

@@ -389,8 +389,8 @@ class Twin(Strict):
             x, force = suspension.part.spring.points
             ax[0].plot([0.0, *x], [0.0, *force], label=name or "corner")
             push, pull = (getattr(suspension.part, f"damper_{way}").points for way in ("push", "pull"))
-            velocity, force = ([*-end[::-1], 0.0, *begin] for end, begin in zip(pull, push, strict=True))
-            ax[1].plot(velocity, force, label=name or "corner")
+            lines = [[*-end[::-1], 0.0, *begin] for end, begin in zip(pull, push, strict=True)]
+            ax[1].plot(*lines, label=name or "corner")
         ax[0].legend(loc="upper left")
         return ax
 

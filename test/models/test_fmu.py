@@ -320,7 +320,7 @@ def test_a_twin_of_object_storage_brings_no_program(other: Twin, tmp_path: Path)
 def test_a_result_of_a_fleet_names_its_program_from_where_it_lies(
     other: Twin, file: Path, tmp_path: Path
 ) -> None:
-    ledger = pytest.importorskip("suspension_twin.addons.fleet.ledger").Ledger(tmp_path / "results")
+    ledger = pytest.importorskip("suspension_twin.addons.fleet.results").Ledger(tmp_path / "results")
     (tmp_path / "work" / "out").mkdir(parents=True)
     save_twin(other, tmp_path / "work" / "out" / "twin.yaml")  # where a worker writes it, and removes it
     text = (tmp_path / "work" / "out" / "twin.yaml").read_text()

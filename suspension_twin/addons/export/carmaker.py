@@ -8,9 +8,9 @@ paper's calibration did after every candidate.
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from pathlib import Path
-from typing import Any, Final
+from typing import Final
 
 from suspension_twin.addons.export.registry import ExportSettings, Target, characteristics_of
 from suspension_twin.errors import InputError, printable
@@ -25,48 +25,33 @@ _AXLES: Final = (("SuspF", "front"), ("SuspR", "rear"))
 _LARGEST: Final = 16 << 20  # bytes of a vehicle file
 
 
-def _table(key: str, part: Any) -> Iterator[str]:
-    """One table: a factor of 1, then a row for the origin and each point."""
-    yield f"{key}.Amplify = 1.0"
-    yield f"{key}:"
-    x, force = part.points
-    for a, f in zip([0.0, *x.tolist()], [0.0, *force.tolist()], strict=True):
-        yield f"\t{a:.9g} {f:.9g}"
-
-
 def _tables(twin: Twin) -> dict[str, list[str]]:
-    """Lines by the key that they give."""
-    axles: dict[str, Any] = characteristics_of(twin, "CarMaker")
-    return {
-        f"{prefix}.{word}": list(_table(f"{prefix}.{word}", getattr(axles[axle], part)))
-        for prefix, axle in _AXLES
-        for word, part in _PARTS
-    }
+    """Lines by the key of their table: a factor of 1, then a row for the origin and each point."""
+    characteristics_of(twin, "CarMaker")  # an error where there are none
+    tables = {}
+    for prefix, axle in _AXLES:
+        for word, name in _PARTS:
+            key, points = f"{prefix}.{word}", zip(*getattr(twin.axles[axle].part, name).points, strict=True)
+            rows = [f"\t{x:.9g} {force:.9g}" for x, force in ((0.0, 0.0), *points)]
+            tables[key] = [f"{key}.Amplify = 1.0", f"{key}:", *rows]
+    return tables
 
 
 def _replaced(text: str, tables: dict[str, list[str]], source: Path) -> str:
     """The vehicle file with these tables in the places of its own."""
-    keys = "|".join(map(re.escape, tables))
+    remaining = dict(tables)
+
+    def table(own: re.Match[str]) -> str:
+        return "".join(f"{line}\n" for line in remaining.pop(own[1], ()))
+
     # a value on the line, or a table: the lines below that begin with white space
-    own = re.compile(rf"({keys})(\.Amplify)?[ \t]*(=.*|:.*)")
-    out: list[str] = []
-    placed: set[str] = set()
-    within = False
-    for line in text.split("\n"):
-        found = own.fullmatch(line.rstrip())
-        if found:
-            key = found[1]
-            within = found[3].startswith(":")
-            if key not in placed:
-                placed.add(key)
-                out += tables[key]
-        elif not (within and line[:1] in (" ", "\t")):
-            within = False
-            out.append(line)
-    missing = [key for key in tables if key not in placed]
-    if missing:
-        raise InputError(source, f"is no vehicle file of CarMaker with a line {missing[0]}")
-    return "\n".join(out)
+    keys = "|".join(map(re.escape, tables))
+    text = re.sub(
+        rf"^({keys})(?:\.Amplify)?[ \t]*(?:=.*|:.*(?:\n[ \t].*)*)\n?", table, text, flags=re.MULTILINE
+    )
+    for key in remaining:
+        raise InputError(source, f"is no vehicle file of CarMaker with a line {key}")
+    return text
 
 
 def _write(twin: Twin, path: Path, settings: ExportSettings) -> Sequence[str]:

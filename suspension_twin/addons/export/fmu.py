@@ -16,7 +16,6 @@ import shutil
 import subprocess
 import tempfile
 import uuid
-import xml.etree.ElementTree as ElementTree
 import zipfile
 from collections.abc import Iterable, Iterator, Sequence
 from importlib import resources
@@ -25,11 +24,11 @@ from typing import Final, NamedTuple
 
 from suspension_twin import __version__
 from suspension_twin.addons.export.registry import ExportSettings, Target
-from suspension_twin.addons.export.standalone.languages import C
-from suspension_twin.addons.export.standalone.source import Source, written_out
+from suspension_twin.addons.export.standalone.source import ModelCode, model_code, rendered
+from suspension_twin.addons.export.standalone.translate import C
 from suspension_twin.errors import InputError, WorkError, printable
 from suspension_twin.files import replacing, write_text
-from suspension_twin.models.connectors import INPUTS, OUTPUTS, Variable
+from suspension_twin.models.connectors import INPUTS, OUTPUTS
 from suspension_twin.vehicle.twin import Twin
 
 __all__ = ["TARGET"]
@@ -37,17 +36,6 @@ __all__ = ["TARGET"]
 VERSIONS: Final = ("2.0", "3.0")
 #: Value references of the outputs and of time begin here, as in component.h and fmi3.c.
 _FIRST_OUTPUT, _TIME = 100, 1000
-#: SI base units of the units of the variables, by exponent.
-_UNITS: Final = {
-    "m": {"m": 1},
-    "m/s": {"m": 1, "s": -1},
-    "m/s2": {"m": 1, "s": -2},
-    "rad": {"rad": 1},
-    "rad/s": {"rad": 1, "s": -1},
-    "rad/s2": {"rad": 1, "s": -2},
-    "N": {"kg": 1, "m": 1, "s": -2},
-    "s": {"s": 1},
-}
 _GUID_SPACE: Final = uuid.UUID("8d1c9f0e-5c0b-4b57-9a31-6f5ff0b1a2d4")  # of this kind of FMU
 _WINDOWS: Final = "x86_64-w64-mingw32-gcc"
 #: No contraction of a * b + c: the numbers are the same wherever it is compiled.
@@ -83,155 +71,41 @@ def _builds() -> Iterator[_Build]:
         )
 
 
-def _sources(twin: Twin, source: Source, version: str) -> dict[str, str]:
-    """The C files by name."""
+def _sources(code: ModelCode, version: str) -> tuple[dict[str, str], str]:
+    """The C files by name, and a GUID that follows from them."""
     folder = resources.files("suspension_twin.addons.export.standalone")
     model = [
         "/* The equations of a vehicle, written out from the kernel of its twin, and its constants. SI units. */",
-        f"#define ROWS {source.rows}",
-        f"#define MAX_STEP {source.max_step!r}",
-        source.text,
-        f"static const double INITIAL[ROWS] = {{\n{source.initial}\n}};",
+        f"#define ROWS {code.rows}",
+        f"#define MAX_STEP {code.max_step!r}",
+        code.text,
+        f"static const double INITIAL[ROWS] = {{\n{code.initial}\n}};",
         "",
     ]
     texts = {"model.c": "\n".join(model)}
-    main = f"fmi{version[0]}.c"
-    for name in ("component.h", main):
+    for name in ("component.h", f"fmi{version[0]}.c"):
         texts[name] = (folder / name).read_text(encoding="utf-8")
     digest = hashlib.sha256("\0".join(f"{k}\0{v}" for k, v in sorted(texts.items())).encode()).hexdigest()
     guid = f"{{{uuid.uuid5(_GUID_SPACE, digest)}}}"
-    if "FAILED" not in source.text.split("\n\n")[0]:
-        texts["model.c"] = f"#define FAILED {source.failed}\n" + texts["model.c"]
-    texts["model.c"] = f'#define GUID "{guid}"\n' + texts["model.c"]
-    return texts
+    failed = "" if "FAILED" in code.text.split("\n\n")[0] else f"#define FAILED {code.failed}\n"
+    texts["model.c"] = f'#define GUID "{guid}"\n{failed}{texts["model.c"]}'
+    return texts, guid
 
 
-def _guid(sources: dict[str, str]) -> str:
-    return sources["model.c"].split('"')[1]
-
-
-def _variables() -> Iterator[tuple[Variable, int, str]]:
-    """Inputs and outputs with their value references."""
-    for k, variable in enumerate(INPUTS):
-        yield variable, k, "input"
-    for k, variable in enumerate(OUTPUTS):
-        yield variable, _FIRST_OUTPUT + k, "output"
-
-
-def _document(root: ElementTree.Element) -> str:
-    ElementTree.indent(root)
-    return '<?xml version="1.0" encoding="UTF-8"?>\n' + ElementTree.tostring(root, encoding="unicode") + "\n"
-
-
-def _root(twin: Twin, version: str, token: dict[str, str], name: str) -> ElementTree.Element:
-    attributes = {
-        "fmiVersion": version,
-        "modelName": name,
-        **token,
-        "description": f"Suspension of {printable(twin.vehicle.name)}: a twin of the model {twin.model}",
-        "generationTool": f"suspension_twin {__version__}",
-        "variableNamingConvention": "flat",
-    }
-    return ElementTree.Element("fmiModelDescription", attributes)
-
-
-def _units(root: ElementTree.Element) -> None:
-    units = ElementTree.SubElement(root, "UnitDefinitions")
-    for unit, exponents in _UNITS.items():
-        base = {key: str(value) for key, value in exponents.items()}
-        ElementTree.SubElement(ElementTree.SubElement(units, "Unit", name=unit), "BaseUnit", base)
-
-
-def _description_2(twin: Twin, name: str, guid: str) -> str:
-    root = _root(twin, "2.0", {"guid": guid}, name)
-    interface = ElementTree.SubElement(
-        root,
-        "CoSimulation",
-        modelIdentifier=name,
-        canHandleVariableCommunicationStepSize="true",
-        canInterpolateInputs="true",
-        canNotUseMemoryManagementFunctions="true",
-        canGetAndSetFMUstate="true",
-        canSerializeFMUstate="true",
+def _description(template: str, twin: Twin, name: str, guid: str) -> bytes:
+    """An XML file of the archive, from its template."""
+    text = rendered(
+        template,
+        name=name,
+        guid=guid,
+        description=f"Suspension of {printable(twin.vehicle.name)}: a twin of the model {twin.model}",
+        tool=f"suspension_twin {__version__}",
+        inputs=INPUTS,
+        outputs=OUTPUTS,
+        first_output=_FIRST_OUTPUT,
+        time=_TIME,
     )
-    ElementTree.SubElement(ElementTree.SubElement(interface, "SourceFiles"), "File", name="fmi2.c")
-    _units(root)
-    variables = ElementTree.SubElement(root, "ModelVariables")
-    outputs, unknowns = ElementTree.Element("Outputs"), ElementTree.Element("InitialUnknowns")
-    for index, (variable, reference, causality) in enumerate(_variables(), 1):
-        element = ElementTree.SubElement(
-            variables,
-            "ScalarVariable",
-            name=variable.name,
-            valueReference=str(reference),
-            description=variable.description,
-            causality=causality,
-            variability="continuous",
-        )
-        real = ElementTree.SubElement(element, "Real", unit=variable.unit)
-        if causality == "input":
-            real.set("start", "0.0")
-        else:
-            element.set("initial", "calculated")
-            for parent in (outputs, unknowns):
-                ElementTree.SubElement(parent, "Unknown", index=str(index))
-    ElementTree.SubElement(root, "ModelStructure").extend([outputs, unknowns])
-    return _document(root)
-
-
-def _description_3(twin: Twin, name: str, guid: str) -> str:
-    root = _root(twin, "3.0", {"instantiationToken": guid}, name)
-    ElementTree.SubElement(
-        root,
-        "CoSimulation",
-        modelIdentifier=name,
-        canHandleVariableCommunicationStepSize="true",
-        canGetAndSetFMUState="true",
-        canSerializeFMUState="true",
-        providesIntermediateUpdate="true",
-    )
-    _units(root)
-    variables = ElementTree.SubElement(root, "ModelVariables")
-    ElementTree.SubElement(
-        variables,
-        "Float64",
-        name="time",
-        valueReference=str(_TIME),
-        causality="independent",
-        variability="continuous",
-        unit="s",
-    )
-    structure = ElementTree.Element("ModelStructure")
-    for variable, reference, causality in _variables():
-        element = ElementTree.SubElement(
-            variables,
-            "Float64",
-            name=variable.name,
-            valueReference=str(reference),
-            description=variable.description,
-            causality=causality,
-            variability="continuous",
-            unit=variable.unit,
-        )
-        if causality == "input":
-            element.set("start", "0.0")
-            element.set("intermediateUpdate", "true")
-        else:
-            element.set("initial", "calculated")
-    for tag in ("Output", "InitialUnknown"):
-        for _, reference, causality in _variables():
-            if causality == "output":
-                ElementTree.SubElement(structure, tag, valueReference=str(reference))
-    root.append(structure)
-    return _document(root)
-
-
-def _build_description(name: str) -> str:
-    root = ElementTree.Element("fmiBuildDescription", fmiVersion="3.0")
-    build = ElementTree.SubElement(root, "BuildConfiguration", modelIdentifier=name)
-    files = ElementTree.SubElement(build, "SourceFileSet", language="C99")
-    ElementTree.SubElement(files, "SourceFile", name="fmi3.c")
-    return _document(root)
+    return text.encode()
 
 
 def _compiled(build: _Build, sources: dict[str, str], main: str) -> bytes:
@@ -266,27 +140,25 @@ def _archive(path: Path, files: Iterable[tuple[str, bytes]]) -> None:
 def _write(twin: Twin, path: Path, settings: ExportSettings) -> Sequence[str]:
     if settings.fmi not in VERSIONS:
         raise InputError("--fmi", f"must be one of {', '.join(VERSIONS)}, is {settings.fmi}")
-    source = written_out(twin, C, "an FMU")
-    sources = _sources(twin, source, settings.fmi)
+    code = model_code(twin, C, "an FMU")
+    sources, guid = _sources(code, settings.fmi)
     name = re.sub(r"\W", "_", path.stem, flags=re.ASCII)
     name = name if re.match("[A-Za-z_]", name) else f"_{name}"
-    new = settings.fmi == "3.0"
-    main = "fmi3.c" if new else "fmi2.c"
-    description = (_description_3 if new else _description_2)(twin, name, _guid(sources))
-    files = {"modelDescription.xml": description.encode()}
+    version = VERSIONS.index(settings.fmi)
+    main = f"fmi{settings.fmi[0]}"
+    files = {"modelDescription.xml": _description(f"{main}.xml.j2", twin, name, guid)}
     files |= {f"sources/{file}": text.encode() for file, text in sources.items()}
-    if new:
-        files["sources/buildDescription.xml"] = _build_description(name).encode()
-    notes = list(source.notes)
-    built = []
-    for build in _builds():
-        files[f"binaries/{build.folders[new]}/{name}{build.ending}"] = _compiled(build, sources, main)
-        built.append(build.folders[new])
-    if not built:
+    if settings.fmi == "3.0":
+        files["sources/buildDescription.xml"] = _description("build.xml.j2", twin, name, guid)
+    notes, builds = list(code.notes), list(_builds())
+    for build in builds:
+        library = f"binaries/{build.folders[version]}/{name}{build.ending}"
+        files[library] = _compiled(build, sources, f"{main}.c")
+    if not builds:
         notes.append(
             "There is no C compiler here: the FMU holds its source alone, to be compiled by its importer"
         )
-    elif not any("win" in folder and "darwin" not in folder for folder in built):
+    elif not any(build.ending == ".dll" for build in builds):
         notes.append(f"No binary for Windows: {_WINDOWS} is not there")
     _archive(path, files.items())
     return notes

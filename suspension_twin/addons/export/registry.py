@@ -22,7 +22,7 @@ TARGETS: Final = ("fmu", "carmaker", "simulink", "unity", "csv")
 
 @dataclass(frozen=True)
 class ExportSettings:
-    """What some targets can be told.
+    """Settings that some targets take.
 
     Parameters
     ----------
@@ -43,11 +43,11 @@ class Target:
     Parameters
     ----------
     title
-        What it writes, in a few words.
+        Short description of the file.
     suffixes
         Endings that its file may have; none: any.
     write
-        Writes a twin to a path. Returns lines that say what of the twin is not in the file, or has to be known of it.
+        Writes a twin to a path. Returns lines on parts of the twin that are not in the file, and on its use.
     settings
         Names of the :class:`ExportSettings` that it takes.
     """
@@ -78,14 +78,14 @@ def export_twin(
     to : str
         A target: one of :data:`TARGETS`.
     path : str or Path
-        The file. What it held is replaced, whole or not at all.
+        The file. Its content is replaced, whole or not at all.
     settings : ExportSettings, optional
-        What the target can be told.
+        Of the target.
 
     Returns
     -------
     tuple of str
-        What of the twin is not in the file, and what has to be known of it, a line each.
+        A line for each part of the twin that is not in the file, and on its use.
 
     Raises
     ------

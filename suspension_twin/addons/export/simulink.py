@@ -12,60 +12,62 @@ import math
 import re
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import TypeAlias
 
 import numpy as np
 from scipy.io import savemat
 
 from suspension_twin.addons.export.registry import ExportSettings, Target
+from suspension_twin.arrays import Floats
 from suspension_twin.errors import printable
 from suspension_twin.files import replacing, write_text
-from suspension_twin.vehicle.twin import Twin
+from suspension_twin.vehicle.twin import Suspension, Twin
 
 __all__ = ["TARGET"]
 
+#: A value of the workspace: a struct, a row of numbers, a number or a text.
+Struct: TypeAlias = dict[str, "Struct"] | Floats | float | str
 _NUMBERS_A_LINE = 6  # of the .m file, which is then narrower than 120 columns
 
 
-def _tables(part: Any) -> dict[str, Any]:
+def _tables(axle: Suspension) -> dict[str, dict[str, list[float]]]:
+    """Look-up tables of an axle."""
     (x, f), (push, more), (pull, less) = (
-        getattr(part, name).points for name in ("spring", "damper_push", "damper_pull")
+        getattr(axle.part, name).points for name in ("spring", "damper_push", "damper_pull")
     )
     return {
-        "spring_table": {"breakpoints": np.append(0.0, x), "values": np.append(0.0, f)},
+        "spring_table": {"breakpoints": [0.0, *x], "values": [0.0, *f]},
         "damper_table": {
-            "breakpoints": np.concatenate([-pull[::-1], [0.0], push]),
-            "values": np.concatenate([-less[::-1], [0.0], more]),
+            "breakpoints": [*-pull[::-1], 0.0, *push],
+            "values": [*-less[::-1], 0.0, *more],
         },
     }
 
 
-def _struct(value: Any) -> Any:
-    """A value of the twin file as MATLAB has it: a struct, a row of numbers, a number or a text."""
+def _struct(value: object) -> Struct:
+    """A value of the twin file as MATLAB has it."""
     if isinstance(value, Mapping):
-        return {key: _struct(item) for key, item in value.items()}
+        return {str(key): _struct(item) for key, item in value.items()}
+    if isinstance(value, list) and value and isinstance(value[0], Mapping):
+        # such as the stations of a track: a row for each quantity
+        return {str(key): _struct([item[key] for item in value]) for key in value[0]}
     if isinstance(value, list):
-        if value and isinstance(
-            value[0], Mapping
-        ):  # such as the stations of a track: a row for each quantity
-            return {key: _struct([item[key] for item in value]) for key in value[0]}
         return np.array(value, dtype=np.float64)
-    return value if isinstance(value, str) else float(value)
+    return value if isinstance(value, str) else float(str(value))
 
 
-def _workspace(twin: Twin) -> dict[str, Any]:
+def _workspace(twin: Twin) -> Struct:
     data = twin.model_dump(mode="json", exclude_none=True, exclude={"road"})
     effects = data.pop("effects")
-    out: dict[str, Any] = _struct(data)
     if effects:
-        out["effects"] = {effect["id"]: _struct(effect["parameters"]) for effect in effects}
+        data["effects"] = {effect["id"]: effect["parameters"] for effect in effects}
     for name, axle in twin.axles.items():
-        own = out["vehicle"][name] if name else out["vehicle"]
-        own.update(_tables(axle.part), static_compression=axle.static_compression)
-    return out
+        own = data["vehicle"][name] if name else data["vehicle"]
+        own.update(_tables(axle), static_compression=axle.static_compression)
+    return _struct(data)
 
 
-def _lines(name: str, value: Any) -> Iterator[str]:
+def _lines(name: str, value: Struct) -> Iterator[str]:
     """Assignments that make a struct."""
     if isinstance(value, dict):
         for key, item in value.items():

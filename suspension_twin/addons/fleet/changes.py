@@ -15,8 +15,8 @@ change-point in a sequence of random variables", Biometrika 62, 1975).
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import asdict, dataclass
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
 from itertools import groupby
 from typing import Any
 
@@ -26,7 +26,7 @@ from scipy.special import logsumexp
 
 from suspension_twin.arrays import Floats
 
-__all__ = ["NAMED", "Change", "find_changes", "step_in"]
+__all__ = ["NAMED", "ChangePoint", "QuantitySeries", "find_changes", "step_in"]
 
 #: A change is named from this probability on.
 NAMED = 0.95
@@ -43,13 +43,35 @@ _TAIL = 0.05
 
 
 @dataclass(frozen=True)
-class Change:
-    """Whether one quantity of one vehicle changed.
+class QuantitySeries:
+    """Estimates of one quantity of one vehicle.
 
     Parameters
     ----------
     vehicle, quantity, unit : str
-        What it is about.
+        Names.
+    dates : tuple of str
+        In order.
+    values, sigma : tuple of float
+        Estimates above 0, and their standard deviations.
+    """
+
+    vehicle: str
+    quantity: str
+    unit: str
+    dates: tuple[str, ...]
+    values: tuple[float, ...]
+    sigma: tuple[float, ...]
+
+
+@dataclass(frozen=True)
+class ChangePoint:
+    """Whether one quantity of one vehicle changed.
+
+    Parameters
+    ----------
+    series : QuantitySeries
+        The estimates.
     probability : float
         That there was a step.
     date : str
@@ -58,42 +80,33 @@ class Change:
         Dates between which the step lies with 90 % probability, if there was one.
     before, after : float
         The quantity on either side of the likeliest step.
-    ratio, ratio_low, ratio_high : float
-        After over before, with its 90 % interval.
-    drives : int
-        Estimates in the series.
-
-    Examples
-    --------
-    >>> step_in("car", "force", "N", list("abcdefgh"), [100.0] * 4 + [70.0] * 4, [2.0] * 8).date
-    'e'
+    ratio : tuple of float
+        After over before, and the ends of its 90 % interval.
     """
 
-    vehicle: str
-    quantity: str
-    unit: str
+    series: QuantitySeries
     probability: float
     date: str
     earliest: str
     latest: str
     before: float
     after: float
-    ratio: float
-    ratio_low: float
-    ratio_high: float
-    drives: int
+    ratio: tuple[float, float, float]
 
     @property
     def named(self) -> bool:
-        """Whether it is sure enough to be told."""
+        """Whether it is sure enough to be reported as a change."""
         return self.probability >= NAMED
 
-    def as_row(self) -> dict[str, Any]:
+    def as_row(self) -> dict[str, object]:
         """A row of ``changes.parquet``."""
-        return asdict(self)
+        own = {k: v for k, v in vars(self).items() if k not in ("series", "ratio")}
+        names = {name: getattr(self.series, name) for name in ("vehicle", "quantity", "unit")}
+        ratio = dict(zip(("ratio", "ratio_low", "ratio_high"), self.ratio, strict=True))
+        return {**names, **own, **ratio, "drives": len(self.series.values)}
 
 
-def find_changes(health: Iterable[Mapping[str, Any]]) -> list[Change]:
+def find_changes(health: Iterable[Mapping[str, Any]]) -> list[ChangePoint]:
     """Look for a step in every series.
 
     Parameters
@@ -104,7 +117,7 @@ def find_changes(health: Iterable[Mapping[str, Any]]) -> list[Change]:
 
     Returns
     -------
-    list of Change
+    list of ChangePoint
         Of every series that is long enough, the surest first.
 
     Examples
@@ -115,70 +128,53 @@ def find_changes(health: Iterable[Mapping[str, Any]]) -> list[Change]:
     usable = [
         r
         for r in health
-        if r["identified"]
-        and r["date"]
-        and (r["value"] or 0.0) > 0.0
-        and r["low"] is not None
-        and r["high"] is not None
+        if r["identified"] and r["date"] and (r["value"] or 0.0) > 0.0 and None not in (r["low"], r["high"])
     ]
-    found = []
     usable.sort(key=lambda r: (r["vehicle"], r["quantity"], r["date"]))
-    for (vehicle, quantity), series in groupby(usable, key=lambda r: (r["vehicle"], r["quantity"])):
-        rows = list(series)
-        sigma = [(r["high"] - r["low"]) / _INTERVAL for r in rows]
-        change = step_in(
-            vehicle, quantity, rows[0]["unit"], [r["date"] for r in rows], [r["value"] for r in rows], sigma
+    found = []
+    for (vehicle, quantity), group in groupby(usable, key=lambda r: (r["vehicle"], r["quantity"])):
+        rows = list(group)
+        estimates = [(r["date"], r["value"], (r["high"] - r["low"]) / _INTERVAL) for r in rows]
+        found.append(
+            step_in(QuantitySeries(vehicle, quantity, rows[0]["unit"], *zip(*estimates, strict=True)))
         )
-        if change is not None:
-            found.append(change)
-    return sorted(found, key=lambda c: (-c.probability, c.vehicle, c.quantity))
+    changes = [change for change in found if change is not None]
+    return sorted(changes, key=lambda c: (-c.probability, c.series.vehicle, c.series.quantity))
 
 
-def step_in(
-    vehicle: str,
-    quantity: str,
-    unit: str,
-    dates: Sequence[str],
-    values: Sequence[float],
-    sigma: Sequence[float],
-) -> Change | None:
+def step_in(series: QuantitySeries) -> ChangePoint | None:
     """Probability, place and size of a step in one series.
 
     Parameters
     ----------
-    vehicle, quantity, unit : str
-        What the series is of.
-    dates : sequence of str
-        In order.
-    values, sigma : sequence of float
-        Estimates above 0, and their standard deviations.
+    series : QuantitySeries
+        Estimates of one quantity.
 
     Returns
     -------
-    Change or None
+    ChangePoint or None
         None where there are fewer than two estimates on either side of any step.
 
     Examples
     --------
-    >>> step_in("car", "force", "N", list("abcdefgh"), [100.0] * 8, [2.0] * 8).probability < 0.1
-    True
+    >>> values = (*[100.0] * 4, *[70.0] * 4)
+    >>> step_in(QuantitySeries("car", "force", "N", tuple("abcdefgh"), values, (2.0,) * 8)).date
+    'e'
     """
-    n = len(values)
+    n, dates = len(series.values), series.dates
     if n < 2 * _SIDE:
         return None
-    y = np.log(np.asarray(values, dtype=np.float64))
-    s = np.asarray(sigma, dtype=np.float64) / np.asarray(values, dtype=np.float64)
+    y = np.log(np.asarray(series.values, dtype=np.float64))
+    s = np.asarray(series.sigma, dtype=np.float64) / np.asarray(series.values, dtype=np.float64)
     places = np.arange(_SIDE, n - _SIDE + 1)
     weights = 1.0 / (s**2 + _SCATTER[:, None] ** 2)
     none, evidence, means, variances = _evidence(y, weights, np.arange(n) >= places[:, None])
     prior = np.log([1.0 - _PRIOR, *np.full(places.size, _PRIOR / places.size)])
     joint = np.column_stack([none, evidence]) + prior
-    whole = logsumexp(joint)
-    probability = float(np.exp(logsumexp(joint[:, 1:]) - whole))
-    at = np.exp(logsumexp(joint[:, 1:], axis=0) - logsumexp(joint[:, 1:]))
+    step = logsumexp(joint[:, 1:])
+    at = np.exp(logsumexp(joint[:, 1:], axis=0) - step)
     best = int(np.argmax(at))
     low, high = (int(np.searchsorted(np.cumsum(at), share)) for share in (_TAIL, 1.0 - _TAIL))
-    high = min(high, places.size - 1)
     share = np.exp(joint[:, best + 1] - logsumexp(joint[:, best + 1]))
     mean = float(share @ means[:, best])
     spread = math.sqrt(float(share @ (variances[:, best] + (means[:, best] - mean) ** 2)))
@@ -188,20 +184,16 @@ def step_in(
         float(np.exp(np.average(y[part], weights=weight[part])))
         for part in (slice(0, first), slice(first, n))
     )
-    return Change(
-        vehicle=vehicle,
-        quantity=quantity,
-        unit=unit,
-        probability=probability,
+    reach = _INTERVAL / 2.0 * spread
+    return ChangePoint(
+        series,
+        probability=float(np.exp(step - logsumexp(joint))),
         date=dates[first],
         earliest=dates[int(places[low])],
-        latest=dates[int(places[high])],
+        latest=dates[int(places[min(high, places.size - 1)])],
         before=before,
         after=after,
-        ratio=math.exp(mean),
-        ratio_low=math.exp(mean - _INTERVAL / 2.0 * spread),
-        ratio_high=math.exp(mean + _INTERVAL / 2.0 * spread),
-        drives=n,
+        ratio=(math.exp(mean), math.exp(mean - reach), math.exp(mean + reach)),
     )
 
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A fleet's work over Dask: what is not done yet is sent out, and each result is written as soon as it comes.
+"""A fleet's work over Dask: open tasks are sent out, and each result is written as soon as it comes.
 
 The ledger is the only state. Workers that are killed, a scheduler that is started again and a command that is
 interrupted cost the tasks that were running, and nothing else.
@@ -7,22 +7,30 @@ interrupted cost the tasks that were running, and nothing else.
 
 from __future__ import annotations
 
+import math
 import os
 import time
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
+from functools import partial
 from itertools import islice
-from typing import Any
+from typing import TYPE_CHECKING, TypeVar
 
-from suspension_twin.addons.fleet.ledger import Ledger
 from suspension_twin.addons.fleet.manifest import Item
+from suspension_twin.addons.fleet.results import Ledger
 from suspension_twin.addons.fleet.storage import transient
 from suspension_twin.addons.fleet.work import Options, Record, Task, plan_task, work
 from suspension_twin.errors import InputError, SuspensionTwinError, WorkError
 from suspension_twin.files import explained
 
-__all__ = ["Cluster", "Outcome", "Plan", "connected", "plan_fleet", "run_fleet"]
+if TYPE_CHECKING:
+    from distributed import Client
+    from distributed import Future as Remote
+
+__all__ = ["Cluster", "FleetOutcome", "FleetPlan", "connected", "plan_fleet", "run_fleet"]
+
+Done = TypeVar("Done")
 
 #: Tasks a worker has at hand beside the one that it does, so that it never waits for the next.
 _AHEAD = 2
@@ -61,25 +69,47 @@ _QUIET = {
 
 
 @dataclass(frozen=True)
-class Plan:
-    """What has to be done: a task for every item that can be planned, the lines of those that cannot, and the records
-    that are there already (by key)."""
+class FleetPlan:
+    """The work on a manifest.
+
+    Parameters
+    ----------
+    items : tuple of Item
+        Rows of the manifest.
+    tasks : tuple of Task or str
+        For every item its task, or a line that says why there is none.
+    done : dict
+        Records that are there already, by key.
+    """
 
     items: tuple[Item, ...]
-    tasks: tuple[Task | None, ...]
-    lines: dict[int, str]
+    tasks: tuple[Task | str, ...]
     done: dict[str, Record]
+
+    @property
+    def planned(self) -> list[Task]:
+        """Tasks of the items that can be used."""
+        return [t for t in self.tasks if not isinstance(t, str)]
 
     @property
     def open(self) -> tuple[Task, ...]:
         """Tasks to do, each key once."""
-        found = {t.key: t for t in self.tasks if t is not None and t.key not in self.done}
-        return tuple(found.values())
+        return tuple({t.key: t for t in self.planned if t.key not in self.done}.values())
 
 
 @dataclass
-class Outcome:
-    """What came of a plan: records by key, lines by key of what did not end and is worth another run."""
+class FleetOutcome:
+    """Results of a plan.
+
+    Parameters
+    ----------
+    records : dict
+        By key.
+    lost : dict
+        Lines by key of the tasks that did not end and are worth another run.
+    computed : int
+        Tasks done in this run, which took ``seconds``.
+    """
 
     records: dict[str, Record]
     lost: dict[str, str] = field(default_factory=dict)
@@ -89,23 +119,23 @@ class Outcome:
 
 @dataclass(frozen=True)
 class Cluster:
-    """Where the work is done. ``client`` is a ``distributed.Client``; ``text`` says in words what it is."""
+    """Workers of Dask: a ``client`` of their scheduler, and a ``text`` that describes them."""
 
-    client: Any
+    client: Client
     text: str
 
 
 def plan_fleet(
     items: Sequence[Item], options: Options, ledger: Ledger, on_progress: Callable[[int], None] | None = None
-) -> Plan:
-    """Identify every item's inputs and look up what is done.
+) -> FleetPlan:
+    """Identify every item's inputs and look up the records that are there.
 
     Parameters
     ----------
     items : sequence of Item
         Rows of the manifest.
     options : Options
-        What is to be done.
+        Of the calibrations or diagnoses.
     ledger : Ledger
         Results of earlier runs.
     on_progress : callable, optional
@@ -113,7 +143,7 @@ def plan_fleet(
 
     Returns
     -------
-    Plan
+    FleetPlan
         An item whose files cannot be used has a line instead of a task.
 
     Raises
@@ -126,50 +156,47 @@ def plan_fleet(
     >>> plan_fleet(items, Options("calibrate"), Ledger(Path("results"))).open  # doctest: +SKIP
     ()
     """
-    tasks: list[Task | None] = []
-    lines: dict[int, str] = {}
+    tasks: list[Task | str] = []
     done: dict[str, Record] = {}
-    for number, item in enumerate(items):
+    for number, item in enumerate(items, 1):
         try:
-            task = _tried(lambda item=item: plan_task(item, options))  # type: ignore[misc]
-        except SuspensionTwinError as error:
-            lines[number], task = str(error), None
+            task = _tried(partial(plan_task, item, options))
         except Exception as error:
-            if transient(error):
+            if not isinstance(error, SuspensionTwinError) and transient(error):
                 raise WorkError(f"{item.title}: its files are out of reach: {error}") from error
-            lines[number], task = explained(error)[1], None
-        tasks.append(task)
-        if task is not None and task.key not in done:
-            record = ledger.load(task.key)
+            tasks.append(explained(error)[1])
+        else:
+            tasks.append(task)
+            record = done.get(task.key) or ledger.load(task.key)
             if record is not None:
                 done[task.key] = record
         if on_progress is not None:
-            on_progress(number + 1)
-    return Plan(tuple(items), tuple(tasks), lines, done)
+            on_progress(number)
+    return FleetPlan(tuple(items), tuple(tasks), done)
 
 
-def _tried(action: Callable[[], Any]) -> Any:
-    for trial in range(_TRIALS):
+def _tried(action: Callable[[], Done]) -> Done:
+    """The result of an action, tried again where a failure may pass by itself."""
+    for trial in range(_TRIALS - 1):
         try:
             return action()
         except Exception as error:
-            if trial == _TRIALS - 1 or isinstance(error, SuspensionTwinError) or not transient(error):
+            if isinstance(error, SuspensionTwinError) or not transient(error):
                 raise
             time.sleep(_PAUSE * 2**trial)
-    return None
+    return action()
 
 
 def _attempt(task: Task) -> Record:
     """:func:`work`, tried again where the failure may pass by itself; in a worker."""
     try:
-        record: Record = _tried(lambda: work(task))
+        return _tried(partial(work, task))
     except Exception as error:
-        return {
-            "key": task.key,
-            "status": "lost",
-            "message": f"after {_TRIALS} trials: {explained(error)[1]}",
-        }
-    return record
+        return _lost(task, f"after {_TRIALS} trials: {explained(error)[1]}")
+
+
+def _lost(task: Task, message: str) -> Record:
+    return {"key": task.key, "status": "lost", "message": message}
 
 
 @contextmanager
@@ -185,7 +212,7 @@ def connected(
     workers : int
         Processes on this machine, 0 for one a core.
     memory : float
-        Bytes that a worker may hold before it is started again, 0 for its share of what is free.
+        Bytes that a worker may hold before it is started again, 0 for its share of the free memory.
     inside : bool
         Workers as threads of this process: for tests and for looking into one.
 
@@ -208,6 +235,7 @@ def connected(
     try:
         import dask
         import distributed
+        import psutil
     except ImportError:
         raise InputError("fleet", 'needs Dask: pip install "suspension-twin[fleet]"') from None
     if scheduler:
@@ -226,7 +254,7 @@ def connected(
                 client.close(timeout=5)
         return
     count = workers or len(os.sched_getaffinity(0))
-    limit = memory or max(0.8 * _free_memory() / count, _LEAST_MEMORY)
+    limit = memory or max(0.8 * psutil.virtual_memory().available / count, _LEAST_MEMORY)
     settings = {
         **_QUIET,
         "distributed.scheduler.allowed-failures": _DEATHS,
@@ -254,28 +282,22 @@ def connected(
         )
 
 
-def _free_memory() -> float:
-    import psutil
-
-    return float(psutil.virtual_memory().available)
-
-
 def _size(count: float) -> str:
     return f"{count / (1 << 30):.1f} GiB"
 
 
 def run_fleet(
-    plan: Plan,
+    plan: FleetPlan,
     ledger: Ledger,
     cluster: Cluster,
     on_record: Callable[[Task, Record, int], None] | None = None,
-) -> Outcome:
-    """Do what a plan leaves open.
+) -> FleetOutcome:
+    """Do the open tasks of a plan.
 
     Parameters
     ----------
-    plan : Plan
-        What :func:`plan_fleet` returned.
+    plan : FleetPlan
+        From :func:`plan_fleet`.
     ledger : Ledger
         Receives each record as soon as it comes.
     cluster : Cluster
@@ -285,30 +307,30 @@ def run_fleet(
 
     Returns
     -------
-    Outcome
+    FleetOutcome
         All records, those of earlier runs too.
 
     Raises
     ------
     WorkError
-        The scheduler is gone and does not come back. What is done is kept.
+        The scheduler is gone and does not come back. Results so far are kept.
 
     Examples
     --------
     >>> outcome = run_fleet(plan, ledger, cluster)  # doctest: +SKIP
     """
     began = time.monotonic()
-    outcome = Outcome(dict(plan.done))
+    outcome = FleetOutcome(dict(plan.done))
     left = {t.key: t for t in plan.open}
-    gone_since: float | None = None
+    gone_since, before = math.inf, len(left)
     ledger.begin()
     while left:
-        before = len(left)
         try:
             _drain(left, ledger, cluster.client, outcome, on_record)
         except _Gone as error:
             now = time.monotonic()
-            gone_since = now if gone_since is None or len(left) < before else gone_since
+            gone_since = min(gone_since, now) if len(left) == before else now
+            before = len(left)
             if now - gone_since > _PATIENCE:
                 raise WorkError(f"the scheduler is gone: {error}; the same command goes on") from None
             time.sleep(1.0)
@@ -317,52 +339,48 @@ def run_fleet(
 
 
 class _Gone(Exception):
-    """The scheduler cannot be reached, or knows nothing of what it was sent."""
+    """The scheduler cannot be reached, or has lost its tasks."""
 
 
 def _drain(
     left: dict[str, Task],
     ledger: Ledger,
-    client: Any,
-    outcome: Outcome,
+    client: Client,
+    outcome: FleetOutcome,
     on_record: Callable[[Task, Record, int], None] | None,
 ) -> None:
-    """Send what is left and take in what comes; few are under way at any time, so that the scheduler stays small."""
+    """Send open tasks and take in results; few are under way at any time, so that the scheduler stays small."""
     from concurrent.futures import FIRST_COMPLETED, CancelledError, Future, ThreadPoolExecutor, wait
 
     from distributed import KilledWorker, as_completed
     from distributed.comm.core import CommClosedError
 
     waiting = iter(list(left.values()))
-    under_way: dict[str, tuple[Task, Any]] = {}
+    under_way: dict[str, Task] = {}
     keepers = ThreadPoolExecutor(_KEEPERS)
     keeping: dict[Future[Record], Task] = {}
 
-    def send(count: int) -> list[Any]:
+    def send(count: int) -> list[Remote[Record]]:
         futures = []
         for task in islice(waiting, count):
             # Of no use to anybody afterwards; a key of its own each time, so that no old failure is handed out.
-            future = client.submit(
-                _attempt, task, key=f"{task.options.action}-{task.key}-{time.monotonic_ns()}", pure=False
-            )
-            under_way[future.key] = (task, future)
-            futures.append(future)
+            key = f"{task.options.action}-{task.key}-{time.monotonic_ns()}"
+            under_way[key] = task
+            futures.append(client.submit(_attempt, task, key=key, pure=False))
         return futures
 
-    def keep(task: Task, future: Any) -> Record:
+    def keep(task: Task, future: Remote[Record]) -> Record:
         """Fetch a result and write it; in a thread."""
         try:
             record: Record = future.result(timeout=60)
         except KilledWorker:
-            text = "one worker after the other died over it: killed, or out of memory"
-            return {"key": task.key, "status": "lost", "message": text}
+            return _lost(task, "one worker after the other died over it: killed, or out of memory")
         future.release()
         return record if record["status"] == "lost" else ledger.save(record)
 
     def take_in(kept: Iterable[Future[Record]]) -> None:
         for each in kept:
-            task = keeping.pop(each)
-            record = each.result()
+            task, record = keeping.pop(each), each.result()
             if record["status"] == "lost":
                 outcome.lost[task.key] = record["message"]
             else:
@@ -380,7 +398,7 @@ def _drain(
         with client.as_current():
             coming = as_completed(send(here * (1 + _AHEAD)))
         for future in coming:
-            task, _ = under_way.pop(future.key)
+            task = under_way.pop(future.key)
             if future.status == "cancelled":
                 raise _Gone("work was cancelled")
             keeping[keepers.submit(keep, task, future)] = task
@@ -397,5 +415,5 @@ def _drain(
             raise
         raise _Gone(str(error) or type(error).__name__) from error
     finally:
-        keepers.shutdown()  # what has come is kept, whatever ended the rest
+        keepers.shutdown()  # results that have come are kept, whatever ended the rest
         take_in([each for each in keeping if each.exception() is None])

@@ -9,24 +9,24 @@ from __future__ import annotations
 
 import csv
 import io
-import re
-from collections.abc import Mapping
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from datetime import date as Date
 from datetime import datetime
 from pathlib import Path
-from typing import Any
 from urllib.parse import unquote, urlsplit
 
+from suspension_twin.addons.fleet.storage import is_url
 from suspension_twin.errors import InputError, nearest, shown
 from suspension_twin.files import read_bytes, read_yaml
 
-__all__ = ["Item", "is_url", "read_manifest"]
+__all__ = ["Item", "read_manifest"]
 
 #: Bytes of a manifest: a million rows.
 _LARGEST = 256 << 20
 _COLUMNS = ("vehicle", "date", "twin", "drives", "references", "road")
-_URL = re.compile(r"[A-Za-z][A-Za-z0-9+.-]+://")
+_NEEDED, _LISTS = ("vehicle", "twin", "drives"), ("drives", "references")
+Entry = dict[str, object]
 
 
 @dataclass(frozen=True)
@@ -67,11 +67,6 @@ class Item:
         return f"{self.vehicle} {self.date or Path(self.drives[0]).name}"
 
 
-def is_url(name: str) -> bool:
-    """Whether a name is a URL of object storage; ``file://`` is none, it names a file here."""
-    return _URL.match(name) is not None and not name.startswith("file://")
-
-
 def read_manifest(path: str | Path) -> tuple[Item, ...]:
     """Read a manifest.
 
@@ -97,47 +92,46 @@ def read_manifest(path: str | Path) -> tuple[Item, ...]:
     'car_01'
     """
     path = Path(path)
-    if path.suffix.lower() in (".yaml", ".yml"):
-        rows = _yaml_rows(path)
-    elif path.suffix.lower() == ".csv":
-        rows = _csv_rows(path)
-    else:
+    rows_of = {".yaml": _yaml_rows, ".yml": _yaml_rows, ".csv": _csv_rows}.get(path.suffix.lower())
+    if rows_of is None:
         raise InputError(path, "is no manifest: a name that ends in .csv, .yaml or .yml is expected")
-    items = tuple(_item(path, where, row) for where, row in rows)
+    items = []
+    seen: dict[tuple[str, ...], str] = {}
+    for where, row in rows_of(path):
+        item = _item(path, where, row)
+        first = seen.setdefault((item.vehicle, item.date, *item.drives), where)
+        if first != where:
+            raise InputError(path, where, f"is the same vehicle, date and drives as {first}")
+        items.append(item)
     if not items:
         raise InputError(path, "holds no drives")
-    seen: dict[tuple[str, ...], str] = {}
-    for (where, _), item in zip(rows, items, strict=True):
-        key = (item.vehicle, item.date, *item.drives)
-        if key in seen:
-            raise InputError(path, where, f"is the same vehicle, date and drives as {seen[key]}")
-        seen[key] = where
-    return items
+    return tuple(items)
 
 
-def _csv_rows(path: Path) -> list[tuple[str, dict[str, Any]]]:
+def _csv_rows(path: Path) -> Iterator[tuple[str, Entry]]:
+    """Entries, and where they stand."""
     try:
         text = read_bytes(path, _LARGEST).decode("utf-8-sig")
     except UnicodeDecodeError:
         raise InputError(path, "not a text file") from None
     reader = csv.DictReader(io.StringIO(text, newline=""), restkey="")
-    _check_names(path, "header", reader.fieldnames or (), ("vehicle", "twin", "drives"))
-    rows: list[tuple[str, dict[str, Any]]] = []
+    _check_names(path, "header", reader.fieldnames or (), _NEEDED)
     try:
         for row in reader:
             where = f"line {reader.line_num}"
             if "" in row:
                 raise InputError(path, where, "has more values than the header has columns")
-            plain: dict[str, Any] = {k: (v or "").strip() for k, v in row.items()}
-            for several in ("drives", "references"):
-                plain[several] = [p.strip() for p in plain.get(several, "").split(";") if p.strip()]
-            rows.append((where, plain))
+            texts = {name: (value or "").strip() for name, value in row.items()}
+            lists = {
+                name: [p.strip() for p in texts.get(name, "").split(";") if p.strip()] for name in _LISTS
+            }
+            yield where, {**texts, **lists}
     except csv.Error as error:
         raise InputError(path, f"line {reader.line_num}", f"is no CSV: {error}") from None
-    return rows
 
 
-def _yaml_rows(path: Path) -> list[tuple[str, dict[str, Any]]]:
+def _yaml_rows(path: Path) -> Iterator[tuple[str, Entry]]:
+    """Entries, and where they stand."""
     data = read_yaml(path)
     if not isinstance(data, dict) or not isinstance(data.get("items"), list):
         raise InputError(path, "items: a list of vehicles and their drives is expected")
@@ -145,65 +139,59 @@ def _yaml_rows(path: Path) -> list[tuple[str, dict[str, Any]]]:
         if key not in ("defaults", "items"):
             raise InputError(path, shown(key), "is not a key of a manifest (defaults, items)")
     defaults = data.get("defaults") or {}
-    if not isinstance(defaults, dict):
-        raise InputError(path, "defaults", "must be keys and values")
-    _check_names(path, "defaults", defaults, ())
-    rows = []
-    for number, entry in enumerate(data["items"]):
-        where = f"items.{number}"
+    for where, entry in (("defaults", defaults), *((f"items.{k}", e) for k, e in enumerate(data["items"]))):
         if not isinstance(entry, dict):
             raise InputError(path, where, "must be keys and values")
+        if entry is defaults:
+            _check_names(path, where, entry, ())
+            continue
         row = {**defaults, **entry}
-        _check_names(path, where, row, ("vehicle", "twin", "drives"))
-        for several in ("drives", "references"):
-            value = row.get(several) or []
-            row[several] = [value] if isinstance(value, str) else value
-        rows.append((where, row))
-    return rows
+        _check_names(path, where, row, _NEEDED)
+        for name in _LISTS:
+            value = row.get(name) or []
+            row[name] = [value] if isinstance(value, str) else value
+        yield where, row
 
 
-def _check_names(path: Path, where: str, names: Any, needed: tuple[str, ...]) -> None:
-    for name in names:
+def _check_names(path: Path, where: str, names: Iterable[str], needed: tuple[str, ...]) -> None:
+    known = list(names)
+    for name in known:
         if name not in _COLUMNS:
             hint = nearest(str(name), _COLUMNS)
             raise InputError(path, where, f"{shown(name)} is not one of {', '.join(_COLUMNS)}{hint}")
     for name in needed:
-        if name not in names:
+        if name not in known:
             raise InputError(path, where, f"{name} is missing")
 
 
-def _item(path: Path, where: str, row: Mapping[str, Any]) -> Item:
-    for name in ("vehicle", "twin", "drives"):
+def _item(path: Path, where: str, row: Entry) -> Item:
+    for name in _NEEDED:
         if not row.get(name):
             raise InputError(path, where, f"{name} is empty")
+    texts: dict[str, str] = {}
     for name in ("vehicle", "date", "twin", "road"):
         if not isinstance(row.get(name) or "", str | int | float):
             raise InputError(path, where, f"{name}: a text is expected, is {shown(row[name])}")
-    for name in ("drives", "references"):
-        if not isinstance(row[name], list) or not all(isinstance(v, str) and v for v in row[name]):
-            raise InputError(path, where, f"{name}: names of recordings are expected, is {shown(row[name])}")
-    date = str(row.get("date") or "").strip()
-    if date:
-        try:
+        texts[name] = str(row.get(name) or "").strip()
+    lists: dict[str, tuple[str, ...]] = {}
+    for name in _LISTS:
+        values = row[name]
+        if not isinstance(values, list) or not all(isinstance(v, str) and v for v in values):
+            raise InputError(path, where, f"{name}: names of recordings are expected, is {shown(values)}")
+        lists[name] = tuple(_absolute(path, value) for value in values)
+    date = texts["date"]
+    try:
+        if date:
             datetime.fromisoformat(date.replace("Z", "+00:00"))
             Date.fromisoformat(date[:10])
-        except ValueError:
-            raise InputError(path, where, f"date: YYYY-MM-DD is expected, is {shown(date)}") from None
-
-    def place(name: str) -> str:
-        return _absolute(path.absolute().parent, name)
-
-    return Item(
-        vehicle=str(row["vehicle"]).strip(),
-        date=date,
-        twin=place(str(row["twin"])),
-        drives=tuple(place(d) for d in row["drives"]),
-        references=tuple(place(d) for d in row["references"]),
-        road=place(str(row["road"])) if row.get("road") else "",
-    )
+    except ValueError:
+        raise InputError(path, where, f"date: YYYY-MM-DD is expected, is {shown(date)}") from None
+    road = _absolute(path, texts["road"]) if texts["road"] else ""
+    return Item(texts["vehicle"], date, _absolute(path, texts["twin"]), **lists, road=road)
 
 
-def _absolute(folder: Path, name: str) -> str:
+def _absolute(manifest: Path, name: str) -> str:
+    """A URL, or the absolute path of a name in a manifest."""
     if name.startswith("file://"):
         return unquote(urlsplit(name).path)
-    return name if is_url(name) else str((folder / name).absolute())
+    return name if is_url(name) else str((manifest.absolute().parent / name).absolute())

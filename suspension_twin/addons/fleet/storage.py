@@ -9,30 +9,42 @@ from __future__ import annotations
 
 import hashlib
 import json
+import re
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from datetime import datetime, timezone
 from pathlib import Path, PurePosixPath
-from typing import Any
+from typing import TYPE_CHECKING
 
-from suspension_twin.addons.fleet.manifest import is_url
 from suspension_twin.errors import InputError
 from suspension_twin.files import read_yaml
 
-__all__ = ["Outline", "identity", "outline", "staged", "transient"]
+if TYPE_CHECKING:
+    from fsspec import AbstractFileSystem  # type: ignore[import-untyped]
 
+__all__ = ["Outline", "identity", "is_url", "outline", "staged", "transient"]
+
+_URL = re.compile(r"[A-Za-z][A-Za-z0-9+.-]+://")
 _CHUNK = 1 << 20
 #: Bytes of one read of an object's end; the summary of a drive's MCAP has 1 to 3 kB.
 _READ = 16 << 10
 #: What a store gives, the best first: checksums of the content, then its version or the time of writing.
 _MARKS = ("ETag", "etag", "md5Hash", "crc32c", "version_id", "VersionId", "LastModified", "mtime", "updated")
 _NOT_TRANSIENT = (FileNotFoundError, PermissionError, IsADirectoryError, NotADirectoryError, FileExistsError)
+#: botocore's and aiohttp's own errors that may pass, which are not always OSErrors; neither need be installed here.
+_TRANSIENT = {
+    "HTTPClientError",
+    "EndpointConnectionError",
+    "ConnectionClosedError",
+    "ClientError",
+    "FSTimeoutError",
+}
 
 
 @dataclass(frozen=True)
 class Outline:
-    """What a recording holds, known without reading it: ``bytes``, ``start`` s since the epoch (None: not known),
+    """Size and time of a recording, known without reading it: ``bytes``, ``start`` s since the epoch (None: not known),
     ``duration`` s (0: not known)."""
 
     bytes: int
@@ -54,20 +66,17 @@ def transient(error: BaseException) -> bool:
     if isinstance(error, TimeoutError | ConnectionError | EOFError):
         return True
     names = {c.__name__ for c in type(error).__mro__}
-    # botocore's and aiohttp's own, which are not always OSErrors; neither need be installed here.
-    known = {
-        "HTTPClientError",
-        "EndpointConnectionError",
-        "ConnectionClosedError",
-        "ClientError",
-        "FSTimeoutError",
-    }
-    return bool(names & known) or (isinstance(error, OSError) and error.filename is None)
+    return bool(names & _TRANSIENT) or (isinstance(error, OSError) and error.filename is None)
+
+
+def is_url(name: str) -> bool:
+    """Whether a name is a URL of object storage; ``file://`` is none, it names a file here."""
+    return _URL.match(name) is not None and not name.startswith("file://")
 
 
 @contextmanager
 def _reaching(name: str) -> Iterator[None]:
-    """One line for what is wrong with a name; what may pass by itself goes on as it is."""
+    """Turn errors of a store into one line that names the file; others, which may pass, go on as they are."""
     try:
         yield
     except FileNotFoundError:
@@ -84,23 +93,22 @@ def _reaching(name: str) -> Iterator[None]:
         raise
 
 
-def _opened(name: str) -> tuple[Any, str]:
-    import fsspec  # type: ignore[import-untyped]
+class _Stored:
+    """A file or folder in a store: its file system ``fs`` of fsspec, the ``path`` there, and for every file its name
+    below the path with the store's facts about it; one file has the name ``""``."""
 
-    fs, path = fsspec.core.url_to_fs(name)
-    return fs, str(path)
+    def __init__(self, name: str) -> None:
+        import fsspec  # type: ignore[import-untyped]
 
-
-def _files(fs: Any, path: str) -> dict[str, dict[str, Any]]:
-    """Name below ``path`` and what the store says of every file; one file has the name ``""``."""
-    info = fs.info(path)
-    if info["type"] != "directory":
-        return {"": info}
-    found = fs.find(path, detail=True)
-    if not found:
-        raise FileNotFoundError(path)
-    base = PurePosixPath(path)
-    return {str(PurePosixPath(p).relative_to(base)): i for p, i in found.items()}
+        self.fs, path = fsspec.core.url_to_fs(name)
+        self.path = str(path)
+        info = self.fs.info(self.path)
+        self.files: dict[str, dict[str, object]] = {"": info}
+        if info["type"] == "directory":
+            found = self.fs.find(self.path, detail=True)
+            if not found:
+                raise FileNotFoundError(self.path)
+            self.files = {str(PurePosixPath(p).relative_to(self.path)): i for p, i in found.items()}
 
 
 def identity(name: str) -> str:
@@ -128,29 +136,22 @@ def identity(name: str) -> str:
     """
     whole = hashlib.sha256()
     with _reaching(name):
-        if not is_url(name):
-            path = Path(name)
-            if not path.exists():
-                raise FileNotFoundError(name)
-            files = [p for p in sorted(path.rglob("*")) if p.is_file()] if path.is_dir() else [path]
-            for file in files:
-                whole.update(f"{'' if file == path else file.relative_to(path).as_posix()}\0".encode())
-                whole.update(_sha(file))
+        if is_url(name):
+            for part, info in sorted(_Stored(name).files.items()):
+                marks = [(m, str(info[m])) for m in _MARKS if info.get(m) is not None] or [("", "")]
+                whole.update(json.dumps([part, info.get("size"), *marks[0]]).encode())
             return whole.hexdigest()
-        fs, path_there = _opened(name)
-        for part, info in sorted(_files(fs, path_there).items()):
-            marks = {m: str(info[m]) for m in _MARKS if info.get(m) is not None}
-            mark = next(iter(marks.items()), ("", ""))
-            whole.update(json.dumps([part, info.get("size"), *mark]).encode())
+        path = Path(name)
+        if not path.exists():
+            raise FileNotFoundError(name)
+        for file in [p for p in sorted(path.rglob("*")) if p.is_file()] if path.is_dir() else [path]:
+            whole.update(f"{'' if file == path else file.relative_to(path).as_posix()}\0".encode())
+            content = hashlib.sha256()
+            with file.open("rb") as opened:
+                while chunk := opened.read(_CHUNK):
+                    content.update(chunk)
+            whole.update(content.digest())
     return whole.hexdigest()
-
-
-def _sha(path: Path) -> bytes:
-    found = hashlib.sha256()
-    with path.open("rb") as file:
-        while chunk := file.read(_CHUNK):
-            found.update(chunk)
-    return found.digest()
 
 
 def outline(name: str) -> Outline:
@@ -177,34 +178,29 @@ def outline(name: str) -> Outline:
     70
     """
     with _reaching(name):
-        fs, path = _opened(name)
-        files = _files(fs, path)
-        size = sum(int(info.get("size") or 0) for info in files.values())
+        stored = _Stored(name)
+        files, path = stored.files, stored.path
+        size = sum(int(str(info.get("size") or 0)) for info in files.values())
         if "" in files and path.endswith(".mcap"):
-            return _of_mcap(fs, path, size)
+            return Outline(size, *_times_of_mcap(stored.fs, path))
         if "metadata.yaml" in files and not is_url(name):
-            return _of_metadata(Path(path) / "metadata.yaml", size)
-        recordings = [part for part in files if part.endswith(".mcap")]
-        if recordings:
-            return _of_mcap(fs, f"{path}/{recordings[0]}", size)
-        return Outline(size)
+            return Outline(size, *_times_of_metadata(Path(path) / "metadata.yaml"))
+        recording = next((part for part in files if part.endswith(".mcap")), None)
+        return Outline(size, *(_times_of_mcap(stored.fs, f"{path}/{recording}") if recording else ()))
 
 
-def _of_metadata(path: Path, size: int) -> Outline:
+def _times_of_metadata(path: Path) -> tuple[float, float] | tuple[()]:
+    """Start and duration in s; nothing where it cannot be read: the reader of the drive says why."""
     try:
         known = read_yaml(path)["rosbag2_bagfile_information"]
         start = known["starting_time"]["nanoseconds_since_epoch"]
-        return Outline(size, int(start) * 1e-9, int(known["duration"]["nanoseconds"]) * 1e-9)
-    except (
-        InputError,
-        KeyError,
-        TypeError,
-        ValueError,
-    ):  # the reader of the drive says what is wrong with it
-        return Outline(size)
+        return int(start) * 1e-9, int(known["duration"]["nanoseconds"]) * 1e-9
+    except (InputError, KeyError, TypeError, ValueError):
+        return ()
 
 
-def _of_mcap(fs: Any, path: str, size: int) -> Outline:
+def _times_of_mcap(fs: AbstractFileSystem, path: str) -> tuple[float, float] | tuple[()]:
+    """Start and duration in s; nothing of a file that is cut off: it is repaired when it is read."""
     from mcap.exceptions import McapError
     from mcap.reader import make_reader
 
@@ -212,12 +208,12 @@ def _of_mcap(fs: Any, path: str, size: int) -> Outline:
         try:
             summary = make_reader(file).get_summary()
         except (McapError, EOFError, ValueError, OverflowError):
-            return Outline(size)  # cut off: what can be saved is read when its turn comes
+            return ()
     statistics = None if summary is None else summary.statistics
     if statistics is None or not statistics.message_count:
-        return Outline(size)
+        return ()
     start, end = statistics.message_start_time * 1e-9, statistics.message_end_time * 1e-9
-    return Outline(size, start, max(end - start, 0.0))
+    return start, max(end - start, 0.0)
 
 
 def staged(name: str, folder: Path) -> Path:
@@ -248,12 +244,12 @@ def staged(name: str, folder: Path) -> Path:
     if not is_url(name):
         return Path(name)
     with _reaching(name):
-        fs, path = _opened(name)
-        base = PurePosixPath(path).name
-        for part in _files(fs, path):
+        stored = _Stored(name)
+        copy = folder / PurePosixPath(stored.path).name
+        for part in stored.files:
             if ".." in PurePosixPath(part).parts:
                 raise InputError(name, part, "leads out of its folder")
-            target = folder / base / part if part else folder / base
+            target = copy / part if part else copy
             target.parent.mkdir(parents=True, exist_ok=True)
-            fs.get_file(f"{path}/{part}" if part else path, str(target))
-        return folder / base
+            stored.fs.get_file(f"{stored.path}/{part}" if part else stored.path, str(target))
+        return copy

@@ -8,11 +8,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from suspension_twin.addons.fleet.manifest import Item, is_url
-from suspension_twin.addons.fleet.storage import staged
-from suspension_twin.addons.fleet.work import twin_and_road
+from suspension_twin.addons.fleet.manifest import Item
+from suspension_twin.addons.fleet.storage import is_url, staged
+from suspension_twin.addons.fleet.work import moved_twin, twin_and_road
 from suspension_twin.errors import InputError
-from suspension_twin.vehicle.twin import RoadFile, save_twin
 
 __all__ = ["FleetTwin", "fleet_twins"]
 
@@ -81,7 +80,5 @@ def _local(item: Item, folder: Path) -> Path:
         there = staged(road, folder)
         if not there.is_file():
             raise InputError(road, "No such file or directory")
-        own = folder / "with_road.yaml"
-        save_twin(twin.model_copy(update={"road": RoadFile(file=there.absolute())}), own)
-        return own
+        return moved_twin(twin, there, folder / "with_road.yaml")
     return staged(item.twin, folder)

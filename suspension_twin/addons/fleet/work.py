@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""One item of a fleet's work as a pure function: what the single command does, and its result as plain values.
+"""One item of a fleet's work as a pure function: the single command's work, and its result as plain values.
 
-A worker needs the names of the files and nothing else; what it returns is JSON, a few kB to a few 100 kB.
+A worker needs the names of the files and nothing else; its result is JSON, a few kB to a few 100 kB.
 """
 
 from __future__ import annotations
@@ -12,23 +12,28 @@ import math
 import os
 import tempfile
 import time
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path, PurePosixPath
-from typing import Any, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
+from numpy.typing import NDArray
 
 from suspension_twin import __version__
-from suspension_twin.addons.fleet.manifest import Item, is_url
-from suspension_twin.addons.fleet.storage import identity, outline, staged, transient
+from suspension_twin.addons.fleet.manifest import Item
+from suspension_twin.addons.fleet.storage import identity, is_url, outline, staged, transient
 from suspension_twin.arrays import Floats
 from suspension_twin.errors import InputError, SuspensionTwinError
 from suspension_twin.files import explained, together
+from suspension_twin.pose.local_map import LocalMap
 from suspension_twin.road import load_road
 from suspension_twin.vehicle.twin import RoadFile, Twin, load_twin, save_twin
 
-__all__ = ["VELOCITY", "Options", "Task", "plan_task", "twin_and_road", "work"]
+if TYPE_CHECKING:
+    from suspension_twin.calibration.request import CurveEstimate
+
+__all__ = ["VELOCITY", "Options", "Record", "Task", "moved_twin", "plan_task", "twin_and_road", "work"]
 
 #: m/s at which a damper's force is followed over time: between the low and the high speeds of a strut, where workshops
 #: compare dampers (the abscissae of Table 2 of the car paper have it).
@@ -36,12 +41,13 @@ VELOCITY = 0.25
 #: m of road over which a residual is averaged for the map.
 _PLACE = 5.0
 _FORMAT = 1
+#: Plain values by name: what JSON holds.
 Record = dict[str, Any]
 
 
 @dataclass(frozen=True)
 class Options:
-    """What is done with every item.
+    """Options of the calibration or diagnosis of every item.
 
     Parameters
     ----------
@@ -97,12 +103,12 @@ def plan_task(item: Item, options: Options) -> Task:
     item : Item
         A row of the manifest.
     options : Options
-        What is to be done.
+        Of the calibration or diagnosis.
 
     Returns
     -------
     Task
-        What :func:`work` takes.
+        For :func:`work`.
 
     Raises
     ------
@@ -131,9 +137,8 @@ def plan_task(item: Item, options: Options) -> Task:
     }
     key = hashlib.sha256(json.dumps(parts, sort_keys=True).encode()).hexdigest()[:32]
     date = item.date or next((o.date for o in outlines if o.date), "")
-    return Task(
-        key, item, options, date, sum(o.bytes for o in outlines), float(sum(o.duration for o in outlines))
-    )
+    seconds = float(sum(o.duration for o in outlines))
+    return Task(key, item, options, date, sum(o.bytes for o in outlines), seconds)
 
 
 def twin_and_road(item: Item, folder: Path) -> tuple[Twin, str]:
@@ -162,18 +167,18 @@ def work(task: Task) -> Record:
     Parameters
     ----------
     task : Task
-        What :func:`plan_task` returned.
+        From :func:`plan_task`.
 
     Returns
     -------
     dict
-        Plain values: ``status`` "done", or "failed" with the line that the single command would have said;
+        Plain values: ``status`` "done", or "failed" with the error line of the single command;
         ``files`` are texts by name.
 
     Raises
     ------
     OSError
-        What may pass by itself, such as a store out of reach: worth another trial.
+        A failure that may pass by itself, such as a store out of reach: worth another trial.
 
     Examples
     --------
@@ -189,26 +194,25 @@ def work(task: Task) -> Record:
         "status": "done",
     }
     with tempfile.TemporaryDirectory(prefix="suspension_twin_") as name:
-        folder = Path(name)
-        copies: dict[str, str] = {}
+        inputs = _Inputs(task.item, Path(name), {})
         try:
-            record |= _done(task, folder, copies)
+            record |= (
+                _calibrated(task, inputs) if task.options.action == "calibrate" else _diagnosed(task, inputs)
+            )
         except Exception as error:
             if not isinstance(error, SuspensionTwinError) and transient(error):
                 raise
             status, text = explained(error)
-            for copy, original in sorted(copies.items(), key=lambda pair: -len(pair[0])):
+            for copy, original in sorted(inputs.copies.items(), key=lambda pair: -len(pair[0])):
                 text = text.replace(copy, original)
-            if text.startswith("twin: "):  # said of a twin in memory, which knows of no file
+            if text.startswith("twin: "):  # of a twin in memory, which knows of no file
                 text = task.item.twin + text.removeprefix("twin")
             record |= {"status": "failed", "exit_status": status, "message": text}
-    record["seconds"] = round(time.monotonic() - began, 3)
-    record["peak_memory"] = _peak_memory()
-    return record
+    return record | {"seconds": round(time.monotonic() - began, 3), "peak_memory": _peak_memory()}
 
 
 def _peak_memory() -> int | None:
-    """Bytes that this process has held at most, where the system says it."""
+    """Bytes that this process has held at most, where the system reports it."""
     try:
         import resource
     except ImportError:
@@ -216,41 +220,64 @@ def _peak_memory() -> int | None:
     return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024
 
 
-def _done(task: Task, folder: Path, copies: dict[str, str]) -> Record:
-    item = task.item
+@dataclass(frozen=True)
+class _Inputs:
+    """The files of an item where they can be read: their own places, or ``copies`` (with their names) in ``folder``."""
 
-    def here(name: str, part: str) -> str:
-        path = str(staged(name, folder / part))
+    item: Item
+    folder: Path
+    copies: dict[str, str]
+
+    def here(self, name: str, part: str) -> str:
+        """Path of a file, in a folder of its own where it is copied."""
+        path = str(staged(name, self.folder / part))
         if path != name:
-            copies[path] = name
+            self.copies[path] = name
         return path
 
-    twin, road = twin_and_road(item, folder / "twin")
-    own = here(item.twin, "twin")
-    record: Record = {"road": "" if is_url(road) else road}
-    if twin.program is not None:
-        record["program"] = str(twin.program)
-    if road and (item.road or is_url(road)):
-        moved = twin.model_copy(update={"road": RoadFile(file=Path(here(road, "road")).absolute())})
-        own = str(folder / "with_road" / Path(own).name)
-        copies[own] = item.twin
-        save_twin(moved, own)
-    drives = tuple(here(d, f"drive{k}") for k, d in enumerate(item.drives))
-    if task.options.action == "calibrate":
-        return record | _calibrated(task.options, own, drives, folder, road)
-    references = tuple(here(d, f"reference{k}") for k, d in enumerate(item.references))
-    return record | _diagnosed(task.options, own, drives, references, folder, road)
+    def twin(self) -> tuple[str, Record]:
+        """Path of the twin file, on the item's road, and where road and program lie for the record."""
+        twin, road = twin_and_road(self.item, self.folder / "twin")
+        own = self.here(self.item.twin, "twin")
+        if road and (self.item.road or is_url(road)):
+            there = Path(self.here(road, "road"))
+            own = str(moved_twin(twin, there, self.folder / "with_road" / Path(own).name))
+            self.copies[own] = self.item.twin
+        program = {} if twin.program is None else {"program": str(twin.program)}
+        return own, {"road": "" if is_url(road) else road, **program}
+
+    def drives(self, names: Sequence[str], part: str) -> tuple[str, ...]:
+        """Paths of recordings."""
+        return tuple(self.here(name, f"{part}{k}") for k, name in enumerate(names))
+
+    def named_road(self, twin: Twin) -> Twin:
+        """The twin with the name of a road in object storage, instead of a copy that is gone when this ends."""
+        stored = [name for copy, name in self.copies.items() if Path(copy).parent == self.folder / "road"]
+        if not stored:
+            return twin
+        return twin.model_copy(update={"road": RoadFile(file=Path(PurePosixPath(stored[0]).name))})
 
 
-def _calibrated(options: Options, twin: str, drives: Sequence[str], folder: Path, road: str) -> Record:
+def moved_twin(twin: Twin, road: Path, path: Path) -> Path:
+    """Write a twin that stands on another road; returns the file."""
+    save_twin(twin.model_copy(update={"road": RoadFile(file=road.absolute())}), path)
+    return path
+
+
+def _files(folder: Path) -> dict[str, str]:
+    return {path.name: path.read_text(encoding="utf-8") for path in sorted(folder.iterdir())}
+
+
+def _calibrated(task: Task, inputs: _Inputs) -> Record:
     from suspension_twin.calibration.labels import parameter_unit
     from suspension_twin.calibration.output import write_result
     from suspension_twin.calibration.request import CalibrationRequest
     from suspension_twin.calibration.run import calibrate
 
+    (twin, places), options = inputs.twin(), task.options
     request = CalibrationRequest(
         twin=twin,
-        bags=tuple(drives),
+        bags=inputs.drives(task.item.drives, "drive"),
         preset=options.preset,
         seed=options.seed,
         also=options.also,
@@ -258,155 +285,119 @@ def _calibrated(options: Options, twin: str, drives: Sequence[str], folder: Path
         max_generations=options.max_generations,
     )
     result = calibrate(request)
-    result = replace(result, twin=_named_road(result.twin, road))
-    files = write_result(result, folder / "out" / "twin.yaml")
-    first = result.drives[0]
+    result = replace(result, twin=inputs.named_road(result.twin))
+    files = write_result(result, inputs.folder / "out" / "twin.yaml")
     fits = [
         (d.position, d.measured[d.channel] - d.after[d.channel], d.compared, d.rate) for d in result.drives
     ]
+    gaps = {
+        "gap_before": [d.gap_before.rms for d in result.drives],
+        "gap_after": [d.gap_after.rms for d in result.drives],
+        "noise": [d.gap_after.noise_rms for d in result.drives],
+    }
     health = [row for c in result.curves if (row := _damper(c)) is not None]
     health += [
-        _health(e.key, e.value, e.low, e.high, parameter_unit(e.key), e.status in ("identified", "on bound"))
+        _health(
+            e.key, (e.value, e.low, e.high), parameter_unit(e.key), e.status in ("identified", "on bound")
+        )
         for e in result.estimates
         if e.key.startswith("effects.") or ".tyre." in e.key
     ]
+    parameters = [
+        {"key": e.key, **_numbers(start=e.start, value=e.value, low=e.low, high=e.high), "status": e.status}
+        for e in result.estimates
+    ]
     return {
+        **places,
         "message": result.message,
         "files": {path.name: path.read_text(encoding="utf-8") for path in files},
         "warnings": list(result.warnings),
-        "channel": first.channel,
-        "gap_before": _number(_together([d.gap_before.rms for d in result.drives])),
-        "gap_after": _number(_together([d.gap_after.rms for d in result.drives])),
-        "noise": _number(_together([d.gap_after.noise_rms for d in result.drives])),
-        "parameters": [
-            {
-                "key": e.key,
-                "start": _number(e.start),
-                "value": _number(e.value),
-                "low": _number(e.low),
-                "high": _number(e.high),
-                "status": e.status,
-            }
-            for e in result.estimates
-        ],
+        "channel": result.drives[0].channel,
+        **_numbers(**{name: float(np.sqrt(np.mean(np.square(values)))) for name, values in gaps.items()}),
+        "parameters": parameters,
         "health": health,
         "places": _places(load_twin(twin), fits),
     }
 
 
-def _named_road(twin: Twin, road: str) -> Twin:
-    """The twin with the name of a road in object storage, instead of a copy that is gone when this ends."""
-    if not is_url(road):
-        return twin
-    return twin.model_copy(update={"road": RoadFile(file=Path(PurePosixPath(road).name))})
-
-
-def _damper(curve: Any) -> Record | None:
+def _damper(curve: CurveEstimate) -> Record | None:
     """Force of a damper at :data:`VELOCITY`; None for a spring, and where the drives did not excite it so far."""
     if ".damper_" not in curve.key or not curve.grid[0] <= VELOCITY <= curve.grid[-1]:
         return None
-    value, low, high = (
+    force, low, high = (
         float(np.interp(VELOCITY, curve.grid, c)) for c in (curve.force, curve.low, curve.high)
     )
-    return _health(f"{curve.key}@{VELOCITY:g}", value, low, high, "N", bool(curve.span[1] >= VELOCITY))
+    return _health(f"{curve.key}@{VELOCITY:g}", (force, low, high), "N", bool(curve.span[1] >= VELOCITY))
 
 
-def _health(quantity: str, value: float, low: float, high: float, unit: str, identified: bool) -> Record:
-    return {
-        "quantity": quantity,
-        "value": _number(value),
-        "low": _number(low),
-        "high": _number(high),
-        "unit": unit,
-        "identified": identified,
-    }
+def _health(quantity: str, estimate: tuple[float, float, float], unit: str, identified: bool) -> Record:
+    """A quantity that is followed over time: its value and the ends of its 90 % interval."""
+    numbers = _numbers(**dict(zip(("value", "low", "high"), estimate, strict=True)))
+    return {"quantity": quantity, **numbers, "unit": unit, "identified": identified}
 
 
-def _diagnosed(
-    options: Options,
-    twin: str,
-    drives: Sequence[str],
-    references: Sequence[str],
-    folder: Path,
-    road: str,
-) -> Record:
+def _diagnosed(task: Task, inputs: _Inputs) -> Record:
     from suspension_twin.diagnosis.output import write
     from suspension_twin.diagnosis.request import DiagnosisRequest
     from suspension_twin.diagnosis.run import diagnose
 
-    request = DiagnosisRequest(twin, tuple(drives), tuple(references), options.seed, options.effects)
-    result = diagnose(request)
-    out = folder / "out"
+    (twin, places), item = inputs.twin(), task.item
+    drives, references = inputs.drives(item.drives, "drive"), inputs.drives(item.references, "reference")
+    result = diagnose(DiagnosisRequest(twin, drives, references, task.options.seed, task.options.effects))
+    out = inputs.folder / "out"
     with together():
-        write(replace(result, twin=_named_road(result.twin, road)), out)
+        write(replace(result, twin=inputs.named_road(result.twin)), out)
     document = result.document
     fits = [
-        (d.position, d.measured - d.before, d.compared, d.rate) for d in result.drives if _vertical(d.channel)
+        (d.position, d.measured - d.before, d.compared, d.rate)
+        for d in result.drives
+        if d.channel in ("", "vertical_acceleration")
     ]
+    same = ("gap_before", "gap_after", "verdict", "probability", "shrink", "combination")
     return {
+        **places,
         "message": result.message,
-        "files": {path.name: path.read_text(encoding="utf-8") for path in sorted(out.iterdir())},
+        "files": _files(out),
         "warnings": list(document["warnings"]),
         "channel": document["gap"]["channel"],
-        "gap_before": document["gap_before"],
-        "gap_after": document["gap_after"],
         "noise": document["gap"]["noise_rms"],
-        "verdict": document["verdict"],
-        "probability": document["probability"],
-        "shrink": document["shrink"],
+        **{name: document[name] for name in same},
         "shrink_low": document["shrink_interval"][0],
         "shrink_high": document["shrink_interval"][1],
-        "combination": document["combination"],
         "causes": [
-            {"effect": c["effect"], "probability": c["probability"], "parameters": c["parameters"]}
+            {name: c[name] for name in ("effect", "probability", "parameters")}
             for c in document["causes"][:5]
         ],
         "places": _places(load_twin(twin), fits),
     }
 
 
-def _vertical(channel: str) -> bool:
-    return channel in ("", "vertical_acceleration")
-
-
-def _places(twin: Twin, fits: Sequence[tuple[Floats, Floats, Any, float]]) -> list[Record]:
-    """Residual by stretch of road, on WGS 84: rms over ``seconds`` of driving there."""
-    if twin.road is None or twin.datum is None or not fits:
+def _places(twin: Twin, fits: Iterable[tuple[Floats, Floats, NDArray[np.bool_], float]]) -> list[Record]:
+    """Residual by piece of road, on WGS 84: rms over ``seconds`` of driving there."""
+    rows = [np.stack([at, r**2, seen, np.full(at.size, 1.0 / rate)]) for at, r, seen, rate in fits]
+    table = np.concatenate(rows, axis=1) if rows else np.zeros((4, 0))
+    at, square, _, length = table[:, np.isfinite(table).all(axis=0) & (table[2] > 0.0)]
+    if twin.road is None or twin.datum is None or not at.size:
         return []
-    from suspension_twin.pose.local_map import LocalMap
-
-    at = np.concatenate([position for position, *_ in fits])
-    square = np.concatenate([residual**2 for _, residual, *_ in fits])
-    seen = np.concatenate([np.asarray(compared, dtype=np.bool_) for _, _, compared, _ in fits])
-    length = np.concatenate([np.full(position.size, 1.0 / rate) for position, *_, rate in fits])
-    seen &= np.isfinite(at) & np.isfinite(square)
-    if not seen.any():
-        return []
-    number = np.floor(at[seen] / _PLACE).astype(np.int64)
-    bins, index = np.unique(number, return_inverse=True)
-    count = np.bincount(index)
-    rms = np.sqrt(np.bincount(index, square[seen]) / count)
-    seconds = np.bincount(index, length[seen])
+    bins, index = np.unique(np.floor(at / _PLACE).astype(np.int64), return_inverse=True)
+    rms = np.sqrt(np.bincount(index, square) / np.bincount(index))
+    seconds = np.bincount(index, length)
     along = (bins + 0.5) * _PLACE
     x, y = load_road(twin.road.file).uv_to_xy(along, np.zeros(along.size))
     latitude, longitude, _ = LocalMap(twin.datum).to_geodetic(np.column_stack([x, y, np.zeros(x.size)])).T
-    rows = zip(along, latitude, longitude, rms, seconds, strict=True)
     return [
         {
             "along": float(a),
             "latitude": round(float(p), 8),
             "longitude": round(float(q), 8),
-            "rms": _number(float(r)),
+            **_numbers(rms=float(r)),
             "seconds": round(float(s), 3),
         }
-        for a, p, q, r, s in rows
+        for a, p, q, r, s in zip(along, latitude, longitude, rms, seconds, strict=True)
         if math.isfinite(p) and math.isfinite(q)
     ]
 
 
-def _together(values: Sequence[float]) -> float:
-    return float(np.sqrt(np.mean(np.square(values))))
-
-
-def _number(value: float) -> float | None:
-    return float(f"{value:.7g}") if math.isfinite(value) else None
+def _numbers(**values: float) -> dict[str, float | None]:
+    """Numbers with seven digits; None for one that is not finite."""
+    return {name: float(f"{value:.7g}") if math.isfinite(value) else None for name, value in values.items()}

@@ -97,8 +97,8 @@ def test_every_effect_of_the_kernel_is_in_it(mondeo: Twin, bump: Excitation, wri
         twin = mondeo.with_changes({"effects": kept})
         wanted = columns(simulate_twin(twin, bump))
         assert deviation(walk_2(written(twin), bump), wanted).max() < close
-        felt = deviation(columns(simulate_twin(mondeo, bump)), wanted)
-        assert felt[:20].min() > (1e-3 if len(kept) > 1 else 1e-4)
+        changed = deviation(columns(simulate_twin(mondeo, bump)), wanted)
+        assert changed[:20].min() > (1e-3 if len(kept) > 1 else 1e-4)
 
 
 def test_the_model_msd(mondeo: Twin, bump: Excitation, written: Written) -> None:

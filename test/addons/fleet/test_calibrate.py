@@ -9,8 +9,8 @@ from pathlib import Path
 import duckdb
 import pytest
 
-from suspension_twin.addons.fleet.ledger import Ledger
 from suspension_twin.addons.fleet.manifest import Item
+from suspension_twin.addons.fleet.results import Ledger
 from suspension_twin.addons.fleet.storage import identity, outline
 from suspension_twin.addons.fleet.work import Options, plan_task
 from suspension_twin.cli.main import main

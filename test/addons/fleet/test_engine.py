@@ -11,9 +11,9 @@ from typing import Any
 import pytest
 
 from suspension_twin.addons.fleet import engine
-from suspension_twin.addons.fleet.engine import Plan, connected, run_fleet
-from suspension_twin.addons.fleet.ledger import Ledger
+from suspension_twin.addons.fleet.engine import FleetPlan, connected, run_fleet
 from suspension_twin.addons.fleet.manifest import Item
+from suspension_twin.addons.fleet.results import Ledger
 from suspension_twin.addons.fleet.work import Options, Task
 
 
@@ -32,7 +32,7 @@ def tasks(monkeypatch: pytest.MonkeyPatch) -> list[Task]:
 
 
 def test_nothing_is_lost_where_workers_come_and_leave(tasks: list[Task], tmp_path: Path) -> None:
-    plan = Plan(tuple(t.item for t in tasks), tuple(tasks), {}, {})
+    plan = FleetPlan(tuple(t.item for t in tasks), tuple(tasks), {})
     seen: list[int] = []
     with connected(workers=1, inside=True) as cluster:
         client = cluster.client

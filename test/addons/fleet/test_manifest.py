@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a manifest may hold, in CSV and in YAML, and the line that says what is wrong with one."""
+"""Manifests in CSV and in YAML, and the line for each error in one."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ def test_csv_and_yaml_say_the_same(tmp_path: Path) -> None:
     assert (second.twin, second.date) == (str(tmp_path / "my twin.yaml"), "")
 
 
-def test_defaults_hold_for_every_item_that_says_nothing_else(tmp_path: Path) -> None:
+def test_defaults_hold_for_every_item_without_a_value_of_its_own(tmp_path: Path) -> None:
     path = tmp_path / "fleet.yml"
     path.write_text(
         "defaults: {twin: t.yaml}\nitems: [{vehicle: 1, drives: a}, {vehicle: 2, drives: b, twin: u.yaml}]\n"

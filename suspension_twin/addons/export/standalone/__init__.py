@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What targets share that carry the equations of a model away: kernels written out in another language."""
+"""Kernels of the models written out in C and C#, for targets that run without this package."""

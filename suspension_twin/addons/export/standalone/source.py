@@ -6,8 +6,9 @@ from __future__ import annotations
 import textwrap
 from dataclasses import dataclass
 
-from suspension_twin.addons.export.standalone.languages import Language
-from suspension_twin.addons.export.standalone.translate import Translation
+import jinja2
+
+from suspension_twin.addons.export.standalone.translate import Language, Translation
 from suspension_twin.errors import InputError
 from suspension_twin.models import rows
 from suspension_twin.models.excitation import MAX_STEP
@@ -15,14 +16,26 @@ from suspension_twin.models.one_lane import OneLane
 from suspension_twin.models.registry import model_of
 from suspension_twin.vehicle.twin import Twin
 
-__all__ = ["Source", "written_out"]
+__all__ = ["ModelCode", "model_code", "rendered"]
 
 
 @dataclass(frozen=True)
-class Source:
-    """``text`` of the functions ``twin_start``, ``twin_advance`` and ``twin_read``, the constants of the twin as a list
-    of numbers, how many they are, the row that says that the twin has diverged, the longest step in s, and notes on
-    what of the twin is not in it."""
+class ModelCode:
+    """A twin in another language.
+
+    Parameters
+    ----------
+    text : str
+        The functions ``twin_start``, ``twin_advance`` and ``twin_read``.
+    initial : str
+        Constants and initial state of the twin, a list of numbers.
+    rows, failed : int
+        Length of that list, and the row that says that the twin has diverged.
+    max_step : float
+        Longest step in s.
+    notes : tuple of str
+        Parts of the twin that are not in the code.
+    """
 
     text: str
     initial: str
@@ -32,7 +45,7 @@ class Source:
     notes: tuple[str, ...]
 
 
-def written_out(twin: Twin, language: Language, to: str) -> Source:
+def model_code(twin: Twin, language: Language, to: str) -> ModelCode:
     """The source of a twin; InputError where its model has no kernel of one lane."""
     make = model_of(twin).one_lane
     if make is None:
@@ -46,4 +59,17 @@ def written_out(twin: Twin, language: Language, to: str) -> Source:
     notes = [f"Not in it, as it acts on the sensor, its clock or the road: {name}" for name in lane.outside]
     if twin.imu.latency:
         notes.append("Not in it: imu.latency")
-    return Source(translation.text, initial, lane.values.size, rows.FAILED, MAX_STEP, tuple(notes))
+    return ModelCode(translation.text, initial, lane.values.size, rows.FAILED, MAX_STEP, tuple(notes))
+
+
+def rendered(template: str, **values: object) -> str:
+    """A text from a template beside this file; in XML values are escaped."""
+    environment = jinja2.Environment(
+        loader=jinja2.PackageLoader("suspension_twin.addons.export", "standalone"),
+        autoescape=template.endswith(".xml.j2"),
+        undefined=jinja2.StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+        keep_trailing_newline=True,
+    )
+    return environment.get_template(template).render(**values)

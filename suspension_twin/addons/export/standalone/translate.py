@@ -4,29 +4,32 @@
 The kernels are written in a small part of Python: numbers, rows of one array, loops over ranges, conditions and calls
 of each other. ``Translation`` reads their source and writes each function that is called, once for every set of
 arguments that are known integers: those, the constants of the modules and what follows from them are put in, and
-branches that cannot be taken are left out. What it does not know it refuses. So there is one source of the equations,
+branches that cannot be taken are left out. Other syntax is refused. So there is one source of the equations,
 and an effect that somebody adds to the library is in the written code as well.
 """
 
 from __future__ import annotations
 
 import ast
+import builtins
 import inspect
 import math
+import operator
 import re
 import textwrap
+from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, contextmanager
 from dataclasses import dataclass, replace
+from types import FunctionType
 from typing import Any, Final, Literal, NoReturn
 
 import numpy as np
 
-from suspension_twin.addons.export.standalone.languages import Language
 from suspension_twin.errors import WorkError
 from suspension_twin.models import numerics
 
-__all__ = ["Translation"]
+__all__ = ["CSHARP", "C", "Language", "Translation"]
 
 Kind = Literal["int", "double", "bool"]
 
@@ -51,25 +54,100 @@ _OPERATORS: Final[Mapping[type[ast.AST], tuple[str, int]]] = {
 }
 _IF_BINDS, _UNARY_BINDS = 2, 14
 _PYTHON: Final[Mapping[type[ast.AST], Callable[[Any, Any], Any]]] = {
-    ast.Mult: lambda a, b: a * b,
-    ast.FloorDiv: lambda a, b: a // b,
-    ast.Add: lambda a, b: a + b,
-    ast.Sub: lambda a, b: a - b,
-    ast.BitAnd: lambda a, b: a & b,
-    ast.BitOr: lambda a, b: a | b,
-    ast.Lt: lambda a, b: a < b,
-    ast.LtE: lambda a, b: a <= b,
-    ast.Gt: lambda a, b: a > b,
-    ast.GtE: lambda a, b: a >= b,
-    ast.Eq: lambda a, b: a == b,
-    ast.NotEq: lambda a, b: a != b,
+    ast.Mult: operator.mul,
+    ast.FloorDiv: operator.floordiv,
+    ast.Add: operator.add,
+    ast.Sub: operator.sub,
+    ast.BitAnd: operator.and_,
+    ast.BitOr: operator.or_,
+    ast.Lt: operator.lt,
+    ast.LtE: operator.le,
+    ast.Gt: operator.gt,
+    ast.GtE: operator.ge,
+    ast.Eq: operator.eq,
+    ast.NotEq: operator.ne,
 }
 _SYMBOL = re.compile(r"[A-Z][A-Z0-9_]*")
+#: Helpers of the written functions, alike in both languages. ``a * b + c`` may round twice: what processors without
+#: the instruction do. ``larger`` and ``smaller`` are Python's ``max`` and ``min``.
+_HELPERS: Final = """\
+{0} double fma_(double a, double b, double c) {{ return a * b + c; }}
+{0} double larger(double a, double b) {{ return b > a ? b : a; }}
+{0} double smaller(double a, double b) {{ return b < a ? b : a; }}
+"""
+
+
+@dataclass(frozen=True)
+class Language:
+    """Syntax of a language where C and C# differ.
+
+    Parameters
+    ----------
+    helper : str
+        Beginning of a short function.
+    constant : str
+        A named integer, given name and value.
+    array : str
+        Type of an array's argument, given that of its elements.
+    local : str
+        A local array, given the type of its elements, its name and its size.
+    out : tuple of str
+        An argument through which a number is returned, as the target of an assignment, and a variable handed to it,
+        each given the name.
+    boolean : tuple of str
+        Type of a truth value, False and True.
+    mathematics : mapping
+        Functions of Python and of its module ``math``, by the name that they have there.
+    reserved : frozenset of str
+        Words that no variable can be called.
+    """
+
+    helper: str
+    constant: str
+    array: str
+    local: str
+    out: tuple[str, str, str]
+    boolean: tuple[str, str, str]
+    mathematics: Mapping[str, str]
+    reserved: frozenset[str]
+
+
+_WORDS = (
+    "break case char const continue default do double else enum float for goto if int long return short sizeof "
+    "static struct switch void volatile while"
+)
+
+C: Final = Language(
+    helper="static inline",
+    constant="#define {} {}\n",
+    array="{} *",
+    local="{0} {1}[{2}];",
+    out=("double *{}", "*{}", "&{}"),
+    boolean=("int", "0", "1"),
+    mathematics={"abs": "fabs", "sin": "sin", "cos": "cos", "sqrt": "sqrt", "exp": "exp", "tanh": "tanh"},
+    reserved=frozenset(f"{_WORDS} auto extern register signed typedef union unsigned inline".split()),
+)
+CSHARP: Final = Language(
+    helper="static",
+    constant="const int {} = {};\n",
+    array="{}[] ",
+    local="{0}[] {1} = new {0}[{2}];",
+    out=("out double {}", "{}", "out {}"),
+    boolean=("bool", "false", "true"),
+    mathematics={
+        name: f"System.Math.{name.capitalize()}" for name in ("abs", "sin", "cos", "sqrt", "exp", "tanh")
+    },
+    reserved=frozenset(
+        f"{_WORDS} as base bool byte checked class decimal delegate event fixed foreach implicit in interface internal "
+        "is lock namespace new null object operator out override params private public readonly ref sealed string "
+        "this throw try typeof using virtual".split()
+    ),
+)
 
 
 @dataclass(frozen=True)
 class _Value:
-    """An expression: its text, what it is, how tightly it binds, and its value where that is known."""
+    """An expression: its text, its type, how tightly it binds, and its value where that is known."""
 
     text: str
     kind: Kind
@@ -91,14 +169,14 @@ class Translation:
 
     Parameters
     ----------
-    language
+    language : Language
         The language.
     """
 
     def __init__(self, language: Language) -> None:
         self.language = language
-        self._known: dict[object, _Function] = {}
-        self._names: dict[str, int] = {}
+        self._written: dict[tuple[object, ...], _Function] = {}
+        self._names: Counter[str] = Counter()
         self._texts: list[str] = []
         self._symbols: dict[str, int] = {}
 
@@ -106,43 +184,34 @@ class Translation:
     def text(self) -> str:
         """Everything written so far: named rows, helpers, and functions after those that they call."""
         symbols = sorted(self._symbols.items(), key=lambda item: (item[1], item[0]))
-        parts = [self.language.constants(symbols), self.language.helpers, *self._texts]
-        return "\n".join(parts)
+        constants = "".join(self.language.constant.format(name, value) for name, value in symbols)
+        return "\n".join([constants, _HELPERS.format(self.language.helper), *self._texts])
 
-    def add(self, function: Any, **known: int) -> str:
-        """Write a function and what it calls; returns its name. ``known`` are arguments with values to put in."""
-        python = getattr(function, "py_func", function)
+    def add(self, function: Callable[..., object]) -> str:
+        """Write a function and those that it calls; returns its name."""
+        python = _python(function)
         arguments = [
-            _Value(
-                str(known.get(name, name)),
-                "int" if kind == "int" else "double",
-                known=known.get(name),
-                shape=() if kind == "Floats" else None,
-            )
+            _Value(name, "int" if kind == "int" else "double", shape=() if kind == "Floats" else None)
             for name, kind in _annotated(python)
         ]
         return self.function(python, arguments).name
 
-    def function(self, python: Any, arguments: Sequence[_Value]) -> _Function:
+    def function(self, python: FunctionType, arguments: Sequence[_Value]) -> _Function:
         """The written function for a call with such arguments."""
-        put_in = tuple(_put_in(value) for value in arguments)
-        shapes = tuple(value.shape for value in arguments)
-        key = (python.__code__, id(python.__globals__), put_in, shapes)
-        if key not in self._known:
-            # an entry that keeps the globals alive, so that their id stays theirs
+        key = (python, *((_put_in(value), value.shape) for value in arguments))
+        if key not in self._written:
             writer = _Writer(self, python, arguments)
-            self._known[key] = _Function(self.name(python), writer.results)
-            self._texts.append(writer.write(self._known[key].name))
-            self._alive = [*getattr(self, "_alive", []), python]
-        return self._known[key]
+            self._written[key] = _Function(self._name(python), writer.results)
+            self._texts.append(writer.write(self._written[key].name))
+        return self._written[key]
 
-    def name(self, python: Any) -> str:
+    def _name(self, python: FunctionType) -> str:
         """A name for a function that no other has."""
-        stem = python.__module__.rpartition(".")[2] if isinstance(python.__module__, str) else ""
+        stem = str(python.__module__).rpartition(".")[2]
         own = python.__name__.strip("_")
         own = f"{stem}_{own}" if python.__name__.startswith("_") and stem else own
-        count = self._names[own] = self._names.get(own, 0) + 1
-        return own if count == 1 else f"{own}_{count}"
+        self._names[own] += 1
+        return own if self._names[own] == 1 else f"{own}_{self._names[own]}"
 
     def symbol(self, name: str, value: int) -> str:
         """A constant by its name, or by its value where the name means another one."""
@@ -151,14 +220,21 @@ class Translation:
         return str(value)
 
 
-def _tree(python: Any) -> ast.FunctionDef:
+def _python(function: object) -> FunctionType:
+    """The Python function behind a compiled one."""
+    found = getattr(function, "py_func", function)
+    assert inspect.isfunction(found)
+    return found
+
+
+def _tree(python: FunctionType) -> ast.FunctionDef:
     """The source of a function."""
     found = ast.parse(textwrap.dedent(inspect.getsource(python))).body[0]
     assert isinstance(found, ast.FunctionDef)
     return found
 
 
-def _annotated(python: Any) -> list[tuple[str, str]]:
+def _annotated(python: FunctionType) -> list[tuple[str, str]]:
     """Arguments of a function with the words of their types."""
     return [(node.arg, ast.unparse(node.annotation or ast.Name("float"))) for node in _tree(python).args.args]
 
@@ -171,11 +247,11 @@ def _put_in(value: _Value) -> tuple[str, int] | None:
 class _Writer:
     """Writes one function for one set of arguments."""
 
-    def __init__(self, program: Translation, python: Any, arguments: Sequence[_Value]) -> None:
+    def __init__(self, program: Translation, python: FunctionType, arguments: Sequence[_Value]) -> None:
         self.program, self.language, self.python = program, program.language, python
         self.tree = _tree(python)
         closure = inspect.getclosurevars(python).nonlocals
-        self.scope = {**python.__globals__, **closure}
+        self.scope = {**vars(builtins), **python.__globals__, **closure}
         self.lines: list[str] = []
         self.depth = 1
         self.variables: dict[str, _Value] = {}
@@ -194,13 +270,11 @@ class _Writer:
         )
 
     def _results(self) -> int:
-        returns = self.tree.returns
-        if returns is None or (isinstance(returns, ast.Constant) and returns.value is None):
-            return 0
-        if isinstance(returns, ast.Subscript):  # tuple[float, ...]
-            assert isinstance(returns.slice, ast.Tuple)
-            return len(returns.slice.elts)
-        return -1
+        """Numbers that the function returns in a tuple, -1 for one by its value."""
+        returns = ast.unparse(self.tree.returns or ast.Constant(None))
+        if returns.startswith("tuple"):  # tuple[float, ...]
+            return returns.count("float")
+        return 0 if returns == "None" else -1
 
     def _arguments(self, arguments: Sequence[_Value]) -> str:
         signature = []
@@ -216,20 +290,17 @@ class _Writer:
                 kind: Kind = "int" if value.kind == "int" else "double"
                 signature.append(f"{kind} {name}")
                 self.variables[node.arg] = _Value(name, kind)
-        signature += [self.language.out.format(f"r{k}_") for k in range(max(self.results, 0))]
-        return ", ".join(signature) or ("void" if self.language.put.startswith("*") else "")
+        signature += [self.language.out[0].format(f"r{k}_") for k in range(max(self.results, 0))]
+        return ", ".join(signature) or ("void" if self.language is C else "")
 
     def write(self, name: str) -> str:
-        body = self.tree.body
-        comment = ""
-        if isinstance(body[0], ast.Expr) and isinstance(body[0].value, ast.Constant):
-            first = str(body[0].value.value).partition("\n\n")[0]
-            comment = "/* " + " ".join(first.split()).replace("``", "").replace("*/", "") + " */\n"
-            body = body[1:]
-        self.statements(body)
+        doc = ast.get_docstring(self.tree, clean=False) or ""
+        text = " ".join(doc.partition("\n\n")[0].split()).replace("``", "").replace("*/", "")
+        comment = f"/* {text} */\n" if doc else ""
+        self.statements(self.tree.body[bool(doc) :])
         kind = "double" if self.results < 0 else "void"
         locals_ = self._declarations()
-        head = f"{comment}{self.language.function} {kind} {name}({self.signature})"
+        head = f"{comment}static {kind} {name}({self.signature})"
         return "\n".join([head, "{", *locals_, *self.lines, "}", ""])
 
     def _declarations(self) -> Iterator[str]:
@@ -261,14 +332,14 @@ class _Writer:
         kind, start = {
             "int": ("int", "0"),
             "double": ("double", "0.0"),
-            "bool": (self.language.boolean, self.language.truth[0]),
+            "bool": self.language.boolean[:2],
         }[value.kind]
         self.locals[text] = kind, f"{text} = {start}"
         return found
 
-    def temporary(self, value: _Value) -> _Value:
+    def temporary(self, kind: Kind) -> _Value:
         self.temporaries += 1
-        return self.local(f"t{self.temporaries}_", value)
+        return self.local(f"t{self.temporaries}_", _Value("", kind))
 
     def array(self, name: str, kind: Kind, shape: tuple[int, ...]) -> _Value:
         text = self._named(name)
@@ -278,15 +349,9 @@ class _Writer:
 
     def resolve(self, node: ast.expr) -> Any:
         """The object of Python that a name or an attribute means."""
-        if isinstance(node, ast.Name) and node.id in self.scope:
-            return self.scope[node.id]
-        if isinstance(node, ast.Name):
-            return {"abs": abs, "max": max, "min": min, "range": range, "float": float, "int": int}.get(
-                node.id
-            )
         if isinstance(node, ast.Attribute):
             return getattr(self.resolve(node.value), node.attr, None)
-        return None
+        return self.scope.get(node.id) if isinstance(node, ast.Name) else None
 
     # -- statements
 
@@ -303,10 +368,12 @@ class _Writer:
 
     def statements(self, nodes: Sequence[ast.stmt]) -> None:
         for node in nodes:
-            method = getattr(self, f"_{type(node).__name__.lower()}", None)
-            if method is None:
-                self.refuse(node, type(node).__name__)
-            method(node)
+            self.method("_", node)(node)
+
+    def method(self, prefix: str, node: ast.AST) -> Any:
+        """The method that writes nodes of this type."""
+        name = type(node).__name__
+        return getattr(self, prefix + name.lower(), None) or self.refuse(node, name)
 
     def _pass(self, node: ast.Pass) -> None:
         pass
@@ -314,22 +381,21 @@ class _Writer:
     def _expr(self, node: ast.Expr) -> None:
         if not isinstance(node.value, ast.Call):
             self.refuse(node, "an expression without an effect")
-        self.call(node.value, as_statement=True)
+        self._of_call(node.value, as_statement=True)
 
     def _return(self, node: ast.Return) -> None:
-        if self.results < 0:
-            assert node.value is not None
+        if self.results < 0 and node.value is not None:
             self.line(f"return {self.number(node.value).text};")
             return
-        assert isinstance(node.value, ast.Tuple)
-        for k, value in enumerate([self.number(item) for item in node.value.elts]):
-            self.line(f"{self.language.put.format(f'r{k}_')} = {value.text};")
+        values = node.value.elts if isinstance(node.value, ast.Tuple) else []
+        for k, value in enumerate([self.number(item) for item in values]):
+            self.line(f"{self.language.out[1].format(f'r{k}_')} = {value.text};")
         if node is not self.tree.body[-1]:
             self.line("return;")
 
     def _break(self, node: ast.Break) -> None:
         if self.breaks[-1]:
-            self.line(f"{self.breaks[-1]} = {self.language.truth[1]};")
+            self.line(f"{self.breaks[-1]} = {self.language.boolean[2]};")
         self.line("break;")
 
     def _if(self, node: ast.If) -> None:
@@ -346,30 +412,43 @@ class _Writer:
     def truth(self, value: _Value) -> str:
         return value.text if value.kind == "bool" else f"{value.text} != 0"
 
+    @contextmanager
+    def loop(self, name: str, begin: str, end: str, step: int = 1) -> Iterator[str]:
+        """A loop of a variable over integers from ``begin`` to before ``end``; gives the variable's text."""
+        self.variables.pop(name, None)
+        index = self.local(name, _Value("", "int")).text
+        towards, move = ("<", "++") if step == 1 else (">", "--")
+        with self.block(f"for ({index} = {begin}; {index} {towards} {end}; {index}{move})"):
+            yield index
+
+    def _each(self, array: _Value) -> AbstractContextManager[str]:
+        """A loop over the elements of an array."""
+        assert array.shape is not None
+        return self.loop("n_", "0", str(math.prod(array.shape)))
+
     def _for(self, node: ast.For) -> None:
-        if not (isinstance(node.iter, ast.Call) and self.resolve(node.iter.func) is range):
+        if not (
+            isinstance(node.iter, ast.Call)
+            and isinstance(node.target, ast.Name)
+            and self.resolve(node.iter.func) is range
+        ):
             self.refuse(node, "a loop over what is no range")
-        assert isinstance(node.target, ast.Name)
         bounds = [self.expression(argument) for argument in node.iter.args]
-        begin = bounds[0] if len(bounds) > 1 else _Value("0", "int", known=0)
-        end = bounds[1] if len(bounds) > 1 else bounds[0]
+        begin, end = (bounds if len(bounds) > 1 else [_Value("0", "int", known=0), *bounds])[:2]
         step = bounds[2].known if len(bounds) > 2 else 1
         if begin.known is not None and end.known == begin.known + 1 and not node.orelse and step == 1:
-            self.variables[node.target.id] = replace(begin)  # once: such as over the lanes of a block of one
+            self.variables[node.target.id] = begin  # once: such as over the lanes of a block of one
             self.statements(node.body)
             del self.variables[node.target.id]
             return
-        self.variables.pop(node.target.id, None)
-        index = self.local(node.target.id, _Value("", "int")).text
-        flag = ""
-        if node.orelse:
-            flag = self.temporary(_Value("", "bool")).text
-            self.line(f"{flag} = {self.language.truth[0]};")
-        self.breaks.append(flag)
-        towards, move = ("<", f"{index}++") if step == 1 else (">", f"{index}--")
         if step not in (1, -1):
             self.refuse(node, "a loop with such a step")
-        with self.block(f"for ({index} = {begin.text}; {index} {towards} {end.text}; {move})"):
+        flag = ""
+        if node.orelse:
+            flag = self.temporary("bool").text
+            self.line(f"{flag} = {self.language.boolean[1]};")
+        self.breaks.append(flag)
+        with self.loop(node.target.id, begin.text, end.text, int(step)):
             self.statements(node.body)
         self.breaks.pop()
         if node.orelse:
@@ -399,13 +478,12 @@ class _Writer:
         value = self.expression(node)
         if value.known is not None:
             return value
-        found = self.temporary(value)
+        found = self.temporary(value.kind)
         self.line(f"{found.text} = {value.text};")
         return found
 
     def _annassign(self, node: ast.AnnAssign) -> None:
-        assert node.value is not None
-        self._single(node.target, node.value)
+        self._single(node.target, node.value or ast.Constant(None))
 
     def _single(self, target: ast.expr, value: ast.expr) -> None:
         if isinstance(target, ast.Name):
@@ -440,19 +518,10 @@ class _Writer:
 
     def _constant(self, name: str) -> bool:
         """Whether a local name is assigned to only once."""
-        count = 0
-        for node in ast.walk(self.tree):
-            if isinstance(node, ast.Name) and node.id == name and isinstance(node.ctx, ast.Store):
-                count += 1
-        return count == 1
-
-    @contextmanager
-    def _each(self, array: _Value) -> Iterator[str]:
-        """A loop over the elements of an array."""
-        assert array.shape is not None
-        index = self.local("n_", _Value("", "int")).text
-        with self.block(f"for ({index} = 0; {index} < {math.prod(array.shape)}; {index}++)"):
-            yield index
+        stores = (
+            n.id for n in ast.walk(self.tree) if isinstance(n, ast.Name) and isinstance(n.ctx, ast.Store)
+        )
+        return list(stores).count(name) == 1
 
     def _allocate(self, name: str, node: ast.Call) -> None:
         shape = node.args[0]
@@ -470,63 +539,50 @@ class _Writer:
         count = self.expression(loop.iter.args[0]).known
         assert count is not None
         array = self.array(name, "double", (int(count),))
-        self.variables.pop(loop.target.id, None)
-        index = self.local(loop.target.id, _Value("", "int")).text
-        with self.block(f"for ({index} = 0; {index} < {count}; {index}++)"):
+        with self.loop(loop.target.id, "0", str(count)) as index:
             self.line(f"{array.text}[{index}] = {self.number(node.elt).text};")
 
     def _take(self, targets: Sequence[ast.expr], node: ast.Call) -> None:
         """Several names from a call that returns several numbers."""
         names = [target.id for target in targets if isinstance(target, ast.Name)]
-        into = (
-            [self.local(name, _Value("", "double")) for name in names] if len(names) == len(targets) else []
-        )
-        results = self.results_of(node, into)
+        plain = len(names) == len(targets)
+        results = self.results_of(node, [self.local(n, _Value("", "double")) for n in names] if plain else ())
         if len(results) != len(targets):
             self.refuse(node, "a call that returns another number of values")
-        if into:
-            return
-        for target, value in zip(targets, results, strict=True):
+        for target, value in () if plain else zip(targets, results, strict=True):
             self.store(target, value)
 
     def _augassign(self, node: ast.AugAssign) -> None:
-        operator, _ = _OPERATORS[type(node.op)]
+        symbol, _ = _OPERATORS[type(node.op)]
         if isinstance(node.target, ast.Name) and (array := self.variables.get(node.target.id)) is not None:
             if array.shape is not None:
                 with self._each(array) as index:
                     value = self._elementwise(node.value, index)
-                    self.line(f"{array.text}[{index}] {operator}= {value.text};")
+                    self.line(f"{array.text}[{index}] {symbol}= {value.text};")
                 return
             if array.known is not None:
                 self.refuse(node, "a change of a known number")
         value = self.expression(node.value)
-        self.line(f"{self.expression(node.target).text} {operator}= {value.text};")
+        self.line(f"{self.expression(node.target).text} {symbol}= {value.text};")
 
     def _elementwise(self, node: ast.expr, index: str) -> _Value:
         """An expression in which whole arrays stand for their element ``index``."""
-        before = dict(self.variables)
-        for name, value in before.items():
-            if value.shape is not None:
-                self.variables[name] = _Value(f"{value.text}[{index}]", value.kind)
-        try:
-            return self.number(node)
-        finally:
-            self.variables = before | {k: v for k, v in self.variables.items() if k not in before}
+        arrays = {name: value for name, value in self.variables.items() if value.shape is not None}
+        for name, array in arrays.items():
+            self.variables[name] = _Value(f"{array.text}[{index}]", array.kind)
+        value = self.number(node)
+        self.variables |= arrays
+        return value
 
     # -- expressions
 
     def number(self, node: ast.expr) -> _Value:
         """An expression as a number with a point."""
         value = self.expression(node)
-        if value.kind == "int" and value.known is not None:
-            return _Value(_literal(float(value.known)), "double", known=float(value.known))
-        return value
+        return _floating(value) if value.known is not None else value
 
     def expression(self, node: ast.expr) -> _Value:
-        method = getattr(self, f"_of_{type(node).__name__.lower()}", None)
-        if method is None:
-            self.refuse(node, type(node).__name__)
-        found: _Value = method(node)
+        found: _Value = self.method("_of_", node)(node)
         return found
 
     def _of_constant(self, node: ast.Constant) -> _Value:
@@ -534,26 +590,24 @@ class _Writer:
 
     def literal(self, node: ast.AST, value: Any) -> _Value:
         if isinstance(value, bool):
-            return _Value(self.language.truth[value], "bool", known=value)
+            return _Value(self.language.boolean[1 + value], "bool", known=value)
         if isinstance(value, int):
             return _Value(str(value), "int", _TIGHT if value >= 0 else _UNARY_BINDS, known=value)
         if isinstance(value, float):
             return _Value(_literal(value), "double", _TIGHT if value >= 0 else _UNARY_BINDS, known=value)
         self.refuse(node, f"a {type(value).__name__}")
 
-    def _of_name(self, node: ast.Name) -> _Value:
-        if node.id in self.variables:
+    def _of_name(self, node: ast.Name | ast.Attribute) -> _Value:
+        if isinstance(node, ast.Name) and node.id in self.variables:
             return self.variables[node.id]
-        return self._global(node, node.id, self.resolve(node))
-
-    def _of_attribute(self, node: ast.Attribute) -> _Value:
-        return self._global(node, node.attr, self.resolve(node))
-
-    def _global(self, node: ast.AST, name: str, value: Any) -> _Value:
-        found = self.literal(node, value)
+        name = node.id if isinstance(node, ast.Name) else node.attr
+        value = self.resolve(node)
+        found = self.literal(node, 1 if name == "WIDTH" else value)
         if found.kind == "int" and name != "WIDTH":
             return replace(found, text=self.program.symbol(name, int(value)))
-        return _Value("1", "int", known=1) if name == "WIDTH" else found
+        return found
+
+    _of_attribute = _of_name
 
     def _of_unaryop(self, node: ast.UnaryOp) -> _Value:
         value = self.expression(node.operand)
@@ -579,37 +633,37 @@ class _Writer:
             self.refuse(node, "an operator")
         return self.joined(type(node.op), left, right)
 
-    def joined(self, operator: type[ast.AST], left: _Value, right: _Value) -> _Value:
+    def joined(self, how: type[ast.AST], left: _Value, right: _Value) -> _Value:
         """Two expressions with an operator between them; a factor of 1 and a summand of 0 are left away."""
         both_int = left.kind == "int" and right.kind == "int"
-        if both_int and operator is ast.Mult and "1" in (left.text, right.text):
+        if both_int and how is ast.Mult and "1" in (left.text, right.text):
             return left if right.text == "1" else right
-        if both_int and operator is ast.Add and "0" in (left.text, right.text):
+        if both_int and how is ast.Add and "0" in (left.text, right.text):
             return left if right.text == "0" else right
-        symbol, binds = _OPERATORS[operator]
-        if operator in (ast.BitAnd, ast.BitOr):  # compilers warn of a comparison beside it
+        symbol, binds = _OPERATORS[how]
+        if how in (ast.BitAnd, ast.BitOr):  # compilers warn of a comparison beside it
             left, right = (_Value(_within(side, 10), side.kind, known=side.known) for side in (left, right))
         kind: Kind = left.kind if left.kind == right.kind else "double"
-        if operator is ast.Div:
+        if how is ast.Div:
             kind = "double"
             left, right = (_floating(side) for side in (left, right))
         known = None
-        if both_int and left.known is not None and right.known is not None and operator in _PYTHON:
-            known = _PYTHON[operator](left.known, right.known)
-            if (left.text.isdigit() and right.text.isdigit()) or operator in (ast.BitAnd, ast.BitOr):
+        if both_int and left.known is not None and right.known is not None and how in _PYTHON:
+            known = _PYTHON[how](left.known, right.known)
+            if (left.text.isdigit() and right.text.isdigit()) or how in (ast.BitAnd, ast.BitOr):
                 return _Value(str(known), "int", known=known)
         return _Value(f"{_within(left, binds)} {symbol} {_within(right, binds + 1)}", kind, binds, known)
 
     def _of_compare(self, node: ast.Compare) -> _Value:
         terms = [self.expression(item) for item in (node.left, *node.comparators)]
         parts = []
-        for operator, left, right in zip(node.ops, terms, terms[1:], strict=False):
-            if type(operator) not in _OPERATORS:
+        for how, left, right in zip(node.ops, terms, terms[1:], strict=False):
+            if type(how) not in _OPERATORS:
                 self.refuse(node, "a comparison")
             if left.known is not None and right.known is not None:
-                parts.append(self.literal(node, bool(_PYTHON[type(operator)](left.known, right.known))))
+                parts.append(self.literal(node, bool(_PYTHON[type(how)](left.known, right.known))))
                 continue
-            symbol, binds = _OPERATORS[type(operator)]
+            symbol, binds = _OPERATORS[type(how)]
             parts.append(
                 _Value(f"{_within(left, binds + 1)} {symbol} {_within(right, binds + 1)}", "bool", binds)
             )
@@ -618,16 +672,16 @@ class _Writer:
     def _of_boolop(self, node: ast.BoolOp) -> _Value:
         return self.all_of(type(node.op), [self.expression(item) for item in node.values])
 
-    def all_of(self, operator: type[ast.AST], parts: Sequence[_Value]) -> _Value:
-        ends = operator is ast.Or  # the known value that decides
+    def all_of(self, how: type[ast.AST], parts: Sequence[_Value]) -> _Value:
+        ends = how is ast.Or  # the known value that decides
         if any(part.known is not None and bool(part.known) is ends for part in parts):
-            return _Value(self.language.truth[ends], "bool", known=ends)
+            return self.literal(self.tree, ends)
         parts = [part for part in parts if part.known is None]
         if not parts:
-            return _Value(self.language.truth[not ends], "bool", known=not ends)
+            return self.literal(self.tree, not ends)
         if len(parts) == 1:
             return parts[0]
-        symbol, binds = _OPERATORS[operator]
+        symbol, binds = _OPERATORS[how]
         both = _OPERATORS[ast.And][1] + 1  # compilers warn of one within the other
         text = f" {symbol} ".join(_within(replace(p, text=self.truth(p)), both) for p in parts)
         return _Value(text, "bool", binds)
@@ -659,58 +713,56 @@ class _Writer:
             index = self.expression(node.slice)
         return _Value(f"{array.text}[{index.text}]", array.kind)
 
-    def _of_call(self, node: ast.Call) -> _Value:
-        return self.call(node)
-
-    def call(self, node: ast.Call, as_statement: bool = False) -> _Value:
+    def _of_call(self, node: ast.Call, as_statement: bool = False) -> _Value:
         function = self.resolve(node.func)
+        name = getattr(function, "__name__", "")
         if function is float:
             return self.number(node.args[0])
         if function is int:
             return _Value(f"(int){_within(self.number(node.args[0]), _TIGHT)}", "int", _UNARY_BINDS)
-        if function is numerics.fma:
-            return self._helper("fma_", node)
-        if function in (max, min):
-            return self._helper("larger" if function is max else "smaller", node)
-        name = getattr(function, "__name__", "")
         if function is abs or function is getattr(math, name, None):
             if name not in self.language.mathematics:
                 self.refuse(node, f"{name}()")
-            return self._helper(self.language.mathematics[name], node)
-        python = getattr(function, "py_func", function)
-        if not inspect.isfunction(python):
-            self.refuse(node, f"a call of {ast.unparse(node.func)}")
-        written, arguments = self._called(node, python)
+            helper = self.language.mathematics[name]
+        else:
+            helper = _HELPER_OF.get(function, "")
+        if helper:
+            texts = [self.number(argument).text for argument in node.args]
+            return _Value(f"{helper}({', '.join(texts)})", "double")
+        written, arguments = self._called(node)
+        if written.results != (0 if as_statement else -1):
+            self.refuse(
+                node, "a call whose results are not used, or one with none or several in an expression"
+            )
+        text = f"{written.name}({', '.join(arguments)})"
         if as_statement:
-            if written.results:
-                self.refuse(node, "a call whose result is not used")
-            self.line(f"{written.name}({', '.join(arguments)});")
-            return _Value("", "double")
-        if written.results != -1:
-            self.refuse(node, "a call that returns several numbers, or none, in an expression")
-        return _Value(f"{written.name}({', '.join(arguments)})", "double")
+            self.line(f"{text};")
+        return _Value(text, "double")
 
-    def _helper(self, name: str, node: ast.Call) -> _Value:
-        values = [self.number(argument) for argument in node.args]
-        return _Value(f"{name}({', '.join(value.text for value in values)})", "double")
-
-    def _called(self, node: ast.Call, python: Any) -> tuple[_Function, list[str]]:
-        values = []
-        for argument, (_, kind) in zip(node.args, _annotated(python), strict=True):
-            values.append(self.number(argument) if kind == "float" else self.expression(argument))
+    def _called(self, node: ast.Call) -> tuple[_Function, list[str]]:
+        """The written function of a call, and the texts of its arguments."""
+        function = self.resolve(node.func)
+        if not inspect.isfunction(getattr(function, "py_func", function)):
+            self.refuse(node, f"a call of {ast.unparse(node.func)}")
+        python = _python(function)
+        values = [
+            self.number(argument) if kind == "float" else self.expression(argument)
+            for argument, (_, kind) in zip(node.args, _annotated(python), strict=True)
+        ]
         written = self.program.function(python, values)
         return written, [value.text for value in values if _put_in(value) is None]
 
     def results_of(self, node: ast.Call, into: Sequence[_Value] = ()) -> list[_Value]:
         """Variables with the numbers that a call returns: these, or new ones."""
-        python = getattr(self.resolve(node.func), "py_func", self.resolve(node.func))
-        if not inspect.isfunction(python):
-            self.refuse(node, f"a call of {ast.unparse(node.func)}")
-        written, arguments = self._called(node, python)
-        results = list(into) or [self.temporary(_Value("", "double")) for _ in range(written.results)]
-        arguments += [self.language.hand.format(result.text) for result in results]
+        written, arguments = self._called(node)
+        results = list(into) or [self.temporary("double") for _ in range(written.results)]
+        arguments += [self.language.out[2].format(result.text) for result in results]
         self.line(f"{written.name}({', '.join(arguments)});")
         return results
+
+
+#: Functions that have a helper in the written code.
+_HELPER_OF: Final[Mapping[object, str]] = {numerics.fma: "fma_", max: "larger", min: "smaller"}
 
 
 def _within(value: _Value, binds: int) -> str:

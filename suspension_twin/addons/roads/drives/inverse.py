@@ -1,15 +1,20 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The linear inverse: a Gaussian road seen through the twin by several passes at once.
+"""The linear inverse problem: a Gaussian road measured through the twin by several passes at once.
 
 Unknown are the mean and the half difference of the heights of both wheel paths on a grid of lines
 beside each other, and a shift along the road of each pass at its knots. A priori the road is a
 filtered white noise, ``x = S w`` with ``|S|²`` the spectrum, coherent across as an isotropic surface
-is, and the noise of each channel of a pass is stationary with a spectrum of its own. What is solved is
-(I + Aᵀ A) w = Aᵀ r with A the whitened chain from w to the channels, by conjugate gradients; every
-factor is a Fourier transform or a sparse matrix, so the cost grows with the length of the road and not
-with its square. The posterior is sampled by solving the same equations for a road drawn from the prior
-and channels that it would have given with noise (Papandreou and Yuille, NIPS 23 (2010) 1858; the error
-of that estimate has the posterior's covariance).
+is, and the noise of each channel of a pass is stationary with a spectrum of its own. With A the whitened
+chain from w to the channels,
+
+    (I + Aᵀ A) w = Aᵀ r
+
+is solved by conjugate gradients; every factor is a Fourier transform or a sparse matrix, so the cost
+grows with the length of the road and not with its square. The posterior is sampled by solving the same
+equations for a road drawn from the prior and channels that it would have given with noise (Papandreou and
+Yuille, NIPS 23 (2010) 1858; the error of that estimate has the posterior's covariance).
+
+A bump whose size was measured is a further observation of the heights, ``KnownHeights``.
 """
 
 from __future__ import annotations
@@ -24,10 +29,22 @@ from scipy.fft import irfft, next_fast_len, rfft
 from scipy.sparse import csr_matrix
 from scipy.special import k1
 
-from suspension_twin.addons.roads.drives.passes import FINE, Pass
+from suspension_twin.addons.roads.drives.passes import FINE, RoadPass
 from suspension_twin.arrays import Floats
+from suspension_twin.errors import InputError
+from suspension_twin.road.recipe import Feature, shape_of
 
-__all__ = ["Inverse", "KnownHeights", "RoadPrior", "Seen", "Unknown", "coherence", "period_of"]
+__all__ = [
+    "Complex",
+    "Inverse",
+    "KnownHeights",
+    "LinearPass",
+    "RoadPrior",
+    "coherence",
+    "known_heights",
+    "period_of",
+    "sides_of",
+]
 
 Complex = NDArray[np.complex128]
 
@@ -38,32 +55,40 @@ _MOST = 400  # iterations
 #: one with which the five drives of benchmarks/road_from_drives.py, newton 7001, leave least of another drive.
 _ISOTROPIC = 0.1
 _NUGGET = 1e-6  # on the diagonal of coherences, all 1 for the longest waves
+#: m about the stated place within which a bump is looked for, at so many m.
+_REACH, _STEP = 3.0, 0.01
+#: m before and after a bump that are level with its foot.
+_FOOT = 0.3
+#: m by which a tape, and the road under a bump, are off.
+_SIGMA = 0.002
+#: Correlation of the estimate with a bump's shape below which it is another one.
+_LEAST = 0.8
+#: Factor by which the height may be off in an estimate with a vehicle that is not calibrated.
+_ALIKE = 2.0
 
 
-@dataclass(frozen=True, eq=False)
-class Unknown:
-    """``road`` (2, lines, period): white noise of mean and half difference; ``shifts``: each pass's (j,) in prior
-    sigmas."""
-
-    road: Floats
-    shifts: tuple[Floats, ...]
-
-    def plus(self, factor: float, other: Unknown) -> Unknown:
-        """This plus ``factor`` times another."""
-        shifts = tuple(a + factor * b for a, b in zip(self.shifts, other.shifts, strict=True))
-        return Unknown(self.road + factor * other.road, shifts)
-
-    def dot(self, other: Unknown) -> float:
-        """Inner product."""
-        shifts = sum(float(a @ b) for a, b in zip(self.shifts, other.shifts, strict=True))
-        return float(np.vdot(self.road, other.road)) + shifts
+def sides_of(heights: Floats) -> Floats:
+    """Left and right of mean and half difference, (2, ...); and the other way round but for a factor of 2."""
+    return np.array([heights[0] + heights[1], heights[0] - heights[1]])
 
 
 @dataclass(frozen=True, eq=False)
 class RoadPrior:
-    """The road a priori: ``spectrum`` (2, k) m³, one-sided, of mean and half difference at ``n`` (k,) cycles/m;
-    ``scale`` (2, period) by which the white noise is larger in places; ``count`` heights every ``step`` m on lines
-    that lie ``across`` (k,) m to the left of their wheel path."""
+    """The road a priori.
+
+    Parameters
+    ----------
+    count, period : int
+        Heights on each line, and samples of the period of its transform.
+    step : float
+        m between heights.
+    spectrum : (2, k) array
+        One-sided PSD in m³ of mean and half difference at ``n``.
+    scale : (2, period) array
+        Factor by which the white noise is larger in places.
+    across : (lines,) array
+        m by which the lines lie to the left of their wheel path.
+    """
 
     count: int
     period: int
@@ -132,38 +157,45 @@ def period_of(count: int, step: float) -> int:
     return int(next_fast_len(count + round(60.0 / step), real=True))
 
 
-class Seen:
-    """One pass's chain from heights to whitened channels, about a road and a shift."""
+class LinearPass:
+    """One pass's chain from heights to whitened channels, linear about a road and a shift.
+
+    Parameters
+    ----------
+    one : RoadPass
+        The pass.
+    gain : (k, 3, 4) array
+        Of the vehicle at the pass's frequencies, filter included.
+    noise : (3, k) array
+        One-sided PSD of each channel, infinite where nothing is compared.
+    wheels : sequence of csr_matrix
+        From :meth:`RoadPass.wheel_matrices`.
+    slope : (4, FINE n) array
+        Of the road under each wheel.
+    """
 
     def __init__(
-        self, one: Pass, gain: Complex, noise: Floats, wheels: Sequence[csr_matrix], slope: Floats
+        self, one: RoadPass, gain: Complex, noise: Floats, wheels: Sequence[csr_matrix], slope: Floats
     ) -> None:
-        """``gain`` (k, 3, 4) at the pass's frequencies, filter included; ``noise`` (3, k) one-sided PSD, infinite
-        where nothing is compared; ``slope`` (4, FINE n) of the road under each wheel."""
         self.one, self.wheels, self.slope = one, wheels, slope
         self.gain = np.ascontiguousarray(gain.transpose(1, 2, 0))  # (3, 4, k)
-        self.n = one.t.size
+        self.n = one.size
         self.whitening = 1.0 / np.sqrt(noise * 0.5 * one.rate)
         self.back = [w.T.tocsr() for w in wheels]
-        edge = np.zeros(FINE * self.n)
-        edge[:] = 1.0
+        # The start of a period must not see its end as a step.
+        self.edge = np.ones(FINE * self.n)
         rise = 0.5 - 0.5 * np.cos(np.pi * np.arange(round(FINE * one.rate)) / (FINE * one.rate))
-        edge[: rise.size] = rise[: edge.size]
-        edge[-rise.size :] = np.minimum(edge[-rise.size :], rise[::-1])
-        self.edge = edge  # the start of a period must not see its end as a step
+        self.edge[: rise.size] = rise[: self.edge.size]
+        self.edge[-rise.size :] = np.minimum(self.edge[-rise.size :], rise[::-1])
 
     def channels(self, heights: Floats, shift: Floats) -> Floats:
         """Channels (3, n), not whitened, of changes of heights (2, lines, count) and shift (j,) m."""
         moved = shift @ self.one.knots
-        sides = ((heights[0] + heights[1]).ravel(), (heights[0] - heights[1]).ravel())
+        sides = sides_of(heights).reshape(2, -1)
         z = np.array([w @ sides[i % 2] for i, w in enumerate(self.wheels)]) + self.slope * moved
         spectrum = rfft(z * self.edge, axis=1)[:, : self.n // 2 + 1] / FINE
         out: Floats = irfft((self.gain * spectrum).sum(axis=1), self.n, axis=1)
         return out
-
-    def forward(self, heights: Floats, shift: Floats) -> Floats:
-        """Whitened channels (3, n)."""
-        return self.whiten(self.channels(heights, shift))
 
     def whiten(self, channels: Floats) -> Floats:
         """Channels (3, n) with their weights, at unit variance a sample where there is noise alone."""
@@ -179,7 +211,7 @@ class Seen:
         return out
 
     def adjoint(self, white: Floats) -> tuple[Floats, Floats]:
-        """Of ``forward``: heights (2, lines count) and shift (j,)."""
+        """Of whitened :meth:`channels`: heights (2, lines count) and shift (j,)."""
         channels = self.one.weight * irfft(self.whitening * rfft(white, axis=1), self.n, axis=1)
         spectrum = np.zeros((4, FINE * self.n // 2 + 1), dtype=np.complex128)
         half = self.n // 2 + 1
@@ -188,14 +220,17 @@ class Seen:
             spectrum[:, half - 1] *= 0.5  # the last of the coarse is one of a pair in the fine
         z = self.edge * irfft(spectrum, FINE * self.n, axis=1)
         parts = [b @ z[i] for i, b in enumerate(self.back)]
-        left, right = parts[0] + parts[2], parts[1] + parts[3]
-        return np.array([left + right, left - right]), self.one.knots @ (self.slope * z).sum(axis=0)
+        sides = np.array([parts[0] + parts[2], parts[1] + parts[3]])
+        return sides_of(sides), self.one.knots @ (self.slope * z).sum(axis=0)
 
 
 @dataclass(frozen=True, eq=False)
 class KnownHeights:
-    """A stretch whose shape was measured: the heights of ``sides`` (of left and right) from the sample ``first`` on are
-    ``shape`` (m,) m above the straight line between its ends, with an error of ``sigma`` m each, on all ``lines``."""
+    """A part of the road whose shape was measured.
+
+    The heights of ``sides`` (of left and right) from the sample ``first`` on are ``shape`` (m,) m above the straight
+    line between its ends, with an error of ``sigma`` m each, on all ``lines``.
+    """
 
     first: int
     shape: Floats
@@ -208,94 +243,162 @@ class KnownHeights:
         """(sides, lines, m), whitened."""
         return np.tile(self.shape / self.sigma, (len(self.sides), self.lines, 1))
 
+    @property
+    def share(self) -> Floats:
+        """(m,) from 0 at the first to 1 at the last height."""
+        return np.linspace(0.0, 1.0, self.shape.size)
+
     def forward(self, heights: Floats) -> Floats:
         """Whitened (sides, lines, m) of heights (2, lines, count) of mean and half difference."""
-        part = heights[..., self.first : self.first + self.shape.size]
-        sides = np.array([part[0] + part[1], part[0] - part[1]])[list(self.sides)]
-        share = np.linspace(0.0, 1.0, self.shape.size)
-        level = sides[..., :1] * (1.0 - share) + sides[..., -1:] * share
+        sides = sides_of(heights[..., self.first : self.first + self.shape.size])[list(self.sides)]
+        level = sides[..., :1] * (1.0 - self.share) + sides[..., -1:] * self.share
         return np.asarray((sides - level) / self.sigma, dtype=np.float64)
 
     def adjoint(self, white: Floats, count: int) -> Floats:
         """Of ``forward``: (2, lines, count)."""
-        share = np.linspace(0.0, 1.0, self.shape.size)
         each = white.copy()
-        each[..., 0] -= white @ (1.0 - share)
-        each[..., -1] -= white @ share
-        out = np.zeros((2, self.lines, count))
-        stretch = slice(self.first, self.first + self.shape.size)
-        for side, rows in zip(self.sides, each / self.sigma, strict=True):
-            out[0, :, stretch] += rows
-            out[1, :, stretch] += rows if side == 0 else -rows
-        return out
+        each[..., 0] -= white @ (1.0 - self.share)
+        each[..., -1] -= white @ self.share
+        sides = np.zeros((2, self.lines, count))
+        sides[list(self.sides), :, self.first : self.first + self.shape.size] = each / self.sigma
+        return sides_of(sides)
+
+
+def known_heights(
+    feature: Feature, sides: Floats, step: float, first: float = 0.0, lines: int = 1
+) -> KnownHeights:
+    """Find a bump of known size on an estimated road.
+
+    Parameters
+    ----------
+    feature : Feature
+        Its size, and where about it starts: ``at`` m from ``first``.
+    sides : (2, n) array
+        Heights in m of the left and the right wheel path every ``step`` m, as far as they are estimated.
+    step : float
+        m.
+    first : float
+        m of the estimate's line that ``feature.at`` counts from.
+    lines : int
+        Lines beside each other that have it.
+
+    Returns
+    -------
+    KnownHeights
+        Its heights at the place where the estimate fits best.
+
+    Raises
+    ------
+    InputError
+        Nothing there looks like it.
+    """
+    shape = shape_of(feature)
+    length = feature.size[0]
+    on = [i for i, v in enumerate((0.75, -0.75)) if feature.v_low <= v <= feature.v_high]
+    count = int(np.ceil((length + 2.0 * _FOOT) / step)) + 1
+    share = np.linspace(0.0, 1.0, count)
+    best, found, edge = -np.inf, (0, np.zeros(count)), False
+    for off in np.arange(-_REACH, _REACH + _STEP, _STEP):
+        at = first + feature.at + off
+        start = int(np.floor((at - _FOOT) / step))
+        if start < 0 or start + count > sides.shape[1] or not on:
+            continue
+        wanted = shape(step * (start + np.arange(count)) - at)
+        part = sides[on, start : start + count]
+        part = part - part[:, :1] * (1.0 - share) - part[:, -1:] * share
+        gain = float((part @ wanted).mean() / (wanted @ wanted))
+        norm = np.linalg.norm(part) * np.linalg.norm(wanted) * np.sqrt(len(on))
+        fit = float((part @ wanted).sum() / max(norm, 1e-12))
+        if fit > best and 1.0 / _ALIKE < gain < _ALIKE:
+            best, found, edge = fit, (start, wanted), abs(off) > _REACH - 0.1
+    if best < _LEAST or edge:
+        how = "nothing of about that size" if best == -np.inf else f"the best has a correlation of {best:.2f}"
+        raise InputError(
+            f"--{feature.kind}",
+            f"no {length:g} m by {feature.size[1]:g} m on the drives within {_REACH:g} m of {feature.at:g} m: {how}",
+        )
+    return KnownHeights(*found, tuple(on), _SIGMA, lines)
 
 
 class Inverse:
-    """The posterior of road and shifts given what several passes saw, and heights that are known.
+    """The posterior of road and shifts given what several passes measured, and heights that are known.
 
-    Lists of whitened values hold those of the passes first, then those of the known heights.
+    An unknown is a vector: the white noise (2, lines, period) of mean and half difference, then each pass's shift at
+    its knots in prior standard deviations. Lists of whitened values hold those of the passes first, then those of the
+    known heights.
     """
 
-    def __init__(self, prior: RoadPrior, seen: Sequence[Seen], known: Sequence[KnownHeights] = ()) -> None:
-        self.prior, self.seen, self.known = prior, list(seen), list(known)
+    def __init__(
+        self, prior: RoadPrior, linear: Sequence[LinearPass], known: Sequence[KnownHeights] = ()
+    ) -> None:
+        self.prior, self.linear, self.known = prior, list(linear), list(known)
+        sizes = [2 * prior.across.size * prior.period, *(s.one.knots.shape[0] for s in linear)]
+        self._size, self._cuts = sum(sizes), np.cumsum(sizes)[:-1]
 
-    def zero(self) -> Unknown:
-        """Nothing."""
-        shifts = tuple(np.zeros(s.one.knots.shape[0]) for s in self.seen)
-        return Unknown(np.zeros((2, self.prior.across.size, self.prior.period)), shifts)
+    def white(self, unknown: Floats) -> Floats:
+        """White noise (2, lines, period) of an unknown."""
+        return np.split(unknown, self._cuts)[0].reshape(2, -1, self.prior.period)
 
-    def shift(self, i: int, white: Floats) -> Floats:
-        """Shift (j,) m of pass i at its knots."""
-        return white * self.seen[i].one.shift_sigma
+    def heights(self, unknown: Floats) -> Floats:
+        """Heights (2, lines, count) m of mean and half difference."""
+        return self.prior.heights(self.white(unknown))
 
-    def forward(self, unknown: Unknown) -> list[Floats]:
-        """Whitened channels of every pass."""
-        heights = self.prior.heights(unknown.road)
-        channels = [s.forward(heights, self.shift(i, unknown.shifts[i])) for i, s in enumerate(self.seen)]
-        return channels + [k.forward(heights) for k in self.known]
+    def shifts(self, unknown: Floats) -> list[Floats]:
+        """Shift (j,) m of each pass at its knots."""
+        parts = np.split(unknown, self._cuts)[1:]
+        return [part * s.one.shift_sigma for part, s in zip(parts, self.linear, strict=True)]
 
-    def adjoint(self, white: Sequence[Floats]) -> Unknown:
+    def forward(self, unknown: Floats) -> list[Floats]:
+        """Whitened channels of every pass, and known heights."""
+        heights = self.heights(unknown)
+        pairs = zip(self.linear, self.shifts(unknown), strict=True)
+        return [
+            *(s.whiten(s.channels(heights, m)) for s, m in pairs),
+            *(k.forward(heights) for k in self.known),
+        ]
+
+    def adjoint(self, white: Sequence[Floats]) -> Floats:
         """Of ``forward``."""
         heights = np.zeros((2, self.prior.across.size, self.prior.count))
         shifts = []
-        for s, w in zip(self.seen, white, strict=False):
+        for s, w in zip(self.linear, white, strict=False):
             own, moved = s.adjoint(w)
             heights += own.reshape(heights.shape)
             shifts.append(moved * s.one.shift_sigma)
-        for k, w in zip(self.known, white[len(self.seen) :], strict=True):
+        for k, w in zip(self.known, white[len(self.linear) :], strict=True):
             heights += k.adjoint(w, self.prior.count)
-        return Unknown(self.prior.back(heights), tuple(shifts))
+        return np.concatenate([self.prior.back(heights).ravel(), *shifts])
 
-    def solve(self, residuals: Sequence[Floats], tolerance: float = _TOLERANCE) -> Unknown:
+    def solve(self, residuals: Sequence[Floats], tolerance: float = _TOLERANCE) -> Floats:
         """The posterior mean for whitened residuals (3, n) of every pass, by conjugate gradients."""
-        x, r = self.zero(), self.adjoint(residuals)
-        p, rr = r, r.dot(r)
+        r = self.adjoint(residuals)
+        x, p, rr = np.zeros(r.size), r, self._dot(r, r)
         goal = tolerance**2 * rr
         for _ in range(_MOST):
             if rr <= goal:
                 break
-            ap = self._normal(p)
-            alpha = rr / p.dot(ap)
-            x, r = x.plus(alpha, p), r.plus(-alpha, ap)
-            new = r.dot(r)
-            p, rr = r.plus(new / rr, p), new
+            ap = p + self.adjoint(self.forward(p))
+            alpha = rr / self._dot(p, ap)
+            x, r = x + alpha * p, r - alpha * ap
+            new = self._dot(r, r)
+            p, rr = r + new / rr * p, new
         return x
 
-    def _normal(self, x: Unknown) -> Unknown:
-        return x.plus(1.0, self.adjoint(self.forward(x)))
+    def _dot(self, a: Floats, b: Floats) -> float:
+        """Inner product, road and shifts each by itself so that the rounding of one does not depend on the others."""
+        road, *shifts = (
+            float(x @ y) for x, y in zip(np.split(a, self._cuts), np.split(b, self._cuts), strict=True)
+        )
+        return road + sum(shifts)
 
-    def error_sample(self, rng: np.random.Generator) -> Unknown:
+    def error_sample(self, rng: np.random.Generator) -> Floats:
         """A draw of the posterior about its mean."""
         truth, white = self.imagined(rng)
-        return truth.plus(-1.0, self.solve(white, _ROUGH))
+        return np.asarray(truth - self.solve(white, _ROUGH))
 
-    def imagined(self, rng: np.random.Generator) -> tuple[Unknown, list[Floats]]:
+    def imagined(self, rng: np.random.Generator) -> tuple[Floats, list[Floats]]:
         """A road and shifts drawn from the prior, and the whitened channels that they would give, with noise."""
-        zero = self.zero()
-        truth = Unknown(
-            rng.standard_normal(zero.road.shape), tuple(rng.standard_normal(s.shape) for s in zero.shifts)
-        )
+        truth = rng.standard_normal(self._size)
         clean = self.forward(truth)
-        white = [y + s.whiten(s.coloured(rng)) for s, y in zip(self.seen, clean, strict=False)]
-        white += [y + rng.standard_normal(y.shape) for y in clean[len(self.seen) :]]
-        return truth, white
+        white = [y + s.whiten(s.coloured(rng)) for s, y in zip(self.linear, clean, strict=False)]
+        return truth, white + [y + rng.standard_normal(y.shape) for y in clean[len(self.linear) :]]

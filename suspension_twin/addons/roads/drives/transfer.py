@@ -15,13 +15,13 @@ from numpy.typing import NDArray
 
 from suspension_twin.arrays import Floats
 from suspension_twin.models.simulate import simulate_twin
-from suspension_twin.models.types import Excitation, Response
+from suspension_twin.models.types import Excitation
 from suspension_twin.road.build import flat_road
 from suspension_twin.vehicle.twin import Damper, Twin
 
-__all__ = ["CHANNELS", "best_linear_approximation", "channels_of"]
+__all__ = ["CHANNELS", "best_linear_approximation"]
 
-#: What the road is estimated from, as gap.measure names it.
+#: Channels from which the road is estimated.
 CHANNELS = ("vertical_acceleration", "pitch_rate", "roll_rate")
 
 _PERIOD = 1024  # samples of one period
@@ -31,11 +31,6 @@ _LOWEST = 0.1  # Hz; below it the road is flat
 _HADAMARD = np.array([[1, 1, 1, 1], [1, -1, 1, -1], [1, 1, -1, -1], [1, -1, -1, 1]], dtype=np.float64)
 
 Complex = NDArray[np.complex128]
-
-
-def channels_of(response: Response) -> Floats:
-    """The channels (3, n) of a simulated sensor."""
-    return np.array([response.vertical_acceleration, response.rate[:, 1], response.rate[:, 0]])
 
 
 def best_linear_approximation(
@@ -78,10 +73,11 @@ def best_linear_approximation(
         inputs, outputs = [], []
         for signs in _HADAMARD:
             spectrum = amplitude[:, None] * phase * signs
-            fine = np.fft.irfft(_padded(spectrum, n * _STEPS) * _STEPS, n * _STEPS, axis=0)
-            response = channels_of(simulate_twin(twin, _shaken(fine, rate, speed)))
+            fine = np.fft.irfft(spectrum * _STEPS, n * _STEPS, axis=0)
+            found = simulate_twin(twin, _shaken(fine, rate, speed))
+            channels = np.stack([found.vertical_acceleration, found.rate[:, 1], found.rate[:, 0]], axis=1)
             inputs.append(spectrum)
-            outputs.append(np.fft.rfft(response[:, n : 2 * n], axis=1).T)
+            outputs.append(np.fft.rfft(channels[n : 2 * n], axis=0))
         u, y = np.stack(inputs, axis=2), np.stack(outputs, axis=2)
         total[used] += y[used] @ np.linalg.inv(u[used])
     return f, total / _REALISATIONS
@@ -89,15 +85,14 @@ def best_linear_approximation(
 
 def _symmetric(twin: Twin) -> Twin:
     """The twin with dampers that have the mean of push and pull in both directions."""
-    axles = {}
+    curves: dict[str, dict[str, list[float]]] = {}
     for axle in ("front", "rear"):
-        push, pull = (getattr(getattr(twin.vehicle, axle), f"damper_{way}") for way in ("push", "pull"))
-        speeds = sorted({*push.velocity, *pull.velocity})
-        force = 0.5 * (_force(push, speeds) + _force(pull, speeds))
-        curve = {"velocity": list(speeds), "force": force.tolist()}
-        for way in ("push", "pull"):
-            axles[f"vehicle.{axle}.damper_{way}"] = curve
-    return twin.with_changes(axles)
+        part = getattr(twin.vehicle, axle)
+        speeds = sorted({*part.damper_push.velocity, *part.damper_pull.velocity})
+        force = 0.5 * (_force(part.damper_push, speeds) + _force(part.damper_pull, speeds))
+        curve = {"velocity": speeds, "force": force.tolist()}
+        curves |= {f"vehicle.{axle}.damper_{way}": curve for way in ("push", "pull")}
+    return twin.with_changes(curves)
 
 
 def _force(damper: Damper, speeds: list[float]) -> Floats:
@@ -107,19 +102,12 @@ def _force(damper: Damper, speeds: list[float]) -> Floats:
     return np.asarray(np.interp(speeds, v, f) + beyond, dtype=np.float64)
 
 
-def _padded(spectrum: Complex, samples: int) -> Complex:
-    out = np.zeros((samples // 2 + 1, spectrum.shape[1]), dtype=np.complex128)
-    out[: spectrum.shape[0]] = spectrum
-    return out
-
-
 def _shaken(period: Floats, rate: float, speed: float) -> Excitation:
     """The twin straight on over a periodic road (m, 4): twice, for the first to settle."""
     stamps = 2 * _PERIOD + 1
     count = np.full(stamps, _STEPS, dtype=np.int64)
     count[0] = 0
-    first = np.zeros(stamps + 1, dtype=np.int64)
-    np.cumsum(np.maximum(count, 1), out=first[1:])
+    first = np.concatenate([[0], np.cumsum(np.maximum(count, 1))])
     motion = np.zeros((stamps, 7))
     motion[1:, 0] = 1.0 / (rate * _STEPS)
     motion[:, 5] = speed

@@ -1,24 +1,39 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Point clouds in files, read piece by piece: LAS and LAZ, PLY, and text with x, y, z in its first columns."""
+"""Point clouds: their files, read piece by piece, and their georeference.
+
+LAS and LAZ, PLY, and text with x, y, z in its first columns are read. Axes, unit and a coordinate reference system with
+the twin's datum take a cloud's own coordinates to ``map``.
+"""
 
 from __future__ import annotations
 
+import math
 import re
 import struct
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from importlib import import_module
+from itertools import islice
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from suspension_twin.arrays import Floats
 from suspension_twin.drive.unpack import Budget
-from suspension_twin.errors import InputError
+from suspension_twin.errors import InputError, shown
 from suspension_twin.files import reading
+from suspension_twin.pose.local_map import LocalMap
+from suspension_twin.road.profile import UNITS
+from suspension_twin.vehicle.twin import Datum
 
-__all__ = ["Cloud", "open_cloud"]
+if TYPE_CHECKING:
+    from pyproj import CRS, Transformer
 
+__all__ = ["SCAN_UNITS", "Cloud", "Georeference", "georeference_of", "open_cloud", "parse_axes"]
+
+#: m for one of a unit in which clouds come; the US survey foot is 1200/3937 m (NIST SP 811).
+SCAN_UNITS: dict[str, float] = {**{k: UNITS[k] for k in ("m", "cm", "mm", "ft")}, "us-ft": 1200.0 / 3937.0}
 #: Points in a piece: 24 MB of coordinates.
 _PIECE = 1_000_000
 #: Added to the format of a point where points are compressed.
@@ -36,7 +51,7 @@ class Cloud:
     path : Path
         The file.
     count : int or None
-        Points in it, where its header says so.
+        Points in it, where its header gives them.
     crs : pyproj.CRS or None
         Its coordinate reference system, where the file names one.
     pieces : callable
@@ -45,7 +60,7 @@ class Cloud:
 
     path: Path
     count: int | None
-    crs: Any
+    crs: CRS | None
     pieces: Callable[[], Iterator[Floats]]
 
 
@@ -93,14 +108,18 @@ def open_cloud(path: Path) -> Cloud:
     return Cloud(path, cloud.count, cloud.crs, pieces)
 
 
-def _missing(path: Path, package: str) -> InputError:
-    return InputError(path, f'needs {package}: pip install "suspension-twin[scan]"')
+def _optional(path: Path | str, module: str, packages: str) -> Any:
+    """A module of the extra ``scan``."""
+    try:
+        return import_module(module)
+    except ImportError:
+        raise InputError(path, f'needs {packages}: pip install "suspension-twin[scan]"') from None
 
 
 def _check_header(path: Path) -> None:
     """Refuse a LAS header that promises more records than its file holds, which would be read for hours.
 
-    Places of the numbers: ASPRS LAS 1.4 R15, table 3. What is compressed may unpack to what any file may.
+    Places of the numbers: ASPRS LAS 1.4 R15, table 3. Compressed points may unpack to as much as any file may.
     """
     size = path.stat().st_size
     with path.open("rb") as file:
@@ -112,13 +131,14 @@ def _check_header(path: Path) -> None:
     extended = extended_begin = 0
     if head[25] >= 4 and len(head) == 375:
         extended_begin, extended, count = struct.unpack_from("<QIQ", head, 235)
-    for what, needed, held in (
-        ("records", 54 * records, begin - header),
-        ("extended records", 60 * extended, size - extended_begin),
-        ("points", count * length if kind < _COMPRESSED else 0, size - begin),
-    ):
+    room = {
+        "records": (54 * records, begin - header),
+        "extended records": (60 * extended, size - extended_begin),
+        "points": (count * length if kind < _COMPRESSED else 0, size - begin),
+    }
+    for name, (needed, held) in room.items():
         if needed > held:
-            raise InputError(path, f"is cut off or damaged: its header promises more {what} than it holds")
+            raise InputError(path, f"is cut off or damaged: its header promises more {name} than it holds")
     if kind < _COMPRESSED:
         return
     Budget(path, size).take(count * length)
@@ -140,19 +160,17 @@ def _check_header(path: Path) -> None:
 
 
 def _las(path: Path) -> Cloud:
-    try:
-        import laspy
-    except ImportError:
-        raise _missing(path, "laspy and lazrs") from None
+    laspy = _optional(path, "laspy", "laspy and lazrs")
     _check_header(path)
     with laspy.open(path) as reader:
         header = reader.header
         if header.are_points_compressed and not laspy.LazBackend.detect_available():
-            raise _missing(path, "lazrs")
+            _optional(path, "lazrs", "lazrs")
         try:
             crs = header.parse_crs()
         except ImportError:
-            raise _missing(path, "pyproj") from None
+            _optional(path, "pyproj", "pyproj")
+            raise
         except Exception:  # a record that PROJ does not understand: --crs says it
             crs = None
         count = int(header.point_count)
@@ -167,11 +185,7 @@ def _las(path: Path) -> Cloud:
 
 
 def _ply(path: Path) -> Cloud:
-    try:
-        from plyfile import PlyData
-    except ImportError:
-        raise _missing(path, "plyfile") from None
-    data = PlyData.read(str(path), mmap="c")
+    data = _optional(path, "plyfile", "plyfile").PlyData.read(str(path), mmap="c")
     if "vertex" not in data:
         raise InputError(path, "has no element 'vertex'")
     vertex = data["vertex"]
@@ -190,51 +204,43 @@ def _ply(path: Path) -> Cloud:
 
 def _text(path: Path) -> Cloud:
     """Columns x, y, z first, or as a heading names them; a line with the number of points alone is skipped."""
-    skip, columns, mark, found = 0, (0, 1, 2), None, False
+    columns = 0, 1, 2
     with path.open(encoding="utf-8-sig") as file:
-        for line in file:
-            skip += 1
+        for skip, line in enumerate(file):
             text = line.strip()
-            if not text or text.startswith(("#", "//")):
-                words = re.split(r"[,;\s]+", text.lstrip("#/ ").lower())
-                columns = _named(words) or columns
-                continue
+            comment = not text or text.startswith(("#", "//"))
             mark = ";" if ";" in text else "," if "," in text else None
-            words = [w.strip().lower() for w in (text.split(mark) if mark else text.split())]
-            if len(words) == 1 and words[0].isdigit():
+            words = [w.strip().lower() for w in text.split(mark)]
+            if comment:
+                words = re.split(r"[,;\s]+", text.lstrip("#/ ").lower())
+            named = _named(words)
+            if named or comment or (len(words) == 1 and words[0].isdigit()):
+                columns = named or columns
                 continue
             try:
                 [float(words[c]) for c in columns]
             except (ValueError, IndexError):
-                named = _named(words)
-                if named is None:
-                    raise InputError(
-                        path, f"line {skip}", f"no point cloud: {text[:40]!r} is not x, y, z"
-                    ) from None
-                columns = named
-                continue
-            found, skip = True, skip - 1
+                raise InputError(
+                    path, f"line {skip + 1}", f"no point cloud: {text[:40]!r} is not x, y, z"
+                ) from None
             break
-    if not found:
-        raise InputError(path, "holds no points")
+        else:
+            raise InputError(path, "holds no points")
 
     def pieces() -> Iterator[Floats]:
         with path.open(encoding="utf-8-sig") as file:
-            for _ in range(skip):
-                next(file)
-            row = skip
+            lines, row = islice(file, skip, None), skip
             while True:
                 try:
                     points = np.loadtxt(
-                        file, delimiter=mark, usecols=columns, max_rows=_PIECE, comments=("#", "//"), ndmin=2
+                        lines, delimiter=mark, usecols=columns, max_rows=_PIECE, comments=("#", "//"), ndmin=2
                     )
                 except (ValueError, IndexError) as error:
                     words = str(error).partition(";")[0]
                     raise InputError(path, f"after line {row}", f"no point: {words}") from None
-                if not points.size:
-                    return
-                row += points.shape[0]
-                yield points
+                if points.size:
+                    row += points.shape[0]
+                    yield points
                 if points.shape[0] < _PIECE:
                     return
 
@@ -244,6 +250,128 @@ def _text(path: Path) -> Cloud:
 def _named(words: list[str]) -> tuple[int, int, int] | None:
     """Columns of x, y and z in a heading."""
     names = [re.sub(r"\W.*", "", w) for w in words]
-    if {"x", "y", "z"} <= set(names):
-        return names.index("x"), names.index("y"), names.index("z")
-    return None
+    return (names.index("x"), names.index("y"), names.index("z")) if {"x", "y", "z"} <= set(names) else None
+
+
+def parse_axes(text: str) -> tuple[tuple[int, float], ...]:
+    """Column and sign of east, north and up, from ``xyz``, ``yxz`` or ``x-zy``; InputError for other texts."""
+    parts = re.findall(r"(-?)([xyz])", text)
+    if "".join(sign + axis for sign, axis in parts) != text or sorted(a for _, a in parts) != ["x", "y", "z"]:
+        raise InputError("--axes", f"{shown(text)} are not x, y and z in an order, such as yxz or x-zy")
+    return tuple(("xyz".index(axis), -1.0 if sign else 1.0) for sign, axis in parts)
+
+
+@dataclass(frozen=True, eq=False)
+class Georeference:
+    """How a cloud lies in ``map``.
+
+    Parameters
+    ----------
+    axes : tuple of (int, float)
+        Columns and signs of x, y and z.
+    unit, up : float
+        m for one of the horizontal and of the vertical unit.
+    crs : pyproj.CRS or None
+        Taken to ``map`` by the datum; None where the coordinates are those of a plane.
+    datum : Datum or None
+        Origin of ``map``.
+    turn : float
+        rad about the vertical that take a plane to ``map``.
+    move : tuple of float
+        m east and north after the turn.
+    """
+
+    axes: tuple[tuple[int, float], ...] = ((0, 1.0), (1, 1.0), (2, 1.0))
+    unit: float = 1.0
+    up: float = 1.0
+    crs: CRS | None = None
+    datum: Datum | None = None
+    turn: float = 0.0
+    move: tuple[float, float] = (0.0, 0.0)
+
+    def to_map(self, points: Floats) -> Floats:
+        """Positions (n, 3) in ``map``, m, of points (n, 3) in the cloud's coordinates."""
+        p = np.column_stack([sign * points[:, column] for column, sign in self.axes])
+        p[:, 2] *= self.up
+        if self.crs is None:
+            p[:, :2] *= self.unit
+            if self.turn or any(self.move):
+                p[:, :2] = p[:, :2] @ self._rotation.T + self.move
+            return p
+        assert self.datum is not None
+        longitude, latitude = self._to_geodetic.transform(p[:, 0], p[:, 1])
+        return LocalMap(self.datum).to_map(latitude, longitude, p[:, 2])
+
+    def box(self, x: Floats, y: Floats, margin: float) -> tuple[Floats, Floats] | None:
+        """Lowest and highest (2,) cloud coordinates, axes turned, that hold map positions and ``margin`` m around."""
+        if self.crs is None:
+            own = (np.column_stack([x, y]) - self.move) @ self._rotation
+            return (own.min(axis=0) - margin) / self.unit, (own.max(axis=0) + margin) / self.unit
+        assert self.datum is not None
+        e, n = np.meshgrid([x.min() - margin, x.max() + margin], [y.min() - margin, y.max() + margin])
+        geodetic = LocalMap(self.datum).to_geodetic(np.column_stack([e.ravel(), n.ravel(), np.zeros(4)]))
+        a, b = self._to_geodetic.transform(geodetic[:, 1], geodetic[:, 0], direction="INVERSE")
+        corners = np.column_stack([a, b])
+        if not np.isfinite(corners).all():
+            return None
+        slack = 0.05 * np.ptp(corners, axis=0)  # what a grid's lines bend within the box
+        return corners.min(axis=0) - slack, corners.max(axis=0) + slack
+
+    def within(self, points: Floats, box: tuple[Floats, Floats] | None) -> Floats:
+        """The points (n, 3) whose horizontal coordinates lie in a box."""
+        if box is None:
+            return points
+        c = np.column_stack([sign * points[:, column] for column, sign in self.axes[:2]])
+        return points[((c >= box[0]) & (c <= box[1])).all(axis=1)]
+
+    @property
+    def _rotation(self) -> Floats:
+        c, s = math.cos(self.turn), math.sin(self.turn)
+        return np.array([[c, -s], [s, c]])
+
+    @property
+    def _to_geodetic(self) -> Transformer:
+        from pyproj import Transformer
+
+        assert self.crs is not None
+        return Transformer.from_crs(self.crs.to_2d(), "EPSG:4326", always_xy=True)
+
+
+def georeference_of(
+    path: Path, crs: CRS | None, named: str | None, axes: str, unit: str | None, datum: Datum | None
+) -> tuple[Georeference, str]:
+    """The georeference of a cloud, and a sentence about it.
+
+    ``crs`` is of the file, ``named`` of the user. Without a datum the cloud's coordinates are ``map``.
+    """
+    order = parse_axes(axes)
+    if unit is not None and unit not in SCAN_UNITS:
+        raise InputError("--unit", f"{shown(unit)} is not one of {', '.join(SCAN_UNITS)}")
+    if named is not None:
+        pyproj = _optional("--crs", "pyproj", "pyproj")
+        try:
+            crs = pyproj.CRS.from_user_input(named)
+        except pyproj.exceptions.CRSError:
+            raise InputError(
+                "--crs", f"{shown(named)} is no coordinate reference system that PROJ knows"
+            ) from None
+        if datum is None:
+            raise InputError("--crs", "needs a datum: --datum, a twin file with one, or a drive as the path")
+    scales = (SCAN_UNITS[unit],) * 2 if unit is not None else (1.0, 1.0) if crs is None else _units(crs)
+    words = "the cloud's own coordinates are map"
+    if crs is None:
+        return Georeference(order, *scales), words
+    if datum is not None:
+        return Georeference(order, 1.0, scales[1], crs, datum), f"{crs.name} to map by the datum"
+    if crs.is_geographic:
+        raise InputError(path, f"is in {crs.name}: give a datum with --datum or a twin file")
+    return Georeference(order, *scales), f"{words} ({crs.name}, without a datum)"
+
+
+def _units(crs: CRS) -> tuple[float, float]:
+    """m for one of the horizontal and of the vertical unit of a CRS; a height without a unit has the horizontal one."""
+    factors = [(a.direction, float(a.unit_conversion_factor), a.unit_name) for a in crs.axis_info]
+    flat = [f for direction, f, name in factors if direction not in ("up", "down") and "degree" not in name]
+    high = [f for direction, f, _ in factors if direction in ("up", "down")]
+    horizontal = flat[0] if flat else 1.0
+    return horizontal, high[0] if high else horizontal

@@ -1,26 +1,49 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The points of clouds along a line, in road coordinates; and what is wrong where a cloud does not cover the line."""
+"""The line along which a scan is gridded, and the points of clouds along it in road coordinates.
+
+Where clouds do not cover the line, the error says why: another unit, other axes, another place.
+"""
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import permutations
+from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from suspension_twin.addons.roads.scan.clouds import Cloud
-from suspension_twin.addons.roads.scan.placing import SCAN_UNITS, Placing
+from suspension_twin.addons.roads.recording import (
+    Observation,
+    line_of,
+    prepare_drive,
+    smoothed_line,
+    with_datum,
+)
+from suspension_twin.addons.roads.scan.clouds import SCAN_UNITS, Cloud, Georeference
 from suspension_twin.addons.roads.scan.surface import Points
 from suspension_twin.arrays import Floats, runs
+from suspension_twin.drive.read import read_drive
 from suspension_twin.errors import InputError
+from suspension_twin.files import reading
+from suspension_twin.pose.local_map import LocalMap
 from suspension_twin.road.build import Centreline, road_over
+from suspension_twin.road.crg import load_road
 from suspension_twin.road.kernels import xy_to_uv
+from suspension_twin.vehicle.twin import Twin
 
-__all__ = ["Gathered", "gather"]
+__all__ = ["Gathered", "ScanPath", "gather", "read_path"]
 
+#: Columns of a CSV of points, by their names in a heading.
+_COLUMNS = {n: n for n in ("x", "y", "lat", "lon")} | {
+    "east": "x",
+    "north": "y",
+    "latitude": "lat",
+    "longitude": "lon",
+}
 #: Side of the cells that know the nearest point of the line, m, unless the map of them grows too large.
 _RASTER, _LARGEST = 0.5, 4_000_000
 #: Points of a cloud that are kept to find out why it does not cover the line.
@@ -29,14 +52,94 @@ _SAMPLE = 100_000
 _COVERED, _ENOUGH = 5, 0.2
 #: Cartesian coordinates as far from the origin as this, m, are of a grid of a country or a zone.
 _FAR = 100_000.0
-#: A unit is in doubt where the cloud covers so much of the line in the other one too.
-_BOTH = 0.95
+#: A unit is in doubt where the cloud covers so much of the line in the other one too; another reading of the
+#: coordinates is proposed where it covers this share of the line.
+_BOTH, _PROPOSED = 0.95, 0.6
 #: Holes up to this, m, are holes of the road; longer ones end it.
 _GAP = 5.0
 
 
+@dataclass(frozen=True, eq=False)
+class ScanPath:
+    """A ``line`` in ``map``, its ``name``, the ``twin`` with the datum of the map, and the ``drive``, if it is one."""
+
+    name: str
+    line: Centreline
+    twin: Twin
+    drive: Observation | None = None
+
+
+def read_path(path: Path, twin: Twin, step: float) -> ScanPath:
+    """Read the line of a scan.
+
+    Parameters
+    ----------
+    path : Path
+        A recorded drive (a folder, or an ``.mcap`` or ``.db3`` file), an OpenCRG road, of which the reference line is
+        taken, or CSV with the columns x, y in ``map`` or lat, lon in degrees.
+    twin : Twin
+        Places of the sensors, and the datum. Without one ``map`` starts at the first fix of the drive.
+    step : float
+        m between the points of the line.
+
+    Returns
+    -------
+    ScanPath
+        The line, smoothed over about 1.5 m where it is not a road's.
+
+    Raises
+    ------
+    InputError
+        It cannot be read, or is no line.
+    """
+    if path.is_dir() or path.suffix.lower() in (".mcap", ".db3"):
+        drive = read_drive(path)
+        twin = with_datum(twin, drive)
+        prepared = prepare_drive(drive, twin)
+        return ScanPath(drive.name, line_of([prepared.trajectory], step, 0.0), twin, prepared)
+    if path.suffix.lower() == ".crg":
+        road = load_road(path)
+        return ScanPath(path.name, Centreline(road.x, road.y, step), twin)
+    return ScanPath(path.name, smoothed_line(*_csv(path, twin), step), twin)
+
+
+def _csv(path: Path, twin: Twin) -> tuple[Floats, Floats]:
+    """x and y in ``map`` of the points of a CSV file."""
+    with reading(path, "a path"):
+        text = path.read_text(encoding="utf-8-sig")
+    lines = [line.strip() for line in text.splitlines() if line.strip() and not line.startswith("#")]
+    if not lines:
+        raise InputError(path, "is empty")
+    mark = next((m for m in (";", "\t", ",") if m in lines[0]), None)
+    names = [re.split(r"[ \[(]", word.strip().lower())[0] for word in lines[0].split(mark)]
+    columns = {_COLUMNS[name]: i for i, name in enumerate(names) if name in _COLUMNS}
+    rows = lines[1:] if columns else lines
+    columns = columns or {"x": 0, "y": 1}
+    pair = ("lat", "lon") if {"lat", "lon"} <= set(columns) else ("x", "y")
+    if not set(pair) <= set(columns):
+        raise InputError(path, "heading", "needs x and y, or lat and lon")
+    points = np.empty((len(rows), 2))
+    for i, line in enumerate(rows):
+        cells = line.split(mark)
+        try:
+            points[i] = [float(cells[columns[name]]) for name in pair]
+        except (ValueError, IndexError):
+            raise InputError(
+                path, f"point {i + 1}", f"{line[:40]!r} has no {pair[0]} and {pair[1]}"
+            ) from None
+    if len(points) < 2 or not np.isfinite(points).all():
+        raise InputError(path, "needs two points or more, all finite")
+    if pair == ("lat", "lon"):
+        if twin.datum is None:
+            raise InputError(path, "has lat and lon: give a datum with --datum or a twin file")
+        points = LocalMap(twin.datum).to_map(
+            points[:, 0], points[:, 1], np.full(len(points), twin.datum.altitude)
+        )
+    return points[:, 0], points[:, 1]
+
+
 class _Nearest:
-    """The nearest point of a line by a raster; -1 far from it."""
+    """Index of the nearest point of a line by a raster; -1 far from it."""
 
     def __init__(self, line: Centreline, reach: float) -> None:
         x0, y0 = line.x.min() - reach, line.y.min() - reach
@@ -59,7 +162,7 @@ class _Nearest:
 
 @dataclass(frozen=True, eq=False)
 class Gathered:
-    """``points`` with z m above ``level`` m, how many were ``read``, and a ``note`` where the unit is in doubt."""
+    """``points`` with z m above ``level`` m, number of points ``read``, and a ``note`` where the unit is in doubt."""
 
     points: Points
     level: float
@@ -68,7 +171,7 @@ class Gathered:
 
 
 def gather(
-    clouds: Sequence[tuple[Cloud, Placing]],
+    clouds: Sequence[tuple[Cloud, Georeference]],
     line: Centreline,
     half: float,
     path_name: str,
@@ -85,47 +188,46 @@ def gather(
     samples: list[Floats] = []
     level, read = np.nan, 0
     total = sum(c.count or 0 for c, _ in clouds) if all(c.count for c, _ in clouds) else None
-    for cloud, placing in clouds:
-        box = placing.box(line.x, line.y, reach)
+    for cloud, georeference in clouds:
+        box = georeference.box(line.x, line.y, reach)
         stride = max(1, (cloud.count or 10 * _SAMPLE) // _SAMPLE)
         for piece in cloud.pieces():
             read += piece.shape[0]
             share = None if total is None else min(1.0, read / total)
             progress(f"reading {cloud.path.name}: {read / 1e6:.1f} million points", share)
             samples.append(piece[::stride])
-            points = placing.to_map(placing.within(piece, box))
+            points = georeference.to_map(georeference.within(piece, box))
             at = nearest(points[:, 0], points[:, 1])
-            near = at >= 0
-            points, at = np.ascontiguousarray(points[near]), np.ascontiguousarray(at[near])
-            if not at.size:
-                continue
-            u, v = np.empty(at.size), np.empty(at.size)
-            x, y = np.ascontiguousarray(points[:, 0]), np.ascontiguousarray(points[:, 1])
-            xy_to_uv(flat.line, at, x, y, u, v)
+            x, y, z = np.ascontiguousarray(points[at >= 0].T)
+            u, v = np.empty((2, z.size))
+            xy_to_uv(flat.line, at[at >= 0], x, y, u, v)
             keep = (np.abs(v) <= half) & (u >= 0.0) & (u <= line.length)
             if np.isnan(level) and keep.any():
-                level = float(np.median(points[keep, 2]))
-            parts.append(tuple(c[keep].astype(np.float32) for c in (u, v, points[:, 2] - level)))
+                level = float(np.median(z[keep]))
+            parts.append(tuple(c[keep].astype(np.float32) for c in (u, v, z - level)))
     along, across, high = (
         np.concatenate([p[k] for p in parts] or [np.zeros(0, dtype=np.float32)]) for k in range(3)
     )
     parts.clear()
-    metres = np.bincount(along.astype(np.int64), minlength=int(np.ceil(line.length)) + 1)[
-        : int(np.ceil(line.length))
-    ]
-    covered = metres >= _COVERED
+    metres = int(np.ceil(line.length))
+    covered = np.bincount(along.astype(np.int64), minlength=metres + 1)[:metres] >= _COVERED
+    sample = _Sample(clouds[0][1], np.concatenate(samples), line, half)
     if covered.mean() < _ENOUGH:
-        raise InputError(clouds[0][0].path, _why(clouds, samples, line, half, path_name))
+        raise InputError(clouds[0][0].path, sample.reason(path_name))
     _check_ends(covered, line, path_name)
     order = np.argsort(along, kind="stable")
-    note = _doubt(clouds, samples, line, half)
+    note = None
+    if sample.fits_in_feet():
+        note = f"{clouds[0][0].path.name} is taken for metres, but covers the path in feet too: --unit ft if that is "
+        note += "its unit"
     return Gathered(Points(along[order], across[order], high[order]), level, read, note)
 
 
 def _check_ends(covered: NDArray[np.bool_], line: Centreline, path_name: str) -> None:
     """A path may leave the cloud for a few metres, which are a hole, and not for more."""
-    gaps = [(a, b) for a, b in runs(~covered) if b - a > _GAP or a == 0 or b == covered.size]
-    gaps = [(a, b) for a, b in gaps if b - a > 1]
+    gaps = [
+        (a, b) for a, b in runs(~covered) if b - a > _GAP or (b - a > 1 and (a == 0 or b == covered.size))
+    ]
     if not gaps:
         return
     edges = [0, *[e for gap in gaps for e in gap], covered.size]
@@ -137,78 +239,53 @@ def _check_ends(covered: NDArray[np.bool_], line: Centreline, path_name: str) ->
     )
 
 
-class _Share:
-    """The share of a line with points within ``half`` m."""
+@dataclass(frozen=True, eq=False)
+class _Sample:
+    """Some ``points`` of a cloud with its ``georeference``, to be compared with a line and ``half`` m to its sides."""
 
-    def __init__(self, line: Centreline, half: float) -> None:
-        every = max(1, round(0.5 / line.step))
-        self._tree = cKDTree(np.column_stack([line.x[::every], line.y[::every]]))
-        self._half = half
+    georeference: Georeference
+    points: Floats
+    line: Centreline
+    half: float
 
-    def __call__(self, points: Floats) -> float:
-        near, index = (
-            np.asarray(c) for c in self._tree.query(points[:, :2], distance_upper_bound=self._half)
+    def share(self, georeference: Georeference) -> float:
+        """Share of the line with points near it under another georeference."""
+        every = max(1, round(0.5 / self.line.step))
+        tree = cKDTree(np.column_stack([self.line.x[::every], self.line.y[::every]]))
+        placed = georeference.to_map(self.points)[:, :2]
+        index = np.asarray(tree.query(placed, distance_upper_bound=self.half)[1])
+        return float(np.unique(index[index < tree.n]).size / tree.n)
+
+    def fits_in_feet(self) -> bool:
+        """Whether a cloud that is taken for metres covers the line in feet too."""
+        own, foot = self.georeference, SCAN_UNITS["ft"]
+        return own.crs is None and own.unit == 1.0 and self.share(replace(own, unit=foot, up=foot)) >= _BOTH
+
+    def reason(self, path_name: str) -> str:
+        """Why the cloud does not cover the line: another unit, other axes, another place."""
+        own, line = self.georeference, self.line
+        tries: list[tuple[Georeference, str]] = []
+        for unit, factor in SCAN_UNITS.items():
+            if own.crs is None and factor != own.unit and unit != "us-ft":  # two millionths from the foot
+                tries.append((replace(own, unit=factor, up=factor), f"in {unit}: --unit {unit}"))
+        for order in permutations(range(3)):
+            axes = tuple((k, 1.0) for k in order)
+            if order == (0, 2, 1):  # y is up
+                axes = ((0, 1.0), (2, -1.0), (1, 1.0))
+            if axes != own.axes:
+                name = "".join(("-" if s < 0 else "") + "xyz"[k] for k, s in axes)
+                tries.append((replace(own, axes=axes), f"with other axes: --axes {name}"))
+        best, words = max((self.share(georeference), words) for georeference, words in tries)
+        if best > _PROPOSED:
+            return f"does not cover {path_name} as it is, but does if it is {words}"
+        points = own.to_map(self.points)
+        low, high = points[:, :2].min(axis=0), points[:, :2].max(axis=0)
+        first, last = (np.array([f(line.x), f(line.y)]) for f in (np.min, np.max))
+        gap = np.hypot(*np.maximum(0.0, np.maximum(low - last, first - high)))
+        far = own.crs is None and gap > _FAR
+        hint = ", as coordinates of a national grid are: --crs names it" if far else ""
+        return (
+            f"is of another place than {path_name}: it lies at x {low[0]:.0f} to {high[0]:.0f} m, y {low[1]:.0f} to "
+            f"{high[1]:.0f} m of map, the path at x {first[0]:.0f} to {last[0]:.0f} m, y {first[1]:.0f} to "
+            f"{last[1]:.0f} m, {gap:.0f} m off{hint}"
         )
-        on = np.isfinite(near)
-        if not on.any():
-            return 0.0
-        hits = np.bincount(index[on], minlength=self._tree.n)
-        return float((hits > 0).mean())
-
-
-def _doubt(
-    clouds: Sequence[tuple[Cloud, Placing]], samples: list[Floats], line: Centreline, half: float
-) -> str | None:
-    """A cloud near the origin of its coordinates may cover a line in metres and in feet."""
-    cloud, placing = clouds[0]
-    if placing.crs is not None or placing.unit != 1.0:
-        return None
-    feet = placing.altered(unit=SCAN_UNITS["ft"], up=SCAN_UNITS["ft"])
-    if _Share(line, half)(feet.to_map(np.concatenate(samples))) < _BOTH:
-        return None
-    return f"{cloud.path.name} is taken for metres, but covers the path in feet too: --unit ft if that is its unit"
-
-
-def _why(
-    clouds: Sequence[tuple[Cloud, Placing]],
-    samples: list[Floats],
-    line: Centreline,
-    half: float,
-    path_name: str,
-) -> str:
-    """Why a cloud does not cover the line, in words: another unit, other axes, another place."""
-    placing = clouds[0][1]
-    raw = np.concatenate(samples)
-    share = _Share(line, half)
-    tries: list[tuple[float, str]] = []
-    for unit, factor in SCAN_UNITS.items():
-        if placing.crs is None and factor != placing.unit and unit != "us-ft":  # two millionths from the foot
-            tries.append(
-                (share(placing.altered(unit=factor, up=factor).to_map(raw)), f"in {unit}: --unit {unit}")
-            )
-    for order in permutations(range(3)):
-        axes = tuple((k, 1.0) for k in order)
-        up_is_y = order == (0, 2, 1)
-        if up_is_y:
-            axes = ((0, 1.0), (2, -1.0), (1, 1.0))
-        if axes != placing.axes:
-            name = "".join(("-" if s < 0 else "") + "xyz"[k] for k, s in axes)
-            tries.append((share(placing.altered(axes=axes).to_map(raw)), f"with other axes: --axes {name}"))
-    best, words = max(tries, default=(0.0, ""))
-    if best > 0.6:
-        return f"does not cover {path_name} as it is, but does if it is {words}"
-    points = placing.to_map(raw)
-    low, high = points[:, :2].min(axis=0), points[:, :2].max(axis=0)
-    gap = np.hypot(
-        *np.maximum(0.0, np.maximum(low - [line.x.max(), line.y.max()], [line.x.min(), line.y.min()] - high))
-    )
-    hint = (
-        ", as coordinates of a national grid are: --crs names it"
-        if placing.crs is None and gap > _FAR
-        else ""
-    )
-    return (
-        f"is of another place than {path_name}: it lies at x {low[0]:.0f} to {high[0]:.0f} m, y {low[1]:.0f} to "
-        f"{high[1]:.0f} m of map, the path at x {line.x.min():.0f} to {line.x.max():.0f} m, y {line.y.min():.0f} to "
-        f"{line.y.max():.0f} m, {gap:.0f} m off{hint}"
-    )

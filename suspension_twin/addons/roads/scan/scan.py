@@ -1,10 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
-"""From point clouds to a road file with the uncertainty of every node beside it."""
+"""``road scan``: from point clouds and a line to a road file with the uncertainty of every node beside it."""
 
 from __future__ import annotations
 
 import json
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Literal
@@ -13,28 +14,43 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
-from suspension_twin.addons.roads.scan.clouds import Cloud
-from suspension_twin.addons.roads.scan.corridor import gather
-from suspension_twin.addons.roads.scan.felt import Felt
+from suspension_twin.addons.roads.scan.clouds import (
+    SCAN_UNITS,
+    Cloud,
+    Georeference,
+    georeference_of,
+    open_cloud,
+)
+from suspension_twin.addons.roads.scan.corridor import ScanPath, gather, read_path
 from suspension_twin.addons.roads.scan.ground import ground_cells, ground_points
-from suspension_twin.addons.roads.scan.path import ScanPath
-from suspension_twin.addons.roads.scan.placing import Placing
-from suspension_twin.addons.roads.scan.surface import Grid, Points, fit_surface
+from suspension_twin.addons.roads.scan.registration import Ambiguous, register
+from suspension_twin.addons.roads.scan.response import RoadResponse, road_responses, steady_path
+from suspension_twin.addons.roads.scan.surface import Grid, Surface, fit_surface
 from suspension_twin.arrays import Floats
-from suspension_twin.errors import InputError
-from suspension_twin.files import replacing, write_text
+from suspension_twin.errors import InputError, WorkError
+from suspension_twin.files import replacing, together, write_text
+from suspension_twin.models.registry import model_of
 from suspension_twin.road.build import Centreline, road_over
-from suspension_twin.road.check import enclosed
+from suspension_twin.road.check import RoadCheck, check_file, enclosed
 from suspension_twin.road.crg import record_path, write_road
 from suspension_twin.road.road import Road
 from suspension_twin.road.smoothing import find_spikes, remove_spikes, smooth
+from suspension_twin.vehicle.twin import load_twin
 
-__all__ = ["FINEST", "Filter", "ScanSettings", "Scanned", "cells_path", "road_from_scan", "write_scan"]
+__all__ = [
+    "Filter",
+    "ScanSettings",
+    "ScannedRoad",
+    "cells_path",
+    "road_from_scan",
+    "scan_road",
+    "write_scan",
+]
 
 Filter = Literal["edges", "gaussian"]
+Progress = Callable[[str, float | None], None]
 #: Steps along and across, m: the first where a cell holds so many points on average.
 _STEPS, _PER_CELL = ((0.025, 0.05), (0.05, 0.1), (0.1, 0.2)), 1.5
-FINEST = _STEPS[0][0]
 #: Points beyond the outermost nodes that are still used, m.
 _BESIDE = 0.3
 MEASURED, FILLED, HOLE = 0, 1, 2
@@ -42,9 +58,25 @@ MEASURED, FILLED, HOLE = 0, 1, 2
 
 @dataclass(frozen=True)
 class ScanSettings:
-    """``width`` m of the road; ``filter`` what is written; ``sigma`` m of the Gaussian one; ``fill`` m, the width up to
-    which a hole is filled; ``section`` m from and to along the path; ``steps`` along and across, m, None to fit the
-    density of the points; ``seed`` of the draws."""
+    """Settings of :func:`road_from_scan`.
+
+    Parameters
+    ----------
+    width : float
+        m of the road.
+    filter : str
+        The surface that is written: ``edges`` or ``gaussian``.
+    sigma : float
+        Standard deviation in m of the Gaussian.
+    fill : float
+        m, the width up to which a hole is filled.
+    section : tuple of float, optional
+        m from and to along the path.
+    steps : tuple of float, optional
+        m along and across; None to fit the density of the points.
+    seed : int
+        Of the draws.
+    """
 
     width: float = 4.0
     filter: Filter = "edges"
@@ -56,24 +88,19 @@ class ScanSettings:
 
 
 @dataclass(frozen=True, eq=False)
-class Scanned:
+class ScannedRoad:
     """A road from a scan.
 
     Parameters
     ----------
     road : Road
-        What is written: NaN in holes at the borders; OpenCRG allows none between data, where holes are bridged.
+        The road that is written: NaN in holes at the borders; OpenCRG allows none between data, where holes are
+        bridged.
     edges, gaussian, cells : Road
         The edge-preserving surface, the means of the ground points about each node under a Gaussian window, and
         those means alone.
-    sigma : (nu, nv) array
-        Standard deviation of the edge-preserving heights in m.
-    draws : (2, nu, nv) array
-        Two draws of their error in m.
-    noise : (nu, nv) array
-        Scale of the noise of single points in m.
-    count : (nu, nv) array
-        Ground points about each node.
+    surface : Surface
+        The fit behind the edge-preserving surface, with its uncertainty.
     status : (nu, nv) array of int
         0 measured, 1 filled, 2 hole.
     facts : dict
@@ -84,30 +111,27 @@ class Scanned:
     edges: Road
     gaussian: Road
     cells: Road
-    sigma: Floats
-    draws: Floats
-    noise: Floats
-    count: Floats
+    surface: Surface
     status: NDArray[np.int8]
     facts: dict[str, Any]
 
     def drawn(self, which: int) -> Road:
-        """The edge-preserving road with one of its draws of errors."""
-        return replace(self.edges, z=self.edges.z + self.draws[which])
+        """The edge-preserving road with one of the draws of its errors."""
+        return replace(self.edges, z=self.edges.z + self.surface.draws[which])
 
 
 def road_from_scan(
-    clouds: Sequence[tuple[Cloud, Placing]],
+    clouds: Sequence[tuple[Cloud, Georeference]],
     line: Centreline,
     name: str,
     settings: ScanSettings | None = None,
-    progress: Callable[[str, float | None], None] = lambda text, share: None,
-) -> Scanned:
+    progress: Progress = lambda text, share: None,
+) -> ScannedRoad:
     """Make a road of point clouds along a line.
 
     Parameters
     ----------
-    clouds : sequence of (Cloud, Placing)
+    clouds : sequence of (Cloud, Georeference)
         The clouds, and how each lies in ``map``.
     line : Centreline
         Reference line of the road, with points every 0.025 m.
@@ -120,7 +144,7 @@ def road_from_scan(
 
     Returns
     -------
-    Scanned
+    ScannedRoad
         The road with its uncertainty; :func:`write_scan` writes it.
 
     Raises
@@ -132,18 +156,17 @@ def road_from_scan(
     --------
     >>> import numpy as np
     >>> from suspension_twin.road.build import Centreline
-    >>> from suspension_twin.addons.roads.scan.clouds import Cloud
-    >>> from suspension_twin.addons.roads.scan.placing import Placing
+    >>> from suspension_twin.addons.roads.scan.clouds import Cloud, Georeference
     >>> xy = np.random.default_rng(0).uniform([0, -3], [20, 3], (60000, 2))
     >>> points = np.column_stack([xy, 0.01 * np.sin(xy[:, 0])])
     >>> cloud = Cloud(Path("made"), len(points), None, lambda: iter([points]))
     >>> line = Centreline([0.0, 20.0], [0.0, 0.0], 0.025)
-    >>> found = road_from_scan([(cloud, Placing())], line, "line", ScanSettings(width=3.0))
+    >>> found = road_from_scan([(cloud, Georeference())], line, "line", ScanSettings(width=3.0))
     >>> bool(abs(found.road.heights(7.85, 0.0) - 0.01) < 1e-3)
     True
     """
     chosen = settings or ScanSettings()
-    _check(chosen, line)
+    _check(chosen)
     if chosen.section is not None:
         line = _part(line, chosen.section, name)
     half = 0.5 * chosen.width
@@ -153,58 +176,53 @@ def road_from_scan(
     cloud_name = clouds[0][0].path.name
     cells = ground_cells(points, line.length, half + _BESIDE, cloud_name)
     ground = ground_points(points, cells)
-    near = points.u.size
     steps = chosen.steps or _steps_for(ground.u.size / (line.length * 2.0 * (half + _BESIDE)))
     line = Centreline(line.x, line.y, steps[0])
     nv = 2 * max(1, round(half / steps[1])) + 1
     grid = Grid(line.x.size, nv, steps[0], 2.0 * half / (nv - 1), -half)
-    within = np.abs(ground.v) <= half
-    inner = Points(ground.u[within], ground.v[within], ground.z[within])
-    fitted = fit_surface(inner, grid, chosen.seed, lambda share: progress("fitting the surface", share))
-    v: Floats = grid.v0 + grid.dv * np.arange(grid.nv, dtype=np.float64)
-    status = _status(fitted.count, grid, chosen.fill)
-    if (status == HOLE).all():
+    inner = ground[np.abs(ground.v) <= half]
+    surface = fit_surface(inner, grid, chosen.seed, lambda share: progress("fitting the surface", share))
+    status = _status(surface.count, grid, chosen.fill)
+    gone = status == HOLE
+    if gone.all():
         raise InputError(cloud_name, "has no ground along the path")
 
     def made(z: Floats, title: str) -> Road:
-        road = road_over(line, z, v, title)
+        road = road_over(line, np.where(gone, np.nan, z), grid.v, title)
         return road.with_line(z=np.full(line.x.size, level))
 
-    gone = status == HOLE
-    edges = made(np.where(gone, np.nan, fitted.z), "edge-preserving")
-    means = made(np.where(gone, np.nan, _means(inner, grid)), "cells")
-    gaussian = smooth(made(np.where(gone, np.nan, _bridged(means.z, gone)), "Gaussian"), chosen.sigma)
+    with np.errstate(invalid="ignore"):
+        means = grid.sums(inner, inner.z) / grid.sums(inner)
+    edges, cell_means = made(surface.z, "edge-preserving"), made(means, "cells")
+    gaussian = smooth(made(_bridged(cell_means.z), "Gaussian"), chosen.sigma)
     road = edges if chosen.filter == "edges" else gaussian
     spikes = find_spikes(road)
     if len(spikes):
         road = remove_spikes(road, spikes)
     # OpenCRG has no missing heights between data: there the surface bridges them, and the record names the place.
     between = gone & enclosed(gone)
-    road = replace(road, z=np.where(between, fitted.z, road.z))
+    road = replace(road, z=np.where(between, surface.z, road.z))
     facts = {
         "points": gathered.read,
-        "points_near_the_path": int(near),
+        "points_near_the_path": int(points.u.size),
         "ground_points": int(ground.u.size),
         "step": grid.du,
         "step_across": grid.dv,
         "filled": float(np.mean(status == FILLED)),
-        "holes": _boxes(gone, edges.u, v),
-        "bridged": _boxes(between, edges.u, v),
+        "holes": _boxes(gone, edges.u, grid.v),
+        "bridged": _boxes(between, edges.u, grid.v),
         "missing": float(np.mean(gone)),
-        "cells_with_things": int(cells.things.sum()),
+        "cells_with_things": int(cells.objects.sum()),
         "spikes_removed": len(spikes),
-        "noise": float(np.sqrt(np.mean(fitted.noise[fitted.count > 0] ** 2))),
-        "sigma_median": float(np.median(fitted.sigma[~gone])),
+        "noise": float(np.sqrt(np.mean(surface.noise[surface.count > 0] ** 2))),
+        "sigma_median": float(np.median(surface.sigma[~gone])),
     }
     if gathered.note is not None:
         facts["note"] = gathered.note
-    return Scanned(
-        replace(road, name=name), edges, gaussian, means, fitted.sigma, fitted.draws, fitted.noise, fitted.count,
-        status, facts,
-    )  # fmt: skip
+    return ScannedRoad(replace(road, name=name), edges, gaussian, cell_means, surface, status, facts)
 
 
-def _check(s: ScanSettings, line: Centreline) -> None:
+def _check(s: ScanSettings) -> None:
     if not 0.5 <= s.width <= 40.0:
         raise InputError("--width", f"must lie between 0.5 and 40 m, is {s.width:g}")
     if not 0.0 <= s.fill <= 5.0:
@@ -227,20 +245,19 @@ def _steps_for(density: float) -> tuple[float, float]:
 
 
 def _status(count: Floats, grid: Grid, fill: float) -> NDArray[np.int8]:
-    """What is known of each node: holes narrower than ``fill`` m are filled."""
+    """Whether each node is measured, filled or a hole: holes narrower than ``fill`` m are filled."""
     # A single node without a point among nodes with points is no hole.
     known = np.pad(count > 0, 1, mode="edge")
     measured = ndimage.binary_closing(known, np.ones((3, 3), dtype=np.bool_))[1:-1, 1:-1] | (count > 0)
-    status = np.where(measured, MEASURED, FILLED).astype(np.int8)
     if not measured.any():
-        status[:] = HOLE
-        return status
+        return np.full(count.shape, HOLE, dtype=np.int8)
+    status = np.where(measured, MEASURED, FILLED).astype(np.int8)
     distance = ndimage.distance_transform_edt(~measured, sampling=(grid.du, grid.dv))
     labels, number = ndimage.label(~measured, structure=np.ones((3, 3)))
     if number:
         widest = ndimage.maximum(distance, labels, np.arange(1, number + 1))
         wide = np.concatenate([[False], 2.0 * np.asarray(widest) > fill + 2.0 * max(grid.du, grid.dv)])
-        # Of sparse points the gaps hang together: what is near a point stays filled.
+        # Gaps between sparse points are connected: nodes near a point stay filled.
         status[wide[labels] & (distance > 0.5 * fill)] = HOLE
         core = ndimage.distance_transform_edt(status != HOLE, sampling=(grid.du, grid.dv))
         status[~measured & wide[labels] & (core <= 0.5 * fill + 1e-9)] = HOLE
@@ -248,7 +265,7 @@ def _status(count: Floats, grid: Grid, fill: float) -> NDArray[np.int8]:
 
 
 def _boxes(flags: NDArray[np.bool_], u: Floats, v: Floats) -> list[dict[str, float]]:
-    """Boxes in m of what hangs together among the nodes (nu, nv), the largest first."""
+    """Boxes in m of the connected pieces of the flagged nodes (nu, nv), the largest first."""
     labels, _ = ndimage.label(flags)
     sizes = np.bincount(labels.ravel())
     boxes: list[Any] = ndimage.find_objects(labels)
@@ -265,73 +282,61 @@ def _boxes(flags: NDArray[np.bool_], u: Floats, v: Floats) -> list[dict[str, flo
     return sorted(found, key=lambda h: -h["nodes"])
 
 
-def _means(points: Points, grid: Grid) -> Floats:
-    """Mean height of the points about each node (nu, nv), NaN where there are none."""
-    at = np.clip(np.rint(points.u / grid.du), 0, grid.nu - 1).astype(np.int64) * grid.nv
-    at += np.clip(np.rint((points.v - grid.v0) / grid.dv), 0, grid.nv - 1).astype(np.int64)
-    size = grid.nu * grid.nv
-    count = np.bincount(at, minlength=size)
-    with np.errstate(invalid="ignore"):
-        return (np.bincount(at, points.z, minlength=size) / count).reshape(grid.nu, grid.nv)
-
-
-def _bridged(z: Floats, gone: NDArray[np.bool_]) -> Floats:
-    """Heights with those missing within small holes taken from their neighbours along the road."""
+def _bridged(z: Floats) -> Floats:
+    """Heights with missing ones interpolated along the road, as far as a line across has any."""
     out = np.array(z)
     rows = np.arange(z.shape[0])
-    for j in range(z.shape[1]):
-        good = np.isfinite(z[:, j])
+    for column in out.T:
+        good = np.isfinite(column)
         if good.any():
-            out[:, j] = np.interp(rows, rows[good], z[good, j])
-    return np.where(gone, np.nan, out)
+            column[:] = np.interp(rows, rows[good], column[good])
+    return out
 
 
 def cells_path(road: Path) -> Path:
-    """Where the uncertainty of the nodes of a road file lies."""
+    """File of the uncertainty of the nodes of a road file."""
     return road.with_suffix(".npz")
 
 
 def write_scan(
-    found: Scanned,
+    found: ScannedRoad,
     path: Path,
-    clouds: Sequence[str],
+    clouds: Sequence[tuple[str, str]],
     scanned_along: ScanPath,
-    felt: Sequence[Felt],
-    how: Sequence[str],
+    responses: Sequence[RoadResponse],
 ) -> dict[str, Any]:
     """Write the road, the record beside it and the uncertainty of its nodes; return the record.
 
     Parameters
     ----------
-    found : Scanned
+    found : ScannedRoad
         From :func:`road_from_scan`.
     path : Path
         The OpenCRG file. Its record is ``.json``; ``.npz`` holds ``u`` (nu,), ``v`` (nv,), and (nu, nv) ``z``,
         NaN in every hole, ``sigma``, ``noise``, ``points`` and ``status``.
-    clouds : sequence of str
-        Names of the clouds.
+    clouds : sequence of (str, str)
+        Names of the clouds, and a sentence on the georeference of each.
     scanned_along : ScanPath
         The path.
-    felt : sequence of Felt
-        What the twin feels of its versions.
-    how : sequence of str
-        How each cloud lies in ``map``, in words.
+    responses : sequence of RoadResponse
+        Of the twin to its versions.
 
     Returns
     -------
     dict
-        What the record holds.
+        The record.
     """
     datum = scanned_along.twin.datum
     record: dict[str, Any] = {
         "origin": "scan",
-        "clouds": [{"name": n, "placing": h} for n, h in zip(clouds, how, strict=True)],
+        "clouds": [{"name": name, "placing": words} for name, words in clouds],
         "path": scanned_along.name,
         "datum": None if datum is None else datum.model_dump(),
         **found.facts,
-        "felt": [vars(f) for f in felt],
+        "felt": [vars(response) for response in responses],
     }
-    write_road(found.road, path, comment=f"From a scan by suspension_twin: {', '.join(clouds)}")
+    names = ", ".join(name for name, _ in clouds)
+    write_road(found.road, path, comment=f"From a scan by suspension_twin: {names}")
     write_text(record_path(path), json.dumps(record, indent=1) + "\n")
     with replacing(cells_path(path)) as temporary:
         np.savez_compressed(
@@ -339,9 +344,103 @@ def write_scan(
             u=found.road.u,
             v=found.road.v,
             z=np.where(found.status == HOLE, np.nan, found.road.heights_grid),
-            sigma=found.sigma.astype(np.float32),
-            noise=found.noise.astype(np.float32),
-            points=found.count.astype(np.float32),
+            sigma=found.surface.sigma.astype(np.float32),
+            noise=found.surface.noise.astype(np.float32),
+            points=found.surface.count.astype(np.float32),
             status=found.status,
         )
     return record
+
+
+def scan_road(
+    clouds: Sequence[Path],
+    path: Path,
+    out: Path,
+    twin: Path,
+    settings: ScanSettings,
+    *,
+    datum: tuple[float, float, float] | None = None,
+    crs: str | None = None,
+    unit: str | None = None,
+    axes: str = "xyz",
+    fit: bool = False,
+    speed: float = 30.0 / 3.6,
+    picture: Path | None = None,
+    progress: Progress = lambda text, share: None,
+) -> tuple[ScannedRoad, list[RoadResponse], RoadCheck, list[str]]:
+    """Make a road file of point clouds; see the command line.
+
+    Returns the road, the twin's responses to it, its check, and notes. Raises InputError for files that cannot be used.
+    """
+    car = load_twin(twin)
+    if model_of(car).recordings != "drive":
+        raise InputError(
+            twin, "model", f"a road is felt by a vehicle that drives on one, {car.model} does not"
+        )
+    changes: dict[str, object] = {"road": None}
+    if datum is not None:
+        changes["datum"] = dict(zip(("latitude", "longitude", "altitude"), datum, strict=True))
+    car = car.with_changes(changes)
+    opened = [open_cloud(cloud) for cloud in clouds]
+    progress(f"reading {path.name}", None)
+    along = read_path(path, car, _STEPS[0][0])
+    if fit:
+        if crs is not None:
+            raise InputError("--fit", "cannot be given with --crs: it places clouds that have none")
+        own = [georeference_of(c.path, None, None, axes, unit, None)[0] for c in opened]
+        placed = _fitted(list(zip(opened, own, strict=True)), along, unit is None, progress)
+    else:
+        placed = [georeference_of(c.path, c.crs, crs, axes, unit, along.twin.datum) for c in opened]
+    sources = [(c, g) for c, (g, _) in zip(opened, placed, strict=True)]
+    found = road_from_scan(sources, along.line, along.name, settings, progress)
+    progress("driving the twin over it", None)
+    named = [(c.path.name, words) for c, (_, words) in zip(opened, placed, strict=True)]
+    notes = [f"{name}: {words}" for name, words in named]
+    notes += [found.facts["note"]] if "note" in found.facts else []
+    gaussian = f"Gaussian, {settings.sigma:g} m"
+    roads = {
+        "edge-preserving": found.edges,
+        gaussian: found.gaussian,
+        "cells, not smoothed": found.cells,
+        "another draw within its uncertainty": found.drawn(0),
+    }
+    responses: list[RoadResponse] = []
+    try:
+        drive = along.drive if along.drive is not None else steady_path(found.road, along.twin, speed)
+        written = "edge-preserving" if settings.filter == "edges" else gaussian
+        responses = road_responses(roads, written, along.twin, drive)
+    except (InputError, WorkError) as error:  # too short to drive over, or too rough
+        notes.append(f"what the twin feels is left out: {error}")
+    with together():
+        write_scan(found, out, named, along, responses)
+        if picture is not None:
+            from suspension_twin.addons.roads.pictures import save_scan_picture
+
+            save_scan_picture(found, responses, picture)
+    return found, responses, check_file(out), notes
+
+
+def _fitted(
+    clouds: Sequence[tuple[Cloud, Georeference]], along: ScanPath, metres: bool, progress: Progress
+) -> list[tuple[Georeference, str]]:
+    """Georeferences by a rigid fit to the drive of clouds in one common frame, and a sentence on each.
+
+    Where ``metres`` are assumed and clouds fit nowhere, an error says whether they would in feet.
+    """
+    drive = along.drive
+    if drive is None:
+        raise InputError("--fit", f"needs a recorded drive as the path, {along.name} is none")
+    try:
+        found = register(clouds, drive, along.twin, progress)
+    except Ambiguous:
+        raise
+    except InputError as error:
+        foot, fits = SCAN_UNITS["ft"], False
+        feet = [(c, replace(g, unit=foot, up=foot)) for c, g in clouds]
+        with suppress(InputError):
+            fits = metres and bool(register(feet, drive, along.twin, progress))
+        if not fits:
+            raise
+        text = f"fits the drive {drive.name} in feet and not in metres: give --unit ft"
+        raise InputError(clouds[0][0].path, text) from error
+    return [(replace(g, turn=found.turn, move=found.move), str(found)) for _, g in clouds]

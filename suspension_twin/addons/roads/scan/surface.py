@@ -20,7 +20,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -28,11 +28,11 @@ from scipy.linalg import lapack
 from scipy.ndimage import uniform_filter
 from threadpoolctl import threadpool_limits
 
-from suspension_twin.addons.roads.scan.kernels import accumulate, residuals
 from suspension_twin.arrays import Floats
+from suspension_twin.compiled import compiled
 from suspension_twin.errors import WorkError
 
-__all__ = ["Fitted", "Grid", "Points", "fit_surface"]
+__all__ = ["Grid", "Points", "Surface", "fit_surface"]
 
 #: Degrees of freedom of both Student t distributions, as is usual for robust fits (Lange et al., section 5).
 _FREEDOM = 4.0
@@ -42,38 +42,65 @@ _ITERATIONS, _DRAWS = 6, 8
 #: Blocks in which the scale of the noise is estimated, m, and points' worth of the whole tile's in each.
 _BLOCK_U, _BLOCK_V, _BLOCK_PRIOR = 1.0, 0.5, 50.0
 _FIRST_NOISE = 0.005
-#: Length of a tile and what it shares with the next, m; the reach of a datum is some decimetres.
+#: Length of a tile and of its overlap with the next, m; the reach of a datum is some decimetres.
 _TILE, _OVERLAP = 20.0, 2.0
 #: A node without any datum near is held by this, m: only so that the factor exists.
 _LOOSE = 30.0
-
-Singles = NDArray[np.float32]
 
 
 @dataclass(frozen=True, eq=False)
 class Points:
     """Ground points (n,): ``u``, ``v``, ``z`` m, sorted by u."""
 
-    u: Singles
-    v: Singles
-    z: Singles
+    u: NDArray[np.float32]
+    v: NDArray[np.float32]
+    z: NDArray[np.float32]
+
+    def __getitem__(self, rows: slice | NDArray[np.bool_]) -> Points:
+        """Some of them."""
+        return Points(self.u[rows], self.v[rows], self.z[rows])
 
 
 @dataclass(frozen=True)
 class Grid:
-    """Nodes at ``u`` = i du and ``v`` = v0 + j dv, m."""
+    """Nodes at ``u`` = u0 + i du and ``v`` = v0 + j dv, m."""
 
     nu: int
     nv: int
     du: float
     dv: float
     v0: float
+    u0: float = 0.0
+
+    @property
+    def v(self) -> Floats:
+        """(nv,) m across."""
+        return np.asarray(self.v0 + self.dv * np.arange(self.nv, dtype=np.float64))
+
+    def rows(self, begin: int, end: int) -> Grid:
+        """The nodes from row ``begin`` to before ``end``."""
+        return replace(self, nu=end - begin, u0=begin * self.du)
+
+    def sums(self, points: Points, values: NDArray[np.floating] | None = None) -> Floats:
+        """(nu, nv) sum of ``values`` (n,), or number, of the points nearest to each node."""
+        at = np.clip(np.rint((points.u - self.u0) / self.du), 0, self.nu - 1).astype(np.int64) * self.nv
+        at += np.clip(np.rint((points.v - self.v0) / self.dv), 0, self.nv - 1).astype(np.int64)
+        return np.bincount(at, values, self.nu * self.nv).astype(np.float64).reshape(self.nu, self.nv)
 
 
 @dataclass(frozen=True, eq=False)
-class Fitted:
-    """``z`` (nu, nv) m, its standard deviation ``sigma``, two ``draws`` (2, nu, nv) of its error, the scale ``noise``
-    (nu, nv) m of the points and their number ``count`` about each node."""
+class Surface:
+    """A fitted surface on the nodes of a grid.
+
+    Parameters
+    ----------
+    z, sigma : (nu, nv) array
+        Heights and their standard deviation in m.
+    draws : (2, nu, nv) array
+        Draws of the heights' error in m.
+    noise, count : (nu, nv) array
+        Scale in m of the noise of the points about each node, and their number.
+    """
 
     z: Floats
     sigma: Floats
@@ -84,21 +111,20 @@ class Fitted:
 
 def fit_surface(
     points: Points, grid: Grid, seed: int = 0, progress: Callable[[float], None] = lambda share: None
-) -> Fitted:
+) -> Surface:
     """Fit the surface tile by tile along u; neighbouring tiles are faded into each other."""
     rows_tile = max(4, round(_TILE / grid.du))
     rows_over = max(2, round(_OVERLAP / grid.du))
     starts = list(range(0, max(1, grid.nu - rows_over), rows_tile))
     shape = (grid.nu, grid.nv)
-    out = Fitted(np.zeros(shape), np.zeros(shape), np.zeros((2, *shape)), np.zeros(shape), np.zeros(shape))
+    out = Surface(np.zeros(shape), np.zeros(shape), np.zeros((2, *shape)), np.zeros(shape), np.zeros(shape))
     rng = np.random.default_rng(seed)
     with threadpool_limits(1, "blas"):
         for k, start in enumerate(starts):
             end = grid.nu if k == len(starts) - 1 else min(grid.nu, start + rows_tile + rows_over)
             begin = max(0, start - rows_over) if k else 0
             low, high = np.searchsorted(points.u, [(begin - 0.5) * grid.du, (end - 0.5) * grid.du])
-            part = Points(*(np.ascontiguousarray(c[low:high]) for c in (points.u, points.v, points.z)))
-            tile = _fit_tile(part, begin, end - begin, grid, rng)
+            tile = _fit_tile(points[low:high], grid.rows(begin, end), rng)
             fade = np.ones(end - begin)
             if k:
                 shared = 2 * rows_over
@@ -113,26 +139,23 @@ def fit_surface(
     return out
 
 
-def _fit_tile(points: Points, begin: int, nu: int, grid: Grid, rng: np.random.Generator) -> Fitted:
-    nv, n = grid.nv, nu * grid.nv
-    place = (begin * grid.du, grid.v0, grid.du, grid.dv)
+def _fit_tile(points: Points, grid: Grid, rng: np.random.Generator) -> Surface:
+    """The surface on some rows of nodes."""
+    nu, nv, n = grid.nu, grid.nv, grid.nu * grid.nv
+    place = (grid.u0, grid.v0, grid.du, grid.dv)
     level = float(np.median(points.z)) if points.z.size else 0.0
-    z = (points.z - np.float32(level)).astype(np.float32)
-    block = (
-        ((points.u - place[0]) / _BLOCK_U).astype(np.int64),
-        ((points.v - grid.v0) / _BLOCK_V).astype(np.int64),
-    )
+    u, v, z = (np.ascontiguousarray(c) for c in (points.u, points.v, points.z - np.float32(level)))
     across = max(1, math.ceil((nv - 1) * grid.dv / _BLOCK_V) + 1)
-    which = np.clip(block[0], 0, None) * across + np.clip(block[1], 0, across - 1)
+    which = np.clip(((u - grid.u0) / _BLOCK_U).astype(np.int64), 0, None) * across
+    which += np.clip(((v - grid.v0) / _BLOCK_V).astype(np.int64), 0, across - 1)
     w = np.full(z.size, 1.0 / _FIRST_NOISE**2)
     scale = np.full(z.size, _FIRST_NOISE)
     # A tenth of a percent of slope at first: the estimate follows within two iterations.
     along, beside = _Differences(0, nu, nv, grid.du), _Differences(1, nu, nv, grid.dv)
     r = np.empty(z.size)
-    heights, draws = np.zeros((nu, nv)), np.zeros((_DRAWS, nu, nv))
     for _ in range(_ITERATIONS):
         band, right = np.zeros((nv + 2, n)), np.zeros(n)
-        accumulate(points.u, points.v, z, w, *place, nu, nv, band, right)
+        _accumulate(u, v, z, w, *place, nu, nv, band, right)
         along.add(band)
         beside.add(band)
         band[0] += 1.0 / _LOOSE**2
@@ -145,25 +168,19 @@ def _fit_tile(points: Points, begin: int, nu: int, grid: Grid, rng: np.random.Ge
         share = 2.0 / math.pi * math.atan2(beside.scale, along.scale)
         along.learn(heights, draws, share)
         beside.learn(heights, draws, 1.0 - share)
-        residuals(points.u, points.v, z, *place, heights, r)
-        weight = (_FREEDOM + 1.0) / (_FREEDOM + (r / scale) ** 2)
+        _residuals(u, v, z, *place, heights, r)
         if z.size:
-            square = weight * r**2
-            whole = float(square.mean())
+            square = (_FREEDOM + 1.0) / (_FREEDOM + (r / scale) ** 2) * r**2
             counts = np.bincount(which)
-            blocks = (np.bincount(which, square) + _BLOCK_PRIOR * whole) / (counts + _BLOCK_PRIOR)
+            prior = _BLOCK_PRIOR * float(square.mean())
+            blocks = (np.bincount(which, square) + prior) / (counts + _BLOCK_PRIOR)
             scale = np.sqrt(np.maximum(blocks, 1e-10))[which]
         w = (_FREEDOM + 1.0) / (_FREEDOM + (r / scale) ** 2) / scale**2
-    at = np.clip(np.rint((points.u - place[0]) / grid.du), 0, nu - 1).astype(np.int64) * nv
-    at += np.clip(np.rint((points.v - grid.v0) / grid.dv), 0, nv - 1).astype(np.int64)
-    count = np.bincount(at, minlength=n).astype(np.float64)
+    count = grid.sums(points)
     with np.errstate(invalid="ignore"):
-        noise = np.bincount(at, scale, minlength=n) / count
+        noise = np.nan_to_num(grid.sums(points, scale) / count)
     spread = np.sqrt(uniform_filter(np.mean(draws**2, axis=0), 3))
-    shape = (nu, nv)
-    return Fitted(
-        heights + level, spread, draws[:2].copy(), np.nan_to_num(noise).reshape(shape), count.reshape(shape)
-    )
+    return Surface(heights + level, spread, draws[:2].copy(), noise, count)
 
 
 class _Differences:
@@ -178,16 +195,12 @@ class _Differences:
         """Add the precision of the differences to a banded matrix."""
         p = self._weight / self.scale**2
         diagonal, beside = np.zeros((2, self._nu, self._nv))
-        if self._axis == 0:
-            diagonal[:-1] += p
-            diagonal[1:] += p
-            beside[:-1] = -p
-            band[self._nv] += beside.ravel()
-        else:
-            diagonal[:, :-1] += p
-            diagonal[:, 1:] += p
-            beside[:, :-1] = -p
-            band[1] += beside.ravel()
+        # Views in which the differences run along the first axis.
+        own, next_, q = (np.swapaxes(c, 0, self._axis) for c in (diagonal, beside, p))
+        own[:-1] += q
+        own[1:] += q
+        next_[:-1] = -q
+        band[self._nv if self._axis == 0 else 1] += beside.ravel()
         band[0] += diagonal.ravel()
 
     def learn(self, z: Floats, draws: Floats, share: float) -> None:
@@ -202,3 +215,50 @@ class _Differences:
         shared = _POOL * uniform_filter(square, pool) / self.scale**2
         self._weight = (_FREEDOM + _POOL) / (_FREEDOM + shared)
         self.scale = max(math.sqrt(float(np.mean(self._weight * square))), 1e-6)
+
+
+@compiled
+def _accumulate(
+    u: NDArray[np.float32], v: NDArray[np.float32], z: NDArray[np.float32], w: Floats,
+    u0: float, v0: float, du: float, dv: float, nu: int, nv: int,
+    band: Floats, right: Floats,
+) -> None:  # fmt: skip
+    """Add weighted points (n,) to the normal equations of the nodes.
+
+    A point observes the bilinear interpolation of the four nodes around it. Nodes are numbered i * nv + j; a matrix
+    over them is banded, stored as LAPACK's lower form: band[k, j] = A[j + k, j].
+    """
+    beyond = (0, 1, nv, nv + 1)
+    for p in range(u.size):
+        fu, fv = (u[p] - u0) / du, (v[p] - v0) / dv
+        i, j = min(max(int(fu), 0), nu - 2), min(max(int(fv), 0), nv - 2)
+        a, c = fu - i, fv - j
+        shares = ((1.0 - a) * (1.0 - c), (1.0 - a) * c, a * (1.0 - c), a * c)
+        for m in range(4):
+            k, share = i * nv + j + beyond[m], w[p] * shares[m]
+            right[k] += w[p] * z[p] * shares[m]
+            for n in range(m, 4):
+                band[beyond[n] - beyond[m], k] += share * shares[n]
+
+
+@compiled
+def _residuals(
+    u: NDArray[np.float32],
+    v: NDArray[np.float32],
+    z: NDArray[np.float32],
+    u0: float,
+    v0: float,
+    du: float,
+    dv: float,
+    x: Floats,
+    out: Floats,
+) -> None:
+    """Heights (n,) of points above the surface of nodes ``x`` (nu, nv)."""
+    nu, nv = x.shape
+    for p in range(u.size):
+        fu, fv = (u[p] - u0) / du, (v[p] - v0) / dv
+        i, j = min(max(int(fu), 0), nu - 2), min(max(int(fv), 0), nv - 2)
+        a, c = fu - i, fv - j
+        low = x[i, j] + c * (x[i, j + 1] - x[i, j])
+        top = x[i + 1, j] + c * (x[i + 1, j + 1] - x[i + 1, j])
+        out[p] = z[p] - (low + a * (top - low))

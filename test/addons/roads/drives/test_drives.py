@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Roads from drives: the road that was driven over comes back, with intervals that hold it, and limits are told."""
+"""Roads from drives: the road that was driven over comes back, with intervals that hold it, and limits are reported."""
 
 from __future__ import annotations
 
@@ -10,9 +10,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from suspension_twin.addons.roads.drives.alignment import banded, lags_along
 from suspension_twin.addons.roads.drives.drives import Part, road_from_drives
-from suspension_twin.addons.roads.drives.estimate import STEP, Settings
+from suspension_twin.addons.roads.drives.estimate import STEP, RoadEstimateSettings
+from suspension_twin.addons.roads.drives.passes import banded, lags_along
 from suspension_twin.addons.roads.drives.transfer import best_linear_approximation
 from suspension_twin.cli.main import main
 from suspension_twin.drive.read import read_drive
@@ -66,17 +66,23 @@ def paths_of(road: Road, found_line: Road, track: float, u: np.ndarray) -> np.nd
 
 def test_two_drives_give_the_road_and_its_intervals(twin: Twin, truth: Road) -> None:
     drives = [driven(twin, truth, 5.0, 1), driven(twin, truth, 10.0, 2)]
-    found = road_from_drives(drives, twin, Settings(iterations=4, samples=6))
-    true = banded(paths_of(truth, found.road, found.track, found.u), STEP, 0.1, 2.0)
-    own, sigma = banded(found.heights, STEP, 0.1, 2.0), found.sigma()
-    k = found.covered & (found.u > found.u[0] + 18.0) & (found.u < found.u[-1] - 18.0)
+    found = road_from_drives(drives, twin, RoadEstimateSettings(iterations=4, samples=6))
+    true = banded(
+        paths_of(truth, found.profiles.road(), found.profiles.track, found.profiles.u), STEP, 0.1, 2.0
+    )
+    own, sigma = banded(found.profiles.middle, STEP, 0.1, 2.0), found.sigma()
+    k = (
+        found.covered
+        & (found.profiles.u > found.profiles.u[0] + 18.0)
+        & (found.profiles.u < found.profiles.u[-1] - 18.0)
+    )
     assert k.sum() * STEP > 70.0
     for side in (0, 1):
         error = own[side, k] - true[side, k]
         assert np.corrcoef(own[side, k], true[side, k])[0, 1] > 0.985
         assert np.std(error) < 1e-3
         assert np.mean(np.abs(error) < 1.645 * sigma[side, k]) > 0.75
-    # What the car cannot show is said: of waves beyond 20 m, and not of those between 1 and 2 m.
+    # Waves that the car cannot show are reported: those beyond 20 m, and not those between 1 and 2 m.
     known = {w["longest"]: w["known"] for w in found.by_wavelength()}
     assert known[40.0] < 0.9 < 0.95 < known[2.5]
 
@@ -100,7 +106,7 @@ def test_an_independent_car_over_a_known_road(tmp_path: Path, capsys: pytest.Cap
         assert np.corrcoef(a, b)[0, 1] > 0.8
     assert picture.stat().st_size > 30_000
     assert len(record["per_metre"]["u"]) == pytest.approx(road.length, abs=2)
-    # A comparison on it says what it cannot show.
+    # A comparison on it warns of its limits.
     moved = load_twin(folder / "twin.yaml").with_changes({"road.file": str(out)})
     simulated = simulate_drive(read_drive(folder), moved)
     assert any("only what changed since shows" in text for text in simulated.warnings)
@@ -121,14 +127,14 @@ def test_a_phones_receiver_is_corrected_by_the_road_itself(twin: Twin, truth: Ro
             sigma=np.full_like(drive.fix.sigma, 3.0),
         )
         poor.append(replace(drive, fix=fix))
-    found = road_from_drives(poor, twin, Settings(iterations=3, samples=2))
+    found = road_from_drives(poor, twin, RoadEstimateSettings(iterations=3, samples=2))
     middle = found.passes[1].base[found.passes[1].base.size // 2]
     assert middle == pytest.approx(-2.5, abs=0.3)
     # The map is as far off as the first drive's fixes; which place on the road a point of the line is, is not.
-    u, _ = truth.xy_to_uv(found.line.x, found.line.y)
-    true = banded(truth.heights_uv(u, 0.5 * found.track, "hold")[None], STEP, 0.1, 1.0)
-    k = found.covered & (found.u > 25.0) & (found.u < found.u[-1] - 25.0)
-    assert np.corrcoef(banded(found.heights, STEP, 0.1, 1.0)[0, k], true[0, k])[0, 1] > 0.9
+    u, _ = truth.xy_to_uv(found.profiles.line.x, found.profiles.line.y)
+    true = banded(truth.heights_uv(u, 0.5 * found.profiles.track, "hold")[None], STEP, 0.1, 1.0)
+    k = found.covered & (found.profiles.u > 25.0) & (found.profiles.u < found.profiles.u[-1] - 25.0)
+    assert np.corrcoef(banded(found.profiles.middle, STEP, 0.1, 1.0)[0, k], true[0, k])[0, 1] > 0.9
 
 
 def test_lags_are_found_along_the_road() -> None:
@@ -169,7 +175,7 @@ def test_drives_that_do_not_fit_are_named(change: str, words: str, twin: Twin, t
         fix = replace(first.fix, latitude=first.fix.latitude + shift * metre)
         other = replace(first, name="other", fix=fix)
     with pytest.raises(InputError, match=words) as caught:
-        road_from_drives([first, other], twin, Settings(iterations=1))
+        road_from_drives([first, other], twin, RoadEstimateSettings(iterations=1))
     assert "\n" not in str(caught.value)
 
 

@@ -10,8 +10,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from suspension_twin.addons.roads.drives.laps import Laps, Span
-from suspension_twin.addons.roads.drives.learning import Lesson, learn_road
+from suspension_twin.addons.roads.drives.learning import (
+    Laps,
+    Lesson,
+    Span,
+    learn_road,
+    read_lesson,
+    write_lesson,
+)
 from suspension_twin.drive.read import read_drive
 from suspension_twin.errors import InputError
 from suspension_twin.inference.simulated import simulate_drive
@@ -57,7 +63,7 @@ def test_a_poor_receiver_comes_back_too_and_short_ways_are_nothing() -> None:
 
 
 def test_the_twin_stands_on_what_was_learnt(tmp_path: Path) -> None:
-    """From the bundled bump; a pass of elsewhere is told and left out."""
+    """From the bundled bump; a pass of elsewhere is left out with a warning."""
     drive = read_drive(BAGS / "bump_15kmh")
     twin = load_twin(BAGS / "bump_15kmh" / "twin.yaml").with_changes({"road": None})
     twin_file = tmp_path / "twin.yaml"
@@ -67,7 +73,8 @@ def test_the_twin_stands_on_what_was_learnt(tmp_path: Path) -> None:
     t = float(drive.imu.t[0])
     out = tmp_path / "road.crg"
     lesson = Lesson(str(twin_file), str(out), ((drive, t + 6.0, t + 22.0), (elsewhere, t + 8.0, t + 18.0)))
-    outcome = learn_road(lesson)
+    write_lesson(lesson, tmp_path / "lesson.npz")
+    outcome = learn_road(read_lesson(tmp_path / "lesson.npz"))
     assert outcome["passes"] == 1
     assert any("left out: pass 2" in text for text in outcome["warnings"])
     assert 20.0 < outcome["length"] < 80.0
@@ -78,7 +85,23 @@ def test_the_twin_stands_on_what_was_learnt(tmp_path: Path) -> None:
     assert on_it.gap.rms < 0.6 * level.gap.rms
 
 
-def test_a_lesson_without_a_pass_says_why_and_writes_nothing(tmp_path: Path) -> None:
+def test_a_lesson_comes_back_from_its_file_with_each_drive_once(tmp_path: Path) -> None:
+    drive = read_drive(BAGS / "bump_15kmh")
+    passes = ((drive, 1.0, 2.0), (replace(drive, heading=None), 2.0, 3.0), (drive, 4.0, 5.0))
+    lesson = Lesson("a.yaml", "a.crg", passes, (47.4, 19.3, 100.0))
+    write_lesson(lesson, tmp_path / "lesson.npz")
+    found = read_lesson(tmp_path / "lesson.npz")
+    assert (found.twin, found.out, found.datum) == (lesson.twin, lesson.out, lesson.datum)
+    assert [p[1:] for p in found.passes] == [p[1:] for p in passes]
+    assert found.passes[0][0] is found.passes[2][0] and found.passes[1][0].heading is None
+    again = found.passes[0][0]
+    assert (again.name, again.warnings) == (drive.name, drive.warnings)
+    for kind in ("imu", "fix", "velocity"):
+        for name, value in vars(getattr(drive, kind)).items():
+            np.testing.assert_array_equal(getattr(getattr(again, kind), name), value)
+
+
+def test_a_lesson_without_a_pass_is_an_error_and_writes_nothing(tmp_path: Path) -> None:
     drive = read_drive(BAGS / "bump_15kmh")
     t = float(drive.imu.t[0])
     lesson = Lesson(

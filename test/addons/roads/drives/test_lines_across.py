@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from suspension_twin.addons.roads.drives.drives import road_from_drives, surface_of
-from suspension_twin.addons.roads.drives.estimate import Estimate, Settings, lanes_road
+from suspension_twin.addons.roads.drives.estimate import RoadEstimate, RoadEstimateSettings, WheelProfiles
 from suspension_twin.addons.roads.drives.inverse import RoadPrior, coherence
 from suspension_twin.drive.types import Drive
 from suspension_twin.inference.synthetic import synthetic_drive
@@ -37,32 +37,36 @@ def test_each_lane_is_nearer_to_the_truth_than_one_line_for_both(twin: Twin) -> 
     road = iso8608_road("A", 60.0, width=5.0, seed=5, step=0.05)
     road = add_bump(road, half_sine(1.0, 0.015), 28.0, v_low=0.5 * twin.vehicle.front_track)
     drives = [driven(twin, road, 6.0, 0.1, 1), driven(twin, road, 8.0, -0.1, 2)]
-    found = road_from_drives(drives, twin, Settings(iterations=2, samples=1))
-    one = road_from_drives(drives, twin, Settings(iterations=2, samples=1, lines=False))
-    assert found.surface is not None and one.surface is None
-    assert found.across.size == 2 and np.ptp(found.across) == pytest.approx(0.2, abs=0.03)
-    u, v = road.xy_to_uv(found.line.x, found.line.y)
+    found = road_from_drives(drives, twin, RoadEstimateSettings(iterations=2, samples=1))
+    one = road_from_drives(drives, twin, RoadEstimateSettings(iterations=2, samples=1, lines=False))
+    assert found.profiles.heights.shape[1] == 2 and one.profiles.heights.shape[1] == 1
+    assert found.profiles.across.size == 2 and np.ptp(found.profiles.across) == pytest.approx(0.2, abs=0.03)
+    u, v = road.xy_to_uv(found.profiles.line.x, found.profiles.line.y)
     k = (u > 26.0) & (u < 32.0)
 
-    def error(estimate: Estimate) -> float:
+    def error(estimate: RoadEstimate) -> float:
         written, total = surface_of(estimate), 0.0
-        for across in found.across:
-            x, y = found.road.uv_to_xy(found.u, np.full(found.u.size, 0.5 * found.track + across))
-            own, true = written.heights(x, y), road.heights_uv(u, v + 0.5 * found.track + across)
+        for across in found.profiles.across:
+            x, y = found.profiles.road().uv_to_xy(
+                found.profiles.u, np.full(found.profiles.u.size, 0.5 * found.profiles.track + across)
+            )
+            own, true = written.heights(x, y), road.heights_uv(u, v + 0.5 * found.profiles.track + across)
             total += float(np.std((own - true)[k]) ** 2)
         return total
 
     assert error(found) < 0.8 * error(one)
-    # What is written has each lane where it was driven.
+    # The written road has each lane where it was driven.
     at = int(np.argmin(np.abs(u - 28.5)))
-    x, y = found.road.uv_to_xy(found.u[at], 0.5 * found.track + found.across)
-    np.testing.assert_allclose(surface_of(found).heights(x, y), found.surface[0, :, at], atol=1e-3)
+    x, y = found.profiles.road().uv_to_xy(
+        found.profiles.u[at], 0.5 * found.profiles.track + found.profiles.across
+    )
+    np.testing.assert_allclose(surface_of(found).heights(x, y), found.profiles.heights[0, :, at], atol=1e-3)
 
 
 def test_lines_are_held_at_both_sides() -> None:
     line = Centreline([0.0, 20.0], [0.0, 0.0], 0.05)
     heights = np.array([[[0.01] * 401, [0.03] * 401], [[-0.01] * 401, [-0.02] * 401]])
-    road = lanes_road(line, heights, 1.6, across=np.array([-0.1, 0.1]))
+    road = WheelProfiles(line, 1.6, heights, np.array([-0.1, 0.1])).road()
     for v, z in (
         (0.7, 0.01),
         (0.8, 0.02),

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Vehicle and road at once: what drives say of a vehicle over a road that nobody knows, and what they cannot."""
+"""Joint estimation of vehicle and road: a wrong vehicle is corrected over an unknown road, with its limits."""
 
 from __future__ import annotations
 
@@ -10,10 +10,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from suspension_twin.addons.roads.drives.alignment import banded
 from suspension_twin.addons.roads.drives.drives import road_from_drives
-from suspension_twin.addons.roads.drives.estimate import STEP, Estimate, Settings
-from suspension_twin.addons.roads.drives.known import known_heights
+from suspension_twin.addons.roads.drives.estimate import STEP, RoadEstimate, RoadEstimateSettings
+from suspension_twin.addons.roads.drives.inverse import known_heights
+from suspension_twin.addons.roads.drives.passes import banded
 from suspension_twin.addons.roads.drives.vehicle import PARAMETERS, scaled_twin
 from suspension_twin.cli.main import main
 from suspension_twin.drive.read import read_drive
@@ -28,7 +28,7 @@ from suspension_twin.road.roughness import iso8608_road
 from suspension_twin.vehicle.twin import Twin, load_twin, save_twin
 
 BAGS = Path(__file__).resolve().parents[4] / "bags"
-NAMES = [p.name for p in PARAMETERS]
+NAMES = list(PARAMETERS)
 
 
 @pytest.fixture(scope="module")
@@ -52,12 +52,18 @@ def drives(twin: Twin, truth: Road) -> list[Drive]:
     return made
 
 
-def error_of(found: Estimate, truth: Road) -> float:
+def error_of(found: RoadEstimate, truth: Road) -> float:
     """Rms in m, waves between 0.5 and 10 m, both wheel paths, ends left out."""
-    k = found.covered & (found.u > found.u[0] + 15.0) & (found.u < found.u[-1] - 15.0)
+    k = (
+        found.covered
+        & (found.profiles.u > found.profiles.u[0] + 15.0)
+        & (found.profiles.u < found.profiles.u[-1] - 15.0)
+    )
     total = 0.0
-    for heights, v in zip(found.heights, (0.5 * found.track, -0.5 * found.track), strict=True):
-        x, y = found.road.uv_to_xy(found.u, np.full(found.u.size, v))
+    for heights, v in zip(
+        found.profiles.middle, (0.5 * found.profiles.track, -0.5 * found.profiles.track), strict=True
+    ):
+        x, y = found.profiles.road().uv_to_xy(found.profiles.u, np.full(found.profiles.u.size, v))
         error = banded(heights - truth.heights(x, y, "hold"), STEP, 0.1, 2.0)[k]
         total += 0.5 * float(np.mean(error**2))
     return math.sqrt(total)
@@ -70,8 +76,8 @@ def test_a_wrong_vehicle_is_put_right_by_drives_over_an_unknown_road(
     wrong = np.zeros(len(NAMES))
     wrong[NAMES.index("front dampers")], wrong[NAMES.index("rear dampers")] = -0.5, 0.4
     given = scaled_twin(twin, wrong)
-    alone = road_from_drives(drives, given, Settings(iterations=3, samples=2))
-    joint = road_from_drives(drives, given, Settings(iterations=6, samples=3, joint=True))
+    alone = road_from_drives(drives, given, RoadEstimateSettings(iterations=3, samples=2))
+    joint = road_from_drives(drives, given, RoadEstimateSettings(iterations=6, samples=3, joint=True))
     assert error_of(joint, truth) < 0.6 * error_of(alone, truth)
     vehicle = joint.vehicle
     assert vehicle is not None
@@ -80,7 +86,7 @@ def test_a_wrong_vehicle_is_put_right_by_drives_over_an_unknown_road(
     dampers = [NAMES.index(f"{axle} dampers") for axle in ("front", "rear")]
     assert np.abs(vehicle.values[dampers] + wrong[dampers]).max() < 0.2
     assert (vehicle.sigma < 1.001 * vehicle.prior).all() and (vehicle.sigma[dampers] < 0.15).all()
-    # What is uncertain of the vehicle is in the road's uncertainty.
+    # The uncertainty of the vehicle is in that of the road.
     assert 0.0 < vehicle.amplitude < 0.1
     # The twin that comes out makes the drive on the road that comes out.
     assert vehicle.twin.vehicle.front.damper_pull.force[0] == pytest.approx(
@@ -90,7 +96,7 @@ def test_a_wrong_vehicle_is_put_right_by_drives_over_an_unknown_road(
 
 def test_a_common_factor_shows_on_no_road(twin: Twin, truth: Road, drives: list[Drive]) -> None:
     """Which is why the mass is taken from the twin file."""
-    factor = np.array([math.log(1.2) if p.log else 0.0 for p in PARAMETERS])
+    factor = np.array([math.log(1.2) if p.log else 0.0 for p in PARAMETERS.values()])
     heavier = scaled_twin(twin, factor).with_changes({"vehicle.mass": 1.2 * twin.vehicle.mass})
     motions = [simulate_drive(drives[1], t, truth).response.vertical_acceleration for t in (twin, heavier)]
     assert np.std(motions[0]) > 0.3
@@ -120,7 +126,7 @@ def test_a_bump_of_known_size_is_found_and_its_heights_hold(truth: Road) -> None
             known_heights(parse_feature("bump", text), sides, 0.05, 10.0)
 
 
-def test_the_command_writes_the_vehicle_and_says_what_is_open(
+def test_the_command_writes_the_vehicle_and_names_open_directions(
     twin: Twin, drives: list[Drive], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     write_drive(drives[1], tmp_path / "drive")

@@ -12,7 +12,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from suspension_twin.addons.roads.scan.placing import Placing
+from suspension_twin.addons.roads.scan.clouds import Georeference
 from suspension_twin.arrays import Floats
 from suspension_twin.cli.main import main
 from suspension_twin.road import load_road
@@ -121,9 +121,9 @@ def test_a_fit_needs_a_drive_and_no_crs(tmp_path: Path, capsys: pytest.CaptureFi
 def test_what_lies_along_the_path_lies_in_its_box(
     turn: float, move: tuple[float, float], points: list[tuple[float, float, float]]
 ) -> None:
-    placing, own = Placing(unit=0.5, turn=turn, move=move), np.array(points)
-    placed: Floats = placing.to_map(own)
+    own_frame, own = Georeference(unit=0.5, turn=turn, move=move), np.array(points)
+    placed: Floats = own_frame.to_map(own)
     far = np.hypot(*(placed[:, None, :2] - placed[None, :, :2]).T)
     np.testing.assert_allclose(far, 0.5 * np.hypot(*(own[:, None, :2] - own[None, :, :2]).T), atol=1e-9)
-    box = placing.box(placed[:, 0], placed[:, 1], 0.01)
-    assert len(placing.within(own, box)) == len(own)
+    box = own_frame.box(placed[:, 0], placed[:, 1], 0.01)
+    assert len(own_frame.within(own, box)) == len(own)

@@ -12,8 +12,13 @@ import numpy as np
 import plyfile
 import pytest
 
-from suspension_twin.addons.roads.scan.clouds import Cloud, open_cloud
-from suspension_twin.addons.roads.scan.placing import Placing, parse_axes, placing_of
+from suspension_twin.addons.roads.scan.clouds import (
+    Cloud,
+    Georeference,
+    georeference_of,
+    open_cloud,
+    parse_axes,
+)
 from suspension_twin.addons.roads.scan.scan import ScanSettings, road_from_scan
 from suspension_twin.arrays import Floats
 from suspension_twin.cli.main import main
@@ -65,8 +70,8 @@ def points(truth: Road) -> Floats:
     return np.vstack([p, box, legs, branch, strays])[rng.permutation(len(p) + 28300)]
 
 
-def as_cloud(points: Floats) -> list[tuple[Cloud, Placing]]:
-    return [(Cloud(Path("made"), len(points), None, lambda: iter(np.array_split(points, 3))), Placing())]
+def as_cloud(points: Floats) -> list[tuple[Cloud, Georeference]]:
+    return [(Cloud(Path("made"), len(points), None, lambda: iter(np.array_split(points, 3))), Georeference())]
 
 
 STRAIGHT = Centreline([0.0, LENGTH], [0.0, 0.0], 0.025)
@@ -83,7 +88,7 @@ def test_the_road_comes_back_with_its_edges(points: Floats, truth: Road) -> None
     measured = (found.status == 0) & ~sill
     assert np.sqrt(np.mean(error[measured] ** 2)) < 1.2e-3
     assert np.abs(error[measured]).max() < 8e-3
-    covered = np.abs(error[measured]) < 1.645 * found.sigma[measured]
+    covered = np.abs(error[measured]) < 1.645 * found.surface.sigma[measured]
     assert 0.75 < covered.mean() < 0.97
     # The rim of the pothole: 0.1 m beside it the road is level, on its floor it is 6 cm lower.
     j = int(np.abs(road.v - 1.0).argmin())
@@ -98,7 +103,7 @@ def test_the_road_comes_back_with_its_edges(points: Floats, truth: Road) -> None
               for place in ((25.0, 0.75), (22.0, 0.0), (28.0, -1.9), (13.15, -0.75), (10.0, 0.0))}  # fmt: skip
     assert status == {(25.0, 0.75): 1, (22.0, 0.0): 2, (28.0, -1.9): 2, (13.15, -0.75): 1, (10.0, 0.0): 0}
     middle = np.hypot(u - 22.0, v) < 0.2
-    assert found.sigma[middle].mean() > 1.3 * found.sigma[found.status == 0].mean()
+    assert found.surface.sigma[middle].mean() > 1.3 * found.surface.sigma[found.status == 0].mean()
     filled = found.status == 1
     assert np.sqrt(np.mean(error[filled] ** 2)) < 1.5e-3
 
@@ -123,9 +128,10 @@ def test_the_command_makes_a_road_that_can_be_driven(
     said = capsys.readouterr().out
     assert said.startswith(f"Writes {out}, {tmp_path / 'road.json'}, {tmp_path / 'road.npz'}, {picture}\n")
     record = json.loads((tmp_path / "road.json").read_text())
-    felt = {row["name"]: row for row in record["felt"]}
+    responses = {row["name"]: row for row in record["felt"]}
     assert (
-        felt["Gaussian, 0.1 m"]["difference"] > 2 * felt["another draw within its uncertainty"]["difference"]
+        responses["Gaussian, 0.1 m"]["difference"]
+        > 2 * responses["another draw within its uncertainty"]["difference"]
     )
     nodes = np.load(tmp_path / "road.npz")
     road = load_road(out)
@@ -200,16 +206,18 @@ def test_a_crs_comes_to_map_by_the_datum(crs: str, points: Floats, tmp_path: Pat
     x, y = to.transform(geodetic[:, 1], geodetic[:, 0])
     feet = 3937.0 / 1200.0 if crs == "EPSG:2263" else 1.0
     own = np.column_stack([x, y, geodetic[:, 2] * feet])
-    placing, words = placing_of(Path("a"), pyproj.CRS.from_user_input(crs), None, "xyz", None, datum)
-    np.testing.assert_allclose(placing.to_map(own), points[:200], atol=2e-3)
+    georeference, words = georeference_of(
+        Path("a"), pyproj.CRS.from_user_input(crs), None, "xyz", None, datum
+    )
+    np.testing.assert_allclose(georeference.to_map(own), points[:200], atol=2e-3)
     assert "by the datum" in words
-    box = placing.box(points[:200, 0], points[:200, 1], 1.0)
-    assert len(placing.within(own, box)) == 200
-    assert len(placing.within(own + np.array([1e5, 1e5, 0.0]), box)) == 0
+    box = georeference.box(points[:200, 0], points[:200, 1], 1.0)
+    assert len(georeference.within(own, box)) == 200
+    assert len(georeference.within(own + np.array([1e5, 1e5, 0.0]), box)) == 0
 
 
 def test_axes_are_an_order_with_signs() -> None:
-    assert Placing(parse_axes("x-zy")).to_map(np.array([[1.0, 2.0, 3.0]])).tolist() == [[1.0, -3.0, 2.0]]
+    assert Georeference(parse_axes("x-zy")).to_map(np.array([[1.0, 2.0, 3.0]])).tolist() == [[1.0, -3.0, 2.0]]
     for text in ("xyy", "xy", "abc", "xyz "):
         with pytest.raises(InputError, match="--axes"):
             parse_axes(text)
@@ -251,16 +259,16 @@ def test_a_cloud_that_does_not_fit_is_one_line(
     assert "\n" not in str(caught.value)
 
 
-def test_a_cloud_at_the_origin_that_may_be_in_feet_is_told(truth: Road) -> None:
+def test_a_cloud_at_the_origin_that_may_be_in_feet_is_noted(truth: Road) -> None:
     cloud = sampled(truth, 400.0, 0.003)
-    for unit, told in ((1.0, False), (FEET, True)):
+    for unit, noted in ((1.0, False), (FEET, True)):
         facts = road_from_scan(as_cloud(cloud * unit), STRAIGHT, "line", ScanSettings(width=2.0)).facts
-        assert ("--unit ft" in facts.get("note", "")) is told
+        assert ("--unit ft" in facts.get("note", "")) is noted
 
 
 def test_a_section_and_another_unit_are_taken(truth: Road) -> None:
     cloud = (sampled(truth, 600.0, 0.002) + EAST) * FEET
-    placed = [(as_cloud(cloud)[0][0], Placing(unit=0.3048, up=0.3048))]
+    placed = [(as_cloud(cloud)[0][0], Georeference(unit=0.3048, up=0.3048))]
     line = Centreline(STRAIGHT.x + EAST[0], STRAIGHT.y + EAST[1], 0.025)
     found = road_from_scan(
         placed, line, "line", ScanSettings(width=2.0, section=(5.0, 15.0), filter="gaussian")
@@ -317,7 +325,7 @@ def test_a_header_that_promises_what_is_not_there_is_refused_at_once(
         open_cloud(tmp_path / name)
 
 
-def test_a_drive_is_the_path_and_its_gap_is_told(tmp_path: Path) -> None:
+def test_a_drive_is_the_path_and_its_gap_is_reported(tmp_path: Path) -> None:
     """The bundled drive over its own road, scanned along the drive's path."""
     true = load_road(BAGS / "bump_15kmh" / "road.crg")
     rng = np.random.default_rng(3)
@@ -338,8 +346,8 @@ def test_a_drive_is_the_path_and_its_gap_is_told(tmp_path: Path) -> None:
     assert (
         main([*command, "--out", str(tmp_path / "road.crg"), "--width", "3", "--section", "66", "108"]) == 0
     )
-    felt = json.loads((tmp_path / "road.json").read_text())["felt"][0]
-    assert felt["gap"] < 0.7 * felt["rms"]
+    response = json.loads((tmp_path / "road.json").read_text())["felt"][0]
+    assert response["gap"] < 0.7 * response["rms"]
     road = load_road(tmp_path / "road.crg")
     places = road.uv_to_xy(np.linspace(2.0, road.length - 2.0, 200), np.full(200, 0.7))
     np.testing.assert_allclose(road.heights(*places), true.heights(*places), atol=4e-3)

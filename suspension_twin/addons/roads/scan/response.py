@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What the twin feels of a scanned road: its vertical acceleration on several versions of it."""
+"""Response of the twin to versions of a scanned road: its vertical acceleration on each of them."""
 
 from __future__ import annotations
 
@@ -9,9 +9,9 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.signal import sosfiltfilt
 
+from suspension_twin.addons.roads.recording import MOVING, Observation, simulated_channels
 from suspension_twin.arrays import Floats
 from suspension_twin.errors import InputError
-from suspension_twin.inference.observation import Observation
 from suspension_twin.inference.synthetic import path_along
 from suspension_twin.models.excitation import excitation
 from suspension_twin.models.simulate import simulate_twin
@@ -20,7 +20,7 @@ from suspension_twin.road.road import Road
 from suspension_twin.signals.filters import FilterSpec
 from suspension_twin.vehicle.twin import Twin
 
-__all__ = ["Felt", "feel", "steady_path", "vertical_acceleration"]
+__all__ = ["RoadResponse", "road_responses", "steady_path", "vertical_acceleration"]
 
 _RATE = 200.0
 #: s after the start in which the car settles.
@@ -28,9 +28,20 @@ _SETTLE = 1.0
 
 
 @dataclass(frozen=True)
-class Felt:
-    """Vertical acceleration on one version of a road: ``rms`` and ``peak`` m/s², and ``difference``, the rms of the
-    difference from the written version, m/s². ``gap`` m/s² rms to what a drive measured, None without one."""
+class RoadResponse:
+    """Vertical acceleration on one version of a road.
+
+    Parameters
+    ----------
+    name : str
+        Of the version.
+    rms, peak : float
+        m/s².
+    difference : float
+        rms in m/s² of the difference from the written version.
+    gap : float or None
+        rms in m/s² of the residual to what a drive measured, None without one.
+    """
 
     name: str
     rms: float
@@ -55,43 +66,41 @@ def vertical_acceleration(
 ) -> Floats:
     """Filtered vertical acceleration (n,) m/s² at the sensor, on a path or over a prepared drive."""
     if isinstance(path, Observation):
-        driven = excitation(path.trajectory, twin.vehicle, road, max_step, twin.gps.position[2])
-        return path.condition(simulate_twin(twin, driven))["vertical_acceleration"]
+        return simulated_channels(path, twin, road, max_step)["vertical_acceleration"]
     response = simulate_twin(twin, excitation(path, twin.vehicle, road, max_step))
     out: Floats = sosfiltfilt(FilterSpec().sections(_RATE), response.vertical_acceleration)
     return out[round(_SETTLE * _RATE) :]
 
 
-def feel(roads: Mapping[str, Road], written: str, twin: Twin, path: Trajectory | Observation) -> list[Felt]:
-    """The twin over versions of one road, the first row the version that is ``written``.
+def road_responses(
+    roads: Mapping[str, Road], written: str, twin: Twin, path: Trajectory | Observation
+) -> list[RoadResponse]:
+    """The twin over versions of one road, compared with the version that is ``written``.
 
-    Over a drive the rms is of where the drive is on the road and moves.
+    Over a drive the rms is of the samples on the road and on the move.
     """
     signals = {name: vertical_acceleration(road, twin, path) for name, road in roads.items()}
-    mask = np.ones(signals[written].size, dtype=np.bool_)
+    measured, mask = None, np.ones(signals[written].size, dtype=np.bool_)
     if isinstance(path, Observation):
-        road = roads[written]
-        u, v = road.xy_to_uv(path.trajectory.x, path.trajectory.y)
-        base = float(max(path.twin.vehicle.wheel_positions[:, 0].max(), 0.0))
-        on = (
-            (u > 0.5)
-            & (u < road.length - base - 0.5)
-            & (np.abs(v) < 0.5 * road.width)
-            & (path.trajectory.speed > 1.0)
-        )
-        mask = np.interp(path.t, path.trajectory.t, on.astype(np.float64)) > 0.99
+        road, way = roads[written], path.trajectory
+        u, v = road.xy_to_uv(way.x, way.y)
+        end = road.length - max(float(path.twin.vehicle.wheel_positions[:, 0].max()), 0.0) - 0.5
+        on = (u > 0.5) & (u < end) & (np.abs(v) < 0.5 * road.width) & (way.speed > MOVING)
+        mask = np.interp(path.t, way.t, on.astype(np.float64)) > 0.99
         if mask.sum() < 2.0 * path.rate:
             raise InputError(path.name, "is on the road for less than 2 s")
-    rows = []
-    for name, a in signals.items():
-        gap = None
-        if isinstance(path, Observation):
-            gap = _rms((path.measured["vertical_acceleration"] - a)[mask])
-        rows.append(
-            Felt(name, _rms(a[mask]), float(np.abs(a[mask]).max()), _rms((a - signals[written])[mask]), gap)
+        measured = path.measured["vertical_acceleration"]
+
+    def rms(a: Floats) -> float:
+        return float(np.sqrt(np.mean(a[mask] ** 2)))
+
+    return [
+        RoadResponse(
+            name,
+            rms(a),
+            float(np.abs(a[mask]).max()),
+            rms(a - signals[written]),
+            None if measured is None else rms(measured - a),
         )
-    return rows
-
-
-def _rms(a: Floats) -> float:
-    return float(np.sqrt(np.mean(a**2)))
+        for name, a in signals.items()
+    ]
