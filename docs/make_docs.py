@@ -129,8 +129,8 @@ def _node_classes() -> dict[str, Any]:
     from suspension_twin.nodes.calibrator import CalibratorNode
     from suspension_twin.nodes.imu_ingest import ImuIngestNode
     from suspension_twin.nodes.pose_injector import PoseInjectorNode
-    from suspension_twin.nodes.road_learner import RoadLearnerNode
-    from suspension_twin.nodes.source import SourceNode
+    from suspension_twin.addons.nodes.road_learner import RoadLearnerNode
+    from suspension_twin.addons.nodes.source import SourceNode
     from suspension_twin.nodes.suspension_model import SuspensionModelNode
 
     return {

@@ -231,7 +231,7 @@ def _fleet(
     """The twins of a fleet, and Foxglove's WebSocket and a page for all of them where they are wanted."""
     bridge = None if foxglove is None else _bridge(foxglove)
     page = None if view is None else _place("--view", view)
-    from suspension_twin.cli._fleet_live import run_fleet
+    from suspension_twin.addons.cli.live_fleet import run_fleet
     from suspension_twin.nodes.parameters import read_param_file
     from suspension_twin.nodes.process import check_arguments
 
@@ -295,7 +295,7 @@ def _recorded(composed: Composed, path: Path, force: bool) -> Iterator[None]:
     """What the sources send goes into a recording, which is complete at the end, whatever ends it."""
     from suspension_twin.addons.sources.common.recorder import Recorder
     from suspension_twin.cli._status import say
-    from suspension_twin.nodes.source import SourceNode
+    from suspension_twin.addons.nodes.source import SourceNode
 
     source = composed.nodes["source"]
     assert isinstance(source, SourceNode)

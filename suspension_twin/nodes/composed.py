@@ -25,12 +25,12 @@ from suspension_twin.nodes.imu_ingest import ImuIngestNode
 from suspension_twin.nodes.player import BagPlayer
 from suspension_twin.nodes.pose_injector import PoseInjectorNode
 from suspension_twin.nodes.process import WAIT
-from suspension_twin.nodes.source import SourceNode
+from suspension_twin.addons.nodes.source import SourceNode
 from suspension_twin.nodes.suspension_model import SuspensionModelNode
 from suspension_twin.nodes.topics import ERROR, Embedding, Outbox
 
 if TYPE_CHECKING:
-    from suspension_twin.nodes.road_learner import RoadLearnerNode
+    from suspension_twin.addons.nodes.road_learner import RoadLearnerNode
 
 __all__ = ["LINKS", "Composed", "Condition", "Playback", "check_namespace"]
 
@@ -102,7 +102,7 @@ class Condition:
 
 def _road_learner() -> type[TwinNode]:
     """The node that learns the road, imported where it is asked for: what estimates a road takes half a second."""
-    from suspension_twin.nodes.road_learner import RoadLearnerNode
+    from suspension_twin.addons.nodes.road_learner import RoadLearnerNode
 
     return RoadLearnerNode
 

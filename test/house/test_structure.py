@@ -12,7 +12,7 @@ import pytest
 
 from suspension_twin.addons.export.registry import TARGETS, load_target
 from suspension_twin.addons.sources import SOURCES, load_source
-from suspension_twin.cli.export import To
+from suspension_twin.addons.cli.export import To
 from suspension_twin.drive.importers import IMPORTERS
 from suspension_twin.effects.registry import EFFECTS
 from suspension_twin.models.registry import MODELS

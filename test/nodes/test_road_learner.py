@@ -22,7 +22,7 @@ from suspension_twin.errors import InputError
 from suspension_twin.nodes.composed import Composed, Playback
 from suspension_twin.nodes.jobs import Job, News
 from suspension_twin.nodes.process import ros_context
-from suspension_twin.nodes.road_learner import RoadLearnerNode
+from suspension_twin.addons.nodes.road_learner import RoadLearnerNode
 from suspension_twin.vehicle.twin import Twin, save_twin
 
 BAGS = Path(__file__).resolve().parents[2] / "bags"

@@ -29,7 +29,7 @@ from suspension_twin.nodes.messages import fill_fix, fill_imu, fill_velocity
 from suspension_twin.nodes.player import BagPlayer
 from suspension_twin.nodes.suspension_model import SuspensionModelNode
 from suspension_twin.nodes.topics import Embedding
-from suspension_twin.nodes.viewer import ViewerNode
+from suspension_twin.addons.nodes.viewer import ViewerNode
 from suspension_twin.vehicle.twin import load_twin
 from suspension_twin_interfaces.action import Calibrate
 

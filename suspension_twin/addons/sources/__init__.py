@@ -1,26 +1,23 @@
 # SPDX-License-Identifier: Apache-2.0
 """Live phones, receivers and IMUs, without ROS: bytes in, samples out.
 
-A source is one file of this folder, found by the scheme of its URL. It has ``TITLE`` (what a user calls it),
+A source is a module, found by the scheme of its URL: a file of this folder, or a module of an installed package that
+its entry point in the group ``suspension_twin.sources`` names. It has ``TITLE`` (the name that a user knows),
 ``EXAMPLE`` (a URL) and ``make(address, hub, rank)``, which returns a :class:`Source` or raises InputError for an
-address that it cannot use. To add one, put its file here and its name into :data:`SOURCES`.
+address that it cannot use.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from importlib import import_module
-from typing import Protocol, cast
+from typing import Final, Protocol, runtime_checkable
 
 from suspension_twin.addons.sources.common.address import Address, parse_address
 from suspension_twin.addons.sources.common.hub import Hub
-from suspension_twin.errors import InputError, nearest
+from suspension_twin.errors import InputError
+from suspension_twin.registry import Registry
 
-__all__ = ["SOURCES", "Source", "SourceModule", "load_source", "make_sources"]
-
-#: Schemes, each with the file of its name.
-SOURCES = ("sensorlogger", "sensorserver", "phyphox", "mqtt", "nmea", "ubx", "gpsd", "ntrip", "iio")
-
+__all__ = ["SOURCES", "Source", "SourceModule", "make_sources"]
 
 class Source(Protocol):
     """One open source. All of it runs on one event loop."""
@@ -45,8 +42,9 @@ class Source(Protocol):
         ...
 
 
+@runtime_checkable
 class SourceModule(Protocol):
-    """What a module of this folder holds."""
+    """The contents of a source's module."""
 
     TITLE: str
     EXAMPLE: str
@@ -56,12 +54,15 @@ class SourceModule(Protocol):
         ...
 
 
-def load_source(scheme: str) -> SourceModule:
-    """The module of a scheme; InputError for one that is not there."""
-    if scheme not in SOURCES:
-        known = ", ".join(SOURCES)
-        raise InputError("source", scheme, f"is not known{nearest(scheme, SOURCES)}; there are {known}")
-    return cast(SourceModule, import_module(f"{__name__}.{scheme}"))
+#: Modules of sources by scheme.
+SOURCES: Final = Registry[SourceModule](
+    "sources",
+    {
+        scheme: f"{__name__}.{scheme}"
+        for scheme in ("sensorlogger", "sensorserver", "phyphox", "mqtt", "nmea", "ubx", "gpsd", "ntrip", "iio")
+    },
+    kind=SourceModule,
+)
 
 
 def make_sources(urls: Sequence[str], hub: Hub) -> list[Source]:
@@ -72,4 +73,4 @@ def make_sources(urls: Sequence[str], hub: Hub) -> list[Source]:
     if not urls:
         raise InputError("source", "none is given")
     addresses = [parse_address(url) for url in urls]
-    return [load_source(a.scheme).make(a, hub, rank) for rank, a in enumerate(addresses)]
+    return [SOURCES.named(a.scheme, "source").make(a, hub, rank) for rank, a in enumerate(addresses)]

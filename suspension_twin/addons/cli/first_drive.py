@@ -15,7 +15,7 @@ from suspension_twin.addons.sources import Source, make_sources
 from suspension_twin.addons.sources.common.hub import Hub
 from suspension_twin.addons.sources.common.recorder import Recorder
 from suspension_twin.addons.sources.common.runner import running
-from suspension_twin.cli._live import DEFAULT_SOURCE, STYLES, LiveLines, show_guide
+from suspension_twin.addons.cli.live_lines import DEFAULT_SOURCE, STYLES, LiveLines, show_guide
 from suspension_twin.cli.calibrate import print_result, show_progress
 from suspension_twin.cli.common import Force, Outputs, ProgressLine, Seed, SourceUrls, TwinFile, output
 from suspension_twin.drive.write import BagWriter

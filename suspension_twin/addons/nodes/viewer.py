@@ -42,8 +42,8 @@ from suspension_twin.nodes.base import TwinNode
 from suspension_twin.nodes.parameters import TWIN, Param, Values, twin_of
 from suspension_twin.nodes.process import run_alone
 from suspension_twin.nodes.topics import NS, OK, SENSOR_QOS, STREAM_QOS, WARN, Embedding
-from suspension_twin.nodes.view_guide import ViewGuide
-from suspension_twin.nodes.view_recorder import EVENTS, RECORDED, ViewRecorder
+from suspension_twin.addons.nodes.view_guide import ViewGuide
+from suspension_twin.addons.nodes.view_recorder import EVENTS, RECORDED, ViewRecorder
 from suspension_twin.road.road import Road
 from suspension_twin.vehicle.twin import Twin
 from suspension_twin_interfaces.action import Calibrate, Diagnose

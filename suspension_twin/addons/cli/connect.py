@@ -26,7 +26,7 @@ from suspension_twin.addons.sources.common.report import device_line, findings
 from suspension_twin.addons.sources.common.runner import running
 from suspension_twin.addons.sources.common.server import PushServer
 from suspension_twin.addons.sources.phyphox import Phyphox
-from suspension_twin.cli._live import DEFAULT_SOURCE, STYLES, show_guide
+from suspension_twin.addons.cli.live_lines import DEFAULT_SOURCE, STYLES, show_guide
 from suspension_twin.cli.common import bundled, output
 from suspension_twin.drive.types import FixData, ImuData, Samples, VelocityData
 from suspension_twin.errors import WorkError

@@ -137,7 +137,7 @@ def _run(manifest: Path, out: Path, options: Options, scheduler: str, workers: i
         result_rows,
         write_tables,
     )
-    from suspension_twin.report.fleet import fleet_page
+    from suspension_twin.addons.fleet.page import fleet_page
 
     if scheduler and (workers or memory):
         raise InputError(
