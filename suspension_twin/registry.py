@@ -19,8 +19,6 @@ import sys
 from collections.abc import Iterator, Mapping
 from functools import cache, cached_property
 from importlib import import_module
-from importlib.util import find_spec
-from pathlib import Path
 from typing import Any, Generic, NamedTuple, TypeVar
 
 from suspension_twin.errors import InputError, nearest
@@ -59,13 +57,12 @@ def entry_points() -> tuple[EntryPoint, ...]:
     """
     found = {}
     for folder in sys.path:
-        for file in sorted(_entry_point_files(Path(folder or "."))):
-            if f"[{_PREFIX}" in file.read_text(encoding="utf-8", errors="replace"):
-                from importlib.metadata import Distribution
+        for directory in _distributions(folder or "."):
+            from importlib.metadata import Distribution
 
-                distribution = Distribution.at(file.parent)
-                name = distribution.metadata["Name"]
-                found.setdefault(name, distribution.entry_points)  # an earlier folder hides a later one
+            distribution = Distribution.at(directory)
+            # An earlier folder hides a later one.
+            found.setdefault(distribution.metadata["Name"], distribution.entry_points)
     return tuple(
         EntryPoint(name, point.group, point.name, point.value.partition(":")[0])
         for name, points in sorted(found.items())
@@ -74,30 +71,38 @@ def entry_points() -> tuple[EntryPoint, ...]:
     )
 
 
-def _entry_point_files(folder: Path) -> list[Path]:
-    """``entry_points.txt`` of every distribution in a folder of ``sys.path``."""
+def _distributions(folder: str) -> Iterator[str]:
+    """Directories of the distributions in a folder of ``sys.path`` that have an entry point for us."""
     try:
-        names = os.listdir(folder)
+        names = sorted(os.listdir(folder))
     except OSError:  # a zip file, or no longer there
-        return []
-    files = [
-        folder / name / "entry_points.txt" for name in names if name.endswith((".dist-info", ".egg-info"))
-    ]
-    return [file for file in files if file.is_file()]
+        return
+    for name in names:
+        if name.endswith((".dist-info", ".egg-info")):
+            directory = os.path.join(folder, name)
+            try:
+                with open(os.path.join(directory, "entry_points.txt"), "rb") as file:
+                    if f"[{_PREFIX}".encode() in file.read():
+                        yield directory
+            except OSError:  # most have none
+                continue
 
 
 @cache
 def _addons() -> Mapping[str, Mapping[str, str]]:
     """References of the package's own add-ons by group and name; empty where they are not installed."""
-    if find_spec(ADDONS) is None:
+    try:
+        table: Mapping[str, Mapping[str, str]] = import_module(ADDONS).PLUGINS
+    except ModuleNotFoundError as error:
+        if error.name != ADDONS:
+            raise
         return {}
-    table: Mapping[str, Mapping[str, str]] = import_module(ADDONS).PLUGINS
     return table
 
 
 def missing_addons() -> str:
     """``"; suspension_twin.addons is not installed"`` to end an error with, or nothing."""
-    return "" if _addons() else f"; {ADDONS}, which has more, is not installed"
+    return "" if _addons() else f"; {ADDONS} is not installed"
 
 
 class Registry(Mapping[str, T], Generic[T]):
@@ -147,7 +152,9 @@ class Registry(Mapping[str, T], Generic[T]):
             if point.name in self._references:
                 found[point.name] = PluginError(str(point), "its name is that of a built-in one")
             elif isinstance(other, EntryPoint):
-                found[point.name] = PluginError(str(point), f"its name is taken by {other.distribution} as well")
+                found[point.name] = PluginError(
+                    str(point), f"its name is taken by {other.distribution} as well"
+                )
             else:
                 found.setdefault(point.name, point)
         return found
@@ -206,9 +213,9 @@ class Registry(Mapping[str, T], Generic[T]):
         try:
             return self[name]
         except KeyError:
-            known = ", ".join(self) or "none"
-            text = f"{name} is not known{nearest(name, self)}; there are {known}{missing_addons()}"
-            raise InputError(what, text) from None
+            known = ", ".join(self)
+            there = f"{nearest(name, self)}; there are {known}" if known else ""
+            raise InputError(what, f"{name} is not known{there}{missing_addons()}") from None
 
     def module(self, name: str) -> str:
         """Name of the module that holds an object."""

@@ -25,11 +25,14 @@ PLUGINS: Final[Mapping[str, Mapping[str, str]]] = {
         "drives": f"{__name__}.cli.road_drives:command",
         "scan": f"{__name__}.cli.road_scan:command",
     },
-    "run": {
-        "sources": f"{__name__}.cli.run_sources",
-        "road": f"{__name__}.cli.run_road",
-        "fleet": f"{__name__}.cli.run_fleet",
+    "companions": {
+        "source": f"{__name__}.cli.companions:Sources",
+        "record": f"{__name__}.cli.companions:Recording",
+        "learn-road": f"{__name__}.cli.companions:LearntRoad",
+        "view": f"{__name__}.cli.pages:Viewer",
+        "foxglove": f"{__name__}.cli.pages:Foxglove",
     },
+    "fleets": {"live": f"{__name__}.cli.live_fleet:run_fleet"},
     "nodes": {
         "source": f"{__name__}.nodes.source:SourceNode",
         "road_learner": f"{__name__}.nodes.road_learner:RoadLearnerNode",

@@ -21,6 +21,7 @@ from suspension_twin.vehicle.twin import Twin
 
 __all__ = ["MODELS", "Model", "deferred", "model_of"]
 
+
 class SimulateLanes(Protocol):
     """Candidates (P, L) of a twin over an excitation of its model."""
 

@@ -21,6 +21,7 @@ from rclpy.task import Future
 from sensor_msgs.msg import Imu, NavSatFix
 from stand_ins import lighter, reported, search_until_stopped
 
+from suspension_twin.addons.nodes.viewer import ViewerNode
 from suspension_twin.drive.read import read_drive
 from suspension_twin.drive.types import Drive
 from suspension_twin.nodes.calibrator import CalibratorNode
@@ -29,7 +30,6 @@ from suspension_twin.nodes.messages import fill_fix, fill_imu, fill_velocity
 from suspension_twin.nodes.player import BagPlayer
 from suspension_twin.nodes.suspension_model import SuspensionModelNode
 from suspension_twin.nodes.topics import Embedding
-from suspension_twin.addons.nodes.viewer import ViewerNode
 from suspension_twin.vehicle.twin import load_twin
 from suspension_twin_interfaces.action import Calibrate
 

@@ -5,37 +5,41 @@ from __future__ import annotations
 
 import asyncio
 import io
-import signal
 import sys
-import time
 from collections.abc import AsyncIterator, Sequence
 from contextlib import asynccontextmanager
 from typing import Annotated
 
+import numpy as np
 import typer
-from rich.console import Console, Group
-from rich.live import Live
+from rich.console import Console
 from rich.text import Text
 
+from suspension_twin.addons.cli.live_lines import (
+    DEFAULT_SOURCE,
+    LiveLines,
+    device_lines,
+    show_guide,
+    styled,
+    until_ended,
+)
+from suspension_twin.addons.cli.record import Seconds
 from suspension_twin.addons.sources import Source, make_sources
 from suspension_twin.addons.sources.common.address import parse_address
 from suspension_twin.addons.sources.common.assess import assess, verdict
 from suspension_twin.addons.sources.common.discover import discover
 from suspension_twin.addons.sources.common.hub import Hub, Packet
-from suspension_twin.addons.sources.common.report import device_line, findings
 from suspension_twin.addons.sources.common.runner import running
 from suspension_twin.addons.sources.common.server import PushServer
 from suspension_twin.addons.sources.phyphox import Phyphox
-from suspension_twin.addons.cli.live_lines import DEFAULT_SOURCE, STYLES, show_guide
 from suspension_twin.cli.common import bundled, output
-from suspension_twin.drive.types import FixData, ImuData, Samples, VelocityData
+from suspension_twin.drive.types import FixData, ImuData, VelocityData
 from suspension_twin.errors import WorkError
-from suspension_twin.signals.checks import Finding
 
 __all__ = ["command"]
 
-#: s of samples that are judged, and between judgements on a terminal and elsewhere.
-_WINDOW, _PERIOD, _LOG_PERIOD = 10.0, 0.5, 5.0
+#: s of samples that are judged, and between judgements in a log.
+_WINDOW, _LOG_PERIOD = 10.0, 5.0
 _EXPERIMENT = "suspension_twin.phyphox"
 #: s of samples before the first judgement.
 _FIRST = 3.0
@@ -50,12 +54,7 @@ def command(
             show_default=False,
         ),
     ] = None,
-    seconds: Annotated[
-        float | None,
-        typer.Option(
-            "--seconds", metavar="S", help="End after so many seconds.", min=0.1, show_default=False
-        ),
-    ] = None,
+    seconds: Seconds = None,
 ) -> None:
     """Connect a phone, a receiver or an IMU, step by step. Ctrl-C ends it.
 
@@ -73,12 +72,9 @@ def command(
         console.print(Text(f"  {line}"))
 
     async def work() -> None:
-        end = asyncio.Event()
-        for number in (signal.SIGINT, signal.SIGTERM):
-            asyncio.get_running_loop().add_signal_handler(number, end.set)
         async with running(sources, hub), _experiment(sources):
             await show_guide(console, sources, urls or [DEFAULT_SOURCE])
-            await _watch(hub, console, end, seconds)
+            await _watch(hub, console, seconds)
 
     asyncio.run(work())
     if not hub.chosen:
@@ -104,75 +100,38 @@ async def _experiment(sources: Sequence[Source]) -> AsyncIterator[None]:
         await server.stop()
 
 
-class _Window:
-    """The samples of the last seconds."""
-
-    def __init__(self) -> None:
-        self._packets: list[Packet] = []
-
-    def add(self, packets: list[Packet], now: float) -> None:
-        """Take what has come, forget what is old."""
-        self._packets = [p for p in self._packets if p.arrival > now - _WINDOW] + packets
-
-    def _of(self, stream: str) -> list[Samples]:
-        return [p.samples for p in self._packets if p.stream == stream]
-
-    @property
-    def first(self) -> float:
-        """When its oldest sample came, s; infinite while it is empty."""
-        return min((p.arrival for p in self._packets), default=float("inf"))
-
-    def judged(self) -> list[Finding]:
-        """The findings and the verdict."""
-        imu = [s for s in self._of("imu") if isinstance(s, ImuData)]
-        fix = [s for s in self._of("fix") if isinstance(s, FixData)]
-        velocity = [s for s in self._of("vel") if isinstance(s, VelocityData)]
-        nothing = ImuData(FixData.empty().t, FixData.empty().sigma, FixData.empty().sigma)
-        found = assess(
-            ImuData.joined(imu) if imu else nothing,
-            FixData.joined(fix) if fix else FixData.empty(),
-            VelocityData.joined(velocity) if velocity else VelocityData.empty(),
-        )
-        return [*found, verdict(found)]
+def _judged(packets: Sequence[Packet]) -> list[Text]:
+    """The findings on these samples and the verdict, a line each."""
+    samples = [packet.samples for packet in packets]
+    imu = [s for s in samples if isinstance(s, ImuData)]
+    fix = [s for s in samples if isinstance(s, FixData)]
+    velocity = [s for s in samples if isinstance(s, VelocityData)]
+    found = assess(
+        ImuData.joined(imu or [ImuData(np.empty(0), np.empty((0, 3)), np.empty((0, 3)))]),
+        FixData.joined(fix or [FixData.empty()]),
+        VelocityData.joined(velocity or [VelocityData.empty()]),
+    )
+    return [styled(finding) for finding in [*found, verdict(found)]]
 
 
-async def _watch(hub: Hub, console: Console, end: asyncio.Event, seconds: float | None) -> None:
-    window, began = _Window(), time.monotonic()
-    live = Live(console=console, auto_refresh=False) if console.is_terminal else None
-    period = _PERIOD if live else _LOG_PERIOD
-    due, shown = 0.0, False
-    if live:
-        live.start()
-    try:
-        while not end.is_set() and (seconds is None or time.monotonic() - began < seconds):
-            window.add(hub.take(), hub.now())
-            for event in hub.heard():
-                console.print(Text(event.text, style=STYLES[event.level]))
-            ready = hub.now() - window.first > _FIRST
-            if time.monotonic() > due and (ready or live):
-                lines = _lines(hub, window if ready else None)
-                if live:
-                    live.update(Group(*lines), refresh=True)
-                else:
-                    console.print(*lines, sep="\n")
-                due, shown = time.monotonic() + period, shown or ready
-            try:
-                await asyncio.wait_for(end.wait(), 0.05)
-            except asyncio.TimeoutError:
-                continue
-    finally:
-        if live:
-            live.stop()
+async def _watch(hub: Hub, console: Console, seconds: float | None) -> None:
+    """Show the devices and the judgement of the last seconds, on a terminal from the first sample on."""
+    packets: list[Packet] = []
+    shown = False
+
+    def lines() -> list[Text]:
+        nonlocal shown
+        ready = bool(packets) and hub.now() - min(p.arrival for p in packets) > _FIRST
+        shown |= ready
+        if not (ready or console.is_terminal):
+            return []
+        if not hub.chosen:
+            return [Text("Waiting for the first samples ...")]
+        return [*device_lines(hub, "bold", ""), *(_judged(packets) if ready else [])]
+
+    with LiveLines(hub, console, _LOG_PERIOD) as live:
+        async for _ in until_ended(seconds):
+            packets = [p for p in packets if p.arrival > hub.now() - _WINDOW] + hub.take()
+            live.show(lines)
     if not shown and hub.chosen:
-        console.print(*_lines(hub, window), sep="\n")
-
-
-def _lines(hub: Hub, window: _Window | None) -> list[Text]:
-    now = hub.now()
-    if not hub.chosen:
-        return [Text("Waiting for the first samples ...")]
-    lines = [Text(device_line(device, now), style="bold") for device in hub.devices.values()]
-    lines += [Text(f"  {f.text}", style=STYLES[f.level]) for f in findings(hub, now)]
-    if window is not None:
-        lines += [Text(f"  {f.text}", style=STYLES[f.level]) for f in window.judged()]
-    return lines
+        live.say([*device_lines(hub, "bold", ""), *_judged(packets)])

@@ -129,6 +129,7 @@ def _run(manifest: Path, out: Path, options: Options, scheduler: str, workers: i
     from suspension_twin.addons.fleet.engine import Outcome, connected, plan_fleet, run_fleet
     from suspension_twin.addons.fleet.ledger import MARK, Ledger
     from suspension_twin.addons.fleet.manifest import read_manifest
+    from suspension_twin.addons.fleet.page import fleet_page
     from suspension_twin.addons.fleet.tables import (
         CHANGES,
         HEALTH,
@@ -137,7 +138,6 @@ def _run(manifest: Path, out: Path, options: Options, scheduler: str, workers: i
         result_rows,
         write_tables,
     )
-    from suspension_twin.addons.fleet.page import fleet_page
 
     if scheduler and (workers or memory):
         raise InputError(

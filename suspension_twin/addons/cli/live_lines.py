@@ -1,11 +1,13 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Live sources on the terminal: what is to be said at once, and how each device is doing."""
+"""Live sources on the terminal: how to connect, events as they happen, and the state of each device."""
 
 from __future__ import annotations
 
+import asyncio
 import io
+import signal
 import time
-from collections.abc import Sequence
+from collections.abc import AsyncIterator, Callable, Iterable, Sequence
 from types import TracebackType
 from typing import final
 
@@ -17,20 +19,46 @@ from rich.text import Text
 from suspension_twin.addons.sources import Source
 from suspension_twin.addons.sources.common.hub import Hub
 from suspension_twin.addons.sources.common.report import device_line, findings
+from suspension_twin.signals.checks import Finding
 
-__all__ = ["DEFAULT_SOURCE", "STYLES", "LiveLines", "show_guide"]
+__all__ = ["DEFAULT_SOURCE", "LiveLines", "device_lines", "show_guide", "styled", "until_ended"]
 
-#: What connect and record listen to if nothing is named: any phone with Sensor Logger.
+#: The source where none is named: any phone with Sensor Logger.
 DEFAULT_SOURCE = "sensorlogger://0.0.0.0:8000"
 
-#: Seconds between lines on a terminal, and in a log.
-_PERIOD, _LOG_PERIOD = 0.5, 10.0
-STYLES = {"ok": "", "warn": "yellow", "error": "bold red"}
+#: s between lines on a terminal, and between looks for samples.
+_PERIOD, _LOOK = 0.5, 0.05
+_STYLES = {"ok": "", "warn": "yellow", "error": "bold red"}
+
+
+def styled(finding: Finding, indent: str = "  ") -> Text:
+    """A finding as a line in the colour of its level."""
+    return Text(f"{indent}{finding.text}", style=_STYLES[finding.level])
+
+
+def device_lines(hub: Hub, style: str = "", indent: str = "  ") -> list[Text]:
+    """A line for each device of a hub, and one for each thing that is wrong now."""
+    now = hub.now()
+    lines = [Text(f"{indent}{device_line(device, now)}", style=style) for device in hub.devices.values()]
+    return lines + [styled(finding) for finding in findings(hub, now)]
+
+
+async def until_ended(seconds: float | None = None) -> AsyncIterator[None]:
+    """Yields some times a second until Ctrl-C, SIGTERM or the end of the time."""
+    end, began = asyncio.Event(), time.monotonic()
+    for number in (signal.SIGINT, signal.SIGTERM):
+        asyncio.get_running_loop().add_signal_handler(number, end.set)
+    while not end.is_set() and (seconds is None or time.monotonic() - began < seconds):
+        yield
+        try:
+            await asyncio.wait_for(end.wait(), _LOOK)
+        except asyncio.TimeoutError:
+            continue
 
 
 async def show_guide(console: Console, sources: Sequence[Source], urls: Sequence[str]) -> None:
-    """How to connect: what each source says, its QR code on a terminal, the app's settings step by step, and how
-    the same is recorded and followed."""
+    """How to connect: each source's address, its QR code on a terminal, the app's settings step by step; and how the
+    same is recorded and followed."""
     for source in sources:
         console.print()
         for note in source.notes:
@@ -50,22 +78,20 @@ async def show_guide(console: Console, sources: Sequence[Source], urls: Sequence
 
 @final
 class LiveLines:
-    """Shows the devices of a hub while they send; ``notes`` are said first."""
+    """Lines that are brought up to date in place on a terminal, and printed every ``log_period`` s in a log."""
 
-    def __init__(self, hub: Hub, notes: Sequence[str], console: Console | None = None) -> None:
+    def __init__(self, hub: Hub, console: Console | None = None, log_period: float = 10.0) -> None:
         self._hub = hub
-        self._notes = notes
-        self._console = console or Console(stderr=True, highlight=False, soft_wrap=True)
-        self._live = (
-            Live(console=self._console, auto_refresh=False, redirect_stdout=False, redirect_stderr=False)
-            if self._console.is_terminal
-            else None
-        )
+        self.console = console or Console(stderr=True, highlight=False, soft_wrap=True)
+        self._live: Live | None = None
+        if self.console.is_terminal:
+            self._live = Live(
+                console=self.console, auto_refresh=False, redirect_stdout=False, redirect_stderr=False
+            )
+        self._period = _PERIOD if self._live else log_period
         self._due = time.monotonic() + _PERIOD
 
     def __enter__(self) -> LiveLines:
-        for note in self._notes:
-            self._console.print(Text(note))
         if self._live is not None:
             self._live.start()
         return self
@@ -76,25 +102,18 @@ class LiveLines:
         if self._live is not None:
             self._live.stop()
 
-    def say(self, text: str, style: str = "") -> None:
-        """A line that stays."""
-        self._console.print(Text(text, style=style))
+    def say(self, lines: Iterable[Text]) -> None:
+        """Lines that stay."""
+        for line in lines:
+            self.console.print(line)
 
-    def show(self, head: str) -> None:
-        """Say what has happened, and bring the lines up to date if it is time to."""
-        for event in self._hub.heard():
-            self._console.print(Text(event.text, style=STYLES[event.level]))
-        now = time.monotonic()
-        if now < self._due:
+    def show(self, lines: Callable[[], Sequence[Text]]) -> None:
+        """Say what has happened; where it is time to, show these lines. None: not yet."""
+        self.say(styled(event, "") for event in self._hub.heard())
+        if time.monotonic() < self._due or not (made := lines()):
             return
-        host = self._hub.now()
-        lines = [Text(head)]
-        lines += [Text(f"  {device_line(device, host)}") for device in self._hub.devices.values()]
-        lines += [Text(f"  {f.text}", style=STYLES[f.level]) for f in findings(self._hub, host)]
         if self._live is not None:
-            self._live.update(Group(*lines), refresh=True)
-            self._due = now + _PERIOD
+            self._live.update(Group(*made), refresh=True)
         else:
-            for line in lines:
-                self._console.print(line)
-            self._due = now + _LOG_PERIOD
+            self.say(made)
+        self._due = time.monotonic() + self._period

@@ -18,6 +18,7 @@ from suspension_twin.vehicle.twin import Twin
 
 __all__ = ["TARGETS", "ExportSettings", "Target", "characteristics_of", "export_twin", "load_target"]
 
+
 @dataclass(frozen=True)
 class ExportSettings:
     """What some targets can be told.

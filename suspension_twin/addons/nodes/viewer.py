@@ -33,6 +33,8 @@ from rclpy.subscription import Subscription
 from sensor_msgs.msg import JointState
 from std_msgs.msg import String
 
+from suspension_twin.addons.nodes.view_guide import ViewGuide
+from suspension_twin.addons.nodes.view_recorder import EVENTS, RECORDED, ViewRecorder
 from suspension_twin.addons.view.live import LiveView, Status, advice
 from suspension_twin.addons.view.server import Server
 from suspension_twin.calibration.output import details_path
@@ -42,8 +44,6 @@ from suspension_twin.nodes.base import TwinNode
 from suspension_twin.nodes.parameters import TWIN, Param, Values, twin_of
 from suspension_twin.nodes.process import run_alone
 from suspension_twin.nodes.topics import NS, OK, SENSOR_QOS, STREAM_QOS, WARN, Embedding
-from suspension_twin.addons.nodes.view_guide import ViewGuide
-from suspension_twin.addons.nodes.view_recorder import EVENTS, RECORDED, ViewRecorder
 from suspension_twin.road.road import Road
 from suspension_twin.vehicle.twin import Twin
 from suspension_twin_interfaces.action import Calibrate, Diagnose

@@ -19,6 +19,7 @@ from suspension_twin.registry import Registry
 
 __all__ = ["SOURCES", "Source", "SourceModule", "make_sources"]
 
+
 class Source(Protocol):
     """One open source. All of it runs on one event loop."""
 
@@ -59,7 +60,17 @@ SOURCES: Final = Registry[SourceModule](
     "sources",
     {
         scheme: f"{__name__}.{scheme}"
-        for scheme in ("sensorlogger", "sensorserver", "phyphox", "mqtt", "nmea", "ubx", "gpsd", "ntrip", "iio")
+        for scheme in (
+            "sensorlogger",
+            "sensorserver",
+            "phyphox",
+            "mqtt",
+            "nmea",
+            "ubx",
+            "gpsd",
+            "ntrip",
+            "iio",
+        )
     },
     kind=SourceModule,
 )

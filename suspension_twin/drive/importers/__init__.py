@@ -37,7 +37,10 @@ class Importer(Protocol):
 #: Asked in this order, plugins last; the first that recognises a source reads it.
 IMPORTERS: Final = Registry[Importer](
     "importers",
-    {name: f"{__name__}.{name}" for name in ("sensor_logger", "phyphox", "matlab_mobile", "rtklib", "comma2k19")},
+    {
+        name: f"{__name__}.{name}"
+        for name in ("sensor_logger", "phyphox", "matlab_mobile", "rtklib", "comma2k19")
+    },
     kind=Importer,
 )
 

@@ -7,8 +7,8 @@ import re
 from typing import Any
 
 from suspension_twin.addons.fleet.changes import find_changes
-from suspension_twin.addons.fleet.tables import health_rows
 from suspension_twin.addons.fleet.page import fleet_page, quantity_label
+from suspension_twin.addons.fleet.tables import health_rows
 
 QUANTITY = "vehicle.front.damper_push@0.25"
 NAME = "<b>car</b> $\\frac{"

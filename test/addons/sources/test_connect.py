@@ -17,13 +17,13 @@ from rich.console import Console
 from sensor_logger_app import SensorLoggerApp
 from test_record import free_port, start, wait_for_port
 
+from suspension_twin.addons.cli.connect import _experiment
+from suspension_twin.addons.cli.live_lines import show_guide
 from suspension_twin.addons.sources import SOURCES, load_source, make_sources
 from suspension_twin.addons.sources.common.assess import assess, verdict
 from suspension_twin.addons.sources.common.discover import discover, serial_ports
 from suspension_twin.addons.sources.common.hub import Hub
 from suspension_twin.addons.sources.common.report import findings
-from suspension_twin.addons.cli.live_lines import show_guide
-from suspension_twin.addons.cli.connect import _experiment
 from suspension_twin.drive.types import Drive, FixData, ImuData, VelocityData
 from suspension_twin.signals.checks import Finding
 
