@@ -92,7 +92,7 @@ def _distributions(folder: str) -> Iterator[str]:
 def _addons() -> Mapping[str, Mapping[str, str]]:
     """References of the package's own add-ons by group and name; empty where they are not installed."""
     try:
-        table: Mapping[str, Mapping[str, str]] = import_module(ADDONS).PLUGINS
+        table: Mapping[str, Mapping[str, str]] = getattr(import_module(ADDONS), "PLUGINS", {})
     except ModuleNotFoundError as error:
         if error.name != ADDONS:
             raise
