@@ -137,6 +137,85 @@ def test_a_command_of_a_package_and_a_broken_one(tmp_path: Path, repository: Pat
     assert (asked.returncode, asked.stderr) == (2, f"suspension-twin: {broken}")
 
 
+TERM = """
+    from suspension_twin.effects.base import CORNER, WIDTH, Effect, Fields, Floats, Hook, KernelTerms
+    from suspension_twin.effects.base import Parameter, inlined, rows, travel_rate
+
+    _FIELDS = Fields()
+    _RATE = _FIELDS.add()
+
+
+    @inlined
+    def _force(w: Floats, e: int, c: int, i: int, h: float) -> None:
+        v = travel_rate(w, c, i)
+        w[(rows.STRUT + c) * WIDTH + i] += w[(e + _RATE) * WIDTH + i] * v * abs(v)
+
+
+    EFFECT = Effect(
+        id="square_damping",
+        title="square damping",
+        where="strut",
+        doc="A force that grows with the square of the velocity.",
+        parameters=(Parameter("rate", "N s²/m²", 0.0, 1e5, 0.0, 0.0, 300.0, "of the force"),),
+        severity=("rate",),
+        excited_by=("bumps",),
+        confused_with=("worn_dampers",),
+        hook=Hook(kernel=KernelTerms(_FIELDS, lambda p: {_RATE: p["rate"]}, {"strut": (_force, CORNER)})),
+    )
+"""
+
+
+def with_kernel_term(folder: Path, repository: Path) -> None:
+    """A package ``square`` beside ours whose effect has a term in the kernel."""
+    for name in ("suspension_twin", "package.xml", "bags"):
+        (folder / name).symlink_to(repository / name)
+    install(folder, "square", {"effects": {"square_damping": "square"}})
+    (folder / "square").mkdir()
+    (folder / "square" / "__init__.py").write_text("from square.term import EFFECT\n")
+    (folder / "square" / "term.py").write_text(textwrap.dedent(TERM))
+
+
+def test_machine_code_is_kept_apart_by_the_source_of_a_plugin(tmp_path: Path, repository: Path) -> None:
+    with_kernel_term(tmp_path, repository)
+    code = (
+        "from suspension_twin.compiled import _cache_folder as folder\n"
+        "from suspension_twin.effects.registry import EFFECTS\n"
+        "import suspension_twin.models.full_car_effects as kernels\n"
+        "EFFECTS['square_damping']\n"
+        "print(folder(kernels.__name__, (EFFECTS.module('square_damping'),)))\n"
+    )
+    before = run("-c", code, folder=tmp_path)
+    assert run("-c", code, folder=tmp_path).stdout == before.stdout != "", before.stderr
+    (tmp_path / "square" / "term.py").write_text(textwrap.dedent(TERM).replace("* abs(v)", "* v"))
+    assert run("-c", code, folder=tmp_path).stdout != before.stdout
+
+
+@pytest.mark.long
+def test_the_term_of_a_plugin_acts_in_the_kernel(tmp_path: Path, repository: Path) -> None:
+    with_kernel_term(tmp_path, repository)
+    code = """
+        import numpy as np
+        from suspension_twin.inference.synthetic import path_along
+        from suspension_twin.models.excitation import excitation
+        from suspension_twin.models.simulate import simulate_twin
+        from suspension_twin.road import bump_road, half_sine
+        from suspension_twin.vehicle.twin import load_twin
+
+        twin = load_twin("bags/bump_15kmh/twin.yaml")
+        road = bump_road(half_sine(0.9, 0.05), at=10.0, length=40.0)
+        path = path_along(road, np.arange(0.0, 3.0, 0.01), ((0.0, 6.0), (3.0, 6.0)), 2.0)
+        driven = excitation(path, twin.vehicle, road)
+
+        def fastest(rate):
+            spec = {"id": "square_damping", "parameters": {"rate": rate}}
+            return np.abs(simulate_twin(twin.with_changes({"effects": [spec]}), driven).deflection_rate).max()
+
+        assert fastest(2000.0) < 0.9 * fastest(1.0)
+    """
+    done = run("-c", textwrap.dedent(code), folder=tmp_path)
+    assert (done.returncode, done.stderr) == (0, "")
+
+
 # The core without the add-ons
 
 
