@@ -257,9 +257,9 @@ def core(repository: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     # An editable installation would find the add-ons where they lie.
     (folder / "sitecustomize.py").write_text(
         "import sys\n"
-        "ours = [f for f in sys.meta_path if getattr(f, '__module__', '').startswith('__editable___suspension_twin_')]\n"
-        "for finder in ours:\n"
-        "    if 'interfaces' not in finder.__module__:\n"
+        "for finder in list(sys.meta_path):\n"
+        "    name = getattr(finder, '__module__', '')\n"
+        "    if name.startswith('__editable___suspension_twin_') and 'interfaces' not in name:\n"
         "        sys.meta_path.remove(finder)\n"
     )
     return folder

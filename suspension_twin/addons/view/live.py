@@ -20,7 +20,7 @@ import numpy as np
 from suspension_twin.signals.spectra import power_density
 from suspension_twin.vehicle.twin import Twin
 
-__all__ = ["LiveView", "Status", "advice", "scene"]
+__all__ = ["LiveView", "NodeStatus", "advice", "scene"]
 
 _F = TypeVar("_F", bound=Callable[..., Any])
 
@@ -39,7 +39,7 @@ _GOOD, _FAIR = 0.1, 0.5
 
 
 @dataclass(frozen=True)
-class Status:
+class NodeStatus:
     """Health of a node or of one of its inputs: ``level`` 0 ok, 1 warning, 2 error, 3 stale."""
 
     name: str
@@ -63,7 +63,7 @@ class LiveView:
     def __init__(self) -> None:
         self._lock = threading.RLock()
         self._scene: dict[str, Any] = {}
-        self._health: dict[str, Status] = {}
+        self._health: dict[str, NodeStatus] = {}
         self._about: dict[str, Any] = {}
         self._origin = 0
         self._clear()
@@ -142,7 +142,7 @@ class LiveView:
             self._about[name] = self._changed[name] = value
 
     @_locked
-    def health(self, status: Status) -> None:
+    def health(self, status: NodeStatus) -> None:
         """The health of a node or of an input, by its name."""
         if self._health.get(status.name) != status:
             self._health[status.name] = status

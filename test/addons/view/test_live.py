@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from suspension_twin.addons.view.ground import NODES, SIDE, tile
-from suspension_twin.addons.view.live import LiveView, Status, advice, scene
+from suspension_twin.addons.view.live import LiveView, NodeStatus, advice, scene
 from suspension_twin.vehicle.twin import load_twin
 
 START = 1_700_000_000_000_000_000
@@ -106,7 +106,7 @@ def test_nothing_that_is_not_finite_gets_on_the_page():
 def test_health_and_other_values_come_when_they_change():
     view = LiveView()
     view.frame()
-    ingest = Status("imu_ingest", 0, "ok", {"rate (Hz)": "100.0"})
+    ingest = NodeStatus("imu_ingest", 0, "ok", {"rate (Hz)": "100.0"})
     view.health(ingest)
     view.tell("gap", {"rms": 0.2})
     frame = view.frame()
