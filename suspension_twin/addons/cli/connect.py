@@ -25,8 +25,8 @@ from suspension_twin.addons.cli.live_lines import (
 )
 from suspension_twin.addons.cli.record import Seconds
 from suspension_twin.addons.sources import Source, make_sources
-from suspension_twin.addons.sources.common.address import parse_address
 from suspension_twin.addons.sources.common.assess import assess, verdict
+from suspension_twin.addons.sources.common.connection import parse_address
 from suspension_twin.addons.sources.common.discover import discover
 from suspension_twin.addons.sources.common.hub import Hub, Packet
 from suspension_twin.addons.sources.common.runner import running

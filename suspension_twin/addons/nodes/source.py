@@ -17,8 +17,7 @@ from geometry_msgs.msg import QuaternionStamped, TwistStamped
 from sensor_msgs.msg import Imu, NavSatFix
 
 from suspension_twin.addons.sources.common.clock import host_time
-from suspension_twin.addons.sources.common.device import Stream
-from suspension_twin.addons.sources.common.hub import Hub
+from suspension_twin.addons.sources.common.hub import Hub, Stream
 from suspension_twin.addons.sources.common.report import device_line, device_values, findings
 from suspension_twin.addons.sources.common.runner import SourceLoop, SourceThread
 from suspension_twin.drive.repair import nanoseconds

@@ -9,10 +9,10 @@ address that it cannot use.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Final, Protocol, runtime_checkable
 
-from suspension_twin.addons.sources.common.address import Address, parse_address
+from suspension_twin.addons.sources.common.connection import Address, parse_address
 from suspension_twin.addons.sources.common.hub import Hub
 from suspension_twin.errors import InputError
 from suspension_twin.registry import Registry
@@ -50,9 +50,8 @@ class SourceModule(Protocol):
     TITLE: str
     EXAMPLE: str
 
-    def make(self, address: Address, hub: Hub, rank: int) -> Source:
-        """The source at an address, not yet open."""
-        ...
+    #: The source at an address, not yet open: ``make(address, hub, rank)``.
+    make: Callable[[Address, Hub, int], Source]
 
 
 #: Modules of sources by scheme.

@@ -15,8 +15,8 @@ from typing import Any, Final, Literal
 from paho.mqtt.client import Client, MQTTMessage
 from paho.mqtt.enums import CallbackAPIVersion
 
-from suspension_twin.addons.sources.common.address import Address
 from suspension_twin.addons.sources.common.clock import host_time
+from suspension_twin.addons.sources.common.connection import Address, PlainSource
 from suspension_twin.addons.sources.common.hub import Hub
 from suspension_twin.addons.sources.common.sensor_logger import Phones, axes_of
 from suspension_twin.errors import InputError
@@ -43,11 +43,10 @@ _LARGEST: Final = 4_000_000  # bytes of a message
 _WAITING: Final = 1000  # messages that the event loop may be behind
 
 
-class Mqtt:
+class Mqtt(PlainSource):
     """One topic of one broker. The client has a thread of its own, which hands messages to the event loop."""
 
     steps: Sequence[str] = STEPS
-    code = ""
 
     def __init__(self, address: Address, hub: Hub, rank: int) -> None:
         address.check_options(("transport", "tls", "axes", "device"))
@@ -127,6 +126,5 @@ class Mqtt:
             self.refused += 1
 
 
-def make(address: Address, hub: Hub, rank: int) -> Mqtt:
-    """See :class:`~suspension_twin.addons.sources.SourceModule`."""
-    return Mqtt(address, hub, rank)
+#: See ``SourceModule``.
+make = Mqtt

@@ -5,8 +5,7 @@ from __future__ import annotations
 
 import math
 
-from suspension_twin.addons.sources.common.device import STREAMS, Device
-from suspension_twin.addons.sources.common.hub import Hub
+from suspension_twin.addons.sources.common.hub import STREAMS, Device, Hub
 from suspension_twin.signals.checks import Finding, check_rate
 
 __all__ = ["device_line", "device_values", "findings"]

@@ -103,47 +103,18 @@ class SourceLoop:
             self._loop.close()
 
 
-class SourceThread:
-    """Sources on a thread of their own.
-
-    Raises InputError, on the caller's thread, for a URL that is none and for a source that cannot be opened.
-    """
+class SourceThread(SourceLoop):
+    """Sources that receive on a thread of their own, once they have been opened on the caller's."""
 
     def __init__(self, urls: Sequence[str], hub: Hub) -> None:
-        self.sources = make_sources(urls, hub)
-        self._hub = hub
-        self._ready = threading.Event()
-        self._error: BaseException | None = None
-        self._loop = asyncio.new_event_loop()
-        self._end = asyncio.Event()
-        self._thread = threading.Thread(target=self._work, name="sources", daemon=True)
+        super().__init__(urls, hub)
+        self._thread = threading.Thread(target=self._loop.run_forever, name="sources", daemon=True)
         self._thread.start()
-        self._ready.wait()
-        if self._error is not None:
-            self._thread.join()
-            raise self._error
-
-    @property
-    def notes(self) -> list[str]:
-        """What the sources have to tell the user."""
-        return [note for source in self.sources for note in source.notes]
 
     def close(self) -> None:
         """Stop the sources and the thread."""
         if self._thread.is_alive():
-            self._loop.call_soon_threadsafe(self._end.set)
+            self._loop.call_soon_threadsafe(self._loop.stop)
             self._thread.join(5.0)
-
-    def _work(self) -> None:
-        try:
-            self._loop.run_until_complete(self._serve())
-        except BaseException as error:
-            self._error = error
-        finally:
-            self._ready.set()
-            self._loop.close()
-
-    async def _serve(self) -> None:
-        async with running(self.sources, self._hub):
-            self._ready.set()
-            await self._end.wait()
+        if not self._loop.is_running():
+            super().close()

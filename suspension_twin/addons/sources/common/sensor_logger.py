@@ -17,10 +17,8 @@ from typing import Any, Final
 
 import numpy as np
 
-from suspension_twin.addons.sources.common.address import Address
-from suspension_twin.addons.sources.common.device import Device
-from suspension_twin.addons.sources.common.fields import number, read_object
-from suspension_twin.addons.sources.common.hub import Hub
+from suspension_twin.addons.sources.common.connection import Address, number, read_object
+from suspension_twin.addons.sources.common.hub import Device, Hub
 from suspension_twin.arrays import Floats
 from suspension_twin.drive.intake.phones import IOS_FORCE_SIGN, force_sensors, phone_fix
 from suspension_twin.drive.intake.velocity import velocities_from_course

@@ -23,8 +23,8 @@ from typing import Final
 
 from aiohttp import WSMsgType, web
 
-from suspension_twin.addons.sources.common.address import Address
 from suspension_twin.addons.sources.common.clock import host_time
+from suspension_twin.addons.sources.common.connection import Address
 from suspension_twin.errors import InputError
 
 __all__ = ["Limits", "PushServer", "is_loopback", "kept_token", "network_address"]
