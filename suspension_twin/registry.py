@@ -19,9 +19,12 @@ import sys
 from collections.abc import Iterator, Mapping
 from functools import cache, cached_property
 from importlib import import_module
-from typing import Any, Generic, NamedTuple, TypeVar
+from typing import TYPE_CHECKING, Any, Generic, NamedTuple, TypeVar
 
 from suspension_twin.errors import InputError, nearest
+
+if TYPE_CHECKING:
+    from importlib.metadata import EntryPoints
 
 __all__ = ["ADDONS", "PluginError", "Registry", "missing_addons"]
 
@@ -55,7 +58,7 @@ def entry_points() -> tuple[EntryPoint, ...]:
     Almost no distribution has any: of most, one look at a small file is enough, without importlib.metadata, which takes
     longer to import than a short command to run.
     """
-    found = {}
+    found: dict[str, EntryPoints] = {}
     for folder in sys.path:
         for directory in _distributions(folder or "."):
             from importlib.metadata import Distribution

@@ -222,7 +222,7 @@ def _root(
     ] = False,
     debug: Annotated[bool, typer.Option("--debug", help="Show the traceback of an error.")] = False,
 ) -> None:
-    """What the program takes before a subcommand; ``--debug`` is taken out of the arguments by :func:`main`."""
+    """Options before a subcommand; ``--debug`` is taken out of the arguments by :func:`main`."""
 
 
 def _not_imported() -> None:

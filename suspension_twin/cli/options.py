@@ -18,7 +18,7 @@ def grouped(command: Callable[..., None]) -> Callable[..., None]:
     ``Annotated[type, typer.Option(...)]`` with a default; ``command`` gets the record.
     """
     hints = get_type_hints(command, include_extras=True)
-    records = {name: kind for name, kind in hints.items() if is_dataclass(kind)}
+    records: dict[str, Callable[..., object]] = {n: kind for n, kind in hints.items() if is_dataclass(kind)}
     parameters = []
     for given in signature(command).parameters.values():
         if given.name in records:
@@ -38,7 +38,7 @@ def grouped(command: Callable[..., None]) -> Callable[..., None]:
         }
         command(**filled, **values)
 
-    run.__doc__ = command.__doc__
+    run.__name__, run.__doc__ = command.__name__, command.__doc__
     run.__annotations__ = {p.name: p.annotation for p in parameters}
     run.__signature__ = Signature(parameters)  # type: ignore[attr-defined]
     return run

@@ -38,7 +38,7 @@ class Up(str, Enum):
 
 
 class Origin(str, Enum):
-    """What a mesh's places count from."""
+    """Origin of the coordinates of a mesh."""
 
     map = "map"
     start = "start"
@@ -157,6 +157,7 @@ def check(
 
 @app.command()
 def make(
+    *,
     out: RoadOut,
     bump: Annotated[
         list[str] | None,
@@ -236,6 +237,7 @@ def make(
 
 @app.command()
 def profile(
+    *,
     files: Annotated[
         list[Path],
         typer.Argument(
@@ -302,7 +304,7 @@ def profile(
 
 
 def print_figures(checked: RoadCheck) -> None:
-    """What a road is like, in a few lines."""
+    """Print length, width, roughness and events of a road."""
     console = output()
     for name in ("length", "width", "roughness", "IRI", "events"):
         console.print(f"{name}: {checked.facts[name]}", markup=False)

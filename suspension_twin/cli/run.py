@@ -162,7 +162,7 @@ class RosSettings:
         return [*(self.ros_args or ()), *file]
 
     def wanted(self) -> dict[str, dict[str, object]]:
-        """What the parameter file sets, by node. Raises InputError for it and for the arguments."""
+        """Values of the parameter file by node. Raises InputError for it and for the arguments."""
         from suspension_twin.nodes.parameters import read_param_file
         from suspension_twin.nodes.process import check_arguments
 

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 from suspension_twin.addons.roads.drives.learning import twin_path
 from suspension_twin.addons.sources import make_sources
 from suspension_twin.addons.sources.common.hub import Hub
-from suspension_twin.addons.sources.common.recorder import Recorder
+from suspension_twin.addons.sources.common.recorder import LiveRecorder
 from suspension_twin.cli._status import Status, say
 from suspension_twin.cli.run import RunSettings
 from suspension_twin.errors import InputError
@@ -58,7 +58,7 @@ class Recording:
         source, (path,) = composed.nodes["source"], self.files
         assert isinstance(source, SourceNode)
         try:
-            with Recorder(path, overwrite=self._overwrite) as recorder:
+            with LiveRecorder(path, overwrite=self._overwrite) as recorder:
                 source.tap = lambda packet: recorder.write([packet])
                 yield
         finally:

@@ -24,7 +24,7 @@ from suspension_twin.addons.cli.live_lines import (
     until_ended,
 )
 from suspension_twin.addons.cli.record import Seconds
-from suspension_twin.addons.sources import Source, make_sources
+from suspension_twin.addons.sources import LiveSource, make_sources
 from suspension_twin.addons.sources.common.assess import assess, verdict
 from suspension_twin.addons.sources.common.connection import parse_address
 from suspension_twin.addons.sources.common.discover import discover
@@ -82,7 +82,7 @@ def command(
 
 
 @asynccontextmanager
-async def _experiment(sources: Sequence[Source]) -> AsyncIterator[None]:
+async def _experiment(sources: Sequence[LiveSource]) -> AsyncIterator[None]:
     """For phones with phyphox: the experiment to be opened is served, and its address is the QR code."""
     phones = [source for source in sources if isinstance(source, Phyphox)]
     if not phones:

@@ -19,9 +19,9 @@ from suspension_twin.addons.cli.live_lines import (
     styled,
     until_ended,
 )
-from suspension_twin.addons.sources import Source, make_sources
+from suspension_twin.addons.sources import LiveSource, make_sources
 from suspension_twin.addons.sources.common.hub import Hub
-from suspension_twin.addons.sources.common.recorder import Recorder
+from suspension_twin.addons.sources.common.recorder import LiveRecorder
 from suspension_twin.addons.sources.common.runner import running
 from suspension_twin.cli.calibrate import print_result, show_progress
 from suspension_twin.cli.common import Force, Outputs, ProgressLine, Seed, SourceUrls, TwinFile, output
@@ -35,6 +35,7 @@ __all__ = ["command"]
 
 
 def command(
+    *,
     twin: TwinFile,
     out: Annotated[
         Path, typer.Option("--out", help="The twin file to write.", metavar="CALIBRATED.YAML", dir_okay=False)
@@ -89,7 +90,7 @@ def command(
     sources = make_sources(urls, hub)
     outputs.announce()
     later = f"suspension-twin calibrate --twin {twin} {record} --out {out}"
-    with Recorder(record, overwrite=force) as recorder:
+    with LiveRecorder(record, overwrite=force) as recorder:
         try:
             asyncio.run(_drive(sources, hub, recorder, guide, twin, [] if source else urls))
         except InputError:  # the sensor sits otherwise: no drive was begun
@@ -120,9 +121,9 @@ def command(
 
 
 async def _drive(
-    sources: Sequence[Source],
+    sources: Sequence[LiveSource],
     hub: Hub,
-    recorder: Recorder,
+    recorder: LiveRecorder,
     guide: FirstDrive,
     twin: Path,
     shown: Sequence[str],

@@ -16,7 +16,7 @@ from rich.console import Console
 from rich.live import Live
 from rich.text import Text
 
-from suspension_twin.addons.cli.pages import fleet_pages, foxglove_place, free_place, node_process
+from suspension_twin.addons.cli.pages import fleet_pages, foxglove_address, free_address, node_process
 from suspension_twin.addons.view.fleet import TwinRow
 from suspension_twin.cli._status import say
 from suspension_twin.errors import printable
@@ -38,8 +38,8 @@ def run_fleet(given: FleetSettings, display: DisplaySettings, ros: RosSettings) 
 
     Raises InputError for a manifest or a twin that cannot be used.
     """
-    bridge = None if display.foxglove is None else foxglove_place(display.foxglove)
-    page = None if display.view is None else free_place("--view", display.view)
+    bridge = None if display.foxglove is None else foxglove_address(display.foxglove)
+    page = None if display.view is None else free_address("--view", display.view)
     wanted = ros.wanted()
     from suspension_twin.addons.fleet.manifest import read_manifest
     from suspension_twin.addons.fleet.twins import fleet_twins

@@ -16,7 +16,7 @@ from rich.console import Console, Group
 from rich.live import Live
 from rich.text import Text
 
-from suspension_twin.addons.sources import Source
+from suspension_twin.addons.sources import LiveSource
 from suspension_twin.addons.sources.common.hub import Hub
 from suspension_twin.addons.sources.common.report import device_line, findings
 from suspension_twin.signals.checks import Finding
@@ -56,7 +56,7 @@ async def until_ended(seconds: float | None = None) -> AsyncIterator[None]:
             continue
 
 
-async def show_guide(console: Console, sources: Sequence[Source], urls: Sequence[str]) -> None:
+async def show_guide(console: Console, sources: Sequence[LiveSource], urls: Sequence[str]) -> None:
     """How to connect: each source's address, its QR code on a terminal, the app's settings step by step; and how the
     same is recorded and followed."""
     for source in sources:

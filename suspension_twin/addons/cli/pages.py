@@ -26,13 +26,13 @@ if TYPE_CHECKING:
     from suspension_twin.nodes.composed import Composed
     from suspension_twin.nodes.process import Stop
 
-__all__ = ["Foxglove", "Viewer", "fleet_pages", "foxglove_place", "free_place", "node_process"]
+__all__ = ["Foxglove", "Viewer", "fleet_pages", "foxglove_address", "free_address", "node_process"]
 
 #: Pages of single twins that a fleet's page keeps open, and s that one may take to start.
 _PAGES, _OPENED = 4, 30.0
 
 
-class Place(NamedTuple):
+class ListenAddress(NamedTuple):
     """Where something listens; ``token`` is the end of the address for others than this machine."""
 
     host: str
@@ -40,7 +40,7 @@ class Place(NamedTuple):
     token: str
 
 
-def free_place(option: str, given: str) -> Place:
+def free_address(option: str, given: str) -> ListenAddress:
     """The place that ``PORT`` or ``HOST:PORT`` names; InputError for a wrong or taken one."""
     host, _, number = given.rpartition(":")
     host = host.strip("[]") or "127.0.0.1"
@@ -53,14 +53,14 @@ def free_place(option: str, given: str) -> Place:
             port = taken.getsockname()[1]
     except OSError as error:
         raise InputError(option, f"cannot listen on {host}, port {port}: {error.strerror or error}") from None
-    return Place(host, port, "" if is_local(host) else secrets.token_urlsafe(9))
+    return ListenAddress(host, port, "" if is_local(host) else secrets.token_urlsafe(9))
 
 
-def foxglove_place(given: str) -> Place:
-    """As :func:`free_place`; InputError where Foxglove's library is missing."""
+def foxglove_address(given: str) -> ListenAddress:
+    """As :func:`free_address`; InputError where Foxglove's library is missing."""
     if find_spec("foxglove") is None:
         raise InputError("--foxglove", 'needs foxglove-sdk: pip install "suspension-twin[foxglove]"')
-    return free_place("--foxglove", given)
+    return free_address("--foxglove", given)
 
 
 @contextmanager
@@ -92,7 +92,7 @@ class Viewer:
     def __init__(self, given: str, settings: RunSettings) -> None:
         self._ros = settings.ros
         bag = "" if settings.replay.bag is None else str(settings.replay.bag)
-        self._values = free_place("--view", given)._asdict() | {"twin": str(settings.twin), "bag": bag}
+        self._values = free_address("--view", given)._asdict() | {"twin": str(settings.twin), "bag": bag}
 
     def beside(self, _composed: Composed, _stop: Stop) -> AbstractContextManager[None]:
         """See ``Companion``."""
@@ -105,14 +105,14 @@ class Foxglove(Viewer):
     node = "foxglove_bridge"
 
     def __init__(self, given: str, settings: RunSettings) -> None:
-        place, self._ros = foxglove_place(given), settings.ros
+        place, self._ros = foxglove_address(given), settings.ros
         replayed = settings.replay.bag is not None
         self._values = {"host": place.host, "port": place.port, "use_sim_time": replayed}
 
 
 @contextmanager
 def fleet_pages(
-    place: Place, ros: RosSettings, twins: Mapping[str, str]
+    place: ListenAddress, ros: RosSettings, twins: Mapping[str, str]
 ) -> Iterator[Callable[[Mapping[str, TwinRow]], None]]:
     """The page of a fleet; that of a twin, a process of its own, is there from when it is first asked for."""
     opened: dict[str, tuple[int, ExitStack]] = {}
@@ -123,7 +123,7 @@ def fleet_pages(
         else:
             while len(opened) >= _PAGES:  # the one that was not asked for for the longest time
                 opened.pop(next(iter(opened)))[1].close()
-            free = free_place("--view", f"[{place.host}]:0" if ":" in place.host else f"{place.host}:0")
+            free = free_address("--view", f"[{place.host}]:0" if ":" in place.host else f"{place.host}:0")
             port, own = free.port, ExitStack()
             values = {"host": place.host, "port": port, "token": place.token, "twin": twins[name]}
             own.enter_context(node_process("viewer", values, name, ros.arguments))
@@ -141,7 +141,7 @@ def fleet_pages(
             own.close()
 
 
-def _await_listener(place: Place) -> None:
+def _await_listener(place: ListenAddress) -> None:
     """Until a page answers on a port; raises WorkError where it does not."""
     until = time.monotonic() + _OPENED
     while time.monotonic() < until:

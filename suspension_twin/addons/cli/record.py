@@ -19,9 +19,9 @@ from suspension_twin.addons.cli.live_lines import (
     show_guide,
     until_ended,
 )
-from suspension_twin.addons.sources import Source, make_sources
+from suspension_twin.addons.sources import LiveSource, make_sources
 from suspension_twin.addons.sources.common.hub import Hub
-from suspension_twin.addons.sources.common.recorder import Recorder
+from suspension_twin.addons.sources.common.recorder import LiveRecorder
 from suspension_twin.addons.sources.common.runner import running
 from suspension_twin.cli.common import Force, Outputs, SourceUrls, output
 from suspension_twin.drive.read import read_drive
@@ -59,7 +59,7 @@ def command(
     sources = make_sources(urls, hub)
     console = output()
     outputs.announce()
-    with Recorder(out, overwrite=force) as recorder:
+    with LiveRecorder(out, overwrite=force) as recorder:
         asyncio.run(_record(sources, hub, recorder, seconds, [] if source else urls))
     drive = read_drive(out)
     for line in [*summarise(drive).lines(), *(f"warning: {text}" for text in drive.warnings)]:
@@ -68,7 +68,11 @@ def command(
 
 
 async def _record(
-    sources: Sequence[Source], hub: Hub, recorder: Recorder, seconds: float | None, guide: Sequence[str]
+    sources: Sequence[LiveSource],
+    hub: Hub,
+    recorder: LiveRecorder,
+    seconds: float | None,
+    guide: Sequence[str],
 ) -> None:
     """Until Ctrl-C, SIGTERM or the end of the time; how to connect the URLs of ``guide`` is shown first."""
 

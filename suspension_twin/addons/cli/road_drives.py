@@ -22,6 +22,7 @@ __all__ = ["command"]
 
 
 def command(
+    *,
     drive: Annotated[
         list[str],
         typer.Argument(
@@ -134,7 +135,7 @@ def _print_estimate(record: dict[str, Any]) -> None:
 
 
 def _print_vehicle(record: dict[str, Any]) -> None:
-    """What was found of the vehicle, and what could not be separated."""
+    """Estimated parameters of the vehicle, and those that could not be separated."""
     console = output()
     rows = []
     for p in record["parameters"]:

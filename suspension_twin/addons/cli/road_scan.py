@@ -120,6 +120,7 @@ class DrivenSettings:
 
 @grouped
 def command(
+    *,
     cloud: Annotated[
         list[Path],
         typer.Argument(help="Point clouds: LAS, LAZ, PLY or text.", metavar="CLOUD", show_default=False),

@@ -21,7 +21,7 @@ __all__ = ["TARGETS", "ExportSettings", "Target", "characteristics_of", "export_
 
 @dataclass(frozen=True)
 class ExportSettings:
-    """What some targets can be told.
+    """Settings that some targets take.
 
     Parameters
     ----------

@@ -88,7 +88,7 @@ class _Record:
         self._heading.extend((t, yaw))
 
     def drive(self) -> Drive:
-        """What there is, as a drive that was recorded."""
+        """The samples so far as a recorded drive."""
         rows = np.array(self._imu, dtype=np.float64).reshape(-1, 7)
         headings = np.array(self._heading, dtype=np.float64).reshape(-1, 2)
         drive = Drive(
@@ -324,7 +324,7 @@ class RoadLearnerNode(TwinNode):
         return self._taught is not None
 
     def summary(self) -> str:
-        """What was written."""
+        """The road that was written, in a line."""
         return f"road: {self._known()}, written to {self._out}; the twin on it: {twin_path(self._out)}"
 
     def _known(self) -> str:

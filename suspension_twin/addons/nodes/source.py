@@ -84,7 +84,7 @@ class SourceNode(TwinNode):
 
     @property
     def notes(self) -> list[str]:
-        """What the sources have to tell the user."""
+        """Addresses and settings for the user, a line each."""
         return self._receiver.notes
 
     def destroy_node(self) -> None:

@@ -3,7 +3,7 @@
 
 A source is a module, found by the scheme of its URL: a file of this folder, or a module of an installed package that
 its entry point in the group ``suspension_twin.sources`` names. It has ``TITLE`` (the name that a user knows),
-``EXAMPLE`` (a URL) and ``make(address, hub, rank)``, which returns a :class:`Source` or raises InputError for an
+``EXAMPLE`` (a URL) and ``make(address, hub, rank)``, which returns a :class:`LiveSource` or raises InputError for an
 address that it cannot use.
 """
 
@@ -17,10 +17,10 @@ from suspension_twin.addons.sources.common.hub import Hub
 from suspension_twin.errors import InputError
 from suspension_twin.registry import Registry
 
-__all__ = ["SOURCES", "Source", "SourceModule", "make_sources"]
+__all__ = ["SOURCES", "LiveSource", "SourceModule", "make_sources"]
 
 
-class Source(Protocol):
+class LiveSource(Protocol):
     """One open source. All of it runs on one event loop."""
 
     #: What to tell the user, a line each: where to send to, what to set.
@@ -51,7 +51,7 @@ class SourceModule(Protocol):
     EXAMPLE: str
 
     #: The source at an address, not yet open: ``make(address, hub, rank)``.
-    make: Callable[[Address, Hub, int], Source]
+    make: Callable[[Address, Hub, int], LiveSource]
 
 
 #: Modules of sources by scheme.
@@ -75,7 +75,7 @@ SOURCES: Final = Registry[SourceModule](
 )
 
 
-def make_sources(urls: Sequence[str], hub: Hub) -> list[Source]:
+def make_sources(urls: Sequence[str], hub: Hub) -> list[LiveSource]:
     """The sources of these URLs, not yet open. Of a stream that two of them have, the last one's is taken.
 
     Raises InputError for a URL that is none or that the source cannot use.

@@ -108,7 +108,7 @@ class Iio(PlainSource):
         self._poll = bool(address.number("poll", 0, 0, 1))
         self._trigger = address.options.get("trigger", "")
         self._hub = hub
-        self.device = hub.own_device(address, f"IMU {self._wanted}", rank=rank)
+        self.device = hub.own_device(str(address), f"IMU {self._wanted}", rank=rank)
         self.notes = []
 
     async def start(self) -> None:
@@ -126,7 +126,7 @@ class Iio(PlainSource):
             ) from None
 
     async def run(self) -> None:
-        """See :class:`~suspension_twin.addons.sources.Source`."""
+        """See :class:`~suspension_twin.addons.sources.LiveSource`."""
         await keep_connected(self._hub, self.device.name, self._polled if self._poll else self._buffered)
 
     async def stop(self) -> None:

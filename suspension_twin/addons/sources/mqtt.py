@@ -82,13 +82,13 @@ class Mqtt(PlainSource):
         self._client.loop_start()
 
     async def run(self) -> None:
-        """See :class:`~suspension_twin.addons.sources.Source`."""
+        """See :class:`~suspension_twin.addons.sources.LiveSource`."""
         while True:
             await asyncio.sleep(_TICK)
             self.phones.tick(host_time())
 
     async def stop(self) -> None:
-        """See :class:`~suspension_twin.addons.sources.Source`."""
+        """See :class:`~suspension_twin.addons.sources.LiveSource`."""
         self._client.disconnect()
         await asyncio.to_thread(self._client.loop_stop)
 

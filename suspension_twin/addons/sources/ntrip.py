@@ -64,7 +64,7 @@ class Ntrip(PlainSource):
             )
 
     async def run(self) -> None:
-        """See :class:`~suspension_twin.addons.sources.Source`."""
+        """See :class:`~suspension_twin.addons.sources.LiveSource`."""
         await keep_connected(self._hub, self._name, self._session)
 
     async def _session(self) -> None:

@@ -91,7 +91,7 @@ class Phyphox(PlainSource):
         self._period = address.number("period", 0.1, 0.02, 5.0)
         self._base = f"http://{url_host(address.host)}:{address.port or _PORT}"
         self._hub = hub
-        self.device = hub.own_device(address, f"phone {address.host}", rank=rank)
+        self.device = hub.own_device(str(address), f"phone {address.host}", rank=rank)
         self.device.position_clock = self.device.clock
         self.notes = [f"phyphox: connects to {self._base}"]
         self._sensors: dict[str, _Sensor] = {}
@@ -100,7 +100,7 @@ class Phyphox(PlainSource):
         self._measuring = False
 
     async def run(self) -> None:
-        """See :class:`~suspension_twin.addons.sources.Source`."""
+        """See :class:`~suspension_twin.addons.sources.LiveSource`."""
         timeout = aiohttp.ClientTimeout(total=_PATIENCE, sock_connect=_PATIENCE)
         async with aiohttp.ClientSession(timeout=timeout) as self._session:
             await keep_connected(self._hub, self.device.name, self._poll)
@@ -133,7 +133,7 @@ class Phyphox(PlainSource):
             await asyncio.sleep(self._period)
 
     async def _look(self) -> None:
-        """What the experiment on the phone has."""
+        """Read which sensors and buffers the experiment on the phone has."""
         config = read_object(await self._get("/config"))
         found: dict[str, dict[str, str]] = {}
         for entry in _list(config.get("inputs")):

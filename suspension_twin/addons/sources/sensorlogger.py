@@ -58,7 +58,7 @@ class SensorLogger(PlainSource):
         self.notes = [f"Sensor Logger: push to {self.code}"]
 
     def _page(self) -> str:
-        """What the phone's browser shows: the address to copy, and what to do with it."""
+        """The page for the phone's browser: the address to copy, and the steps of the set-up."""
         steps = "".join(f"<li>{html.escape(step)}</li>" for step in STEPS)
         return (
             "<!doctype html><meta name=viewport content='width=device-width'><title>suspension_twin</title>"
@@ -68,13 +68,13 @@ class SensorLogger(PlainSource):
         )
 
     async def run(self) -> None:
-        """See :class:`~suspension_twin.addons.sources.Source`."""
+        """See :class:`~suspension_twin.addons.sources.LiveSource`."""
         while True:
             await asyncio.sleep(_TICK)
             self.phones.tick(host_time())
 
     async def stop(self) -> None:
-        """See :class:`~suspension_twin.addons.sources.Source`."""
+        """See :class:`~suspension_twin.addons.sources.LiveSource`."""
         await self.server.stop()
 
 

@@ -71,11 +71,11 @@ class SensorServer(PlainSource):
         self._base = f"ws://{url_host(address.host)}:{address.port or _PORT}"
         self._name = f"phone {address.host}"
         self._hub = hub
-        self.device = hub.own_device(address, self._name, rank=rank, epoch=False)
+        self.device = hub.own_device(str(address), self._name, rank=rank, epoch=False)
         self.notes = [f"SensorServer: connects to {self._base}"]
 
     async def run(self) -> None:
-        """See :class:`~suspension_twin.addons.sources.Source`."""
+        """See :class:`~suspension_twin.addons.sources.LiveSource`."""
         timeout = aiohttp.ClientTimeout(sock_connect=5.0)
         async with aiohttp.ClientSession(timeout=timeout) as self._session:
             await asyncio.gather(

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What the page shows of a running twin: the last seconds of its signals, its path, its gap, the health of the nodes.
+"""State of the page: the last seconds of its signals, its path, its gap, the health of the nodes.
 
 A thread of the node adds, the thread of the server takes. Everything that leaves is ready for JSON: times in s since
 the first sample, SI units, no NaN.
@@ -162,7 +162,7 @@ class LiveView:
 
     @_locked
     def frame(self) -> dict[str, Any]:
-        """What is new since the last call, or everything after a restart; empty if nothing is."""
+        """Changes since the last call, or everything after a restart; empty if there are none."""
         if self._restarted:
             self._restarted = False
             self._changed.clear()

@@ -113,7 +113,7 @@ class Site:
         return int(sockets[0].getsockname()[1])
 
     def _add_routes(self, app: web.Application) -> None:
-        """What there is beside the page and its files."""
+        """Add routes beside the page and its files."""
 
     async def _stop(self) -> None:
         await self._runner.cleanup()

@@ -21,7 +21,7 @@ __all__ = ["IMPORTERS", "Importer", "importer_of", "load_importer", "read_source
 
 @runtime_checkable
 class Importer(Protocol):
-    """What a module of this folder holds."""
+    """The contents of an importer's module."""
 
     TITLE: str
 

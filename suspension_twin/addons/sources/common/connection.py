@@ -119,10 +119,10 @@ class PlainSource:
     code = ""
 
     async def start(self) -> None:
-        """See :class:`~suspension_twin.addons.sources.Source`."""
+        """See :class:`~suspension_twin.addons.sources.LiveSource`."""
 
     async def stop(self) -> None:
-        """See :class:`~suspension_twin.addons.sources.Source`."""
+        """See :class:`~suspension_twin.addons.sources.LiveSource`."""
 
 
 def url_host(host: str) -> str:

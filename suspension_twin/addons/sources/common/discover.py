@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What of phones, receivers and IMUs this machine can reach, and the URL for it."""
+"""Phones, receivers and IMUs that this machine can reach, and the URL for each."""
 
 from __future__ import annotations
 

@@ -17,7 +17,6 @@ from typing import Final, Literal
 import numpy as np
 
 from suspension_twin.addons.sources.common.clock import ArrivalClock, host_time
-from suspension_twin.addons.sources.common.connection import Address
 from suspension_twin.addons.sources.common.motion import MotionLag, MotionShift
 from suspension_twin.arrays import Floats
 from suspension_twin.drive.repair import measured
@@ -296,7 +295,7 @@ class Packet:
 
 @dataclass
 class _Correction:
-    """What is added to the stamps of one clock; follows its target slowly."""
+    """Correction of the stamps of one clock; follows its target slowly."""
 
     value: float = math.nan
     target: float = math.nan
@@ -363,11 +362,11 @@ class Hub:
             self.devices[name] = found
         return found
 
-    def own_device(self, address: Address, name: str, *, rank: int, epoch: bool = True) -> Device:
+    def own_device(self, source: str, name: str, *, rank: int, epoch: bool = True) -> Device:
         """As :meth:`device`; InputError where there are too many already."""
         device = self.device(name, rank=rank, epoch=epoch)
         if device is None:
-            raise InputError(str(address), "is one source too many")
+            raise InputError(source, "is one source too many")
         return device
 
     def say(self, level: Literal["ok", "warn", "error"], code: str, text: str) -> None:
@@ -410,7 +409,7 @@ class Hub:
         return packets
 
     def heard(self) -> list[Finding]:
-        """What is to be told to the user, since the last call."""
+        """Events for the user since the last call."""
         found = []
         while self._said:
             found.append(self._said.popleft())
@@ -448,7 +447,7 @@ class Hub:
         return None if device is None else device.position_clock
 
     def _correct(self, device: Device, clock: ArrivalClock, now: float) -> float:
-        """What to add to stamps of ``clock``: it brings them into the time base."""
+        """Correction that brings stamps of ``clock`` into the time base."""
         correction = self._corrections.setdefault(clock, _Correction())
         reference = self.reference()
         if (clock is reference or reference is None) and not math.isnan(correction.value):

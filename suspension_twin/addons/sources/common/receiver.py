@@ -134,7 +134,7 @@ class Receiver(PlainSource):
         self.address = address
         self.hub = hub
         name = f"receiver {address.host or os.path.basename(address.path)}"
-        self.device = hub.own_device(address, name, rank=RECEIVER_RANK + rank)
+        self.device = hub.own_device(str(address), name, rank=RECEIVER_RANK + rank)
         self.understood = 0
         self.notes = [f"{title}: reads {address.where.removeprefix('//')}"]
         self._noise = 0
@@ -157,7 +157,7 @@ class Receiver(PlainSource):
             raise InputError(self.address.path, "permission denied (the group dialout may use serial ports)")
 
     async def run(self) -> None:
-        """See :class:`~suspension_twin.addons.sources.Source`."""
+        """See :class:`~suspension_twin.addons.sources.LiveSource`."""
         await keep_connected(self.hub, self.device.name, self._session)
 
     async def _session(self) -> None:
@@ -187,7 +187,7 @@ class Receiver(PlainSource):
             self.hub.say("warn", f"noise {self.device.name}", f"{self.device.name}: {self.doubt()}")
 
     def doubt(self) -> str:
-        """What may be wrong where nothing can be read."""
+        """Possible cause where nothing can be read."""
         return f"sends nothing that can be read at {self.baud} bit/s: try another ?baud="
 
     def _correct(self, data: bytes) -> None:

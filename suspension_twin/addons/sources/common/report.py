@@ -56,7 +56,7 @@ def device_values(device: Device, now: float) -> dict[str, str]:
 
 
 def findings(hub: Hub, now: float) -> list[Finding]:
-    """What is wrong now."""
+    """Faults at this moment."""
     found = []
     for device in list(hub.devices.values()):
         name, silent = device.name, silence(device, now)

@@ -10,7 +10,7 @@ from collections.abc import AsyncIterator, Sequence
 from contextlib import asynccontextmanager
 from typing import Any
 
-from suspension_twin.addons.sources import Source, make_sources
+from suspension_twin.addons.sources import LiveSource, make_sources
 from suspension_twin.addons.sources.common.hub import Hub
 from suspension_twin.errors import InputError
 
@@ -21,7 +21,7 @@ _AGAIN = 1.0
 
 
 @asynccontextmanager
-async def running(sources: Sequence[Source], hub: Hub) -> AsyncIterator[None]:
+async def running(sources: Sequence[LiveSource], hub: Hub) -> AsyncIterator[None]:
     """The sources receive within. Raises InputError where one cannot be opened."""
     tasks: list[asyncio.Task[None]] = []
     try:
@@ -38,7 +38,7 @@ async def running(sources: Sequence[Source], hub: Hub) -> AsyncIterator[None]:
                 await source.stop()
 
 
-async def _keep_running(source: Source, hub: Hub) -> None:
+async def _keep_running(source: LiveSource, hub: Hub) -> None:
     """Whatever a sender causes, the source goes on."""
     while True:
         try:
@@ -49,8 +49,8 @@ async def _keep_running(source: Source, hub: Hub) -> None:
         await asyncio.sleep(_AGAIN)
 
 
-def _said(loop: asyncio.AbstractEventLoop, context: dict[str, Any]) -> None:
-    """What a task ended with and nobody asked for: a Ctrl-C that met it is no error."""
+def _report_unhandled(loop: asyncio.AbstractEventLoop, context: dict[str, Any]) -> None:
+    """Report an exception that no task has taken; a Ctrl-C that met one is no error."""
     if not isinstance(context.get("exception"), KeyboardInterrupt):
         loop.default_exception_handler(context)
 
@@ -64,7 +64,7 @@ class SourceLoop:
     def __init__(self, urls: Sequence[str], hub: Hub) -> None:
         self.sources = make_sources(urls, hub)
         self._loop = asyncio.new_event_loop()
-        self._loop.set_exception_handler(_said)
+        self._loop.set_exception_handler(_report_unhandled)
         self._came = asyncio.Event()
         self._open = running(self.sources, hub)
         try:
@@ -75,7 +75,7 @@ class SourceLoop:
 
     @property
     def notes(self) -> list[str]:
-        """What the sources have to tell the user."""
+        """Addresses and settings for the user, a line each."""
         return [note for source in self.sources for note in source.notes]
 
     def run(self, seconds: float) -> None:

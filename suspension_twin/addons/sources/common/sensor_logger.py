@@ -150,10 +150,11 @@ class _Axes:
     sign: float | None = None
     seen: set[str] = field(default_factory=set)
     in_g: bool = False
-    _certain: bool = False
-    _ios: bool = False
-    _standard: bool | None = None
-    _force: Floats = field(default_factory=lambda: np.zeros(3))
+
+    def __post_init__(self) -> None:
+        self._certain = self._ios = False
+        self._standard: bool | None = None
+        self._force = np.zeros(3)
 
     def look(self, message: Message) -> None:
         """Learn from a message."""

@@ -35,7 +35,7 @@ _PEERS: Final = 256
 
 @dataclass(frozen=True)
 class Limits:
-    """What a sender may use: ``body`` bytes of a message, ``rate`` bytes/s of one sender and ``burst`` bytes at once,
+    """Limits of a sender: ``body`` bytes of a message, ``rate`` bytes/s of one sender and ``burst`` bytes at once,
     ``connections`` in all, ``attempts`` with a wrong token within a minute, ``patience`` s for a body.
 
     Four phones at 400 Hz send 2 MB/s together; a phone that was ten seconds without a network sends them at once.
