@@ -31,8 +31,7 @@ from suspension_twin.addons.nodes.view_jobs import ViewJob, ViewJobs
 from suspension_twin.addons.nodes.view_player import ViewPlayer
 from suspension_twin.addons.nodes.view_recorder import ViewRecorder
 from suspension_twin.addons.view.live import LiveView, NodeStatus, advice
-from suspension_twin.addons.view.requests import Requests
-from suspension_twin.addons.view.server import Server
+from suspension_twin.addons.view.server import Requests, Server
 from suspension_twin.errors import InputError, SuspensionTwinError
 from suspension_twin.inference.prepare import road_of
 from suspension_twin.nodes.base import TwinNode

@@ -66,9 +66,11 @@ class LiveView:
         self._health: dict[str, NodeStatus] = {}
         self._about: dict[str, Any] = {}
         self._origin = 0
-        self._clear()
+        self.clear()
 
-    def _clear(self) -> None:
+    @_locked
+    def clear(self) -> None:
+        """Begin anew: the recording was wound to another place, or another one begins."""
         self._t0: int | None = None
         self._newest = 0
         self._rows: dict[str, deque[list[float]]] = {
@@ -77,15 +79,18 @@ class LiveView:
             "measured": deque(),
             "simulated": deque(),
         }
-        self._fresh: dict[str, list[list[float]]] = {name: [] for name in self._rows}
         self._path: deque[list[float]] = deque(maxlen=_POINTS)
-        self._new_path: list[list[float]] = []
         self._events: list[dict[str, Any]] = []
         self._waiting: dict[int, float] = {}
         self._squares, self._count, self._last_gap = 0.0, 0, -1.0
         self._spectrum_at = -math.inf
+        self._spectrum: dict[str, list[float]] = {}
+        self._restart()
+
+    def _restart(self) -> None:
+        """The next frame holds everything."""
+        self._fresh: dict[str, list[list[float]]] = {name: [] for name in (*self._rows, "path")}
         self._changed: dict[str, Any] = {}
-        self._state: dict[str, Any] = {}
         self._restarted = True
 
     # What a node adds
@@ -94,19 +99,14 @@ class LiveView:
     def show(self, twin: Twin) -> None:
         """A twin was loaded."""
         self._scene = scene(twin)
-        self._restarted = True
+        self._restart()
 
     @_locked
     def count_from(self, ns: int) -> None:
         """Stamp of the first sample of a recording, from which the seconds shown are counted."""
         if ns != self._origin:
             self._origin = ns
-            self._clear()
-
-    @_locked
-    def clear(self) -> None:
-        """Begin anew: the recording was wound to another place."""
-        self._clear()
+            self.clear()
 
     @_locked
     def pose(self, ns: int, place: Sequence[float], turn: Sequence[float]) -> None:
@@ -146,7 +146,7 @@ class LiveView:
         """The health of a node or of an input, by its name."""
         if self._health.get(status.name) != status:
             self._health[status.name] = status
-            self._changed["health"] = None
+            self._changed["health"] = self._statuses()
 
     @_locked
     def mark(self, text: str) -> None:
@@ -156,36 +156,24 @@ class LiveView:
         if pose:
             event |= {"x": pose[-1][1], "y": pose[-1][2]}
         self._events.append(event)
-        self._changed["events"] = None
+        self._changed["events"] = self._events
 
     # What the server takes
 
     @_locked
     def frame(self) -> dict[str, Any]:
         """Changes since the last call, or everything after a restart; empty if there are none."""
-        if self._restarted:
-            self._restarted = False
-            self._changed.clear()
-            for rows in self._fresh.values():
-                rows.clear()
-            self._new_path.clear()
+        whole = self._restarted
+        out = {name: rows for name, rows in self._fresh.items() if rows} | self._changed
+        self._restart()
+        self._restarted = False
+        if whole:
             return self.snapshot()
-        out: dict[str, Any] = {name: rows for name, rows in self._fresh.items() if rows}
-        self._fresh = {name: [] for name in self._rows}
-        if self._new_path:
-            out["path"], self._new_path = self._new_path, []
-        out |= self._changed
-        if "health" in out:
-            out["health"] = self._statuses()
-        if "events" in out:
-            out["events"] = self._events
-        self._changed = {}
         now = self._seconds(self._newest)
         if now - self._spectrum_at >= _SPECTRUM_EVERY:
             self._spectrum_at = now
-            spectrum = self._spectrum()
-            if spectrum:
-                out["spectrum"] = self._state["spectrum"] = spectrum
+            if spectrum := self._density():
+                out["spectrum"] = self._spectrum = spectrum
         return out
 
     @_locked
@@ -199,7 +187,7 @@ class LiveView:
             "events": self._events,
             "health": self._statuses(),
             **self._about,
-            **self._state,
+            **({"spectrum": self._spectrum} if self._spectrum else {}),
         }
 
     # Inner workings
@@ -211,7 +199,7 @@ class LiveView:
         if not all(map(math.isfinite, row)):
             return False
         if ns < self._newest - _BACK * 1e9:
-            self._clear()
+            self.clear()
         if self._t0 is None:
             self._t0 = self._origin if self._origin <= ns < self._origin + _DAY else ns
         self._newest = max(self._newest, ns)
@@ -235,8 +223,8 @@ class LiveView:
         self._squares, self._count = 0.0, 0
         point = [round(x, 2), round(y, 2), round(self._last_gap, 4)]
         self._path.append(point)
-        self._new_path.append(point)
-        del self._new_path[:-_POINTS]
+        self._fresh["path"].append(point)
+        del self._fresh["path"][:-_POINTS]
 
     def _statuses(self) -> list[dict[str, Any]]:
         return [
@@ -244,16 +232,16 @@ class LiveView:
             for _, s in sorted(self._health.items())
         ]
 
-    def _spectrum(self) -> dict[str, list[float]] | None:
+    def _density(self) -> dict[str, list[float]]:
         """Density of both signals over the last seconds, on a common grid."""
         tables = [np.array(self._rows[name]) for name in ("measured", "simulated")]
         if any(len(table) < 100 for table in tables):
-            return None
+            return {}
         first, last = max(t[0, 0] for t in tables), min(t[-1, 0] for t in tables)
         first = max(first, last - _SPECTRUM)
         rate = 1.0 / float(np.median(np.diff(tables[0][:, 0]))) if len(tables[0]) > 1 else 0.0
         if last - first < _SEGMENT or not math.isfinite(rate) or rate <= 0:
-            return None
+            return {}
         grid = np.arange(first, last, 1.0 / rate)
         signals = np.column_stack([np.interp(grid, t[:, 0], t[:, 1]) for t in tables])
         f, density = power_density(signals, rate, _SEGMENT)

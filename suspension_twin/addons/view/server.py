@@ -15,7 +15,10 @@ import json
 import socket
 import threading
 from collections.abc import Awaitable, Callable
+from concurrent.futures import Future
+from concurrent.futures import TimeoutError as NoAnswer
 from pathlib import Path
+from queue import SimpleQueue
 from typing import Any
 from urllib.parse import urlsplit
 
@@ -23,10 +26,10 @@ from aiohttp import WSMsgType, web
 
 from suspension_twin.addons.view.ground import tile
 from suspension_twin.addons.view.live import LiveView
-from suspension_twin.errors import InputError, SuspensionTwinError
+from suspension_twin.errors import InputError, SuspensionTwinError, WorkError
 from suspension_twin.road.road import Road
 
-__all__ = ["ACTIONS", "Server", "Site", "is_local"]
+__all__ = ["ACTIONS", "Requests", "Server", "Site", "is_local"]
 
 #: What a viewer may ask for, and whether a number comes with it.
 ACTIONS = {
@@ -45,6 +48,8 @@ ACTIONS = {
 }
 #: Frames a second, frames that may wait for a slow viewer, bytes of a request, viewers at a time.
 _RATE, _WAITING, _LARGEST, _VIEWERS = 30.0, 60, 1024, 32
+#: s that an answer to a button may take.
+_PATIENCE = 6.0
 _BEAT = 1.0  # s after which an empty frame says that the program is still there (tolerance, by hand)
 _HERE = Path(__file__).parent
 _FILES = frozenset({"app.js", "charts.js", "fleet.js", "scene.js", "style.css"})
@@ -282,3 +287,31 @@ def parse_action(text: str) -> tuple[str, float | None]:
     if isinstance(value, bool) or not isinstance(value, (int, float)) or not abs(value) < 1e9:
         raise InputError("request", f"{name} needs a number")
     return name, float(value)
+
+
+class Requests:
+    """Hands the name and the number of a button to ``answer``, on the thread that calls :meth:`serve`."""
+
+    def __init__(self, answer: Callable[[str, float | None], str]) -> None:
+        self._answer = answer
+        self._waiting: SimpleQueue[tuple[str, float | None, Future[str]]] = SimpleQueue()
+
+    def ask(self, name: str, number: float | None) -> str:
+        """The answer for who pressed the button. Raises the SuspensionTwinError of the other thread."""
+        answered: Future[str] = Future()
+        self._waiting.put((name, number, answered))
+        try:
+            return answered.result(_PATIENCE)
+        except NoAnswer:
+            raise WorkError(f"{name}: no answer") from None
+
+    def serve(self) -> None:
+        """Answer everything that waits."""
+        while not self._waiting.empty():
+            name, number, answered = self._waiting.get()
+            try:
+                answered.set_result(self._answer(name, number))
+            except SuspensionTwinError as error:
+                answered.set_exception(error)
+            except Exception as error:  # the page gets an answer in any case
+                answered.set_exception(WorkError(f"{name}: {type(error).__name__}: {error}"))
