@@ -27,8 +27,8 @@ from suspension_twin.addons.cli.record import Seconds
 from suspension_twin.addons.sources import LiveSource, make_sources
 from suspension_twin.addons.sources.common.assess import assess, verdict
 from suspension_twin.addons.sources.common.connection import parse_address
-from suspension_twin.addons.sources.common.discover import discover
 from suspension_twin.addons.sources.common.hub import Hub, Packet
+from suspension_twin.addons.sources.common.report import discover
 from suspension_twin.addons.sources.common.runner import running
 from suspension_twin.addons.sources.common.server import PushServer
 from suspension_twin.addons.sources.phyphox import Phyphox

@@ -109,7 +109,7 @@ class LiveLines:
 
     def show(self, lines: Callable[[], Sequence[Text]]) -> None:
         """Say what has happened; where it is time to, show these lines. None: not yet."""
-        self.say(styled(event, "") for event in self._hub.heard())
+        self.say(styled(event, "") for event in self._hub.events())
         if time.monotonic() < self._due or not (made := lines()):
             return
         if self._live is not None:

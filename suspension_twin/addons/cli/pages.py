@@ -134,7 +134,7 @@ def fleet_pages(
     server = FleetServer(list(twins), open_page, **place._asdict())
     try:
         print(f"Watch on {server.url}", file=sys.stderr, flush=True)
-        yield server.tell
+        yield server.update
     finally:
         server.close()
         for _, own in opened.values():

@@ -185,7 +185,7 @@ class ViewRecorder:
         on, seconds, path = False, 0.0, ""
         if self.bag is not None:
             on, seconds, path = True, round(self.bag.seconds, 1), str(self.bag.path)
-        self._view.tell("record", {"on": on, "seconds": seconds, "path": path})
+        self._view.update("record", {"on": on, "seconds": seconds, "path": path})
 
 
 def _names(path: Path) -> Iterator[Path]:

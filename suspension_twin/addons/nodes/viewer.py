@@ -26,9 +26,7 @@ from rclpy.clock_type import ClockType
 from rclpy.qos import HistoryPolicy, QoSProfile, ReliabilityPolicy
 from sensor_msgs.msg import JointState
 
-from suspension_twin.addons.nodes.view_guide import ViewGuide
-from suspension_twin.addons.nodes.view_jobs import ViewJob, ViewJobs
-from suspension_twin.addons.nodes.view_player import ViewPlayer
+from suspension_twin.addons.nodes.view_actions import ViewGuide, ViewJob, ViewJobs, ViewPlayer
 from suspension_twin.addons.nodes.view_recorder import ViewRecorder
 from suspension_twin.addons.view.live import LiveView, NodeStatus, advice
 from suspension_twin.addons.view.server import Requests, Server
@@ -86,7 +84,7 @@ class ViewerNode(TwinNode):
         self.view = LiveView()
         self._twin: Twin | None = None
         self._seen: dict[str, float] = {}
-        self._motion: dict[str, Any] = {"speed": None, "level": 1, "advice": advice(math.nan, True)[1]}
+        self._motion: dict[str, object] = {"speed": None, "level": 1, "advice": advice(math.nan, True)[1]}
         self._match_due = 0.0
         self._requests = Requests(self._answer)
         self.server = Server(
@@ -164,7 +162,7 @@ class ViewerNode(TwinNode):
     def _on_gap(self, message: Gap) -> None:
         bands = zip(message.band_low_hz, message.band_high_hz, message.band_rms, strict=True)
         floor = message.rms / message.normalised if message.normalised > 0 else math.nan
-        self.view.tell(
+        self.view.update(
             "gap",
             {
                 "rms": message.rms,
@@ -243,7 +241,7 @@ class ViewerNode(TwinNode):
             self._match_due = now + _MATCHED
             self.recorder.match()
             self.jobs.watch(now)
-        self.view.tell("motion", self._motion)
+        self.view.update("motion", self._motion)
         self.recorder.flush(now)
         self.guide.lead(now)
         self.player.forget(now - _GONE)

@@ -96,18 +96,20 @@ class Mqtt(PlainSource):
 
     def _on_connect(self, client: Client, _data: Any, _flags: Any, reason: Any, _properties: Any) -> None:
         if reason.is_failure:
-            self._hub.say("error", f"refused {self._name}", f"{self._name}: refuses the connection, {reason}")
+            self._hub.notify(
+                "error", f"refused {self._name}", f"{self._name}: refuses the connection, {reason}"
+            )
         else:
             client.subscribe(self._topic, qos=0)
-            self._hub.say("ok", f"connection {self._name}", f"{self._name}: connected")
+            self._hub.notify("ok", f"connection {self._name}", f"{self._name}: connected")
 
     def _on_connect_fail(self, _client: Client, _data: Any) -> None:
-        self._hub.say("warn", f"connection {self._name}", f"{self._name}: cannot be reached; trying again")
+        self._hub.notify("warn", f"connection {self._name}", f"{self._name}: cannot be reached; trying again")
 
     def _on_disconnect(self, _client: Client, _data: Any, _flags: Any, reason: Any, _properties: Any) -> None:
         if reason.is_failure:
             text = f"{self._name}: the connection was lost ({reason}); trying again"
-            self._hub.say("warn", f"connection {self._name}", text)
+            self._hub.notify("warn", f"connection {self._name}", text)
 
     def _on_message(self, _client: Client, _data: Any, message: MQTTMessage) -> None:
         if self._pending >= _WAITING or len(message.payload) > _LARGEST:

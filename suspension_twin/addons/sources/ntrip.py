@@ -73,7 +73,7 @@ class Ntrip(PlainSource):
         try:
             writer.write(self._request(host, port))
             chunked = await asyncio.wait_for(self._answer(reader), _PATIENCE)
-            self._hub.say("ok", f"connection {self._name}", f"{self._name}: corrections come")
+            self._hub.notify("ok", f"connection {self._name}", f"{self._name}: corrections come")
             next_position, begun = 0.0, chunked
             while True:
                 if self._gga and time.monotonic() > next_position and (sentence := _gga(self._hub)):

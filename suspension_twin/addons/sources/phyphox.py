@@ -159,7 +159,7 @@ class Phyphox(PlainSource):
         status = read_object(await self._get("/get?")).get("status")
         if isinstance(status, dict) and status.get("measuring") is False:
             await self._get("/control?cmd=start")
-            self._hub.say("ok", "started", f"{self.device.name}: the measurement was started")
+            self._hub.notify("ok", "started", f"{self.device.name}: the measurement was started")
         await self._read_time()
 
     async def _restarted(self, session: str, measuring: bool) -> None:
@@ -168,7 +168,7 @@ class Phyphox(PlainSource):
         if self._session_id and other:
             self._begin_again()
         if self._measuring and not measuring:
-            self._hub.say("warn", "paused", f"{self.device.name}: the measurement is paused, press play")
+            self._hub.notify("warn", "paused", f"{self.device.name}: the measurement is paused, press play")
         self._session_id, self._measuring = session, measuring
         await self._read_time()
 

@@ -50,7 +50,7 @@ class FleetServer(Site):
         self._opening = threading.Lock()
         super().__init__(host=host, port=port, token=token)
 
-    def tell(self, rows: Mapping[str, TwinRow]) -> None:
+    def update(self, rows: Mapping[str, TwinRow]) -> None:
         """Values of each twin by its name."""
         self._rows = [{"name": row["name"], **rows.get(row["name"], {})} for row in self._rows]
 

@@ -13,7 +13,7 @@ from collections import deque
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import wraps
-from typing import Any, TypeVar
+from typing import Concatenate, ParamSpec, TypeVar
 
 import numpy as np
 
@@ -22,7 +22,7 @@ from suspension_twin.vehicle.twin import Twin
 
 __all__ = ["LiveView", "NodeStatus", "advice", "scene"]
 
-_F = TypeVar("_F", bound=Callable[..., Any])
+_P, _R = ParamSpec("_P"), TypeVar("_R")
 
 #: Seconds of the signals that are kept, and of those the spectrum is taken over; s between two spectra.
 _KEPT, _SPECTRUM, _SPECTRUM_EVERY = 12.0, 10.0, 1.0
@@ -48,13 +48,13 @@ class NodeStatus:
     values: Mapping[str, str]
 
 
-def _locked(method: _F) -> _F:
+def _locked(method: Callable[Concatenate[LiveView, _P], _R]) -> Callable[Concatenate[LiveView, _P], _R]:
     @wraps(method)
-    def call(self: LiveView, *args: Any, **keywords: Any) -> Any:
+    def call(self: LiveView, *args: _P.args, **keywords: _P.kwargs) -> _R:
         with self._lock:
             return method(self, *args, **keywords)
 
-    return call  # type: ignore[return-value]
+    return call
 
 
 class LiveView:
@@ -62,9 +62,9 @@ class LiveView:
 
     def __init__(self) -> None:
         self._lock = threading.RLock()
-        self._scene: dict[str, Any] = {}
+        self._scene: dict[str, object] = {}
         self._health: dict[str, NodeStatus] = {}
-        self._about: dict[str, Any] = {}
+        self._about: dict[str, object] = {}
         self._origin = 0
         self.clear()
 
@@ -80,7 +80,7 @@ class LiveView:
             "simulated": deque(),
         }
         self._path: deque[list[float]] = deque(maxlen=_POINTS)
-        self._events: list[dict[str, Any]] = []
+        self._events: list[dict[str, object]] = []
         self._waiting: dict[int, float] = {}
         self._squares, self._count, self._last_gap = 0.0, 0, -1.0
         self._spectrum_at = -math.inf
@@ -90,7 +90,7 @@ class LiveView:
     def _restart(self) -> None:
         """The next frame holds everything."""
         self._fresh: dict[str, list[list[float]]] = {name: [] for name in (*self._rows, "path")}
-        self._changed: dict[str, Any] = {}
+        self._changed: dict[str, object] = {}
         self._restarted = True
 
     # What a node adds
@@ -135,7 +135,7 @@ class LiveView:
             self._count += 1
 
     @_locked
-    def tell(self, name: str, value: Any) -> None:
+    def update(self, name: str, value: object) -> None:
         """Any other value of the page, shown until it changes: ``gap``, ``motion``, ``player``, ``job``, ``record``."""
         value = _finite(value)
         if self._about.get(name) != value:
@@ -152,7 +152,7 @@ class LiveView:
     def mark(self, text: str) -> None:
         """An event at the newest stamp and place."""
         pose = self._rows["pose"]
-        event = {"t": self._seconds(self._newest), "text": text, "x": None, "y": None}
+        event: dict[str, object] = {"t": self._seconds(self._newest), "text": text, "x": None, "y": None}
         if pose:
             event |= {"x": pose[-1][1], "y": pose[-1][2]}
         self._events.append(event)
@@ -161,10 +161,11 @@ class LiveView:
     # What the server takes
 
     @_locked
-    def frame(self) -> dict[str, Any]:
+    def frame(self) -> dict[str, object]:
         """Changes since the last call, or everything after a restart; empty if there are none."""
         whole = self._restarted
-        out = {name: rows for name, rows in self._fresh.items() if rows} | self._changed
+        out: dict[str, object] = {name: rows for name, rows in self._fresh.items() if rows}
+        out |= self._changed
         self._restart()
         self._restarted = False
         if whole:
@@ -177,7 +178,7 @@ class LiveView:
         return out
 
     @_locked
-    def snapshot(self) -> dict[str, Any]:
+    def snapshot(self) -> dict[str, object]:
         """Everything, for a page that was just opened."""
         return {
             "reset": True,
@@ -226,7 +227,7 @@ class LiveView:
         self._fresh["path"].append(point)
         del self._fresh["path"][:-_POINTS]
 
-    def _statuses(self) -> list[dict[str, Any]]:
+    def _statuses(self) -> list[dict[str, object]]:
         return [
             {"name": s.name, "level": s.level, "message": s.message, "values": dict(s.values)}
             for _, s in sorted(self._health.items())
@@ -251,7 +252,7 @@ class LiveView:
         return {n: [float(f"{v:.4g}") for v in c] for n, c in zip(names, columns, strict=True)}
 
 
-def _finite(value: Any) -> Any:
+def _finite(value: object) -> object:
     """The value with None for every number that JSON cannot say."""
     if isinstance(value, float):
         return value if math.isfinite(value) else None
@@ -262,7 +263,7 @@ def _finite(value: Any) -> Any:
     return value
 
 
-def scene(twin: Twin) -> dict[str, Any]:
+def scene(twin: Twin) -> dict[str, object]:
     """Geometry of the vehicle for the picture in 3D: wheels with their joints, sensors, and names."""
     joints = twin.joints
     return {

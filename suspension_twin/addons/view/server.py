@@ -14,12 +14,12 @@ import hmac
 import json
 import socket
 import threading
-from collections.abc import Awaitable, Callable
+from collections.abc import Awaitable, Callable, Coroutine
 from concurrent.futures import Future
 from concurrent.futures import TimeoutError as NoAnswer
 from pathlib import Path
 from queue import SimpleQueue
-from typing import Any
+from typing import TypeVar
 from urllib.parse import urlsplit
 
 from aiohttp import WSMsgType, web
@@ -31,7 +31,9 @@ from suspension_twin.road.road import Road
 
 __all__ = ["ACTIONS", "Requests", "Server", "Site", "is_local"]
 
-#: What a viewer may ask for, and whether a number comes with it.
+_T = TypeVar("_T")
+
+#: Buttons of a viewer, and whether a number comes with each.
 ACTIONS = {
     "record": False,
     "stop": False,
@@ -101,7 +103,7 @@ class Site:
         self._loop.call_soon_threadsafe(self._loop.stop)
         self._thread.join(2.0)
 
-    def _run(self, work: Any, patience: float = 10.0) -> Any:
+    def _run(self, work: Coroutine[None, None, _T], patience: float = 10.0) -> _T:
         return asyncio.run_coroutine_threadsafe(work, self._loop).result(patience)
 
     async def _start(self, port: int) -> int:
@@ -268,7 +270,7 @@ async def _send(socket: web.WebSocketResponse, queue: asyncio.Queue[str]) -> Non
             await socket.send_str(await queue.get())
 
 
-def encoded(frame: dict[str, Any]) -> str:
+def encoded(frame: dict[str, object]) -> str:
     """A frame as JSON."""
     return json.dumps(frame, separators=(",", ":"), allow_nan=False)
 

@@ -25,7 +25,7 @@ class Taken:
 
     def take(self) -> None:
         self.packets += self.hub.take()
-        self.said += [finding.text for finding in self.hub.heard()]
+        self.said += [finding.text for finding in self.hub.events()]
 
     def _of(self, stream: str) -> list:
         return [p.samples for p in self.packets if p.stream == stream]

@@ -21,9 +21,8 @@ from suspension_twin.addons.cli.connect import _experiment
 from suspension_twin.addons.cli.live_lines import show_guide
 from suspension_twin.addons.sources import SOURCES, make_sources
 from suspension_twin.addons.sources.common.assess import assess, verdict
-from suspension_twin.addons.sources.common.discover import discover, serial_ports
 from suspension_twin.addons.sources.common.hub import Hub
-from suspension_twin.addons.sources.common.report import findings
+from suspension_twin.addons.sources.common.report import discover, findings, serial_ports
 from suspension_twin.drive.types import Drive, FixData, ImuData, VelocityData
 from suspension_twin.signals.checks import Finding
 

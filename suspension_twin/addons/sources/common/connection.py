@@ -157,7 +157,7 @@ async def keep_connected(hub: Hub, name: str, session: Callable[[], Awaitable[No
             await session()
             reason = "the connection was closed"
         except Stay as error:
-            hub.say("error", f"refused {name}", f"{name}: {error}")
+            hub.notify("error", f"refused {name}", f"{name}: {error}")
             await asyncio.Event().wait()
         except InputError as error:
             reason = str(error)
@@ -166,7 +166,7 @@ async def keep_connected(hub: Hub, name: str, session: Callable[[], Awaitable[No
         if time.monotonic() - began > _GOOD:
             wait, told = _FIRST, ""
         if reason != told:
-            hub.say("warn", f"connection {name}", f"{name}: {reason}; trying again")
+            hub.notify("warn", f"connection {name}", f"{name}: {reason}; trying again")
             told = reason
         await asyncio.sleep(wait)
         wait = min(2 * wait, _LONGEST)

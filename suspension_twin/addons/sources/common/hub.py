@@ -212,7 +212,7 @@ class Device:
             steady = clock.push(samples.t, arrival)
             if clock.steps > steps:
                 text = f"{self.name}: its clock stepped by {clock.last_step:+.2f} s, which is made up for"
-                self.hub.say("warn", "clock step", text)
+                self.hub.notify("warn", "clock step", text)
         else:
             steady = samples.t + clock.shift
         self.hub.put(self, replace(samples, t=steady), clock, arrival)
@@ -265,7 +265,7 @@ class _Buffer:
 #: Samples that wait at most: 50 s of a phone at 400 Hz, 12 s of an IMU at 1600 Hz.
 _LIMIT = 20_000
 _DEVICES = 16
-_SAID = 200
+_EVENTS = 200
 #: s in which the same warning is given once.
 _REPEAT = 10.0
 #: s after which another device takes the place of one that has gone silent.
@@ -333,8 +333,8 @@ class Hub:
         self._queue: deque[Packet] = deque()
         self._held = 0
         self._lock = threading.Lock()
-        self._said: deque[Finding] = deque(maxlen=_SAID)
-        self._told: dict[str, float] = {}
+        self._events: deque[Finding] = deque(maxlen=_EVENTS)
+        self._warned: dict[str, float] = {}
         self._corrections: dict[ArrivalClock, _Correction] = {}
         self._ignored: set[tuple[str, str]] = set()
         #: What the motion has last said of the IMU's stamps.
@@ -354,7 +354,7 @@ class Hub:
         found = self.devices.get(name)
         if found is None:
             if len(self.devices) >= _DEVICES:
-                self.say(
+                self.notify(
                     "warn", "too many devices", f"{name}: not taken, there are {_DEVICES} devices already"
                 )
                 return None
@@ -369,16 +369,16 @@ class Hub:
             raise InputError(source, "is one source too many")
         return device
 
-    def say(self, level: Literal["ok", "warn", "error"], code: str, text: str) -> None:
+    def notify(self, level: Literal["ok", "warn", "error"], code: str, text: str) -> None:
         """An event for the user; ``code`` names its kind. A warning that was just given is not repeated."""
         if level != "ok":
             now = host_time()
-            if now - self._told.get(text, -math.inf) < _REPEAT:
+            if now - self._warned.get(text, -math.inf) < _REPEAT:
                 return
-            if len(self._told) >= _SAID:
-                self._told.clear()
-            self._told[text] = now
-        self._said.append(Finding(level, code, text))
+            if len(self._warned) >= _EVENTS:
+                self._warned.clear()
+            self._warned[text] = now
+        self._events.append(Finding(level, code, text))
         self.wake()
 
     def put(self, device: Device, samples: Samples, clock: ArrivalClock, arrival: float) -> None:
@@ -408,11 +408,11 @@ class Hub:
             self._queue.clear()
         return packets
 
-    def heard(self) -> list[Finding]:
+    def events(self) -> list[Finding]:
         """Events for the user since the last call."""
         found = []
-        while self._said:
-            found.append(self._said.popleft())
+        while self._events:
+            found.append(self._events.popleft())
         return found
 
     # Inner workings
@@ -428,13 +428,13 @@ class Hub:
         if other is not None and device.rank <= other.rank and silent < _SUCCESSION:
             if (device.name, stream) not in self._ignored:
                 self._ignored.add((device.name, stream))
-                self.say(
+                self.notify(
                     "warn", "second device", f"{device.name}: its {stream} is not used, {other.name} gives it"
                 )
             return False
         if other is not None:
             why = f" after {silent:.0f} s of silence" if silent >= _SUCCESSION else ""
-            self.say(
+            self.notify(
                 "warn", "device changed", f"{stream} now comes from {device.name}, not {other.name}{why}"
             )
         self.chosen[stream] = device
@@ -464,7 +464,7 @@ class Hub:
                 target = apart + base + (self._by_motion if clock is device.clock else 0.0)
         value, jump = correction.toward(target, now)
         if jump:
-            self.say("warn", "clock corrected", f"{device.name}: its stamps are moved by {jump:+.3f} s")
+            self.notify("warn", "clock corrected", f"{device.name}: its stamps are moved by {jump:+.3f} s")
         return value
 
     def _watch_motion(self, device: Device, samples: Samples, now: float) -> None:

@@ -184,7 +184,7 @@ class Receiver(PlainSource):
         before = self._noise
         self._noise = 0 if understood else before + size
         if before < _NOISE <= self._noise:
-            self.hub.say("warn", f"noise {self.device.name}", f"{self.device.name}: {self.doubt()}")
+            self.hub.notify("warn", f"noise {self.device.name}", f"{self.device.name}: {self.doubt()}")
 
     def doubt(self) -> str:
         """Possible cause where nothing can be read."""

@@ -45,7 +45,7 @@ async def _keep_running(source: LiveSource, hub: Hub) -> None:
             await source.run()
         except Exception as error:
             text = str(error) if isinstance(error, InputError) else f"{type(error).__name__}: {error}"
-            hub.say("error", "source failed", f"a source failed and is started again: {text}")
+            hub.notify("error", "source failed", f"a source failed and is started again: {text}")
         await asyncio.sleep(_AGAIN)
 
 

@@ -196,9 +196,9 @@ class _Axes:
     def _decide(self, sign: float, why: str, *, certain: bool) -> None:
         if self.sign is not None and sign != self.sign:
             why = why or "an Android phone: its accelerometer axes are taken as they are"
-            self.hub.say("warn", "axes", f"{self.name}: {why}; before, the other sign was taken")
+            self.hub.notify("warn", "axes", f"{self.name}: {why}; before, the other sign was taken")
         elif self.sign is None and why:
-            self.hub.say("ok", "axes", f"{self.name}: {why}")
+            self.hub.notify("ok", "axes", f"{self.name}: {why}")
         self.sign, self._certain = sign, certain
 
 
@@ -339,7 +339,7 @@ class Phones:
             device = self._hub.device(name, rank=self._rank)
             if device is None:
                 return message
-            self._hub.say("ok", f"device {device.name}", f"{device.name}: connected")
+            self._hub.notify("ok", f"device {device.name}", f"{device.name}: connected")
             axes = _Axes(self._wanted, device.name, self._hub)
             phone = self._phones[message.device] = _Phone(device, axes)
         phone.take(message)
