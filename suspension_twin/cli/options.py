@@ -18,7 +18,7 @@ def grouped(command: Callable[..., None]) -> Callable[..., None]:
     ``Annotated[type, typer.Option(...)]`` with a default; ``command`` gets the record.
     """
     hints = get_type_hints(command, include_extras=True)
-    records: dict[str, Callable[..., object]] = {n: kind for n, kind in hints.items() if is_dataclass(kind)}
+    records = {name: kind for name, kind in hints.items() if isinstance(kind, type) and is_dataclass(kind)}
     parameters = []
     for given in signature(command).parameters.values():
         if given.name in records:

@@ -12,10 +12,9 @@ from contextlib import ExitStack
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from rich.console import Console
-from rich.live import Live
 from rich.text import Text
 
+from suspension_twin.addons.cli.live_lines import UpdatedLines
 from suspension_twin.addons.cli.pages import fleet_pages, foxglove_address, free_address, node_process
 from suspension_twin.addons.view.fleet import TwinRow
 from suspension_twin.cli._status import say
@@ -27,8 +26,8 @@ if TYPE_CHECKING:
 
 __all__ = ["rows", "run_fleet", "summary"]
 
-#: s between lines on a terminal, and in a log.
-_PERIOD, _LOG_PERIOD = 1.0, 10.0
+#: s between lines on a terminal.
+_PERIOD = 1.0
 #: Twins of which a complaint is shown, and whose names are said at the start: what a terminal holds.
 _COMPLAINTS, _NAMES = 5, 6
 
@@ -92,26 +91,15 @@ def _watch(
     update_page: Callable[[Mapping[str, TwinRow]], None] | None,
 ) -> None:
     """Go on step by step; show how the twins are every second on a terminal and on the page, every ten in a log."""
-    console = Console(stderr=True, highlight=False, soft_wrap=True)
-    live: Live | None = None
-    if console.is_terminal:
-        live = Live(console=console, auto_refresh=False, redirect_stdout=False, redirect_stderr=False)
-    due = page_due = time.monotonic() + _PERIOD
-    with live or ExitStack():
+    page_due = time.monotonic() + _PERIOD
+    with UpdatedLines(period=_PERIOD) as lines:
         while not stop_asked():
             step()
             now = time.monotonic()
             if update_page is not None and now >= page_due:
                 page_due = now + _PERIOD
                 update_page(rows(conditions()))
-            if now < due:
-                continue
-            text = summary(conditions())
-            if live is not None:
-                live.update(text, refresh=True)
-            else:
-                console.print(text)
-            due = time.monotonic() + (_PERIOD if live is not None else _LOG_PERIOD)
+            lines.show(lambda: [summary(conditions())])
     end = conditions().values()
     say(
         f"{sum(c.answers for c in end)} answers to {sum(c.samples for c in end)} IMU samples of {len(end)} twins"

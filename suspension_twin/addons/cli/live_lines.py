@@ -8,8 +8,7 @@ import io
 import signal
 import time
 from collections.abc import AsyncIterator, Callable, Iterable, Sequence
-from types import TracebackType
-from typing import final
+from typing import TypeVar, final
 
 import segno
 from rich.console import Console, Group
@@ -21,13 +20,22 @@ from suspension_twin.addons.sources.common.hub import Hub
 from suspension_twin.addons.sources.common.report import device_line, findings
 from suspension_twin.signals.checks import Finding
 
-__all__ = ["DEFAULT_SOURCE", "LiveLines", "device_lines", "show_guide", "styled", "until_ended"]
+__all__ = [
+    "DEFAULT_SOURCE",
+    "LiveLines",
+    "UpdatedLines",
+    "device_lines",
+    "show_guide",
+    "styled",
+    "until_ended",
+]
 
 #: The source where none is named: any phone with Sensor Logger.
 DEFAULT_SOURCE = "sensorlogger://0.0.0.0:8000"
 
 #: s between lines on a terminal, and between looks for samples.
 _PERIOD, _LOOK = 0.5, 0.05
+_Lines = TypeVar("_Lines", bound="UpdatedLines")
 _STYLES = {"ok": "", "warn": "yellow", "error": "bold red"}
 
 
@@ -76,29 +84,28 @@ async def show_guide(console: Console, sources: Sequence[LiveSource], urls: Sequ
     console.print()
 
 
-@final
-class LiveLines:
-    """Lines that are brought up to date in place on a terminal, and printed every ``log_period`` s in a log."""
+class UpdatedLines:
+    """Lines that are brought up to date in place on a terminal every ``period`` s, and printed in a log every
+    ``log_period`` s."""
 
-    def __init__(self, hub: Hub, console: Console | None = None, log_period: float = 10.0) -> None:
-        self._hub = hub
+    def __init__(
+        self, console: Console | None = None, period: float = _PERIOD, log_period: float = 10.0
+    ) -> None:
         self.console = console or Console(stderr=True, highlight=False, soft_wrap=True)
         self._live: Live | None = None
         if self.console.is_terminal:
             self._live = Live(
                 console=self.console, auto_refresh=False, redirect_stdout=False, redirect_stderr=False
             )
-        self._period = _PERIOD if self._live else log_period
-        self._due = time.monotonic() + _PERIOD
+        self._period = period if self._live else log_period
+        self._due = time.monotonic() + period
 
-    def __enter__(self) -> LiveLines:
+    def __enter__(self: _Lines) -> _Lines:
         if self._live is not None:
             self._live.start()
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *exception: object) -> None:
         if self._live is not None:
             self._live.stop()
 
@@ -108,8 +115,7 @@ class LiveLines:
             self.console.print(line)
 
     def show(self, lines: Callable[[], Sequence[Text]]) -> None:
-        """Say what has happened; where it is time to, show these lines. None: not yet."""
-        self.say(styled(event, "") for event in self._hub.events())
+        """These lines, where it is time to; none: not yet."""
         if time.monotonic() < self._due or not (made := lines()):
             return
         if self._live is not None:
@@ -117,3 +123,17 @@ class LiveLines:
         else:
             self.say(made)
         self._due = time.monotonic() + self._period
+
+
+@final
+class LiveLines(UpdatedLines):
+    """The same, with the events of a hub as they happen."""
+
+    def __init__(self, hub: Hub, console: Console | None = None, log_period: float = 10.0) -> None:
+        super().__init__(console, log_period=log_period)
+        self._hub = hub
+
+    def show(self, lines: Callable[[], Sequence[Text]]) -> None:
+        """See the base class."""
+        self.say(styled(event, "") for event in self._hub.events())
+        super().show(lines)

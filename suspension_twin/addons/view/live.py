@@ -22,7 +22,8 @@ from suspension_twin.vehicle.twin import Twin
 
 __all__ = ["LiveView", "NodeStatus", "advice", "scene"]
 
-_P, _R = ParamSpec("_P"), TypeVar("_R")
+_P = ParamSpec("_P")
+_R = TypeVar("_R")
 
 #: Seconds of the signals that are kept, and of those the spectrum is taken over; s between two spectra.
 _KEPT, _SPECTRUM, _SPECTRUM_EVERY = 12.0, 10.0, 1.0
