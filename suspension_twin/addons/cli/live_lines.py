@@ -8,7 +8,7 @@ import io
 import signal
 import time
 from collections.abc import AsyncIterator, Callable, Iterable, Sequence
-from typing import TypeVar, final
+from typing import TYPE_CHECKING, final
 
 import segno
 from rich.console import Console, Group
@@ -19,6 +19,9 @@ from suspension_twin.addons.sources import LiveSource
 from suspension_twin.addons.sources.common.hub import Hub
 from suspension_twin.addons.sources.common.report import device_line, findings
 from suspension_twin.signals.checks import Finding
+
+if TYPE_CHECKING:
+    from typing import Self  # of Python 3.11
 
 __all__ = [
     "DEFAULT_SOURCE",
@@ -35,7 +38,6 @@ DEFAULT_SOURCE = "sensorlogger://0.0.0.0:8000"
 
 #: s between lines on a terminal, and between looks for samples.
 _PERIOD, _LOOK = 0.5, 0.05
-_Lines = TypeVar("_Lines", bound="UpdatedLines")
 _STYLES = {"ok": "", "warn": "yellow", "error": "bold red"}
 
 
@@ -100,7 +102,7 @@ class UpdatedLines:
         self._period = period if self._live else log_period
         self._due = time.monotonic() + period
 
-    def __enter__(self: _Lines) -> _Lines:
+    def __enter__(self) -> Self:
         if self._live is not None:
             self._live.start()
         return self

@@ -51,7 +51,7 @@ class NodeStatus:
 
 def _locked(method: Callable[Concatenate[LiveView, _P], _R]) -> Callable[Concatenate[LiveView, _P], _R]:
     @wraps(method)
-    def call(self: LiveView, *args: _P.args, **keywords: _P.kwargs) -> _R:
+    def call(self: LiveView, /, *args: _P.args, **keywords: _P.kwargs) -> _R:
         with self._lock:
             return method(self, *args, **keywords)
 
