@@ -113,11 +113,8 @@ class Site:
         self._add_routes(app)
         self._runner = web.AppRunner(app, access_log=None)
         await self._runner.setup()
-        site = web.TCPSite(self._runner, self.host, port)
-        await site.start()
-        assert site._server is not None
-        sockets = site._server.sockets  # type: ignore[attr-defined]
-        return int(sockets[0].getsockname()[1])
+        await web.TCPSite(self._runner, self.host, port).start()
+        return int(self._runner.addresses[0][1])
 
     def _add_routes(self, app: web.Application) -> None:
         """Add routes beside the page and its files."""
