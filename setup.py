@@ -14,16 +14,10 @@ from setuptools import find_packages, setup
 
 HERE = Path(__file__).resolve().parent
 SHARE = Path("share/suspension_twin")
-NODES = (
-    "imu_ingest",
-    "pose_injector",
-    "suspension_model",
-    "calibrator",
-    "source",
-    "road_learner",
-    "viewer",
-    "foxglove_bridge",
-)
+NODES = {
+    "nodes": ("imu_ingest", "pose_injector", "suspension_model", "calibrator"),
+    "addons.nodes": ("source", "road_learner", "viewer", "foxglove_bridge"),
+}
 
 REQUIRED = [
     "suspension-twin-interfaces",  # brings rclpy and the ROS messages, see suspension_twin_interfaces/setup.py
@@ -127,7 +121,11 @@ setup(
     entry_points={
         "console_scripts": [
             "suspension-twin = suspension_twin.cli.main:main",
-            *(f"{node} = suspension_twin.nodes.{node}:main" for node in NODES),
+            *(
+                f"{node} = suspension_twin.{package}.{node}:main"
+                for package, nodes in NODES.items()
+                for node in nodes
+            ),
         ],
         "pytest11": ["suspension_twin.testing.plugin = suspension_twin.testing.plugin"],
     },

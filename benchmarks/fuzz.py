@@ -380,7 +380,7 @@ def attack_parsers(rounds: int, seed: int) -> dict[str, int]:
                 if isinstance(changed, dict):
                     take(changed, 1.7e9 + k)
             taken["SensorServer"] += 1
-        hub.take(), hub.heard()
+        hub.take(), hub.events()
     return dict(taken)
 
 

@@ -245,7 +245,15 @@ def pages_open(viewers: int) -> Iterator[Child]:
     with tempfile.TemporaryDirectory() as folder:
         given = {"twin": str(twin_file()), "port": port, "folder": folder}
         words = [w for name, value in given.items() for w in ("-p", f"{name}:={value}")]
-        command = [sys.executable, "-m", "suspension_twin.nodes.viewer", *QUIET, "-r", "__ns:=/twin", *words]
+        command = [
+            sys.executable,
+            "-m",
+            "suspension_twin.addons.nodes.viewer",
+            *QUIET,
+            "-r",
+            "__ns:=/twin",
+            *words,
+        ]
         command = ["nice", "-n", "5", *command] if shutil.which("nice") else command
         process = subprocess.Popen(command, stderr=subprocess.DEVNULL)
         try:

@@ -28,11 +28,11 @@ TOLERANCE = 1e-9
 def recorded(bag: Path, folder: Path) -> Path:
     """The drive, written anew by the recorder of live sources; the MCAP file."""
     from suspension_twin.addons.sources.common.hub import Packet
-    from suspension_twin.addons.sources.common.recorder import Recorder
+    from suspension_twin.addons.sources.common.recorder import LiveRecorder
     from suspension_twin.drive.read import read_drive
 
     drive = read_drive(bag)
-    with Recorder(folder / "drive") as recorder:
+    with LiveRecorder(folder / "drive") as recorder:
         for samples in (drive.imu, drive.fix, drive.velocity):
             recorder.write([Packet("phone", samples, 0.0)])
     (file,) = (folder / "drive").glob("*.mcap")

@@ -120,10 +120,10 @@ def table(heads: Iterable[str], rows: Iterable[Iterable[str]]) -> str:
 
 def commands() -> str:
     """The subcommands of ``suspension-twin``."""
-    from suspension_twin.cli.main import SUBCOMMANDS
+    from suspension_twin.cli.main import subcommands
 
     return table(
-        ["command", "what it does"], [[f"`suspension-twin {row.name}`", row.help] for row in SUBCOMMANDS]
+        ["command", "what it does"], [[f"`suspension-twin {row.name}`", row.help] for row in subcommands()]
     )
 
 
@@ -131,11 +131,11 @@ def commands() -> str:
 
 
 def _node_classes() -> dict[str, Any]:
+    from suspension_twin.addons.nodes.road_learner import RoadLearnerNode
+    from suspension_twin.addons.nodes.source import SourceNode
     from suspension_twin.nodes.calibrator import CalibratorNode
     from suspension_twin.nodes.imu_ingest import ImuIngestNode
     from suspension_twin.nodes.pose_injector import PoseInjectorNode
-    from suspension_twin.nodes.road_learner import RoadLearnerNode
-    from suspension_twin.nodes.source import SourceNode
     from suspension_twin.nodes.suspension_model import SuspensionModelNode
 
     return {

@@ -81,14 +81,14 @@ def _cache_folder(module: str, more: tuple[str, ...] = ()) -> Path | None:
     In ``NUMBA_CACHE_DIR`` if it is set, else in the package's ``__pycache__``, else in the user's cache.
     """
     package = sys.modules[module.partition(".")[0]]
-    files = [sys.modules[name].__file__ for name in (module, *more)]
-    if files[0] is None or package.__file__ is None:
+    if sys.modules[module].__file__ is None or package.__file__ is None:
         return None
     root = Path(package.__file__).parent
     digest = hashlib.blake2b(numba.__version__.encode(), digest_size=16)
-    for file in files:
-        for source in sources(Path(str(file)), root):
-            digest.update(f"{os.path.relpath(source, root)}\0".encode() + _digest(source))
+    for name in (module, *more):
+        for file in _files(name, root):
+            for source in sources(file, root):
+                digest.update(f"{os.path.relpath(source, root)}\0".encode() + _digest(source))
     given = config.CACHE_DIR
     user = Path(os.environ.get("XDG_CACHE_HOME") or "~/.cache").expanduser()
     for base in [Path(given)] if given else [root / "__pycache__", user / root.name]:
@@ -106,6 +106,15 @@ def _cache_folder(module: str, more: tuple[str, ...] = ()) -> Path | None:
                     shutil.rmtree(other, ignore_errors=True)
         return folder
     return None
+
+
+def _files(module: str, root: Path) -> list[Path]:
+    """The file of a module of the package in ``root``; of another package (a plugin's) every file that it has."""
+    file = Path(str(sys.modules[module].__file__))
+    top = Path(str(sys.modules[module.partition(".")[0]].__file__))
+    if top.parent == root or top.name != "__init__.py":
+        return [file]
+    return sorted(top.parent.rglob("*.py"))
 
 
 @cache

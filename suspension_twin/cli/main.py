@@ -1,10 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
 """The command ``suspension-twin``: finds the subcommand, and turns every failure into one line.
 
-A subcommand is one row of :data:`SUBCOMMANDS` and one file ``cli/<module>.py`` that defines either
-``command(...)``, a function with typer annotations, or ``app``, a :class:`typer.Typer` of
-subcommands of its own. Only the file of the subcommand asked for is imported, so that ``--help``
-and a mistyped option answer at once.
+A subcommand is a row, :class:`Subcommand`, and a module that defines either ``command(...)``, a function with typer
+annotations, or ``app``, a :class:`typer.Typer` of subcommands of its own. Those of the core are :data:`SUBCOMMANDS`;
+add-ons and installed packages add theirs (an entry point in the group ``suspension_twin.commands`` names a module with
+the row as ``SUBCOMMAND``). Only the module of the subcommand asked for is imported, so that ``--help`` and a mistyped
+option answer at once.
 
 Exit status: 0 done, 1 the work failed, 2 unusable arguments or input; 130 after Ctrl-C, except for
 a command that Ctrl-C is the normal end of.
@@ -18,24 +19,23 @@ import signal
 import sys
 import traceback
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 from importlib import import_module
-from typing import Annotated, Any
+from typing import Annotated, Any, Final, NamedTuple
 
 import typer
 
 from suspension_twin import __version__
 from suspension_twin.errors import SuspensionTwinError, one_line, printable
+from suspension_twin.registry import Registry, missing_addons
 
-__all__ = ["SUBCOMMANDS", "Subcommand", "main"]
+__all__ = ["SUBCOMMANDS", "Subcommand", "main", "subcommands"]
 
 PROGRAM = "suspension-twin"
 DONE, FAILED, UNUSABLE, INTERRUPTED = 0, 1, 2, 130
 
 
-@dataclass(frozen=True)
-class Subcommand:
-    """One row of the table: the name on the command line, its module and its line in ``--help``."""
+class Subcommand(NamedTuple):
+    """One subcommand: the name on the command line, its module and its line in ``--help``."""
 
     name: str
     module: str
@@ -45,36 +45,38 @@ class Subcommand:
     bare: tuple[tuple[str, str], ...] = ()  # options whose value may be left out, and what it is then
 
 
+_HERE = __package__
+#: Subcommands of the core.
 SUBCOMMANDS = (
-    Subcommand("demo", "demo", "The whole way, live to calibrated, on the bundled drive."),
+    Subcommand("demo", f"{_HERE}.demo", "The whole way, live to calibrated, on the bundled drive."),
     Subcommand(
         "run",
-        "run",
+        f"{_HERE}.run",
         "The four nodes, live or replaying a bag; or those of a fleet.",
         endless=True,
         bare=(("--view", "8080"), ("--foxglove", "8765")),
     ),
-    Subcommand("first-drive", "first_drive", "From a live source to a calibrated twin, step by step."),
-    Subcommand("new", "new", "A twin file, by a few questions or from a ready one."),
-    Subcommand("calibrate", "calibrate", "Find a twin's characteristics from recorded drives."),
+    Subcommand("new", f"{_HERE}.new", "A twin file, by a few questions or from a ready one."),
+    Subcommand("calibrate", f"{_HERE}.calibrate", "Find a twin's characteristics from recorded drives."),
     Subcommand(
         "diagnose",
-        "diagnose",
+        f"{_HERE}.diagnose",
         "Where twin and car disagree, why, and what closes the gap.",
         several="--reference",
     ),
-    Subcommand("plan", "plan", "Which effects this set-up could show, and never tell apart."),
-    Subcommand("fleet", "fleet", "Many vehicles and drives, calibrated over Dask."),
-    Subcommand("simulate", "simulate", "The twin over a recorded drive, without ROS."),
-    Subcommand(
-        "connect", "connect", "Connect a phone, a receiver or an IMU, and see what arrives.", endless=True
-    ),
-    Subcommand("record", "record", "Live phones, receivers and IMUs into a bag.", endless=True),
-    Subcommand("import", "import_", "A phone's or logger's recording into a bag."),
-    Subcommand("damping", "damping", "Which dampers a tracked vehicle should have, by speed."),
-    Subcommand("export", "export", "A twin in the files of other simulators."),
-    Subcommand("road", "road", "Roads: made, scanned, from profiles or drives; checks."),
+    Subcommand("plan", f"{_HERE}.plan", "Which effects this set-up could show, and never tell apart."),
+    Subcommand("simulate", f"{_HERE}.simulate", "The twin over a recorded drive, without ROS."),
+    Subcommand("import", f"{_HERE}.import_", "A phone's or logger's recording into a bag."),
+    Subcommand("damping", f"{_HERE}.damping", "Which dampers a tracked vehicle should have, by speed."),
+    Subcommand("road", f"{_HERE}.road", "Roads: made, scanned, from profiles or drives; checks."),
 )
+_ADDED: Final = Registry[Subcommand]("commands", attribute="SUBCOMMAND", kind=Subcommand, identity="name")
+
+
+def subcommands() -> tuple[Subcommand, ...]:
+    """All subcommands, those of add-ons and installed packages last."""
+    return (*SUBCOMMANDS, *_ADDED.values())
+
 
 # Importing makes a hundred thousand objects that all stay: at Python's own 700 the collector takes a tenth of a short
 # command to find that out.
@@ -88,7 +90,11 @@ def main(arguments: Sequence[str] | None = None) -> int:
     for the traceback.
     """
     args, debug = _take_debug(sys.argv[1:] if arguments is None else arguments)
-    chosen = _chosen(args)
+    try:
+        chosen = _chosen(args)
+    except SuspensionTwinError as error:  # a plugin that cannot be used
+        print(f"{PROGRAM}: {error}", file=sys.stderr)
+        return error.exit_status
     if chosen is not None and chosen.several:
         args = _repeated(args, chosen.several)
     for option, value in chosen.bare if chosen is not None else ():
@@ -162,8 +168,8 @@ def _completed(args: Sequence[str], option: str, value: str) -> list[str]:
 
 def _chosen(args: Sequence[str]) -> Subcommand | None:
     """The subcommand that ``args`` begins with, if it is one (the program itself has only flags)."""
-    name = next((a for a in args if not a.startswith("-")), None)
-    return next((s for s in SUBCOMMANDS if s.name == name), None)
+    name = next((a for a in args if not a.startswith("-")), "")
+    return next((s for s in SUBCOMMANDS if s.name == name), None) or (_ADDED.get(name) if name else None)
 
 
 def _invoke(args: list[str], chosen: Subcommand | None) -> int:
@@ -177,7 +183,7 @@ def _invoke(args: list[str], chosen: Subcommand | None) -> int:
 
 
 def _application(chosen: Subcommand | None) -> typer.Typer:
-    """Every subcommand by name and help, the chosen one in full."""
+    """The chosen subcommand, or all of them by name and help."""
     app = typer.Typer(
         add_completion=False,
         rich_markup_mode=None,
@@ -186,11 +192,11 @@ def _application(chosen: Subcommand | None) -> typer.Typer:
         epilog="More about a command: suspension-twin COMMAND --help",
     )
     app.callback()(_root)
-    for row in SUBCOMMANDS:
-        if row is not chosen:
+    for row in subcommands() if chosen is None else (chosen,):
+        if chosen is None:
             app.command(row.name, help=row.help)(_not_imported)
             continue
-        module = import_module(f"{__package__}.{row.module}")
+        module = import_module(row.module)
         if hasattr(module, "app"):
             app.add_typer(module.app, name=row.name, help=row.help)
         else:
@@ -216,7 +222,7 @@ def _root(
     ] = False,
     debug: Annotated[bool, typer.Option("--debug", help="Show the traceback of an error.")] = False,
 ) -> None:
-    """What the program takes before a subcommand; ``--debug`` is taken out of the arguments by :func:`main`."""
+    """Options before a subcommand; ``--debug`` is taken out of the arguments by :func:`main`."""
 
 
 def _not_imported() -> None:
@@ -242,6 +248,8 @@ def _explain(error: Exception, twin: str | None) -> tuple[int, str]:
         message = format_message().rstrip(". ")
         if message == "Missing command":
             print(where.get_help())
+        if message.startswith("No such command"):
+            message += missing_addons()
         return UNUSABLE, f"{path}: {message} (see {path} --help)"
     from suspension_twin.files import explained
 

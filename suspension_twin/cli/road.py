@@ -1,35 +1,26 @@
 # SPDX-License-Identifier: Apache-2.0
-"""``suspension-twin road``: roads from numbers, profiles, scans and drives; pictures, meshes, checks."""
+"""``suspension-twin road``: roads from numbers and profiles; pictures, meshes, checks; roads by way of add-ons."""
 
 from __future__ import annotations
 
 import json
-import re
 from enum import Enum
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Final
 
 import typer
 from rich.table import Table
 
-from suspension_twin.cli.common import (
-    Force,
-    Outputs,
-    ProgressLine,
-    Seed,
-    TwinFile,
-    bundled,
-    output,
-    print_table,
-)
+from suspension_twin.cli.common import Force, Outputs, Seed, output
 from suspension_twin.errors import InputError
+from suspension_twin.registry import Registry
 
 if TYPE_CHECKING:
-    from suspension_twin.addons.roads.drives.drives import Part
-    from suspension_twin.drive.types import Drive
+    from collections.abc import Callable
+
     from suspension_twin.road.check import RoadCheck
 
-__all__ = ["app"]
+__all__ = ["RoadOut", "app", "print_figures"]
 
 app = typer.Typer(context_settings={"help_option_names": ["-h", "--help"]})
 
@@ -47,17 +38,10 @@ class Up(str, Enum):
 
 
 class Origin(str, Enum):
-    """What a mesh's places count from."""
+    """Origin of the coordinates of a mesh."""
 
     map = "map"
     start = "start"
-
-
-class Smoother(str, Enum):
-    """Which surface of a scan is written."""
-
-    edges = "edges"
-    gaussian = "gaussian"
 
 
 @app.command()
@@ -84,7 +68,7 @@ def show(
     outputs.announce()
     with outputs:
         save_road_picture(checked, path, track)
-    _print_figures(checked)
+    print_figures(checked)
 
 
 @app.command()
@@ -173,6 +157,7 @@ def check(
 
 @app.command()
 def make(
+    *,
     out: RoadOut,
     bump: Annotated[
         list[str] | None,
@@ -247,11 +232,12 @@ def make(
     outputs.announce()
     with outputs:
         write_road(made, out)
-    _print_figures(check_road(made))
+    print_figures(check_road(made))
 
 
 @app.command()
 def profile(
+    *,
     files: Annotated[
         list[Path],
         typer.Argument(
@@ -314,300 +300,11 @@ def profile(
     outputs.announce()
     with outputs:
         write_road(made, out)
-    _print_figures(check_road(made))
+    print_figures(check_road(made))
 
 
-@app.command()
-def drives(
-    drive: Annotated[
-        list[str],
-        typer.Argument(
-            help="Recorded drives over one road in one direction; DRIVE@START..END is a part of one, "
-            "in s from its first sample.",
-            metavar="DRIVE",
-            show_default=False,
-        ),
-    ],
-    twin: TwinFile,
-    out: RoadOut,
-    joint: Annotated[
-        Path | None,
-        typer.Option(
-            help="The vehicle is not calibrated: estimate it as well, and write its twin file there.",
-            metavar="TWIN.YAML",
-            show_default=False,
-        ),
-    ] = None,
-    bump: Annotated[
-        list[str] | None,
-        typer.Option(
-            help="A bump that was measured, LENGTHxHEIGHT@U, U within 3 m on the road that is written without it.",
-            metavar="SIZE@U",
-            show_default=False,
-        ),
-    ] = None,
-    iterations: Annotated[
-        int | None,
-        typer.Option(
-            help="Of simulation and inverse.  [default: 5, with --joint 10]",
-            metavar="N",
-            min=1,
-            show_default=False,
-        ),
-    ] = None,
-    picture: Annotated[
-        Path | None,
-        typer.Option(help="Draw heights and intervals there.", metavar="FILE", show_default=False),
-    ] = None,
-    seed: Seed = 0,
-    force: Force = False,
-) -> None:
-    """Estimate the road under both wheel paths from drives with a calibrated vehicle, or with --joint any.
-
-    Writes the road, and beside it ROAD.json with its uncertainty by wavelength and for every metre.
-    """
-    from suspension_twin.addons.roads.drives.drives import road_from_drives, write_estimate
-    from suspension_twin.addons.roads.drives.estimate import RoadEstimateSettings
-    from suspension_twin.files import together
-    from suspension_twin.road.crg import record_path
-    from suspension_twin.road.recipe import parse_feature
-    from suspension_twin.vehicle.twin import load_twin, save_twin
-
-    written = [out, record_path(out), *(p for p in (joint, picture) if p is not None)]
-    if joint is not None and joint.resolve() == twin.resolve():
-        raise InputError("--joint", f"{joint} is the twin file that is given: give another name")
-    outputs = Outputs(*written, force=force)
-    loaded = load_twin(twin)
-    settings = RoadEstimateSettings(
-        iterations=iterations or (5 if joint is None else 10),
-        seed=seed,
-        joint=joint is not None,
-        bumps=tuple(parse_feature("bump", text) for text in bump or ()),
-    )
-    parts = _parts(drive)
-    outputs.announce()
-    with outputs, ProgressLine() as line:
-        found = road_from_drives(parts, loaded, settings, line.show)
-        with together():
-            record = write_estimate(found, loaded, out)
-            if joint is not None and found.vehicle is not None:
-                heading = (
-                    f"# {twin.name} with what {out.name} was estimated with, vehicle and road at once.\n"
-                )
-                save_twin(found.vehicle.twin, joint, heading)
-            if picture is not None:
-                from suspension_twin.addons.roads.pictures import save_estimate_picture
-
-                save_estimate_picture(found, picture)
-    console = output()
-    for warning in record["warnings"]:
-        console.print(warning, style="yellow", markup=False)
-    rows = [
-        (
-            f"{w['shortest']:.3g} to {w['longest']:.3g}",
-            f"{1e3 * w['rms']:.2f}",
-            f"{1e3 * w['sigma']:.2f}",
-            "seen" if w["known"] > 0.8 else "partly seen" if w["known"] > 0.3 else "not seen",
-        )
-        for w in record["wavelengths"]
-    ]
-    columns = ("waves [m]", "height rms [mm]", "uncertainty [mm]", "")
-    print_table(console, "Wheel paths by wavelength", columns, rows, words=("waves [m]", ""))
-    if "joint" in record:
-        _print_vehicle(record["joint"])
-    if loaded.datum is None:
-        d = record["datum"]
-        text = f"{{latitude: {d['latitude']}, longitude: {d['longitude']}, altitude: {d['altitude']}}}"
-        console.print(f"The twin file has no datum; this road needs datum: {text}", markup=False)
-    console.print(
-        "What was the same in all of these drives (an error of the vehicle, of the sensor) is in the road.",
-        markup=False,
-    )
-
-
-@app.command()
-def scan(
-    cloud: Annotated[
-        list[Path],
-        typer.Argument(help="Point clouds: LAS, LAZ, PLY or text.", metavar="CLOUD", show_default=False),
-    ],
-    path: Annotated[
-        Path,
-        typer.Option(
-            help="Line of the road: a recorded drive, CSV of x, y (map) or lat, lon, or an OpenCRG reference line.",
-            metavar="DRIVE|CSV|CENTRELINE",
-            show_default=False,
-        ),
-    ],
-    out: RoadOut,
-    twin: Annotated[
-        Path | None,
-        typer.Option(
-            help="The twin that feels the road, and its datum.  [default: the bundled Ford Mondeo]",
-            metavar="TWIN.YAML",
-            show_default=False,
-        ),
-    ] = None,
-    datum: Annotated[
-        tuple[float, float, float] | None,
-        typer.Option(
-            help="Origin of map on WGS 84, deg, deg, m.  [default: of the twin or the drive]",
-            metavar="LAT LON ALT",
-            show_default=False,
-        ),
-    ] = None,
-    crs: Annotated[
-        str | None,
-        typer.Option(
-            help="Coordinate reference system of the clouds, EPSG:25832.  [default: as the file says]",
-            metavar="CRS",
-            show_default=False,
-        ),
-    ] = None,
-    unit: Annotated[
-        str | None,
-        typer.Option(help="Unit of the clouds: m, cm, mm, ft, us-ft.", metavar="UNIT", show_default=False),
-    ] = None,
-    axes: Annotated[
-        str, typer.Option(help="Which of their columns are east, north, up: yxz, x-zy.", metavar="AXES")
-    ] = "xyz",
-    fit: Annotated[
-        bool,
-        typer.Option(
-            "--fit",
-            help="The clouds have coordinates of their own, z up: place them by a rigid fit to the drive.",
-        ),
-    ] = False,
-    width: Annotated[float, typer.Option(help="Width of the road, m.", metavar="M")] = 4.0,
-    section: Annotated[
-        tuple[float, float] | None,
-        typer.Option(help="Part of the path, m from its start.", metavar="FROM TO", show_default=False),
-    ] = None,
-    step: Annotated[
-        tuple[float, float] | None,
-        typer.Option(
-            help="Distance of the nodes along and across, m.  [default: after the density of the points]",
-            metavar="M M",
-            show_default=False,
-        ),
-    ] = None,
-    filter: Annotated[
-        Smoother, typer.Option(help="The surface that is written; the other is reported beside it.")
-    ] = Smoother.edges,
-    sigma: Annotated[float, typer.Option(help="Standard deviation of the Gaussian, m.", metavar="M")] = 0.1,
-    fill: Annotated[float, typer.Option(help="Holes up to this width are filled, m.", metavar="M")] = 0.5,
-    speed: Annotated[
-        float,
-        typer.Option(
-            help="At which the twin feels it, km/h, if the path is no drive.", metavar="KMH", min=1.0
-        ),
-    ] = 30.0,
-    picture: Annotated[
-        Path | None,
-        typer.Option(help="Draw the road before and after there.", metavar="FILE", show_default=False),
-    ] = None,
-    seed: Seed = 0,
-    force: Force = False,
-) -> None:
-    """Make a road of laser scans: ground, edges kept, holes marked, with its uncertainty.
-
-    Writes the road, beside it ROAD.json with figures and ROAD.npz with the uncertainty of every node.
-    """
-    from suspension_twin.addons.roads.scan.scan import ScanSettings, cells_path, scan_road
-    from suspension_twin.road.crg import record_path
-
-    written = [out, record_path(out), cells_path(out), *([] if picture is None else [picture])]
-    outputs = Outputs(*written, force=force)
-    settings = ScanSettings(width, filter.value, sigma, fill, section, step, seed)
-    outputs.announce()
-    with outputs, ProgressLine() as line:
-        found, felt, checked, notes = scan_road(
-            cloud, path, out, twin if twin is not None else bundled("config", "twins", "ford_mondeo_mk4.yaml"),
-            settings, datum=datum, crs=crs, unit=unit, axes=axes, fit=fit, speed=speed / 3.6, picture=picture,
-            progress=line.show,
-        )  # fmt: skip
-    console = output()
-    for note in notes:
-        console.print(note, markup=False)
-    facts = found.facts
-    console.print(
-        f"points: {facts['points']} read, {facts['points_near_the_path']} along the path, "
-        f"{facts['ground_points']} of them ground"
-    )
-    console.print(
-        f"nodes every {facts['step']:g} by {facts['step_across']:.3g} m, "
-        f"uncertainty {1e3 * facts['sigma_median']:.2f} mm (median), noise of a point {1e3 * facts['noise']:.1f} mm"
-    )
-    console.print(
-        f"holes: {100 * facts['filled']:.2g} % of the nodes filled, {len(facts['holes'])} holes left open "
-        f"({100 * facts['missing']:.2g} %); spikes removed: {facts['spikes_removed']}"
-    )
-    _print_figures(checked)
-    measured = any(f.gap is not None for f in felt)
-    columns = ("road", "rms", "peak", "difference", *(["gap to the drive"] if measured else []))
-    rows = [
-        (
-            f.name,
-            f"{f.rms:.3f}",
-            f"{f.peak:.2f}",
-            f"{f.difference:.3f}",
-            *([f"{f.gap:.3f}"] if f.gap is not None else []),
-        )
-        for f in felt
-    ]
-    if rows:
-        print_table(
-            console, "What the twin feels, vertical acceleration [m/s²]", columns, rows, words=("road",)
-        )
-    for finding in checked.findings:
-        console.print(f"{'wrong' if finding.fault else 'note'}: {finding.text}", markup=False)
-
-
-def _print_vehicle(record: dict[str, Any]) -> None:
-    """What was found of the vehicle, and what could not be separated."""
-    console = output()
-    rows = []
-    for p in record["parameters"]:
-        unit = f" {p['unit']}" if p["unit"] else ""
-        left = p["left_of_prior"]
-        rows.append(
-            (
-                p["name"],
-                f"{p['value']:+.3f}{unit}" if unit else f"x {p['value']:.2f}",
-                "{:.2f} to {:.2f}".format(*p["interval"]),
-                "found" if left < 0.4 else "in part from the prior" if left < 0.7 else "from the prior",
-            )
-        )
-    columns = ("vehicle", "change", "90 % interval", "")
-    print_table(console, "The vehicle, against the twin file", columns, rows, words=("vehicle", ""))
-    for text in record["not_separable"]:
-        console.print(text, markup=False)
-
-
-def _parts(texts: list[str]) -> list[Part]:
-    """Drives and parts of drives; one that is named twice is read once."""
-    import math
-
-    from suspension_twin.addons.roads.drives.drives import Part
-    from suspension_twin.drive.read import read_drive
-
-    known: dict[str, Drive] = {}
-    parts = []
-    for text in texts:
-        name, start, end = text, 0.0, math.inf
-        found = re.fullmatch(r"(.+)@(\d+(?:\.\d*)?)\.\.(\d+(?:\.\d*)?)", text)
-        if found is not None and not Path(text).exists():
-            name, start, end = found[1], float(found[2]), float(found[3])
-            if not start < end:
-                raise InputError(text, "the part ends before it starts")
-        if name not in known:
-            known[name] = read_drive(Path(name))
-        parts.append(Part(known[name], start, end))
-    return parts
-
-
-def _print_figures(checked: RoadCheck) -> None:
-    """What a road is like, in a few lines."""
+def print_figures(checked: RoadCheck) -> None:
+    """Print length, width, roughness and events of a road."""
     console = output()
     for name in ("length", "width", "roughness", "IRI", "events"):
         console.print(f"{name}: {checked.facts[name]}", markup=False)
@@ -619,3 +316,8 @@ def _beside(road: Path, suffix: str) -> Path:
     if path.resolve() == road.resolve():
         raise InputError(road, "give another name with --out; the default would overwrite the road")
     return path
+
+
+_ADDED: Final[Registry[Callable[..., None]]] = Registry("road_commands", attribute="command")
+for _name, _command in _ADDED.items():
+    app.command(_name)(_command)

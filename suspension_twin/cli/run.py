@@ -1,59 +1,43 @@
 # SPDX-License-Identifier: Apache-2.0
-"""``suspension-twin run``: the four nodes in one process, live or replaying a recording; or those of a fleet."""
+"""``suspension-twin run``: the four nodes in one process, live or replaying a recording; or those of a fleet.
+
+Sources, the recorder, the learnt road, the page and Foxglove are companions: add-ons found by the name of their option.
+"""
 
 from __future__ import annotations
 
-import json
 import math
-import os
-import secrets
-import shutil
-import socket
-import subprocess
-import sys
 import time
-from collections.abc import Callable, Iterator, Mapping
-from contextlib import ExitStack, contextmanager, suppress
-from functools import partial
+from collections.abc import Callable, Sequence
+from contextlib import AbstractContextManager, ExitStack
+from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
+from typing import TYPE_CHECKING, Annotated, Final, Protocol
 
 import typer
 
 from suspension_twin.cli.common import Force, Outputs, SourceUrls
+from suspension_twin.cli.options import grouped
 from suspension_twin.errors import InputError, WorkError
+from suspension_twin.registry import Registry
 
 if TYPE_CHECKING:
     from suspension_twin.nodes.composed import Composed, Playback
     from suspension_twin.nodes.process import Stop
+    from suspension_twin.vehicle.twin import Twin
 
-__all__ = ["command"]
+__all__ = ["Companion", "FleetSettings", "RosSettings", "RunSettings", "command"]
 
 #: Seconds before a recording begins, in which subscribers find the topics.
 _DISCOVERY = 0.5
 #: The same where a page is to be opened first.
 _VIEWED = 3.0
-#: s that a recording may take to be completed after Ctrl-C.
-_RECORDED = 30.0
-#: Pages of single twins that a fleet's page keeps open, and s that one may take to start.
-_PAGES, _OPENED = 4, 30.0
-#: s that the road of the last pass may take after Ctrl-C; a second one ends it.
-_LEARNT = 120.0
 
 
-class Page(NamedTuple):
-    """Where the page is served, and what its address ends in for others than this machine."""
+@dataclass(frozen=True)
+class FleetSettings:
+    """The twins of a fleet instead of one twin."""
 
-    host: str
-    port: int
-    token: str
-
-
-def command(
-    twin: Annotated[
-        Path | None,
-        typer.Option("--twin", help="The twin file.", metavar="TWIN.YAML", show_default=False),
-    ] = None,
     fleet: Annotated[
         Path | None,
         typer.Option(
@@ -62,7 +46,7 @@ def command(
             metavar="MANIFEST",
             show_default=False,
         ),
-    ] = None,
+    ] = None
     processes: Annotated[
         int,
         typer.Option(
@@ -72,27 +56,52 @@ def command(
             min=0,
             show_default=False,
         ),
-    ] = 0,
+    ] = 0
+
+
+@dataclass(frozen=True)
+class ReplaySettings:
+    """A recording that is replayed."""
+
     bag: Annotated[
         Path | None,
         typer.Option(
             "--bag", help="Replay this recorded drive instead of listening to sensors.", metavar="BAG"
         ),
-    ] = None,
+    ] = None
     rate: Annotated[
         str,
         typer.Option(
             "--rate", help="Times real time; 'max' or 0: as fast as no message gets lost.", metavar="X"
         ),
-    ] = "1",
-    loop: Annotated[bool, typer.Option("--loop", help="Begin the recording again at its end.")] = False,
-    source: SourceUrls = None,
+    ] = "1"
+    loop: Annotated[bool, typer.Option("--loop", help="Begin the recording again at its end.")] = False
+
+    @property
+    def speed(self) -> float:
+        """Times real time, infinite for full speed."""
+        if self.rate == "max":
+            return math.inf
+        try:
+            number = float(self.rate)
+        except ValueError:
+            number = math.nan
+        if not (math.isfinite(number) and number >= 0):
+            raise InputError("--rate", f"must be a number above 0, or 'max', is '{self.rate}'")
+        return number or math.inf
+
+
+@dataclass(frozen=True)
+class LiveSettings:
+    """Live sources, and files that are written while the twin follows."""
+
+    source: SourceUrls = None
     record: Annotated[
         Path | None,
         typer.Option(
             "--record", help="Record what the sources send into this bag.", metavar="BAG", show_default=False
         ),
-    ] = None,
+    ] = None
     learn_road: Annotated[
         Path | None,
         typer.Option(
@@ -101,11 +110,14 @@ def command(
             metavar="ROAD",
             show_default=False,
         ),
-    ] = None,
-    force: Force = False,
-    namespace: Annotated[
-        str, typer.Option("--namespace", help="Put everything below this name.", metavar="NS")
-    ] = "",
+    ] = None
+    force: Force = False
+
+
+@dataclass(frozen=True)
+class DisplaySettings:
+    """Where the twin is shown."""
+
     view: Annotated[
         str | None,
         typer.Option(
@@ -113,7 +125,7 @@ def command(
             help="Show the twin on a page in the browser: a port (8080), or HOST:PORT to let others look on.",
             metavar="[PORT]",
         ),
-    ] = None,
+    ] = None
     foxglove: Annotated[
         str | None,
         typer.Option(
@@ -121,294 +133,153 @@ def command(
             help="Serve all topics to Foxglove or Lichtblick: a port (8765), or HOST:PORT for others.",
             metavar="[PORT]",
         ),
-    ] = None,
+    ] = None
+
+
+@dataclass(frozen=True)
+class RosSettings:
+    """Names and parameters of the nodes."""
+
+    namespace: Annotated[
+        str, typer.Option("--namespace", help="Put everything below this name.", metavar="NS")
+    ] = ""
     params: Annotated[
         Path | None,
         typer.Option("--params", help="Parameters of the nodes, a ROS 2 YAML file.", metavar="FILE"),
-    ] = None,
+    ] = None
     ros_args: Annotated[
         list[str] | None,
         typer.Argument(
             help="Arguments for ROS, after '--', such as -- --ros-args -r imu/data_raw:=/phone/imu",
             metavar="ROS_ARGS",
         ),
+    ] = None
+
+    @property
+    def arguments(self) -> list[str]:
+        """Arguments for ROS with the parameter file among them."""
+        file = [] if self.params is None else ["--ros-args", "--params-file", str(self.params)]
+        return [*(self.ros_args or ()), *file]
+
+    def wanted(self) -> dict[str, dict[str, object]]:
+        """Values of the parameter file by node. Raises InputError for it and for the arguments."""
+        from suspension_twin.nodes.parameters import read_param_file
+        from suspension_twin.nodes.process import check_arguments
+
+        wanted = {} if self.params is None else read_param_file(self.params)
+        check_arguments(list(self.ros_args or ()))
+        return wanted
+
+
+@dataclass(frozen=True)
+class RunSettings:
+    """One twin and how it runs, as its companions need to know it; ``loaded`` is what ``twin`` holds."""
+
+    twin: Path
+    loaded: Twin
+    replay: ReplaySettings
+    live: LiveSettings
+    ros: RosSettings
+
+
+class Companion(Protocol):
+    """Something beside the four nodes. To make it checks its option: InputError for what cannot be used."""
+
+    #: Files that it writes, checked and announced before the start.
+    files: Sequence[Path]
+    #: s that it may take after Ctrl-C; a second one ends it.
+    patience: float
+
+    def beside(self, composed: Composed, stop: Stop) -> AbstractContextManager[None]:
+        """Runs while the nodes do."""
+        ...
+
+
+#: By the name of their option.
+_COMPANIONS: Final = Registry[Callable[[str, RunSettings], Companion]]("companions")
+_FLEETS: Final = Registry[Callable[[FleetSettings, DisplaySettings, RosSettings], None]]("fleets")
+
+
+def _run_command(
+    *,
+    twin: Annotated[
+        Path | None,
+        typer.Option("--twin", help="The twin file.", metavar="TWIN.YAML", show_default=False),
     ] = None,
+    fleet: FleetSettings,
+    replay: ReplaySettings,
+    live: LiveSettings,
+    display: DisplaySettings,
+    ros: RosSettings,
 ) -> None:
     """The four nodes in one process, live or replaying a bag; with --fleet those of many vehicles. Ctrl-C ends them."""
-    if fleet is not None:
-        given = {
-            "--twin": twin,
-            "--bag": bag,
-            "--loop": loop,
-            "--source": source,
-            "--record": record,
-        }
-        given["--rate"] = rate != "1"
-        for option, value in given.items():
+    if fleet.fleet is not None:
+        given = {"--twin": twin, "--bag": replay.bag, "--loop": replay.loop, "--rate": replay.rate != "1"}
+        for option, value in (given | {"--source": live.source, "--record": live.record}).items():
             if value:
                 raise InputError(option, "goes without --fleet: the twins of a fleet are live, from topics")
-        _fleet(fleet, namespace, processes, foxglove, view, params, list(ros_args or []))
+        _FLEETS.named("live", "--fleet")(fleet, display, ros)
         return
     if twin is None:
         raise InputError("--twin", "is needed: a twin file; or --fleet with a manifest")
-    if processes:
+    if fleet.processes:
         raise InputError("--processes", "needs --fleet: one twin is one process")
-    speed = _speed(rate)
-    urls = list(source or ())
-    if bag is not None and urls:
+    speed, bag = replay.speed, replay.bag
+    if bag is not None and live.source:
         raise InputError("--source", "goes without --bag: a drive is replayed or followed live")
-    if record is not None and not urls:
+    if live.record is not None and not live.source:
         raise InputError("--record", "needs --source: it records what live sources send")
-    if bag is None and (loop or rate != "1"):
-        raise InputError("--loop" if loop else "--rate", "needs --bag: only a recording can be replayed")
-    # What is wrong with a file is to be said before ROS is started, which takes a second.
+    if bag is None and (replay.loop or replay.rate != "1"):
+        option = "--loop" if replay.loop else "--rate"
+        raise InputError(option, "needs --bag: only a recording can be replayed")
+    # An error in a file is said before ROS is started, which takes a second.
     from suspension_twin.vehicle.twin import load_twin
 
-    loaded = load_twin(twin)
-    if learn_road is not None and "front" not in loaded.axles:
-        raise InputError("--learn-road", f"needs a car with axles, {twin} is of the model {loaded.model}")
-    used = [twin, *([] if loaded.road is None else [loaded.road.file])]
-    for path in _learnt_files(learn_road):
-        if path.resolve() in [p.resolve() for p in used]:
-            raise InputError(
-                "--learn-road", f"would overwrite {path}, which the twin is made of: give another name"
-            )
-    page = None if view is None else _place("--view", view)
-    bridge = None if foxglove is None else _bridge(foxglove)
-    if urls:
-        from suspension_twin.addons.sources import make_sources
-        from suspension_twin.addons.sources.common.hub import Hub
-
-        make_sources(urls, Hub())
-    outputs = Outputs(*([record] if record else []), *_learnt_files(learn_road), force=force)
-    outputs.announce()
+    settings = RunSettings(twin, load_twin(twin), replay, live, ros)
+    options = {
+        "source": " ".join(live.source) if live.source else None,
+        "record": live.record,
+        "learn-road": live.learn_road,
+        "view": display.view,
+        "foxglove": display.foxglove,
+    }
+    companions = [
+        _COMPANIONS.named(name, f"--{name}")(str(value), settings)
+        for name, value in options.items()
+        if value is not None
+    ]
+    Outputs(*(file for c in companions for file in c.files), force=live.force).announce()
     from suspension_twin.cli._status import say
     from suspension_twin.nodes.composed import Composed, check_namespace
-    from suspension_twin.nodes.parameters import check_names, read_param_file
-    from suspension_twin.nodes.process import check_arguments, ros_context, stopping
+    from suspension_twin.nodes.parameters import check_names
+    from suspension_twin.nodes.process import ros_context, stopping
 
-    check_namespace(namespace)
-    wanted = {} if params is None else read_param_file(params)
-    arguments = list(ros_args or [])
-    check_arguments(arguments)
-    if params is not None:
-        arguments += ["--ros-args", "--params-file", str(params)]
-    with stopping(_LEARNT if learn_road else _RECORDED if record else None) as stop:
-        playback = None if bag is None else _playback(bag, speed, loop, page is not None)
-        with ros_context(arguments) as context:
-            composed = Composed(context, twin, namespace, playback, urls, learn_road)
+    check_namespace(ros.namespace)
+    wanted = ros.wanted()
+    with stopping(max((c.patience for c in companions), default=0.0) or None) as stop:
+        delay = _DISCOVERY if display.view is None else _VIEWED
+        playback = None if bag is None else _playback(bag, speed, replay.loop, delay)
+        with ros_context(ros.arguments) as context:
+            composed = Composed(context, twin, ros.namespace, playback, live.source or (), live.learn_road)
             try:
-                if params is not None:
-                    check_names(params, wanted, composed.parameter_names())
+                if ros.params is not None:
+                    check_names(ros.params, wanted, composed.parameter_names())
                 composed.settle_memory()
                 for note in composed.notes:
                     say(note)
                 with ExitStack() as stack:
-                    if record is not None:
-                        stack.enter_context(_recorded(composed, record, force))
-                    if learn_road is not None:
-                        stack.enter_context(_learnt(composed, learn_road, stop))
-                    if page is not None:
-                        values = page._asdict() | {"twin": str(twin), "bag": "" if bag is None else str(bag)}
-                        stack.enter_context(_beside("viewer", values, namespace, arguments))
-                    if bridge is not None:
-                        values = {"host": bridge.host, "port": bridge.port, "use_sim_time": bag is not None}
-                        stack.enter_context(_beside("foxglove_bridge", values, namespace, arguments))
+                    for companion in companions:
+                        stack.enter_context(companion.beside(composed, stop))
                     _run(composed, lambda: stop.asked or not context.ok(), bag)
             finally:
                 composed.close()
 
 
-def _fleet(
-    manifest: Path,
-    namespace: str,
-    processes: int,
-    foxglove: str | None,
-    view: str | None,
-    params: Path | None,
-    ros_args: list[str],
-) -> None:
-    """The twins of a fleet, and Foxglove's WebSocket and a page for all of them where they are wanted."""
-    bridge = None if foxglove is None else _bridge(foxglove)
-    page = None if view is None else _place("--view", view)
-    from suspension_twin.cli._fleet_live import run_fleet
-    from suspension_twin.nodes.parameters import read_param_file
-    from suspension_twin.nodes.process import check_arguments
-
-    wanted = {} if params is None else read_param_file(params)
-    check_arguments(ros_args)
-    arguments = [*ros_args, *(["--ros-args", "--params-file", str(params)] if params is not None else [])]
-    beside = []
-    if bridge is not None:
-        values = {"host": bridge.host, "port": bridge.port}
-        beside.append(_beside("foxglove_bridge", values, namespace, arguments))
-    pages = None if page is None else partial(_fleet_pages, page, arguments)
-    run_fleet(manifest, namespace, processes, params, wanted, arguments, beside, pages)
+command = grouped(_run_command)
 
 
-@contextmanager
-def _fleet_pages(
-    page: Page, arguments: list[str], twins: Mapping[str, str]
-) -> Iterator[Callable[[Mapping[str, Mapping[str, Any]]], None]]:
-    """The page of a fleet; that of a twin, a process of its own, is there from when it is first asked for."""
-    from suspension_twin.addons.view.fleet import FleetServer
-
-    opened: dict[str, tuple[int, ExitStack]] = {}
-
-    def open_page(name: str) -> int:
-        if name in opened:
-            port, own = opened.pop(name)
-        else:
-            while len(opened) >= _PAGES:  # the one that was not asked for for the longest time
-                opened.pop(next(iter(opened)))[1].close()
-            place = _place("--view", f"[{page.host}]:0" if ":" in page.host else f"{page.host}:0")
-            values = {"host": place.host, "port": place.port, "token": page.token, "twin": twins[name]}
-            own = ExitStack()
-            own.enter_context(_beside("viewer", values, name, arguments))
-            _await_listener(place)
-            port = place.port
-        opened[name] = port, own
-        return port
-
-    server = FleetServer(list(twins), open_page, **page._asdict())
-    try:
-        print(f"Watch on {server.url}", file=sys.stderr, flush=True)
-        yield server.tell
-    finally:
-        server.close()
-        for _, own in opened.values():
-            own.close()
-
-
-def _await_listener(place: Page) -> None:
-    """Until a page answers on a port; raises WorkError where it does not."""
-    until = time.monotonic() + _OPENED
-    while time.monotonic() < until:
-        with suppress(OSError), socket.create_connection((place.host, place.port), timeout=1.0):
-            return
-        time.sleep(0.1)
-    raise WorkError("--view: the page of this twin did not start")
-
-
-@contextmanager
-def _recorded(composed: Composed, path: Path, force: bool) -> Iterator[None]:
-    """What the sources send goes into a recording, which is complete at the end, whatever ends it."""
-    from suspension_twin.addons.sources.common.recorder import Recorder
-    from suspension_twin.cli._status import say
-    from suspension_twin.nodes.source import SourceNode
-
-    source = composed.nodes["source"]
-    assert isinstance(source, SourceNode)
-    try:
-        with Recorder(path, overwrite=force) as recorder:
-            source.tap = lambda packet: recorder.write([packet])
-            yield
-    finally:
-        source.tap = None
-        if path.exists():
-            say(f"{recorder.counts['imu']} IMU samples, {recorder.counts['fix']} positions written to {path}")
-
-
-def _learnt_files(road: Path | None) -> list[Path]:
-    """The road that is learnt, its record, and the twin on it."""
-    if road is None:
-        return []
-    from suspension_twin.addons.roads.drives.learning import twin_path
-    from suspension_twin.road.crg import record_path
-
-    if road.suffix.lower() != ".crg":
-        raise InputError(road, "a road is written as .crg; name the file so")
-    return [road, record_path(road), twin_path(road)]
-
-
-@contextmanager
-def _learnt(composed: Composed, road: Path, stop: Stop) -> Iterator[None]:
-    """At the end, whatever ends it, the road of what was driven last is learnt as well."""
-    from suspension_twin.cli._status import Status, say
-
-    try:
-        yield
-    finally:
-        learner = composed.learner
-        assert learner is not None
-        learner.close_pass()
-        if learner.pending:
-            say("learning the road of the last pass; Ctrl-C ends this")
-            with suppress(KeyboardInterrupt), stop.again(), Status(composed) as status:
-                while learner.pending:
-                    composed.serve()
-                    status.show()
-        say(
-            learner.summary()
-            if learner.learnt
-            else f"no road was learnt, {road} is not written: {learner.why}"
-        )
-
-
-def _speed(rate: str) -> float:
-    if rate == "max":
-        return math.inf
-    try:
-        number = float(rate)
-    except ValueError:
-        number = math.nan
-    if not (math.isfinite(number) and number >= 0):
-        raise InputError("--rate", f"must be a number above 0, or 'max', is '{rate}'")
-    return number or math.inf
-
-
-def _place(option: str, given: str) -> Page:
-    """Where to listen; raises InputError for a wrong or taken place."""
-    from suspension_twin.addons.view.server import is_local
-
-    host, _, number = given.rpartition(":")
-    host = host.strip("[]") or "127.0.0.1"
-    if not (number.isdecimal() and int(number) < 65536):
-        raise InputError(option, f"must be a port or HOST:PORT, is '{given}'")
-    port = int(number)
-    family = socket.AF_INET6 if ":" in host else socket.AF_INET
-    try:
-        with socket.create_server((host, port), family=family) as taken:
-            port = taken.getsockname()[1]
-    except OSError as error:
-        raise InputError(option, f"cannot listen on {host}, port {port}: {error.strerror or error}") from None
-    return Page(host, port, "" if is_local(host) else secrets.token_urlsafe(9))
-
-
-def _bridge(given: str) -> Page:
-    """Where Foxglove's WebSocket is to be; raises InputError where its library is missing."""
-    from importlib.util import find_spec
-
-    if find_spec("foxglove") is None:
-        raise InputError("--foxglove", 'needs foxglove-sdk: pip install "suspension-twin[foxglove]"')
-    return _place("--foxglove", given)
-
-
-@contextmanager
-def _beside(node: str, values: dict[str, Any], namespace: str, arguments: list[str]) -> Iterator[None]:
-    """A node in a process of its own, which computes when the others do not, and ends with this one."""
-    values = values | {"parent": os.getpid()}
-    given = [w for name, value in values.items() for w in ("-p", f"{name}:={json.dumps(value)}")]
-    place = ["-r", f"__ns:=/{namespace.strip('/')}"] if namespace else []
-    command = [
-        sys.executable,
-        "-m",
-        f"suspension_twin.nodes.{node}",
-        *arguments,
-        "--ros-args",
-        *place,
-        *given,
-    ]
-    process = subprocess.Popen(["nice", "-n", "5", *command] if shutil.which("nice") else command)
-    try:
-        yield
-    finally:
-        process.terminate()
-        with suppress(subprocess.TimeoutExpired):
-            process.wait(1.0)
-
-
-def _playback(bag: Path, speed: float, loop: bool, stay: bool) -> Playback:
+def _playback(bag: Path, speed: float, loop: bool, delay: float) -> Playback:
+    """The recording, with its warnings said. Where a page is watched it waits at its end to be sent back."""
     from suspension_twin.cli._status import say
     from suspension_twin.drive.read import read_drive
     from suspension_twin.nodes.composed import Playback
@@ -416,7 +287,7 @@ def _playback(bag: Path, speed: float, loop: bool, stay: bool) -> Playback:
     drive = read_drive(bag)
     for warning in drive.warnings:
         say(f"{bag}: {warning}")
-    return Playback(drive, speed, loop, _VIEWED if stay else _DISCOVERY, stay)
+    return Playback(drive, speed, loop, delay, stay=delay > _DISCOVERY)
 
 
 def _run(composed: Composed, stop_asked: Callable[[], bool], bag: Path | None) -> None:

@@ -1,28 +1,47 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Every effect there is: each file of this folder that has an object ``EFFECT``."""
+"""The library of effects: each file of this folder, and each entry point ``suspension_twin.effects``.
+
+Both have an object ``EFFECT``, whose ``id`` is the name of the file or of the entry point.
+"""
 
 from __future__ import annotations
 
-from importlib import import_module
+from collections.abc import Iterator
+from functools import cached_property
 from pkgutil import iter_modules
 from typing import Final
 
 import suspension_twin.effects as folder
 from suspension_twin.effects.base import Effect
 from suspension_twin.errors import InputError
+from suspension_twin.registry import Registry
 
 __all__ = ["EFFECTS", "effect"]
 
 
-def _found() -> dict[str, Effect]:
-    names = sorted(module.name for module in iter_modules(folder.__path__) if not module.name.startswith("_"))
-    modules = [import_module(f"{folder.__name__}.{name}") for name in names if name != "registry"]
-    effects = [module.EFFECT for module in modules if hasattr(module, "EFFECT")]
-    return {effect.id: effect for effect in sorted(effects, key=lambda effect: (effect.order, effect.id))}
+class _Effects(Registry[Effect]):
+    """Effects by id; iterating imports all of them and gives the order in which they act."""
+
+    @cached_property
+    def _order(self) -> list[str]:
+        return sorted(super().__iter__(), key=lambda name: (self[name].order, name))
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self._order)
 
 
-#: Effects by id, in the order in which they act.
-EFFECTS: Final = _found()
+#: Effects by id, each imported when it is asked for.
+EFFECTS: Final = _Effects(
+    "effects",
+    {
+        name: f"{folder.__name__}.{name}:EFFECT"
+        for _, name, _ in iter_modules(folder.__path__)
+        if name not in ("base", "registry") and not name.startswith("_")
+    },
+    attribute="EFFECT",
+    kind=Effect,
+    identity="id",
+)
 
 
 def effect(name: str, model: str = "full_car") -> Effect:

@@ -176,8 +176,8 @@ def resonance_scan(problem: Problem, base: LinearisedFit, scan: tuple[int, Float
 def coordinate_scan(problem: Problem, at: LinearisedFit) -> Floats | None:
     """Unknowns of lower cost than a fit of the problem; None if there are none.
 
-    Each effect coordinate is scanned over its prior. At each point all other unknowns are refitted by linear least squares. This finds separate local minima: a stop that
-    touches at one axle only, a mass in front instead of behind.
+    Each effect coordinate is scanned over its prior. At each point all other unknowns are refitted by linear least
+    squares. This finds separate local minima: a stop that touches at one axle only, a mass in front instead of behind.
     """
     problem, hypothesis, p = problem.having(at.hypothesis), at.hypothesis, problem.shared
     low, high = hypothesis.bounds()

@@ -277,7 +277,7 @@ def effect_kernels() -> EffectKernels:
     }
     parts |= {f"_{stage.upper()}_OF": own for stage, own in flags.items()}
     parts |= {"_CURVES": end, "_STAND": standing}
-    modules = [f"suspension_twin.effects.{name}" for name in terms]
+    modules = [EFFECTS.module(name) for name in terms]
     kernels = {
         hinges: compiled(
             specialised(

@@ -29,7 +29,6 @@ candidates that have them.
 
 from __future__ import annotations
 
-import importlib
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field, fields
 from typing import Any, Literal
@@ -245,17 +244,13 @@ class Hook:
 
 def load_hook(effect: str, model: str = "full_car") -> Hook:
     """The hook of an effect on a model; InputError names an effect that there is not."""
-    name = f"suspension_twin.effects.{effect}"
+    from suspension_twin.effects.registry import EFFECTS  # whose files import this one
+
     try:
-        module = importlib.import_module(name)
-    except ModuleNotFoundError as error:
-        if error.name != name:
-            raise
+        found = EFFECTS[effect]
+    except KeyError:
         raise InputError("twin", "effects", f"there is no effect {effect}") from None
-    known = getattr(module, "EFFECT", None)
-    if known is None:
-        raise InputError("twin", "effects", f"there is no effect {effect}")
-    hook: Hook = known.on(model).hook
+    hook: Hook = found.on(model).hook
     return hook
 
 

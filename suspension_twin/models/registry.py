@@ -1,25 +1,25 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Every vehicle model there is, found by the name of its file, behind one interface.
+"""All vehicle models behind one interface, by name.
 
-A model is a module ``suspension_twin/models/<name>.py`` with an object ``MODEL``. Whatever handles a twin (calibration,
-diagnosis, the nodes, the command line) asks the registry for its model and never for the model's name.
+A model is a module ``suspension_twin/models/<name>.py`` with an object ``MODEL``, or one of an installed package that
+its entry point in the group ``suspension_twin.models`` names; that one also has ``TWIN``, the class of its twin file
+(:data:`suspension_twin.vehicle.twin.SCHEMAS`). Whatever handles a twin (calibration, diagnosis, the nodes, the command
+line) asks the registry for its model and never for the model's name.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from importlib import import_module
 from typing import Any, Final, Literal, Protocol
 
 from suspension_twin.arrays import Floats
 from suspension_twin.models.types import HeightField, LaneResponse, Response
+from suspension_twin.registry import Registry
 from suspension_twin.vehicle.twin import Twin
 
 __all__ = ["MODELS", "Model", "deferred", "model_of"]
-
-#: The files of this folder that hold a model.
-_FILES: Final = ("full_car", "msd", "tracked", "quarter_car", "fmu")
 
 
 class SimulateLanes(Protocol):
@@ -88,27 +88,14 @@ def deferred(module: str, name: str) -> Any:
     return call
 
 
-def _found(name: str) -> Model:
-    model: Model = import_module(f"{__package__}.{name}").MODEL
-    return model
-
-
-class _Models(Mapping[str, Model]):
-    """Models by name, each imported when it is asked for."""
-
-    def __getitem__(self, name: str) -> Model:
-        if name not in _FILES:
-            raise KeyError(name)
-        return _found(name)
-
-    def __iter__(self) -> Any:
-        return iter(_FILES)
-
-    def __len__(self) -> int:
-        return len(_FILES)
-
-
-MODELS: Final[Mapping[str, Model]] = _Models()
+#: Models by the name that a twin file gives.
+MODELS: Final = Registry[Model](
+    "models",
+    {name: f"{__package__}.{name}:MODEL" for name in ("full_car", "msd", "tracked", "quarter_car", "fmu")},
+    attribute="MODEL",
+    kind=Model,
+    identity="name",
+)
 
 
 def model_of(twin: Twin) -> Model:

@@ -9,7 +9,7 @@ import time
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, cast
+from typing import Any, Final, Protocol, cast
 
 from rclpy.context import Context
 from rclpy.exceptions import InvalidNamespaceException
@@ -25,12 +25,9 @@ from suspension_twin.nodes.imu_ingest import ImuIngestNode
 from suspension_twin.nodes.player import BagPlayer
 from suspension_twin.nodes.pose_injector import PoseInjectorNode
 from suspension_twin.nodes.process import WAIT
-from suspension_twin.nodes.source import SourceNode
 from suspension_twin.nodes.suspension_model import SuspensionModelNode
 from suspension_twin.nodes.topics import ERROR, Embedding, Outbox
-
-if TYPE_CHECKING:
-    from suspension_twin.nodes.road_learner import RoadLearnerNode
+from suspension_twin.registry import Registry
 
 __all__ = ["LINKS", "Composed", "Condition", "Playback", "check_namespace"]
 
@@ -100,11 +97,33 @@ class Condition:
     learning: str | None = None
 
 
-def _road_learner() -> type[TwinNode]:
-    """The node that learns the road, imported where it is asked for: what estimates a road takes half a second."""
-    from suspension_twin.nodes.road_learner import RoadLearnerNode
+class LiveSources(Protocol):
+    """The node of live sources, which receives and delivers while it is called."""
 
-    return RoadLearnerNode
+    notes: list[str]
+
+    def run(self, seconds: float) -> None: ...
+
+    def run_until_delivered(self, seconds: float) -> None: ...
+
+
+class RoadLearner(Protocol):
+    """The node that learns the road: ``pending`` while a pass is not part of the road yet, ``learnt``
+    once there is a road, ``why`` there is none."""
+
+    pending: bool
+    learnt: bool
+    why: str
+
+    def close_pass(self) -> None: ...
+
+    def condition(self) -> str: ...
+
+    def summary(self) -> str: ...
+
+
+#: Classes of nodes of add-ons, imported where they are asked for: what estimates a road takes half a second.
+ADDED: Final = Registry[Any]("nodes", kind=type)
 
 
 def check_namespace(namespace: str) -> None:
@@ -146,7 +165,8 @@ class Composed:
             parameters.append(Parameter("use_sim_time", value=True))
         try:
             out = {} if learn is None else {"road_learner": Parameter("out", value=str(learn))}
-            for name, kind in (KINDS | ({} if learn is None else {"road_learner": _road_learner()})).items():
+            added = () if learn is None else ("road_learner",)
+            for name, kind in (KINDS | {name: ADDED.named(name, "nodes") for name in added}).items():
                 if self._shared and name == "calibrator":
                     continue
                 linked = frozenset(topic for topic, _, receiver in links if receiver == name)
@@ -168,7 +188,7 @@ class Composed:
             if sources:
                 urls = Parameter("sources", value=" ".join(sources))
                 embedding = Embedding(context, namespace, (*parameters, urls), outbox=outbox)
-                self.nodes["source"] = SourceNode(embedding, driven=True)
+                self.nodes["source"] = ADDED.named("source", "nodes")(embedding, driven=True)
                 self.executor.add_node(self.nodes["source"])
             senders: dict[str, TwinNode | BagPlayer] = dict(self.nodes)
             if playback:
@@ -197,9 +217,8 @@ class Composed:
             resting = self.player.paused or self.player.ended
             for node in self.nodes.values():
                 node.clock_rests = resting
-        source = self.nodes.get("source")
-        if isinstance(source, SourceNode):
-            self._step_live(source, most)
+        if self.source is not None:
+            self._step_live(self.source, most)
         elif not self._serve_ready() and pause > 0.0:
             self.executor.spin_once(timeout_sec=min(most, pause))
 
@@ -224,7 +243,7 @@ class Composed:
             raise error
         return True
 
-    def _step_live(self, source: SourceNode, most: float) -> None:
+    def _step_live(self, source: LiveSources, most: float) -> None:
         """Deliver samples as they come, and let the executor serve timers and services at times in between.
 
         A look at the wait set and a callback take a millisecond or two each. They are done one by one, each just behind
@@ -238,15 +257,19 @@ class Composed:
             self._serve_at = time.monotonic() + _SERVE_EVERY
 
     @property
-    def learner(self) -> RoadLearnerNode | None:
+    def source(self) -> LiveSources | None:
+        """The node of live sources, if there is one."""
+        return cast("LiveSources | None", self.nodes.get("source"))
+
+    @property
+    def learner(self) -> RoadLearner | None:
         """The node that learns the road, if there is one."""
-        return cast("RoadLearnerNode | None", self.nodes.get("road_learner"))
+        return cast("RoadLearner | None", self.nodes.get("road_learner"))
 
     @property
     def notes(self) -> list[str]:
         """What the live sources have to tell the user."""
-        source = self.nodes.get("source")
-        return source.notes if isinstance(source, SourceNode) else []
+        return [] if self.source is None else self.source.notes
 
     def parameter_names(self) -> dict[str, list[str]]:
         """The names of all parameters, by node."""

@@ -11,7 +11,6 @@ import math
 import os
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Final, Literal, Protocol
 
@@ -23,6 +22,7 @@ from suspension_twin.arrays import Floats
 from suspension_twin.display import axes_or_new, bulleted
 from suspension_twin.errors import InputError, nearest, shown
 from suspension_twin.files import read_yaml, reading, write_text
+from suspension_twin.registry import Registry
 from suspension_twin.schema import Strict, checked, problems, within
 from suspension_twin.units import STANDARD_GRAVITY as G
 from suspension_twin.vehicle.corners import CORNERS, Joint
@@ -495,20 +495,19 @@ class CarTwin(FourWheeledTwin):
         return self.vehicle.axles
 
 
-#: For each model the class of its twin file: module in this package and name.
-SCHEMAS: Final = {
-    "full_car": ("twin", "CarTwin"),
-    "msd": ("twin", "CarTwin"),
-    "tracked": ("tracked", "TrackedTwin"),
-    "quarter_car": ("quarter_car", "QuarterCarTwin"),
-    "fmu": ("fmu", "FmuTwin"),
-}
-
-
-def _schema(model: str) -> type[Twin]:
-    module, name = SCHEMAS[model]
-    found: type[Twin] = getattr(import_module(f"suspension_twin.vehicle.{module}"), name)
-    return found
+#: By model the class of its twin file; that of a plugin is ``TWIN`` of the module that holds its ``MODEL``.
+SCHEMAS: Final = Registry[type[Twin]](
+    "models",
+    {
+        "full_car": f"{__name__}:CarTwin",
+        "msd": f"{__name__}:CarTwin",
+        "tracked": f"{__package__}.tracked:TrackedTwin",
+        "quarter_car": f"{__package__}.quarter_car:QuarterCarTwin",
+        "fmu": f"{__package__}.fmu:FmuTwin",
+    },
+    attribute="TWIN",
+    kind=type,
+)
 
 
 def parse_twin(data: object, source: str | Path = "twin") -> Twin:
@@ -544,7 +543,7 @@ def parse_twin(data: object, source: str | Path = "twin") -> Twin:
         raise InputError(source, "not a twin file: a mapping with 'vehicle' and 'imu' is expected")
     model = str(data.get("model", "full_car"))
     if model in SCHEMAS:
-        return checked(_schema(model), data, source, _KIND)
+        return checked(SCHEMAS[model], data, source, _KIND)
     wrong = f"model: must be one of {', '.join(SCHEMAS)}, is {shown(model)}{nearest(model, SCHEMAS)}"
     rest = problems(CarTwin, {**data, "model": "full_car"}, _KIND)
     raise InputError(source, "; ".join([wrong, *rest]))

@@ -21,7 +21,7 @@ def test_every_request_is_answered_and_untouched_ones_arrive() -> None:
             port = sources[0].server.port
             found = await fuzz.attack(port, 1500, 7, lambda done: None)
         imu = [p.samples for p in hub.take() if p.stream == "imu"]
-        return found, sum(map(len, imu)), [f.text for f in hub.heard() if f.level == "error"]
+        return found, sum(map(len, imu)), [f.text for f in hub.events() if f.level == "error"]
 
     found, arrived, errors = asyncio.run(work())
     assert found["unanswered"] == 0

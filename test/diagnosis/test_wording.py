@@ -85,7 +85,7 @@ def test_a_tyre_an_axle_and_a_wheel_out_of_balance():
 
 def test_an_effect_without_a_phrase_is_named_with_its_parameters(monkeypatch):
     plain = replace(EFFECTS["corner_damper"], finding=None)
-    monkeypatch.setitem(EFFECTS, "corner_damper", plain)
+    monkeypatch.setattr("suspension_twin.diagnosis.wording.EFFECTS", {**EFFECTS, "corner_damper": plain})
     text = wording.finding("corner_damper", {"corner": 1.0, "change": -0.4})
     assert text == "one odd damper (wheel front right, change −40 %)"
     assert wording.finding("not_yet_known", {"size": 0.25}) == "not yet known (size 0.25)"

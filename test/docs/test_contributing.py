@@ -23,8 +23,9 @@ COPIED = (
     "README.md",
     "pyproject.toml",
 )
-STEPS = ["Add an effect", "Add an importer", "Add a model", "Add a source"]
-_BLOCK = re.compile(r"^( *)```(python|bash)\n(.*?)^\1```$", re.MULTILINE | re.DOTALL)
+PLUGIN = "Add any of them in a package of your own"
+STEPS = ["Add an effect", "Add an importer", "Add a model", "Add a source", PLUGIN]
+_BLOCK = re.compile(r"^( *)```(python|toml|bash)\n(.*?)^\1```$", re.MULTILINE | re.DOTALL)
 
 
 def sections(repository: Path) -> dict[str, str]:
@@ -52,12 +53,16 @@ def copy(repository: Path, tmp_path: Path) -> Path:
 def followed(text: str, folder: Path) -> None:
     """Write every file that a section shows, and run its commands, in the order of the page."""
     bin_folder = os.pathsep.join([str(Path(sys.executable).parent), os.environ.get("PATH", os.defpath)])
-    environment = {**os.environ, "PATH": bin_folder, "PYTHONPATH": str(folder)}
+    installed = folder / "installed"  # by pip, without a network
+    environment = {**os.environ, "PATH": bin_folder, "PYTHONPATH": f"{folder}{os.pathsep}{installed}"}
+    environment |= {"PIP_TARGET": str(installed), "PIP_NO_BUILD_ISOLATION": "0", "PIP_NO_DEPS": "1"}
+    environment |= {"PIP_NO_INDEX": "1", "PIP_DISABLE_PIP_VERSION_CHECK": "1"}
     for _, language, body in _BLOCK.findall(text):
         code = textwrap.dedent(body)
-        if language == "python":
+        if language != "bash":
             first, _, rest = code.partition("\n")
             path = folder / first.removeprefix("# ")
+            path.parent.mkdir(exist_ok=True)
             assert not path.exists(), f"{path} is there already"
             path.write_text(rest, encoding="utf-8")
         else:
@@ -73,7 +78,7 @@ def followed(text: str, folder: Path) -> None:
 
 
 def test_there_is_a_section_for_each_kind_of_thing(repository: Path) -> None:
-    assert set(sections(repository)) == {"Add a model", "Add an effect", "Add a source", "Add an importer"}
+    assert set(sections(repository)) == set(STEPS)
 
 
 def test_no_section_has_more_than_ten_lines_of_prose(repository: Path) -> None:
@@ -82,8 +87,9 @@ def test_no_section_has_more_than_ten_lines_of_prose(repository: Path) -> None:
         assert len(prose) <= 10, name
 
 
-@pytest.mark.long
-@pytest.mark.parametrize("name", STEPS)
+@pytest.mark.parametrize(
+    "name", [PLUGIN, *(pytest.param(name, marks=pytest.mark.long) for name in STEPS if name != PLUGIN)]
+)
 def test_the_steps_add_it(name: str, repository: Path, copy: Path) -> None:
     followed(sections(repository)[name], copy)
 

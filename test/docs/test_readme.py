@@ -26,7 +26,7 @@ import numpy as np
 import pytest
 from matplotlib import pyplot
 
-from suspension_twin.cli.main import SUBCOMMANDS, main
+from suspension_twin.cli.main import main, subcommands
 from suspension_twin.drive.read import read_drive
 from suspension_twin.vehicle.twin import load_twin
 
@@ -168,7 +168,7 @@ def is_fleet(command: str) -> bool:
 def test_every_command_is_of_a_kind_that_is_run():
     others = [c for c in commands() if c not in OURS + PYTHON + BOOTSTRAP]
     assert others == [". .venv/bin/activate"]
-    assert {shlex.split(c)[1] for c in OURS} | {"demo"} == {s.name for s in SUBCOMMANDS}
+    assert {shlex.split(c)[1] for c in OURS} | {"demo"} == {s.name for s in subcommands()}
 
 
 def test_the_commands_do_what_they_say(workspace, monkeypatch, capsys):
@@ -324,7 +324,7 @@ def test_the_python_commands_run(command, workspace):
 def test_the_set_up_knows_its_commands(command):
     """The demo and the set-up itself have tests of their own."""
     _, script, name, *rest = shlex.split(command)
-    assert name in {"test", "check"} | {s.name for s in SUBCOMMANDS}
+    assert name in {"test", "check"} | {s.name for s in subcommands()}
     assert name in run([sys.executable, script, "--help"], ROOT)
     for argument in rest:
         assert argument.startswith("-") or (ROOT / argument).exists()

@@ -24,7 +24,7 @@ import suspension_twin
 from suspension_twin.calibration.labels import parameter_label, parameter_unit
 from suspension_twin.cli import main as program
 from suspension_twin.cli.common import Outputs, bundled, output, print_table
-from suspension_twin.cli.main import SUBCOMMANDS, Subcommand, main
+from suspension_twin.cli.main import Subcommand, main, subcommands
 from suspension_twin.errors import InputError, WorkError
 from suspension_twin.inference.space import curve_keys
 from suspension_twin.vehicle.twin import load_twin
@@ -55,7 +55,8 @@ def with_command(monkeypatch: pytest.MonkeyPatch) -> Iterator[Callable[..., None
         module = ModuleType("suspension_twin.cli.work")
         setattr(module, "app" if isinstance(command, typer.Typer) else "command", command)
         monkeypatch.setitem(sys.modules, module.__name__, module)
-        monkeypatch.setattr(program, "SUBCOMMANDS", (Subcommand("work", "work", "Works.", **row),))
+        row_of = Subcommand("work", module.__name__, "Works.", **row)
+        monkeypatch.setattr(program, "SUBCOMMANDS", (row_of,))
 
     yield put
 
@@ -67,22 +68,23 @@ def run(arguments: list[str], capsys: pytest.CaptureFixture[str]) -> tuple[int, 
 
 
 def test_every_command_of_the_contract_is_there() -> None:
-    assert {row.name for row in SUBCOMMANDS} >= CONTRACT
+    assert {row.name for row in subcommands()} >= CONTRACT
 
 
 def test_every_file_of_a_command_is_listed(repository: Path) -> None:
     files = {p.stem for p in (repository / "suspension_twin/cli").glob("*.py") if not p.stem.startswith("_")}
-    assert files - {"main", "common"} == {row.module for row in SUBCOMMANDS}
+    core = {row.module for row in subcommands() if row.module.startswith("suspension_twin.cli.")}
+    assert {f"suspension_twin.cli.{name}" for name in files - {"main", "common", "options"}} == core
 
 
-@pytest.mark.parametrize("row", SUBCOMMANDS, ids=lambda row: row.name)
+@pytest.mark.parametrize("row", subcommands(), ids=lambda row: row.name)
 def test_every_command_helps(row: Subcommand, capsys: pytest.CaptureFixture[str]) -> None:
     status, out, err = run([row.name, "--help"], capsys)
     assert (status, err) == (0, "")
     assert "Usage:" in out
 
 
-@pytest.mark.parametrize("row", SUBCOMMANDS, ids=lambda row: row.name)
+@pytest.mark.parametrize("row", subcommands(), ids=lambda row: row.name)
 def test_every_command_names_an_unknown_option(row: Subcommand, capsys: pytest.CaptureFixture[str]) -> None:
     status, out, err = run([row.name, "--no-such-option"], capsys)
     assert (status, out) == (2, "")
@@ -98,7 +100,7 @@ def test_help_lists_every_command_and_imports_none(capsys: pytest.CaptureFixture
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=60)
     assert done.returncode == 0, done.stdout + done.stderr
-    for row in SUBCOMMANDS:
+    for row in subcommands():
         assert row.name in done.stdout
         assert row.help.rstrip(".") in " ".join(done.stdout.split())
 
@@ -280,7 +282,8 @@ def program_with(body: str, path: Path, endless: bool = False) -> list[str]:
     path.write_text(
         "import sys, time, types\n"
         "from suspension_twin.cli import main as program\n"
-        f"program.SUBCOMMANDS = (program.Subcommand('work', 'work', 'Works.', endless={endless}),)\n"
+        f"row = program.Subcommand('work', 'suspension_twin.cli.work', 'Works.', endless={endless})\n"
+        "program.SUBCOMMANDS = (row,)\n"
         "def command():\n"
         f"    {body}\n"
         "program.import_module = lambda name: types.SimpleNamespace(command=command)\n"
@@ -455,7 +458,7 @@ def test_an_interrupt_says_how_to_go_on(
 
 PAGES = [
     [row.name, *more]
-    for row in SUBCOMMANDS
+    for row in subcommands()
     for more in ([[], ["show"], ["mesh"], ["check"]] if row.name == "road" else [[]])
 ]
 

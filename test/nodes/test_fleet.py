@@ -13,7 +13,7 @@ from nodes_bench import PATIENT, stamp_of
 from sensor_msgs.msg import Imu, NavSatFix
 from std_srvs.srv import Trigger
 
-from suspension_twin.cli._fleet_live import rows, summary
+from suspension_twin.addons.cli.live_fleet import rows, summary
 from suspension_twin.cli.main import main
 from suspension_twin.errors import InputError
 from suspension_twin.nodes.composed import Composed, Condition, Playback

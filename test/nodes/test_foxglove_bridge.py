@@ -21,7 +21,7 @@ from nodes_bench import put_stamp
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from std_msgs.msg import String
 
-from suspension_twin.nodes.foxglove_bridge import FoxgloveBridgeNode, definition
+from suspension_twin.addons.nodes.foxglove_bridge import FoxgloveBridgeNode, definition
 from suspension_twin.nodes.suspension_model import SuspensionModelNode
 from suspension_twin.nodes.topics import LATCHED_QOS
 from suspension_twin_interfaces.msg import Gap

@@ -15,6 +15,7 @@ from nodes_bench import PATIENT
 from rclpy.parameter import Parameter
 from stand_ins import finds_no_pass, knows_the_road
 
+from suspension_twin.addons.nodes.road_learner import RoadLearnerNode
 from suspension_twin.cli._status import line
 from suspension_twin.cli.main import main
 from suspension_twin.drive.types import Drive
@@ -22,7 +23,6 @@ from suspension_twin.errors import InputError
 from suspension_twin.nodes.composed import Composed, Playback
 from suspension_twin.nodes.jobs import Job, News
 from suspension_twin.nodes.process import ros_context
-from suspension_twin.nodes.road_learner import RoadLearnerNode
 from suspension_twin.vehicle.twin import Twin, save_twin
 
 BAGS = Path(__file__).resolve().parents[2] / "bags"

@@ -348,7 +348,7 @@ def test_a_node_program_answers_help(node, capsys):
 
 def test_help_into_a_pipe_that_is_closed_is_no_traceback():
     node = subprocess.Popen(
-        [sys.executable, "-m", "suspension_twin.nodes.source", "--help"],
+        [sys.executable, "-m", "suspension_twin.addons.nodes.source", "--help"],
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
         text=True,

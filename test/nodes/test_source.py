@@ -26,11 +26,11 @@ from sensor_logger_app import SensorLoggerApp
 from sensor_msgs.msg import Imu, NavSatFix
 from test_run_command import end, run_command, start, wait_for
 
+from suspension_twin.addons.nodes.source import SourceNode
 from suspension_twin.cli.main import main
 from suspension_twin.drive.read import read_drive
 from suspension_twin.errors import InputError
 from suspension_twin.nodes.composed import Composed
-from suspension_twin.nodes.source import SourceNode
 from suspension_twin.testing import running_twin
 
 
@@ -120,7 +120,14 @@ def test_a_phone_that_sends_to_the_command_is_heard_on_the_topic(alone, bench, d
     url = f"sensorlogger://127.0.0.1:{port}"
     if alone:
         process = start(
-            [sys.executable, "-m", "suspension_twin.nodes.source", "--ros-args", "-p", f"sources:={url}"]
+            [
+                sys.executable,
+                "-m",
+                "suspension_twin.addons.nodes.source",
+                "--ros-args",
+                "-p",
+                f"sources:={url}",
+            ]
         )
     else:
         process = start(run_command("--twin", twin_path, "--source", url))

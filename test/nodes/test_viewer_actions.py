@@ -21,6 +21,7 @@ from rclpy.task import Future
 from sensor_msgs.msg import Imu, NavSatFix
 from stand_ins import lighter, reported, search_until_stopped
 
+from suspension_twin.addons.nodes.viewer import ViewerNode
 from suspension_twin.drive.read import read_drive
 from suspension_twin.drive.types import Drive
 from suspension_twin.nodes.calibrator import CalibratorNode
@@ -29,7 +30,6 @@ from suspension_twin.nodes.messages import fill_fix, fill_imu, fill_velocity
 from suspension_twin.nodes.player import BagPlayer
 from suspension_twin.nodes.suspension_model import SuspensionModelNode
 from suspension_twin.nodes.topics import Embedding
-from suspension_twin.nodes.viewer import ViewerNode
 from suspension_twin.vehicle.twin import load_twin
 from suspension_twin_interfaces.action import Calibrate
 
@@ -68,14 +68,14 @@ def test_a_calibration_is_loaded_by_all_nodes(bench, viewer, twin_path, tmp_path
     bench.make(CalibratorNode, {"calibrate": lighter})
     said, wrong = press(bench, viewer, "load")
     assert wrong and "no result yet" in said
-    bench.until(viewer._actions["calibrate"].server_is_ready, "the action")
+    bench.until(viewer.jobs.actions["calibrate"].server_is_ready, "the action")
     assert press(bench, viewer, "calibrate") == ("Calibrating on bumpy", False)
     assert press(bench, viewer, "diagnose")[1], "one at a time"
     bench.until(lambda: not job(viewer)["running"], "the calibration", 90.0)
     result = tmp_path / "bumpy_calibrated.yaml"
     assert load_twin(result).vehicle.mass == 1700.0
     assert job(viewer)["text"] == "calibrate: the mass" and job(viewer)["result"]
-    bench.until(viewer._loader.service_is_ready, "the service")
+    bench.until(viewer.jobs.loader.service_is_ready, "the service")
     press(bench, viewer, "load")
     for node in (model, ingest, viewer):
         bench.until(lambda n=node: n.values["twin"] == str(result), f"{node.get_name()} to load it")
@@ -84,7 +84,7 @@ def test_a_calibration_is_loaded_by_all_nodes(bench, viewer, twin_path, tmp_path
 
 def test_a_diagnosis_has_a_report_to_open(bench, viewer, tmp_path):
     bench.make(CalibratorNode, {"diagnose": reported})
-    bench.until(viewer._actions["diagnose"].server_is_ready, "the action")
+    bench.until(viewer.jobs.actions["diagnose"].server_is_ready, "the action")
     assert press(bench, viewer, "diagnose") == ("Diagnosing bumpy", False)
     bench.until(lambda: not job(viewer)["running"], "the diagnosis", 90.0)
     assert job(viewer)["report"] and (tmp_path / "bumpy_diagnosis" / "twin.yaml").is_file()
@@ -94,7 +94,7 @@ def test_a_diagnosis_has_a_report_to_open(bench, viewer, tmp_path):
 
 def test_a_goal_whose_node_ends_is_given_up(bench, viewer):
     calibrator = bench.make(CalibratorNode, {"calibrate": search_until_stopped})
-    bench.until(viewer._actions["calibrate"].server_is_ready, "the action")
+    bench.until(viewer.jobs.actions["calibrate"].server_is_ready, "the action")
     assert press(bench, viewer, "calibrate") == ("Calibrating on bumpy", False)
     bench.until(lambda: "search" in job(viewer)["text"], "the calibration to begin", 60.0)
     bench.remove(calibrator)
@@ -105,7 +105,7 @@ def test_a_goal_whose_node_ends_is_given_up(bench, viewer):
 
 def test_a_calibration_is_cancelled_and_its_best_so_far_is_there(bench, viewer, tmp_path):
     bench.make(CalibratorNode, {"calibrate": search_until_stopped})
-    bench.until(viewer._actions["calibrate"].server_is_ready, "the action")
+    bench.until(viewer.jobs.actions["calibrate"].server_is_ready, "the action")
     assert press(bench, viewer, "cancel") == ("cancel: nothing is running that could be cancelled", True)
     press(bench, viewer, "calibrate")
     bench.until(lambda: "search" in job(viewer)["text"], "the calibration to begin", 60.0)
@@ -128,7 +128,7 @@ def test_a_goal_that_is_not_answered_is_given_up_and_goes_on_if_it_is(bench, vie
 
     server = ActionServer(bench.side, Calibrate, "calibrate", fail, goal_callback=late)
     try:
-        bench.until(viewer._actions["calibrate"].server_is_ready, "the action")
+        bench.until(viewer.jobs.actions["calibrate"].server_is_ready, "the action")
         press(bench, viewer, "calibrate")
         bench.until(lambda: not job(viewer)["running"], "the goal to be given up")
         assert job(viewer)["text"] == "calibrate: the node calibrator did not answer"
@@ -159,13 +159,14 @@ def test_a_best_effort_sensor_is_recorded_too(bench, viewer, tmp_path):
         nonlocal sent
         publisher.publish(put_stamp(message, 1_700_000_000.0 + 0.01 * sent))
         sent += 1
-        return viewer._recorder.counts["imu/data_raw"] >= 20
+        return viewer.recorder.bag.counts["imu/data_raw"] >= 20
 
     def wanted() -> str:
-        ends = publisher.get_subscription_count(), viewer._sensors["imu/data_raw"].get_publisher_count()
-        return (
-            f"20 of {sent} samples of a best-effort publisher, {viewer._recorder.counts} came, {ends} matched"
+        ends = (
+            publisher.get_subscription_count(),
+            viewer.recorder.subscriptions["imu/data_raw"].get_publisher_count(),
         )
+        return f"20 of {sent} samples of a best-effort publisher, {viewer.recorder.bag.counts} came, {ends} matched"
 
     bench.until(recorded, wanted)
     said, wrong = press(bench, viewer, "stop")
@@ -174,7 +175,7 @@ def test_a_best_effort_sensor_is_recorded_too(bench, viewer, tmp_path):
 
 def test_the_player_is_led(bench, viewer, drive):
     player = bench.add(BagPlayer(drive, 1.0, False, Embedding(bench.context), stay=True))
-    bench.until(lambda: viewer._player and viewer._set_player.service_is_ready(), "the player's state")
+    bench.until(lambda: viewer.player.state and viewer.player.client.service_is_ready(), "the player's state")
     press(bench, viewer, "pause")
     bench.until(lambda: player.paused, "the pause")
     assert press(bench, viewer, "speed", 500.0)[1]
@@ -247,8 +248,8 @@ def test_a_first_drive_leads_to_a_calibrated_twin(bench, repository, tmp_path):
     model = bench.make(SuspensionModelNode, twin=str(bump / "twin.yaml"))
     assert press(bench, viewer, "guide") == ("first drive: the node calibrator is not there", True)
     bench.make(CalibratorNode, {"calibrate": lighter})
-    bench.until(viewer._actions["calibrate"].server_is_ready, "the action")
-    bench.until(viewer._loader.service_is_ready, "the service")
+    bench.until(viewer.jobs.actions["calibrate"].server_is_ready, "the action")
+    bench.until(viewer.jobs.loader.service_is_ready, "the service")
     said, wrong = press(bench, viewer, "guide")
     assert not wrong and said.startswith("Stand still")
     assert [state for state, _ in steps(viewer)] == ["now", "later", "later", "later"]
@@ -270,7 +271,7 @@ def test_a_first_drive_ends_where_it_is_told(bench, repository, tmp_path):
     bump = repository / "bags" / "bump_15kmh"
     viewer = bench.make(ViewerNode, twin=str(bump / "twin.yaml"), port=0, folder=str(tmp_path))
     bench.make(CalibratorNode, {"calibrate": lighter})
-    bench.until(viewer._actions["calibrate"].server_is_ready, "the action")
+    bench.until(viewer.jobs.actions["calibrate"].server_is_ready, "the action")
     assert not press(bench, viewer, "guide")[1]
     drive_along(bench, read_drive(bump), (0.0, 2.0))
     said, _ = press(bench, viewer, "guide")
@@ -280,4 +281,4 @@ def test_a_first_drive_ends_where_it_is_told(bench, repository, tmp_path):
     assert not press(bench, viewer, "guide")[1]
     drive_along(bench, replace(drive, imu=lying), (0.0, 4.0))
     bench.until(lambda: [state for state, _ in steps(viewer)] == ["failed"], "the mounting to be seen")
-    assert "imu.rpy" in steps(viewer)[0][1] and viewer._recorder is None
+    assert "imu.rpy" in steps(viewer)[0][1] and viewer.recorder.bag is None

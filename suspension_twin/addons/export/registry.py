@@ -1,23 +1,22 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Every target that a twin can be exported to, found by the name of its file.
+"""All targets that a twin can be exported to, by name.
 
-A target is a module ``suspension_twin/addons/export/<name>.py`` with an object ``TARGET``.
+A target is a module with an object ``TARGET``: ``suspension_twin/addons/export/<name>.py``, or one of an installed
+package that its entry point in the group ``suspension_twin.exporters`` names.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from importlib import import_module
 from pathlib import Path
 from typing import Final
 
-from suspension_twin.errors import InputError, nearest
+from suspension_twin.errors import InputError
+from suspension_twin.registry import Registry
 from suspension_twin.vehicle.twin import Twin
 
 __all__ = ["TARGETS", "ExportSettings", "Target", "characteristics_of", "export_twin", "load_target"]
-
-TARGETS: Final = ("fmu", "carmaker", "simulink", "unity", "csv")
 
 
 @dataclass(frozen=True)
@@ -58,12 +57,18 @@ class Target:
     settings: tuple[str, ...] = ()
 
 
+#: Targets by name, each imported when it is asked for.
+TARGETS: Final = Registry[Target](
+    "exporters",
+    {name: f"{__package__}.{name}:TARGET" for name in ("fmu", "carmaker", "simulink", "unity", "csv")},
+    attribute="TARGET",
+    kind=Target,
+)
+
+
 def load_target(name: str) -> Target:
     """The target of that name; InputError where there is none."""
-    if name not in TARGETS:
-        raise InputError("--to", f"{name} is none of {', '.join(TARGETS)}{nearest(name, TARGETS)}")
-    target: Target = import_module(f"{__package__}.{name}").TARGET
-    return target
+    return TARGETS.named(name, "--to")
 
 
 def export_twin(

@@ -1,28 +1,26 @@
 # SPDX-License-Identifier: Apache-2.0
 """Live phones, receivers and IMUs, without ROS: bytes in, samples out.
 
-A source is one file of this folder, found by the scheme of its URL. It has ``TITLE`` (what a user calls it),
-``EXAMPLE`` (a URL) and ``make(address, hub, rank)``, which returns a :class:`Source` or raises InputError for an
-address that it cannot use. To add one, put its file here and its name into :data:`SOURCES`.
+A source is a module, found by the scheme of its URL: a file of this folder, or a module of an installed package that
+its entry point in the group ``suspension_twin.sources`` names. It has ``TITLE`` (the name that a user knows),
+``EXAMPLE`` (a URL) and ``make(address, hub, rank)``, which returns a :class:`LiveSource` or raises InputError for an
+address that it cannot use.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from importlib import import_module
-from typing import Protocol, cast
+from collections.abc import Callable, Sequence
+from typing import Final, Protocol, runtime_checkable
 
-from suspension_twin.addons.sources.common.address import Address, parse_address
+from suspension_twin.addons.sources.common.connection import Address, parse_address
 from suspension_twin.addons.sources.common.hub import Hub
-from suspension_twin.errors import InputError, nearest
+from suspension_twin.errors import InputError
+from suspension_twin.registry import Registry
 
-__all__ = ["SOURCES", "Source", "SourceModule", "load_source", "make_sources"]
-
-#: Schemes, each with the file of its name.
-SOURCES = ("sensorlogger", "sensorserver", "phyphox", "mqtt", "nmea", "ubx", "gpsd", "ntrip", "iio")
+__all__ = ["SOURCES", "LiveSource", "SourceModule", "make_sources"]
 
 
-class Source(Protocol):
+class LiveSource(Protocol):
     """One open source. All of it runs on one event loop."""
 
     #: What to tell the user, a line each: where to send to, what to set.
@@ -45,26 +43,39 @@ class Source(Protocol):
         ...
 
 
+@runtime_checkable
 class SourceModule(Protocol):
-    """What a module of this folder holds."""
+    """The contents of a source's module."""
 
     TITLE: str
     EXAMPLE: str
 
-    def make(self, address: Address, hub: Hub, rank: int) -> Source:
-        """The source at an address, not yet open."""
-        ...
+    #: The source at an address, not yet open: ``make(address, hub, rank)``.
+    make: Callable[[Address, Hub, int], LiveSource]
 
 
-def load_source(scheme: str) -> SourceModule:
-    """The module of a scheme; InputError for one that is not there."""
-    if scheme not in SOURCES:
-        known = ", ".join(SOURCES)
-        raise InputError("source", scheme, f"is not known{nearest(scheme, SOURCES)}; there are {known}")
-    return cast(SourceModule, import_module(f"{__name__}.{scheme}"))
+#: Modules of sources by scheme.
+SOURCES: Final = Registry[SourceModule](
+    "sources",
+    {
+        scheme: f"{__name__}.{scheme}"
+        for scheme in (
+            "sensorlogger",
+            "sensorserver",
+            "phyphox",
+            "mqtt",
+            "nmea",
+            "ubx",
+            "gpsd",
+            "ntrip",
+            "iio",
+        )
+    },
+    kind=SourceModule,
+)
 
 
-def make_sources(urls: Sequence[str], hub: Hub) -> list[Source]:
+def make_sources(urls: Sequence[str], hub: Hub) -> list[LiveSource]:
     """The sources of these URLs, not yet open. Of a stream that two of them have, the last one's is taken.
 
     Raises InputError for a URL that is none or that the source cannot use.
@@ -72,4 +83,4 @@ def make_sources(urls: Sequence[str], hub: Hub) -> list[Source]:
     if not urls:
         raise InputError("source", "none is given")
     addresses = [parse_address(url) for url in urls]
-    return [load_source(a.scheme).make(a, hub, rank) for rank, a in enumerate(addresses)]
+    return [SOURCES.named(a.scheme, "source").make(a, hub, rank) for rank, a in enumerate(addresses)]

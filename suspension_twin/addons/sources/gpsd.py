@@ -14,8 +14,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from suspension_twin.addons.sources.common.address import Address
-from suspension_twin.addons.sources.common.fields import number, read_object
+from suspension_twin.addons.sources.common.connection import Address, number, read_object
 from suspension_twin.addons.sources.common.hub import Hub
 from suspension_twin.addons.sources.common.receiver import ByteStream, Receiver
 from suspension_twin.drive.clocks import iso_to_posix
@@ -39,7 +38,6 @@ class Gpsd(Receiver):
     """One daemon; with several receivers behind it, all of them."""
 
     steps: Sequence[str] = STEPS
-    code = ""
 
     def __init__(self, address: Address, hub: Hub, rank: int) -> None:
         if not address.host:
@@ -125,6 +123,5 @@ def _with_port(address: Address) -> Address:
     return address if address.port else replace(address, port=_PORT)
 
 
-def make(address: Address, hub: Hub, rank: int) -> Gpsd:
-    """See :class:`~suspension_twin.addons.sources.SourceModule`."""
-    return Gpsd(address, hub, rank)
+#: See ``SourceModule``.
+make = Gpsd

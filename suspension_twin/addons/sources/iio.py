@@ -22,9 +22,8 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from suspension_twin.addons.sources.common.address import Address
-from suspension_twin.addons.sources.common.client import keep_connected
 from suspension_twin.addons.sources.common.clock import host_time
+from suspension_twin.addons.sources.common.connection import Address, PlainSource, keep_connected
 from suspension_twin.addons.sources.common.hub import Hub
 from suspension_twin.addons.sources.common.receiver import DescriptorStream
 from suspension_twin.arrays import Floats
@@ -97,11 +96,10 @@ class _Scan:
         )
 
 
-class Iio:
+class Iio(PlainSource):
     """One device."""
 
     steps: Sequence[str] = STEPS
-    code = ""
 
     def __init__(self, address: Address, hub: Hub, rank: int) -> None:
         address.check_options(("rate", "trigger", "poll"))
@@ -109,12 +107,9 @@ class Iio:
         self._rate = address.number("rate", 0.0, 1.0, 4000.0)
         self._poll = bool(address.number("poll", 0, 0, 1))
         self._trigger = address.options.get("trigger", "")
-        self._hub, self._rank = hub, rank
-        device = hub.device(f"IMU {self._wanted}", rank=rank)
-        if device is None:
-            raise InputError(str(address), "is one source too many")
-        self.device = device
-        self.notes: list[str] = []
+        self._hub = hub
+        self.device = hub.own_device(str(address), f"IMU {self._wanted}", rank=rank)
+        self.notes = []
 
     async def start(self) -> None:
         """InputError for a device that is not there or may not be set up."""
@@ -131,7 +126,7 @@ class Iio:
             ) from None
 
     async def run(self) -> None:
-        """See :class:`~suspension_twin.addons.sources.Source`."""
+        """See :class:`~suspension_twin.addons.sources.LiveSource`."""
         await keep_connected(self._hub, self.device.name, self._polled if self._poll else self._buffered)
 
     async def stop(self) -> None:
@@ -310,6 +305,5 @@ def _matrix(text: str) -> Floats:
     return matrix
 
 
-def make(address: Address, hub: Hub, rank: int) -> Iio:
-    """See :class:`~suspension_twin.addons.sources.SourceModule`."""
-    return Iio(address, hub, rank)
+#: See ``SourceModule``.
+make = Iio

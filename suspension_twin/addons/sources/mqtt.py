@@ -15,8 +15,8 @@ from typing import Any, Final, Literal
 from paho.mqtt.client import Client, MQTTMessage
 from paho.mqtt.enums import CallbackAPIVersion
 
-from suspension_twin.addons.sources.common.address import Address
 from suspension_twin.addons.sources.common.clock import host_time
+from suspension_twin.addons.sources.common.connection import Address, PlainSource
 from suspension_twin.addons.sources.common.hub import Hub
 from suspension_twin.addons.sources.common.sensor_logger import Phones, axes_of
 from suspension_twin.errors import InputError
@@ -43,11 +43,10 @@ _LARGEST: Final = 4_000_000  # bytes of a message
 _WAITING: Final = 1000  # messages that the event loop may be behind
 
 
-class Mqtt:
+class Mqtt(PlainSource):
     """One topic of one broker. The client has a thread of its own, which hands messages to the event loop."""
 
     steps: Sequence[str] = STEPS
-    code = ""
 
     def __init__(self, address: Address, hub: Hub, rank: int) -> None:
         address.check_options(("transport", "tls", "axes", "device"))
@@ -83,13 +82,13 @@ class Mqtt:
         self._client.loop_start()
 
     async def run(self) -> None:
-        """See :class:`~suspension_twin.addons.sources.Source`."""
+        """See :class:`~suspension_twin.addons.sources.LiveSource`."""
         while True:
             await asyncio.sleep(_TICK)
             self.phones.tick(host_time())
 
     async def stop(self) -> None:
-        """See :class:`~suspension_twin.addons.sources.Source`."""
+        """See :class:`~suspension_twin.addons.sources.LiveSource`."""
         self._client.disconnect()
         await asyncio.to_thread(self._client.loop_stop)
 
@@ -97,18 +96,20 @@ class Mqtt:
 
     def _on_connect(self, client: Client, _data: Any, _flags: Any, reason: Any, _properties: Any) -> None:
         if reason.is_failure:
-            self._hub.say("error", f"refused {self._name}", f"{self._name}: refuses the connection, {reason}")
+            self._hub.notify(
+                "error", f"refused {self._name}", f"{self._name}: refuses the connection, {reason}"
+            )
         else:
             client.subscribe(self._topic, qos=0)
-            self._hub.say("ok", f"connection {self._name}", f"{self._name}: connected")
+            self._hub.notify("ok", f"connection {self._name}", f"{self._name}: connected")
 
     def _on_connect_fail(self, _client: Client, _data: Any) -> None:
-        self._hub.say("warn", f"connection {self._name}", f"{self._name}: cannot be reached; trying again")
+        self._hub.notify("warn", f"connection {self._name}", f"{self._name}: cannot be reached; trying again")
 
     def _on_disconnect(self, _client: Client, _data: Any, _flags: Any, reason: Any, _properties: Any) -> None:
         if reason.is_failure:
             text = f"{self._name}: the connection was lost ({reason}); trying again"
-            self._hub.say("warn", f"connection {self._name}", text)
+            self._hub.notify("warn", f"connection {self._name}", text)
 
     def _on_message(self, _client: Client, _data: Any, message: MQTTMessage) -> None:
         if self._pending >= _WAITING or len(message.payload) > _LARGEST:
@@ -127,6 +128,5 @@ class Mqtt:
             self.refused += 1
 
 
-def make(address: Address, hub: Hub, rank: int) -> Mqtt:
-    """See :class:`~suspension_twin.addons.sources.SourceModule`."""
-    return Mqtt(address, hub, rank)
+#: See ``SourceModule``.
+make = Mqtt

@@ -19,7 +19,7 @@ import numpy as np
 from pynmeagps import NMEAReader
 from pynmeagps.exceptions import NMEAMessageError, NMEAParseError, NMEATypeError
 
-from suspension_twin.addons.sources.common.address import Address
+from suspension_twin.addons.sources.common.connection import Address
 from suspension_twin.addons.sources.common.hub import Hub
 from suspension_twin.addons.sources.common.receiver import Receiver
 from suspension_twin.drive.streams import velocities_from_course
@@ -54,7 +54,6 @@ class Nmea(Receiver):
     """One receiver."""
 
     steps: Sequence[str] = STEPS
-    code = ""
 
     def __init__(self, address: Address, hub: Hub, rank: int) -> None:
         super().__init__(address, hub, rank, "NMEA", 9600)
@@ -164,6 +163,5 @@ def _number(value: Any) -> float:
     return float(value) if isinstance(value, int | float) else math.nan
 
 
-def make(address: Address, hub: Hub, rank: int) -> Nmea:
-    """See :class:`~suspension_twin.addons.sources.SourceModule`."""
-    return Nmea(address, hub, rank)
+#: See ``SourceModule``.
+make = Nmea

@@ -18,8 +18,7 @@ from datetime import datetime, timezone
 from typing import Final
 
 from suspension_twin import __version__
-from suspension_twin.addons.sources.common.address import Address
-from suspension_twin.addons.sources.common.client import Stay, keep_connected
+from suspension_twin.addons.sources.common.connection import Address, PlainSource, Stay, keep_connected
 from suspension_twin.addons.sources.common.hub import Hub
 from suspension_twin.errors import InputError
 
@@ -37,11 +36,10 @@ _HEAD: Final = 8192  # bytes of the caster's answer
 _EVERY: Final = 10.0  # s between two positions for the caster
 
 
-class Ntrip:
+class Ntrip(PlainSource):
     """One mountpoint of one caster."""
 
     steps: Sequence[str] = STEPS
-    code = ""
 
     def __init__(self, address: Address, hub: Hub, rank: int) -> None:
         address.check_options(("gga",))
@@ -66,11 +64,8 @@ class Ntrip:
             )
 
     async def run(self) -> None:
-        """See :class:`~suspension_twin.addons.sources.Source`."""
+        """See :class:`~suspension_twin.addons.sources.LiveSource`."""
         await keep_connected(self._hub, self._name, self._session)
-
-    async def stop(self) -> None:
-        """See :class:`~suspension_twin.addons.sources.Source`."""
 
     async def _session(self) -> None:
         host, port = self._address.host, self._address.port or _PORT
@@ -78,7 +73,7 @@ class Ntrip:
         try:
             writer.write(self._request(host, port))
             chunked = await asyncio.wait_for(self._answer(reader), _PATIENCE)
-            self._hub.say("ok", f"connection {self._name}", f"{self._name}: corrections come")
+            self._hub.notify("ok", f"connection {self._name}", f"{self._name}: corrections come")
             next_position, begun = 0.0, chunked
             while True:
                 if self._gga and time.monotonic() > next_position and (sentence := _gga(self._hub)):
@@ -167,6 +162,5 @@ def _gga(hub: Hub) -> bytes:
     return f"${body}*{check:02X}\r\n".encode() if math.isfinite(height) else b""
 
 
-def make(address: Address, hub: Hub, rank: int) -> Ntrip:
-    """See :class:`~suspension_twin.addons.sources.SourceModule`."""
-    return Ntrip(address, hub, rank)
+#: See ``SourceModule``.
+make = Ntrip

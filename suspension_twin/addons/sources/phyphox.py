@@ -22,10 +22,15 @@ from urllib.parse import quote
 import aiohttp
 import numpy as np
 
-from suspension_twin.addons.sources.common.address import Address
-from suspension_twin.addons.sources.common.client import fetch, keep_connected, url_host
 from suspension_twin.addons.sources.common.clock import host_time
-from suspension_twin.addons.sources.common.fields import read_object
+from suspension_twin.addons.sources.common.connection import (
+    Address,
+    PlainSource,
+    fetch,
+    keep_connected,
+    read_object,
+    url_host,
+)
 from suspension_twin.addons.sources.common.hub import Hub
 from suspension_twin.arrays import Floats
 from suspension_twin.drive.clocks import ExperimentTime
@@ -74,11 +79,10 @@ class _Sensor:
         return [f"{quote(time)}={since}", *names]
 
 
-class Phyphox:
+class Phyphox(PlainSource):
     """One phone, asked again and again."""
 
     steps: Sequence[str] = STEPS
-    code = ""
 
     def __init__(self, address: Address, hub: Hub, rank: int) -> None:
         address.check_options(("period",))
@@ -87,29 +91,19 @@ class Phyphox:
         self._period = address.number("period", 0.1, 0.02, 5.0)
         self._base = f"http://{url_host(address.host)}:{address.port or _PORT}"
         self._hub = hub
-        device = hub.device(f"phone {address.host}", rank=rank)
-        if device is None:
-            raise InputError(str(address), "is one source too many")
-        device.position_clock = device.clock
-        self.device = device
+        self.device = hub.own_device(str(address), f"phone {address.host}", rank=rank)
+        self.device.position_clock = self.device.clock
         self.notes = [f"phyphox: connects to {self._base}"]
         self._sensors: dict[str, _Sensor] = {}
         self._time: ExperimentTime | None = None
         self._session_id = ""
         self._measuring = False
 
-    async def start(self) -> None:
-        """Nothing can fail for good: the app may be started later."""
-        timeout = aiohttp.ClientTimeout(total=_PATIENCE, sock_connect=_PATIENCE)
-        self._session = aiohttp.ClientSession(timeout=timeout)
-
     async def run(self) -> None:
-        """See :class:`~suspension_twin.addons.sources.Source`."""
-        await keep_connected(self._hub, self.device.name, self._poll)
-
-    async def stop(self) -> None:
-        """See :class:`~suspension_twin.addons.sources.Source`."""
-        await self._session.close()
+        """See :class:`~suspension_twin.addons.sources.LiveSource`."""
+        timeout = aiohttp.ClientTimeout(total=_PATIENCE, sock_connect=_PATIENCE)
+        async with aiohttp.ClientSession(timeout=timeout) as self._session:
+            await keep_connected(self._hub, self.device.name, self._poll)
 
     async def _get(self, path: str) -> bytes:
         return await fetch(self._session, self._base + path, _MOST)
@@ -139,7 +133,7 @@ class Phyphox:
             await asyncio.sleep(self._period)
 
     async def _look(self) -> None:
-        """What the experiment on the phone has."""
+        """Read which sensors and buffers the experiment on the phone has."""
         config = read_object(await self._get("/config"))
         found: dict[str, dict[str, str]] = {}
         for entry in _list(config.get("inputs")):
@@ -165,7 +159,7 @@ class Phyphox:
         status = read_object(await self._get("/get?")).get("status")
         if isinstance(status, dict) and status.get("measuring") is False:
             await self._get("/control?cmd=start")
-            self._hub.say("ok", "started", f"{self.device.name}: the measurement was started")
+            self._hub.notify("ok", "started", f"{self.device.name}: the measurement was started")
         await self._read_time()
 
     async def _restarted(self, session: str, measuring: bool) -> None:
@@ -174,7 +168,7 @@ class Phyphox:
         if self._session_id and other:
             self._begin_again()
         if self._measuring and not measuring:
-            self._hub.say("warn", "paused", f"{self.device.name}: the measurement is paused, press play")
+            self._hub.notify("warn", "paused", f"{self.device.name}: the measurement is paused, press play")
         self._session_id, self._measuring = session, measuring
         await self._read_time()
 
@@ -250,6 +244,5 @@ def _last(column: Floats, otherwise: float) -> float:
     return float(finite[-1]) if finite.size else otherwise
 
 
-def make(address: Address, hub: Hub, rank: int) -> Phyphox:
-    """See :class:`~suspension_twin.addons.sources.SourceModule`."""
-    return Phyphox(address, hub, rank)
+#: See ``SourceModule``.
+make = Phyphox

@@ -12,8 +12,8 @@ import html
 from collections.abc import Sequence
 from typing import Final
 
-from suspension_twin.addons.sources.common.address import Address
 from suspension_twin.addons.sources.common.clock import host_time
+from suspension_twin.addons.sources.common.connection import Address, PlainSource
 from suspension_twin.addons.sources.common.hub import Hub
 from suspension_twin.addons.sources.common.sensor_logger import Phones, axes_of
 from suspension_twin.addons.sources.common.server import PushServer
@@ -36,11 +36,10 @@ STEPS: Final = (
 _TICK = 0.1
 
 
-class SensorLogger:
+class SensorLogger(PlainSource):
     """The server and its phones."""
 
     steps: Sequence[str] = STEPS
-    code = ""
 
     def __init__(self, address: Address, hub: Hub, rank: int) -> None:
         address.check_options(("token", "axes", "device"))
@@ -50,7 +49,7 @@ class SensorLogger:
         self.server = PushServer(address, self.phones.feed)
         self.server.page = self._page
         self.server.is_spare = self.phones.is_spare
-        self.notes: list[str] = []
+        self.notes = []
 
     async def start(self) -> None:
         """Listen; InputError where the port is taken."""
@@ -59,7 +58,7 @@ class SensorLogger:
         self.notes = [f"Sensor Logger: push to {self.code}"]
 
     def _page(self) -> str:
-        """What the phone's browser shows: the address to copy, and what to do with it."""
+        """The page for the phone's browser: the address to copy, and the steps of the set-up."""
         steps = "".join(f"<li>{html.escape(step)}</li>" for step in STEPS)
         return (
             "<!doctype html><meta name=viewport content='width=device-width'><title>suspension_twin</title>"
@@ -69,16 +68,15 @@ class SensorLogger:
         )
 
     async def run(self) -> None:
-        """See :class:`~suspension_twin.addons.sources.Source`."""
+        """See :class:`~suspension_twin.addons.sources.LiveSource`."""
         while True:
             await asyncio.sleep(_TICK)
             self.phones.tick(host_time())
 
     async def stop(self) -> None:
-        """See :class:`~suspension_twin.addons.sources.Source`."""
+        """See :class:`~suspension_twin.addons.sources.LiveSource`."""
         await self.server.stop()
 
 
-def make(address: Address, hub: Hub, rank: int) -> SensorLogger:
-    """See :class:`~suspension_twin.addons.sources.SourceModule`."""
-    return SensorLogger(address, hub, rank)
+#: See ``SourceModule``.
+make = SensorLogger

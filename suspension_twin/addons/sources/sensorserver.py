@@ -18,10 +18,16 @@ from urllib.parse import quote
 import aiohttp
 import numpy as np
 
-from suspension_twin.addons.sources.common.address import Address
-from suspension_twin.addons.sources.common.client import Stay, keep_connected, url_host
 from suspension_twin.addons.sources.common.clock import host_time
-from suspension_twin.addons.sources.common.fields import number, read_object
+from suspension_twin.addons.sources.common.connection import (
+    Address,
+    PlainSource,
+    Stay,
+    keep_connected,
+    number,
+    read_object,
+    url_host,
+)
 from suspension_twin.addons.sources.common.hub import Hub
 from suspension_twin.arrays import Floats
 from suspension_twin.drive.streams import phone_fix, velocities_from_course
@@ -50,11 +56,10 @@ _CLOSED: Final = {
 }
 
 
-class SensorServer:
+class SensorServer(PlainSource):
     """One phone: a connection for its sensors and one for its location."""
 
     steps: Sequence[str] = STEPS
-    code = ""
 
     def __init__(self, address: Address, hub: Hub, rank: int) -> None:
         address.check_options(())
@@ -65,26 +70,17 @@ class SensorServer:
         self._base = f"ws://{url_host(address.host)}:{address.port or _PORT}"
         self._name = f"phone {address.host}"
         self._hub = hub
-        device = hub.device(self._name, rank=rank, epoch=False)
-        if device is None:
-            raise InputError(str(address), "is one source too many")
-        self.device = device
+        self.device = hub.own_device(str(address), self._name, rank=rank, epoch=False)
         self.notes = [f"SensorServer: connects to {self._base}"]
 
-    async def start(self) -> None:
-        """Nothing can fail for good: the app may be started later."""
-        self._session = aiohttp.ClientSession(timeout=aiohttp.ClientTimeout(sock_connect=5.0))
-
     async def run(self) -> None:
-        """See :class:`~suspension_twin.addons.sources.Source`."""
-        await asyncio.gather(
-            keep_connected(self._hub, f"{self._name} sensors", self._sensors),
-            keep_connected(self._hub, f"{self._name} location", self._location),
-        )
-
-    async def stop(self) -> None:
-        """See :class:`~suspension_twin.addons.sources.Source`."""
-        await self._session.close()
+        """See :class:`~suspension_twin.addons.sources.LiveSource`."""
+        timeout = aiohttp.ClientTimeout(sock_connect=5.0)
+        async with aiohttp.ClientSession(timeout=timeout) as self._session:
+            await asyncio.gather(
+                keep_connected(self._hub, f"{self._name} sensors", self._sensors),
+                keep_connected(self._hub, f"{self._name} location", self._location),
+            )
 
     async def _listen(self, path: str, take: Any) -> None:
         async with self._session.ws_connect(
@@ -139,6 +135,5 @@ class SensorServer:
         device.velocity(velocities_from_course(t, found[5], found[6]), arrival)
 
 
-def make(address: Address, hub: Hub, rank: int) -> SensorServer:
-    """See :class:`~suspension_twin.addons.sources.SourceModule`."""
-    return SensorServer(address, hub, rank)
+#: See ``SourceModule``.
+make = SensorServer

@@ -21,7 +21,7 @@ import numpy as np
 from pyubx2 import UBXMessage, UBXReader, calc_checksum
 from pyubx2.exceptions import UBXMessageError, UBXParseError, UBXStreamError, UBXTypeError
 
-from suspension_twin.addons.sources.common.address import Address
+from suspension_twin.addons.sources.common.connection import Address
 from suspension_twin.addons.sources.common.hub import Hub
 from suspension_twin.addons.sources.common.receiver import ByteStream, Receiver
 from suspension_twin.drive.types import FixData, HeadingData, VelocityData
@@ -50,7 +50,6 @@ class Ubx(Receiver):
     """One receiver."""
 
     steps: Sequence[str] = STEPS
-    code = ""
 
     def __init__(self, address: Address, hub: Hub, rank: int) -> None:
         super().__init__(address, hub, rank, "u-blox", 38400, ("rate", "heading"))
@@ -175,6 +174,5 @@ def _precise_place(payload: bytes) -> tuple[float, float, float, float, float] |
     )
 
 
-def make(address: Address, hub: Hub, rank: int) -> Ubx:
-    """See :class:`~suspension_twin.addons.sources.SourceModule`."""
-    return Ubx(address, hub, rank)
+#: See ``SourceModule``.
+make = Ubx

@@ -6,14 +6,25 @@ from __future__ import annotations
 import asyncio
 import threading
 from collections.abc import Callable, Mapping
-from typing import Any
+from typing import TypedDict
 
 from aiohttp import web
 
 from suspension_twin.addons.view.server import Site, check_origin
 from suspension_twin.errors import InputError, SuspensionTwinError
 
-__all__ = ["FleetServer"]
+__all__ = ["FleetServer", "TwinRow"]
+
+
+class TwinRow(TypedDict, total=False):
+    """One twin on the page: rate in Hz, gap in m/s², gap over its noise floor, a complaint, whether it is an error."""
+
+    name: str
+    rate: float
+    gap: float | None
+    normalised: float | None
+    text: str
+    failing: bool
 
 
 class FleetServer(Site):
@@ -34,13 +45,13 @@ class FleetServer(Site):
         port: int = 8080,
         token: str = "",
     ) -> None:
-        self._rows: list[dict[str, Any]] = [{"name": name} for name in names]
+        self._rows: list[TwinRow] = [{"name": name} for name in names]
         self._names, self._on_open = frozenset(names), on_open
         self._opening = threading.Lock()
         super().__init__(host=host, port=port, token=token)
 
-    def tell(self, rows: Mapping[str, Mapping[str, Any]]) -> None:
-        """Values of each twin by its name: ``rate`` Hz, ``gap`` m/s², ``normalised``, ``text``, ``failing``."""
+    def update(self, rows: Mapping[str, TwinRow]) -> None:
+        """Values of each twin by its name."""
         self._rows = [{"name": row["name"], **rows.get(row["name"], {})} for row in self._rows]
 
     def _add_routes(self, app: web.Application) -> None:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What the page shows of a running twin: the last seconds of its signals, its path, its gap, the health of the nodes.
+"""State of the page: the last seconds of its signals, its path, its gap, the health of the nodes.
 
 A thread of the node adds, the thread of the server takes. Everything that leaves is ready for JSON: times in s since
 the first sample, SI units, no NaN.
@@ -13,16 +13,17 @@ from collections import deque
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import wraps
-from typing import Any, TypeVar
+from typing import Concatenate, ParamSpec, TypeVar
 
 import numpy as np
 
 from suspension_twin.signals.spectra import power_density
 from suspension_twin.vehicle.twin import Twin
 
-__all__ = ["LiveView", "Status", "advice", "scene"]
+__all__ = ["LiveView", "NodeStatus", "advice", "scene"]
 
-_F = TypeVar("_F", bound=Callable[..., Any])
+_P = ParamSpec("_P")
+_R = TypeVar("_R")
 
 #: Seconds of the signals that are kept, and of those the spectrum is taken over; s between two spectra.
 _KEPT, _SPECTRUM, _SPECTRUM_EVERY = 12.0, 10.0, 1.0
@@ -39,7 +40,7 @@ _GOOD, _FAIR = 0.1, 0.5
 
 
 @dataclass(frozen=True)
-class Status:
+class NodeStatus:
     """Health of a node or of one of its inputs: ``level`` 0 ok, 1 warning, 2 error, 3 stale."""
 
     name: str
@@ -48,13 +49,13 @@ class Status:
     values: Mapping[str, str]
 
 
-def _locked(method: _F) -> _F:
+def _locked(method: Callable[Concatenate[LiveView, _P], _R]) -> Callable[Concatenate[LiveView, _P], _R]:
     @wraps(method)
-    def call(self: LiveView, *args: Any, **keywords: Any) -> Any:
+    def call(self: LiveView, /, *args: _P.args, **keywords: _P.kwargs) -> _R:
         with self._lock:
             return method(self, *args, **keywords)
 
-    return call  # type: ignore[return-value]
+    return call
 
 
 class LiveView:
@@ -62,13 +63,15 @@ class LiveView:
 
     def __init__(self) -> None:
         self._lock = threading.RLock()
-        self._scene: dict[str, Any] = {}
-        self._health: dict[str, Status] = {}
-        self._about: dict[str, Any] = {}
+        self._scene: dict[str, object] = {}
+        self._health: dict[str, NodeStatus] = {}
+        self._about: dict[str, object] = {}
         self._origin = 0
-        self._clear()
+        self.clear()
 
-    def _clear(self) -> None:
+    @_locked
+    def clear(self) -> None:
+        """Begin anew: the recording was wound to another place, or another one begins."""
         self._t0: int | None = None
         self._newest = 0
         self._rows: dict[str, deque[list[float]]] = {
@@ -77,15 +80,18 @@ class LiveView:
             "measured": deque(),
             "simulated": deque(),
         }
-        self._fresh: dict[str, list[list[float]]] = {name: [] for name in self._rows}
         self._path: deque[list[float]] = deque(maxlen=_POINTS)
-        self._new_path: list[list[float]] = []
-        self._events: list[dict[str, Any]] = []
+        self._events: list[dict[str, object]] = []
         self._waiting: dict[int, float] = {}
         self._squares, self._count, self._last_gap = 0.0, 0, -1.0
         self._spectrum_at = -math.inf
-        self._changed: dict[str, Any] = {}
-        self._state: dict[str, Any] = {}
+        self._spectrum: dict[str, list[float]] = {}
+        self._restart()
+
+    def _restart(self) -> None:
+        """The next frame holds everything."""
+        self._fresh: dict[str, list[list[float]]] = {name: [] for name in (*self._rows, "path")}
+        self._changed: dict[str, object] = {}
         self._restarted = True
 
     # What a node adds
@@ -94,19 +100,14 @@ class LiveView:
     def show(self, twin: Twin) -> None:
         """A twin was loaded."""
         self._scene = scene(twin)
-        self._restarted = True
+        self._restart()
 
     @_locked
     def count_from(self, ns: int) -> None:
         """Stamp of the first sample of a recording, from which the seconds shown are counted."""
         if ns != self._origin:
             self._origin = ns
-            self._clear()
-
-    @_locked
-    def clear(self) -> None:
-        """Begin anew: the recording was wound to another place."""
-        self._clear()
+            self.clear()
 
     @_locked
     def pose(self, ns: int, place: Sequence[float], turn: Sequence[float]) -> None:
@@ -135,61 +136,50 @@ class LiveView:
             self._count += 1
 
     @_locked
-    def tell(self, name: str, value: Any) -> None:
+    def update(self, name: str, value: object) -> None:
         """Any other value of the page, shown until it changes: ``gap``, ``motion``, ``player``, ``job``, ``record``."""
         value = _finite(value)
         if self._about.get(name) != value:
             self._about[name] = self._changed[name] = value
 
     @_locked
-    def health(self, status: Status) -> None:
+    def health(self, status: NodeStatus) -> None:
         """The health of a node or of an input, by its name."""
         if self._health.get(status.name) != status:
             self._health[status.name] = status
-            self._changed["health"] = None
+            self._changed["health"] = self._statuses()
 
     @_locked
     def mark(self, text: str) -> None:
         """An event at the newest stamp and place."""
         pose = self._rows["pose"]
-        event = {"t": self._seconds(self._newest), "text": text, "x": None, "y": None}
+        event: dict[str, object] = {"t": self._seconds(self._newest), "text": text, "x": None, "y": None}
         if pose:
             event |= {"x": pose[-1][1], "y": pose[-1][2]}
         self._events.append(event)
-        self._changed["events"] = None
+        self._changed["events"] = self._events
 
     # What the server takes
 
     @_locked
-    def frame(self) -> dict[str, Any]:
-        """What is new since the last call, or everything after a restart; empty if nothing is."""
-        if self._restarted:
-            self._restarted = False
-            self._changed.clear()
-            for rows in self._fresh.values():
-                rows.clear()
-            self._new_path.clear()
-            return self.snapshot()
-        out: dict[str, Any] = {name: rows for name, rows in self._fresh.items() if rows}
-        self._fresh = {name: [] for name in self._rows}
-        if self._new_path:
-            out["path"], self._new_path = self._new_path, []
+    def frame(self) -> dict[str, object]:
+        """Changes since the last call, or everything after a restart; empty if there are none."""
+        whole = self._restarted
+        out: dict[str, object] = {name: rows for name, rows in self._fresh.items() if rows}
         out |= self._changed
-        if "health" in out:
-            out["health"] = self._statuses()
-        if "events" in out:
-            out["events"] = self._events
-        self._changed = {}
+        self._restart()
+        self._restarted = False
+        if whole:
+            return self.snapshot()
         now = self._seconds(self._newest)
         if now - self._spectrum_at >= _SPECTRUM_EVERY:
             self._spectrum_at = now
-            spectrum = self._spectrum()
-            if spectrum:
-                out["spectrum"] = self._state["spectrum"] = spectrum
+            if spectrum := self._density():
+                out["spectrum"] = self._spectrum = spectrum
         return out
 
     @_locked
-    def snapshot(self) -> dict[str, Any]:
+    def snapshot(self) -> dict[str, object]:
         """Everything, for a page that was just opened."""
         return {
             "reset": True,
@@ -199,7 +189,7 @@ class LiveView:
             "events": self._events,
             "health": self._statuses(),
             **self._about,
-            **self._state,
+            **({"spectrum": self._spectrum} if self._spectrum else {}),
         }
 
     # Inner workings
@@ -211,7 +201,7 @@ class LiveView:
         if not all(map(math.isfinite, row)):
             return False
         if ns < self._newest - _BACK * 1e9:
-            self._clear()
+            self.clear()
         if self._t0 is None:
             self._t0 = self._origin if self._origin <= ns < self._origin + _DAY else ns
         self._newest = max(self._newest, ns)
@@ -235,25 +225,25 @@ class LiveView:
         self._squares, self._count = 0.0, 0
         point = [round(x, 2), round(y, 2), round(self._last_gap, 4)]
         self._path.append(point)
-        self._new_path.append(point)
-        del self._new_path[:-_POINTS]
+        self._fresh["path"].append(point)
+        del self._fresh["path"][:-_POINTS]
 
-    def _statuses(self) -> list[dict[str, Any]]:
+    def _statuses(self) -> list[dict[str, object]]:
         return [
             {"name": s.name, "level": s.level, "message": s.message, "values": dict(s.values)}
             for _, s in sorted(self._health.items())
         ]
 
-    def _spectrum(self) -> dict[str, list[float]] | None:
+    def _density(self) -> dict[str, list[float]]:
         """Density of both signals over the last seconds, on a common grid."""
         tables = [np.array(self._rows[name]) for name in ("measured", "simulated")]
         if any(len(table) < 100 for table in tables):
-            return None
+            return {}
         first, last = max(t[0, 0] for t in tables), min(t[-1, 0] for t in tables)
         first = max(first, last - _SPECTRUM)
         rate = 1.0 / float(np.median(np.diff(tables[0][:, 0]))) if len(tables[0]) > 1 else 0.0
         if last - first < _SEGMENT or not math.isfinite(rate) or rate <= 0:
-            return None
+            return {}
         grid = np.arange(first, last, 1.0 / rate)
         signals = np.column_stack([np.interp(grid, t[:, 0], t[:, 1]) for t in tables])
         f, density = power_density(signals, rate, _SEGMENT)
@@ -263,7 +253,7 @@ class LiveView:
         return {n: [float(f"{v:.4g}") for v in c] for n, c in zip(names, columns, strict=True)}
 
 
-def _finite(value: Any) -> Any:
+def _finite(value: object) -> object:
     """The value with None for every number that JSON cannot say."""
     if isinstance(value, float):
         return value if math.isfinite(value) else None
@@ -274,7 +264,7 @@ def _finite(value: Any) -> Any:
     return value
 
 
-def scene(twin: Twin) -> dict[str, Any]:
+def scene(twin: Twin) -> dict[str, object]:
     """Geometry of the vehicle for the picture in 3D: wheels with their joints, sensors, and names."""
     joints = twin.joints
     return {

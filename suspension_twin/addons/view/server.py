@@ -14,21 +14,26 @@ import hmac
 import json
 import socket
 import threading
-from collections.abc import Awaitable, Callable
+from collections.abc import Awaitable, Callable, Coroutine
+from concurrent.futures import Future
+from concurrent.futures import TimeoutError as NoAnswer
 from pathlib import Path
-from typing import Any
+from queue import SimpleQueue
+from typing import TypeVar
 from urllib.parse import urlsplit
 
 from aiohttp import WSMsgType, web
 
 from suspension_twin.addons.view.ground import tile
 from suspension_twin.addons.view.live import LiveView
-from suspension_twin.errors import InputError, SuspensionTwinError
+from suspension_twin.errors import InputError, SuspensionTwinError, WorkError
 from suspension_twin.road.road import Road
 
-__all__ = ["ACTIONS", "Server", "Site", "is_local"]
+__all__ = ["ACTIONS", "Requests", "Server", "Site", "is_local"]
 
-#: What a viewer may ask for, and whether a number comes with it.
+_T = TypeVar("_T")
+
+#: Buttons of a viewer, and whether a number comes with each.
 ACTIONS = {
     "record": False,
     "stop": False,
@@ -45,6 +50,8 @@ ACTIONS = {
 }
 #: Frames a second, frames that may wait for a slow viewer, bytes of a request, viewers at a time.
 _RATE, _WAITING, _LARGEST, _VIEWERS = 30.0, 60, 1024, 32
+#: s that an answer to a button may take.
+_PATIENCE = 6.0
 _BEAT = 1.0  # s after which an empty frame says that the program is still there (tolerance, by hand)
 _HERE = Path(__file__).parent
 _FILES = frozenset({"app.js", "charts.js", "fleet.js", "scene.js", "style.css"})
@@ -96,7 +103,7 @@ class Site:
         self._loop.call_soon_threadsafe(self._loop.stop)
         self._thread.join(2.0)
 
-    def _run(self, work: Any, patience: float = 10.0) -> Any:
+    def _run(self, work: Coroutine[None, None, _T], patience: float = 10.0) -> _T:
         return asyncio.run_coroutine_threadsafe(work, self._loop).result(patience)
 
     async def _start(self, port: int) -> int:
@@ -106,14 +113,11 @@ class Site:
         self._add_routes(app)
         self._runner = web.AppRunner(app, access_log=None)
         await self._runner.setup()
-        site = web.TCPSite(self._runner, self.host, port)
-        await site.start()
-        assert site._server is not None
-        sockets = site._server.sockets  # type: ignore[attr-defined]
-        return int(sockets[0].getsockname()[1])
+        await web.TCPSite(self._runner, self.host, port).start()
+        return int(self._runner.addresses[0][1])
 
     def _add_routes(self, app: web.Application) -> None:
-        """What there is beside the page and its files."""
+        """Add routes beside the page and its files."""
 
     async def _stop(self) -> None:
         await self._runner.cleanup()
@@ -263,7 +267,7 @@ async def _send(socket: web.WebSocketResponse, queue: asyncio.Queue[str]) -> Non
             await socket.send_str(await queue.get())
 
 
-def encoded(frame: dict[str, Any]) -> str:
+def encoded(frame: dict[str, object]) -> str:
     """A frame as JSON."""
     return json.dumps(frame, separators=(",", ":"), allow_nan=False)
 
@@ -282,3 +286,31 @@ def parse_action(text: str) -> tuple[str, float | None]:
     if isinstance(value, bool) or not isinstance(value, (int, float)) or not abs(value) < 1e9:
         raise InputError("request", f"{name} needs a number")
     return name, float(value)
+
+
+class Requests:
+    """Hands the name and the number of a button to ``answer``, on the thread that calls :meth:`serve`."""
+
+    def __init__(self, answer: Callable[[str, float | None], str]) -> None:
+        self._answer = answer
+        self._waiting: SimpleQueue[tuple[str, float | None, Future[str]]] = SimpleQueue()
+
+    def ask(self, name: str, number: float | None) -> str:
+        """The answer for who pressed the button. Raises the SuspensionTwinError of the other thread."""
+        answered: Future[str] = Future()
+        self._waiting.put((name, number, answered))
+        try:
+            return answered.result(_PATIENCE)
+        except NoAnswer:
+            raise WorkError(f"{name}: no answer") from None
+
+    def serve(self) -> None:
+        """Answer everything that waits."""
+        while not self._waiting.empty():
+            name, number, answered = self._waiting.get()
+            try:
+                answered.set_result(self._answer(name, number))
+            except SuspensionTwinError as error:
+                answered.set_exception(error)
+            except Exception as error:  # the page gets an answer in any case
+                answered.set_exception(WorkError(f"{name}: {type(error).__name__}: {error}"))

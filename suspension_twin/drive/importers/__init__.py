@@ -1,28 +1,27 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Importers of recordings, one file each, registered here by the name of the file.
+"""Importers of recordings, by name.
 
-An importer is a module with ``TITLE`` (the user's name of the format), ``recognises(source)`` and
-``read(source)``; to add one, put its file here and its name into :data:`IMPORTERS`.
+An importer is a module with ``TITLE`` (the format as a user calls it), ``recognises(source)`` and ``read(source)``: a
+file of this folder, or a module of an installed package that its entry point in the group ``suspension_twin.importers``
+names.
 """
 
 from __future__ import annotations
 
-from importlib import import_module
-from typing import Protocol, cast
+from typing import Final, Protocol, runtime_checkable
 
 from suspension_twin.drive.foreign_files import RecordedFiles
 from suspension_twin.drive.streams import Streams
 from suspension_twin.errors import InputError
 from suspension_twin.files import reading
+from suspension_twin.registry import Registry
 
 __all__ = ["IMPORTERS", "Importer", "importer_of", "load_importer", "read_source"]
 
-#: Asked in this order; the first that recognises a source reads it.
-IMPORTERS = ("sensor_logger", "phyphox", "matlab_mobile", "rtklib", "comma2k19")
 
-
+@runtime_checkable
 class Importer(Protocol):
-    """Interface of a module of this folder."""
+    """Interface of an importer's module."""
 
     TITLE: str
 
@@ -35,21 +34,29 @@ class Importer(Protocol):
         ...
 
 
+#: Asked in this order, plugins last; the first that recognises a source reads it.
+IMPORTERS: Final = Registry[Importer](
+    "importers",
+    {
+        name: f"{__name__}.{name}"
+        for name in ("sensor_logger", "phyphox", "matlab_mobile", "rtklib", "comma2k19")
+    },
+    kind=Importer,
+)
+
+
 def load_importer(name: str) -> Importer:
     """The importer of a registered name; InputError for another."""
-    if name not in IMPORTERS:
-        raise InputError("importer", name, f"is not known; there are {', '.join(IMPORTERS)}")
-    return cast(Importer, import_module(f"{__name__}.{name}"))
+    return IMPORTERS.named(name, "importer")
 
 
 def importer_of(source: RecordedFiles) -> Importer:
     """The importer that recognises the source; InputError if none does."""
-    for name in IMPORTERS:
-        importer = load_importer(name)
+    for importer in IMPORTERS.values():
         with reading(source.path, "a recording"):
             if importer.recognises(source):
                 return importer
-    titles = ", ".join(load_importer(name).TITLE for name in IMPORTERS)
+    titles = ", ".join(importer.TITLE for importer in IMPORTERS.values())
     raise InputError(
         source.path,
         f"format not recognised (known: {titles}; bags); describe its columns in a file and give it as --mapping",

@@ -9,7 +9,7 @@ from collections.abc import Awaitable, Callable
 
 import numpy as np
 
-from suspension_twin.addons.sources import Source, make_sources
+from suspension_twin.addons.sources import LiveSource, make_sources
 from suspension_twin.addons.sources.common.hub import Hub
 from suspension_twin.addons.sources.common.runner import running
 from suspension_twin.drive.types import Drive, FixData, ImuData, VelocityData
@@ -25,7 +25,7 @@ class Taken:
 
     def take(self) -> None:
         self.packets += self.hub.take()
-        self.said += [finding.text for finding in self.hub.heard()]
+        self.said += [finding.text for finding in self.hub.events()]
 
     def _of(self, stream: str) -> list:
         return [p.samples for p in self.packets if p.stream == stream]
@@ -48,7 +48,7 @@ class Taken:
 
 def listen(
     url: str | list[str],
-    play: Callable[[list[Source], Taken], Awaitable[object]],
+    play: Callable[[list[LiveSource], Taken], Awaitable[object]],
     until: Callable[[Taken], bool] | None = None,
     seconds: float = 20.0,
 ) -> Taken:

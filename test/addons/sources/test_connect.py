@@ -17,13 +17,12 @@ from rich.console import Console
 from sensor_logger_app import SensorLoggerApp
 from test_record import free_port, start, wait_for_port
 
-from suspension_twin.addons.sources import SOURCES, load_source, make_sources
+from suspension_twin.addons.cli.connect import _experiment
+from suspension_twin.addons.cli.live_lines import show_guide
+from suspension_twin.addons.sources import SOURCES, make_sources
 from suspension_twin.addons.sources.common.assess import assess, verdict
-from suspension_twin.addons.sources.common.discover import discover, serial_ports
 from suspension_twin.addons.sources.common.hub import Hub
-from suspension_twin.addons.sources.common.report import findings
-from suspension_twin.cli._live import show_guide
-from suspension_twin.cli.connect import _experiment
+from suspension_twin.addons.sources.common.report import discover, findings, serial_ports
 from suspension_twin.drive.types import Drive, FixData, ImuData, VelocityData
 from suspension_twin.signals.checks import Finding
 
@@ -148,7 +147,7 @@ def test_a_rate_is_judged_once_a_stream_has_come_for_a_second(rate: float, slow:
 
 @pytest.mark.parametrize("name", SOURCES)
 def test_every_source_says_how_it_is_set_up(name: str) -> None:
-    assert all(step.endswith(".") and len(step) < 120 for step in load_source(name).STEPS)
+    assert all(step.endswith(".") and len(step) < 120 for step in SOURCES[name].STEPS)
 
 
 def test_on_a_terminal_the_address_is_a_qr_code(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -118,7 +118,9 @@ def test_the_tree_of_the_kernels_own_driver(
     repository: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """As ``benchmarks/iio_qemu.py`` kept it: the registers stood for these raw values at ±2 g and ±2000 °/s."""
-    lines = (repository / "test" / "sources" / "data" / "bmi160_sysfs.txt").read_text().splitlines()
+    lines = (
+        (repository / "test" / "addons" / "sources" / "data" / "bmi160_sysfs.txt").read_text().splitlines()
+    )
     for name, _, value in (line.partition(" ") for line in lines if not line.startswith("#")):
         (tmp_path / "iio:device0" / name).parent.mkdir(parents=True, exist_ok=True)
         (tmp_path / "iio:device0" / name).write_text(f"{value}\n")

@@ -21,7 +21,7 @@ from sensor_logger_app import SensorLoggerApp
 
 from suspension_twin.addons.sources.common import recorder as recorder_module
 from suspension_twin.addons.sources.common.hub import Hub, Packet
-from suspension_twin.addons.sources.common.recorder import Recorder
+from suspension_twin.addons.sources.common.recorder import LiveRecorder
 from suspension_twin.addons.sources.common.runner import SourceLoop
 from suspension_twin.cli.main import main
 from suspension_twin.drive import write
@@ -126,7 +126,7 @@ def test_wrong_arguments_are_one_line(arguments, words, tmp_path, capsys) -> Non
 
 def test_every_stream_is_written(tmp_path: Path, bump: Drive) -> None:
     heading = HeadingData(bump.fix.t, np.linspace(0.0, 1.0, len(bump.fix)))
-    with Recorder(tmp_path / "a.mcap") as recorder:
+    with LiveRecorder(tmp_path / "a.mcap") as recorder:
         for samples in (bump.imu, bump.fix, bump.velocity, heading):
             recorder.write([Packet("phone", samples, 0.0)])
     drive = read_drive(tmp_path / "a.mcap")
@@ -142,7 +142,7 @@ def test_every_stream_is_written(tmp_path: Path, bump: Drive) -> None:
 
 
 def test_a_recording_without_imu_is_none(tmp_path: Path, bump: Drive) -> None:
-    with pytest.raises(WorkError, match="nothing recorded"), Recorder(tmp_path / "a") as recorder:
+    with pytest.raises(WorkError, match="nothing recorded"), LiveRecorder(tmp_path / "a") as recorder:
         recorder.write([Packet("phone", bump.fix, 0.0)])
     assert list(tmp_path.iterdir()) == []
 
@@ -183,7 +183,7 @@ def test_a_full_disk_leaves_what_was_recorded_until_then(
         closed(self)
 
     monkeypatch.setattr(McapWriter, "close_chunk", full)
-    with pytest.raises(WorkError, match="No space left"), Recorder(tmp_path / name) as recorder:
+    with pytest.raises(WorkError, match="No space left"), LiveRecorder(tmp_path / name) as recorder:
         for part in range(0, 800, 100):
             recorder.write([Packet("phone", bump.imu.select(slice(part, part + 100)), 0.0)])
     monkeypatch.undo()
@@ -193,12 +193,12 @@ def test_a_full_disk_leaves_what_was_recorded_until_then(
 
 @pytest.mark.parametrize("name", ["live", "live.mcap"])
 def test_what_a_recording_replaces_stays_where_nothing_comes(name: str, bump: Drive, tmp_path: Path) -> None:
-    with Recorder(tmp_path / name) as recorder:
+    with LiveRecorder(tmp_path / name) as recorder:
         recorder.write([Packet("phone", bump.imu, 0.0)])
-    with pytest.raises(WorkError, match="nothing recorded"), Recorder(tmp_path / name, overwrite=True):
+    with pytest.raises(WorkError, match="nothing recorded"), LiveRecorder(tmp_path / name, overwrite=True):
         pass
     assert len(read_drive(tmp_path / name).imu) == len(bump.imu)
-    with Recorder(tmp_path / name, overwrite=True) as recorder:
+    with LiveRecorder(tmp_path / name, overwrite=True) as recorder:
         recorder.write([Packet("phone", bump.imu.select(slice(0, 100)), 0.0)])
     assert len(read_drive(tmp_path / name).imu) == 100
     assert [p.name for p in tmp_path.iterdir()] == [name]

@@ -175,7 +175,7 @@ def test_who_drives_the_sources_has_time_behind_a_sample(bump: Drive) -> None:
         sender.start()
         for _ in range(3):
             loop.run_until_delivered(60.0)
-            assert hub.take() or hub.heard()
+            assert hub.take() or hub.events()
     finally:
         loop.close()
 

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from suspension_twin.addons.view.ground import NODES, SIDE, tile
-from suspension_twin.addons.view.live import LiveView, Status, advice, scene
+from suspension_twin.addons.view.live import LiveView, NodeStatus, advice, scene
 from suspension_twin.vehicle.twin import load_twin
 
 START = 1_700_000_000_000_000_000
@@ -98,7 +98,7 @@ def test_nothing_that_is_not_finite_gets_on_the_page():
     fill(view, 1.0)
     view.measured(START + 2 * 10**9, math.nan)
     view.pose(START + 2 * 10**9, (math.inf, 0.0, 0.0), (0.0, 0.0, 0.0, 1.0))
-    view.tell("gap", {"rms": math.nan, "bands": [(0.5, 3.0, math.inf)]})
+    view.update("gap", {"rms": math.nan, "bands": [(0.5, 3.0, math.inf)]})
     text = json.dumps(view.frame(), allow_nan=False)
     assert '"rms": null' in text and "[0.5, 3.0, null]" in text
 
@@ -106,13 +106,13 @@ def test_nothing_that_is_not_finite_gets_on_the_page():
 def test_health_and_other_values_come_when_they_change():
     view = LiveView()
     view.frame()
-    ingest = Status("imu_ingest", 0, "ok", {"rate (Hz)": "100.0"})
+    ingest = NodeStatus("imu_ingest", 0, "ok", {"rate (Hz)": "100.0"})
     view.health(ingest)
-    view.tell("gap", {"rms": 0.2})
+    view.update("gap", {"rms": 0.2})
     frame = view.frame()
     assert frame["health"][0]["name"] == "imu_ingest" and frame["gap"] == {"rms": 0.2}
     view.health(ingest)
-    view.tell("gap", {"rms": 0.2})
+    view.update("gap", {"rms": 0.2})
     assert view.frame() == {}
     view.mark("a pothole")
     assert view.frame()["events"][0]["text"] == "a pothole"

@@ -116,13 +116,13 @@ def test_another_sites_page_gets_no_websocket(serve):
 
 def test_a_viewer_gets_everything_then_what_is_new_and_answers(serve):
     server = serve()
-    server.view.tell("gap", {"rms": 0.5})
+    server.view.update("gap", {"rms": 0.5})
 
     async def watch() -> None:
         async with ClientSession() as session, session.ws_connect(f"{server.url}ws") as socket:
             first = await socket.receive_json(timeout=5.0)
             assert first["reset"] and first["gap"] == {"rms": 0.5}
-            server.view.tell("gap", {"rms": 0.7})
+            server.view.update("gap", {"rms": 0.7})
             while (await socket.receive_json(timeout=5.0)).get("gap") != {"rms": 0.7}:
                 pass
             for asked, said, wrong in (
@@ -153,7 +153,7 @@ def test_a_viewer_that_does_not_read_costs_no_memory_and_the_others_nothing(serv
             await sleeper.receive_json(timeout=5.0)
             async with session.ws_connect(f"{server.url}ws", max_msg_size=0) as reader:
                 for note in news:
-                    server.view.tell("note", note)
+                    server.view.update("note", note)
                     while (await reader.receive_json(timeout=10.0)).get("note") != note:
                         pass
                 return max(queue.qsize() for queue in server._queues)

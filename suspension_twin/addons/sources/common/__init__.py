@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What all sources share: addresses, clocks, pairing of streams, the hub that samples go to, the server."""
+"""Shared parts of the sources: connections, clocks, the hub that pairs and merges samples, the server."""

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What arrives, in words: rate, units, gravity and mounting, the receiver's accuracy, and whether it will do."""
+"""Assessment of arriving samples: rate, units, gravity, mounting, accuracy of the receiver, use for a calibration."""
 
 from __future__ import annotations
 

@@ -103,7 +103,7 @@ class ArrivalClock:
     _stepped = False
 
     def _find_step(self, t: Floats, arrival: float) -> Floats | float:
-        """What to add to each stamp; remembers a step that lies before or among them."""
+        """Correction of each stamp; remembers a step that lies before or among them."""
         self._stepped = False
         if not self.live or math.isnan(self._last):
             return self.shift

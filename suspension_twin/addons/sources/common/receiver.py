@@ -12,9 +12,8 @@ from collections.abc import AsyncIterator, Collection
 from contextlib import asynccontextmanager
 from typing import Final
 
-from suspension_twin.addons.sources.common.address import Address
-from suspension_twin.addons.sources.common.client import keep_connected
 from suspension_twin.addons.sources.common.clock import host_time
+from suspension_twin.addons.sources.common.connection import Address, PlainSource, keep_connected
 from suspension_twin.addons.sources.common.hub import Hub
 from suspension_twin.errors import InputError
 
@@ -120,7 +119,7 @@ async def open_stream(address: Address, baud: int) -> AsyncIterator[ByteStream]:
         os.close(descriptor)
 
 
-class Receiver:
+class Receiver(PlainSource):
     """A receiver that is read from; a subclass has ``feed``, and ``opened`` if there is something to send first."""
 
     def __init__(
@@ -134,12 +133,8 @@ class Receiver:
             raise InputError(str(address), f"has no port: write {address.scheme}://HOST:PORT")
         self.address = address
         self.hub = hub
-        device = hub.device(
-            f"receiver {address.host or os.path.basename(address.path)}", rank=RECEIVER_RANK + rank
-        )
-        if device is None:
-            raise InputError(str(address), "is one source too many")
-        self.device = device
+        name = f"receiver {address.host or os.path.basename(address.path)}"
+        self.device = hub.own_device(str(address), name, rank=RECEIVER_RANK + rank)
         self.understood = 0
         self.notes = [f"{title}: reads {address.where.removeprefix('//')}"]
         self._noise = 0
@@ -162,11 +157,8 @@ class Receiver:
             raise InputError(self.address.path, "permission denied (the group dialout may use serial ports)")
 
     async def run(self) -> None:
-        """See :class:`~suspension_twin.addons.sources.Source`."""
+        """See :class:`~suspension_twin.addons.sources.LiveSource`."""
         await keep_connected(self.hub, self.device.name, self._session)
-
-    async def stop(self) -> None:
-        """See :class:`~suspension_twin.addons.sources.Source`."""
 
     async def _session(self) -> None:
         async with open_stream(self.address, self.baud) as stream:
@@ -192,10 +184,10 @@ class Receiver:
         before = self._noise
         self._noise = 0 if understood else before + size
         if before < _NOISE <= self._noise:
-            self.hub.say("warn", f"noise {self.device.name}", f"{self.device.name}: {self.doubt()}")
+            self.hub.notify("warn", f"noise {self.device.name}", f"{self.device.name}: {self.doubt()}")
 
     def doubt(self) -> str:
-        """What may be wrong where nothing can be read."""
+        """Possible cause where nothing can be read."""
         return f"sends nothing that can be read at {self.baud} bit/s: try another ?baud="
 
     def _correct(self, data: bytes) -> None:

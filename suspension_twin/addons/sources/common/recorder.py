@@ -14,13 +14,13 @@ from suspension_twin.drive.read import Topics
 from suspension_twin.drive.write import BagWriter, write_samples
 from suspension_twin.errors import WorkError
 
-__all__ = ["Recorder"]
+__all__ = ["LiveRecorder"]
 
 #: s after which what was given is written out, as often as the bag goes to the disk.
 _FLUSH = 1.0
 
 
-class Recorder:
+class LiveRecorder:
     """Writes packets into a new recording; use it as a context manager.
 
     ``counts`` are the samples so far by stream. What came until about two seconds ago stays, whatever happens.
@@ -33,7 +33,7 @@ class Recorder:
         self._bag = BagWriter(path, overwrite=overwrite, live=True)
         self._flushed = time.monotonic()
 
-    def __enter__(self) -> Recorder:
+    def __enter__(self) -> LiveRecorder:
         self._bag.__enter__()
         return self
 

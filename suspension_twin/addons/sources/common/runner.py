@@ -10,7 +10,7 @@ from collections.abc import AsyncIterator, Sequence
 from contextlib import asynccontextmanager
 from typing import Any
 
-from suspension_twin.addons.sources import Source, make_sources
+from suspension_twin.addons.sources import LiveSource, make_sources
 from suspension_twin.addons.sources.common.hub import Hub
 from suspension_twin.errors import InputError
 
@@ -21,7 +21,7 @@ _AGAIN = 1.0
 
 
 @asynccontextmanager
-async def running(sources: Sequence[Source], hub: Hub) -> AsyncIterator[None]:
+async def running(sources: Sequence[LiveSource], hub: Hub) -> AsyncIterator[None]:
     """The sources receive within. Raises InputError where one cannot be opened."""
     tasks: list[asyncio.Task[None]] = []
     try:
@@ -38,19 +38,19 @@ async def running(sources: Sequence[Source], hub: Hub) -> AsyncIterator[None]:
                 await source.stop()
 
 
-async def _keep_running(source: Source, hub: Hub) -> None:
+async def _keep_running(source: LiveSource, hub: Hub) -> None:
     """Whatever a sender causes, the source goes on."""
     while True:
         try:
             await source.run()
         except Exception as error:
             text = str(error) if isinstance(error, InputError) else f"{type(error).__name__}: {error}"
-            hub.say("error", "source failed", f"a source failed and is started again: {text}")
+            hub.notify("error", "source failed", f"a source failed and is started again: {text}")
         await asyncio.sleep(_AGAIN)
 
 
-def _said(loop: asyncio.AbstractEventLoop, context: dict[str, Any]) -> None:
-    """What a task ended with and nobody asked for: a Ctrl-C that met it is no error."""
+def _report_unhandled(loop: asyncio.AbstractEventLoop, context: dict[str, Any]) -> None:
+    """Report an exception that no task has taken; a Ctrl-C that met one is no error."""
     if not isinstance(context.get("exception"), KeyboardInterrupt):
         loop.default_exception_handler(context)
 
@@ -64,7 +64,7 @@ class SourceLoop:
     def __init__(self, urls: Sequence[str], hub: Hub) -> None:
         self.sources = make_sources(urls, hub)
         self._loop = asyncio.new_event_loop()
-        self._loop.set_exception_handler(_said)
+        self._loop.set_exception_handler(_report_unhandled)
         self._came = asyncio.Event()
         self._open = running(self.sources, hub)
         try:
@@ -75,7 +75,7 @@ class SourceLoop:
 
     @property
     def notes(self) -> list[str]:
-        """What the sources have to tell the user."""
+        """Addresses and settings for the user, a line each."""
         return [note for source in self.sources for note in source.notes]
 
     def run(self, seconds: float) -> None:
@@ -103,47 +103,18 @@ class SourceLoop:
             self._loop.close()
 
 
-class SourceThread:
-    """Sources on a thread of their own.
-
-    Raises InputError, on the caller's thread, for a URL that is none and for a source that cannot be opened.
-    """
+class SourceThread(SourceLoop):
+    """Sources that receive on a thread of their own, once they have been opened on the caller's."""
 
     def __init__(self, urls: Sequence[str], hub: Hub) -> None:
-        self.sources = make_sources(urls, hub)
-        self._hub = hub
-        self._ready = threading.Event()
-        self._error: BaseException | None = None
-        self._loop = asyncio.new_event_loop()
-        self._end = asyncio.Event()
-        self._thread = threading.Thread(target=self._work, name="sources", daemon=True)
+        super().__init__(urls, hub)
+        self._thread = threading.Thread(target=self._loop.run_forever, name="sources", daemon=True)
         self._thread.start()
-        self._ready.wait()
-        if self._error is not None:
-            self._thread.join()
-            raise self._error
-
-    @property
-    def notes(self) -> list[str]:
-        """What the sources have to tell the user."""
-        return [note for source in self.sources for note in source.notes]
 
     def close(self) -> None:
         """Stop the sources and the thread."""
         if self._thread.is_alive():
-            self._loop.call_soon_threadsafe(self._end.set)
+            self._loop.call_soon_threadsafe(self._loop.stop)
             self._thread.join(5.0)
-
-    def _work(self) -> None:
-        try:
-            self._loop.run_until_complete(self._serve())
-        except BaseException as error:
-            self._error = error
-        finally:
-            self._ready.set()
-            self._loop.close()
-
-    async def _serve(self) -> None:
-        async with running(self.sources, self._hub):
-            self._ready.set()
-            await self._end.wait()
+        if not self._loop.is_running():
+            super().close()

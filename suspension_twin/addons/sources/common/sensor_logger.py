@@ -17,10 +17,8 @@ from typing import Any, Final
 
 import numpy as np
 
-from suspension_twin.addons.sources.common.address import Address
-from suspension_twin.addons.sources.common.device import Device
-from suspension_twin.addons.sources.common.fields import number, read_object
-from suspension_twin.addons.sources.common.hub import Hub
+from suspension_twin.addons.sources.common.connection import Address, number, read_object
+from suspension_twin.addons.sources.common.hub import Device, Hub
 from suspension_twin.arrays import Floats
 from suspension_twin.drive.importers.sensor_logger import IOS_FORCE_SIGN, force_sensors
 from suspension_twin.drive.streams import phone_fix, velocities_from_course
@@ -152,10 +150,11 @@ class _Axes:
     sign: float | None = None
     seen: set[str] = field(default_factory=set)
     in_g: bool = False
-    _certain: bool = False
-    _ios: bool = False
-    _standard: bool | None = None
-    _force: Floats = field(default_factory=lambda: np.zeros(3))
+
+    def __post_init__(self) -> None:
+        self._certain = self._ios = False
+        self._standard: bool | None = None
+        self._force = np.zeros(3)
 
     def look(self, message: Message) -> None:
         """Learn from a message."""
@@ -197,9 +196,9 @@ class _Axes:
     def _decide(self, sign: float, why: str, *, certain: bool) -> None:
         if self.sign is not None and sign != self.sign:
             why = why or "an Android phone: its accelerometer axes are taken as they are"
-            self.hub.say("warn", "axes", f"{self.name}: {why}; before, the other sign was taken")
+            self.hub.notify("warn", "axes", f"{self.name}: {why}; before, the other sign was taken")
         elif self.sign is None and why:
-            self.hub.say("ok", "axes", f"{self.name}: {why}")
+            self.hub.notify("ok", "axes", f"{self.name}: {why}")
         self.sign, self._certain = sign, certain
 
 
@@ -340,7 +339,7 @@ class Phones:
             device = self._hub.device(name, rank=self._rank)
             if device is None:
                 return message
-            self._hub.say("ok", f"device {device.name}", f"{device.name}: connected")
+            self._hub.notify("ok", f"device {device.name}", f"{device.name}: connected")
             axes = _Axes(self._wanted, device.name, self._hub)
             phone = self._phones[message.device] = _Phone(device, axes)
         phone.take(message)

@@ -23,8 +23,8 @@ from typing import Final
 
 from aiohttp import WSMsgType, web
 
-from suspension_twin.addons.sources.common.address import Address
 from suspension_twin.addons.sources.common.clock import host_time
+from suspension_twin.addons.sources.common.connection import Address
 from suspension_twin.errors import InputError
 
 __all__ = ["Limits", "PushServer", "is_loopback", "kept_token", "network_address"]
@@ -35,7 +35,7 @@ _PEERS: Final = 256
 
 @dataclass(frozen=True)
 class Limits:
-    """What a sender may use: ``body`` bytes of a message, ``rate`` bytes/s of one sender and ``burst`` bytes at once,
+    """Limits of a sender: ``body`` bytes of a message, ``rate`` bytes/s of one sender and ``burst`` bytes at once,
     ``connections`` in all, ``attempts`` with a wrong token within a minute, ``patience`` s for a body.
 
     Four phones at 400 Hz send 2 MB/s together; a phone that was ten seconds without a network sends them at once.

@@ -4,18 +4,25 @@
 from __future__ import annotations
 
 import asyncio
-import signal
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
+from rich.text import Text
 
-from suspension_twin.addons.sources import Source, make_sources
+from suspension_twin.addons.cli.live_lines import (
+    DEFAULT_SOURCE,
+    LiveLines,
+    device_lines,
+    show_guide,
+    styled,
+    until_ended,
+)
+from suspension_twin.addons.sources import LiveSource, make_sources
 from suspension_twin.addons.sources.common.hub import Hub
-from suspension_twin.addons.sources.common.recorder import Recorder
+from suspension_twin.addons.sources.common.recorder import LiveRecorder
 from suspension_twin.addons.sources.common.runner import running
-from suspension_twin.cli._live import DEFAULT_SOURCE, STYLES, LiveLines, show_guide
 from suspension_twin.cli.calibrate import print_result, show_progress
 from suspension_twin.cli.common import Force, Outputs, ProgressLine, Seed, SourceUrls, TwinFile, output
 from suspension_twin.drive.write import BagWriter
@@ -26,11 +33,9 @@ if TYPE_CHECKING:
 
 __all__ = ["command"]
 
-#: s between looks for samples.
-_PERIOD = 0.05
-
 
 def command(
+    *,
     twin: TwinFile,
     out: Annotated[
         Path, typer.Option("--out", help="The twin file to write.", metavar="CALIBRATED.YAML", dir_okay=False)
@@ -85,7 +90,7 @@ def command(
     sources = make_sources(urls, hub)
     outputs.announce()
     later = f"suspension-twin calibrate --twin {twin} {record} --out {out}"
-    with Recorder(record, overwrite=force) as recorder:
+    with LiveRecorder(record, overwrite=force) as recorder:
         try:
             asyncio.run(_drive(sources, hub, recorder, guide, twin, [] if source else urls))
         except InputError:  # the sensor sits otherwise: no drive was begun
@@ -116,9 +121,9 @@ def command(
 
 
 async def _drive(
-    sources: Sequence[Source],
+    sources: Sequence[LiveSource],
     hub: Hub,
-    recorder: Recorder,
+    recorder: LiveRecorder,
     guide: FirstDrive,
     twin: Path,
     shown: Sequence[str],
@@ -127,42 +132,43 @@ async def _drive(
 
     Raises InputError where gravity shows that the sensor sits otherwise than the twin file says.
     """
-    end = asyncio.Event()
-    loop = asyncio.get_running_loop()
-    for number in (signal.SIGINT, signal.SIGTERM):
-        loop.add_signal_handler(number, end.set)
+    said: set[str] = set()
+
+    def lines() -> list[Text]:
+        steps = guide.steps()
+        at = next((i for i, step in enumerate(steps) if step.state == "now"), len(steps) - 1)
+        head = f"Step {at + 1} of {len(steps)}. {steps[at].title}: {steps[at].text}"
+        return [Text(head), *device_lines(hub)]
+
     async with running(sources, hub):
         if shown:
             await show_guide(output(), sources, shown)
-        notes = [] if shown else [note for source in sources for note in source.notes]
-        with LiveLines(hub, notes) as lines:
-            said: set[str] = set()
-            while not (end.is_set() or guide.done):
+        with LiveLines(hub) as live:
+            live.say(Text(note) for source in sources for note in source.notes if not shown)
+            async for _ in until_ended():
                 packets = hub.take()
                 recorder.write(packets)
                 for packet in packets:
                     guide.add(packet.samples)
-                _say(guide, lines, said, twin)
-                steps = guide.steps()
-                at = next((i for i, step in enumerate(steps) if step.state == "now"), len(steps) - 1)
-                lines.show(f"Step {at + 1} of {len(steps)}. {steps[at].title}: {steps[at].text}")
-                try:
-                    await asyncio.wait_for(end.wait(), _PERIOD)
-                except asyncio.TimeoutError:
-                    continue
+                fresh = [line for line in _results(guide, twin) if line.plain not in said]
+                said.update(line.plain for line in fresh)
+                live.say(fresh)
+                if guide.done:
+                    break
+                live.show(lines)
     recorder.write(hub.take())
 
 
-def _say(guide: FirstDrive, lines: LiveLines, said: set[str], twin: Path) -> None:
-    """What came out of a step, once."""
-    found = [(f"{step.title}: {step.text}", "") for step in guide.steps()[:2] if step.state == "done"]
-    found += [(f"Pass {i}: {one}", "") for i, one in enumerate(guide.passes, 1)]
+def _results(guide: FirstDrive, twin: Path) -> list[Text]:
+    """A line for each step that is done and each pass.
+
+    Raises InputError where gravity shows that the sensor sits otherwise than the twin file says.
+    """
+    lines = [Text(f"{step.title}: {step.text}") for step in guide.steps()[:2] if step.state == "done"]
+    lines += [Text(f"Pass {i}: {one}") for i, one in enumerate(guide.passes, 1)]
     mounting = guide.standstill.mounting if guide.standstill is not None else None
-    if mounting is not None:
-        if mounting.level == "error":
-            raise InputError(twin, "imu.rpy", mounting.text)
-        found.insert(0, (mounting.text, STYLES[mounting.level]))
-    for text, style in found:
-        if text not in said:
-            said.add(text)
-            lines.say(text, style)
+    if mounting is None:
+        return lines
+    if mounting.level == "error":
+        raise InputError(twin, "imu.rpy", mounting.text)
+    return [styled(mounting, ""), *lines]

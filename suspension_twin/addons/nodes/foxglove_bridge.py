@@ -19,6 +19,7 @@ from typing import Any
 from rclpy.clock import Clock
 from rclpy.clock_type import ClockType
 from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
+from rclpy.subscription import Subscription
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from rosbags.typesys.store import Typestore
 from rosgraph_msgs.msg import Clock as ClockMessage
@@ -72,7 +73,7 @@ class FoxgloveBridgeNode(TwinNode):
             where = f"{self.values['host']}, port {self.values['port']}"
             raise InputError("foxglove", f"cannot listen on {where}: {error}") from None
         self._channels: dict[str, tuple[Any, Any]] = {}
-        self._listened: dict[str, Any] = {}
+        self._listened: dict[str, Subscription] = {}
         self._unknown: set[str] = set()
         if simulated:
             self.create_subscription(ClockMessage, "/clock", self._on_clock, 1)

@@ -14,16 +14,6 @@ from suspension_twin.cli.common import Force, Outputs, output
 __all__ = ["command"]
 
 
-class To(str, Enum):
-    """Where a twin can go."""
-
-    FMU = "fmu"
-    CARMAKER = "carmaker"
-    SIMULINK = "simulink"
-    UNITY = "unity"
-    CSV = "csv"
-
-
 class Fmi(str, Enum):
     """Versions of the interface of an FMU."""
 
@@ -33,7 +23,15 @@ class Fmi(str, Enum):
 
 def command(
     twin: Annotated[Path, typer.Argument(help="The twin file.", metavar="TWIN.YAML", show_default=False)],
-    to: Annotated[To, typer.Option("--to", help="What the file is for.", show_default=False)],
+    to: Annotated[
+        str,
+        typer.Option(
+            "--to",
+            help="What the file is for: fmu, carmaker, simulink, unity, csv, or the exporter of a plugin.",
+            metavar="TARGET",
+            show_default=False,
+        ),
+    ],
     out: Annotated[
         Path, typer.Option("--out", help="The file to write.", metavar="FILE", show_default=False)
     ],
@@ -53,14 +51,15 @@ def command(
 
     What of the twin a target cannot hold is said.
     """
-    from suspension_twin.addons.export.registry import ExportSettings, export_twin
+    from suspension_twin.addons.export.registry import ExportSettings, export_twin, load_target
     from suspension_twin.vehicle.twin import load_twin
 
+    load_target(to)
     outputs = Outputs(out, force=force)
     loaded = load_twin(twin)
     outputs.announce()
     with outputs:
-        notes = export_twin(loaded, to.value, out, ExportSettings(into, fmi.value))
+        notes = export_twin(loaded, to, out, ExportSettings(into, fmi.value))
     console = output()
     for note in notes:
         console.print(note, style="yellow")

@@ -1,11 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""``suspension-twin record``: what live sources send becomes a bag."""
+"""``suspension-twin record``: the samples of live sources become a bag."""
 
 from __future__ import annotations
 
 import asyncio
-import signal
-import time
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated
@@ -14,20 +12,28 @@ import typer
 from rich.padding import Padding
 from rich.text import Text
 
-from suspension_twin.addons.sources import Source, make_sources
+from suspension_twin.addons.cli.live_lines import (
+    DEFAULT_SOURCE,
+    LiveLines,
+    device_lines,
+    show_guide,
+    until_ended,
+)
+from suspension_twin.addons.sources import LiveSource, make_sources
 from suspension_twin.addons.sources.common.hub import Hub
-from suspension_twin.addons.sources.common.recorder import Recorder
+from suspension_twin.addons.sources.common.recorder import LiveRecorder
 from suspension_twin.addons.sources.common.runner import running
-from suspension_twin.cli._live import DEFAULT_SOURCE, LiveLines, show_guide
 from suspension_twin.cli.common import Force, Outputs, SourceUrls, output
 from suspension_twin.drive.checks import summarise
 from suspension_twin.drive.read import read_drive
 from suspension_twin.drive.write import BagWriter
 
-__all__ = ["command"]
+__all__ = ["Seconds", "command"]
 
-#: s between looks for samples.
-_PERIOD = 0.05
+Seconds = Annotated[
+    float | None,
+    typer.Option("--seconds", metavar="S", help="End after so many seconds.", min=0.1, show_default=False),
+]
 
 
 def command(
@@ -38,12 +44,7 @@ def command(
         ),
     ],
     source: SourceUrls = None,
-    seconds: Annotated[
-        float | None,
-        typer.Option(
-            "--seconds", metavar="S", help="End after so many seconds.", min=0.1, show_default=False
-        ),
-    ] = None,
+    seconds: Seconds = None,
     force: Force = False,
 ) -> None:
     """Live phones, receivers and IMUs into a bag, without a twin and without ROS. Ctrl-C ends it.
@@ -58,7 +59,7 @@ def command(
     sources = make_sources(urls, hub)
     console = output()
     outputs.announce()
-    with Recorder(out, overwrite=force) as recorder:
+    with LiveRecorder(out, overwrite=force) as recorder:
         asyncio.run(_record(sources, hub, recorder, seconds, [] if source else urls))
     drive = read_drive(out)
     for line in [*summarise(drive).lines(), *(f"warning: {text}" for text in drive.warnings)]:
@@ -67,24 +68,24 @@ def command(
 
 
 async def _record(
-    sources: Sequence[Source], hub: Hub, recorder: Recorder, seconds: float | None, guide: Sequence[str]
+    sources: Sequence[LiveSource],
+    hub: Hub,
+    recorder: LiveRecorder,
+    seconds: float | None,
+    guide: Sequence[str],
 ) -> None:
-    """Until Ctrl-C, SIGTERM or the end of the time; how to connect what ``guide`` names is shown first."""
-    end = asyncio.Event()
-    loop = asyncio.get_running_loop()
-    for number in (signal.SIGINT, signal.SIGTERM):
-        loop.add_signal_handler(number, end.set)
-    began = time.monotonic()
+    """Until Ctrl-C, SIGTERM or the end of the time; how to connect the URLs of ``guide`` is shown first."""
+
+    def lines() -> list[Text]:
+        head = f"{recorder.counts['imu']} IMU samples, {recorder.counts['fix']} positions"
+        return [Text(head), *device_lines(hub)]
+
     async with running(sources, hub):
         if guide:
             await show_guide(output(), sources, guide)
-        notes = [] if guide else [note for source in sources for note in source.notes]
-        with LiveLines(hub, notes) as lines:
-            while not end.is_set() and (seconds is None or time.monotonic() - began < seconds):
+        with LiveLines(hub) as live:
+            live.say(Text(note) for source in sources for note in source.notes if not guide)
+            async for _ in until_ended(seconds):
                 recorder.write(hub.take())
-                lines.show(f"{recorder.counts['imu']} IMU samples, {recorder.counts['fix']} positions")
-                try:
-                    await asyncio.wait_for(end.wait(), _PERIOD)
-                except asyncio.TimeoutError:
-                    continue
+                live.show(lines)
     recorder.write(hub.take())

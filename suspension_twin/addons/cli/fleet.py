@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -12,6 +13,7 @@ from rich.console import Console
 from suspension_twin.cli.calibrate import Also, Freeze, Generations, Preset
 from suspension_twin.cli.common import Outputs, ProgressLine, Seed, output, print_table
 from suspension_twin.cli.diagnose import Effects, checked_effects
+from suspension_twin.cli.options import grouped
 from suspension_twin.errors import InputError, WorkError
 
 if TYPE_CHECKING:
@@ -35,47 +37,55 @@ Out = Annotated[
     Path,
     typer.Option("--out", help="Folder for the results.", metavar="DIR", file_okay=False, show_default=False),
 ]
-Scheduler = Annotated[
-    str,
-    typer.Option(
-        "--scheduler",
-        help="Address of a Dask scheduler, such as tcp://host:8786.  [default: workers on this machine]",
-        metavar="ADDRESS",
-        show_default=False,
-    ),
-]
-Workers = Annotated[
-    int,
-    typer.Option(
-        "--workers",
-        help="Workers on this machine.  [default: one a core]",
-        metavar="N",
-        min=0,
-        show_default=False,
-    ),
-]
-Memory = Annotated[
-    float,
-    typer.Option(
-        "--memory",
-        help="GiB that a worker on this machine may hold.  [default: its share of 80 % of what is free]",
-        metavar="GIB",
-        min=0.0,
-        show_default=False,
-    ),
-]
+
+
+@dataclass(frozen=True)
+class ClusterSettings:
+    """The workers: of a running scheduler, or of this machine."""
+
+    scheduler: Annotated[
+        str,
+        typer.Option(
+            "--scheduler",
+            help="Address of a Dask scheduler, such as tcp://host:8786.  [default: workers on this machine]",
+            metavar="ADDRESS",
+            show_default=False,
+        ),
+    ] = ""
+    workers: Annotated[
+        int,
+        typer.Option(
+            "--workers",
+            help="Workers on this machine.  [default: one a core]",
+            metavar="N",
+            min=0,
+            show_default=False,
+        ),
+    ] = 0
+    memory: Annotated[
+        float,
+        typer.Option(
+            "--memory",
+            help="GiB that a worker on this machine may hold.  [default: its share of 80 % of what is free]",
+            metavar="GIB",
+            min=0.0,
+            show_default=False,
+        ),
+    ] = 0.0
+
+
 #: Lines of what failed that are printed; all are in results.parquet.
 _LINES = 20
 _PAGE = "fleet.html"
 
 
 @app.command()
+@grouped
 def calibrate(
+    *,
     manifest: Manifest,
     out: Out,
-    scheduler: Scheduler = "",
-    workers: Workers = 0,
-    memory: Memory = 0.0,
+    cluster: ClusterSettings,
     preset: Preset = "fast",
     also: Also = None,
     freeze: Freeze = None,
@@ -99,16 +109,15 @@ def calibrate(
         freeze=tuple(freeze or ()),
         max_generations=max_generations,
     )
-    _run(manifest, out, options, scheduler, workers, memory)
+    _run(manifest, out, options, cluster)
 
 
 @app.command()
+@grouped
 def diagnose(
     manifest: Manifest,
     out: Out,
-    scheduler: Scheduler = "",
-    workers: Workers = 0,
-    memory: Memory = 0.0,
+    cluster: ClusterSettings,
     effect: Effects = None,
     seed: Seed = 0,
 ) -> None:
@@ -121,10 +130,10 @@ def diagnose(
     from suspension_twin.addons.fleet.work import Options
 
     options = Options("diagnose", seed, effects=checked_effects(effect))
-    _run(manifest, out, options, scheduler, workers, memory)
+    _run(manifest, out, options, cluster)
 
 
-def _run(manifest: Path, out: Path, options: Options, scheduler: str, workers: int, memory: float) -> None:
+def _run(manifest: Path, out: Path, options: Options, given: ClusterSettings) -> None:
     from suspension_twin.addons.fleet.changes import find_changes
     from suspension_twin.addons.fleet.engine import FleetOutcome, connected, plan_fleet, run_fleet
     from suspension_twin.addons.fleet.manifest import read_manifest
@@ -140,9 +149,9 @@ def _run(manifest: Path, out: Path, options: Options, scheduler: str, workers: i
         write_tables,
     )
 
-    if scheduler and (workers or memory):
+    if given.scheduler and (given.workers or given.memory):
         raise InputError(
-            "--workers" if workers else "--memory", "goes without --scheduler: its workers are there"
+            "--workers" if given.workers else "--memory", "goes without --scheduler: its workers are there"
         )
     items = read_manifest(manifest)
     ledger = Ledger(out)
@@ -158,7 +167,7 @@ def _run(manifest: Path, out: Path, options: Options, scheduler: str, workers: i
         ledger.begin()
         outcome = FleetOutcome(dict(plan.done))
         if todo:
-            with connected(scheduler, workers, memory * (1 << 30)) as cluster:
+            with connected(given.scheduler, given.workers, given.memory * (1 << 30)) as cluster:
                 console.print(f"On {cluster.text}")
 
                 def show(task: Task, record: Record, left: int) -> None:

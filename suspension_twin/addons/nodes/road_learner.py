@@ -14,9 +14,11 @@ import sys
 import tempfile
 import time
 from array import array
+from collections.abc import Callable
+from collections.abc import Set as AbstractSet
 from functools import partial
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from geometry_msgs.msg import QuaternionStamped, TwistStamped
@@ -24,6 +26,7 @@ from nav_msgs.msg import Odometry
 from rcl_interfaces.srv import GetParameters
 from rclpy.clock import Clock
 from rclpy.clock_type import ClockType
+from rclpy.task import Future
 from sensor_msgs.msg import Imu, NavSatFix
 
 from suspension_twin.addons.roads.drives.learning import Laps, Lesson, Span, learn_road, twin_path
@@ -49,7 +52,7 @@ _MOST = 4
 _JOINED, _HELD = 500, 1_000_000
 
 
-def run_lesson(job: Job, on_progress: Any, _should_stop: Any) -> Outcome:
+def run_lesson(job: Job, on_progress: Callable[[tuple[str, float | None]], None], _stop: object) -> Outcome:
     """Learn the road in this process; the request is the path of a pickled lesson."""
     lesson: Lesson = pickle.loads(Path(job.request).read_bytes())
     return learn_road(lesson, lambda text, share: on_progress((text, share)))
@@ -87,7 +90,7 @@ class _Record:
         self._heading.extend((t, yaw))
 
     def drive(self) -> Drive:
-        """What there is, as a drive that was recorded."""
+        """The samples so far as a recorded drive."""
         rows = np.array(self._imu, dtype=np.float64).reshape(-1, 7)
         headings = np.array(self._heading, dtype=np.float64).reshape(-1, 2)
         drive = Drive(
@@ -115,7 +118,7 @@ class RoadLearnerNode(TwinNode):
         Param("out", "", "OpenCRG file that the learnt road is written to, again after each pass.", read_only=True),
     )  # fmt: skip
 
-    def __init__(self, embedding: Embedding | None = None, work: Any = run_lesson) -> None:
+    def __init__(self, embedding: Embedding | None = None, work: Callable[..., Outcome] = run_lesson) -> None:
         super().__init__("road_learner", embedding)
         #: What the worker process does with a lesson, and what makes the process.
         self.work, self.worker = work, Worker
@@ -141,7 +144,7 @@ class RoadLearnerNode(TwinNode):
         self.listen(Odometry, "twin/odom", self._on_odom)
         self._loader = self.create_client(LoadTwin, "suspension_model/load_twin")
         self._asker = self.create_client(GetParameters, "suspension_model/get_parameters")
-        self._asked: Any = None
+        self._asked: Future | None = None
         self.create_timer(_TICK, self._tick, clock=Clock(clock_type=ClockType.STEADY_TIME))
 
     def check(self, values: Values) -> None:
@@ -157,7 +160,7 @@ class RoadLearnerNode(TwinNode):
                 "twin", "model", f"a road is learnt with the axles of a car, {twin.model} has none"
             )
 
-    def changed(self, names: Any) -> None:
+    def changed(self, names: AbstractSet[str]) -> None:
         """See the base class."""
         if "twin" in names:
             self._twin_file = self.values["twin"]
@@ -230,7 +233,7 @@ class RoadLearnerNode(TwinNode):
         self._asked = self._asker.call_async(GetParameters.Request(names=["twin"]))
         self._asked.add_done_callback(self._on_answer)
 
-    def _on_answer(self, future: Any) -> None:
+    def _on_answer(self, future: Future) -> None:
         self._asked = None
         values = future.result().values if future.exception() is None else []
         self._go_on(values[0].string_value if values else "")
@@ -308,7 +311,7 @@ class RoadLearnerNode(TwinNode):
             return
         self._loader.call_async(LoadTwin.Request(path=path)).add_done_callback(self._on_loaded)
 
-    def _on_loaded(self, future: Any) -> None:
+    def _on_loaded(self, future: Future) -> None:
         error = future.exception()
         if error is None and future.result().success:
             return
@@ -323,7 +326,7 @@ class RoadLearnerNode(TwinNode):
         return self._taught is not None
 
     def summary(self) -> str:
-        """What was written."""
+        """The road that was written, in a line."""
         return f"road: {self._known()}, written to {self._out}; the twin on it: {twin_path(self._out)}"
 
     def _known(self) -> str:

@@ -17,8 +17,7 @@ from geometry_msgs.msg import QuaternionStamped, TwistStamped
 from sensor_msgs.msg import Imu, NavSatFix
 
 from suspension_twin.addons.sources.common.clock import host_time
-from suspension_twin.addons.sources.common.device import Stream
-from suspension_twin.addons.sources.common.hub import Hub
+from suspension_twin.addons.sources.common.hub import Hub, Packet, Stream
 from suspension_twin.addons.sources.common.report import device_line, device_values, findings
 from suspension_twin.addons.sources.common.runner import SourceLoop, SourceThread
 from suspension_twin.drive.checks import nanoseconds
@@ -67,7 +66,7 @@ class SourceNode(TwinNode):
             stream: (self.offer(kind, topic), kind(), fill) for stream, (topic, kind, fill) in _TOPICS.items()
         }
         #: What has been received is handed to this, too, if it is set: a recorder.
-        self.tap: Callable[[Any], None] | None = None
+        self.tap: Callable[[Packet], None] | None = None
         wake = self.deliver if driven else self.create_guard_condition(self.deliver).trigger
         self.hub = Hub(wake=wake)
         try:
@@ -85,7 +84,7 @@ class SourceNode(TwinNode):
 
     @property
     def notes(self) -> list[str]:
-        """What the sources have to tell the user."""
+        """Addresses and settings for the user, a line each."""
         return self._receiver.notes
 
     def destroy_node(self) -> None:
@@ -106,7 +105,7 @@ class SourceNode(TwinNode):
 
     def deliver(self) -> None:
         """Publish what has come."""
-        for finding in self.hub.heard():
+        for finding in self.hub.events():
             self.note(
                 f"{finding.code}: {finding.text.partition(':')[0]}", _LEVELS[finding.level], finding.text
             )

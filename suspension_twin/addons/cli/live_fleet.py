@@ -7,50 +7,39 @@ import math
 import os
 import tempfile
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from contextlib import ExitStack
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
-from rich.console import Console
-from rich.live import Live
 from rich.text import Text
 
+from suspension_twin.addons.cli.live_lines import UpdatedLines
+from suspension_twin.addons.cli.pages import fleet_pages, foxglove_address, free_address, node_process
+from suspension_twin.addons.view.fleet import TwinRow
 from suspension_twin.cli._status import say
 from suspension_twin.errors import printable
 
 if TYPE_CHECKING:
-    from contextlib import AbstractContextManager
-
+    from suspension_twin.cli.run import DisplaySettings, FleetSettings, RosSettings
     from suspension_twin.nodes.composed import Condition
 
 __all__ = ["rows", "run_fleet", "summary"]
 
-#: Takes what :func:`rows` gives.
-Tell = Callable[[Mapping[str, Mapping[str, Any]]], None]
-
-#: s between lines on a terminal, and in a log.
-_PERIOD, _LOG_PERIOD = 1.0, 10.0
+#: s between lines on a terminal.
+_PERIOD = 1.0
 #: Twins of which a complaint is shown, and whose names are said at the start: what a terminal holds.
 _COMPLAINTS, _NAMES = 5, 6
 
 
-def run_fleet(
-    manifest: Path,
-    namespace: str,
-    processes: int,
-    params: Path | None,
-    wanted: Mapping[str, Mapping[str, Any]],
-    arguments: Sequence[str],
-    beside: Sequence[AbstractContextManager[None]] = (),
-    pages: Callable[[Mapping[str, str]], AbstractContextManager[Tell]] | None = None,
-) -> None:
+def run_fleet(given: FleetSettings, display: DisplaySettings, ros: RosSettings) -> None:
     """Hold the twins of a manifest until the process is asked to stop.
 
-    ``processes`` 0 is one a core; ``params`` is the parameter file with its names ``wanted``, ``arguments`` are those
-    for ROS; ``beside`` are entered while the twins run, and ``pages``, made for the twin files by namespace, is told
-    every second how they are. Raises InputError for a manifest or a twin that cannot be used.
+    Raises InputError for a manifest or a twin that cannot be used.
     """
+    bridge = None if display.foxglove is None else foxglove_address(display.foxglove)
+    page = None if display.view is None else free_address("--view", display.view)
+    wanted = ros.wanted()
     from suspension_twin.addons.fleet.manifest import read_manifest
     from suspension_twin.addons.fleet.twins import fleet_twins
     from suspension_twin.nodes.composed import check_namespace
@@ -58,38 +47,40 @@ def run_fleet(
     from suspension_twin.nodes.parameters import check_names
     from suspension_twin.nodes.process import ros_context, stopping
 
+    assert given.fleet is not None
     with ExitStack() as stack:
         stop = stack.enter_context(stopping())
         folder = stack.enter_context(tempfile.TemporaryDirectory(prefix="suspension_twin_"))
-        above = namespace.strip("/")
+        above = ros.namespace.strip("/")
         twins = {
             "/".join(p for p in (above, t.namespace) if p): str(t.file)
-            for t in fleet_twins(read_manifest(manifest), Path(folder))
+            for t in fleet_twins(read_manifest(given.fleet), Path(folder))
         }
         for name in twins:
             check_namespace(name)
         names = list(twins)
-        count = min(processes or len(os.sched_getaffinity(0)), len(names))
+        count = min(given.processes or len(os.sched_getaffinity(0)), len(names))
         shares = [{name: twins[name] for name in names[k::count]} for k in range(count)]
         where = "1 process" if count == 1 else f"{count} processes"
         first = ", ".join(f"/{name}" for name in names[:_NAMES])
         more = f" and {len(names) - _NAMES} more" if len(names) > _NAMES else ""
         say(f"{len(names)} twins in {where}, a namespace each: {first}{more}")
-        context = stack.enter_context(ros_context(list(arguments)))
-        helpers = stack.enter_context(Helpers(shares[1:], arguments))
+        context = stack.enter_context(ros_context(ros.arguments))
+        helpers = stack.enter_context(Helpers(shares[1:], ros.arguments))
         fleet = TwinFleet(context, shares[0])
         stack.callback(fleet.close)
-        if params is not None:
-            check_names(params, wanted, fleet.parameter_names())
+        if ros.params is not None:
+            check_names(ros.params, wanted, fleet.parameter_names())
         fleet.settle_memory()
         helpers.wait(lambda: not stop.asked)
-        for each in beside:
-            stack.enter_context(each)
+        if bridge is not None:
+            values = {"host": bridge.host, "port": bridge.port}
+            stack.enter_context(node_process("foxglove_bridge", values, ros.namespace, ros.arguments))
         _watch(
             fleet.step,
             lambda: fleet.conditions() | helpers.conditions(),
             lambda: stop.asked or not context.ok(),
-            None if pages is None else stack.enter_context(pages(twins)),
+            None if page is None else stack.enter_context(fleet_pages(page, ros, twins)),
         )
 
 
@@ -97,39 +88,27 @@ def _watch(
     step: Callable[[], None],
     conditions: Callable[[], dict[str, Condition]],
     stop_asked: Callable[[], bool],
-    tell: Tell | None = None,
+    update_page: Callable[[Mapping[str, TwinRow]], None] | None,
 ) -> None:
-    """Go on step by step; say how the twins are every second on a terminal, every ten seconds in a log, and to
-    ``tell``."""
-    console = Console(stderr=True, highlight=False, soft_wrap=True)
-    live: Live | None = None
-    if console.is_terminal:
-        live = Live(console=console, auto_refresh=False, redirect_stdout=False, redirect_stderr=False)
-    due = told = time.monotonic() + _PERIOD
-    with live or ExitStack():
+    """Go on step by step; show how the twins are every second on a terminal and on the page, every ten in a log."""
+    page_due = time.monotonic() + _PERIOD
+    with UpdatedLines(period=_PERIOD) as lines:
         while not stop_asked():
             step()
             now = time.monotonic()
-            if tell is not None and now >= told:
-                told = now + _PERIOD
-                tell(rows(conditions()))
-            if now < due:
-                continue
-            text = summary(conditions())
-            if live is not None:
-                live.update(text, refresh=True)
-            else:
-                console.print(text)
-            due = time.monotonic() + (_PERIOD if live is not None else _LOG_PERIOD)
+            if update_page is not None and now >= page_due:
+                page_due = now + _PERIOD
+                update_page(rows(conditions()))
+            lines.show(lambda: [summary(conditions())])
     end = conditions().values()
     say(
         f"{sum(c.answers for c in end)} answers to {sum(c.samples for c in end)} IMU samples of {len(end)} twins"
     )
 
 
-def rows(conditions: Mapping[str, Condition]) -> dict[str, dict[str, Any]]:
-    """How each twin is, as the page of the fleet shows it."""
-    found = {}
+def rows(conditions: Mapping[str, Condition]) -> dict[str, TwinRow]:
+    """Each twin as the page of the fleet shows it."""
+    found: dict[str, TwinRow] = {}
     for name, c in conditions.items():
         known = c.gap is not None and math.isfinite(c.gap)
         found[name] = {
@@ -143,7 +122,7 @@ def rows(conditions: Mapping[str, Condition]) -> dict[str, dict[str, Any]]:
 
 
 def summary(conditions: Mapping[str, Condition]) -> Text:
-    """How the twins are: one line of all, one for every twin that complains, the errors first."""
+    """One line for all twins, and one for every twin with a complaint, the errors first."""
     rates = sorted(c.rates["imu"] for c in conditions.values() if c.rates["imu"] > 0.0)
     parts = [f"{len(conditions)} twins, {len(rates)} with samples"]
     if rates:

@@ -1,0 +1,151 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Companions of ``suspension-twin run`` in processes of their own: the page, Foxglove's WebSocket, a fleet's pages."""
+
+from __future__ import annotations
+
+import json
+import os
+import secrets
+import shutil
+import socket
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import AbstractContextManager, ExitStack, contextmanager, suppress
+from importlib.util import find_spec
+from pathlib import Path
+from typing import TYPE_CHECKING, NamedTuple
+
+from suspension_twin.addons.view.fleet import FleetServer, TwinRow
+from suspension_twin.addons.view.server import is_local
+from suspension_twin.errors import InputError, WorkError
+
+if TYPE_CHECKING:
+    from suspension_twin.cli.run import RosSettings, RunSettings
+    from suspension_twin.nodes.composed import Composed
+    from suspension_twin.nodes.process import Stop
+
+__all__ = ["Foxglove", "Viewer", "fleet_pages", "foxglove_address", "free_address", "node_process"]
+
+#: Pages of single twins that a fleet's page keeps open, and s that one may take to start.
+_PAGES, _OPENED = 4, 30.0
+
+
+class ListenAddress(NamedTuple):
+    """Where something listens; ``token`` is the end of the address for others than this machine."""
+
+    host: str
+    port: int
+    token: str
+
+
+def free_address(option: str, given: str) -> ListenAddress:
+    """The place that ``PORT`` or ``HOST:PORT`` names; InputError for a wrong or taken one."""
+    host, _, number = given.rpartition(":")
+    host = host.strip("[]") or "127.0.0.1"
+    if not (number.isdecimal() and int(number) < 65536):
+        raise InputError(option, f"must be a port or HOST:PORT, is '{given}'")
+    port = int(number)
+    family = socket.AF_INET6 if ":" in host else socket.AF_INET
+    try:
+        with socket.create_server((host, port), family=family) as taken:
+            port = taken.getsockname()[1]
+    except OSError as error:
+        raise InputError(option, f"cannot listen on {host}, port {port}: {error.strerror or error}") from None
+    return ListenAddress(host, port, "" if is_local(host) else secrets.token_urlsafe(9))
+
+
+def foxglove_address(given: str) -> ListenAddress:
+    """As :func:`free_address`; InputError where Foxglove's library is missing."""
+    if find_spec("foxglove") is None:
+        raise InputError("--foxglove", 'needs foxglove-sdk: pip install "suspension-twin[foxglove]"')
+    return free_address("--foxglove", given)
+
+
+@contextmanager
+def node_process(
+    node: str, values: Mapping[str, object], namespace: str, arguments: Sequence[str]
+) -> Iterator[None]:
+    """A node of the add-ons in a process of its own, with less priority than the others; it ends with this one."""
+    values = {**values, "parent": os.getpid()}
+    given = [w for name, value in values.items() for w in ("-p", f"{name}:={json.dumps(value)}")]
+    place = ["-r", f"__ns:=/{namespace.strip('/')}"] if namespace else []
+    module = f"suspension_twin.addons.nodes.{node}"
+    command = [sys.executable, "-m", module, *arguments, "--ros-args", *place, *given]
+    process = subprocess.Popen(["nice", "-n", "5", *command] if shutil.which("nice") else command)
+    try:
+        yield
+    finally:
+        process.terminate()
+        with suppress(subprocess.TimeoutExpired):
+            process.wait(1.0)
+
+
+class Viewer:
+    """``--view``: the page of one twin."""
+
+    node = "viewer"
+    files: Sequence[Path] = ()
+    patience = 0.0
+
+    def __init__(self, given: str, settings: RunSettings) -> None:
+        self._ros = settings.ros
+        bag = "" if settings.replay.bag is None else str(settings.replay.bag)
+        self._values = free_address("--view", given)._asdict() | {"twin": str(settings.twin), "bag": bag}
+
+    def beside(self, _composed: Composed, _stop: Stop) -> AbstractContextManager[None]:
+        """See ``Companion``."""
+        return node_process(self.node, self._values, self._ros.namespace, self._ros.arguments)
+
+
+class Foxglove(Viewer):
+    """``--foxglove``: all topics on Foxglove's WebSocket."""
+
+    node = "foxglove_bridge"
+
+    def __init__(self, given: str, settings: RunSettings) -> None:
+        place, self._ros = foxglove_address(given), settings.ros
+        replayed = settings.replay.bag is not None
+        self._values = {"host": place.host, "port": place.port, "use_sim_time": replayed}
+
+
+@contextmanager
+def fleet_pages(
+    place: ListenAddress, ros: RosSettings, twins: Mapping[str, str]
+) -> Iterator[Callable[[Mapping[str, TwinRow]], None]]:
+    """The page of a fleet; that of a twin, a process of its own, is there from when it is first asked for."""
+    opened: dict[str, tuple[int, ExitStack]] = {}
+
+    def open_page(name: str) -> int:
+        if name in opened:
+            port, own = opened.pop(name)
+        else:
+            while len(opened) >= _PAGES:  # the one that was not asked for for the longest time
+                opened.pop(next(iter(opened)))[1].close()
+            free = free_address("--view", f"[{place.host}]:0" if ":" in place.host else f"{place.host}:0")
+            port, own = free.port, ExitStack()
+            values = {"host": place.host, "port": port, "token": place.token, "twin": twins[name]}
+            own.enter_context(node_process("viewer", values, name, ros.arguments))
+            _await_listener(free)
+        opened[name] = port, own
+        return port
+
+    server = FleetServer(list(twins), open_page, **place._asdict())
+    try:
+        print(f"Watch on {server.url}", file=sys.stderr, flush=True)
+        yield server.update
+    finally:
+        server.close()
+        for _, own in opened.values():
+            own.close()
+
+
+def _await_listener(place: ListenAddress) -> None:
+    """Until a page answers on a port; raises WorkError where it does not."""
+    until = time.monotonic() + _OPENED
+    while time.monotonic() < until:
+        with suppress(OSError), socket.create_connection((place.host, place.port), timeout=1.0):
+            return
+        time.sleep(0.1)
+    raise WorkError("--view: the page of this twin did not start")
