@@ -30,10 +30,9 @@ from rich.table import Table
 
 from suspension_twin.arrays import Floats
 from suspension_twin.effects.registry import EFFECTS
-from suspension_twin.models.blocks import cores
 from suspension_twin.models.excitation import excitation
 from suspension_twin.models.parameters import lanes, layout
-from suspension_twin.models.simulate import simulate_lanes, simulate_twin
+from suspension_twin.models.simulate import cores, simulate_lanes, simulate_twin
 from suspension_twin.models.types import Excitation
 from suspension_twin.pose.types import Trajectory
 from suspension_twin.road import bump_road, circular

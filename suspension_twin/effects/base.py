@@ -30,8 +30,7 @@ from suspension_twin.models.hooks import (
     SignalStage,
     Values,
 )
-from suspension_twin.models.numerics import fma
-from suspension_twin.models.rows import AXLE, CORNER, LANE, WIDTH, Fields
+from suspension_twin.models.rows import AXLE, CORNER, LANE, WIDTH, Fields, fma
 
 __all__ = [
     "AXLE",

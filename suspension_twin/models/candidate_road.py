@@ -18,10 +18,10 @@ import numpy as np
 from suspension_twin.arrays import Floats
 from suspension_twin.compiled import compiled
 from suspension_twin.errors import InputError
+from suspension_twin.models.excitation import walk
 from suspension_twin.models.hooks import RoadChange
 from suspension_twin.models.rows import WIDTH
 from suspension_twin.models.types import Excitation, HeightField
-from suspension_twin.models.wheel_paths import walk
 
 __all__ = ["SPACING", "Samples", "WheelPaths", "ahead_of", "candidate_heights", "reach_of", "wheel_paths_of"]
 

@@ -1,21 +1,33 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a vehicle model takes and gives, by name: what ``export`` writes into an FMU, and ``model: fmu`` reads.
+"""Inputs and outputs of a vehicle model by name, and how the outputs follow from the states of a kernel.
 
-Inputs in the order of ``models.one_lane``, outputs in that of ``models.observe``. SI units.
+``export`` writes them into an FMU, and ``model: fmu`` reads them from one. SI units.
 """
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
 
 from suspension_twin.arrays import Floats
+from suspension_twin.compiled import compiled
+from suspension_twin.models import rows
+from suspension_twin.models.rows import ARM_X, ARM_Y, DAMPER, SPRUNG, STATIC
 from suspension_twin.models.types import Excitation
 from suspension_twin.vehicle.corners import CORNERS
 
-__all__ = ["INPUTS", "OUTPUTS", "Variable", "inputs_of"]
+__all__ = [
+    "COLUMNS",
+    "INPUTS",
+    "OBSERVED",
+    "OUTPUTS",
+    "Variable",
+    "inputs_of",
+    "observe",
+]
 
 
 @dataclass(frozen=True)
@@ -48,7 +60,7 @@ INPUTS: Final = (
     Variable("speed", "m/s", "Speed ahead of the origin of base_link"),
     Variable("lateral_speed", "m/s", "Speed to the left of the origin of base_link"),
 )
-#: In the order of ``models.observe``.
+#: In the order of ``models.connectors``.
 OUTPUTS: Final = (
     Variable(
         "heave", "m", "Height of the sprung centre of gravity above its place at standstill on a road at 0"
@@ -82,3 +94,53 @@ def inputs_of(driven: Excitation, road: Floats | None = None) -> Floats:
     square, yaw = planar[:, 2:3] ** 2, planar[at, 2:3]
     mixed[:, 2:3] = np.sign(yaw) * np.sqrt(square[before] + share * (square[at] - square[before]))
     return np.hstack([driven.road if road is None else road, mixed])
+
+
+#: Columns of what ``observe`` fills, by the name they have in Response and LiveState.
+COLUMNS: dict[str, slice | int] = {
+    "heave": 0,
+    "roll": 1,
+    "pitch": 2,
+    "z": 3,
+    "wheel_z": slice(4, 8),
+    "deflection": slice(8, 12),
+    "deflection_rate": slice(12, 16),
+    "tyre_force": slice(16, 20),
+    "force": slice(20, 23),
+    "rate": slice(23, 26),
+    "vertical_acceleration": 26,
+    "acceleration": slice(27, 34),
+}
+OBSERVED = 34
+
+
+@compiled
+def observe(states: Floats, signals: Floats, values: Floats, radius: float, msd: bool, out: Floats) -> None:
+    """Fill ``out`` (n, OBSERVED) from one lane, the first of its block.
+
+    ``states`` (n, STATES, lanes) and ``signals`` (n, 7, lanes) as the kernel wrote them, ``values``
+    (rows,) the lane's constants, ``radius`` m of the tyre. The states of ``msd`` hold the springs'
+    compressions themselves, since its corners need not lie in a plane.
+    """
+    sx, sy, sz = values[SPRUNG], values[SPRUNG + 1], values[SPRUNG + 2]
+    for k in range(states.shape[0]):
+        state = states[k, :, 0]
+        heave, roll, pitch = state[rows.HEAVE], state[rows.ROLL], state[rows.PITCH]
+        out[k, 0], out[k, 1], out[k, 2] = heave, roll, pitch
+        # base_link's origin hangs under the sprung centre of gravity of the turned body
+        above = math.cos(pitch) * (math.sin(roll) * sy + math.cos(roll) * sz) - math.sin(pitch) * sx
+        out[k, 3] = heave + sz - above
+        for i in range(4):
+            x, y = values[ARM_X + i // 2], values[ARM_Y + i]
+            wheel = state[rows.WHEEL + i]
+            out[k, 4 + i] = wheel + radius if msd else wheel - values[STATIC + i] + radius
+            body = heave + y * roll - x * pitch
+            body_rate = state[rows.HEAVE_RATE] + y * state[rows.ROLL_RATE] - x * state[rows.PITCH_RATE]
+            out[k, 8 + i] = values[STATIC + i] + state[DAMPER + i] if msd else wheel - body
+            out[k, 12 + i] = (
+                state[rows.DEFLECTION_RATE + i] if msd else state[rows.WHEEL_RATE + i] - body_rate
+            )
+            out[k, 16 + i] = state[rows.CONTACT + i]
+        for q in range(7):
+            out[k, 20 + q] = signals[k, q, 0]
+            out[k, 27 + q] = state[rows.ACCELERATION + q]

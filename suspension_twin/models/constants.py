@@ -29,10 +29,10 @@ from numpy.typing import NDArray
 from suspension_twin.arrays import Floats
 from suspension_twin.errors import InputError
 from suspension_twin.models import rows
-from suspension_twin.models.car import CURVES
-from suspension_twin.models.characteristics import (
+from suspension_twin.models.car import (
+    CURVES,
+    Characteristics,
     Check,
-    Curves,
     Problems,
     checker,
     compression_at,
@@ -40,16 +40,16 @@ from suspension_twin.models.characteristics import (
     read_curve,
     write_curves,
 )
-from suspension_twin.models.effect_constants import with_effects
+from suspension_twin.models.full_car_effects import with_effects
 from suspension_twin.models.hooks import ClockChange, CornerChange, RoadChange, SignalStage, Values
-from suspension_twin.models.msd_constants import msd_rows
+from suspension_twin.models.msd import msd_rows
 from suspension_twin.models.parameters import Layout
-from suspension_twin.models.static_attitude import static_attitude
 from suspension_twin.models.types import Ints
 from suspension_twin.units import STANDARD_GRAVITY as G
 from suspension_twin.vehicle.corners import AXLES
 
 __all__ = ["Constants", "constants", "outside"]
+
 
 Numbers = dict[str, Floats]
 Stage = tuple[SignalStage, Floats, Floats]  # with its parameters (k, L), and their neutral values (k, 1)
@@ -266,12 +266,12 @@ def _check_finite(numbers: Numbers, check: Check) -> None:
             check(~np.isfinite(values), name, "is not finite")
 
 
-def _read_curves(numbers: Numbers) -> tuple[Curves, Problems]:
-    """Curves by axle and part, and what is wrong with them or with any number."""
+def _read_curves(numbers: Numbers) -> tuple[Characteristics, Problems]:
+    """Characteristics by axle and part, and what is wrong with them or with any number."""
     problems: Problems = []
     check = checker(problems)
     _check_finite(numbers, check)
-    curves: Curves = {}
+    curves: Characteristics = {}
     for axle, part, abscissa in CURVES:
         prefix = f"vehicle.{axle}.{part}"
         curve = curves[axle, part] = read_curve(numbers, prefix, abscissa)
@@ -282,7 +282,7 @@ def _read_curves(numbers: Numbers) -> tuple[Curves, Problems]:
     return curves, problems
 
 
-def _full_car(numbers: Numbers, curves: Curves, problems: Problems, max_step: float) -> Floats:
+def _full_car(numbers: Numbers, curves: Characteristics, problems: Problems, max_step: float) -> Floats:
     """Rows of a block without effects (block_rows, L)."""
     hinges = hinges_of(curves)
     out = np.zeros((rows.block_rows(hinges), numbers["vehicle.mass"].size))
@@ -347,7 +347,7 @@ def _axle(
     a: int,
     axle: str,
     hinges: int,
-    curves: Curves,
+    curves: Characteristics,
     numbers: Numbers,
     check: Check,
     max_step: float,
@@ -379,3 +379,43 @@ def _axle(
 
     first = rows.CURVES + a * rows.axle_rows(hinges)
     write_curves(out, first, hinges, spring, curves[axle, "damper_push"], curves[axle, "damper_pull"], beta)
+
+
+#: Share of its load by which a spring's rate about it is taken.
+_ABOUT = 0.1
+
+
+def static_attitude(
+    loaded: Floats, stance: Floats, change: CornerChange, curves: Characteristics
+) -> tuple[Floats, Floats]:
+    """Pitch (nose down positive) and roll (right side down positive) in rad, (L,) each, against the vehicle without
+    its effects.
+
+    ``loaded`` and ``stance`` are rows of blocks with and without the load that effects add, ``change`` what they
+    change of single springs and tyres. A rigid body on four springs in series with tyres: the unbalanced loads of the
+    corners over the rates there. Exactly 0 without any.
+    """
+    count = loaded.shape[1]
+    force, stiffness = np.zeros((3, count)), np.zeros((3, 3, count))
+    for i in range(4):
+        spring, scale = curves[AXLES[i // 2], "spring"], 1.0 + change.spring[i]
+        carried = stance[rows.LOAD + i] - G / stance[rows.INV_WHEEL + i // 2]
+        wanted = loaded[rows.LOAD + i] - G / loaded[rows.INV_WHEEL + i // 2]
+        more = wanted - scale * carried
+        # about the middle of the way from the one load to the other
+        middle = carried + 0.5 * more / scale
+        low, high = (compression_at(spring, (1.0 + s * _ABOUT) * middle) for s in (-1.0, 1.0))
+        rate = scale * 2.0 * _ABOUT * middle / (high - low)
+        tyre = loaded[rows.TYRE] * (1.0 + change.tyre[i])
+        rate = 1.0 / (1.0 / rate + 1.0 / tyre)
+        # a shorter spring and a softer tyre let the corner down by as much as they give more
+        more = more + rate * (change.sag[i] - change.tyre[i] * loaded[rows.LOAD + i] / tyre)
+        arm = np.stack([np.ones(count), stance[rows.ARM_X + i // 2], -stance[rows.ARM_Y + i]])
+        force += more * arm
+        stiffness += rate * arm[:, None] * arm[None]
+    good = np.isfinite(stiffness).all(axis=(0, 1)) & np.isfinite(force).all(axis=0)
+    out = np.zeros((3, count))
+    out[:, good] = np.linalg.solve(stiffness[:, :, good].transpose(2, 0, 1), force[:, good].T[:, :, None])[
+        :, :, 0
+    ].T
+    return out[1], out[2]

@@ -11,8 +11,7 @@ from suspension_twin.arrays import Floats
 from suspension_twin.compiled import compiled, inlined, linked, specialised
 from suspension_twin.models import rows
 from suspension_twin.models.curves import spring_force, spring_slope
-from suspension_twin.models.numerics import fma
-from suspension_twin.models.rows import WIDTH
+from suspension_twin.models.rows import WIDTH, fma
 from suspension_twin.units import STANDARD_GRAVITY as G
 
 __all__ = ["stand", "stand_with"]

@@ -43,8 +43,7 @@ from suspension_twin.models.corner import (
     velocities,
 )
 from suspension_twin.models.equilibrium import stand
-from suspension_twin.models.numerics import fma, four, prefetch
-from suspension_twin.models.rows import STRETCH, WIDTH
+from suspension_twin.models.rows import STRETCH, WIDTH, fma, four, prefetch
 from suspension_twin.models.sensor import sense
 from suspension_twin.models.types import Ints
 

@@ -38,7 +38,7 @@ import numpy as np
 
 from suspension_twin.arrays import Floats
 from suspension_twin.errors import InputError
-from suspension_twin.models.characteristics import Check
+from suspension_twin.models.car import Check
 from suspension_twin.models.rows import Fields
 
 __all__ = [

@@ -15,17 +15,16 @@ import numpy as np
 
 from suspension_twin.arrays import Floats
 from suspension_twin.errors import InputError
-from suspension_twin.models.blocks import LaneBlocks
 from suspension_twin.models.candidate_road import ahead_of, candidate_heights, reach_of
+from suspension_twin.models.connectors import OBSERVED, observe
 from suspension_twin.models.constants import Constants, constants
-from suspension_twin.models.excitation import MAX_STEP, check_step, substeps
-from suspension_twin.models.observe import OBSERVED, observe
+from suspension_twin.models.excitation import MAX_STEP, check_step, next_yaw_acceleration, substeps, walk
 from suspension_twin.models.parameters import layout, pack
 from suspension_twin.models.registry import model_of
 from suspension_twin.models.rows import STATES, WIDTH
 from suspension_twin.models.sensor_chain import Chain
+from suspension_twin.models.simulate import LaneBlocks
 from suspension_twin.models.types import HeightField
-from suspension_twin.models.wheel_paths import next_yaw_acceleration, walk
 from suspension_twin.vehicle.twin import Twin
 
 __all__ = ["Following", "LiveState", "LiveTwin", "earlier_pose", "live_twin"]

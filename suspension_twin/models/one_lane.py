@@ -29,14 +29,13 @@ from suspension_twin.models.corner import (
     tyre_forces,
     velocities,
 )
-from suspension_twin.models.damper_tables import retable
+from suspension_twin.models.curves import retable
 from suspension_twin.models.equilibrium import stand
 from suspension_twin.models.full_car import moments, watch, yaw_rate
 from suspension_twin.models.full_car_effects import COMPLIANT, SOFT, effect_kernels
 from suspension_twin.models.msd import corners, plane, stand_corners, weights, wheel
-from suspension_twin.models.numerics import fma, four, put, sin_cos
 from suspension_twin.models.parameters import layout, pack
-from suspension_twin.models.rows import WIDTH
+from suspension_twin.models.rows import WIDTH, fma, four, put, sin_cos
 from suspension_twin.models.sensor import sense
 from suspension_twin.vehicle.twin import Twin
 
@@ -68,7 +67,7 @@ class OneLane:
         ``advance(w, n, h, road0, road1, motion0, motion1)`` walks an interval in n steps of h s; heights and motion run
         linearly from the first to the second.
     read
-        ``read(w, motion, out)`` fills ``out`` with what ``models.observe`` gives, columns in its order.
+        ``read(w, motion, out)`` fills ``out`` with what ``models.connectors`` gives, columns in its order.
     outside
         Effects of the twin, by id, that act on the road, on the sensor's signals or on its clock, and so are not in it.
     """

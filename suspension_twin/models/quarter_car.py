@@ -26,13 +26,12 @@ import numpy as np
 
 from suspension_twin.arrays import Floats
 from suspension_twin.models import rows
-from suspension_twin.models.blocks import LaneBlocks, cores
 from suspension_twin.models.constants import Constants, constants
 from suspension_twin.models.hooks import Values
 from suspension_twin.models.parameters import Layout, layout, pack
 from suspension_twin.models.registry import Model
 from suspension_twin.models.sensor_chain import pass_chain
-from suspension_twin.models.simulate import full_response
+from suspension_twin.models.simulate import LaneBlocks, cores, full_response
 from suspension_twin.models.types import Excitation, LaneResponse, Response
 from suspension_twin.vehicle.corners import AXLES
 from suspension_twin.vehicle.twin import Twin

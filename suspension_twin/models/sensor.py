@@ -17,8 +17,7 @@ import numpy as np
 from suspension_twin.arrays import Floats
 from suspension_twin.compiled import inlined
 from suspension_twin.models import rows
-from suspension_twin.models.numerics import fma, sin_cos
-from suspension_twin.models.rows import WIDTH
+from suspension_twin.models.rows import WIDTH, fma, sin_cos
 from suspension_twin.units import STANDARD_GRAVITY as G
 
 __all__ = ["rotation", "sense", "to_sensor_axes"]

@@ -11,8 +11,7 @@ import pytest
 
 from suspension_twin.errors import InputError
 from suspension_twin.models.live import LiveState, live_twin
-from suspension_twin.models.tracked import obstacle_height, simulate_tracked
-from suspension_twin.models.tracked_live import LiveTracked
+from suspension_twin.models.tracked import LiveTracked, obstacle_height, simulate_tracked
 from suspension_twin.vehicle.tracked import TrackedTwin
 from suspension_twin.vehicle.twin import EffectSpec, load_twin
 

@@ -24,7 +24,7 @@ import numpy as np
 
 from suspension_twin.addons.export.standalone.languages import Language
 from suspension_twin.errors import WorkError
-from suspension_twin.models import numerics
+from suspension_twin.models import rows
 
 __all__ = ["Translation"]
 
@@ -668,7 +668,7 @@ class _Writer:
             return self.number(node.args[0])
         if function is int:
             return _Value(f"(int){_within(self.number(node.args[0]), _TIGHT)}", "int", _UNARY_BINDS)
-        if function is numerics.fma:
+        if function is rows.fma:
             return self._helper("fma_", node)
         if function in (max, min):
             return self._helper("larger" if function is max else "smaller", node)
