@@ -27,7 +27,7 @@ from typing import Any, TypeVar
 import numba
 from numba import config, njit
 
-__all__ = ["compiled", "inlined", "linked", "sources", "specialised"]
+__all__ = ["compiled", "compiled_later", "inlined", "linked", "sources", "specialised"]
 
 Function = TypeVar("Function", bound=Callable[..., Any])
 
@@ -58,6 +58,12 @@ def specialised(function: Any, name: str, **constants: Any) -> Any:
     out = FunctionType(function.__code__, function.__globals__ | constants, name)
     out.__qualname__, out.__module__ = name, function.__module__
     return out
+
+
+def compiled_later(function: Function) -> Function:
+    """Mark the source of kernels: it is compiled once :func:`specialised` has given it what each kernel has of its
+    own."""
+    return function
 
 
 def linked(function: Function) -> Function:

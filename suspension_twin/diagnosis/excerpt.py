@@ -124,6 +124,7 @@ def _stretch(whole: Excitation, first: int, last: int) -> Excitation:
     """The excitation at stamps ``first`` to ``last``, from static equilibrium on."""
     substeps, motion = whole.substeps[first:last].copy(), whole.motion[first:last].copy()
     substeps[0], motion[0, 0] = 0, 0.0
+    path = whole.path
     begin = int(whole.first[first + 1]) - 1  # the heights at the end of the first interval
     rows = whole.first[first : last + 1] - begin
     rows[0] = 0
@@ -134,9 +135,7 @@ def _stretch(whole: Excitation, first: int, last: int) -> Excitation:
         first=rows,
         road=whole.road[begin : int(whole.first[last])],
         motion=motion,
-        x=whole.x[first:last],
-        y=whole.y[first:last],
-        yaw=whole.yaw[first:last],
+        path=replace(path, x=path.x[first:last], y=path.y[first:last], yaw=path.yaw[first:last]),
     )
 
 

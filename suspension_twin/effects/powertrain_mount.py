@@ -22,7 +22,7 @@ from suspension_twin.effects.base import (
     inlined,
     rows,
 )
-from suspension_twin.models.car import Check
+from suspension_twin.models.hooks import Check
 from suspension_twin.units import plain
 
 __all__ = ["EFFECT"]

@@ -46,8 +46,7 @@ EFFECT = Effect(
     excited_by=("wheel hop", "sharp edges", "anything quick"),
     confused_with=("time_offset", "tyre_envelope", "road_smoothing"),
     hook=Hook(
-        signal=SignalStage(_signal, states=6 * STATES, order=40),
-        lag=_lag,
+        signal=SignalStage(_signal, states=6 * STATES, order=40, lag=_lag),
         models=("full_car", "msd", "quarter_car"),
     ),
     finding=_finding,

@@ -115,12 +115,12 @@ OBSERVED = 34
 
 
 @compiled
-def observe(states: Floats, signals: Floats, values: Floats, radius: float, msd: bool, out: Floats) -> None:
+def observe(states: Floats, signals: Floats, values: Floats, radius: float, rigid: bool, out: Floats) -> None:
     """Fill ``out`` (n, OBSERVED) from one lane, the first of its block.
 
     ``states`` (n, STATES, lanes) and ``signals`` (n, 7, lanes) as the kernel wrote them, ``values``
-    (rows,) the lane's constants, ``radius`` m of the tyre. The states of ``msd`` hold the springs'
-    compressions themselves, since its corners need not lie in a plane.
+    (rows,) the lane's constants, ``radius`` m of the tyre. Where the body is not ``rigid`` its corners need not lie in
+    a plane: the states hold the springs' compressions themselves.
     """
     sx, sy, sz = values[SPRUNG], values[SPRUNG + 1], values[SPRUNG + 2]
     for k in range(states.shape[0]):
@@ -133,12 +133,12 @@ def observe(states: Floats, signals: Floats, values: Floats, radius: float, msd:
         for i in range(4):
             x, y = values[ARM_X + i // 2], values[ARM_Y + i]
             wheel = state[rows.WHEEL + i]
-            out[k, 4 + i] = wheel + radius if msd else wheel - values[STATIC + i] + radius
+            out[k, 4 + i] = wheel - values[STATIC + i] + radius if rigid else wheel + radius
             body = heave + y * roll - x * pitch
             body_rate = state[rows.HEAVE_RATE] + y * state[rows.ROLL_RATE] - x * state[rows.PITCH_RATE]
-            out[k, 8 + i] = values[STATIC + i] + state[DAMPER + i] if msd else wheel - body
+            out[k, 8 + i] = wheel - body if rigid else values[STATIC + i] + state[DAMPER + i]
             out[k, 12 + i] = (
-                state[rows.DEFLECTION_RATE + i] if msd else state[rows.WHEEL_RATE + i] - body_rate
+                state[rows.WHEEL_RATE + i] - body_rate if rigid else state[rows.DEFLECTION_RATE + i]
             )
             out[k, 16 + i] = state[rows.CONTACT + i]
         for q in range(7):

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from suspension_twin.arrays import Floats
-from suspension_twin.compiled import compiled, inlined, linked, specialised
+from suspension_twin.compiled import compiled, compiled_later, inlined, linked, specialised
 from suspension_twin.models import rows
 from suspension_twin.models.curves import spring_force, spring_slope
 from suspension_twin.models.rows import WIDTH, fma
@@ -53,6 +53,7 @@ _RESTART: Any = _nothing
 _ELASTIC: Any = _no_force
 
 
+@compiled_later
 def _stand(
     w: Floats,
     lane: int,

@@ -16,7 +16,7 @@ import numpy as np
 from suspension_twin.arrays import Floats
 from suspension_twin.compiled import compiled
 from suspension_twin.errors import InputError
-from suspension_twin.models.types import Excitation, HeightField, Ints
+from suspension_twin.models.types import Excitation, HeightField, Ints, PlanarMotion, PlanarPath
 from suspension_twin.pose.types import Trajectory
 
 __all__ = [
@@ -25,6 +25,7 @@ __all__ = [
     "MOTION",
     "check_step",
     "coarser",
+    "earlier_pose",
     "excitation",
     "next_yaw_acceleration",
     "substeps",
@@ -125,8 +126,8 @@ def excitation(
         raise InputError("trajectory", "t", f"does not rise at sample {at}")
 
     count, first = _counted(t, max_step)
-    heights = _heights(
-        columns["x"], columns["y"], columns["yaw"], t, count, first, vehicle.wheel_positions, road
+    path = PlanarPath(
+        columns["x"], columns["y"], columns["yaw"], vehicle.wheel_positions, road, antenna=antenna
     )
     motion = np.zeros((t.size, len(MOTION)))
     motion[1:, 0] = _steps(dt, count)
@@ -134,28 +135,16 @@ def excitation(
         if name in columns:
             motion[:, column] = columns[name]
     yaw_accelerations(columns["t"], columns["yaw_rate"], count, motion[:, MOTION.index("yaw_acceleration")])
-    return Excitation(
-        t=columns["t"],
-        substeps=count,
-        first=first,
-        road=heights,
-        motion=motion,
-        max_step=max_step,
-        x=columns["x"],
-        y=columns["y"],
-        yaw=columns["yaw"],
-        wheels=vehicle.wheel_positions,
-        ground=road,
-        antenna=antenna,
-    )
+    heights = _heights(path, t, count, first)
+    return Excitation(columns["t"], count, first, heights, motion, max_step, path)
 
 
 def coarser(known: Excitation, max_step: float) -> Excitation:
-    """The same excitation in steps of up to ``max_step`` s: a first look takes less time so."""
+    """The same excitation in steps of up to ``max_step`` s, for a first look that takes less time."""
     count, first = _counted(known.t, check_step(max_step))
     motion = known.motion.copy()
     motion[1:, 0] = _steps(np.diff(known.t), count)
-    heights = _heights(known.x, known.y, known.yaw, known.t, count, first, known.wheels, known.ground)
+    heights = _heights(known.path, known.t, count, first)
     return replace(known, substeps=count, first=first, road=heights, motion=motion, max_step=max_step)
 
 
@@ -175,17 +164,15 @@ def _steps(dt: Floats, count: Ints) -> Floats:
     return np.divide(dt, count[1:], out=np.zeros_like(dt), where=count[1:] > 0)
 
 
-def _heights(
-    x: Floats, y: Floats, yaw: Floats, t: Floats, count: Ints, first: Ints, wheels: Floats, road: HeightField
-) -> Floats:
+def _heights(path: PlanarPath, t: Floats, count: Ints, first: Ints) -> Floats:
     """(m, 4) m heights under the wheels at the end of every step; raises InputError where there is none."""
     heights = np.empty((int(first[-1]), 4))
     for begin in range(0, t.size, _CHUNK):
         end = min(begin + _CHUNK, t.size)
         rows = slice(int(first[begin]), int(first[end]))
-        wheel_x, wheel_y = (np.empty((rows.stop - rows.start, 4)) for _ in range(2))
-        walk(x, y, yaw, count, first, begin, end, wheels, wheel_x, wheel_y)
-        heights[rows] = road.heights(wheel_x, wheel_y)
+        wheel_x, wheel_y = np.empty((2, rows.stop - rows.start, 4))
+        walk(path.x, path.y, path.yaw, count, first, begin, end, path.wheels, wheel_x, wheel_y)
+        heights[rows] = path.ground.heights(wheel_x, wheel_y)
     if not np.isfinite(heights).all():
         row = int(np.flatnonzero(~np.isfinite(heights).all(axis=1))[0])
         stamp = float(t[np.searchsorted(first, row, side="right") - 1])
@@ -236,6 +223,17 @@ def walk(
 def next_yaw_acceleration(value: float, change: float, interval: float) -> float:
     """One step of the filtered difference: ``change`` rad/s of the yaw rate in ``interval`` s."""
     return value + (change - value * interval) / (interval + YAW_TIME)
+
+
+def earlier_pose(motion: PlanarMotion, seconds: float) -> PlanarMotion:
+    """The pose ``seconds`` before, at the velocity of now: where a sensor was when it took a sample that comes so much
+    later."""
+    x, y, yaw, speed, lateral_speed, yaw_rate, *_ = motion
+    return motion._replace(
+        x=x - seconds * (speed * math.cos(yaw) - lateral_speed * math.sin(yaw)),
+        y=y - seconds * (speed * math.sin(yaw) + lateral_speed * math.cos(yaw)),
+        yaw=yaw - seconds * yaw_rate,
+    )
 
 
 _next = compiled(next_yaw_acceleration)

@@ -16,7 +16,6 @@ from __future__ import annotations
 import weakref
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
-from functools import partial
 from typing import Any, Final
 
 import numpy as np
@@ -27,8 +26,8 @@ from suspension_twin.errors import WorkError
 from suspension_twin.models import rows
 from suspension_twin.models.candidate_road import candidate_heights, wheel_paths_of
 from suspension_twin.models.car import CHANNELS
-from suspension_twin.models.connectors import COLUMNS, OUTPUTS, inputs_of
-from suspension_twin.models.constants import Constants, outside
+from suspension_twin.models.connectors import OUTPUTS, inputs_of
+from suspension_twin.models.constants import Conditions, Outside, outside
 from suspension_twin.models.excitation import MAX_STEP
 from suspension_twin.models.fmu_slave import Connected, Slave, connected
 from suspension_twin.models.live import Following
@@ -37,7 +36,7 @@ from suspension_twin.models.registry import Model
 from suspension_twin.models.rows import WIDTH
 from suspension_twin.models.sensor import sense
 from suspension_twin.models.sensor_chain import pass_chain
-from suspension_twin.models.simulate import CAR_SIGNALS, cores
+from suspension_twin.models.simulate import CAR_SIGNALS, cores, sensed_response
 from suspension_twin.models.types import Excitation, HeightField, Ints, LaneResponse, Response
 from suspension_twin.vehicle.twin import Twin
 
@@ -212,15 +211,12 @@ class _Run:
         return out
 
 
-def _road(known: Constants, driven: Excitation, lane: int, strict: bool) -> Floats:
+def _road(known: Outside, driven: Excitation, lane: int, strict: bool) -> Floats:
     """(m, 4) m heights that one candidate sees."""
     if known.road is None:
         return driven.road
-    paths = wheel_paths_of(driven)
-    whole = slice(0, driven.road.shape[0])
-    earlier = partial(paths.earlier, whole)
-    where = driven.road, paths.distance, driven.road[0]
-    return candidate_heights(paths, known.road, lane, 1, *where, strict, earlier)[0]
+    whole = wheel_paths_of(driven).stretch(driven.road, slice(0, driven.road.shape[0]))
+    return candidate_heights(whole, known.road, lane, 1, strict)[0]
 
 
 def numbers_and_place(shape: Layout, params: Floats, place: Floats) -> tuple[Floats, Floats]:
@@ -241,11 +237,11 @@ def _lanes(
     fused: bool = False,
 ) -> LaneResponse:
     body, shape = Body(twin), layout(twin)
-    known = outside(params, shape, fused, excitation.late)
+    known = outside(params, shape, Conditions.of(excitation, fused))
     numbers, places = numbers_and_place(shape, params, body.place)
     count = params.shape[1]
     signals = np.zeros((len(excitation), 7, count))
-    failed = known.bad.copy()
+    failed = known.problems.lanes
     shared = _Run(body, excitation, excitation.road) if known.road is None else None
 
     def one(lane: int) -> None:
@@ -267,7 +263,7 @@ def _lanes(
     else:
         for lane in range(count):
             one(lane)
-    if known.stages or known.clock is not None:
+    if known.reads_otherwise:
         pass_chain(known, excitation, signals)
     failed |= ~np.isfinite(signals).all(axis=(0, 1))
     signals[:, :, failed] = 0.0
@@ -278,8 +274,8 @@ def _lanes(
 
 def _respond(twin: Twin, excitation: Excitation) -> Response:
     body, shape, params = Body(twin), layout(twin), pack(twin)[:, None]
-    known = outside(params, shape, False, excitation.late)
-    known.raise_first()
+    known = outside(params, shape, Conditions.of(excitation))
+    known.problems.raise_first()
     numbers, places = numbers_and_place(shape, params, body.place)
     run = _Run(body, excitation, _road(known, excitation, 0, strict=True))
     out = run.outputs(numbers[:, 0], places[:, 0])
@@ -288,11 +284,7 @@ def _respond(twin: Twin, excitation: Excitation) -> Response:
     if absent and len(excitation) > 2:  # differences, where it does not say
         second = np.gradient(np.gradient(moved, excitation.t, axis=0), excitation.t, axis=0)
         out[:, absent] = second[:, [i - 27 for i in absent]]
-    if known.stages or known.clock is not None:
-        read = np.ascontiguousarray(out[:, _SIGNALS])[:, :, None]
-        pass_chain(known, excitation, read)
-        out[:, _SIGNALS] = read[:, :, 0]
-    return Response(t=excitation.t, **{name: out[:, column] for name, column in COLUMNS.items()})
+    return sensed_response(known, excitation, out)
 
 
 class LiveFmu(Following):
@@ -311,7 +303,7 @@ class LiveFmu(Following):
         self._inputs = np.zeros(10)
         self._base = 0.0
         self._body.start(self._numbers, self._inputs).close()  # what is wrong with it is said now
-        super().__init__(twin, road, outside(params, shape), max_step)
+        super().__init__(twin, road, outside(params, shape, Conditions(max_step)), max_step)
 
     def _restart(self) -> None:
         if self._slave is not None:

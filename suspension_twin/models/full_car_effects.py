@@ -13,20 +13,20 @@ from __future__ import annotations
 
 import linecache
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache
 from typing import Any, get_args
 
 import numpy as np
-from numpy.typing import NDArray
 
 from suspension_twin.arrays import Floats
-from suspension_twin.compiled import compiled, linked, specialised
+from suspension_twin.compiled import compiled, compiled_later, linked, specialised
 from suspension_twin.models import rows
 from suspension_twin.models.car import (
-    Characteristics,
-    Problems,
-    checker,
+    Block,
+    Candidates,
+    Walk,
+    compression_at,
     hinges_of,
     shorten_spring,
     write_curves,
@@ -42,14 +42,15 @@ from suspension_twin.models.corner import (
 )
 from suspension_twin.models.curves import retable
 from suspension_twin.models.equilibrium import stand, stand_with
-from suspension_twin.models.full_car import moments, open_lanes, record, watch, yaw_rate
-from suspension_twin.models.hooks import CornerChange, KernelTerms, Stage, Values
+from suspension_twin.models.full_car import KERNELS, block_rows, moments, open_lanes, record, watch, yaw_rate
+from suspension_twin.models.hooks import KernelTerms, RoadChange, Stage
 from suspension_twin.models.rows import WIDTH, four, put
 from suspension_twin.models.sensor import sense
 from suspension_twin.models.types import Ints
+from suspension_twin.units import STANDARD_GRAVITY as G
 from suspension_twin.vehicle.corners import AXLES
 
-__all__ = ["COMPLIANT", "SOFT", "EffectKernels", "effect_kernels", "with_effects"]
+__all__ = ["COMPLIANT", "SOFT", "EffectKernels", "constants_of", "effect_kernels", "walk"]
 
 
 #: Bits of the flags of a block in which a damper has an elastic mount, and in which a tyre has a stiffness of its own.
@@ -91,6 +92,7 @@ def _soften(w: Floats) -> None:
             w[(rows.GROUND + c) * WIDTH + i] *= 1.0 + w[(rows.TYRE_CHANGE + c) * WIDTH + i]
 
 
+@compiled_later
 def _run(
     blocks: Floats,
     flags: Ints,
@@ -309,19 +311,42 @@ def effect_kernels() -> EffectKernels:
 _MAX_PHASE = 1.5
 
 
-def with_effects(
-    base: Floats,
-    corners: CornerChange,
-    effects: Mapping[str, tuple[Values, NDArray[np.bool_]]],
-    curves: Characteristics,
-    problems: Problems,
-    max_step: float,
-) -> tuple[Floats, Ints]:
-    """Rows of a block with effects (rows, L) from those without (block_rows, L), and the flags (L,) of the lanes.
+def constants_of(given: Candidates, road: RoadChange, antenna: float, actuated: bool) -> Block:
+    """Constants of the kernel, of the block without effects where that is enough; see ``car.CarKernel``."""
+    out = stance = block_rows(given)
+    if any(given.numbers[name] is not given.stance[name] for name in given.stance):
+        # heights count from the static equilibrium without the load that effects add
+        stance = block_rows(given, stance=True)
+    has_effects = given.corners.changed or any(armed.any() for _, armed in given.effects.values())
+    if antenna and (has_effects or stance is not out):
+        with np.errstate(all="ignore"):
+            pitch, roll = static_attitude(out, stance, given)
+        road = replace(road, ahead=road.ahead - antenna * pitch, left=road.left + antenna * roll)
+    if stance is not out:
+        for row in (rows.STATIC, rows.LOAD):
+            out[row : row + 4] = stance[row : row + 4]
+    out[rows.TOUCH : rows.TOUCH + 4] = (
+        out[rows.LOAD : rows.LOAD + 4] + out[rows.TYRE] * out[rows.STATIC : rows.STATIC + 4]
+    )
+    if not (has_effects or actuated or road.changed.any()):
+        return Block(out, None, road)
+    return Block(*_with_effects(out, given), road)
 
-    ``effects`` gives the parameters (L,) of those effects that have terms in the kernel, and which lanes have them.
-    """
-    kernels, hinges, check = effect_kernels(), hinges_of(curves), checker(problems)
+
+def walk(
+    hinges: int, blocks: Floats, flags: Ints | None, road: Floats, candidate_road: Floats, walk: Walk
+) -> None:
+    """Take blocks of lanes along; see ``car.CarKernel``."""
+    if flags is None:
+        KERNELS[hinges](blocks, road, *walk)
+    else:
+        effect_kernels().kernels[hinges](blocks, flags, road, candidate_road, *walk)
+
+
+def _with_effects(base: Floats, given: Candidates) -> tuple[Floats, Ints]:
+    """Rows of a block with effects (rows, L) from those without (block_rows, L), and the flags (L,) of the lanes."""
+    kernels, hinges, corners = effect_kernels(), hinges_of(given.characteristics), given.corners
+    max_step, check = given.max_step, given.problems.check
     count = base.shape[1]
     out, flags = np.zeros((kernels.rows(hinges), count)), np.zeros(count, dtype=np.int64)
     stride = rows.axle_rows(hinges)
@@ -333,29 +358,25 @@ def with_effects(
     flags[corners.compliance.any(axis=0)] |= COMPLIANT
     flags[corners.tyre.any(axis=0)] |= SOFT
     for c in range(4):
-        axle = AXLES[c // 2]
-        spring = curves[axle, "spring"].scaled(1 + corners.spring[c])
-        push, pull = (
-            curves[axle, side].scaled(1 + corners.damper[c]) for side in ("damper_push", "damper_pull")
-        )
+        strut = given.characteristics[AXLES[c // 2]].scaled(1 + corners.spring[c], 1 + corners.damper[c])
         beta = out[rows.CORNER_IMPLICIT + c] = base[rows.IMPLICIT + c // 2]
         with np.errstate(all="ignore"):
-            write_curves(out, first + c * stride, hinges, spring, push, pull, beta)
+            write_curves(out, first + c * stride, hinges, strut, beta)
             shorten_spring(out, first + c * stride, hinges, corners.sag[c])
-        for curve in (push, pull):
+        for curve in (strut.push, strut.pull):
             for row in (curve.x, curve.f, curve.slope):  # the last point repeated up to the number of hinges
                 out[master : master + len(row)] = row
                 out[master + len(row) : master + hinges + 1] = row[-1]
                 master += hinges + 1
 
     with np.errstate(all="ignore"):
-        springs = [curves[axle, "spring"].slope.max(axis=0) for axle in AXLES]
+        springs = [given.characteristics[axle].spring.slope.max(axis=0) for axle in AXLES]
         tyre = out[rows.TYRE] * (1.0 + np.maximum(corners.tyre.max(axis=0), 0.0))
         stiff, fastest = tyre + np.maximum(*springs), np.zeros(count)
-        given = (corners.spring, corners.damper, corners.compliance, corners.tyre, corners.sag)
-        finite = np.isfinite(np.concatenate(given)).all(axis=0)
+        parts = (corners.spring, corners.damper, corners.compliance, corners.tyre, corners.sag)
+        finite = np.isfinite(np.concatenate(parts)).all(axis=0)
         check(~(corners.tyre > -1.0).all(axis=0), "effects", "leave a tyre no stiffness")
-        for name, (values, armed) in effects.items():
+        for name, (values, armed) in given.effects.items():
             terms, e = kernels.terms[name], kernels.first[name]
             flags[armed] |= kernels.bit[name]
             for field, value in terms.constants(values).items():
@@ -375,3 +396,40 @@ def with_effects(
         check(~(phase < _MAX_PHASE), "effects", f"too stiff {smaller}")
         check(~(np.sqrt(fastest) * max_step < 1.0), "effects", f"a mode is too fast {smaller}")
     return out, flags
+
+
+#: Share of its load by which a spring's rate about it is taken.
+_ABOUT = 0.1
+
+
+def static_attitude(loaded: Floats, stance: Floats, given: Candidates) -> tuple[Floats, Floats]:
+    """Pitch (nose down positive) and roll (right side down positive) in rad, (L,) each, against the vehicle without
+    its effects.
+
+    ``loaded`` and ``stance`` are rows of blocks with and without the load that effects add. A rigid body on four
+    springs in series with tyres: the unbalanced loads of the corners over the rates there. Exactly 0 without any.
+    """
+    count, change = loaded.shape[1], given.corners
+    force, stiffness = np.zeros((3, count)), np.zeros((3, 3, count))
+    for i in range(4):
+        spring, scale = given.characteristics[AXLES[i // 2]].spring, 1.0 + change.spring[i]
+        carried = stance[rows.LOAD + i] - G / stance[rows.INV_WHEEL + i // 2]
+        wanted = loaded[rows.LOAD + i] - G / loaded[rows.INV_WHEEL + i // 2]
+        more = wanted - scale * carried
+        # about the middle of the way from the one load to the other
+        middle = carried + 0.5 * more / scale
+        low, high = (compression_at(spring, (1.0 + s * _ABOUT) * middle) for s in (-1.0, 1.0))
+        rate = scale * 2.0 * _ABOUT * middle / (high - low)
+        tyre = loaded[rows.TYRE] * (1.0 + change.tyre[i])
+        rate = 1.0 / (1.0 / rate + 1.0 / tyre)
+        # a shorter spring and a softer tyre let the corner down by as much as they give more
+        more = more + rate * (change.sag[i] - change.tyre[i] * loaded[rows.LOAD + i] / tyre)
+        arm = np.stack([np.ones(count), stance[rows.ARM_X + i // 2], -stance[rows.ARM_Y + i]])
+        force += more * arm
+        stiffness += rate * arm[:, None] * arm[None]
+    good = np.isfinite(stiffness).all(axis=(0, 1)) & np.isfinite(force).all(axis=0)
+    out = np.zeros((3, count))
+    out[:, good] = np.linalg.solve(stiffness[:, :, good].transpose(2, 0, 1), force[:, good].T[:, :, None])[
+        :, :, 0
+    ].T
+    return out[1], out[2]

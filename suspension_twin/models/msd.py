@@ -49,13 +49,15 @@ from __future__ import annotations
 import numpy as np
 
 from suspension_twin.arrays import Floats
-from suspension_twin.compiled import compiled, inlined, specialised
+from suspension_twin.compiled import compiled, compiled_later, inlined, specialised
 from suspension_twin.models import rows
 from suspension_twin.models.car import (
-    Characteristics,
-    Problems,
+    Block,
+    Candidates,
+    CarKernel,
+    Numbers,
+    Walk,
     car_model,
-    checker,
     compression_at,
     hinges_of,
     shorten_spring,
@@ -63,7 +65,7 @@ from suspension_twin.models.car import (
 )
 from suspension_twin.models.curves import damper_forces, spring_force, spring_forces, spring_slope
 from suspension_twin.models.full_car import record, watch
-from suspension_twin.models.hooks import CornerChange
+from suspension_twin.models.hooks import RoadChange
 from suspension_twin.models.rows import WIDTH, fma, four, put
 from suspension_twin.models.sensor import sense
 from suspension_twin.models.types import Ints
@@ -72,10 +74,9 @@ from suspension_twin.vehicle.corners import AXLES
 from suspension_twin.vehicle.twin import Vehicle
 
 __all__ = [
+    "KERNEL",
     "MODEL",
-    "MSD_KERNELS",
     "corners",
-    "msd_rows",
     "plane",
     "printed",
     "stand_corners",
@@ -271,6 +272,7 @@ def _record_corners(w: Floats, at: int, state: Floats) -> None:
 _HINGES = 0
 
 
+@compiled_later
 def _run(
     blocks: Floats,
     road: Floats,
@@ -325,31 +327,19 @@ def _run(
 
 
 #: The kernel for each number of hinges per curve.
-MSD_KERNELS = {
-    hinges: compiled(specialised(_run, f"_run_{hinges}", _HINGES=hinges)) for hinges in rows.HINGES
-}
+KERNELS = {hinges: compiled(specialised(_run, f"_run_{hinges}", _HINGES=hinges)) for hinges in rows.HINGES}
 
 _SPRING_PHASE = 1.0
 
 
-def msd_rows(
-    numbers: dict[str, Floats],
-    stance: dict[str, Floats],
-    corners: CornerChange,
-    curves: Characteristics,
-    problems: Problems,
-    max_step: float,
-) -> Floats:
-    """Rows of a block (rows, L) of ``msd``.
-
-    ``numbers`` of the twin as changed by effects, ``stance`` of the twin from whose standing heights
-    are counted; of ``corners`` the mass of each wheel, 0 for none, and the sag of each axle's springs.
-    """
-    unsprung = corners.wheel_mass
-    hinges, check = hinges_of(curves), checker(problems)
+def _constants(given: Candidates, road: RoadChange, antenna: float, actuated: bool) -> Block:
+    """Constants of the kernel, see ``car.CarKernel``. Effects give wheels a mass, 0 for none, and an axle's springs a
+    sag; they change nothing else at corners."""
+    numbers, unsprung, max_step = given.numbers, given.corners.wheel_mass, given.max_step
+    hinges, check = hinges_of(given.characteristics), given.problems.check
     out = np.zeros((rows.block_rows(hinges), unsprung.size))
 
-    def shares(of: dict[str, Floats]) -> tuple[Floats, Floats]:
+    def shares(of: Numbers) -> tuple[Floats, Floats]:
         """Weight on the four corners, and the vehicle's, N."""
         ahead, left = of["vehicle.cog.0"] / of["vehicle.wheelbase"], of["vehicle.cog.1"]
         weight = of["vehicle.mass"] * G
@@ -365,7 +355,7 @@ def msd_rows(
     base, height = numbers["vehicle.wheelbase"], numbers["vehicle.cog.2"]
     with np.errstate(all="ignore"):
         weight, _ = shares(numbers)
-        _, standing = shares(stance)
+        _, standing = shares(given.stance)
         corner = numbers["vehicle.mass"] / 4 - unsprung
         check(~(corner > 0), "effects.unsprung_mass", "leaves no mass above the wheels")
         out[rows.TYRE] = numbers["vehicle.tyre.vertical_stiffness"]
@@ -390,27 +380,36 @@ def msd_rows(
         out[rows.SPRUNG + 2] = height
         out[rows.LOAD : rows.LOAD + 4] = standing
         for a, axle in enumerate(AXLES):
-            spring = curves[axle, "spring"]
+            strut = given.characteristics[axle]
             for c in (2 * a, 2 * a + 1):
                 load = standing[c] - unsprung * G
                 check(~(load > 0), "vehicle.cog", f"puts no load on the {axle} springs")
-                out[rows.STATIC + c] = compression_at(spring, load)
+                out[rows.STATIC + c] = compression_at(strut.spring, load)
                 unreachable = ~np.isfinite(out[rows.STATIC + c])
                 check(unreachable, f"vehicle.{axle}.spring.force", "the spring never carries its static load")
             beta = max_step / 2 * (out[rows.INV_CORNER] + out[rows.INV_UNSPRUNG])
             out[rows.IMPLICIT + a] = beta
-            push, pull = curves[axle, "damper_push"], curves[axle, "damper_pull"]
             first = rows.CURVES + a * rows.axle_rows(hinges)
-            write_curves(out, first, hinges, spring, push, pull, beta)
-            shorten_spring(out, first, hinges, corners.sag[2 * a])
-            stiff = spring.slope.max(axis=0) * (out[rows.INV_CORNER] + out[rows.INV_UNSPRUNG])
-            stiff = np.maximum(stiff, (out[rows.TYRE] + spring.slope.max(axis=0)) * out[rows.INV_UNSPRUNG])
+            write_curves(out, first, hinges, strut, beta)
+            shorten_spring(out, first, hinges, given.corners.sag[2 * a])
+            steepest = strut.spring.slope.max(axis=0)
+            stiff = steepest * (out[rows.INV_CORNER] + out[rows.INV_UNSPRUNG])
+            stiff = np.maximum(stiff, (out[rows.TYRE] + steepest) * out[rows.INV_UNSPRUNG])
             check(
                 ~(np.sqrt(stiff) * max_step < _SPRING_PHASE),
                 f"vehicle.{axle}.spring.force",
                 f"too stiff on its mass for a step of {max_step:g} s: take a smaller step",
             )
-    return out
+    return Block(out, None, road)
 
+
+def _walk(
+    hinges: int, blocks: Floats, flags: Ints | None, road: Floats, candidate_road: Floats, walk: Walk
+) -> None:
+    """Take blocks of lanes along; see ``car.CarKernel``."""
+    KERNELS[hinges](blocks, road, candidate_road, *walk)
+
+
+KERNEL = CarKernel(_constants, _walk, rigid=False)
 
 MODEL = car_model("msd", "the game-engine model of the car paper: a body on four massless wheels")

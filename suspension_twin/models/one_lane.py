@@ -17,9 +17,9 @@ from typing import Any
 import numpy as np
 
 from suspension_twin.arrays import Floats
-from suspension_twin.compiled import specialised
+from suspension_twin.compiled import compiled_later, specialised
 from suspension_twin.models import rows
-from suspension_twin.models.constants import constants
+from suspension_twin.models.constants import Conditions, constants
 from suspension_twin.models.corner import (
     close_interval,
     move,
@@ -82,8 +82,8 @@ class OneLane:
 def one_lane(twin: Twin, max_step: float) -> OneLane:
     """A car as one lane for steps of up to ``max_step`` s; InputError names the key of what cannot be simulated."""
     shape = layout(twin)
-    known = constants(pack(twin)[:, None], shape, max_step, actuated=True)
-    known.raise_first()
+    known = constants(pack(twin)[:, None], shape, Conditions(max_step, actuated=True))
+    known.problems.raise_first()
     given: dict[str, Any] = {"_HINGES": known.hinges, "_RADIUS": float(twin.vehicle.tyre.radius)}
     functions = _msd_start, _msd_advance, _msd_read
     if known.flags is not None:
@@ -109,6 +109,7 @@ def _start(w: Floats, road: Floats, motion: Floats) -> None:
     _STAND(w, 0, mx, my, motion[4], motion[5], c0, c1, c2, c3, _HINGES)
 
 
+@compiled_later
 def _advance(
     w: Floats, n: int, h: float, road0: Floats, road1: Floats, motion0: Floats, motion1: Floats
 ) -> None:
@@ -196,6 +197,7 @@ def _msd_start(w: Floats, road: Floats, motion: Floats) -> None:
     stand_corners(w, 0, w0, w1, w2, w3, motion[4], motion[5], _HINGES)
 
 
+@compiled_later
 def _msd_advance(
     w: Floats, n: int, h: float, road0: Floats, road1: Floats, motion0: Floats, motion1: Floats
 ) -> None:

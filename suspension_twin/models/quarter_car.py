@@ -26,12 +26,13 @@ import numpy as np
 
 from suspension_twin.arrays import Floats
 from suspension_twin.models import rows
-from suspension_twin.models.constants import Constants, constants
+from suspension_twin.models.car import PARTS, Problems, points
+from suspension_twin.models.constants import Conditions, Constants, constants
 from suspension_twin.models.hooks import Values
 from suspension_twin.models.parameters import Layout, layout, pack
 from suspension_twin.models.registry import Model
 from suspension_twin.models.sensor_chain import pass_chain
-from suspension_twin.models.simulate import LaneBlocks, cores, full_response
+from suspension_twin.models.simulate import LaneBlocks, Stretch, cores, full_response
 from suspension_twin.models.types import Excitation, LaneResponse, Response
 from suspension_twin.vehicle.corners import AXLES
 from suspension_twin.vehicle.twin import Twin
@@ -41,7 +42,6 @@ __all__ = ["CHANNELS", "MODEL"]
 #: Body and wheel acceleration in m/s² upwards, without gravity; compression of the suspension in m from standing; force
 #: of the road on the tyre in N.
 CHANNELS = ("body_acceleration", "wheel_acceleration", "suspension_deflection", "tyre_force")
-_CURVES = (("spring", "compression"), ("damper_push", "velocity"), ("damper_pull", "velocity"))
 _SCALARS = ("vehicle.sprung_mass", "vehicle.unsprung_mass", "vehicle.tyre.vertical_stiffness")
 #: The car with four such corners that is no number of the twin: a square, 2 m by 2 m, with everything at 1 m.
 _SQUARE = {
@@ -64,9 +64,8 @@ _CHUNK = 1024
 
 def _numbers(twin: Twin) -> Sequence[str]:
     names = list(_SCALARS)
-    for part, abscissa in _CURVES:
-        points = range(len(getattr(twin.vehicle, part).force))
-        names += [f"vehicle.{part}.{quantity}.{j}" for quantity in (abscissa, "force") for j in points]
+    for part, abscissa in PARTS:
+        names += points(getattr(twin.vehicle, part), f"vehicle.{part}", abscissa)
     return names
 
 
@@ -111,11 +110,12 @@ def _constants(twin: Twin, params: Floats, run: Excitation) -> Constants:
             hook, neutral=neutral, vehicle=hook.vehicle and _on_car(hook.vehicle, tuple(given))
         )
     car = Layout(tuple(numbers), "full_car", hooks, shape.mounting)
-    known = constants(np.stack(list(numbers.values())), car, run.max_step, actuated=run.motion.shape[1] > 7)
-    problems = tuple(
-        (mask, key.replace(".front", "").replace(".rear", ""), text) for mask, key, text in known.problems
-    )
-    return replace(known, problems=problems)
+    known = constants(np.stack(list(numbers.values())), car, Conditions.of(run))
+    problems = [
+        (mask, key.replace(".front", "").replace(".rear", ""), text)
+        for mask, key, text in known.problems.found
+    ]
+    return replace(known, problems=Problems(known.lanes, problems))
 
 
 def _lanes(twin: Twin, params: Floats, excitation: Excitation, threads: int | None = None) -> LaneResponse:
@@ -128,8 +128,8 @@ def _lanes(twin: Twin, params: Floats, excitation: Excitation, threads: int | No
         read = np.empty((end - begin, 7, blocks.width))
         states = np.empty((end - begin, rows.STATES, blocks.width))
         road = run.road[run.first[begin] : run.first[end]]
-        where = run.substeps, run.motion, begin, end, read, states
-        blocks.walk(road, None, *where, threads=threads or cores())
+        stretch = Stretch(run.substeps, run.motion, begin, end, road)
+        blocks.walk(stretch, read, states, threads or cores())
         body, wheel = states[:, rows.HEAVE, :count], states[:, rows.WHEEL, :count]
         signals[begin:end, :7] = read[:, :, :count]
         signals[begin:end, 7] = states[:, rows.WHEEL_ACCELERATION, :count]

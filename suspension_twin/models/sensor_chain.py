@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from suspension_twin.arrays import Floats
 from suspension_twin.compiled import compiled
-from suspension_twin.models.constants import Constants
+from suspension_twin.models.constants import Outside
 from suspension_twin.models.sensor import rotation
 from suspension_twin.models.types import Excitation, Ints
 
@@ -25,9 +25,10 @@ _UNEVEN = 0.01  # of a step
 class Chain:
     """The stages of L lanes with their state, for a stretch of a drive or one stamp at a time."""
 
-    def __init__(self, known: Constants) -> None:
-        lanes = known.values.shape[1]
-        self._stages = [(stage, values, np.zeros((stage.states, lanes))) for stage, values in known.stages]
+    def __init__(self, known: Outside) -> None:
+        self._stages = [
+            (stage, values, np.zeros((stage.states, known.lanes))) for stage, values in known.stages
+        ]
         self._axes = rotation(known.mounting)
 
     def __bool__(self) -> bool:
@@ -53,7 +54,7 @@ class Chain:
             signals[:, 6] += more[:, 2]
 
 
-def pass_chain(known: Constants, excitation: Excitation, signals: Floats) -> None:
+def pass_chain(known: Outside, excitation: Excitation, signals: Floats) -> None:
     """The chain over a whole drive, in place; ``signals`` (n, 7, L) as the ideal sensor read them."""
     Chain(known).process(signals, excitation.t, excitation.substeps == 0)
     if known.clock is not None:

@@ -6,8 +6,8 @@ from __future__ import annotations
 import threading
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from functools import lru_cache, partial
-from typing import Any
+from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 from numba import config
@@ -19,10 +19,7 @@ from suspension_twin.errors import InputError, WorkError
 from suspension_twin.models import rows
 from suspension_twin.models.candidate_road import candidate_heights, wheel_paths_of
 from suspension_twin.models.connectors import COLUMNS, OBSERVED, observe
-from suspension_twin.models.constants import Constants, constants
-from suspension_twin.models.full_car import KERNELS
-from suspension_twin.models.full_car_effects import effect_kernels
-from suspension_twin.models.msd import MSD_KERNELS
+from suspension_twin.models.constants import Conditions, Constants, Outside, constants
 from suspension_twin.models.parameters import layout, pack
 from suspension_twin.models.registry import model_of
 from suspension_twin.models.sensor_chain import pass_chain
@@ -32,10 +29,13 @@ from suspension_twin.vehicle.twin import Twin
 __all__ = [
     "CAR_SIGNALS",
     "LaneBlocks",
+    "Stretch",
     "car_lanes",
     "car_response",
     "cores",
     "full_response",
+    "observed",
+    "sensed_response",
     "share_out",
     "simulate_lanes",
     "simulate_twin",
@@ -106,6 +106,22 @@ def _fill(blocks: Floats, values: Floats, bad: NDArray[np.bool_]) -> None:
                 blocks[block, rows.FAILED, i] = 1.0
 
 
+@dataclass(frozen=True, eq=False)
+class Stretch:
+    """Stamps ``begin`` to ``end - 1`` of an excitation and the heights (rows, 4) m seen there.
+
+    ``substeps`` and ``motion`` are those of the whole excitation. ``own`` makes the heights that the lanes of a block
+    see, by its number: (rows, 4) of all, or (rows, 4, WIDTH) of each.
+    """
+
+    substeps: Ints
+    motion: Floats
+    begin: int
+    end: int
+    road: Floats
+    own: Callable[[int], tuple[Floats, Floats]] | None = None
+
+
 class LaneBlocks:
     """L lanes, WIDTH to a block, with their state; the last block is filled up with its last lane.
 
@@ -114,18 +130,18 @@ class LaneBlocks:
 
     def __init__(self, known: Constants) -> None:
         self.known = known
-        self.lanes = known.values.shape[1]
+        self.lanes = known.lanes
         self.count = -(-self.lanes // rows.WIDTH)
-        values, bad = known.values, known.bad
-        self._data = _aligned(self.count, values.shape[0] * rows.WIDTH)
+        self._data = _aligned(self.count, known.values.shape[0] * rows.WIDTH)
         self._view = self._data.reshape(self.count, -1, rows.WIDTH)
-        _fill(self._view, values, bad)
-        flags = np.zeros(self.lanes, dtype=np.int64) if known.flags is None else known.flags
-        self._flags = np.bitwise_or.reduceat(flags, np.arange(0, self.lanes, rows.WIDTH))
+        _fill(self._view, known.values, known.problems.lanes)
+        self._flags: Ints | None = None
+        if known.flags is not None:
+            self._flags = np.bitwise_or.reduceat(known.flags, np.arange(0, self.lanes, rows.WIDTH))
 
     @property
     def width(self) -> int:
-        """Lanes with the filling, which is what ``signals`` and ``states`` have to hold."""
+        """Lanes with the filling: so many ``signals`` and ``states`` have to hold."""
         return int(self.count * rows.WIDTH)
 
     @property
@@ -138,43 +154,24 @@ class LaneBlocks:
         """Take over constants and state of blocks made from the same constants."""
         self._data[:] = fresh._data
 
-    def walk(
-        self,
-        road: Floats,
-        candidate_road: Callable[[int], tuple[Floats, Floats]] | None,
-        substeps: Ints,
-        motion: Floats,
-        begin: int,
-        end: int,
-        signals: Floats,
-        states: Floats = _NONE,
-        threads: int = 1,
-    ) -> None:
-        """All lanes through the stamps begin..end-1; arguments as in ``full_car._run``.
-
-        ``candidate_road`` makes the heights that the lanes of a block see, by its number: (rows, 4) of all, or
-        (rows, 4, WIDTH) of each.
-        """
+    def walk(self, stretch: Stretch, signals: Floats, states: Floats = _NONE, threads: int = 1) -> None:
+        """All lanes through a stretch; ``signals`` and ``states`` as in ``full_car._run``."""
+        known, ends = self.known, (stretch.begin, stretch.end)
 
         def part(low: int, high: int) -> None:
-            data, lane0, hinges = self._data[low:high], low * rows.WIDTH, self.known.hinges
-            shared, own = (road, _NONE) if candidate_road is None else candidate_road(low)
-            where = substeps, motion, begin, end, signals, states, lane0
-            if self.known.model == "msd":
-                MSD_KERNELS[hinges](data, shared, own, *where)
-            elif self.known.flags is not None:
-                effect_kernels().kernels[hinges](data, self._flags[low:high], shared, own, *where)
-            else:
-                KERNELS[hinges](data, shared, *where)
+            flags = None if self._flags is None else self._flags[low:high]
+            road, own = (stretch.road, _NONE) if stretch.own is None else stretch.own(low)
+            where = (stretch.substeps, stretch.motion, *ends, signals, states, low * rows.WIDTH)
+            known.kernel.walk(known.hinges, self._data[low:high], flags, road, own, where)
 
-        pieces = self.count if candidate_road is not None else min(self.count, max(1, threads))
+        pieces = self.count if stretch.own is not None else min(self.count, max(1, threads))
         cuts = np.linspace(0, self.count, pieces + 1).astype(int)
         parts = list(zip(cuts[:-1].tolist(), cuts[1:].tolist(), strict=True))
         share_out(part, parts, threads)
 
 
 def simulate_lanes(
-    twin: Twin, params: Floats, excitation: Any, threads: int | None = None, **options: Any
+    twin: Twin, params: Floats, excitation: Excitation, threads: int | None = None, **options: bool
 ) -> LaneResponse:
     """Sensor signals of candidates of a twin on one excitation, by the model that the twin file names.
 
@@ -262,25 +259,16 @@ def car_lanes(
     is the only channel: less to write, the same numbers. ``fused``: the pose was fused with the sensor's own readings,
     so that the planar motion has the clock offset of the sensor; the offset then delays the road alone.
     """
-    known = _constants(twin, params, excitation.max_step, fused, excitation.antenna, excitation.late)
+    known = _constants(twin, params, Conditions.of(excitation, fused))
     blocks = LaneBlocks(known)
     full = not vertical_only or bool(known.stages)
     signals = np.empty((len(excitation), 7 if full else 1, blocks.width))
     for begin, end in _segments(known, excitation):
-        road, own = _roads(known, blocks, excitation, begin, end, strict=False)
-        blocks.walk(
-            road,
-            own,
-            excitation.substeps,
-            excitation.motion,
-            begin,
-            end,
-            signals[begin:end],
-            threads=threads or cores(),
-        )
+        stretch = _stretch(known, excitation, begin, end, strict=False)
+        blocks.walk(stretch, signals[begin:end], threads=threads or cores())
     failed = blocks.failed
     signals = signals[:, :, : blocks.lanes]
-    if known.stages or known.clock is not None:
+    if known.reads_otherwise:
         signals = np.ascontiguousarray(signals)
         pass_chain(known, excitation, signals)
         failed |= ~np.isfinite(signals).all(axis=(0, 1))
@@ -294,48 +282,51 @@ def car_lanes(
 _latest = threading.local()
 
 
-def _constants(twin: Twin, params: Floats, *how: Any) -> Constants:
+def _constants(twin: Twin, params: Floats, conditions: Conditions) -> Constants:
     """The constants of candidates. Those that cannot be written to are often simulated over several drives in turn:
     the last ones of a thread are kept."""
-    asked = twin, params, how
-    last = getattr(_latest, "asked", None)
-    if (
-        last is None
-        or last[0] is not twin
-        or last[1] is not params
-        or last[2] != how
-        or params.flags.writeable
-    ):
-        _latest.asked, _latest.known = asked, constants(params, layout(twin), *how)
+    last = getattr(_latest, "asked", (None, None, None))
+    if last[0] is not twin or last[1] is not params or last[2] != conditions or params.flags.writeable:
+        _latest.asked = twin, params, conditions
+        _latest.known = constants(params, layout(twin), conditions)
     known: Constants = _latest.known
     return known
 
 
 def car_response(twin: Twin, excitation: Excitation) -> Response:
     """``full_car`` and ``msd``, one twin with everything recorded."""
-    antenna, offset = excitation.antenna, excitation.late
-    known = constants(pack(twin)[:, None], layout(twin), excitation.max_step, False, antenna, offset)
+    known = constants(pack(twin)[:, None], layout(twin), Conditions.of(excitation))
     return full_response(known, excitation, twin.vehicle.tyre.radius)
+
+
+def observed(known: Constants, states: Floats, signals: Floats, radius: float) -> Floats:
+    """(n, OBSERVED) of the first lane of ``known``: ``states`` (n, STATES, lanes) and ``signals`` (n, 7, lanes) as the
+    kernel wrote them, ``radius`` m of the tyre."""
+    out = np.empty((states.shape[0], OBSERVED))
+    observe(states, signals, np.ascontiguousarray(known.values[:, 0]), radius, known.kernel.rigid, out)
+    return out
 
 
 def full_response(known: Constants, excitation: Excitation, radius: float) -> Response:
     """Everything that the first lane of ``known`` does; ``radius`` m of the tyre. Raises as ``simulate_twin`` does."""
-    known.raise_first()
+    known.problems.raise_first()
     blocks = LaneBlocks(known)
-    n = len(excitation)
-    out = np.empty((n, OBSERVED))
-    values = np.ascontiguousarray(known.values[:, 0])
+    out = np.empty((len(excitation), OBSERVED))
     for begin, end in _segments(known, excitation, _CHUNK):
         signals = np.empty((end - begin, 7, rows.WIDTH))
         states = np.empty((end - begin, rows.STATES, rows.WIDTH))
-        road, own = _roads(known, blocks, excitation, begin, end)
-        blocks.walk(road, own, excitation.substeps, excitation.motion, begin, end, signals, states)
-        observe(states, signals, values, radius, known.model == "msd", out[begin:end])
+        blocks.walk(_stretch(known, excitation, begin, end), signals, states)
+        out[begin:end] = observed(known, states, signals, radius)
         if blocks.failed[0]:
             raise WorkError(
                 f"the simulation diverges by t = {excitation.t[end - 1]:.3f} s: are the road's heights in m?"
             )
-    if known.stages or known.clock is not None:
+    return sensed_response(known, excitation, out)
+
+
+def sensed_response(known: Outside, excitation: Excitation, out: Floats) -> Response:
+    """The response of the first lane from OUTPUTS (n, OBSERVED) with an ideal sensor."""
+    if known.reads_otherwise:
         read = np.ascontiguousarray(out[:, 20:27])[:, :, None]
         pass_chain(known, excitation, read)
         out[:, 20:27] = read[:, :, 0]
@@ -351,31 +342,18 @@ def _segments(known: Constants, excitation: Excitation, most: int | None = None)
         yield begin, min(begin + (most or n), n)
 
 
-def _roads(
-    known: Constants, blocks: LaneBlocks, excitation: Excitation, begin: int, end: int, strict: bool = True
-) -> tuple[Floats, Callable[[int], tuple[Floats, Floats]] | None]:
-    """Road heights of a stretch, and a maker of every block's own where lanes see different roads;
-    ``strict`` as in ``candidate_heights``."""
+def _stretch(known: Constants, excitation: Excitation, begin: int, end: int, strict: bool = True) -> Stretch:
+    """A stretch with a maker of every block's own road where lanes see different ones; ``strict`` as in
+    ``candidate_heights``."""
     part = slice(int(excitation.first[begin]), int(excitation.first[end]))
-    road, change = excitation.road[part], known.road
+    where = excitation.substeps, excitation.motion, begin, end, excitation.road[part]
+    change = known.road
     if change is None:
-        return road, None
-    paths = wheel_paths_of(excitation)
-    distance = paths.distance[part]
+        return Stretch(*where)
+    stretch = wheel_paths_of(excitation).stretch(excitation.road, part)
 
     def own(block: int) -> tuple[Floats, Floats]:
         lane0 = block * rows.WIDTH
-        count = min(rows.WIDTH, blocks.lanes - lane0)
-        return candidate_heights(
-            paths,
-            change,
-            lane0,
-            count,
-            road,
-            distance,
-            excitation.road[0],
-            strict,
-            partial(paths.earlier, part),
-        )
+        return candidate_heights(stretch, change, lane0, min(rows.WIDTH, known.lanes - lane0), strict)
 
-    return road, own
+    return Stretch(*where, own)

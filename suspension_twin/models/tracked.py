@@ -41,20 +41,20 @@ import math
 import os
 from collections.abc import Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, fields
 from typing import Any
 
 import numpy as np
 
 from suspension_twin.arrays import Floats
 from suspension_twin.errors import InputError, WorkError
-from suspension_twin.models.excitation import MAX_GAP, MAX_STEP, next_yaw_acceleration
+from suspension_twin.models.excitation import MAX_STEP, earlier_pose, next_yaw_acceleration
 from suspension_twin.models.hooks import ClockChange, Hook
-from suspension_twin.models.live import LiveState, earlier_pose
+from suspension_twin.models.live import LiveModel, LiveState
 from suspension_twin.models.parameters import layout, pack
 from suspension_twin.models.registry import Model
 from suspension_twin.models.tracked_kernel import COLUMNS, HULL, PARAMETERS, first_index, walk_lane
-from suspension_twin.models.types import Excitation, HeightField, Ints, LaneResponse, Response
+from suspension_twin.models.types import Excitation, HeightField, Ints, LaneResponse, PlanarMotion, Response
 from suspension_twin.units import STANDARD_GRAVITY as G
 from suspension_twin.vehicle.tracked import Driver, Obstacle, TrackedTwin, TrackedVehicle
 from suspension_twin.vehicle.twin import Twin
@@ -80,28 +80,42 @@ SETTLE = 2.0  # s of standing still, heavily damped, before the travel
 
 
 @dataclass(frozen=True)
-class TrackedResponse:
-    """One run. Arrays over the stamps ``t`` (n,), forces of both sides together; markers in m.
+class MarkerMotion:
+    """Motion (n, 3) of the markers A, B and C in m, m/s and m/s²; displacements upwards from the standing vehicle."""
 
-    ``travel``: CoG along the ground from the obstacle's foot; ``pitch`` rad, positive nose down;
-    ``arm`` (n, S) rad below the horizontal of the hull; ``wheel_load`` (n, S) and ``tension`` N of
-    one side; ``energy`` and ``lost`` J of one side; ``markers`` (n, 3) displacement of A, B
-    and C upwards from the standing vehicle; ``failed``: the run diverged, what came after is NaN-free zero.
+    markers: Floats
+    marker_velocity: Floats
+    marker_acceleration: Floats
+
+
+@dataclass(frozen=True)
+class RunningGear:
+    """Track and wheels of a run; ``ground`` (n,) N of both sides together, everything else of one side.
+
+    ``tension`` (n,) N of the track; ``arm`` (n, S) rad below the horizontal of the hull; ``wheel_load`` (n, S) N;
+    ``energy`` and ``lost`` (n,) J.
     """
 
-    t: Floats
-    travel: Floats
-    z: Floats
-    pitch: Floats
     tension: Floats
     ground: Floats
     arm: Floats
     wheel_load: Floats
     energy: Floats
     lost: Floats
-    markers: Floats
-    marker_velocity: Floats
-    marker_acceleration: Floats
+
+
+@dataclass(frozen=True)
+class TrackedResponse(MarkerMotion, RunningGear):
+    """One run over the stamps ``t`` (n,) s.
+
+    ``travel`` m of the CoG along the ground from the obstacle's foot; its height ``z`` m; ``pitch`` rad, nose down
+    positive; ``failed``: the run diverged, and everything is zero.
+    """
+
+    t: Floats
+    travel: Floats
+    z: Floats
+    pitch: Floats
     failed: bool
 
 
@@ -471,12 +485,13 @@ _CHANNELS = tuple(
 )
 
 
-class LiveTracked:
+class LiveTracked(LiveModel):
     """As :class:`~suspension_twin.models.live.LiveTwin`, for a twin on tracks.
 
-    Left and right road wheels move alike: arrays of a state hold the left side's wheels front to rear, then
-    the right side's. ``deflection`` is an arm's turn in rad from its free angle, up positive; ``roll`` is 0.
-    ``late`` s of the sensor's clock offset are in the poses already.
+    The plane of symmetry travels along the locked pose; each link is laid on the mean of the heights under
+    the two tracks, where the pose points when it is laid. Left and right road wheels move alike: arrays of a state hold
+    the left side's wheels front to rear, then the right side's. ``deflection`` is an arm's turn in rad from its free
+    angle, up positive; ``roll`` is 0. ``late`` s of the sensor's clock offset are in the poses already.
     """
 
     def __init__(
@@ -501,60 +516,31 @@ class LiveTracked:
         self._arm = vehicle.arm.length
         self._side = vehicle.tread / 2
         self._out = np.zeros((2, COLUMNS + 2 * len(vehicle.stations)))
-        self._counts = np.zeros(1, dtype=np.int64)
         self._height = self._standing()
         self.reset()
 
     def reset(self) -> None:
         """Forget everything: the next step starts from static equilibrium."""
-        self._t = math.nan
-        self._last: LiveState | None = None
+        super().reset()
         self._s, self._pose = 0.0, (0.0, 0.0, 0.0)
-        self._motion = (0.0, 0.0, 0.0, 0.0)  # speed, ax, yaw rate, yaw acceleration
+        self._before: PlanarMotion | None = None
+        self._yaw_acceleration = 0.0
 
-    def step(
-        self,
-        t: float,
-        x: float,
-        y: float,
-        yaw: float,
-        speed: float,
-        lateral_speed: float,
-        yaw_rate: float,
-        ax: float,
-        ay: float,
-    ) -> LiveState:
-        """Go on to stamp ``t`` s with base_link's pose and planar motion; see LiveTwin.step."""
-        if not math.isfinite(t + x + y + yaw + speed + lateral_speed + yaw_rate + ax + ay):
-            return self._same("input is not finite")
-        speed, ax = float(speed), float(ax)  # an array of whole numbers would compile the kernel anew
-        interval = t - self._t
-        if interval == 0.0:
-            return self._same("stamp repeated")
-        event = ""
-        if math.isnan(interval):
-            event = "start"
-        elif interval < 0.0:
-            event = f"time went back by {-interval:.3f} s: started afresh"
-        elif interval > MAX_GAP:
-            event = f"gap of {interval:.2f} s: started afresh"
-        self._pose = earlier_pose(self._late, x, y, yaw, speed, lateral_speed, yaw_rate)
-        self._t = t
-        if event:
+    def _go_on(self, t: float, motion: PlanarMotion, interval: float, event: str) -> LiveState:
+        self._pose = earlier_pose(motion, self._late)[:3]
+        before, self._before = self._before, motion
+        if event or before is None:
             sound = self._start()
-            turning = 0.0
+            self._yaw_acceleration = 0.0
         else:
-            before, push, turn, turning = self._motion
-            turning = next_yaw_acceleration(turning, yaw_rate - turn, interval)
-            sound, problem = self._go(interval, 0.5 * (before + speed) * interval, push, ax)
-            event = problem
+            change = motion.yaw_rate - before.yaw_rate
+            self._yaw_acceleration = next_yaw_acceleration(self._yaw_acceleration, change, interval)
+            sound, event = self._walk_on(interval, before, motion)
         if not sound:
             event = "diverged: started afresh"
             if not self._start():
                 raise WorkError("tracked: the vehicle cannot stand: are its stiffnesses right?")
-        self._motion = (speed, ax, yaw_rate, turning)
-        self._last = self._state(event, ax, ay)
-        return self._last
+        return self._state(t, event, motion)
 
     def _heights(self, places: Floats, s: float) -> Floats:
         """Mean height of both tracks at places along the way, seen from the pose with the CoG at ``s``."""
@@ -571,17 +557,12 @@ class LiveTracked:
 
     def _standing(self) -> float:
         """Height of the centre of gravity standing on level ground at 0, m."""
-        self._hull, self._arms, self._track, self._mark = start_state(
-            self._p, self._stations, self._nodes, 0.0
-        )
-        floor, steps = np.zeros(self._nodes * CONTACTS), round(SETTLE / self._step)
-        if not self._walk(
-            np.zeros(1), np.zeros(1), np.zeros(0), floor, int(self._mark[0]), steps, self._out[1:]
-        ):
+        if not self._settle(np.zeros(self._nodes * CONTACTS)):
             raise InputError("twin", "vehicle", "cannot stand on level ground: are its stiffnesses right?")
         return float(self._hull[0])
 
     def _start(self) -> bool:
+        """Come to rest where the pose is; False where the vehicle cannot stand there."""
         self._s = 0.0
         lead = first_index(self._p, 0.0)
         heights = self._heights(self._places(lead, lead + self._nodes), 0.0)
@@ -590,17 +571,20 @@ class LiveTracked:
             heights = np.where(np.isfinite(heights), heights, known.mean() if known.size else 0.0)
         self._reference = float(heights.mean())
         self._floor = heights - self._reference
+        return self._settle(self._floor)
+
+    def _settle(self, floor: Floats) -> bool:
         self._hull, self._arms, self._track, self._mark = start_state(
             self._p, self._stations, self._nodes, 0.0
         )
-        self._hull[0] += self._floor.max()
-        self._track[0] = self._floor.reshape(self._nodes, CONTACTS).max(axis=1)
-        out = self._out[1:]
-        return self._walk(
-            np.zeros(1), np.zeros(1), np.zeros(0), self._floor, lead, round(SETTLE / self._step), out
-        )
+        self._hull[0] += floor.max()
+        self._track[0] = floor.reshape(self._nodes, CONTACTS).max(axis=1)
+        still = np.zeros((1, 2)), np.zeros(0), np.zeros(0, dtype=np.int64)
+        return self._walk(still, floor, int(self._mark[0]), self._out[1:], round(SETTLE / self._step))
 
-    def _go(self, interval: float, distance: float, push: float, ax: float) -> tuple[bool, str]:
+    def _walk_on(self, interval: float, before: PlanarMotion, motion: PlanarMotion) -> tuple[bool, str]:
+        """Walk an interval; whether that went well, and what there is to say of the road."""
+        distance = 0.5 * (before.speed + motion.speed) * interval
         mark, travel = int(self._mark[0]), np.array([self._s, self._s + distance])
         lead = first_index(self._p, float(travel[1]))
         low, high = min(mark, lead), max(mark, lead)
@@ -613,22 +597,18 @@ class LiveTracked:
                 problem = "the road has no height under a track: last one held"
                 new = np.where(np.isfinite(new), new, floor[-1] if ahead else floor[0])
             floor = np.concatenate([floor, new] if ahead else [new, floor])
-        self._counts[0] = max(1, math.ceil(interval / self._step - 1e-9))
-        sound = self._walk(travel, np.array([push, ax]), np.array([interval]), floor, low, 0, self._out)
+        counts = np.array([max(1, math.ceil(interval / self._step - 1e-9))])
+        way = np.array([travel, [before.ax, motion.ax]]).T
+        sound = self._walk((way, np.array([interval]), counts), floor, low, self._out)
         self._s = float(travel[1])
         self._floor = floor[(lead - low) * CONTACTS :][: self._nodes * CONTACTS]
         return sound and high - low < 4 * self._nodes, problem
 
     def _walk(
-        self,
-        travel: Floats,
-        accel: Floats,
-        interval: Floats,
-        floor: Floats,
-        base: int,
-        settle: int,
-        out: Floats,
+        self, way: tuple[Floats, Floats, Ints], floor: Floats, base: int, out: Floats, settle: int = 0
     ) -> bool:
+        """Walk along ``way``: travel m and acceleration m/s² (n, 2), the intervals (n - 1,) s, and their steps."""
+        moved, interval, counts = way
         sound = walk_lane(
             self._p,
             self._stations,
@@ -636,10 +616,10 @@ class LiveTracked:
             floor,
             base * CONTACTS,
             CONTACTS,
-            travel,
-            accel,
+            moved[:, 0].copy(),
+            moved[:, 1].copy(),
             interval,
-            self._counts[: interval.size],
+            counts,
             settle,
             self._step,
             self._hull,
@@ -650,7 +630,7 @@ class LiveTracked:
         )
         return bool(sound) and bool(np.isfinite(out).all())
 
-    def _state(self, event: str, ax: float, ay: float) -> LiveState:
+    def _state(self, t: float, event: str, motion: PlanarMotion) -> LiveState:
         row = self._out[1]
         z, pitch, _, pv, za, pa = row[:6].tolist()
         c, s = math.cos(pitch), math.sin(pitch)
@@ -659,7 +639,7 @@ class LiveTracked:
         alpha = phi - pitch
         wheel = z - s * self._stations[:, 0] + c * self._stations[:, 1] - self._arm * np.sin(alpha)
         turn = self._arms[1] + pv
-        _, _, yaw_rate, yaw_acceleration = self._motion
+        ax, ay, yaw_rate, yaw_acceleration = motion.ax, motion.ay, motion.yaw_rate, self._yaw_acceleration
         # the imu's place, turned by the pitch, from the centre of gravity; from base_link's origin for the plane
         along, above = self._imu[0] * c + self._imu[1] * s, self._imu[1] * c - self._imu[0] * s
         out, left = float(self._imu[0] - self._origin[0]), self._imu_y
@@ -669,7 +649,7 @@ class LiveTracked:
         base = z - s * self._origin[0] + c * self._origin[1]
         force = np.array([forward * c - upward * s, aside, forward * s + upward * c])
         return LiveState(
-            t=self._t,
+            t=t,
             heave=z - self._height + self._reference,
             roll=0.0,
             pitch=pitch,
@@ -684,32 +664,19 @@ class LiveTracked:
             event=event,
         )
 
-    def _same(self, event: str) -> LiveState:
-        if self._last is None:
-            raise InputError("live twin", event, "and there was no usable one before it")
-        return replace(self._last, event=event)
-
 
 def simulate_tracked_drive(twin: TrackedTwin, excitation: Excitation) -> Response:
     """One twin over an excitation: the live twin over its stamps. Raises WorkError where it diverges."""
-    live = LiveTracked(twin, excitation.ground, excitation.max_step, excitation.late)
+    path = excitation.path
+    live = LiveTracked(twin, path.ground, excitation.max_step, excitation.late)
     names = [f.name for f in fields(LiveState) if f.name not in ("t", "event")]
     columns: dict[str, list[object]] = {name: [] for name in names}
-    motion = excitation.motion
     for k, t in enumerate(excitation.t):
         if excitation.substeps[k] == 0:
             live.reset()
-        state = live.step(
-            float(t),
-            float(excitation.x[k]),
-            float(excitation.y[k]),
-            float(excitation.yaw[k]),
-            float(motion[k, 5]),
-            float(motion[k, 6]),
-            float(motion[k, 3]),
-            float(motion[k, 1]),
-            float(motion[k, 2]),
-        )
+        _, ax, ay, yaw_rate, _, speed, lateral_speed = excitation.motion[k, :7].tolist()
+        pose = float(path.x[k]), float(path.y[k]), float(path.yaw[k])
+        state = live.step(float(t), PlanarMotion(*pose, speed, lateral_speed, yaw_rate, ax, ay))
         if state.event.startswith("diverged"):
             raise WorkError(f"the simulation diverges by t = {t:.3f} s: are the road's heights in m?")
         for name in names:

@@ -41,11 +41,12 @@ def _odd(change: CornerChange, values: Any) -> None:
 
 HOOKS = {
     **{
-        f"road_{k}": Hook({"amount": 0.0}, road=lambda c, v, f=f: f(c, v["amount"])) for k, f in ROADS.items()
+        f"road_{k}": Hook(neutral={"amount": 0.0}, road=lambda c, v, f=f: f(c, v["amount"]))
+        for k, f in ROADS.items()
     },
-    "payload": Hook({"amount": 0.0}, vehicle=_payload),
-    "corners": Hook({"amount": 0.0}, corners=_odd),
-    "signal": Hook({"amount": 0.0}, signal=SignalStage(_rescale)),
+    "payload": Hook(neutral={"amount": 0.0}, vehicle=_payload),
+    "corners": Hook(neutral={"amount": 0.0}, corners=_odd),
+    "signal": Hook(neutral={"amount": 0.0}, signal=SignalStage(_rescale)),
 }
 
 

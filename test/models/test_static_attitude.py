@@ -13,7 +13,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from numpy.testing import assert_allclose, assert_array_equal
 
-from suspension_twin.models.constants import constants
+from suspension_twin.models.constants import Conditions, constants
 from suspension_twin.models.excitation import excitation
 from suspension_twin.models.parameters import lanes, layout, pack
 from suspension_twin.models.simulate import simulate_lanes, simulate_twin
@@ -30,7 +30,7 @@ def given_to(twin: Twin, effect: str, **parameters: float) -> Twin:
 
 def told(twin: Twin) -> tuple[float, float]:
     """Pitch and roll in rad that move the road under an antenna ``HEIGHT`` up."""
-    road = constants(pack(twin)[:, None], layout(twin), 1e-3, antenna=HEIGHT).road
+    road = constants(pack(twin)[:, None], layout(twin), Conditions(1e-3, antenna=HEIGHT)).road
     assert road is not None
     return float(-road.ahead[0] / HEIGHT), float(road.left[0] / HEIGHT)
 
@@ -64,10 +64,9 @@ def test_without_lean_the_antenna_changes_no_bit(mondeo: Twin, rough: Any, drive
     twin = given_to(mondeo, effect, **values.get(effect, {}))
     plain = excitation(drive(1.0), twin.vehicle, rough)
     candidates = lanes(twin, ("vehicle.cog.2",), np.full((3, 1), 0.55))
+    raised = replace(plain, path=replace(plain.path, antenna=HEIGHT))
     for fused in (False, True):
-        found = [
-            simulate_lanes(twin, candidates, e, fused=fused) for e in (plain, replace(plain, antenna=HEIGHT))
-        ]
+        found = [simulate_lanes(twin, candidates, e, fused=fused) for e in (plain, raised)]
         assert_array_equal(found[0].vertical_acceleration, found[1].vertical_acceleration)
 
 
