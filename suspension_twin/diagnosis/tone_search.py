@@ -28,7 +28,8 @@ from suspension_twin.arrays import Floats
 from suspension_twin.diagnosis.bench import Bench
 from suspension_twin.diagnosis.fit import Fit
 from suspension_twin.diagnosis.hypotheses import Hypothesis
-from suspension_twin.effects.base import Effect, Tone
+from suspension_twin.effects.base import Effect
+from suspension_twin.effects.base import Harmonic as Tone
 
 __all__ = ["tone_peaks", "tone_starts"]
 

@@ -7,12 +7,19 @@ import math
 
 import numpy as np
 
-from suspension_twin.effects._phrases import Given
 from suspension_twin.effects._signal import STATES, second_order
-from suspension_twin.effects.base import Bools, Effect, Floats, Hook, Parameter, SignalStage, Values, compiled
-from suspension_twin.units import plain
-
-__all__ = ["EFFECT"]
+from suspension_twin.effects.base import (
+    Bools,
+    Effect,
+    Floats,
+    Given,
+    Hook,
+    Parameter,
+    SignalStage,
+    Values,
+    compiled,
+    plain,
+)
 
 _PARAMETERS = (Parameter("cutoff", "Hz", 0.5, 500.0, 0.0, 15.0, 2.0, "its -3 dB frequency", log=True),)
 

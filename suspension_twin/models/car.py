@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What ``full_car`` and ``msd`` have in common: the numbers of a car, what is measured of it, its characteristics."""
+"""Cars, as ``full_car`` and ``msd`` take them: their numbers, channels, characteristics and kernels."""
 
 from __future__ import annotations
 

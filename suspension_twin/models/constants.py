@@ -21,7 +21,7 @@ from suspension_twin.models.car import (
 )
 from suspension_twin.models.excitation import MOTION
 from suspension_twin.models.hooks import ClockChange, CornerChange, RoadChange, SignalStage, Values
-from suspension_twin.models.parameters import Layout
+from suspension_twin.models.parameters import ParameterLayout
 from suspension_twin.models.types import Excitation, Ints
 
 __all__ = ["Conditions", "Constants", "Outside", "constants", "outside"]
@@ -92,7 +92,7 @@ class Conditions(NamedTuple):
         return cls(excitation.max_step, fused, excitation.path.antenna, excitation.late, actuated)
 
 
-def constants(params: Floats, layout: Layout, conditions: Conditions) -> Constants:
+def constants(params: Floats, layout: ParameterLayout, conditions: Conditions) -> Constants:
     """Constants of the kernel for candidates ``params`` (P, L)."""
     numbers = {name: params[row] for name, row in layout.index.items()}
     change = _Changes.of(numbers, layout, conditions)
@@ -107,7 +107,7 @@ def constants(params: Floats, layout: Layout, conditions: Conditions) -> Constan
     return Constants(**vars(known), kernel=kernel, values=values, flags=flags, hinges=hinges_of(curves))
 
 
-def outside(params: Floats, layout: Layout, conditions: Conditions) -> Outside:
+def outside(params: Floats, layout: ParameterLayout, conditions: Conditions) -> Outside:
     """Changes by the effects of a vehicle whose equations are not the kernel's: road, sensor's chain and clock.
 
     Arguments as of :func:`constants`.
@@ -131,7 +131,7 @@ class _Changes:
     stages: list[Stage] = field(default_factory=list)
 
     @classmethod
-    def of(cls, numbers: Numbers, layout: Layout, conditions: Conditions) -> _Changes:
+    def of(cls, numbers: Numbers, layout: ParameterLayout, conditions: Conditions) -> _Changes:
         """All changes by the effects of ``layout``, with road and clock as the candidates have them."""
         count = numbers["imu.latency"].size
         lag, delay, drift = np.zeros((3, count))
@@ -167,7 +167,7 @@ class _Changes:
         road = replace(out.road, delay=delay + lag, drift=drift)
         return replace(out, road=road, clock=ClockChange(-lag, np.zeros(count)))
 
-    def outside(self, problems: Problems, layout: Layout) -> Outside:
+    def outside(self, problems: Problems, layout: ParameterLayout) -> Outside:
         """The part that is outside the vehicle; lanes that cannot be simulated get the plain road, sensor and clock."""
         road, clock = self.road, self.clock
         # nobody looks at a road farther off or through a wider window than these: it would only take memory

@@ -31,7 +31,7 @@ from suspension_twin.models.constants import Conditions, Outside, outside
 from suspension_twin.models.excitation import MAX_STEP
 from suspension_twin.models.fmu_slave import Connected, Slave, connected
 from suspension_twin.models.live import Following
-from suspension_twin.models.parameters import Layout, layout, pack
+from suspension_twin.models.parameters import ParameterLayout, layout, pack
 from suspension_twin.models.registry import Model
 from suspension_twin.models.rows import WIDTH
 from suspension_twin.models.sensor import sense
@@ -56,7 +56,7 @@ def _numbers(twin: Any) -> Sequence[str]:
 
 
 class Body:
-    """What is the same for all candidates of a twin: its FMU, and where the points of the body are."""
+    """The FMU of a twin, and the points of its body: the same for all candidates."""
 
     def __init__(self, twin: Any) -> None:
         self.fmu: Connected = connected(twin.fmu)
@@ -219,7 +219,7 @@ def _road(known: Outside, driven: Excitation, lane: int, strict: bool) -> Floats
     return candidate_heights(whole, known.road, lane, 1, strict)[0]
 
 
-def numbers_and_place(shape: Layout, params: Floats, place: Floats) -> tuple[Floats, Floats]:
+def numbers_and_place(shape: ParameterLayout, params: Floats, place: Floats) -> tuple[Floats, Floats]:
     """Parameters of the FMU (k, L) and the sensor's place (3, L) of candidates (P, L)."""
     keys = [row for name, row in shape.index.items() if name.startswith("fmu.parameters.")]
     if _PLACE[0] in shape.index:

@@ -10,7 +10,8 @@ gravity from the front and the rear axle, E1 and E2 the front and the rear track
     (4)  F_front = m/2 A_f (x'' + g) - m A_f (a_y + g) h / E2,   A_f = L1/L - (a_x + g) h / ((x'' + g) L)
     (5)  m x'' = sum F_i + F_rear + F_front
 
-``printed`` evaluates (3) to (5) to the letter. What is odd in them, and how this model reads it:
+The oddities of these equations (``test/models/test_msd.py`` evaluates (3) and (4) to the letter), and how this model
+reads each:
 
 1. g is added to the horizontal accelerations. At rest, (a_x + g) h takes away a share h/L from
    both axles and (a_y + g) h / E another from each, so that the two "loads" of a standing Mondeo
@@ -71,33 +72,16 @@ from suspension_twin.models.sensor import sense
 from suspension_twin.models.types import Ints
 from suspension_twin.units import STANDARD_GRAVITY as G
 from suspension_twin.vehicle.corners import AXLES
-from suspension_twin.vehicle.twin import Vehicle
 
 __all__ = [
     "KERNEL",
     "MODEL",
     "corners",
     "plane",
-    "printed",
     "stand_corners",
     "weights",
     "wheel",
 ]
-
-
-def printed(vehicle: Vehicle, ax: float, ay: float, xdd: float) -> tuple[float, float]:
-    """F_rear and F_front of eqs (3) and (4) to the letter, N; accelerations in m/s².
-
-    For whoever wants to see what the equations say; the model does not use it.
-    """
-    m, wheelbase, (l2, _, h) = vehicle.mass, vehicle.wheelbase, vehicle.cog
-    l1 = wheelbase - l2
-
-    def load(length: float, track: float) -> float:
-        share = length / wheelbase - (ax + G) * h / ((xdd + G) * wheelbase)
-        return m / 2 * share * (xdd + G) - m * share * (ay + G) * h / track
-
-    return load(l2, vehicle.front_track), load(l1, vehicle.rear_track)
 
 
 @inlined

@@ -154,7 +154,7 @@ def _advance(
 
 
 def _read(w: Floats, motion: Floats, out: Floats) -> None:
-    """What there is to see and to measure at a stamp."""
+    """Outputs at a stamp."""
     r0, r1, r2, r3 = four(w, rows.ROAD, 0)
     watch(w, r0, r1, r2, r3)
     n0, n1, n2, n3 = four(w, rows.GROUND, 0)
@@ -214,7 +214,7 @@ def _msd_advance(
 
 
 def _msd_read(w: Floats, motion: Floats, out: Floats) -> None:
-    """What there is to see and to measure at a stamp."""
+    """Outputs at a stamp."""
     plane(w, 0, rows.POSITION)
     plane(w, 0, rows.VELOCITY)
     plane(w, 0, rows.ACCELERATION)

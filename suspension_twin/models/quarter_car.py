@@ -29,7 +29,7 @@ from suspension_twin.models import rows
 from suspension_twin.models.car import PARTS, Problems, points
 from suspension_twin.models.constants import Conditions, Constants, constants
 from suspension_twin.models.hooks import Values
-from suspension_twin.models.parameters import Layout, layout, pack
+from suspension_twin.models.parameters import ParameterLayout, layout, pack
 from suspension_twin.models.registry import Model
 from suspension_twin.models.sensor_chain import pass_chain
 from suspension_twin.models.simulate import LaneBlocks, Stretch, cores, full_response
@@ -84,7 +84,7 @@ def _car(numbers: dict[str, Floats]) -> dict[str, Floats]:
 
 
 def _on_car(change: VehicleChange, own: Sequence[str]) -> VehicleChange:
-    """What an effect changes of the corner's ``own`` numbers, as a change of the car's."""
+    """The change of the car's numbers by an effect that changes the corner's ``own``."""
 
     def vehicle(numbers: dict[str, Floats], values: Values) -> None:
         change(numbers, values)
@@ -109,7 +109,7 @@ def _constants(twin: Twin, params: Floats, run: Excitation) -> Constants:
         hooks[effect] = replace(
             hook, neutral=neutral, vehicle=hook.vehicle and _on_car(hook.vehicle, tuple(given))
         )
-    car = Layout(tuple(numbers), "full_car", hooks, shape.mounting)
+    car = ParameterLayout(tuple(numbers), "full_car", hooks, shape.mounting)
     known = constants(np.stack(list(numbers.values())), car, Conditions.of(run))
     problems = [
         (mask, key.replace(".front", "").replace(".rear", ""), text)
