@@ -27,6 +27,7 @@ __all__ = [
     "Candidates",
     "CarKernel",
     "Characteristics",
+    "LaneFunctions",
     "Numbers",
     "Problems",
     "StrutCharacteristics",
@@ -115,10 +116,10 @@ class Problems:
     count: int
     found: list[tuple[NDArray[np.bool_], str, str]] = field(default_factory=list)
 
-    def check(self, bad: NDArray[np.bool_], key: str, sentence: str) -> None:
+    def check(self, bad: NDArray[np.bool_] | np.bool_, key: str, sentence: str) -> None:
         """Add a mask of bad lanes, a key and a sentence, if any lane is bad."""
         if bad.any():
-            self.found.append((bad, key, sentence))
+            self.found.append((np.asarray(bad), key, sentence))
 
     def check_finite(self, numbers: Numbers) -> None:
         """Add every number that is not finite."""
@@ -241,6 +242,9 @@ class Block(NamedTuple):
 Walk = tuple[Ints, Floats, int, int, Floats, Floats, int]
 
 
+LaneFunctions = tuple[tuple[Callable[..., None], ...], dict[str, object]]
+
+
 @dataclass(frozen=True, eq=False)
 class CarKernel:
     """The compiled part of a car's model.
@@ -252,12 +256,16 @@ class CarKernel:
         that of the vehicle itself), with or without actuators.
     walk
         ``walk(hinges, blocks, flags, road, candidate_road, walk)`` takes blocks of lanes along.
+    one_lane
+        Functions that start, advance and read a lane with flags by itself, see ``one_lane.OneLane``, and what they have
+        of their own beside the number of hinges and the tyre radius.
     rigid
         Whether the four corners lie in a plane; where they do not, the states hold the springs' compressions.
     """
 
     block: Callable[[Candidates, RoadChange, float, bool], Block]
     walk: Callable[[int, Floats, Ints | None, Floats, Floats, Walk], None]
+    one_lane: Callable[[int], LaneFunctions]
     rigid: bool = True
 
 

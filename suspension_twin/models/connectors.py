@@ -15,7 +15,7 @@ import numpy as np
 from suspension_twin.arrays import Floats
 from suspension_twin.compiled import compiled
 from suspension_twin.models import rows
-from suspension_twin.models.rows import ARM_X, ARM_Y, DAMPER, SPRUNG, STATIC
+from suspension_twin.models.rows import ARM_X, ARM_Y, DAMPER, SPRUNG, STATIC, WIDTH, sin_cos
 from suspension_twin.models.types import Excitation
 from suspension_twin.vehicle.corners import CORNERS
 
@@ -27,6 +27,7 @@ __all__ = [
     "Variable",
     "inputs_of",
     "observe",
+    "see",
 ]
 
 
@@ -50,7 +51,7 @@ def _axes(name: str, unit: str, description: str) -> tuple[Variable, ...]:
 
 
 _POINT = "of the point above the origin of base_link at the height of the centre of gravity"
-#: Road heights, then ``one_lane.MOTION``.
+#: Road heights, then the columns of ``Excitation.motion`` after the step.
 INPUTS: Final = (
     *_each("road_height", "m", "Height of the road under the wheel"),
     Variable("longitudinal_acceleration", "m/s2", f"Acceleration ahead, {_POINT}"),
@@ -144,3 +145,19 @@ def observe(states: Floats, signals: Floats, values: Floats, radius: float, rigi
         for q in range(7):
             out[k, 20 + q] = signals[k, q, 0]
             out[k, 27 + q] = state[rows.ACCELERATION + q]
+
+
+def see(w: Floats, out: Floats) -> None:
+    """Pose of the body, tyre forces, readings of the sensor and accelerations of the body, of a lane by itself."""
+    heave, roll, pitch = w[rows.HEAVE * WIDTH], w[rows.ROLL * WIDTH], w[rows.PITCH * WIDTH]
+    sx, sy, sz = w[rows.SPRUNG * WIDTH], w[(rows.SPRUNG + 1) * WIDTH], w[(rows.SPRUNG + 2) * WIDTH]
+    sr, cr = sin_cos(roll)
+    sp, cp = sin_cos(pitch)
+    out[0], out[1], out[2] = heave, roll, pitch
+    out[3] = heave + sz - (cp * (sr * sy + cr * sz) - sp * sx)
+    for c in range(4):
+        out[16 + c] = w[(rows.CONTACT + c) * WIDTH]
+    for q in range(7):
+        out[20 + q] = w[(rows.SIGNAL + q) * WIDTH]
+    for q in range(3):
+        out[27 + q] = w[(rows.ACCELERATION + q) * WIDTH]

@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from typing import Any
+from collections.abc import Callable
 
 import numpy as np
 
@@ -49,8 +49,7 @@ def _no_force(w: Floats, lane: int, travel: Floats, force: Floats, stiffness: Fl
     """A lane without effects has no further elastic elements."""
 
 
-_RESTART: Any = _nothing
-_ELASTIC: Any = _no_force
+_RESTART, _ELASTIC = _nothing, _no_force
 
 
 @compiled_later
@@ -153,7 +152,8 @@ def _stand(
 stand = compiled(_stand)
 
 
-def stand_with(restart: Any, elastic: Any) -> Any:
+def stand_with(restart: Callable[..., None], elastic: Callable[..., None]) -> Callable[..., None]:
     """``_stand`` with effects: ``restart(w, lane)`` sets their states to zero, ``elastic(w, lane, travel, force,
     stiffness)`` adds their forces in N and stiffnesses in N/m of four corners and two axles."""
-    return linked(specialised(_stand, "stand", _RESTART=restart, _ELASTIC=elastic))
+    standing: Callable[..., None] = linked(specialised(_stand, "stand", _RESTART=restart, _ELASTIC=elastic))
+    return standing

@@ -16,7 +16,7 @@ from __future__ import annotations
 import weakref
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
 
@@ -38,6 +38,7 @@ from suspension_twin.models.sensor import sense
 from suspension_twin.models.sensor_chain import pass_chain
 from suspension_twin.models.simulate import CAR_SIGNALS, cores, sensed_response
 from suspension_twin.models.types import Excitation, HeightField, Ints, LaneResponse, Response
+from suspension_twin.vehicle.fmu import FmuTwin
 from suspension_twin.vehicle.twin import Twin
 
 __all__ = ["MODEL", "Body", "LiveFmu"]
@@ -50,7 +51,8 @@ _HEIGHTS: Final = (0, 3, 4, 5, 6, 7)  # columns of OUTPUTS that count from the h
 _SIGNALS: Final = slice(20, 27)
 
 
-def _numbers(twin: Any) -> Sequence[str]:
+def _numbers(twin: Twin) -> Sequence[str]:
+    assert isinstance(twin, FmuTwin)
     keys = [f"fmu.parameters.{name}.value" for name in twin.fmu.parameters]
     return (*(() if connected(twin.fmu).sensor else _PLACE), "imu.latency", *keys)
 
@@ -58,7 +60,8 @@ def _numbers(twin: Any) -> Sequence[str]:
 class Body:
     """The FMU of a twin, and the points of its body: the same for all candidates."""
 
-    def __init__(self, twin: Any) -> None:
+    def __init__(self, twin: Twin) -> None:
+        assert isinstance(twin, FmuTwin)
         self.fmu: Connected = connected(twin.fmu)
         self.step, self.settle = float(twin.fmu.step), float(twin.fmu.settle)
         vehicle = twin.vehicle

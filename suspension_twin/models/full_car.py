@@ -357,6 +357,6 @@ def _axle(out: Floats, a: int, track: Floats, spring: Characteristic, given: Can
     return beta
 
 
-KERNEL = CarKernel(deferred("full_car_effects", "constants_of"), deferred("full_car_effects", "walk"))
+KERNEL = CarKernel(*(deferred("full_car_effects", name) for name in ("constants_of", "walk", "one_lane")))
 
 MODEL = car_model("full_car", "seven degrees of freedom: heave, roll and pitch of the body and four wheels")

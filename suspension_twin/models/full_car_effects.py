@@ -12,7 +12,7 @@ may have a road of its own.
 from __future__ import annotations
 
 import linecache
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from functools import cache
 from typing import Any, get_args
@@ -20,20 +20,23 @@ from typing import Any, get_args
 import numpy as np
 
 from suspension_twin.arrays import Floats
-from suspension_twin.compiled import compiled, compiled_later, linked, specialised
+from suspension_twin.compiled import compiled, compiled_later, inlined, linked, specialised
 from suspension_twin.models import rows
 from suspension_twin.models.car import (
     Block,
     Candidates,
+    LaneFunctions,
     Walk,
     compression_at,
     hinges_of,
     shorten_spring,
     write_curves,
 )
+from suspension_twin.models.connectors import see
 from suspension_twin.models.corner import (
     close_interval,
     move,
+    open_interval,
     strut_forces,
     touch,
     travel,
@@ -50,18 +53,26 @@ from suspension_twin.models.types import Ints
 from suspension_twin.units import STANDARD_GRAVITY as G
 from suspension_twin.vehicle.corners import AXLES
 
-__all__ = ["COMPLIANT", "SOFT", "EffectKernels", "constants_of", "effect_kernels", "walk"]
+__all__ = ["COMPLIANT", "SOFT", "EffectKernels", "constants_of", "effect_kernels", "one_lane", "walk"]
 
 
 #: Bits of the flags of a block in which a damper has an elastic mount, and in which a tyre has a stiffness of its own.
 #: Effects have the bits above them.
 COMPLIANT, SOFT = 1, 2
 
-#: What each assembly of the kernel has of its own: hinges of a curve, first row of the curves, static equilibrium, the
-#: terms of the stages, and the flags of blocks that have one.
-_HINGES = _CURVES = 0
-_STAND: Any = stand
-_DAMPERS = _STRUT = _TYRE = _BODY = _AFTER = _STAMP = _STAND
+
+@inlined
+def _no_term(w: Floats, flag: int, h: float) -> None:
+    """A stage without terms."""
+
+
+#: Values that each assembly of the kernel has of its own: hinges of a curve, first row of the curves, static
+#: equilibrium, the terms of the stages, and the flags of blocks that have one; flags and tyre radius in m of a lane by
+#: itself.
+_HINGES = _CURVES = _FLAG = 0
+_RADIUS = 0.0
+_STAND = stand
+_DAMPERS = _STRUT = _TYRE = _BODY = _AFTER = _STAMP = _no_term
 _DAMPERS_OF = _STRUT_OF = _TYRE_OF = _BODY_OF = _AFTER_OF = _STAMP_OF = 0
 
 
@@ -197,6 +208,81 @@ def _run(
             record(w, lane0 + block * WIDTH, k - begin, signals, states)
 
 
+def _start(w: Floats, road: Floats, motion: Floats) -> None:
+    """Put the vehicle in equilibrium on four heights."""
+    stride = 5 + 6 * _HINGES
+    c0, c1, c2, c3 = _CURVES, _CURVES + stride, _CURVES + 2 * stride, _CURVES + 3 * stride
+    for c in range(4):
+        w[(rows.ROAD + c) * WIDTH] = road[c]
+        w[(rows.ROAD_RATE + c) * WIDTH] = 0.0
+    mx, my = moments(w, 0, motion[0], motion[1], motion[2] * motion[2], motion[3])
+    _STAND(w, 0, mx, my, motion[4], motion[5], c0, c1, c2, c3, _HINGES)
+
+
+@compiled_later
+def _advance(
+    w: Floats, n: int, h: float, road0: Floats, road1: Floats, motion0: Floats, motion1: Floats
+) -> None:
+    """Walk an interval in n steps of h s, from one road and motion to another."""
+    stride = 5 + 6 * _HINGES
+    beta, lag = rows.CORNER_IMPLICIT, rows.LAG
+    c0, c1, c2, c3 = _CURVES, _CURVES + stride, _CURVES + 2 * stride, _CURVES + 3 * stride
+    if _FLAG & (_DAMPERS_OF | COMPLIANT):
+        put(w, rows.DAMPER_SHARE, 0, 1.0, 1.0, 1.0, 1.0)
+        _DAMPERS(w, _FLAG, h)
+        retable(w, h, _CURVES, _HINGES)
+    mx, my = moments(w, 0, motion0[0], motion0[1], motion0[2] * motion0[2], motion0[3])
+    to_x, to_y = moments(w, 0, motion1[0], motion1[1], motion1[2] * motion1[2], motion1[3])
+    open_interval(w, 0, h, beta, beta + 1, beta + 2, beta + 3, mx, my, to_x - mx, to_y - my)
+    for j in range(n):
+        share = (j + 1.0) / n
+        for c in range(4):
+            z = road1[c] - (1.0 - share) * (road1[c] - road0[c])
+            w[(rows.ROAD_RATE + c) * WIDTH] = (z - w[(rows.ROAD + c) * WIDTH]) / h
+            w[(rows.ROAD + c) * WIDTH] = z
+        w[rows.SPEED * WIDTH] = motion0[4] + (share - 0.5 / n) * (motion1[4] - motion0[4])
+        w[rows.YAW_RATE * WIDTH] = yaw_rate(motion0[2], motion1[2], share)
+        move(w, 0, h)
+        strut_forces(w, 0, c0, c1, c2, c3, _HINGES)
+        r0, r1, r2, r3 = four(w, rows.ROAD, 0)
+        n0, n1, n2, n3 = tyre_forces(w, 0, r0, r1, r2, r3)
+        put(w, rows.GROUND, 0, n0, n1, n2, n3)
+        if _FLAG & SOFT:
+            for c in range(4):
+                w[(rows.GROUND + c) * WIDTH] *= 1.0 + w[(rows.TYRE_CHANGE + c) * WIDTH]
+        if _FLAG & _STRUT_OF:
+            _STRUT(w, _FLAG, h)
+        if _FLAG & _TYRE_OF:
+            _TYRE(w, _FLAG, h)
+        n0, n1, n2, n3 = four(w, rows.GROUND, 0)
+        velocities(w, 0, h, share, n0, n1, n2, n3, lag, lag + 1, lag + 2, lag + 3, c0, c1, c2, c3, _HINGES)
+        if _FLAG & _BODY_OF:
+            _BODY(w, _FLAG, h)
+        if _FLAG & _AFTER_OF:
+            _AFTER(w, _FLAG, h)
+    close_interval(w, 0, h)
+
+
+def _read(w: Floats, motion: Floats, out: Floats) -> None:
+    """Outputs at a stamp."""
+    r0, r1, r2, r3 = four(w, rows.ROAD, 0)
+    watch(w, r0, r1, r2, r3)
+    n0, n1, n2, n3 = four(w, rows.GROUND, 0)
+    touch(w, 0, n0, n1, n2, n3)
+    sense(w, 0, motion[0], motion[1], motion[2], motion[3])
+    if _FLAG & _STAMP_OF:
+        _STAMP(w, _FLAG, 0.0)
+    see(w, out)
+    for c in range(4):
+        x, y = w[(rows.ARM_X + c // 2) * WIDTH], w[(rows.ARM_Y + c) * WIDTH]
+        u, v = w[(rows.WHEEL + c) * WIDTH], w[(rows.WHEEL_RATE + c) * WIDTH]
+        body = out[0] + y * out[1] - x * out[2]
+        out[4 + c] = u - w[(rows.STATIC + c) * WIDTH] + _RADIUS
+        out[8 + c] = u - body
+        out[12 + c] = v - (w[rows.HEAVE_RATE] + y * w[rows.ROLL_RATE] - x * w[rows.PITCH_RATE])
+        out[30 + c] = w[(rows.WHEEL_ACCELERATION + c) * WIDTH]
+
+
 _AT_CORNERS = "        for i in range(WIDTH):\n            for c in range({count}):\n"
 #: Source of a term in its stage, and of an elastic element of a corner and of an axle in the stage ``strut``.
 _TERM = _AT_CORNERS + "                {call}h)\n"
@@ -216,14 +302,15 @@ _STATIC = (
 )
 
 
-def _made(name: str, arguments: str, lines: list[str], names: dict[str, Any]) -> Any:
+def _made(name: str, arguments: str, lines: list[str], names: Mapping[str, object]) -> Callable[..., None]:
     """The compiled function with a body of ``lines`` in which ``names`` are known; its source can be inspected."""
     text = f"def {name}({arguments}) -> None:\n" + "".join(lines or ["    pass\n"])
     file = f"<{__name__}.{name}>"
     linecache.cache[file] = len(text), None, text.splitlines(keepends=True), file
-    scope = dict(names)
+    scope: dict[str, Any] = dict(names)
     exec(compile(text, file, "exec"), scope)
-    return linked(scope[name])
+    function: Callable[..., None] = linked(scope[name])
+    return function
 
 
 @dataclass(frozen=True, eq=False)
@@ -239,8 +326,8 @@ class EffectKernels:
     first: Mapping[str, int]
     bit: Mapping[str, int]
     curves: int
-    kernels: Mapping[int, Any]
-    parts: Mapping[str, Any]
+    kernels: Mapping[int, Callable[..., None]]
+    parts: Mapping[str, object]
 
     def rows(self, hinges: int) -> int:
         """Rows of a block."""
@@ -258,7 +345,7 @@ def effect_kernels() -> EffectKernels:
     flags = dict.fromkeys(stages, 0)
     static: list[str] = []
     restart: list[str] = []
-    names: dict[str, Any] = {"WIDTH": WIDTH, "STRUT": rows.STRUT, "travel": travel, "Floats": Floats}
+    names: dict[str, object] = {"WIDTH": WIDTH, "STRUT": rows.STRUT, "travel": travel, "Floats": Floats}
     for index, (name, own) in enumerate(terms.items(), 1):
         e, first[name], bit[name] = end, end, SOFT << index
         names[name.upper()] = e
@@ -285,7 +372,7 @@ def effect_kernels() -> EffectKernels:
         "elastic", "w: Floats, i: int, travel: Floats, force: Floats, stiffness: Floats", static, names
     )
     standing = stand_with(_made("restart", "w: Floats, lane: int", restart, names), elastic)
-    parts = {
+    parts: dict[str, object] = {
         f"_{stage.upper()}": _made(f"{stage}_of", "w: Floats, flag: int, h: float", lines, names)
         for stage, lines in stages.items()
     }
@@ -331,6 +418,11 @@ def constants_of(given: Candidates, road: RoadChange, antenna: float, actuated: 
     if not (has_effects or actuated or road.changed.any()):
         return Block(out, None, road)
     return Block(*_with_effects(out, given), road)
+
+
+def one_lane(flag: int) -> LaneFunctions:
+    """A lane by itself, see ``car.CarKernel``."""
+    return (_start, _advance, _read), {**effect_kernels().parts, "_FLAG": flag}
 
 
 def walk(

@@ -32,7 +32,7 @@ from __future__ import annotations
 import importlib
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field, fields
-from typing import Any, Literal, Protocol
+from typing import Literal, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -61,7 +61,7 @@ __all__ = [
 #: Parameters (L,) of an effect by name.
 Values = Mapping[str, Floats]
 #: Reports a mask of lanes (L,), a key of the twin file and what is wrong with it.
-Check = Callable[[NDArray[np.bool_], str, str], None]
+Check = Callable[[NDArray[np.bool_] | np.bool_, str, str], None]
 
 
 class MarkerExcitation(Protocol):
@@ -114,8 +114,10 @@ class KernelTerms:
 
     fields: Fields
     constants: Callable[[Values], Mapping[int, Floats | float]]
-    terms: Mapping[Stage, tuple[Callable[..., Any], int]] = field(default_factory=dict)
-    elastic: tuple[Callable[..., Any], int] | None = None
+    terms: Mapping[Stage, tuple[Callable[[Floats, int, int, int, float], None], int]] = field(
+        default_factory=dict
+    )
+    elastic: tuple[Callable[[Floats, int, int, int, float], tuple[float, float]], int] | None = None
     stiffness: tuple[int, ...] = ()
     modes: tuple[int, ...] = ()
     check: Callable[[Floats, int, Check], None] | None = None
@@ -175,7 +177,7 @@ class RoadChange:
         """(L,) candidates that need a road of their own."""
         moved = (self.ahead != 0) | (self.left != 0) | (self.delay != 0) | (self.drift != 0)
         filtered = (self.smoothing != 0) | (self.sharpening != 0) | (self.patch != 0)
-        return (self.scale != 1) | moved | filtered
+        return np.asarray((self.scale != 1) | moved | filtered)
 
     def alike(self, first: int, count: int) -> list[int]:
         """For each of ``count`` candidates from ``first`` on, which of them is the first to see the same road."""

@@ -10,6 +10,7 @@ from __future__ import annotations
 import math
 from abc import ABC, abstractmethod
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
@@ -152,7 +153,8 @@ class Following(LiveModel):
         if rows > self._paths.shape[1]:
             self._paths = np.zeros((2, rows, 4))
         wheel_x, wheel_y = self._paths[0, :rows], self._paths[1, :rows]
-        walk(*self._pose, self._count, self._first, 1, 2, self._wheels, wheel_x, wheel_y)
+        x, y, yaw = self._pose
+        walk(x, y, yaw, self._count, self._first, 1, 2, self._wheels, wheel_x, wheel_y)
         ground = np.asarray(self._road.heights(wheel_x, wheel_y), dtype=np.float64)
         if not math.isfinite(float(ground.sum())):
             event = "the road has no height under a wheel: last one held"
@@ -205,12 +207,14 @@ class Following(LiveModel):
         if self._chain:
             read = row[20:27].reshape(1, 7, 1)
             self._chain.process(read, np.array([t]), self._count[1:] == 0)
-        values = {name: row[at] if isinstance(at, slice) else float(row[at]) for name, at in _STATE.items()}
+        values: dict[str, Any] = {name: row[at] for name, at in _VECTORS.items()}
+        values |= {name: float(row[at]) for name, at in _SCALARS.items()}
         return LiveState(t=t, event=event, **values)
 
 
 #: Columns of the fields of a LiveState.
-_STATE = {name: column for name, column in COLUMNS.items() if name != "acceleration"}
+_VECTORS = {name: at for name, at in COLUMNS.items() if isinstance(at, slice) and name != "acceleration"}
+_SCALARS = {name: at for name, at in COLUMNS.items() if isinstance(at, int)}
 
 
 class LiveTwin(Following):
@@ -246,4 +250,5 @@ def live_twin(twin: Twin, road: HeightField) -> LiveModel:
     live = model_of(twin).live
     if live is None:
         raise InputError("twin", "model", f"{twin.model} follows no vehicle on a road")
-    return live(twin, road)
+    model: LiveModel = live(twin, road)
+    return model

@@ -56,6 +56,7 @@ from suspension_twin.models.car import (
     Block,
     Candidates,
     CarKernel,
+    LaneFunctions,
     Numbers,
     Walk,
     car_model,
@@ -64,6 +65,7 @@ from suspension_twin.models.car import (
     shorten_spring,
     write_curves,
 )
+from suspension_twin.models.connectors import see
 from suspension_twin.models.curves import damper_forces, spring_force, spring_forces, spring_slope
 from suspension_twin.models.full_car import record, watch
 from suspension_twin.models.hooks import RoadChange
@@ -76,11 +78,6 @@ from suspension_twin.vehicle.corners import AXLES
 __all__ = [
     "KERNEL",
     "MODEL",
-    "corners",
-    "plane",
-    "stand_corners",
-    "weights",
-    "wheel",
 ]
 
 
@@ -252,8 +249,8 @@ def _record_corners(w: Floats, at: int, state: Floats) -> None:
             state[rows.DEFLECTION_RATE + c, at + i] = v - w[(rows.WHEEL_RATE + c) * WIDTH + i]
 
 
-#: Hinges of a curve, of each kernel its own.
-_HINGES = 0
+#: Hinges of a curve, of each kernel its own, and tyre radius in m of a lane by itself.
+_HINGES, _RADIUS = 0, 0.0
 
 
 @compiled_later
@@ -308,6 +305,47 @@ def _run(
             record(w, at, k - begin, signals, states)
             if states.shape[0] > 0:
                 _record_corners(w, at, states[k - begin])
+
+
+def _start(w: Floats, road: Floats, motion: Floats) -> None:
+    """Put the vehicle in equilibrium on four heights."""
+    for c in range(4):
+        w[(rows.ROAD + c) * WIDTH] = road[c]
+    w0, w1, w2, w3 = weights(w, 0, motion[0], motion[1], motion[2] * motion[2], motion[3])
+    stand_corners(w, 0, w0, w1, w2, w3, motion[4], motion[5], _HINGES)
+
+
+@compiled_later
+def _advance(
+    w: Floats, n: int, h: float, road0: Floats, road1: Floats, motion0: Floats, motion1: Floats
+) -> None:
+    """Walk an interval in n steps of h s, from one road and motion to another."""
+    from2, to2 = motion0[2] * motion0[2], motion1[2] * motion1[2]
+    for j in range(n):
+        s = (j + 1.0) / n
+        for c in range(4):
+            wheel(w, c, 0, h, road1[c] - (1.0 - s) * (road1[c] - road0[c]))
+        ax, ay = fma(s, motion1[0] - motion0[0], motion0[0]), fma(s, motion1[1] - motion0[1], motion0[1])
+        yaw2, dyaw = fma(s, to2 - from2, from2), fma(s, motion1[3] - motion0[3], motion0[3])
+        w0, w1, w2, w3 = weights(w, 0, ax, ay, yaw2, dyaw)
+        corners(w, 0, h, w0, w1, w2, w3, _HINGES)
+
+
+def _read(w: Floats, motion: Floats, out: Floats) -> None:
+    """Outputs at a stamp."""
+    plane(w, 0, rows.POSITION)
+    plane(w, 0, rows.VELOCITY)
+    plane(w, 0, rows.ACCELERATION)
+    r0, r1, r2, r3 = four(w, rows.ROAD, 0)
+    watch(w, r0, r1, r2, r3)
+    sense(w, 0, motion[0], motion[1], motion[2], motion[3])
+    see(w, out)
+    for c in range(4):
+        u, v = w[(rows.HUB + c) * WIDTH], w[(rows.HUB_RATE + c) * WIDTH]
+        out[4 + c] = u + _RADIUS
+        out[8 + c] = w[(rows.STATIC + c) * WIDTH] + (u - w[(rows.WHEEL + c) * WIDTH])
+        out[12 + c] = v - w[(rows.WHEEL_RATE + c) * WIDTH]
+        out[30 + c] = w[(rows.HUB_ACCELERATION + c) * WIDTH]
 
 
 #: The kernel for each number of hinges per curve.
@@ -394,6 +432,11 @@ def _walk(
     KERNELS[hinges](blocks, road, candidate_road, *walk)
 
 
-KERNEL = CarKernel(_constants, _walk, rigid=False)
+def _one_lane(flag: int) -> LaneFunctions:
+    """A lane by itself, see ``car.CarKernel``."""
+    return (_start, _advance, _read), {}
+
+
+KERNEL = CarKernel(_constants, _walk, _one_lane, rigid=False)
 
 MODEL = car_model("msd", "the game-engine model of the car paper: a body on four massless wheels")

@@ -20,7 +20,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 
@@ -145,7 +144,7 @@ def _lanes(twin: Twin, params: Floats, excitation: Excitation, threads: int | No
 def _respond(twin: Twin, run: Excitation) -> Response:
     known = _constants(twin, pack(twin)[:, None], run)
     whole = full_response(known, run, twin.vehicle.tyre.radius or 0.0)
-    corner: dict[str, Any] = {
+    corner: dict[str, Floats] = {
         name: getattr(whole, name)[:, :1]
         for name in ("wheel_z", "deflection", "deflection_rate", "tyre_force")
     }

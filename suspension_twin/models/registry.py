@@ -7,7 +7,7 @@ diagnosis, the nodes, the command line) asks the registry for its model and neve
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from importlib import import_module
 from typing import Any, Final, Literal, Protocol
@@ -30,12 +30,6 @@ class SimulateLanes(Protocol):
     ) -> LaneResponse: ...
 
 
-class Respond(Protocol):
-    """One twin over an excitation of its model, everything recorded."""
-
-    def __call__(self, twin: Twin, excitation: Any) -> Response: ...
-
-
 @dataclass(frozen=True, kw_only=True)
 class Simulators:
     """Functions that simulate a model.
@@ -55,8 +49,8 @@ class Simulators:
     """
 
     lanes: SimulateLanes
-    respond: Respond | None = None
-    live: Callable[[Twin, HeightField], Any] | None = None
+    respond: Callable[[Any, Any], Response] | None = None
+    live: Callable[[Any, HeightField], Any] | None = None
     one_lane: Callable[[Twin, float], Any] | None = None
 
 
@@ -128,7 +122,7 @@ class _Models(Mapping[str, Model]):
             raise KeyError(name)
         return _found(name)
 
-    def __iter__(self) -> Any:
+    def __iter__(self) -> Iterator[str]:
         return iter(_FILES)
 
     def __len__(self) -> int:
