@@ -26,6 +26,7 @@ __all__ = [
     "OUTPUTS",
     "Variable",
     "inputs_of",
+    "motion_between",
     "observe",
     "see",
 ]
@@ -83,6 +84,16 @@ OUTPUTS: Final = (
 )
 
 
+def motion_between(before: Floats, after: Floats, share: Floats) -> Floats:
+    """(m, 6) planar motion at a ``share`` (m, 1) of intervals with these motions (m or 1, 6) at their ends."""
+    out: Floats = before + share * (after - before)
+    # moments are linear in the square of the yaw rate
+    square = before[:, 2:3] ** 2
+    square = square + share * (after[:, 2:3] ** 2 - square)
+    out[:, 2:3] = np.sign(after[:, 2:3]) * np.sqrt(square)
+    return out
+
+
 def inputs_of(driven: Excitation, road: Floats | None = None) -> Floats:
     """(m, 10) INPUTS at every row of the road of an excitation, or of another ``road`` (m, 4) m seen instead."""
     count = np.maximum(driven.substeps, 1)
@@ -90,10 +101,7 @@ def inputs_of(driven: Excitation, road: Floats | None = None) -> Floats:
     share = ((np.arange(at.size) - driven.first[at] + 1) / count[at])[:, None]
     before = np.where(driven.substeps[at] > 0, at - 1, at)
     planar = driven.motion[:, 1:7]
-    mixed = planar[before] + share * (planar[at] - planar[before])
-    # moments are linear in the square of the yaw rate
-    square, yaw = planar[:, 2:3] ** 2, planar[at, 2:3]
-    mixed[:, 2:3] = np.sign(yaw) * np.sqrt(square[before] + share * (square[at] - square[before]))
+    mixed = motion_between(planar[before], planar[at], share)
     return np.hstack([driven.road if road is None else road, mixed])
 
 

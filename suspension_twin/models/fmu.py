@@ -15,7 +15,6 @@ from __future__ import annotations
 
 import weakref
 from collections.abc import Sequence
-from concurrent.futures import ThreadPoolExecutor
 from typing import Final
 
 import numpy as np
@@ -26,7 +25,7 @@ from suspension_twin.errors import WorkError
 from suspension_twin.models import rows
 from suspension_twin.models.candidate_road import candidate_heights, wheel_paths_of
 from suspension_twin.models.car import CHANNELS
-from suspension_twin.models.connectors import OUTPUTS, inputs_of
+from suspension_twin.models.connectors import OUTPUTS, inputs_of, motion_between
 from suspension_twin.models.constants import Conditions, Outside, outside
 from suspension_twin.models.excitation import MAX_STEP
 from suspension_twin.models.fmu_slave import Connected, Slave, connected
@@ -36,7 +35,7 @@ from suspension_twin.models.registry import Model
 from suspension_twin.models.rows import WIDTH
 from suspension_twin.models.sensor import sense
 from suspension_twin.models.sensor_chain import pass_chain
-from suspension_twin.models.simulate import CAR_SIGNALS, cores, sensed_response
+from suspension_twin.models.simulate import CAR_SIGNALS, cores, sensed_response, share_out
 from suspension_twin.models.types import Excitation, HeightField, Ints, LaneResponse, Response
 from suspension_twin.vehicle.fmu import FmuTwin
 from suspension_twin.vehicle.twin import Twin
@@ -247,7 +246,7 @@ def _lanes(
     failed = known.problems.lanes
     shared = _Run(body, excitation, excitation.road) if known.road is None else None
 
-    def one(lane: int) -> None:
+    def one(lane: int, _: int) -> None:
         if failed[lane]:
             return
         try:
@@ -260,12 +259,7 @@ def _lanes(
         failed[lane] = True
 
     workers = 1 if body.fmu.single else min(threads or cores(), count)
-    if workers > 1:
-        with ThreadPoolExecutor(workers) as pool:
-            list(pool.map(one, range(count)))
-    else:
-        for lane in range(count):
-            one(lane)
+    share_out(one, [(lane, lane + 1) for lane in range(count)], workers)
     if known.reads_otherwise:
         pass_chain(known, excitation, signals)
     failed |= ~np.isfinite(signals).all(axis=(0, 1))
@@ -344,12 +338,9 @@ class LiveFmu(Following):
 
     def _between(self, seen: Floats, n: int) -> Floats:
         """(rows, 10) inputs at the ends of the parts of the interval."""
-        before, after = self._motion[0 if n else 1, 1:7], self._motion[1, 1:7]
         share = np.arange(1, len(seen) + 1)[:, None] / len(seen)
-        planar = before + share * (after - before)
-        square = before[2] ** 2 + share[:, 0] * (after[2] ** 2 - before[2] ** 2)
-        planar[:, 2] = np.sign(after[2]) * np.sqrt(square)  # moments are linear in the square of the yaw rate
-        return np.hstack([seen - self._base, planar])
+        before, after = self._motion[[0 if n else 1], 1:7], self._motion[1:, 1:7]
+        return np.hstack([seen - self._base, motion_between(before, after, share)])
 
     def _row(self) -> Floats:
         out, body = self._out.copy(), self._body

@@ -408,32 +408,26 @@ def _hooked(twin: Twin, params: Floats) -> tuple[dict[str, Floats], list[tuple[H
     return numbers, own
 
 
-def _vehicle(twin: Twin, numbers: dict[str, Floats], lane: int) -> TrackedVehicle | None:
-    """The vehicle of a candidate; None where there cannot be such a one."""
-    given = {key: float(values[lane]) for key, values in numbers.items() if key.startswith("vehicle.")}
-    kept: TrackedVehicle = twin.vehicle
-    try:
-        return kept.with_changes(
-            {k.removeprefix("vehicle."): v for k, v in given.items() if v != _of(twin, k)}
-        )
-    except InputError:
-        return None
-
-
-def _of(twin: Twin, key: str) -> float:
-    node: Any = twin
-    for part in key.split("."):
+def _vehicles(twin: Twin, numbers: dict[str, Floats], count: int) -> list[TrackedVehicle | None]:
+    """The vehicle of each candidate; None where there cannot be such a one."""
+    base = dict(zip(layout(twin).names, pack(twin).tolist(), strict=True))
+    own = {key: values for key, values in numbers.items() if key.startswith("vehicle.")}
+    found: list[TrackedVehicle | None] = []
+    for lane in range(count):
+        given = {key: float(values[lane]) for key, values in own.items()}
+        # an effect may name a station that the vehicle has not
+        changes = {k.removeprefix("vehicle."): v for k, v in given.items() if v != base.get(k, math.nan)}
         try:
-            node = node[int(part)] if part.isdigit() else getattr(node, part)
-        except IndexError:  # a station that an effect names and the vehicle has not
-            return math.nan
-    return float(node)
+            found.append(twin.vehicle.with_changes(changes))
+        except InputError:
+            found.append(None)
+    return found
 
 
 def changed_vehicle(twin: Twin) -> TrackedVehicle:
     """The vehicle of a twin with its effects; InputError where there cannot be such a one."""
     params = pack(twin)[:, None]
-    found = _vehicle(twin, _hooked(twin, params)[0], 0)
+    found = _vehicles(twin, _hooked(twin, params)[0], 1)[0]
     if found is None:
         raise InputError("twin", "effects", "there can be no such vehicle")
     return found
@@ -443,7 +437,7 @@ def _lanes(twin: Twin, params: Floats, excitation: ObstacleRun, threads: int | N
     """Markers of candidates (P, L) on a run; clock and camera are in what is read of them."""
     numbers, own = _hooked(twin, params)
     count, t = params.shape[1], excitation.t
-    vehicles = [_vehicle(twin, numbers, lane) for lane in range(count)]
+    vehicles = _vehicles(twin, numbers, count)
     signals, failed = np.zeros((t.size, len(_CHANNELS), count)), np.ones(count, dtype=np.bool_)
     # effects of clock and camera leave the vehicle as it is: candidates that are alike are simulated once
     same: dict[TrackedVehicle, list[int]] = {}
