@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The phone holder: the sensor on a springy arm."""
+"""Resonance of the sensor's mount: a phone on a springy arm."""
 
 from __future__ import annotations
 

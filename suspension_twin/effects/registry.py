@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Every effect there is: each file of this folder that has an object ``EFFECT``."""
+"""The library of effects: each file of this folder that has an object ``EFFECT``."""
 
 from __future__ import annotations
 

@@ -152,7 +152,7 @@ def ahead_of(
 
 
 def reach_of(change: RoadChange) -> float:
-    """How far in m beyond a point the lanes of ``change`` look along the road."""
+    """Distance in m beyond a point over which the lanes of ``change`` depend on the road."""
     widest = _REACH * change.smoothing + change.patch / 2 + np.abs(change.ahead)
     return float(widest.max()) + 4 * SPACING
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""From a twin's numbers to constants, for many lanes at once: what effects change, then what the kernel works with."""
+"""From a twin's numbers to the constants of many lanes: the changes by effects, then the constants of the kernel."""
 
 from __future__ import annotations
 

@@ -25,8 +25,8 @@ __all__ = ["ParameterLayout", "has_number", "lanes", "layout", "pack"]
 
 @dataclass(frozen=True)
 class ParameterLayout:
-    """Which row of a parameter vector holds what, the hooks of the effects in it by id, and how the
-    sensor is mounted, roll, pitch and yaw in rad."""
+    """Keys of the rows of a parameter vector, the hooks of the effects in it by id, and the sensor's mounting: roll,
+    pitch and yaw in rad."""
 
     names: tuple[str, ...]
     model: str = "full_car"

@@ -93,7 +93,7 @@ def _on_car(change: VehicleChange, own: Sequence[str]) -> VehicleChange:
 
 
 def _constants(twin: Twin, params: Floats, run: Excitation) -> Constants:
-    """Constants of the kernel for candidates (P, L); what is wrong with one is named by the keys of this twin."""
+    """Constants of the kernel for candidates (P, L), whose problems are named by the keys of this twin."""
     shape = layout(twin)
     given = dict(zip(shape.names, params, strict=True))
     numbers = {**given, **_car(given)}

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Every vehicle model there is, found by the name of its file, behind one interface.
+"""The vehicle models, found by the names of their files, behind one interface.
 
 A model is a module ``suspension_twin/models/<name>.py`` with an object ``MODEL``. Whatever handles a twin (calibration,
 diagnosis, the nodes, the command line) asks the registry for its model and never for the model's name.

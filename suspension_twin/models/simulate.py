@@ -343,7 +343,7 @@ def _segments(known: Constants, excitation: Excitation, most: int | None = None)
 
 
 def _stretch(known: Constants, excitation: Excitation, begin: int, end: int, strict: bool = True) -> Stretch:
-    """A stretch with a maker of every block's own road where lanes see different ones; ``strict`` as in
+    """A stretch of an excitation, with the heights of each block where lanes see different roads; ``strict`` as in
     ``candidate_heights``."""
     part = slice(int(excitation.first[begin]), int(excitation.first[end]))
     where = excitation.substeps, excitation.motion, begin, end, excitation.road[part]

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """``tracked``: the tracked paper's vehicle in its plane of symmetry, one half of it.
 
-The paper's model has 118 bodies, 97 of them links of the track [read]. What the markers on the
-hull feel of the track is (1) the tension that pulls idler, sprocket and the outer wheels together,
+The paper's model has 118 bodies, 97 of them links of the track [read]. The track acts on the
+hull, and so on its markers, by (1) the tension that pulls idler, sprocket and the outer wheels together,
 (2) that it bridges the gaps between the wheels, ahead of the first and behind the last one, and
 (3) its mass under the wheels. So this model has
 
@@ -395,7 +395,7 @@ def _numbers(twin: Twin) -> tuple[str, ...]:
 
 
 def _hooked(twin: Twin, params: Floats) -> tuple[dict[str, Floats], list[tuple[Hook, dict[str, Floats]]]]:
-    """Numbers (L,) of every candidate with what its effects change of them, and the effects' hooks and parameters."""
+    """Numbers (L,) of every candidate as its effects change them, and the effects' hooks and parameters."""
     shape = layout(twin)
     numbers = dict(zip(shape.names, params, strict=True))
     own = [
@@ -434,7 +434,7 @@ def changed_vehicle(twin: Twin) -> TrackedVehicle:
 
 
 def _lanes(twin: Twin, params: Floats, excitation: ObstacleRun, threads: int | None = None) -> LaneResponse:
-    """Markers of candidates (P, L) on a run; clock and camera are in what is read of them."""
+    """Readings of the markers of candidates (P, L) on a run, by the camera and its clock."""
     numbers, own = _hooked(twin, params)
     count, t = params.shape[1], excitation.t
     vehicles = _vehicles(twin, numbers, count)
@@ -466,7 +466,7 @@ def _lanes(twin: Twin, params: Floats, excitation: ObstacleRun, threads: int | N
 
 
 def _driven(twin: Twin) -> Twin:
-    """Nobody moves a tank along a prescribed way."""
+    """The twin with a driver: no real tracked vehicle follows a prescribed travel."""
     if twin.vehicle.driver is not None:
         return twin
     return twin.model_copy(update={"vehicle": twin.vehicle.model_copy(update={"driver": Driver()})})
@@ -577,7 +577,7 @@ class LiveTracked(LiveModel):
         return self._walk(still, floor, int(self._mark[0]), self._out[1:], round(SETTLE / self._step))
 
     def _walk_on(self, interval: float, before: PlanarMotion, motion: PlanarMotion) -> tuple[bool, str]:
-        """Walk an interval; whether that went well, and what there is to say of the road."""
+        """Walk an interval: False where the vehicle diverges, and a message about the road, or none."""
         distance = 0.5 * (before.speed + motion.speed) * interval
         mark, travel = int(self._mark[0]), np.array([self._s, self._s + distance])
         lead = first_index(self._p, float(travel[1]))

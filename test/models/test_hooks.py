@@ -75,7 +75,7 @@ def test_neutral_is_bit_identical_and_full_is_not(mondeo: Any, drive: Any, rough
     half = np.abs(both.force[:, :, 3] - plain.force[:, :, 0]).max()
     assert moved > 0.01
     assert half > 0
-    # the recorded run tells the same as the lane
+    # the recorded run has the same numbers as the lane
     one = simulate_twin(with_effect(mondeo, name, amount=1.0), way)
     assert np.array_equal(one.force, both.force[:, :, 1])
 

@@ -73,8 +73,8 @@ def test_the_sensor_feels_what_the_hull_does(twin: TrackedTwin) -> None:
     at = np.array([2.13, 1.14])
     pitch, base = np.array([s.pitch for s in states]), np.array([s.z for s in states])
     height = base - at[0] * np.sin(pitch) + at[1] * np.cos(pitch)
-    felt = np.array([s.force for s in states])
-    upwards = felt[:, 2] * np.cos(pitch) - felt[:, 0] * np.sin(pitch) - G
+    specific = np.array([s.force for s in states])
+    upwards = specific[:, 2] * np.cos(pitch) - specific[:, 0] * np.sin(pitch) - G
     gained = np.cumsum(upwards) * dt
     speed_up = np.gradient(height, dt)
     assert np.ptp(speed_up) > 0.2
