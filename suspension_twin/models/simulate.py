@@ -205,40 +205,38 @@ def simulate_lanes(
 def simulate_twin(twin: Twin, excitation: Excitation) -> Response:
     """Simulate one twin and record everything at the stamps.
 
-        Parameters
-        ----------
-        twin : Twin
-            The twin, its effects included.
-        excitation : Excitation
-            What excites it, of the kind that its model takes.
+    Parameters
+    ----------
+    twin : Twin
+        The twin, its effects included.
+    excitation : Excitation
+        What excites it, of the kind that its model takes.
 
-        Returns
-        -------
-        Response
-            Heave, roll, pitch, wheels, deflections, tyre forces and the virtual sensor at the n stamps.
+    Returns
+    -------
+    Response
+        Heave, roll, pitch, wheels, deflections, tyre forces and the virtual sensor at the n stamps.
 
-        Raises
-        ------
-        InputError
-            A twin that cannot be simulated, naming the key.
-        WorkError
-            The simulation diverges.
+    Raises
+    ------
+    InputError
+        A twin that cannot be simulated, naming the key.
+    WorkError
+        The simulation diverges.
 
-        Examples
-        --------
-        >>> import numpy as np
-    from numba import config
-    from numpy.typing import NDArray
-        >>> from suspension_twin.inference.synthetic import path_along
-        >>> from suspension_twin.models.excitation import excitation
-        >>> from suspension_twin.road import bump_road, half_sine
-        >>> from suspension_twin.vehicle.twin import load_twin
-        >>> twin = load_twin("bags/bump_15kmh/twin.yaml")
-        >>> road = bump_road(half_sine(0.9, 0.05), at=10.0, length=40.0)
-        >>> path = path_along(road, np.arange(0.0, 3.0, 0.01), ((0.0, 5.0), (3.0, 5.0)), 3.0)
-        >>> response = simulate_twin(twin, excitation(path, twin.vehicle, road))
-        >>> response.deflection.shape
-        (300, 4)
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from suspension_twin.inference.synthetic import path_along
+    >>> from suspension_twin.models.excitation import excitation
+    >>> from suspension_twin.road import bump_road, half_sine
+    >>> from suspension_twin.vehicle.twin import load_twin
+    >>> twin = load_twin("bags/bump_15kmh/twin.yaml")
+    >>> road = bump_road(half_sine(0.9, 0.05), at=10.0, length=40.0)
+    >>> path = path_along(road, np.arange(0.0, 3.0, 0.01), ((0.0, 5.0), (3.0, 5.0)), 3.0)
+    >>> response = simulate_twin(twin, excitation(path, twin.vehicle, road))
+    >>> response.deflection.shape
+    (300, 4)
     """
     respond = model_of(twin).respond
     if respond is None:
