@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from functools import cache
 from importlib import import_module
 from typing import Any, Final, Literal, Protocol
 
@@ -103,8 +104,13 @@ class Model(Simulators, ModelNumbers):
 def deferred(module: str, name: str) -> Any:
     """A function of a module of this package that is imported when it is first called: kernels import each other."""
 
+    @cache
+    def found() -> Callable[..., Any]:
+        function: Callable[..., Any] = getattr(import_module(f"{__package__}.{module}"), name)
+        return function
+
     def call(*arguments: Any, **options: Any) -> Any:
-        return getattr(import_module(f"{__package__}.{module}"), name)(*arguments, **options)
+        return found()(*arguments, **options)
 
     return call
 

@@ -165,9 +165,8 @@ class LaneBlocks:
             known.kernel.walk(known.hinges, self._data[low:high], flags, road, own, where)
 
         pieces = self.count if stretch.own is not None else min(self.count, max(1, threads))
-        cuts = np.linspace(0, self.count, pieces + 1).astype(int)
-        parts = list(zip(cuts[:-1].tolist(), cuts[1:].tolist(), strict=True))
-        share_out(part, parts, threads)
+        cuts = [k * self.count // pieces for k in range(pieces + 1)]
+        share_out(part, list(zip(cuts[:-1], cuts[1:], strict=True)), threads)
 
 
 def simulate_lanes(
