@@ -2,10 +2,11 @@
 """How fast ``full_car`` is, beside MuJoCo, solve_ivp and NumPy in the same run.
 
 The task is the car paper's: ten seconds over a bump at 15 km/h, 100 stamps a second, steps of 1 ms,
-candidates that differ in all 24 points of their curves. What one core does is told in processor time,
-what all do in wall time; each figure is the best of several tries, since others may use the machine.
+candidates that differ in all 24 points of their curves. One core is measured in processor time,
+all cores in wall time; each figure is the best of several tries, since others may use the machine.
 
-Usage: ``python benchmarks/models.py [--json] [--repeats N]``.
+Usage: ``python benchmarks/models.py [--json] [--repeats N] [--smoke]``. With ``--smoke`` every measurement is made
+once, on runs of seconds: the figures mean nothing then.
 """
 
 from __future__ import annotations
@@ -19,7 +20,7 @@ import sys
 import time
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from peak import arithmetic_peak
@@ -29,20 +30,41 @@ from rich.console import Console
 from rich.table import Table
 
 from suspension_twin.arrays import Floats
+from suspension_twin.effects.base import Effect
 from suspension_twin.effects.registry import EFFECTS
-from suspension_twin.models.blocks import cores
 from suspension_twin.models.excitation import excitation
 from suspension_twin.models.parameters import lanes, layout
-from suspension_twin.models.simulate import simulate_lanes, simulate_twin
+from suspension_twin.models.simulate import cores, simulate_lanes, simulate_twin
+from suspension_twin.models.tracked import ObstacleRun
 from suspension_twin.models.types import Excitation
 from suspension_twin.pose.types import Trajectory
 from suspension_twin.road import bump_road, circular
 from suspension_twin.vehicle.twin import Twin, load_twin
 
-TWIN = Path(__file__).resolve().parents[1] / "config" / "twins" / "ford_mondeo_mk4.yaml"
+CONFIG = Path(__file__).resolve().parents[1] / "config"
+TWIN, TRACKED = CONFIG / "twins" / "ford_mondeo_mk4.yaml", CONFIG / "tracked" / "pt91.yaml"
 SPEED = 15 / 3.6
-EVALUATIONS, GENERATION, PASS = 10_842, 100, 10.0
+GENERATION = 100
 ENOUGH = 0.005  # rms error of every acceleration against the exact answer
+
+
+class Scale(NamedTuple):
+    """How much is measured: seconds of a pass, evaluations of the paper's budget, lanes of a batch and of one with an
+    effect, lanes and seconds of a tracked run, numbers of lanes and lengths in s of the straight lines, seconds at
+    1 kHz for the memory, and tries of each measurement."""
+
+    passed: float = 10.0
+    evaluations: int = 10_842
+    lanes: int = 512
+    effect_lanes: int = 128
+    tracked: tuple[int, float] = (8, 4.0)
+    counts: tuple[int, ...] = (64, 128, 256, 512, 1024)
+    lengths: tuple[int, ...] = (5, 10, 20, 40, 80)
+    long: float = 3600.0
+    repeats: int = 9
+
+
+SMOKE = Scale(2.0, 200, 32, 16, (2, 0.5), (16, 32), (1, 2), 20.0, 1)
 
 
 def straight(seconds: float, rate: float = 100.0, speed: float = SPEED) -> Trajectory:
@@ -53,9 +75,11 @@ def straight(seconds: float, rate: float = 100.0, speed: float = SPEED) -> Traje
 
 
 def candidates(twin: Twin, count: int) -> Floats:
-    """(P, count) the twin with all points of its curves moved by up to 10 %, rising still."""
+    """(P, count) the twin with all points of its curves moved by up to 10 %, rising still; without curves its mass."""
     keys = [name for name in layout(twin).names if ".force." in name]
     rng = np.random.default_rng(1)
+    if not keys:
+        return lanes(twin, ["vehicle.mass"], twin.vehicle.mass * rng.uniform(0.9, 1.1, (count, 1)))
     base = np.array([float(_at(twin, key)) for key in keys])
     steps = np.diff(base.reshape(6, -1), axis=1, prepend=0.0)
     values = np.cumsum(steps * rng.uniform(0.9, 1.1, (count, *steps.shape)), axis=2)
@@ -90,38 +114,40 @@ def operations(hinges: int = 3) -> int:
     return 2 * fused + others + highest
 
 
-def speed_of_the_batch(twin: Twin, way: Excitation, repeats: int) -> dict[str, float]:
+def speed_of_the_batch(twin: Twin, way: Excitation, scale: Scale) -> dict[str, float]:
     """Simulated seconds per second: all cores, one core, one lane; and the paper's budget."""
-    many = candidates(twin, 512)
+    repeats, simulated = scale.repeats, scale.lanes * scale.passed
+    many = candidates(twin, scale.lanes)
     one = candidates(twin, 1)
 
     def run(params: Floats, threads: int) -> Callable[[], object]:
         return lambda: simulate_lanes(twin, params, way, threads, vertical_only=True)
 
     everything = best(lambda: simulate_lanes(twin, many, way, 1), repeats)
-    budget = candidates(twin, EVALUATIONS)
+    budget = candidates(twin, scale.evaluations)
 
     def generations() -> None:
-        for begin in range(0, EVALUATIONS, GENERATION):
+        for begin in range(0, scale.evaluations, GENERATION):
             simulate_lanes(twin, budget[:, begin : begin + GENERATION], way, vertical_only=True)
 
     return {
-        "simulated_s_per_s_all_cores": 512 * PASS / best(run(many, cores()), repeats, time.perf_counter),
-        "simulated_s_per_s_one_core": 512 * PASS / best(run(many, 1), repeats),
-        "simulated_s_per_s_one_core_all_signals": 512 * PASS / everything,
-        "simulated_s_per_s_one_lane": PASS / best(run(one, 1), repeats),
+        "simulated_s_per_s_all_cores": simulated / best(run(many, cores()), repeats, time.perf_counter),
+        "simulated_s_per_s_one_core": simulated / best(run(many, 1), repeats),
+        "simulated_s_per_s_one_core_all_signals": simulated / everything,
+        "simulated_s_per_s_one_lane": scale.passed / best(run(one, 1), repeats),
         "paper_budget_s": best(generations, max(2, repeats // 4), time.perf_counter),
         "cores": cores(),
     }
 
 
-def beside_mujoco(twin: Twin, repeats: int) -> tuple[dict[str, float], list[tuple[str, float, float, float]]]:
+def beside_mujoco(twin: Twin, scale: Scale) -> tuple[dict[str, float], list[tuple[str, float, float, float]]]:
     """MuJoCo's speed at 1 ms, and rows (who, step in s, error, simulated s per s) of the linear car."""
     car = linear(twin)
     fine = 1e-4  # the road is linear between these, for everyone
-    t = np.arange(round(PASS / fine) + 1) * fine
+    passed, repeats = scale.passed, scale.repeats
+    t = np.arange(round(passed / fine) + 1) * fine
     bump = bump_road(
-        circular(0.9, 0.05), at=20.0, length=80.0, width=24.0, step=0.01, heading=0.1
+        circular(0.9, 0.05), at=2.0 * passed, length=80.0, width=24.0, step=0.01, heading=0.1
     )  # slantwise: roll
     wheels = car.vehicle.wheel_positions
     road = np.asarray(bump.heights(SPEED * t[:, None] + wheels[:, 0], 0 * t[:, None] + wheels[:, 1]))
@@ -140,65 +166,80 @@ def beside_mujoco(twin: Twin, repeats: int) -> tuple[dict[str, float], list[tupl
                 figures["mujoco_s_per_s"] = step / with_road
                 figures["mujoco_mj_step_alone_s_per_s"] = step / bare
     for step in (2e-3, 1e-3, 5e-4):
-        way = excitation(straight(PASS, 100.0), car.vehicle, bump, max_step=step)
+        way = excitation(straight(passed, 100.0), car.vehicle, bump, max_step=step)
         answer = simulate_twin(car, way).acceleration
         error = np.sqrt(np.mean((answer - exact[:: round(0.01 / fine)]) ** 2, axis=0))
-        many = candidates(car, 512)
+        many = candidates(car, scale.lanes)
         seconds = best(lambda m=many, w=way: simulate_lanes(car, m, w, 1, vertical_only=True), repeats)
-        rows.append(("full_car, batched", step, float((error / size).max()), 512 * PASS / seconds))
+        rows.append(("full_car, batched", step, float((error / size).max()), scale.lanes * passed / seconds))
     return figures, rows
 
 
-def peers_of_one(twin: Twin, way: Excitation) -> dict[str, float]:
+def peers_of_one(twin: Twin, way: Excitation, scale: Scale) -> dict[str, float]:
     """Simulated seconds per second of solve_ivp and of NumPy over lanes, the nonlinear car."""
     plain = PlainCar(twin, way)
     cars = NumpyCars(twin, way, 256)
     return {
-        "solve_ivp_s_per_s": PASS / best(lambda: plain.simulate(twin.vehicle), 1),
-        "numpy_s_per_s": 256 * PASS / best(cars.run, 1),
+        "solve_ivp_s_per_s": scale.passed / best(lambda: plain.simulate(twin.vehicle), 1),
+        "numpy_s_per_s": 256 * scale.passed / best(cars.run, 1),
     }
 
 
-def cost_of_effects(twin: Twin, way: Excitation, repeats: int) -> dict[str, float]:
-    """Time with an effect in all lanes, as a ratio to its model without any: ``full_car``, else ``msd``."""
-    count = 128
+def armed(effect: Effect, twin: Twin) -> Twin:
+    """The twin with an effect of a size that its model is made for."""
+    given = {}
+    for p in effect.parameters:
+        value = p.typical if p.typical != p.neutral else p.neutral + 0.25 * (p.high - p.neutral)
+        given[p.name] = p.choices[-1] if p.choices else min(max(value, p.low), p.high)
+    possible = effect.hook.possible
+    if possible is not None and not possible(twin, given):
+        given |= {p.name: p.choices[0] for p in effect.parameters if p.choices}
+    return twin.with_changes({"effects": [{"id": effect.id, "parameters": given}]})
 
-    def seconds(changed: Twin) -> float:
+
+def cost_of_effects(twin: Twin, way: Excitation, scale: Scale) -> dict[str, float]:
+    """Time with an effect in all lanes, as a ratio to its model without any: the first model that it declares."""
+    tracked, (few, seconds) = load_twin(TRACKED), scale.tracked
+    cases: dict[str, tuple[Twin, int, Any, dict[str, bool]]] = {
+        "tracked": (tracked, few, ObstacleRun(np.arange(round(100 * seconds) + 1) / 100, SPEED), {})
+    }
+    for model in ("full_car", "msd"):
+        of_cars = {"vertical_only": True}
+        cases[model] = twin.with_changes({"model": model}), scale.effect_lanes, way, of_cars
+
+    clock = time.process_time  # the lanes of a tracked vehicle are simulated in threads
+
+    def cost(changed: Twin) -> float:
+        _, count, run, options = cases[changed.model]
         params = candidates(changed, count)
-        return best(lambda: simulate_lanes(changed, params, way, 1, vertical_only=True), repeats)
+        return best(lambda: simulate_lanes(changed, params, run, 1, **options), scale.repeats, clock)
 
-    bare = {model: twin.with_changes({"model": model}) for model in ("full_car", "msd")}
-    base = {model: seconds(without) for model, without in bare.items()}
-    out = {}
-    for name, effect in EFFECTS.items():
-        model = "full_car" if "full_car" in effect.hook.models else "msd"
-        given = {}
-        for p in effect.parameters:
-            value = p.typical if p.typical != p.neutral else p.neutral + 0.25 * (p.high - p.neutral)
-            given[p.name] = p.choices[-1] if p.choices else min(max(value, p.low), p.high)
-        armed = bare[model].with_changes({"effects": [{"id": name, "parameters": given}]})
-        out[name] = seconds(armed) / base[model]
-    return out
+    bare = {model: cost(case[0]) for model, case in cases.items()}
+    return {
+        name: cost(armed(effect.on(model), cases[model][0])) / bare[model]
+        for name, effect in EFFECTS.items()
+        for model in effect.models[:1]
+    }
 
 
-def straight_lines(twin: Twin, repeats: int) -> dict[str, Any]:
+def straight_lines(twin: Twin, scale: Scale) -> dict[str, Any]:
     """Cost against lanes and against length, each with the share of it that a straight line explains."""
     road = bump_road(circular(0.9, 0.05), at=20.0, length=400.0)
-    way = excitation(straight(PASS), twin.vehicle, road)
+    way = excitation(straight(scale.passed), twin.vehicle, road)
 
     def lane_cost(count: int) -> float:
         params = candidates(twin, count)
-        return best(lambda: simulate_lanes(twin, params, way, 1, vertical_only=True), repeats)
+        return best(lambda: simulate_lanes(twin, params, way, 1, vertical_only=True), scale.repeats)
 
     def length_cost(seconds: float) -> float:
         long = excitation(straight(seconds), twin.vehicle, road)
         params = candidates(twin, 64)
-        return best(lambda: simulate_lanes(twin, params, long, 1, vertical_only=True), repeats)
+        return best(lambda: simulate_lanes(twin, params, long, 1, vertical_only=True), scale.repeats)
 
     out: dict[str, Any] = {}
     for name, cost, sizes in (
-        ("lanes", lane_cost, (64, 128, 256, 512, 1024)),
-        ("length_s", length_cost, (5, 10, 20, 40, 80)),
+        ("lanes", lane_cost, scale.counts),
+        ("length_s", length_cost, scale.lengths),
     ):
         times = [cost(n) for n in sizes]
         out[f"cost_against_{name}"] = dict(zip(map(str, sizes), times, strict=True))
@@ -206,14 +247,13 @@ def straight_lines(twin: Twin, repeats: int) -> dict[str, Any]:
     return out
 
 
-_HOUR = "import sys; sys.path.insert(0, sys.argv[1]); from models import an_hour; an_hour()"
+_HOUR = "import sys; sys.path.insert(0, sys.argv[1]); from models import an_hour; an_hour(float(sys.argv[2]))"
 
 
-def an_hour() -> None:
-    """An hour at 1 kHz, everything recorded; prints peak memory in bytes and seconds."""
+def an_hour(seconds: float = 3600.0) -> None:
+    """An hour, or so many ``seconds``, at 1 kHz, everything recorded; prints peak memory in bytes and seconds."""
     twin = load_twin(TWIN)
     begin = time.perf_counter()
-    seconds = 3600.0
     road = bump_road(circular(0.9, 0.05), at=20.0, length=200.0)  # held beyond its end
     way = straight(seconds, 1000.0)
     simulate_twin(twin, excitation(way, twin.vehicle, road))
@@ -221,39 +261,42 @@ def an_hour() -> None:
     print(json.dumps([usage, time.perf_counter() - begin]))
 
 
-def memory() -> dict[str, float]:
+def memory(scale: Scale) -> dict[str, float]:
     """Peak memory of that hour, in a process of its own."""
     here = str(Path(__file__).resolve().parent)
-    run = subprocess.run([sys.executable, "-c", _HOUR, here], capture_output=True, text=True, check=True)
+    run = subprocess.run(
+        [sys.executable, "-c", _HOUR, here, str(scale.long)], capture_output=True, text=True, check=True
+    )
     peak, seconds = json.loads(run.stdout.strip().splitlines()[-1])
     return {"hour_at_1_khz_peak_bytes": peak, "hour_at_1_khz_s": seconds}
 
 
-def measure(repeats: int) -> tuple[dict[str, Any], list[tuple[str, float, float, float]]]:
+def measure(scale: Scale) -> tuple[dict[str, Any], list[tuple[str, float, float, float]]]:
     """All figures, and the table of errors and speeds."""
     twin = load_twin(TWIN)
-    road = bump_road(circular(0.9, 0.05), at=20.0, length=80.0)
-    way = excitation(straight(PASS), twin.vehicle, road)
-    out: dict[str, Any] = speed_of_the_batch(twin, way, repeats)
-    mujoco_figures, rows = beside_mujoco(twin, repeats)
+    road = bump_road(circular(0.9, 0.05), at=2.0 * scale.passed, length=80.0)
+    way = excitation(straight(scale.passed), twin.vehicle, road)
+    half = scale._replace(repeats=max(min(2, scale.repeats), scale.repeats // 2))
+    out: dict[str, Any] = speed_of_the_batch(twin, way, scale)
+    mujoco_figures, rows = beside_mujoco(twin, scale)
     out |= mujoco_figures
     out["ratio_to_mujoco_per_core"] = out["simulated_s_per_s_one_core"] / out["mujoco_s_per_s"]
     good = [row for row in rows if row[2] <= ENOUGH]
     mine = max((row[3] for row in good if row[0].startswith("full_car")), default=math.nan)
     theirs = max((row[3] for row in good if row[0].startswith("MuJoCo")), default=math.nan)
     out["ratio_to_mujoco_per_core_at_equal_error"] = mine / theirs
-    out |= peers_of_one(twin, way)
+    out |= peers_of_one(twin, way, scale)
     out["peak_flop_per_s_one_core"] = arithmetic_peak()
-    steps = out["simulated_s_per_s_one_core"] * int(way.first[-1]) / PASS
+    steps = out["simulated_s_per_s_one_core"] * int(way.first[-1]) / scale.passed
     out["flop_per_step"] = operations()
     out["share_of_peak"] = steps * operations() / out["peak_flop_per_s_one_core"]
-    out["effects"] = cost_of_effects(twin, way, max(2, repeats // 2))
-    out |= straight_lines(twin, max(2, repeats // 2))
-    out |= memory()
+    out["effects"] = cost_of_effects(twin, way, half)
+    out |= straight_lines(twin, half)
+    out |= memory(scale)
     return out, rows
 
 
-def show(figures: dict[str, Any], rows: list[tuple[str, float, float, float]]) -> None:
+def show(figures: dict[str, Any], rows: list[tuple[str, float, float, float]], scale: Scale) -> None:
     """Tables for people."""
     console = Console(width=110)
     table = Table("simulated seconds per second", "", title="Ten seconds over a bump, 24 curve points, 1 ms")
@@ -274,7 +317,7 @@ def show(figures: dict[str, Any], rows: list[tuple[str, float, float, float]]) -
         table.add_row(who, f"{step * 1e3:g}", f"{100 * error:.3f}", f"{speed:,.0f}")
     console.print(table)
     console.print(
-        f"{EVALUATIONS} evaluations of a pass, {GENERATION} at a time: {figures['paper_budget_s']:.2f} s "
+        f"{scale.evaluations} evaluations of a pass, {GENERATION} at a time: {figures['paper_budget_s']:.2f} s "
         f"on {figures['cores']} cores (bar: 2 s on two)\n"
         f"against MuJoCo per core: {figures['ratio_to_mujoco_per_core']:.0f} times at 1 ms, "
         f"{figures['ratio_to_mujoco_per_core_at_equal_error']:.0f} times at {100 * ENOUGH:g} % error (bar: 300)\n"
@@ -287,8 +330,8 @@ def show(figures: dict[str, Any], rows: list[tuple[str, float, float, float]]) -
     )
     table = Table("effect in every lane", "time, base = 1")
     for name, ratio in sorted(figures["effects"].items(), key=lambda item: item[1]):
-        of = "" if "full_car" in EFFECTS[name].hook.models else " (of msd)"
-        table.add_row(f"{name}{of}", f"{ratio:.2f}")
+        model = EFFECTS[name].models[0]
+        table.add_row(name if model == "full_car" else f"{name} (of {model})", f"{ratio:.2f}")
     console.print(table)
 
 
@@ -298,13 +341,15 @@ def main() -> None:
     )
     parser.add_argument("--json", action="store_true", help="one JSON object on standard output")
     parser.add_argument("--repeats", type=int, default=9, help="tries of each measurement")
+    parser.add_argument("--smoke", action="store_true", help="all of it once, on runs of seconds")
     arguments = parser.parse_args()
-    figures, rows = measure(max(1, arguments.repeats))
+    scale = SMOKE if arguments.smoke else Scale(repeats=max(1, arguments.repeats))
+    figures, rows = measure(scale)
     if arguments.json:
         keys = ("who", "step_s", "error", "s_per_s")
         print(json.dumps(figures | {"linear_car": [dict(zip(keys, row, strict=True)) for row in rows]}))
     else:
-        show(figures, rows)
+        show(figures, rows, scale)
 
 
 if __name__ == "__main__":

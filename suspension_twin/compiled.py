@@ -27,7 +27,7 @@ from typing import TypeVar, cast
 import numba
 from numba import config, njit
 
-__all__ = ["compiled", "inlined", "linked", "sources", "specialised"]
+__all__ = ["compiled", "compiled_later", "inlined", "linked", "sources", "specialised"]
 
 Function = TypeVar("Function", bound=Callable[..., object])
 
@@ -58,6 +58,12 @@ def specialised(function: Function, name: str, **constants: object) -> Function:
     out = FunctionType(source.__code__, source.__globals__ | constants, name)
     out.__qualname__, out.__module__ = name, function.__module__
     return cast(Function, out)
+
+
+def compiled_later(function: Function) -> Function:
+    """Mark the source of kernels: it is compiled once :func:`specialised` has given it what each kernel has of its
+    own."""
+    return function
 
 
 def linked(function: Function) -> Function:

@@ -25,7 +25,7 @@ import numpy as np
 from scipy.fft import fft, next_fast_len
 
 from suspension_twin.arrays import Floats
-from suspension_twin.effects.base import Effect, Tone
+from suspension_twin.effects.base import Effect, Harmonic
 from suspension_twin.inference.fit import Fit
 from suspension_twin.inference.hypothesis import Hypothesis
 from suspension_twin.inference.observation import VERTICAL
@@ -157,7 +157,7 @@ def _series(problem: Problem, residual: Floats, power: int, left: float) -> list
     return found
 
 
-def _peaks(series: list[_Series], tone: Tone, rate: float) -> list[tuple[float, float]]:
+def _peaks(series: list[_Series], tone: Harmonic, rate: float) -> list[tuple[float, float]]:
     """(f, n) of the strongest tones: over the whole range by short sections, then by longer and longer ones."""
     if not series:
         return []
@@ -188,7 +188,7 @@ def _peaks(series: list[_Series], tone: Tone, rate: float) -> list[tuple[float, 
     return [_refined(series, tone, at, seconds, duration, (step, pace)) for at in found]
 
 
-def _floored_peaks(series: list[_Series], tone: Tone) -> list[tuple[float, float]]:
+def _floored_peaks(series: list[_Series], tone: Harmonic) -> list[tuple[float, float]]:
     """(f, n) of the strongest tones of the frequency max(f, n v) that are on both sides of f / n."""
     sections = [part for one in series for part in one.sections(_FLOORED)]
     if not sections:
@@ -233,7 +233,7 @@ def _power(grid: Floats, at: Floats, weighted: Floats) -> Floats:
 
 
 def _over_range(
-    sections: list[_Series], tone: Tone, rate: float, step: float, pace: float
+    sections: list[_Series], tone: Harmonic, rate: float, step: float, pace: float
 ) -> tuple[Floats, Floats, Floats]:
     """f (F,), n (N,) and the power (N, F) over the range of a tone."""
     (low_f, high_f), (low_n, high_n) = tone.frequencies, tone.wavenumbers
@@ -265,7 +265,7 @@ def _over_range(
 
 def _refined(
     series: list[_Series],
-    tone: Tone,
+    tone: Harmonic,
     at: tuple[float, float],
     seconds: float,
     duration: float,

@@ -11,8 +11,7 @@ import re
 from collections.abc import Mapping
 from typing import Any, Final
 
-from suspension_twin.effects._phrases import listed
-from suspension_twin.effects.base import Parameter
+from suspension_twin.effects.base import Parameter, listed
 from suspension_twin.effects.registry import EFFECTS
 from suspension_twin.inference.gap import channel_unit
 from suspension_twin.units import plain

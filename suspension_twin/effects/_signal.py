@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What several stages of the sensor's chain are made of, compiled."""
+"""A second-order stage of the sensor's chain, compiled."""
 
 from __future__ import annotations
 

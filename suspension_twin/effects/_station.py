@@ -1,14 +1,14 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What the effects of one station of a tracked vehicle share: which road wheel."""
+"""Effects of one station of a tracked vehicle: the parameter that says which road wheel."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any
 
 import numpy as np
 
 from suspension_twin.effects.base import Floats, Parameter
+from suspension_twin.vehicle.twin import Twin
 
 __all__ = ["STATION", "add", "exists"]
 
@@ -19,7 +19,7 @@ STATION = Parameter(
 )
 
 
-def exists(twin: Any, p: Mapping[str, float]) -> bool:
+def exists(twin: Twin, p: Mapping[str, float]) -> bool:
     """Whether the vehicle has such a station."""
     return bool(p["station"] <= len(twin.vehicle.stations))
 

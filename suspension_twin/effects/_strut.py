@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What two effects of the struts share: one odd corner of an axle, and a stop at an end of the travel."""
+"""Effects of the struts that come in pairs: one odd corner of an axle, and a stop at an end of the travel."""
 
 from __future__ import annotations
 
@@ -7,7 +7,6 @@ from typing import Literal
 
 import numpy as np
 
-from suspension_twin.effects._phrases import axles, changed, of_wheel
 from suspension_twin.effects.base import (
     CORNER,
     WIDTH,
@@ -20,10 +19,13 @@ from suspension_twin.effects.base import (
     Parameter,
     Values,
     Variant,
+    axles,
     by_corner,
+    changed,
     fma,
     inlined,
     of_one_corner,
+    of_wheel,
 )
 
 __all__ = ["odd_corner", "stop"]

@@ -5,20 +5,19 @@ from __future__ import annotations
 
 import numpy as np
 
-from suspension_twin.effects._phrases import Given, axles
 from suspension_twin.effects.base import (
     AXLE,
     WIDTH,
     Effect,
     Fields,
     Floats,
+    Given,
     Hook,
     KernelTerms,
     Parameter,
+    axles,
     inlined,
 )
-
-__all__ = ["EFFECT"]
 
 _stiffness = ("N/m", 0.0, 1.0e5, 0.0, 0.0, 1.5e4)
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What an effect is: something a model can be given that it did not have.
+"""Effects: changes that a model can be given beyond what vehicles usually have.
 
 An effect is an object ``EFFECT`` in a file of its own in this folder, of the same name. It has an id, parameters
 with their units, bounds and priors, signals that excite it and causes that it is easily confused with; how it
@@ -9,7 +9,7 @@ effect changes no bit of any result. This module also hands on what the files of
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Literal
 
@@ -26,12 +26,14 @@ from suspension_twin.models.hooks import (
     CornerChange,
     Hook,
     KernelTerms,
+    MarkerExcitation,
     RoadChange,
     SignalStage,
     Values,
 )
-from suspension_twin.models.numerics import fma
-from suspension_twin.models.rows import AXLE, CORNER, LANE, WIDTH, Fields
+from suspension_twin.models.rows import AXLE, CORNER, LANE, WIDTH, Fields, fma
+from suspension_twin.units import plain
+from suspension_twin.vehicle.corners import AXLES, WHEELS
 
 __all__ = [
     "AXLE",
@@ -44,25 +46,35 @@ __all__ = [
     "Effect",
     "Fields",
     "Floats",
+    "Given",
+    "Harmonic",
     "Hook",
     "KernelTerms",
+    "MarkerExcitation",
     "Parameter",
     "RoadChange",
     "SignalStage",
-    "Tone",
     "Values",
     "Variant",
     "Where",
+    "axles",
     "by_corner",
+    "changed",
     "compiled",
     "fma",
     "inlined",
+    "listed",
+    "more",
     "of_one_corner",
+    "of_wheel",
+    "plain",
     "rows",
     "travel_rate",
 ]
 
 Bools = NDArray[np.bool_]
+#: Parameters of one effect by name.
+Given = Mapping[str, float]
 
 Where = Literal["strut", "tyre", "track", "body", "sensor", "time", "road"]
 
@@ -104,12 +116,12 @@ class Parameter:
 
 
 @dataclass(frozen=True)
-class Tone:
+class Harmonic:
     """A harmonic effect, whose angle is 2 pi (f t + n s) + phase at the time t and the travelled distance s.
 
     ``strength`` names the parameter that it is proportional to, ``phase`` that of the angle at the start.
     ``frequencies`` Hz of f and ``wavenumbers`` 1/m of n are ranges to search, f or n alone where the other's is (0, 0);
-    ``parameters`` gives the parameters for f and n; the strength that is felt grows with that ``power`` of the speed.
+    ``parameters`` gives the parameters for f and n; readings of the strength grow with that ``power`` of the speed.
     ``with_floor`` gives those of a tone of the frequency max(f, n v), where the effect can be one. ``corner`` names the
     parameter that says which wheel's way s is; empty for the car's.
     """
@@ -126,7 +138,7 @@ class Tone:
 
 @dataclass(frozen=True)
 class Variant:
-    """What differs of an effect on one more model: parameters of the same names and meaning, and the hook where it is
+    """Differences of an effect on one more model: parameters of the same names and meaning, and the hook where it is
     not the effect's own."""
 
     parameters: tuple[Parameter, ...]
@@ -134,31 +146,36 @@ class Variant:
 
 
 @dataclass(frozen=True)
-class Effect:
-    """One effect. ``severity`` names the parameters that switch it off when all are neutral.
-
-    ``excited_by`` lists signals that move it, ``confused_with`` causes with similar symptoms. ``usual_share`` is the
-    severity that a sound vehicle has (a driver, a tank), as a share of its mass. ``order`` places it among the effects:
-    terms of one stage of the kernel act in this order, and lists are in it. ``variants`` by model
-    hold what is different on models that ``hook`` is not for. ``tone`` says what is harmonic in it. ``finding`` says in
-    words what the effect with given parameters is, as the end of a sentence: "the front left damper has lost 40 % of
-    its force".
-    """
+class Description:
+    """An effect in words. ``excited_by`` lists signals that move it, ``confused_with`` causes with similar symptoms."""
 
     id: str
     title: str
     where: Where
     doc: str
-    parameters: tuple[Parameter, ...]
-    severity: tuple[str, ...]
     excited_by: tuple[str, ...]
     confused_with: tuple[str, ...]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Effect(Description):
+    """One effect. ``severity`` names the parameters that switch it off when all are neutral.
+
+    ``usual_share`` is the severity that a sound vehicle has (a driver, a tank), as a share of its mass. ``order``
+    places it among the effects: terms of one stage of the kernel act in this order, and lists are in it. ``variants``
+    by model hold what is different on models that ``hook`` is not for. ``tone`` describes a harmonic effect.
+    ``finding`` says in words what the effect with given parameters is, as the end of a sentence: "the front left
+    damper has lost 40 % of its force".
+    """
+
+    parameters: tuple[Parameter, ...]
+    severity: tuple[str, ...]
     hook: Hook
     usual_share: float = 0.0
     order: int = 1000
     variants: Mapping[str, Variant] = field(default_factory=dict)
     finding: Callable[[Mapping[str, float]], str] | None = None
-    tone: Tone | None = None
+    tone: Harmonic | None = None
 
     def __post_init__(self) -> None:
         neutral = {p.name: p.neutral for p in self.parameters}
@@ -208,3 +225,36 @@ def of_one_corner(parameters: tuple[Parameter, ...]) -> tuple[Parameter, ...]:
 def by_corner(front: Floats, rear: Floats) -> Floats:
     """(4, L) the axles' values (L,) at each corner."""
     return np.stack([front, front, rear, rear])
+
+
+def listed(words: Sequence[str]) -> str:
+    """``a, b and c``."""
+    return " and ".join([", ".join(words[:-1]), words[-1]] if len(words) > 1 else words)
+
+
+def axles(p: Given, suffix: str, unit: str) -> str:
+    """``180 N at the front and 90 N at the rear``, of parameters ``front<suffix>`` and ``rear<suffix>``."""
+    known = [(axle, p[f"{axle}{suffix}"]) for axle in AXLES if f"{axle}{suffix}" in p]
+    there = [(axle, plain(value, unit)) for axle, value in known if value]
+    written = {text for _, text in there}
+    if len(known) == 1 or not there:  # a single corner, or neither
+        return plain(known[0][1], unit)
+    if len(there) == 2 and len(written) == 1:
+        return f"{written.pop()} at front and rear"
+    return listed([f"{text} at the {axle}" for axle, text in there])
+
+
+def of_wheel(p: Given, part: str) -> str:
+    """``the front left damper``."""
+    return f"the {WHEELS[round(p['corner'])]} {part}" if "corner" in p else f"the {part}"
+
+
+def changed(share: float, quantity: str) -> str:
+    """``has lost 40 % of its force``."""
+    verb = "has lost" if share < 0 else "has gained"
+    return f"{verb} {plain(abs(share), '')} of its {quantity}"
+
+
+def more(value: float, unit: str, above: str, below: str) -> str:
+    """The size of a value and the word for its sign: ``60 cm ahead of``."""
+    return f"{plain(abs(value), unit)} {above if value >= 0 else below}"

@@ -7,25 +7,23 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from suspension_twin.effects._phrases import Given
 from suspension_twin.effects.base import (
     LANE,
     WIDTH,
     Effect,
     Fields,
     Floats,
+    Given,
     Hook,
     KernelTerms,
     Parameter,
     Values,
     fma,
     inlined,
+    plain,
     rows,
 )
 from suspension_twin.models.full_car import BAD_ACCELERATION
-from suspension_twin.units import plain
-
-__all__ = ["EFFECT"]
 
 _PARAMETERS = (
     Parameter("gain", "", -3.0, 3.0, 0.0, 0.0, 0.5, "share of the body's acceleration that drives the mode"),

@@ -5,6 +5,4 @@ from __future__ import annotations
 
 from suspension_twin.effects._strut import stop
 
-__all__ = ["EFFECT"]
-
 EFFECT = stop("bump", "jounce", "compresses", "damper_push", 0.25, order=30)

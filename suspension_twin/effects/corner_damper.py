@@ -5,6 +5,4 @@ from __future__ import annotations
 
 from suspension_twin.effects._strut import odd_corner
 
-__all__ = ["EFFECT"]
-
 EFFECT = odd_corner("damper", "spring", 0.1, order=100)

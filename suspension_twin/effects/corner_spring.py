@@ -5,6 +5,4 @@ from __future__ import annotations
 
 from suspension_twin.effects._strut import odd_corner
 
-__all__ = ["EFFECT"]
-
 EFFECT = odd_corner("spring", "damper", 0.05, order=110, upright=True)

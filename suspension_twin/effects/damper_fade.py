@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-from suspension_twin.effects._phrases import Given
 from suspension_twin.effects.base import (
     CORNER,
     LANE,
@@ -11,15 +10,14 @@ from suspension_twin.effects.base import (
     Effect,
     Fields,
     Floats,
+    Given,
     Hook,
     KernelTerms,
     Parameter,
     inlined,
+    plain,
     rows,
 )
-from suspension_twin.units import plain
-
-__all__ = ["EFFECT"]
 
 _PARAMETERS = (
     Parameter("loss", "", 0.0, 0.95, 0.0, 0.0, 0.3, "share of the damping that is lost at last"),

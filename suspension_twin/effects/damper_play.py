@@ -3,17 +3,18 @@
 
 from __future__ import annotations
 
-from suspension_twin.effects._phrases import Given, axles
 from suspension_twin.effects.base import (
     CORNER,
     WIDTH,
     Effect,
     Fields,
     Floats,
+    Given,
     Hook,
     KernelTerms,
     Parameter,
     Variant,
+    axles,
     by_corner,
     fma,
     inlined,
@@ -21,8 +22,6 @@ from suspension_twin.effects.base import (
     rows,
     travel_rate,
 )
-
-__all__ = ["EFFECT"]
 
 _PARAMETERS = (
     Parameter("front", "m", 0.0, 0.05, 0.0, 0.0, 0.004, "play at the wheel, front"),

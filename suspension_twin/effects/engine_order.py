@@ -8,25 +8,23 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from suspension_twin.effects._phrases import Given
 from suspension_twin.effects.base import (
     LANE,
     WIDTH,
     Effect,
     Fields,
     Floats,
+    Given,
+    Harmonic,
     Hook,
     KernelTerms,
     Parameter,
-    Tone,
     Values,
     fma,
     inlined,
+    plain,
     rows,
 )
-from suspension_twin.units import plain
-
-__all__ = ["EFFECT"]
 
 _PARAMETERS = (
     Parameter(
@@ -100,7 +98,7 @@ EFFECT = Effect(
     parameters=_PARAMETERS,
     order=145,
     severity=("force",),
-    tone=Tone(
+    tone=Harmonic(
         "force",
         "phase",
         (0.0, 22.0),

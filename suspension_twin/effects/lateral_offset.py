@@ -3,10 +3,7 @@
 
 from __future__ import annotations
 
-from suspension_twin.effects._phrases import Given, more
-from suspension_twin.effects.base import Effect, Hook, Parameter, RoadChange, Values
-
-__all__ = ["EFFECT"]
+from suspension_twin.effects.base import Effect, Given, Hook, Parameter, RoadChange, Values, more
 
 _PARAMETERS = (
     Parameter("offset", "m", -4.0, 4.0, 0.0, 0.0, 0.3, "across the reference line, to the left", usual=0.03),

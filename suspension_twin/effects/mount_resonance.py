@@ -1,16 +1,22 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The phone holder: the sensor on a springy arm."""
+"""Resonance of the sensor's mount: a phone on a springy arm."""
 
 from __future__ import annotations
 
 import math
 
-from suspension_twin.effects._phrases import Given
 from suspension_twin.effects._signal import STATES, second_order
-from suspension_twin.effects.base import Bools, Effect, Floats, Hook, Parameter, SignalStage, compiled
-from suspension_twin.units import plain
-
-__all__ = ["EFFECT"]
+from suspension_twin.effects.base import (
+    Bools,
+    Effect,
+    Floats,
+    Given,
+    Hook,
+    Parameter,
+    SignalStage,
+    compiled,
+    plain,
+)
 
 _PARAMETERS = (
     Parameter("gain", "", 0.0, 1.5, 0.0, 1.0, 0.2, "share of the holder's motion in what is read"),

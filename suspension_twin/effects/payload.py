@@ -5,11 +5,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from suspension_twin.effects._phrases import Given, more
-from suspension_twin.effects.base import Effect, Floats, Hook, Parameter, Values, Variant
-from suspension_twin.units import plain
-
-__all__ = ["EFFECT"]
+from suspension_twin.effects.base import Effect, Floats, Given, Hook, Parameter, Values, Variant, more, plain
 
 #: Height of seats and luggage above the ground, m.
 HEIGHT = 0.75

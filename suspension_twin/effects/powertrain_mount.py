@@ -7,25 +7,23 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from suspension_twin.effects._phrases import Given
 from suspension_twin.effects.base import (
     LANE,
     WIDTH,
     Effect,
     Fields,
     Floats,
+    Given,
     Hook,
     KernelTerms,
     Parameter,
     Values,
     fma,
     inlined,
+    plain,
     rows,
 )
-from suspension_twin.models.characteristics import Check
-from suspension_twin.units import plain
-
-__all__ = ["EFFECT"]
+from suspension_twin.models.hooks import Check
 
 #: Damping ratio of hydraulic engine mounts.
 DAMPING_RATIO = 0.08

@@ -3,13 +3,13 @@
 
 from __future__ import annotations
 
-from suspension_twin.effects._phrases import Given
 from suspension_twin.effects.base import (
     CORNER,
     WIDTH,
     Effect,
     Fields,
     Floats,
+    Given,
     Hook,
     KernelTerms,
     Parameter,
@@ -19,8 +19,6 @@ from suspension_twin.effects.base import (
     inlined,
     of_one_corner,
 )
-
-__all__ = ["EFFECT"]
 
 #: Linkage, bushings and the first of a stop make any car's wheel rate grow on one way by up to 12 kN/m in 3 cm; on both
 #: ways, which takes two stops, by less than half of that.

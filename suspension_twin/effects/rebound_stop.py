@@ -5,6 +5,4 @@ from __future__ import annotations
 
 from suspension_twin.effects._strut import stop
 
-__all__ = ["EFFECT"]
-
 EFFECT = stop("rebound", "rebound", "extends", "damper_pull", 0.3, order=40)

@@ -3,11 +3,7 @@
 
 from __future__ import annotations
 
-from suspension_twin.effects._phrases import Given
-from suspension_twin.effects.base import Effect, Hook, Parameter, RoadChange, Values
-from suspension_twin.units import plain
-
-__all__ = ["EFFECT"]
+from suspension_twin.effects.base import Effect, Given, Hook, Parameter, RoadChange, Values, plain
 
 _PARAMETERS = (Parameter("sigma", "m", 0.005, 2.0, 0.0, 0.1, 2.0, "of the Gaussian", log=True),)
 

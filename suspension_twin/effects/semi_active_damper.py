@@ -8,18 +8,19 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from suspension_twin.effects._phrases import Given, axles
 from suspension_twin.effects.base import (
     CORNER,
     WIDTH,
     Effect,
     Fields,
     Floats,
+    Given,
     Hook,
     KernelTerms,
     Parameter,
     Values,
     Variant,
+    axles,
     by_corner,
     fma,
     inlined,
@@ -27,8 +28,6 @@ from suspension_twin.effects.base import (
     rows,
     travel_rate,
 )
-
-__all__ = ["EFFECT"]
 
 #: The controller integrates accelerometers behind a high-pass with this corner in Hz: a climb is no bounce.
 HIGH_PASS = 0.1

@@ -7,12 +7,19 @@ import math
 
 import numpy as np
 
-from suspension_twin.effects._phrases import Given
 from suspension_twin.effects._signal import STATES, second_order
-from suspension_twin.effects.base import Bools, Effect, Floats, Hook, Parameter, SignalStage, Values, compiled
-from suspension_twin.units import plain
-
-__all__ = ["EFFECT"]
+from suspension_twin.effects.base import (
+    Bools,
+    Effect,
+    Floats,
+    Given,
+    Hook,
+    Parameter,
+    SignalStage,
+    Values,
+    compiled,
+    plain,
+)
 
 _PARAMETERS = (Parameter("cutoff", "Hz", 0.5, 500.0, 0.0, 15.0, 2.0, "its -3 dB frequency", log=True),)
 
@@ -46,8 +53,7 @@ EFFECT = Effect(
     excited_by=("wheel hop", "sharp edges", "anything quick"),
     confused_with=("time_offset", "tyre_envelope", "road_smoothing"),
     hook=Hook(
-        signal=SignalStage(_signal, states=6 * STATES, order=40),
-        lag=_lag,
+        signal=SignalStage(_signal, states=6 * STATES, order=40, lag=_lag),
         models=("full_car", "msd", "quarter_car"),
     ),
     finding=_finding,

@@ -3,11 +3,17 @@
 
 from __future__ import annotations
 
-from suspension_twin.effects._phrases import Given
-from suspension_twin.effects.base import Bools, Effect, Floats, Hook, Parameter, SignalStage, compiled
-from suspension_twin.units import plain
-
-__all__ = ["EFFECT"]
+from suspension_twin.effects.base import (
+    Bools,
+    Effect,
+    Floats,
+    Given,
+    Hook,
+    Parameter,
+    SignalStage,
+    compiled,
+    plain,
+)
 
 _PARAMETERS = (Parameter("range", "m/s²", 9.9, 400.0, 0.0, 15.0, 1.5, "largest reading", log=True),)
 

@@ -3,10 +3,7 @@
 
 from __future__ import annotations
 
-from suspension_twin.effects._phrases import Given, listed, more
-from suspension_twin.effects.base import Effect, Floats, Hook, Parameter, Values
-
-__all__ = ["EFFECT"]
+from suspension_twin.effects.base import Effect, Floats, Given, Hook, Parameter, Values, listed, more
 
 _PARAMETERS = (
     Parameter("x", "m", -4.0, 4.0, 0.0, 0.0, 0.5, "forward", usual=0.03),

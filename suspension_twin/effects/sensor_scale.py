@@ -3,22 +3,20 @@
 
 from __future__ import annotations
 
-from typing import Any
-
-from suspension_twin.effects._phrases import Given, more
 from suspension_twin.effects.base import (
     Bools,
     Effect,
     Floats,
+    Given,
     Hook,
+    MarkerExcitation,
     Parameter,
     SignalStage,
     Values,
     Variant,
     compiled,
+    more,
 )
-
-__all__ = ["EFFECT"]
 
 _PARAMETERS = (Parameter("scale", "", -0.6, 1.0, 0.0, 0.0, 0.05, "gain less one", usual=0.01),)
 
@@ -35,7 +33,7 @@ def _signal(signals: Floats, t: Floats, fresh: Bools, values: Floats, state: Flo
                         signals[k, 6, i] += more
 
 
-def _reading(signals: Floats, run: Any, p: Values) -> None:
+def _reading(signals: Floats, run: MarkerExcitation, p: Values) -> None:
     signals *= 1.0 + p["scale"]
 
 

@@ -4,25 +4,24 @@
 from __future__ import annotations
 
 import math
-from typing import Any
 
 import numpy as np
 
-from suspension_twin.effects._phrases import Given, listed
 from suspension_twin.effects.base import (
     Bools,
     Effect,
     Floats,
+    Given,
     Hook,
+    MarkerExcitation,
     Parameter,
     SignalStage,
     Values,
     Variant,
     compiled,
+    listed,
+    plain,
 )
-from suspension_twin.units import plain
-
-__all__ = ["EFFECT"]
 
 _angle = ("rad", -3.2, 3.2, 0.0, 0.0, 0.1)
 
@@ -73,7 +72,7 @@ def _signal(signals: Floats, t: Floats, fresh: Bools, values: Floats, state: Flo
 _CAMERA = (Parameter("pitch", "rad", -0.1, 0.1, 0.0, 0.0, 0.02, "about y, nose down"),)
 
 
-def _reading(signals: Floats, run: Any, p: Values) -> None:
+def _reading(signals: Floats, run: MarkerExcitation, p: Values) -> None:
     """Part of the travel is taken for height, of the speed for vertical velocity: markers (n, 9, L)."""
     leak = np.sin(p["pitch"])
     signals[:, 0:3] += (leak * (run.speed * run.t)[:, None])[:, None]

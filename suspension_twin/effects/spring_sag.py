@@ -3,20 +3,19 @@
 
 from __future__ import annotations
 
-from suspension_twin.effects._phrases import Given, axles
 from suspension_twin.effects.base import (
     CornerChange,
     Effect,
     Floats,
+    Given,
     Hook,
     Parameter,
     Values,
     Variant,
+    axles,
     by_corner,
     of_one_corner,
 )
-
-__all__ = ["EFFECT"]
 
 _sag = ("m", 0.0, 0.12, 0.0, 0.0, 0.02)
 _PARAMETERS = (

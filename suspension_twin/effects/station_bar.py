@@ -3,11 +3,8 @@
 
 from __future__ import annotations
 
-from suspension_twin.effects._phrases import Given, more
 from suspension_twin.effects._station import STATION, add, exists
-from suspension_twin.effects.base import Effect, Floats, Hook, Parameter, Values
-
-__all__ = ["EFFECT"]
+from suspension_twin.effects.base import Effect, Floats, Given, Hook, Parameter, Values, more
 
 _PARAMETERS = (
     STATION,

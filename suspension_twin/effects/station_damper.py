@@ -4,15 +4,12 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any
 
 import numpy as np
 
-from suspension_twin.effects._phrases import Given, changed
 from suspension_twin.effects._station import STATION, add, exists
-from suspension_twin.effects.base import Effect, Floats, Hook, Parameter, Values
-
-__all__ = ["EFFECT"]
+from suspension_twin.effects.base import Effect, Floats, Given, Hook, Parameter, Values, changed
+from suspension_twin.vehicle.twin import Twin
 
 _PARAMETERS = (STATION, Parameter("change", "", -1.0, 1.0, 0.0, 0.0, 0.5, "of its damping, as a share"))
 
@@ -26,7 +23,7 @@ def _vehicle(numbers: dict[str, Floats], p: Values) -> None:
     add(numbers, "damping", p["station"], own * p["change"])
 
 
-def _possible(twin: Any, p: Mapping[str, float]) -> bool:
+def _possible(twin: Twin, p: Mapping[str, float]) -> bool:
     return exists(twin, p) and twin.vehicle.stations[int(p["station"]) - 1].damping > 0
 
 

@@ -3,17 +3,18 @@
 
 from __future__ import annotations
 
-from suspension_twin.effects._phrases import Given, axles
 from suspension_twin.effects.base import (
     CORNER,
     WIDTH,
     Effect,
     Fields,
     Floats,
+    Given,
     Hook,
     KernelTerms,
     Parameter,
     Variant,
+    axles,
     by_corner,
     fma,
     inlined,
@@ -21,8 +22,6 @@ from suspension_twin.effects.base import (
     rows,
     travel_rate,
 )
-
-__all__ = ["EFFECT"]
 
 #: Stiffness before it slips, N/m: the bushings that give way while the strut still sticks.
 STICKING = 3.0e5

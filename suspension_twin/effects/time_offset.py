@@ -3,10 +3,7 @@
 
 from __future__ import annotations
 
-from suspension_twin.effects._phrases import Given, more
-from suspension_twin.effects.base import ClockChange, Effect, Hook, Parameter, Values
-
-__all__ = ["EFFECT"]
+from suspension_twin.effects.base import ClockChange, Effect, Given, Hook, Parameter, Values, more
 
 _PARAMETERS = (Parameter("offset", "s", -2.0, 2.0, 0.0, 0.0, 0.05, "IMU stamp less GPS time"),)
 

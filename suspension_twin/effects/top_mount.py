@@ -5,19 +5,18 @@ from __future__ import annotations
 
 import numpy as np
 
-from suspension_twin.effects._phrases import Given, axles
 from suspension_twin.effects.base import (
     CornerChange,
     Effect,
+    Given,
     Hook,
     Parameter,
     Values,
     Variant,
+    axles,
     by_corner,
     of_one_corner,
 )
-
-__all__ = ["EFFECT"]
 
 _stiffness = ("N/m", 2.0e4, 5.0e6, 0.0, 3.0e5, 2.5)
 

@@ -5,11 +5,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from suspension_twin.effects._phrases import Given, more
-from suspension_twin.effects.base import Effect, Floats, Hook, Parameter, Values
+from suspension_twin.effects.base import Effect, Floats, Given, Hook, Parameter, Values, more
 from suspension_twin.vehicle.tracked import BOUNDS
-
-__all__ = ["EFFECT"]
 
 _PARAMETERS = (Parameter("tighter", "mm", -40.0, 40.0, 0.0, 0.0, 10.0, "displacement of the idler outwards"),)
 _KEY = "vehicle.idler.setting"

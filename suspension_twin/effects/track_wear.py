@@ -5,12 +5,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from suspension_twin.effects._phrases import Given
-from suspension_twin.effects.base import Effect, Floats, Hook, Parameter, Values
-from suspension_twin.units import plain
+from suspension_twin.effects.base import Effect, Floats, Given, Hook, Parameter, Values, plain
 from suspension_twin.vehicle.tracked import BOUNDS
-
-__all__ = ["EFFECT"]
 
 _PARAMETERS = (
     Parameter("stiffness", "", 0.02, 2.0, 1.0, 1.0, 0.7, "remaining share of the links' stiffness"),

@@ -3,22 +3,20 @@
 
 from __future__ import annotations
 
-from suspension_twin.effects._phrases import Given
 from suspension_twin.effects.base import (
     CORNER,
     WIDTH,
     Effect,
     Fields,
     Floats,
+    Given,
     Hook,
     KernelTerms,
     Parameter,
     inlined,
+    plain,
     rows,
 )
-from suspension_twin.units import plain
-
-__all__ = ["EFFECT"]
 
 _PARAMETERS = (
     Parameter("damping", "N s/m", 0.0, 5000.0, 0.0, 0.0, 500.0, "of one tyre, in the vertical", usual=50.0),

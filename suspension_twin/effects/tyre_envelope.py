@@ -3,11 +3,7 @@
 
 from __future__ import annotations
 
-from suspension_twin.effects._phrases import Given
-from suspension_twin.effects.base import Effect, Hook, Parameter, RoadChange, Values
-from suspension_twin.units import plain
-
-__all__ = ["EFFECT"]
+from suspension_twin.effects.base import Effect, Given, Hook, Parameter, RoadChange, Values, plain
 
 #: m, of a car's tyre: a load of 4 kN over a pressure of 220 kPa and a width in contact of 0.16 m is 0.114 m (a prior).
 _USUAL = 0.12

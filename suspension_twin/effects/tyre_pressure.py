@@ -5,11 +5,19 @@ from __future__ import annotations
 
 import numpy as np
 
-from suspension_twin.effects._phrases import Given, more, of_wheel
-from suspension_twin.effects.base import CornerChange, Effect, Floats, Hook, Parameter, Values, Variant
+from suspension_twin.effects.base import (
+    CornerChange,
+    Effect,
+    Floats,
+    Given,
+    Hook,
+    Parameter,
+    Values,
+    Variant,
+    more,
+    of_wheel,
+)
 from suspension_twin.vehicle.corners import WHEELS
-
-__all__ = ["EFFECT"]
 
 #: A tyre's vertical stiffness goes with this power of its pressure: near the nominal one a relative change of the
 #: pressure changes it by that share, the factor p_Fz1 of a passenger car's tyre (Besselink, Schmeitz and Pacejka,

@@ -3,11 +3,7 @@
 
 from __future__ import annotations
 
-from suspension_twin.effects._phrases import Given
-from suspension_twin.effects.base import CornerChange, Effect, Hook, Parameter, Values
-from suspension_twin.units import plain
-
-__all__ = ["EFFECT"]
+from suspension_twin.effects.base import CornerChange, Effect, Given, Hook, Parameter, Values, plain
 
 _PARAMETERS = (Parameter("mass", "kg", 0.0, 300.0, 0.0, 40.0, 20.0, "of one wheel with hub and brake"),)
 

@@ -8,25 +8,24 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from suspension_twin.effects._phrases import Given, of_wheel
 from suspension_twin.effects.base import (
     LANE,
     WIDTH,
     Effect,
     Fields,
     Floats,
+    Given,
+    Harmonic,
     Hook,
     KernelTerms,
     Parameter,
-    Tone,
     Values,
     fma,
     inlined,
+    of_wheel,
+    plain,
     rows,
 )
-from suspension_twin.units import plain
-
-__all__ = ["EFFECT"]
 
 _CORNERS = "0 front left, 1 front right, 2 rear left, 3 rear right"
 _PARAMETERS = (
@@ -92,7 +91,7 @@ def _swing(w: Floats, e: int, c: int, i: int, h: float) -> None:
 
 @inlined
 def _push(w: Floats, e: int, c: int, i: int, h: float) -> None:
-    """What the force along the road does beyond the acceleration that is given: a quarter of a turn later, at the hub.
+    """Moment of the force along the road, a quarter of a turn later and at the hub, beyond the given acceleration.
     The load transfer takes the car's acceleration for a force on the ground, which is lower by the wheel's radius."""
     moment, per_metre = w[(e + _MOMENT) * WIDTH + i], w[(e + _PER_METRE) * WIDTH + i]
     speed = _pace(w, e, i)
@@ -132,7 +131,7 @@ EFFECT = Effect(
     parameters=_PARAMETERS,
     order=125,
     severity=("moment",),
-    tone=Tone(
+    tone=Harmonic(
         "moment",
         "phase",
         (0.0, 0.0),

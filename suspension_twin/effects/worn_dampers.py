@@ -3,10 +3,17 @@
 
 from __future__ import annotations
 
-from suspension_twin.effects._phrases import Given, axles
-from suspension_twin.effects.base import Effect, Floats, Hook, Parameter, Values, Variant, of_one_corner
-
-__all__ = ["EFFECT"]
+from suspension_twin.effects.base import (
+    Effect,
+    Floats,
+    Given,
+    Hook,
+    Parameter,
+    Values,
+    Variant,
+    axles,
+    of_one_corner,
+)
 
 _loss = ("", 0.0, 0.98, 0.0, 0.0, 0.3)
 _PARAMETERS = (

@@ -20,8 +20,8 @@ from numpy.typing import NDArray
 from suspension_twin.arrays import Floats
 from suspension_twin.errors import InputError
 from suspension_twin.inference.sensor_reading import read_alike, read_any, read_steady
-from suspension_twin.models.blocks import cores, share_out
-from suspension_twin.models.sinc_interpolation import TABLE
+from suspension_twin.models.sensor_chain import TABLE
+from suspension_twin.models.simulate import cores, share_out
 
 if TYPE_CHECKING:
     from suspension_twin.inference.observation import Observation

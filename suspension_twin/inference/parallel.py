@@ -10,7 +10,7 @@ from typing import Any, TypeVar
 
 from threadpoolctl import threadpool_limits
 
-from suspension_twin.models.blocks import cores
+from suspension_twin.models.simulate import cores
 
 __all__ = ["no_progress", "one_blas_thread", "side_by_side"]
 

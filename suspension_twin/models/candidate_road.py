@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from dataclasses import dataclass
 from weakref import WeakKeyDictionary
 
 import numpy as np
@@ -18,12 +19,21 @@ import numpy as np
 from suspension_twin.arrays import Floats
 from suspension_twin.compiled import compiled
 from suspension_twin.errors import InputError
+from suspension_twin.models.excitation import walk
 from suspension_twin.models.hooks import RoadChange
 from suspension_twin.models.rows import WIDTH
 from suspension_twin.models.types import Excitation, HeightField
-from suspension_twin.models.wheel_paths import walk
 
-__all__ = ["SPACING", "Samples", "WheelPaths", "ahead_of", "candidate_heights", "reach_of", "wheel_paths_of"]
+__all__ = [
+    "SPACING",
+    "PathSamples",
+    "RoadStretch",
+    "WheelPaths",
+    "ahead_of",
+    "candidate_heights",
+    "reach_of",
+    "wheel_paths_of",
+]
 
 #: Distance in m between samples along a path.
 SPACING = 0.02
@@ -37,7 +47,7 @@ _NONE = np.empty((0, 4, WIDTH))
 LARGEST_GAIN = 10.0
 
 
-class Samples:
+class PathSamples:
     """The road along a way of base_link, given every SPACING m from the distance ``start`` m on."""
 
     def __init__(
@@ -63,11 +73,12 @@ class Samples:
         return known
 
 
-class WheelPaths(Samples):
+class WheelPaths(PathSamples):
     """The road along the way of one excitation, sampled as it is asked for."""
 
     def __init__(self, excitation: Excitation) -> None:
-        x, y, yaw = excitation.x, excitation.y, excitation.yaw
+        path = excitation.path
+        x, y, yaw = path.x, path.y, path.yaw
         travelled = np.concatenate([[0.0], np.cumsum(np.hypot(np.diff(x), np.diff(y)))])
         #: distance in m and time in s at every row of ``excitation.road``
         self.distance = self._at_rows(excitation, travelled)
@@ -76,31 +87,39 @@ class WheelPaths(Samples):
         s = travelled[moving]
         at = np.arange(math.ceil((s[-1] + 2 * MARGIN) / SPACING) + 2) * SPACING - MARGIN
         way = tuple(np.interp(at, s, values[moving]) for values in (x, y, yaw))
-        super().__init__(way[0], way[1], way[2], -MARGIN, excitation.wheels, excitation.ground)
+        super().__init__(way[0], way[1], way[2], -MARGIN, path.wheels, path.ground)
 
-    def earlier(self, part: slice, delay: float, drift: float) -> Floats:
-        """(rows,) distances in m at which the vehicle was ``delay + drift (t - t0)`` s before a stretch's rows."""
-        t = self.time[part]
-        return np.asarray(np.interp(t - delay - drift * (t - self.time[0]), self.time, self.distance))
+    def stretch(self, road: Floats, part: slice) -> RoadStretch:
+        """The rows ``part`` of ``road`` (m, 4), of the excitation."""
+        t, start = self.time[part], self.time[0]
+
+        def earlier(delay: float, drift: float) -> Floats:
+            return np.asarray(np.interp(t - delay - drift * (t - start), self.time, self.distance))
+
+        return RoadStretch(self, road[part], self.distance[part], road[0], earlier)
 
     @staticmethod
     def _at_rows(excitation: Excitation, travelled: Floats) -> Floats:
-        out = np.empty((excitation.road.shape[0], 4))
-        unused = np.empty_like(out)
+        out, unused = np.empty((2, excitation.road.shape[0], 4))
         zero = np.zeros_like(travelled)
-        walk(
-            travelled,
-            zero,
-            zero,
-            excitation.substeps,
-            excitation.first,
-            0,
-            travelled.size,
-            np.zeros((4, 2)),
-            out,
-            unused,
-        )
+        count, first, here = excitation.substeps, excitation.first, np.zeros((4, 2))
+        walk(travelled, zero, zero, count, first, 0, travelled.size, here, out, unused)
         return np.ascontiguousarray(out[:, 0])
+
+
+@dataclass(frozen=True, eq=False)
+class RoadStretch:
+    """A stretch of a drive, and the samples around it: ``road`` (rows, 4) m and ``distance`` (rows,) m along the way.
+
+    ``reference`` (4,) m is what heights are scaled about. ``earlier`` gives the distances (rows,) m at a time less a
+    delay in s and a drift in s/s; without it there are neither.
+    """
+
+    paths: PathSamples
+    road: Floats
+    distance: Floats
+    reference: Floats
+    earlier: Callable[[float, float], Floats] | None = None
 
 
 _known: WeakKeyDictionary[Excitation, WheelPaths] = WeakKeyDictionary()
@@ -121,7 +140,7 @@ def ahead_of(
     reach: float,
     wheels: Floats,
     ground: HeightField,
-) -> Samples:
+) -> PathSamples:
     """The road along the straight from x, y [0] to [1] and ``reach`` m on at both ends, for live use."""
     length = math.hypot(x[1] - x[0], y[1] - y[0])
     at = np.arange(math.ceil((length + 2 * reach) / SPACING) + 3) * SPACING - reach
@@ -129,35 +148,25 @@ def ahead_of(
         ((x[1] - x[0]) / length, (y[1] - y[0]) / length) if length > 1e-3 else (math.cos(yaw), math.sin(yaw))
     )
     way = np.array([x[0] + at * c, y[0] + at * s, np.full(at.size, yaw)], dtype=np.float64)
-    return Samples(way[0], way[1], way[2], -reach, wheels, ground)
+    return PathSamples(way[0], way[1], way[2], -reach, wheels, ground)
 
 
 def reach_of(change: RoadChange) -> float:
-    """How far in m beyond a point the lanes of ``change`` look along the road."""
+    """Distance in m beyond a point over which the lanes of ``change`` depend on the road."""
     widest = _REACH * change.smoothing + change.patch / 2 + np.abs(change.ahead)
     return float(widest.max()) + 4 * SPACING
 
 
 def candidate_heights(
-    paths: Samples,
-    change: RoadChange,
-    lane0: int,
-    count: int,
-    road: Floats,
-    distance: Floats,
-    reference: Floats,
-    strict: bool = True,
-    earlier: Callable[[float, float], Floats] | None = None,
+    stretch: RoadStretch, change: RoadChange, lane0: int, count: int, strict: bool = True
 ) -> tuple[Floats, Floats]:
     """Heights in m that the lanes of one block see, for a stretch of the drive: (rows, 4) where all see the same, and
     (rows, 4, WIDTH) each lane's own, or none.
 
-    ``change`` of all L lanes, of which lanes ``lane0``.. (``count`` of them) are in this block;
-    ``road`` (rows, 4) and ``distance`` (rows,) of the stretch; ``reference`` (4,) m is what heights
-    are scaled about. A lane that looks where the ground has no height raises InputError where ``strict``;
-    else it gets no heights at all, and fails alone. ``earlier`` gives the distances (rows,) at a time less a
-    delay and a drift.
+    ``change`` of all L lanes, of which lanes ``lane0``.. (``count`` of them) are in this block. A lane that looks where
+    the ground has no height raises InputError where ``strict``; else it gets no heights at all, and fails alone.
     """
+    paths, road, distance = stretch.paths, stretch.road, stretch.distance
     low_distance, high_distance = float(distance.min()), float(distance.max())
     need, alike = change.changed, change.alike(lane0, count)
     heights = np.empty((count, 4, road.shape[0]))
@@ -171,8 +180,8 @@ def candidate_heights(
             continue
         ahead, left = np.full(distance.size, float(change.ahead[lane])), float(change.left[lane])
         delay, drift = float(change.delay[lane]), float(change.drift[lane])
-        if earlier is not None and (delay or drift):
-            ahead += earlier(delay, drift) - distance
+        if stretch.earlier is not None and (delay or drift):
+            ahead += stretch.earlier(delay, drift) - distance
         sigma, patch = float(change.smoothing[lane]), float(change.patch[lane])
         sharp = float(change.sharpening[lane])
         if ahead.any() or left or sigma or sharp or patch:
@@ -196,7 +205,7 @@ def candidate_heights(
             heights[i] = road.T
         scale = float(change.scale[lane])
         if scale != 1.0:
-            heights[i] += (scale - 1.0) * (heights[i] - reference[:, None])
+            heights[i] += (scale - 1.0) * (heights[i] - stretch.reference[:, None])
     if max(alike) == 0:
         return np.ascontiguousarray(heights[0].T), _NONE
     out = np.empty((road.shape[0], 4, WIDTH))
@@ -204,7 +213,7 @@ def candidate_heights(
     return road, out
 
 
-def _beside(paths: Samples, left: float) -> Floats:
+def _beside(paths: PathSamples, left: float) -> Floats:
     """(4, n) m heights ``left`` m beside the wheels' paths, interpolated between the two sampled paths next to it."""
     index = math.floor(left / BESIDE)
     share = left / BESIDE - index

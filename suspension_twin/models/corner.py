@@ -15,8 +15,7 @@ from suspension_twin.arrays import Floats
 from suspension_twin.compiled import inlined
 from suspension_twin.models import rows
 from suspension_twin.models.curves import damper_forces, spring_forces
-from suspension_twin.models.numerics import fma, four, put
-from suspension_twin.models.rows import WIDTH
+from suspension_twin.models.rows import WIDTH, fma, four, put
 from suspension_twin.units import STANDARD_GRAVITY as G
 
 __all__ = [

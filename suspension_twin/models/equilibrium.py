@@ -3,16 +3,15 @@
 
 from __future__ import annotations
 
-from typing import Any
+from collections.abc import Callable
 
 import numpy as np
 
 from suspension_twin.arrays import Floats
-from suspension_twin.compiled import compiled, inlined, linked, specialised
+from suspension_twin.compiled import compiled, compiled_later, inlined, linked, specialised
 from suspension_twin.models import rows
 from suspension_twin.models.curves import spring_force, spring_slope
-from suspension_twin.models.numerics import fma
-from suspension_twin.models.rows import WIDTH
+from suspension_twin.models.rows import WIDTH, fma
 from suspension_twin.units import STANDARD_GRAVITY as G
 
 __all__ = ["stand", "stand_with"]
@@ -50,10 +49,10 @@ def _no_force(w: Floats, lane: int, travel: Floats, force: Floats, stiffness: Fl
     """A lane without effects has no further elastic elements."""
 
 
-_RESTART: Any = _nothing
-_ELASTIC: Any = _no_force
+_RESTART, _ELASTIC = _nothing, _no_force
 
 
+@compiled_later
 def _stand(
     w: Floats,
     lane: int,
@@ -153,7 +152,8 @@ def _stand(
 stand = compiled(_stand)
 
 
-def stand_with(restart: Any, elastic: Any) -> Any:
+def stand_with(restart: Callable[..., None], elastic: Callable[..., None]) -> Callable[..., None]:
     """``_stand`` with effects: ``restart(w, lane)`` sets their states to zero, ``elastic(w, lane, travel, force,
     stiffness)`` adds their forces in N and stiffnesses in N/m of four corners and two axles."""
-    return linked(specialised(_stand, "stand", _RESTART=restart, _ELASTIC=elastic))
+    standing: Callable[..., None] = linked(specialised(_stand, "stand", _RESTART=restart, _ELASTIC=elastic))
+    return standing

@@ -14,12 +14,23 @@ from typing import Protocol
 import numpy as np
 
 from suspension_twin.arrays import Floats
+from suspension_twin.compiled import compiled
 from suspension_twin.errors import InputError
-from suspension_twin.models.types import Excitation, HeightField, Ints
-from suspension_twin.models.wheel_paths import walk, yaw_accelerations
+from suspension_twin.models.types import Excitation, HeightField, Ints, PlanarMotion, PlanarPath
 from suspension_twin.pose.types import Trajectory
 
-__all__ = ["MAX_GAP", "MAX_STEP", "MOTION", "check_step", "coarser", "excitation", "substeps"]
+__all__ = [
+    "MAX_GAP",
+    "MAX_STEP",
+    "MOTION",
+    "check_step",
+    "coarser",
+    "earlier_pose",
+    "excitation",
+    "next_yaw_acceleration",
+    "substeps",
+    "walk",
+]
 
 #: Largest step in s unless a caller asks otherwise.
 MAX_STEP = 1e-3
@@ -115,8 +126,8 @@ def excitation(
         raise InputError("trajectory", "t", f"does not rise at sample {at}")
 
     count, first = _counted(t, max_step)
-    heights = _heights(
-        columns["x"], columns["y"], columns["yaw"], t, count, first, vehicle.wheel_positions, road
+    path = PlanarPath(
+        columns["x"], columns["y"], columns["yaw"], vehicle.wheel_positions, road, antenna=antenna
     )
     motion = np.zeros((t.size, len(MOTION)))
     motion[1:, 0] = _steps(dt, count)
@@ -124,28 +135,16 @@ def excitation(
         if name in columns:
             motion[:, column] = columns[name]
     yaw_accelerations(columns["t"], columns["yaw_rate"], count, motion[:, MOTION.index("yaw_acceleration")])
-    return Excitation(
-        t=columns["t"],
-        substeps=count,
-        first=first,
-        road=heights,
-        motion=motion,
-        max_step=max_step,
-        x=columns["x"],
-        y=columns["y"],
-        yaw=columns["yaw"],
-        wheels=vehicle.wheel_positions,
-        ground=road,
-        antenna=antenna,
-    )
+    heights = _heights(path, t, count, first)
+    return Excitation(columns["t"], count, first, heights, motion, max_step, path)
 
 
 def coarser(known: Excitation, max_step: float) -> Excitation:
-    """The same excitation in steps of up to ``max_step`` s: a first look takes less time so."""
+    """The same excitation in steps of up to ``max_step`` s, for a first look that takes less time."""
     count, first = _counted(known.t, check_step(max_step))
     motion = known.motion.copy()
     motion[1:, 0] = _steps(np.diff(known.t), count)
-    heights = _heights(known.x, known.y, known.yaw, known.t, count, first, known.wheels, known.ground)
+    heights = _heights(known.path, known.t, count, first)
     return replace(known, substeps=count, first=first, road=heights, motion=motion, max_step=max_step)
 
 
@@ -165,19 +164,85 @@ def _steps(dt: Floats, count: Ints) -> Floats:
     return np.divide(dt, count[1:], out=np.zeros_like(dt), where=count[1:] > 0)
 
 
-def _heights(
-    x: Floats, y: Floats, yaw: Floats, t: Floats, count: Ints, first: Ints, wheels: Floats, road: HeightField
-) -> Floats:
+def _heights(path: PlanarPath, t: Floats, count: Ints, first: Ints) -> Floats:
     """(m, 4) m heights under the wheels at the end of every step; raises InputError where there is none."""
     heights = np.empty((int(first[-1]), 4))
     for begin in range(0, t.size, _CHUNK):
         end = min(begin + _CHUNK, t.size)
         rows = slice(int(first[begin]), int(first[end]))
-        wheel_x, wheel_y = (np.empty((rows.stop - rows.start, 4)) for _ in range(2))
-        walk(x, y, yaw, count, first, begin, end, wheels, wheel_x, wheel_y)
-        heights[rows] = road.heights(wheel_x, wheel_y)
+        wheel_x, wheel_y = np.empty((2, rows.stop - rows.start, 4))
+        walk(path.x, path.y, path.yaw, count, first, begin, end, path.wheels, wheel_x, wheel_y)
+        heights[rows] = path.ground.heights(wheel_x, wheel_y)
     if not np.isfinite(heights).all():
         row = int(np.flatnonzero(~np.isfinite(heights).all(axis=1))[0])
         stamp = float(t[np.searchsorted(first, row, side="right") - 1])
         raise InputError("road", f"no height under a wheel at t = {stamp:.3f} s")
     return heights
+
+
+#: Time constant in s of the filtered difference that gives the yaw acceleration. It delays the
+#: lever-arm term a little and keeps gyro noise over a jittered interval from blowing it up.
+YAW_TIME = 0.03
+
+
+@compiled
+def walk(
+    x: Floats,
+    y: Floats,
+    yaw: Floats,
+    count: Ints,
+    first: Ints,
+    begin: int,
+    end: int,
+    wheels: Floats,
+    wheel_x: Floats,
+    wheel_y: Floats,
+) -> None:
+    """Fill (rows, 4) ``map`` positions of the wheel centres for the stamps begin..end-1.
+
+    ``count`` and ``first`` as in Excitation; poses run linearly between stamps. ``wheels`` (4, 2)
+    in base_link.
+    """
+    origin = first[begin]
+    for k in range(begin, end):
+        n = max(1, count[k])
+        for j in range(n):
+            px, py, angle = x[k], y[k], yaw[k]
+            if j < n - 1:
+                share = (j + 1) / n
+                px = x[k - 1] + share * (px - x[k - 1])
+                py = y[k - 1] + share * (py - y[k - 1])
+                angle = yaw[k - 1] + share * (angle - yaw[k - 1])
+            c, s = math.cos(angle), math.sin(angle)
+            row = first[k] + j - origin
+            for i in range(4):
+                wheel_x[row, i] = px + c * wheels[i, 0] - s * wheels[i, 1]
+                wheel_y[row, i] = py + s * wheels[i, 0] + c * wheels[i, 1]
+
+
+def next_yaw_acceleration(value: float, change: float, interval: float) -> float:
+    """One step of the filtered difference: ``change`` rad/s of the yaw rate in ``interval`` s."""
+    return value + (change - value * interval) / (interval + YAW_TIME)
+
+
+def earlier_pose(motion: PlanarMotion, seconds: float) -> PlanarMotion:
+    """The pose ``seconds`` before, at the velocity of now: where a sensor was when it took a sample that comes so much
+    later."""
+    x, y, yaw, speed, lateral_speed, yaw_rate, *_ = motion
+    return motion._replace(
+        x=x - seconds * (speed * math.cos(yaw) - lateral_speed * math.sin(yaw)),
+        y=y - seconds * (speed * math.sin(yaw) + lateral_speed * math.cos(yaw)),
+        yaw=yaw - seconds * yaw_rate,
+    )
+
+
+_next = compiled(next_yaw_acceleration)
+
+
+@compiled
+def yaw_accelerations(t: Floats, yaw_rate: Floats, count: Ints, out: Floats) -> None:
+    """Fill (n,) rad/s² the filtered difference of the yaw rate; zero at every fresh start."""
+    value = 0.0
+    for k in range(t.size):
+        value = _next(value, yaw_rate[k] - yaw_rate[k - 1], t[k] - t[k - 1]) if count[k] > 0 else 0.0
+        out[k] = value

@@ -13,10 +13,9 @@ A candidate is a set of parameters of the FMU. Each has an instance of its own; 
 
 from __future__ import annotations
 
+import weakref
 from collections.abc import Sequence
-from concurrent.futures import ThreadPoolExecutor
-from functools import partial
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
 
@@ -24,23 +23,25 @@ from suspension_twin.arrays import Floats
 from suspension_twin.compiled import compiled
 from suspension_twin.errors import WorkError
 from suspension_twin.models import rows
-from suspension_twin.models.blocks import cores
 from suspension_twin.models.candidate_road import candidate_heights, wheel_paths_of
 from suspension_twin.models.car import CHANNELS
-from suspension_twin.models.connectors import OUTPUTS, inputs_of
-from suspension_twin.models.constants import Constants, outside
+from suspension_twin.models.connectors import OUTPUTS, inputs_of, motion_between
+from suspension_twin.models.constants import Conditions, Outside, outside
+from suspension_twin.models.excitation import MAX_STEP
 from suspension_twin.models.fmu_slave import Connected, Slave, connected
-from suspension_twin.models.observe import COLUMNS
-from suspension_twin.models.parameters import Layout, layout, pack
-from suspension_twin.models.registry import Model, deferred
+from suspension_twin.models.live import Following
+from suspension_twin.models.parameters import ParameterLayout, layout, pack
+from suspension_twin.models.registry import Model
 from suspension_twin.models.rows import WIDTH
 from suspension_twin.models.sensor import sense
 from suspension_twin.models.sensor_chain import pass_chain
-from suspension_twin.models.simulate import CAR_SIGNALS
-from suspension_twin.models.types import Excitation, Ints, LaneResponse, Response
+from suspension_twin.models.simulate import CAR_SIGNALS, cores, sensed_response, share_out
+from suspension_twin.models.types import Excitation, HeightField, Ints, LaneResponse, Response
+from suspension_twin.vehicle.fmu import FmuTwin
 from suspension_twin.vehicle.twin import Twin
 
-__all__ = ["MODEL", "Body", "communication_steps", "numbers_and_place"]
+__all__ = ["MODEL", "Body", "LiveFmu"]
+
 
 _NAMES: Final = tuple(v.name for v in OUTPUTS)
 _PLACE: Final = ("imu.position.0", "imu.position.1", "imu.position.2")
@@ -49,15 +50,17 @@ _HEIGHTS: Final = (0, 3, 4, 5, 6, 7)  # columns of OUTPUTS that count from the h
 _SIGNALS: Final = slice(20, 27)
 
 
-def _numbers(twin: Any) -> Sequence[str]:
+def _numbers(twin: Twin) -> Sequence[str]:
+    assert isinstance(twin, FmuTwin)
     keys = [f"fmu.parameters.{name}.value" for name in twin.fmu.parameters]
     return (*(() if connected(twin.fmu).sensor else _PLACE), "imu.latency", *keys)
 
 
 class Body:
-    """What is the same for all candidates of a twin: its FMU, and where the points of the body are."""
+    """The FMU of a twin, and the points of its body: the same for all candidates."""
 
-    def __init__(self, twin: Any) -> None:
+    def __init__(self, twin: Twin) -> None:
+        assert isinstance(twin, FmuTwin)
         self.fmu: Connected = connected(twin.fmu)
         self.step, self.settle = float(twin.fmu.step), float(twin.fmu.settle)
         vehicle = twin.vehicle
@@ -210,18 +213,15 @@ class _Run:
         return out
 
 
-def _road(known: Constants, driven: Excitation, lane: int, strict: bool) -> Floats:
+def _road(known: Outside, driven: Excitation, lane: int, strict: bool) -> Floats:
     """(m, 4) m heights that one candidate sees."""
     if known.road is None:
         return driven.road
-    paths = wheel_paths_of(driven)
-    whole = slice(0, driven.road.shape[0])
-    earlier = partial(paths.earlier, whole)
-    where = driven.road, paths.distance, driven.road[0]
-    return candidate_heights(paths, known.road, lane, 1, *where, strict, earlier)[0]
+    whole = wheel_paths_of(driven).stretch(driven.road, slice(0, driven.road.shape[0]))
+    return candidate_heights(whole, known.road, lane, 1, strict)[0]
 
 
-def numbers_and_place(shape: Layout, params: Floats, place: Floats) -> tuple[Floats, Floats]:
+def numbers_and_place(shape: ParameterLayout, params: Floats, place: Floats) -> tuple[Floats, Floats]:
     """Parameters of the FMU (k, L) and the sensor's place (3, L) of candidates (P, L)."""
     keys = [row for name, row in shape.index.items() if name.startswith("fmu.parameters.")]
     if _PLACE[0] in shape.index:
@@ -239,14 +239,14 @@ def _lanes(
     fused: bool = False,
 ) -> LaneResponse:
     body, shape = Body(twin), layout(twin)
-    known = outside(params, shape, fused, excitation.late)
+    known = outside(params, shape, Conditions.of(excitation, fused))
     numbers, places = numbers_and_place(shape, params, body.place)
     count = params.shape[1]
     signals = np.zeros((len(excitation), 7, count))
-    failed = known.bad.copy()
+    failed = known.problems.lanes
     shared = _Run(body, excitation, excitation.road) if known.road is None else None
 
-    def one(lane: int) -> None:
+    def one(lane: int, _: int) -> None:
         if failed[lane]:
             return
         try:
@@ -259,13 +259,8 @@ def _lanes(
         failed[lane] = True
 
     workers = 1 if body.fmu.single else min(threads or cores(), count)
-    if workers > 1:
-        with ThreadPoolExecutor(workers) as pool:
-            list(pool.map(one, range(count)))
-    else:
-        for lane in range(count):
-            one(lane)
-    if known.stages or known.clock is not None:
+    share_out(one, [(lane, lane + 1) for lane in range(count)], workers)
+    if known.reads_otherwise:
         pass_chain(known, excitation, signals)
     failed |= ~np.isfinite(signals).all(axis=(0, 1))
     signals[:, :, failed] = 0.0
@@ -276,8 +271,8 @@ def _lanes(
 
 def _respond(twin: Twin, excitation: Excitation) -> Response:
     body, shape, params = Body(twin), layout(twin), pack(twin)[:, None]
-    known = outside(params, shape, False, excitation.late)
-    known.raise_first()
+    known = outside(params, shape, Conditions.of(excitation))
+    known.problems.raise_first()
     numbers, places = numbers_and_place(shape, params, body.place)
     run = _Run(body, excitation, _road(known, excitation, 0, strict=True))
     out = run.outputs(numbers[:, 0], places[:, 0])
@@ -286,11 +281,76 @@ def _respond(twin: Twin, excitation: Excitation) -> Response:
     if absent and len(excitation) > 2:  # differences, where it does not say
         second = np.gradient(np.gradient(moved, excitation.t, axis=0), excitation.t, axis=0)
         out[:, absent] = second[:, [i - 27 for i in absent]]
-    if known.stages or known.clock is not None:
-        read = np.ascontiguousarray(out[:, _SIGNALS])[:, :, None]
-        pass_chain(known, excitation, read)
-        out[:, _SIGNALS] = read[:, :, 0]
-    return Response(t=excitation.t, **{name: out[:, column] for name, column in COLUMNS.items()})
+    return sensed_response(known, excitation, out)
+
+
+class LiveFmu(Following):
+    """A twin whose vehicle is an FMU; see :class:`~suspension_twin.models.live.Following`.
+
+    Raises InputError for a twin or an FMU that cannot be used, WorkError where it does not start on level ground.
+    """
+
+    def __init__(self, twin: Twin, road: HeightField, max_step: float = MAX_STEP) -> None:
+        params, shape = pack(twin)[:, None], layout(twin)
+        self._body = Body(twin)
+        numbers, place = numbers_and_place(shape, params, self._body.place)
+        self._numbers, self._place = numbers[:, 0], place[:, 0]
+        self._slave: Slave | None = None
+        self._out, self._before = np.zeros((1, len(OUTPUTS))), np.zeros(len(OUTPUTS))
+        self._inputs = np.zeros(10)
+        self._base = 0.0
+        self._body.start(self._numbers, self._inputs).close()  # what is wrong with it is said now
+        super().__init__(twin, road, outside(params, shape, Conditions(max_step)), max_step)
+
+    def _restart(self) -> None:
+        if self._slave is not None:
+            self._end()
+        self._slave = None
+
+    def _advance(self, seen: Floats) -> bool:
+        body, n = self._body, int(self._count[1])
+        inputs = np.empty((len(seen) + 1, 10))
+        try:
+            if n == 0 or self._slave is None:
+                self._restart()
+                self._base = float(seen[-1].mean())
+                inputs = self._between(seen[-1:], 0)
+                slave = self._slave = body.start(self._numbers, inputs[-1])
+                self._end = weakref.finalize(self, slave.close)
+                steps: tuple[Floats, Floats | None, Floats] = inputs[:0], None, np.zeros(0)
+            else:
+                slave = self._slave
+                inputs = np.vstack([self._inputs, self._between(seen, n)])
+                h = float(self._motion[1, 0])
+                steps = communication_steps(inputs, n, h, body.step, body.fmu.sloped)
+            row = slave.walk(*steps, np.array([0, len(steps[2])]), inputs[-1:])[0]
+        except WorkError as error:
+            self._failure = f"{error}: "
+            self._restart()
+            return False
+        self._before[:] = self._out[0]
+        self._inputs = inputs[-1]
+        if not np.isfinite(row).all():
+            self._failure = f"{body.fmu.name} gives what is not finite: "
+            return False
+        self._out[0, list(body.fmu.outputs)] = row
+        return True
+
+    def _between(self, seen: Floats, n: int) -> Floats:
+        """(rows, 10) inputs at the ends of the parts of the interval."""
+        share = np.arange(1, len(seen) + 1)[:, None] / len(seen)
+        before, after = self._motion[[0 if n else 1], 1:7], self._motion[1:, 1:7]
+        return np.hstack([seen - self._base, motion_between(before, after, share)])
+
+    def _row(self) -> Floats:
+        out, body = self._out.copy(), self._body
+        inputs = self._inputs.copy()
+        inputs[:4] += self._base
+        n = int(self._count[1])
+        out[:, body.heights] += self._base
+        body.complete(out, inputs[None], np.array([n * self._motion[1, 0]]), self._before, self._place)
+        row: Floats = out[0]
+        return row
 
 
 MODEL = Model(
@@ -302,6 +362,6 @@ MODEL = Model(
     lanes=_lanes,
     fixed=_WHEELBASE,
     respond=_respond,
-    live=deferred("fmu_live", "LiveFmu"),
+    live=LiveFmu,
     opaque=True,
 )

@@ -16,7 +16,7 @@ from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Final
+from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 from numba import types
@@ -27,6 +27,10 @@ from suspension_twin.compiled import compiled
 from suspension_twin.errors import InputError, WorkError, nearest, printable
 from suspension_twin.models.connectors import INPUTS, OUTPUTS
 from suspension_twin.vehicle.corners import CORNERS
+from suspension_twin.vehicle.fmu import Fmu
+
+if TYPE_CHECKING:
+    from fmpy.model_description import CoSimulation, ModelDescription, ModelVariable
 
 __all__ = ["ACCELERATIONS", "SENSOR", "Connected", "Slave", "connected"]
 
@@ -51,13 +55,13 @@ class _Archive:
     connections made so far."""
 
     name: str
-    description: Any
+    description: ModelDescription
     folder: Path
     lock: threading.RLock
     connections: dict[str, Connected]
 
     @property
-    def interface(self) -> Any:
+    def interface(self) -> CoSimulation:
         return self.description.coSimulation
 
 
@@ -110,7 +114,7 @@ _archives: dict[tuple[str, int, int], _Archive] = {}
 _opening = threading.RLock()
 
 
-def connected(fmu: Any) -> Connected:
+def connected(fmu: Fmu) -> Connected:
     """The FMU that a twin's section ``fmu`` names, connected as it says.
 
     Parameters
@@ -138,7 +142,7 @@ def connected(fmu: Any) -> Connected:
         return archive.connections[key]
 
 
-def _connection(archive: _Archive, fmu: Any) -> Connected:
+def _connection(archive: _Archive, fmu: Fmu) -> Connected:
     variables = {v.name: v for v in archive.description.modelVariables}
     inputs = _matched(archive, variables, "inputs", fmu.inputs, _INPUTS, ("input",))
     outputs = _matched(archive, variables, "outputs", fmu.outputs, _OUTPUTS, ("output", "local"))
@@ -177,11 +181,11 @@ def _connection(archive: _Archive, fmu: Any) -> Connected:
     )
 
 
-def _number(variable: Any) -> bool:
+def _number(variable: ModelVariable) -> bool:
     return str(variable.type) in ("Real", "Float64") and not variable.dimensions
 
 
-def _settable(variable: Any) -> bool:
+def _settable(variable: ModelVariable) -> bool:
     """Whether a variable is a number that may be set before a simulation starts."""
     given = variable.causality == "parameter" or (
         variable.causality in ("local", None) and variable.variability in ("fixed", "tunable")
@@ -191,7 +195,7 @@ def _settable(variable: Any) -> bool:
 
 def _matched(
     archive: _Archive,
-    variables: Mapping[str, Any],
+    variables: Mapping[str, ModelVariable],
     kind: str,
     names: Mapping[str, str],
     connectors: Sequence[str],
@@ -278,14 +282,14 @@ _archives_end = _End()
 class _Function(types.WrapperAddressProtocol):  # type: ignore[misc]
     """A function of a library, as compiled code calls it: pointers are integers there."""
 
-    def __init__(self, library: Any, name: str, signature: Any) -> None:
+    def __init__(self, library: ctypes.CDLL, name: str, signature: types.Type) -> None:
         self._address = ctypes.cast(library[name], ctypes.c_void_p).value
         self._signature = signature
 
     def __wrapper_address__(self) -> int | None:
         return self._address
 
-    def signature(self) -> Any:
+    def signature(self) -> types.Type:
         """Numba's type of it."""
         return self._signature
 
@@ -301,10 +305,10 @@ _STEP_3 = _S(_P, _D, _D, _S, _P, _P, _P, _P)  # the same, three flags and the ti
 
 @compiled
 def _walk_2(
-    put: Any,
-    slope: Any,
-    step: Any,
-    get: Any,
+    put: Callable[..., int],
+    slope: Callable[..., int],
+    step: Callable[..., int],
+    get: Callable[..., int],
     who: Ints,
     time: float,
     values: Floats,
@@ -342,9 +346,9 @@ def _walk_2(
 
 @compiled
 def _walk_3(
-    put: Any,
-    step: Any,
-    get: Any,
+    put: Callable[..., int],
+    step: Callable[..., int],
+    get: Callable[..., int],
     who: Ints,
     time: float,
     values: Floats,
@@ -365,7 +369,7 @@ def _walk_3(
             if status <= 1:
                 status = step(instance, time, dt[j], np.int32(1), f, f + 1, f + 2, np.intp(until.ctypes.data))
                 if status <= 1 and flags[1] != 0:
-                    status = np.int32(3)  # it wants to end
+                    status = np.int32(3)  # type: ignore[assignment]  # it wants to end
             if status > 1:
                 return j, status, time
             time += dt[j]
@@ -428,7 +432,7 @@ class Slave:
             except Exception as error:
                 raise InputError(archive.name, f"cannot be loaded: {printable(str(error))}") from None
         library = self._fmpy.dll
-        names: tuple[tuple[str, Any], ...]
+        names: tuple[tuple[str, types.Type], ...]
         if self._fmu.third:
             names = ("fmi3SetFloat64", _PUT_3), ("fmi3DoStep", _STEP_3), ("fmi3GetFloat64", _PUT_3)
         else:
@@ -463,7 +467,7 @@ class Slave:
             self._fmpy.setupExperiment(startTime=0.0)
         self._fmpy.enterInitializationMode()
 
-    def _call(self, what: str, function: Callable[[], Any]) -> None:
+    def _call(self, what: str, function: Callable[[], object]) -> None:
         try:
             function()
         except Exception as error:

@@ -31,16 +31,18 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field, fields
-from typing import Any, Literal
+from typing import Literal, Protocol
 
 import numpy as np
+from numpy.typing import NDArray
 
 from suspension_twin.arrays import Floats
 from suspension_twin.errors import InputError
-from suspension_twin.models.characteristics import Check
 from suspension_twin.models.rows import Fields
+from suspension_twin.vehicle.twin import Twin
 
 __all__ = [
+    "Check",
     "ClockChange",
     "CornerChange",
     "Hook",
@@ -55,7 +57,20 @@ __all__ = [
     "upright_with",
 ]
 
+#: Parameters (L,) of an effect by name.
 Values = Mapping[str, Floats]
+#: Reports a mask of lanes (L,), a key of the twin file and what is wrong with it.
+Check = Callable[[NDArray[np.bool_] | np.bool_, str, str], None]
+
+
+class MarkerExcitation(Protocol):
+    """A run on which markers are measured: even stamps ``t`` (n,) s and the ``speed`` in m/s."""
+
+    @property
+    def t(self) -> Floats: ...
+
+    @property
+    def speed(self) -> float: ...
 
 
 #: Where in a step a term of the kernel acts, in this order. ``dampers``: at the start of an interval, before the tables
@@ -68,7 +83,7 @@ Stage = Literal["dampers", "strut", "tyre", "body", "after", "stamp"]
 
 @dataclass(frozen=True, eq=False)
 class KernelTerms:
-    """What an effect adds to the kernel of ``full_car``.
+    """Terms of an effect in the kernel of ``full_car``.
 
     Its functions are also written out in C and C# (``export.standalone.translate``), which know numbers, rows of the
     block, loops over ranges, conditions, functions of ``math`` and calls of such functions.
@@ -98,8 +113,10 @@ class KernelTerms:
 
     fields: Fields
     constants: Callable[[Values], Mapping[int, Floats | float]]
-    terms: Mapping[Stage, tuple[Callable[..., Any], int]] = field(default_factory=dict)
-    elastic: tuple[Callable[..., Any], int] | None = None
+    terms: Mapping[Stage, tuple[Callable[[Floats, int, int, int, float], None], int]] = field(
+        default_factory=dict
+    )
+    elastic: tuple[Callable[[Floats, int, int, int, float], tuple[float, float]], int] | None = None
     stiffness: tuple[int, ...] = ()
     modes: tuple[int, ...] = ()
     check: Callable[[Floats, int, Check], None] | None = None
@@ -107,7 +124,7 @@ class KernelTerms:
 
 @dataclass(frozen=True, eq=False)
 class CornerChange:
-    """What effects change at single corners: ``spring`` and ``damper`` (4, L) share added to the force of the corner's
+    """Changes by effects at single corners: ``spring`` and ``damper`` (4, L) share added to the force of the corner's
     characteristic (0), ``compliance`` (4, L) m/N of an elastic mount in series with its damper (0), ``wheel_mass``
     (L,) kg of each wheel of ``msd`` (0), ``tyre`` (4, L) share added to the stiffness of the corner's tyre (0) and
     ``sag`` (4, L) m by which its spring is shorter when free (0)."""
@@ -134,7 +151,7 @@ class CornerChange:
 
 @dataclass(frozen=True, eq=False)
 class RoadChange:
-    """What L candidates see of the road, all (L,): ``scale`` of its heights (1), ``ahead`` and
+    """The road as L candidates see it, all (L,): ``scale`` of its heights (1), ``ahead`` and
     ``left`` m that the map is looked up ahead of and left of the vehicle (0), ``smoothing`` m the
     sigma of a Gaussian along the track (0), ``sharpening`` m the sigma of one that is to be undone
     (0), ``patch`` m the length that a tyre averages over (0), ``delay`` s and ``drift`` s/s from the first
@@ -155,11 +172,11 @@ class RoadChange:
         return cls(np.ones(count), *(np.zeros(count) for _ in range(7)))
 
     @property
-    def changed(self) -> Any:
-        """(L,) bool: candidates that need a road of their own."""
+    def changed(self) -> NDArray[np.bool_]:
+        """(L,) candidates that need a road of their own."""
         moved = (self.ahead != 0) | (self.left != 0) | (self.delay != 0) | (self.drift != 0)
         filtered = (self.smoothing != 0) | (self.sharpening != 0) | (self.patch != 0)
-        return (self.scale != 1) | moved | filtered
+        return np.asarray((self.scale != 1) | moved | filtered)
 
     def alike(self, first: int, count: int) -> list[int]:
         """For each of ``count`` candidates from ``first`` on, which of them is the first to see the same road."""
@@ -193,29 +210,34 @@ class SignalStage:
     of ``Hook.neutral``, ``state`` (states, L) zeros at first, carried on from call to call.
 
     ``order``: mount 10, tilt 20, scale 30, bandwidth 40, range 50. With ``own_axes`` the specific
-    force comes in the axes of the sensor as it is mounted, and the vertical acceleration follows by itself.
+    force comes in the axes of the sensor as it is mounted, and the vertical acceleration follows by itself. ``lag``
+    gives (L,) s by which the stage delays low frequencies: a pose that is fused with such a sensor has the same delay.
     """
 
-    process: Callable[[Floats, Floats, Any, Floats, Floats], None]
+    process: Callable[[Floats, Floats, NDArray[np.bool_], Floats, Floats], None]
     states: int = 0
     order: int = 30
     own_axes: bool = False
+    lag: Callable[[Values], Floats] | None = None
 
 
 @dataclass(frozen=True)
-class Hook:
-    """What one effect does to a model. ``neutral`` names its parameters and their neutral values."""
+class VehicleHook:
+    """Changes of the vehicle by one effect: its numbers, its corners, terms in the kernel."""
 
-    neutral: Mapping[str, float] = field(default_factory=dict)
     vehicle: Callable[[dict[str, Floats], Values], None] | None = None
     corners: Callable[[CornerChange, Values], None] | None = None
     kernel: KernelTerms | None = None
-    road: Callable[[RoadChange, Values], None] | None = None
+
+
+@dataclass(frozen=True)
+class SensorHook:
+    """Changes of the sensor by one effect, and how a recording of such a sensor has to be read."""
+
     signal: SignalStage | None = None
     clock: Callable[[ClockChange, Values], None] | None = None
-    #: (L,) s by which ``signal`` delays low frequencies: a pose that is fused with such a sensor has the same delay.
-    lag: Callable[[Values], Floats] | None = None
-    models: tuple[str, ...] = ("full_car",)
+    #: Changes readings (n, C, L) in place of a model whose sensors are no IMU: signals, excitation, parameters.
+    reading: Callable[[Floats, MarkerExcitation, Values], None] | None = None
     #: The parameters give the static attitude of the vehicle: further roll and pitch of the sensor are its mount's.
     upright: bool = False
     #: Roll, pitch and yaw in rad by which the effect turns the sensor on its mount: such a sensor takes braking for a
@@ -223,10 +245,17 @@ class Hook:
     turned: Callable[[Mapping[str, float]], tuple[float, float, float]] | None = None
     #: Gain of the specific force that the sensor reads with the effect; the planar motion is read divided by it.
     gained: Callable[[Mapping[str, float]], float] | None = None
-    #: Changes readings (n, C, L) in place of a model whose sensors are no IMU: signals, excitation, parameters.
-    reading: Callable[[Floats, Any, Values], None] | None = None
+
+
+@dataclass(frozen=True)
+class Hook(VehicleHook, SensorHook):
+    """Changes of a model by one effect. ``neutral`` names its parameters and their neutral values."""
+
+    neutral: Mapping[str, float] = field(default_factory=dict)
+    road: Callable[[RoadChange, Values], None] | None = None
+    models: tuple[str, ...] = ("full_car",)
     #: Whether the effect with these parameters makes sense on a twin: a station that there is, say.
-    possible: Callable[[Any, Mapping[str, float]], bool] | None = None
+    possible: Callable[[Twin, Mapping[str, float]], bool] | None = None
     #: Raises InputError for parameters (of a twin file) that the effect cannot have.
     check: Callable[[Mapping[str, float]], object] | None = None
     #: Parameters that switch the effect off when all are neutral.
@@ -237,9 +266,9 @@ class Hook:
         """Whether the effect acts outside the vehicle: on road, sensor's signals or clock alone."""
         return self.vehicle is None and self.corners is None and self.kernel is None and self.reading is None
 
-    def armed(self, values: Values) -> Any:
-        """(L,) bool: candidates that have the effect."""
-        return np.any([values[name] != self.neutral[name] for name in self.severity], axis=0)
+    def armed(self, values: Values) -> NDArray[np.bool_]:
+        """(L,) candidates that have the effect."""
+        return np.asarray(np.any([values[name] != self.neutral[name] for name in self.severity], axis=0))
 
 
 def load_hook(effect: str, model: str = "full_car") -> Hook:

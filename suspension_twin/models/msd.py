@@ -10,7 +10,8 @@ gravity from the front and the rear axle, E1 and E2 the front and the rear track
     (4)  F_front = m/2 A_f (x'' + g) - m A_f (a_y + g) h / E2,   A_f = L1/L - (a_x + g) h / ((x'' + g) L)
     (5)  m x'' = sum F_i + F_rear + F_front
 
-``printed`` evaluates (3) to (5) to the letter. What is odd in them, and how this model reads it:
+The oddities of these equations (``test/models/test_msd.py`` evaluates (3) and (4) to the letter), and how this model
+reads each:
 
 1. g is added to the horizontal accelerations. At rest, (a_x + g) h takes away a share h/L from
    both axles and (a_y + g) h / E another from each, so that the two "loads" of a standing Mondeo
@@ -46,35 +47,38 @@ y' is the difference over the last step.
 
 from __future__ import annotations
 
+import numpy as np
+
 from suspension_twin.arrays import Floats
-from suspension_twin.compiled import compiled, inlined, specialised
+from suspension_twin.compiled import compiled, compiled_later, inlined, specialised
 from suspension_twin.models import rows
-from suspension_twin.models.car import car_model
+from suspension_twin.models.car import (
+    Block,
+    Candidates,
+    CarKernel,
+    LaneFunctions,
+    Numbers,
+    Walk,
+    car_model,
+    compression_at,
+    hinges_of,
+    shorten_spring,
+    write_curves,
+)
+from suspension_twin.models.connectors import see
 from suspension_twin.models.curves import damper_forces, spring_force, spring_forces, spring_slope
 from suspension_twin.models.full_car import record, watch
-from suspension_twin.models.numerics import fma, four, put
-from suspension_twin.models.rows import WIDTH
+from suspension_twin.models.hooks import RoadChange
+from suspension_twin.models.rows import WIDTH, fma, four, put
 from suspension_twin.models.sensor import sense
 from suspension_twin.models.types import Ints
 from suspension_twin.units import STANDARD_GRAVITY as G
-from suspension_twin.vehicle.twin import Vehicle
+from suspension_twin.vehicle.corners import AXLES
 
-__all__ = ["MODEL", "MSD_KERNELS", "corners", "plane", "printed", "stand_corners", "weights", "wheel"]
-
-
-def printed(vehicle: Vehicle, ax: float, ay: float, xdd: float) -> tuple[float, float]:
-    """F_rear and F_front of eqs (3) and (4) to the letter, N; accelerations in m/s².
-
-    For whoever wants to see what the equations say; the model does not use it.
-    """
-    m, wheelbase, (l2, _, h) = vehicle.mass, vehicle.wheelbase, vehicle.cog
-    l1 = wheelbase - l2
-
-    def load(length: float, track: float) -> float:
-        share = length / wheelbase - (ax + G) * h / ((xdd + G) * wheelbase)
-        return m / 2 * share * (xdd + G) - m * share * (ay + G) * h / track
-
-    return load(l2, vehicle.front_track), load(l1, vehicle.rear_track)
+__all__ = [
+    "KERNEL",
+    "MODEL",
+]
 
 
 @inlined
@@ -245,10 +249,11 @@ def _record_corners(w: Floats, at: int, state: Floats) -> None:
             state[rows.DEFLECTION_RATE + c, at + i] = v - w[(rows.WHEEL_RATE + c) * WIDTH + i]
 
 
-#: Hinges of a curve, of each kernel its own.
-_HINGES = 0
+#: Hinges of a curve, of each kernel its own, and tyre radius in m of a lane by itself.
+_HINGES, _RADIUS = 0, 0.0
 
 
+@compiled_later
 def _run(
     blocks: Floats,
     road: Floats,
@@ -302,9 +307,136 @@ def _run(
                 _record_corners(w, at, states[k - begin])
 
 
+def _start(w: Floats, road: Floats, motion: Floats) -> None:
+    """Put the vehicle in equilibrium on four heights."""
+    for c in range(4):
+        w[(rows.ROAD + c) * WIDTH] = road[c]
+    w0, w1, w2, w3 = weights(w, 0, motion[0], motion[1], motion[2] * motion[2], motion[3])
+    stand_corners(w, 0, w0, w1, w2, w3, motion[4], motion[5], _HINGES)
+
+
+@compiled_later
+def _advance(
+    w: Floats, n: int, h: float, road0: Floats, road1: Floats, motion0: Floats, motion1: Floats
+) -> None:
+    """Walk an interval in n steps of h s, from one road and motion to another."""
+    from2, to2 = motion0[2] * motion0[2], motion1[2] * motion1[2]
+    for j in range(n):
+        s = (j + 1.0) / n
+        for c in range(4):
+            wheel(w, c, 0, h, road1[c] - (1.0 - s) * (road1[c] - road0[c]))
+        ax, ay = fma(s, motion1[0] - motion0[0], motion0[0]), fma(s, motion1[1] - motion0[1], motion0[1])
+        yaw2, dyaw = fma(s, to2 - from2, from2), fma(s, motion1[3] - motion0[3], motion0[3])
+        w0, w1, w2, w3 = weights(w, 0, ax, ay, yaw2, dyaw)
+        corners(w, 0, h, w0, w1, w2, w3, _HINGES)
+
+
+def _read(w: Floats, motion: Floats, out: Floats) -> None:
+    """Outputs at a stamp."""
+    plane(w, 0, rows.POSITION)
+    plane(w, 0, rows.VELOCITY)
+    plane(w, 0, rows.ACCELERATION)
+    r0, r1, r2, r3 = four(w, rows.ROAD, 0)
+    watch(w, r0, r1, r2, r3)
+    sense(w, 0, motion[0], motion[1], motion[2], motion[3])
+    see(w, out)
+    for c in range(4):
+        u, v = w[(rows.HUB + c) * WIDTH], w[(rows.HUB_RATE + c) * WIDTH]
+        out[4 + c] = u + _RADIUS
+        out[8 + c] = w[(rows.STATIC + c) * WIDTH] + (u - w[(rows.WHEEL + c) * WIDTH])
+        out[12 + c] = v - w[(rows.WHEEL_RATE + c) * WIDTH]
+        out[30 + c] = w[(rows.HUB_ACCELERATION + c) * WIDTH]
+
+
 #: The kernel for each number of hinges per curve.
-MSD_KERNELS = {
-    hinges: compiled(specialised(_run, f"_run_{hinges}", _HINGES=hinges)) for hinges in rows.HINGES
-}
+KERNELS = {hinges: compiled(specialised(_run, f"_run_{hinges}", _HINGES=hinges)) for hinges in rows.HINGES}
+
+_SPRING_PHASE = 1.0
+
+
+def _constants(given: Candidates, road: RoadChange, antenna: float, actuated: bool) -> Block:
+    """Constants of the kernel, see ``car.CarKernel``. Effects give wheels a mass, 0 for none, and an axle's springs a
+    sag; they change nothing else at corners."""
+    numbers, unsprung, max_step = given.numbers, given.corners.wheel_mass, given.max_step
+    hinges, check = hinges_of(given.characteristics), given.problems.check
+    out = np.zeros((rows.block_rows(hinges), unsprung.size))
+
+    def shares(of: Numbers) -> tuple[Floats, Floats]:
+        """Weight on the four corners, and the vehicle's, N."""
+        ahead, left = of["vehicle.cog.0"] / of["vehicle.wheelbase"], of["vehicle.cog.1"]
+        weight = of["vehicle.mass"] * G
+        tracks = of["vehicle.front_track"], of["vehicle.rear_track"]
+        return weight, np.stack(
+            [
+                weight * (ahead if a == 0 else 1 - ahead) * (0.5 + sign * left / tracks[a])
+                for a in range(2)
+                for sign in (1, -1)
+            ]
+        )
+
+    base, height = numbers["vehicle.wheelbase"], numbers["vehicle.cog.2"]
+    with np.errstate(all="ignore"):
+        weight, _ = shares(numbers)
+        _, standing = shares(given.stance)
+        corner = numbers["vehicle.mass"] / 4 - unsprung
+        check(~(corner > 0), "effects.unsprung_mass", "leaves no mass above the wheels")
+        out[rows.TYRE] = numbers["vehicle.tyre.vertical_stiffness"]
+        out[rows.COG], out[rows.COG + 1] = numbers["vehicle.cog.0"], numbers["vehicle.cog.1"]
+        out[rows.HEIGHT] = height
+        for i in range(3):
+            out[rows.SENSOR + i] = numbers[f"imu.position.{i}"]
+        out[rows.WEIGHT] = weight
+        out[rows.SHARE] = numbers["vehicle.cog.0"] / base
+        out[rows.SHARE + 1] = 1 - out[rows.SHARE]
+        out[rows.PITCH_SHIFT] = height / (G * base)
+        for a, axle in enumerate(AXLES):
+            track = numbers[f"vehicle.{axle}_track"]
+            out[rows.ROLL_SHIFT + a] = height / (G * track)
+            out[rows.SIDE + a] = numbers["vehicle.cog.1"] / track
+            out[rows.ARM_X + a] = base / 2 if a == 0 else -base / 2
+            out[rows.ARM_Y + 2 * a], out[rows.ARM_Y + 2 * a + 1] = track / 2, -track / 2
+        out[rows.INV_CORNER] = 1 / corner
+        out[rows.INV_UNSPRUNG] = np.where(unsprung > 0, 1 / np.where(unsprung > 0, unsprung, 1.0), 0.0)
+        out[rows.SPRUNG] = base / 2
+        out[rows.SPRUNG + 1] = 0.0
+        out[rows.SPRUNG + 2] = height
+        out[rows.LOAD : rows.LOAD + 4] = standing
+        for a, axle in enumerate(AXLES):
+            strut = given.characteristics[axle]
+            for c in (2 * a, 2 * a + 1):
+                load = standing[c] - unsprung * G
+                check(~(load > 0), "vehicle.cog", f"puts no load on the {axle} springs")
+                out[rows.STATIC + c] = compression_at(strut.spring, load)
+                unreachable = ~np.isfinite(out[rows.STATIC + c])
+                check(unreachable, f"vehicle.{axle}.spring.force", "the spring never carries its static load")
+            beta = max_step / 2 * (out[rows.INV_CORNER] + out[rows.INV_UNSPRUNG])
+            out[rows.IMPLICIT + a] = beta
+            first = rows.CURVES + a * rows.axle_rows(hinges)
+            write_curves(out, first, hinges, strut, beta)
+            shorten_spring(out, first, hinges, given.corners.sag[2 * a])
+            steepest = strut.spring.slope.max(axis=0)
+            stiff = steepest * (out[rows.INV_CORNER] + out[rows.INV_UNSPRUNG])
+            stiff = np.maximum(stiff, (out[rows.TYRE] + steepest) * out[rows.INV_UNSPRUNG])
+            check(
+                ~(np.sqrt(stiff) * max_step < _SPRING_PHASE),
+                f"vehicle.{axle}.spring.force",
+                f"too stiff on its mass for a step of {max_step:g} s: take a smaller step",
+            )
+    return Block(out, None, road)
+
+
+def _walk(
+    hinges: int, blocks: Floats, flags: Ints | None, road: Floats, candidate_road: Floats, walk: Walk
+) -> None:
+    """Take blocks of lanes along; see ``car.CarKernel``."""
+    KERNELS[hinges](blocks, road, candidate_road, *walk)
+
+
+def _one_lane(flag: int) -> LaneFunctions:
+    """A lane by itself, see ``car.CarKernel``."""
+    return (_start, _advance, _read), {}
+
+
+KERNEL = CarKernel(_constants, _walk, _one_lane, rigid=False)
 
 MODEL = car_model("msd", "the game-engine model of the car paper: a body on four massless wheels")

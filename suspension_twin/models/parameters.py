@@ -20,13 +20,13 @@ from suspension_twin.models.hooks import Hook, load_hook
 from suspension_twin.models.registry import model_of
 from suspension_twin.vehicle.twin import Twin
 
-__all__ = ["Layout", "has_number", "lanes", "layout", "pack"]
+__all__ = ["ParameterLayout", "has_number", "lanes", "layout", "pack"]
 
 
 @dataclass(frozen=True)
-class Layout:
-    """Which row of a parameter vector holds what, the hooks of the effects in it by id, and how the
-    sensor is mounted, roll, pitch and yaw in rad."""
+class ParameterLayout:
+    """Keys of the rows of a parameter vector, the hooks of the effects in it by id, and the sensor's mounting: roll,
+    pitch and yaw in rad."""
 
     names: tuple[str, ...]
     model: str = "full_car"
@@ -46,7 +46,7 @@ class Layout:
         return found
 
 
-def layout(twin: Twin) -> Layout:
+def layout(twin: Twin) -> ParameterLayout:
     """The layout of this twin's parameter vector."""
     model = model_of(twin)
     names = list(model.numbers(twin))
@@ -65,10 +65,10 @@ def layout(twin: Twin) -> Layout:
         if hook.check is not None:
             hook.check(effect.parameters)
         names += [f"effects.{effect.id}.{name}" for name in hook.neutral]
-    return Layout(tuple(names), twin.model, hooks, twin.imu.rpy)
+    return ParameterLayout(tuple(names), twin.model, hooks, twin.imu.rpy)
 
 
-def _value(twin: Twin, shape: Layout, key: str) -> float:
+def _value(twin: Twin, shape: ParameterLayout, key: str) -> float:
     if key.startswith("effects."):
         _, effect, name = key.split(".")
         given = next(e.parameters for e in twin.effects if e.id == effect)

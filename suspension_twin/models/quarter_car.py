@@ -20,19 +20,18 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 
 from suspension_twin.arrays import Floats
 from suspension_twin.models import rows
-from suspension_twin.models.blocks import LaneBlocks, cores
-from suspension_twin.models.constants import Constants, constants
+from suspension_twin.models.car import PARTS, Problems, points
+from suspension_twin.models.constants import Conditions, Constants, constants
 from suspension_twin.models.hooks import Values
-from suspension_twin.models.parameters import Layout, layout, pack
+from suspension_twin.models.parameters import ParameterLayout, layout, pack
 from suspension_twin.models.registry import Model
 from suspension_twin.models.sensor_chain import pass_chain
-from suspension_twin.models.simulate import full_response
+from suspension_twin.models.simulate import LaneBlocks, Stretch, cores, full_response
 from suspension_twin.models.types import Excitation, LaneResponse, Response
 from suspension_twin.vehicle.corners import AXLES
 from suspension_twin.vehicle.twin import Twin
@@ -42,7 +41,6 @@ __all__ = ["CHANNELS", "MODEL"]
 #: Body and wheel acceleration in m/s² upwards, without gravity; compression of the suspension in m from standing; force
 #: of the road on the tyre in N.
 CHANNELS = ("body_acceleration", "wheel_acceleration", "suspension_deflection", "tyre_force")
-_CURVES = (("spring", "compression"), ("damper_push", "velocity"), ("damper_pull", "velocity"))
 _SCALARS = ("vehicle.sprung_mass", "vehicle.unsprung_mass", "vehicle.tyre.vertical_stiffness")
 #: The car with four such corners that is no number of the twin: a square, 2 m by 2 m, with everything at 1 m.
 _SQUARE = {
@@ -65,9 +63,8 @@ _CHUNK = 1024
 
 def _numbers(twin: Twin) -> Sequence[str]:
     names = list(_SCALARS)
-    for part, abscissa in _CURVES:
-        points = range(len(getattr(twin.vehicle, part).force))
-        names += [f"vehicle.{part}.{quantity}.{j}" for quantity in (abscissa, "force") for j in points]
+    for part, abscissa in PARTS:
+        names += points(getattr(twin.vehicle, part), f"vehicle.{part}", abscissa)
     return names
 
 
@@ -86,7 +83,7 @@ def _car(numbers: dict[str, Floats]) -> dict[str, Floats]:
 
 
 def _on_car(change: VehicleChange, own: Sequence[str]) -> VehicleChange:
-    """What an effect changes of the corner's ``own`` numbers, as a change of the car's."""
+    """The change of the car's numbers by an effect that changes the corner's ``own``."""
 
     def vehicle(numbers: dict[str, Floats], values: Values) -> None:
         change(numbers, values)
@@ -96,7 +93,7 @@ def _on_car(change: VehicleChange, own: Sequence[str]) -> VehicleChange:
 
 
 def _constants(twin: Twin, params: Floats, run: Excitation) -> Constants:
-    """Constants of the kernel for candidates (P, L); what is wrong with one is named by the keys of this twin."""
+    """Constants of the kernel for candidates (P, L), whose problems are named by the keys of this twin."""
     shape = layout(twin)
     given = dict(zip(shape.names, params, strict=True))
     numbers = {**given, **_car(given)}
@@ -111,12 +108,13 @@ def _constants(twin: Twin, params: Floats, run: Excitation) -> Constants:
         hooks[effect] = replace(
             hook, neutral=neutral, vehicle=hook.vehicle and _on_car(hook.vehicle, tuple(given))
         )
-    car = Layout(tuple(numbers), "full_car", hooks, shape.mounting)
-    known = constants(np.stack(list(numbers.values())), car, run.max_step, actuated=run.motion.shape[1] > 7)
-    problems = tuple(
-        (mask, key.replace(".front", "").replace(".rear", ""), text) for mask, key, text in known.problems
-    )
-    return replace(known, problems=problems)
+    car = ParameterLayout(tuple(numbers), "full_car", hooks, shape.mounting)
+    known = constants(np.stack(list(numbers.values())), car, Conditions.of(run))
+    problems = [
+        (mask, key.replace(".front", "").replace(".rear", ""), text)
+        for mask, key, text in known.problems.found
+    ]
+    return replace(known, problems=Problems(known.lanes, problems))
 
 
 def _lanes(twin: Twin, params: Floats, excitation: Excitation, threads: int | None = None) -> LaneResponse:
@@ -129,8 +127,8 @@ def _lanes(twin: Twin, params: Floats, excitation: Excitation, threads: int | No
         read = np.empty((end - begin, 7, blocks.width))
         states = np.empty((end - begin, rows.STATES, blocks.width))
         road = run.road[run.first[begin] : run.first[end]]
-        where = run.substeps, run.motion, begin, end, read, states
-        blocks.walk(road, None, *where, threads=threads or cores())
+        stretch = Stretch(run.substeps, run.motion, begin, end, road)
+        blocks.walk(stretch, read, states, threads or cores())
         body, wheel = states[:, rows.HEAVE, :count], states[:, rows.WHEEL, :count]
         signals[begin:end, :7] = read[:, :, :count]
         signals[begin:end, 7] = states[:, rows.WHEEL_ACCELERATION, :count]
@@ -146,7 +144,7 @@ def _lanes(twin: Twin, params: Floats, excitation: Excitation, threads: int | No
 def _respond(twin: Twin, run: Excitation) -> Response:
     known = _constants(twin, pack(twin)[:, None], run)
     whole = full_response(known, run, twin.vehicle.tyre.radius or 0.0)
-    corner: dict[str, Any] = {
+    corner: dict[str, Floats] = {
         name: getattr(whole, name)[:, :1]
         for name in ("wheel_z", "deflection", "deflection_rate", "tyre_force")
     }

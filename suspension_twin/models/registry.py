@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""All vehicle models behind one interface, by name.
+"""The vehicle models, found by the names of their files, behind one interface.
 
 A model is a module ``suspension_twin/models/<name>.py`` with an object ``MODEL``, or one of an installed package that
 its entry point in the group ``suspension_twin.models`` names; that one also has ``TWIN``, the class of its twin file
@@ -11,6 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import cache
 from importlib import import_module
 from typing import Any, Final, Literal, Protocol
 
@@ -30,51 +31,72 @@ class SimulateLanes(Protocol):
     ) -> LaneResponse: ...
 
 
-@dataclass(frozen=True)
-class Model:
-    """One vehicle model.
+@dataclass(frozen=True, kw_only=True)
+class Simulators:
+    """Functions that simulate a model.
 
     Parameters
     ----------
-    name, title
-        Its id in the twin file, and what it is in a few words.
-    recordings
-        What is measured of such a vehicle: ``drive`` (IMU and GNSS on a road), ``markers`` (heights of markers on a
-        run over an obstacle) or ``rig`` (a corner on an actuator).
-    channels
-        Names of the signals that a :class:`~suspension_twin.models.types.LaneResponse` of it has.
+    lanes
+        Simulates candidates (P, L), see :func:`~suspension_twin.models.simulate.simulate_lanes`.
+    respond
+        Simulates one twin with everything recorded, or None where there is nothing more than ``lanes`` gives.
+    live
+        Makes the model that follows its vehicle stamp by stamp on a road, see
+        :class:`~suspension_twin.models.live.LiveModel`, or None where it cannot.
+    one_lane
+        One twin as rows and functions of one lane, see :class:`~suspension_twin.models.one_lane.OneLane`, for steps of
+        up to so many s; or None.
+    """
+
+    lanes: SimulateLanes
+    respond: Callable[[Any, Any], Response] | None = None
+    live: Callable[[Any, HeightField], Any] | None = None
+    one_lane: Callable[[Twin, float], Any] | None = None
+
+
+@dataclass(frozen=True, kw_only=True)
+class ModelNumbers:
+    """Numbers of a twin that a model uses.
+
+    Parameters
+    ----------
     numbers
         Dotted keys of all numbers of a twin that its kernel uses, effects apart.
     also
         Keys that are calibrated beside the characteristics.
     fixed
         Keys in which candidates cannot differ, because the excitation was made for them.
-    lanes
-        Simulates candidates (P, L), see :func:`~suspension_twin.models.simulate.simulate_lanes`.
-    respond
-        Simulates one twin with everything recorded, or None where there is nothing more than ``lanes`` gives.
-    live
-        Makes the model that follows its vehicle stamp by stamp on a road, or None where it cannot.
-    one_lane
-        One twin as rows and functions of one lane, see :class:`~suspension_twin.models.one_lane.OneLane`, for steps of
-        up to so many s; or None.
+    """
+
+    numbers: Callable[[Twin], Sequence[str]]
+    also: tuple[str, ...] = ()
+    fixed: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True, kw_only=True)
+class Model(Simulators, ModelNumbers):
+    """One vehicle model.
+
+    Parameters
+    ----------
+    name, title
+        Its id in the twin file, and a description of a few words.
+    recordings
+        How such a vehicle is measured: ``drive`` (IMU and GNSS on a road), ``markers`` (heights of markers on a
+        run over an obstacle) or ``rig`` (a corner on an actuator).
+    channels
+        Names of the signals that a :class:`~suspension_twin.models.types.LaneResponse` of it has.
     opaque
         Its equations are not of this package: effects act on it only where they act on road, sensor or clock.
     prepared
-        The twin as a measured vehicle is: what its file may leave out and no real one lacks is put in.
+        The twin as a measured vehicle is, with what its file may leave out and no real one lacks.
     """
 
     name: str
     title: str
     recordings: Literal["drive", "markers", "rig"]
     channels: tuple[str, ...]
-    numbers: Callable[[Twin], Sequence[str]]
-    lanes: SimulateLanes
-    also: tuple[str, ...] = ()
-    fixed: tuple[str, ...] = ()
-    respond: Callable[[Twin, Any], Response] | None = None
-    live: Callable[[Twin, HeightField], Any] | None = None
-    one_lane: Callable[[Twin, float], Any] | None = None
     opaque: bool = False
     prepared: Callable[[Twin], Twin] = lambda twin: twin
 
@@ -82,8 +104,13 @@ class Model:
 def deferred(module: str, name: str) -> Any:
     """A function of a module of this package that is imported when it is first called: kernels import each other."""
 
+    @cache
+    def found() -> Callable[..., Any]:
+        function: Callable[..., Any] = getattr(import_module(f"{__package__}.{module}"), name)
+        return function
+
     def call(*arguments: Any, **options: Any) -> Any:
-        return getattr(import_module(f"{__package__}.{module}"), name)(*arguments, **options)
+        return found()(*arguments, **options)
 
     return call
 

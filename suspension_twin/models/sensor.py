@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The virtual sensor: what an ideal accelerometer and gyroscope read at a place on the body.
+"""The virtual sensor: an ideal accelerometer and gyroscope at a place on the body.
 
 The body is rigid, its attitude yaw-pitch-roll (z-y-x Euler angles) with yaw and the planar motion
 given, its sprung centre of gravity at the simulated height. What moves as the planar motion says is
@@ -17,8 +17,7 @@ import numpy as np
 from suspension_twin.arrays import Floats
 from suspension_twin.compiled import inlined
 from suspension_twin.models import rows
-from suspension_twin.models.numerics import fma, sin_cos
-from suspension_twin.models.rows import WIDTH
+from suspension_twin.models.rows import WIDTH, fma, sin_cos
 from suspension_twin.units import STANDARD_GRAVITY as G
 
 __all__ = ["rotation", "sense", "to_sensor_axes"]
@@ -26,7 +25,7 @@ __all__ = ["rotation", "sense", "to_sensor_axes"]
 
 @inlined
 def sense(w: Floats, lane: int, ax: float, ay: float, yaw_rate: float, yaw_acceleration: float) -> None:
-    """Write what the sensor of one lane reads into the block's signal rows."""
+    """Write the readings of one lane's sensor into the block's signal rows."""
     roll, pitch = w[rows.ROLL * WIDTH + lane], w[rows.PITCH * WIDTH + lane]
     droll, dpitch = w[rows.ROLL_RATE * WIDTH + lane], w[rows.PITCH_RATE * WIDTH + lane]
     ddheave = w[rows.ACCELERATION * WIDTH + lane]

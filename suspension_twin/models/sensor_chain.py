@@ -8,12 +8,16 @@ from numpy.typing import NDArray
 
 from suspension_twin.arrays import Floats
 from suspension_twin.compiled import compiled
-from suspension_twin.models.constants import Constants
+from suspension_twin.models.constants import Outside
 from suspension_twin.models.sensor import rotation
-from suspension_twin.models.sinc_interpolation import TABLE, TAPS
 from suspension_twin.models.types import Excitation, Ints
 
-__all__ = ["Chain", "pass_chain"]
+__all__ = [
+    "TABLE",
+    "TAPS",
+    "Chain",
+    "pass_chain",
+]
 
 _UNEVEN = 0.01  # of a step
 
@@ -21,9 +25,10 @@ _UNEVEN = 0.01  # of a step
 class Chain:
     """The stages of L lanes with their state, for a stretch of a drive or one stamp at a time."""
 
-    def __init__(self, known: Constants) -> None:
-        lanes = known.values.shape[1]
-        self._stages = [(stage, values, np.zeros((stage.states, lanes))) for stage, values in known.stages]
+    def __init__(self, known: Outside) -> None:
+        self._stages = [
+            (stage, values, np.zeros((stage.states, known.lanes))) for stage, values in known.stages
+        ]
         self._axes = rotation(known.mounting)
 
     def __bool__(self) -> bool:
@@ -49,7 +54,7 @@ class Chain:
             signals[:, 6] += more[:, 2]
 
 
-def pass_chain(known: Constants, excitation: Excitation, signals: Floats) -> None:
+def pass_chain(known: Outside, excitation: Excitation, signals: Floats) -> None:
     """The chain over a whole drive, in place; ``signals`` (n, 7, L) as the ideal sensor read them."""
     Chain(known).process(signals, excitation.t, excitation.substeps == 0)
     if known.clock is not None:
@@ -155,3 +160,20 @@ def _restamp(
 def _slope(before: float, after: float, h0: float, h1: float) -> float:
     """Derivative at the middle of three stamps, of the parabola through them."""
     return (before * h1 + after * h0) / (h0 + h1)
+
+
+TAPS, _PHASES = 8, 512
+
+
+def _phase_table() -> Floats:
+    """(phases + 1, taps) weights of the samples around a place between two of them."""
+    phase = np.arange(_PHASES + 1)[:, None] / _PHASES
+    distance = np.arange(TAPS)[None, :] - (TAPS // 2 - 1) - phase
+    window = np.i0(6.0 * np.sqrt(np.maximum(0.0, 1.0 - (distance / (TAPS / 2)) ** 2)))
+    weights = np.sinc(distance) * window
+    return np.asarray(weights / weights.sum(axis=1, keepdims=True))
+
+
+#: A windowed sinc over eight samples, tabled by phase: to 0.07 % at up to a quarter of the sampling rate, where
+#: a cubic through four would be off by a tenth.
+TABLE = _phase_table()

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """``tracked``: the tracked paper's vehicle in its plane of symmetry, one half of it.
 
-The paper's model has 118 bodies, 97 of them links of the track [read]. What the markers on the
-hull feel of the track is (1) the tension that pulls idler, sprocket and the outer wheels together,
+The paper's model has 118 bodies, 97 of them links of the track [read]. The track acts on the
+hull, and so on its markers, by (1) the tension that pulls idler, sprocket and the outer wheels together,
 (2) that it bridges the gaps between the wheels, ahead of the first and behind the last one, and
 (3) its mass under the wheels. So this model has
 
@@ -41,23 +41,27 @@ import math
 import os
 from collections.abc import Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from typing import Any
 
 import numpy as np
 
 from suspension_twin.arrays import Floats
 from suspension_twin.errors import InputError, WorkError
+from suspension_twin.models.excitation import MAX_STEP, earlier_pose, next_yaw_acceleration
 from suspension_twin.models.hooks import ClockChange, Hook
+from suspension_twin.models.live import LiveModel, LiveState
 from suspension_twin.models.parameters import layout, pack
-from suspension_twin.models.registry import Model, deferred
+from suspension_twin.models.registry import Model
 from suspension_twin.models.tracked_kernel import COLUMNS, HULL, PARAMETERS, first_index, walk_lane
-from suspension_twin.models.types import Ints, LaneResponse
-from suspension_twin.vehicle.tracked import Driver, Obstacle, TrackedVehicle
+from suspension_twin.models.types import Excitation, HeightField, Ints, LaneResponse, PlanarMotion, Response
+from suspension_twin.units import STANDARD_GRAVITY as G
+from suspension_twin.vehicle.tracked import Driver, Obstacle, TrackedTwin, TrackedVehicle
 from suspension_twin.vehicle.twin import Twin
 
 __all__ = [
     "MODEL",
+    "LiveTracked",
     "ObstacleRun",
     "TrackedResponse",
     "belt_length",
@@ -67,6 +71,7 @@ __all__ = [
     "simulate_tracked_lanes",
 ]
 
+
 STEP = 4.0e-4  # s
 CONTACTS = 4  # places on each link at which it can meet the ground
 _STRAY = 2.0  # m that a driven vehicle may be ahead of or behind its way: more is no run
@@ -75,28 +80,42 @@ SETTLE = 2.0  # s of standing still, heavily damped, before the travel
 
 
 @dataclass(frozen=True)
-class TrackedResponse:
-    """One run. Arrays over the stamps ``t`` (n,), forces of both sides together; markers in m.
+class MarkerMotion:
+    """Motion (n, 3) of the markers A, B and C in m, m/s and m/s²; displacements upwards from the standing vehicle."""
 
-    ``travel``: CoG along the ground from the obstacle's foot; ``pitch`` rad, positive nose down;
-    ``arm`` (n, S) rad below the horizontal of the hull; ``wheel_load`` (n, S) and ``tension`` N of
-    one side; ``energy`` and ``lost`` J of one side; ``markers`` (n, 3) displacement of A, B
-    and C upwards from the standing vehicle; ``failed``: the run diverged, what came after is NaN-free zero.
+    markers: Floats
+    marker_velocity: Floats
+    marker_acceleration: Floats
+
+
+@dataclass(frozen=True)
+class RunningGear:
+    """Track and wheels of a run; ``ground`` (n,) N of both sides together, everything else of one side.
+
+    ``tension`` (n,) N of the track; ``arm`` (n, S) rad below the horizontal of the hull; ``wheel_load`` (n, S) N;
+    ``energy`` and ``lost`` (n,) J.
     """
 
-    t: Floats
-    travel: Floats
-    z: Floats
-    pitch: Floats
     tension: Floats
     ground: Floats
     arm: Floats
     wheel_load: Floats
     energy: Floats
     lost: Floats
-    markers: Floats
-    marker_velocity: Floats
-    marker_acceleration: Floats
+
+
+@dataclass(frozen=True)
+class TrackedResponse(MarkerMotion, RunningGear):
+    """One run over the stamps ``t`` (n,) s.
+
+    ``travel`` m of the CoG along the ground from the obstacle's foot; its height ``z`` m; ``pitch`` rad, nose down
+    positive; ``failed``: the run diverged, and everything is zero.
+    """
+
+    t: Floats
+    travel: Floats
+    z: Floats
+    pitch: Floats
     failed: bool
 
 
@@ -376,7 +395,7 @@ def _numbers(twin: Twin) -> tuple[str, ...]:
 
 
 def _hooked(twin: Twin, params: Floats) -> tuple[dict[str, Floats], list[tuple[Hook, dict[str, Floats]]]]:
-    """Numbers (L,) of every candidate with what its effects change of them, and the effects' hooks and parameters."""
+    """Numbers (L,) of every candidate as its effects change them, and the effects' hooks and parameters."""
     shape = layout(twin)
     numbers = dict(zip(shape.names, params, strict=True))
     own = [
@@ -389,42 +408,36 @@ def _hooked(twin: Twin, params: Floats) -> tuple[dict[str, Floats], list[tuple[H
     return numbers, own
 
 
-def _vehicle(twin: Twin, numbers: dict[str, Floats], lane: int) -> TrackedVehicle | None:
-    """The vehicle of a candidate; None where there cannot be such a one."""
-    given = {key: float(values[lane]) for key, values in numbers.items() if key.startswith("vehicle.")}
-    kept: TrackedVehicle = twin.vehicle
-    try:
-        return kept.with_changes(
-            {k.removeprefix("vehicle."): v for k, v in given.items() if v != _of(twin, k)}
-        )
-    except InputError:
-        return None
-
-
-def _of(twin: Twin, key: str) -> float:
-    node: Any = twin
-    for part in key.split("."):
+def _vehicles(twin: Twin, numbers: dict[str, Floats], count: int) -> list[TrackedVehicle | None]:
+    """The vehicle of each candidate; None where there cannot be such a one."""
+    base = dict(zip(layout(twin).names, pack(twin).tolist(), strict=True))
+    own = {key: values for key, values in numbers.items() if key.startswith("vehicle.")}
+    found: list[TrackedVehicle | None] = []
+    for lane in range(count):
+        given = {key: float(values[lane]) for key, values in own.items()}
+        # an effect may name a station that the vehicle has not
+        changes = {k.removeprefix("vehicle."): v for k, v in given.items() if v != base.get(k, math.nan)}
         try:
-            node = node[int(part)] if part.isdigit() else getattr(node, part)
-        except IndexError:  # a station that an effect names and the vehicle has not
-            return math.nan
-    return float(node)
+            found.append(twin.vehicle.with_changes(changes))
+        except InputError:
+            found.append(None)
+    return found
 
 
 def changed_vehicle(twin: Twin) -> TrackedVehicle:
     """The vehicle of a twin with its effects; InputError where there cannot be such a one."""
     params = pack(twin)[:, None]
-    found = _vehicle(twin, _hooked(twin, params)[0], 0)
+    found = _vehicles(twin, _hooked(twin, params)[0], 1)[0]
     if found is None:
         raise InputError("twin", "effects", "there can be no such vehicle")
     return found
 
 
 def _lanes(twin: Twin, params: Floats, excitation: ObstacleRun, threads: int | None = None) -> LaneResponse:
-    """Markers of candidates (P, L) on a run; clock and camera are in what is read of them."""
+    """Readings of the markers of candidates (P, L) on a run, by the camera and its clock."""
     numbers, own = _hooked(twin, params)
     count, t = params.shape[1], excitation.t
-    vehicles = [_vehicle(twin, numbers, lane) for lane in range(count)]
+    vehicles = _vehicles(twin, numbers, count)
     signals, failed = np.zeros((t.size, len(_CHANNELS), count)), np.ones(count, dtype=np.bool_)
     # effects of clock and camera leave the vehicle as it is: candidates that are alike are simulated once
     same: dict[TrackedVehicle, list[int]] = {}
@@ -453,7 +466,7 @@ def _lanes(twin: Twin, params: Floats, excitation: ObstacleRun, threads: int | N
 
 
 def _driven(twin: Twin) -> Twin:
-    """Nobody moves a tank along a prescribed way."""
+    """The twin with a driver: no real tracked vehicle follows a prescribed travel."""
     if twin.vehicle.driver is not None:
         return twin
     return twin.model_copy(update={"vehicle": twin.vehicle.model_copy(update={"driver": Driver()})})
@@ -465,6 +478,207 @@ _CHANNELS = tuple(
     for name in ("A", "B", "C")
 )
 
+
+class LiveTracked(LiveModel):
+    """As :class:`~suspension_twin.models.live.LiveTwin`, for a twin on tracks.
+
+    The plane of symmetry travels along the locked pose; each link is laid on the mean of the heights under
+    the two tracks, where the pose points when it is laid. Left and right road wheels move alike: arrays of a state hold
+    the left side's wheels front to rear, then the right side's. ``deflection`` is an arm's turn in rad from its free
+    angle, up positive; ``roll`` is 0. ``late`` s of the sensor's clock offset are in the poses already.
+    """
+
+    def __init__(
+        self, twin: TrackedTwin, road: HeightField, max_step: float = MAX_STEP, late: float = 0.0
+    ) -> None:
+        self._late = twin.imu.latency - late
+        vehicle = changed_vehicle(twin)
+        self.twin = twin
+        self._road = road
+        self._step = min(STEP, max_step)
+        self._p, self._stations, self._nodes = pack_tracked(vehicle)
+        self._arc = wheel_arc(vehicle.wheel.radius)
+        self._free, self._radius = vehicle.arm.free_angle, vehicle.wheel.radius
+        self._cell = float(self._p[PARAMETERS.index("spacing")])
+        # places counted from the centre of gravity: base_link's origin, the imu; and pivots for the wheels
+        self._origin = np.array(
+            [vehicle.stations[-1].x - vehicle.cog[0], vehicle.ground_height - vehicle.cog[1]]
+        )
+        position = np.array(twin.imu.position)
+        self._imu = self._origin + position[[0, 2]]
+        self._imu_y = float(position[1])
+        self._arm = vehicle.arm.length
+        self._side = vehicle.tread / 2
+        self._out = np.zeros((2, COLUMNS + 2 * len(vehicle.stations)))
+        self._height = self._standing()
+        self.reset()
+
+    def reset(self) -> None:
+        """Forget everything: the next step starts from static equilibrium."""
+        super().reset()
+        self._s, self._pose = 0.0, (0.0, 0.0, 0.0)
+        self._before: PlanarMotion | None = None
+        self._yaw_acceleration = 0.0
+
+    def _go_on(self, t: float, motion: PlanarMotion, interval: float, event: str) -> LiveState:
+        self._pose = earlier_pose(motion, self._late)[:3]
+        before, self._before = self._before, motion
+        if event or before is None:
+            sound = self._start()
+            self._yaw_acceleration = 0.0
+        else:
+            change = motion.yaw_rate - before.yaw_rate
+            self._yaw_acceleration = next_yaw_acceleration(self._yaw_acceleration, change, interval)
+            sound, event = self._walk_on(interval, before, motion)
+        if not sound:
+            event = "diverged: started afresh"
+            if not self._start():
+                raise WorkError("tracked: the vehicle cannot stand: are its stiffnesses right?")
+        return self._state(t, event, motion)
+
+    def _heights(self, places: Floats, s: float) -> Floats:
+        """Mean height of both tracks at places along the way, seen from the pose with the CoG at ``s``."""
+        x, y, yaw = self._pose
+        c, n = math.cos(yaw), math.sin(yaw)
+        ahead = (places - s - self._origin[0])[:, None]
+        side = np.array([[self._side, -self._side]])
+        heights: Floats = np.asarray(self._road.heights(x + c * ahead - n * side, y + n * ahead + c * side))
+        return np.asarray(heights.mean(axis=1))
+
+    def _places(self, begin: int, end: int) -> Floats:
+        """Where between nodes ``begin`` and ``end`` the ground is looked at, m along the way."""
+        return (np.arange(begin * CONTACTS, end * CONTACTS) + 0.5) * self._cell / CONTACTS
+
+    def _standing(self) -> float:
+        """Height of the centre of gravity standing on level ground at 0, m."""
+        if not self._settle(np.zeros(self._nodes * CONTACTS)):
+            raise InputError("twin", "vehicle", "cannot stand on level ground: are its stiffnesses right?")
+        return float(self._hull[0])
+
+    def _start(self) -> bool:
+        """Come to rest where the pose is; False where the vehicle cannot stand there."""
+        self._s = 0.0
+        lead = first_index(self._p, 0.0)
+        heights = self._heights(self._places(lead, lead + self._nodes), 0.0)
+        if not np.isfinite(heights).all():
+            known = heights[np.isfinite(heights)]
+            heights = np.where(np.isfinite(heights), heights, known.mean() if known.size else 0.0)
+        self._reference = float(heights.mean())
+        self._floor = heights - self._reference
+        return self._settle(self._floor)
+
+    def _settle(self, floor: Floats) -> bool:
+        self._hull, self._arms, self._track, self._mark = start_state(
+            self._p, self._stations, self._nodes, 0.0
+        )
+        self._hull[0] += floor.max()
+        self._track[0] = floor.reshape(self._nodes, CONTACTS).max(axis=1)
+        still = np.zeros((1, 2)), np.zeros(0), np.zeros(0, dtype=np.int64)
+        return self._walk(still, floor, int(self._mark[0]), self._out[1:], round(SETTLE / self._step))
+
+    def _walk_on(self, interval: float, before: PlanarMotion, motion: PlanarMotion) -> tuple[bool, str]:
+        """Walk an interval: False where the vehicle diverges, and a message about the road, or none."""
+        distance = 0.5 * (before.speed + motion.speed) * interval
+        mark, travel = int(self._mark[0]), np.array([self._s, self._s + distance])
+        lead = first_index(self._p, float(travel[1]))
+        low, high = min(mark, lead), max(mark, lead)
+        floor, problem = self._floor, ""
+        if lead != mark:
+            ahead = lead > mark
+            begin, end = (mark + self._nodes, lead + self._nodes) if ahead else (lead, mark)
+            new = self._heights(self._places(begin, end), float(travel[1])) - self._reference
+            if not np.isfinite(new).all():
+                problem = "the road has no height under a track: last one held"
+                new = np.where(np.isfinite(new), new, floor[-1] if ahead else floor[0])
+            floor = np.concatenate([floor, new] if ahead else [new, floor])
+        counts = np.array([max(1, math.ceil(interval / self._step - 1e-9))])
+        way = np.array([travel, [before.ax, motion.ax]]).T
+        sound = self._walk((way, np.array([interval]), counts), floor, low, self._out)
+        self._s = float(travel[1])
+        self._floor = floor[(lead - low) * CONTACTS :][: self._nodes * CONTACTS]
+        return sound and high - low < 4 * self._nodes, problem
+
+    def _walk(
+        self, way: tuple[Floats, Floats, Ints], floor: Floats, base: int, out: Floats, settle: int = 0
+    ) -> bool:
+        """Walk along ``way``: travel m and acceleration m/s² (n, 2), the intervals (n - 1,) s, and their steps."""
+        moved, interval, counts = way
+        sound = walk_lane(
+            self._p,
+            self._stations,
+            self._arc,
+            floor,
+            base * CONTACTS,
+            CONTACTS,
+            moved[:, 0].copy(),
+            moved[:, 1].copy(),
+            interval,
+            counts,
+            settle,
+            self._step,
+            self._hull,
+            self._arms,
+            self._track,
+            self._mark,
+            out,
+        )
+        return bool(sound) and bool(np.isfinite(out).all())
+
+    def _state(self, t: float, event: str, motion: PlanarMotion) -> LiveState:
+        row = self._out[1]
+        z, pitch, _, pv, za, pa = row[:6].tolist()
+        c, s = math.cos(pitch), math.sin(pitch)
+        stations = len(self._stations)
+        phi, load = row[COLUMNS : COLUMNS + stations], row[COLUMNS + stations :]
+        alpha = phi - pitch
+        wheel = z - s * self._stations[:, 0] + c * self._stations[:, 1] - self._arm * np.sin(alpha)
+        turn = self._arms[1] + pv
+        ax, ay, yaw_rate, yaw_acceleration = motion.ax, motion.ay, motion.yaw_rate, self._yaw_acceleration
+        # the imu's place, turned by the pitch, from the centre of gravity; from base_link's origin for the plane
+        along, above = self._imu[0] * c + self._imu[1] * s, self._imu[1] * c - self._imu[0] * s
+        out, left = float(self._imu[0] - self._origin[0]), self._imu_y
+        forward = ax + above * pa - along * pv**2 - yaw_acceleration * left - yaw_rate**2 * out
+        aside = ay + yaw_acceleration * out - yaw_rate**2 * left
+        upward = za - along * pa - above * pv**2 + G
+        base = z - s * self._origin[0] + c * self._origin[1]
+        force = np.array([forward * c - upward * s, aside, forward * s + upward * c])
+        return LiveState(
+            t=t,
+            heave=z - self._height + self._reference,
+            roll=0.0,
+            pitch=pitch,
+            z=float(base + self._reference),
+            wheel_z=np.tile(wheel + self._reference, 2),
+            deflection=np.tile(self._free - phi, 2),
+            deflection_rate=np.tile(-turn, 2),
+            tyre_force=np.tile(load, 2),
+            force=force,
+            rate=np.array([-yaw_rate * s, pv, yaw_rate * c]),
+            vertical_acceleration=float(force[2] - G * c),
+            event=event,
+        )
+
+
+def simulate_tracked_drive(twin: TrackedTwin, excitation: Excitation) -> Response:
+    """One twin over an excitation: the live twin over its stamps. Raises WorkError where it diverges."""
+    path = excitation.path
+    live = LiveTracked(twin, path.ground, excitation.max_step, excitation.late)
+    names = [f.name for f in fields(LiveState) if f.name not in ("t", "event")]
+    columns: dict[str, list[object]] = {name: [] for name in names}
+    for k, t in enumerate(excitation.t):
+        if excitation.substeps[k] == 0:
+            live.reset()
+        _, ax, ay, yaw_rate, _, speed, lateral_speed = excitation.motion[k, :7].tolist()
+        pose = float(path.x[k]), float(path.y[k]), float(path.yaw[k])
+        state = live.step(float(t), PlanarMotion(*pose, speed, lateral_speed, yaw_rate, ax, ay))
+        if state.event.startswith("diverged"):
+            raise WorkError(f"the simulation diverges by t = {t:.3f} s: are the road's heights in m?")
+        for name in names:
+            columns[name].append(getattr(state, name))
+    arrays = {name: np.array(values, dtype=np.float64) for name, values in columns.items()}
+    return Response(t=excitation.t, acceleration=np.zeros((len(excitation), 7)), **arrays)
+
+
 MODEL = Model(
     name="tracked",
     title="a tracked vehicle in its plane of symmetry",
@@ -472,7 +686,7 @@ MODEL = Model(
     channels=_CHANNELS,
     numbers=_numbers,
     lanes=_lanes,
-    respond=deferred("tracked_live", "simulate_tracked_drive"),
-    live=deferred("tracked_live", "LiveTracked"),
+    respond=simulate_tracked_drive,
+    live=LiveTracked,
     prepared=_driven,
 )

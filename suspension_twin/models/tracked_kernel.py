@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The compiled part of the model ``tracked``: one lane from stamp to stamp. See ``tracked`` for what it models.
+"""The compiled part of the model ``tracked``: one lane from stamp to stamp. The model is described in ``tracked``.
 
 World axes x forwards, z up; pitch theta is positive nose down; the angle alpha of an arm is
 absolute (below the horizontal), so that an arm's angle against the hull is alpha + theta. The
@@ -183,7 +183,7 @@ def walk_lane(
     mark: Ints,
     out: Floats,
 ) -> bool:
-    """From the first to the last of n stamps; false: diverged. What stands at the last one goes on in place.
+    """Walk a lane from the first to the last of n stamps, its state in place; False where it diverges.
 
     ``p`` (P,) in the order of ``PARAMETERS``; ``st`` (S, 5): pivot x and z, damping, sag, first angle; ``shape``
     (Q, 3): places along a wheel, its arc there (R - sqrt(R² - s²)) and the weight in m. ``floor`` (m,) m heights

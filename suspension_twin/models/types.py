@@ -1,20 +1,32 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What goes into a vehicle model and what comes out of it, as plain arrays."""
+"""Input and output of a vehicle model as plain arrays."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Protocol
+from typing import Generic, NamedTuple, Protocol, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from suspension_twin.arrays import Floats
 
-__all__ = ["Excitation", "HeightField", "LaneResponse", "Response"]
+__all__ = [
+    "BodyMotion",
+    "Excitation",
+    "HeightField",
+    "LaneResponse",
+    "PlanarMotion",
+    "PlanarPath",
+    "Response",
+    "SensorReading",
+    "WheelMotion",
+]
 
 Ints = NDArray[np.int64]
+#: A number at one stamp, or (n,) at n.
+Value = TypeVar("Value", float, Floats)
 
 
 class HeightField(Protocol):
@@ -25,9 +37,40 @@ class HeightField(Protocol):
         ...
 
 
+class PlanarMotion(NamedTuple):
+    """Pose and planar motion of ``base_link`` at one stamp, as in :class:`~suspension_twin.pose.types.Trajectory`: m,
+    rad, m/s, rad/s, m/s²."""
+
+    x: float
+    y: float
+    yaw: float
+    speed: float
+    lateral_speed: float
+    yaw_rate: float
+    ax: float
+    ay: float
+
+
+@dataclass(frozen=True, eq=False)
+class PlanarPath:
+    """The path of the vehicle over the ground: what the road heights of an excitation were looked up for.
+
+    ``x``, ``y`` m and ``yaw`` rad (n,) of base_link in ``map``, ``wheels`` (4, 2) m the wheel centres in base_link.
+    ``antenna`` m is the height of the antenna that the path is of, 0 where it is the path of base_link: static roll
+    and pitch displace an antenna against the wheels.
+    """
+
+    x: Floats
+    y: Floats
+    yaw: Floats
+    wheels: Floats
+    ground: HeightField
+    antenna: float = 0.0
+
+
 @dataclass(frozen=True, eq=False)
 class Excitation:
-    """What drives a model: planar motion at n stamps, road heights under the wheels in between.
+    """Input of a model: planar motion at n stamps, road heights under the wheels in between.
 
     The interval that ends at stamp ``k`` is walked in ``substeps[k]`` equal steps of ``step[k]``
     seconds; ``substeps[k] == 0`` marks a fresh start from static equilibrium (the first stamp,
@@ -39,11 +82,8 @@ class Excitation:
     its origin at the height of the centre of gravity, ``yaw_rate`` rad/s, ``yaw_acceleration`` rad/s²,
     ``speed`` and ``lateral_speed`` m/s; where there are actuators (n, 8), with the force in N that one in every strut
     pushes body and wheel apart with, linear between the stamps;
-    ``max_step`` s is the largest step that any interval may take. ``x``, ``y``, ``yaw`` (n,),
-    ``wheels`` (4, 2) and ``ground`` are what the road heights came from, for those that look again.
-    ``antenna`` m is the height of the antenna that the path is of, 0 where it is the path of base_link: static roll
-    and pitch displace an antenna against the wheels. ``late`` s is the clock offset of the sensor's stamps that has
-    been taken off already.
+    ``max_step`` s is the largest step that any interval may take. ``path`` is where the road heights were looked up.
+    ``late`` s is the clock offset of the sensor's stamps that has been taken off already.
     """
 
     t: Floats
@@ -52,12 +92,7 @@ class Excitation:
     road: Floats
     motion: Floats
     max_step: float
-    x: Floats
-    y: Floats
-    yaw: Floats
-    wheels: Floats
-    ground: HeightField
-    antenna: float = 0.0
+    path: PlanarPath
     late: float = 0.0
 
     def __len__(self) -> int:
@@ -74,34 +109,49 @@ class Excitation:
         return self.motion[:, 1]
 
     @property
-    def ay(self) -> Floats:
-        """(n,) m/s² acceleration along base_link's y, above its origin at the height of the centre of gravity."""
-        return self.motion[:, 2]
-
-    @property
     def yaw_rate(self) -> Floats:
         """(n,) rad/s."""
         return self.motion[:, 3]
-
-    @property
-    def yaw_acceleration(self) -> Floats:
-        """(n,) rad/s², a filtered difference of the yaw rate."""
-        return self.motion[:, 4]
 
     @property
     def speed(self) -> Floats:
         """(n,) m/s forward speed of base_link's origin."""
         return self.motion[:, 5]
 
-    @property
-    def lateral_speed(self) -> Floats:
-        """(n,) m/s speed of base_link's origin to the left."""
-        return self.motion[:, 6]
+
+@dataclass(frozen=True, eq=False)
+class SensorReading(Generic[Value]):
+    """Readings of the virtual sensor; see :class:`Response`."""
+
+    force: Floats
+    rate: Floats
+    vertical_acceleration: Value
 
 
 @dataclass(frozen=True, eq=False)
-class Response:
-    """Everything that one run of a model gives, at the n stamps of its excitation.
+class WheelMotion:
+    """Motion and forces of the wheels; see :class:`Response`."""
+
+    wheel_z: Floats
+    deflection: Floats
+    deflection_rate: Floats
+    tyre_force: Floats
+
+
+@dataclass(frozen=True, eq=False)
+class BodyMotion(Generic[Value]):
+    """Motion of the sprung mass at the time ``t``; see :class:`Response`."""
+
+    t: Value
+    heave: Value
+    roll: Value
+    pitch: Value
+    z: Value
+
+
+@dataclass(frozen=True, eq=False)
+class Response(SensorReading[Floats], WheelMotion, BodyMotion[Floats]):
+    """Response of one twin at the n stamps of its excitation: body, wheels and virtual sensor.
 
     Parameters
     ----------
@@ -139,18 +189,6 @@ class Response:
     True
     """
 
-    t: Floats
-    heave: Floats
-    roll: Floats
-    pitch: Floats
-    z: Floats
-    wheel_z: Floats
-    deflection: Floats
-    deflection_rate: Floats
-    tyre_force: Floats
-    force: Floats
-    rate: Floats
-    vertical_acceleration: Floats
     acceleration: Floats
 
 

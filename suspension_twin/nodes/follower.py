@@ -12,6 +12,7 @@ import numpy as np
 
 from suspension_twin.inference.observation import road_of
 from suspension_twin.models.live import LiveState, live_twin
+from suspension_twin.models.types import PlanarMotion
 from suspension_twin.nodes.topics import NS
 from suspension_twin.road.build import flat_road
 from suspension_twin.road.road import Road
@@ -122,7 +123,7 @@ class Follower:
         self.acceleration_time = acceleration_time
         self._live = live_twin(twin, self.road)
         # compiled now, not at the first samples
-        first, _ = (self._live.step(t, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0) for t in (0.0, 0.01))
+        first, _ = (self._live.step(t, PlanarMotion(*[0.0] * 8)) for t in (0.0, 0.01))
         #: m/s² that the virtual sensor shows at standstill: a gain error multiplies gravity too. The filter of the
         #: measured signal removes this as a bias.
         self.standing_vertical = first.vertical_acceleration if twin.effects else 0.0
@@ -145,17 +146,9 @@ class Follower:
             self._differentiate(t - self._t, self._row, row)
         along, across = self._rates
         self._t, self._row = t, row
-        state = self._live.step(
-            t,
-            row.x,
-            row.y,
-            row.yaw,
-            row.speed,
-            row.lateral_speed,
-            row.yaw_rate,
-            along - row.yaw_rate * row.lateral_speed,
-            across + row.yaw_rate * row.speed,
-        )
+        ax = along - row.yaw_rate * row.lateral_speed
+        ay = across + row.yaw_rate * row.speed
+        state = self._live.step(t, PlanarMotion(*row[1:-1], ax, ay))
         return replace(state, event=jump) if jump else state
 
     def _differentiate(self, dt: float, before: PlanarRow, row: PlanarRow) -> None:

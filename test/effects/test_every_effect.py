@@ -120,7 +120,7 @@ def test_an_impossible_candidate_fails_alone(twin: Twin, name: str) -> None:
 
 
 def test_a_candidate_beside_the_road_fails_alone(twin: Twin) -> None:
-    """Its neighbours stay as they are; one twin alone is told that the road has no height there."""
+    """Its neighbours stay as they are; one twin alone is refused: the road has no height there."""
 
     def edge(x: np.ndarray, y: np.ndarray) -> np.ndarray:
         return np.where(np.abs(y) < 1.2, rough(x, y), np.nan)

@@ -14,9 +14,8 @@ from scipy.signal import butter, freqs
 from suspension_twin.models.excitation import excitation
 from suspension_twin.models.parameters import pack
 from suspension_twin.models.sensor import to_sensor_axes
-from suspension_twin.models.sensor_chain import _even, _restamp
+from suspension_twin.models.sensor_chain import TABLE, _even, _restamp
 from suspension_twin.models.simulate import simulate_lanes
-from suspension_twin.models.sinc_interpolation import TABLE
 from suspension_twin.models.types import Response
 from suspension_twin.units import STANDARD_GRAVITY as G
 from suspension_twin.vehicle.twin import Twin

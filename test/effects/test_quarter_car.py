@@ -21,7 +21,7 @@ RUN = rig_run(
     T, 0.03 * np.sin(2 * np.pi * 2.0 * T) * np.minimum(T, 1.0) + 0.003 * np.sin(2 * np.pi * 11.0 * T)
 )
 APPLY = [name for name, found in EFFECTS.items() if "quarter_car" in found.models]
-#: Parameters with which each effect is felt on ``RUN``.
+#: Parameters with which each effect shows on ``RUN``.
 FELT: dict[str, dict[str, float]] = {
     "payload": {"mass": 60.0},
     "strut_friction": {"front_force": 150.0},

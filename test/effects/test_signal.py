@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The second-order stage that low-pass and holder are made of, against closed forms and an integrator."""
+"""The second-order stage of low-pass and mount resonance, against closed forms and an integrator."""
 
 from __future__ import annotations
 

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from suspension_twin.inference.sensor_reading import read_alike, read_any, read_steady
-from suspension_twin.models.sinc_interpolation import TABLE, TAPS
+from suspension_twin.models.sensor_chain import TABLE, TAPS
 
 M, CHANNELS, LANES = 60, 3, 4
 #: In samples: whole ones, beside them by less than a double can hold in their place, fractions, beyond both ends.

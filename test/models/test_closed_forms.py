@@ -223,7 +223,7 @@ def test_a_lane_does_not_know_its_neighbours(
     whole = simulate_lanes(mondeo, lanes(mondeo, keys, values), e)
     assert np.flatnonzero(whole.failed).tolist() == [40]
     assert np.isfinite(whole.force).all() and not whole.force[..., 40].any()
-    monkeypatch.setattr("suspension_twin.models.blocks.cores", lambda: 1, raising=False)
+    monkeypatch.setattr("suspension_twin.models.simulate.cores", lambda: 1, raising=False)
     for picked in ([7], [7, 40, 99], list(range(33))):
         part = simulate_lanes(mondeo, lanes(mondeo, keys, values[picked]), e)
         assert np.array_equal(part.force, whole.force[..., picked])

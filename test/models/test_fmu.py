@@ -26,10 +26,11 @@ from suspension_twin.drive.write import write_drive
 from suspension_twin.errors import InputError, WorkError
 from suspension_twin.inference.synthetic import synthetic_drive
 from suspension_twin.models.excitation import excitation
-from suspension_twin.models.live import live_twin
+from suspension_twin.models.live import LiveModel, LiveState, live_twin
 from suspension_twin.models.parameters import lanes
 from suspension_twin.models.simulate import simulate_lanes, simulate_twin
-from suspension_twin.models.types import Excitation, Response
+from suspension_twin.models.types import Excitation, PlanarMotion, Response
+from suspension_twin.pose.types import Trajectory
 from suspension_twin.road import load_road
 from suspension_twin.vehicle.twin import Twin, load_twin, parse_twin, save_twin
 
@@ -61,6 +62,12 @@ def deviation(found: Response, wanted: Response) -> float:
     """The largest difference as a share of the range of its quantity."""
     pairs = ((getattr(found, name), getattr(wanted, name)) for name in MOTION)
     return max(float(np.abs(a - b).max() / np.ptp(b)) for a, b in pairs)
+
+
+def followed(model: LiveModel, path: Trajectory) -> list[LiveState]:
+    """The states of a live model along a path."""
+    rows = np.stack([getattr(path, name) for name in ("t", *PlanarMotion._fields)], axis=1).tolist()
+    return [model.step(t, PlanarMotion(*row)) for t, *row in rows]
 
 
 @pytest.fixture(scope="module")
@@ -109,9 +116,8 @@ def test_an_exported_twin_comes_back(version: str, car: Twin, driven: Excitation
 
 
 def test_live_it_says_the_same_as_over_the_whole_drive(other: Twin, driven: Excitation, drive: Any) -> None:
-    path, model = drive(3.0, jitter=0.4, ax=-1.0, yaw_rate=0.02), live_twin(other, driven.ground)
-    names = ["t", "x", "y", "yaw", "speed", "lateral_speed", "yaw_rate", "ax", "ay"]
-    states = [model.step(*(float(getattr(path, n)[k]) for n in names)) for k in range(path.t.size)]
+    path, model = drive(3.0, jitter=0.4, ax=-1.0, yaw_rate=0.02), live_twin(other, driven.path.ground)
+    states = followed(model, path)
     whole = simulate_twin(other, driven)
     for name in (*MOTION, "deflection_rate"):
         found = np.array([getattr(s, name) for s in states])
@@ -300,9 +306,8 @@ def test_a_step_that_fails_ends_one_candidate_and_no_live_twin(
     both = lanes(twin, ("fmu.parameters.limit.value",), np.array([[1.0], [0.01]]))
     assert simulate_lanes(twin, both, driven).failed.tolist() == [False, True]
     tight = fmu_twin(car, fmu_section(file, **STIFFNESS, limit=0.01))
-    path, model = drive(3.0), live_twin(tight, driven.ground)
-    names = ["t", "x", "y", "yaw", "speed", "lateral_speed", "yaw_rate", "ax", "ay"]
-    states = [model.step(*(float(getattr(path, n)[k]) for n in names)) for k in range(path.t.size)]
+    path, model = drive(3.0), live_twin(tight, driven.path.ground)
+    states = followed(model, path)
     assert any("other_car.fmu: fails in the step" in s.event and "at its stop" in s.event for s in states)
     assert all(np.isfinite(s.vertical_acceleration) for s in states)
 

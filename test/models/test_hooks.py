@@ -41,11 +41,12 @@ def _odd(change: CornerChange, values: Any) -> None:
 
 HOOKS = {
     **{
-        f"road_{k}": Hook({"amount": 0.0}, road=lambda c, v, f=f: f(c, v["amount"])) for k, f in ROADS.items()
+        f"road_{k}": Hook(neutral={"amount": 0.0}, road=lambda c, v, f=f: f(c, v["amount"]))
+        for k, f in ROADS.items()
     },
-    "payload": Hook({"amount": 0.0}, vehicle=_payload),
-    "corners": Hook({"amount": 0.0}, corners=_odd),
-    "signal": Hook({"amount": 0.0}, signal=SignalStage(_rescale)),
+    "payload": Hook(neutral={"amount": 0.0}, vehicle=_payload),
+    "corners": Hook(neutral={"amount": 0.0}, corners=_odd),
+    "signal": Hook(neutral={"amount": 0.0}, signal=SignalStage(_rescale)),
 }
 
 
@@ -74,7 +75,7 @@ def test_neutral_is_bit_identical_and_full_is_not(mondeo: Any, drive: Any, rough
     half = np.abs(both.force[:, :, 3] - plain.force[:, :, 0]).max()
     assert moved > 0.01
     assert half > 0
-    # the recorded run tells the same as the lane
+    # the recorded run has the same numbers as the lane
     one = simulate_twin(with_effect(mondeo, name, amount=1.0), way)
     assert np.array_equal(one.force, both.force[:, :, 1])
 

@@ -14,6 +14,7 @@ from suspension_twin.models.excitation import excitation
 from suspension_twin.models.hooks import ClockChange, Hook, RoadChange, SignalStage
 from suspension_twin.models.live import LiveTwin
 from suspension_twin.models.simulate import simulate_twin
+from suspension_twin.models.types import PlanarMotion
 
 COLUMNS = ("t", "x", "y", "yaw", "speed", "lateral_speed", "yaw_rate", "ax", "ay")
 FIELDS = (
@@ -33,7 +34,7 @@ FIELDS = (
 
 def play(live: LiveTwin, way: Any) -> Any:
     rows = np.stack([getattr(way, c) for c in COLUMNS], axis=1)
-    return [live.step(*row) for row in rows.tolist()]
+    return [live.step(t, PlanarMotion(*row)) for t, *row in rows.tolist()]
 
 
 @pytest.mark.parametrize(("rate", "jitter"), [(100, 0.0), (100, 0.6), (1000, 0.5), (50, 0.2)])
@@ -79,15 +80,16 @@ def test_unusable_input_is_reported_and_changes_nothing(
     clean = play(LiveTwin(mondeo, rough), way)
     live = LiveTwin(mondeo, rough)
     rows = np.stack([getattr(way, c) for c in COLUMNS], axis=1).tolist()
-    for k, row in enumerate(rows):
-        state = live.step(*row)
+    for k, (t, *row) in enumerate(rows):
+        motion = PlanarMotion(*row)
+        state = live.step(t, motion)
         assert state.heave == clean[k].heave
-        assert live.step(*row).event == "stamp repeated"
-        bad = live.step(row[0] + 0.001, float("nan"), *row[2:])
+        assert live.step(t, motion).event == "stamp repeated"
+        bad = live.step(t + 0.001, motion._replace(x=float("nan")))
         assert bad.event == "input is not finite"
         assert np.isfinite(bad.force).all()
     with pytest.raises(InputError, match="no usable one before"):
-        LiveTwin(mondeo, flat).step(*[float("nan")] * 9)
+        LiveTwin(mondeo, flat).step(float("nan"), PlanarMotion(*[float("nan")] * 8))
 
 
 def test_a_hole_in_the_road_is_held_over_and_said(mondeo: Any, drive: Any, ground: Any) -> None:
@@ -127,9 +129,9 @@ def _clock(change: ClockChange, values: Any) -> None:
 
 
 HOOKS = {
-    "slow": Hook({"share": 1.0}, signal=SignalStage(_low_pass, states=7)),
-    "road": Hook({"sigma": 0.0, "ahead": 0.0, "scale": 0.0}, road=_road),
-    "late": Hook({"delay": 0.0}, clock=_clock),
+    "slow": Hook(neutral={"share": 1.0}, signal=SignalStage(_low_pass, states=7)),
+    "road": Hook(neutral={"sigma": 0.0, "ahead": 0.0, "scale": 0.0}, road=_road),
+    "late": Hook(neutral={"delay": 0.0}, clock=_clock),
 }
 
 

@@ -10,10 +10,22 @@ import pytest
 from scipy.integrate import solve_ivp
 
 from suspension_twin.models.excitation import excitation
-from suspension_twin.models.msd import printed
 from suspension_twin.models.simulate import simulate_twin
+from suspension_twin.vehicle.twin import Vehicle
 
 G = 9.80665
+
+
+def printed(vehicle: Vehicle, ax: float, ay: float, xdd: float) -> tuple[float, float]:
+    """F_rear and F_front of eqs (3) and (4) to the letter, N; accelerations in m/s²."""
+    m, wheelbase, (l2, _, h) = vehicle.mass, vehicle.wheelbase, vehicle.cog
+    l1 = wheelbase - l2
+
+    def load(length: float, track: float) -> float:
+        share = length / wheelbase - (ax + G) * h / ((xdd + G) * wheelbase)
+        return m / 2 * share * (xdd + G) - m * share * (ay + G) * h / track
+
+    return load(l2, vehicle.front_track), load(l1, vehicle.rear_track)
 
 
 @pytest.fixture(scope="module")

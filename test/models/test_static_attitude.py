@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""How a vehicle leans by what effects put on it, and where its wheels are if an antenna tells where it is."""
+"""How a vehicle leans by what effects put on it, and where its wheels are if its place is that of an antenna."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from numpy.testing import assert_allclose, assert_array_equal
 
-from suspension_twin.models.constants import constants
+from suspension_twin.models.constants import Conditions, constants
 from suspension_twin.models.excitation import excitation
 from suspension_twin.models.parameters import lanes, layout, pack
 from suspension_twin.models.simulate import simulate_lanes, simulate_twin
@@ -28,9 +28,9 @@ def given_to(twin: Twin, effect: str, **parameters: float) -> Twin:
     return twin.model_copy(update={"effects": (EffectSpec(id=effect, parameters=parameters),)})
 
 
-def told(twin: Twin) -> tuple[float, float]:
+def static_angles(twin: Twin) -> tuple[float, float]:
     """Pitch and roll in rad that move the road under an antenna ``HEIGHT`` up."""
-    road = constants(pack(twin)[:, None], layout(twin), 1e-3, antenna=HEIGHT).road
+    road = constants(pack(twin)[:, None], layout(twin), Conditions(1e-3, antenna=HEIGHT)).road
     assert road is not None
     return float(-road.ahead[0] / HEIGHT), float(road.left[0] / HEIGHT)
 
@@ -42,7 +42,7 @@ def test_a_payload_leans_the_vehicle_as_far_as_it_stands_leaning(
 ) -> None:
     twin = given_to(mondeo, "payload", mass=mass, x=x, y=y)
     standing = simulate_twin(twin, excitation(drive(0.1, speed=0.0), twin.vehicle, flat))
-    assert_allclose(told(twin), (standing.pitch[0], standing.roll[0]), rtol=0.1, atol=2e-4)
+    assert_allclose(static_angles(twin), (standing.pitch[0], standing.roll[0]), rtol=0.1, atol=2e-4)
 
 
 @pytest.mark.parametrize(("corner", "change"), [(0.0, -0.2), (1.0, 0.3), (3.0, -0.3)])
@@ -51,7 +51,7 @@ def test_a_sagged_corner_does_so_too(
 ) -> None:
     twin = given_to(mondeo, "corner_spring", corner=corner, change=change)
     standing = simulate_twin(twin, excitation(drive(0.1, speed=0.0), twin.vehicle, flat))
-    assert_allclose(told(twin), (standing.pitch[0], standing.roll[0]), rtol=0.15, atol=2e-4)
+    assert_allclose(static_angles(twin), (standing.pitch[0], standing.roll[0]), rtol=0.15, atol=2e-4)
 
 
 @pytest.mark.parametrize("effect", ["payload", "sensor_offset", "strut_friction", "sensor_tilt"])
@@ -64,20 +64,19 @@ def test_without_lean_the_antenna_changes_no_bit(mondeo: Twin, rough: Any, drive
     twin = given_to(mondeo, effect, **values.get(effect, {}))
     plain = excitation(drive(1.0), twin.vehicle, rough)
     candidates = lanes(twin, ("vehicle.cog.2",), np.full((3, 1), 0.55))
+    raised = replace(plain, path=replace(plain.path, antenna=HEIGHT))
     for fused in (False, True):
-        found = [
-            simulate_lanes(twin, candidates, e, fused=fused) for e in (plain, replace(plain, antenna=HEIGHT))
-        ]
+        found = [simulate_lanes(twin, candidates, e, fused=fused) for e in (plain, raised)]
         assert_array_equal(found[0].vertical_acceleration, found[1].vertical_acceleration)
 
 
 def test_the_wheels_are_where_they_are_and_not_under_the_antenna(
     mondeo: Twin, rough: Any, drive: Drive
 ) -> None:
-    """The path of the antenna of a leaning vehicle, taken for its own, and the same with the antenna's height told."""
+    """The path of the antenna of a leaning vehicle, taken for its own, and the same with the antenna's height given."""
     twin = given_to(mondeo, "payload", mass=300.0, x=0.0, y=0.4)
     path = drive(3.0, yaw_rate=0.05)
-    pitch, roll = told(twin)
+    pitch, roll = static_angles(twin)
     cos, sin = np.cos(path.yaw), np.sin(path.yaw)
     ahead, left = HEIGHT * pitch, -HEIGHT * roll
     above = replace(path, x=path.x + cos * ahead - sin * left, y=path.y + sin * ahead + cos * left)

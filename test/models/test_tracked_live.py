@@ -11,8 +11,8 @@ import pytest
 
 from suspension_twin.errors import InputError
 from suspension_twin.models.live import LiveState, live_twin
-from suspension_twin.models.tracked import obstacle_height, simulate_tracked
-from suspension_twin.models.tracked_live import LiveTracked
+from suspension_twin.models.tracked import LiveTracked, obstacle_height, simulate_tracked
+from suspension_twin.models.types import PlanarMotion
 from suspension_twin.vehicle.tracked import TrackedTwin
 from suspension_twin.vehicle.twin import EffectSpec, load_twin
 
@@ -38,7 +38,10 @@ def twin(repository: Path) -> TrackedTwin:
 
 
 def drive(live: LiveTracked, x: np.ndarray, speed: float, t0: float = 100.0, ax: float = 0.0) -> list:
-    return [live.step(t0 + 0.01 * k, float(p), 0.0, 0.0, speed, 0.0, 0.0, ax, 0.0) for k, p in enumerate(x)]
+    return [
+        live.step(t0 + 0.01 * k, PlanarMotion(float(p), 0.0, 0.0, speed, 0.0, 0.0, ax, 0.0))
+        for k, p in enumerate(x)
+    ]
 
 
 def test_the_live_twin_is_the_batch(twin: TrackedTwin) -> None:
@@ -64,13 +67,14 @@ def test_the_sensor_feels_what_the_hull_does(twin: TrackedTwin) -> None:
     speed = 13 / 3.6
     dt = 0.0025
     states = [
-        live.step(dt * k, k * dt * speed - 8.0, 0.0, 0.0, speed, 0.0, 0.0, 0.0, 0.0) for k in range(700)
+        live.step(dt * k, PlanarMotion(k * dt * speed - 8.0, 0.0, 0.0, speed, 0.0, 0.0, 0.0, 0.0))
+        for k in range(700)
     ]
     at = np.array([2.13, 1.14])
     pitch, base = np.array([s.pitch for s in states]), np.array([s.z for s in states])
     height = base - at[0] * np.sin(pitch) + at[1] * np.cos(pitch)
-    felt = np.array([s.force for s in states])
-    upwards = felt[:, 2] * np.cos(pitch) - felt[:, 0] * np.sin(pitch) - G
+    specific = np.array([s.force for s in states])
+    upwards = specific[:, 2] * np.cos(pitch) - specific[:, 0] * np.sin(pitch) - G
     gained = np.cumsum(upwards) * dt
     speed_up = np.gradient(height, dt)
     assert np.ptp(speed_up) > 0.2
@@ -98,7 +102,8 @@ def test_it_reverses_where_it_came_from(twin: TrackedTwin) -> None:
     there = drive(live, forwards, speed)
     drive(live, np.full(150, forwards[-1]), 0.0, t0=300.0 - 0.2)
     back = [
-        live.step(301.3 + 0.01 * k, float(p), 0, 0, -speed, 0, 0, 0, 0) for k, p in enumerate(forwards[::-1])
+        live.step(301.3 + 0.01 * k, PlanarMotion(float(p), 0, 0, -speed, 0, 0, 0, 0))
+        for k, p in enumerate(forwards[::-1])
     ]
     assert not any(s.event for s in back[1:])
     assert back[-1].z == pytest.approx(there[0].z, abs=0.02) and abs(back[-1].pitch) < 0.01
@@ -107,13 +112,13 @@ def test_it_reverses_where_it_came_from(twin: TrackedTwin) -> None:
 def test_what_messages_may_hold(twin: TrackedTwin) -> None:
     live = live_twin(twin, Ground(twin, end=-20.0))
     with pytest.raises(InputError, match="no usable one"):
-        live.step(0.0, math.nan, 0, 0, 0, 0, 0, 0, 0)
-    first = live.step(1.0, -40.0, 0, 0, 0, 0, 0, 0, 0)
+        live.step(0.0, PlanarMotion(math.nan, 0, 0, 0, 0, 0, 0, 0))
+    first = live.step(1.0, PlanarMotion(-40.0, 0, 0, 0, 0, 0, 0, 0))
     assert first.event == "start" and first.z == pytest.approx(5.0, abs=0.02)
-    assert live.step(1.0, -40.0, 0, 0, 0, 0, 0, 0, 0).event == "stamp repeated"
-    assert "finite" in live.step(1.1, math.inf, 0, 0, 0, 0, 0, 0, 0).event
-    assert "gap of 4.00 s" in live.step(5.0, -40.0, 0, 0, 0, 0, 0, 0, 0).event
-    assert "went back" in live.step(4.0, -40.0, 0, 0, 0, 0, 0, 0, 0).event
+    assert live.step(1.0, PlanarMotion(-40.0, 0, 0, 0, 0, 0, 0, 0)).event == "stamp repeated"
+    assert "finite" in live.step(1.1, PlanarMotion(math.inf, 0, 0, 0, 0, 0, 0, 0)).event
+    assert "gap of 4.00 s" in live.step(5.0, PlanarMotion(-40.0, 0, 0, 0, 0, 0, 0, 0)).event
+    assert "went back" in live.step(4.0, PlanarMotion(-40.0, 0, 0, 0, 0, 0, 0, 0)).event
     states = drive(live, np.arange(-40.0, -15.0, 0.1), 10.0, t0=10.0)
     assert any("no height" in s.event for s in states)
     assert all(np.isfinite([s.z, s.pitch, *s.force]).all() for s in states)

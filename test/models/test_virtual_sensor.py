@@ -156,7 +156,7 @@ def test_sensor_axes_follow_rpy() -> None:
 def test_sine_and_cosine() -> None:
     from numba import njit
 
-    from suspension_twin.models.numerics import sin_cos
+    from suspension_twin.models.rows import sin_cos
 
     @njit
     def both(x: float) -> tuple[float, float]:

@@ -20,6 +20,7 @@ from tf2_msgs.msg import TFMessage
 from suspension_twin.models.excitation import excitation
 from suspension_twin.models.live import LiveTwin
 from suspension_twin.models.simulate import simulate_twin
+from suspension_twin.models.types import PlanarMotion
 from suspension_twin.nodes.suspension_model import SuspensionModelNode
 from suspension_twin.pose.types import Trajectory
 from suspension_twin.road import load_road
@@ -85,7 +86,9 @@ def test_it_says_what_the_model_says(bench, twin_path, tmp_path):
     loudest = 0.0
     for k in range(400):
         ns = stamp_of(vertical(T0 + k / 100.0))
-        state = live.step(ns / 1e9, 5.0 + SPEED * k / 100.0, 0.0, 0.0, SPEED, 0.0, 0.0, 0.0, 0.0)
+        state = live.step(
+            ns / 1e9, PlanarMotion(5.0 + SPEED * k / 100.0, 0.0, 0.0, SPEED, 0.0, 0.0, 0.0, 0.0)
+        )
         expected = low_pass.push(ns / 1e9, state.vertical_acceleration)
         assert acceleration[k] == (ns, pytest.approx(expected, abs=1e-12))
         loudest = max(loudest, abs(expected))

@@ -27,7 +27,7 @@ from typing import Any, Final, Literal, NoReturn
 import numpy as np
 
 from suspension_twin.errors import WorkError
-from suspension_twin.models import numerics
+from suspension_twin.models import rows
 
 __all__ = ["CSHARP", "C", "Language", "Translation"]
 
@@ -762,7 +762,7 @@ class _Writer:
 
 
 #: Functions that have a helper in the written code.
-_HELPER_OF: Final[Mapping[object, str]] = {numerics.fma: "fma_", max: "larger", min: "smaller"}
+_HELPER_OF: Final[Mapping[object, str]] = {rows.fma: "fma_", max: "larger", min: "smaller"}
 
 
 def _within(value: _Value, binds: int) -> str:

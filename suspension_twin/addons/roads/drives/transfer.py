@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from suspension_twin.arrays import Floats
 from suspension_twin.models.simulate import simulate_twin
-from suspension_twin.models.types import Excitation
+from suspension_twin.models.types import Excitation, PlanarPath
 from suspension_twin.road.build import flat_road
 from suspension_twin.vehicle.twin import Damper, Twin
 
@@ -122,9 +122,5 @@ def _shaken(period: Floats, rate: float, speed: float) -> Excitation:
         road=np.ascontiguousarray(road),
         motion=motion,
         max_step=1.0 / (rate * _STEPS),
-        x=speed * t,
-        y=zero,
-        yaw=zero,
-        wheels=np.zeros((4, 2)),
-        ground=flat_road(),
+        path=PlanarPath(speed * t, zero, zero, np.zeros((4, 2)), flat_road()),
     )
