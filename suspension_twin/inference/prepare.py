@@ -37,9 +37,8 @@ from suspension_twin.inference.planar_denoising import denoised_motion
 from suspension_twin.models.excitation import excitation
 from suspension_twin.models.hooks import clocks_with, upright_with
 from suspension_twin.models.types import Excitation, Response
-from suspension_twin.pose.nodes import MAX_MEAN_SLOPE, mean_tilt
 from suspension_twin.pose.satellites import satellite_motion
-from suspension_twin.pose.smoothed import locked_trajectory
+from suspension_twin.pose.smoothed import MAX_MEAN_SLOPE, locked_trajectory, mean_tilt
 from suspension_twin.pose.types import Trajectory
 from suspension_twin.road.origin import warning_of
 from suspension_twin.road.road import Outside, Road

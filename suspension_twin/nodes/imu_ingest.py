@@ -28,8 +28,8 @@ from suspension_twin.nodes.parameters import (
 )
 from suspension_twin.nodes.process import run_alone
 from suspension_twin.nodes.topics import Embedding
+from suspension_twin.signals.imu import StillLimits
 from suspension_twin.signals.ingest import ImuIngest, ImuSettings
-from suspension_twin.signals.standstill import StillLimits
 from suspension_twin.vehicle.twin import Place
 
 __all__ = ["ImuIngestNode", "main"]

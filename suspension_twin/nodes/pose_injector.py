@@ -32,7 +32,7 @@ from suspension_twin.nodes.parameters import (
 from suspension_twin.nodes.process import run_alone
 from suspension_twin.nodes.topics import Embedding
 from suspension_twin.pose.lock import PlanarState, PoseLock
-from suspension_twin.pose.settings import PoseSettings
+from suspension_twin.pose.types import PoseSettings
 from suspension_twin.vehicle.twin import Datum
 from suspension_twin_interfaces.srv import SetDatum
 

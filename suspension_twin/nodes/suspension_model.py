@@ -38,8 +38,7 @@ from suspension_twin.nodes.process import run_alone
 from suspension_twin.nodes.topics import ERROR, OK, WARN, Embedding
 from suspension_twin.nodes.twin_outputs import TwinOutputs
 from suspension_twin.signals.checks import Finding
-from suspension_twin.signals.filters import FilterSpec
-from suspension_twin.signals.live import LiveLowPass
+from suspension_twin.signals.filters import FilterSpec, LiveLowPass
 from suspension_twin_interfaces.srv import LoadTwin
 
 __all__ = ["SuspensionModelNode", "main"]

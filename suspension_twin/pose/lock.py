@@ -1,31 +1,134 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The live pose: x, y and yaw locked to the real vehicle at the IMU's rate, without steps."""
+"""The live pose: every sample and measurement as it comes, a delayed one at its own stamp, an output without steps."""
 
 from __future__ import annotations
 
 import math
-from collections import Counter
+from collections import Counter, deque
 from collections.abc import Sequence
+from statistics import median
 from typing import NamedTuple
 
 import numpy as np
 
+from suspension_twin.arrays import Floats
 from suspension_twin.pose import ekf
-from suspension_twin.pose.blend import Blend
+from suspension_twin.pose.alignment import LEVEL_WALK, MOVING_WALK, LiveInputs
+from suspension_twin.pose.ekf import SPEED, YAW, X, Y
 from suspension_twin.pose.history import History, Measurement
-from suspension_twin.pose.initial_state import REVERSE_SPEED, REVERSE_TIME
-from suspension_twin.pose.level import MOVING_WALK
-from suspension_twin.pose.live import LEVEL_WALK, LiveInputs
 from suspension_twin.pose.local_map import LocalMap
-from suspension_twin.pose.settings import PoseSettings, fix_sigma
-from suspension_twin.pose.velocity_noise import VelocityNoise
+from suspension_twin.pose.types import REVERSE_SPEED, REVERSE_TIME, VELOCITY_SHARE, PoseSettings, fix_sigma
 from suspension_twin.signals.attitude import rpy_matrix
 from suspension_twin.signals.checks import Finding
 from suspension_twin.signals.clock import JUMP_BACK, MAX_STAMP
-from suspension_twin.signals.standstill import STANDSTILL_FILTER_DELAY
+from suspension_twin.signals.imu import STANDSTILL_FILTER_DELAY
 from suspension_twin.vehicle.twin import Datum, Place
 
-__all__ = ["PlanarState", "PoseLock"]
+__all__ = [
+    "Blend",
+    "PlanarState",
+    "PoseLock",
+    "VelocityNoise",
+]
+
+
+class Blend:
+    """Offsets between the output and the filter's state: x, y, yaw and speed.
+
+    Each dies away like a critically damped second-order system of ``time`` s, so the output has no
+    step in position and, from a correction of the speed, none in velocity. A correction of the
+    position alone moves it at ``speed`` m/s at most; one beyond ``snap`` m is jumped at once.
+    """
+
+    def __init__(self, time: float, speed: float, snap: float) -> None:
+        self._time = time
+        self._speed = speed
+        self._snap = snap
+        self.clear()
+
+    def clear(self) -> None:
+        """The output is the filter's state."""
+        self._offset = [0.0, 0.0, 0.0, 0.0]
+        self._rate = [0.0, 0.0, 0.0]
+        self._slow = self._time  # s, of the position
+        self._t = math.nan
+
+    def correct(self, before: Floats, after: Floats) -> None:
+        """The filter's newest state was ``before`` (8,) and is now ``after`` (8,)."""
+        offset = self._offset
+        offset[0] += float(before[X] - after[X])
+        offset[1] += float(before[Y] - after[Y])
+        offset[2] += float(before[YAW] - after[YAW])
+        offset[3] += float(before[SPEED] - after[SPEED])
+        c0, s0 = math.cos(before[YAW]), math.sin(before[YAW])
+        c1, s1 = math.cos(after[YAW]), math.sin(after[YAW])
+        self._rate[0] += float(before[SPEED] * c0 - after[SPEED] * c1)
+        self._rate[1] += float(before[SPEED] * s0 - after[SPEED] * s1)
+        length = math.hypot(offset[0], offset[1])
+        # The largest speed of the decay is offset / time / e.
+        self._slow = max(self._time, length / (math.e * self._speed))
+        if length > self._snap or abs(offset[2]) > 0.5:
+            self.clear()
+
+    def step(self, t: float) -> tuple[float, float, float, float]:
+        """Offsets of x m, y m, yaw rad and speed m/s to add at ``t`` s."""
+        dt = min(t - self._t, 0.2) if math.isfinite(self._t) else 0.0
+        self._t = t
+        if dt > 0.0:
+            for k in range(3):
+                w = 1.0 / (self._slow if k < 2 else self._time)
+                x, v = self._offset[k], self._rate[k]
+                fade = math.exp(-w * dt)
+                linear = v + w * x
+                self._offset[k] = (x + linear * dt) * fade
+                self._rate[k] = (v - w * linear * dt) * fade
+            self._offset[3] *= math.exp(-dt / self._time)
+        x, y, yaw, v = self._offset
+        return x, y, yaw, v
+
+
+#: Velocities that an estimate rests on, at least and at most; the standard deviations of the least that it may be; and
+#: m/s off the filter's, beyond which it is the filter that is wrong (tolerances, by hand).
+_FEWEST, _MOST, _LARGEST, _WRONG = 10, 60, 10.0, 2.0
+
+
+class VelocityNoise:
+    """Innovation-based estimate of a velocity's standard deviation.
+
+    Ahead, a velocity differs from the filter's by the noise of both: ``median |r| / 0.6745`` squared less the variance
+    of the filter's speed is the receiver's variance. Across, slip would count as noise.
+
+    Parameters
+    ----------
+    least : float
+        m/s that a receiver is not better than.
+    """
+
+    def __init__(self, least: float) -> None:
+        self._given = self._least = least
+        self._off: deque[float] = deque(maxlen=_MOST)
+        self._spread: deque[float] = deque(maxlen=_MOST)
+        self.sigma = least
+
+    def by_fixes(self, sigma: float) -> None:
+        """The receiver's fixes have a standard deviation of ``sigma`` m: its velocities are not much better."""
+        self._least = max(self._given, VELOCITY_SHARE * sigma)
+        self.sigma = max(self.sigma, self._least)
+
+    def see(self, state: Floats, covariance: Floats, row: Floats, z: Measurement) -> None:
+        """A velocity ``z``, the filter's ``state`` (8,) and ``covariance`` (8, 8) before it, and its inputs ``row``."""
+        yaw = float(state[ekf.YAW])
+        expected = float(state[ekf.SPEED] + row[ekf.ANTENNA_VX])
+        off = abs(z[0] * math.cos(yaw) + z[1] * math.sin(yaw) - expected)
+        if off > _WRONG:
+            return
+        self._off.append(off)
+        self._spread.append(float(covariance[ekf.SPEED, ekf.SPEED]))
+        if len(self._off) >= _FEWEST:
+            variance = (median(self._off) / 0.6745) ** 2 - median(self._spread)
+            sigma = math.sqrt(max(variance, 0.0))
+            self.sigma = min(max(sigma, self._least), _LARGEST * self._least)
+
 
 AHEAD = 5.0  # s that a fix may be ahead of the IMU and still wait for it
 PAUSE = 60.0  # s after which nothing is left of the pose

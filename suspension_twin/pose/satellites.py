@@ -126,12 +126,11 @@ def satellite_motion(
     slower = replace(
         signals,
         t=t[cut],
-        keep=signals.keep[kept],
         force=force,
         rate=slowed(signals.rate),
         vertical_acceleration=slowed(signals.vertical_acceleration),
         up=signals.up[kept],
-        rate_hz=rate / step,
+        facts=replace(signals.facts, rate_hz=rate / step),
         standing=signals.standing[kept],
         saturated=signals.saturated[kept],
     )

@@ -24,8 +24,7 @@ from suspension_twin.nodes.suspension_model import SuspensionModelNode
 from suspension_twin.pose.types import Trajectory
 from suspension_twin.road import load_road
 from suspension_twin.signals.attitude import rpy_matrix
-from suspension_twin.signals.filters import FilterSpec
-from suspension_twin.signals.live import LiveLowPass
+from suspension_twin.signals.filters import FilterSpec, LiveLowPass
 from suspension_twin.vehicle.twin import EffectSpec, load_twin, save_twin
 from suspension_twin_interfaces.msg import Gap
 from suspension_twin_interfaces.srv import LoadTwin

@@ -12,10 +12,9 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from suspension_twin.pose import ekf
+from suspension_twin.pose.alignment import GRAVITY, LEVEL_PULL, MOVING_PULL, LiveInputs, MovingLevel
 from suspension_twin.pose.history import History
-from suspension_twin.pose.level import LEVEL_PULL, MOVING_PULL, MovingLevel
-from suspension_twin.pose.live import GRAVITY, LiveInputs
-from suspension_twin.pose.settings import PoseSettings
+from suspension_twin.pose.types import PoseSettings
 from suspension_twin.vehicle.twin import Place
 
 STEP = 0.01

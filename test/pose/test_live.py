@@ -8,8 +8,8 @@ import math
 import numpy as np
 import pytest
 
-from suspension_twin.pose.live import GRAVITY, LiveInputs
-from suspension_twin.pose.nodes import SLOPE_TIME
+from suspension_twin.pose.alignment import GRAVITY, LiveInputs
+from suspension_twin.pose.types import SLOPE_TIME
 from suspension_twin.vehicle.twin import Place
 
 

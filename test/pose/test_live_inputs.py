@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 
 from suspension_twin.pose import ekf
-from suspension_twin.pose.live import GRAVITY, UP_TIME, LiveInputs
-from suspension_twin.pose.smoothed import SWAY_SIGMA
-from suspension_twin.signals.standstill import STANDSTILL_FILTER_DELAY, StillLimits
+from suspension_twin.pose.alignment import GRAVITY, UP_TIME, LiveInputs
+from suspension_twin.pose.types import SWAY_SIGMA
+from suspension_twin.signals.imu import STANDSTILL_FILTER_DELAY, StillLimits
 from suspension_twin.vehicle.twin import Place
 
 UP = np.array([0.0, 0.0, GRAVITY])

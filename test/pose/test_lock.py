@@ -13,11 +13,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from suspension_twin.pose.lock import PlanarState, PoseLock
-from suspension_twin.pose.settings import PoseSettings
+from suspension_twin.pose.types import PoseSettings
 from suspension_twin.signals.attitude import rpy_matrix
 from suspension_twin.signals.clock import MAX_STAMP
+from suspension_twin.signals.imu import ImuSettings
 from suspension_twin.signals.ingest import ImuIngest
-from suspension_twin.signals.settings import ImuSettings
 from suspension_twin.vehicle.twin import Datum
 
 Maker = Callable[..., object]

@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 
 from suspension_twin.pose.local_map import LocalMap
 from suspension_twin.pose.lock import AHEAD, MAX_FORCE, MAX_TURN, PAUSE, PlanarState, PoseLock
-from suspension_twin.pose.settings import PoseSettings
+from suspension_twin.pose.types import PoseSettings
 from suspension_twin.vehicle.twin import Datum, Place
 
 DATUM = Datum(latitude=47.4, longitude=19.28, altitude=120.0)

@@ -18,9 +18,9 @@ from suspension_twin.pose.lock import PlanarState, PoseLock
 from suspension_twin.pose.smoothed import locked_trajectory
 from suspension_twin.pose.types import Trajectory
 from suspension_twin.signals.filters import FilterSpec, zero_phase
+from suspension_twin.signals.imu import ImuSettings
 from suspension_twin.signals.ingest import ImuIngest
 from suspension_twin.signals.offline import ImuSignals, ingest_drive
-from suspension_twin.signals.settings import ImuSettings
 from suspension_twin.vehicle.twin import Datum, Place, load_twin
 
 

@@ -12,9 +12,8 @@ import pytest
 
 from suspension_twin.drive.types import Drive, FixData, VelocityData
 from suspension_twin.errors import InputError
-from suspension_twin.pose.settings import PoseSettings
 from suspension_twin.pose.smoothed import locked_trajectory
-from suspension_twin.pose.types import Trajectory
+from suspension_twin.pose.types import PoseSettings, Trajectory
 from suspension_twin.signals.offline import ingest_drive
 
 Maker = Callable[..., object]

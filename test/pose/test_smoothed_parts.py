@@ -10,8 +10,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from suspension_twin.pose.settings import PoseSettings
 from suspension_twin.pose.smoothed import locked_trajectory
+from suspension_twin.pose.types import PoseSettings
 from suspension_twin.signals.offline import ImuSignals, ingest_drive
 
 

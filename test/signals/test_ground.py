@@ -11,7 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from suspension_twin.drive.types import Drive, FixData, ImuData, VelocityData
-from suspension_twin.signals.ground import NO_FIX, Ground, ground_motion
+from suspension_twin.signals.offline import NO_FIX, Ground, ground_motion
 
 T0 = 1.7e9
 PLACE = (1.9, -0.6, 1.1)

@@ -14,9 +14,8 @@ from scipy.spatial.transform import Rotation
 from suspension_twin.drive.types import Drive
 from suspension_twin.signals.checks import FULL_SCALES
 from suspension_twin.signals.filters import CausalLowPass, FilterSpec
+from suspension_twin.signals.imu import ImuSettings, StillLimits
 from suspension_twin.signals.ingest import ImuIngest, IngestOutput
-from suspension_twin.signals.settings import ImuSettings
-from suspension_twin.signals.standstill import StillLimits
 from suspension_twin.units import STANDARD_GRAVITY
 from suspension_twin.vehicle.twin import Place
 
