@@ -99,7 +99,7 @@ def started(case: Car, drive: Drive, start: float, end: float, velocities: bool)
             sample = ingest.push(t, imu.specific_force[k], imu.angular_rate[k])
             state = sample and lock.on_imu(sample.t, sample.force, sample.rate)
             if state and state.valid:
-                out.append(state[:5])
+                out.append((*state[:4], state.motion.speed))
     return np.array(out).reshape(-1, 5)
 
 

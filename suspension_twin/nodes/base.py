@@ -27,6 +27,7 @@ from rclpy.qos import QoSProfile, ReliabilityPolicy
 from rclpy.qos_overriding_options import QoSOverridingOptions
 from rclpy.subscription import Subscription
 
+from suspension_twin.live.twin import DigitalTwin
 from suspension_twin.nodes.parameters import Param, ParameterSet, Values
 from suspension_twin.nodes.topics import (
     ERROR,
@@ -148,7 +149,7 @@ def _status(name: str, complaints: list[tuple[bytes, str]], values: dict[str, st
 
 class TwinNode(Node):  # type: ignore[misc]
     """Base of the nodes. A subclass sets ``parameters``, makes its inputs and outputs, and may override
-    ``check``, ``changed``, ``reset`` and ``report``."""
+    ``check``, ``start``, ``reset`` and ``report``."""
 
     common: tuple[Param, ...] = COMMON
     parameters: tuple[Param, ...] = ()
@@ -163,6 +164,9 @@ class TwinNode(Node):  # type: ignore[misc]
         )
         self.log: Any = Node.get_logger(self)
         self.outbox = self.embedding.outbox or Outbox()
+        self.twin = self.embedding.twin or DigitalTwin()
+        #: The nodes whose stages are in one twin: they are reset together.
+        self.companions: tuple[TwinNode, ...] = (self,)
         self.inputs: dict[str, Input] = {}
         self.outputs: dict[str, Output] = {}
         self.health = Health(self.get_fully_qualified_name().lstrip("/"), time.monotonic)
@@ -200,7 +204,12 @@ class TwinNode(Node):  # type: ignore[misc]
         """Raise InputError for ``values`` that cannot be used together."""
 
     def changed(self, names: AbstractSet[str]) -> None:
-        """The parameters ``names`` have new values."""
+        """The parameters ``names`` have new values: with one of the node's own it starts anew."""
+        if names & {p.name for p in self.parameters}:
+            self.start()
+
+    def start(self) -> None:
+        """Take the present values of the parameters, and discard all data received so far."""
 
     def reset(self) -> None:
         """Discard all data received so far."""
@@ -295,11 +304,12 @@ class TwinNode(Node):  # type: ignore[misc]
         self._shown = set(listed)
 
     def reset_to(self, why: str, ns: int) -> None:
-        """Reset the node: time has jumped back to ``ns``."""
-        for known in self.inputs.values():
-            known.newest = min(known.newest, ns)
-        self.reset()
-        self.note("resets after a jump back in time", OK, f"{why}: the node is reset")
+        """Reset the node and its companions: time has jumped back to ``ns``."""
+        for node in self.companions:
+            for known in node.inputs.values():
+                known.newest = min(known.newest, ns)
+            node.reset()
+            node.note("resets after a jump back in time", OK, f"{why}: the node is reset")
 
     def stamp_now(self) -> TimeMessage:
         """The node's time, simulated if ``use_sim_time`` is set."""

@@ -19,6 +19,7 @@ from rclpy.validate_namespace import validate_namespace
 
 from suspension_twin.drive.types import Drive
 from suspension_twin.errors import InputError
+from suspension_twin.live.twin import DigitalTwin
 from suspension_twin.nodes.base import TwinNode
 from suspension_twin.nodes.calibrator import CalibratorNode
 from suspension_twin.nodes.imu_ingest import ImuIngestNode
@@ -40,8 +41,8 @@ KINDS = {
     "suspension_model": SuspensionModelNode,
     "calibrator": CalibratorNode,
 }
-#: Topics passed on within the process: topic, sender, receiver. No subscription is made for them, so
-#: another publisher of the same topic is ignored.
+#: Topics passed on within the process, as plain records: topic, sender, receiver. No subscription is made for them,
+#: so another publisher of the same topic is ignored.
 LINKS = (
     ("imu/data", "imu_ingest", "pose_injector"),
     ("twin/odom", "pose_injector", "suspension_model"),
@@ -129,11 +130,14 @@ class Composed:
         playback: Playback | None = None,
         sources: Sequence[str] = (),
         learn: Path | None = None,
+        *,
         executor: Executor | None = None,
     ) -> None:
+        #: The live twin, whose stages the nodes hold.
+        self.twin = DigitalTwin()
         outbox = Outbox()
         sensed = PLAYED if playback else LIVE if sources else ()
-        links = LINKS + sensed
+        links = sensed
         if learn is not None:
             links += LEARNT + tuple((topic, sender, "road_learner") for topic, sender, _ in sensed)
         self._shared = executor is not None
@@ -149,7 +153,7 @@ class Composed:
             for name, kind in (KINDS | ({} if learn is None else {"road_learner": _road_learner()})).items():
                 if self._shared and name == "calibrator":
                     continue
-                linked = frozenset(topic for topic, _, receiver in links if receiver == name)
+                linked = frozenset(topic for topic, _, receiver in LINKS + links if receiver == name)
                 embedding = Embedding(
                     context,
                     namespace,
@@ -158,13 +162,11 @@ class Composed:
                     outbox,
                     clock_jumps=playback is None,
                     bare=self._shared,
+                    twin=self.twin,
                 )
                 self.nodes[name] = kind(embedding)
                 self.executor.add_node(self.nodes[name])
-            model = self.nodes["suspension_model"]
-            if self._shared and isinstance(model, SuspensionModelNode):
-                for name in ("imu_ingest", "pose_injector"):
-                    self.nodes[name].told.append(model.on_diagnostics)
+            self._connect()
             if sources:
                 urls = Parameter("sources", value=" ".join(sources))
                 embedding = Embedding(context, namespace, (*parameters, urls), outbox=outbox)
@@ -183,6 +185,20 @@ class Composed:
         except BaseException:
             self.close()
             raise
+
+    def _connect(self) -> None:
+        """Put the stages of the nodes into one twin: a sample goes through all of them at once."""
+        self.ingest, injector, self.model = (self.nodes[name] for name in list(KINDS)[:3])
+        assert isinstance(self.ingest, ImuIngestNode) and isinstance(injector, PoseInjectorNode)
+        assert isinstance(self.model, SuspensionModelNode)
+        #: Called with what every sample gives and its stamp in ns.
+        self.outlets = self.ingest.outlets
+        self.outlets[:0] = [self.model.take, injector.take]
+        for node in (self.ingest, injector, self.model):
+            node.companions = (self.ingest, injector, self.model)
+        if self._shared:
+            for node in (self.ingest, injector):
+                node.told.append(self.model.on_diagnostics)
 
     @property
     def finished(self) -> bool:
@@ -254,8 +270,7 @@ class Composed:
 
     def condition(self) -> Condition:
         """The present state; the rates are those of the last second."""
-        model, ingest = self.nodes["suspension_model"], self.nodes["imu_ingest"]
-        assert isinstance(model, SuspensionModelNode)
+        model, ingest = self.model, self.ingest
         inputs = {t: i.state for node in self.nodes.values() for t, i in node.inputs.items()}
         shown = {"imu": "imu/data_raw", "fix": "fix", "vel": "vel", "twin": "twin/odom"}
         complaints = [

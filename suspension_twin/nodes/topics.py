@@ -27,6 +27,7 @@ from rclpy.publisher import Publisher
 from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
 
 from suspension_twin.errors import InputError
+from suspension_twin.live.twin import DigitalTwin
 
 if TYPE_CHECKING:
     from suspension_twin.nodes.base import TwinNode
@@ -139,7 +140,7 @@ class Embedding:
     """How a node is put into a process; the defaults are for a process of its own.
 
     ``linked`` names the inputs that another node of the process delivers directly, so that no
-    subscription is made for them; ``outbox`` is shared by all nodes of the process. ``clock_jumps``:
+    subscription is made for them; ``twin`` and ``outbox`` are shared by all nodes of the process. ``clock_jumps``:
     reset the node when the ROS clock jumps back. Not wanted where the stamps are passed on directly
     and the clock follows behind them. ``bare``: the executor hands on messages without what the
     middleware knows about them (rclpy 7.1's events executor fails where a callback asks for it).
@@ -152,6 +153,7 @@ class Embedding:
     outbox: Outbox | None = None
     clock_jumps: bool = True
     bare: bool = False
+    twin: DigitalTwin | None = None
 
 
 @dataclass
@@ -235,6 +237,11 @@ class Input:
             text = f"this computer is too slow: messages on {topic} waited too long and were skipped"
             self._node.note(f"messages skipped on {topic}", WARN, text, skipped)
         return message
+
+    def arrived(self, ns: int) -> None:
+        """Count what the nodes of one process hand on without a message, stamped ``ns``."""
+        self.state.received += 1
+        self.newest = max(self.newest, ns)
 
     def deliver(self, message: Any) -> None:
         """Call the handler with ``message`` and its stamp in ns; never raises because of a message."""

@@ -244,13 +244,13 @@ class LiveInputs:
         t: float,
         force: Sequence[float],
         rate: Sequence[float],
-        speed: float,
-        acceleration: float,
-        known: bool,
+        own: tuple[float, float] | None,
         out: Floats,
     ) -> bool:
-        """Fill ``out`` (11,) for a sample; ``speed`` m/s and ``acceleration`` m/s² are the filter's where ``known``.
-        True after a gap."""
+        """Fill ``out`` (11,) for a sample; ``own`` are speed m/s and acceleration m/s² by the filter, None while it is
+        not aligned. True after a gap."""
+        speed, acceleration = own or (0.0, 0.0)
+        known = own is not None
         sample = np.array((*force, *rate), dtype=np.float64)
         dt = t - self._t
         gap = not dt < 0.25
@@ -351,6 +351,12 @@ class LiveInputs:
         self._sway_weight += (s[0] ** 2 + s[1] ** 2) / variance
         self._sway_sum += (s[0] * ahead + s[1] * left) / variance
         self._sway_sum = min(max(self._sway_sum, 0.0), 1.2 * self._sway_weight)
+
+    @property
+    def up(self) -> list[float]:
+        """The vertical (3,) in body axes."""
+        up: list[float] = self._up.tolist()
+        return up
 
     # -- the first vertical -------------------------------------------------------------------
 

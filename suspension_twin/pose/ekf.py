@@ -11,6 +11,8 @@ Markov process whose variance grows with the lateral acceleration.
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
+from typing import TypeVar
 
 import numpy as np
 
@@ -26,10 +28,13 @@ __all__ = [
     "advance",
     "forward",
     "measurement_update",
+    "planar_acceleration",
     "planar_inputs",
     "planar_row",
     "smooth",
 ]
+
+Value = TypeVar("Value", float, Floats)
 
 STATES = 8
 X, Y, YAW, SPEED, ACCELERATION, LATERAL_SPEED, GYRO_BIAS, ACCELEROMETER_BIAS = range(8)
@@ -359,6 +364,20 @@ def _level(up: Floats, arm: Floats, out: Floats) -> None:  # pragma: no cover - 
     cr, sr = (up[2] / flat, up[1] / flat) if flat > 1e-9 else (1.0, 0.0)
     out[0] = math.cos(pitch) * arm[0] + math.sin(pitch) * (sr * arm[1] + cr * arm[2])
     out[1] = cr * arm[1] - sr * arm[2]
+
+
+def planar_acceleration(
+    force: Sequence[Value], rate: Sequence[Value], faster: Sequence[Value], lever: tuple[float, float, float]
+) -> tuple[Value, Value]:
+    """Acceleration in m/s² ahead and to the left of a point of a rigid body, by a sensor at ``lever`` m from it.
+
+    ``force`` is the specific force less gravity, ``rate`` rad/s and ``faster`` its derivative: three numbers each, or
+    three arrays (n,).
+    """
+    x, y, z = lever
+    spin = rate[2] * rate[2]
+    ahead = force[0] - z * faster[1] + y * faster[2] + x * spin
+    return ahead, force[1] + z * faster[0] - x * faster[2] + y * spin
 
 
 @compiled

@@ -30,6 +30,7 @@ ROWS = (
     {"inference"},
     {"calibration"},
     {"diagnosis"},
+    {"live"},
     {"report"},
     {"addons"},
     {"nodes"},

@@ -186,7 +186,7 @@ def test_whatever_goes_wrong_inside_the_node_lives_and_says_so(bench, twin_path,
         raise ZeroDivisionError("inside")
 
     with monkeypatch.context() as patched:
-        patched.setattr(node._ingest, "push", broken)
+        patched.setattr(node.twin.ingest, "push", broken)
         feed(node, [T0 + k / 100.0 for k in range(3)])
     level, text = worst(node)
     assert level == 2 and "ZeroDivisionError: inside (3 times)" in text
@@ -247,7 +247,7 @@ def test_simulated_time_that_goes_back_starts_afresh_once(bench, twin_path):
     feed(node, [T0 + k / 100.0 for k in range(300)])
     clock(T0)
     bench.until(lambda: node.health.count("resets after a jump back in time") == 1)
-    assert node._ingest.rate is None
+    assert node.twin.ingest.rate is None
     feed(node, [T0 + k / 100.0 for k in range(10)])
     clock(T0 + 3.0)
     feed(node, [T0 + 3.0 + k / 100.0 for k in range(10)])

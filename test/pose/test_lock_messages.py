@@ -322,9 +322,9 @@ def test_without_noise_it_is_there_from_the_first(say: tuple[str, ...], turn: fl
     last = valid[-1]
     assert car.off(last) < (0.05 if say == ("fix",) else 0.02)
     assert math.remainder(last.yaw - car.at(last.t)[2], 2.0 * math.pi) == pytest.approx(0.0, abs=0.02)
-    assert last.speed == pytest.approx(car.speed, abs=0.05)
-    assert (last.yaw_rate, last.ay) == pytest.approx((turn, car.speed * turn), abs=0.02)
-    assert last.ax == pytest.approx(0.0, abs=0.06)
+    assert last.motion.speed == pytest.approx(car.speed, abs=0.05)
+    assert (last.motion.yaw_rate, last.motion.ay) == pytest.approx((turn, car.speed * turn), abs=0.02)
+    assert last.motion.ax == pytest.approx(0.0, abs=0.06)
     assert lock.counts["refused"] == 0
 
 
@@ -341,7 +341,7 @@ def test_a_receiver_without_velocities_aligns_a_slow_car_too(speed: float, hertz
         state = car.imu(lock, t)
     assert lock.aligned and state is not None
     assert car.off(state) < 1.5 * sigma
-    assert state.speed == pytest.approx(speed, abs=0.3)
+    assert state.motion.speed == pytest.approx(speed, abs=0.3)
 
 
 def test_a_heading_does_not_make_a_moving_car_stand() -> None:
@@ -350,7 +350,7 @@ def test_a_heading_does_not_make_a_moving_car_stand() -> None:
     states = drive(lock, car, 5.0, say=("heading", "fix"))
     assert max(car.off(s) for s in states if s.valid) < 0.3
     assert lock.counts["refused"] == 0
-    assert states[-1].speed == pytest.approx(5.0, abs=0.02)
+    assert states[-1].motion.speed == pytest.approx(5.0, abs=0.02)
 
 
 def test_a_fix_that_is_older_than_the_velocity_is_driven_on_from() -> None:
@@ -364,7 +364,7 @@ def test_a_fix_that_is_older_than_the_velocity_is_driven_on_from() -> None:
     assert lock.aligned
     assert state is not None
     assert car.off(state) < 0.02
-    assert state.speed == pytest.approx(5.0, abs=0.02)
+    assert state.motion.speed == pytest.approx(5.0, abs=0.02)
 
 
 def test_before_the_first_sample_what_was_said_waits() -> None:

@@ -126,6 +126,7 @@ def signals(
     up: np.ndarray,
     rate_hz: float = 100.0,
     gaps: np.ndarray = NO_GAPS,
+    place: Place = IMU,
     **more: Any,
 ) -> ImuSignals:
     """Clean signals in base_link axes at IMU."""
@@ -138,7 +139,7 @@ def signals(
         "up": up,
         "standing": np.zeros(n, dtype=bool),
         "saturated": np.zeros(n, dtype=bool),
-        "facts": ImuFacts(IMU, G, rate_hz, np.zeros(3), np.zeros(3), gaps, []),
+        "facts": ImuFacts(place, G, rate_hz, np.zeros(3), np.zeros(3), gaps, []),
     }
     return ImuSignals(**{**given, **more})
 

@@ -9,15 +9,18 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from suspension_twin.nodes.follower import Pairing, PlanarRow
+from suspension_twin.live.follow import Pairing
+from suspension_twin.pose.lock import PlanarMotion, PlanarState
 
 MS = 1_000_000
 
 
-def row(ns: int) -> PlanarRow:
+def at(ns: int, **changes: object) -> tuple[int, PlanarState]:
     """Driving at 10 m/s and turning at 0.1 rad/s; everything follows from the stamp."""
     t = ns / 1e9
-    return PlanarRow(ns, 10.0 * t, -2.0 * t, math.remainder(0.1 * t, 2 * math.pi), 10.0, 0.1 * t, 0.1, True)
+    motion = PlanarMotion(10.0, 0.1 * t, 0.1)
+    yaw = math.remainder(0.1 * t, 2 * math.pi)
+    return ns, PlanarState(t, 10.0 * t, -2.0 * t, yaw, motion, True, True, (0.0,) * 6)._replace(**changes)
 
 
 @given(
@@ -36,33 +39,34 @@ def test_every_sample_between_two_poses_gets_its_pose_once_and_in_order(steps, m
         ahead = bool(poses) and (
             not samples or random.random() < 0.5 or poses[0] < samples[0] - lead * 10 * MS
         )
-        got += pairing.pose(row(poses.pop(0))) if ahead else pairing.sample(samples[0], float(samples.pop(0)))
+        got += pairing.pose(*at(poses.pop(0))) if ahead else pairing.sample(samples[0], float(samples.pop(0)))
     known = [s for k, s in enumerate(stamps) if k not in missing]
     if not known:
         assert got == []
         return
     expected = [s for s in stamps if known[0] <= s <= known[-1]]
-    assert [g.row.ns for g in got] == expected
-    assert [g.measured for g in got] == [float(s) for s in expected]
-    for found, _ in got:
-        assert found.x == pytest.approx(row(found.ns).x)
-        assert found.lateral_speed == pytest.approx(row(found.ns).lateral_speed)
+    assert [ns for ns, _, _ in got] == expected
+    assert [measured for _, _, measured in got] == [float(s) for s in expected]
+    for ns, found, _ in got:
+        _, wanted = at(ns)
+        assert found.t == wanted.t and found.x == pytest.approx(wanted.x)
+        assert found.motion.lateral_speed == pytest.approx(wanted.motion.lateral_speed)
 
 
 def test_yaw_is_taken_the_short_way_round():
     pairing = Pairing()
-    pairing.pose(row(0)._replace(yaw=3.1))
+    pairing.pose(*at(0, yaw=3.1))
     pairing.sample(5 * MS, 1.0)
-    (found,) = pairing.pose(row(10 * MS)._replace(yaw=-3.1))
-    assert abs(math.remainder(found.row.yaw - math.pi, 2 * math.pi)) < 1e-12
+    ((_, found, _),) = pairing.pose(*at(10 * MS, yaw=-3.1))
+    assert abs(math.remainder(found.yaw - math.pi, 2 * math.pi)) < 1e-12
 
 
 def test_a_guess_of_the_heading_stays_a_guess():
     pairing = Pairing()
-    pairing.pose(row(0)._replace(known=False))
+    pairing.pose(*at(0, aligned=False))
     pairing.sample(5 * MS, 1.0)
-    (found,) = pairing.pose(row(10 * MS))
-    assert not found.row.known
+    ((_, found, _),) = pairing.pose(*at(10 * MS))
+    assert not found.aligned
 
 
 def test_samples_without_a_pose_are_counted_and_not_kept_for_ever():
@@ -70,13 +74,13 @@ def test_samples_without_a_pose_are_counted_and_not_kept_for_ever():
     for k in range(1000):
         assert pairing.sample(10 * MS * (k + 1), 0.0) == []
     assert pairing.lost == 1000 - 201
-    assert pairing.pose(row(10_005 * MS)) == []
+    assert pairing.pose(*at(10_005 * MS)) == []
     assert pairing.lost == 1000
 
 
 def test_late_and_repeated_ones_are_passed_over():
     pairing = Pairing()
-    assert len(pairing.pose(row(10 * MS)) + pairing.sample(10 * MS, 1.0)) == 1
+    assert len(pairing.pose(*at(10 * MS)) + pairing.sample(10 * MS, 1.0)) == 1
     assert pairing.sample(10 * MS, 2.0) == [] and pairing.sample(9 * MS, 2.0) == []
-    assert pairing.pose(row(10 * MS)) == [] and pairing.pose(row(5 * MS)) == []
-    assert len(pairing.sample(20 * MS, 1.0) + pairing.pose(row(20 * MS))) == 1
+    assert pairing.pose(*at(10 * MS)) == [] and pairing.pose(*at(5 * MS)) == []
+    assert len(pairing.sample(20 * MS, 1.0) + pairing.pose(*at(20 * MS))) == 1

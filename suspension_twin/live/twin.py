@@ -1,0 +1,161 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The twin that follows its vehicle, without ROS: push samples, get all that the nodes publish."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cache
+from typing import NamedTuple
+
+from suspension_twin.inference.mounting import gain_of, turn_of
+from suspension_twin.live.follow import Followed, Follower, FollowSettings
+from suspension_twin.pose.lock import PlanarState, PoseLock
+from suspension_twin.pose.types import PoseSettings
+from suspension_twin.signals.checks import Finding
+from suspension_twin.signals.filters import FilterSpec, LiveLowPass
+from suspension_twin.signals.imu import ImuSettings
+from suspension_twin.signals.ingest import ImuIngest, IngestOutput, Vector
+from suspension_twin.vehicle.twin import Datum, Place, Twin
+
+__all__ = [
+    "DigitalTwin",
+    "Update",
+    "compile_stages",
+    "delay_of",
+    "digital_twin",
+    "ingest_stage",
+    "lock_stage",
+]
+
+#: Hz at which the delay of the low-pass is computed: it hardly depends on the sample rate.
+_FAST = 20_000.0
+
+
+class Update(NamedTuple):
+    """What one IMU sample gives: the filtered ``sample``, the locked ``pose`` and the twin that has ``followed`` it.
+    None for a stage that is not there, and for a pose before the first fix."""
+
+    sample: IngestOutput | None
+    pose: PlanarState | None = None
+    followed: Followed | None = None
+
+
+@dataclass
+class DigitalTwin:
+    """The three stages of a live twin: the IMU's ``ingest``, the ``lock`` of the pose, and the ``follower``.
+
+    Push every sample and every fix, velocity and heading in the order of their arrival. A stamp that is set back by
+    more than a second (a looped bag) resets the stage that it comes to. A stage may be replaced at any time; one that
+    is None is passed over.
+
+    Examples
+    --------
+    >>> from suspension_twin.vehicle.twin import load_twin
+    >>> twin = digital_twin(load_twin("bags/crg_road/twin.yaml"))
+    >>> twin.push_fix(0.0, 47.4025, 19.284, 0.0)
+    >>> updates = [twin.push_imu(0.01 * k, (0.0, 0.0, 9.81), (0.0, 0.0, 0.0)) for k in range(1, 50)]
+    >>> updates[-1].pose.aligned  # its yaw is not known before it has moved
+    False
+    """
+
+    ingest: ImuIngest | None = None
+    lock: PoseLock | None = None
+    follower: Follower | None = None
+
+    def push_imu(self, t: float, force: Vector, rate: Vector) -> Update | None:
+        """One sample at ``t`` s in the sensor's axes: specific force m/s², angular rate rad/s. None while the rate of
+        the samples is not known, and for one that was dropped."""
+        sample = None if self.ingest is None else self.ingest.push(t, force, rate)
+        if sample is None:
+            return None
+        pose = None if self.lock is None else self.lock.on_imu(t, sample.force, sample.rate)
+        return Update(sample, pose, self.follow(t, pose, sample.vertical_acceleration))
+
+    def push_fix(
+        self, t: float, latitude: float, longitude: float, altitude: float, status: int = 0, *sigmas: float
+    ) -> None:
+        """One fix at ``t`` s: degrees, m; ``status`` as in sensor_msgs/NavSatStatus, ``sigmas`` east and north in m."""
+        if self.lock is not None:
+            self.lock.on_fix(t, latitude, longitude, altitude, status, *sigmas)
+
+    def push_velocity(self, t: float, east: float, north: float) -> None:
+        """One velocity of the antenna at ``t`` s in m/s."""
+        if self.lock is not None:
+            self.lock.on_velocity(t, east, north)
+
+    def push_heading(self, t: float, yaw: float) -> None:
+        """One heading at ``t`` s: yaw of ``base_link`` in ``map`` in rad."""
+        if self.lock is not None:
+            self.lock.on_heading(t, yaw)
+
+    def follow(self, t: float, pose: PlanarState | None, measured: float) -> Followed | None:
+        """The twin at a ``pose`` of the lock or of an odometry, and the filtered ``measured`` acceleration in m/s²."""
+        if self.follower is None:
+            return None
+        if pose is None:
+            self.follower.lost += 1
+            return None
+        return self.follower.step(t, pose, measured)
+
+    def reset(self) -> None:
+        """Forget everything but settings and datum."""
+        for stage in (self.ingest, self.lock, self.follower):
+            if stage is not None:
+                stage.reset()
+
+    @property
+    def findings(self) -> list[Finding]:
+        """Oddities of the samples, the pose and the comparison, stage by stage."""
+        stages = (self.ingest, self.lock, self.follower)
+        return [finding for stage in stages if stage is not None for finding in stage.findings]
+
+
+def digital_twin(
+    twin: Twin,
+    imu: ImuSettings | None = None,
+    pose: PoseSettings | None = None,
+    follow: FollowSettings | None = None,
+) -> DigitalTwin:
+    """The live twin of a twin file; raises InputError for one that cannot be simulated.
+
+    The low-pass is that of ``imu`` on both sides: it has to be that of ``follow``, and its delay that of ``pose``.
+    """
+    imu = imu or ImuSettings()
+    pose = pose or PoseSettings(imu_delay=delay_of(imu.filter))
+    follow = follow or FollowSettings(filter=imu.filter)
+    return DigitalTwin(ingest_stage(twin, imu), lock_stage(twin, pose, twin.datum), Follower(twin, follow))
+
+
+def ingest_stage(twin: Twin | None, settings: ImuSettings) -> ImuIngest:
+    """The first stage, for the IMU of a twin file."""
+    return ImuIngest(settings, Place() if twin is None else twin.imu)
+
+
+def lock_stage(twin: Twin | None, settings: PoseSettings, datum: Datum | None) -> PoseLock:
+    """The second stage, for the sensors of a twin file; the first fix is the datum where there is none."""
+    if twin is None:
+        return PoseLock(settings, datum=datum)
+    turn, gain = turn_of(twin), gain_of(twin)
+    return PoseLock(settings, twin.gps, datum, twin.imu, turn, gain, height=twin.cog_height)
+
+
+def delay_of(spec: FilterSpec) -> float:
+    """Delay in s of a low-pass, as good as independent of the rate of the samples."""
+    return spec.delay(_FAST)
+
+
+@cache
+def compile_stages() -> None:
+    """Compile before the first message: a second of driving east, with every kind of message, one sample missing."""
+    lock = lock_stage(None, PoseSettings(), Datum(latitude=0.0, longitude=0.0))
+    twin = DigitalTwin(ingest_stage(None, ImuSettings()), lock)
+    low_pass = LiveLowPass(FilterSpec())
+    for k in range(120):
+        t = 1.0 + 0.01 * k
+        if k % 10 == 0:
+            twin.push_fix(t - 0.025, 0.0, 10.0 * t / 111_319.5, 0.0, 2)
+            twin.push_velocity(t - 0.025, 10.0, 0.0)
+            twin.push_heading(t - 0.025, 0.0)
+        if k != 110:
+            twin.push_imu(t, (0.0, 0.0, 9.81), (0.0, 0.0, 0.0))
+            low_pass.push(t, 0.0)
