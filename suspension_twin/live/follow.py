@@ -14,6 +14,7 @@ from suspension_twin.arrays import Floats
 from suspension_twin.inference.prepare import road_of
 from suspension_twin.live.gap import CalibrationGap, GapTiles, RunningGap, gap_warning
 from suspension_twin.models.live import LiveState, live_twin
+from suspension_twin.pose.ekf import planar_acceleration
 from suspension_twin.pose.lock import PlanarMotion, PlanarState
 from suspension_twin.road.build import flat_road
 from suspension_twin.road.road import Road
@@ -22,7 +23,7 @@ from suspension_twin.signals.checks import Finding
 from suspension_twin.signals.filters import FilterSpec, LiveLowPass
 from suspension_twin.vehicle.twin import Twin
 
-__all__ = ["FollowSettings", "Followed", "Follower", "Pairing", "VirtualImu"]
+__all__ = ["BodyAcceleration", "FollowSettings", "Followed", "Follower", "Pairing", "VirtualImu"]
 
 #: A sample waits this long for a pose, and a pose is kept this long for samples: ns of the stamps.
 _LIMIT = 2_000_000_000
@@ -30,6 +31,8 @@ _LIMIT = 2_000_000_000
 _JUMP, _TURN = 0.5, 0.3
 #: m/s²: no vehicle's body; beyond it the model has diverged.
 _HARDEST = 1e5
+#: s, time constant of the crossover at 0.4 Hz from the acceleration of the path to that of the IMU.
+_CROSSOVER = 1.0 / (2.0 * math.pi * 0.4)
 
 Vector = tuple[float, float, float]
 
@@ -40,8 +43,8 @@ class FollowSettings:
 
     ``filter`` is the low-pass of the simulated signal, that of the measured one; ``window`` s and ``edges`` Hz of the
     live gap and its bands; ``floor``, the residual of the calibration; ``warn``, the ratio to it from which there is a
-    warning. ``acceleration_time`` s is the time constant with which speeds are differentiated, where the odometry has
-    no accelerations.
+    warning. ``acceleration_time`` s is the time constant with which the speeds of an odometry without accelerations are
+    differentiated.
     """
 
     filter: FilterSpec = FilterSpec()
@@ -56,12 +59,21 @@ class FollowSettings:
         return RunningGap(self.window, self.edges, self.floor.rms)
 
 
+class BodyAcceleration(NamedTuple):
+    """Acceleration at the IMU's place in ``base_link`` axes, low-passed, gravity removed: ``linear`` m/s², ``angular``
+    rad/s²."""
+
+    linear: Vector
+    angular: Vector = (0.0, 0.0, 0.0)
+
+
 class Followed(NamedTuple):
-    """The twin at one sample: the ``pose`` that it was given, its ``state``, the ``measured`` vertical acceleration and
-    its own ``vertical_acceleration`` through the same low-pass, m/s², NaN where the model has diverged; ``event`` says
-    what was not an ordinary step, else empty."""
+    """The twin at one sample: the ``pose`` that it was given and the planar ``acceleration`` that excites it, its
+    ``state``, the ``measured`` vertical acceleration and its own ``vertical_acceleration`` through the same low-pass,
+    m/s², NaN where the model has diverged; ``event`` says what was not an ordinary step, else empty."""
 
     pose: PlanarState
+    acceleration: tuple[float, float]
     state: LiveState
     measured: float
     vertical_acceleration: float
@@ -79,6 +91,38 @@ class VirtualImu(NamedTuple):
     force: Vector
     rate: Vector
     orientation: Quaternion
+
+
+class PlanarAcceleration:
+    """Complementary filter of the planar acceleration that excites the model, as offline: below 0.4 Hz the path's,
+    above it the IMU's, taken to the height of the centre of gravity. ``lever`` m from there to the sensor."""
+
+    def __init__(self, lever: tuple[float, float, float]) -> None:
+        self._lever = lever
+        self.reset()
+
+    def reset(self) -> None:
+        """Begin anew with the path's."""
+        self._t = math.nan
+        self._before: Vector | None = None
+        self._ahead = self._left = 0.0
+
+    def step(
+        self, t: float, felt: BodyAcceleration, yaw_rate: float, path: tuple[float, float]
+    ) -> tuple[float, float]:
+        """m/s² ahead and to the left at ``t`` s, by the IMU, the ``yaw_rate`` rad/s and the path."""
+        dt, before = t - self._t, self._before
+        self._t, self._before = t, felt.linear
+        if before is None or not 0.0 < dt < 0.25:
+            self._ahead = self._left = 0.0
+            return path
+        # the angular acceleration is that of the middle between two samples
+        middle = 0.5 * (before[0] + felt.linear[0]), 0.5 * (before[1] + felt.linear[1])
+        ahead, left = planar_acceleration(middle, (0.0, 0.0, yaw_rate), felt.angular, self._lever)
+        share = dt / (_CROSSOVER + dt)
+        self._ahead += share * (path[0] - ahead - self._ahead)
+        self._left += share * (path[1] - left - self._left)
+        return ahead + self._ahead, left + self._left
 
 
 class Follower:
@@ -102,6 +146,8 @@ class Follower:
         self._standing_vertical = first.vertical_acceleration if twin.effects else 0.0
         self._to_sensor: list[list[float]] = rpy_matrix(twin.imu.rpy).T.tolist()
         self._mounting = quaternion(*twin.imu.rpy)
+        x, y, z = twin.imu.position
+        self._planar = PlanarAcceleration((x, y, z - twin.cog_height))
         self.configure(settings or FollowSettings())
 
     def configure(self, settings: FollowSettings) -> None:
@@ -120,19 +166,25 @@ class Follower:
         self._low_pass.reset()
         self.gap.reset()
         self.tiles.reset()
+        self._forget()
+
+    def _forget(self) -> None:
         self._t = math.nan
         self._pose: PlanarState | None = None
         self._rates = (0.0, 0.0)
+        self._planar.reset()
 
-    def step(self, t: float, pose: PlanarState, measured: float) -> Followed:
-        """Go on to ``pose`` at ``t`` s, where ``measured`` m/s² is the filtered vertical acceleration. After a jump of
-        the pose the model restarts, as after a gap in time."""
+    def step(self, t: float, pose: PlanarState, felt: BodyAcceleration) -> Followed:
+        """Go on to ``pose`` at ``t`` s, where the IMU has ``felt`` an acceleration. After a jump of the pose the model
+        restarts, as after a gap in time."""
         jump = self._jump(t, pose)
         if jump:
             self._live.reset()
-            self._pose, self._rates = None, (0.0, 0.0)
-        speed, lateral_speed, yaw_rate, ax, ay = self._motion(t, pose)
+            self._forget()
+        speed, lateral_speed, yaw_rate, _, _ = pose.motion
+        ax, ay = self._planar.step(t, felt, yaw_rate, self._path(t, pose))
         self._t, self._pose = t, pose
+        measured = felt.linear[2]
         state = self._live.step(t, pose.x, pose.y, pose.yaw, speed, lateral_speed, yaw_rate, ax, ay)
         event = jump or state.event
         if event:
@@ -141,8 +193,8 @@ class Follower:
             self._live.reset()
             self._low_pass.reset()
             self.gap.restart(t)
-            self._pose, self._rates = None, (0.0, 0.0)
-            return Followed(pose, state, measured, math.nan, "diverged: restarted")
+            self._forget()
+            return Followed(pose, (ax, ay), state, measured, math.nan, "diverged: restarted")
         filtered = self._low_pass.push(t, state.vertical_acceleration - self._standing_vertical)
         self.gap.push(t, measured, filtered, speed)
         if pose.aligned and self.gap.settled:
@@ -150,13 +202,13 @@ class Follower:
             c, s = math.cos(pose.yaw), math.sin(pose.yaw)
             x, y = pose.x + c * ahead - s * left, pose.y + s * ahead + c * left
             self.tiles.push(x, y, state.z, measured - filtered)
-        return Followed(pose, state, measured, filtered, event)
+        return Followed(pose, (ax, ay), state, measured, filtered, event)
 
-    def _motion(self, t: float, pose: PlanarState) -> PlanarMotion:
-        """The motion of a pose; accelerations that it lacks are the low-passed derivatives of the speeds."""
+    def _path(self, t: float, pose: PlanarState) -> tuple[float, float]:
+        """Acceleration of the path in m/s²; where a pose has none, by the low-passed derivatives of its speeds."""
         motion, before = pose.motion, self._pose
         if not math.isnan(motion.ax):
-            return motion
+            return motion.ax, motion.ay
         along, across = self._rates
         if before is not None and t > self._t:
             dt = t - self._t
@@ -165,7 +217,7 @@ class Follower:
             across += (motion.lateral_speed - before.motion.lateral_speed - across * dt) / share
             self._rates = along, across
         turn = motion.yaw_rate
-        return motion._replace(ax=along - turn * motion.lateral_speed, ay=across + turn * motion.speed)
+        return along - turn * motion.lateral_speed, across + turn * motion.speed
 
     def _jump(self, t: float, pose: PlanarState) -> str:
         before = self._pose
@@ -238,10 +290,10 @@ class Pairing:
         #: Samples that were dropped without a pose.
         self.lost = 0
         self._poses: deque[tuple[int, PlanarState]] = deque()
-        self._samples: deque[tuple[int, float]] = deque()
+        self._samples: deque[tuple[int, BodyAcceleration]] = deque()
         self._last_sample = 0
 
-    def pose(self, ns: int, pose: PlanarState) -> list[tuple[int, PlanarState, float]]:
+    def pose(self, ns: int, pose: PlanarState) -> list[tuple[int, PlanarState, BodyAcceleration]]:
         """Add a pose; stamp, pose and value of the samples that can be paired now, in the order of time."""
         poses = self._poses
         if poses and ns <= poses[-1][0]:
@@ -251,7 +303,7 @@ class Pairing:
             poses.popleft()
         return self._pair()
 
-    def sample(self, ns: int, value: float) -> list[tuple[int, PlanarState, float]]:
+    def sample(self, ns: int, value: BodyAcceleration) -> list[tuple[int, PlanarState, BodyAcceleration]]:
         """Add a sample; as :meth:`pose`."""
         if ns <= self._last_sample:
             return []
@@ -262,7 +314,7 @@ class Pairing:
             self.lost += 1
         return self._pair()
 
-    def _pair(self) -> list[tuple[int, PlanarState, float]]:
+    def _pair(self) -> list[tuple[int, PlanarState, BodyAcceleration]]:
         poses, samples, ready = self._poses, self._samples, []
         while samples and poses and samples[0][0] <= poses[-1][0]:
             ns, value = samples.popleft()

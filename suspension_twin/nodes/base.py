@@ -13,7 +13,6 @@ from collections.abc import Callable, Iterable, Mapping
 from collections.abc import Set as AbstractSet
 from copy import copy
 from dataclasses import dataclass, field
-from typing import Any
 
 from builtin_interfaces.msg import Time as TimeMessage
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
@@ -21,6 +20,7 @@ from rclpy.clock import Clock, JumpThreshold, TimeJump
 from rclpy.clock_type import ClockType
 from rclpy.duration import Duration
 from rclpy.event_handler import PublisherEventCallbacks, SubscriptionEventCallbacks
+from rclpy.impl.rcutils_logger import RcutilsLogger
 from rclpy.node import Node
 from rclpy.publisher import Publisher
 from rclpy.qos import QoSProfile, ReliabilityPolicy
@@ -38,6 +38,7 @@ from suspension_twin.nodes.topics import (
     Embedding,
     Input,
     InputState,
+    Message,
     Outbox,
     Output,
     type_name,
@@ -162,7 +163,7 @@ class TwinNode(Node):  # type: ignore[misc]
             namespace=self.embedding.namespace or None,
             parameter_overrides=list(self.embedding.parameters),
         )
-        self.log: Any = Node.get_logger(self)
+        self.log: RcutilsLogger = Node.get_logger(self)
         self.outbox = self.embedding.outbox or Outbox()
         self.twin = self.embedding.twin or DigitalTwin()
         #: The nodes whose stages are in one twin: they are reset together.
@@ -229,20 +230,20 @@ class TwinNode(Node):  # type: ignore[misc]
         """Whether ``got`` is the frame ``wanted``, with or without the namespace."""
         return got in (wanted, self.frame(wanted))
 
-    def create_publisher(self, *args: Any, **keywords: Any) -> Publisher:
+    def create_publisher(self, *args: object, **keywords: object) -> Publisher:
         """As in the base class, without events of the quality of service, which rclpy handles in Python at every
         callback: half of its time. Of incompatible profiles the node at the other end warns."""
         events = PublisherEventCallbacks(use_default_callbacks=False)
         return super().create_publisher(*args, event_callbacks=events, **keywords)
 
-    def create_subscription(self, *args: Any, **keywords: Any) -> Subscription:
+    def create_subscription(self, *args: object, **keywords: object) -> Subscription:
         """As in the base class, without events of the quality of service unless they are asked for, see
         :meth:`create_publisher`."""
         keywords.setdefault("event_callbacks", SubscriptionEventCallbacks(use_default_callbacks=False))
         return super().create_subscription(*args, **keywords)
 
     def listen(
-        self, kind: type, topic: str, handler: Callable[[Any, int], None], *, expected: bool = True
+        self, kind: type, topic: str, handler: Callable[[Message, int], None], *, expected: bool = True
     ) -> Input:
         """Call ``handler(message, stamp in ns)`` for every message of ``topic``."""
         state = self.health.inputs[topic] = InputState(topic, expected)
@@ -305,6 +306,7 @@ class TwinNode(Node):  # type: ignore[misc]
 
     def reset_to(self, why: str, ns: int) -> None:
         """Reset the node and its companions: time has jumped back to ``ns``."""
+        self.twin.reset()
         for node in self.companions:
             for known in node.inputs.values():
                 known.newest = min(known.newest, ns)

@@ -171,7 +171,9 @@ class ImuIngestNode(TwinNode):
             self._data_out.send(self._data)
         if self._vertical_out.wanted:
             put_stamp(self._vertical.header, ns)
-            self._vertical.accel.linear.z = sample.vertical_acceleration
+            linear, angular = self._vertical.accel.linear, self._vertical.accel.angular
+            linear.x, linear.y, linear.z = sample.acceleration
+            angular.x, angular.y, angular.z = sample.angular_acceleration
             self._vertical_out.send(self._vertical)
 
     def report(self) -> None:

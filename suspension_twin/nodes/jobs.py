@@ -36,6 +36,7 @@ __all__ = [
     "Job",
     "News",
     "Outcome",
+    "Step",
     "Work",
     "Worker",
     "calibration_job",
@@ -58,7 +59,7 @@ class Job:
 
 
 #: Fields of an action's result, without those that keep their defaults; ``message`` is one line for the user.
-Outcome = dict[str, Any]
+Outcome = dict[str, object]
 
 
 @dataclass(frozen=True)
@@ -190,7 +191,9 @@ def run_diagnosis(
     }
 
 
-#: What runs in the worker process: the job, a function for progress, a function that says whether to stop.
+#: Progress of either job.
+Step = calibration.Progress | DiagnosisStep
+#: Work of the worker process: the job, a function for progress, a function that says whether to stop.
 Work = Callable[[Job, Callable[[Any], None], Callable[[], bool]], Outcome]
 
 

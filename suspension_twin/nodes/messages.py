@@ -5,7 +5,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from typing import Protocol
 
 import numpy as np
 from geometry_msgs.msg import Quaternion, QuaternionStamped, TwistStamped
@@ -16,6 +15,7 @@ from std_msgs.msg import Header
 from suspension_twin.arrays import Floats
 from suspension_twin.drive.types import FixData, HeadingData, ImuData, VelocityData
 from suspension_twin.errors import InputError
+from suspension_twin.nodes.topics import NS, Message
 from suspension_twin.pose.lock import PlanarMotion, PlanarState
 
 __all__ = [
@@ -39,16 +39,9 @@ YAW_UNKNOWN = 1.0
 _FARTHEST, _FASTEST = 1e8, 1e3
 
 
-class Stamped(Protocol):
-    """A message with a header."""
-
-    @property
-    def header(self) -> Header: ...
-
-
 def put_stamp(header: Header, ns: int) -> None:
     """The stamp of a header, in ns."""
-    header.stamp.sec, header.stamp.nanosec = divmod(ns, 1_000_000_000)
+    header.stamp.sec, header.stamp.nanosec = divmod(ns, NS)
 
 
 def yaw_of(q: Quaternion) -> float:
@@ -158,5 +151,5 @@ def read_velocity(messages: Sequence[TwistStamped]) -> VelocityData:
     return VelocityData(_stamps(messages), np.array(enu).reshape(-1, 3))
 
 
-def _stamps(messages: Sequence[Stamped]) -> Floats:
+def _stamps(messages: Sequence[Message]) -> Floats:
     return np.array([m.header.stamp.sec + 1e-9 * m.header.stamp.nanosec for m in messages], dtype=np.float64)

@@ -183,7 +183,7 @@ def run_alone(
     make: Callable[[Embedding], Node],
     args: list[str] | None = None,
     events: bool = False,
-) -> Any:
+) -> int:
     """Run one node until it is asked to stop; return the exit status. With ``events`` rclpy's events executor serves
     it, which logs whatever a callback raises: a signal does not interrupt one then."""
     try:

@@ -18,7 +18,7 @@ from rclpy.parameter import Parameter
 from std_srvs.srv import Trigger
 
 from suspension_twin.errors import InputError
-from suspension_twin.live.follow import Follower, FollowSettings, Pairing
+from suspension_twin.live.follow import BodyAcceleration, Follower, FollowSettings, Pairing
 from suspension_twin.live.gap import GapNow, calibration_gap
 from suspension_twin.live.twin import Update, compile_stages
 from suspension_twin.nodes.base import TwinNode
@@ -91,8 +91,8 @@ class SuspensionModelNode(TwinNode):
         Param(
             "acceleration_time",
             0.1,
-            "Time constant in s of the planar acceleration, the low-passed derivative of the speeds in twin/odom; a "
-            "pose_injector in the same process gives the accelerations itself.",
+            "Time constant in s of the planar acceleration, the low-passed derivative of the speeds in twin/odom; "
+            "above 0.4 Hz it is the IMU's. A pose_injector in the same process gives the accelerations itself.",
             0.0,
             2.0,
         ),
@@ -157,14 +157,14 @@ class SuspensionModelNode(TwinNode):
         self._follow(self._pairing.pose(ns, read_odometry(message, ns / 1e9)))
 
     def _on_vertical(self, message: AccelStamped, ns: int) -> None:
-        measured = message.accel.linear.z
-        if not abs(measured) < _HARDEST:
-            raise InputError(
-                "imu/vertical_acceleration", "message dropped: linear.z is not finite or out of range"
-            )
-        self._follow(self._pairing.sample(ns, measured))
+        linear, angular = message.accel.linear, message.accel.angular
+        felt = BodyAcceleration((linear.x, linear.y, linear.z), (angular.x, angular.y, angular.z))
+        if not all(abs(value) < _HARDEST for vector in felt for value in vector):
+            text = "message dropped: a value is not finite or out of range"
+            raise InputError("imu/vertical_acceleration", text)
+        self._follow(self._pairing.sample(ns, felt))
 
-    def _follow(self, ready: list[tuple[int, PlanarState, float]]) -> None:
+    def _follow(self, ready: list[tuple[int, PlanarState, BodyAcceleration]]) -> None:
         for number, (ns, pose, measured) in enumerate(ready):
             if number:
                 self.outbox.flush()  # the same message objects are filled for the next sample

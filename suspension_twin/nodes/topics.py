@@ -18,13 +18,15 @@ import math
 import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Protocol
 
 from diagnostic_msgs.msg import DiagnosticStatus
 from rclpy.context import Context
 from rclpy.parameter import Parameter
 from rclpy.publisher import Publisher
 from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
+from rclpy.subscription import Subscription
+from std_msgs.msg import Header
 
 from suspension_twin.errors import InputError
 from suspension_twin.live.twin import DigitalTwin
@@ -43,6 +45,7 @@ __all__ = [
     "Embedding",
     "Input",
     "InputState",
+    "Message",
     "Outbox",
     "Output",
     "type_name",
@@ -77,12 +80,19 @@ def type_name(kind: type) -> str:
     return f"{package}/{group}/{kind.__name__}"
 
 
+class Message(Protocol):
+    """A message of any type; most have a header."""
+
+    @property
+    def header(self) -> Header: ...
+
+
 class Outbox:
     """Messages to be published at the end of the callback that filled them. One for each thread of nodes."""
 
     def __init__(self) -> None:
         self._depth = 0
-        self._waiting: list[tuple[Publisher, Any]] = []
+        self._waiting: list[tuple[Publisher, object]] = []
 
     def enter(self) -> None:
         """A callback begins."""
@@ -94,7 +104,7 @@ class Outbox:
         if self._waiting and not self._depth:
             self.flush()
 
-    def add(self, publisher: Publisher, message: Any) -> None:
+    def add(self, publisher: Publisher, message: object) -> None:
         """Publish ``message`` when the outermost callback ends; at once outside of any callback."""
         self._waiting.append((publisher, message))
         if not self._depth:
@@ -114,11 +124,11 @@ class Output:
         self.publisher = publisher
         # Called for every message: the handle itself, without the publisher's lock around it.
         self._listeners: Callable[[], int] = publisher.handle.get_subscription_count
-        self.links: list[Callable[[Any], None]] = []
+        self.links: list[Callable[[Message], None]] = []
         self.sent = 0
         self._outbox = outbox
 
-    def send(self, message: Any, urgent: bool = False) -> None:
+    def send(self, message: Message, urgent: bool = False) -> None:
         """Call the links with ``message``, then publish it at the end of the outermost callback, until
         which it must not change; an ``urgent`` message is published at once, before the links."""
         self.sent += 1
@@ -168,8 +178,9 @@ class InputState:
     silent_for: float = 0.0
     warned: bool = False
     why: str = ""
-    _counted: int = 0
-    _last: float = math.nan
+
+    def __post_init__(self) -> None:
+        self._counted, self._last = 0, math.nan
 
     def measure(self, now: float, interval: float) -> None:
         """Update ``silent_for`` at ``now`` s and ``rate`` over the last ``interval`` s."""
@@ -190,16 +201,16 @@ def _waited(about: Mapping[str, int]) -> int:
 class Input:
     """One subscribed topic. ``deliver`` takes a message from a subscription or from a linked output."""
 
-    def __init__(self, node: TwinNode, state: InputState, handler: Callable[[Any, int], None]) -> None:
+    def __init__(self, node: TwinNode, state: InputState, handler: Callable[[Message, int], None]) -> None:
         self.state = state
         self.newest = 0
         #: None where a linked output delivers.
-        self.subscription: Any = None
+        self.subscription: Subscription | None = None
         self._node = node
         self._outbox = node.outbox
         self._handler = handler
 
-    def receive(self, message: Any, about: Mapping[str, int]) -> None:
+    def receive(self, message: Message, about: Mapping[str, int]) -> None:
         """Deliver ``message`` and those that wait behind it in the queue of the subscription.
 
         A node that gets too little of the processor would answer ever later, until its queue is full: messages that
@@ -215,17 +226,17 @@ class Input:
             message, about = taken
         self.deliver(message)
 
-    def receive_bare(self, message: Any) -> None:
+    def receive_bare(self, message: Message) -> None:
         """:meth:`receive` where it is not known how long ``message`` has waited; of those behind it, it is."""
         self.receive(message, {})
 
-    def _take(self) -> tuple[Any, Mapping[str, int]] | None:
+    def _take(self) -> tuple[Message, Mapping[str, int]] | None:
         """The next message of the queue and what the middleware knows about it."""
-        taken: tuple[Any, Mapping[str, int]] | None
+        taken: tuple[Message, Mapping[str, int]] | None
         taken = self.subscription.handle.take_message(self.subscription.msg_type, False)
         return taken
 
-    def _newest(self, message: Any) -> Any:
+    def _newest(self, message: Message) -> Message:
         """The first message of the queue that has not waited, else the last."""
         skipped = 0
         while (taken := self._take()) is not None:
@@ -243,7 +254,7 @@ class Input:
         self.state.received += 1
         self.newest = max(self.newest, ns)
 
-    def deliver(self, message: Any) -> None:
+    def deliver(self, message: Message) -> None:
         """Call the handler with ``message`` and its stamp in ns; never raises because of a message."""
         node, topic = self._node, self.state.topic
         self.state.received += 1

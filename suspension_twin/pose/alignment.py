@@ -24,7 +24,11 @@ from suspension_twin.pose.ekf import (
 )
 from suspension_twin.pose.types import SLOPE_TIME, SWAY_SIGMA
 from suspension_twin.signals.attitude import up_step
-from suspension_twin.signals.imu import MAX_TILT_DIFFERENCE, StillLimits, standstill_filter_step
+from suspension_twin.signals.imu import (
+    MAX_TILT_DIFFERENCE,
+    StillLimits,
+    standstill_filter_step,
+)
 from suspension_twin.vehicle.twin import Place
 
 __all__ = [
@@ -351,12 +355,6 @@ class LiveInputs:
         self._sway_weight += (s[0] ** 2 + s[1] ** 2) / variance
         self._sway_sum += (s[0] * ahead + s[1] * left) / variance
         self._sway_sum = min(max(self._sway_sum, 0.0), 1.2 * self._sway_weight)
-
-    @property
-    def up(self) -> list[float]:
-        """The vertical (3,) in body axes."""
-        up: list[float] = self._up.tolist()
-        return up
 
     # -- the first vertical -------------------------------------------------------------------
 

@@ -13,8 +13,8 @@ import numpy as np
 
 from suspension_twin.arrays import Floats
 from suspension_twin.pose import ekf
-from suspension_twin.pose.alignment import GRAVITY, LEVEL_WALK, MOVING_WALK, LiveInputs
-from suspension_twin.pose.ekf import SPEED, YAW, X, Y, planar_acceleration
+from suspension_twin.pose.alignment import LEVEL_WALK, MOVING_WALK, LiveInputs
+from suspension_twin.pose.ekf import SPEED, YAW, X, Y
 from suspension_twin.pose.history import History, Measurement
 from suspension_twin.pose.local_map import LocalMap
 from suspension_twin.pose.types import REVERSE_SPEED, REVERSE_TIME, VELOCITY_SHARE, PoseSettings, fix_sigma
@@ -131,50 +131,14 @@ class VelocityNoise:
             self.sigma = min(max(sigma, self._least), _LARGEST * self._least)
 
 
-#: s, time constant of the crossover at 0.4 Hz from the acceleration of the path to that of the IMU, as offline.
-_CROSSOVER = 1.0 / (2.0 * math.pi * 0.4)
 AHEAD = 5.0  # s that a fix may be ahead of the IMU and still wait for it
 PAUSE = 60.0  # s after which nothing is left of the pose
 MAX_FORCE, MAX_TURN = 2000.0, 200.0  # m/s² and rad/s that no sensor of a vehicle sends
 
 
-class PlanarAcceleration:
-    """Complementary filter of the planar acceleration at the height of the centre of gravity: the path's below 0.4 Hz,
-    the IMU's above. ``lever`` m from there to the sensor: ahead, to the left, up."""
-
-    def __init__(self, lever: tuple[float, float, float]) -> None:
-        self._lever = lever
-        self.reset()
-
-    def reset(self) -> None:
-        """Begin anew with the path's."""
-        self._t = math.nan
-        self._rate: Sequence[float] = (0.0, 0.0, 0.0)
-        self._offset = [0.0, 0.0]
-
-    def step(
-        self, t: float, sample: Sequence[Sequence[float]], up: Sequence[float], path: tuple[float, float]
-    ) -> tuple[float, float]:
-        """m/s² ahead and to the left at ``t`` s: ``sample`` of specific force and rate, the vertical ``up`` (3,) in
-        body axes, and the acceleration of the path."""
-        force, rate = sample
-        dt = t - self._t
-        begins = not 0.0 < dt < 0.25
-        before = rate if begins else self._rate
-        dt = 1.0 if begins else dt
-        faster = [(now - last) / dt for now, last in zip(rate, before, strict=True)]
-        free = [f - GRAVITY * u for f, u in zip(force, up, strict=True)]
-        quick = planar_acceleration(free, rate, faster, self._lever)
-        share = 1.0 if begins else dt / (_CROSSOVER + dt)
-        self._t, self._rate = t, rate
-        for k in range(2):
-            self._offset[k] += share * (path[k] - quick[k] - self._offset[k])
-        return quick[0] + self._offset[0], quick[1] + self._offset[1]
-
-
 class PlanarMotion(NamedTuple):
-    """Motion in the plane, axes of ``base_link``: speeds m/s, yaw rate rad/s, accelerations m/s² as in a
-    :class:`~suspension_twin.pose.types.Trajectory`; NaN for accelerations that are not known."""
+    """Motion in the plane, axes of ``base_link``: speeds m/s, yaw rate rad/s, accelerations of the path m/s², NaN where
+    they are not known."""
 
     speed: float = 0.0
     lateral_speed: float = 0.0
@@ -219,8 +183,6 @@ class PoseLock:
         Roll, pitch and yaw in rad by which the sensor is turned beyond its mounting.
     imu_gain : float
         Gain of the specific force that it reads.
-    height : float
-        Height in m of the centre of gravity, whose planar acceleration is given.
 
     Examples
     --------
@@ -239,8 +201,6 @@ class PoseLock:
         imu_place: Place | None = None,
         imu_turn: tuple[float, float, float] | None = None,
         imu_gain: float = 1.0,
-        *,
-        height: float = 0.0,
     ) -> None:
         self.settings = settings or PoseSettings()
         self._gps = gps_place or Place(frame="gps_link")
@@ -248,8 +208,6 @@ class PoseLock:
         self._turn = None if imu_turn is None else rpy_matrix(imu_turn)
         self._gain = imu_gain
         self._given_datum = datum
-        x, y, z = self._imu.position
-        self._acceleration = PlanarAcceleration((x, y, z - height))
         self._filter_delay = self.settings.imu_delay + STANDSTILL_FILTER_DELAY
         self._walk = max(self.settings.force_bias_walk, LEVEL_WALK)
         self._history = History(self.settings.history, self.settings.noise())
@@ -260,7 +218,6 @@ class PoseLock:
         self.counts: Counter[str] = Counter()
         self._map = LocalMap(self._given_datum) if self._given_datum else None
         self._live = LiveInputs(self._imu, self._gps)
-        self._acceleration.reset()
         self._blend = Blend(self.settings.blend, self.settings.blend_speed, self.settings.snap)
         self._noise = VelocityNoise(self.settings.velocity_sigma)
         self._history.clear()
@@ -377,7 +334,7 @@ class PoseLock:
             self._waiting = [w for w in self._waiting if w[0] > t]
             for stamp, kind, z in ready:
                 self._take(stamp, kind, z)
-        state = self._output(force, rate)
+        state = self._output()
         if state is not None and not math.isfinite(state.x + state.y + state.yaw + sum(state.motion)):
             self.reset()
             self.counts["not_finite"] += 1
@@ -552,7 +509,7 @@ class PoseLock:
         self._live.forget_course()
         self.counts["turned_round"] += 1
 
-    def _output(self, force: Sequence[float], rate: Sequence[float]) -> PlanarState | None:
+    def _output(self) -> PlanarState | None:
         history, delay = self._history, self._filter_delay
         t = history.stamp(history.head)
         if not self._aligned:
@@ -569,13 +526,12 @@ class PoseLock:
         c, s = math.cos(yaw), math.sin(yaw)
         speed = v + delay * acceleration + dv
         p = history.covariance(history.head)
-        ax, ay = self._acceleration.step(t, (force, rate), self._live.up, (acceleration, speed * omega))
         return PlanarState(
             t + delay,
             x + delay * (v * c - side * s) + dx,
             y + delay * (v * s + side * c) + dy,
             yaw,
-            PlanarMotion(speed, side, omega, ax, ay),
+            PlanarMotion(speed, side, omega, acceleration, speed * omega),
             True,
             t - self._last_good_fix <= self.settings.outage,
             (

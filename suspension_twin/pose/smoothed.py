@@ -274,6 +274,7 @@ def locked_trajectory(
     gps_place: Place,
     datum: Datum,
     t: Floats,
+    *,
     settings: PoseSettings | None = None,
     upright: bool = False,
 ) -> Trajectory:
@@ -334,7 +335,8 @@ def locked_trajectory(
         smooth(now.t, now.inputs, noise, states, covariances)
         share = _sway_share(now, states, share)
         factor = _noise_factors(_with(nodes, share, np.ones(nodes.t.size)), states)
-    return _evaluate(np.asarray(t, dtype=np.float64), nodes, factor, states, signals, rows, settings)
+    t = np.asarray(t, dtype=np.float64)
+    return _evaluate(t, nodes, states, signals, rows, _valid(t, nodes, factor, settings))
 
 
 def _with(nodes: Nodes, share: float, factor: Floats) -> Nodes:
@@ -393,11 +395,10 @@ def _noise_factors(nodes: Nodes, states: Floats) -> Floats:
 def _evaluate(
     t: Floats,
     nodes: Nodes,
-    factor: Floats,
     states: Floats,
     signals: ImuSignals,
     rows: Floats,
-    settings: PoseSettings,
+    valid: NDArray[np.bool_],
 ) -> Trajectory:
     """Between the nodes: cubics through position and velocity, so both stay in step."""
     from scipy.interpolate import CubicHermiteSpline  # a fifth of a second, which live nodes do not wait for
@@ -421,7 +422,7 @@ def _evaluate(
         yaw_rate=yaw_rate,
         ax=np.interp(inside, at, acceleration),
         ay=speed * yaw_rate,
-        valid=_valid(t, nodes, factor, settings) & (t >= at[0]) & (t <= at[-1]),
+        valid=valid & (t >= at[0]) & (t <= at[-1]),
     )
 
 

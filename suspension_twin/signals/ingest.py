@@ -63,10 +63,10 @@ def ingest_step(
     out: Floats,
 ) -> None:  # pragma: no cover - compiled
     """One sample: ``turn`` (6, 3) scale and rotation, ``bias`` (6,) of force and rate,
-    ``up_bias`` (3,) the attitude's own, ``last`` (7,) the row before, ``soft`` (3, 6) and ``block`` (19,) the
-    standstill window, ``out`` (16,). ``missing`` rows are interpolated into the filter; below 0 the filter starts
-    anew. Of a sensor that has ``removed`` gravity, only as much is put back as the setting says."""
-    row = np.empty(7)
+    ``up_bias`` (3,) the attitude's own, ``last`` (12,) the row before and the filtered rate, ``soft`` (3, 6) and
+    ``block`` (19,) the standstill window, ``out`` (21,). ``missing`` rows are interpolated into the filter; below 0
+    it starts anew. Of a sensor that has ``removed`` gravity, only as much is put back as the setting says."""
+    row = np.empty(9)
     for k in range(3):
         f = 0.0
         w = 0.0
@@ -83,35 +83,38 @@ def ingest_step(
         block[13 + k] += off / block[0]
         block[7 + k] += off * (soft[2, k] - block[13 + k])
     if removed:
-        row[6] = row[2]
-        if restore:
-            for k in range(3):
+        for k in range(3):
+            row[6 + k] = row[k]
+            if restore:
                 row[k] += gravity * up[k]
     else:
         up_step(up, up_bias, row[0:3], row[3:6], dt, gravity, gain, 0.02)
-        row[6] = row[2] - gravity * up[2]
+        for k in range(3):
+            row[6 + k] = row[k] - gravity * up[k]
     if missing < 0:
         settle(zi, state, row)
     else:
-        between = np.empty(7)
+        between = np.empty(9)
         for m in range(missing):
             part = (m + 1.0) / (missing + 1.0)
-            for k in range(7):
+            for k in range(9):
                 between[k] = last[k] + part * (row[k] - last[k])
-            filter_row(sos, state, between, out[0:7])
-    filter_row(sos, state, row, out[0:7])
-    for k in range(7):
+            filter_row(sos, state, between, out[0:9])
+    filter_row(sos, state, row, out[0:9])
+    for k in range(9):
         last[k] = row[k]
     for k in range(6):
-        out[7 + k] = row[k]
+        out[9 + k] = row[k]
     for k in range(3):
-        out[13 + k] = up[k]
+        out[15 + k] = up[k]
+        out[18 + k] = 0.0 if missing < 0 or dt <= 0.0 else (out[3 + k] - last[9 + k]) / dt
+        last[9 + k] = out[3 + k]
 
 
 #: No sensor of a vehicle sends this much, in whatever unit.
 ABSURD = 1.0e5
-#: Of a row of ``ingest_step``: specific force, vertical acceleration and raw specific force.
-_FORCES = [0, 1, 2, 6, 7, 8, 9]
+#: Of a row of ``ingest_step``: specific force, acceleration and raw specific force.
+_FORCES = [0, 1, 2, 6, 7, 8, 9, 10, 11]
 Vector = tuple[float, float, float]
 
 
@@ -119,17 +122,24 @@ class IngestOutput(NamedTuple):
     """One sample, all vectors in ``base_link`` axes at the sensor's place.
 
     ``t`` s; ``force`` m/s² specific force, bias removed, filtered, gravity kept; ``rate`` rad/s, the same;
-    ``vertical_acceleration`` m/s² filtered, gravity removed; ``raw_force`` and ``raw_rate`` unfiltered,
-    bias removed; ``up`` the unit vector opposite to gravity.
+    ``acceleration`` m/s² the filtered force without gravity; ``raw_force`` and ``raw_rate`` unfiltered,
+    bias removed; ``up`` the unit vector opposite to gravity; ``angular_acceleration`` rad/s², the change of the
+    filtered rate since the sample before, 0 after a pause.
     """
 
     t: float
     force: Vector
     rate: Vector
-    vertical_acceleration: float
+    acceleration: Vector
     raw_force: Vector
     raw_rate: Vector
     up: Vector
+    angular_acceleration: Vector
+
+    @property
+    def vertical_acceleration(self) -> float:
+        """m/s², filtered, gravity removed."""
+        return self.acceleration[2]
 
 
 class ImuIngest:
@@ -182,7 +192,7 @@ class ImuIngest:
         self._reading = ImuReading(self.settings, self.place, self.settings.latitude)
         self._up_bias = np.zeros(3)
         self._up = np.array([0.0, 0.0, 1.0])
-        self._last = np.zeros(7)
+        self._last = np.zeros(12)
         self._last_t = math.nan
         self._block = np.zeros(19)
         self._soft = np.zeros((3, 6))
@@ -261,7 +271,7 @@ class ImuIngest:
             missing = round(dt * self._designed) - 1
             self.counts["missing"] += missing
         self._last_t = t
-        out = np.empty(16)
+        out = np.empty(21)
         gain = (10.0 if self._still_blocks >= 2 else 1.0) / self.settings.attitude_time
         ingest_step(
             self._turn,
@@ -288,15 +298,8 @@ class ImuIngest:
         if self._reading.unit != 1.0:  # a sensor in g that is to be left so
             out[_FORCES] /= self._reading.unit
         v = out.tolist()
-        return IngestOutput(
-            t,
-            (v[0], v[1], v[2]),
-            (v[3], v[4], v[5]),
-            v[6],
-            (v[7], v[8], v[9]),
-            (v[10], v[11], v[12]),
-            (v[13], v[14], v[15]),
-        )
+        vectors = zip(v[::3], v[1::3], v[2::3], strict=True)
+        return IngestOutput(t, *vectors)
 
     def _note(self, code: str, finding: Finding | None) -> None:
         for known in [k for k in self._findings if k.split(".")[0] == code]:
@@ -316,9 +319,9 @@ class ImuIngest:
         self._note("cutoff", note)
         self._note("rate", check_rate(rate_hz))
         self._zi = steady_state(self._sos)
-        self._state = np.zeros((self._sos.shape[0], 2, 7))
+        self._state = np.zeros((self._sos.shape[0], 2, 9))
         if math.isfinite(self._designed):
-            settle(self._zi, self._state, self._last)
+            settle(self._zi, self._state, self._last[:9])
         self._designed = rate_hz
         self._block_size = max(round(self.settings.still.window * rate_hz), 8)
 

@@ -24,7 +24,7 @@ def lock(scene: object, drive: Drive | None = None, settings: PoseSettings | Non
     """The trajectory at the IMU's own stamps."""
     drive = drive or scene.drive
     signals = ingest_drive(drive, scene.imu)
-    return locked_trajectory(drive, signals, scene.gps, scene.datum, signals.t, settings)
+    return locked_trajectory(drive, signals, scene.gps, scene.datum, signals.t, settings=settings)
 
 
 def errors(found: Trajectory, truth: Trajectory, part: slice | np.ndarray = slice(None)) -> dict[str, float]:
