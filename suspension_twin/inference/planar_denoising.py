@@ -70,7 +70,7 @@ def _quick(signals: ImuSignals, centre: float) -> tuple[Floats, Floats]:
     force = zero_phase(spec, signals.rate_hz, signals.force - signals.gravity * signals.up)
     x, y, z = signals.place.position
     faster = np.gradient(rate, signals.t, axis=0)
-    return planar_acceleration(force.T, rate.T, faster.T, (x, y, z - centre))
+    return planar_acceleration(tuple(force.T), tuple(rate.T), tuple(faster.T), (x, y, z - centre))
 
 
 def wiener(

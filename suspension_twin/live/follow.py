@@ -12,7 +12,7 @@ import numpy as np
 
 from suspension_twin.arrays import Floats
 from suspension_twin.inference.prepare import road_of
-from suspension_twin.live.gap import CalibrationGap, GapTiles, RunningGap, gap_warning
+from suspension_twin.live.gap import STANDING_SPEED, CalibrationGap, GapTiles, RunningGap, gap_warning
 from suspension_twin.models.live import LiveState, live_twin
 from suspension_twin.pose.ekf import planar_acceleration
 from suspension_twin.pose.lock import PlanarMotion, PlanarState
@@ -105,24 +105,26 @@ class PlanarAcceleration:
         """Begin anew with the path's."""
         self._t = math.nan
         self._before: Vector | None = None
-        self._ahead = self._left = 0.0
+        self._offset: tuple[float, float] | None = None
 
     def step(
-        self, t: float, felt: BodyAcceleration, yaw_rate: float, path: tuple[float, float]
+        self, t: float, felt: BodyAcceleration, motion: PlanarMotion, path: tuple[float, float]
     ) -> tuple[float, float]:
-        """m/s² ahead and to the left at ``t`` s, by the IMU, the ``yaw_rate`` rad/s and the path."""
+        """m/s² ahead and to the left at ``t`` s, by the IMU, the yaw rate of the ``motion``, and the path's; the path's
+        alone after a pause and while the vehicle stands, when the IMU has but noise."""
         dt, before = t - self._t, self._before
         self._t, self._before = t, felt.linear
-        if before is None or not 0.0 < dt < 0.25:
-            self._ahead = self._left = 0.0
+        if before is None or not 0.0 < dt < 0.25 or abs(motion.speed) < STANDING_SPEED:
+            self._offset = None
             return path
         # the angular acceleration is that of the middle between two samples
         middle = 0.5 * (before[0] + felt.linear[0]), 0.5 * (before[1] + felt.linear[1])
-        ahead, left = planar_acceleration(middle, (0.0, 0.0, yaw_rate), felt.angular, self._lever)
+        x, y = planar_acceleration(middle, (0.0, 0.0, motion.yaw_rate), felt.angular, self._lever)
+        ahead, left = self._offset or (path[0] - x, path[1] - y)
         share = dt / (_CROSSOVER + dt)
-        self._ahead += share * (path[0] - ahead - self._ahead)
-        self._left += share * (path[1] - left - self._left)
-        return ahead + self._ahead, left + self._left
+        ahead, left = ahead + share * (path[0] - x - ahead), left + share * (path[1] - y - left)
+        self._offset = ahead, left
+        return x + ahead, y + left
 
 
 class Follower:
@@ -182,7 +184,7 @@ class Follower:
             self._live.reset()
             self._forget()
         speed, lateral_speed, yaw_rate, _, _ = pose.motion
-        ax, ay = self._planar.step(t, felt, yaw_rate, self._path(t, pose))
+        ax, ay = self._planar.step(t, felt, pose.motion, self._path(t, pose))
         self._t, self._pose = t, pose
         measured = felt.linear[2]
         state = self._live.step(t, pose.x, pose.y, pose.yaw, speed, lateral_speed, yaw_rate, ax, ay)
