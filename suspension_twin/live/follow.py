@@ -70,7 +70,7 @@ class BodyAcceleration(NamedTuple):
 class Followed(NamedTuple):
     """The twin at one sample: the ``pose`` that it was given and the planar ``acceleration`` that excites it, its
     ``state``, the ``measured`` vertical acceleration and its own ``vertical_acceleration`` through the same low-pass,
-    m/s², NaN where the model has diverged; ``event`` says what was not an ordinary step, else empty."""
+    m/s², NaN where the model has diverged; ``event`` names a restart or a gap, else empty."""
 
     pose: PlanarState
     acceleration: tuple[float, float]
@@ -108,18 +108,18 @@ class PlanarAcceleration:
         self._offset: tuple[float, float] | None = None
 
     def step(
-        self, t: float, felt: BodyAcceleration, motion: PlanarMotion, path: tuple[float, float]
+        self, t: float, sensed: BodyAcceleration, motion: PlanarMotion, path: tuple[float, float]
     ) -> tuple[float, float]:
         """m/s² ahead and to the left at ``t`` s, by the IMU, the yaw rate of the ``motion``, and the path's; the path's
         alone after a pause and while the vehicle stands, when the IMU has but noise."""
         dt, before = t - self._t, self._before
-        self._t, self._before = t, felt.linear
+        self._t, self._before = t, sensed.linear
         if before is None or not 0.0 < dt < 0.25 or abs(motion.speed) < STANDING_SPEED:
             self._offset = None
             return path
         # the angular acceleration is that of the middle between two samples
-        middle = 0.5 * (before[0] + felt.linear[0]), 0.5 * (before[1] + felt.linear[1])
-        x, y = planar_acceleration(middle, (0.0, 0.0, motion.yaw_rate), felt.angular, self._lever)
+        middle = 0.5 * (before[0] + sensed.linear[0]), 0.5 * (before[1] + sensed.linear[1])
+        x, y = planar_acceleration(middle, (0.0, 0.0, motion.yaw_rate), sensed.angular, self._lever)
         ahead, left = self._offset or (path[0] - x, path[1] - y)
         share = dt / (_CROSSOVER + dt)
         ahead, left = ahead + share * (path[0] - x - ahead), left + share * (path[1] - y - left)
@@ -176,17 +176,17 @@ class Follower:
         self._rates = (0.0, 0.0)
         self._planar.reset()
 
-    def step(self, t: float, pose: PlanarState, felt: BodyAcceleration) -> Followed:
-        """Go on to ``pose`` at ``t`` s, where the IMU has ``felt`` an acceleration. After a jump of the pose the model
+    def step(self, t: float, pose: PlanarState, measured: BodyAcceleration) -> Followed:
+        """Go on to ``pose`` at ``t`` s, ``measured`` by the IMU. After a jump of the pose the model
         restarts, as after a gap in time."""
         jump = self._jump(t, pose)
         if jump:
             self._live.reset()
             self._forget()
         speed, lateral_speed, yaw_rate, _, _ = pose.motion
-        ax, ay = self._planar.step(t, felt, pose.motion, self._path(t, pose))
+        ax, ay = self._planar.step(t, measured, pose.motion, self._path(t, pose))
         self._t, self._pose = t, pose
-        measured = felt.linear[2]
+        vertical = measured.linear[2]
         state = self._live.step(t, pose.x, pose.y, pose.yaw, speed, lateral_speed, yaw_rate, ax, ay)
         event = jump or state.event
         if event:
@@ -196,15 +196,15 @@ class Follower:
             self._low_pass.reset()
             self.gap.restart(t)
             self._forget()
-            return Followed(pose, (ax, ay), state, measured, math.nan, "diverged: restarted")
+            return Followed(pose, (ax, ay), state, vertical, math.nan, "diverged: restarted")
         filtered = self._low_pass.push(t, state.vertical_acceleration - self._standing_vertical)
-        self.gap.push(t, measured, filtered, speed)
+        self.gap.push(t, vertical, filtered, speed)
         if pose.aligned and self.gap.settled:
             ahead, left, _ = self.twin.imu.position
             c, s = math.cos(pose.yaw), math.sin(pose.yaw)
             x, y = pose.x + c * ahead - s * left, pose.y + s * ahead + c * left
-            self.tiles.push(x, y, state.z, measured - filtered)
-        return Followed(pose, (ax, ay), state, measured, filtered, event)
+            self.tiles.push(x, y, state.z, vertical - filtered)
+        return Followed(pose, (ax, ay), state, vertical, filtered, event)
 
     def _path(self, t: float, pose: PlanarState) -> tuple[float, float]:
         """Acceleration of the path in m/s²; where a pose has none, by the low-passed derivatives of its speeds."""

@@ -89,8 +89,8 @@ class DigitalTwin:
         if sample is None:
             return None
         pose = None if self.lock is None else self.lock.on_imu(t, sample.force, sample.rate)
-        felt = BodyAcceleration(sample.acceleration, sample.angular_acceleration)
-        return Update(sample, pose, self.follow(t, pose, felt))
+        measured = BodyAcceleration(sample.acceleration, sample.angular_acceleration)
+        return Update(sample, pose, self.follow(t, pose, measured))
 
     def push_fix(
         self, t: float, latitude: float, longitude: float, altitude: float, status: int = 0, *sigmas: float

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What the four nodes have in common: parameters, inputs, outputs, diagnostics, reset.
+"""Base of the nodes: parameters, inputs, outputs, diagnostics, reset.
 
 No message stops a node: an exception in a handler becomes a diagnostics entry, a count and one line
 in the log.
@@ -72,7 +72,7 @@ COMMON = (
         "max_backlog",
         2.0,
         "Time in s that a message may wait for a node on a computer that is too slow; then the node goes on with the "
-        "newest message and says so. With use_sim_time nothing is skipped.",
+        "newest message and warns. With use_sim_time nothing is skipped.",
         0.1,
         3600.0,
     ),
@@ -177,7 +177,7 @@ class TwinNode(Node):  # type: ignore[misc]
         self._read_limits()
         self._diagnostics = self.create_publisher(DiagnosticArray, "/diagnostics", 10)
         #: Called with every diagnostics message, beside the topic.
-        self.told: list[Callable[[DiagnosticArray], None]] = []
+        self.diagnostics_links: list[Callable[[DiagnosticArray], None]] = []
         self._measured_at = time.monotonic()
         self._clock_at, self._clock_still = -1.0, 0.0
         #: Whether the clock stands still because somebody paused the replay.
@@ -285,7 +285,7 @@ class TwinNode(Node):  # type: ignore[misc]
         self.note(f"wrong frame_id on {topic}", WARN, text)
 
     def note_counts(self, counts: Mapping[str, int], texts: Mapping[str, str]) -> None:
-        """Warn of every counter that has grown since the last call; ``texts`` says what it counts."""
+        """Warn of every counter that has grown since the last call; ``texts`` are the warnings."""
         for code, text in texts.items():
             new = counts[code] - self._counted.get(code, 0)
             if new > 0:
@@ -342,8 +342,8 @@ class TwinNode(Node):  # type: ignore[misc]
         message = DiagnosticArray(status=self.health.statuses())
         message.header.stamp = self.stamp_now()
         self._diagnostics.publish(message)
-        for tell in self.told:
-            tell(message)
+        for link in self.diagnostics_links:
+            link(message)
 
     def _find(self, code: str, holds: bool, text: str) -> None:
         """Show a warning while it holds, and log it when it begins."""

@@ -129,7 +129,7 @@ class CalibratorNode(TwinNode):
 
     def __init__(self, embedding: Embedding | None = None, works: Mapping[str, Work] | None = None) -> None:
         super().__init__("calibrator", embedding)
-        #: What the worker does for a goal, by the name of the action.
+        #: Work of the worker for a goal, by the name of the action.
         self.works: dict[str, Work] = {a.name: a.work for a in ACTIONS} | dict(works or {})
         self._running: _Running | None = None
         self._timer: Timer | None = None

@@ -67,7 +67,7 @@ PLAYED = (
 
 #: And so does the node of live sources.
 LIVE = tuple((topic, "source", receiver) for topic, _, receiver in PLAYED)
-#: What the node that learns the road gets beside the others.
+#: Inputs of the node that learns the road beside the others.
 LEARNT = (("twin/odom", "pose_injector", "road_learner"),)
 #: With live sources: s between the executor's turns, and s that one of its callbacks waits at most for a sample to come
 #: first.
@@ -206,7 +206,7 @@ class Composed:
             node.companions = (self.ingest, injector, self.model)
         if self._shared:
             for node in (self.ingest, injector):
-                node.told.append(self.model.on_diagnostics)
+                node.diagnostics_links.append(self.model.on_diagnostics)
 
     @property
     def finished(self) -> bool:
@@ -268,7 +268,7 @@ class Composed:
 
     @property
     def notes(self) -> list[str]:
-        """What the live sources have to tell the user."""
+        """Lines of the live sources for the user."""
         source = self.nodes.get("source")
         return source.notes if isinstance(source, SourceNode) else []
 
@@ -362,7 +362,7 @@ class TwinFleet:
 
 
 class Helpers:
-    """Processes that hold a share of the twins each, and say every second how these are.
+    """Processes that hold a share of the twins each, and report their conditions every second.
 
     ``shares`` has the twins of each process, ``arguments`` are those for ROS. Raises what a process raises while it
     starts. A context manager: at its end the processes end.
@@ -406,7 +406,7 @@ class Helpers:
             self._take(connection)
 
     def conditions(self) -> dict[str, Condition]:
-        """The state of every twin as it was last said, by namespace.
+        """The state of every twin by its last report, by namespace.
 
         Raises WorkError where a process has ended."""
         for process, connection in self._processes:
@@ -420,10 +420,10 @@ class Helpers:
         return dict(self._known)
 
     def _take(self, connection: Connection) -> None:
-        said = connection.recv()
-        if isinstance(said, SuspensionTwinError):
-            raise said
-        self._known.update(said)
+        report = connection.recv()
+        if isinstance(report, SuspensionTwinError):
+            raise report
+        self._known.update(report)
 
 
 def _help(connection: Connection, twins: dict[str, str], arguments: list[str]) -> None:

@@ -193,7 +193,7 @@ def run_diagnosis(
 
 #: Progress of either job.
 Step = calibration.Progress | DiagnosisStep
-#: Work of the worker process: the job, a function for progress, a function that says whether to stop.
+#: Work of the worker process: the job, a function for progress, a function that asks whether to stop.
 Work = Callable[[Job, Callable[[Any], None], Callable[[], bool]], Outcome]
 
 

@@ -41,7 +41,7 @@ _LEAST_BACK = 1.5
 #: Range of the parameter ``rate``; 0 is full speed.
 _FASTEST = 1000.0
 #: s between two messages on /diagnostics.
-_TOLD_EVERY = 0.5
+_REPORT_EVERY = 0.5
 
 
 class BagPlayer(Node):  # type: ignore[misc]
@@ -52,8 +52,8 @@ class BagPlayer(Node):  # type: ignore[misc]
     and time jumps back. The first message is sent after ``delay`` s, in which subscribers connect. With ``stay`` the
     player waits at the end to be sent back.
 
-    While it plays it is led by its parameters: ``rate``, ``paused``, and ``seek``, which goes to a position in s. Where
-    it is, it says on ``/diagnostics``.
+    While it plays it is led by its parameters: ``rate``, ``paused``, and ``seek``, which goes to a position in s. It
+    reports its position on ``/diagnostics``.
     """
 
     def __init__(
@@ -115,9 +115,9 @@ class BagPlayer(Node):  # type: ignore[misc]
         self.declare_parameter("paused", False, ParameterDescriptor(description="Whether the replay rests."))
         self.add_on_set_parameters_callback(self._on_set)
         self._diagnostics = self.create_publisher(DiagnosticArray, "/diagnostics", 10)
-        self.create_timer(_TOLD_EVERY, self._tell, clock=SystemClock(clock_type=ClockType.STEADY_TIME))
+        self.create_timer(_REPORT_EVERY, self._report, clock=SystemClock(clock_type=ClockType.STEADY_TIME))
 
-    def _tell(self) -> None:
+    def _report(self) -> None:
         values = {
             "start (ns)": str(self.start),
             "position": f"{self.position:.3f}",

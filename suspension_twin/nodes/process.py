@@ -152,7 +152,7 @@ def check_arguments(args: list[str]) -> None:
 
 
 def help_text(kind: Any, program: str) -> str:
-    """What ``--help`` prints for the program of a node: what it does, and its parameters with their defaults."""
+    """Help of a node's program: its purpose, and its parameters with their defaults."""
     lines = [f"Usage: {program} [--ros-args -p NAME:=VALUE -r FROM:=TO ...]", ""]
     lines += [
         *textwrap.wrap(" ".join((kind.__doc__ or "").replace("``", "").split()), 80),

@@ -39,7 +39,7 @@ _DISCOVERY = "ROS_AUTOMATIC_DISCOVERY_RANGE"
 
 @dataclass(frozen=True, eq=False)
 class Replay:
-    """What the nodes published while a drive was played.
+    """Messages that the nodes published while a drive was played.
 
     ``t`` (n,) s stamps that both signals have; ``measured`` and ``simulated`` (n,) m/s² from
     ``imu/vertical_acceleration`` and ``twin/vertical_acceleration``. ``path`` (m, 6) from ``twin/odom``:

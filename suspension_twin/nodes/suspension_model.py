@@ -111,7 +111,7 @@ class SuspensionModelNode(TwinNode):
         self.start()
         self.listen(Odometry, "twin/odom", self._on_odom)
         self.listen(AccelStamped, "imu/vertical_acceleration", self._on_vertical)
-        # All twins write to this topic: of many in one process, each is told by its own nodes alone.
+        # All twins write to this topic: of many in one process, each gets the status of its own nodes alone.
         if not self.embedding.bare:
             self.create_subscription(DiagnosticArray, "/diagnostics", self.on_diagnostics, 100)
         self.create_service(Trigger, "~/reset", self._on_reset)
@@ -158,11 +158,11 @@ class SuspensionModelNode(TwinNode):
 
     def _on_vertical(self, message: AccelStamped, ns: int) -> None:
         linear, angular = message.accel.linear, message.accel.angular
-        felt = BodyAcceleration((linear.x, linear.y, linear.z), (angular.x, angular.y, angular.z))
-        if not all(abs(value) < _HARDEST for vector in felt for value in vector):
+        measured = BodyAcceleration((linear.x, linear.y, linear.z), (angular.x, angular.y, angular.z))
+        if not all(abs(value) < _HARDEST for vector in measured for value in vector):
             text = "message dropped: a value is not finite or out of range"
             raise InputError("imu/vertical_acceleration", text)
-        self._follow(self._pairing.sample(ns, felt))
+        self._follow(self._pairing.sample(ns, measured))
 
     def _follow(self, ready: list[tuple[int, PlanarState, BodyAcceleration]]) -> None:
         for number, (ns, pose, measured) in enumerate(ready):

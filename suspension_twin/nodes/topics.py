@@ -169,7 +169,7 @@ class Embedding:
 @dataclass
 class InputState:
     """Statistics of one subscribed topic: ``rate`` Hz, ``silent_for`` s since the last message. A warning is
-    given for a silent topic if it is ``expected``; ``why`` says what stands in the way, if anything."""
+    given for a silent topic if it is ``expected``; ``why`` is the reason, if known."""
 
     topic: str
     expected: bool
@@ -193,7 +193,7 @@ class InputState:
 
 
 def _waited(about: Mapping[str, int]) -> int:
-    """ns that a message has waited in the queue, 0 where the middleware does not say."""
+    """ns that a message has waited in the queue, 0 where the middleware does not know."""
     received = about.get("received_timestamp") or 0
     return time.time_ns() - received if received > 0 else 0
 

@@ -59,7 +59,7 @@ class MovingLevel:
 
     In the axes that the body had when it began, the integral of the specific force is the gain of velocity and
     gravity's reaction: ``∫ R f dt = v(t) - v(0) + g up t``. A straight line through its difference from the measured
-    velocities has the slope ``g up``; what is off the line says how good the velocities are.
+    velocities has the slope ``g up``; the residuals give the standard deviation of the velocities.
 
     Parameters
     ----------
@@ -317,9 +317,9 @@ class LiveInputs:
         )
         up = self._up.tolist()
         tilted = math.hypot(mean[0] / GRAVITY - up[0], mean[1] / GRAVITY - up[1]) >= MAX_TILT_DIFFERENCE
-        # A vertical that nothing has confirmed may be wrong: the velocity alone says that the vehicle stands.
-        heard = self._velocity is not None and t - self._velocity[0] <= 1.5
-        doubtful = tilted and heard and not self.levelled
+        # A vertical that nothing has confirmed may be wrong: then the velocity alone decides that the vehicle stands.
+        recent = self._velocity is not None and t - self._velocity[0] <= 1.5
+        doubtful = tilted and recent and not self.levelled
         quiet = quiet and (doubtful or not tilted) and (not known or abs(speed) < 0.3) and self._gps_slow(t)
         if not quiet:
             self._quiet_since = math.nan
@@ -433,7 +433,7 @@ class LiveInputs:
 
     def note_fix(self, t: float, east: float, north: float, sigma: float) -> None:
         """A fix in m. Where no velocities come, the newest earlier one that is far enough away gives the course, which
-        has turned on by half of what the gyro says since then, and how fast."""
+        has turned on by half of the gyro's angle since then, and the speed."""
         fixes = self._fixes
         if self._velocity is not None or (fixes and t <= fixes[-1][0]):
             return
@@ -488,7 +488,7 @@ class LiveInputs:
         return course, sigma_yaw, speed, sigma_speed
 
     def _heading_alone(self, yaw: float) -> tuple[float, float, float, float] | None:
-        """What a heading and fixes less than a course apart say of the speed: nothing before there are two."""
+        """Yaw by the heading, and the speed by fixes too close for a course; None before there are two."""
         if len(self._fixes) < 2:
             return None
         (t0, x0, y0, s0, _), (t1, x1, y1, s1, _) = self._fixes[0], self._fixes[-1]

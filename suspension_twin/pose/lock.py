@@ -264,7 +264,7 @@ class PoseLock:
 
     @property
     def findings(self) -> list[Finding]:
-        """What keeps the pose from being locked, or makes it unreliable."""
+        """Reasons why the pose is not locked or not reliable."""
         if self._history.head < 0:
             return [Finding("warn", "no_imu", "no IMU samples yet: is imu/data published?")]
         found = []

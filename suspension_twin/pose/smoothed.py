@@ -60,7 +60,7 @@ class Measurements:
 
 @dataclass(frozen=True, eq=False)
 class Nodes:
-    """What the filter runs over: ``t`` (k,) s, ``kind`` (k,) of the measurement there, below 0 for none, ``z``
+    """Nodes that the filter runs over: ``t`` (k,) s, ``kind`` (k,) of the measurement there, below 0 for none, ``z``
     (k, 3), ``inputs`` (k, 8) over the interval before each node, ``sway`` (k, 4) what the antenna's
     quick swinging adds to the last four of them. ``inputs`` and ``z`` are the caller's to change."""
 

@@ -43,7 +43,7 @@ MAX_TILT_DIFFERENCE = 0.03
 
 @dataclass(frozen=True)
 class StillLimits:
-    """What a standing car with its engine idling does not exceed within a window.
+    """Limits that a standing car with its engine idling does not exceed within a window.
 
     ``window`` s; ``force`` m/s² and ``rate`` rad/s standard deviations of the noisiest axis below 10 Hz;
     ``turn`` rad/s the largest mean rate, all of it gyro bias. The limits lie between what a car with

@@ -65,7 +65,7 @@ def ingest_step(
     """One sample: ``turn`` (6, 3) scale and rotation, ``bias`` (6,) of force and rate,
     ``up_bias`` (3,) the attitude's own, ``last`` (12,) the row before and the filtered rate, ``soft`` (3, 6) and
     ``block`` (19,) the standstill window, ``out`` (21,). ``missing`` rows are interpolated into the filter; below 0
-    it starts anew. Of a sensor that has ``removed`` gravity, only as much is put back as the setting says."""
+    it starts anew. Of a sensor that has ``removed`` gravity, gravity is put back if ``restore``."""
     row = np.empty(9)
     for k in range(3):
         f = 0.0
@@ -147,7 +147,7 @@ class ImuIngest:
 
     Nothing comes out until the sample rate is known (17 samples). A stamp that is set back (a
     looped bag) resets everything; one that is a little late or repeated is dropped; a pause restarts
-    the filter. ``findings`` says what is odd, ``counts`` how often what happened.
+    the filter. ``findings`` are the present faults, ``counts`` those of samples.
     """
 
     def __init__(self, settings: ImuSettings, place: Place) -> None:
@@ -163,12 +163,12 @@ class ImuIngest:
 
     @property
     def standing(self) -> bool:
-        """Whether the last full window says that the vehicle stands."""
+        """Whether the vehicle stands by the last full window."""
         return self._still_blocks >= 2
 
     @property
     def findings(self) -> list[Finding]:
-        """What is odd now, worst first."""
+        """Present faults, worst first."""
         order = {"error": 0, "warn": 1, "ok": 2}
         found = list(self._findings.values())
         lost = self.counts["invalid"]
@@ -208,7 +208,7 @@ class ImuIngest:
     def push(self, t: float, force: Sequence[float], rate: Sequence[float]) -> IngestOutput | None:
         """One message: ``t`` s, ``force`` (3,) and ``rate`` (3,) in the sensor's axes as they were sent.
 
-        None where nothing can be said: not yet, or the message was dropped.
+        None while the rate is not known, and for a message that was dropped.
         """
         try:
             sample = (*map(float, force), *map(float, rate))
@@ -308,7 +308,7 @@ class ImuIngest:
             self._findings[f"{code}.{finding.code}"] = finding
 
     def _design(self, rate_hz: float) -> None:
-        """Filter sections for the measured rate; a cut-off that it cannot carry is lowered, and said."""
+        """Filter sections for the measured rate; a cut-off that it cannot carry is lowered, with a finding."""
         spec, note = self.settings.filter, None
         try:
             self._sos = spec.sections(rate_hz)
@@ -333,7 +333,7 @@ class ImuIngest:
         mean = self._turn[:3] @ rows[:, 1:4].mean(axis=0)
         if (
             abs(float(np.linalg.norm(mean)) / self._reading.gravity - 1.0) < 0.2
-        ):  # a bump says nothing of the mounting
+        ):  # a bump does not show the mounting
             self._check_level(mean)
         body = rows[:, 1:4] @ self._turn[:3].T
         rates = rows[:, 4:7] @ self._turn[3:].T

@@ -39,7 +39,7 @@ __all__ = [
 
 NO_FIX = -1  # sensor_msgs/NavSatStatus
 FAST = 3.0  # m/s from which a course is one
-NEAR = 1.5  # s beyond which a stamp says nothing of another
+NEAR = 1.5  # s beyond which a stamp is too far from another
 
 
 @dataclass(frozen=True, eq=False)
@@ -85,7 +85,7 @@ class Ground:
         return out
 
     def yaw_rate_bias(self, t: Floats, yaw_rate: Floats) -> float | None:
-        """What the gyro turns more than the course does, in rad/s, over ten seconds of driving at least."""
+        """Rate in rad/s by which the gyro turns more than the course, over ten seconds of driving at least."""
         fast = np.hypot(self.east, self.north) > FAST + self.noise
         pair = fast[1:] & fast[:-1] & (np.diff(self.t) < NEAR)
         pair &= (self.t[:-1] >= t[0]) & (self.t[1:] <= t[-1])
