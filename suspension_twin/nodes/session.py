@@ -65,7 +65,6 @@ class CalibrateAnswer:
     cost: float
     initial_cost: float
     evaluations: int
-    generations: int
     values: dict[str, float]
     excited: dict[str, bool]
     wall: float
@@ -171,7 +170,6 @@ class Session:
             answer.cost,
             answer.initial_cost,
             answer.evaluations,
-            answer.generations,
             values=dict(zip(answer.names, answer.values, strict=True)),
             excited=dict(zip(answer.names, answer.excited, strict=True)),
             wall=time.monotonic() - began,

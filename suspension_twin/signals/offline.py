@@ -30,10 +30,10 @@ from suspension_twin.vehicle.twin import Place
 
 __all__ = [
     "NO_FIX",
-    "Ground",
+    "GnssMotion",
     "ImuFacts",
     "ImuSignals",
-    "ground_motion",
+    "gnss_motion",
     "ingest_drive",
 ]
 
@@ -43,7 +43,7 @@ NEAR = 1.5  # s beyond which a stamp is too far from another
 
 
 @dataclass(frozen=True, eq=False)
-class Ground:
+class GnssMotion:
     """``t`` (m,) s rising, ``east`` and ``north`` (m,) m/s over ground, ``noise`` m/s their uncertainty."""
 
     t: Floats
@@ -99,19 +99,19 @@ class Ground:
         return float(np.sum(wrapped)) / time
 
 
-def ground_motion(drive: Drive) -> Ground:
+def gnss_motion(drive: Drive) -> GnssMotion:
     """From the velocities, or else from the way between fixes as far apart as their noise demands."""
     velocity, fix = drive.velocity, drive.fix
     good = np.isfinite(velocity.t) & np.isfinite(velocity.enu[:, :2]).all(axis=1)
     if np.count_nonzero(good) >= 4:
         stamps, first = np.unique(velocity.t[good], return_index=True)
-        return Ground(stamps, velocity.enu[good, 0][first], velocity.enu[good, 1][first], 0.0)
+        return GnssMotion(stamps, velocity.enu[good, 0][first], velocity.enu[good, 1][first], 0.0)
     good = (
         np.isfinite(fix.t) & np.isfinite(fix.latitude) & np.isfinite(fix.longitude) & (fix.status != NO_FIX)
     )
     stamps, first = np.unique(fix.t[good], return_index=True)
     if stamps.size < 4:
-        return Ground(np.empty(0), np.empty(0), np.empty(0), 0.0)
+        return GnssMotion(np.empty(0), np.empty(0), np.empty(0), 0.0)
     latitude, longitude = fix.latitude[good][first], fix.longitude[good][first]
     # A sphere will do: a thousandth of a speed does not matter here.
     north = 111_200.0 * (latitude - latitude[0])
@@ -122,7 +122,7 @@ def ground_motion(drive: Drive) -> Ground:
     later = np.minimum(np.searchsorted(stamps, stamps + 0.99 * apart), stamps.size - 1)
     ok = later > np.arange(stamps.size)
     step = (stamps[later] - stamps)[ok]
-    return Ground(
+    return GnssMotion(
         0.5 * (stamps[later] + stamps)[ok],
         (east[later] - east)[ok] / step,
         (north[later] - north)[ok] / step,
@@ -247,7 +247,7 @@ def ingest_drive(drive: Drive, place: Place, settings: ImuSettings | None = None
 
     turn = reading.mounting
     force, rate = reading.scale * raw_force @ turn.T, raw_rate @ turn.T
-    ground = ground_motion(drive)
+    ground = gnss_motion(drive)
     speed = ground.least_speed(t) if ground.known else None
     standing = standstill_mask(rate_hz, force, rate, settings.still, speed)
     if len(drive.velocity) < 4 and not reading.removed:
@@ -297,7 +297,7 @@ def _accelerating(t: Floats, force: Floats, rate: Floats, rate_hz: float, time: 
     return np.asarray(np.linalg.norm(mean - up, axis=1) > MAX_TILT_DIFFERENCE, dtype=np.bool_)
 
 
-def _driving_bias(ground: Ground, t: Floats, rate: Floats) -> Floats:
+def _driving_bias(ground: GnssMotion, t: Floats, rate: Floats) -> Floats:
     """(3,) gyro bias of a drive that never stands: roll and pitch come back to where they were, and the yaw
     turns as the course does, if that is known."""
     about_z = ground.yaw_rate_bias(t, rate[:, 2]) if ground.known else None
