@@ -1,15 +1,16 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Samples find their poses in whatever order the two come."""
+"""The follower's inputs: samples paired with poses in any order, and the planar acceleration that excites the model."""
 
 from __future__ import annotations
 
 import math
 
+import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from suspension_twin.live.follow import Pairing
+from suspension_twin.live.follow import BodyAcceleration, Pairing, PlanarAcceleration
 from suspension_twin.pose.lock import PlanarMotion, PlanarState
 
 MS = 1_000_000
@@ -84,3 +85,55 @@ def test_late_and_repeated_ones_are_passed_over():
     assert pairing.sample(10 * MS, 2.0) == [] and pairing.sample(9 * MS, 2.0) == []
     assert pairing.pose(*at(10 * MS)) == [] and pairing.pose(*at(5 * MS)) == []
     assert len(pairing.sample(20 * MS, 1.0) + pairing.pose(*at(20 * MS))) == 1
+
+
+DRIVING = PlanarMotion(speed=10.0)
+
+
+def accelerations(sensed, path, motion=DRIVING, lever=(0.0, 0.0, 0.0), rate=100.0) -> np.ndarray:
+    """(n, 2) of the complementary filter over samples of the IMU and of the path."""
+    planar = PlanarAcceleration(lever)
+    return np.array(
+        [planar.step(k / rate, s, motion, p) for k, (s, p) in enumerate(zip(sensed, path, strict=True))]
+    )
+
+
+def test_slow_accelerations_are_the_paths_and_quick_ones_the_imus():
+    t = np.arange(0.0, 40.0, 0.01)
+    slow, quick = np.sin(2 * np.pi * 0.03 * t), 0.5 * np.sin(2 * np.pi * 4.0 * t)
+    # the IMU has a bias, the path misses what is quick
+    sensed = [BodyAcceleration((a + 0.3, -a, 0.0)) for a in slow + quick]
+    found = accelerations(sensed, zip(slow, -slow, strict=True))
+    late = t > 5.0
+    assert np.std(found[late, 0] - (slow + quick)[late]) < 0.1
+    assert np.abs(found[:, 0] + found[:, 1])[late].max() < 0.02  # the bias is gone
+    assert np.std((found[:, 0] - slow)[late]) == pytest.approx(np.std(quick[late]), rel=0.1)
+
+
+def test_the_lever_of_the_sensor_is_taken_off():
+    t = np.arange(0.0, 20.0, 0.01)
+    pitch_acceleration = np.gradient(0.2 * np.sin(2 * np.pi * 1.5 * t), t)
+    between = 0.5 * (pitch_acceleration + np.concatenate([[0.0], pitch_acceleration[:-1]]))
+    sensed = [
+        BodyAcceleration((0.7 * a, 0.0, 0.0), (0.0, b, 0.0))
+        for a, b in zip(pitch_acceleration, between, strict=True)
+    ]
+    found = accelerations(sensed, [(0.0, 0.0)] * t.size, lever=(0.4, 0.0, 0.7))
+    assert np.std(found[:, 0]) < 1e-9
+
+
+def test_a_vehicle_that_stands_is_not_shaken_by_noise_and_drives_off_without_a_step():
+    noise = np.random.default_rng(0).normal(0.0, 0.1, 200)
+    sensed = [BodyAcceleration((a, a, 0.0)) for a in noise]
+    assert not accelerations(sensed, [(0.0, 0.0)] * 200, PlanarMotion()).any()
+    planar = PlanarAcceleration((0.0, 0.0, 0.0))
+    bias = BodyAcceleration((0.4, 0.0, 0.0))
+    planar.step(0.0, bias, PlanarMotion(), (0.0, 0.0))
+    assert planar.step(0.01, bias, DRIVING, (0.1, 0.0)) == pytest.approx((0.1, 0.0))
+
+
+def test_after_a_pause_it_begins_with_the_paths():
+    planar = PlanarAcceleration((0.0, 0.0, 0.0))
+    for k in range(50):
+        planar.step(0.01 * k, BodyAcceleration((1.0, 1.0, 0.0)), DRIVING, (0.0, 0.0))
+    assert planar.step(3.0, BodyAcceleration((5.0, 5.0, 0.0)), DRIVING, (0.2, 0.3)) == (0.2, 0.3)

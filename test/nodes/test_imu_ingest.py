@@ -222,6 +222,21 @@ def test_diagnostics_come_once_a_second_with_the_rate(bench, twin_path):
     assert heard[-1].status[0].hardware_id == "suspension_twin"
 
 
+def test_the_message_of_the_vertical_acceleration_holds_all_axes(bench, twin_path):
+    """From which a model in a process of its own has its planar acceleration."""
+    node = bench.make(ImuIngestNode, twin=str(twin_path))
+    rows = []
+    node.outputs["imu/vertical_acceleration"].links.append(
+        lambda m: rows.append((m.accel.linear.x, m.accel.linear.z, m.accel.angular.y))
+    )
+    for k in range(400):
+        swing = math.sin(2 * math.pi * k / 50.0)
+        node.inputs["imu/data_raw"].deliver(imu(T0 + k / 100.0, (swing, 0.0, 9.81), (0.0, 0.01 * swing, 0.0)))
+    ahead, up, pitching = np.array(rows)[100:].T
+    assert np.std(ahead) == pytest.approx(math.sqrt(0.5), rel=0.15) and np.std(up) < 0.02
+    assert np.std(pitching) == pytest.approx(0.01 * 4 * math.pi * math.sqrt(0.5), rel=0.05)
+
+
 def test_settings_change_at_once(bench, twin_path):
     node = bench.make(ImuIngestNode, twin=str(twin_path))
     _, vertical = taps(node)

@@ -72,6 +72,23 @@ def test_the_first_output_has_the_past_of_all_samples_before(rpy: tuple[float, f
     assert np.std(vertical) > 0.5
 
 
+def test_accelerations_go_through_the_low_pass_of_the_force() -> None:
+    """Linear: force less gravity along up; angular: the change of the filtered rate, none after a pause."""
+    s, force, rate = shaking(400)
+    s = np.where(np.arange(400) < 300, s, s + 3.0)
+    outs = [out for out in push(ImuIngest(ImuSettings(), Place()), s, force, rate) if out is not None]
+    t, turning = column(outs, "t"), column(outs, "rate")
+    pause = int(np.argmax(np.diff(t))) + 1
+    expected = np.diff(turning, axis=0) / np.diff(t)[:, None]
+    expected[pause - 1] = 0.0
+    np.testing.assert_allclose(column(outs, "angular_acceleration")[1:], expected, rtol=1e-6, atol=1e-6)
+    free = column(outs, "raw_force") - STANDARD_GRAVITY * column(outs, "up")
+    low_pass = CausalLowPass(ImuSettings().filter, 100.0, 3)
+    wanted, linear = low_pass.process(free[:pause]), column(outs, "acceleration")[:pause]
+    np.testing.assert_allclose(linear[50:], wanted[50:], rtol=0, atol=5e-3)
+    assert [out.vertical_acceleration for out in outs] == [out.acceleration[2] for out in outs]
+
+
 def test_up_is_where_the_body_has_it(make_drive: Maker) -> None:
     drive, truth = make_drive(seconds=8.0, pull=0.0, noise=0.0, rate_noise=0.0)
     imu = drive.imu

@@ -18,7 +18,9 @@ PLACE = (1.9, -0.6, 1.1)
 METRES = 111_200.0  # of a degree
 
 
-def ground(s: np.ndarray, speed: np.ndarray, course: np.ndarray | float = 0.0, noise: float = 0.0) -> GnssMotion:
+def ground(
+    s: np.ndarray, speed: np.ndarray, course: np.ndarray | float = 0.0, noise: float = 0.0
+) -> GnssMotion:
     """Velocities at ``s`` from T0."""
     return GnssMotion(T0 + s, speed * np.cos(course), speed * np.sin(course), noise)
 
