@@ -13,6 +13,7 @@ from collections.abc import Callable, Iterable, Mapping
 from collections.abc import Set as AbstractSet
 from copy import copy
 from dataclasses import dataclass, field
+from typing import Any
 
 from builtin_interfaces.msg import Time as TimeMessage
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
@@ -230,13 +231,13 @@ class TwinNode(Node):  # type: ignore[misc]
         """Whether ``got`` is the frame ``wanted``, with or without the namespace."""
         return got in (wanted, self.frame(wanted))
 
-    def create_publisher(self, *args: object, **keywords: object) -> Publisher:
+    def create_publisher(self, *args: Any, **keywords: Any) -> Publisher:
         """As in the base class, without events of the quality of service, which rclpy handles in Python at every
         callback: half of its time. Of incompatible profiles the node at the other end warns."""
         events = PublisherEventCallbacks(use_default_callbacks=False)
         return super().create_publisher(*args, event_callbacks=events, **keywords)
 
-    def create_subscription(self, *args: object, **keywords: object) -> Subscription:
+    def create_subscription(self, *args: Any, **keywords: Any) -> Subscription:
         """As in the base class, without events of the quality of service unless they are asked for, see
         :meth:`create_publisher`."""
         keywords.setdefault("event_callbacks", SubscriptionEventCallbacks(use_default_callbacks=False))

@@ -60,7 +60,7 @@ class Action:
     job_of: Callable[..., Job]
     work: Work
     step: type[Progress | DiagnosisStep]
-    describe: Callable[[Step], str]
+    describe: Callable[..., str]
     has_partial: bool
     options: tuple[str, ...] = ()
 
@@ -272,7 +272,8 @@ class CalibratorNode(TwinNode):
 
     def _finish(self, running: _Running) -> None:
         self._running = None
-        self.destroy_timer(self._timer)
+        if self._timer is not None:
+            self.destroy_timer(self._timer)
         running.worker.kill()
         running.finished.set_result(running.outcome)
         if self.executor is not None:

@@ -196,9 +196,10 @@ class Composed:
 
     def _connect(self) -> None:
         """Put the stages of the nodes into one twin: a sample goes through all of them at once."""
-        self.ingest, injector, self.model = (self.nodes[name] for name in list(KINDS)[:3])
-        assert isinstance(self.ingest, ImuIngestNode) and isinstance(injector, PoseInjectorNode)
-        assert isinstance(self.model, SuspensionModelNode)
+        ingest, injector, model = (self.nodes[name] for name in list(KINDS)[:3])
+        assert isinstance(ingest, ImuIngestNode) and isinstance(injector, PoseInjectorNode)
+        assert isinstance(model, SuspensionModelNode)
+        self.ingest, self.model = ingest, model
         #: Called with what every sample gives and its stamp in ns.
         self.outlets = self.ingest.outlets
         self.outlets[:0] = [self.model.take, injector.take]

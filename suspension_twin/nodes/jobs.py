@@ -59,7 +59,7 @@ class Job:
 
 
 #: Fields of an action's result, without those that keep their defaults; ``message`` is one line for the user.
-Outcome = dict[str, object]
+Outcome = dict[str, Any]
 
 
 @dataclass(frozen=True)

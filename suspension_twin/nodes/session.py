@@ -101,9 +101,13 @@ class Session:
             if at is not None and not math.isnan(at.vertical_acceleration):
                 signals.append((t, at.measured, at.vertical_acceleration))
 
+        def keep(message: Gap) -> None:
+            stamp = message.header.stamp
+            gap.append((stamp.sec + 1e-9 * stamp.nanosec, message.rms))
+
         with self._composed(twin_file, Playback(drive, rate)) as composed:
             composed.outlets.append(take)
-            composed.model.outputs["twin/gap"].links.append(lambda m: gap.append((_seconds(m), m.rms)))
+            composed.model.outputs["twin/gap"].links.append(keep)
             player = composed.player
             assert player is not None
             while not composed.finished:
@@ -188,11 +192,6 @@ def _wait(composed: Composed, future: Any) -> Any:
     while not future.done():
         composed.step()
     return future.result()
-
-
-def _seconds(message: Gap) -> float:
-    stamp = message.header.stamp
-    return float(stamp.sec + 1e-9 * stamp.nanosec)
 
 
 @contextmanager

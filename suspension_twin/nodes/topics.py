@@ -18,14 +18,13 @@ import math
 import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Protocol
+from typing import TYPE_CHECKING, Any, Protocol
 
 from diagnostic_msgs.msg import DiagnosticStatus
 from rclpy.context import Context
 from rclpy.parameter import Parameter
 from rclpy.publisher import Publisher
 from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
-from rclpy.subscription import Subscription
 from std_msgs.msg import Header
 
 from suspension_twin.errors import InputError
@@ -205,7 +204,7 @@ class Input:
         self.state = state
         self.newest = 0
         #: None where a linked output delivers.
-        self.subscription: Subscription | None = None
+        self.subscription: Any = None
         self._node = node
         self._outbox = node.outbox
         self._handler = handler
